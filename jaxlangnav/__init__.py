@@ -1,0 +1,1 @@
+"""jaxlangnav: language-guided navigation in unknown places, on JAX."""

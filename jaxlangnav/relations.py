@@ -1,0 +1,260 @@
+"""Spatial relations as differentiable, normalised log-densities (section 3.2, eq. 7a).
+
+A relation says where a figure lies, given a landmark and a frame. In polar coordinates about
+the landmark the distance is log-normal and the direction von Mises about the relation's axis:
+
+    f(o) = LogNormal(r; μ, σ) · VonMises(Δ; κ) / r,      r = |o|,  Δ = ∠(o, axis)
+
+so "behind" is directed (κ > 0) and "near" a ring (κ = 0); ∫ f(o) do = 1 for every relation.
+The frame is the viewer's at the moment of the utterance: "behind the cone" lies beyond the cone
+as seen from where the person spoke. Where the robot itself is the landmark ("on your left"), the
+frame is the robot's own at that moment.
+
+x and y stand apart everywhere: XLA on CPU vectorises badly over a trailing axis of two.
+"""
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jax.typing import ArrayLike
+
+from jaxlangnav.messages import FAR, NEAR
+from jaxlangnav.pytree import pytree
+
+NUM_QUANTILES = 256
+"""Resolution of the tabulated von Mises quantile function used for sampling."""
+# Axis of each relation in (along, lateral): behind is further along the line of sight.
+_AXIS_ALONG = (-1.0, 1.0, 0.0, 0.0, 1.0, 1.0)
+_AXIS_LATERAL = (0.0, 0.0, 1.0, -1.0, 0.0, 0.0)
+_HOLDS_MIN_COSINE = 0.7071  # within 45 degrees of the axis
+_HOLDS_MAX_DISTANCE = 5.0  # metres; "far" begins where the others end
+
+
+@pytree
+class RelationParams:
+    """Free parameters of the six relations, in the order of ``messages.RELATIONS``."""
+
+    log_distance: Array  # f32[6] μ, log metres
+    log_distance_sd: Array  # f32[6] σ, dimensionless
+    axis: Array  # f32[6] radians, direction in the frame, 0: along, π/2: to the left
+    concentration: Array  # f32[6] κ; 0 is undirected
+
+
+@pytree
+class RelationModel:
+    """``RelationParams`` made ready for the filter: constants and sampling tables."""
+
+    log_distance: Array  # f32[6]
+    log_distance_sd: Array  # f32[6]
+    axis_along: Array  # f32[6] cosine of the axis
+    axis_lateral: Array  # f32[6] sine of the axis
+    concentration: Array  # f32[6]
+    log_constant: Array  # f32[6] log normaliser of the density
+    angle_quantile: Array  # f32[6, Q + 1] radians, quantiles of Δ
+
+
+@pytree
+class Frame:
+    """Orthonormal directions in which a relation is understood, map frame."""
+
+    along_x: Array  # f32[...]
+    along_y: Array  # f32[...]
+    lateral_x: Array  # f32[...]
+    lateral_y: Array  # f32[...]
+
+
+def default_params() -> RelationParams:
+    """Build plausible relations: an object's neighbourhood is a few metres."""
+    pi = jnp.pi
+    return RelationParams(
+        log_distance=jnp.log(jnp.array([2.4, 2.4, 2.4, 2.4, 2.2, 8.0], jnp.float32)),
+        log_distance_sd=jnp.array([0.35, 0.35, 0.35, 0.35, 0.35, 0.4], jnp.float32),
+        axis=jnp.array([pi, 0.0, pi / 2, -pi / 2, 0.0, 0.0], jnp.float32),
+        concentration=jnp.array([12.0, 12.0, 12.0, 12.0, 0.0, 0.0], jnp.float32),
+    )
+
+
+def prepare(params: RelationParams) -> RelationModel:
+    """Compute what the density and the sampler need once per set of parameters.
+
+    Args:
+        params: free parameters, f32[6] each; ``log_distance_sd`` > 0, ``concentration`` >= 0.
+
+    Returns:
+        Constants and the quantile table of the von Mises angle; differentiable in ``params``.
+    """
+    angles = jnp.linspace(-jnp.pi, jnp.pi, 1025, dtype=jnp.float32)
+    density = jnp.exp(params.concentration[:, None] * (jnp.cos(angles)[None, :] - 1.0))
+    steps = 0.5 * (density[:, 1:] + density[:, :-1])
+    cumulative = jnp.concatenate([jnp.zeros((6, 1), jnp.float32), jnp.cumsum(steps, axis=1)], 1)
+    cumulative = cumulative / cumulative[:, -1:]
+    levels = jnp.linspace(0.0, 1.0, NUM_QUANTILES + 1, dtype=jnp.float32)
+    quantile = jax.vmap(lambda cdf: jnp.interp(levels, cdf, angles))(cumulative)
+    log_constant = -(
+        jnp.log(params.log_distance_sd)
+        + 0.5 * jnp.log(2 * jnp.pi)
+        + jnp.log(2 * jnp.pi * jax.scipy.special.i0e(params.concentration))
+    )
+    return RelationModel(
+        log_distance=params.log_distance,
+        log_distance_sd=params.log_distance_sd,
+        axis_along=jnp.cos(params.axis),
+        axis_lateral=jnp.sin(params.axis),
+        concentration=params.concentration,
+        log_constant=log_constant,
+        angle_quantile=quantile,
+    )
+
+
+def viewer_frame(
+    viewer_x: ArrayLike, viewer_y: ArrayLike, landmark_x: ArrayLike, landmark_y: ArrayLike
+) -> Frame:
+    """Build the frame of somebody who looks at the landmark.
+
+    Args:
+        viewer_x: f32[...], metres, map frame: where the viewer stands.
+        viewer_y: f32[...], metres.
+        landmark_x: f32[...], metres, map frame.
+        landmark_y: f32[...], metres.
+
+    Returns:
+        ``along`` points from the viewer through the landmark, ``lateral`` to the viewer's left.
+    """
+    dx, dy = jnp.subtract(landmark_x, viewer_x), jnp.subtract(landmark_y, viewer_y)
+    scale = jax.lax.rsqrt(dx * dx + dy * dy + 1e-12)
+    ux, uy = dx * scale, dy * scale
+    return Frame(along_x=ux, along_y=uy, lateral_x=-uy, lateral_y=ux)
+
+
+def robot_frame(heading: Array) -> Frame:
+    """Build the frame of the robot as its own landmark: "in front of you" is where it heads.
+
+    Args:
+        heading: f32[...], radians, map frame.
+
+    Returns:
+        ``along`` points backwards (for "behind"), ``lateral`` to the robot's left.
+    """
+    cosine, sine = jnp.cos(heading), jnp.sin(heading)
+    return Frame(along_x=-cosine, along_y=-sine, lateral_x=-sine, lateral_y=cosine)
+
+
+def log_density(
+    model: RelationModel, relation: ArrayLike, offset_x: Array, offset_y: Array, frame: Frame
+) -> Array:
+    """Evaluate how likely a relation places its figure at an offset from the landmark.
+
+        log f = c − 2 log r − (log r − μ)² / 2σ² + κ (cos Δ − 1)
+
+    Limits: κ = 0 depends on the distance alone; r → 0 and r → ∞ give −∞ smoothly.
+
+    Args:
+        model: prepared relations.
+        relation: i32[], relation index in [0, 6).
+        offset_x: f32[...], figure minus landmark, metres, map frame.
+        offset_y: f32[...], metres.
+        frame: directions, broadcastable to the offset.
+
+    Returns:
+        f32[...], log of the density per square metre.
+    """
+    squared = offset_x * offset_x + offset_y * offset_y + 1e-6
+    log_distance = 0.5 * jnp.log(squared)
+    along = offset_x * frame.along_x + offset_y * frame.along_y
+    lateral = offset_x * frame.lateral_x + offset_y * frame.lateral_y
+    cosine = (along * model.axis_along[relation] + lateral * model.axis_lateral[relation]) * (
+        jax.lax.rsqrt(squared)
+    )
+    standard = (log_distance - model.log_distance[relation]) / model.log_distance_sd[relation]
+    return (
+        model.log_constant[relation]
+        - 2.0 * log_distance
+        - 0.5 * standard * standard
+        + model.concentration[relation] * (cosine - 1.0)
+    )
+
+
+def sample_polar(
+    model: RelationModel, relation: ArrayLike, normal: Array, uniform: Array
+) -> tuple[Array, Array]:
+    """Draw an offset from a relation in frame coordinates.
+
+    Args:
+        model: prepared relations.
+        relation: i32[], relation index in [0, 6).
+        normal: f32[...], standard normal draws (distance).
+        uniform: f32[...], uniform draws in [0, 1) (direction).
+
+    Returns:
+        f32[...] along and f32[...] lateral, metres, in the frame of ``log_density``.
+    """
+    distance = jnp.exp(
+        model.log_distance[relation] + model.log_distance_sd[relation] * normal
+    )
+    position = uniform * NUM_QUANTILES
+    lower = jnp.clip(position.astype(jnp.int32), 0, NUM_QUANTILES - 1)
+    fraction = position - lower
+    table = model.angle_quantile[relation]
+    angle = table[lower] * (1.0 - fraction) + table[lower + 1] * fraction
+    cosine, sine = jnp.cos(angle), jnp.sin(angle)
+    axis_along, axis_lateral = model.axis_along[relation], model.axis_lateral[relation]
+    along = distance * (axis_along * cosine - axis_lateral * sine)
+    lateral = distance * (axis_lateral * cosine + axis_along * sine)
+    return along, lateral
+
+
+def to_map(frame: Frame, along: Array, lateral: Array) -> tuple[Array, Array]:
+    """Turn frame coordinates into map axes.
+
+    Args:
+        frame: directions, broadcastable to the coordinates.
+        along: f32[...], metres.
+        lateral: f32[...], metres.
+
+    Returns:
+        f32[...] x and f32[...] y, metres, map axes.
+    """
+    return (
+        along * frame.along_x + lateral * frame.lateral_x,
+        along * frame.along_y + lateral * frame.lateral_y,
+    )
+
+
+def holds(
+    relation: int,
+    figure: ArrayLike,
+    landmark: ArrayLike,
+    viewer: ArrayLike,
+    heading: float | None = None,
+) -> Array:
+    """Decide whether a relation holds between known positions, as people would say it.
+
+    Directed relations hold within 45 degrees of their axis and 5 m of the landmark, "near"
+    within 5 m, "far" beyond. Used for worlds whose truth is known (labels, the known-map
+    baseline), never by the filter.
+
+    Args:
+        relation: relation index in [0, 6).
+        figure: f32[..., 2], metres, map frame.
+        landmark: f32[..., 2], metres, map frame.
+        viewer: f32[..., 2], where the speaker and robot stand at the utterance.
+        heading: radians; given where the landmark is the robot itself.
+
+    Returns:
+        bool[...].
+    """
+    figure, landmark, viewer = jnp.asarray(figure), jnp.asarray(landmark), jnp.asarray(viewer)
+    if heading is None:
+        frame = viewer_frame(viewer[..., 0], viewer[..., 1], landmark[..., 0], landmark[..., 1])
+    else:
+        frame = robot_frame(jnp.asarray(heading, jnp.float32))
+    x, y = figure[..., 0] - landmark[..., 0], figure[..., 1] - landmark[..., 1]
+    distance = jnp.sqrt(x * x + y * y)
+    if relation == NEAR:
+        return distance <= _HOLDS_MAX_DISTANCE
+    if relation == FAR:
+        return distance > _HOLDS_MAX_DISTANCE
+    along = x * frame.along_x + y * frame.along_y
+    lateral = x * frame.lateral_x + y * frame.lateral_y
+    projection = along * _AXIS_ALONG[relation] + lateral * _AXIS_LATERAL[relation]
+    return (projection >= _HOLDS_MIN_COSINE * distance) & (distance <= _HOLDS_MAX_DISTANCE)
