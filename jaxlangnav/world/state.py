@@ -1,0 +1,36 @@
+"""Records of the ground truth: what a simulated place holds and where its robot is (section 4.2).
+
+Axis letters: **O** object slots of a world (eight by default), **E** episodes in a batch.
+"""
+
+from jax import Array
+
+from jaxlangnav.pytree import pytree
+
+HYDRANT, CONE = 0, 1
+"""Object type indices of the two types that the templates of Table 2 place."""
+
+
+@pytree
+class Scenario:
+    """One place with its objects, the robot's start and the intended goal; map frame, metres."""
+
+    object_type: Array  # i32[O] type index; NONE in empty slots
+    object_x: Array  # f32[O] metres
+    object_y: Array  # f32[O] metres
+    is_object: Array  # bool[O]
+    goal: Array  # f32[2] metres: where a successful robot stops
+    goal_index: Array  # i32[] slot of the intended object; NONE where the goal is a mere place
+    start: Array  # f32[3] x, y metres, heading radians
+    area: Array  # f32[4] x_min, x_max, y_min, y_max metres: the operating area, known to all
+    is_valid: Array  # bool[] the law of the template was met; False: count it, do not use it
+
+
+@pytree
+class WorldState:
+    """Where the robot truly is, and where its odometry says it is."""
+
+    position: Array  # f32[2] true, map frame, metres
+    heading: Array  # f32[] radians, true and known (compass)
+    odometry: Array  # f32[3] x, y metres, heading radians: dead reckoning from the start pose
+    distance: Array  # f32[] metres truly travelled so far

@@ -1,0 +1,147 @@
+"""World templates and the printed figures of Table 2 (section 4.2).
+
+A template says how many hydrants and cones a world has: "2H1C". The paper gives no geometry;
+the distances of its known-map robot (column *Known*) fix how far the intended hydrant stands.
+"""
+
+import dataclasses
+import difflib
+import math
+import re
+
+RELATION_NAMES = ("null", "behind", "nearest")
+"""Relations of the commands of Table 2; an index into this tuple is ``ScenarioLaw.relation``."""
+MAX_HYDRANTS = 4
+MAX_CONES = 4
+TEMPLATE_NAMES = ("1H1C", "1H2C", "2H1C", "2H2C")
+"""The templates of the paper; any "<h>H<c>C" up to four of each is understood as well."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Template:
+    """How many objects a world has."""
+
+    name: str
+    num_hydrants: int
+    num_cones: int
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TableRow:
+    """One printed row of Table 2; rates in percent, distances in metres, ``sd`` 1 sigma."""
+
+    world: str
+    range: float
+    relation: str
+    success_known: float
+    success_ours: float
+    distance_known: float
+    distance_known_sd: float
+    distance_ours: float
+    distance_ours_sd: float
+
+
+def _row(world: str, sensing_range: float, relation: str, *figures: float) -> TableRow:
+    """Build a row from the figures in the order in which the paper prints them."""
+    success_known, success_ours, known, known_sd, ours, ours_sd = figures
+    return TableRow(
+        world=world,
+        range=sensing_range,
+        relation=relation,
+        success_known=success_known,
+        success_ours=success_ours,
+        distance_known=known,
+        distance_known_sd=known_sd,
+        distance_ours=ours,
+        distance_ours_sd=ours_sd,
+    )
+
+
+TABLE_2 = (
+    _row("1H1C", 3.0, "null", 100.0, 93.9, 8.75, 1.69, 16.78, 7.90),
+    _row("1H1C", 3.0, "behind", 100.0, 98.3, 8.75, 1.69, 13.43, 7.02),
+    _row("1H2C", 3.0, "null", 100.0, 100.0, 11.18, 1.38, 32.54, 18.50),
+    _row("1H2C", 3.0, "behind", 100.0, 99.5, 11.18, 1.38, 40.02, 29.66),
+    _row("2H1C", 3.0, "null", 100.0, 54.4, 10.49, 1.81, 21.56, 10.32),
+    _row("2H1C", 3.0, "behind", 100.0, 67.4, 10.38, 1.86, 18.72, 10.23),
+    _row("2H1C", 5.0, "nearest", 100.0, 46.2, 9.19, 1.54, 12.05, 5.76),
+)
+"""Table 2 as printed."""
+
+
+def parse_template(name: str) -> Template:
+    """Read a template's name: "2H1C" is two hydrants and one cone; "2h, 1c" is the same.
+
+    Args:
+        name: number of hydrants in [1, 4], "H", number of cones in [0, 4], "C".
+
+    Returns:
+        The template, its name in the form "2H1C".
+
+    Raises:
+        ValueError: the name is not of this form, or a number is outside its limits.
+    """
+    compact = re.sub(r"[\s,]", "", name).upper()
+    match = re.fullmatch(r"(\d+)H(\d+)C", compact)
+    if match is None:
+        close = difflib.get_close_matches(compact, TEMPLATE_NAMES, n=1, cutoff=0.4)
+        hint = f" Did you mean {close[0]}?" if close else ""
+        raise ValueError(
+            f"unknown world template {name!r}: expected <hydrants>H<cones>C, one of "
+            f"{', '.join(TEMPLATE_NAMES)} or the like.{hint}"
+        )
+    num_hydrants, num_cones = int(match[1]), int(match[2])
+    if not 1 <= num_hydrants <= MAX_HYDRANTS:
+        raise ValueError(
+            f"world template {name!r} has {num_hydrants} hydrants: choose 1 to {MAX_HYDRANTS}"
+        )
+    if num_cones > MAX_CONES:
+        raise ValueError(f"world template {name!r} has {num_cones} cones: choose 0 to {MAX_CONES}")
+    return Template(
+        name=f"{num_hydrants}H{num_cones}C", num_hydrants=num_hydrants, num_cones=num_cones
+    )
+
+
+def check_relation(relation: str) -> int:
+    """Look up the index of a relation's name.
+
+    Args:
+        relation: one of ``RELATION_NAMES``.
+
+    Returns:
+        Its index.
+
+    Raises:
+        ValueError: no such relation.
+    """
+    if relation not in RELATION_NAMES:
+        close = difflib.get_close_matches(relation, RELATION_NAMES, n=1)
+        hint = f". Did you mean {close[0]!r}?" if close else ""
+        raise ValueError(
+            f"unknown relation {relation!r}: choose one of {', '.join(RELATION_NAMES)}{hint}"
+        )
+    return RELATION_NAMES.index(relation)
+
+
+def known_range(template: Template, relation: str) -> tuple[float, float]:
+    """Look up how far the intended hydrant stands from the start: column Known of Table 2.
+
+    A combination that the paper does not print takes the nearest row that it prints: the same
+    relation or else null, at most two hydrants, at most two cones, and 2H1C for 2H2C. Worlds
+    with three or four of a kind are scaled up so that each object keeps the room of 2H1C.
+
+    Args:
+        template: the world's template.
+        relation: one of ``RELATION_NAMES``.
+
+    Returns:
+        Mean and standard deviation, metres.
+    """
+    check_relation(relation)
+    world = "2H1C" if template.num_hydrants > 1 else f"1H{min(max(template.num_cones, 1), 2)}C"
+    rows = {row.relation: row for row in TABLE_2 if row.world == world}
+    row = rows.get(relation, rows["null"])
+    num_objects = template.num_hydrants + template.num_cones
+    is_crowded = max(template.num_hydrants, template.num_cones) > 2
+    scale = math.sqrt(num_objects / 3) if is_crowded else 1.0
+    return row.distance_known * scale, row.distance_known_sd * scale
