@@ -1,1 +1,49 @@
-"""jaxlangnav: language-guided navigation in unknown places, on JAX."""
+"""jaxlangnav: language-guided navigation in unknown places, on JAX.
+
+The public names are loaded when first used, so that ``import jaxlangnav`` and the command line's
+help stay instant; JAX is imported only once something computes.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from jaxlangnav.language.parser import parse as parse
+    from jaxlangnav.messages import Action as Action
+    from jaxlangnav.messages import Behavior as Behavior
+    from jaxlangnav.messages import Observation as Observation
+
+__version__ = "0.1.0"
+
+_HOMES = {
+    "Action": "jaxlangnav.messages",
+    "Behavior": "jaxlangnav.messages",
+    "Observation": "jaxlangnav.messages",
+    "parse": "jaxlangnav.language.parser",
+}
+
+__all__ = ["Action", "Behavior", "Observation", "__version__", "parse"]
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name from its module (PEP 562).
+
+    Args:
+        name: one of the names in ``__all__``.
+
+    Returns:
+        The object of that name.
+
+    Raises:
+        AttributeError: the package has no such public name.
+    """
+    if name not in _HOMES:
+        raise AttributeError(f"module 'jaxlangnav' has no attribute {name!r}")
+    value = getattr(importlib.import_module(_HOMES[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    """List the public names."""
+    return sorted(__all__)

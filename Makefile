@@ -1,0 +1,90 @@
+# Everything sets itself up: `make demo` and `make test` need only Python 3.11 or newer, pip and make.
+# Another interpreter: `make test PYTHON=python3.12` (it gets an environment of its own, .venv-3.12).
+
+SHELL := /bin/bash
+.SHELLFLAGS := -eu -o pipefail -c
+.ONESHELL:
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+
+PYTHON ?= python3
+PYTHON_VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)
+ifeq ($(PYTHON),python3)
+VENV ?= .venv
+else
+VENV ?= .venv-$(PYTHON_VERSION)
+endif
+BIN := $(VENV)/bin
+STAMPS := $(VENV)/stamps
+PIP := $(BIN)/python -m pip --disable-pip-version-check
+INSTALL := $(PIP) install --quiet --constraint constraints.txt
+PROJECT := pyproject.toml constraints.txt
+
+INSTRUCTION ?= go to the hydrant behind the cone
+OUT ?= demo
+ARGS ?=
+
+.PHONY: help demo test test-all lint format types check build clean
+
+help: ## this list
+	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
+
+demo: $(STAMPS)/viz ## follow a sentence with the shipped models and write pictures to demo/
+	@$(BIN)/jaxlangnav follow "$(INSTRUCTION)" --out $(OUT) $(ARGS)
+
+test: $(STAMPS)/dev ## the quick tier of tests
+	@$(BIN)/python -m pytest $(ARGS)
+
+test-all: $(STAMPS)/dev ## every test, the slow ones too
+	@$(BIN)/python -m pytest -m "" $(ARGS)
+
+lint: $(STAMPS)/dev ## ruff: rules and format
+	@$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+format: $(STAMPS)/dev ## mend what ruff can mend
+	@$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+types: $(STAMPS)/dev ## pyright on the package
+	@$(BIN)/pyright --pythonpath $(BIN)/python
+
+check: lint types test ## what continuous integration runs
+
+build: $(STAMPS)/dev ## a wheel and a source archive in dist/
+	@$(BIN)/python -m build
+
+clean: ## remove the environments and what the tools left
+	@rm -rf .venv .venv-* dist build .pytest_cache .ruff_cache .hypothesis
+
+# Environments. A stamp is written last, so an interrupted set-up is done again; a changed
+# pyproject.toml or constraints.txt updates the environment in place.
+$(STAMPS)/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || {
+	  echo "jaxlangnav needs Python 3.11 or newer; $(PYTHON) is $(or $(PYTHON_VERSION),not found)." \
+	    "Name another one: make <target> PYTHON=python3.12" >&2
+	  exit 2
+	}
+	if ! $(BIN)/python -m pip --version >/dev/null 2>&1; then
+	  echo "Creating $(VENV) ($$($(PYTHON) --version))"
+	  # Some distributions ship venv without ensurepip, some ship neither: pip alone is enough.
+	  $(PYTHON) -m venv --clear $(VENV) >/dev/null 2>&1 \
+	    || { $(PYTHON) -m venv --clear --without-pip $(VENV) >/dev/null 2>&1 \
+	         && $(PYTHON) -m pip --disable-pip-version-check --python $(BIN)/python install --quiet pip; } \
+	    || { rm -rf $(VENV) $(VENV)-bootstrap \
+	         && $(PYTHON) -m pip --disable-pip-version-check install --quiet \
+	              --target $(VENV)-bootstrap virtualenv \
+	         && PYTHONPATH=$(VENV)-bootstrap $(PYTHON) -m virtualenv --quiet $(VENV) \
+	         && rm -rf $(VENV)-bootstrap; }
+	fi
+	mkdir -p $(@D) && touch $@
+
+$(STAMPS)/viz: $(STAMPS)/python $(PROJECT)
+	@echo "Installing jaxlangnav and its figures into $(VENV) (about a minute, once)"
+	$(INSTALL) --editable '.[viz]'
+	touch $@
+
+$(STAMPS)/dev: $(STAMPS)/python $(PROJECT)
+	@echo "Installing jaxlangnav with the development tools into $(VENV) (about a minute, once)"
+	$(INSTALL) --editable '.[viz,dev]'
+	mkdir -p $(@D) && touch $(STAMPS)/viz $@

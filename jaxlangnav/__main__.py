@@ -1,0 +1,8 @@
+"""``python -m jaxlangnav`` is the command line."""
+
+import sys
+
+from jaxlangnav.cli import main
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,17 @@
+"""The commands behind ``jaxlangnav``: one module each, loaded when it is called.
+
+A command is a dataclass of its options; its docstring is its help text. ``run`` computes and
+returns the document that ``--json`` prints; what people read goes through an ``Output``.
+"""
+
+SUMMARIES = {
+    "follow": "Follow a sentence in a world never seen, until the robot says stop.",
+    "parse": "Show the phrases of a sentence.",
+    "ground": "Show what a sentence is taken to mean, with probabilities.",
+    "train": "Train the annotation or the behavior model on a corpus.",
+    "evaluate": "Measure both models on hold-out splits (Table 1).",
+    "reproduce": "Run an experiment of the paper and set it beside the printed numbers.",
+    "sweep": "Run any grid of worlds, commands, ranges and policies; resumable.",
+    "bench": "Measure speed, against the baselines, as ratios.",
+}
+"""Every command and its line in ``jaxlangnav --help``; the module has the command's name."""

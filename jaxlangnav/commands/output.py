@@ -1,0 +1,80 @@
+"""Where words go: people read standard output, scripts read one JSON document there instead."""
+
+import contextlib
+import json
+import math
+import sys
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+Document = Mapping[str, Any]
+"""What a command found, in JSON's own types (NumPy and JAX scalars and arrays are turned)."""
+
+
+class Output:
+    """Tells people what happens; keeps silent on standard output where a script listens."""
+
+    def __init__(self, *, is_json: bool) -> None:
+        """Bind to standard output, or to standard error where a script listens.
+
+        Args:
+            is_json: whether standard output is kept for the JSON document.
+        """
+        self.is_json = is_json
+
+    def say(self, *parts: Any) -> None:
+        """Print a line of the narrative (rich markup and renderables); nothing under ``--json``."""
+        if not self.is_json:
+            from rich.console import Console
+
+            Console(file=sys.stdout, highlight=False, soft_wrap=True).print(*parts)
+
+    def note(self, text: str) -> None:
+        """Print a plain line on standard error: progress, warnings, repairs."""
+        print(text, file=sys.stderr, flush=True)
+
+
+def write_document(document: Document) -> None:
+    """Print a document as JSON on standard output.
+
+    Args:
+        document: what a command returned; numbers that JSON lacks (NaN, infinities) become null.
+    """
+    sys.stdout.write(json.dumps(to_json(document), ensure_ascii=False, indent=2) + "\n")
+    sys.stdout.flush()
+
+
+def to_json(value: Any) -> Any:
+    """Turn NumPy and JAX values into JSON's own types.
+
+    Args:
+        value: nested mappings, sequences, paths, scalars and arrays.
+
+    Returns:
+        The same, of dict, list, str, int, float, bool and None only.
+    """
+    if isinstance(value, Mapping):
+        return {str(key): to_json(one) for key, one in value.items()}
+    if isinstance(value, list | tuple | set | frozenset):
+        return [to_json(one) for one in value]
+    if hasattr(value, "tolist"):
+        return to_json(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    return str(value)
+
+
+@contextlib.contextmanager
+def standard_output_kept(*, for_json: bool) -> Iterator[None]:
+    """Send stray prints to standard error, so that a script reads one document and nothing else.
+
+    Args:
+        for_json: whether a script listens; otherwise nothing changes.
+    """
+    if not for_json:
+        yield
+        return
+    with contextlib.redirect_stdout(sys.stderr):
+        yield

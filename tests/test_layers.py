@@ -1,0 +1,117 @@
+"""Imports run downhill: each layer of the package imports only itself and the layers before it.
+
+The belief and the ground truth do not import each other at all, so that what the robot believes
+cannot peek at what is true.
+"""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+LAYERS = (
+    "pytree",
+    "messages",
+    "numerics",
+    "relations",
+    "language",
+    "grounding",
+    "semantic_map",
+    "planner",
+    "navigator",
+    "world",
+    "robots",
+    "episode",
+    "experiments",
+    "viz",
+    "commands",
+    "cli",
+    "__main__",
+)
+"""Lowest first. ``jaxlangnav/__init__.py`` is the facade: it names things from everywhere."""
+
+BELIEF = ("grounding", "semantic_map", "planner", "navigator")
+TRUTH = "world"
+PACKAGE = Path(__file__).parent.parent / "jaxlangnav"
+
+
+def layer_of(path: Path) -> str:
+    return path.relative_to(PACKAGE).with_suffix("").parts[0]
+
+
+def imported_layers(source: str) -> Iterator[tuple[int, str]]:
+    """Yield line number and layer of every import from jaxlangnav, nested and guarded ones too."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.level:
+            names = ["jaxlangnav.<relative import>"]
+        elif isinstance(node, ast.ImportFrom) and node.module == "jaxlangnav":
+            names = [f"jaxlangnav.{alias.name}" for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            names = [node.module or ""]
+        else:
+            continue
+        for name in names:
+            parts = name.split(".")
+            if parts[0] == "jaxlangnav" and len(parts) > 1:
+                yield node.lineno, parts[1]
+
+
+def violations(layer: str, source: str) -> list[str]:
+    found = []
+    for line, target in imported_layers(source):
+        if target.startswith("__version"):
+            continue
+        if target not in LAYERS:
+            found.append(f"line {line}: {target} is no layer (import from the module itself)")
+        elif LAYERS.index(target) > LAYERS.index(layer):
+            found.append(f"line {line}: {layer} imports {target}, which stands above it")
+        elif (layer == TRUTH and target in BELIEF) or (layer in BELIEF and target == TRUTH):
+            found.append(f"line {line}: {layer} imports {target}: belief and truth stay apart")
+    return found
+
+
+MODULES = sorted(path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py")
+
+
+def test_the_package_has_modules() -> None:
+    assert len(MODULES) > 10
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_imports_run_downhill(path: Path) -> None:
+    layer = layer_of(path)
+    assert layer in LAYERS, f"{layer} has no place in LAYERS"
+    assert violations(layer, path.read_text("utf-8")) == []
+
+
+@pytest.mark.parametrize(
+    ("layer", "source"),
+    [
+        ("messages", "from jaxlangnav.planner import values"),
+        ("language", "def f():\n    import jaxlangnav.grounding.search"),
+        ("world", "from jaxlangnav.semantic_map import particle"),
+        ("world", "from jaxlangnav import grounding"),
+        ("navigator", "from jaxlangnav.world.scenario import Scenario"),
+        ("planner", "from . import values"),
+        ("planner", "if TYPE_CHECKING:\n    from jaxlangnav.navigator import Navigator"),
+        ("episode", "from jaxlangnav import Navigator"),
+    ],
+)
+def test_an_uphill_import_is_found(layer: str, source: str) -> None:
+    assert len(violations(layer, source)) == 1
+
+
+@pytest.mark.parametrize(
+    ("layer", "source"),
+    [
+        ("planner", "import jax\nfrom jaxlangnav.semantic_map.particle import Particle"),
+        ("world", "from jaxlangnav import messages, relations"),
+        ("commands", "from jaxlangnav import __version__"),
+        ("episode", "from jaxlangnav.world import scenario\nfrom jaxlangnav import navigator"),
+    ],
+)
+def test_a_downhill_import_passes(layer: str, source: str) -> None:
+    assert violations(layer, source) == []

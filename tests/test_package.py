@@ -1,0 +1,66 @@
+"""The package as a user gets it: public names, version, typing marker, lightness."""
+
+import importlib
+import importlib.metadata
+import importlib.util
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import jaxlangnav
+
+ROOT = Path(__file__).parent.parent
+
+
+def project() -> dict:
+    return tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+
+
+def test_version_is_the_installed_one() -> None:
+    assert re.fullmatch(r"\d+\.\d+\.\d+(\.?(dev|a|b|rc)\d+)?", jaxlangnav.__version__)
+    assert importlib.metadata.version("jaxlangnav") == jaxlangnav.__version__
+
+
+def test_citation_names_the_version() -> None:
+    assert f"version: {jaxlangnav.__version__}" in (ROOT / "CITATION.cff").read_text("utf-8")
+
+
+@pytest.mark.parametrize("name", sorted(jaxlangnav.__all__))
+def test_public_name_exists_and_is_documented(name: str) -> None:
+    value = getattr(jaxlangnav, name)
+    assert name in dir(jaxlangnav)
+    assert name == "__version__" or value.__doc__
+
+
+def test_unknown_name_is_an_attribute_error() -> None:
+    name = "Navigater"
+    with pytest.raises(AttributeError, match=f"no attribute '{name}'"):
+        getattr(jaxlangnav, name)
+
+
+def test_typing_marker_is_shipped() -> None:
+    assert (Path(jaxlangnav.__file__).parent / "py.typed").is_file()
+
+
+def test_import_is_light() -> None:
+    code = "import sys, jaxlangnav, jaxlangnav.cli; print('jax' in sys.modules)"
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert result.stdout.strip() == "False"
+
+
+def test_every_dependency_has_a_floor_and_no_cap() -> None:
+    extras = project()["optional-dependencies"].values()
+    for requirement in [*project()["dependencies"], *(one for extra in extras for one in extra)]:
+        assert re.fullmatch(r"[a-z0-9_-]+(\[[a-z0-9,]+\])?>=[0-9.]+(,!=[0-9.]+)*", requirement)
+
+
+def test_constraints_satisfy_the_floors() -> None:
+    pinned = re.findall(r"(?m)^([a-z0-9-]+)==", (ROOT / "constraints.txt").read_text("utf-8"))
+    for requirement in project()["dependencies"]:
+        assert re.split(r"[\[>]", requirement)[0] in pinned
