@@ -1,0 +1,1 @@
+"""Atomic numerics without robot words: small Gaussians, log-domain draws, resampling."""

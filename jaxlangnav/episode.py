@@ -1,0 +1,258 @@
+"""Episodes: a navigator in a world until it stops; one at a time, or many in refilled lanes.
+
+``run`` is one episode as one function of arrays. ``run_batch`` keeps a fixed number of lanes busy:
+a lane whose episode has ended takes the next one, so that the slowest episode does not hold the
+rest. An episode's result depends on its own key only, never on its place in the batch.
+"""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jaxlangnav import navigator
+from jaxlangnav.grounding.instruction import Instruction
+from jaxlangnav.messages import MotionParams, SensorParams
+from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams, NavigatorState
+from jaxlangnav.pytree import pytree, replace
+from jaxlangnav.world import simulator
+from jaxlangnav.world.motion import move
+from jaxlangnav.world.sensor import sense
+from jaxlangnav.world.state import Scenario, WorldState
+
+MAX_STEPS = 120
+"""Decision cycles after which an episode that has not stopped counts as a time-out."""
+
+
+@pytree
+class Task:
+    """One episode to run."""
+
+    key: Array  # typed key, the episode's own
+    scenario: Scenario
+    instruction_index: Array  # i32[] which of the batch's instructions
+    sensor: SensorParams
+    motion: MotionParams
+
+
+@pytree
+class EpisodeResult:
+    """How an episode ended; one row of every results table."""
+
+    is_success: Array  # bool[] stopped by itself within 1.5 m of the intended goal
+    is_stopped: Array  # bool[] stopped by itself; otherwise it ran out of time
+    distance: Array  # f32[] metres truly travelled
+    steps: Array  # i32[] decision cycles
+    final: Array  # f32[2] metres, map frame: where it truly ended
+    goal_distance: Array  # f32[] metres from there to the goal
+    overflow: Array  # i32[] detections that found no free slot
+    degenerate: Array  # i32[] steps at which all weights had died
+    mean_effective_sample_size: Array  # f32[] over the steps
+    is_valid: Array  # bool[] the scenario met its template's law
+
+
+@pytree
+class Progress:
+    """An episode under way."""
+
+    task: Task
+    navigator: NavigatorState
+    world: WorldState
+    steps: Array  # i32[]
+    overflow: Array  # i32[]
+    degenerate: Array  # i32[]
+    sum_effective_sample_size: Array  # f32[]
+
+
+def begin(task: Task, instructions: Instruction, *, config: NavigatorConfig) -> Progress:
+    """Put robot and navigator at the start of a task.
+
+    Args:
+        task: what to run.
+        instructions: leaves [I, …], the sentences of the batch.
+        config: sizes and policy.
+
+    Returns:
+        The episode before its first step.
+    """
+    instruction = jax.tree.map(lambda leaf: leaf[task.instruction_index], instructions)
+    return Progress(
+        task=task,
+        navigator=navigator.start(
+            instruction, task.scenario.start, task.scenario.area, config=config
+        ),
+        world=simulator.reset(task.scenario),
+        steps=jnp.int32(0),
+        overflow=jnp.int32(0),
+        degenerate=jnp.int32(0),
+        sum_effective_sample_size=jnp.float32(0.0),
+    )
+
+
+def advance(
+    progress: Progress, *, params: NavigatorParams, config: NavigatorConfig
+) -> tuple[Progress, NavigatorInfo]:
+    """Run one cycle: sense, decide, move.
+
+    Args:
+        progress: an episode under way.
+        params: the navigator's numbers.
+        config: sizes and policy.
+
+    Returns:
+        The episode one step later, and why the robot did what it did.
+    """
+    task = progress.task
+    sense_key, decide_key, move_key = jax.random.split(
+        jax.random.fold_in(task.key, progress.steps), 3
+    )
+    observation = sense(sense_key, progress.world, task.scenario, task.sensor)
+    state, action, info = navigator.step(
+        decide_key, progress.navigator, observation, params=params, config=config
+    )
+    world = move(move_key, progress.world, action, task.motion)
+    after = replace(
+        progress,
+        navigator=state,
+        world=world,
+        steps=progress.steps + 1,
+        overflow=progress.overflow + info.filter.overflow,
+        degenerate=progress.degenerate + info.filter.is_degenerate.astype(jnp.int32),
+        sum_effective_sample_size=progress.sum_effective_sample_size
+        + info.filter.effective_sample_size,
+    )
+    return after, info
+
+
+def finish(progress: Progress) -> EpisodeResult:
+    """Judge an episode."""
+    is_stopped = progress.navigator.is_done
+    scenario = progress.task.scenario
+    steps = jnp.maximum(progress.steps, 1).astype(jnp.float32)
+    return EpisodeResult(
+        is_success=simulator.is_success(progress.world, scenario, is_stopped),
+        is_stopped=is_stopped,
+        distance=progress.world.distance,
+        steps=progress.steps,
+        final=progress.world.position,
+        goal_distance=simulator.goal_distance(progress.world, scenario),
+        overflow=progress.overflow,
+        degenerate=progress.degenerate,
+        mean_effective_sample_size=progress.sum_effective_sample_size / steps,
+        is_valid=scenario.is_valid,
+    )
+
+
+@functools.partial(jax.jit, static_argnames=("config", "max_steps"))
+def run(
+    task: Task,
+    instructions: Instruction,
+    *,
+    params: NavigatorParams,
+    config: NavigatorConfig,
+    max_steps: int = MAX_STEPS,
+) -> EpisodeResult:
+    """Run one episode, language included, as one jitted function.
+
+    Args:
+        task: key, scenario, sentence, sensor and odometry.
+        instructions: leaves [I, …]; the task names one of them.
+        params: the navigator's numbers; traced.
+        config: sizes and policy.
+        max_steps: cycles until a time-out.
+
+    Returns:
+        The result.
+    """
+
+    def is_running(progress: Progress) -> Array:
+        return ~progress.navigator.is_done & (progress.steps < max_steps)
+
+    def body(progress: Progress) -> Progress:
+        return advance(progress, params=params, config=config)[0]
+
+    return finish(jax.lax.while_loop(is_running, body, begin(task, instructions, config=config)))
+
+
+@pytree
+class _Lanes:
+    """Carry of the refilled loop; L lanes."""
+
+    progress: Progress  # leaves [L, …]
+    episode: Array  # i32[L] which task a lane runs; E once there is none left
+    next_episode: Array  # i32[]
+    results: EpisodeResult  # leaves [E, …]
+
+
+def _where(mask: Array, new: Array, old: Array) -> Array:
+    """Choose whole lanes; typed keys go through their data."""
+    if jnp.issubdtype(new.dtype, jax.dtypes.prng_key):
+        chosen = _where(mask, jax.random.key_data(new), jax.random.key_data(old))
+        return jax.random.wrap_key_data(chosen, impl=jax.random.key_impl(new))
+    return jnp.where(mask.reshape(mask.shape + (1,) * (new.ndim - 1)), new, old)
+
+
+@functools.partial(jax.jit, static_argnames=("config", "num_lanes", "max_steps"))
+def run_batch(
+    tasks: Task,
+    instructions: Instruction,
+    *,
+    params: NavigatorParams,
+    config: NavigatorConfig,
+    num_lanes: int = 32,
+    max_steps: int = MAX_STEPS,
+) -> EpisodeResult:
+    """Run many episodes in lanes that are refilled as episodes end.
+
+    Args:
+        tasks: leaves [E, …].
+        instructions: leaves [I, …].
+        params: the navigator's numbers, shared; traced.
+        config: sizes and policy.
+        num_lanes: L, episodes under way at once.
+        max_steps: cycles until a time-out.
+
+    Returns:
+        Results, leaves [E, …], in the order of the tasks.
+    """
+    number = tasks.instruction_index.shape[0]
+
+    def load(episode: Array) -> Progress:
+        task = jax.tree.map(lambda leaf: leaf[jnp.minimum(episode, number - 1)], tasks)
+        return begin(task, instructions, config=config)
+
+    def body(lanes: _Lanes) -> _Lanes:
+        progress, _ = jax.vmap(lambda one: advance(one, params=params, config=config))(
+            lanes.progress
+        )
+        is_over = progress.navigator.is_done | (progress.steps >= max_steps)
+        is_over = is_over & (lanes.episode < number)
+        target = jnp.where(is_over, lanes.episode, number)  # an index of E is dropped
+        results = jax.tree.map(
+            lambda store, value: store.at[target].set(value, mode="drop"),
+            lanes.results,
+            jax.vmap(finish)(progress),
+        )
+        order = lanes.next_episode + jnp.cumsum(is_over) - 1
+        episode = jnp.where(is_over, jnp.minimum(order, number), lanes.episode)
+        fresh = jax.vmap(load)(episode)
+        progress = jax.tree.map(lambda new, old: _where(is_over, new, old), fresh, progress)
+        return _Lanes(
+            progress=progress,
+            episode=episode.astype(jnp.int32),
+            next_episode=lanes.next_episode + jnp.sum(is_over),
+            results=results,
+        )
+
+    first = jnp.arange(num_lanes, dtype=jnp.int32)
+    progress = jax.vmap(load)(first)
+    shape = jax.eval_shape(lambda one: finish(one), jax.tree.map(lambda leaf: leaf[0], progress))
+    results = jax.tree.map(lambda leaf: jnp.zeros((number, *leaf.shape), leaf.dtype), shape)
+    lanes = _Lanes(
+        progress=progress,
+        episode=jnp.minimum(first, number),
+        next_episode=jnp.int32(num_lanes),
+        results=results,
+    )
+    return jax.lax.while_loop(lambda one: jnp.any(one.episode < number), body, lanes).results

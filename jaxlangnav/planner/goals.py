@@ -1,0 +1,112 @@
+"""Goals of the behaviors, weighed over particles (first two sums of eq. 11).
+
+Particles agree on observed objects and differ in their hypotheses, so the P × N goals of all
+particles are gathered into one goal per observed object and one hypothesised goal per particle
+before any distance is computed.
+"""
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxlangnav.messages import AT, Behavior
+from jaxlangnav.pytree import pytree
+from jaxlangnav.relations import RelationModel, robot_frame, to_map, viewer_frame
+from jaxlangnav.semantic_map.filter import ParticleBelief
+
+
+@pytree
+class Goals:
+    """Where the robot may be asked to go, with probabilities over particles and behaviors."""
+
+    object_x: Array  # f32[O + 1] metres, map frame: goal place at each observed object; robot last
+    object_y: Array  # f32[O + 1]
+    object_mass: Array  # f32[O + 1] probability that it is the goal
+    object_confirmed: Array  # f32[O + 1] … and that everything mentioned has been observed
+    is_object: Array  # bool[O + 1]
+    hypothesis_x: Array  # f32[P] metres: goal place of each particle's hypothesised goal
+    hypothesis_y: Array  # f32[P]
+    hypothesis_mass: Array  # f32[P]
+
+
+def region_offset(
+    relations: RelationModel,
+    relation: Array,
+    x: Array,
+    y: Array,
+    viewer: Array,
+    is_robot: Array,
+) -> tuple[Array, Array]:
+    """Compute the typical place of a goal region relative to its object.
+
+    Args:
+        relations: prepared relations.
+        relation: i32[...], region index in [0, 7); AT is the object itself.
+        x: f32[...], object, metres, map frame.
+        y: f32[...], metres.
+        viewer: f32[3], pose at the utterance.
+        is_robot: bool[...], the object is the robot.
+
+    Returns:
+        f32[...] x and y, metres, map axes.
+    """
+    seen, own = viewer_frame(viewer[0], viewer[1], x, y), robot_frame(viewer[2])
+    safe = jnp.minimum(relation, AT - 1)
+    distance = jnp.exp(relations.log_distance)[safe]
+    along = distance * relations.axis_along[safe]
+    lateral = distance * relations.axis_lateral[safe]
+    # A region all round ("near") is entered from the viewer's side.
+    is_ring = relations.concentration[safe] <= 0.0
+    along = jnp.where(is_ring, -distance, along)
+    lateral = jnp.where(is_ring, 0.0, lateral)
+    seen_x, seen_y = to_map(seen, along, lateral)
+    own_x, own_y = to_map(own, along, lateral)
+    is_at = relation == AT
+    offset_x = jnp.where(is_robot, own_x, seen_x)
+    offset_y = jnp.where(is_robot, own_y, seen_y)
+    return jnp.where(is_at, 0.0, offset_x), jnp.where(is_at, 0.0, offset_y)
+
+
+def gather(belief: ParticleBelief, behavior: Behavior, relations: RelationModel) -> Goals:
+    """Gather the goals of all particles.
+
+    Args:
+        belief: weighted particles.
+        behavior: of every particle, leaves [..., P].
+        relations: prepared relations, for goal regions.
+
+    Returns:
+        The goals.
+    """
+    particles, weight = belief.particles, jnp.exp(belief.log_weight)
+    num_objects = particles.object_type.shape[0]
+    number = weight.shape[0]
+    viewer_x = jnp.broadcast_to(belief.viewer[0], (1, number))
+    viewer_y = jnp.broadcast_to(belief.viewer[1], (1, number))
+    x = jnp.concatenate([particles.mean_x[:num_objects], particles.hypothesis_x, viewer_x])
+    y = jnp.concatenate([particles.mean_y[:num_objects], particles.hypothesis_y, viewer_y])
+    mass = jnp.sum(behavior.goal, axis=0) * weight[None, :]  # [N + 1, P]
+    region = jnp.argmax(behavior.goal, axis=0)  # [N + 1, P]
+    is_robot = (jnp.arange(x.shape[0]) == x.shape[0] - 1)[:, None]
+    offset_x, offset_y = region_offset(relations, region, x, y, belief.viewer, is_robot)
+    x, y = x + offset_x, y + offset_y
+    known = jnp.append(jnp.arange(num_objects), x.shape[0] - 1)
+    on_known, on_hypotheses = mass[known], mass[num_objects:-1]
+    known_x, known_y = x[known], y[known]
+    total = jnp.sum(on_known, axis=1)
+    # Objects without goal mass keep their plain weighted mean as a place to go to.
+    share = jnp.where(total[:, None] > 1e-6, on_known, weight[None, :])
+    share = share / jnp.sum(share, axis=1, keepdims=True)
+    is_confirmed = ~jnp.any(particles.is_hypothesised, axis=0)
+    best = jnp.argmax(on_hypotheses, axis=0)[None, :] == jnp.arange(on_hypotheses.shape[0])[:, None]
+    return Goals(
+        object_x=jnp.sum(share * known_x, axis=1),
+        object_y=jnp.sum(share * known_y, axis=1),
+        object_mass=total,
+        object_confirmed=jnp.sum(on_known * is_confirmed[None, :], axis=1),
+        is_object=jnp.append(
+            jnp.any(particles.is_observed & (weight > 0)[None, :], axis=1), total[-1] > 1e-3
+        ),
+        hypothesis_x=jnp.sum(jnp.where(best, x[num_objects:-1], 0.0), axis=0),
+        hypothesis_y=jnp.sum(jnp.where(best, y[num_objects:-1], 0.0), axis=0),
+        hypothesis_mass=jnp.sum(on_hypotheses, axis=0),
+    )

@@ -1,0 +1,52 @@
+"""What a sweep may vary (traced) and what fixes the shapes (static) of the planner."""
+
+import dataclasses
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxlangnav.pytree import pytree
+
+POLICIES = ("faithful", "informed")
+
+
+@pytree
+class PlannerParams:
+    """Numbers of the planner; traced."""
+
+    discount: Array  # f32[] γ per metre (eq. 12)
+    stop_probability: Array  # f32[] τ, goal probability within reach at which the robot stops
+    reach: Array  # f32[] metres from the goal that count as having arrived
+    frontier_miss: Array  # f32[] cells missed more likely than this share of the worst are unseen
+    visit_spacing: Array  # f32[] metres between visited nodes
+    information_offset: Array  # f32[] metres added to a path before dividing information by it
+    constraint_cost: Array  # f32[] value lost by a path through a region to be kept out of
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class PlannerConfig:
+    """Sizes and policy of the planner; hashable, a change recompiles."""
+
+    policy: str = "faithful"
+    num_visited: int = 16
+    num_blocks: int = 8
+
+    def __post_init__(self) -> None:
+        """Refuse what the planner cannot work with."""
+        if self.policy not in POLICIES:
+            raise ValueError(f"policy is {self.policy!r}, but must be one of {', '.join(POLICIES)}")
+        if self.num_visited < 1 or self.num_blocks < 1:
+            raise ValueError("num_visited and num_blocks must be at least 1")
+
+
+def default_planner_params() -> PlannerParams:
+    """Build the parameters used in all tables unless they say otherwise."""
+    return PlannerParams(
+        discount=jnp.float32(0.9),
+        stop_probability=jnp.float32(0.7),
+        reach=jnp.float32(0.5),
+        frontier_miss=jnp.float32(0.5),
+        visit_spacing=jnp.float32(1.0),
+        information_offset=jnp.float32(1.0),
+        constraint_cost=jnp.float32(1.0),
+    )

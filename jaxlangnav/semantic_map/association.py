@@ -1,0 +1,208 @@
+"""Proposal and update for detections: which object is this? (section 3.2, eq. 7b)
+
+Each detection is grounded in an existing object of its type or in a new one, drawn from the exact
+conditional distribution, so that the weight is the predictive probability of the detections.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxlangnav.messages import NONE, SensorParams
+from jaxlangnav.numerics import categorical, gaussian
+from jaxlangnav.pytree import replace
+from jaxlangnav.semantic_map.coverage import share_in_view
+from jaxlangnav.semantic_map.particle import SemanticMap
+
+MIN_NOISE = 0.01
+"""Metres; a sensor without noise is taken to be this good, so that Λ stays finite."""
+MIN_VARIANCE = 1e-4
+"""Square metres; an object known relative to the robot better than this learns no more."""
+LOG_SURPRISE = -30.0
+"""Least log-weight of a detection where nothing can be: surprised, never dead."""
+
+
+class Detections(NamedTuple):
+    """Detections of one observation in map axes, relative to the robot."""
+
+    object_type: Array  # i32[D]
+    offset_x: Array  # f32[D] metres, map axes
+    offset_y: Array  # f32[D]
+    log_new: Array  # f32[D] log density of a not yet seen object there, 1/m²
+    is_detection: Array  # bool[D]
+
+
+class Association(NamedTuple):
+    """How one particle grounded the detections."""
+
+    object_type: Array  # i32[O] types, new objects entered
+    is_hit: Array  # bool[O] detected in this observation
+    is_new: Array  # bool[O] entered in this observation
+    offset_x: Array  # f32[O] measured offset where hit
+    offset_y: Array  # f32[O]
+    log_weight: Array  # f32[] log predictive probability
+    overflow: Array  # i32[] detections that found no free slot
+
+
+def associate(
+    particle: SemanticMap, detections: Detections, uniform: Array, noise_variance: Array
+) -> Association:
+    """Ground each detection in an existing object or in a new one (eq. 7b).
+
+        p(z_j is o) ∝ N(z_j; x_o − x_robot, S_o),   p(z_j is new) ∝ λ m(z_j)
+
+    with S from the joint covariance of robot and object, λ = α / A the density of objects not yet
+    seen and m the probability of having missed one there. An object is detected at most once.
+
+    Args:
+        particle: one particle, after the motion.
+        detections: f32[D] each.
+        uniform: f32[D], uniform draws in [0, 1).
+        noise_variance: f32[], R, square metres per axis.
+
+    Returns:
+        The grounding and its weight.
+    """
+    num_objects = particle.object_type.shape[0]
+    covariance = gaussian.invert(particle.precision)
+    own = jnp.diagonal(covariance)
+    spread = own[:num_objects] + own[num_objects] - 2.0 * covariance[num_objects, :num_objects]
+    spread = jnp.maximum(spread, 0.0) + noise_variance
+    predicted_x = particle.mean_x[:num_objects] - particle.mean_x[num_objects]
+    predicted_y = particle.mean_y[:num_objects] - particle.mean_y[num_objects]
+    slots = jnp.arange(num_objects)
+    object_type = particle.object_type
+    is_hit = jnp.zeros(num_objects, bool)
+    is_new = jnp.zeros(num_objects, bool)
+    offset_x = jnp.zeros(num_objects, jnp.float32)
+    offset_y = jnp.zeros(num_objects, jnp.float32)
+    log_weight, overflow = jnp.float32(0.0), jnp.int32(0)
+    for index in range(detections.object_type.shape[0]):
+        z_type, z_x, z_y = (
+            detections.object_type[index],
+            detections.offset_x[index],
+            detections.offset_y[index],
+        )
+        log_existing = gaussian.log_normal_isotropic(z_x - predicted_x, z_y - predicted_y, spread)
+        may_be = (object_type == z_type) & ~is_hit
+        choices = jnp.append(jnp.where(may_be, log_existing, -jnp.inf), detections.log_new[index])
+        choice, log_total = categorical.draw(choices, uniform[index])
+        free = jnp.min(jnp.where(object_type == NONE, slots, num_objects))
+        wants_new = choice == num_objects
+        slot = jnp.where(wants_new, free, choice)
+        present = detections.is_detection[index]
+        entry = (slots == slot) & present
+        is_new = is_new | (entry & wants_new)
+        object_type = jnp.where(entry, z_type, object_type)
+        is_hit = is_hit | entry
+        offset_x = jnp.where(entry, z_x, offset_x)
+        offset_y = jnp.where(entry, z_y, offset_y)
+        log_weight = log_weight + jnp.where(present, log_total, 0.0)
+        overflow = overflow + (present & (slot == num_objects)).astype(jnp.int32)
+    return Association(object_type, is_hit, is_new, offset_x, offset_y, log_weight, overflow)
+
+
+def condition(
+    particle: SemanticMap, association: Association, noise_variance: Array
+) -> SemanticMap:
+    """Condition the Gaussian on the grounded detections: exact, in canonical form.
+
+        Λ' = Λ + Σ_o h_o h_oᵀ / R,   η' = η + Σ_o h_o z_o / R,   h_o = e_o − e_robot
+
+    Limits: R → ∞ leaves known objects unchanged; a first detection places the object at
+    robot + offset. An object already known to a centimetre adds no more information, which keeps
+    float32 healthy over hundreds of looks.
+
+    Args:
+        particle: one particle.
+        association: from ``associate``.
+        noise_variance: f32[], R, square metres per axis.
+
+    Returns:
+        The particle with new objects entered and means solved.
+    """
+    num_objects = particle.object_type.shape[0]
+    diagonal = jnp.diagonal(particle.precision)[:num_objects]
+    is_saturated = ~association.is_new & (diagonal > 1.0 / MIN_VARIANCE)
+    gain = jnp.where(association.is_hit & ~is_saturated, 1.0 / noise_variance, 0.0)
+    total = jnp.sum(gain)
+    edge = jnp.append(-gain, total)
+    robot = (jnp.arange(num_objects + 1) == num_objects).astype(jnp.float32)
+    # A filled slot gives up the identity that an empty slot keeps on the diagonal.
+    own = jnp.append(gain - association.is_new.astype(jnp.float32), 0.0)
+    # The robot's diagonal entry appears twice in the two outer products.
+    precision = (
+        particle.precision
+        + jnp.diag(own)
+        + edge[:, None] * robot[None, :]
+        + robot[:, None] * edge[None, :]
+        - total * robot[:, None] * robot[None, :]
+    )
+    shift_x, shift_y = gain * association.offset_x, gain * association.offset_y
+    information_x = particle.information_x + jnp.append(shift_x, -jnp.sum(shift_x))
+    information_y = particle.information_y + jnp.append(shift_y, -jnp.sum(shift_y))
+    covariance = gaussian.invert(precision)
+    mean_x = jnp.sum(covariance * information_x[None, :], axis=1)
+    mean_y = jnp.sum(covariance * information_y[None, :], axis=1)
+    moved_x = jnp.append(mean_x[:num_objects] - particle.mean_x[:num_objects], 0.0)
+    moved_y = jnp.append(mean_y[:num_objects] - particle.mean_y[:num_objects], 0.0)
+    # NONE = -1 picks the appended zero: a hypothesis on the ground does not move.
+    hook = (particle.root % (num_objects + 1))[:, None] == jnp.arange(num_objects + 1)[None, :]
+    return replace(
+        particle,
+        object_type=association.object_type,
+        precision=precision,
+        information_x=information_x,
+        information_y=information_y,
+        mean_x=mean_x,
+        mean_y=mean_y,
+        hypothesis_x=particle.hypothesis_x + jnp.sum(hook * moved_x[None, :], axis=1),
+        hypothesis_y=particle.hypothesis_y + jnp.sum(hook * moved_y[None, :], axis=1),
+    )
+
+
+def log_absence(
+    particle: SemanticMap,
+    is_hit: Array,
+    heading: Array,
+    softness: Array,
+    sensor: SensorParams,
+) -> tuple[Array, Array]:
+    """Weigh what was not seen: negative observations (eq. 8).
+
+        Σ_o log(1 − p_d v_o)   over the objects not detected, v the share in view
+
+    Args:
+        particle: one particle, after conditioning.
+        is_hit: bool[O], detected objects.
+        heading: f32[], radians.
+        softness: f32[], metres over which an object's position is uncertain.
+        sensor: range, field of view, detection probability.
+
+    Returns:
+        f32[] for observed objects, and f32[M] for each hypothesis (0 where there is none).
+    """
+    num_objects = particle.object_type.shape[0]
+    robot_x, robot_y = particle.mean_x[num_objects], particle.mean_y[num_objects]
+    probability = jnp.minimum(sensor.detection_probability, 0.999)
+    in_view = share_in_view(
+        particle.mean_x[:num_objects] - robot_x,
+        particle.mean_y[:num_objects] - robot_y,
+        heading,
+        softness,
+        sensor,
+    )
+    missed = particle.is_observed & ~is_hit
+    log_objects = jnp.sum(jnp.where(missed, jnp.log1p(-probability * in_view), 0.0))
+    in_view = share_in_view(
+        particle.hypothesis_x - robot_x,
+        particle.hypothesis_y - robot_y,
+        heading,
+        softness,
+        sensor,
+    )
+    log_hypotheses = jnp.where(
+        particle.is_hypothesised, jnp.log1p(-probability * in_view), 0.0
+    )
+    return log_objects, log_hypotheses

@@ -1,0 +1,160 @@
+"""Where the robot has looked: a soft map of misses (section 3.2, negative observations).
+
+The operating area is cut into G × G cells. Each holds the log-probability that an object lying
+there would have been missed by every look so far. Nothing is ever certain: with a detection
+probability below one a cell looked at three times keeps a little room for an unseen object.
+"""
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxlangnav.messages import SensorParams
+from jaxlangnav.pytree import pytree
+
+LOG_MISS_FLOOR = -30.0
+
+
+@pytree
+class Coverage:
+    """Log-probability of having missed an object, by cell of the operating area."""
+
+    log_miss: Array  # f32[G, G] indexed [y cell, x cell]; 0 where never looked at
+    area: Array  # f32[4] x_min, x_max, y_min, y_max, metres, map frame
+
+
+def unexplored(area: Array, num_cells: int) -> Coverage:
+    """Build the coverage of an area nobody has looked at.
+
+    Args:
+        area: f32[4], x_min, x_max, y_min, y_max, metres, map frame.
+        num_cells: G, cells a side.
+
+    Returns:
+        Coverage with nothing seen.
+    """
+    return Coverage(log_miss=jnp.zeros((num_cells, num_cells), jnp.float32), area=area)
+
+
+def cell_size(coverage: Coverage) -> tuple[Array, Array]:
+    """Compute the size of a cell, f32[] metres in x and in y."""
+    num_cells = coverage.log_miss.shape[-1]
+    area = coverage.area
+    return (area[1] - area[0]) / num_cells, (area[3] - area[2]) / num_cells
+
+
+def cell_centres(coverage: Coverage) -> tuple[Array, Array]:
+    """Compute the centres of the cells: f32[G] x and f32[G] y, metres, map frame."""
+    size_x, size_y = cell_size(coverage)
+    steps = jnp.arange(coverage.log_miss.shape[-1]) + 0.5
+    return coverage.area[0] + steps * size_x, coverage.area[2] + steps * size_y
+
+
+def area_size(coverage: Coverage) -> Array:
+    """Compute the size of the operating area, f32[] square metres."""
+    area = coverage.area
+    return (area[1] - area[0]) * (area[3] - area[2])
+
+
+def share_in_view(
+    offset_x: Array, offset_y: Array, heading: Array, softness: Array, sensor: SensorParams
+) -> Array:
+    """Compute which share of something spread over ``softness`` metres is in the field of view.
+
+    Limits: 1 well inside, 0 well outside, and the 0/1 test as softness → 0.
+
+    Args:
+        offset_x: f32[...], position relative to the robot, metres, map axes.
+        offset_y: f32[...], metres.
+        heading: f32[], radians.
+        softness: f32[] or broadcastable, metres, > 0.
+        sensor: range and field of view.
+
+    Returns:
+        f32[...] in [0, 1].
+    """
+    distance = jnp.sqrt(offset_x * offset_x + offset_y * offset_y + 1e-9)
+    in_range = jnp.clip((sensor.range_max - distance) / softness + 0.5, 0.0, 1.0)
+    # Half-angle test by cosine, so that no arc tangent is needed; all-round views always pass.
+    half = jnp.minimum(0.5 * sensor.field_of_view, jnp.pi)
+    ahead = offset_x * jnp.cos(heading) + offset_y * jnp.sin(heading)
+    margin = ahead - distance * jnp.cos(half)
+    in_angle = jnp.clip(margin / softness + 0.5, 0.0, 1.0)
+    return in_range * jnp.where(half >= jnp.pi - 1e-4, 1.0, in_angle)
+
+
+def look(
+    coverage: Coverage, robot_x: Array, robot_y: Array, heading: Array, sensor: SensorParams
+) -> Coverage:
+    """Enter one look at the surroundings: cells in view are missed with probability 1 − p_d.
+
+    Args:
+        coverage: before the look.
+        robot_x: f32[], metres, map frame.
+        robot_y: f32[], metres.
+        heading: f32[], radians.
+        sensor: range, field of view and detection probability.
+
+    Returns:
+        Coverage after the look.
+    """
+    centre_x, centre_y = cell_centres(coverage)
+    size_x, size_y = cell_size(coverage)
+    share = share_in_view(
+        centre_x[None, :] - robot_x,
+        centre_y[:, None] - robot_y,
+        heading,
+        0.5 * (size_x + size_y),
+        sensor,
+    )
+    log_miss = coverage.log_miss + jnp.log1p(-jnp.minimum(sensor.detection_probability, 0.999) * share)
+    return Coverage(log_miss=jnp.maximum(log_miss, LOG_MISS_FLOOR), area=coverage.area)
+
+
+def log_miss_at(coverage: Coverage, x: Array, y: Array) -> Array:
+    """Look up the log-probability that an object at (x, y) would still be unseen.
+
+    Args:
+        coverage: where the robot has looked.
+        x: f32[...], metres, map frame.
+        y: f32[...], metres.
+
+    Returns:
+        f32[...]; −∞ outside the operating area, where nothing is.
+    """
+    num_cells = coverage.log_miss.shape[-1]
+    size_x, size_y = cell_size(coverage)
+    column = jnp.floor((x - coverage.area[0]) / size_x).astype(jnp.int32)
+    row = jnp.floor((y - coverage.area[2]) / size_y).astype(jnp.int32)
+    is_in = (column >= 0) & (column < num_cells) & (row >= 0) & (row < num_cells)
+    flat = jnp.clip(row, 0, num_cells - 1) * num_cells + jnp.clip(column, 0, num_cells - 1)
+    return jnp.where(is_in, coverage.log_miss.reshape(-1)[flat], -jnp.inf)
+
+
+def sample_unseen(
+    coverage: Coverage, uniform: Array, jitter: Array
+) -> tuple[Array, Array, Array]:
+    """Draw places in proportion to the probability of being unseen, systematically.
+
+    Args:
+        coverage: where the robot has looked.
+        uniform: f32[], in [0, 1), offset of the systematic comb.
+        jitter: f32[2, n], uniform draws that spread the places over their cells.
+
+    Returns:
+        x and y, f32[n] metres, map frame, each marginally from the law once the index is chosen
+        at random, and f32[], the log of the unseen share of the area u.
+    """
+    num_cells, number = coverage.log_miss.shape[-1], jitter.shape[-1]
+    size_x, size_y = cell_size(coverage)
+    weight = jnp.exp(coverage.log_miss)
+    rows = jnp.cumsum(jnp.sum(weight, axis=1))
+    total = rows[-1]
+    teeth = (jnp.arange(number) + uniform) / number * total
+    row = jnp.minimum(jnp.sum(rows[:, None] <= teeth[None, :], axis=0), num_cells - 1)
+    below = jnp.where(row > 0, rows[jnp.maximum(row - 1, 0)], 0.0)
+    columns = jnp.cumsum(weight, axis=1)
+    column = jnp.sum(columns[row] <= (teeth - below)[:, None], axis=1)
+    column = jnp.minimum(column, num_cells - 1)
+    x = coverage.area[0] + (column + jitter[0]) * size_x
+    y = coverage.area[2] + (row + jitter[1]) * size_y
+    return x, y, jnp.log(total) - jnp.log(jnp.float32(num_cells * num_cells))

@@ -1,0 +1,293 @@
+"""The Rao-Blackwellized particle filter over semantic maps (section 3.2, eq. 5-8).
+
+One step: move, ground the detections, condition, weigh what was and was not seen, ground the
+words anew where the old hypothesis has been refuted or a new object calls for it, resample.
+
+Words are re-grounded by *rejection control*: a particle of weight w below the mean c survives with
+probability w / c and then weighs c, otherwise it is replaced by a fresh draw from the posterior
+of the sentence given the observed map, with weight c. Both kinds are properly weighted for the
+same target, so the mixture is too; and when every hypothesis is refuted all are replaced, which
+is how the filter revives.
+"""
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jaxlangnav.messages import Observation, Readings
+from jaxlangnav.numerics import categorical
+from jaxlangnav.numerics.resampling import effective_sample_size, systematic
+from jaxlangnav.pytree import pytree, replace
+from jaxlangnav.semantic_map import association, motion, particle, proposal
+from jaxlangnav.semantic_map.coverage import (
+    Coverage,
+    area_size,
+    log_miss_at,
+    look,
+    sample_unseen,
+    unexplored,
+)
+from jaxlangnav.semantic_map.params import MapConfig, MapParams
+from jaxlangnav.semantic_map.particle import SemanticMap
+
+_MIN_STEP_VARIANCE = 0.0
+
+
+@pytree
+class ParticleBelief:
+    """Weighted particles and what they share; the particle axis is last in every particle."""
+
+    particles: SemanticMap  # leaves [..., P]
+    log_weight: Array  # f32[P] normalised
+    coverage: Coverage  # where the robot has looked
+    last_pose: Array  # f32[3] dead-reckoned pose at the last observation
+    viewer: Array  # f32[3] x, y, heading when the last instruction was heard, map frame
+    must_ground: Array  # bool[] words have come in that no particle has grounded yet
+    log_evidence: Array  # f32[] log probability of all detections and absences so far
+
+
+@pytree
+class FilterInfo:
+    """What a person or a test wants to know of one filter step."""
+
+    effective_sample_size: Array  # f32[]
+    is_resampled: Array  # bool[]
+    num_regrounded: Array  # i32[] particles that drew a new grounding
+    log_language_evidence: Array  # f32[] log p(words | observed map), estimated
+    overflow: Array  # i32[] detections without a free slot, most over particles
+    is_degenerate: Array  # bool[] all weights had died and were made uniform
+    is_news: Array  # bool[] an object was seen for the first time, or words came in
+
+
+def start(
+    pose: Array, area: Array, num_mentions: int, config: MapConfig
+) -> ParticleBelief:
+    """Build the belief of a robot that has seen nothing.
+
+    Args:
+        pose: f32[3], x, y, heading, metres and radians, map frame.
+        area: f32[4], operating area x_min, x_max, y_min, y_max, metres.
+        num_mentions: M, capacity for mentions.
+        config: sizes.
+
+    Returns:
+        The belief; words are grounded at the first step.
+    """
+    one = particle.empty(config.num_objects, num_mentions, pose[0], pose[1])
+    number = config.num_particles
+    return ParticleBelief(
+        particles=jax.tree.map(
+            lambda leaf: jnp.broadcast_to(leaf[..., None], (*leaf.shape, number)), one
+        ),
+        log_weight=jnp.full(number, -jnp.log(float(number)), jnp.float32),
+        coverage=unexplored(area, config.num_cells),
+        last_pose=pose,
+        viewer=pose,
+        must_ground=jnp.asarray(True),
+        log_evidence=jnp.float32(0.0),
+    )
+
+
+def robot_position(belief: ParticleBelief) -> tuple[Array, Array]:
+    """Compute the mean position of the robot over the particles, f32[] x and y, metres."""
+    weight = jnp.exp(belief.log_weight)
+    robot = belief.particles.object_type.shape[0]
+    return (
+        jnp.sum(weight * belief.particles.mean_x[robot]),
+        jnp.sum(weight * belief.particles.mean_y[robot]),
+    )
+
+
+def predict(belief: ParticleBelief, pose: Array, params: MapParams) -> ParticleBelief:
+    """Move the robot in every particle by what odometry has measured since the last step.
+
+    Args:
+        belief: before the motion.
+        pose: f32[3], dead-reckoned pose now.
+        params: odometry noise.
+
+    Returns:
+        The belief after the motion.
+    """
+    step_x, step_y = pose[0] - belief.last_pose[0], pose[1] - belief.last_pose[1]
+    variance = (params.motion.odometry_noise**2) * (step_x * step_x + step_y * step_y)
+    moved = jax.vmap(motion.move, in_axes=(-1, None, None, None), out_axes=-1)(
+        belief.particles, step_x, step_y, variance
+    )
+    return replace(belief, particles=moved, last_pose=pose)
+
+
+def _detections(
+    belief: ParticleBelief, observation: Observation, params: MapParams
+) -> association.Detections:
+    """Turn detections into map axes and look up how likely something new is there."""
+    bearing = observation.pose[2] + observation.detection_bearing
+    offset_x = observation.detection_range * jnp.cos(bearing)
+    offset_y = observation.detection_range * jnp.sin(bearing)
+    robot_x, robot_y = robot_position(belief)
+    log_missed = log_miss_at(belief.coverage, robot_x + offset_x, robot_y + offset_y)
+    log_density = jnp.log(params.concentration) - jnp.log(area_size(belief.coverage))
+    return association.Detections(
+        object_type=observation.detection_type,
+        offset_x=offset_x,
+        offset_y=offset_y,
+        log_new=log_density + jnp.maximum(log_missed, association.LOG_SURPRISE),
+        is_detection=observation.is_detection,
+    )
+
+
+def ground_words(
+    key: Array, belief: ParticleBelief, readings: Readings, params: MapParams
+) -> tuple[SemanticMap, Array]:
+    """Draw for every particle a reading and what its words refer to (eq. 7a).
+
+    Args:
+        key: random key.
+        belief: the observed map and where the robot has looked.
+        readings: the sentence.
+        params: relations, concentration.
+
+    Returns:
+        Particles with fresh groundings, and f32[P], log of the evidence estimated by each.
+    """
+    number = belief.log_weight.shape[0]
+    num_mentions = readings.mention_type.shape[1]
+    reading_key, pool_key, loop_key = jax.random.split(key, 3)
+    share = jnp.cumsum(jnp.exp(readings.log_probability))
+    uniform = jax.random.uniform(reading_key, (number,)) * share[-1]
+    reading = jnp.sum(share[:-1, None] <= uniform[None, :], axis=0).astype(jnp.int32)
+    pool = proposal.NUM_UNSEEN * number
+    comb = jax.random.uniform(pool_key, (2, pool))
+    pool_x, pool_y, log_unseen = sample_unseen(belief.coverage, comb[0, 0], comb)
+    scene = proposal.Scene(belief.coverage, log_unseen, belief.viewer)
+    num_relations = jnp.max(jnp.sum(readings.figure >= 0, axis=1))
+    ground = jax.vmap(
+        proposal.ground_relation,
+        in_axes=(-1, None, -1, None, -1, -1, None, None),
+        out_axes=-1,
+    )
+
+    def body(index: Array, grounding: proposal.Grounding) -> proposal.Grounding:
+        draws_key, shuffle_key = jax.random.split(jax.random.fold_in(loop_key, index))
+        # Which place of the comb goes to which particle is random: a fixed assignment would tie
+        # particles to regions.
+        start = jax.random.randint(shuffle_key, (), 0, pool)
+        stride = proposal.NUM_UNSEEN * (number // 3) + 1
+        chosen = (start + stride * jnp.arange(pool)) % pool
+        shape = (proposal.NUM_UNSEEN, number)
+        unit = jax.random.uniform(draws_key, (5, number), minval=1e-6, maxval=1.0 - 1e-6)
+        draws = proposal.Draws(
+            normal=jax.scipy.special.ndtri(unit[:2]),
+            uniform=unit[2:4],
+            choice=unit[4],
+            unseen_x=pool_x[chosen].reshape(shape),
+            unseen_y=pool_y[chosen].reshape(shape),
+        )
+        return ground(
+            belief.particles, readings, reading, index, grounding, draws, scene, params
+        )
+
+    nothing = jax.tree.map(
+        lambda leaf: jnp.broadcast_to(leaf[..., None], (*leaf.shape, number)),
+        proposal.nothing_grounded(num_mentions),
+    )
+    grounding = jax.lax.fori_loop(0, num_relations, body, nothing)
+    adopt = jax.vmap(proposal.adopt, in_axes=(-1, None, -1, -1), out_axes=-1)
+    fresh = adopt(belief.particles, readings, reading, grounding)
+    return fresh, grounding.log_weight
+
+
+def _choose(is_fresh: Array, fresh: SemanticMap, old: SemanticMap) -> SemanticMap:
+    """Take the fresh particle where told, the old one elsewhere."""
+    return jax.tree.map(lambda new, kept: jnp.where(is_fresh, new, kept), fresh, old)
+
+
+def step(
+    key: Array,
+    belief: ParticleBelief,
+    readings: Readings,
+    observation: Observation,
+    *,
+    params: MapParams,
+) -> tuple[ParticleBelief, FilterInfo]:
+    """Run one step of the filter (eq. 6-8).
+
+    Args:
+        key: random key, consumed.
+        belief: at the last step.
+        readings: what the instruction says.
+        observation: pose and detections now.
+        params: traced numbers.
+
+    Returns:
+        The belief now, and information on the step.
+    """
+    number = belief.log_weight.shape[0]
+    associate_key, ground_key, keep_key, resample_key = jax.random.split(key, 4)
+    was_told = belief.must_ground
+    belief = predict(belief, observation.pose, params)
+
+    detections = _detections(belief, observation, params)
+    noise_variance = jnp.maximum(observation.sensor.noise, association.MIN_NOISE) ** 2
+    uniform = jax.random.uniform(associate_key, (observation.detection_type.shape[0], number))
+    associate = jax.vmap(association.associate, in_axes=(-1, None, -1, None), out_axes=-1)
+    grounded = associate(belief.particles, detections, uniform, noise_variance)
+    condition = jax.vmap(association.condition, in_axes=(-1, -1, None), out_axes=-1)
+    particles = condition(belief.particles, grounded, noise_variance)
+    belief = replace(belief, particles=particles)
+
+    robot_x, robot_y = robot_position(belief)
+    heading, sensor = observation.pose[2], observation.sensor
+    coverage = look(belief.coverage, robot_x, robot_y, heading, sensor)
+    belief = replace(belief, coverage=coverage)
+    log_absence = jax.vmap(association.log_absence, in_axes=(-1, -1, None, None, None), out_axes=-1)
+    log_objects, log_hypotheses = log_absence(
+        particles, grounded.is_hit, heading, 2.5 * params.kernel + 1e-3, sensor
+    )
+    log_map = grounded.log_weight + log_objects
+    kept_weight, log_total, is_dead = categorical.log_normalize(
+        belief.log_weight + log_map + jnp.sum(log_hypotheses, axis=0)
+    )
+
+    fresh, log_language = ground_words(ground_key, belief, readings, params)
+    language, log_language_total, _ = categorical.log_normalize(log_language)
+    language = language * number
+    # A new object of a type the particle's words speak of reopens what they refer to.
+    new_type = jnp.where(grounded.is_new, particles.object_type, -3)
+    mentioned = jnp.any(
+        readings.mention_type.reshape(-1)[:, None, None] == new_type[None], axis=(0, 1)
+    )
+    must_ground = was_told | mentioned
+    keep_uniform = jax.random.uniform(keep_key, (number,))
+    is_fresh = must_ground | (keep_uniform > kept_weight * number)
+    # What a particle's own map weighs, apart from its hypotheses, goes with a forced draw.
+    map_weight, _, _ = categorical.log_normalize(belief.log_weight + log_map)
+    fresh_weight = jnp.where(must_ground, map_weight, 1.0 / number) * jnp.clip(language, 0.02, 50.0)
+    weight = jnp.where(is_fresh, fresh_weight, jnp.maximum(kept_weight, 1.0 / number))
+    weight = weight / jnp.sum(weight)
+    particles = _choose(is_fresh, fresh, particles)
+
+    size = effective_sample_size(weight)
+    is_resampled = size < params.resample_threshold * number
+    ancestors = systematic(weight, jax.random.uniform(resample_key))
+    ancestors = jnp.where(is_resampled, ancestors, jnp.arange(number))
+    particles = jax.tree.map(lambda leaf: leaf[..., ancestors], particles)
+    log_weight = jnp.where(
+        is_resampled, -jnp.log(float(number)), jnp.log(jnp.maximum(weight, 1e-30))
+    )
+    belief = replace(
+        belief,
+        particles=particles,
+        log_weight=log_weight,
+        must_ground=jnp.asarray(False),
+        log_evidence=belief.log_evidence + log_total,
+    )
+    return belief, FilterInfo(
+        effective_sample_size=size,
+        is_resampled=is_resampled,
+        num_regrounded=jnp.sum(is_fresh),
+        log_language_evidence=log_language_total - jnp.log(float(number)),
+        overflow=jnp.max(grounded.overflow),
+        is_degenerate=is_dead,
+        is_news=was_told | jnp.any(grounded.is_new),
+    )

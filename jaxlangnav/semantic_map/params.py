@@ -1,0 +1,50 @@
+"""What a sweep may vary (traced) and what fixes the shapes (static) of the semantic map."""
+
+import dataclasses
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxlangnav.messages import MotionParams, default_motion
+from jaxlangnav.pytree import pytree
+from jaxlangnav.relations import RelationModel, default_params, prepare
+
+
+@pytree
+class MapParams:
+    """Numbers of the filter; traced, so that new values never recompile."""
+
+    concentration: Array  # f32[] α, expected number of further objects of a type in the area
+    kernel: Array  # f32[] κ, metres, standard deviation of a sampled metric constraint
+    superlative_softness: Array  # f32[] metres within which two distances count as equal
+    resample_threshold: Array  # f32[] resample where ESS / P falls below this
+    relations: RelationModel  # densities of the six relations
+    motion: MotionParams  # odometry as the belief assumes it
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class MapConfig:
+    """Sizes of the filter; hashable, a change recompiles."""
+
+    num_particles: int = 64
+    num_objects: int = 8
+    num_cells: int = 32
+
+    def __post_init__(self) -> None:
+        """Refuse sizes the filter cannot work with."""
+        for name, least in (("num_particles", 2), ("num_objects", 1), ("num_cells", 4)):
+            value = getattr(self, name)
+            if value < least:
+                raise ValueError(f"{name} is {value}, but must be at least {least}")
+
+
+def default_map_params() -> MapParams:
+    """Build the parameters used in all tables unless they say otherwise."""
+    return MapParams(
+        concentration=jnp.float32(0.3),
+        kernel=jnp.float32(0.1),
+        superlative_softness=jnp.float32(0.3),
+        resample_threshold=jnp.float32(0.5),
+        relations=prepare(default_params()),
+        motion=default_motion(),
+    )
