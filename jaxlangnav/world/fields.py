@@ -1,0 +1,193 @@
+"""Checked reading of a file's tables: every complaint names file, key, value, limit and remedy.
+
+Serves the world files (section 4.2's environments, brought by people).
+"""
+
+import difflib
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+
+class WorldFileError(ValueError):
+    """A world file cannot be used; the message is one line for the person who wrote it."""
+
+
+class Fields:
+    """One table of a file, read key by key; ``close`` complains of keys that nobody read."""
+
+    def __init__(self, table: Any, *, file: str, where: str) -> None:
+        """Wrap a table.
+
+        Args:
+            table: what the file holds at this place.
+            file: the file's name, for messages.
+            where: the key that leads here, such as "objects[1]"; empty at the top.
+
+        Raises:
+            WorldFileError: it is no table.
+        """
+        self._file, self._where = file, where
+        if not isinstance(table, Mapping):
+            raise WorldFileError(
+                f"{file}: {where or 'the file'} is {table!r} but must be a table of keys and values"
+            )
+        self._table = table
+        self._read: set[str] = set()
+
+    def key(self, name: str) -> str:
+        """Name a key of this table in full, such as "objects[1].x"."""
+        return f"{self._where}.{name}" if self._where else name
+
+    def fail(self, name: str, problem: str) -> WorldFileError:
+        """Build the error for a key: one line, to be raised."""
+        return WorldFileError(f"{self._file}: {self.key(name)} {problem}")
+
+    def has(self, name: str) -> bool:
+        """Tell whether the table has a key."""
+        return name in self._table
+
+    def get(self, name: str) -> Any:
+        """Read a required key as it stands.
+
+        Raises:
+            WorldFileError: the key is missing.
+        """
+        self._read.add(name)
+        if name not in self._table:
+            raise self.fail(name, "is missing: add it")
+        return self._table[name]
+
+    def number(
+        self,
+        name: str,
+        *,
+        low: float = -math.inf,
+        high: float = math.inf,
+        default: float | None = None,
+        is_low_open: bool = False,
+    ) -> float:
+        """Read a finite number within limits.
+
+        Args:
+            name: the key.
+            low: least value.
+            high: greatest value.
+            default: value where the key is missing; None requires the key.
+            is_low_open: ``low`` itself is excluded.
+
+        Returns:
+            The number.
+
+        Raises:
+            WorldFileError: missing, no number, or outside the limits.
+        """
+        if default is not None and name not in self._table:
+            return default
+        value = self.get(name)
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise self.fail(name, f"is {value!r} but must be a number: write it without quotes")
+        if not math.isfinite(value):
+            raise self.fail(name, f"is {value!r} but must be a finite number")
+        if value < low or value > high or (is_low_open and value == low):
+            raise self.fail(name, f"is {value!r} but must be {_limits(low, high, is_low_open)}")
+        return float(value)
+
+    def text(self, name: str, *, default: str | None = None) -> str:
+        """Read a text that is not empty.
+
+        Args:
+            name: the key.
+            default: value where the key is missing; None requires the key.
+
+        Returns:
+            The text.
+
+        Raises:
+            WorldFileError: missing, no text, or empty.
+        """
+        if default is not None and name not in self._table:
+            return default
+        value = self.get(name)
+        if not isinstance(value, str) or not value.strip():
+            raise self.fail(name, f"is {value!r} but must be a text that is not empty")
+        return value
+
+    def choice(self, name: str, choices: Sequence[str], *, what: str) -> str:
+        """Read one of a few words.
+
+        Args:
+            name: the key.
+            choices: the words.
+            what: what they are, for the message.
+
+        Returns:
+            The word.
+
+        Raises:
+            WorldFileError: missing or none of them; the message suggests the closest.
+        """
+        value = self.text(name)
+        if value not in choices:
+            known = ", ".join(choices) or "none so far"
+            raise self.fail(
+                name, f"is {value!r} but must be {what}: {known}{did_you_mean(value, choices)}"
+            )
+        return value
+
+    def table(self, name: str) -> "Fields":
+        """Read a required table below this one."""
+        return Fields(self.get(name), file=self._file, where=self.key(name))
+
+    def tables(self, name: str) -> list["Fields"]:
+        """Read a required list of tables.
+
+        Raises:
+            WorldFileError: missing or no list.
+        """
+        value = self.get(name)
+        if not isinstance(value, list):
+            raise self.fail(name, f"is {value!r} but must be a list of tables: write [[{name}]]")
+        return [
+            Fields(entry, file=self._file, where=f"{self.key(name)}[{index}]")
+            for index, entry in enumerate(value)
+        ]
+
+    def close(self, *known: str) -> None:
+        """Complain of unknown keys.
+
+        Args:
+            *known: keys that are allowed though they were not read.
+
+        Raises:
+            WorldFileError: a key is unknown; the message suggests the closest known one.
+        """
+        allowed = sorted(self._read | set(known))
+        for name in self._table:
+            if name not in allowed:
+                hint = did_you_mean(name, allowed)
+                raise self.fail(name, f"is unknown: known keys are {', '.join(allowed)}{hint}")
+
+
+def did_you_mean(value: str, choices: Sequence[str]) -> str:
+    """Suggest the closest choice, or nothing.
+
+    Args:
+        value: what was written.
+        choices: what could have been meant.
+
+    Returns:
+        ". Did you mean 'hydrant'?" or an empty text.
+    """
+    close = difflib.get_close_matches(value, choices, n=1)
+    return f". Did you mean {close[0]!r}?" if close else ""
+
+
+def _limits(low: float, high: float, is_low_open: bool) -> str:
+    """Say limits in words."""
+    bounds = []
+    if low > -math.inf:
+        bounds.append(f"more than {low:g}" if is_low_open else f"{low:g} or more")
+    if high < math.inf:
+        bounds.append(f"{high:g} or less")
+    return " and ".join(bounds)

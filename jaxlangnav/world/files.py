@@ -1,0 +1,125 @@
+"""World files: people bring their own world (the environments of section 4.2).
+
+A world file is TOML, or JSON with the same keys. Lengths are metres, angles degrees (counter-
+clockwise from +x); the map frame is the file's own.
+
+    name = "yard"                      # optional; the file's name otherwise
+    instruction = "go to the hydrant behind the cone"   # optional; what to ask here
+
+    [area]                             # the operating area, known to the robot
+    x_min = 0.0
+    x_max = 13.0
+    y_min = -9.0
+    y_max = 9.0
+
+    [start]                            # optional; 0, 0, 0
+    x = 0.0
+    y = 0.0
+    heading = 0.0
+
+    [goal]                             # the intended goal: an object by its name, or x and y
+    object = "far hydrant"
+
+    [[objects]]                        # one to eight, within the area
+    type = "hydrant"                   # hydrant cone car building tree bench barrel box
+    name = "far hydrant"               # optional, unique
+    x = 9.0
+    y = 1.5
+
+    [sensor]                           # optional, each key too
+    range = 3.0
+    field_of_view = 360.0
+    detection_probability = 0.95
+    noise = 0.1                        # of a relative position, each axis
+
+    [motion]                           # optional, each key too
+    step_length = 1.0                  # in one decision cycle
+    odometry_noise = 0.02              # as a share of the way
+"""
+
+import json
+import tomllib
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from jaxlangnav.world.fields import WorldFileError, did_you_mean
+from jaxlangnav.world.reading import World, world_from_dict
+from jaxlangnav.world.scenario import NUM_SLOTS
+from jaxlangnav.world.templates import TEMPLATE_NAMES, Template, parse_template
+from jaxlangnav.world.writing import save_world
+
+__all__ = ["World", "WorldFileError", "load_world", "open_world", "save_world", "shipped_worlds"]
+
+
+def load_world(path: str | Path, *, num_slots: int = NUM_SLOTS) -> World:
+    """Read and check a world file.
+
+    Args:
+        path: a .toml or .json file.
+        num_slots: O, object slots of the scenario.
+
+    Returns:
+        The world.
+
+    Raises:
+        WorldFileError: unreadable, or anything in it is wrong; one line that says what to do.
+    """
+    path = Path(path)
+    return world_from_dict(_read(path), file=path.name, num_slots=num_slots)
+
+
+def shipped_worlds() -> tuple[str, ...]:
+    """List the names of the worlds that come with the package."""
+    data = resources.files("jaxlangnav.world") / "data"
+    return tuple(sorted(Path(entry.name).stem for entry in data.iterdir()))
+
+
+def open_world(text: str, *, num_slots: int = NUM_SLOTS) -> Template | World:
+    """Find what a person means by a world: a template, a shipped world, or a file.
+
+    Args:
+        text: "2H1C", the name of a shipped world, or the path of a .toml or .json file.
+        num_slots: O, object slots of a scenario read from a file.
+
+    Returns:
+        A template to sample from, or a world.
+
+    Raises:
+        ValueError: none of the three, or the file is wrong.
+    """
+    if text in shipped_worlds():
+        data = resources.files("jaxlangnav.world") / "data" / f"{text}.toml"
+        table = tomllib.loads(data.read_text(encoding="utf-8"))
+        return world_from_dict(table, file=f"{text}.toml", num_slots=num_slots)
+    is_path = "/" in text or Path(text).suffix.lower() in (".toml", ".json")
+    if is_path or Path(text).is_file():
+        return load_world(text, num_slots=num_slots)
+    if text.strip()[:1].isdigit():
+        return parse_template(text)
+    shipped = ", ".join(shipped_worlds())
+    hint = did_you_mean(text, (*shipped_worlds(), *TEMPLATE_NAMES))
+    raise ValueError(
+        f"unknown world {text!r}: give a template ({', '.join(TEMPLATE_NAMES)}), a shipped world "
+        f"({shipped}), or a .toml or .json file{hint}"
+    )
+
+
+def _read(path: Path) -> Any:
+    """Read a file into tables, or say why not."""
+    kind = path.suffix.lower()
+    if kind not in (".toml", ".json"):
+        raise WorldFileError(f"{path}: a world file's name must end in .toml or .json")
+    try:
+        text = path.read_text(encoding="utf-8")
+        return tomllib.loads(text) if kind == ".toml" else json.loads(text)
+    except FileNotFoundError:
+        raise WorldFileError(
+            f"{path}: no such file; shipped worlds are {', '.join(shipped_worlds())}"
+        ) from None
+    except OSError as error:
+        raise WorldFileError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise WorldFileError(f"{path}: is no text: save it as UTF-8") from None
+    except (tomllib.TOMLDecodeError, json.JSONDecodeError) as error:
+        raise WorldFileError(f"{path}: is no valid {kind[1:].upper()}: {error}") from None

@@ -1,0 +1,196 @@
+"""Checking the tables of a world file and building its scenario; ``files`` tells the format."""
+
+import dataclasses
+import math
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxlangnav.messages import (
+    NONE,
+    MotionParams,
+    SensorParams,
+    default_motion,
+    default_sensor,
+)
+from jaxlangnav.world.fields import Fields
+from jaxlangnav.world.scenario import NUM_SLOTS
+from jaxlangnav.world.state import TYPE_NAMES, Scenario
+
+Place = tuple[float, float]
+Bounds = tuple[float, float, float, float]
+"""x_min, x_max, y_min, y_max, metres."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class World:
+    """What a world file holds, ready for the simulator."""
+
+    name: str
+    scenario: Scenario
+    sensor: SensorParams
+    motion: MotionParams
+    instruction: str | None = None
+    object_names: tuple[str, ...] = ()
+    """One per slot, empty where the object has no name."""
+
+
+def world_from_dict(table: Any, *, file: str, num_slots: int = NUM_SLOTS) -> World:
+    """Check tables of the world format and build the world.
+
+    Args:
+        table: the tables, as read.
+        file: the file's name, for messages.
+        num_slots: O, object slots of the scenario.
+
+    Returns:
+        The world.
+
+    Raises:
+        WorldFileError: anything is missing, unknown or outside its limits.
+    """
+    top = Fields(table, file=file, where="")
+    area = _read_area(top.table("area"))
+    start = (0.0, 0.0, 0.0)
+    if top.has("start"):
+        fields = top.table("start")
+        heading = math.radians(fields.number("heading", low=-360.0, high=360.0, default=0.0))
+        start = (*_read_place(fields, area, default=0.0), heading)
+        fields.close()
+    elif not (area[0] <= 0.0 <= area[1] and area[2] <= 0.0 <= area[3]):
+        raise top.fail("start", "is missing, and its default 0, 0 lies outside the area: add it")
+    types, names, places = _read_objects(top, area, num_slots)
+    goal, goal_index = _read_goal(top.table("goal"), area, names, places)
+    world = World(
+        name=top.text("name", default=Path(file).stem),
+        instruction=top.text("instruction") if top.has("instruction") else None,
+        scenario=_to_scenario(types, places, goal, goal_index, start, area, num_slots),
+        sensor=_read_sensor(top.table("sensor")) if top.has("sensor") else default_sensor(),
+        motion=_read_motion(top.table("motion")) if top.has("motion") else default_motion(),
+        object_names=(*names, *[""] * (num_slots - len(names))),
+    )
+    top.close("start", "sensor", "motion", "name", "instruction")
+    return world
+
+
+def _read_area(fields: Fields) -> Bounds:
+    """Read the operating area: x_min, x_max, y_min, y_max."""
+    x_min, y_min = fields.number("x_min"), fields.number("y_min")
+    x_max = fields.number("x_max", low=x_min, is_low_open=True)
+    y_max = fields.number("y_max", low=y_min, is_low_open=True)
+    fields.close()
+    return x_min, x_max, y_min, y_max
+
+
+def _read_place(fields: Fields, area: Bounds, *, default: float | None = None) -> Place:
+    """Read x and y and require them to lie in the area."""
+    place = fields.number("x", default=default), fields.number("y", default=default)
+    for name, value, low, high in zip("xy", place, area[::2], area[1::2], strict=True):
+        if not low <= value <= high:
+            raise fields.fail(
+                name,
+                f"is {value!r} but the area reaches from {low:g} to {high:g}: "
+                "move it or enlarge [area]",
+            )
+    return place
+
+
+def _read_objects(
+    top: Fields, area: Bounds, num_slots: int
+) -> tuple[list[int], list[str], list[Place]]:
+    """Read the objects: types, names (empty where there is none) and places."""
+    entries = top.tables("objects")
+    if not 1 <= len(entries) <= num_slots:
+        raise top.fail(
+            "objects", f"has {len(entries)} entries but must have 1 to {num_slots}: add or remove"
+        )
+    types: list[int] = []
+    names: list[str] = []
+    places: list[Place] = []
+    for fields in entries:
+        types.append(TYPE_NAMES.index(fields.choice("type", TYPE_NAMES, what="an object type")))
+        name = fields.text("name") if fields.has("name") else ""
+        if name and name in names:
+            raise fields.fail("name", f"is {name!r} as is objects[{names.index(name)}]: rename one")
+        names.append(name)
+        places.append(_read_place(fields, area))
+        fields.close("name")
+    return types, names, places
+
+
+def _read_goal(
+    fields: Fields,
+    area: Bounds,
+    names: list[str],
+    places: list[Place],
+) -> tuple[Place, int]:
+    """Read the goal: its place, and the slot of its object or NONE."""
+    if fields.has("object"):
+        known = [name for name in names if name]
+        name = fields.choice("object", known, what="the name of an object of this file")
+        fields.close()
+        return places[names.index(name)], names.index(name)
+    if not (fields.has("x") or fields.has("y")):
+        raise fields.fail("object", "is missing: name an object, or give x and y")
+    place = _read_place(fields, area)
+    fields.close("object")
+    return place, NONE
+
+
+def _read_sensor(fields: Fields) -> SensorParams:
+    """Read the detector's specification."""
+    sensor = SensorParams(
+        range_max=jnp.float32(fields.number("range", low=0.0, is_low_open=True, default=3.0)),
+        field_of_view=jnp.float32(
+            math.radians(
+                fields.number("field_of_view", low=0.0, high=360.0, is_low_open=True, default=360.0)
+            )
+        ),
+        detection_probability=jnp.float32(
+            fields.number("detection_probability", low=0.0, high=1.0, default=0.95)
+        ),
+        noise=jnp.float32(fields.number("noise", low=0.0, default=0.1)),
+    )
+    fields.close("range", "field_of_view", "detection_probability", "noise")
+    return sensor
+
+
+def _read_motion(fields: Fields) -> MotionParams:
+    """Read the specification of motion and odometry."""
+    motion = MotionParams(
+        step_length=jnp.float32(
+            fields.number("step_length", low=0.0, is_low_open=True, default=1.0)
+        ),
+        odometry_noise=jnp.float32(
+            fields.number("odometry_noise", low=0.0, high=1.0, default=0.02)
+        ),
+    )
+    fields.close("step_length", "odometry_noise")
+    return motion
+
+
+def _to_scenario(
+    types: list[int],
+    places: list[Place],
+    goal: Place,
+    goal_index: int,
+    start: tuple[float, float, float],
+    area: Bounds,
+    num_slots: int,
+) -> Scenario:
+    """Pad the objects to slots."""
+    num_empty = num_slots - len(types)
+    x, y = np.pad(np.array(places, np.float32), ((0, num_empty), (0, 0))).T
+    return Scenario(
+        object_type=jnp.array([*types, *[NONE] * num_empty], jnp.int32),
+        object_x=jnp.asarray(x),
+        object_y=jnp.asarray(y),
+        is_object=jnp.arange(num_slots) < len(types),
+        goal=jnp.array(goal, jnp.float32),
+        goal_index=jnp.int32(goal_index),
+        start=jnp.array(start, jnp.float32),
+        area=jnp.array(area, jnp.float32),
+        is_valid=jnp.array(True),
+    )
