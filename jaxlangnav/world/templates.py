@@ -84,7 +84,8 @@ def parse_template(name: str) -> Template:
     compact = re.sub(r"[\s,]", "", name).upper()
     match = re.fullmatch(r"(\d+)H(\d+)C", compact)
     if match is None:
-        close = difflib.get_close_matches(compact, TEMPLATE_NAMES, n=1, cutoff=0.4)
+        turned = re.sub(r"(\d+C)(\d+H)", r"\2\1", compact)  # "1C2H" means 2H1C
+        close = difflib.get_close_matches(turned, TEMPLATE_NAMES, n=1, cutoff=0.4)
         hint = f" Did you mean {close[0]}?" if close else ""
         raise ValueError(
             f"unknown world template {name!r}: expected <hydrants>H<cones>C, one of "

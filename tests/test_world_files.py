@@ -1,0 +1,299 @@
+"""World files: what is read, what is written back, and every complaint."""
+
+import copy
+import json
+import tomllib
+from pathlib import Path
+
+import chex
+import jax
+import numpy as np
+import pytest
+
+import jaxlangnav
+from jaxlangnav.messages import NONE, default_motion, default_sensor
+from jaxlangnav.world.files import (
+    World,
+    WorldFileError,
+    load_world,
+    open_world,
+    save_world,
+    shipped_worlds,
+)
+from jaxlangnav.world.reading import world_from_dict
+from jaxlangnav.world.scenario import sample_scenario
+from jaxlangnav.world.state import TYPE_NAMES
+from jaxlangnav.world.templates import Template
+from jaxlangnav.world.writing import world_to_dict
+
+YARD = """
+name = "yard"
+instruction = "go to the hydrant behind the cone"
+[area]
+x_min = 0
+x_max = 13.0
+y_min = -9.0
+y_max = 9.0
+[start]
+x = 1.0
+y = -2.0
+heading = 90
+[goal]
+object = "far hydrant"
+[[objects]]
+type = "cone"
+x = 6.5
+y = 1.0
+[[objects]]
+type = "hydrant"
+name = "far hydrant"
+x = 9.0
+y = 1.5
+[sensor]
+range = 5.0
+field_of_view = 120
+"""
+
+
+def write(folder: Path, text: str, name: str = "yard.toml") -> Path:
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_a_file_is_read(tmp_path: Path) -> None:
+    world = load_world(write(tmp_path, YARD))
+    scenario = world.scenario
+    assert (world.name, world.instruction) == ("yard", "go to the hydrant behind the cone")
+    np.testing.assert_array_equal(scenario.object_type, [1, 0] + [NONE] * 6)
+    np.testing.assert_allclose(scenario.object_x, [6.5, 9.0] + [0] * 6)
+    np.testing.assert_allclose(scenario.object_y, [1.0, 1.5] + [0] * 6)
+    np.testing.assert_array_equal(scenario.is_object, [True] * 2 + [False] * 6)
+    np.testing.assert_allclose(scenario.goal, [9.0, 1.5])
+    assert int(scenario.goal_index) == 1
+    np.testing.assert_allclose(scenario.start, [1.0, -2.0, np.pi / 2], rtol=1e-6)
+    np.testing.assert_allclose(scenario.area, [0, 13, -9, 9])
+    np.testing.assert_allclose(world.sensor.range_max, 5.0)
+    np.testing.assert_allclose(world.sensor.field_of_view, 2 * np.pi / 3, rtol=1e-6)
+    np.testing.assert_allclose(world.sensor.noise, 0.1)
+    np.testing.assert_allclose(world.motion.odometry_noise, 0.02)
+    assert world.object_names[:3] == ("", "far hydrant", "")
+
+
+def test_defaults(tmp_path: Path) -> None:
+    area = "[area]\nx_min=-1\nx_max=9\ny_min=-5\ny_max=5\n"
+    text = area + '[goal]\nx=5\ny=1\n[[objects]]\ntype="box"\nx=4\ny=0\n'
+    world = load_world(write(tmp_path, text, "plain.toml"))
+    assert (world.name, world.instruction) == ("plain", None)
+    chex.assert_trees_all_equal(world.sensor, default_sensor())
+    chex.assert_trees_all_equal(world.motion, default_motion())
+    np.testing.assert_array_equal(world.scenario.start, [0, 0, 0])
+    assert int(world.scenario.goal_index) == NONE
+    np.testing.assert_allclose(world.scenario.goal, [5, 1])
+
+
+@pytest.mark.parametrize("kind", ["toml", "json"])
+@pytest.mark.parametrize("name", shipped_worlds())
+def test_round_trip_of_shipped_worlds(tmp_path: Path, name: str, kind: str) -> None:
+    world = open_world(name)
+    assert isinstance(world, World)
+    save_world(world, tmp_path / f"copy.{kind}")
+    again = load_world(tmp_path / f"copy.{kind}")
+    chex.assert_trees_all_equal(again.scenario, world.scenario)
+    chex.assert_trees_all_equal((again.sensor, again.motion), (world.sensor, world.motion))
+    assert (again.name, again.instruction) == (world.name, world.instruction)
+    assert again.object_names == world.object_names
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_round_trip_of_sampled_worlds_is_exact(tmp_path: Path, seed: int) -> None:
+    key = jax.random.key(seed)
+    scenario = sample_scenario(key, template="2H2C", relation="nearest")
+    turned = np.asarray(scenario.start) + np.float32([0, 0, jax.random.normal(key)])
+    scenario = type(scenario)(**{**vars(scenario), "start": turned})
+    world = World(
+        name='it"s a \\ world', scenario=scenario, sensor=default_sensor(), motion=default_motion()
+    )
+    save_world(world, tmp_path / "sampled.toml")
+    again = load_world(tmp_path / "sampled.toml")
+    chex.assert_trees_all_equal(again.scenario, scenario)
+    assert again.name == world.name
+    assert again.object_names[int(scenario.goal_index)] == "goal"
+
+
+def test_shipped_worlds_show_what_they_promise() -> None:
+    assert set(shipped_worlds()) == {"yard", "street", "empty-corner"}
+    kinds = set()
+    for name in shipped_worlds():
+        world = open_world(name)
+        assert isinstance(world, World)
+        assert world.name == name
+        assert world.instruction
+        kinds |= set(np.asarray(world.scenario.object_type)[np.asarray(world.scenario.is_object)])
+    assert len(kinds) >= 6
+
+
+def test_open_world_tells_templates_shipped_worlds_and_files_apart(tmp_path: Path) -> None:
+    assert open_world("2H1C") == Template(name="2H1C", num_hydrants=2, num_cones=1)
+    assert isinstance(open_world(str(write(tmp_path, YARD))), World)
+    for text in ("yrad", "", "nonsense"):
+        with pytest.raises(ValueError, match=r"unknown world.*1H1C.*yard.*toml") as caught:
+            open_world(text)
+        assert "\n" not in str(caught.value)
+    with pytest.raises(ValueError, match="Did you mean 'yard'"):
+        open_world("yrad")
+    with pytest.raises(ValueError, match="has 9 hydrants: choose 1 to 4"):
+        open_world("9H1C")
+    with pytest.raises(WorldFileError, match=r"gone.toml: no such file; shipped worlds are .*yard"):
+        open_world("gone.toml")
+
+
+def change(table: dict, where: str, value: object) -> dict:
+    """Set the key at a dotted place; a value of ``...`` deletes it."""
+    table = copy.deepcopy(table)
+    *parents, last = [int(key) if key.isdigit() else key for key in where.split(".")]
+    place = table
+    for key in parents:
+        place = place[key]
+    if value is ...:
+        del place[last]
+    else:
+        place[last] = value
+    return table
+
+
+COMPLAINTS = [
+    ("area", ..., "area is missing: add it"),
+    ("area", 3, "area is 3 but must be a table"),
+    ("area.x_min", ..., "area.x_min is missing: add it"),
+    ("area.x_max", -1.0, "area.x_max is -1.0 but must be more than 0"),
+    ("area.y_max", -9.0, "area.y_max is -9.0 but must be more than -9"),
+    ("area.y_max", "9", "area.y_max is '9' but must be a number: write it without quotes"),
+    ("area.x_max", float("inf"), "area.x_max is inf but must be a finite number"),
+    ("area.x_max", True, "area.x_max is True but must be a number"),
+    ("area.z_min", 0.0, "area.z_min is unknown: known keys are .*Did you mean '[xy]_min'"),
+    ("start.x", 14.0, r"start.x is 14.0 but the area reaches from 0 to 13: move it or enlarge"),
+    ("start.heading", 400, "start.heading is 400 but must be -360 or more and 360 or less"),
+    ("start.headng", 4, "start.headng is unknown: known keys.*Did you mean 'heading'"),
+    ("goal", ..., "goal is missing: add it"),
+    (
+        "goal.object",
+        "hydrant",
+        "goal.object is 'hydrant' but must be the name of an object.*'far h",
+    ),
+    ("goal.object", 1, "goal.object is 1 but must be a text"),
+    ("goal", {}, "goal.object is missing: name an object, or give x and y"),
+    ("goal", {"x": 1.0}, "goal.y is missing"),
+    ("goal", {"x": 1.0, "y": 99.0}, "goal.y is 99.0 but the area reaches from -9 to 9"),
+    ("goal.x", 1.0, "goal.x is unknown: known keys are object"),
+    ("objects", [], "objects has 0 entries but must have 1 to 8"),
+    ("objects", {}, r"objects is \{\} but must be a list of tables: write \[\[objects\]\]"),
+    ("objects", ..., "objects is missing"),
+    ("objects.0", 5, r"objects\[0\] is 5 but must be a table"),
+    (
+        "objects.1.type",
+        "hidrant",
+        r"objects\[1\].type is 'hidrant' but must be an object type: hyd.*"
+        "Did you mean 'hydrant'",
+    ),
+    ("objects.0.type", "", r"objects\[0\].type is '' but must be a text that is not empty"),
+    ("objects.0.x", -0.1, r"objects\[0\].x is -0.1 but the area reaches from 0 to 13"),
+    ("objects.0.y", ..., r"objects\[0\].y is missing: add it"),
+    ("objects.0.y", float("nan"), r"objects\[0\].y is nan but must be a finite number"),
+    (
+        "objects.0.name",
+        "far hydrant",
+        r"objects\[1\].name is 'far hydrant' as is objects\[0\]: ren",
+    ),
+    ("objects.0.colour", "red", r"objects\[0\].colour is unknown: known keys are name, type, x, y"),
+    ("sensor.range", 0, "sensor.range is 0 but must be more than 0"),
+    ("sensor.range", -2.0, "sensor.range is -2.0 but must be more than 0"),
+    ("sensor.field_of_view", 720, "sensor.field_of_view is 720 but must be more than 0 and 360 or"),
+    ("sensor.detection_probability", 1.5, "is 1.5 but must be 0 or more and 1 or less"),
+    ("sensor.noise", -0.1, "sensor.noise is -0.1 but must be 0 or more"),
+    (
+        "sensor.fov",
+        90,
+        "sensor.fov is unknown: known keys are detection_probability, field_of_view",
+    ),
+    ("motion", {"step_length": 0}, "motion.step_length is 0 but must be more than 0"),
+    ("motion", {"odometry_noise": 2}, "motion.odometry_noise is 2 but must be 0 or more and 1 or"),
+    ("name", 3, "name is 3 but must be a text"),
+    ("instruction", " ", "instruction is ' ' but must be a text that is not empty"),
+    ("robots", 1, "robots is unknown: known keys are area, goal, instruction"),
+]
+
+
+@pytest.mark.parametrize(("where", "value", "message"), COMPLAINTS, ids=lambda part: str(part)[:30])
+def test_complaints_name_file_key_value_limit_and_remedy(where, value, message) -> None:
+    table = change(tomllib.loads(YARD), where, value)
+    with pytest.raises(WorldFileError, match=message) as caught:
+        world_from_dict(table, file="yard.toml")
+    text = str(caught.value)
+    assert text.startswith("yard.toml: ")
+    assert "\n" not in text
+
+
+def test_too_many_objects() -> None:
+    table = tomllib.loads(YARD)
+    table["objects"] += [{"type": "box", "x": 1.0, "y": 1.0}] * 7
+    with pytest.raises(WorldFileError, match="objects has 9 entries but must have 1 to 8"):
+        world_from_dict(table, file="yard.toml")
+    assert int(world_from_dict(table, file="y", num_slots=9).scenario.is_object.sum()) == 9
+
+
+def test_a_start_left_out_must_lie_in_the_area() -> None:
+    table = change(change(tomllib.loads(YARD), "start", ...), "area.x_min", 1.0)
+    with pytest.raises(WorldFileError, match="start is missing, and its default 0, 0 lies outside"):
+        world_from_dict(table, file="yard.toml")
+
+
+def test_files_that_cannot_be_read(tmp_path: Path) -> None:
+    cases = {
+        "missing.toml": (None, "no such file"),
+        "world.yaml": ("a: 1", "must end in .toml or .json"),
+        "broken.toml": ("[area\n", "is no valid TOML: .*line 1"),
+        "broken.json": ("{", "is no valid JSON: .*line 1"),
+        "list.json": ("[1]", r"the file is \[1\] but must be a table"),
+        "empty.toml": ("", "area is missing"),
+    }
+    for name, (text, message) in cases.items():
+        path = tmp_path / name if text is None else write(tmp_path, text, name)
+        with pytest.raises(WorldFileError, match=message) as caught:
+            load_world(path)
+        assert name in str(caught.value)
+        assert "\n" not in str(caught.value)
+    (tmp_path / "latin.toml").write_bytes(b"name = '\xe9'")
+    with pytest.raises(WorldFileError, match="is no text: save it as UTF-8"):
+        load_world(tmp_path / "latin.toml")
+    (tmp_path / "folder.toml").mkdir()
+    with pytest.raises(WorldFileError, match=r"folder\.toml: cannot be read: Is a directory"):
+        load_world(tmp_path / "folder.toml")
+
+
+def test_files_that_cannot_be_written(tmp_path: Path) -> None:
+    world = open_world("yard")
+    assert isinstance(world, World)
+    with pytest.raises(WorldFileError, match=r"must end in \.toml or .json"):
+        save_world(world, tmp_path / "yard.txt")
+    with pytest.raises(WorldFileError, match="cannot be written: No such file"):
+        save_world(world, tmp_path / "nowhere" / "yard.toml")
+
+
+def test_tables_are_plain_data() -> None:
+    world = open_world("street")
+    assert isinstance(world, World)
+    table = world_to_dict(world)
+    assert json.loads(json.dumps(table)) == table
+    assert table["start"]["heading"] == 90.0
+    assert table["sensor"]["field_of_view"] == 120.0
+    assert table["sensor"]["noise"] == 0.1
+
+
+def test_object_types_are_those_of_the_lexicon() -> None:
+    lexicon = Path(jaxlangnav.__file__).parent / "language" / "data" / "lexicon.toml"
+    if not lexicon.exists():
+        pytest.skip("no lexicon yet")
+    text = lexicon.read_text(encoding="utf-8")
+    positions = [text.find(name) for name in TYPE_NAMES]
+    assert min(positions) >= 0
