@@ -8,6 +8,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.messages import (
     NONE,
     MotionParams,
@@ -17,7 +18,7 @@ from jaxlangnav.messages import (
 )
 from jaxlangnav.world.fields import Fields
 from jaxlangnav.world.scenario import NUM_SLOTS
-from jaxlangnav.world.state import TYPE_NAMES, Scenario
+from jaxlangnav.world.state import Scenario
 
 Place = tuple[float, float]
 Bounds = tuple[float, float, float, float]
@@ -106,11 +107,12 @@ def _read_objects(
         raise top.fail(
             "objects", f"has {len(entries)} entries but must have 1 to {num_slots}: add or remove"
         )
+    type_names = load_lexicon().type_names
     types: list[int] = []
     names: list[str] = []
     places: list[Place] = []
     for fields in entries:
-        types.append(TYPE_NAMES.index(fields.choice("type", TYPE_NAMES, what="an object type")))
+        types.append(type_names.index(fields.choice("type", type_names, what="an object type")))
         name = fields.text("name") if fields.has("name") else ""
         if name and name in names:
             raise fields.fail("name", f"is {name!r} as is objects[{names.index(name)}]: rename one")

@@ -7,10 +7,8 @@ from jax import Array
 
 from jaxlangnav.pytree import pytree
 
-TYPE_NAMES = ("hydrant", "cone", "car", "building", "tree", "bench", "barrel", "box")
-"""Object types by index: the order of the lexicon (a test compares them)."""
 HYDRANT, CONE = 0, 1
-"""Object type indices of the two types that the templates of Table 2 place."""
+"""Type indices, by the lexicon's order, of the two types that the templates of Table 2 place."""
 
 
 @pytree

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from jax import Array
 
+from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.world.fields import WorldFileError
 from jaxlangnav.world.reading import World
-from jaxlangnav.world.state import TYPE_NAMES
 
 
 def save_world(world: World, path: str | Path) -> None:
@@ -45,7 +45,7 @@ def world_to_dict(world: World) -> dict[str, Any]:
         Tables that ``reading.world_from_dict`` reads back to the same world.
     """
     scenario = world.scenario
-    names = _object_names(world)
+    names, type_names = _object_names(world), load_lexicon().type_names
     goal_index = int(scenario.goal_index)
     goal = (
         {"object": names[goal_index]}
@@ -54,7 +54,7 @@ def world_to_dict(world: World) -> dict[str, Any]:
     )
     objects = [
         {
-            "type": TYPE_NAMES[int(scenario.object_type[slot])],
+            "type": type_names[int(scenario.object_type[slot])],
             **({"name": names[slot]} if names[slot] else {}),
             "x": _length(scenario.object_x[slot]),
             "y": _length(scenario.object_y[slot]),
