@@ -1,0 +1,55 @@
+"""Readings that the grammar allows but that must be refused rather than guessed.
+
+A wrong reading is worse than a refusal (issue 3): a noun compound with a type inside that is no
+known compound ("car park"), "go by the cone" (past it, or near it?), a fragment or an unknown verb
+with nothing known to hold on to.
+"""
+
+from jaxlangnav.language.phrase import LanguageError, Phrase, Word
+
+
+def _type_of(word: Word) -> str | None:
+    return next((sense for sense in word.senses if sense.startswith("type:")), None)
+
+
+def _refuse(words: list[Word], reason: str) -> LanguageError:
+    text = " ".join(word.text for word in words)
+    where = f"word {words[0].position}"
+    return LanguageError(f"'{text}' ({where}): {reason}")
+
+
+def _check_compound(phrase: Phrase) -> None:
+    """Refuse a noun phrase whose modifying noun is an object type of its own."""
+    nouns = [word for word in phrase.words if word.tag.startswith("NN")]
+    for word, following in zip(nouns, nouns[1:], strict=False):
+        if _type_of(word) is not None:
+            raise _refuse([word, following], "names no one object")
+
+
+def _check_verb(clause: Phrase) -> None:
+    """Refuse a command in which neither verb nor object is known."""
+    verbs = [word for word in clause.words if word.tag.startswith("VB") and not word.senses]
+    has_action = any(s.startswith(("action", "constraint")) for w in clause.words for s in w.senses)
+    types = [word for word in clause.all_words() if _type_of(word) is not None]
+    anaphors = [w for w in clause.all_words() if set(w.senses) & {"anaphor", "place"}]
+    if has_action or types or anaphors:
+        return
+    words = verbs or clause.all_words()
+    raise _refuse(words[:1], "neither a verb nor an object that I know")
+
+
+def check(clauses: list[Phrase]) -> None:
+    """Refuse what would be a guess.
+
+    Args:
+        clauses: roots of the trees, in order.
+
+    Raises:
+        LanguageError: one line naming the words.
+    """
+    for clause in clauses:
+        for phrase in clause.walk():
+            if phrase.label == "NP":
+                _check_compound(phrase)
+        if clause.label == "VP":
+            _check_verb(clause)

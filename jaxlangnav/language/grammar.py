@@ -1,0 +1,299 @@
+"""A probabilistic context-free grammar over classes of words, parsed by lark's Earley parser.
+
+The rules stand in ``data/grammar.txt``, the words in ``data/lexicon.toml``. Lark builds the shared
+packed parse forest; the most probable tree and the total probability of all trees are read off
+the forest by dynamic programming, so time stays polynomial however ambiguous the input.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from itertools import product
+from typing import Any
+
+from lark import Lark, Token
+from lark.exceptions import UnexpectedEOF, UnexpectedToken
+from lark.lexer import Lexer
+from lark.parsers.earley_forest import PackedNode, SymbolNode, TokenNode
+
+from jaxlangnav.language.lexicon import Entry, Lexicon, load_lexicon
+
+P_OPTIONAL = 0.2
+COMMA, FULLSTOP, UNKNOWN, UNKNOWN_ADVERB, UNKNOWN_ING = "comma", "fullstop", "?", "?ly", "?ing"
+# What an unknown word may be, with its weight beside the known words of the class.
+UNKNOWN_CLASSES = {
+    "unknown_noun": {UNKNOWN: 1.0, UNKNOWN_ING: 0.1},
+    "adj": {UNKNOWN: 0.3, UNKNOWN_ING: 0.05},
+    "v_to": {UNKNOWN: 0.05},
+    "v_obj": {UNKNOWN: 0.05},
+    "g_to": {UNKNOWN_ING: 0.05},
+    "g_obj": {UNKNOWN_ING: 0.05},
+    "adv": {UNKNOWN_ADVERB: 0.5},
+}
+UNKNOWN_TAGS = {
+    "unknown_noun": "NN", "adj": "JJ", "v_to": "VB", "v_obj": "VB",
+    "g_to": "VBG", "g_obj": "VBG", "adv": "RB",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Production:
+    """One rule: what it makes, of what, how probable, and the words it names if it is lexical."""
+
+    left: str
+    right: tuple[str, ...]  # nonterminals, or terminals (quoted words, unknown marks)
+    log_probability: float
+    entry: Entry | None = None  # lexical: the expression
+
+
+@dataclass(frozen=True)
+class Derivation:
+    """A node of the most probable tree; leaves are indices of tokens."""
+
+    production: Production
+    children: tuple["Derivation | int", ...]
+
+
+class NoParseError(Exception):
+    """No tree; ``index`` is the first token that cannot continue any (the length at the end)."""
+
+    def __init__(self, index: int) -> None:
+        super().__init__(f"no parse at token {index}")
+        self.index = index
+
+
+class _TokenLexer(Lexer):
+    """Hands lark tokens that are made already."""
+
+    def __init__(self, lexer_conf: Any) -> None:
+        del lexer_conf
+
+    def lex(self, data: Any) -> Iterator[Token]:
+        """Yield one lark token per terminal; ``start_pos`` is its index."""
+        for index, terminal in enumerate(data):
+            yield Token(terminal, terminal, start_pos=index)
+
+
+def _expand_options(right: list[str]) -> Iterator[tuple[tuple[str, ...], float]]:
+    """Write out a right side for each way to leave out its optional symbols."""
+    choices = [
+        [((symbol[:-1],), P_OPTIONAL), ((), 1 - P_OPTIONAL)]
+        if symbol.endswith("?")
+        else [((symbol,), 1.0)]
+        for symbol in right
+    ]
+    for choice in product(*choices):
+        symbols = tuple(symbol for part, _ in choice for symbol in part)
+        yield symbols, math.prod(weight for _, weight in choice)
+
+
+def read_rules(text: str) -> list[tuple[str, tuple[str, ...], float]]:
+    """Read rules ``left -> right [weight]``; ``#`` begins a comment.
+
+    Args:
+        text: contents of a grammar file.
+
+    Returns:
+        Left side, right side and weight of each rule, options written out.
+
+    Raises:
+        ValueError: a line is not a rule; the line's number is named.
+    """
+    rules = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        line = line.split("#")[0].strip()
+        if not line:
+            continue
+        parts = line.split()
+        weight = parts[-1]
+        if len(parts) < 4 or parts[1] != "->" or not (weight[0] == "[" and weight[-1] == "]"):
+            raise ValueError(f"grammar line {number}: expected 'left -> right [weight]'")
+        for right, share in _expand_options(parts[2:-1]):
+            rules.append((parts[0], right, float(weight[1:-1]) * share))
+    return rules
+
+
+def _lexical_rules(lexicon: Lexicon) -> list[tuple[str, tuple[str, ...], float, Entry | None]]:
+    """Make a rule for every expression of the lexicon and for unknown words."""
+    rules: list[tuple[str, tuple[str, ...], float, Entry | None]] = []
+    for name, entries in lexicon.entries.items():
+        rules += [(name, tuple(f'"{w}"' for w in key), 1.0, e) for key, e in entries.items()]
+    for name, marks in UNKNOWN_CLASSES.items():
+        known = max(1, len(lexicon.entries.get(name, {})))
+        rules += [(name, (f'"{mark}"',), known * share, None) for mark, share in marks.items()]
+    rules += [(mark, (f'"{mark}"',), 1.0, None) for mark in (COMMA, FULLSTOP)]
+    return rules
+
+
+class Grammar:
+    """The grammar made ready: parses token sequences to their most probable derivation."""
+
+    def __init__(self, rules_text: str, lexicon: Lexicon) -> None:
+        """Join rules and words.
+
+        Args:
+            rules_text: contents of a grammar file.
+            lexicon: words by class.
+
+        Raises:
+            ValueError: a rule names a symbol that is neither a left side nor a class.
+        """
+        rules = [(*rule, None) for rule in read_rules(rules_text)] + _lexical_rules(lexicon)
+        total: dict[str, float] = {}
+        for left, _, weight, _ in rules:
+            total[left] = total.get(left, 0.0) + weight
+        self.productions = [
+            Production(left, right, math.log(weight / total[left]), entry)
+            for left, right, weight, entry in rules
+        ]
+        lefts = set(total)
+        used = {symbol for p in self.productions for symbol in p.right if symbol[0] != '"'}
+        if used - lefts:
+            raise ValueError(f"grammar: no rule or class for {sorted(used - lefts)}")
+        self._names = {left: f"n{index}" for index, left in enumerate(sorted(lefts))}
+        words = {s for p in self.productions for s in p.right if s[0] == '"'}
+        # A word no class tells from another shares its terminal: fewer rules for Earley.
+        self._terminals = self._share_terminals(sorted(words))
+        self._by_rule = self._index()
+        self._lark = Lark(
+            self._lark_text(), start=self._names["start"], parser="earley", lexer=_TokenLexer,
+            ambiguity="forest", keep_all_tokens=True, maybe_placeholders=False,
+        )  # fmt: skip
+
+    def _share_terminals(self, words: list[str]) -> dict[str, str]:
+        """Give words that occur alone in the same classes one terminal."""
+        alone: dict[str, set[str]] = {word: set() for word in words}
+        for production in self.productions:
+            is_alone = len(production.right) == 1 and production.entry is not None
+            for symbol in production.right:
+                if symbol in alone:
+                    alone[symbol].add(production.left if is_alone else symbol)
+        groups: dict[frozenset[str], str] = {}
+        return {
+            word: groups.setdefault(frozenset(alone[word]), f"T{len(groups)}") for word in words
+        }
+
+    def _symbol(self, symbol: str) -> str:
+        return self._terminals[symbol] if symbol[0] == '"' else self._names[symbol]
+
+    def _index(self) -> dict[tuple[str, tuple[str, ...]], list[Production]]:
+        """Group productions by what lark sees; shared terminals put several words in one rule."""
+        index: dict[tuple[str, tuple[str, ...]], list[Production]] = {}
+        for production in self.productions:
+            right = tuple(self._symbol(symbol) for symbol in production.right)
+            index.setdefault((self._names[production.left], right), []).append(production)
+        return index
+
+    def _lark_text(self) -> str:
+        lines = []
+        by_left: dict[str, list[str]] = {}
+        for left, right in self._by_rule:
+            by_left.setdefault(left, []).append(" ".join(right))
+        lines = [f"{left}: " + "\n  | ".join(rights) for left, rights in by_left.items()]
+        terminals = " ".join(sorted(set(self._terminals.values())))
+        return "\n".join(lines) + f"\n%declare {terminals}\n"
+
+    def parse(self, tokens: list[str]) -> tuple[Derivation, float]:
+        """Find the most probable derivation.
+
+        Args:
+            tokens: words in lower case, or the marks of unknown words and punctuation.
+
+        Returns:
+            The derivation and its share of the probability of all derivations.
+
+        Raises:
+            NoParseError: there is none.
+        """
+        terminals = []
+        for index, token in enumerate(tokens):
+            if f'"{token}"' not in self._terminals:
+                raise NoParseError(index)
+            terminals.append(self._terminals[f'"{token}"'])
+        try:
+            root: Any = self._lark.parse(terminals)  # pyright: ignore
+        except UnexpectedEOF:
+            raise NoParseError(len(tokens)) from None
+        except UnexpectedToken as error:
+            raise NoParseError(error.token.start_pos) from None
+        return _ForestReader(self._by_rule, tokens).read(root)
+
+
+@dataclass
+class _Best:
+    """Of one forest node: best score, sum over all, and the best way (children in order)."""
+
+    log_best: float
+    log_sum: float
+    children: tuple["Derivation | int", ...]
+
+
+class _ForestReader:
+    """Viterbi and inside sums over a shared packed parse forest, without recursion."""
+
+    def __init__(
+        self, by_rule: dict[tuple[str, tuple[str, ...]], list[Production]], tokens: list[str]
+    ) -> None:
+        self.by_rule = by_rule
+        self.tokens = tokens
+        self.memo: dict[int, _Best] = {}
+
+    def read(self, root: SymbolNode) -> tuple[Derivation, float]:
+        """Return the best derivation of the root and its posterior probability."""
+        stack: list[Any] = [root]
+        while stack:
+            node = stack[-1]
+            parts = [c for p in node.children for c in p.children if isinstance(c, SymbolNode)]
+            waiting = [child for child in parts if id(child) not in self.memo]
+            if id(node) in self.memo or not waiting:
+                stack.pop()
+                self.memo.setdefault(id(node), self._combine(node))
+            else:
+                stack.extend(waiting)
+        best = self.memo[id(root)]
+        derivation = best.children[0]
+        if isinstance(derivation, int):
+            raise TypeError("the root of a forest is a derivation")
+        return derivation, math.exp(best.log_best - best.log_sum)
+
+    def _combine(self, node: SymbolNode) -> _Best:
+        ways = [self._way(node, packed) for packed in node.children]
+        best = max(ways, key=lambda way: way.log_best)
+        top = max(way.log_sum for way in ways)
+        log_sum = top + math.log(sum(math.exp(way.log_sum - top) for way in ways))
+        return _Best(best.log_best, log_sum, best.children)
+
+    def _way(self, node: SymbolNode, packed: PackedNode) -> _Best:
+        """Score one way to make a node: its rule and its parts."""
+        log_best = log_sum = 0.0
+        children: tuple[Derivation | int, ...] = ()
+        for part in packed.children:
+            if isinstance(part, TokenNode):
+                children += (part.token.start_pos,)
+                continue
+            value = self.memo[id(part)]
+            log_best, log_sum = log_best + value.log_best, log_sum + value.log_sum
+            children += value.children
+        if node.is_intermediate:
+            return _Best(log_best, log_sum, children)
+        production = self._production(packed.rule, children)
+        log_p = production.log_probability
+        return _Best(log_best + log_p, log_sum + log_p, (Derivation(production, children),))
+
+    def _production(self, rule: Any, children: tuple[Any, ...]) -> Production:
+        """Find which of the productions that share a lark rule the tokens mean."""
+        key = (rule.origin.name, tuple(symbol.name for symbol in rule.expansion))
+        candidates = self.by_rule[key]
+        if len(candidates) == 1:
+            return candidates[0]
+        words = tuple(f'"{self.tokens[child]}"' for child in children)
+        return next(candidate for candidate in candidates if candidate.right == words)
+
+
+@cache
+def load_grammar() -> Grammar:
+    """Build the grammar of the package; the same object at every call."""
+    text = resources.files("jaxlangnav.language").joinpath("data/grammar.txt").read_text("utf-8")
+    return Grammar(text, load_lexicon())

@@ -1,0 +1,185 @@
+"""The words: classes, Penn tags and senses, read from ``data/lexicon.toml`` (section 3.1).
+
+A new object type or synonym is one line there. Everything derived (plurals, -ing forms, the
+terminals of the grammar) is derived here.
+"""
+
+import tomllib
+from dataclasses import dataclass, field
+from functools import cache
+from importlib import resources
+
+TYPE_CLASS = "type"
+REASONS = {
+    "negation": "negation is not supported",
+    "containment": "containment is not supported",
+    "path": "paths are not supported",
+    "condition": "conditions and alternatives are not supported",
+    "pronoun": "pronouns are not supported, name the object",
+    "quantity": "numbers and quantities are not supported",
+    "a question": "questions are not supported",
+    "such an action": "this action is not supported here",
+    "such a relation": "this relation is not supported here",
+    "the speaker's own place": "the speaker's own place is not known to the robot",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entry:
+    """An expression of one or more words in one class."""
+
+    words: tuple[str, ...]
+    tags: tuple[str, ...]  # Penn, per word
+    lemmas: tuple[str, ...]
+    senses: tuple[tuple[str, ...], ...]  # per word; empty but for the head of the expression
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lexicon:
+    """All expressions by class, and what is refused."""
+
+    type_names: tuple[str, ...]  # object types; position is the type index
+    entries: dict[str, dict[tuple[str, ...], Entry]]  # class → words → entry
+    refused: dict[str, str]  # word → why
+    tags: dict[str, str] = field(default_factory=dict)  # word → Penn tag in expressions
+
+    @property
+    def vocabulary(self) -> frozenset[str]:
+        """Every word that some class, or the list of refused words, knows."""
+        known = {word for entries in self.entries.values() for key in entries for word in key}
+        return frozenset(known | set(self.refused) | {"'s"})
+
+
+def plural(noun: str) -> str:
+    """Make a regular plural: boxes, benches, cones."""
+    if noun.endswith(("s", "x", "ch", "sh")):
+        return noun + "es"
+    if noun.endswith("y") and noun[-2:-1] not in "aeiou":
+        return noun[:-1] + "ies"
+    return noun + "s"
+
+
+def ing_form(verb: str) -> str:
+    """Make a regular -ing form: moving, stopping, seeing."""
+    if verb.endswith("e") and not verb.endswith(("ee", "ye", "oe")) and verb != "be":
+        return verb[:-1] + "ing"
+    doubles = len(verb) == 3 or verb in {"stop", "spot", "shun", "swing", "step"}
+    closed = verb[-1] in "bdgmnpt" and verb[-2] in "aeiou" and verb[-3:-2] not in "aeiou"
+    return verb + verb[-1] + "ing" if doubles and closed and verb != "get up" else verb + "ing"
+
+
+def _entry(text: str, tag: str, senses: tuple[str, ...], tags: dict[str, str]) -> Entry:
+    """Read one expression; ``*`` marks the word that carries the senses."""
+    marked = text.split()
+    words = tuple(word.lstrip("*") for word in marked)
+    starred = [index for index, word in enumerate(marked) if word.startswith("*")]
+    head = starred[0] if starred else len(words) - 1
+    is_single = len(words) == 1
+    return Entry(
+        words=words,
+        tags=tuple(tag if is_single else tags.get(word, tag) for word in words),
+        lemmas=words,
+        senses=tuple(senses if index == head else () for index in range(len(words))),
+    )
+
+
+def _derived(entry: Entry, index: int, form: str, tag: str) -> Entry:
+    """Copy an entry with one word put in another form; its lemma stays."""
+
+    def put(values: tuple[str, ...], value: str) -> tuple[str, ...]:
+        return values[:index] + (value,) + values[index + 1 :]
+
+    return Entry(
+        words=put(entry.words, form),
+        tags=put(entry.tags, tag),
+        lemmas=entry.lemmas,
+        senses=entry.senses,
+    )
+
+
+class _Builder:
+    """Collects entries class by class; two lists with one expression join their senses."""
+
+    def __init__(self, tags: dict[str, str]) -> None:
+        self.tags = tags
+        self.entries: dict[str, dict[tuple[str, ...], Entry]] = {}
+
+    def add(self, name: str, entry: Entry) -> None:
+        """Put an entry in a class unless the class has the expression already."""
+        self.entries.setdefault(name, {}).setdefault(entry.words, entry)
+
+    def add_types(self, types: dict[str, list[str]]) -> None:
+        """Add the names of object types and their plurals."""
+        for type_name, names in types.items():
+            for name in dict.fromkeys([type_name, *names]):
+                entry = _entry(name, "NN", (f"type:{type_name}",), self.tags)
+                last = len(entry.words) - 1
+                tags = ("NN",) * (last + 1)
+                entry = Entry(
+                    words=entry.words, tags=tags, lemmas=entry.lemmas, senses=entry.senses
+                )
+                self.add(TYPE_CLASS, entry)
+                self.add(TYPE_CLASS, _derived(entry, last, plural(entry.words[last]), "NNS"))
+
+    def add_class(self, name: str, table: dict[str, str | list[str]]) -> None:
+        """Add one ``[class.X]`` table, with -ing forms where it asks for them."""
+        tag, ing = str(table["tag"]), table.get("ing")
+        for senses_text, texts in table.items():
+            if senses_text in ("tag", "ing"):
+                continue
+            senses = () if senses_text == "plain" else tuple(senses_text.split())
+            for text in texts:
+                entry = _entry(text, tag, senses, self.tags)
+                self.add(name, entry)
+                if ing is not None:
+                    first = _derived(entry, 0, ing_form(entry.words[0]), "VBG")
+                    self.add(str(ing), first)
+
+
+@cache
+def load_lexicon() -> Lexicon:
+    """Read the lexicon of the package.
+
+    Returns:
+        The lexicon; the same object at every call.
+
+    Raises:
+        ValueError: the file names a class or a reason that does not exist.
+    """
+    text = resources.files("jaxlangnav.language").joinpath("data/lexicon.toml").read_text("utf-8")
+    return read_lexicon(text)
+
+
+def read_lexicon(text: str) -> Lexicon:
+    """Read a lexicon from TOML; the format is described at the head of ``lexicon.toml``.
+
+    Args:
+        text: contents of the file.
+
+    Returns:
+        The lexicon.
+
+    Raises:
+        ValueError: a table is missing or a reason for refusal is unknown.
+    """
+    document = tomllib.loads(text)
+    for table in ("types", "class", "tags", "refused"):
+        if table not in document:
+            raise ValueError(f"lexicon: table [{table}] is missing")
+    unknown = set(document["refused"]) - set(REASONS)
+    if unknown:
+        raise ValueError(f"lexicon: [refused] has unknown reasons {sorted(unknown)}")
+    builder = _Builder(document["tags"])
+    builder.add_types(document["types"])
+    for name, table in document["class"].items():
+        builder.add_class(name, table)
+    refused: dict[str, str] = {}
+    for reason, words in document["refused"].items():
+        for word in words:
+            refused.setdefault(word, REASONS[reason])
+    return Lexicon(
+        type_names=tuple(document["types"]),
+        entries=builder.entries,
+        refused=refused,
+        tags=document["tags"],
+    )

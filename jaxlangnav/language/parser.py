@@ -1,0 +1,187 @@
+"""From text to a phrase tree, or a refusal of one clear line (section 3.1).
+
+Every word of the sentence is in the tree or the sentence is refused: a relation is never dropped.
+Unknown nouns, adjectives, verbs and adverbs get their part of speech from context and are named;
+typing errors are repaired and reported. Time is bounded: input is limited in characters and words,
+and the parser is polynomial.
+"""
+
+import re
+from dataclasses import dataclass
+
+from jaxlangnav.language.check import check
+from jaxlangnav.language.grammar import (
+    COMMA,
+    FULLSTOP,
+    UNKNOWN,
+    UNKNOWN_ADVERB,
+    UNKNOWN_ING,
+    NoParseError,
+    load_grammar,
+)
+from jaxlangnav.language.lexicon import load_lexicon
+from jaxlangnav.language.phrase import COMMAND, STATEMENT, LanguageError, Parse
+from jaxlangnav.language.spelling import repair
+from jaxlangnav.language.tree import TreeBuilder
+
+MAX_CHARACTERS = 10_000
+MAX_WORDS = 64
+_TOKEN = re.compile(r"[^\W\d_]+(?:['-][^\W\d_]+)*|\d+(?:st|nd|rd|th)?\b|\d[\w.]*|[.!?;]+|[,:]|\S")
+_IGNORED = set("\"'()[]*`“”")
+_COMMAS = {",", ":", "-", "–", "—"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Token:
+    """One word or mark, as written and as the grammar sees it."""
+
+    text: str
+    terminal: str
+    position: int  # 1-based, of words; marks have the position of the word before
+
+
+class _Reader:
+    """Splits text into tokens, repairing and marking what the lexicon does not know."""
+
+    def __init__(self) -> None:
+        self.lexicon = load_lexicon()
+        self.vocabulary = _vocabulary()
+        self.tokens: list[_Token] = []
+        self.repairs: list[tuple[str, str]] = []
+        self.num_words = 0
+
+    def read(self, text: str) -> None:
+        """Read all of a text."""
+        for match in _TOKEN.finditer(text.lower().replace("’", "'").replace("‘", "'")):
+            piece = match.group()
+            if piece[0] in ".!?;" or piece in _COMMAS:
+                self._mark(COMMA if piece in _COMMAS else FULLSTOP)
+            elif piece not in _IGNORED:
+                for word in self._split(piece):
+                    self._word(word)
+        while self.tokens and self.tokens[-1].terminal in (COMMA, FULLSTOP):
+            self.tokens.pop()
+
+    def _mark(self, terminal: str) -> None:
+        """Add punctuation; a run of marks is its last, and none stands at the beginning."""
+        if self.tokens and self.tokens[-1].terminal in (COMMA, FULLSTOP):
+            self.tokens.pop()
+        if self.tokens:
+            self.tokens.append(_Token(text="", terminal=terminal, position=self.num_words))
+
+    def _split(self, piece: str) -> list[str]:
+        """Part "cone's" and hyphened words of which the lexicon knows the parts."""
+        if piece in self.vocabulary:
+            return [piece]
+        if piece.endswith("'s"):
+            return [*self._split(piece[:-2]), "'s"]
+        parts = piece.split("-")
+        return parts if len(parts) > 1 and set(parts) <= self.vocabulary else [piece]
+
+    def _word(self, word: str) -> None:
+        """Add a word: known, repaired, or marked unknown."""
+        self.num_words += 1
+        if self.num_words > MAX_WORDS:
+            raise LanguageError(f"the instruction has more than {MAX_WORDS} words; shorten it")
+        if not word[0].isalpha() and word not in self.vocabulary:
+            raise LanguageError(_symbol_message(word, self.num_words))
+        terminal = word
+        if word not in self.vocabulary:
+            repaired = repair(word)
+            if repaired is None:
+                terminal = _unknown_mark(word)
+            else:
+                self.repairs.append((word, repaired))
+                word = terminal = repaired
+        self.tokens.append(_Token(text=word, terminal=terminal, position=self.num_words))
+
+
+def _vocabulary() -> frozenset[str]:
+    return load_lexicon().vocabulary
+
+
+def _symbol_message(symbol: str, position: int) -> str:
+    what = "numbers are not supported" if symbol[0].isdigit() else "this sign is not supported"
+    return f"'{symbol[:30]}' (word {position}): {what}"
+
+
+def _unknown_mark(word: str) -> str:
+    """Say what an unknown word can be, by its ending."""
+    if word.endswith("ly") and len(word) > 4:
+        return UNKNOWN_ADVERB
+    if word.endswith("ing") and len(word) > 5:
+        return UNKNOWN_ING
+    return UNKNOWN
+
+
+def parse(text: str) -> Parse:
+    """Parse an instruction of one or more clauses.
+
+    Args:
+        text: what the person typed, at most 10,000 characters.
+
+    Returns:
+        The most probable phrase trees, what was unknown and what was repaired.
+
+    Raises:
+        LanguageError: empty, too long, unsupported or not understood; one line that names the
+            word and its position.
+    """
+    if len(text) > MAX_CHARACTERS:
+        raise LanguageError(f"the instruction has more than {MAX_CHARACTERS} characters")
+    reader = _Reader()
+    reader.read(text)
+    tokens = reader.tokens
+    if not tokens:
+        raise LanguageError("the instruction is empty")
+    try:
+        derivation, probability = load_grammar().parse([token.terminal for token in tokens])
+    except NoParseError as error:
+        raise LanguageError(_refusal(tokens, error.index)) from None
+    builder = TreeBuilder([t.text for t in tokens], [t.position for t in tokens])
+    clauses = builder.build(derivation)
+    check(clauses)
+    unknown = [
+        (t.text, t.position) for t in tokens if t.terminal in (UNKNOWN, UNKNOWN_ADVERB, UNKNOWN_ING)
+    ]
+    return Parse(
+        instruction=text,
+        clauses=tuple(clauses),
+        kinds=tuple(STATEMENT if clause.label == "S" else COMMAND for clause in clauses),
+        unknown_words=tuple(unknown),
+        repairs=tuple(reader.repairs),
+        probability=probability,
+    )
+
+
+def _refusal(tokens: list[_Token], index: int) -> str:
+    """Say in one line which word stands in the way.
+
+    Of the words up to where no tree can go on, the last that is unsupported is named, else the
+    last that is unknown, else the one at that place.
+    """
+    refused = load_lexicon().refused
+    read = [token for token in tokens[: index + 1] if token.text]
+    at_end = index >= len(tokens)
+    if not at_end and read[-1].text in refused and tokens[index].text:
+        return f"'{read[-1].text}' (word {read[-1].position}): {refused[read[-1].text]}"
+    unknown = [t for t in read if t.terminal.startswith("?")]
+    for token in reversed(read[:-1] if not at_end else read):
+        if token.text in refused and not _is_function_word(token.text):
+            return f"'{token.text}' (word {token.position}): {refused[token.text]}"
+        if token in unknown:
+            return f"'{token.text}' (word {token.position}): unknown word, and no reading fits it"
+    last = read[-1]
+    if at_end:
+        return f"the sentence breaks off after '{last.text}' (word {last.position})"
+    return f"'{last.text}' (word {last.position}): cannot be read here"
+
+
+def _is_function_word(word: str) -> bool:
+    """Tell whether a refused word also begins supported expressions, so is no reason by itself."""
+    return word in _EVERYDAY
+
+
+_EVERYDAY = frozenset(
+    "in to of for at on by with from is are i me my get move keep make take there use let".split()
+)

@@ -1,0 +1,87 @@
+"""The phrase tree: what the parser says and grounding reads (section 3.1, λ of eq. 4).
+
+A phrase has its own words and child phrases; the words of a child are not repeated in its parent.
+Labels are those of the Penn Treebank. Host-side records, no JAX: strings end in ``language/``.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+COMMAND = "command"
+STATEMENT = "statement"
+
+
+class LanguageError(ValueError):
+    """A sentence that is refused; the message is one line naming the word and its position."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Word:
+    """One word of an instruction."""
+
+    text: str  # lower case, as written (after repair of a typing error)
+    tag: str  # Penn Treebank part of speech
+    lemma: str  # singular, infinitive
+    senses: tuple[str, ...] = ()  # "type:hydrant", "relation:behind", "action:find", ...
+    position: int = 0  # 1-based count of words in the instruction, punctuation not counted
+
+
+@dataclass(frozen=True, kw_only=True)
+class Phrase:
+    """One node of the tree."""
+
+    label: str  # VP, PP, NP, ADJP, SBAR, S
+    words: tuple[Word, ...]  # its own, in order of the sentence; may be empty
+    children: tuple["Phrase", ...] = ()
+
+    def __str__(self) -> str:
+        """Write the phrase on one line, for example ``PP[behind]{NP[the cone]}``."""
+        head = f"{self.label}[{' '.join(word.text for word in self.words)}]"
+        if not self.children:
+            return head
+        return head + "{" + ", ".join(str(child) for child in self.children) + "}"
+
+    def walk(self) -> Iterator["Phrase"]:
+        """Yield all phrases, children before parents (the order of inference)."""
+        for child in self.children:
+            yield from child.walk()
+        yield self
+
+    def all_words(self) -> list[Word]:
+        """Collect the words of the phrase and of all below it, in order of the sentence."""
+        words = [word for phrase in self.walk() for word in phrase.words]
+        return sorted(words, key=lambda word: word.position)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Build the nested document that ``jaxlangnav parse --json`` prints."""
+        return {
+            "label": self.label,
+            "words": [{"text": word.text, "tag": word.tag} for word in self.words],
+            "children": [child.to_dict() for child in self.children],
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parse:
+    """What the parser makes of an instruction."""
+
+    instruction: str  # as given
+    clauses: tuple[Phrase, ...]  # roots, in order; one for an ordinary command
+    kinds: tuple[str, ...]  # per clause: COMMAND or STATEMENT (informs, asks for nothing)
+    unknown_words: tuple[tuple[str, int], ...]  # (word, position), part of speech was guessed
+    repairs: tuple[tuple[str, str], ...]  # (as typed, as read)
+    probability: float  # of this tree among all trees of the sentence
+
+    def to_dict(self) -> dict[str, Any]:
+        """Build a JSON document; several clauses stand below one node labelled ROOT."""
+        trees = [clause.to_dict() for clause in self.clauses]
+        joined = {"label": "ROOT", "words": [], "children": trees}
+        return {
+            "instruction": self.instruction,
+            "tree": trees[0] if len(trees) == 1 else joined,
+            "kinds": list(self.kinds),
+            "unknown_words": [{"text": t, "position": p} for t, p in self.unknown_words],
+            "repairs": [{"from": a, "to": b} for a, b in self.repairs],
+            "probability": self.probability,
+        }

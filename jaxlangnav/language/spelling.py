@@ -1,0 +1,74 @@
+"""Repair of typing errors: one edit or transposition, in words of five letters and more.
+
+A word that is itself English is left alone: "beach" is not "bench". ``data/not_errors.txt`` lists
+the English words within one edit of a word of the lexicon.
+"""
+
+from functools import cache
+from importlib import resources
+from string import ascii_lowercase
+
+from jaxlangnav.language.lexicon import Lexicon, load_lexicon
+
+MIN_LETTERS = 5
+
+
+def edits(word: str) -> set[str]:
+    """List everything one deletion, transposition, replacement or insertion away.
+
+    Args:
+        word: lower case.
+
+    Returns:
+        All strings at Damerau-Levenshtein distance one over a-z (and the word itself).
+    """
+    parts = [(word[:cut], word[cut:]) for cut in range(len(word) + 1)]
+    found = {a + b[1:] for a, b in parts if b}
+    found |= {a + b[1] + b[0] + b[2:] for a, b in parts if len(b) > 1}
+    found |= {a + letter + b[1:] for a, b in parts if b for letter in ascii_lowercase}
+    found |= {a + letter + b for a, b in parts for letter in ascii_lowercase}
+    return found
+
+
+@cache
+def not_errors() -> frozenset[str]:
+    """Read the English words that look like typing errors but are none."""
+    path = resources.files("jaxlangnav.language").joinpath("data/not_errors.txt")
+    lines = path.read_text("utf-8").splitlines()
+    return frozenset(line.strip() for line in lines if line and not line.startswith("#"))
+
+
+def _meanings(word: str, lexicon: Lexicon) -> frozenset[tuple[str, tuple[str, ...]]]:
+    """Collect what a word can mean alone: class and senses."""
+    found = {
+        (name, tuple(sense for senses in entry.senses for sense in senses))
+        for name, entries in lexicon.entries.items()
+        for key, entry in entries.items()
+        if key == (word,)
+    }
+    return frozenset(found)
+
+
+@cache
+def repair(word: str) -> str | None:
+    """Find the one word of the lexicon that a mistyped word must be.
+
+    Args:
+        word: lower case, not in the lexicon.
+
+    Returns:
+        The repaired word; None where the word is short, English, hopeless, or could be any of
+        several words of different meaning.
+    """
+    lexicon = load_lexicon()
+    if len(word) < MIN_LETTERS or not word.isascii() or not word.isalpha() or word in not_errors():
+        return None
+    if len(word) > 20:
+        return None
+    candidates = sorted(c for c in edits(word) & lexicon.vocabulary if len(c) >= MIN_LETTERS - 1)
+    if not candidates:
+        return None
+    if len(candidates) == 1 or len({_meanings(c, lexicon) for c in candidates}) == 1:
+        return candidates[0]
+    transposed = [c for c in candidates if sorted(c) == sorted(word)]
+    return transposed[0] if len(transposed) == 1 else None
