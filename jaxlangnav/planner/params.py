@@ -42,7 +42,7 @@ class PlannerConfig:
 def default_planner_params() -> PlannerParams:
     """Build the parameters used in all tables unless they say otherwise."""
     return PlannerParams(
-        discount=jnp.float32(0.9),
+        discount=jnp.float32(0.8),
         stop_probability=jnp.float32(0.7),
         reach=jnp.float32(0.5),
         frontier_miss=jnp.float32(0.5),

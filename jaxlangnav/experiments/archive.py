@@ -1,0 +1,137 @@
+"""Writing results down: Parquet beside a manifest that says how they were made (section 4.2)."""
+
+import hashlib
+import importlib.metadata
+import json
+import os
+import platform
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from jaxlangnav import __version__
+
+_LIBRARIES = ("jax", "jaxlib", "numpy", "optax", "pyarrow")
+
+
+def write_table(columns: Mapping[str, Any], path: Path) -> Path:
+    """Write one row per episode as Parquet, all or nothing.
+
+    Args:
+        columns: by name, arrays [E] or lists of E; an array [E, 2] becomes a column of lists.
+        path: of the file; its folder is made.
+
+    Returns:
+        The path.
+
+    Raises:
+        ValueError: columns of different lengths.
+    """
+    lengths = {name: len(values) for name, values in columns.items()}
+    if len(set(lengths.values())) > 1:
+        raise ValueError(f"columns have different lengths: {lengths}")
+    arrays = {name: _column(values) for name, values in columns.items()}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    # Written beside and moved: a full disk or a kill leaves no torn file under the name.
+    partial = path.with_name(f".{path.name}.partial")
+    try:
+        pq.write_table(pa.table(arrays), partial, compression="zstd")
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+    return path
+
+
+def write_text(text: str, path: Path) -> Path:
+    """Write a text file, all or nothing.
+
+    Args:
+        text: what to write.
+        path: of the file; its folder is made.
+
+    Returns:
+        The path.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, partial = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(text)
+        Path(partial).chmod(0o644)
+        Path(partial).replace(path)
+    finally:
+        Path(partial).unlink(missing_ok=True)
+    return path
+
+
+def manifest(settings: Mapping[str, Any], *, models: Any = None) -> dict[str, Any]:
+    """Say how results were made.
+
+    Args:
+        settings: configuration, seed and whatever else a repetition needs.
+        models: a pytree of arrays, the trained weights; None where none was used.
+
+    Returns:
+        Settings, versions, the models' hash, the device.
+    """
+    device = jax.devices()[0]
+    return {
+        "settings": dict(settings),
+        "jaxlangnav": __version__,
+        "python": platform.python_version(),
+        "libraries": {name: importlib.metadata.version(name) for name in _LIBRARIES},
+        "models_sha256": None if models is None else pytree_hash(models),
+        "device": {
+            "platform": device.platform,
+            "kind": device.device_kind,
+            "count": jax.device_count(),
+        },
+        "machine": {
+            "system": platform.system(),
+            "cpu": platform.machine(),
+            "cores": os.cpu_count(),
+        },
+    }
+
+
+def write_manifest(document: Mapping[str, Any], path: Path) -> Path:
+    """Write a manifest as JSON.
+
+    Args:
+        document: of JSON's own types.
+        path: of the file; its folder is made.
+
+    Returns:
+        The path.
+    """
+    return write_text(json.dumps(document, indent=2, ensure_ascii=False) + "\n", path)
+
+
+def pytree_hash(tree: Any) -> str:
+    """Hash the arrays of a pytree: names, shapes, types and bytes.
+
+    Args:
+        tree: any pytree of arrays and numbers.
+
+    Returns:
+        SHA-256 in hexadecimal.
+    """
+    digest = hashlib.sha256()
+    for path, leaf in jax.tree_util.tree_leaves_with_path(tree):
+        array = np.asarray(leaf)
+        digest.update(f"{jax.tree_util.keystr(path)}{array.shape}{array.dtype.str}".encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()
+
+
+def _column(values: Any) -> pa.Array:
+    """Turn an array or a list into a Parquet column."""
+    if isinstance(values, np.ndarray) and values.ndim > 1:
+        return pa.array(list(values))
+    return pa.array(values)

@@ -1,0 +1,61 @@
+"""How long JAX has compiled: compilation is reported apart from the work itself."""
+
+import time
+from types import TracebackType
+from typing import Any, Self
+
+import jax.monitoring
+
+_COMPILE_EVENTS = "/jax/core/compile/"
+_intervals: list[tuple[float, float]] = []
+_is_listening = False
+
+
+def _listen(event: str, duration: float, **_details: Any) -> None:
+    """Note when a trace, a lowering or a compilation began and ended."""
+    if event.startswith(_COMPILE_EVENTS):
+        now = time.perf_counter()
+        _intervals.append((now - duration, now))
+
+
+class CompileClock:
+    """Context manager: seconds in which at least one thread traced, lowered or compiled.
+
+    Nested and parallel compilations count once: ``seconds`` is the length of the union of their
+    intervals, so it never exceeds the time that passed.
+    """
+
+    def __enter__(self) -> Self:
+        """Start the clock; JAX is asked once per process to report."""
+        global _is_listening  # JAX keeps listeners for the life of the process.
+        if not _is_listening:
+            jax.monitoring.register_event_duration_secs_listener(_listen)
+            _is_listening = True
+        self._first = len(_intervals)
+        self.seconds = 0.0
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Stop the clock."""
+        self.seconds = union_length(_intervals[self._first :])
+
+
+def union_length(intervals: list[tuple[float, float]]) -> float:
+    """Measure the union of intervals.
+
+    Args:
+        intervals: begin and end of each, in any order.
+
+    Returns:
+        Its length; overlaps count once.
+    """
+    total, reached = 0.0, float("-inf")
+    for begin, end in sorted(intervals):
+        total += max(0.0, end - max(begin, reached))
+        reached = max(reached, end)
+    return total

@@ -1,0 +1,90 @@
+"""What a row of a results table says of its episodes (section 4.2)."""
+
+import dataclasses
+import math
+
+import numpy as np
+
+from jaxlangnav.episode import EpisodeResult
+
+_Z95 = 1.959964
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class RowMetrics:
+    """Summary of a group of episodes; distances in metres, rates in percent."""
+
+    episodes: int
+    success_rate: float
+    success_ci: tuple[float, float]
+    distance_mean: float
+    distance_sd: float
+    known_distance_mean: float
+    known_distance_sd: float
+    spl: float
+    steps_mean: float
+    overflows: int
+    degenerate: int
+    timeouts: int
+    invalid_worlds: int
+
+
+def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
+    """Compute the 95 % Wilson score interval of a rate.
+
+    Limits: no trials give (0, 1); all successes give an upper end of 1.
+
+    Args:
+        successes: how many succeeded.
+        trials: of how many.
+
+    Returns:
+        Lower and upper end, in [0, 1].
+    """
+    if trials == 0:
+        return 0.0, 1.0
+    rate, z2 = successes / trials, _Z95**2
+    centre = (rate + z2 / (2 * trials)) / (1 + z2 / trials)
+    half = _Z95 / (1 + z2 / trials) * math.sqrt(
+        rate * (1 - rate) / trials + z2 / (4 * trials * trials)
+    )
+    return max(0.0, centre - half), min(1.0, centre + half)
+
+
+def summarize(results: EpisodeResult, known_distance: np.ndarray) -> RowMetrics:
+    """Summarise episodes of one row.
+
+    SPL is success weighted by path length: the mean of success · l / max(l, d), with l the known
+    map's distance and d the distance travelled. Worlds that missed their template's law are
+    counted and left out.
+
+    Args:
+        results: leaves [E, …].
+        known_distance: f32[E], metres, straight way from start to goal.
+
+    Returns:
+        The summary.
+    """
+    valid = np.asarray(results.is_valid)
+    success = np.asarray(results.is_success)[valid]
+    distance = np.asarray(results.distance, np.float64)[valid]
+    known = np.asarray(known_distance, np.float64)[valid]
+    number = int(valid.sum())
+    low, high = wilson_interval(int(success.sum()), number)
+    spread = float(distance.std(ddof=1)) if number > 1 else 0.0
+    known_spread = float(known.std(ddof=1)) if number > 1 else 0.0
+    return RowMetrics(
+        episodes=number,
+        success_rate=100.0 * float(success.mean()) if number else 0.0,
+        success_ci=(100.0 * low, 100.0 * high),
+        distance_mean=float(distance.mean()) if number else 0.0,
+        distance_sd=spread,
+        known_distance_mean=float(known.mean()) if number else 0.0,
+        known_distance_sd=known_spread,
+        spl=float((success * known / np.maximum(known, distance)).mean()) if number else 0.0,
+        steps_mean=float(np.asarray(results.steps)[valid].mean()) if number else 0.0,
+        overflows=int(np.asarray(results.overflow)[valid].sum()),
+        degenerate=int(np.asarray(results.degenerate)[valid].sum()),
+        timeouts=int((~np.asarray(results.is_stopped)[valid]).sum()),
+        invalid_worlds=int((~valid).sum()),
+    )
