@@ -11,7 +11,5 @@ SUMMARIES = {
     "train": "Train the annotation or the behavior model on a corpus.",
     "evaluate": "Measure both models on hold-out splits (Table 1).",
     "reproduce": "Run an experiment of the paper and set it beside the printed numbers.",
-    "sweep": "Run any grid of worlds, commands, ranges and policies; resumable.",
-    "bench": "Measure speed, against the baselines, as ratios.",
 }
 """Every command and its line in ``jaxlangnav --help``; the module has the command's name."""

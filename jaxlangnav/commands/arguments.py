@@ -7,6 +7,7 @@ boxes of several lines; scripts and people get one line instead, with the neares
 import contextlib
 import dataclasses
 import importlib
+import inspect
 import io
 import re
 from collections.abc import Sequence
@@ -45,10 +46,11 @@ def parse_arguments(arguments: Sequence[str]) -> Command:
         SystemExit: help was asked for and has been printed.
     """
     name, *options = arguments
+    if name.startswith("-"):
+        raise UsageError(f'expected a command before "{name}" (see {PROGRAM} --help)')
     if name not in SUMMARIES:
         hint = did_you_mean(name, SUMMARIES) or f"; choose from {', '.join(SUMMARIES)}"
-        kind = "option" if name.startswith("-") else "command"
-        raise UsageError(f'unknown {kind} "{name}"{hint}')
+        raise UsageError(f'unknown command "{name}"{hint}')
     return _read(command_class(name), options, program=f"{PROGRAM} {name}")
 
 
@@ -75,6 +77,7 @@ def _read(kind: type[Any], options: Sequence[str], *, program: str) -> Any:
             return tyro.cli(
                 kind,
                 prog=program,
+                description=inspect.cleandoc(kind.__doc__ or ""),
                 args=list(options),
                 config=(tyro.conf.FlagCreatePairsOff, tyro.conf.PositionalMetavarFromFieldName),
             )
@@ -87,17 +90,20 @@ def _read(kind: type[Any], options: Sequence[str], *, program: str) -> Any:
 
 def _explain(complaint: str, kind: type[Any], options: Sequence[str]) -> str:
     """Say in one line why the options could not be read."""
-    flags = ["--help", *(f"--{_dashed(field.name)}" for field in dataclasses.fields(kind))]
+    fields = {f"--{field.name.replace('_', '-')}": field for field in dataclasses.fields(kind)}
     for option in options:
-        flag = option.split("=", 1)[0]
-        if flag.startswith("--") and flag not in flags:
-            return f'unknown option "{flag}"{did_you_mean(flag, flags)}'
+        flag, is_assigned, _ = option.partition("=")
+        if flag.startswith("--") and flag not in fields:
+            return f'unknown option "{flag}"{did_you_mean(flag, ["--help", *fields])}'
+        if is_assigned and flag in fields and fields[flag].type in (bool, "bool"):
+            return f'{flag} takes no value, not "{option}"'
     title, message = _fold(complaint)
     if title.startswith("Unrecognized"):
         words = message.removeprefix("Unrecognized options:").strip()
         return f'unexpected "{words}"; a sentence of several words goes in quotes'
     if title.startswith(("Required", "Missing")):
-        return message.replace("(required)", "").strip()
+        missing = re.sub(r"^Missing from .*?: ", "", message).replace("(required)", "").strip()
+        return "missing " + re.sub(r"^([A-Z]+) ", r"\1: ", missing).rstrip(".")
     return message[:1].lower() + message[1:].rstrip(".")
 
 
@@ -113,8 +119,3 @@ def _fold(complaint: str) -> tuple[str, str]:
         elif line:
             paragraph.append(line)
     return title, " ".join(" ".join(paragraph).split())
-
-
-def _dashed(name: str) -> str:
-    """Write a field's name as an option: ``num_splits`` is ``num-splits``."""
-    return name.replace("_", "-")

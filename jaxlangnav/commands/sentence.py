@@ -32,7 +32,7 @@ def parse_text(text: str, output: Output) -> "Parse":
     for written, meant in parsed.repairs:
         output.note(f'note: "{written}" is read as "{meant}"')
     for word, position in parsed.unknown_words:
-        output.note(f'note: "{word}" (word {position + 1}) is not in the lexicon')
+        output.note(f'note: "{word}" (word {position}) is not in the lexicon')
     return parsed
 
 

@@ -7,15 +7,6 @@ from typing import Any, Self
 import jax.monitoring
 
 _COMPILE_EVENTS = "/jax/core/compile/"
-_intervals: list[tuple[float, float]] = []
-_is_listening = False
-
-
-def _listen(event: str, duration: float, **_details: Any) -> None:
-    """Note when a trace, a lowering or a compilation began and ended."""
-    if event.startswith(_COMPILE_EVENTS):
-        now = time.perf_counter()
-        _intervals.append((now - duration, now))
 
 
 class CompileClock:
@@ -26,13 +17,10 @@ class CompileClock:
     """
 
     def __enter__(self) -> Self:
-        """Start the clock; JAX is asked once per process to report."""
-        global _is_listening  # JAX keeps listeners for the life of the process.
-        if not _is_listening:
-            jax.monitoring.register_event_duration_secs_listener(_listen)
-            _is_listening = True
-        self._first = len(_intervals)
+        """Start the clock: ask JAX to report."""
         self.seconds = 0.0
+        self._intervals: list[tuple[float, float]] = []
+        jax.monitoring.register_event_duration_secs_listener(self._listen)
         return self
 
     def __exit__(
@@ -42,7 +30,14 @@ class CompileClock:
         trace: TracebackType | None,
     ) -> None:
         """Stop the clock."""
-        self.seconds = union_length(_intervals[self._first :])
+        jax.monitoring.unregister_event_duration_listener(self._listen)
+        self.seconds = union_length(self._intervals)
+
+    def _listen(self, event: str, duration: float, **_details: Any) -> None:
+        """Note when a trace, a lowering or a compilation began and ended."""
+        if event.startswith(_COMPILE_EVENTS):
+            now = time.perf_counter()
+            self._intervals.append((now - duration, now))
 
 
 def union_length(intervals: list[tuple[float, float]]) -> float:

@@ -1,0 +1,183 @@
+"""The command line's manners: help, one document, one line for bad input, exit codes."""
+
+import dataclasses
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Literal
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import tyro
+
+from jaxlangnav import __version__, cli
+from jaxlangnav.commands import SUMMARIES, arguments
+from jaxlangnav.commands.errors import UsageError, did_you_mean, one_line
+from jaxlangnav.commands.output import Output, to_json
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Echo:
+    """Say a sentence again.
+
+    Examples:
+      jaxlangnav echo "hello"
+    """
+
+    text: tyro.conf.Positional[str]
+    """The sentence."""
+    times: int = 1
+    """How often."""
+    how: Literal["loud", "soft"] = "soft"
+    """In which voice."""
+    json: bool = False
+    """Print one JSON document."""
+
+    def run(self, output: Output) -> dict:
+        if self.text == "usage":
+            raise UsageError("no such\n  sentence")
+        if self.text == "file":
+            raise FileNotFoundError(2, "No such file or directory", "world.toml")
+        if self.text == "bug":
+            raise KeyError("slot")
+        if self.text == "stop":
+            raise KeyboardInterrupt
+        print("a stray print")
+        output.note("working")
+        for _ in range(self.times):
+            output.say(f"[bold]{self.text}[/bold]")
+        return {"text": self.text, "times": np.int64(self.times), "score": float("nan")}
+
+
+@pytest.fixture
+def echo(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(SUMMARIES, "echo", "Say a sentence again.")
+    monkeypatch.setattr(arguments, "command_class", lambda name: {"echo": Echo}[name])
+
+
+def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["--help"]) == 0
+    told = capsys.readouterr().out
+    assert all(name in told and line in told for name, line in SUMMARIES.items())
+
+
+def test_nothing_typed_shows_help_and_fails(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main([]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert "examples:" in captured.err
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["--version"]) == 0
+    assert capsys.readouterr().out == f"jaxlangnav {__version__}\n"
+
+
+@pytest.mark.parametrize("name", sorted(SUMMARIES))
+def test_every_command_has_help_with_examples(
+    name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main([name, "--help"]) == 0
+    told = capsys.readouterr().out
+    assert f"usage: jaxlangnav {name}" in told
+    assert f"\n  jaxlangnav {name}" in told
+    assert "--json" in told
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["folow", "x"], 'unknown command "folow"; did you mean "follow"?'),
+        (["zzz"], 'unknown command "zzz"; choose from follow, parse'),
+        (["--json", "echo"], 'expected a command before "--json"'),
+        (["echo", "x", "--tims", "2"], 'unknown option "--tims"; did you mean "--times"?'),
+        (["echo", "x", "--times", "two"], "--times"),
+        (["echo", "x", "--how", "shrill"], "'shrill'"),
+        (["echo", "x", "--json=yes"], "--json takes no value"),
+        (["echo"], "missing TEXT: The sentence"),
+        (["echo", "go", "to", "it"], 'unexpected "to, it"; a sentence of several words goes in'),
+        (["echo", "usage"], "no such sentence"),
+        (["echo", "file"], "world.toml: No such file or directory"),
+    ],
+)
+@pytest.mark.usefixtures("echo")
+def test_bad_input_is_one_line_and_code_2(
+    words: list[str], expected: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(words) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("jaxlangnav: ")
+    assert captured.err.count("\n") == 1
+    assert expected in captured.err
+
+
+@pytest.mark.usefixtures("echo")
+def test_a_fault_of_ours_is_one_line_and_code_1(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv(cli.DEBUG, raising=False)
+    assert cli.main(["echo", "bug"]) == 1
+    captured = capsys.readouterr()
+    assert captured.err.count("\n") == 1
+    assert "internal error: KeyError" in captured.err
+    monkeypatch.setenv(cli.DEBUG, "1")
+    with pytest.raises(KeyError):
+        cli.main(["echo", "bug"])
+
+
+@pytest.mark.usefixtures("echo")
+def test_an_interrupt_is_quiet(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["echo", "stop"]) == 130
+    assert capsys.readouterr().err == "jaxlangnav: interrupted\n"
+
+
+@pytest.mark.usefixtures("echo")
+def test_json_is_one_document_and_nothing_else(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["echo", "hello", "--times", "2", "--json"]) == 0
+    captured = capsys.readouterr()
+    assert json.loads(captured.out) == {"text": "hello", "times": 2, "score": None}
+    assert "a stray print" in captured.err
+    assert "working" in captured.err
+
+
+@pytest.mark.usefixtures("echo")
+def test_without_json_people_read_the_narrative(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["echo", "hello", "--times", "2"]) == 0
+    assert capsys.readouterr().out == "a stray print\nhello\nhello\n"
+
+
+def test_to_json_turns_arrays_and_paths() -> None:
+    value = {"a": jnp.arange(3), "b": (np.float32(0.5), True), 3: Path("x"), "c": float("inf")}
+    assert to_json(value) == {"a": [0, 1, 2], "b": [0.5, True], "3": "x", "c": None}
+    json.dumps(to_json(value), allow_nan=False)
+
+
+def test_did_you_mean() -> None:
+    assert did_you_mean("1h1c", ["1H1C", "2H1C"]) == '; did you mean "1H1C"?'
+    assert did_you_mean("moon", ["1H1C", "2H1C"]) == ""
+
+
+def test_one_line() -> None:
+    assert one_line(ValueError("a\n  b")) == "a b"
+    assert one_line(ValueError()) == "ValueError"
+    assert one_line(OSError("disk gone")) == "disk gone"
+
+
+def test_help_and_errors_are_instant() -> None:
+    start = time.perf_counter()
+    for words in (["--help"], ["parse", "--help"], ["folow"]):
+        subprocess.run(
+            [sys.executable, "-m", "jaxlangnav", *words], capture_output=True, check=False
+        )
+    assert time.perf_counter() - start < 6.0
+    code = "import sys; from jaxlangnav.cli import main; main(['follow', '--help'])"
+    result = subprocess.run(
+        [sys.executable, "-c", f"{code}; sys.exit('jax' in sys.modules)"],
+        capture_output=True,
+        check=False,
+    )
+    assert result.returncode == 0, result.stderr
