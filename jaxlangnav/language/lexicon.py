@@ -15,6 +15,7 @@ REASONS = {
     "containment": "containment is not supported",
     "path": "paths are not supported",
     "condition": "conditions and alternatives are not supported",
+    "coordination": "joined objects are not supported, give one command after the other",
     "pronoun": "pronouns are not supported, name the object",
     "quantity": "numbers and quantities are not supported",
     "a question": "questions are not supported",

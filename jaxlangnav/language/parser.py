@@ -19,7 +19,7 @@ from jaxlangnav.language.grammar import (
     NoParseError,
     load_grammar,
 )
-from jaxlangnav.language.lexicon import load_lexicon
+from jaxlangnav.language.lexicon import REASONS, load_lexicon
 from jaxlangnav.language.phrase import COMMAND, STATEMENT, LanguageError, Parse
 from jaxlangnav.language.spelling import repair
 from jaxlangnav.language.tree import TreeBuilder
@@ -157,31 +157,38 @@ def parse(text: str) -> Parse:
 def _refusal(tokens: list[_Token], index: int) -> str:
     """Say in one line which word stands in the way.
 
-    Of the words up to where no tree can go on, the last that is unsupported is named, else the
-    last that is unknown, else the one at that place.
+    Of the words up to where no tree can go on: a negation or condition, else the last word that
+    is unsupported or unknown, else a small word just before, else the one at that place.
     """
     refused = load_lexicon().refused
-    read = [token for token in tokens[: index + 1] if token.text]
     at_end = index >= len(tokens)
-    if not at_end and read[-1].text in refused and tokens[index].text:
-        return f"'{read[-1].text}' (word {read[-1].position}): {refused[read[-1].text]}"
-    unknown = [t for t in read if t.terminal.startswith("?")]
-    for token in reversed(read[:-1] if not at_end else read):
-        if token.text in refused and not _is_function_word(token.text):
-            return f"'{token.text}' (word {token.position}): {refused[token.text]}"
-        if token in unknown:
+    read = [token for token in tokens[: index + 1] if token.text]
+    reasons = {token.position: refused.get(token.text) for token in read}
+    first = next((t for t in read if reasons[t.position] in _STRONG), None)
+    stuck = None if at_end or not tokens[index].text else read[-1]
+    nearest = [t for t in reversed(read) if _is_telling(t) or t.terminal.startswith("?")]
+    near = [t for t in read[-4:] if t.text in _SMALL and reasons[t.position]]
+    if first is None and stuck is not None and stuck.text not in _SMALL and _is_telling(stuck):
+        first = stuck
+    for token in [first, *nearest[:1], *near[-1:]]:
+        if token is not None and reasons[token.position]:
+            return f"'{token.text}' (word {token.position}): {reasons[token.position]}"
+        if token is not None:
             return f"'{token.text}' (word {token.position}): unknown word, and no reading fits it"
-    last = read[-1]
-    if at_end:
-        return f"the sentence breaks off after '{last.text}' (word {last.position})"
-    return f"'{last.text}' (word {last.position}): cannot be read here"
+    if stuck is None:
+        return f"the sentence breaks off after '{read[-1].text}' (word {read[-1].position})"
+    return f"'{stuck.text}' (word {stuck.position}): cannot be read here"
 
 
-def _is_function_word(word: str) -> bool:
-    """Tell whether a refused word also begins supported expressions, so is no reason by itself."""
-    return word in _EVERYDAY
+def _is_telling(token: _Token) -> bool:
+    """Tell whether a refused word is reason enough wherever it stands."""
+    return token.text in load_lexicon().refused and token.text not in _SMALL | _SILENT
 
 
-_EVERYDAY = frozenset(
-    "in to of for at on by with from is are i me my get move keep make take there use let".split()
-)
+_STRONG = (REASONS["negation"], REASONS["condition"])
+# Refused words that also begin supported expressions: blamed only just before the place.
+_SMALL = frozenset({"in", "of", "on", "by", "with", "from", "me", "my", "and", "off", "like"})
+_SMALL |= frozenset({"up", "down", "over", "back", "side", "straight", "forward", "away", "about"})
+_SILENT = frozenset({"to", "for", "at", "is", "are", "i", "get", "move", "keep", "make", "take"})
+_SILENT |= frozenset({"there", "use", "let", "while", "as", "rather", "instead", "place", "see"})
+_SILENT |= frozenset({"only", "exactly", "close", "as"})
