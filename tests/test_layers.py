@@ -23,6 +23,7 @@ LAYERS = (
     "world",
     "robots",
     "episode",
+    "recording",
     "experiments",
     "viz",
     "commands",
