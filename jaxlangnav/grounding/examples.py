@@ -1,0 +1,341 @@
+"""From labelled instructions to training examples of the log-linear model (section 4.1).
+
+Training is teacher-forced: the groundings of child phrases are the gold ones. One example of the
+paper is one factor, (phrase, symbol); factors of one phrase with equal properties and label are
+one row here with a count, which leaves the objective as it is and the arrays small.
+"""
+
+import dataclasses
+from collections.abc import Callable, Iterable, Mapping, Sequence
+
+import numpy as np
+
+from jaxlangnav.grounding import behavior_features as bf
+from jaxlangnav.grounding import features as af
+from jaxlangnav.grounding.graph import Node, bottom_up
+from jaxlangnav.grounding.model import Vocabulary
+from jaxlangnav.grounding.symbols import (
+    ACTION,
+    CONSTRAINT,
+    GOAL,
+    MODE,
+    NUM_REGIONS,
+    OBJECT,
+    REGION,
+    Annotation,
+    AnnotationSpace,
+    BehaviorSpace,
+    BehaviorSymbol,
+)
+from jaxlangnav.language.phrase import Parse, Phrase
+
+Path = tuple[int, ...]
+"""Clause index, then child indices from the root of the clause."""
+
+
+@dataclasses.dataclass(frozen=True)
+class LabelledInstruction:
+    """An instruction with gold groundings of every phrase."""
+
+    parse: Parse
+    annotation: Mapping[Path, frozenset[Annotation]]
+    superlative: frozenset[Path]  # phrases that say "nearest" or "farthest"
+    worlds: tuple[bf.World, ...] = ()
+    behavior: tuple[Mapping[Path, frozenset[BehaviorSymbol]], ...] = ()  # one per world
+
+
+@dataclasses.dataclass(frozen=True)
+class Rows:
+    """Factors of one kind of symbol of one phrase."""
+
+    properties: np.ndarray  # f32[S, F]
+    labels: np.ndarray  # bool[S]
+
+
+@dataclasses.dataclass(frozen=True)
+class Example:
+    """One phrase with the factors of its symbols."""
+
+    phrase: Phrase
+    rows: Mapping[str, Rows]  # kind → factors
+    instruction: int  # which instruction it comes from
+
+
+@dataclasses.dataclass(frozen=True)
+class Block:
+    """All factors of one kind; H distinct examples of up to G distinct rows."""
+
+    words: np.ndarray  # f32[H, W]
+    properties: np.ndarray  # f32[H, G, F]
+    count: np.ndarray  # f32[H, G, 2] how many factors have φ = 0, and φ = 1
+    instructions: np.ndarray  # f32[I, H] how often each instruction has the example
+
+
+def annotation_examples(
+    instructions: Sequence[LabelledInstruction], type_names: tuple[str, ...]
+) -> list[Example]:
+    """Build the examples of the annotation model.
+
+    Args:
+        instructions: labelled instructions.
+        type_names: object types in the order of their indices.
+
+    Returns:
+        One example per phrase.
+    """
+    space = AnnotationSpace(len(type_names))
+    return [
+        _annotation_example(index, labelled, nodes, node, space, type_names)
+        for index, labelled in enumerate(instructions)
+        for nodes in _clauses(labelled.parse)
+        for node in nodes
+    ]
+
+
+def _clauses(parse: Parse) -> Iterable[tuple[Node, ...]]:
+    """Order the phrases of each clause bottom-up."""
+    return (bottom_up(root, clause) for clause, root in enumerate(parse.clauses))
+
+
+def annotation_properties(
+    space: AnnotationSpace, senses: af.Senses, groundings: list[np.ndarray]
+) -> dict[str, np.ndarray]:
+    """Describe every annotation symbol of a phrase.
+
+    Args:
+        space: annotation symbols.
+        senses: of the phrase's words.
+        groundings: bool[S] of each child phrase.
+
+    Returns:
+        Kind → f32[symbols of the kind, F].
+    """
+    child = af.child_sets(space, groundings)
+    return {
+        "object": af.object_properties(space, senses, child),
+        "region": af.region_properties(space, senses, child),
+        "relation": af.relation_properties(space, senses, child),
+        "superlative": np.ones((1, 1), np.float32),
+    }
+
+
+def _annotation_example(
+    index: int,
+    labelled: LabelledInstruction,
+    nodes: tuple[Node, ...],
+    node: Node,
+    space: AnnotationSpace,
+    type_names: tuple[str, ...],
+) -> Example:
+    """Build the example of one phrase."""
+    gold = space.mask(labelled.annotation[node.path])
+    children = [space.mask(labelled.annotation[nodes[child].path]) for child in node.children]
+    senses = af.senses_of(node.phrase, type_names)
+    labels = {
+        **{k: v.ravel() for k, v in zip(("object", "region", "relation"), space.parts(gold))},
+        "superlative": np.array([node.path in labelled.superlative]),
+    }
+    properties = annotation_properties(space, senses, children)
+    rows = {kind: Rows(properties[kind], labels[kind]) for kind in properties}
+    return Example(node.phrase, rows, index)
+
+
+def child_groundings(
+    world: bf.World,
+    space: BehaviorSpace,
+    children: Sequence[tuple[Phrase, np.ndarray, np.ndarray]],
+) -> bf.ChildGroundings:
+    """Join what the child phrases express in a world.
+
+    Args:
+        world: the world.
+        space: its symbols.
+        children: (phrase, bool[S] expressed, bool[7] relations meant as superlatives) each.
+
+    Returns:
+        Their groundings, as the properties need them.
+    """
+    num_objects = world.object_type.shape[0]
+    objects = np.zeros(num_objects, bool)
+    regions = np.zeros((NUM_REGIONS, num_objects), bool)
+    constraints = np.zeros((NUM_REGIONS, num_objects), bool)
+    lies = world.is_object.copy()
+    is_restricted = False
+    for phrase, expressed, superlative in children:
+        places = space.part(expressed, REGION) | space.part(expressed, GOAL)
+        objects |= space.part(expressed, OBJECT)
+        regions |= places
+        constraints |= space.part(expressed, CONSTRAINT)
+        if phrase.label in af.RESTRICTORS:
+            lies &= bf.lies_in(world, places, superlative)
+            is_restricted = True
+    return bf.ChildGroundings(objects, regions, constraints, lies, is_restricted, bool(children))
+
+
+def behavior_properties(
+    world: bf.World, is_verb: bool, senses: af.Senses, child: bf.ChildGroundings
+) -> dict[str, np.ndarray]:
+    """Describe every behavior symbol of a phrase.
+
+    Args:
+        world: the world.
+        is_verb: whether the phrase grounds to actions, modes, goals and constraints.
+        senses: of the phrase's words.
+        child: groundings of its children.
+
+    Returns:
+        Kind → f32[symbols of the kind, F].
+    """
+    if is_verb:
+        return {
+            "goal": bf.goal_properties(world, senses, child),
+            "constraint": bf.constraint_properties(world, senses, child),
+            "action": bf.action_properties(senses),
+            "mode": bf.mode_properties(senses),
+        }
+    return {
+        "object": bf.object_properties(world, senses, child),
+        "region": bf.region_properties(world, senses, child),
+    }
+
+
+KIND_OF = {
+    "object": OBJECT,
+    "region": REGION,
+    "goal": GOAL,
+    "constraint": CONSTRAINT,
+    "action": ACTION,
+    "mode": MODE,
+}
+"""Names of the weight blocks of the behavior model → kinds of symbol."""
+
+
+def superlative_relations(
+    phrase: Phrase,
+    path: Path,
+    is_superlative: Callable[[Phrase, Path], bool],
+    type_names: tuple[str, ...],
+) -> np.ndarray:
+    """Find for which relations a phrase means the extreme object only.
+
+    A phrase that passes on the region of a child ("that is nearest to the cone") passes on this.
+
+    Args:
+        phrase: the phrase.
+        path: where it stands.
+        is_superlative: the attribute of each phrase, gold or inferred.
+        type_names: object types.
+
+    Returns:
+        bool[7].
+    """
+    meant = np.zeros(NUM_REGIONS, bool)
+    if is_superlative(phrase, path):
+        meant[sorted(af.senses_of(phrase, type_names).relations)] = True
+    for i, child in enumerate(phrase.children):
+        meant |= superlative_relations(child, (*path, i), is_superlative, type_names)
+    return meant
+
+
+def behavior_examples(
+    instructions: Sequence[LabelledInstruction], type_names: tuple[str, ...]
+) -> list[Example]:
+    """Build the examples of the behavior model; arguments as ``annotation_examples``.
+
+    Returns:
+        One example per phrase and world; symbols of empty object slots are left out.
+    """
+    return [
+        _behavior_example(index, labelled, which, nodes, node, type_names)
+        for index, labelled in enumerate(instructions)
+        for which in range(len(labelled.worlds))
+        for nodes in _clauses(labelled.parse)
+        for node in nodes
+    ]
+
+
+def _behavior_example(
+    index: int,
+    labelled: LabelledInstruction,
+    which: int,
+    nodes: tuple[Node, ...],
+    node: Node,
+    type_names: tuple[str, ...],
+) -> Example:
+    """Build the example of one phrase in one world."""
+    world, gold = labelled.worlds[which], labelled.behavior[which]
+    space = BehaviorSpace(world.object_type.shape[0])
+
+    def is_superlative(_: Phrase, path: Path) -> bool:
+        return path in labelled.superlative
+
+    children = [
+        (
+            nodes[i].phrase,
+            space.mask(gold[nodes[i].path]),
+            superlative_relations(nodes[i].phrase, nodes[i].path, is_superlative, type_names),
+        )
+        for i in node.children
+    ]
+    properties = behavior_properties(
+        world,
+        node.is_verb,
+        af.senses_of(node.phrase, type_names),
+        child_groundings(world, space, children),
+    )
+    expressed = space.mask(gold[node.path])
+    rows = {}
+    for kind, table in properties.items():
+        labels = space.part(expressed, KIND_OF[kind])
+        real = np.ones(labels.shape, bool)
+        if kind not in ("action", "mode"):
+            real = np.broadcast_to(world.is_object, labels.shape)
+        rows[kind] = Rows(table[real.ravel()], labels[real])
+    return Example(node.phrase, rows, index)
+
+
+def _compress(rows: Rows) -> tuple[np.ndarray, np.ndarray]:
+    """Join factors with equal properties: distinct rows f32[G, F] and counts f32[G, 2]."""
+    distinct, inverse = np.unique(rows.properties, axis=0, return_inverse=True)
+    count = np.zeros((len(distinct), 2), np.float32)
+    np.add.at(count, (inverse.ravel(), rows.labels.astype(int)), 1.0)
+    return distinct, count
+
+
+def build_block(
+    examples: Sequence[Example], kind: str, vocabulary: Vocabulary, num_instructions: int
+) -> Block:
+    """Stack the factors of one kind of symbol, joining equal examples.
+
+    Args:
+        examples: of one model.
+        kind: which kind of symbol.
+        vocabulary: word side.
+        num_instructions: I.
+
+    Returns:
+        The block.
+    """
+    found: dict[tuple[bytes, bytes, bytes], int] = {}
+    vectors, tables, counts, owners = [], [], [], []
+    for example in examples:
+        if kind not in example.rows:
+            continue
+        vector = vocabulary.vector(example.phrase)
+        table, count = _compress(example.rows[kind])
+        key = (vector.tobytes(), table.tobytes(), count.tobytes())
+        if key not in found:
+            found[key] = len(vectors)
+            vectors.append(vector)
+            tables.append(table)
+            counts.append(count)
+        owners.append((example.instruction, found[key]))
+    depth = max(len(table) for table in tables)
+    instructions = np.zeros((num_instructions, len(vectors)), np.float32)
+    np.add.at(instructions, tuple(np.array(owners).T), 1.0)
+    return Block(
+        np.stack(vectors),
+        np.stack([np.pad(t, ((0, depth - len(t)), (0, 0))) for t in tables]),
+        np.stack([np.pad(c, ((0, depth - len(c)), (0, 0))) for c in counts]),
+        instructions,
+    )

@@ -1,0 +1,266 @@
+"""Features of the log-linear model: what is seen of words and of groundings (eq. 4).
+
+A feature of the paper is a product of a correspondence value, a property of the words and a
+property of the grounding; the score is therefore bilinear, words · W · grounding. This module has
+the word side, names with values, and the grounding side of the annotation model; the grounding
+side of the behavior model is in ``behavior_features``.
+
+A word carries its identity (lemma), part of speech and lexicon senses; a word without senses also
+its character n-grams, hashed. A phrase carries a bias, its label, shape and child labels. So a
+word never seen still has a part of speech, a shape and n-grams, and a synonym has the senses of
+what it stands for: properties of agreement ("the type that the words name") then carry it
+without retraining.
+"""
+
+import dataclasses
+import zlib
+
+import numpy as np
+
+from jaxlangnav.grounding.symbols import NUM_RELATIONS, AnnotationSpace
+from jaxlangnav.language.phrase import Phrase
+from jaxlangnav.messages import ACTIONS, MODES, REGIONS
+
+NUM_GRAMS = 128
+"""Buckets of the hashed character n-grams."""
+NUM_IDENTITY = 8
+"""Object types with a property of their own; further types are carried by agreement alone."""
+RESTRICTORS = ("PP", "ADJP", "SBAR")
+"""Labels of child phrases that say where the figure of a noun phrase is."""
+IDENTITY_SCALE = 0.4
+GRAM_SCALE = 0.3
+FEATURE_GROUPS = ("word", "tag", "sense", "gram", "shape")
+"""Groups of word-side features that an ablation may leave out."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Senses:
+    """What the lexicon says of a phrase's own words."""
+
+    types: frozenset[int]
+    relations: frozenset[int]  # indices into REGIONS
+    actions: frozenset[int]
+    modes: frozenset[int]
+    is_robot: bool
+
+
+def _indices(senses: set[str], prefix: str, names: tuple[str, ...]) -> frozenset[int]:
+    """Find which of the names the senses hold."""
+    return frozenset(i for i, name in enumerate(names) if f"{prefix}:{name}" in senses)
+
+
+def senses_of(phrase: Phrase, type_names: tuple[str, ...]) -> Senses:
+    """Collect the senses of a phrase's own words.
+
+    Args:
+        phrase: the phrase.
+        type_names: object types in the order of their indices.
+
+    Returns:
+        Indices of types, regions, actions and modes named.
+    """
+    senses = {sense for word in phrase.words for sense in word.senses}
+    return Senses(
+        types=_indices(senses, "type", type_names),
+        relations=_indices(senses, "relation", REGIONS),
+        actions=_indices(senses, "action", ACTIONS),
+        modes=_indices(senses, "mode", MODES),
+        is_robot="robot" in senses or "type:robot" in senses,
+    )
+
+
+def _grams(text: str) -> set[int]:
+    """Hash the character trigrams of a word; stable between processes."""
+    padded = f"^{text}$"
+    grams = {padded[i : i + 3] for i in range(len(padded) - 2)}
+    return {zlib.crc32(gram.encode()) % NUM_GRAMS for gram in grams}
+
+
+def word_features(phrase: Phrase, without: frozenset[str] = frozenset()) -> dict[str, float]:
+    """Describe the words and the shape of a phrase.
+
+    Args:
+        phrase: the phrase; its children count by label only.
+        without: groups of features to leave out (``FEATURE_GROUPS``), for ablations.
+
+    Returns:
+        Values of named features; any other is zero. The bias is always one.
+    """
+    groups: dict[str, dict[str, float]] = {group: {} for group in FEATURE_GROUPS}
+    for word in phrase.words:
+        groups["word"][f"word={word.lemma}"] = IDENTITY_SCALE
+        groups["tag"][f"tag={word.tag}"] = 0.5
+        for sense in word.senses:
+            groups["sense"][f"sense={sense}"] = IDENTITY_SCALE
+            groups["sense"][f"class={sense.partition(':')[0]}"] = 1.0
+        if not word.senses:
+            for gram in _grams(word.text):
+                groups["gram"][f"gram={gram}"] = GRAM_SCALE
+    shape = groups["shape"]
+    shape[f"label={phrase.label}"] = 1.0
+    shape[f"length={min(len(phrase.words), 3)}"] = 0.5
+    for child in phrase.children:
+        shape[f"child={child.label}"] = 1.0
+        shape[f"pair={phrase.label}>{child.label}"] = 0.5
+    shape[f"children={min(len(phrase.children), 3)}"] = 0.5
+    features = {"bias": 1.0}
+    for group, values in groups.items():
+        if group not in without:
+            features |= values
+    return features
+
+
+@dataclasses.dataclass(frozen=True)
+class ChildSets:
+    """What the child phrases of an annotation phrase express, as they may be combined."""
+
+    objects: np.ndarray  # bool[T] any child expresses the object
+    regions: np.ndarray  # bool[6, L]
+    relations: np.ndarray  # bool[T, 6, L]
+    heads: np.ndarray  # bool[T] what a child phrase is about: its object, or a relation's figure
+    has_children: bool
+
+
+def child_sets(space: AnnotationSpace, groundings: list[np.ndarray]) -> ChildSets:
+    """Join the groundings of the child phrases.
+
+    The head of a phrase that expresses relations is the figure that is no landmark of another
+    ("the cone near the car" is about the cone); a phrase that expresses a region has no head.
+
+    Args:
+        space: annotation symbols.
+        groundings: bool[S] for each child.
+
+    Returns:
+        Unions over the children, and their heads.
+    """
+    num_types, num_landmarks = space.num_types, space.num_landmarks
+    objects = np.zeros(num_types, bool)
+    regions = np.zeros((NUM_RELATIONS, num_landmarks), bool)
+    relations = np.zeros((num_types, NUM_RELATIONS, num_landmarks), bool)
+    heads = np.zeros(num_types, bool)
+    for grounding in groundings:
+        child_objects, child_regions, child_relations = space.parts(grounding)
+        objects |= child_objects
+        regions |= child_regions
+        relations |= child_relations
+        if child_regions.any():
+            continue
+        figures = child_relations.any((1, 2))
+        landmarks = child_relations.any((0, 1))[:num_types]
+        head_figures = figures & ~landmarks
+        heads |= child_objects | (head_figures if head_figures.any() else figures)
+    return ChildSets(objects, regions, relations, heads, bool(groundings))
+
+
+def _members(indices: frozenset[int], size: int) -> np.ndarray:
+    """Turn indices into a boolean vector, ignoring those out of range."""
+    mask = np.zeros(size, bool)
+    mask[[i for i in indices if i < size]] = True
+    return mask
+
+
+def _columns(shape: tuple[int, ...], columns: list[np.ndarray | bool]) -> np.ndarray:
+    """Stack broadcast properties to f32[symbols, F]."""
+    table = np.empty((*shape, len(columns)), np.float32)
+    for i, column in enumerate(columns):
+        table[..., i] = column
+    return table.reshape(-1, len(columns))
+
+
+def _type_identity(num_types: int) -> np.ndarray:
+    """Mark each of the first types, bool[NUM_IDENTITY, T]."""
+    return np.eye(NUM_IDENTITY, num_types, dtype=bool)
+
+
+def _landmark_identity(num_types: int) -> np.ndarray:
+    """Mark each of the first types and the robot, bool[NUM_IDENTITY + 1, L]."""
+    identity = np.zeros((NUM_IDENTITY + 1, num_types + 1), bool)
+    identity[:NUM_IDENTITY, :num_types] = _type_identity(num_types)
+    identity[NUM_IDENTITY, num_types] = True
+    return identity
+
+
+def object_properties(space: AnnotationSpace, senses: Senses, child: ChildSets) -> np.ndarray:
+    """Describe the object symbols of a phrase, given what its children express.
+
+    Args:
+        space: annotation symbols.
+        senses: of the phrase's words.
+        child: groundings of the child phrases.
+
+    Returns:
+        f32[T, F]: bias, agreement with words and children and their inverse, type identity.
+    """
+    own = _members(senses.types, space.num_types)
+    has_region = bool(child.regions.any())
+    return _columns(
+        (space.num_types,),
+        [
+            True,
+            own,
+            ~own & bool(senses.types),
+            child.objects,
+            child.objects & has_region,
+            child.objects & bool(child.relations.any()),
+            child.has_children & ~child.objects,
+            own & has_region,
+            *_type_identity(space.num_types),
+        ],
+    )
+
+
+def region_properties(space: AnnotationSpace, senses: Senses, child: ChildSets) -> np.ndarray:
+    """Describe the region symbols of a phrase; arguments as ``object_properties``, f32[6 L, F]."""
+    size = space.num_landmarks
+    relation = _members(senses.relations, NUM_RELATIONS)[:, None]
+    is_robot = (np.arange(size) == space.num_types)[None, :]
+    head = np.append(child.heads, False)[None, :]
+    own = np.append(_members(senses.types, space.num_types), senses.is_robot)[None, :]
+    has_object = bool(child.heads.any())
+    is_lone = not has_object and not senses.types
+    return _columns(
+        (NUM_RELATIONS, size),
+        [
+            True,
+            relation,
+            head,
+            relation & head,
+            ~relation & head & bool(senses.relations),
+            own,
+            relation & own,
+            relation & is_robot & is_lone,
+            is_robot & senses.is_robot,
+            child.regions,
+            child.regions & has_object,
+            child.has_children & ~child.regions & ~head,
+            relation & ~head & ~own & ~(is_robot & is_lone),
+            *np.eye(NUM_RELATIONS, dtype=bool)[:, :, None],
+            *_landmark_identity(space.num_types)[:, None, :],
+        ],
+    )
+
+
+def relation_properties(space: AnnotationSpace, senses: Senses, child: ChildSets) -> np.ndarray:
+    """Describe the relation symbols; arguments as ``object_properties``, f32[6 T L, F]."""
+    size = space.num_landmarks
+    own_type = _members(senses.types, space.num_types)[:, None, None]
+    head = child.heads[:, None, None]
+    region = child.regions[None]
+    relation = _members(senses.relations, NUM_RELATIONS)[None, :, None]
+    is_robot = (np.arange(size) == space.num_types)[None, None, :]
+    composed = head & region
+    return _columns(
+        (space.num_types, NUM_RELATIONS, size),
+        [
+            True,
+            child.relations,
+            composed,
+            own_type & region,
+            own_type & relation & is_robot,
+            head & relation & is_robot,
+            region & ~head & ~own_type,
+            head & ~region,
+            ~child.relations & ~composed,
+        ],
+    )
