@@ -238,7 +238,7 @@ def step(
         goals.object_x,
         goals.object_y,
         goals.is_object,
-        config.planner.num_blocks,
+        config.planner,
         params.planner,
     )
     weight = jnp.exp(belief.log_weight)

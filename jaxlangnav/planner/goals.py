@@ -21,7 +21,8 @@ class Goals:
     object_x: Array  # f32[O + 1] metres, map frame: goal place at each observed object; robot last
     object_y: Array  # f32[O + 1]
     object_mass: Array  # f32[O + 1] probability that it is the goal
-    object_confirmed: Array  # f32[O + 1] … and that everything mentioned has been observed
+    object_accepted: Array  # f32[O + 1] probability that it fits as well as any other
+    object_confirmed: Array  # f32[O + 1] … and that what it is placed against has been observed
     is_object: Array  # bool[O + 1]
     hypothesis_x: Array  # f32[P] metres: goal place of each particle's hypothesised goal
     hypothesis_y: Array  # f32[P]
@@ -96,13 +97,25 @@ def gather(belief: ParticleBelief, behavior: Behavior, relations: RelationModel)
     # Objects without goal mass keep their plain weighted mean as a place to go to.
     share = jnp.where(total[:, None] > 1e-6, on_known, weight[None, :])
     share = share / jnp.sum(share, axis=1, keepdims=True)
-    is_confirmed = ~jnp.any(particles.is_hypothesised, axis=0)
+    # An object will do if, in its particle, it fits the sentence as well as any other; with
+    # nothing to tell two hydrants apart, either is "the hydrant".
+    best_fit = jnp.max(behavior.goal, axis=(0, 1))
+    fit = on_known / jnp.maximum(weight * best_fit, 1e-9)[None, :]
+    total_goal = jnp.minimum(jnp.sum(behavior.goal, axis=(0, 1)), 1.0)
+    accepted = fit * (weight * total_goal)[None, :]
+    # It is confirmed unless it is meant in relation to something not seen.
+    has_open = jnp.any(particles.is_hypothesised, axis=0)
+    is_meant = jnp.any(
+        particles.referent[None, :, :] == jnp.arange(num_objects + 1)[:, None, None], axis=1
+    )
+    is_confirmed = ~(has_open[None, :] & is_meant)
     best = jnp.argmax(on_hypotheses, axis=0)[None, :] == jnp.arange(on_hypotheses.shape[0])[:, None]
     return Goals(
         object_x=jnp.sum(share * known_x, axis=1),
         object_y=jnp.sum(share * known_y, axis=1),
         object_mass=total,
-        object_confirmed=jnp.sum(on_known * is_confirmed[None, :], axis=1),
+        object_accepted=jnp.sum(accepted, axis=1),
+        object_confirmed=jnp.sum(accepted * is_confirmed, axis=1),
         is_object=jnp.append(
             jnp.any(particles.is_observed & (weight > 0)[None, :], axis=1), total[-1] > 1e-3
         ),

@@ -10,7 +10,8 @@ looked at least becomes the frontier and nothing is written off for good.
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.planner.params import PlannerParams
+from jaxlangnav.planner.params import PlannerConfig, PlannerParams
+from jaxlangnav.planner.search import viewpoints
 from jaxlangnav.pytree import pytree
 from jaxlangnav.semantic_map.coverage import Coverage, cell_centres
 
@@ -112,7 +113,7 @@ def nodes(
     object_x: Array,
     object_y: Array,
     is_object: Array,
-    num_blocks: int,
+    config: PlannerConfig,
     params: PlannerParams,
 ) -> Nodes:
     """Collect all candidate waypoints (eq. 9).
@@ -129,7 +130,13 @@ def nodes(
     Returns:
         The nodes, padded.
     """
-    frontier_x, frontier_y, is_frontier = frontiers(coverage, num_blocks, params.frontier_miss)
+    if config.policy == "informed":
+        frontier_x, frontier_y = viewpoints(coverage.area)
+        is_frontier = jnp.ones(frontier_x.shape, bool)
+    else:
+        frontier_x, frontier_y, is_frontier = frontiers(
+            coverage, config.num_blocks, params.frontier_miss
+        )
     kinds = [(FRONTIER, frontier_x), (VISITED, visited.x), (OBJECT, object_x)]
     return Nodes(
         x=jnp.concatenate([frontier_x, visited.x, object_x]),

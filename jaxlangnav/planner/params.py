@@ -29,7 +29,7 @@ class PlannerConfig:
 
     policy: str = "faithful"
     num_visited: int = 16
-    num_blocks: int = 8
+    num_blocks: int = 6
 
     def __post_init__(self) -> None:
         """Refuse what the planner cannot work with."""

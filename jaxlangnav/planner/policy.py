@@ -16,8 +16,8 @@ from jax import Array
 from jaxlangnav.planner import qmdp
 from jaxlangnav.planner.goals import Goals
 from jaxlangnav.planner.graph import FRONTIER, OBJECT, Nodes, unexplored_cells
-from jaxlangnav.planner.information import mass_revealed
 from jaxlangnav.planner.params import PlannerConfig, PlannerParams
+from jaxlangnav.planner.search import latency, search_map
 from jaxlangnav.pytree import pytree
 from jaxlangnav.semantic_map.coverage import cell_size
 from jaxlangnav.semantic_map.filter import ParticleBelief
@@ -112,9 +112,13 @@ def choose(
         is_arrived = stop_mass >= params.stop_probability
     else:
         del in_view
-        revealed = mass_revealed(belief, robot_x, robot_y, nodes.x, nodes.y, range_max)
-        per_metre = 1.0 / (distance + params.information_offset)
-        information_value = revealed * per_metre
+        search = search_map(belief)
+        _, rate, expected = latency(
+            belief, search, robot_x, robot_y, range_max, params.information_offset
+        )
+        # The best tour's first viewpoint ranks first; the others keep the order of their rates.
+        rank = jnp.where(jnp.isfinite(expected), 1.0 + 1.0 / (1.0 + expected), rate)
+        information_value = jnp.zeros_like(goal_value).at[: rank.shape[0]].set(rank)
         best_confirmed = jnp.max(goals.object_confirmed)
         size = goals.object_x.shape[0]
         is_sure = jnp.arange(nodes.x.shape[0]) == (

@@ -47,8 +47,8 @@ def mass_within(x: Array, y: Array, goals: Goals, radius: Array) -> tuple[Array,
     near_hypothesis = (goals.hypothesis_x - x) ** 2 + (goals.hypothesis_y - y) ** 2 <= (
         radius * radius
     )
-    confirmed = jnp.sum(jnp.where(near, goals.object_confirmed, 0.0))
-    everything = jnp.sum(jnp.where(near, goals.object_mass, 0.0)) + jnp.sum(
+    confirmed = jnp.max(jnp.where(near, goals.object_confirmed, 0.0))
+    everything = jnp.max(jnp.where(near, goals.object_accepted, 0.0)) + jnp.sum(
         jnp.where(near_hypothesis, goals.hypothesis_mass, 0.0)
     )
     return everything, confirmed

@@ -28,7 +28,7 @@ class MapConfig:
 
     num_particles: int = 64
     num_objects: int = 8
-    num_cells: int = 32
+    num_cells: int = 36
 
     def __post_init__(self) -> None:
         """Refuse sizes the filter cannot work with."""

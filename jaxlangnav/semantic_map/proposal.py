@@ -143,14 +143,14 @@ def _log_superlative(
     num_objects = particle.object_type.shape[0]
     rivals = particle.object_type == figure_type
 
-    def distance(x: Array, y: Array) -> Array:
-        return jnp.sqrt((x - landmark_x) ** 2 + (y - landmark_y) ** 2 + 1e-9)
+    def distance(offset_x: Array, offset_y: Array) -> Array:
+        return jnp.sqrt(offset_x * offset_x + offset_y * offset_y + 1e-9)
 
     sign = jnp.where(relation == FAR, -1.0, 1.0)
-    own = sign * distance(figure_x, figure_y)
+    own = sign * distance(figure_x - landmark_x, figure_y - landmark_y)
     shape = (num_objects,) + (1,) * own.ndim
-    rival_x = particle.mean_x[:num_objects].reshape(shape)
-    rival_y = particle.mean_y[:num_objects].reshape(shape)
+    rival_x = particle.mean_x[:num_objects].reshape(shape) - landmark_x[None]
+    rival_y = particle.mean_y[:num_objects].reshape(shape) - landmark_y[None]
     rival = jnp.where(rivals.reshape(shape), sign * distance(rival_x, rival_y), jnp.inf)
     excess = own - jnp.minimum(jnp.min(rival, axis=0), own)
     return jnp.where(is_superlative, -excess / softness, 0.0)
