@@ -1,0 +1,255 @@
+"""Pieces of a map: ground, objects, hypotheses, robot, waypoint (the marks of Figures 1 and 4).
+
+Each function draws one thing into given axes and returns what it drew, so that a test can count.
+Everything is in metres in the map frame.
+"""
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from jaxlangnav.messages import NONE
+from jaxlangnav.recording import Frame, Recording, Scene
+from jaxlangnav.viz import style
+from jaxlangnav.viz.summary import seen_objects
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.collections import PathCollection
+    from matplotlib.image import AxesImage
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+
+def draw_ground(axes: "Axes", scene: Scene, frame: Frame) -> "AxesImage":
+    """Shade the ground by the probability that an object there would have been missed so far.
+
+    Args:
+        axes: to draw into; its limits become those of the area.
+        scene: of the episode.
+        frame: one step.
+
+    Returns:
+        The image: white where looked at, grey where not.
+    """
+    from matplotlib.colors import LinearSegmentedColormap
+
+    x_min, x_max, y_min, y_max = scene.area
+    ramp = LinearSegmentedColormap.from_list("jaxlangnav-ground", [style.PAPER, style.UNSEEN])
+    image = axes.imshow(
+        np.asarray(frame.miss),
+        extent=(x_min, x_max, y_min, y_max),
+        origin="lower",
+        cmap=ramp,
+        vmin=0.0,
+        vmax=1.0,
+        interpolation="bilinear",
+        zorder=0,
+    )
+    margin = 0.02 * (x_max - x_min)
+    axes.set_xlim(x_min - margin, x_max + margin)
+    axes.set_ylim(y_min - margin, y_max + margin)
+    axes.set_aspect("equal")
+    axes.tick_params(length=2, pad=2)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(True)
+    for spine in axes.spines.values():
+        spine.set_color(style.LINE)
+    return image
+
+
+def draw_truth(axes: "Axes", scene: Scene) -> "list[PathCollection]":
+    """Mark where things truly stand, faintly, and the goal that was meant by a dotted ring.
+
+    Args:
+        axes: to draw into.
+        scene: of the episode.
+
+    Returns:
+        One mark for each true object.
+    """
+    from matplotlib.patches import Circle
+
+    world, marks = scene.scenario, []
+    for slot in np.flatnonzero(world.is_object):
+        kind = int(world.object_type[slot])
+        marks.append(
+            axes.scatter(
+                [world.object_x[slot]],
+                [world.object_y[slot]],
+                marker=style.type_marker(kind),
+                s=70,
+                facecolors="none",
+                edgecolors=style.type_color(kind),
+                linewidths=0.8,
+                alpha=0.45,
+                zorder=2,
+            )
+        )
+    goal = (float(world.goal[0]), float(world.goal[1]))
+    axes.add_patch(
+        Circle(goal, 1.5, fill=False, linestyle=":", linewidth=1.0, color=style.MUTED, zorder=2)
+    )
+    return marks
+
+
+def draw_hypotheses(
+    axes: "Axes", frame: Frame, *, filled: bool = True, scale: float = 1.0
+) -> "list[PathCollection]":
+    """Draw every hypothesised object as a dot; the heavier its particle the stronger.
+
+    Args:
+        axes: to draw into.
+        frame: one step.
+        filled: dots (Figure 1) rather than empty marks (Figure 4).
+        scale: factor on the size of the marks.
+
+    Returns:
+        One collection for each type, of one point for each hypothesis.
+    """
+    weight = np.broadcast_to(frame.weight[None, :], frame.is_hypothesised.shape)
+    full = max(float(frame.weight.max()), 1e-12)
+    drawn = []
+    for kind in np.unique(frame.mention_type[np.asarray(frame.is_hypothesised)]):
+        chosen = frame.is_hypothesised & (frame.mention_type == kind)
+        relative = weight[chosen] / full
+        color = style.type_color(int(kind))
+        drawn.append(
+            axes.scatter(
+                frame.hypothesis_x[chosen],
+                frame.hypothesis_y[chosen],
+                marker=style.type_marker(int(kind)),
+                s=scale * (5 + 9 * relative),
+                facecolors=color if filled else "none",
+                edgecolors="none" if filled else color,
+                linewidths=0.6,
+                alpha=np.minimum(0.15 + 0.5 * relative, 1.0),
+                zorder=3,
+            )
+        )
+    return drawn
+
+
+def draw_objects(axes: "Axes", frame: Frame) -> "list[PathCollection]":
+    """Draw what has been observed: filled marks with a dark rim.
+
+    Args:
+        axes: to draw into.
+        frame: one step.
+
+    Returns:
+        One mark for each observed object; fainter where few particles have it.
+    """
+    return [
+        axes.scatter(
+            [one.x],
+            [one.y],
+            marker=style.type_marker(one.object_type),
+            s=52,
+            facecolors=style.type_color(one.object_type),
+            edgecolors=style.INK,
+            linewidths=0.9,
+            alpha=min(1.0, max(0.25, one.probability)),
+            zorder=6,
+        )
+        for one in seen_objects(frame)
+    ]
+
+
+def draw_path(axes: "Axes", recording: Recording, step: int) -> "Line2D":
+    """Draw the way the robot has truly gone up to a step."""
+    way = recording.frames.position[: step + 1]
+    (line,) = axes.plot(way[:, 0], way[:, 1], color=style.PATH, linewidth=1.1, zorder=4)
+    return line
+
+
+def draw_view(axes: "Axes", scene: Scene, frame: Frame) -> "Patch":
+    """Draw the field of view: a circle, or a sector where it is limited."""
+    from matplotlib.patches import Circle, Wedge
+
+    place = (float(frame.position[0]), float(frame.position[1]))
+    reach, opening = float(scene.sensor.range_max), float(scene.sensor.field_of_view)
+    look = {"fill": False, "linestyle": "--", "linewidth": 0.9, "color": style.VIEW, "zorder": 4}
+    if opening >= 2 * math.pi - 1e-3:
+        return axes.add_patch(Circle(place, reach, **look))
+    middle, half = math.degrees(float(frame.heading)), math.degrees(opening / 2)
+    return axes.add_patch(Wedge(place, reach, middle - half, middle + half, **look))
+
+
+def draw_robot(axes: "Axes", frame: Frame) -> "PathCollection":
+    """Draw the robot as a triangle that points where it heads."""
+    return axes.scatter(
+        [frame.position[0]],
+        [frame.position[1]],
+        marker=(3, 0, math.degrees(float(frame.heading)) - 90),
+        s=95,
+        facecolors=style.INK,
+        edgecolors=style.PAPER,
+        linewidths=0.8,
+        zorder=8,
+    )
+
+
+def draw_waypoint(axes: "Axes", frame: Frame) -> "Line2D":
+    """Draw the chosen waypoint and the straight way to it."""
+    x = [float(frame.position[0]), float(frame.waypoint[0])]
+    y = [float(frame.position[1]), float(frame.waypoint[1])]
+    if bool(frame.is_stop):
+        x, y = x[:1], y[:1]
+    (line,) = axes.plot(
+        x,
+        y,
+        color=style.WAYPOINT,
+        linewidth=1.2,
+        marker="x",
+        markevery=[len(x) - 1],
+        markersize=7,
+        markeredgewidth=1.8,
+        zorder=7,
+    )
+    return line
+
+
+def legend_handles(recording: Recording, *, filled: bool = True) -> "list[Line2D]":
+    """Build the legend of the marks that occur in an episode.
+
+    Args:
+        recording: the episode.
+        filled: whether hypotheses are dots or empty marks.
+
+    Returns:
+        Handles with labels.
+    """
+    from matplotlib.lines import Line2D
+
+    def handle(label: str, **look: Any) -> Line2D:
+        return Line2D([], [], label=label, **{"linestyle": "none", **look})
+
+    def mark(label: str, kind: int, size: float, face: str, edge: str) -> Line2D:
+        marker = style.type_marker(kind)
+        look = {"markersize": size, "markerfacecolor": face, "markeredgecolor": edge}
+        return handle(f"{scene.type_name(kind)}, {label}", marker=marker, **look)
+
+    frames, scene = recording.frames, recording.scene
+    thought = np.unique(frames.mention_type[np.asarray(frames.is_hypothesised)])
+    seen = np.unique(frames.object_type[frames.object_type != NONE])
+    true = np.unique(scene.scenario.object_type[np.asarray(scene.scenario.is_object)])
+    handles = []
+    for kind in (int(one) for one in thought):
+        color = style.type_color(kind)
+        handles.append(
+            mark("hypothesised", kind, 4 if filled else 5, color if filled else "none", color)
+        )
+    handles += [mark("observed", int(k), 7, style.type_color(int(k)), style.INK) for k in seen]
+    handles += [mark("true place", int(k), 8, "none", style.type_color(int(k))) for k in true]
+    for one in handles[len(handles) - len(true) :]:
+        one.set_alpha(0.5)
+    return [
+        *handles,
+        handle("robot", marker="^", color=style.INK, markersize=8),
+        handle("waypoint", marker="x", color=style.WAYPOINT, markersize=6, markeredgewidth=1.8),
+        handle("way gone", linestyle="-", color=style.PATH, linewidth=1.1),
+        handle("field of view", linestyle="--", color=style.VIEW, linewidth=0.9),
+        handle("meant goal, 1.5 m", linestyle=":", color=style.MUTED, linewidth=1.0),
+    ]

@@ -1,0 +1,200 @@
+"""The house style of all pictures: light, colour-blind safe, readable in print.
+
+Colours are Okabe and Ito's; every colour that carries a meaning comes with a shape of its own,
+as in Figure 4 of the paper (squares are cones, circles hydrants, the triangle is the robot;
+filled is observed, empty is hypothesised), so that nothing is lost in grey.
+
+matplotlib belongs to the extra ``viz``. It is imported where it is used and never through
+pyplot: no window, no global figure, no style left behind in somebody's notebook.
+"""
+
+import importlib.util
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.colors import LinearSegmentedColormap
+    from matplotlib.figure import Figure
+
+INK = "#1f2328"
+MUTED = "#6b7280"
+LINE = "#d5d8dd"
+PAPER = "#ffffff"
+UNSEEN = "#dfe3e8"
+"""Ground that nobody has looked at."""
+PATH = "#1f2328"
+VIEW = "#7aa6c2"
+"""The field of view."""
+GOOD = "#009e73"
+BAD = "#b3261e"
+WAYPOINT = "#7b3294"
+SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#7a6a00", "#56b4e9")
+"""Lines of a chart, in this order."""
+TYPE_COLORS = (
+    "#d55e00",  # hydrant
+    "#0072b2",  # cone
+    "#009e73",  # car
+    "#6b7280",  # building
+    "#5b7f2b",  # tree
+    "#8c564b",  # bench
+    "#cc79a7",  # barrel
+    "#b8860b",  # box
+)
+TYPE_MARKERS = ("o", "s", "D", "p", "^", "P", "h", "X")
+"""Marker of each object type, in matplotlib's letters."""
+SPLIT = {"goal": "#d55e00", "information": "#0072b2", "cost": "#6b7280"}
+"""Parts of a value."""
+VALUE_STOPS = ("#f2ead3", "#e3c878", "#7fb08a", "#2f7f8f", "#173f5f")
+"""Sequential ramp of the value function, light to dark: monotone in lightness."""
+_RAMP = (0.0, 0.25, 0.5, 0.75, 1.0)
+
+
+class MissingExtraError(ValueError):
+    """A picture was asked for, but what draws it is not installed; the message is one line."""
+
+
+def require(module: str, *, extra: str = "viz") -> None:
+    """Make sure an optional library is there before anything is drawn.
+
+    Args:
+        module: name to import.
+        extra: the extra of this package that brings it.
+
+    Raises:
+        MissingExtraError: it is not installed; says what to install.
+    """
+    if importlib.util.find_spec(module) is None:
+        raise MissingExtraError(
+            f"{module} is not installed: pip install 'jaxlangnav[{extra}]' brings it"
+        )
+
+
+def type_color(object_type: int) -> str:
+    """Give an object type its colour; types beyond the eight share them in turn."""
+    return TYPE_COLORS[object_type % len(TYPE_COLORS)] if object_type >= 0 else MUTED
+
+
+def type_marker(object_type: int) -> str:
+    """Give an object type its marker."""
+    return TYPE_MARKERS[object_type % len(TYPE_MARKERS)] if object_type >= 0 else "x"
+
+
+def value_colormap() -> "LinearSegmentedColormap":
+    """Build the colour map of the value function."""
+    from matplotlib.colors import LinearSegmentedColormap
+
+    return LinearSegmentedColormap.from_list(
+        "jaxlangnav-value", list(zip(_RAMP, VALUE_STOPS, strict=True))
+    )
+
+
+def rc() -> dict[str, Any]:
+    """Build matplotlib's settings of the house style."""
+    return {
+        "figure.facecolor": PAPER,
+        "figure.dpi": 110,
+        "savefig.dpi": 160,
+        "font.family": "DejaVu Sans",
+        "font.size": 8.5,
+        "axes.titlesize": 9,
+        "axes.titlelocation": "left",
+        "axes.titleweight": "bold",
+        "axes.labelsize": 8.5,
+        "axes.labelcolor": INK,
+        "axes.edgecolor": MUTED,
+        "axes.linewidth": 0.7,
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+        "axes.axisbelow": True,
+        "text.color": INK,
+        "xtick.color": MUTED,
+        "ytick.color": MUTED,
+        "xtick.labelsize": 7.5,
+        "ytick.labelsize": 7.5,
+        "grid.color": LINE,
+        "grid.linewidth": 0.6,
+        "legend.frameon": False,
+        "legend.fontsize": 7.5,
+        "lines.linewidth": 1.6,
+        "svg.hashsalt": "jaxlangnav",
+        "svg.fonttype": "path",
+    }
+
+
+@contextmanager
+def house_style() -> Iterator[None]:
+    """Draw in the house style inside the block; settings outside stay as they were.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+    """
+    require("matplotlib")
+    import matplotlib as mpl
+
+    with mpl.rc_context(rc()):
+        yield
+
+
+def title(figure: "Figure", text: str, subtitle: str = "") -> None:
+    """Head a figure at its upper left: what it shows in bold, how to read it beneath.
+
+    Args:
+        figure: the figure; its layout must leave half an inch at the top.
+        text: the headline.
+        subtitle: one line of explanation.
+    """
+    height = figure.get_figheight()
+    left = 0.12 / figure.get_figwidth()
+    figure.text(left, 1 - 0.10 / height, text, va="top", fontsize=12, fontweight="bold")
+    if subtitle:
+        figure.text(left, 1 - 0.36 / height, subtitle, va="top", fontsize=8.5, color=MUTED)
+
+
+def save(figure: "Figure", stem: Path | str) -> tuple[Path, Path]:
+    """Write a figure as PNG and SVG; a reader never meets half a file.
+
+    Args:
+        figure: what to write.
+        stem: path without ending; folders are made.
+
+    Returns:
+        The two paths, PNG first.
+    """
+    stem = Path(stem)
+    paths = (stem.with_name(stem.name + ".png"), stem.with_name(stem.name + ".svg"))
+    with house_style():
+        for path in paths:
+            kind = path.suffix[1:]
+            metadata = {"Date": None} if kind == "svg" else {}
+            with replacing(path) as temporary:
+                figure.savefig(temporary, format=kind, metadata=metadata)
+    return paths
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Write a file beside its place and move it there at the end.
+
+    Args:
+        path: where the file is to stand; folders are made.
+
+    Yields:
+        The temporary path to write to; removed if writing fails.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        yield temporary
+        # mkstemp makes files private; a picture gets the rights any new file would get.
+        umask = os.umask(0)
+        os.umask(umask)
+        temporary.chmod(0o666 & ~umask)
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)

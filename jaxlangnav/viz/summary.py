@@ -1,0 +1,185 @@
+"""Numbers that several pictures and the story share: what a frame says in few figures.
+
+Particles agree on what has been seen, up to its exact place, so the objects of all particles are
+summed up slot by slot; hypotheses stay as they are, one per particle and mention.
+"""
+
+import dataclasses
+
+import numpy as np
+
+from jaxlangnav.messages import NONE
+from jaxlangnav.recording import Frame
+
+_LEAST_SHARE = 0.02
+"""Objects that fewer particles believe in than this are left out of pictures."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class SeenObject:
+    """An object that has been observed, summed up over particles."""
+
+    slot: int
+    object_type: int
+    x: float  # metres, map frame, weighted mean
+    y: float
+    spread: float  # metres, standard deviation over particles
+    probability: float  # share of the weight of particles that have it
+    goal_mass: float  # probability that it is the goal
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Hypothesis:
+    """What is believed of a type that has been spoken of and not yet seen."""
+
+    object_type: int
+    probability: float  # weight of the particles for which it is still a hypothesis
+    x: float  # metres, map frame: weighted mean
+    y: float
+    spread: float  # metres, root mean square distance from the mean
+
+
+def seen_objects(frame: Frame) -> list[SeenObject]:
+    """Sum up the observed objects of a frame.
+
+    Args:
+        frame: one step.
+
+    Returns:
+        One object for each slot in use, by slot.
+    """
+    weight = np.asarray(frame.weight, float)
+    found = []
+    for slot in range(frame.object_type.shape[0]):
+        types = np.asarray(frame.object_type[slot])
+        share = np.where(types != NONE, weight, 0.0)
+        total = float(share.sum())
+        if total < _LEAST_SHARE:
+            continue
+        kind = int(np.argmax(np.bincount(types[types != NONE], weights=share[types != NONE])))
+        share = np.where(types == kind, share, 0.0)
+        x, y, spread = _moments(share, frame.object_x[slot], frame.object_y[slot])
+        found.append(
+            SeenObject(
+                slot=slot,
+                object_type=kind,
+                x=x,
+                y=y,
+                spread=spread,
+                probability=min(total, 1.0),
+                goal_mass=float(frame.goal_mass[slot]),
+            )
+        )
+    return found
+
+
+def hypotheses(frame: Frame) -> list[Hypothesis]:
+    """Sum up the hypotheses of a frame by type.
+
+    Args:
+        frame: one step.
+
+    Returns:
+        One entry for each hypothesised type, the most probable first.
+    """
+    found = []
+    for kind in np.unique(frame.mention_type[np.asarray(frame.is_hypothesised)]):
+        is_of_type = frame.is_hypothesised & (frame.mention_type == kind)
+        share = np.where(is_of_type, frame.weight[None, :], 0.0)
+        particles = float(np.where(is_of_type.any(axis=0), frame.weight, 0.0).sum())
+        if particles < _LEAST_SHARE:
+            continue
+        x, y, spread = _moments(share, frame.hypothesis_x, frame.hypothesis_y)
+        found.append(
+            Hypothesis(object_type=int(kind), probability=particles, x=x, y=y, spread=spread)
+        )
+    return sorted(found, key=lambda one: -one.probability)
+
+
+def expected_goal(frames: Frame) -> np.ndarray:
+    """Compute the mean place of the goal.
+
+    Args:
+        frames: one step, or steps with a leading axis.
+
+    Returns:
+        f64[..., 2], metres, map frame; NaN where no goal is believed anywhere.
+    """
+    mass = np.concatenate([frames.goal_mass, frames.hypothesis_goal_mass], axis=-1).astype(float)
+    x = np.concatenate([frames.goal_x, frames.hypothesis_goal_x], axis=-1)
+    y = np.concatenate([frames.goal_y, frames.hypothesis_goal_y], axis=-1)
+    total = mass.sum(axis=-1)
+    safe = np.where(total > 1e-6, total, np.nan)
+    return np.stack([(mass * x).sum(axis=-1) / safe, (mass * y).sum(axis=-1) / safe], axis=-1)
+
+
+def peaks(
+    frame: Frame, *, radius: float = 1.5, number: int = 2, least: float = 0.15
+) -> list[tuple[float, float, float]]:
+    """Find where the unseen goal is most likely to be.
+
+    Args:
+        frame: one step.
+        radius: metres around a peak that count as the same place.
+        number: how many peaks at most.
+        least: peaks that hold less than this share of the unseen goal's mass are left out.
+
+    Returns:
+        x, y in metres, map frame, and the share of the unseen goal's mass within ``radius``;
+        the greatest first.
+    """
+    mass = np.asarray(frame.hypothesis_goal_mass, float)
+    held = np.flatnonzero(mass > 0.0)
+    total = mass.sum()
+    if total < 1e-6:
+        return []
+    x = np.asarray(frame.hypothesis_goal_x, float)[held]
+    y = np.asarray(frame.hypothesis_goal_y, float)[held]
+    left = mass[held] / total
+    squared = (x[:, None] - x[None, :]) ** 2 + (y[:, None] - y[None, :]) ** 2
+    near = squared <= radius * radius
+    found = []
+    for _ in range(number):
+        around = near @ left
+        best = int(np.argmax(around))
+        if around[best] < least:
+            break
+        share = np.where(near[best], left, 0.0)
+        found.append(
+            (
+                float((share * x).sum() / share.sum()),
+                float((share * y).sum() / share.sum()),
+                float(around[best]),
+            )
+        )
+        left = np.where(near[best], 0.0, left)
+    return found
+
+
+def chosen_node(frame: Frame) -> int | None:
+    """Find the node the waypoint stands on.
+
+    Args:
+        frame: one step.
+
+    Returns:
+        Its index, or None where a former waypoint is kept that is no node any more.
+    """
+    squared = (frame.node_x - frame.waypoint[0]) ** 2 + (frame.node_y - frame.waypoint[1]) ** 2
+    squared = np.where(frame.is_node & (frame.node_kind == frame.waypoint_kind), squared, np.inf)
+    best = int(np.argmin(squared))
+    return best if squared[best] < 1e-4 else None
+
+
+def explored_share(frame: Frame) -> float:
+    """Compute which share of the area has been looked at (misses below one half)."""
+    return float(np.mean(np.asarray(frame.miss) < 0.5))
+
+
+def _moments(share: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[float, float, float]:
+    """Compute mean and root mean square distance under unnormalised weights."""
+    share = np.asarray(share, float)
+    total = share.sum()
+    mean_x, mean_y = float((share * x).sum() / total), float((share * y).sum() / total)
+    variance = (share * ((x - mean_x) ** 2 + (y - mean_y) ** 2)).sum() / total
+    return mean_x, mean_y, float(np.sqrt(max(variance, 0.0)))

@@ -1,0 +1,147 @@
+"""Words for numbers: directions, distances, probabilities and readings in plain English."""
+
+import math
+
+from jaxlangnav.messages import NEAR, NONE, RELATIONS, ROBOT
+from jaxlangnav.planner.graph import FRONTIER, OBJECT, VISITED
+from jaxlangnav.recording import Scene
+
+RELATION_WORDS = {
+    "front": "in front of",
+    "behind": "behind",
+    "left": "to the left of",
+    "right": "to the right of",
+    "near": "near",
+    "far": "far from",
+}
+NODE_WORDS = {
+    FRONTIER: "unexplored ground",
+    VISITED: "a place it has been",
+    OBJECT: "an object",
+}
+_EIGHTHS = (
+    "ahead",
+    "ahead to the left",
+    "to the left",
+    "behind to the left",
+    "behind",
+    "behind to the right",
+    "to the right",
+    "ahead to the right",
+)
+
+
+def direction(bearing: float) -> str:
+    """Say where a bearing points.
+
+    Args:
+        bearing: radians, robot frame, counter-clockwise from the heading.
+
+    Returns:
+        One of eight directions: "ahead", "ahead to the left", …
+    """
+    return _EIGHTHS[round(bearing / (math.pi / 4)) % 8]
+
+
+def whereabouts(x: float, y: float, robot_x: float, robot_y: float, heading: float) -> str:
+    """Say where a place is as the robot would: "3.2 m ahead to the left".
+
+    Args:
+        x: metres, map frame.
+        y: metres.
+        robot_x: metres, map frame.
+        robot_y: metres.
+        heading: radians.
+
+    Returns:
+        Distance and direction; "here" within 0.3 m.
+    """
+    distance = math.hypot(x - robot_x, y - robot_y)
+    if distance < 0.3:
+        return "right here"
+    bearing = math.atan2(y - robot_y, x - robot_x) - heading
+    return f"{distance:.1f} m {direction(bearing)}"
+
+
+def percent(probability: float) -> str:
+    """Say a probability in per cent, never a certainty it is not.
+
+    Args:
+        probability: in [0, 1], up to rounding.
+
+    Returns:
+        "37 %"; "< 1 %" and "> 99 %" near the ends.
+    """
+    if 0.0 < probability < 0.01:
+        return "< 1 %"
+    if 0.99 < probability < 1.0 - 1e-6:
+        return "> 99 %"
+    return f"{100 * probability:.0f} %"
+
+
+def article(noun: str) -> str:
+    """Put "a" or "an" before a noun."""
+    return f"{'an' if noun[:1] in 'aeiou' else 'a'} {noun}"
+
+
+def listed(parts: list[str]) -> str:
+    """Join parts as in speech: "a, b and c"."""
+    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
+
+
+def describe_reading(scene: Scene, index: int) -> str:
+    """Say what a reading of the sentence claims of the world.
+
+    Args:
+        scene: of the episode.
+        index: of the reading, in [0, K).
+
+    Returns:
+        "a hydrant behind a cone"; "nothing" where it claims nothing.
+    """
+    readings = scene.readings
+    types, relations = readings.mention_type[index], readings.relation[index]
+    figures, landmarks = readings.figure[index], readings.landmark[index]
+
+    def relation_words(edge: int) -> str:
+        name = RELATIONS[int(relations[edge])]
+        if not bool(readings.is_superlative[index, edge]):
+            return RELATION_WORDS[name]
+        return "nearest to" if int(relations[edge]) == NEAR else f"most {RELATION_WORDS[name]}"
+
+    def thing(mention: int, path: tuple[int, ...]) -> str:
+        if int(types[mention]) == ROBOT:
+            return "the robot"
+        parts = [article(scene.type_name(int(types[mention])))]
+        for edge in range(len(relations)):
+            landmark = int(landmarks[edge])
+            is_edge = int(figures[edge]) == mention and int(relations[edge]) != NONE
+            if is_edge and landmark not in path:
+                parts.append(f"{relation_words(edge)} {thing(landmark, (*path, mention))}")
+        return " ".join(parts)
+
+    used = {int(landmarks[edge]) for edge in range(len(relations)) if relations[edge] != NONE}
+    heads = [
+        mention for mention in range(len(types)) if int(types[mention]) >= 0 and mention not in used
+    ]
+    return listed([thing(mention, ()) for mention in heads]) if heads else "nothing"
+
+
+def describe_readings(scene: Scene, *, least: float = 0.01) -> list[tuple[str, float]]:
+    """Say what the sentence may mean, readings of the same words added up.
+
+    Args:
+        scene: of the episode.
+        least: readings less probable than this are left out.
+
+    Returns:
+        Claims with probabilities, the most probable first.
+    """
+    total: dict[str, float] = {}
+    for index, log_probability in enumerate(scene.readings.log_probability):
+        probability = math.exp(float(log_probability))
+        if probability > 0.0:
+            claim = describe_reading(scene, index)
+            total[claim] = total.get(claim, 0.0) + probability
+    ranked = sorted(total.items(), key=lambda item: -item[1])
+    return [(claim, probability) for claim, probability in ranked if probability >= least]
