@@ -1,0 +1,177 @@
+"""Exact enumeration of what words refer to in a small world (section 3.2, eq. 7a).
+
+The model. Every thing mentioned exists once, in the operating area A, one of the things a relation
+ties together anywhere in it and the others where the relation places them; further objects of each
+type are scattered as a Poisson process of density λ = α / A. An object at x has been missed by
+every look so far with probability m(x). Given what has been seen, a grounding that takes things to
+be observed objects o and the rest to be unseen weighs, against "nothing seen is what is meant",
+
+    (1 / A) ∏_relations f · ∏_observed 1/λ · ∏_unseen ∫ m(x) dx
+
+This module sums over all assignments, and over a fine grid of places for what is unseen. NumPy,
+float64; nothing is shared with the package.
+"""
+
+import dataclasses
+import math
+
+import numpy as np
+
+ROBOT, NONE, FAR = -2, -1, 5
+FRONT, BEHIND, LEFT, RIGHT, NEAR = range(5)
+
+
+@dataclasses.dataclass
+class World:
+    objects: list[tuple[int, float, float]]  # type, x, y of what has been seen
+    area: tuple[float, float, float, float]
+    miss: np.ndarray  # [G, G] probability of having missed an object, rows are y cells
+    viewer: tuple[float, float, float]
+    alpha: float
+    softness: float  # metres, of a superlative
+    median: np.ndarray  # [6] metres, median distance of each relation
+    spread: np.ndarray  # [6] of log distance
+    axis: np.ndarray  # [6] radians from the line of sight
+    concentration: np.ndarray  # [6]
+    fineness: int = 3  # grid points a side in each cell
+
+    @property
+    def size(self) -> float:
+        return (self.area[1] - self.area[0]) * (self.area[3] - self.area[2])
+
+
+def density(world: World, relation: int, figure: np.ndarray, landmark: np.ndarray, own: bool):
+    """Log-normal distance times von Mises direction about the axis, per square metre.
+
+    The direction turns from the line of sight, from the viewer to the landmark: 0 is behind, a
+    quarter to the left is left. With the robot itself as the landmark (``own``) it counts from its
+    heading: front is ahead, left is to its left.
+    """
+    offset = figure - landmark
+    distance = np.hypot(offset[..., 0], offset[..., 1])
+    if own:
+        middle = np.full(distance.shape, world.viewer[2] + math.pi - world.axis[relation])
+    else:
+        sight = np.arctan2(landmark[..., 1] - world.viewer[1], landmark[..., 0] - world.viewer[0])
+        middle = sight + world.axis[relation]
+    kappa, sigma = world.concentration[relation], world.spread[relation]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        standard = (np.log(distance) - math.log(world.median[relation])) / sigma
+        radial = np.exp(-0.5 * standard**2) / (distance * sigma * math.sqrt(2 * math.pi))
+        turn = np.arctan2(offset[..., 1], offset[..., 0]) - middle
+        angular = np.exp(kappa * np.cos(turn)) / (2 * math.pi * np.i0(kappa))
+        return np.where(distance > 0, radial * angular / distance, 0.0)
+
+
+def superlative(world: World, kind: int, relation: int, figure: np.ndarray, landmark: np.ndarray):
+    """Price of a figure that another seen object of its type beats: exp(−excess / softness)."""
+    sign = -1.0 if relation == FAR else 1.0
+    gap = sign * np.hypot(*np.moveaxis(figure - landmark, -1, 0))
+    best = gap
+    for name, x, y in world.objects:
+        if name == kind:
+            best = np.minimum(best, sign * np.hypot(x - landmark[..., 0], y - landmark[..., 1]))
+    return np.exp(-(gap - best) / world.softness)
+
+
+def candidates(world: World, kind: int):
+    """List places [n, 2], weights [n] and categories [n] of what may be meant.
+
+    A category is the index of a seen object, or their number for anything unseen.
+    """
+    if kind == ROBOT:
+        return np.array([world.viewer[:2]]), np.ones(1), np.zeros(1, int)
+    seen = [(index, x, y) for index, (name, x, y) in enumerate(world.objects) if name == kind]
+    cells = world.miss.shape[0]
+    number = cells * world.fineness
+    x_min, x_max, y_min, y_max = world.area
+    step_x, step_y = (x_max - x_min) / number, (y_max - y_min) / number
+    grid_x, grid_y = np.meshgrid(
+        x_min + (np.arange(number) + 0.5) * step_x, y_min + (np.arange(number) + 0.5) * step_y
+    )
+    miss = np.kron(world.miss, np.ones((world.fineness, world.fineness)))
+    place = np.concatenate(
+        [
+            np.array([[x, y] for _, x, y in seen]).reshape(-1, 2),
+            np.stack([grid_x.ravel(), grid_y.ravel()], axis=1),
+        ]
+    )
+    weight = np.concatenate(
+        [np.full(len(seen), world.size / world.alpha), miss.ravel() * step_x * step_y]
+    )
+    category = [index for index, _, _ in seen] + [len(world.objects)] * number**2
+    return place, weight, np.array(category)
+
+
+def potential(world: World, kinds: list[int], edge: tuple[int, int, int, bool], places: list):
+    """Tabulate f over all places of the figure (rows) and of the landmark (columns)."""
+    figure, relation, landmark, is_extreme = edge
+    rows, columns = places[figure][:, None, :], places[landmark][None, :, :]
+    shape = (rows.shape[0], columns.shape[1], 2)
+    rows, columns = np.broadcast_to(rows, shape), np.broadcast_to(columns, shape)
+    table = density(world, relation, rows, columns, kinds[landmark] == ROBOT)
+    if is_extreme:
+        table = table * superlative(world, kinds[figure], relation, rows, columns)
+    if kinds[figure] == kinds[landmark]:
+        table = np.where((rows == columns).all(-1), 0.0, table)
+    return table
+
+
+def groundings(world: World, kinds: list[int], edges: list[tuple[int, int, int, bool]]):
+    """Weigh all groundings of one reading.
+
+    Args:
+        world: what has been seen.
+        kinds: type of each mention.
+        edges: relations (figure, relation, landmark, superlative), at most two, the second
+            touching a mention of the first.
+
+    Returns:
+        Weights f64[C, ...] over the categories of each mention, C = seen objects + 1, and the
+        same weighed with x and with y of the first mention, f64[2, C, ...].
+    """
+    number = len(world.objects) + 1
+    places, weights, categories = zip(*[candidates(world, kind) for kind in kinds], strict=True)
+    sorting = [
+        weight[:, None] * (category[:, None] == np.arange(number))
+        for weight, category in zip(weights, categories, strict=True)
+    ]
+    # The first mention three times: plain, weighed with x, weighed with y.
+    first = np.stack([sorting[0], *(sorting[0] * places[0][:, axis, None] for axis in (0, 1))])
+    if edges[0][1] == NONE:
+        result = first.sum(1) / world.size
+    elif len(edges) == 1:
+        table = potential(world, kinds, edges[0], places)
+        if edges[0][0] == 1:
+            table = table.T
+        result = np.einsum("kac,ab,bd->kcd", first, table, sorting[1], optimize=True)
+        result = result / (1.0 if ROBOT in kinds else world.size)
+    else:
+        result = chain(world, kinds, edges, places, first, sorting)
+    return result[0], result[1:]
+
+
+def chain(world, kinds, edges, places, first, sorting):
+    """Contract two relations over three mentions; one mention belongs to both."""
+    tables = {}
+    for edge in edges:
+        table = potential(world, kinds, edge, places)
+        tables[edge[0], edge[2]] = table
+        tables[edge[2], edge[0]] = table.T
+    ends = [{edge[0], edge[2]} for edge in edges]
+    (middle,) = ends[0] & ends[1]
+    one, other = [mention for mention in range(3) if mention != middle]
+    scale = 1.0 if ROBOT in kinds else world.size
+
+    def toward(mention: int, side: np.ndarray) -> np.ndarray:
+        return tables[middle, mention] @ side
+
+    if middle == 0:
+        left, right = toward(one, sorting[one]), toward(other, sorting[other])
+        return np.einsum("kac,ad,ae->kcde", first, left, right, optimize=True) / scale
+    left = np.stack([toward(0, part) for part in first])  # [3, middle, C]
+    right = toward(other if one == 0 else one, sorting[other if one == 0 else one])
+    result = np.einsum("kmc,md,me->kcde", left, sorting[middle], right, optimize=True)
+    if middle == 2:
+        result = np.swapaxes(result, 2, 3)
+    return result / scale

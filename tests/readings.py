@@ -1,0 +1,205 @@
+"""Readings, observations and beliefs by hand, and the few compiled programs the tests share.
+
+Every compiled program takes seconds to build, so all tests of the filter share one set of sizes
+and the programs below: S seeds or worlds at once, T steps.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxlangnav.messages import NONE, MotionParams, Observation, Readings, SensorParams
+from jaxlangnav.pytree import replace
+from jaxlangnav.semantic_map import filter as semantic_filter
+from jaxlangnav.semantic_map.coverage import Coverage
+from jaxlangnav.semantic_map.filter import FilterInfo, ParticleBelief
+from jaxlangnav.semantic_map.params import MapConfig, MapParams, default_map_params
+
+K, M, J, D = 2, 3, 2, 6
+"""Readings, mentions, relations, detections."""
+CONFIG = MapConfig(num_particles=64, num_objects=6, num_cells=32)
+SEEDS = 128
+"""Lanes of the shared programs."""
+STEPS = 8
+"""Steps of one call of the shared programs."""
+HYDRANT, CONE, CAR = 0, 1, 2
+AREA = (0.0, 10.0, -5.0, 5.0)
+
+Relation = tuple[int, int, int, bool]
+"""Figure mention, relation, landmark mention, superlative."""
+
+
+def readings(
+    mention_types: list[list[int]],
+    relations: list[list[Relation]],
+    probabilities: list[float] | None = None,
+    *,
+    sizes: tuple[int, int, int] = (K, M, J),
+) -> Readings:
+    """Build readings, one list entry for each; empty slots are padded."""
+    k, m, j = sizes
+    types, figure = np.full((k, m), NONE, np.int32), np.full((k, j), NONE, np.int32)
+    relation, landmark = figure.copy(), figure.copy()
+    is_superlative, probability = np.zeros((k, j), bool), np.zeros(k)
+    probability[: len(mention_types)] = probabilities or [1.0 / len(mention_types)] * len(
+        mention_types
+    )
+    for index, (names, edges) in enumerate(zip(mention_types, relations, strict=True)):
+        types[index, : len(names)] = names
+        for edge, (fig, rel, land, extreme) in enumerate(edges):
+            figure[index, edge], relation[index, edge] = fig, rel
+            landmark[index, edge], is_superlative[index, edge] = land, extreme
+    with np.errstate(divide="ignore"):
+        log_probability = np.log(probability)
+    return Readings(
+        mention_type=jnp.asarray(types),
+        figure=jnp.asarray(figure),
+        relation=jnp.asarray(relation),
+        landmark=jnp.asarray(landmark),
+        is_superlative=jnp.asarray(is_superlative),
+        log_probability=jnp.asarray(log_probability, jnp.float32),
+    )
+
+
+def sensor(
+    range_max: float = 3.0, view: float = 2 * np.pi, probability: float = 0.95, noise: float = 0.1
+) -> SensorParams:
+    return SensorParams(
+        range_max=jnp.float32(range_max),
+        field_of_view=jnp.float32(view),
+        detection_probability=jnp.float32(probability),
+        noise=jnp.float32(noise),
+    )
+
+
+def params(
+    *, concentration: float = 0.3, odometry_noise: float = 0.02, threshold: float = 0.5
+) -> MapParams:
+    motion = MotionParams(step_length=jnp.float32(1.0), odometry_noise=jnp.float32(odometry_noise))
+    return replace(
+        default_map_params(),
+        concentration=jnp.float32(concentration),
+        resample_threshold=jnp.float32(threshold),
+        motion=motion,
+    )
+
+
+def observation(
+    pose: np.ndarray,
+    detections: list[tuple[int, float, float]],
+    specification: SensorParams | None = None,
+    *,
+    size: int = D,
+) -> Observation:
+    """Build an observation from (type, x, y) offsets from the robot in map axes; NumPy leaves."""
+    types, is_detection = np.full(size, NONE, np.int32), np.zeros(size, bool)
+    ranges, bearings = np.zeros(size, np.float32), np.zeros(size, np.float32)
+    for index, (name, x, y) in enumerate(detections):
+        types[index], is_detection[index] = name, True
+        ranges[index], bearings[index] = np.hypot(x, y), np.arctan2(y, x) - pose[2]
+    chosen = specification or sensor()
+    return Observation(
+        pose=np.asarray(pose, np.float32),
+        detection_type=types,
+        detection_range=ranges,
+        detection_bearing=bearings,
+        is_detection=is_detection,
+        sensor=jax.tree.map(np.asarray, chosen),
+    )
+
+
+def stack(records: list) -> object:
+    """Stack records along a new leading axis (NumPy leaves)."""
+    return jax.tree.map(lambda *leaves: np.stack(leaves), *records)
+
+
+def repeat(record: object, number: int) -> object:
+    """Repeat a record along a new leading axis; nothing is copied on the host."""
+    return jax.tree.map(
+        lambda leaf: np.broadcast_to(np.asarray(leaf), (number, *np.shape(leaf))), record
+    )
+
+
+def begin(
+    pose: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    config: MapConfig = CONFIG,
+    area: tuple[float, float, float, float] = AREA,
+    num_mentions: int = M,
+) -> ParticleBelief:
+    return semantic_filter.start(
+        jnp.asarray(pose, jnp.float32), jnp.asarray(area, jnp.float32), num_mentions, config
+    )
+
+
+def with_objects(
+    belief: ParticleBelief, objects: list[tuple[int, float, float]], precision: float = 1e6
+) -> ParticleBelief:
+    """Enter objects (type, x, y) into every particle as if seen and known well."""
+    particles = belief.particles
+    size = particles.precision.shape[0]
+    object_type = np.array(particles.object_type)
+    matrix, mean = np.array(particles.precision), np.zeros((2, *particles.mean_x.shape), np.float32)
+    mean[:] = np.stack([particles.mean_x, particles.mean_y])
+    for slot, (name, x, y) in enumerate(objects):
+        object_type[slot], matrix[slot, slot] = name, precision
+        mean[0, slot], mean[1, slot] = x, y
+    information = np.einsum("ijp,ajp->aip", matrix, mean)
+    assert size == mean.shape[1]
+    return replace(
+        belief,
+        particles=replace(
+            particles,
+            object_type=jnp.asarray(object_type),
+            precision=jnp.asarray(matrix),
+            mean_x=jnp.asarray(mean[0]),
+            mean_y=jnp.asarray(mean[1]),
+            information_x=jnp.asarray(information[0]),
+            information_y=jnp.asarray(information[1]),
+        ),
+    )
+
+
+def with_coverage(belief: ParticleBelief, log_miss: np.ndarray) -> ParticleBelief:
+    coverage = Coverage(
+        log_miss=jnp.asarray(log_miss, jnp.float32), area=belief.coverage.area
+    )
+    return replace(belief, coverage=coverage)
+
+
+@jax.jit
+def ground_many(
+    keys: jax.Array, belief: ParticleBelief, sentence: Readings, numbers: MapParams
+) -> tuple[object, jax.Array]:
+    """Ground the words of one belief under S keys: particles [S, ..., P], log-weights [S, P]."""
+    return jax.vmap(semantic_filter.ground_words, in_axes=(0, None, None, None))(
+        keys, belief, sentence, numbers
+    )
+
+
+@jax.jit
+def run_many(
+    keys: jax.Array,
+    beliefs: ParticleBelief,
+    sentences: Readings,
+    observations: Observation,
+    numbers: MapParams,
+) -> tuple[ParticleBelief, FilterInfo]:
+    """Run STEPS filter steps in S lanes: leaves [S, ...], observations [S, STEPS, ...]."""
+
+    def one(
+        key: jax.Array, belief: ParticleBelief, sentence: Readings, seen: Observation
+    ) -> tuple[ParticleBelief, FilterInfo]:
+        def body(
+            carry: ParticleBelief, step: tuple[jax.Array, Observation]
+        ) -> tuple[ParticleBelief, FilterInfo]:
+            step_key, look = step
+            return semantic_filter.step(step_key, carry, sentence, look, params=numbers)
+
+        return jax.lax.scan(body, belief, (jax.random.split(key, STEPS), seen))
+
+    return jax.vmap(one)(keys, beliefs, sentences, observations)
+
+
+step_one = jax.jit(semantic_filter.step)
+"""One filter step of one belief."""
+NULL = readings([[HYDRANT]], [[(0, NONE, NONE, False)]])

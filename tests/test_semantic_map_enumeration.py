@@ -1,0 +1,175 @@
+"""What the words refer to, against exact enumeration in a small world (eq. 7a)."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import readings as by_hand
+from oracles import enumeration as exact
+
+from jaxlangnav.messages import BEHIND, FAR, FRONT, LEFT, NEAR, NONE, RIGHT, ROBOT
+from jaxlangnav.pytree import replace
+from jaxlangnav.relations import default_params
+
+HYDRANT, CONE, CAR = by_hand.HYDRANT, by_hand.CONE, by_hand.CAR
+OBJECTS = [
+    (HYDRANT, 6.4, 1.3),
+    (CONE, 4.2, 0.6),
+    (HYDRANT, 3.4, -2.6),
+    (CONE, 7.7, -3.2),
+    (CAR, 2.1, 2.8),
+]
+VIEWER = (0.0, 0.0, 0.3)
+ALPHA = 3.0
+GRID_ERROR = 0.005
+"""Share by which the oracle's grid may be wrong."""
+EMPTY = (0, NONE, NONE, False)
+CASES = {
+    "null": ([HYDRANT], [EMPTY]),
+    "behind": ([HYDRANT, CONE], [(0, BEHIND, 1, False)]),
+    "front": ([HYDRANT, CONE], [(0, FRONT, 1, False)]),
+    "near": ([HYDRANT, CONE], [(0, NEAR, 1, False)]),
+    "nearest": ([HYDRANT, CONE], [(0, NEAR, 1, True)]),
+    "farthest": ([HYDRANT, CONE], [(0, FAR, 1, True)]),
+    "cone near another cone": ([CONE, CONE], [(0, NEAR, 1, False)]),
+    "never seen landmark": ([HYDRANT, 5], [(0, BEHIND, 1, False)]),
+    "on your left": ([HYDRANT, ROBOT], [(0, LEFT, 1, False)]),
+    "nearest to you": ([CONE, ROBOT], [(0, NEAR, 1, True)]),
+    "behind the cone near the car": (
+        [HYDRANT, CONE, CAR],
+        [(0, BEHIND, 1, False), (1, NEAR, 2, False)],
+    ),
+    "behind the cone, left of the car": (
+        [HYDRANT, CONE, CAR],
+        [(0, BEHIND, 1, False), (0, LEFT, 2, False)],
+    ),
+    "behind the cone on your right": (
+        [HYDRANT, CONE, ROBOT],
+        [(0, BEHIND, 1, False), (1, RIGHT, 2, False)],
+    ),
+}
+
+
+def miss_map(seed: int = 3) -> np.ndarray:
+    """Draw a coverage with well seen, half seen and unseen parts, [32, 32] in blocks of two."""
+    random = np.random.default_rng(seed)
+    miss = random.choice([1.0, 0.6, 0.05, 0.0025], size=(16, 16), p=[0.4, 0.2, 0.3, 0.1])
+    return np.kron(miss, np.ones((2, 2)))
+
+
+def small_world(objects=OBJECTS, miss=None, fineness: int = 3) -> exact.World:
+    free = default_params()
+    return exact.World(
+        objects=objects,
+        area=by_hand.AREA,
+        miss=miss_map()[::2, ::2] if miss is None else miss,
+        viewer=VIEWER,
+        alpha=ALPHA,
+        softness=0.3,
+        median=np.exp(np.asarray(free.log_distance, float)),
+        spread=np.asarray(free.log_distance_sd, float),
+        axis=np.asarray(free.axis, float),
+        concentration=np.asarray(free.concentration, float),
+        fineness=fineness,
+    )
+
+
+def estimate(sentence, seed: int = 0, objects=OBJECTS):
+    """Ground the sentence SEEDS times: referents [S, M, P], weights [S, P], places."""
+    belief = by_hand.with_objects(by_hand.begin(VIEWER), objects)
+    belief = by_hand.with_coverage(belief, np.log(miss_map()))
+    keys = jax.random.split(jax.random.key(seed), by_hand.SEEDS)
+    particles, log_weight = by_hand.ground_many(
+        keys, belief, sentence, by_hand.params(concentration=ALPHA)
+    )
+    weight = np.exp(np.asarray(log_weight, float))
+    return jax.tree.map(np.asarray, particles), weight
+
+
+def compare(samples: np.ndarray, truth: np.ndarray, num_errors: float = 4.0) -> None:
+    """Compare the mean over seeds with the truth, to standard errors and the grid's own error."""
+    mean = samples.mean(0)
+    error = samples.std(0, ddof=1) / np.sqrt(samples.shape[0])
+    allowed = num_errors * error + GRID_ERROR * np.abs(truth) + 1e-12
+    assert (np.abs(mean - truth) <= allowed).all(), (mean, truth, (mean - truth) / (error + 1e-12))
+
+
+def by_category(particles, weight: np.ndarray, number: int, num_mentions: int) -> np.ndarray:
+    """Sum the weights by what the mentions refer to: [S, C, ...] means over the particles."""
+    category = np.where(particles.referent == NONE, number - 1, particles.referent)
+    flat = np.zeros(weight.shape, int)
+    for mention in range(num_mentions):
+        flat = flat * number + category[:, mention]
+    hot = flat[..., None] == np.arange(number**num_mentions)
+    return (hot * weight[..., None]).mean(1)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_groundings_equal_enumeration(name: str) -> None:
+    kinds, edges = CASES[name]
+    truth, moments = exact.groundings(small_world(), kinds, edges)
+    particles, weight = estimate(by_hand.readings([kinds], [edges]))
+    number = len(OBJECTS) + 1
+    # The robot as a landmark has no referent; it is the oracle's only category then.
+    count = sum(kind != ROBOT for kind in kinds)
+    if count < len(kinds):
+        truth, moments = truth.sum(-1), moments.sum(-1)
+    # Log-evidence of the words: 4 standard errors.
+    evidence = weight.mean(1)
+    compare(evidence, truth.sum())
+    # A heavy tail would pass any test in standard errors: the estimate itself must be usable.
+    assert evidence.std() < 0.5 * truth.sum()
+    # Weight of every grounding; those too rare for a standard error are taken together.
+    samples = by_category(particles, weight, number, count)
+    is_common = truth.ravel() > 0.02 * truth.sum()
+    compare(samples[:, is_common], truth.ravel()[is_common])
+    rest = truth.ravel()[~is_common].sum()
+    assert abs(samples[:, ~is_common].sum(1).mean() - rest) < 0.02 * truth.sum()
+    # Existence: whether each mention has been seen.
+    for mention in range(count):
+        unseen = (np.take(truth, number - 1, axis=mention)).sum()
+        is_open = particles.referent[:, mention] == NONE
+        compare((is_open * weight).mean(1), unseen)
+    # Mean place of a figure that is only hypothesised.
+    is_open = particles.referent[:, 0] == NONE
+    unseen = np.take(moments, number - 1, axis=1).reshape(2, -1).sum(-1)
+    compare((is_open * weight * particles.hypothesis_x[:, 0]).mean(1), unseen[0])
+    compare((is_open * weight * particles.hypothesis_y[:, 0]).mean(1), unseen[1])
+
+
+def test_posterior_over_readings() -> None:
+    """What has been seen settles a doubt about the language: p(k) Z_k."""
+    names, share = ("behind", "near"), (0.3, 0.7)
+    sentence = by_hand.readings(
+        [CASES[name][0] for name in names], [CASES[name][1] for name in names], list(share)
+    )
+    particles, weight = estimate(sentence, seed=1)
+    for index, name in enumerate(names):
+        truth, _ = exact.groundings(small_world(), *CASES[name])
+        compare((weight * (particles.reading == index)).mean(1), share[index] * truth.sum())
+
+
+def test_nothing_seen_leaves_only_hypotheses() -> None:
+    particles, weight = estimate(by_hand.readings(*[[part] for part in CASES["behind"]]), objects=[])
+    truth, _ = exact.groundings(small_world(objects=[]), *CASES["behind"])
+    assert (particles.referent == NONE).all()
+    compare(weight.mean(1), truth.sum())
+
+
+def test_grid_of_the_oracle_is_fine_enough() -> None:
+    """The oracle's own error stays under the share that ``compare`` grants it."""
+    coarse, _ = exact.groundings(small_world(fineness=1), *CASES["behind"])
+    fine, _ = exact.groundings(small_world(fineness=3), *CASES["behind"])
+    # The error goes with the square of the step: of the difference, an eighth is left at three.
+    np.testing.assert_allclose(coarse, fine, rtol=8 * GRID_ERROR, atol=1e-4)
+
+
+def test_unreachable_words_do_not_die() -> None:
+    """A place outside the area is impossible: the weight is floored, not NaN."""
+    kinds, edges = CASES["on your left"]
+    belief = replace(by_hand.begin(VIEWER), viewer=jnp.array([5.0, 5.0, 0.0]))
+    keys = jax.random.split(jax.random.key(0), by_hand.SEEDS)
+    _, log_weight = by_hand.ground_many(
+        keys, belief, by_hand.readings([kinds], [edges]), by_hand.params()
+    )
+    assert np.isfinite(log_weight).all()
