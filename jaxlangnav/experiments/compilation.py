@@ -2,7 +2,7 @@
 
 import time
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
 import jax.monitoring
 
@@ -33,11 +33,12 @@ class CompileClock:
         jax.monitoring.unregister_event_duration_listener(self._listen)
         self.seconds = union_length(self._intervals)
 
-    def _listen(self, event: str, duration: float, **_details: Any) -> None:
+    def _listen(self, event: str, duration_secs: float, **kwargs: str | int) -> None:
         """Note when a trace, a lowering or a compilation began and ended."""
+        del kwargs
         if event.startswith(_COMPILE_EVENTS):
             now = time.perf_counter()
-            self._intervals.append((now - duration, now))
+            self._intervals.append((now - duration_secs, now))
 
 
 def union_length(intervals: list[tuple[float, float]]) -> float:

@@ -45,8 +45,10 @@ def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
         return 0.0, 1.0
     rate, z2 = successes / trials, _Z95**2
     centre = (rate + z2 / (2 * trials)) / (1 + z2 / trials)
-    half = _Z95 / (1 + z2 / trials) * math.sqrt(
-        rate * (1 - rate) / trials + z2 / (4 * trials * trials)
+    half = (
+        _Z95
+        / (1 + z2 / trials)
+        * math.sqrt(rate * (1 - rate) / trials + z2 / (4 * trials * trials))
     )
     return max(0.0, centre - half), min(1.0, centre + half)
 

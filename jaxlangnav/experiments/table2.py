@@ -4,173 +4,118 @@ Our rows stand beside the printed ones. The paper gives no geometry, no noise an
 worlds and noise are those of ``jaxlangnav.world`` and every row says how many runs it rests on.
 """
 
-import dataclasses
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
-import jax
-import numpy as np
-
-from jaxlangnav.experiments.metrics import summarize
-from jaxlangnav.experiments.monte_carlo import (
-    cell,
-    concatenate,
-    known_distances,
-    make_tasks,
-    run_tasks,
+from jaxlangnav.experiments.compilation import CompileClock
+from jaxlangnav.experiments.monte_carlo import Progress
+from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, check_policies
+from jaxlangnav.experiments.report import write_report
+from jaxlangnav.experiments.rows import (
+    RowSpec,
+    bound_rows,
+    check_episodes,
+    default_noise,
+    printed_rows,
+    run_rows,
 )
-from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.navigator import NavigatorConfig, NavigatorParams
-from jaxlangnav.world.templates import TABLE_2, TableRow
+from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
+from jaxlangnav.experiments.tables import caption, markdown_table, rich_table
+from jaxlangnav.world.templates import TABLE_2
 
-SENTENCES = {
-    "null": "go to the hydrant",
-    "behind": "go to the hydrant behind the cone",
-    "nearest": "go to the hydrant nearest to the cone",
-}
-"""The three commands of Table 2 by their relation; none of them is in a training corpus."""
-Row = dict[str, Any]
+SPECS = tuple(RowSpec(world=row.world, range=row.range, relation=row.relation) for row in TABLE_2)
+"""The seven rows, in the paper's order."""
+_TITLE = "Table 2: ours beside the paper's"
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Table2:
-    """Rows with their episodes."""
-
-    rows: list[Row]
-    """One per policy and printed row, in the paper's order."""
-    columns: dict[str, Any]
-    """One entry per episode."""
-
-
-def run_table2(
-    instructions: Instruction,
+def reproduce_table2(
     *,
-    configs: dict[str, NavigatorConfig],
-    params: NavigatorParams,
-    episodes: int,
-    seed: int,
-    on_progress: Callable[[int], None] | None = None,
-) -> Table2:
-    """Run the seven rows for every policy, on the same worlds and noise.
+    episodes: int = 100,
+    policies: Sequence[str] = ("faithful",),
+    seed: int = 0,
+    out: str | Path | None = None,
+    on_progress: Progress | None = None,
+    num_particles: int = DEFAULT_PARTICLES,
+) -> dict[str, Any]:
+    """Run the seven rows of Table 2 for every policy.
 
     Args:
-        instructions: the grounded sentences in the order of ``SENTENCES``, leaves [3, …].
-        configs: by policy name, sizes and policy.
-        params: the navigator's numbers.
-        episodes: runs a row.
+        episodes: runs a row, a fresh world each.
+        policies: names; see ``policies.POLICY_NAMES``.
         seed: root seed of worlds and noise.
+        out: folder for Parquet, Markdown and manifest; nothing is written if None.
         on_progress: called with the number of episodes just finished.
+        num_particles: P, of the navigator's policies.
 
     Returns:
-        Rows and episodes.
+        The document: ``rows``, ``paper``, ``bounds``, ``sentences``, ``noise``, ``wall_s`` without
+        compilation, ``compile_s``, ``files``. Rates in percent, distances in metres.
+
+    Raises:
+        ValueError: fewer than one episode, or an unknown policy.
     """
-    order = list(SENTENCES)
-    tasks = concatenate(
-        [
-            make_tasks(
-                cell(row.world, row.relation, order.index(row.relation), row.range, episodes, seed)
-            )
-            for row in TABLE_2
-        ]
-    )
-    known = known_distances(tasks)
-    rows: list[Row] = []
-    parts: list[dict[str, Any]] = []
-    for policy, config in configs.items():
-        results = run_tasks(
-            tasks, instructions, params=params, config=config, on_progress=on_progress
+    check_episodes(episodes)
+    names = check_policies(policies)
+    begin = time.perf_counter()
+    with CompileClock() as clock:
+        sentences = ground_sentences(list(SENTENCES.values()))
+        found = run_rows(
+            SPECS,
+            sentences,
+            policies=names,
+            episodes=episodes,
+            seed=seed,
+            num_particles=num_particles,
+            on_progress=on_progress,
         )
-        for index, row in enumerate(TABLE_2):
-            span = slice(index * episodes, (index + 1) * episodes)
-            mine = jax.tree.map(lambda leaf, span=span: leaf[span], results)
-            metrics = dataclasses.asdict(summarize(mine, known[span]))
-            rows.append({**_heading(row), "policy": policy, **metrics})
-        parts.append(_columns(results, known, policy, episodes, seed))
-    columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    return Table2(rows=rows, columns=columns)
-
-
-def printed_rows() -> list[Row]:
-    """List the rows as the paper prints them, rates in percent, distances in metres."""
-    return [
-        {
-            **_heading(row),
-            "policy": "paper",
-            "success_rate": row.success_ours,
-            "distance_mean": row.distance_ours,
-            "distance_sd": row.distance_ours_sd,
-            "known_success_rate": row.success_known,
-            "known_distance_mean": row.distance_known,
-            "known_distance_sd": row.distance_known_sd,
-        }
-        for row in TABLE_2
-    ]
-
-
-def markdown(rows: Sequence[Row]) -> str:
-    """Write the table, ours beside the paper's.
-
-    Args:
-        rows: of ``run_table2``.
-
-    Returns:
-        A Markdown table.
-    """
-    lines = [
-        "| World | Range | Relation | Policy | Success % (95 % interval) | paper | "
-        "Distance m (σ) | paper | Known m (σ) | paper | SPL | Time-outs |",
-        "|---|---|---|---|---|---|---|---|---|---|---|---|",
-    ]
-    printed = {_key(row): row for row in printed_rows()}
-    for row in rows:
-        paper = printed[_key(row)]
-        low, high = row["success_ci"]
-        cells = [
-            row["world"],
-            f"{row['range']:g}",
-            row["relation"] or "null",
-            row["policy"],
-            f"{row['success_rate']:.1f} ({low:.1f}-{high:.1f})",
-            f"{paper['success_rate']:.1f}",
-            f"{row['distance_mean']:.2f} ({row['distance_sd']:.2f})",
-            f"{paper['distance_mean']:.2f} ({paper['distance_sd']:.2f})",
-            f"{row['known_distance_mean']:.2f} ({row['known_distance_sd']:.2f})",
-            f"{paper['known_distance_mean']:.2f} ({paper['known_distance_sd']:.2f})",
-            f"{row['spl']:.2f}",
-            str(row["timeouts"]),
-        ]
-        lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines) + "\n"
+    document: dict[str, Any] = {
+        "experiment": "table2",
+        "episodes": episodes,
+        "policies": list(names),
+        "seed": seed,
+        "num_particles": num_particles,
+        "sentences": SENTENCES,
+        "noise": default_noise(),
+        "rows": found.rows,
+        "paper": printed_rows(TABLE_2),
+        "bounds": bound_rows(SPECS),
+        "wall_s": time.perf_counter() - begin - clock.seconds,
+        "compile_s": clock.seconds,
+        "files": [],
+    }
+    if out is not None:
+        text = markdown(document)
+        files = write_report(Path(out), "table2", document, found.columns, text, sentences.models)
+        document["files"] = [str(path) for path in files]
+    return document
 
 
 def total_episodes(*, episodes: int, policies: Sequence[str]) -> int:
-    """Count the runs of a table, for a progress bar."""
-    return len(TABLE_2) * len(policies) * episodes
+    """Count the runs of the table, for a progress bar."""
+    return len(SPECS) * len(check_policies(policies)) * episodes
 
 
-def _heading(row: TableRow) -> Row:
-    """Say which row it is; a command without a relation has None."""
-    relation = None if row.relation == "null" else row.relation
-    return {"world": row.world, "range": row.range, "relation": relation}
+def markdown(document: dict[str, Any]) -> str:
+    """Write the table as Markdown, ours beside the paper's.
+
+    Args:
+        document: of ``reproduce_table2``.
+
+    Returns:
+        A heading, the table and what it was measured under.
+    """
+    return f"# {_TITLE}\n\n{markdown_table(document)}\n{caption(document)}\n"
 
 
-def _key(row: Row) -> tuple[str, float, str | None]:
-    """Identify a row of the table."""
-    return row["world"], row["range"], row["relation"]
+def render(document: dict[str, Any]) -> Any:
+    """Draw the table for people.
 
+    Args:
+        document: of ``reproduce_table2``.
 
-def _columns(
-    results: Any, known: np.ndarray, policy: str, episodes: int, seed: int
-) -> dict[str, Any]:
-    """Lay the episodes of one policy out as tidy columns."""
-    number = len(known)
-    return {
-        "world": np.repeat([row.world for row in TABLE_2], episodes),
-        "range": np.repeat([row.range for row in TABLE_2], episodes),
-        "relation": np.repeat([row.relation for row in TABLE_2], episodes),
-        "policy": np.full(number, policy),
-        "seed": np.full(number, seed),
-        "episode": np.tile(np.arange(episodes), len(TABLE_2)),
-        **{field.name: getattr(results, field.name) for field in dataclasses.fields(results)},
-        "known_distance": known,
-    }
+    Returns:
+        A rich table.
+    """
+    return rich_table(document, title=_TITLE)

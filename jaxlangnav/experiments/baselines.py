@@ -1,0 +1,312 @@
+"""Robots to compare with: known map, nearest frontier, lawnmower (section 4.2 and its limits).
+
+All run in the same worlds, with the same keys for the sensor's and the odometry's noise, as the
+navigator: whatever differs is the policy. What each of them knows:
+
+- ``known``: the whole map and its own true position. The column *Known* of Table 2.
+- ``frontier``: the operating area, and that the goal is of the sentence's figure type. It goes to
+  the nearest edge of what it has seen, and to the first object of that type that it sees.
+- ``lawnmower``: the same, but it sweeps the operating area in lanes as wide as it sees. It does not
+  know by what law the worlds are drawn.
+
+Neither of the last two reads the relation; of two hydrants they are right half of the time.
+"""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task
+from jaxlangnav.grounding.instruction import Instruction
+from jaxlangnav.messages import Action, Observation, SensorParams
+from jaxlangnav.planner.graph import frontiers
+from jaxlangnav.pytree import pytree
+from jaxlangnav.semantic_map.coverage import Coverage, log_miss_at, look, unexplored
+from jaxlangnav.world import simulator
+from jaxlangnav.world.known import drive_known_map
+from jaxlangnav.world.motion import move
+from jaxlangnav.world.sensor import sense
+from jaxlangnav.world.state import Scenario, WorldState
+
+BASELINES = ("frontier", "lawnmower", "known")
+REACH = 0.5
+"""Metres from the object at which a baseline stops, as the navigator does."""
+_NUM_CELLS, _NUM_BLOCKS = 32, 8
+_FRONTIER_MISS = 0.5
+_LANE_MARGINS = (1.0, 0.3)
+"""How far from the edge a lane ends, as a share of the range: on the first pass and later on. The
+first pass turns as early as it can and leaves corners out of view; later ones look there."""
+
+
+@pytree
+class Explorer:
+    """What a baseline remembers; positions by its own dead reckoning, metres."""
+
+    coverage: Coverage
+    target_x: Array  # f32[] the object it makes for
+    target_y: Array  # f32[]
+    has_target: Array  # bool[]
+    waypoint_x: Array  # f32[] where it is exploring to
+    waypoint_y: Array  # f32[]
+    leg: Array  # i32[] waypoints reached
+
+
+@pytree
+class _Run:
+    """Carry of an episode's loop."""
+
+    explorer: Explorer
+    world: WorldState
+    steps: Array  # i32[]
+    is_stopped: Array  # bool[]
+
+
+def figure_types(instructions: Instruction) -> Array:
+    """Read from the most probable reading which type of object each sentence asks for.
+
+    Args:
+        instructions: leaves [I, …].
+
+    Returns:
+        i32[I], type index of the first figure, or of the first thing mentioned if none is.
+    """
+
+    def one(instruction: Instruction) -> Array:
+        readings = instruction.readings
+        best = jnp.argmax(readings.log_probability)
+        return readings.mention_type[best, jnp.maximum(readings.figure[best, 0], 0)]
+
+    return jax.vmap(one)(instructions)
+
+
+def notice(explorer: Explorer, observation: Observation, figure_type: Array) -> Explorer:
+    """Take in what is seen: coverage, and the object to make for.
+
+    The first object of the type becomes the target, of several the nearest; from then on the
+    target is put where the detection nearest to it says.
+
+    Args:
+        explorer: before the look.
+        observation: pose and detections.
+        figure_type: i32[], type to look for.
+
+    Returns:
+        The explorer after the look.
+    """
+    pose = observation.pose
+    bearing = observation.detection_bearing + pose[2]
+    x = pose[0] + observation.detection_range * jnp.cos(bearing)
+    y = pose[1] + observation.detection_range * jnp.sin(bearing)
+    is_figure = observation.is_detection & (observation.detection_type == figure_type)
+    from_target = (x - explorer.target_x) ** 2 + (y - explorer.target_y) ** 2
+    # Another object of the type, metres away, is not the target seen again.
+    is_target = is_figure & (~explorer.has_target | (from_target < 4.0))
+    rank = jnp.where(explorer.has_target, from_target, observation.detection_range)
+    nearest = jnp.argmin(jnp.where(is_target, rank, jnp.inf))
+    is_seen = jnp.any(is_target)
+    return Explorer(
+        coverage=look(explorer.coverage, pose[0], pose[1], pose[2], observation.sensor),
+        target_x=jnp.where(is_seen, x[nearest], explorer.target_x),
+        target_y=jnp.where(is_seen, y[nearest], explorer.target_y),
+        has_target=explorer.has_target | is_seen,
+        waypoint_x=explorer.waypoint_x,
+        waypoint_y=explorer.waypoint_y,
+        leg=explorer.leg,
+    )
+
+
+def lane_waypoint(area: Array, range_max: Array, leg: Array) -> tuple[Array, Array]:
+    """Compute a waypoint of the sweep of an area; after the last it begins anew.
+
+    Args:
+        area: f32[4], x_min, x_max, y_min, y_max, metres.
+        range_max: f32[], sensing range, metres.
+        leg: i32[], waypoints reached so far.
+
+    Returns:
+        x and y, f32[] metres.
+    """
+    depth, width = area[1] - area[0], area[3] - area[2]
+    num_lanes = jnp.ceil(depth / (2.0 * range_max)).astype(jnp.int32)
+    num_lanes = jnp.maximum(num_lanes, 1)
+    at = leg % (2 * num_lanes)
+    lane = at // 2
+    is_far = ((at + 1) // 2) % 2 == 1  # near, far, far, near, near, far, ...
+    share = jnp.where(leg < 2 * num_lanes, _LANE_MARGINS[0], _LANE_MARGINS[1])
+    margin = jnp.minimum(share * range_max, 0.5 * width)
+    x = area[0] + (lane.astype(jnp.float32) + 0.5) * depth / num_lanes.astype(jnp.float32)
+    y = jnp.where(is_far, area[3] - margin, area[2] + margin)
+    return x, y
+
+
+def _explore_lanes(explorer: Explorer, pose: Array, sensor: SensorParams) -> Explorer:
+    """Go on to the next waypoint of the sweep once this one is reached."""
+    area = explorer.coverage.area
+    x, y = lane_waypoint(area, sensor.range_max, explorer.leg)
+    is_there = jnp.hypot(x - pose[0], y - pose[1]) < REACH
+    leg = explorer.leg + is_there.astype(jnp.int32)
+    x, y = lane_waypoint(area, sensor.range_max, leg)
+    return _towards(explorer, x, y, leg)
+
+
+def _explore_frontiers(explorer: Explorer, pose: Array, sensor: SensorParams) -> Explorer:
+    """Keep the chosen frontier until it has been looked at; then take the nearest one."""
+    del sensor
+    coverage = explorer.coverage
+    x, y, is_frontier = frontiers(coverage, _NUM_BLOCKS, jnp.float32(_FRONTIER_MISS))
+    squared = (x - pose[0]) ** 2 + (y - pose[1]) ** 2
+    is_open = is_frontier & (squared > (0.5 * REACH) ** 2)
+    nearest = jnp.argmin(jnp.where(is_open, squared, jnp.inf))
+    worst = jnp.max(coverage.log_miss)
+    there = log_miss_at(coverage, explorer.waypoint_x, explorer.waypoint_y)
+    remaining = jnp.hypot(explorer.waypoint_x - pose[0], explorer.waypoint_y - pose[1])
+    keeps = (explorer.leg > 0) & (remaining > REACH)
+    keeps = keeps & (there > worst + jnp.log(jnp.float32(_FRONTIER_MISS)))
+    return _towards(
+        explorer,
+        jnp.where(keeps, explorer.waypoint_x, x[nearest]),
+        jnp.where(keeps, explorer.waypoint_y, y[nearest]),
+        explorer.leg + (~keeps).astype(jnp.int32),
+    )
+
+
+def _towards(explorer: Explorer, x: Array, y: Array, leg: Array) -> Explorer:
+    """Set where to explore next."""
+    return Explorer(
+        coverage=explorer.coverage,
+        target_x=explorer.target_x,
+        target_y=explorer.target_y,
+        has_target=explorer.has_target,
+        waypoint_x=x,
+        waypoint_y=y,
+        leg=leg,
+    )
+
+
+def _act(explorer: Explorer, pose: Array) -> Action:
+    """Make for the target if there is one, else explore; stop at the target."""
+    x = jnp.where(explorer.has_target, explorer.target_x, explorer.waypoint_x)
+    y = jnp.where(explorer.has_target, explorer.target_y, explorer.waypoint_y)
+    step = jnp.stack([x - pose[0], y - pose[1]])
+    is_stop = explorer.has_target & (jnp.hypot(step[0], step[1]) <= REACH)
+    return Action(
+        waypoint=jnp.stack([x, y]),
+        step=step,
+        is_stop=is_stop,
+        speed=jnp.float32(1.0),
+        clearance=jnp.float32(0.0),
+    )
+
+
+def _start(scenario: Scenario) -> _Run:
+    """Put a baseline at the start of a world; it is told the start and the operating area."""
+    zero = jnp.float32(0.0)
+    explorer = Explorer(
+        coverage=unexplored(scenario.area, _NUM_CELLS),
+        target_x=zero,
+        target_y=zero,
+        has_target=jnp.asarray(False),
+        waypoint_x=zero,
+        waypoint_y=zero,
+        leg=jnp.int32(0),
+    )
+    return _Run(
+        explorer=explorer,
+        world=simulator.reset(scenario),
+        steps=jnp.int32(0),
+        is_stopped=jnp.asarray(False),
+    )
+
+
+def explore(task: Task, figure_type: Array, *, policy: str, max_steps: int) -> EpisodeResult:
+    """Run one episode of ``frontier`` or ``lawnmower``.
+
+    Args:
+        task: key, scenario, sensor and odometry.
+        figure_type: i32[], type of object to look for.
+        policy: which of the two.
+        max_steps: cycles until a time-out.
+
+    Returns:
+        The result.
+    """
+    explore_on = _explore_lanes if policy == "lawnmower" else _explore_frontiers
+
+    def is_running(run: _Run) -> Array:
+        return ~run.is_stopped & (run.steps < max_steps)
+
+    def body(run: _Run) -> _Run:
+        # The very keys of episode.advance: common random numbers for all policies.
+        sense_key, _, move_key = jax.random.split(jax.random.fold_in(task.key, run.steps), 3)
+        observation = sense(sense_key, run.world, task.scenario, task.sensor)
+        explorer = notice(run.explorer, observation, figure_type)
+        explorer = explore_on(explorer, observation.pose, task.sensor)
+        action = _act(explorer, observation.pose)
+        return _Run(
+            explorer=explorer,
+            world=move(move_key, run.world, action, task.motion),
+            steps=run.steps + 1,
+            is_stopped=action.is_stop,
+        )
+
+    end = jax.lax.while_loop(is_running, body, _start(task.scenario))
+    return _judge(task.scenario, end.world, end.is_stopped, end.steps)
+
+
+def drive_known(task: Task) -> EpisodeResult:
+    """Run one episode of a robot that knows the map.
+
+    Args:
+        task: key, scenario and odometry.
+
+    Returns:
+        The result.
+    """
+    world, is_there = drive_known_map(task.key, task.scenario, task.motion)
+    steps = jnp.ceil(world.distance / task.motion.step_length).astype(jnp.int32)
+    return _judge(task.scenario, world, is_there, steps)
+
+
+def _judge(scenario: Scenario, world: WorldState, is_stopped: Array, steps: Array) -> EpisodeResult:
+    """Judge an episode; a baseline has no particles to lose."""
+    return EpisodeResult(
+        is_success=simulator.is_success(world, scenario, is_stopped),
+        is_stopped=is_stopped,
+        distance=world.distance,
+        steps=steps,
+        final=world.position,
+        goal_distance=simulator.goal_distance(world, scenario),
+        overflow=jnp.int32(0),
+        degenerate=jnp.int32(0),
+        mean_effective_sample_size=jnp.float32(0.0),
+        is_valid=scenario.is_valid,
+    )
+
+
+@functools.partial(jax.jit, static_argnames=("policy", "max_steps"))
+def run_baseline(
+    tasks: Task, instructions: Instruction, *, policy: str, max_steps: int = MAX_STEPS
+) -> EpisodeResult:
+    """Run a baseline on many tasks.
+
+    Args:
+        tasks: leaves [E, …].
+        instructions: leaves [I, …]; only the type of the first figure is read.
+        policy: one of ``BASELINES``.
+        max_steps: cycles until a time-out.
+
+    Returns:
+        Results, leaves [E, …].
+
+    Raises:
+        ValueError: no such baseline.
+    """
+    if policy not in BASELINES:
+        raise ValueError(f"unknown baseline {policy!r}: choose one of {', '.join(BASELINES)}")
+    if policy == "known":
+        return jax.vmap(drive_known)(tasks)
+    figures = figure_types(instructions)[tasks.instruction_index]
+    one = functools.partial(explore, policy=policy, max_steps=max_steps)
+    return jax.vmap(one)(tasks, figures)

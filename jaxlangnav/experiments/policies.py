@@ -1,0 +1,116 @@
+"""The policies that stand in the tables, by name: the navigator's two and the baselines.
+
+All of them answer the same tasks with the same records, so that every table can hold any of
+them side by side, paired episode by episode.
+"""
+
+import difflib
+from collections.abc import Sequence
+
+from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task
+from jaxlangnav.experiments.baselines import BASELINES, run_baseline
+from jaxlangnav.experiments.monte_carlo import Progress, map_chunks, run_tasks
+from jaxlangnav.grounding.instruction import Instruction
+from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, default_params
+from jaxlangnav.planner.params import POLICIES, PlannerConfig
+from jaxlangnav.semantic_map.params import MapConfig
+
+POLICY_NAMES = (*reversed(POLICIES), *BASELINES)
+"""Ours first: informed, faithful, then the baselines."""
+DEFAULT_PARTICLES = MapConfig().num_particles
+
+KNOWLEDGE = {
+    "informed": "the sentence, the operating area, what it sees; plans for information",
+    "faithful": "the sentence, the operating area, what it sees; the paper's QMDP policy",
+    "frontier": "the operating area, the type to look for, what it sees; nearest frontier first",
+    "lawnmower": "the operating area, the type to look for, what it sees; sweeps in lanes",
+    "known": "the whole map and its own true position",
+}
+"""What each policy may use, for the captions of tables."""
+
+
+def check_policies(names: Sequence[str]) -> tuple[str, ...]:
+    """Check the names of policies.
+
+    Args:
+        names: as typed.
+
+    Returns:
+        The same, each once, in their order.
+
+    Raises:
+        ValueError: none at all, or one that does not exist, with the nearest that does.
+    """
+    if not names:
+        raise ValueError(f"no policy given: choose from {', '.join(POLICY_NAMES)}")
+    for name in names:
+        if name not in POLICY_NAMES:
+            near = difflib.get_close_matches(str(name).lower(), POLICY_NAMES, n=1)
+            hint = f'; did you mean "{near[0]}"?' if near else ""
+            raise ValueError(
+                f'unknown policy "{name}": choose from {", ".join(POLICY_NAMES)}{hint}'
+            )
+    return tuple(dict.fromkeys(names))
+
+
+def navigator_config(policy: str, num_particles: int = DEFAULT_PARTICLES) -> NavigatorConfig:
+    """Build the configuration of one of the navigator's own policies.
+
+    Args:
+        policy: "informed" or "faithful".
+        num_particles: P.
+
+    Returns:
+        Sizes and policy.
+    """
+    return NavigatorConfig(
+        map=MapConfig(num_particles=num_particles), planner=PlannerConfig(policy=policy)
+    )
+
+
+def run_policy(
+    policy: str,
+    tasks: Task,
+    instructions: Instruction,
+    *,
+    params: NavigatorParams | None = None,
+    num_particles: int = DEFAULT_PARTICLES,
+    on_progress: Progress | None = None,
+    num_threads: int | None = None,
+    max_steps: int = MAX_STEPS,
+) -> EpisodeResult:
+    """Run any policy on any number of tasks.
+
+    Args:
+        policy: one of ``POLICY_NAMES``.
+        tasks: leaves [E, …].
+        instructions: leaves [I, …].
+        params: the navigator's numbers; its defaults if None. Baselines have none.
+        num_particles: P, of the navigator's policies.
+        on_progress: called with the number of episodes just finished.
+        num_threads: chunks under way at once; the number of usable cores by default.
+        max_steps: cycles until a time-out.
+
+    Returns:
+        Results as NumPy arrays, leaves [E, …], in the order of the tasks.
+
+    Raises:
+        ValueError: no such policy.
+    """
+    check_policies([policy])
+    if policy in POLICIES:
+        return run_tasks(
+            tasks,
+            instructions,
+            params=default_params() if params is None else params,
+            config=navigator_config(policy, num_particles),
+            on_progress=on_progress,
+            num_threads=num_threads,
+            max_steps=max_steps,
+        )
+    return map_chunks(
+        lambda chunk: run_baseline(chunk, instructions, policy=policy, max_steps=max_steps),
+        tasks,
+        on_progress=on_progress,
+        num_threads=num_threads,
+    )

@@ -1,0 +1,225 @@
+"""Rows of the paper's tables and figures: run them for every policy, summarise them (section 4.2).
+
+A row is a template, a relation and a sensing range. All rows of an experiment go through one
+compiled program as one batch, and every policy runs the very same tasks.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxlangnav.episode import EpisodeResult
+from jaxlangnav.experiments.bounds import limits
+from jaxlangnav.experiments.metrics import summarize
+from jaxlangnav.experiments.monte_carlo import (
+    Progress,
+    cell,
+    concatenate,
+    known_distances,
+    make_tasks,
+)
+from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, check_policies, run_policy
+from jaxlangnav.experiments.sentences import SENTENCES, GroundedSentences
+from jaxlangnav.messages import default_motion, default_sensor
+from jaxlangnav.navigator import NavigatorParams
+from jaxlangnav.world.templates import TableRow
+
+Row = dict[str, Any]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class RowSpec:
+    """Which row it is."""
+
+    world: str
+    range: float
+    relation: str
+    """A key of ``SENTENCES``."""
+
+    def heading(self) -> Row:
+        """Say which row it is in a document; a command without a relation has None."""
+        relation = None if self.relation == "null" else self.relation
+        return {"world": self.world, "range": self.range, "relation": relation}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class RowResults:
+    """Rows with their episodes."""
+
+    rows: list[Row]
+    """For each policy one per specification, in their order."""
+    columns: dict[str, Any]
+    """One entry per episode."""
+
+
+def check_episodes(episodes: int) -> int:
+    """Refuse a number of episodes that cannot be run.
+
+    Args:
+        episodes: runs a row.
+
+    Returns:
+        The same.
+
+    Raises:
+        ValueError: fewer than one.
+    """
+    if episodes < 1:
+        raise ValueError(f"episodes is {episodes}, but must be at least 1")
+    return episodes
+
+
+def run_rows(
+    specs: Sequence[RowSpec],
+    sentences: GroundedSentences,
+    *,
+    policies: Sequence[str],
+    episodes: int,
+    seed: int,
+    num_particles: int = DEFAULT_PARTICLES,
+    params: NavigatorParams | None = None,
+    on_progress: Progress | None = None,
+) -> RowResults:
+    """Run rows for every policy, on the same worlds and noise.
+
+    Args:
+        specs: the rows.
+        sentences: grounded, in the order of ``SENTENCES``.
+        policies: names.
+        episodes: runs a row.
+        seed: root seed of worlds and noise.
+        num_particles: P, of the navigator's policies.
+        params: the navigator's numbers; its defaults if None.
+        on_progress: called with the number of episodes just finished.
+
+    Returns:
+        Rows and episodes.
+
+    Raises:
+        ValueError: fewer than one episode, or an unknown policy.
+    """
+    names, number = check_policies(policies), check_episodes(episodes)
+    order = list(SENTENCES)
+    tasks = concatenate(
+        [
+            make_tasks(
+                cell(one.world, one.relation, order.index(one.relation), one.range, number, seed)
+            )
+            for one in specs
+        ]
+    )
+    known = known_distances(tasks)
+    rows: list[Row] = []
+    parts: list[dict[str, Any]] = []
+    for policy in names:
+        results = run_policy(
+            policy,
+            tasks,
+            sentences.instructions,
+            params=params,
+            num_particles=num_particles,
+            on_progress=on_progress,
+        )
+        rows += [
+            _row(one, policy, results, known, slice(index * number, (index + 1) * number))
+            for index, one in enumerate(specs)
+        ]
+        parts.append(_columns(specs, policy, number, seed) | result_columns(results, known))
+    columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    return RowResults(rows=rows, columns=columns)
+
+
+def _row(one: RowSpec, policy: str, results: EpisodeResult, known: np.ndarray, span: slice) -> Row:
+    """Summarise the episodes of one row."""
+    mine = jax.tree.map(lambda leaf: leaf[span], results)
+    metrics = dataclasses.asdict(summarize(mine, known[span]))
+    return one.heading() | {"policy": policy} | metrics | {"success_ci": [*metrics["success_ci"]]}
+
+
+def _columns(specs: Sequence[RowSpec], policy: str, episodes: int, seed: int) -> dict[str, Any]:
+    """Say of every episode which it is."""
+    number = len(specs) * episodes
+    return {
+        "world": np.repeat([one.world for one in specs], episodes),
+        "range": np.repeat([one.range for one in specs], episodes),
+        "relation": np.repeat([one.relation for one in specs], episodes),
+        "policy": np.full(number, policy),
+        "seed": np.full(number, seed),
+        "episode": np.tile(np.arange(episodes), len(specs)),
+    }
+
+
+def result_columns(results: EpisodeResult, known: np.ndarray) -> dict[str, Any]:
+    """Lay results out as tidy columns of numbers.
+
+    Args:
+        results: leaves [E, …].
+        known: f32[E], the known map's distance, metres.
+
+    Returns:
+        Arrays [E] by name; the final position as ``final_x`` and ``final_y``.
+    """
+    columns: dict[str, Any] = {}
+    for field in dataclasses.fields(results):
+        values = np.asarray(getattr(results, field.name))
+        if values.ndim == 1:
+            columns[field.name] = values
+        else:
+            columns |= {f"{field.name}_x": values[:, 0], f"{field.name}_y": values[:, 1]}
+    return columns | {"known_distance": np.asarray(known)}
+
+
+def printed_rows(printed: Sequence[TableRow]) -> list[Row]:
+    """List rows as the paper prints them, rates in percent, distances in metres.
+
+    Args:
+        printed: of ``world.templates.TABLE_2``.
+
+    Returns:
+        One per row.
+    """
+    return [
+        RowSpec(world=row.world, range=row.range, relation=row.relation).heading()
+        | {
+            "policy": "paper",
+            "success_rate": row.success_ours,
+            "distance_mean": row.distance_ours,
+            "distance_sd": row.distance_ours_sd,
+            "known_success_rate": row.success_known,
+            "known_distance_mean": row.distance_known,
+            "known_distance_sd": row.distance_known_sd,
+        }
+        for row in printed
+    ]
+
+
+def bound_rows(specs: Sequence[RowSpec]) -> list[Row]:
+    """Compute the limits of every row.
+
+    Args:
+        specs: the rows.
+
+    Returns:
+        One per row; lengths in metres, ``success`` in percent.
+    """
+    return [one.heading() | limits(one.world, one.relation, one.range) for one in specs]
+
+
+def default_noise() -> dict[str, float]:
+    """Say the noise all rows run under: metres, radians, shares."""
+    sensor, motion = default_sensor(), default_motion()
+    return {
+        "detection_probability": round(float(sensor.detection_probability), 6),
+        "detection_noise": round(float(sensor.noise), 6),
+        "field_of_view": round(float(sensor.field_of_view), 6),
+        "odometry_noise": round(float(motion.odometry_noise), 6),
+        "step_length": round(float(motion.step_length), 6),
+    }
+
+
+def row_key(row: Row) -> tuple[str, float, str | None]:
+    """Identify a row of a table, whatever the policy."""
+    return row["world"], row["range"], row["relation"]
