@@ -23,6 +23,8 @@ from jaxlangnav.pytree import pytree
 
 NUM_QUANTILES = 256
 """Resolution of the tabulated von Mises quantile function used for sampling."""
+MAX_NORMAL = 4.5
+"""Standard normal draws are clipped here when they choose an angle."""
 # Axis of each relation in (along, lateral): behind is further along the line of sight.
 _AXIS_ALONG = (-1.0, 1.0, 0.0, 0.0, 1.0, 1.0)
 _AXIS_LATERAL = (0.0, 0.0, 1.0, -1.0, 0.0, 0.0)
@@ -50,7 +52,7 @@ class RelationModel:
     axis_lateral: Array  # f32[6] sine of the axis
     concentration: Array  # f32[6]
     log_constant: Array  # f32[6] log normaliser of the density
-    angle_quantile: Array  # f32[6, Q + 1] radians, quantiles of Δ
+    angle_quantile: Array  # f32[6, Q + 1] radians, |Δ| at equal steps of a normal's quantile
 
 
 @pytree
@@ -83,13 +85,17 @@ def prepare(params: RelationParams) -> RelationModel:
     Returns:
         Constants and the quantile table of the von Mises angle; differentiable in ``params``.
     """
-    angles = jnp.linspace(-jnp.pi, jnp.pi, 1025, dtype=jnp.float32)
+    # The angle is symmetric: tabulate |Δ| by its survival function, summed from the far tail so
+    # that float32 keeps the rare large angles, at equal steps of a standard normal's quantile.
+    angles = jnp.linspace(0.0, jnp.pi, 2049, dtype=jnp.float32)
     density = jnp.exp(params.concentration[:, None] * (jnp.cos(angles)[None, :] - 1.0))
     steps = 0.5 * (density[:, 1:] + density[:, :-1])
-    cumulative = jnp.concatenate([jnp.zeros((6, 1), jnp.float32), jnp.cumsum(steps, axis=1)], 1)
-    cumulative = cumulative / cumulative[:, -1:]
-    levels = jnp.linspace(0.0, 1.0, NUM_QUANTILES + 1, dtype=jnp.float32)
-    quantile = jax.vmap(lambda cdf: jnp.interp(levels, cdf, angles))(cumulative)
+    survival = jnp.cumsum(steps[:, ::-1], axis=1)[:, ::-1]
+    log_survival = jnp.log(survival) - jnp.log(survival[:, :1])
+    levels = jnp.log(2.0) + jax.scipy.stats.norm.logcdf(
+        -jnp.linspace(0.0, MAX_NORMAL, NUM_QUANTILES + 1, dtype=jnp.float32)
+    )
+    quantile = jax.vmap(lambda row: jnp.interp(-levels, -row, angles[:-1]))(log_survival)
     log_constant = -(
         jnp.log(params.log_distance_sd)
         + 0.5 * jnp.log(2 * jnp.pi)
@@ -175,27 +181,28 @@ def log_density(
 
 
 def sample_polar(
-    model: RelationModel, relation: ArrayLike, normal: Array, uniform: Array
+    model: RelationModel, relation: ArrayLike, distance_normal: Array, angle_normal: Array
 ) -> tuple[Array, Array]:
     """Draw an offset from a relation in frame coordinates.
 
     Args:
         model: prepared relations.
         relation: i32[], relation index in [0, 6).
-        normal: f32[...], standard normal draws (distance).
-        uniform: f32[...], uniform draws in [0, 1) (direction).
+        distance_normal: f32[...], standard normal draws.
+        angle_normal: f32[...], standard normal draws, turned into angles by their quantile.
 
     Returns:
         f32[...] along and f32[...] lateral, metres, in the frame of ``log_density``.
     """
     distance = jnp.exp(
-        model.log_distance[relation] + model.log_distance_sd[relation] * normal
+        model.log_distance[relation] + model.log_distance_sd[relation] * distance_normal
     )
-    position = uniform * NUM_QUANTILES
+    position = jnp.minimum(jnp.abs(angle_normal), MAX_NORMAL) * (NUM_QUANTILES / MAX_NORMAL)
     lower = jnp.clip(position.astype(jnp.int32), 0, NUM_QUANTILES - 1)
     fraction = position - lower
     table = model.angle_quantile[relation]
     angle = table[lower] * (1.0 - fraction) + table[lower + 1] * fraction
+    angle = jnp.where(angle_normal < 0.0, -angle, angle)
     cosine, sine = jnp.cos(angle), jnp.sin(angle)
     axis_along, axis_lateral = model.axis_along[relation], model.axis_lateral[relation]
     along = distance * (axis_along * cosine - axis_lateral * sine)

@@ -25,7 +25,7 @@ CELLS = 12
 """Cells of the search map a side; must divide the cells of the coverage."""
 LATTICE = 6
 """Viewpoints a side."""
-NUM_TOURS = 6
+NUM_TOURS = 3
 """First viewpoints that are continued by a tour."""
 TOUR_LENGTH = 5
 """Stops of a tour after the first."""

@@ -39,6 +39,7 @@ class Association(NamedTuple):
     object_type: Array  # i32[O] types, new objects entered
     is_hit: Array  # bool[O] detected in this observation
     is_new: Array  # bool[O] entered in this observation
+    is_known: Array  # bool[O] known so well relative to the robot that a look adds nothing
     offset_x: Array  # f32[O] measured offset where hit
     offset_y: Array  # f32[O]
     log_weight: Array  # f32[] log predictive probability
@@ -68,6 +69,7 @@ def associate(
     covariance = gaussian.invert(particle.precision)
     own = jnp.diagonal(covariance)
     spread = own[:num_objects] + own[num_objects] - 2.0 * covariance[num_objects, :num_objects]
+    is_known = spread < MIN_VARIANCE
     spread = jnp.maximum(spread, 0.0) + noise_variance
     predicted_x = particle.mean_x[:num_objects] - particle.mean_x[num_objects]
     predicted_y = particle.mean_y[:num_objects] - particle.mean_y[num_objects]
@@ -100,7 +102,16 @@ def associate(
         offset_y = jnp.where(entry, z_y, offset_y)
         log_weight = log_weight + jnp.where(present, log_total, 0.0)
         overflow = overflow + (present & (slot == num_objects)).astype(jnp.int32)
-    return Association(object_type, is_hit, is_new, offset_x, offset_y, log_weight, overflow)
+    return Association(
+        object_type,
+        is_hit,
+        is_new,
+        is_known & ~is_new,
+        offset_x,
+        offset_y,
+        log_weight,
+        overflow,
+    )
 
 
 def condition(
@@ -111,7 +122,7 @@ def condition(
         Λ' = Λ + Σ_o h_o h_oᵀ / R,   η' = η + Σ_o h_o z_o / R,   h_o = e_o − e_robot
 
     Limits: R → ∞ leaves known objects unchanged; a first detection places the object at
-    robot + offset. An object already known to a centimetre adds no more information, which keeps
+    robot + offset. An object known to a centimetre relative to the robot adds nothing, which keeps
     float32 healthy over hundreds of looks.
 
     Args:
@@ -123,9 +134,8 @@ def condition(
         The particle with new objects entered and means solved.
     """
     num_objects = particle.object_type.shape[0]
-    diagonal = jnp.diagonal(particle.precision)[:num_objects]
-    is_saturated = ~association.is_new & (diagonal > 1.0 / MIN_VARIANCE)
-    gain = jnp.where(association.is_hit & ~is_saturated, 1.0 / noise_variance, 0.0)
+    is_used = association.is_hit & ~association.is_known
+    gain = jnp.where(is_used, 1.0 / noise_variance, 0.0)
     total = jnp.sum(gain)
     edge = jnp.append(-gain, total)
     robot = (jnp.arange(num_objects + 1) == num_objects).astype(jnp.float32)

@@ -176,9 +176,10 @@ def ground_words(
         chosen = (start + stride * jnp.arange(pool)) % pool
         shape = (proposal.NUM_UNSEEN, number)
         unit = jax.random.uniform(draws_key, (5, number), minval=1e-6, maxval=1.0 - 1e-6)
+        normal = jax.scipy.special.ndtri(unit[:4])
         draws = proposal.Draws(
-            normal=jax.scipy.special.ndtri(unit[:2]),
-            uniform=unit[2:4],
+            distance=normal[:2],
+            angle=normal[2:],
             choice=unit[4],
             unseen_x=pool_x[chosen].reshape(shape),
             unseen_y=pool_y[chosen].reshape(shape),

@@ -44,8 +44,8 @@ _LOG_FLOOR = -60.0
 class Draws(NamedTuple):
     """Random numbers for grounding one relation in one particle."""
 
-    normal: Array  # f32[2] distance of a new figure; of a new landmark
-    uniform: Array  # f32[2] direction of a new figure; of a new landmark
+    distance: Array  # f32[2] standard normal: distance of a new figure; of a new landmark
+    angle: Array  # f32[2] standard normal: direction of a new figure; of a new landmark
     choice: Array  # f32[] which grounding
     unseen_x: Array  # f32[NUM_UNSEEN] metres, places in the unexplored area
     unseen_y: Array  # f32[NUM_UNSEEN]
@@ -213,7 +213,10 @@ def ground_relation(
         is_robot | (relation == NONE), log_bystander,
     )  # fmt: skip
     # One of the two ends has the uniform prior over the area, unless an earlier relation gave it.
-    log_root = jnp.where(figures.is_open & landmarks.is_open, -log_area, 0.0)
+    # A figure grounded earlier that is now placed against the robot gives its share back.
+    is_placed = ~figures.is_open & (is_robot | (relation == NONE))
+    log_root = jnp.where(is_placed, log_area, 0.0)
+    log_root = jnp.where(figures.is_open & landmarks.is_open, -log_area, log_root)
 
     own_frame = robot_frame(heading)
 
@@ -264,7 +267,7 @@ def ground_relation(
     # New figure: one draw from the relation, hung on each landmark.
     safe_relation = jnp.maximum(relation, 0)
     along, lateral = sample_polar(
-        params.relations, safe_relation, draws.normal[0], draws.uniform[0]
+        params.relations, safe_relation, draws.distance[0], draws.angle[0]
     )
     hung_x, hung_y = to_map(landmark_frame, along, lateral)
     is_free = relation == NONE
@@ -282,7 +285,7 @@ def ground_relation(
 
     # New landmark: the same, drawn backwards from each figure and corrected for the frame.
     along, lateral = sample_polar(
-        params.relations, safe_relation, draws.normal[1], draws.uniform[1]
+        params.relations, safe_relation, draws.distance[1], draws.angle[1]
     )
     figure_frame = frame_at(figures.x, figures.y)
     back_x, back_y = to_map(figure_frame, along, lateral)
@@ -303,7 +306,7 @@ def ground_relation(
     # Both new: the landmark anywhere unexplored, the figure where the relation puts it.
     pair_landmark_x, pair_landmark_y = draws.unseen_x, draws.unseen_y
     along, lateral = sample_polar(
-        params.relations, safe_relation, draws.normal[0], draws.uniform[0]
+        params.relations, safe_relation, draws.distance[0], draws.angle[0]
     )
     step_x, step_y = to_map(frame_at(pair_landmark_x, pair_landmark_y), along, lateral)
     pair_figure_x, pair_figure_y = pair_landmark_x + step_x, pair_landmark_y + step_y
