@@ -1,0 +1,23 @@
+"""The Distributed Correspondence Graph (sections 3.1 and 3.3): what words mean, as data."""
+
+from jaxlangnav.grounding.behavior import infer_behavior
+from jaxlangnav.grounding.instruction import (
+    GroundingModel,
+    Instruction,
+    Understanding,
+    understand,
+    understand_parse,
+)
+from jaxlangnav.grounding.program import BehaviorProgram
+from jaxlangnav.grounding.weights import load_shipped
+
+__all__ = [
+    "BehaviorProgram",
+    "GroundingModel",
+    "Instruction",
+    "Understanding",
+    "infer_behavior",
+    "load_shipped",
+    "understand",
+    "understand_parse",
+]

@@ -1,0 +1,129 @@
+"""From text to what the navigator needs (sections 3.1 and 3.3): once per instruction, on the host.
+
+``understand`` parses, infers the annotations, and contracts the words for behavior inference. The
+result has fixed shapes: any sentence is data for one compiled program.
+"""
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxlangnav.grounding.annotation import Belief, describe, infer_annotations
+from jaxlangnav.grounding.graph import build
+from jaxlangnav.grounding.model import CorrespondenceModel
+from jaxlangnav.grounding.program import BehaviorProgram, compile_clause, empty_program, to_program
+from jaxlangnav.grounding.readings import to_readings
+from jaxlangnav.grounding.symbols import AnnotationSpace, BehaviorSpace
+from jaxlangnav.language.parser import parse
+from jaxlangnav.language.phrase import COMMAND, Parse
+from jaxlangnav.messages import Readings
+from jaxlangnav.pytree import pytree
+
+NUM_CLAUSES = 3
+_MIN_PROBABILITY = 1e-4
+
+
+@dataclasses.dataclass(frozen=True)
+class GroundingModel:
+    """Both trained models and the object types they speak of."""
+
+    annotation: CorrespondenceModel
+    behavior: CorrespondenceModel
+    type_names: tuple[str, ...]
+
+    def zeroed(self) -> "GroundingModel":
+        """Copy the model with every weight zero: it knows nothing."""
+        return GroundingModel(self.annotation.zeroed(), self.behavior.zeroed(), self.type_names)
+
+
+@pytree
+class Instruction:
+    """A grounded instruction as data; commands in order, padded to C clauses."""
+
+    readings: Readings  # what it says of the world
+    program: BehaviorProgram  # every leaf leads with C
+    num_clauses: Array  # i32[] commands; statements inform and ask for nothing
+
+
+@dataclasses.dataclass(frozen=True)
+class Understanding:
+    """What was understood, for people and for the navigator."""
+
+    parse: Parse
+    belief: Belief
+    instruction: Instruction
+    type_names: tuple[str, ...]
+    slack: float  # bound on the log-odds of any region left out of the program
+
+    @property
+    def annotations(self) -> list[dict[str, Any]]:
+        """Annotations with probabilities, likeliest first, as ``ground --json`` prints them."""
+        return [
+            describe(symbol, flag, probability, self.type_names)
+            for symbol, flag, probability in self.belief.marginals()
+            if probability >= _MIN_PROBABILITY
+        ]
+
+    @property
+    def unknown_words(self) -> list[str]:
+        """Words that the lexicon does not know."""
+        return [word for word, _ in self.parse.unknown_words]
+
+    def graph(self, num_objects: int) -> dict[str, dict[str, int]]:
+        """Construct both factor graphs and count them.
+
+        Args:
+            num_objects: n of the behavior graph.
+
+        Returns:
+            Sizes by model.
+        """
+        annotation = build(self.parse, AnnotationSpace(len(self.type_names))).count()
+        behavior = build(self.parse, BehaviorSpace(num_objects)).count()
+        return {"annotation": annotation, "behavior": {**behavior, "objects": num_objects}}
+
+
+def understand(text: str, model: GroundingModel) -> Understanding:
+    """Understand an instruction: parse, annotations, and a program for behavior inference.
+
+    Args:
+        text: what the person said.
+        model: trained models.
+
+    Returns:
+        What was understood; ``instruction`` is what the navigator takes.
+
+    Raises:
+        LanguageError: the text is refused by the parser.
+        ValueError: the sentence says more than the arrays hold.
+    """
+    return understand_parse(parse(text), model)
+
+
+def understand_parse(tree: Parse, model: GroundingModel) -> Understanding:
+    """Understand a sentence that has been parsed already; see ``understand``."""
+    belief = infer_annotations(tree, model.annotation, model.type_names)
+    commands = [i for i, kind in enumerate(tree.kinds) if kind == COMMAND]
+    if len(commands) > NUM_CLAUSES:
+        raise ValueError(
+            f"the sentence has {len(commands)} commands; at most {NUM_CLAUSES} are held: "
+            "say less at once"
+        )
+    compiled = [
+        compile_clause(tree.clauses[i], i, model.behavior, belief.superlative, model.type_names)
+        for i in commands
+    ]
+    fields = [clause.fields for clause in compiled]
+    fields += [empty_program()] * (NUM_CLAUSES - len(fields))
+    stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *fields)
+    instruction = Instruction(
+        readings=to_readings(belief),
+        program=to_program(stacked),
+        num_clauses=jnp.int32(len(commands)),
+    )
+    slack = max((clause.slack for clause in compiled), default=-np.inf)
+    return Understanding(tree, belief, instruction, model.type_names, slack)

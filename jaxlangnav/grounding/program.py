@@ -1,0 +1,314 @@
+"""The behavior program: a sentence with its words contracted away (section 3.3).
+
+The words of a sentence are known once it is heard. Contracting them with the weights leaves a few
+coefficients per phrase; everything that is inferred per particle and step reads only these. All
+sentences have the same shapes, so a new sentence is new data and never a new program.
+
+A phrase rarely expresses more than one relation, so of the seven regions each object has, only
+the ``NUM_SLOTS`` whose log-odds can become largest are kept (for constraints: one). What is left
+out is bounded when the program is built (``slack``).
+"""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxlangnav.grounding.behavior_features import action_properties, mode_properties
+from jaxlangnav.grounding.examples import Path, superlative_relations
+from jaxlangnav.grounding.features import RESTRICTORS, Senses, senses_of
+from jaxlangnav.grounding.graph import Node, bottom_up
+from jaxlangnav.grounding.model import CorrespondenceModel
+from jaxlangnav.grounding.symbols import NUM_REGIONS, NUM_RELATIONS
+from jaxlangnav.language.phrase import Phrase
+from jaxlangnav.messages import AT, NEAR, NONE
+from jaxlangnav.pytree import pytree
+
+NUM_PHRASES, NUM_CHILDREN, NUM_SLOTS = 24, 3, 2
+NUM_TYPES = 15
+"""Object types a program tells apart; the robot comes after them."""
+NEVER = -1e4
+"""Log-odds of a symbol that a phrase cannot express."""
+_NO_TABLE = 2 * NUM_RELATIONS + 1
+
+
+@pytree
+class BehaviorProgram:
+    """Coefficients of one clause; phrases bottom-up, the root is phrase ``num_phrases`` − 1.
+
+    H phrases, 3 children, L region slots. "own" marks object types that the words name. Masks of
+    the device kernel follow ``region_table``: 0-5 related, 6-11 superlative, 12 at, 13 nothing.
+    """
+
+    num_phrases: Array  # i32[]
+    child: Array  # i32[H, 3] phrase index; NONE where there is none
+    is_restrictor: Array  # bool[H, 3] the child says where the figure is
+    object_base: Array  # f32[H, 16] log-odds of an object by its type
+    own: Array  # f32[H, 16] 1 where the words name the type
+    object_inside: Array  # f32[H] added where a child expresses the object
+    object_lies: Array  # f32[H] added where it also lies in all restricting regions
+    object_outside: Array  # f32[H] added where it does not
+    object_absent: Array  # f32[H] added where no child expresses it
+    object_own_lies: Array  # f32[H] added where the words name it and it lies there
+    object_previous: Array  # f32[H] added to named objects that were the previous goal
+    region_relation: Array  # i32[H, L] relation of each slot; NONE where empty
+    region_table: Array  # i32[H, L] which mask says what lies in the region
+    region_from: Array  # i32[H, 3, L] slot of the child with the same relation; NONE
+    region_base: Array  # f32[H, L]
+    region_inside: Array  # f32[H, L] added where a child expresses the object
+    region_same: Array  # f32[H, L] added where a child expresses the region
+    region_absent: Array  # f32[H, L] added where neither
+    region_own: Array  # f32[H, L] added where the words name the object
+    region_robot: Array  # f32[H, L] added at the robot
+    constraint_relation: Array  # i32[H]
+    constraint_from: Array  # i32[H, 3] 0 where the child has the same constraint; NONE
+    constraint_region: Array  # i32[H, 3] slot of the child with the same relation; NONE
+    constraint_base: Array  # f32[H]
+    constraint_inside: Array  # f32[H]
+    constraint_same: Array  # f32[H]
+    constraint_touched: Array  # f32[H] some child expresses the object or a region of it
+    constraint_untouched: Array  # f32[H]
+    constraint_kept: Array  # f32[H] a child expresses the constraint
+    constraint_new: Array  # f32[H] touched, and no child expresses the constraint
+    action: Array  # f32[2] probability
+    mode: Array  # f32[3] probability
+
+
+def empty_program() -> dict[str, np.ndarray]:
+    """Build the fields of a program that expresses nothing."""
+    h, k, s, t = NUM_PHRASES, NUM_CHILDREN, NUM_SLOTS, NUM_TYPES + 1
+    f32, i32 = np.float32, np.int32
+    fields: dict[str, np.ndarray] = {
+        "num_phrases": np.zeros((), i32),
+        "child": np.full((h, k), NONE, i32),
+        "is_restrictor": np.zeros((h, k), bool),
+        "object_base": np.full((h, t), NEVER, f32),
+        "own": np.zeros((h, t), f32),
+        "region_relation": np.full((h, s), NONE, i32),
+        "region_table": np.full((h, s), _NO_TABLE, i32),
+        "region_from": np.full((h, k, s), NONE, i32),
+        "constraint_relation": np.full(h, NONE, i32),
+        "constraint_from": np.full((h, k), NONE, i32),
+        "constraint_region": np.full((h, k), NONE, i32),
+        "action": np.array([1, 0], f32),
+        "mode": np.array([1, 0, 0], f32),
+    }
+    for field in dataclasses.fields(BehaviorProgram):
+        if field.name not in fields:
+            shape = (h, s) if field.name.startswith("region") else (h,)
+            fields[field.name] = np.zeros(shape, f32)
+    fields["region_base"] += NEVER
+    fields["constraint_base"] += NEVER
+    return fields
+
+
+def _softmax(log_odds: np.ndarray) -> np.ndarray:
+    """Turn log-odds into the distribution given that exactly one is expressed."""
+    weight = np.exp(log_odds - log_odds.max())
+    return (weight / weight.sum()).astype(np.float32)
+
+
+def _object_fields(z: np.ndarray, senses: Senses, node: Node, is_restricted: bool) -> dict:
+    """Contract the object properties (``behavior_features.object_properties``) of a phrase."""
+    own = np.zeros(NUM_TYPES + 1, np.float32)
+    own[[t for t in senses.types if t < NUM_TYPES]] = 1.0
+    own[NUM_TYPES] = senses.is_robot
+    is_named = bool(senses.types) or senses.is_robot
+    limited = float(is_restricted)
+    return {
+        "object_base": z[0] + np.where(own > 0, z[1], z[2] * is_named),
+        "own": own,
+        "object_inside": z[3],
+        "object_lies": z[4] * limited,
+        "object_outside": z[5] * limited,
+        "object_absent": z[6] * bool(node.children),
+        "object_own_lies": z[7] * limited,
+        "object_previous": z[8],
+    }
+
+
+def _named(senses: Senses) -> np.ndarray:
+    """Mark the regions that the words name, f32[7]."""
+    return np.isin(np.arange(NUM_REGIONS), sorted(senses.relations)).astype(np.float32)
+
+
+def _region_terms(z: np.ndarray, senses: Senses, node: Node) -> dict[str, np.ndarray]:
+    """Contract the region properties of a noun or preposition phrase, f32[7] each."""
+    named, at = _named(senses), (np.arange(NUM_REGIONS) == AT).astype(np.float32)
+    has_relations = bool(senses.relations)
+    is_lone = not node.children and not senses.types
+    inside = z[2] + z[3] * named + z[4] * (1 - named) * has_relations
+    return {
+        "base": z[0] + z[1] * named + z[11:18],
+        "inside": inside + z[7] * at * (not has_relations) + z[18:25],
+        "same": np.full(NUM_REGIONS, z[5], np.float32),
+        "absent": np.full(NUM_REGIONS, z[6] * bool(node.children), np.float32),
+        "own": z[8] * named,
+        "robot": z[9] * named * is_lone + z[10],
+    }
+
+
+def _goal_terms(z: np.ndarray, senses: Senses) -> dict[str, np.ndarray]:
+    """Contract the goal properties of a verb phrase, f32[7] each."""
+    named, at = _named(senses), (np.arange(NUM_REGIONS) == AT).astype(np.float32)
+    return {
+        "base": z[0] + z[9:16],
+        "inside": z[2] + z[4] * at + z[6] * named,
+        "same": z[1] + z[5] * at + z[7] * named + z[16:23],
+        "absent": np.full(NUM_REGIONS, z[3], np.float32),
+        "own": np.zeros(NUM_REGIONS, np.float32),
+        "robot": z[8] * named,
+    }
+
+
+def _constraint_terms(z: np.ndarray) -> dict[str, np.ndarray]:
+    """Contract the constraint properties of a verb phrase, f32[7] each."""
+    at = (np.arange(NUM_REGIONS) == AT).astype(np.float32)
+    near = (np.arange(NUM_REGIONS) == NEAR).astype(np.float32)
+    ones = np.ones(NUM_REGIONS, np.float32)
+    return {
+        "base": z[0] + z[11:18],
+        "same": z[1] * ones,
+        "inside": z[2] + z[9] * near + z[10] * at,
+        "touched": z[3] + z[4] * near + z[5] * at,
+        "untouched": z[6] * ones,
+        "kept": z[7] * ones,
+        "new": z[8] * ones,
+    }
+
+
+def _reach(terms: dict[str, np.ndarray], held: np.ndarray) -> np.ndarray:
+    """Bound the log-odds of each relation from above, f32[7].
+
+    Args:
+        terms: coefficients by name.
+        held: bool[7], relations that some child may express.
+
+    Returns:
+        The largest log-odds any object can have.
+    """
+    bound = terms["base"].copy()
+    for name in ("inside", "touched", "kept", "new", "own", "robot"):
+        bound += np.maximum(terms.get(name, 0), 0)
+    bound += np.where(held, np.maximum(terms["same"], 0), 0)
+    rest = np.maximum(terms.get("absent", 0), 0) + np.maximum(terms.get("untouched", 0), 0)
+    return np.asarray(bound + rest)
+
+
+def _held(fields: dict[str, np.ndarray], node: Node) -> np.ndarray:
+    """Mark the relations that the slots of the children hold, bool[7]."""
+    slots = fields["region_relation"][list(node.children)].ravel()
+    return np.isin(np.arange(NUM_REGIONS), slots)
+
+
+@dataclasses.dataclass(frozen=True)
+class Compiled:
+    """A clause made into a program, and how much the slots leave out."""
+
+    fields: dict[str, np.ndarray]
+    slack: float  # largest bound on the log-odds of a region that no slot holds
+
+
+def _fill_regions(fields: dict, row: int, node: Node, terms: dict, meant: np.ndarray) -> float:
+    """Choose the slots of a phrase and write their coefficients; returns the slack."""
+    reach = _reach(terms, _held(fields, node))
+    order = np.argsort(-reach, kind="stable")
+    for slot, relation in enumerate(order[:NUM_SLOTS]):
+        fields["region_relation"][row, slot] = relation
+        offset = NUM_RELATIONS if relation < NUM_RELATIONS and meant[relation] else 0
+        table = 2 * NUM_RELATIONS if relation == AT else relation + offset
+        fields["region_table"][row, slot] = table
+        for name, term in terms.items():
+            fields[f"region_{name}"][row, slot] = term[relation]
+        for k, child in enumerate(node.children):
+            held = np.flatnonzero(fields["region_relation"][child] == relation)
+            if len(held):
+                fields["region_from"][row, k, slot] = held[0]
+    return float(reach[order[NUM_SLOTS]])
+
+
+def _fill_constraint(fields: dict, row: int, node: Node, terms: dict) -> None:
+    """Choose the relation of a verb phrase's constraints and write its coefficients."""
+    relation = int(np.argmax(_reach(terms, _held(fields, node))))
+    fields["constraint_relation"][row] = relation
+    for name, term in terms.items():
+        fields[f"constraint_{name}"][row] = term[relation]
+    for k, child in enumerate(node.children):
+        if fields["constraint_relation"][child] == relation:
+            fields["constraint_from"][row, k] = 0
+        held = np.flatnonzero(fields["region_relation"][child] == relation)
+        if len(held):
+            fields["constraint_region"][row, k] = held[0]
+
+
+def compile_clause(
+    root: Phrase,
+    clause: int,
+    model: CorrespondenceModel,
+    superlative: dict[Path, float],
+    type_names: tuple[str, ...],
+) -> Compiled:
+    """Contract the words of a clause.
+
+    Args:
+        root: the clause; its root is a verb phrase.
+        clause: its position in the sentence.
+        model: behavior model.
+        superlative: phrase → probability that it means an extreme (annotation model).
+        type_names: object types.
+
+    Returns:
+        The program of the clause.
+
+    Raises:
+        ValueError: the clause has more phrases than a program holds.
+    """
+    nodes = bottom_up(root, clause)
+    if len(nodes) > NUM_PHRASES:
+        raise ValueError(
+            f"the command has {len(nodes)} phrases; at most {NUM_PHRASES} are held: say less at once"
+        )
+    fields = empty_program()
+    fields["num_phrases"] = np.int32(len(nodes))
+    slack = NEVER
+    for row, node in enumerate(nodes):
+        if len(node.children) > NUM_CHILDREN:
+            raise ValueError(
+                f"the phrase '{' '.join(w.text for w in node.phrase.words)}' has "
+                f"{len(node.children)} parts; at most {NUM_CHILDREN} are held: say less at once"
+            )
+        z = model.coefficients(node.phrase)
+        senses = senses_of(node.phrase, type_names)
+        labels = [nodes[child].phrase.label in RESTRICTORS for child in node.children]
+        fields["child"][row, : len(labels)] = node.children
+        fields["is_restrictor"][row, : len(labels)] = labels
+
+        def is_extreme(_: Phrase, path: Path) -> bool:
+            return superlative[path] > 0.5
+
+        meant = superlative_relations(node.phrase, node.path, is_extreme, type_names)
+        if node.is_verb:
+            terms = _goal_terms(z["goal"], senses)
+            _fill_constraint(fields, row, node, _constraint_terms(z["constraint"]))
+        else:
+            terms = _region_terms(z["region"], senses, node)
+            for name, value in _object_fields(z["object"], senses, node, any(labels)).items():
+                fields[name][row] = value
+        slack = max(slack, _fill_regions(fields, row, node, terms, meant))
+    _fill_choices(fields, model, nodes[-1], type_names)
+    return Compiled(fields, slack)
+
+
+def _fill_choices(
+    fields: dict, model: CorrespondenceModel, root: Node, type_names: tuple[str, ...]
+) -> None:
+    """Infer the action and the mode: they depend on the words alone."""
+    z, senses = model.coefficients(root.phrase), senses_of(root.phrase, type_names)
+    fields["action"] = _softmax(action_properties(senses) @ z["action"])
+    fields["mode"] = _softmax(mode_properties(senses) @ z["mode"])
+
+
+def to_program(fields: dict[str, np.ndarray]) -> BehaviorProgram:
+    """Put the fields of a program on the device."""
+    return BehaviorProgram(**{name: jnp.asarray(value) for name, value in fields.items()})
