@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from jaxlangnav import __version__
 from jaxlangnav.commands import SUMMARIES
 from jaxlangnav.commands.arguments import PROGRAM, Command, parse_arguments
-from jaxlangnav.commands.errors import UsageError, one_line
+from jaxlangnav.commands.errors import UsageError, is_refusal, one_line
 from jaxlangnav.commands.output import Output, standard_output_kept, write_document
 
 DEBUG = "JAXLANGNAV_DEBUG"
@@ -61,11 +61,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # The reader has gone (`| head`): say nothing, and keep Python from flushing into the void.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    except (ValueError, OSError) as error:
-        _raise_if_debugging(error)
-        return _complain(one_line(error), code=2)
     except Exception as error:
         _raise_if_debugging(error)
+        if is_refusal(error):
+            return _complain(one_line(error), code=2)
         fault = f"internal error: {type(error).__name__}: {one_line(error)}"
         return _complain(f"{fault} ({DEBUG}=1 shows the traceback)", code=1)
 

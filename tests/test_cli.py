@@ -15,8 +15,9 @@ import tyro
 
 from jaxlangnav import __version__, cli
 from jaxlangnav.commands import SUMMARIES, arguments
-from jaxlangnav.commands.errors import UsageError, did_you_mean, one_line
+from jaxlangnav.commands.errors import UsageError, did_you_mean, is_refusal, one_line
 from jaxlangnav.commands.output import Output, to_json
+from jaxlangnav.world import files
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -43,6 +44,8 @@ class Echo:
             raise FileNotFoundError(2, "No such file or directory", "world.toml")
         if self.text == "bug":
             raise KeyError("slot")
+        if self.text == "numpy":
+            np.zeros(3).reshape(2, 2)
         if self.text == "stop":
             raise KeyboardInterrupt
         print("a stray print")
@@ -127,6 +130,19 @@ def test_a_fault_of_ours_is_one_line_and_code_1(
     monkeypatch.setenv(cli.DEBUG, "1")
     with pytest.raises(KeyError):
         cli.main(["echo", "bug"])
+
+
+@pytest.mark.usefixtures("echo")
+def test_a_value_error_of_a_library_is_a_fault_of_ours(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv(cli.DEBUG, raising=False)
+    assert cli.main(["echo", "numpy"]) == 1
+    assert "internal error: ValueError: cannot reshape" in capsys.readouterr().err
+    # The world files' own ValueError is a refusal.
+    with pytest.raises(ValueError, match="unknown world") as caught:
+        files.open_world("yrad")
+    assert is_refusal(caught.value)
 
 
 @pytest.mark.usefixtures("echo")

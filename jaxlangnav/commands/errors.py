@@ -23,6 +23,28 @@ def one_line(error: BaseException) -> str:
     return " ".join(str(error).split()) or type(error).__name__
 
 
+def is_refusal(error: BaseException) -> bool:
+    """Tell bad input from a fault of ours.
+
+    The package refuses bad input by raising a ``ValueError`` itself; one that comes out of the
+    depth of a library is a fault. Files that cannot be read or written are the person's matter.
+
+    Args:
+        error: caught at the top.
+
+    Returns:
+        Whether it is to be said as bad input.
+    """
+    if isinstance(error, OSError):
+        return True
+    trace = error.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    raised_in = trace.tb_frame.f_globals.get("__name__", "") if trace is not None else ""
+    is_ours = raised_in.split(".")[0] == __package__.split(".")[0]
+    return isinstance(error, UsageError) or (isinstance(error, ValueError) and is_ours)
+
+
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """Suggest the nearest known name.
 

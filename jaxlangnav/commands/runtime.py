@@ -24,7 +24,7 @@ def keep_compiled_programs() -> None:
     """
     import jax
 
-    if jax.config.jax_compilation_cache_dir is None:
+    if getattr(jax.config, "jax_compilation_cache_dir", None) is None:
         directory = cache_directory() / "compiled"
         with contextlib.suppress(OSError):
             directory.mkdir(parents=True, exist_ok=True)

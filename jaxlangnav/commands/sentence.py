@@ -7,7 +7,7 @@ from jaxlangnav.commands.errors import UsageError
 from jaxlangnav.commands.output import Output
 
 if TYPE_CHECKING:
-    from jaxlangnav.language.parser import Parse
+    from jaxlangnav.language.phrase import Parse
 
 
 def parse_text(text: str, output: Output) -> "Parse":

@@ -1,0 +1,38 @@
+"""Limits of options that several commands have; each says the value, the limit and the remedy."""
+
+import math
+import os
+from pathlib import Path
+
+from jaxlangnav.commands.errors import UsageError
+
+
+def check_at_least(option: str, value: int, least: int) -> None:
+    """Refuse a number below its limit."""
+    if value < least:
+        raise UsageError(f"{option} is {value}, but must be at least {least}")
+
+
+def check_seed(value: int) -> None:
+    """Refuse a seed that does not fit into the root of the keys."""
+    if not 0 <= value < 2**32:
+        raise UsageError(f"--seed is {value}, but must lie between 0 and 4294967295")
+
+
+def check_range(value: float | None) -> None:
+    """Refuse a sensing range that is no length."""
+    if value is not None and not (math.isfinite(value) and value > 0):
+        raise UsageError(f"--range is {value:g}, but must be a length above 0 m")
+
+
+def check_folder(option: str, path: Path | None) -> None:
+    """Refuse, before anything runs, a folder that could not be written to afterwards."""
+    if path is None:
+        return
+    existing = path
+    while not existing.exists() and existing != existing.parent:
+        existing = existing.parent
+    if not existing.is_dir():
+        raise UsageError(f"{option} is {path}, but {existing} is a file: name a folder")
+    if not os.access(existing, os.W_OK):
+        raise UsageError(f"{option} is {path}, but {existing} cannot be written to")
