@@ -41,7 +41,7 @@ def is_refusal(error: BaseException) -> bool:
     while trace is not None and trace.tb_next is not None:
         trace = trace.tb_next
     raised_in = trace.tb_frame.f_globals.get("__name__", "") if trace is not None else ""
-    is_ours = raised_in.split(".")[0] == __package__.split(".")[0]
+    is_ours = raised_in.split(".")[0] == "jaxlangnav"
     return isinstance(error, UsageError) or (isinstance(error, ValueError) and is_ours)
 
 

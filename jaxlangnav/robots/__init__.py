@@ -1,0 +1,1 @@
+"""Robots: vehicle models, fiducial detection, adapters to robot middleware (section 4.3)."""
