@@ -8,8 +8,6 @@ SUMMARIES = {
     "follow": "Follow a sentence in a world never seen, until the robot says stop.",
     "parse": "Show the phrases of a sentence.",
     "ground": "Show what a sentence is taken to mean, with probabilities.",
-    "train": "Train the annotation or the behavior model on a corpus.",
-    "evaluate": "Measure both models on hold-out splits (Table 1).",
     "reproduce": "Run an experiment of the paper and set it beside the printed numbers.",
 }
 """Every command and its line in ``jaxlangnav --help``; the module has the command's name."""
