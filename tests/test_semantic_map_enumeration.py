@@ -21,7 +21,7 @@ OBJECTS = [
 ]
 VIEWER = (0.0, 0.0, 0.3)
 ALPHA = 3.0
-GRID_ERROR = 0.005
+GRID_ERROR = 0.006
 """Share by which the oracle's grid may be wrong."""
 EMPTY = (0, NONE, NONE, False)
 CASES = {
