@@ -10,6 +10,7 @@ Further axis letter: **T** steps of the episode.
 import dataclasses
 import functools
 from collections.abc import Iterator
+from typing import Any, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -29,6 +30,9 @@ from jaxlangnav.world.known import known_distance
 from jaxlangnav.world.sensor import sense
 from jaxlangnav.world.state import Scenario
 
+Leaf: TypeAlias = Any
+"""A JAX array inside the compiled cycle, a NumPy array in a recording."""
+
 
 @pytree
 class Frame:
@@ -37,61 +41,61 @@ class Frame:
     Positions are metres in the map frame. In a ``Recording`` every array has a leading axis T.
     """
 
-    position: Array  # f32[2] true position
-    heading: Array  # f32[] radians
-    odometry: Array  # f32[2] dead reckoning from the start
-    robot: Array  # f32[2] believed position, mean over particles
-    distance: Array  # f32[] metres truly travelled so far
-    clause: Array  # i32[] the command being carried out
+    position: Leaf  # f32[2] true position
+    heading: Leaf  # f32[] radians
+    odometry: Leaf  # f32[2] dead reckoning from the start
+    robot: Leaf  # f32[2] believed position, mean over particles
+    distance: Leaf  # f32[] metres truly travelled so far
+    clause: Leaf  # i32[] the command being carried out
     # What was sensed
-    detection_type: Array  # i32[D]
-    detection_range: Array  # f32[D] metres
-    detection_bearing: Array  # f32[D] radians, robot frame
-    is_detection: Array  # bool[D]
+    detection_type: Leaf  # i32[D]
+    detection_range: Leaf  # f32[D] metres
+    detection_bearing: Leaf  # f32[D] radians, robot frame
+    is_detection: Leaf  # bool[D]
     # What is believed, after the step of the filter
-    weight: Array  # f32[P] sums to 1
-    reading: Array  # i32[P] the reading each particle believes
-    object_type: Array  # i32[O, P] NONE in empty slots
-    object_x: Array  # f32[O, P]
-    object_y: Array  # f32[O, P]
-    mention_type: Array  # i32[M, P] type of what each mention speaks of
-    referent: Array  # i32[M, P] observed slot a mention refers to; NONE
-    is_hypothesised: Array  # bool[M, P] the mention is only a hypothesis yet
-    hypothesis_x: Array  # f32[M, P]
-    hypothesis_y: Array  # f32[M, P]
-    miss: Array  # f32[G, G] probability that an object there would have been missed; [y, x]
-    effective_sample_size: Array  # f32[]
-    is_resampled: Array  # bool[]
-    num_regrounded: Array  # i32[] particles whose words were grounded anew
-    is_news: Array  # bool[] an object was seen for the first time, or words came in
-    is_degenerate: Array  # bool[]
-    overflow: Array  # i32[]
+    weight: Leaf  # f32[P] sums to 1
+    reading: Leaf  # i32[P] the reading each particle believes
+    object_type: Leaf  # i32[O, P] NONE in empty slots
+    object_x: Leaf  # f32[O, P]
+    object_y: Leaf  # f32[O, P]
+    mention_type: Leaf  # i32[M, P] type of what each mention speaks of
+    referent: Leaf  # i32[M, P] observed slot a mention refers to; NONE
+    is_hypothesised: Leaf  # bool[M, P] the mention is only a hypothesis yet
+    hypothesis_x: Leaf  # f32[M, P]
+    hypothesis_y: Leaf  # f32[M, P]
+    miss: Leaf  # f32[G, G] probability that an object there would have been missed; [y, x]
+    effective_sample_size: Leaf  # f32[]
+    is_resampled: Leaf  # bool[]
+    num_regrounded: Leaf  # i32[] particles whose words were grounded anew
+    is_news: Leaf  # bool[] an object was seen for the first time, or words came in
+    is_degenerate: Leaf  # bool[]
+    overflow: Leaf  # i32[]
     # Goals and behavior
-    goal_x: Array  # f32[O + 1] goal place at each observed object; the robot last
-    goal_y: Array  # f32[O + 1]
-    goal_mass: Array  # f32[O + 1] probability that it is the goal
-    goal_confirmed: Array  # f32[O + 1] … with everything mentioned observed
-    is_goal: Array  # bool[O + 1]
-    hypothesis_goal_x: Array  # f32[P]
-    hypothesis_goal_y: Array  # f32[P]
-    hypothesis_goal_mass: Array  # f32[P]
-    action: Array  # f32[2] probability of navigate, find
-    mode: Array  # f32[3] probability of normal, quickly, carefully
+    goal_x: Leaf  # f32[O + 1] goal place at each observed object; the robot last
+    goal_y: Leaf  # f32[O + 1]
+    goal_mass: Leaf  # f32[O + 1] probability that it is the goal
+    goal_confirmed: Leaf  # f32[O + 1] … with everything mentioned observed
+    is_goal: Leaf  # bool[O + 1]
+    hypothesis_goal_x: Leaf  # f32[P]
+    hypothesis_goal_y: Leaf  # f32[P]
+    hypothesis_goal_mass: Leaf  # f32[P]
+    action: Leaf  # f32[2] probability of navigate, find
+    mode: Leaf  # f32[3] probability of normal, quickly, carefully
     # What was decided, and why
-    node_x: Array  # f32[A]
-    node_y: Array  # f32[A]
-    is_node: Array  # bool[A]
-    node_kind: Array  # i32[A] planner.graph.FRONTIER, VISITED or OBJECT
-    value: Array  # f32[A] −∞ where closed
-    goal_value: Array  # f32[A]
-    information_value: Array  # f32[A]
-    cost: Array  # f32[A]
-    waypoint: Array  # f32[2]
-    waypoint_kind: Array  # i32[]
-    is_kept: Array  # bool[] the former waypoint was kept
-    is_stop: Array  # bool[] the present command has been carried out
-    is_done: Array  # bool[] … and it was the last one
-    stop_mass: Array  # f32[] goal probability within reach
+    node_x: Leaf  # f32[A]
+    node_y: Leaf  # f32[A]
+    is_node: Leaf  # bool[A]
+    node_kind: Leaf  # i32[A] planner.graph.FRONTIER, VISITED or OBJECT
+    value: Leaf  # f32[A] −∞ where closed
+    goal_value: Leaf  # f32[A]
+    information_value: Leaf  # f32[A]
+    cost: Leaf  # f32[A]
+    waypoint: Leaf  # f32[2]
+    waypoint_kind: Leaf  # i32[]
+    is_kept: Leaf  # bool[] the former waypoint was kept
+    is_stop: Leaf  # bool[] the present command has been carried out
+    is_done: Leaf  # bool[] … and it was the last one
+    stop_mass: Leaf  # f32[] goal probability within reach
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

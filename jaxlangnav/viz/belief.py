@@ -32,8 +32,7 @@ def belief_figure(
     scene = recording.scene
     with style.house_style():
         text = (
-            "Dots: hypothesised objects, one per particle, stronger where heavier. Grey ground: "
-            f"not looked at yet. {scene.policy} policy; {panels.verdict(recording)}."
+            "Dots: hypotheses, one map per particle, stronger where heavier. Grey: not looked at."
         )
         figure, maps, _ = panels.lay_out(recording, len(chosen), text=text, foot=0.62)
         for index, (axes, step) in enumerate(zip(maps, chosen, strict=True)):

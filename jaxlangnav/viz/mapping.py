@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
+_DART = [(1.0, 0.0), (-0.8, 0.7), (-0.45, 0.0), (-0.8, -0.7), (1.0, 0.0)]
+"""The robot: an equilateral triangle would not tell which of its corners is the front."""
+
 
 def draw_ground(axes: "Axes", scene: Scene, frame: Frame) -> "AxesImage":
     """Shade the ground by the probability that an object there would have been missed so far.
@@ -51,6 +54,8 @@ def draw_ground(axes: "Axes", scene: Scene, frame: Frame) -> "AxesImage":
     axes.set_xlim(x_min - margin, x_max + margin)
     axes.set_ylim(y_min - margin, y_max + margin)
     axes.set_aspect("equal")
+    axes.locator_params(axis="x", nbins=5, integer=True, prune="upper")
+    axes.locator_params(axis="y", nbins=7, integer=True)
     axes.tick_params(length=2, pad=2)
     for side in ("top", "right"):
         axes.spines[side].set_visible(True)
@@ -108,6 +113,8 @@ def draw_hypotheses(
     Returns:
         One collection for each type, of one point for each hypothesis.
     """
+    from matplotlib.colors import to_rgb
+
     weight = np.broadcast_to(frame.weight[None, :], frame.is_hypothesised.shape)
     full = max(float(frame.weight.max()), 1e-12)
     drawn = []
@@ -115,16 +122,17 @@ def draw_hypotheses(
         chosen = frame.is_hypothesised & (frame.mention_type == kind)
         relative = weight[chosen] / full
         color = style.type_color(int(kind))
+        strength = np.minimum(0.15 + 0.5 * relative, 1.0)
+        colors = [(*to_rgb(color), float(one)) for one in strength]
         drawn.append(
             axes.scatter(
                 frame.hypothesis_x[chosen],
                 frame.hypothesis_y[chosen],
                 marker=style.type_marker(int(kind)),
                 s=scale * (5 + 9 * relative),
-                facecolors=color if filled else "none",
-                edgecolors="none" if filled else color,
+                facecolors=colors if filled else "none",
+                edgecolors="none" if filled else colors,
                 linewidths=0.6,
-                alpha=np.minimum(0.15 + 0.5 * relative, 1.0),
                 zorder=3,
             )
         )
@@ -178,12 +186,17 @@ def draw_view(axes: "Axes", scene: Scene, frame: Frame) -> "Patch":
 
 
 def draw_robot(axes: "Axes", frame: Frame) -> "PathCollection":
-    """Draw the robot as a triangle that points where it heads."""
+    """Draw the robot as a notched triangle that points where it heads."""
+    from matplotlib.markers import MarkerStyle
+    from matplotlib.path import Path
+    from matplotlib.transforms import Affine2D
+
+    turn = Affine2D().rotate(float(frame.heading))
     return axes.scatter(
         [frame.position[0]],
         [frame.position[1]],
-        marker=(3, 0, math.degrees(float(frame.heading)) - 90),
-        s=95,
+        marker=MarkerStyle(turn.transform_path(Path(_DART, closed=True))),
+        s=190,
         facecolors=style.INK,
         edgecolors=style.PAPER,
         linewidths=0.8,
@@ -192,11 +205,9 @@ def draw_robot(axes: "Axes", frame: Frame) -> "PathCollection":
 
 
 def draw_waypoint(axes: "Axes", frame: Frame) -> "Line2D":
-    """Draw the chosen waypoint and the straight way to it."""
+    """Draw the chosen waypoint and the straight way to it; hidden where the robot has stopped."""
     x = [float(frame.position[0]), float(frame.waypoint[0])]
     y = [float(frame.position[1]), float(frame.waypoint[1])]
-    if bool(frame.is_stop):
-        x, y = x[:1], y[:1]
     (line,) = axes.plot(
         x,
         y,
@@ -207,6 +218,7 @@ def draw_waypoint(axes: "Axes", frame: Frame) -> "Line2D":
         markersize=7,
         markeredgewidth=1.8,
         zorder=7,
+        visible=not bool(frame.is_done),
     )
     return line
 

@@ -6,16 +6,18 @@ it stopped. Every number comes from the recording; nothing is made up for the oc
 
 import math
 
+import numpy as np
+
 from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.messages import NONE
-from jaxlangnav.planner.graph import FRONTIER, OBJECT, VISITED
+from jaxlangnav.planner.graph import OBJECT
 from jaxlangnav.recording import Frame, Recording, Scene
 from jaxlangnav.viz import summary
 from jaxlangnav.viz.words import (
-    NODE_WORDS,
     article,
     describe_readings,
     listed,
+    node_words,
     percent,
     whereabouts,
 )
@@ -100,9 +102,9 @@ def headline(scene: Scene, frame: Frame, before: Frame | None) -> str:
     if before is None:
         return "hears the sentence, sees nothing"
     share = float(frame.num_regrounded) / frame.weight.shape[0]
-    if share >= 0.1:
+    if share >= 0.1 and _is_open(before):
         return f"not there: {percent(share)} refuted"
-    return "keeps on" if frame.is_kept else "changes its mind"
+    return "keeps on" if frame.is_kept else "new waypoint"
 
 
 def closing(scene: Scene, frame: Frame, result: EpisodeResult) -> list[str]:
@@ -239,9 +241,15 @@ def _refuted(frame: Frame, before: Frame | None) -> str:
         return ""
     if bool(frame.is_news) and number == total:
         return "That reopens what the words refer to."
-    # With everything seen, what is drawn anew is only a better fit of the same objects.
-    is_open = float((before.weight * before.is_hypothesised.any(axis=0)).sum()) >= 0.1
-    return f"{number} of {total} hypotheses are refuted and drawn anew." if is_open else ""
+    return f"{number} of {total} hypotheses are refuted and drawn anew." if _is_open(before) else ""
+
+
+def _is_open(frame: Frame) -> bool:
+    """Tell whether much of the belief is still hypothetical.
+
+    With everything seen, what is drawn anew is only a better fit of the same objects.
+    """
+    return float((frame.weight * frame.is_hypothesised.any(axis=0)).sum()) >= 0.1
 
 
 def _believed(scene: Scene, frame: Frame) -> str:
@@ -271,7 +279,7 @@ def _decided(scene: Scene, frame: Frame) -> str:
     if bool(frame.is_stop):
         return _stopped(scene, frame)
     x, y = float(frame.waypoint[0]), float(frame.waypoint[1])
-    target = f"{NODE_WORDS[int(frame.waypoint_kind)]} {_place(frame, x, y)}"
+    target = f"{node_words(int(frame.waypoint_kind), scene.policy)} {_place(frame, x, y)}"
     if int(frame.waypoint_kind) == OBJECT:
         near = min(
             summary.seen_objects(frame),
@@ -290,18 +298,15 @@ def _reason(scene: Scene, frame: Frame) -> str:
     node = summary.chosen_node(frame)
     if node is None:
         return ""
-    x, y = float(frame.node_x[node]), float(frame.node_y[node])
-    distance = math.hypot(x - float(frame.robot[0]), y - float(frame.robot[1]))
-    information, goal = float(frame.information_value[node]), float(frame.goal_value[node])
-    if goal >= 1.0 and scene.policy == "informed":
-        return ": everything mentioned has been seen, and this is the goal"
-    if information > goal:
-        tested = information * (distance + float(scene.planner.information_offset))
-        return f": the way there puts {percent(tested)} of the hypotheses to the test"
-    number = int(frame.is_node.sum())
-    if int(frame.node_kind[node]) in (FRONTIER, VISITED):
-        return f": of {number} places it is on average nearest to the goal (value {goal:.2f})"
-    return f": the best of {number} places (value {goal:.2f})"
+    value, number = float(frame.value[node]), int(np.isfinite(frame.value).sum())
+    if scene.policy == "informed":
+        if int(frame.node_kind[node]) == OBJECT:
+            return ": nothing is left to find out that would matter more"
+        tested = percent(summary.tested_share(scene, frame))
+        return (
+            f": of {number} places it promises most; the way puts {tested} of the maps to the test"
+        )
+    return f": of {number} places it is on average nearest to the goal (value {value:.2f})"
 
 
 def _stopped(scene: Scene, frame: Frame) -> str:

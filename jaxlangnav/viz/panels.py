@@ -53,8 +53,8 @@ def lay_out(
     shape = (x_max - x_min) / (y_max - y_min)
     columns = num_columns(number, shape)
     rows = math.ceil(number / columns)
-    left, gap, right, head = 0.48, 0.34, 0.12, 0.72
-    above, below = 0.42, 0.34
+    left, gap, right, head = 0.62, 0.16, 0.12, 0.66
+    above, below = 0.42, 0.40
     width = min((_WIDTH - left - right - gap * (columns - 1)) / columns, 3.6)
     height = min(width / shape, 4.4)
     width = min(width, height * shape)
@@ -76,8 +76,13 @@ def lay_out(
             charts.append(figure.add_axes((x / total, y / tall, width / total, extra / tall)))
         maps[-1].set_xlabel("x (m)" if row == rows - 1 or index + columns >= number else "")
         maps[-1].set_ylabel("y (m)" if column == 0 else "")
+        maps[-1].tick_params(labelleft=column == 0)
         maps[-1].xaxis.labelpad = maps[-1].yaxis.labelpad = 2
-    style.title(figure, f"“{recording.scene.text}”" if recording.scene.text else "Episode", text)
+    style.title(
+        figure,
+        f"“{recording.scene.text}”" if recording.scene.text else "Episode",
+        f"{verdict(recording)}.\n{text}",
+    )
     return figure, maps, charts
 
 
@@ -112,9 +117,10 @@ def verdict(recording: Recording) -> str:
     ended = "success" if bool(result.is_success) else "failure"
     if not bool(result.is_stopped):
         ended = "failure: out of time"
+    away, walked = float(result.goal_distance), float(result.distance)
     return (
-        f"{ended}, {float(result.goal_distance):.1f} m from the meant goal after "
-        f"{float(result.distance):.1f} m (known map: {recording.scene.known_distance:.1f} m)"
+        f"{recording.scene.policy} policy: {ended}, {away:.1f} m from the meant goal after "
+        f"{walked:.1f} m (known map: {recording.scene.known_distance:.1f} m)"
     )
 
 

@@ -135,7 +135,8 @@ def house_style() -> Iterator[None]:
     require("matplotlib")
     import matplotlib as mpl
 
-    with mpl.rc_context(rc()):
+    settings: Any = rc()
+    with mpl.rc_context(settings):
         yield
 
 

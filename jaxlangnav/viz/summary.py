@@ -9,7 +9,7 @@ import dataclasses
 import numpy as np
 
 from jaxlangnav.messages import NONE
-from jaxlangnav.recording import Frame
+from jaxlangnav.recording import Frame, Scene
 
 _LEAST_SHARE = 0.02
 """Objects that fewer particles believe in than this are left out of pictures."""
@@ -169,6 +169,45 @@ def chosen_node(frame: Frame) -> int | None:
     squared = np.where(frame.is_node & (frame.node_kind == frame.waypoint_kind), squared, np.inf)
     best = int(np.argmin(squared))
     return best if squared[best] < 1e-4 else None
+
+
+def tested_share(scene: Scene, frame: Frame) -> float:
+    """Compute how much belief the way to the waypoint puts to the test.
+
+    Args:
+        scene: of the episode, for the sensing range.
+        frame: one step.
+
+    Returns:
+        Weight of the particles that have a hypothesised object within sensing range of the
+        straight way to the waypoint.
+    """
+    start, end = np.asarray(frame.robot, float), np.asarray(frame.waypoint, float)
+    span = end - start
+    dx, dy = frame.hypothesis_x - start[0], frame.hypothesis_y - start[1]
+    along = np.clip((dx * span[0] + dy * span[1]) / max(float(span @ span), 1e-9), 0.0, 1.0)
+    distance = np.hypot(dx - along * span[0], dy - along * span[1])
+    is_seen = frame.is_hypothesised & (distance <= float(scene.sensor.range_max))
+    return float(frame.weight[is_seen.any(axis=0)].sum())
+
+
+def goal_field(scene: Scene, frame: Frame, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Compute the QMDP value of standing anywhere (eq. 11, 12), not only on the nodes.
+
+    Args:
+        scene: of the episode, for the discount γ.
+        frame: one step.
+        x: f64[...], metres, map frame.
+        y: f64[...], metres.
+
+    Returns:
+        f64[...].
+    """
+    goal_x = np.concatenate([frame.goal_x, frame.hypothesis_goal_x])
+    goal_y = np.concatenate([frame.goal_y, frame.hypothesis_goal_y])
+    mass = np.concatenate([frame.goal_mass, frame.hypothesis_goal_mass])
+    distance = np.hypot(x[..., None] - goal_x, y[..., None] - goal_y)
+    return (float(scene.planner.discount) ** distance) @ mass
 
 
 def explored_share(frame: Frame) -> float:

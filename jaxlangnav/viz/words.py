@@ -3,7 +3,7 @@
 import math
 
 from jaxlangnav.messages import NEAR, NONE, RELATIONS, ROBOT
-from jaxlangnav.planner.graph import FRONTIER, OBJECT, VISITED
+from jaxlangnav.planner.graph import OBJECT, VISITED
 from jaxlangnav.recording import Scene
 
 RELATION_WORDS = {
@@ -13,11 +13,6 @@ RELATION_WORDS = {
     "right": "to the right of",
     "near": "near",
     "far": "far from",
-}
-NODE_WORDS = {
-    FRONTIER: "unexplored ground",
-    VISITED: "a place it has been",
-    OBJECT: "an object",
 }
 _EIGHTHS = (
     "ahead",
@@ -41,6 +36,23 @@ def direction(bearing: float) -> str:
         One of eight directions: "ahead", "ahead to the left", …
     """
     return _EIGHTHS[round(bearing / (math.pi / 4)) % 8]
+
+
+def node_words(kind: int, policy: str) -> str:
+    """Name a kind of waypoint.
+
+    Args:
+        kind: of ``planner.graph``.
+        policy: ``informed`` looks from viewpoints, ``faithful`` goes to frontiers.
+
+    Returns:
+        A noun with its article.
+    """
+    if kind == OBJECT:
+        return "an object"
+    if kind == VISITED:
+        return "a place it has been"
+    return "a viewpoint" if policy == "informed" else "the frontier"
 
 
 def whereabouts(x: float, y: float, robot_x: float, robot_y: float, heading: float) -> str:
