@@ -13,7 +13,7 @@ def _type_of(word: Word) -> str | None:
 
 
 def _refuse(words: list[Word], reason: str) -> LanguageError:
-    text = " ".join(word.text for word in words)
+    text = " ".join(word.text[:30] for word in words)
     where = f"word {words[0].position}"
     return LanguageError(f"'{text}' ({where}): {reason}")
 

@@ -157,10 +157,15 @@ class Grammar:
         # A word no class tells from another shares its terminal: fewer rules for Earley.
         self._terminals = self._share_terminals(sorted(words))
         self._by_rule = self._index()
-        self._lark = Lark(
+        lark = Lark(
             self._lark_text(), start=self._names["start"], parser="earley", lexer=_TokenLexer,
             ambiguity="forest", keep_all_tokens=True, maybe_placeholders=False,
         )  # fmt: skip
+        self._lark: Any = lark
+        self._earley: Any = lark.parser.parser
+        self._rules = [
+            (rule, frozenset(s.name for s in rule.expansion if s.is_term)) for rule in lark.rules
+        ]
 
     def _share_terminals(self, words: list[str]) -> dict[str, str]:
         """Give words that occur alone in the same classes one terminal."""
@@ -195,6 +200,18 @@ class Grammar:
         terminals = " ".join(sorted(set(self._terminals.values())))
         return "\n".join(lines) + f"\n%declare {terminals}\n"
 
+    def _predict_only(self, terminals: frozenset[str]) -> None:
+        """Leave out of Earley's predictions all rules that name a word the sentence lacks.
+
+        Lark predicts the whole closure of a nonterminal at once, every expression of the lexicon
+        included; without them, and one rule at a time, a sentence takes a tenth of the time.
+        """
+        predictions: dict[Any, list[Any]] = {rule.origin: [] for rule, _ in self._rules}
+        for rule, needed in self._rules:
+            if needed <= terminals:
+                predictions[rule.origin].append(rule)
+        self._earley.predictions = predictions
+
     def parse(self, tokens: list[str]) -> tuple[Derivation, float]:
         """Find the most probable derivation.
 
@@ -212,8 +229,9 @@ class Grammar:
             if f'"{token}"' not in self._terminals:
                 raise NoParseError(index)
             terminals.append(self._terminals[f'"{token}"'])
+        self._predict_only(frozenset(terminals))
         try:
-            root: Any = self._lark.parse(terminals)  # pyright: ignore
+            root = self._lark.parse(terminals)
         except UnexpectedEOF:
             raise NoParseError(len(tokens)) from None
         except UnexpectedToken as error:

@@ -26,6 +26,7 @@ from jaxlangnav.language.tree import TreeBuilder
 
 MAX_CHARACTERS = 10_000
 MAX_WORDS = 64
+MAX_UNKNOWN = 8  # more guesses than this are no reading, and their trees are very many
 _TOKEN = re.compile(r"[^\W\d_]+(?:['-][^\W\d_]+)*|\d+(?:st|nd|rd|th)?\b|\d[\w.]*|[.!?;]+|[,:]|\S")
 _IGNORED = set("\"'()[]*`“”")
 _COMMAS = {",", ":", "-", "–", "—"}
@@ -134,6 +135,10 @@ def parse(text: str) -> Parse:
     tokens = reader.tokens
     if not tokens:
         raise LanguageError("the instruction is empty")
+    unknown = [(t.text, t.position) for t in tokens if t.terminal.startswith("?")]
+    if len(unknown) > MAX_UNKNOWN:
+        text, position = unknown[0]
+        raise LanguageError(f"'{text[:30]}' (word {position}): unknown word, one of too many")
     try:
         derivation, probability = load_grammar().parse([token.terminal for token in tokens])
     except NoParseError as error:
@@ -171,10 +176,9 @@ def _refusal(tokens: list[_Token], index: int) -> str:
     if first is None and stuck is not None and stuck.text not in _SMALL and _is_telling(stuck):
         first = stuck
     for token in [first, *nearest[:1], *near[-1:]]:
-        if token is not None and reasons[token.position]:
-            return f"'{token.text}' (word {token.position}): {reasons[token.position]}"
         if token is not None:
-            return f"'{token.text}' (word {token.position}): unknown word, and no reading fits it"
+            reason = reasons[token.position] or "unknown word, and no reading fits it"
+            return f"'{token.text[:30]}' (word {token.position}): {reason}"
     if stuck is None:
         return f"the sentence breaks off after '{read[-1].text}' (word {read[-1].position})"
     return f"'{stuck.text}' (word {stuck.position}): cannot be read here"

@@ -1,0 +1,292 @@
+"""How a phrase tree is labelled: the rules by which gold labels of the corpus are composed.
+
+Annotation labels (section 3.1) say what a phrase tells of the unseen world, by object type;
+behavior labels (section 3.3) what it means among the placed objects of one world. They are for
+the corpus alone: nothing at run time may use these rules in place of the trained model.
+
+Annotation: ``object(cone)``, ``region(behind,cone)``, ``relation(hydrant,behind,cone)``; the
+landmark is ``robot`` where the phrase names none ("on your left"). Behavior: ``object(3)``,
+``region(behind,3)``, ``region(at,3)``, ``action(navigate)``, ``mode(normal)``, ``goal(at,3)``,
+``constraint(near,2)``.
+"""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxlangnav.language.phrase import Phrase
+from jaxlangnav.messages import FAR, NEAR, RELATIONS
+from jaxlangnav.relations import holds
+
+ROBOT = "robot"
+Labels = tuple[frozenset[str], ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlacedWorld:
+    """Objects whose places are known, and the robot among them."""
+
+    objects: tuple[tuple[str, float, float], ...]  # type, x, y; map frame, metres
+    robot: tuple[float, float, float]  # x, y, heading; metres, radians
+    previous: int | None = None  # the goal of the command before this one
+
+
+def sense(phrase: Phrase, kind: str) -> str | None:
+    """Find the value of a sense such as ``relation`` among a phrase's own words."""
+    for word in phrase.words:
+        for text in word.senses:
+            name, _, value = text.partition(":")
+            if name == kind:
+                return value or name
+    return None
+
+
+def rank(phrase: Phrase) -> int:
+    """Read whether a PP or ADJP is superlative: 0 no, 1 nearest or first, 2 second, ..."""
+    if sense(phrase, "superlative") is None or sense(phrase, "relation") is None:
+        return 0
+    return int(sense(phrase, "rank") or 1)
+
+
+# ---------------------------------------------------------------- annotation
+
+
+@dataclass(frozen=True)
+class _Meaning:
+    """What a phrase hands up: the type it is about, regions it opens, relations it states."""
+
+    symbols: frozenset[str]
+    types: tuple[str, ...] = ()  # the thing itself, for a landmark above
+    regions: tuple[tuple[str, str], ...] = ()  # (relation, landmark type), not yet anyone's
+
+
+def annotate(root: Phrase) -> tuple[Labels, tuple[int, ...]]:
+    """Label every phrase with annotation symbols.
+
+    Args:
+        root: a clause.
+
+    Returns:
+        Symbols and superlative rank of each phrase, in the order of ``root.walk()``.
+    """
+    labels: list[frozenset[str]] = []
+
+    def visit(phrase: Phrase) -> _Meaning:
+        meaning = _annotate(phrase, [visit(child) for child in phrase.children])
+        labels.append(meaning.symbols)
+        return meaning
+
+    visit(root)
+    return tuple(labels), tuple(rank(phrase) for phrase in root.walk())
+
+
+def _annotate(phrase: Phrase, children: list[_Meaning]) -> _Meaning:
+    """Compose the annotation of one phrase from those of its children."""
+    passed = frozenset().union(*(child.symbols for child in children))
+    if phrase.label == "NP" and not children:
+        type_name = sense(phrase, "type")
+        types = () if type_name is None else (type_name,)
+        return _Meaning(frozenset(f"object({t})" for t in types), types)
+    relation = sense(phrase, "relation")
+    if phrase.label in ("PP", "ADJP") and relation is not None:
+        landmarks = [t for child in children for t in child.types] or [ROBOT]
+        stated = frozenset(s for s in passed if s.startswith("relation"))
+        regions = tuple((relation, landmark) for landmark in landmarks)
+        opened = frozenset(f"region({r},{landmark})" for r, landmark in regions)
+        return _Meaning(stated | opened, regions=regions)
+    if phrase.label in ("NP", "S"):
+        return _annotate_figure(children, passed)
+    types = tuple(t for child in children for t in child.types)
+    regions = tuple(region for child in children for region in child.regions)
+    return _Meaning(passed, types, regions)
+
+
+def _annotate_figure(children: list[_Meaning], passed: frozenset[str]) -> _Meaning:
+    """Join a figure with the regions said of it: relation(hydrant,behind,cone)."""
+    figures = [child for child in children if child.types]
+    regions = tuple(region for child in children for region in child.regions)
+    if not figures or not regions:
+        return _Meaning(passed, figures[0].types if figures else (), regions)
+    figure = figures[0].types[0]
+    stated = frozenset(symbol for symbol in passed if symbol.startswith("relation"))
+    made = frozenset(f"relation({figure},{r},{landmark})" for r, landmark in regions)
+    return _Meaning(stated | made, (figure,))
+
+
+# ---------------------------------------------------------------- behavior
+
+
+@jax.jit
+def _all_relations(places: Array, viewer: Array, heading: Array) -> Array:
+    """Evaluate all relations: bool[6, N, N + 1], landmark N is the robot."""
+
+    def one(relation: int) -> Array:
+        pairs = holds(relation, places[:, None], places[None, :], viewer)
+        own = holds(relation, places, viewer, viewer, heading)
+        return jnp.concatenate([pairs, own[:, None]], axis=1)
+
+    return jnp.stack([one(relation) for relation in range(len(RELATIONS))])
+
+
+class Geometry:
+    """Which relations hold between the objects of a world, and how strongly."""
+
+    def __init__(self, world: PlacedWorld) -> None:
+        """Evaluate all six relations over all pairs.
+
+        Args:
+            world: placed objects; index ``len(objects)`` stands for the robot.
+        """
+        self.world = world
+        self.num_objects = len(world.objects)
+        places = np.array([[x, y] for _, x, y in world.objects], np.float32).reshape(-1, 2)
+        viewer = np.array(world.robot[:2], np.float32)
+        heading = world.robot[2]
+        self.holds = np.asarray(_all_relations(places, viewer, np.float32(heading)))
+        everything = np.concatenate([places, viewer[None]], 0)
+        self.offset = places[:, None] - everything[None]
+        self.distance = np.linalg.norm(self.offset, axis=-1)
+        self.left = np.array([-np.sin(heading), np.cos(heading)])
+
+    def strength(self, relation: int, figure: int, landmark: int) -> float:
+        """Measure how much a relation holds, to find the extreme: larger is more so."""
+        if relation == NEAR:
+            return -float(self.distance[figure, landmark])
+        if relation == FAR:
+            return float(self.distance[figure, landmark])
+        sideways = float(self.offset[figure, landmark] @ self.left)
+        return sideways if RELATIONS[relation] == "left" else -sideways
+
+    def is_extreme(self, relation: int, figure: int, landmark: int, place: int) -> bool:
+        """Tell whether a figure is the ``place``-th extreme of its type, from the landmark."""
+        kind = self.world.objects[figure][0]
+        mine = self.strength(relation, figure, landmark)
+        more = sum(
+            self.strength(relation, other, landmark) > mine
+            for other in range(self.num_objects)
+            if other not in (figure, landmark) and self.world.objects[other][0] == kind
+        )
+        return more == place - 1
+
+
+@dataclass(frozen=True)
+class _Sense:
+    """What a phrase means in a world: objects, regions (relation, object, rank) or a behavior."""
+
+    symbols: frozenset[str]
+    objects: tuple[int, ...] | None = None
+    regions: tuple[tuple[str, int, int], ...] | None = None
+    constraints: frozenset[str] = frozenset()
+
+
+def behave(root: Phrase, geometry: Geometry) -> Labels:
+    """Label every phrase with behavior symbols in one world.
+
+    Args:
+        root: a clause.
+        geometry: the world's relations.
+
+    Returns:
+        Symbols of each phrase, in the order of ``root.walk()``.
+    """
+    labels: list[frozenset[str]] = []
+
+    def visit(phrase: Phrase) -> _Sense:
+        meaning = _behave(phrase, [visit(child) for child in phrase.children], geometry)
+        labels.append(meaning.symbols)
+        return meaning
+
+    visit(root)
+    return tuple(labels)
+
+
+def _behave(phrase: Phrase, children: list[_Sense], geometry: Geometry) -> _Sense:
+    """Compose the behavior label of one phrase from those of its children."""
+    if phrase.label == "VP":
+        return _verb(phrase, children)
+    if phrase.label == "S":
+        return _Sense(frozenset())
+    if phrase.label == "NP" and not children:
+        return _objects(_named(phrase, geometry.world)) if not sense(phrase, "place") else (
+            _Sense(frozenset())
+        )  # fmt: skip
+    relation = sense(phrase, "relation")
+    if phrase.label in ("PP", "ADJP") and relation is not None:
+        robot = (geometry.num_objects,)
+        landmarks = (children[0].objects or ()) if children else robot
+        return _regions(tuple((relation, i, rank(phrase)) for i in landmarks), geometry)
+    if phrase.label == "NP":
+        return _restrict(children, geometry)
+    inner = children[0]
+    if phrase.label == "PP" and inner.objects is not None:
+        return _regions(tuple(("at", i, 0) for i in inner.objects), geometry)
+    return inner
+
+
+def _named(phrase: Phrase, world: PlacedWorld) -> tuple[int, ...]:
+    """List the objects a noun phrase can name by itself."""
+    type_name = sense(phrase, "type")
+    is_other = sense(phrase, "other") is not None
+    if type_name is None and is_other and world.previous is not None:
+        type_name = world.objects[world.previous][0]
+    if type_name is None and sense(phrase, "anaphor") is None:
+        return ()
+    return tuple(
+        index
+        for index, (kind, _, _) in enumerate(world.objects)
+        if type_name in (None, kind) and not (is_other and index == world.previous)
+    )
+
+
+def _objects(indices: tuple[int, ...]) -> _Sense:
+    return _Sense(frozenset(f"object({i})" for i in indices), objects=indices)
+
+
+def _regions(regions: tuple[tuple[str, int, int], ...], geometry: Geometry) -> _Sense:
+    def name(index: int) -> str:
+        return ROBOT if index == geometry.num_objects else str(index)
+
+    symbols = frozenset(f"region({relation},{name(i)})" for relation, i, _ in regions)
+    return _Sense(symbols, regions=regions)
+
+
+def _restrict(children: list[_Sense], geometry: Geometry) -> _Sense:
+    """Keep the objects that lie in one region of every modifier; without objects, the regions."""
+    base, *modifiers = children
+    if base.objects is None:
+        regions = tuple(region for child in modifiers for region in child.regions or ())
+        return _regions(regions, geometry)
+
+    def fits(figure: int, region: tuple[str, int, int]) -> bool:
+        relation, landmark, place = region
+        index = RELATIONS.index(relation)
+        if figure == landmark:
+            return False
+        if place:
+            return geometry.is_extreme(index, figure, landmark, place)
+        return bool(geometry.holds[index, figure, landmark])
+
+    kept = tuple(
+        figure
+        for figure in base.objects
+        if all(any(fits(figure, region) for region in m.regions or ()) for m in modifiers)
+    )
+    return _objects(kept)
+
+
+def _verb(phrase: Phrase, children: list[_Sense]) -> _Sense:
+    """Compose action, mode, goal regions and constraint regions."""
+    constraints = frozenset().union(*(child.constraints for child in children))
+    goals = [child for child in children if child.objects is not None or child.regions is not None]
+    if sense(phrase, "constraint"):
+        own = frozenset(f"constraint(near,{i})" for g in goals for i in g.objects or ())
+        return _Sense(own | constraints, constraints=own | constraints)
+    symbols = {f"action({sense(phrase, 'action') or 'navigate'})"}
+    symbols.add(f"mode({sense(phrase, 'mode') or 'normal'})")
+    for goal in goals:
+        symbols |= {f"goal(at,{i})" for i in goal.objects or ()}
+        symbols |= {s.replace("region", "goal") for s in goal.symbols if s.startswith("region")}
+    return _Sense(frozenset(symbols) | constraints)

@@ -1,0 +1,227 @@
+"""Write the corpora: sentences from templates, worlds drawn to fit, labels by ``labels.py``.
+
+    python scripts/make_corpus.py            # corpus.jsonl from corpus_templates.txt
+    python scripts/make_corpus.py --only-39  # corpus39.jsonl from corpus39.txt
+
+Each template states what its sentence must mean; a sentence whose composed labels say anything
+else stops the script, so a fault of parser or rules cannot slip into the labels unseen.
+Worlds are drawn until the command has an answer there, and, where the world holds two things
+of the figure's type, until only one of them is meant: then the relation decides.
+"""
+
+import json
+import random
+import sys
+from pathlib import Path
+
+import numpy as np
+
+import jaxlangnav.language
+from jaxlangnav.language.labels import Geometry, PlacedWorld, annotate, behave, rank
+from jaxlangnav.language.lexicon import load_lexicon
+from jaxlangnav.language.parser import parse
+from jaxlangnav.language.phrase import Parse
+from corpus_words import WORDS, Slots
+
+HERE = Path(__file__).parent
+DATA = Path(jaxlangnav.language.__file__).parent / "data"
+MAX_DRAWS = 4000
+# Commands of Tables 2 and 3: never trained on.
+EVALUATED = {
+    "go to the hydrant",
+    "go to the hydrant behind the cone",
+    "go to the hydrant nearest to the cone",
+}
+WORLDS_PER_SENTENCE = 2
+
+
+def expand(pattern: str, slots: Slots) -> str:
+    """Fill a pattern's slots with words."""
+    text = pattern
+    while "{" in text:
+        before, _, rest = text.partition("{")
+        name, _, after = rest.partition("}")
+        text = before + slots.fill(name) + after
+    words = text.split()
+    for index, word in enumerate(words[:-1]):
+        if word in ("a", "an") and words[index + 1][0] in "aeiou":
+            words[index] = "an"
+    return " ".join(words)
+
+
+def expected(root: str, slots: Slots) -> frozenset[str]:
+    """Write the symbols a template states, with the slots' meanings in place."""
+    symbols = set()
+    for symbol in root.split():
+        if symbol == "-":
+            continue
+        kind, _, rest = symbol[:-1].partition("(")
+        arguments = [slots.meaning.get(argument, argument) for argument in rest.split(",")]
+        symbols.add(f"{kind}({','.join(arguments)})")
+    return frozenset(symbols)
+
+
+def draw_world(found: Parse, types: list[str], rng: random.Random) -> PlacedWorld:
+    """Draw objects at random: those named, often twice, and others, clustered in pairs."""
+    names = load_lexicon().type_names
+    ordinals = max(rank(p) for root in found.clauses for p in root.walk())
+    kinds = [kind for kind in types for _ in range(2 if rng.random() < 0.55 else 1)]
+    kinds += types[:1] * max(0, ordinals - 1)
+    others = [name for name in names if name not in types]
+    kinds += [rng.choice(others) for _ in range(rng.randint(0, 2))]
+    kinds = kinds[:8]
+    rng.shuffle(kinds)
+    robot = (0.0, 0.0, 0.0)
+    if rng.random() < 0.5:
+        robot = tuple(round(rng.uniform(-2, 2), 2) for _ in range(2)) + (
+            round(rng.uniform(-3.1, 3.1), 2),
+        )
+    places: list[tuple[float, float]] = []
+    for _ in kinds:
+        for _ in range(50):
+            if places and rng.random() < 0.7:
+                x, y = rng.choice([*places, robot[:2]])
+                distance, angle = rng.uniform(1.2, 4.0), rng.uniform(-np.pi, np.pi)
+                place = (x + distance * np.cos(angle), y + distance * np.sin(angle))
+            else:
+                place = (robot[0] + rng.uniform(-12, 12), robot[1] + rng.uniform(-12, 12))
+            gaps = [np.hypot(place[0] - x, place[1] - y) for x, y in [*places, robot[:2]]]
+            if min(gaps) > 1.0:
+                break
+        places.append(place)
+    rows = zip(kinds, places, strict=True)
+    objects = tuple((kind, round(float(x), 2), round(float(y), 2)) for kind, (x, y) in rows)
+    previous = None
+    text = found.instruction
+    if "other" in text:
+        wanted = [i for i, (kind, _, _) in enumerate(objects) if not types or kind == types[0]]
+        previous = rng.choice(wanted) if wanted else None
+    return PlacedWorld(objects=objects, robot=robot, previous=previous)
+
+
+def labels_in(found: Parse, world: PlacedWorld) -> tuple[list[list[frozenset[str]]], bool]:
+    """Label all clauses in a world; the second result tells whether the world fits."""
+    geometry = Geometry(world)
+    all_labels, fits = [], True
+    for root, kind in zip(found.clauses, found.kinds, strict=True):
+        labels = list(behave(root, geometry))
+        all_labels.append(labels)
+        goals = sorted(s for s in labels[-1] if s.startswith("goal"))
+        constraints = [s for s in labels[-1] if s.startswith("constraint")]
+        if kind == "command":
+            has_action = any(s.startswith("action") for s in labels[-1])
+            fits &= bool(goals) if has_action else bool(constraints)
+            fits &= len(goals) <= 1 or not is_restricted(labels)
+        at_object = [s for s in goals if s.startswith("goal(at,")]
+        if len(at_object) == 1:
+            index = int(at_object[0][8:-1])
+            geometry.world = PlacedWorld(
+                objects=world.objects, robot=world.robot, previous=index
+            )
+    return all_labels, fits
+
+
+def is_restricted(labels: list[frozenset[str]]) -> bool:
+    """Tell whether a noun phrase names more objects than are meant in the end: one is meant."""
+    meant = {s for s in labels[-1] if s.startswith("goal(at")}
+    named = {s for symbols in labels for s in symbols if s.startswith("object")}
+    return bool(meant) and len(named) > len(meant)
+
+
+def worlds_for(found: Parse, types: list[str], rng: random.Random, count: int) -> list[dict]:
+    """Draw worlds in which the instruction can be followed, the first with a rival object."""
+    worlds: list[dict] = []
+    roots = [annotate(root)[0][-1] for root in found.clauses]
+    is_placed = any(s.startswith("relation") and s[9:].startswith(types[0]) for r in roots for s in r)
+    for _ in range(MAX_DRAWS):
+        world = draw_world(found, types, rng)
+        labels, fits = labels_in(found, world)
+        kinds = [kind for kind, _, _ in world.objects]
+        has_rival = not is_placed or kinds.count(types[0]) > 1
+        if not fits or (not worlds and not has_rival):
+            continue
+        worlds.append(
+            {
+                "objects": [list(item) for item in world.objects],
+                "robot": list(world.robot),
+                "previous": world.previous,
+                "behavior": [[sorted(symbols) for symbols in clause] for clause in labels],
+            }
+        )
+        if len(worlds) == count:
+            return worlds
+    raise SystemExit(f"no world fits '{found.instruction}'")
+
+
+def record(text: str, template: str, split: str, want: list[frozenset[str]], seed: str) -> dict:
+    """Make the JSON document of one sentence, checked against what its template states."""
+    found = parse(text)
+    rng = random.Random(seed + text)
+    clauses = []
+    if found.unknown_words:
+        raise SystemExit(f"{template}: '{text}' has unknown words {found.unknown_words}")
+    if len(found.clauses) != len(want):
+        raise SystemExit(f"{template}: '{text}' has {len(found.clauses)} clauses")
+    for root, kind, symbols in zip(found.clauses, found.kinds, want, strict=True):
+        annotation, ranks = annotate(root)
+        if annotation[-1] != symbols:
+            raise SystemExit(f"{template}: '{text}' means {annotation[-1]}, not {symbols}: {root}")
+        heads = [f"{p.label}[{' '.join(w.text for w in p.words)}]" for p in root.walk()]
+        clauses.append(
+            {
+                "kind": kind,
+                "phrases": heads,
+                "annotation": [sorted(labels) for labels in annotation],
+                "rank": list(ranks),
+            }
+        )
+    types = [s[5:] for root in found.clauses for w in root.all_words() for s in w.senses
+             if s.startswith("type:")]  # fmt: skip
+    is_command = "command" in found.kinds
+    worlds = worlds_for(found, list(dict.fromkeys(types)), rng, WORLDS_PER_SENTENCE)
+    return {
+        "text": text, "template": template, "split": split, "clauses": clauses,
+        "worlds": worlds if is_command else [],
+    }  # fmt: skip
+
+
+def from_templates(path: Path) -> list[dict]:
+    """Expand a file of templates."""
+    records: list[dict] = []
+    seen: set[str] = set()
+    for line in path.read_text("utf-8").splitlines():
+        if not line.strip() or line.startswith("#"):
+            continue
+        name, split, count, pattern, root = (part.strip() for part in line.split("|"))
+        rng = random.Random(name)
+        made = tries = 0
+        while made < int(count) and tries < 400:
+            tries += 1
+            slots = Slots(rng, WORDS, is_test=split == "test")
+            text = expand(pattern, slots)
+            if text in seen or text in EVALUATED:
+                continue
+            seen.add(text)
+            want = [expected(part, slots) for part in root.split(";")]
+            records.append(record(text, name, split, want, name))
+            made += 1
+        print(f"{name}: {made}", file=sys.stderr)
+    return records
+
+
+def write(path: Path, records: list[dict]) -> None:
+    """Write one JSON document a line."""
+    lines = [json.dumps(item, separators=(",", ":")) for item in records]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    print(f"{path.name}: {len(records)} instructions", file=sys.stderr)
+
+
+def main() -> None:
+    """Write the corpora asked for."""
+    write(DATA / "corpus39.jsonl", from_templates(HERE / "corpus39.txt"))
+    if "--only-39" not in sys.argv:
+        write(DATA / "corpus.jsonl", from_templates(HERE / "corpus_templates.txt"))
+
+
+if __name__ == "__main__":
+    main()
