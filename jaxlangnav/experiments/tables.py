@@ -20,6 +20,20 @@ HEADINGS = (
     "SPL",
     "Time-outs",
 )
+TERMINAL_HEADINGS = (
+    "World",
+    "m",
+    "Relation",
+    "Policy",
+    "Success %",
+    "95 %",
+    "paper",
+    "Distance m",
+    "paper",
+    "Known m",
+    "SPL",
+    "Late",
+)
 PAPER_RUNS = 100
 """Simulations behind a printed figure: "approximately 100" (section 4.2)."""
 
@@ -99,17 +113,37 @@ def rich_table(document: dict[str, Any], *, title: str) -> Any:
     from rich.table import Table
 
     table = Table(title=title, caption=caption(document), caption_justify="left")
-    for heading in HEADINGS:
+    for heading in TERMINAL_HEADINGS:
         is_text = heading in ("World", "Relation", "Policy")
         style = "dim" if heading.startswith("paper") else None
-        table.add_column(heading, justify="left" if is_text else "right", style=style)
+        table.add_column(heading, justify="left" if is_text else "right", style=style, no_wrap=True)
     before = None
     for row, paper in paired_rows(document):
-        if before is not None and before != row_key(row) and len(document["policies"]) > 1:
+        is_first = before != row_key(row)
+        if before is not None and is_first and len(document["policies"]) > 1:
             table.add_section()
         before = row_key(row)
-        table.add_row(*cells(row, paper))
+        texts = _terminal_cells(row, paper)
+        # What a block of policies has in common is said once.
+        table.add_row(*(texts if is_first else ["", "", "", *texts[3:]]))
     return table
+
+
+def _terminal_cells(row: Row, paper: Row | None) -> list[str]:
+    """Write one row's cells for the terminal, narrow enough for a hundred columns."""
+    texts = cells(row, paper)
+    low, high = row["success_ci"]
+    printed = texts[7].split(" ")[0]
+    return [
+        *texts[:4],
+        f"{row['success_rate']:.1f}",
+        f"{low:.0f}-{high:.0f}",
+        texts[5],
+        texts[6],
+        printed,
+        texts[8],
+        *texts[10:],
+    ]
 
 
 def caption(document: dict[str, Any]) -> str:

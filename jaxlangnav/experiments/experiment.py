@@ -1,0 +1,110 @@
+"""An experiment of the paper: rows for every policy, a document, its files (section 4.2)."""
+
+import dataclasses
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from jaxlangnav.experiments.compilation import CompileClock
+from jaxlangnav.experiments.monte_carlo import Progress
+from jaxlangnav.experiments.policies import check_policies
+from jaxlangnav.experiments.report import write_report
+from jaxlangnav.experiments.rows import (
+    RowSpec,
+    bound_rows,
+    check_episodes,
+    default_noise,
+    printed_rows,
+    run_rows,
+)
+from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
+from jaxlangnav.world.templates import TABLE_2
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Experiment:
+    """What is run, and under which name it is written."""
+
+    name: str
+    specs: tuple[RowSpec, ...]
+    markdown: Callable[[dict[str, Any]], str]
+    """Writes the document's table."""
+
+    def total_episodes(self, *, episodes: int, policies: Sequence[str]) -> int:
+        """Count the runs, for a progress bar.
+
+        Args:
+            episodes: runs a row.
+            policies: names.
+
+        Returns:
+            Runs of all rows and policies.
+        """
+        return len(self.specs) * len(check_policies(policies)) * episodes
+
+    def run(
+        self,
+        *,
+        episodes: int,
+        policies: Sequence[str],
+        seed: int,
+        out: str | Path | None,
+        on_progress: Progress | None,
+        num_particles: int,
+    ) -> dict[str, Any]:
+        """Run all rows for every policy.
+
+        Args:
+            episodes: runs a row, a fresh world each.
+            policies: names; see ``policies.POLICY_NAMES``.
+            seed: root seed of worlds and noise.
+            out: folder for Parquet, Markdown and manifest; nothing is written if None.
+            on_progress: called with the number of episodes just finished.
+            num_particles: P, of the navigator's policies.
+
+        Returns:
+            The document: ``rows``, ``paper``, ``bounds``, ``sentences``, ``noise``, ``wall_s``
+            without compilation, ``compile_s``, ``files``. Rates in percent, distances in metres.
+
+        Raises:
+            ValueError: fewer than one episode, or an unknown policy.
+        """
+        check_episodes(episodes)
+        names = check_policies(policies)
+        begin = time.perf_counter()
+        with CompileClock() as clock:
+            sentences = ground_sentences(list(SENTENCES.values()))
+            found = run_rows(
+                self.specs,
+                sentences,
+                policies=names,
+                episodes=episodes,
+                seed=seed,
+                num_particles=num_particles,
+                on_progress=on_progress,
+            )
+        keys = {(one.world, one.range, one.relation) for one in self.specs}
+        printed = [row for row in TABLE_2 if (row.world, row.range, row.relation) in keys]
+        document: dict[str, Any] = {
+            "experiment": self.name,
+            "episodes": episodes,
+            "policies": list(names),
+            "seed": seed,
+            "num_particles": num_particles,
+            "sentences": SENTENCES,
+            "noise": default_noise(),
+            "rows": found.rows,
+            "paper": printed_rows(printed),
+            "bounds": bound_rows(self.specs),
+            "wall_s": time.perf_counter() - begin - clock.seconds,
+            "compile_s": clock.seconds,
+            "files": [],
+        }
+        if out is not None:
+            text = self.markdown(document)
+            files = write_report(
+                Path(out), self.name, document, found.columns, text, sentences.models
+            )
+            document["files"] = [str(path) for path in files]
+        return document
