@@ -15,13 +15,13 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from corpus_words import WORDS, Slots
 
 import jaxlangnav.language
 from jaxlangnav.language.labels import Geometry, PlacedWorld, annotate, behave, rank
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import Parse
-from corpus_words import WORDS, Slots
 
 HERE = Path(__file__).parent
 DATA = Path(jaxlangnav.language.__file__).parent / "data"
@@ -73,9 +73,8 @@ def draw_world(found: Parse, types: list[str], rng: random.Random) -> PlacedWorl
     rng.shuffle(kinds)
     robot = (0.0, 0.0, 0.0)
     if rng.random() < 0.5:
-        robot = tuple(round(rng.uniform(-2, 2), 2) for _ in range(2)) + (
-            round(rng.uniform(-3.1, 3.1), 2),
-        )
+        x, y, heading = rng.uniform(-2, 2), rng.uniform(-2, 2), rng.uniform(-3.1, 3.1)
+        robot = (round(x, 2), round(y, 2), round(heading, 2))
     places: list[tuple[float, float]] = []
     for _ in kinds:
         for _ in range(50):
@@ -115,9 +114,7 @@ def labels_in(found: Parse, world: PlacedWorld) -> tuple[list[list[frozenset[str
         at_object = [s for s in goals if s.startswith("goal(at,")]
         if len(at_object) == 1:
             index = int(at_object[0][8:-1])
-            geometry.world = PlacedWorld(
-                objects=world.objects, robot=world.robot, previous=index
-            )
+            geometry.world = PlacedWorld(objects=world.objects, robot=world.robot, previous=index)
     return all_labels, fits
 
 
@@ -132,7 +129,9 @@ def worlds_for(found: Parse, types: list[str], rng: random.Random, count: int) -
     """Draw worlds in which the instruction can be followed, the first with a rival object."""
     worlds: list[dict] = []
     roots = [annotate(root)[0][-1] for root in found.clauses]
-    is_placed = any(s.startswith("relation") and s[9:].startswith(types[0]) for r in roots for s in r)
+    is_placed = any(
+        s.startswith("relation") and s[9:].startswith(types[0]) for r in roots for s in r
+    )
     for _ in range(MAX_DRAWS):
         world = draw_world(found, types, rng)
         labels, fits = labels_in(found, world)

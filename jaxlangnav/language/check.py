@@ -5,6 +5,8 @@ known compound ("car park"), "go by the cone" (past it, or near it?), a fragment
 with nothing known to hold on to.
 """
 
+from itertools import pairwise
+
 from jaxlangnav.language.phrase import LanguageError, Phrase, Word
 
 
@@ -21,7 +23,7 @@ def _refuse(words: list[Word], reason: str) -> LanguageError:
 def _check_compound(phrase: Phrase) -> None:
     """Refuse a noun phrase whose modifying noun is an object type of its own."""
     nouns = [word for word in phrase.words if word.tag.startswith("NN")]
-    for word, following in zip(nouns, nouns[1:], strict=False):
+    for word, following in pairwise(nouns):
         if _type_of(word) is not None:
             raise _refuse([word, following], "names no one object")
 

@@ -4,9 +4,9 @@ A corpus is a text file of JSON documents, one instruction a line:
 
     {"text": "go to the hydrant behind the cone", "template": "rel-plain", "split": "train",
      "clauses": [{"kind": "command",
-                  "phrases":    ["NP[the hydrant]", "NP[the cone]", "PP[behind]", "NP[]", ...],
-                  "annotation": [["object(hydrant)"], ["object(cone)"], ["region(behind,cone)"], ...],
-                  "rank":       [0, 0, 0, ...]}],
+                  "phrases":    ["NP[the hydrant]", "NP[the cone]", "PP[behind]", ...],
+                  "annotation": [["object(hydrant)"], ["object(cone)"], ["region(behind,cone)"]],
+                  "rank":       [0, 0, 0]}],
      "worlds": [{"objects": [["hydrant", 8.1, 0.4], ["cone", 6.0, 0.2]], "robot": [0, 0, 0],
                  "previous": null,
                  "behavior": [[["object(0)"], ["object(1)"], ["region(behind,1)"], ...]]}]}

@@ -7,7 +7,6 @@ the forest by dynamic programming, so time stays polynomial however ambiguous th
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from itertools import product
@@ -16,8 +15,8 @@ from typing import Any
 from lark import Lark, Token
 from lark.exceptions import UnexpectedEOF, UnexpectedToken
 from lark.lexer import Lexer
-from lark.parsers.earley_forest import PackedNode, SymbolNode, TokenNode
 
+from jaxlangnav.language.forest import Derivation, ForestReader, Production
 from jaxlangnav.language.lexicon import Entry, Lexicon, load_lexicon
 
 P_OPTIONAL = 0.2
@@ -38,28 +37,11 @@ UNKNOWN_TAGS = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Production:
-    """One rule: what it makes, of what, how probable, and the words it names if it is lexical."""
-
-    left: str
-    right: tuple[str, ...]  # nonterminals, or terminals (quoted words, unknown marks)
-    log_probability: float
-    entry: Entry | None = None  # lexical: the expression
-
-
-@dataclass(frozen=True)
-class Derivation:
-    """A node of the most probable tree; leaves are indices of tokens."""
-
-    production: Production
-    children: tuple["Derivation | int", ...]
-
-
 class NoParseError(Exception):
     """No tree; ``index`` is the first token that cannot continue any (the length at the end)."""
 
     def __init__(self, index: int) -> None:
+        """Keep where the parse came to its end."""
         super().__init__(f"no parse at token {index}")
         self.index = index
 
@@ -70,9 +52,10 @@ class _TokenLexer(Lexer):
     def __init__(self, lexer_conf: Any) -> None:
         del lexer_conf
 
-    def lex(self, data: Any) -> Iterator[Token]:
+    def lex(self, lexer_state: Any, parser_state: Any = None) -> Iterator[Token]:
         """Yield one lark token per terminal; ``start_pos`` is its index."""
-        for index, terminal in enumerate(data):
+        del parser_state
+        for index, terminal in enumerate(lexer_state):
             yield Token(terminal, terminal, start_pos=index)
 
 
@@ -236,78 +219,7 @@ class Grammar:
             raise NoParseError(len(tokens)) from None
         except UnexpectedToken as error:
             raise NoParseError(error.token.start_pos) from None
-        return _ForestReader(self._by_rule, tokens).read(root)
-
-
-@dataclass
-class _Best:
-    """Of one forest node: best score, sum over all, and the best way (children in order)."""
-
-    log_best: float
-    log_sum: float
-    children: tuple["Derivation | int", ...]
-
-
-class _ForestReader:
-    """Viterbi and inside sums over a shared packed parse forest, without recursion."""
-
-    def __init__(
-        self, by_rule: dict[tuple[str, tuple[str, ...]], list[Production]], tokens: list[str]
-    ) -> None:
-        self.by_rule = by_rule
-        self.tokens = tokens
-        self.memo: dict[int, _Best] = {}
-
-    def read(self, root: SymbolNode) -> tuple[Derivation, float]:
-        """Return the best derivation of the root and its posterior probability."""
-        stack: list[Any] = [root]
-        while stack:
-            node = stack[-1]
-            parts = [c for p in node.children for c in p.children if isinstance(c, SymbolNode)]
-            waiting = [child for child in parts if id(child) not in self.memo]
-            if id(node) in self.memo or not waiting:
-                stack.pop()
-                self.memo.setdefault(id(node), self._combine(node))
-            else:
-                stack.extend(waiting)
-        best = self.memo[id(root)]
-        derivation = best.children[0]
-        if isinstance(derivation, int):
-            raise TypeError("the root of a forest is a derivation")
-        return derivation, math.exp(best.log_best - best.log_sum)
-
-    def _combine(self, node: SymbolNode) -> _Best:
-        ways = [self._way(node, packed) for packed in node.children]
-        best = max(ways, key=lambda way: way.log_best)
-        top = max(way.log_sum for way in ways)
-        log_sum = top + math.log(sum(math.exp(way.log_sum - top) for way in ways))
-        return _Best(best.log_best, log_sum, best.children)
-
-    def _way(self, node: SymbolNode, packed: PackedNode) -> _Best:
-        """Score one way to make a node: its rule and its parts."""
-        log_best = log_sum = 0.0
-        children: tuple[Derivation | int, ...] = ()
-        for part in packed.children:
-            if isinstance(part, TokenNode):
-                children += (part.token.start_pos,)
-                continue
-            value = self.memo[id(part)]
-            log_best, log_sum = log_best + value.log_best, log_sum + value.log_sum
-            children += value.children
-        if node.is_intermediate:
-            return _Best(log_best, log_sum, children)
-        production = self._production(packed.rule, children)
-        log_p = production.log_probability
-        return _Best(log_best + log_p, log_sum + log_p, (Derivation(production, children),))
-
-    def _production(self, rule: Any, children: tuple[Any, ...]) -> Production:
-        """Find which of the productions that share a lark rule the tokens mean."""
-        key = (rule.origin.name, tuple(symbol.name for symbol in rule.expansion))
-        candidates = self.by_rule[key]
-        if len(candidates) == 1:
-            return candidates[0]
-        words = tuple(f'"{self.tokens[child]}"' for child in children)
-        return next(candidate for candidate in candidates if candidate.right == words)
+        return ForestReader(self._by_rule, tokens).read(root)
 
 
 @cache

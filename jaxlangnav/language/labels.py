@@ -11,6 +11,7 @@ landmark is ``robot`` where the phrase names none ("on your left"). Behavior: ``
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -123,9 +124,11 @@ def _annotate_figure(children: list[_Meaning], passed: frozenset[str]) -> _Meani
 def _all_relations(places: Array, viewer: Array, heading: Array) -> Array:
     """Evaluate all relations: bool[6, N, N + 1], landmark N is the robot."""
 
+    own_heading: Any = heading
+
     def one(relation: int) -> Array:
         pairs = holds(relation, places[:, None], places[None, :], viewer)
-        own = holds(relation, places, viewer, viewer, heading)
+        own = holds(relation, places, viewer, viewer, own_heading)
         return jnp.concatenate([pairs, own[:, None]], axis=1)
 
     return jnp.stack([one(relation) for relation in range(len(RELATIONS))])

@@ -88,7 +88,7 @@ def _derived(entry: Entry, index: int, form: str, tag: str) -> Entry:
     """Copy an entry with one word put in another form; its lemma stays."""
 
     def put(values: tuple[str, ...], value: str) -> tuple[str, ...]:
-        return values[:index] + (value,) + values[index + 1 :]
+        return (*values[:index], value, *values[index + 1 :])
 
     return Entry(
         words=put(entry.words, form),

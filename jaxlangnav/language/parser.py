@@ -53,7 +53,7 @@ class _Reader:
 
     def read(self, text: str) -> None:
         """Read all of a text."""
-        for match in _TOKEN.finditer(text.lower().replace("’", "'").replace("‘", "'")):
+        for match in _TOKEN.finditer(text.lower().replace("\u2019", "'").replace("\u2018", "'")):
             piece = match.group()
             if piece[0] in ".!?;" or piece in _COMMAS:
                 self._mark(COMMA if piece in _COMMAS else FULLSTOP)

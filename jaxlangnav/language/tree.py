@@ -5,7 +5,8 @@ cone to the tree" is parted as "the cone nearest to the tree", so that one const
 tree: NP[] over NP[the cone] and PP[nearest to] over NP[the tree].
 """
 
-from jaxlangnav.language.grammar import UNKNOWN_TAGS, Derivation
+from jaxlangnav.language.forest import Derivation
+from jaxlangnav.language.grammar import UNKNOWN_TAGS
 from jaxlangnav.language.lexicon import plural
 from jaxlangnav.language.phrase import Phrase, Word
 
@@ -82,7 +83,7 @@ def _phrase(left: str, words: list[Word], phrases: list[Phrase]) -> Phrase:
 
 
 def _part(words: list[Word], phrases: list[Phrase]) -> Phrase:
-    """Turn NPX[the cone]{ADJP[nearest], PP[to]{...}} into NP[]{NP[the cone], PP[nearest to]{...}}."""
+    """Turn NPX[the cone]{ADJP[nearest], PP[to]{X}} into NP[]{NP[the cone], PP[nearest to]{X}}."""
     base = Phrase(label="NP", words=tuple(words))
     modifier, *rest = phrases
     if rest:
