@@ -202,6 +202,7 @@ def run_batch(
     config: NavigatorConfig,
     num_lanes: int = 32,
     max_steps: int = MAX_STEPS,
+    count: Array | None = None,
 ) -> EpisodeResult:
     """Run many episodes in lanes that are refilled as episodes end.
 
@@ -212,14 +213,17 @@ def run_batch(
         config: sizes and policy.
         num_lanes: L, episodes under way at once.
         max_steps: cycles until a time-out.
+        count: i32[], how many of the tasks to run; the rest is padding whose results are zero.
+            All by default.
 
     Returns:
         Results, leaves [E, …], in the order of the tasks.
     """
-    number = tasks.instruction_index.shape[0]
+    capacity = tasks.instruction_index.shape[0]
+    number = jnp.int32(capacity) if count is None else jnp.minimum(count, capacity)
 
     def load(episode: Array) -> Progress:
-        task = jax.tree.map(lambda leaf: leaf[jnp.minimum(episode, number - 1)], tasks)
+        task = jax.tree.map(lambda leaf: leaf[jnp.clip(episode, 0, capacity - 1)], tasks)
         return begin(task, instructions, config=config)
 
     def body(lanes: _Lanes) -> _Lanes:
@@ -228,7 +232,7 @@ def run_batch(
         )
         is_over = progress.navigator.is_done | (progress.steps >= max_steps)
         is_over = is_over & (lanes.episode < number)
-        target = jnp.where(is_over, lanes.episode, number)  # an index of E is dropped
+        target = jnp.where(is_over, lanes.episode, capacity)  # an index of E is dropped
         results = jax.tree.map(
             lambda store, value: store.at[target].set(value, mode="drop"),
             lanes.results,
@@ -248,7 +252,7 @@ def run_batch(
     first = jnp.arange(num_lanes, dtype=jnp.int32)
     progress = jax.vmap(load)(first)
     shape = jax.eval_shape(lambda one: finish(one), jax.tree.map(lambda leaf: leaf[0], progress))
-    results = jax.tree.map(lambda leaf: jnp.zeros((number, *leaf.shape), leaf.dtype), shape)
+    results = jax.tree.map(lambda leaf: jnp.zeros((capacity, *leaf.shape), leaf.dtype), shape)
     lanes = _Lanes(
         progress=progress,
         episode=jnp.minimum(first, number),

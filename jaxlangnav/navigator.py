@@ -13,7 +13,7 @@ from jax import Array
 
 from jaxlangnav.grounding.behavior import infer_behavior
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.messages import NONE, Action, Behavior, Observation
+from jaxlangnav.messages import NONE, Action, Behavior, BehaviorWorld, Observation
 from jaxlangnav.planner import graph, policy
 from jaxlangnav.planner.goals import Goals, gather
 from jaxlangnav.planner.information import squared_distance_to_segment
@@ -177,8 +177,11 @@ def infer_behaviors(state: NavigatorState) -> Behavior:
     world = jax.vmap(summary.behavior_world, in_axes=(-1, None, None), out_axes=-1)(
         state.belief.particles, state.instruction.readings, state.previous_goal
     )
-    infer = jax.vmap(infer_behavior, in_axes=(None, -1), out_axes=-1)
-    return infer(program, world)
+
+    def infer(one: BehaviorWorld) -> Behavior:
+        return infer_behavior(program, one, num_phrases=program.num_phrases)
+
+    return jax.vmap(infer, in_axes=-1, out_axes=-1)(world)
 
 
 def _constraint_cost(

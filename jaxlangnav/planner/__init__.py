@@ -1,0 +1,1 @@
+"""Waypoints, their values, and when to stop (section 3.4)."""

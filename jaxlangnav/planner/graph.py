@@ -75,7 +75,9 @@ def unexplored_cells(coverage: Coverage, frontier_miss: Array) -> Array:
     return coverage.log_miss > worst + jnp.log(frontier_miss)
 
 
-def frontiers(coverage: Coverage, num_blocks: int, frontier_miss: Array) -> tuple[Array, Array, Array]:
+def frontiers(
+    coverage: Coverage, num_blocks: int, frontier_miss: Array
+) -> tuple[Array, Array, Array]:
     """Gather frontier cells into one node per block of the area.
 
     Args:
@@ -124,7 +126,7 @@ def nodes(
         object_x: f32[O], metres, map frame: goal places of observed objects.
         object_y: f32[O], metres.
         is_object: bool[O].
-        num_blocks: blocks a side for frontiers.
+        config: policy (``informed`` plans on a lattice of viewpoints) and blocks for frontiers.
         params: frontier threshold.
 
     Returns:

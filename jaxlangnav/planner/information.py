@@ -36,7 +36,12 @@ def squared_distance_to_segment(
 
 
 def mass_revealed(
-    belief: ParticleBelief, robot_x: Array, robot_y: Array, node_x: Array, node_y: Array, range_max: Array
+    belief: ParticleBelief,
+    robot_x: Array,
+    robot_y: Array,
+    node_x: Array,
+    node_y: Array,
+    range_max: Array,
 ) -> Array:
     """Compute the probability of the particles that the way to each node would put to the test.
 

@@ -151,5 +151,3 @@ def latency(
     total = total + left * (walked + spread / (4.0 * range_max))
     expected = jnp.full(view_x.shape[0], jnp.inf, jnp.float32).at[first].set(total)
     return revealed, rate, expected
-
-

@@ -1,4 +1,4 @@
-"""Proposal and update for detections: which object is this? (section 3.2, eq. 7b)
+"""Proposal and update for detections: which object is this? (section 3.2, eq. 7b).
 
 Each detection is grounded in an existing object of its type or in a new one, drawn from the exact
 conditional distribution, so that the weight is the predictive probability of the detections.
@@ -212,7 +212,5 @@ def log_absence(
         softness,
         sensor,
     )
-    log_hypotheses = jnp.where(
-        particle.is_hypothesised, jnp.log1p(-probability * in_view), 0.0
-    )
+    log_hypotheses = jnp.where(particle.is_hypothesised, jnp.log1p(-probability * in_view), 0.0)
     return log_objects, log_hypotheses

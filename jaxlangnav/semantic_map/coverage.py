@@ -106,7 +106,9 @@ def look(
         0.5 * (size_x + size_y),
         sensor,
     )
-    log_miss = coverage.log_miss + jnp.log1p(-jnp.minimum(sensor.detection_probability, 0.999) * share)
+    log_miss = coverage.log_miss + jnp.log1p(
+        -jnp.minimum(sensor.detection_probability, 0.999) * share
+    )
     return Coverage(log_miss=jnp.maximum(log_miss, LOG_MISS_FLOOR), area=coverage.area)
 
 
@@ -130,9 +132,7 @@ def log_miss_at(coverage: Coverage, x: Array, y: Array) -> Array:
     return jnp.where(is_in, coverage.log_miss.reshape(-1)[flat], -jnp.inf)
 
 
-def sample_unseen(
-    coverage: Coverage, uniform: Array, jitter: Array
-) -> tuple[Array, Array, Array]:
+def sample_unseen(coverage: Coverage, uniform: Array, jitter: Array) -> tuple[Array, Array, Array]:
     """Draw places in proportion to the probability of being unseen, systematically.
 
     Args:

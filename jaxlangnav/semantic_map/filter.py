@@ -4,8 +4,8 @@ One step: move, ground the detections, condition, weigh what was and was not see
 words anew where the old hypothesis has been refuted or a new object calls for it, resample.
 
 Words are re-grounded by *rejection control*: a particle of weight w below the mean c survives with
-probability w / c and then weighs c, otherwise it is replaced by a fresh draw from the posterior
-of the sentence given the observed map, with weight c. Both kinds are properly weighted for the
+probability w / c and then weighs c, otherwise it is replaced by the map of an ancestor drawn by
+weight and a fresh draw from the posterior of the sentence given that map, with weight c. Both kinds are properly weighted for the
 same target, so the mixture is too; and when every hypothesis is refuted all are replaced, which
 is how the filter revives.
 """
@@ -43,7 +43,8 @@ class ParticleBelief:
     last_pose: Array  # f32[3] dead-reckoned pose at the last observation
     viewer: Array  # f32[3] x, y, heading when the last instruction was heard, map frame
     must_ground: Array  # bool[] words have come in that no particle has grounded yet
-    log_evidence: Array  # f32[] log probability of all detections and absences so far
+    log_evidence: Array  # f32[] log predictive probability of all detections and absences so
+    # far, relative to a constant per detection; what new groundings of the words add is left out
 
 
 @pytree
@@ -59,9 +60,7 @@ class FilterInfo:
     is_news: Array  # bool[] an object was seen for the first time, or words came in
 
 
-def start(
-    pose: Array, area: Array, num_mentions: int, config: MapConfig
-) -> ParticleBelief:
+def start(pose: Array, area: Array, num_mentions: int, config: MapConfig) -> ParticleBelief:
     """Build the belief of a robot that has seen nothing.
 
     Args:
@@ -184,9 +183,7 @@ def ground_words(
             unseen_x=pool_x[chosen].reshape(shape),
             unseen_y=pool_y[chosen].reshape(shape),
         )
-        return ground(
-            belief.particles, readings, reading, index, grounding, draws, scene, params
-        )
+        return ground(belief.particles, readings, reading, index, grounding, draws, scene, params)
 
     nothing = jax.tree.map(
         lambda leaf: jnp.broadcast_to(leaf[..., None], (*leaf.shape, number)),
@@ -250,20 +247,28 @@ def step(
         belief.log_weight + log_map + jnp.sum(log_hypotheses, axis=0)
     )
 
-    fresh, log_language = ground_words(ground_key, belief, readings, params)
-    language, log_language_total, _ = categorical.log_normalize(log_language)
-    language = language * number
     # A new object of a type the particle's words speak of reopens what they refer to.
     new_type = jnp.where(grounded.is_new, particles.object_type, -3)
     mentioned = jnp.any(
         readings.mention_type.reshape(-1)[:, None, None] == new_type[None], axis=(0, 1)
     )
     must_ground = was_told | mentioned
-    keep_uniform = jax.random.uniform(keep_key, (number,))
+    keep_uniform, ancestor_uniform = jax.random.uniform(keep_key, (2, number))
     is_fresh = must_ground | (keep_uniform > kept_weight * number)
+    # A refuted particle is replaced as a whole: it takes over the map of a particle drawn by
+    # weight, so that a wrong map dies out, and then grounds the words in it.
+    cumulative = jnp.cumsum(kept_weight)
+    ancestors = jnp.sum(cumulative[:, None] <= ancestor_uniform[None, :] * cumulative[-1], axis=0)
+    ancestors = jnp.where(is_fresh & ~must_ground, ancestors, jnp.arange(number))
+    maps = jax.tree.map(lambda leaf: leaf[..., jnp.minimum(ancestors, number - 1)], particles)
+    fresh, log_language = ground_words(
+        ground_key, replace(belief, particles=maps), readings, params
+    )
+    language, log_language_total, _ = categorical.log_normalize(log_language)
+    language = jnp.clip(language * number, 1e-6, 50.0)
     # What a particle's own map weighs, apart from its hypotheses, goes with a forced draw.
     map_weight, _, _ = categorical.log_normalize(belief.log_weight + log_map)
-    fresh_weight = jnp.where(must_ground, map_weight, 1.0 / number) * jnp.clip(language, 0.02, 50.0)
+    fresh_weight = jnp.where(must_ground, map_weight, 1.0 / number) * language
     weight = jnp.where(is_fresh, fresh_weight, jnp.maximum(kept_weight, 1.0 / number))
     weight = weight / jnp.sum(weight)
     particles = _choose(is_fresh, fresh, particles)

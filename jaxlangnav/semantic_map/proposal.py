@@ -1,4 +1,4 @@
-"""Proposal for annotations: to what do the words refer? (section 3.2, eq. 7a)
+"""Proposal for annotations: to what do the words refer? (section 3.2, eq. 7a).
 
 Each annotated relation samples its figure and landmark jointly from the observed objects or from
 new ones under a Dirichlet-process prior, and the metric constraint of a new one from the
@@ -84,9 +84,7 @@ def nothing_grounded(num_mentions: int) -> Grounding:
     """Build the carry before the first relation."""
     none = jnp.full(num_mentions, NONE, jnp.int32)
     zero = jnp.zeros(num_mentions, jnp.float32)
-    return Grounding(
-        none, zero, zero, none, none, jnp.zeros(num_mentions, bool), jnp.float32(0.0)
-    )
+    return Grounding(none, zero, zero, none, none, jnp.zeros(num_mentions, bool), jnp.float32(0.0))
 
 
 def _pick(values: Array, index: Array) -> Array:
@@ -102,66 +100,210 @@ def _candidates(
     grounding: Grounding,
     mention: Array,
     mention_type: Array,
-    fixed_x: Array,
-    fixed_y: Array,
-    is_fixed: Array,
-    log_new_object: Array,
+    viewer: Array,
+    is_place: Array,
+    log_bystander: Array,
 ) -> Candidates:
-    """List what a mention may refer to; ``is_fixed`` places it without an object."""
+    """List what a mention may refer to; ``is_place`` puts it where the viewer is."""
     num_objects = particle.object_type.shape[0]
     is_grounded = _pick(grounding.is_grounded, mention)
-    decided = is_fixed | is_grounded
+    decided = is_place | is_grounded
     fits = (particle.object_type == mention_type) & ~decided
     return Candidates(
         x=jnp.append(
             particle.mean_x[:num_objects],
-            jnp.where(is_fixed, fixed_x, _pick(grounding.x, mention)),
+            jnp.where(is_place, viewer[0], _pick(grounding.x, mention)),
         ),
         y=jnp.append(
             particle.mean_y[:num_objects],
-            jnp.where(is_fixed, fixed_y, _pick(grounding.y, mention)),
+            jnp.where(is_place, viewer[1], _pick(grounding.y, mention)),
         ),
         log_prior=jnp.append(
-            jnp.where(fits, log_new_object, -jnp.inf), jnp.where(decided, 0.0, -jnp.inf)
+            jnp.where(fits, log_bystander, -jnp.inf), jnp.where(decided, 0.0, -jnp.inf)
         ),
         is_open=~decided,
     )
 
 
-def _log_superlative(
-    particle: SemanticMap,
-    figure_type: Array,
-    relation: Array,
-    is_superlative: Array,
-    softness: Array,
-    figure_x: Array,
-    figure_y: Array,
-    landmark_x: Array,
-    landmark_y: Array,
-) -> Array:
-    """Penalise a figure that another observed object of its type beats ("nearest")."""
+class Link(NamedTuple):
+    """One annotated relation in one particle: what it connects, and how it is measured."""
+
+    figure: Array  # i32[] mention
+    landmark: Array  # i32[] mention; NONE
+    relation: Array  # i32[] relation index; NONE
+    is_superlative: Array  # bool[]
+    is_robot: Array  # bool[] the landmark is the robot itself
+    viewer: Array  # f32[3]
+    robot: Frame  # the robot's own frame
+    rival_x: Array  # f32[O] observed objects of the figure's type, for superlatives
+    rival_y: Array  # f32[O]
+    is_rival: Array  # bool[O]
+    log_area: Array  # f32[]
+    model: RelationModel
+    softness: Array  # f32[] metres
+
+    def frame(self, x: Array, y: Array) -> Frame:
+        """Build the frame in which the relation is meant for a landmark at (x, y)."""
+        seen = viewer_frame(self.viewer[0], self.viewer[1], x, y)
+        return Frame(
+            along_x=jnp.where(self.is_robot, self.robot.along_x, seen.along_x),
+            along_y=jnp.where(self.is_robot, self.robot.along_y, seen.along_y),
+            lateral_x=jnp.where(self.is_robot, self.robot.lateral_x, seen.lateral_x),
+            lateral_y=jnp.where(self.is_robot, self.robot.lateral_y, seen.lateral_y),
+        )
+
+    def log_density(self, offset_x: Array, offset_y: Array, frame: Frame) -> Array:
+        """Evaluate the relation, or the uniform law over the area where there is none."""
+        density = log_density(self.model, jnp.maximum(self.relation, 0), offset_x, offset_y, frame)
+        return jnp.where(self.relation == NONE, -self.log_area, density)
+
+    def sample(self, distance: Array, angle: Array, frame: Frame) -> tuple[Array, Array]:
+        """Draw an offset from the relation, map axes."""
+        relation = jnp.maximum(self.relation, 0)
+        along, lateral = sample_polar(self.model, relation, distance, angle)
+        return to_map(frame, along, lateral)
+
+    def log_extreme(self, x: Array, y: Array, landmark_x: Array, landmark_y: Array) -> Array:
+        """Penalise a figure that another observed object of its type beats ("nearest")."""
+        sign = jnp.where(self.relation == FAR, -1.0, 1.0)
+
+        def signed_distance(from_x: Array, from_y: Array) -> Array:
+            squared = (from_x - landmark_x[None]) ** 2 + (from_y - landmark_y[None]) ** 2
+            return sign * jnp.sqrt(squared + 1e-9)
+
+        own = signed_distance(x[None], y[None])[0]
+        shape = (-1,) + (1,) * own.ndim
+        rival = signed_distance(self.rival_x.reshape(shape), self.rival_y.reshape(shape))
+        rival = jnp.where(self.is_rival.reshape(shape), rival, jnp.inf)
+        excess = own - jnp.minimum(jnp.min(rival, axis=0), own)
+        return jnp.where(self.is_superlative, -excess / self.softness, 0.0)
+
+
+class Option(NamedTuple):
+    """Ways to ground a relation in which some end is new; n of them."""
+
+    log_weight: Array  # f32[n]
+    figure_x: Array  # f32[n] metres
+    figure_y: Array  # f32[n]
+    landmark_x: Array  # f32[n]
+    landmark_y: Array  # f32[n]
+
+
+def _read_link(
+    particle: SemanticMap, readings: Readings, reading: Array, index: Array, scene: Scene,
+    params: MapParams,
+) -> tuple[Link, Array, Array]:  # fmt: skip
+    """Look up a relation of a reading; also the types of its figure and landmark."""
     num_objects = particle.object_type.shape[0]
-    rivals = particle.object_type == figure_type
+    figure, landmark = readings.figure[reading, index], readings.landmark[reading, index]
+    relation = readings.relation[reading, index]
+    figure_type = readings.mention_type[reading, figure]
+    landmark_type = readings.mention_type[reading, jnp.maximum(landmark, 0)]
+    landmark_type = jnp.where(landmark == NONE, NONE, landmark_type)
+    link = Link(
+        figure=figure,
+        landmark=landmark,
+        relation=relation,
+        is_superlative=readings.is_superlative[reading, index] & (relation != NONE),
+        is_robot=landmark_type == ROBOT,
+        viewer=scene.viewer,
+        robot=robot_frame(scene.viewer[2]),
+        rival_x=particle.mean_x[:num_objects],
+        rival_y=particle.mean_y[:num_objects],
+        is_rival=particle.object_type == figure_type,
+        log_area=jnp.log(area_size(scene.coverage)),
+        model=params.relations,
+        softness=params.superlative_softness,
+    )
+    return link, figure_type, landmark_type
 
-    def distance(offset_x: Array, offset_y: Array) -> Array:
-        return jnp.sqrt(offset_x * offset_x + offset_y * offset_y + 1e-9)
 
-    sign = jnp.where(relation == FAR, -1.0, 1.0)
-    own = sign * distance(figure_x - landmark_x, figure_y - landmark_y)
-    shape = (num_objects,) + (1,) * own.ndim
-    rival_x = particle.mean_x[:num_objects].reshape(shape) - landmark_x[None]
-    rival_y = particle.mean_y[:num_objects].reshape(shape) - landmark_y[None]
-    rival = jnp.where(rivals.reshape(shape), sign * distance(rival_x, rival_y), jnp.inf)
-    excess = own - jnp.minimum(jnp.min(rival, axis=0), own)
-    return jnp.where(is_superlative, -excess / softness, 0.0)
+def _both_known(link: Link, figures: Candidates, landmarks: Candidates) -> Array:
+    """Weigh every pair of known figure and landmark, f32[O + 1, O + 1]."""
+    size = figures.x.shape[0]
+    frame = link.frame(landmarks.x, landmarks.y)
+    columns = Frame(
+        along_x=frame.along_x[None, :],
+        along_y=frame.along_y[None, :],
+        lateral_x=frame.lateral_x[None, :],
+        lateral_y=frame.lateral_y[None, :],
+    )
+    figure_x, figure_y = figures.x[:, None], figures.y[:, None]
+    landmark_x, landmark_y = landmarks.x[None, :], landmarks.y[None, :]
+    table = (
+        link.log_density(figure_x - landmark_x, figure_y - landmark_y, columns)
+        + link.log_extreme(figure_x, figure_y, landmark_x, landmark_y)
+        + figures.log_prior[:, None]
+        + landmarks.log_prior[None, :]
+    )
+    # Nothing is its own landmark; the last entries are places, not objects.
+    same = jnp.eye(size, dtype=bool).at[size - 1, size - 1].set(False)
+    return jnp.where(same, -jnp.inf, table)
 
 
-def _relation_log_density(
-    model: RelationModel, relation: Array, x: Array, y: Array, frame: Frame, log_area: Array
-) -> Array:
-    """Evaluate a relation, or the uniform law over the area where there is none."""
-    density = log_density(model, jnp.maximum(relation, 0), x, y, frame)
-    return jnp.where(relation == NONE, -log_area, density)
+def _new_figure(
+    link: Link, figures: Candidates, landmarks: Candidates, draws: Draws, scene: Scene
+) -> Option:
+    """Hang one draw from the relation on each landmark; with no relation, anywhere unseen."""
+    frame = link.frame(landmarks.x, landmarks.y)
+    offset_x, offset_y = link.sample(draws.distance[0], draws.angle[0], frame)
+    is_free = link.relation == NONE
+    x = jnp.where(is_free, draws.unseen_x[0], landmarks.x + offset_x)
+    y = jnp.where(is_free, draws.unseen_y[0], landmarks.y + offset_y)
+    log_missed = jnp.where(is_free, scene.log_unseen, log_miss_at(scene.coverage, x, y))
+    log_weight = log_missed + landmarks.log_prior + link.log_extreme(x, y, landmarks.x, landmarks.y)
+    log_weight = jnp.where(figures.is_open, log_weight, -jnp.inf)
+    return Option(log_weight, x, y, landmarks.x, landmarks.y)
+
+
+def _new_landmark(
+    link: Link, figures: Candidates, landmarks: Candidates, draws: Draws, scene: Scene
+) -> Option:
+    """Hang a landmark on each figure: drawn backwards, corrected for the frame it then has."""
+    frame = link.frame(figures.x, figures.y)
+    offset_x, offset_y = link.sample(draws.distance[1], draws.angle[1], frame)
+    x, y = figures.x - offset_x, figures.y - offset_y
+    log_correction = link.log_density(offset_x, offset_y, link.frame(x, y)) - link.log_density(
+        offset_x, offset_y, frame
+    )
+    log_weight = (
+        log_miss_at(scene.coverage, x, y)
+        + log_correction
+        + figures.log_prior
+        + link.log_extreme(figures.x, figures.y, x, y)
+    )
+    log_weight = jnp.where(landmarks.is_open, log_weight, -jnp.inf)
+    return Option(log_weight, figures.x, figures.y, x, y)
+
+
+def _new_pair(
+    link: Link, figures: Candidates, landmarks: Candidates, draws: Draws, scene: Scene
+) -> Option:
+    """Put the landmark anywhere unexplored and the figure where the relation has it."""
+    landmark_x, landmark_y = draws.unseen_x, draws.unseen_y
+    frame = link.frame(landmark_x, landmark_y)
+    offset_x, offset_y = link.sample(draws.distance[0], draws.angle[0], frame)
+    x, y = landmark_x + offset_x, landmark_y + offset_y
+    # The landmark is uniform over the area: its share of unexplored area, times A for the root.
+    log_weight = (
+        scene.log_unseen
+        + link.log_area
+        - jnp.log(float(NUM_UNSEEN))
+        + log_miss_at(scene.coverage, x, y)
+        + link.log_extreme(x, y, landmark_x, landmark_y)
+    )
+    log_weight = jnp.where(figures.is_open & landmarks.is_open, log_weight, -jnp.inf)
+    return Option(log_weight, x, y, landmark_x, landmark_y)
+
+
+def _log_root(link: Link, figures: Candidates, landmarks: Candidates) -> Array:
+    """Give the uniform prior over the area to one thing of each chain of relations.
+
+    A figure grounded earlier that is now placed against the robot gives its share back.
+    """
+    is_placed = ~figures.is_open & (link.is_robot | (link.relation == NONE))
+    both_open = figures.is_open & landmarks.is_open
+    return jnp.where(both_open, -link.log_area, jnp.where(is_placed, link.log_area, 0.0))
 
 
 def ground_relation(
@@ -190,199 +332,123 @@ def ground_relation(
         The carry with figure and landmark decided; unchanged where the reading has no such
         relation.
     """
-    num_objects = particle.object_type.shape[0]
-    size = num_objects + 1
-    figure, landmark = readings.figure[reading, index], readings.landmark[reading, index]
-    relation = readings.relation[reading, index]
-    figure_type = readings.mention_type[reading, figure]
-    landmark_type = jnp.where(
-        landmark == NONE, NONE, readings.mention_type[reading, jnp.maximum(landmark, 0)]
-    )
-    is_superlative = readings.is_superlative[reading, index] & (relation != NONE)
-    is_robot = landmark_type == ROBOT
-    log_area = jnp.log(area_size(scene.coverage))
-    log_bystander = log_area - jnp.log(params.concentration)  # log 1/λ
-    viewer_x, viewer_y, heading = scene.viewer[0], scene.viewer[1], scene.viewer[2]
-
+    link, figure_type, landmark_type = _read_link(particle, readings, reading, index, scene, params)
+    log_bystander = link.log_area - jnp.log(params.concentration)  # 1/λ
+    none_fixed = jnp.zeros((), bool)
     figures = _candidates(
-        particle, grounding, figure, figure_type, viewer_x, viewer_y,
-        jnp.asarray(False), log_bystander,
-    )  # fmt: skip
+        particle, grounding, link.figure, figure_type, scene.viewer, none_fixed, log_bystander
+    )
+    is_place = link.is_robot | (link.relation == NONE)
     landmarks = _candidates(
-        particle, grounding, landmark, landmark_type, viewer_x, viewer_y,
-        is_robot | (relation == NONE), log_bystander,
-    )  # fmt: skip
-    # One of the two ends has the uniform prior over the area, unless an earlier relation gave it.
-    # A figure grounded earlier that is now placed against the robot gives its share back.
-    is_placed = ~figures.is_open & (is_robot | (relation == NONE))
-    log_root = jnp.where(is_placed, log_area, 0.0)
-    log_root = jnp.where(figures.is_open & landmarks.is_open, -log_area, log_root)
+        particle, grounding, link.landmark, landmark_type, scene.viewer, is_place, log_bystander
+    )
+    known = _both_known(link, figures, landmarks)
+    options = (
+        _new_figure(link, figures, landmarks, draws, scene),
+        _new_landmark(link, figures, landmarks, draws, scene),
+        _new_pair(link, figures, landmarks, draws, scene),
+    )
+    log_weights = [known.reshape(-1), *(option.log_weight for option in options)]
+    choice, log_total = categorical.draw(jnp.concatenate(log_weights), draws.choice)
+    log_total = jnp.maximum(log_total + _log_root(link, figures, landmarks), _LOG_FLOOR)
+    # Where no grounding is possible (a drawn figure fell outside the area), the words stay a
+    # hypothesis somewhere unexplored, of hardly any weight, that the next looks can refute.
+    is_dead = log_total <= _LOG_FLOOR
+    after = _enter(particle, link, figures, landmarks, grounding, options, choice)
+    after = after._replace(
+        slot=jnp.where(is_dead & after.is_grounded & ~grounding.is_grounded, NONE, after.slot),
+        anchor=jnp.where(is_dead, grounding.anchor, after.anchor),
+        root=jnp.where(is_dead, grounding.root, after.root),
+        x=jnp.where(is_dead & ~grounding.is_grounded, draws.unseen_x[0], after.x),
+        y=jnp.where(is_dead & ~grounding.is_grounded, draws.unseen_y[0], after.y),
+    )
+    is_valid = link.figure != NONE
+    after = after._replace(log_weight=grounding.log_weight + log_total)
+    return Grounding(
+        *(jnp.where(is_valid, new, old) for new, old in zip(after, grounding, strict=True))
+    )
 
-    own_frame = robot_frame(heading)
 
-    def frame_at(x: Array, y: Array) -> Frame:
-        seen = viewer_frame(viewer_x, viewer_y, x, y)
-        return Frame(
-            along_x=jnp.where(is_robot, own_frame.along_x, seen.along_x),
-            along_y=jnp.where(is_robot, own_frame.along_y, seen.along_y),
-            lateral_x=jnp.where(is_robot, own_frame.lateral_x, seen.lateral_x),
-            lateral_y=jnp.where(is_robot, own_frame.lateral_y, seen.lateral_y),
+def _enter(
+    particle: SemanticMap,
+    link: Link,
+    figures: Candidates,
+    landmarks: Candidates,
+    grounding: Grounding,
+    options: tuple[Option, Option, Option],
+    choice: Array,
+) -> Grounding:
+    """Enter the chosen figure and landmark into the carry; ends decided earlier stay."""
+    num_objects, size = particle.object_type.shape[0], particle.object_type.shape[0] + 1
+    new_figure, new_landmark, new_pair = options
+    rest = choice - size * size
+    is_known, is_figure = rest < 0, (rest >= 0) & (rest < size)
+    is_landmark, is_pair = (rest >= size) & (rest < 2 * size), rest >= 2 * size
+    other = jnp.where(is_figure, rest, rest - size)
+    figure_index = jnp.where(is_known, choice // size, other)
+    landmark_index = jnp.where(is_known, choice % size, other)
+
+    def place(known: Array, hung: Array, paired: Array, index: Array, is_hung: Array) -> Array:
+        value = jnp.where(is_hung, _pick(hung, other), _pick(known, index))
+        return jnp.where(is_pair, _pick(paired, rest - 2 * size), value)
+
+    def slot(mention: Array, ends: Candidates, index: Array, is_new: Array) -> Array:
+        chosen = jnp.where(is_new | is_pair | (index == num_objects), NONE, index)
+        return jnp.where(
+            ends.is_open, chosen, jnp.where(mention == NONE, NONE, _pick(grounding.slot, mention))
         )
 
-    def log_relation(offset_x: Array, offset_y: Array, frame: Frame) -> Array:
-        return _relation_log_density(
-            params.relations, relation, offset_x, offset_y, frame, log_area
-        )
+    figure_slot = slot(link.figure, figures, figure_index, is_figure)
+    landmark_slot = slot(link.landmark, landmarks, landmark_index, is_landmark)
 
-    def log_extreme(fx: Array, fy: Array, lx: Array, ly: Array) -> Array:
-        return _log_superlative(
-            particle, figure_type, relation, is_superlative, params.superlative_softness,
-            fx, fy, lx, ly,
-        )  # fmt: skip
+    def root(mention: Array, ends: Candidates, own_slot: Array) -> Array:
+        """Observed slot at which the chain of an end finishes; NONE for the ground."""
+        inherited = jnp.where(ends.is_open, NONE, _pick(grounding.root, mention))
+        return jnp.where(own_slot == NONE, inherited, own_slot)
 
-    landmark_frame = frame_at(landmarks.x, landmarks.y)
-    columns = Frame(
-        along_x=landmark_frame.along_x[None, :],
-        along_y=landmark_frame.along_y[None, :],
-        lateral_x=landmark_frame.lateral_x[None, :],
-        lateral_y=landmark_frame.lateral_y[None, :],
-    )
-    # Both known: a table of figures × landmarks; nothing is its own landmark.
-    table = (
-        log_relation(
-            figures.x[:, None] - landmarks.x[None, :],
-            figures.y[:, None] - landmarks.y[None, :],
-            columns,
-        )
-        + figures.log_prior[:, None]
-        + landmarks.log_prior[None, :]
-        + log_root
-        + log_extreme(
-            figures.x[:, None], figures.y[:, None], landmarks.x[None, :], landmarks.y[None, :]
-        )
-    )
-    same = jnp.eye(size, dtype=bool).at[size - 1, size - 1].set(False)
-    table = jnp.where(same, -jnp.inf, table)
+    def own_place(mention: Array, own_slot: Array) -> Array:
+        return jnp.where(own_slot == NONE, num_objects + mention, own_slot)
 
-    # New figure: one draw from the relation, hung on each landmark.
-    safe_relation = jnp.maximum(relation, 0)
-    along, lateral = sample_polar(
-        params.relations, safe_relation, draws.distance[0], draws.angle[0]
-    )
-    hung_x, hung_y = to_map(landmark_frame, along, lateral)
-    is_free = relation == NONE
-    new_figure_x = jnp.where(is_free, draws.unseen_x[0], landmarks.x + hung_x)
-    new_figure_y = jnp.where(is_free, draws.unseen_y[0], landmarks.y + hung_y)
-    log_missed = log_miss_at(scene.coverage, new_figure_x, new_figure_y)
-    log_new_figure = jnp.where(
-        figures.is_open,
-        jnp.where(is_free, scene.log_unseen, log_missed)
-        + landmarks.log_prior
-        + log_root
-        + log_extreme(new_figure_x, new_figure_y, landmarks.x, landmarks.y),
-        -jnp.inf,
-    )
-
-    # New landmark: the same, drawn backwards from each figure and corrected for the frame.
-    along, lateral = sample_polar(
-        params.relations, safe_relation, draws.distance[1], draws.angle[1]
-    )
-    figure_frame = frame_at(figures.x, figures.y)
-    back_x, back_y = to_map(figure_frame, along, lateral)
-    new_landmark_x, new_landmark_y = figures.x - back_x, figures.y - back_y
-    log_correction = log_relation(
-        back_x, back_y, frame_at(new_landmark_x, new_landmark_y)
-    ) - log_relation(back_x, back_y, figure_frame)
-    log_new_landmark = jnp.where(
-        landmarks.is_open,
-        log_miss_at(scene.coverage, new_landmark_x, new_landmark_y)
-        + log_correction
-        + figures.log_prior
-        + log_root
-        + log_extreme(figures.x, figures.y, new_landmark_x, new_landmark_y),
-        -jnp.inf,
-    )
-
-    # Both new: the landmark anywhere unexplored, the figure where the relation puts it.
-    pair_landmark_x, pair_landmark_y = draws.unseen_x, draws.unseen_y
-    along, lateral = sample_polar(
-        params.relations, safe_relation, draws.distance[0], draws.angle[0]
-    )
-    step_x, step_y = to_map(frame_at(pair_landmark_x, pair_landmark_y), along, lateral)
-    pair_figure_x, pair_figure_y = pair_landmark_x + step_x, pair_landmark_y + step_y
-    log_new_pair = jnp.where(
-        figures.is_open & landmarks.is_open,
-        scene.log_unseen
-        - jnp.log(float(NUM_UNSEEN))
-        + log_miss_at(scene.coverage, pair_figure_x, pair_figure_y)
-        + log_extreme(pair_figure_x, pair_figure_y, pair_landmark_x, pair_landmark_y),
-        -jnp.inf,
-    )
-
-    weights = jnp.concatenate([table.reshape(-1), log_new_figure, log_new_landmark, log_new_pair])
-    choice, log_total = categorical.draw(weights, draws.choice)
-    in_table = choice < size * size
-    in_figure = ~in_table & (choice < size * size + size)
-    in_landmark = ~in_table & ~in_figure & (choice < size * size + 2 * size)
-    in_pair = choice >= size * size + 2 * size
-    rest = jnp.where(in_figure, choice - size * size, choice - size * size - size)
-    pair = jnp.maximum(choice - size * size - 2 * size, 0)
-    figure_index = jnp.where(in_table, choice // size, rest)
-    landmark_index = jnp.where(in_table, choice % size, rest)
-
-    def place(known: Array, from_new: Array, from_pair: Array, index: Array, is_new: Array) -> Array:
-        value = jnp.where(is_new, _pick(from_new, rest), _pick(known, index))
-        return jnp.where(in_pair, _pick(from_pair, pair), value)
-
-    figure_x = place(figures.x, new_figure_x, pair_figure_x, figure_index, in_figure)
-    figure_y = place(figures.y, new_figure_y, pair_figure_y, figure_index, in_figure)
-    landmark_x = place(landmarks.x, new_landmark_x, pair_landmark_x, landmark_index, in_landmark)
-    landmark_y = place(landmarks.y, new_landmark_y, pair_landmark_y, landmark_index, in_landmark)
-    figure_slot = jnp.where(in_figure | in_pair | (figure_index == num_objects), NONE, figure_index)
-    landmark_slot = jnp.where(
-        in_landmark | in_pair | (landmark_index == num_objects), NONE, landmark_index
-    )
-    # Enter figure and landmark; an end decided earlier, or the robot, keeps what it had.
-    is_valid = figure != NONE
+    is_object = (link.landmark != NONE) & ~link.is_robot
+    figure_anchor = jnp.where(is_object, own_place(link.landmark, landmark_slot), NONE)
+    figure_root = jnp.where(is_object, root(link.landmark, landmarks, landmark_slot), NONE)
+    landmark_anchor = jnp.where(is_landmark, own_place(link.figure, figure_slot), NONE)
+    landmark_root = jnp.where(is_landmark, root(link.figure, figures, figure_slot), NONE)
     mentions = jnp.arange(grounding.slot.shape[0])
-    old_landmark_slot = jnp.where(landmark == NONE, NONE, _pick(grounding.slot, landmark))
-    landmark_now = jnp.where(landmarks.is_open, landmark_slot, old_landmark_slot)
-    old_figure_slot = _pick(grounding.slot, figure)
-    figure_now = jnp.where(figures.is_open, figure_slot, old_figure_slot)
-    is_landmark_object = (landmark != NONE) & ~is_robot
-    landmark_place = jnp.where(landmark_now == NONE, num_objects + landmark, landmark_now)
-    figure_place = jnp.where(figure_now == NONE, num_objects + figure, figure_now)
-    new_figure_anchor = jnp.where(is_landmark_object, landmark_place, NONE)
-    landmark_root = jnp.where(
-        landmark_now == NONE, jnp.where(landmarks.is_open, NONE, _pick(grounding.root, landmark)),
-        landmark_now,
-    )  # fmt: skip
-    figure_root = jnp.where(is_landmark_object, landmark_root, NONE)
-    new_landmark_anchor = jnp.where(in_landmark, figure_place, NONE)
-    new_landmark_root = jnp.where(
-        in_landmark,
-        jnp.where(figure_now == NONE, _pick(grounding.root, figure), figure_now),
-        NONE,
-    )
-    set_figure = (mentions == figure) & figures.is_open & is_valid
-    set_landmark = (mentions == landmark) & landmarks.is_open & is_landmark_object & is_valid
+    set_figure = (mentions == link.figure) & figures.is_open
+    set_landmark = (mentions == link.landmark) & landmarks.is_open & is_object
 
     def enter(old: Array, for_figure: Array, for_landmark: Array) -> Array:
         return jnp.where(set_figure, for_figure, jnp.where(set_landmark, for_landmark, old))
 
-    log_weight = jnp.maximum(log_total, _LOG_FLOOR)
     return Grounding(
         slot=enter(grounding.slot, figure_slot, landmark_slot),
-        x=enter(grounding.x, figure_x, landmark_x),
-        y=enter(grounding.y, figure_y, landmark_y),
-        anchor=enter(grounding.anchor, new_figure_anchor, new_landmark_anchor),
-        root=enter(grounding.root, figure_root, new_landmark_root),
+        x=enter(
+            grounding.x,
+            place(figures.x, new_figure.figure_x, new_pair.figure_x, figure_index, is_figure),
+            place(
+                landmarks.x, new_landmark.landmark_x, new_pair.landmark_x, landmark_index,
+                is_landmark,
+            ),
+        ),
+        y=enter(
+            grounding.y,
+            place(figures.y, new_figure.figure_y, new_pair.figure_y, figure_index, is_figure),
+            place(
+                landmarks.y, new_landmark.landmark_y, new_pair.landmark_y, landmark_index,
+                is_landmark,
+            ),
+        ),
+        anchor=enter(grounding.anchor, figure_anchor, landmark_anchor),
+        root=enter(grounding.root, figure_root, landmark_root),
         is_grounded=grounding.is_grounded | set_figure | set_landmark,
-        log_weight=grounding.log_weight + jnp.where(is_valid, log_weight, 0.0),
-    )
+        log_weight=grounding.log_weight,
+    )  # fmt: skip
 
 
-def adopt(particle: SemanticMap, readings: Readings, reading: Array, grounding: Grounding) -> SemanticMap:
+def adopt(
+    particle: SemanticMap, readings: Readings, reading: Array, grounding: Grounding
+) -> SemanticMap:
     """Give a particle a reading and what its mentions refer to.
 
     Args:

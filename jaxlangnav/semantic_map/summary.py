@@ -29,9 +29,7 @@ def behavior_world(particle: SemanticMap, readings: Readings, previous: Array) -
             jnp.full(1, ROBOT, jnp.int32),
         ]
     )
-    is_object = jnp.concatenate(
-        [particle.is_observed, particle.is_hypothesised, jnp.ones(1, bool)]
-    )
+    is_object = jnp.concatenate([particle.is_observed, particle.is_hypothesised, jnp.ones(1, bool)])
     place = jnp.where(
         particle.referent == NONE, num_objects + jnp.arange(num_mentions), particle.referent
     )
@@ -41,9 +39,7 @@ def behavior_world(particle: SemanticMap, readings: Readings, previous: Array) -
     for index in range(readings.relation.shape[1]):
         relation = readings.relation[particle.reading, index]
         mentions = jnp.arange(num_mentions)
-        figure = jnp.sum(
-            jnp.where(mentions == readings.figure[particle.reading, index], place, 0)
-        )
+        figure = jnp.sum(jnp.where(mentions == readings.figure[particle.reading, index], place, 0))
         landmark = jnp.sum(
             jnp.where(mentions == readings.landmark[particle.reading, index], place, 0)
         )
@@ -53,9 +49,7 @@ def behavior_world(particle: SemanticMap, readings: Readings, previous: Array) -
             & (slots == landmark)[None, None, :]
         )
         is_related = is_related | edge
-        is_superlative = is_superlative | (
-            edge & readings.is_superlative[particle.reading, index]
-        )
+        is_superlative = is_superlative | (edge & readings.is_superlative[particle.reading, index])
     return BehaviorWorld(
         object_type=object_type,
         is_object=is_object,
