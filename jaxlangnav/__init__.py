@@ -8,6 +8,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from jaxlangnav.agent import Navigator as Navigator
     from jaxlangnav.language.parser import parse as parse
     from jaxlangnav.messages import Action as Action
     from jaxlangnav.messages import Behavior as Behavior
@@ -18,11 +19,12 @@ __version__ = "0.1.0"
 _HOMES = {
     "Action": "jaxlangnav.messages",
     "Behavior": "jaxlangnav.messages",
+    "Navigator": "jaxlangnav.agent",
     "Observation": "jaxlangnav.messages",
     "parse": "jaxlangnav.language.parser",
 }
 
-__all__ = ["Action", "Behavior", "Observation", "__version__", "parse"]
+__all__ = ["Action", "Behavior", "Navigator", "Observation", "__version__", "parse"]
 
 
 def __getattr__(name: str) -> Any:

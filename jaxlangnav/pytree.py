@@ -40,5 +40,5 @@ def pytree(cls: type[T]) -> type[T]:
 
 def replace(record: T, **changes: Any) -> T:
     """Copy a record with some fields changed (a typed ``dataclasses.replace``)."""
-    changed: Any = dataclasses.replace(record, **changes)  # pyright accepts any dataclass here
-    return changed
+    source: Any = record  # a record is a dataclass, which the type T cannot say
+    return dataclasses.replace(source, **changes)

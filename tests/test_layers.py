@@ -20,6 +20,7 @@ LAYERS = (
     "semantic_map",
     "planner",
     "navigator",
+    "agent",
     "world",
     "robots",
     "episode",
@@ -32,7 +33,7 @@ LAYERS = (
 )
 """Lowest first. ``jaxlangnav/__init__.py`` is the facade: it names things from everywhere."""
 
-BELIEF = ("grounding", "semantic_map", "planner", "navigator")
+BELIEF = ("grounding", "semantic_map", "planner", "navigator", "agent")
 TRUTH = "world"
 PACKAGE = Path(__file__).parent.parent / "jaxlangnav"
 

@@ -4,10 +4,10 @@ One step: move, ground the detections, condition, weigh what was and was not see
 words anew where the old hypothesis has been refuted or a new object calls for it, resample.
 
 Words are re-grounded by *rejection control*: a particle of weight w below the mean c survives with
-probability w / c and then weighs c, otherwise it is replaced by the map of an ancestor drawn by
-weight and a fresh draw from the posterior of the sentence given that map, with weight c. Both kinds are properly weighted for the
-same target, so the mixture is too; and when every hypothesis is refuted all are replaced, which
-is how the filter revives.
+probability w / c and then weighs c; otherwise the map of an ancestor drawn by weight and a fresh
+draw from the posterior of the sentence given that map take its place, with weight c. Both kinds
+are properly weighted for the same target, so the mixture is too; and when every hypothesis is
+refuted all are replaced, which is how the filter revives.
 """
 
 import jax

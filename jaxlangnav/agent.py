@@ -1,0 +1,135 @@
+"""The navigator for people: models, parameters and sizes in one object.
+
+Two functions over records are the whole engine, for any robot or simulator:
+
+    navigator = jaxlangnav.Navigator.pretrained()
+    state = navigator.start("go to the hydrant behind the cone", pose=(0.0, 0.0, 0.0))
+    state, action, info = navigator.step(key, state, observation)
+
+``step`` is compiled once, whatever is said; ``navigator.step`` the module function can be
+``vmap``-ed over states.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Self
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jaxlangnav import navigator
+from jaxlangnav.grounding import GroundingModel, load_shipped, understand
+from jaxlangnav.messages import Action, Observation
+from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams, NavigatorState
+from jaxlangnav.planner.params import PlannerConfig
+
+DEFAULT_EXTENT = 15.0
+"""Metres to each side of the robot that are its operating area unless it is told otherwise."""
+
+_step = jax.jit(navigator.step, static_argnames="config")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Navigator:
+    """Models, parameters and sizes of an agent that follows instructions."""
+
+    model: GroundingModel
+    params: NavigatorParams
+    config: NavigatorConfig
+
+    @classmethod
+    def pretrained(cls, policy: str = "informed") -> Self:
+        """Build a navigator from the weights that ship with the package.
+
+        Args:
+            policy: "informed", or "faithful" to the paper.
+
+        Returns:
+            The navigator, with default parameters and sizes.
+
+        Raises:
+            ValueError: no such policy.
+        """
+        return cls(
+            model=load_shipped(),
+            params=navigator.default_params(),
+            config=NavigatorConfig(planner=PlannerConfig(policy=policy)),
+        )
+
+    def __post_init__(self) -> None:
+        """Refuse parameters with which the robot could never stop."""
+        navigator.check(self.params)
+
+    def start(
+        self,
+        text: str,
+        pose: Sequence[float] = (0.0, 0.0, 0.0),
+        area: Sequence[float] | None = None,
+    ) -> NavigatorState:
+        """Tell a robot that has seen nothing what to do.
+
+        Args:
+            text: the instruction.
+            pose: x, y, heading, metres and radians, map frame.
+            area: operating area x_min, x_max, y_min, y_max, metres, map frame; 15 m to each side
+                of the robot by default.
+
+        Returns:
+            The state before the first observation.
+
+        Raises:
+            ValueError: the instruction is not understood, or the area is empty.
+        """
+        x, y = float(pose[0]), float(pose[1])
+        bounds = area or (
+            x - DEFAULT_EXTENT, x + DEFAULT_EXTENT, y - DEFAULT_EXTENT, y + DEFAULT_EXTENT
+        )  # fmt: skip
+        if bounds[0] >= bounds[1] or bounds[2] >= bounds[3]:
+            raise ValueError(
+                f"area is {tuple(bounds)}, but must be (x_min, x_max, y_min, y_max) with "
+                "x_min < x_max and y_min < y_max, in metres"
+            )
+        instruction = understand(text, self.model).instruction
+        if int(instruction.num_clauses) == 0:
+            raise ValueError(
+                f"{text!r} informs but asks for nothing to be done: say it with hear, or give a "
+                "command"
+            )
+        return navigator.start(
+            instruction,
+            jnp.asarray(pose, jnp.float32),
+            jnp.asarray(bounds, jnp.float32),
+            config=self.config,
+        )
+
+    def step(
+        self, key: Array, state: NavigatorState, observation: Observation
+    ) -> tuple[NavigatorState, Action, NavigatorInfo]:
+        """Run one decision cycle, compiled: from an observation to an action.
+
+        Args:
+            key: random key, consumed.
+            state: after the last cycle.
+            observation: pose and detections now.
+
+        Returns:
+            The new state, what the robot is to do, and why.
+        """
+        return _step(key, state, observation, params=self.params, config=self.config)
+
+    def hear(self, state: NavigatorState, text: str) -> NavigatorState:
+        """Take in another command: the map is kept, the words are grounded anew.
+
+        Args:
+            state: of a robot under way or at its goal.
+            text: the new instruction.
+
+        Returns:
+            The state, to be followed by the next observation.
+
+        Raises:
+            ValueError: the instruction is not understood.
+        """
+        instruction = understand(text, self.model).instruction
+        return navigator.hear(state, instruction, state.belief.last_pose)
