@@ -254,13 +254,15 @@ def _is_open(frame: Frame) -> bool:
 
 def _believed(scene: Scene, frame: Frame) -> str:
     """Tell where the goal is believed to be."""
+    fitting = [one for one in summary.seen_objects(frame) if one.goal_mass >= 0.05]
+    fitting = sorted(fitting, key=lambda one: -one.goal_mass)
     seen = [
         f"the {scene.type_name(one.object_type)} {_place(frame, one.x, one.y)} "
         f"({percent(one.goal_mass)})"
-        for one in sorted(summary.seen_objects(frame), key=lambda one: -one.goal_mass)
-        if one.goal_mass >= 0.05
+        for one in fitting
     ]
-    told = [f"The goal is taken to be {', or '.join(seen)}."] if seen else []
+    verb = "is taken to be" if fitting and fitting[0].goal_mass >= 0.5 else "may be"
+    told = [f"The goal {verb} {', or '.join(seen)}."] if seen else []
     unseen = float(frame.hypothesis_goal_mass.sum())
     if unseen >= 0.05:
         spots = [

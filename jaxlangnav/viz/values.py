@@ -182,9 +182,9 @@ def _draw_contours(axes: "Axes", scene: Scene, frame: Frame) -> "Normalize":
     x, y = np.meshgrid(np.linspace(x_min, x_max, 60), np.linspace(y_min, y_max, 80))
     field = goal_field(scene, frame, x, y)
     norm = _norm(np.concatenate([field.ravel(), frame.value]))
-    look = {"levels": 12, "zorder": 1}
-    axes.contourf(x, y, field, cmap=style.value_colormap(), norm=norm, alpha=0.4, **look)
-    axes.contour(x, y, field, colors=style.MUTED, linewidths=0.35, **look)
+    ramp = style.value_colormap()
+    axes.contourf(x, y, field, levels=12, cmap=ramp, norm=norm, alpha=0.4, zorder=1)
+    axes.contour(x, y, field, levels=12, colors=style.MUTED, linewidths=0.35, zorder=1)
     return norm
 
 

@@ -1,0 +1,226 @@
+"""An episode as one web page that opens offline in any browser: slider, map, numbers, story.
+
+The page stands in ``recording.html``; this module packs the recording into it. Large arrays go
+in as base64 of little-endian numbers: positions of hypotheses on a 16-bit grid over the map
+(better than a millimetre on 50 m), weights relative to the heaviest particle of their step.
+"""
+
+import base64
+import html
+import json
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxlangnav.messages import NONE
+from jaxlangnav.planner.graph import FRONTIER, OBJECT, VISITED
+from jaxlangnav.recording import Recording
+from jaxlangnav.viz import narrative, panels, style, summary
+from jaxlangnav.viz.words import describe_reading, describe_readings, percent
+from jaxlangnav.world.simulator import SUCCESS_RADIUS
+
+_ABSENT = 65535
+"""Grid coordinate of a hypothesis that is none."""
+
+
+def write_html(recording: Recording, path: Path | str) -> Path:
+    """Write an episode as a self-contained page.
+
+    Args:
+        recording: the episode.
+        path: file to write; folders are made.
+
+    Returns:
+        The path.
+    """
+    path = Path(path)
+    page = render_html(recording)
+    with style.replacing(path) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+    return path
+
+
+def render_html(recording: Recording) -> str:
+    """Render an episode as a self-contained page.
+
+    Args:
+        recording: the episode.
+
+    Returns:
+        The page.
+    """
+    template = resources.files("jaxlangnav.viz") / "recording.html"
+    data = json.dumps(pack(recording), separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+    title = html.escape(recording.scene.text or "Episode")
+    # Inside a script element only "</" and "<!--" could end the data early.
+    page = template.read_text(encoding="utf-8").replace("__TITLE__", title, 1)
+    return page.replace("__DATA__", data.replace("<", "\\u003c"), 1)
+
+
+def pack(recording: Recording) -> dict[str, Any]:
+    """Gather everything the page shows, in JSON's own types.
+
+    Args:
+        recording: the episode.
+
+    Returns:
+        Sizes, what stays the same, what changes by step, and ``arrays`` in base64.
+    """
+    scene, frames = recording.scene, recording.frames
+    claims = describe_readings(scene, least=0.0)
+    first = [f"Taken to say that there is {claim} ({percent(p)})." for claim, p in claims[:1]]
+    return {
+        "text": scene.text,
+        "summary": " ".join([*first, f"The {panels.verdict(recording)}."]),
+        "is_success": bool(recording.result.is_success),
+        "num_steps": recording.num_steps,
+        "num_particles": recording.num_particles,
+        "num_nodes": int(frames.value.shape[1]),
+        "num_cells": int(frames.miss.shape[-1]),
+        "area": list(scene.area),
+        "range": float(scene.sensor.range_max),
+        "field_of_view": float(scene.sensor.field_of_view),
+        "goal": [float(one) for one in scene.scenario.goal],
+        "success_radius": SUCCESS_RADIUS,
+        "truth": _truth(recording),
+        "value_stops": [_rgb(stop) for stop in style.VALUE_STOPS],
+        "types": [
+            {"name": name, "color": style.type_color(kind), "shape": style.type_marker(kind)}
+            for kind, name in enumerate(scene.type_names)
+        ],
+        "claims": [claim for claim, _ in claims],
+        **_by_step(recording, [claim for claim, _ in claims]),
+        **_arrays(recording),
+    }
+
+
+def _by_step(recording: Recording, claims: list[str]) -> dict[str, Any]:
+    """Gather what is short enough to stand in the page as it is: the story, objects, events."""
+    scene, frames = recording.scene, recording.frames
+    story, headlines, objects, detections, shares = [], [], [], [], []
+    meaning = [describe_reading(scene, k) for k in range(len(scene.readings.log_probability))]
+    before = None
+    for step in range(recording.num_steps):
+        frame = recording.at(step)
+        story.append(narrative.tell_step(scene, frame, before))
+        headlines.append(narrative.headline(scene, frame, before))
+        objects.append(
+            [
+                [one.object_type, *_short(one.x, one.y, one.spread, one.probability, one.goal_mass)]
+                for one in summary.seen_objects(frame)
+            ]
+        )
+        bearing = frame.heading + frame.detection_bearing
+        x = frame.robot[0] + frame.detection_range * np.cos(bearing)
+        y = frame.robot[1] + frame.detection_range * np.sin(bearing)
+        detections.append(
+            [
+                [int(frame.detection_type[i]), *_short(x[i], y[i])]
+                for i in np.flatnonzero(frame.is_detection)
+            ]
+        )
+        held = np.bincount(frame.reading, weights=frame.weight, minlength=len(meaning))
+        shares.append(
+            _short(*(sum(h for h, m in zip(held, meaning, strict=True) if m == c) for c in claims))
+        )
+        before = frame
+    return {
+        "story": [narrative.opening(scene)[1:] + story[0], *story[1:]],
+        "headlines": headlines,
+        "closing": narrative.closing(scene, recording.at(-1), recording.result),
+        "objects": objects,
+        "detections": detections,
+        "claim_shares": shares,
+        "news": [bool(one) for one in frames.is_news],
+        "is_done": [bool(one) for one in frames.is_done],
+    }
+
+
+def _arrays(recording: Recording) -> dict[str, Any]:
+    """Pack the large arrays, and the sizes and scales needed to read them."""
+    frames = recording.frames
+    used = np.flatnonzero(frames.is_hypothesised.any(axis=(0, 2)))
+    is_in = frames.is_hypothesised[:, used]
+    x, y = frames.hypothesis_x[:, used], frames.hypothesis_y[:, used]
+    kinds = np.where(is_in, frames.mention_type[:, used], 255)
+    heaviest = frames.weight.max(axis=1)
+    grid_x, x_low, x_high = _on_grid(x, is_in)
+    grid_y, y_low, y_high = _on_grid(y, is_in)
+    seen = frames.object_type[frames.object_type != NONE]
+    relative = frames.weight / np.maximum(heaviest, 1e-12)[:, None]
+    steps = range(recording.num_steps)
+    arrays = {
+        "x": grid_x,
+        "y": grid_y,
+        "type": kinds.astype("u1"),
+        "weight": np.round(65535 * np.clip(relative, 0.0, 1.0)).astype("<u2"),
+        "heaviest": heaviest,
+        "miss": np.round(255 * np.clip(frames.miss, 0.0, 1.0)).astype("u1"),
+        "node_kind": frames.node_kind[0].astype("u1"),
+        "regrounded": frames.num_regrounded,
+        "ess": frames.effective_sample_size,
+        "seen": frames.goal_mass.sum(axis=1),
+        "unseen": frames.hypothesis_goal_mass.sum(axis=1),
+        "explored": np.array([summary.explored_share(recording.at(step)) for step in steps]),
+    }
+    for name in (
+        "position", "robot", "heading", "distance", "waypoint", "node_x", "node_y", "value",
+        "goal_value", "information_value", "cost", "stop_mass",
+    ):  # fmt: skip
+        arrays[name] = getattr(frames, name)
+    return {
+        "num_mentions": len(used),
+        "frame": [x_low, x_high, y_low, y_high],
+        "used_types": sorted({int(one) for one in (*np.unique(kinds[is_in]), *np.unique(seen))}),
+        "node_kinds": _node_kinds(),
+        "arrays": {name: _encode(array) for name, array in arrays.items()},
+    }
+
+
+def _node_kinds() -> list[str]:
+    """Name the kinds of nodes by index."""
+    names = {FRONTIER: "frontier", VISITED: "visited place", OBJECT: "object"}
+    return [names[kind] for kind in sorted(names)]
+
+
+def _on_grid(values: np.ndarray, is_in: np.ndarray) -> tuple[np.ndarray, float, float]:
+    """Round coordinates to a 16-bit grid; what is not there gets ``_ABSENT``."""
+    low = float(values[is_in].min()) if is_in.any() else 0.0
+    high = float(values[is_in].max()) if is_in.any() else 1.0
+    high = max(high, low + 1e-3)
+    share = np.clip((values - low) / (high - low), 0.0, 1.0)
+    grid = np.where(is_in, np.round(share * (_ABSENT - 1)), _ABSENT).astype("<u2")
+    return grid, low, high
+
+
+def _encode(array: np.ndarray) -> dict[str, str]:
+    """Encode an array as base64; anything but small integers as 32-bit floats."""
+    array = np.asarray(array)
+    kind = array.dtype.str[1:] if array.dtype.str[1:] in ("u1", "u2") else "f4"
+    data = np.ascontiguousarray(array, dtype=f"<{kind}").tobytes()
+    return {"kind": kind, "data": base64.b64encode(data).decode("ascii")}
+
+
+def _truth(recording: Recording) -> list[dict[str, Any]]:
+    """List where things truly stand."""
+    world = recording.scene.scenario
+    return [
+        {
+            "type": int(world.object_type[slot]),
+            "x": float(world.object_x[slot]),
+            "y": float(world.object_y[slot]),
+        }
+        for slot in np.flatnonzero(world.is_object)
+    ]
+
+
+def _short(*values: float) -> list[float]:
+    """Round to a millimetre or a tenth of a per cent: nobody reads more."""
+    return [round(float(value), 3) for value in values]
+
+
+def _rgb(color: str) -> list[int]:
+    """Turn "#rrggbb" into three numbers."""
+    return [int(color[place : place + 2], 16) for place in (1, 3, 5)]

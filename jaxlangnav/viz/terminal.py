@@ -1,0 +1,195 @@
+"""An episode in the terminal as it happens: ``jaxlangnav follow --live``.
+
+A map of characters beside the story of the step. What shares a cell is drawn in the order of
+importance: robot, waypoint, observed objects, the densest hypotheses, the ground.
+"""
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from jaxlangnav.episode import EpisodeResult
+from jaxlangnav.recording import Frame, Recording, Scene, gather
+from jaxlangnav.viz import narrative, style, summary
+from jaxlangnav.viz.words import percent
+
+if TYPE_CHECKING:
+    from rich.console import Console, RenderableType
+    from rich.text import Text
+
+ARROWS = "→↗↑↖←↙↓↘"
+_DENSITY = "·░▒▓"
+"""Hypotheses in a cell, from few to many."""
+_CELL_SHAPE = 2.0
+"""Height of a character over its width."""
+
+
+def draw_map(scene: Scene, frame: Frame, *, width: int = 48) -> "Text":
+    """Draw a step as characters.
+
+    Letters are observed objects (H a hydrant), shades where hypotheses lie, × the waypoint, an
+    arrow the robot; blank ground has been looked at, dots have not.
+
+    Args:
+        scene: of the episode.
+        frame: one step.
+        width: columns, at least 8.
+
+    Returns:
+        Rich text of as many lines as the shape of the area asks for.
+    """
+    from rich.text import Text
+
+    x_min, x_max, y_min, y_max = scene.area
+    width = max(width, 8)
+    height = max(4, round(width * (y_max - y_min) / (x_max - x_min) / _CELL_SHAPE))
+    cells, looks = _ground(frame, width, height)
+
+    def put(x: float, y: float, character: str, look: str) -> None:
+        column = int(np.clip((x - x_min) / (x_max - x_min) * width, 0, width - 1))
+        row = int(np.clip((y_max - y) / (y_max - y_min) * height, 0, height - 1))
+        cells[row][column], looks[row][column] = character, look
+
+    _shade(scene, frame, cells, looks)
+    for one in summary.seen_objects(frame):
+        letter = scene.type_name(one.object_type)[0].upper()
+        put(one.x, one.y, letter, f"bold white on {style.type_color(one.object_type)}")
+    if not bool(frame.is_done):
+        put(float(frame.waypoint[0]), float(frame.waypoint[1]), "×", f"bold {style.WAYPOINT}")
+    turn = round(float(frame.heading) / (np.pi / 4)) % 8
+    put(float(frame.robot[0]), float(frame.robot[1]), ARROWS[turn], "bold reverse")
+    text = Text(no_wrap=True)
+    for row, (line, styles) in enumerate(zip(cells, looks, strict=True)):
+        for character, look in zip(line, styles, strict=True):
+            text.append(character, style=look)
+        text.append("\n" if row < height - 1 else "")
+    return text
+
+
+def draw_frame(
+    scene: Scene, frame: Frame, before: Frame | None, step: int, *, width: int = 48
+) -> "RenderableType":
+    """Draw a step: the map, and beside it what happens and how sure the robot is.
+
+    Args:
+        scene: of the episode.
+        frame: the step.
+        before: the step before; None at first.
+        step: its number.
+        width: columns of the map.
+
+    Returns:
+        Something rich prints.
+    """
+    from rich.panel import Panel
+    from rich.table import Table
+    from rich.text import Text
+
+    side = Text()
+    side.append(f"step {step} · {float(frame.distance):.1f} m\n", style="bold")
+    side.append(f"{narrative.headline(scene, frame, before)}\n\n", style="italic")
+    for sentence in narrative.tell_step(scene, frame, before):
+        side.append(f"{sentence}\n")
+    side.append("\n")
+    for name, share, look in (
+        ("goal seen", float(frame.goal_mass.sum()), style.type_color(0)),
+        ("goal unseen", float(frame.hypothesis_goal_mass.sum()), "grey50"),
+        ("looked at", summary.explored_share(frame), style.type_color(1)),
+    ):
+        full = round(20 * min(max(share, 0.0), 1.0))
+        side.append(f"{name:<12}")
+        side.append("█" * full, style=look)
+        side.append("─" * (20 - full), style="grey70")
+        side.append(f" {percent(share)}\n")
+    grid = Table.grid(padding=(0, 2))
+    grid.add_column(width=max(width, 8))
+    grid.add_column(ratio=1, min_width=30)
+    grid.add_row(draw_map(scene, frame, width=width), side)
+    title = Text(f"“{scene.text}”" if scene.text else "Episode")
+    return Panel(grid, title=title, title_align="left", border_style="grey50")
+
+
+def watch(
+    scene: Scene,
+    steps: Iterable[tuple[Frame, EpisodeResult]],
+    *,
+    console: "Console | None" = None,
+    seconds_per_step: float = 0.4,
+) -> Recording:
+    """Draw an episode in the terminal while it runs.
+
+    Args:
+        scene: from ``recording.set_scene``.
+        steps: from ``recording.play``, at least one.
+        console: where to draw; standard output by default.
+        seconds_per_step: least time a step stays on the screen.
+
+    Returns:
+        The recording, as ``recording.record`` would have made it.
+    """
+    import time
+
+    from rich.console import Console
+    from rich.live import Live
+
+    console = console or Console()
+    width = int(np.clip(console.width // 2 - 4, 8, 56))
+    height = max(4, console.height - 4)
+    x_min, x_max, y_min, y_max = scene.area
+    # The map must fit the screen, or a live display would scroll.
+    width = min(width, int(height * _CELL_SHAPE * (x_max - x_min) / (y_max - y_min)))
+    frames: list[Frame] = []
+    result: EpisodeResult | None = None
+    with Live(console=console, auto_refresh=False, vertical_overflow="crop") as live:
+        for step, (frame, result) in enumerate(steps):
+            before = frames[-1] if frames else None
+            live.update(draw_frame(scene, frame, before, step, width=width), refresh=True)
+            frames.append(frame)
+            if console.is_terminal:
+                time.sleep(seconds_per_step)
+    if result is None:
+        raise ValueError("an episode needs at least one step")
+    return gather(scene, frames, result)
+
+
+def _ground(frame: Frame, width: int, height: int) -> tuple[list[list[str]], list[list[str]]]:
+    """Fill the cells with blanks where looked at, dots where not."""
+    size = frame.miss.shape[0]
+    rows = ((np.arange(height) + 0.5) / height * size).astype(int)
+    columns = ((np.arange(width) + 0.5) / width * size).astype(int)
+    unseen = frame.miss[::-1][rows][:, columns] >= 0.5
+    cells = [["·" if one else " " for one in line] for line in unseen]
+    return cells, [["grey78"] * width for _ in cells]
+
+
+def _shade(scene: Scene, frame: Frame, cells: list[list[str]], looks: list[list[str]]) -> None:
+    """Shade the cells in which hypotheses lie, in the colour of the type that weighs most."""
+    x_min, x_max, y_min, y_max = scene.area
+    height, width = len(cells), len(cells[0])
+    is_in = np.asarray(frame.is_hypothesised)
+    if not is_in.any():
+        return
+    x, y = frame.hypothesis_x[is_in], frame.hypothesis_y[is_in]
+    weight = np.broadcast_to(frame.weight, is_in.shape)[is_in]
+    kind = frame.mention_type[is_in]
+    kinds = np.unique(kind)
+    mass = np.stack(
+        [
+            np.histogram2d(
+                y[kind == one],
+                x[kind == one],
+                bins=(height, width),
+                range=((y_min, y_max), (x_min, x_max)),
+                weights=weight[kind == one],
+            )[0][::-1]
+            for one in kinds
+        ]
+    )
+    total = mass.sum(axis=0)
+    # A tenth of all belief in one cell counts as dense.
+    level = np.ceil(np.sqrt(np.clip(total / 0.1, 0.0, 1.0)) * len(_DENSITY)).astype(int)
+    for row, column in zip(*np.nonzero(level), strict=True):
+        heaviest = int(kinds[int(np.argmax(mass[:, row, column]))])
+        cells[row][column] = _DENSITY[level[row, column] - 1]
+        looks[row][column] = style.type_color(heaviest)
