@@ -25,6 +25,22 @@ _CELL_SHAPE = 2.0
 """Height of a character over its width."""
 
 
+def letters(scene: Scene) -> dict[int, str]:
+    """Give each object type a letter of its own: the first of its name that is still free.
+
+    Args:
+        scene: of the episode.
+
+    Returns:
+        Letters by type index; "?" where all letters of a name are taken.
+    """
+    taken: dict[int, str] = {}
+    for kind, name in enumerate(scene.type_names):
+        free = (one for one in name.upper() if one.isalpha() and one not in taken.values())
+        taken[kind] = next(free, "?")
+    return taken
+
+
 def draw_map(scene: Scene, frame: Frame, *, width: int = 48) -> "Text":
     """Draw a step as characters.
 
@@ -52,11 +68,12 @@ def draw_map(scene: Scene, frame: Frame, *, width: int = 48) -> "Text":
         cells[row][column], looks[row][column] = character, look
 
     _shade(scene, frame, cells, looks)
+    names = letters(scene)
     for one in summary.seen_objects(frame):
-        letter = scene.type_name(one.object_type)[0].upper()
+        letter = names.get(one.object_type, "?")
         put(one.x, one.y, letter, f"bold white on {style.type_color(one.object_type)}")
     if not bool(frame.is_done):
-        put(float(frame.waypoint[0]), float(frame.waypoint[1]), "×", f"bold {style.WAYPOINT}")
+        put(float(frame.waypoint[0]), float(frame.waypoint[1]), "×", "bold bright_magenta")
     turn = round(float(frame.heading) / (np.pi / 4)) % 8
     put(float(frame.robot[0]), float(frame.robot[1]), ARROWS[turn], "bold reverse")
     text = Text(no_wrap=True)
@@ -102,6 +119,11 @@ def draw_frame(
         side.append("█" * full, style=look)
         side.append("─" * (20 - full), style="grey70")
         side.append(f" {percent(share)}\n")
+    side.append("\n")
+    names = letters(scene)
+    for kind in sorted({one.object_type for one in summary.seen_objects(frame)}):
+        side.append(f" {names.get(kind, '?')} ", style=f"bold white on {style.type_color(kind)}")
+        side.append(f" {scene.type_name(kind)}  ")
     grid = Table.grid(padding=(0, 2))
     grid.add_column(width=max(width, 8))
     grid.add_column(ratio=1, min_width=30)
@@ -140,17 +162,18 @@ def watch(
     # The map must fit the screen, or a live display would scroll.
     width = min(width, int(height * _CELL_SHAPE * (x_max - x_min) / (y_max - y_min)))
     frames: list[Frame] = []
-    result: EpisodeResult | None = None
+    results: list[EpisodeResult] = []
     with Live(console=console, auto_refresh=False, vertical_overflow="crop") as live:
         for step, (frame, result) in enumerate(steps):
             before = frames[-1] if frames else None
             live.update(draw_frame(scene, frame, before, step, width=width), refresh=True)
             frames.append(frame)
+            results.append(result)
             if console.is_terminal:
                 time.sleep(seconds_per_step)
-    if result is None:
+    if not results:
         raise ValueError("an episode needs at least one step")
-    return gather(scene, frames, result)
+    return gather(scene, frames, results[-1])
 
 
 def _ground(frame: Frame, width: int, height: int) -> tuple[list[list[str]], list[list[str]]]:

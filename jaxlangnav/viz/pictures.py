@@ -1,0 +1,35 @@
+"""Everything there is to see of one episode, written into a folder."""
+
+from pathlib import Path
+
+from jaxlangnav.recording import Recording
+from jaxlangnav.viz import style
+from jaxlangnav.viz.belief import belief_figure
+from jaxlangnav.viz.html import write_html
+from jaxlangnav.viz.narrative import tell
+from jaxlangnav.viz.values import values_figure
+
+
+def write_pictures(recording: Recording, folder: Path | str) -> list[Path]:
+    """Write belief and value function over time, the interactive recording, and the story.
+
+    Args:
+        recording: the episode.
+        folder: where to; made if it is not there.
+
+    Returns:
+        belief.png, belief.svg, values.png, values.svg, episode.html and story.txt.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed; nothing has been written.
+    """
+    style.require("matplotlib")
+    folder = Path(folder)
+    paths = [
+        *style.save(belief_figure(recording), folder / "belief"),
+        *style.save(values_figure(recording), folder / "values"),
+        write_html(recording, folder / "episode.html"),
+    ]
+    with style.replacing(folder / "story.txt") as temporary:
+        temporary.write_text("\n".join(tell(recording)) + "\n", encoding="utf-8")
+    return [*paths, folder / "story.txt"]
