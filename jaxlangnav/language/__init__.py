@@ -1,0 +1,1 @@
+"""Strings end here: phrase trees, lexicon, grammar, parser and corpus (section 3.1)."""

@@ -40,6 +40,20 @@ def _check_verb(clause: Phrase) -> None:
     raise _refuse(words[:1], "neither a verb nor an object that I know")
 
 
+def _check_mode(clause: Phrase) -> None:
+    """Refuse a command to be both quick and careful."""
+    modes = {s: word for word in clause.words for s in word.senses if s.startswith("mode:")}
+    if len(modes) > 1:
+        raise _refuse(list(modes.values())[1:2], "contradicts the manner asked for before")
+
+
+def _check_start(clause: Phrase) -> None:
+    """Refuse a later clause that begins with an unknown verb and no connective before it."""
+    first = clause.words[:1]
+    if first and first[0].tag == "VB" and not first[0].senses:
+        raise _refuse(list(first), "unknown word; it may be a verb or a mistyped relation")
+
+
 def check(clauses: list[Phrase]) -> None:
     """Refuse what would be a guess.
 
@@ -49,9 +63,12 @@ def check(clauses: list[Phrase]) -> None:
     Raises:
         LanguageError: one line naming the words.
     """
+    for clause in clauses[1:]:
+        _check_start(clause)
     for clause in clauses:
         for phrase in clause.walk():
             if phrase.label == "NP":
                 _check_compound(phrase)
         if clause.label == "VP":
             _check_verb(clause)
+            _check_mode(clause)

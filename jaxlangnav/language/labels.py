@@ -123,7 +123,6 @@ def _annotate_figure(children: list[_Meaning], passed: frozenset[str]) -> _Meani
 @jax.jit
 def _all_relations(places: Array, viewer: Array, heading: Array) -> Array:
     """Evaluate all relations: bool[6, N, N + 1], landmark N is the robot."""
-
     own_heading: Any = heading
 
     def one(relation: int) -> Array:

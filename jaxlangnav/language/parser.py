@@ -8,6 +8,7 @@ and the parser is polynomial.
 
 import re
 from dataclasses import dataclass
+from functools import cache
 
 from jaxlangnav.language.check import check
 from jaxlangnav.language.grammar import (
@@ -19,7 +20,7 @@ from jaxlangnav.language.grammar import (
     NoParseError,
     load_grammar,
 )
-from jaxlangnav.language.lexicon import REASONS, load_lexicon
+from jaxlangnav.language.lexicon import REASONS, TYPE_CLASS, load_lexicon
 from jaxlangnav.language.phrase import COMMAND, STATEMENT, LanguageError, Parse
 from jaxlangnav.language.spelling import repair
 from jaxlangnav.language.tree import TreeBuilder
@@ -76,6 +77,9 @@ class _Reader:
             return [piece]
         if piece.endswith("'s"):
             return [*self._split(piece[:-2]), "'s"]
+        joined = _compounds().get(piece.replace("-", ""))
+        if joined is not None:
+            return list(joined)
         parts = piece.split("-")
         return parts if len(parts) > 1 and set(parts) <= self.vocabulary else [piece]
 
@@ -97,6 +101,14 @@ class _Reader:
         self.tokens.append(_Token(text=word, terminal=terminal, position=self.num_words))
 
 
+@cache
+def _compounds() -> dict[str, tuple[str, ...]]:
+    """Find the words of compounds that are written as one: "firehydrant", "fire-hydrant"."""
+    entries = load_lexicon().entries[TYPE_CLASS]
+    return {"".join(words): words for words in entries if len(words) > 1}
+
+
+@cache
 def _vocabulary() -> frozenset[str]:
     return load_lexicon().vocabulary
 

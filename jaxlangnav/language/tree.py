@@ -68,7 +68,19 @@ class TreeBuilder:
         return Word(text=text, tag=_LITERAL_TAGS.get(text, "IN"), lemma=text, position=position)
 
 
-_LITERAL_TAGS = {"to": "TO", "and": "CC", "but": "CC", "'s": "POS", "face": "VB", "out": "RP"}
+_LITERAL_TAGS = {
+    "to": "TO",
+    "and": "CC",
+    "but": "CC",
+    "'s": "POS",
+    "face": "VB",
+    "out": "RP",
+    "is": "VBZ",
+    "then": "RB",
+    "where": "WRB",
+    "whichever": "WDT",
+    "whatever": "WDT",
+}
 
 
 def _phrase(left: str, words: list[Word], phrases: list[Phrase]) -> Phrase:
