@@ -1,0 +1,58 @@
+"""QMDP values by the plain double sum over particles and behaviors (eq. 11 and 12). NumPy, float64."""
+
+import math
+
+import numpy as np
+
+FRONT, BEHIND, LEFT, RIGHT, NEAR, FAR, AT = range(7)
+
+
+def goal_place(
+    region: int, place: np.ndarray, viewer: np.ndarray, distance: np.ndarray, is_robot: bool
+) -> np.ndarray:
+    """Place a goal region: the typical distance from its object, as the viewer sees it."""
+    if region == AT:
+        return place
+    if is_robot:
+        sight, turn = viewer[2], {FRONT: 0, LEFT: 1, BEHIND: 2, RIGHT: 3, NEAR: 0, FAR: 0}[region]
+    else:
+        sight = math.atan2(place[1] - viewer[1], place[0] - viewer[0])
+        turn = {BEHIND: 0, LEFT: 1, FRONT: 2, RIGHT: 3, NEAR: 2, FAR: 2}[region]
+    angle = sight + turn * math.pi / 2
+    return place + distance[region] * np.array([math.cos(angle), math.sin(angle)])
+
+
+def values(
+    nodes: np.ndarray,
+    places: np.ndarray,
+    weight: np.ndarray,
+    goal: np.ndarray,
+    viewer: np.ndarray,
+    distance: np.ndarray,
+    discount: float,
+) -> np.ndarray:
+    """Sum γ^d p(β | S) p(S) over all particles, slots and regions.
+
+    Args:
+        nodes: f64[A, 2].
+        places: f64[P, N + 1, 2], every slot's place in every particle, the robot last.
+        weight: f64[P].
+        goal: f64[P, 7, N + 1].
+        viewer: f64[3].
+        distance: f64[6], typical distance of each relation.
+        discount: γ per metre.
+
+    Returns:
+        f64[A].
+    """
+    result = np.zeros(len(nodes))
+    for particle in range(len(weight)):
+        for region in range(7):
+            for slot in range(places.shape[1]):
+                probability = goal[particle, region, slot] * weight[particle]
+                if probability > 0.0:
+                    is_robot = slot == places.shape[1] - 1
+                    place = goal_place(region, places[particle, slot], viewer, distance, is_robot)
+                    way = np.hypot(*(nodes - place).T)
+                    result += probability * discount**way
+    return result

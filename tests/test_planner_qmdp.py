@@ -1,0 +1,174 @@
+"""Values of waypoints against the plain double sum (eq. 11-12)."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import readings as by_hand
+from oracles import qmdp as oracle
+
+from jaxlangnav.messages import AT, BEHIND, FAR, LEFT, NEAR, NONE, Behavior
+from jaxlangnav.planner import qmdp
+from jaxlangnav.planner.goals import gather, region_offset
+from jaxlangnav.pytree import replace
+from jaxlangnav.relations import default_params, prepare
+
+OBJECTS = [(0, 6.0, 1.0), (1, 4.0, -2.0), (0, 3.0, 3.0)]
+VIEWER = (1.0, -1.0, 0.4)
+P, O, M = by_hand.CONFIG.num_particles, by_hand.CONFIG.num_objects, by_hand.M
+DISTANCE = np.exp(np.asarray(default_params().log_distance, float))
+NODES = np.random.default_rng(5).uniform([0, -5], [10, 5], (40, 2))
+
+
+@jax.jit
+def value_of(belief, behavior, discount):
+    goals = gather(belief, behavior, prepare(default_params()))
+    x, y = jnp.asarray(NODES[:, 0], jnp.float32), jnp.asarray(NODES[:, 1], jnp.float32)
+    return qmdp.values(x, y, goals, discount), goals
+
+
+@jax.jit
+def mass_at(x, y, goals, radius):
+    return qmdp.mass_within(x, y, goals, radius)
+
+
+def believe(seed: int = 0):
+    """Build particles that share three seen objects and differ in hypotheses and weights."""
+    random = np.random.default_rng(seed)
+    belief = by_hand.with_objects(by_hand.begin(VIEWER), OBJECTS)
+    referent = np.where(random.uniform(size=(M, P)) < 0.5, NONE, 0)
+    weight = random.dirichlet(np.ones(P))
+    x, y = random.uniform(0, 10, (M, P)), random.uniform(-5, 5, (M, P))
+    belief = replace(
+        belief,
+        log_weight=jnp.asarray(np.log(weight), jnp.float32),
+        particles=replace(
+            belief.particles,
+            referent=jnp.asarray(referent, jnp.int32),
+            is_mentioned=jnp.ones((M, P), bool),
+            hypothesis_x=jnp.asarray(x, jnp.float32),
+            hypothesis_y=jnp.asarray(y, jnp.float32),
+        ),
+    )
+    places = np.zeros((P, O + M + 1, 2))
+    for slot, (_, object_x, object_y) in enumerate(OBJECTS):
+        places[:, slot] = object_x, object_y
+    places[:, O : O + M, 0], places[:, O : O + M, 1] = x.T, y.T
+    places[:, -1] = VIEWER[:2]
+    return belief, places, weight, referent == NONE
+
+
+def behave(goal: np.ndarray) -> Behavior:
+    """Turn goals f64[P, 7, N + 1] into behaviors, the particle axis last."""
+    return Behavior(
+        action=jnp.tile(jnp.array([[1.0], [0.0]]), (1, P)),
+        mode=jnp.tile(jnp.array([[1.0], [0.0], [0.0]]), (1, P)),
+        goal=jnp.asarray(np.moveaxis(goal, 0, -1), jnp.float32),
+        constraint=jnp.zeros((7, O + M + 1, P)),
+    )
+
+
+@pytest.mark.parametrize("region", [AT, BEHIND, LEFT, NEAR])
+@pytest.mark.parametrize("discount", [0.8, 0.97])
+def test_value_equals_the_double_sum(region: int, discount: float) -> None:
+    belief, places, weight, is_open = believe()
+    random, size = np.random.default_rng(1), O + M + 1
+    goal = np.zeros((P, 7, size))
+    # One region an object; in each particle seen objects and at most one hypothesis share the goal.
+    goal[:, region, :3] = random.uniform(0, 0.3, (P, 3))
+    first = np.where(is_open.any(0), is_open.argmax(0), 0)
+    goal[np.arange(P), region, O + first] = np.where(is_open.any(0), 0.1, 0.0)
+    truth = oracle.values(NODES, places, weight, goal, np.array(VIEWER), DISTANCE, discount)
+    ours, _ = value_of(belief, behave(goal), jnp.float32(discount))
+    np.testing.assert_allclose(ours, truth, rtol=2e-4)
+
+
+def test_value_of_a_goal_beside_the_robot_itself() -> None:
+    """ "Move to your left": the robot's slot, in its own frame at the utterance."""
+    belief, places, weight, _ = believe()
+    goal = np.zeros((P, 7, O + M + 1))
+    goal[:, LEFT, -1] = 0.9
+    truth = oracle.values(NODES, places, weight, goal, np.array(VIEWER), DISTANCE, 0.8)
+    ours, goals = value_of(belief, behave(goal), jnp.float32(0.8))
+    np.testing.assert_allclose(ours, truth, rtol=2e-4)
+    assert bool(goals.is_object[-1])
+
+
+def test_all_goal_mass_is_kept() -> None:
+    """γ → 1 gives the total goal mass at every node, however goals are gathered."""
+    belief, _, weight, _ = believe()
+    goal = np.random.default_rng(2).dirichlet(np.ones(7 * (O + M + 1) + 1), P)
+    goal = goal[:, :-1].reshape(P, 7, O + M + 1)
+    ours, _ = value_of(belief, behave(goal), jnp.float32(1.0 - 1e-7))
+    np.testing.assert_allclose(ours, (goal.sum((1, 2)) * weight).sum(), rtol=1e-4)
+
+
+def test_mass_within_reach() -> None:
+    """A seen object that fits as well as any takes the whole goal; hypotheses only their own."""
+    belief, places, weight, _ = believe()
+    goal = np.zeros((P, 7, O + M + 1))
+    goal[:, AT, 0], goal[:, AT, O + 1] = 0.5, 0.3
+    _, goals = value_of(belief, behave(goal), jnp.float32(0.8))
+    for x, y, radius in ((6.2, 1.1, 0.5), (6.0, 1.0, 2.0), (0.0, 0.0, 1.0), (5.0, 0.0, 20.0)):
+        everything, confirmed = mass_at(
+            jnp.float32(x), jnp.float32(y), goals, jnp.float32(radius)
+        )
+        is_object_near = np.hypot(x - 6.0, y - 1.0) <= radius
+        near = np.hypot(places[:, O + 1, 0] - x, places[:, O + 1, 1] - y) <= radius
+        expected = 0.8 * is_object_near + (0.3 * weight * near).sum()
+        assert abs(float(everything) - expected) < 1e-5
+        assert float(confirmed) <= 0.8 * is_object_near + 1e-5
+
+
+def test_objects_that_fit_equally_are_equally_good() -> None:
+    """Two hydrants and nothing to tell them apart: either is "the hydrant"; a cone is not."""
+    belief, _, _, _ = believe()
+    goal = np.zeros((P, 7, O + M + 1))
+    goal[:, AT, 0] = goal[:, AT, 2] = 0.45
+    goal[:, AT, 1] = 0.01
+    _, goals = value_of(belief, behave(goal), jnp.float32(0.8))
+    np.testing.assert_allclose(goals.object_mass[:3], [0.45, 0.01, 0.45], rtol=1e-4)
+    np.testing.assert_allclose(
+        goals.object_accepted[:3], [0.91, 0.91 / 45, 0.91], rtol=1e-3
+    )
+
+
+def test_garbage_in_empty_slots_changes_no_value() -> None:
+    belief, _, _, _ = believe()
+    goal = np.zeros((P, 7, O + M + 1))
+    goal[:, AT, 0], goal[:, AT, O] = 0.5, 0.3
+    ours, _ = value_of(belief, behave(goal), jnp.float32(0.8))
+    particles = belief.particles
+    dirty = replace(
+        belief,
+        particles=replace(
+            particles,
+            mean_x=particles.mean_x.at[3:O].set(77.0),
+            mean_y=particles.mean_y.at[3:O].set(-77.0),
+        ),
+    )
+    theirs, goals = value_of(dirty, behave(goal), jnp.float32(0.8))
+    np.testing.assert_array_equal(ours, theirs)
+    assert goals.is_object.tolist() == [True] * 3 + [False] * (O + 1 - 3)
+
+
+@pytest.mark.parametrize("is_robot", [False, True])
+def test_goal_regions_by_hand(is_robot: bool) -> None:
+    """Viewer at the origin facing +x, object (or the robot) four metres ahead."""
+    model = prepare(default_params())
+    viewer = jnp.array([0.0, 0.0, 0.0])
+    place = np.array([0.0, 0.0]) if is_robot else np.array([4.0, 0.0])
+    for region in range(7):
+        x, y = region_offset(
+            model,
+            jnp.int32(region),
+            jnp.float32(place[0]),
+            jnp.float32(place[1]),
+            viewer,
+            jnp.asarray(is_robot),
+        )
+        expected = oracle.goal_place(region, place, np.zeros(3), DISTANCE, is_robot) - place
+        np.testing.assert_allclose([x, y], expected, atol=1e-4)
+    # Ahead of the robot is +x; behind an object is further away.
+    assert oracle.goal_place(BEHIND, place, np.zeros(3), DISTANCE, False)[0] > 0
+    assert oracle.goal_place(FAR, np.array([4.0, 0.0]), np.zeros(3), DISTANCE, False)[0] < 4.0
