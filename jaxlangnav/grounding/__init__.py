@@ -1,6 +1,6 @@
 """The Distributed Correspondence Graph (sections 3.1 and 3.3): what words mean, as data."""
 
-from jaxlangnav.grounding.behavior import infer_behavior
+from jaxlangnav.grounding.behavior import infer_behavior, infer_behaviors
 from jaxlangnav.grounding.instruction import (
     GroundingModel,
     Instruction,
@@ -17,6 +17,7 @@ __all__ = [
     "Instruction",
     "Understanding",
     "infer_behavior",
+    "infer_behaviors",
     "load_shipped",
     "understand",
     "understand_parse",

@@ -1,9 +1,9 @@
 """Annotation inference: what a sentence says of the unseen world (section 3.1).
 
 The annotations are the symbols expressed at the root of the tree. The search keeps a distribution
-over sets of them. Whether a region is meant as an extreme ("nearest to") is a binary factor of
-its own at each phrase, outside the paper's 494 symbols, and belongs to the symbols whose region
-that phrase expressed first.
+over sets of them. Whether a region is meant as an extreme ("nearest to": rank 1; "the second": 2)
+is inferred by factors of its own at each phrase, outside the paper's 494 symbols, and belongs to
+the symbols whose region that phrase expressed first.
 """
 
 import dataclasses
@@ -13,9 +13,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from jaxlangnav.grounding.examples import Path, annotation_properties
-from jaxlangnav.grounding.features import senses_of
+from jaxlangnav.grounding.features import rank_properties, senses_of
 from jaxlangnav.grounding.model import CorrespondenceModel
-from jaxlangnav.grounding.search import BEAM_WIDTH, Hypothesis, best_sets, search
+from jaxlangnav.grounding.search import BEAM_WIDTH, Hypothesis, search
 from jaxlangnav.grounding.symbols import (
     OBJECT,
     Annotation,
@@ -25,8 +25,10 @@ from jaxlangnav.grounding.symbols import (
 from jaxlangnav.language.phrase import Parse, Phrase
 from jaxlangnav.messages import NONE, RELATIONS, ROBOT
 
-Said = tuple[tuple[Annotation, bool], ...]
-"""A set of annotations, each with whether it is a superlative; in the order of the space."""
+Said = tuple[tuple[Annotation, int], ...]
+"""A set of annotations, each with its rank (0: no superlative); in the order of the space."""
+_MAX_SYMBOLS = 12
+"""Annotations of one clause beyond which further ones are not read (untrained weights)."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,31 +36,32 @@ class Belief:
     """Distribution over what a sentence says."""
 
     sets: tuple[tuple[Said, float], ...]  # (annotations, log-probability), best first
-    superlative: dict[Path, float]  # phrase → probability that it means an extreme
+    rank: dict[Path, int]  # phrase → likeliest rank
 
-    def marginals(self) -> list[tuple[Annotation, bool, float]]:
+    def marginals(self) -> list[tuple[Annotation, int, float]]:
         """Add up the probability of each annotation over the sets, likeliest first."""
-        total: dict[tuple[Annotation, bool], float] = {}
+        total: dict[tuple[Annotation, int], float] = {}
         for said, log_probability in self.sets:
             for entry in said:
                 total[entry] = total.get(entry, 0.0) + float(np.exp(log_probability))
         ranked = sorted(total.items(), key=lambda item: -item[1])
-        return [(symbol, flag, min(p, 1.0)) for (symbol, flag), p in ranked]
+        return [(symbol, rank, min(p, 1.0)) for (symbol, rank), p in ranked]
 
 
 def describe(
-    symbol: Annotation, is_superlative: bool, probability: float, type_names: Sequence[str]
+    symbol: Annotation, rank: int, probability: float, type_names: Sequence[str]
 ) -> dict[str, object]:
     """Name an annotation for people and for ``ground --json``.
 
     Args:
         symbol: the annotation.
-        is_superlative: whether the extreme is meant.
+        rank: 1 where the extreme is meant, 2 where the second is, 0 otherwise.
         probability: its marginal probability.
         type_names: object types.
 
     Returns:
-        figure, relation, landmark (None where it has none), superlative, probability.
+        figure, relation, landmark (None where it has none), superlative, probability, and rank where
+        it is 2 or more.
     """
 
     def name(index: int) -> str | None:
@@ -66,13 +69,14 @@ def describe(
             return "robot"
         return None if index == NONE else type_names[index]
 
-    return {
+    document: dict[str, object] = {
         "figure": name(symbol.figure),
         "relation": None if symbol.relation == NONE else RELATIONS[symbol.relation],
         "landmark": name(symbol.landmark),
-        "superlative": is_superlative,
+        "superlative": rank == 1,
         "probability": round(probability, 6),
     }
+    return document | ({"rank": rank} if rank > 1 else {})
 
 
 def _log_odds_of(
@@ -92,10 +96,16 @@ def _log_odds_of(
             [tables[kind] @ coefficients[kind] for kind in ("object", "region", "relation")]
         ).astype(np.float64)
 
-    superlative = {
-        path: float(coefficients["superlative"][0]) for path, (coefficients, _) in prepared.items()
+    rank = {
+        path: _log_softmax(np.append(0.0, rank_properties(senses) @ coefficients["rank"]))
+        for path, (coefficients, senses) in prepared.items()
     }
-    return log_odds, superlative
+    return log_odds, rank
+
+
+def _log_softmax(scores: np.ndarray) -> np.ndarray:
+    """Normalise scores to log-probabilities."""
+    return scores - np.logaddexp.reduce(scores)
 
 
 def walk(phrase: Phrase, path: Path) -> Iterator[tuple[Phrase, Path]]:
@@ -120,18 +130,22 @@ def _origins(
         yield path
 
 
-def _superlative_odds(
+def _rank_chances(
     space: AnnotationSpace,
     hypothesis: Hypothesis,
     clause: int,
     symbol: Annotation,
-    superlative: dict[Path, float],
-) -> float:
-    """Evaluate the log-odds that a symbol is meant as an extreme; −inf for plain objects."""
+    rank: dict[Path, np.ndarray],
+) -> list[tuple[int, float]]:
+    """List the two likeliest ranks of a symbol with their log-probabilities."""
     if symbol.kind == OBJECT:
-        return -np.inf
-    origins = _origins(space, hypothesis, (clause,), symbol)
-    return max((superlative[path] for path in origins), default=-np.inf)
+        return [(0, 0.0)]
+    origins = [rank[path] for path in _origins(space, hypothesis, (clause,), symbol)]
+    if not origins:
+        return [(0, 0.0)]
+    chances = min(origins, key=lambda chance: chance[0])
+    order = np.argsort(-chances, kind="stable")[:2]
+    return [(int(i), float(chances[i])) for i in order]
 
 
 def infer_clause(
@@ -154,19 +168,18 @@ def infer_clause(
         Up to ``width`` sets and their probabilities (not renormalised over the beam).
     """
     space = AnnotationSpace(len(type_names))
-    log_odds, superlative = _log_odds_of(root, clause, model, type_names)
+    log_odds, rank = _log_odds_of(root, clause, model, type_names)
     found: list[tuple[Said, float]] = []
     for hypothesis in search(root, log_odds, width=width, path=(clause,)):
-        symbols = space.members(hypothesis.expressed)
-        odds = np.array(
-            [_superlative_odds(space, hypothesis, clause, s, superlative) for s in symbols]
-        )
-        for flags, log_flags in best_sets(odds, width):
-            said = tuple(zip(symbols, flags.tolist(), strict=True))
-            found.append((said, hypothesis.log_probability + log_flags))
+        symbols = space.members(hypothesis.expressed)[:_MAX_SYMBOLS]
+        chances = [_rank_chances(space, hypothesis, clause, s, rank) for s in symbols]
+        for choice in itertools.product(*chances):
+            said = tuple((s, r) for s, (r, _) in zip(symbols, choice, strict=True))
+            score = hypothesis.log_probability + sum(log_chance for _, log_chance in choice)
+            found.append((said, score))
     found.sort(key=lambda pair: -pair[1])
-    chances = {path: float(1.0 / (1.0 + np.exp(-odds))) for path, odds in superlative.items()}
-    return Belief(tuple(found[:width]), chances)
+    likeliest = {path: int(np.argmax(chances)) for path, chances in rank.items()}
+    return Belief(tuple(found[:width]), likeliest)
 
 
 def infer_annotations(
@@ -187,13 +200,13 @@ def infer_annotations(
         Up to ``width`` sets of annotations, best first.
     """
     joint: list[tuple[Said, float]] = [((), 0.0)]
-    superlative: dict[Path, float] = {}
+    rank: dict[Path, int] = {}
     for clause, root in enumerate(parse.clauses):
         belief = infer_clause(root, clause, model, type_names, width)
-        superlative |= belief.superlative
+        rank |= belief.rank
         totals: dict[Said, float] = {}
         for (said, score), (more, own) in itertools.product(joint, belief.sets):
             union = tuple(dict.fromkeys((*said, *more)))
             totals[union] = float(np.logaddexp(totals.get(union, -np.inf), score + own))
         joint = sorted(totals.items(), key=lambda pair: -pair[1])[:width]
-    return Belief(tuple(joint), superlative)
+    return Belief(tuple(joint), rank)

@@ -1,4 +1,4 @@
-"""Behavior inference in one particle (section 3.3): the device kernel of the DCG.
+"""Behavior inference in the particles (section 3.3): the device kernel of the DCG.
 
 Words are gone (``program``); what is left per particle is look-ups by type, adds and k-best. Sets
 of objects are bit masks, so joining children, and finding what lies in their regions, are a few
@@ -6,8 +6,8 @@ integer operations. The beam is four hypotheses wide, and the four best sets of 
 factors have a closed form: none, the smallest margin flipped, the second smallest, and the
 cheaper of the third smallest and the two smallest together.
 
-Written for one particle; the navigator maps it over particles with the particle axis last.
-Equal sets that rest on different child hypotheses stay apart in the beam.
+Arrays carry the particle axis **last** throughout, so that every operation is a vector operation
+over particles. Equal sets that rest on different child hypotheses stay apart in the beam.
 """
 
 from typing import NamedTuple
@@ -16,7 +16,13 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.grounding.program import NEVER, NUM_CHILDREN, NUM_SLOTS, BehaviorProgram
+from jaxlangnav.grounding.program import (
+    NEVER,
+    NUM_CHILDREN,
+    NUM_SLOTS,
+    NUM_TYPES,
+    BehaviorProgram,
+)
 from jaxlangnav.messages import NONE, ROBOT, Behavior, BehaviorWorld
 
 BEAM = 4
@@ -27,89 +33,108 @@ _PAIRS = ((0, 0), (0, 1), (0, 2), (0, 3), (1, 0), (1, 1), (2, 0), (3, 0))
 
 
 class Scene(NamedTuple):
-    """A particle's objects as bits."""
+    """The particles' objects as bits."""
 
-    type_row: Array  # f32[16, N] one-hot type
-    previous: Array  # f32[N]
-    robot: Array  # f32[N]
-    is_object: Array  # bool[N]
-    lies: Array  # i32[14, N] per table and landmark, the objects that lie there
+    type_row: Array  # f32[16, N, P] one-hot type
+    previous: Array  # f32[5, N, P] named and previous is read with ``own``; the rest as program
+    robot: Array  # f32[N, P]
+    is_object: Array  # bool[N, P]
+    lies: Array  # i32[20, N, P] per table and landmark, the objects that lie there
 
 
 class Beam(NamedTuple):
     """Hypotheses of the phrases inferred so far; sets of objects as bits."""
 
-    objects: Array  # i32[H, 4]
-    regions: Array  # i32[H, L, 4]
-    constraints: Array  # i32[H, 4]
-    lies: Array  # i32[H, 4] objects that lie in the expressed regions
-    cost: Array  # f32[H, 4] −log-probability, ascending
+    sets: Array  # i32[H, 5, 4, P] objects, regions by slot, constraints, and what lies in regions
+    cost: Array  # f32[H, 4, P] −log-probability, ascending
+
+
+OBJECTS, REGIONS, CONSTRAINTS, LIES = 0, 1, 1 + NUM_SLOTS, 2 + NUM_SLOTS
+"""Rows of ``Beam.sets``."""
 
 
 class Joined(NamedTuple):
     """Four best combinations of the child hypotheses of a phrase."""
 
-    objects: Array  # i32[4]
-    same: Array  # i32[L, 4] children's regions in the phrase's own slots
-    touched: Array  # i32[4] objects of any child symbol
-    near: Array  # i32[4] children's regions in the relation of the constraint slot
-    kept: Array  # i32[4] children's constraints
-    lies: Array  # i32[4] objects in the regions of every restricting child
-    cost: Array  # f32[4]
+    sets: Array  # i32[6, 4, P] objects; regions in the phrase's own slots; all objects touched;
+    # regions in the relation of the constraint slot; constraints
+    lies: Array  # i32[4, P] objects in the regions of every restricting child
+    cost: Array  # f32[4, P]
 
 
 def _bits(mask: Array, size: int) -> Array:
-    """Spread bit masks i32[..., 4] to f32[..., 4, size]."""
-    return ((mask[..., None] >> jnp.arange(size, dtype=jnp.int32)) & 1).astype(jnp.float32)
-
-
-def _to_mask(flags: Array) -> Array:
-    """Gather booleans bool[..., N] to bit masks i32[...]."""
-    weight = jnp.left_shift(jnp.int32(1), jnp.arange(flags.shape[-1], dtype=jnp.int32))
-    return jnp.sum(jnp.where(flags, weight, 0), axis=-1)
+    """Spread bit masks i32[..., 4, P] to f32[..., 4, size, P]."""
+    place = jax.lax.broadcasted_iota(jnp.int32, (*(1,) * (mask.ndim - 1), size, 1), mask.ndim - 1)
+    return ((mask[..., None, :] >> place) & 1).astype(jnp.float32)
 
 
 def _smallest(cost: Array, count: int) -> tuple[list[Array], list[Array]]:
-    """Find the smallest of nonnegative costs f32[..., n ≤ 64] and where they stand.
+    """Find the smallest of nonnegative costs f32[..., n ≤ 64, P] and where they stand.
 
     The index rides in the low bits of the number, so that one minimum finds both.
     """
-    size = cost.shape[-1]
+    size = cost.shape[-2]
     low = (1 << (size - 1).bit_length()) - 1
     bits = jax.lax.bitcast_convert_type(cost, jnp.int32)
-    packed = (bits & ~low) | jnp.arange(size, dtype=jnp.int32)
+    packed = (bits & ~low) | jax.lax.broadcasted_iota(jnp.int32, cost.shape, cost.ndim - 2)
     values, places = [], []
-    for _ in range(count):
-        least = jnp.min(packed, axis=-1)
-        packed = jnp.where(packed == least[..., None], jnp.iinfo(jnp.int32).max, packed)
+    least = jnp.min(packed, axis=-2)
+    for n in range(count):
         values.append(jax.lax.bitcast_convert_type(least & ~low, jnp.float32))
         places.append(least & low)
+        if n + 1 < count:
+            rest = jnp.where(packed > least[..., None, :], packed, jnp.iinfo(jnp.int32).max)
+            least = jnp.min(rest, axis=-2)
     return values, places
 
 
 def _pick(values: Array, index: Array) -> Array:
-    """Read ``values[..., index]`` over a last axis of four, by comparison."""
-    parts = [jnp.where(index == i, values[..., i : i + 1], 0) for i in range(BEAM)]
-    return parts[0] + parts[1] + parts[2] + parts[3]
+    """Read one of four along the axis before the last: values [..., 4, P], index i32[m, P]."""
+    index = index.reshape(*(1,) * (values.ndim - index.ndim), *index.shape)
+    parts = [jnp.where(index == i, values[..., i : i + 1, :], 0) for i in range(BEAM)]
+    return (parts[0] | parts[1]) | (parts[2] | parts[3])
 
 
 def _scene(world: BehaviorWorld) -> Scene:
-    """Turn a world into bits."""
+    """Turn worlds into bits."""
     size = world.object_type.shape[0]
-    num_types = 16
-    row = jnp.where(world.object_type == ROBOT, num_types - 1, world.object_type)
-    type_row = (row[None, :] == jnp.arange(num_types, dtype=row.dtype)[:, None]) & world.is_object
-    both = jnp.concatenate([world.is_related, world.is_superlative]) & world.is_object[:, None]
-    weight = jnp.left_shift(jnp.int32(1), jnp.arange(size, dtype=jnp.int32))
-    related = jnp.sum(jnp.where(both, weight[:, None], 0), axis=1)
-    itself = jnp.where(world.is_object, weight, 0)
-    nothing = jnp.zeros_like(itself)
+    is_object = world.is_object
+    row = jnp.where(world.object_type == ROBOT, NUM_TYPES, world.object_type)
+    types = jnp.arange(NUM_TYPES + 1, dtype=row.dtype)[:, None, None]
+    type_row = ((row[None] == types) & is_object[None]).astype(jnp.float32)
+    weight = jnp.left_shift(jnp.int32(1), jnp.arange(size, dtype=jnp.int32))[:, None]
+    itself = jnp.where(is_object, weight, 0)
+    related = jnp.sum(jnp.where(world.is_related, itself[None, :, None], 0), axis=1)
+    extreme = jnp.sum(jnp.where(world.is_superlative, itself[None, :, None], 0), axis=1)
+    everything = jnp.sum(itself, axis=0)
+    # The nothing-table comes after "at"; "not the extreme" is of use where ranks are meant.
+    lies = jnp.concatenate(
+        [
+            related,
+            extreme,
+            everything[None, None] & ~extreme,
+            itself[None],
+            jnp.zeros_like(itself)[None],
+        ]
+    )
+    previous = world.is_previous & is_object
+    has_previous = jnp.any(previous, axis=0)
+    last_type = jnp.max(jnp.where(previous, world.object_type, NONE - 9), axis=0)[None]
+    alike = (world.object_type == last_type) & is_object
     return Scene(
-        type_row=type_row.astype(jnp.float32),
-        previous=world.is_previous.astype(jnp.float32),
+        type_row=type_row,
+        previous=jnp.stack(
+            [
+                previous,
+                previous,
+                alike & ~previous,
+                ~alike & has_previous[None],
+                jnp.broadcast_to(~has_previous[None], alike.shape),
+            ]
+        ).astype(jnp.float32),
         robot=(world.object_type == ROBOT).astype(jnp.float32),
-        is_object=world.is_object,
-        lies=jnp.concatenate([related, itself[None], nothing[None]]),
+        is_object=is_object,
+        lies=lies,
     )
 
 
@@ -118,30 +143,30 @@ def _child(program: BehaviorProgram, beam: Beam, phrase: Array, k: int) -> Joine
     child = program.child[phrase, k]
     exists = child != NONE
     row = jnp.maximum(child, 0)
-    objects, regions = beam.objects[row], beam.regions[row]
+    sets = jnp.where(exists, beam.sets[row], 0)
+    regions = sets[REGIONS : REGIONS + NUM_SLOTS]
 
     def in_slot(slot: Array) -> Array:
-        values = [jnp.where(slot == s, regions[s], 0) for s in range(NUM_SLOTS)]
-        return values[0] + values[1]
+        found = [jnp.where(slot == s, regions[s], 0) for s in range(NUM_SLOTS)]
+        return found[0] | found[1]
 
-    constraint = program.constraint_from[phrase, k]
-    first = jnp.where(jnp.arange(BEAM) == 0, 0.0, _DEAD).astype(jnp.float32)
+    touched = sets[OBJECTS] | regions[0] | regions[1]
+    kept = jnp.where(program.constraint_from[phrase, k] == NONE, 0, sets[CONSTRAINTS])
     limits = program.is_restrictor[phrase, k] & exists
-    joined = Joined(
-        objects=objects,
-        same=jnp.stack([in_slot(program.region_from[phrase, k, s]) for s in range(NUM_SLOTS)]),
-        touched=objects | regions[0] | regions[1],
-        near=in_slot(program.constraint_region[phrase, k]),
-        kept=jnp.where(constraint == NONE, 0, beam.constraints[row]),
-        lies=jnp.where(limits, beam.lies[row], -1),
+    first = jnp.where(jnp.arange(BEAM) == 0, 0.0, _DEAD).astype(jnp.float32)[:, None]
+    return Joined(
+        sets=jnp.stack(
+            [
+                sets[OBJECTS],
+                *(in_slot(program.region_from[phrase, k, s]) for s in range(NUM_SLOTS)),
+                touched,
+                in_slot(program.constraint_region[phrase, k]),
+                kept,
+            ]
+        ),
+        lies=jnp.where(limits, sets[LIES], -1),
         cost=jnp.where(exists, beam.cost[row], first),
     )
-    gone = {
-        name: jnp.where(exists, value, 0)
-        for name, value in joined._asdict().items()
-        if name not in ("lies", "cost")
-    }
-    return joined._replace(**gone)
 
 
 def _combine(left: Joined, right: Joined) -> Joined:
@@ -151,12 +176,11 @@ def _combine(left: Joined, right: Joined) -> Joined:
     place = jnp.stack(places)
     i = sum(jnp.where(place == n, pair[0], 0) for n, pair in enumerate(_PAIRS))
     j = sum(jnp.where(place == n, pair[1], 0) for n, pair in enumerate(_PAIRS))
-    joined = {
-        name: _pick(getattr(left, name), i) | _pick(getattr(right, name), j)
-        for name in ("objects", "same", "touched", "near", "kept")
-    }
-    lies = _pick(left.lies, i) & _pick(right.lies, j)
-    return Joined(**joined, lies=lies, cost=jnp.stack(values))
+    return Joined(
+        sets=_pick(left.sets, i) | _pick(right.sets, j),
+        lies=_pick(left.lies, i) & _pick(right.lies, j),
+        cost=jnp.stack(values),
+    )
 
 
 def _join(program: BehaviorProgram, beam: Beam, phrase: Array) -> Joined:
@@ -167,13 +191,20 @@ def _join(program: BehaviorProgram, beam: Beam, phrase: Array) -> Joined:
     return joined
 
 
+def _own(program: BehaviorProgram, scene: Scene, phrase: Array) -> Array:
+    """Find the objects of the types that the words name, f32[N, P]."""
+    return jnp.sum(program.own[phrase][:, None, None] * scene.type_row, axis=0)
+
+
 def _object_odds(program: BehaviorProgram, scene: Scene, joined: Joined, phrase: Array) -> Array:
-    """Evaluate the log-odds of the objects, f32[4, N]."""
+    """Evaluate the log-odds of the objects, f32[4, N, P]."""
     size = scene.robot.shape[0]
-    base = jnp.sum(program.object_base[phrase][:, None] * scene.type_row, axis=0)
-    own = jnp.sum(program.own[phrase][:, None] * scene.type_row, axis=0)
-    base = base + program.object_previous[phrase] * own * scene.previous
-    inside, lies = _bits(joined.objects, size), _bits(joined.lies, size)
+    base = jnp.sum(program.object_base[phrase][:, None, None] * scene.type_row, axis=0)
+    own = _own(program, scene, phrase)
+    base = base + program.object_previous[phrase, 0] * own * scene.previous[0]
+    for n in range(1, 5):
+        base = base + program.object_previous[phrase, n] * scene.previous[n]
+    inside, lies = _bits(joined.sets[0], size), _bits(joined.lies, size)
     there = (
         program.object_inside[phrase]
         + program.object_lies[phrase] * lies
@@ -189,13 +220,13 @@ def _object_odds(program: BehaviorProgram, scene: Scene, joined: Joined, phrase:
 
 
 def _region_odds(program: BehaviorProgram, scene: Scene, joined: Joined, phrase: Array) -> Array:
-    """Evaluate the log-odds of the regions (goals of a verb phrase) in the slots, f32[L, 4, N]."""
+    """Evaluate the log-odds of the regions (goals of a verb phrase), f32[4, L, N, P]."""
     size = scene.robot.shape[0]
-    own = jnp.sum(program.own[phrase][:, None] * scene.type_row, axis=0)
-    inside = _bits(joined.objects, size)
+    own = _own(program, scene, phrase)
+    inside = _bits(joined.sets[0], size)
     rows = []
     for s in range(NUM_SLOTS):
-        same = _bits(joined.same[s], size)
+        same = _bits(joined.sets[1 + s], size)
         base = program.region_base[phrase, s] + program.region_own[phrase, s] * own
         base = base + program.region_robot[phrase, s] * scene.robot
         rows.append(
@@ -204,19 +235,19 @@ def _region_odds(program: BehaviorProgram, scene: Scene, joined: Joined, phrase:
             + program.region_same[phrase, s] * same
             + program.region_absent[phrase, s] * (1.0 - inside) * (1.0 - same)
         )
-    return jnp.where(scene.is_object, jnp.stack(rows), NEVER)
+    return jnp.where(scene.is_object[None, None], jnp.stack(rows, axis=1), NEVER)
 
 
 def _constraint_odds(
     program: BehaviorProgram, scene: Scene, joined: Joined, phrase: Array
 ) -> Array:
-    """Evaluate the log-odds of the constraints in their slot, f32[4, N]."""
+    """Evaluate the log-odds of the constraints in their slot, f32[4, N, P]."""
     size = scene.robot.shape[0]
-    touched, kept = _bits(joined.touched, size), _bits(joined.kept, size)
+    touched, near, kept = (_bits(joined.sets[1 + NUM_SLOTS + n], size) for n in range(3))
     odds = (
         program.constraint_base[phrase]
-        + program.constraint_same[phrase] * _bits(joined.near, size)
-        + program.constraint_inside[phrase] * _bits(joined.objects, size)
+        + program.constraint_same[phrase] * near
+        + program.constraint_inside[phrase] * _bits(joined.sets[0], size)
         + program.constraint_touched[phrase] * touched
         + program.constraint_untouched[phrase] * (1.0 - touched)
         + program.constraint_kept[phrase] * kept
@@ -225,93 +256,81 @@ def _constraint_odds(
     return jnp.where(scene.is_object[None], odds, NEVER)
 
 
-class Sets(NamedTuple):
-    """Four candidate sets of a phrase, as bits."""
-
-    objects: Array  # i32[4]
-    regions: Array  # i32[L, 4]
-    constraints: Array  # i32[4]
-    cost: Array  # f32[4]
-
-
-def _best_sets(odds: Array, cost: Array, size: int) -> Sets:
+def _best_sets(odds: Array, cost: Array, size: int) -> tuple[list[Array], Array]:
     """Find the four best sets over the four combinations of the children.
 
     Args:
-        odds: f32[4, (2 + L) N] log-odds of objects, regions by slot and constraints.
-        cost: f32[4] of the combinations.
+        odds: f32[4, (2 + L) N, P] log-odds of objects, regions by slot and constraints.
+        cost: f32[4, P] of the combinations.
         size: N.
 
     Returns:
-        The sets, best first.
+        2 + L masks i32[4, P] and their costs f32[4, P], best first.
     """
     margin = jnp.abs(odds)
     # Σ log(1 + e^−m) as one logarithm of a product: up to 2^60 fits float32.
-    base = cost + jnp.log(jnp.prod(1.0 + jnp.exp(-margin), axis=-1))
+    base = cost + jnp.log(jnp.prod(1.0 + jnp.exp(-margin), axis=-2))
     (m1, m2, m3), (f1, f2, f3) = _smallest(margin, 3)
-    is_pair = m1 + m2 < m3
-    costs = jnp.stack([base, base + m1, base + m2, base + jnp.where(is_pair, m1 + m2, m3)])
-    values, places = _smallest(costs.reshape(-1), BEAM)
+    is_pair = (m1 + m2 < m3).astype(jnp.int32)
+    costs = jnp.concatenate([base, base + m1, base + m2, base + jnp.minimum(m3, m1 + m2)])
+    values, places = _smallest(costs, BEAM)
     place = jnp.stack(places)
     kind, combination = place >> 2, place & 3
-    flip_1 = jnp.where((kind == 1) | ((kind == 3) & _pick(is_pair, combination)), 1, 0)
-    flip_2 = jnp.where((kind == 2) | ((kind == 3) & _pick(is_pair, combination)), 1, 0)
-    flip_3 = jnp.where((kind == 3) & ~_pick(is_pair, combination), 1, 0)
+    pair = _pick(is_pair, combination)
     flips = (
-        (_pick(f1, combination), flip_1),
-        (_pick(f2, combination), flip_2),
-        (_pick(f3, combination), flip_3),
+        (_pick(f1, combination), (kind == 1) | ((kind == 3) & (pair == 1))),
+        (_pick(f2, combination), (kind == 2) | ((kind == 3) & (pair == 1))),
+        (_pick(f3, combination), (kind == 3) & (pair == 0)),
     )
-    groups = _to_mask(odds.reshape(BEAM, -1, size) > 0)  # [4, 2 + L]
+    weight = jnp.left_shift(jnp.int32(1), jnp.arange(size, dtype=jnp.int32))[:, None]
+    groups = odds.reshape(BEAM, -1, size, odds.shape[-1])
+    masks = jnp.sum(jnp.where(groups > 0, weight[None, None], 0), axis=-2)  # [4, 2 + L, P]
     chosen = []
-    for g in range(groups.shape[1]):
-        mask = _pick(groups[:, g], combination)
+    for g in range(masks.shape[1]):
+        mask = _pick(masks[:, g], combination)
         for index, is_on in flips:
             bit = index - g * size
-            hit = (bit >= 0) & (bit < size)
-            mask = mask ^ jnp.where(hit, is_on << jnp.clip(bit, 0, size - 1), 0)
+            hit = is_on & (bit >= 0) & (bit < size)
+            mask = mask ^ jnp.where(hit, jnp.left_shift(1, jnp.clip(bit, 0, size - 1)), 0)
         chosen.append(mask)
-    return Sets(chosen[0], jnp.stack(chosen[1:-1]), chosen[-1], jnp.stack(values))
+    return chosen, jnp.stack(values)
 
 
-def _lies(program: BehaviorProgram, scene: Scene, regions: Array, phrase: Array) -> Array:
-    """Find the objects that lie in the expressed regions, i32[4]."""
+def _lies(program: BehaviorProgram, scene: Scene, regions: list[Array], phrase: Array) -> Array:
+    """Find the objects that lie in the expressed regions, i32[4, P]."""
     size = scene.robot.shape[0]
-    found = jnp.zeros(BEAM, jnp.int32)
+    found = jnp.zeros_like(regions[0])
     for s in range(NUM_SLOTS):
         table = scene.lies[program.region_table[phrase, s]]
         for j in range(size):
-            found = found | jnp.where((regions[s] >> j) & 1 == 1, table[j], 0)
+            found = found | jnp.where((regions[s] >> j) & 1 == 1, table[j][None], 0)
     return found
 
 
 def _advance(program: BehaviorProgram, scene: Scene, beam: Beam, phrase: Array) -> Beam:
     """Infer one phrase from its children."""
-    size = scene.robot.shape[0]
+    size, num_particles = scene.robot.shape
     joined = _join(program, beam, phrase)
-    regions = _region_odds(program, scene, joined, phrase)
     odds = jnp.concatenate(
         [
             _object_odds(program, scene, joined, phrase)[:, None],
-            jnp.moveaxis(regions, 0, 1),
+            _region_odds(program, scene, joined, phrase),
             _constraint_odds(program, scene, joined, phrase)[:, None],
         ],
         axis=1,
-    ).reshape(BEAM, -1)
-    sets = _best_sets(odds, joined.cost, size)
+    ).reshape(BEAM, -1, num_particles)
+    masks, cost = _best_sets(odds, joined.cost, size)
+    lies = _lies(program, scene, masks[REGIONS : REGIONS + NUM_SLOTS], phrase)
     return Beam(
-        objects=beam.objects.at[phrase].set(sets.objects),
-        regions=beam.regions.at[phrase].set(sets.regions),
-        constraints=beam.constraints.at[phrase].set(sets.constraints),
-        lies=beam.lies.at[phrase].set(_lies(program, scene, sets.regions, phrase)),
-        cost=beam.cost.at[phrase].set(sets.cost),
+        sets=beam.sets.at[phrase].set(jnp.stack([*masks, lies])),
+        cost=beam.cost.at[phrase].set(cost),
     )
 
 
 def _by_relation(values: Array, relation: Array) -> Array:
-    """Spread slots f32[L, N] over the seven regions, f32[7, N]."""
+    """Spread slots f32[L, N, P] over the seven regions, f32[7, N, P]."""
     hit = relation[:, None] == jnp.arange(7, dtype=relation.dtype)[None, :]
-    return jnp.sum(jnp.where(hit[:, :, None], values[:, None, :], 0.0), axis=0)
+    return jnp.sum(jnp.where(hit[:, :, None, None], values[:, None], 0.0), axis=0)
 
 
 def _conclude(program: BehaviorProgram, scene: Scene, joined: Joined, root: Array) -> Behavior:
@@ -320,60 +339,70 @@ def _conclude(program: BehaviorProgram, scene: Scene, joined: Joined, root: Arra
     A behavior has one goal: the probability that any goal is expressed is shared in proportion
     to the probability of each.
     """
-    weight = jax.nn.softmax(-joined.cost)
+    num_particles = scene.robot.shape[-1]
+    weight = jax.nn.softmax(-joined.cost, axis=0)
     goal = jax.nn.sigmoid(_region_odds(program, scene, joined, root))
-    is_any = 1.0 - jnp.prod(1.0 - goal, axis=(0, 2))
-    share = is_any / jnp.maximum(jnp.sum(goal, axis=(0, 2)), 1e-9)
+    is_any = 1.0 - jnp.prod(1.0 - goal, axis=(1, 2))
+    share = weight * is_any / jnp.maximum(jnp.sum(goal, axis=(1, 2)), 1e-9)
     constraint = jax.nn.sigmoid(_constraint_odds(program, scene, joined, root))
+    exists = jnp.where(program.num_phrases == 0, 0.0, 1.0)
     return Behavior(
-        action=program.action,
-        mode=program.mode,
-        goal=_by_relation(
-            jnp.sum(goal * (share * weight)[None, :, None], axis=1), program.region_relation[root]
-        ),
-        constraint=_by_relation(
+        action=jnp.repeat(program.action[:, None], num_particles, axis=1),
+        mode=jnp.repeat(program.mode[:, None], num_particles, axis=1),
+        goal=exists
+        * _by_relation(jnp.sum(goal * share[:, None, None], axis=0), program.region_relation[root]),
+        constraint=exists
+        * _by_relation(
             jnp.sum(constraint * weight[:, None], axis=0)[None],
             program.constraint_relation[root][None],
         ),
     )
 
 
-def infer_behavior(
-    program: BehaviorProgram, world: BehaviorWorld, *, num_phrases: Array | int
+def infer_behaviors(
+    program: BehaviorProgram, worlds: BehaviorWorld, *, num_phrases: Array | int
 ) -> Behavior:
-    """Infer the distribution over behaviors in one particle (section 3.3).
+    """Infer the distribution over behaviors in every particle (section 3.3).
 
     Limits: a program of no phrases has no goal; a world without the object has goals that sum to
     nearly nothing. Empty object slots and padded phrases change nothing.
 
     Args:
         program: one clause.
-        world: the particle's objects; at most 15 slots with the robot's.
+        worlds: the particles' objects, leaves [..., P]; at most 15 slots with the robot's.
         num_phrases: how many phrases to infer, at least those of the program: the largest of a
             batch. It is a trip count, so padding costs nothing.
 
     Returns:
-        The behavior.
+        The behaviors, leaves [..., P].
     """
-    scene = _scene(world)
-    height = program.child.shape[0]
+    scene = _scene(worlds)
+    height, num_particles = program.child.shape[0], scene.robot.shape[-1]
     beam = Beam(
-        objects=jnp.zeros((height, BEAM), jnp.int32),
-        regions=jnp.zeros((height, NUM_SLOTS, BEAM), jnp.int32),
-        constraints=jnp.zeros((height, BEAM), jnp.int32),
-        lies=jnp.zeros((height, BEAM), jnp.int32),
-        cost=jnp.zeros((height, BEAM), jnp.float32),
+        sets=jnp.zeros((height, 3 + NUM_SLOTS, BEAM, num_particles), jnp.int32),
+        cost=jnp.zeros((height, BEAM, num_particles), jnp.float32),
     )
     trips = jnp.asarray(num_phrases, jnp.int32) - 1
     beam = jax.lax.fori_loop(
         0, trips, lambda phrase, carry: _advance(program, scene, carry, phrase), beam
     )
     root = jnp.maximum(program.num_phrases - 1, 0)
-    behavior = _conclude(program, scene, _join(program, beam, root), root)
-    is_empty = program.num_phrases == 0
-    return Behavior(
-        action=behavior.action,
-        mode=behavior.mode,
-        goal=jnp.where(is_empty, 0.0, behavior.goal),
-        constraint=jnp.where(is_empty, 0.0, behavior.constraint),
-    )
+    return _conclude(program, scene, _join(program, beam, root), root)
+
+
+def infer_behavior(
+    program: BehaviorProgram, world: BehaviorWorld, *, num_phrases: Array | int
+) -> Behavior:
+    """Infer the distribution over behaviors in one world; see ``infer_behaviors``.
+
+    Args:
+        program: one clause.
+        world: its objects.
+        num_phrases: how many phrases to infer, at least those of the program.
+
+    Returns:
+        The behavior.
+    """
+    worlds = jax.tree.map(lambda leaf: leaf[..., None], world)
+    behaviors = infer_behaviors(program, worlds, num_phrases=num_phrases)
+    return jax.tree.map(lambda leaf: leaf[..., 0], behaviors)

@@ -12,11 +12,6 @@ from jaxlangnav.grounding.features import Senses
 from jaxlangnav.grounding.symbols import NUM_REGIONS, NUM_RELATIONS
 from jaxlangnav.messages import ACTIONS, AT, MODES, NEAR, ROBOT
 
-NUM_OBJECT_PROPERTIES = 9
-NUM_REGION_PROPERTIES = 25
-NUM_GOAL_PROPERTIES = 23
-NUM_CONSTRAINT_PROPERTIES = 18
-
 
 @dataclasses.dataclass(frozen=True)
 class World:
@@ -25,8 +20,8 @@ class World:
     object_type: np.ndarray  # i32[N] type index; ROBOT last
     is_object: np.ndarray  # bool[N]
     is_related: np.ndarray  # bool[6, N, N] relation, figure, landmark
-    is_superlative: np.ndarray  # bool[6, N, N]
-    is_previous: np.ndarray  # bool[N]
+    is_ranked: np.ndarray  # bool[4, 6, N, N] the figure is the extreme of its type, the second, ...
+    is_previous: np.ndarray  # bool[N] goal of the command before
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,22 +36,22 @@ class ChildGroundings:
     has_children: bool
 
 
-def lies_in(world: World, regions: np.ndarray, superlative: np.ndarray) -> np.ndarray:
+def lies_in(world: World, regions: np.ndarray, rank: np.ndarray) -> np.ndarray:
     """Find which objects lie in one of the regions.
 
     Args:
         world: the world.
         regions: bool[7, N] regions.
-        superlative: bool[7], for which relations the extreme object alone is meant.
+        rank: i[7], 0 where every object of the region is meant, 1 the extreme one, 2 the second.
 
     Returns:
         bool[N]; an object lies "at" itself.
     """
-    tables = np.where(
-        superlative[:NUM_RELATIONS, None, None], world.is_superlative, world.is_related
-    )
-    related = (tables & regions[:NUM_RELATIONS, None, :]).any((0, 2))
-    return (related | regions[AT]) & world.is_object
+    lies = regions[AT].copy()
+    for relation in range(NUM_RELATIONS):
+        table = world.is_ranked[rank[relation] - 1] if rank[relation] else world.is_related
+        lies |= (table[relation] & regions[relation]).any(1)
+    return lies & world.is_object
 
 
 def _stack(shape: tuple[int, ...], columns: list[np.ndarray | bool]) -> np.ndarray:
@@ -82,9 +77,11 @@ def object_properties(world: World, senses: Senses, child: ChildGroundings) -> n
         child: groundings of its child phrases.
 
     Returns:
-        f32[N, 9].
+        f32[N, 13].
     """
     own = agrees(world, senses)
+    has_previous = bool(world.is_previous.any())
+    alike = np.isin(world.object_type, world.object_type[world.is_previous])
     inside, lies, limited = child.objects, child.lies, child.is_restricted
     return _stack(
         own.shape,
@@ -98,6 +95,10 @@ def object_properties(world: World, senses: Senses, child: ChildGroundings) -> n
             child.has_children & ~inside,
             own & lies & limited,
             own & world.is_previous,
+            world.is_previous,
+            alike & ~world.is_previous,
+            ~alike & has_previous,
+            not has_previous,
         ],
     )
 

@@ -3,7 +3,7 @@
 Slow and plain: Table 1 counts its root sets, and the device kernel is tested against it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from jaxlangnav.grounding.examples import (
     Path,
     behavior_properties,
     child_groundings,
-    superlative_relations,
+    ranks_meant,
 )
 from jaxlangnav.grounding.features import senses_of
 from jaxlangnav.grounding.graph import VERB_LABELS
@@ -29,7 +29,7 @@ def infer_behavior_sets(
     clause: int,
     world: World,
     model: CorrespondenceModel,
-    superlative: dict[Path, float],
+    rank: Mapping[Path, int],
     type_names: tuple[str, ...],
     width: int = BEAM_WIDTH,
 ) -> list[Hypothesis]:
@@ -40,7 +40,7 @@ def infer_behavior_sets(
         clause: its position in the sentence.
         world: placed objects, the robot last.
         model: behavior model.
-        superlative: phrase → probability that it means an extreme (annotation model).
+        rank: of each phrase: 0, 1 nearest, 2 second, ... (annotation model).
         type_names: object types.
         width: beam width.
 
@@ -49,14 +49,11 @@ def infer_behavior_sets(
     """
     space = BehaviorSpace(world.object_type.shape[0])
 
-    def is_extreme(_: Phrase, path: Path) -> bool:
-        return superlative[path] > 0.5
-
     prepared = {
         path: (
             model.coefficients(phrase),
             senses_of(phrase, type_names),
-            superlative_relations(phrase, path, is_extreme, type_names),
+            ranks_meant(phrase, path, rank, type_names),
         )
         for phrase, path in walk(root, (clause,))
     }

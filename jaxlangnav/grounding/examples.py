@@ -6,7 +6,7 @@ one row here with a count, which leaves the objective as it is and the arrays sm
 """
 
 import dataclasses
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -39,7 +39,7 @@ class LabelledInstruction:
 
     parse: Parse
     annotation: Mapping[Path, frozenset[Annotation]]
-    superlative: frozenset[Path]  # phrases that say "nearest" or "farthest"
+    rank: Mapping[Path, int]  # phrases that say "nearest" have 1, "second" 2; others 0 or absent
     worlds: tuple[bf.World, ...] = ()
     behavior: tuple[Mapping[Path, frozenset[BehaviorSymbol]], ...] = ()  # one per world
 
@@ -115,7 +115,7 @@ def annotation_properties(
         "object": af.object_properties(space, senses, child),
         "region": af.region_properties(space, senses, child),
         "relation": af.relation_properties(space, senses, child),
-        "superlative": np.ones((1, 1), np.float32),
+        "rank": af.rank_properties(senses),
     }
 
 
@@ -133,7 +133,7 @@ def _annotation_example(
     senses = af.senses_of(node.phrase, type_names)
     labels = {
         **{k: v.ravel() for k, v in zip(("object", "region", "relation"), space.parts(gold))},
-        "superlative": np.array([node.path in labelled.superlative]),
+        "rank": np.arange(1, af.NUM_RANKS + 1) == labelled.rank.get(node.path, 0),
     }
     properties = annotation_properties(space, senses, children)
     rows = {kind: Rows(properties[kind], labels[kind]) for kind in properties}
@@ -150,7 +150,7 @@ def child_groundings(
     Args:
         world: the world.
         space: its symbols.
-        children: (phrase, bool[S] expressed, bool[7] relations meant as superlatives) each.
+        children: (phrase, bool[S] expressed, i[7] rank meant for each relation) each.
 
     Returns:
         Their groundings, as the properties need them.
@@ -161,13 +161,13 @@ def child_groundings(
     constraints = np.zeros((NUM_REGIONS, num_objects), bool)
     lies = world.is_object.copy()
     is_restricted = False
-    for phrase, expressed, superlative in children:
+    for phrase, expressed, rank in children:
         places = space.part(expressed, REGION) | space.part(expressed, GOAL)
         objects |= space.part(expressed, OBJECT)
         regions |= places
         constraints |= space.part(expressed, CONSTRAINT)
         if phrase.label in af.RESTRICTORS:
-            lies &= bf.lies_in(world, places, superlative)
+            lies &= bf.lies_in(world, places, rank)
             is_restricted = True
     return bf.ChildGroundings(objects, regions, constraints, lies, is_restricted, bool(children))
 
@@ -210,30 +210,28 @@ KIND_OF = {
 """Names of the weight blocks of the behavior model → kinds of symbol."""
 
 
-def superlative_relations(
-    phrase: Phrase,
-    path: Path,
-    is_superlative: Callable[[Phrase, Path], bool],
-    type_names: tuple[str, ...],
+def ranks_meant(
+    phrase: Phrase, path: Path, rank: Mapping[Path, int], type_names: tuple[str, ...]
 ) -> np.ndarray:
-    """Find for which relations a phrase means the extreme object only.
+    """Find for which relations a phrase means the extreme object, or the second, ... only.
 
     A phrase that passes on the region of a child ("that is nearest to the cone") passes on this.
 
     Args:
         phrase: the phrase.
         path: where it stands.
-        is_superlative: the attribute of each phrase, gold or inferred.
+        rank: of each phrase, gold or inferred; absent is 0.
         type_names: object types.
 
     Returns:
-        bool[7].
+        i[7], 0 where every object is meant.
     """
-    meant = np.zeros(NUM_REGIONS, bool)
-    if is_superlative(phrase, path):
-        meant[sorted(af.senses_of(phrase, type_names).relations)] = True
+    meant = np.zeros(NUM_REGIONS, int)
     for i, child in enumerate(phrase.children):
-        meant |= superlative_relations(child, (*path, i), is_superlative, type_names)
+        meant = np.maximum(meant, ranks_meant(child, (*path, i), rank, type_names))
+    own = rank.get(path, 0)
+    if own:
+        meant[sorted(af.senses_of(phrase, type_names).relations)] = own
     return meant
 
 
@@ -250,6 +248,7 @@ def behavior_examples(
         for index, labelled in enumerate(instructions)
         for which in range(len(labelled.worlds))
         for nodes in _clauses(labelled.parse)
+        if nodes[-1].path in labelled.behavior[which]
         for node in nodes
     ]
 
@@ -266,14 +265,11 @@ def _behavior_example(
     world, gold = labelled.worlds[which], labelled.behavior[which]
     space = BehaviorSpace(world.object_type.shape[0])
 
-    def is_superlative(_: Phrase, path: Path) -> bool:
-        return path in labelled.superlative
-
     children = [
         (
             nodes[i].phrase,
             space.mask(gold[nodes[i].path]),
-            superlative_relations(nodes[i].phrase, nodes[i].path, is_superlative, type_names),
+            ranks_meant(nodes[i].phrase, nodes[i].path, labelled.rank, type_names),
         )
         for i in node.children
     ]

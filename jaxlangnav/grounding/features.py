@@ -23,6 +23,8 @@ from jaxlangnav.messages import ACTIONS, MODES, REGIONS
 
 NUM_GRAMS = 128
 """Buckets of the hashed character n-grams."""
+NUM_RANKS = 4
+"""Ranks of superlatives and ordinals: nearest (first), second, third, fourth."""
 NUM_IDENTITY = 8
 """Object types with a property of their own; further types are carried by agreement alone."""
 RESTRICTORS = ("PP", "ADJP", "SBAR")
@@ -41,6 +43,7 @@ class Senses:
     relations: frozenset[int]  # indices into REGIONS
     actions: frozenset[int]
     modes: frozenset[int]
+    ranks: frozenset[int]  # 1 for a plain superlative, n for the n-th
     is_robot: bool
 
 
@@ -60,11 +63,13 @@ def senses_of(phrase: Phrase, type_names: tuple[str, ...]) -> Senses:
         Indices of types, regions, actions and modes named.
     """
     senses = {sense for word in phrase.words for sense in word.senses}
+    numbers = {int(sense[5:]) for sense in senses if sense.startswith("rank:")}
     return Senses(
         types=_indices(senses, "type", type_names),
         relations=_indices(senses, "relation", REGIONS),
         actions=_indices(senses, "action", ACTIONS),
         modes=_indices(senses, "mode", MODES),
+        ranks=frozenset(numbers or ({1} if "superlative" in senses else set())),
         is_robot="robot" in senses or "type:robot" in senses,
     )
 
@@ -102,6 +107,9 @@ def word_features(phrase: Phrase, without: frozenset[str] = frozenset()) -> dict
     for child in phrase.children:
         shape[f"child={child.label}"] = 1.0
         shape[f"pair={phrase.label}>{child.label}"] = 0.5
+        classes = {sense.partition(":")[0] for word in child.words for sense in word.senses}
+        for name in classes or {"none"}:
+            groups["sense"][f"below={child.label}:{name}"] = 1.0
     shape[f"children={min(len(phrase.children), 3)}"] = 0.5
     features = {"bias": 1.0}
     for group, values in groups.items():
@@ -233,12 +241,21 @@ def region_properties(space: AnnotationSpace, senses: Senses, child: ChildSets) 
             is_robot & senses.is_robot,
             child.regions,
             child.regions & has_object,
+            child.regions & (not has_object),
             child.has_children & ~child.regions & ~head,
             relation & ~head & ~own & ~(is_robot & is_lone),
             *np.eye(NUM_RELATIONS, dtype=bool)[:, :, None],
             *_landmark_identity(space.num_types)[:, None, :],
         ],
     )
+
+
+def rank_properties(senses: Senses) -> np.ndarray:
+    """Describe the ranks 1 to 4 that a phrase may give its region, f32[4, 7]."""
+    ranks = np.arange(1, NUM_RANKS + 1)
+    own = np.isin(ranks, sorted(senses.ranks))
+    named = bool(senses.ranks)
+    return _columns((NUM_RANKS,), [True, own, ~own & named, *np.eye(NUM_RANKS, dtype=bool)])
 
 
 def relation_properties(space: AnnotationSpace, senses: Senses, child: ChildSets) -> np.ndarray:

@@ -63,8 +63,8 @@ class Understanding:
     def annotations(self) -> list[dict[str, Any]]:
         """Annotations with probabilities, likeliest first, as ``ground --json`` prints them."""
         return [
-            describe(symbol, flag, probability, self.type_names)
-            for symbol, flag, probability in self.belief.marginals()
+            describe(symbol, rank, probability, self.type_names)
+            for symbol, rank, probability in self.belief.marginals()
             if probability >= _MIN_PROBABILITY
         ]
 
@@ -114,7 +114,7 @@ def understand_parse(tree: Parse, model: GroundingModel) -> Understanding:
             "say less at once"
         )
     compiled = [
-        compile_clause(tree.clauses[i], i, model.behavior, belief.superlative, model.type_names)
+        compile_clause(tree.clauses[i], i, model.behavior, belief.rank, model.type_names)
         for i in commands
     ]
     fields = [clause.fields for clause in compiled]

@@ -10,13 +10,14 @@ out is bounded when the program is built (``slack``).
 """
 
 import dataclasses
+from collections.abc import Mapping
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
 from jaxlangnav.grounding.behavior_features import action_properties, mode_properties
-from jaxlangnav.grounding.examples import Path, superlative_relations
+from jaxlangnav.grounding.examples import Path, ranks_meant
 from jaxlangnav.grounding.features import RESTRICTORS, Senses, senses_of
 from jaxlangnav.grounding.graph import Node, bottom_up
 from jaxlangnav.grounding.model import CorrespondenceModel
@@ -30,7 +31,8 @@ NUM_TYPES = 15
 """Object types a program tells apart; the robot comes after them."""
 NEVER = -1e4
 """Log-odds of a symbol that a phrase cannot express."""
-_NO_TABLE = 2 * NUM_RELATIONS + 1
+_AT_TABLE = 3 * NUM_RELATIONS
+_NO_TABLE = _AT_TABLE + 1
 
 
 @pytree
@@ -38,7 +40,8 @@ class BehaviorProgram:
     """Coefficients of one clause; phrases bottom-up, the root is phrase ``num_phrases`` − 1.
 
     H phrases, 3 children, L region slots. "own" marks object types that the words name. Masks of
-    the device kernel follow ``region_table``: 0-5 related, 6-11 superlative, 12 at, 13 nothing.
+    the device kernel follow ``region_table``: 0-5 related, 6-11 the extreme of its type, 12-17 not the
+    extreme (a particle's topology has no further ranks), 18 at, 19 nothing.
     """
 
     num_phrases: Array  # i32[]
@@ -51,7 +54,8 @@ class BehaviorProgram:
     object_outside: Array  # f32[H] added where it does not
     object_absent: Array  # f32[H] added where no child expresses it
     object_own_lies: Array  # f32[H] added where the words name it and it lies there
-    object_previous: Array  # f32[H] added to named objects that were the previous goal
+    object_previous: Array  # f32[H, 5] added to named objects that were the previous goal; to the
+    # previous goal; to others of its type; to those of other types; where there is none
     region_relation: Array  # i32[H, L] relation of each slot; NONE where empty
     region_table: Array  # i32[H, L] which mask says what lies in the region
     region_from: Array  # i32[H, 3, L] slot of the child with the same relation; NONE
@@ -97,6 +101,7 @@ def empty_program() -> dict[str, np.ndarray]:
     for field in dataclasses.fields(BehaviorProgram):
         if field.name not in fields:
             shape = (h, s) if field.name.startswith("region") else (h,)
+            shape = (h, 5) if field.name == "object_previous" else shape
             fields[field.name] = np.zeros(shape, f32)
     fields["region_base"] += NEVER
     fields["constraint_base"] += NEVER
@@ -124,7 +129,7 @@ def _object_fields(z: np.ndarray, senses: Senses, node: Node, is_restricted: boo
         "object_outside": z[5] * limited,
         "object_absent": z[6] * bool(node.children),
         "object_own_lies": z[7] * limited,
-        "object_previous": z[8],
+        "object_previous": z[8:13],
     }
 
 
@@ -216,9 +221,8 @@ def _fill_regions(fields: dict, row: int, node: Node, terms: dict, meant: np.nda
     order = np.argsort(-reach, kind="stable")
     for slot, relation in enumerate(order[:NUM_SLOTS]):
         fields["region_relation"][row, slot] = relation
-        offset = NUM_RELATIONS if relation < NUM_RELATIONS and meant[relation] else 0
-        table = 2 * NUM_RELATIONS if relation == AT else relation + offset
-        fields["region_table"][row, slot] = table
+        table = relation + NUM_RELATIONS * min(meant[relation], 2)
+        fields["region_table"][row, slot] = _AT_TABLE if relation == AT else table
         for name, term in terms.items():
             fields[f"region_{name}"][row, slot] = term[relation]
         for k, child in enumerate(node.children):
@@ -246,7 +250,7 @@ def compile_clause(
     root: Phrase,
     clause: int,
     model: CorrespondenceModel,
-    superlative: dict[Path, float],
+    rank: Mapping[Path, int],
     type_names: tuple[str, ...],
 ) -> Compiled:
     """Contract the words of a clause.
@@ -255,7 +259,7 @@ def compile_clause(
         root: the clause; its root is a verb phrase.
         clause: its position in the sentence.
         model: behavior model.
-        superlative: phrase → probability that it means an extreme (annotation model).
+        rank: of each phrase: 0, 1 nearest, 2 second, ... (annotation model).
         type_names: object types.
 
     Returns:
@@ -284,10 +288,7 @@ def compile_clause(
         fields["child"][row, : len(labels)] = node.children
         fields["is_restrictor"][row, : len(labels)] = labels
 
-        def is_extreme(_: Phrase, path: Path) -> bool:
-            return superlative[path] > 0.5
-
-        meant = superlative_relations(node.phrase, node.path, is_extreme, type_names)
+        meant = ranks_meant(node.phrase, node.path, rank, type_names)
         if node.is_verb:
             terms = _goal_terms(z["goal"], senses)
             _fill_constraint(fields, row, node, _constraint_terms(z["constraint"]))

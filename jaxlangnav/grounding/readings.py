@@ -29,11 +29,11 @@ class CapacityError(ValueError):
     """A sentence says more than the arrays hold."""
 
 
-def _ordered(said: Said) -> list[tuple[Annotation, bool]]:
+def _ordered(said: Said) -> list[tuple[Annotation, int]]:
     """Put a relation after those that place its landmark; plain objects last."""
     relations = [entry for entry in said if entry[0].kind not in (OBJECT, REGION)]
     others = [entry for entry in said if entry[0].kind in (OBJECT, REGION)]
-    ordered: list[tuple[Annotation, bool]] = []
+    ordered: list[tuple[Annotation, int]] = []
     while relations:
         waiting = {symbol.figure for symbol, _ in relations}
         ready = [e for e in relations if e[0].landmark not in waiting - {e[0].figure}]
@@ -46,10 +46,11 @@ def read(said: Said) -> Reading:
     """Turn a set of annotations into mentions and relations.
 
     Things of one type are one thing, unless a relation needs two. A region without a figure
-    ("move behind the cone") says that its landmark exists.
+    ("move behind the cone") says that its landmark exists; so does a relation of rank two or more
+    ("the second cone") of its figure: where that stands follows from no single relation.
 
     Args:
-        said: annotations of a sentence.
+        said: annotations of a sentence with their ranks.
 
     Returns:
         The reading.
@@ -64,15 +65,15 @@ def read(said: Said) -> Reading:
         mentions.append(kind)
         return len(mentions) - 1
 
-    for symbol, is_superlative in _ordered(said):
-        if symbol.kind in (OBJECT, REGION):
-            thing = symbol.figure if symbol.kind == OBJECT else symbol.landmark
-            if thing != ROBOT and thing not in mentions:
-                relations.append((mention(thing), NONE, NONE, False))
+    for symbol, rank in _ordered(said):
+        if symbol.kind in (OBJECT, REGION) or rank > 1:
+            for thing in (symbol.landmark, symbol.figure):
+                if thing not in (ROBOT, NONE) and thing not in mentions:
+                    relations.append((mention(thing), NONE, NONE, False))
             continue
         landmark = mention(symbol.landmark)
         figure = mention(symbol.figure, landmark)
-        relations.append((figure, symbol.relation, landmark, is_superlative))
+        relations.append((figure, symbol.relation, landmark, rank == 1))
     return Reading(tuple(mentions), tuple(relations))
 
 

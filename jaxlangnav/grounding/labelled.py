@@ -1,0 +1,114 @@
+"""The corpus of ``language`` as training data: symbols by name become symbols by index."""
+
+from collections.abc import Sequence
+
+from jaxlangnav.grounding.examples import LabelledInstruction, Path
+from jaxlangnav.grounding.graph import bottom_up
+from jaxlangnav.grounding.symbols import (
+    KINDS,
+    OBJECT,
+    Annotation,
+    BehaviorSymbol,
+    object_symbol,
+    region_symbol,
+    relation_symbol,
+)
+from jaxlangnav.grounding.worlds import place
+from jaxlangnav.language.corpus import Example
+from jaxlangnav.language.phrase import COMMAND, Parse
+from jaxlangnav.messages import ACTIONS, MODES, NONE, REGIONS, RELATIONS, ROBOT
+
+
+def _split(text: str) -> tuple[str, list[str]]:
+    """Part ``kind(argument,...)`` into kind and arguments."""
+    kind, _, rest = text.removesuffix(")").partition("(")
+    return kind, rest.split(",")
+
+
+def read_annotation(text: str, type_names: tuple[str, ...]) -> Annotation:
+    """Read an annotation symbol.
+
+    Args:
+        text: for example ``relation(hydrant,behind,cone)``.
+        type_names: object types.
+
+    Returns:
+        The symbol.
+    """
+
+    def landmark(name: str) -> int:
+        return ROBOT if name == "robot" else type_names.index(name)
+
+    kind, arguments = _split(text)
+    if kind == "object":
+        return object_symbol(type_names.index(arguments[0]))
+    if kind == "region":
+        return region_symbol(RELATIONS.index(arguments[0]), landmark(arguments[1]))
+    figure, relation, mark = arguments
+    return relation_symbol(type_names.index(figure), RELATIONS.index(relation), landmark(mark))
+
+
+def read_behavior(text: str, num_objects: int) -> BehaviorSymbol:
+    """Read a behavior symbol.
+
+    Args:
+        text: for example ``goal(at,3)``.
+        num_objects: objects of the world; the robot's slot comes after them.
+
+    Returns:
+        The symbol.
+    """
+    name, arguments = _split(text)
+    kind = KINDS.index(name)
+    last = num_objects if arguments[-1] == "robot" else arguments[-1]
+    if kind == OBJECT:
+        return BehaviorSymbol(kind, NONE, int(last))
+    if name in ("action", "mode"):
+        names = ACTIONS if name == "action" else MODES
+        return BehaviorSymbol(kind, NONE, names.index(arguments[0]))
+    return BehaviorSymbol(kind, REGIONS.index(arguments[0]), int(last))
+
+
+def _paths(parse: Parse) -> list[list[Path]]:
+    """List the paths of the phrases of each clause, children before parents."""
+    return [[n.path for n in bottom_up(root, c)] for c, root in enumerate(parse.clauses)]
+
+
+def read_example(example: Example, type_names: tuple[str, ...]) -> LabelledInstruction:
+    """Turn one labelled instruction into training data.
+
+    Args:
+        example: as the corpus has it.
+        type_names: object types.
+
+    Returns:
+        The instruction by symbol indices. Statements ask for nothing and have no behavior.
+    """
+    paths = _paths(example.parse)
+    annotation, rank = {}, {}
+    for clause, labels in zip(paths, example.clauses, strict=True):
+        for path, symbols, own in zip(clause, labels.annotation, labels.rank, strict=True):
+            annotation[path] = frozenset(read_annotation(text, type_names) for text in symbols)
+            rank[path] = own
+    behaviors = []
+    for labelled in example.worlds:
+        count = len(labelled.world.objects)
+        behaviors.append(
+            {
+                path: frozenset(read_behavior(text, count) for text in symbols)
+                for clause, labels, kind in zip(
+                    paths, labelled.behavior, example.parse.kinds, strict=True
+                )
+                if kind == COMMAND
+                for path, symbols in zip(clause, labels, strict=True)
+            }
+        )
+    worlds = tuple(place(labelled.world, type_names) for labelled in example.worlds)
+    return LabelledInstruction(example.parse, annotation, rank, worlds, tuple(behaviors))
+
+
+def read_examples(
+    examples: Sequence[Example], type_names: tuple[str, ...]
+) -> list[LabelledInstruction]:
+    """Turn a corpus into training data; see ``read_example``."""
+    return [read_example(example, type_names) for example in examples]

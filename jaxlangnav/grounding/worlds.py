@@ -1,0 +1,92 @@
+"""Placed objects as the behavior model sees them (section 3.3), on the host and on the device."""
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxlangnav.grounding.behavior_features import World
+from jaxlangnav.grounding.features import NUM_RANKS
+from jaxlangnav.grounding.symbols import NUM_RELATIONS
+from jaxlangnav.language.labels import Geometry, PlacedWorld
+from jaxlangnav.messages import FAR, LEFT, NEAR, NONE, ROBOT, BehaviorWorld
+
+
+def _strengths(geometry: Geometry) -> np.ndarray:
+    """Measure how much each relation holds between each pair, f64[6, n, n + 1]."""
+    sideways = geometry.offset @ geometry.left
+    strength = np.repeat(-sideways[None], NUM_RELATIONS, axis=0)
+    strength[LEFT] = sideways
+    strength[NEAR], strength[FAR] = -geometry.distance, geometry.distance
+    return strength
+
+
+def _ranks(geometry: Geometry, object_type: np.ndarray) -> np.ndarray:
+    """Count how many others of its type beat each figure, i[6, n, n + 1]."""
+    strength = _strengths(geometry)
+    count = geometry.num_objects
+    alike = object_type[:count, None] == object_type[None, :count]  # [figure, other]
+    own = np.eye(count, dtype=bool)
+    rival = (alike & ~own)[:, :, None] & ~np.eye(count, count + 1, dtype=bool)[None]
+    beats = strength[:, None, :, :] > strength[:, :, None, :]  # [6, figure, other, landmark]
+    return (beats & rival[None]).sum(2)
+
+
+def place(placed: PlacedWorld, type_names: tuple[str, ...]) -> World:
+    """Describe placed objects to the behavior model; the robot has the last slot.
+
+    Args:
+        placed: objects whose places are known.
+        type_names: object types.
+
+    Returns:
+        A world of n + 1 slots.
+    """
+    count = len(placed.objects)
+    object_type = np.array([*(type_names.index(t) for t, _, _ in placed.objects), ROBOT], np.int32)
+    shape = (NUM_RELATIONS, count + 1, count + 1)
+    is_related = np.zeros(shape, bool)
+    is_ranked = np.zeros((NUM_RANKS, *shape), bool)
+    if count:
+        geometry = Geometry(placed)
+        other = ~np.eye(count, count + 1, dtype=bool)
+        is_related[:, :count] = geometry.holds & other
+        ranks = _ranks(geometry, object_type)
+        for rank in range(NUM_RANKS):
+            is_ranked[rank, :, :count] = (ranks == rank) & other
+    is_previous = np.zeros(count + 1, bool)
+    if placed.previous is not None:
+        is_previous[placed.previous] = True
+    return World(object_type, np.ones(count + 1, bool), is_related, is_ranked, is_previous)
+
+
+def to_device(world: World, num_slots: int | None = None) -> BehaviorWorld:
+    """Pad a world and put it on the device.
+
+    Args:
+        world: the world; its last slot, the robot, stays last.
+        num_slots: N + 1 of the result; as many as the world has by default.
+
+    Returns:
+        The same world for ``infer_behavior``.
+
+    Raises:
+        ValueError: the world has more objects than there are slots.
+    """
+    size = len(world.object_type)
+    num_slots = size if num_slots is None else num_slots
+    if size > num_slots:
+        raise ValueError(f"the world has {size - 1} objects; at most {num_slots - 1} are held")
+    slots = np.append(np.arange(size - 1), num_slots - 1)
+
+    def spread(values: np.ndarray, axes: int, fill: int | bool) -> jnp.ndarray:
+        shape = (*values.shape[: values.ndim - axes], *(num_slots,) * axes)
+        padded = np.full(shape, fill, values.dtype)
+        padded[(..., *np.ix_(*(slots,) * axes))] = values
+        return jnp.asarray(padded)
+
+    return BehaviorWorld(
+        object_type=spread(world.object_type, 1, NONE),
+        is_object=spread(world.is_object, 1, False),
+        is_related=spread(world.is_related, 2, False),
+        is_superlative=spread(world.is_ranked[0], 2, False),
+        is_previous=spread(world.is_previous, 1, False),
+    )
