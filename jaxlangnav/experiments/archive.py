@@ -132,6 +132,8 @@ def pytree_hash(tree: Any) -> str:
 
 def _column(values: Any) -> pa.Array:
     """Turn an array or a list into a Parquet column."""
+    if isinstance(values, pa.Array):
+        return values
     if isinstance(values, np.ndarray) and values.ndim > 1:
         return pa.array(list(values))
     return pa.array(values)

@@ -23,7 +23,7 @@ from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.messages import MotionParams, SensorParams, default_motion, default_sensor
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams
 from jaxlangnav.world.known import known_distance
-from jaxlangnav.world.scenario import draw_scenario, scenario_law
+from jaxlangnav.world.scenario import ScenarioLaw, draw_scenario, scenario_law
 from jaxlangnav.world.state import Scenario
 
 CHUNK = 256
@@ -77,15 +77,87 @@ def cell(
 
 
 @jax.jit
-def _keys(root: Array, first: Array, offsets: Array) -> tuple[Array, Array]:
-    """Derive a scenario key and an episode key for each episode number."""
+def _draw(roots: Array, laws: ScenarioLaw, numbers: Array) -> tuple[Array, Scenario]:
+    """Draw the episode's key and the world of each episode number; leaves [CHUNK, …]."""
 
-    def one(number: Array) -> tuple[Array, Array]:
-        key = jax.random.fold_in(root, first + number)
-        scenario_key, episode_key = jax.random.split(key)
-        return scenario_key, episode_key
+    def one(root: Array, law: ScenarioLaw, number: Array) -> tuple[Array, Scenario]:
+        scenario_key, episode_key = jax.random.split(jax.random.fold_in(root, number))
+        return episode_key, draw_scenario(scenario_key, law)
 
-    return jax.vmap(one)(offsets)
+    return jax.vmap(one)(roots, laws, numbers)
+
+
+def draw_tasks(cells: Sequence[Cell], index: np.ndarray, numbers: np.ndarray) -> Task:
+    """Draw the worlds and keys of any selection of episodes.
+
+    Args:
+        cells: the cells they come from; ``episodes`` and ``first_episode`` are not read.
+        index: i[E], which cell each episode is of.
+        numbers: i[E], its number within the cell's (seed, world, relation).
+
+    Returns:
+        Tasks, leaves [E, …]; an episode's depends on its cell and number only.
+
+    Raises:
+        ValueError: unknown world or relation.
+    """
+    stacked = _stack([_describe(one) for one in cells])
+    roots = jnp.stack([_root(one) for one in cells])
+    parts = []
+    # Drawn in chunks of one shape, filled up with the first: one program for any number.
+    for start in range(0, len(index), CHUNK):
+        at = np.arange(start, start + CHUNK)
+        at = np.where(at < len(index), at, start)
+        mine = jax.tree.map(lambda leaf, at=at: leaf[index[at]], stacked)
+        keys, drawn = _draw(roots[index[at]], mine["law"], jnp.asarray(numbers[at], jnp.uint32))
+        is_own = mine["is_own"]
+        scenario = jax.tree.map(
+            lambda own, new, is_own=is_own: jnp.where(
+                is_own.reshape(-1, *(1,) * (new.ndim - 1)), own, new
+            ),
+            mine["scenario"],
+            drawn,
+        )
+        parts.append(
+            Task(
+                key=keys,
+                scenario=scenario,
+                instruction_index=jnp.asarray(mine["instruction_index"]),
+                sensor=jax.tree.map(jnp.asarray, mine["sensor"]),
+                motion=jax.tree.map(jnp.asarray, mine["motion"]),
+            )
+        )
+    return jax.tree.map(lambda leaf: leaf[: len(index)], concatenate(parts))
+
+
+def _root(one: Cell) -> Array:
+    """Derive the key of a cell: policies, ranges and noise levels share it, to be paired."""
+    label = zlib.crc32(f"{one.world}|{one.relation}".encode())
+    return jax.random.fold_in(jax.random.key(one.seed), label)
+
+
+def _describe(one: Cell) -> dict[str, Any]:
+    """Gather what the tasks of a cell have in common; leaves are single values."""
+    is_own = one.scenario is not None
+    # The world of somebody's own is put in place of a drawn one, which then does not matter.
+    law = scenario_law(
+        template="1H1C" if is_own else one.world, relation="null" if is_own else one.relation
+    )
+    drawn = jax.eval_shape(draw_scenario, jax.random.key(0), law)
+    blank = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), drawn)
+    return {
+        "law": law,
+        "is_own": np.asarray(is_own),
+        "scenario": one.scenario if is_own else blank,
+        "instruction_index": np.int32(one.instruction_index),
+        "sensor": one.sensor,
+        "motion": one.motion,
+    }
+
+
+def _stack(records: Sequence[Any]) -> Any:
+    """Stack records leaf by leaf, on the host."""
+    return jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *records)
 
 
 def make_tasks(one: Cell) -> Task:
@@ -102,37 +174,8 @@ def make_tasks(one: Cell) -> Task:
     """
     if one.episodes < 1:
         raise ValueError(f"episodes is {one.episodes}, but must be at least 1")
-    law = None
-    if one.scenario is None:
-        law = scenario_law(template=one.world, relation=one.relation)
-    label = zlib.crc32(f"{one.world}|{one.relation}".encode())
-    root = jax.random.fold_in(jax.random.key(one.seed), label)
-    # Scenarios are drawn in chunks of one shape as well: one program for any number of episodes.
-    parts = []
-    for start in range(0, one.episodes, CHUNK):
-        offsets = jnp.arange(CHUNK, dtype=jnp.uint32)
-        first = jnp.uint32(one.first_episode + start)
-        scenario_keys, episode_keys = _keys(root, first, offsets)
-        if law is None:
-            scenarios = _repeat(one.scenario)
-        else:
-            scenarios = jax.vmap(draw_scenario, in_axes=(0, None))(scenario_keys, law)
-        parts.append(
-            Task(
-                key=episode_keys,
-                scenario=scenarios,
-                instruction_index=jnp.full(CHUNK, one.instruction_index, jnp.int32),
-                sensor=_repeat(one.sensor),
-                motion=_repeat(one.motion),
-            )
-        )
-    whole = concatenate(parts)
-    return jax.tree.map(lambda leaf: leaf[: one.episodes], whole)
-
-
-def _repeat(record: Any) -> Any:
-    """Repeat a record for every episode of a chunk."""
-    return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (CHUNK, *jnp.shape(leaf))), record)
+    numbers = one.first_episode + np.arange(one.episodes)
+    return draw_tasks([one], np.zeros(one.episodes, np.int32), numbers)
 
 
 def take_tasks(tasks: Task, index: np.ndarray) -> Task:
