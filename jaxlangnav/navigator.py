@@ -269,7 +269,9 @@ def step(
     speed, clearance = params.mode_speed[mode], params.mode_clearance[mode]
     span_x, span_y = choice.waypoint_x - robot_x, choice.waypoint_y - robot_y
     distance = jnp.sqrt(span_x * span_x + span_y * span_y + 1e-9)
-    length = jnp.minimum(params.map.motion.step_length * speed, distance)
+    # A thing is gone up to, not into; anything else is a place to stand on.
+    spare = jnp.where(choice.kind == graph.OBJECT, 0.9 * params.planner.reach, 0.0)
+    length = jnp.clip(distance - spare, 0.0, params.map.motion.step_length * speed)
     length = jnp.where(choice.is_stop, 0.0, length)
     action = Action(
         waypoint=jnp.stack([choice.waypoint_x, choice.waypoint_y]),

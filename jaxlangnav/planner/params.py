@@ -44,7 +44,7 @@ def default_planner_params() -> PlannerParams:
     return PlannerParams(
         discount=jnp.float32(0.8),
         stop_probability=jnp.float32(0.7),
-        reach=jnp.float32(0.5),
+        reach=jnp.float32(0.8),
         frontier_miss=jnp.float32(0.5),
         visit_spacing=jnp.float32(1.0),
         information_offset=jnp.float32(1.0),

@@ -131,14 +131,14 @@ def choose(
         stop_mass = jnp.where(is_find > 0.5, in_view_confirmed, confirmed)
         is_arrived = stop_mass >= params.stop_probability
     # Standing still teaches nothing: the node underfoot is a_stop's business.
-    is_open = nodes.is_node & (distance > 0.5 * params.reach)
+    is_open = nodes.is_node & (distance > 0.25)
     value = jnp.where(is_open, value, -jnp.inf)
     best = jnp.argmax(value)
     remaining = jnp.sqrt((commitment.x - robot_x) ** 2 + (commitment.y - robot_y) ** 2)
     keeps = (
         commitment.is_active
         & ~is_news
-        & (remaining > 0.5 * params.reach)
+        & (remaining > 0.25)
         & (
             (commitment.kind != FRONTIER)
             | _is_still_frontier(belief, commitment.x, commitment.y, params.frontier_miss)
