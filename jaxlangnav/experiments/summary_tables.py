@@ -1,0 +1,162 @@
+"""A sweep's summary for people: tables in Markdown and in the terminal."""
+
+from collections.abc import Sequence
+from typing import Any
+
+Document = dict[str, Any]
+_ALWAYS = ("world", "relation", "range", "policy")
+_RESULTS = ("Episodes", "Success % (95 %)", "Distance m (σ)", "Known m", "SPL", "Time-outs")
+_TESTS = ("Pairs", "Only 1st, 2nd", "p", "Distance, 2nd − 1st m (95 %)", "p")
+
+
+def rows_table(document: Document) -> tuple[list[str], list[list[str]]]:
+    """Lay out the rows of a summary.
+
+    Args:
+        document: of ``summarize_directory``.
+
+    Returns:
+        Headings and cells. Columns that never vary are left out but for world, relation, range
+        and policy.
+    """
+    names = _names(document)
+    cells = [
+        [*(_text(row[name]) for name in names), *_result_cells(row)] for row in document["rows"]
+    ]
+    return [*names, *_RESULTS], cells
+
+
+def comparisons_table(document: Document) -> tuple[list[str], list[list[str]]]:
+    """Lay out the paired tests of a summary.
+
+    Args:
+        document: of ``summarize_directory``.
+
+    Returns:
+        Headings and cells.
+    """
+    comparisons = document["comparisons"]
+    names = [name for name in _names(document) if comparisons and name in comparisons[0]]
+    cells = []
+    for one in comparisons:
+        low, high = one["distance_ci"]
+        first, second = (_arm(one[side], document["varied"]) for side in ("first", "second"))
+        cells.append(
+            [
+                *(_text(one[name]) for name in names),
+                first,
+                second,
+                str(one["pairs"]),
+                f"{one['success_only_first']}, {one['success_only_second']}",
+                f"{one['success_p']:.3g}",
+                f"{one['distance_difference']:+.2f} ({low:+.2f} to {high:+.2f})",
+                f"{one['distance_p']:.3g}",
+            ]
+        )
+    return [*names, "1st", "2nd", *_TESTS], cells
+
+
+def markdown(document: Document) -> str:
+    """Write a summary as Markdown.
+
+    Args:
+        document: of ``summarize_directory``.
+
+    Returns:
+        Heading, rows, paired tests.
+    """
+    parts = [f"# {document['name']}", _state(document), _markdown_table(*rows_table(document))]
+    if document["comparisons"]:
+        parts += ["## Paired tests", _markdown_table(*comparisons_table(document)), _METHOD]
+    return "\n\n".join(parts) + "\n"
+
+
+_METHOD = (
+    "Pairs ran the same world with the same noise. Success: exact McNemar test. Distance: mean "
+    "difference, sign-flip permutation test."
+)
+
+
+def render(document: Document) -> Any:
+    """Draw a summary for the terminal.
+
+    Args:
+        document: of ``summarize_directory``.
+
+    Returns:
+        A rich group of tables.
+    """
+    from rich.console import Group
+
+    parts = [_rich_table(document["name"], _state(document), *rows_table(document))]
+    if document["comparisons"]:
+        parts.append(_rich_table("Paired tests", _METHOD, *comparisons_table(document)))
+    return Group(*parts)
+
+
+def _names(document: Document) -> list[str]:
+    """Choose the columns worth showing, in the order of the files."""
+    row = document["rows"][0]
+    return [
+        name
+        for name in row
+        if name in _ALWAYS or (name in document["varied"] and name != "command")
+    ]
+
+
+def _arm(arm: dict[str, Any], varied: Sequence[str]) -> str:
+    """Name an arm by its policy and whatever else varies."""
+    extra = [
+        f"{name.split('.')[-1]} {_text(value)}"
+        for name, value in arm.items()
+        if name != "policy" and name in varied and value is not None
+    ]
+    return " ".join([arm["policy"], *extra])
+
+
+def _result_cells(row: dict[str, Any]) -> list[str]:
+    """Write the results of one row."""
+    low, high = row["success_ci"]
+    return [
+        str(row["episodes"]),
+        f"{row['success_rate']:.1f} ({low:.1f}-{high:.1f})",
+        f"{row['distance_mean']:.2f} ({row['distance_sd']:.2f})",
+        f"{row['known_distance_mean']:.2f}",
+        f"{row['spl']:.2f}",
+        str(row["timeouts"]),
+    ]
+
+
+def _text(value: Any) -> str:
+    """Write a value of a column."""
+    if value is None:
+        return "-"
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _state(document: Document) -> str:
+    """Say how much of the sweep is there."""
+    missing = f"; {document['missing']} files are still missing" if document["missing"] else ""
+    return f"{document['episodes']} episodes in {document['files']} files{missing}."
+
+
+def _markdown_table(headings: Sequence[str], cells: Sequence[Sequence[str]]) -> str:
+    """Write a Markdown table."""
+    lines = [f"| {' | '.join(headings)} |", "|" + "---|" * len(headings)]
+    return "\n".join([*lines, *(f"| {' | '.join(row)} |" for row in cells)])
+
+
+def _rich_table(
+    title: str, caption: str, headings: Sequence[str], cells: Sequence[Sequence[str]]
+) -> Any:
+    """Draw a table for the terminal."""
+    from rich.table import Table
+
+    table = Table(title=title, caption=caption, caption_justify="left")
+    for heading in headings:
+        table.add_column(
+            heading, justify="left" if heading in (*_ALWAYS, "1st", "2nd") else "right"
+        )
+    for row in cells:
+        table.add_row(*row)
+    return table
