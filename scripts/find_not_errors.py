@@ -11,7 +11,7 @@ from spellchecker import SpellChecker  # pyright: ignore[reportMissingImports]
 
 import jaxlangnav.language
 from jaxlangnav.language.lexicon import load_lexicon
-from jaxlangnav.language.spelling import MIN_LETTERS, edits
+from jaxlangnav.language.spelling import MIN_LETTERS, edits, repairable
 
 MIN_COUNT = 400  # rarer "words" of the list are mostly typing errors themselves
 HEAD = "# English words within one edit of a word of the lexicon; scripts/find_not_errors.py.\n"
@@ -25,7 +25,7 @@ def main() -> None:
         word
         for word, count in english.items()
         if len(word) >= MIN_LETTERS and count >= MIN_COUNT and word.isascii() and word.isalpha()
-        and word not in vocabulary and edits(word) & vocabulary
+        and word not in vocabulary and edits(word) & repairable()
     }  # fmt: skip
     path = Path(jaxlangnav.language.__file__).parent / "data" / "not_errors.txt"
     path.write_text(HEAD + "\n".join(sorted(found)) + "\n", encoding="utf-8")

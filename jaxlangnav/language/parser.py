@@ -191,6 +191,10 @@ def _refusal(tokens: list[_Token], index: int) -> str:
         if token is not None:
             reason = reasons[token.position] or "unknown word, and no reading fits it"
             return f"'{token.text[:30]}' (word {token.position}): {reason}"
+    later = [t for t in tokens[index + 1 : index + 3] if t.terminal.startswith("?")]
+    if stuck is not None and later:
+        text, position = later[0].text[:30], later[0].position
+        return f"'{text}' (word {position}): unknown word, and no reading fits it"
     if stuck is None:
         return f"the sentence breaks off after '{read[-1].text}' (word {read[-1].position})"
     return f"'{stuck.text}' (word {stuck.position}): cannot be read here"

@@ -11,6 +11,19 @@ from string import ascii_lowercase
 from jaxlangnav.language.lexicon import Lexicon, load_lexicon
 
 MIN_LETTERS = 5
+# Small talk holds many words that say nothing of the task ("plan", "time"): no repairs to them,
+# or "plant" would become "plan".
+SMALL_TALK = {
+    "opener",
+    "opener_ing",
+    "fragment_opener",
+    "closer",
+    "note",
+    "see",
+    "conn",
+    "conn_then",
+}
+COURTESIES = {"please", "could", "would", "robot", "there", "after", "thanks", "then", "finally"}
 
 
 def edits(word: str) -> set[str]:
@@ -28,6 +41,15 @@ def edits(word: str) -> set[str]:
     found |= {a + letter + b[1:] for a, b in parts if b for letter in ascii_lowercase}
     found |= {a + letter + b for a, b in parts for letter in ascii_lowercase}
     return found
+
+
+@cache
+def repairable() -> frozenset[str]:
+    """Collect the words of the lexicon that typing errors are repaired to."""
+    lexicon = load_lexicon()
+    classes = [entries for name, entries in lexicon.entries.items() if name not in SMALL_TALK]
+    words = {word for entries in classes for key in entries for word in key}
+    return frozenset(words | set(lexicon.refused) | COURTESIES)
 
 
 @cache
@@ -65,7 +87,7 @@ def repair(word: str) -> str | None:
         return None
     if len(word) > 20:
         return None
-    candidates = sorted(c for c in edits(word) & lexicon.vocabulary if len(c) >= MIN_LETTERS - 1)
+    candidates = sorted(c for c in edits(word) & repairable() if len(c) >= MIN_LETTERS - 1)
     if not candidates:
         return None
     if len(candidates) == 1 or len({_meanings(c, lexicon) for c in candidates}) == 1:

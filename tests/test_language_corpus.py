@@ -1,0 +1,287 @@
+"""Corpora: format, validator, labels against labels made by hand, and what design.md asks."""
+
+import json
+from collections import Counter
+
+import pytest
+
+from jaxlangnav.language import corpus
+from jaxlangnav.language.corpus import CorpusError, load_corpus, read_corpus, read_example
+from jaxlangnav.language.labels import Geometry, PlacedWorld, annotate, behave, rank
+from jaxlangnav.language.lexicon import load_lexicon
+from jaxlangnav.language.parser import parse
+from jaxlangnav.messages import MODES, RELATIONS
+
+EVALUATED = {
+    "go to the hydrant",
+    "go to the hydrant behind the cone",
+    "go to the hydrant nearest to the cone",
+}
+# Robot at the origin facing +x; hydrant 0 is 2 m behind the cone, hydrant 2 stands to its left.
+WORLD = PlacedWorld(
+    objects=(
+        ("hydrant", 8.0, 0.0), ("cone", 6.0, 0.0), ("hydrant", 6.0, 3.0), ("car", 5.0, 6.0),
+    ),
+    robot=(0.0, 0.0, 0.0),
+)  # fmt: skip
+
+
+def annotation(text: str) -> list[set[str]]:
+    """Annotation labels of a sentence of one clause, children first."""
+    return [set(symbols) for symbols in annotate(parse(text).clauses[0])[0]]
+
+
+def behavior(text: str, world: PlacedWorld = WORLD) -> list[set[str]]:
+    """Behavior labels of a sentence of one clause, children first."""
+    return [set(symbols) for symbols in behave(parse(text).clauses[0], Geometry(world))]
+
+
+def test_annotation_of_the_papers_sentence():
+    stated = {"relation(hydrant,behind,cone)"}
+    assert annotation("go to the hydrant behind the cone") == [
+        {"object(hydrant)"}, {"object(cone)"}, {"region(behind,cone)"}, stated, stated, stated,
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("text", "root"),
+    [
+        ("go to the hydrant", {"object(hydrant)"}),
+        ("move behind the cone", {"region(behind,cone)"}),
+        ("go to the cone on your left", {"relation(cone,left,robot)"}),
+        ("go to the nearest cone", {"relation(cone,near,robot)"}),
+        ("go to the hydrant nearest to the cone", {"relation(hydrant,near,cone)"}),
+        ("the hydrant is behind the cone", {"relation(hydrant,behind,cone)"}),
+        ("go to the area behind the cone", {"region(behind,cone)"}),
+        ("go to the other one", set()),
+        (
+            "go to the hydrant behind the cone near the car",
+            {"relation(hydrant,behind,cone)", "relation(cone,near,car)"},
+        ),
+        (
+            "go to the hydrant near the cone and behind the car",
+            {"relation(hydrant,near,cone)", "relation(hydrant,behind,car)"},
+        ),
+        ("stop behind the cone near the car", {"region(behind,cone)", "relation(cone,near,car)"}),
+        ("go to the cone while avoiding the car", {"object(cone)", "object(car)"}),
+        (
+            "go to the hydrant that is in front of the tree",
+            {"relation(hydrant,front,tree)"},
+        ),
+    ],
+)
+def test_annotation_at_the_root(text, root):
+    assert annotation(text)[-1] == root
+
+
+def test_rank_marks_the_phrase_that_says_it():
+    root = parse("go to the second cone on your left").clauses[0]
+    said = {str(phrase): rank(phrase) for phrase in root.walk()}
+    assert said["ADJP[second]"] == 2
+    assert said["PP[on your left]"] == 0
+    root = parse("go to the cone farthest from the car").clauses[0]
+    assert [rank(phrase) for phrase in root.walk()] == [0, 0, 1, 0, 0, 0]
+
+
+def test_behavior_of_the_papers_sentence():
+    assert behavior("go to the hydrant behind the cone") == [
+        {"object(0)", "object(2)"},
+        {"object(1)"},
+        {"region(behind,1)"},
+        {"object(0)"},
+        {"region(at,0)"},
+        {"action(navigate)", "mode(normal)", "goal(at,0)"},
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "root"),
+    [
+        ("find the hydrant left of the cone", {"action(find)", "mode(normal)", "goal(at,2)"}),
+        ("go to the nearest hydrant", {"action(navigate)", "mode(normal)", "goal(at,2)"}),
+        ("go to the second hydrant", {"action(navigate)", "mode(normal)", "goal(at,0)"}),
+        (
+            "go to the hydrant nearest to the car",
+            {"action(navigate)", "mode(normal)", "goal(at,2)"},
+        ),
+        ("quickly move behind the cone", {"action(navigate)", "mode(quickly)", "goal(behind,1)"}),
+        ("slowly move to your left", {"action(navigate)", "mode(carefully)", "goal(left,robot)"}),
+        ("stay away from the car", {"constraint(near,3)"}),
+        (
+            "go to the cone while avoiding the car",
+            {"action(navigate)", "mode(normal)", "goal(at,1)", "constraint(near,3)"},
+        ),
+        ("go to the hydrant far from the cone", {"action(navigate)", "mode(normal)"}),
+        ("go to the tree", {"action(navigate)", "mode(normal)"}),
+    ],
+)
+def test_behavior_at_the_root(text, root):
+    assert behavior(text)[-1] == root
+
+
+def test_the_other_is_not_the_previous_goal():
+    world = PlacedWorld(objects=WORLD.objects, robot=WORLD.robot, previous=2)
+    for text in ("go to the other hydrant", "go to the other one"):
+        assert behavior(text, world)[-1] == {"action(navigate)", "mode(normal)", "goal(at,0)"}
+
+
+# ---------------------------------------------------------------- the files
+
+
+@pytest.mark.parametrize("name", ["corpus39", "corpus"])
+def test_labels_agree_with_the_rules_in_every_world(name):
+    """The files hold explicit labels; here they are all composed anew."""
+    for example in load_corpus(name):
+        for root, labels in zip(example.parse.clauses, example.clauses, strict=True):
+            assert annotate(root) == (labels.annotation, labels.rank)
+        assert example.parse.unknown_words == ()
+        if len(example.clauses) > 1:
+            continue
+        for placed in example.worlds:
+            assert behave(example.parse.clauses[0], Geometry(placed.world)) == placed.behavior[0]
+            goals = [s for s in placed.behavior[0][-1] if s.startswith(("goal", "constraint"))]
+            assert goals, example.text
+
+
+def words_of(text: str) -> list[str]:
+    return text.replace(",", "").split()
+
+
+def test_the_39_are_no_easier_than_the_papers():
+    examples = load_corpus("corpus39")
+    assert len(examples) == 39
+    roots = [example.parse.clauses[0] for example in examples]
+    phrases = [len(list(root.walk())) for root in roots]
+    assert abs(sum(phrases) / 39 - 6.5) < 0.05
+    senses = {s for root in roots for w in root.all_words() for s in w.senses}
+    assert {f"type:{name}" for name in load_lexicon().type_names[:8]} <= senses
+    assert {f"relation:{name}" for name in RELATIONS} <= senses
+    behaviors = {s for e in examples for w in e.worlds for s in w.behavior[0][-1]}
+    assert {f"mode({mode})" for mode in MODES} <= behaviors
+    assert {"action(navigate)", "action(find)"} <= behaviors
+    counts = Counter(word for example in examples for word in words_of(example.text))
+    with_hapax = [e for e in examples if any(counts[w] == 1 for w in words_of(e.text))]
+    assert len(with_hapax) >= 13
+    assert max(Counter(e.template for e in examples).values()) <= 39 // 5
+    assert not EVALUATED & {example.text for example in examples}
+
+
+def test_the_large_corpus_is_split_by_template():
+    examples = load_corpus("corpus")
+    assert len(examples) >= 300
+    train = [e for e in examples if e.split == "train"]
+    test = [e for e in examples if e.split == "test"]
+    assert min(len(train), len(test)) > 100
+    assert not {e.template for e in train} & {e.template for e in test}
+    assert len({e.text for e in examples}) == len(examples)
+    assert not EVALUATED & {e.text for e in examples}
+    for part in (train, test):
+        senses = {s for e in part for c in e.parse.clauses for w in c.all_words() for s in w.senses}
+        assert {f"relation:{name}" for name in RELATIONS} <= senses
+        assert {"constraint", "superlative", "other", "mode:quickly", "action:find"} <= senses
+        assert {kind for e in part for kind in e.parse.kinds} == {"command", "statement"}
+        assert any(len(e.clauses) > 1 for e in part)
+
+
+def test_relations_matter_in_the_worlds():
+    """In most worlds of a figure and landmark a rival of the figure's type is the wrong goal."""
+    examples = [e for e in load_corpus("corpus") if e.template.startswith("rel-")]
+    rivals = [
+        len(placed.behavior[0][0]) > sum(s.startswith("goal") for s in placed.behavior[0][-1])
+        for example in examples
+        for placed in example.worlds
+    ]
+    assert sum(rivals) / len(rivals) > 0.5
+
+
+# ---------------------------------------------------------------- the validator
+
+SOUND = {
+    "text": "go to the cone",
+    "template": "t",
+    "split": "train",
+    "clauses": [
+        {
+            "kind": "command",
+            "phrases": ["NP[the cone]", "PP[to]", "VP[go]"],
+            "annotation": [["object(cone)"]] * 3,
+            "rank": [0, 0, 0],
+        }
+    ],
+    "worlds": [
+        {
+            "objects": [["cone", 1.0, 2.0]],
+            "robot": [0, 0, 0],
+            "previous": None,
+            "behavior": [
+                [
+                    ["object(0)"],
+                    ["region(at,0)"],
+                    ["action(navigate)", "mode(normal)", "goal(at,0)"],
+                ]
+            ],
+        }
+    ],
+}
+
+
+def changed(*path, value):
+    """Copy the sound record with one place changed."""
+    record = json.loads(json.dumps(SOUND))
+    place = record
+    for step in path[:-1]:
+        place = place[step]
+    place[path[-1]] = value
+    return json.dumps(record)
+
+
+def test_a_sound_line_is_read():
+    example = read_example(json.dumps(SOUND))
+    assert example.clauses[0].annotation[2] == {"object(cone)"}
+    assert example.worlds[0].world.objects == (("cone", 1.0, 2.0),)
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("{", "no JSON document"),
+        ("{}", "key 'text' is missing"),
+        (changed("split", value="dev"), "train or test"),
+        (changed("text", value="do not go"), "refused: 'not'"),
+        (changed("text", value="go to the car"), "the parser finds the phrases"),
+        (changed("clauses", 0, "kind", value="statement"), "kind is 'command'"),
+        (changed("clauses", 0, "rank", value=[0]), "1 rank for 3 phrases"),
+        (changed("clauses", 0, "annotation", 0, value=["object(sofa)"]), "'sofa' is none of"),
+        (changed("clauses", 0, "annotation", 0, value=["cone"]), "is no symbol"),
+        (changed("clauses", 0, "annotation", 0, value=["thing(cone)"]), "kind must be one of"),
+        (changed("clauses", 0, "annotation", 0, value=["region(near)"]), "expected 2 argument"),
+        (changed("worlds", 0, "behavior", 0, 0, value=["object(1)"]), "'1' is none of 0"),
+        (changed("worlds", 0, "behavior", 0, 2, value=["mode(idle)"]), "'idle' is none of"),
+        (changed("worlds", 0, "behavior", 0, value=[[]]), "1 labels for 3 phrases"),
+        (changed("worlds", 0, "objects", value=[["sofa", 0, 0]]), "object type 'sofa'"),
+        (changed("worlds", 0, "previous", value=3), "below 1, not 3"),
+        (changed("worlds", 0, "robot", value=[0, 0]), "x, y, heading"),
+        (changed("worlds", 0, "objects", value=3), "wrong form"),
+    ],
+)
+def test_faults_are_named(line, message):
+    with pytest.raises(CorpusError) as error:
+        read_example(line)
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_files_are_checked_with_line_numbers(tmp_path, capsys):
+    path = tmp_path / "own.jsonl"
+    path.write_text(json.dumps(SOUND) + "\n\n# a comment\n" + changed("split", value="test"))
+    with pytest.raises(CorpusError, match=r"own.jsonl line 4: template 't' is in both splits"):
+        read_corpus(path)
+    assert corpus.main([str(path)]) == 2
+    path.write_text(json.dumps(SOUND))
+    assert corpus.main([str(path)]) == 0
+    assert "1 instructions, 3 phrases" in capsys.readouterr().out
+    path.write_text("")
+    with pytest.raises(CorpusError, match="no instruction"):
+        read_corpus(path)
+    with pytest.raises(CorpusError, match="cannot read"):
+        read_corpus(tmp_path / "missing.jsonl")

@@ -1,0 +1,218 @@
+"""The parser's other promises: unknown words, repairs, senses, attachment, bounds, refusals."""
+
+import json
+import time
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from jaxlangnav.language.grammar import load_grammar
+from jaxlangnav.language.lexicon import load_lexicon
+from jaxlangnav.language.parser import MAX_CHARACTERS, parse
+from jaxlangnav.language.phrase import LanguageError, Parse
+
+LIMIT_S = 1.0
+
+
+def senses(text: str) -> dict[str, tuple[str, ...]]:
+    """Collect the senses of each word of a sentence of one clause."""
+    return {w.text: w.senses for w in parse(text).clauses[0].all_words() if w.senses}
+
+
+@pytest.mark.parametrize(
+    ("text", "unknown", "tag"),
+    [
+        ("go to the zorbel", ("zorbel", 4), "NN"),
+        ("go to the zorbels", ("zorbels", 4), "NNS"),
+        ("go to the fuzzle cone", ("fuzzle", 4), "JJ"),
+        ("gallop to the cone", ("gallop", 1), "VB"),
+        ("would you mind galloping to the cone", ("galloping", 4), "VBG"),
+        ("go zestily to the cone", ("zestily", 2), "RB"),
+    ],
+)
+def test_unknown_word_is_named_guessed_and_kept(text, unknown, tag):
+    found = parse(text)
+    words = {w.text: w for w in found.clauses[0].all_words()}
+    assert found.unknown_words == (unknown,)
+    assert words[unknown[0]].tag == tag
+    assert words[unknown[0]].senses == ()
+    assert words[unknown[0]].position == unknown[1]
+
+
+@pytest.mark.parametrize(
+    ("text", "repairs"),
+    [
+        ("go to the hydrnat", (("hydrnat", "hydrant"),)),  # transposition
+        ("go to the hydran", (("hydran", "hydrant"),)),  # deletion
+        ("go to the hydrantt", (("hydrantt", "hydrant"),)),  # insertion
+        ("go to the hydrznt", (("hydrznt", "hydrant"),)),  # replacement
+        ("move behnid the bemch", (("behnid", "behind"), ("bemch", "bench"))),
+        ("plesae aproach the cone", (("plesae", "please"), ("aproach", "approach"))),
+    ],
+)
+def test_typing_errors_are_repaired_and_reported(text, repairs):
+    found = parse(text)
+    assert found.repairs == repairs
+    assert found.unknown_words == ()
+
+
+@pytest.mark.parametrize("word", ["beach", "table", "plant", "house", "chair", "bridge", "cafe"])
+def test_english_words_are_no_typing_errors(word):
+    assert parse(f"go to the {word}").repairs == ()
+
+
+@pytest.mark.parametrize("word", ["cnoe", "tere", "hydrnnat", "xydrnat"])
+def test_short_words_and_two_edits_are_not_repaired(word):
+    found = parse(f"go to the {word}")
+    assert found.repairs == ()
+    assert found.unknown_words == ((word, 4),)
+
+
+def test_senses_say_what_words_mean_here():
+    assert senses("quickly find the fire hydrant left of the pylon") == {
+        "quickly": ("mode:quickly",),
+        "find": ("action:find",),
+        "hydrant": ("type:hydrant",),
+        "left": ("relation:left",),
+        "pylon": ("type:cone",),
+    }
+    assert senses("go to the cone in front of the car")["front"] == ("relation:front",)
+    assert senses("go to the second cone")["second"] == (
+        "relation:near", "superlative", "rank:2",
+    )  # fmt: skip
+    assert "superlative" in senses("go to the cone closer to the car")["closer"]
+    assert "superlative" not in senses("get closer to the car")["closer"]
+    assert "right" not in senses("go to the cone right behind the car")
+
+
+def test_lemma_and_text():
+    words = {w.text: w for w in parse("Would you mind GOING to the Boxes").clauses[0].all_words()}
+    assert words["going"].lemma == "go"
+    assert words["boxes"].lemma == "box"
+    assert words["boxes"].tag == "NNS"
+
+
+def test_nearest_attachment_is_the_more_probable_but_not_certain():
+    found = parse("go to the hydrant behind the cone near the car")
+    assert 0.5 < found.probability < 1.0
+
+
+def test_document_is_json_with_the_promised_keys():
+    document = json.loads(json.dumps(parse("go to the zorbel").to_dict()))
+    assert document["instruction"] == "go to the zorbel"
+    assert document["tree"] == {
+        "label": "VP",
+        "words": [{"text": "go", "tag": "VB"}],
+        "children": [
+            {
+                "label": "PP",
+                "words": [{"text": "to", "tag": "TO"}],
+                "children": [
+                    {
+                        "label": "NP",
+                        "words": [{"text": "the", "tag": "DT"}, {"text": "zorbel", "tag": "NN"}],
+                        "children": [],
+                    }
+                ],
+            }
+        ],
+    }
+    assert document["unknown_words"] == [{"text": "zorbel", "position": 4}]
+    two = parse("go to the cone then go to the car").to_dict()
+    assert [child["label"] for child in two["tree"]["children"]] == ["VP", "VP"]
+
+
+# ---------------------------------------------------------------- for any input
+
+
+def outcome(text: str) -> Parse | str:
+    """Parse within the time limit; a refusal is one line."""
+    begin = time.process_time()
+    try:
+        found = parse(text)
+    except LanguageError as error:
+        found = str(error)
+        assert found
+        assert "\n" not in found
+        assert len(found) < 200
+    assert time.process_time() - begin < LIMIT_S
+    return found
+
+
+def check_nothing_is_dropped(text: str, found: Parse) -> None:
+    """Every word stands in the tree once, in its place."""
+    words = [w for clause in found.clauses for w in clause.all_words()]
+    assert [w.position for w in words] == list(range(1, len(words) + 1))
+    repaired = dict(found.repairs)
+    typed = text.lower().replace(",", " ").replace(".", " ").split()
+    assert [w.text for w in words] == [repaired.get(word, word) for word in typed]
+    for clause in found.clauses:
+        for phrase in clause.walk():
+            assert phrase.words or phrase.children
+
+
+PROPERTY = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
+TOKENS = sorted(word for word in load_lexicon().vocabulary if word.isalpha())
+
+
+@settings(PROPERTY, max_examples=150)
+@given(st.text(max_size=300))
+def test_random_text_ends_in_a_tree_or_a_refusal(text):
+    outcome(text)
+
+
+@settings(PROPERTY, max_examples=200)
+@given(st.lists(st.sampled_from([*TOKENS, "zorbel", ",", "."]), max_size=70))
+def test_random_words_of_the_lexicon(tokens):
+    outcome(" ".join(tokens))
+
+
+PIECES = [
+    "go to", "the cone", "the hydrant", "a big red car", "behind", "near", "next to",
+    "on your left", "that is", "then", "and", "the nearest box", "please", "find", "stop", "avoid", "nearest to",
+    "slowly", "while avoiding", "there is", "is", "zorbel", "the second", "the other one",
+    "to", ",",
+]  # fmt: skip
+
+
+@settings(PROPERTY, max_examples=400)
+@given(st.lists(st.sampled_from(PIECES), min_size=1, max_size=12))
+def test_trees_hold_every_word_of_the_sentence(pieces):
+    text = " ".join(pieces)
+    found = outcome(text)
+    if isinstance(found, Parse):
+        check_nothing_is_dropped(text, found)
+
+
+@pytest.mark.parametrize(
+    "unit",
+    ["a", "go to the cone ", "near the cone and ", "zorbel ", "the ", ", ", "big red ", "please ",
+     "hydrnat ", "'", "-", "é", "🤖", "go ", "1 "],
+)  # fmt: skip
+def test_ten_thousand_characters_within_a_second(unit):
+    outcome((unit * MAX_CHARACTERS)[:MAX_CHARACTERS])
+    outcome("go to the cone " + unit * 40)
+    outcome("go to the " + unit * 12 + "cone")
+
+
+def test_longest_trees_within_a_second():
+    for text in (
+        "go to the hydrant" + " near the cone" * 20,
+        "go to the hydrant" + " near the cone and behind the car" * 8,
+        "go to the " + "big red " * 28 + "cone",
+        "go to the cone" + " then go to the cone" * 12,
+        "go to the " + "zorbel " * 8,
+    ):
+        assert isinstance(outcome(text), Parse)
+
+
+def test_longer_input_is_refused():
+    with pytest.raises(LanguageError, match="more than 10000 characters"):
+        parse("a" * (MAX_CHARACTERS + 1))
+    with pytest.raises(LanguageError, match="more than 64 words"):
+        parse("go " * 65)
+
+
+def test_grammar_is_built_once():
+    assert load_grammar() is load_grammar()
