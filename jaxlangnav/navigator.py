@@ -11,9 +11,9 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.grounding.behavior import infer_behavior
+from jaxlangnav.grounding.behavior import infer_behaviors as infer_particles
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.messages import NONE, Action, Behavior, BehaviorWorld, Observation
+from jaxlangnav.messages import NONE, Action, Behavior, Observation
 from jaxlangnav.planner import graph, policy
 from jaxlangnav.planner.goals import Goals, gather
 from jaxlangnav.planner.information import squared_distance_to_segment
@@ -177,11 +177,7 @@ def infer_behaviors(state: NavigatorState) -> Behavior:
     world = jax.vmap(summary.behavior_world, in_axes=(-1, None, None), out_axes=-1)(
         state.belief.particles, state.instruction.readings, state.previous_goal
     )
-
-    def infer(one: BehaviorWorld) -> Behavior:
-        return infer_behavior(program, one, num_phrases=program.num_phrases)
-
-    return jax.vmap(infer, in_axes=-1, out_axes=-1)(world)
+    return infer_particles(program, world, num_phrases=program.num_phrases)
 
 
 def _constraint_cost(

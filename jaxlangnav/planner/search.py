@@ -79,9 +79,10 @@ def search_map(belief: ParticleBelief) -> SearchMap:
     mass = free * unseen / jnp.maximum(jnp.sum(unseen), 1e-9)
     column = jnp.floor((particles.hypothesis_x - area[0]) / (area[1] - area[0]) * CELLS)
     row = jnp.floor((particles.hypothesis_y - area[2]) / (area[3] - area[2]) * CELLS)
-    cell = (row * CELLS + column).astype(jnp.int32)
-    hung = jnp.where(is_open & ~is_free, weight[None, :], 0.0)
-    return SearchMap(x=x, y=y, mass=mass.at[cell.reshape(-1)].add(hung.reshape(-1), mode="drop"))
+    is_in = (column >= 0) & (column < CELLS) & (row >= 0) & (row < CELLS)
+    cell = jnp.where(is_in, row * CELLS + column, 0.0).astype(jnp.int32)
+    hung = jnp.where(is_open & ~is_free & is_in, weight[None, :], 0.0)
+    return SearchMap(x=x, y=y, mass=mass.at[cell.reshape(-1)].add(hung.reshape(-1)))
 
 
 def visibility(

@@ -56,7 +56,8 @@ class FilterInfo:
     num_regrounded: Array  # i32[] particles that drew a new grounding
     log_language_evidence: Array  # f32[] log p(words | observed map), estimated
     overflow: Array  # i32[] detections without a free slot, most over particles
-    is_degenerate: Array  # bool[] all weights had died and were made uniform
+    is_degenerate: Array  # bool[] all weights had died and were made uniform, or the observation
+    # held numbers that are not finite, which were left out
     is_news: Array  # bool[] an object was seen for the first time, or words came in
 
 
@@ -114,6 +115,22 @@ def predict(belief: ParticleBelief, pose: Array, params: MapParams) -> ParticleB
         belief.particles, step_x, step_y, variance
     )
     return replace(belief, particles=moved, last_pose=pose)
+
+
+def _sound(observation: Observation, last_pose: Array) -> tuple[Observation, Array]:
+    """Leave out what is not finite: one NaN would poison every particle for good."""
+    is_finite = jnp.isfinite(observation.detection_range) & jnp.isfinite(
+        observation.detection_bearing
+    )
+    has_pose = jnp.all(jnp.isfinite(observation.pose))
+    sound = replace(
+        observation,
+        pose=jnp.where(has_pose, observation.pose, last_pose),
+        detection_range=jnp.where(is_finite, observation.detection_range, 0.0),
+        detection_bearing=jnp.where(is_finite, observation.detection_bearing, 0.0),
+        is_detection=observation.is_detection & is_finite,
+    )
+    return sound, ~has_pose | jnp.any(observation.is_detection & ~is_finite)
 
 
 def _detections(
@@ -223,6 +240,7 @@ def step(
     number = belief.log_weight.shape[0]
     associate_key, ground_key, keep_key, resample_key = jax.random.split(key, 4)
     was_told = belief.must_ground
+    observation, is_broken = _sound(observation, belief.last_pose)
     belief = predict(belief, observation.pose, params)
 
     detections = _detections(belief, observation, params)
@@ -294,6 +312,6 @@ def step(
         num_regrounded=jnp.sum(is_fresh),
         log_language_evidence=log_language_total - jnp.log(float(number)),
         overflow=jnp.max(grounded.overflow),
-        is_degenerate=is_dead,
+        is_degenerate=is_dead | is_broken,
         is_news=was_told | jnp.any(grounded.is_new),
     )
