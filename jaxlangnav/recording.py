@@ -76,6 +76,7 @@ class Frame:
     goal_mass: Leaf  # f32[O + 1] probability that it is the goal
     goal_confirmed: Leaf  # f32[O + 1] … with everything mentioned observed
     is_goal: Leaf  # bool[O + 1]
+    goal_region: Leaf  # i32[O + 1] index into messages.REGIONS: what is asked for there
     hypothesis_goal_x: Leaf  # f32[P]
     hypothesis_goal_y: Leaf  # f32[P]
     hypothesis_goal_mass: Leaf  # f32[P]
@@ -304,12 +305,20 @@ def _frame(before: Progress, after: Progress, info: NavigatorInfo) -> Frame:
         is_news=info.filter.is_news,
         is_degenerate=info.filter.is_degenerate,
         overflow=info.filter.overflow,
+        goal_region=_goal_region(info),
         action=info.behavior.action,
         mode=info.behavior.mode,
         is_done=after.navigator.is_done,
         **_belief_fields(belief, before.navigator.instruction.readings),
         **_decision_fields(info),
     )
+
+
+def _goal_region(info: NavigatorInfo) -> Array:
+    """Find the likeliest goal region of each observed object and of the robot, i32[O + 1]."""
+    num_objects = info.goals.object_x.shape[0] - 1
+    region = jnp.argmax(info.behavior.goal, axis=0).astype(jnp.int32)  # [N + 1]
+    return jnp.append(region[:num_objects], region[-1])
 
 
 def _belief_fields(belief: ParticleBelief, readings: Readings) -> dict[str, Array]:

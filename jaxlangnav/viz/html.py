@@ -17,8 +17,8 @@ import numpy as np
 from jaxlangnav.messages import NONE
 from jaxlangnav.planner.graph import FRONTIER, OBJECT, VISITED
 from jaxlangnav.recording import Recording
-from jaxlangnav.viz import narrative, panels, style, summary
-from jaxlangnav.viz.words import describe_reading, describe_readings, percent
+from jaxlangnav.viz import narrative, panels, sentences, style, summary
+from jaxlangnav.viz.words import describe_readings, percent
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 
 _ABSENT = 65535
@@ -100,7 +100,6 @@ def _by_step(recording: Recording, claims: list[str]) -> dict[str, Any]:
     """Gather what is short enough to stand in the page as it is: the story, objects, events."""
     scene, frames = recording.scene, recording.frames
     story, headlines, objects, detections, shares = [], [], [], [], []
-    meaning = [describe_reading(scene, k) for k in range(len(scene.readings.log_probability))]
     before = None
     for step in range(recording.num_steps):
         frame = recording.at(step)
@@ -121,10 +120,8 @@ def _by_step(recording: Recording, claims: list[str]) -> dict[str, Any]:
                 for i in np.flatnonzero(frame.is_detection)
             ]
         )
-        held = np.bincount(frame.reading, weights=frame.weight, minlength=len(meaning))
-        shares.append(
-            _short(*(sum(h for h, m in zip(held, meaning, strict=True) if m == c) for c in claims))
-        )
+        now = sentences.claim_shares(scene, frame)
+        shares.append(_short(*(now[claim] for claim in claims)))
         before = frame
     return {
         "story": [narrative.opening(scene)[1:] + story[0], *story[1:]],

@@ -4,23 +4,11 @@ What the sentence was taken to mean, what is seen, what is believed now, why thi
 it stopped. Every number comes from the recording; nothing is made up for the occasion.
 """
 
-import math
-
-import numpy as np
-
 from jaxlangnav.episode import EpisodeResult
-from jaxlangnav.messages import NONE
 from jaxlangnav.planner.graph import OBJECT
 from jaxlangnav.recording import Frame, Recording, Scene
-from jaxlangnav.viz import summary
-from jaxlangnav.viz.words import (
-    article,
-    describe_readings,
-    listed,
-    node_words,
-    percent,
-    whereabouts,
-)
+from jaxlangnav.viz import sentences, summary
+from jaxlangnav.viz.words import article, describe_readings, listed, percent
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 
 _SHIFT = 0.1
@@ -51,20 +39,6 @@ def opening(scene: Scene) -> list[str]:
     return lines
 
 
-def new_objects(frame: Frame, before: Frame | None) -> list[summary.SeenObject]:
-    """List what this step has discovered.
-
-    Args:
-        frame: the step.
-        before: the step before; None at first.
-
-    Returns:
-        Observed objects in slots that were empty before.
-    """
-    old = {one.slot for one in summary.seen_objects(before)} if before is not None else set()
-    return [one for one in summary.seen_objects(frame) if one.slot not in old]
-
-
 def tell_step(scene: Scene, frame: Frame, before: Frame | None) -> list[str]:
     """Tell one step: what is seen, what is believed, what it does and why.
 
@@ -76,8 +50,13 @@ def tell_step(scene: Scene, frame: Frame, before: Frame | None) -> list[str]:
     Returns:
         One sentence each.
     """
-    told = [_seen(scene, frame, before), _refuted(frame, before), _believed(scene, frame)]
-    told.append(_decided(scene, frame))
+    told = [
+        sentences.seen(scene, frame, before),
+        sentences.refuted(frame, before),
+        sentences.reread(scene, frame, before),
+        sentences.believed(scene, frame),
+        sentences.decided(scene, frame),
+    ]
     return [sentence for sentence in told if sentence]
 
 
@@ -96,13 +75,13 @@ def headline(scene: Scene, frame: Frame, before: Frame | None) -> str:
         return "says stop"
     if frame.is_stop:
         return "first command done"
-    new = new_objects(frame, before)
+    new = sentences.new_objects(frame, before)
     if new:
         return f"discovers {listed([article(scene.type_name(one.object_type)) for one in new])}"
     if before is None:
         return "hears the sentence, sees nothing"
     share = float(frame.num_regrounded) / frame.weight.shape[0]
-    if share >= 0.1 and _is_open(before):
+    if share >= 0.1 and sentences.is_open(before):
         return f"not there: {percent(share)} refuted"
     return "keeps on" if frame.is_kept else "new waypoint"
 
@@ -199,124 +178,14 @@ def _drawn_together(steps: list[int], recording: Recording) -> list[str]:
     number = str(steps[0]) if len(steps) == 1 else f"{steps[0]}-{steps[-1]}"
     head = _head(number, float(last.distance))
     if int(last.waypoint_kind) == OBJECT:
-        return [f"{head} Keeps on to the object."]
+        gone = float(last.distance) - float(recording.frames.distance[max(steps[0] - 1, 0)])
+        if len(steps) > 2 and gone < 0.5:
+            return [f"{head} Stands still. {sentences.believed(recording.scene, last)}"]
+        return [f"{head} {sentences.decided(recording.scene, last)}"]
     refuted = int(recording.frames.num_regrounded[steps].sum())
     share = percent(summary.explored_share(last))
     seen = "Looks on" if last.is_detection.any() else "Searches, finds nothing"
     return [
         f"{head} {seen}: {refuted} hypotheses refuted by what was not there, {share} of the area "
-        f"looked at. {_believed(recording.scene, last)}"
+        f"looked at. {sentences.believed(recording.scene, last)}"
     ]
-
-
-def _place(frame: Frame, x: float, y: float) -> str:
-    """Say where a place is, seen from the robot as it believes itself to stand."""
-    return whereabouts(x, y, float(frame.robot[0]), float(frame.robot[1]), float(frame.heading))
-
-
-def _seen(scene: Scene, frame: Frame, before: Frame | None) -> str:
-    """Tell the detections of a step, discoveries first."""
-    new = new_objects(frame, before)
-    if new:
-        parts = [
-            f"{article(scene.type_name(one.object_type))} {_place(frame, one.x, one.y)}"
-            for one in new
-        ]
-        return f"Discovers {listed(parts)}."
-    kinds = sorted(int(kind) for kind in frame.detection_type[frame.is_detection] if kind != NONE)
-    if not kinds:
-        return "Sees nothing."
-    names = [scene.type_name(kind) for kind in kinds]
-    counted = [
-        f"the {name}" if names.count(name) == 1 else f"{names.count(name)} {name}s"
-        for name in dict.fromkeys(names)
-    ]
-    return f"Sees {listed(counted)} again."
-
-
-def _refuted(frame: Frame, before: Frame | None) -> str:
-    """Tell how many hypotheses what was not there has cost."""
-    number, total = int(frame.num_regrounded), frame.weight.shape[0]
-    if before is None or number < 2:
-        return ""
-    if bool(frame.is_news) and number == total:
-        return "That reopens what the words refer to."
-    return f"{number} of {total} hypotheses are refuted and drawn anew." if _is_open(before) else ""
-
-
-def _is_open(frame: Frame) -> bool:
-    """Tell whether much of the belief is still hypothetical.
-
-    With everything seen, what is drawn anew is only a better fit of the same objects.
-    """
-    return float((frame.weight * frame.is_hypothesised.any(axis=0)).sum()) >= 0.1
-
-
-def _believed(scene: Scene, frame: Frame) -> str:
-    """Tell where the goal is believed to be."""
-    fitting = [one for one in summary.seen_objects(frame) if one.goal_mass >= 0.05]
-    fitting = sorted(fitting, key=lambda one: -one.goal_mass)
-    seen = [
-        f"the {scene.type_name(one.object_type)} {_place(frame, one.x, one.y)} "
-        f"({percent(one.goal_mass)})"
-        for one in fitting
-    ]
-    verb = "is taken to be" if fitting and fitting[0].goal_mass >= 0.5 else "may be"
-    told = [f"The goal {verb} {', or '.join(seen)}."] if seen else []
-    unseen = float(frame.hypothesis_goal_mass.sum())
-    if unseen >= 0.05:
-        spots = [
-            f"{_place(frame, x, y)} ({percent(share * unseen)})"
-            for x, y, share in summary.peaks(frame)
-            if share * unseen >= 0.1
-        ]
-        where = f"likeliest {', or '.join(spots)}" if spots else "it could be anywhere"
-        subject = "It may still be unseen" if seen else "The goal has not been seen yet"
-        told.append(f"{subject} ({percent(unseen)}): {where}.")
-    return " ".join(told) or "It knows of no place that fits the command."
-
-
-def _decided(scene: Scene, frame: Frame) -> str:
-    """Tell what the robot does next, and why."""
-    if bool(frame.is_stop):
-        return _stopped(scene, frame)
-    x, y = float(frame.waypoint[0]), float(frame.waypoint[1])
-    target = f"{node_words(int(frame.waypoint_kind), scene.policy)} {_place(frame, x, y)}"
-    if int(frame.waypoint_kind) == OBJECT:
-        near = min(
-            summary.seen_objects(frame),
-            key=lambda one: math.hypot(one.x - x, one.y - y),
-            default=None,
-        )
-        if near is not None:
-            target = f"the {scene.type_name(near.object_type)} {_place(frame, x, y)}"
-    if bool(frame.is_kept):
-        return f"Keeps on to {target}."
-    return f"Heads for {target}{_reason(scene, frame)}."
-
-
-def _reason(scene: Scene, frame: Frame) -> str:
-    """Tell why the chosen node is the best."""
-    node = summary.chosen_node(frame)
-    if node is None:
-        return ""
-    value, number = float(frame.value[node]), int(np.isfinite(frame.value).sum())
-    if scene.policy == "informed":
-        if int(frame.node_kind[node]) == OBJECT:
-            return ": nothing is left to find out that would matter more"
-        tested = percent(summary.tested_share(scene, frame))
-        return (
-            f": of {number} places it promises most; the way puts {tested} of the maps to the test"
-        )
-    return f": of {number} places it is on average nearest to the goal (value {value:.2f})"
-
-
-def _stopped(scene: Scene, frame: Frame) -> str:
-    """Tell why it stops."""
-    is_find = float(frame.action[1]) > 0.5
-    where = "in view" if is_find else f"within {float(scene.planner.reach):g} m"
-    said = "Says stop" if bool(frame.is_done) else "This command is done"
-    return (
-        f"{said}: the goal is {where} with probability {percent(float(frame.stop_mass))} "
-        f"(it stops from {percent(float(scene.planner.stop_probability))} on)."
-    )

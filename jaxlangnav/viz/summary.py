@@ -152,7 +152,7 @@ def peaks(
                 float(around[best]),
             )
         )
-        left = np.where(near[best], 0.0, left)
+        left = np.where(squared[best] <= 4 * radius * radius, 0.0, left)
     return found
 
 

@@ -1,0 +1,242 @@
+"""The sentences of the story, one function each: what is seen, believed and decided in a step."""
+
+import numpy as np
+
+from jaxlangnav.messages import AT, NONE, REGIONS
+from jaxlangnav.planner.graph import OBJECT
+from jaxlangnav.recording import Frame, Scene
+from jaxlangnav.viz import summary
+from jaxlangnav.viz.words import (
+    RELATION_WORDS,
+    article,
+    describe_reading,
+    listed,
+    node_words,
+    percent,
+    whereabouts,
+)
+
+
+def new_objects(frame: Frame, before: Frame | None) -> list[summary.SeenObject]:
+    """List what this step has discovered.
+
+    Args:
+        frame: the step.
+        before: the step before; None at first.
+
+    Returns:
+        Observed objects in slots that were empty before.
+    """
+    old = {one.slot for one in summary.seen_objects(before)} if before is not None else set()
+    return [one for one in summary.seen_objects(frame) if one.slot not in old]
+
+
+def _place(frame: Frame, x: float, y: float) -> str:
+    """Say where a place is, seen from the robot as it believes itself to stand."""
+    return whereabouts(x, y, float(frame.robot[0]), float(frame.robot[1]), float(frame.heading))
+
+
+def seen(scene: Scene, frame: Frame, before: Frame | None) -> str:
+    """Tell the detections of a step, discoveries first.
+
+    Args:
+        scene: of the episode.
+        frame: the step.
+        before: the step before; None at first.
+
+    Returns:
+        A sentence.
+    """
+    new = new_objects(frame, before)
+    if new:
+        parts = [
+            f"{article(scene.type_name(one.object_type))} {_place(frame, one.x, one.y)}"
+            for one in new
+        ]
+        return f"Discovers {listed(parts)}."
+    kinds = sorted(int(kind) for kind in frame.detection_type[frame.is_detection] if kind != NONE)
+    if not kinds:
+        return "Sees nothing."
+    names = [scene.type_name(kind) for kind in kinds]
+    counted = [
+        f"the {name}" if names.count(name) == 1 else f"{names.count(name)} {name}s"
+        for name in dict.fromkeys(names)
+    ]
+    return f"Sees {listed(counted)} again."
+
+
+def refuted(frame: Frame, before: Frame | None) -> str:
+    """Tell how many hypotheses what was not there has cost.
+
+    Args:
+        frame: the step.
+        before: the step before; None at first.
+
+    Returns:
+        A sentence, or nothing.
+    """
+    number, total = int(frame.num_regrounded), frame.weight.shape[0]
+    if before is None or number < 2:
+        return ""
+    if bool(frame.is_news) and number == total:
+        return "That reopens what the words refer to."
+    return f"{number} of {total} hypotheses are refuted and drawn anew." if is_open(before) else ""
+
+
+def is_open(frame: Frame) -> bool:
+    """Tell whether much of the belief is still hypothetical.
+
+    With everything seen, what is drawn anew is only a better fit of the same objects.
+    """
+    return float((frame.weight * frame.is_hypothesised.any(axis=0)).sum()) >= 0.1
+
+
+def reread(scene: Scene, frame: Frame, before: Frame | None) -> str:
+    """Tell how what has been seen changes what the words are taken to mean.
+
+    Args:
+        scene: of the episode.
+        frame: the step.
+        before: the step before; None at first.
+
+    Returns:
+        A sentence, or nothing where no claim gained a tenth.
+    """
+    if before is None:
+        return ""
+    now, then = claim_shares(scene, frame), claim_shares(scene, before)
+    claim = max(now, key=lambda one: now[one] - then[one])
+    if now[claim] - then[claim] < 0.1:
+        return ""
+    return f"It now reads the words as: {claim} ({percent(now[claim])})."
+
+
+def claim_shares(scene: Scene, frame: Frame) -> dict[str, float]:
+    """Sum up which readings the particles believe in.
+
+    Args:
+        scene: of the episode.
+        frame: one step.
+
+    Returns:
+        Probability of each claim; readings of the same words are one claim.
+    """
+    number = len(scene.readings.log_probability)
+    held = np.bincount(frame.reading, weights=frame.weight, minlength=number)
+    shares: dict[str, float] = {}
+    for index in range(number):
+        if np.isfinite(scene.readings.log_probability[index]):
+            claim = describe_reading(scene, index)
+            shares[claim] = shares.get(claim, 0.0) + float(held[index])
+    return shares
+
+
+def goal_name(scene: Scene, frame: Frame, slot: int) -> str:
+    """Name the goal place at an observed object: "the hydrant", "the place behind the cone".
+
+    Args:
+        scene: of the episode.
+        frame: one step.
+        slot: in [0, O], O for the robot itself.
+
+    Returns:
+        A noun with its article.
+    """
+    region = int(frame.goal_region[slot])
+    is_robot = slot == len(frame.goal_mass) - 1
+    kinds = {one.slot: one.object_type for one in summary.seen_objects(frame)}
+    thing = "where it started" if is_robot else f"the {scene.type_name(kinds.get(slot, NONE))}"
+    # A region is only asked for where there is goal probability; elsewhere it is the object.
+    if region == AT or float(frame.goal_mass[slot]) < 0.02:
+        return thing
+    return f"the place {RELATION_WORDS[REGIONS[region]]} {thing}"
+
+
+def believed(scene: Scene, frame: Frame) -> str:
+    """Tell where the goal is believed to be.
+
+    Args:
+        scene: of the episode.
+        frame: the step.
+
+    Returns:
+        Sentences.
+    """
+    order = np.argsort(-frame.goal_mass)
+    fitting = [int(slot) for slot in order if frame.goal_mass[slot] >= 0.05]
+    seen = [
+        f"{goal_name(scene, frame, slot)} "
+        f"{_place(frame, float(frame.goal_x[slot]), float(frame.goal_y[slot]))} "
+        f"({percent(float(frame.goal_mass[slot]))})"
+        for slot in fitting
+    ]
+    verb = "is taken to be" if fitting and frame.goal_mass[fitting[0]] >= 0.5 else "may be"
+    told = [f"The goal {verb} {', or '.join(seen)}."] if seen else []
+    unseen = float(frame.hypothesis_goal_mass.sum())
+    if unseen >= 0.05:
+        spots = [
+            f"{_place(frame, x, y)} ({percent(share * unseen)})"
+            for x, y, share in summary.peaks(frame)
+            if share * unseen >= 0.1
+        ]
+        where = f"likeliest {', or '.join(spots)}" if spots else "it could be anywhere"
+        subject = "It may still be unseen" if seen else "The goal has not been seen yet"
+        told.append(f"{subject} ({percent(unseen)}): {where}.")
+    nothing = 1.0 - unseen - float(frame.goal_mass.sum())
+    if nothing >= 0.15:
+        told.append(f"In {percent(nothing)} of the maps nothing fits the command.")
+    return " ".join(told)
+
+
+def decided(scene: Scene, frame: Frame) -> str:
+    """Tell what the robot does next, and why.
+
+    Args:
+        scene: of the episode.
+        frame: the step.
+
+    Returns:
+        A sentence.
+    """
+    if bool(frame.is_stop):
+        return _stopped(scene, frame)
+    place = _place(frame, float(frame.waypoint[0]), float(frame.waypoint[1]))
+    target = f"{_target(scene, frame)} {place}"
+    if bool(frame.is_kept):
+        return f"Keeps on to {target}."
+    return f"Heads for {target}{_reason(scene, frame)}."
+
+
+def _target(scene: Scene, frame: Frame) -> str:
+    """Name the waypoint."""
+    if int(frame.waypoint_kind) != OBJECT:
+        return node_words(int(frame.waypoint_kind), scene.policy)
+    x, y = frame.goal_x - frame.waypoint[0], frame.goal_y - frame.waypoint[1]
+    return goal_name(scene, frame, int(np.argmin(np.where(frame.is_goal, x * x + y * y, np.inf))))
+
+
+def _reason(scene: Scene, frame: Frame) -> str:
+    """Tell why the chosen node is the best."""
+    node = summary.chosen_node(frame)
+    if node is None:
+        return ""
+    value, number = float(frame.value[node]), int(np.isfinite(frame.value).sum())
+    if scene.policy == "informed":
+        if int(frame.node_kind[node]) == OBJECT:
+            return ": nothing is left to find out that would matter more"
+        tested = percent(summary.tested_share(scene, frame))
+        return (
+            f": of {number} places it promises most; the way puts {tested} of the maps to the test"
+        )
+    return f": of {number} places it is on average nearest to the goal (value {value:.2f})"
+
+
+def _stopped(scene: Scene, frame: Frame) -> str:
+    """Tell why it stops."""
+    is_find = float(frame.action[1]) > 0.5
+    where = "in view" if is_find else f"within {float(scene.planner.reach):g} m"
+    said = "Says stop" if bool(frame.is_done) else "This command is done"
+    return (
+        f"{said}: the goal is {where} with probability {percent(float(frame.stop_mass))} "
+        f"(it stops from {percent(float(scene.planner.stop_probability))} on)."
+    )
