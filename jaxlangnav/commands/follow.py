@@ -2,6 +2,8 @@
 
 import dataclasses
 import importlib.util
+import itertools
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -10,12 +12,15 @@ import tyro
 from jaxlangnav.commands.checks import check_at_least, check_folder, check_range, check_seed
 from jaxlangnav.commands.errors import UsageError
 from jaxlangnav.commands.output import Document, Output
-from jaxlangnav.commands.runtime import keep_compiled_programs
+from jaxlangnav.commands.runtime import keep_compiled_programs, patience
 from jaxlangnav.commands.sentence import parse_text
 
 if TYPE_CHECKING:
+    from jaxlangnav.commands.engine import Prepared
+    from jaxlangnav.episode import EpisodeResult
+    from jaxlangnav.grounding.instruction import Understanding
     from jaxlangnav.language.phrase import Parse
-    from jaxlangnav.recording import Recording
+    from jaxlangnav.recording import Frame, Recording, Scene
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -29,6 +34,7 @@ class Follow:
       jaxlangnav follow "go to the hydrant behind the cone"
       jaxlangnav follow "go to the hydrant nearest to the cone" --world 2H1C --range 5
       jaxlangnav follow "find the car" --world street --out pictures
+      jaxlangnav follow "move behind the cone" --live
       jaxlangnav follow "go to the hydrant" --policy faithful --seed 7 --json
     """
 
@@ -47,7 +53,9 @@ class Follow:
     max_steps: int = 120
     """Decisions after which the episode ends as a time-out."""
     out: Path | None = None
-    """Folder for pictures and for the document of the episode."""
+    """Folder for pictures (PNG, SVG, interactive HTML) and the document of the episode."""
+    live: bool = False
+    """Draw the episode in the terminal while it runs."""
     json: bool = False
     """Print one JSON document: success, distance, trajectory, annotations, pictures, ..."""
 
@@ -66,14 +74,9 @@ class Follow:
         self._check()
         parsed = parse_text(self.text, output)
         keep_compiled_programs()
-        name, annotations, recording = self._record(parsed, output)
-        document = self._document(name, annotations, recording)
-        from rich.markup import escape
-
-        from jaxlangnav.viz.narrative import tell
-
-        for line in tell(recording):
-            output.say(escape(line))
+        understood, prepared = self._prepare(parsed, output)
+        recording = self._record(understood, prepared, output)
+        document = self._document(prepared.world, understood.annotations, recording)
         if self.out is not None:
             self._draw(recording, document, output)
         return document
@@ -88,32 +91,71 @@ class Follow:
         if self.out is not None and importlib.util.find_spec("matplotlib") is None:
             raise UsageError('--out draws pictures and needs: pip install "jaxlangnav[viz]"')
 
-    def _record(
-        self, parsed: "Parse", output: Output
-    ) -> tuple[str, list[dict[str, Any]], "Recording"]:
-        """Understand the sentence and run the episode."""
-        import jax
-
-        from jaxlangnav.commands.engine import missing_types, navigator_config, open_task
+    def _prepare(self, parsed: "Parse", output: Output) -> "tuple[Understanding, Prepared]":
+        """Understand the sentence and open a world in which it can be followed."""
+        from jaxlangnav.commands.engine import missing_types, open_task
         from jaxlangnav.grounding.instruction import understand_parse
         from jaxlangnav.grounding.weights import load_shipped
-        from jaxlangnav.navigator import default_params
-        from jaxlangnav.recording import record
 
         understood = understand_parse(parsed, load_shipped())
-        annotations = understood.annotations
-        name, task = open_task(self.world, annotations, sensing_range=self.range, seed=self.seed)
-        for missing in missing_types(task, annotations, understood.type_names):
-            output.note(f"note: world {name} has no {missing}")
-        recording = record(
-            task,
-            jax.tree.map(lambda leaf: leaf[None], understood.instruction),
-            params=default_params(),
-            config=navigator_config(self.policy, self.particles),
-            max_steps=self.max_steps,
-            text=self.text,
-        )
-        return name, annotations, recording
+        if int(understood.instruction.num_clauses) == 0:
+            raise UsageError(
+                f'"{self.text}" informs but asks for nothing to be done; say for example '
+                '"go to the hydrant"'
+            )
+        prepared = open_task(self.world, understood, sensing_range=self.range, seed=self.seed)
+        scenario, names = prepared.task.scenario, understood.type_names
+        missing = missing_types(scenario, understood.annotations, names)
+        if not prepared.is_meant and prepared.is_drawn:
+            raise UsageError(nothing_there(prepared, missing, names))
+        for name in missing:
+            output.note(f"note: world {prepared.world} has no {name}")
+        if not prepared.is_meant:
+            output.note("note: nothing there fits the sentence; judged by the world's own goal")
+        return understood, prepared
+
+    def _record(
+        self, understood: "Understanding", prepared: "Prepared", output: Output
+    ) -> "Recording":
+        """Run the episode and tell it, as it happens or afterwards."""
+        import jax
+        import numpy as np
+        from rich.markup import escape
+
+        from jaxlangnav import recording as recorder
+        from jaxlangnav.commands.engine import judged, navigator_config, navigator_params
+        from jaxlangnav.viz.narrative import closing, tell
+
+        instructions = jax.tree.map(lambda leaf: np.asarray(leaf)[None], understood.instruction)
+        sizes: dict[str, Any] = {
+            "params": navigator_params(),
+            "config": navigator_config(self.policy, self.particles),
+        }
+        task = prepared.task
+        scene = recorder.set_scene(task, instructions, text=self.text, **sizes)
+        steps = recorder.play(task, instructions, max_steps=self.max_steps, **sizes)
+        with patience(output):
+            first = next(steps)
+        whole = itertools.chain([first], steps)
+        if self.live:
+            recording = judged(self._watch(scene, whole), prepared)
+            lines = closing(scene, recording.at(-1), recording.result)
+        else:
+            frames, results = zip(*whole, strict=True)
+            recording = judged(recorder.gather(scene, list(frames), results[-1]), prepared)
+            lines = tell(recording)
+        for line in lines:
+            output.say(escape(line))
+        return recording
+
+    def _watch(self, scene: "Scene", steps: "Iterable[tuple[Frame, EpisodeResult]]") -> "Recording":
+        """Draw the episode in the terminal while it runs."""
+        from rich.console import Console
+
+        from jaxlangnav.viz.terminal import watch
+
+        # Standard output is kept for the document where a script reads it.
+        return watch(scene, steps, console=Console(stderr=self.json))
 
     def _document(
         self, name: str, annotations: list[dict[str, Any]], recording: "Recording"
@@ -153,4 +195,27 @@ class Follow:
         assert self.out is not None
         document["pictures"] = [str(path) for path in write_pictures(recording, self.out)]
         write_text(json.dumps(to_json(document), indent=2) + "\n", self.out / "episode.json")
-        output.say(f"\nPictures: {', '.join(document['pictures'])}")
+        output.say(f"\nWrote {', '.join(document['pictures'])}")
+
+
+def nothing_there(prepared: "Prepared", missing: Sequence[str], names: Sequence[str]) -> str:
+    """Say that a template has nothing of what is asked for.
+
+    Args:
+        prepared: the world.
+        missing: types that the sentence speaks of and the world lacks.
+        names: object types by index.
+
+    Returns:
+        One line.
+    """
+    from jaxlangnav.commands.engine import count_types
+    from jaxlangnav.world.files import shipped_worlds
+
+    counts = count_types(prepared.task.scenario, names)
+    there = " and ".join(f"{number} {name}{'s' * (number > 1)}" for name, number in counts)
+    lack = f"no {missing[0]}" if missing else "nothing that fits the sentence"
+    return (
+        f"world {prepared.world} has {lack}, only {there}: choose another template, "
+        f"a shipped world ({', '.join(shipped_worlds())}) or a file with --world"
+    )

@@ -76,16 +76,14 @@ class Ground:
     def _ground_in(self, world_name: str, understood: "Understanding") -> dict[str, Any]:
         """Infer the behavior in a world of which everything is known."""
         from jaxlangnav.commands.engine import open_task
-        from jaxlangnav.commands.placed import list_behaviors, place
+        from jaxlangnav.commands.placed import list_behaviors, place_scenario
 
-        name, task = open_task(
-            world_name, understood.annotations, sensing_range=None, seed=self.seed
-        )
-        world, placed = place(task.scenario, understood.type_names)
+        prepared = open_task(world_name, understood, sensing_range=None, seed=self.seed)
+        placed = place_scenario(prepared.task.scenario, understood.type_names)
         return {
-            "world": name,
+            "world": prepared.world,
             "objects": [{"type": kind, "position": [x, y]} for kind, x, y in placed.objects],
-            "behaviors": list_behaviors(understood.instruction, world, placed),
+            "behaviors": list_behaviors(understood.instruction, placed, understood.type_names),
         }
 
 

@@ -3,8 +3,11 @@
 import contextlib
 import os
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
+
+from jaxlangnav.commands.output import Output
 
 Advance = Callable[[int], None]
 """Called with the number of pieces of work just done."""
@@ -32,6 +35,27 @@ def keep_compiled_programs() -> None:
             return
         jax.config.update("jax_compilation_cache_dir", str(directory))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+
+
+@contextlib.contextmanager
+def patience(output: Output, *, seconds: float = 5.0) -> Iterator[None]:
+    """Tell a person why nothing happens, where it takes long.
+
+    Args:
+        output: where the note goes.
+        seconds: how long is long.
+
+    Yields:
+        Nothing; do the work inside.
+    """
+    note = "compiling the robot's mind, once; the next run starts in seconds"
+    timer = threading.Timer(seconds, output.note, [note])
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 @contextlib.contextmanager

@@ -1,0 +1,200 @@
+"""``follow``: the document scripts read, the goal that is meant, pictures, live view, refusals."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from jaxlangnav import cli
+from jaxlangnav.commands import engine, intent
+from jaxlangnav.experiments.monte_carlo import cell, make_tasks
+from jaxlangnav.grounding import load_shipped, understand
+
+COMMAND = "go to the hydrant behind the cone"
+KEYS = {
+    "instruction": str,
+    "world": str,
+    "policy": str,
+    "seed": int,
+    "success": bool,
+    "stopped": bool,
+    "distance": float,
+    "known_distance": float,
+    "steps": int,
+    "goal": list,
+    "trajectory": list,
+    "annotations": list,
+    "pictures": list,
+}
+
+
+def follow(words: list[str], capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
+    assert cli.main(["follow", *words, "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def test_the_document_has_the_agreed_keys(capsys: pytest.CaptureFixture[str]) -> None:
+    document = follow([COMMAND], capsys)
+    assert {key: type(document[key]) for key in KEYS} == KEYS
+    assert document["instruction"] == COMMAND
+    assert (document["world"], document["policy"], document["seed"]) == ("1H1C", "informed", 0)
+    assert document["range"] == 3.0
+    assert document["success"]
+    assert document["stopped"]
+    trajectory = np.array(document["trajectory"])
+    assert trajectory.shape == (document["steps"] + 1, 2)
+    assert trajectory[0].tolist() == [0.0, 0.0]
+    lengths = np.linalg.norm(np.diff(trajectory, axis=0), axis=1)
+    assert lengths.sum() == pytest.approx(document["distance"], abs=1e-3)
+    end = math.dist(trajectory[-1], document["goal"])
+    assert end == pytest.approx(document["goal_distance"], abs=1e-3)
+    assert end <= 1.5
+    assert math.hypot(*document["goal"]) == pytest.approx(document["known_distance"], abs=1e-3)
+    assert document["annotations"][0]["relation"] == "behind"
+    assert document["pictures"] == []
+
+
+def test_the_same_seed_gives_the_same_episode(capsys: pytest.CaptureFixture[str]) -> None:
+    first, second = (follow([COMMAND, "--seed", "5"], capsys) for _ in range(2))
+    other = follow([COMMAND, "--seed", "6"], capsys)
+    assert first == second
+    assert first["goal"] != other["goal"]
+
+
+def test_people_read_a_story(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["follow", COMMAND]) == 0
+    told = capsys.readouterr().out
+    assert told.startswith(f"You said: “{COMMAND}”.")
+    assert "Says stop" in told
+    assert "\nSuccess: " in told
+
+
+def test_live_draws_and_ends_with_the_verdict(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["follow", COMMAND, "--live"]) == 0
+    told = capsys.readouterr().out
+    assert "looked at" in told
+    assert "\nSuccess: " in told
+    document = follow([COMMAND, "--live"], capsys)
+    assert document["success"]
+
+
+def test_pictures_are_written_and_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("matplotlib")
+    document = follow([COMMAND, "--out", str(tmp_path / "new" / "folder")], capsys)
+    pictures = [Path(name) for name in document["pictures"]]
+    assert {path.name for path in pictures} >= {"belief.png", "values.png", "episode.html"}
+    assert all(path.stat().st_size > 100 for path in pictures)
+    kept = json.loads((tmp_path / "new" / "folder" / "episode.json").read_text("utf-8"))
+    assert kept == document
+
+
+@pytest.mark.parametrize(
+    ("text", "world"),
+    [
+        ("go to the cone", "1H1C"),
+        ("move behind the cone", "1H1C"),
+        ("park to the right of the cone", "1H1C"),
+        ("go to the cone then go to the hydrant", "1H1C"),
+        ("go to the hydrant left of the cone", "1H1C"),
+        ("go to the hydrant nearest to the cone", "2H1C"),
+        ("find the car", "street"),
+    ],
+)
+def test_other_sentences_have_their_own_goal(
+    text: str, world: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    document = follow([text, "--world", world], capsys)
+    assert document["stopped"]
+    assert document["success"], document["goal_distance"]
+
+
+def prepare(text: str, world: str, seed: int = 0) -> engine.Prepared:
+    understood = understand(text, load_shipped())
+    return engine.open_task(world, understood, sensing_range=None, seed=seed)
+
+
+def places(prepared: engine.Prepared) -> dict[str, list[np.ndarray]]:
+    scenario = prepared.task.scenario
+    found: dict[str, list[np.ndarray]] = {"hydrant": [], "cone": []}
+    for slot in np.flatnonzero(np.asarray(scenario.is_object)):
+        name = ("hydrant", "cone")[int(scenario.object_type[slot])]
+        found[name].append(np.array([scenario.object_x[slot], scenario.object_y[slot]]))
+    return found
+
+
+def test_the_goal_is_the_thing_meant() -> None:
+    prepared = prepare("go to the cone", "1H1C")
+    np.testing.assert_allclose(prepared.task.scenario.goal, places(prepared)["cone"][0], atol=1e-5)
+    assert int(prepared.task.scenario.goal_index) == 1
+    assert not prepared.is_find
+    assert prepare("find the hydrant", "1H1C").is_find
+
+
+def test_a_region_is_judged_at_its_typical_place() -> None:
+    # Behind, seen from the start: 2.4 m further along the line of sight.
+    prepared = prepare("move behind the cone", "1H1C")
+    cone = places(prepared)["cone"][0]
+    away = cone / np.linalg.norm(cone)
+    np.testing.assert_allclose(prepared.task.scenario.goal, cone + 2.4 * away, atol=1e-3)
+    assert int(prepared.task.scenario.goal_index) == -1
+    # To the right of it: 2.4 m across the line of sight, clockwise.
+    prepared = prepare("park to the right of the cone", "1H1C")
+    right = np.array([away[1], -away[0]])
+    np.testing.assert_allclose(prepared.task.scenario.goal, cone + 2.4 * right, atol=1e-3)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_worlds_of_the_tables_keep_their_goal(seed: int) -> None:
+    """With two hydrants and no relation, the lot decides which is meant, not the robot's model."""
+    for text, relation in (("go to the hydrant", "null"), (COMMAND, "behind")):
+        prepared = prepare(text, "2H1C", seed)
+        drawn = make_tasks(cell("2H1C", relation, 0, 3.0, 1, seed)).scenario
+        np.testing.assert_array_equal(prepared.task.scenario.goal, drawn.goal[0])
+        np.testing.assert_array_equal(prepared.task.scenario.object_x, drawn.object_x[0])
+
+
+def test_a_world_is_drawn_in_which_the_sentence_is_true() -> None:
+    prepared = prepare("go to the hydrant in front of the cone", "1H1C")
+    assert prepared.is_meant
+    hydrant, cone = places(prepared)["hydrant"][0], places(prepared)["cone"][0]
+    assert (hydrant - cone) @ cone < 0
+
+
+def test_a_model_that_knows_nothing_means_nothing() -> None:
+    understood = understand(COMMAND, load_shipped().zeroed())
+    scenario = prepare(COMMAND, "1H1C").task.scenario
+    goals, _ = intent.meant_goals(understood, scenario)
+    assert len(goals) != 1
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ([COMMAND, "--range", "0"], "--range is 0"),
+        ([COMMAND, "--range", "-3"], "--range is -3"),
+        ([COMMAND, "--range", "nan"], "--range is nan"),
+        ([COMMAND, "--particles", "1"], "--particles is 1"),
+        ([COMMAND, "--max-steps", "0"], "--max-steps is 0"),
+        ([COMMAND, "--seed", "-1"], "--seed is -1"),
+        ([COMMAND, "--policy", "clever"], "clever"),
+        ([COMMAND, "--world", "yrad"], 'did you mean "yard"'),
+        ([COMMAND, "--world", "nowhere.toml"], "no such file"),
+        ([COMMAND, "--out", __file__], "is a file"),
+        (["go to the car"], "world 1H1C has no car, only 1 hydrant and 1 cone"),
+        (["the hydrant is behind the cone"], "asks for nothing to be done"),
+        (["go past the cone"], "past"),
+    ],
+)
+def test_bad_input_is_one_line(
+    words: list[str], expected: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["follow", *words, "--json"]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.count("\n") == 1
+    assert expected.lower() in captured.err.lower()
