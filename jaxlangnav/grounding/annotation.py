@@ -60,8 +60,8 @@ def describe(
         type_names: object types.
 
     Returns:
-        figure, relation, landmark (None where it has none), superlative, probability, and rank where
-        it is 2 or more.
+        figure, relation, landmark (None where it has none), superlative, probability; and rank
+        where it is 2 or more.
     """
 
     def name(index: int) -> str | None:

@@ -29,6 +29,7 @@ from jaxlangnav.grounding.symbols import (
 )
 from jaxlangnav.language.phrase import Parse, Phrase
 
+_SHAPES = ("object", "region", "relation")
 Path = tuple[int, ...]
 """Clause index, then child indices from the root of the clause."""
 
@@ -132,7 +133,7 @@ def _annotation_example(
     children = [space.mask(labelled.annotation[nodes[child].path]) for child in node.children]
     senses = af.senses_of(node.phrase, type_names)
     labels = {
-        **{k: v.ravel() for k, v in zip(("object", "region", "relation"), space.parts(gold))},
+        **{k: v.ravel() for k, v in zip(_SHAPES, space.parts(gold), strict=True)},
         "rank": np.arange(1, af.NUM_RANKS + 1) == labelled.rank.get(node.path, 0),
     }
     properties = annotation_properties(space, senses, children)

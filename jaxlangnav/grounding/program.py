@@ -40,8 +40,8 @@ class BehaviorProgram:
     """Coefficients of one clause; phrases bottom-up, the root is phrase ``num_phrases`` − 1.
 
     H phrases, 3 children, L region slots. "own" marks object types that the words name. Masks of
-    the device kernel follow ``region_table``: 0-5 related, 6-11 the extreme of its type, 12-17 not the
-    extreme (a particle's topology has no further ranks), 18 at, 19 nothing.
+    the device kernel follow ``region_table``: 0-5 related, 6-11 the extreme of its type, 12-17 not
+    the extreme (a particle's topology has no further ranks), 18 at, 19 nothing.
     """
 
     num_phrases: Array  # i32[]
@@ -271,7 +271,8 @@ def compile_clause(
     nodes = bottom_up(root, clause)
     if len(nodes) > NUM_PHRASES:
         raise ValueError(
-            f"the command has {len(nodes)} phrases; at most {NUM_PHRASES} are held: say less at once"
+            f"the command has {len(nodes)} phrases; at most {NUM_PHRASES} are held: "
+            "say less at once"
         )
     fields = empty_program()
     fields["num_phrases"] = np.int32(len(nodes))

@@ -104,7 +104,7 @@ def _minimise(
         updates, state = solver.update(
             gradient, state, weights, value=value, grad=gradient, value_fn=objective
         )
-        largest = jnp.max(jnp.stack([jnp.max(jnp.abs(g)) for g in gradient.values()]))
+        largest = optax.tree.norm(gradient, ord=jnp.inf)
         return optax.apply_updates(weights, updates), state, largest, count + 1
 
     def is_open(carry: tuple) -> Array:

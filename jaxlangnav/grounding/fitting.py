@@ -1,0 +1,181 @@
+"""Training of the shipped models from a corpus, start to end (section 4.1).
+
+Weights are fitted on the sentences marked "train". The temperature that divides the log-odds is
+chosen on a fifth of those, left out of a first fit, so that the hold-out stays untouched.
+"""
+
+import dataclasses
+import hashlib
+import json
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxlangnav.grounding.evaluation import (
+    Scores,
+    calibration_error,
+    fit_temperature,
+    score_annotations,
+    score_behaviors,
+)
+from jaxlangnav.grounding.examples import (
+    LabelledInstruction,
+    annotation_examples,
+    behavior_examples,
+)
+from jaxlangnav.grounding.instruction import GroundingModel
+from jaxlangnav.grounding.labelled import read_examples
+from jaxlangnav.grounding.model import ANNOTATION_KINDS, BEHAVIOR_KINDS, CorrespondenceModel
+from jaxlangnav.grounding.training import Fit, TrainingConfig, build_blocks, fit
+from jaxlangnav.language.corpus import Example, load_corpus, read_corpus
+from jaxlangnav.language.lexicon import load_lexicon
+
+MODELS = ("annotation", "behavior")
+
+
+@dataclasses.dataclass(frozen=True)
+class Trained:
+    """A trained model and what was measured on the way."""
+
+    model: GroundingModel
+    report: dict[str, Any]
+
+
+def corpus_hash(examples: Sequence[Example]) -> str:
+    """Hash the sentences and labels of a corpus, whatever file they came from."""
+    digest = hashlib.sha256()
+    for example in examples:
+        labels = [[sorted(symbols) for symbols in c.annotation] for c in example.clauses]
+        digest.update(json.dumps([example.text, example.split, labels]).encode())
+        for labelled in example.worlds:
+            digest.update(repr(labelled.world).encode())
+    return digest.hexdigest()[:16]
+
+
+def _fit_twice(
+    name: str,
+    instructions: Sequence[LabelledInstruction],
+    is_tuning: np.ndarray,
+    type_names: tuple[str, ...],
+    config: TrainingConfig,
+) -> tuple[CorrespondenceModel, CorrespondenceModel, Fit, int]:
+    """Fit on all sentences, and on those not kept for tuning, in one go."""
+    build = annotation_examples if name == "annotation" else behavior_examples
+    kinds = ANNOTATION_KINDS if name == "annotation" else BEHAVIOR_KINDS
+    examples = build(instructions, type_names)
+    vocabulary, blocks = build_blocks(examples, kinds, len(instructions))
+    shares = np.stack([np.ones(len(instructions)), ~is_tuning]).astype(np.float32)
+    (full, part), measured = fit(blocks, shares, config)
+    count = sum(len(rows.labels) for example in examples for rows in example.rows.values())
+    return (
+        CorrespondenceModel(vocabulary, full),
+        CorrespondenceModel(vocabulary, part),
+        measured,
+        count,
+    )
+
+
+def _tuning_split(examples: Sequence[Example]) -> np.ndarray:
+    """Keep every fifth template for tuning, bool[I]."""
+    templates = sorted({example.template for example in examples})
+    kept = set(templates[::5])
+    return np.array([example.template in kept for example in examples])
+
+
+def train_models(
+    corpus: Path | None = None,
+    *,
+    kinds: Sequence[str] = MODELS,
+    base: GroundingModel | None = None,
+    config: TrainingConfig | None = None,
+    on_progress: Callable[[str], None] | None = None,
+) -> Trained:
+    """Train one or both models on a corpus and measure them on its hold-out.
+
+    Args:
+        corpus: a corpus file, or a directory with ``corpus.jsonl``; the package's by default.
+        kinds: "annotation", "behavior" or both.
+        base: where a model that is not trained comes from.
+        config: regularisation and stopping.
+        on_progress: called with a line about each stage.
+
+    Returns:
+        The model and a report.
+
+    Raises:
+        ValueError: the corpus is unsound, or has no sentence to train on.
+    """
+    say = on_progress or (lambda line: None)
+    config = config or TrainingConfig()
+    say("reading the corpus")
+    examples = load_corpus() if corpus is None else read_corpus(_corpus_file(corpus))
+    type_names = load_lexicon().type_names
+    train = [example for example in examples if example.split == "train"]
+    test = [example for example in examples if example.split == "test"]
+    if not train:
+        raise ValueError("the corpus has no sentence marked 'train'")
+    instructions, held_out = read_examples(train, type_names), read_examples(test, type_names)
+    is_tuning = _tuning_split(train)
+    tuning = [x for x, kept in zip(instructions, is_tuning, strict=True) if kept]
+    models = {} if base is None else {"annotation": base.annotation, "behavior": base.behavior}
+    report: dict[str, Any] = {"corpus": corpus_hash(examples), "sentences": len(examples)}
+    for name in [name for name in MODELS if name in kinds]:
+        say(f"fitting the {name} model")
+        begin = time.perf_counter()
+        full, part, measured, count = _fit_twice(name, instructions, is_tuning, type_names, config)
+        fitted = time.perf_counter() - begin
+        say(f"tuning and testing the {name} model")
+
+        def score(
+            model: CorrespondenceModel, which: Sequence[LabelledInstruction], name: str = name
+        ) -> Scores:
+            if name == "annotation":
+                return score_annotations(which, model, type_names)
+            return score_behaviors(which, models["annotation"], model, type_names)
+
+        def warm(t: float, model: CorrespondenceModel) -> CorrespondenceModel:
+            return dataclasses.replace(model, temperature=t)
+
+        temperature = 1.0
+        if tuning:
+            temperature = fit_temperature(lambda t, m=part: score(warm(t, m), tuning))
+        models[name] = warm(temperature, full)
+        report[name] = _report(measured, count, full, fitted, temperature) | (
+            _held_out(score(full, held_out), score(models[name], held_out)) if held_out else {}
+        )
+    if set(models) != set(MODELS):
+        raise ValueError("to train one model alone, give the weights that the other comes from")
+    return Trained(GroundingModel(models["annotation"], models["behavior"], type_names), report)
+
+
+def _corpus_file(corpus: Path) -> Path:
+    """Find the corpus file in a directory."""
+    return corpus / "corpus.jsonl" if corpus.is_dir() else corpus
+
+
+def _report(
+    measured: Fit, count: int, model: CorrespondenceModel, seconds: float, temperature: float
+) -> dict[str, Any]:
+    """Write down what training took."""
+    return {
+        "examples": count,
+        "features": model.num_features,
+        "train_s": round(measured.seconds, 3),
+        "train_compile_s": round(measured.compile_seconds, 3),
+        "total_s": round(seconds, 3),
+        "steps": int(measured.steps[0]),
+        "temperature": temperature,
+    }
+
+
+def _held_out(before: Scores, after: Scores) -> dict[str, Any]:
+    """Write down what the hold-out says."""
+    return {
+        "held_out": len(after.is_right),
+        "accuracy": round(after.accuracy, 4),
+        "calibration_error_before": round(calibration_error(before), 4),
+        "calibration_error": round(calibration_error(after), 4),
+    }
