@@ -36,7 +36,10 @@ WORDS = {
     "approach": "approach approach follow reach | visit",
     "adv": "quickly quickly slowly slowly carefully fast | cautiously rapidly gently swiftly",
     "pol": "please please can_you could_you robot, hey_robot, can_you_please i_want_you_to "
-    "would_you please, | kindly could_you_please i'd_like_you_to you_should okay_robot,",
+    "would_you please, hey_buddy, now try_to you_need_to could_you let's will_you_please "
+    "i_need_you_to ok_now first robot_please go_and okay, would_you_please we_need_to "
+    "| kindly could_you_please i'd_like_you_to you_should okay_robot, go_ahead_and "
+    "your_task_is_to listen, um_can_you",
     "det": "the the a that | this",
     "J": "red blue big small yellow old tall large orange white | rusty tiny green huge wooden",
 }

@@ -20,6 +20,7 @@ from jaxlangnav.language.forest import Derivation, ForestReader, Production
 from jaxlangnav.language.lexicon import Entry, Lexicon, load_lexicon
 
 P_OPTIONAL = 0.2
+W_EXPRESSION = 0.005  # of a word of fixed expressions to be a noun, beside an unknown word
 COMMA, FULLSTOP, UNKNOWN, UNKNOWN_ADVERB, UNKNOWN_ING = "comma", "fullstop", "?", "?ly", "?ing"
 # What an unknown word may be, with its weight beside the known words of the class.
 UNKNOWN_CLASSES = {
@@ -98,6 +99,20 @@ def read_rules(text: str) -> list[tuple[str, tuple[str, ...], float]]:
     return rules
 
 
+def _free_words(lexicon: Lexicon) -> list[str]:
+    """List words known only from fixed expressions ("plant yourself"): alone they are nouns."""
+    alone = {key[0] for entries in lexicon.entries.values() for key in entries if len(key) == 1}
+    bound = {
+        word
+        for entries in lexicon.entries.values()
+        for entry in entries.values()
+        for word in entry.words
+        if any(sense.startswith("relation") for senses in entry.senses for sense in senses)
+    }
+    closed = alone | bound | set(lexicon.tags) | set(lexicon.refused)
+    return sorted(word for word in lexicon.vocabulary - closed if word.isalpha())
+
+
 def _lexical_rules(lexicon: Lexicon) -> list[tuple[str, tuple[str, ...], float, Entry | None]]:
     """Make a rule for every expression of the lexicon and for unknown words."""
     rules: list[tuple[str, tuple[str, ...], float, Entry | None]] = []
@@ -106,6 +121,7 @@ def _lexical_rules(lexicon: Lexicon) -> list[tuple[str, tuple[str, ...], float, 
     for name, marks in UNKNOWN_CLASSES.items():
         known = max(1, len(lexicon.entries.get(name, {})))
         rules += [(name, (f'"{mark}"',), known * share, None) for mark, share in marks.items()]
+    rules += [("unknown_noun", (f'"{word}"',), W_EXPRESSION, None) for word in _free_words(lexicon)]
     rules += [(mark, (f'"{mark}"',), 1.0, None) for mark in (COMMA, FULLSTOP)]
     return rules
 

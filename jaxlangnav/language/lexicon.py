@@ -15,7 +15,7 @@ REASONS = {
     "containment": "containment is not supported",
     "path": "paths are not supported",
     "condition": "conditions and alternatives are not supported",
-    "coordination": "joined objects are not supported, give one command after the other",
+    "coordination": "joining is not supported here, give one command after the other",
     "pronoun": "pronouns are not supported, name the object",
     "quantity": "numbers and quantities are not supported",
     "a question": "questions are not supported",
@@ -132,7 +132,8 @@ class _Builder:
             for text in texts:
                 entry = _entry(text, tag, senses, self.tags)
                 self.add(name, entry)
-                if ing is not None:
+                # "I am looking" has no -ing form of its own: its first word is no verb.
+                if ing is not None and self.tags.get(entry.words[0], "VB") == "VB":
                     first = _derived(entry, 0, ing_form(entry.words[0]), "VBG")
                     self.add(str(ing), first)
 

@@ -165,7 +165,7 @@ def parse(text: str) -> Parse:
         instruction=text,
         clauses=tuple(clauses),
         kinds=tuple(STATEMENT if clause.label == "S" else COMMAND for clause in clauses),
-        unknown_words=tuple(unknown),
+        unknown_words=tuple(builder.unknown),
         repairs=tuple(reader.repairs),
         probability=probability,
     )

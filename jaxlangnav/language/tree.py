@@ -24,6 +24,7 @@ class TreeBuilder:
             texts: the word of each token, lower case.
             positions: 1-based position among the words of each token.
         """
+        self.unknown: list[tuple[str, int]] = []  # words whose part of speech was guessed
         self.texts = texts
         self.positions = positions
 
@@ -62,6 +63,7 @@ class TreeBuilder:
         left = node.production.left
         if left in UNKNOWN_TAGS:
             tag = UNKNOWN_TAGS[left]
+            self.unknown.append((text, position))
             is_plural = tag == "NN" and text.endswith("s") and plural(text[:-1]) == text
             lemma = text[:-1] if is_plural else text
             return Word(text=text, tag="NNS" if is_plural else tag, lemma=lemma, position=position)
