@@ -241,7 +241,9 @@ def step(
         params.planner,
     )
     weight = jnp.exp(belief.log_weight)
-    expected = jax.tree.map(lambda leaf: jnp.sum(leaf * weight, axis=-1), behavior)
+    expected = jax.tree.map(
+        lambda leaf: jnp.sum(leaf * jnp.broadcast_to(weight, leaf.shape), axis=-1), behavior
+    )
     choice = policy.choose(
         belief,
         nodes,

@@ -90,7 +90,9 @@ def visibility(
 ) -> Array:
     """Compute which share of each cell comes into view at each viewpoint, f32[A, C]."""
     softness = 0.5 * (area[1] - area[0] + area[3] - area[2]) / CELLS
-    squared = (view_x[:, None] - search.x) ** 2 + (view_y[:, None] - search.y) ** 2
+    offset_x = view_x[:, None] - search.x[None, :]
+    offset_y = view_y[:, None] - search.y[None, :]
+    squared = offset_x * offset_x + offset_y * offset_y
     return jnp.clip((range_max - jnp.sqrt(squared + 1e-9)) / softness + 0.5, 0.0, 1.0)
 
 

@@ -1,0 +1,191 @@
+"""Batches of episodes: results depend on an episode's own key, never on its place (batch laws)."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxlangnav import episode, navigator
+from jaxlangnav.episode import EpisodeResult, Task, run, run_batch
+from jaxlangnav.grounding import load_shipped, understand
+from jaxlangnav.messages import MotionParams, SensorParams
+from jaxlangnav.navigator import NavigatorConfig
+from jaxlangnav.planner.params import PlannerConfig
+from jaxlangnav.pytree import replace
+from jaxlangnav.semantic_map.params import MapConfig
+from jaxlangnav.world.scenario import draw_scenario, scenario_law
+
+SENTENCES = ("go to the hydrant behind the cone", "go to the hydrant", "find the cone")
+EPISODES, MAX_STEPS = 24, 40
+
+
+def config(policy: str = "informed") -> NavigatorConfig:
+    return NavigatorConfig(
+        map=MapConfig(num_particles=32, num_objects=4, num_cells=24),
+        planner=PlannerConfig(policy=policy, num_visited=8),
+    )
+
+
+@pytest.fixture(scope="module")
+def instructions():
+    grounded = [understand(text, load_shipped()).instruction for text in SENTENCES]
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *grounded)
+
+
+@pytest.fixture(scope="module")
+def tasks() -> Task:
+    """Episodes that differ in world, sentence, range and noise, and so in length."""
+    law = scenario_law(template="1H1C", relation="behind")
+    scenarios = jax.vmap(draw_scenario, in_axes=(0, None))(
+        jax.random.split(jax.random.key(7), EPISODES), law
+    )
+    number = np.arange(EPISODES)
+    return Task(
+        key=jax.random.split(jax.random.key(1), EPISODES),
+        scenario=scenarios,
+        instruction_index=jnp.asarray(number % len(SENTENCES), jnp.int32),
+        sensor=SensorParams(
+            range_max=jnp.asarray(np.choose(number % 4, [2.0, 3.0, 5.0, 20.0]), jnp.float32),
+            field_of_view=jnp.full(EPISODES, 2 * jnp.pi),
+            detection_probability=jnp.full(EPISODES, 0.95),
+            noise=jnp.full(EPISODES, 0.1),
+        ),
+        motion=MotionParams(
+            step_length=jnp.full(EPISODES, 1.0),
+            odometry_noise=jnp.asarray(0.02 * (number % 2), jnp.float32),
+        ),
+    )
+
+
+def batch(tasks: Task, instructions, lanes: int, policy: str = "informed", **kwargs):
+    result = run_batch(
+        tasks,
+        instructions,
+        params=navigator.default_params(),
+        config=config(policy),
+        num_lanes=lanes,
+        max_steps=MAX_STEPS,
+        **kwargs,
+    )
+    return jax.tree.map(np.asarray, result)
+
+
+def assert_same(ours: EpisodeResult, theirs: EpisodeResult, share: float = 0.9) -> None:
+    """Different programs round differently, so a draw may fall to the other side now and then."""
+    same = np.isclose(ours.distance, theirs.distance, atol=1e-2) & (ours.steps == theirs.steps)
+    same &= np.isclose(ours.final, theirs.final, atol=1e-2).all(-1)
+    assert same.mean() >= share, same
+    assert (ours.is_success == theirs.is_success)[same].all()
+    # Where a draw has fallen otherwise the episode is another sample of the same law.
+    assert abs(ours.is_success.mean() - theirs.is_success.mean()) <= 0.1
+
+
+@pytest.fixture(scope="module")
+def in_lanes(tasks, instructions) -> EpisodeResult:
+    return batch(tasks, instructions, lanes=7)
+
+
+def test_episodes_end_with_a_result(in_lanes: EpisodeResult) -> None:
+    assert in_lanes.is_valid.all()
+    assert (in_lanes.steps >= 1).all()
+    assert (in_lanes.steps <= MAX_STEPS).all()
+    assert len(set(in_lanes.steps.tolist())) > 5, "lengths should differ, or refilling is untested"
+    assert (in_lanes.is_success <= in_lanes.is_stopped).all()
+    assert (in_lanes.is_stopped | (in_lanes.steps == MAX_STEPS)).all()
+    assert (in_lanes.is_success == (in_lanes.is_stopped & (in_lanes.goal_distance <= 1.5))).all()
+    assert (in_lanes.degenerate == 0).all()
+    assert (in_lanes.distance <= in_lanes.steps * 1.5 * 1.1 + 1e-3).all()
+    assert np.isfinite(in_lanes.distance).all()
+    # A hydrant behind the only cone: nearly always found.
+    assert in_lanes.is_success[::3].mean() > 0.7
+
+
+def test_one_by_one_equals_the_batch(in_lanes: EpisodeResult, tasks, instructions) -> None:
+    """``run`` in a Python loop against refilled lanes; one compilation for all of it."""
+    results = []
+    before = run._cache_size()
+    for index in range(EPISODES):
+        task = jax.tree.map(lambda leaf, index=index: leaf[index], tasks)
+        results.append(
+            run(
+                task,
+                instructions,
+                params=navigator.default_params(),
+                config=config(),
+                max_steps=MAX_STEPS,
+            )
+        )
+    # Sentences, worlds, ranges and noises are data.
+    assert run._cache_size() == before + 1
+    stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *results)
+    assert_same(stacked, in_lanes)
+    # So are parameters.
+    changed = navigator.default_params()
+    changed = replace(
+        changed,
+        map=replace(changed.map, concentration=jnp.float32(0.1)),
+        planner=replace(changed.planner, discount=jnp.float32(0.9)),
+    )
+    task = jax.tree.map(lambda leaf: leaf[0], tasks)
+    run(task, instructions, params=changed, config=config(), max_steps=MAX_STEPS)
+    assert run._cache_size() == before + 1
+
+
+def test_order_of_tasks_does_not_matter(in_lanes: EpisodeResult, tasks, instructions) -> None:
+    """The same program with tasks permuted: bitwise the same episodes."""
+    order = np.random.default_rng(0).permutation(EPISODES)
+    permuted = batch(jax.tree.map(lambda leaf: leaf[order], tasks), instructions, lanes=7)
+    for ours, theirs in zip(
+        jax.tree.leaves(permuted), jax.tree.leaves(in_lanes), strict=True
+    ):
+        np.testing.assert_array_equal(ours, theirs[order])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lanes", [1, 64])
+def test_number_of_lanes_does_not_matter(
+    lanes: int, in_lanes: EpisodeResult, tasks, instructions
+) -> None:
+    assert_same(batch(tasks, instructions, lanes), in_lanes)
+
+
+@pytest.mark.slow
+def test_padding_tasks_are_not_run(in_lanes: EpisodeResult, tasks, instructions) -> None:
+    some = batch(tasks, instructions, lanes=7, count=jnp.int32(10))
+    assert_same(
+        jax.tree.map(lambda leaf: leaf[:10], some), jax.tree.map(lambda leaf: leaf[:10], in_lanes)
+    )
+    assert (some.steps[10:] == 0).all()
+    none = batch(tasks, instructions, lanes=7, count=jnp.int32(0))
+    assert (none.steps == 0).all()
+
+
+@pytest.mark.slow
+def test_both_policies_run_everywhere(tasks, instructions) -> None:
+    result = batch(tasks, instructions, lanes=7, policy="faithful")
+    assert (result.steps >= 1).all()
+    assert (result.degenerate == 0).all()
+    assert result.is_success[::3].mean() > 0.5
+
+
+@pytest.mark.slow
+def test_refilled_lanes_equal_a_vmapped_loop(in_lanes: EpisodeResult, tasks, instructions) -> None:
+    """``vmap`` of ``run`` waits for its slowest lane and finds the same episodes."""
+    results = jax.vmap(
+        lambda task: run(
+            task,
+            instructions,
+            params=navigator.default_params(),
+            config=config(),
+            max_steps=MAX_STEPS,
+        )
+    )(tasks)
+    assert_same(jax.tree.map(np.asarray, results), in_lanes)
+
+
+def test_keys_decide(tasks, instructions, in_lanes: EpisodeResult) -> None:
+    """Another key is another episode in the same world."""
+    other = replace(tasks, key=jax.random.split(jax.random.key(99), EPISODES))
+    result = batch(other, instructions, lanes=7)
+    assert not np.allclose(result.distance, in_lanes.distance)
+    assert episode.MAX_STEPS >= MAX_STEPS
