@@ -10,6 +10,7 @@ from jaxlangnav.recording import Frame, Recording, Scene, gather
 from jaxlangnav.world.state import CONE, HYDRANT, Scenario
 
 TYPES = ("hydrant", "cone", "car", "building", "tree", "bench", "barrel", "box")
+TEXT = "go to the hydrant behind the cone"
 AREA = (0.0, 13.0, -9.0, 9.0)
 SLOTS, MENTIONS, DETECTIONS, CELLS, NODES = 4, 3, 4, 16, 12
 
@@ -26,9 +27,7 @@ def make_readings() -> Readings:
     )
 
 
-def make_scene(
-    *, policy: str = "faithful", text: str = "go to the hydrant behind the cone"
-) -> Scene:
+def make_scene(*, policy: str = "faithful", text: str = TEXT) -> Scene:
     """A hydrant at (9, 1) behind a cone at (6, 1)."""
     scenario = Scenario(
         object_type=np.array([HYDRANT, CONE, NONE], np.int32),
@@ -158,7 +157,7 @@ def make_recording(
     num_particles: int = 20,
     *,
     policy: str = "faithful",
-    text: str | None = None,
+    text: str = TEXT,
 ) -> Recording:
     """A success in ``num_steps`` steps."""
     rng = np.random.default_rng(num_steps)

@@ -81,9 +81,7 @@ def test_live_draws_and_ends_with_the_verdict(capsys: pytest.CaptureFixture[str]
     assert document["success"]
 
 
-def test_pictures_are_written_and_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_pictures_are_written_and_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("matplotlib")
     document = follow([COMMAND, "--out", str(tmp_path / "new" / "folder")], capsys)
     pictures = [Path(name) for name in document["pictures"]]
@@ -182,7 +180,7 @@ def test_a_model_that_knows_nothing_means_nothing() -> None:
         ([COMMAND, "--max-steps", "0"], "--max-steps is 0"),
         ([COMMAND, "--seed", "-1"], "--seed is -1"),
         ([COMMAND, "--policy", "clever"], "clever"),
-        ([COMMAND, "--world", "yrad"], 'did you mean "yard"'),
+        ([COMMAND, "--world", "yrad"], "did you mean 'yard'"),
         ([COMMAND, "--world", "nowhere.toml"], "no such file"),
         ([COMMAND, "--out", __file__], "is a file"),
         (["go to the car"], "world 1H1C has no car, only 1 hydrant and 1 cone"),

@@ -1,5 +1,6 @@
 """Results on disk: whole or not at all, and with all that a repetition needs."""
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -59,6 +60,21 @@ def test_the_hash_tells_weights_apart() -> None:
         {"words": weights["words"], "offset": weights["bias"]},
     ):
         assert archive.pytree_hash(other) != archive.pytree_hash(weights)
+
+
+def test_a_hash_is_of_what_is_held_and_never_of_where() -> None:
+    @dataclasses.dataclass(frozen=True)
+    class Model:
+        weights: np.ndarray
+        name: str = "annotation"
+
+    one, other = Model(np.ones(3)), Model(np.ones(3))
+    assert archive.pytree_hash(one) == archive.pytree_hash(other)
+    assert archive.pytree_hash(one) != archive.pytree_hash(Model(np.zeros(3)))
+    assert archive.pytree_hash(one) != archive.pytree_hash(Model(np.ones(3), "behavior"))
+    assert archive.pytree_hash({"both": [one]}) == archive.pytree_hash({"both": [other]})
+    with pytest.raises(ValueError, match="it has no hash"):
+        archive.pytree_hash({"thing": object()})
 
 
 def test_a_manifest_says_how(tmp_path: Path) -> None:

@@ -1,0 +1,204 @@
+"""Figures: what is drawn is what was recorded, point by point; files are whole."""
+
+import sys
+import xml.etree.ElementTree as ET
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from PIL import Image
+from recording_fixture import make_recording
+
+from jaxlangnav.pytree import replace
+from jaxlangnav.viz import mapping, panels, pictures, style, values
+from jaxlangnav.viz.belief import belief_figure
+from jaxlangnav.viz.values import values_figure
+
+
+def axes_of(recording):
+    axes = Figure().add_subplot()
+    axes.set(xlim=recording.scene.area[:2], ylim=recording.scene.area[2:])
+    return axes
+
+
+def test_every_hypothesis_is_a_point():
+    one = make_recording(9, 20)
+    for step in (0, 5, 8):
+        frame = one.at(step)
+        drawn = mapping.draw_hypotheses(axes_of(one), frame)
+        points = np.concatenate([part.get_offsets() for part in drawn] or [np.zeros((0, 2))])
+        assert len(points) == frame.is_hypothesised.sum()
+        held = frame.hypothesis_x[frame.is_hypothesised]
+        assert sorted(points[:, 0]) == pytest.approx(sorted(held))
+
+
+def test_a_heavier_particle_is_drawn_stronger():
+    one = make_recording(9, 20)
+    frame = one.at(0)
+    drawn = mapping.draw_hypotheses(axes_of(one), frame)[0]
+    chosen = frame.is_hypothesised & (frame.mention_type == 0)
+    weight = np.broadcast_to(frame.weight, chosen.shape)[chosen]
+    order = np.argsort(weight)
+    assert (np.diff(drawn.get_facecolors()[order, 3]) >= -1e-9).all()
+    assert (np.diff(drawn.get_sizes()[order]) >= -1e-9).all()
+
+
+def test_hypotheses_are_empty_in_the_value_figure():
+    one = make_recording(9, 20)
+    drawn = mapping.draw_hypotheses(axes_of(one), one.at(0), filled=False)[0]
+    assert len(drawn.get_facecolors()) == 0
+
+
+def test_seen_objects_and_truth():
+    one = make_recording(9, 20)
+    assert len(mapping.draw_objects(axes_of(one), one.at(0))) == 0
+    assert len(mapping.draw_objects(axes_of(one), one.at(-1))) == 2
+    assert len(mapping.draw_truth(axes_of(one), one.scene)) == 2
+
+
+def test_the_path_ends_at_the_robot():
+    one = make_recording(9, 20)
+    line = mapping.draw_path(axes_of(one), one, 5)
+    assert line.get_xydata()[-1] == pytest.approx(one.frames.position[5])
+    assert len(line.get_xydata()) == 6
+
+
+@pytest.mark.parametrize("heading", [0.0, 1.0, -2.5])
+def test_the_robot_points_where_it_heads(heading):
+    one = make_recording(3, 5)
+    mark = mapping.draw_robot(axes_of(one), replace(one.at(1), heading=np.float32(heading)))
+    tip = mark.get_paths()[0].vertices[0]
+    assert np.arctan2(tip[1], tip[0]) == pytest.approx(heading, abs=1e-5)
+
+
+def test_nodes_carry_their_values():
+    one = make_recording(9, 20)
+    frame = one.at(8)
+    nodes = values.draw_values(axes_of(one), one, 8)
+    assert np.sort(np.asarray(nodes.get_array())) == pytest.approx(
+        np.sort(frame.value[np.isfinite(frame.value)])
+    )
+
+
+def test_the_best_nodes_are_in_order_and_open():
+    frame = make_recording(9, 20).at(8)
+    best = values.best_nodes(frame, 5)
+    assert frame.value[best[0]] == pytest.approx(0.9)
+    assert (np.diff(frame.value[best]) <= 0).all()
+    assert len(values.best_nodes(frame, 50)) == np.isfinite(frame.value).sum()
+
+
+def test_bars_add_up_to_the_value():
+    one = make_recording(9, 20)
+    axes = axes_of(one)
+    frame = one.at(8)
+    values.draw_parts(axes, frame)
+    best = values.best_nodes(frame)
+    widths = np.array([bar.get_width() for bar in axes.patches]).reshape(3, len(best))
+    assert widths.sum(axis=0) == pytest.approx(frame.value[best], abs=1e-6)
+
+
+@pytest.mark.parametrize("policy", ["faithful", "informed"])
+@pytest.mark.parametrize("number", [1, 3, 6])
+def test_figures_have_their_panels(policy, number):
+    one = make_recording(9, 20, policy=policy)
+    assert len(belief_figure(one, num_panels=number).axes) == number
+    assert len(values_figure(one, num_panels=number).axes) == 2 * number
+
+
+def test_panels_say_step_and_way():
+    one = make_recording(9, 20)
+    figure = belief_figure(one, steps=[0, -1])
+    titles = [axes.get_title(loc="left") for axes in figure.axes]
+    assert titles == ["(a) step 0 · 0.0 m", "(b) step 8 · 8.6 m"]
+    assert any(one.scene.text in text.get_text() for text in figure.texts)
+    assert figure.axes[0].get_xlabel() == "x (m)"
+    assert figure.axes[0].get_ylabel() == "y (m)"
+
+
+def test_texts_stay_on_the_page():
+    # A headline that runs off the paper was the first fault of the first figure.
+    figure = belief_figure(make_recording(9, 20), num_panels=1)
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    for text in figure.texts:
+        box = text.get_window_extent(renderer)
+        assert box.x0 >= 0
+        assert box.x1 <= figure.bbox.x1, text.get_text()
+
+
+@pytest.mark.parametrize(
+    ("steps", "said"), [([9], "step is 9"), ([-10], "step is -10"), ([], "steps is empty")]
+)
+def test_unknown_moments_are_refused(steps, said):
+    with pytest.raises(ValueError, match=said):
+        panels.check_steps(make_recording(9, 5), steps)
+
+
+def test_pictures_are_whole_files(tmp_path):
+    one = make_recording(5, 12)
+    paths = pictures.write_pictures(one, tmp_path / "new" / "folder")
+    assert [path.name for path in paths] == [
+        "belief.png", "belief.svg", "values.png", "values.svg", "episode.html", "story.txt",
+    ]  # fmt: skip
+    for path in paths:
+        assert path.stat().st_size > 200
+        if path.suffix == ".png":
+            with Image.open(path) as image:
+                image.load()
+                assert min(image.size) > 400
+        if path.suffix == ".svg":
+            assert ET.parse(path).getroot().tag.endswith("svg")
+    # Nothing half-written is left behind.
+    assert len(list((tmp_path / "new" / "folder").iterdir())) == len(paths)
+
+
+def test_the_same_figure_is_the_same_file(tmp_path):
+    one = make_recording(4, 10)
+    for name in ("one", "two"):
+        style.save(belief_figure(one, num_panels=2), tmp_path / name)
+    assert (tmp_path / "one.svg").read_bytes() == (tmp_path / "two.svg").read_bytes()
+    assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
+
+
+def test_a_failed_write_leaves_the_old_file(tmp_path):
+    path = tmp_path / "picture.png"
+    path.write_text("old")
+
+    def fail():
+        with style.replacing(path) as temporary:
+            temporary.write_text("half")
+            raise RuntimeError("disk full")
+
+    with pytest.raises(RuntimeError, match="full"):
+        fail()
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_the_house_style_does_not_leak():
+    before = dict(matplotlib.rcParams)
+    belief_figure(make_recording(3, 5), num_panels=1)
+    assert dict(matplotlib.rcParams) == before
+    assert "matplotlib.pyplot" not in sys.modules or matplotlib.get_backend()
+
+
+def test_without_matplotlib_one_clear_line(monkeypatch):
+    monkeypatch.setattr(style.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(style.MissingExtraError, match=r"pip install 'jaxlangnav\[viz\]'") as error:
+        belief_figure(make_recording(3, 5))
+    assert "\n" not in str(error.value)
+
+
+def test_colours_of_neighbouring_types_differ_in_grey():
+    # Colours alone never carry a meaning; hydrant and cone must also differ in print.
+    def lightness(color):
+        red, green, blue = (int(color[at : at + 2], 16) / 255 for at in (1, 3, 5))
+        return 0.2126 * red**2.2 + 0.7152 * green**2.2 + 0.0722 * blue**2.2
+
+    assert len(set(style.TYPE_MARKERS)) == len(style.TYPE_COLORS) == 8
+    assert abs(lightness(style.TYPE_COLORS[0]) - lightness(style.TYPE_COLORS[1])) > 0.05
+    stops = [lightness(stop) for stop in style.VALUE_STOPS]
+    assert stops == sorted(stops, reverse=True)

@@ -1,0 +1,138 @@
+"""The interactive recording: one file, everything in it, small, fast, and it runs in a browser."""
+
+import base64
+import json
+import re
+import shutil
+import subprocess
+import time
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from recording_fixture import make_recording
+
+from jaxlangnav.viz.html import pack, render_html, write_html
+
+KINDS = {"f4": "<f4", "u2": "<u2", "u1": "u1"}
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+
+
+class Page(HTMLParser):
+    """Collects tags, attributes and the data."""
+
+    def __init__(self):
+        super().__init__()
+        self.links, self.data, self.ids, self._is_data = [], "", set(), False
+
+    def handle_starttag(self, tag, attrs):
+        names = dict(attrs)
+        self.links += [names[key] for key in ("src", "href") if key in names]
+        self.ids.add(names.get("id"))
+        self._is_data = tag == "script" and names.get("id") == "data"
+
+    def handle_endtag(self, tag):
+        self._is_data = False
+
+    def handle_data(self, data):
+        if self._is_data:
+            self.data += data
+
+
+def read(recording):
+    page = Page()
+    page.feed(render_html(recording))
+    return page, json.loads(page.data)
+
+
+def array(data, name):
+    entry = data["arrays"][name]
+    return np.frombuffer(base64.b64decode(entry["data"]), KINDS[entry["kind"]])
+
+
+def test_it_needs_nothing_from_outside():
+    text = render_html(make_recording(4, 10))
+    page = Page()
+    page.feed(text)
+    assert page.links == []
+    assert not re.search(r"https?://|@import|url\(", text)
+    assert {"map", "slider", "play", "story", "bars", "chart", "tip"} <= page.ids
+
+
+def test_all_steps_are_in_it():
+    one = make_recording(9, 20)
+    _, data = read(one)
+    assert data["num_steps"] == 9
+    for name in ("story", "headlines", "objects", "detections", "news", "is_done"):
+        assert len(data[name]) == 9, name
+    assert array(data, "distance") == pytest.approx(one.frames.distance)
+    assert array(data, "position").reshape(9, 2) == pytest.approx(one.frames.position)
+    assert len(data["objects"][0]) == 0
+    assert len(data["objects"][-1]) == 2
+    assert all(data["story"])
+
+
+def test_hypotheses_survive_the_packing():
+    one = make_recording(9, 20)
+    _, data = read(one)
+    mentions, frames = data["num_mentions"], one.frames
+    x = array(data, "x").reshape(9, mentions, 20)
+    is_in = frames.is_hypothesised[:, :mentions]
+    assert np.array_equal(x != 65535, is_in)
+    low, high = data["frame"][:2]
+    unpacked = low + x / 65534 * (high - low)
+    assert unpacked[is_in] == pytest.approx(frames.hypothesis_x[:, :mentions][is_in], abs=1e-3)
+    kinds = array(data, "type").reshape(x.shape)
+    assert np.array_equal(kinds[is_in], frames.mention_type[:, :mentions][is_in])
+    weight = array(data, "weight").reshape(9, 20) / 65535 * array(data, "heaviest")[:, None]
+    assert weight == pytest.approx(frames.weight, rel=1e-4)
+
+
+def test_values_survive_the_packing():
+    one = make_recording(9, 20)
+    _, data = read(one)
+    value = array(data, "value").reshape(9, -1)
+    assert np.array_equal(np.isfinite(value), np.isfinite(one.frames.value))
+    assert np.array_equal(value, one.frames.value)
+
+
+def test_a_sentence_cannot_break_out_of_the_page():
+    evil = '</script><script>alert("x")</script><!-- & "'
+    page, data = read(make_recording(3, 5, text=evil))
+    assert data["text"] == evil
+    assert "</script><script>alert" not in render_html(make_recording(3, 5, text=evil))
+    assert page.ids >= {"data"}
+
+
+def test_no_hypotheses_at_all():
+    one = make_recording(3, 5)
+    frames = one.frames
+    object.__setattr__(frames, "is_hypothesised", np.zeros_like(frames.is_hypothesised))
+    assert pack(one)["num_mentions"] == 0
+
+
+def test_200_steps_of_256_particles_are_small_and_fast(tmp_path):
+    one = make_recording(200, 256)
+    start = time.perf_counter()
+    path = write_html(one, tmp_path / "long.html")
+    assert time.perf_counter() - start < 3.0
+    assert path.stat().st_size < 10e6
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here")
+def test_it_runs_in_a_browser(tmp_path):
+    path = write_html(make_recording(9, 20), tmp_path / "episode.html")
+    dom = subprocess.run(
+        [
+            CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=3000",
+            f"--user-data-dir={tmp_path}/profile", "--dump-dom", f"{path.as_uri()}#step=8",
+        ],
+        capture_output=True, text=True, timeout=120, check=True,
+    ).stdout  # fmt: skip
+    body = re.search(r"<body[^>]*>", dom).group()
+    assert 'data-ready="9"' in body
+    assert "data-error" not in body
+    assert "Step 8: says stop" in dom
+    assert "step 8 of 8" in dom
+    assert "Success: it stands 0.5 m" in dom

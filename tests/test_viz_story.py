@@ -1,0 +1,219 @@
+"""The story of an episode: every number in it is one of the recording's."""
+
+import math
+
+import numpy as np
+import pytest
+from recording_fixture import make_readings, make_recording, make_scene
+
+from jaxlangnav.messages import BEHIND, LEFT, NEAR, NONE, REGIONS, ROBOT
+from jaxlangnav.pytree import replace
+from jaxlangnav.viz import moments, narrative, sentences, summary, words
+from jaxlangnav.world.state import CONE, HYDRANT
+
+
+@pytest.mark.parametrize(
+    ("degrees", "said"),
+    [
+        (0, "ahead"),
+        (44, "ahead to the left"),
+        (90, "to the left"),
+        (-90, "to the right"),
+        (180, "behind"),
+        (-180, "behind"),
+        (270, "to the right"),
+        (-44, "ahead to the right"),
+        (-22, "ahead"),
+    ],
+)
+def test_directions(degrees, said):
+    assert words.direction(math.radians(degrees)) == said
+
+
+def test_whereabouts_are_seen_from_the_robot():
+    # The robot at (1, 1) heads up: what lies at (0, 1) is 1 m to its left.
+    assert words.whereabouts(0.0, 1.0, 1.0, 1.0, math.pi / 2) == "1.0 m to the left"
+    assert words.whereabouts(1.1, 1.0, 1.0, 1.0, 0.0) == "right here"
+
+
+@pytest.mark.parametrize(
+    ("share", "said"),
+    [(0.0, "0 %"), (0.004, "< 1 %"), (0.37, "37 %"), (0.995, "> 99 %"), (1.0, "100 %")],
+)
+def test_percent_never_rounds_to_certainty(share, said):
+    assert words.percent(share) == said
+
+
+def readings_of(types, edges, superlative=False):
+    old = make_readings()
+    size = len(edges)
+    return replace(
+        old,
+        mention_type=np.array([types], np.int32),
+        figure=np.array([[one[0] for one in edges]], np.int32),
+        relation=np.array([[one[1] for one in edges]], np.int32),
+        landmark=np.array([[one[2] for one in edges]], np.int32),
+        is_superlative=np.full((1, size), superlative),
+        log_probability=np.zeros(1, np.float32),
+    )
+
+
+@pytest.mark.parametrize(
+    ("readings", "said"),
+    [
+        (readings_of([HYDRANT, CONE], [(0, BEHIND, 1)]), "a hydrant behind a cone"),
+        (readings_of([HYDRANT, CONE], [(0, NEAR, 1)], True), "a hydrant nearest to a cone"),
+        (readings_of([HYDRANT, NONE], [(0, NONE, NONE)]), "a hydrant"),
+        (readings_of([HYDRANT, ROBOT], [(0, LEFT, 1)]), "a hydrant to the left of the robot"),
+        (
+            readings_of([HYDRANT, CONE, 2], [(0, BEHIND, 1), (1, NEAR, 2)]),
+            "a hydrant behind a cone near a car",
+        ),
+        (readings_of([HYDRANT, CONE], [(0, NONE, NONE), (1, NONE, NONE)]), "a hydrant and a cone"),
+        (readings_of([NONE, NONE], [(NONE, NONE, NONE)]), "nothing"),
+        # A circle of relations must not be followed for ever.
+        (readings_of([HYDRANT, CONE], [(0, BEHIND, 1), (1, BEHIND, 0)]), "nothing"),
+    ],
+)
+def test_readings_in_words(readings, said):
+    scene = make_scene()
+    object.__setattr__(scene, "readings", readings)
+    assert words.describe_reading(scene, 0) == said
+
+
+def test_claims_are_ranked_and_sum_to_one():
+    claims = words.describe_readings(make_scene())
+    assert [claim for claim, _ in claims] == ["a hydrant behind a cone", "a hydrant"]
+    assert sum(share for _, share in claims) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_the_story_in_full():
+    told = narrative.tell(make_recording(9, 20))
+    assert told[0] == "You said: “go to the hydrant behind the cone”."
+    assert "a hydrant behind a cone (80 %)" in told[1]
+    assert "a hydrant (20 %)" in told[2]
+    assert any("Discovers a cone" in line for line in told)
+    assert any("Discovers a hydrant" in line for line in told)
+    assert any("Says stop" in line and "90 %" in line for line in told)
+    assert told[-2].startswith("Success: it stands 0.5 m")
+    assert "8.6 m" in told[-1]
+    assert "9.1 m" in told[-1]
+
+
+def test_every_step_is_in_the_story_once():
+    told = narrative.tell(make_recording(12, 20))
+    heads = [line[1:].split("·")[0].strip() for line in told if line.startswith("[")]
+    covered = []
+    for head in heads:
+        first, _, last = head.partition("-")
+        covered += range(int(first), int(last or first) + 1)
+    assert covered == list(range(12))
+
+
+def test_the_closing_tells_failures_apart():
+    one = make_recording(4, 10)
+    frame, scene = one.at(-1), one.scene
+    timeout = replace(one.result, is_stopped=np.array(False), is_success=np.array(False))
+    assert "ran out of time" in narrative.closing(scene, frame, timeout)[0]
+    wrong = replace(one.result, is_success=np.array(False), goal_distance=np.float32(6.2))
+    assert "6.2 m away" in narrative.closing(scene, frame, wrong)[0]
+    crowded = replace(one.result, overflow=np.int32(3), degenerate=np.int32(2))
+    said = " ".join(narrative.closing(scene, frame, crowded))
+    assert "3 detections" in said
+    assert "In 2 steps" in said
+
+
+def test_headlines_say_what_happened():
+    one = make_recording(9, 20)
+    heads = [
+        narrative.headline(one.scene, one.at(step), one.at(step - 1) if step else None)
+        for step in range(9)
+    ]
+    assert heads[0] == "hears the sentence, sees nothing"
+    assert heads[4] == "discovers a cone"
+    assert heads[6] == "discovers a hydrant"
+    assert heads[8] == "says stop"
+    assert heads[1] == "not there: 25 % refuted"
+
+
+def test_a_region_goal_is_named_as_a_place():
+    one = make_recording(9, 20)
+    frame = one.at(7)
+    region = np.full(frame.goal_region.shape, REGIONS.index("behind"), np.int32)
+    assert sentences.goal_name(one.scene, frame, 1) == "the hydrant"
+    frame = replace(frame, goal_region=region)
+    assert sentences.goal_name(one.scene, frame, 1) == "the place behind the hydrant"
+    # Without goal probability a region says nothing: the object itself is meant.
+    assert sentences.goal_name(one.scene, frame, 0) == "the cone"
+
+
+def test_a_changed_reading_is_told():
+    one = make_recording(4, 20)
+    before, frame = one.at(1), replace(one.at(2), reading=np.ones(20, np.int32))
+    assert "a hydrant (" in sentences.reread(one.scene, frame, before)
+    assert sentences.reread(one.scene, before, before) == ""
+
+
+def test_objects_are_summed_up_over_particles():
+    one = make_recording(9, 20)
+    assert summary.seen_objects(one.at(0)) == []
+    cone, hydrant = summary.seen_objects(one.at(-1))
+    assert (cone.object_type, hydrant.object_type) == (CONE, HYDRANT)
+    assert (hydrant.x, hydrant.y) == pytest.approx((9.0, 1.0), abs=1e-5)
+    assert hydrant.probability == pytest.approx(1.0, abs=1e-5)
+    assert hydrant.goal_mass == pytest.approx(0.9)
+
+
+def test_the_expected_goal_by_hand():
+    one = make_recording(9, 20)
+    frame = one.at(0)
+    want = (frame.weight * frame.hypothesis_goal_x).sum() / frame.weight.sum()
+    assert summary.expected_goal(frame)[0] == pytest.approx(want, abs=1e-4)
+    # At the end the only goal is the hydrant; over all steps the same numbers come out.
+    assert summary.expected_goal(one.at(-1)) == pytest.approx((9.0, 1.0))
+    assert summary.expected_goal(one.frames)[0] == pytest.approx(summary.expected_goal(frame))
+
+
+def test_peaks_find_two_clusters():
+    one = make_recording(9, 20)
+    x = np.where(np.arange(20) < 12, 2.0, 10.0).astype(np.float32)
+    mass = np.full(20, 0.05, np.float32)
+    y = np.zeros(20, np.float32)
+    frame = replace(one.at(0), hypothesis_goal_x=x, hypothesis_goal_y=y, hypothesis_goal_mass=mass)
+    first, second = summary.peaks(frame)
+    assert first == pytest.approx((2.0, 0.0, 0.6), abs=1e-5)
+    assert second == pytest.approx((10.0, 0.0, 0.4), abs=1e-5)
+
+
+def test_no_goal_has_no_peak():
+    frame = replace(make_recording(4, 20).at(0), hypothesis_goal_mass=np.zeros(20, np.float32))
+    assert summary.peaks(frame) == []
+    assert np.isnan(summary.expected_goal(frame)).all()
+
+
+def test_the_goal_field_is_the_sum_of_equation_11():
+    one = make_recording(9, 20)
+    frame, gamma = one.at(-1), float(one.scene.planner.discount)
+    here = summary.goal_field(one.scene, frame, np.array([9.0, 4.0]), np.array([1.0, 1.0]))
+    assert here == pytest.approx([0.9, 0.9 * gamma**5], rel=1e-4)
+
+
+@pytest.mark.parametrize("number", [1, 2, 4, 6, 50])
+def test_moments_hold_first_and_last(number):
+    one = make_recording(12, 10)
+    chosen = moments.pick_moments(one, number)
+    assert len(chosen) == min(number, 12)
+    assert chosen == sorted(set(chosen))
+    assert chosen[-1] == 11
+    assert number == 1 or chosen[0] == 0
+
+
+def test_moments_catch_the_discoveries():
+    one = make_recording(13, 10)
+    news = np.flatnonzero(one.frames.is_news)
+    assert set(news) <= set(moments.pick_moments(one, 6))
+
+
+def test_no_moments_are_refused():
+    with pytest.raises(ValueError, match="number of panels is 0"):
+        moments.pick_moments(make_recording(3, 5), 0)
