@@ -8,6 +8,10 @@ SUMMARIES = {
     "follow": "Follow a sentence in a world never seen, until the robot says stop.",
     "parse": "Show the phrases of a sentence.",
     "ground": "Show what a sentence is taken to mean, with probabilities.",
+    "train": "Train a model of language from labelled sentences.",
+    "evaluate": "Measure how often sentences are understood: Table 1.",
     "reproduce": "Run an experiment of the paper and set it beside the printed numbers.",
+    "sweep": "Run any grid of worlds, commands, ranges and policies; resumable.",
+    "summarize": "Print the tables of a sweep, with intervals and paired tests.",
 }
 """Every command and its line in ``jaxlangnav --help``; the module has the command's name."""

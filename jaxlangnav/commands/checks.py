@@ -36,3 +36,14 @@ def check_folder(option: str, path: Path | None) -> None:
         raise UsageError(f"{option} is {path}, but {existing} is a file: name a folder")
     if not os.access(existing, os.W_OK):
         raise UsageError(f"{option} is {path}, but {existing} cannot be written to")
+
+
+def check_file(option: str, path: Path | None, suffix: str) -> None:
+    """Refuse, before anything runs, a file that could not be written afterwards."""
+    if path is None:
+        return
+    if path.suffix != suffix:
+        raise UsageError(f"{option} is {path}, but its name must end in {suffix}")
+    if path.is_dir():
+        raise UsageError(f"{option} is {path}, but that is a folder: name a file")
+    check_folder(option, path.parent)

@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, TypeVar
 
 import jax
@@ -12,7 +13,8 @@ import numpy as np
 from jaxlangnav.commands.intent import is_among, meant_goals, with_goal
 from jaxlangnav.episode import Task
 from jaxlangnav.experiments.monte_carlo import cell, make_tasks
-from jaxlangnav.grounding.instruction import Understanding
+from jaxlangnav.grounding.instruction import GroundingModel, Understanding
+from jaxlangnav.grounding.weights import load, load_shipped
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, default_params
 from jaxlangnav.planner.params import PlannerConfig
 from jaxlangnav.pytree import replace
@@ -46,6 +48,21 @@ class Prepared:
     """Whether anything there fits the sentence."""
     is_drawn: bool
     """Whether the world has been drawn from a template."""
+
+
+def load_models(path: Path | None) -> GroundingModel:
+    """Load trained models.
+
+    Args:
+        path: weights written by ``jaxlangnav train``; the shipped ones where None.
+
+    Returns:
+        Both models.
+
+    Raises:
+        ValueError: no such file, or one that holds no weights.
+    """
+    return load_shipped() if path is None else load(path)
 
 
 @functools.cache

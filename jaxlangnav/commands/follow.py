@@ -56,6 +56,8 @@ class Follow:
     """Folder for pictures (PNG, SVG, interactive HTML) and the document of the episode."""
     live: bool = False
     """Draw the episode in the terminal while it runs."""
+    weights: Path | None = None
+    """Trained models, written by jaxlangnav train; the shipped ones if not given."""
     json: bool = False
     """Print one JSON document: success, distance, trajectory, annotations, pictures, ..."""
 
@@ -93,11 +95,10 @@ class Follow:
 
     def _prepare(self, parsed: "Parse", output: Output) -> "tuple[Understanding, Prepared]":
         """Understand the sentence and open a world in which it can be followed."""
-        from jaxlangnav.commands.engine import missing_types, open_task
+        from jaxlangnav.commands.engine import load_models, missing_types, open_task
         from jaxlangnav.grounding.instruction import understand_parse
-        from jaxlangnav.grounding.weights import load_shipped
 
-        understood = understand_parse(parsed, load_shipped())
+        understood = understand_parse(parsed, load_models(self.weights))
         if int(understood.instruction.num_clauses) == 0:
             raise UsageError(
                 f'"{self.text}" informs but asks for nothing to be done; say for example '
@@ -139,6 +140,7 @@ class Follow:
         whole = itertools.chain([first], steps)
         if self.live:
             recording = judged(self._watch(scene, whole), prepared)
+            output.say("")
             lines = closing(scene, recording.at(-1), recording.result)
         else:
             frames, results = zip(*whole, strict=True)

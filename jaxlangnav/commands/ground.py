@@ -1,6 +1,7 @@
 """``jaxlangnav ground``: what a sentence is taken to mean, with probabilities (3.1 and 3.3)."""
 
 import dataclasses
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import tyro
@@ -36,6 +37,8 @@ class Ground:
     """A template, a shipped world or a file: ground the behavior in it too."""
     seed: int = 0
     """Of the world drawn from a template."""
+    weights: Path | None = None
+    """Trained models, written by jaxlangnav train; the shipped ones if not given."""
     json: bool = False
     """Print one JSON document: annotations, graph, behaviors, unknown_words."""
 
@@ -54,10 +57,10 @@ class Ground:
         check_seed(self.seed)
         parsed = parse_text(self.text, output)
         keep_compiled_programs()
+        from jaxlangnav.commands.engine import load_models
         from jaxlangnav.grounding.instruction import understand_parse
-        from jaxlangnav.grounding.weights import load_shipped
 
-        understood = understand_parse(parsed, load_shipped())
+        understood = understand_parse(parsed, load_models(self.weights))
         document: dict[str, Any] = {
             "instruction": self.text,
             "annotations": understood.annotations,

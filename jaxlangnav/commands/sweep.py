@@ -48,7 +48,8 @@ class Sweep:
         """
         check_folder("--out", self.out)
         keep_compiled_programs()
-        from jaxlangnav.experiments.sweep import read_config, run_sweep, total_episodes
+        from jaxlangnav.experiments.sweep import run_sweep, total_episodes
+        from jaxlangnav.experiments.sweep_config import read_config
 
         config = read_config(self.config)
         with progress_bar("episodes", total_episodes(config, shard=self.shard)) as advance:

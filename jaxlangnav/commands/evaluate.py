@@ -1,0 +1,49 @@
+"""``jaxlangnav evaluate``: Table 1, how often whole sentences are understood (section 4.1)."""
+
+import dataclasses
+
+from jaxlangnav.commands.checks import check_at_least, check_seed
+from jaxlangnav.commands.output import Document, Output
+from jaxlangnav.commands.runtime import keep_compiled_programs, progress_bar
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Evaluate:
+    """Measure understanding by the paper's protocol: Table 1.
+
+    39 labelled sentences, random splits of 67 to 33 percent, a sentence counts where every symbol
+    at its root is right. The three commands of Table 2 are in none of them.
+
+    Examples:
+      jaxlangnav evaluate
+      jaxlangnav evaluate --splits 100 --json
+    """
+
+    splits: int = 8
+    """Random splits; the paper has 8."""
+    seed: int = 0
+    """Of the splits."""
+    json: bool = False
+    """Print one JSON document: by model accuracy, interval, seconds; the paper's rows."""
+
+    def run(self, output: Output) -> Document:
+        """Run the protocol and print the table beside the paper's.
+
+        Args:
+            output: where the table is printed.
+
+        Returns:
+            The document.
+
+        Raises:
+            ValueError: an option is outside its limits.
+        """
+        check_at_least("--splits", self.splits, 2)
+        check_seed(self.seed)
+        keep_compiled_programs()
+        from jaxlangnav.experiments.table1 import evaluate, render
+
+        with progress_bar("splits", self.splits) as advance:
+            document = evaluate(splits=self.splits, seed=self.seed, on_progress=advance)
+        output.say(render(document))
+        return document
