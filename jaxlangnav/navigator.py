@@ -11,9 +11,10 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.grounding.behavior import infer_behaviors as infer_particles
+from jaxlangnav.grounding.behavior import infer_behaviors as infer_topologies
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.messages import NONE, Action, Behavior, Observation
+from jaxlangnav.grounding.program import NUM_TYPES
+from jaxlangnav.messages import ACTIONS, MODES, NONE, REGIONS, Action, Behavior, Observation
 from jaxlangnav.planner import graph, policy
 from jaxlangnav.planner.goals import Goals, gather
 from jaxlangnav.planner.information import squared_distance_to_segment
@@ -23,6 +24,9 @@ from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.semantic_map import summary
 from jaxlangnav.semantic_map.filter import FilterInfo, ParticleBelief
 from jaxlangnav.semantic_map.params import MapConfig, MapParams, default_map_params
+
+BLOCK = 16
+"""Topologies whose behavior is inferred at a time."""
 
 
 @pytree
@@ -167,6 +171,9 @@ def hear(state: NavigatorState, instruction: Instruction, pose: Array) -> Naviga
 def infer_behaviors(state: NavigatorState) -> Behavior:
     """Infer the behavior of the present clause in every particle (section 3.3).
 
+    The behavior model sees a particle's topology only, so each distinct topology is inferred
+    once, ``BLOCK`` of them at a time, and handed to all particles that share it.
+
     Args:
         state: after the filter step.
 
@@ -174,10 +181,37 @@ def infer_behaviors(state: NavigatorState) -> Behavior:
         Behaviors, leaves [..., P].
     """
     program = jax.tree.map(lambda leaf: leaf[state.clause], state.instruction.program)
-    world = jax.vmap(summary.behavior_world, in_axes=(-1, None, None), out_axes=-1)(
-        state.belief.particles, state.instruction.readings, state.previous_goal
+    particles = state.belief.particles
+    number = particles.reading.shape[-1]
+    block = min(BLOCK, number)
+    topology, representative, count = summary.distinct_topologies(particles, NUM_TYPES)
+    padding = jnp.full((-number) % block, number, representative.dtype)
+    representative = jnp.append(representative, padding)
+
+    def infer(index: Array, behaviors: Behavior) -> Behavior:
+        chosen = jax.lax.dynamic_slice_in_dim(representative, index * block, block)
+        chosen = jnp.minimum(chosen, number - 1)
+        worlds = jax.vmap(summary.behavior_world, in_axes=(-1, None, None), out_axes=-1)(
+            jax.tree.map(lambda leaf: leaf[..., chosen], particles),
+            state.instruction.readings,
+            state.previous_goal,
+        )
+        inferred = infer_topologies(program, worlds, num_phrases=program.num_phrases)
+        place = topology - index * block
+        is_in = (place >= 0) & (place < block)
+        place = jnp.clip(place, 0, block - 1)
+        return jax.tree.map(
+            lambda new, old: jnp.where(is_in, new[..., place], old), inferred, behaviors
+        )
+
+    num_slots = particles.object_type.shape[0] + particles.referent.shape[0] + 1
+    nothing = Behavior(
+        action=jnp.zeros((len(ACTIONS), number), jnp.float32),
+        mode=jnp.zeros((len(MODES), number), jnp.float32),
+        goal=jnp.zeros((len(REGIONS), num_slots, number), jnp.float32),
+        constraint=jnp.zeros((len(REGIONS), num_slots, number), jnp.float32),
     )
-    return infer_particles(program, world, num_phrases=program.num_phrases)
+    return jax.lax.fori_loop(0, (count + block - 1) // block, infer, nothing)
 
 
 def _constraint_cost(
@@ -281,7 +315,7 @@ def step(
     state = replace(
         state,
         clause=state.clause + advances.astype(jnp.int32),
-        previous_goal=jnp.where(advances, goal_slot, state.previous_goal),
+        previous_goal=jnp.where(choice.is_stop, goal_slot, state.previous_goal),
         visited=visited,
         commitment=policy.Commitment(
             x=choice.waypoint_x,

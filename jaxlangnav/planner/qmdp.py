@@ -41,14 +41,16 @@ def mass_within(x: Array, y: Array, goals: Goals, radius: Array) -> tuple[Array,
         radius: f32[], metres.
 
     Returns:
-        f32[] over all goals, and f32[] over confirmed goals only.
+        f32[], the probability that the goal, or an object that fits as well, is there; and f32[],
+        the same for the best confirmed object alone.
     """
     near = (goals.object_x - x) ** 2 + (goals.object_y - y) ** 2 <= radius * radius
     near_hypothesis = (goals.hypothesis_x - x) ** 2 + (goals.hypothesis_y - y) ** 2 <= (
         radius * radius
     )
     confirmed = jnp.max(jnp.where(near, goals.object_confirmed, 0.0))
-    everything = jnp.max(jnp.where(near, goals.object_accepted, 0.0)) + jnp.sum(
+    accepted = jnp.max(jnp.where(near, goals.object_accepted, 0.0))
+    shared = jnp.sum(jnp.where(near, goals.object_mass, 0.0)) + jnp.sum(
         jnp.where(near_hypothesis, goals.hypothesis_mass, 0.0)
     )
-    return everything, confirmed
+    return jnp.maximum(accepted, shared), confirmed

@@ -1,5 +1,7 @@
 """What others want to know of a belief: the behavior model's world, positions, marginals."""
 
+import math
+
 import jax.numpy as jnp
 from jax import Array
 
@@ -57,3 +59,49 @@ def behavior_world(particle: SemanticMap, readings: Readings, previous: Array) -
         is_superlative=is_superlative,
         is_previous=(slots == previous) & (previous != NONE),
     )
+
+
+def _pack(fields: Array, base: int) -> Array:
+    """Pack small numbers from −2 upwards into as few words as hold them, i32[words, P]."""
+    per_word = max(1, int(31 / math.log2(base)))
+    words = []
+    for start in range(0, fields.shape[0], per_word):
+        part = fields[start : start + per_word] + 2
+        place = jnp.asarray([base**k for k in range(part.shape[0])], jnp.int32)
+        words.append(jnp.sum(part * place[:, None], axis=0))
+    return jnp.stack(words)
+
+
+def distinct_topologies(particles: SemanticMap, num_types: int) -> tuple[Array, Array, Array]:
+    """Find which particles share one topology: types, reading and what each mention refers to.
+
+    Particles of one topology have the same behavior, and there are far fewer topologies than
+    particles, because observed objects are common to most.
+
+    Args:
+        particles: leaves [..., P].
+        num_types: bound on the object types.
+
+    Returns:
+        i32[P], the topology of each particle, counted from 0 in order of first appearance;
+        i32[P], the first particle of topology u at place u (P beyond the last one); and i32[],
+        how many topologies there are.
+    """
+    num_objects, number = particles.object_type.shape[0], particles.reading.shape[-1]
+    flags = jnp.concatenate([particles.is_mentioned.astype(jnp.int32), particles.reading[None]])
+    words = jnp.concatenate(
+        [
+            _pack(particles.object_type, num_types + 3),
+            _pack(particles.referent, num_objects + 3),
+            _pack(flags, 8),
+        ]
+    )
+    same = jnp.all(words[:, :, None] == words[:, None, :], axis=0)
+    index = jnp.arange(number)
+    first = jnp.min(jnp.where(same, index[None, :], number), axis=1)
+    is_first = first == index
+    rank = jnp.cumsum(is_first) - 1
+    topology = jnp.sum(jnp.where(first[:, None] == index[None, :], rank[None, :], 0), axis=1)
+    holds = is_first[None, :] & (rank[None, :] == index[:, None])
+    representative = jnp.min(jnp.where(holds, index[None, :], number), axis=1)
+    return topology, representative, jnp.sum(is_first)
