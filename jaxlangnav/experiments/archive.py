@@ -1,5 +1,6 @@
 """Writing results down: Parquet beside a manifest that says how they were made (section 4.2)."""
 
+import dataclasses
 import hashlib
 import importlib.metadata
 import json
@@ -117,15 +118,30 @@ def pytree_hash(tree: Any) -> str:
     """Hash the arrays of a pytree: names, shapes, types and bytes.
 
     Args:
-        tree: any pytree of arrays and numbers.
+        tree: any pytree of arrays, numbers and texts; dataclasses count as trees whether JAX knows
+            them or not.
 
     Returns:
         SHA-256 in hexadecimal.
+
+    Raises:
+        ValueError: a leaf is none of these: its bytes would differ from run to run.
     """
     digest = hashlib.sha256()
     for path, leaf in jax.tree_util.tree_leaves_with_path(tree):
+        name = jax.tree_util.keystr(path)
+        if dataclasses.is_dataclass(leaf):
+            fields = {one.name: getattr(leaf, one.name) for one in dataclasses.fields(leaf)}
+            digest.update(f"{name}{pytree_hash(fields)}".encode())
+            continue
+        if isinstance(leaf, set | frozenset):
+            # In an order of its own: that of a set differs from run to run.
+            digest.update(f"{name}{sorted(repr(one) for one in leaf)}".encode())
+            continue
         array = np.asarray(leaf)
-        digest.update(f"{jax.tree_util.keystr(path)}{array.shape}{array.dtype.str}".encode())
+        if array.dtype.hasobject:
+            raise ValueError(f"{name or 'the tree'} is a {type(leaf).__name__}: it has no hash")
+        digest.update(f"{name}{array.shape}{array.dtype.str}".encode())
         digest.update(array.tobytes())
     return digest.hexdigest()
 

@@ -22,6 +22,7 @@ from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.messages import Action, Observation, SensorParams
 from jaxlangnav.planner.graph import frontiers
+from jaxlangnav.planner.params import default_planner_params
 from jaxlangnav.pytree import pytree
 from jaxlangnav.semantic_map.coverage import Coverage, log_miss_at, look, unexplored
 from jaxlangnav.world import simulator
@@ -31,8 +32,8 @@ from jaxlangnav.world.sensor import sense
 from jaxlangnav.world.state import Scenario, WorldState
 
 BASELINES = ("frontier", "lawnmower", "known")
-REACH = 0.5
-"""Metres from the object at which a baseline stops, as the navigator does."""
+_ARRIVAL = 0.5
+"""Metres from a waypoint of the search at which it counts as reached."""
 _NUM_CELLS, _NUM_BLOCKS = 32, 8
 _FRONTIER_MISS = 0.5
 _LANE_MARGINS = (1.0, 0.3)
@@ -145,7 +146,7 @@ def _explore_lanes(explorer: Explorer, pose: Array, sensor: SensorParams) -> Exp
     """Go on to the next waypoint of the sweep once this one is reached."""
     area = explorer.coverage.area
     x, y = lane_waypoint(area, sensor.range_max, explorer.leg)
-    is_there = jnp.hypot(x - pose[0], y - pose[1]) < REACH
+    is_there = jnp.hypot(x - pose[0], y - pose[1]) < _ARRIVAL
     leg = explorer.leg + is_there.astype(jnp.int32)
     x, y = lane_waypoint(area, sensor.range_max, leg)
     return _towards(explorer, x, y, leg)
@@ -157,12 +158,12 @@ def _explore_frontiers(explorer: Explorer, pose: Array, sensor: SensorParams) ->
     coverage = explorer.coverage
     x, y, is_frontier = frontiers(coverage, _NUM_BLOCKS, jnp.float32(_FRONTIER_MISS))
     squared = (x - pose[0]) ** 2 + (y - pose[1]) ** 2
-    is_open = is_frontier & (squared > (0.5 * REACH) ** 2)
+    is_open = is_frontier & (squared > (0.5 * _ARRIVAL) ** 2)
     nearest = jnp.argmin(jnp.where(is_open, squared, jnp.inf))
     worst = jnp.max(coverage.log_miss)
     there = log_miss_at(coverage, explorer.waypoint_x, explorer.waypoint_y)
     remaining = jnp.hypot(explorer.waypoint_x - pose[0], explorer.waypoint_y - pose[1])
-    keeps = (explorer.leg > 0) & (remaining > REACH)
+    keeps = (explorer.leg > 0) & (remaining > _ARRIVAL)
     keeps = keeps & (there > worst + jnp.log(jnp.float32(_FRONTIER_MISS)))
     return _towards(
         explorer,
@@ -186,11 +187,11 @@ def _towards(explorer: Explorer, x: Array, y: Array, leg: Array) -> Explorer:
 
 
 def _act(explorer: Explorer, pose: Array) -> Action:
-    """Make for the target if there is one, else explore; stop at the target."""
+    """Make for the target if there is one, else explore; stop where the navigator would."""
     x = jnp.where(explorer.has_target, explorer.target_x, explorer.waypoint_x)
     y = jnp.where(explorer.has_target, explorer.target_y, explorer.waypoint_y)
     step = jnp.stack([x - pose[0], y - pose[1]])
-    is_stop = explorer.has_target & (jnp.hypot(step[0], step[1]) <= REACH)
+    is_stop = explorer.has_target & (jnp.hypot(step[0], step[1]) <= default_planner_params().reach)
     return Action(
         waypoint=jnp.stack([x, y]),
         step=step,

@@ -1,0 +1,152 @@
+"""Baselines: they sweep what they say they sweep, and see no more than the robot sees."""
+
+import itertools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxlangnav.episode import EpisodeResult, Task
+from jaxlangnav.experiments import baselines
+from jaxlangnav.experiments.monte_carlo import CHUNK, cell, make_tasks
+from jaxlangnav.experiments.policies import POLICY_NAMES, check_policies, run_policy
+from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
+from jaxlangnav.planner.params import default_planner_params
+from jaxlangnav.pytree import replace
+from jaxlangnav.world.simulator import SUCCESS_RADIUS
+
+
+@pytest.fixture(scope="module")
+def instructions() -> Any:
+    return ground_sentences(list(SENTENCES.values())).instructions
+
+
+@pytest.fixture(scope="module")
+def tasks() -> Task:
+    return make_tasks(cell("2H1C", "behind", 1, 3.0, CHUNK, 7))
+
+
+def run(policy: str, tasks: Task, instructions: Any) -> EpisodeResult:
+    return run_policy(policy, tasks, instructions)
+
+
+def test_figure_types_are_those_of_the_sentences(instructions: Any) -> None:
+    np.testing.assert_array_equal(baselines.figure_types(instructions), [0, 0, 0])
+    other = ground_sentences(["go to the cone near the tree"]).instructions
+    np.testing.assert_array_equal(baselines.figure_types(other), [1])
+
+
+def test_lanes_by_hand() -> None:
+    area = jnp.array([0.0, 12.0, -6.0, 6.0])
+    first = [baselines.lane_waypoint(area, jnp.float32(3.0), jnp.int32(leg)) for leg in range(5)]
+    expected = [(3, -3), (3, 3), (9, 3), (9, -3)]
+    np.testing.assert_allclose(np.array(first[:4]), expected, atol=1e-5)
+    # The second pass comes closer to the edge: 6 - 0.3 · 3.
+    np.testing.assert_allclose(np.array(first[4]), (3, -5.1), atol=1e-5)
+
+
+@pytest.mark.parametrize("reach", [2.0, 3.0, 5.0, 20.0])
+def test_two_passes_see_the_whole_area(reach: float) -> None:
+    area = np.array([0.0, 13.0, -9.2, 9.2])
+    num_lanes = int(np.ceil(13.0 / (2 * reach)))
+    points = [np.zeros(2)]
+    for leg in range(4 * num_lanes):
+        points.append(
+            np.array(baselines.lane_waypoint(jnp.asarray(area), jnp.float32(reach), jnp.int32(leg)))
+        )
+    path = np.concatenate([np.linspace(a, b, 200) for a, b in itertools.pairwise(points)])
+    x, y = np.meshgrid(np.linspace(0.01, 12.99, 40), np.linspace(-9.19, 9.19, 40))
+    cells = np.stack([x.ravel(), y.ravel()], axis=1)
+    nearest = np.sqrt(((cells[:, None] - path[None]) ** 2).sum(-1)).min(axis=1)
+    seen = nearest <= reach
+    # Corners of lanes: at worst half a lane across and 0.3 R along lie out of view.
+    assert seen.mean() > 0.995
+    assert np.all(nearest <= 1.05 * reach)
+
+
+def test_the_known_map_goes_straight(tasks: Task, instructions: Any) -> None:
+    result = run("known", tasks, instructions)
+    assert np.all(result.is_success)
+    straight = np.linalg.norm(np.asarray(tasks.scenario.goal), axis=1)
+    np.testing.assert_allclose(result.distance, straight, rtol=0.03, atol=0.1)
+
+
+def test_a_blind_search_is_right_half_of_the_time(tasks: Task, instructions: Any) -> None:
+    for policy in ("frontier", "lawnmower"):
+        result = run(policy, tasks, instructions)
+        rate = float(np.mean(result.is_success))
+        assert abs(rate - 0.5) < 5 * np.sqrt(0.25 / CHUNK), policy
+        assert np.mean(result.is_stopped) > 0.99
+        # It stops by a hydrant, if not by the right one.
+        final = np.asarray(result.final)
+        to_hydrants = np.hypot(
+            np.asarray(tasks.scenario.object_x)[:, :2] - final[:, :1],
+            np.asarray(tasks.scenario.object_y)[:, :2] - final[:, 1:],
+        ).min(axis=1)
+        assert np.all(to_hydrants[result.is_stopped] < SUCCESS_RADIUS)
+
+
+def test_what_is_not_seen_changes_nothing(tasks: Task, instructions: Any) -> None:
+    """The same robot, the same noise, other objects: blind, it must walk the same way."""
+    blind = replace(
+        tasks,
+        sensor=replace(tasks.sensor, detection_probability=jnp.zeros(CHUNK)),
+    )
+    scenario = blind.scenario
+    moved = replace(
+        blind,
+        scenario=replace(
+            scenario,
+            object_x=scenario.object_x[::-1],
+            object_y=scenario.object_y + 1.0,
+            goal=scenario.goal[::-1],
+        ),
+    )
+    for policy in ("frontier", "lawnmower"):
+        one, other = run(policy, blind, instructions), run(policy, moved, instructions)
+        np.testing.assert_array_equal(one.final, other.final)
+        np.testing.assert_array_equal(one.distance, other.distance)
+        assert not np.any(one.is_stopped)
+
+
+def test_a_noiseless_walk_by_hand(instructions: Any) -> None:
+    """A hydrant in view at the start: straight to it, stop within reach."""
+    tasks = make_tasks(cell("1H1C", "null", 0, 5.0, CHUNK, 0))
+    scenario = replace(
+        tasks.scenario,
+        object_x=tasks.scenario.object_x.at[:, 0].set(4.0),
+        object_y=tasks.scenario.object_y.at[:, 0].set(0.0),
+        goal=jnp.broadcast_to(jnp.array([4.0, 0.0]), (CHUNK, 2)),
+    )
+    tasks = replace(
+        tasks,
+        scenario=scenario,
+        sensor=replace(tasks.sensor, detection_probability=jnp.ones(CHUNK), noise=jnp.zeros(CHUNK)),
+        motion=replace(tasks.motion, odometry_noise=jnp.zeros(CHUNK)),
+    )
+    reach = float(default_planner_params().reach)
+    for policy in ("frontier", "lawnmower"):
+        result = run(policy, tasks, instructions)
+        assert np.all(result.is_success)
+        # Whole steps of a metre, the last one cut short at the target.
+        expected = 4.0 if reach < 1.0 else 4.0 - np.floor(reach)
+        np.testing.assert_allclose(result.distance, expected, atol=1e-4)
+
+
+def test_a_result_does_not_depend_on_its_place(tasks: Task, instructions: Any) -> None:
+    order = np.random.default_rng(0).permutation(CHUNK)
+    shuffled = jax.tree.map(lambda leaf: leaf[order], tasks)
+    for policy in ("frontier", "known"):
+        straight, mixed = run(policy, tasks, instructions), run(policy, shuffled, instructions)
+        np.testing.assert_array_equal(straight.distance[order], mixed.distance)
+
+
+def test_names_are_checked() -> None:
+    assert check_policies(["known", "informed", "known"]) == ("known", "informed")
+    with pytest.raises(ValueError, match=r'unknown policy "infromed".*did you mean "informed"'):
+        check_policies(["infromed"])
+    with pytest.raises(ValueError, match="no policy given"):
+        check_policies([])
+    assert POLICY_NAMES[:2] == ("informed", "faithful")

@@ -1,0 +1,57 @@
+"""Rows of tables by hand."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from jaxlangnav.episode import EpisodeResult
+from jaxlangnav.experiments.metrics import summarize, wilson_interval
+
+
+def results(**changes: Any) -> EpisodeResult:
+    number = 4
+    leaves: dict[str, Any] = {
+        "is_success": np.array([True, True, False, True]),
+        "is_stopped": np.array([True, True, False, True]),
+        "distance": np.array([10.0, 20.0, 100.0, 5.0]),
+        "steps": np.array([10, 20, 120, 5]),
+        "final": np.zeros((number, 2)),
+        "goal_distance": np.zeros(number),
+        "overflow": np.array([0, 2, 0, 0]),
+        "degenerate": np.array([1, 0, 0, 0]),
+        "mean_effective_sample_size": np.ones(number),
+        "is_valid": np.array([True, True, True, False]),
+    }
+    return EpisodeResult(**(leaves | changes))
+
+
+def test_a_row_by_hand() -> None:
+    row = summarize(results(), np.array([10.0, 10.0, 10.0, 10.0]))
+    assert row.episodes == 3
+    assert row.success_rate == pytest.approx(200 / 3)
+    assert row.distance_mean == pytest.approx(130 / 3)
+    assert row.distance_sd == pytest.approx(np.std([10, 20, 100], ddof=1))
+    assert row.spl == pytest.approx((1.0 + 0.5 + 0.0) / 3)
+    assert (row.timeouts, row.overflows, row.degenerate, row.invalid_worlds) == (1, 2, 1, 1)
+
+
+def test_no_path_is_shorter_than_the_known_one() -> None:
+    # A robot may stop short of the goal: its SPL is at most 1 all the same.
+    row = summarize(results(distance=np.full(4, 2.0)), np.full(4, 10.0))
+    assert row.spl == pytest.approx(2 / 3)
+
+
+def test_one_episode_has_no_spread() -> None:
+    row = summarize(results(is_valid=np.array([True, False, False, False])), np.full(4, 10.0))
+    assert (row.episodes, row.distance_sd) == (1, 0.0)
+
+
+def test_wilson_interval_by_hand() -> None:
+    assert wilson_interval(0, 0) == (0.0, 1.0)
+    low, high = wilson_interval(100, 100)
+    assert high == pytest.approx(1.0)
+    assert low == pytest.approx(100 / (100 + 1.959964**2))
+    low, high = wilson_interval(50, 100)
+    assert (low + high) / 2 == pytest.approx(0.5)
+    assert high - low == pytest.approx(0.1922, abs=1e-3)

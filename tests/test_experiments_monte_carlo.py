@@ -1,0 +1,92 @@
+"""Episodes are the same however they are asked for: alone, in a batch, in any order of cells."""
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxlangnav.episode import Task
+from jaxlangnav.experiments import monte_carlo
+from jaxlangnav.experiments.monte_carlo import CHUNK, cell, draw_tasks, make_tasks
+from jaxlangnav.world.files import World, open_world
+
+
+def same(one: Task, other: Task) -> None:
+    for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
+        if jnp.issubdtype(a.dtype, jax.dtypes.prng_key):
+            a, b = jax.random.key_data(a), jax.random.key_data(b)
+        np.testing.assert_array_equal(a, b)
+
+
+def take(tasks: Task, index: Any) -> Task:
+    return jax.tree.map(lambda leaf: leaf[index], tasks)
+
+
+def test_an_episode_depends_on_its_number_only() -> None:
+    whole = make_tasks(cell("2H1C", "behind", 1, 3.0, CHUNK + 30, 5))
+    assert whole.instruction_index.shape == (CHUNK + 30,)
+    same(take(whole, slice(0, 7)), make_tasks(cell("2H1C", "behind", 1, 3.0, 7, 5)))
+    later = dataclasses.replace(cell("2H1C", "behind", 1, 3.0, 20, 5), first_episode=CHUNK)
+    same(take(whole, slice(CHUNK, CHUNK + 20)), make_tasks(later))
+
+
+def test_any_selection_of_cells_gives_the_same_tasks() -> None:
+    cells = [
+        cell("1H1C", "null", 0, 2.0, 6, 0),
+        cell("2H2C", "nearest", 2, 5.0, 6, 0),
+        cell("1H2C", "behind", 1, 3.0, 6, 9),
+    ]
+    alone = [make_tasks(one) for one in cells]
+    index, numbers = np.array([2, 0, 1, 1, 0]), np.array([5, 0, 3, 2, 4])
+    mixed = draw_tasks(cells, index, numbers)
+    for place, (which, number) in enumerate(zip(index, numbers, strict=True)):
+        same(take(mixed, slice(place, place + 1)), take(alone[which], slice(number, number + 1)))
+
+
+def test_worlds_are_shared_by_ranges_and_commands_but_not_by_seeds() -> None:
+    near = make_tasks(cell("1H1C", "behind", 1, 2.0, 4, 0))
+    far = make_tasks(cell("1H1C", "behind", 1, 20.0, 4, 0))
+    same(take(near, slice(4)), dataclasses.replace(far, sensor=near.sensor))
+    other = make_tasks(cell("1H1C", "behind", 1, 2.0, 4, 1))
+    assert not np.any(near.scenario.goal == other.scenario.goal)
+
+
+def test_a_world_of_ones_own_stands_as_it_is() -> None:
+    own = open_world("yard")
+    assert isinstance(own, World)
+    one = dataclasses.replace(cell("yard", "null", 0, 3.0, 5, 0), scenario=own.scenario)
+    tasks = make_tasks(one)
+    np.testing.assert_array_equal(tasks.scenario.goal, np.tile(own.scenario.goal, (5, 1)))
+    np.testing.assert_array_equal(tasks.scenario.area[3], own.scenario.area)
+    keys = jax.random.key_data(tasks.key)
+    assert len(np.unique(np.asarray(keys), axis=0)) == 5
+    mixed = draw_tasks(
+        [one, cell("1H1C", "null", 0, 3.0, 5, 0)], np.array([1, 0]), np.array([0, 1])
+    )
+    np.testing.assert_array_equal(mixed.scenario.goal[1], own.scenario.goal)
+    same(take(mixed, slice(0, 1)), make_tasks(cell("1H1C", "null", 0, 3.0, 1, 0)))
+
+
+def test_bad_cells_are_refused() -> None:
+    with pytest.raises(ValueError, match="episodes is 0, but must be at least 1"):
+        make_tasks(cell("1H1C", "null", 0, 3.0, 0, 0))
+    with pytest.raises(ValueError, match="unknown relation"):
+        make_tasks(cell("1H1C", "behnd", 0, 3.0, 1, 0))
+    with pytest.raises(ValueError, match="unknown world template"):
+        make_tasks(cell("hydrant", "null", 0, 3.0, 1, 0))
+
+
+def test_chunks_come_back_in_order_and_without_filler() -> None:
+    tasks = make_tasks(cell("1H1C", "null", 0, 3.0, 2 * CHUNK + 3, 0))
+    seen: list[int] = []
+
+    def goals(chunk: Task) -> Any:
+        assert chunk.instruction_index.shape == (CHUNK,)
+        return chunk.scenario.goal
+
+    found: Any = monte_carlo.map_chunks(goals, tasks, on_progress=seen.append, num_threads=2)
+    np.testing.assert_array_equal(found, tasks.scenario.goal)
+    assert seen == [CHUNK, CHUNK, 3]

@@ -1,0 +1,204 @@
+"""Sweeps: killed, resumed and split, they end with the bytes of an undisturbed run."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from jaxlangnav.experiments import archive, summary, summary_tables, sweep
+from jaxlangnav.experiments.sweep_config import SweepConfig, read_config
+
+BASELINES = """
+name = "two robots"
+episodes = 130
+seeds = [0, 1]
+worlds = ["1H1C", "yard"]
+commands = ["null", "behind"]
+ranges = [3]
+policies = ["known", "lawnmower"]
+[motion]
+odometry_noise = ["2 %", "10 %"]
+"""
+ROWS = 2 * 2 * 2 * 130 * 2 * 2
+NAVIGATOR = """
+episodes = 200
+worlds = ["1H1C"]
+commands = ["null", "behind"]
+ranges = [3, 5]
+policies = ["informed"]
+[planner]
+discount = [0.7, 0.9]
+"""
+SCRIPT = """
+import sys, jax
+jax.config.update("jax_compilation_cache_dir", sys.argv[3])
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+from jaxlangnav.experiments import sweep
+from jaxlangnav.experiments.sweep_config import read_config
+sweep.run_sweep(read_config(sys.argv[1]), sys.argv[2], num_threads=1)
+"""
+
+
+def write(text: str, folder: Path) -> SweepConfig:
+    path = folder / "sweep.toml"
+    path.write_text(text)
+    return read_config(path)
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
+
+
+def run_and_kill(text: str, folder: Path, out: Path, pytestconfig: pytest.Config) -> int:
+    """Start a sweep in a process of its own and kill it after its second file; files it left."""
+    write(text, folder)
+    cache = str(Path(pytestconfig.rootpath) / ".pytest_cache" / "jax")
+    process = subprocess.Popen(
+        [sys.executable, "-c", SCRIPT, str(folder / "sweep.toml"), str(out), cache],
+        env=os.environ | {"JAX_PLATFORMS": "cpu"},
+    )
+    try:
+        deadline = time.monotonic() + 300
+        while len(list(out.glob("episodes-*.parquet"))) < 2 and process.poll() is None:
+            assert time.monotonic() < deadline
+            time.sleep(0.002)
+    finally:
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    return len(list(out.glob("episodes-*.parquet")))
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> tuple[SweepConfig, Path]:
+    folder = tmp_path_factory.mktemp("undisturbed")
+    config = write(BASELINES, folder)
+    done: list[int] = []
+    document = sweep.run_sweep(config, folder / "out", on_progress=done.append)
+    # 2 worlds, 2 commands, 2 seeds, 130 episodes; 2 policies under 2 noises.
+    assert sum(done) == sweep.total_episodes(config) == document["episodes"] == ROWS
+    assert document["is_complete"]
+    return config, folder / "out"
+
+
+def test_kill_and_resume(
+    undisturbed: tuple[SweepConfig, Path], tmp_path: Path, pytestconfig: pytest.Config
+) -> None:
+    config, whole = undisturbed
+    out = tmp_path / "out"
+    left = run_and_kill(BASELINES, tmp_path, out, pytestconfig)
+    assert 2 <= left < len(list(whole.glob("episodes-*.parquet")))
+    # What a kill in the middle of a write may leave.
+    (out / ".episodes-000015.parquet.partial").write_bytes(b"torn")
+    with pytest.raises(ValueError, match="already holds episodes of this sweep: add --resume"):
+        sweep.run_sweep(config, out)
+    document = sweep.run_sweep(config, out, resume=True)
+    assert document["is_complete"]
+    assert document["kept"] >= 2 * 256
+    assert contents(out) == contents(whole)
+
+
+def test_shards_in_any_order(undisturbed: tuple[SweepConfig, Path], tmp_path: Path) -> None:
+    config, whole = undisturbed
+    for shard in ("3/3", "1/3", "2/3"):
+        document = sweep.run_sweep(config, tmp_path, shard=shard, num_threads=1)
+        assert document["is_complete"] == (shard == "2/3")
+    assert contents(tmp_path) == contents(whole)
+
+
+def test_another_sweep_is_not_mixed_in(
+    undisturbed: tuple[SweepConfig, Path], tmp_path: Path
+) -> None:
+    _, whole = undisturbed
+    other = write(BASELINES.replace("episodes = 130", "episodes = 131"), tmp_path)
+    with pytest.raises(ValueError, match=r"another sweep \(episodes: 130 there, 131 here\)"):
+        sweep.run_sweep(other, whole, resume=True)
+    stray = tmp_path / "stray"
+    stray.mkdir()
+    (stray / "episodes-000000.parquet").write_bytes(b"")
+    with pytest.raises(ValueError, match="without a manifest"):
+        sweep.run_sweep(other, stray)
+
+
+def test_a_full_disk_keeps_what_is_written(
+    undisturbed: tuple[SweepConfig, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config, whole = undisturbed
+    write_table, written = archive.pq.write_table, []
+
+    def disk(table: pa.Table, where: Path, **options: str) -> None:
+        written.append(where)
+        if len(written) > 3:
+            Path(where).write_bytes(b"torn")
+            raise OSError(28, "No space left on device")
+        write_table(table, where, **options)
+
+    monkeypatch.setattr(archive.pq, "write_table", disk)
+    with pytest.raises(OSError, match="No space left"):
+        sweep.run_sweep(config, tmp_path, num_threads=1)
+    left = contents(tmp_path)
+    assert len(left) == 4
+    assert left.items() <= contents(whole).items()
+
+
+def test_rows_are_tidy(undisturbed: tuple[SweepConfig, Path]) -> None:
+    _, whole = undisturbed
+    files = sorted(whole.glob("episodes-*.parquet"))
+    schemas = {pq.read_schema(file) for file in files}
+    assert len(schemas) == 1
+    table = pa.concat_tables([pq.read_table(file) for file in files])
+    assert table.num_rows == ROWS
+    assert {"world", "policy", "motion.odometry_noise", "is_success", "final_x"} <= set(
+        table.column_names
+    )
+    assert table["particles"].null_count == ROWS
+
+
+def test_summary(undisturbed: tuple[SweepConfig, Path], tmp_path: Path) -> None:
+    _, whole = undisturbed
+    document = summary.summarize_directory(whole)
+    assert document["missing"] == 0
+    assert document["episodes"] == ROWS
+    assert set(document["varied"]) == {
+        "world",
+        "command",
+        "relation",
+        "policy",
+        "motion.odometry_noise",
+    }
+    # 2 worlds, 2 commands, 2 noises; both policies in each.
+    assert len(document["rows"]) == 16
+    assert len(document["comparisons"]) == 8
+    for row in document["rows"]:
+        assert row["episodes"] == 260
+        if row["policy"] == "known":
+            assert row["success_rate"] == 100.0
+    for one in document["comparisons"]:
+        assert (one["first"]["policy"], one["second"]["policy"]) == ("known", "lawnmower")
+        assert one["pairs"] == 260
+    text = summary_tables.markdown(document)
+    assert "two robots" in text
+    assert text.count("\n| 1H1C |") == 12
+    assert summary_tables.render(document) is not None
+    with pytest.raises(ValueError, match="holds no sweep"):
+        summary.summarize_directory(tmp_path)
+
+
+@pytest.mark.slow
+def test_kill_and_resume_the_navigator(tmp_path: Path, pytestconfig: pytest.Config) -> None:
+    folder = tmp_path / "whole"
+    folder.mkdir()
+    config = write(NAVIGATOR, folder)
+    sweep.run_sweep(config, folder / "out")
+    out = tmp_path / "out"
+    assert run_and_kill(NAVIGATOR, tmp_path, out, pytestconfig) < 8
+    sweep.run_sweep(config, out, resume=True, shard="2/2", num_threads=1)
+    sweep.run_sweep(config, out, resume=True, shard="1/2")
+    assert contents(out) == contents(folder / "out")
+    document = summary.summarize_directory(out)
+    assert [one["second"]["planner.discount"] for one in document["comparisons"]] == [0.9] * 4

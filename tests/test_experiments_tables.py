@@ -1,0 +1,178 @@
+"""Tables for people: every figure where it belongs, ours beside the paper's."""
+
+import io
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+import pytest
+from rich.console import Console
+
+from jaxlangnav.experiments import figure5, table2, tables
+from jaxlangnav.experiments.experiment import Experiment
+from jaxlangnav.experiments.rows import RowSpec, default_noise, printed_rows
+from jaxlangnav.world.templates import TABLE_2
+
+
+def row(**changes: Any) -> dict[str, Any]:
+    return {
+        "world": "2H1C",
+        "range": 3.0,
+        "relation": "behind",
+        "policy": "faithful",
+        "episodes": 400,
+        "success_rate": 67.4,
+        "success_ci": [62.0, 72.0],
+        "distance_mean": 18.72,
+        "distance_sd": 10.0,
+        "known_distance_mean": 10.3,
+        "known_distance_sd": 1.8,
+        "spl": 0.5,
+        "overflows": 0,
+        "degenerate": 0,
+        "timeouts": 3,
+        "invalid_worlds": 0,
+    } | changes
+
+
+def document(*rows: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "episodes": 400,
+        "policies": list(dict.fromkeys(one["policy"] for one in rows)),
+        "seed": 0,
+        "num_particles": 64,
+        "noise": default_noise(),
+        "rows": list(rows),
+        "paper": printed_rows(TABLE_2),
+    }
+
+
+def test_the_paper_is_printed_as_it_stands() -> None:
+    printed = printed_rows(TABLE_2)
+    assert len(printed) == 7
+    assert [one["relation"] for one in printed].count(None) == 3
+    last = printed[-1]
+    assert (last["world"], last["range"], last["relation"]) == ("2H1C", 5.0, "nearest")
+    assert (last["success_rate"], last["distance_mean"], last["distance_sd"]) == (46.2, 12.05, 5.76)
+
+
+def test_cells_by_hand() -> None:
+    text = tables.markdown_table(document(row()))
+    expected = (
+        "| 2H1C | 3 | behind | faithful | 67.4 (62.0-72.0) | 67.4 | 18.72 (10.00) | 18.72 (10.23) "
+        "| 10.30 (1.80) | 10.38 (1.86) | 0.50 | 3 |"
+    )
+    assert expected in text.splitlines()
+
+
+def test_policies_of_a_row_stand_together() -> None:
+    rows = [
+        row(),
+        row(world="1H1C", relation=None),
+        row(policy="known"),
+        row(world="1H1C", relation=None, policy="known"),
+    ]
+    order = [(one["world"], one["policy"]) for one, _ in tables.paired_rows(document(*rows))]
+    assert order == [
+        ("2H1C", "faithful"),
+        ("2H1C", "known"),
+        ("1H1C", "faithful"),
+        ("1H1C", "known"),
+    ]
+
+
+def test_a_row_the_paper_lacks_has_no_figure_beside_it() -> None:
+    text = tables.markdown_table(document(row(world="2H2C")))
+    assert "| 2H2C | 3 | behind | faithful | 67.4 (62.0-72.0) |  | 18.72 (10.00) |  |" in text
+
+
+def test_deviations_by_hand() -> None:
+    paper = printed_rows(TABLE_2)[5]
+    assert tables.deviations(row(), paper)["distance"] == pytest.approx(0.0)
+    far = tables.deviations(row(distance_mean=20.72, success_rate=100.0), paper)
+    # Standard errors 10 / 20 and 10.23 / 10.
+    assert far["distance"] == pytest.approx(2.0 / (0.5**2 + 1.023**2) ** 0.5)
+    # 100 % of 400 counts as 399.5: error 0.1249 %; 67.4 % of 100: 4.687 %.
+    assert far["success"] == pytest.approx(32.6 / (0.1249**2 + 4.6874**2) ** 0.5, rel=1e-3)
+
+
+def test_the_terminal_table_fits_and_says_the_noise() -> None:
+    console = Console(width=118, record=True, file=io.StringIO())
+    console.print(table2.render(document(row(), row(policy="known"))))
+    text = console.export_text()
+    assert max(map(len, text.splitlines())) <= 118
+    assert "…" not in text
+    for part in ("faithful", "known", "detection 0.95", "360°", "odometry 2 %", "64 particles"):
+        assert part in text
+
+
+def test_falls_are_found() -> None:
+    rows = [
+        row(range=2.0, success_rate=80.0, success_ci=[75.0, 85.0]),
+        row(range=3.0, success_rate=78.0, success_ci=[73.0, 83.0]),
+        row(range=5.0, success_rate=60.0, success_ci=[55.0, 65.0]),
+    ]
+    found = figure5.falls({"rows": rows[::-1]})
+    assert [(one["range"], one["from"], one["to"]) for one in found] == [(5.0, 78.0, 60.0)]
+
+
+def test_totals_and_refusals() -> None:
+    assert table2.total_episodes(episodes=100, policies=["faithful"]) == 700
+    assert figure5.total_episodes(episodes=10, policies=["faithful", "known"]) == 240
+    with pytest.raises(ValueError, match="episodes is 0, but must be at least 1"):
+        table2.reproduce_table2(episodes=0)
+    with pytest.raises(ValueError, match=r'unknown policy "faithfull".*did you mean "faithful"'):
+        table2.reproduce_table2(episodes=1, policies=["faithfull"])
+    with pytest.raises(ValueError, match="unknown world template"):
+        figure5.reproduce_figure5(episodes=1, worlds=["2X"])
+
+
+def test_an_experiment_and_its_files(tmp_path: Path) -> None:
+    specs = (
+        RowSpec(world="1H1C", range=3.0, relation="null"),
+        RowSpec(world="2H1C", range=5.0, relation="nearest"),
+    )
+    experiment = Experiment(name="small", specs=specs, markdown=table2.markdown)
+    done: list[int] = []
+    found = experiment.run(
+        episodes=20,
+        policies=["known", "frontier"],
+        seed=3,
+        out=tmp_path,
+        on_progress=done.append,
+        num_particles=64,
+    )
+    assert sum(done) == 80
+    assert [(one["world"], one["policy"]) for one in found["rows"]] == [
+        ("1H1C", "known"),
+        ("2H1C", "known"),
+        ("1H1C", "frontier"),
+        ("2H1C", "frontier"),
+    ]
+    keys = "world range relation policy episodes success_rate success_ci distance_mean distance_sd"
+    keys += " known_distance_mean known_distance_sd spl overflows degenerate timeouts"
+    assert set(keys.split()) <= set(found["rows"][0])
+    assert found["rows"][0]["relation"] is None
+    assert len(found["paper"]) == 2
+    assert found["wall_s"] > 0.0
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {
+        "small.md",
+        "small.json",
+        "small_manifest.json",
+        "small_episodes.parquet",
+    }
+    table = pq.read_table(tmp_path / "small_episodes.parquet")
+    assert table.num_rows == 80
+    mean = table["distance"].to_numpy()[20:40].mean()
+    assert found["rows"][1]["distance_mean"] == pytest.approx(mean, rel=1e-5)
+
+
+@pytest.mark.slow
+def test_table2_with_the_navigator() -> None:
+    found = table2.reproduce_table2(episodes=30, policies=["informed", "faithful"], seed=100)
+    assert len(found["rows"]) == 14
+    for one in found["rows"][:7]:
+        is_blind = one["world"] == "2H1C" and one["relation"] is None
+        assert one["success_rate"] >= (20.0 if is_blind else 90.0)
+        assert one["spl"] <= 1.0
