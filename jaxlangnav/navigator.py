@@ -15,7 +15,7 @@ from jaxlangnav.grounding.behavior import infer_behaviors as infer_topologies
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.grounding.program import NUM_TYPES
 from jaxlangnav.messages import ACTIONS, MODES, NONE, REGIONS, Action, Behavior, Observation
-from jaxlangnav.planner import graph, policy
+from jaxlangnav.planner import graph, policy, search
 from jaxlangnav.planner.goals import Goals, gather
 from jaxlangnav.planner.information import squared_distance_to_segment
 from jaxlangnav.planner.params import PlannerConfig, PlannerParams, default_planner_params
@@ -52,6 +52,11 @@ class NavigatorConfig:
             raise ValueError(
                 f"num_cells is {self.map.num_cells}, but must be a multiple of "
                 f"num_blocks, {self.planner.num_blocks}"
+            )
+        if self.planner.policy == "informed" and self.map.num_cells % search.CELLS:
+            raise ValueError(
+                f"num_cells is {self.map.num_cells}, but must be a multiple of {search.CELLS} "
+                "for the informed policy's search map"
             )
 
 

@@ -100,6 +100,7 @@ def test_episodes_end_with_a_result(in_lanes: EpisodeResult) -> None:
     assert in_lanes.is_success[::3].mean() > 0.7
 
 
+@pytest.mark.slow
 def test_one_by_one_equals_the_batch(in_lanes: EpisodeResult, tasks, instructions) -> None:
     """``run`` in a Python loop against refilled lanes; one compilation for all of it."""
     results = []
@@ -119,16 +120,40 @@ def test_one_by_one_equals_the_batch(in_lanes: EpisodeResult, tasks, instruction
     assert run._cache_size() == before + 1
     stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *results)
     assert_same(stacked, in_lanes)
-    # So are parameters.
+
+
+def test_any_numbers_are_data(in_lanes: EpisodeResult, tasks, instructions) -> None:
+    """Sentences, worlds, ranges, noises and parameters do not compile again."""
+    before = run_batch._cache_size()
     changed = navigator.default_params()
     changed = replace(
         changed,
         map=replace(changed.map, concentration=jnp.float32(0.1)),
         planner=replace(changed.planner, discount=jnp.float32(0.9)),
     )
-    task = jax.tree.map(lambda leaf: leaf[0], tasks)
-    run(task, instructions, params=changed, config=config(), max_steps=MAX_STEPS)
-    assert run._cache_size() == before + 1
+    law = scenario_law(template="2H2C", relation="nearest")
+    scenarios = jax.vmap(draw_scenario, in_axes=(0, None))(
+        jax.random.split(jax.random.key(8), EPISODES), law
+    )
+    others = replace(
+        tasks,
+        scenario=scenarios,
+        sensor=replace(tasks.sensor, range_max=jnp.full(EPISODES, 4.0), noise=jnp.zeros(EPISODES)),
+    )
+    grounded = understand("carefully move to the hydrant nearest to the cone", load_shipped())
+    sentences = jax.tree.map(
+        lambda leaf, first: leaf.at[0].set(first), instructions, grounded.instruction
+    )
+    result = run_batch(
+        others,
+        sentences,
+        params=changed,
+        config=config(),
+        num_lanes=7,
+        max_steps=MAX_STEPS,
+    )
+    assert (np.asarray(result.steps) >= 1).all()
+    assert run_batch._cache_size() == before
 
 
 def test_order_of_tasks_does_not_matter(in_lanes: EpisodeResult, tasks, instructions) -> None:

@@ -1,0 +1,201 @@
+"""The agent in hand-made worlds: a perfect sensor, a perfect robot, one decision at a time."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import readings as by_hand
+
+from jaxlangnav import agent, navigator
+from jaxlangnav.messages import NONE
+from jaxlangnav.navigator import NavigatorConfig
+from jaxlangnav.planner.params import PlannerConfig
+from jaxlangnav.pytree import replace
+from jaxlangnav.semantic_map.params import MapConfig
+
+HYDRANT, CONE = by_hand.HYDRANT, by_hand.CONE
+AREA = (0.0, 10.0, -5.0, 5.0)
+WORLD = [(CONE, 4.0, 0.5), (HYDRANT, 6.4, 0.8), (CONE, 2.5, -3.5)]
+RANGE = 3.0
+
+
+@pytest.fixture(scope="module")
+def robot() -> agent.Navigator:
+    return agent.Navigator.pretrained()
+
+
+@dataclasses.dataclass
+class Run:
+    state: navigator.NavigatorState
+    places: list
+    actions: list
+    infos: list
+
+    @property
+    def end(self) -> np.ndarray:
+        return self.places[-1]
+
+
+def go(robot, state, places=WORLD, start=(0.0, 0.0), max_steps: int = 60, seed: int = 0) -> Run:
+    """Drive until the robot stops; heading along the step, every object in range detected."""
+    position, heading = np.array(start, float), 0.0
+    record = Run(state, [position], [], [])
+    for step in range(max_steps):
+        found = [
+            (kind, x - position[0], y - position[1])
+            for kind, x, y in places
+            if np.hypot(x - position[0], y - position[1]) <= RANGE
+        ]
+        look = by_hand.observation(
+            np.array([*position, heading]), found, by_hand.sensor(RANGE, noise=0.02), size=8
+        )
+        key = jax.random.fold_in(jax.random.key(seed), step)
+        record.state, action, info = robot.step(key, record.state, look)
+        record.actions.append(jax.tree.map(np.asarray, action))
+        record.infos.append(info)
+        if action.is_stop:
+            assert np.allclose(action.step, 0.0)
+            break
+        move = np.asarray(action.step, float)
+        position = position + move
+        heading = np.arctan2(move[1], move[0]) if np.hypot(*move) > 0 else heading
+        record.places.append(position)
+    return record
+
+
+def distance(run: Run, index: int, places=WORLD) -> float:
+    return float(np.hypot(*(run.end - places[index][1:])))
+
+
+def test_goes_to_the_hydrant_behind_the_cone_and_stops(robot) -> None:
+    run = go(robot, robot.start("go to the hydrant behind the cone", area=AREA))
+    assert bool(run.state.is_done)
+    assert distance(run, 1) < 1.5
+    for action in run.actions:
+        length = float(np.hypot(*action.step))
+        assert length <= 1.0 + 1e-5
+        assert np.isfinite(action.waypoint).all()
+    # Cone, hydrant, decision: believed in the end.
+    assert float(run.infos[-1].choice.stop_mass) >= float(robot.params.planner.stop_probability)
+
+
+def test_the_other_hydrant_is_not_taken(robot) -> None:
+    """A hydrant in front of the cone is seen first and is not meant."""
+    places = [*WORLD[:2], (HYDRANT, 2.2, 0.1)]
+    run = go(robot, robot.start("go to the hydrant behind the cone", area=AREA), places)
+    assert bool(run.state.is_done)
+    assert distance(run, 1, places) < 1.5
+
+
+def test_find_stops_once_it_is_in_view(robot) -> None:
+    run = go(robot, robot.start("find the cone", area=AREA))
+    assert bool(run.state.is_done)
+    near = min(distance(run, 0), distance(run, 2))
+    assert near <= RANGE
+    walked = go(robot, robot.start("go to the cone", area=AREA))
+    assert min(distance(walked, 0), distance(walked, 2)) < 1.5
+    assert len(run.actions) < len(walked.actions)
+
+
+def test_adverbs_set_the_speed(robot) -> None:
+    speeds = {}
+    for text in ("go to the hydrant", "quickly go to the hydrant", "carefully go to the hydrant"):
+        run = go(robot, robot.start(text, area=AREA), max_steps=1)
+        speeds[text] = float(run.actions[0].speed)
+        assert np.hypot(*run.actions[0].step) <= speeds[text] + 1e-5
+    np.testing.assert_allclose(list(speeds.values()), [1.0, 1.5, 0.6])
+
+
+def test_place_behind_an_object(robot) -> None:
+    """ "Move behind the cone": no figure is invented, the robot itself goes there."""
+    run = go(robot, robot.start("move behind the cone", area=AREA))
+    assert bool(run.state.is_done)
+    behind = [run.end[0] > x + 0.3 and np.hypot(*(run.end - (x, y))) < 5 for _, x, y in WORLD]
+    assert behind[0] or behind[2], run.end
+
+
+def test_two_commands_in_order(robot) -> None:
+    run = go(robot, robot.start("go to the cone then go to the hydrant", area=AREA))
+    assert bool(run.state.is_done)
+    assert int(run.state.clause) == 1
+    assert distance(run, 1) < 1.5
+    way = np.array(run.places)
+    cones = [np.hypot(*(way - WORLD[index][1:]).T).min() for index in (0, 2)]
+    assert min(cones) < 1.5
+
+
+def test_hears_another_command_and_keeps_its_map(robot) -> None:
+    run = go(robot, robot.start("go to the cone", area=AREA))
+    first = int(np.argmin([distance(run, 0), 99.0, distance(run, 2)]))
+    types = np.asarray(run.state.belief.particles.object_type)
+    assert int(run.state.previous_goal) != NONE
+    state = robot.hear(run.state, "go to the other cone")
+    assert not bool(state.is_done)
+    np.testing.assert_array_equal(state.belief.particles.object_type, types)
+    again = go(robot, state, start=tuple(run.end), seed=1)
+    assert bool(again.state.is_done)
+    assert distance(again, 2 - first) < 1.5
+
+
+def test_step_is_compiled_once_whatever_is_said(robot) -> None:
+    sizes = []
+    for text in ("go to the hydrant", "move behind the cone near the hydrant", "find the cone"):
+        go(robot, robot.start(text, area=AREA), max_steps=1)
+        sizes.append(agent._step._cache_size())
+    changed = replace(robot.params, mode_speed=jnp.array([2.0, 3.0, 1.0]))
+    other = dataclasses.replace(robot, params=changed)
+    go(other, other.start("go to the hydrant", area=AREA), max_steps=1)
+    sizes.append(agent._step._cache_size())
+    assert len(set(sizes)) == 1
+
+
+def test_one_step_by_hand_leaves_a_readable_record(robot) -> None:
+    run = go(robot, robot.start("go to the hydrant behind the cone", area=AREA), max_steps=2)
+    info = run.infos[-1]
+    value = np.asarray(info.choice.value)
+    is_open = np.isfinite(value)
+    parts = info.choice.goal_value + info.choice.information_value - info.choice.cost
+    np.testing.assert_allclose(value[is_open], np.asarray(parts)[is_open], atol=1e-5)
+    assert not np.asarray(info.nodes.is_node)[~is_open].all()
+    behavior = info.behavior
+    np.testing.assert_allclose(behavior.mode.sum(), 1.0, atol=1e-3)
+    np.testing.assert_allclose(behavior.action.sum(), 1.0, atol=1e-3)
+    assert float(behavior.goal.sum()) <= 1.0 + 1e-3
+    weight = np.exp(np.asarray(run.state.belief.log_weight))
+    np.testing.assert_allclose(weight.sum(), 1.0, rtol=1e-3)
+
+
+def test_parameters_that_could_never_stop_are_refused() -> None:
+    good = navigator.default_params()
+    navigator.check(good)
+    for change, name in (
+        ({"planner": replace(good.planner, discount=jnp.float32(1.0))}, "discount"),
+        ({"planner": replace(good.planner, stop_probability=jnp.float32(0.0))}, "stop_prob"),
+        ({"planner": replace(good.planner, stop_probability=jnp.float32(0.95))}, "concentration"),
+        ({"map": replace(good.map, concentration=jnp.float32(0.0))}, "concentration"),
+    ):
+        with pytest.raises(ValueError, match=name):
+            navigator.check(replace(good, **change))
+
+
+def test_sizes_that_do_not_fit_are_refused() -> None:
+    for build in (
+        lambda: NavigatorConfig(map=MapConfig(num_cells=25)),
+        lambda: MapConfig(num_particles=1),
+        lambda: MapConfig(num_objects=0),
+        lambda: PlannerConfig(policy="greedy"),
+        lambda: PlannerConfig(num_visited=0),
+    ):
+        with pytest.raises(ValueError, match="must be"):
+            build()
+    assert hash(NavigatorConfig()) == hash(NavigatorConfig())
+
+
+def test_informed_search_map_needs_whole_blocks_of_cells() -> None:
+    """32 cells cannot be folded into 12: refused when the config is read, not in the kernel."""
+    with pytest.raises(ValueError, match="must be"):
+        NavigatorConfig(
+            map=MapConfig(num_cells=32), planner=PlannerConfig(policy="informed", num_blocks=8)
+        )
