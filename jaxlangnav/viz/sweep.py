@@ -1,0 +1,227 @@
+"""Results: distance and success against the sensing range (Figure 5), rows of Table 2."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from jaxlangnav.viz import style
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Row = Mapping[str, Any]
+POLICY_LOOKS = {
+    "informed": (style.SERIES[0], "o", "informed (ours)"),
+    "faithful": (style.SERIES[1], "s", "faithful (the paper's method)"),
+    "frontier": (style.SERIES[2], "^", "nearest frontier, no language"),
+    "lawnmower": (style.SERIES[3], "v", "lawnmower, no language"),
+    "known": (style.MUTED, "", "known map"),
+}
+"""Colour, marker and name of each policy."""
+PAPER_NAME = "paper, as printed (± 1 σ)"
+_Z95 = 1.96
+
+
+def range_figure(document: Mapping[str, Any]) -> "Figure":
+    """Draw distance and success against the sensing range, as Figure 5 of the paper.
+
+    Args:
+        document: of ``experiments.figure5``: ``rows`` by world, relation, policy and range, and
+            ``paper``, the printed rows that match. Rates in percent, distances in metres.
+
+    Returns:
+        The figure: a column for each world and relation, distance above, success below. Our error
+        bars are 95 % intervals of the mean; the paper prints one standard deviation.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+        ValueError: the document has no rows.
+    """
+    rows: Sequence[Row] = document["rows"]
+    columns = list(dict.fromkeys((row["world"], row["relation"]) for row in rows))
+    if not columns:
+        raise ValueError("the document has no rows, so there is nothing to draw")
+    with style.house_style():
+        from matplotlib.figure import Figure
+
+        width, height = 0.9 + 3.7 * len(columns), 6.4
+        figure = Figure(figsize=(max(width, 6.2), height))
+        grid = figure.subplots(2, len(columns), squeeze=False, sharex="col", sharey="row")
+        figure.subplots_adjust(
+            left=0.62 / figure.get_figwidth(), right=0.98, top=0.845, bottom=0.185,
+            hspace=0.12, wspace=0.08,
+        )  # fmt: skip
+        for (world, relation), above, below in zip(columns, grid[0], grid[1], strict=True):
+            mine = [row for row in rows if (row["world"], row["relation"]) == (world, relation)]
+            paper = [
+                row
+                for row in document.get("paper", ())
+                if (row["world"], row["relation"]) == (world, relation)
+            ]
+            _draw_column(above, below, mine, paper)
+            above.set_title(f"{world}, {sentence_of(document, relation)}")
+            below.set_xlabel("sensing range (m)")
+        grid[0][0].set_ylabel("distance travelled (m)")
+        grid[1][0].set_ylabel("success (%)")
+        grid[0][0].set_ylim(bottom=0)
+        grid[1][0].set_ylim(0, 104)
+        number = document.get("episodes", "?")
+        style.title(
+            figure,
+            "Distance and success against the sensing range",
+            f"{number} episodes a point; bars: 95 % interval of the mean.",
+        )
+        handles, labels = _legend_of(grid)
+        figure.legend(handles, labels, loc="lower center", ncols=min(len(labels), 3))
+    return figure
+
+
+def table_figure(document: Mapping[str, Any]) -> "Figure":
+    """Draw the rows of a table beside the paper's: success at the left, distance at the right.
+
+    Args:
+        document: of ``experiments.table2``.
+
+    Returns:
+        The figure, a line for each row of the table.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+        ValueError: the document has no rows.
+    """
+    rows: Sequence[Row] = document["rows"]
+    keys = list(dict.fromkeys((row["world"], row["range"], row["relation"]) for row in rows))
+    if not keys:
+        raise ValueError("the document has no rows, so there is nothing to draw")
+    policies = list(dict.fromkeys(row["policy"] for row in rows))
+    places = {key: place for place, key in enumerate(keys)}
+    with style.house_style():
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=(9.2, 1.9 + 0.52 * len(keys)))
+        tall = figure.get_figheight()
+        rates, ways = figure.subplots(1, 2, sharey=True)
+        figure.subplots_adjust(
+            left=0.19, right=0.98, top=1 - 0.72 / tall, bottom=0.98 / tall, wspace=0.06
+        )
+        for place in range(0, len(keys), 2):
+            for axes in (rates, ways):
+                axes.axhspan(place - 0.5, place + 0.5, color="#f4f5f7", zorder=0)
+        for index, policy in enumerate([*policies, "paper"]):
+            shift = 0.56 * ((index + 0.5) / (len(policies) + 1) - 0.5)
+            found = document.get("paper", ()) if policy == "paper" else rows
+            for row in found:
+                key = (row["world"], row["range"], row["relation"])
+                if row["policy"] == policy and key in places:
+                    _draw_row(rates, ways, row, places[key] + shift)
+        labels = [
+            f"{world}, {reach:g} m, {relation or 'no relation'}" for world, reach, relation in keys
+        ]
+        rates.set_yticks(range(len(keys)), labels)
+        rates.set_ylim(len(keys) - 0.5, -0.5)
+        rates.set_xlim(right=103)
+        ways.set_xlim(left=0)
+        rates.set_xlabel("success (%)")
+        ways.set_xlabel("distance travelled (m)")
+        for axes in (rates, ways):
+            axes.grid(axis="x")
+            axes.tick_params(axis="y", length=0)
+        number = document.get("episodes", "?")
+        style.title(
+            figure,
+            "Table 2: ours beside the paper's",
+            f"{number} episodes a row; bars: 95 % interval of the mean; paper: ± 1 σ.",
+        )
+        handles, names = _legend_of([[rates]])
+        figure.legend(handles, names, loc="lower center", ncols=3)
+    return figure
+
+
+def sentence_of(document: Mapping[str, Any], relation: str | None) -> str:
+    """Look up the sentence behind a relation, in quotation marks."""
+    said = document.get("sentences", {}).get(relation or "null")
+    return f"“{said}”" if said else f"“{relation or 'no relation'}”"
+
+
+def _draw_column(above: "Axes", below: "Axes", rows: list[Row], paper: list[Row]) -> None:
+    """Draw all policies of one world and relation, and the paper's points."""
+    for policy in dict.fromkeys(row["policy"] for row in rows):
+        mine = sorted(
+            (row for row in rows if row["policy"] == policy), key=lambda row: row["range"]
+        )
+        color, marker, name = POLICY_LOOKS.get(policy, (style.INK, "D", policy))
+        reach = [row["range"] for row in mine]
+        way = [row["distance_mean"] for row in mine]
+        look: dict[str, Any] = {"color": color, "marker": marker, "markersize": 5, "capsize": 2}
+        if policy == "known":
+            above.plot(reach, way, color=color, linestyle="--", linewidth=1.2, label=name)
+            below.plot(
+                reach, [row["success_rate"] for row in mine],
+                color=color, linestyle="--", linewidth=1.2, label=name,
+            )  # fmt: skip
+            continue
+        above.errorbar(reach, way, yerr=[half_interval(row) for row in mine], label=name, **look)
+        below.errorbar(
+            reach,
+            [row["success_rate"] for row in mine],
+            yerr=_success_bars(mine),
+            label=name,
+            **look,
+        )
+    for row in paper:
+        point: dict[str, Any] = _paper_look()
+        above.errorbar([row["range"]], [row["distance_mean"]], yerr=[row["distance_sd"]], **point)
+        below.errorbar([row["range"]], [row["success_rate"]], **point)
+    for axes in (above, below):
+        axes.grid()
+        axes.set_xticks(sorted({row["range"] for row in rows}))
+    below.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+
+
+def _draw_row(rates: "Axes", ways: "Axes", row: Row, place: float) -> None:
+    """Draw one row of a table."""
+    policy = row["policy"]
+    if policy == "paper":
+        rates.errorbar([row["success_rate"]], [place], **_paper_look())
+        ways.errorbar([row["distance_mean"]], [place], xerr=[row["distance_sd"]], **_paper_look())
+        return
+    color, marker, name = POLICY_LOOKS.get(policy, (style.INK, "D", policy))
+    look: dict[str, Any] = {
+        "color": color, "marker": marker or "|", "markersize": 5.5, "capsize": 2,
+        "linestyle": "none", "label": name,
+    }  # fmt: skip
+    rates.errorbar([row["success_rate"]], [place], xerr=_success_bars([row]), **look)
+    ways.errorbar([row["distance_mean"]], [place], xerr=[half_interval(row)], **look)
+
+
+def half_interval(row: Row) -> float:
+    """Compute half of the 95 % interval of a row's mean distance, metres."""
+    return _Z95 * float(row["distance_sd"]) / math.sqrt(max(1, int(row["episodes"])))
+
+
+def _success_bars(rows: list[Row]) -> np.ndarray:
+    """Compute error bars of success rates from their intervals, f64[2, n], percent."""
+    rate = np.array([row["success_rate"] for row in rows], float)
+    ends = np.array([row["success_ci"] for row in rows], float).T
+    return np.maximum(np.stack([rate - ends[0], ends[1] - rate]), 0.0)
+
+
+def _paper_look() -> dict[str, Any]:
+    """Build the look of a printed point: an empty diamond."""
+    return {
+        "color": style.INK, "marker": "D", "markersize": 6, "markerfacecolor": "none",
+        "linestyle": "none", "capsize": 3, "linewidth": 1.0, "zorder": 5, "label": PAPER_NAME,
+    }  # fmt: skip
+
+
+def _legend_of(grid: Any) -> tuple[list[Any], list[str]]:
+    """Gather the legend over several axes, each label once."""
+    found: dict[str, Any] = {}
+    for line in grid:
+        for axes in line:
+            for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+                found.setdefault(label, handle)
+    return list(found.values()), list(found)
