@@ -95,7 +95,7 @@ def test_eight_types_in_order_and_legal_senses():
     legal = {f"type:{name}" for name in lexicon.type_names}
     legal |= {f"relation:{name}" for name in RELATIONS} | {f"action:{name}" for name in ACTIONS}
     legal |= {f"mode:{name}" for name in MODES} | {f"rank:{n}" for n in range(1, 5)}
-    legal |= {"superlative", "constraint", "robot", "other", "anaphor", "place", "different"}
+    legal |= {"superlative", "constraint", "robot", "other", "anaphor", "place", "foreign"}
     found = {
         sense
         for entries in lexicon.entries.values()
