@@ -2,7 +2,8 @@
 
 A word of the list is never repaired: "beach" stays "beach", it is no mistyped "bench". Run it
 after new words came into lexicon.toml; it needs ``pip install pyspellchecker`` (a list of English
-words with their frequencies, MIT licence), which the package itself does not. A few vulgar words are taken out by hand.
+words with their frequencies, MIT licence), which the package itself does not. A few vulgar words
+are then taken out by hand.
 """
 
 from pathlib import Path

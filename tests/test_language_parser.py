@@ -170,7 +170,8 @@ def test_random_words_of_the_lexicon(tokens):
 
 PIECES = [
     "go to", "the cone", "the hydrant", "a big red car", "behind", "near", "next to",
-    "on your left", "that is", "then", "and", "the nearest box", "please", "find", "stop", "avoid", "nearest to",
+    "on your left", "that is", "then", "and", "the nearest box", "please", "find", "stop",
+    "avoid", "nearest to",
     "slowly", "while avoiding", "there is", "is", "zorbel", "the second", "the other one",
     "to", ",",
 ]  # fmt: skip

@@ -28,10 +28,11 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from jaxlangnav.language.labels import ROBOT, Labels, PlacedWorld
+from jaxlangnav.language.labels import ROBOT, Labels
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import COMMAND, STATEMENT, LanguageError, Parse
+from jaxlangnav.language.placed import PlacedWorld
 from jaxlangnav.messages import ACTIONS, MODES, REGIONS, RELATIONS
 
 SPLITS = ("train", "test")

@@ -6,6 +6,7 @@ the forest by dynamic programming, so time stays polynomial however ambiguous th
 """
 
 import math
+import threading
 from collections.abc import Iterator
 from functools import cache
 from importlib import resources
@@ -162,6 +163,7 @@ class Grammar:
         )  # fmt: skip
         self._lark: Any = lark
         self._earley: Any = lark.parser.parser
+        self._lock = threading.Lock()
         self._rules = [
             (rule, frozenset(s.name for s in rule.expansion if s.is_term)) for rule in lark.rules
         ]
@@ -228,9 +230,10 @@ class Grammar:
             if f'"{token}"' not in self._terminals:
                 raise NoParseError(index)
             terminals.append(self._terminals[f'"{token}"'])
-        self._predict_only(frozenset(terminals))
         try:
-            root = self._lark.parse(terminals)
+            with self._lock:  # the predictions belong to one sentence
+                self._predict_only(frozenset(terminals))
+                root = self._lark.parse(terminals)
         except UnexpectedEOF:
             raise NoParseError(len(tokens)) from None
         except UnexpectedToken as error:
