@@ -14,7 +14,10 @@ import pyarrow.parquet as pq
 from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.experiments.metrics import summarize
 from jaxlangnav.experiments.paired import compare
+from jaxlangnav.experiments.summary_tables import markdown, render
 from jaxlangnav.experiments.sweep import MANIFEST
+
+__all__ = ["markdown", "render", "summarize_directory"]
 
 _ARM = ("policy", "particles")
 _PAIR = ("seed", "episode")
