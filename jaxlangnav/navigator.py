@@ -25,7 +25,7 @@ from jaxlangnav.semantic_map import summary
 from jaxlangnav.semantic_map.filter import FilterInfo, ParticleBelief
 from jaxlangnav.semantic_map.params import MapConfig, MapParams, default_map_params
 
-BLOCK = 16
+BLOCK = 8
 """Topologies whose behavior is inferred at a time."""
 
 
@@ -203,11 +203,14 @@ def infer_behaviors(state: NavigatorState) -> Behavior:
         )
         inferred = infer_topologies(program, worlds, num_phrases=program.num_phrases)
         place = topology - index * block
-        is_in = (place >= 0) & (place < block)
-        place = jnp.clip(place, 0, block - 1)
-        return jax.tree.map(
-            lambda new, old: jnp.where(is_in, new[..., place], old), inferred, behaviors
-        )
+
+        def hand_out(new: Array, old: Array) -> Array:
+            # Selects vectorise over particles, where a gather would go element by element.
+            for own in range(block):
+                old = jnp.where(place == own, new[..., own : own + 1], old)
+            return old
+
+        return jax.tree.map(hand_out, inferred, behaviors)
 
     num_slots = particles.object_type.shape[0] + particles.referent.shape[0] + 1
     nothing = Behavior(
