@@ -2,9 +2,12 @@
 
 from pathlib import Path
 
+from jaxlangnav.grounding.instruction import GroundingModel
+from jaxlangnav.language.phrase import Parse
 from jaxlangnav.recording import Recording
 from jaxlangnav.viz import style
 from jaxlangnav.viz.belief import belief_figure
+from jaxlangnav.viz.graph import graph_figure
 from jaxlangnav.viz.html import write_html
 from jaxlangnav.viz.narrative import tell
 from jaxlangnav.viz.values import values_figure
@@ -33,3 +36,20 @@ def write_pictures(recording: Recording, folder: Path | str) -> list[Path]:
     with style.replacing(folder / "story.txt") as temporary:
         temporary.write_text("\n".join(tell(recording)) + "\n", encoding="utf-8")
     return [*paths, folder / "story.txt"]
+
+
+def write_graph(parse: Parse, model: GroundingModel, folder: Path | str) -> list[Path]:
+    """Write the factor graph of a sentence.
+
+    Args:
+        parse: the sentence, such as ``Understanding.parse``.
+        model: trained models.
+        folder: where to; made if it is not there.
+
+    Returns:
+        graph.png and graph.svg.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+    """
+    return [*style.save(graph_figure(parse, model), Path(folder) / "graph")]

@@ -1,0 +1,245 @@
+"""The factor graph of a sentence with probabilities, as Figure 3 of the paper (eq. 4).
+
+Black squares are factors, white circles unknown and grey circles known random variables: the
+phrase λ, the grounding γ and the correspondence φ of each symbol. Of the 494 symbols of a phrase
+the likeliest are drawn; a φ is filled by the probability that the phrase expresses its symbol,
+given what its child phrases express in the likeliest reading.
+"""
+
+import dataclasses
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from jaxlangnav.grounding.annotation import infer_annotations, walk
+from jaxlangnav.grounding.examples import annotation_properties
+from jaxlangnav.grounding.features import senses_of
+from jaxlangnav.grounding.instruction import GroundingModel
+from jaxlangnav.grounding.search import Hypothesis, search
+from jaxlangnav.grounding.symbols import Annotation, AnnotationSpace
+from jaxlangnav.language.phrase import Parse, Phrase
+from jaxlangnav.messages import NONE, RELATIONS, ROBOT
+from jaxlangnav.viz import style
+from jaxlangnav.viz.words import RELATION_WORDS, percent
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_KINDS = ("object", "region", "relation")
+_COLUMN, _ROW = 2.0, 0.62
+"""Inches a phrase and a symbol take."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class PhraseBelief:
+    """What a phrase is taken to express."""
+
+    phrase: Phrase
+    path: tuple[int, ...]
+    probability: np.ndarray  # f64[S] that each symbol is expressed
+    rank: int  # 1 where its region is meant as an extreme ("nearest"), 2 for the second; or 0
+
+    @property
+    def parent(self) -> tuple[int, ...] | None:
+        """Path of the parent phrase; None at the root of a clause."""
+        return self.path[:-1] if len(self.path) > 1 else None
+
+
+def phrase_beliefs(parse: Parse, model: GroundingModel) -> list[PhraseBelief]:
+    """Compute for every phrase how probable each of its symbols is.
+
+    Args:
+        parse: the sentence.
+        model: trained models.
+
+    Returns:
+        Phrases of all clauses, parents first, each given its children's likeliest groundings.
+    """
+    space, found = AnnotationSpace(len(model.type_names)), []
+    ranks = infer_annotations(parse, model.annotation, model.type_names).rank
+    for clause, root in enumerate(parse.clauses):
+        prepared = {
+            path: (model.annotation.coefficients(phrase), senses_of(phrase, model.type_names))
+            for phrase, path in walk(root, (clause,))
+        }
+
+        def log_odds(
+            _: Phrase, path: tuple[int, ...], children: Any, prepared: dict = prepared
+        ) -> np.ndarray:
+            coefficients, senses = prepared[path]
+            tables = annotation_properties(space, senses, [one.expressed for one in children])
+            scores = [tables[kind] @ coefficients[kind] for kind in _KINDS]
+            return np.concatenate(scores).astype(np.float64)
+
+        def visit(phrase: Phrase, path: tuple[int, ...], best: Hypothesis) -> None:
+            odds = log_odds(phrase, path, best.children)
+            probability = np.exp(-np.logaddexp(0.0, -odds))
+            rank = ranks.get(path, 0)
+            found.append(PhraseBelief(phrase=phrase, path=path, probability=probability, rank=rank))
+            for index, (child, below) in enumerate(
+                zip(phrase.children, best.children, strict=True)
+            ):
+                visit(child, (*path, index), below)
+
+        visit(root, (clause,), search(root, log_odds, path=(clause,))[0])
+    return found
+
+
+def symbol_name(symbol: Annotation, type_names: tuple[str, ...]) -> str:
+    """Name an annotation symbol: "hydrant behind cone", "behind cone", "hydrant"."""
+
+    def thing(index: int) -> str:
+        return "robot" if index == ROBOT else type_names[index]
+
+    parts = [thing(symbol.figure)] if symbol.figure != NONE else []
+    if symbol.relation != NONE:
+        parts += [RELATION_WORDS[RELATIONS[symbol.relation]], thing(symbol.landmark)]
+    return " ".join(parts)
+
+
+def graph_figure(parse: Parse, model: GroundingModel, *, num_symbols: int = 3) -> "Figure":
+    """Draw the factor graph of a sentence.
+
+    Args:
+        parse: the sentence, from ``language.parser.parse`` or ``Understanding.parse``.
+        model: trained models.
+        num_symbols: how many of the likeliest symbols of each phrase to show, at least 1.
+
+    Returns:
+        The figure; phrases stand in reading order.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+        ValueError: ``num_symbols`` is less than 1.
+    """
+    if num_symbols < 1:
+        raise ValueError(f"num_symbols is {num_symbols}, but must be at least 1")
+    beliefs = phrase_beliefs(parse, model)
+    space = AnnotationSpace(len(model.type_names))
+    with style.house_style():
+        from matplotlib.figure import Figure
+
+        width = max(_COLUMN * len(beliefs) + 0.2, 8.9)
+        height = 2.35 + _ROW * num_symbols
+        figure = Figure(figsize=(width, height))
+        axes = figure.add_axes((0, 0, 1, 1 - 0.62 / height))
+        axes.set(xlim=(0, width), ylim=(0, height - 0.62))
+        axes.axis("off")
+        left = (width - _COLUMN * len(beliefs)) / 2 + 0.32
+        places = {one.path: left + _COLUMN * i for i, one in enumerate(beliefs)}
+        for one in beliefs:
+            _draw_phrase(axes, one, places[one.path], space, model.type_names, num_symbols)
+        for one in beliefs:
+            if one.parent is not None:
+                _draw_link(axes, one, places, num_symbols)
+        _draw_key(axes)
+        factors = space.size * len(beliefs)
+        variables = 2 * factors + len(beliefs)
+        style.title(
+            figure,
+            f"“{parse.instruction}”",
+            f"{len(beliefs)} phrases × {space.size} symbols: {factors:,} factors, {variables:,} "
+            f"random variables; of each phrase the {num_symbols} likeliest are shown.",
+        )
+    return figure
+
+
+def _height_of(rank: int) -> float:
+    """Compute where the factor of a rank stands, inches; the likeliest is lowest."""
+    return 1.75 + _ROW * rank
+
+
+def _draw_phrase(
+    axes: "Axes",
+    one: PhraseBelief,
+    x: float,
+    space: AnnotationSpace,
+    type_names: tuple[str, ...],
+    num_symbols: int,
+) -> None:
+    """Draw a phrase λ with the factors of its likeliest symbols above it."""
+    order = np.argsort(-one.probability, kind="stable")[:num_symbols]
+    top = _height_of(len(order) - 1)
+    axes.plot([x, x], [0.95, top], color=style.MUTED, linewidth=0.9, zorder=1)
+    axes.plot([x, x], [top, top + 0.42], color=style.MUTED, linewidth=0.9, linestyle=":", zorder=1)
+    _circle(axes, x, 0.95, face=style.LINE)
+    words = " ".join(word.text for word in one.phrase.words)
+    axes.text(x, 0.74, one.phrase.label, ha="center", va="top", fontweight="bold", fontsize=9)
+    said = f"“{words}”" if words else "(no words)"
+    extreme = {0: "", 1: " (superlative)"}.get(one.rank, f" (number {one.rank})")
+    axes.text(x, 0.56, said + extreme, ha="center", va="top", fontsize=9)
+    for rank, index in enumerate(order):
+        y, share = _height_of(rank), float(one.probability[index])
+        axes.plot([x, x + 0.62], [y, y], color=style.MUTED, linewidth=0.9, zorder=1)
+        axes.plot([x], [y], marker="s", markersize=7, color=style.INK, zorder=3)
+        _circle(axes, x + 0.31, y, face=style.LINE)
+        _circle(axes, x + 0.62, y, face=style.PAPER, share=share)
+        is_said = share >= 0.5
+        name = symbol_name(space.symbols[int(index)], type_names)
+        axes.text(
+            x + 0.12, y + 0.15, name, fontsize=8, va="bottom", zorder=6,
+            bbox={"fc": style.PAPER, "ec": "none", "pad": 0.6},
+            fontweight="bold" if is_said else "normal",
+            color=style.INK if is_said else style.MUTED,
+        )  # fmt: skip
+        axes.text(
+            x + 0.78, y, percent(share), fontsize=8, va="center",
+            color=style.INK if is_said else style.MUTED,
+        )  # fmt: skip
+    rest = space.size - len(order)
+    axes.text(x + 0.08, top + 0.36, f"{rest} more", fontsize=7.5, va="bottom", color=style.MUTED)
+
+
+def _draw_link(
+    axes: "Axes", one: PhraseBelief, places: dict[tuple[int, ...], float], num_symbols: int
+) -> None:
+    """Lead what the child phrase expresses to the line on which all factors of its parent hang."""
+    from matplotlib.patches import FancyArrowPatch
+
+    assert one.parent is not None
+    order = np.argsort(-one.probability, kind="stable")[:num_symbols]
+    start, end = places[one.path] + 0.31, places[one.parent]
+    # Flatter over a longer way, so that links stay below the factors they pass.
+    bend = -0.3 * _COLUMN / (start - end)
+    ranks = [rank for rank, index in enumerate(order) if one.probability[index] >= 0.5]
+    if not ranks:
+        return
+    look = {"color": style.SERIES[0], "linewidth": 1.2, "zorder": 2}
+    axes.plot([start, start], [_height_of(ranks[0]), _height_of(ranks[-1])], **look)
+    axes.add_patch(
+        FancyArrowPatch(
+            (start, _height_of(ranks[0])),
+            (end, 1.3),
+            arrowstyle="-|>",
+            mutation_scale=8,
+            shrinkA=5,
+            shrinkB=0,
+            connectionstyle=f"arc3,rad={bend:.3f}",
+            **look,
+        )
+    )
+
+
+def _circle(axes: "Axes", x: float, y: float, *, face: str, share: float = 0.0) -> None:
+    """Draw a random variable, filled clockwise from the top by a probability."""
+    from matplotlib.patches import Circle, Wedge
+
+    axes.add_patch(Circle((x, y), 0.095, facecolor=face, edgecolor=style.INK, lw=0.9, zorder=3))
+    if share > 0.0:
+        start = 90 - 360 * min(share, 1.0)
+        axes.add_patch(Wedge((x, y), 0.095, start, 90, facecolor=style.GOOD, lw=0, zorder=4))
+        axes.add_patch(Circle((x, y), 0.095, fill=False, edgecolor=style.INK, lw=0.9, zorder=5))
+
+
+def _draw_key(axes: "Axes") -> None:
+    """Explain the marks along the bottom."""
+    x, y = 0.25, 0.16
+    axes.plot([x], [y], marker="s", markersize=7, color=style.INK)
+    axes.text(x + 0.14, y, "factor Ψ", va="center", fontsize=8)
+    _circle(axes, x + 1.05, y, face=style.LINE)
+    axes.text(x + 1.22, y, "known: phrase λ, grounding γ", va="center", fontsize=8)
+    _circle(axes, x + 3.35, y, face=style.PAPER, share=0.7)
+    axes.text(x + 3.52, y, "correspondence φ, filled by probability", va="center", fontsize=8)
+    axes.plot([x + 6.12, x + 6.4], [y, y], color=style.SERIES[0], linewidth=1.2)
+    axes.text(x + 6.48, y, "what a child phrase expresses", va="center", fontsize=8)
