@@ -6,23 +6,30 @@ integer operations. The beam is four hypotheses wide, and the four best sets of 
 factors have a closed form: none, the smallest margin flipped, the second smallest, and the
 cheaper of the third smallest and the two smallest together.
 
-Arrays carry the particle axis **last** throughout, so that every operation is a vector operation
-over particles. Equal sets that rest on different child hypotheses stay apart in the beam.
+Phrases come bottom-up, so the hypotheses of a phrase's children lie on top of a stack; the stack
+is a shift register, which needs no look-up. Arrays carry two lane axes **last**, episodes E and
+particles P, so that every operation is a vector operation over lanes; ``vmap`` over episodes is
+told to put its axis there. Equal sets that rest on different child hypotheses stay apart.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.grounding.program import (
+    AT_TABLE,
+    MAX_DEPTH,
     NEVER,
+    NOTHING,
     NUM_CHILDREN,
     NUM_SLOTS,
+    NUM_TABLES,
     NUM_TYPES,
     BehaviorProgram,
 )
+from jaxlangnav.grounding.symbols import NUM_RELATIONS
 from jaxlangnav.messages import NONE, ROBOT, Behavior, BehaviorWorld
 
 BEAM = 4
@@ -35,137 +42,146 @@ _PAIRS = ((0, 0), (0, 1), (0, 2), (0, 3), (1, 0), (1, 1), (2, 0), (3, 0))
 class Scene(NamedTuple):
     """The particles' objects as bits."""
 
-    type_row: Array  # f32[16, N, P] one-hot type
-    previous: Array  # f32[5, N, P] named and previous is read with ``own``; the rest as program
-    robot: Array  # f32[N, P]
-    is_object: Array  # bool[N, P]
-    lies: Array  # i32[20, N, P] per table and landmark, the objects that lie there
+    types: Array  # i32[16, E, P] per type, the objects of it
+    previous: Array  # i32[3, E, P] the previous goal; others of its type; those of other types
+    robot: Array  # i32[E, P]
+    everything: Array  # i32[E, P]
+    lies: Array  # i32[T, N, E, P] per table of the program and landmark, the objects there
 
 
-class Beam(NamedTuple):
-    """Hypotheses of the phrases inferred so far; sets of objects as bits."""
+class Stack(NamedTuple):
+    """Hypotheses of phrases whose parent is still to come; the last one first."""
 
-    sets: Array  # i32[H, 5, 4, P] objects, regions by slot, constraints, and what lies in regions
-    cost: Array  # f32[H, 4, P] −log-probability, ascending
+    sets: Array  # i32[D, 5, 4, E, P] objects, regions by slot, constraints, and what lies there
+    cost: Array  # f32[D, 4, E, P] −log-probability, ascending
 
 
+ROOT = -1
+"""Row of the root in a program: the last one, however many phrases there are."""
 OBJECTS, REGIONS, CONSTRAINTS, LIES = 0, 1, 1 + NUM_SLOTS, 2 + NUM_SLOTS
-"""Rows of ``Beam.sets``."""
+"""Rows of ``Stack.sets``."""
 
 
 class Joined(NamedTuple):
     """Four best combinations of the child hypotheses of a phrase."""
 
-    sets: Array  # i32[6, 4, P] objects; regions in the phrase's own slots; all objects touched;
-    # regions in the relation of the constraint slot; constraints
-    lies: Array  # i32[4, P] objects in the regions of every restricting child
-    cost: Array  # f32[4, P]
+    objects: Array  # i32[4, E, P]
+    same: tuple[Array, ...]  # L times i32[4, E, P], children's regions in the phrase's own slots
+    touched: Array  # i32[4, E, P] objects of any child symbol
+    near: Array  # i32[4, E, P] children's regions in the relation of the constraint slot
+    kept: Array  # i32[4, E, P] children's constraints
+    lies: Array  # i32[4, E, P] objects in the regions of every restricting child
+    cost: Array  # f32[4, E, P]
 
 
-def _bits(mask: Array, size: int) -> Array:
-    """Spread bit masks i32[..., 4, P] to f32[..., 4, size, P]."""
-    place = jax.lax.broadcasted_iota(jnp.int32, (*(1,) * (mask.ndim - 1), size, 1), mask.ndim - 1)
-    return ((mask[..., None, :] >> place) & 1).astype(jnp.float32)
+def _iota(size: int, ndim: int) -> Array:
+    """Count along the axis before the two lane axes, i32[1, ..., size, 1, 1]."""
+    return jnp.arange(size, dtype=jnp.int32).reshape(*(1,) * (ndim - 3), size, 1, 1)
+
+
+def _is_in(mask: Array, size: int) -> Array:
+    """Spread bit masks i32[..., E, P] to bool[..., size, E, P]."""
+    return ((mask[..., None, :, :] >> _iota(size, mask.ndim + 1)) & 1) == 1
+
+
+def _to_mask(flags: Array) -> Array:
+    """Gather bool[..., N, E, P] to bit masks i32[..., E, P]."""
+    weight = jnp.left_shift(jnp.int32(1), _iota(flags.shape[-3], flags.ndim))
+    return jnp.sum(jnp.where(flags, weight, 0), axis=-3)
 
 
 def _smallest(cost: Array, count: int) -> tuple[list[Array], list[Array]]:
-    """Find the smallest of nonnegative costs f32[..., n ≤ 64, P] and where they stand.
+    """Find the smallest of nonnegative costs f32[..., n ≤ 64, E, P] and where they stand.
 
     The index rides in the low bits of the number, so that one minimum finds both.
     """
-    size = cost.shape[-2]
+    size = cost.shape[-3]
     low = (1 << (size - 1).bit_length()) - 1
     bits = jax.lax.bitcast_convert_type(cost, jnp.int32)
-    packed = (bits & ~low) | jax.lax.broadcasted_iota(jnp.int32, cost.shape, cost.ndim - 2)
-    values, places = [], []
-    least = jnp.min(packed, axis=-2)
-    for n in range(count):
-        values.append(jax.lax.bitcast_convert_type(least & ~low, jnp.float32))
-        places.append(least & low)
-        if n + 1 < count:
-            rest = jnp.where(packed > least[..., None, :], packed, jnp.iinfo(jnp.int32).max)
-            least = jnp.min(rest, axis=-2)
-    return values, places
+    packed = (bits & ~low) | _iota(size, cost.ndim)
+    least = jnp.min(packed, axis=-3)
+    found = [least]
+    for _ in range(count - 1):
+        rest = jnp.where(packed > least[..., None, :, :], packed, jnp.iinfo(jnp.int32).max)
+        least = jnp.min(rest, axis=-3)
+        found.append(least)
+    values = [jax.lax.bitcast_convert_type(each & ~low, jnp.float32) for each in found]
+    return values, [each & low for each in found]
 
 
 def _pick(values: Array, index: Array) -> Array:
-    """Read one of four along the axis before the last: values [..., 4, P], index i32[m, P]."""
-    index = index.reshape(*(1,) * (values.ndim - index.ndim), *index.shape)
-    parts = [jnp.where(index == i, values[..., i : i + 1, :], 0) for i in range(BEAM)]
-    return (parts[0] | parts[1]) | (parts[2] | parts[3])
+    """Read one of four: values i32[4, E, P], index i32[m, E, P] → i32[m, E, P]."""
+    high = index >= 2
+    odd = (index & 1) == 1
+    low_part = jnp.where(odd, values[1:2], values[0:1])
+    return jnp.where(high, jnp.where(odd, values[3:4], values[2:3]), low_part)
 
 
-def _scene(world: BehaviorWorld) -> Scene:
-    """Turn worlds into bits."""
-    size = world.object_type.shape[0]
+def _scene(program: BehaviorProgram, world: BehaviorWorld) -> Scene:
+    """Turn worlds into bits; leaves of the world are [..., E, P]."""
     is_object = world.is_object
     row = jnp.where(world.object_type == ROBOT, NUM_TYPES, world.object_type)
-    types = jnp.arange(NUM_TYPES + 1, dtype=row.dtype)[:, None, None]
-    type_row = ((row[None] == types) & is_object[None]).astype(jnp.float32)
-    weight = jnp.left_shift(jnp.int32(1), jnp.arange(size, dtype=jnp.int32))[:, None]
-    itself = jnp.where(is_object, weight, 0)
-    related = jnp.sum(jnp.where(world.is_related, itself[None, :, None], 0), axis=1)
-    extreme = jnp.sum(jnp.where(world.is_superlative, itself[None, :, None], 0), axis=1)
+    types = [_to_mask((row == t) & is_object) for t in range(NUM_TYPES + 1)]
+    itself = jnp.where(is_object, jnp.left_shift(jnp.int32(1), _iota(row.shape[0], 3)), 0)
     everything = jnp.sum(itself, axis=0)
-    # The nothing-table comes after "at"; "not the extreme" is of use where ranks are meant.
-    lies = jnp.concatenate(
-        [
-            related,
-            extreme,
-            everything[None, None] & ~extreme,
-            itself[None],
-            jnp.zeros_like(itself)[None],
-        ]
-    )
+    figures = itself[None, :, None]
+    related = jnp.sum(jnp.where(world.is_related, figures, 0), axis=1)
+    extreme = jnp.sum(jnp.where(world.is_superlative, figures, 0), axis=1)
+    tables = []
+    for n in range(NUM_TABLES):
+        kind, relation = program.table[n] // NUM_RELATIONS, program.table[n] % NUM_RELATIONS
+        chosen = jnp.zeros_like(itself)
+        for r in range(NUM_RELATIONS):
+            chosen = chosen | jnp.where(
+                relation == r, jnp.where(kind == 0, related[r], extreme[r]), 0
+            )
+        chosen = jnp.where(kind == 2, everything[None] & ~chosen, chosen)
+        tables.append(jnp.where(kind == AT_TABLE // NUM_RELATIONS, itself, chosen))
     previous = world.is_previous & is_object
-    has_previous = jnp.any(previous, axis=0)
-    last_type = jnp.max(jnp.where(previous, world.object_type, NONE - 9), axis=0)[None]
-    alike = (world.object_type == last_type) & is_object
+    last_type = jnp.max(jnp.where(previous, world.object_type, NONE - 9), axis=0)
+    alike = (world.object_type == last_type[None]) & is_object
+    goal, others = _to_mask(previous), _to_mask(alike & ~previous)
+    rest = jnp.where(goal != 0, everything & ~(goal | others), 0)
     return Scene(
-        type_row=type_row,
-        previous=jnp.stack(
-            [
-                previous,
-                previous,
-                alike & ~previous,
-                ~alike & has_previous[None],
-                jnp.broadcast_to(~has_previous[None], alike.shape),
-            ]
-        ).astype(jnp.float32),
-        robot=(world.object_type == ROBOT).astype(jnp.float32),
-        is_object=is_object,
-        lies=lies,
+        types=jnp.stack(types),
+        previous=jnp.stack([goal, others, rest]),
+        robot=types[NUM_TYPES],
+        everything=everything,
+        lies=jnp.stack(tables),
     )
 
 
-def _child(program: BehaviorProgram, beam: Beam, phrase: Array, k: int) -> Joined:
-    """Read the hypotheses of a phrase's k-th child as if it were the only one."""
-    child = program.child[phrase, k]
-    exists = child != NONE
-    row = jnp.maximum(child, 0)
-    sets = jnp.where(exists, beam.sets[row], 0)
+def _keep(values: Any, count: Array) -> Any:
+    """Have values computed once and kept, instead of anew inside every later fusion.
+
+    XLA on CPU drops optimisation barriers before it fuses; a conditional it does not cross.
+    """
+    return jax.lax.cond(
+        jnp.any(count >= 0),
+        lambda same: same,
+        lambda same: jax.tree.map(jnp.zeros_like, same),
+        values,
+    )
+
+
+def _child(program: BehaviorProgram, stack: Stack, phrase: Array | int, k: int) -> Joined:
+    """Read the hypotheses of a phrase's k-th child from the top as if it were the only one."""
+    exists = program.num_children[phrase] > k
+    sets = jnp.where(exists, stack.sets[k], 0)
     regions = sets[REGIONS : REGIONS + NUM_SLOTS]
 
     def in_slot(slot: Array) -> Array:
-        found = [jnp.where(slot == s, regions[s], 0) for s in range(NUM_SLOTS)]
-        return found[0] | found[1]
+        return jnp.where(slot == 0, regions[0], 0) | jnp.where(slot == 1, regions[1], 0)
 
-    touched = sets[OBJECTS] | regions[0] | regions[1]
-    kept = jnp.where(program.constraint_from[phrase, k] == NONE, 0, sets[CONSTRAINTS])
-    limits = program.is_restrictor[phrase, k] & exists
-    first = jnp.where(jnp.arange(BEAM) == 0, 0.0, _DEAD).astype(jnp.float32)[:, None]
+    first = jnp.where(_iota(BEAM, 3) == 0, 0.0, _DEAD).astype(jnp.float32)
     return Joined(
-        sets=jnp.stack(
-            [
-                sets[OBJECTS],
-                *(in_slot(program.region_from[phrase, k, s]) for s in range(NUM_SLOTS)),
-                touched,
-                in_slot(program.constraint_region[phrase, k]),
-                kept,
-            ]
-        ),
-        lies=jnp.where(limits, sets[LIES], -1),
-        cost=jnp.where(exists, beam.cost[row], first),
+        objects=sets[OBJECTS],
+        same=tuple(in_slot(program.region_from[phrase, k, s]) for s in range(NUM_SLOTS)),
+        touched=sets[OBJECTS] | regions[0] | regions[1],
+        near=in_slot(program.constraint_region[phrase, k]),
+        kept=jnp.where(program.constraint_from[phrase, k] == NONE, 0, sets[CONSTRAINTS]),
+        lies=jnp.where(program.is_restrictor[phrase, k] & exists, sets[LIES], -1),
+        cost=jnp.where(exists, stack.cost[k], first),
     )
 
 
@@ -174,189 +190,295 @@ def _combine(left: Joined, right: Joined) -> Joined:
     cost = jnp.stack([left.cost[i] + right.cost[j] for i, j in _PAIRS])
     values, places = _smallest(cost, BEAM)
     place = jnp.stack(places)
-    i = sum(jnp.where(place == n, pair[0], 0) for n, pair in enumerate(_PAIRS))
-    j = sum(jnp.where(place == n, pair[1], 0) for n, pair in enumerate(_PAIRS))
+    i = jnp.where(place < 4, 0, jnp.where(place < 6, 1, place - 4))
+    j = jnp.where(place < 4, place, jnp.where(place == 5, 1, 0))
+
+    def union(one: Array, other: Array) -> Array:
+        return _pick(one, i) | _pick(other, j)
+
     return Joined(
-        sets=_pick(left.sets, i) | _pick(right.sets, j),
+        objects=union(left.objects, right.objects),
+        same=tuple(union(a, b) for a, b in zip(left.same, right.same, strict=True)),
+        touched=union(left.touched, right.touched),
+        near=union(left.near, right.near),
+        kept=union(left.kept, right.kept),
         lies=_pick(left.lies, i) & _pick(right.lies, j),
         cost=jnp.stack(values),
     )
 
 
-def _join(program: BehaviorProgram, beam: Beam, phrase: Array) -> Joined:
+def _join(program: BehaviorProgram, stack: Stack, phrase: Array | int) -> Joined:
     """Combine the hypotheses of all children of a phrase."""
-    joined = _child(program, beam, phrase, 0)
+    joined = _child(program, stack, phrase, 0)
     for k in range(1, NUM_CHILDREN):
-        joined = _combine(joined, _child(program, beam, phrase, k))
+        # Skipped where no lane has so many children; the conditional also keeps the compiler
+        # from computing the same values anew inside every later fusion.
+        joined = jax.lax.cond(
+            jnp.any(program.num_children[phrase] > k),
+            lambda left, k=k: _combine(left, _child(program, stack, phrase, k)),
+            lambda left: left,
+            joined,
+        )
     return joined
 
 
-def _own(program: BehaviorProgram, scene: Scene, phrase: Array) -> Array:
-    """Find the objects of the types that the words name, f32[N, P]."""
-    return jnp.sum(program.own[phrase][:, None, None] * scene.type_row, axis=0)
+def _own(program: BehaviorProgram, scene: Scene, phrase: Array | int) -> Array:
+    """Find the objects of the types that the words name, i32[E, P]."""
+    return jnp.sum(jnp.where(program.own[phrase], scene.types, 0), axis=0)
 
 
-def _object_odds(program: BehaviorProgram, scene: Scene, joined: Joined, phrase: Array) -> Array:
-    """Evaluate the log-odds of the objects, f32[4, N, P]."""
-    size = scene.robot.shape[0]
-    base = jnp.sum(program.object_base[phrase][:, None, None] * scene.type_row, axis=0)
-    own = _own(program, scene, phrase)
-    base = base + program.object_previous[phrase, 0] * own * scene.previous[0]
-    for n in range(1, 5):
-        base = base + program.object_previous[phrase, n] * scene.previous[n]
-    inside, lies = _bits(joined.sets[0], size), _bits(joined.lies, size)
-    there = (
-        program.object_inside[phrase]
-        + program.object_lies[phrase] * lies
-        + program.object_outside[phrase] * (1.0 - lies)
+def _object_odds(
+    program: BehaviorProgram, scene: Scene, joined: Joined, phrase: Array | int, size: int
+) -> Array:
+    """Evaluate the log-odds of the objects, f32[4, N, E, P]."""
+    own_mask = _own(program, scene, phrase)
+    own = _is_in(own_mask, size)
+    weight = program.object_previous[phrase]
+    base = jnp.where(own, program.object_named[phrase], program.object_unnamed[phrase])
+    base = base + jnp.where(_is_in(own_mask & scene.previous[0], size), weight[0], 0.0)
+    for n in range(3):
+        base = base + jnp.where(_is_in(scene.previous[n], size), weight[1 + n], 0.0)
+    base = base + jnp.where(scene.previous[0] == 0, weight[4], 0.0)[None]
+    base = jnp.where(_is_in(scene.everything, size), base, NEVER)
+    inside, lies = _is_in(joined.objects, size), _is_in(joined.lies, size)
+    there = program.object_inside[phrase] + jnp.where(
+        lies, program.object_lies[phrase], program.object_outside[phrase]
     )
-    odds = (
-        base[None]
-        + inside * there
-        + program.object_absent[phrase] * (1.0 - inside)
-        + program.object_own_lies[phrase] * own[None] * lies
-    )
-    return jnp.where(scene.is_object[None], odds, NEVER)
+    named = jnp.where(own[None] & lies, program.object_own_lies[phrase], 0.0)
+    return base[None] + named + jnp.where(inside, there, program.object_absent[phrase])
 
 
-def _region_odds(program: BehaviorProgram, scene: Scene, joined: Joined, phrase: Array) -> Array:
-    """Evaluate the log-odds of the regions (goals of a verb phrase), f32[4, L, N, P]."""
-    size = scene.robot.shape[0]
-    own = _own(program, scene, phrase)
-    inside = _bits(joined.sets[0], size)
+def _region_odds(
+    program: BehaviorProgram, scene: Scene, joined: Joined, phrase: Array | int, size: int
+) -> Array:
+    """Evaluate the log-odds of the regions (goals of a verb phrase), f32[4, L, N, E, P]."""
+    own = _is_in(_own(program, scene, phrase), size)
+    robot = _is_in(scene.robot, size)
+    is_object = _is_in(scene.everything, size)
+    inside = _is_in(joined.objects, size)
     rows = []
     for s in range(NUM_SLOTS):
-        same = _bits(joined.sets[1 + s], size)
-        base = program.region_base[phrase, s] + program.region_own[phrase, s] * own
-        base = base + program.region_robot[phrase, s] * scene.robot
+        same = _is_in(joined.same[s], size)
+        base = program.region_base[phrase, s] + jnp.where(own, program.region_own[phrase, s], 0.0)
+        base = base + jnp.where(robot, program.region_robot[phrase, s], 0.0)
+        base = jnp.where(is_object, base, NEVER)
         rows.append(
             base[None]
-            + program.region_inside[phrase, s] * inside
-            + program.region_same[phrase, s] * same
-            + program.region_absent[phrase, s] * (1.0 - inside) * (1.0 - same)
+            + jnp.where(inside, program.region_inside[phrase, s], 0.0)
+            + jnp.where(same, program.region_same[phrase, s], 0.0)
+            + jnp.where(inside | same, 0.0, program.region_absent[phrase, s])
         )
-    return jnp.where(scene.is_object[None, None], jnp.stack(rows, axis=1), NEVER)
+    return jnp.stack(rows, axis=1)
 
 
 def _constraint_odds(
-    program: BehaviorProgram, scene: Scene, joined: Joined, phrase: Array
+    program: BehaviorProgram, scene: Scene, joined: Joined, phrase: Array | int, size: int
 ) -> Array:
-    """Evaluate the log-odds of the constraints in their slot, f32[4, N, P]."""
-    size = scene.robot.shape[0]
-    touched, near, kept = (_bits(joined.sets[1 + NUM_SLOTS + n], size) for n in range(3))
-    odds = (
-        program.constraint_base[phrase]
-        + program.constraint_same[phrase] * near
-        + program.constraint_inside[phrase] * _bits(joined.sets[0], size)
-        + program.constraint_touched[phrase] * touched
-        + program.constraint_untouched[phrase] * (1.0 - touched)
-        + program.constraint_kept[phrase] * kept
-        + program.constraint_new[phrase] * touched * (1.0 - kept)
+    """Evaluate the log-odds of the constraints in their slot, f32[4, N, E, P]."""
+    base = jnp.where(_is_in(scene.everything, size), program.constraint_base[phrase], NEVER)
+    kept, touched = _is_in(joined.kept, size), _is_in(joined.touched, size)
+    new = jnp.where(kept, 0.0, program.constraint_new[phrase])
+    return (
+        base[None]
+        + jnp.where(_is_in(joined.near, size), program.constraint_same[phrase], 0.0)
+        + jnp.where(_is_in(joined.objects, size), program.constraint_inside[phrase], 0.0)
+        + jnp.where(
+            touched,
+            program.constraint_touched[phrase] + new,
+            program.constraint_untouched[phrase],
+        )
+        + jnp.where(kept, program.constraint_kept[phrase], 0.0)
     )
-    return jnp.where(scene.is_object[None], odds, NEVER)
 
 
 def _best_sets(odds: Array, cost: Array, size: int) -> tuple[list[Array], Array]:
     """Find the four best sets over the four combinations of the children.
 
     Args:
-        odds: f32[4, (2 + L) N, P] log-odds of objects, regions by slot and constraints.
-        cost: f32[4, P] of the combinations.
+        odds: f32[4, (2 + L) N, E, P] log-odds of objects, regions by slot and constraints.
+        cost: f32[4, E, P] of the combinations.
         size: N.
 
     Returns:
-        2 + L masks i32[4, P] and their costs f32[4, P], best first.
+        2 + L masks i32[4, E, P] and their costs f32[4, E, P], best first.
     """
     margin = jnp.abs(odds)
     # Σ log(1 + e^−m) as one logarithm of a product: up to 2^60 fits float32.
-    base = cost + jnp.log(jnp.prod(1.0 + jnp.exp(-margin), axis=-2))
+    base = cost + jnp.log(jnp.prod(1.0 + jnp.exp(-margin), axis=-3))
     (m1, m2, m3), (f1, f2, f3) = _smallest(margin, 3)
     is_pair = (m1 + m2 < m3).astype(jnp.int32)
     costs = jnp.concatenate([base, base + m1, base + m2, base + jnp.minimum(m3, m1 + m2)])
     values, places = _smallest(costs, BEAM)
     place = jnp.stack(places)
     kind, combination = place >> 2, place & 3
-    pair = _pick(is_pair, combination)
+    pair = (kind == 3) & (_pick(is_pair, combination) == 1)
     flips = (
-        (_pick(f1, combination), (kind == 1) | ((kind == 3) & (pair == 1))),
-        (_pick(f2, combination), (kind == 2) | ((kind == 3) & (pair == 1))),
-        (_pick(f3, combination), (kind == 3) & (pair == 0)),
+        jnp.where((kind == 1) | pair, _pick(f1, combination), NONE),
+        jnp.where((kind == 2) | pair, _pick(f2, combination), NONE),
+        jnp.where((kind == 3) & ~pair, _pick(f3, combination), NONE),
     )
-    weight = jnp.left_shift(jnp.int32(1), jnp.arange(size, dtype=jnp.int32))[:, None]
-    groups = odds.reshape(BEAM, -1, size, odds.shape[-1])
-    masks = jnp.sum(jnp.where(groups > 0, weight[None, None], 0), axis=-2)  # [4, 2 + L, P]
+    masks = _to_mask(odds.reshape(BEAM, -1, size, *odds.shape[-2:]) > 0)  # [4, 2 + L, E, P]
     chosen = []
     for g in range(masks.shape[1]):
         mask = _pick(masks[:, g], combination)
-        for index, is_on in flips:
-            bit = index - g * size
-            hit = is_on & (bit >= 0) & (bit < size)
-            mask = mask ^ jnp.where(hit, jnp.left_shift(1, jnp.clip(bit, 0, size - 1)), 0)
+        for flip in flips:
+            bit = flip - g * size
+            is_here = (bit >= 0) & (bit < size)
+            mask = mask ^ jnp.where(is_here, jnp.left_shift(1, jnp.clip(bit, 0, size - 1)), 0)
         chosen.append(mask)
     return chosen, jnp.stack(values)
 
 
-def _lies(program: BehaviorProgram, scene: Scene, regions: list[Array], phrase: Array) -> Array:
-    """Find the objects that lie in the expressed regions, i32[4, P]."""
-    size = scene.robot.shape[0]
+def _lies(
+    program: BehaviorProgram, scene: Scene, regions: list[Array], phrase: Array | int
+) -> Array:
+    """Find the objects that lie in the expressed regions, i32[4, E, P]."""
+    size = scene.lies.shape[1]
     found = jnp.zeros_like(regions[0])
     for s in range(NUM_SLOTS):
-        table = scene.lies[program.region_table[phrase, s]]
+        table = jnp.zeros_like(scene.lies[0])
+        for n in range(NUM_TABLES):
+            table = table | jnp.where(program.region_table[phrase, s] == n, scene.lies[n], 0)
         for j in range(size):
             found = found | jnp.where((regions[s] >> j) & 1 == 1, table[j][None], 0)
     return found
 
 
-def _advance(program: BehaviorProgram, scene: Scene, beam: Beam, phrase: Array) -> Beam:
+def _push(stack: Stack, top: Stack, num_children: Array) -> Stack:
+    """Put a phrase's hypotheses (depth 1) where its children's were."""
+
+    def shifted(old: Array, new: Array) -> Array:
+        rows = [jnp.where(num_children == NOTHING, old[0], new[0])]
+        for i in range(1, MAX_DEPTH):
+            row = old[i - 1]
+            row = jnp.where((num_children == 1) | (num_children == NOTHING), old[i], row)
+            for count in range(2, NUM_CHILDREN + 1):
+                row = jnp.where(num_children == count, old[min(i - 1 + count, MAX_DEPTH - 1)], row)
+            rows.append(row)
+        return jnp.stack(rows)
+
+    return Stack(shifted(stack.sets, top.sets), shifted(stack.cost, top.cost))
+
+
+def _advance(program: BehaviorProgram, scene: Scene, stack: Stack, phrase: Array | int) -> Stack:
     """Infer one phrase from its children."""
-    size, num_particles = scene.robot.shape
-    joined = _join(program, beam, phrase)
+    size = scene.lies.shape[1]
+    joined = _join(program, stack, phrase)
     odds = jnp.concatenate(
         [
-            _object_odds(program, scene, joined, phrase)[:, None],
-            _region_odds(program, scene, joined, phrase),
-            _constraint_odds(program, scene, joined, phrase)[:, None],
+            _object_odds(program, scene, joined, phrase, size)[:, None],
+            _region_odds(program, scene, joined, phrase, size),
+            _constraint_odds(program, scene, joined, phrase, size)[:, None],
         ],
         axis=1,
-    ).reshape(BEAM, -1, num_particles)
-    masks, cost = _best_sets(odds, joined.cost, size)
-    lies = _lies(program, scene, masks[REGIONS : REGIONS + NUM_SLOTS], phrase)
-    return Beam(
-        sets=beam.sets.at[phrase].set(jnp.stack([*masks, lies])),
-        cost=beam.cost.at[phrase].set(cost),
     )
+    odds = _keep(odds.reshape(BEAM, -1, *odds.shape[-2:]), phrase)
+    masks, cost = _best_sets(odds, joined.cost, size)
+    masks, cost = _keep((masks, cost), phrase)
+    lies = _lies(program, scene, masks[REGIONS : REGIONS + NUM_SLOTS], phrase)
+    top = Stack(jnp.stack([*masks, lies])[None], cost[None])
+    return _push(stack, top, program.num_children[phrase])
 
 
 def _by_relation(values: Array, relation: Array) -> Array:
-    """Spread slots f32[L, N, P] over the seven regions, f32[7, N, P]."""
-    hit = relation[:, None] == jnp.arange(7, dtype=relation.dtype)[None, :]
-    return jnp.sum(jnp.where(hit[:, :, None, None], values[:, None], 0.0), axis=0)
+    """Spread slots f32[L, N, E, P] over the seven regions, f32[7, N, E, P]."""
+    rows = [
+        sum(jnp.where(relation[s] == r, values[s], 0.0) for s in range(values.shape[0]))
+        for r in range(7)
+    ]
+    return jnp.stack(rows)
 
 
-def _conclude(program: BehaviorProgram, scene: Scene, joined: Joined, root: Array) -> Behavior:
+def _conclude(program: BehaviorProgram, scene: Scene, stack: Stack) -> Behavior:
     """Read the behavior off the root, averaged over the combinations of its children.
 
     A behavior has one goal: the probability that any goal is expressed is shared in proportion
     to the probability of each.
     """
-    num_particles = scene.robot.shape[-1]
-    weight = jax.nn.softmax(-joined.cost, axis=0)
-    goal = jax.nn.sigmoid(_region_odds(program, scene, joined, root))
-    is_any = 1.0 - jnp.prod(1.0 - goal, axis=(1, 2))
-    share = weight * is_any / jnp.maximum(jnp.sum(goal, axis=(1, 2)), 1e-9)
-    constraint = jax.nn.sigmoid(_constraint_odds(program, scene, joined, root))
-    exists = jnp.where(program.num_phrases == 0, 0.0, 1.0)
-    return Behavior(
-        action=jnp.repeat(program.action[:, None], num_particles, axis=1),
-        mode=jnp.repeat(program.mode[:, None], num_particles, axis=1),
-        goal=exists
-        * _by_relation(jnp.sum(goal * share[:, None, None], axis=0), program.region_relation[root]),
-        constraint=exists
-        * _by_relation(
-            jnp.sum(constraint * weight[:, None], axis=0)[None],
-            program.constraint_relation[root][None],
-        ),
+    size, *lanes = scene.lies.shape[1:]
+    joined = _join(program, stack, ROOT)
+    odds = (
+        _region_odds(program, scene, joined, ROOT, size),
+        _constraint_odds(program, scene, joined, ROOT, size),
     )
+    goal, constraint = _keep(jax.tree.map(jax.nn.sigmoid, odds), program.num_phrases)
+    is_any = 1.0 - jnp.prod(1.0 - goal, axis=(1, 2))
+    exists = jnp.where(program.num_phrases == 0, 0.0, 1.0)
+    weight = exists * jax.nn.softmax(-joined.cost, axis=0)
+    share = weight * is_any / jnp.maximum(jnp.sum(goal, axis=(1, 2)), 1e-9)
+    by_slot = _keep(
+        (
+            jnp.sum(goal * share[:, None, None], axis=0),
+            jnp.sum(constraint * weight[:, None], axis=0),
+        ),
+        program.num_phrases,
+    )
+    return Behavior(
+        action=jnp.broadcast_to(program.action, (program.action.shape[0], *lanes)),
+        mode=jnp.broadcast_to(program.mode, (program.mode.shape[0], *lanes)),
+        goal=_by_relation(by_slot[0], program.region_relation[ROOT]),
+        constraint=_by_relation(by_slot[1][None], program.constraint_relation[ROOT][None]),
+    )
+
+
+def _infer_lanes(program: BehaviorProgram, worlds: BehaviorWorld, num_phrases: Array) -> Behavior:
+    """Infer behaviors with leaves [..., E, 1] of the program and [..., E, P] of the worlds."""
+    # Lanes stand last everywhere, so aligning shapes from the right is what is meant.
+    with jax.numpy_rank_promotion("allow"):
+        return _infer_aligned(program, worlds, num_phrases)
+
+
+def _infer_aligned(program: BehaviorProgram, worlds: BehaviorWorld, num_phrases: Array) -> Behavior:
+    """Run the phrases bottom-up; shapes as ``_infer_lanes``."""
+    scene = jax.lax.optimization_barrier(_scene(program, worlds))
+    lanes = scene.robot.shape
+    stack = Stack(
+        sets=jnp.zeros((MAX_DEPTH, 3 + NUM_SLOTS, BEAM, *lanes), jnp.int32),
+        cost=jnp.zeros((MAX_DEPTH, BEAM, *lanes), jnp.float32),
+    )
+    stack = jax.lax.fori_loop(
+        0, num_phrases - 1, lambda phrase, carry: _advance(program, scene, carry, phrase), stack
+    )
+    return _conclude(program, scene, stack)
+
+
+@jax.custom_batching.custom_vmap
+def _infer(program: BehaviorProgram, worlds: BehaviorWorld, num_phrases: Array) -> Behavior:
+    """Infer behaviors of one episode: leaves [...] of the program and [..., P] of the worlds."""
+    behavior = _infer_lanes(
+        jax.tree.map(lambda leaf: leaf[..., None, None], program),
+        jax.tree.map(lambda leaf: leaf[..., None, :], worlds),
+        num_phrases,
+    )
+    return jax.tree.map(lambda leaf: leaf[..., 0, :], behavior)
+
+
+@_infer.def_vmap
+def _infer_episodes(
+    axis_size: int,
+    in_batched: Any,
+    program: BehaviorProgram,
+    worlds: BehaviorWorld,
+    num_phrases: Array,
+) -> tuple[Behavior, Behavior]:
+    """Infer behaviors of a batch of episodes, whose axis becomes a lane axis."""
+
+    def lane(leaf: Array, is_batched: bool, place: int) -> Array:
+        if is_batched:
+            return jnp.moveaxis(leaf, 0, place)
+        return jnp.expand_dims(leaf, leaf.ndim + 1 + place)
+
+    program = jax.tree.map(
+        lambda leaf, is_batched: lane(leaf, is_batched, -1)[..., None], program, in_batched[0]
+    )
+    worlds = jax.tree.map(
+        lambda leaf, is_batched: lane(leaf, is_batched, -2), worlds, in_batched[1]
+    )
+    shape = (axis_size, max(leaf.shape[-1] for leaf in jax.tree.leaves(worlds)))
+    worlds = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (*leaf.shape[:-2], *shape)), worlds)
+    behavior = _infer_lanes(program, worlds, jnp.max(num_phrases))
+    behavior = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -2, 0), behavior)
+    return behavior, jax.tree.map(lambda _: True, behavior)
 
 
 def infer_behaviors(
@@ -370,24 +492,23 @@ def infer_behaviors(
     Args:
         program: one clause.
         worlds: the particles' objects, leaves [..., P]; at most 15 slots with the robot's.
-        num_phrases: how many phrases to infer, at least those of the program: the largest of a
-            batch. It is a trip count, so padding costs nothing.
+        num_phrases: how many phrases to infer, at least those of the program. It is a trip
+            count, so padding costs nothing; a batch of episodes takes the largest.
 
     Returns:
         The behaviors, leaves [..., P].
+
+    Raises:
+        ValueError: there are more object slots than the bit masks hold.
     """
-    scene = _scene(worlds)
-    height, num_particles = program.child.shape[0], scene.robot.shape[-1]
-    beam = Beam(
-        sets=jnp.zeros((height, 3 + NUM_SLOTS, BEAM, num_particles), jnp.int32),
-        cost=jnp.zeros((height, BEAM, num_particles), jnp.float32),
-    )
-    trips = jnp.asarray(num_phrases, jnp.int32) - 1
-    beam = jax.lax.fori_loop(
-        0, trips, lambda phrase, carry: _advance(program, scene, carry, phrase), beam
-    )
-    root = jnp.maximum(program.num_phrases - 1, 0)
-    return _conclude(program, scene, _join(program, beam, root), root)
+    size = worlds.object_type.shape[0]
+    if size > MAX_SLOTS:
+        raise ValueError(f"{size} object slots, but bit masks hold at most {MAX_SLOTS}")
+    return _infer(program, worlds, jnp.asarray(num_phrases, jnp.int32))
+
+
+MAX_SLOTS = 15
+"""Object slots, the robot's included: four groups of them make at most 60 factors."""
 
 
 def infer_behavior(

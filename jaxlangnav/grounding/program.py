@@ -29,26 +29,31 @@ from jaxlangnav.pytree import pytree
 NUM_PHRASES, NUM_CHILDREN, NUM_SLOTS = 24, 3, 2
 NUM_TYPES = 15
 """Object types a program tells apart; the robot comes after them."""
+NUM_TABLES = 5
+"""Different relations in which a sentence may place figures."""
+MAX_DEPTH = 6
+"""Phrases that may wait for their parent at the same time."""
 NEVER = -1e4
 """Log-odds of a symbol that a phrase cannot express."""
-_AT_TABLE = 3 * NUM_RELATIONS
-_NO_TABLE = _AT_TABLE + 1
+NOTHING = -1
+"""Children of a padded row: it leaves the stack as it is."""
+AT_TABLE = 3 * NUM_RELATIONS
 
 
 @pytree
 class BehaviorProgram:
-    """Coefficients of one clause; phrases bottom-up, the root is phrase ``num_phrases`` − 1.
+    """Coefficients of one clause: phrases bottom-up, then padding, the root in the last row.
 
-    H phrases, 3 children, L region slots. "own" marks object types that the words name. Masks of
-    the device kernel follow ``region_table``: 0-5 related, 6-11 the extreme of its type, 12-17 not
-    the extreme (a particle's topology has no further ranks), 18 at, 19 nothing.
+    H rows, 3 children, L region slots, T tables. "named" marks object types that the words name.
+    The children of a phrase are what lies on top of the stack; the last child is child 0.
     """
 
     num_phrases: Array  # i32[]
-    child: Array  # i32[H, 3] phrase index; NONE where there is none
+    num_children: Array  # i32[H]; NOTHING in padded rows
     is_restrictor: Array  # bool[H, 3] the child says where the figure is
-    object_base: Array  # f32[H, 16] log-odds of an object by its type
-    own: Array  # f32[H, 16] 1 where the words name the type
+    own: Array  # bool[H, 16] the words name the type
+    object_named: Array  # f32[H] log-odds of an object of a type that the words name
+    object_unnamed: Array  # f32[H] log-odds of any other object
     object_inside: Array  # f32[H] added where a child expresses the object
     object_lies: Array  # f32[H] added where it also lies in all restricting regions
     object_outside: Array  # f32[H] added where it does not
@@ -56,8 +61,10 @@ class BehaviorProgram:
     object_own_lies: Array  # f32[H] added where the words name it and it lies there
     object_previous: Array  # f32[H, 5] added to named objects that were the previous goal; to the
     # previous goal; to others of its type; to those of other types; where there is none
+    table: Array  # i32[T] 0-5 related, 6-11 extreme of its type, 12-17 not the extreme (a particle
+    # has no further ranks), 18 at; NONE where unused
     region_relation: Array  # i32[H, L] relation of each slot; NONE where empty
-    region_table: Array  # i32[H, L] which mask says what lies in the region
+    region_table: Array  # i32[H, L] which table says what lies in the region; NONE
     region_from: Array  # i32[H, 3, L] slot of the child with the same relation; NONE
     region_base: Array  # f32[H, L]
     region_inside: Array  # f32[H, L] added where a child expresses the object
@@ -85,12 +92,14 @@ def empty_program() -> dict[str, np.ndarray]:
     f32, i32 = np.float32, np.int32
     fields: dict[str, np.ndarray] = {
         "num_phrases": np.zeros((), i32),
-        "child": np.full((h, k), NONE, i32),
+        "num_children": np.full(h, NOTHING, i32),
         "is_restrictor": np.zeros((h, k), bool),
-        "object_base": np.full((h, t), NEVER, f32),
-        "own": np.zeros((h, t), f32),
+        "object_named": np.full(h, NEVER, f32),
+        "object_unnamed": np.full(h, NEVER, f32),
+        "own": np.zeros((h, t), bool),
+        "table": np.full(NUM_TABLES, NONE, i32),
         "region_relation": np.full((h, s), NONE, i32),
-        "region_table": np.full((h, s), _NO_TABLE, i32),
+        "region_table": np.full((h, s), NONE, i32),
         "region_from": np.full((h, k, s), NONE, i32),
         "constraint_relation": np.full(h, NONE, i32),
         "constraint_from": np.full((h, k), NONE, i32),
@@ -116,13 +125,14 @@ def _softmax(log_odds: np.ndarray) -> np.ndarray:
 
 def _object_fields(z: np.ndarray, senses: Senses, node: Node, is_restricted: bool) -> dict:
     """Contract the object properties (``behavior_features.object_properties``) of a phrase."""
-    own = np.zeros(NUM_TYPES + 1, np.float32)
-    own[[t for t in senses.types if t < NUM_TYPES]] = 1.0
+    own = np.zeros(NUM_TYPES + 1, bool)
+    own[[t for t in senses.types if t < NUM_TYPES]] = True
     own[NUM_TYPES] = senses.is_robot
     is_named = bool(senses.types) or senses.is_robot
     limited = float(is_restricted)
     return {
-        "object_base": z[0] + np.where(own > 0, z[1], z[2] * is_named),
+        "object_named": z[0] + z[1],
+        "object_unnamed": z[0] + z[2] * is_named,
         "own": own,
         "object_inside": z[3],
         "object_lies": z[4] * limited,
@@ -201,9 +211,9 @@ def _reach(terms: dict[str, np.ndarray], held: np.ndarray) -> np.ndarray:
     return np.asarray(bound + rest)
 
 
-def _held(fields: dict[str, np.ndarray], node: Node) -> np.ndarray:
+def _held(fields: dict[str, np.ndarray], at: "_Row") -> np.ndarray:
     """Mark the relations that the slots of the children hold, bool[7]."""
-    slots = fields["region_relation"][list(node.children)].ravel()
+    slots = fields["region_relation"][list(at.children)].ravel()
     return np.isin(np.arange(NUM_REGIONS), slots)
 
 
@@ -215,35 +225,88 @@ class Compiled:
     slack: float  # largest bound on the log-odds of a region that no slot holds
 
 
-def _fill_regions(fields: dict, row: int, node: Node, terms: dict, meant: np.ndarray) -> float:
-    """Choose the slots of a phrase and write their coefficients; returns the slack."""
-    reach = _reach(terms, _held(fields, node))
+@dataclasses.dataclass(frozen=True)
+class _Row:
+    """A phrase on its way into the program."""
+
+    row: int
+    node: Node
+    children: tuple[int, ...]  # rows, the last child first
+
+
+def _fill_regions(fields: dict[str, np.ndarray], at: _Row, terms: dict, meant: np.ndarray) -> dict:
+    """Choose the slots of a phrase and write their coefficients.
+
+    Returns:
+        (row, slot) → (bound, table) of the slots; and under (row, −1) the bound of what is left out.
+    """
+    row, reach = at.row, _reach(terms, _held(fields, at))
     order = np.argsort(-reach, kind="stable")
+    wanted = {(row, -1): (float(reach[order[NUM_SLOTS]]), NONE)}
     for slot, relation in enumerate(order[:NUM_SLOTS]):
         fields["region_relation"][row, slot] = relation
         table = relation + NUM_RELATIONS * min(meant[relation], 2)
-        fields["region_table"][row, slot] = _AT_TABLE if relation == AT else table
+        table = AT_TABLE if relation == AT else int(table)
+        wanted[(row, slot)] = (float(reach[relation]), table)
         for name, term in terms.items():
             fields[f"region_{name}"][row, slot] = term[relation]
-        for k, child in enumerate(node.children):
+        for k, child in enumerate(at.children):
             held = np.flatnonzero(fields["region_relation"][child] == relation)
             if len(held):
                 fields["region_from"][row, k, slot] = held[0]
-    return float(reach[order[NUM_SLOTS]])
+    return wanted
 
 
-def _fill_constraint(fields: dict, row: int, node: Node, terms: dict) -> None:
+def _fill_tables(fields: dict[str, np.ndarray], wanted: dict) -> float:
+    """Give the likeliest slots of restricting phrases a table; returns the bound of the rest."""
+    tables: list[int] = []
+    left_out = NEVER
+    for (row, slot), (bound, table) in sorted(wanted.items(), key=lambda item: -item[1][0]):
+        if table not in tables and len(tables) == NUM_TABLES:
+            left_out = max(left_out, bound)
+            continue
+        if table not in tables:
+            tables.append(table)
+        fields["region_table"][row, slot] = tables.index(table)
+    fields["table"][: len(tables)] = tables
+    return left_out
+
+
+def _fill_constraint(fields: dict[str, np.ndarray], at: _Row, terms: dict) -> None:
     """Choose the relation of a verb phrase's constraints and write its coefficients."""
-    relation = int(np.argmax(_reach(terms, _held(fields, node))))
+    row, relation = at.row, int(np.argmax(_reach(terms, _held(fields, at))))
     fields["constraint_relation"][row] = relation
     for name, term in terms.items():
         fields[f"constraint_{name}"][row] = term[relation]
-    for k, child in enumerate(node.children):
+    for k, child in enumerate(at.children):
         if fields["constraint_relation"][child] == relation:
             fields["constraint_from"][row, k] = 0
         held = np.flatnonzero(fields["region_relation"][child] == relation)
         if len(held):
             fields["constraint_region"][row, k] = held[0]
+
+
+def _check_sizes(nodes: tuple[Node, ...]) -> None:
+    """Refuse a clause that the arrays do not hold."""
+    if len(nodes) > NUM_PHRASES:
+        raise ValueError(
+            f"the command has {len(nodes)} phrases; at most {NUM_PHRASES} are held: "
+            "say less at once"
+        )
+    depth = 0
+    for node in nodes[:-1]:
+        if len(node.children) > NUM_CHILDREN:
+            break
+        depth += 1 - len(node.children)
+        if depth > MAX_DEPTH:
+            raise ValueError(f"the command nests more than {MAX_DEPTH} phrases: say less at once")
+    for node in nodes:
+        if len(node.children) > NUM_CHILDREN:
+            text = " ".join(word.text for word in node.phrase.all_words())
+            raise ValueError(
+                f"'{text}' has {len(node.children)} parts; at most {NUM_CHILDREN} are held: "
+                "say less at once"
+            )
 
 
 def compile_clause(
@@ -266,38 +329,34 @@ def compile_clause(
         The program of the clause.
 
     Raises:
-        ValueError: the clause has more phrases than a program holds.
+        ValueError: the clause has more phrases, or nests deeper, than a program holds.
     """
     nodes = bottom_up(root, clause)
-    if len(nodes) > NUM_PHRASES:
-        raise ValueError(
-            f"the command has {len(nodes)} phrases; at most {NUM_PHRASES} are held: "
-            "say less at once"
-        )
+    _check_sizes(nodes)
     fields = empty_program()
-    fields["num_phrases"] = np.int32(len(nodes))
-    slack = NEVER
-    for row, node in enumerate(nodes):
-        if len(node.children) > NUM_CHILDREN:
-            raise ValueError(
-                f"the phrase '{' '.join(w.text for w in node.phrase.words)}' has "
-                f"{len(node.children)} parts; at most {NUM_CHILDREN} are held: say less at once"
-            )
+    fields["num_phrases"] = np.asarray(len(nodes), np.int32)
+    slack, wanted = NEVER, {}
+    for index, node in enumerate(nodes):
+        row = NUM_PHRASES - 1 if index == len(nodes) - 1 else index
+        at = _Row(row, node, node.children[::-1])
         z = model.coefficients(node.phrase)
         senses = senses_of(node.phrase, type_names)
-        labels = [nodes[child].phrase.label in RESTRICTORS for child in node.children]
-        fields["child"][row, : len(labels)] = node.children
+        labels = [nodes[child].phrase.label in RESTRICTORS for child in at.children]
+        fields["num_children"][row] = len(labels)
         fields["is_restrictor"][row, : len(labels)] = labels
-
         meant = ranks_meant(node.phrase, node.path, rank, type_names)
         if node.is_verb:
             terms = _goal_terms(z["goal"], senses)
-            _fill_constraint(fields, row, node, _constraint_terms(z["constraint"]))
+            _fill_constraint(fields, at, _constraint_terms(z["constraint"]))
         else:
             terms = _region_terms(z["region"], senses, node)
             for name, value in _object_fields(z["object"], senses, node, any(labels)).items():
                 fields[name][row] = value
-        slack = max(slack, _fill_regions(fields, row, node, terms, meant))
+        slots = _fill_regions(fields, at, terms, meant)
+        slack = max(slack, slots.pop((row, -1))[0])
+        if node.phrase.label in RESTRICTORS:
+            wanted |= slots
+    slack = max(slack, _fill_tables(fields, wanted))
     _fill_choices(fields, model, nodes[-1], type_names)
     return Compiled(fields, slack)
 
