@@ -160,9 +160,7 @@ def with_objects(
 
 
 def with_coverage(belief: ParticleBelief, log_miss: np.ndarray) -> ParticleBelief:
-    coverage = Coverage(
-        log_miss=jnp.asarray(log_miss, jnp.float32), area=belief.coverage.area
-    )
+    coverage = Coverage(log_miss=jnp.asarray(log_miss, jnp.float32), area=belief.coverage.area)
     return replace(belief, coverage=coverage)
 
 

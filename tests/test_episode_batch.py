@@ -46,12 +46,12 @@ def tasks() -> Task:
         instruction_index=jnp.asarray(number % len(SENTENCES), jnp.int32),
         sensor=SensorParams(
             range_max=jnp.asarray(np.choose(number % 4, [2.0, 3.0, 5.0, 20.0]), jnp.float32),
-            field_of_view=jnp.full(EPISODES, 2 * jnp.pi),
-            detection_probability=jnp.full(EPISODES, 0.95),
-            noise=jnp.full(EPISODES, 0.1),
+            field_of_view=jnp.full(EPISODES, 2 * jnp.pi, jnp.float32),
+            detection_probability=jnp.full(EPISODES, 0.95, jnp.float32),
+            noise=jnp.full(EPISODES, 0.1, jnp.float32),
         ),
         motion=MotionParams(
-            step_length=jnp.full(EPISODES, 1.0),
+            step_length=jnp.full(EPISODES, 1.0, jnp.float32),
             odometry_noise=jnp.asarray(0.02 * (number % 2), jnp.float32),
         ),
     )
@@ -138,7 +138,11 @@ def test_any_numbers_are_data(in_lanes: EpisodeResult, tasks, instructions) -> N
     others = replace(
         tasks,
         scenario=scenarios,
-        sensor=replace(tasks.sensor, range_max=jnp.full(EPISODES, 4.0), noise=jnp.zeros(EPISODES)),
+        sensor=replace(
+            tasks.sensor,
+            noise=jnp.zeros_like(tasks.sensor.noise),
+            range_max=jnp.full_like(tasks.sensor.range_max, 4.0),
+        ),
     )
     grounded = understand("carefully move to the hydrant nearest to the cone", load_shipped())
     sentences = jax.tree.map(
@@ -160,9 +164,7 @@ def test_order_of_tasks_does_not_matter(in_lanes: EpisodeResult, tasks, instruct
     """The same program with tasks permuted: bitwise the same episodes."""
     order = np.random.default_rng(0).permutation(EPISODES)
     permuted = batch(jax.tree.map(lambda leaf: leaf[order], tasks), instructions, lanes=7)
-    for ours, theirs in zip(
-        jax.tree.leaves(permuted), jax.tree.leaves(in_lanes), strict=True
-    ):
+    for ours, theirs in zip(jax.tree.leaves(permuted), jax.tree.leaves(in_lanes), strict=True):
         np.testing.assert_array_equal(ours, theirs[order])
 
 
@@ -214,3 +216,31 @@ def test_keys_decide(tasks, instructions, in_lanes: EpisodeResult) -> None:
     result = batch(other, instructions, lanes=7)
     assert not np.allclose(result.distance, in_lanes.distance)
     assert episode.MAX_STEPS >= MAX_STEPS
+
+
+def test_without_weights_behind_is_not_found(in_lanes: EpisodeResult, tasks, instructions) -> None:
+    """The sentence reaches the robot through the trained model alone: zeroed, it says nothing."""
+    del in_lanes  # compiles the program that this test runs again
+    law = scenario_law(template="2H1C", relation="behind")
+    scenarios = jax.vmap(draw_scenario, in_axes=(0, None))(
+        jax.random.split(jax.random.key(9), EPISODES), law
+    )
+    told = replace(
+        tasks,
+        scenario=scenarios,
+        instruction_index=jnp.zeros(EPISODES, jnp.int32),
+        sensor=replace(
+            tasks.sensor,
+            noise=jnp.zeros_like(tasks.sensor.noise),
+            range_max=jnp.full(EPISODES, 5.0),
+        ),
+    )
+    before = run_batch._cache_size()
+    trained = batch(told, instructions, lanes=7)
+    zeroed = understand(SENTENCES[0], load_shipped().zeroed()).instruction
+    unlearned = jax.tree.map(lambda leaf, one: leaf.at[0].set(one), instructions, zeroed)
+    without = batch(told, unlearned, lanes=7)
+    assert run_batch._cache_size() == before
+    assert trained.is_success.mean() > 0.8
+    # Not even the half that a robot finds which merely stops at the first hydrant.
+    assert without.is_success.mean() < 0.3

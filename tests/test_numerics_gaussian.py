@@ -69,8 +69,12 @@ def test_shift_moves_the_mean_of_one_coordinate() -> None:
         jnp.float32(-0.4),
     )
     mean[:, 2] += (0.7, -0.4)
-    np.testing.assert_allclose(np.linalg.solve(matrix, np.asarray(eta_x, float)), mean[0], atol=1e-4)
-    np.testing.assert_allclose(np.linalg.solve(matrix, np.asarray(eta_y, float)), mean[1], atol=1e-4)
+    np.testing.assert_allclose(
+        np.linalg.solve(matrix, np.asarray(eta_x, float)), mean[0], atol=1e-4
+    )
+    np.testing.assert_allclose(
+        np.linalg.solve(matrix, np.asarray(eta_y, float)), mean[1], atol=1e-4
+    )
 
 
 def test_isotropic_normal_by_hand() -> None:

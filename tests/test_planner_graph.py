@@ -54,7 +54,7 @@ def test_every_frontier_node_is_a_mean_of_frontier_cells() -> None:
     for row in range(CELLS):
         for column in range(CELLS):
             beside = [(row + 1, column), (row - 1, column), (row, column + 1), (row, column - 1)]
-            inside = [one for one in beside if 0 <= min(one) and max(one) < CELLS]
+            inside = [one for one in beside if min(one) >= 0 and max(one) < CELLS]
             if log_miss[row, column] == 0.0 and any(log_miss[one] < 0.0 for one in inside):
                 block = (row // 4) * BLOCKS + column // 4
                 places.setdefault(block, []).append((centre_x[column], centre_y[row]))

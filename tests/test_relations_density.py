@@ -1,5 +1,7 @@
 """Relations: density, frames, information, gradients (section 3.2; design of the map)."""
 
+import itertools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -86,7 +88,7 @@ def test_sampler_matches_the_density(relation: int) -> None:
     weight = np.exp(numbers["concentration"] * (np.cos(grid) - 1))
     weight /= weight.sum()
     edges = np.array([-np.pi, -1.5, -0.9, -0.5, -0.2, 0.0, 0.1, 0.35, 0.7, 1.2, np.pi])
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in itertools.pairwise(edges):
         share = weight[(grid >= low) & (grid < high)].sum()
         error = np.sqrt(share * (1 - share) / number)
         assert abs(((turn >= low) & (turn < high)).mean() - share) < 5 * error + 2e-5, (low, high)
@@ -196,11 +198,7 @@ def test_gradient_by_parameters_equals_finite_differences(field: str) -> None:
     step = 1e-2
     for relation in ALL:
         plus, minus = (
-            value(
-                replace(
-                    start, **{field: getattr(start, field).at[relation].add(sign * step)}
-                )
-            )
+            value(replace(start, **{field: getattr(start, field).at[relation].add(sign * step)}))
             for sign in (1, -1)
         )
         difference = float(plus - minus) / (2 * step)

@@ -62,7 +62,14 @@ def test_a_hundred_looks_keep_a_little_room() -> None:
 def test_field_of_view() -> None:
     """A quarter view heading north sees north only."""
     specification = by_hand.sensor(range_max=3.0, view=np.pi / 2)
-    for x, y, expected in ((0, 2, 1), (0, -2, 0), (2, 0, 0), (-2, 0, 0), (0, 3.5, 0), (0.8, 1.6, 1)):
+    for x, y, expected in (
+        (0, 2, 1),
+        (0, -2, 0),
+        (2, 0, 0),
+        (-2, 0, 0),
+        (0, 3.5, 0),
+        (0.8, 1.6, 1),
+    ):
         share = share_in_view(
             jnp.float32(x), jnp.float32(y), jnp.float32(np.pi / 2), jnp.float32(0.1), specification
         )

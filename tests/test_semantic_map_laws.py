@@ -109,9 +109,7 @@ def test_garbage_in_empty_slots_changes_nothing() -> None:
     for name in ("object_type", "precision", "mean_x", "mean_y"):
         left, right = getattr(ours.particles, name), getattr(theirs.particles, name)
         np.testing.assert_array_equal(left, right)
-    np.testing.assert_array_equal(
-        ours.particles.referent[:, :2], theirs.particles.referent[:, :2]
-    )
+    np.testing.assert_array_equal(ours.particles.referent[:, :2], theirs.particles.referent[:, :2])
 
 
 def test_permuted_slots_permute_the_result() -> None:
@@ -155,7 +153,9 @@ def test_lanes_equal_a_python_loop() -> None:
     for lane in range(compared):
         belief = by_hand.begin()
         sizes = []
-        for key, look in zip(jax.random.split(keys[lane], by_hand.STEPS), worlds[lane], strict=True):
+        for key, look in zip(
+            jax.random.split(keys[lane], by_hand.STEPS), worlds[lane], strict=True
+        ):
             belief, one = by_hand.step_one(
                 key, belief, sentences[lane], look, params=by_hand.params()
             )
@@ -198,9 +198,7 @@ def log_evidence(params: RelationParams, key: jax.Array, belief, sentence) -> ja
 
 @jax.jit
 def evidence_and_slope(start, tangent, key, belief, sentence):
-    return jax.jvp(
-        lambda params: log_evidence(params, key, belief, sentence), (start,), (tangent,)
-    )
+    return jax.jvp(lambda params: log_evidence(params, key, belief, sentence), (start,), (tangent,))
 
 
 @pytest.mark.parametrize("name", ["behind", "nearest"])

@@ -124,9 +124,7 @@ def test_no_noise_at_all(noise: float) -> None:
     objects, looks = [(CONE, 4.0, 0.5), (HYDRANT, 6.0, 0.8)], []
     for step in range(2 * by_hand.STEPS):
         x = 0.3 * step
-        found = [
-            (name, there - x, y) for name, there, y in objects if np.hypot(there - x, y) < 3.0
-        ]
+        found = [(name, there - x, y) for name, there, y in objects if np.hypot(there - x, y) < 3.0]
         looks.append(by_hand.observation(np.array([x, 0.0, 0.0]), found, specification))
     beliefs, info = follow(looks, numbers=by_hand.params(odometry_noise=0.0))
     assert_sound(beliefs)

@@ -1,4 +1,4 @@
-"""QMDP values by the plain double sum over particles and behaviors (eq. 11 and 12). NumPy, float64."""
+"""QMDP values by the double sum over particles and behaviors (eq. 11-12). NumPy, float64."""
 
 import math
 
