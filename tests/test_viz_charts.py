@@ -40,9 +40,11 @@ def test_every_row_is_a_point_of_figure_5():
     assert len(figure.axes) == 4
     behind_way, nearest_way, behind_rate, _ = figure.axes
     ours = lines_of(behind_way)["faithful (the paper's method)"]
-    assert ours == pytest.approx(np.array([[2, 22], [3, 18], [5, 10]]))
+    # Policies stand a few per cent apart along the axis of ranges.
+    assert ours[:, 0] == pytest.approx([2, 3, 5], rel=0.05)
+    assert ours[:, 1] == pytest.approx([22, 18, 10])
     rates = lines_of(behind_rate)["informed (ours)"]
-    assert rates == pytest.approx(np.array([[2, 70], [3, 75], [5, 85]]))
+    assert rates[:, 1] == pytest.approx([70, 75, 85])
     assert lines_of(behind_way)[sweep.PAPER_NAME] == pytest.approx(np.array([[3, 18.72]]))
     assert sweep.PAPER_NAME not in lines_of(nearest_way)
     assert behind_way.get_title(loc="left") == "2H1C, “go to the hydrant behind the cone”"

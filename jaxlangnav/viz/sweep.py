@@ -23,6 +23,8 @@ POLICY_LOOKS = {
 """Colour, marker and name of each policy."""
 PAPER_NAME = "paper, as printed (± 1 σ)"
 _Z95 = 1.96
+_APART = 1.025
+"""Factor on the range between the points of two policies."""
 
 
 def range_figure(document: Mapping[str, Any]) -> "Figure":
@@ -63,7 +65,7 @@ def range_figure(document: Mapping[str, Any]) -> "Figure":
             ]
             _draw_column(above, below, mine, paper)
             above.set_title(f"{world}, {sentence_of(document, relation)}")
-            below.set_xlabel("sensing range (m)")
+            below.set_xlabel("sensing range (m, logarithmic)")
         grid[0][0].set_ylabel("distance travelled (m)")
         grid[1][0].set_ylabel("success (%)")
         grid[0][0].set_ylim(bottom=0)
@@ -148,12 +150,15 @@ def sentence_of(document: Mapping[str, Any], relation: str | None) -> str:
 
 def _draw_column(above: "Axes", below: "Axes", rows: list[Row], paper: list[Row]) -> None:
     """Draw all policies of one world and relation, and the paper's points."""
-    for policy in dict.fromkeys(row["policy"] for row in rows):
+    policies = list(dict.fromkeys(row["policy"] for row in rows))
+    for index, policy in enumerate(policies):
         mine = sorted(
             (row for row in rows if row["policy"] == policy), key=lambda row: row["range"]
         )
+        # A little apart, so that error bars can be told from each other.
+        apart = _APART ** (index - (len(policies) - 1) / 2)
         color, marker, name = POLICY_LOOKS.get(policy, (style.INK, "D", policy))
-        reach = [row["range"] for row in mine]
+        reach = [row["range"] * (1.0 if policy == "known" else apart) for row in mine]
         way = [row["distance_mean"] for row in mine]
         look: dict[str, Any] = {"color": color, "marker": marker, "markersize": 5, "capsize": 2}
         if policy == "known":
@@ -177,7 +182,9 @@ def _draw_column(above: "Axes", below: "Axes", rows: list[Row], paper: list[Row]
         below.errorbar([row["range"]], [row["success_rate"]], **point)
     for axes in (above, below):
         axes.grid()
+        axes.set_xscale("log")
         axes.set_xticks(sorted({row["range"] for row in rows}))
+        axes.set_xticks([], minor=True)
     below.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
 
 
