@@ -11,6 +11,10 @@ Document = Mapping[str, Any]
 """What a command found, in JSON's own types (NumPy and JAX scalars and arrays are turned)."""
 
 
+_WIDEST = 240
+"""Columns that a table may take."""
+
+
 class Output:
     """Tells people what happens; keeps silent on standard output where a script listens."""
 
@@ -26,8 +30,15 @@ class Output:
         """Print a line of the narrative (rich markup and renderables); nothing under ``--json``."""
         if not self.is_json:
             from rich.console import Console
+            from rich.measure import Measurement
 
-            Console(file=sys.stdout, highlight=False, soft_wrap=True).print(*parts)
+            console = Console(file=sys.stdout, highlight=False, soft_wrap=True)
+            # A table that is too wide for the screen is better wrapped by it than cut by us.
+            tables = [part for part in parts if not isinstance(part, str)]
+            room = console.options.update(max_width=_WIDEST)
+            widths = [Measurement.get(console, room, part).maximum for part in tables]
+            console.width = max([console.width, *widths])
+            console.print(*parts)
 
     def note(self, text: str) -> None:
         """Print a plain line on standard error: progress, warnings, repairs."""

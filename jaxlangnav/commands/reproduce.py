@@ -7,7 +7,7 @@ from typing import Literal
 
 import tyro
 
-from jaxlangnav.commands.checks import check_at_least, check_seed
+from jaxlangnav.commands.checks import check_at_least, check_folder, check_seed
 from jaxlangnav.commands.output import Document, Output
 from jaxlangnav.commands.runtime import keep_compiled_programs, progress_bar
 
@@ -59,6 +59,7 @@ class Reproduce:
         check_at_least("--episodes", self.episodes, 1)
         check_at_least("--particles", self.particles, 2)
         check_seed(self.seed)
+        check_folder("--out", self.out)
         keep_compiled_programs()
         from jaxlangnav.experiments.policies import POLICY_NAMES, check_policies
 
@@ -78,7 +79,7 @@ class Reproduce:
             )
         output.say(experiment.render(document))
         wall, compiling = document["wall_s"], document["compile_s"]
-        output.say(f"{total} episodes in {wall:.1f} s, {compiling:.1f} s of them compilation.")
+        output.say(f"{total} episodes in {wall:.1f} s; compilation took {compiling:.1f} s.")
         for path in document.get("files", ()):
             output.say(f"Wrote {path}")
         return document
