@@ -7,7 +7,6 @@ and the parser is polynomial.
 """
 
 import re
-from dataclasses import dataclass
 from functools import cache
 
 from jaxlangnav.language.check import check
@@ -20,8 +19,9 @@ from jaxlangnav.language.grammar import (
     NoParseError,
     load_grammar,
 )
-from jaxlangnav.language.lexicon import REASONS, TYPE_CLASS, load_lexicon
+from jaxlangnav.language.lexicon import TYPE_CLASS, load_lexicon
 from jaxlangnav.language.phrase import COMMAND, STATEMENT, LanguageError, Parse
+from jaxlangnav.language.refusal import Token, explain
 from jaxlangnav.language.spelling import repair
 from jaxlangnav.language.tree import TreeBuilder
 
@@ -33,22 +33,13 @@ _IGNORED = set("\"'()[]*`“”")
 _COMMAS = {",", ":", "-", "–", "—"}
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Token:
-    """One word or mark, as written and as the grammar sees it."""
-
-    text: str
-    terminal: str
-    position: int  # 1-based, of words; marks have the position of the word before
-
-
 class _Reader:
     """Splits text into tokens, repairing and marking what the lexicon does not know."""
 
     def __init__(self) -> None:
         self.lexicon = load_lexicon()
         self.vocabulary = _vocabulary()
-        self.tokens: list[_Token] = []
+        self.tokens: list[Token] = []
         self.repairs: list[tuple[str, str]] = []
         self.num_words = 0
 
@@ -69,7 +60,7 @@ class _Reader:
         if self.tokens and self.tokens[-1].terminal in (COMMA, FULLSTOP):
             self.tokens.pop()
         if self.tokens:
-            self.tokens.append(_Token(text="", terminal=terminal, position=self.num_words))
+            self.tokens.append(Token(text="", terminal=terminal, position=self.num_words))
 
     def _split(self, piece: str) -> list[str]:
         """Part "cone's" and hyphened words of which the lexicon knows the parts."""
@@ -98,7 +89,7 @@ class _Reader:
             else:
                 self.repairs.append((word, repaired))
                 word = terminal = repaired
-        self.tokens.append(_Token(text=word, terminal=terminal, position=self.num_words))
+        self.tokens.append(Token(text=word, terminal=terminal, position=self.num_words))
 
 
 @cache
@@ -154,7 +145,7 @@ def parse(text: str) -> Parse:
     try:
         derivation, probability = load_grammar().parse([token.terminal for token in tokens])
     except NoParseError as error:
-        raise LanguageError(_refusal(tokens, error.index)) from None
+        raise LanguageError(explain(tokens, error.index)) from None
     builder = TreeBuilder([t.text for t in tokens], [t.position for t in tokens])
     clauses = builder.build(derivation)
     check(clauses)
@@ -169,46 +160,3 @@ def parse(text: str) -> Parse:
         repairs=tuple(reader.repairs),
         probability=probability,
     )
-
-
-def _refusal(tokens: list[_Token], index: int) -> str:
-    """Say in one line which word stands in the way.
-
-    Of the words up to where no tree can go on: a negation or condition, else the last word that
-    is unsupported or unknown, else a small word just before, else the one at that place.
-    """
-    refused = load_lexicon().refused
-    at_end = index >= len(tokens)
-    read = [token for token in tokens[: index + 1] if token.text]
-    reasons = {token.position: refused.get(token.text) for token in read}
-    first = next((t for t in read if reasons[t.position] in _STRONG), None)
-    stuck = None if at_end or not tokens[index].text else read[-1]
-    nearest = [t for t in reversed(read) if _is_telling(t) or t.terminal.startswith("?")]
-    near = [t for t in read[-4:] if t.text in _SMALL and reasons[t.position]]
-    if first is None and stuck is not None and stuck.text not in _SMALL and _is_telling(stuck):
-        first = stuck
-    for token in [first, *nearest[:1], *near[-1:]]:
-        if token is not None:
-            reason = reasons[token.position] or "unknown word, and no reading fits it"
-            return f"'{token.text[:30]}' (word {token.position}): {reason}"
-    later = [t for t in tokens[index + 1 : index + 3] if t.terminal.startswith("?")]
-    if stuck is not None and later:
-        text, position = later[0].text[:30], later[0].position
-        return f"'{text}' (word {position}): unknown word, and no reading fits it"
-    if stuck is None:
-        return f"the sentence breaks off after '{read[-1].text}' (word {read[-1].position})"
-    return f"'{stuck.text}' (word {stuck.position}): cannot be read here"
-
-
-def _is_telling(token: _Token) -> bool:
-    """Tell whether a refused word is reason enough wherever it stands."""
-    return token.text in load_lexicon().refused and token.text not in _SMALL | _SILENT
-
-
-_STRONG = (REASONS["negation"], REASONS["condition"])
-# Refused words that also begin supported expressions: blamed only just before the place.
-_SMALL = frozenset({"in", "of", "on", "by", "with", "from", "me", "my", "and", "off", "like"})
-_SMALL |= frozenset({"up", "down", "over", "back", "side", "straight", "forward", "away", "about"})
-_SILENT = frozenset({"to", "for", "at", "is", "are", "i", "get", "move", "keep", "make", "take"})
-_SILENT |= frozenset({"there", "use", "let", "while", "as", "rather", "instead", "place", "see"})
-_SILENT |= frozenset({"only", "exactly", "close", "as"})

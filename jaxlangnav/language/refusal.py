@@ -1,0 +1,67 @@
+"""Why a sentence is refused: one line that names the word and its position."""
+
+from dataclasses import dataclass
+
+from jaxlangnav.language.lexicon import REASONS, load_lexicon
+
+_STRONG = (REASONS["negation"], REASONS["condition"])
+# Refused words that also begin supported expressions: blamed only just before the place.
+_SMALL = frozenset({"in", "of", "on", "by", "with", "from", "me", "my", "and", "off", "like"})
+_SMALL |= frozenset({"up", "down", "over", "back", "side", "straight", "forward", "away", "about"})
+_SILENT = frozenset({"to", "for", "at", "is", "are", "i", "get", "move", "keep", "make", "take"})
+_SILENT |= frozenset({"there", "use", "let", "while", "as", "rather", "instead", "place", "see"})
+_SILENT |= frozenset({"only", "exactly", "close", "as"})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Token:
+    """One word or mark, as written and as the grammar sees it."""
+
+    text: str
+    terminal: str
+    position: int  # 1-based, of words; marks have the position of the word before
+
+
+def explain(tokens: list[Token], index: int) -> str:
+    """Say in one line which word stands in the way.
+
+    A negation anywhere; of the words up to where no tree can go on: a condition, else the last
+    word that is unsupported or unknown, else a small word just before, else the one there.
+
+    Args:
+        tokens: words and marks of the sentence.
+        index: the first token that continues no tree; the number of tokens at the end.
+
+    Returns:
+        The line, without a full stop.
+    """
+    refused = load_lexicon().refused
+    at_end = index >= len(tokens)
+    read = [token for token in tokens[: index + 1] if token.text]
+    reasons = {token.position: refused.get(token.text) for token in read}
+    first = next((t for t in read if reasons[t.position] in _STRONG), None)
+    denied = [t for t in tokens if refused.get(t.text) == REASONS["negation"] and _is_telling(t)]
+    if denied and (first is None or denied[0].position < first.position):
+        first = denied[0]
+        reasons[first.position] = REASONS["negation"]
+    stuck = None if at_end or not tokens[index].text else read[-1]
+    nearest = [t for t in reversed(read) if _is_telling(t) or t.terminal.startswith("?")]
+    near = [t for t in read[-4:] if t.text in _SMALL and reasons[t.position]]
+    if first is None and stuck is not None and stuck.text not in _SMALL and _is_telling(stuck):
+        first = stuck
+    for token in [first, *nearest[:1], *near[-1:]]:
+        if token is not None:
+            reason = reasons[token.position] or "unknown word, and no reading fits it"
+            return f"'{token.text[:30]}' (word {token.position}): {reason}"
+    later = [t for t in tokens[index + 1 : index + 3] if t.terminal.startswith("?")]
+    if stuck is not None and later:
+        text, position = later[0].text[:30], later[0].position
+        return f"'{text}' (word {position}): unknown word, and no reading fits it"
+    if stuck is None:
+        return f"the sentence breaks off after '{read[-1].text}' (word {read[-1].position})"
+    return f"'{stuck.text}' (word {stuck.position}): cannot be read here"
+
+
+def _is_telling(token: Token) -> bool:
+    """Tell whether a refused word is reason enough wherever it stands."""
+    return token.text in load_lexicon().refused and token.text not in _SMALL | _SILENT
