@@ -232,7 +232,7 @@ def test_without_weights_behind_is_not_found(in_lanes: EpisodeResult, tasks, ins
         sensor=replace(
             tasks.sensor,
             noise=jnp.zeros_like(tasks.sensor.noise),
-            range_max=jnp.full(EPISODES, 5.0),
+            range_max=jnp.full_like(tasks.sensor.range_max, 5.0),
         ),
     )
     before = run_batch._cache_size()

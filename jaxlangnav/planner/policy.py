@@ -22,6 +22,9 @@ from jaxlangnav.pytree import pytree
 from jaxlangnav.semantic_map.coverage import cell_size
 from jaxlangnav.semantic_map.filter import ParticleBelief
 
+_UNDERFOOT = 0.25
+"""Metres from a place that count as standing on it; an object is reached from further off."""
+
 
 @pytree
 class Choice:
@@ -131,14 +134,14 @@ def choose(
         stop_mass = jnp.where(is_find > 0.5, in_view_confirmed, confirmed)
         is_arrived = stop_mass >= params.stop_probability
     # Standing still teaches nothing: the node underfoot is a_stop's business.
-    is_open = nodes.is_node & (distance > 0.25)
+    is_open = nodes.is_node & (distance > jnp.where(nodes.kind == OBJECT, params.reach, _UNDERFOOT))
     value = jnp.where(is_open, value, -jnp.inf)
     best = jnp.argmax(value)
     remaining = jnp.sqrt((commitment.x - robot_x) ** 2 + (commitment.y - robot_y) ** 2)
     keeps = (
         commitment.is_active
         & ~is_news
-        & (remaining > 0.25)
+        & (remaining > jnp.where(commitment.kind == OBJECT, params.reach, _UNDERFOOT))
         & (
             (commitment.kind != FRONTIER)
             | _is_still_frontier(belief, commitment.x, commitment.y, params.frontier_miss)
