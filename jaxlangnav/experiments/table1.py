@@ -252,23 +252,27 @@ def render(document: dict[str, Any]) -> Table:
         A rich table.
     """
     table = Table(title="Table 1: ours beside the paper's")
-    for heading in ("Model", "Accuracy % (95 %)", "paper", "Training s", "compile", "paper"):
-        table.add_column(heading)
-    for heading in ("Inference s", "paper", "Splits", "Examples", "Features"):
-        table.add_column(heading)
+    table.add_column("")
     for name in MODELS:
-        row, paper = document[name], document["paper"][name]
-        table.add_row(
-            name,
-            f"{row['accuracy_mean']:.2f} ± {row['accuracy_ci95']:.2f}",
-            f"{paper['accuracy_mean']:.2f} ± {paper['accuracy_ci95']:.2f}",
-            f"{row['train_s']:.3f}",
-            f"{row['train_compile_s']:.2f}",
-            f"{paper['train_s']:.2f}",
-            f"{row['infer_s']:.4f}",
-            f"{paper['infer_s']:.2f}",
-            str(row["splits"]),
-            str(row["examples"]),
-            str(row["features"]),
-        )
+        table.add_column(name)
+        table.add_column("paper")
+
+    def line(title: str, text: Callable[[dict[str, Any]], str], is_printed: bool = False) -> None:
+        cells = [title]
+        for name in MODELS:
+            cells += [text(document[name]), text(document["paper"][name]) if is_printed else ""]
+        table.add_row(*cells)
+
+    line(
+        "Accuracy % (95 %)",
+        lambda row: f"{row['accuracy_mean']:.2f} ± {row['accuracy_ci95']:.2f}",
+        is_printed=True,
+    )
+    line("Training s", lambda row: f"{row['train_s']:.3f}", is_printed=True)
+    line("  compile s", lambda row: f"{row['train_compile_s']:.2f}")
+    line("  all splits at once s", lambda row: f"{row['train_all_s']:.3f}")
+    line("Inference s", lambda row: f"{row['infer_s']:.4f}", is_printed=True)
+    line("Splits", lambda row: str(row["splits"]))
+    line("Examples", lambda row: str(row["examples"]))
+    line("Features", lambda row: str(row["features"]))
     return table

@@ -37,6 +37,7 @@ class Belief:
 
     sets: tuple[tuple[Said, float], ...]  # (annotations, log-probability), best first
     rank: dict[Path, int]  # phrase → likeliest rank
+    silent: frozenset[Path]  # phrases that express nothing in the likeliest reading
 
     def marginals(self) -> list[tuple[Annotation, int, float]]:
         """Add up the probability of each annotation over the sets, likeliest first."""
@@ -148,6 +149,14 @@ def _rank_chances(
     return [(int(i), float(chances[i])) for i in order]
 
 
+def _silent(hypothesis: Hypothesis, path: Path) -> Iterator[Path]:
+    """Yield the phrases that express nothing."""
+    if not hypothesis.expressed.any():
+        yield path
+    for i, child in enumerate(hypothesis.children):
+        yield from _silent(child, (*path, i))
+
+
 def infer_clause(
     root: Phrase,
     clause: int,
@@ -170,7 +179,8 @@ def infer_clause(
     space = AnnotationSpace(len(type_names))
     log_odds, rank = _log_odds_of(root, clause, model, type_names)
     found: list[tuple[Said, float]] = []
-    for hypothesis in search(root, log_odds, width=width, path=(clause,)):
+    beam = search(root, log_odds, width=width, path=(clause,))
+    for hypothesis in beam:
         symbols = space.members(hypothesis.expressed)[:_MAX_SYMBOLS]
         chances = [_rank_chances(space, hypothesis, clause, s, rank) for s in symbols]
         for choice in itertools.product(*chances):
@@ -179,7 +189,7 @@ def infer_clause(
             found.append((said, score))
     found.sort(key=lambda pair: -pair[1])
     likeliest = {path: int(np.argmax(chances)) for path, chances in rank.items()}
-    return Belief(tuple(found[:width]), likeliest)
+    return Belief(tuple(found[:width]), likeliest, frozenset(_silent(beam[0], (clause,))))
 
 
 def infer_annotations(
@@ -201,12 +211,14 @@ def infer_annotations(
     """
     joint: list[tuple[Said, float]] = [((), 0.0)]
     rank: dict[Path, int] = {}
+    silent: frozenset[Path] = frozenset()
     for clause, root in enumerate(parse.clauses):
         belief = infer_clause(root, clause, model, type_names, width)
         rank |= belief.rank
+        silent |= belief.silent
         totals: dict[Said, float] = {}
         for (said, score), (more, own) in itertools.product(joint, belief.sets):
             union = tuple(dict.fromkeys((*said, *more)))
             totals[union] = float(np.logaddexp(totals.get(union, -np.inf), score + own))
         joint = sorted(totals.items(), key=lambda pair: -pair[1])[:width]
-    return Belief(tuple(joint), rank)
+    return Belief(tuple(joint), rank, silent)

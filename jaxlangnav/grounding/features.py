@@ -226,7 +226,7 @@ def region_properties(space: AnnotationSpace, senses: Senses, child: ChildSets) 
     head = np.append(child.heads, False)[None, :]
     own = np.append(_members(senses.types, space.num_types), senses.is_robot)[None, :]
     has_object = bool(child.heads.any())
-    is_lone = not has_object and not senses.types
+    is_lone = not child.has_children and not senses.types
     return _columns(
         (NUM_RELATIONS, size),
         [

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.grounding.annotation import Belief, describe, infer_annotations
+from jaxlangnav.grounding.annotation import Belief, describe, infer_annotations, walk
 from jaxlangnav.grounding.graph import build
 from jaxlangnav.grounding.model import CorrespondenceModel
 from jaxlangnav.grounding.program import BehaviorProgram, compile_clause, empty_program, to_program
@@ -99,14 +99,34 @@ def understand(text: str, model: GroundingModel) -> Understanding:
 
     Raises:
         LanguageError: the text is refused by the parser.
+        UnknownObjectError: it speaks of an object that is not known.
         ValueError: the sentence says more than the arrays hold.
     """
     return understand_parse(parse(text), model)
 
 
+class UnknownObjectError(ValueError):
+    """A noun that the lexicon does not know, and that the model cannot ground either."""
+
+
+def _check_nouns(tree: Parse, belief: Belief) -> None:
+    """Refuse a sentence about something unknown, rather than drop what it says of it."""
+    unknown = set(tree.unknown_words)
+    for clause, root in enumerate(tree.clauses):
+        for phrase, path in walk(root, (clause,)):
+            if phrase.label != "NP" or path not in belief.silent:
+                continue
+            for word in phrase.words:
+                if word.tag.startswith("NN") and (word.text, word.position) in unknown:
+                    raise UnknownObjectError(
+                        f"'{word.text}' (word {word.position}): not an object I know"
+                    )
+
+
 def understand_parse(tree: Parse, model: GroundingModel) -> Understanding:
     """Understand a sentence that has been parsed already; see ``understand``."""
     belief = infer_annotations(tree, model.annotation, model.type_names)
+    _check_nouns(tree, belief)
     commands = [i for i, kind in enumerate(tree.kinds) if kind == COMMAND]
     if len(commands) > NUM_CLAUSES:
         raise ValueError(

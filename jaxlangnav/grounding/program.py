@@ -238,7 +238,7 @@ def _fill_regions(fields: dict[str, np.ndarray], at: _Row, terms: dict, meant: n
     """Choose the slots of a phrase and write their coefficients.
 
     Returns:
-        (row, slot) → (bound, table) of the slots; and under (row, −1) the bound of what is left out.
+        (row, slot) → (bound, table) of the slots; under (row, −1) the bound of what is left out.
     """
     row, reach = at.row, _reach(terms, _held(fields, at))
     order = np.argsort(-reach, kind="stable")
