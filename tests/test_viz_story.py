@@ -147,6 +147,14 @@ def test_a_region_goal_is_named_as_a_place():
     assert sentences.goal_name(one.scene, frame, 0) == "the cone"
 
 
+def test_the_next_command_is_told():
+    one = make_recording(6, 20)
+    before, frame = one.at(1), replace(one.at(2), clause=np.int32(1))
+    assert narrative.headline(one.scene, frame, before) == "turns to the next command"
+    assert narrative.tell_step(one.scene, frame, before)[0] == "Turns to command 2 of 1."
+    assert not narrative.is_quiet(frame, before)
+
+
 def test_a_changed_reading_is_told():
     one = make_recording(4, 20)
     before, frame = one.at(1), replace(one.at(2), reading=np.ones(20, np.int32))

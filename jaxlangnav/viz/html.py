@@ -69,7 +69,7 @@ def pack(recording: Recording) -> dict[str, Any]:
         Sizes, what stays the same, what changes by step, and ``arrays`` in base64.
     """
     scene, frames = recording.scene, recording.frames
-    claims = describe_readings(scene, least=0.0)
+    claims = describe_readings(scene, least=0.005)
     first = [f"Taken to say that there is {claim} ({percent(p)})." for claim, p in claims[:1]]
     return {
         "text": scene.text,
@@ -170,7 +170,8 @@ def _arrays(recording: Recording) -> dict[str, Any]:
     return {
         "num_mentions": len(used),
         "frame": [x_low, x_high, y_low, y_high],
-        "used_types": sorted({int(one) for one in (*np.unique(kinds[is_in]), *np.unique(seen))}),
+        "thought_types": [int(one) for one in np.unique(kinds[is_in])],
+        "seen_types": [int(one) for one in np.unique(seen)],
         "node_kinds": _node_kinds(),
         "arrays": {name: _encode(array) for name, array in arrays.items()},
     }

@@ -51,6 +51,7 @@ def tell_step(scene: Scene, frame: Frame, before: Frame | None) -> list[str]:
         One sentence each.
     """
     told = [
+        sentences.commanded(scene, frame, before),
         sentences.seen(scene, frame, before),
         sentences.refuted(frame, before),
         sentences.reread(scene, frame, before),
@@ -75,6 +76,8 @@ def headline(scene: Scene, frame: Frame, before: Frame | None) -> str:
         return "says stop"
     if frame.is_stop:
         return "first command done"
+    if before is not None and int(frame.clause) != int(before.clause):
+        return "turns to the next command"
     new = sentences.new_objects(frame, before)
     if new:
         return f"discovers {listed([article(scene.type_name(one.object_type)) for one in new])}"
@@ -159,7 +162,8 @@ def is_quiet(frame: Frame, before: Frame | None) -> bool:
     """
     if before is None or bool(frame.is_stop) or bool(frame.is_news):
         return False
-    if int(frame.waypoint_kind) != int(before.waypoint_kind):
+    is_same = int(frame.clause) == int(before.clause)
+    if not is_same or int(frame.waypoint_kind) != int(before.waypoint_kind):
         return False
     shift = abs(frame.goal_mass - before.goal_mass).max()
     return float(shift) < _SHIFT

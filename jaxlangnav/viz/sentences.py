@@ -36,6 +36,22 @@ def _place(frame: Frame, x: float, y: float) -> str:
     return whereabouts(x, y, float(frame.robot[0]), float(frame.robot[1]), float(frame.heading))
 
 
+def commanded(scene: Scene, frame: Frame, before: Frame | None) -> str:
+    """Tell when the next command of the sentence begins.
+
+    Args:
+        scene: of the episode.
+        frame: the step.
+        before: the step before; None at first.
+
+    Returns:
+        A sentence, or nothing where the command is the same as before.
+    """
+    if before is None or int(frame.clause) == int(before.clause):
+        return ""
+    return f"Turns to command {int(frame.clause) + 1} of {scene.num_clauses}."
+
+
 def seen(scene: Scene, frame: Frame, before: Frame | None) -> str:
     """Tell the detections of a step, discoveries first.
 
