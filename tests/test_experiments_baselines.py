@@ -10,7 +10,7 @@ import pytest
 
 from jaxlangnav.episode import EpisodeResult, Task
 from jaxlangnav.experiments import baselines
-from jaxlangnav.experiments.monte_carlo import CHUNK, cell, make_tasks
+from jaxlangnav.experiments.monte_carlo import BLOCK, cell, make_tasks
 from jaxlangnav.experiments.policies import POLICY_NAMES, check_policies, run_policy
 from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
 from jaxlangnav.planner.params import default_planner_params
@@ -25,7 +25,7 @@ def instructions() -> Any:
 
 @pytest.fixture(scope="module")
 def tasks() -> Task:
-    return make_tasks(cell("2H1C", "behind", 1, 3.0, CHUNK, 7))
+    return make_tasks(cell("2H1C", "behind", 1, 3.0, BLOCK, 7))
 
 
 def run(policy: str, tasks: Task, instructions: Any) -> EpisodeResult:
@@ -77,7 +77,7 @@ def test_a_blind_search_is_right_half_of_the_time(tasks: Task, instructions: Any
     for policy in ("frontier", "lawnmower"):
         result = run(policy, tasks, instructions)
         rate = float(np.mean(result.is_success))
-        assert abs(rate - 0.5) < 5 * np.sqrt(0.25 / CHUNK), policy
+        assert abs(rate - 0.5) < 5 * np.sqrt(0.25 / BLOCK), policy
         assert np.mean(result.is_stopped) > 0.99
         # It stops by a hydrant, if not by the right one.
         final = np.asarray(result.final)
@@ -92,7 +92,7 @@ def test_what_is_not_seen_changes_nothing(tasks: Task, instructions: Any) -> Non
     """The same robot, the same noise, other objects: blind, it must walk the same way."""
     blind = replace(
         tasks,
-        sensor=replace(tasks.sensor, detection_probability=jnp.zeros(CHUNK)),
+        sensor=replace(tasks.sensor, detection_probability=jnp.zeros(BLOCK)),
     )
     scenario = blind.scenario
     moved = replace(
@@ -113,18 +113,18 @@ def test_what_is_not_seen_changes_nothing(tasks: Task, instructions: Any) -> Non
 
 def test_a_noiseless_walk_by_hand(instructions: Any) -> None:
     """A hydrant in view at the start: straight to it, stop within reach."""
-    tasks = make_tasks(cell("1H1C", "null", 0, 5.0, CHUNK, 0))
+    tasks = make_tasks(cell("1H1C", "null", 0, 5.0, BLOCK, 0))
     scenario = replace(
         tasks.scenario,
         object_x=tasks.scenario.object_x.at[:, 0].set(4.0),
         object_y=tasks.scenario.object_y.at[:, 0].set(0.0),
-        goal=jnp.broadcast_to(jnp.array([4.0, 0.0]), (CHUNK, 2)),
+        goal=jnp.broadcast_to(jnp.array([4.0, 0.0]), (BLOCK, 2)),
     )
     tasks = replace(
         tasks,
         scenario=scenario,
-        sensor=replace(tasks.sensor, detection_probability=jnp.ones(CHUNK), noise=jnp.zeros(CHUNK)),
-        motion=replace(tasks.motion, odometry_noise=jnp.zeros(CHUNK)),
+        sensor=replace(tasks.sensor, detection_probability=jnp.ones(BLOCK), noise=jnp.zeros(BLOCK)),
+        motion=replace(tasks.motion, odometry_noise=jnp.zeros(BLOCK)),
     )
     reach = float(default_planner_params().reach)
     for policy in ("frontier", "lawnmower"):
@@ -136,7 +136,7 @@ def test_a_noiseless_walk_by_hand(instructions: Any) -> None:
 
 
 def test_a_result_does_not_depend_on_its_place(tasks: Task, instructions: Any) -> None:
-    order = np.random.default_rng(0).permutation(CHUNK)
+    order = np.random.default_rng(0).permutation(BLOCK)
     shuffled = jax.tree.map(lambda leaf: leaf[order], tasks)
     for policy in ("frontier", "known"):
         straight, mixed = run(policy, tasks, instructions), run(policy, shuffled, instructions)

@@ -8,10 +8,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxlangnav.episode import Task
+from jaxlangnav.episode import EpisodeResult, Task
 from jaxlangnav.experiments import monte_carlo
-from jaxlangnav.experiments.monte_carlo import CHUNK, cell, draw_tasks, make_tasks
+from jaxlangnav.experiments.baselines import run_baseline
+from jaxlangnav.experiments.monte_carlo import BLOCK, cell, draw_tasks, make_tasks
+from jaxlangnav.experiments.policies import run_policy
+from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
 from jaxlangnav.world.files import World, open_world
+
+INSTRUCTIONS = ground_sentences(list(SENTENCES.values())).instructions
 
 
 def same(one: Task, other: Task) -> None:
@@ -26,11 +31,11 @@ def take(tasks: Task, index: Any) -> Task:
 
 
 def test_an_episode_depends_on_its_number_only() -> None:
-    whole = make_tasks(cell("2H1C", "behind", 1, 3.0, CHUNK + 30, 5))
-    assert whole.instruction_index.shape == (CHUNK + 30,)
+    whole = make_tasks(cell("2H1C", "behind", 1, 3.0, BLOCK + 30, 5))
+    assert whole.instruction_index.shape == (BLOCK + 30,)
     same(take(whole, slice(0, 7)), make_tasks(cell("2H1C", "behind", 1, 3.0, 7, 5)))
-    later = dataclasses.replace(cell("2H1C", "behind", 1, 3.0, 20, 5), first_episode=CHUNK)
-    same(take(whole, slice(CHUNK, CHUNK + 20)), make_tasks(later))
+    later = dataclasses.replace(cell("2H1C", "behind", 1, 3.0, 20, 5), first_episode=BLOCK)
+    same(take(whole, slice(BLOCK, BLOCK + 20)), make_tasks(later))
 
 
 def test_any_selection_of_cells_gives_the_same_tasks() -> None:
@@ -79,14 +84,51 @@ def test_bad_cells_are_refused() -> None:
         make_tasks(cell("hydrant", "null", 0, 3.0, 1, 0))
 
 
-def test_chunks_come_back_in_order_and_without_filler() -> None:
-    tasks = make_tasks(cell("1H1C", "null", 0, 3.0, 2 * CHUNK + 3, 0))
+@pytest.mark.parametrize(
+    ("number", "threads", "expected"),
+    [
+        (1, 2, [(0, 1)]),
+        (700, 2, [(0, 350), (350, 350)]),
+        (1025, 1, [(0, 512), (512, 513)]),
+        (4800, 2, [(800 * k, 800) for k in range(6)]),
+        (70, 2, [(0, 70)]),
+    ],
+)
+def test_pieces_by_hand(number: int, threads: int, expected: list[tuple[int, int]]) -> None:
+    assert monte_carlo.pieces(number, 1024, threads) == expected
+
+
+def test_pieces_come_back_in_order_and_without_padding() -> None:
+    tasks = make_tasks(cell("1H1C", "null", 0, 3.0, 2 * BLOCK + 3, 0))
     seen: list[int] = []
 
-    def goals(chunk: Task) -> Any:
-        assert chunk.instruction_index.shape == (CHUNK,)
-        return chunk.scenario.goal
+    def one(piece: Task, count: int) -> EpisodeResult:
+        assert piece.instruction_index.shape == (BLOCK,)
+        assert count <= BLOCK
+        return run_baseline(piece, INSTRUCTIONS, policy="known")
 
-    found: Any = monte_carlo.map_chunks(goals, tasks, on_progress=seen.append, num_threads=2)
-    np.testing.assert_array_equal(found, tasks.scenario.goal)
-    assert seen == [CHUNK, CHUNK, 3]
+    found = monte_carlo.map_pieces(
+        one, tasks, capacity=BLOCK, on_progress=seen.append, num_threads=2
+    )
+    np.testing.assert_allclose(found.distance, monte_carlo.known_distances(tasks), atol=1.0)
+    assert len(found.distance) == sum(seen) == 2 * BLOCK + 3
+    alone = monte_carlo.map_pieces(one, take(tasks, slice(5)), capacity=BLOCK)
+    np.testing.assert_array_equal(found.distance[:5], alone.distance)
+
+
+@pytest.mark.slow
+def test_the_navigator_does_not_care_how_episodes_are_split() -> None:
+    parts = [
+        make_tasks(cell("2H1C", "behind", 1, 3.0, 40, 3)),
+        make_tasks(cell("1H2C", "null", 0, 5.0, 40, 3)),
+    ]
+    tasks = monte_carlo.concatenate(parts)
+    whole = run_policy("informed", tasks, INSTRUCTIONS, num_threads=1)
+    order = np.random.default_rng(0).permutation(80)
+    mixed = run_policy("informed", take(tasks, order), INSTRUCTIONS, num_threads=1)
+    few = run_policy("informed", take(tasks, slice(37, 44)), INSTRUCTIONS)
+    for a, b, c in zip(
+        jax.tree.leaves(whole), jax.tree.leaves(mixed), jax.tree.leaves(few), strict=True
+    ):
+        np.testing.assert_array_equal(a[order], b)
+        np.testing.assert_array_equal(a[37:44], c)

@@ -1,12 +1,13 @@
-"""Running many episodes: keys, tasks, chunks of fixed shape, threads (section 4.2).
+"""Running many episodes: keys, tasks, batches of fixed shape, threads (section 4.2).
 
-Every chunk has the same shape, so one compiled program serves the whole grid, and a result does
+Every batch has the same shape, so one compiled program serves the whole grid, and a result does
 not depend on how many episodes are asked for: episode i of a (world, relation) has its scenario
 and its noise from (seed, world, relation, i) alone, whatever the policy, range or batch.
 """
 
 import concurrent.futures
 import dataclasses
+import itertools
 import os
 import threading
 import zlib
@@ -26,10 +27,12 @@ from jaxlangnav.world.known import known_distance
 from jaxlangnav.world.scenario import ScenarioLaw, draw_scenario, scenario_law
 from jaxlangnav.world.state import Scenario
 
-CHUNK = 256
-"""Episodes in one call of the compiled program."""
+CHUNK = 1024
+"""Most episodes in one call of the compiled program; fewer are padded, and padding is not run."""
 LANES = 32
 """Episodes under way at once in one call."""
+BLOCK = 256
+"""Worlds drawn, and episodes of a baseline run, in one call."""
 
 Progress = Callable[[int], None]
 """Called with the number of episodes just finished."""
@@ -78,7 +81,7 @@ def cell(
 
 @jax.jit
 def _draw(roots: Array, laws: ScenarioLaw, numbers: Array) -> tuple[Array, Scenario]:
-    """Draw the episode's key and the world of each episode number; leaves [CHUNK, …]."""
+    """Draw the episode's key and the world of each episode number; leaves [BLOCK, …]."""
 
     def one(root: Array, law: ScenarioLaw, number: Array) -> tuple[Array, Scenario]:
         scenario_key, episode_key = jax.random.split(jax.random.fold_in(root, number))
@@ -104,9 +107,9 @@ def draw_tasks(cells: Sequence[Cell], index: np.ndarray, numbers: np.ndarray) ->
     stacked = _stack([_describe(one) for one in cells])
     roots = jnp.stack([_root(one) for one in cells])
     parts = []
-    # Drawn in chunks of one shape, filled up with the first: one program for any number.
-    for start in range(0, len(index), CHUNK):
-        at = np.arange(start, start + CHUNK)
+    # Drawn in blocks of one shape, filled up with the first: one program for any number.
+    for start in range(0, len(index), BLOCK):
+        at = np.arange(start, start + BLOCK)
         at = np.where(at < len(index), at, start)
         mine = jax.tree.map(lambda leaf, at=at: leaf[index[at]], stacked)
         keys, drawn = _draw(roots[index[at]], mine["law"], jnp.asarray(numbers[at], jnp.uint32))
@@ -192,41 +195,60 @@ def take_tasks(tasks: Task, index: np.ndarray) -> Task:
     return jax.tree.map(lambda leaf: leaf[at], tasks)
 
 
-def map_chunks(
-    run: Callable[[Task], EpisodeResult],
+def pieces(number: int, capacity: int, threads: int) -> list[tuple[int, int]]:
+    """Split episodes into pieces of about one size, so that all threads end together.
+
+    Args:
+        number: episodes.
+        capacity: most episodes of a piece.
+        threads: pieces under way at once.
+
+    Returns:
+        First episode and length of each piece.
+    """
+    count = max(1, -(-number // capacity))
+    if number >= 2 * LANES * threads:
+        count = -(-count // threads) * threads
+    bounds = [number * index // count for index in range(count + 1)]
+    return [(low, high - low) for low, high in itertools.pairwise(bounds)]
+
+
+def map_pieces(
+    run: Callable[[Task, int], EpisodeResult],
     tasks: Task,
     *,
+    capacity: int,
     on_progress: Progress | None = None,
     num_threads: int | None = None,
 ) -> EpisodeResult:
-    """Cut tasks into chunks of one shape and run them, several at once.
-
-    The last chunk is filled up with its own first task; what those runs give is dropped.
+    """Cut tasks into pieces, filled up to one shape, and run them, several at once.
 
     Args:
-        run: runs one chunk, leaves [CHUNK, …].
+        run: runs one piece: tasks, leaves [capacity, …], and how many of them count.
         tasks: leaves [E, …].
+        capacity: tasks in the shape that ``run`` takes.
         on_progress: called with the number of episodes just finished.
-        num_threads: chunks under way at once; the number of usable cores by default.
+        num_threads: pieces under way at once; the number of usable cores by default.
 
     Returns:
         Results as NumPy arrays, leaves [E, …], in the order of the tasks.
     """
     number = tasks.instruction_index.shape[0]
+    threads = num_threads or usable_cores()
 
-    def work(start: int) -> EpisodeResult:
-        index = np.arange(start, start + CHUNK)
-        chunk = take_tasks(tasks, np.where(index < number, index, start))
-        return jax.tree.map(np.asarray, run(chunk))
+    def work(piece: tuple[int, int]) -> EpisodeResult:
+        first, size = piece
+        place = np.arange(capacity)
+        chunk = take_tasks(tasks, first + np.where(place < size, place, 0))
+        return jax.tree.map(lambda leaf: np.asarray(leaf)[:size], run(chunk, size))
 
     results: list[EpisodeResult] = []
-    with concurrent.futures.ThreadPoolExecutor(num_threads or usable_cores()) as pool:
-        for index, result in enumerate(pool.map(work, range(0, number, CHUNK))):
+    with concurrent.futures.ThreadPoolExecutor(threads) as pool:
+        for result in pool.map(work, pieces(number, capacity, threads)):
             results.append(result)
             if on_progress is not None:
-                on_progress(min(CHUNK, number - index * CHUNK))
-    whole = jax.tree.map(lambda *leaves: np.concatenate(leaves), *results)
-    return jax.tree.map(lambda leaf: leaf[:number], whole)
+                on_progress(len(result.distance))
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *results)
 
 
 def usable_cores() -> int:
@@ -255,6 +277,7 @@ def _program(
                 config=config,
                 num_lanes=LANES,
                 max_steps=max_steps,
+                count=jnp.int32(CHUNK),
             )
             _programs[name] = lowered.compile()
         return _programs[name]
@@ -278,18 +301,18 @@ def run_tasks(
         params: the navigator's numbers.
         config: sizes and policy.
         on_progress: called with the number of episodes just finished.
-        num_threads: chunks under way at once; the number of cores by default.
+        num_threads: pieces under way at once; the number of cores by default.
         max_steps: cycles until a time-out.
 
     Returns:
         Results as NumPy arrays, leaves [E, …], in the order of the tasks.
     """
 
-    def run(chunk: Task) -> EpisodeResult:
+    def run(chunk: Task, count: int) -> EpisodeResult:
         program = _program(chunk, instructions, params, config, max_steps)
-        return program(chunk, instructions, params=params)
+        return program(chunk, instructions, params=params, count=jnp.int32(count))
 
-    return map_chunks(run, tasks, on_progress=on_progress, num_threads=num_threads)
+    return map_pieces(run, tasks, capacity=CHUNK, on_progress=on_progress, num_threads=num_threads)
 
 
 def concatenate(parts: Sequence[Task]) -> Task:

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task
 from jaxlangnav.experiments.baselines import BASELINES, run_baseline
-from jaxlangnav.experiments.monte_carlo import Progress, map_chunks, run_tasks
+from jaxlangnav.experiments.monte_carlo import BLOCK, Progress, map_pieces, run_tasks
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, default_params
 from jaxlangnav.planner.params import POLICIES, PlannerConfig
@@ -88,7 +88,7 @@ def run_policy(
         params: the navigator's numbers; its defaults if None. Baselines have none.
         num_particles: P, of the navigator's policies.
         on_progress: called with the number of episodes just finished.
-        num_threads: chunks under way at once; the number of usable cores by default.
+        num_threads: pieces under way at once; the number of usable cores by default.
         max_steps: cycles until a time-out.
 
     Returns:
@@ -108,9 +108,10 @@ def run_policy(
             num_threads=num_threads,
             max_steps=max_steps,
         )
-    return map_chunks(
-        lambda chunk: run_baseline(chunk, instructions, policy=policy, max_steps=max_steps),
+    return map_pieces(
+        lambda block, _: run_baseline(block, instructions, policy=policy, max_steps=max_steps),
         tasks,
+        capacity=BLOCK,
         on_progress=on_progress,
         num_threads=num_threads,
     )

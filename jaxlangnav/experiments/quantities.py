@@ -9,6 +9,12 @@ import math
 import re
 from typing import Any
 
+from jax import Array
+
+from jaxlangnav.messages import MotionParams, SensorParams
+from jaxlangnav.planner.params import PlannerParams
+from jaxlangnav.semantic_map.params import MapParams
+
 _UNITS = {
     "length": {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0},
     "angle": {"rad": 1.0, "deg": math.pi / 180.0, "°": math.pi / 180.0},
@@ -94,7 +100,7 @@ class Quantity:
 
 LENGTH = Quantity(kind="length", is_low_open=True)
 SHARE = Quantity(kind="share", high=1.0)
-FIELDS: dict[str, dict[str, Quantity]] = {
+_KNOWN: dict[str, dict[str, Quantity]] = {
     "sensor": {
         "field_of_view": Quantity(kind="angle", high=2.0 * math.pi + 1e-6, is_low_open=True),
         "detection_probability": Quantity(kind="share", high=1.0, is_low_open=True),
@@ -120,4 +126,24 @@ FIELDS: dict[str, dict[str, Quantity]] = {
         "constraint_cost": Quantity(),
     },
 }
-"""The keys of the four tables of Params in a sweep's configuration."""
+_RECORDS = {
+    "sensor": SensorParams,
+    "motion": MotionParams,
+    "map": MapParams,
+    "planner": PlannerParams,
+}
+
+
+def _fields(table: str) -> dict[str, Quantity]:
+    """List the single numbers of a record; one whose unit is not known here is a plain number."""
+    known = _KNOWN[table]
+    names = [
+        field.name
+        for field in dataclasses.fields(_RECORDS[table])
+        if field.type in (Array, "Array") and field.name != "range_max"
+    ]
+    return {name: known.get(name, Quantity(low=-math.inf)) for name in names}
+
+
+FIELDS: dict[str, dict[str, Quantity]] = {table: _fields(table) for table in _RECORDS}
+"""The keys of the four tables of Params in a sweep's configuration: the records' own fields."""
