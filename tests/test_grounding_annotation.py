@@ -1,0 +1,194 @@
+"""What sentences say, by the shipped models."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from jaxlangnav.grounding import load_shipped, understand, understand_parse
+from jaxlangnav.grounding.annotation import infer_annotations
+from jaxlangnav.grounding.readings import CapacityError, read, to_readings
+from jaxlangnav.grounding.symbols import object_symbol, region_symbol, relation_symbol
+from jaxlangnav.language.parser import parse
+from jaxlangnav.language.phrase import Phrase
+from jaxlangnav.messages import BEHIND, NEAR, NONE, ROBOT
+
+HYDRANT, CONE, CAR, TREE = 0, 1, 2, 4
+
+
+@pytest.fixture(scope="module")
+def model():
+    return load_shipped()
+
+
+def best(text, model):
+    found = understand(text, model).annotations[0]
+    return tuple(found[k] for k in ("figure", "relation", "landmark", "superlative")), found[
+        "probability"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("go to the hydrant", ("hydrant", None, None, False)),
+        ("go to the hydrant behind the cone", ("hydrant", "behind", "cone", False)),
+        ("go to the hydrant nearest to the cone", ("hydrant", "near", "cone", True)),
+        ("go to the cone on your left", ("cone", "left", "robot", False)),
+        ("go to the nearest cone", ("cone", "near", "robot", True)),
+        ("move behind the cone", (None, "behind", "cone", False)),
+        ("the hydrant is behind the cone", ("hydrant", "behind", "cone", False)),
+        ("find the hydrant that is closest to the cone", ("hydrant", "near", "cone", True)),
+    ],
+)
+def test_likeliest_annotation(model, text, said):
+    found, probability = best(text, model)
+    assert found == said
+    assert probability > 0.9
+
+
+def test_nested_relations_attach_to_the_inner_noun(model):
+    found = understand("go to the hydrant behind the cone near the car", model).annotations
+    said = {(a["figure"], a["relation"], a["landmark"]) for a in found if a["probability"] > 0.5}
+    assert said == {("hydrant", "behind", "cone"), ("cone", "near", "car")}
+
+
+def test_a_model_that_knows_nothing_finds_no_relation(model):
+    understood = understand("go to the hydrant behind the cone", model.zeroed())
+    assert not [a for a in understood.annotations if a["relation"] is not None]
+    assert (np.asarray(understood.instruction.readings.relation) == NONE).all()
+
+
+def rename(phrase, old, new):
+    """Copy a tree with another word of the same senses."""
+    words = tuple(
+        dataclasses.replace(w, text=new, lemma=new) if w.lemma == old else w for w in phrase.words
+    )
+    children = tuple(rename(child, old, new) for child in phrase.children)
+    return Phrase(label=phrase.label, words=words, children=children)
+
+
+@pytest.mark.parametrize(("old", "new"), [("hydrant", "zorbel"), ("behind", "abaft")])
+def test_a_new_synonym_needs_no_retraining(model, old, new):
+    tree = parse("go to the hydrant behind the cone")
+    renamed = dataclasses.replace(tree, clauses=(rename(tree.clauses[0], old, new),))
+    assert not any(new in name for name in model.annotation.vocabulary.names)
+    (said, log_probability), *_ = infer_annotations(
+        renamed, model.annotation, model.type_names
+    ).sets
+    assert said == ((relation_symbol(HYDRANT, BEHIND, CONE), 0),)
+    assert np.exp(log_probability) > 0.9
+
+
+def test_a_new_object_type_needs_no_retraining(model):
+    tree = parse("go to the hydrant behind the cone")
+    hydrant = tree.clauses[0].children[0].children[0].children[0]
+    word = dataclasses.replace(
+        hydrant.words[-1], text="ladder", lemma="ladder", senses=("type:ladder",)
+    )
+
+    def swap(phrase):
+        words = tuple(word if w.lemma == "hydrant" else w for w in phrase.words)
+        return Phrase(label=phrase.label, words=words, children=tuple(map(swap, phrase.children)))
+
+    larger = dataclasses.replace(model, type_names=(*model.type_names, "ladder"))
+    understood = understand_parse(
+        dataclasses.replace(tree, clauses=(swap(tree.clauses[0]),)), larger
+    )
+    assert understood.annotations[0]["figure"] == "ladder"
+    assert understood.annotations[0]["probability"] > 0.9
+
+
+def test_a_word_without_senses_does_not_ground_everything(model):
+    tree = parse("go to the hydrant")
+
+    def blank(phrase):
+        words = tuple(
+            dataclasses.replace(w, text="zorbel", lemma="zorbel", senses=())
+            if w.lemma == "hydrant"
+            else w
+            for w in phrase.words
+        )
+        return Phrase(label=phrase.label, words=words, children=tuple(map(blank, phrase.children)))
+
+    changed = dataclasses.replace(tree, clauses=(blank(tree.clauses[0]),))
+    belief = infer_annotations(changed, model.annotation, model.type_names)
+    assert sum(p for _, _, p in belief.marginals()) < 0.5
+
+
+def test_an_unknown_object_is_refused_by_name(model):
+    with pytest.raises(ValueError, match=r"'zorbel' \(word 7\): not an object I know"):
+        understand("go to the hydrant near the zorbel", model)
+
+
+def test_probabilities_are_probabilities(model):
+    belief = understand("go to the hydrant behind the cone", model).belief
+    total = sum(np.exp(score) for _, score in belief.sets)
+    assert 0.0 < total <= 1.0 + 1e-9
+    scores = [score for _, score in belief.sets]
+    assert scores == sorted(scores, reverse=True)
+
+
+def test_readings_of_a_relation(model):
+    readings = understand("go to the hydrant behind the cone", model).instruction.readings
+    assert np.exp(readings.log_probability).sum() == pytest.approx(1.0, abs=1e-5)
+    assert readings.mention_type[0].tolist()[:2] == [CONE, HYDRANT]
+    assert [int(x[0, 0]) for x in (readings.figure, readings.relation, readings.landmark)] == [
+        1,
+        BEHIND,
+        0,
+    ]
+    assert not readings.is_superlative[0, 0]
+    assert readings.figure.shape == (4, 4)
+    assert readings.mention_type.shape == (4, 6)
+
+
+def test_each_relation_can_be_grounded_given_the_earlier_ones():
+    outer = (relation_symbol(HYDRANT, BEHIND, CONE), 0)
+    inner = (relation_symbol(CONE, NEAR, CAR), 1)
+    reading = read((outer, inner))
+    assert reading.mentions == (CAR, CONE, HYDRANT)
+    assert reading.relations == ((1, NEAR, 0, True), (2, BEHIND, 1, False))
+
+
+def test_things_of_one_type_are_one_thing():
+    said = ((relation_symbol(HYDRANT, BEHIND, CONE), 0), (object_symbol(CONE), 0))
+    assert read(said).mentions == (CONE, HYDRANT)
+    both = read(((relation_symbol(CONE, NEAR, CONE), 0),))
+    assert both.mentions == (CONE, CONE)
+
+
+def test_a_region_without_a_figure_only_says_that_its_landmark_exists():
+    reading = read(((region_symbol(BEHIND, CONE), 0),))
+    assert reading.mentions == (CONE,)
+    assert reading.relations == ((0, NONE, NONE, False),)
+
+
+def test_the_robot_is_a_landmark_and_a_rank_says_only_existence():
+    assert read(((relation_symbol(CONE, NEAR, ROBOT), 1),)).mentions == (ROBOT, CONE)
+    assert read(((relation_symbol(CONE, NEAR, ROBOT), 2),)).relations == ((0, NONE, NONE, False),)
+
+
+def test_too_much_is_refused(model):
+    belief = understand("go to the hydrant", model).belief
+    said = tuple((relation_symbol(t, NEAR, t + 1), 0) for t in range(6))
+    crowded = dataclasses.replace(belief, sets=((said, 0.0),))
+    with pytest.raises(CapacityError, match="say less at once"):
+        to_readings(crowded)
+
+
+def test_several_commands_are_several_clauses(model):
+    understood = understand("go to the cone then find the tree quickly", model)
+    assert int(understood.instruction.num_clauses) == 2
+    assert understood.instruction.program.num_phrases.tolist() == [3, 2, 0]
+    figures = {a["figure"] for a in understood.annotations if a["probability"] > 0.5}
+    assert figures == {"cone", "tree"}
+    action = np.asarray(understood.instruction.program.action)
+    assert action[0, 0] > 0.9
+    assert action[1, 1] > 0.9
+    assert np.asarray(understood.instruction.program.mode)[1, 1] > 0.9
+
+
+def test_a_statement_informs_and_asks_nothing(model):
+    instruction = understand("the hydrant is behind the cone", model).instruction
+    assert int(instruction.num_clauses) == 0

@@ -1,0 +1,277 @@
+"""The device kernel against enumeration, padding and batch laws, and what commands ask for."""
+
+import dataclasses
+
+import chex
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from grounding_fixture import TYPES, random_topology
+from oracles.dcg import BehaviorOracle
+
+from jaxlangnav.grounding import infer_behavior, infer_behaviors, load_shipped, understand
+from jaxlangnav.grounding.behavior_features import World
+from jaxlangnav.grounding.behavior_search import infer_behavior_sets
+from jaxlangnav.grounding.program import BehaviorProgram
+from jaxlangnav.grounding.symbols import CONSTRAINT, GOAL, BehaviorSpace
+from jaxlangnav.grounding.worlds import place, to_device
+from jaxlangnav.language.labels import PlacedWorld
+from jaxlangnav.messages import AT, BEHIND, NEAR, ROBOT
+
+BEHIND_CONE = "go to the hydrant behind the cone"
+SENTENCES = (
+    BEHIND_CONE,
+    "go to the hydrant",
+    "go to the hydrant nearest to the cone",
+    "move behind the cone",
+    "find the other cone quickly",
+    "go to the hydrant that is near the cone but stay away from the car",
+    "go to the hydrant behind the cone near the car",
+)
+infer = jax.jit(infer_behavior)
+infer_all = jax.jit(infer_behaviors)
+
+
+@pytest.fixture(scope="module")
+def model():
+    return load_shipped()
+
+
+def program_of(text, model, clause=0) -> BehaviorProgram:
+    understood = understand(text, model)
+    return jax.tree.map(lambda leaf: leaf[clause], understood.instruction.program)
+
+
+def world_of(kinds, edges=(), previous=None, extremes=()):
+    """A world of object types with directed edges (relation, figure, landmark)."""
+    size = len(kinds) + 1
+    is_related = np.zeros((6, size, size), bool)
+    for edge in edges:
+        is_related[edge] = True
+    ranked = np.zeros((4, 6, size, size), bool)
+    for edge in extremes:
+        ranked[0][edge] = True
+    is_previous = np.zeros(size, bool)
+    if previous is not None:
+        is_previous[previous] = True
+    object_type = np.array([*(TYPES.index(k) for k in kinds), ROBOT], np.int32)
+    return World(object_type, np.ones(size, bool), is_related, ranked, is_previous)
+
+
+def behavior_of(text, model, world):
+    program = program_of(text, model)
+    return infer(program, to_device(world), num_phrases=program.num_phrases)
+
+
+# ---------------------------------------------------------------- what commands ask for
+
+
+def test_goal_is_the_hydrant_behind_the_cone(model):
+    world = world_of(["hydrant", "hydrant", "cone"], [(BEHIND, 1, 2)])
+    behavior = behavior_of(BEHIND_CONE, model, world)
+    assert behavior.goal[AT, 1] > 0.9
+    assert behavior.action[0] > 0.9
+    assert behavior.mode[0] > 0.9
+
+
+def test_goal_is_the_nearest_hydrant(model):
+    world = world_of(
+        ["hydrant", "hydrant", "cone"],
+        [(NEAR, 0, 2), (NEAR, 1, 2)],
+        extremes=[(NEAR, 0, 2)],
+    )
+    assert behavior_of(SENTENCES[2], model, world).goal[AT, 0] > 0.9
+
+
+def test_alike_goals_share(model):
+    goal = behavior_of("go to the hydrant", model, world_of(["hydrant", "cone", "hydrant"])).goal
+    np.testing.assert_allclose(goal[AT, jnp.array([0, 2])], 0.5, atol=0.05)
+
+
+@pytest.mark.parametrize("kinds", [["cone"], ["hydrant"], ["car", "tree"]])
+def test_no_goal_where_something_is_missing(model, kinds):
+    assert behavior_of(BEHIND_CONE, model, world_of(kinds)).goal.sum() < 0.1
+
+
+def test_region_goal_without_a_figure(model):
+    behavior = behavior_of("move behind the cone", model, world_of(["hydrant", "cone"]))
+    assert behavior.goal[BEHIND, 1] > 0.9
+
+
+def test_constraint(model):
+    world = world_of(["hydrant", "car"])
+    behavior = behavior_of("go to the hydrant but stay away from the car", model, world)
+    assert behavior.constraint[NEAR, 1] > 0.9
+    assert behavior.constraint.sum() < 1.1
+    assert behavior.goal[AT, 0] > 0.9
+
+
+def test_the_other_one(model):
+    world = world_of(["cone", "cone", "hydrant"], previous=0)
+    assert behavior_of("go to the other cone", model, world).goal[AT, 1] > 0.9
+
+
+def test_find_and_modes(model):
+    world = world_of(["cone"])
+    assert behavior_of("look for the cone", model, world).action[1] > 0.9
+    assert behavior_of("quickly go to the cone", model, world).mode[1] > 0.9
+    assert behavior_of("go slowly to the cone", model, world).mode[2] > 0.9
+
+
+def test_a_model_that_knows_nothing_prefers_no_goal(model):
+    program = program_of(BEHIND_CONE, model.zeroed())
+    world = world_of(["hydrant", "hydrant", "cone"], [(BEHIND, 1, 2)])
+    goal = infer(program, to_device(world), num_phrases=program.num_phrases).goal
+    assert goal.max() - goal[AT, 1] >= -1e-6  # no goal is singled out
+    assert goal[AT, 1] < 0.2
+
+
+# ---------------------------------------------------------------- oracles
+
+
+@pytest.mark.parametrize("text", SENTENCES)
+def test_kernel_agrees_with_the_host_search(model, text):
+    rng = np.random.default_rng(7)
+    space = BehaviorSpace(9)
+    understood = understand(text, model)
+    program = program_of(text, model)
+    for _ in range(4):
+        world = random_topology(rng)
+        beam = infer_behavior_sets(
+            understood.parse.clauses[0], 0, world, model.behavior, understood.belief.rank, TYPES, 16
+        )
+        goal, constraint = np.zeros((7, 9)), np.zeros((7, 9))
+        for hypothesis in beam:
+            chance = np.exp(hypothesis.log_probability)
+            expressed = space.part(hypothesis.expressed, GOAL)
+            goal += chance * expressed / max(expressed.sum(), 1)
+            constraint += chance * space.part(hypothesis.expressed, CONSTRAINT)
+        got = infer(program, to_device(world), num_phrases=program.num_phrases)
+        # Sharing is by marginals on the device and by sets here; both beams cut a little.
+        np.testing.assert_allclose(got.goal, goal, atol=0.03)
+        np.testing.assert_allclose(got.constraint, constraint, atol=0.03)
+
+
+@pytest.mark.parametrize("text", ["find the cone", "move behind the cone", "go to the hydrant"])
+@pytest.mark.parametrize("seed", range(3))
+def test_kernel_agrees_with_enumeration(model, text, seed):
+    rng = np.random.default_rng(seed)
+    warm = dataclasses.replace(model.behavior, temperature=2.0)
+    program = program_of(text, dataclasses.replace(model, behavior=warm))
+    world = random_topology(rng, num_objects=1, p_relation=0.5)
+    world = dataclasses.replace(world, is_object=np.ones(2, bool))
+    goal, constraint = BehaviorOracle(program, world).behavior()
+    got = infer(program, to_device(world), num_phrases=program.num_phrases)
+    # At this temperature a beam of four keeps nearly all of the probability.
+    np.testing.assert_allclose(got.goal, goal, atol=0.03)
+    np.testing.assert_allclose(got.constraint, constraint, atol=0.03)
+
+
+# ---------------------------------------------------------------- padding and batches
+
+
+@pytest.mark.parametrize("text", SENTENCES)
+def test_empty_slots_and_spare_phrases_change_nothing(model, text):
+    program = program_of(text, model)
+    world = random_topology(np.random.default_rng(1), num_objects=5)
+    plain = infer(program, to_device(world), num_phrases=program.num_phrases)
+    padded = to_device(world, 11)
+    rng = np.random.default_rng(2)
+    empty = ~np.asarray(padded.is_object)
+    both = empty[:, None] | empty[None, :]
+    noise = jnp.asarray(rng.random((6, 11, 11)) < 0.5) & jnp.asarray(both)[None]
+    dirty = dataclasses.replace(
+        padded,
+        object_type=jnp.where(jnp.asarray(empty), 3, padded.object_type),
+        is_related=padded.is_related | noise,
+        is_superlative=padded.is_superlative | noise,
+        is_previous=padded.is_previous | jnp.asarray(empty),
+    )
+    got = infer(program, dirty, num_phrases=program.num_phrases + 9)
+    kept = [*range(5), 10]
+    np.testing.assert_allclose(got.goal[:, kept], plain.goal, atol=1e-5)
+    np.testing.assert_allclose(got.constraint[:, kept], plain.constraint, atol=1e-5)
+    assert got.goal[:, 5:10].max() < 1e-6
+
+
+def test_permuting_objects_permutes_the_behavior(model):
+    program = program_of(BEHIND_CONE, model)
+    world = random_topology(np.random.default_rng(4))
+    order = np.append(np.random.default_rng(0).permutation(8), 8)
+    moved = World(
+        world.object_type[order],
+        world.is_object[order],
+        world.is_related[:, order][:, :, order],
+        world.is_ranked[:, :, order][:, :, :, order],
+        world.is_previous[order],
+    )
+    plain = infer(program, to_device(world), num_phrases=program.num_phrases)
+    got = infer(program, to_device(moved), num_phrases=program.num_phrases)
+    np.testing.assert_allclose(got.goal, plain.goal[:, order], atol=1e-5)
+
+
+def test_batches_equal_a_loop(model):
+    """Different sentences in one batch of episodes, different worlds in their particles."""
+    rng = np.random.default_rng(11)
+    texts = SENTENCES[:4]
+    programs = [program_of(text, model) for text in texts]
+    worlds = [[to_device(random_topology(rng)) for _ in range(3)] for _ in texts]
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *programs)
+    particles = [jax.tree.map(lambda *leaves: jnp.stack(leaves, -1), *row) for row in worlds]
+    episodes = jax.tree.map(lambda *leaves: jnp.stack(leaves), *particles)
+    batch = jax.jit(jax.vmap(lambda p, w: infer_behaviors(p, w, num_phrases=p.num_phrases)))
+    together = batch(stacked, episodes)
+    shared = jax.jit(jax.vmap(lambda p, w: infer_behaviors(p, w, num_phrases=24), (None, 0)))
+    same_words = shared(programs[0], episodes)
+    for e, program in enumerate(programs):
+        for p in range(3):
+            alone = infer(program, worlds[e][p], num_phrases=program.num_phrases)
+            np.testing.assert_allclose(together.goal[e, ..., p], alone.goal, atol=1e-5)
+            np.testing.assert_allclose(together.constraint[e, ..., p], alone.constraint, atol=1e-5)
+            first = infer(programs[0], worlds[e][p], num_phrases=6)
+            np.testing.assert_allclose(same_words.goal[e, ..., p], first.goal, atol=1e-5)
+
+
+def test_a_new_sentence_is_not_a_new_program(model):
+    chex.clear_trace_counter()
+    traced = jax.jit(chex.assert_max_traces(infer_behavior, n=1))
+    world = to_device(random_topology(np.random.default_rng(0)))
+    for text in SENTENCES:
+        program = program_of(text, model)
+        traced(program, world, num_phrases=program.num_phrases)
+
+
+def test_a_clause_that_does_not_exist_asks_for_nothing(model):
+    program = program_of("go to the hydrant", model, clause=2)
+    behavior = infer(program, to_device(world_of(["hydrant"])), num_phrases=6)
+    assert behavior.goal.sum() == 0.0
+    assert behavior.constraint.sum() == 0.0
+
+
+def test_too_many_slots_are_refused(model):
+    program = program_of("go to the hydrant", model)
+    world = to_device(world_of(["hydrant"]), 16)
+    with pytest.raises(ValueError, match="at most 15"):
+        infer_behavior(program, world, num_phrases=3)
+
+
+# ---------------------------------------------------------------- placed worlds
+
+
+def test_geometry_gives_the_edges():
+    placed = PlacedWorld(
+        objects=(("hydrant", 8.0, 0.0), ("cone", 6.0, 0.0), ("cone", 0.0, 3.0)),
+        robot=(0.0, 0.0, 0.0),
+        previous=1,
+    )
+    world = place(placed, TYPES)
+    assert world.is_related[BEHIND, 0, 1]
+    assert not world.is_related[BEHIND, 1, 0]
+    assert world.is_related[2, 2, 3]  # the second cone is on the robot's left
+    assert world.is_ranked[0][NEAR][2, 3]
+    assert world.is_ranked[1][NEAR][1, 3]
+    assert world.is_previous.tolist() == [False, True, False, False]
+    assert not world.is_related[:, 3].any()
+    with pytest.raises(ValueError, match="at most 2"):
+        to_device(world, 3)

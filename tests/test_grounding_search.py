@@ -1,0 +1,98 @@
+"""Search against enumeration of all correspondences."""
+
+import numpy as np
+import pytest
+from oracles.dcg import all_sets, log_probability, root_distribution
+
+from jaxlangnav.grounding.search import Hypothesis, best_sets, combinations, merge, search
+from jaxlangnav.language.phrase import Phrase
+
+
+def leaf(label="NP", *children):
+    return Phrase(label=label, words=(), children=children)
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("width", [1, 4, 11, 64])
+def test_best_sets_are_those_of_enumeration(seed, width):
+    odds = np.random.default_rng(seed).normal(0, 2, 6)
+    found = best_sets(odds, width)
+    scores = sorted((log_probability(s, odds) for s in all_sets(6)), reverse=True)[:width]
+    np.testing.assert_allclose([score for _, score in found], scores, atol=1e-9)
+    for expressed, score in found:
+        assert log_probability(expressed, odds) == pytest.approx(score)
+    assert len({expressed.tobytes() for expressed, _ in found}) == len(found)
+
+
+def test_excluded_symbols_are_never_expressed():
+    odds = np.array([0.1, -np.inf, -0.2])
+    assert not any(expressed[1] for expressed, _ in best_sets(odds, 8))
+    assert len(best_sets(odds, 8)) == 4
+
+
+def test_no_symbols_have_one_set():
+    assert [score for _, score in best_sets(np.zeros(0), 4)] == [0.0]
+
+
+def test_combinations_keep_the_best():
+    rng = np.random.default_rng(0)
+    beams = [
+        [Hypothesis(np.array([i]), s) for i, s in enumerate(-np.sort(rng.exponential(1, 4)))]
+        for _ in range(3)
+    ]
+    found = combinations(beams, 4)
+    every = sorted(
+        (
+            a.log_probability + b.log_probability + c.log_probability
+            for a in beams[0]
+            for b in beams[1]
+            for c in beams[2]
+        ),
+        reverse=True,
+    )
+    np.testing.assert_allclose([score for _, score in found], every[:4])
+
+
+def test_equal_sets_add_up():
+    one, two = np.array([True]), np.array([False])
+    merged = merge([Hypothesis(one, -1.0), Hypothesis(two, -0.9), Hypothesis(one, -1.2)], 4)
+    assert merged[0].log_probability == pytest.approx(np.logaddexp(-1.0, -1.2))
+    assert merged[1].log_probability == -0.9
+
+
+def graph_of(seed, size=2):
+    """A tree of four phrases whose odds depend on every child symbol."""
+    rng = np.random.default_rng(seed)
+    tree = leaf("VP", leaf("NP", leaf(), leaf("PP")))
+    tables = {}
+
+    def odds(phrase, path, children):
+        if path not in tables:
+            base = rng.normal(0, 1.5, size)
+            tables[path] = (base, rng.normal(0, 2, (len(phrase.children), size, size)))
+        base, weight = tables[path]
+        masks = [c.expressed if isinstance(c, Hypothesis) else c for c in children]
+        return base + sum(mask.astype(float) @ w for mask, w in zip(masks, weight, strict=True))
+
+    return tree, odds
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_wide_beam_is_exact_enumeration(seed):
+    tree, odds = graph_of(seed)
+    exact = root_distribution(tree, odds)
+    found = search(tree, odds, width=64)
+    assert sum(exact.values()) == pytest.approx(1.0)
+    assert len(found) == 4
+    for hypothesis in found:
+        chance = np.exp(hypothesis.log_probability)
+        assert chance == pytest.approx(exact[hypothesis.expressed.tobytes()], abs=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_narrow_beam_never_claims_too_much(seed):
+    tree, odds = graph_of(seed)
+    exact = root_distribution(tree, odds)
+    found = search(tree, odds, width=4)
+    for hypothesis in found:
+        assert np.exp(hypothesis.log_probability) <= exact[hypothesis.expressed.tobytes()] + 1e-12
