@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from jaxlangnav.messages import Action as Action
     from jaxlangnav.messages import Behavior as Behavior
     from jaxlangnav.messages import Observation as Observation
+    from jaxlangnav.messages import SensorParams as SensorParams
+    from jaxlangnav.messages import default_sensor as default_sensor
 
 __version__ = "0.1.0"
 
@@ -21,10 +23,21 @@ _HOMES = {
     "Behavior": "jaxlangnav.messages",
     "Navigator": "jaxlangnav.agent",
     "Observation": "jaxlangnav.messages",
+    "SensorParams": "jaxlangnav.messages",
+    "default_sensor": "jaxlangnav.messages",
     "parse": "jaxlangnav.language.parser",
 }
 
-__all__ = ["Action", "Behavior", "Navigator", "Observation", "__version__", "parse"]
+__all__ = [
+    "Action",
+    "Behavior",
+    "Navigator",
+    "Observation",
+    "SensorParams",
+    "__version__",
+    "default_sensor",
+    "parse",
+]
 
 
 def __getattr__(name: str) -> Any:
