@@ -24,6 +24,8 @@ STEPS = 8
 """Steps of one call of the shared programs."""
 HYDRANT, CONE, CAR = 0, 1, 2
 AREA = (0.0, 10.0, -5.0, 5.0)
+BRIEFLY = {"xla_backend_optimization_level": 0}
+"""For programs that are long to compile and short to run: a third of the time to compile."""
 
 Relation = tuple[int, int, int, bool]
 """Figure mention, relation, landmark mention, superlative."""

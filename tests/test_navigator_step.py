@@ -1,6 +1,7 @@
 """The agent in hand-made worlds: a perfect sensor, a perfect robot, one decision at a time."""
 
 import dataclasses
+from collections.abc import Iterator
 
 import jax
 import jax.numpy as jnp
@@ -22,8 +23,13 @@ RANGE = 3.0
 
 
 @pytest.fixture(scope="module")
-def robot() -> agent.Navigator:
-    return agent.Navigator.pretrained()
+def robot() -> Iterator[agent.Navigator]:
+    compiled = agent._step
+    agent._step = jax.jit(
+        navigator.step, static_argnames="config", compiler_options=by_hand.BRIEFLY
+    )
+    yield agent.Navigator.pretrained()
+    agent._step = compiled
 
 
 @dataclasses.dataclass
