@@ -117,9 +117,11 @@ def test_panels_say_step_and_way():
     assert figure.axes[0].get_ylabel() == "y (m)"
 
 
-def test_texts_stay_on_the_page():
+@pytest.mark.parametrize("words", [8, 20, 40])
+def test_texts_stay_on_the_page(words):
     # A headline that runs off the paper was the first fault of the first figure.
-    figure = belief_figure(make_recording(9, 20), num_panels=1)
+    text = " ".join(["hydrants"] * words)
+    figure = belief_figure(make_recording(9, 20, text=text), num_panels=1)
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     renderer = FigureCanvasAgg(figure).get_renderer()

@@ -50,6 +50,8 @@ SPLIT = {"goal": "#d55e00", "information": "#0072b2", "cost": "#6b7280"}
 """Parts of a value."""
 VALUE_STOPS = ("#f2ead3", "#e3c878", "#7fb08a", "#2f7f8f", "#173f5f")
 """Sequential ramp of the value function, light to dark: monotone in lightness."""
+_BOLD_WIDTH, _PLAIN_WIDTH = 0.69, 0.6
+"""Mean width of a character over the size of its type, on the safe side."""
 _RAMP = (0.0, 0.25, 0.5, 0.75, 1.0)
 
 
@@ -143,16 +145,30 @@ def house_style() -> Iterator[None]:
 def title(figure: "Figure", text: str, subtitle: str = "") -> None:
     """Head a figure at its upper left: what it shows in bold, how to read it beneath.
 
+    Long headlines are set smaller, and cut where even that does not fit.
+
     Args:
         figure: the figure; its layout must leave half an inch at the top.
         text: the headline.
-        subtitle: one line of explanation.
+        subtitle: lines of explanation.
     """
-    height = figure.get_figheight()
-    left = 0.12 / figure.get_figwidth()
-    figure.text(left, 1 - 0.10 / height, text, va="top", fontsize=12, fontweight="bold")
+    width, height = figure.get_figwidth(), figure.get_figheight()
+    left = 0.12 / width
+    text, size = _fitted(text, width - 0.3, 12.0, 8.0, _BOLD_WIDTH)
+    figure.text(left, 1 - 0.10 / height, text, va="top", fontsize=size, fontweight="bold")
     if subtitle:
-        figure.text(left, 1 - 0.36 / height, subtitle, va="top", fontsize=8.5, color=MUTED)
+        longest = max(subtitle.split("\n"), key=len)
+        _, size = _fitted(longest, width - 0.3, 8.5, 6.5, _PLAIN_WIDTH)
+        figure.text(left, 1 - 0.36 / height, subtitle, va="top", fontsize=size, color=MUTED)
+
+
+def _fitted(text: str, width: float, most: float, least: float, share: float) -> tuple[str, float]:
+    """Find the size in points at which a line fits into inches; cut it if there is none."""
+    size = min(most, width * 72 / (share * max(1, len(text))))
+    if size >= least:
+        return text, size
+    keep = int(width * 72 / (share * least)) - 1
+    return text[:keep].rstrip() + "…", least
 
 
 def save(figure: "Figure", stem: Path | str) -> tuple[Path, Path]:

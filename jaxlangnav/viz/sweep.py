@@ -119,18 +119,7 @@ def table_figure(document: Mapping[str, Any]) -> "Figure":
                 key = (row["world"], row["range"], row["relation"])
                 if row["policy"] == policy and key in places:
                     _draw_row(rates, ways, row, places[key] + shift)
-        labels = [
-            f"{world}, {reach:g} m, {relation or 'no relation'}" for world, reach, relation in keys
-        ]
-        rates.set_yticks(range(len(keys)), labels)
-        rates.set_ylim(len(keys) - 0.5, -0.5)
-        rates.set_xlim(right=103)
-        ways.set_xlim(left=0)
-        rates.set_xlabel("success (%)")
-        ways.set_xlabel("distance travelled (m)")
-        for axes in (rates, ways):
-            axes.grid(axis="x")
-            axes.tick_params(axis="y", length=0)
+        _label_rows(rates, ways, keys)
         number = document.get("episodes", "?")
         style.title(
             figure,
@@ -186,6 +175,22 @@ def _draw_column(above: "Axes", below: "Axes", rows: list[Row], paper: list[Row]
         axes.set_xticks(sorted({row["range"] for row in rows}))
         axes.set_xticks([], minor=True)
     below.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+
+
+def _label_rows(rates: "Axes", ways: "Axes", keys: list[tuple[Any, ...]]) -> None:
+    """Name the rows and the axes of a table's figure."""
+    labels = [
+        f"{world}, {reach:g} m, {relation or 'no relation'}" for world, reach, relation in keys
+    ]
+    rates.set_yticks(range(len(keys)), labels)
+    rates.set_ylim(len(keys) - 0.5, -0.5)
+    rates.set_xlim(right=103)
+    ways.set_xlim(left=0)
+    rates.set_xlabel("success (%)")
+    ways.set_xlabel("distance travelled (m)")
+    for axes in (rates, ways):
+        axes.grid(axis="x")
+        axes.tick_params(axis="y", length=0)
 
 
 def _draw_row(rates: "Axes", ways: "Axes", row: Row, place: float) -> None:
