@@ -10,6 +10,8 @@ are properly weighted for the same target, so the mixture is too; and when every
 refuted all are replaced, which is how the filter revives.
 """
 
+import math
+
 import jax
 import jax.numpy as jnp
 from jax import Array
@@ -176,6 +178,7 @@ def ground_words(
     comb = jax.random.uniform(pool_key, (2, pool))
     pool_x, pool_y, log_unseen = sample_unseen(belief.coverage, comb[0, 0], comb)
     scene = proposal.Scene(belief.coverage, log_unseen, belief.viewer)
+    stride = next(step for step in range(int(0.618 * number), 0, -1) if math.gcd(step, number) == 1)
     num_relations = jnp.max(jnp.sum(readings.figure >= 0, axis=1))
     ground = jax.vmap(
         proposal.ground_relation,
@@ -186,19 +189,19 @@ def ground_words(
     def body(index: Array, grounding: proposal.Grounding) -> proposal.Grounding:
         draws_key, shuffle_key = jax.random.split(jax.random.fold_in(loop_key, index))
         # Which place of the comb goes to which particle is random: a fixed assignment would tie
-        # particles to regions.
+        # particles to regions. Each row is dealt over the whole comb.
         start = jax.random.randint(shuffle_key, (), 0, pool)
-        stride = proposal.NUM_UNSEEN * (number // 3) + 1
-        chosen = (start + stride * jnp.arange(pool)) % pool
-        shape = (proposal.NUM_UNSEEN, number)
+        row = jnp.arange(proposal.NUM_UNSEEN)[:, None]
+        dealt = proposal.NUM_UNSEEN * (stride * jnp.arange(number) % number)
+        chosen = (start + dealt[None, :] + row) % pool
         unit = jax.random.uniform(draws_key, (5, number), minval=1e-6, maxval=1.0 - 1e-6)
         normal = jax.scipy.special.ndtri(unit[:4])
         draws = proposal.Draws(
             distance=normal[:2],
             angle=normal[2:],
             choice=unit[4],
-            unseen_x=pool_x[chosen].reshape(shape),
-            unseen_y=pool_y[chosen].reshape(shape),
+            unseen_x=pool_x[chosen],
+            unseen_y=pool_y[chosen],
         )
         return ground(belief.particles, readings, reading, index, grounding, draws, scene, params)
 
