@@ -151,13 +151,13 @@ def _scene(program: BehaviorProgram, world: BehaviorWorld) -> Scene:
     )
 
 
-def _keep(values: Any, count: Array) -> Any:
+def _keep(values: Any, count: Array | int) -> Any:
     """Have values computed once and kept, instead of anew inside every later fusion.
 
     XLA on CPU drops optimisation barriers before it fuses; a conditional it does not cross.
     """
     return jax.lax.cond(
-        jnp.any(count >= 0),
+        jnp.any(jnp.asarray(count) >= 0),
         lambda same: same,
         lambda same: jax.tree.map(jnp.zeros_like, same),
         values,

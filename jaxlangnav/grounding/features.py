@@ -154,8 +154,8 @@ def child_sets(space: AnnotationSpace, groundings: list[np.ndarray]) -> ChildSet
         relations |= child_relations
         if child_regions.any():
             continue
-        figures = child_relations.any((1, 2))
-        landmarks = child_relations.any((0, 1))[:num_types]
+        figures = np.any(child_relations, axis=(1, 2))
+        landmarks = np.asarray(np.any(child_relations, axis=(0, 1)))[:num_types]
         head_figures = figures & ~landmarks
         heads |= child_objects | (head_figures if head_figures.any() else figures)
     return ChildSets(objects, regions, relations, heads, bool(groundings))

@@ -38,7 +38,7 @@ class BehaviorSymbol(NamedTuple):
 
     kind: int  # any but RELATION
     relation: int  # region index for regions, goals and constraints; NONE otherwise
-    index: int  # object slot, action or mode
+    slot: int  # object slot, action or mode
 
 
 def object_symbol(figure: int) -> Annotation:

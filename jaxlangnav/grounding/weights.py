@@ -8,6 +8,7 @@ import json
 from functools import cache
 from importlib import resources
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -71,7 +72,7 @@ def load(path: Path) -> GroundingModel:
             arrays = {key: archive[key] for key in archive.files}
         trained = tuple(json.loads(str(arrays["about"]))["types"])
         models = _unpack("annotation", arrays), _unpack("behavior", arrays)
-    except (OSError, KeyError, ValueError) as error:
+    except (OSError, EOFError, KeyError, ValueError, BadZipFile) as error:
         raise ValueError(f"{path}: not a file of weights ({error})") from error
     type_names = load_lexicon().type_names
     if type_names[: len(trained)] != trained:
