@@ -23,6 +23,7 @@ LAYERS = (
     "agent",
     "world",
     "robots",
+    "environments",
     "episode",
     "recording",
     "experiments",
