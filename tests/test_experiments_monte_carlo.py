@@ -55,6 +55,8 @@ def test_worlds_are_shared_by_ranges_and_commands_but_not_by_seeds() -> None:
     near = make_tasks(cell("1H1C", "behind", 1, 2.0, 4, 0))
     far = make_tasks(cell("1H1C", "behind", 1, 20.0, 4, 0))
     same(take(near, slice(4)), dataclasses.replace(far, sensor=near.sensor))
+    null = make_tasks(cell("1H1C", "null", 0, 2.0, 4, 0))
+    np.testing.assert_array_equal(null.scenario.object_x, near.scenario.object_x)
     other = make_tasks(cell("1H1C", "behind", 1, 2.0, 4, 1))
     assert not np.any(near.scenario.goal == other.scenario.goal)
 

@@ -57,10 +57,10 @@ def test_the_paper_is_printed_as_it_stands() -> None:
 
 
 def test_cells_by_hand() -> None:
-    text = tables.markdown_table(document(row()))
+    text = tables.markdown_table(document(row(ece=0.0251, brier=None, coverage90=90.6)))
     expected = (
         "| 2H1C | 3 | behind | faithful | 67.4 (62.0-72.0) | 67.4 | 18.72 (10.00) | 18.72 (10.23) "
-        "| 10.30 (1.80) | 10.38 (1.86) | 0.50 | 3 |"
+        "| 10.30 (1.80) | 10.38 (1.86) | 0.50 | 3 | 0.025 |  | 91 |"
     )
     assert expected in text.splitlines()
 
@@ -150,7 +150,8 @@ def test_an_experiment_and_its_files(tmp_path: Path) -> None:
         ("2H1C", "frontier"),
     ]
     keys = "world range relation policy episodes success_rate success_ci distance_mean distance_sd"
-    keys += " known_distance_mean known_distance_sd spl overflows degenerate timeouts"
+    keys += " ece brier coverage90 known_distance_mean known_distance_sd spl overflows"
+    keys += " degenerate timeouts"
     assert set(keys.split()) <= set(found["rows"][0])
     assert found["rows"][0]["relation"] is None
     assert len(found["paper"]) == 2

@@ -52,6 +52,7 @@ class Experiment:
         out: str | Path | None,
         on_progress: Progress | None,
         num_particles: int,
+        calibration_episodes: int = 0,
     ) -> dict[str, Any]:
         """Run all rows for every policy.
 
@@ -62,6 +63,7 @@ class Experiment:
             out: folder for Parquet, Markdown and manifest; nothing is written if None.
             on_progress: called with the number of episodes just finished.
             num_particles: P, of the navigator's policies.
+            calibration_episodes: of each row, the first so many are judged step by step.
 
         Returns:
             The document: ``rows``, ``paper``, ``bounds``, ``sentences``, ``noise``, ``wall_s``
@@ -82,6 +84,7 @@ class Experiment:
                 episodes=episodes,
                 seed=seed,
                 num_particles=num_particles,
+                calibration_episodes=calibration_episodes,
                 on_progress=on_progress,
             )
         keys = {(one.world, one.range, one.relation) for one in self.specs}
@@ -92,6 +95,7 @@ class Experiment:
             "policies": list(names),
             "seed": seed,
             "num_particles": num_particles,
+            "calibration_episodes": min(episodes, calibration_episodes),
             "sentences": SENTENCES,
             "noise": default_noise(),
             "rows": found.rows,

@@ -1,8 +1,9 @@
 """Running many episodes: keys, tasks, batches of fixed shape, threads (section 4.2).
 
 Every batch has the same shape, so one compiled program serves the whole grid, and a result does
-not depend on how many episodes are asked for: episode i of a (world, relation) has its scenario
-and its noise from (seed, world, relation, i) alone, whatever the policy, range or batch.
+not depend on how many episodes are asked for: episode i of a world has its scenario and its noise
+from (seed, world, i) alone, whatever the policy, range or batch. Commands share them too: "null"
+and "behind" are asked for in the same places, as in the paper.
 """
 
 import concurrent.futures
@@ -12,7 +13,7 @@ import os
 import threading
 import zlib
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -34,6 +35,8 @@ LANES = 32
 BLOCK = 256
 """Worlds drawn, and episodes of a baseline run, in one call."""
 
+Result = TypeVar("Result")
+"""Any record of arrays that lead with the episodes."""
 Progress = Callable[[int], None]
 """Called with the number of episodes just finished."""
 
@@ -96,7 +99,7 @@ def draw_tasks(cells: Sequence[Cell], index: np.ndarray, numbers: np.ndarray) ->
     Args:
         cells: the cells they come from; ``episodes`` and ``first_episode`` are not read.
         index: i[E], which cell each episode is of.
-        numbers: i[E], its number within the cell's (seed, world, relation).
+        numbers: i[E], its number within the cell's (seed, world).
 
     Returns:
         Tasks, leaves [E, …]; an episode's depends on its cell and number only.
@@ -134,9 +137,8 @@ def draw_tasks(cells: Sequence[Cell], index: np.ndarray, numbers: np.ndarray) ->
 
 
 def _root(one: Cell) -> Array:
-    """Derive the key of a cell: policies, ranges and noise levels share it, to be paired."""
-    label = zlib.crc32(f"{one.world}|{one.relation}".encode())
-    return jax.random.fold_in(jax.random.key(one.seed), label)
+    """Derive the key of a cell: policies, commands, ranges, noise levels share it, to be paired."""
+    return jax.random.fold_in(jax.random.key(one.seed), zlib.crc32(one.world.encode()))
 
 
 def _describe(one: Cell) -> dict[str, Any]:
@@ -214,13 +216,13 @@ def pieces(number: int, capacity: int, threads: int) -> list[tuple[int, int]]:
 
 
 def map_pieces(
-    run: Callable[[Task, int], EpisodeResult],
+    run: Callable[[Task, int], Result],
     tasks: Task,
     *,
     capacity: int,
     on_progress: Progress | None = None,
     num_threads: int | None = None,
-) -> EpisodeResult:
+) -> Result:
     """Cut tasks into pieces, filled up to one shape, and run them, several at once.
 
     Args:
@@ -236,18 +238,19 @@ def map_pieces(
     number = tasks.instruction_index.shape[0]
     threads = num_threads or usable_cores()
 
-    def work(piece: tuple[int, int]) -> EpisodeResult:
+    def work(piece: tuple[int, int]) -> Result:
         first, size = piece
         place = np.arange(capacity)
         chunk = take_tasks(tasks, first + np.where(place < size, place, 0))
         return jax.tree.map(lambda leaf: np.asarray(leaf)[:size], run(chunk, size))
 
-    results: list[EpisodeResult] = []
+    results: list[Result] = []
+    parts = pieces(number, capacity, threads)
     with concurrent.futures.ThreadPoolExecutor(threads) as pool:
-        for result in pool.map(work, pieces(number, capacity, threads)):
+        for (_, size), result in zip(parts, pool.map(work, parts), strict=True):
             results.append(result)
             if on_progress is not None:
-                on_progress(len(result.distance))
+                on_progress(size)
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *results)
 
 

@@ -11,8 +11,9 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxlangnav.episode import EpisodeResult
+from jaxlangnav.episode import EpisodeResult, Task
 from jaxlangnav.experiments.bounds import limits
+from jaxlangnav.experiments.calibration import scores, tally_tasks
 from jaxlangnav.experiments.metrics import summarize
 from jaxlangnav.experiments.monte_carlo import (
     Progress,
@@ -20,11 +21,18 @@ from jaxlangnav.experiments.monte_carlo import (
     concatenate,
     known_distances,
     make_tasks,
+    take_tasks,
 )
-from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, check_policies, run_policy
+from jaxlangnav.experiments.policies import (
+    DEFAULT_PARTICLES,
+    check_policies,
+    navigator_config,
+    run_policy,
+)
 from jaxlangnav.experiments.sentences import SENTENCES, GroundedSentences
 from jaxlangnav.messages import default_motion, default_sensor
-from jaxlangnav.navigator import NavigatorParams
+from jaxlangnav.navigator import NavigatorParams, default_params
+from jaxlangnav.planner.params import POLICIES
 from jaxlangnav.world.templates import TableRow
 
 Row = dict[str, Any]
@@ -81,6 +89,7 @@ def run_rows(
     seed: int,
     num_particles: int = DEFAULT_PARTICLES,
     params: NavigatorParams | None = None,
+    calibration_episodes: int = 0,
     on_progress: Progress | None = None,
 ) -> RowResults:
     """Run rows for every policy, on the same worlds and noise.
@@ -93,6 +102,8 @@ def run_rows(
         seed: root seed of worlds and noise.
         num_particles: P, of the navigator's policies.
         params: the navigator's numbers; its defaults if None.
+        calibration_episodes: of each row, the first so many are run once more with every step's
+            belief held against the truth.
         on_progress: called with the number of episodes just finished.
 
     Returns:
@@ -128,8 +139,38 @@ def run_rows(
             for index, one in enumerate(specs)
         ]
         parts.append(_columns(specs, policy, number, seed) | result_columns(results, known))
+        judged = min(number, calibration_episodes) if policy in POLICIES else 0
+        found = _calibration(specs, tasks, sentences, policy, num_particles, params, judged)
+        for row, judgement in zip(rows[-len(specs) :], found, strict=True):
+            row |= judgement
     columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     return RowResults(rows=rows, columns=columns)
+
+
+def _calibration(
+    specs: Sequence[RowSpec],
+    tasks: Task,
+    sentences: GroundedSentences,
+    policy: str,
+    num_particles: int,
+    params: NavigatorParams | None,
+    judged: int,
+) -> list[dict[str, float | None]]:
+    """Judge the belief in the first episodes of every row; no scores where none is judged."""
+    if not judged:
+        return [{"ece": None, "brier": None, "coverage90": None} for _ in specs]
+    size = int(tasks.instruction_index.shape[0]) // len(specs)
+    index = np.concatenate([place * size + np.arange(judged) for place in range(len(specs))])
+    tally = tally_tasks(
+        take_tasks(tasks, index),
+        sentences.instructions,
+        params=default_params() if params is None else params,
+        config=navigator_config(policy, num_particles),
+    )
+    return [
+        scores(jax.tree.map(lambda leaf, at=at: leaf[at * judged : (at + 1) * judged], tally))
+        for at in range(len(specs))
+    ]
 
 
 def _row(one: RowSpec, policy: str, results: EpisodeResult, known: np.ndarray, span: slice) -> Row:

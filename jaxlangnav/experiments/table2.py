@@ -15,6 +15,8 @@ from jaxlangnav.experiments.rows import RowSpec
 from jaxlangnav.experiments.tables import caption, markdown_table, rich_table
 from jaxlangnav.world.templates import TABLE_2
 
+CALIBRATION_EPISODES = 32
+"""Episodes of a row in which every step's belief is held against the truth."""
 _TITLE = "Table 2: ours beside the paper's"
 
 
@@ -60,6 +62,7 @@ def reproduce_table2(
     out: str | Path | None = None,
     on_progress: Progress | None = None,
     num_particles: int = DEFAULT_PARTICLES,
+    calibration_episodes: int = CALIBRATION_EPISODES,
 ) -> dict[str, Any]:
     """Run the seven rows of Table 2 for every policy.
 
@@ -70,6 +73,7 @@ def reproduce_table2(
         out: folder for Parquet, Markdown and manifest; nothing is written if None.
         on_progress: called with the number of episodes just finished.
         num_particles: P, of the navigator's policies.
+        calibration_episodes: of each row, the first so many are judged step by step.
 
     Returns:
         The document, see ``Experiment.run``.
@@ -84,6 +88,7 @@ def reproduce_table2(
         out=out,
         on_progress=on_progress,
         num_particles=num_particles,
+        calibration_episodes=calibration_episodes,
     )
 
 

@@ -19,6 +19,9 @@ HEADINGS = (
     "paper (σ)",
     "SPL",
     "Time-outs",
+    "ECE",
+    "Brier",
+    "90 % region",
 )
 TERMINAL_HEADINGS = (
     "World",
@@ -63,7 +66,16 @@ def cells(row: Row, paper: Row | None) -> list[str]:
         _with_sd(printed, "known_distance") if printed else "",
         f"{row['spl']:.2f}",
         str(row["timeouts"]),
+        _score(row, "ece", ".3f"),
+        _score(row, "brier", ".3f"),
+        _score(row, "coverage90", ".0f"),
     ]
+
+
+def _score(row: Row, name: str, form: str) -> str:
+    """Write a score of calibration; a policy without a belief has none."""
+    value = row.get(name)
+    return "" if value is None else format(value, form)
 
 
 def _with_sd(row: Row, name: str) -> str:
@@ -142,7 +154,7 @@ def _terminal_cells(row: Row, paper: Row | None) -> list[str]:
         texts[6],
         printed,
         texts[8],
-        *texts[10:],
+        *texts[10:12],
     ]
 
 
@@ -170,6 +182,12 @@ def caption(document: dict[str, Any]) -> str:
         f"Worlds that missed their law and are left out: {invalid}; detections without a slot and "
         f"steps with all weights dead: {broken}."
     )
+    if document.get("calibration_episodes"):
+        lines.append(
+            f"Calibration, over every step of {document['calibration_episodes']} episodes a row: "
+            'ECE and Brier score of "this object is the goal"; share of steps (%) at which the '
+            "90 % region holds the goal."
+        )
     lines += [f"{name}: {KNOWLEDGE[name]}." for name in document["policies"]]
     for bound in document.get("bounds", []):
         if bound["search_law"] is not None:
