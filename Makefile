@@ -24,7 +24,7 @@ INSTRUCTION ?= go to the hydrant behind the cone
 OUT ?= demo
 ARGS ?=
 
-.PHONY: help demo test test-all lint format types check build clean
+.PHONY: help demo test test-all lint format types check build docs clean
 
 help: ## this list
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -54,8 +54,11 @@ check: lint types test ## what continuous integration runs
 build: $(STAMPS)/dev ## a wheel and a source archive in dist/
 	@$(BIN)/python -m build
 
+docs: $(STAMPS)/docs ## the documentation in site/, every link checked
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
+
 clean: ## remove the environments and what the tools left
-	@rm -rf .venv .venv-* dist build .pytest_cache .ruff_cache .hypothesis
+	@rm -rf .venv .venv-* dist site build .pytest_cache .ruff_cache .hypothesis
 
 # Environments. A stamp is written last, so an interrupted set-up is done again; a changed
 # pyproject.toml or constraints.txt updates the environment in place.
@@ -88,3 +91,8 @@ $(STAMPS)/dev: $(STAMPS)/python $(PROJECT)
 	@echo "Installing jaxlangnav with the development tools into $(VENV) (about a minute, once)"
 	$(INSTALL) --editable '.[viz,dev]'
 	mkdir -p $(@D) && touch $(STAMPS)/viz $@
+
+$(STAMPS)/docs: $(STAMPS)/dev
+	@echo "Installing the documentation tools into $(VENV)"
+	$(INSTALL) --editable '.[viz,dev,docs]'
+	touch $@
