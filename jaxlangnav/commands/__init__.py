@@ -13,5 +13,6 @@ SUMMARIES = {
     "reproduce": "Run an experiment of the paper and set it beside the printed numbers.",
     "sweep": "Run any grid of worlds, commands, ranges and policies; resumable.",
     "summarize": "Print the tables of a sweep, with intervals and paired tests.",
+    "bench": "Measure speed, as ratios against baselines in the same run.",
 }
 """Every command and its line in ``jaxlangnav --help``; the module has the command's name."""
