@@ -17,6 +17,8 @@ from jaxlangnav.planner.params import default_planner_params
 from jaxlangnav.pytree import replace
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 
+SEARCHES = ("frontier", "lawnmower", "arc")
+
 
 @pytest.fixture(scope="module")
 def instructions() -> Any:
@@ -66,6 +68,28 @@ def test_two_passes_see_the_whole_area(reach: float) -> None:
     assert np.all(nearest <= 1.05 * reach)
 
 
+def test_arcs_by_hand() -> None:
+    area = jnp.array([0.0, 10.0, -7.0, 7.0])
+    reach = jnp.float32(2.0)
+    points = np.array([baselines.arc_waypoint(area, reach, jnp.int32(leg)) for leg in range(24)])
+    radius = np.hypot(points[:, 0], points[:, 1])
+    np.testing.assert_allclose(radius, np.repeat([6.6, 9.5, 3.4], 8), rtol=1e-5)
+    angle = np.arctan2(points[:, 1], points[:, 0])
+    widest = np.pi / 4 - np.arcsin(1.6 / 6.6)
+    np.testing.assert_allclose(angle[:8], np.linspace(-widest, widest, 8), atol=1e-5)
+    # The next pass comes back the other way; after three it mows the lawn.
+    assert angle[8] == pytest.approx(-angle[15], abs=1e-5)
+    assert angle[8] > 0.0
+    after = baselines.arc_waypoint(area, reach, jnp.int32(24))
+    np.testing.assert_allclose(after, baselines.lane_waypoint(area, reach, jnp.int32(0)))
+
+
+def test_knowing_the_law_is_worth_metres(instructions: Any) -> None:
+    tasks = make_tasks(cell("1H1C", "null", 0, 3.0, BLOCK, 11))
+    mean = {name: float(np.mean(run(name, tasks, instructions).distance)) for name in SEARCHES}
+    assert mean["arc"] < mean["frontier"] < mean["lawnmower"]
+
+
 def test_the_known_map_goes_straight(tasks: Task, instructions: Any) -> None:
     result = run("known", tasks, instructions)
     assert np.all(result.is_success)
@@ -74,7 +98,7 @@ def test_the_known_map_goes_straight(tasks: Task, instructions: Any) -> None:
 
 
 def test_a_blind_search_is_right_half_of_the_time(tasks: Task, instructions: Any) -> None:
-    for policy in ("frontier", "lawnmower"):
+    for policy in SEARCHES:
         result = run(policy, tasks, instructions)
         rate = float(np.mean(result.is_success))
         assert abs(rate - 0.5) < 5 * np.sqrt(0.25 / BLOCK), policy
@@ -104,7 +128,7 @@ def test_what_is_not_seen_changes_nothing(tasks: Task, instructions: Any) -> Non
             goal=scenario.goal[::-1],
         ),
     )
-    for policy in ("frontier", "lawnmower"):
+    for policy in SEARCHES:
         one, other = run(policy, blind, instructions), run(policy, moved, instructions)
         np.testing.assert_array_equal(one.final, other.final)
         np.testing.assert_array_equal(one.distance, other.distance)
@@ -127,7 +151,7 @@ def test_a_noiseless_walk_by_hand(instructions: Any) -> None:
         motion=replace(tasks.motion, odometry_noise=jnp.zeros(BLOCK)),
     )
     reach = float(default_planner_params().reach)
-    for policy in ("frontier", "lawnmower"):
+    for policy in SEARCHES:
         result = run(policy, tasks, instructions)
         assert np.all(result.is_success)
         # Whole steps of a metre, the last one cut short at the target.

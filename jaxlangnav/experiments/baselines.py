@@ -8,11 +8,14 @@ navigator: whatever differs is the policy. What each of them knows:
   the nearest edge of what it has seen, and to the first object of that type that it sees.
 - ``lawnmower``: the same, but it sweeps the operating area in lanes as wide as it sees. It does not
   know by what law the worlds are drawn.
+- ``arc``: the same, and it does know that law: hydrants stand within ±45° ahead, about 0.7 of the
+  area's depth away. It sweeps along that arc, then along one farther out and one nearer.
 
-Neither of the last two reads the relation; of two hydrants they are right half of the time.
+None of the last three reads the relation; of two hydrants they are right half of the time.
 """
 
 import functools
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -31,9 +34,16 @@ from jaxlangnav.world.motion import move
 from jaxlangnav.world.sensor import sense
 from jaxlangnav.world.state import Scenario, WorldState
 
-BASELINES = ("frontier", "lawnmower", "known")
+Waypoint = Callable[[Array, Array, Array], tuple[Array, Array]]
+"""From area, range and waypoints reached to the next waypoint."""
+BASELINES = ("frontier", "lawnmower", "arc", "known")
 _ARRIVAL = 0.5
 """Metres from a waypoint of the search at which it counts as reached."""
+_ARC_POINTS = 8
+_ARC_RADII = (0.0, 1.6, -1.6)
+"""Of the passes: metres from the likeliest range, in sensing ranges."""
+_ARC_DEPTH, _ARC_MARGIN = 0.66, 0.8
+"""Likeliest range as a share of the area's depth; how much of its range it stays from the edge."""
 _NUM_CELLS, _NUM_BLOCKS = 32, 8
 _FRONTIER_MISS = 0.5
 _LANE_MARGINS = (1.0, 0.3)
@@ -142,13 +152,42 @@ def lane_waypoint(area: Array, range_max: Array, leg: Array) -> tuple[Array, Arr
     return x, y
 
 
-def _explore_lanes(explorer: Explorer, pose: Array, sensor: SensorParams) -> Explorer:
-    """Go on to the next waypoint of the sweep once this one is reached."""
+def arc_waypoint(area: Array, range_max: Array, leg: Array) -> tuple[Array, Array]:
+    """Compute a waypoint of the sweep by the worlds' law; after three arcs it goes on in lanes.
+
+    Args:
+        area: f32[4], x_min, x_max, y_min, y_max, metres; the start is in the middle of x_min.
+        range_max: f32[], sensing range, metres.
+        leg: i32[], waypoints reached so far.
+
+    Returns:
+        x and y, f32[] metres.
+    """
+    depth = area[1] - area[0]
+    sweep, point = leg // _ARC_POINTS, leg % _ARC_POINTS
+    offset = jnp.asarray(_ARC_RADII)[jnp.minimum(sweep, len(_ARC_RADII) - 1)]
+    radius = jnp.clip(_ARC_DEPTH * depth + offset * range_max, 0.2 * depth, 0.95 * depth)
+    reach = jnp.clip(
+        jnp.pi / 4 - jnp.arcsin(jnp.minimum(_ARC_MARGIN * range_max / radius, 0.99)), 0
+    )
+    share = point.astype(jnp.float32) / (_ARC_POINTS - 1)
+    angle = reach * (2.0 * share - 1.0) * jnp.where(sweep % 2 == 0, 1.0, -1.0)
+    lane_x, lane_y = lane_waypoint(area, range_max, leg - _ARC_POINTS * len(_ARC_RADII))
+    is_arc = sweep < len(_ARC_RADII)
+    x = area[0] + radius * jnp.cos(angle)
+    y = 0.5 * (area[2] + area[3]) + radius * jnp.sin(angle)
+    return jnp.where(is_arc, x, lane_x), jnp.where(is_arc, y, lane_y)
+
+
+def _explore_sweep(
+    explorer: Explorer, pose: Array, sensor: SensorParams, waypoint: Waypoint
+) -> Explorer:
+    """Go on to the next waypoint of a sweep once this one is reached."""
     area = explorer.coverage.area
-    x, y = lane_waypoint(area, sensor.range_max, explorer.leg)
+    x, y = waypoint(area, sensor.range_max, explorer.leg)
     is_there = jnp.hypot(x - pose[0], y - pose[1]) < _ARRIVAL
     leg = explorer.leg + is_there.astype(jnp.int32)
-    x, y = lane_waypoint(area, sensor.range_max, leg)
+    x, y = waypoint(area, sensor.range_max, leg)
     return _towards(explorer, x, y, leg)
 
 
@@ -222,18 +261,22 @@ def _start(scenario: Scenario) -> _Run:
 
 
 def explore(task: Task, figure_type: Array, *, policy: str, max_steps: int) -> EpisodeResult:
-    """Run one episode of ``frontier`` or ``lawnmower``.
+    """Run one episode of ``frontier``, ``lawnmower`` or ``arc``.
 
     Args:
         task: key, scenario, sensor and odometry.
         figure_type: i32[], type of object to look for.
-        policy: which of the two.
+        policy: which of the three.
         max_steps: cycles until a time-out.
 
     Returns:
         The result.
     """
-    explore_on = _explore_lanes if policy == "lawnmower" else _explore_frontiers
+    explore_on = {
+        "frontier": _explore_frontiers,
+        "lawnmower": functools.partial(_explore_sweep, waypoint=lane_waypoint),
+        "arc": functools.partial(_explore_sweep, waypoint=arc_waypoint),
+    }[policy]
 
     def is_running(run: _Run) -> Array:
         return ~run.is_stopped & (run.steps < max_steps)

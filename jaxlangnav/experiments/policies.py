@@ -24,6 +24,7 @@ KNOWLEDGE = {
     "faithful": "the sentence, the operating area, what it sees; the paper's QMDP policy",
     "frontier": "the operating area, the type to look for, what it sees; nearest frontier first",
     "lawnmower": "the operating area, the type to look for, what it sees; sweeps in lanes",
+    "arc": "as lawnmower, and by what law the worlds are drawn; sweeps along the likeliest arc",
     "known": "the whole map and its own true position",
 }
 """What each policy may use, for the captions of tables."""
