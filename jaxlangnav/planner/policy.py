@@ -119,8 +119,10 @@ def choose(
         _, rate, expected = latency(
             belief, search, robot_x, robot_y, range_max, params.information_offset
         )
-        # The best tour's first viewpoint ranks first; the others keep the order of their rates.
-        rank = jnp.where(jnp.isfinite(expected), 1.0 + 1.0 / (1.0 + expected), rate)
+        # What is still to be found, per metre until it is: viewpoints without a tour come last.
+        left = jnp.sum(search.mass)
+        metres = expected / jnp.maximum(left, 1e-6)
+        rank = jnp.where(jnp.isfinite(expected), left / (1.0 + metres), 1e-3 * rate)
         information_value = jnp.zeros_like(goal_value).at[: rank.shape[0]].set(rank)
         best_confirmed = jnp.max(goals.object_confirmed)
         size = goals.object_x.shape[0]

@@ -20,7 +20,7 @@ from jaxlangnav.messages import Observation, Readings
 from jaxlangnav.numerics import categorical
 from jaxlangnav.numerics.resampling import effective_sample_size, systematic
 from jaxlangnav.pytree import pytree, replace
-from jaxlangnav.semantic_map import association, motion, particle, proposal
+from jaxlangnav.semantic_map import association, motion, options, particle, proposal
 from jaxlangnav.semantic_map.coverage import (
     Coverage,
     area_size,
@@ -174,10 +174,10 @@ def ground_words(
     share = jnp.cumsum(jnp.exp(readings.log_probability))
     uniform = jax.random.uniform(reading_key, (number,)) * share[-1]
     reading = jnp.sum(share[:-1, None] <= uniform[None, :], axis=0).astype(jnp.int32)
-    pool = proposal.NUM_UNSEEN * number
+    pool = options.NUM_UNSEEN * number
     comb = jax.random.uniform(pool_key, (2, pool))
     pool_x, pool_y, log_unseen = sample_unseen(belief.coverage, comb[0, 0], comb)
-    scene = proposal.Scene(belief.coverage, log_unseen, belief.viewer)
+    scene = options.Scene(belief.coverage, log_unseen, belief.viewer)
     stride = next(step for step in range(int(0.618 * number), 0, -1) if math.gcd(step, number) == 1)
     num_relations = jnp.max(jnp.sum(readings.figure >= 0, axis=1))
     ground = jax.vmap(
@@ -191,12 +191,12 @@ def ground_words(
         # Which place of the comb goes to which particle is random: a fixed assignment would tie
         # particles to regions. Each row is dealt over the whole comb.
         start = jax.random.randint(shuffle_key, (), 0, pool)
-        row = jnp.arange(proposal.NUM_UNSEEN)[:, None]
-        dealt = proposal.NUM_UNSEEN * (stride * jnp.arange(number) % number)
+        row = jnp.arange(options.NUM_UNSEEN)[:, None]
+        dealt = options.NUM_UNSEEN * (stride * jnp.arange(number) % number)
         chosen = (start + dealt[None, :] + row) % pool
         unit = jax.random.uniform(draws_key, (5, number), minval=1e-6, maxval=1.0 - 1e-6)
         normal = jax.scipy.special.ndtri(unit[:4])
-        draws = proposal.Draws(
+        draws = options.Draws(
             distance=normal[:2],
             angle=normal[2:],
             choice=unit[4],
