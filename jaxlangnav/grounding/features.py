@@ -30,6 +30,7 @@ NUM_IDENTITY = 8
 RESTRICTORS = ("PP", "ADJP", "SBAR")
 """Labels of child phrases that say where the figure of a noun phrase is."""
 IDENTITY_SCALE = 0.4
+WORD_SCALE = 0.2
 GRAM_SCALE = 0.3
 FEATURE_GROUPS = ("word", "tag", "sense", "gram", "shape")
 """Groups of word-side features that an ablation may leave out."""
@@ -93,7 +94,7 @@ def word_features(phrase: Phrase, without: frozenset[str] = frozenset()) -> dict
     """
     groups: dict[str, dict[str, float]] = {group: {} for group in FEATURE_GROUPS}
     for word in phrase.words:
-        groups["word"][f"word={word.lemma}"] = IDENTITY_SCALE
+        groups["word"][f"word={word.lemma}"] = WORD_SCALE
         groups["tag"][f"tag={word.tag}"] = 0.5
         for sense in word.senses:
             groups["sense"][f"sense={sense}"] = IDENTITY_SCALE
@@ -106,10 +107,10 @@ def word_features(phrase: Phrase, without: frozenset[str] = frozenset()) -> dict
     shape[f"length={min(len(phrase.words), 3)}"] = 0.5
     for child in phrase.children:
         shape[f"child={child.label}"] = 1.0
-        shape[f"pair={phrase.label}>{child.label}"] = 0.5
+        shape[f"pair={phrase.label}>{child.label}"] = 0.2
         classes = {sense.partition(":")[0] for word in child.words for sense in word.senses}
         for name in classes or {"none"}:
-            groups["sense"][f"below={child.label}:{name}"] = 1.0
+            groups["sense"][f"below={child.label}:{name}"] = 0.5
     shape[f"children={min(len(phrase.children), 3)}"] = 0.5
     features = {"bias": 1.0}
     for group, values in groups.items():

@@ -36,7 +36,7 @@ class Factors:
 class TrainingConfig:
     """How a model is trained."""
 
-    l2: float = 0.05
+    l2: float = 0.01
     max_steps: int = 300
     tolerance: float = 1e-3  # of the largest gradient component
 
