@@ -18,7 +18,7 @@ from jaxlangnav.messages import BEHIND, NEAR, NONE
 from jaxlangnav.relations import default_params
 
 HYDRANT, CONE = by_hand.HYDRANT, by_hand.CONE
-ALPHA, RANGE, DETECTION, NOISE, ODOMETRY = 0.5, 3.0, 0.9, 0.1, 0.02
+ALPHA, DETECTION, NOISE, ODOMETRY = 0.5, 0.9, 0.1, 0.02
 X_MIN, X_MAX, Y_MIN, Y_MAX = by_hand.AREA
 DRAWS = 7
 """Posterior draws a truth is ranked among: few, for particles share ancestors."""
@@ -57,15 +57,17 @@ def draw_world(random: np.random.Generator, relation: int) -> Truth:
         return Truth(np.array(kind), np.concatenate([[figure], [landmark], others]))
 
 
-def drive(random: np.random.Generator, world: Truth):
+def drive(random: np.random.Generator, world: Truth, reach: float, view: float):
     """Drive straight in a random direction; look at every step."""
     angle, position, odometry = random.uniform(-1.0, 1.0), np.zeros(2), np.zeros(2)
     step = random.uniform(0.5, 1.0) * np.array([np.cos(angle), np.sin(angle)])
     looks = []
-    specification = by_hand.sensor(RANGE, probability=DETECTION, noise=NOISE)
+    specification = by_hand.sensor(reach, view, DETECTION, NOISE)
     for _ in range(by_hand.STEPS):
         offset = world.place - position
-        is_seen = np.hypot(*offset.T) <= RANGE
+        bearing = np.arctan2(offset[:, 1], offset[:, 0]) - angle
+        is_seen = np.hypot(*offset.T) <= reach
+        is_seen &= np.abs(np.angle(np.exp(1j * bearing))) <= 0.5 * view
         is_seen &= random.uniform(size=len(is_seen)) < DETECTION
         found = offset[is_seen] + random.normal(0.0, NOISE, (is_seen.sum(), 2))
         order = random.permutation(len(found))
@@ -82,7 +84,7 @@ def drive(random: np.random.Generator, world: Truth):
     return by_hand.stack(looks)
 
 
-def simulate(relation: int, rounds: int, seed: int):
+def simulate(relation: int, rounds: int, seed: int, reach: float = 3.0, view: float = 2 * np.pi):
     """Run rounds × SEEDS episodes.
 
     Returns the truths f64[E, 2], draws of the posterior f64[E, DRAWS, 2], and for each hydrant
@@ -98,7 +100,7 @@ def simulate(relation: int, rounds: int, seed: int):
             jax.random.split(jax.random.key(seed + index), by_hand.SEEDS),
             by_hand.repeat(by_hand.begin(), by_hand.SEEDS),
             by_hand.repeat(sentence, by_hand.SEEDS),
-            by_hand.stack([drive(random, world) for world in worlds]),
+            by_hand.stack([drive(random, world, reach, view) for world in worlds]),
             numbers,
         )
         weight = np.exp(np.asarray(beliefs.log_weight, float))
@@ -155,8 +157,8 @@ def check_events(believed: np.ndarray, happened: np.ndarray) -> None:
     assert abs(error) < 0.03
 
 
-def check(relation: int, rounds: int, seed: int, level: float) -> None:
-    truths, draws, believed, happened = simulate(relation, rounds, seed)
+def check(relation: int, rounds: int, seed: int, level: float, **sensor: float) -> None:
+    truths, draws, believed, happened = simulate(relation, rounds, seed, **sensor)
     assert happened.mean() > 0.1
     for axis in (0, 1):
         check_ranks(truths[:, axis], draws[..., axis], level)
@@ -173,3 +175,9 @@ def test_calibrated_on_its_own_worlds() -> None:
 @pytest.mark.parametrize("relation", [BEHIND, NEAR], ids=["behind", "near"])
 def test_calibrated_on_thousands_of_its_own_worlds(relation: int) -> None:
     check(relation, rounds=18, seed=100 + relation, level=0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("reach", "degrees"), [(1.5, 360), (6.0, 360), (3.0, 90)])
+def test_calibrated_for_other_sensors(reach: float, degrees: float) -> None:
+    check(BEHIND, rounds=16, seed=500, level=0.001, reach=reach, view=np.deg2rad(degrees))

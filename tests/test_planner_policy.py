@@ -1,0 +1,223 @@
+"""Choosing waypoints by hand: search map, tours, commitment, stop (eq. 9-10)."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import readings as by_hand
+
+from jaxlangnav.messages import NONE
+from jaxlangnav.planner import policy
+from jaxlangnav.planner.goals import Goals
+from jaxlangnav.planner.graph import FRONTIER, OBJECT, VISITED, Nodes
+from jaxlangnav.planner.information import squared_distance_to_segment
+from jaxlangnav.planner.params import PlannerConfig, default_planner_params
+from jaxlangnav.planner.search import CELLS, LATTICE, latency, search_map, viewpoints, visibility
+from jaxlangnav.pytree import replace
+from jaxlangnav.semantic_map.params import MapConfig
+
+P, SLOTS = 16, 3
+CONFIG = MapConfig(num_particles=P, num_objects=SLOTS, num_cells=24)
+SEARCH_MAP, LATENCY = jax.jit(search_map), jax.jit(latency)
+CHOOSE = jax.jit(policy.choose, static_argnames="config")
+
+
+def believe(hypotheses, *, is_hung: bool, log_miss=None):
+    """Build a belief whose first mention is hypothesised at f64[P, 2] in each particle."""
+    belief = by_hand.begin(config=CONFIG)
+    x, y = (jnp.asarray(np.asarray(hypotheses)[:, axis], jnp.float32) for axis in (0, 1))
+    particles = belief.particles
+    particles = replace(
+        particles,
+        is_mentioned=particles.is_mentioned.at[0].set(True),
+        hypothesis_x=particles.hypothesis_x.at[0].set(x),
+        hypothesis_y=particles.hypothesis_y.at[0].set(y),
+        root=particles.root.at[0].set(0 if is_hung else NONE),
+    )
+    belief = replace(belief, particles=particles)
+    return belief if log_miss is None else by_hand.with_coverage(belief, log_miss)
+
+
+def random_places(seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).uniform([0.0, -5.0], [10.0, 5.0], (P, 2))
+
+
+def test_distance_to_a_segment_by_hand() -> None:
+    for point, start, end, expected in (
+        ((0.0, 1.0), (0.0, 0.0), (2.0, 0.0), 1.0),
+        ((-3.0, 4.0), (0.0, 0.0), (2.0, 0.0), 25.0),
+        ((5.0, 0.0), (0.0, 0.0), (2.0, 0.0), 9.0),
+        ((1.0, 1.0), (0.0, 0.0), (2.0, 2.0), 0.0),
+        ((3.0, 4.0), (0.0, 0.0), (0.0, 0.0), 25.0),
+    ):
+        value = squared_distance_to_segment(*(jnp.float32(v) for v in (*point, *start, *end)))
+        assert abs(float(value) - expected) < 1e-4
+
+
+def test_hung_hypotheses_count_where_they_are() -> None:
+    places = random_places()
+    search = SEARCH_MAP(believe(places, is_hung=True))
+    expected = np.zeros((CELLS, CELLS))
+    for x, y in places:
+        expected[int((y + 5.0) / 10.0 * CELLS), int(x / 10.0 * CELLS)] += 1.0 / P
+    np.testing.assert_allclose(np.asarray(search.mass).reshape(CELLS, CELLS), expected, atol=1e-5)
+
+
+def test_free_hypotheses_are_spread_over_what_is_unexplored() -> None:
+    log_miss = -np.random.default_rng(1).exponential(1.0, (24, 24))
+    search = SEARCH_MAP(believe(random_places(), is_hung=False, log_miss=log_miss))
+    blocks = np.exp(log_miss).reshape(CELLS, 2, CELLS, 2).sum((1, 3))
+    np.testing.assert_allclose(
+        np.asarray(search.mass).reshape(CELLS, CELLS), blocks / blocks.sum(), rtol=1e-4
+    )
+
+
+def test_a_hypothesis_outside_the_area_is_nowhere() -> None:
+    places = random_places()
+    places[:4] = [[-0.3, 0.0], [10.2, 0.0], [5.0, 5.3], [5.0, -5.2]]
+    search = SEARCH_MAP(believe(places, is_hung=True))
+    assert abs(float(search.mass.sum()) - (P - 4) / P) < 1e-5
+
+
+def test_visibility_is_a_disc() -> None:
+    belief = believe(random_places(), is_hung=False)
+    search = SEARCH_MAP(belief)
+    x, y = viewpoints(belief.coverage.area)
+    sees = np.asarray(visibility(x, y, search, jnp.float32(3.0), belief.coverage.area))
+    assert sees.shape == (LATTICE**2, CELLS**2)
+    distance = np.hypot(
+        np.subtract.outer(np.asarray(x), np.asarray(search.x)),
+        np.subtract.outer(np.asarray(y), np.asarray(search.y)),
+    )
+    assert (sees[distance < 3.0 - 0.45] == 1.0).all()
+    assert (sees[distance > 3.0 + 0.45] == 0.0).all()
+
+
+def test_search_goes_to_where_the_mass_is() -> None:
+    """All hypotheses in one corner: the best tour starts at a viewpoint that sees it."""
+    corner = np.array([8.5, 3.5]) + 0.3 * np.random.default_rng(0).uniform(-1, 1, (P, 2))
+    belief = believe(corner, is_hung=True)
+    search = SEARCH_MAP(belief)
+    revealed, rate, expected = LATENCY(
+        belief, search, jnp.float32(1.0), jnp.float32(0.0), jnp.float32(3.0), jnp.float32(1.0)
+    )
+    best = int(np.argmin(expected))
+    x, y = (float(axis[best]) for axis in viewpoints(belief.coverage.area))
+    assert np.hypot(x - 8.5, y - 3.5) < 3.5
+    assert float(revealed[best]) > 0.9
+    assert np.isfinite(np.asarray(rate)).all()
+    # Found on arrival: about the way there is expected, and not more than a few metres on.
+    assert float(expected[best]) < np.hypot(x - 1.0, y) + 3.0
+
+
+def test_nearer_mass_is_looked_at_first() -> None:
+    """Two equal heaps: the nearer one first."""
+    heaps = np.where(np.arange(P)[:, None] % 2 == 0, [[4.0, 0.0]], [[9.5, 0.0]])
+    belief = believe(heaps, is_hung=True)
+    _, _, expected = LATENCY(
+        belief,
+        SEARCH_MAP(belief),
+        jnp.float32(0.0),
+        jnp.float32(0.0),
+        jnp.float32(2.0),
+        jnp.float32(1.0),
+    )
+    x = float(viewpoints(belief.coverage.area)[0][int(np.argmin(expected))])
+    assert x < 6.5
+
+
+# The faithful policy on two nodes and one seen object, everything set by hand.
+
+
+def nodes() -> Nodes:
+    return Nodes(
+        x=jnp.array([4.0, 1.0, 6.0]),
+        y=jnp.array([3.0, 0.0, 0.0]),
+        is_node=jnp.array([True, True, True]),
+        kind=jnp.array([FRONTIER, VISITED, OBJECT], jnp.int32),
+    )
+
+
+def goals(mass: float, x: float = 6.0, y: float = 0.0, hypothesis: float = 0.0) -> Goals:
+    one = jnp.array([mass], jnp.float32)
+    return Goals(
+        object_x=jnp.array([x], jnp.float32),
+        object_y=jnp.array([y], jnp.float32),
+        object_mass=one,
+        object_accepted=one,
+        object_confirmed=one,
+        is_object=jnp.array([True]),
+        hypothesis_x=jnp.array([4.0], jnp.float32),
+        hypothesis_y=jnp.array([3.5], jnp.float32),
+        hypothesis_mass=jnp.array([hypothesis], jnp.float32),
+    )
+
+
+def choose(
+    aims: Goals, robot=(0.0, 0.0), *, commitment=None, is_news=False, is_find=0.0, cost=None
+):
+    log_miss = np.zeros((24, 24))
+    log_miss[:, :9] = -3.0
+    belief = by_hand.with_coverage(by_hand.begin(config=CONFIG), log_miss)
+    return CHOOSE(
+        belief,
+        nodes(),
+        aims,
+        jnp.float32(robot[0]),
+        jnp.float32(robot[1]),
+        commitment or policy.no_commitment(),
+        jnp.asarray(is_news),
+        jnp.float32(is_find),
+        jnp.float32(3.0),
+        jnp.zeros(3) if cost is None else jnp.asarray(cost, jnp.float32),
+        params=default_planner_params(),
+        config=PlannerConfig(policy="faithful"),
+    )
+
+
+def under_way(x: float, y: float, kind: int) -> policy.Commitment:
+    return policy.Commitment(
+        x=jnp.float32(x),
+        y=jnp.float32(y),
+        kind=jnp.int32(kind),
+        is_active=jnp.asarray(True),
+    )
+
+
+def test_faithful_takes_the_node_of_highest_value() -> None:
+    gamma = float(default_planner_params().discount)
+    choice = choose(goals(0.6, hypothesis=0.3))
+    way = np.hypot(
+        np.subtract.outer([4.0, 1.0, 6.0], [6.0, 4.0]), np.subtract.outer([3, 0, 0], [0, 3.5])
+    )
+    np.testing.assert_allclose(choice.goal_value, (gamma**way) @ [0.6, 0.3], rtol=1e-4)
+    assert int(choice.kind) == OBJECT
+    assert not bool(choice.is_stop)
+    choice = choose(goals(0.1, hypothesis=0.8))
+    assert int(choice.kind) == FRONTIER
+
+
+def test_a_cost_turns_it_away() -> None:
+    assert int(choose(goals(0.6, hypothesis=0.3), cost=[0.0, 0.0, 1.0]).kind) != OBJECT
+
+
+@pytest.mark.parametrize(
+    ("mass", "robot", "stops"),
+    [(0.9, (5.5, 0.0), True), (0.9, (3.0, 0.0), False), (0.4, (5.5, 0.0), False)],
+)
+def test_stop_needs_enough_mass_within_reach(mass: float, robot: tuple, stops: bool) -> None:
+    choice = choose(goals(mass), robot)
+    assert bool(choice.is_stop) == stops
+    assert bool(choose(goals(mass), robot, is_find=1.0).is_stop) == (mass > 0.7)
+
+
+def test_a_waypoint_is_kept_until_something_changes() -> None:
+    aims = goals(0.6, hypothesis=0.3)
+    kept = choose(aims, commitment=under_way(1.0, 0.0, VISITED))
+    assert bool(kept.is_kept)
+    np.testing.assert_allclose([kept.waypoint_x, kept.waypoint_y], [1.0, 0.0])
+    # News, arrival, and a frontier that is none any more each release it.
+    assert not bool(choose(aims, commitment=under_way(1.0, 0.0, VISITED), is_news=True).is_kept)
+    assert not bool(choose(aims, (1.0, 0.1), commitment=under_way(1.0, 0.0, VISITED)).is_kept)
+    assert not bool(choose(aims, commitment=under_way(1.0, 1.0, FRONTIER)).is_kept)
+    assert bool(choose(aims, commitment=under_way(4.0, 3.0, FRONTIER)).is_kept)
