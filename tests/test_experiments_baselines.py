@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jaxlangnav.episode import EpisodeResult, Task
-from jaxlangnav.experiments import baselines
+from jaxlangnav.experiments import baselines, patterns
 from jaxlangnav.experiments.monte_carlo import BLOCK, cell, make_tasks
 from jaxlangnav.experiments.policies import POLICY_NAMES, check_policies, run_policy
 from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
@@ -42,7 +42,7 @@ def test_figure_types_are_those_of_the_sentences(instructions: Any) -> None:
 
 def test_lanes_by_hand() -> None:
     area = jnp.array([0.0, 12.0, -6.0, 6.0])
-    first = [baselines.lane_waypoint(area, jnp.float32(3.0), jnp.int32(leg)) for leg in range(5)]
+    first = [patterns.lane_waypoint(area, jnp.float32(3.0), jnp.int32(leg)) for leg in range(5)]
     expected = [(3, -3), (3, 3), (9, 3), (9, -3)]
     np.testing.assert_allclose(np.array(first[:4]), expected, atol=1e-5)
     # The second pass comes closer to the edge: 6 - 0.3 · 3.
@@ -56,7 +56,7 @@ def test_two_passes_see_the_whole_area(reach: float) -> None:
     points = [np.zeros(2)]
     for leg in range(4 * num_lanes):
         points.append(
-            np.array(baselines.lane_waypoint(jnp.asarray(area), jnp.float32(reach), jnp.int32(leg)))
+            np.array(patterns.lane_waypoint(jnp.asarray(area), jnp.float32(reach), jnp.int32(leg)))
         )
     path = np.concatenate([np.linspace(a, b, 200) for a, b in itertools.pairwise(points)])
     x, y = np.meshgrid(np.linspace(0.01, 12.99, 40), np.linspace(-9.19, 9.19, 40))
@@ -71,7 +71,7 @@ def test_two_passes_see_the_whole_area(reach: float) -> None:
 def test_arcs_by_hand() -> None:
     area = jnp.array([0.0, 10.0, -7.0, 7.0])
     reach = jnp.float32(2.0)
-    points = np.array([baselines.arc_waypoint(area, reach, jnp.int32(leg)) for leg in range(24)])
+    points = np.array([patterns.arc_waypoint(area, reach, jnp.int32(leg)) for leg in range(24)])
     radius = np.hypot(points[:, 0], points[:, 1])
     np.testing.assert_allclose(radius, np.repeat([6.6, 9.5, 3.4], 8), rtol=1e-5)
     angle = np.arctan2(points[:, 1], points[:, 0])
@@ -80,8 +80,8 @@ def test_arcs_by_hand() -> None:
     # The next pass comes back the other way; after three it mows the lawn.
     assert angle[8] == pytest.approx(-angle[15], abs=1e-5)
     assert angle[8] > 0.0
-    after = baselines.arc_waypoint(area, reach, jnp.int32(24))
-    np.testing.assert_allclose(after, baselines.lane_waypoint(area, reach, jnp.int32(0)))
+    after = patterns.arc_waypoint(area, reach, jnp.int32(24))
+    np.testing.assert_allclose(after, patterns.lane_waypoint(area, reach, jnp.int32(0)))
 
 
 def test_knowing_the_law_is_worth_metres(instructions: Any) -> None:

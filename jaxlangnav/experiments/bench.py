@@ -6,8 +6,6 @@ after a first one that warms up; compilation is measured apart.
 """
 
 import dataclasses
-import os
-import platform
 import statistics
 import time
 from collections.abc import Callable
@@ -20,8 +18,17 @@ from jax.experimental.compilation_cache import compilation_cache
 
 from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task, run, run_batch
 from jaxlangnav.experiments import numpy_twin
+from jaxlangnav.experiments.measuring import (
+    POLICY,
+    Entry,
+    against,
+    describe_machine,
+    entry,
+    is_cache_on,
+    measure,
+    render,
+)
 from jaxlangnav.experiments.monte_carlo import (
-    CHUNK,
     LANES,
     cell,
     concatenate,
@@ -36,23 +43,13 @@ from jaxlangnav.navigator import NavigatorParams, default_params
 from jaxlangnav.pytree import replace
 from jaxlangnav.world.templates import TABLE_2
 
+__all__ = ["render", "run_bench"]
+
 MONTE_CARLO = 4 * 3 * 6 * 100
 """Episodes of the paper's simulations: templates, commands, ranges, runs."""
-_POLICY = "informed"
 _EPISODES = 256
 """Episodes of one repetition on one core."""
-Entry = dict[str, Any]
 Tell = Callable[[str], None]
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Cost:
-    """What something took."""
-
-    cpu: float
-    """CPU seconds; seconds on the wall where the work is on another device."""
-    wall: float
-    """Seconds."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -85,7 +82,7 @@ def run_bench(*, is_quick: bool = False, on_progress: Tell | None = None) -> dic
         tell(f"the full loop, {particles} particles")
         entries += _full_loop(bench, particles)
     tell("lanes without refilling")
-    entries.append(_refilling(bench))
+    entries.append(_refilling(bench, 1 if is_quick else 4))
     if not is_quick:
         for lanes in (1, 8, 128):
             tell(f"{lanes} lanes")
@@ -93,85 +90,6 @@ def run_bench(*, is_quick: bool = False, on_progress: Tell | None = None) -> dic
     tell("compilation")
     entries += _compilation(bench)
     return {"machine": machine, "entries": entries}
-
-
-def describe_machine() -> dict[str, Any]:
-    """Say on what the figures were measured."""
-    device = jax.devices()[0]
-    return {
-        "platform": device.platform,
-        "device": device.device_kind,
-        "devices": jax.device_count(),
-        "cpu": platform.processor() or platform.machine(),
-        "cores": os.cpu_count(),
-        "threads": usable_cores(),
-        "load": round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else None,
-        "jax": jax.__version__,
-        "numpy": np.__version__,
-        "chunk": CHUNK,
-        "lanes": LANES,
-        "policy": _POLICY,
-    }
-
-
-def entry(
-    name: str,
-    value: float,
-    unit: str,
-    *,
-    baseline: float | None = None,
-    ratio: float | None = None,
-    target: float | None = None,
-    is_limit: bool = False,
-) -> Entry:
-    """Build an entry.
-
-    Args:
-        name: what was measured.
-        value: ours.
-        unit: of value and baseline.
-        baseline: theirs, in the same run.
-        ratio: how many times better ours is.
-        target: of the ratio, or of the value where there is no ratio.
-        is_limit: the value is to stay below the target.
-
-    Returns:
-        The entry; ``holds`` says whether the target is reached, None without one.
-    """
-    judged = value if ratio is None else ratio
-    holds = None if target is None else bool(judged <= target if is_limit else judged >= target)
-    return {
-        "name": name,
-        "value": value,
-        "unit": unit,
-        "baseline": baseline,
-        "ratio": ratio,
-        "target": target,
-        "holds": holds,
-    }
-
-
-def measure(work: Callable[[], Any], repetitions: int) -> Cost:
-    """Time some work, warmed up by the caller.
-
-    Args:
-        work: returns arrays, which are waited for.
-        repetitions: how often; the medians count.
-
-    Returns:
-        Its cost.
-    """
-    is_local = jax.default_backend() == "cpu"
-    costs = []
-    for _ in range(repetitions):
-        cpu, wall = time.process_time(), time.perf_counter()
-        jax.block_until_ready(work())
-        cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
-        costs.append((cpu if is_local else wall, wall))
-    return Cost(
-        cpu=statistics.median(cost[0] for cost in costs),
-        wall=statistics.median(cost[1] for cost in costs),
-    )
 
 
 def _set_up(repetitions: int) -> Bench:
@@ -198,7 +116,7 @@ def _set_up(repetitions: int) -> Bench:
 
 def _full_loop(bench: Bench, particles: int) -> list[Entry]:
     """Measure whole episodes, and one cycle against the NumPy twin."""
-    config = navigator_config(_POLICY, particles)
+    config = navigator_config(POLICY, particles)
     many = concatenate([bench.tasks] * 2 * usable_cores())
     number = int(many.instruction_index.shape[0])
 
@@ -216,11 +134,11 @@ def _full_loop(bench: Bench, particles: int) -> list[Entry]:
     entries = [
         entry(f"episodes, {label}", rate, "1/s"),
         entry(f"cycle against NumPy with loops over particles, {label}", ours, "ms CPU")
-        | _against(ours, looping, 150.0),
+        | against(ours, looping, 150.0),
         entry(f"cycle against NumPy over all particles at once, {label}", ours, "ms CPU")
-        | _against(ours, vectorised, 3.0),
+        | against(ours, vectorised, 3.0),
     ]
-    if particles == navigator_config(_POLICY).map.num_particles:
+    if particles == navigator_config(POLICY).map.num_particles:
         name = f"the paper's {MONTE_CARLO} simulations, {label}"
         alone = MONTE_CARLO * cost.cpu / number / usable_cores()
         entries[1:1] = [
@@ -228,12 +146,6 @@ def _full_loop(bench: Bench, particles: int) -> list[Entry]:
             entry(f"{name}, CPU over threads", alone, "s", target=60.0, is_limit=True),
         ]
     return entries
-
-
-def _against(ours: float, theirs: float, target: float) -> Entry:
-    """Fill in a comparison of costs."""
-    ratio = theirs / ours
-    return {"baseline": theirs, "ratio": ratio, "target": target, "holds": ratio >= target}
 
 
 def _twin_seconds(particles: int, *, is_looping: bool, steps: int = 12) -> float:
@@ -257,32 +169,42 @@ def _twin_seconds(particles: int, *, is_looping: bool, steps: int = 12) -> float
     return statistics.median(costs)
 
 
-def _refilling(bench: Bench) -> Entry:
+def _refilling(bench: Bench, times: int) -> Entry:
     """Set refilled lanes against ``vmap`` of the loop over cycles, which waits for the slowest."""
-    config = navigator_config(_POLICY)
+    tasks = concatenate([_again(bench.tasks, index) for index in range(times)])
+    number = times * _EPISODES
+    config = navigator_config(POLICY)
 
     def refilled() -> EpisodeResult:
         return run_batch(
-            bench.tasks, bench.instructions, params=bench.params, config=config, num_lanes=LANES
+            tasks, bench.instructions, params=bench.params, config=config, num_lanes=LANES
         )
 
     @jax.jit
-    def waiting(tasks: Task) -> EpisodeResult:
+    def waiting(many: Task) -> EpisodeResult:
         def one(task: Task) -> EpisodeResult:
             return run(task, bench.instructions, params=bench.params, config=config)
 
-        return jax.vmap(one)(tasks)
+        return jax.vmap(one)(many)
 
-    jax.block_until_ready((refilled(), waiting(bench.tasks)))
-    ours = 1e3 * measure(refilled, bench.repetitions).cpu / _EPISODES
-    theirs = 1e3 * measure(lambda: waiting(bench.tasks), bench.repetitions).cpu / _EPISODES
-    name = f"refilled lanes against vmap of the loop, {_EPISODES} episodes"
-    return entry(name, ours, "ms CPU an episode") | _against(ours, theirs, 4.0)
+    jax.block_until_ready((refilled(), waiting(tasks)))
+    ours = 1e3 * measure(refilled, bench.repetitions).cpu / number
+    theirs = 1e3 * measure(lambda: waiting(tasks), bench.repetitions).cpu / number
+    name = f"refilled lanes against vmap of the loop, {number} episodes"
+    return entry(name, ours, "ms CPU an episode") | against(ours, theirs, 4.0)
+
+
+def _again(tasks: Task, index: int) -> Task:
+    """Repeat tasks with other noise; the first time they stay as they are."""
+    if not index:
+        return tasks
+    keys = jax.vmap(lambda key: jax.random.fold_in(key, index))(tasks.key)
+    return replace(tasks, key=keys)
 
 
 def _lanes(bench: Bench, lanes: int) -> Entry:
     """Measure another number of lanes against the default one."""
-    config = navigator_config(_POLICY)
+    config = navigator_config(POLICY)
     number = min(_EPISODES, 32 * lanes)
     tasks = jax.tree.map(lambda leaf: leaf[:number], bench.tasks)
 
@@ -302,8 +224,8 @@ def _lanes(bench: Bench, lanes: int) -> Entry:
 
 def _compilation(bench: Bench) -> list[Entry]:
     """Measure compilation without the persistent cache, and count recompilations."""
-    config = navigator_config(_POLICY)
-    was_kept = _is_cache_on()
+    config = navigator_config(POLICY)
+    was_kept = is_cache_on()
     try:
         jax.config.update("jax_enable_compilation_cache", False)
         compilation_cache.reset_cache()
@@ -337,15 +259,9 @@ def _compilation(bench: Bench) -> list[Entry]:
     ]
 
 
-def _is_cache_on() -> bool:
-    """Tell whether compiled programs are kept on disk."""
-    flags: Any = jax.config
-    return bool(flags.jax_enable_compilation_cache)
-
-
 def _recompilations(bench: Bench) -> int:
     """Count programs built while numbers vary; a single cycle stands for all."""
-    config = navigator_config(_POLICY)
+    config = navigator_config(POLICY)
     count = 0
 
     @jax.jit
@@ -361,42 +277,3 @@ def _recompilations(bench: Bench) -> int:
         params = replace(bench.params, planner=planner)
         jax.block_until_ready(one(replace(first, sensor=sensor), params))
     return count - 1
-
-
-def render(document: dict[str, Any]) -> Any:
-    """Draw the figures for people.
-
-    Args:
-        document: of ``run_bench``.
-
-    Returns:
-        A rich table.
-    """
-    from rich.table import Table
-
-    machine = document["machine"]
-    caption = (
-        f"{machine['device']}, {machine['threads']} threads, load {machine['load']} at the start; "
-        f"JAX {machine['jax']}; policy {machine['policy']}, at most {MAX_STEPS} cycles an episode; "
-        f"at most {machine['chunk']} episodes a call, in {machine['lanes']} lanes."
-    )
-    table = Table(title="Speed", caption=caption, caption_justify="left")
-    table.add_column("Measured")
-    for heading in ("Ours", "Baseline", "Ratio", "Target", "Holds"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    for one in document["entries"]:
-        holds = {True: "yes", False: "no", None: ""}[one["holds"]]
-        table.add_row(
-            one["name"],
-            f"{one['value']:.3g} {one['unit']}".strip(),
-            _number(one["baseline"]),
-            _number(one["ratio"]),
-            _number(one["target"]),
-            holds,
-        )
-    return table
-
-
-def _number(value: float | None) -> str:
-    """Write a number, or nothing."""
-    return "" if value is None else f"{value:.3g}"

@@ -1,0 +1,188 @@
+"""The episodes of an experiment: worlds, keys, sentences, sensors (section 4.2).
+
+Episode i of a world has its scenario and its noise from (seed, world, i) alone, whatever the
+policy, range or batch. Commands share them too: "null" and "behind" are asked for in the same
+places, as in the paper.
+"""
+
+import dataclasses
+import zlib
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxlangnav.episode import Task
+from jaxlangnav.messages import MotionParams, SensorParams, default_motion, default_sensor
+from jaxlangnav.world.known import known_distance
+from jaxlangnav.world.scenario import ScenarioLaw, draw_scenario, scenario_law
+from jaxlangnav.world.state import Scenario
+
+BLOCK = 256
+"""Worlds drawn in one call."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Cell:
+    """One cell of a grid: episodes that share everything but their keys."""
+
+    world: str
+    relation: str
+    instruction_index: int
+    sensor: SensorParams
+    motion: MotionParams
+    episodes: int
+    seed: int
+    first_episode: int = 0
+    scenario: Scenario | None = None
+    """A world of somebody's own; None draws worlds of the template that ``world`` names."""
+
+
+def cell(
+    world: str,
+    relation: str,
+    instruction_index: int,
+    sensing_range: float,
+    episodes: int,
+    seed: int,
+    first_episode: int = 0,
+) -> Cell:
+    """Build a cell with the default noise."""
+    return Cell(
+        world=world,
+        relation=relation,
+        instruction_index=instruction_index,
+        sensor=default_sensor(sensing_range),
+        motion=default_motion(),
+        episodes=episodes,
+        seed=seed,
+        first_episode=first_episode,
+    )
+
+
+@jax.jit
+def _draw(roots: Array, laws: ScenarioLaw, numbers: Array) -> tuple[Array, Scenario]:
+    """Draw the episode's key and the world of each episode number; leaves [BLOCK, …]."""
+
+    def one(root: Array, law: ScenarioLaw, number: Array) -> tuple[Array, Scenario]:
+        scenario_key, episode_key = jax.random.split(jax.random.fold_in(root, number))
+        return episode_key, draw_scenario(scenario_key, law)
+
+    return jax.vmap(one)(roots, laws, numbers)
+
+
+def draw_tasks(cells: Sequence[Cell], index: np.ndarray, numbers: np.ndarray) -> Task:
+    """Draw the worlds and keys of any selection of episodes.
+
+    Args:
+        cells: the cells they come from; ``episodes`` and ``first_episode`` are not read.
+        index: i[E], which cell each episode is of.
+        numbers: i[E], its number within the cell's (seed, world).
+
+    Returns:
+        Tasks, leaves [E, …]; an episode's depends on its cell and number only.
+
+    Raises:
+        ValueError: unknown world or relation.
+    """
+    stacked = _stack([_describe(one) for one in cells])
+    roots = jnp.stack([_root(one) for one in cells])
+    parts = []
+    # Drawn in blocks of one shape, filled up with the first: one program for any number.
+    for start in range(0, len(index), BLOCK):
+        at = np.arange(start, start + BLOCK)
+        at = np.where(at < len(index), at, start)
+        mine = jax.tree.map(lambda leaf, at=at: leaf[index[at]], stacked)
+        keys, drawn = _draw(roots[index[at]], mine["law"], jnp.asarray(numbers[at], jnp.uint32))
+        is_own = mine["is_own"]
+        scenario = jax.tree.map(
+            lambda own, new, is_own=is_own: jnp.where(
+                is_own.reshape(-1, *(1,) * (new.ndim - 1)), own, new
+            ),
+            mine["scenario"],
+            drawn,
+        )
+        parts.append(
+            Task(
+                key=keys,
+                scenario=scenario,
+                instruction_index=jnp.asarray(mine["instruction_index"]),
+                sensor=jax.tree.map(jnp.asarray, mine["sensor"]),
+                motion=jax.tree.map(jnp.asarray, mine["motion"]),
+            )
+        )
+    return jax.tree.map(lambda leaf: leaf[: len(index)], concatenate(parts))
+
+
+def _root(one: Cell) -> Array:
+    """Derive the key of a cell: policies, commands, ranges, noise levels share it, to be paired."""
+    return jax.random.fold_in(jax.random.key(one.seed), zlib.crc32(one.world.encode()))
+
+
+def _describe(one: Cell) -> dict[str, Any]:
+    """Gather what the tasks of a cell have in common; leaves are single values."""
+    is_own = one.scenario is not None
+    # The world of somebody's own is put in place of a drawn one, which then does not matter.
+    law = scenario_law(
+        template="1H1C" if is_own else one.world, relation="null" if is_own else one.relation
+    )
+    drawn = jax.eval_shape(draw_scenario, jax.random.key(0), law)
+    blank = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), drawn)
+    return {
+        "law": law,
+        "is_own": np.asarray(is_own),
+        "scenario": one.scenario if is_own else blank,
+        "instruction_index": np.int32(one.instruction_index),
+        "sensor": one.sensor,
+        "motion": one.motion,
+    }
+
+
+def _stack(records: Sequence[Any]) -> Any:
+    """Stack records leaf by leaf, on the host."""
+    return jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *records)
+
+
+def make_tasks(one: Cell) -> Task:
+    """Draw the worlds and keys of a cell.
+
+    Args:
+        one: the cell.
+
+    Returns:
+        Tasks, leaves [E, …].
+
+    Raises:
+        ValueError: unknown world or relation, or no episodes.
+    """
+    if one.episodes < 1:
+        raise ValueError(f"episodes is {one.episodes}, but must be at least 1")
+    numbers = one.first_episode + np.arange(one.episodes)
+    return draw_tasks([one], np.zeros(one.episodes, np.int32), numbers)
+
+
+def take_tasks(tasks: Task, index: np.ndarray) -> Task:
+    """Pick tasks.
+
+    Args:
+        tasks: leaves [E, …].
+        index: i[n], which of them.
+
+    Returns:
+        Tasks, leaves [n, …].
+    """
+    at = jnp.asarray(index)
+    return jax.tree.map(lambda leaf: leaf[at], tasks)
+
+
+def concatenate(parts: Sequence[Task]) -> Task:
+    """Put the tasks of several cells behind one another."""
+    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
+
+
+def known_distances(tasks: Task) -> np.ndarray:
+    """Measure the straight way from start to goal of each task, f32[E] metres."""
+    return np.asarray(jax.vmap(known_distance)(tasks.scenario))
