@@ -133,3 +133,9 @@ def test_shards_split_the_plan() -> None:
 def test_bad_shards(text: str) -> None:
     with pytest.raises(ValueError, match="shard is"):
         parse_shard(text)
+
+
+def test_the_example_is_a_sweep() -> None:
+    config = read_config(Path(__file__).parent.parent / "examples" / "grid.toml")
+    # 3 worlds, 2 commands, 2 ranges, 2 detectors, 50 episodes, 3 policies.
+    assert make_plan(config).episodes() == 24 * 50 * 3
