@@ -93,9 +93,7 @@ def _log_odds_of(
     def log_odds(_: Phrase, path: Path, children: Sequence[Hypothesis]) -> np.ndarray:
         coefficients, senses = prepared[path]
         tables = annotation_properties(space, senses, [child.expressed for child in children])
-        return np.concatenate(
-            [tables[kind] @ coefficients[kind] for kind in ("object", "region", "relation")]
-        ).astype(np.float64)
+        return (tables["symbol"] @ coefficients["symbol"]).astype(np.float64)
 
     rank = {
         path: _log_softmax(np.append(0.0, rank_properties(senses) @ coefficients["rank"]))

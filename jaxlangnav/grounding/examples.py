@@ -29,7 +29,6 @@ from jaxlangnav.grounding.symbols import (
 )
 from jaxlangnav.language.phrase import Parse, Phrase
 
-_SHAPES = ("object", "region", "relation")
 Path = tuple[int, ...]
 """Clause index, then child indices from the root of the clause."""
 
@@ -109,13 +108,19 @@ def annotation_properties(
         groundings: bool[S] of each child phrase.
 
     Returns:
-        Kind → f32[symbols of the kind, F].
+        "symbol" → f32[S, F], and "rank" → f32[4, F].
     """
     child = af.child_sets(space, groundings)
+    expressed = np.zeros(space.size, bool)
+    for grounding in groundings:
+        expressed |= grounding
+    tables = [
+        af.object_properties(space, senses, child),
+        af.region_properties(space, senses, child),
+        af.relation_properties(space, senses, child),
+    ]
     return {
-        "object": af.object_properties(space, senses, child),
-        "region": af.region_properties(space, senses, child),
-        "relation": af.relation_properties(space, senses, child),
+        "symbol": af.join_kinds(tables, af.shared_properties(senses, expressed, len(groundings))),
         "rank": af.rank_properties(senses),
     }
 
@@ -133,7 +138,7 @@ def _annotation_example(
     children = [space.mask(labelled.annotation[nodes[child].path]) for child in node.children]
     senses = af.senses_of(node.phrase, type_names)
     labels = {
-        **{k: v.ravel() for k, v in zip(_SHAPES, space.parts(gold), strict=True)},
+        "symbol": gold,
         "rank": np.arange(1, af.NUM_RANKS + 1) == labelled.rank.get(node.path, 0),
     }
     properties = annotation_properties(space, senses, children)

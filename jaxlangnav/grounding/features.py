@@ -251,6 +251,52 @@ def region_properties(space: AnnotationSpace, senses: Senses, child: ChildSets) 
     )
 
 
+def shared_properties(senses: Senses, expressed: np.ndarray, num_children: int) -> np.ndarray:
+    """Describe symbols by what holds for every kind alike, so that kinds learn from each other.
+
+    Args:
+        senses: of the phrase's words.
+        expressed: bool[S], some child expresses the symbol.
+        num_children: of the phrase.
+
+    Returns:
+        f32[S, 6]: bias, passed on, from an only child, from several, by words that name
+        nothing themselves, not passed on.
+    """
+    names_nothing = not senses.types and not senses.relations
+    return _columns(
+        expressed.shape,
+        [
+            True,
+            expressed,
+            expressed & (num_children == 1),
+            expressed & (num_children > 1),
+            expressed & names_nothing,
+            ~expressed & (num_children > 0),
+        ],
+    )
+
+
+def join_kinds(tables: list[np.ndarray], shared: np.ndarray) -> np.ndarray:
+    """Put the properties of several kinds of symbol side by side, and shared ones after them.
+
+    Args:
+        tables: f32[S_kind, F_kind] each.
+        shared: f32[Σ S_kind, F].
+
+    Returns:
+        f32[Σ S_kind, Σ F_kind + F]; a symbol has zeros where other kinds have theirs.
+    """
+    width = sum(table.shape[1] for table in tables)
+    joined = np.zeros((len(shared), width + shared.shape[1]), np.float32)
+    row = column = 0
+    for table in tables:
+        joined[row : row + table.shape[0], column : column + table.shape[1]] = table
+        row, column = row + table.shape[0], column + table.shape[1]
+    joined[:, width:] = shared
+    return joined
+
+
 def rank_properties(senses: Senses) -> np.ndarray:
     """Describe the ranks 1 to 4 that a phrase may give its region, f32[4, 7]."""
     ranks = np.arange(1, NUM_RANKS + 1)

@@ -14,7 +14,7 @@ import numpy as np
 from jaxlangnav.grounding.features import word_features
 from jaxlangnav.language.phrase import Phrase
 
-ANNOTATION_KINDS = ("object", "region", "relation", "rank")
+ANNOTATION_KINDS = ("symbol", "rank")
 BEHAVIOR_KINDS = ("object", "region", "goal", "constraint", "action", "mode")
 
 

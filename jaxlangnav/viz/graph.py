@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_KINDS = ("object", "region", "relation")
 _COLUMN, _ROW = 2.0, 0.62
 """Inches a phrase and a symbol take."""
 
@@ -69,8 +68,7 @@ def phrase_beliefs(parse: Parse, model: GroundingModel) -> list[PhraseBelief]:
         ) -> np.ndarray:
             coefficients, senses = prepared[path]
             tables = annotation_properties(space, senses, [one.expressed for one in children])
-            scores = [tables[kind] @ coefficients[kind] for kind in _KINDS]
-            return np.concatenate(scores).astype(np.float64)
+            return (tables["symbol"] @ coefficients["symbol"]).astype(np.float64)
 
         def visit(phrase: Phrase, path: tuple[int, ...], best: Hypothesis) -> None:
             odds = log_odds(phrase, path, best.children)
