@@ -18,35 +18,36 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxlangnav.grounding.behavior_odds import (
+    Joined,
+    Scene,
+    build_scene,
+    constraint_odds,
+    lying_in,
+    object_odds,
+    region_odds,
+)
+from jaxlangnav.grounding.bits import iota, keep, pick, smallest, to_mask
 from jaxlangnav.grounding.program import (
-    AT_TABLE,
     MAX_DEPTH,
-    NEVER,
     NOTHING,
     NUM_CHILDREN,
     NUM_SLOTS,
-    NUM_TABLES,
-    NUM_TYPES,
     BehaviorProgram,
 )
-from jaxlangnav.grounding.symbols import NUM_RELATIONS
-from jaxlangnav.messages import NONE, ROBOT, Behavior, BehaviorWorld
+from jaxlangnav.messages import NONE, Behavior, BehaviorWorld
 
 BEAM = 4
 _DEAD = 1e6
 """Cost of a hypothesis that does not exist."""
 _PAIRS = ((0, 0), (0, 1), (0, 2), (0, 3), (1, 0), (1, 1), (2, 0), (3, 0))
 """Pairs of two sorted lists of four among which the four best sums are."""
-
-
-class Scene(NamedTuple):
-    """The particles' objects as bits."""
-
-    types: Array  # i32[16, E, P] per type, the objects of it
-    previous: Array  # i32[3, E, P] the previous goal; others of its type; those of other types
-    robot: Array  # i32[E, P]
-    everything: Array  # i32[E, P]
-    lies: Array  # i32[T, N, E, P] per table of the program and landmark, the objects there
+MAX_SLOTS = 15
+"""Object slots, the robot's included: four groups of them make at most 60 factors."""
+ROOT = -1
+"""Row of the root in a program: the last one, however many phrases there are."""
+OBJECTS, REGIONS, CONSTRAINTS, LIES = 0, 1, 1 + NUM_SLOTS, 2 + NUM_SLOTS
+"""Rows of ``Stack.sets``."""
 
 
 class Stack(NamedTuple):
@@ -54,114 +55,6 @@ class Stack(NamedTuple):
 
     sets: Array  # i32[D, 5, 4, E, P] objects, regions by slot, constraints, and what lies there
     cost: Array  # f32[D, 4, E, P] −log-probability, ascending
-
-
-ROOT = -1
-"""Row of the root in a program: the last one, however many phrases there are."""
-OBJECTS, REGIONS, CONSTRAINTS, LIES = 0, 1, 1 + NUM_SLOTS, 2 + NUM_SLOTS
-"""Rows of ``Stack.sets``."""
-
-
-class Joined(NamedTuple):
-    """Four best combinations of the child hypotheses of a phrase."""
-
-    objects: Array  # i32[4, E, P]
-    same: tuple[Array, ...]  # L times i32[4, E, P], children's regions in the phrase's own slots
-    touched: Array  # i32[4, E, P] objects of any child symbol
-    near: Array  # i32[4, E, P] children's regions in the relation of the constraint slot
-    kept: Array  # i32[4, E, P] children's constraints
-    lies: Array  # i32[4, E, P] objects in the regions of every restricting child
-    cost: Array  # f32[4, E, P]
-
-
-def _iota(size: int, ndim: int) -> Array:
-    """Count along the axis before the two lane axes, i32[1, ..., size, 1, 1]."""
-    return jnp.arange(size, dtype=jnp.int32).reshape(*(1,) * (ndim - 3), size, 1, 1)
-
-
-def _is_in(mask: Array, size: int) -> Array:
-    """Spread bit masks i32[..., E, P] to bool[..., size, E, P]."""
-    return ((mask[..., None, :, :] >> _iota(size, mask.ndim + 1)) & 1) == 1
-
-
-def _to_mask(flags: Array) -> Array:
-    """Gather bool[..., N, E, P] to bit masks i32[..., E, P]."""
-    weight = jnp.left_shift(jnp.int32(1), _iota(flags.shape[-3], flags.ndim))
-    return jnp.sum(jnp.where(flags, weight, 0), axis=-3)
-
-
-def _smallest(cost: Array, count: int) -> tuple[list[Array], list[Array]]:
-    """Find the smallest of nonnegative costs f32[..., n ≤ 64, E, P] and where they stand.
-
-    The index rides in the low bits of the number, so that one minimum finds both.
-    """
-    size = cost.shape[-3]
-    low = (1 << (size - 1).bit_length()) - 1
-    bits = jax.lax.bitcast_convert_type(cost, jnp.int32)
-    packed = (bits & ~low) | _iota(size, cost.ndim)
-    least = jnp.min(packed, axis=-3)
-    found = [least]
-    for _ in range(count - 1):
-        rest = jnp.where(packed > least[..., None, :, :], packed, jnp.iinfo(jnp.int32).max)
-        least = jnp.min(rest, axis=-3)
-        found.append(least)
-    values = [jax.lax.bitcast_convert_type(each & ~low, jnp.float32) for each in found]
-    return values, [each & low for each in found]
-
-
-def _pick(values: Array, index: Array) -> Array:
-    """Read one of four: values i32[4, E, P], index i32[m, E, P] → i32[m, E, P]."""
-    high = index >= 2
-    odd = (index & 1) == 1
-    low_part = jnp.where(odd, values[1:2], values[0:1])
-    return jnp.where(high, jnp.where(odd, values[3:4], values[2:3]), low_part)
-
-
-def _scene(program: BehaviorProgram, world: BehaviorWorld) -> Scene:
-    """Turn worlds into bits; leaves of the world are [..., E, P]."""
-    is_object = world.is_object
-    row = jnp.where(world.object_type == ROBOT, NUM_TYPES, world.object_type)
-    types = [_to_mask((row == t) & is_object) for t in range(NUM_TYPES + 1)]
-    itself = jnp.where(is_object, jnp.left_shift(jnp.int32(1), _iota(row.shape[0], 3)), 0)
-    everything = jnp.sum(itself, axis=0)
-    figures = itself[None, :, None]
-    related = jnp.sum(jnp.where(world.is_related, figures, 0), axis=1)
-    extreme = jnp.sum(jnp.where(world.is_superlative, figures, 0), axis=1)
-    tables = []
-    for n in range(NUM_TABLES):
-        kind, relation = program.table[n] // NUM_RELATIONS, program.table[n] % NUM_RELATIONS
-        chosen = jnp.zeros_like(itself)
-        for r in range(NUM_RELATIONS):
-            chosen = chosen | jnp.where(
-                relation == r, jnp.where(kind == 0, related[r], extreme[r]), 0
-            )
-        chosen = jnp.where(kind == 2, everything[None] & ~chosen, chosen)
-        tables.append(jnp.where(kind == AT_TABLE // NUM_RELATIONS, itself, chosen))
-    previous = world.is_previous & is_object
-    last_type = jnp.max(jnp.where(previous, world.object_type, NONE - 9), axis=0)
-    alike = (world.object_type == last_type[None]) & is_object
-    goal, others = _to_mask(previous), _to_mask(alike & ~previous)
-    rest = jnp.where(goal != 0, everything & ~(goal | others), 0)
-    return Scene(
-        types=jnp.stack(types),
-        previous=jnp.stack([goal, others, rest]),
-        robot=types[NUM_TYPES],
-        everything=everything,
-        lies=jnp.stack(tables),
-    )
-
-
-def _keep(values: Any, count: Array | int) -> Any:
-    """Have values computed once and kept, instead of anew inside every later fusion.
-
-    XLA on CPU drops optimisation barriers before it fuses; a conditional it does not cross.
-    """
-    return jax.lax.cond(
-        jnp.any(jnp.asarray(count) >= 0),
-        lambda same: same,
-        lambda same: jax.tree.map(jnp.zeros_like, same),
-        values,
-    )
 
 
 def _child(program: BehaviorProgram, stack: Stack, phrase: Array | int, k: int) -> Joined:
@@ -173,7 +66,7 @@ def _child(program: BehaviorProgram, stack: Stack, phrase: Array | int, k: int) 
     def in_slot(slot: Array) -> Array:
         return jnp.where(slot == 0, regions[0], 0) | jnp.where(slot == 1, regions[1], 0)
 
-    first = jnp.where(_iota(BEAM, 3) == 0, 0.0, _DEAD).astype(jnp.float32)
+    first = jnp.where(iota(BEAM, 3) == 0, 0.0, _DEAD).astype(jnp.float32)
     return Joined(
         objects=sets[OBJECTS],
         same=tuple(in_slot(program.region_from[phrase, k, s]) for s in range(NUM_SLOTS)),
@@ -188,13 +81,13 @@ def _child(program: BehaviorProgram, stack: Stack, phrase: Array | int, k: int) 
 def _combine(left: Joined, right: Joined) -> Joined:
     """Keep the four best combinations of two sorted lists of hypotheses, exactly."""
     cost = jnp.stack([left.cost[i] + right.cost[j] for i, j in _PAIRS])
-    values, places = _smallest(cost, BEAM)
+    values, places = smallest(cost, BEAM)
     place = jnp.stack(places)
     i = jnp.where(place < 4, 0, jnp.where(place < 6, 1, place - 4))
     j = jnp.where(place < 4, place, jnp.where(place == 5, 1, 0))
 
     def union(one: Array, other: Array) -> Array:
-        return _pick(one, i) | _pick(other, j)
+        return pick(one, i) | pick(other, j)
 
     return Joined(
         objects=union(left.objects, right.objects),
@@ -202,7 +95,7 @@ def _combine(left: Joined, right: Joined) -> Joined:
         touched=union(left.touched, right.touched),
         near=union(left.near, right.near),
         kept=union(left.kept, right.kept),
-        lies=_pick(left.lies, i) & _pick(right.lies, j),
+        lies=pick(left.lies, i) & pick(right.lies, j),
         cost=jnp.stack(values),
     )
 
@@ -222,75 +115,6 @@ def _join(program: BehaviorProgram, stack: Stack, phrase: Array | int) -> Joined
     return joined
 
 
-def _own(program: BehaviorProgram, scene: Scene, phrase: Array | int) -> Array:
-    """Find the objects of the types that the words name, i32[E, P]."""
-    return jnp.sum(jnp.where(program.own[phrase], scene.types, 0), axis=0)
-
-
-def _object_odds(
-    program: BehaviorProgram, scene: Scene, joined: Joined, phrase: Array | int, size: int
-) -> Array:
-    """Evaluate the log-odds of the objects, f32[4, N, E, P]."""
-    own_mask = _own(program, scene, phrase)
-    own = _is_in(own_mask, size)
-    weight = program.object_previous[phrase]
-    base = jnp.where(own, program.object_named[phrase], program.object_unnamed[phrase])
-    base = base + jnp.where(_is_in(own_mask & scene.previous[0], size), weight[0], 0.0)
-    for n in range(3):
-        base = base + jnp.where(_is_in(scene.previous[n], size), weight[1 + n], 0.0)
-    base = base + jnp.where(scene.previous[0] == 0, weight[4], 0.0)[None]
-    base = jnp.where(_is_in(scene.everything, size), base, NEVER)
-    inside, lies = _is_in(joined.objects, size), _is_in(joined.lies, size)
-    there = program.object_inside[phrase] + jnp.where(
-        lies, program.object_lies[phrase], program.object_outside[phrase]
-    )
-    named = jnp.where(own[None] & lies, program.object_own_lies[phrase], 0.0)
-    return base[None] + named + jnp.where(inside, there, program.object_absent[phrase])
-
-
-def _region_odds(
-    program: BehaviorProgram, scene: Scene, joined: Joined, phrase: Array | int, size: int
-) -> Array:
-    """Evaluate the log-odds of the regions (goals of a verb phrase), f32[4, L, N, E, P]."""
-    own = _is_in(_own(program, scene, phrase), size)
-    robot = _is_in(scene.robot, size)
-    is_object = _is_in(scene.everything, size)
-    inside = _is_in(joined.objects, size)
-    rows = []
-    for s in range(NUM_SLOTS):
-        same = _is_in(joined.same[s], size)
-        base = program.region_base[phrase, s] + jnp.where(own, program.region_own[phrase, s], 0.0)
-        base = base + jnp.where(robot, program.region_robot[phrase, s], 0.0)
-        base = jnp.where(is_object, base, NEVER)
-        rows.append(
-            base[None]
-            + jnp.where(inside, program.region_inside[phrase, s], 0.0)
-            + jnp.where(same, program.region_same[phrase, s], 0.0)
-            + jnp.where(inside | same, 0.0, program.region_absent[phrase, s])
-        )
-    return jnp.stack(rows, axis=1)
-
-
-def _constraint_odds(
-    program: BehaviorProgram, scene: Scene, joined: Joined, phrase: Array | int, size: int
-) -> Array:
-    """Evaluate the log-odds of the constraints in their slot, f32[4, N, E, P]."""
-    base = jnp.where(_is_in(scene.everything, size), program.constraint_base[phrase], NEVER)
-    kept, touched = _is_in(joined.kept, size), _is_in(joined.touched, size)
-    new = jnp.where(kept, 0.0, program.constraint_new[phrase])
-    return (
-        base[None]
-        + jnp.where(_is_in(joined.near, size), program.constraint_same[phrase], 0.0)
-        + jnp.where(_is_in(joined.objects, size), program.constraint_inside[phrase], 0.0)
-        + jnp.where(
-            touched,
-            program.constraint_touched[phrase] + new,
-            program.constraint_untouched[phrase],
-        )
-        + jnp.where(kept, program.constraint_kept[phrase], 0.0)
-    )
-
-
 def _best_sets(odds: Array, cost: Array, size: int) -> tuple[list[Array], Array]:
     """Find the four best sets over the four combinations of the children.
 
@@ -305,43 +129,28 @@ def _best_sets(odds: Array, cost: Array, size: int) -> tuple[list[Array], Array]
     margin = jnp.abs(odds)
     # Σ log(1 + e^−m) as one logarithm of a product: up to 2^60 fits float32.
     base = cost + jnp.log(jnp.prod(1.0 + jnp.exp(-margin), axis=-3))
-    (m1, m2, m3), (f1, f2, f3) = _smallest(margin, 3)
+    (m1, m2, m3), (f1, f2, f3) = smallest(margin, 3)
     is_pair = (m1 + m2 < m3).astype(jnp.int32)
     costs = jnp.concatenate([base, base + m1, base + m2, base + jnp.minimum(m3, m1 + m2)])
-    values, places = _smallest(costs, BEAM)
+    values, places = smallest(costs, BEAM)
     place = jnp.stack(places)
     kind, combination = place >> 2, place & 3
-    pair = (kind == 3) & (_pick(is_pair, combination) == 1)
+    pair = (kind == 3) & (pick(is_pair, combination) == 1)
     flips = (
-        jnp.where((kind == 1) | pair, _pick(f1, combination), NONE),
-        jnp.where((kind == 2) | pair, _pick(f2, combination), NONE),
-        jnp.where((kind == 3) & ~pair, _pick(f3, combination), NONE),
+        jnp.where((kind == 1) | pair, pick(f1, combination), NONE),
+        jnp.where((kind == 2) | pair, pick(f2, combination), NONE),
+        jnp.where((kind == 3) & ~pair, pick(f3, combination), NONE),
     )
-    masks = _to_mask(odds.reshape(BEAM, -1, size, *odds.shape[-2:]) > 0)  # [4, 2 + L, E, P]
+    masks = to_mask(odds.reshape(BEAM, -1, size, *odds.shape[-2:]) > 0)  # [4, 2 + L, E, P]
     chosen = []
     for g in range(masks.shape[1]):
-        mask = _pick(masks[:, g], combination)
+        mask = pick(masks[:, g], combination)
         for flip in flips:
             bit = flip - g * size
             is_here = (bit >= 0) & (bit < size)
             mask = mask ^ jnp.where(is_here, jnp.left_shift(1, jnp.clip(bit, 0, size - 1)), 0)
         chosen.append(mask)
     return chosen, jnp.stack(values)
-
-
-def _lies(
-    program: BehaviorProgram, scene: Scene, regions: list[Array], phrase: Array | int
-) -> Array:
-    """Find the objects that lie in the expressed regions, i32[4, E, P]."""
-    size = scene.lies.shape[1]
-    found = jnp.zeros_like(regions[0])
-    for s in range(NUM_SLOTS):
-        table = jnp.zeros_like(scene.lies[0])
-        for n in range(NUM_TABLES):
-            table = table | jnp.where(program.region_table[phrase, s] == n, scene.lies[n], 0)
-        for j in range(size):
-            found = found | jnp.where((regions[s] >> j) & 1 == 1, table[j][None], 0)
-    return found
 
 
 def _push(stack: Stack, top: Stack, num_children: Array) -> Stack:
@@ -366,16 +175,16 @@ def _advance(program: BehaviorProgram, scene: Scene, stack: Stack, phrase: Array
     joined = _join(program, stack, phrase)
     odds = jnp.concatenate(
         [
-            _object_odds(program, scene, joined, phrase, size)[:, None],
-            _region_odds(program, scene, joined, phrase, size),
-            _constraint_odds(program, scene, joined, phrase, size)[:, None],
+            object_odds(program, scene, joined, phrase, size)[:, None],
+            region_odds(program, scene, joined, phrase, size),
+            constraint_odds(program, scene, joined, phrase, size)[:, None],
         ],
         axis=1,
     )
-    odds = _keep(odds.reshape(BEAM, -1, *odds.shape[-2:]), phrase)
+    odds = keep(odds.reshape(BEAM, -1, *odds.shape[-2:]), phrase)
     masks, cost = _best_sets(odds, joined.cost, size)
-    masks, cost = _keep((masks, cost), phrase)
-    lies = _lies(program, scene, masks[REGIONS : REGIONS + NUM_SLOTS], phrase)
+    masks, cost = keep((masks, cost), phrase)
+    lies = lying_in(program, scene, masks[REGIONS : REGIONS + NUM_SLOTS], phrase)
     top = Stack(jnp.stack([*masks, lies])[None], cost[None])
     return _push(stack, top, program.num_children[phrase])
 
@@ -398,15 +207,15 @@ def _conclude(program: BehaviorProgram, scene: Scene, stack: Stack) -> Behavior:
     size, *lanes = scene.lies.shape[1:]
     joined = _join(program, stack, ROOT)
     odds = (
-        _region_odds(program, scene, joined, ROOT, size),
-        _constraint_odds(program, scene, joined, ROOT, size),
+        region_odds(program, scene, joined, ROOT, size),
+        constraint_odds(program, scene, joined, ROOT, size),
     )
-    goal, constraint = _keep(jax.tree.map(jax.nn.sigmoid, odds), program.num_phrases)
+    goal, constraint = keep(jax.tree.map(jax.nn.sigmoid, odds), program.num_phrases)
     is_any = 1.0 - jnp.prod(1.0 - goal, axis=(1, 2))
     exists = jnp.where(program.num_phrases == 0, 0.0, 1.0)
     weight = exists * jax.nn.softmax(-joined.cost, axis=0)
     share = weight * is_any / jnp.maximum(jnp.sum(goal, axis=(1, 2)), 1e-9)
-    by_slot = _keep(
+    by_slot = keep(
         (
             jnp.sum(goal * share[:, None, None], axis=0),
             jnp.sum(constraint * weight[:, None], axis=0),
@@ -430,7 +239,7 @@ def _infer_lanes(program: BehaviorProgram, worlds: BehaviorWorld, num_phrases: A
 
 def _infer_aligned(program: BehaviorProgram, worlds: BehaviorWorld, num_phrases: Array) -> Behavior:
     """Run the phrases bottom-up; shapes as ``_infer_lanes``."""
-    scene = jax.lax.optimization_barrier(_scene(program, worlds))
+    scene = jax.lax.optimization_barrier(build_scene(program, worlds))
     lanes = scene.robot.shape
     stack = Stack(
         sets=jnp.zeros((MAX_DEPTH, 3 + NUM_SLOTS, BEAM, *lanes), jnp.int32),
@@ -505,10 +314,6 @@ def infer_behaviors(
     if size > MAX_SLOTS:
         raise ValueError(f"{size} object slots, but bit masks hold at most {MAX_SLOTS}")
     return _infer(program, worlds, jnp.asarray(num_phrases, jnp.int32))
-
-
-MAX_SLOTS = 15
-"""Object slots, the robot's included: four groups of them make at most 60 factors."""
 
 
 def infer_behavior(

@@ -1,8 +1,7 @@
 """From labelled instructions to training examples of the log-linear model (section 4.1).
 
 Training is teacher-forced: the groundings of child phrases are the gold ones. One example of the
-paper is one factor, (phrase, symbol); factors of one phrase with equal properties and label are
-one row here with a count, which leaves the objective as it is and the arrays small.
+paper is one factor, (phrase, symbol); one of ours is a phrase with the factors of its symbols.
 """
 
 import dataclasses
@@ -10,10 +9,10 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
+from jaxlangnav.grounding import annotation_features as af
 from jaxlangnav.grounding import behavior_features as bf
-from jaxlangnav.grounding import features as af
+from jaxlangnav.grounding.features import NUM_RANKS, RESTRICTORS, Senses, senses_of
 from jaxlangnav.grounding.graph import Node, bottom_up
-from jaxlangnav.grounding.model import Vocabulary
 from jaxlangnav.grounding.symbols import (
     ACTION,
     CONSTRAINT,
@@ -61,16 +60,6 @@ class Example:
     instruction: int  # which instruction it comes from
 
 
-@dataclasses.dataclass(frozen=True)
-class Block:
-    """All factors of one kind; H distinct examples of up to G distinct rows."""
-
-    words: np.ndarray  # f32[H, W]
-    properties: np.ndarray  # f32[H, G, F]
-    count: np.ndarray  # f32[H, G, 2] how many factors have φ = 0, and φ = 1
-    instructions: np.ndarray  # f32[I, H] how often each instruction has the example
-
-
 def annotation_examples(
     instructions: Sequence[LabelledInstruction], type_names: tuple[str, ...]
 ) -> list[Example]:
@@ -98,7 +87,7 @@ def _clauses(parse: Parse) -> Iterable[tuple[Node, ...]]:
 
 
 def annotation_properties(
-    space: AnnotationSpace, senses: af.Senses, groundings: list[np.ndarray]
+    space: AnnotationSpace, senses: Senses, groundings: list[np.ndarray]
 ) -> dict[str, np.ndarray]:
     """Describe every annotation symbol of a phrase.
 
@@ -136,10 +125,10 @@ def _annotation_example(
     """Build the example of one phrase."""
     gold = space.mask(labelled.annotation[node.path])
     children = [space.mask(labelled.annotation[nodes[child].path]) for child in node.children]
-    senses = af.senses_of(node.phrase, type_names)
+    senses = senses_of(node.phrase, type_names)
     labels = {
         "symbol": gold,
-        "rank": np.arange(1, af.NUM_RANKS + 1) == labelled.rank.get(node.path, 0),
+        "rank": np.arange(1, NUM_RANKS + 1) == labelled.rank.get(node.path, 0),
     }
     properties = annotation_properties(space, senses, children)
     rows = {kind: Rows(properties[kind], labels[kind]) for kind in properties}
@@ -172,14 +161,14 @@ def child_groundings(
         objects |= space.part(expressed, OBJECT)
         regions |= places
         constraints |= space.part(expressed, CONSTRAINT)
-        if phrase.label in af.RESTRICTORS:
+        if phrase.label in RESTRICTORS:
             lies &= bf.lies_in(world, places, rank)
             is_restricted = True
     return bf.ChildGroundings(objects, regions, constraints, lies, is_restricted, bool(children))
 
 
 def behavior_properties(
-    world: bf.World, is_verb: bool, senses: af.Senses, child: bf.ChildGroundings
+    world: bf.World, is_verb: bool, senses: Senses, child: bf.ChildGroundings
 ) -> dict[str, np.ndarray]:
     """Describe every behavior symbol of a phrase.
 
@@ -237,7 +226,7 @@ def ranks_meant(
         meant = np.maximum(meant, ranks_meant(child, (*path, i), rank, type_names))
     own = rank.get(path, 0)
     if own:
-        meant[sorted(af.senses_of(phrase, type_names).relations)] = own
+        meant[sorted(senses_of(phrase, type_names).relations)] = own
     return meant
 
 
@@ -282,7 +271,7 @@ def _behavior_example(
     properties = behavior_properties(
         world,
         node.is_verb,
-        af.senses_of(node.phrase, type_names),
+        senses_of(node.phrase, type_names),
         child_groundings(world, space, children),
     )
     expressed = space.mask(gold[node.path])
@@ -294,50 +283,3 @@ def _behavior_example(
             real = np.broadcast_to(world.is_object, labels.shape)
         rows[kind] = Rows(table[real.ravel()], labels[real])
     return Example(node.phrase, rows, index)
-
-
-def _compress(rows: Rows) -> tuple[np.ndarray, np.ndarray]:
-    """Join factors with equal properties: distinct rows f32[G, F] and counts f32[G, 2]."""
-    distinct, inverse = np.unique(rows.properties, axis=0, return_inverse=True)
-    count = np.zeros((len(distinct), 2), np.float32)
-    np.add.at(count, (inverse.ravel(), rows.labels.astype(int)), 1.0)
-    return distinct, count
-
-
-def build_block(
-    examples: Sequence[Example], kind: str, vocabulary: Vocabulary, num_instructions: int
-) -> Block:
-    """Stack the factors of one kind of symbol, joining equal examples.
-
-    Args:
-        examples: of one model.
-        kind: which kind of symbol.
-        vocabulary: word side.
-        num_instructions: I.
-
-    Returns:
-        The block.
-    """
-    found: dict[tuple[bytes, bytes, bytes], int] = {}
-    vectors, tables, counts, owners = [], [], [], []
-    for example in examples:
-        if kind not in example.rows:
-            continue
-        vector = vocabulary.vector(example.phrase)
-        table, count = _compress(example.rows[kind])
-        key = (vector.tobytes(), table.tobytes(), count.tobytes())
-        if key not in found:
-            found[key] = len(vectors)
-            vectors.append(vector)
-            tables.append(table)
-            counts.append(count)
-        owners.append((example.instruction, found[key]))
-    depth = max(len(table) for table in tables)
-    instructions = np.zeros((num_instructions, len(vectors)), np.float32)
-    np.add.at(instructions, tuple(np.array(owners).T), 1.0)
-    return Block(
-        np.stack(vectors),
-        np.stack([np.pad(t, ((0, depth - len(t)), (0, 0))) for t in tables]),
-        np.stack([np.pad(c, ((0, depth - len(c)), (0, 0))) for c in counts]),
-        instructions,
-    )

@@ -112,43 +112,69 @@ def train_models(
     config = config or TrainingConfig()
     say("reading the corpus")
     examples = load_corpus() if corpus is None else read_corpus(_corpus_file(corpus))
-    type_names = load_lexicon().type_names
-    train = [example for example in examples if example.split == "train"]
-    test = [example for example in examples if example.split == "test"]
-    if not train:
-        raise ValueError("the corpus has no sentence marked 'train'")
-    instructions, held_out = read_examples(train, type_names), read_examples(test, type_names)
-    is_tuning = _tuning_split(train)
-    tuning = [x for x, kept in zip(instructions, is_tuning, strict=True) if kept]
+    data = _Data.of(examples, load_lexicon().type_names)
     models = {} if base is None else {"annotation": base.annotation, "behavior": base.behavior}
     report: dict[str, Any] = {"corpus": corpus_hash(examples), "sentences": len(examples)}
     for name in [name for name in MODELS if name in kinds]:
         say(f"fitting the {name} model")
-        begin = time.perf_counter()
-        full, part, measured, count = _fit_twice(name, instructions, is_tuning, type_names, config)
-        fitted = time.perf_counter() - begin
-        say(f"tuning and testing the {name} model")
-
-        def score(
-            model: CorrespondenceModel, which: Sequence[LabelledInstruction], name: str = name
-        ) -> Scores:
-            if name == "annotation":
-                return score_annotations(which, model, type_names)
-            return score_behaviors(which, models["annotation"], model, type_names)
-
-        def warm(t: float, model: CorrespondenceModel) -> CorrespondenceModel:
-            return dataclasses.replace(model, temperature=t)
-
-        temperature = 1.0
-        if tuning:
-            temperature = fit_temperature(lambda t, m=part: score(warm(t, m), tuning))
-        models[name] = warm(temperature, full)
-        report[name] = _report(measured, count, full, fitted, temperature) | (
-            _held_out(score(full, held_out), score(models[name], held_out)) if held_out else {}
-        )
+        models[name], report[name] = _train_one(name, data, models, config)
     if set(models) != set(MODELS):
         raise ValueError("to train one model alone, give the weights that the other comes from")
-    return Trained(GroundingModel(models["annotation"], models["behavior"], type_names), report)
+    model = GroundingModel(models["annotation"], models["behavior"], data.type_names)
+    return Trained(model, report)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Data:
+    """A corpus made ready: what is trained on, tuned on and held out."""
+
+    type_names: tuple[str, ...]
+    train: list[LabelledInstruction]
+    is_tuning: np.ndarray  # bool, of those trained on
+    held_out: list[LabelledInstruction]
+
+    @classmethod
+    def of(cls, examples: Sequence[Example], type_names: tuple[str, ...]) -> "_Data":
+        """Part a corpus by its splits."""
+        train = [example for example in examples if example.split == "train"]
+        test = [example for example in examples if example.split == "test"]
+        if not train:
+            raise ValueError("the corpus has no sentence marked 'train'")
+        return cls(
+            type_names,
+            read_examples(train, type_names),
+            _tuning_split(train),
+            read_examples(test, type_names),
+        )
+
+
+def _train_one(
+    name: str, data: _Data, models: dict[str, CorrespondenceModel], config: TrainingConfig
+) -> tuple[CorrespondenceModel, dict[str, Any]]:
+    """Fit, tune and test one model; the behavior model is tested with the annotation model."""
+    begin = time.perf_counter()
+    full, part, measured, count = _fit_twice(
+        name, data.train, data.is_tuning, data.type_names, config
+    )
+    fitted = time.perf_counter() - begin
+    tuning = [x for x, kept in zip(data.train, data.is_tuning, strict=True) if kept]
+
+    def score(model: CorrespondenceModel, which: Sequence[LabelledInstruction]) -> Scores:
+        if name == "annotation":
+            return score_annotations(which, model, data.type_names)
+        if "annotation" not in models:
+            raise ValueError("the behavior model needs an annotation model: give weights as base")
+        return score_behaviors(which, models["annotation"], model, data.type_names)
+
+    def warm(temperature: float, model: CorrespondenceModel) -> CorrespondenceModel:
+        return dataclasses.replace(model, temperature=temperature)
+
+    temperature = fit_temperature(lambda t: score(warm(t, part), tuning)) if tuning else 1.0
+    model = warm(temperature, full)
+    report = _report(measured, count, full, fitted, temperature)
+    if data.held_out:
+        report |= _held_out(score(full, data.held_out), score(model, data.held_out))
+    return model, report
 
 
 def _corpus_file(corpus: Path) -> Path:

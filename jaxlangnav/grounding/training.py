@@ -18,7 +18,8 @@ import numpy as np
 import optax
 from jax import Array
 
-from jaxlangnav.grounding.examples import Block, Example, build_block
+from jaxlangnav.grounding.blocks import Block, build_block
+from jaxlangnav.grounding.examples import Example
 from jaxlangnav.grounding.model import CorrespondenceModel, Vocabulary, build_vocabulary
 from jaxlangnav.pytree import pytree
 

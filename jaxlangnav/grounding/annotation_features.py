@@ -1,0 +1,222 @@
+"""Properties of annotation symbols: the grounding side of the bilinear score (section 3.1)."""
+
+import dataclasses
+
+import numpy as np
+
+from jaxlangnav.grounding.features import NUM_RANKS, Senses
+from jaxlangnav.grounding.symbols import NUM_RELATIONS, AnnotationSpace
+
+NUM_IDENTITY = 8
+"""Object types with a property of their own; further types are carried by agreement alone."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ChildSets:
+    """What the child phrases of an annotation phrase express, as they may be combined."""
+
+    objects: np.ndarray  # bool[T] any child expresses the object
+    regions: np.ndarray  # bool[6, L]
+    relations: np.ndarray  # bool[T, 6, L]
+    heads: np.ndarray  # bool[T] what a child phrase is about: its object, or a relation's figure
+    has_children: bool
+
+
+def child_sets(space: AnnotationSpace, groundings: list[np.ndarray]) -> ChildSets:
+    """Join the groundings of the child phrases.
+
+    The head of a phrase that expresses relations is the figure that is no landmark of another
+    ("the cone near the car" is about the cone); a phrase that expresses a region has no head.
+
+    Args:
+        space: annotation symbols.
+        groundings: bool[S] for each child.
+
+    Returns:
+        Unions over the children, and their heads.
+    """
+    num_types, num_landmarks = space.num_types, space.num_landmarks
+    objects = np.zeros(num_types, bool)
+    regions = np.zeros((NUM_RELATIONS, num_landmarks), bool)
+    relations = np.zeros((num_types, NUM_RELATIONS, num_landmarks), bool)
+    heads = np.zeros(num_types, bool)
+    for grounding in groundings:
+        child_objects, child_regions, child_relations = space.parts(grounding)
+        objects |= child_objects
+        regions |= child_regions
+        relations |= child_relations
+        if child_regions.any():
+            continue
+        figures = np.any(child_relations, axis=(1, 2))
+        landmarks = np.asarray(np.any(child_relations, axis=(0, 1)))[:num_types]
+        head_figures = figures & ~landmarks
+        heads |= child_objects | (head_figures if head_figures.any() else figures)
+    return ChildSets(objects, regions, relations, heads, bool(groundings))
+
+
+def _members(indices: frozenset[int], size: int) -> np.ndarray:
+    """Turn indices into a boolean vector, ignoring those out of range."""
+    mask = np.zeros(size, bool)
+    mask[[i for i in indices if i < size]] = True
+    return mask
+
+
+def _columns(shape: tuple[int, ...], columns: list[np.ndarray | bool]) -> np.ndarray:
+    """Stack broadcast properties to f32[symbols, F]."""
+    table = np.empty((*shape, len(columns)), np.float32)
+    for i, column in enumerate(columns):
+        table[..., i] = column
+    return table.reshape(-1, len(columns))
+
+
+def _type_identity(num_types: int) -> np.ndarray:
+    """Mark each of the first types, bool[NUM_IDENTITY, T]."""
+    return np.eye(NUM_IDENTITY, num_types, dtype=bool)
+
+
+def _landmark_identity(num_types: int) -> np.ndarray:
+    """Mark each of the first types and the robot, bool[NUM_IDENTITY + 1, L]."""
+    identity = np.zeros((NUM_IDENTITY + 1, num_types + 1), bool)
+    identity[:NUM_IDENTITY, :num_types] = _type_identity(num_types)
+    identity[NUM_IDENTITY, num_types] = True
+    return identity
+
+
+def object_properties(space: AnnotationSpace, senses: Senses, child: ChildSets) -> np.ndarray:
+    """Describe the object symbols of a phrase, given what its children express.
+
+    Args:
+        space: annotation symbols.
+        senses: of the phrase's words.
+        child: groundings of the child phrases.
+
+    Returns:
+        f32[T, F]: bias, agreement with words and children and their inverse, type identity.
+    """
+    own = _members(senses.types, space.num_types)
+    has_region = bool(child.regions.any())
+    return _columns(
+        (space.num_types,),
+        [
+            True,
+            own,
+            ~own & bool(senses.types),
+            child.objects,
+            child.objects & has_region,
+            child.objects & bool(child.relations.any()),
+            child.has_children & ~child.objects,
+            own & has_region,
+            *_type_identity(space.num_types),
+        ],
+    )
+
+
+def region_properties(space: AnnotationSpace, senses: Senses, child: ChildSets) -> np.ndarray:
+    """Describe the region symbols of a phrase; arguments as ``object_properties``, f32[6 L, F]."""
+    size = space.num_landmarks
+    relation = _members(senses.relations, NUM_RELATIONS)[:, None]
+    is_robot = (np.arange(size) == space.num_types)[None, :]
+    head = np.append(child.heads, False)[None, :]
+    own = np.append(_members(senses.types, space.num_types), senses.is_robot)[None, :]
+    has_object = bool(child.heads.any())
+    is_lone = not child.has_children and not senses.types
+    return _columns(
+        (NUM_RELATIONS, size),
+        [
+            True,
+            relation,
+            head,
+            relation & head,
+            ~relation & head & bool(senses.relations),
+            own,
+            relation & own,
+            relation & is_robot & is_lone,
+            is_robot & senses.is_robot,
+            child.regions,
+            child.regions & has_object,
+            child.regions & (not has_object),
+            child.has_children & ~child.regions & ~head,
+            relation & ~head & ~own & ~(is_robot & is_lone),
+            *np.eye(NUM_RELATIONS, dtype=bool)[:, :, None],
+            *_landmark_identity(space.num_types)[:, None, :],
+        ],
+    )
+
+
+def relation_properties(space: AnnotationSpace, senses: Senses, child: ChildSets) -> np.ndarray:
+    """Describe the relation symbols; arguments as ``object_properties``, f32[6 T L, F]."""
+    size = space.num_landmarks
+    own_type = _members(senses.types, space.num_types)[:, None, None]
+    head = child.heads[:, None, None]
+    region = child.regions[None]
+    relation = _members(senses.relations, NUM_RELATIONS)[None, :, None]
+    is_robot = (np.arange(size) == space.num_types)[None, None, :]
+    composed = head & region
+    return _columns(
+        (space.num_types, NUM_RELATIONS, size),
+        [
+            True,
+            child.relations,
+            composed,
+            own_type & region,
+            own_type & relation & is_robot,
+            head & relation & is_robot,
+            region & ~head & ~own_type,
+            head & ~region,
+            ~child.relations & ~composed,
+        ],
+    )
+
+
+def rank_properties(senses: Senses) -> np.ndarray:
+    """Describe the ranks 1 to 4 that a phrase may give its region, f32[4, 7]."""
+    ranks = np.arange(1, NUM_RANKS + 1)
+    own = np.isin(ranks, sorted(senses.ranks))
+    named = bool(senses.ranks)
+    return _columns((NUM_RANKS,), [True, own, ~own & named, *np.eye(NUM_RANKS, dtype=bool)])
+
+
+def shared_properties(senses: Senses, expressed: np.ndarray, num_children: int) -> np.ndarray:
+    """Describe symbols by what holds for every kind alike, so that kinds learn from each other.
+
+    Args:
+        senses: of the phrase's words.
+        expressed: bool[S], some child expresses the symbol.
+        num_children: of the phrase.
+
+    Returns:
+        f32[S, 6]: bias, passed on, from an only child, from several, by words that name
+        nothing themselves, not passed on.
+    """
+    names_nothing = not senses.types and not senses.relations
+    return _columns(
+        expressed.shape,
+        [
+            True,
+            expressed,
+            expressed & (num_children == 1),
+            expressed & (num_children > 1),
+            expressed & names_nothing,
+            ~expressed & (num_children > 0),
+        ],
+    )
+
+
+def join_kinds(tables: list[np.ndarray], shared: np.ndarray) -> np.ndarray:
+    """Put the properties of several kinds of symbol side by side, and shared ones after them.
+
+    Args:
+        tables: f32[S_kind, F_kind] each.
+        shared: f32[Σ S_kind, F].
+
+    Returns:
+        f32[Σ S_kind, Σ F_kind + F]; a symbol has zeros where other kinds have theirs.
+    """
+    width = sum(table.shape[1] for table in tables)
+    joined = np.zeros((len(shared), width + shared.shape[1]), np.float32)
+    row = column = 0
+    for table in tables:
+        joined[row : row + table.shape[0], column : column + table.shape[1]] = table
+        row, column = row + table.shape[0], column + table.shape[1]
+    joined[:, width:] = shared
+    return joined
