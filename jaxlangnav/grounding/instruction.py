@@ -13,6 +13,7 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.grounding.annotation import Belief, describe, infer_annotations, walk
+from jaxlangnav.grounding.contraction import NUM_TYPES
 from jaxlangnav.grounding.graph import build
 from jaxlangnav.grounding.model import CorrespondenceModel
 from jaxlangnav.grounding.program import BehaviorProgram, compile_clause, empty_program, to_program
@@ -125,6 +126,10 @@ def _check_nouns(tree: Parse, belief: Belief) -> None:
 
 def understand_parse(tree: Parse, model: GroundingModel) -> Understanding:
     """Understand a sentence that has been parsed already; see ``understand``."""
+    if len(model.type_names) > NUM_TYPES:
+        raise ValueError(
+            f"the lexicon has {len(model.type_names)} object types; at most {NUM_TYPES} are held"
+        )
     belief = infer_annotations(tree, model.annotation, model.type_names)
     _check_nouns(tree, belief)
     commands = [i for i, kind in enumerate(tree.kinds) if kind == COMMAND]

@@ -1,0 +1,96 @@
+"""The corpus as training data, and the measures taken on it."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from grounding_fixture import TYPES, corpus, example
+
+from jaxlangnav.grounding import load_shipped, understand
+from jaxlangnav.grounding.evaluation import gold_annotations, score_annotations, score_behaviors
+from jaxlangnav.grounding.examples import annotation_examples, behavior_examples, ranks_meant
+from jaxlangnav.grounding.labelled import read_annotation, read_behavior, read_example
+from jaxlangnav.grounding.symbols import (
+    ACTION,
+    CONSTRAINT,
+    GOAL,
+    MODE,
+    BehaviorSymbol,
+    object_symbol,
+    region_symbol,
+    relation_symbol,
+)
+from jaxlangnav.messages import AT, BEHIND, LEFT, NEAR, NONE, ROBOT
+
+
+def test_symbols_are_read_by_name():
+    assert read_annotation("object(cone)", TYPES) == object_symbol(1)
+    assert read_annotation("region(left,robot)", TYPES) == region_symbol(LEFT, ROBOT)
+    relation = relation_symbol(0, BEHIND, 1)
+    assert read_annotation("relation(hydrant,behind,cone)", TYPES) == relation
+    assert read_behavior("goal(at,3)", 5) == BehaviorSymbol(GOAL, AT, 3)
+    assert read_behavior("goal(left,robot)", 5) == BehaviorSymbol(GOAL, LEFT, 5)
+    assert read_behavior("constraint(near,2)", 5) == BehaviorSymbol(CONSTRAINT, NEAR, 2)
+    assert read_behavior("action(find)", 5) == BehaviorSymbol(ACTION, NONE, 1)
+    assert read_behavior("mode(carefully)", 5) == BehaviorSymbol(MODE, NONE, 2)
+
+
+def test_labels_stand_at_their_phrases():
+    labelled = read_example(
+        example("go to the car behind the tree", np.random.default_rng(0)), TYPES
+    )
+    car, tree = TYPES.index("car"), TYPES.index("tree")
+    root = frozenset({relation_symbol(car, BEHIND, tree)})
+    assert labelled.annotation[(0,)] == root == gold_annotations(labelled)
+    assert labelled.annotation[(0, 0, 0, 0)] == {object_symbol(car)}
+    assert labelled.annotation[(0, 0, 0, 1)] == {region_symbol(BEHIND, tree)}
+    assert len(labelled.worlds) == len(labelled.behavior) == 3
+
+
+def test_statements_have_no_behavior():
+    (labelled,) = corpus(sentences=("the barrel is behind the bench",))
+    assert all(not gold for gold in labelled.behavior)
+    assert behavior_examples([labelled], TYPES) == []
+    assert len(annotation_examples([labelled], TYPES)) == 4
+
+
+def test_ranks_pass_up():
+    (labelled,) = corpus(sentences=("go to the box that is nearest to the cone",))
+    clause = labelled.parse.clauses[0]
+    place = clause.children[0].children[0].children[1]
+    assert place.label == "SBAR"
+    assert ranks_meant(place, (0, 0, 0, 1), labelled.rank, TYPES)[NEAR] == 1
+    assert (
+        ranks_meant(clause.children[0].children[0].children[0], (0, 0, 0, 0), {}, TYPES).sum() == 0
+    )
+
+
+def test_each_factor_is_an_example():
+    instructions = corpus(num_worlds=1, sentences=("go to the car",))
+    examples = annotation_examples(instructions, TYPES)
+    assert [len(e.rows["symbol"].labels) for e in examples] == [494] * 3
+    slots = len(instructions[0].worlds[0].object_type)
+    sizes = [
+        sum(len(r.labels) for r in e.rows.values()) for e in behavior_examples(instructions, TYPES)
+    ]
+    assert sizes == [8 * slots, 8 * slots, 5 + 14 * slots]
+
+
+def test_scores_of_the_shipped_models():
+    model = load_shipped()
+    instructions = corpus(num_worlds=1)
+    annotation = score_annotations(instructions, model.annotation, TYPES)
+    behavior = score_behaviors(instructions, model.annotation, model.behavior, TYPES)
+    assert annotation.accuracy > 0.95
+    assert behavior.accuracy > 0.95
+    assert ((annotation.confidence > 0) & (annotation.confidence <= 1 + 1e-9)).all()
+    # Ranks are summed out and gold may be the answer given, so log_gold ≤ log confidence there.
+    right = annotation.is_right
+    np.testing.assert_allclose(annotation.log_gold[right], np.log(annotation.confidence[right]))
+
+
+def test_more_types_than_a_program_holds_are_refused():
+    model = load_shipped()
+    crowded = dataclasses.replace(model, type_names=(*TYPES, *"abcdefgh"))
+    with pytest.raises(ValueError, match="at most 15"):
+        understand("go to the hydrant", crowded)
