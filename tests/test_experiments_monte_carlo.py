@@ -61,6 +61,15 @@ def test_worlds_are_shared_by_ranges_and_commands_but_not_by_seeds() -> None:
     assert not np.any(near.scenario.goal == other.scenario.goal)
 
 
+def test_environments_are_taken_in_turn() -> None:
+    fresh = make_tasks(cell("2H1C", "behind", 1, 3.0, 7, 0))
+    few = make_tasks(dataclasses.replace(cell("2H1C", "behind", 1, 3.0, 7, 0), environments=3))
+    turn = np.arange(7) % 3
+    same(dataclasses.replace(few, scenario=take(fresh, turn).scenario), few)
+    # The noise is each episode's own.
+    np.testing.assert_array_equal(jax.random.key_data(few.key), jax.random.key_data(fresh.key))
+
+
 def test_a_world_of_ones_own_stands_as_it_is() -> None:
     own = open_world("yard")
     assert isinstance(own, World)

@@ -53,17 +53,20 @@ class Experiment:
         on_progress: Progress | None,
         num_particles: int,
         calibration_episodes: int = 0,
+        environments: int = 0,
     ) -> dict[str, Any]:
         """Run all rows for every policy.
 
         Args:
-            episodes: runs a row, a fresh world each.
+            episodes: runs a row.
             policies: names; see ``policies.POLICY_NAMES``.
             seed: root seed of worlds and noise.
             out: folder for Parquet, Markdown and manifest; nothing is written if None.
             on_progress: called with the number of episodes just finished.
             num_particles: P, of the navigator's policies.
             calibration_episodes: of each row, the first so many are judged step by step.
+            environments: worlds of a template taken in turn, ten in the paper; 0 for a fresh one
+                per episode.
 
         Returns:
             The document: ``rows``, ``paper``, ``bounds``, ``sentences``, ``noise``, ``wall_s``
@@ -85,6 +88,7 @@ class Experiment:
                 seed=seed,
                 num_particles=num_particles,
                 calibration_episodes=calibration_episodes,
+                environments=environments,
                 on_progress=on_progress,
             )
         keys = {(one.world, one.range, one.relation) for one in self.specs}
@@ -92,6 +96,7 @@ class Experiment:
         document: dict[str, Any] = {
             "experiment": self.name,
             "episodes": episodes,
+            "environments": environments,
             "policies": list(names),
             "seed": seed,
             "num_particles": num_particles,

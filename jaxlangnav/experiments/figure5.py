@@ -84,6 +84,7 @@ def reproduce_figure5(
     on_progress: Progress | None = None,
     num_particles: int = DEFAULT_PARTICLES,
     worlds: Sequence[str] = WORLDS,
+    environments: int = 0,
 ) -> dict[str, Any]:
     """Run both commands at every range, for every policy.
 
@@ -95,6 +96,8 @@ def reproduce_figure5(
         on_progress: called with the number of episodes just finished.
         num_particles: P, of the navigator's policies.
         worlds: templates.
+        environments: worlds of a template taken in turn, ten in the paper; 0 for a fresh one per
+            episode.
 
     Returns:
         The document, see ``Experiment.run``; ``falls`` lists where success is lower than at the
@@ -110,6 +113,7 @@ def reproduce_figure5(
         out=out,
         on_progress=on_progress,
         num_particles=num_particles,
+        environments=environments,
     )
     return document | {"falls": falls(document)}
 

@@ -90,6 +90,7 @@ def run_rows(
     num_particles: int = DEFAULT_PARTICLES,
     params: NavigatorParams | None = None,
     calibration_episodes: int = 0,
+    environments: int = 0,
     on_progress: Progress | None = None,
 ) -> RowResults:
     """Run rows for every policy, on the same worlds and noise.
@@ -104,6 +105,7 @@ def run_rows(
         params: the navigator's numbers; its defaults if None.
         calibration_episodes: of each row, the first so many are run once more with every step's
             belief held against the truth.
+        environments: worlds of a template taken in turn; 0 for a fresh one per episode.
         on_progress: called with the number of episodes just finished.
 
     Returns:
@@ -114,13 +116,12 @@ def run_rows(
     """
     names, number = check_policies(policies), check_episodes(episodes)
     order = list(SENTENCES)
+    cells = [
+        cell(one.world, one.relation, order.index(one.relation), one.range, number, seed)
+        for one in specs
+    ]
     tasks = concatenate(
-        [
-            make_tasks(
-                cell(one.world, one.relation, order.index(one.relation), one.range, number, seed)
-            )
-            for one in specs
-        ]
+        [make_tasks(dataclasses.replace(one, environments=environments)) for one in cells]
     )
     known = known_distances(tasks)
     rows: list[Row] = []

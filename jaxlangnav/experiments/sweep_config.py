@@ -2,6 +2,7 @@
 
     name = "range and detector"               # optional
     episodes = 100                            # of each cell of the grid
+    environments = 10                         # worlds taken in turn; 0 (default): always fresh
     seeds = [0, 1]
     worlds = ["1H1C", "2H1C", "yard.toml"]    # templates, shipped worlds, files
     commands = ["behind", "nearest", { text = "drive to the hydrant", relation = "null" }]
@@ -43,7 +44,17 @@ from jaxlangnav.world.files import World, open_world
 from jaxlangnav.world.scenario import scenario_law
 from jaxlangnav.world.templates import Template, check_relation
 
-_KEYS = ("name", "episodes", "seeds", "worlds", "commands", "ranges", "policies", "particles")
+_KEYS = (
+    "name",
+    "episodes",
+    "environments",
+    "seeds",
+    "worlds",
+    "commands",
+    "ranges",
+    "policies",
+    "particles",
+)
 Values = dict[str, tuple[float, ...]]
 
 
@@ -61,6 +72,8 @@ class SweepConfig:
 
     name: str
     episodes: int
+    environments: int
+    """Worlds of a template, taken in turn; 0 for a fresh one per episode."""
     seeds: tuple[int, ...]
     worlds: tuple[str, ...]
     commands: tuple[Command, ...]
@@ -79,6 +92,7 @@ class SweepConfig:
         return {
             "name": self.name,
             "episodes": self.episodes,
+            "environments": self.environments,
             "seeds": list(self.seeds),
             "worlds": list(self.worlds),
             "commands": [dataclasses.asdict(one) for one in self.commands],
@@ -142,6 +156,7 @@ def config_from_dict(table: Mapping[str, Any], *, folder: Path = Path()) -> Swee
     config = SweepConfig(
         name=str(table.get("name", "sweep")),
         episodes=_integers(table, "episodes", (100,), least=1, is_list=False)[0],
+        environments=_integers(table, "environments", (0,), least=0, is_list=False)[0],
         seeds=_integers(table, "seeds", (0,), least=0),
         worlds=worlds,
         commands=tuple(_command(one) for one in _listed(table["commands"], "commands")),

@@ -182,6 +182,7 @@ def _cell(config: SweepConfig, setting: Setting, arm: Arm) -> Cell:
         sensor=setting.sensor_params(),
         motion=arm.motion_params(),
         episodes=config.episodes,
+        environments=config.environments,
         seed=setting.seed,
         scenario=None if own is None else jax.tree.map(np.asarray, own.scenario),
     )

@@ -63,6 +63,7 @@ def reproduce_table2(
     on_progress: Progress | None = None,
     num_particles: int = DEFAULT_PARTICLES,
     calibration_episodes: int = CALIBRATION_EPISODES,
+    environments: int = 0,
 ) -> dict[str, Any]:
     """Run the seven rows of Table 2 for every policy.
 
@@ -74,6 +75,8 @@ def reproduce_table2(
         on_progress: called with the number of episodes just finished.
         num_particles: P, of the navigator's policies.
         calibration_episodes: of each row, the first so many are judged step by step.
+        environments: worlds of a template taken in turn, ten in the paper; 0 for a fresh one per
+            episode.
 
     Returns:
         The document, see ``Experiment.run``.
@@ -89,6 +92,7 @@ def reproduce_table2(
         on_progress=on_progress,
         num_particles=num_particles,
         calibration_episodes=calibration_episodes,
+        environments=environments,
     )
 
 

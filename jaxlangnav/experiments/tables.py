@@ -168,8 +168,10 @@ def caption(document: dict[str, Any]) -> str:
         Lines of plain text.
     """
     noise = document["noise"]
+    worlds = document.get("environments", 0)
+    where = f"{worlds} worlds a template in turn" if worlds else "a fresh world each"
     lines = [
-        f"{document['episodes']} episodes a row, a fresh world each, seed {document['seed']}, "
+        f"{document['episodes']} episodes a row, {where}, seed {document['seed']}, "
         f"{document['num_particles']} particles; every policy has the same worlds and noise.",
         f"Noise: detection {noise['detection_probability']:g}, {noise['detection_noise']:g} m; "
         f"field of view {math.degrees(noise['field_of_view']):.0f}°; odometry "

@@ -37,6 +37,8 @@ class Cell:
     episodes: int
     seed: int
     first_episode: int = 0
+    environments: int = 0
+    """Different worlds, taken in turn (the paper has ten); 0 for a fresh one per episode."""
     scenario: Scenario | None = None
     """A world of somebody's own; None draws worlds of the template that ``world`` names."""
 
@@ -64,14 +66,15 @@ def cell(
 
 
 @jax.jit
-def _draw(roots: Array, laws: ScenarioLaw, numbers: Array) -> tuple[Array, Scenario]:
-    """Draw the episode's key and the world of each episode number; leaves [BLOCK, …]."""
+def _draw(roots: Array, laws: ScenarioLaw, numbers: Array, worlds: Array) -> tuple[Array, Scenario]:
+    """Draw each episode's key by its number and its world by the world's; leaves [BLOCK, …]."""
 
-    def one(root: Array, law: ScenarioLaw, number: Array) -> tuple[Array, Scenario]:
-        scenario_key, episode_key = jax.random.split(jax.random.fold_in(root, number))
+    def one(root: Array, law: ScenarioLaw, number: Array, world: Array) -> tuple[Array, Scenario]:
+        episode_key = jax.random.split(jax.random.fold_in(root, number))[1]
+        scenario_key = jax.random.split(jax.random.fold_in(root, world))[0]
         return episode_key, draw_scenario(scenario_key, law)
 
-    return jax.vmap(one)(roots, laws, numbers)
+    return jax.vmap(one)(roots, laws, numbers, worlds)
 
 
 def draw_tasks(cells: Sequence[Cell], index: np.ndarray, numbers: np.ndarray) -> Task:
@@ -90,13 +93,20 @@ def draw_tasks(cells: Sequence[Cell], index: np.ndarray, numbers: np.ndarray) ->
     """
     stacked = _stack([_describe(one) for one in cells])
     roots = jnp.stack([_root(one) for one in cells])
+    cycle = np.array([one.environments for one in cells])[index]
+    worlds = np.where(cycle > 0, numbers % np.maximum(cycle, 1), numbers)
     parts = []
     # Drawn in blocks of one shape, filled up with the first: one program for any number.
     for start in range(0, len(index), BLOCK):
         at = np.arange(start, start + BLOCK)
         at = np.where(at < len(index), at, start)
         mine = jax.tree.map(lambda leaf, at=at: leaf[index[at]], stacked)
-        keys, drawn = _draw(roots[index[at]], mine["law"], jnp.asarray(numbers[at], jnp.uint32))
+        keys, drawn = _draw(
+            roots[index[at]],
+            mine["law"],
+            jnp.asarray(numbers[at], jnp.uint32),
+            jnp.asarray(worlds[at], jnp.uint32),
+        )
         is_own = mine["is_own"]
         scenario = jax.tree.map(
             lambda own, new, is_own=is_own: jnp.where(
@@ -160,6 +170,8 @@ def make_tasks(one: Cell) -> Task:
     """
     if one.episodes < 1:
         raise ValueError(f"episodes is {one.episodes}, but must be at least 1")
+    if one.environments < 0:
+        raise ValueError(f"environments is {one.environments}, but must be at least 0")
     numbers = one.first_episode + np.arange(one.episodes)
     return draw_tasks([one], np.zeros(one.episodes, np.int32), numbers)
 
