@@ -117,8 +117,12 @@ def _set_up(repetitions: int) -> Bench:
 def _full_loop(bench: Bench, particles: int) -> list[Entry]:
     """Measure whole episodes, and one cycle against the NumPy twin."""
     config = navigator_config(POLICY, particles)
-    many = concatenate([bench.tasks] * 2 * usable_cores())
-    number = int(many.instruction_index.shape[0])
+    # About the same work at every size: fewer episodes where a cycle costs more.
+    share = max(3, 2 * _EPISODES * 64 // particles // LANES) * LANES
+    number = share * usable_cores()
+    rounds = -(-number // _EPISODES)
+    many = concatenate([bench.tasks] * rounds)
+    many = jax.tree.map(lambda leaf: leaf[:number], many)
 
     def work() -> EpisodeResult:
         return run_tasks(many, bench.instructions, params=bench.params, config=config)
