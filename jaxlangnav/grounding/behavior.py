@@ -12,6 +12,7 @@ particles P, so that every operation is a vector operation over lanes; ``vmap`` 
 told to put its axis there. Equal sets that rest on different child hypotheses stay apart.
 """
 
+import functools
 from typing import Any, NamedTuple
 
 import jax
@@ -35,6 +36,7 @@ from jaxlangnav.grounding.program import (
     NUM_SLOTS,
     BehaviorProgram,
 )
+from jaxlangnav.grounding.symbols import NUM_REGIONS
 from jaxlangnav.messages import NONE, Behavior, BehaviorWorld
 
 BEAM = 4
@@ -43,7 +45,7 @@ _DEAD = 1e6
 _PAIRS = ((0, 0), (0, 1), (0, 2), (0, 3), (1, 0), (1, 1), (2, 0), (3, 0))
 """Pairs of two sorted lists of four among which the four best sums are."""
 MAX_SLOTS = 15
-"""Object slots, the robot's included: four groups of them make at most 60 factors."""
+"""Object slots, the robot's included: a bit mask and a sorted list of factors hold them."""
 ROOT = -1
 """Row of the root in a program: the last one, however many phrases there are."""
 OBJECTS, REGIONS, CONSTRAINTS, LIES = 0, 1, 1 + NUM_SLOTS, 2 + NUM_SLOTS
@@ -119,12 +121,12 @@ def _best_sets(odds: Array, cost: Array, size: int) -> tuple[list[Array], Array]
     """Find the four best sets over the four combinations of the children.
 
     Args:
-        odds: f32[4, (2 + L) N, E, P] log-odds of objects, regions by slot and constraints.
+        odds: f32[4, (1 + L) N, E, P] log-odds of objects (or constraints) and regions by slot.
         cost: f32[4, E, P] of the combinations.
         size: N.
 
     Returns:
-        2 + L masks i32[4, E, P] and their costs f32[4, E, P], best first.
+        1 + L masks i32[4, E, P] and their costs f32[4, E, P], best first.
     """
     margin = jnp.abs(odds)
     # Σ log(1 + e^−m) as one logarithm of a product: up to 2^60 fits float32.
@@ -141,7 +143,7 @@ def _best_sets(odds: Array, cost: Array, size: int) -> tuple[list[Array], Array]
         jnp.where((kind == 2) | pair, pick(f2, combination), NONE),
         jnp.where((kind == 3) & ~pair, pick(f3, combination), NONE),
     )
-    masks = to_mask(odds.reshape(BEAM, -1, size, *odds.shape[-2:]) > 0)  # [4, 2 + L, E, P]
+    masks = to_mask(odds.reshape(BEAM, -1, size, *odds.shape[-2:]) > 0)  # [4, 1 + L, E, P]
     chosen = []
     for g in range(masks.shape[1]):
         mask = pick(masks[:, g], combination)
@@ -173,29 +175,38 @@ def _advance(program: BehaviorProgram, scene: Scene, stack: Stack, phrase: Array
     """Infer one phrase from its children."""
     size = scene.lies.shape[1]
     joined = _join(program, stack, phrase)
-    odds = jnp.concatenate(
-        [
-            object_odds(program, scene, joined, phrase, size)[:, None],
-            region_odds(program, scene, joined, phrase, size),
-            constraint_odds(program, scene, joined, phrase, size)[:, None],
-        ],
-        axis=1,
+    is_verb = program.is_verb[phrase]
+    # A phrase expresses objects or constraints, never both: they share the first N symbols.
+    first = jax.lax.cond(
+        jnp.any(is_verb),
+        lambda noun: jnp.where(
+            is_verb, constraint_odds(program, scene, joined, phrase, size), noun
+        ),
+        lambda noun: noun,
+        object_odds(program, scene, joined, phrase, size),
     )
+    regions = region_odds(program, scene, joined, phrase, size)
+    odds = jnp.concatenate([first[:, None], regions], axis=1)
     odds = keep(odds.reshape(BEAM, -1, *odds.shape[-2:]), phrase)
-    masks, cost = _best_sets(odds, joined.cost, size)
-    masks, cost = keep((masks, cost), phrase)
-    lies = lying_in(program, scene, masks[REGIONS : REGIONS + NUM_SLOTS], phrase)
-    top = Stack(jnp.stack([*masks, lies])[None], cost[None])
+    (both, *places), cost = keep(_best_sets(odds, joined.cost, size), phrase)
+    objects, constraints = jnp.where(is_verb, 0, both), jnp.where(is_verb, both, 0)
+    lies = lying_in(program, scene, places, phrase)
+    top = Stack(jnp.stack([objects, *places, constraints, lies])[None], cost[None])
     return _push(stack, top, program.num_children[phrase])
 
 
 def _by_relation(values: Array, relation: Array) -> Array:
     """Spread slots f32[L, N, E, P] over the seven regions, f32[7, N, E, P]."""
-    rows = [
-        sum(jnp.where(relation[s] == r, values[s], 0.0) for s in range(values.shape[0]))
-        for r in range(7)
-    ]
-    return jnp.stack(rows)
+    regions = iota(NUM_REGIONS, 3)[:, None]
+    spread = jnp.where(relation[0] == regions, values[0][None], 0.0)
+    for s in range(1, values.shape[0]):
+        spread = spread + jnp.where(relation[s] == regions, values[s][None], 0.0)
+    return spread
+
+
+def _along_slots(values: Array) -> list[Array]:
+    """Part f32[4, L, N, E, P] into its slots."""
+    return [values[:, s] for s in range(NUM_SLOTS)]
 
 
 def _conclude(program: BehaviorProgram, scene: Scene, stack: Stack) -> Behavior:
@@ -210,15 +221,19 @@ def _conclude(program: BehaviorProgram, scene: Scene, stack: Stack) -> Behavior:
         region_odds(program, scene, joined, ROOT, size),
         constraint_odds(program, scene, joined, ROOT, size),
     )
-    goal, constraint = keep(jax.tree.map(jax.nn.sigmoid, odds), program.num_phrases)
-    is_any = 1.0 - jnp.prod(1.0 - goal, axis=(1, 2))
+    # Written out: XLA's logistic, and its sums over a short leading axis, are scalar on CPU.
+    goal, constraint = keep(
+        jax.tree.map(lambda x: 1.0 / (1.0 + jnp.exp(-x)), odds), program.num_phrases
+    )
+    is_none = jnp.prod(functools.reduce(jnp.multiply, _along_slots(1.0 - goal)), axis=1)
+    total = jnp.sum(functools.reduce(jnp.add, _along_slots(goal)), axis=1)
     exists = jnp.where(program.num_phrases == 0, 0.0, 1.0)
     weight = exists * jax.nn.softmax(-joined.cost, axis=0)
-    share = weight * is_any / jnp.maximum(jnp.sum(goal, axis=(1, 2)), 1e-9)
+    share = weight * (1.0 - is_none) / jnp.maximum(total, 1e-9)
     by_slot = keep(
         (
-            jnp.sum(goal * share[:, None, None], axis=0),
-            jnp.sum(constraint * weight[:, None], axis=0),
+            functools.reduce(jnp.add, [goal[i] * share[i][None, None] for i in range(BEAM)]),
+            functools.reduce(jnp.add, [constraint[i] * weight[i][None] for i in range(BEAM)]),
         ),
         program.num_phrases,
     )

@@ -56,6 +56,7 @@ class BehaviorProgram:
 
     num_phrases: Array  # i32[]
     num_children: Array  # i32[H]; NOTHING in padded rows
+    is_verb: Array  # bool[H] expresses goals and constraints, otherwise objects and regions
     is_restrictor: Array  # bool[H, 3] the child says where the figure is
     own: Array  # bool[H, 16] the words name the type
     object_named: Array  # f32[H] log-odds of an object of a type that the words name
@@ -100,6 +101,7 @@ def empty_program() -> dict[str, np.ndarray]:
         "num_phrases": np.zeros((), i32),
         "num_children": np.full(h, NOTHING, i32),
         "is_restrictor": np.zeros((h, k), bool),
+        "is_verb": np.zeros(h, bool),
         "object_named": np.full(h, NEVER, f32),
         "object_unnamed": np.full(h, NEVER, f32),
         "own": np.zeros((h, t), bool),
@@ -273,6 +275,7 @@ def compile_clause(
         senses = senses_of(node.phrase, type_names)
         labels = [nodes[child].phrase.label in RESTRICTORS for child in at.children]
         fields["num_children"][row] = len(labels)
+        fields["is_verb"][row] = node.is_verb
         fields["is_restrictor"][row, : len(labels)] = labels
         meant = ranks_meant(node.phrase, node.path, rank, type_names)
         if node.is_verb:
