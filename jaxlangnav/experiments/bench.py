@@ -18,6 +18,7 @@ from jax.experimental.compilation_cache import compilation_cache
 
 from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task, run, run_batch
 from jaxlangnav.experiments import numpy_twin
+from jaxlangnav.experiments.breakdown import shares
 from jaxlangnav.experiments.measuring import (
     POLICY,
     Entry,
@@ -87,6 +88,13 @@ def run_bench(*, is_quick: bool = False, on_progress: Tell | None = None) -> dic
         for lanes in (1, 8, 128):
             tell(f"{lanes} lanes")
             entries.append(_lanes(bench, lanes))
+        tell("the parts of a cycle")
+        entries += shares(
+            bench.tasks,
+            bench.instructions,
+            params=bench.params,
+            repetitions=bench.repetitions,
+        )
     tell("compilation")
     entries += _compilation(bench)
     return {"machine": machine, "entries": entries}
