@@ -43,6 +43,7 @@ class Readings:
     relation: Array  # i32[K, J] relation index; NONE where the thing merely exists
     landmark: Array  # i32[K, J] mention index it is placed against; NONE where relation is NONE
     is_superlative: Array  # bool[K, J] "nearest": of all of the figure's type, the extreme one
+    rank: Array  # i32[K, J] 1 where the extreme one is meant, 2 the second, ...; 0 elsewhere
     log_probability: Array  # f32[K] normalised; -inf in empty readings
 
 
@@ -58,6 +59,7 @@ class BehaviorWorld:
     is_object: Array  # bool[N + 1]
     is_related: Array  # bool[6, N + 1, N + 1] relation, figure slot, landmark slot
     is_superlative: Array  # bool[6, N + 1, N + 1] and no other of the figure's type more so
+    is_later: Array  # bool[6, N + 1, N + 1] the second, third, ... that the sentence means
     is_previous: Array  # bool[N + 1] the goal of the previous command ("the other cone")
 
 

@@ -13,12 +13,15 @@ frame is the robot's own at that moment.
 x and y stand apart everywhere: XLA on CPU vectorises badly over a trailing axis of two.
 """
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
 from jaxlangnav.messages import FAR, NEAR
+from jaxlangnav.numerics.axes import lead, pick
 from jaxlangnav.pytree import pytree
 
 NUM_QUANTILES = 256
@@ -53,6 +56,18 @@ class RelationModel:
     concentration: Array  # f32[6]
     log_constant: Array  # f32[6] log normaliser of the density
     angle_quantile: Array  # f32[6, Q + 1] radians, |Δ| at equal steps of a normal's quantile
+
+
+@pytree
+class Law:
+    """The density of one relation, or of each particle's: numbers picked from the model."""
+
+    log_distance: Array  # f32[...]
+    log_distance_sd: Array  # f32[...]
+    axis_along: Array  # f32[...]
+    axis_lateral: Array  # f32[...]
+    concentration: Array  # f32[...]
+    log_constant: Array  # f32[...]
 
 
 @pytree
@@ -145,9 +160,29 @@ def robot_frame(heading: Array) -> Frame:
     return Frame(along_x=-cosine, along_y=-sine, lateral_x=-sine, lateral_y=cosine)
 
 
+def law_of(model: RelationModel, relation: ArrayLike) -> Law:
+    """Pick the numbers of a relation.
+
+    Args:
+        model: prepared relations.
+        relation: i32[...], relation index in [0, 6).
+
+    Returns:
+        Its law, leaves f32[...].
+    """
+    fields = dataclasses.fields(Law)
+    index = jnp.asarray(relation)
+    return Law(**{field.name: pick(getattr(model, field.name), index) for field in fields})
+
+
 def log_density(
     model: RelationModel, relation: ArrayLike, offset_x: Array, offset_y: Array, frame: Frame
 ) -> Array:
+    """Evaluate ``log_density_of`` for a relation by its index in [0, 6), i32[]."""
+    return log_density_of(law_of(model, relation), offset_x, offset_y, frame)
+
+
+def log_density_of(law: Law, offset_x: Array, offset_y: Array, frame: Frame) -> Array:
     """Evaluate how likely a relation places its figure at an offset from the landmark.
 
         log f = c − 2 log r − (log r − μ)² / 2σ² + κ (cos Δ − 1)
@@ -155,8 +190,7 @@ def log_density(
     Limits: κ = 0 depends on the distance alone; r → 0 and r → ∞ give −∞ smoothly.
 
     Args:
-        model: prepared relations.
-        relation: i32[], relation index in [0, 6).
+        law: of the relation, f32[] or f32[P], P the last axis of the offset.
         offset_x: f32[...], figure minus landmark, metres, map frame.
         offset_y: f32[...], metres.
         frame: directions, broadcastable to the offset.
@@ -165,18 +199,18 @@ def log_density(
         f32[...], log of the density per square metre.
     """
     squared = offset_x * offset_x + offset_y * offset_y + 1e-6
+
+    law = jax.tree.map(lambda leaf: lead(leaf, squared.ndim), law)
     log_distance = 0.5 * jnp.log(squared)
     along = offset_x * frame.along_x + offset_y * frame.along_y
     lateral = offset_x * frame.lateral_x + offset_y * frame.lateral_y
-    cosine = (along * model.axis_along[relation] + lateral * model.axis_lateral[relation]) * (
-        jax.lax.rsqrt(squared)
-    )
-    standard = (log_distance - model.log_distance[relation]) / model.log_distance_sd[relation]
+    cosine = (along * law.axis_along + lateral * law.axis_lateral) * jax.lax.rsqrt(squared)
+    standard = (log_distance - law.log_distance) / law.log_distance_sd
     return (
-        model.log_constant[relation]
+        law.log_constant
         - 2.0 * log_distance
         - 0.5 * standard * standard
-        + model.concentration[relation] * (cosine - 1.0)
+        + law.concentration * (cosine - 1.0)
     )
 
 
@@ -187,26 +221,24 @@ def sample_polar(
 
     Args:
         model: prepared relations.
-        relation: i32[], relation index in [0, 6).
+        relation: i32[...] or i32[], relation index in [0, 6).
         distance_normal: f32[...], standard normal draws.
         angle_normal: f32[...], standard normal draws, turned into angles by their quantile.
 
     Returns:
         f32[...] along and f32[...] lateral, metres, in the frame of ``log_density``.
     """
-    distance = jnp.exp(
-        model.log_distance[relation] + model.log_distance_sd[relation] * distance_normal
-    )
+    law = law_of(model, relation)
+    distance = jnp.exp(law.log_distance + law.log_distance_sd * distance_normal)
     position = jnp.minimum(jnp.abs(angle_normal), MAX_NORMAL) * (NUM_QUANTILES / MAX_NORMAL)
     lower = jnp.clip(position.astype(jnp.int32), 0, NUM_QUANTILES - 1)
     fraction = position - lower
-    table = model.angle_quantile[relation]
-    angle = table[lower] * (1.0 - fraction) + table[lower + 1] * fraction
+    table = model.angle_quantile
+    angle = table[relation, lower] * (1.0 - fraction) + table[relation, lower + 1] * fraction
     angle = jnp.where(angle_normal < 0.0, -angle, angle)
     cosine, sine = jnp.cos(angle), jnp.sin(angle)
-    axis_along, axis_lateral = model.axis_along[relation], model.axis_lateral[relation]
-    along = distance * (axis_along * cosine - axis_lateral * sine)
-    lateral = distance * (axis_lateral * cosine + axis_along * sine)
+    along = distance * (law.axis_along * cosine - law.axis_lateral * sine)
+    lateral = distance * (law.axis_lateral * cosine + law.axis_along * sine)
     return along, lateral
 
 

@@ -99,9 +99,24 @@ def draw_world(found: Parse, types: list[str], rng: random.Random) -> PlacedWorl
     return PlacedWorld(objects=objects, robot=robot, previous=previous)
 
 
-def labels_in(found: Parse, world: PlacedWorld) -> tuple[list[list[frozenset[str]]], bool]:
+def with_previous(found: Parse, world: PlacedWorld) -> PlacedWorld:
+    """Say where the first command of a sentence led to that goes on about the same thing."""
+    words = [word for root in found.clauses for word in root.all_words()]
+    if not any("same" in word.senses for word in words):
+        return world
+    goals = [s for s in behave(found.clauses[0], Geometry(world))[-1] if s.startswith("goal")]
+    slots = {goal.split(",")[1][:-1] for goal in goals}
+    previous = slots.pop() if len(slots) == 1 else "robot"
+    if previous == "robot":
+        return world
+    return PlacedWorld(objects=world.objects, robot=world.robot, previous=int(previous))
+
+
+def labels_in(
+    found: Parse, world: PlacedWorld, *, ranks_among_part: bool = True
+) -> tuple[list[list[frozenset[str]]], bool]:
     """Label all clauses in a world; the second result tells whether the world fits."""
-    geometry = Geometry(world)
+    geometry = Geometry(world, ranks_among_part=ranks_among_part)
     all_labels, fits = [], True
     for root, kind in zip(found.clauses, found.kinds, strict=True):
         labels = list(behave(root, geometry))
@@ -134,8 +149,10 @@ def worlds_for(found: Parse, types: list[str], rng: random.Random, count: int) -
         s.startswith("relation") and s[9:].startswith(types[0]) for r in roots for s in r
     )
     for _ in range(MAX_DRAWS):
-        world = draw_world(found, types, rng)
+        world = with_previous(found, draw_world(found, types, rng))
         labels, fits = labels_in(found, world)
+        # The graph knows ranks among all of a type only: worlds in which that makes no difference.
+        fits &= labels_in(found, world, ranks_among_part=False)[0] == labels
         kinds = [kind for kind, _, _ in world.objects]
         has_rival = not is_placed or kinds.count(types[0]) > 1
         if not fits or (not worlds and not has_rival):

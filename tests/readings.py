@@ -59,6 +59,7 @@ def readings(
         relation=jnp.asarray(relation),
         landmark=jnp.asarray(landmark),
         is_superlative=jnp.asarray(is_superlative),
+        rank=jnp.asarray(is_superlative.astype(np.int32)),
         log_probability=jnp.asarray(log_probability, jnp.float32),
     )
 

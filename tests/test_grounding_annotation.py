@@ -11,7 +11,7 @@ from jaxlangnav.grounding.readings import CapacityError, read, to_readings
 from jaxlangnav.grounding.symbols import object_symbol, region_symbol, relation_symbol
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import Phrase
-from jaxlangnav.messages import BEHIND, NEAR, NONE, ROBOT
+from jaxlangnav.messages import BEHIND, LEFT, NEAR, NONE, RIGHT, ROBOT
 
 HYDRANT, CONE, CAR, TREE = 0, 1, 2, 4
 
@@ -164,15 +164,39 @@ def test_a_region_without_a_figure_only_says_that_its_landmark_exists():
     assert reading.relations == ((0, NONE, NONE, False),)
 
 
-def test_the_robot_is_a_landmark_and_a_rank_says_only_existence():
+def test_the_robot_is_a_landmark_and_ranks_are_kept():
     assert read(((relation_symbol(CONE, NEAR, ROBOT), 1),)).mentions == (ROBOT, CONE)
-    assert read(((relation_symbol(CONE, NEAR, ROBOT), 2),)).relations == ((0, NONE, NONE, False),)
+    assert read(((relation_symbol(CONE, NEAR, ROBOT), 2),)).relations == ((1, NEAR, 0, 2),)
+
+
+def said(figure, relation, landmark, rank=0):
+    return (relation_symbol(figure, relation, landmark), rank)
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "number"),
+    [
+        # "the cone on your left, then the one on your right", "the first, then the second": two
+        ((said(CONE, LEFT, ROBOT),), (said(CONE, RIGHT, ROBOT),), 2),
+        ((said(CONE, NEAR, ROBOT, 1),), (said(CONE, NEAR, ROBOT, 2),), 2),
+        # no more is said of it, or more of the same: one
+        ((said(CONE, LEFT, ROBOT),), ((object_symbol(CONE), 0),), 1),
+        ((said(CONE, LEFT, ROBOT),), (said(HYDRANT, BEHIND, CONE),), 1),
+        ((said(CONE, LEFT, ROBOT),), (said(CONE, LEFT, ROBOT),), 1),
+        (((object_symbol(CONE), 0),), (said(CONE, LEFT, ROBOT),), 1),
+    ],
+)
+def test_things_of_later_clauses(first, second, number):
+    reading = read(first, second)
+    assert reading.mentions.count(CONE) == number
+    assert reading.mentions.count(ROBOT) <= 1
+    assert len(set(reading.relations)) == len(reading.relations)
 
 
 def test_too_much_is_refused(model):
     belief = understand("go to the hydrant", model).belief
     said = tuple((relation_symbol(t, NEAR, t + 1), 0) for t in range(6))
-    crowded = dataclasses.replace(belief, sets=((said, 0.0),))
+    crowded = dataclasses.replace(belief, clauses=(((said,), 0.0),))
     with pytest.raises(CapacityError, match="say less at once"):
         to_readings(crowded)
 

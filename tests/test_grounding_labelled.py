@@ -65,6 +65,16 @@ def test_ranks_pass_up():
     )
 
 
+def test_ranks_of_a_landmark_stay_below():
+    (labelled,) = corpus(sentences=("go to the box near the second cone",))
+    place = labelled.parse.clauses[0].children[0].children[0].children[1]
+    path = (0, 0, 0, 1)
+    assert place.words[0].text == "near"
+    assert ranks_meant(place, path, labelled.rank, TYPES).sum() == 0
+    ordinal = place.children[0].children[1]
+    assert ranks_meant(ordinal, (*path, 0, 1), labelled.rank, TYPES)[NEAR] == 2
+
+
 def test_each_factor_is_an_example():
     instructions = corpus(num_worlds=1, sentences=("go to the car",))
     examples = annotation_examples(instructions, TYPES)

@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 from oracles.dcg import all_sets, log_probability, root_distribution
 
-from jaxlangnav.grounding.search import Hypothesis, best_sets, combinations, merge, search
+from jaxlangnav.grounding.search import (
+    Hypothesis,
+    best_sets,
+    combinations,
+    merge,
+    search,
+    search_exactly,
+)
 from jaxlangnav.language.phrase import Phrase
 
 
@@ -96,3 +103,20 @@ def test_narrow_beam_never_claims_too_much(seed):
     found = search(tree, odds, width=4)
     for hypothesis in found:
         assert np.exp(hypothesis.log_probability) <= exact[hypothesis.expressed.tobytes()] + 1e-12
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_proven_set_is_the_likeliest_of_the_enumeration(seed):
+    tree, odds = graph_of(seed, size=3)
+    exact = root_distribution(tree, odds)
+    best, is_proven = search_exactly(tree, odds)
+    assert is_proven  # four phrases of three symbols: 256 combinations are all there are
+    assert best.expressed.tobytes() == max(exact, key=exact.__getitem__)
+
+
+def test_what_cannot_be_proven_is_not():
+    """Forty symbols at even odds: 2^40 sets are equally likely."""
+    _, is_proven = search_exactly(leaf(), lambda *_: np.full(40, 1e-3))
+    assert not is_proven
+    _, is_proven = search_exactly(leaf(), lambda *_: np.full(40, 9.0))
+    assert is_proven

@@ -1,5 +1,8 @@
 """The objective, its gradient and its minimum."""
 
+import itertools
+from types import SimpleNamespace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,10 +10,12 @@ import pytest
 from grounding_fixture import TYPES, corpus
 from oracles.dcg import objective
 
+from jaxlangnav.grounding.blocks import Design, Factors, pool
 from jaxlangnav.grounding.examples import annotation_examples, behavior_examples
 from jaxlangnav.grounding.features import word_features
+from jaxlangnav.grounding.minimise import Problem, minimise
 from jaxlangnav.grounding.model import ANNOTATION_KINDS, BEHAVIOR_KINDS, CorrespondenceModel
-from jaxlangnav.grounding.training import Factors, TrainingConfig, build_blocks, fit, loss, train
+from jaxlangnav.grounding.training import TrainingConfig, build_design, fit, loss, train
 
 SMALL = ("walk to the barrel", "find the car behind the tree", "park near the box")
 
@@ -19,40 +24,49 @@ SMALL = ("walk to the barrel", "find the car behind the tree", "park near the bo
 def small():
     instructions = corpus(num_worlds=1, sentences=SMALL)
     examples = behavior_examples(instructions, TYPES)
-    return examples, *build_blocks(examples, BEHAVIOR_KINDS, len(instructions))
+    return examples, *build_design(examples, BEHAVIOR_KINDS, len(instructions))
 
 
-def on_device(blocks):
-    return {
-        kind: Factors(
-            words=jnp.asarray(b.words),
-            properties=jnp.asarray(b.properties),
-            count=jnp.asarray(b.count),
-        )
-        for kind, b in blocks.items()
-    }
+def all_counts(design: Design) -> np.ndarray:
+    return design.counts(np.ones((1, design.num_instructions), np.float32))[0]
 
 
-def random_weights(blocks, scale=0.3):
+def random_weights(design: Design, scale=0.3):
     rng = np.random.default_rng(3)
     return {
-        kind: rng.normal(0, scale, (b.words.shape[1], b.properties.shape[2])).astype(np.float32)
-        for kind, b in blocks.items()
+        kind: rng.normal(0, scale, (design.words.shape[1], part.stop - part.start)).astype(
+            np.float32
+        )
+        for kind, part in design.columns.items()
     }
 
 
-def test_bilinear_score_is_the_sum_of_products_of_features(small):
-    _, _, blocks = small
-    weights = random_weights(blocks)
-    shares = {kind: b.instructions.sum(0) for kind, b in blocks.items()}
-    got = loss(weights, on_device(blocks), shares, jnp.float32(0.1))
-    assert float(got) == pytest.approx(objective(weights, blocks, shares, 0.1), rel=1e-4)
+def oracle(weights, design: Design, counts, l2):
+    """The objective by the explicit sum of products of features, float64."""
+    blocks = {
+        kind: SimpleNamespace(
+            words=design.words, properties=design.properties[:, :, part], count=counts
+        )
+        for kind, part in design.columns.items()
+    }
+    # Kinds share no column: the log-odds of a factor are those of its own kind, so the others'
+    # factors, which have no property here, are taken out again (each is worth log 2).
+    total = objective(weights, blocks, {kind: np.ones(len(design.words)) for kind in blocks}, l2)
+    foreign = sum(
+        counts[~block.properties.any(-1)].sum() * np.log(2.0) for block in blocks.values()
+    )
+    return total - foreign
 
 
-def test_joining_equal_factors_leaves_the_objective(small):
-    examples, vocabulary, blocks = small
-    weights = random_weights(blocks)
-    shares = {kind: b.instructions.sum(0) for kind, b in blocks.items()}
+@pytest.mark.parametrize(
+    ("build", "kinds"),
+    [(behavior_examples, BEHAVIOR_KINDS), (annotation_examples, ANNOTATION_KINDS)],
+)
+def test_objective_is_the_sum_over_all_factors(build, kinds):
+    """Joined and counted, side by side or not: the value is that of the examples one by one."""
+    examples = build(corpus(num_worlds=1, sentences=SMALL), TYPES)
+    vocabulary, design = build_design(examples, kinds, len(SMALL))
+    weights = random_weights(design)
     model = CorrespondenceModel(vocabulary, weights)
     total = 0.0
     for example in examples:
@@ -60,15 +74,52 @@ def test_joining_equal_factors_leaves_the_objective(small):
         for kind, rows in example.rows.items():
             odds = (rows.properties @ coefficients[kind]).astype(np.float64)
             total += np.logaddexp(0, np.where(rows.labels, -odds, odds)).sum()
-    got = loss(weights, on_device(blocks), shares, jnp.float32(0.0))
-    assert float(got) == pytest.approx(total, rel=1e-4)
+    total += 0.05 * sum((w.astype(np.float64) ** 2).sum() for w in weights.values())
+    assert all_counts(design).sum() == sum(len(r.labels) for e in examples for r in e.rows.values())
+    assert float(loss(weights, design, all_counts(design), 0.1)) == pytest.approx(total, rel=1e-5)
+    assert oracle(weights, design, all_counts(design), 0.1) == pytest.approx(total, rel=1e-5)
+
+
+def test_equal_factors_are_joined_and_split_by_instruction():
+    words = np.array([[1, 0], [0, 1], [1, 0]], np.float32)  # the first and the last say the same
+    rows = np.array([[1, 0, 2], [0, 1, 0], [1, 0, 2], [1, 0, 2]], np.float32)
+    factors = Factors(
+        words=words,
+        properties=rows,
+        label=np.array([True, False, True, False]),
+        phrase=np.array([0, 0, 2, 1]),
+        instruction=np.array([0, 0, 1, 1]),
+    )
+    twice = Factors(
+        words=words,
+        properties=rows[[1, 2]],
+        label=np.array([False, True]),
+        phrase=np.array([0, 2]),
+        instruction=np.array([0, 1]),
+        times=np.array([2.0, 3.0]),
+    )
+    counted = pool(twice, {"symbol": slice(0, 3)}, 2).counts(np.ones((1, 2), np.float32))
+    assert sorted(counted.ravel())[-2:] == [2.0, 3.0]
+    assert counted.sum() == 5.0
+    design = pool(factors, {"symbol": slice(0, 3)}, 2)
+    assert design.num_distinct == 3
+    seen = {}
+    for u, g in itertools.product(*map(range, design.properties.shape[:2])):
+        key = (*map(float, design.words[u]), *map(float, design.properties[u, g]))
+        counted = design.counts(np.array([[1, 0], [0, 1], [2, 1]], np.float32))[:, u, g]
+        if counted.any():
+            seen[key] = counted.tolist()
+    assert seen == {
+        (1, 0, 1, 0, 2): [[0, 1], [0, 1], [0, 3]],
+        (1, 0, 0, 1, 0): [[1, 0], [0, 0], [2, 0]],
+        (0, 1, 1, 0, 2): [[0, 0], [1, 0], [1, 0]],
+    }
 
 
 def test_gradient_equals_finite_differences(small):
-    _, _, blocks = small
-    weights = random_weights(blocks)
-    shares = {kind: b.instructions.sum(0) for kind, b in blocks.items()}
-    gradient = jax.grad(loss)(weights, on_device(blocks), shares, jnp.float32(0.1))
+    _, _, design = small
+    weights, counts = random_weights(design), all_counts(design)
+    gradient = jax.grad(loss)(weights, design, counts, 0.1)
     rng = np.random.default_rng(0)
     for kind in ("object", "goal"):
         for _ in range(3):
@@ -79,31 +130,83 @@ def test_gradient_equals_finite_differences(small):
             for sign in (1, -1):
                 moved = {k: v.astype(np.float64) for k, v in weights.items()}
                 moved[kind][w, f] += sign * step
-                values.append(objective(moved, blocks, shares, 0.1))
+                values.append(oracle(moved, design, counts, 0.1))
             numeric = (values[0] - values[1]) / (2 * step)
             # Central differences err by O(step²); float32 gradients by about 1e-5 relative.
             assert float(gradient[kind][w, f]) == pytest.approx(numeric, rel=2e-3, abs=1e-3)
 
 
 def test_fit_reaches_the_minimum(small):
-    _, _, blocks = small
+    """At a minimum of a λ-strongly convex objective: J(W) − min J ≤ ‖∇J(W)‖² / 2 λ."""
+    _, _, design = small
     config = TrainingConfig(l2=0.1)
-    count = next(iter(blocks.values())).instructions.shape[0]
-    (weights,), measured = fit(blocks, np.ones((1, count), np.float32), config)
-    shares = {kind: b.instructions.sum(0) for kind, b in blocks.items()}
-    gradient = jax.grad(loss)(weights, on_device(blocks), shares, jnp.float32(0.1))
-    assert max(float(jnp.abs(g).max()) for g in gradient.values()) < 5e-3
+    (weights,), measured = fit(design, np.ones((1, design.num_instructions), np.float32), config)
+    gradient = jax.grad(loss)(weights, design, all_counts(design), 0.1)
+    length = np.sqrt(sum(float(jnp.sum(g * g)) for g in gradient.values()))
+    # Rounding adds to the tolerance: sums of a few thousand float32 slopes below one.
+    assert length < config.tolerance + 2e-3
     assert measured.steps[0] < config.max_steps
+    at_end = float(loss(weights, design, all_counts(design), 0.1))
+    assert measured.loss[0] == pytest.approx(at_end, rel=1e-5)
+
+
+def separable(rng):
+    """Factors that a plane tells apart by far: slopes vanish, curvature spans many decades."""
+    words = rng.random((12, 9)) < 0.4
+    properties = rng.random((12, 20, 6)) < 0.4
+    plane = rng.normal(0, 8, (9, 6))
+    is_true = np.einsum("uw,wf,ugf->ug", words, plane, properties) > 0
+    times = 100.0 * np.stack([~is_true, is_true], -1)
+    return Problem(*(jnp.asarray(x, jnp.float32) for x in (words, properties, times)))
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("l2", [1e-3, 1.0, 1e3])
+def test_search_ends_at_the_minimum_of_hard_problems(seed, l2):
+    problem = separable(np.random.default_rng(seed))
+    solve = jax.jit(minimise)
+    found, value, steps = solve(problem, l2, 1e-2, 1000)
+    assert int(steps) < 1000
+    # Newton's method, in float64, on the outer products.
+    x = np.einsum("uw,ugf->ugwf", problem.words, problem.properties).reshape(240, 54)
+    times, w = np.asarray(problem.times, np.float64).reshape(240, 2), np.zeros(54)
+
+    def evaluate(w):
+        odds = x @ w
+        each = times[:, 0] * np.logaddexp(0, odds) + times[:, 1] * np.logaddexp(0, -odds)
+        return each.sum() + 0.5 * l2 * w @ w
+
+    for _ in range(200):
+        chance = 0.5 + 0.5 * np.tanh(0.5 * (x @ w))
+        slope = x.T @ (times.sum(1) * chance - times[:, 1]) + l2 * w
+        curve = (x.T * (times.sum(1) * chance * (1 - chance))) @ x + l2 * np.eye(54)
+        step, length = np.linalg.solve(curve, slope), 1.0
+        while evaluate(w - length * step) > evaluate(w) - 1e-4 * length * slope @ step:
+            length *= 0.5
+            if length < 1e-12:
+                break
+        w = w - length * step
+    assert float(value) == pytest.approx(evaluate(w), rel=1e-4, abs=1e-4 / (2 * l2))
+    if l2 >= 1.0:
+        np.testing.assert_allclose(np.asarray(found).ravel(), w, atol=1e-2 / l2 + 1e-4)
 
 
 def test_splits_at_once_equal_splits_alone(small):
-    _, _, blocks = small
+    _, _, design = small
     shares = np.array([[1, 1, 0], [0, 1, 1]], np.float32)
-    together, _ = fit(blocks, shares)
+    together, _ = fit(design, shares)
     for k in range(2):
-        (alone,), _ = fit(blocks, shares[k : k + 1])
+        (alone,), _ = fit(design, shares[k : k + 1])
         for kind, weight in alone.items():
             np.testing.assert_allclose(together[k][kind], weight, atol=0.02)
+
+
+def test_bad_requests_are_refused(small):
+    examples, _, design = small
+    with pytest.raises(ValueError, match="l2 is 0"):
+        fit(design, np.ones((1, 3), np.float32), TrainingConfig(l2=0.0))
+    with pytest.raises(ValueError, match="no example has a symbol of kind 'smell'"):
+        build_design(examples, ("object", "smell"), 3)
 
 
 def test_training_fits_its_own_labels():

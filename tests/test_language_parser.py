@@ -141,9 +141,12 @@ def outcome(text: str) -> Parse | str:
 
 
 def check_nothing_is_dropped(text: str, found: Parse) -> None:
-    """Every word stands in the tree once, in its place."""
-    words = [w for clause in found.clauses for w in clause.all_words()]
+    """Every word stands in the tree in its place; what a statement says may stand again."""
+    standing = {w.position: w for clause in found.clauses for w in clause.all_words()}
+    words = [standing[position] for position in sorted(standing)]
     assert [w.position for w in words] == list(range(1, len(words) + 1))
+    own = [w.position for clause in found.clauses for w in clause.words]
+    assert len(own) == len(set(own))
     repaired = dict(found.repairs)
     typed = text.lower().replace(",", " ").replace(".", " ").split()
     assert [w.text for w in words] == [repaired.get(word, word) for word in typed]
@@ -173,7 +176,7 @@ PIECES = [
     "on your left", "that is", "then", "and", "the nearest box", "please", "find", "stop",
     "avoid", "nearest to",
     "slowly", "while avoiding", "there is", "is", "zorbel", "the second", "the other one",
-    "to", ",",
+    "to", ",", "it", "go there", "behind it", "after going to", "the one",
 ]  # fmt: skip
 
 
@@ -203,9 +206,73 @@ def test_longest_trees_within_a_second():
         "go to the hydrant" + " near the cone and behind the car" * 8,
         "go to the " + "big red " * 28 + "cone",
         "go to the cone" + " then go to the cone" * 12,
-        "go to the " + "zorbel " * 8,
     ):
         assert isinstance(outcome(text), Parse)
+    assert isinstance(outcome("go to the " + "zorbel " * 8), str)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "go to the cone" + " behind the cone" * 1000,
+        "go to the cone" + " behind the cone that is" * 300,
+        "go to the cone" + " and" * 2000,
+        "go to the cone" + " and then go to the car" * 10,
+        "go to the cone" + " then stop behind it" * 12,
+        "the hydrant is behind the cone." * 10 + " go to the hydrant",
+        "after going to the cone, " * 12 + "go to the car",
+        "and then " * 1000 + "go",
+        "the " + "very " * 40 + "big cone",
+        "pneumono" * 1200,
+        "go to the " + "x" * 9000,
+        "hydran" * 1500,
+        "\x00\x01\x02 go\x07 to\x1b[31m the cone\x7f",
+        "go\tto\r\nthe\u2028cone\u00a0now",
+        "go to the co\u0301ne\u200b",
+        "\u202ego to the cone",
+        "\ud800 go to the cone",
+        "\uff47\uff4f \uff54\uff4f \uff54\uff48\uff45 \uff43\uff4f\uff4e\uff45",
+        "go to the cone\ufeff",
+        "ﬁnd the cone",
+        "\u0393\u039f \u03a4\u039f \u03a4\u0397\u0395 \u039a\u039f\u039d\u0395",
+        "İ" * 3000,
+        "ß" * 5000,
+        "'s" * 3000,
+        "go-to-the-cone" * 300,
+        "1st 2nd 3rd " * 500,
+        "((((((((((go to the cone))))))))))" * 100,
+        "?" * 10_000,
+        "go to the cone" + "!" * 9000,
+    ],
+)  # fmt: skip
+def test_nasty_text_ends_within_a_second(text):
+    outcome(text)
+
+
+@settings(PROPERTY, max_examples=60)
+@given(st.integers(1, 10_000), st.text(min_size=1, max_size=40))
+def test_random_text_of_any_length_ends_within_a_second(length, unit):
+    outcome((unit * length)[:MAX_CHARACTERS])
+
+
+@settings(PROPERTY, max_examples=100)
+@given(st.lists(st.sampled_from(PIECES), min_size=10, max_size=64))
+def test_long_sentences_of_known_phrases_end_within_a_second(pieces):
+    outcome(" ".join(pieces))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "".join(chr(ord(c) + 0xFEE0) if c.isalpha() else c for c in "go to the cone"),
+        "\ufb01nd the cone",
+        "go to the cone\ufeff",
+        "\u202ego to the cone",
+        "go\tto\r\nthe\u00a0cone",
+    ],
+)
+def test_unusual_letters_are_read(text):
+    assert parse(text).clauses[0].children[-1].all_words()[-1].text == "cone"
 
 
 def test_longer_input_is_refused():

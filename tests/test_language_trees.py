@@ -177,7 +177,8 @@ STEPS = {
         "VP[go]{PP[to]{NP[the cone]}}", "VP[after that park]{PP[near]{NP[the car]}}",
     ),
     "the hydrant is near the cone, go to the hydrant": (
-        "S[is]{NP[the hydrant], PP[near]{NP[the cone]}}", "VP[go]{PP[to]{NP[the hydrant]}}",
+        "S[is]{NP[the hydrant], PP[near]{NP[the cone]}}",
+        "VP[go]{PP[to]{NP[]{NP[the hydrant], PP[near]{NP[the cone]}}}}",
     ),
     "go to the cone, go to the car, and go to the box": (
         "VP[go]{PP[to]{NP[the cone]}}", "VP[go]{PP[to]{NP[the car]}}",
@@ -226,6 +227,9 @@ REFUSED = {
     "go to the ice cream cone": ("ice cream cone", 4),
     "go to the cone of the car": ("of", 5),
     "asdf": ("asdf", 1),
+    "smash the box": ("smash", 1),
+    "gehe zu dem baum hinter dem auto": ("gehe", 1),
+    "go to the nearest one": ("one", 5),
     "go to the hydrant qwertz the cone": ("qwertz", 5),
     "find the hydrant nxt to the tree": ("nxt", 4),
     "go to the cone @ home": ("@", 5),

@@ -1,6 +1,13 @@
 """The Distributed Correspondence Graph (sections 3.1 and 3.3): what words mean, as data."""
 
 from jaxlangnav.grounding.behavior import infer_behavior, infer_behaviors
+from jaxlangnav.grounding.correspondence import (
+    CorrespondenceGraph,
+    Labelled,
+    SymbolSpace,
+    read_tree,
+    train_graph,
+)
 from jaxlangnav.grounding.instruction import (
     GroundingModel,
     Instruction,
@@ -13,12 +20,17 @@ from jaxlangnav.grounding.weights import load_shipped
 
 __all__ = [
     "BehaviorProgram",
+    "CorrespondenceGraph",
     "GroundingModel",
     "Instruction",
+    "Labelled",
+    "SymbolSpace",
     "Understanding",
     "infer_behavior",
     "infer_behaviors",
     "load_shipped",
+    "read_tree",
+    "train_graph",
     "understand",
     "understand_parse",
 ]

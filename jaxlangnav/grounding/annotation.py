@@ -16,7 +16,7 @@ from jaxlangnav.grounding.annotation_features import rank_properties
 from jaxlangnav.grounding.examples import Path, annotation_properties
 from jaxlangnav.grounding.features import senses_of
 from jaxlangnav.grounding.model import CorrespondenceModel
-from jaxlangnav.grounding.search import BEAM_WIDTH, Hypothesis, search
+from jaxlangnav.grounding.search import BEAM_WIDTH, Hypothesis, LogOdds, search
 from jaxlangnav.grounding.symbols import (
     OBJECT,
     Annotation,
@@ -37,6 +37,7 @@ class Belief:
     """Distribution over what a sentence says."""
 
     sets: tuple[tuple[Said, float], ...]  # (annotations, log-probability), best first
+    clauses: tuple[tuple[tuple[Said, ...], float], ...]  # the same, apart by clause
     rank: dict[Path, int]  # phrase → likeliest rank
     silent: frozenset[Path]  # phrases that express nothing in the likeliest reading
 
@@ -81,10 +82,20 @@ def describe(
     return document | ({"rank": rank} if rank > 1 else {})
 
 
-def _log_odds_of(
+def annotation_log_odds(
     root: Phrase, clause: int, model: CorrespondenceModel, type_names: tuple[str, ...]
-):
-    """Build the log-odds of the annotation symbols for ``search``."""
+) -> tuple[LogOdds, dict[Path, np.ndarray]]:
+    """Build the log-odds of the annotation symbols for ``search``.
+
+    Args:
+        root: the clause.
+        clause: its position in the sentence.
+        model: annotation model.
+        type_names: object types.
+
+    Returns:
+        The log-odds, and for each phrase f64[5], log-probabilities of the ranks 0 to 4.
+    """
     space = AnnotationSpace(len(type_names))
     prepared = {
         path: (model.coefficients(phrase), senses_of(phrase, type_names))
@@ -176,7 +187,7 @@ def infer_clause(
         Up to ``width`` sets and their probabilities (not renormalised over the beam).
     """
     space = AnnotationSpace(len(type_names))
-    log_odds, rank = _log_odds_of(root, clause, model, type_names)
+    log_odds, rank = annotation_log_odds(root, clause, model, type_names)
     found: list[tuple[Said, float]] = []
     beam = search(root, log_odds, width=width, path=(clause,))
     for hypothesis in beam:
@@ -188,7 +199,9 @@ def infer_clause(
             found.append((said, score))
     found.sort(key=lambda pair: -pair[1])
     likeliest = {path: int(np.argmax(chances)) for path, chances in rank.items()}
-    return Belief(tuple(found[:width]), likeliest, frozenset(_silent(beam[0], (clause,))))
+    sets = tuple(found[:width])
+    clauses = tuple(((said,), score) for said, score in sets)
+    return Belief(sets, clauses, likeliest, frozenset(_silent(beam[0], (clause,))))
 
 
 def infer_annotations(
@@ -208,16 +221,19 @@ def infer_annotations(
     Returns:
         Up to ``width`` sets of annotations, best first.
     """
-    joint: list[tuple[Said, float]] = [((), 0.0)]
+    joint: list[tuple[tuple[Said, ...], float]] = [((), 0.0)]
     rank: dict[Path, int] = {}
     silent: frozenset[Path] = frozenset()
     for clause, root in enumerate(parse.clauses):
         belief = infer_clause(root, clause, model, type_names, width)
         rank |= belief.rank
         silent |= belief.silent
-        totals: dict[Said, float] = {}
-        for (said, score), (more, own) in itertools.product(joint, belief.sets):
-            union = tuple(dict.fromkeys((*said, *more)))
-            totals[union] = float(np.logaddexp(totals.get(union, -np.inf), score + own))
-        joint = sorted(totals.items(), key=lambda pair: -pair[1])[:width]
-    return Belief(tuple(joint), rank, silent)
+        pairs = itertools.product(joint, belief.sets)
+        both = [((*said, more), score + own) for (said, score), (more, own) in pairs]
+        joint = sorted(both, key=lambda pair: -pair[1])[:width]
+    totals: dict[Said, float] = {}
+    for said, score in joint:
+        union = tuple(dict.fromkeys(itertools.chain(*said)))
+        totals[union] = float(np.logaddexp(totals.get(union, -np.inf), score))
+    sets = sorted(totals.items(), key=lambda pair: -pair[1])
+    return Belief(tuple(sets), tuple(joint), rank, silent)

@@ -54,15 +54,14 @@ def build_scene(program: BehaviorProgram, world: BehaviorWorld) -> Scene:
     figures = itself[None, :, None]
     related = jnp.sum(jnp.where(world.is_related, figures, 0), axis=1)
     extreme = jnp.sum(jnp.where(world.is_superlative, figures, 0), axis=1)
+    later = jnp.sum(jnp.where(world.is_later, figures, 0), axis=1)
     tables = []
     for n in range(NUM_TABLES):
         kind, relation = program.table[n] // NUM_RELATIONS, program.table[n] % NUM_RELATIONS
         chosen = jnp.zeros_like(itself)
         for r in range(NUM_RELATIONS):
-            chosen = chosen | jnp.where(
-                relation == r, jnp.where(kind == 0, related[r], extreme[r]), 0
-            )
-        chosen = jnp.where(kind == 2, everything[None] & ~chosen, chosen)
+            ranked = jnp.where(kind == 1, extreme[r], later[r])
+            chosen = chosen | jnp.where(relation == r, jnp.where(kind == 0, related[r], ranked), 0)
         tables.append(jnp.where(kind == AT_TABLE // NUM_RELATIONS, itself, chosen))
     previous = world.is_previous & is_object
     last_type = jnp.max(jnp.where(previous, world.object_type, NONE - 9), axis=0)

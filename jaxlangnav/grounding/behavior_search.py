@@ -19,7 +19,7 @@ from jaxlangnav.grounding.examples import (
 from jaxlangnav.grounding.features import senses_of
 from jaxlangnav.grounding.graph import VERB_LABELS
 from jaxlangnav.grounding.model import CorrespondenceModel
-from jaxlangnav.grounding.search import BEAM_WIDTH, Hypothesis, search
+from jaxlangnav.grounding.search import BEAM_WIDTH, Hypothesis, LogOdds, search
 from jaxlangnav.grounding.symbols import BehaviorSpace
 from jaxlangnav.language.phrase import Phrase
 
@@ -47,8 +47,20 @@ def infer_behavior_sets(
     Returns:
         Up to ``width`` hypotheses over ``BehaviorSpace(N)``, best first.
     """
-    space = BehaviorSpace(world.object_type.shape[0])
+    log_odds = behavior_log_odds(root, clause, world, model, rank, type_names)
+    return search(root, log_odds, width=width, path=(clause,))
 
+
+def behavior_log_odds(
+    root: Phrase,
+    clause: int,
+    world: World,
+    model: CorrespondenceModel,
+    rank: Mapping[Path, int],
+    type_names: tuple[str, ...],
+) -> LogOdds:
+    """Build the log-odds of the behavior symbols for ``search``; arguments as above."""
+    space = BehaviorSpace(world.object_type.shape[0])
     prepared = {
         path: (
             model.coefficients(phrase),
@@ -78,4 +90,4 @@ def infer_behavior_sets(
             values[...] = found
         return odds
 
-    return search(root, log_odds, width=width, path=(clause,))
+    return log_odds

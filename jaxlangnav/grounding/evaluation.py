@@ -9,12 +9,12 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from jaxlangnav.grounding.annotation import Belief, infer_annotations
-from jaxlangnav.grounding.behavior_search import infer_behavior_sets
+from jaxlangnav.grounding.annotation import Belief, annotation_log_odds, infer_annotations
+from jaxlangnav.grounding.behavior_search import behavior_log_odds, infer_behavior_sets
 from jaxlangnav.grounding.examples import LabelledInstruction
 from jaxlangnav.grounding.model import CorrespondenceModel
-from jaxlangnav.grounding.search import BEAM_WIDTH
-from jaxlangnav.grounding.symbols import Annotation, BehaviorSpace
+from jaxlangnav.grounding.search import BEAM_WIDTH, search_exactly
+from jaxlangnav.grounding.symbols import Annotation, AnnotationSpace, BehaviorSpace
 
 
 @dataclasses.dataclass(frozen=True)
@@ -123,6 +123,62 @@ def score_behaviors(
                 log_gold += found[0] if found else _LOG_FLOOR
             rows.append((right, confidence, max(log_gold, _LOG_FLOOR)))
     return _collect(rows)
+
+
+@dataclasses.dataclass(frozen=True)
+class ExactScores:
+    """Results of the likeliest set of all, by enumeration as far as it is needed."""
+
+    is_right: np.ndarray  # bool[E]
+    is_proven: np.ndarray  # bool[E] no other set can be likelier (``search_exactly``)
+
+    @property
+    def accuracy(self) -> float:
+        """Share that is right."""
+        return float(self.is_right.mean()) if len(self.is_right) else float("nan")
+
+
+def score_annotations_exactly(
+    instructions: Sequence[LabelledInstruction],
+    model: CorrespondenceModel,
+    type_names: tuple[str, ...],
+) -> ExactScores:
+    """Compare the likeliest annotations of all with the gold ones; as ``score_annotations``."""
+    space, rows = AnnotationSpace(len(type_names)), []
+    for labelled in instructions:
+        said, is_proven = frozenset(), True
+        for clause, root in enumerate(labelled.parse.clauses):
+            log_odds, _ = annotation_log_odds(root, clause, model, type_names)
+            best, is_sure = search_exactly(root, log_odds, path=(clause,))
+            said, is_proven = said.union(space.members(best.expressed)), is_proven and is_sure
+        rows.append((said == gold_annotations(labelled), is_proven))
+    return ExactScores(*np.array(rows, bool).reshape(-1, 2).T)
+
+
+def score_behaviors_exactly(
+    instructions: Sequence[LabelledInstruction],
+    annotation: CorrespondenceModel,
+    behavior: CorrespondenceModel,
+    type_names: tuple[str, ...],
+) -> ExactScores:
+    """Compare the likeliest behaviors of all with the gold ones; as ``score_behaviors``."""
+    rows = []
+    for labelled in instructions:
+        if not labelled.worlds:
+            continue
+        rank = infer_annotations(labelled.parse, annotation, type_names).rank
+        for world, gold in zip(labelled.worlds, labelled.behavior, strict=True):
+            space = BehaviorSpace(world.object_type.shape[0])
+            is_right = is_proven = True
+            for clause, root in enumerate(labelled.parse.clauses):
+                if (clause,) not in gold:
+                    continue
+                log_odds = behavior_log_odds(root, clause, world, behavior, rank, type_names)
+                best, is_sure = search_exactly(root, log_odds, path=(clause,))
+                is_right &= bool((best.expressed == space.mask(gold[(clause,)])).all())
+                is_proven &= is_sure
+            rows.append((is_right, is_proven))
+    return ExactScores(*np.array(rows, bool).reshape(-1, 2).T)
 
 
 def calibration_error(scores: Scores, num_bins: int = 10) -> float:

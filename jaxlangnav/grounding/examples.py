@@ -222,11 +222,12 @@ def ranks_meant(
         i[7], 0 where every object is meant.
     """
     meant = np.zeros(NUM_REGIONS, int)
+    relations = sorted(senses_of(phrase, type_names).relations)
+    if relations:  # what is below belongs to the landmark: "near the second cone"
+        meant[relations] = rank.get(path, 0)
+        return meant
     for i, child in enumerate(phrase.children):
         meant = np.maximum(meant, ranks_meant(child, (*path, i), rank, type_names))
-    own = rank.get(path, 0)
-    if own:
-        meant[sorted(senses_of(phrase, type_names).relations)] = own
     return meant
 
 

@@ -29,7 +29,7 @@ from jaxlangnav.grounding.examples import (
 from jaxlangnav.grounding.instruction import GroundingModel
 from jaxlangnav.grounding.labelled import read_examples
 from jaxlangnav.grounding.model import ANNOTATION_KINDS, BEHAVIOR_KINDS, CorrespondenceModel
-from jaxlangnav.grounding.training import Fit, TrainingConfig, build_blocks, fit
+from jaxlangnav.grounding.training import Fit, TrainingConfig, build_design, fit
 from jaxlangnav.language.corpus import Example, load_corpus, read_corpus
 from jaxlangnav.language.lexicon import load_lexicon
 
@@ -66,9 +66,9 @@ def _fit_twice(
     build = annotation_examples if name == "annotation" else behavior_examples
     kinds = ANNOTATION_KINDS if name == "annotation" else BEHAVIOR_KINDS
     examples = build(instructions, type_names)
-    vocabulary, blocks = build_blocks(examples, kinds, len(instructions))
+    vocabulary, design = build_design(examples, kinds, len(instructions))
     shares = np.stack([np.ones(len(instructions)), ~is_tuning]).astype(np.float32)
-    (full, part), measured = fit(blocks, shares, config)
+    (full, part), measured = fit(design, shares, config)
     count = sum(len(rows.labels) for example in examples for rows in example.rows.values())
     return (
         CorrespondenceModel(vocabulary, full),

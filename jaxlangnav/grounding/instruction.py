@@ -110,7 +110,7 @@ class UnknownObjectError(ValueError):
     """A noun that the lexicon does not know, and that the model cannot ground either."""
 
 
-def _check_nouns(tree: Parse, belief: Belief) -> None:
+def _check_nouns(tree: Parse, belief: Belief, type_names: tuple[str, ...]) -> None:
     """Refuse a sentence about something unknown, rather than drop what it says of it."""
     unknown = set(tree.unknown_words)
     for clause, root in enumerate(tree.clauses):
@@ -120,7 +120,8 @@ def _check_nouns(tree: Parse, belief: Belief) -> None:
             for word in phrase.words:
                 if word.tag.startswith("NN") and (word.text, word.position) in unknown:
                     raise UnknownObjectError(
-                        f"'{word.text}' (word {word.position}): not an object I know"
+                        f"'{word.text[:30]}' (word {word.position}): not an object I know; "
+                        f"I know {', '.join(type_names)}, and your own lexicon may add to them"
                     )
 
 
@@ -131,7 +132,7 @@ def understand_parse(tree: Parse, model: GroundingModel) -> Understanding:
             f"the lexicon has {len(model.type_names)} object types; at most {NUM_TYPES} are held"
         )
     belief = infer_annotations(tree, model.annotation, model.type_names)
-    _check_nouns(tree, belief)
+    _check_nouns(tree, belief, model.type_names)
     commands = [i for i, kind in enumerate(tree.kinds) if kind == COMMAND]
     if len(commands) > NUM_CLAUSES:
         raise ValueError(

@@ -68,8 +68,8 @@ class BehaviorProgram:
     object_own_lies: Array  # f32[H] added where the words name it and it lies there
     object_previous: Array  # f32[H, 5] added to named objects that were the previous goal; to the
     # previous goal; to others of its type; to those of other types; where there is none
-    table: Array  # i32[T] 0-5 related, 6-11 extreme of its type, 12-17 not the extreme (a particle
-    # has no further ranks), 18 at; NONE where unused
+    table: Array  # i32[T] 0-5 related, 6-11 extreme of its type, 12-17 the second, third, ... that
+    # the sentence means, 18 at; NONE where unused
     region_relation: Array  # i32[H, L] relation of each slot; NONE where empty
     region_table: Array  # i32[H, L] which table says what lies in the region; NONE
     region_from: Array  # i32[H, 3, L] slot of the child with the same relation; NONE

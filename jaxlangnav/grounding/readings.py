@@ -5,7 +5,7 @@ grounded given the earlier ones: landmarks before the figures placed against the
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import jax.numpy as jnp
 import numpy as np
@@ -22,7 +22,7 @@ class Reading:
     """One reading: mentions and relations between them."""
 
     mentions: tuple[int, ...]  # type index or ROBOT
-    relations: tuple[tuple[int, int, int, bool], ...]  # figure, relation, landmark, superlative
+    relations: tuple[tuple[int, int, int, int], ...]  # figure, relation, landmark, rank
 
 
 class CapacityError(ValueError):
@@ -42,39 +42,87 @@ def _ordered(said: Said) -> list[tuple[Annotation, int]]:
     return ordered + others
 
 
-def read(said: Said) -> Reading:
-    """Turn a set of annotations into mentions and relations.
+Description = frozenset[tuple[int, int, int]]
+"""What is said of a thing: relation, type of the landmark, rank."""
 
-    Things of one type are one thing, unless a relation needs two. A region without a figure
-    ("move behind the cone") says that its landmark exists; so does a relation of rank two or more
-    ("the second cone") of its figure: where that stands follows from no single relation.
+
+class _Reader:
+    """Collects mentions and relations, clause by clause."""
+
+    def __init__(self) -> None:
+        self.mentions: list[int] = []
+        self.described: list[Description] = []
+        self.relations: list[tuple[int, int, int, int]] = []
+
+    def read(self, said: Said) -> None:
+        """Read one clause."""
+        told: dict[int, set[tuple[int, int, int]]] = {}
+        for symbol, rank in said:
+            if symbol.kind not in (OBJECT, REGION):
+                place = (symbol.relation, symbol.landmark, rank)
+                told.setdefault(symbol.figure, set()).add(place)
+        own: list[tuple[int, int]] = []  # mentions of this clause, and how each is ranked
+
+        def mention(kind: int, other: int = NONE, rank: int = 0) -> int:
+            for k, (i, known) in enumerate(own):
+                if self.mentions[i] == kind and i != other and 0 in (known, rank, known - rank):
+                    own[k] = (i, known or rank)
+                    return i
+            is_again = any(self.mentions[i] == kind for i, _ in own)
+            index = NONE if is_again else self._find(kind, frozenset(told.get(kind, ())), other)
+            if index == NONE:
+                index = len(self.mentions)
+                self.mentions.append(kind)
+                self.described.append(frozenset(told.get(kind, ())))
+            own.append((index, rank))
+            return index
+
+        for symbol, rank in _ordered(said):
+            if symbol.kind in (OBJECT, REGION):
+                self._exist([t for t in (symbol.landmark, symbol.figure) if t >= 0], mention)
+                continue
+            landmark = mention(symbol.landmark)
+            figure = mention(symbol.figure, landmark, rank)
+            edge = (figure, symbol.relation, landmark, rank)
+            if edge not in self.relations:
+                self.relations.append(edge)
+
+    def _find(self, kind: int, description: Description, other: int) -> int:
+        """Find a thing of an earlier clause that this may be: what is said of one is no less."""
+        for i in reversed(range(len(self.mentions))):
+            is_alike = description <= self.described[i] or self.described[i] <= description
+            if self.mentions[i] == kind and i != other and (kind == ROBOT or is_alike):
+                self.described[i] = self.described[i] | description
+                return i
+        return NONE
+
+    def _exist(self, kinds: list[int], mention: Callable[[int], int]) -> None:
+        """Say that things exist, unless something has been said of them already."""
+        for kind in kinds:
+            is_new = kind not in self.mentions
+            index = mention(kind)
+            if is_new:
+                self.relations.append((index, NONE, NONE, 0))
+
+
+def read(*clauses: Said) -> Reading:
+    """Turn sets of annotations into mentions and relations.
+
+    Things of one type in a clause are one thing, unless a relation needs two or they have different
+    ranks. In a later clause they are the same thing again unless something else is said of each:
+    "go to the cone on your left, then to the cone on your right" speaks of two. A region without
+    a figure ("move behind the cone") says that its landmark exists.
 
     Args:
-        said: annotations of a sentence with their ranks.
+        *clauses: annotations of each clause with their ranks.
 
     Returns:
         The reading.
     """
-    mentions: list[int] = []
-    relations: list[tuple[int, int, int, bool]] = []
-
-    def mention(kind: int, other: int = NONE) -> int:
-        for i, known in enumerate(mentions):
-            if known == kind and i != other:
-                return i
-        mentions.append(kind)
-        return len(mentions) - 1
-
-    for symbol, rank in _ordered(said):
-        if symbol.kind in (OBJECT, REGION) or rank > 1:
-            for thing in (symbol.landmark, symbol.figure):
-                if thing not in (ROBOT, NONE) and thing not in mentions:
-                    relations.append((mention(thing), NONE, NONE, False))
-            continue
-        landmark = mention(symbol.landmark)
-        figure = mention(symbol.figure, landmark)
-        relations.append((figure, symbol.relation, landmark, rank == 1))
-    return Reading(tuple(mentions), tuple(relations))
+    reader = _Reader()
+    for said in clauses:
+        reader.read(said)
+    return Reading(tuple(reader.mentions), tuple(reader.relations))
 
 
 def _fits(reading: Reading) -> bool:
@@ -95,8 +143,8 @@ def to_readings(belief: Belief) -> Readings:
         CapacityError: the best reading has more mentions or relations than the arrays hold.
     """
     totals: dict[Reading, float] = {}
-    for said, log_probability in belief.sets:
-        reading = read(said)
+    for said, log_probability in belief.clauses:
+        reading = read(*said)
         totals[reading] = float(np.logaddexp(totals.get(reading, -np.inf), log_probability))
     ranked = sorted(totals.items(), key=lambda item: -item[1])
     if not _fits(ranked[0][0]):
@@ -119,20 +167,21 @@ def pack(ranked: Sequence[tuple[Reading, float]]) -> Readings:
     """
     mention_type = np.full((NUM_READINGS, NUM_MENTIONS), NONE, np.int32)
     table = np.full((3, NUM_READINGS, NUM_RELATIONS_SAID), NONE, np.int32)
-    is_superlative = np.zeros((NUM_READINGS, NUM_RELATIONS_SAID), bool)
+    ranks = np.zeros((NUM_READINGS, NUM_RELATIONS_SAID), np.int32)
     log_probability = np.full(NUM_READINGS, -np.inf, np.float32)
     total = np.logaddexp.reduce([score for _, score in ranked])
     for k, (reading, score) in enumerate(ranked):
         mention_type[k, : len(reading.mentions)] = reading.mentions
         log_probability[k] = score - total
-        for j, (figure, relation, landmark, flag) in enumerate(reading.relations):
+        for j, (figure, relation, landmark, rank) in enumerate(reading.relations):
             table[:, k, j] = figure, relation, landmark
-            is_superlative[k, j] = flag
+            ranks[k, j] = rank
     return Readings(
         mention_type=jnp.asarray(mention_type),
         figure=jnp.asarray(table[0]),
         relation=jnp.asarray(table[1]),
         landmark=jnp.asarray(table[2]),
-        is_superlative=jnp.asarray(is_superlative),
+        is_superlative=jnp.asarray(ranks == 1),
+        rank=jnp.asarray(ranks),
         log_probability=jnp.asarray(log_probability),
     )

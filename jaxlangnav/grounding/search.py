@@ -15,6 +15,8 @@ import numpy as np
 from jaxlangnav.language.phrase import Phrase
 
 BEAM_WIDTH = 4
+PROOF_WIDTHS = (4, 16, 64, 256)
+"""Beam widths tried until the likeliest set is proven to be it."""
 LogOdds = Callable[[Phrase, tuple[int, ...], Sequence["Hypothesis"]], np.ndarray]
 """Phrase, its path and the child hypotheses → log-odds f64[S]; −inf excludes a symbol."""
 
@@ -135,3 +137,31 @@ def search(
             for expressed, own in best_sets(odds, width)
         )
     return merge(candidates, width)
+
+
+def search_exactly(
+    root: Phrase, log_odds: LogOdds, *, path: tuple[int, ...] = ()
+) -> tuple[Hypothesis, bool]:
+    """Find the likeliest of all 2^S sets, and whether it is proven to be.
+
+    What a beam of any width finds are lower bounds, and what it misses adds up to the rest m of
+    the probability. So where p(best) > p(second) + m, no other set is likelier, found or not.
+
+    Args:
+        root: phrase.
+        log_odds: the model.
+        path: where the phrase stands.
+
+    Returns:
+        The likeliest set, and whether it is proven; if not, it is that of the widest beam.
+    """
+    best = None
+    for width in PROOF_WIDTHS:
+        beam = search(root, log_odds, width=width, path=path)
+        chances = np.exp([hypothesis.log_probability for hypothesis in beam])
+        best, missed = beam[0], max(1.0 - float(chances.sum()), 0.0)
+        second = float(chances[1]) if len(chances) > 1 else 0.0
+        if chances[0] > second + missed + 1e-9:
+            return best, True
+    assert best is not None
+    return best, False

@@ -1,5 +1,7 @@
 """Placed objects as the behavior model sees them (section 3.3), on the host and on the device."""
 
+import dataclasses
+
 import jax.numpy as jnp
 import numpy as np
 
@@ -7,7 +9,7 @@ from jaxlangnav.grounding.behavior_features import World
 from jaxlangnav.grounding.features import NUM_RANKS
 from jaxlangnav.grounding.symbols import NUM_RELATIONS
 from jaxlangnav.language.labels import Geometry, PlacedWorld
-from jaxlangnav.messages import FAR, LEFT, NEAR, NONE, ROBOT, BehaviorWorld
+from jaxlangnav.messages import FAR, LEFT, NEAR, NONE, ROBOT, BehaviorWorld, Readings
 
 
 def _strengths(geometry: Geometry) -> np.ndarray:
@@ -58,6 +60,46 @@ def place(placed: PlacedWorld, type_names: tuple[str, ...]) -> World:
     return World(object_type, np.ones(count + 1, bool), is_related, is_ranked, is_previous)
 
 
+def place_for(placed: PlacedWorld, type_names: tuple[str, ...], readings: Readings) -> World:
+    """Describe placed objects as a sentence orders them.
+
+    "The second cone on your left" is the second of those on the left. The device knows one rank
+    beyond the first, so the second table holds whichever the sentence means.
+
+    Args:
+        placed: objects whose places are known.
+        type_names: object types.
+        readings: of the sentence; the likeliest counts.
+
+    Returns:
+        A world of n + 1 slots.
+    """
+    world = place(placed, type_names)
+    if not placed.objects or not (np.asarray(readings.rank[0]) > 0).any():
+        return world
+    strength = _strengths(Geometry(placed))
+    kinds = np.asarray(readings.mention_type[0])
+    columns = (readings.figure, readings.relation, readings.landmark, readings.rank)
+    edges = np.stack([np.asarray(column[0]) for column in columns], axis=1)
+    edges = edges[edges[:, 1] != NONE]
+    ranked = world.is_ranked.copy()
+    for figure, relation, landmark, rank in edges[edges[:, 3] > 0]:
+        allowed = (world.object_type == kinds[figure])[:-1]
+        for other, place_said, by, other_rank in edges:
+            if other == figure and other_rank == 0:
+                near = world.is_related[place_said][:-1, world.object_type == kinds[by]]
+                allowed = allowed & near.any(1)
+        for index in np.flatnonzero(world.object_type == kinds[landmark]):
+            mine = strength[relation, :, index]
+            rivals = allowed & (np.arange(len(mine)) != index)
+            before = ((mine[None, :] > mine[:, None]) & rivals[None, :]).sum(1)
+            own = (world.object_type == kinds[figure])[:-1]
+            meant = rivals & (before == rank - 1)
+            row = ranked[min(rank, 2) - 1, relation, :-1, index]
+            ranked[min(rank, 2) - 1, relation, :-1, index] = np.where(own, meant, row)
+    return dataclasses.replace(world, is_ranked=ranked)
+
+
 def to_device(world: World, num_slots: int | None = None) -> BehaviorWorld:
     """Pad a world and put it on the device.
 
@@ -88,5 +130,6 @@ def to_device(world: World, num_slots: int | None = None) -> BehaviorWorld:
         is_object=spread(world.is_object, 1, False),
         is_related=spread(world.is_related, 2, False),
         is_superlative=spread(world.is_ranked[0], 2, False),
+        is_later=spread(world.is_ranked[1], 2, False),
         is_previous=spread(world.is_previous, 1, False),
     )

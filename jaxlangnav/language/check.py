@@ -26,10 +26,10 @@ def _check_compound(phrase: Phrase) -> None:
     foreign = [word for word in phrase.words if "foreign" in word.senses]
     if foreign:
         words = [w for w in phrase.words if w.tag.startswith("NN")]
-        raise _refuse(words, "is no object I know")
+        raise _refuse(words, "is no object I know; name another")
     for word, following in pairwise(nouns):
         if _type_of(word) is not None:
-            raise _refuse([word, following], "names no one object")
+            raise _refuse([word, following], "names no one object; name one")
 
 
 def _check_verb(clause: Phrase) -> None:
@@ -41,28 +41,63 @@ def _check_verb(clause: Phrase) -> None:
     if has_action or types or anaphors:
         return
     words = verbs or clause.all_words()
-    raise _refuse(words[:1], "neither a verb nor an object that I know")
+    reason = "neither a verb nor an object that I know; say for example 'go to the cone'"
+    raise _refuse(words[:1], reason)
+
+
+def _check_unknown(clause: Phrase, unknown: set[int]) -> None:
+    """Refuse a guess that rests on a guess: an unknown verb says nothing of its object.
+
+    "Smash the box" is not "go to the box"; only "to" makes a verb of motion. An unknown verb
+    before an unknown adjective, or three unknown words on one noun, is another language.
+    """
+    verbs = [w for w in clause.words if w.position in unknown and w.tag.startswith("VB")]
+    is_motion = any(w.text in ("to", "toward", "towards") for c in clause.children for w in c.words)
+    for phrase in clause.walk():
+        guessed = [w for w in phrase.words if w.position in unknown and phrase is not clause]
+        if len(guessed) > 2 or (verbs and guessed):
+            raise _refuse((verbs or guessed)[:1], "one of too many unknown words")
+    if verbs and not is_motion:
+        raise _refuse(verbs[:1], "a verb I do not know; say for example 'go to the cone'")
+
+
+def _check_one(phrase: Phrase) -> None:
+    """Refuse "the nearest one" and "the red one" where nothing says one of what."""
+    leaf, *others = phrase.children if phrase.label == "NP" else (phrase.children[0],)
+    if leaf.label != "NP" or leaf.children:
+        return
+    is_one = any("anaphor" in word.senses for word in leaf.words)
+    is_known = any(_type_of(word) or "other" in word.senses for word in leaf.words)
+    ranked = any("superlative" in w.senses for other in others for w in other.all_words())
+    if is_one and not is_known and (ranked or not others):
+        raise _refuse(list(leaf.words[-1:]), "of what kind? name the object")
 
 
 def _check_mode(clause: Phrase) -> None:
     """Refuse a command to be both quick and careful."""
     modes = {s: word for word in clause.words for s in word.senses if s.startswith("mode:")}
     if len(modes) > 1:
-        raise _refuse(list(modes.values())[1:2], "contradicts the manner asked for before")
+        raise _refuse(
+            list(modes.values())[1:2], "contradicts the manner asked for before; say one of them"
+        )
 
 
 def _check_start(clause: Phrase) -> None:
     """Refuse a later clause that begins with an unknown verb and no connective before it."""
     first = clause.words[:1]
     if first and first[0].tag == "VB" and not first[0].senses:
-        raise _refuse(list(first), "unknown word; it may be a verb or a mistyped relation")
+        raise _refuse(
+            list(first),
+            "unknown word; it may be a verb or a mistyped relation: say it in other words",
+        )
 
 
-def check(clauses: list[Phrase]) -> None:
+def check(clauses: list[Phrase], unknown: set[int]) -> None:
     """Refuse what would be a guess.
 
     Args:
         clauses: roots of the trees, in order.
+        unknown: positions of words that the lexicon does not know.
 
     Raises:
         LanguageError: one line naming the words.
@@ -73,6 +108,9 @@ def check(clauses: list[Phrase]) -> None:
         for phrase in clause.walk():
             if phrase.label == "NP":
                 _check_compound(phrase)
+            if phrase.children:
+                _check_one(phrase)
+        _check_unknown(clause, unknown)
         if clause.label == "VP":
             _check_verb(clause)
             _check_mode(clause)

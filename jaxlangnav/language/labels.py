@@ -163,6 +163,9 @@ def _named(phrase: Phrase, world: PlacedWorld) -> tuple[int, ...]:
     """List the objects a noun phrase can name by itself."""
     type_name = sense(phrase, "type")
     is_other = sense(phrase, "other") is not None
+    if sense(phrase, "same") is not None and world.previous is not None:
+        is_alike = world.objects[world.previous][0] == type_name
+        return (world.previous,) if is_alike else ()
     if type_name is None and is_other and world.previous is not None:
         type_name = world.objects[world.previous][0]
     if type_name is None and sense(phrase, "anaphor") is None:
@@ -187,27 +190,32 @@ def _regions(regions: tuple[tuple[str, int, int], ...], geometry: Geometry) -> _
 
 
 def _restrict(children: list[_Sense], geometry: Geometry) -> _Sense:
-    """Keep the objects that lie in one region of every modifier; without objects, the regions."""
+    """Keep the objects that lie in one region of every modifier; without objects, the regions.
+
+    A rank counts among those that the other modifiers leave: "the second cone on your left".
+    """
     base, *modifiers = children
     if base.objects is None:
         regions = tuple(region for child in modifiers for region in child.regions or ())
         return _regions(regions, geometry)
 
-    def fits(figure: int, region: tuple[str, int, int]) -> bool:
-        relation, landmark, place = region
-        index = RELATIONS.index(relation)
-        if figure == landmark:
-            return False
-        if place:
-            return geometry.is_extreme(index, figure, landmark, place)
-        return bool(geometry.holds[index, figure, landmark])
+    def keep(objects: tuple[int, ...], *, is_ranked: bool) -> tuple[int, ...]:
+        regions = [m.regions or () for m in modifiers]
+        wanted = [r for r in regions if any(place for _, _, place in r) == is_ranked]
 
-    kept = tuple(
-        figure
-        for figure in base.objects
-        if all(any(fits(figure, region) for region in m.regions or ()) for m in modifiers)
-    )
-    return _objects(kept)
+        def fits(figure: int, region: tuple[str, int, int]) -> bool:
+            relation, landmark, place = region
+            index = RELATIONS.index(relation)
+            if figure == landmark:
+                return False
+            if place:
+                among = objects if geometry.ranks_among_part else geometry.everything
+                return geometry.is_extreme(index, figure, landmark, place, among)
+            return bool(geometry.holds[index, figure, landmark])
+
+        return tuple(f for f in objects if all(any(fits(f, r) for r in m) for m in wanted))
+
+    return _objects(keep(keep(base.objects, is_ranked=False), is_ranked=True))
 
 
 def _verb(phrase: Phrase, children: list[_Sense]) -> _Sense:

@@ -1,27 +1,39 @@
 """The words: classes, Penn tags and senses, read from ``data/lexicon.toml`` (section 3.1).
 
-A new object type or synonym is one line there. Everything derived (plurals, -ing forms, the
-terminals of the grammar) is derived here.
+A new object type or synonym is one line, there or in a file of one's own that the environment
+variable ``JAXLANGNAV_LEXICON`` names. Everything derived (plurals, -ing forms, the terminals of the
+grammar) is derived here.
 """
 
+import os
 import tomllib
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import resources
+from pathlib import Path
+from typing import Any
 
+OWN_LEXICON = "JAXLANGNAV_LEXICON"
+"""Environment variable that names a lexicon file of one's own, joined to the package's."""
 TYPE_CLASS = "type"
 REASONS = {
-    "negation": "negation is not supported",
-    "containment": "containment is not supported",
-    "path": "paths are not supported",
-    "condition": "conditions and alternatives are not supported",
-    "coordination": "joining is not supported here, give one command after the other",
-    "pronoun": "pronouns are not supported, name the object",
-    "quantity": "numbers and quantities are not supported",
-    "a question": "questions are not supported",
-    "such an action": "this action is not supported here",
-    "such a relation": "this relation is not supported here",
-    "the speaker's own place": "the speaker's own place is not known to the robot",
+    "negation": "negation is not supported; say what to do, or what to stay away from",
+    "containment": "containment is not supported; say 'near', 'behind' or 'in front of'",
+    "path": "paths are not supported; say where to end, as in 'go to the tree'",
+    "condition": "conditions and alternatives are not supported; "
+    "give one command after the other, joined by 'then'",
+    "coordination": "joining is not supported here; "
+    "give one command after the other, joined by 'then'",
+    "pronoun": "this pronoun is not supported here; name the object",
+    "quantity": "numbers and quantities are not supported; "
+    "name one object, as in 'the nearest cone'",
+    "a question": "questions are not supported; give a command, as in 'find the cone'",
+    "such an action": "this action is not supported here; "
+    "say to go to, stop at, find or stay away from something",
+    "such a relation": "this relation is not supported here; "
+    "say near, behind, in front of, left of, right of or far from",
+    "the speaker's own place": "where you are is not known to the robot; "
+    "name an object, or say 'your left' for its own left",
 }
 
 
@@ -140,23 +152,63 @@ class _Builder:
 
 @cache
 def load_lexicon() -> Lexicon:
-    """Read the lexicon of the package.
+    """Read the lexicon of the package, and a file of one's own that ``OWN_LEXICON`` names.
 
     Returns:
         The lexicon; the same object at every call.
 
     Raises:
-        ValueError: the file names a class or a reason that does not exist.
+        ValueError: a file is missing, is no TOML, or names a class that does not exist.
     """
     text = resources.files("jaxlangnav.language").joinpath("data/lexicon.toml").read_text("utf-8")
-    return read_lexicon(text)
+    own = os.environ.get(OWN_LEXICON)
+    if not own:
+        return read_lexicon(text)
+    try:
+        return read_lexicon(text, Path(own).read_text("utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise ValueError(f"{OWN_LEXICON}: cannot read {own} ({error})") from None
+    except ValueError as error:
+        raise ValueError(f"{own}: {error}") from None
 
 
-def read_lexicon(text: str) -> Lexicon:
+def _is_words(value: object) -> bool:
+    return isinstance(value, list) and all(isinstance(word, str) and word.split() for word in value)
+
+
+def _extend(document: dict[str, Any], own: dict[str, Any]) -> None:
+    """Join somebody's own lines to a lexicon: types and synonyms, words of known classes."""
+    unknown = set(own) - {"types", "class"}
+    if unknown:
+        raise ValueError(f"only [types] and [class.X] may be added to, not {sorted(unknown)}")
+    classes = own.get("class", {})
+    tables = [own.get("types", {}), classes]
+    tables += list(classes.values()) if isinstance(classes, dict) else []
+    if not all(isinstance(table, dict) for table in tables):
+        raise ValueError("[types] and [class.X] must be tables of lists of words")
+    owners = {word: kind for kind, words in document["types"].items() for word in words}
+    for kind, words in own.get("types", {}).items():
+        if not _is_words(words):
+            raise ValueError(f"[types] {kind} must be a list of words")
+        for word in map(str.lower, words):
+            if owners.setdefault(word, kind) != kind:
+                raise ValueError(f"[types] {kind}: '{word}' is a name of {owners[word]} already")
+        document["types"].setdefault(kind.lower(), []).extend(map(str.lower, words))
+    for name, table in classes.items():
+        if name not in document["class"]:
+            raise ValueError(f"[class.{name}]: no such class")
+        for senses, words in table.items():
+            if not _is_words(words):
+                raise ValueError(f"[class.{name}] {senses} must be a list of words")
+            document["class"][name].setdefault(senses, []).extend(map(str.lower, words))
+
+
+def read_lexicon(text: str, own: str | None = None) -> Lexicon:
     """Read a lexicon from TOML; the format is described at the head of ``lexicon.toml``.
 
     Args:
         text: contents of the file.
+        own: contents of a file whose lines are joined to it.
 
     Returns:
         The lexicon.
@@ -165,6 +217,8 @@ def read_lexicon(text: str) -> Lexicon:
         ValueError: a table is missing or a reason for refusal is unknown.
     """
     document = tomllib.loads(text)
+    if own is not None:
+        _extend(document, tomllib.loads(own))
     for table in ("types", "class", "tags", "refused"):
         if table not in document:
             raise ValueError(f"lexicon: table [{table}] is missing")

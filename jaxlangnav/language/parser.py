@@ -7,6 +7,7 @@ and the parser is polynomial.
 """
 
 import re
+import unicodedata
 from functools import cache
 
 from jaxlangnav.language.check import check
@@ -21,6 +22,7 @@ from jaxlangnav.language.grammar import (
 )
 from jaxlangnav.language.lexicon import TYPE_CLASS, load_lexicon
 from jaxlangnav.language.phrase import COMMAND, STATEMENT, LanguageError, Parse
+from jaxlangnav.language.reference import resolve
 from jaxlangnav.language.refusal import Token, explain
 from jaxlangnav.language.spelling import repair
 from jaxlangnav.language.tree import TreeBuilder
@@ -45,7 +47,7 @@ class _Reader:
 
     def read(self, text: str) -> None:
         """Read all of a text."""
-        for match in _TOKEN.finditer(text.lower().replace("\u2019", "'").replace("\u2018", "'")):
+        for match in _TOKEN.finditer(_plain(text)):
             piece = match.group()
             if piece[0] in ".!?;" or piece in _COMMAS:
                 self._mark(COMMA if piece in _COMMAS else FULLSTOP)
@@ -66,7 +68,7 @@ class _Reader:
         """Part "cone's" and hyphened words of which the lexicon knows the parts."""
         if piece in self.vocabulary:
             return [piece]
-        if piece.endswith("'s"):
+        if piece.endswith("'s") and not piece.endswith("'s's"):
             return [*self._split(piece[:-2]), "'s"]
         joined = _compounds().get(piece.replace("-", ""))
         if joined is not None:
@@ -92,6 +94,17 @@ class _Reader:
         self.tokens.append(Token(text=word, terminal=terminal, position=self.num_words))
 
 
+def _plain(text: str) -> str:
+    """Write letters plainly: small, without ligatures, full width or marks that nobody sees."""
+    text = unicodedata.normalize("NFKC", text).lower()
+    text = "".join(letter for letter in text if unicodedata.category(letter) != "Cf")
+    if len(text) > 2 * MAX_CHARACTERS:  # some signs stand for whole words
+        raise LanguageError(
+            f"the instruction has more than {MAX_CHARACTERS} characters; shorten it"
+        )
+    return text.replace("\u2019", "'").replace("\u2018", "'")
+
+
 @cache
 def _compounds() -> dict[str, tuple[str, ...]]:
     """Find the words of compounds that are written as one: "firehydrant", "fire-hydrant"."""
@@ -105,7 +118,9 @@ def _vocabulary() -> frozenset[str]:
 
 
 def _symbol_message(symbol: str, position: int) -> str:
-    what = "numbers are not supported" if symbol[0].isdigit() else "this sign is not supported"
+    what = "this sign is not supported; use words"
+    if symbol[0].isdigit():
+        what = "numbers are not supported; name a place, as in 'behind the cone'"
     return f"'{symbol[:30]}' (word {position}): {what}"
 
 
@@ -147,8 +162,8 @@ def parse(text: str) -> Parse:
     except NoParseError as error:
         raise LanguageError(explain(tokens, error.index)) from None
     builder = TreeBuilder([t.text for t in tokens], [t.position for t in tokens])
-    clauses = builder.build(derivation)
-    check(clauses)
+    clauses = resolve(builder.build(derivation))
+    check(clauses, {position for _, position in builder.unknown})
     unknown = [
         (t.text, t.position) for t in tokens if t.terminal in (UNKNOWN, UNKNOWN_ADVERB, UNKNOWN_ING)
     ]

@@ -41,20 +41,24 @@ def _all_relations(places: Array, viewer: Array, heading: Array) -> Array:
 class Geometry:
     """Which relations hold between the objects of a world, and how strongly."""
 
-    def __init__(self, world: PlacedWorld) -> None:
+    def __init__(self, world: PlacedWorld, *, ranks_among_part: bool = True) -> None:
         """Evaluate all six relations over all pairs.
 
         Args:
             world: placed objects; index ``len(objects)`` stands for the robot.
+            ranks_among_part: "the second cone on your left" is the second of those on the left;
+                otherwise the second of all, if it is on the left.
         """
         self.world = world
+        self.ranks_among_part = ranks_among_part
         self.num_objects = len(world.objects)
+        self.everything = tuple(range(self.num_objects))
         places = np.array([[x, y] for _, x, y in world.objects], np.float32).reshape(-1, 2)
         viewer = np.array(world.robot[:2], np.float32)
         heading = world.robot[2]
         self.holds = np.asarray(_all_relations(places, viewer, np.float32(heading)))
-        everything = np.concatenate([places, viewer[None]], 0)
-        self.offset = places[:, None] - everything[None]
+        points = np.concatenate([places, viewer[None]], 0)
+        self.offset = places[:, None] - points[None]
         self.distance = np.linalg.norm(self.offset, axis=-1)
         self.left = np.array([-np.sin(heading), np.cos(heading)])
 
@@ -67,13 +71,15 @@ class Geometry:
         sideways = float(self.offset[figure, landmark] @ self.left)
         return sideways if RELATIONS[relation] == "left" else -sideways
 
-    def is_extreme(self, relation: int, figure: int, landmark: int, place: int) -> bool:
-        """Tell whether a figure is the ``place``-th extreme of its type, from the landmark."""
+    def is_extreme(
+        self, relation: int, figure: int, landmark: int, place: int, among: tuple[int, ...]
+    ) -> bool:
+        """Tell whether a figure is the ``place``-th extreme of its type among some objects."""
         kind = self.world.objects[figure][0]
         mine = self.strength(relation, figure, landmark)
         more = sum(
             self.strength(relation, other, landmark) > mine
-            for other in range(self.num_objects)
+            for other in among
             if other not in (figure, landmark) and self.world.objects[other][0] == kind
         )
         return more == place - 1

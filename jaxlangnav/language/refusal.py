@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from jaxlangnav.language.lexicon import REASONS, load_lexicon
 
+UNKNOWN_HERE = "unknown word, and no reading fits it; say it in other words"
 _STRONG = (REASONS["negation"], REASONS["condition"])
 # Refused words that also begin supported expressions: blamed only just before the place.
 _SMALL = frozenset({"in", "of", "on", "by", "with", "from", "me", "my", "and", "off", "like"})
@@ -51,15 +52,17 @@ def explain(tokens: list[Token], index: int) -> str:
         first = stuck
     for token in [first, *nearest[:1], *near[-1:]]:
         if token is not None:
-            reason = reasons[token.position] or "unknown word, and no reading fits it"
+            reason = reasons[token.position] or UNKNOWN_HERE
             return f"'{token.text[:30]}' (word {token.position}): {reason}"
     later = [t for t in tokens[index + 1 : index + 3] if t.terminal.startswith("?")]
     if stuck is not None and later:
         text, position = later[0].text[:30], later[0].position
-        return f"'{text}' (word {position}): unknown word, and no reading fits it"
+        return f"'{text}' (word {position}): {UNKNOWN_HERE}"
     if stuck is None:
-        return f"the sentence breaks off after '{read[-1].text}' (word {read[-1].position})"
-    return f"'{stuck.text}' (word {stuck.position}): cannot be read here"
+        where = f"'{read[-1].text[:30]}' (word {read[-1].position})"
+        return f"the sentence breaks off after {where}; say all of it, as in 'go to the cone'"
+    where = f"'{stuck.text[:30]}' (word {stuck.position})"
+    return f"{where}: cannot be read here; say it in plainer words, or in commands joined by 'then'"
 
 
 def _is_telling(token: Token) -> bool:

@@ -88,6 +88,9 @@ def repair(word: str) -> str | None:
     if len(word) > 20:
         return None
     candidates = sorted(c for c in edits(word) & repairable() if len(c) >= MIN_LETTERS - 1)
+    # "Carefuly" is "carefully" and not "careful", which only stands in longer expressions.
+    alone = [c for c in candidates if _meanings(c, lexicon) or c in lexicon.refused]
+    candidates = alone or candidates
     if not candidates:
         return None
     if len(candidates) == 1 or len({_meanings(c, lexicon) for c in candidates}) == 1:

@@ -79,6 +79,8 @@ _LITERAL_TAGS = {
     "out": "RP",
     "is": "VBZ",
     "then": "RB",
+    "you": "PRP",
+    "both": "DT",
     "where": "WRB",
     "whichever": "WDT",
     "whatever": "WDT",

@@ -1,0 +1,311 @@
+"""The Distributed Correspondence Graph by itself, with anyone's symbols (section 3.1, eq. 4).
+
+What a robot's maker brings is a ``SymbolSpace``: which symbols a phrase may express in a world, and
+what is seen of each. Trees, labels and worlds are the maker's own too; ``read_tree`` writes trees
+without a parser. Everything else is what this package uses itself: the bilinear model, its
+training, and the search that is exact but for the beam.
+"""
+
+import dataclasses
+import itertools
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Generic, Protocol, TypeVar
+
+import numpy as np
+
+from jaxlangnav.grounding.examples import Example, Rows
+from jaxlangnav.grounding.features import FEATURE_GROUPS
+from jaxlangnav.grounding.model import CorrespondenceModel
+from jaxlangnav.grounding.search import BEAM_WIDTH, Hypothesis, LogOdds, search
+from jaxlangnav.grounding.training import Fit, TrainingConfig, train
+from jaxlangnav.language.phrase import Phrase, Word
+
+KIND = "symbol"
+"""Name of the one block of weights."""
+World = TypeVar("World")
+World_contra = TypeVar("World_contra", contravariant=True)
+
+
+class SymbolSpace(Protocol[World_contra]):
+    """Someone's symbols, and what is seen of them."""
+
+    @property
+    def property_names(self) -> Sequence[str]:
+        """What the F properties are, for people who look at the weights."""
+        ...
+
+    def symbols(self, world: World_contra) -> Sequence[str]:
+        """Name the S symbols that a phrase may express in a world, all different."""
+        ...
+
+    def properties(
+        self, phrase: Phrase, children: Sequence[np.ndarray], world: World_contra
+    ) -> np.ndarray:
+        """Describe every symbol, given what the child phrases express.
+
+        Args:
+            phrase: the phrase; the words below it count through the children alone.
+            children: bool[S] for each child phrase, in order.
+            world: the world.
+
+        Returns:
+            f[S, F].
+        """
+        ...
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Labelled(Generic[World]):
+    """A tree in a world, with the symbols that each phrase expresses."""
+
+    root: Phrase
+    world: World
+    expressed: Sequence[frozenset[str]]  # per phrase of ``root.walk()``, children before parents
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Grounding:
+    """What a sentence may mean."""
+
+    symbols: tuple[str, ...]  # expressed at the root
+    probability: float  # of this set; what is missing to one was cut by the beam
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class PhraseBelief:
+    """What a phrase is taken to express."""
+
+    phrase: Phrase
+    path: tuple[int, ...]
+    probability: np.ndarray  # f64[S] that each symbol is expressed
+    rank: int  # 1 where its region is meant as an extreme ("nearest"), 2 for the second; or 0
+
+    @property
+    def parent(self) -> tuple[int, ...] | None:
+        """Path of the parent phrase; None at the root of a clause."""
+        return self.path[:-1] if len(self.path) > 1 else None
+
+
+@dataclasses.dataclass(frozen=True)
+class CorrespondenceGraph(Generic[World]):
+    """A symbol space with a trained model."""
+
+    space: SymbolSpace[World]
+    model: CorrespondenceModel
+
+    @property
+    def weights(self) -> np.ndarray:
+        """The weight of every word feature (row) by every property (column), f32[W, F]."""
+        return self.model.weights[KIND]
+
+    def strongest(self, count: int = 10) -> list[tuple[str, str, float]]:
+        """List the weights that are largest in size: word feature, property, weight."""
+        weights, properties = self.weights, self.space.property_names
+        names = self.model.vocabulary.names
+        order = np.argsort(-np.abs(weights), axis=None, kind="stable")[:count]
+        rows, columns = np.unravel_index(order, weights.shape)
+        return [
+            (names[int(w)], properties[int(f)], float(weights[w, f]))
+            for w, f in zip(rows, columns, strict=True)
+        ]
+
+    def ground(self, root: Phrase, world: World, width: int = BEAM_WIDTH) -> list[Grounding]:
+        """Infer what a sentence means in a world.
+
+        Args:
+            root: its tree.
+            world: the world.
+            width: beam width.
+
+        Returns:
+            Up to ``width`` sets of symbols, likeliest first.
+        """
+        names = self.space.symbols(world)
+        return [
+            Grounding(
+                symbols=tuple(itertools.compress(names, one.expressed)),
+                probability=float(np.exp(one.log_probability)),
+            )
+            for one in search(root, self._log_odds(world), width=width)
+        ]
+
+    def beliefs(self, root: Phrase, world: World) -> list[PhraseBelief]:
+        """Compute for every phrase how probable each symbol is, parents first.
+
+        Each phrase is given what its children express in the likeliest reading.
+        """
+        log_odds = self._log_odds(world)
+        best = search(root, log_odds, path=(0,))[0]
+        return list(beliefs_below(root, (0,), best, log_odds))
+
+    def accuracy(self, labelled: Sequence[Labelled[World]]) -> float:
+        """Compute the share of trees whose likeliest set at the root is exactly the gold one."""
+        right = [
+            frozenset(self.ground(one.root, one.world)[0].symbols) == one.expressed[-1]
+            for one in labelled
+        ]
+        return float(np.mean(right))
+
+    def _log_odds(self, world: World) -> LogOdds:
+        known: dict[tuple[int, ...], np.ndarray] = {}
+
+        def log_odds(
+            phrase: Phrase, path: tuple[int, ...], children: Sequence[Hypothesis]
+        ) -> np.ndarray:
+            if path not in known:  # words meet the weights once, not at every combination below
+                known[path] = self.model.coefficients(phrase)[KIND]
+            seen = self.space.properties(phrase, [child.expressed for child in children], world)
+            return (seen @ known[path]).astype(np.float64)
+
+        return log_odds
+
+
+def beliefs_below(
+    phrase: Phrase,
+    path: tuple[int, ...],
+    best: Hypothesis,
+    log_odds: LogOdds,
+    ranks: Mapping[tuple[int, ...], int] | None = None,
+) -> Iterator[PhraseBelief]:
+    """Yield the beliefs of a phrase and of all below it, parents first.
+
+    Args:
+        phrase: the phrase.
+        path: where it stands.
+        best: its likeliest hypothesis.
+        log_odds: the model.
+        ranks: superlatives by path, where there are any.
+
+    Yields:
+        One belief per phrase.
+    """
+    odds = log_odds(phrase, path, best.children)
+    rank = (ranks or {}).get(path, 0)
+    probability = np.exp(-np.logaddexp(0.0, -odds))
+    yield PhraseBelief(phrase=phrase, path=path, probability=probability, rank=rank)
+    for index, (child, below) in enumerate(zip(phrase.children, best.children, strict=True)):
+        yield from beliefs_below(child, (*path, index), below, log_odds, ranks)
+
+
+def examples_of(space: SymbolSpace[World], labelled: Sequence[Labelled[World]]) -> list[Example]:
+    """Build training examples: of every phrase, given the gold groundings of its children.
+
+    Args:
+        space: the symbols.
+        labelled: trees with labels; each counts as an instruction.
+
+    Returns:
+        One example per phrase.
+
+    Raises:
+        ValueError: a label is no symbol of its world, or the numbers of labels or properties are
+            wrong; the message says in which tree.
+    """
+    return [
+        example for index, one in enumerate(labelled) for example in _examples(space, one, index)
+    ]
+
+
+def _examples(space: SymbolSpace[World], one: Labelled[World], index: int) -> Iterator[Example]:
+    """Build the examples of one tree."""
+    phrases = list(one.root.walk())
+    if len(phrases) != len(one.expressed):
+        raise ValueError(
+            f"tree {index}: {len(one.expressed)} labels, but {one.root} has {len(phrases)} phrases"
+        )
+    names = list(space.symbols(one.world))
+    stack: list[np.ndarray] = []
+    for phrase, expressed in zip(phrases, one.expressed, strict=True):
+        unknown = sorted(expressed - set(names))
+        if unknown:
+            raise ValueError(f"tree {index}: {unknown[0]} is no symbol of its world")
+        label = np.array([name in expressed for name in names])
+        first = len(stack) - len(phrase.children)
+        seen = np.asarray(space.properties(phrase, stack[first:], one.world), np.float32)
+        wanted = len(names), len(space.property_names)
+        if seen.shape != wanted:
+            raise ValueError(f"tree {index}: properties are {seen.shape}, but must be {wanted}")
+        yield Example(phrase, {KIND: Rows(seen, label)}, index)
+        stack[first:] = [label]
+
+
+def train_graph(
+    space: SymbolSpace[World],
+    labelled: Sequence[Labelled[World]],
+    config: TrainingConfig | None = None,
+    without: frozenset[str] = frozenset(),
+) -> tuple[CorrespondenceGraph[World], Fit]:
+    """Train a model on labelled trees.
+
+    Args:
+        space: the symbols.
+        labelled: trees with labels.
+        config: regularisation and stopping.
+        without: groups of word features to leave out (``FEATURE_GROUPS``).
+
+    Returns:
+        The graph, and what was measured.
+
+    Raises:
+        ValueError: there is no tree, a label is wrong (``examples_of``), or a group is unknown.
+    """
+    if not labelled:
+        raise ValueError("there is no tree to train on")
+    if without - set(FEATURE_GROUPS):
+        raise ValueError(f"groups of features are {', '.join(FEATURE_GROUPS)}, not {set(without)}")
+    examples = examples_of(space, labelled)
+    model, measured = train(examples, (KIND,), len(labelled), config, without)
+    return CorrespondenceGraph(space, model), measured
+
+
+_TOKEN = re.compile(r"\s*(?:([A-Z]+)\[([^\]]*)\]|([{},]))")
+
+
+def read_tree(text: str, word_of: Callable[[str], Word] | None = None) -> Phrase:
+    """Read a tree as ``str(phrase)`` writes it: ``VP[go to]{NP[the cone], PP[behind]{NP[it]}}``.
+
+    Args:
+        text: the tree; labels are capitals, a phrase's own words stand in brackets, its children
+            in braces.
+        word_of: makes a word, with tag and senses, of its text; by default a plain word.
+
+    Returns:
+        The tree; words are counted in the order of the text.
+
+    Raises:
+        ValueError: the text is no tree; the message says where.
+    """
+    make = word_of or (lambda word: Word(text=word, tag="", lemma=word))
+    place = position = 0
+
+    def fail() -> ValueError:
+        return ValueError(f"no tree: cannot read '{text[place : place + 20]}' in '{text}'")
+
+    def take(marks: str) -> re.Match[str]:
+        """Take one of the marks, or the head of a phrase where there are none."""
+        nonlocal place
+        found = _TOKEN.match(text, place)
+        if found is None or (found[3] not in marks if found[3] else marks != ""):
+            raise fail()
+        place = found.end()
+        return found
+
+    def phrase() -> Phrase:
+        nonlocal position
+        head, words = take(""), []
+        for word in head[2].split():
+            position += 1
+            words.append(dataclasses.replace(make(word), position=position))
+        children: list[Phrase] = []
+        if text[place:].lstrip().startswith("{"):
+            mark = take("{")[3]
+            while mark != "}":
+                children.append(phrase())
+                mark = take(",}")[3]
+        return Phrase(label=head[1], words=tuple(words), children=tuple(children))
+
+    tree = phrase()
+    if text[place:].strip():
+        raise fail()
+    return tree

@@ -1,0 +1,176 @@
+"""What "it", "there" and a repeated "the cone" stand for, across the clauses of a sentence.
+
+"Go to the cone, then stop behind it": a pronoun takes the type of the goal of the command before
+(sense ``same``: that very object), or of what a statement before was about, with all that was said
+of it. "The hydrant is behind the cone. Go to the hydrant": what a statement says of a thing holds
+for the same thing named again. Where more than one thing could be meant, the sentence is refused.
+"""
+
+from dataclasses import replace
+
+from jaxlangnav.language.phrase import LanguageError, Phrase, Word
+
+PRONOUN, SAME = "pronoun", "same"
+
+
+def _has(phrase: Phrase, prefix: str) -> bool:
+    return any(sense.startswith(prefix) for word in phrase.words for sense in word.senses)
+
+
+def _type_sense(phrase: Phrase) -> str | None:
+    senses = (sense for word in phrase.words for sense in word.senses)
+    return next((sense for sense in senses if sense.startswith("type:")), None)
+
+
+def _leaves(phrase: Phrase) -> list[Phrase]:
+    """List the noun phrases that name a thing, constraints left out."""
+    if phrase.label == "NP" and not phrase.children:
+        return [phrase] if _type_sense(phrase) else []
+    inner = [child for child in phrase.children if child.label != "VP"]
+    return [leaf for child in inner for leaf in _leaves(child)]
+
+
+def _head(phrase: Phrase) -> Phrase | None:
+    """Find the noun phrase that a clause is about: the goal of a command, what is said to be."""
+    inner = [child for child in phrase.children if child.label != "VP"]
+    if phrase.label == "S":
+        inner = [child for child in phrase.children if child.label == "NP"]
+    if phrase.label == "NP" and not phrase.children:
+        return phrase
+    return _head(inner[0]) if inner else None
+
+
+def _refuse(word: Word, reason: str) -> LanguageError:
+    return LanguageError(f"'{word.text}' (word {word.position}): {reason}; name the object")
+
+
+class _Resolver:
+    """Resolves the pronouns of one clause against the clause before."""
+
+    def __init__(self, before: Phrase | None, *, is_statement: bool) -> None:
+        self.before = before
+        self.is_statement = is_statement
+        self.head = None if before is None else _head(before)
+
+    def resolve(self, phrase: Phrase, *, is_landmark: bool = False) -> Phrase:
+        """Put what is meant into every pronoun below a phrase."""
+        if phrase.label == "NP" and _has(phrase, PRONOUN):
+            return self._meant(phrase, is_landmark)
+        if phrase.label == "NP" and not phrase.children:
+            return self._again(phrase)
+        deeper = is_landmark or _has(phrase, "relation") or phrase.label == "NP"
+        deeper = deeper or _has(phrase, "constraint")
+        children = []
+        for index, child in enumerate(phrase.children):
+            is_figure = phrase.label == "NP" and index == 0
+            # "The cone near the car" is another cone than the one before: it is told apart.
+            if is_figure and len(phrase.children) > 1 and not _has(child, PRONOUN):
+                children.append(self._again(child) if _has(child, "anaphor") else child)
+            else:
+                children.append(self.resolve(child, is_landmark=deeper and not is_figure))
+        return replace(phrase, children=tuple(children))
+
+    def _meant(self, pronoun: Phrase, is_landmark: bool) -> Phrase:
+        """Give a pronoun the type of the thing it stands for."""
+        word = next(w for w in pronoun.words if any(s == PRONOUN for s in w.senses))
+        if self.before is None or self.head is None:
+            raise _refuse(word, "nothing said before that it could stand for")
+        kind = _type_sense(self.head)
+        if kind is None or self.head.words[-1].tag == "NNS":
+            raise _refuse(word, "what it stands for is not clear")
+        others = [s for s in (_type_sense(leaf) for leaf in _leaves(self.before)) if s]
+        if is_landmark and self.before.label == "VP" and len(others) > 1:
+            names = " or ".join(dict.fromkeys(f"the {sense[5:]}" for sense in others))
+            raise _refuse(word, f"is it {names}?")
+        is_very = self.before.label == "VP" and not self.is_statement
+        senses = (kind, SAME) if is_very else (kind,)
+        resolved = replace(
+            pronoun,
+            words=tuple(replace(w, senses=senses) if w is word else w for w in pronoun.words),
+        )
+        said = _said_of(self.before) if self.before.label == "S" else ()
+        return _restricted(resolved, said) if said else resolved
+
+    def _again(self, leaf: Phrase) -> Phrase:
+        """Mark "the cone" as the very cone that the command before went to."""
+        one = next((w for w in leaf.words if w.text == "one" and "anaphor" in w.senses), None)
+        kind = None if self.head is None else _type_sense(self.head)
+        if one is not None and kind is not None and not _has(leaf, "other"):
+            words = (replace(w, senses=(kind,)) if w is one else w for w in leaf.words)
+            return replace(leaf, words=tuple(words))
+        is_goal = self.before is not None and self.before.label == "VP"
+        if self.is_statement or not is_goal or not _is_definite(leaf):
+            return leaf
+        if kind is None or kind != _type_sense(leaf):
+            return leaf
+        words = (
+            replace(w, senses=(*w.senses, SAME)) if kind in w.senses else w for w in leaf.words
+        )
+        return replace(leaf, words=tuple(words))
+
+
+def _is_definite(leaf: Phrase) -> bool:
+    """Tell whether a noun phrase is "the cone": nothing tells it apart from the one before."""
+    others = {"other", "anaphor", "place", SAME}
+    senses = {sense for word in leaf.words for sense in word.senses}
+    texts = [word.text for word in leaf.words]
+    return "the" in texts and leaf.words[-1].tag == "NN" and not senses & others
+
+
+def _said_of(statement: Phrase) -> tuple[Phrase, ...]:
+    """List what a statement says of the thing it is about."""
+    figure = next((child for child in statement.children if child.label == "NP"), None)
+    own = figure.children[1:] if figure is not None else ()
+    return (*own, *(child for child in statement.children if child.label != "NP"))
+
+
+def _restricted(leaf: Phrase, said: tuple[Phrase, ...]) -> Phrase:
+    return Phrase(label="NP", words=(), children=(leaf, *said))
+
+
+def _inform(command: Phrase, statement: Phrase) -> Phrase:
+    """Let a command's bare goal have what a statement says of the same thing."""
+    figure, said = _head(statement), _said_of(statement)
+    kind = None if figure is None else _type_sense(figure)
+    if kind is None or not said:
+        return command
+    first = next((i for i, c in enumerate(command.children) if c.label != "VP"), None)
+    if first is None or _has(command.children[first], "relation"):
+        return command
+
+    def put(phrase: Phrase) -> Phrase:
+        if phrase.label == "NP" and not phrase.children:
+            is_alike = _type_sense(phrase) == kind and _is_definite(phrase)
+            return _restricted(phrase, said) if is_alike else phrase
+        if phrase.label == "NP":
+            return phrase
+        return replace(phrase, children=tuple(put(child) for child in phrase.children))
+
+    children = list(command.children)
+    children[first] = put(children[first])
+    return replace(command, children=tuple(children))
+
+
+def resolve(clauses: list[Phrase]) -> list[Phrase]:
+    """Resolve what refers back, clause by clause.
+
+    Args:
+        clauses: roots of the trees, in order.
+
+    Returns:
+        The roots; words of a statement stand again in a command that they hold for.
+
+    Raises:
+        LanguageError: a pronoun could stand for nothing, or for more than one thing.
+    """
+    resolved: list[Phrase] = []
+    for clause in clauses:
+        before = resolved[-1] if resolved else None
+        resolved.append(_Resolver(before, is_statement=clause.label == "S").resolve(clause))
+    statements = [clause for clause in resolved if clause.label == "S"]
+    for index, clause in enumerate(resolved):
+        for statement in statements:
+            if clause.label == "VP":
+                clause = _inform(clause, statement)
+        resolved[index] = clause
+    return resolved

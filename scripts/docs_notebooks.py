@@ -1,0 +1,104 @@
+"""A hook of MkDocs: the executed notebooks as pages of the site, pictures and output included."""
+
+import base64
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
+
+FOLDER = Path(__file__).resolve().parent.parent / "notebooks"
+ORDER = (
+    "quickstart",
+    "grounding",
+    "belief",
+    "planner",
+    "sweep",
+    "gradients",
+    "your_own_world",
+)
+"""How they stand in the menu."""
+_AFTER = "Tutorial"
+_MAGICS = re.compile(r"(?m)^%.*\n")
+_ESCAPES = re.compile(r"\x1b\[[0-9;]*m")
+
+
+def notebooks() -> list[Path]:
+    """List the executed notebooks, those of ``ORDER`` first."""
+    known = {name: rank for rank, name in enumerate(ORDER)}
+    paths = sorted(FOLDER.glob("*.ipynb"))
+    return sorted(paths, key=lambda path: known.get(path.stem, len(ORDER)))
+
+
+def title(path: Path) -> str:
+    """Name a notebook for the menu."""
+    return path.stem.replace("_", " ").capitalize()
+
+
+def on_config(config: MkDocsConfig) -> MkDocsConfig:
+    """Put the notebooks into the menu, after the tutorial (called by MkDocs)."""
+    pages = [{title(path): f"notebooks/{path.stem}.md"} for path in notebooks()]
+    menu = list(config.nav or [])
+    place = 1 + next(index for index, entry in enumerate(menu) if _AFTER in entry)
+    config.nav = [*menu[:place], {"Notebooks": pages}, *menu[place:]]
+    return config
+
+
+def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Lead links to a notebook in the repository to its page on the site (called by MkDocs)."""
+    del page, config, files
+    return re.sub(r"\]\(\.\./notebooks/(\w+)\.ipynb\)", r"](notebooks/\1.md)", markdown)
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add a page for each notebook, and its pictures beside it (called by MkDocs)."""
+    for path in notebooks():
+        page, pictures = convert(path)
+        files.append(File.generated(config, f"notebooks/{path.stem}.md", content=page))
+        for name, content in pictures.items():
+            files.append(File.generated(config, f"notebooks/{name}", content=content))
+    return files
+
+
+def convert(path: Path) -> tuple[str, dict[str, bytes]]:
+    """Turn an executed notebook into Markdown.
+
+    Args:
+        path: the ``.ipynb`` file.
+
+    Returns:
+        The page, and its pictures by the names under which it shows them.
+    """
+    parts: list[str] = []
+    pictures: dict[str, bytes] = {}
+    for cell in json.loads(path.read_text("utf-8"))["cells"]:
+        text = _text(cell["source"])
+        if cell["cell_type"] == "markdown":
+            # A link from notebooks/ into docs/ leads one folder up on the site.
+            parts.append(text.replace("](../docs/", "](../"))
+            continue
+        parts.append(_fence(_MAGICS.sub("", text), "python"))
+        for output in cell.get("outputs", ()):
+            data = output.get("data", {})
+            if "image/png" in data:
+                name = f"{path.stem}-{len(pictures) + 1}.png"
+                pictures[name] = base64.b64decode(_text(data["image/png"]))
+                parts.append(f"![What this cell draws]({name})")
+            else:
+                shown = _text(output.get("text", data.get("text/plain", "")))
+                parts.append(_fence(_ESCAPES.sub("", shown).rstrip(), "text"))
+    where = f"Made by `notebooks/{path.stem}.py`; run `make notebooks` to make it again."
+    return "\n\n".join([*parts, f"---\n\n*{where}*"]) + "\n", pictures
+
+
+def _text(value: Any) -> str:
+    """Join the lines of a notebook's text."""
+    return value if isinstance(value, str) else "".join(value)
+
+
+def _fence(text: str, kind: str) -> str:
+    """Put text in a fenced block; nothing where there is none."""
+    return f"````{kind}\n{text}\n````" if text.strip() else ""

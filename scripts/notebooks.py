@@ -1,0 +1,174 @@
+"""Notebooks: run the sources in ``notebooks/*.py`` and write the ``.ipynb`` beside them.
+
+    python scripts/notebooks.py                     # run those whose source has changed
+    python scripts/notebooks.py --all               # run all of them
+    python scripts/notebooks.py --draw DIR planner  # run one without Jupyter, its pictures into DIR
+
+The ``.py`` files (jupytext's percent format) are the truth; the ``.ipynb`` files are made from
+them, with their pictures, so that a reader of the repository sees what a notebook shows without
+running it. Pictures are reduced to a palette, which keeps a notebook well below ``MAX_BYTES``.
+"""
+
+import argparse
+import ast
+import base64
+import io
+import re
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import jupytext
+import nbformat
+
+FOLDER = Path(__file__).resolve().parent.parent / "notebooks"
+MAX_BYTES = 1_500_000
+"""Largest executed notebook; the repository is to stay lean."""
+_SECONDS = 600
+_COLORS = 255
+
+
+def sources(folder: Path = FOLDER) -> list[Path]:
+    """List the sources of the notebooks."""
+    return sorted(folder.glob("*.py"))
+
+
+def cells(path: Path) -> list[tuple[str, str]]:
+    """Read the kind and the text of every cell of a source or a notebook."""
+    notebook = jupytext.read(path)
+    return [(cell.cell_type, cell.source.rstrip()) for cell in notebook.cells]
+
+
+def is_current(path: Path) -> bool:
+    """Tell whether a source's notebook is there and has the same cells."""
+    pair = path.with_suffix(".ipynb")
+    return pair.exists() and cells(pair) == cells(path)
+
+
+def reduce_picture(picture: str) -> str:
+    """Reduce a PNG to a palette; base64 in and out."""
+    from PIL import Image
+
+    image = Image.open(io.BytesIO(base64.b64decode(picture))).convert("RGB")
+    out = io.BytesIO()
+    image.quantize(_COLORS, dither=Image.Dither.NONE).save(out, "PNG", optimize=True)
+    return base64.b64encode(out.getvalue()).decode("ascii")
+
+
+def tidy(notebook: Any) -> None:
+    """Drop what differs from run to run and shows nothing; reduce the pictures."""
+    notebook.metadata = {
+        "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
+        "language_info": {"name": "python"},
+        "jupytext": {"formats": "py:percent,ipynb"},
+    }
+    for index, cell in enumerate(notebook.cells):
+        cell["id"], cell["metadata"] = f"cell-{index:02d}", {}
+        for output in cell.get("outputs", ()):
+            data = output.get("data", {})
+            if "image/png" in data:
+                data["image/png"] = reduce_picture(data["image/png"])
+                data.pop("text/plain", None)
+                output["metadata"] = {}
+
+
+def build(path: Path) -> Path:
+    """Run a source in Jupyter and write its notebook.
+
+    Args:
+        path: the ``.py`` file.
+
+    Returns:
+        The ``.ipynb`` file.
+
+    Raises:
+        ValueError: the notebook is larger than ``MAX_BYTES``.
+        CellExecutionError: a cell has failed.
+    """
+    from nbclient import NotebookClient
+
+    notebook = jupytext.read(path)
+    resources = {"metadata": {"path": str(path.parent)}}
+    client = NotebookClient(
+        notebook, timeout=_SECONDS, kernel_name="python3", resources=resources, record_timing=False
+    )
+    client.execute()
+    tidy(notebook)
+    text = nbformat.writes(notebook) + "\n"
+    if len(text) > MAX_BYTES:
+        raise ValueError(f"{path.name}: {len(text)} bytes executed, but at most {MAX_BYTES}")
+    pair = path.with_suffix(".ipynb")
+    pair.write_text(text, "utf-8")
+    return pair
+
+
+def draw(path: Path, folder: Path) -> list[Path]:
+    """Run a source cell by cell in this process and save every figure it shows.
+
+    A figure is shown if it is the value of a cell's last line, or was made with pyplot.
+
+    Args:
+        path: the ``.py`` file.
+        folder: for the pictures.
+
+    Returns:
+        The pictures.
+    """
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    from matplotlib import pyplot
+    from matplotlib.figure import Figure
+
+    folder.mkdir(parents=True, exist_ok=True)
+    names: dict[str, Any] = {"__name__": "__main__", "__file__": str(path)}
+    pictures: list[Path] = []
+    for index, (kind, text) in enumerate(cells(path)):
+        if kind != "code":
+            continue
+        tree = ast.parse(re.sub(r"(?m)^%", "# %", text))
+        last = tree.body.pop() if tree.body and isinstance(tree.body[-1], ast.Expr) else None
+        where = f"{path.name}[{index}]"
+        exec(compile(tree, where, "exec"), names)
+        value = None
+        if isinstance(last, ast.Expr):
+            value = eval(compile(ast.Expression(last.value), where, "eval"), names)
+        figures = [pyplot.figure(number) for number in pyplot.get_fignums()]
+        if isinstance(value, Figure):
+            figures.append(value)
+        elif value is not None:
+            print(repr(value))
+        for place, figure in enumerate(dict.fromkeys(figures)):
+            picture = folder / f"{path.stem}-{index:02d}{'abcdef'[place]}.png"
+            figure.savefig(picture, bbox_inches="tight", dpi=110)
+            pictures.append(picture)
+        pyplot.close("all")
+    return pictures
+
+
+def main() -> int:
+    """Run what the command line asks for."""
+    parser = argparse.ArgumentParser(description="Run the notebooks and write them with pictures.")
+    parser.add_argument("names", nargs="*", help="notebooks; all by default")
+    parser.add_argument("--all", action="store_true", help="also those that have not changed")
+    parser.add_argument("--draw", type=Path, help="run without Jupyter, pictures into this folder")
+    arguments = parser.parse_args()
+    known = {path.stem: path for path in sources()}
+    unknown = [name for name in arguments.names if name not in known]
+    if unknown:
+        print(f'no notebook "{unknown[0]}": choose from {", ".join(known)}', file=sys.stderr)
+        return 2
+    for path in [known[name] for name in arguments.names] or list(known.values()):
+        begin = time.perf_counter()
+        if arguments.draw is not None:
+            pictures = draw(path, arguments.draw)
+            print(f"{path.stem}: {len(pictures)} pictures, {time.perf_counter() - begin:.0f} s")
+        elif arguments.all or arguments.names or not is_current(path):
+            size = build(path).stat().st_size
+            print(f"{path.stem}: {size / 1000:.0f} kB, {time.perf_counter() - begin:.0f} s")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

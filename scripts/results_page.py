@@ -1,0 +1,137 @@
+"""Write docs/results.md from a folder of results: python scripts/results_page.py results COMMIT.
+
+The folder is what ``jaxlangnav reproduce all --out results`` has written; COMMIT says of which
+state of the code. What stands in the page from ``HAND`` on is written by hand and kept.
+"""
+
+import json
+import shutil
+import sys
+from pathlib import Path
+from typing import Any
+
+from jaxlangnav.experiments.figure5 import describe_falls
+from jaxlangnav.experiments.tables import deviation_lines
+
+ROOT = Path(__file__).parent.parent
+PAGE = ROOT / "docs" / "results.md"
+HAND = "<!-- What follows is written by hand; scripts/results_page.py keeps it. -->"
+PICTURES = ("table2", "calibration", "figure5")
+SHOWN = ("informed", "faithful", "known")
+"""Policies of the short table of Figure 5."""
+
+
+def read(folder: Path, name: str) -> dict[str, Any]:
+    """Read the document of an experiment."""
+    return json.loads((folder / f"{name}.json").read_text("utf-8"))
+
+
+def markdown_table(headings: list[str], rows: list[list[str]]) -> str:
+    """Write a Markdown table."""
+    lines = [headings, ["---"] * len(headings), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def range_table(document: dict[str, Any]) -> str:
+    """Write success and distance by range, for the policies that use the sentence."""
+    found: dict[tuple[str, float], dict[str, str]] = {}
+    for row in document["rows"]:
+        said = f"{row['success_rate']:.0f} % · {row['distance_mean']:.1f} m"
+        found.setdefault((row["relation"], row["range"]), {})[row["policy"]] = said
+    rows = [
+        [relation, f"{reach:g}", *(cells.get(name, "") for name in SHOWN)]
+        for (relation, reach), cells in found.items()
+    ]
+    return markdown_table(["command", "range m", *SHOWN], rows)
+
+
+def time_line(document: dict[str, Any]) -> str:
+    """Say where a cycle's time goes."""
+    whole = document["cycle_us"]
+    parts = sorted(document["parts_us"].items(), key=lambda part: -part[1])
+    shares = ", ".join(f"{name} {100 * spent / whole:.0f} %" for name, spent in parts)
+    return f"{whole:.0f} µs of CPU: {shares}."
+
+
+def page(folder: Path, commit: str, kept: str) -> str:
+    """Write the page.
+
+    Args:
+        folder: of the results.
+        commit: of the code that made them.
+        kept: the part that is written by hand.
+
+    Returns:
+        Markdown.
+    """
+    table2, figure5 = read(folder, "table2"), read(folder, "figure5")
+    body = (folder / "table2.md").read_text("utf-8").split("\n", 2)[2].strip()
+    figure4 = (folder / "figure4.md").read_text("utf-8").strip().split("\n\n")[-1]
+    far = markdown_table(*deviation_lines(table2))
+    machine = read(folder, "time")["machine"]
+    return f"""# Results
+
+`jaxlangnav reproduce all --out results` writes every table and figure of this page, and
+`report.html`, which sets them beside the paper's numbers and says how each was made. What follows
+is such a run of commit {commit}: {table2["episodes"]} episodes a row of Table 2,
+{figure5["rows"][0]["episodes"]} of Figure 5, seed {table2["seed"]},
+models SHA-256 `{table2["models_sha256"][:12]}…`, JAX {machine["jax"]},
+CPU threads: {machine["threads"]}. Table 2 took {table2["wall_s"]:.0f} s,
+{table2["compile_s"]:.0f} s of them compilation; Figure 5 took {figure5["wall_s"]:.0f} s.
+
+## Table 2
+
+![Success and distance of all policies beside the paper's](table2.png)
+
+{body}
+
+How far `faithful` lies from the paper's own rows, in standard errors of both:
+
+{far}
+
+## Calibration
+
+![How often "this object is the goal" came true, by the probability given to it](calibration.png)
+
+Over every step of {table2["calibration_episodes"]} episodes a row. The steps of one episode judge
+the same object again and again, so the intervals are clustered by episodes. With two hydrants and
+no relation nothing says which is meant: every hydrant seen fits the command, and half of them are
+not the one that the lot has drawn.
+
+## Figure 5
+
+![Distance and success against the sensing range](figure5.png)
+
+{range_table(figure5)}
+
+All policies stand in the figure. {describe_falls(figure5)} The printed figure
+states no numbers; where Table 2 prints a row of the same world, command and range, it is drawn.
+
+## Figures 1 and 4
+
+`jaxlangnav reproduce fig1` and `fig4` run the scenes of the paper's illustrations, the shipped
+worlds `figure1` and `figure4`. In Figure 4 two cones are in view at the start. Where the unseen
+hydrant is believed to be, left or right of where the robot faced at first (`faithful`, seed 0,
+256 particles):
+
+{figure4}
+
+## Where the time goes
+
+One decision cycle of one episode in a batch (`jaxlangnav reproduce time`):
+{time_line(read(folder, "time"))}
+
+{kept}"""
+
+
+def main() -> None:
+    """Write the page and copy its pictures."""
+    folder, commit = Path(sys.argv[1]), sys.argv[2]
+    old = PAGE.read_text("utf-8")
+    PAGE.write_text(page(folder, commit, old[old.index(HAND) :]), "utf-8")
+    for name in PICTURES:
+        shutil.copy(folder / f"{name}.png", ROOT / "docs" / f"{name}.png")
+
+
+if __name__ == "__main__":
+    main()

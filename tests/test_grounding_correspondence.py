@@ -1,0 +1,177 @@
+"""The correspondence graph with someone else's symbols, and trees written as text."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from matplotlib.patches import Wedge
+from oracles.dcg import root_distribution
+
+from jaxlangnav.grounding.correspondence import (
+    KIND,
+    Labelled,
+    examples_of,
+    read_tree,
+    train_graph,
+)
+from jaxlangnav.grounding.training import TrainingConfig
+from jaxlangnav.language.parser import parse
+from jaxlangnav.language.phrase import Phrase, Word
+from jaxlangnav.viz.graph import beliefs_figure
+
+COLOURS = ("red", "blue", "green")
+
+
+class Blocks:
+    """Coloured blocks in a row; a world is a tuple of colours."""
+
+    property_names = ("bias", *COLOURS, "meant", "left of meant", "last")
+
+    def symbols(self, world):
+        return [f"{colour} block {i}" for i, colour in enumerate(world)]
+
+    def properties(self, phrase, children, world):
+        meant = np.any([*children, np.zeros(len(world), bool)], axis=0)
+        beside = np.append(meant[1:], False)
+        last = np.arange(len(world)) == len(world) - 1
+        own = [[colour == one for one in COLOURS] for colour in world]
+        return np.column_stack([np.ones(len(world)), own, meant, beside, last])
+
+
+SPACE = Blocks()
+WORLDS = (("red", "blue", "green"), ("blue", "red"), ("green", "blue", "red", "red"))
+
+
+def labelled():
+    """Sentences "take the red one" and "take what is left of the red one" in all worlds."""
+    found = []
+    for world in WORLDS:
+        for colour in COLOURS:
+            own = {i for i, one in enumerate(world) if one == colour}
+            beside = {i - 1 for i in own if i > 0}
+            for text, steps in (
+                (f"VP[take]{{NP[the {colour} one]}}", [own, own]),
+                (f"VP[take]{{PP[left of]{{NP[the {colour} one]}}}}", [own, beside, beside]),
+            ):
+                names = SPACE.symbols(world)
+                expressed = [frozenset(names[i] for i in step) for step in steps]
+                found.append(Labelled(root=read_tree(text), world=world, expressed=expressed))
+    return found
+
+
+@pytest.fixture(scope="module")
+def graph():
+    return train_graph(SPACE, labelled(), TrainingConfig(l2=0.003))[0]
+
+
+def test_own_symbols_are_learned(graph):
+    assert graph.accuracy(labelled()) == 1.0
+    world = ("green", "green", "red", "blue")  # never seen
+    best = graph.ground(read_tree("VP[take]{PP[left of]{NP[the red one]}}"), world)[0]
+    assert best.symbols == ("green block 1",)
+    assert best.probability > 0.5
+
+
+def test_beam_of_all_sets_is_the_enumeration(graph):
+    root, world = read_tree("VP[take]{PP[left of]{NP[the red one]}}"), ("blue", "red")
+
+    def log_odds(phrase, _, children):
+        seen = SPACE.properties(phrase, children, world)
+        return seen @ graph.model.coefficients(phrase)[KIND]
+
+    exact = root_distribution(root, log_odds)
+    names = SPACE.symbols(world)
+    found = {one.symbols: one.probability for one in graph.ground(root, world, width=16)}
+    assert len(found) == 4
+    for key, probability in exact.items():
+        said = tuple(np.array(names)[np.frombuffer(key, bool)])
+        assert found[said] == pytest.approx(probability, abs=1e-6)
+
+
+def test_beliefs_are_those_of_the_likeliest_reading(graph):
+    root, world = read_tree("VP[take]{NP[the blue one]}"), WORLDS[0]
+    top, below = graph.beliefs(root, world)
+    assert below.parent == top.path
+    assert (below.probability > 0.5).tolist() == [False, True, False]
+    meant = below.probability > 0.5
+    odds = SPACE.properties(root, [meant], world) @ graph.model.coefficients(root)[KIND]
+    np.testing.assert_allclose(top.probability, 1 / (1 + np.exp(-odds)), rtol=1e-5)
+
+
+def test_a_picture_of_own_symbols(graph):
+    root, world = read_tree("VP[take]{NP[the blue one]}"), WORLDS[0]
+    figure = beliefs_figure(
+        graph.beliefs(root, world), SPACE.symbols(world), title="take the blue one", num_symbols=2
+    )
+    texts = [text.get_text() for text in figure.axes[0].texts]
+    assert texts.count("blue block 1") == 2
+    assert "1 more" in texts
+    assert any(isinstance(patch, Wedge) for patch in figure.axes[0].patches)
+
+
+def test_strongest_weights_by_name(graph):
+    word, seen, weight = graph.strongest(1)[0]
+    index = graph.model.vocabulary.names.index(word), SPACE.property_names.index(seen)
+    assert graph.weights[index] == pytest.approx(weight)
+    assert abs(weight) == np.abs(graph.weights).max()
+
+
+def test_bad_corpora_are_refused():
+    good = labelled()[0]
+    stranger = [frozenset({"pink block 9"}), frozenset()]
+    with pytest.raises(ValueError, match="tree 0: pink block 9 is no symbol"):
+        examples_of(SPACE, [Labelled(root=good.root, world=good.world, expressed=stranger)])
+    with pytest.raises(ValueError, match=r"1 labels, but .* has 2 phrases"):
+        examples_of(SPACE, [Labelled(root=good.root, world=good.world, expressed=stranger[1:])])
+    with pytest.raises(ValueError, match="no tree to train on"):
+        train_graph(SPACE, [])
+    with pytest.raises(ValueError, match="groups of features are"):
+        train_graph(SPACE, [good], without=frozenset({"smell"}))
+
+    class Short(Blocks):
+        property_names = ("bias",)
+
+    with pytest.raises(ValueError, match=r"properties are \(3, 7\), but must be \(3, 1\)"):
+        examples_of(Short(), [good])
+
+
+# ---------------------------------------------------------------- trees as text
+
+phrases = st.recursive(
+    st.builds(
+        Phrase,
+        label=st.sampled_from(["NP", "VP", "PP"]),
+        words=st.lists(st.sampled_from(["the", "red", "left-of", "o'er"]), max_size=3).map(
+            lambda words: tuple(Word(text=w, tag="", lemma=w) for w in words)
+        ),
+    ),
+    lambda below: st.builds(
+        Phrase,
+        label=st.sampled_from(["NP", "VP", "S"]),
+        words=st.just(()),
+        children=st.lists(below, min_size=1, max_size=3).map(tuple),
+    ),
+    max_leaves=8,
+)
+
+
+@given(phrases)
+def test_reading_a_tree_inverts_writing_it(phrase):
+    found = read_tree(str(phrase))
+    assert str(found) == str(phrase)
+    assert [w.position for w in found.all_words()] == list(range(1, len(found.all_words()) + 1))
+
+
+def test_trees_of_the_parser_are_read():
+    root = parse("go to the hydrant behind the cone").clauses[0]
+    words = {word.text: word for word in root.all_words()}
+    found = read_tree(str(root), words.__getitem__)
+    assert [w.senses for w in found.all_words()] == [w.senses for w in root.all_words()]
+
+
+@pytest.mark.parametrize(
+    "text", ["", "VP", "VP[a", "VP[a]{", "VP[a]{}", "VP[a]{NP[b]", "VP[a]NP[b]", "VP[a]}", "x[a]"]
+)
+def test_what_is_no_tree_is_refused(text):
+    with pytest.raises(ValueError, match="no tree"):
+        read_tree(text)

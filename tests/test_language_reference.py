@@ -1,0 +1,120 @@
+"""What "it", "there" and a repeated noun stand for, and what is refused because it is not clear."""
+
+import pytest
+
+from jaxlangnav.language.labels import Geometry, behave
+from jaxlangnav.language.parser import parse
+from jaxlangnav.language.phrase import LanguageError, Phrase
+from jaxlangnav.language.placed import PlacedWorld
+
+SAME_CONE = ("type:cone", "same")
+CLEAR = {
+    "go to the cone then stop behind it": ("it", SAME_CONE),
+    "find the nearest cone and go to it": ("it", SAME_CONE),
+    "find the cone behind the car, then go there": ("there", SAME_CONE),
+    "find the cone behind the car and approach it": ("it", SAME_CONE),
+    "move behind the cone, then go to it": ("it", SAME_CONE),
+    "go to the second cone and then park behind the cone": ("cone", SAME_CONE),
+    "there is a cone near the car. go to it": ("it", ("type:cone",)),
+    "go to the car then go to the nearest one": ("one", ("type:car",)),
+    "go to the cone then go to the cone near the car": ("cone", ("type:cone",)),
+    "go to the cone then go to the other cone": ("cone", ("type:cone",)),
+}
+
+
+def last(root: Phrase, text: str) -> tuple[str, ...]:
+    """Find the senses of the first word of that text in a clause."""
+    return next(word.senses for word in root.all_words() if word.text == text)
+
+
+@pytest.mark.parametrize("text", CLEAR)
+def test_what_refers_back_has_its_type(text):
+    word, senses = CLEAR[text]
+    assert last(parse(text).clauses[-1], word) == senses
+
+
+RESTRICTED = "NP[]{NP[the hydrant], PP[behind]{NP[the cone]}}"
+
+
+@pytest.mark.parametrize(
+    ("text", "clause", "tree"),
+    [
+        (
+            "the hydrant is behind the cone. go to the hydrant", 1,
+            f"VP[go]{{PP[to]{{{RESTRICTED}}}}}",
+        ),
+        (
+            "go to the hydrant. it is behind the cone", 0,
+            f"VP[go]{{PP[to]{{{RESTRICTED}}}}}",
+        ),
+        (
+            "there is a hydrant behind the cone. find the hydrant", 1,
+            f"VP[find]{{{RESTRICTED}}}",
+        ),
+        (
+            "the hydrant is behind the cone. park near it", 1,
+            "VP[park]{PP[near]{NP[]{NP[it], PP[behind]{NP[the cone]}}}}",
+        ),
+        # Another thing of the kind, and a thing told apart already, are left alone.
+        (
+            "the hydrant is behind the cone. go to the other hydrant", 1,
+            "VP[go]{PP[to]{NP[the other hydrant]}}",
+        ),
+        (
+            "the hydrant is behind the cone. go to the hydrant near the car", 1,
+            "VP[go]{PP[to]{NP[]{NP[the hydrant], PP[near]{NP[the car]}}}}",
+        ),
+        (
+            "the hydrant is behind the cone. go to the cone", 1,
+            "VP[go]{PP[to]{NP[the cone]}}",
+        ),
+        (
+            "the hydrant is behind the cone. go to a hydrant", 1,
+            "VP[go]{PP[to]{NP[a hydrant]}}",
+        ),
+    ],
+)  # fmt: skip
+def test_what_a_statement_says_holds_for_the_thing_named_again(text, clause, tree):
+    assert str(parse(text).clauses[clause]) == tree
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("go to it", "'it' (word 3): nothing said before"),
+        ("it is behind the cone", "'it' (word 1): nothing said before"),
+        ("go there", "'there' (word 2): nothing said before"),
+        ("go to the cone near the car then stop behind it", "is it the cone or the car?"),
+        ("go to the cones then stop behind it", "not clear"),
+        ("go to the one behind the car and stop near it", "'it' (word 11)"),
+        ("go to the cone behind it", "'it' (word 6): nothing said before"),
+        ("go to the nearest one", "of what kind?"),
+    ],
+)
+def test_what_is_not_clear_is_refused_with_a_remedy(text, says):
+    with pytest.raises(LanguageError, match="name the object") as error:
+        parse(text)
+    assert says in str(error.value)
+
+
+def test_it_is_the_very_thing():
+    """Two cones: "it" is the one that the command before led to."""
+    objects = (("cone", 3.0, 1.0), ("cone", 6.0, -2.0))
+    world = PlacedWorld(objects=objects, robot=(0.0, 0.0, 0.0), previous=1)
+    second = parse("go to the cone then stop behind it").clauses[1]
+    assert "goal(behind,1)" in behave(second, Geometry(world))[-1]
+    assert "goal(behind,0)" not in behave(second, Geometry(world))[-1]
+
+
+def test_a_rank_counts_among_those_meant():
+    """The nearest cone is on the right: the nearest on the left is the second of all."""
+    objects = (("cone", 1.0, -2.0), ("cone", 1.0, 3.0), ("cone", 0.5, 4.5))
+    geometry = Geometry(PlacedWorld(objects=objects, robot=(0.0, 0.0, 0.0)))
+
+    def goal(text: str) -> set[str]:
+        symbols = behave(parse(text).clauses[0], geometry)[-1]
+        return {symbol for symbol in symbols if symbol.startswith("goal")}
+
+    assert goal("go to the nearest cone on your left") == {"goal(at,1)"}
+    assert goal("go to the second cone on your left") == {"goal(at,2)"}
+    assert goal("go to the nearest cone") == {"goal(at,0)"}
