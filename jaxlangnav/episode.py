@@ -15,7 +15,7 @@ from jaxlangnav import navigator
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.messages import MotionParams, SensorParams
 from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams, NavigatorState
-from jaxlangnav.pytree import pytree, replace
+from jaxlangnav.pytree import pytree, replace, strong
 from jaxlangnav.world import simulator
 from jaxlangnav.world.motion import move
 from jaxlangnav.world.sensor import sense
@@ -193,7 +193,6 @@ def _where(mask: Array, new: Array, old: Array) -> Array:
     return jnp.where(mask.reshape(mask.shape + (1,) * (new.ndim - 1)), new, old)
 
 
-@functools.partial(jax.jit, static_argnames=("config", "num_lanes", "max_steps"))
 def run_batch(
     tasks: Task,
     instructions: Instruction,
@@ -202,7 +201,7 @@ def run_batch(
     config: NavigatorConfig,
     num_lanes: int = 32,
     max_steps: int = MAX_STEPS,
-    count: Array | None = None,
+    count: Array | int | None = None,
 ) -> EpisodeResult:
     """Run many episodes in lanes that are refilled as episodes end.
 
@@ -219,8 +218,33 @@ def run_batch(
     Returns:
         Results, leaves [E, …], in the order of the tasks.
     """
+    number = tasks.instruction_index.shape[0] if count is None else count
+    tasks, instructions, params, number = strong((tasks, instructions, params, number))
+    return _run_batch(
+        tasks,
+        instructions,
+        params=params,
+        count=number,
+        config=config,
+        num_lanes=num_lanes,
+        max_steps=max_steps,
+    )
+
+
+@functools.partial(jax.jit, static_argnames=("config", "num_lanes", "max_steps"))
+def _run_batch(
+    tasks: Task,
+    instructions: Instruction,
+    *,
+    params: NavigatorParams,
+    count: Array,
+    config: NavigatorConfig,
+    num_lanes: int,
+    max_steps: int,
+) -> EpisodeResult:
+    """Run a batch whose arrays have types of their own, see ``run_batch``."""
     capacity = tasks.instruction_index.shape[0]
-    number = jnp.int32(capacity) if count is None else jnp.minimum(count, capacity)
+    number = jnp.minimum(count, capacity).astype(jnp.int32)
 
     def load(episode: Array) -> Progress:
         task = jax.tree.map(lambda leaf: leaf[jnp.clip(episode, 0, capacity - 1)], tasks)

@@ -15,7 +15,7 @@ from jaxlangnav.grounding.behavior import infer_behaviors as infer_topologies
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.grounding.program import NUM_TYPES
 from jaxlangnav.messages import ACTIONS, MODES, NONE, REGIONS, Action, Behavior, Observation
-from jaxlangnav.planner import graph, policy, search
+from jaxlangnav.planner import graph, policy, search, tours
 from jaxlangnav.planner.goals import Goals, gather
 from jaxlangnav.planner.information import squared_distance_to_segment
 from jaxlangnav.planner.params import PlannerConfig, PlannerParams, default_planner_params
@@ -25,6 +25,8 @@ from jaxlangnav.semantic_map import summary
 from jaxlangnav.semantic_map.filter import FilterInfo, ParticleBelief
 from jaxlangnav.semantic_map.params import MapConfig, MapParams, default_map_params
 
+_PLANNING = 77
+"""Folded into a cycle's key for the planner; beyond the keys that the filter splits it into."""
 BLOCK = 8
 """Topologies whose behavior is inferred at a time."""
 
@@ -70,6 +72,7 @@ class NavigatorState:
     previous_goal: Array  # i32[] observed slot at which the last command ended; NONE at first
     visited: graph.Visited
     commitment: policy.Commitment
+    tour: tours.Tour  # where ``informed`` is looking next, and after that
     is_done: Array  # bool[]
 
 
@@ -147,6 +150,7 @@ def start(
         previous_goal=jnp.int32(NONE),
         visited=graph.nowhere(config.planner.num_visited),
         commitment=policy.no_commitment(),
+        tour=tours.no_tour(pose[0], pose[1]),
         is_done=jnp.asarray(False),
     )
 
@@ -245,6 +249,26 @@ def _constraint_cost(
     return params.planner.constraint_cost * jnp.max(jnp.where(near, share[None, :], 0.0), axis=1)
 
 
+def _plan(
+    key: Array,
+    state: NavigatorState,
+    observation: Observation,
+    robot_x: Array,
+    robot_y: Array,
+    params: NavigatorParams,
+) -> tours.Plan:
+    """Plan tours to what has not been seen; the key is that of the whole cycle."""
+    return tours.plan(
+        jax.random.fold_in(key, _PLANNING),
+        state.tour,
+        search.search_map(state.belief, params.planner.prior_share),
+        robot_x,
+        robot_y,
+        observation.sensor.range_max,
+        state.belief.coverage.area,
+    )
+
+
 def step(
     key: Array,
     state: NavigatorState,
@@ -265,14 +289,20 @@ def step(
     Returns:
         The new state, what the robot is to do, and why.
     """
+    # The paper's own policy takes every word to be true.
+    trusts = config.planner.policy == "faithful"
+    map_params = replace(params.map, misleading=jnp.float32(0.0)) if trusts else params.map
     belief, filter_info = semantic_filter.step(
-        key, state.belief, state.instruction.readings, observation, params=params.map
+        key, state.belief, state.instruction.readings, observation, params=map_params
     )
     state = replace(state, belief=belief)
     behavior = infer_behaviors(state)
     goals = gather(belief, behavior, params.map.relations)
     robot_x, robot_y = semantic_filter.robot_position(belief)
     visited = graph.visit(state.visited, robot_x, robot_y, params.planner.visit_spacing)
+    plan = None
+    if config.planner.policy == "informed":
+        plan = _plan(key, state, observation, robot_x, robot_y, params)
     nodes = graph.nodes(
         belief.coverage,
         visited,
@@ -281,6 +311,7 @@ def step(
         goals.is_object,
         config.planner,
         params.planner,
+        None if plan is None else (plan.tours.x[:, 0], plan.tours.y[:, 0]),
     )
     weight = jnp.exp(belief.log_weight)
     expected = jax.tree.map(
@@ -299,6 +330,7 @@ def step(
         _constraint_cost(state, behavior, nodes, robot_x, robot_y, params),
         params=params.planner,
         config=config.planner,
+        plan=plan,
     )
     # A command carried out makes way for the next one, if the instruction has one.
     is_last = state.clause + 1 >= state.instruction.num_clauses
@@ -331,6 +363,7 @@ def step(
             kind=choice.kind,
             is_active=~choice.is_stop,
         ),
+        tour=state.tour if plan is None else tours.take(plan, choice.value),
         is_done=state.is_done | is_stop,
     )
     info = NavigatorInfo(

@@ -130,3 +130,14 @@ def test_unseen_places_follow_the_miss_probability() -> None:
     # Within their cells they are spread evenly.
     inside = np.asarray(x) / 10.0 * CELLS - column
     assert abs(inside.mean() - 0.5) < 5 / np.sqrt(12 * inside.size)
+
+
+def test_unseen_places_are_spread_over_all_columns() -> None:
+    """A comb over row-major cells must not fall on a few lines."""
+    coverage = fresh()
+    number = 128
+    x, y, _ = SAMPLE(coverage, 0.3, jnp.full((2, number), 0.5))
+    area = np.asarray(coverage.area)
+    for place, low, high in ((x, area[0], area[1]), (y, area[2], area[3])):
+        counts = np.histogram(np.asarray(place), bins=8, range=(low, high))[0]
+        assert (np.abs(counts - number / 8) <= 5).all(), counts

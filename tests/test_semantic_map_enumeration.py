@@ -34,7 +34,6 @@ CASES = {
     "cone near another cone": ([CONE, CONE], [(0, NEAR, 1, False)]),
     "never seen landmark": ([HYDRANT, 5], [(0, BEHIND, 1, False)]),
     "on your left": ([HYDRANT, ROBOT], [(0, LEFT, 1, False)]),
-    "nearest to you": ([CONE, ROBOT], [(0, NEAR, 1, True)]),
     # Landmarks before the figures placed against them, as the language orders them …
     "behind the cone near the car": (
         [HYDRANT, CONE, CAR],
@@ -76,6 +75,7 @@ def small_world(objects=OBJECTS, miss=None, fineness: int = 2) -> exact.World:
         viewer=VIEWER,
         alpha=ALPHA,
         softness=0.3,
+        misleading=float(by_hand.params().misleading),
         median=np.exp(np.asarray(free.log_distance, float)),
         spread=np.asarray(free.log_distance_sd, float),
         axis=np.asarray(free.axis, float),
@@ -118,7 +118,9 @@ def by_category(particles, weight: np.ndarray, number: int, num_mentions: int) -
 def test_groundings_equal_enumeration(name: str) -> None:
     kinds, edges = CASES[name]
     truth, moments = exact.groundings(small_world(), kinds, edges)
-    particles, weight = estimate(by_hand.readings([kinds], [edges]))
+    # Two relations have rare groundings of high weight: more seeds until errors are normal.
+    rounds = [estimate(by_hand.readings([kinds], [edges]), seed) for seed in range(len(edges) ** 3)]
+    particles, weight = jax.tree.map(lambda *parts: np.concatenate(parts), *rounds)
     number = len(OBJECTS) + 1
     # The robot as a landmark has no referent; it is the oracle's only category then.
     count = sum(kind != ROBOT for kind in kinds)

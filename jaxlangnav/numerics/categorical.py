@@ -1,7 +1,12 @@
 """Draws from unnormalised log-weights."""
 
+import itertools
+import math
+
 import jax.numpy as jnp
 from jax import Array
+
+from jaxlangnav.numerics.axes import column
 
 _LOG_MIN, _LOG_MAX = -80.0, 80.0  # inside the range of exp in float32
 
@@ -9,25 +14,43 @@ _LOG_MIN, _LOG_MAX = -80.0, 80.0  # inside the range of exp in float32
 def draw(log_weight: Array, uniform: Array) -> tuple[Array, Array]:
     """Draw one index in proportion to exp(log_weight), by inverting the cumulative sum.
 
+    Two levels of about √n: the group first, then the place in it. XLA's own cumulative sum takes
+    log n passes over memory, which for all particles costs more than all the weights before it.
+
     Limits: one finite weight is always drawn; all −∞ gives index 0 and a total of −∞.
 
     Args:
-        log_weight: f32[n], unnormalised; −∞ excludes.
-        uniform: f32[], in [0, 1).
+        log_weight: f32[n, ...], unnormalised; −∞ excludes.
+        uniform: f32[...], in [0, 1).
 
     Returns:
-        i32[], the index, and f32[], the log of the total weight.
+        i32[...], the index, and f32[...], the log of the total weight.
     """
-    top = jnp.max(log_weight)
+    top = jnp.max(log_weight, axis=0)
     safe_top = jnp.where(jnp.isfinite(top), top, 0.0)
-    weight = jnp.exp(jnp.clip(log_weight - safe_top, _LOG_MIN, _LOG_MAX))
+    weight = jnp.exp(jnp.clip(log_weight - safe_top[None], _LOG_MIN, _LOG_MAX))
     weight = jnp.where(log_weight == -jnp.inf, 0.0, weight)
-    cumulative = jnp.cumsum(weight)
-    total = cumulative[-1]
-    index = jnp.sum(cumulative <= uniform * total)
-    # Rounding may step past the last positive weight: fall back on the last index that has any.
-    last = jnp.max(jnp.where(weight > 0, jnp.arange(weight.shape[0]), 0))
-    return jnp.minimum(index, last).astype(jnp.int32), jnp.log(total) + safe_top
+    number, batch = weight.shape[0], weight.shape[1:]
+    size = math.isqrt(number - 1) + 1
+    weight = jnp.pad(weight, [(0, -number % size)] + [(0, 0)] * len(batch))
+    groups = weight.reshape(-1, size, *batch)
+    ends = _running_sum(jnp.sum(groups, axis=1))
+    total = ends[-1]
+    target = (uniform * total)[None]
+    group = jnp.minimum(jnp.sum(ends <= target, axis=0), ends.shape[0] - 1)
+    below = jnp.max(jnp.where(ends <= target, ends, 0.0), axis=0)
+    is_group = column(jnp.arange(ends.shape[0]), ends.ndim) == group[None]
+    chosen = jnp.sum(jnp.where(is_group[:, None], groups, 0.0), axis=0)
+    place = jnp.sum(below[None] + _running_sum(chosen) <= target, axis=0)
+    # Rounding may step past the last positive weight of the group: fall back on it.
+    last = jnp.max(jnp.where(chosen > 0, column(jnp.arange(size), chosen.ndim), 0), axis=0)
+    index = group * size + jnp.minimum(place, last)
+    return index.astype(jnp.int32), jnp.log(total) + safe_top
+
+
+def _running_sum(values: Array) -> Array:
+    """Sum up a few values along the first axis one by one: fuses into one loop over a batch."""
+    return jnp.stack(list(itertools.accumulate(values[i] for i in range(values.shape[0]))))
 
 
 def log_normalize(log_weight: Array) -> tuple[Array, Array, Array]:

@@ -11,7 +11,6 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.planner.params import PlannerConfig, PlannerParams
-from jaxlangnav.planner.search import viewpoints
 from jaxlangnav.pytree import pytree
 from jaxlangnav.semantic_map.coverage import Coverage, cell_centres
 
@@ -21,7 +20,7 @@ FRONTIER, VISITED, OBJECT = range(3)
 
 @pytree
 class Nodes:
-    """Candidate waypoints; A = blocks² + visited + observed objects, in this order."""
+    """Candidate waypoints; A = blocks² (or tours) + visited + observed objects, in order."""
 
     x: Array  # f32[A] metres, map frame
     y: Array  # f32[A]
@@ -117,6 +116,7 @@ def nodes(
     is_object: Array,
     config: PlannerConfig,
     params: PlannerParams,
+    first_stops: tuple[Array, Array] | None = None,
 ) -> Nodes:
     """Collect all candidate waypoints (eq. 9).
 
@@ -126,14 +126,16 @@ def nodes(
         object_x: f32[O], metres, map frame: goal places of observed objects.
         object_y: f32[O], metres.
         is_object: bool[O].
-        config: policy (``informed`` plans on a lattice of viewpoints) and blocks for frontiers.
+        config: blocks for frontiers.
         params: frontier threshold.
+        first_stops: f32[T] x and y, metres: first stops of the tours that ``informed`` chooses
+            among, in place of frontiers.
 
     Returns:
         The nodes, padded.
     """
-    if config.policy == "informed":
-        frontier_x, frontier_y = viewpoints(coverage.area)
+    if first_stops is not None:
+        frontier_x, frontier_y = first_stops
         is_frontier = jnp.ones(frontier_x.shape, bool)
     else:
         frontier_x, frontier_y, is_frontier = frontiers(

@@ -6,8 +6,8 @@ or something new has been seen; without this the policy limit-cycles between a f
 visited node. And a_stop is open only where the goal probability within reach exceeds τ, for its
 value ties with that of the node underfoot.
 
-``informed`` goes where the hypotheses are put to the test soonest, and accepts a goal only once
-everything the sentence mentions has been observed.
+``informed`` takes the tour that puts the hypotheses to the test soonest, and accepts a goal only
+once everything the sentence mentions has been observed and no rival is left near what has been.
 """
 
 import jax.numpy as jnp
@@ -16,12 +16,15 @@ from jax import Array
 from jaxlangnav.planner import qmdp
 from jaxlangnav.planner.goals import Goals
 from jaxlangnav.planner.graph import FRONTIER, OBJECT, Nodes, unexplored_cells
+from jaxlangnav.planner.own import Situation, Valuation
 from jaxlangnav.planner.params import PlannerConfig, PlannerParams
-from jaxlangnav.planner.search import latency, search_map
+from jaxlangnav.planner.tours import Plan
 from jaxlangnav.pytree import pytree
 from jaxlangnav.semantic_map.coverage import cell_size
 from jaxlangnav.semantic_map.filter import ParticleBelief
 
+_SETTLED = 10.0
+"""Value of a goal that is settled; information values stay below 1."""
 _UNDERFOOT = 0.25
 """Metres from a place that count as standing on it; an object is reached from further off."""
 
@@ -69,6 +72,89 @@ def _is_still_frontier(belief: ParticleBelief, x: Array, y: Array, frontier_miss
     return jnp.any(unexplored & near_y[:, None] & near_x[None, :])
 
 
+def _is_worth_keeping(
+    belief: ParticleBelief,
+    commitment: Commitment,
+    robot_x: Array,
+    robot_y: Array,
+    params: PlannerParams,
+) -> Array:
+    """Tell whether the waypoint under way is neither reached nor a frontier looked at by now."""
+    remaining = jnp.sqrt((commitment.x - robot_x) ** 2 + (commitment.y - robot_y) ** 2)
+    return (
+        commitment.is_active
+        & (remaining > jnp.where(commitment.kind == OBJECT, params.reach, _UNDERFOOT))
+        & (
+            (commitment.kind != FRONTIER)
+            | _is_still_frontier(belief, commitment.x, commitment.y, params.frontier_miss)
+        )
+    )
+
+
+def faithful(situation: Situation) -> Valuation:
+    """Value nodes as the paper does (eq. 11, 12): by the goals that lie near, and nothing else.
+
+    Args:
+        situation: nodes, goals, where the robot is.
+
+    Returns:
+        Values, and the goal probability within reach.
+    """
+    params, goals = situation.params, situation.goals
+    here = situation.robot_x, situation.robot_y
+    within_reach, _ = qmdp.mass_within(*here, goals, params.reach)
+    _, in_view = qmdp.mass_within(*here, goals, situation.range_max)
+    goal_value = qmdp.values(situation.nodes.x, situation.nodes.y, goals, params.discount)
+    return Valuation(
+        goal_value=goal_value,
+        information_value=jnp.zeros_like(goal_value),
+        stop_mass=jnp.where(
+            situation.is_find > 0.5, jnp.maximum(in_view, within_reach), within_reach
+        ),
+    )
+
+
+def informed(situation: Situation, plan: Plan) -> tuple[Valuation, Array]:
+    """Value first stops of tours by how soon they find things, until the goal is settled.
+
+    The information value of a tour is what is still to be found divided by the metres until it
+    is. A goal is settled once its object and all that the sentence places it against have been
+    seen and next to nothing speaks for an unseen rival beside things seen; the object is then
+    worth more than anything there is to learn. Unsettled goals break ties. Where next to nothing
+    is left to be found and several things may still be meant, the likeliest has to do.
+
+    Args:
+        situation: nodes (first stops of the plan's tours lead), goals, where the robot is.
+        plan: candidate tours.
+
+    Returns:
+        Values, with the confirmed goal probability within reach; and bool[], no rival is left.
+    """
+    params, goals, nodes = situation.params, situation.goals, situation.nodes
+    here = situation.robot_x, situation.robot_y
+    _, within_reach = qmdp.mass_within(*here, goals, params.reach)
+    _, in_view = qmdp.mass_within(*here, goals, situation.range_max)
+    metres = plan.latency / jnp.maximum(plan.mass, 1e-6)
+    no_tours = jnp.zeros(nodes.x.shape[0] - metres.shape[0], jnp.float32)
+    goal_value = 0.01 * qmdp.values(nodes.x, nodes.y, goals, params.discount)
+    confirmed = jnp.max(goals.object_confirmed)
+    rest = jnp.sum(goals.hypothesis_mass)
+    is_exhausted = (rest <= params.rest_share * confirmed) & (confirmed < params.stop_probability)
+    is_sure = (plan.hung <= params.rival_share * confirmed) | is_exhausted
+    is_settled = is_sure & ((confirmed >= params.stop_probability) | is_exhausted)
+    arrived = jnp.where(situation.is_find > 0.5, in_view, within_reach)
+    # The mass within reach of a candidate may be spread over neighbours: nine tenths of it count.
+    will_do = is_exhausted & (arrived >= 0.9 * confirmed)
+    first_object = nodes.x.shape[0] - goals.object_x.shape[0]
+    is_goal = jnp.arange(nodes.x.shape[0]) == first_object + jnp.argmax(goals.object_confirmed)
+    valuation = Valuation(
+        goal_value=jnp.where(is_goal & is_settled, _SETTLED, goal_value),
+        information_value=jnp.concatenate([plan.mass / (1.0 + metres), no_tours]),
+        stop_mass=jnp.where(will_do, jnp.maximum(arrived, params.stop_probability), arrived),
+    )
+    return valuation, is_sure
+
+
 def choose(
     belief: ParticleBelief,
     nodes: Nodes,
@@ -83,6 +169,7 @@ def choose(
     *,
     params: PlannerParams,
     config: PlannerConfig,
+    plan: Plan | None = None,
 ) -> Choice:
     """Pick the waypoint of highest value, or stop (eq. 10).
 
@@ -99,57 +186,43 @@ def choose(
         cost: f32[A], cost of each node from constraint regions.
         params: traced numbers.
         config: policy.
+        plan: candidate tours, whose first stops lead the nodes; for ``informed``.
 
     Returns:
         The choice.
+
+    Raises:
+        ValueError: ``informed`` without a plan.
     """
     distance = jnp.sqrt((nodes.x - robot_x) ** 2 + (nodes.y - robot_y) ** 2 + 1e-9)
-    everything, confirmed = qmdp.mass_within(robot_x, robot_y, goals, params.reach)
-    in_view, in_view_confirmed = qmdp.mass_within(robot_x, robot_y, goals, range_max)
-    goal_value = qmdp.values(nodes.x, nodes.y, goals, params.discount)
-    no_information = jnp.zeros_like(goal_value)
-    if config.policy == "faithful":
-        information_value = no_information
-        value = goal_value - cost
-        stop_mass = jnp.where(is_find > 0.5, jnp.maximum(in_view_confirmed, everything), everything)
-        is_arrived = stop_mass >= params.stop_probability
+    situation = Situation(
+        belief=belief,
+        nodes=nodes,
+        goals=goals,
+        distance=distance,
+        robot_x=robot_x,
+        robot_y=robot_y,
+        range_max=range_max,
+        is_find=is_find,
+        params=params,
+    )
+    is_sure = jnp.asarray(True)
+    if callable(config.policy):
+        valuation = config.policy(situation)
+    elif config.policy == "faithful":
+        valuation = faithful(situation)
+    elif plan is None:
+        raise ValueError("the informed policy chooses among tours: plan them first")
     else:
-        del in_view
-        search = search_map(belief)
-        _, rate, expected = latency(
-            belief, search, robot_x, robot_y, range_max, params.information_offset
-        )
-        # What is still to be found, per metre until it is: viewpoints without a tour come last.
-        left = jnp.sum(search.mass)
-        metres = expected / jnp.maximum(left, 1e-6)
-        rank = jnp.where(jnp.isfinite(expected), left / (1.0 + metres), 1e-3 * rate)
-        information_value = jnp.zeros_like(goal_value).at[: rank.shape[0]].set(rank)
-        best_confirmed = jnp.max(goals.object_confirmed)
-        size = goals.object_x.shape[0]
-        is_sure = jnp.arange(nodes.x.shape[0]) == (
-            nodes.x.shape[0] - size + jnp.argmax(goals.object_confirmed)
-        )
-        is_settled = best_confirmed >= params.stop_probability
-        # A settled goal is worth more than anything there is to learn.
-        goal_value = jnp.where(is_sure & is_settled, 10.0, 0.01 * goal_value)
-        value = goal_value + information_value - cost
-        stop_mass = jnp.where(is_find > 0.5, in_view_confirmed, confirmed)
-        is_arrived = stop_mass >= params.stop_probability
+        valuation, is_sure = informed(situation, plan)
+    value = valuation.goal_value + valuation.information_value - cost
     # Standing still teaches nothing: the node underfoot is a_stop's business.
     is_open = nodes.is_node & (distance > jnp.where(nodes.kind == OBJECT, params.reach, _UNDERFOOT))
     value = jnp.where(is_open, value, -jnp.inf)
     best = jnp.argmax(value)
-    remaining = jnp.sqrt((commitment.x - robot_x) ** 2 + (commitment.y - robot_y) ** 2)
-    keeps = (
-        commitment.is_active
-        & ~is_news
-        & (remaining > jnp.where(commitment.kind == OBJECT, params.reach, _UNDERFOOT))
-        & (
-            (commitment.kind != FRONTIER)
-            | _is_still_frontier(belief, commitment.x, commitment.y, params.frontier_miss)
-        )
-        & ((commitment.kind != OBJECT) | (config.policy == "faithful"))
-    )
+    keeps = jnp.asarray(False)
+    if config.policy != "informed":
+        keeps = ~is_news & _is_worth_keeping(belief, commitment, robot_x, robot_y, params)
     nowhere = ~jnp.any(is_open)
     waypoint_x = jnp.where(keeps, commitment.x, jnp.where(nowhere, robot_x, nodes.x[best]))
     waypoint_y = jnp.where(keeps, commitment.y, jnp.where(nowhere, robot_y, nodes.y[best]))
@@ -157,11 +230,11 @@ def choose(
         waypoint_x=waypoint_x,
         waypoint_y=waypoint_y,
         kind=jnp.where(keeps, commitment.kind, nodes.kind[best]),
-        is_stop=is_arrived,
+        is_stop=(valuation.stop_mass >= params.stop_probability) & is_sure,
         is_kept=keeps,
         value=value,
-        goal_value=goal_value,
-        information_value=information_value,
+        goal_value=valuation.goal_value,
+        information_value=valuation.information_value,
         cost=cost,
-        stop_mass=stop_mass,
+        stop_mass=valuation.stop_mass,
     )

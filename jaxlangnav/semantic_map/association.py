@@ -2,6 +2,8 @@
 
 Each detection is grounded in an existing object of its type or in a new one, drawn from the exact
 conditional distribution, so that the weight is the predictive probability of the detections.
+
+Everything takes one particle, or all of them with the particle axis last ("…" in shapes).
 """
 
 from typing import NamedTuple
@@ -11,6 +13,7 @@ from jax import Array
 
 from jaxlangnav.messages import NONE, SensorParams
 from jaxlangnav.numerics import categorical, gaussian
+from jaxlangnav.numerics.axes import column
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.coverage import share_in_view
 from jaxlangnav.semantic_map.particle import SemanticMap
@@ -36,14 +39,14 @@ class Detections(NamedTuple):
 class Association(NamedTuple):
     """How one particle grounded the detections."""
 
-    object_type: Array  # i32[O] types, new objects entered
-    is_hit: Array  # bool[O] detected in this observation
-    is_new: Array  # bool[O] entered in this observation
-    is_known: Array  # bool[O] known so well relative to the robot that a look adds nothing
-    offset_x: Array  # f32[O] measured offset where hit
-    offset_y: Array  # f32[O]
-    log_weight: Array  # f32[] log predictive probability
-    overflow: Array  # i32[] detections that found no free slot
+    object_type: Array  # i32[O, ...] types, new objects entered
+    is_hit: Array  # bool[O, ...] detected in this observation
+    is_new: Array  # bool[O, ...] entered in this observation
+    is_known: Array  # bool[O, ...] known so well relative to the robot that a look adds nothing
+    offset_x: Array  # f32[O, ...] measured offset where hit
+    offset_y: Array  # f32[O, ...]
+    log_weight: Array  # f32[...] log predictive probability
+    overflow: Array  # i32[...] detections that found no free slot
 
 
 def associate(
@@ -59,7 +62,7 @@ def associate(
     Args:
         particle: one particle, after the motion.
         detections: f32[D] each.
-        uniform: f32[D], uniform draws in [0, 1).
+        uniform: f32[D, ...], uniform draws in [0, 1).
         noise_variance: f32[], R, square metres per axis.
 
     Returns:
@@ -67,19 +70,19 @@ def associate(
     """
     num_objects = particle.object_type.shape[0]
     covariance = gaussian.invert(particle.precision)
-    own = jnp.diagonal(covariance)
-    spread = own[:num_objects] + own[num_objects] - 2.0 * covariance[num_objects, :num_objects]
+    own = jnp.stack([covariance[slot, slot] for slot in range(num_objects)])
+    robot = covariance[num_objects]
+    spread = own + robot[num_objects:] - 2.0 * robot[:num_objects]
     is_known = spread < MIN_VARIANCE
     spread = jnp.maximum(spread, 0.0) + noise_variance
-    predicted_x = particle.mean_x[:num_objects] - particle.mean_x[num_objects]
-    predicted_y = particle.mean_y[:num_objects] - particle.mean_y[num_objects]
-    slots = jnp.arange(num_objects)
+    predicted_x = particle.mean_x[:num_objects] - particle.mean_x[num_objects:]
+    predicted_y = particle.mean_y[:num_objects] - particle.mean_y[num_objects:]
     object_type = particle.object_type
-    is_hit = jnp.zeros(num_objects, bool)
-    is_new = jnp.zeros(num_objects, bool)
-    offset_x = jnp.zeros(num_objects, jnp.float32)
-    offset_y = jnp.zeros(num_objects, jnp.float32)
-    log_weight, overflow = jnp.float32(0.0), jnp.int32(0)
+    slots = column(jnp.arange(num_objects), object_type.ndim)
+    is_hit = is_new = jnp.zeros(object_type.shape, bool)
+    offset_x = offset_y = jnp.zeros(object_type.shape, jnp.float32)
+    log_weight = jnp.zeros(object_type.shape[1:], jnp.float32)
+    overflow = jnp.zeros(object_type.shape[1:], jnp.int32)
     for index in range(detections.object_type.shape[0]):
         z_type, z_x, z_y = (
             detections.object_type[index],
@@ -88,14 +91,15 @@ def associate(
         )
         log_existing = gaussian.log_normal_isotropic(z_x - predicted_x, z_y - predicted_y, spread)
         may_be = (object_type == z_type) & ~is_hit
-        choices = jnp.append(jnp.where(may_be, log_existing, -jnp.inf), detections.log_new[index])
+        log_new = jnp.broadcast_to(detections.log_new[index], (1, *log_weight.shape))
+        choices = jnp.concatenate([jnp.where(may_be, log_existing, -jnp.inf), log_new])
         choice, log_total = categorical.draw(choices, uniform[index])
-        free = jnp.min(jnp.where(object_type == NONE, slots, num_objects))
+        free = jnp.min(jnp.where(object_type == NONE, slots, num_objects), axis=0)
         wants_new = choice == num_objects
         slot = jnp.where(wants_new, free, choice)
         present = detections.is_detection[index]
-        entry = (slots == slot) & present
-        is_new = is_new | (entry & wants_new)
+        entry = (slots == slot[None]) & present
+        is_new = is_new | (entry & wants_new[None])
         object_type = jnp.where(entry, z_type, object_type)
         is_hit = is_hit | entry
         offset_x = jnp.where(entry, z_x, offset_x)
@@ -133,32 +137,33 @@ def condition(
     Returns:
         The particle with new objects entered and means solved.
     """
-    num_objects = particle.object_type.shape[0]
+    num_objects, ndim = particle.object_type.shape[0], particle.object_type.ndim
     is_used = association.is_hit & ~association.is_known
     gain = jnp.where(is_used, 1.0 / noise_variance, 0.0)
-    total = jnp.sum(gain)
-    edge = jnp.append(-gain, total)
-    robot = (jnp.arange(num_objects + 1) == num_objects).astype(jnp.float32)
+    total = jnp.sum(gain, axis=0, keepdims=True)
+    edge = jnp.concatenate([-gain, total])
+    robot = column((jnp.arange(num_objects + 1) == num_objects).astype(jnp.float32), ndim)
     # A filled slot gives up the identity that an empty slot keeps on the diagonal.
-    own = jnp.append(gain - association.is_new.astype(jnp.float32), 0.0)
+    own = jnp.concatenate([gain - association.is_new.astype(jnp.float32), jnp.zeros_like(total)])
     # The robot's diagonal entry appears twice in the two outer products.
     precision = (
         particle.precision
-        + jnp.diag(own)
-        + edge[:, None] * robot[None, :]
-        + robot[:, None] * edge[None, :]
-        - total * robot[:, None] * robot[None, :]
+        + column(jnp.eye(num_objects + 1), ndim + 1) * own[None]
+        + edge[:, None] * robot[None]
+        + robot[:, None] * edge[None]
+        - total[None] * robot[:, None] * robot[None]
     )
     shift_x, shift_y = gain * association.offset_x, gain * association.offset_y
-    information_x = particle.information_x + jnp.append(shift_x, -jnp.sum(shift_x))
-    information_y = particle.information_y + jnp.append(shift_y, -jnp.sum(shift_y))
+    information_x = particle.information_x + _against_robot(shift_x)
+    information_y = particle.information_y + _against_robot(shift_y)
     covariance = gaussian.invert(precision)
-    mean_x = jnp.sum(covariance * information_x[None, :], axis=1)
-    mean_y = jnp.sum(covariance * information_y[None, :], axis=1)
-    moved_x = jnp.append(mean_x[:num_objects] - particle.mean_x[:num_objects], 0.0)
-    moved_y = jnp.append(mean_y[:num_objects] - particle.mean_y[:num_objects], 0.0)
-    # NONE = -1 picks the appended zero: a hypothesis on the ground does not move.
-    hook = (particle.root % (num_objects + 1))[:, None] == jnp.arange(num_objects + 1)[None, :]
+    mean_x = gaussian.product(covariance, information_x)
+    mean_y = gaussian.product(covariance, information_y)
+    moved_x = (mean_x - particle.mean_x)[:num_objects]
+    moved_y = (mean_y - particle.mean_y)[:num_objects]
+    # A root of NONE equals no slot: a hypothesis on the ground does not move.
+    hook = particle.root[:, None] == column(jnp.arange(num_objects), ndim)[None]
+    hook = hook.astype(jnp.float32)
     return replace(
         particle,
         object_type=association.object_type,
@@ -167,9 +172,14 @@ def condition(
         information_y=information_y,
         mean_x=mean_x,
         mean_y=mean_y,
-        hypothesis_x=particle.hypothesis_x + jnp.sum(hook * moved_x[None, :], axis=1),
-        hypothesis_y=particle.hypothesis_y + jnp.sum(hook * moved_y[None, :], axis=1),
+        hypothesis_x=particle.hypothesis_x + gaussian.product(hook, moved_x),
+        hypothesis_y=particle.hypothesis_y + gaussian.product(hook, moved_y),
     )
+
+
+def _against_robot(shift: Array) -> Array:
+    """Append to the information of the objects what their measurements say of the robot."""
+    return jnp.concatenate([shift, -jnp.sum(shift, axis=0, keepdims=True)])
 
 
 def log_absence(
@@ -185,16 +195,16 @@ def log_absence(
 
     Args:
         particle: one particle, after conditioning.
-        is_hit: bool[O], detected objects.
+        is_hit: bool[O, ...], detected objects.
         heading: f32[], radians.
         softness: f32[], metres over which an object's position is uncertain.
         sensor: range, field of view, detection probability.
 
     Returns:
-        f32[] for observed objects, and f32[M] for each hypothesis (0 where there is none).
+        f32[...] for observed objects, and f32[M, ...] for each hypothesis (0 where there is none).
     """
     num_objects = particle.object_type.shape[0]
-    robot_x, robot_y = particle.mean_x[num_objects], particle.mean_y[num_objects]
+    robot_x, robot_y = particle.mean_x[num_objects:], particle.mean_y[num_objects:]
     probability = jnp.minimum(sensor.detection_probability, 0.999)
     in_view = share_in_view(
         particle.mean_x[:num_objects] - robot_x,
@@ -204,7 +214,7 @@ def log_absence(
         sensor,
     )
     missed = particle.is_observed & ~is_hit
-    log_objects = jnp.sum(jnp.where(missed, jnp.log1p(-probability * in_view), 0.0))
+    log_objects = jnp.sum(jnp.where(missed, jnp.log1p(-probability * in_view), 0.0), axis=0)
     in_view = share_in_view(
         particle.hypothesis_x - robot_x,
         particle.hypothesis_y - robot_y,

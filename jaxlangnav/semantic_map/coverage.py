@@ -6,12 +6,14 @@ probability below one a cell looked at three times keeps a little room for an un
 """
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from jaxlangnav.messages import SensorParams
 from jaxlangnav.pytree import pytree
 
 LOG_MISS_FLOOR = -30.0
+_GOLDEN = 0.6180339887
 
 
 @pytree
@@ -146,7 +148,11 @@ def sample_unseen(coverage: Coverage, uniform: Array, jitter: Array) -> tuple[Ar
     """
     num_cells, number = coverage.log_miss.shape[-1], jitter.shape[-1]
     size_x, size_y = cell_size(coverage)
-    weight = jnp.exp(coverage.log_miss)
+    # Every row is entered at another column: with evenly spaced teeth and rows of one length they
+    # would all stand in the same few columns, and most of the ground would be hit by none.
+    shift = (_GOLDEN * np.arange(num_cells) * num_cells).astype(int)
+    order = (np.arange(num_cells)[None, :] + shift[:, None]) % num_cells
+    weight = jnp.exp(coverage.log_miss)[np.arange(num_cells)[:, None], order]
     rows = jnp.cumsum(jnp.sum(weight, axis=1))
     total = rows[-1]
     teeth = (jnp.arange(number) + uniform) / number * total
@@ -155,6 +161,7 @@ def sample_unseen(coverage: Coverage, uniform: Array, jitter: Array) -> tuple[Ar
     columns = jnp.cumsum(weight, axis=1)
     column = jnp.sum(columns[row] <= (teeth - below)[:, None], axis=1)
     column = jnp.minimum(column, num_cells - 1)
+    column = (column + jnp.asarray(shift)[row]) % num_cells
     x = coverage.area[0] + (column + jitter[0]) * size_x
     y = coverage.area[2] + (row + jitter[1]) * size_y
     return x, y, jnp.log(total) - jnp.log(jnp.float32(num_cells * num_cells))

@@ -14,6 +14,7 @@ import math
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from jaxlangnav.messages import Observation, Readings
@@ -32,7 +33,8 @@ from jaxlangnav.semantic_map.coverage import (
 from jaxlangnav.semantic_map.params import MapConfig, MapParams
 from jaxlangnav.semantic_map.particle import SemanticMap
 
-_MIN_STEP_VARIANCE = 0.0
+_SPREAD = np.array([0.75487767, 0.56984029], np.float32)
+"""Steps of the additive recurrence that fills the unit square most evenly."""
 
 
 @pytree
@@ -113,9 +115,7 @@ def predict(belief: ParticleBelief, pose: Array, params: MapParams) -> ParticleB
     """
     step_x, step_y = pose[0] - belief.last_pose[0], pose[1] - belief.last_pose[1]
     variance = (params.motion.odometry_noise**2) * (step_x * step_x + step_y * step_y)
-    moved = jax.vmap(motion.move, in_axes=(-1, None, None, None), out_axes=-1)(
-        belief.particles, step_x, step_y, variance
-    )
+    moved = motion.move(belief.particles, step_x, step_y, variance)
     return replace(belief, particles=moved, last_pose=pose)
 
 
@@ -180,11 +180,6 @@ def ground_words(
     scene = options.Scene(belief.coverage, log_unseen, belief.viewer)
     stride = next(step for step in range(int(0.618 * number), 0, -1) if math.gcd(step, number) == 1)
     num_relations = jnp.max(jnp.sum(readings.figure >= 0, axis=1))
-    ground = jax.vmap(
-        proposal.ground_relation,
-        in_axes=(-1, None, -1, None, -1, -1, None, None),
-        out_axes=-1,
-    )
 
     def body(index: Array, grounding: proposal.Grounding) -> proposal.Grounding:
         draws_key, shuffle_key = jax.random.split(jax.random.fold_in(loop_key, index))
@@ -194,25 +189,29 @@ def ground_words(
         row = jnp.arange(options.NUM_UNSEEN)[:, None]
         dealt = options.NUM_UNSEEN * (stride * jnp.arange(number) % number)
         chosen = (start + dealt[None, :] + row) % pool
-        unit = jax.random.uniform(draws_key, (5, number), minval=1e-6, maxval=1.0 - 1e-6)
+        unit = jax.random.uniform(draws_key, (6, number), minval=1e-6, maxval=1.0 - 1e-6)
         normal = jax.scipy.special.ndtri(unit[:4])
+        # Evenly spread over the particles: what they choose stays for the episode, and with it the
+        # error of independent draws. Two additive recurrences of unlike steps, not tied together.
+        spread = (unit[4:, :1] + _SPREAD[:, None] * jnp.arange(number)[None]) % 1.0
         draws = options.Draws(
             distance=normal[:2],
             angle=normal[2:],
-            choice=unit[4],
+            choice=spread[0],
+            trust=spread[1],
             unseen_x=pool_x[chosen],
             unseen_y=pool_y[chosen],
         )
-        return ground(belief.particles, readings, reading, index, grounding, draws, scene, params)
+        one = jax.tree.map(lambda leaf: leaf[index], told)
+        return proposal.ground_relation(belief.particles, one, grounding, draws, scene, params)
 
-    nothing = jax.tree.map(
-        lambda leaf: jnp.broadcast_to(leaf[..., None], (*leaf.shape, number)),
-        proposal.nothing_grounded(num_mentions),
-    )
+    told = proposal.look_up(readings, reading, params)
+    nothing = proposal.nothing_grounded(num_mentions, number)
     grounding = jax.lax.fori_loop(0, num_relations, body, nothing)
-    adopt = jax.vmap(proposal.adopt, in_axes=(-1, None, -1, -1), out_axes=-1)
-    fresh = adopt(belief.particles, readings, reading, grounding)
-    return fresh, grounding.log_weight
+    return (
+        proposal.adopt(belief.particles, readings, reading, grounding),
+        grounding.log_weight,
+    )
 
 
 def _choose(is_fresh: Array, fresh: SemanticMap, old: SemanticMap) -> SemanticMap:
@@ -249,18 +248,15 @@ def step(
     detections = _detections(belief, observation, params)
     noise_variance = jnp.maximum(observation.sensor.noise, association.MIN_NOISE) ** 2
     uniform = jax.random.uniform(associate_key, (observation.detection_type.shape[0], number))
-    associate = jax.vmap(association.associate, in_axes=(-1, None, -1, None), out_axes=-1)
-    grounded = associate(belief.particles, detections, uniform, noise_variance)
-    condition = jax.vmap(association.condition, in_axes=(-1, -1, None), out_axes=-1)
-    particles = condition(belief.particles, grounded, noise_variance)
+    grounded = association.associate(belief.particles, detections, uniform, noise_variance)
+    particles = association.condition(belief.particles, grounded, noise_variance)
     belief = replace(belief, particles=particles)
 
     robot_x, robot_y = robot_position(belief)
     heading, sensor = observation.pose[2], observation.sensor
     coverage = look(belief.coverage, robot_x, robot_y, heading, sensor)
     belief = replace(belief, coverage=coverage)
-    log_absence = jax.vmap(association.log_absence, in_axes=(-1, -1, None, None, None), out_axes=-1)
-    log_objects, log_hypotheses = log_absence(
+    log_objects, log_hypotheses = association.log_absence(
         particles, grounded.is_hit, heading, 2.5 * params.kernel + 1e-3, sensor
     )
     log_map = grounded.log_weight + log_objects

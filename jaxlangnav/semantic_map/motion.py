@@ -4,6 +4,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.numerics import gaussian
+from jaxlangnav.numerics.axes import column
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.particle import SemanticMap
 
@@ -14,7 +15,7 @@ def move(particle: SemanticMap, step_x: Array, step_y: Array, variance: Array) -
     Limits: no noise translates the robot rigidly; objects never move.
 
     Args:
-        particle: one particle.
+        particle: one particle, or all of them with their axis last.
         step_x: f32[], odometry u, metres, map axes.
         step_y: f32[], metres.
         variance: f32[], square metres per axis.
@@ -29,7 +30,7 @@ def move(particle: SemanticMap, step_x: Array, step_y: Array, variance: Array) -
     information_x, information_y = gaussian.shift(
         precision, information_x, information_y, robot, step_x, step_y
     )
-    unit = (jnp.arange(robot + 1) == robot).astype(jnp.float32)
+    unit = column((jnp.arange(robot + 1) == robot).astype(jnp.float32), particle.mean_x.ndim)
     return replace(
         particle,
         precision=precision,

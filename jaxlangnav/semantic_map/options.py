@@ -2,23 +2,29 @@
 
 A relation connects a figure and a landmark; each end is an observed object, a place decided by an
 earlier relation, or new. ``proposal`` says what the weights mean and draws among them.
+
+Shapes are those of one particle; with many, the particle axis is last ("...").
 """
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.messages import FAR, NONE
+from jaxlangnav.numerics.axes import column, lead
 from jaxlangnav.relations import (
     Frame,
+    Law,
     RelationModel,
-    log_density,
+    log_density_of,
     sample_polar,
     to_map,
     viewer_frame,
 )
 from jaxlangnav.semantic_map.coverage import Coverage, log_miss_at
+from jaxlangnav.semantic_map.order import PLURAL, Order, log_side
 
 NUM_UNSEEN = 2
 """Places drawn from the unexplored area for each particle and relation."""
@@ -27,11 +33,12 @@ NUM_UNSEEN = 2
 class Draws(NamedTuple):
     """Random numbers for grounding one relation in one particle."""
 
-    distance: Array  # f32[2] standard normal: distance of a new figure; of a new landmark
-    angle: Array  # f32[2] standard normal: direction of a new figure; of a new landmark
-    choice: Array  # f32[] which grounding
-    unseen_x: Array  # f32[NUM_UNSEEN] metres, places in the unexplored area
-    unseen_y: Array  # f32[NUM_UNSEEN]
+    distance: Array  # f32[2, ...] standard normal: distance of a new figure; of a new landmark
+    angle: Array  # f32[2, ...] standard normal: direction of a new figure; of a new landmark
+    choice: Array  # f32[...] which grounding
+    trust: Array  # f32[...] uniform: is the relation true, for the places drawn
+    unseen_x: Array  # f32[NUM_UNSEEN, ...] metres, places in the unexplored area
+    unseen_y: Array  # f32[NUM_UNSEEN, ...]
 
 
 class Scene(NamedTuple):
@@ -45,111 +52,160 @@ class Scene(NamedTuple):
 class Candidates(NamedTuple):
     """What one end of a relation may be: each observed object, or the place already decided."""
 
-    x: Array  # f32[O + 1] the last entry is the place already decided
-    y: Array  # f32[O + 1]
-    log_prior: Array  # f32[O + 1] −∞ where it is no candidate
-    is_open: Array  # bool[] nothing decided: may also be a new object
+    x: Array  # f32[O + 1, ...] the last entry is the place already decided
+    y: Array  # f32[O + 1, ...]
+    log_prior: Array  # f32[O + 1, ...] −∞ where it is no candidate
+    is_open: Array  # bool[...] nothing decided: may also be a new object
 
 
 class Link(NamedTuple):
     """One annotated relation in one particle: what it connects, and how it is measured."""
 
-    figure: Array  # i32[] mention
-    landmark: Array  # i32[] mention; NONE
-    relation: Array  # i32[] relation index; NONE
-    is_superlative: Array  # bool[]
-    is_robot: Array  # bool[] the landmark is the robot itself
+    figure: Array  # i32[...] mention
+    landmark: Array  # i32[...] mention; NONE
+    relation: Array  # i32[...] relation index; NONE
+    is_superlative: Array  # bool[...]
+    is_ordered: Array  # bool[...] "second", "leftmost": an order that says nothing of how far
+    is_side: Array  # bool[...] "on your left": a side of the robot, however far
+    is_robot: Array  # bool[...] the landmark is the robot itself
     viewer: Array  # f32[3]
     robot: Frame  # the robot's own frame
-    rival_x: Array  # f32[O] observed objects of the figure's type, for superlatives
-    rival_y: Array  # f32[O]
-    is_rival: Array  # bool[O]
+    rival_x: Array  # f32[O, ...] observed objects of the figure's type, for superlatives
+    rival_y: Array  # f32[O, ...]
+    is_rival: Array  # bool[O, ...]
     log_area: Array  # f32[]
-    model: RelationModel
+    model: RelationModel  # for drawing
+    law: Law  # of the relation
     softness: Array  # f32[] metres
+    misleading: Array  # f32[] ε
+    is_free: Array  # bool[...] places are drawn without the relation: none, or it misleads
+    order: Order
 
     def frame(self, x: Array, y: Array) -> Frame:
         """Build the frame in which the relation is meant for a landmark at (x, y)."""
         seen = viewer_frame(self.viewer[0], self.viewer[1], x, y)
+        is_robot = lead(self.is_robot, x.ndim)
         return Frame(
-            along_x=jnp.where(self.is_robot, self.robot.along_x, seen.along_x),
-            along_y=jnp.where(self.is_robot, self.robot.along_y, seen.along_y),
-            lateral_x=jnp.where(self.is_robot, self.robot.lateral_x, seen.lateral_x),
-            lateral_y=jnp.where(self.is_robot, self.robot.lateral_y, seen.lateral_y),
+            along_x=jnp.where(is_robot, self.robot.along_x, seen.along_x),
+            along_y=jnp.where(is_robot, self.robot.along_y, seen.along_y),
+            lateral_x=jnp.where(is_robot, self.robot.lateral_x, seen.lateral_x),
+            lateral_y=jnp.where(is_robot, self.robot.lateral_y, seen.lateral_y),
         )
 
     def log_density(self, offset_x: Array, offset_y: Array, frame: Frame) -> Array:
-        """Evaluate the relation, or the uniform law over the area where there is none."""
-        density = log_density(self.model, jnp.maximum(self.relation, 0), offset_x, offset_y, frame)
-        return jnp.where(self.relation == NONE, -self.log_area, density)
+        """Evaluate the relation alone, without the chance that it misleads."""
+        density = log_density_of(self.law, offset_x, offset_y, frame)
+        is_anyhow = lead(self.is_ordered | self.is_side, density.ndim)
+        return jnp.where(is_anyhow, -self.log_area, density)
+
+    def log_mixture(self, log_relation: Array) -> Array:
+        """Mix a relation with the uniform law over the area, which ignores what was said."""
+        told = jnp.log1p(-self.misleading) + log_relation
+        mixed = jnp.logaddexp(told, jnp.log(self.misleading) - self.log_area)
+        return jnp.where(lead(self.relation == NONE, mixed.ndim), -self.log_area, mixed)
 
     def sample(self, distance: Array, angle: Array, frame: Frame) -> tuple[Array, Array]:
-        """Draw an offset from the relation, map axes."""
+        """Draw one offset from the relation and turn it into each of the frames, map axes."""
         relation = jnp.maximum(self.relation, 0)
         along, lateral = sample_polar(self.model, relation, distance, angle)
-        return to_map(frame, along, lateral)
+        return to_map(frame, along[None], lateral[None])
 
     def log_extreme(self, x: Array, y: Array, landmark_x: Array, landmark_y: Array) -> Array:
-        """Penalise a figure that another observed object of its type beats ("nearest")."""
-        sign = jnp.where(self.relation == FAR, -1.0, 1.0)
+        """Penalise a figure that has not its place: what the density leaves unsaid.
 
-        def signed_distance(from_x: Array, from_y: Array) -> Array:
-            squared = (from_x - landmark_x[None]) ** 2 + (from_y - landmark_y[None]) ** 2
-            return sign * jnp.sqrt(squared + 1e-9)
+        "Nearest": no observed object of its type beats it. An order counts unseen ones too.
+        """
+        sign = lead(jnp.where(self.relation == FAR, -1.0, 1.0), x.ndim)
 
-        own = signed_distance(x[None], y[None])[0]
-        shape = (-1,) + (1,) * own.ndim
-        rival = signed_distance(self.rival_x.reshape(shape), self.rival_y.reshape(shape))
-        rival = jnp.where(self.is_rival.reshape(shape), rival, jnp.inf)
-        excess = own - jnp.minimum(jnp.min(rival, axis=0), own)
-        return jnp.where(self.is_superlative, -excess / self.softness, 0.0)
+        def signed_square(from_x: Array, from_y: Array) -> Array:
+            return sign * ((from_x - landmark_x) ** 2 + (from_y - landmark_y) ** 2 + 1e-9)
+
+        own = best = signed_square(x, y)
+        for slot in range(self.rival_x.shape[0]):
+            rival_x, rival_y = lead(self.rival_x[slot], x.ndim), lead(self.rival_y[slot], x.ndim)
+            is_rival = lead(self.is_rival[slot], x.ndim)
+            rival = jnp.where(is_rival, signed_square(rival_x, rival_y), jnp.inf)
+            best = jnp.minimum(best, rival)
+        excess = sign * (jnp.sqrt(jnp.abs(own)) - jnp.sqrt(jnp.abs(best)))
+        extreme = jnp.where(lead(self.is_superlative, own.ndim), -excess / self.softness, 0.0)
+        # Orders are rare and cost more than all the rest: none, no round of the loop. Its index,
+        # always 0, enters the body, or XLA would hoist the whole of it out of the loop.
+        ordered = jax.lax.fori_loop(
+            0,
+            jnp.any(self.is_ordered).astype(jnp.int32),
+            lambda index, _: self.order(x + index, y, landmark_x, landmark_y),
+            jnp.zeros(own.shape, jnp.float32),
+        )
+        extreme = jnp.where(lead(self.is_ordered, own.ndim), ordered, extreme)
+        side = self._log_side(x - landmark_x, y - landmark_y)
+        return jnp.where(lead(self.is_side, own.ndim), side, extreme)
+
+    def _log_side(self, offset_x: Array, offset_y: Array) -> Array:
+        """Weigh offsets from the robot by their direction."""
+        along = offset_x * self.robot.along_x + offset_y * self.robot.along_y
+        lateral = offset_x * self.robot.lateral_x + offset_y * self.robot.lateral_y
+        axis_along = lead(self.law.axis_along, along.ndim)
+        axis_lateral = lead(self.law.axis_lateral, along.ndim)
+        squared = offset_x * offset_x + offset_y * offset_y + 1e-6
+        return log_side((along * axis_along + lateral * axis_lateral) * jax.lax.rsqrt(squared))
+
+    @property
+    def is_anywhere(self) -> Array:
+        """Whether a new place is drawn from all that is unseen, bool[...]."""
+        return self.is_free | self.is_ordered | self.is_side
+
+    def log_found(self, scene: Scene, x: Array, y: Array, log_relation: Array) -> Array:
+        """Weigh a place drawn for something new: the relation's, or anywhere unseen."""
+        log_miss = log_miss_at(scene.coverage, x, y)
+        told = jnp.where(self.is_anywhere[None], scene.log_unseen, log_miss) + log_relation
+        told = told + jnp.where(self.is_ordered[None], jnp.log(PLURAL), 0.0)
+        return jnp.where(self.is_free[None], scene.log_unseen, told)
 
 
 class Option(NamedTuple):
     """Ways to ground a relation in which some end is new; n of them."""
 
-    log_weight: Array  # f32[n]
-    figure_x: Array  # f32[n] metres
-    figure_y: Array  # f32[n]
-    landmark_x: Array  # f32[n]
-    landmark_y: Array  # f32[n]
+    log_weight: Array  # f32[n, ...]
+    figure_x: Array  # f32[n, ...] metres
+    figure_y: Array  # f32[n, ...]
+    landmark_x: Array  # f32[n, ...]
+    landmark_y: Array  # f32[n, ...]
 
 
 def both_known(link: Link, figures: Candidates, landmarks: Candidates) -> Array:
-    """Weigh every pair of known figure and landmark, f32[O + 1, O + 1]."""
+    """Weigh every pair of known figure and landmark, f32[O + 1, O + 1, ...]."""
     size = figures.x.shape[0]
     frame = link.frame(landmarks.x, landmarks.y)
     columns = Frame(
-        along_x=frame.along_x[None, :],
-        along_y=frame.along_y[None, :],
-        lateral_x=frame.lateral_x[None, :],
-        lateral_y=frame.lateral_y[None, :],
+        along_x=frame.along_x[None],
+        along_y=frame.along_y[None],
+        lateral_x=frame.lateral_x[None],
+        lateral_y=frame.lateral_y[None],
     )
     figure_x, figure_y = figures.x[:, None], figures.y[:, None]
-    landmark_x, landmark_y = landmarks.x[None, :], landmarks.y[None, :]
-    table = (
-        link.log_density(figure_x - landmark_x, figure_y - landmark_y, columns)
-        + link.log_extreme(figure_x, figure_y, landmark_x, landmark_y)
-        + figures.log_prior[:, None]
-        + landmarks.log_prior[None, :]
-    )
+    landmark_x, landmark_y = landmarks.x[None], landmarks.y[None]
+    log_relation = link.log_density(
+        figure_x - landmark_x, figure_y - landmark_y, columns
+    ) + link.log_extreme(figure_x, figure_y, landmark_x, landmark_y)
+    table = link.log_mixture(log_relation) + figures.log_prior[:, None] + landmarks.log_prior[None]
     # Nothing is its own landmark; the last entries are places, not objects.
     same = jnp.eye(size, dtype=bool).at[size - 1, size - 1].set(False)
-    return jnp.where(same, -jnp.inf, table)
+    return jnp.where(column(same, table.ndim), -jnp.inf, table)
 
 
 def new_figure(
     link: Link, figures: Candidates, landmarks: Candidates, draws: Draws, scene: Scene
 ) -> Option:
-    """Hang one draw from the relation on each landmark; with no relation, anywhere unseen."""
+    """Hang one draw from the relation on each landmark; without one, anywhere unseen."""
     frame = link.frame(landmarks.x, landmarks.y)
     offset_x, offset_y = link.sample(draws.distance[0], draws.angle[0], frame)
-    is_free = link.relation == NONE
-    x = jnp.where(is_free, draws.unseen_x[0], landmarks.x + offset_x)
-    y = jnp.where(is_free, draws.unseen_y[0], landmarks.y + offset_y)
-    log_missed = jnp.where(is_free, scene.log_unseen, log_miss_at(scene.coverage, x, y))
-    log_weight = log_missed + landmarks.log_prior + link.log_extreme(x, y, landmarks.x, landmarks.y)
-    log_weight = jnp.where(figures.is_open, log_weight, -jnp.inf)
+    x = jnp.where(link.is_anywhere[None], draws.unseen_x[:1], landmarks.x + offset_x)
+    y = jnp.where(link.is_anywhere[None], draws.unseen_y[:1], landmarks.y + offset_y)
+    log_weight = (
+        link.log_found(scene, x, y, link.log_extreme(x, y, landmarks.x, landmarks.y))
+        + landmarks.log_prior
+    )
+    log_weight = jnp.where(figures.is_open[None], log_weight, -jnp.inf)
     return Option(log_weight, x, y, landmarks.x, landmarks.y)
 
 
@@ -159,17 +215,14 @@ def new_landmark(
     """Hang a landmark on each figure: drawn backwards, corrected for the frame it then has."""
     frame = link.frame(figures.x, figures.y)
     offset_x, offset_y = link.sample(draws.distance[1], draws.angle[1], frame)
-    x, y = figures.x - offset_x, figures.y - offset_y
+    x = jnp.where(link.is_anywhere[None], draws.unseen_x[1:], figures.x - offset_x)
+    y = jnp.where(link.is_anywhere[None], draws.unseen_y[1:], figures.y - offset_y)
     log_correction = link.log_density(offset_x, offset_y, link.frame(x, y)) - link.log_density(
         offset_x, offset_y, frame
     )
-    log_weight = (
-        log_miss_at(scene.coverage, x, y)
-        + log_correction
-        + figures.log_prior
-        + link.log_extreme(figures.x, figures.y, x, y)
-    )
-    log_weight = jnp.where(landmarks.is_open, log_weight, -jnp.inf)
+    log_extreme = link.log_extreme(figures.x, figures.y, x, y)
+    log_weight = link.log_found(scene, x, y, log_correction + log_extreme) + figures.log_prior
+    log_weight = jnp.where(landmarks.is_open[None], log_weight, -jnp.inf)
     return Option(log_weight, figures.x, figures.y, x, y)
 
 
@@ -180,16 +233,18 @@ def new_pair(
     landmark_x, landmark_y = draws.unseen_x, draws.unseen_y
     frame = link.frame(landmark_x, landmark_y)
     offset_x, offset_y = link.sample(draws.distance[0], draws.angle[0], frame)
-    x, y = landmark_x + offset_x, landmark_y + offset_y
+    # Where the relation misleads, the figure takes the next place's draw.
+    x = jnp.where(link.is_anywhere[None], landmark_x[::-1], landmark_x + offset_x)
+    y = jnp.where(link.is_anywhere[None], landmark_y[::-1], landmark_y + offset_y)
     # The landmark is uniform over the area: its share of unexplored area, times A for the root.
     log_weight = (
         scene.log_unseen
         + link.log_area
         - jnp.log(float(NUM_UNSEEN))
-        + log_miss_at(scene.coverage, x, y)
-        + link.log_extreme(x, y, landmark_x, landmark_y)
+        + link.log_found(scene, x, y, link.log_extreme(x, y, landmark_x, landmark_y))
     )
-    log_weight = jnp.where(figures.is_open & landmarks.is_open, log_weight, -jnp.inf)
+    is_open = figures.is_open & landmarks.is_open
+    log_weight = jnp.where(is_open[None], log_weight, -jnp.inf)
     return Option(log_weight, x, y, landmark_x, landmark_y)
 
 

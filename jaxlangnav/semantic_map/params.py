@@ -17,6 +17,8 @@ class MapParams:
     concentration: Array  # f32[] α, expected number of further objects of a type in the area
     kernel: Array  # f32[] κ, metres, standard deviation of a sampled metric constraint
     superlative_softness: Array  # f32[] metres within which two distances count as equal
+    misleading: Array  # f32[] ε, probability that a relation said does not hold at all; the
+    # policy "faithful" takes every word to be true
     resample_threshold: Array  # f32[] resample where ESS / P falls below this
     relations: RelationModel  # densities of the six relations
     motion: MotionParams  # odometry as the belief assumes it
@@ -44,6 +46,7 @@ def default_map_params() -> MapParams:
         concentration=jnp.float32(0.3),
         kernel=jnp.float32(0.1),
         superlative_softness=jnp.float32(0.3),
+        misleading=jnp.float32(0.05),
         resample_threshold=jnp.float32(0.5),
         relations=prepare(default_params()),
         motion=default_motion(),

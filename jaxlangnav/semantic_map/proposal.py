@@ -13,6 +13,12 @@ density λ = α / A. Against "all observed objects are bystanders", the groundin
 with no relation 1/α against u: the Dirichlet process, with "new" scaled by what is unexplored.
 Expectations are taken by sampling the place itself, so the draw is properly weighted and the
 total is an unbiased estimate of the evidence of the sentence given the observed map.
+
+People err and mislead: with probability ε a relation says nothing about where its figure is, and
+f is (1 − ε) times the relation's density plus ε / A. Without this the robot searches for ever for
+a hydrant "in front of the cone" that stands behind it.
+
+Everything takes one particle, or all of them with the particle axis last ("..." in shapes).
 """
 
 from typing import NamedTuple
@@ -22,11 +28,13 @@ from jax import Array
 
 from jaxlangnav.messages import NONE, ROBOT, Readings
 from jaxlangnav.numerics import categorical
+from jaxlangnav.numerics.axes import column, lead, pick
 from jaxlangnav.pytree import replace
-from jaxlangnav.relations import robot_frame
+from jaxlangnav.relations import Law, law_of, robot_frame
 from jaxlangnav.semantic_map import options
 from jaxlangnav.semantic_map.coverage import area_size
 from jaxlangnav.semantic_map.options import Candidates, Draws, Link, Option, Scene
+from jaxlangnav.semantic_map.order import PLURAL, SIDES, Order
 from jaxlangnav.semantic_map.params import MapParams
 from jaxlangnav.semantic_map.particle import SemanticMap
 
@@ -36,28 +44,40 @@ _LOG_FLOOR = -60.0
 class Grounding(NamedTuple):
     """Carry over the relations of a reading: what the mentions refer to so far."""
 
-    slot: Array  # i32[M] observed slot; NONE while hypothesised
-    x: Array  # f32[M] metres
-    y: Array  # f32[M]
-    anchor: Array  # i32[M] slot in [0, N) or NONE
-    root: Array  # i32[M] observed slot or NONE
-    is_grounded: Array  # bool[M]
-    log_weight: Array  # f32[]
+    slot: Array  # i32[M, ...] observed slot; NONE while hypothesised
+    x: Array  # f32[M, ...] metres
+    y: Array  # f32[M, ...]
+    anchor: Array  # i32[M, ...] slot in [0, N) or NONE
+    root: Array  # i32[M, ...] observed slot or NONE
+    is_grounded: Array  # bool[M, ...]
+    log_weight: Array  # f32[...]
 
 
-def nothing_grounded(num_mentions: int) -> Grounding:
-    """Build the carry before the first relation."""
-    none = jnp.full(num_mentions, NONE, jnp.int32)
-    zero = jnp.zeros(num_mentions, jnp.float32)
-    return Grounding(none, zero, zero, none, none, jnp.zeros(num_mentions, bool), jnp.float32(0.0))
+class Told(NamedTuple):
+    """What a relation of its reading tells each particle."""
+
+    figure: Array  # i32[...] mention; NONE where the reading has no such relation
+    landmark: Array  # i32[...] mention; NONE
+    relation: Array  # i32[...] relation index; NONE
+    is_superlative: Array  # bool[...]
+    figure_type: Array  # i32[...] object type
+    landmark_type: Array  # i32[...] object type; ROBOT; NONE
+    is_side: Array  # bool[...] "on your left": a side of the robot
+    order: Array  # i32[...] place in an order ("second", "leftmost"); 0 where nothing is ordered
+    sides: Array  # i32[J, ...] sides of the robot on which the figure is said to be; NONE
+    law: Law  # leaves f32[...]
 
 
-def _pick(values: Array, index: Array) -> Array:
-    """Read ``values[index]`` by a one-hot sum, which vectorises over particles."""
-    one_hot = jnp.arange(values.shape[0]) == index
-    if values.dtype == bool:
-        return jnp.any(values & one_hot)
-    return jnp.sum(jnp.where(one_hot, values, jnp.zeros((), values.dtype)))
+def nothing_grounded(num_mentions: int, *batch: int) -> Grounding:
+    """Build the carry before the first relation, for a batch of particles."""
+    none = jnp.full((num_mentions, *batch), NONE, jnp.int32)
+    zero = jnp.zeros((num_mentions, *batch), jnp.float32)
+    return Grounding(none, zero, zero, none, none, jnp.zeros(none.shape, bool), jnp.zeros(batch))
+
+
+def _mention_types(readings: Readings, reading: Array) -> Array:
+    """Look up the types that a reading mentions, i32[M, ...]."""
+    return jnp.stack([pick(types, reading) for types in readings.mention_type.T])
 
 
 def _candidates(
@@ -71,59 +91,116 @@ def _candidates(
 ) -> Candidates:
     """List what a mention may refer to; ``is_place`` puts it where the viewer is."""
     num_objects = particle.object_type.shape[0]
-    is_grounded = _pick(grounding.is_grounded, mention)
+    is_grounded = pick(grounding.is_grounded, mention)
     decided = is_place | is_grounded
-    fits = (particle.object_type == mention_type) & ~decided
+    fits = (particle.object_type == mention_type[None]) & ~decided[None]
+
+    def append(objects: Array, place: Array) -> Array:
+        return jnp.concatenate([objects, place[None]])
+
     return Candidates(
-        x=jnp.append(
+        x=append(
             particle.mean_x[:num_objects],
-            jnp.where(is_place, viewer[0], _pick(grounding.x, mention)),
+            jnp.where(is_place, viewer[0], pick(grounding.x, mention)),
         ),
-        y=jnp.append(
+        y=append(
             particle.mean_y[:num_objects],
-            jnp.where(is_place, viewer[1], _pick(grounding.y, mention)),
+            jnp.where(is_place, viewer[1], pick(grounding.y, mention)),
         ),
-        log_prior=jnp.append(
+        log_prior=append(
             jnp.where(fits, log_bystander, -jnp.inf), jnp.where(decided, 0.0, -jnp.inf)
         ),
         is_open=~decided,
     )
 
 
-def _read_link(
-    particle: SemanticMap, readings: Readings, reading: Array, index: Array, scene: Scene,
-    params: MapParams,
-) -> tuple[Link, Array, Array]:  # fmt: skip
-    """Look up a relation of a reading; also the types of its figure and landmark."""
-    num_objects = particle.object_type.shape[0]
-    figure, landmark = readings.figure[reading, index], readings.landmark[reading, index]
-    relation = readings.relation[reading, index]
-    figure_type = readings.mention_type[reading, figure]
-    landmark_type = readings.mention_type[reading, jnp.maximum(landmark, 0)]
+def look_up(readings: Readings, reading: Array, params: MapParams) -> Told:
+    """Look up all relations of the particles' readings.
+
+    Args:
+        readings: the sentence.
+        reading: i32[...], the reading each particle believes.
+        params: relations.
+
+    Returns:
+        What is told, leaves [J, ...].
+    """
+    mention_type = _mention_types(readings, reading)
+
+    def each(table: Array) -> Array:
+        """Pick i32[K, J] by the reading: i32[J, ...]."""
+        return jnp.stack([pick(column_of, reading) for column_of in table.T])
+
+    figure, landmark = each(readings.figure), each(readings.landmark)
+    relation, rank = each(readings.relation), each(readings.rank)
+    figure_type = jnp.stack([pick(mention_type, one) for one in figure])
+    landmark_type = jnp.stack([pick(mention_type, one) for one in landmark])
     landmark_type = jnp.where(landmark == NONE, NONE, landmark_type)
-    link = Link(
+    is_robot = landmark_type == ROBOT
+    is_ordered = (rank > 1) | ((rank == 1) & is_robot)
+    side = jnp.where(is_robot & (rank == 0), relation, NONE)
+    # One figure's sides come from all the relations it has with the robot.
+    sides = jnp.where(figure[:, None] == figure[None], side[None], NONE)
+    return Told(
         figure=figure,
         landmark=landmark,
         relation=relation,
-        is_superlative=readings.is_superlative[reading, index] & (relation != NONE),
-        is_robot=landmark_type == ROBOT,
-        viewer=scene.viewer,
+        is_superlative=each(readings.is_superlative),
+        figure_type=figure_type,
+        landmark_type=landmark_type,
+        is_side=jnp.isin(side, jnp.asarray(SIDES)),
+        order=jnp.where(is_ordered, rank, 0),
+        sides=sides,
+        law=law_of(params.relations, jnp.maximum(relation, 0)),
+    )
+
+
+def _link(particle: SemanticMap, told: Told, draws: Draws, scene: Scene, params: MapParams) -> Link:
+    """Gather what the ways to ground a relation need to know of it."""
+    num_objects = particle.object_type.shape[0]
+    rival_x, rival_y = particle.mean_x[:num_objects], particle.mean_y[:num_objects]
+    is_rival = particle.object_type == told.figure_type[None]
+    order = Order(
+        relation=told.relation,
+        rank=told.order,
+        viewer_x=scene.viewer[0],
+        viewer_y=scene.viewer[1],
         robot=robot_frame(scene.viewer[2]),
-        rival_x=particle.mean_x[:num_objects],
-        rival_y=particle.mean_y[:num_objects],
-        is_rival=particle.object_type == figure_type,
-        log_area=jnp.log(area_size(scene.coverage)),
-        model=params.relations,
+        sides=told.sides,
+        rival_x=rival_x,
+        rival_y=rival_y,
+        is_rival=is_rival,
+        unseen_x=draws.unseen_x,
+        unseen_y=draws.unseen_y,
+        log_new=jnp.log(PLURAL * params.concentration) + scene.log_unseen,
         softness=params.superlative_softness,
     )
-    return link, figure_type, landmark_type
+    return Link(
+        figure=told.figure,
+        landmark=told.landmark,
+        relation=told.relation,
+        is_superlative=told.is_superlative & (told.relation != NONE),
+        is_ordered=told.order > 0,
+        is_side=told.is_side,
+        is_robot=told.landmark_type == ROBOT,
+        viewer=scene.viewer,
+        robot=robot_frame(scene.viewer[2]),
+        rival_x=rival_x,
+        rival_y=rival_y,
+        is_rival=is_rival,
+        log_area=jnp.log(area_size(scene.coverage)),
+        model=params.relations,
+        law=told.law,
+        softness=params.superlative_softness,
+        misleading=params.misleading,
+        is_free=(told.relation == NONE) | (draws.trust < params.misleading),
+        order=order,
+    )
 
 
 def ground_relation(
     particle: SemanticMap,
-    readings: Readings,
-    reading: Array,
-    index: Array,
+    told: Told,
     grounding: Grounding,
     draws: Draws,
     scene: Scene,
@@ -132,10 +209,8 @@ def ground_relation(
     """Ground one annotated relation of one particle's reading (eq. 7a).
 
     Args:
-        particle: one particle, with the observed map.
-        readings: the sentence.
-        reading: i32[], the reading this particle believes.
-        index: i32[], which of the J relations.
+        particle: with the observed map.
+        told: the relation, from ``look_up``.
         grounding: what earlier relations have decided.
         draws: random numbers.
         scene: coverage and viewer.
@@ -145,15 +220,22 @@ def ground_relation(
         The carry with figure and landmark decided; unchanged where the reading has no such
         relation.
     """
-    link, figure_type, landmark_type = _read_link(particle, readings, reading, index, scene, params)
+    link = _link(particle, told, draws, scene, params)
     log_bystander = link.log_area - jnp.log(params.concentration)  # 1/λ
-    none_fixed = jnp.zeros((), bool)
+    batch = told.relation.shape
+    none_fixed = jnp.zeros(batch, bool)
     figures = _candidates(
-        particle, grounding, link.figure, figure_type, scene.viewer, none_fixed, log_bystander
+        particle, grounding, link.figure, told.figure_type, scene.viewer, none_fixed, log_bystander
     )
     is_place = link.is_robot | (link.relation == NONE)
     landmarks = _candidates(
-        particle, grounding, link.landmark, landmark_type, scene.viewer, is_place, log_bystander
+        particle,
+        grounding,
+        link.landmark,
+        told.landmark_type,
+        scene.viewer,
+        is_place,
+        log_bystander,
     )
     known = options.both_known(link, figures, landmarks)
     ways = (
@@ -161,24 +243,27 @@ def ground_relation(
         options.new_landmark(link, figures, landmarks, draws, scene),
         options.new_pair(link, figures, landmarks, draws, scene),
     )
-    log_weights = [known.reshape(-1), *(way.log_weight for way in ways)]
+    log_weights = [known.reshape(-1, *batch), *(way.log_weight for way in ways)]
     choice, log_total = categorical.draw(jnp.concatenate(log_weights), draws.choice)
     log_total = jnp.maximum(log_total + options.log_root(link, figures, landmarks), _LOG_FLOOR)
     # Where no grounding is possible (a drawn figure fell outside the area), the words stay a
     # hypothesis somewhere unexplored, of hardly any weight, that the next looks can refute.
-    is_dead = log_total <= _LOG_FLOOR
+    is_dead = (log_total <= _LOG_FLOOR)[None]
     after = _enter(particle, link, figures, landmarks, grounding, ways, choice)
     after = after._replace(
         slot=jnp.where(is_dead & after.is_grounded & ~grounding.is_grounded, NONE, after.slot),
         anchor=jnp.where(is_dead, grounding.anchor, after.anchor),
         root=jnp.where(is_dead, grounding.root, after.root),
-        x=jnp.where(is_dead & ~grounding.is_grounded, draws.unseen_x[0], after.x),
-        y=jnp.where(is_dead & ~grounding.is_grounded, draws.unseen_y[0], after.y),
+        x=jnp.where(is_dead & ~grounding.is_grounded, draws.unseen_x[:1], after.x),
+        y=jnp.where(is_dead & ~grounding.is_grounded, draws.unseen_y[:1], after.y),
     )
     is_valid = link.figure != NONE
     after = after._replace(log_weight=grounding.log_weight + log_total)
     return Grounding(
-        *(jnp.where(is_valid, new, old) for new, old in zip(after, grounding, strict=True))
+        *(
+            jnp.where(lead(is_valid, new.ndim), new, old)
+            for new, old in zip(after, grounding, strict=True)
+        )
     )
 
 
@@ -202,13 +287,13 @@ def _enter(
     landmark_index = jnp.where(is_known, choice % size, other)
 
     def place(known: Array, hung: Array, paired: Array, index: Array, is_hung: Array) -> Array:
-        value = jnp.where(is_hung, _pick(hung, other), _pick(known, index))
-        return jnp.where(is_pair, _pick(paired, rest - 2 * size), value)
+        value = jnp.where(is_hung, pick(hung, other), pick(known, index))
+        return jnp.where(is_pair, pick(paired, rest - 2 * size), value)
 
     def slot(mention: Array, ends: Candidates, index: Array, is_new: Array) -> Array:
         chosen = jnp.where(is_new | is_pair | (index == num_objects), NONE, index)
         return jnp.where(
-            ends.is_open, chosen, jnp.where(mention == NONE, NONE, _pick(grounding.slot, mention))
+            ends.is_open, chosen, jnp.where(mention == NONE, NONE, pick(grounding.slot, mention))
         )
 
     figure_slot = slot(link.figure, figures, figure_index, is_figure)
@@ -216,23 +301,26 @@ def _enter(
 
     def root(mention: Array, ends: Candidates, own_slot: Array) -> Array:
         """Observed slot at which the chain of an end finishes; NONE for the ground."""
-        inherited = jnp.where(ends.is_open, NONE, _pick(grounding.root, mention))
+        inherited = jnp.where(ends.is_open, NONE, pick(grounding.root, mention))
         return jnp.where(own_slot == NONE, inherited, own_slot)
 
     def own_place(mention: Array, own_slot: Array) -> Array:
         return jnp.where(own_slot == NONE, num_objects + mention, own_slot)
 
     is_object = (link.landmark != NONE) & ~link.is_robot
-    figure_anchor = jnp.where(is_object, own_place(link.landmark, landmark_slot), NONE)
-    figure_root = jnp.where(is_object, root(link.landmark, landmarks, landmark_slot), NONE)
-    landmark_anchor = jnp.where(is_landmark, own_place(link.figure, figure_slot), NONE)
-    landmark_root = jnp.where(is_landmark, root(link.figure, figures, figure_slot), NONE)
-    mentions = jnp.arange(grounding.slot.shape[0])
-    set_figure = (mentions == link.figure) & figures.is_open
-    set_landmark = (mentions == link.landmark) & landmarks.is_open & is_object
+    is_hung = is_object & ~link.is_free
+    figure_anchor = jnp.where(is_hung, own_place(link.landmark, landmark_slot), NONE)
+    figure_root = jnp.where(is_hung, root(link.landmark, landmarks, landmark_slot), NONE)
+    is_hung = is_landmark & ~link.is_free
+    landmark_anchor = jnp.where(is_hung, own_place(link.figure, figure_slot), NONE)
+    landmark_root = jnp.where(is_hung, root(link.figure, figures, figure_slot), NONE)
+    mentions = column(jnp.arange(grounding.slot.shape[0]), grounding.slot.ndim)
+    set_figure = (mentions == link.figure[None]) & figures.is_open[None]
+    set_landmark = (mentions == link.landmark[None]) & (landmarks.is_open & is_object)[None]
 
     def enter(old: Array, for_figure: Array, for_landmark: Array) -> Array:
-        return jnp.where(set_figure, for_figure, jnp.where(set_landmark, for_landmark, old))
+        kept = jnp.where(set_landmark, for_landmark[None], old)
+        return jnp.where(set_figure, for_figure[None], kept)
 
     return Grounding(
         slot=enter(grounding.slot, figure_slot, landmark_slot),
@@ -265,9 +353,9 @@ def adopt(
     """Give a particle a reading and what its mentions refer to.
 
     Args:
-        particle: one particle; its former hypotheses are taken back.
+        particle: its former hypotheses are taken back.
         readings: the sentence.
-        reading: i32[], the reading.
+        reading: i32[...], the reading.
         grounding: from ``ground_relation`` over all relations.
 
     Returns:
@@ -281,5 +369,5 @@ def adopt(
         root=grounding.root,
         hypothesis_x=grounding.x,
         hypothesis_y=grounding.y,
-        is_mentioned=(readings.mention_type[reading] >= 0) & grounding.is_grounded,
+        is_mentioned=(_mention_types(readings, reading) >= 0) & grounding.is_grounded,
     )

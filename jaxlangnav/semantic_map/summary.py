@@ -38,6 +38,7 @@ def behavior_world(particle: SemanticMap, readings: Readings, previous: Array) -
     place = jnp.where(mention_type == ROBOT, size - 1, place)
     is_related = jnp.zeros((len(RELATIONS), size, size), bool)
     is_superlative = jnp.zeros((len(RELATIONS), size, size), bool)
+    is_later = jnp.zeros((len(RELATIONS), size, size), bool)
     for index in range(readings.relation.shape[1]):
         relation = readings.relation[particle.reading, index]
         mentions = jnp.arange(num_mentions)
@@ -52,11 +53,13 @@ def behavior_world(particle: SemanticMap, readings: Readings, previous: Array) -
         )
         is_related = is_related | edge
         is_superlative = is_superlative | (edge & readings.is_superlative[particle.reading, index])
+        is_later = is_later | (edge & (readings.rank[particle.reading, index] > 1))
     return BehaviorWorld(
         object_type=object_type,
         is_object=is_object,
         is_related=is_related,
         is_superlative=is_superlative,
+        is_later=is_later,
         is_previous=(slots == previous) & (previous != NONE),
     )
 

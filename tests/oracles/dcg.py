@@ -82,7 +82,8 @@ class BehaviorOracle:
                     continue
                 kind, relation = divmod(table, 6)
                 extreme = self.w.is_ranked[0][relation][:, j]
-                rows = (self.w.is_related[relation][:, j], extreme, ~extreme)
+                later = self.w.is_ranked[1][relation][:, j]
+                rows = (self.w.is_related[relation][:, j], extreme, later)
                 found |= rows[kind]
         return found & self.w.is_object
 

@@ -2,9 +2,11 @@
 
 The model. Every thing mentioned exists once, in the operating area A, one of the things a relation
 ties together anywhere in it and the others where the relation places them; further objects of each
-type are scattered as a Poisson process of density λ = α / A. An object at x has been missed by
-every look so far with probability m(x). Given what has been seen, a grounding that takes things to
-be observed objects o and the rest to be unseen weighs, against "nothing seen is what is meant",
+type are scattered as a Poisson process of density λ = α / A. A relation misleads with probability
+ε: its figure and landmark then have nothing to do with each other (f is 1 / A). An object at x has
+been missed by every look so far with probability m(x). Given what has been seen, a grounding that
+takes things to be observed objects o and the rest to be unseen weighs, against "nothing seen is
+what is meant",
 
     (1 / A) ∏_relations f · ∏_observed 1/λ · ∏_unseen ∫ m(x) dx
 
@@ -18,6 +20,7 @@ import math
 import numpy as np
 
 ROBOT, NONE, FAR = -2, -1, 5
+SIDES, SIDE_KAPPA = range(4), 4.0
 FRONT, BEHIND, LEFT, RIGHT, NEAR = range(5)
 
 
@@ -33,6 +36,7 @@ class World:
     spread: np.ndarray  # [6] of log distance
     axis: np.ndarray  # [6] radians from the line of sight
     concentration: np.ndarray  # [6]
+    misleading: float  # ε
     fineness: int = 3  # grid points a side in each cell
 
     @property
@@ -51,6 +55,10 @@ def density(world: World, relation: int, figure: np.ndarray, landmark: np.ndarra
     distance = np.hypot(offset[..., 0], offset[..., 1])
     if own:
         middle = np.full(distance.shape, world.viewer[2] + math.pi - world.axis[relation])
+        if relation in SIDES:  # of the robot: however far
+            turn = np.arctan2(offset[..., 1], offset[..., 0]) - middle
+            side = np.exp(SIDE_KAPPA * np.cos(turn)) / np.i0(SIDE_KAPPA)
+            return side / world.size
     else:
         sight = np.arctan2(landmark[..., 1] - world.viewer[1], landmark[..., 0] - world.viewer[0])
         middle = sight + world.axis[relation]
@@ -112,6 +120,7 @@ def potential(world: World, kinds: list[int], edge: tuple[int, int, int, bool], 
     table = density(world, relation, rows, columns, kinds[landmark] == ROBOT)
     if is_extreme:
         table = table * superlative(world, kinds[figure], relation, rows, columns)
+    table = (1.0 - world.misleading) * table + world.misleading / world.size
     if kinds[figure] == kinds[landmark]:
         table = np.where((rows == columns).all(-1), 0.0, table)
     return table

@@ -1,0 +1,52 @@
+"""Batch axes last: one equation for one particle and for all of them.
+
+What runs for every particle at every step is written for one particle, with its own axes leading,
+and takes any batch axes behind them. ``vmap`` would batch it as well, but moves the batch axis to
+the front of most results, where XLA on CPU does not vectorise loops over nine entries: written
+like this the filter takes about a third of the time.
+"""
+
+import jax.numpy as jnp
+from jax import Array
+
+
+def column(values: Array, ndim: int) -> Array:
+    """Append axes of length one: values along the first axes, the same for the whole batch.
+
+    Args:
+        values: [n, ...].
+        ndim: axes wanted.
+
+    Returns:
+        [n, ..., 1, 1] with ``ndim`` axes.
+    """
+    return values.reshape(values.shape + (1,) * (ndim - values.ndim))
+
+
+def lead(values: Array, ndim: int) -> Array:
+    """Prepend axes of length one: values along the batch axes, the same for every entry.
+
+    Args:
+        values: [..., P].
+        ndim: axes wanted.
+
+    Returns:
+        [1, 1, ..., P] with ``ndim`` axes.
+    """
+    return values.reshape((1,) * (ndim - values.ndim) + values.shape)
+
+
+def pick(values: Array, index: Array) -> Array:
+    """Look up a short table by selects: a gather would put the batch axes in another order.
+
+    Args:
+        values: [n, ...], a table, or one for each member of the batch.
+        index: i32[...].
+
+    Returns:
+        [...], ``values[index]``; 0 where the index is out of bounds.
+    """
+    picked = jnp.zeros(index.shape, values.dtype)
+    for place in range(values.shape[0]):
+        picked = jnp.where(index == place, values[place], picked)
+    return picked

@@ -1,0 +1,78 @@
+"""Where the things that people speak of tend to stand: learned from training worlds.
+
+A robot that knows nothing of its worlds searches its whole area alike. This one has been through
+other worlds before: a table, learned by ``jaxlangnav.experiments.learn_prior`` from worlds whose
+seeds are in no results table, says how much likelier than elsewhere a thing is found at a range and
+bearing from where the robot was told. Only the order of search hangs on it; the belief itself stays
+uniform over what is unexplored, and ``PlannerParams.prior_share`` = 0 takes it out.
+"""
+
+import functools
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxlangnav.semantic_map.coverage import Coverage
+
+RANGE_MAX = 1.25
+"""Range at the outer edge of the table, as a share of how far the area reaches ahead."""
+BEARING_MAX = np.pi / 2.0
+"""Bearing to either side at its other edge, radians."""
+TABLE_FILE = Path(__file__).parent / "data" / "prior.npy"
+
+
+@functools.cache
+def table() -> np.ndarray:
+    """Read the learned table, f32[range bins, bearing bins]: density relative to uniform."""
+    return np.load(TABLE_FILE)
+
+
+def depth_ahead(area: Array, viewer: Array) -> Array:
+    """Compute how far the operating area reaches ahead of a viewer.
+
+    Args:
+        area: f32[4], x_min, x_max, y_min, y_max, metres, map frame.
+        viewer: f32[3], x, y, heading.
+
+    Returns:
+        f32[], metres along the heading to the farthest corner; at least a centimetre.
+    """
+    corner_x, corner_y = area[jnp.array([0, 0, 1, 1])], area[jnp.array([2, 3, 2, 3])]
+    ahead_x, ahead_y = jnp.cos(viewer[2]), jnp.sin(viewer[2])
+    ahead = (corner_x - viewer[0]) * ahead_x + (corner_y - viewer[1]) * ahead_y
+    return jnp.maximum(jnp.max(ahead), 0.01)
+
+
+def relative_density(coverage: Coverage, viewer: Array, x: Array, y: Array, share: Array) -> Array:
+    """Look up how much likelier than elsewhere a thing stands at each place.
+
+    Limits: 1 everywhere for a share of 0; 1 − share where no training world had anything.
+
+    Args:
+        coverage: for the operating area.
+        viewer: f32[3], x, y, heading when the instruction was heard, map frame.
+        x: f32[C], metres, map frame.
+        y: f32[C], metres.
+        share: f32[] in [0, 1], how far the table is trusted; the rest is uniform.
+
+    Returns:
+        f32[C], relative to uniform.
+    """
+    learned = jnp.asarray(table())
+    offset_x, offset_y = x - viewer[0], y - viewer[1]
+    ahead_x, ahead_y = jnp.cos(viewer[2]), jnp.sin(viewer[2])
+    bearing = jnp.abs(
+        jnp.arctan2(
+            offset_y * ahead_x - offset_x * ahead_y, offset_x * ahead_x + offset_y * ahead_y
+        )
+    )
+    away = jnp.sqrt(offset_x * offset_x + offset_y * offset_y + 1e-9)
+    rows, columns = learned.shape
+    row = jnp.floor(away / depth_ahead(coverage.area, viewer) / RANGE_MAX * rows)
+    column = jnp.floor(bearing / BEARING_MAX * columns)
+    is_in = (row < rows) & (column < columns)
+    flat = jnp.where(is_in, row * columns + column, 0.0).astype(jnp.int32)
+    value = jnp.where(is_in, learned.reshape(-1)[flat], 0.0)
+    return share * value + (1.0 - share)

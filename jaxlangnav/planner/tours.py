@@ -1,0 +1,294 @@
+"""The way that finds things soonest: tours improved step by step (section 3.4; ours).
+
+A tour is a line of K stops. Its *latency* is the expected length of the way until what is looked
+for comes into view:
+
+    L = Σ_c m_c t_c + Σ_{c missed} m_c (T + |c − q_K| + B / 4R)
+
+m_c is the mass of cell c, t_c the length of the way at which the line of stops first comes within
+sensing range of it (of a free pair: of either), T the whole length, q_K the last stop and B the
+area that the tour has missed, so that B / 4R is about half of a sweep of it.
+
+Each decision starts from the tour under way and from greedy tours over a lattice of viewpoints, and
+improves the best of them by a few rounds of random changes: move a stop, put one in, take one out,
+turn a stretch round. The tour is kept from step to step, so the search goes on while the robot is
+on its way; and as the tour under way is among the candidates, it is left only for a shorter one.
+"""
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jaxlangnav.planner.search import SearchMap, viewpoints, visibility
+from jaxlangnav.pytree import pytree
+
+NUM_STOPS = 6
+"""K, stops of a tour."""
+NUM_GREEDY = 3
+"""Greedy tours drafted at each decision."""
+NUM_CHANGES = 8
+"""Changes tried in a round."""
+NUM_ROUNDS = 3
+"""Rounds of changes at each decision."""
+MARGIN = 0.5
+"""Metres by which a thing must be inside the sensing range to count on seeing it: cells have width,
+looks are a step apart, and a look may miss."""
+_ARRIVAL = 0.5
+"""Metres from a stop that count as having been there."""
+_NEVER = 1e9
+_MOVE, _MOVE_FAR, _INSERT, _REVERSE, _REMOVE = range(5)
+
+
+@pytree
+class Tour:
+    """Places to go to in turn; K = NUM_STOPS."""
+
+    x: Array  # f32[..., K] metres, map frame
+    y: Array  # f32[..., K]
+
+
+@pytree
+class Plan:
+    """The candidates of the last round; T = NUM_CHANGES + 1, the best one before it first."""
+
+    tours: Tour  # leaves [T, K]
+    latency: Array  # f32[T] expected metres until found, times the mass
+    mass: Array  # f32[] expected number of things still to be found
+    hung: Array  # f32[] of them, those that hang on an observed object
+
+
+def take(plan: Plan, value: Array) -> Tour:
+    """Take the tour whose first stop is valued most.
+
+    Args:
+        plan: T candidates.
+        value: f32[A], values of the nodes, the first T of them for the tours.
+
+    Returns:
+        Leaves [K].
+    """
+    index = jnp.argmax(value[: plan.latency.shape[0]])
+    return Tour(x=plan.tours.x[index], y=plan.tours.y[index])
+
+
+def no_tour(x: Array, y: Array) -> Tour:
+    """Build the tour of a robot that has not planned yet: it has arrived everywhere."""
+    stay = jnp.ones(NUM_STOPS, jnp.float32)
+    return Tour(x=stay * x, y=stay * y)
+
+
+def _is_underfoot(x: Array, y: Array, robot_x: Array, robot_y: Array) -> Array:
+    """Tell which places count as reached."""
+    return (x - robot_x) ** 2 + (y - robot_y) ** 2 < _ARRIVAL * _ARRIVAL
+
+
+def advance(tour: Tour, robot_x: Array, robot_y: Array) -> Tour:
+    """Drop the first stop once the robot is there; the last one is repeated.
+
+    Args:
+        tour: leaves [K].
+        robot_x: f32[], metres, map frame.
+        robot_y: f32[], metres.
+
+    Returns:
+        What is left of the tour.
+    """
+    is_there = _is_underfoot(tour.x[0], tour.y[0], robot_x, robot_y)
+    return Tour(
+        x=jnp.where(is_there, jnp.append(tour.x[1:], tour.x[-1]), tour.x),
+        y=jnp.where(is_there, jnp.append(tour.y[1:], tour.y[-1]), tour.y),
+    )
+
+
+def first_sight(
+    tours: Tour, x: Array, y: Array, robot_x: Array, robot_y: Array, radius: Array
+) -> tuple[Array, Array]:
+    """Compute after how many metres each tour first comes within a radius of each place.
+
+    Limits: 0 for a place already within the radius; 10⁹ for one that is never.
+
+    Args:
+        tours: leaves [T, K].
+        x: f32[C], places, metres, map frame.
+        y: f32[C].
+        robot_x: f32[], where the tours start.
+        robot_y: f32[].
+        radius: f32[], metres.
+
+    Returns:
+        f32[T, C] metres; f32[T] metres, whole length of each tour.
+    """
+    from_x = jnp.broadcast_to(robot_x, tours.x.shape[:1])
+    from_y = jnp.broadcast_to(robot_y, tours.x.shape[:1])
+    walked = jnp.zeros(tours.x.shape[0], jnp.float32)
+    first = jnp.full((tours.x.shape[0], x.shape[0]), _NEVER, jnp.float32)
+    for stop in range(tours.x.shape[1]):
+        span_x, span_y = tours.x[:, stop] - from_x, tours.y[:, stop] - from_y
+        length = jnp.sqrt(span_x * span_x + span_y * span_y + 1e-12)
+        offset_x, offset_y = x[None, :] - from_x[:, None], y[None, :] - from_y[:, None]
+        unit_x, unit_y = span_x / length, span_y / length
+        along = offset_x * unit_x[:, None] + offset_y * unit_y[:, None]
+        aside = offset_x * offset_x + offset_y * offset_y - along * along
+        half = jnp.sqrt(jnp.maximum(radius * radius - aside, 0.0))
+        enter = jnp.maximum(along - half, 0.0)
+        is_seen = (aside < radius * radius) & (along + half > 0.0) & (enter < length[:, None])
+        first = jnp.minimum(first, jnp.where(is_seen, walked[:, None] + enter, _NEVER))
+        walked = walked + length
+        from_x, from_y = tours.x[:, stop], tours.y[:, stop]
+    return first, walked
+
+
+def latency(
+    tours: Tour, search: SearchMap, robot_x: Array, robot_y: Array, range_max: Array, area: Array
+) -> Array:
+    """Compute the expected way until what is looked for comes into view, times its mass.
+
+    Args:
+        tours: leaves [T, K].
+        search: where looking is worth while.
+        robot_x: f32[], metres, map frame.
+        robot_y: f32[], metres.
+        range_max: f32[], sensing range, metres.
+        area: f32[4], operating area, metres.
+
+    Returns:
+        f32[T] metres; large for a tour that starts underfoot.
+    """
+    radius = jnp.maximum(range_max - MARGIN, 0.5 * range_max)
+    hung, walked = first_sight(tours, search.x, search.y, robot_x, robot_y, radius)
+    partner, _ = first_sight(tours, search.partner_x, search.partner_y, robot_x, robot_y, radius)
+    free = jnp.minimum(hung, partner)
+    last_x, last_y = tours.x[:, -1:], tours.y[:, -1:]
+    away = jnp.sqrt((search.x[None] - last_x) ** 2 + (search.y[None] - last_y) ** 2 + 1e-9)
+    mass = search.mass
+    is_left = (free >= _NEVER) & (mass > 0.1 * jnp.mean(mass))[None, :]
+    cell = (area[1] - area[0]) * (area[3] - area[2]) / mass.shape[0]
+    sweep = jnp.sum(is_left, axis=1) * cell / (4.0 * range_max)
+    rest = (walked + sweep)[:, None] + away
+    total = jnp.sum(
+        search.free[None, :] * jnp.where(free < _NEVER, free, rest)
+        + search.hung[None, :] * jnp.where(hung < _NEVER, hung, rest),
+        axis=1,
+    )
+    return total + jnp.where(
+        _is_underfoot(tours.x[:, 0], tours.y[:, 0], robot_x, robot_y), _NEVER, 0.0
+    )
+
+
+def greedy(
+    search: SearchMap, robot_x: Array, robot_y: Array, range_max: Array, area: Array
+) -> Tour:
+    """Draft tours over the lattice of viewpoints: always the most mass per metre next.
+
+    Args:
+        search: where looking is worth while.
+        robot_x: f32[], metres, map frame.
+        robot_y: f32[], metres.
+        range_max: f32[], sensing range, metres.
+        area: f32[4], operating area, metres.
+
+    Returns:
+        Tours, leaves [NUM_GREEDY, K], that start at different viewpoints.
+    """
+    view_x, view_y = viewpoints(area)
+    sees = visibility(view_x, view_y, search, range_max, area)
+    between = jnp.sqrt(
+        (view_x[:, None] - view_x[None, :]) ** 2 + (view_y[:, None] - view_y[None, :]) ** 2 + 1e-9
+    )
+    distance = jnp.sqrt((view_x - robot_x) ** 2 + (view_y - robot_y) ** 2 + 1e-9)
+    # A metre is added to each way: what can be had for nothing is not worth all.
+    _, here = jax.lax.top_k((sees @ search.mass) / (distance + 1.0), NUM_GREEDY)
+    stops, mass = [here], search.mass[None, :] * (1.0 - sees[here])
+    for _ in range(NUM_STOPS - 1):
+        here = jnp.argmax((mass @ sees.T) / (between[here] + 1.0), axis=1)
+        mass = mass * (1.0 - sees[here])
+        stops.append(here)
+    chosen = jnp.stack(stops, axis=1)
+    return Tour(x=view_x[chosen], y=view_y[chosen])
+
+
+def change(key: Array, tour: Tour, search: SearchMap, area: Array) -> Tour:
+    """Change a tour in NUM_CHANGES ways at random.
+
+    Args:
+        key: random key, consumed.
+        tour: leaves [K].
+        search: new stops are drawn where mass is.
+        area: f32[4], operating area, metres; stops stay in it.
+
+    Returns:
+        Tours, leaves [NUM_CHANGES, K].
+    """
+    uniform = jax.random.uniform(key, (5, NUM_CHANGES))
+    kind = (jnp.arange(NUM_CHANGES) % 5)[:, None]
+    place = jnp.arange(NUM_STOPS)[None, :]
+    one, other = jnp.floor(uniform[:2] * NUM_STOPS).astype(jnp.int32)[:, :, None]
+    low, high = jnp.minimum(one, other), jnp.maximum(one, other)
+    source = jnp.select(
+        [kind == _INSERT, kind == _REVERSE, kind == _REMOVE],
+        [
+            jnp.where(place > one, place - 1, place),
+            jnp.where((place >= low) & (place <= high), low + high - place, place),
+            jnp.where(place >= one, jnp.minimum(place + 1, NUM_STOPS - 1), place),
+        ],
+        place,
+    )
+    cumulative = jnp.cumsum(search.mass)
+    drawn = jnp.sum(cumulative[None, :] <= (uniform[2] * cumulative[-1])[:, None], axis=1)
+    drawn = jnp.minimum(drawn, cumulative.shape[0] - 1)[:, None]
+    length = (0.3 * 10.0 ** uniform[3])[:, None]
+    angle = (2.0 * jnp.pi * uniform[4])[:, None]
+    is_new = ((kind == _INSERT) & (place == one)) | ((kind == _REMOVE) & (place == NUM_STOPS - 1))
+    is_moved = (kind <= _MOVE_FAR) & (place == one)
+
+    def rearrange(stops: Array, cells: Array, step: Array, least: Array, most: Array) -> Array:
+        stops = jnp.where(is_new, cells[drawn], stops[source])
+        return jnp.clip(stops + jnp.where(is_moved, step, 0.0), least, most)
+
+    return Tour(
+        x=rearrange(tour.x, search.x, length * jnp.cos(angle), area[0], area[1]),
+        y=rearrange(tour.y, search.y, length * jnp.sin(angle), area[2], area[3]),
+    )
+
+
+def _join(first: Tour, second: Tour) -> Tour:
+    """Put candidates behind one another."""
+    return Tour(x=jnp.concatenate([first.x, second.x]), y=jnp.concatenate([first.y, second.y]))
+
+
+def plan(
+    key: Array,
+    tour: Tour,
+    search: SearchMap,
+    robot_x: Array,
+    robot_y: Array,
+    range_max: Array,
+    area: Array,
+) -> Plan:
+    """Improve the tour under way, or leave it for a better one.
+
+    Args:
+        key: random key, consumed.
+        tour: leaves [K], the tour under way.
+        search: where looking is worth while.
+        robot_x: f32[], metres, map frame.
+        robot_y: f32[], metres.
+        range_max: f32[], sensing range, metres.
+        area: f32[4], operating area, metres.
+
+    Returns:
+        The candidates and what each of them costs.
+    """
+    here = advance(advance(tour, robot_x, robot_y), robot_x, robot_y)
+    tours = _join(
+        Tour(x=here.x[None], y=here.y[None]), greedy(search, robot_x, robot_y, range_max, area)
+    )
+    cost = latency(tours, search, robot_x, robot_y, range_max, area)
+    for round_key in jax.random.split(key, NUM_ROUNDS):
+        index = jnp.argmin(cost)
+        best = Tour(x=tours.x[index], y=tours.y[index])
+        changed = change(round_key, best, search, area)
+        changed_cost = latency(changed, search, robot_x, robot_y, range_max, area)
+        tours = _join(Tour(x=best.x[None], y=best.y[None]), changed)
+        cost = jnp.append(cost[index], changed_cost)
+    return Plan(tours=tours, latency=cost, mass=jnp.sum(search.mass), hung=jnp.sum(search.hung))

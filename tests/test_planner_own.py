@@ -1,0 +1,122 @@
+"""A policy of one's own decides like the shipped ones: same machinery, same worlds."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from test_planner_policy import believe, random_places
+
+from jaxlangnav.episode import EpisodeResult
+from jaxlangnav.experiments.policies import navigator_config, run_policy
+from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
+from jaxlangnav.experiments.tasks import cell, make_tasks
+from jaxlangnav.planner import policy, qmdp
+from jaxlangnav.planner.goals import Goals
+from jaxlangnav.planner.graph import FRONTIER, Nodes
+from jaxlangnav.planner.own import Situation, Valuation
+from jaxlangnav.planner.params import PlannerConfig, default_planner_params
+
+
+def twin(situation: Situation) -> Valuation:
+    """The paper's policy (eq. 11, 12), written as somebody's own."""
+    nodes, goals, params = situation.nodes, situation.goals, situation.params
+    everything, _ = qmdp.mass_within(situation.robot_x, situation.robot_y, goals, params.reach)
+    value = qmdp.values(nodes.x, nodes.y, goals, params.discount)
+    return Valuation(
+        goal_value=value, information_value=jnp.zeros_like(value), stop_mass=everything
+    )
+
+
+def nearest(situation: Situation) -> Valuation:
+    nothing = jnp.zeros_like(situation.distance)
+    return Valuation(
+        goal_value=nothing, information_value=-situation.distance, stop_mass=jnp.float32(0.0)
+    )
+
+
+def far_away(situation: Situation) -> Valuation:
+    valuation = nearest(situation)
+    return dataclasses.replace(valuation, goal_value=3.0 * situation.distance)
+
+
+def choose(own, *, stop_mass: float | None = None) -> policy.Choice:
+    nodes = Nodes(
+        x=jnp.array([1.0, 4.0, 2.0]),
+        y=jnp.array([0.0, 0.0, 3.0]),
+        is_node=jnp.array([True, True, True]),
+        kind=jnp.full(3, FRONTIER, jnp.int32),
+    )
+    none, zeros = jnp.zeros(0), jnp.zeros(1)
+    goals = Goals(
+        object_x=zeros,
+        object_y=zeros,
+        object_mass=zeros,
+        object_accepted=zeros,
+        object_confirmed=zeros,
+        is_object=jnp.zeros(1, bool),
+        hypothesis_x=none,
+        hypothesis_y=none,
+        hypothesis_mass=none,
+    )
+
+    def decide(situation: Situation) -> Valuation:
+        valuation = own(situation)
+        if stop_mass is None:
+            return valuation
+        return dataclasses.replace(valuation, stop_mass=jnp.float32(stop_mass))
+
+    zero = jnp.float32(0.0)
+    return jax.jit(policy.choose, static_argnames="config")(
+        believe(random_places(), is_hung=False),
+        nodes,
+        goals,
+        zero,
+        zero,
+        policy.no_commitment(),
+        jnp.asarray(True),
+        zero,
+        jnp.float32(3.0),
+        jnp.array([0.0, 0.5, 0.0]),
+        params=default_planner_params(),
+        config=PlannerConfig(policy=decide),
+    )
+
+
+def test_the_most_valuable_waypoint_is_taken_and_costs_count() -> None:
+    chosen = choose(nearest)
+    assert (float(chosen.waypoint_x), float(chosen.waypoint_y)) == (1.0, 0.0)
+    np.testing.assert_allclose(chosen.value, [-1.0, -4.5, -np.sqrt(13.0)], atol=1e-5)
+    assert not bool(chosen.is_stop)
+    chosen = choose(far_away)
+    assert (float(chosen.waypoint_x), float(chosen.waypoint_y)) == (4.0, 0.0)
+
+
+@pytest.mark.parametrize(("mass", "stops"), [(0.69, False), (0.71, True)])
+def test_it_stops_from_tau_on(mass: float, stops: bool) -> None:
+    assert bool(choose(nearest, stop_mass=mass).is_stop) is stops
+
+
+def test_it_carries_its_function_s_name() -> None:
+    assert PlannerConfig(policy=nearest).policy_name == "nearest"
+    assert navigator_config(nearest) == navigator_config(nearest)
+    assert navigator_config(nearest) != navigator_config(far_away)
+    with pytest.raises(ValueError, match="must be one of"):
+        PlannerConfig(policy="neerest")
+
+
+@pytest.mark.slow
+def test_the_paper_s_policy_as_one_s_own_behaves_like_the_shipped_one() -> None:
+    """Same worlds, same keys, episode by episode."""
+    instructions = ground_sentences([SENTENCES["behind"]]).instructions
+    tasks = make_tasks(cell("1H1C", "behind", 0, 3.0, 96, 5))
+
+    def run(one) -> EpisodeResult:
+        return run_policy(one, tasks, instructions)
+
+    own, shipped = run(twin), run("faithful")
+    # Two compiled programs may round differently; an episode or two then takes another way.
+    is_same = np.abs(np.asarray(own.distance) - np.asarray(shipped.distance)) < 1e-3
+    assert np.mean(is_same) > 0.9
+    assert np.mean(np.asarray(own.is_success) == np.asarray(shipped.is_success)) > 0.9

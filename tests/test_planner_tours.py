@@ -1,0 +1,243 @@
+"""Tours: first sight against brute force, latency by hand, improvement, the learned prior."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import readings as by_hand
+from test_planner_policy import CONFIG, P, believe, random_places
+
+from jaxlangnav.experiments.learn_prior import learn, training_worlds
+from jaxlangnav.messages import NONE
+from jaxlangnav.planner import policy, prior, tours
+from jaxlangnav.planner.goals import Goals
+from jaxlangnav.planner.graph import FRONTIER, OBJECT, Nodes
+from jaxlangnav.planner.params import PlannerConfig, default_planner_params
+from jaxlangnav.planner.search import CELLS, SearchMap, search_map
+from jaxlangnav.pytree import replace
+
+AREA = jnp.array([0.0, 10.0, -5.0, 5.0])
+K, RANGE = tours.NUM_STOPS, 3.0
+SEARCH_MAP, PLAN = jax.jit(search_map), jax.jit(tours.plan)
+
+
+def random_tours(number: int, seed: int = 0) -> tours.Tour:
+    random = np.random.default_rng(seed)
+    return tours.Tour(
+        x=jnp.asarray(random.uniform(0.0, 10.0, (number, K)), jnp.float32),
+        y=jnp.asarray(random.uniform(-5.0, 5.0, (number, K)), jnp.float32),
+    )
+
+
+def search_of(free, hung=None) -> SearchMap:
+    """Build a search map of given masses, f64[CELLS²]; pairs are alone."""
+    steps = (np.arange(CELLS) + 0.5) / CELLS * 10.0
+    x, y = np.tile(steps, CELLS), np.repeat(steps - 5.0, CELLS)
+    hung = np.zeros(CELLS**2) if hung is None else hung
+    x, y, free, hung = (jnp.asarray(one, jnp.float32) for one in (x, y, free, hung))
+    return SearchMap(x=x, y=y, free=free, hung=hung, partner_x=x, partner_y=y)
+
+
+def brute_force(tour_x, tour_y, x: float, y: float, radius: float) -> float:
+    """Walk a tour from (1, 0) by millimetres until (x, y) is within the radius."""
+    walked, at = 0.0, np.array([1.0, 0.0])
+    for stop in zip(np.asarray(tour_x, float), np.asarray(tour_y, float), strict=True):
+        length = np.hypot(*(np.array(stop) - at))
+        steps = np.linspace(0.0, 1.0, max(2, int(length / 0.001)))[:, None]
+        way = at + steps * (np.array(stop) - at)
+        near = np.hypot(*(way - [x, y]).T) <= radius
+        if near.any():
+            return walked + float(steps[near.argmax(), 0]) * length
+        walked, at = walked + length, np.array(stop)
+    return np.inf
+
+
+def test_first_sight_against_brute_force() -> None:
+    lines = random_tours(6)
+    # A stop twice over is a stretch of no length: it must see nothing new.
+    lines = tours.Tour(x=lines.x.at[0, 2:].set(9.0), y=lines.y.at[0, 2:].set(4.0))
+    x, y = np.random.default_rng(1).uniform([0, -5], [10, 5], (12, 2)).T
+    first, length = tours.first_sight(
+        lines, jnp.asarray(x), jnp.asarray(y), *jnp.array([1.0, 0.0, 1.5])
+    )
+    first = np.where(np.asarray(first) >= 1e8, np.inf, first)
+    for index in range(6):
+        expected = [
+            brute_force(lines.x[index], lines.y[index], *p, 1.5) for p in zip(x, y, strict=True)
+        ]
+        np.testing.assert_allclose(first[index], expected, atol=0.01)
+    stops = np.stack([np.asarray(lines.x), np.asarray(lines.y)], axis=-1)
+    stops = np.concatenate([np.broadcast_to([1.0, 0.0], (6, 1, 2)), stops], axis=1)
+    np.testing.assert_allclose(length, np.hypot(*np.diff(stops, axis=1).T).sum(0), rtol=1e-4)
+
+
+def test_latency_is_the_mean_way_until_found() -> None:
+    """Masses on cells that the tour sees: the mean of first sights; the rest lies beyond."""
+    search = search_of(np.random.default_rng(2).dirichlet(np.ones(CELLS**2)))
+    line = tours.Tour(x=jnp.full((1, K), 6.0), y=jnp.zeros((1, K)))
+    zero = jnp.float32(0.0)
+    first, _ = tours.first_sight(
+        line, search.x, search.y, zero, zero, jnp.float32(RANGE) - tours.MARGIN
+    )
+    first, mass = np.asarray(first)[0], np.asarray(search.mass)
+    is_seen = first < 1e8
+    away = np.hypot(np.asarray(search.x) - 6.0, np.asarray(search.y))
+    sweep = (~is_seen & (mass > 0.1 * mass.mean())).sum() * 100.0 / CELLS**2 / (4 * RANGE)
+    expected = (mass * np.where(is_seen, first, 6.0 + sweep + away)).sum()
+    found = tours.latency(line, search, zero, zero, jnp.float32(RANGE), AREA)
+    np.testing.assert_allclose(found, [expected], rtol=1e-4)
+
+
+def test_either_of_a_pair_will_do() -> None:
+    search = search_of(np.eye(1, CELLS**2, 6 * CELLS + 11)[0])  # at about (9.6, 0.4)
+    beside = replace(search, partner_x=search.x - 4.0)
+    line = tours.Tour(x=jnp.full((1, K), 8.0), y=jnp.zeros((1, K)))
+    zero, reach = jnp.float32(0.0), jnp.float32(RANGE)
+    alone = tours.latency(line, search, zero, zero, reach, AREA)
+    paired = tours.latency(line, beside, zero, zero, reach, AREA)
+    np.testing.assert_allclose(alone - paired, [4.0], atol=1e-3)
+
+
+def test_partner_is_where_the_relation_has_it() -> None:
+    """Figures 2 m behind their landmarks: the partner of a cell lies 2 m nearer to the viewer."""
+    places = np.random.default_rng(3).uniform([4.0, -3.0], [9.0, 3.0], (P, 2))
+    belief = believe(places, is_hung=False)
+    particles = belief.particles
+    range_ = np.hypot(*places.T)
+    nearer = places * ((range_ - 2.0) / range_)[:, None]
+    particles = replace(
+        particles,
+        is_mentioned=particles.is_mentioned.at[1].set(True),
+        hypothesis_x=particles.hypothesis_x.at[1].set(jnp.asarray(nearer[:, 0], jnp.float32)),
+        hypothesis_y=particles.hypothesis_y.at[1].set(jnp.asarray(nearer[:, 1], jnp.float32)),
+        root=particles.root.at[1].set(NONE),
+    )
+    search = SEARCH_MAP(replace(belief, particles=particles), jnp.float32(0.0))
+    before = np.hypot(search.x, search.y) - np.hypot(search.partner_x, search.partner_y)
+    far = np.hypot(search.x, search.y) > 2.1
+    np.testing.assert_allclose(before[far], 2.0, atol=1e-3)
+    alone = SEARCH_MAP(belief, jnp.float32(0.0))
+    np.testing.assert_allclose(alone.partner_x, alone.x, atol=1e-5)
+
+
+def plan(search: SearchMap, tour: tours.Tour, seed: int = 0, x: float = 1.0) -> tours.Plan:
+    zero = jnp.float32(0.0)
+    return PLAN(jax.random.key(seed), tour, search, jnp.float32(x), zero, jnp.float32(RANGE), AREA)
+
+
+def test_a_plan_is_never_worse_than_the_tour_under_way() -> None:
+    search = search_of(np.random.default_rng(4).dirichlet(np.full(CELLS**2, 0.2)))
+    tour, last = tours.no_tour(jnp.float32(1.0), jnp.float32(0.0)), np.inf
+    costs = []
+    for seed in range(25):
+        now = plan(search, tour, seed)
+        costs.append(float(jnp.min(now.latency)))
+        assert costs[-1] <= last + 1e-4
+        tour, last = tours.take(now, -now.latency), costs[-1]
+    greedy = tours.greedy(search, jnp.float32(1.0), jnp.float32(0.0), jnp.float32(RANGE), AREA)
+    drafted = tours.latency(
+        greedy, search, jnp.float32(1.0), jnp.float32(0.0), jnp.float32(RANGE), AREA
+    )
+    assert costs[0] <= float(jnp.min(drafted)) + 1e-4
+    assert costs[-1] < 0.97 * float(jnp.min(drafted))
+
+
+def test_mass_in_one_corner_is_gone_to() -> None:
+    mass = np.zeros((CELLS, CELLS))
+    mass[-2:, -2:] = 0.25
+    now = plan(search_of(np.zeros(CELLS**2), mass.reshape(-1)), tours.no_tour(*jnp.zeros(2)))
+    best = tours.take(now, -now.latency)
+    first, _ = tours.first_sight(
+        tours.Tour(x=best.x[None], y=best.y[None]),
+        jnp.array([9.2]), jnp.array([4.2]), jnp.float32(1.0), jnp.float32(0.0), jnp.float32(RANGE),
+    )  # fmt: skip
+    assert float(first[0, 0]) < np.hypot(8.2, 4.2) - RANGE + 1.0
+
+
+def test_changes_stay_in_the_area_and_are_changes() -> None:
+    search = search_of(np.full(CELLS**2, CELLS**-2.0))
+    one = jax.tree.map(lambda leaf: leaf[0], random_tours(1))
+    for seed in range(20):
+        new = tours.change(jax.random.key(seed), one, search, AREA)
+        x, y = np.asarray(new.x), np.asarray(new.y)
+        assert x.shape == (tours.NUM_CHANGES, K)
+        for low, value, high in ((0, x, 10), (-5, y, 5)):
+            assert ((value >= low) & (value <= high)).all()
+        # Moves touch one stop; a reversal keeps them all.
+        assert ((x[:2] != np.asarray(one.x)).sum(1) <= 1).all()
+        np.testing.assert_allclose(np.sort(x[3]), np.sort(one.x))
+        assert (x[2] != np.asarray(one.x)).any()
+
+
+@pytest.mark.parametrize(("rival", "stops"), [(0.3, False), (0.02, True)])
+def test_a_goal_with_unseen_rivals_is_not_settled(rival: float, stops: bool) -> None:
+    """Informed, in reach of a confirmed goal: it looks on while rivals beside things seen are."""
+    search = search_of(np.full(CELLS**2, 0.05 / CELLS**2), np.eye(1, CELLS**2, 30)[0] * rival)
+    now = plan(search, tours.no_tour(jnp.float32(1.0), jnp.float32(0.0)))
+    number = now.latency.shape[0]
+    one = jnp.array([0.9], jnp.float32)
+    choice = jax.jit(policy.choose, static_argnames="config")(
+        by_hand.begin(config=CONFIG),
+        Nodes(
+            x=jnp.append(now.tours.x[:, 0], 1.5),
+            y=jnp.append(now.tours.y[:, 0], 0.0),
+            is_node=jnp.ones(number + 1, bool),
+            kind=jnp.array([FRONTIER] * number + [OBJECT], jnp.int32),
+        ),
+        Goals(
+            object_x=jnp.array([1.5]), object_y=jnp.zeros(1), object_mass=one,
+            object_accepted=one, object_confirmed=one, is_object=jnp.ones(1, bool),
+            hypothesis_x=jnp.zeros(1), hypothesis_y=jnp.zeros(1), hypothesis_mass=jnp.zeros(1),
+        ),
+        jnp.float32(1.0), jnp.float32(0.0), policy.no_commitment(), jnp.asarray(False),
+        jnp.float32(0.0), jnp.float32(RANGE), jnp.zeros(number + 1),
+        params=default_planner_params(), config=PlannerConfig(policy="informed"), plan=now,
+    )  # fmt: skip
+    assert bool(choice.is_stop) is stops
+    assert (float(choice.goal_value[-1]) > 1.0) is stops
+    value = np.asarray(choice.value)
+    parts = np.asarray(choice.goal_value + choice.information_value - choice.cost)
+    np.testing.assert_allclose(value[np.isfinite(value)], parts[np.isfinite(value)], atol=1e-6)
+    if not stops:
+        best = int(np.argmax(value))
+        assert best < number
+        np.testing.assert_allclose(
+            [choice.waypoint_x, choice.waypoint_y], [now.tours.x[best, 0], now.tours.y[best, 0]]
+        )
+
+
+def test_prior_is_relative_to_uniform_and_can_be_left_out() -> None:
+    belief = by_hand.begin(config=CONFIG)
+    steps = (np.arange(80) + 0.5) / 80 * 10.0
+    x, y = (jnp.asarray(one, jnp.float32) for one in (np.tile(steps, 80), np.repeat(steps - 5, 80)))
+    viewer = jnp.zeros(3)
+
+    def density(share: float):
+        return np.asarray(prior.relative_density(belief.coverage, viewer, x, y, jnp.float32(share)))
+
+    np.testing.assert_allclose(density(0.0), 1.0)
+    trusted = density(1.0)
+    assert trusted.max() > 2.0
+    np.testing.assert_allclose(density(0.5), 0.5 * trusted + 0.5, rtol=1e-5)
+    # Behind the viewer nothing was ever learned.
+    turned = prior.relative_density(
+        belief.coverage, jnp.array([0.0, 0.0, np.pi]), x, y, jnp.float32(1.0)
+    )
+    assert float(jnp.max(turned)) == 0.0
+
+
+def test_the_shipped_table_is_what_training_worlds_teach() -> None:
+    learned = learn(training_worlds(60))
+    shipped = prior.table()
+    assert learned.shape == shipped.shape
+    assert np.corrcoef(learned.ravel(), shipped.ravel())[0, 1] > 0.97
+
+
+def test_free_hypotheses_follow_the_prior() -> None:
+    belief = believe(random_places(), is_hung=False)
+    search = SEARCH_MAP(belief, jnp.float32(1.0))
+    expected = np.asarray(
+        prior.relative_density(belief.coverage, belief.viewer, search.x, search.y, jnp.float32(1.0))
+    )
+    np.testing.assert_allclose(search.free, expected / expected.sum(), rtol=1e-4)
+    assert float(jnp.sum(search.hung)) == 0.0

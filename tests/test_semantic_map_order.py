@@ -1,0 +1,118 @@
+"""Orders and sides ("the second cone", "on your left"): weights by hand, and limits."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxlangnav.messages import BEHIND, FAR, FRONT, LEFT, NEAR, NONE, RIGHT
+from jaxlangnav.relations import robot_frame
+from jaxlangnav.semantic_map.order import SIDE_CONCENTRATION, Order, is_on_side, log_side
+
+CONES = np.array([[4.0, 3.0], [7.0, -3.0], [10.0, 4.0], [0.0, 0.0]], np.float32)
+"""Ranges 5, 7.6, 10.8; the third is the leftmost, the second the rightmost; an empty slot."""
+LOG_NEW = np.log(0.25, dtype=np.float32)
+
+
+def order(relation: int, rank: int, *, known=(0, 1, 2), sides=(), unseen=((20.0, 0.0),) * 2):
+    return Order(
+        relation=jnp.int32(relation),
+        rank=jnp.int32(rank),
+        viewer_x=jnp.float32(0.0),
+        viewer_y=jnp.float32(0.0),
+        robot=robot_frame(jnp.float32(0.0)),
+        sides=jnp.array([*sides, *[NONE] * (3 - len(sides))], jnp.int32),
+        rival_x=CONES[:, 0],
+        rival_y=CONES[:, 1],
+        is_rival=jnp.isin(jnp.arange(4), jnp.array(known)),
+        unseen_x=jnp.array([x for x, _ in unseen], jnp.float32),
+        unseen_y=jnp.array([y for _, y in unseen], jnp.float32),
+        log_new=jnp.float32(LOG_NEW),
+        softness=jnp.float32(0.3),
+    )
+
+
+def weigh(one: Order, places=CONES) -> np.ndarray:
+    zero = jnp.zeros(len(places), jnp.float32)
+    return np.asarray(one(jnp.asarray(places[:, 0]), jnp.asarray(places[:, 1]), zero, zero))
+
+
+@pytest.mark.parametrize(
+    ("relation", "rank", "sides", "best"),
+    [
+        (NEAR, 1, (), 0),
+        (NEAR, 2, (), 1),
+        (NEAR, 3, (), 2),
+        (FAR, 1, (), 2),
+        (FAR, 2, (), 1),
+        (LEFT, 1, (), 2),
+        (RIGHT, 1, (), 1),
+        (NEAR, 2, (LEFT,), 2),
+        (NEAR, 2, (LEFT, FRONT), 2),
+    ],
+)
+def test_the_one_of_its_rank_is_free_of_charge(relation, rank, sides, best):
+    weights = weigh(order(relation, rank, sides=sides))[:3]
+    assert weights[best] == 0.0
+    assert (np.delete(weights, best) < -1.3).all()
+
+
+def test_no_order_weighs_nothing():
+    np.testing.assert_array_equal(weigh(order(NEAR, 0)), 0.0)
+
+
+def test_what_comes_before_may_be_unseen():
+    """One cone seen at 5 m: the second is another one, or one nearer is unseen."""
+    nearer, farther = (2.0, 0.0), (20.0, 0.0)
+    for unseen, share in (((nearer, farther), 0.5), ((nearer, nearer), 1.0)):
+        one = order(NEAR, 2, known=(0,), unseen=unseen)
+        np.testing.assert_allclose(weigh(one)[0], LOG_NEW + np.log(share), rtol=1e-5)
+    third = order(NEAR, 3, known=(0,), unseen=(nearer, nearer))
+    np.testing.assert_allclose(weigh(third)[0], 2 * LOG_NEW, rtol=1e-5)
+
+
+def test_a_superlative_speaks_of_several():
+    """One cone seen: it is the nearest of several only if another one is farther."""
+    farther, nearer = ((20.0, 0.0),) * 2, ((2.0, 0.0),) * 2
+    np.testing.assert_allclose(
+        weigh(order(NEAR, 1, known=(0,), unseen=farther))[0], LOG_NEW, rtol=1e-5
+    )
+    for one in (
+        order(NEAR, 1, known=(0,), unseen=nearer),
+        order(FAR, 1, known=(0,), unseen=farther),
+    ):
+        np.testing.assert_allclose(weigh(one)[0], LOG_NEW + np.log(0.1), rtol=1e-5)
+
+
+def test_the_only_one_on_a_side_is_still_the_best_there():
+    weights = weigh(order(NEAR, 1, sides=(RIGHT,)))[:3]
+    assert weights.argmax() == 1
+    assert (np.delete(weights, 1) < weights[1] - 2.0).all()
+
+
+def test_a_side_is_normalised_over_directions():
+    angle = np.linspace(0.0, 2 * np.pi, 720, endpoint=False, dtype=np.float32)
+    weight = np.exp(np.asarray(log_side(jnp.cos(angle))))
+    np.testing.assert_allclose(weight.mean(), 1.0, rtol=1e-3)
+    np.testing.assert_allclose(np.log(weight[0] / weight[360]), 2 * SIDE_CONCENTRATION, rtol=1e-3)
+
+
+@pytest.mark.parametrize("heading", [0.0, 2.0])
+def test_sides_turn_with_the_robot(heading):
+    turn = np.array([[np.cos(heading), -np.sin(heading)], [np.sin(heading), np.cos(heading)]])
+    frame = robot_frame(jnp.float32(heading))
+    for relation, offset in (
+        (FRONT, (2, 1)), (BEHIND, (-2, 1)), (LEFT, (1, 2)), (RIGHT, (1, -2)),
+    ):  # fmt: skip
+        x, y = jnp.asarray(turn @ np.array(offset), jnp.float32)
+        assert is_on_side(jnp.int32(relation), x, y, frame)
+        assert not is_on_side(jnp.int32(relation), -x, -y, frame)
+        assert is_on_side(jnp.int32(NONE), x, y, frame)
+
+
+def test_gradients_are_finite():
+    def total(places):
+        zero = jnp.zeros(4)
+        return jnp.sum(order(NEAR, 2)(places[:, 0], places[:, 1], zero, zero)[:3])
+
+    assert np.isfinite(np.asarray(jax.grad(total)(jnp.asarray(CONES)))).all()
