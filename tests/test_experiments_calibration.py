@@ -7,33 +7,68 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxlangnav.experiments.calibration import BANDWIDTH, NUM_BINS, Tally, goal_region, scores
+from jaxlangnav.experiments.calibration import (
+    NUM_BINS,
+    STAGES,
+    Reliability,
+    Tally,
+    reliability,
+    scores,
+)
+from jaxlangnav.experiments.goal_region import BANDWIDTH, GoalDensity, goal_region
+from jaxlangnav.pytree import replace
+
+S = len(STAGES)
 
 
 def tally(**changes: Any) -> Tally:
+    """Two episodes, four steps in the first stage and six in the second."""
+
+    def by_stage(first: float, second: float) -> np.ndarray:
+        leaf = np.zeros((2, S))
+        leaf[0, 0], leaf[1, 1] = first, second
+        return leaf
+
+    bins = np.zeros((2, S, NUM_BINS))
+    none = Reliability(events=bins, probability=bins, outcome=bins, squared_error=np.zeros((2, S)))
     leaves: dict[str, Any] = {
-        "steps": np.array([4.0, 6.0]),
-        "covered": np.array([4.0, 5.0]),
-        "negative_log_likelihood": np.array([8.0, 12.0]),
-        "squared_error": np.array([0.5, 0.5]),
-        "bin_events": np.zeros((2, NUM_BINS)),
-        "bin_probability": np.zeros((2, NUM_BINS)),
-        "bin_outcome": np.zeros((2, NUM_BINS)),
+        "steps": by_stage(4.0, 6.0),
+        "covered": by_stage(4.0, 5.0),
+        "rank": np.zeros((2, S, NUM_BINS)),
+        "negative_log_likelihood": by_stage(8.0, 12.0),
+        "planner": none,
+        "map": none,
     }
     return Tally(**(leaves | changes))
 
 
 def test_scores_by_hand() -> None:
-    events, probability, outcome = np.zeros((3, 2, NUM_BINS))
-    events[0, 9], probability[0, 9], outcome[0, 9] = 4, 3.8, 3.0
-    events[1, 9], probability[1, 9], outcome[1, 9] = 4, 3.8, 4.0
-    events[1, 2], probability[1, 2], outcome[1, 2] = 2, 0.5, 1.0
-    found = scores(tally(bin_events=events, bin_probability=probability, bin_outcome=outcome))
+    events, probability, outcome = np.zeros((3, 2, S, NUM_BINS))
+    events[0, 0, 9], probability[0, 0, 9], outcome[0, 0, 9] = 4, 3.8, 3.0
+    events[1, 1, 9], probability[1, 1, 9], outcome[1, 1, 9] = 4, 3.8, 4.0
+    events[1, 1, 2], probability[1, 1, 2], outcome[1, 1, 2] = 2, 0.5, 1.0
+    squared = np.zeros((2, S))
+    squared[0, 0], squared[1, 1] = 0.4, 0.6
+    planner = Reliability(
+        events=events, probability=probability, outcome=outcome, squared_error=squared
+    )
+    found = scores(tally(planner=planner))
     # |7.6 − 7| + |0.5 − 1| over ten events.
     assert found["ece"] == pytest.approx(0.11)
     assert found["brier"] == pytest.approx(0.1)
     assert found["coverage90"] == pytest.approx(90.0)
     assert found["nll"] == pytest.approx(2.0)
+    assert found["ece_map"] is None
+    # Bin 9 has gaps of 0.8 and −0.2 in its two episodes, bin 2 one of −0.5.
+    floor = np.sqrt(2 / np.pi) * (np.sqrt(0.8**2 + 0.2**2) + 0.5) / 10
+    assert found["ece_floor"] == pytest.approx(floor)
+    # Covered 4 of 4 and 5 of 6 where 90 % are: residuals 0.4 and −0.4 over ten steps.
+    assert found["coverage90_se"] == pytest.approx(100 * np.sqrt(0.32) / 10)
+    first = scores(tally(planner=planner), stage=0)
+    # The first stage alone: four events, 3.8 believed and 3 happened.
+    assert first["ece"] == pytest.approx(0.2)
+    assert first["coverage90"] == pytest.approx(100.0)
+    assert first["calibration_steps"] == 4.0
 
 
 def test_nothing_seen_has_no_score() -> None:
@@ -42,42 +77,98 @@ def test_nothing_seen_has_no_score() -> None:
     assert found["brier"] is None
 
 
-def region(points: np.ndarray, mass: np.ndarray, is_atom: np.ndarray, truth: np.ndarray) -> Any:
-    inputs = (points[:, 0], points[:, 1], mass, is_atom, truth[0], truth[1])
-    return goal_region(*(jnp.asarray(one) for one in inputs))
+def test_events_go_into_the_bin_of_their_probability() -> None:
+    probability = jnp.array([0.05, 0.55, 0.58, 1.0, 0.3])
+    outcome = jnp.array([0.0, 1.0, 0.0, 1.0, 1.0])
+    found = reliability(probability, outcome, jnp.array([True, True, True, True, False]))
+    assert found.events.tolist() == [1, 0, 0, 0, 0, 2, 0, 0, 0, 1]
+    assert found.outcome.tolist() == [0, 0, 0, 0, 0, 1, 0, 0, 0, 1]
+    np.testing.assert_allclose(found.probability[5], 1.13, rtol=1e-6)
+    expected = 0.05**2 + 0.45**2 + 0.58**2
+    np.testing.assert_allclose(found.squared_error, expected, rtol=1e-6)
 
 
-def test_an_atom_holds_its_probability() -> None:
-    points = np.array([[0.0, 0.0], [9.0, 0.0], [0.0, 9.0]], np.float32)
-    mass = np.array([0.7, 0.25, 0.05], np.float32)
-    atoms = np.ones(3, bool)
-    inside = [bool(region(points, mass, atoms, place)[0]) for place in points]
-    # The two likeliest hold 95 %: the third is what is left out.
-    assert inside == [True, True, False]
-    log_density = region(points, mass, atoms, points[0])[1]
-    assert log_density == pytest.approx(np.log(0.7 / (2 * np.pi * BANDWIDTH**2)), abs=1e-4)
+def density(**changes: Any) -> GoalDensity:
+    """One seen object of probability 0.7, sd 0.2 m, and 64 hypotheses far from it."""
+    leaves: dict[str, Any] = {
+        "object_x": jnp.array([0.0, 30.0]),
+        "object_y": jnp.zeros(2),
+        "object_mass": jnp.array([0.7, 0.0]),
+        "object_variance": jnp.array([0.04, 0.04]),
+        "hypothesis_x": 60.0 + jnp.arange(64.0),
+        "hypothesis_y": jnp.zeros(64),
+        "hypothesis_mass": jnp.full(64, 0.3 / 64),
+    }
+    return replace(GoalDensity(**leaves), **changes)
 
 
-def test_the_region_is_calibrated_for_a_truth_of_the_same_law() -> None:
+RANK = jax.jit(goal_region)
+
+
+def test_rank_within_a_seen_object_is_that_of_its_gaussian() -> None:
+    """At radius r the share of a Gaussian that is denser is 1 − exp(−r² / 2s)."""
+    for radius in (0.0, 0.1, 0.25, 0.5):
+        below, log_density = RANK(density(), jnp.float32(radius), jnp.float32(0.0))
+        assert float(below) == pytest.approx(0.7 * (1 - np.exp(-(radius**2) / 0.08)), abs=1e-4)
+        peak = np.log(0.7 / (2 * np.pi * 0.04))
+        assert float(log_density) == pytest.approx(peak - radius**2 / 0.08, abs=1e-3)
+
+
+def test_a_truth_where_nothing_is_believed_ranks_last() -> None:
+    below, log_density = RANK(density(), jnp.float32(-40.0), jnp.float32(0.0))
+    assert float(below) == pytest.approx(1.0, abs=1e-4)
+    assert float(log_density) == pytest.approx(np.log(1e-12), abs=1e-3)
+
+
+def test_copies_of_a_hypothesis_do_not_make_it_denser_at_its_own_place() -> None:
+    """Copies that resampling makes are one draw: 60 copies at one place, 4 about the truth."""
+    x = jnp.concatenate([jnp.zeros(60), jnp.array([8.0, 8.5, 9.0, 9.5])])
+    crowd = density(object_mass=jnp.zeros(2), hypothesis_x=x, hypothesis_mass=jnp.full(64, 1 / 64))
+    below, _ = RANK(crowd, jnp.float32(8.7), jnp.float32(0.0))
+    # Only those at 8.5 and 9 may count as likelier; the crowd has no density but its own.
+    assert float(below) <= 3 / 64
+
+
+def ranks(scale: float, seed: int) -> np.ndarray:
+    """Rank truths of a mixed law: half the time a seen object, half the time a wide law."""
+
     def one(key: jax.Array) -> jax.Array:
-        places = jax.random.normal(key, (65, 2)) * jnp.array([[6.0, 2.0]])
-        mass, atoms = jnp.full(64, 1 / 64), jnp.zeros(64, bool)
-        x, y = places[:64, 0], places[:64, 1]
-        return goal_region(x, y, mass, atoms, places[64, 0], places[64, 1])[0]
+        place_key, lot_key, near_key = jax.random.split(key, 3)
+        places = jax.random.normal(place_key, (65, 2)) * jnp.array([[6.0, 2.0]])
+        near = jnp.array([20.0, 0.0]) + 0.3 * jax.random.normal(near_key, (2,))
+        truth = jnp.where(jax.random.bernoulli(lot_key), near, places[64])
+        belief = density(
+            object_x=jnp.array([20.0, 0.0]),
+            object_mass=jnp.array([0.5, 0.0]),
+            object_variance=jnp.array([(0.3 * scale) ** 2, 1.0]),
+            hypothesis_x=places[:64, 0] * scale,
+            hypothesis_y=places[:64, 1] * scale,
+            hypothesis_mass=jnp.full(64, 0.5 / 64),
+        )
+        return goal_region(belief, truth[0], truth[1])[0]
 
-    number = 4000
-    inside = np.asarray(jax.vmap(one)(jax.random.split(jax.random.key(0), number)))
-    # Of 65 places alike, the 59 densest (90 % of 64, and the truth's own rank) count as inside.
-    expected = 58.5 / 65
-    assert abs(inside.mean() - expected) < 5 * np.sqrt(0.09 / number) + 1 / 130
+    return np.asarray(jax.jit(jax.vmap(one))(jax.random.split(jax.random.key(seed), 4000)))
+
+
+def test_ranks_are_uniform_for_a_truth_of_the_same_law() -> None:
+    found = ranks(1.0, 0)
+    count = np.histogram(found, bins=10, range=(0, 1 + 1e-6))[0]
+    # 5 standard errors, and one part in 65 for the step of a rank among 64 draws.
+    assert (np.abs(count / 4000 - 0.1) < 5 * np.sqrt(0.09 / 4000) + 1 / 130).all(), count
+    assert abs((found <= 0.9).mean() - 0.9) < 5 * np.sqrt(0.09 / 4000) + 1 / 130
 
 
 def test_a_belief_that_is_too_sure_is_found_out() -> None:
-    def one(key: jax.Array) -> jax.Array:
-        places = jax.random.normal(key, (65, 2)) * 6.0
-        mass, atoms = jnp.full(64, 1 / 64), jnp.zeros(64, bool)
-        x, y = 0.4 * places[:64, 0], 0.4 * places[:64, 1]
-        return goal_region(x, y, mass, atoms, places[64, 0], places[64, 1])[0]
+    assert (ranks(0.4, 1) <= 0.9).mean() < 0.6
 
-    inside = np.asarray(jax.vmap(one)(jax.random.split(jax.random.key(1), 500)))
-    assert inside.mean() < 0.6
+
+def test_a_belief_that_is_not_sure_enough_is_found_out() -> None:
+    assert (ranks(2.5, 2) <= 0.9).mean() > 0.96
+
+
+def test_kernel_bandwidth_is_that_of_the_density() -> None:
+    lone = density(
+        object_mass=jnp.zeros(2), hypothesis_x=jnp.zeros(64), hypothesis_mass=jnp.ones(64)
+    )
+    _, log_density = RANK(lone, jnp.float32(0.0), jnp.float32(0.0))
+    assert float(log_density) == pytest.approx(-np.log(2 * np.pi * BANDWIDTH**2), abs=1e-5)

@@ -1,4 +1,4 @@
-"""The compile clock counts overlapping compilations once, and nothing when nothing compiles."""
+"""Compilation is counted once, and does not happen anew for other numbers of the same kind."""
 
 import time
 
@@ -6,7 +6,13 @@ import jax
 import jax.numpy as jnp
 import pytest
 
+from jaxlangnav import episode
 from jaxlangnav.experiments.compilation import CompileClock, union_length
+from jaxlangnav.experiments.monte_carlo import cell, make_tasks
+from jaxlangnav.experiments.policies import navigator_config
+from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
+from jaxlangnav.navigator import default_params
+from jaxlangnav.pytree import replace, strong
 
 
 @pytest.mark.parametrize(
@@ -35,3 +41,34 @@ def test_the_clock_counts_compilation_and_not_running() -> None:
         cube(jnp.arange(3.0)).block_until_ready()
     assert 0.0 < first.seconds <= passed
     assert second.seconds < first.seconds
+
+
+def test_strong_keeps_values_and_keys() -> None:
+    tree = {"plain": 0.5, "weak": jnp.full(3, 2.0), "count": 7, "key": jax.random.key(1)}
+    found = strong(tree)
+    assert jnp.full(3, 2.0).weak_type
+    assert not any(jax.typeof(leaf).weak_type for leaf in jax.tree.leaves(found))
+    assert (found["plain"].dtype, found["count"].dtype) == (jnp.float32, jnp.int32)
+    assert found["weak"].tolist() == [2.0, 2.0, 2.0]
+    assert jax.random.key_data(found["key"]).tolist() == [0, 1]
+
+
+def test_weak_types_do_not_compile_a_batch_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = []
+    monkeypatch.setattr(
+        episode,
+        "_run_batch",
+        lambda *arrays, params, count, **sizes: seen.append(
+            [jax.typeof(leaf) for leaf in jax.tree.leaves((arrays, params, count))]
+        ),
+    )
+    tasks = make_tasks(cell("1H1C", "null", 0, 3.0, 4, 0))
+    instructions = ground_sentences([SENTENCES["null"]]).instructions
+    weak = replace(tasks, sensor=replace(tasks.sensor, range_max=jnp.full(4, 2.0)))
+    params = default_params()
+    other = replace(params, planner=replace(params.planner, discount=0.7))
+    for own, numbers, count in ((tasks, params, None), (weak, other, 3)):
+        episode.run_batch(
+            own, instructions, params=numbers, config=navigator_config("informed"), count=count
+        )
+    assert seen[0] == seen[1]

@@ -2,9 +2,18 @@
 
 import numpy as np
 import pytest
+from grounding_fixture import TYPES, corpus
 
-from jaxlangnav.experiments.table1 import draw_splits, evaluate, render, summarise
-from jaxlangnav.grounding.evaluation import Scores
+from jaxlangnav.experiments.splits import draw_splits, mark_new_words
+from jaxlangnav.experiments.table1 import evaluate, render, summarise
+from jaxlangnav.grounding import load_shipped
+from jaxlangnav.grounding.evaluation import (
+    Scores,
+    score_annotations,
+    score_annotations_exactly,
+    score_behaviors,
+    score_behaviors_exactly,
+)
 
 
 def test_a_third_is_held_out_and_splits_differ():
@@ -12,6 +21,18 @@ def test_a_third_is_held_out_and_splits_differ():
     assert (held_out.sum(1) == 13).all()
     assert len({row.tobytes() for row in held_out}) == 20
     np.testing.assert_array_equal(held_out, draw_splits(39, 20, seed=0))
+
+
+def test_new_words_are_those_of_no_training_sentence():
+    instructions = corpus(
+        num_worlds=0,
+        sentences=("go to the box", "find the box", "go to the cone", "find the boxes"),
+    )
+    # Without the first and the third nobody has said "go" or "cone"; "boxes" is the lemma "box".
+    marked = mark_new_words(instructions, np.array([True, False, True, False]))
+    assert marked.tolist() == [True, True]
+    marked = mark_new_words(instructions, np.array([True, False, False, True]))
+    assert marked.tolist() == [False, False]
 
 
 def test_interval_by_hand():
@@ -34,10 +55,29 @@ def test_bad_requests_are_refused(arguments, words):
         evaluate(**arguments)
 
 
+def test_exact_scores_are_those_of_the_beam_where_both_are_sure():
+    model = load_shipped()
+    instructions = corpus(
+        num_worlds=2,
+        sentences=("go to the box near the tree", "find the car", "go to the other box"),
+    )
+    beam = score_annotations(instructions, model.annotation, TYPES)
+    exact = score_annotations_exactly(instructions, model.annotation, TYPES)
+    assert exact.is_proven.all()
+    np.testing.assert_array_equal(exact.is_right, beam.is_right)
+    both = model.annotation, model.behavior
+    beam = score_behaviors(instructions, *both, TYPES)
+    exact = score_behaviors_exactly(instructions, *both, TYPES)
+    assert exact.is_right.shape == (6,)
+    np.testing.assert_array_equal(exact.is_right, beam.is_right)
+    # Half of the probability in one set proves it.
+    assert exact.is_proven[beam.confidence > 0.5].all()
+
+
 @pytest.mark.slow
 def test_protocol_end_to_end():
     done = []
-    document = evaluate(splits=4, beams=(4, 1), on_progress=done.append)
+    document = evaluate(splits=4, beams=(4, 1), is_exact=True, on_progress=done.append)
     assert done == [1] * 4
     for name in ("annotation", "behavior"):
         row = document[name]
@@ -45,7 +85,16 @@ def test_protocol_end_to_end():
         assert row["accuracy_mean"] >= 80.0
         assert row["train_s"] < 20.0
         assert {"accuracy_ci95", "train_compile_s", "infer_s", "examples", "features"} <= set(row)
-        assert set(row["beams"]) == {"4", "1"}
+        assert set(row["beams"]) == {"4", "1", "exact"}
+        assert row["beams"]["4"]["accuracy_mean"] == row["accuracy_mean"]
+        assert 0.0 <= row["new_words"]["accuracy_mean"] <= 100.0
+        # A third of the corpus has a word that occurs once: it is held out as often as not.
+        assert 0.2 < row["new_words"]["share"] < 0.6
+        # A beam may miss the likeliest set, and where it is found nothing changes.
+        assert row["beams"]["exact"]["proven"] >= 0.95
+        assert row["beams"]["exact"]["accuracy_mean"] == pytest.approx(
+            row["accuracy_mean"], abs=5.0
+        )
     # The size of the paper's training set: 83,547 examples.
     assert 70_000 < document["annotation"]["examples"] < 100_000
-    assert render(document).row_count == 8
+    assert render(document).row_count == 11

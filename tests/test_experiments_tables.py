@@ -98,7 +98,7 @@ def test_deviations_by_hand() -> None:
 
 def test_the_terminal_table_fits_and_says_the_noise() -> None:
     console = Console(width=118, record=True, file=io.StringIO())
-    console.print(table2.render(document(row(), row(policy="known"))))
+    console.print(table2.EXPERIMENT.render(document(row(), row(policy="known"))))
     text = console.export_text()
     assert max(map(len, text.splitlines())) <= 118
     assert "…" not in text
@@ -132,7 +132,7 @@ def test_an_experiment_and_its_files(tmp_path: Path) -> None:
         RowSpec(world="1H1C", range=3.0, relation="null"),
         RowSpec(world="2H1C", range=5.0, relation="nearest"),
     )
-    experiment = Experiment(name="small", specs=specs, markdown=table2.markdown)
+    experiment = Experiment(name="small", title="Small", specs=specs)
     done: list[int] = []
     found = experiment.run(
         episodes=20,

@@ -19,6 +19,7 @@ import pyarrow.parquet as pq
 from jaxlangnav import __version__
 
 _LIBRARIES = ("jax", "jaxlib", "numpy", "optax", "pyarrow")
+_RESULTS = ("rows", "paper", "bounds", "wall_s", "compile_s", "files")
 
 
 def write_table(columns: Mapping[str, Any], path: Path) -> Path:
@@ -112,6 +113,37 @@ def write_manifest(document: Mapping[str, Any], path: Path) -> Path:
         The path.
     """
     return write_text(json.dumps(document, indent=2, ensure_ascii=False) + "\n", path)
+
+
+def write_experiment(
+    folder: Path,
+    name: str,
+    document: Mapping[str, Any],
+    columns: Mapping[str, Any],
+    text: str,
+    models: Any,
+) -> list[Path]:
+    """Write an experiment's files.
+
+    Args:
+        folder: where; made if it is not there.
+        name: of the experiment; every file's name begins with it.
+        document: what the experiment found; its settings go into the manifest.
+        columns: one entry per episode.
+        text: the Markdown table.
+        models: the trained weights, for their hash.
+
+    Returns:
+        The files' paths.
+    """
+    settings = {key: value for key, value in document.items() if key not in _RESULTS}
+    results = {key: value for key, value in document.items() if key != "files"}
+    return [
+        write_table(columns, folder / f"{name}_episodes.parquet"),
+        write_text(text, folder / f"{name}.md"),
+        write_manifest(results, folder / f"{name}.json"),
+        write_manifest(manifest(settings, models=models), folder / f"{name}_manifest.json"),
+    ]
 
 
 def pytree_hash(tree: Any) -> str:

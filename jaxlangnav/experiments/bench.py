@@ -2,10 +2,12 @@
 
 On a CPU costs are CPU seconds, all threads counted, so that other work on the machine disturbs
 them little; rates are by the clock on the wall. Every figure is the median of several repetitions
-after a first one that warms up; compilation is measured apart.
+after a first one that warms up, long ones excepted, which run once; compilation is measured apart.
 """
 
 import dataclasses
+import functools
+import itertools
 import statistics
 import time
 from collections.abc import Callable
@@ -17,8 +19,8 @@ import numpy as np
 from jax.experimental.compilation_cache import compilation_cache
 
 from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task, run, run_batch
-from jaxlangnav.experiments import numpy_twin
-from jaxlangnav.experiments.breakdown import shares
+from jaxlangnav.experiments import breakdown, numpy_twin, roofline
+from jaxlangnav.experiments.figure5 import RANGES
 from jaxlangnav.experiments.measuring import (
     POLICY,
     Entry,
@@ -35,22 +37,25 @@ from jaxlangnav.experiments.monte_carlo import (
     concatenate,
     make_tasks,
     run_tasks,
+    take_tasks,
     usable_cores,
 )
-from jaxlangnav.experiments.policies import navigator_config
+from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, navigator_config
 from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.navigator import NavigatorParams, default_params
 from jaxlangnav.pytree import replace
-from jaxlangnav.world.templates import TABLE_2
+from jaxlangnav.world.templates import TEMPLATE_NAMES
 
-__all__ = ["render", "run_bench"]
+__all__ = ["Bench", "render", "run_bench", "set_up", "stages"]
 
-MONTE_CARLO = 4 * 3 * 6 * 100
+MONTE_CARLO = len(TEMPLATE_NAMES) * len(SENTENCES) * len(RANGES) * 100
 """Episodes of the paper's simulations: templates, commands, ranges, runs."""
-_EPISODES = 256
-"""Episodes of one repetition on one core."""
-Tell = Callable[[str], None]
+_PATIENCE = 10.0
+"""Seconds after which a measurement is not repeated."""
+Tell = Callable[[str, int], None]
+Stage = tuple[str, Callable[[], list[Entry]]]
+"""What is measured, in words, and how."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -58,106 +63,159 @@ class Bench:
     """What all measurements share."""
 
     tasks: Task
-    """_EPISODES episodes of the rows of Table 2, mixed."""
+    """Episodes of the paper's grid, mixed; as many as the largest batch."""
     instructions: Instruction
     params: NavigatorParams
     repetitions: int
+    is_quick: bool
 
 
-def run_bench(*, is_quick: bool = False, on_progress: Tell | None = None) -> dict[str, Any]:
+def run_bench(bench: Bench, *, on_progress: Tell | None = None) -> dict[str, Any]:
     """Measure speed.
 
     Args:
-        is_quick: the default particle count only, fewer repetitions, no lane counts.
-        on_progress: called with what is being measured.
+        bench: of ``set_up``.
+        on_progress: called with what is measured next and how many stages have just ended.
 
     Returns:
         ``machine`` and ``entries``, each with ``name``, ``value``, ``unit``, ``baseline``,
         ``ratio``, ``target`` and ``holds``; None where there is no such thing.
     """
-    tell: Tell = (lambda what: None) if on_progress is None else on_progress
-    bench = _set_up(1 if is_quick else 3)
     machine = describe_machine()
     entries: list[Entry] = []
-    for particles in (64,) if is_quick else (64, 256, 1000):
-        tell(f"the full loop, {particles} particles")
-        entries += _full_loop(bench, particles)
-    tell("lanes without refilling")
-    entries.append(_refilling(bench, 1 if is_quick else 4))
-    if not is_quick:
-        for lanes in (1, 8, 128):
-            tell(f"{lanes} lanes")
-            entries.append(_lanes(bench, lanes))
-        tell("the parts of a cycle")
-        entries += shares(
-            bench.tasks,
-            bench.instructions,
-            params=bench.params,
-            repetitions=bench.repetitions,
-        )
-    tell("compilation")
-    entries += _compilation(bench)
+    for index, (name, work) in enumerate(stages(bench)):
+        if on_progress is not None:
+            on_progress(name, min(index, 1))
+        entries += work()
     return {"machine": machine, "entries": entries}
 
 
-def _set_up(repetitions: int) -> Bench:
-    """Draw the episodes that all measurements run."""
+def stages(bench: Bench) -> list[Stage]:
+    """List what is measured.
+
+    Args:
+        bench: what all measurements share.
+
+    Returns:
+        The stages, in order.
+    """
+    counts = (DEFAULT_PARTICLES,) if bench.is_quick else (64, 256, 1000)
+    loops = [
+        (f"the full loop, {count} particles", functools.partial(_full_loop, bench, count))
+        for count in counts
+    ]
+    return [
+        *loops,
+        ("lanes without refilling", lambda: [_refilling(bench)]),
+        ("the parts of a cycle and the machine's limits", lambda: _limits(bench)),
+        ("compilation", lambda: _compilation(bench)),
+    ]
+
+
+def set_up(*, is_quick: bool = False) -> Bench:
+    """Draw the episodes that all measurements run.
+
+    Args:
+        is_quick: the default particle count only, smaller batches, fewer repetitions.
+
+    Returns:
+        What all measurements share.
+    """
+    largest = 256 if is_quick else 512
+    grid = list(itertools.product(TEMPLATE_NAMES, SENTENCES, RANGES))
+    number = -(-largest // len(grid))
     order = list(SENTENCES)
-    number = -(-_EPISODES // len(TABLE_2))
-    tasks = concatenate(
-        [
-            make_tasks(
-                cell(row.world, row.relation, order.index(row.relation), row.range, number, 4242)
-            )
-            for row in TABLE_2
-        ]
-    )
-    shuffled = np.random.default_rng(0).permutation(number * len(TABLE_2))[:_EPISODES]
-    sentences = ground_sentences(list(SENTENCES.values()))
+    cells = [
+        cell(world, relation, order.index(relation), reach, number, 4242)
+        for world, relation, reach in grid
+    ]
+    mixed = np.random.default_rng(0).permutation(number * len(grid))[:largest]
     return Bench(
-        tasks=jax.tree.map(lambda leaf: leaf[shuffled], tasks),
-        instructions=sentences.instructions,
+        tasks=take_tasks(concatenate([make_tasks(one) for one in cells]), mixed),
+        instructions=ground_sentences(list(SENTENCES.values())).instructions,
         params=default_params(),
-        repetitions=repetitions,
+        repetitions=1 if is_quick else 3,
+        is_quick=is_quick,
     )
 
 
 def _full_loop(bench: Bench, particles: int) -> list[Entry]:
-    """Measure whole episodes, and one cycle against the NumPy twin."""
+    """Measure whole episodes by batch, and one cycle against the NumPy twin."""
+    largest = bench.tasks.instruction_index.shape[0]
+    entries: list[Entry] = []
+    _measure_batch(bench, particles, 1, repetitions=1)  # compiles the program of all batches
+    batch = _Batch(size=0, steps=1, cpu=0.0, wall=1.0)
+    for size in (largest,) if bench.is_quick else (1, 64, largest):
+        batch = _measure_batch(bench, particles, size, repetitions=bench.repetitions)
+        label = f"{particles} particles, batch {size}"
+        entries.append(entry(f"episodes, {label}", size / batch.wall, "1/s"))
+        entries.append(entry(f"an episode, {label}", 1e3 * batch.cpu / size, "ms CPU"))
+    if particles == DEFAULT_PARTICLES:
+        entries += _monte_carlo(batch)
+    return entries + _against_twin(1e3 * batch.cpu / batch.steps, particles)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _Batch:
+    """A batch as it was measured."""
+
+    size: int
+    """Episodes."""
+    steps: int
+    """Cycles of all of them."""
+    cpu: float
+    """Seconds."""
+    wall: float
+    """Seconds."""
+
+
+def _measure_batch(
+    bench: Bench, particles: int, size: int, *, repetitions: int, num_threads: int | None = None
+) -> _Batch:
+    """Run the first episodes of the bench through the program of every experiment."""
+    tasks = take_tasks(bench.tasks, np.arange(size))
     config = navigator_config(POLICY, particles)
-    # About the same work at every size: fewer episodes where a cycle costs more.
-    share = max(3, 2 * _EPISODES * 64 // particles // LANES) * LANES
-    number = share * usable_cores()
-    rounds = -(-number // _EPISODES)
-    many = concatenate([bench.tasks] * rounds)
-    many = jax.tree.map(lambda leaf: leaf[:number], many)
+    found: list[EpisodeResult] = []
 
-    def work() -> EpisodeResult:
-        return run_tasks(many, bench.instructions, params=bench.params, config=config)
+    def work() -> None:
+        found.append(
+            run_tasks(
+                tasks,
+                bench.instructions,
+                params=bench.params,
+                config=config,
+                num_threads=num_threads,
+            )
+        )
 
-    steps = int(np.sum(np.asarray(work().steps)))
-    cost = measure(work, bench.repetitions)
-    rate = number / cost.wall
-    ours = 1e3 * cost.cpu / steps
+    cost = measure(work, repetitions, patience=_PATIENCE)
+    return _Batch(size=size, steps=int(np.sum(found[0].steps)), cpu=cost.cpu, wall=cost.wall)
+
+
+def _monte_carlo(batch: _Batch) -> list[Entry]:
+    """Say how long the paper's whole Monte Carlo takes at the rate of a batch."""
+    name = f"the paper's {MONTE_CARLO} simulations"
+    wall = MONTE_CARLO * batch.wall / batch.size
+    alone = MONTE_CARLO * batch.cpu / batch.size / usable_cores()
+    return [
+        entry(f"{name}, at this rate", wall, "s", target=60.0, is_limit=True),
+        entry(f"{name}, CPU over threads", alone, "s", target=60.0, is_limit=True),
+        entry(f"{name}, CPU over threads, stretch", alone, "s", target=20.0, is_limit=True),
+    ]
+
+
+def _against_twin(ours: float, particles: int) -> list[Entry]:
+    """Set a cycle, ms CPU, against the NumPy twin's."""
     looping, vectorised = (
         1e3 * _twin_seconds(particles, is_looping=is_looping) for is_looping in (True, False)
     )
     label = f"{particles} particles"
-    entries = [
-        entry(f"episodes, {label}", rate, "1/s"),
+    return [
         entry(f"cycle against NumPy with loops over particles, {label}", ours, "ms CPU")
         | against(ours, looping, 150.0),
         entry(f"cycle against NumPy over all particles at once, {label}", ours, "ms CPU")
         | against(ours, vectorised, 3.0),
     ]
-    if particles == navigator_config(POLICY).map.num_particles:
-        name = f"the paper's {MONTE_CARLO} simulations, {label}"
-        alone = MONTE_CARLO * cost.cpu / number / usable_cores()
-        entries[1:1] = [
-            entry(f"{name}, at this rate", MONTE_CARLO / rate, "s", target=60.0, is_limit=True),
-            entry(f"{name}, CPU over threads", alone, "s", target=60.0, is_limit=True),
-        ]
-    return entries
 
 
 def _twin_seconds(particles: int, *, is_looping: bool, steps: int = 12) -> float:
@@ -181,57 +239,34 @@ def _twin_seconds(particles: int, *, is_looping: bool, steps: int = 12) -> float
     return statistics.median(costs)
 
 
-def _refilling(bench: Bench, times: int) -> Entry:
+def _refilling(bench: Bench) -> Entry:
     """Set refilled lanes against ``vmap`` of the loop over cycles, which waits for the slowest."""
-    tasks = concatenate([_again(bench.tasks, index) for index in range(times)])
-    number = times * _EPISODES
+    number = bench.tasks.instruction_index.shape[0]
     config = navigator_config(POLICY)
 
-    def refilled() -> EpisodeResult:
-        return run_batch(
-            tasks, bench.instructions, params=bench.params, config=config, num_lanes=LANES
-        )
-
-    @jax.jit
     def waiting(many: Task) -> EpisodeResult:
         def one(task: Task) -> EpisodeResult:
             return run(task, bench.instructions, params=bench.params, config=config)
 
         return jax.vmap(one)(many)
 
-    jax.block_until_ready((refilled(), waiting(tasks)))
-    ours = 1e3 * measure(refilled, bench.repetitions).cpu / number
-    theirs = 1e3 * measure(lambda: waiting(tasks), bench.repetitions).cpu / number
+    program = jax.jit(waiting).lower(bench.tasks).compile()
+    refilled = _measure_batch(
+        bench, DEFAULT_PARTICLES, number, repetitions=bench.repetitions, num_threads=1
+    )
+    ours = 1e3 * refilled.cpu / number
+    theirs = 1e3 * measure(lambda: program(bench.tasks), 1).cpu / number
     name = f"refilled lanes against vmap of the loop, {number} episodes"
     return entry(name, ours, "ms CPU an episode") | against(ours, theirs, 4.0)
 
 
-def _again(tasks: Task, index: int) -> Task:
-    """Repeat tasks with other noise; the first time they stay as they are."""
-    if not index:
-        return tasks
-    keys = jax.vmap(lambda key: jax.random.fold_in(key, index))(tasks.key)
-    return replace(tasks, key=keys)
-
-
-def _lanes(bench: Bench, lanes: int) -> Entry:
-    """Measure another number of lanes against the default one."""
-    config = navigator_config(POLICY)
-    number = min(_EPISODES, 32 * lanes)
-    tasks = jax.tree.map(lambda leaf: leaf[:number], bench.tasks)
-
-    def with_lanes(count: int) -> float:
-        def work() -> EpisodeResult:
-            return run_batch(
-                tasks, bench.instructions, params=bench.params, config=config, num_lanes=count
-            )
-
-        steps = int(np.sum(np.asarray(work().steps)))
-        return 1e3 * measure(work, bench.repetitions).cpu / steps
-
-    ours, theirs = with_lanes(LANES), with_lanes(lanes)
-    name = f"cycle in {LANES} lanes against {lanes}, {number} episodes"
-    return entry(name, ours, "ms CPU", baseline=theirs, ratio=theirs / ours)
+def _limits(bench: Bench) -> list[Entry]:
+    """Measure where a cycle's time goes, and how far it is from this machine's limits."""
+    parts = breakdown.measure_parts(
+        bench.tasks, bench.instructions, params=bench.params, repetitions=bench.repetitions
+    )
+    peaks = roofline.measure_peaks()
+    return breakdown.share_entries(parts) + roofline.distances(parts, peaks)
 
 
 def _compilation(bench: Bench) -> list[Entry]:
@@ -242,15 +277,11 @@ def _compilation(bench: Bench) -> list[Entry]:
         jax.config.update("jax_enable_compilation_cache", False)
         compilation_cache.reset_cache()
         begin, cpu = time.perf_counter(), time.process_time()
-        lowered = run_batch.lower(
-            bench.tasks,
-            bench.instructions,
-            params=bench.params,
-            config=config,
-            num_lanes=LANES,
-            # Another program than any that is kept in memory.
-            max_steps=MAX_STEPS - 1,
+        # Another program than any that is kept in memory.
+        program = functools.partial(
+            run_batch, config=config, num_lanes=LANES, max_steps=MAX_STEPS - 1
         )
+        lowered = jax.jit(program).lower(bench.tasks, bench.instructions, params=bench.params)
         traced = time.perf_counter() - begin
         lowered.compile()
         cold, cold_cpu = time.perf_counter() - begin, time.process_time() - cpu

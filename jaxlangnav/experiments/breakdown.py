@@ -1,5 +1,6 @@
 """Where a decision cycle's time goes: its parts compiled alone, on the same beliefs."""
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -21,6 +22,62 @@ _CALLS = 20
 """Calls of a part in one measurement."""
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Part:
+    """What a part of a cycle takes, for one lane."""
+
+    name: str
+    seconds: float
+    """CPU seconds."""
+    operations: float
+    """Floating-point operations, by XLA's own analysis; a loop's body counts once."""
+    memory: float
+    """Bytes that its operations read and write, by the same analysis."""
+
+    def without(self, other: "Part") -> "Part":
+        """Take off what belongs to another part."""
+        return Part(
+            name=self.name,
+            seconds=self.seconds - other.seconds,
+            operations=self.operations - other.operations,
+            memory=self.memory - other.memory,
+        )
+
+
+def measure_parts(
+    tasks: Task,
+    instructions: Instruction,
+    *,
+    params: NavigatorParams,
+    repetitions: int,
+) -> list[Part]:
+    """Measure a cycle and its parts in one batch of lanes.
+
+    Args:
+        tasks: leaves [E, …], at least as many as lanes.
+        instructions: leaves [I, …].
+        params: the navigator's numbers.
+        repetitions: how often; the medians count.
+
+    Returns:
+        The whole cycle, the sensor, the filter, behavior in every particle.
+    """
+    config = navigator_config(POLICY)
+    first = jax.tree.map(lambda leaf: leaf[:LANES], tasks)
+    progress = jax.vmap(lambda task: begin(task, instructions, config=config))(first)
+    cycle = _compile(lambda one: advance(one, params=params, config=config)[0], progress)
+    for _ in range(_STEPS):
+        progress = cycle(progress)
+    whole = _part("the cycle", cycle, progress, repetitions)
+    sensor = _part("the sensor", _compile(_look, progress), progress, repetitions)
+    # The filter's part has to look as well; the sensor has been counted already.
+    filtering = _compile(lambda one: _filter(one, params), progress)
+    filtered = _part("the filter", filtering, progress, repetitions).without(sensor)
+    inference = _compile(lambda one: navigator.infer_behaviors(one.navigator), progress)
+    inferred = _part("behavior in every particle", inference, progress, repetitions)
+    return [whole, sensor, filtered, inferred]
+
+
 def shares(
     tasks: Task, instructions: Instruction, *, params: NavigatorParams, repetitions: int
 ) -> list[Entry]:
@@ -36,29 +93,26 @@ def shares(
         One entry per part, its share of the whole cycle in percent; planner and motion are what
         is left over. Compiled alone a part may be slower than within the whole.
     """
-    config = navigator_config(POLICY)
-    first = jax.tree.map(lambda leaf: leaf[:LANES], tasks)
-    progress = jax.vmap(lambda task: begin(task, instructions, config=config))(first)
-    cycle = jax.jit(jax.vmap(lambda one: advance(one, params=params, config=config)[0]))
-    for _ in range(_STEPS):
-        progress = cycle(progress)
-    parts: dict[str, Callable[[Progress], Any]] = {
-        "the sensor": _look,
-        "the filter": lambda one: _filter(one, params),
-        "behavior in every particle": lambda one: navigator.infer_behaviors(one.navigator),
-    }
-    whole = _seconds(cycle, progress, repetitions)
-    entries = [entry("one cycle of one lane", 1e6 * whole / LANES, "µs CPU")]
-    rest = whole
-    for name, part in parts.items():
-        spent = _seconds(jax.jit(jax.vmap(part)), progress, repetitions)
-        # The filter's part has to look as well; the sensor has been counted already.
-        if name == "the filter":
-            spent -= whole - rest
-        rest -= spent
-        entries.append(entry(f"share of {name}", 100.0 * spent / whole, "%"))
-    entries.append(entry("share of planner, motion and the rest", 100.0 * rest / whole, "%"))
-    return entries
+    return share_entries(measure_parts(tasks, instructions, params=params, repetitions=repetitions))
+
+
+def share_entries(parts: list[Part]) -> list[Entry]:
+    """Turn measured parts into entries.
+
+    Args:
+        parts: of ``measure_parts``.
+
+    Returns:
+        As ``shares``.
+    """
+    whole, *inner = parts
+    entries = [entry("one cycle of one lane", 1e6 * whole.seconds, "µs CPU")]
+    rest = whole.seconds
+    for part in inner:
+        rest -= part.seconds
+        entries.append(entry(f"share of {part.name}", 100.0 * part.seconds / whole.seconds, "%"))
+    name = "share of planner, motion and the rest"
+    return [*entries, entry(name, 100.0 * rest / whole.seconds, "%")]
 
 
 def _look(progress: Progress) -> Any:
@@ -77,11 +131,22 @@ def _filter(progress: Progress, params: NavigatorParams) -> Any:
     )
 
 
-def _seconds(part: Callable[[Progress], Any], progress: Progress, repetitions: int) -> float:
-    """Time one call of a part on all lanes, CPU seconds."""
+def _compile(part: Callable[[Progress], Any], progress: Progress) -> Any:
+    """Compile a part for all lanes."""
+    return jax.jit(jax.vmap(part)).lower(progress).compile()
+
+
+def _part(name: str, part: Any, progress: Progress, repetitions: int) -> Part:
+    """Time one call of a part on all lanes, and ask XLA what it has to do."""
     jax.block_until_ready(part(progress))
 
     def calls() -> Any:
         return [part(progress) for _ in range(_CALLS)][-1]
 
-    return measure(calls, repetitions).cpu / _CALLS
+    analysis = part.cost_analysis() or {}
+    return Part(
+        name=name,
+        seconds=measure(calls, repetitions).cpu / _CALLS / LANES,
+        operations=float(analysis.get("flops", 0.0)) / LANES,
+        memory=float(analysis.get("bytes accessed", 0.0)) / LANES,
+    )

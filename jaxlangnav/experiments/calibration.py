@@ -2,12 +2,14 @@
 
 At every decision the belief is held against the truth, which only this module may do:
 - events "this observed object is the goal", one for each object of the goal's type, with the
-  probability the planner works with: Brier score and expected calibration error (ECE);
+  probability the planner works with, and with that of the map (the share of particles in which the
+  words refer to it): Brier score and expected calibration error (ECE);
 - the density of the goal's place, from all particles: negative log-likelihood at the true place,
   and whether the region of highest density that holds 90 % contains it.
 
 The belief's map drifts with the odometry, so places are compared relative to the robot.
-Sums of several steps and episodes may be added; one step says nothing.
+Sums of several steps and episodes may be added; one step says nothing. A stop is decided from what
+the robot has seen, so ending an episode at it biases nothing.
 """
 
 import functools
@@ -18,8 +20,10 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.episode import MAX_STEPS, Progress, Task, advance, begin
+from jaxlangnav.experiments.goal_region import GoalDensity, goal_region, relative_variance
 from jaxlangnav.experiments.monte_carlo import map_pieces
 from jaxlangnav.grounding.instruction import Instruction
+from jaxlangnav.messages import NONE
 from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams
 from jaxlangnav.planner.goals import Goals
 from jaxlangnav.pytree import pytree
@@ -27,90 +31,105 @@ from jaxlangnav.pytree import pytree
 NUM_BINS = 10
 LANES = 64
 """Episodes of one call; all wait for the slowest."""
-BANDWIDTH = 1.0
-"""Metres, of the kernel that turns particles into a density."""
 SAME = 0.75
 """Metres within which an observed object is the true one."""
+STAGES = (0, 5, 10, 15, 20, 30)
+"""First decision cycle of each stage that scores are kept for."""
 _MOST_POINTS = 64
 """Particles that make up the density: its cost grows with their square."""
 
 
 @pytree
-class Tally:
-    """Sums over steps, to be added up over episodes."""
+class Reliability:
+    """Sums over events, by their probability; leaves may lead with stages and episodes."""
 
-    steps: Array  # f32[]
-    covered: Array  # f32[] steps at which the 90 % region held the true place
-    negative_log_likelihood: Array  # f32[] nats, density per square metre
-    squared_error: Array  # f32[] of the events' probabilities
-    bin_events: Array  # f32[NUM_BINS] events by their probability
-    bin_probability: Array  # f32[NUM_BINS]
-    bin_outcome: Array  # f32[NUM_BINS]
+    events: Array  # f32[NUM_BINS]
+    probability: Array  # f32[NUM_BINS]
+    outcome: Array  # f32[NUM_BINS]
+    squared_error: Array  # f32[]
+
+
+@pytree
+class Tally:
+    """Sums over steps, to be added up over episodes; leaves lead with the stages of ``STAGES``."""
+
+    steps: Array  # f32[S]
+    covered: Array  # f32[S] steps at which the 90 % region held the true place
+    rank: Array  # f32[S, NUM_BINS] steps by the share of the density that is likelier than truth
+    negative_log_likelihood: Array  # f32[S] nats, density per square metre
+    planner: Reliability  # by the probability that the planner works with
+    map: Reliability  # by the share of particles in which the words refer to the object
 
 
 def nothing() -> Tally:
     """Build the sum over no steps."""
-    zero, bins = jnp.float32(0.0), jnp.zeros(NUM_BINS, jnp.float32)
+    stages = len(STAGES)
+    zero, bins = jnp.zeros(stages, jnp.float32), jnp.zeros((stages, NUM_BINS), jnp.float32)
+    none = Reliability(events=bins, probability=bins, outcome=bins, squared_error=zero)
     return Tally(
         steps=zero,
         covered=zero,
+        rank=bins,
         negative_log_likelihood=zero,
-        squared_error=zero,
-        bin_events=bins,
-        bin_probability=bins,
-        bin_outcome=bins,
+        planner=none,
+        map=none,
     )
 
 
-def goal_region(
-    x: Array, y: Array, mass: Array, is_atom: Array, true_x: Array, true_y: Array
-) -> tuple[Array, Array]:
-    """Judge a density of the goal's place, made of weighted points.
-
-    A point that is a sample does not count in the density at its own place; so if the truth is
-    one more sample of the same law, its rank among them is uniform. Atoms are objects that have
-    been seen: the probability is really there.
-
-    Args:
-        x: f32[n], metres.
-        y: f32[n], metres.
-        mass: f32[n], probability of each point.
-        is_atom: bool[n], seen objects.
-        true_x: f32[], metres.
-        true_y: f32[], metres.
-
-    Returns:
-        bool[], whether the region of highest density that holds 90 % contains the truth, and
-        f32[], the log-density there, per square metre.
-    """
-    mass = mass / jnp.maximum(jnp.sum(mass), 1e-9)
-
-    def kernel(at_x: Array, at_y: Array, from_x: Array, from_y: Array) -> Array:
-        squared = (at_x - from_x) ** 2 + (at_y - from_y) ** 2
-        return jnp.exp(-0.5 * squared / BANDWIDTH**2)
-
-    at_points = kernel(x[:, None], y[:, None], x[None, :], y[None, :]) @ mass
-    at_points = at_points - jnp.where(is_atom, 0.0, mass)
-    at_truth = kernel(x, y, true_x[None], true_y[None]) @ mass
-    # A rounding error of slack: a truth that stands on an atom must count as being there.
-    below = jnp.sum(jnp.where(at_points > at_truth * (1.0 + 1e-4) + 1e-12, mass, 0.0))
-    scale = 2.0 * jnp.pi * BANDWIDTH**2
-    return below <= 0.9, jnp.log(jnp.maximum(at_truth / scale, 1e-12))
-
-
-def _points(goals: Goals) -> tuple[Array, Array, Array, Array]:
+def _density(goals: Goals, variance: Array) -> GoalDensity:
     """Collect seen objects and a selection of the particles' hypotheses."""
     number = goals.hypothesis_x.shape[0]
     chosen = np.linspace(0, number - 1, min(number, _MOST_POINTS)).astype(int)
     hypothesis = goals.hypothesis_mass[chosen]
     scale = jnp.sum(goals.hypothesis_mass) / jnp.maximum(jnp.sum(hypothesis), 1e-9)
-    is_object = jnp.arange(goals.object_x.shape[0] + len(chosen)) < goals.object_x.shape[0]
-    return (
-        jnp.concatenate([goals.object_x, goals.hypothesis_x[chosen]]),
-        jnp.concatenate([goals.object_y, goals.hypothesis_y[chosen]]),
-        jnp.concatenate([goals.object_mass, hypothesis * scale]),
-        is_object,
+    return GoalDensity(
+        object_x=goals.object_x[:-1],
+        object_y=goals.object_y[:-1],
+        object_mass=goals.object_mass[:-1],
+        object_variance=variance,
+        hypothesis_x=goals.hypothesis_x[chosen],
+        hypothesis_y=goals.hypothesis_y[chosen],
+        hypothesis_mass=hypothesis * scale,
     )
+
+
+def reliability(probability: Array, outcome: Array, is_event: Array) -> Reliability:
+    """Sort events into bins of their probability.
+
+    Args:
+        probability: f32[n].
+        outcome: f32[n], 1 where it happened.
+        is_event: bool[n].
+
+    Returns:
+        The sums.
+    """
+    probability = jnp.clip(probability, 0.0, 1.0)
+    bins = jnp.minimum((probability * NUM_BINS).astype(jnp.int32), NUM_BINS - 1)
+    member = (bins[:, None] == jnp.arange(NUM_BINS)[None, :]) & is_event[:, None]
+    member = member.astype(jnp.float32)
+    error = jnp.where(is_event, (probability - outcome) ** 2, 0.0)
+    return Reliability(
+        events=jnp.sum(member, axis=0),
+        probability=probability @ member,
+        outcome=outcome @ member,
+        squared_error=jnp.sum(error),
+    )
+
+
+def referent_mass(progress: Progress) -> Array:
+    """Compute the share of particles in which the sentence's figure is each object, f32[O].
+
+    The figure of a reading is that of its first relation.
+    """
+    belief = progress.navigator.belief
+    particles, readings = belief.particles, progress.navigator.instruction.readings
+    mention = readings.figure[particles.reading, 0]
+    is_it = jnp.arange(particles.referent.shape[0])[:, None] == mention[None, :]
+    referent = jnp.max(jnp.where(is_it, particles.referent, NONE), axis=0)
+    slots = jnp.arange(particles.object_type.shape[0])
+    is_slot = referent[None, :] == slots[:, None]
+    return jnp.sum(jnp.where(is_slot, jnp.exp(belief.log_weight)[None, :], 0.0), axis=1)
 
 
 def judge(progress: Progress, info: NavigatorInfo, after: Progress) -> Tally:
@@ -122,31 +141,32 @@ def judge(progress: Progress, info: NavigatorInfo, after: Progress) -> Tally:
         after: after the step, with the belief of the decision.
 
     Returns:
-        The sums of this step.
+        The sums of this step, in its stage.
     """
-    scenario = progress.task.scenario
+    scenario, belief = progress.task.scenario, after.navigator.belief
     true_x, true_y = scenario.goal - progress.world.position + info.robot
     goals = info.goals
-    is_in, log_density = goal_region(*_points(goals), true_x, true_y)
+    variance = relative_variance(belief.particles, jnp.exp(belief.log_weight))
+    below, log_density = goal_region(_density(goals, variance), true_x, true_y)
     # Events: observed objects of the goal's type. The robot's entry is last and no object.
-    types = jnp.max(after.navigator.belief.particles.object_type, axis=1)
+    types = jnp.max(belief.particles.object_type, axis=1)
     is_event = goals.is_object[:-1] & (types == scenario.object_type[scenario.goal_index])
     apart = jnp.hypot(goals.object_x[:-1] - true_x, goals.object_y[:-1] - true_y)
     outcome = (apart < SAME).astype(jnp.float32)
-    probability = jnp.clip(goals.object_mass[:-1], 0.0, 1.0)
-    bins = jnp.minimum((probability * NUM_BINS).astype(jnp.int32), NUM_BINS - 1)
-    member = (bins[:, None] == jnp.arange(NUM_BINS)[None, :]) & is_event[:, None]
-    member = member.astype(jnp.float32)
-    error = jnp.where(is_event, (probability - outcome) ** 2, 0.0)
-    return Tally(
+    decile = jnp.arange(NUM_BINS)
+    one = Tally(
         steps=jnp.float32(1.0),
-        covered=is_in.astype(jnp.float32),
+        covered=(below <= 0.9).astype(jnp.float32),
+        rank=(jnp.clip(below * NUM_BINS, 0, NUM_BINS - 1).astype(jnp.int32) == decile).astype(
+            jnp.float32
+        ),
         negative_log_likelihood=-log_density,
-        squared_error=jnp.sum(error),
-        bin_events=jnp.sum(member, axis=0),
-        bin_probability=probability @ member,
-        bin_outcome=outcome @ member,
+        planner=reliability(goals.object_mass[:-1], outcome, is_event),
+        map=reliability(referent_mass(after), outcome, is_event),
     )
+    stage = jnp.sum(progress.steps >= jnp.asarray(STAGES)) - 1
+    is_stage = (jnp.arange(len(STAGES)) == stage).astype(jnp.float32)
+    return jax.tree.map(lambda leaf: is_stage.reshape(-1, *(1,) * leaf.ndim) * leaf[None], one)
 
 
 @functools.partial(jax.jit, static_argnames=("config", "max_steps"))
@@ -187,7 +207,12 @@ def run_judged(
 
 
 def tally_tasks(
-    tasks: Task, instructions: Instruction, *, params: NavigatorParams, config: NavigatorConfig
+    tasks: Task,
+    instructions: Instruction,
+    *,
+    params: NavigatorParams,
+    config: NavigatorConfig,
+    max_steps: int = MAX_STEPS,
 ) -> Tally:
     """Judge any number of episodes.
 
@@ -196,34 +221,67 @@ def tally_tasks(
         instructions: leaves [I, …].
         params: the navigator's numbers.
         config: sizes and policy.
+        max_steps: cycles that are judged.
 
     Returns:
         Sums of each episode as NumPy arrays, leaves [E, …].
     """
     return map_pieces(
-        lambda piece, _: run_judged(piece, instructions, params=params, config=config),
+        lambda piece, _: run_judged(
+            piece, instructions, params=params, config=config, max_steps=max_steps
+        ),
         tasks,
         capacity=LANES,
     )
 
 
-def scores(tally: Tally) -> dict[str, float | None]:
+def _error(events: Reliability) -> tuple[float | None, float | None, float | None]:
+    """Compute calibration error, its floor and Brier score; None where there was no event.
+
+    Args:
+        events: of several episodes, leaves [E, S, …].
+    """
+    number = float(np.sum(events.events))
+    if not number:
+        return None, None, None
+    # Events of one episode hang together: what a bin's gap owes to chance is between episodes.
+    gaps = (np.asarray(events.probability) - np.asarray(events.outcome)).sum(axis=1)
+    error = float(np.abs(gaps.sum(axis=0)).sum()) / number
+    floor = float(np.sqrt(2 / np.pi) * np.sqrt((gaps**2).sum(axis=0)).sum()) / number
+    return error, floor, float(np.sum(events.squared_error)) / number
+
+
+def scores(tally: Tally, stage: int | None = None) -> dict[str, float | None]:
     """Turn sums into scores.
 
     Args:
-        tally: sums of episodes, leaves [E, …].
+        tally: sums of episodes, leaves [E, S, …].
+        stage: index into ``STAGES`` of the steps that count; all of them if None.
 
     Returns:
-        ``ece`` and ``brier`` (None if no object of the goal's type was ever seen), ``coverage90``
-        in percent, ``nll`` in nats, and the number of ``calibration_events``.
+        ``ece`` and ``brier`` (None if no object of the goal's type was ever seen) of the planner's
+        probabilities, ``ece_map`` and ``brier_map`` of the map's, ``ece_floor`` and
+        ``ece_map_floor``: what so few episodes would show if the belief were perfect,
+        ``coverage90`` in percent and its standard error ``coverage90_se``, ``nll`` in nats, and
+        the number of ``calibration_events`` and ``calibration_steps``.
     """
-    total = jax.tree.map(lambda leaf: np.asarray(leaf, np.float64).sum(axis=0), tally)
-    events, steps = float(total.bin_events.sum()), max(1.0, float(total.steps))
-    gap = float(np.abs(total.bin_probability - total.bin_outcome).sum())
+    span = slice(None) if stage is None else slice(stage, stage + 1)
+    part = jax.tree.map(lambda leaf: np.asarray(leaf, np.float64)[:, span], tally)
+    steps, covered = part.steps.sum(axis=1), part.covered.sum(axis=1)
+    number = max(1.0, float(steps.sum()))
+    share = float(covered.sum()) / number
+    ece, ece_floor, brier = _error(part.planner)
+    ece_map, ece_map_floor, brier_map = _error(part.map)
     return {
-        "ece": gap / events if events else None,
-        "brier": float(total.squared_error) / events if events else None,
-        "coverage90": 100.0 * float(total.covered) / steps,
-        "nll": float(total.negative_log_likelihood) / steps,
-        "calibration_events": events,
+        "ece": ece,
+        "ece_floor": ece_floor,
+        "brier": brier,
+        "ece_map": ece_map,
+        "ece_map_floor": ece_map_floor,
+        "brier_map": brier_map,
+        "coverage90": 100.0 * share,
+        "coverage90_se": 100.0 * float(np.sqrt(((covered - share * steps) ** 2).sum())) / number,
+        "nll": float(part.negative_log_likelihood.sum()) / number,
+        "calibration_events": float(part.planner.events.sum()),
+        "calibration_steps": float(steps.sum()),
     }

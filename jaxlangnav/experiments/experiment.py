@@ -4,12 +4,12 @@ import dataclasses
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
+from jaxlangnav.experiments.archive import pytree_hash, write_experiment
 from jaxlangnav.experiments.compilation import CompileClock
 from jaxlangnav.experiments.monte_carlo import Progress
-from jaxlangnav.experiments.policies import check_policies
-from jaxlangnav.experiments.report import write_report
+from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, POLICY_NAMES, check_policies
 from jaxlangnav.experiments.rows import (
     RowSpec,
     bound_rows,
@@ -19,7 +19,22 @@ from jaxlangnav.experiments.rows import (
     run_rows,
 )
 from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
+from jaxlangnav.experiments.tables import caption, markdown_table, rich_table
+from jaxlangnav.navigator import NavigatorParams
 from jaxlangnav.world.templates import TABLE_2
+
+
+class Options(TypedDict, total=False):
+    """What all experiments take; ``Experiment.run`` says what it means and what is the default."""
+
+    episodes: int
+    policies: Sequence[str]
+    seed: int
+    out: str | Path | None
+    on_progress: Progress | None
+    num_particles: int
+    environments: int
+    params: NavigatorParams | None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -27,9 +42,33 @@ class Experiment:
     """What is run, and under which name it is written."""
 
     name: str
+    title: str
     specs: tuple[RowSpec, ...]
-    markdown: Callable[[dict[str, Any]], str]
-    """Writes the document's table."""
+    remark: Callable[[dict[str, Any]], str] | None = None
+    """Says beneath the table what its rows show."""
+
+    def markdown(self, document: dict[str, Any]) -> str:
+        """Write the table, ours beside the paper's.
+
+        Args:
+            document: of ``run``.
+
+        Returns:
+            A heading, the table, the remark, and what it was measured under; Markdown.
+        """
+        remark = f"{self.remark(document)}\n\n" if self.remark else ""
+        return f"# {self.title}\n\n{markdown_table(document)}\n{remark}{caption(document)}\n"
+
+    def render(self, document: dict[str, Any]) -> Any:
+        """Draw the table for the terminal.
+
+        Args:
+            document: of ``run``.
+
+        Returns:
+            A rich table.
+        """
+        return rich_table(document, title=self.title)
 
     def total_episodes(self, *, episodes: int, policies: Sequence[str]) -> int:
         """Count the runs, for a progress bar.
@@ -46,20 +85,21 @@ class Experiment:
     def run(
         self,
         *,
-        episodes: int,
-        policies: Sequence[str],
-        seed: int,
-        out: str | Path | None,
-        on_progress: Progress | None,
-        num_particles: int,
+        episodes: int = 100,
+        policies: Sequence[str] = POLICY_NAMES,
+        seed: int = 0,
+        out: str | Path | None = None,
+        on_progress: Progress | None = None,
+        num_particles: int = DEFAULT_PARTICLES,
         calibration_episodes: int = 0,
         environments: int = 0,
+        params: NavigatorParams | None = None,
     ) -> dict[str, Any]:
         """Run all rows for every policy.
 
         Args:
-            episodes: runs a row.
-            policies: names; see ``policies.POLICY_NAMES``.
+            episodes: runs a row, a fresh world each.
+            policies: names; all of ``policies.POLICY_NAMES`` by default.
             seed: root seed of worlds and noise.
             out: folder for Parquet, Markdown and manifest; nothing is written if None.
             on_progress: called with the number of episodes just finished.
@@ -67,10 +107,12 @@ class Experiment:
             calibration_episodes: of each row, the first so many are judged step by step.
             environments: worlds of a template taken in turn, ten in the paper; 0 for a fresh one
                 per episode.
+            params: the navigator's numbers; its defaults if None.
 
         Returns:
             The document: ``rows``, ``paper``, ``bounds``, ``sentences``, ``noise``, ``wall_s``
-            with compilation, ``compile_s`` of it, ``files``. Rates in percent, distances in metres.
+            with compilation, ``compile_s`` of it, ``models_sha256`` of the trained weights,
+            ``files``. Rates in percent, distances in metres.
 
         Raises:
             ValueError: fewer than one episode, or an unknown policy.
@@ -87,6 +129,7 @@ class Experiment:
                 episodes=episodes,
                 seed=seed,
                 num_particles=num_particles,
+                params=params,
                 calibration_episodes=calibration_episodes,
                 environments=environments,
                 on_progress=on_progress,
@@ -108,11 +151,12 @@ class Experiment:
             "bounds": bound_rows(self.specs),
             "wall_s": time.perf_counter() - begin,
             "compile_s": clock.seconds,
+            "models_sha256": pytree_hash(sentences.models),
             "files": [],
         }
         if out is not None:
             text = self.markdown(document)
-            files = write_report(
+            files = write_experiment(
                 Path(out), self.name, document, found.columns, text, sentences.models
             )
             document["files"] = [str(path) for path in files]

@@ -7,14 +7,10 @@ of the same world, relation and range, that row stands in ``paper``.
 
 import itertools
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
-from jaxlangnav.experiments.experiment import Experiment
-from jaxlangnav.experiments.monte_carlo import Progress
-from jaxlangnav.experiments.policies import DEFAULT_PARTICLES
+from jaxlangnav.experiments.experiment import Experiment, Options
 from jaxlangnav.experiments.rows import RowSpec
-from jaxlangnav.experiments.tables import caption, markdown_table, rich_table
 from jaxlangnav.world.templates import parse_template
 
 RANGES = (2.0, 3.0, 5.0, 10.0, 15.0, 20.0)
@@ -22,34 +18,6 @@ RANGES = (2.0, 3.0, 5.0, 10.0, 15.0, 20.0)
 RELATIONS = ("behind", "nearest")
 WORLDS = ("2H1C",)
 """The template of which Table 2 prints both commands."""
-_TITLE = "Figure 5: distance and success against the sensing range"
-
-
-def markdown(document: dict[str, Any]) -> str:
-    """Write the figure's numbers as a Markdown table.
-
-    Args:
-        document: of ``reproduce_figure5``.
-
-    Returns:
-        A heading, the table, where success falls as the range grows, and the conditions.
-    """
-    return (
-        f"# {_TITLE}\n\n{markdown_table(document)}\n{_describe_falls(document)}\n\n"
-        f"{caption(document)}\n"
-    )
-
-
-def render(document: dict[str, Any]) -> Any:
-    """Draw the figure's numbers for people.
-
-    Args:
-        document: of ``reproduce_figure5``.
-
-    Returns:
-        A rich table.
-    """
-    return rich_table(document, title=_TITLE)
 
 
 def experiment(worlds: Sequence[str] = WORLDS) -> Experiment:
@@ -72,32 +40,22 @@ def experiment(worlds: Sequence[str] = WORLDS) -> Experiment:
         for relation in RELATIONS
         for sensing_range in RANGES
     ]
-    return Experiment(name="figure5", specs=tuple(specs), markdown=markdown)
+    return Experiment(
+        name="figure5",
+        title="Figure 5: distance and success against the sensing range",
+        specs=tuple(specs),
+        remark=describe_falls,
+    )
 
 
 def reproduce_figure5(
-    *,
-    episodes: int = 100,
-    policies: Sequence[str] = ("faithful", "informed", "known"),
-    seed: int = 0,
-    out: str | Path | None = None,
-    on_progress: Progress | None = None,
-    num_particles: int = DEFAULT_PARTICLES,
-    worlds: Sequence[str] = WORLDS,
-    environments: int = 0,
+    *, worlds: Sequence[str] = WORLDS, **options: Unpack[Options]
 ) -> dict[str, Any]:
-    """Run both commands at every range, for every policy.
+    """Run both commands at every range, for every policy; a world is the same at every range.
 
     Args:
-        episodes: runs a row, a fresh world each; a world is the same at every range.
-        policies: names; see ``policies.POLICY_NAMES``.
-        seed: root seed of worlds and noise.
-        out: folder for Parquet, Markdown and manifest; nothing is written if None.
-        on_progress: called with the number of episodes just finished.
-        num_particles: P, of the navigator's policies.
         worlds: templates.
-        environments: worlds of a template taken in turn, ten in the paper; 0 for a fresh one per
-            episode.
+        options: as ``Experiment.run`` takes them.
 
     Returns:
         The document, see ``Experiment.run``; ``falls`` lists where success is lower than at the
@@ -106,15 +64,7 @@ def reproduce_figure5(
     Raises:
         ValueError: fewer than one episode, an unknown policy or template.
     """
-    document = experiment(worlds).run(
-        episodes=episodes,
-        policies=policies,
-        seed=seed,
-        out=out,
-        on_progress=on_progress,
-        num_particles=num_particles,
-        environments=environments,
-    )
+    document = experiment(worlds).run(**options)
     return document | {"falls": falls(document)}
 
 
@@ -155,11 +105,22 @@ def falls(document: dict[str, Any]) -> list[dict[str, Any]]:
     return found
 
 
-def _describe_falls(document: dict[str, Any]) -> str:
-    """Say in words where success falls."""
+def describe_falls(document: dict[str, Any]) -> str:
+    """Say in words where success falls.
+
+    Args:
+        document: with ``rows``.
+
+    Returns:
+        A sentence for each fall, or that there is none.
+    """
     lines = [
         f"{one['policy']}, {one['world']} {one['relation']}: success falls from "
         f"{one['from']:.1f} % to {one['to']:.1f} % at {one['range']:g} m."
         for one in falls(document)
     ]
     return "\n".join(lines) or "Success nowhere falls beyond its intervals as the range grows."
+
+
+EXPERIMENT = experiment()
+"""Both commands at every range, in the template of Table 2 that has both."""

@@ -91,19 +91,21 @@ def against(ours: float, theirs: float, target: float) -> Entry:
     return {"baseline": theirs, "ratio": ratio, "target": target, "holds": ratio >= target}
 
 
-def measure(work: Callable[[], Any], repetitions: int) -> Cost:
+def measure(work: Callable[[], Any], repetitions: int, *, patience: float = float("inf")) -> Cost:
     """Time some work, warmed up by the caller.
 
     Args:
         work: returns arrays, which are waited for.
         repetitions: how often; the medians count.
+        patience: seconds after which it is not repeated any more.
 
     Returns:
         Its cost.
     """
     is_local = jax.default_backend() == "cpu"
     costs = []
-    for _ in range(repetitions):
+    begin = time.perf_counter()
+    while not costs or (len(costs) < repetitions and time.perf_counter() - begin < patience):
         cpu, wall = time.process_time(), time.perf_counter()
         jax.block_until_ready(work())
         cpu, wall = time.process_time() - cpu, time.perf_counter() - wall

@@ -6,16 +6,23 @@ not depend on how many episodes are asked for or how they are split.
 
 import concurrent.futures
 import itertools
-import os
-import threading
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task, run_batch
+from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task
+from jaxlangnav.experiments.devices import (
+    CHUNK,
+    LANES,
+    Work,
+    fill,
+    mesh,
+    num_calls,
+    run_round,
+    usable_cores,
+)
 from jaxlangnav.experiments.tasks import (
     BLOCK,
     Cell,
@@ -47,18 +54,10 @@ __all__ = [
     "usable_cores",
 ]
 
-CHUNK = 1024
-"""Most episodes in one call of the compiled program; fewer are padded, and padding is not run."""
-LANES = 32
-"""Episodes under way at once in one call."""
-
 Result = TypeVar("Result")
 """Any record of arrays that lead with the episodes."""
 Progress = Callable[[int], None]
 """Called with the number of episodes just finished."""
-
-_programs: dict[Any, Any] = {}
-_programs_lock = threading.Lock()
 
 
 def pieces(number: int, capacity: int, threads: int) -> list[tuple[int, int]]:
@@ -118,38 +117,6 @@ def map_pieces(
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *results)
 
 
-def usable_cores() -> int:
-    """Count the cores this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
-def _program(
-    chunk: Task,
-    instructions: Instruction,
-    params: NavigatorParams,
-    config: NavigatorConfig,
-    max_steps: int,
-) -> Any:
-    """Compile the batch for these shapes once, whichever thread asks first."""
-    kinds = [jax.typeof(leaf) for leaf in jax.tree.leaves((chunk, instructions, params))]
-    name = (config, max_steps, LANES, tuple(kinds))
-    with _programs_lock:
-        if name not in _programs:
-            lowered = run_batch.lower(
-                chunk,
-                instructions,
-                params=params,
-                config=config,
-                num_lanes=LANES,
-                max_steps=max_steps,
-                count=jnp.int32(CHUNK),
-            )
-            _programs[name] = lowered.compile()
-        return _programs[name]
-
-
 def run_tasks(
     tasks: Task,
     instructions: Instruction,
@@ -160,7 +127,7 @@ def run_tasks(
     num_threads: int | None = None,
     max_steps: int = MAX_STEPS,
 ) -> EpisodeResult:
-    """Run tasks of any number through one compiled program, on all cores.
+    """Run tasks of any number through one compiled program, on all cores and devices.
 
     Args:
         tasks: leaves [E, …].
@@ -168,15 +135,28 @@ def run_tasks(
         params: the navigator's numbers.
         config: sizes and policy.
         on_progress: called with the number of episodes just finished.
-        num_threads: pieces under way at once; the number of cores by default.
+        num_threads: calls under way at once; as many as keep all cores busy by default.
         max_steps: cycles until a time-out.
 
     Returns:
         Results as NumPy arrays, leaves [E, …], in the order of the tasks.
     """
+    number = tasks.instruction_index.shape[0]
+    calls, devices = num_threads or num_calls(), mesh().size
+    parts = pieces(number, CHUNK, calls * devices)
+    rounds = [parts[at : at + devices] for at in range(0, len(parts), devices)]
 
-    def run(chunk: Task, count: int) -> EpisodeResult:
-        program = _program(chunk, instructions, params, config, max_steps)
-        return program(chunk, instructions, params=params, count=jnp.int32(count))
+    def work(places: list[tuple[int, int]]) -> list[EpisodeResult]:
+        works = [
+            Work(tasks=fill(tasks, first, size), count=size, params=params)
+            for first, size in places
+        ]
+        return run_round(works, instructions, config=config, max_steps=max_steps)
 
-    return map_pieces(run, tasks, capacity=CHUNK, on_progress=on_progress, num_threads=num_threads)
+    results: list[EpisodeResult] = []
+    with concurrent.futures.ThreadPoolExecutor(calls) as pool:
+        for places, done in zip(rounds, pool.map(work, rounds), strict=True):
+            results += done
+            if on_progress is not None:
+                on_progress(sum(size for _, size in places))
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *results)

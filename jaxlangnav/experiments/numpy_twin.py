@@ -3,41 +3,27 @@
 It does the main work of ``navigator.step`` for one relation ("the figure behind the landmark") in
 the order of section 3: move, ground detections, condition the joint Gaussian, weigh what was and
 was not seen, ground the words anew in refuted particles, resample, infer the goal in every
-particle, value every waypoint. It leaves out several readings, superlatives, the children's beams
-of the behavior model and the bookkeeping of anchors, so it does *less* than the engine: ratios
-against it are on the safe side. It serves the benchmark only; nothing navigates with it.
+particle, choose among frontiers, objects and the tours of the informed policy
+(``numpy_twin_choice``). It leaves out several readings, superlatives, the children's beams of the
+behavior model, constraints and the bookkeeping of anchors, so it does *less* than the engine:
+ratios against it are on the safe side. It serves the benchmark only; nothing navigates with it.
 
 ``step`` runs over all particles at once, or, with ``is_looping``, over one after the other, as a
 first implementation would. Arrays carry the particle axis last: O objects, M mentions (0 the
 figure, 1 the landmark), A waypoints, G cells a side, P particles.
 """
 
-import dataclasses
 import math
 
 import numpy as np
 
-Arrays = dict[str, np.ndarray]
-_ALPHA, _SIGMA, _DETECTION = 0.3, 0.1, 0.95
-_TAU, _DISCOUNT = 0.7, 0.8
+from jaxlangnav.experiments.numpy_twin_choice import DETECTION, Arrays, Twin, centres, choose
+
+_ALPHA, _SIGMA = 0.3, 0.1
 _BEHIND_DISTANCE, _BEHIND_SPREAD, _BEHIND_ANGLE = 2.5, 0.3, 0.35
-_PHRASES = 6
 
 
-@dataclasses.dataclass
-class Twin:
-    """State of the twin."""
-
-    random: np.random.Generator
-    particles: Arrays
-    """Leaves [..., P]."""
-    log_weight: np.ndarray
-    log_miss: np.ndarray
-    """f64[G, G], y cell first."""
-    area: tuple[float, float, float, float]
-
-
-def start(num_particles: int, *, seed: int, num_objects: int = 8, num_cells: int = 24) -> Twin:
+def start(num_particles: int, *, seed: int, num_objects: int = 8, num_cells: int = 36) -> Twin:
     """Build the twin before its first look.
 
     Args:
@@ -114,7 +100,7 @@ def step(
         twin.particles = {name: leaf[..., chosen] for name, leaf in twin.particles.items()}
         weight = np.full(number, 1.0 / number)
     twin.log_weight = np.log(np.maximum(weight, 1e-30))
-    return _plan(twin, robot, weight, sensing_range, parts)
+    return choose(twin, robot, weight, sensing_range, parts)
 
 
 def _join(twin: Twin, parts: list[Arrays]) -> None:
@@ -198,23 +184,15 @@ def _absence(
     offset = place - own["mean"][:, -1:]
     distance = np.sqrt(offset[0] ** 2 + offset[1] ** 2 + 1e-9)
     view = np.clip((sensing_range - distance) / 0.25 + 0.5, 0.0, 1.0)
-    return np.sum(np.where(is_missed, np.log1p(-_DETECTION * view), 0.0), axis=0)
-
-
-def _centres(twin: Twin) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the centres of the cells."""
-    steps = np.arange(twin.log_miss.shape[0]) + 0.5
-    x_min, x_max, y_min, y_max = twin.area
-    size = twin.log_miss.shape[0]
-    return x_min + steps * (x_max - x_min) / size, y_min + steps * (y_max - y_min) / size
+    return np.sum(np.where(is_missed, np.log1p(-DETECTION * view), 0.0), axis=0)
 
 
 def _look(twin: Twin, robot: np.ndarray, sensing_range: float) -> None:
     """Enter a look into the coverage."""
-    x, y = _centres(twin)
+    x, y = centres(twin)
     distance = np.sqrt((x[None, :] - robot[0]) ** 2 + (y[:, None] - robot[1]) ** 2)
     share = np.clip((sensing_range - distance) / 0.6 + 0.5, 0.0, 1.0)
-    twin.log_miss = np.maximum(twin.log_miss + np.log1p(-_DETECTION * share), -30.0)
+    twin.log_miss = np.maximum(twin.log_miss + np.log1p(-DETECTION * share), -30.0)
 
 
 def _log_miss_at(twin: Twin, x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -244,7 +222,7 @@ def _ground(twin: Twin, own: Arrays) -> Arrays:
     unseen_weight = np.exp(twin.log_miss).ravel()
     comb = twin.random.random(number) * unseen_weight.sum()
     cell = np.minimum(np.searchsorted(np.cumsum(unseen_weight), comb), unseen_weight.size - 1)
-    centre_x, centre_y = _centres(twin)
+    centre_x, centre_y = centres(twin)
     rows, columns = np.divmod(cell, twin.log_miss.shape[0])
     unseen = np.stack([centre_x[columns], centre_y[rows]])
     turn = _BEHIND_ANGLE * twin.random.normal(size=number)
@@ -301,77 +279,3 @@ def _revive(twin: Twin, weight: np.ndarray, parts: list[slice]) -> np.ndarray:
         twin.particles["hypothesis"][..., part] = np.where(is_fresh[part], drawn["hypothesis"], old)
     weight = np.where(is_fresh, 1.0 / number, np.maximum(weight, 1.0 / number))
     return weight / weight.sum()
-
-
-def _goals(own: Arrays) -> tuple[np.ndarray, np.ndarray]:
-    """Infer the probability that each object is the goal, phrase by phrase, by log-odds."""
-    is_object = np.concatenate([own["type"] != -1, own["referent"] == -1])
-    kinds = np.concatenate([own["type"], np.tile([[0], [1]], own["type"].shape[1])])
-    log_odds = np.zeros(kinds.shape)
-    for phrase in range(_PHRASES):
-        objects = np.where(kinds == phrase % 2, 4.0 - phrase * 0.1, -4.0)
-        regions = np.where(
-            kinds[None] == phrase % 2, np.linspace(-4.0, 4.0, 7)[:, None, None], -4.0
-        )
-        odds = np.concatenate([objects[None], regions]).reshape(-1, kinds.shape[1])
-        # The four best sets follow from the three correspondences that are least certain.
-        margins = np.partition(np.abs(odds), 2, axis=0)[:3]
-        best = -np.sum(np.logaddexp(0.0, -np.abs(odds)), axis=0)
-        beams = best - np.stack([0.0 * margins[0], *margins])
-        certainty = np.exp(beams[0] - np.logaddexp.reduce(beams, axis=0))
-        log_odds += certainty * -np.logaddexp(0.0, np.where(kinds == 0, -objects, objects))
-    mass = np.where(is_object & (kinds == 0), np.exp(log_odds), 0.0)
-    mass /= np.maximum(mass.sum(axis=0), 1e-9)
-    place = np.concatenate([own["mean"][:, :-1], own["hypothesis"]], axis=1)
-    return mass, place
-
-
-def _frontiers(twin: Twin, num_blocks: int = 6) -> tuple[np.ndarray, np.ndarray]:
-    """Gather frontier cells into one waypoint per block."""
-    unexplored = twin.log_miss > twin.log_miss.max() + math.log(0.5)
-    padded = np.pad(~unexplored, 1)
-    beside = padded[2:, 1:-1] | padded[:-2, 1:-1] | padded[1:-1, 2:] | padded[1:-1, :-2]
-    frontier = (unexplored & beside).astype(float)
-    size = frontier.shape[0] // num_blocks
-    x, y = _centres(twin)
-
-    def by_block(values: np.ndarray) -> np.ndarray:
-        return values.reshape(num_blocks, size, num_blocks, size).sum(axis=(1, 3)).ravel()
-
-    count = by_block(frontier)
-    total = np.stack([by_block(frontier * x[None, :]), by_block(frontier * y[:, None])])
-    return total / np.maximum(count, 1.0), count > 0
-
-
-def _plan(
-    twin: Twin, robot: np.ndarray, weight: np.ndarray, sensing_range: float, parts: list[slice]
-) -> np.ndarray:
-    """Value every waypoint by goals and by hypotheses put to the test on the way."""
-    nodes, is_node = _frontiers(twin)
-    nodes = np.concatenate([nodes, twin.particles["mean"][:, :-1, 0]], axis=1)
-    is_node = np.concatenate([is_node, twin.particles["type"][:, 0] != -1])
-    value = np.zeros(nodes.shape[1])
-    span = nodes - robot[:, None]
-    length = span[0] ** 2 + span[1] ** 2 + 1e-9
-    for part in parts:
-        own = {name: leaf[..., part] for name, leaf in twin.particles.items()}
-        mass, place = _goals(own)
-        best = np.argmax(mass, axis=0)
-        goal = np.take_along_axis(place, best[None, None, :], axis=1)[:, 0]
-        share = np.max(mass, axis=0) * weight[part]
-        distance = np.hypot(nodes[0][:, None] - goal[0], nodes[1][:, None] - goal[1])
-        value += 0.01 * np.sum(share * _DISCOUNT**distance, axis=1)
-        seen = np.zeros((nodes.shape[1], share.shape[0]), bool)
-        for mention in (0, 1):
-            x, y = own["hypothesis"][:, mention]
-            along = (
-                (x - robot[0]) * span[0][:, None] + (y - robot[1]) * span[1][:, None]
-            ) / length[:, None]
-            along = np.clip(along, 0.0, 1.0)
-            dx = x - robot[0] - along * span[0][:, None]
-            dy = y - robot[1] - along * span[1][:, None]
-            is_open = own["referent"][mention] == -1
-            seen |= is_open & (dx * dx + dy * dy <= (0.95 * sensing_range) ** 2)
-        value += np.sum(np.where(seen, weight[part], 0.0), axis=1) / (np.sqrt(length) + 1.0)
-    value = np.where(is_node, value, -np.inf)
-    return nodes[:, int(np.argmax(value))]

@@ -12,6 +12,7 @@ from jaxlangnav.experiments.baselines import BASELINES, run_baseline
 from jaxlangnav.experiments.monte_carlo import BLOCK, Progress, map_pieces, run_tasks
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, default_params
+from jaxlangnav.planner.own import Policy
 from jaxlangnav.planner.params import POLICIES, PlannerConfig
 from jaxlangnav.semantic_map.params import MapConfig
 
@@ -20,7 +21,10 @@ POLICY_NAMES = (*reversed(POLICIES), *BASELINES)
 DEFAULT_PARTICLES = MapConfig().num_particles
 
 KNOWLEDGE = {
-    "informed": "the sentence, the operating area, what it sees; plans for information",
+    "informed": (
+        "the sentence, the operating area, what it sees, and from training worlds (other seeds) "
+        "where things tend to stand; plans tours"
+    ),
     "faithful": "the sentence, the operating area, what it sees; the paper's QMDP policy",
     "frontier": "the operating area, the type to look for, what it sees; nearest frontier first",
     "lawnmower": "the operating area, the type to look for, what it sees; sweeps in lanes",
@@ -54,11 +58,13 @@ def check_policies(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(names))
 
 
-def navigator_config(policy: str, num_particles: int = DEFAULT_PARTICLES) -> NavigatorConfig:
+def navigator_config(
+    policy: str | Policy, num_particles: int = DEFAULT_PARTICLES
+) -> NavigatorConfig:
     """Build the configuration of one of the navigator's own policies.
 
     Args:
-        policy: "informed" or "faithful".
+        policy: "informed", "faithful", or a policy of somebody's own.
         num_particles: P.
 
     Returns:
@@ -70,7 +76,7 @@ def navigator_config(policy: str, num_particles: int = DEFAULT_PARTICLES) -> Nav
 
 
 def run_policy(
-    policy: str,
+    policy: str | Policy,
     tasks: Task,
     instructions: Instruction,
     *,
@@ -83,7 +89,7 @@ def run_policy(
     """Run any policy on any number of tasks.
 
     Args:
-        policy: one of ``POLICY_NAMES``.
+        policy: one of ``POLICY_NAMES``, or a policy of somebody's own.
         tasks: leaves [E, …].
         instructions: leaves [I, …].
         params: the navigator's numbers; its defaults if None. Baselines have none.
@@ -98,8 +104,9 @@ def run_policy(
     Raises:
         ValueError: no such policy.
     """
-    check_policies([policy])
-    if policy in POLICIES:
+    if isinstance(policy, str):
+        check_policies([policy])
+    if not isinstance(policy, str) or policy in POLICIES:
         return run_tasks(
             tasks,
             instructions,

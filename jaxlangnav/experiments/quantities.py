@@ -114,6 +114,7 @@ _KNOWN: dict[str, dict[str, Quantity]] = {
         "concentration": Quantity(is_low_open=True),
         "kernel": LENGTH,
         "superlative_softness": LENGTH,
+        "misleading": SHARE,
         "resample_threshold": SHARE,
     },
     "planner": {
@@ -122,7 +123,9 @@ _KNOWN: dict[str, dict[str, Quantity]] = {
         "reach": LENGTH,
         "frontier_miss": Quantity(kind="share", high=1.0, is_low_open=True),
         "visit_spacing": LENGTH,
-        "information_offset": LENGTH,
+        "rival_share": Quantity(),
+        "rest_share": Quantity(),
+        "prior_share": SHARE,
         "constraint_cost": Quantity(),
     },
 }

@@ -1,40 +1,182 @@
-"""The files of an experiment: episodes, table, document, manifest; each whole or not at all."""
+"""One page that shows tables and figures beside the paper's numbers and says how they were made.
 
-from collections.abc import Mapping
+The page is a single file: pictures stand in it as data, nothing is fetched from anywhere, so it
+opens offline and can be sent around. What is in the pictures is up to the caller.
+"""
+
+import base64
+import dataclasses
+import html
+import re
+from collections.abc import Mapping, Sequence
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from jaxlangnav.experiments.archive import manifest, write_manifest, write_table, write_text
+from jaxlangnav.experiments.archive import write_text
 
-_RESULTS = ("rows", "paper", "bounds", "wall_s", "compile_s", "files")
+_NUMBER = re.compile(r"[≤≥<>+−-]? ?\d[\d.,]*(\s|$)")
+_MEDIA = {".svg": "image/svg+xml", ".png": "image/png"}
 
 
-def write_report(
-    folder: Path,
-    name: str,
-    document: Mapping[str, Any],
-    columns: Mapping[str, Any],
-    text: str,
-    models: Any,
-) -> list[Path]:
-    """Write an experiment's files.
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Table:
+    """A table for the page."""
+
+    headings: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    firsts: Sequence[bool] = ()
+    """Which rows begin a block; none by default. The others do not repeat what they share with it
+    in the leading columns."""
+    fold: str = ""
+    """What to click to see it; it is open where empty."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Section:
+    """A part of the page: an experiment or a figure."""
+
+    title: str
+    lead: str = ""
+    """What it is, and what to see in it."""
+    pictures: Sequence[tuple[Path, str]] = ()
+    """SVG or PNG files, each with the words for those who cannot see it."""
+    tables: Sequence[Table] = ()
+    notes: Sequence[str] = ()
+    made: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    """How it was made: command, episodes, seconds, files."""
+
+
+def render_report(title: str, sections: Sequence[Section], *, made: Mapping[str, str]) -> str:
+    """Write the page.
 
     Args:
-        folder: where; made if it is not there.
-        name: of the experiment; every file's name begins with it.
-        document: what the experiment found; its settings go into the manifest.
-        columns: one entry per episode.
-        text: the Markdown table.
-        models: the trained weights, for their hash.
+        title: of the page.
+        sections: its parts, in order.
+        made: how all of it was made: command, seed, versions, machine, wall time.
 
     Returns:
-        The files' paths.
+        HTML.
+
+    Raises:
+        ValueError: a picture is neither SVG nor PNG.
     """
-    settings = {key: value for key, value in document.items() if key not in _RESULTS}
-    results = {key: value for key, value in document.items() if key != "files"}
-    return [
-        write_table(columns, folder / f"{name}_episodes.parquet"),
-        write_text(text, folder / f"{name}.md"),
-        write_manifest(results, folder / f"{name}.json"),
-        write_manifest(manifest(settings, models=models), folder / f"{name}_manifest.json"),
+    contents = "\n".join(
+        f'<li><a href="#part{index}">{_text(part.title)}</a></li>'
+        for index, part in enumerate(sections, start=1)
+    )
+    parts = "\n".join(_section(index, part) for index, part in enumerate(sections, start=1))
+    page = resources.files("jaxlangnav.experiments") / "report.html"
+    filled = page.read_text(encoding="utf-8")
+    for name, value in {
+        "__TITLE__": _text(title),
+        "__MADE__": _facts(made),
+        "__CONTENTS__": contents,
+        "__PARTS__": parts,
+    }.items():
+        filled = filled.replace(name, value)
+    return filled
+
+
+def write_html(
+    title: str, sections: Sequence[Section], path: Path, *, made: Mapping[str, str]
+) -> Path:
+    """Write the page into a file, all or nothing.
+
+    Args:
+        title: of the page.
+        sections: its parts, in order.
+        path: of the file; its folder is made.
+        made: how all of it was made.
+
+    Returns:
+        The path.
+
+    Raises:
+        ValueError: a picture is neither SVG nor PNG.
+    """
+    return write_text(render_report(title, sections, made=made), path)
+
+
+def data_uri(path: Path) -> str:
+    """Put a picture into a text.
+
+    Args:
+        path: an SVG or PNG file.
+
+    Returns:
+        A data URI in base64. Each picture stays a document of its own, so that names inside two
+        SVG files cannot clash.
+
+    Raises:
+        ValueError: neither SVG nor PNG.
+    """
+    if path.suffix not in _MEDIA:
+        raise ValueError(f"{path} is no picture: a report takes {' and '.join(_MEDIA)} files")
+    return f"data:{_MEDIA[path.suffix]};base64,{base64.b64encode(path.read_bytes()).decode()}"
+
+
+def _section(index: int, part: Section) -> str:
+    """Write one part of the page."""
+    pieces = [f'<section id="part{index}">', f"<h2>{_text(part.title)}</h2>"]
+    pieces += [f"<p>{_text(part.lead)}</p>"] if part.lead else []
+    pieces += [
+        f'<figure><img src="{data_uri(path)}" alt="{_text(words)}"></figure>'
+        for path, words in part.pictures
     ]
+    pieces += [_table(table) for table in part.tables]
+    if part.notes:
+        notes = "".join(f"<li>{_text(note)}</li>" for note in part.notes)
+        pieces.append(f'<ul class="notes">{notes}</ul>')
+    if part.made:
+        pieces.append(
+            f"<details open><summary>How this was made</summary>{_facts(part.made)}</details>"
+        )
+    return "\n".join([*pieces, "</section>"])
+
+
+def _table(table: Table) -> str:
+    """Write a table; columns of numbers are aligned at the right, empty ones are left out."""
+    columns = list(zip(*table.rows, strict=True))
+    used = [place for place, column in enumerate(columns) if any(column)]
+    align = {place: _align(columns[place]) for place in used}
+    head = "".join(f"<th{align[place]}>{_text(table.headings[place])}</th>" for place in used)
+    firsts = table.firsts or [False] * len(table.rows)
+    lines, before = [], [""] * len(columns)
+    for is_first, row in zip(firsts, table.rows, strict=True):
+        said = [one and table.firsts and not is_first for one in _shared(before, row)]
+        cells = "".join(
+            f"<td{align[place]}>{'' if said[place] else _text(row[place])}</td>" for place in used
+        )
+        lines.append(f"<tr{' class=first' if is_first else ''}>{cells}</tr>")
+        before = list(row)
+    body = "\n".join(lines)
+    whole = f"<table><thead><tr>{head}</tr></thead>\n<tbody>{body}</tbody></table>"
+    whole = f'<div class="wide">{whole}</div>'
+    folded = f"<details><summary>{_text(table.fold)}</summary>{whole}</details>"
+    return folded if table.fold else whole
+
+
+def _shared(before: Sequence[str], row: Sequence[str]) -> list[bool]:
+    """Tell which leading cells are the same as in the row above."""
+    same = [one == other for one, other in zip(before, row, strict=True)]
+    return [all(same[: place + 1]) for place in range(len(same))]
+
+
+def _align(column: Sequence[str]) -> str:
+    """Align a column at the right where all it holds are numbers."""
+    is_numeric = all(_NUMBER.match(cell) for cell in column if cell)
+    return " class=number" if is_numeric else ""
+
+
+def _facts(made: Mapping[str, str]) -> str:
+    """Write how something was made as a list of terms."""
+    rows = "".join(
+        f"<dt>{_text(name)}</dt><dd>{_text(value)}</dd>" for name, value in made.items() if value
+    )
+    return f"<dl>{rows}</dl>"
+
+
+def _text(value: Any) -> str:
+    """Write plain text inside HTML."""
+    return html.escape(str(value), quote=True)

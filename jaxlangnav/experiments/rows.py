@@ -29,6 +29,7 @@ from jaxlangnav.experiments.policies import (
     navigator_config,
     run_policy,
 )
+from jaxlangnav.experiments.reliability import bin_sums
 from jaxlangnav.experiments.sentences import SENTENCES, GroundedSentences
 from jaxlangnav.messages import default_motion, default_sensor
 from jaxlangnav.navigator import NavigatorParams, default_params
@@ -156,10 +157,11 @@ def _calibration(
     num_particles: int,
     params: NavigatorParams | None,
     judged: int,
-) -> list[dict[str, float | None]]:
+) -> list[dict[str, Any]]:
     """Judge the belief in the first episodes of every row; no scores where none is judged."""
     if not judged:
-        return [{"ece": None, "brier": None, "coverage90": None} for _ in specs]
+        nothing = {"ece": None, "brier": None, "coverage90": None, "reliability": None}
+        return [dict(nothing) for _ in specs]
     size = int(tasks.instruction_index.shape[0]) // len(specs)
     index = np.concatenate([place * size + np.arange(judged) for place in range(len(specs))])
     tally = tally_tasks(
@@ -168,10 +170,11 @@ def _calibration(
         params=default_params() if params is None else params,
         config=navigator_config(policy, num_particles),
     )
-    return [
-        scores(jax.tree.map(lambda leaf, at=at: leaf[at * judged : (at + 1) * judged], tally))
+    parts = [
+        jax.tree.map(lambda leaf, at=at: leaf[at * judged : (at + 1) * judged], tally)
         for at in range(len(specs))
     ]
+    return [scores(part) | {"reliability": bin_sums(part)} for part in parts]
 
 
 def _row(one: RowSpec, policy: str, results: EpisodeResult, known: np.ndarray, span: slice) -> Row:

@@ -14,20 +14,25 @@ from typing import Any
 
 import numpy as np
 
+from jaxlangnav.episode import EpisodeResult, Task
 from jaxlangnav.experiments.archive import manifest, write_manifest, write_table
 from jaxlangnav.experiments.compilation import CompileClock
-from jaxlangnav.experiments.monte_carlo import (
+from jaxlangnav.experiments.devices import (
     CHUNK,
     LANES,
-    Progress,
-    known_distances,
-    usable_cores,
+    Work,
+    fill,
+    mesh,
+    num_calls,
+    run_round,
 )
-from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, run_policy
+from jaxlangnav.experiments.monte_carlo import Progress, known_distances
+from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, navigator_config, run_policy
 from jaxlangnav.experiments.rows import result_columns
 from jaxlangnav.experiments.sentences import GroundedSentences, ground_sentences
 from jaxlangnav.experiments.sweep_config import SweepConfig
 from jaxlangnav.experiments.sweep_plan import (
+    Arm,
     Chunk,
     Plan,
     chunk_columns,
@@ -35,10 +40,11 @@ from jaxlangnav.experiments.sweep_plan import (
     make_plan,
     shard_chunks,
 )
+from jaxlangnav.planner.params import POLICIES
 
 MANIFEST = "manifest.json"
 _IDENTITY = ("settings", "jaxlangnav", "libraries", "models_sha256", "device")
-"""What must be the same for files of one sweep to belong together."""
+"""What must be the same for files of one sweep to belong together; not how many devices."""
 
 
 def chunk_path(out: Path, chunk: Chunk) -> Path:
@@ -79,7 +85,7 @@ def run_sweep(
         resume: keep the chunks that are there and run the rest.
         shard: "i/n", the i-th of n parts.
         on_progress: called with the number of episodes just finished, kept ones at once.
-        num_threads: chunks under way at once; the number of usable cores by default.
+        num_threads: calls under way at once; as many as keep all cores busy by default.
 
     Returns:
         ``out``, ``episodes`` run now, ``kept`` from before, ``files``, ``is_complete`` (all
@@ -125,21 +131,31 @@ def _claim(
     }
     ours = json.loads(json.dumps(manifest(settings, models=sentences.models)))
     path = folder / MANIFEST
+    # Looked at in this order because peers may be claiming the folder too: manifest first.
+    has_episodes = any(folder.glob("episodes-*.parquet"))
     if path.exists():
         theirs = json.loads(path.read_text("utf-8"))
         for key in _IDENTITY:
-            if theirs.get(key) != ours[key]:
-                what = _difference(theirs.get(key), ours[key], key)
+            there, here = _uncounted(theirs.get(key)), _uncounted(ours[key])
+            if there != here:
+                what = _difference(there, here, key)
                 raise ValueError(f"{folder} holds another sweep ({what}): choose another folder")
         if not is_resumed and any(chunk_path(folder, one).exists() for one in mine):
             raise ValueError(f"{folder} already holds episodes of this sweep: add --resume")
     else:
-        if any(folder.glob("episodes-*.parquet")):
+        if has_episodes:
             raise ValueError(f"{folder} holds episodes without a manifest: choose another folder")
         write_manifest(ours, path)
     for one in mine:
         whole = chunk_path(folder, one)
         whole.with_name(f".{whole.name}.partial").unlink(missing_ok=True)
+
+
+def _uncounted(value: Any) -> Any:
+    """Leave out how many devices there are: the results do not depend on it."""
+    if isinstance(value, dict):
+        return {key: one for key, one in value.items() if key != "count"}
+    return value
 
 
 def _difference(theirs: Any, ours: Any, name: str) -> str:
@@ -161,31 +177,73 @@ def _run_chunks(
     num_threads: int | None,
 ) -> None:
     """Run chunks, several at once; the first failure ends the run and keeps what is written."""
-    with concurrent.futures.ThreadPoolExecutor(num_threads or usable_cores()) as pool:
-        running = {pool.submit(_run_chunk, plan, one, folder, sentences): one for one in todo}
+    with concurrent.futures.ThreadPoolExecutor(num_threads or num_calls()) as pool:
+        running = {
+            pool.submit(_run_together, plan, chunks, folder, sentences): chunks
+            for chunks in rounds(todo, mesh().size)
+        }
         try:
             for finished in concurrent.futures.as_completed(running):
                 finished.result()
                 if on_progress is not None:
-                    on_progress(running[finished].size)
+                    on_progress(sum(one.size for one in running[finished]))
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
 
 
-def _run_chunk(plan: Plan, chunk: Chunk, folder: Path, sentences: GroundedSentences) -> None:
-    """Run the episodes of one file and write it."""
-    tasks = chunk_tasks(plan, chunk)
-    results = run_policy(
-        chunk.arm.policy,
-        tasks,
-        sentences.instructions,
-        params=chunk.arm.params(),
-        num_particles=chunk.arm.particles or DEFAULT_PARTICLES,
-        num_threads=1,
-    )
-    columns = chunk_columns(plan, chunk) | result_columns(results, known_distances(tasks))
-    write_table(_typed(columns), chunk_path(folder, chunk))
+def rounds(chunks: list[Chunk], devices: int) -> list[list[Chunk]]:
+    """Gather chunks that one call can run, one on each device.
+
+    Args:
+        chunks: to be run.
+        devices: how many there are.
+
+    Returns:
+        Every chunk once; those of a round share policy and particles. A baseline's chunk, which
+        is computed in no time, is a round of its own.
+    """
+    alike: dict[tuple[str, int | None], list[Chunk]] = {}
+    for one in chunks:
+        alike.setdefault((one.arm.policy, one.arm.particles), []).append(one)
+    gathered = []
+    for (policy, _), group in alike.items():
+        width = devices if policy in POLICIES else 1
+        gathered += [group[at : at + width] for at in range(0, len(group), width)]
+    return gathered
+
+
+def _run_together(
+    plan: Plan, chunks: list[Chunk], folder: Path, sentences: GroundedSentences
+) -> None:
+    """Run the episodes of a round and write its files."""
+    tasks = [chunk_tasks(plan, one) for one in chunks]
+    arm = chunks[0].arm
+    if arm.policy in POLICIES:
+        results = _run_navigator(chunks, tasks, sentences, arm)
+    else:
+        results = [run_policy(arm.policy, tasks[0], sentences.instructions, num_threads=1)]
+    for chunk, own, result in zip(chunks, tasks, results, strict=True):
+        columns = chunk_columns(plan, chunk) | result_columns(result, known_distances(own))
+        path = chunk_path(folder, chunk)
+        try:
+            write_table(_typed(columns), path)
+        except OSError as error:
+            raise OSError(
+                f"{path} cannot be written: {error}; the other files stay, go on with --resume"
+            ) from error
+
+
+def _run_navigator(
+    chunks: list[Chunk], tasks: list[Task], sentences: GroundedSentences, arm: Arm
+) -> list[EpisodeResult]:
+    """Run chunks of one policy and size, each with the Params of its own arm."""
+    works = [
+        Work(tasks=fill(own, 0, one.size), count=one.size, params=one.arm.params())
+        for one, own in zip(chunks, tasks, strict=True)
+    ]
+    config = navigator_config(arm.policy, arm.particles or DEFAULT_PARTICLES)
+    return run_round(works, sentences.instructions, config=config)
 
 
 def _typed(columns: dict[str, Any]) -> dict[str, Any]:

@@ -107,11 +107,14 @@ class SweepConfig:
         }
 
 
-def read_config(path: str | Path) -> SweepConfig:
+def read_config(
+    path: str | Path, *, overrides: Mapping[str, Mapping[str, Any]] | None = None
+) -> SweepConfig:
     """Read and check a sweep's configuration.
 
     Args:
         path: a TOML file; world files in it are relative to its folder.
+        overrides: by table (sensor, motion, map, planner) and key, in place of the file's values.
 
     Returns:
         The configuration.
@@ -128,6 +131,9 @@ def read_config(path: str | Path) -> SweepConfig:
         raise ValueError(f"{path}: cannot be read: {error}") from None
     except tomllib.TOMLDecodeError as error:
         raise ValueError(f"{path}: is no valid TOML: {error}") from None
+    for name, keys in (overrides or {}).items():
+        if isinstance(table.setdefault(name, {}), dict):
+            table[name] |= keys
     try:
         return config_from_dict(table, folder=path.parent)
     except ValueError as error:

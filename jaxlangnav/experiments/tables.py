@@ -1,10 +1,13 @@
 """Tables for people: ours beside the paper's, in Markdown and in the terminal (section 4.2)."""
 
+import itertools
 import math
+from collections.abc import Mapping
 from typing import Any
 
 from jaxlangnav.experiments.policies import KNOWLEDGE
 from jaxlangnav.experiments.rows import Row, row_key
+from jaxlangnav.world.simulator import SUCCESS_RADIUS
 
 HEADINGS = (
     "World",
@@ -72,6 +75,58 @@ def cells(row: Row, paper: Row | None) -> list[str]:
     ]
 
 
+def least_distance(bound: Mapping[str, Any]) -> float:
+    """Take the least mean distance of a policy that always succeeds where it can be known how.
+
+    Args:
+        bound: of ``rows.bound_rows``.
+
+    Returns:
+        Metres: of a search where nothing says where to look; elsewhere straight on, 1.5 m short.
+    """
+    return bound["search_law"] or max(0.0, bound["known"] - SUCCESS_RADIUS)
+
+
+def limit_cells(bound: Row) -> list[str]:
+    """Write the limits of a row, which no policy can pass.
+
+    Args:
+        bound: of ``rows.bound_rows``.
+
+    Returns:
+        Texts in the order of ``HEADINGS``; what has no limit is empty.
+    """
+    texts = dict.fromkeys(range(len(HEADINGS)), "")
+    texts |= {
+        0: bound["world"],
+        1: f"{bound['range']:g}",
+        2: bound["relation"] or "null",
+        3: "limit",
+        4: f"≤ {bound['success']:.0f}",
+        6: f"≥ {least_distance(bound):.2f}",
+    }
+    return list(texts.values())
+
+
+def table_lines(document: dict[str, Any]) -> list[tuple[bool, list[str]]]:
+    """Write all lines of a table: every row's policies, then its limits.
+
+    Args:
+        document: with ``rows`` and perhaps ``paper`` and ``bounds``.
+
+    Returns:
+        Whether the line begins a row, and its cells in the order of ``HEADINGS``.
+    """
+    limits = {row_key(bound): bound for bound in document.get("bounds", [])}
+    lines: list[tuple[bool, list[str]]] = []
+    for key, pairs in itertools.groupby(paired_rows(document), key=lambda pair: row_key(pair[0])):
+        mine = [cells(*pair) for pair in pairs]
+        if key in limits:
+            mine.append(limit_cells(limits[key]))
+        lines += [(index == 0, texts) for index, texts in enumerate(mine)]
+    return lines
+
+
 def _score(row: Row, name: str, form: str) -> str:
     """Write a score of calibration; a policy without a belief has none."""
     value = row.get(name)
@@ -108,7 +163,7 @@ def markdown_table(document: dict[str, Any]) -> str:
         Lines, each ended.
     """
     lines = [f"| {' | '.join(HEADINGS)} |", "|" + "---|" * len(HEADINGS)]
-    lines += [f"| {' | '.join(cells(*pair))} |" for pair in paired_rows(document)]
+    lines += [f"| {' | '.join(texts)} |" for _, texts in table_lines(document)]
     return "\n".join(lines) + "\n"
 
 
@@ -129,30 +184,28 @@ def rich_table(document: dict[str, Any], *, title: str) -> Any:
         is_text = heading in ("World", "Relation", "Policy")
         style = "dim" if heading.startswith("paper") else None
         table.add_column(heading, justify="left" if is_text else "right", style=style, no_wrap=True)
-    before = None
-    for row, paper in paired_rows(document):
-        is_first = before != row_key(row)
-        if before is not None and is_first and len(document["policies"]) > 1:
+    for is_first, texts in table_lines(document):
+        if is_first and table.row_count:
             table.add_section()
-        before = row_key(row)
-        texts = _terminal_cells(row, paper)
+        narrow = _terminal_cells(texts)
+        is_limit = texts[3] == "limit"
         # What a block of policies has in common is said once.
-        table.add_row(*(texts if is_first else ["", "", "", *texts[3:]]))
+        common = narrow[:3] if is_first else ["", "", ""]
+        table.add_row(*common, *narrow[3:], style="dim" if is_limit else None)
     return table
 
 
-def _terminal_cells(row: Row, paper: Row | None) -> list[str]:
+def _terminal_cells(texts: list[str]) -> list[str]:
     """Write one row's cells for the terminal, narrow enough for a hundred columns."""
-    texts = cells(row, paper)
-    low, high = row["success_ci"]
-    printed = texts[7].split(" ")[0]
+    rate, _, interval = texts[4].partition(" (")
+    ends = [f"{float(end):.0f}" for end in interval.rstrip(")").split("-") if end]
     return [
         *texts[:4],
-        f"{row['success_rate']:.1f}",
-        f"{low:.0f}-{high:.0f}",
+        rate if ends else texts[4],
+        "-".join(ends),
         texts[5],
         texts[6],
-        printed,
+        texts[7].split(" ")[0],
         texts[8],
         *texts[10:12],
     ]
@@ -191,13 +244,17 @@ def caption(document: dict[str, Any]) -> str:
             "90 % region holds the goal."
         )
     lines += [f"{name}: {KNOWLEDGE[name]}." for name in document["policies"]]
+    if document.get("bounds"):
+        lines.append(
+            "limit: with the map unknown, the highest success rate and the least mean way of a "
+            "policy that reaches it: straight to within 1.5 m of the goal; without a relation, a "
+            "search that knows by what law the worlds are drawn."
+        )
     for bound in document.get("bounds", []):
-        if bound["search_law"] is not None:
+        if bound["search_uniform"] is not None:
             lines.append(
-                f"Limits {bound['world']}, {bound['range']:g} m: known map {bound['known']:.2f} m; "
-                f"search without a hint at least {bound['search_law']:.1f} m by the worlds' law, "
-                f"{bound['search_uniform']:.1f} m for a goal anywhere in the area; success at most "
-                f"{bound['success']:.0f} %."
+                f"A search for a goal that may be anywhere in the area of {bound['world']} walks "
+                f"{bound['search_uniform']:.1f} m or more at {bound['range']:g} m."
             )
     return "\n".join(lines)
 
@@ -225,6 +282,39 @@ def deviations(row: Row, paper: Row) -> dict[str, float]:
         "distance": (row["distance_mean"] - paper["distance_mean"]) / max(distance_error, 1e-9),
         "success": (row["success_rate"] - paper["success_rate"]) / success_error,
     }
+
+
+def deviation_lines(
+    document: dict[str, Any], policy: str = "faithful"
+) -> tuple[list[str], list[list[str]]]:
+    """Say row by row how far a policy lies from the paper's own rows.
+
+    Args:
+        document: with ``rows`` and ``paper``.
+        policy: the one that should agree with "Ours" of the paper.
+
+    Returns:
+        Headings, and a line for each of its rows that the paper prints.
+    """
+    headings = ["World", "Range m", "Relation", f"{policy} − paper: success", "in s. e."]
+    headings += ["distance m", "in s. e.", "within 2 s. e. of both"]
+    lines = []
+    for row, paper in paired_rows(document):
+        if row["policy"] != policy or paper is None:
+            continue
+        far = deviations(row, paper)
+        is_near = max(abs(one) for one in far.values()) <= 2.0
+        lines.append(
+            [
+                *cells(row, paper)[:3],
+                f"{row['success_rate'] - paper['success_rate']:+.1f}",
+                f"{far['success']:+.1f}",
+                f"{row['distance_mean'] - paper['distance_mean']:+.2f}",
+                f"{far['distance']:+.1f}",
+                "yes" if is_near else "no",
+            ]
+        )
+    return headings, lines
 
 
 def _rate_error(percent: float, runs: int) -> float:

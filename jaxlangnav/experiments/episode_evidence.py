@@ -1,0 +1,263 @@
+"""How probable whole episodes are, as a differentiable function of relations and sensor.
+
+The model of ``semantic_map`` factors: what was seen and not seen is probable by the map alone, and
+the words are probable given the map and where the robot has looked,
+
+    log p(z, words) = log p(z) + log p(words | map, m)
+    log p(z)     = Σ_t log p(z_t | z_<t) + D log p_d − K α (1 − u)        sensor, odometry
+    p(words | ·) = (1/A) Σ_{f, l} f(x_f − x_l; θ) w_f w_l                  relations
+
+with D detections, K types of object, u the share of the area unexplored, and candidates f, l: what
+has been observed (w = A / α) and every cell of the area (w = its size times its miss probability
+m). The filter sums the words' evidence by sampling places. Its samples move with θ and fall from
+one cell of m into another, or out of the area, in steps that have no derivative: the gradient of
+the sampled evidence leaves those out (in a small area half of it is missing). Here places are
+summed over on the grid itself, so value and gradient are exact but for the grid.
+
+The map's part runs the filter without words. It is differentiated forwards, with common random
+numbers; which detection is which object, and the resampling, are discrete draws that are held
+(with well-separated objects nothing depends on them).
+"""
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jaxlangnav.messages import FAR, NONE, ROBOT, Observation, Readings, SensorParams
+from jaxlangnav.pytree import pytree, replace
+from jaxlangnav.relations import RelationParams, log_density, prepare, viewer_frame
+from jaxlangnav.semantic_map import filter as semantic_filter
+from jaxlangnav.semantic_map.coverage import area_size, cell_centres
+from jaxlangnav.semantic_map.filter import ParticleBelief
+from jaxlangnav.semantic_map.params import MapParams
+
+_NEVER = -1e4
+"""Log-weight of what cannot be; finite, so that its gradient is nothing rather than NaN."""
+
+
+@pytree
+class WordsEvidence:
+    """What an episode leaves behind that the words are held against."""
+
+    object_type: Array  # i32[O] observed objects of the likeliest particle; NONE in empty slots
+    object_x: Array  # f32[O] metres, map frame
+    object_y: Array  # f32[O]
+    miss: Array  # f32[C] probability of having missed an object in each cell
+    cell_x: Array  # f32[C] centres, metres
+    cell_y: Array  # f32[C]
+    area: Array  # f32[] square metres
+    viewer: Array  # f32[3] pose at the utterance
+    readings: Readings  # of the sentence, leaves [K, …]
+
+
+def remember(
+    belief: ParticleBelief,
+    readings: Readings,
+    *,
+    blocks: int = 2,
+    num_readings: int | None = None,
+) -> WordsEvidence:
+    """Keep of a belief what the words' evidence depends on.
+
+    Args:
+        belief: at the end of an episode.
+        readings: of its sentence; each of at most one relation, none of them an order.
+        blocks: cells of the coverage a side that become one; must divide them.
+        num_readings: how many of the likeliest readings are kept; all if None.
+
+    Returns:
+        The observed map of the likeliest particle, and where the robot has looked.
+    """
+    particles, cells = belief.particles, belief.coverage.log_miss.shape[-1]
+    best = jnp.argmax(belief.log_weight)
+    likeliest = jnp.argsort(-readings.log_probability)[:num_readings]
+    readings = jax.tree.map(lambda leaf: leaf[likeliest], readings)
+    num_objects = particles.object_type.shape[0]
+    coarse = cells // blocks
+    miss = jnp.exp(belief.coverage.log_miss).reshape(coarse, blocks, coarse, blocks)
+    x, y = cell_centres(belief.coverage)
+    x, y = jnp.mean(x.reshape(coarse, blocks), axis=1), jnp.mean(y.reshape(coarse, blocks), axis=1)
+    return WordsEvidence(
+        object_type=particles.object_type[:, best],
+        object_x=particles.mean_x[:num_objects, best],
+        object_y=particles.mean_y[:num_objects, best],
+        miss=jnp.mean(miss, axis=(1, 3)).reshape(-1),
+        cell_x=jnp.tile(x, coarse),
+        cell_y=jnp.repeat(y, coarse),
+        area=area_size(belief.coverage),
+        viewer=belief.viewer,
+        readings=readings,
+    )
+
+
+def _candidates(one: WordsEvidence, kind: Array, params: MapParams) -> tuple[Array, Array, Array]:
+    """List places, f32[O + C] x and y, and their log-weights, for a thing of a type."""
+    log_seen = jnp.log(one.area) - jnp.log(params.concentration)
+    is_robot = kind == ROBOT
+    known = jnp.where((one.object_type == kind) & (kind >= 0), log_seen, _NEVER)
+    # The robot itself is known: it takes the first slot.
+    first = jnp.arange(known.shape[0]) == 0
+    known = jnp.where(is_robot, jnp.where(first, 0.0, _NEVER), known)
+    x = jnp.where(is_robot, one.viewer[0], one.object_x)
+    y = jnp.where(is_robot, one.viewer[1], one.object_y)
+    size = one.area / one.miss.shape[0]
+    unseen = jnp.where(is_robot, _NEVER, jnp.log(size * one.miss))
+    return (
+        jnp.concatenate([x, one.cell_x]),
+        jnp.concatenate([y, one.cell_y]),
+        jnp.concatenate([known, unseen]),
+    )
+
+
+def _log_figures(one: WordsEvidence, reading: Array, params: MapParams) -> Array:
+    """Sum one reading's groundings by the place of their figure, f32[O + C]."""
+    readings = one.readings
+    figure, landmark = readings.figure[reading, 0], readings.landmark[reading, 0]
+    relation = readings.relation[reading, 0]
+    kind = readings.mention_type[reading, figure]
+    other = readings.mention_type[reading, jnp.maximum(landmark, 0)]
+    figure_x, figure_y, log_figure = _candidates(one, kind, params)
+    landmark_x, landmark_y, log_landmark = _candidates(one, other, params)
+    frame = viewer_frame(one.viewer[0], one.viewer[1], landmark_x, landmark_y)
+    frame = jax.tree.map(lambda leaf: leaf[None, :], frame)
+    x = figure_x[:, None] - landmark_x[None, :]
+    y = figure_y[:, None] - landmark_y[None, :]
+    told = log_density(params.relations, jnp.maximum(relation, 0), x, y, frame)
+    told = told + _log_superlative(one, reading, jnp.sqrt(x * x + y * y + 1e-9), params)
+    log_area = jnp.log(one.area)
+    told = jnp.logaddexp(
+        jnp.log1p(-params.misleading) + told, jnp.log(params.misleading) - log_area
+    )
+    slots, size = one.object_type.shape[0], log_figure.shape[0]
+    same = jnp.eye(size, dtype=bool) & (jnp.arange(size) < slots)[:, None] & (kind == other)
+    table = jnp.where(same, _NEVER, told) + log_figure[:, None] + log_landmark[None, :]
+    related = jax.nn.logsumexp(table, axis=1) - jnp.where(other == ROBOT, 0.0, log_area)
+    return jnp.where(relation == NONE, log_figure - log_area, related)
+
+
+def _log_superlative(
+    one: WordsEvidence, reading: Array, distance: Array, params: MapParams
+) -> Array:
+    """Penalise figures that an observed one of their type beats, f32[O + C, O + C]."""
+    readings = one.readings
+    sign = jnp.where(readings.relation[reading, 0] == FAR, -1.0, 1.0)
+    gap = sign * distance
+    kind = readings.mention_type[reading, readings.figure[reading, 0]]
+    is_rival = (one.object_type == kind) & (kind >= 0)
+    rivals = jnp.where(is_rival[:, None], gap[: one.object_type.shape[0]], jnp.inf)
+    excess = gap - jnp.minimum(jnp.min(rivals, axis=0)[None, :], gap)
+    return jnp.where(
+        readings.is_superlative[reading, 0], -excess / params.superlative_softness, 0.0
+    )
+
+
+def log_words(one: WordsEvidence, params: MapParams) -> Array:
+    """Compute log p(words | observed map, where the robot has looked).
+
+    Args:
+        one: of one episode.
+        params: relations and concentration; differentiable in the relations.
+
+    Returns:
+        f32[]. Relative to all observed objects being bystanders, as in ``semantic_map.proposal``.
+    """
+    return jax.nn.logsumexp(_log_all_figures(one, params))
+
+
+def _log_all_figures(one: WordsEvidence, params: MapParams) -> Array:
+    """Sum all readings' groundings by the place of their figure, f32[O + C]."""
+    number = one.readings.log_probability.shape[0]
+    each = jax.vmap(lambda reading: _log_figures(one, reading, params))(jnp.arange(number))
+    log_share = one.readings.log_probability
+    is_used = (one.readings.figure[:, 0] != NONE) & (log_share > -20.0)
+    each = jnp.where(is_used[:, None], each + log_share[:, None], _NEVER)
+    return jax.nn.logsumexp(each, axis=0)
+
+
+def figure_posterior(one: WordsEvidence, params: MapParams) -> tuple[Array, Array]:
+    """Compute exactly what the words' figure is: enumeration, to hold the filter against.
+
+    Args:
+        one: of one episode.
+        params: relations and concentration.
+
+    Returns:
+        f32[O], the probability of each observed object, and f32[C], of each cell of the area.
+    """
+    share = jax.nn.softmax(_log_all_figures(one, params))
+    num_objects = one.object_type.shape[0]
+    return share[:num_objects], share[num_objects:]
+
+
+def log_words_of(episodes: WordsEvidence, relations: RelationParams, params: MapParams) -> Array:
+    """Sum the words' evidence of several episodes under relations, f32[].
+
+    Args:
+        episodes: leaves [E, …].
+        relations: what is differentiated.
+        params: the rest.
+
+    Returns:
+        f32[], nats.
+    """
+    numbers = replace(params, relations=prepare(relations))
+    return jnp.sum(jax.lax.map(lambda one: log_words(one, numbers), episodes, batch_size=8))
+
+
+def log_map(
+    key: Array,
+    belief: ParticleBelief,
+    observations: Observation,
+    *,
+    params: MapParams,
+    sensor: SensorParams,
+    num_types: int,
+) -> Array:
+    """Compute log p(z): how probable detections and absences are, by the map alone.
+
+    Differentiable forwards (``jax.jvp``, ``jax.jacfwd``) in sensor and odometry.
+
+    Args:
+        key: random key; the same for values that are compared.
+        belief: before the first observation.
+        observations: leaves [T, …]; their sensor is not read.
+        params: of the map.
+        sensor: the specification that is held against the observations.
+        num_types: K, types of object that may be in the area.
+
+    Returns:
+        f32[], nats; a density in the detections' places.
+    """
+    silent = _no_words(belief)
+
+    def body(carry: ParticleBelief, step: tuple[Array, Observation]) -> tuple[ParticleBelief, None]:
+        step_key, observation = step
+        observation = replace(observation, sensor=sensor)
+        return semantic_filter.step(step_key, carry, silent, observation, params=params)[0], None
+
+    keys = jax.random.split(key, observations.pose.shape[0])
+    after, _ = jax.lax.scan(body, belief, (keys, observations))
+    hits = jnp.sum(observations.is_detection).astype(jnp.float32)
+    seen = 1.0 - jnp.mean(jnp.exp(after.coverage.log_miss))
+    log_hits = hits * jnp.log(jnp.minimum(sensor.detection_probability, 0.999))
+    return (
+        after.log_evidence
+        - belief.log_evidence
+        + log_hits
+        - num_types * params.concentration * seen
+    )
+
+
+def _no_words(belief: ParticleBelief) -> Readings:
+    """Build readings that mention nothing, for a belief's capacity."""
+    mentions = belief.particles.referent.shape[0]
+    none = jnp.full((1, 1), NONE, jnp.int32)
+    return Readings(
+        mention_type=jnp.full((1, mentions), NONE, jnp.int32),
+        figure=none,
+        relation=none,
+        landmark=none,
+        is_superlative=jnp.zeros((1, 1), bool),
+        rank=jnp.zeros((1, 1), jnp.int32),
+        log_probability=jnp.zeros(1, jnp.float32),
+    )
