@@ -9,12 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from jaxlangnav.agent import Navigator as Navigator
+    from jaxlangnav.commands.runtime import keep_compiled_programs as keep_compiled_programs
+    from jaxlangnav.following import follow as follow
     from jaxlangnav.language.parser import parse as parse
     from jaxlangnav.messages import Action as Action
     from jaxlangnav.messages import Behavior as Behavior
     from jaxlangnav.messages import Observation as Observation
     from jaxlangnav.messages import SensorParams as SensorParams
     from jaxlangnav.messages import default_sensor as default_sensor
+    from jaxlangnav.relation_fitting import fit_relations as fit_relations
 
 __version__ = "0.1.0"
 
@@ -25,6 +28,9 @@ _HOMES = {
     "Observation": "jaxlangnav.messages",
     "SensorParams": "jaxlangnav.messages",
     "default_sensor": "jaxlangnav.messages",
+    "fit_relations": "jaxlangnav.relation_fitting",
+    "follow": "jaxlangnav.following",
+    "keep_compiled_programs": "jaxlangnav.commands.runtime",
     "parse": "jaxlangnav.language.parser",
 }
 
@@ -36,6 +42,9 @@ __all__ = [
     "SensorParams",
     "__version__",
     "default_sensor",
+    "fit_relations",
+    "follow",
+    "keep_compiled_programs",
     "parse",
 ]
 

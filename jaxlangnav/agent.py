@@ -22,7 +22,9 @@ from jaxlangnav import navigator
 from jaxlangnav.grounding import GroundingModel, load_shipped, understand
 from jaxlangnav.messages import Action, Observation
 from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams, NavigatorState
+from jaxlangnav.planner.own import Policy
 from jaxlangnav.planner.params import PlannerConfig
+from jaxlangnav.pytree import replace
 
 DEFAULT_EXTENT = 15.0
 """Metres to each side of the robot that are its operating area unless it is told otherwise."""
@@ -39,21 +41,22 @@ class Navigator:
     config: NavigatorConfig
 
     @classmethod
-    def pretrained(cls, policy: str = "informed") -> Self:
+    def pretrained(cls, policy: str | Policy = "informed") -> Self:
         """Build a navigator from the weights that ship with the package.
 
         Args:
-            policy: "informed", or "faithful" to the paper.
+            policy: "informed", "faithful" to the paper, or a policy of one's own.
 
         Returns:
-            The navigator, with default parameters and sizes.
+            The navigator, with default parameters and sizes, but without the search prior that was
+            learned in the template worlds (``prior_share`` 0).
 
         Raises:
             ValueError: no such policy.
         """
         return cls(
             model=load_shipped(),
-            params=navigator.default_params(),
+            params=_params_anywhere(),
             config=NavigatorConfig(planner=PlannerConfig(policy=policy)),
         )
 
@@ -133,3 +136,10 @@ class Navigator:
         """
         instruction = understand(text, self.model).instruction
         return navigator.hear(state, instruction, state.belief.last_pose)
+
+
+def _params_anywhere() -> NavigatorParams:
+    """Build the default numbers for places that are unlike the planner's training worlds."""
+    params = navigator.default_params()
+    planner = replace(params.planner, prior_share=jnp.float32(0.0))
+    return replace(params, planner=planner)

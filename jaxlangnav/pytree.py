@@ -9,6 +9,7 @@ import dataclasses
 from typing import Any, TypeVar, dataclass_transform
 
 import jax
+import jax.numpy as jnp
 
 T = TypeVar("T")
 
@@ -42,3 +43,24 @@ def replace(record: T, **changes: Any) -> T:
     """Copy a record with some fields changed (a typed ``dataclasses.replace``)."""
     source: Any = record  # a record is a dataclass, which the type T cannot say
     return dataclasses.replace(source, **changes)
+
+
+def strong(tree: T) -> T:
+    """Give every leaf a type of its own: arrays made of Python's numbers have a weak one.
+
+    JAX compiles a function anew for weakly typed arrays (``jnp.full(8, 2.0)``), though they hold
+    the same numbers.
+
+    Args:
+        tree: any pytree of arrays and numbers.
+
+    Returns:
+        The same values, none of them weakly typed; typed keys as they are.
+    """
+
+    def harden(leaf: Any) -> jax.Array:
+        value = jnp.asarray(leaf)
+        is_key = jnp.issubdtype(value.dtype, jax.dtypes.prng_key)
+        return value if is_key else jnp.asarray(value, value.dtype)
+
+    return jax.tree.map(harden, tree)

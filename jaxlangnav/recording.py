@@ -181,7 +181,7 @@ def set_scene(
     return Scene(
         text=text,
         type_names=load_lexicon().type_names,
-        policy=config.planner.policy,
+        policy=config.planner.policy_name,
         scenario=scenario,
         sensor=sensor,
         readings=jax.tree.map(lambda leaf: leaf[index], readings),

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from jaxlangnav import cli
+from jaxlangnav.commands import studies
 from jaxlangnav.grounding.weights import load, load_shipped
 
 CORPUS_39 = str(resources.files("jaxlangnav.language") / "data" / "corpus39.jsonl")
@@ -53,19 +54,94 @@ def test_evaluate_gives_table_1(capsys: pytest.CaptureFixture[str]) -> None:
     assert found["paper"]["annotation"]["accuracy_mean"] == 62.5
 
 
-@pytest.mark.slow
-def test_reproduce_table2_gives_the_seven_rows(
+BASELINES = "frontier,lawnmower,arc,known"
+
+
+def test_reproduce_table2_gives_the_seven_rows_of_every_policy(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    found = document(["reproduce", "table2", "--episodes", "3", "--out", str(tmp_path)], capsys)
-    assert len(found["rows"]) == 7
+    words = ["reproduce", "table2", "--episodes", "3", "--policy", BASELINES, "--out"]
+    found = document([*words, str(tmp_path)], capsys)
+    assert len(found["rows"]) == 7 * 4
     assert all(set(row) >= ROW_KEYS for row in found["rows"])
     assert {row["relation"] for row in found["rows"]} == {None, "behind", "nearest"}
-    assert {row["policy"] for row in found["rows"]} == {"faithful"}
+    assert {row["policy"] for row in found["rows"]} == set(BASELINES.split(","))
     assert found["paper"][0]["success_rate"] == 93.9
+    assert len(found["bounds"]) == 7
     assert found["wall_s"] > 0
-    assert found["compile_s"] > 0
-    assert (tmp_path / "table2.md").is_file()
+    table = (tmp_path / "table2.md").read_text("utf-8")
+    assert "| 2H1C | 3 | null | limit | ≤ 50 |" in table
+    assert all(Path(name).stat().st_size > 0 for name in found["files"])
+    assert len(found["models_sha256"]) == 64
+
+
+@pytest.mark.slow
+def test_reproduce_table2_judges_beliefs(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["reproduce", "table2", "--episodes", "3", "--policy", "faithful"]
+    found = document([*words, "--params.planner.discount", "0.7"], capsys)
+    for row in found["rows"]:
+        assert 0 <= row["coverage90"] <= 100
+        assert row["ece"] is None or 0 <= row["ece"] <= 1
+        assert row["brier"] is None or 0 <= row["brier"] <= 1
+    panels = studies.reliability_panels(found)
+    assert set(panels) == {"faithful"}
+    assert "“… behind the cone”" in panels["faithful"]
+    judged = sum(row["calibration_events"] for row in found["rows"])
+    drawn = sum(float(curve[4].sum()) for curve in panels["faithful"].values())
+    assert drawn == pytest.approx(judged)
+
+
+def test_reproduce_fig5_without_the_navigator(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["reproduce", "fig5", "--episodes", "2", "--policy", "known,frontier"]
+    found = document([*words, "--out", str(tmp_path)], capsys)
+    assert sorted({row["range"] for row in found["rows"]}) == [2, 3, 5, 10, 15, 20]
+    assert {row["relation"] for row in found["rows"]} == {"behind", "nearest"}
+    assert (tmp_path / "figure5.svg").is_file()
+    assert "falls" in found
+
+
+def test_reproduce_fig4_tells_where_the_goal_is_believed_to_be(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # The policy and size whose program other tests compile too.
+    words = ["reproduce", "fig4", "--policy", "informed", "--particles", "64"]
+    found = document([*words, "--out", str(tmp_path)], capsys)
+    assert (found["policy"], found["world"], found["num_particles"]) == ("informed", "figure4", 64)
+    assert found["success"]
+    first, last = found["moments"][0], found["moments"][-1]
+    # Two cones in view: the hydrant may be behind either; in the end it has been seen.
+    assert first["event"] == "discovers two cones"
+    assert min(first["unseen_left"], first["unseen_right"]) > 0.2
+    assert last["goal_seen"] > 0.9
+    names = {Path(name).name for name in found["files"]}
+    assert names == {
+        "figure4.png", "figure4.svg", "figure4.html", "figure4.md", "figure4_manifest.json",
+    }  # fmt: skip
+    assert {path.name for path in tmp_path.iterdir()} == names
+
+
+def test_reproduce_fig3_counts_the_paper_s_graph(capsys: pytest.CaptureFixture[str]) -> None:
+    found = document(["reproduce", "fig3"], capsys)
+    for kind, printed in found["paper"].items():
+        assert {name: found["graph"][kind][name] for name in printed} == printed
+
+
+def test_all_writes_one_page_of_its_parts(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The parts that need no long run; the page joins whatever has been run."""
+    monkeypatch.setattr("jaxlangnav.commands.reproduce._NAMES", ("fig3", "table2"))
+    words = ["reproduce", "all", "--episodes", "2", "--policy", "known", "--seed", "4", "--out"]
+    found = document([*words, str(tmp_path)], capsys)
+    assert set(found) == {"fig3", "table2", "report"}
+    page = Path(found["report"]).read_text("utf-8")
+    assert "jaxlangnav reproduce all --episodes 2 --policy known --seed 4" in page
+    assert found["table2"]["models_sha256"] in page
+    assert page.count("data:image/svg+xml;base64,") == 2
+    assert "<td class=number>93.9</td>" in page
+    assert 'src="http' not in page
 
 
 @pytest.mark.slow
@@ -99,8 +175,14 @@ def test_a_sweep_runs_and_is_summarised(tmp_path: Path, capsys: pytest.CaptureFi
         (["reproduce", "table2", "--particles", "1"], "--particles is 1"),
         (["reproduce", "table2", "--policy", "infromed"], "informed"),
         (["reproduce", "table2", "--out", __file__], "is a file"),
+        (["reproduce", "table2", "--params.planner.discont", "1"], "params.planner.discount"),
+        (["reproduce", "table2", "--params.planner.discount", "1"], "must lie between 0 and 1"),
+        (["reproduce", "table2", "--sensor.noise", "1"], 'unknown option "--sensor.noise"'),
         (["sweep", "nowhere.toml", "--out", "results"], "nowhere.toml: no such file"),
-        (["sweep", "nowhere.toml"], "missing --out"),
+        (["sweep", "nowhere.toml"], "missing --out DIR: Folder for the shards"),
+        (["sweep"], "missing CONFIG: What to run, TOML; --out DIR: Folder for the shards"),
+        (["reproduce", "tabel2"], 'did you mean "table2"'),
+        (["sweep", "x.toml", "--out", "x", "--params.planner.reach", "1 s"], "unknown unit"),
         (["sweep", "nowhere.toml", "--out", __file__], "is a file"),
         (["summarize", "nowhere"], "nowhere holds no sweep"),
         (["ground", "go to the cone", "--weights", "nowhere.npz"], "nowhere.npz"),

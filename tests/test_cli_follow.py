@@ -1,5 +1,6 @@
 """``follow``: the document scripts read, the goal that is meant, pictures, live view, refusals."""
 
+import importlib.util
 import json
 import math
 from pathlib import Path
@@ -89,6 +90,42 @@ def test_pictures_are_written_and_named(tmp_path: Path, capsys: pytest.CaptureFi
     assert all(path.stat().st_size > 100 for path in pictures)
     kept = json.loads((tmp_path / "new" / "folder" / "episode.json").read_text("utf-8"))
     assert kept == document
+
+
+def test_the_rerun_recording_stands_beside_the_pictures(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("matplotlib")
+    pytest.importorskip("rerun")
+    document = follow([COMMAND, "--out", str(tmp_path), "--rrd"], capsys)
+    assert str(tmp_path / "episode.rrd") in document["pictures"]
+    assert (tmp_path / "episode.rrd").read_bytes()[:3] == b"RRF"
+
+
+def test_rrd_says_what_it_needs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert cli.main(["follow", COMMAND, "--rrd"]) == 2
+    assert "--rrd writes episode.rrd into the folder of --out" in capsys.readouterr().err
+    found = importlib.util.find_spec
+    monkeypatch.setattr(
+        importlib.util, "find_spec", lambda name: None if name == "rerun" else found(name)
+    )
+    assert cli.main(["follow", COMMAND, "--rrd", "--out", str(tmp_path)]) == 2
+    captured = capsys.readouterr()
+    assert captured.err.count("\n") == 1
+    assert 'pip install "jaxlangnav[rerun]"' in captured.err
+
+
+def test_numbers_on_the_command_line_reach_the_engine(capsys: pytest.CaptureFixture[str]) -> None:
+    """A robot that steps 2 m at a time, in the world and in its own mind, needs fewer steps."""
+    plain = follow([COMMAND], capsys)
+    fast = follow([COMMAND, "--motion.step-length", "200 cm"], capsys)
+    assert fast["goal"] == plain["goal"]
+    steps = np.linalg.norm(np.diff(np.array(fast["trajectory"]), axis=0), axis=1)
+    assert steps.max() == pytest.approx(2.0, abs=0.2)
+    plain_steps = np.linalg.norm(np.diff(np.array(plain["trajectory"]), axis=0), axis=1)
+    assert plain_steps.max() == pytest.approx(1.0, abs=0.1)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """``parse`` and ``ground``: documents with the keys scripts read, and clear refusals."""
 
 import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -119,9 +120,17 @@ def test_ground_in_a_world_finds_the_goal(capsys: pytest.CaptureFixture[str]) ->
     assert sum(one["probability"] for one in grounded["behaviors"]) <= 1.0 + 1e-5
 
 
+def test_ground_draws_the_factor_graph(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("matplotlib")
+    grounded = document(["ground", "go to the cone", "--out", str(tmp_path)], capsys)
+    assert grounded["pictures"] == [str(tmp_path / "graph.png"), str(tmp_path / "graph.svg")]
+    assert all(Path(name).stat().st_size > 1000 for name in grounded["pictures"])
+
+
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
+        (["--out", __file__], "is a file"),
         (["--world", "9H9C"], "hydrants"),
         (["--world", "yrad"], "yard"),
         (["--world", "nowhere.toml"], "no such file"),

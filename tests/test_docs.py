@@ -4,6 +4,7 @@ import importlib
 import re
 import shlex
 import tomllib
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 
 from jaxlangnav.commands.arguments import parse_arguments
 from jaxlangnav.experiments.sweep_config import config_from_dict
+from jaxlangnav.language.lexicon import read_lexicon
 from jaxlangnav.world.reading import world_from_dict
 
 ROOT = Path(__file__).parent.parent
@@ -77,8 +79,10 @@ def test_commands_are_understood(line: str) -> None:
 
 def test_files_in_the_text_are_accepted() -> None:
     text = (ROOT / "docs" / "how-to.md").read_text("utf-8")
-    blocks = [tomllib.loads(block) for kind, block in BLOCK.findall(text) if kind == "toml"]
-    world, grid = blocks
+    texts = [block for kind, block in BLOCK.findall(text) if kind == "toml"]
+    world, _, grid = (tomllib.loads(block) for block in texts)
+    base = resources.files("jaxlangnav.language").joinpath("data/lexicon.toml").read_text("utf-8")
+    assert read_lexicon(base, texts[1]).type_names[-1] == "lamp"
     assert world_from_dict(world, file="yard.toml").name == "yard"
     grid["worlds"].remove("yard.toml")
     assert config_from_dict(grid).episodes == 200

@@ -15,6 +15,8 @@ LAYERS = (
     "messages",
     "numerics",
     "relations",
+    "relation_pairs",
+    "relation_fitting",
     "language",
     "grounding",
     "semantic_map",
@@ -29,6 +31,7 @@ LAYERS = (
     "experiments",
     "viz",
     "commands",
+    "following",
     "cli",
     "__main__",
 )

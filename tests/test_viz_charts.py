@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxlangnav.experiments.metrics import wilson_interval
-from jaxlangnav.viz import measures, style, sweep
+from jaxlangnav.viz import measures, rows, style, sweep
 
 RANGES = (2.0, 3.0, 5.0)
 
@@ -18,7 +18,7 @@ def row(policy, relation, reach, *, world="2H1C", rate=80.0, way=15.0):
 
 
 def document():
-    rows = [
+    found = [
         row(policy, relation, reach, rate=60 + 5 * reach, way=30 - 4 * reach)
         for policy in ("faithful", "informed", "known")
         for relation in ("behind", "nearest")
@@ -26,7 +26,7 @@ def document():
     ]
     paper = [row("paper", "behind", 3.0, rate=67.4, way=18.72)]
     return {
-        "episodes": 100, "rows": rows, "paper": paper,
+        "episodes": 100, "rows": found, "paper": paper,
         "sentences": {"behind": "go to the hydrant behind the cone"},
     }  # fmt: skip
 
@@ -60,17 +60,97 @@ def test_error_bars_are_intervals_of_the_mean():
 def test_table_2_has_a_line_for_each_row():
     found = document()
     found["rows"] += [row("faithful", None, 3.0, world="1H1C")]
-    figure = sweep.table_figure(found)
+    figure = rows.table_figure(found)
     labels = [label.get_text() for label in figure.axes[0].get_yticklabels()]
     assert len(labels) == 7
     assert labels[-1] == "1H1C, 3 m, no relation"
     assert labels[0] == "2H1C, 2 m, behind"
 
 
-@pytest.mark.parametrize("draw", [sweep.range_figure, sweep.table_figure])
+@pytest.mark.parametrize("draw", [sweep.range_figure, rows.table_figure])
 def test_nothing_to_draw_is_said(draw):
     with pytest.raises(ValueError, match="nothing to draw"):
         draw({"rows": []})
+
+
+def test_limits_stand_across_their_row():
+    found = document()
+    found["bounds"] = [
+        {"world": "2H1C", "range": 3.0, "relation": "behind", "success": 100.0, "known": 10.4,
+         "search_law": None, "search_uniform": None},
+        {"world": "9H9C", "range": 3.0, "relation": None, "success": 50.0, "known": 1.0,
+         "search_law": 2.0, "search_uniform": 3.0},
+    ]  # fmt: skip
+    rates, ways = rows.table_figure(found).axes
+    marks = [
+        [line.get_xdata() for line in axes.lines if line.get_label() == rows.LIMIT_NAME]
+        for axes in (rates, ways)
+    ]
+    assert [len(of_axes) for of_axes in marks] == [1, 1]
+    assert marks[0][0][0] == pytest.approx(100.0)
+    assert marks[1][0][0] == pytest.approx(10.4 - 1.5)
+
+
+def swept(**varied):
+    """The summary of a sweep in which some columns vary."""
+    found = []
+    for policy in ("informed", "known"):
+        for values in zip(*varied.values(), strict=True):
+            extra = dict(zip(varied, values, strict=True))
+            own = extra | ({} if policy == "informed" else dict.fromkeys(extra))
+            own = own | {name: extra[name] for name in extra if name.startswith("sensor.")}
+            found.append(row(policy, "behind", 3.0) | own)
+    return {"name": "a sweep", "rows": found, "varied": [*varied, "policy"], "episodes": 400}
+
+
+def test_a_sweep_s_settings_and_arms_are_named_by_what_varies():
+    document = swept(**{
+        "sensor.detection_probability": (0.8, 0.95), "planner.discount": (0.7, 0.9),
+        "particles": (64, 256),
+    })  # fmt: skip
+    lines = rows.summary_lines(document)
+    assert [line[0] for line in lines[:2]] == [
+        "2H1C, 3 m, behind, detection probability 0.8",
+        "2H1C, 3 m, behind, detection probability 0.95",
+    ]
+    assert [line[1] for line in lines] == [
+        "informed, discount 0.7, 64 particles", "informed, discount 0.9, 256 particles",
+        "known", "known",
+    ]  # fmt: skip
+    rates, ways = rows.summary_figure(document).axes
+    assert len(rates.get_yticklabels()) == 2
+    assert [len(one.containers) for one in (rates, ways)] == [4, 4]
+    looks = sweep.looks_of([line[1] for line in lines[:3]])
+    assert len({look[:2] for look in looks.values()}) == 3
+
+
+def test_a_sweep_too_large_for_a_figure_is_refused():
+    many = swept(**{"sensor.noise": np.linspace(0, 1, rows.MOST_LINES + 1).tolist()})
+    with pytest.raises(ValueError, match="49 settings, but a figure can show 48"):
+        rows.summary_figure(many)
+
+
+def test_the_paper_s_rates_have_the_interval_of_its_runs():
+    figure = sweep.range_figure(document())
+    below = figure.axes[2]
+    (point,) = [one for one in below.containers if one.get_label() == sweep.PAPER_NAME]
+    low, high = wilson_interval(67, 100)
+    assert point.lines[2][0].get_segments()[0][:, 1] == pytest.approx([100 * low, 100 * high])
+
+
+def test_reliability_panels_share_names_and_scale():
+    curve = (np.array([0.2, 0.8]), np.array([0.1, 0.9]), np.array([0.0, 0.7]),
+             np.array([0.3, 1.0]), np.array([10.0, 40.0]))  # fmt: skip
+    figure = measures.reliability_figure(
+        {"informed": {"behind": curve}, "faithful": {"behind": curve, "null": curve}}, title="T"
+    )
+    above, other, below, _ = figure.axes
+    assert (above.get_title(loc="left"), other.get_title(loc="left")) == ("informed", "faithful")
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["behind", "null"]
+    assert lines_of(above)["behind"] == pytest.approx(np.array([[0.2, 0.1], [0.8, 0.9]]))
+    assert below.get_ylim()[1] > 40
+    with pytest.raises(ValueError, match="no predictions"):
+        measures.reliability_figure({"informed": {}}, title="T")
 
 
 def test_calibration_bins_by_hand():

@@ -89,14 +89,49 @@ def test_the_best_nodes_are_in_order_and_open():
     assert len(values.best_nodes(frame, 50)) == np.isfinite(frame.value).sum()
 
 
+def test_nodes_that_stand_together_are_one_place():
+    frame = make_recording(9, 20).at(7)
+    x, y, value = (np.array(leaf) for leaf in (frame.node_x, frame.node_y, frame.value))
+    best = values.best_nodes(frame, 50)
+    # A copy beside the best place, worth a little less, is no other place; far off it is.
+    x[0], y[0], value[0] = x[best[0]] + 0.1, y[best[0]], value[best[0]] - 0.01
+    beside = replace(frame, node_x=x, node_y=y, value=value)
+    assert 0 not in values.best_nodes(beside, 50)
+    far = replace(beside, node_x=np.where(np.arange(len(x)) == 0, x + 2.0, x))
+    assert values.best_nodes(far, 50)[1] == 0
+
+
 def test_bars_add_up_to_the_value():
     one = make_recording(9, 20)
     axes = axes_of(one)
-    frame = one.at(8)
+    frame = one.at(7)
     values.draw_parts(axes, frame)
     best = values.best_nodes(frame)
     widths = np.array([bar.get_width() for bar in axes.patches]).reshape(3, len(best))
     assert widths.sum(axis=0) == pytest.approx(frame.value[best], abs=1e-6)
+
+
+def test_where_it_stops_the_reason_stands_in_place_of_the_bars():
+    one = make_recording(9, 20)
+    axes = axes_of(one)
+    values.draw_parts(axes, one.at(8))
+    assert not axes.patches
+    assert "with probability 90 %" in axes.texts[0].get_text()
+    axes = axes_of(one)
+    values.draw_values(axes, one, 8)
+    assert not axes.texts
+
+
+def test_numbers_of_waypoints_are_apart_and_inside():
+    one = make_recording(9, 20)
+    axes = axes_of(one)
+    values.draw_values(axes, one, 7)
+    spots = np.array([text.get_position() for text in axes.texts])
+    assert [text.get_text() for text in axes.texts] == ["1", "2", "3", "4", "5"]
+    apart = np.hypot(*(spots[:, None] - spots[None]).transpose(2, 0, 1))
+    assert apart[~np.eye(5, dtype=bool)].min() > 0.5
+    x_min, x_max = axes.get_xlim()
+    assert ((spots[:, 0] > x_min) & (spots[:, 0] < x_max)).all()
 
 
 @pytest.mark.parametrize("policy", ["faithful", "informed"])

@@ -81,6 +81,42 @@ def test_readings_in_words(readings, said):
     assert words.describe_reading(scene, 0) == said
 
 
+@pytest.mark.parametrize(
+    ("nouns", "said"),
+    [
+        (["cone"], "a cone"),
+        (["cone", "cone"], "two cones"),
+        (["box", "hydrant", "box", "box"], "three boxes and a hydrant"),
+        (["bench"] * 5, "5 benches"),
+    ],
+)
+def test_things_are_counted(nouns, said):
+    assert words.counted(nouns) == said
+
+
+def test_what_is_asked_for_is_told_with_probabilities():
+    frame = make_recording(3, 5).at(0)
+    assert sentences.asked(frame) == (
+        "It is to go there and stop (90 %), at its normal pace (100 %)."
+    )
+    finds = replace(frame, action=np.array([0.2, 0.8]), mode=np.array([0.1, 0.1, 0.8]))
+    assert sentences.asked(finds) == (
+        "It is to find it: to have it in view is enough (80 %), carefully (80 %)."
+    )
+
+
+def test_the_unseen_goal_has_a_share_only_where_there_is_doubt():
+    one = make_recording(9, 20)
+    frame = replace(
+        one.at(0),
+        goal_mass=np.zeros_like(one.at(0).goal_mass),
+        hypothesis_goal_mass=one.at(0).weight,
+    )
+    assert "has not been seen yet: " in sentences.believed(one.scene, frame)
+    doubtful = replace(frame, hypothesis_goal_mass=0.9 * frame.weight)
+    assert "has not been seen yet (90 %): " in sentences.believed(one.scene, doubtful)
+
+
 def test_claims_are_ranked_and_sum_to_one():
     claims = words.describe_readings(make_scene())
     assert [claim for claim, _ in claims] == ["a hydrant behind a cone", "a hydrant"]

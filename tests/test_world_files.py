@@ -122,7 +122,7 @@ def test_round_trip_of_sampled_worlds_is_exact(tmp_path: Path, seed: int) -> Non
 
 
 def test_shipped_worlds_show_what_they_promise() -> None:
-    assert set(shipped_worlds()) == {"yard", "street", "empty-corner"}
+    assert set(shipped_worlds()) == {"yard", "street", "empty-corner", "figure1", "figure4"}
     kinds = set()
     for name in shipped_worlds():
         world = open_world(name)

@@ -10,15 +10,19 @@ import importlib
 import inspect
 import io
 import re
+import shutil
+import textwrap
 from collections.abc import Sequence
 from typing import Any, Protocol
 
-from jaxlangnav.commands import SUMMARIES
+from jaxlangnav.commands import SUMMARIES, settings
 from jaxlangnav.commands.errors import UsageError, did_you_mean
 from jaxlangnav.commands.output import Document, Output
 
 PROGRAM = "jaxlangnav"
 _FRAME = " \t│╭╮╰╯"
+_COMFORTABLE = 88
+"""Columns that a paragraph takes at most: longer lines are hard to read."""
 _RULE = re.compile(r"^[─-]{8,}")
 
 
@@ -71,13 +75,17 @@ def _read(kind: type[Any], options: Sequence[str], *, program: str) -> Any:
     """Let tyro fill the dataclass; fold what it complains of into one line."""
     import tyro
 
+    groups: tuple[str, ...] = getattr(kind, "SETTINGS", ())
+    if groups and any(settings.is_setting(word) for word in options):
+        kind = settings.with_settings(kind)
+        options = ["--help" if word == settings.HELP_ALL else word for word in options]
     complaint = io.StringIO()
     try:
         with contextlib.redirect_stderr(complaint):
             return tyro.cli(
                 kind,
                 prog=program,
-                description=inspect.cleandoc(kind.__doc__ or ""),
+                description=describe(kind),
                 args=list(options),
                 config=(tyro.conf.FlagCreatePairsOff, tyro.conf.PositionalMetavarFromFieldName),
             )
@@ -88,22 +96,70 @@ def _read(kind: type[Any], options: Sequence[str], *, program: str) -> Any:
         raise UsageError(f"{message} (see {program} --help)") from None
 
 
+def describe(kind: type[Any]) -> str:
+    """Lay out a command's docstring for its help, as wide as the terminal but for comfort.
+
+    Args:
+        kind: a command.
+
+    Returns:
+        Its paragraphs, their lines hanging: indented ones tyro leaves as they are, others it joins
+        to one of any length. Lists, as of examples, stay line by line.
+    """
+    width = min(shutil.get_terminal_size().columns, _COMFORTABLE)
+    first, *others = inspect.cleandoc(kind.__doc__ or "").split("\n\n")
+    laid = [first]
+    for paragraph in others:
+        is_list = "\n  " in paragraph
+        filled = textwrap.fill(" ".join(paragraph.split()), width, subsequent_indent="  ")
+        laid.append(paragraph if is_list else filled)
+    return "\n\n".join(laid)
+
+
 def _explain(complaint: str, kind: type[Any], options: Sequence[str]) -> str:
     """Say in one line why the options could not be read."""
-    fields = {f"--{field.name.replace('_', '-')}": field for field in dataclasses.fields(kind)}
+    import tyro
+
+    unnamed = {tyro.conf.Positional, tyro.conf.Suppress}
+    fields = {
+        f"--{field.name.replace('_', '-')}": field
+        for field in dataclasses.fields(kind)
+        if unnamed.isdisjoint(one for one in getattr(field.type, "__metadata__", ()))
+    }
+    groups: tuple[str, ...] = getattr(kind, "SETTINGS", ())
     for option in options:
         flag, is_assigned, _ = option.partition("=")
-        if flag.startswith("--") and flag not in fields:
-            return f'unknown option "{flag}"{did_you_mean(flag, ["--help", *fields])}'
+        if groups and settings.is_setting(flag):
+            if flag not in (one.flag for one in settings.options(groups)):
+                return f'unknown option "{flag}"{settings.suggestion(flag, groups)}'
+        elif flag.startswith("--") and flag not in fields:
+            known = ["--help", *fields, *([settings.HELP_ALL] if groups else [])]
+            return f'unknown option "{flag}"{did_you_mean(flag, known)}'
         if is_assigned and flag in fields and fields[flag].type in (bool, "bool"):
             return f'{flag} takes no value, not "{option}"'
-    title, message = _fold(complaint)
+    return _say(*_fold(complaint))
+
+
+def _say(title: str, message: str) -> str:
+    """Say a complaint of tyro's in the words of the other refusals."""
     if title.startswith("Unrecognized"):
         words = message.removeprefix("Unrecognized options:").strip()
         return f'unexpected "{words}"; a sentence of several words goes in quotes'
-    if title.startswith(("Required", "Missing")):
-        missing = re.sub(r"^Missing from .*?: ", "", message).replace("(required)", "").strip()
-        return "missing " + re.sub(r"^([A-Z]+) ", r"\1: ", missing).rstrip(".")
+    if title.startswith("Required"):
+        message = re.sub(r"^Missing from .*?: ", "", message)
+        parts = [part.strip(" .") for part in message.split("(required)") if part.strip(" .")]
+        return "missing " + "; ".join(
+            re.sub(r"^(--\S+ \S+|[A-Z]+) ", r"\1: ", part) for part in parts
+        )
+    if found := re.match(r"Missing value for argument '(\S+)'", message):
+        return f"{found[1]} needs a value"
+    if found := re.match(r"[Ii]nvalid choice '(.*)' for argument '(\S+)'.*?\((.*)\)", message):
+        choices = re.findall(r"'([^']*)'", found[3])
+        hint = did_you_mean(found[1], choices)
+        return f'{found[2]} is "{found[1]}", but must be one of {", ".join(choices)}{hint}'
+    if found := re.match(r"Error parsing (\S+): .*(int\(\)|to float).*?: '(.*)'$", message):
+        kind = "a whole number" if found[2] == "int()" else "a number"
+        return f'{found[1]} is "{found[3]}", but must be {kind}'
     return message[:1].lower() + message[1:].rstrip(".")
 
 

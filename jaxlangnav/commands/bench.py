@@ -3,6 +3,7 @@
 import dataclasses
 
 from jaxlangnav.commands.output import Document, Output
+from jaxlangnav.commands.runtime import keep_compiled_programs, progress_bar
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -30,10 +31,16 @@ class Bench:
         Returns:
             ``machine`` and ``entries``.
         """
-        from jaxlangnav.experiments.bench import render, run_bench
+        keep_compiled_programs()
+        from jaxlangnav.experiments.bench import render, run_bench, set_up, stages
 
-        document = run_bench(
-            is_quick=self.quick, on_progress=lambda what: output.note(f"measuring {what}")
-        )
+        bench = set_up(is_quick=self.quick)
+        with progress_bar("stages", len(stages(bench))) as advance:
+
+            def tell(what: str, done: int) -> None:
+                output.note(f"measuring {what}")
+                advance(done)
+
+            document = run_bench(bench, on_progress=tell)
         output.say(render(document))
         return document

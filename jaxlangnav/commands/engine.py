@@ -10,8 +10,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxlangnav import recording as recorder
 from jaxlangnav.commands.intent import is_among, meant_goals, with_goal
-from jaxlangnav.episode import Task
+from jaxlangnav.episode import MAX_STEPS, Task
 from jaxlangnav.experiments.monte_carlo import cell, make_tasks
 from jaxlangnav.grounding.instruction import GroundingModel, Understanding
 from jaxlangnav.grounding.weights import load, load_shipped
@@ -127,6 +128,35 @@ def open_task(
         is_own = _is_its_own(place, understood)
         return _judge(place.name, task, understood, is_own=is_own, is_drawn=False)
     return _draw(place, understood, sensing_range or 3.0, seed)
+
+
+def record_episode(
+    understood: Understanding,
+    prepared: Prepared,
+    *,
+    text: str,
+    params: NavigatorParams,
+    config: NavigatorConfig,
+    max_steps: int = MAX_STEPS,
+) -> Recording:
+    """Run one episode, and judge it by what its command asks for.
+
+    Args:
+        understood: the sentence.
+        prepared: the episode.
+        text: the sentence, for people.
+        params: the navigator's numbers.
+        config: sizes and policy.
+        max_steps: decisions after which it ends as a time-out.
+
+    Returns:
+        The recording.
+    """
+    instructions = jax.tree.map(lambda leaf: np.asarray(leaf)[None], understood.instruction)
+    recording = recorder.record(
+        prepared.task, instructions, params=params, config=config, max_steps=max_steps, text=text
+    )
+    return judged(recording, prepared)
 
 
 def missing_types(

@@ -3,6 +3,7 @@
 import dataclasses
 
 from jaxlangnav.commands.checks import check_at_least, check_seed
+from jaxlangnav.commands.errors import UsageError
 from jaxlangnav.commands.output import Document, Output
 from jaxlangnav.commands.runtime import keep_compiled_programs, progress_bar
 
@@ -16,13 +17,17 @@ class Evaluate:
 
     Examples:
       jaxlangnav evaluate
-      jaxlangnav evaluate --splits 100 --json
+      jaxlangnav evaluate --splits 200 --json
     """
 
     splits: int = 8
     """Random splits; the paper has 8."""
     seed: int = 0
     """Of the splits."""
+    beams: tuple[int, ...] = (4, 1, 16)
+    """Beam widths of the search; the first is that of the table and of the seconds."""
+    beam_only: bool = False
+    """Leave out the exact search, which goes on until no other set of symbols can be likelier."""
     json: bool = False
     """Print one JSON document: by model accuracy, interval, seconds; the paper's rows."""
 
@@ -40,10 +45,20 @@ class Evaluate:
         """
         check_at_least("--splits", self.splits, 2)
         check_seed(self.seed)
+        if not self.beams:
+            raise UsageError("--beams needs at least one width")
+        for beam in self.beams:
+            check_at_least("--beams", beam, 1)
         keep_compiled_programs()
         from jaxlangnav.experiments.table1 import evaluate, render
 
         with progress_bar("splits", self.splits) as advance:
-            document = evaluate(splits=self.splits, seed=self.seed, on_progress=advance)
+            document = evaluate(
+                splits=self.splits,
+                seed=self.seed,
+                beams=self.beams,
+                is_exact=not self.beam_only,
+                on_progress=advance,
+            )
         output.say(render(document))
         return document

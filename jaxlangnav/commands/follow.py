@@ -4,16 +4,17 @@ import dataclasses
 import importlib.util
 import itertools
 from collections.abc import Iterable, Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import tyro
 
 from jaxlangnav.commands.checks import check_at_least, check_folder, check_range, check_seed
 from jaxlangnav.commands.errors import UsageError
+from jaxlangnav.commands.metavars import File, Folder, Metres
 from jaxlangnav.commands.output import Document, Output
-from jaxlangnav.commands.runtime import keep_compiled_programs, patience
+from jaxlangnav.commands.runtime import keep_compiled_programs, waiting
 from jaxlangnav.commands.sentence import parse_text
+from jaxlangnav.commands.settings import Place, apply, read_settings
 
 if TYPE_CHECKING:
     from jaxlangnav.commands.engine import Prepared
@@ -28,7 +29,9 @@ class Follow:
     """Follow a sentence in a world never seen, until the robot says stop.
 
     Worlds: 1H1C, 1H2C, 2H1C, 2H2C (hydrants and cones, drawn anew for each seed so that the
-    sentence is true), a shipped world (yard, street, empty-corner), or a .toml or .json file.
+    sentence is true), a shipped world (yard, street, empty-corner, figure1, figure4), or a .toml
+    or .json file. The numbers and sizes of filter, planner, detector and motion can be set too, for
+    example --params.planner.discount 0.9: --help-params lists them with units.
 
     Examples:
       jaxlangnav follow "go to the hydrant behind the cone"
@@ -36,14 +39,17 @@ class Follow:
       jaxlangnav follow "find the car" --world street --out pictures
       jaxlangnav follow "move behind the cone" --live
       jaxlangnav follow "go to the hydrant" --policy faithful --seed 7 --json
+      jaxlangnav follow "go to the hydrant" --sensor.field-of-view "90 deg"
     """
+
+    SETTINGS: ClassVar = ("params", "config", "sensor", "motion")
 
     text: tyro.conf.Positional[str]
     """The sentence, in quotes."""
     world: str = "1H1C"
     """A template, a shipped world or a file."""
-    range: float | None = None
-    """How far the robot sees, metres; 3, or what the world file says, if not given."""
+    range: Metres = None
+    """How far the robot sees; 3 m, or what the world file says, if not given."""
     policy: Literal["informed", "faithful"] = "informed"
     """informed: puts its hypotheses to the test; faithful: the paper's."""
     seed: int = 0
@@ -52,14 +58,17 @@ class Follow:
     """Hypotheses of the map kept at once."""
     max_steps: int = 120
     """Decisions after which the episode ends as a time-out."""
-    out: Path | None = None
-    """Folder for pictures (PNG, SVG, interactive HTML) and the document of the episode."""
+    out: Folder = None
+    """Where to write pictures (PNG, SVG), an interactive page (HTML) and the document."""
+    rrd: bool = False
+    """Write the episode for the rerun viewer too, episode.rrd; needs jaxlangnav[rerun]."""
     live: bool = False
     """Draw the episode in the terminal while it runs."""
-    weights: Path | None = None
+    weights: File = None
     """Trained models, written by jaxlangnav train; the shipped ones if not given."""
     json: bool = False
     """Print one JSON document: success, distance, trajectory, annotations, pictures, ..."""
+    settings: tyro.conf.Suppress[Any] = None
 
     def run(self, output: Output) -> Document:
         """Run the episode, tell it, and draw it where a folder is given.
@@ -76,8 +85,17 @@ class Follow:
         self._check()
         parsed = parse_text(self.text, output)
         keep_compiled_programs()
+        values = read_settings(self.settings, self.SETTINGS)
+        if values:
+            self._check_settings(values)
         understood, prepared = self._prepare(parsed, output)
-        recording = self._record(understood, prepared, output)
+        from jaxlangnav.pytree import replace
+
+        task = prepared.task
+        sensor = apply(task.sensor, values, "sensor")
+        motion = apply(task.motion, values, "motion")
+        prepared = dataclasses.replace(prepared, task=replace(task, sensor=sensor, motion=motion))
+        recording = self._record(understood, prepared, values, output)
         document = self._document(prepared.world, understood.annotations, recording)
         if self.out is not None:
             self._draw(recording, document, output)
@@ -92,6 +110,18 @@ class Follow:
         check_folder("--out", self.out)
         if self.out is not None and importlib.util.find_spec("matplotlib") is None:
             raise UsageError('--out draws pictures and needs: pip install "jaxlangnav[viz]"')
+        if self.rrd and self.out is None:
+            raise UsageError("--rrd writes episode.rrd into the folder of --out: add --out DIR")
+        if self.rrd and importlib.util.find_spec("rerun") is None:
+            raise UsageError('--rrd needs the rerun viewer: pip install "jaxlangnav[rerun]"')
+
+    def _check_settings(self, values: "dict[Place, Any]") -> None:
+        """Refuse numbers and sizes that do not go together."""
+        from jaxlangnav.commands.engine import navigator_config, navigator_params
+        from jaxlangnav.navigator import check
+
+        check(apply(navigator_params(), values, "params"))
+        apply(navigator_config(self.policy, self.particles), values, "config")
 
     def _prepare(self, parsed: "Parse", output: Output) -> "tuple[Understanding, Prepared]":
         """Understand the sentence and open a world in which it can be followed."""
@@ -115,27 +145,39 @@ class Follow:
             output.note("note: nothing there fits the sentence; judged by the world's own goal")
         return understood, prepared
 
+    def _sizes(self, prepared: "Prepared", values: "dict[Place, Any]") -> dict[str, Any]:
+        """Build the engine's numbers and sizes; the belief knows the odometry's specification."""
+        from jaxlangnav.commands.engine import navigator_config, navigator_params
+        from jaxlangnav.pytree import replace
+
+        params = apply(navigator_params(), values, "params")
+        params = replace(params, map=replace(params.map, motion=prepared.task.motion))
+        config = apply(navigator_config(self.policy, self.particles), values, "config")
+        return {"params": params, "config": config}
+
     def _record(
-        self, understood: "Understanding", prepared: "Prepared", output: Output
+        self,
+        understood: "Understanding",
+        prepared: "Prepared",
+        values: "dict[Place, Any]",
+        output: Output,
     ) -> "Recording":
         """Run the episode and tell it, as it happens or afterwards."""
         import jax
         import numpy as np
-        from rich.markup import escape
 
         from jaxlangnav import recording as recorder
-        from jaxlangnav.commands.engine import judged, navigator_config, navigator_params
+        from jaxlangnav.commands.engine import judged
         from jaxlangnav.viz.narrative import closing, tell
 
         instructions = jax.tree.map(lambda leaf: np.asarray(leaf)[None], understood.instruction)
-        sizes: dict[str, Any] = {
-            "params": navigator_params(),
-            "config": navigator_config(self.policy, self.particles),
-        }
+        sizes = self._sizes(prepared, values)
         task = prepared.task
         scene = recorder.set_scene(task, instructions, text=self.text, **sizes)
         steps = recorder.play(task, instructions, max_steps=self.max_steps, **sizes)
-        with patience(output):
+        with waiting(
+            "compiling the robot's mind; what is compiled is kept for the next run", output
+        ):
             first = next(steps)
         whole = itertools.chain([first], steps)
         if self.live:
@@ -146,8 +188,7 @@ class Follow:
             frames, results = zip(*whole, strict=True)
             recording = judged(recorder.gather(scene, list(frames), results[-1]), prepared)
             lines = tell(recording)
-        for line in lines:
-            output.say(escape(line))
+        output.tell(lines)
         return recording
 
     def _watch(self, scene: "Scene", steps: "Iterable[tuple[Frame, EpisodeResult]]") -> "Recording":
@@ -187,7 +228,7 @@ class Follow:
         }
 
     def _draw(self, recording: "Recording", document: dict[str, Any], output: Output) -> None:
-        """Write pictures and document into the folder."""
+        """Write pictures, recordings and document into the folder."""
         import json
 
         from jaxlangnav.commands.output import to_json
@@ -195,9 +236,15 @@ class Follow:
         from jaxlangnav.viz.pictures import write_pictures
 
         assert self.out is not None
-        document["pictures"] = [str(path) for path in write_pictures(recording, self.out)]
+        paths = write_pictures(recording, self.out)
+        if self.rrd:
+            from jaxlangnav.viz.rrd import write_rrd
+
+            paths.append(write_rrd(recording, self.out / "episode.rrd"))
+        document["pictures"] = [str(path) for path in paths]
         write_text(json.dumps(to_json(document), indent=2) + "\n", self.out / "episode.json")
-        output.say(f"\nWrote {', '.join(document['pictures'])}")
+        names = ", ".join(path.name for path in paths)
+        output.say(f"\nWrote {names} and episode.json into {self.out}")
 
 
 def nothing_there(prepared: "Prepared", missing: Sequence[str], names: Sequence[str]) -> str:

@@ -1,12 +1,14 @@
 """``jaxlangnav ground``: what a sentence is taken to mean, with probabilities (3.1 and 3.3)."""
 
 import dataclasses
-from pathlib import Path
+import importlib.util
 from typing import TYPE_CHECKING, Any
 
 import tyro
 
-from jaxlangnav.commands.checks import check_seed
+from jaxlangnav.commands.checks import check_folder, check_seed
+from jaxlangnav.commands.errors import UsageError
+from jaxlangnav.commands.metavars import File, Folder, World
 from jaxlangnav.commands.output import Document, Output
 from jaxlangnav.commands.runtime import keep_compiled_programs
 from jaxlangnav.commands.sentence import parse_text
@@ -28,16 +30,19 @@ class Ground:
     Examples:
       jaxlangnav ground "go to the hydrant behind the cone"
       jaxlangnav ground "go to the hydrant behind the cone" --world 2H1C
+      jaxlangnav ground "go to the cone nearest to the car" --out pictures
       jaxlangnav ground "move behind the cone" --json
     """
 
     text: tyro.conf.Positional[str]
     """The sentence, in quotes."""
-    world: str | None = None
+    world: World = None
     """A template, a shipped world or a file: ground the behavior in it too."""
     seed: int = 0
     """Of the world drawn from a template."""
-    weights: Path | None = None
+    out: Folder = None
+    """Where to draw the factor graph with its probabilities, graph.png and graph.svg."""
+    weights: File = None
     """Trained models, written by jaxlangnav train; the shipped ones if not given."""
     json: bool = False
     """Print one JSON document: annotations, graph, behaviors, unknown_words."""
@@ -55,12 +60,16 @@ class Ground:
             ValueError: the sentence or the world is refused.
         """
         check_seed(self.seed)
+        check_folder("--out", self.out)
+        if self.out is not None and importlib.util.find_spec("matplotlib") is None:
+            raise UsageError('--out draws a picture and needs: pip install "jaxlangnav[viz]"')
         parsed = parse_text(self.text, output)
         keep_compiled_programs()
         from jaxlangnav.commands.engine import load_models
         from jaxlangnav.grounding.instruction import understand_parse
 
-        understood = understand_parse(parsed, load_models(self.weights))
+        model = load_models(self.weights)
+        understood = understand_parse(parsed, model)
         document: dict[str, Any] = {
             "instruction": self.text,
             "annotations": understood.annotations,
@@ -74,6 +83,11 @@ class Ground:
             num_objects = len(document["objects"])
         document["graph"] = understood.graph(num_objects)
         show_graph(document["graph"], output)
+        if self.out is not None:
+            from jaxlangnav.viz.pictures import write_graph
+
+            document["pictures"] = [str(path) for path in write_graph(parsed, model, self.out)]
+            output.say(f"Wrote {', '.join(document['pictures'])}")
         return document
 
     def _ground_in(self, world_name: str, understood: "Understanding") -> dict[str, Any]:

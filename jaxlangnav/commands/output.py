@@ -3,8 +3,11 @@
 import contextlib
 import json
 import math
+import re
+import shutil
 import sys
-from collections.abc import Iterator, Mapping
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 Document = Mapping[str, Any]
@@ -13,6 +16,8 @@ Document = Mapping[str, Any]
 
 _WIDEST = 240
 """Columns that a table may take."""
+_COMFORTABLE = 100
+"""Columns that lines of a story take at most on a terminal: longer ones are hard to read."""
 
 
 class Output:
@@ -39,6 +44,23 @@ class Output:
             widths = [Measurement.get(console, room, part).maximum for part in tables]
             console.width = max([console.width, *widths])
             console.print(*parts)
+
+    def tell(self, lines: Sequence[str]) -> None:
+        """Print a story in plain text; on a terminal long lines hang under their heads.
+
+        Args:
+            lines: each to begin a line of its own; those of steps begin with "[ 3 · 2.0 m]".
+        """
+        if self.is_json:
+            return
+        is_watched = sys.stdout.isatty()
+        width = min(shutil.get_terminal_size().columns, _COMFORTABLE)
+        for line in lines:
+            head = len(line.partition("] ")[0]) + 2 if line.startswith("[") else 0
+            # A number and its unit stay together.
+            kept = re.sub(r"(\d) (?=%|m\b)", "\\1\N{NO-BREAK SPACE}", line)
+            hung = textwrap.fill(kept, width, subsequent_indent=" " * head)
+            print(hung.replace("\N{NO-BREAK SPACE}", " ") if is_watched else line)
 
     def note(self, text: str) -> None:
         """Print a plain line on standard error: progress, warnings, repairs."""

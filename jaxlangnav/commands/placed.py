@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxlangnav.grounding.behavior import infer_behavior
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.grounding.worlds import place, to_device
+from jaxlangnav.grounding.worlds import place_for, to_device
 from jaxlangnav.language.labels import PlacedWorld
 from jaxlangnav.messages import ACTIONS, MODES, REGIONS, Behavior
 from jaxlangnav.world.scenario import NUM_SLOTS
@@ -67,7 +67,7 @@ def infer_in(
         program = jax.tree.map(
             lambda leaf, index=clause: np.asarray(leaf)[index], instruction.program
         )
-        world = to_device(place(placed, names), num_slots)
+        world = to_device(place_for(placed, names, instruction.readings), num_slots)
         behavior = jax.device_get(_infer(program, world))
         behavior = dataclasses.replace(
             behavior, goal=behavior.goal[:, slots], constraint=behavior.constraint[:, slots]

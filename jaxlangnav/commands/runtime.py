@@ -38,18 +38,27 @@ def keep_compiled_programs() -> None:
 
 
 @contextlib.contextmanager
-def patience(output: Output, *, seconds: float = 5.0) -> Iterator[None]:
-    """Tell a person why nothing happens, where it takes long.
+def waiting(what: str, output: Output, *, seconds: float = 5.0) -> Iterator[None]:
+    """Show that something is under way that has no steps to count, and for how long.
 
     Args:
-        output: where the note goes.
-        seconds: how long is long.
+        what: is being done.
+        output: where a note goes if nobody watches a terminal.
+        seconds: after which it is noted.
 
     Yields:
         Nothing; do the work inside.
     """
-    note = "compiling the robot's mind, once; the next run starts in seconds"
-    timer = threading.Timer(seconds, output.note, [note])
+    if sys.stderr.isatty():
+        from rich.console import Console
+        from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+        columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+        with Progress(*columns, console=Console(file=sys.stderr), transient=True) as bar:
+            bar.add_task(what, total=None)
+            yield
+        return
+    timer = threading.Timer(seconds, output.note, [what])
     timer.daemon = True
     timer.start()
     try:

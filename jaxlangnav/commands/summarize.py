@@ -1,10 +1,13 @@
 """``jaxlangnav summarize``: tables of a sweep (section 4.2)."""
 
 import dataclasses
+import importlib.util
 from pathlib import Path
 
 import tyro
 
+from jaxlangnav.commands.checks import check_folder
+from jaxlangnav.commands.metavars import Folder
 from jaxlangnav.commands.output import Document, Output
 
 
@@ -14,11 +17,14 @@ class Summarize:
 
     Examples:
       jaxlangnav summarize results
+      jaxlangnav summarize results --out summary
       jaxlangnav summarize results --json
     """
 
     directory: tyro.conf.Positional[Path]
     """Folder that jaxlangnav sweep has written."""
+    out: Folder = None
+    """Where to write the tables (Markdown) and a figure of them (PNG, SVG)."""
     json: bool = False
     """Print one JSON document."""
 
@@ -34,8 +40,31 @@ class Summarize:
         Raises:
             ValueError: not the folder of a sweep.
         """
+        check_folder("--out", self.out)
         from jaxlangnav.experiments.summary import render, summarize_directory
 
         document = summarize_directory(self.directory)
         output.say(render(document))
-        return document
+        if self.out is None:
+            return document
+        files = [str(path) for path in self._write(document, self.out, output)]
+        for path in files:
+            output.say(f"Wrote {path}")
+        return {**document, "written": files}
+
+    def _write(self, document: Document, out: Path, output: Output) -> list[Path]:
+        """Write the tables, and the figure where there is something to draw with."""
+        from jaxlangnav.experiments.archive import write_text
+        from jaxlangnav.experiments.summary import markdown
+
+        paths = [write_text(markdown(dict(document)), out / "summary.md")]
+        if importlib.util.find_spec("matplotlib") is None:
+            output.note('note: no figure without matplotlib: pip install "jaxlangnav[viz]"')
+            return paths
+        from jaxlangnav.viz.rows import MOST_LINES, summary_figure, summary_lines
+        from jaxlangnav.viz.style import save
+
+        if len({setting for setting, _, _ in summary_lines(document)}) > MOST_LINES:
+            output.note(f"note: no figure of more than {MOST_LINES} settings; the tables have all")
+            return paths
+        return [*paths, *save(summary_figure(document), out / "summary")]

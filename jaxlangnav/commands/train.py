@@ -2,12 +2,12 @@
 
 import dataclasses
 import shlex
-from pathlib import Path
 from typing import Any, Literal
 
 import tyro
 
 from jaxlangnav.commands.checks import check_file
+from jaxlangnav.commands.metavars import File
 from jaxlangnav.commands.output import Document, Output
 from jaxlangnav.commands.runtime import keep_compiled_programs
 
@@ -28,11 +28,11 @@ class Train:
 
     what: tyro.conf.Positional[Literal["annotation", "behavior", "both"]]
     """Which model."""
-    corpus: Path | None = None
+    corpus: File = None
     """A corpus file, or a folder with corpus.jsonl; the package's own if not given."""
-    base: Path | None = None
+    base: File = None
     """Weights that the other model comes from; the shipped ones if not given."""
-    out: Path | None = None
+    out: File = None
     """File to write, .npz; nothing is written if not given."""
     json: bool = False
     """Print one JSON document: sizes, seconds, accuracy on the hold-out, file."""
@@ -84,7 +84,7 @@ def _tell(document: dict[str, Any], kinds: tuple[str, ...], output: Output) -> N
         report = document[kind]
         output.say(
             f"{kind}: {report['examples']} factors, {report['features']} features; "
-            f"{report['steps']} steps in {report['train_s']:.1f} s "
+            f"{report['steps']} steps in {report['train_s']:.2f} s "
             f"(compiled in {report['train_compile_s']:.1f} s)"
         )
         if "accuracy" in report:
@@ -95,3 +95,5 @@ def _tell(document: dict[str, Any], kinds: tuple[str, ...], output: Output) -> N
             )
     if document["file"] is not None:
         output.say(f"Wrote {document['file']}. Use it: jaxlangnav follow ... --weights FILE")
+    else:
+        output.say("Nothing was written; --out FILE keeps the weights.")

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 
 from jaxlangnav.recording import Recording
 from jaxlangnav.viz import mapping, panels, style
-from jaxlangnav.viz.moments import pick_moments
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -18,17 +17,17 @@ def belief_figure(
 
     Args:
         recording: the episode.
-        steps: moments to show; those that tell the most by default.
-        num_panels: how many, where ``steps`` are not given.
+        steps: moments to show, see ``panels.choose_steps``.
+        num_panels: how many, where no moments are given.
 
     Returns:
-        The figure; ``style.save`` writes it.
+        What ``style.save`` writes.
 
     Raises:
-        MissingExtraError: matplotlib is not installed.
+        MissingExtraError: without matplotlib.
         ValueError: a step is not in the recording, or there are none.
     """
-    chosen = panels.check_steps(recording, steps) or pick_moments(recording, num_panels)
+    chosen = panels.choose_steps(recording, steps, num_panels)
     scene = recording.scene
     with style.house_style():
         text = (

@@ -6,16 +6,17 @@ the likeliest are drawn; a φ is filled by the probability that the phrase expre
 given what its child phrases express in the likeliest reading.
 """
 
-import dataclasses
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from jaxlangnav.grounding.annotation import infer_annotations, walk
+from jaxlangnav.grounding.correspondence import PhraseBelief, beliefs_below
 from jaxlangnav.grounding.examples import annotation_properties
 from jaxlangnav.grounding.features import senses_of
 from jaxlangnav.grounding.instruction import GroundingModel
-from jaxlangnav.grounding.search import Hypothesis, search
+from jaxlangnav.grounding.search import search
 from jaxlangnav.grounding.symbols import Annotation, AnnotationSpace
 from jaxlangnav.language.phrase import Parse, Phrase
 from jaxlangnav.messages import NONE, RELATIONS, ROBOT
@@ -28,21 +29,6 @@ if TYPE_CHECKING:
 
 _COLUMN, _ROW = 2.0, 0.62
 """Inches a phrase and a symbol take."""
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class PhraseBelief:
-    """What a phrase is taken to express."""
-
-    phrase: Phrase
-    path: tuple[int, ...]
-    probability: np.ndarray  # f64[S] that each symbol is expressed
-    rank: int  # 1 where its region is meant as an extreme ("nearest"), 2 for the second; or 0
-
-    @property
-    def parent(self) -> tuple[int, ...] | None:
-        """Path of the parent phrase; None at the root of a clause."""
-        return self.path[:-1] if len(self.path) > 1 else None
 
 
 def phrase_beliefs(parse: Parse, model: GroundingModel) -> list[PhraseBelief]:
@@ -70,17 +56,8 @@ def phrase_beliefs(parse: Parse, model: GroundingModel) -> list[PhraseBelief]:
             tables = annotation_properties(space, senses, [one.expressed for one in children])
             return (tables["symbol"] @ coefficients["symbol"]).astype(np.float64)
 
-        def visit(phrase: Phrase, path: tuple[int, ...], best: Hypothesis) -> None:
-            odds = log_odds(phrase, path, best.children)
-            probability = np.exp(-np.logaddexp(0.0, -odds))
-            rank = ranks.get(path, 0)
-            found.append(PhraseBelief(phrase=phrase, path=path, probability=probability, rank=rank))
-            for index, (child, below) in enumerate(
-                zip(phrase.children, best.children, strict=True)
-            ):
-                visit(child, (*path, index), below)
-
-        visit(root, (clause,), search(root, log_odds, path=(clause,))[0])
+        best = search(root, log_odds, path=(clause,))[0]
+        found.extend(beliefs_below(root, (clause,), best, log_odds, ranks))
     return found
 
 
@@ -111,14 +88,36 @@ def graph_figure(parse: Parse, model: GroundingModel, *, num_symbols: int = 3) -
         MissingExtraError: matplotlib is not installed.
         ValueError: ``num_symbols`` is less than 1.
     """
+    space = AnnotationSpace(len(model.type_names))
+    names = [symbol_name(symbol, model.type_names) for symbol in space.symbols]
+    beliefs = phrase_beliefs(parse, model)
+    return beliefs_figure(beliefs, names, title=parse.instruction, num_symbols=num_symbols)
+
+
+def beliefs_figure(
+    beliefs: Sequence[PhraseBelief], names: Sequence[str], *, title: str, num_symbols: int = 3
+) -> "Figure":
+    """Draw the factor graph of any tree with any symbols (``grounding.correspondence``).
+
+    Args:
+        beliefs: of all phrases, parents first.
+        names: of the S symbols.
+        title: the sentence.
+        num_symbols: how many of the likeliest symbols of each phrase to show, at least 1.
+
+    Returns:
+        The figure.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+        ValueError: ``num_symbols`` is less than 1.
+    """
     if num_symbols < 1:
         raise ValueError(f"num_symbols is {num_symbols}, but must be at least 1")
-    beliefs = phrase_beliefs(parse, model)
-    space = AnnotationSpace(len(model.type_names))
     with style.house_style():
         from matplotlib.figure import Figure
 
-        width = max(_COLUMN * len(beliefs) + 0.2, 8.9)
+        width = max(_COLUMN * len(beliefs) + 0.6, 8.9)
         height = 2.35 + _ROW * num_symbols
         figure = Figure(figsize=(width, height))
         axes = figure.add_axes((0, 0, 1, 1 - 0.62 / height))
@@ -127,17 +126,17 @@ def graph_figure(parse: Parse, model: GroundingModel, *, num_symbols: int = 3) -
         left = (width - _COLUMN * len(beliefs)) / 2 + 0.32
         places = {one.path: left + _COLUMN * i for i, one in enumerate(beliefs)}
         for one in beliefs:
-            _draw_phrase(axes, one, places[one.path], space, model.type_names, num_symbols)
+            _draw_phrase(axes, one, places[one.path], names, num_symbols)
         for one in beliefs:
             if one.parent is not None:
                 _draw_link(axes, one, places, num_symbols)
         _draw_key(axes)
-        factors = space.size * len(beliefs)
+        factors = len(names) * len(beliefs)
         variables = 2 * factors + len(beliefs)
         style.title(
             figure,
-            f"“{parse.instruction}”",
-            f"{len(beliefs)} phrases × {space.size} symbols: {factors:,} factors, {variables:,} "
+            f"“{title}”",
+            f"{len(beliefs)} phrases × {len(names)} symbols: {factors:,} factors, {variables:,} "
             f"random variables; of each phrase the {num_symbols} likeliest are shown.",
         )
     return figure
@@ -152,8 +151,7 @@ def _draw_phrase(
     axes: "Axes",
     one: PhraseBelief,
     x: float,
-    space: AnnotationSpace,
-    type_names: tuple[str, ...],
+    names: Sequence[str],
     num_symbols: int,
 ) -> None:
     """Draw a phrase λ with the factors of its likeliest symbols above it."""
@@ -174,7 +172,7 @@ def _draw_phrase(
         _circle(axes, x + 0.31, y, face=style.LINE)
         _circle(axes, x + 0.62, y, face=style.PAPER, share=share)
         is_said = share >= 0.5
-        name = symbol_name(space.symbols[int(index)], type_names)
+        name = names[int(index)]
         axes.text(
             x + 0.12, y + 0.15, name, fontsize=8, va="bottom", zorder=6,
             bbox={"fc": style.PAPER, "ec": "none", "pad": 0.6},
@@ -185,7 +183,7 @@ def _draw_phrase(
             x + 0.78, y, percent(share), fontsize=8, va="center",
             color=style.INK if is_said else style.MUTED,
         )  # fmt: skip
-    rest = space.size - len(order)
+    rest = len(names) - len(order)
     axes.text(x + 0.08, top + 0.36, f"{rest} more", fontsize=7.5, va="bottom", color=style.MUTED)
 
 

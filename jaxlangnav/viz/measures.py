@@ -1,15 +1,21 @@
 """Measures of quality: calibration of probabilities, and where the time goes."""
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from jaxlangnav.experiments.metrics import wilson_interval
 from jaxlangnav.viz import style
+from jaxlangnav.viz.words import percent
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+
+Curve = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+"""Of each bin: mean prediction, share that came true, ends of its 95 % interval, predictions."""
 
 
 def calibration_figure(
@@ -19,7 +25,7 @@ def calibration_figure(
 
     Args:
         predictions: name of a curve to predicted probabilities f[n] in [0, 1] and outcomes
-            bool[n].
+            bool[n], independent of each other.
         num_bins: equal parts of [0, 1]; empty ones are left out.
 
     Returns:
@@ -29,37 +35,89 @@ def calibration_figure(
         MissingExtraError: matplotlib is not installed.
         ValueError: no curve, or lengths that differ.
     """
-    if not predictions:
+    curves = {
+        f"{name} (n = {len(predicted)})": calibration_bins(predicted, outcome, num_bins)
+        for name, (predicted, outcome) in predictions.items()
+    }
+    return reliability_figure({"": curves}, title="Calibration")
+
+
+def reliability_figure(
+    panels: Mapping[str, Mapping[str, Curve]], *, title: str, subtitle: str = ""
+) -> "Figure":
+    """Draw reliability curves side by side.
+
+    Args:
+        panels: heading of each panel to its curves by name.
+        title: the headline.
+        subtitle: a line beneath it, before the word on how to read the figure.
+
+    Returns:
+        The figure: a column a panel, curves above, and beneath how many predictions a bin has.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+        ValueError: no curve.
+    """
+    if not any(panels.values()):
         raise ValueError("no predictions given, so there is nothing to draw")
+    names = list(dict.fromkeys(name for curves in panels.values() for name in curves))
     with style.house_style():
         from matplotlib.figure import Figure
 
-        figure = Figure(figsize=(5.0, 6.0))
-        curves, counts = figure.subplots(2, 1, sharex=True, height_ratios=(3.2, 1))
-        figure.subplots_adjust(left=0.13, right=0.97, top=0.875, bottom=0.085, hspace=0.08)
-        curves.plot([0, 1], [0, 1], color=style.MUTED, linestyle=":", linewidth=1)
-        for index, (name, (predicted, outcome)) in enumerate(predictions.items()):
-            color = style.SERIES[index % len(style.SERIES)]
-            mean, rate, low, high, number = calibration_bins(predicted, outcome, num_bins)
-            curves.errorbar(
-                mean, rate, yerr=(rate - low, high - rate), color=color, marker="os^vDP"[index % 6],
-                markersize=5, capsize=2, linewidth=1.3, label=f"{name} (n = {len(predicted)})",
-            )  # fmt: skip
-            counts.step(mean, number, where="mid", color=color, linewidth=1.3)
-        curves.set_ylabel("share that came true")
-        counts.set_ylabel("predictions")
-        counts.set_xlabel("predicted probability")
-        counts.set_yscale("symlog", linthresh=1)
-        curves.set(xlim=(-0.02, 1.02), ylim=(-0.02, 1.02))
-        for axes in (curves, counts):
-            axes.grid()
-        curves.legend(loc="upper left")
-        style.title(
-            figure,
-            "Calibration",
-            "On the dotted line probabilities mean what they say; bars: 95 %.",
+        wide, number = 1.0 + 4.1 * len(panels), len(panels)
+        columns = 1 if number == 1 else 2
+        foot = 0.58 + 0.19 * -(-len(names) // columns)
+        tall = 5.6 + foot
+        figure = Figure(figsize=(wide, tall))
+        grid = figure.subplots(
+            2, number, sharex=True, sharey="row", height_ratios=(3.4, 1), squeeze=False
         )
+        figure.subplots_adjust(
+            left=0.66 / wide, right=1 - 0.14 / wide, top=1 - 1.0 / tall, bottom=foot / tall,
+            hspace=0.08, wspace=0.07,
+        )  # fmt: skip
+        for column, (heading, curves) in enumerate(panels.items()):
+            above, below = grid[0][column], grid[1][column]
+            _draw_reliability(above, below, curves, names)
+            above.set_title(heading)
+        most = max(float(curve[4].max()) for curves in panels.values() for curve in curves.values())
+        grid[1][0].set_ylim(0, 2 * most)
+        grid[0][0].set_ylabel("share that came true")
+        grid[1][0].set_ylabel("predictions")
+        handles, labels = _merged_legend(grid[0], names)
+        figure.legend(handles, labels, loc="lower center", ncols=columns)
+        text = "On the dotted line probabilities mean what they say; bars: 95 %."
+        style.title(figure, title, f"{subtitle}\n{text}" if subtitle else text)
     return figure
+
+
+def _draw_reliability(
+    above: "Axes", below: "Axes", curves: Mapping[str, Curve], names: list[str]
+) -> None:
+    """Draw the curves of one panel and how many predictions they rest on."""
+    above.plot([0, 1], [0, 1], color=style.MUTED, linestyle=":", linewidth=1)
+    for name, (mean, rate, low, high, number) in curves.items():
+        index = names.index(name)
+        color, marker = style.SERIES[index % len(style.SERIES)], "os^vDP"[index % 6]
+        above.errorbar(
+            mean, rate, yerr=(rate - low, high - rate), color=color, marker=marker,
+            markersize=5, capsize=2, linewidth=1.3, label=name,
+        )  # fmt: skip
+        below.plot(mean, number, color=color, marker=marker, markersize=4, linewidth=1.0)
+    above.set(xlim=(-0.02, 1.02), ylim=(-0.02, 1.02))
+    below.set_yscale("symlog", linthresh=1)
+    below.set_xlabel("predicted probability")
+    for axes in (above, below):
+        axes.grid()
+
+
+def _merged_legend(row: "Sequence[Axes]", names: list[str]) -> tuple[list[Any], list[str]]:
+    """Gather the legend of several panels, each name once."""
+    found: dict[str, Any] = {}
+    for axes in row:
+        found |= dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
+    return [found[name] for name in names], names
 
 
 def calibration_bins(
@@ -125,7 +183,7 @@ def time_figure(parts: Mapping[str, float], *, what: str = "one decision cycle")
         axes.barh(range(len(ranked)), values, height=0.7, color=style.SERIES[0])
         for place, value in enumerate(values):
             axes.annotate(
-                f"{value:.3g} µs · {100 * value / total:.0f} %", (value, place), xytext=(4, 0),
+                f"{value:.3g} µs · {percent(value / total)}", (value, place), xytext=(4, 0),
                 textcoords="offset points", va="center", fontsize=7.5, color=style.MUTED,
                 annotation_clip=False,
             )  # fmt: skip

@@ -4,10 +4,27 @@ The first and the last step always; between them the steps at which the belief o
 changed most, no two side by side.
 """
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 
 from jaxlangnav.recording import Recording
-from jaxlangnav.viz.summary import expected_goal
+from jaxlangnav.viz.narrative import headline
+from jaxlangnav.viz.summary import expected_goal, explored_share
+from jaxlangnav.viz.words import percent
+
+TABLE_HEADINGS = [
+    "step",
+    "walked m",
+    "what happens",
+    "goal seen",
+    "unseen, left",
+    "unseen, right",
+    "its spread m",
+    "looked at",
+]
+"""Of ``table_rows``."""
 
 
 def change(recording: Recording) -> np.ndarray:
@@ -57,3 +74,71 @@ def pick_moments(recording: Recording, number: int = 6) -> list[int]:
         merit = np.where(gap == 0, -np.inf, score * np.minimum(gap / 2.0, 1.0) + 2.0 * spread)
         chosen.add(int(np.argmax(merit)))
     return sorted(chosen)
+
+
+def describe_moments(recording: Recording, steps: Sequence[int]) -> list[dict[str, Any]]:
+    """Say in numbers what the panels of a figure show.
+
+    Args:
+        recording: the episode.
+        steps: the moments.
+
+    Returns:
+        For each: ``step``, ``distance`` walked (m), ``event``, ``goal_seen`` (probability that the
+        goal is an observed object), ``unseen_left`` and ``unseen_right`` (that it is unseen, on
+        either side of the line along which the robot began), ``spread`` of the unseen goal (m,
+        root mean square from its mean; None where it has been seen), ``explored`` (share of the
+        area).
+    """
+    x, y, heading = (float(one) for one in recording.scene.scenario.start)
+    found = []
+    for step in steps:
+        frame = recording.at(step)
+        before = recording.at(step - 1) if step else None
+        mass = np.asarray(frame.hypothesis_goal_mass, float)
+        gone_x, gone_y = frame.hypothesis_goal_x - x, frame.hypothesis_goal_y - y
+        is_left = np.cos(heading) * gone_y - np.sin(heading) * gone_x > 0.0
+        found.append(
+            {
+                "step": step,
+                "distance": float(frame.distance),
+                "event": headline(recording.scene, frame, before),
+                "goal_seen": float(frame.goal_mass.sum()),
+                "unseen_left": float(mass[is_left].sum()),
+                "unseen_right": float(mass[~is_left].sum()),
+                "spread": _spread(gone_x, gone_y, mass),
+                "explored": explored_share(frame),
+            }
+        )
+    return found
+
+
+def table_rows(moments: Sequence[dict[str, Any]]) -> list[list[str]]:
+    """Write the moments of a figure as lines of a table.
+
+    Args:
+        moments: of ``describe_moments``.
+
+    Returns:
+        Texts in the order of ``TABLE_HEADINGS``.
+    """
+    return [
+        [
+            str(one["step"]),
+            f"{one['distance']:.1f}",
+            one["event"],
+            *(percent(one[name]) for name in ("goal_seen", "unseen_left", "unseen_right")),
+            "" if one["spread"] is None else f"{one['spread']:.1f}",
+            percent(one["explored"]),
+        ]
+        for one in moments
+    ]
+
+
+def _spread(x: np.ndarray, y: np.ndarray, mass: np.ndarray) -> float | None:
+    """Compute the root mean square distance from the mean; None where there is hardly any mass."""
+    total = mass.sum()
+    if total < 0.05:
+        return None
+    square = (x - (x @ mass) / total) ** 2 + (y - (y @ mass) / total) ** 2
+    return float(np.sqrt((square @ mass) / total))

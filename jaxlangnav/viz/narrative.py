@@ -8,7 +8,7 @@ from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.planner.graph import OBJECT
 from jaxlangnav.recording import Frame, Recording, Scene
 from jaxlangnav.viz import sentences, summary
-from jaxlangnav.viz.words import article, describe_readings, listed, percent
+from jaxlangnav.viz.words import counted, describe_readings, percent
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 
 _SHIFT = 0.1
@@ -80,7 +80,7 @@ def headline(scene: Scene, frame: Frame, before: Frame | None) -> str:
         return "turns to the next command"
     new = sentences.new_objects(frame, before)
     if new:
-        return f"discovers {listed([article(scene.type_name(one.object_type)) for one in new])}"
+        return f"discovers {counted([scene.type_name(one.object_type) for one in new])}"
     if before is None:
         return "hears the sentence, sees nothing"
     share = float(frame.num_regrounded) / frame.weight.shape[0]
@@ -134,7 +134,7 @@ def tell(recording: Recording) -> list[str]:
         Lines, each to be printed on its own; steps begin with their number and the metres walked.
     """
     scene, before = recording.scene, None
-    lines, quiet = opening(scene), []
+    lines, quiet = [*opening(scene), sentences.asked(recording.at(0))], []
     for step in range(recording.num_steps):
         frame = recording.at(step)
         if is_quiet(frame, before):
@@ -185,7 +185,7 @@ def _drawn_together(steps: list[int], recording: Recording) -> list[str]:
         gone = float(last.distance) - float(recording.frames.distance[max(steps[0] - 1, 0)])
         if len(steps) > 2 and gone < 0.5:
             return [f"{head} Stands still. {sentences.believed(recording.scene, last)}"]
-        return [f"{head} {sentences.decided(recording.scene, last)}"]
+        return [f"{head} {sentences.goes_on(recording.scene, last)}"]
     refuted = int(recording.frames.num_regrounded[steps].sum())
     share = percent(summary.explored_share(last))
     seen = "Looks on" if last.is_detection.any() else "Searches, finds nothing"

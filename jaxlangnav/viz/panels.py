@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from jaxlangnav.recording import Recording
 from jaxlangnav.viz import style
+from jaxlangnav.viz.moments import pick_moments
 from jaxlangnav.viz.narrative import headline
 
 if TYPE_CHECKING:
@@ -122,6 +123,24 @@ def verdict(recording: Recording) -> str:
         f"{recording.scene.policy} policy: {ended}, {away:.1f} m from the meant goal after "
         f"{walked:.1f} m (known map: {recording.scene.known_distance:.1f} m)"
     )
+
+
+def choose_steps(recording: Recording, steps: Sequence[int] | None, number: int) -> list[int]:
+    """Choose the moments that a figure shows.
+
+    Args:
+        recording: the episode.
+        steps: moments to show, negative ones counted from the end; those that tell the most if
+            None.
+        number: how many, where ``steps`` are not given.
+
+    Returns:
+        The moments in [0, T).
+
+    Raises:
+        ValueError: a step is not in the recording, or the list is empty.
+    """
+    return check_steps(recording, steps) or pick_moments(recording, number)
 
 
 def check_steps(recording: Recording, steps: Sequence[int] | None) -> list[int]:

@@ -38,18 +38,21 @@ def write_pictures(recording: Recording, folder: Path | str) -> list[Path]:
     return [*paths, folder / "story.txt"]
 
 
-def write_graph(parse: Parse, model: GroundingModel, folder: Path | str) -> list[Path]:
+def write_graph(
+    parse: Parse, model: GroundingModel, folder: Path | str, *, name: str = "graph"
+) -> list[Path]:
     """Write the factor graph of a sentence.
 
     Args:
         parse: the sentence, such as ``Understanding.parse``.
         model: trained models.
         folder: where to; made if it is not there.
+        name: of the files, without ending.
 
     Returns:
-        graph.png and graph.svg.
+        The PNG and the SVG file.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
     """
-    return [*style.save(graph_figure(parse, model), Path(folder) / "graph")]
+    return [*style.save(graph_figure(parse, model), Path(folder) / name)]

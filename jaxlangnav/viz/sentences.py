@@ -13,6 +13,7 @@ from jaxlangnav.viz.words import (
     listed,
     node_words,
     percent,
+    plural,
     whereabouts,
 )
 
@@ -34,6 +35,26 @@ def new_objects(frame: Frame, before: Frame | None) -> list[summary.SeenObject]:
 def _place(frame: Frame, x: float, y: float) -> str:
     """Say where a place is, seen from the robot as it believes itself to stand."""
     return whereabouts(x, y, float(frame.robot[0]), float(frame.robot[1]), float(frame.heading))
+
+
+_PACES = ("at its normal pace", "quickly", "carefully")
+"""How it is to move, in the order of ``messages.MODES``."""
+
+
+def asked(frame: Frame) -> str:
+    """Tell what the sentence is taken to ask for: action and mode, with probabilities.
+
+    Args:
+        frame: the first step.
+
+    Returns:
+        A sentence.
+    """
+    navigate, find = (float(one) for one in frame.action)
+    mode = int(np.argmax(frame.mode))
+    deed = "go there and stop" if navigate >= find else "find it: to have it in view is enough"
+    pace = f"{_PACES[mode]} ({percent(float(frame.mode[mode]))})"
+    return f"It is to {deed} ({percent(max(navigate, find))}), {pace}."
 
 
 def commanded(scene: Scene, frame: Frame, before: Frame | None) -> str:
@@ -75,7 +96,7 @@ def seen(scene: Scene, frame: Frame, before: Frame | None) -> str:
         return "Sees nothing."
     names = [scene.type_name(kind) for kind in kinds]
     counted = [
-        f"the {name}" if names.count(name) == 1 else f"{names.count(name)} {name}s"
+        f"the {name}" if names.count(name) == 1 else f"{names.count(name)} {plural(name)}"
         for name in dict.fromkeys(names)
     ]
     return f"Sees {listed(counted)} again."
@@ -195,9 +216,12 @@ def believed(scene: Scene, frame: Frame) -> str:
             for x, y, share in summary.peaks(frame)
             if share * unseen >= 0.1
         ]
-        where = f"likeliest {', or '.join(spots)}" if spots else "it could be anywhere"
-        subject = "It may still be unseen" if seen else "The goal has not been seen yet"
-        told.append(f"{subject} ({percent(unseen)}): {where}.")
+        where = f"likeliest it is {', or '.join(spots)}" if spots else "it could be anywhere"
+        if seen:
+            told.append(f"It may still be unseen ({percent(unseen)}): {where}.")
+        else:
+            sure = "" if unseen > 0.99 else f" ({percent(unseen)})"
+            told.append(f"The goal has not been seen yet{sure}: {where}.")
     nothing = 1.0 - unseen - float(frame.goal_mass.sum())
     if nothing >= 0.15:
         told.append(f"In {percent(nothing)} of the maps nothing fits the command.")
@@ -219,8 +243,22 @@ def decided(scene: Scene, frame: Frame) -> str:
     place = _place(frame, float(frame.waypoint[0]), float(frame.waypoint[1]))
     target = f"{_target(scene, frame)} {place}"
     if bool(frame.is_kept):
-        return f"Keeps on to {target}."
+        return goes_on(scene, frame)
     return f"Heads for {target}{_reason(scene, frame)}."
+
+
+def goes_on(scene: Scene, frame: Frame) -> str:
+    """Tell that the robot goes where it was going.
+
+    Args:
+        scene: of the episode.
+        frame: the step.
+
+    Returns:
+        A sentence.
+    """
+    place = _place(frame, float(frame.waypoint[0]), float(frame.waypoint[1]))
+    return f"Goes on to {_target(scene, frame)} {place}."
 
 
 def _target(scene: Scene, frame: Frame) -> str:
@@ -236,15 +274,18 @@ def _reason(scene: Scene, frame: Frame) -> str:
     node = summary.chosen_node(frame)
     if node is None:
         return ""
-    value, number = float(frame.value[node]), int(np.isfinite(frame.value).sum())
+    value, number = float(frame.value[node]), len(summary.distinct_nodes(frame))
     if scene.policy == "informed":
         if int(frame.node_kind[node]) == OBJECT:
             return ": nothing is left to find out that would matter more"
         tested = percent(summary.tested_share(scene, frame))
         return (
-            f": of {number} places it promises most; the way puts {tested} of the maps to the test"
+            ": no tour that starts elsewhere finds the goal sooner; on the way "
+            f"{tested} of its maps are put to the test"
         )
-    return f": of {number} places it is on average nearest to the goal (value {value:.2f})"
+    if scene.policy == "faithful":
+        return f": of {number} places the nearest to the goal, over all maps (value {value:.2f})"
+    return f": of {number} places it is worth most to its policy (value {value:.2f})"
 
 
 def _stopped(scene: Scene, frame: Frame) -> str:

@@ -171,6 +171,30 @@ def chosen_node(frame: Frame) -> int | None:
     return best if squared[best] < 1e-4 else None
 
 
+SAME_PLACE = 0.25
+"""Metres within which two nodes are one place to a person."""
+
+
+def distinct_nodes(frame: Frame) -> np.ndarray:
+    """Rank the places a robot may go to; of nodes that stand together the best counts.
+
+    Args:
+        frame: one step.
+
+    Returns:
+        i64[≤ A] indices of open nodes, the most valuable first.
+    """
+    order = np.argsort(-np.asarray(frame.value), kind="stable")
+    kept: list[int] = []
+    for node in order[np.isfinite(frame.value[order])]:
+        apart = np.hypot(
+            frame.node_x[kept] - frame.node_x[node], frame.node_y[kept] - frame.node_y[node]
+        )
+        if not (apart < SAME_PLACE).any():
+            kept.append(int(node))
+    return np.array(kept, int)
+
+
 def tested_share(scene: Scene, frame: Frame) -> float:
     """Compute how much belief the way to the waypoint puts to the test.
 

@@ -1,4 +1,4 @@
-"""Results: distance and success against the sensing range (Figure 5), rows of Table 2."""
+"""Results: distance and success against the sensing range (Figure 5)."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxlangnav.experiments.metrics import wilson_interval
+from jaxlangnav.experiments.tables import PAPER_RUNS
 from jaxlangnav.viz import style
 
 if TYPE_CHECKING:
@@ -13,15 +15,18 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Row = Mapping[str, Any]
+Look = tuple[str, str, str]
 POLICY_LOOKS = {
     "informed": (style.SERIES[0], "o", "informed (ours)"),
     "faithful": (style.SERIES[1], "s", "faithful (the paper's method)"),
     "frontier": (style.SERIES[2], "^", "nearest frontier, no language"),
     "lawnmower": (style.SERIES[3], "v", "lawnmower, no language"),
+    "arc": (style.SERIES[4], "<", "sweep that knows the worlds' law"),
     "known": (style.MUTED, "", "known map"),
 }
 """Colour, marker and name of each policy."""
-PAPER_NAME = "paper, as printed (± 1 σ)"
+PAPER_NAME = "paper, as printed"
+PAPER_BARS = f"paper: ± 1 σ of the distance, 95 % of a rate of {PAPER_RUNS} runs"
 _Z95 = 1.96
 _APART = 1.025
 """Factor on the range between the points of two policies."""
@@ -74,61 +79,29 @@ def range_figure(document: Mapping[str, Any]) -> "Figure":
         style.title(
             figure,
             "Distance and success against the sensing range",
-            f"{number} episodes a point; bars: 95 % interval of the mean.",
+            f"{number} episodes a point; bars: 95 % interval of the mean; {PAPER_BARS}.",
         )
-        handles, labels = _legend_of(grid)
+        handles, labels = legend_of(grid)
         figure.legend(handles, labels, loc="lower center", ncols=min(len(labels), 3))
     return figure
 
 
-def table_figure(document: Mapping[str, Any]) -> "Figure":
-    """Draw the rows of a table beside the paper's: success at the left, distance at the right.
+def looks_of(arms: Sequence[str]) -> dict[str, Look]:
+    """Give each arm its colour, marker and name.
 
     Args:
-        document: of ``experiments.table2``.
+        arms: policies, or names of somebody's own.
 
     Returns:
-        The figure, a line for each row of the table.
-
-    Raises:
-        MissingExtraError: matplotlib is not installed.
-        ValueError: the document has no rows.
+        Looks by arm; policies have their own, others take the colours of a chart in turn.
     """
-    rows: Sequence[Row] = document["rows"]
-    keys = list(dict.fromkeys((row["world"], row["range"], row["relation"]) for row in rows))
-    if not keys:
-        raise ValueError("the document has no rows, so there is nothing to draw")
-    policies = list(dict.fromkeys(row["policy"] for row in rows))
-    places = {key: place for place, key in enumerate(keys)}
-    with style.house_style():
-        from matplotlib.figure import Figure
-
-        figure = Figure(figsize=(9.2, 1.9 + 0.52 * len(keys)))
-        tall = figure.get_figheight()
-        rates, ways = figure.subplots(1, 2, sharey=True)
-        figure.subplots_adjust(
-            left=0.19, right=0.98, top=1 - 0.72 / tall, bottom=0.98 / tall, wspace=0.06
+    markers = "os^vDPXh"
+    return {
+        arm: POLICY_LOOKS.get(
+            arm, (style.SERIES[index % len(style.SERIES)], markers[index % len(markers)], arm)
         )
-        for place in range(0, len(keys), 2):
-            for axes in (rates, ways):
-                axes.axhspan(place - 0.5, place + 0.5, color="#f4f5f7", zorder=0)
-        for index, policy in enumerate([*policies, "paper"]):
-            shift = 0.56 * ((index + 0.5) / (len(policies) + 1) - 0.5)
-            found = document.get("paper", ()) if policy == "paper" else rows
-            for row in found:
-                key = (row["world"], row["range"], row["relation"])
-                if row["policy"] == policy and key in places:
-                    _draw_row(rates, ways, row, places[key] + shift)
-        _label_rows(rates, ways, keys)
-        number = document.get("episodes", "?")
-        style.title(
-            figure,
-            "Table 2: ours beside the paper's",
-            f"{number} episodes a row; bars: 95 % interval of the mean; paper: ± 1 σ.",
-        )
-        handles, names = _legend_of([[rates]])
-        figure.legend(handles, names, loc="lower center", ncols=3)
-    return figure
+        for index, arm in enumerate(arms)
+    }
 
 
 def sentence_of(document: Mapping[str, Any], relation: str | None) -> str:
@@ -161,14 +134,15 @@ def _draw_column(above: "Axes", below: "Axes", rows: list[Row], paper: list[Row]
         below.errorbar(
             reach,
             [row["success_rate"] for row in mine],
-            yerr=_success_bars(mine),
+            yerr=success_bars(mine),
             label=name,
             **look,
         )
     for row in paper:
-        point: dict[str, Any] = _paper_look()
+        point: dict[str, Any] = paper_look()
         above.errorbar([row["range"]], [row["distance_mean"]], yerr=[row["distance_sd"]], **point)
-        below.errorbar([row["range"]], [row["success_rate"]], **point)
+        bars = paper_success_bars(row)
+        below.errorbar([row["range"]], [row["success_rate"]], yerr=bars, **point)
     for axes in (above, below):
         axes.grid()
         axes.set_xscale("log")
@@ -177,51 +151,26 @@ def _draw_column(above: "Axes", below: "Axes", rows: list[Row], paper: list[Row]
     below.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
 
 
-def _label_rows(rates: "Axes", ways: "Axes", keys: list[tuple[Any, ...]]) -> None:
-    """Name the rows and the axes of a table's figure."""
-    labels = [
-        f"{world}, {reach:g} m, {relation or 'no relation'}" for world, reach, relation in keys
-    ]
-    rates.set_yticks(range(len(keys)), labels)
-    rates.set_ylim(len(keys) - 0.5, -0.5)
-    rates.set_xlim(right=103)
-    ways.set_xlim(left=0)
-    rates.set_xlabel("success (%)")
-    ways.set_xlabel("distance travelled (m)")
-    for axes in (rates, ways):
-        axes.grid(axis="x")
-        axes.tick_params(axis="y", length=0)
-
-
-def _draw_row(rates: "Axes", ways: "Axes", row: Row, place: float) -> None:
-    """Draw one row of a table."""
-    policy = row["policy"]
-    if policy == "paper":
-        rates.errorbar([row["success_rate"]], [place], **_paper_look())
-        ways.errorbar([row["distance_mean"]], [place], xerr=[row["distance_sd"]], **_paper_look())
-        return
-    color, marker, name = POLICY_LOOKS.get(policy, (style.INK, "D", policy))
-    look: dict[str, Any] = {
-        "color": color, "marker": marker or "|", "markersize": 5.5, "capsize": 2,
-        "linestyle": "none", "label": name,
-    }  # fmt: skip
-    rates.errorbar([row["success_rate"]], [place], xerr=_success_bars([row]), **look)
-    ways.errorbar([row["distance_mean"]], [place], xerr=[half_interval(row)], **look)
-
-
 def half_interval(row: Row) -> float:
     """Compute half of the 95 % interval of a row's mean distance, metres."""
     return _Z95 * float(row["distance_sd"]) / math.sqrt(max(1, int(row["episodes"])))
 
 
-def _success_bars(rows: list[Row]) -> np.ndarray:
+def success_bars(rows: list[Row]) -> np.ndarray:
     """Compute error bars of success rates from their intervals, f64[2, n], percent."""
     rate = np.array([row["success_rate"] for row in rows], float)
     ends = np.array([row["success_ci"] for row in rows], float).T
     return np.maximum(np.stack([rate - ends[0], ends[1] - rate]), 0.0)
 
 
-def _paper_look() -> dict[str, Any]:
+def paper_success_bars(row: Row) -> np.ndarray:
+    """Compute the 95 % interval of a printed success rate, f64[2, 1], percent."""
+    rate = float(row["success_rate"])
+    low, high = wilson_interval(round(rate * PAPER_RUNS / 100), PAPER_RUNS)
+    return np.maximum([[rate - 100 * low], [100 * high - rate]], 0.0)
+
+
+def paper_look() -> dict[str, Any]:
     """Build the look of a printed point: an empty diamond."""
     return {
         "color": style.INK, "marker": "D", "markersize": 6, "markerfacecolor": "none",
@@ -229,7 +178,7 @@ def _paper_look() -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _legend_of(grid: Any) -> tuple[list[Any], list[str]]:
+def legend_of(grid: Any) -> tuple[list[Any], list[str]]:
     """Gather the legend over several axes, each label once."""
     found: dict[str, Any] = {}
     for line in grid:

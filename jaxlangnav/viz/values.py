@@ -12,8 +12,8 @@ import numpy as np
 
 from jaxlangnav.recording import Frame, Recording, Scene
 from jaxlangnav.viz import mapping, panels, style
-from jaxlangnav.viz.moments import pick_moments
-from jaxlangnav.viz.summary import chosen_node, goal_field
+from jaxlangnav.viz.summary import SAME_PLACE, distinct_nodes, goal_field
+from jaxlangnav.viz.words import percent
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,7 +26,7 @@ NUM_BARS = 5
 
 
 def best_nodes(frame: Frame, number: int = NUM_BARS) -> np.ndarray:
-    """Rank the open nodes of a step.
+    """Rank the places open to a step; nodes that stand together are one place.
 
     Args:
         frame: one step.
@@ -35,8 +35,7 @@ def best_nodes(frame: Frame, number: int = NUM_BARS) -> np.ndarray:
     Returns:
         i64[≤ number] node indices, the most valuable first.
     """
-    order = np.argsort(-np.asarray(frame.value), kind="stable")
-    return order[np.isfinite(frame.value[order])][:number]
+    return distinct_nodes(frame)[:number]
 
 
 def values_figure(
@@ -46,8 +45,8 @@ def values_figure(
 
     Args:
         recording: the episode.
-        steps: moments to show; those that tell the most by default.
-        num_panels: how many, where ``steps`` are not given.
+        steps: as ``panels.choose_steps`` takes them.
+        num_panels: the same.
 
     Returns:
         The figure; ``style.save`` writes it.
@@ -56,7 +55,7 @@ def values_figure(
         MissingExtraError: matplotlib is not installed.
         ValueError: a step is not in the recording, or there are none.
     """
-    chosen = panels.check_steps(recording, steps) or pick_moments(recording, num_panels)
+    chosen = panels.choose_steps(recording, steps, num_panels)
     with style.house_style():
         text = "Discs: waypoints it may choose, darker where more valuable at that step."
         if recording.scene.policy == "faithful":
@@ -105,21 +104,29 @@ def draw_values(axes: "Axes", recording: Recording, step: int) -> "PathCollectio
     mapping.draw_objects(axes, frame)
     mapping.draw_waypoint(axes, frame)
     mapping.draw_robot(axes, frame)
-    _number_nodes(axes, frame)
+    if not bool(frame.is_done):
+        _number_nodes(axes, frame)
     return nodes
 
 
 def _number_nodes(axes: "Axes", frame: Frame) -> None:
-    """Number the best waypoints on the side away from the robot."""
+    """Number the best waypoints, each on the side where most room is."""
+    is_open = np.isfinite(frame.value)
+    taken = [*zip(frame.node_x[is_open], frame.node_y[is_open], strict=True), frame.position]
+    scale = abs(float(np.diff(axes.get_ylim())[0])) / 22.0
+    turns = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
     for rank, node in enumerate(best_nodes(frame), start=1):
         x, y = float(frame.node_x[node]), float(frame.node_y[node])
-        away = np.array([x, y]) - frame.position
-        away = away / max(float(np.hypot(*away)), 1e-6)
-        axes.annotate(
+        others = np.array([one for one in taken if tuple(one) != (x, y)], float)
+        spots = np.stack([x + scale * np.cos(turns), y + scale * np.sin(turns)], axis=1)
+        room = np.hypot(*(spots[:, None, :] - others[None]).transpose(2, 0, 1)).min(axis=1)
+        inside = _is_inside(axes, spots)
+        spot = spots[int(np.argmax(np.where(inside, room, -1.0)))]
+        taken.append(tuple(spot))
+        axes.text(
+            float(spot[0]),
+            float(spot[1]),
             str(rank),
-            (x, y),
-            xytext=(float(9 * away[0]), float(9 * away[1])),
-            textcoords="offset points",
             ha="center",
             va="center",
             fontsize=7.5,
@@ -129,6 +136,13 @@ def _number_nodes(axes: "Axes", frame: Frame) -> None:
         )
 
 
+def _is_inside(axes: "Axes", spots: np.ndarray) -> np.ndarray:
+    """Tell which places lie within the axes, bool[n]."""
+    (x_low, x_high), (y_low, y_high) = axes.get_xlim(), axes.get_ylim()
+    x, y = spots.T
+    return (x > x_low) & (x < x_high) & (y > y_low) & (y < y_high)
+
+
 def draw_parts(axes: "Axes", frame: Frame, *, with_label: bool = True) -> None:
     """Draw the parts of the value of the best waypoints as stacked bars.
 
@@ -136,7 +150,12 @@ def draw_parts(axes: "Axes", frame: Frame, *, with_label: bool = True) -> None:
         axes: to draw into.
         frame: one step.
         with_label: whether to name the axis of waypoints.
+
+    Where the robot has stopped there is nothing to choose: its reason stands there instead.
     """
+    if bool(frame.is_done):
+        _say_why_stopped(axes, frame)
+        return
     nodes = best_nodes(frame)
     places = np.arange(len(nodes))
     goal = np.asarray(frame.goal_value)[nodes]
@@ -144,10 +163,12 @@ def draw_parts(axes: "Axes", frame: Frame, *, with_label: bool = True) -> None:
     axes.barh(places, goal, height=0.66, color=style.SPLIT["goal"])
     axes.barh(places, information, left=goal, height=0.66, color=style.SPLIT["information"])
     axes.barh(places, -np.asarray(frame.cost)[nodes], height=0.66, color=style.SPLIT["cost"])
+    off = np.hypot(frame.node_x[nodes] - frame.waypoint[0], frame.node_y[nodes] - frame.waypoint[1])
+    chosen = int(np.argmin(off)) if off.size and off.min() < SAME_PLACE else None
     most = max(float((goal + information).max(initial=0.0)), 1e-3)
     for place, node in zip(places, nodes, strict=True):
         value = float(frame.value[node])
-        is_chosen = node == chosen_node(frame) and not bool(frame.is_done)
+        is_chosen = place == chosen
         axes.annotate(
             f"{value:.3g}" + (" ✓" if is_chosen else ""),
             (max(value, 0.0), place),
@@ -159,12 +180,22 @@ def draw_parts(axes: "Axes", frame: Frame, *, with_label: bool = True) -> None:
         )
     axes.set_yticks(places, [str(place + 1) for place in places])
     axes.set_ylim(NUM_BARS - 0.5, -0.5)
-    axes.set_xlim(min(0.0, -float(frame.cost[nodes].max(initial=0.0))), 1.3 * most)
-    axes.locator_params(axis="x", nbins=4, prune="upper")
+    axes.set_xlim(min(0.0, -float(frame.cost[nodes].max(initial=0.0))), 1.36 * most)
+    axes.locator_params(axis="x", nbins=3, prune="upper")
+    axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}".replace("-", "−"))
     axes.tick_params(length=2, pad=2)
     axes.set_xlabel("value", labelpad=1)
     if with_label:
         axes.set_ylabel("waypoint")
+
+
+def _say_why_stopped(axes: "Axes", frame: Frame) -> None:
+    """Write beneath the last map why the robot has stopped."""
+    is_find = float(frame.action[1]) > 0.5
+    where = "in view" if is_find else "within reach"
+    text = f"It stops: the goal is {where}\nwith probability {percent(float(frame.stop_mass))}."
+    axes.text(0.02, 0.94, text, va="top", fontsize=8.5, transform=axes.transAxes)
+    axes.axis("off")
 
 
 def _norm(values: np.ndarray) -> "Normalize":

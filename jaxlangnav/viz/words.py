@@ -2,7 +2,7 @@
 
 import math
 
-from jaxlangnav.messages import NEAR, NONE, RELATIONS, ROBOT
+from jaxlangnav.messages import NONE, RELATIONS, ROBOT
 from jaxlangnav.planner.graph import OBJECT, VISITED
 from jaxlangnav.recording import Scene
 
@@ -14,6 +14,15 @@ RELATION_WORDS = {
     "near": "near",
     "far": "far from",
 }
+SUPERLATIVE_WORDS = {
+    "front": "most in front of",
+    "behind": "most behind",
+    "left": "farthest left of",
+    "right": "farthest right of",
+    "near": "nearest to",
+    "far": "farthest from",
+}
+ORDINALS = ("second", "third", "fourth")
 _EIGHTHS = (
     "ahead",
     "ahead to the left",
@@ -96,6 +105,29 @@ def article(noun: str) -> str:
     return f"{'an' if noun[:1] in 'aeiou' else 'a'} {noun}"
 
 
+def counted(nouns: list[str]) -> str:
+    """Count things of each kind: "a hydrant and two cones".
+
+    Args:
+        nouns: of each thing, in the singular.
+
+    Returns:
+        Kinds in the order of their first mention; figures from five on.
+    """
+    words = ("", "", "two", "three", "four")
+    parts = []
+    for noun in dict.fromkeys(nouns):
+        number = nouns.count(noun)
+        word = words[number] if number < len(words) else str(number)
+        parts.append(article(noun) if number == 1 else f"{word} {plural(noun)}")
+    return listed(parts)
+
+
+def plural(noun: str) -> str:
+    """Put a noun into the plural: cones, benches, boxes."""
+    return f"{noun}{'es' if noun.endswith(('x', 'ch', 's')) else 's'}"
+
+
 def listed(parts: list[str]) -> str:
     """Join parts as in speech: "a, b and c"."""
     return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
@@ -117,9 +149,11 @@ def describe_reading(scene: Scene, index: int) -> str:
 
     def relation_words(edge: int) -> str:
         name = RELATIONS[int(relations[edge])]
-        if not bool(readings.is_superlative[index, edge]):
+        rank = max(int(readings.rank[index, edge]), int(readings.is_superlative[index, edge]))
+        if rank == 0:
             return RELATION_WORDS[name]
-        return "nearest to" if int(relations[edge]) == NEAR else f"most {RELATION_WORDS[name]}"
+        place = f"{ORDINALS[min(rank, 4) - 2]} " if rank > 1 else ""
+        return place + SUPERLATIVE_WORDS[name]
 
     def thing(mention: int, path: tuple[int, ...]) -> str:
         if int(types[mention]) == ROBOT:

@@ -1,0 +1,11 @@
+"""Kinds of options that may be left out: help names them DIR, FILE, METRES, not {None}|PATH."""
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+Folder = Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")]
+File = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")]
+Metres = Annotated[float | None, tyro.conf.arg(metavar="METRES", help_behavior_hint="")]
+World = Annotated[str | None, tyro.conf.arg(metavar="WORLD", help_behavior_hint="")]

@@ -1,0 +1,73 @@
+"""One episode in one call: from a sentence and a world to a recording (the whole of section 3).
+
+What ``jaxlangnav follow`` does on the command line, for notebooks and scripts. Many episodes at
+once go through ``experiments.policies.run_policy``, a robot of one's own through ``Navigator``.
+"""
+
+from pathlib import Path
+
+from jaxlangnav.commands.engine import (
+    missing_types,
+    navigator_params,
+    open_task,
+    record_episode,
+)
+from jaxlangnav.commands.follow import nothing_there
+from jaxlangnav.episode import MAX_STEPS
+from jaxlangnav.experiments.policies import navigator_config
+from jaxlangnav.grounding import GroundingModel, load_shipped, understand
+from jaxlangnav.navigator import NavigatorParams
+from jaxlangnav.planner.own import Policy
+from jaxlangnav.recording import Recording
+from jaxlangnav.semantic_map.params import MapConfig
+
+
+def follow(
+    text: str,
+    *,
+    world: str | Path = "1H1C",
+    sensing_range: float | None = None,
+    policy: str | Policy = "informed",
+    seed: int = 0,
+    particles: int = MapConfig().num_particles,
+    max_steps: int = MAX_STEPS,
+    params: NavigatorParams | None = None,
+    model: GroundingModel | None = None,
+) -> Recording:
+    """Follow a sentence in a world never seen, until the robot says stop.
+
+    Args:
+        text: the sentence.
+        world: a template (1H1C, 1H2C, 2H1C, 2H2C), a shipped world, or a file.
+        sensing_range: how far the robot sees, metres; 3, or what the world's file says, if None.
+        policy: "informed", "faithful", or a policy of somebody's own.
+        seed: of the world, where it is drawn from a template, and of the noise.
+        particles: P, hypotheses of the map kept at once.
+        max_steps: decisions after which the episode ends as a time-out.
+        params: the navigator's numbers; its defaults if None.
+        model: trained models of language; the shipped ones if None.
+
+    Returns:
+        The episode, for ``viz`` or for a look at any array in it.
+
+    Raises:
+        ValueError: the sentence, the world or an option is refused; one line.
+    """
+    understood = understand(text, load_shipped() if model is None else model)
+    if int(understood.instruction.num_clauses) == 0:
+        raise ValueError(f"{text!r} informs but asks for nothing to be done: give a command")
+    if sensing_range is not None and not sensing_range > 0.0:
+        raise ValueError(f"sensing_range is {sensing_range:g}, but must be positive, in metres")
+    prepared = open_task(str(world), understood, sensing_range=sensing_range, seed=seed)
+    if prepared.is_drawn and not prepared.is_meant:
+        names = understood.type_names
+        missing = missing_types(prepared.task.scenario, understood.annotations, names)
+        raise ValueError(nothing_there(prepared, missing, names))
+    return record_episode(
+        understood,
+        prepared,
+        text=text,
+        params=navigator_params() if params is None else params,
+        config=navigator_config(policy, particles),
+        max_steps=max_steps,
+    )

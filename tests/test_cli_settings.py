@@ -1,0 +1,122 @@
+"""Nested options made from the engine's records: names, units, defaults, limits, refusals."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from jaxlangnav import cli
+from jaxlangnav.commands import settings
+from jaxlangnav.commands.arguments import parse_arguments
+from jaxlangnav.commands.engine import navigator_config, navigator_params
+from jaxlangnav.commands.errors import UsageError
+from jaxlangnav.commands.follow import Follow
+from jaxlangnav.messages import default_sensor
+from jaxlangnav.planner.params import PlannerParams
+
+TEXT = "go to the hydrant"
+
+
+def typed(*words: str) -> dict[settings.Place, Any]:
+    command: Any = parse_arguments(["follow", TEXT, *words])
+    return settings.read_settings(command.settings, Follow.SETTINGS)
+
+
+def test_every_number_of_the_planner_is_an_option_with_its_comment() -> None:
+    found = {one.path: one for one in settings.options(["params"])}
+    names = [path[-1] for path in found if path[:2] == ("params", "planner")]
+    assert names == list(PlannerParams.__dataclass_fields__)
+    discount = found["params", "planner", "discount"]
+    assert discount.flag == "--params.planner.discount"
+    assert discount.default == pytest.approx(float(navigator_params().planner.discount))
+    assert discount.help.startswith("γ per metre")
+    assert found["params", "mode_speed"].default == (1.0, 1.5, 0.6)
+    assert "normal, quickly, carefully" in found["params", "mode_speed"].help
+    # What has an option of its own is not offered twice.
+    assert "--config.map.num-particles" not in {one.flag for one in settings.options(["config"])}
+
+
+def test_nothing_typed_sets_nothing() -> None:
+    assert typed() == {}
+    params = navigator_params()
+    assert settings.apply(params, {}, "params") is params
+
+
+def test_values_are_read_with_units_and_set() -> None:
+    values = typed(
+        "--params.planner.reach", "80 cm", "--params.map.concentration=0.2",
+        "--config.map.num-objects", "6", "--sensor.field-of-view", "90 deg",
+        "--params.mode-speed", "1, 2, 0.5", "--params.map.relations.log-distance-sd",
+        "0.1,0.2,0.3,0.4,0.5,0.6",
+    )  # fmt: skip
+    params = settings.apply(navigator_params(), values, "params")
+    assert float(params.planner.reach) == pytest.approx(0.8)
+    assert float(params.map.concentration) == pytest.approx(0.2)
+    assert np.asarray(params.mode_speed) == pytest.approx([1, 2, 0.5])
+    spread = np.asarray(params.map.relations.log_distance_sd)
+    assert spread == pytest.approx([0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
+    # What the filter has prepared from it is prepared anew.
+    before = np.asarray(navigator_params().map.relations.log_constant)
+    change = np.asarray(params.map.relations.log_constant) - before
+    old = np.asarray(navigator_params().map.relations.log_distance_sd)
+    assert change == pytest.approx(np.log(old) - np.log(spread), abs=1e-5)
+    assert float(params.planner.discount) == float(navigator_params().planner.discount)
+    config = settings.apply(navigator_config("faithful", 32), values, "config")
+    assert (config.map.num_objects, config.map.num_particles) == (6, 32)
+    assert config.planner.policy == "faithful"
+    sensor = settings.apply(default_sensor(4.0), values, "sensor")
+    assert float(sensor.field_of_view) == pytest.approx(math.pi / 2)
+    assert float(sensor.range_max) == 4.0
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["--params.planner.discunt", "1"], 'did you mean "--params.planner.discount"'),
+        (["--params.planner.gamma", "1"], 'did you mean "--params.planner.discount"'),
+        (["--params.filter.concentration", "1"], 'did you mean "--params.map.concentration"'),
+        (["--parms.planner.reach=1"], 'did you mean "--params.planner.reach"'),
+        (["--config.map.num-particles", "9"], 'did you mean "--particles"'),
+        (["--sensor.range-max", "9"], 'did you mean "--range"'),
+        (["--params.planner.reach"], "--params.planner.reach needs a value"),
+        (["--params.planner.reach="], "--params.planner.reach is '', but must be a length"),
+        (["--help-parms"], 'did you mean "--help-params"'),
+        (["--params.planner.reach", "-1"], "--params.planner.reach is -1"),
+        (["--params.planner.reach", "90 deg"], "is an angle, but a length is needed"),
+        (["--params.planner.discount", "80"], 'write "80 %" if percent is meant'),
+        (["--params.planner.stop-probability", "0.99"], "lower stop_probability"),
+        (["--params.mode-speed", "1,2"], "needs 3 numbers"),
+        (["--config.map.num-objects", "many"], "must be a whole number"),
+        (["--config.map.num-objects", "0"], "num_objects is 0, but must be at least 1"),
+    ],
+)
+def test_a_slip_is_one_line_and_code_2(
+    words: list[str], expected: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["follow", TEXT, *words, "--json"]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.count("\n") == 1
+    assert expected in captured.err
+
+
+def test_plain_help_is_short_and_the_long_one_has_everything(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert cli.main(["follow", "--help"]) == 0
+    short = capsys.readouterr().out
+    assert len(short.splitlines()) <= 60
+    assert settings.HELP_ALL in short
+    assert "--params.planner.visit-spacing" not in short
+    assert cli.main(["follow", settings.HELP_ALL]) == 0
+    told = capsys.readouterr().out
+    assert all(one.flag in told for one in settings.options(Follow.SETTINGS))
+    assert "metres between visited nodes" in told
+
+
+def test_commands_without_settings_do_not_know_them(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["parse", TEXT, "--params.planner.discount", "1"]) == 2
+    assert 'unknown option "--params.planner.discount"' in capsys.readouterr().err
+    with pytest.raises(UsageError, match="unknown option"):
+        parse_arguments(["parse", TEXT, settings.HELP_ALL])

@@ -1,0 +1,54 @@
+"""One episode in one call: what it refuses, and that it is the episode of the command line."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import jaxlangnav
+
+WORLD = """
+[area]
+x_min = 0.0
+x_max = 6.0
+y_min = -3.0
+y_max = 3.0
+
+[goal]
+object = "it"
+
+[[objects]]
+type = "cone"
+name = "it"
+x = 4.0
+y = 0.0
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "message"),
+    [
+        ("go to the car", {}, "no car"),
+        ("the hydrant is behind the cone", {}, "asks for nothing to be done"),
+        ("go to the hydrant", {"sensing_range": 0.0}, "must be positive"),
+        ("go to the hydrant", {"world": "nowhere.toml"}, "nowhere.toml"),
+        ("go to the hydrant", {"policy": "infromed"}, "must be one of"),
+        ("go to the zorbel", {}, "zorbel"),
+    ],
+)
+def test_refusals_are_one_line(text: str, options: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message) as caught:
+        jaxlangnav.follow(text, **options)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_world_file_is_followed_and_judged(tmp_path: Path) -> None:
+    path = tmp_path / "world.toml"
+    path.write_text(WORLD, encoding="utf-8")
+    recording = jaxlangnav.follow("go to the cone", world=path, seed=1)
+    assert bool(recording.result.is_success)
+    assert np.hypot(*(np.asarray(recording.result.final) - [4.0, 0.0])) <= 1.5
+    assert recording.scene.text == "go to the cone"
+    assert abs(recording.scene.known_distance - 4.0) < 1.6
+    again = jaxlangnav.follow("go to the cone", world=path, seed=1)
+    np.testing.assert_array_equal(again.frames.waypoint, recording.frames.waypoint)
