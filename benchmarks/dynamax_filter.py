@@ -1,0 +1,93 @@
+"""dynamax's Rao-Blackwellized particle filter on the same drive.
+
+A switching linear dynamical system whose state is the robot and all landmarks, [2 L + 2], and
+whose measurement is all relative positions, [2 L]. As the association is known there is one
+discrete state only, the least work that ``rbpfilter`` can be given.
+"""
+
+import types
+from collections.abc import Callable
+from unittest import mock
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from dynamax.slds import DiscreteParamsSLDS, LGParamsSLDS, ParamsSLDS, inference
+from slam_scenario import LANDMARKS, ODOMETRY_NOISE, SENSOR_NOISE, STEP, Drive
+
+NUM_LANDMARKS = len(LANDMARKS)
+_PLACES = 2 * NUM_LANDMARKS
+FAR = 10.0
+"""Standard deviation of a landmark before it is seen, metres."""
+
+
+def model() -> ParamsSLDS:
+    """Build the system."""
+    size = _PLACES + 2
+    watch = np.zeros((_PLACES, size), np.float32)
+    watch[:, :_PLACES] = np.eye(_PLACES)
+    watch[0::2, _PLACES] = watch[1::2, _PLACES + 1] = -1.0
+    push = np.zeros((1, size, 2), np.float32)
+    push[0, _PLACES:] = np.eye(2)
+    start = np.full(size, FAR**2, np.float32)
+    start[_PLACES:] = 1e-4
+    walk = np.zeros(size, np.float32)
+    walk[_PLACES:] = (ODOMETRY_NOISE * STEP) ** 2
+    gaussian = LGParamsSLDS(
+        initial_mean=jnp.zeros(size),
+        initial_cov=jnp.diag(jnp.asarray(start)),
+        dynamics_weights=jnp.eye(size),
+        dynamics_cov=jnp.diag(jnp.asarray(walk)),
+        dynamics_bias=None,
+        dynamics_input_weights=jnp.asarray(push),
+        emission_weights=jnp.asarray(watch),
+        emission_cov=SENSOR_NOISE**2 * jnp.eye(_PLACES),
+        emission_bias=None,
+        emission_input_weights=jnp.zeros((1, _PLACES, 2)),
+    )
+    alone = DiscreteParamsSLDS(jnp.ones(1), jnp.ones((1, 1)), jnp.ones((1, 1)))
+    return ParamsSLDS(alone, gaussian).initialize(1, size, _PLACES, 2)
+
+
+def prepare(drive: Drive, num_particles: int, seed: int) -> Callable[[], dict[str, jax.Array]]:
+    """Compile the filter's loop over a drive.
+
+    ``rbpfilter`` draws its first particles one by one in Python, which takes minutes to compile
+    and no time to run; its scan is therefore taken out of it, unchanged, and compiled alone.
+
+    Args:
+        drive: T steps.
+        num_particles: P.
+        seed: of its draws.
+
+    Returns:
+        A function that runs the loop and gives what ``rbpfilter`` gives.
+    """
+    loop = {}
+
+    def catch(step, start, steps):
+        loop.update(step=step, start=start, steps=steps)
+        return None, None
+
+    emissions = jnp.asarray(drive.offsets.reshape(len(drive.offsets), -1), jnp.float32)
+    inputs = jnp.asarray(drive.odometry, jnp.float32)
+    only_scan = types.SimpleNamespace(scan=catch, cond=jax.lax.cond)
+    with mock.patch.object(inference, "lax", only_scan):
+        inference.rbpfilter(num_particles, model(), emissions, jax.random.PRNGKey(seed), inputs)
+    # The step looks up lax when it is traced, after the patch has been taken back.
+    compiled = jax.jit(lambda start: jax.lax.scan(loop["step"], start, loop["steps"])[1])
+    return lambda: compiled(loop["start"])
+
+
+def estimate(filtered: dict[str, jax.Array]) -> tuple[np.ndarray, np.ndarray]:
+    """Average over the particles at the end.
+
+    Args:
+        filtered: of ``prepare``'s function.
+
+    Returns:
+        Mean position of the robot f64[2] and of the landmarks f64[L, 2], metres.
+    """
+    weight = np.asarray(filtered["weights"][-1], np.float64)
+    mean = weight @ np.asarray(filtered["means"][-1], np.float64)
+    return mean[_PLACES:], mean[:_PLACES].reshape(NUM_LANDMARKS, 2)
