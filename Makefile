@@ -24,7 +24,7 @@ INSTRUCTION ?= go to the hydrant behind the cone
 OUT ?= demo
 ARGS ?=
 
-.PHONY: help demo test test-all lint format types check build docs clean
+.PHONY: help demo test test-all lint format types check bench build docs notebooks clean
 
 help: ## this list
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -51,11 +51,17 @@ types: $(STAMPS)/dev ## pyright on the package
 
 check: lint types test ## what continuous integration runs
 
+bench: $(STAMPS)/bench ## speed against every baseline, as ratios; ARGS="--quick --json"
+	@$(BIN)/python benchmarks $(ARGS)
+
 build: $(STAMPS)/dev ## a wheel and a source archive in dist/
 	@$(BIN)/python -m build
 
 docs: $(STAMPS)/docs ## the documentation in site/, every link checked
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
+
+notebooks: $(STAMPS)/notebook ## run the notebooks whose source has changed (ARGS=--all: every one)
+	@$(BIN)/python scripts/notebooks.py $(ARGS)
 
 clean: ## remove the environments and what the tools left
 	@rm -rf .venv .venv-* dist site build .pytest_cache .ruff_cache .hypothesis
@@ -92,7 +98,17 @@ $(STAMPS)/dev: $(STAMPS)/python $(PROJECT)
 	$(INSTALL) --editable '.[viz,dev]'
 	mkdir -p $(@D) && touch $(STAMPS)/viz $@
 
+$(STAMPS)/bench: $(STAMPS)/dev
+	@echo "Installing the libraries that speed is compared with into $(VENV)"
+	$(INSTALL) --editable '.[viz,dev,bench]'
+	touch $@
+
 $(STAMPS)/docs: $(STAMPS)/dev
 	@echo "Installing the documentation tools into $(VENV)"
 	$(INSTALL) --editable '.[viz,dev,docs]'
+	touch $@
+
+$(STAMPS)/notebook: $(STAMPS)/dev
+	@echo "Installing Jupyter's parts that run notebooks into $(VENV)"
+	$(INSTALL) --editable '.[viz,dev,notebook]'
 	touch $@

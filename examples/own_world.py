@@ -8,7 +8,7 @@ import sys
 import jax
 import numpy as np
 
-from jaxlangnav import Navigator, Observation, default_sensor
+from jaxlangnav import Navigator, Observation, default_sensor, keep_compiled_programs
 
 THINGS = {"cone": (6.0, 1.0), "hydrant": (8.5, 1.6), "tree": (3.0, -4.0)}  # metres
 SLOTS, RANGE = 8, 4.0
@@ -31,6 +31,7 @@ def look(position: np.ndarray, heading: float, types: tuple[str, ...]) -> Observ
 
 def main(text: str) -> np.ndarray:
     """Follow a sentence; return where the robot has stopped."""
+    keep_compiled_programs()  # the second run starts in seconds
     navigator = Navigator.pretrained()
     state = navigator.start(text, pose=(0.0, 0.0, 0.0), area=(0.0, 12.0, -6.0, 6.0))
     position, heading = np.zeros(2), 0.0
