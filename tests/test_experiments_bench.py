@@ -28,7 +28,7 @@ def test_costs_are_measured() -> None:
             pass
 
     cost = measuring.measure(busy, 3)
-    assert 0.04 < cost.cpu < 0.2
+    assert 0.04 < cost.cpu < 0.5
     assert cost.wall >= 0.9 * cost.cpu / max(1, measuring.usable_cores())
 
 
