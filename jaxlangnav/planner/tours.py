@@ -118,24 +118,26 @@ def first_sight(
     Returns:
         f32[T, C] metres; f32[T] metres, whole length of each tour.
     """
-    from_x = jnp.broadcast_to(robot_x, tours.x.shape[:1])
-    from_y = jnp.broadcast_to(robot_y, tours.x.shape[:1])
-    walked = jnp.zeros(tours.x.shape[0], jnp.float32)
-    first = jnp.full((tours.x.shape[0], x.shape[0]), _NEVER, jnp.float32)
-    for stop in range(tours.x.shape[1]):
-        span_x, span_y = tours.x[:, stop] - from_x, tours.y[:, stop] - from_y
-        length = jnp.sqrt(span_x * span_x + span_y * span_y + 1e-12)
-        offset_x, offset_y = x[None, :] - from_x[:, None], y[None, :] - from_y[:, None]
-        unit_x, unit_y = span_x / length, span_y / length
-        along = offset_x * unit_x[:, None] + offset_y * unit_y[:, None]
-        aside = offset_x * offset_x + offset_y * offset_y - along * along
-        half = jnp.sqrt(jnp.maximum(radius * radius - aside, 0.0))
-        enter = jnp.maximum(along - half, 0.0)
-        is_seen = (aside < radius * radius) & (along + half > 0.0) & (enter < length[:, None])
-        first = jnp.minimum(first, jnp.where(is_seen, walked[:, None] + enter, _NEVER))
-        walked = walked + length
-        from_x, from_y = tours.x[:, stop], tours.y[:, stop]
-    return first, walked
+    start = jnp.ones_like(tours.x[:, :1])
+    from_x = jnp.concatenate([robot_x * start, tours.x[:, :-1]], axis=1)
+    from_y = jnp.concatenate([robot_y * start, tours.y[:, :-1]], axis=1)
+    span_x, span_y = tours.x - from_x, tours.y - from_y
+    length = jnp.sqrt(span_x * span_x + span_y * span_y + 1e-12)
+    walked = jnp.cumsum(length, axis=1)
+    # All stretches of all tours against all places, [T, K, C].
+    offset_x = x[None, None] - from_x[:, :, None]
+    offset_y = y[None, None] - from_y[:, :, None]
+    unit_x, unit_y = span_x / length, span_y / length
+    along = offset_x * unit_x[:, :, None] + offset_y * unit_y[:, :, None]
+    aside = offset_x * offset_x + offset_y * offset_y - along * along
+    half = jnp.sqrt(jnp.maximum(radius * radius - aside, 0.0))
+    enter = jnp.maximum(along - half, 0.0)
+    is_seen = (aside < radius * radius) & (along + half > 0.0) & (enter < length[:, :, None])
+    met = jnp.where(is_seen, (walked - length)[:, :, None] + enter, _NEVER)
+    first = met[:, 0]
+    for stop in range(1, met.shape[1]):  # a reduction over a middle axis is not vectorised
+        first = jnp.minimum(first, met[:, stop])
+    return first, walked[:, -1]
 
 
 def latency(
@@ -155,8 +157,10 @@ def latency(
         f32[T] metres; large for a tour that starts underfoot.
     """
     radius = jnp.maximum(range_max - MARGIN, 0.5 * range_max)
-    hung, walked = first_sight(tours, search.x, search.y, robot_x, robot_y, radius)
-    partner, _ = first_sight(tours, search.partner_x, search.partner_y, robot_x, robot_y, radius)
+    places_x = jnp.concatenate([search.x, search.partner_x])
+    places_y = jnp.concatenate([search.y, search.partner_y])
+    sight, walked = first_sight(tours, places_x, places_y, robot_x, robot_y, radius)
+    hung, partner = jnp.split(sight, 2, axis=1)
     free = jnp.minimum(hung, partner)
     last_x, last_y = tours.x[:, -1:], tours.y[:, -1:]
     away = jnp.sqrt((search.x[None] - last_x) ** 2 + (search.y[None] - last_y) ** 2 + 1e-9)
@@ -280,15 +284,25 @@ def plan(
         The candidates and what each of them costs.
     """
     here = advance(advance(tour, robot_x, robot_y), robot_x, robot_y)
-    tours = _join(
+    drafts = _join(
         Tour(x=here.x[None], y=here.y[None]), greedy(search, robot_x, robot_y, range_max, area)
     )
-    cost = latency(tours, search, robot_x, robot_y, range_max, area)
-    for round_key in jax.random.split(key, NUM_ROUNDS):
+    keys = jax.random.split(key, NUM_ROUNDS)
+
+    def best_of(tours: Tour, cost: Array) -> tuple[Tour, Array]:
         index = jnp.argmin(cost)
-        best = Tour(x=tours.x[index], y=tours.y[index])
-        changed = change(round_key, best, search, area)
-        changed_cost = latency(changed, search, robot_x, robot_y, range_max, area)
-        tours = _join(Tour(x=best.x[None], y=best.y[None]), changed)
-        cost = jnp.append(cost[index], changed_cost)
+        return Tour(x=tours.x[index], y=tours.y[index]), cost[index]
+
+    def improve(index: Array, carry: tuple[Tour, Array]) -> tuple[Tour, Array]:
+        """Keep the best tour and try changes of it."""
+        best, least = best_of(*carry)
+        changed = change(keys[index], best, search, area)
+        cost = latency(changed, search, robot_x, robot_y, range_max, area)
+        kept = Tour(x=best.x[None], y=best.y[None])
+        return _join(kept, changed), jnp.append(least, cost)
+
+    best, least = best_of(drafts, latency(drafts, search, robot_x, robot_y, range_max, area))
+    repeated = jnp.ones((NUM_CHANGES + 1, 1), jnp.float32)
+    first = Tour(x=repeated * best.x[None], y=repeated * best.y[None]), repeated[:, 0] * least
+    tours, cost = jax.lax.fori_loop(0, NUM_ROUNDS, improve, first)
     return Plan(tours=tours, latency=cost, mass=jnp.sum(search.mass), hung=jnp.sum(search.hung))

@@ -6,10 +6,13 @@ earlier relation, or new. ``proposal`` says what the weights mean and draws amon
 Shapes are those of one particle; with many, the particle axis is last ("...").
 """
 
+import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from jaxlangnav.messages import FAR, NONE
@@ -110,11 +113,12 @@ class Link(NamedTuple):
         along, lateral = sample_polar(self.model, relation, distance, angle)
         return to_map(frame, along[None], lateral[None])
 
-    def log_extreme(self, x: Array, y: Array, landmark_x: Array, landmark_y: Array) -> Array:
+    def log_extreme(self, pairs: "Pairs", log_order: Array) -> Array:
         """Penalise a figure that has not its place: what the density leaves unsaid.
 
         "Nearest": no observed object of its type beats it. An order counts unseen ones too.
         """
+        x, y, landmark_x, landmark_y = pairs
         sign = lead(jnp.where(self.relation == FAR, -1.0, 1.0), x.ndim)
 
         def signed_square(from_x: Array, from_y: Array) -> Array:
@@ -128,17 +132,37 @@ class Link(NamedTuple):
             best = jnp.minimum(best, rival)
         excess = sign * (jnp.sqrt(jnp.abs(own)) - jnp.sqrt(jnp.abs(best)))
         extreme = jnp.where(lead(self.is_superlative, own.ndim), -excess / self.softness, 0.0)
-        # Orders are rare and cost more than all the rest: none, no round of the loop. Its index,
-        # always 0, enters the body, or XLA would hoist the whole of it out of the loop.
-        ordered = jax.lax.fori_loop(
-            0,
-            jnp.any(self.is_ordered).astype(jnp.int32),
-            lambda index, _: self.order(x + index, y, landmark_x, landmark_y),
-            jnp.zeros(own.shape, jnp.float32),
-        )
-        extreme = jnp.where(lead(self.is_ordered, own.ndim), ordered, extreme)
+        extreme = jnp.where(lead(self.is_ordered, own.ndim), log_order, extreme)
         side = self._log_side(x - landmark_x, y - landmark_y)
         return jnp.where(lead(self.is_side, own.ndim), side, extreme)
+
+    def log_orders(self, ways: Sequence["Pairs"]) -> list[Array]:
+        """Weigh all pairs by the order that is told, f32[n, ...] for each way.
+
+        Orders are rare and cost more than all the rest: none, no round of the loop.
+        """
+        shapes = [jnp.broadcast_shapes(way.x.shape, way.landmark_x.shape) for way in ways]
+        batch = self.relation.shape
+        sizes = [math.prod(shape[: len(shape) - len(batch)]) for shape in shapes]
+
+        def together(index: Array, _: Array) -> Array:
+            every = [
+                jnp.concatenate(
+                    [
+                        jnp.broadcast_to(values, shape).reshape(-1, *batch)
+                        for values, shape in zip(column_of, shapes, strict=True)
+                    ]
+                )
+                for column_of in zip(*ways, strict=True)
+            ]
+            # The index, always 0, enters the body, or XLA would hoist the whole of it.
+            return self.order(every[0] + index, *every[1:])
+
+        is_told = jnp.any(self.is_ordered).astype(jnp.int32)
+        nothing = jnp.zeros((sum(sizes), *batch), jnp.float32)
+        weighed = jax.lax.fori_loop(0, is_told, together, nothing)
+        parts = jnp.split(weighed, np.cumsum(sizes)[:-1])
+        return [part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)]
 
     def _log_side(self, offset_x: Array, offset_y: Array) -> Array:
         """Weigh offsets from the robot by their direction."""
@@ -162,17 +186,119 @@ class Link(NamedTuple):
         return jnp.where(self.is_free[None], scene.log_unseen, told)
 
 
-class Option(NamedTuple):
-    """Ways to ground a relation in which some end is new; n of them."""
+class Pairs(NamedTuple):
+    """Places of a figure and of its landmark; n of them, or two axes that broadcast."""
 
-    log_weight: Array  # f32[n, ...]
-    figure_x: Array  # f32[n, ...] metres
-    figure_y: Array  # f32[n, ...]
+    x: Array  # f32[n, ...] metres, map frame
+    y: Array  # f32[n, ...]
     landmark_x: Array  # f32[n, ...]
     landmark_y: Array  # f32[n, ...]
 
 
-def both_known(link: Link, figures: Candidates, landmarks: Candidates) -> Array:
+class Ways(NamedTuple):
+    """Ways to ground a relation: which ends are known and which are drawn."""
+
+    known: Pairs  # [O + 1, O + 1, ...] every known figure with every known landmark
+    new_figure: Pairs  # [O + 1, ...] one draw from the relation for each landmark
+    new_landmark: Pairs  # [O + 1, ...] one draw for each figure
+    new_pair: Pairs  # [NUM_UNSEEN, ...]
+    log_backward: Array  # f32[O + 1, ...] log of the relation's density over that of the draw, for
+    # a landmark drawn backwards from its figure
+
+
+def propose(link: Link, figures: Candidates, landmarks: Candidates, draws: Draws) -> Ways:
+    """Pair the known, and draw what is new from the relation; without one, anywhere unseen.
+
+    Args:
+        link: the relation.
+        figures: what the figure may be.
+        landmarks: what the landmark may be.
+        draws: random numbers.
+
+    Returns:
+        The pairs.
+    """
+
+    def instead(unseen: Array, told: Array) -> Array:
+        return jnp.where(link.is_anywhere[None], unseen, told)
+
+    frame = link.frame(landmarks.x, landmarks.y)
+    offset_x, offset_y = link.sample(draws.distance[0], draws.angle[0], frame)
+    new_figure = Pairs(
+        x=instead(draws.unseen_x[:1], landmarks.x + offset_x),
+        y=instead(draws.unseen_y[:1], landmarks.y + offset_y),
+        landmark_x=landmarks.x,
+        landmark_y=landmarks.y,
+    )
+    # Drawn backwards, and corrected for the frame that the landmark then has.
+    frame = link.frame(figures.x, figures.y)
+    offset_x, offset_y = link.sample(draws.distance[1], draws.angle[1], frame)
+    x = instead(draws.unseen_x[1:], figures.x - offset_x)
+    y = instead(draws.unseen_y[1:], figures.y - offset_y)
+    new_landmark = Pairs(x=figures.x, y=figures.y, landmark_x=x, landmark_y=y)
+    log_backward = link.log_density(offset_x, offset_y, link.frame(x, y)) - link.log_density(
+        offset_x, offset_y, frame
+    )
+    # The landmark anywhere unexplored, and the figure where the relation has it.
+    landmark_x, landmark_y = draws.unseen_x, draws.unseen_y
+    frame = link.frame(landmark_x, landmark_y)
+    offset_x, offset_y = link.sample(draws.distance[0], draws.angle[0], frame)
+    new_pair = Pairs(
+        # Where the relation misleads, the figure takes the next place's draw.
+        x=instead(landmark_x[::-1], landmark_x + offset_x),
+        y=instead(landmark_y[::-1], landmark_y + offset_y),
+        landmark_x=landmark_x,
+        landmark_y=landmark_y,
+    )
+    known = Pairs(figures.x[:, None], figures.y[:, None], landmarks.x[None], landmarks.y[None])
+    return Ways(known, new_figure, new_landmark, new_pair, log_backward)
+
+
+def weigh(
+    link: Link, figures: Candidates, landmarks: Candidates, ways: Ways, scene: Scene
+) -> Array:
+    """Weigh every way to ground a relation.
+
+    Args:
+        link: the relation.
+        figures: what the figure may be.
+        landmarks: what the landmark may be.
+        ways: from ``propose``.
+        scene: where the robot has looked.
+
+    Returns:
+        f32[(O + 1)² + 2 (O + 1) + NUM_UNSEEN, ...] log-weights: known pairs, new figures, new
+        landmarks, new pairs.
+    """
+    proposed = ways[:4]
+    extremes = [
+        link.log_extreme(pairs, log_order)
+        for pairs, log_order in zip(proposed, link.log_orders(proposed), strict=True)
+    ]
+    figure, landmark, pair = ways.new_figure, ways.new_landmark, ways.new_pair
+    # A landmark in a pair is uniform over the area: its share of unexplored area, times A for the
+    # root of the chain.
+    log_pair = scene.log_unseen + link.log_area - jnp.log(float(NUM_UNSEEN))
+    log_figure = link.log_found(scene, figure.x, figure.y, extremes[1]) + landmarks.log_prior
+    log_landmark = figures.log_prior + link.log_found(
+        scene, landmark.landmark_x, landmark.landmark_y, ways.log_backward + extremes[2]
+    )
+    log_both = link.log_found(scene, pair.x, pair.y, extremes[3]) + log_pair
+    is_open = figures.is_open & landmarks.is_open
+    known = _both_known(link, figures, landmarks, ways.known, extremes[0])
+    return jnp.concatenate(
+        [
+            known.reshape(-1, *known.shape[2:]),
+            jnp.where(figures.is_open[None], log_figure, -jnp.inf),
+            jnp.where(landmarks.is_open[None], log_landmark, -jnp.inf),
+            jnp.where(is_open[None], log_both, -jnp.inf),
+        ]
+    )
+
+
+def _both_known(
+    link: Link, figures: Candidates, landmarks: Candidates, pairs: Pairs, log_extreme: Array
+) -> Array:
     """Weigh every pair of known figure and landmark, f32[O + 1, O + 1, ...]."""
     size = figures.x.shape[0]
     frame = link.frame(landmarks.x, landmarks.y)
@@ -182,70 +308,15 @@ def both_known(link: Link, figures: Candidates, landmarks: Candidates) -> Array:
         lateral_x=frame.lateral_x[None],
         lateral_y=frame.lateral_y[None],
     )
-    figure_x, figure_y = figures.x[:, None], figures.y[:, None]
-    landmark_x, landmark_y = landmarks.x[None], landmarks.y[None]
-    log_relation = link.log_density(
-        figure_x - landmark_x, figure_y - landmark_y, columns
-    ) + link.log_extreme(figure_x, figure_y, landmark_x, landmark_y)
-    table = link.log_mixture(log_relation) + figures.log_prior[:, None] + landmarks.log_prior[None]
+    log_relation = link.log_density(pairs.x - pairs.landmark_x, pairs.y - pairs.landmark_y, columns)
+    table = (
+        link.log_mixture(log_relation + log_extreme)
+        + figures.log_prior[:, None]
+        + landmarks.log_prior[None]
+    )
     # Nothing is its own landmark; the last entries are places, not objects.
     same = jnp.eye(size, dtype=bool).at[size - 1, size - 1].set(False)
     return jnp.where(column(same, table.ndim), -jnp.inf, table)
-
-
-def new_figure(
-    link: Link, figures: Candidates, landmarks: Candidates, draws: Draws, scene: Scene
-) -> Option:
-    """Hang one draw from the relation on each landmark; without one, anywhere unseen."""
-    frame = link.frame(landmarks.x, landmarks.y)
-    offset_x, offset_y = link.sample(draws.distance[0], draws.angle[0], frame)
-    x = jnp.where(link.is_anywhere[None], draws.unseen_x[:1], landmarks.x + offset_x)
-    y = jnp.where(link.is_anywhere[None], draws.unseen_y[:1], landmarks.y + offset_y)
-    log_weight = (
-        link.log_found(scene, x, y, link.log_extreme(x, y, landmarks.x, landmarks.y))
-        + landmarks.log_prior
-    )
-    log_weight = jnp.where(figures.is_open[None], log_weight, -jnp.inf)
-    return Option(log_weight, x, y, landmarks.x, landmarks.y)
-
-
-def new_landmark(
-    link: Link, figures: Candidates, landmarks: Candidates, draws: Draws, scene: Scene
-) -> Option:
-    """Hang a landmark on each figure: drawn backwards, corrected for the frame it then has."""
-    frame = link.frame(figures.x, figures.y)
-    offset_x, offset_y = link.sample(draws.distance[1], draws.angle[1], frame)
-    x = jnp.where(link.is_anywhere[None], draws.unseen_x[1:], figures.x - offset_x)
-    y = jnp.where(link.is_anywhere[None], draws.unseen_y[1:], figures.y - offset_y)
-    log_correction = link.log_density(offset_x, offset_y, link.frame(x, y)) - link.log_density(
-        offset_x, offset_y, frame
-    )
-    log_extreme = link.log_extreme(figures.x, figures.y, x, y)
-    log_weight = link.log_found(scene, x, y, log_correction + log_extreme) + figures.log_prior
-    log_weight = jnp.where(landmarks.is_open[None], log_weight, -jnp.inf)
-    return Option(log_weight, figures.x, figures.y, x, y)
-
-
-def new_pair(
-    link: Link, figures: Candidates, landmarks: Candidates, draws: Draws, scene: Scene
-) -> Option:
-    """Put the landmark anywhere unexplored and the figure where the relation has it."""
-    landmark_x, landmark_y = draws.unseen_x, draws.unseen_y
-    frame = link.frame(landmark_x, landmark_y)
-    offset_x, offset_y = link.sample(draws.distance[0], draws.angle[0], frame)
-    # Where the relation misleads, the figure takes the next place's draw.
-    x = jnp.where(link.is_anywhere[None], landmark_x[::-1], landmark_x + offset_x)
-    y = jnp.where(link.is_anywhere[None], landmark_y[::-1], landmark_y + offset_y)
-    # The landmark is uniform over the area: its share of unexplored area, times A for the root.
-    log_weight = (
-        scene.log_unseen
-        + link.log_area
-        - jnp.log(float(NUM_UNSEEN))
-        + link.log_found(scene, x, y, link.log_extreme(x, y, landmark_x, landmark_y))
-    )
-    is_open = figures.is_open & landmarks.is_open
-    log_weight = jnp.where(is_open[None], log_weight, -jnp.inf)
-    return Option(log_weight, x, y, landmark_x, landmark_y)
 
 
 def log_root(link: Link, figures: Candidates, landmarks: Candidates) -> Array:

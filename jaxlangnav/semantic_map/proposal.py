@@ -33,7 +33,7 @@ from jaxlangnav.pytree import replace
 from jaxlangnav.relations import Law, law_of, robot_frame
 from jaxlangnav.semantic_map import options
 from jaxlangnav.semantic_map.coverage import area_size
-from jaxlangnav.semantic_map.options import Candidates, Draws, Link, Option, Scene
+from jaxlangnav.semantic_map.options import Candidates, Draws, Link, Scene, Ways
 from jaxlangnav.semantic_map.order import PLURAL, SIDES, Order
 from jaxlangnav.semantic_map.params import MapParams
 from jaxlangnav.semantic_map.particle import SemanticMap
@@ -237,14 +237,9 @@ def ground_relation(
         is_place,
         log_bystander,
     )
-    known = options.both_known(link, figures, landmarks)
-    ways = (
-        options.new_figure(link, figures, landmarks, draws, scene),
-        options.new_landmark(link, figures, landmarks, draws, scene),
-        options.new_pair(link, figures, landmarks, draws, scene),
-    )
-    log_weights = [known.reshape(-1, *batch), *(way.log_weight for way in ways)]
-    choice, log_total = categorical.draw(jnp.concatenate(log_weights), draws.choice)
+    ways = options.propose(link, figures, landmarks, draws)
+    log_weight = options.weigh(link, figures, landmarks, ways, scene)
+    choice, log_total = categorical.draw(log_weight, draws.choice)
     log_total = jnp.maximum(log_total + options.log_root(link, figures, landmarks), _LOG_FLOOR)
     # Where no grounding is possible (a drawn figure fell outside the area), the words stay a
     # hypothesis somewhere unexplored, of hardly any weight, that the next looks can refute.
@@ -273,12 +268,12 @@ def _enter(
     figures: Candidates,
     landmarks: Candidates,
     grounding: Grounding,
-    ways: tuple[Option, Option, Option],
+    ways: Ways,
     choice: Array,
 ) -> Grounding:
     """Enter the chosen figure and landmark into the carry; ends decided earlier stay."""
     num_objects, size = particle.object_type.shape[0], particle.object_type.shape[0] + 1
-    new_figure, new_landmark, new_pair = ways
+    new_figure, new_landmark, new_pair = ways.new_figure, ways.new_landmark, ways.new_pair
     rest = choice - size * size
     is_known, is_figure = rest < 0, (rest >= 0) & (rest < size)
     is_landmark, is_pair = (rest >= size) & (rest < 2 * size), rest >= 2 * size
@@ -326,7 +321,7 @@ def _enter(
         slot=enter(grounding.slot, figure_slot, landmark_slot),
         x=enter(
             grounding.x,
-            place(figures.x, new_figure.figure_x, new_pair.figure_x, figure_index, is_figure),
+            place(figures.x, new_figure.x, new_pair.x, figure_index, is_figure),
             place(
                 landmarks.x, new_landmark.landmark_x, new_pair.landmark_x, landmark_index,
                 is_landmark,
@@ -334,7 +329,7 @@ def _enter(
         ),
         y=enter(
             grounding.y,
-            place(figures.y, new_figure.figure_y, new_pair.figure_y, figure_index, is_figure),
+            place(figures.y, new_figure.y, new_pair.y, figure_index, is_figure),
             place(
                 landmarks.y, new_landmark.landmark_y, new_pair.landmark_y, landmark_index,
                 is_landmark,
