@@ -6,6 +6,7 @@ places, as in the paper.
 """
 
 import dataclasses
+import functools
 import zlib
 from collections.abc import Sequence
 from typing import Any
@@ -18,7 +19,7 @@ from jax import Array
 from jaxlangnav.episode import Task
 from jaxlangnav.messages import MotionParams, SensorParams, default_motion, default_sensor
 from jaxlangnav.world.known import known_distance
-from jaxlangnav.world.scenario import ScenarioLaw, draw_scenario, scenario_law
+from jaxlangnav.world.scenario import draw_scenario, scenario_law
 from jaxlangnav.world.state import Scenario
 
 BLOCK = 256
@@ -66,15 +67,30 @@ def cell(
 
 
 @jax.jit
-def _draw(roots: Array, laws: ScenarioLaw, numbers: Array, worlds: Array) -> tuple[Array, Scenario]:
+def _draw(roots: Array, described: dict[str, Any], numbers: Array, worlds: Array) -> Task:
     """Draw each episode's key by its number and its world by the world's; leaves [BLOCK, …]."""
 
-    def one(root: Array, law: ScenarioLaw, number: Array, world: Array) -> tuple[Array, Scenario]:
+    def one(root: Array, cell: dict[str, Any], number: Array, world: Array) -> Task:
         episode_key = jax.random.split(jax.random.fold_in(root, number))[1]
         scenario_key = jax.random.split(jax.random.fold_in(root, world))[0]
-        return episode_key, draw_scenario(scenario_key, law)
+        drawn = draw_scenario(scenario_key, cell["law"])
+        return Task(
+            key=episode_key,
+            scenario=jax.tree.map(
+                lambda own, new: jnp.where(cell["is_own"], own, new), cell["scenario"], drawn
+            ),
+            instruction_index=cell["instruction_index"],
+            sensor=cell["sensor"],
+            motion=cell["motion"],
+        )
 
-    return jax.vmap(one)(roots, laws, numbers, worlds)
+    return jax.vmap(one)(roots, described, numbers, worlds)
+
+
+@functools.partial(jax.jit, static_argnames="number")
+def _first(tasks: Task, number: int) -> Task:
+    """Take the first of some tasks: one program for all leaves."""
+    return jax.tree.map(lambda leaf: leaf[:number], tasks)
 
 
 def draw_tasks(cells: Sequence[Cell], index: np.ndarray, numbers: np.ndarray) -> Task:
@@ -101,30 +117,9 @@ def draw_tasks(cells: Sequence[Cell], index: np.ndarray, numbers: np.ndarray) ->
         at = np.arange(start, start + BLOCK)
         at = np.where(at < len(index), at, start)
         mine = jax.tree.map(lambda leaf, at=at: leaf[index[at]], stacked)
-        keys, drawn = _draw(
-            roots[index[at]],
-            mine["law"],
-            jnp.asarray(numbers[at], jnp.uint32),
-            jnp.asarray(worlds[at], jnp.uint32),
-        )
-        is_own = mine["is_own"]
-        scenario = jax.tree.map(
-            lambda own, new, is_own=is_own: jnp.where(
-                is_own.reshape(-1, *(1,) * (new.ndim - 1)), own, new
-            ),
-            mine["scenario"],
-            drawn,
-        )
-        parts.append(
-            Task(
-                key=keys,
-                scenario=scenario,
-                instruction_index=jnp.asarray(mine["instruction_index"]),
-                sensor=jax.tree.map(jnp.asarray, mine["sensor"]),
-                motion=jax.tree.map(jnp.asarray, mine["motion"]),
-            )
-        )
-    return jax.tree.map(lambda leaf: leaf[: len(index)], concatenate(parts))
+        which = numbers[at].astype(np.uint32), worlds[at].astype(np.uint32)
+        parts.append(_draw(roots[index[at]], mine, *which))
+    return _first(concatenate(parts) if len(parts) > 1 else parts[0], len(index))
 
 
 def _root(one: Cell) -> Array:
