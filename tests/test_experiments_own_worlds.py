@@ -183,7 +183,6 @@ def test_belief_is_calibrated_in_its_own_worlds() -> None:
         assert ece_map is not None, name
         assert coverage is not None, name
         assert error is not None, name
-        print(name, found)
         # The floor is the mean of a chance error's size, √(2 / π) of its standard deviation.
         assert ece <= np.hypot(0.03, floor * np.sqrt(np.pi / 2)), (name, found)
         # What the planner works with is what the map says: no doubt is counted twice.
