@@ -48,6 +48,7 @@ class EpisodeResult:
     goal_distance: Array  # f32[] metres from there to the goal
     overflow: Array  # i32[] detections that found no free slot
     degenerate: Array  # i32[] steps at which all weights had died
+    contradictions: Array  # i32[] steps at which the observation contradicted the map
     mean_effective_sample_size: Array  # f32[] over the steps
     is_valid: Array  # bool[] the scenario met its template's law
 
@@ -62,6 +63,7 @@ class Progress:
     steps: Array  # i32[]
     overflow: Array  # i32[]
     degenerate: Array  # i32[]
+    contradictions: Array  # i32[]
     sum_effective_sample_size: Array  # f32[]
 
 
@@ -86,6 +88,7 @@ def begin(task: Task, instructions: Instruction, *, config: NavigatorConfig) -> 
         steps=jnp.int32(0),
         overflow=jnp.int32(0),
         degenerate=jnp.int32(0),
+        contradictions=jnp.int32(0),
         sum_effective_sample_size=jnp.float32(0.0),
     )
 
@@ -119,6 +122,7 @@ def advance(
         steps=progress.steps + 1,
         overflow=progress.overflow + info.filter.overflow,
         degenerate=progress.degenerate + info.filter.is_degenerate.astype(jnp.int32),
+        contradictions=progress.contradictions + info.filter.is_contradiction.astype(jnp.int32),
         sum_effective_sample_size=progress.sum_effective_sample_size
         + info.filter.effective_sample_size,
     )
@@ -139,6 +143,7 @@ def finish(progress: Progress) -> EpisodeResult:
         goal_distance=simulator.goal_distance(progress.world, scenario),
         overflow=progress.overflow,
         degenerate=progress.degenerate,
+        contradictions=progress.contradictions,
         mean_effective_sample_size=progress.sum_effective_sample_size / steps,
         is_valid=scenario.is_valid,
     )

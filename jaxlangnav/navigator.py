@@ -336,7 +336,10 @@ def step(
     is_last = state.clause + 1 >= state.instruction.num_clauses
     is_stop = choice.is_stop & is_last
     advances = choice.is_stop & ~is_last
-    goal_slot = jnp.argmax(goals.object_mass[:-1]).astype(jnp.int32)
+    # Of the objects that would do, the last command ended at the one gone up to.
+    away = jnp.hypot(goals.object_x - robot_x, goals.object_y - robot_y)[:-1]
+    will_do = goals.object_accepted[:-1] * params.planner.discount**away
+    goal_slot = jnp.argmax(will_do).astype(jnp.int32)
     mode = jnp.argmax(expected.mode)
     speed, clearance = params.mode_speed[mode], params.mode_clearance[mode]
     span_x, span_y = choice.waypoint_x - robot_x, choice.waypoint_y - robot_y

@@ -172,6 +172,7 @@ def make_recording(
         goal_distance=np.float32(0.5),
         overflow=np.int32(0),
         degenerate=np.int32(0),
+        contradictions=np.int32(0),
         mean_effective_sample_size=np.float32(18.0),
         is_valid=np.array(True),
     )

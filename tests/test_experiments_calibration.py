@@ -12,11 +12,13 @@ from jaxlangnav.experiments.calibration import (
     STAGES,
     Reliability,
     Tally,
+    draw_unseen,
     reliability,
     scores,
 )
 from jaxlangnav.experiments.goal_region import BANDWIDTH, GoalDensity, goal_region
 from jaxlangnav.pytree import replace
+from jaxlangnav.semantic_map.coverage import sample_unseen, unexplored
 
 S = len(STAGES)
 
@@ -164,6 +166,53 @@ def test_a_belief_that_is_too_sure_is_found_out() -> None:
 
 def test_a_belief_that_is_not_sure_enough_is_found_out() -> None:
     assert (ranks(2.5, 2) <= 0.9).mean() > 0.96
+
+
+SQUARE = jnp.array([0.0, 16.0, 0.0, 16.0])
+
+
+def unseen_ranks(*, is_even: bool) -> np.ndarray:
+    """Rank a truth that may be anywhere unseen, half of the square having been looked at twice."""
+    fresh = unexplored(SQUARE, 32)
+    seen = jnp.where(jnp.arange(32) < 16, 2 * jnp.log(0.05), 0.0)
+    coverage = replace(fresh, log_miss=jnp.broadcast_to(seen, (32, 32)))
+
+    def one(key: jax.Array) -> jax.Array:
+        truth_key, even_key, drawn_key = jax.random.split(key, 3)
+        true_x, true_y = draw_unseen(truth_key, coverage, 1)
+        comb = jax.random.uniform(even_key, (2, 64))
+        even_x, even_y, _ = sample_unseen(coverage, comb[0, 0], comb)
+        x, y = (even_x, even_y) if is_even else draw_unseen(drawn_key, coverage, 64)
+        belief = density(
+            object_mass=jnp.zeros(2),
+            hypothesis_x=x,
+            hypothesis_y=y,
+            hypothesis_mass=jnp.full(64, 1 / 64),
+        )
+        return goal_region(belief, true_x[0], true_y[0])[0]
+
+    return np.asarray(jax.jit(jax.vmap(one))(jax.random.split(jax.random.key(3), 2000)))
+
+
+def test_hypotheses_drawn_independently_rank_a_truth_of_their_law_uniformly() -> None:
+    found = unseen_ranks(is_even=False)
+    for share in (0.5, 0.9):
+        error = np.sqrt(share * (1 - share) / found.size)
+        assert abs((found <= share).mean() - share) < 5 * error + 1 / 130
+    # Why they are drawn anew: spread evenly, as the filter has them, they shun each other.
+    assert (unseen_ranks(is_even=True) <= 0.9).mean() > 0.93
+
+
+def test_places_drawn_are_of_the_law_of_what_is_unseen() -> None:
+    log_miss = -np.random.default_rng(4).exponential(1.0, (8, 8)).astype(np.float32)
+    coverage = replace(unexplored(SQUARE, 8), log_miss=jnp.asarray(log_miss))
+    x, y = (np.asarray(one) for one in draw_unseen(jax.random.key(0), coverage, 40_000))
+    count = np.histogram2d(y, x, bins=8, range=[[0, 16], [0, 16]])[0]
+    expected = np.exp(log_miss) / np.exp(log_miss).sum() * x.size
+    assert count.sum() == x.size
+    assert (np.abs(count - expected) < 5 * np.sqrt(expected) + 1).all()
+    # Evenly within a cell.
+    assert abs((x % 2).mean() - 1.0) < 5 * 2 / np.sqrt(12 * x.size)
 
 
 def test_kernel_bandwidth_is_that_of_the_density() -> None:

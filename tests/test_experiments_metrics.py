@@ -20,6 +20,7 @@ def results(**changes: Any) -> EpisodeResult:
         "goal_distance": np.zeros(number),
         "overflow": np.array([0, 2, 0, 0]),
         "degenerate": np.array([1, 0, 0, 0]),
+        "contradictions": np.array([0, 1, 2, 0]),
         "mean_effective_sample_size": np.ones(number),
         "is_valid": np.array([True, True, True, False]),
     }
@@ -34,6 +35,7 @@ def test_a_row_by_hand() -> None:
     assert row.distance_sd == pytest.approx(np.std([10, 20, 100], ddof=1))
     assert row.spl == pytest.approx((1.0 + 0.5 + 0.0) / 3)
     assert (row.timeouts, row.overflows, row.degenerate, row.invalid_worlds) == (1, 2, 1, 1)
+    assert row.contradictions == 3
 
 
 def test_no_path_is_shorter_than_the_known_one() -> None:

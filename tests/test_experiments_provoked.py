@@ -72,10 +72,10 @@ def test_what_is_provoked_is_counted_when_it_happens(provoked: dict[int, Provoke
     running = provoked[NOT_A_NUMBER].result.steps > LAST
     assert broken[running].all()
     assert (counts[NOT_A_NUMBER][:, LAST + 1 :] & 1).sum() == 0
-    # Eight false objects a cycle, eight slots: full from the second on.
     running = provoked[CONTRADICTION].result.steps > LAST
     surprised = counts[CONTRADICTION][running, FIRST : LAST + 1] & 4
     assert (surprised.any(axis=1)).all()
+    # Eight false objects a cycle, eight slots: full from the second on.
     running = provoked[OVERFLOW].result.steps > LAST
     assert (counts[OVERFLOW][running, LAST] & 2).all()
     assert provoked[OVERFLOW].result.overflow[running].min() > 0
@@ -84,3 +84,4 @@ def test_what_is_provoked_is_counted_when_it_happens(provoked: dict[int, Provoke
 def test_sums_in_the_results_are_those_of_the_cycles(provoked: dict[int, ProvokedResult]) -> None:
     for found in provoked.values():
         np.testing.assert_array_equal((found.statuses & 1).sum(1), found.result.degenerate)
+        np.testing.assert_array_equal((found.statuses & 4).sum(1) // 4, found.result.contradictions)

@@ -9,7 +9,7 @@ from oracles import qmdp as oracle
 
 from jaxlangnav.messages import AT, BEHIND, FAR, LEFT, NEAR, NONE, Behavior
 from jaxlangnav.planner import qmdp
-from jaxlangnav.planner.goals import gather, region_offset
+from jaxlangnav.planner.goals import claim, gather, region_offset
 from jaxlangnav.pytree import replace
 from jaxlangnav.relations import default_params, prepare
 
@@ -78,7 +78,11 @@ def test_value_equals_the_double_sum(region: int, discount: float) -> None:
     goal[:, region, :3] = random.uniform(0, 0.3, (P, 3))
     first = np.where(is_open.any(0), is_open.argmax(0), 0)
     goal[np.arange(P), region, SLOTS + first] = np.where(is_open.any(0), 0.1, 0.0)
-    truth = oracle.values(NODES, places, weight, goal, np.array(VIEWER), DISTANCE, discount)
+    is_referent = np.zeros((P, size), bool)
+    is_referent[:, 0], is_referent[:, SLOTS : SLOTS + M] = ~is_open.all(0), is_open.T
+    claimed = np.zeros_like(goal)
+    claimed[:, region] = oracle.claim(goal[:, region], is_referent, SLOTS)
+    truth = oracle.values(NODES, places, weight, claimed, np.array(VIEWER), DISTANCE, discount)
     ours, _ = value_of(belief, behave(goal), jnp.float32(discount))
     np.testing.assert_allclose(ours, truth, rtol=2e-4)
 
@@ -120,14 +124,53 @@ def test_mass_within_reach() -> None:
 
 
 def test_objects_that_fit_equally_are_equally_good() -> None:
-    """Two hydrants and nothing to tell them apart: either is "the hydrant"; a cone is not."""
-    belief, _, _, _ = believe()
+    """Two hydrants and nothing to tell them apart: either is "the hydrant"; a cone is not.
+
+    Which of them is the goal is another question, and each particle has its answer.
+    """
+    belief, _, weight, is_open = believe()
     goal = np.zeros((P, 7, SLOTS + M + 1))
     goal[:, AT, 0] = goal[:, AT, 2] = 0.45
     goal[:, AT, 1] = 0.01
     _, goals = value_of(belief, behave(goal), jnp.float32(0.8))
-    np.testing.assert_allclose(goals.object_mass[:3], [0.45, 0.01, 0.45], rtol=1e-4)
+    meant = weight[~is_open.all(0)].sum()
+    assert 0.1 < meant < 0.999
+    # Where it is not meant it has its own share, as the others have theirs.
+    expected = [0.45 + 0.46 * meant, 0.01 * (1.0 - meant), 0.45 * (1.0 - meant)]
+    np.testing.assert_allclose(goals.object_mass[:3], expected, rtol=1e-4, atol=1e-6)
     np.testing.assert_allclose(goals.object_accepted[:3], [0.91, 0.91 / 45, 0.91], rtol=1e-3)
+
+
+def claimed_by(referent: list[int], mass: list[float]) -> list[float]:
+    """Claim in one particle of three seen objects, two mentions and the robot."""
+    particles = replace(
+        by_hand.begin(VIEWER).particles,
+        object_type=jnp.array([[0], [1], [0]]),
+        referent=jnp.array(referent)[:, None],
+        is_mentioned=jnp.ones((2, 1), bool),
+    )
+    return claim(jnp.array(mass)[:, None], particles)[:, 0].tolist()
+
+
+@pytest.mark.parametrize(
+    ("referent", "mass", "expected"),
+    [
+        # The hydrant meant is still to be found: the two in sight yield to it.
+        ([NONE, 1], [0.3, 0.0, 0.3, 0.3, 0.0, 0.0], [0.0, 0.0, 0.0, 0.9, 0.0, 0.0]),
+        # It is one of those in sight.
+        ([2, NONE], [0.45, 0.0, 0.45, 0.0, 0.05, 0.0], [0.0, 0.0, 0.9, 0.0, 0.05, 0.0]),
+        # Both are spoken of, so neither is a bystander.
+        ([0, 2], [0.6, 0.0, 0.3, 0.0, 0.0, 0.0], [0.6, 0.0, 0.3, 0.0, 0.0, 0.0]),
+        # "The other cone": what is referred to is hardly the goal, and claims hardly anything.
+        ([0, 1], [0.02, 0.0, 0.9, 0.0, 0.0, 0.0], [0.04, 0.0, 0.88, 0.0, 0.0, 0.0]),
+        # The robot's own side is no bystander.
+        ([0, NONE], [0.4, 0.0, 0.0, 0.0, 0.0, 0.5], [0.4, 0.0, 0.0, 0.0, 0.0, 0.5]),
+    ],
+)
+def test_bystanders_yield_to_what_is_meant(
+    referent: list[int], mass: list[float], expected: list[float]
+) -> None:
+    np.testing.assert_allclose(claimed_by(referent, mass), expected, atol=1e-6)
 
 
 def test_garbage_in_empty_slots_changes_no_value() -> None:

@@ -77,8 +77,10 @@ def test_figure_is_found_after_everything_was_refuted() -> None:
     looks = [by_hand.observation(np.array([x, y, 0.0]), []) for x, y in sweep(1)]
     pose = np.array([5.0, 0.0, 0.0])
     looks += [by_hand.observation(pose, [(CONE, 1.0, 0.1), (HYDRANT, 2.5, 0.2)])] * 8
-    beliefs, _ = follow(looks)
+    beliefs, info = follow(looks)
     assert_sound(beliefs)
+    assert info.surprise[:, 24].min() > 5.0, "it was looked for there before"
+    assert info.surprise[:, 25:].max() < 5.0
     weight = np.exp(np.asarray(beliefs.log_weight))
     hydrant = np.asarray(beliefs.particles.object_type) == HYDRANT
     referent = np.asarray(beliefs.particles.referent[:, 0])
@@ -100,8 +102,12 @@ def test_detections_that_contradict_each_other() -> None:
     ]
     beliefs, info = follow(looks)
     assert_sound(beliefs)
-    # Far more "objects" than slots were seen: that is said.
+    # They contradict what was seen before, and soon there are more "objects" than slots: both
+    # are said, every step by one of them once the place is well known.
     assert info.overflow.sum() > 0
+    is_said = info.is_contradiction | (info.overflow > 0)
+    assert is_said[:, by_hand.STEPS :].mean() > 0.8
+    assert info.is_contradiction.any(axis=1).all()
 
 
 def test_more_objects_than_slots_are_counted() -> None:
@@ -129,6 +135,7 @@ def test_no_noise_at_all(noise: float) -> None:
     beliefs, info = follow(looks, numbers=by_hand.params(odometry_noise=0.0))
     assert_sound(beliefs)
     assert not info.is_degenerate.any()
+    assert not info.is_contradiction.any()
     particles = jax.tree.map(np.asarray, beliefs.particles)
     for slot, (name, x, y) in enumerate(objects):
         assert (particles.object_type[:, slot] == name).all()

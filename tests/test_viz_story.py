@@ -153,10 +153,13 @@ def test_the_closing_tells_failures_apart():
     assert "ran out of time" in narrative.closing(scene, frame, timeout)[0]
     wrong = replace(one.result, is_success=np.array(False), goal_distance=np.float32(6.2))
     assert "6.2 m away" in narrative.closing(scene, frame, wrong)[0]
-    crowded = replace(one.result, overflow=np.int32(3), degenerate=np.int32(2))
+    crowded = replace(
+        one.result, overflow=np.int32(3), degenerate=np.int32(2), contradictions=np.int32(4)
+    )
     said = " ".join(narrative.closing(scene, frame, crowded))
     assert "3 detections" in said
     assert "In 2 steps" in said
+    assert "In 4 steps it saw what contradicts its map" in said
 
 
 def test_headlines_say_what_happened():

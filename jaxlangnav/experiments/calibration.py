@@ -23,10 +23,12 @@ from jaxlangnav.episode import MAX_STEPS, Progress, Task, advance, begin
 from jaxlangnav.experiments.goal_region import GoalDensity, goal_region, relative_variance
 from jaxlangnav.experiments.monte_carlo import map_pieces
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.messages import NONE
+from jaxlangnav.messages import NONE, Readings
 from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams
 from jaxlangnav.planner.goals import Goals
-from jaxlangnav.pytree import pytree
+from jaxlangnav.pytree import pytree, replace
+from jaxlangnav.semantic_map.coverage import Coverage, cell_size
+from jaxlangnav.semantic_map.filter import ParticleBelief
 
 NUM_BINS = 10
 LANES = 64
@@ -35,6 +37,8 @@ SAME = 0.75
 """Metres within which an observed object is the true one."""
 STAGES = (0, 5, 10, 15, 20, 30)
 """First decision cycle of each stage that scores are kept for."""
+_JUDGING = 78
+"""Folded into a cycle's key for the judge; beyond the keys that world and navigator take."""
 _MOST_POINTS = 64
 """Particles that make up the density: its cost grows with their square."""
 
@@ -93,6 +97,47 @@ def _density(goals: Goals, variance: Array) -> GoalDensity:
     )
 
 
+def draw_unseen(key: Array, coverage: Coverage, number: int) -> tuple[Array, Array]:
+    """Draw places independently, in proportion to the probability of being unseen.
+
+    Args:
+        key: random key.
+        coverage: where the robot has looked.
+        number: n.
+
+    Returns:
+        x and y, f32[n] metres, map frame.
+    """
+    num_cells = coverage.log_miss.shape[-1]
+    size_x, size_y = cell_size(coverage)
+    uniform = jax.random.uniform(key, (3, number))
+    ends = jnp.cumsum(jnp.exp(coverage.log_miss).reshape(-1))
+    cell = jnp.sum(ends[:, None] <= uniform[:1] * ends[-1], axis=0)
+    cell = jnp.minimum(cell, num_cells**2 - 1)
+    x = coverage.area[0] + (cell % num_cells + uniform[1]) * size_x
+    y = coverage.area[2] + (cell // num_cells + uniform[2]) * size_y
+    return x, y
+
+
+def _independent(key: Array, goals: Goals, belief: ParticleBelief, readings: Readings) -> Goals:
+    """Draw anew, independently, hypotheses of a goal of which nothing is said but that it exists.
+
+    Regions of highest density are told from hypotheses that are independent draws, as the truth is
+    one. But the filter spreads those that may be anywhere unseen evenly over all of that, so that
+    they keep away from each other: other places look denser than theirs, and regions of 90 % of a
+    perfect belief would hold the truth in 94 % of cases. Their law is the coverage map's.
+    """
+    drawn_x, drawn_y = draw_unseen(key, belief.coverage, goals.hypothesis_x.shape[0])
+    reading = belief.particles.reading
+    is_free = (readings.relation[:, 0] == NONE) & (readings.figure[:, 0] != NONE)
+    is_free = is_free[reading] & (jnp.sum(readings.figure != NONE, axis=1) == 1)[reading]
+    return replace(
+        goals,
+        hypothesis_x=jnp.where(is_free, drawn_x, goals.hypothesis_x),
+        hypothesis_y=jnp.where(is_free, drawn_y, goals.hypothesis_y),
+    )
+
+
 def reliability(probability: Array, outcome: Array, is_event: Array) -> Reliability:
     """Sort events into bins of their probability.
 
@@ -147,7 +192,10 @@ def judge(progress: Progress, info: NavigatorInfo, after: Progress) -> Tally:
     true_x, true_y = scenario.goal - progress.world.position + info.robot
     goals = info.goals
     variance = relative_variance(belief.particles, jnp.exp(belief.log_weight))
-    below, log_density = goal_region(_density(goals, variance), true_x, true_y)
+    key = jax.random.fold_in(jax.random.fold_in(progress.task.key, progress.steps), _JUDGING)
+    drawn = _independent(key, goals, belief, progress.navigator.instruction.readings)
+    below, _ = goal_region(_density(drawn, variance), true_x, true_y)
+    _, log_density = goal_region(_density(goals, variance), true_x, true_y)
     # Events: observed objects of the goal's type. The robot's entry is last and no object.
     types = jnp.max(belief.particles.object_type, axis=1)
     is_event = goals.is_object[:-1] & (types == scenario.object_type[scenario.goal_index])

@@ -25,6 +25,7 @@ class RowMetrics:
     steps_mean: float
     overflows: int
     degenerate: int
+    contradictions: int
     timeouts: int
     invalid_worlds: int
 
@@ -87,6 +88,7 @@ def summarize(results: EpisodeResult, known_distance: np.ndarray) -> RowMetrics:
         steps_mean=float(np.asarray(results.steps)[valid].mean()) if number else 0.0,
         overflows=int(np.asarray(results.overflow)[valid].sum()),
         degenerate=int(np.asarray(results.degenerate)[valid].sum()),
+        contradictions=int(np.asarray(results.contradictions)[valid].sum()),
         timeouts=int((~np.asarray(results.is_stopped)[valid]).sum()),
         invalid_worlds=int((~valid).sum()),
     )

@@ -26,9 +26,6 @@ NONE, ZERO_WEIGHTS, NOT_A_NUMBER, CONTRADICTION, OVERFLOW = range(len(FAULTS))
 FIRST, LAST = 2, 5
 """Decision cycles in which the fault lasts, both included."""
 MAX_STEPS = 60
-SURPRISE = 25.0
-"""Nats; a look less probable than exp(−25) per square metre contradicts the map. Two new things at
-once are worth 13."""
 
 
 @pytree
@@ -123,13 +120,16 @@ def run_provoked(
             steps=step + 1,
             overflow=progress.overflow + seen.overflow,
             degenerate=progress.degenerate + seen.is_degenerate.astype(jnp.int32),
+            contradictions=progress.contradictions + seen.is_contradiction.astype(jnp.int32),
             sum_effective_sample_size=progress.sum_effective_sample_size
             + seen.effective_sample_size,
         )
         belief = state.belief
-        surprise = progress.navigator.belief.log_evidence - belief.log_evidence
-        is_surprised = jnp.isfinite(surprise) & (surprise > SURPRISE)
-        status = seen.is_degenerate.astype(jnp.int32) + 2 * (seen.overflow > 0) + 4 * is_surprised
+        status = (
+            seen.is_degenerate.astype(jnp.int32)
+            + 2 * (seen.overflow > 0)
+            + 4 * seen.is_contradiction
+        )
         floats = (belief.log_weight, belief.particles.mean_x, belief.particles.mean_y, action.step)
         is_sound = jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in floats]))
         return after, status.astype(jnp.int32), is_sound

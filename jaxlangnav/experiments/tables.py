@@ -231,11 +231,14 @@ def caption(document: dict[str, Any]) -> str:
         f"{100 * noise['odometry_noise']:g} % of the way; {noise['step_length']:g} m a step.",
         "The paper prints neither geometry nor noise; its σ is over about 100 runs.",
     ]
-    invalid = sum(row["invalid_worlds"] for row in document["rows"])
-    broken = sum(row["overflows"] + row["degenerate"] for row in document["rows"])
+    invalid, overflows, dead, odd = (
+        sum(row[name] for row in document["rows"])
+        for name in ("invalid_worlds", "overflows", "degenerate", "contradictions")
+    )
     lines.append(
-        f"Worlds that missed their law and are left out: {invalid}; detections without a slot and "
-        f"steps with all weights dead: {broken}."
+        f"Worlds that missed their law and are left out: {invalid}; detections without a slot: "
+        f"{overflows}; steps with all weights dead: {dead}, with a look that contradicts the map: "
+        f"{odd}."
     )
     if document.get("calibration_episodes"):
         lines.append(

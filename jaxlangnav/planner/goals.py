@@ -12,6 +12,7 @@ from jaxlangnav.messages import AT, Behavior
 from jaxlangnav.pytree import pytree
 from jaxlangnav.relations import RelationModel, robot_frame, to_map, viewer_frame
 from jaxlangnav.semantic_map.filter import ParticleBelief
+from jaxlangnav.semantic_map.particle import SemanticMap
 
 
 @pytree
@@ -67,6 +68,39 @@ def region_offset(
     return jnp.where(is_at, 0.0, offset_x), jnp.where(is_at, 0.0, offset_y)
 
 
+def claim(mass: Array, particles: SemanticMap) -> Array:
+    """Give the goal mass on bystanders to what each particle's words refer to.
+
+        m′_r = m_r + Σ_b min(m_b, m_r),    m′_b = m_b − min(m_b, m_r)
+
+    The behavior model goes by what things are called, so in a particle whose hydrant is still to
+    be found it shares the goal between that one and any other hydrant in sight. But a particle *is*
+    a statement of what the words mean, and that doubt is already in the weights of particles that
+    mean the other one. So in each particle a bystander b, observed and not referred to, yields to
+    the likeliest goal r among the referents. It yields no more than r itself has: of "the other
+    cone" the thing referred to is not the goal, and claims nothing.
+
+    Limits: nothing referred to is a goal, nothing moves; the sum over slots stays the same.
+
+    Args:
+        mass: f32[N + 1, P] goal probability of each slot: observed, hypothesised, the robot.
+        particles: leaves [..., P].
+
+    Returns:
+        f32[N + 1, P].
+    """
+    num_objects = particles.object_type.shape[0]
+    slots = jnp.arange(num_objects)[:, None, None]
+    is_meant = jnp.any(particles.referent[None] == slots, axis=1)  # [O, P]
+    is_robot = jnp.zeros((1, is_meant.shape[1]), bool)
+    is_referent = jnp.concatenate([is_meant, particles.is_hypothesised, is_robot])
+    is_bystander = jnp.concatenate([~is_meant, jnp.zeros_like(is_referent[num_objects:])])
+    own = jnp.where(is_referent, mass, 0.0)
+    first = jnp.arange(mass.shape[0])[:, None] == jnp.argmax(own, axis=0)[None, :]
+    claimed = jnp.where(is_bystander, jnp.minimum(mass, jnp.max(own, axis=0)[None, :]), 0.0)
+    return mass - claimed + jnp.where(first, jnp.sum(claimed, axis=0)[None, :], 0.0)
+
+
 def gather(belief: ParticleBelief, behavior: Behavior, relations: RelationModel) -> Goals:
     """Gather the goals of all particles.
 
@@ -85,7 +119,8 @@ def gather(belief: ParticleBelief, behavior: Behavior, relations: RelationModel)
     viewer_y = jnp.broadcast_to(belief.viewer[1], (1, number))
     x = jnp.concatenate([particles.mean_x[:num_objects], particles.hypothesis_x, viewer_x])
     y = jnp.concatenate([particles.mean_y[:num_objects], particles.hypothesis_y, viewer_y])
-    mass = jnp.sum(behavior.goal, axis=0) * weight[None, :]  # [N + 1, P]
+    fits = jnp.sum(behavior.goal, axis=0) * weight[None, :]  # [N + 1, P]
+    mass = claim(fits, particles)
     region = jnp.argmax(behavior.goal, axis=0)  # [N + 1, P]
     is_robot = (jnp.arange(x.shape[0]) == x.shape[0] - 1)[:, None]
     offset_x, offset_y = region_offset(relations, region, x, y, belief.viewer, is_robot)
@@ -100,7 +135,7 @@ def gather(belief: ParticleBelief, behavior: Behavior, relations: RelationModel)
     # An object will do if, in its particle, it fits the sentence as well as any other; with
     # nothing to tell two hydrants apart, either is "the hydrant".
     best_fit = jnp.max(behavior.goal, axis=(0, 1))
-    fit = on_known / jnp.maximum(weight * best_fit, 1e-9)[None, :]
+    fit = fits[known] / jnp.maximum(weight * best_fit, 1e-9)[None, :]
     total_goal = jnp.minimum(jnp.sum(behavior.goal, axis=(0, 1)), 1.0)
     accepted = fit * (weight * total_goal)[None, :]
     # It is confirmed unless it is meant in relation to something not seen.

@@ -10,6 +10,7 @@ value ties with that of the node underfoot.
 once everything the sentence mentions has been observed and no rival is left near what has been.
 """
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -155,6 +156,41 @@ def informed(situation: Situation, plan: Plan) -> tuple[Valuation, Array]:
     return valuation, is_sure
 
 
+def _judge(
+    situation: Situation, plan: Plan | None, config: PlannerConfig
+) -> tuple[Valuation, Array]:
+    """Value the nodes as the policy does; and bool[], whether it may stop for all it knows."""
+    if callable(config.policy):
+        return config.policy(situation), jnp.asarray(True)
+    if config.policy == "faithful":
+        return faithful(situation), jnp.asarray(True)
+    if plan is None:
+        raise ValueError("the informed policy chooses among tours: plan them first")
+    return informed(situation, plan)
+
+
+def _aim(
+    situation: Situation, value: Array, commitment: Commitment, is_news: Array, *, may_keep: bool
+) -> tuple[Commitment, Array]:
+    """Pick the best open node, or keep the waypoint under way; bool[] tells whether it was kept."""
+    nodes = situation.nodes
+    robot_x, robot_y = situation.robot_x, situation.robot_y
+    best = jnp.argmax(value)
+    nowhere = jnp.all(value == -jnp.inf)
+    chosen = Commitment(
+        x=jnp.where(nowhere, robot_x, nodes.x[best]),
+        y=jnp.where(nowhere, robot_y, nodes.y[best]),
+        kind=nodes.kind[best],
+        is_active=jnp.asarray(True),
+    )
+    if not may_keep:
+        return chosen, jnp.asarray(False)
+    keeps = ~is_news & _is_worth_keeping(
+        situation.belief, commitment, robot_x, robot_y, situation.params
+    )
+    return jax.tree.map(lambda kept, new: jnp.where(keeps, kept, new), commitment, chosen), keeps
+
+
 def choose(
     belief: ParticleBelief,
     nodes: Nodes,
@@ -206,32 +242,18 @@ def choose(
         is_find=is_find,
         params=params,
     )
-    is_sure = jnp.asarray(True)
-    if callable(config.policy):
-        valuation = config.policy(situation)
-    elif config.policy == "faithful":
-        valuation = faithful(situation)
-    elif plan is None:
-        raise ValueError("the informed policy chooses among tours: plan them first")
-    else:
-        valuation, is_sure = informed(situation, plan)
+    valuation, is_sure = _judge(situation, plan, config)
     value = valuation.goal_value + valuation.information_value - cost
     # Standing still teaches nothing: the node underfoot is a_stop's business.
     is_open = nodes.is_node & (distance > jnp.where(nodes.kind == OBJECT, params.reach, _UNDERFOOT))
     value = jnp.where(is_open, value, -jnp.inf)
-    best = jnp.argmax(value)
-    keeps = jnp.asarray(False)
-    if config.policy != "informed":
-        keeps = ~is_news & _is_worth_keeping(belief, commitment, robot_x, robot_y, params)
-    nowhere = ~jnp.any(is_open)
-    waypoint_x = jnp.where(keeps, commitment.x, jnp.where(nowhere, robot_x, nodes.x[best]))
-    waypoint_y = jnp.where(keeps, commitment.y, jnp.where(nowhere, robot_y, nodes.y[best]))
+    aim, is_kept = _aim(situation, value, commitment, is_news, may_keep=config.policy != "informed")
     return Choice(
-        waypoint_x=waypoint_x,
-        waypoint_y=waypoint_y,
-        kind=jnp.where(keeps, commitment.kind, nodes.kind[best]),
+        waypoint_x=aim.x,
+        waypoint_y=aim.y,
+        kind=aim.kind,
         is_stop=(valuation.stop_mass >= params.stop_probability) & is_sure,
-        is_kept=keeps,
+        is_kept=is_kept,
         value=value,
         goal_value=valuation.goal_value,
         information_value=valuation.information_value,

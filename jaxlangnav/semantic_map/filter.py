@@ -32,6 +32,7 @@ from jaxlangnav.semantic_map.coverage import (
 )
 from jaxlangnav.semantic_map.params import MapConfig, MapParams
 from jaxlangnav.semantic_map.particle import SemanticMap
+from jaxlangnav.semantic_map.surprise import CONTRADICTION, surprise
 
 _SPREAD = np.array([0.75487767, 0.56984029], np.float32)
 """Steps of the additive recurrence that fills the unit square most evenly."""
@@ -63,6 +64,8 @@ class FilterInfo:
     is_degenerate: Array  # bool[] all weights had died and were made uniform, or the observation
     # held numbers that are not finite, which were left out
     is_news: Array  # bool[] an object was seen for the first time, or words came in
+    surprise: Array  # f32[] nats by which the observation is less probable than one that fits
+    is_contradiction: Array  # bool[] … more than it is by chance: it contradicts the map
 
 
 def start(pose: Array, area: Array, num_mentions: int, config: MapConfig) -> ParticleBelief:
@@ -290,6 +293,8 @@ def step(
     weight = weight / jnp.sum(weight)
     particles = _choose(is_fresh, fresh, particles)
 
+    log_new = jnp.log(params.concentration) - jnp.log(area_size(coverage))
+    surprised = surprise(belief.log_weight, grounded, log_map, log_new, noise_variance)
     size = effective_sample_size(weight)
     is_resampled = size < params.resample_threshold * number
     ancestors = systematic(weight, jax.random.uniform(resample_key))
@@ -313,4 +318,6 @@ def step(
         overflow=jnp.max(grounded.overflow),
         is_degenerate=is_dead | is_broken,
         is_news=was_told | jnp.any(grounded.is_new),
+        surprise=surprised,
+        is_contradiction=surprised > CONTRADICTION,
     )

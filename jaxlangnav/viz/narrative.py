@@ -121,6 +121,8 @@ def closing(scene: Scene, frame: Frame, result: EpisodeResult) -> list[str]:
         notes.append(f"{int(result.overflow)} detections found no free slot.")
     if int(result.degenerate):
         notes.append(f"In {int(result.degenerate)} steps all hypotheses had died.")
+    if int(result.contradictions):
+        notes.append(f"In {int(result.contradictions)} steps it saw what contradicts its map.")
     return [verdict, way, *notes]
 
 

@@ -22,6 +22,31 @@ def goal_place(
     return place + distance[region] * np.array([math.cos(angle), math.sin(angle)])
 
 
+def claim(mass: np.ndarray, is_referent: np.ndarray, num_objects: int) -> np.ndarray:
+    """Let observed bystanders yield to the likeliest goal among the referents, one by one.
+
+    Args:
+        mass: f64[P, N + 1] goal probability of each slot.
+        is_referent: bool[P, N + 1] slots that the particle's words refer to.
+        num_objects: O, observed slots, which come first.
+
+    Returns:
+        f64[P, N + 1].
+    """
+    result = mass.copy()
+    for particle, referents in enumerate(is_referent):
+        candidates = [slot for slot, is_it in enumerate(referents) if is_it]
+        if not candidates:
+            continue
+        chosen = max(candidates, key=lambda slot: mass[particle, slot])
+        for slot in range(num_objects):
+            if not referents[slot]:
+                moved = min(mass[particle, slot], mass[particle, chosen])
+                result[particle, slot] -= moved
+                result[particle, chosen] += moved
+    return result
+
+
 def values(
     nodes: np.ndarray,
     places: np.ndarray,
