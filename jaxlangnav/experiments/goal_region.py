@@ -15,7 +15,7 @@ from jaxlangnav.semantic_map.particle import SemanticMap
 BANDWIDTH = 1.0
 """Metres, of the kernel that turns the particles' hypotheses into a density."""
 _MIN_VARIANCE = 1e-4
-"""Square metres; the filter knows an object relative to the robot no better than this."""
+"""Square metres; a place that is known better than this counts as known this well."""
 _LOG_FLOOR = 1e-12  # per square metre
 
 

@@ -29,6 +29,18 @@ class Moments(NamedTuple):
     mean_y: Array  # f32[n, ...]
 
 
+def _joined(moments: Moments) -> Array:
+    """Append the means to Σ as two more columns, which are updated by the same operations."""
+    columns = [moments.covariance, moments.mean_x[:, None], moments.mean_y[:, None]]
+    return jnp.concatenate(columns, axis=1)
+
+
+def _parted(table: Array) -> Moments:
+    """Take a table of ``_joined`` apart."""
+    size = table.shape[0]
+    return Moments(table[:, :size], table[:, size], table[:, size + 1])
+
+
 def add_noise(covariance: Array, index: int, variance: Array) -> Array:
     """Add independent noise to one coordinate: a motion whose old pose is marginalised out.
 
@@ -72,16 +84,16 @@ def enter(
     Returns:
         The Gaussian with them in place.
     """
-    covariance, mean_x, mean_y = moments
-    here = slice(origin, origin + 1)
-    rows = jnp.where(is_new[:, None], covariance[here], covariance)
-    both = jnp.where(is_new[None], rows[:, here], rows)
-    own = column(jnp.eye(covariance.shape[0], dtype=bool), covariance.ndim)
-    return Moments(
-        both + jnp.where(own & is_new[None], variance[None], 0.0),
-        jnp.where(is_new, mean_x[here] + offset_x, mean_x),
-        jnp.where(is_new, mean_y[here] + offset_y, mean_y),
-    )
+    size, here = moments.covariance.shape[0], slice(origin, origin + 1)
+    table = _joined(moments)
+    columns = column(jnp.arange(size + 2)[None], table.ndim)
+    offset = jnp.where(columns == size + 1, offset_y[:, None], 0.0)
+    offset = jnp.where(columns == size, offset_x[:, None], offset)
+    rows = jnp.where(is_new[:, None], table[here] + offset, table)
+    is_new_column = jnp.concatenate([is_new, jnp.zeros_like(is_new[:2])])[None]
+    both = jnp.where(is_new_column, rows[:, here], rows)
+    own = column(jnp.eye(size, size + 2, dtype=bool), table.ndim)
+    return _parted(both + jnp.where(own & is_new[:, None], variance[:, None], 0.0))
 
 
 def condition(
@@ -94,10 +106,10 @@ def condition(
 ) -> Moments:
     """Condition on measured relative positions z_k = x_i − x_j + N(0, R_k), one after the other.
 
-        S = hᵀ Σ h + R,   g = Σ h / √S,   Σ' = Σ − g gᵀ,   μ' = μ + g (z − hᵀ μ) / √S,   h = e_i − e_j
+        S = hᵀ Σ h + R,   g = Σ h / √S,   Σ' = Σ − g gᵀ,   μ' = μ + g (z − hᵀ μ) / √S
 
-    g gᵀ is symmetric to the last bit, so Σ stays so. What rounding may take below zero, the
-    variance hᵀ Σ h, is clipped: S ≥ R.
+    with h = e_i − e_j. g gᵀ is symmetric to the last bit, so Σ stays so. The variance hᵀ Σ h,
+    which rounding may take below zero, is clipped: S ≥ R.
     Limits: R → ∞ changes nothing; the order of the measurements does not matter.
 
     Args:
@@ -112,18 +124,17 @@ def condition(
         The posterior.
     """
     size = moments.covariance.shape[0]
-    # The means ride along as two more columns: Σ' and μ' are then one and the same downdate.
-    table = jnp.concatenate(
-        [moments.covariance, moments.mean_x[:, None], moments.mean_y[:, None]], axis=1
-    )
+    table = _joined(moments)
     for index, (of, origin) in enumerate(edges):
         edge = table[of] - table[origin]
         spread = jnp.maximum(edge[of] - edge[origin], 0.0) + variance[index]
         scale = jnp.where(is_used[index], jax.lax.rsqrt(spread), 0.0)
         measured = jnp.stack([offset_x[index], offset_y[index]])
+        # Joined, XLA keeps the gain in memory. Written as one elementwise expression it is worked
+        # out anew wherever it is used, which doubles the cost with every update.
         gain = jnp.concatenate([edge[:size], edge[size:] - measured]) * scale[None]
         table = table - gain[:size, None] * gain[None]
-    return Moments(table[:, :size], table[:, size], table[:, size + 1])
+    return _parted(table)
 
 
 def product(matrix: Array, vector: Array) -> Array:

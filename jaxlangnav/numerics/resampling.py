@@ -75,14 +75,16 @@ def take(particles: Record, ancestors: Array) -> Record:
     """
     leaves, form = jax.tree.flatten(particles)
     number = ancestors.shape[0]
-    table = jnp.concatenate([_bits(leaf).reshape(-1, number) for leaf in leaves])[:, ancestors]
+    rows = jax.lax.optimization_barrier([_bits(leaf).reshape(-1, number) for leaf in leaves])
+    # The barrier has the rows copied; else XLA computes the table place by place.
+    table = jnp.concatenate(rows)[:, ancestors]
     taken, start = [], 0
     for leaf in leaves:
         size = leaf.size // number
-        rows = jax.lax.slice_in_dim(table, start, start + size).reshape(leaf.shape)
+        own = jax.lax.slice_in_dim(table, start, start + size).reshape(leaf.shape)
         is_float = leaf.dtype == jnp.float32
         taken.append(
-            jax.lax.bitcast_convert_type(rows, jnp.float32) if is_float else rows.astype(leaf.dtype)
+            jax.lax.bitcast_convert_type(own, jnp.float32) if is_float else own.astype(leaf.dtype)
         )
         start += size
     return jax.tree.unflatten(form, taken)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.messages import NONE, SensorParams
+from jaxlangnav.messages import NONE, ROBOT, SensorParams
 from jaxlangnav.numerics import categorical, gaussian
 from jaxlangnav.numerics.axes import column
 from jaxlangnav.pytree import replace
@@ -20,8 +20,6 @@ from jaxlangnav.semantic_map.particle import SemanticMap
 
 MIN_NOISE = 0.01
 """Metres; a sensor without noise is taken to be this good, so that no division is by zero."""
-MIN_VARIANCE = 1e-4
-"""Square metres; an object known relative to the robot better than this learns no more."""
 LOG_SURPRISE = -30.0
 """Least log-weight of a detection where nothing can be: surprised, never dead."""
 
@@ -42,7 +40,6 @@ class Association(NamedTuple):
     object_type: Array  # i32[O, ...] types, new objects entered
     is_hit: Array  # bool[O, ...] detected in this observation
     is_new: Array  # bool[O, ...] entered in this observation
-    is_known: Array  # bool[O, ...] known so well relative to the robot that a look adds nothing
     offset_x: Array  # f32[O, ...] measured offset where hit
     offset_y: Array  # f32[O, ...]
     log_weight: Array  # f32[...] log predictive probability
@@ -68,16 +65,21 @@ def associate(
     Returns:
         The grounding and its weight.
     """
-    num_objects = particle.object_type.shape[0]
-    own = jnp.stack([particle.covariance[slot, slot] for slot in range(num_objects)])
-    robot = particle.covariance[num_objects]
-    spread = own + robot[num_objects:] - 2.0 * robot[:num_objects]
-    is_known = spread < MIN_VARIANCE
-    spread = jnp.maximum(spread, 0.0) + noise_variance
-    predicted_x = particle.mean_x[:num_objects] - particle.mean_x[num_objects:]
-    predicted_y = particle.mean_y[:num_objects] - particle.mean_y[num_objects:]
-    object_type = particle.object_type
-    slots = column(jnp.arange(num_objects), object_type.ndim)
+    num_objects, ndim = particle.object_type.shape[0], particle.object_type.ndim
+    # One row more than slots, the robot's, which stands for something new.
+    slots = column(jnp.arange(num_objects + 1), ndim)
+    robot, is_robot = particle.covariance[num_objects], slots == num_objects
+    own = jnp.zeros_like(robot)
+    for slot in range(num_objects + 1):
+        own = jnp.where(slots == slot, particle.covariance[slot], own)
+    spread = jnp.maximum(own + robot[num_objects:] - 2.0 * robot, 0.0) + noise_variance
+    # The innovation's log-density, log N(ν; 0, S), in what all detections share and what not.
+    half_information, log_peak = 0.5 / spread, -jnp.log(2.0 * jnp.pi * spread)
+    predicted_x = particle.mean_x - particle.mean_x[num_objects:]
+    predicted_y = particle.mean_y - particle.mean_y[num_objects:]
+    object_type = jnp.concatenate(
+        [particle.object_type, jnp.full_like(particle.object_type[:1], ROBOT)]
+    )
     is_hit = is_new = jnp.zeros(object_type.shape, bool)
     offset_x = offset_y = jnp.zeros(object_type.shape, jnp.float32)
     log_weight = jnp.zeros(object_type.shape[1:], jnp.float32)
@@ -88,16 +90,17 @@ def associate(
             detections.offset_x[index],
             detections.offset_y[index],
         )
-        log_existing = gaussian.log_normal_isotropic(z_x - predicted_x, z_y - predicted_y, spread)
-        may_be = (object_type == z_type) & ~is_hit
-        log_new = jnp.broadcast_to(detections.log_new[index], (1, *log_weight.shape))
-        choices = jnp.concatenate([jnp.where(may_be, log_existing, -jnp.inf), log_new])
+        off_x, off_y = z_x - predicted_x, z_y - predicted_y
+        log_existing = log_peak - (off_x * off_x + off_y * off_y) * half_information
+        may_be = (object_type == z_type) & ~is_hit & ~is_robot
+        choices = jnp.where(may_be, log_existing, -jnp.inf)
+        choices = jnp.where(is_robot, detections.log_new[index], choices)
         choice, log_total = categorical.draw(choices, uniform[index])
         free = jnp.min(jnp.where(object_type == NONE, slots, num_objects), axis=0)
         wants_new = choice == num_objects
         slot = jnp.where(wants_new, free, choice)
         present = detections.is_detection[index]
-        entry = (slots == slot[None]) & present
+        entry = (slots == slot[None]) & present & ~is_robot
         is_new = is_new | (entry & wants_new[None])
         object_type = jnp.where(entry, z_type, object_type)
         is_hit = is_hit | entry
@@ -106,12 +109,11 @@ def associate(
         log_weight = log_weight + jnp.where(present, log_total, 0.0)
         overflow = overflow + (present & (slot == num_objects)).astype(jnp.int32)
     return Association(
-        object_type,
-        is_hit,
-        is_new,
-        is_known & ~is_new,
-        offset_x,
-        offset_y,
+        object_type[:num_objects],
+        is_hit[:num_objects],
+        is_new[:num_objects],
+        offset_x[:num_objects],
+        offset_y[:num_objects],
         log_weight,
         overflow,
     )
@@ -126,8 +128,7 @@ def condition(
         z_o = x_o − x_robot + N(0, R)   for one that is known
 
     Limits: R → ∞ leaves known objects unchanged; a first detection places the object at
-    robot + offset. An object known to a centimetre relative to the robot adds nothing, which keeps
-    float32 healthy over hundreds of looks.
+    robot + offset.
 
     Args:
         particle: one particle.
@@ -135,26 +136,20 @@ def condition(
         noise_variance: f32[], R, square metres per axis.
 
     Returns:
-        The particle with new objects entered and the rest corrected; empty slots are cleared.
+        The particle with new objects entered and the rest corrected.
     """
     num_objects, ndim = particle.object_type.shape[0], particle.object_type.ndim
     is_new = _with_robot(association.is_new)
     offset_x, offset_y = association.offset_x, association.offset_y
     variance = column(jnp.broadcast_to(noise_variance, (num_objects + 1,)), ndim)
-    # Where an empty slot's mean is, nobody must be able to tell.
-    is_filled = ~_with_robot(association.object_type == NONE)
-    joint = gaussian.Moments(
-        particle.covariance,
-        jnp.where(is_filled, particle.mean_x, 0.0),
-        jnp.where(is_filled, particle.mean_y, 0.0),
-    )
+    joint = gaussian.Moments(particle.covariance, particle.mean_x, particle.mean_y)
     joint = gaussian.enter(
         joint, num_objects, is_new, _with_robot(offset_x), _with_robot(offset_y), variance
     )
     joint = gaussian.condition(
         joint,
         [(slot, num_objects) for slot in range(num_objects)],
-        association.is_hit & ~association.is_known & ~association.is_new,
+        association.is_hit & ~association.is_new,
         offset_x,
         offset_y,
         variance,
