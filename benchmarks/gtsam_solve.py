@@ -73,16 +73,16 @@ def solve_all(maps: Maps) -> tuple[Array, Array]:
         unit * maps.robot[:1],
         unit * maps.robot[1:],
     )
-    offset_x, offset_y, variance = maps.offset[:, 0], maps.offset[:, 1], jnp.square(maps.noise)
-    first = [jnp.pad(part[:NUM_OBJECTS], ((0, 1), (0, 0))) for part in (offset_x, offset_y)]
+    offset, variance = jnp.asarray(maps.offset), jnp.square(maps.noise)
     is_new = jnp.broadcast_to(unit == 0.0, (NUM_OBJECTS + 1, number))
+    first = jnp.pad(offset[:NUM_OBJECTS], ((0, 1), (0, 0), (0, 0)))
     own = jnp.pad(variance[:NUM_OBJECTS], ((0, 1), (0, 0)))
-    entered = gaussian.enter(start, ROBOT, is_new, *first, own)
+    entered = gaussian.enter(start, ROBOT, is_new, first[:, 0], first[:, 1], own)
     further = [(int(of), int(origin)) for of, origin in EDGES[NUM_OBJECTS:]]
     rest = slice(NUM_OBJECTS, None)
     is_used = jnp.ones((len(further), number), bool)
     found = gaussian.condition(
-        entered, further, is_used, offset_x[rest], offset_y[rest], variance[rest]
+        entered, further, is_used, offset[rest, 0], offset[rest, 1], variance[rest]
     )
     return jnp.stack([found.mean_x, found.mean_y]), found.covariance
 

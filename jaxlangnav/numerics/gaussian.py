@@ -1,11 +1,11 @@
 """Small Gaussians in moment form, conditioned on one relative position at a time (section 3.2).
 
 A Gaussian over n coordinates is held as its mean and its covariance Σ. Both axes of the plane
-share one Σ, because every noise in the map is isotropic; x and y have a mean each. The paper's
-reference filters keep the information form Λ = Σ⁻¹, which is sparse in hundreds of poses. Here the
-old poses are marginalised out and n is nine: Λ is dense, and the covariance of robot and object,
-which association needs at every step, costs an inversion. Σ holds it ready; a measurement is a
-rank-one downdate, and the result is the same.
+share one Σ, because every noise in the map is isotropic; x and y have a mean each. The design asks
+for the information form Λ = Σ⁻¹, which is sparse in hundreds of poses. Here the old poses are
+marginalised out and n is nine: Λ is dense, and the covariance of robot and object, which
+association needs at every step, costs an inversion. Σ holds it ready; a measurement is a rank-one
+downdate, and the result is the same.
 
 n is small and known at trace time, so what follows is unrolled: with the batch axes last ("…") it
 becomes a few fused elementwise loops, many times faster than batched LAPACK calls.

@@ -75,9 +75,7 @@ def take(particles: Record, ancestors: Array) -> Record:
     """
     leaves, form = jax.tree.flatten(particles)
     number = ancestors.shape[0]
-    rows = jax.lax.optimization_barrier([_bits(leaf).reshape(-1, number) for leaf in leaves])
-    # The barrier has the rows copied; else XLA computes the table place by place.
-    table = jnp.concatenate(rows)[:, ancestors]
+    table = jnp.concatenate([_bits(leaf).reshape(-1, number) for leaf in leaves])[:, ancestors]
     taken, start = [], 0
     for leaf in leaves:
         size = leaf.size // number
