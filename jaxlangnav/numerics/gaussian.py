@@ -29,18 +29,6 @@ class Moments(NamedTuple):
     mean_y: Array  # f32[n, ...]
 
 
-def _joined(moments: Moments) -> Array:
-    """Append the means to Σ as two more columns, which are updated by the same operations."""
-    columns = [moments.covariance, moments.mean_x[:, None], moments.mean_y[:, None]]
-    return jnp.concatenate(columns, axis=1)
-
-
-def _parted(table: Array) -> Moments:
-    """Take a table of ``_joined`` apart."""
-    size = table.shape[0]
-    return Moments(table[:, :size], table[:, size], table[:, size + 1])
-
-
 def add_noise(covariance: Array, index: int, variance: Array) -> Array:
     """Add independent noise to one coordinate: a motion whose old pose is marginalised out.
 
@@ -84,16 +72,16 @@ def enter(
     Returns:
         The Gaussian with them in place.
     """
-    size, here = moments.covariance.shape[0], slice(origin, origin + 1)
-    table = _joined(moments)
-    columns = column(jnp.arange(size + 2)[None], table.ndim)
-    offset = jnp.where(columns == size + 1, offset_y[:, None], 0.0)
-    offset = jnp.where(columns == size, offset_x[:, None], offset)
-    rows = jnp.where(is_new[:, None], table[here] + offset, table)
-    is_new_column = jnp.concatenate([is_new, jnp.zeros_like(is_new[:2])])[None]
-    both = jnp.where(is_new_column, rows[:, here], rows)
-    own = column(jnp.eye(size, size + 2, dtype=bool), table.ndim)
-    return _parted(both + jnp.where(own & is_new[:, None], variance[:, None], 0.0))
+    covariance, mean_x, mean_y = moments
+    here = slice(origin, origin + 1)
+    rows = jnp.where(is_new[:, None], covariance[here], covariance)
+    both = jnp.where(is_new[None], rows[:, here], rows)
+    own = column(jnp.eye(covariance.shape[0], dtype=bool), covariance.ndim)
+    return Moments(
+        both + jnp.where(own & is_new[None], variance[None], 0.0),
+        jnp.where(is_new, mean_x[here] + offset_x, mean_x),
+        jnp.where(is_new, mean_y[here] + offset_y, mean_y),
+    )
 
 
 def condition(
@@ -124,7 +112,10 @@ def condition(
         The posterior.
     """
     size = moments.covariance.shape[0]
-    table = _joined(moments)
+    # The means ride along as two more columns: Σ' and μ' are then one and the same downdate.
+    table = jnp.concatenate(
+        [moments.covariance, moments.mean_x[:, None], moments.mean_y[:, None]], axis=1
+    )
     for index, (of, origin) in enumerate(edges):
         edge = table[of] - table[origin]
         spread = jnp.maximum(edge[of] - edge[origin], 0.0) + variance[index]
@@ -134,7 +125,7 @@ def condition(
         # out anew wherever it is used, which doubles the cost with every update.
         gain = jnp.concatenate([edge[:size], edge[size:] - measured]) * scale[None]
         table = table - gain[:size, None] * gain[None]
-    return _parted(table)
+    return Moments(table[:, :size], table[:, size], table[:, size + 1])
 
 
 def product(matrix: Array, vector: Array) -> Array:

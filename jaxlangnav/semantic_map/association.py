@@ -11,7 +11,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.messages import NONE, ROBOT, SensorParams
+from jaxlangnav.messages import NONE, SensorParams
 from jaxlangnav.numerics import categorical, gaussian
 from jaxlangnav.numerics.axes import column
 from jaxlangnav.pytree import replace
@@ -65,21 +65,15 @@ def associate(
     Returns:
         The grounding and its weight.
     """
-    num_objects, ndim = particle.object_type.shape[0], particle.object_type.ndim
-    # One row more than slots, the robot's, which stands for something new.
-    slots = column(jnp.arange(num_objects + 1), ndim)
-    robot, is_robot = particle.covariance[num_objects], slots == num_objects
-    own = jnp.zeros_like(robot)
-    for slot in range(num_objects + 1):
-        own = jnp.where(slots == slot, particle.covariance[slot], own)
-    spread = jnp.maximum(own + robot[num_objects:] - 2.0 * robot, 0.0) + noise_variance
-    # The innovation's log-density, log N(ν; 0, S), in what all detections share and what not.
-    half_information, log_peak = 0.5 / spread, -jnp.log(2.0 * jnp.pi * spread)
-    predicted_x = particle.mean_x - particle.mean_x[num_objects:]
-    predicted_y = particle.mean_y - particle.mean_y[num_objects:]
-    object_type = jnp.concatenate(
-        [particle.object_type, jnp.full_like(particle.object_type[:1], ROBOT)]
-    )
+    num_objects = particle.object_type.shape[0]
+    own = jnp.stack([particle.covariance[slot, slot] for slot in range(num_objects)])
+    robot = particle.covariance[num_objects]
+    spread = own + robot[num_objects:] - 2.0 * robot[:num_objects]
+    spread = jnp.maximum(spread, 0.0) + noise_variance
+    predicted_x = particle.mean_x[:num_objects] - particle.mean_x[num_objects:]
+    predicted_y = particle.mean_y[:num_objects] - particle.mean_y[num_objects:]
+    object_type = particle.object_type
+    slots = column(jnp.arange(num_objects), object_type.ndim)
     is_hit = is_new = jnp.zeros(object_type.shape, bool)
     offset_x = offset_y = jnp.zeros(object_type.shape, jnp.float32)
     log_weight = jnp.zeros(object_type.shape[1:], jnp.float32)
@@ -90,17 +84,16 @@ def associate(
             detections.offset_x[index],
             detections.offset_y[index],
         )
-        off_x, off_y = z_x - predicted_x, z_y - predicted_y
-        log_existing = log_peak - (off_x * off_x + off_y * off_y) * half_information
-        may_be = (object_type == z_type) & ~is_hit & ~is_robot
-        choices = jnp.where(may_be, log_existing, -jnp.inf)
-        choices = jnp.where(is_robot, detections.log_new[index], choices)
+        log_existing = gaussian.log_normal_isotropic(z_x - predicted_x, z_y - predicted_y, spread)
+        may_be = (object_type == z_type) & ~is_hit
+        log_new = jnp.broadcast_to(detections.log_new[index], (1, *log_weight.shape))
+        choices = jnp.concatenate([jnp.where(may_be, log_existing, -jnp.inf), log_new])
         choice, log_total = categorical.draw(choices, uniform[index])
         free = jnp.min(jnp.where(object_type == NONE, slots, num_objects), axis=0)
         wants_new = choice == num_objects
         slot = jnp.where(wants_new, free, choice)
         present = detections.is_detection[index]
-        entry = (slots == slot[None]) & present & ~is_robot
+        entry = (slots == slot[None]) & present
         is_new = is_new | (entry & wants_new[None])
         object_type = jnp.where(entry, z_type, object_type)
         is_hit = is_hit | entry
@@ -109,11 +102,11 @@ def associate(
         log_weight = log_weight + jnp.where(present, log_total, 0.0)
         overflow = overflow + (present & (slot == num_objects)).astype(jnp.int32)
     return Association(
-        object_type[:num_objects],
-        is_hit[:num_objects],
-        is_new[:num_objects],
-        offset_x[:num_objects],
-        offset_y[:num_objects],
+        object_type,
+        is_hit,
+        is_new,
+        offset_x,
+        offset_y,
         log_weight,
         overflow,
     )
