@@ -26,7 +26,7 @@ from jaxlangnav.experiments.measuring import Entry, against, entry, measure
 from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
 from jaxlangnav.messages import MotionParams, Observation, Readings, SensorParams
 from jaxlangnav.numerics import categorical
-from jaxlangnav.numerics.resampling import effective_sample_size, systematic
+from jaxlangnav.numerics.resampling import effective_sample_size, systematic, take
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map import association, motion, particle
 from jaxlangnav.semantic_map import filter as semantic_filter
@@ -53,9 +53,8 @@ def core_step(
     associate_key, resample_key = jax.random.split(key)
     number = log_weight.shape[0]
     noise = jnp.float32(SENSOR_NOISE**2)
-    particles = jax.vmap(motion.move, in_axes=(-1, None, None, None), out_axes=-1)(
-        particles, odometry[0], odometry[1], jnp.float32((ODOMETRY_NOISE * STEP) ** 2)
-    )
+    spread = jnp.float32((ODOMETRY_NOISE * STEP) ** 2)
+    particles = motion.move(particles, odometry[0], odometry[1], spread)
     detections = association.Detections(
         object_type=jnp.arange(NUM_LANDMARKS),
         offset_x=offsets[:, 0],
@@ -64,15 +63,13 @@ def core_step(
         is_detection=jnp.ones(NUM_LANDMARKS, bool),
     )
     uniform = jax.random.uniform(associate_key, (NUM_LANDMARKS, number))
-    associate = jax.vmap(association.associate, in_axes=(-1, None, -1, None), out_axes=-1)
-    grounded = associate(particles, detections, uniform, noise)
-    condition = jax.vmap(association.condition, in_axes=(-1, -1, None), out_axes=-1)
-    particles = condition(particles, grounded, noise)
+    grounded = association.associate(particles, detections, uniform, noise)
+    particles = association.condition(particles, grounded, noise)
     weight, _, _ = categorical.log_normalize(log_weight + grounded.log_weight)
     is_resampled = effective_sample_size(weight) < 0.5 * number
     ancestors = systematic(weight, jax.random.uniform(resample_key))
     ancestors = jnp.where(is_resampled, ancestors, jnp.arange(number))
-    particles = jax.tree.map(lambda leaf: leaf[..., ancestors], particles)
+    particles = take(particles, ancestors)
     kept = jnp.log(jnp.maximum(weight, 1e-30))
     return (particles, jnp.where(is_resampled, -jnp.log(float(number)), kept)), None
 

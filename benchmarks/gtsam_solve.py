@@ -4,9 +4,10 @@
 
 A map is a robot and eight objects in the plane: a prior on the robot, a relative position of each
 object, and two more between objects, all linear and Gaussian, each with a noise of its own. GTSAM
-is handed its factor graphs and an elimination order ready; ours assembles Λ and η from the same
-factors within the time that is measured, and gives all means and the joint covariance. GTSAM is
-timed for the means alone, and for the means with the marginal covariance of the robot.
+is handed its factor graphs and an elimination order ready, and solves them. Ours never solves: as
+the filter does with detections, it enters the objects and conditions on one factor after the
+other, from the bare factors on, and ends with the same means and the whole joint covariance. GTSAM
+is timed for the means alone, and for the means with the marginal covariance of the robot.
 """
 
 import pinning  # noqa: I001 - before JAX and NumPy start their threads
@@ -56,34 +57,37 @@ def draw(number: int) -> Maps:
     return Maps(places[ROBOT], offset, noise)
 
 
-def solve_one(one: Maps) -> tuple[Array, Array]:
-    """Assemble a map in canonical form and solve it.
-
-        Λ = e_r e_rᵀ / σ₀² + Σ_f h_f h_fᵀ / σ_f²,   η = e_r x₀ / σ₀² + Σ_f h_f z_f / σ_f²
+def solve_all(maps: Maps) -> tuple[Array, Array]:
+    """Enter the objects and condition on the remaining factors, as the filter does.
 
     Args:
-        one: a single map.
+        maps: all of them, the axis of the maps last.
 
     Returns:
-        Mean f32[2, N] and covariance f32[N, N] of the N = 9 places; the axes share Σ.
+        Means f32[2, N, maps] and covariances f32[N, N, maps] of the N = 9 places; the axes share Σ.
     """
-    unit = jnp.eye(NUM_OBJECTS + 1)
-    edges = unit[EDGES[:, 0]] - unit[EDGES[:, 1]]
-    share = 1.0 / jnp.square(one.noise)
-    precision = jnp.diag(unit[ROBOT]) / PRIOR**2
-    for edge, own in zip(edges, share, strict=True):
-        precision = precision + own * edge[:, None] * edge[None, :]
-    covariance = gaussian.invert(precision)
-    information = [
-        unit[ROBOT] * one.robot[axis] / PRIOR**2
-        + jnp.sum(edges * (share * one.offset[:, axis])[:, None], axis=0)
-        for axis in range(2)
-    ]
-    means = [jnp.sum(covariance * own[None, :], axis=1) for own in information]
-    return jnp.stack(means), covariance
+    unit = (jnp.arange(NUM_OBJECTS + 1) == ROBOT).astype(jnp.float32)[:, None]
+    number = maps.robot.shape[-1]
+    start = gaussian.Moments(
+        jnp.broadcast_to(PRIOR**2 * unit[:, None] * unit[None], (*unit.shape[:1] * 2, number)),
+        unit * maps.robot[:1],
+        unit * maps.robot[1:],
+    )
+    offset, variance = jnp.asarray(maps.offset), jnp.square(maps.noise)
+    is_new = jnp.broadcast_to(unit == 0.0, (NUM_OBJECTS + 1, number))
+    first = jnp.pad(offset[:NUM_OBJECTS], ((0, 1), (0, 0), (0, 0)))
+    own = jnp.pad(variance[:NUM_OBJECTS], ((0, 1), (0, 0)))
+    entered = gaussian.enter(start, ROBOT, is_new, first[:, 0], first[:, 1], own)
+    further = [(int(of), int(origin)) for of, origin in EDGES[NUM_OBJECTS:]]
+    rest = slice(NUM_OBJECTS, None)
+    is_used = jnp.ones((len(further), number), bool)
+    found = gaussian.condition(
+        entered, further, is_used, offset[rest, 0], offset[rest, 1], variance[rest]
+    )
+    return jnp.stack([found.mean_x, found.mean_y]), found.covariance
 
 
-solve = jax.jit(jax.vmap(solve_one, in_axes=-1, out_axes=-1))
+solve = jax.jit(solve_all)
 
 
 def graphs(maps: Maps) -> list[gtsam.GaussianFactorGraph]:

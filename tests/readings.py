@@ -135,29 +135,24 @@ def begin(
 
 
 def with_objects(
-    belief: ParticleBelief, objects: list[tuple[int, float, float]], precision: float = 1e6
+    belief: ParticleBelief, objects: list[tuple[int, float, float]], variance: float = 1e-6
 ) -> ParticleBelief:
     """Enter objects (type, x, y) into every particle as if seen and known well."""
     particles = belief.particles
-    size = particles.precision.shape[0]
-    object_type = np.array(particles.object_type)
-    matrix, mean = np.array(particles.precision), np.zeros((2, *particles.mean_x.shape), np.float32)
+    object_type, matrix = np.array(particles.object_type), np.array(particles.covariance)
+    mean = np.zeros((2, *particles.mean_x.shape), np.float32)
     mean[:] = np.stack([particles.mean_x, particles.mean_y])
     for slot, (name, x, y) in enumerate(objects):
-        object_type[slot], matrix[slot, slot] = name, precision
+        object_type[slot], matrix[slot, slot] = name, variance
         mean[0, slot], mean[1, slot] = x, y
-    information = np.einsum("ijp,ajp->aip", matrix, mean)
-    assert size == mean.shape[1]
     return replace(
         belief,
         particles=replace(
             particles,
             object_type=jnp.asarray(object_type),
-            precision=jnp.asarray(matrix),
+            covariance=jnp.asarray(matrix),
             mean_x=jnp.asarray(mean[0]),
             mean_y=jnp.asarray(mean[1]),
-            information_x=jnp.asarray(information[0]),
-            information_y=jnp.asarray(information[1]),
         ),
     )
 

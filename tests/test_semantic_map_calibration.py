@@ -129,7 +129,7 @@ def place_of(random: np.random.Generator, particles, lane: int, index: int) -> n
         return np.array(
             [particles.hypothesis_x[lane, 0, index], particles.hypothesis_y[lane, 0, index]]
         )
-    variance = np.linalg.inv(particles.precision[lane, :, :, index].astype(float))[slot, slot]
+    variance = particles.covariance[lane, slot, slot, index]
     mean = particles.mean_x[lane, slot, index], particles.mean_y[lane, slot, index]
     return random.normal(mean, np.sqrt(variance))
 

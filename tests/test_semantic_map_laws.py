@@ -87,10 +87,15 @@ def test_more_detection_slots_change_nothing_but_chance() -> None:
 def test_garbage_in_empty_slots_changes_nothing() -> None:
     """Places of empty slots, and of mentions that the reading has not, are never read."""
     clean = by_hand.with_objects(by_hand.begin(), PLACES[:2])
+    noise = jax.random.normal(jax.random.key(9), clean.particles.covariance.shape)
+    is_empty = (jnp.arange(7) >= 2) & (jnp.arange(7) < 6)
+    is_garbled = (is_empty[:, None] | is_empty[None])[..., None]
+    garbled = jnp.where(is_garbled, noise, clean.particles.covariance)
     dirty_particles = replace(
         clean.particles,
         mean_x=clean.particles.mean_x.at[2:6].set(3.3),
         mean_y=clean.particles.mean_y.at[2:6].set(0.5),
+        covariance=garbled,
         hypothesis_x=clean.particles.hypothesis_x.at[2].set(-4.0),
         referent=clean.particles.referent.at[2].set(1),
         root=clean.particles.root.at[2].set(1),
@@ -106,9 +111,13 @@ def test_garbage_in_empty_slots_changes_nothing() -> None:
     ours = run(clean, sentence, looks())
     theirs = run(replace(clean, particles=dirty_particles), dirty_sentence, looks())
     np.testing.assert_array_equal(ours.log_weight, theirs.log_weight)
-    for name in ("object_type", "precision", "mean_x", "mean_y"):
+    np.testing.assert_array_equal(ours.particles.object_type, theirs.particles.object_type)
+    filled = np.asarray(ours.particles.object_type) != NONE
+    filled = np.concatenate([filled, np.ones_like(filled[:, :1])], axis=1)
+    both = filled[:, :, None] & filled[:, None]
+    for name, mask in (("mean_x", filled), ("mean_y", filled), ("covariance", both)):
         left, right = getattr(ours.particles, name), getattr(theirs.particles, name)
-        np.testing.assert_array_equal(left, right)
+        np.testing.assert_array_equal(np.asarray(left)[mask], np.asarray(right)[mask])
     np.testing.assert_array_equal(ours.particles.referent[:, :2], theirs.particles.referent[:, :2])
 
 
@@ -229,23 +238,38 @@ def test_gradient_of_the_evidence_equals_finite_differences(name: str) -> None:
 
 
 def test_joint_gaussian_holds_hypotheses_by_their_anchors() -> None:
-    """Λ of the whole map: a hypothesis on a seen cone moves with it, plus the kernel."""
-    belief = by_hand.with_objects(by_hand.begin(), PLACES[:1], precision=25.0)
+    """Σ of the whole map: a hypothesis on a seen cone moves with it, plus the kernel; one that
+    hangs on a hypothesis has the kernel twice, and shares the first."""
+    belief = by_hand.with_objects(by_hand.begin(), PLACES[:1], variance=0.04)
     one = jax.tree.map(lambda leaf: leaf[..., 0], belief.particles)
     one = replace(
         one,
-        is_mentioned=jnp.array([True, True, False]),
+        is_mentioned=jnp.array([True, True, True]),
         referent=jnp.array([NONE, 0, NONE]),
-        anchor=jnp.array([0, NONE, NONE]),
+        # The last hangs on the first, the first on the seen cone.
+        anchor=jnp.array([0, NONE, by_hand.CONFIG.num_objects]),
+        root=jnp.array([0, NONE, 0]),
         hypothesis_x=jnp.array([5.0, 0.0, 9.0]),
     )
-    precision, x, _ = jax.jit(particle_module.joint_gaussian)(one, jnp.float32(0.01))
-    covariance = np.linalg.inv(np.asarray(precision, float))
+    covariance, x, _ = jax.jit(particle_module.joint_gaussian)(one, jnp.float32(0.01))
+    covariance = np.asarray(covariance)
     figure = by_hand.CONFIG.num_objects
     assert abs(covariance[0, 0] - 0.04) < 1e-4
     assert abs(covariance[figure, figure] - 0.05) < 1e-4
     assert abs(covariance[figure, 0] - 0.04) < 1e-4
     assert abs(float(x[figure]) - 5.0) < 1e-6
+    child = figure + 2
+    assert abs(covariance[child, child] - 0.06) < 1e-4
+    assert abs(covariance[child, figure] - 0.05) < 1e-4
+    assert abs(covariance[child, 0] - 0.04) < 1e-4
     # Slots of nothing stay apart.
-    others = [index for index in range(len(x)) if index not in (0, figure)]
-    assert np.abs(covariance[np.ix_([0, figure], others)]).max() < 1e-6
+    others = [index for index in range(len(x)) if index not in (0, figure, child)]
+    assert np.abs(covariance[np.ix_([0, figure, child], others)]).max() == 0.0
+    assert abs(covariance[-1, -1] - particle_module.START_VARIANCE) < 1e-9
+    retracted = replace(one, referent=jnp.array([NONE, 0, 0]))
+    covariance, _, _ = particle_module.joint_gaussian(retracted, jnp.float32(0.01))
+    assert np.abs(np.asarray(covariance)[child]).max() == 0.0
+    on_the_ground = replace(one, anchor=jnp.array([NONE] * 3), root=jnp.array([NONE] * 3))
+    covariance, _, _ = particle_module.joint_gaussian(on_the_ground, jnp.float32(0.01))
+    np.testing.assert_allclose(np.asarray(covariance)[figure, figure], 0.01, rtol=1e-5)
+    assert np.count_nonzero(np.asarray(covariance)[figure]) == 1

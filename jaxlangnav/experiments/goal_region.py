@@ -5,7 +5,6 @@ make up one density, and a region of highest density that holds a share q of it 
 place in a share q of all cases. The rank of the truth says it for every q at once.
 """
 
-import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -16,7 +15,7 @@ from jaxlangnav.semantic_map.particle import SemanticMap
 BANDWIDTH = 1.0
 """Metres, of the kernel that turns the particles' hypotheses into a density."""
 _MIN_VARIANCE = 1e-4
-"""Square metres; the filter knows an object relative to the robot no better than this."""
+"""Square metres; a place that is known better than this counts as known this well."""
 _LOG_FLOOR = 1e-12  # per square metre
 
 
@@ -105,7 +104,7 @@ def relative_variance(particles: SemanticMap, weight: Array) -> Array:
         f32[O] square metres per axis, the mean over the particles.
     """
     num_objects = particles.object_type.shape[0]
-    covariance = jax.vmap(gaussian.invert, in_axes=-1, out_axes=-1)(particles.precision)
+    covariance = particles.covariance
     own = jnp.diagonal(covariance).T  # [O + 1, P]
     robot, shared = own[num_objects:], covariance[num_objects, :num_objects]
     relative = own[:num_objects] + robot - 2.0 * shared

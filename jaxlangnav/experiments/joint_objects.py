@@ -19,7 +19,6 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.messages import NONE, Action, MotionParams, SensorParams, default_sensor
-from jaxlangnav.numerics import gaussian
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map import association, motion, particle
 from jaxlangnav.semantic_map.particle import SemanticMap
@@ -68,15 +67,9 @@ def drop_covariances(one: SemanticMap) -> SemanticMap:
         one: one particle.
 
     Returns:
-        The same means and variances, Λ diagonal.
+        The same means and variances, Σ diagonal.
     """
-    variance = jnp.diagonal(gaussian.invert(one.precision))
-    return replace(
-        one,
-        precision=jnp.diag(1.0 / variance),
-        information_x=one.mean_x / variance,
-        information_y=one.mean_y / variance,
-    )
+    return replace(one, covariance=jnp.diag(jnp.diagonal(one.covariance)))
 
 
 def log_places(one: SemanticMap, x: Array, y: Array, is_there: Array) -> Array:
@@ -92,14 +85,13 @@ def log_places(one: SemanticMap, x: Array, y: Array, is_there: Array) -> Array:
         f32[], log-density.
     """
     num_objects = one.object_type.shape[0]
-    covariance = gaussian.invert(one.precision)[:num_objects, :num_objects]
     both = is_there[:, None] & is_there[None, :]
-    covariance = jnp.where(both, covariance, jnp.eye(num_objects))
+    covariance = jnp.where(both, one.covariance[:-1, :-1], jnp.eye(num_objects))
     off_x = jnp.where(is_there, x - one.mean_x[:num_objects], 0.0)
     off_y = jnp.where(is_there, y - one.mean_y[:num_objects], 0.0)
-    information = gaussian.invert(covariance)
-    squared = off_x @ information @ off_x + off_y @ information @ off_y
-    _, log_determinant = jnp.linalg.slogdet(covariance)
+    root = jnp.linalg.cholesky(covariance)
+    off = jax.scipy.linalg.solve_triangular(root, jnp.stack([off_x, off_y], axis=1), lower=True)
+    squared, log_determinant = jnp.sum(off * off), 2.0 * jnp.sum(jnp.log(jnp.diagonal(root)))
     return -0.5 * squared - log_determinant - jnp.sum(is_there) * math.log(2.0 * math.pi)
 
 

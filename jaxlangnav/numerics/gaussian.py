@@ -1,39 +1,131 @@
-"""Small Gaussians in canonical (information) form, exact operations (section 3.2).
+"""Small Gaussians in moment form, conditioned on one relative position at a time (section 3.2).
 
-A Gaussian over n scalar coordinates is held as Λ = Σ⁻¹ and η = Λ μ. Both axes of the plane share
-one Λ, because every noise in the map is isotropic; x and y have an η each. n is small and known
-at trace time, so the algorithms are unrolled: with the batch axes last ("…") they become a few
-fused elementwise loops, many times faster than a batched LAPACK call.
+A Gaussian over n coordinates is held as its mean and its covariance Σ. Both axes of the plane
+share one Σ, because every noise in the map is isotropic; x and y have a mean each. The design asks
+for the information form Λ = Σ⁻¹, which is sparse in hundreds of poses. Here the old poses are
+marginalised out and n is nine: Λ is dense, and the covariance of robot and object, which
+association needs at every step, costs an inversion. Σ holds it ready; a measurement is a rank-one
+downdate, and the result is the same.
+
+n is small and known at trace time, so what follows is unrolled: with the batch axes last ("…") it
+becomes a few fused elementwise loops, many times faster than batched LAPACK calls.
 """
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.numerics.axes import column as along_batch
+from jaxlangnav.numerics.axes import column
 
 
-def invert(precision: Array) -> Array:
-    """Invert a small symmetric positive definite matrix by n symmetric sweeps.
+class Moments(NamedTuple):
+    """A joint Gaussian over n coordinates, the same covariance in both axes of the plane."""
 
-    Limits: a diagonal matrix gives the reciprocals; n = 1 gives 1 / Λ.
+    covariance: Array  # f32[n, n, ...] square metres
+    mean_x: Array  # f32[n, ...] metres
+    mean_y: Array  # f32[n, ...]
+
+
+def add_noise(covariance: Array, index: int, variance: Array) -> Array:
+    """Add independent noise to one coordinate: a motion whose old pose is marginalised out.
+
+        Σ' = Σ + q eᵢ eᵢᵀ
 
     Args:
-        precision: f32[n, n, ...], symmetric positive definite.
+        covariance: f32[n, n, ...].
+        index: coordinate that moves.
+        variance: f32[], q ≥ 0, square metres per axis.
 
     Returns:
-        f32[n, n, ...], the inverse.
+        The new Σ.
     """
-    size = precision.shape[0]
-    swept = precision
-    for pivot_index in range(size):
-        is_pivot = along_batch(jnp.arange(size) == pivot_index, precision.ndim - 1)
-        pivot = swept[pivot_index, pivot_index]
-        column = jnp.where(is_pivot, 0.0, swept[pivot_index])
-        scaled = jnp.where(is_pivot, -1.0, column) / pivot[None]
-        rest = swept - column[:, None] * scaled[None]
-        swept = jnp.where(is_pivot[:, None], scaled[None], rest)
-        swept = jnp.where(is_pivot[None], scaled[:, None], swept)
-    return -swept
+    unit = jnp.arange(covariance.shape[0]) == index
+    own = column(unit[:, None] & unit[None, :], covariance.ndim)
+    return covariance + jnp.where(own, variance, 0.0)
+
+
+def enter(
+    moments: Moments,
+    origin: int,
+    is_new: Array,
+    offset_x: Array,
+    offset_y: Array,
+    variance: Array,
+) -> Moments:
+    """Place coordinates relative to another one: x_i = x_origin + z_i + N(0, R).
+
+        Σ'_ij = Σ_{o(i) o(j)} + R δ_ij,   o(i) the origin where i is new and i itself elsewhere
+
+    This is the limit of a flat prior conditioned on z; whatever the coordinate held is overwritten.
+
+    Args:
+        moments: joint Gaussian.
+        origin: coordinate that is not new.
+        is_new: bool[n, ...], coordinates to be placed.
+        offset_x: f32[n, ...], z, metres.
+        offset_y: f32[n, ...].
+        variance: f32[n, ...] or f32[n, 1, ...], R, square metres per axis.
+
+    Returns:
+        The Gaussian with them in place.
+    """
+    covariance, mean_x, mean_y = moments
+    here = slice(origin, origin + 1)
+    rows = jnp.where(is_new[:, None], covariance[here], covariance)
+    both = jnp.where(is_new[None], rows[:, here], rows)
+    own = column(jnp.eye(covariance.shape[0], dtype=bool), covariance.ndim)
+    return Moments(
+        both + jnp.where(own & is_new[None], variance[None], 0.0),
+        jnp.where(is_new, mean_x[here] + offset_x, mean_x),
+        jnp.where(is_new, mean_y[here] + offset_y, mean_y),
+    )
+
+
+def condition(
+    moments: Moments,
+    edges: Sequence[tuple[int, int]],
+    is_used: Array,
+    offset_x: Array,
+    offset_y: Array,
+    variance: Array,
+) -> Moments:
+    """Condition on measured relative positions z_k = x_i − x_j + N(0, R_k), one after the other.
+
+        S = hᵀ Σ h + R,   g = Σ h / √S,   Σ' = Σ − g gᵀ,   μ' = μ + g (z − hᵀ μ) / √S
+
+    with h = e_i − e_j. g gᵀ is symmetric to the last bit, so Σ stays so. The variance hᵀ Σ h,
+    which rounding may take below zero, is clipped: S ≥ R.
+    Limits: R → ∞ changes nothing; the order of the measurements does not matter.
+
+    Args:
+        moments: joint Gaussian.
+        edges: pairs (i, j), k of them.
+        is_used: bool[k, ...], measurements that exist.
+        offset_x: f32[k, ...], z, metres.
+        offset_y: f32[k, ...].
+        variance: f32[k, ...], R > 0, square metres per axis.
+
+    Returns:
+        The posterior.
+    """
+    size = moments.covariance.shape[0]
+    # The means ride along as two more columns: Σ' and μ' are then one and the same downdate.
+    table = jnp.concatenate(
+        [moments.covariance, moments.mean_x[:, None], moments.mean_y[:, None]], axis=1
+    )
+    for index, (of, origin) in enumerate(edges):
+        edge = table[of] - table[origin]
+        spread = jnp.maximum(edge[of] - edge[origin], 0.0) + variance[index]
+        scale = jnp.where(is_used[index], jax.lax.rsqrt(spread), 0.0)
+        measured = jnp.stack([offset_x[index], offset_y[index]])
+        # Joined, XLA keeps the gain in memory. Written as one elementwise expression it is worked
+        # out anew wherever it is used, which doubles the cost with every update.
+        gain = jnp.concatenate([edge[:size], edge[size:] - measured]) * scale[None]
+        table = table - gain[:size, None] * gain[None]
+    return Moments(table[:, :size], table[:, size], table[:, size + 1])
 
 
 def product(matrix: Array, vector: Array) -> Array:
@@ -50,59 +142,6 @@ def product(matrix: Array, vector: Array) -> Array:
     for index in range(1, vector.shape[0]):
         total = total + matrix[:, index] * vector[None, index]
     return total
-
-
-def add_noise(
-    precision: Array, information_x: Array, information_y: Array, index: int, variance: Array
-) -> tuple[Array, Array, Array]:
-    """Add independent noise to one coordinate: a motion whose old pose is marginalised out.
-
-        Λ' = Λ − s Λᵢ Λᵢᵀ,   η' = η − s Λᵢ ηᵢ,   s = q / (1 + q Λᵢᵢ)
-
-    This is the exact Schur complement over the old pose, and holds for q = 0 as well.
-
-    Args:
-        precision: f32[n, n, ...].
-        information_x: f32[n, ...], η of the x axis.
-        information_y: f32[n, ...], η of the y axis.
-        index: coordinate that moves.
-        variance: f32[], q ≥ 0, square metres per axis.
-
-    Returns:
-        The new Λ, η of x and η of y.
-    """
-    column = precision[:, index]
-    scale = (variance / (1.0 + variance * column[index]))[None]
-    return (
-        precision - scale[None] * column[:, None] * column[None],
-        information_x - scale * column * information_x[None, index],
-        information_y - scale * column * information_y[None, index],
-    )
-
-
-def shift(
-    precision: Array,
-    information_x: Array,
-    information_y: Array,
-    index: int,
-    shift_x: Array,
-    shift_y: Array,
-) -> tuple[Array, Array]:
-    """Translate the mean of one coordinate: η' = η + Λᵢ u.
-
-    Args:
-        precision: f32[n, n, ...].
-        information_x: f32[n, ...].
-        information_y: f32[n, ...].
-        index: coordinate that moves.
-        shift_x: f32[], metres.
-        shift_y: f32[], metres.
-
-    Returns:
-        The new η of x and η of y.
-    """
-    column = precision[:, index]
-    return information_x + column * shift_x, information_y + column * shift_y
 
 
 def log_normal_isotropic(offset_x: Array, offset_y: Array, variance: Array) -> Array:

@@ -19,9 +19,7 @@ from jaxlangnav.semantic_map.coverage import share_in_view
 from jaxlangnav.semantic_map.particle import SemanticMap
 
 MIN_NOISE = 0.01
-"""Metres; a sensor without noise is taken to be this good, so that Λ stays finite."""
-MIN_VARIANCE = 1e-4
-"""Square metres; an object known relative to the robot better than this learns no more."""
+"""Metres; a sensor without noise is taken to be this good, so that no division is by zero."""
 LOG_SURPRISE = -30.0
 """Least log-weight of a detection where nothing can be: surprised, never dead."""
 
@@ -42,7 +40,6 @@ class Association(NamedTuple):
     object_type: Array  # i32[O, ...] types, new objects entered
     is_hit: Array  # bool[O, ...] detected in this observation
     is_new: Array  # bool[O, ...] entered in this observation
-    is_known: Array  # bool[O, ...] known so well relative to the robot that a look adds nothing
     offset_x: Array  # f32[O, ...] measured offset where hit
     offset_y: Array  # f32[O, ...]
     log_weight: Array  # f32[...] log predictive probability
@@ -69,11 +66,9 @@ def associate(
         The grounding and its weight.
     """
     num_objects = particle.object_type.shape[0]
-    covariance = gaussian.invert(particle.precision)
-    own = jnp.stack([covariance[slot, slot] for slot in range(num_objects)])
-    robot = covariance[num_objects]
+    own = jnp.stack([particle.covariance[slot, slot] for slot in range(num_objects)])
+    robot = particle.covariance[num_objects]
     spread = own + robot[num_objects:] - 2.0 * robot[:num_objects]
-    is_known = spread < MIN_VARIANCE
     spread = jnp.maximum(spread, 0.0) + noise_variance
     predicted_x = particle.mean_x[:num_objects] - particle.mean_x[num_objects:]
     predicted_y = particle.mean_y[:num_objects] - particle.mean_y[num_objects:]
@@ -110,7 +105,6 @@ def associate(
         object_type,
         is_hit,
         is_new,
-        is_known & ~is_new,
         offset_x,
         offset_y,
         log_weight,
@@ -121,13 +115,13 @@ def associate(
 def condition(
     particle: SemanticMap, association: Association, noise_variance: Array
 ) -> SemanticMap:
-    """Condition the Gaussian on the grounded detections: exact, in canonical form.
+    """Condition the Gaussian on the grounded detections: exact, one scalar update for each.
 
-        Λ' = Λ + Σ_o h_o h_oᵀ / R,   η' = η + Σ_o h_o z_o / R,   h_o = e_o − e_robot
+        x_o = x_robot + z_o + N(0, R)   for a new object o, which has a flat prior,
+        z_o = x_o − x_robot + N(0, R)   for one that is known
 
     Limits: R → ∞ leaves known objects unchanged; a first detection places the object at
-    robot + offset. An object known to a centimetre relative to the robot adds nothing, which keeps
-    float32 healthy over hundreds of looks.
+    robot + offset.
 
     Args:
         particle: one particle.
@@ -135,51 +129,43 @@ def condition(
         noise_variance: f32[], R, square metres per axis.
 
     Returns:
-        The particle with new objects entered and means solved.
+        The particle with new objects entered and the rest corrected.
     """
     num_objects, ndim = particle.object_type.shape[0], particle.object_type.ndim
-    is_used = association.is_hit & ~association.is_known
-    gain = jnp.where(is_used, 1.0 / noise_variance, 0.0)
-    total = jnp.sum(gain, axis=0, keepdims=True)
-    edge = jnp.concatenate([-gain, total])
-    robot = column((jnp.arange(num_objects + 1) == num_objects).astype(jnp.float32), ndim)
-    # A filled slot gives up the identity that an empty slot keeps on the diagonal.
-    own = jnp.concatenate([gain - association.is_new.astype(jnp.float32), jnp.zeros_like(total)])
-    # The robot's diagonal entry appears twice in the two outer products.
-    precision = (
-        particle.precision
-        + column(jnp.eye(num_objects + 1), ndim + 1) * own[None]
-        + edge[:, None] * robot[None]
-        + robot[:, None] * edge[None]
-        - total[None] * robot[:, None] * robot[None]
+    is_new = _with_robot(association.is_new)
+    offset_x, offset_y = association.offset_x, association.offset_y
+    variance = column(jnp.broadcast_to(noise_variance, (num_objects + 1,)), ndim)
+    joint = gaussian.Moments(particle.covariance, particle.mean_x, particle.mean_y)
+    joint = gaussian.enter(
+        joint, num_objects, is_new, _with_robot(offset_x), _with_robot(offset_y), variance
     )
-    shift_x, shift_y = gain * association.offset_x, gain * association.offset_y
-    information_x = particle.information_x + _against_robot(shift_x)
-    information_y = particle.information_y + _against_robot(shift_y)
-    covariance = gaussian.invert(precision)
-    mean_x = gaussian.product(covariance, information_x)
-    mean_y = gaussian.product(covariance, information_y)
-    moved_x = (mean_x - particle.mean_x)[:num_objects]
-    moved_y = (mean_y - particle.mean_y)[:num_objects]
+    joint = gaussian.condition(
+        joint,
+        [(slot, num_objects) for slot in range(num_objects)],
+        association.is_hit & ~association.is_new,
+        offset_x,
+        offset_y,
+        variance,
+    )
+    moved_x = (joint.mean_x - particle.mean_x)[:num_objects]
+    moved_y = (joint.mean_y - particle.mean_y)[:num_objects]
     # A root of NONE equals no slot: a hypothesis on the ground does not move.
     hook = particle.root[:, None] == column(jnp.arange(num_objects), ndim)[None]
     hook = hook.astype(jnp.float32)
     return replace(
         particle,
         object_type=association.object_type,
-        precision=precision,
-        information_x=information_x,
-        information_y=information_y,
-        mean_x=mean_x,
-        mean_y=mean_y,
+        covariance=joint.covariance,
+        mean_x=joint.mean_x,
+        mean_y=joint.mean_y,
         hypothesis_x=particle.hypothesis_x + gaussian.product(hook, moved_x),
         hypothesis_y=particle.hypothesis_y + gaussian.product(hook, moved_y),
     )
 
 
-def _against_robot(shift: Array) -> Array:
-    """Append to the information of the objects what their measurements say of the robot."""
-    return jnp.concatenate([shift, -jnp.sum(shift, axis=0, keepdims=True)])
+def _with_robot(values: Array) -> Array:
+    """Append a zero, or false, for the robot to what is known of the objects."""
+    return jnp.concatenate([values, jnp.zeros_like(values[:1])])
 
 
 def log_absence(

@@ -11,6 +11,7 @@ refuted all are replaced, which is how the filter revives.
 """
 
 import math
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +20,7 @@ from jax import Array
 
 from jaxlangnav.messages import Observation, Readings
 from jaxlangnav.numerics import categorical
-from jaxlangnav.numerics.resampling import effective_sample_size, systematic
+from jaxlangnav.numerics.resampling import effective_sample_size, independent, systematic, take
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map import association, motion, options, particle, proposal
 from jaxlangnav.semantic_map.coverage import (
@@ -217,9 +218,120 @@ def ground_words(
     )
 
 
-def _choose(is_fresh: Array, fresh: SemanticMap, old: SemanticMap) -> SemanticMap:
-    """Take the fresh particle where told, the old one elsewhere."""
-    return jax.tree.map(lambda new, kept: jnp.where(is_fresh, new, kept), fresh, old)
+class Weighed(NamedTuple):
+    """What one observation did to the particles, before any words are grounded anew."""
+
+    log_map: Array  # f32[P] log-likelihood of the observation, hypotheses left out
+    log_hypotheses: Array  # f32[P] log-likelihood of the absence of what is hypothesised
+    is_new: Array  # bool[O, P] slots that were entered
+    overflow: Array  # i32[P] detections that found no free slot
+    surprise: Array  # f32[] nats by which the observation is less probable than one that fits
+
+
+def observe(
+    key: Array, belief: ParticleBelief, observation: Observation, params: MapParams
+) -> tuple[ParticleBelief, Weighed]:
+    """Move, ground the detections, condition, and weigh what was and what was not seen.
+
+    Args:
+        key: random key, consumed.
+        belief: at the last step.
+        observation: pose and detections now, all of them finite.
+        params: traced numbers.
+
+    Returns:
+        The belief with its weights as they were, and the likelihoods.
+    """
+    belief = predict(belief, observation.pose, params)
+    detections = _detections(belief, observation, params)
+    heading, sensor = observation.pose[2], observation.sensor
+    noise_variance = jnp.maximum(sensor.noise, association.MIN_NOISE) ** 2
+    shape = (*observation.detection_type.shape, *belief.log_weight.shape)
+    uniform = jax.random.uniform(key, shape)
+    grounded = association.associate(belief.particles, detections, uniform, noise_variance)
+    particles = association.condition(belief.particles, grounded, noise_variance)
+    belief = replace(belief, particles=particles)
+    robot_x, robot_y = robot_position(belief)
+    coverage = look(belief.coverage, robot_x, robot_y, heading, sensor)
+    log_objects, log_hypotheses = association.log_absence(
+        particles, grounded.is_hit, heading, 2.5 * params.kernel + 1e-3, sensor
+    )
+    log_map = grounded.log_weight + log_objects
+    log_new = jnp.log(params.concentration) - jnp.log(area_size(coverage))
+    return replace(belief, coverage=coverage), Weighed(
+        log_map=log_map,
+        log_hypotheses=jnp.sum(log_hypotheses, axis=0),
+        is_new=grounded.is_new,
+        overflow=grounded.overflow,
+        surprise=surprise(belief.log_weight, grounded, log_map, log_new, noise_variance),
+    )
+
+
+class Regrounded(NamedTuple):
+    """Particles with words grounded anew where need was, and their weights."""
+
+    particles: SemanticMap  # leaves [..., P]
+    weight: Array  # f32[P] normalised
+    is_fresh: Array  # bool[P] drew a new grounding
+    log_total: Array  # f32[] log-likelihood of the observation
+    log_language: Array  # f32[] log p(words | observed map), estimated
+    is_dead: Array  # bool[] all weights had died and were made uniform
+
+
+def reground(
+    key: Array,
+    keep_key: Array,
+    belief: ParticleBelief,
+    readings: Readings,
+    weighed: Weighed,
+    params: MapParams,
+) -> Regrounded:
+    """Ground the words anew where the old hypothesis was refuted or a new object calls for it.
+
+    Args:
+        key: random key of the groundings, consumed.
+        keep_key: random key that decides who is kept, consumed.
+        belief: of ``observe``.
+        readings: what the instruction says.
+        weighed: of ``observe``.
+        params: traced numbers.
+
+    Returns:
+        The particles, properly weighted.
+    """
+    number, particles = belief.log_weight.shape[0], belief.particles
+    kept_weight, log_total, is_dead = categorical.log_normalize(
+        belief.log_weight + weighed.log_map + weighed.log_hypotheses
+    )
+    # A new object of a type the particle's words speak of reopens what they refer to.
+    new_type = jnp.where(weighed.is_new, particles.object_type, -3)
+    mentioned = jnp.any(
+        readings.mention_type.reshape(-1)[:, None, None] == new_type[None], axis=(0, 1)
+    )
+    must_ground = belief.must_ground | mentioned
+    keep_uniform, ancestor_uniform = jax.random.uniform(keep_key, (2, number))
+    is_fresh = must_ground | (keep_uniform > kept_weight * number)
+    # A refuted particle is replaced as a whole: it takes over the map of a particle drawn by
+    # weight, so that a wrong map dies out, and then grounds the words in it.
+    ancestors = independent(kept_weight, ancestor_uniform)
+    ancestors = jnp.where(is_fresh & ~must_ground, ancestors, jnp.arange(number))
+    fresh, log_language = ground_words(
+        key, replace(belief, particles=take(particles, ancestors)), readings, params
+    )
+    language, log_language_total, _ = categorical.log_normalize(log_language)
+    language = jnp.clip(language * number, 1e-6, 50.0)
+    # What a particle's own map weighs, apart from its hypotheses, goes with a forced draw.
+    map_weight, _, _ = categorical.log_normalize(belief.log_weight + weighed.log_map)
+    fresh_weight = jnp.where(must_ground, map_weight, 1.0 / number) * language
+    weight = jnp.where(is_fresh, fresh_weight, jnp.maximum(kept_weight, 1.0 / number))
+    return Regrounded(
+        particles=jax.tree.map(lambda new, old: jnp.where(is_fresh, new, old), fresh, particles),
+        weight=weight / jnp.sum(weight),
+        is_fresh=is_fresh,
+        log_total=log_total,
+        log_language=log_language_total - jnp.log(float(number)),
+        is_dead=is_dead,
+    )
 
 
 def step(
@@ -242,82 +354,32 @@ def step(
     Returns:
         The belief now, and information on the step.
     """
-    number = belief.log_weight.shape[0]
+    number, was_told = belief.log_weight.shape[0], belief.must_ground
     associate_key, ground_key, keep_key, resample_key = jax.random.split(key, 4)
-    was_told = belief.must_ground
     observation, is_broken = _sound(observation, belief.last_pose)
-    belief = predict(belief, observation.pose, params)
+    belief, weighed = observe(associate_key, belief, observation, params)
+    found = reground(ground_key, keep_key, belief, readings, weighed, params)
 
-    detections = _detections(belief, observation, params)
-    noise_variance = jnp.maximum(observation.sensor.noise, association.MIN_NOISE) ** 2
-    uniform = jax.random.uniform(associate_key, (observation.detection_type.shape[0], number))
-    grounded = association.associate(belief.particles, detections, uniform, noise_variance)
-    particles = association.condition(belief.particles, grounded, noise_variance)
-    belief = replace(belief, particles=particles)
-
-    robot_x, robot_y = robot_position(belief)
-    heading, sensor = observation.pose[2], observation.sensor
-    coverage = look(belief.coverage, robot_x, robot_y, heading, sensor)
-    belief = replace(belief, coverage=coverage)
-    log_objects, log_hypotheses = association.log_absence(
-        particles, grounded.is_hit, heading, 2.5 * params.kernel + 1e-3, sensor
-    )
-    log_map = grounded.log_weight + log_objects
-    kept_weight, log_total, is_dead = categorical.log_normalize(
-        belief.log_weight + log_map + jnp.sum(log_hypotheses, axis=0)
-    )
-
-    # A new object of a type the particle's words speak of reopens what they refer to.
-    new_type = jnp.where(grounded.is_new, particles.object_type, -3)
-    mentioned = jnp.any(
-        readings.mention_type.reshape(-1)[:, None, None] == new_type[None], axis=(0, 1)
-    )
-    must_ground = was_told | mentioned
-    keep_uniform, ancestor_uniform = jax.random.uniform(keep_key, (2, number))
-    is_fresh = must_ground | (keep_uniform > kept_weight * number)
-    # A refuted particle is replaced as a whole: it takes over the map of a particle drawn by
-    # weight, so that a wrong map dies out, and then grounds the words in it.
-    cumulative = jnp.cumsum(kept_weight)
-    ancestors = jnp.sum(cumulative[:, None] <= ancestor_uniform[None, :] * cumulative[-1], axis=0)
-    ancestors = jnp.where(is_fresh & ~must_ground, ancestors, jnp.arange(number))
-    maps = jax.tree.map(lambda leaf: leaf[..., jnp.minimum(ancestors, number - 1)], particles)
-    fresh, log_language = ground_words(
-        ground_key, replace(belief, particles=maps), readings, params
-    )
-    language, log_language_total, _ = categorical.log_normalize(log_language)
-    language = jnp.clip(language * number, 1e-6, 50.0)
-    # What a particle's own map weighs, apart from its hypotheses, goes with a forced draw.
-    map_weight, _, _ = categorical.log_normalize(belief.log_weight + log_map)
-    fresh_weight = jnp.where(must_ground, map_weight, 1.0 / number) * language
-    weight = jnp.where(is_fresh, fresh_weight, jnp.maximum(kept_weight, 1.0 / number))
-    weight = weight / jnp.sum(weight)
-    particles = _choose(is_fresh, fresh, particles)
-
-    log_new = jnp.log(params.concentration) - jnp.log(area_size(coverage))
-    surprised = surprise(belief.log_weight, grounded, log_map, log_new, noise_variance)
-    size = effective_sample_size(weight)
+    size = effective_sample_size(found.weight)
     is_resampled = size < params.resample_threshold * number
-    ancestors = systematic(weight, jax.random.uniform(resample_key))
+    ancestors = systematic(found.weight, jax.random.uniform(resample_key))
     ancestors = jnp.where(is_resampled, ancestors, jnp.arange(number))
-    particles = jax.tree.map(lambda leaf: leaf[..., ancestors], particles)
-    log_weight = jnp.where(
-        is_resampled, -jnp.log(float(number)), jnp.log(jnp.maximum(weight, 1e-30))
-    )
+    log_weight = jnp.log(jnp.maximum(found.weight, 1e-30))
     belief = replace(
         belief,
-        particles=particles,
-        log_weight=log_weight,
+        particles=take(found.particles, ancestors),
+        log_weight=jnp.where(is_resampled, -jnp.log(float(number)), log_weight),
         must_ground=jnp.asarray(False),
-        log_evidence=belief.log_evidence + log_total,
+        log_evidence=belief.log_evidence + found.log_total,
     )
     return belief, FilterInfo(
         effective_sample_size=size,
         is_resampled=is_resampled,
-        num_regrounded=jnp.sum(is_fresh),
-        log_language_evidence=log_language_total - jnp.log(float(number)),
-        overflow=jnp.max(grounded.overflow),
-        is_degenerate=is_dead | is_broken,
-        is_news=was_told | jnp.any(grounded.is_new),
-        surprise=surprised,
-        is_contradiction=surprised > CONTRADICTION,
+        num_regrounded=jnp.sum(found.is_fresh),
+        log_language_evidence=found.log_language,
+        overflow=jnp.max(weighed.overflow),
+        is_degenerate=found.is_dead | is_broken,
+        is_news=was_told | jnp.any(weighed.is_new),
+        surprise=weighed.surprise,
+        is_contradiction=weighed.surprise > CONTRADICTION,
     )

@@ -24,18 +24,10 @@ def move(particle: SemanticMap, step_x: Array, step_y: Array, variance: Array) -
         The particle with the old pose marginalised out.
     """
     robot = particle.object_type.shape[0]
-    precision, information_x, information_y = gaussian.add_noise(
-        particle.precision, particle.information_x, particle.information_y, robot, variance
-    )
-    information_x, information_y = gaussian.shift(
-        precision, information_x, information_y, robot, step_x, step_y
-    )
     unit = column((jnp.arange(robot + 1) == robot).astype(jnp.float32), particle.mean_x.ndim)
     return replace(
         particle,
-        precision=precision,
-        information_x=information_x,
-        information_y=information_y,
+        covariance=gaussian.add_noise(particle.covariance, robot, variance),
         mean_x=particle.mean_x + unit * step_x,
         mean_y=particle.mean_y + unit * step_y,
     )

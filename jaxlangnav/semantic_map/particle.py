@@ -2,13 +2,15 @@
 
 One particle is S = {G, X, w}. Its topology G is which objects exist, of what type, observed or
 hypothesised, and which of them the words refer to; X is a joint Gaussian over the robot and all
-objects in canonical form; w is its weight.
+objects; w is its weight. The paper leaves the form of X open. It is kept in moment form, as mean
+and covariance Σ, and not as information: with old poses marginalised out both hold the same, and
+Σ needs no inversion to say how surprising a detection is (``numerics.gaussian``).
 
 Slots 0 … O−1 hold observed objects, slots O … O+M−1 one hypothesis for each mention of the
-instruction that has not been observed; N = O + M. The matrix Λ covers the observed objects and
+instruction that has not been observed; N = O + M. The matrix Σ covers the observed objects and
 the robot (index O). A hypothesised object hangs on its anchor by a single sampled constraint, so
-its Gaussian follows from the anchor's and needs no row in Λ: taking a hypothesis back leaves no
-trace. ``joint_gaussian`` assembles the full canonical form, hypotheses included.
+its Gaussian follows from the anchor's and needs no row in Σ: taking a hypothesis back leaves no
+trace. ``joint_gaussian`` assembles the whole covariance, hypotheses included.
 
 Batches of particles carry the particle axis **last**; ``vmap`` with ``in_axes=-1``.
 """
@@ -19,8 +21,8 @@ from jax import Array
 from jaxlangnav.messages import NONE
 from jaxlangnav.pytree import pytree
 
-START_PRECISION = 1e4
-"""Information on the robot's first position, 1/m²: known to a centimetre."""
+START_VARIANCE = 1e-4
+"""Square metres, of the robot's first position in each axis: known to a centimetre."""
 
 
 @pytree
@@ -28,10 +30,8 @@ class SemanticMap:
     """One particle. Positions in metres, map frame."""
 
     object_type: Array  # i32[O] type index; NONE in empty slots
-    precision: Array  # f32[O + 1, O + 1] Λ, 1/m², both axes; robot last; identity in empty slots
-    information_x: Array  # f32[O + 1] η of x, 1/m
-    information_y: Array  # f32[O + 1] η of y, 1/m
-    mean_x: Array  # f32[O + 1] metres, Λ⁻¹ η
+    covariance: Array  # f32[O + 1, O + 1] Σ, m², both axes; robot last; zero in empty slots
+    mean_x: Array  # f32[O + 1] metres; robot last; zero in empty slots
     mean_y: Array  # f32[O + 1] metres
     reading: Array  # i32[] which of the K readings this particle believes
     referent: Array  # i32[M] observed slot each mention refers to; NONE while only hypothesised
@@ -65,13 +65,10 @@ def empty(num_objects: int, num_mentions: int, start_x: Array, start_y: Array) -
         One particle.
     """
     size = num_objects + 1
-    diagonal = jnp.ones(size, jnp.float32).at[num_objects].set(START_PRECISION)
     robot = jnp.zeros(size, jnp.float32).at[num_objects].set(1.0)
     return SemanticMap(
         object_type=jnp.full(num_objects, NONE, jnp.int32),
-        precision=jnp.diag(diagonal),
-        information_x=robot * start_x * START_PRECISION,
-        information_y=robot * start_y * START_PRECISION,
+        covariance=jnp.diag(robot * START_VARIANCE),
         mean_x=robot * start_x,
         mean_y=robot * start_y,
         reading=jnp.int32(0),
@@ -102,36 +99,33 @@ def positions(particle: SemanticMap) -> tuple[Array, Array]:
 
 
 def joint_gaussian(particle: SemanticMap, kernel_variance: Array) -> tuple[Array, Array, Array]:
-    """Assemble the whole joint Gaussian in canonical form, hypotheses included (eq. 5c).
+    """Assemble the whole joint Gaussian, hypotheses included (eq. 5c).
 
-    Each hypothesis adds one factor of precision 1/κ² to its anchor (or to the ground), which is
-    why it can be retracted exactly. The robot comes last; empty slots have an identity diagonal.
+    A hypothesis lies where its anchor does, but for a sampled constraint of variance κ². So it
+    has the covariances of the observed object at the root of its chain of anchors, and shares κ²
+    with whatever hangs on the same links. The robot comes last; empty slots are zero.
 
     Args:
         particle: one particle.
         kernel_variance: f32[], κ², square metres per axis, of a sampled constraint.
 
     Returns:
-        Λ f32[N + 1, N + 1], and the mean f32[N + 1] of x and of y.
+        Σ f32[N + 1, N + 1], and the mean f32[N + 1] of x and of y.
     """
     num_objects, num_mentions = particle.object_type.shape[0], particle.referent.shape[0]
-    num_slots = num_objects + num_mentions
-    order = jnp.append(jnp.arange(num_objects), num_slots)
-    precision = jnp.eye(num_slots + 1, dtype=jnp.float32)
-    precision = precision.at[order[:, None], order[None, :]].set(particle.precision)
-    for mention in range(num_mentions):
-        is_in = particle.is_hypothesised[mention]
-        anchor = particle.anchor[mention]
-        unit = jnp.arange(num_slots + 1) == num_objects + mention
-        hook = (jnp.arange(num_slots + 1) == anchor) & (anchor != NONE)
-        edge = unit.astype(jnp.float32) - hook.astype(jnp.float32)
-        factor = edge[:, None] * edge[None, :] / kernel_variance
-        # The slot's own identity entry made room for an empty slot; the factor replaces it.
-        factor = factor - jnp.outer(unit, unit)
-        precision = precision + jnp.where(is_in, factor, 0.0)
+    is_in = particle.is_hypothesised[:, None]
+    link = (particle.anchor[:, None] == num_objects + jnp.arange(num_mentions)[None]) & is_in
+    chain = is_in & jnp.eye(num_mentions, dtype=bool)
+    for _ in range(num_mentions - 1):
+        chain = chain | jnp.any(link[:, :, None] & chain[None], axis=1)
+    hook = (particle.root[:, None] == jnp.arange(num_objects + 1)[None]) & is_in
+    own = jnp.eye(num_objects + 1)
+    source = jnp.concatenate([own[:-1], hook.astype(jnp.float32), own[-1:]])
+    links = jnp.pad(chain.astype(jnp.float32), ((num_objects, 1), (0, 0)))
+    covariance = source @ particle.covariance @ source.T + kernel_variance * links @ links.T
     x, y = positions(particle)
     return (
-        precision,
+        covariance,
         jnp.append(x, particle.mean_x[num_objects]),
         jnp.append(y, particle.mean_y[num_objects]),
     )
