@@ -42,6 +42,8 @@ TERMINAL_HEADINGS = (
 )
 PAPER_RUNS = 100
 """Simulations behind a printed figure: "approximately 100" (section 4.2)."""
+NEAR = 2.0
+"""Standard errors within which two figures agree."""
 
 
 def cells(row: Row, paper: Row | None) -> list[str]:
@@ -270,16 +272,13 @@ def deviations(row: Row, paper: Row) -> dict[str, float]:
         ``distance`` and ``success``: signed; ours above the paper's is positive. A rate of 0 or
         100 % counts as half a run away from it, or it would have no error at all.
     """
-    distance_error = math.hypot(
-        row["distance_sd"] / math.sqrt(max(1, row["episodes"])),
-        paper["distance_sd"] / math.sqrt(PAPER_RUNS),
-    )
+    way_error = math.hypot(distance_error(row), paper["distance_sd"] / math.sqrt(PAPER_RUNS))
     success_error = math.hypot(
-        _rate_error(row["success_rate"], row["episodes"]),
-        _rate_error(paper["success_rate"], PAPER_RUNS),
+        rate_error(row["success_rate"], row["episodes"]),
+        rate_error(paper["success_rate"], PAPER_RUNS),
     )
     return {
-        "distance": (row["distance_mean"] - paper["distance_mean"]) / max(distance_error, 1e-9),
+        "distance": (row["distance_mean"] - paper["distance_mean"]) / max(way_error, 1e-9),
         "success": (row["success_rate"] - paper["success_rate"]) / success_error,
     }
 
@@ -303,7 +302,7 @@ def deviation_lines(
         if row["policy"] != policy or paper is None:
             continue
         far = deviations(row, paper)
-        is_near = max(abs(one) for one in far.values()) <= 2.0
+        is_near = max(abs(one) for one in far.values()) <= NEAR
         lines.append(
             [
                 *cells(row, paper)[:3],
@@ -317,7 +316,20 @@ def deviation_lines(
     return headings, lines
 
 
-def _rate_error(percent: float, runs: int) -> float:
-    """Compute the standard error of a rate, percent."""
+def distance_error(row: Row) -> float:
+    """Compute the standard error of a row's mean distance, metres."""
+    return row["distance_sd"] / math.sqrt(max(1, row["episodes"]))
+
+
+def rate_error(percent: float, runs: int) -> float:
+    """Compute the standard error of a rate.
+
+    Args:
+        percent: the rate; 0 and 100 % count as half a run away from it.
+        runs: behind it.
+
+    Returns:
+        Percent.
+    """
     rate = min(max(percent / 100.0, 0.5 / max(1, runs)), 1.0 - 0.5 / max(1, runs))
     return 100.0 * math.sqrt(rate * (1.0 - rate) / max(1, runs))
