@@ -198,8 +198,8 @@ def reproduce_unknowns(
         The document: ``rows`` (one per variation and row of Table 2, with standard errors, z
         against the printed figures, and paired differences from the first variation), ``paper``,
         ``variations`` (how near each comes over all rows), ``explained`` (by row), ``ours`` and
-        ``noise`` (what holds where it is not varied), ``wall_s`` with compilation, ``compile_s``, ``models_sha256``, ``files``. Rates in percent,
-        distances in metres.
+        ``noise`` (what holds where it is not varied), ``wall_s`` with compilation, ``compile_s``,
+        ``models_sha256``, ``files``. Rates in percent, distances in metres.
 
     Raises:
         ValueError: fewer than one episode, or numbers with which the robot could never stop.
