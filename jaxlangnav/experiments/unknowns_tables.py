@@ -44,7 +44,7 @@ def matrix(document: Document, *, mark: str = "**") -> tuple[list[str], list[lis
             [
                 fit["unknown"],
                 fit["value"],
-                *(_figures(row, mark) for row in mine),
+                *(_figures(row, mark, mark, " · ") for row in mine),
                 f"{fit['rows_near']} of {len(paper)}",
                 f"{fit['rms_z']:.1f}",
             ]
@@ -53,11 +53,11 @@ def matrix(document: Document, *, mark: str = "**") -> tuple[list[str], list[lis
     return ["unknown", "set to", *names, "rows explained", "rms z"], lines
 
 
-def _figures(row: Row, mark: str) -> str:
-    """Write success and distance of a row, marked where they are near the paper's."""
+def _figures(row: Row, before: str, after: str, between: str, unmarked: str = "") -> str:
+    """Write success and distance of a row, with marks about those near the paper's."""
     parts = ((row["success_rate"], "success"), (row["distance_mean"], "distance"))
-    return " · ".join(
-        f"{mark}{value:.1f}{mark}" if row[f"is_{name}_near"] else f"{value:.1f}"
+    return between.join(
+        f"{before}{value:.1f}{after}" if row[f"is_{name}_near"] else f"{value:.1f}{unmarked}"
         for value, name in parts
     )
 
@@ -96,8 +96,9 @@ def _explain(one: Mapping[str, Any]) -> str:
 
 
 def _or(names: Sequence[str]) -> str:
-    """List names: "field of view 60° or 90°, or reach 0.8 m"."""
-    return " or ".join(names)
+    """List names: "A, B or C"."""
+    *others, last = names
+    return f"{', '.join(others)} or {last}" if others else last
 
 
 def long_table(document: Document) -> tuple[list[str], list[list[str]]]:
@@ -152,9 +153,9 @@ def caption(document: Document) -> str:
     left_out = sum(row["invalid_worlds"] for row in document["rows"])
     return "\n".join(
         [
-            f"Success (%) · distance (m). Within {NEAR:g} standard errors of the printed figure: "
-            f"set off. z counts in standard errors of both; the paper's rest on about "
-            f"{PAPER_RUNS} runs. A row is explained where both figures are near.",
+            f"Success (%) and distance (m); set off, or with a star: within {NEAR:g} standard "
+            f"errors of the printed figure, by z in standard errors of both (the paper's rest on "
+            f"about {PAPER_RUNS} runs). A row is explained where both figures are near.",
             f"{document['episodes']} episodes a row and variation, a fresh world each, seed "
             f"{document['seed']}; every variation has the same worlds and noise.",
             f"As in all our tables: field of view {math.degrees(noise['field_of_view']):.0f}°; a "
@@ -196,7 +197,7 @@ def markdown(document: Document) -> str:
 
 
 def render(document: Document) -> Any:
-    """Draw the matrix for the terminal, figures near the paper's in bold.
+    """Draw the variations for the terminal, figures near the paper's with a star.
 
     Args:
         document: of ``reproduce_unknowns``.
@@ -208,15 +209,24 @@ def render(document: Document) -> Any:
     from rich.table import Table
     from rich.text import Text
 
-    headings, lines = matrix(document, mark="*")
+    paper, rows = document["paper"], document["rows"]
     table = Table(title=TITLE, caption=caption(document), caption_justify="left")
-    for place, heading in enumerate(headings):
-        table.add_column(heading.replace(" ", "\n"), justify="left" if place < 2 else "right")
-    said = ""
-    for line in lines:
-        shown = ["" if line[0] == said else line[0], *line[1:]]
-        said = line[0]
-        table.add_row(*(Text(cell) for cell in shown), style="dim" if said == "the paper" else None)
+    table.add_column("success %\ndistance m", no_wrap=True)
+    for one in paper:
+        table.add_column(row_name(one).replace(" ", "\n"), justify="right", no_wrap=True)
+    table.add_column("rows\nnear", justify="right")
+    table.add_column("rms\nz", justify="right")
+    printed = [f"{one['success_rate']:.1f} \n{one['distance_mean']:.1f} " for one in paper]
+    table.add_row("the paper", *printed, "", "", style="dim")
+    for place, fit in enumerate(document["variations"]):
+        mine = rows[place * len(paper) : (place + 1) * len(paper)]
+        stacked = [_figures(row, "", "*", "\n", " ") for row in mine]
+        table.add_row(
+            f"{fit['unknown']} {fit['value']}".strip(),
+            *stacked,
+            str(fit["rows_near"]),
+            f"{fit['rms_z']:.1f}",
+        )
     return Group(table, *(Text(line) for line in explained_lines(document)))
 
 
