@@ -59,8 +59,8 @@ def unknowns_section(document: dict[str, Any]) -> str:
     lines = "\n".join(f"- {line}" for line in explained_lines(document))
     return f"""## What would explain the paper's figures
 
-`jaxlangnav reproduce unknowns`: the rows of Table 2 for `faithful`, with one thing set otherwise at a
-time that the paper does not print. All figures with their standard errors and z stand in the
+`jaxlangnav reproduce unknowns`: the rows of Table 2 for `faithful`, with one thing set otherwise at
+a time that the paper does not print. All figures with their standard errors and z stand in the
 `unknowns.md` that it writes.
 
 ![Success and distance of every variation beside the paper's](unknowns.png)
