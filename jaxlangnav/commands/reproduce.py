@@ -28,14 +28,15 @@ class Reproduce:
     table1: how often sentences are understood. table2: success and distance by world and command,
     and how well the belief is calibrated. fig1: the belief over time. fig3: the factor graph.
     fig4: the value function over time. fig5: success and distance against the sensing range.
-    unknowns: what the paper leaves open, one thing at a time: what explains its figures? time:
-    where a decision cycle's time goes. all: everything, and one page, report.html.
+    unknowns: faithful with what the paper leaves open set otherwise, one thing at a time: what
+    explains its figures? time: where a decision cycle's time goes. all: everything, and one page,
+    report.html.
 
     Policies: informed (ours), faithful (the paper's), frontier (nearest frontier, no language),
     lawnmower (a sweep of the area), arc (a sweep that knows by what law the worlds are drawn),
     known (the map is known). All of them run in the same worlds with the same noise. The numbers of
     filter, planner, detector and motion can be set, as in --params.planner.discount 0.9 or
-    --sensor.field-of-view "90 deg": see --help-params.
+    --sensor.noise "20 cm": see --help-params.
 
     Examples:
       jaxlangnav reproduce all --out results
