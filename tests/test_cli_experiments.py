@@ -189,7 +189,7 @@ def test_all_writes_one_page_of_its_parts(
     assert "sensor.detection_probability = 0.9" in page
     assert found["table2"]["models_sha256"] in page
     assert page.count("data:image/svg+xml;base64,") == 2
-    assert "<td class=number>93.9</td>" in page
+    assert "8.75 (1.69)" in page
     assert 'src="http' not in page
 
 

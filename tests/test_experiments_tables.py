@@ -65,6 +65,19 @@ def test_cells_by_hand() -> None:
     assert expected in text.splitlines()
 
 
+def test_the_paper_stands_beside_what_it_ran() -> None:
+    """Its method beside both of ours, its known map beside ours, nothing beside other robots."""
+    paper = printed_rows(TABLE_2)[5]
+    beside = {
+        name: tables.cells(row(policy=name), paper)[5:10:2]
+        for name in ("informed", "faithful", "arc", "known")
+    }
+    known = "10.38 (1.86)"
+    assert beside["informed"] == beside["faithful"] == ["67.4", "18.72 (10.23)", known]
+    assert beside["arc"] == ["", "", known]
+    assert beside["known"] == ["100.0", known, known]
+
+
 def test_policies_of_a_row_stand_together() -> None:
     rows = [
         row(),

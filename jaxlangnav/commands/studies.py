@@ -23,7 +23,7 @@ _LEADS = {
     "states no numbers; where Table 2 prints a row of the same world, command and range, it is "
     "drawn.",
 }
-_AMBIGUOUS = "“go to the hydrant” among two: nothing says which"
+_AMBIGUOUS = "“go to the hydrant” among several: nothing says which"
 _CURVES = {
     "null": "“go to the hydrant”",
     "behind": "“… behind the cone”",
@@ -240,8 +240,8 @@ def reliability_panels(document: dict[str, Any]) -> dict[str, dict[str, Any]]:
         document: of ``experiments.table2``.
 
     Returns:
-        For each policy that has a belief, the curve of each command over all worlds. Two hydrants
-        and no relation stand apart: there no belief can know which is meant.
+        For each policy that has a belief, the curve of each command over all worlds. Several
+        hydrants and no relation stand apart: there no belief can know which is meant.
     """
     from jaxlangnav.experiments.reliability import curve, pooled
 
