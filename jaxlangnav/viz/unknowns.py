@@ -76,8 +76,11 @@ def _draw_panel(axes: "Axes", rows: Sequence[Row], printed: Row, key: str, name:
     axes.axvline(value, color=style.INK, linewidth=0.9, linestyle=":", zorder=1)
     for place, row in enumerate(rows):
         is_near = row[f"is_{name}_near"]
+        half = NEAR * row[f"{name}_se"]
+        # No rate is above 100 %.
+        upper = min(half, 100.0 - row[key]) if name == "success" else half
         axes.errorbar(
-            [row[key]], [place], xerr=[NEAR * row[f"{name}_se"]],
+            [row[key]], [place], xerr=[[half], [upper]],
             color=style.GOOD if is_near else style.MUTED, marker="o", markersize=4,
             markerfacecolor=style.GOOD if is_near else style.PAPER, linewidth=1.0, capsize=0,
         )  # fmt: skip
