@@ -1,6 +1,7 @@
 """The study of what the paper leaves open: what is varied, how it is judged, how it is told."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -74,7 +75,7 @@ def test_variations_share_worlds_and_keys() -> None:
     assert np.asarray(other.sensor.noise) == pytest.approx(np.asarray(tasks.sensor.noise))
 
 
-def document() -> dict:
+def document() -> dict[str, Any]:
     """Two variations by hand: the second has the paper's own figures but for 1H1C null."""
     rows = []
     for one in (VARIATIONS[0], VARIATIONS[2]):
@@ -137,7 +138,8 @@ def test_every_variation_is_a_point_of_every_panel() -> None:
     assert len(figure.axes) == 14
     labels = [label.get_text() for label in figure.axes[0].get_yticklabels()]
     assert labels == ["as in all our tables", "field of view  90°"]
-    points = [one.lines[0].get_xydata()[0].tolist() for one in figure.axes[7].containers]
+    bars: list[Any] = figure.axes[7].containers
+    points = [one.lines[0].get_xydata()[0].tolist() for one in bars]
     assert points == [[pytest.approx(46.78), 0.0], [pytest.approx(46.78), 1.0]]
     with pytest.raises(ValueError, match="nothing to draw"):
         picture.unknowns_figure({"rows": [], "paper": [], "variations": []})
