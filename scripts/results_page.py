@@ -12,11 +12,12 @@ from typing import Any
 
 from jaxlangnav.experiments.figure5 import describe_falls
 from jaxlangnav.experiments.tables import deviation_lines
+from jaxlangnav.experiments.unknowns_tables import caption, explained_lines, matrix
 
 ROOT = Path(__file__).parent.parent
 PAGE = ROOT / "docs" / "results.md"
 HAND = "<!-- What follows is written by hand; scripts/results_page.py keeps it. -->"
-PICTURES = ("table2", "calibration", "figure5")
+PICTURES = ("table2", "calibration", "figure5", "unknowns")
 SHOWN = ("informed", "faithful", "known")
 """Policies of the short table of Figure 5."""
 
@@ -53,6 +54,26 @@ def time_line(document: dict[str, Any]) -> str:
     return f"{whole:.0f} µs of CPU: {shares}."
 
 
+def unknowns_section(document: dict[str, Any]) -> str:
+    """Write what the paper leaves open, and what of it explains its figures."""
+    lines = "\n".join(f"- {line}" for line in explained_lines(document))
+    return f"""## What would explain the paper's figures
+
+`jaxlangnav reproduce unknowns`: the rows of Table 2 for `faithful`, with one thing set otherwise at
+a time that the paper does not print. All figures with their standard errors and z stand in the
+`unknowns.md` that it writes.
+
+![Success and distance of every variation beside the paper's](unknowns.png)
+
+{markdown_table(*matrix(document))}
+
+{caption(document)}
+
+What would explain each row by itself:
+
+{lines}"""
+
+
 def page(folder: Path, commit: str, kept: str) -> str:
     """Write the page.
 
@@ -65,6 +86,7 @@ def page(folder: Path, commit: str, kept: str) -> str:
         Markdown.
     """
     table2, figure5 = read(folder, "table2"), read(folder, "figure5")
+    unknowns = read(folder, "unknowns")
     body = (folder / "table2.md").read_text("utf-8").split("\n", 2)[2].strip()
     figure4 = (folder / "figure4.md").read_text("utf-8").strip().split("\n\n")[-1]
     far = markdown_table(*deviation_lines(table2))
@@ -74,7 +96,8 @@ def page(folder: Path, commit: str, kept: str) -> str:
 `jaxlangnav reproduce all --out results` writes every table and figure of this page, and
 `report.html`, which sets them beside the paper's numbers and says how each was made. What follows
 is such a run of commit {commit}: {table2["episodes"]} episodes a row of Table 2,
-{figure5["rows"][0]["episodes"]} of Figure 5, seed {table2["seed"]},
+{figure5["rows"][0]["episodes"]} of Figure 5 (seed {table2["seed"]}), {unknowns["episodes"]}
+of the paper's unknowns (seed {unknowns["seed"]}),
 models SHA-256 `{table2["models_sha256"][:12]}…`, JAX {machine["jax"]},
 CPU threads: {machine["threads"]}. Table 2 took {table2["wall_s"]:.0f} s,
 {table2["compile_s"]:.0f} s of them compilation; Figure 5 took {figure5["wall_s"]:.0f} s.
@@ -88,6 +111,8 @@ CPU threads: {machine["threads"]}. Table 2 took {table2["wall_s"]:.0f} s,
 How far `faithful` lies from the paper's own rows, in standard errors of both:
 
 {far}
+
+{unknowns_section(unknowns)}
 
 ## Calibration
 

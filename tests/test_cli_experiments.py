@@ -91,6 +91,53 @@ def test_reproduce_table2_judges_beliefs(capsys: pytest.CaptureFixture[str]) -> 
     assert drawn == pytest.approx(judged)
 
 
+def test_reproduce_table2_takes_the_detector_and_the_odometry(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    words = ["reproduce", "table2", "--episodes", "8", "--policy", "frontier,known"]
+    usual = document(words, capsys)
+    other = document(
+        [*words, "--sensor.field-of-view", "90 deg", "--sensor.detection-probability", "60 %",
+         "--motion.odometry-noise", "0"],
+        capsys,
+    )  # fmt: skip
+    noise = other["noise"]
+    assert noise["field_of_view"] == pytest.approx(1.5708, abs=1e-4)
+    assert (noise["detection_probability"], noise["odometry_noise"]) == (0.6, 0.0)
+    assert noise["detection_noise"] == usual["noise"]["detection_noise"]
+    ways = [[row["distance_mean"] for row in found["rows"]] for found in (usual, other)]
+    # Who sees a quarter as much and forgets some of it searches longer; the rows' ranges stay.
+    assert sum(ways[1][:7]) > 1.2 * sum(ways[0][:7])
+    assert [row["range"] for row in other["rows"]] == [row["range"] for row in usual["rows"]]
+    # The known map needs no detector; without odometry noise it goes straight, to a centimetre.
+    for row, noisy in zip(other["rows"][7:], usual["rows"][7:], strict=True):
+        assert row["distance_mean"] == pytest.approx(row["known_distance_mean"], abs=0.01)
+        assert row["distance_mean"] != noisy["distance_mean"]
+
+
+def test_reproduce_table2_has_rows_and_ranges_that_the_paper_lacks(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["reproduce", "table2", "--episodes", "2", "--policy", "known", "--extra"]
+    found = document([*words, "--ranges", "10, 200 cm", "--out", str(tmp_path)], capsys)
+    rows = [(row["world"], row["relation"], row["range"]) for row in found["rows"]]
+    assert rows[:2] == [("1H1C", None, 2.0), ("1H1C", None, 10.0)]
+    assert len(rows) == 2 * 15
+    extra = {world: {one for name, one, _ in rows if name == world} for world, _, _ in rows[14:]}
+    assert extra == {
+        "2H2C": {None, "behind", "nearest"},
+        "1H3C": {None, "behind"},
+        "3H1C": {None, "behind", "nearest"},
+    }
+    limits = {(one["world"], one["relation"]): one["success"] for one in found["bounds"]}
+    assert limits["3H1C", None] == pytest.approx(100 / 3)
+    # At another range than the paper's there is nothing to set beside.
+    assert found["paper"] == []
+    assert "Success nowhere falls" in (tmp_path / "table2.md").read_text("utf-8")
+    manifest = json.loads((tmp_path / "table2_manifest.json").read_text("utf-8"))
+    assert manifest["settings"]["noise"]["step_length"] == 1.0
+
+
 def test_reproduce_fig5_without_the_navigator(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -134,13 +181,15 @@ def test_all_writes_one_page_of_its_parts(
     """The parts that need no long run; the page joins whatever has been run."""
     monkeypatch.setattr("jaxlangnav.commands.reproduce._NAMES", ("fig3", "table2"))
     words = ["reproduce", "all", "--episodes", "2", "--policy", "known", "--seed", "4", "--out"]
-    found = document([*words, str(tmp_path)], capsys)
+    words += [str(tmp_path), "--sensor.detection-probability", "0.9"]
+    found = document(words, capsys)
     assert set(found) == {"fig3", "table2", "report"}
     page = Path(found["report"]).read_text("utf-8")
     assert "jaxlangnav reproduce all --episodes 2 --policy known --seed 4" in page
+    assert "sensor.detection_probability = 0.9" in page
     assert found["table2"]["models_sha256"] in page
     assert page.count("data:image/svg+xml;base64,") == 2
-    assert "<td class=number>93.9</td>" in page
+    assert "8.75 (1.69)" in page
     assert 'src="http' not in page
 
 
@@ -177,7 +226,18 @@ def test_a_sweep_runs_and_is_summarised(tmp_path: Path, capsys: pytest.CaptureFi
         (["reproduce", "table2", "--out", __file__], "is a file"),
         (["reproduce", "table2", "--params.planner.discont", "1"], "params.planner.discount"),
         (["reproduce", "table2", "--params.planner.discount", "1"], "must lie between 0 and 1"),
-        (["reproduce", "table2", "--sensor.noise", "1"], 'unknown option "--sensor.noise"'),
+        (["reproduce", "table2", "--sensor.nose", "1"], 'did you mean "--sensor.noise"'),
+        (
+            ["reproduce", "table1", "--sensor.noise", "1"],
+            "--sensor.noise changes nothing in table1",
+        ),
+        (["reproduce", "time", "--motion.step-length", "1"], "changes nothing in time"),
+        (["reproduce", "table2", "--sensor.range-max", "3"], 'did you mean "--ranges"'),
+        (["reproduce", "table2", "--sensor.noise", "1 s"], "unknown unit"),
+        (["reproduce", "fig5", "--extra"], "--extra adds rows to table2, but fig5 is run"),
+        (["reproduce", "fig4", "--ranges", "3"], "--ranges is for table2 and fig5"),
+        (["reproduce", "table2", "--ranges", "3,"], "--ranges is ''"),
+        (["reproduce", "table2", "--ranges", "0"], "--ranges is 0"),
         (["sweep", "nowhere.toml", "--out", "results"], "nowhere.toml: no such file"),
         (["sweep", "nowhere.toml"], "missing --out DIR: Folder for the shards"),
         (["sweep"], "missing CONFIG: What to run, TOML; --out DIR: Folder for the shards"),

@@ -131,7 +131,7 @@ def _explain(complaint: str, kind: type[Any], options: Sequence[str]) -> str:
         flag, is_assigned, _ = option.partition("=")
         if groups and settings.is_setting(flag):
             if flag not in (one.flag for one in settings.options(groups)):
-                return f'unknown option "{flag}"{settings.suggestion(flag, groups)}'
+                return f'unknown option "{flag}"{settings.suggestion(flag, groups, fields)}'
         elif flag.startswith("--") and flag not in fields:
             known = ["--help", *fields, *([settings.HELP_ALL] if groups else [])]
             return f'unknown option "{flag}"{did_you_mean(flag, known)}'

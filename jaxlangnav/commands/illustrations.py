@@ -14,6 +14,7 @@ from jaxlangnav.commands.engine import (
 from jaxlangnav.commands.output import Output
 from jaxlangnav.commands.reproduction import Settings, Study
 from jaxlangnav.commands.runtime import waiting
+from jaxlangnav.commands.settings import apply
 from jaxlangnav.experiments.archive import manifest, write_manifest, write_text
 from jaxlangnav.experiments.compilation import CompileClock
 from jaxlangnav.experiments.report import Section, Table
@@ -172,7 +173,10 @@ def _record(figure: Episode, policy: str, settings: Settings) -> Recording:
     """Run the episode of a figure."""
     understood = understand_parse(parse(TEXT), load_models(None))
     prepared = open_task(figure.name, understood, sensing_range=None, seed=settings.seed)
-    motion = prepared.task.motion
+    task = prepared.task
+    sensor = apply(task.sensor, settings.values, "sensor")
+    motion = apply(task.motion, settings.values, "motion")
+    prepared = dataclasses.replace(prepared, task=replace(task, sensor=sensor, motion=motion))
     return record_episode(
         understood,
         prepared,

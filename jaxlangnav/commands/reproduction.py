@@ -8,8 +8,10 @@ from typing import Any
 
 from jaxlangnav import __version__
 from jaxlangnav.commands.output import Document, Output
+from jaxlangnav.commands.settings import Place, apply
 from jaxlangnav.experiments.archive import manifest
 from jaxlangnav.experiments.report import Section, write_html
+from jaxlangnav.messages import MotionParams, SensorParams, default_motion, default_sensor
 from jaxlangnav.navigator import NavigatorParams
 
 
@@ -20,15 +22,29 @@ class Settings:
     episodes: int
     policies: tuple[str, ...]
     seed: int
+    seed_unknowns: int
+    """Of the study of the paper's unknowns."""
+    extra: bool
+    """Whether Table 2 has rows that the paper lacks."""
+    ranges: tuple[float, ...]
+    """Metres, in place of those of Table 2's rows and of Figure 5; none for their own."""
     particles: int
     particles_drawn: int
     """P of the episodes that are drawn."""
     params: NavigatorParams
-    changed: Mapping[str, Any]
-    """Numbers of the engine that are not the defaults."""
+    values: Mapping[Place, Any]
+    """Numbers of engine, detector and motion that are not the defaults."""
     out: Path | None
     command: Callable[[str], str]
     """Writes the command that runs an experiment again."""
+
+    def sensor(self) -> SensorParams:
+        """Build the detector of drawn worlds; its range is a matter of each row."""
+        return apply(default_sensor(), self.values, "sensor")
+
+    def motion(self) -> MotionParams:
+        """Build the odometry of drawn worlds."""
+        return apply(default_motion(), self.values, "motion")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -43,7 +59,7 @@ def run_one(name: str, settings: Settings, output: Output) -> Study:
     """Run one experiment, print what it found and write its files.
 
     Args:
-        name: "table1", "table2", "fig1", "fig3", "fig4", "fig5" or "time".
+        name: "table1", "table2", "fig1", "fig3", "fig4", "fig5", "unknowns" or "time".
         settings: what is run, and where it is written.
         output: where people read.
 
@@ -111,9 +127,11 @@ def made_by(settings: Settings, seconds: float) -> dict[str, str]:
         "command": settings.command("all"),
         "versions": f"jaxlangnav {__version__}, Python {made['python']}, {libraries}",
         "models": f"as shipped, SHA-256 {made['models_sha256']}",
-        "seed": str(settings.seed),
+        "seed": f"{settings.seed}; {settings.seed_unknowns} in the study of the paper's unknowns",
         "episodes": f"{settings.episodes} a row and policy",
-        "changed numbers": ", ".join(f"{name} = {one}" for name, one in settings.changed.items()),
+        "changed numbers": ", ".join(
+            f"{'.'.join(place)} = {one}" for place, one in settings.values.items()
+        ),
         "machine": f"{machine['system']} {machine['cpu']}, {machine['cores']} cores; "
         f"JAX on {device['count']} × {device['kind']}",
         "wall time": f"{seconds:.0f} s, compilation included",

@@ -179,12 +179,13 @@ def apply(record: T, values: Mapping[Place, Any], root: str) -> T:
     return _applied(record, mine) if mine else record
 
 
-def suggestion(flag: str, groups: Sequence[str]) -> str:
+def suggestion(flag: str, groups: Sequence[str], plain: Iterable[str]) -> str:
     """Suggest what may have been meant by an option with a dot in its name.
 
     Args:
         flag: what was typed.
         groups: of the command.
+        plain: the command's options without a dot, such as "--range".
 
     Returns:
         '; did you mean "--params.planner.discount"?', or where all of them are listed.
@@ -192,7 +193,9 @@ def suggestion(flag: str, groups: Sequence[str]) -> str:
     path = tuple(flag[2:].replace("-", "_").split("."))
     for elsewhere, option in _ELSEWHERE.items():
         if path[-1] == elsewhere[-1]:
-            return f'; did you mean "{option}"?'
+            # Where several may be given it is "--ranges".
+            near = [one for one in plain if one in (option, f"{option}s")]
+            return f'; did you mean "{near[0]}"?' if near else f"; see {HELP_ALL}"
     found = options(groups)
     names = difflib.get_close_matches(path[-1], [one.path[-1] for one in found], n=1)
     near = [one for one in found if one.path[-1] in names]

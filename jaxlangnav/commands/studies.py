@@ -1,6 +1,5 @@
 """What ``jaxlangnav reproduce`` can run: each experiment with its table, figure and words."""
 
-import importlib
 import importlib.util
 import time
 from collections.abc import Callable
@@ -10,12 +9,12 @@ from typing import Any
 from jaxlangnav.commands.output import Output
 from jaxlangnav.commands.reproduction import Settings, Study
 from jaxlangnav.commands.runtime import progress_bar, waiting
+from jaxlangnav.experiments import figure5, table2
+from jaxlangnav.experiments.experiment import Experiment
 from jaxlangnav.experiments.report import Section, Table
 
 _SPLITS = 8
 """Random splits of Table 1, as in the paper; ``jaxlangnav evaluate`` takes any number."""
-_MODULES = {"table2": "table2", "fig5": "figure5"}
-"""Experiments made of episodes, and their modules in ``experiments``."""
 _LEADS = {
     "table2": "Success and distance in simulated worlds, by world and command (section 4.2). A run "
     "succeeds if the robot itself says stop within 1.5 m of the intended goal.",
@@ -24,7 +23,7 @@ _LEADS = {
     "states no numbers; where Table 2 prints a row of the same world, command and range, it is "
     "drawn.",
 }
-_AMBIGUOUS = "“go to the hydrant” among two: nothing says which"
+_AMBIGUOUS = "“go to the hydrant” among several: nothing says which"
 _CURVES = {
     "null": "“go to the hydrant”",
     "behind": "“… behind the cone”",
@@ -88,27 +87,38 @@ def monte_carlo(name: str) -> Callable[[Settings, Output], Study]:
     """
 
     def run(settings: Settings, output: Output) -> Study:
-        module = importlib.import_module(f"jaxlangnav.experiments.{_MODULES[name]}")
-        experiment = module.EXPERIMENT
-        total = experiment.total_episodes(episodes=settings.episodes, policies=settings.policies)
-        with progress_bar("episodes", total) as advance:
-            document = getattr(module, f"reproduce_{_MODULES[name]}")(
-                episodes=settings.episodes,
-                policies=settings.policies,
+        experiment = _experiment(name, settings)
+        counted = {"episodes": settings.episodes, "policies": settings.policies}
+        with progress_bar("episodes", experiment.total_work(**counted)) as advance:
+            document = experiment.run(
+                **counted,
                 seed=settings.seed,
                 out=settings.out,
                 on_progress=advance,
                 num_particles=settings.particles,
                 params=settings.params,
+                sensor=settings.sensor(),
+                motion=settings.motion(),
             )
+        if name == "fig5":
+            document["falls"] = figure5.falls(document)
         output.say(experiment.render(document))
         wall, compiling = document["wall_s"], document["compile_s"]
+        total = experiment.total_episodes(**counted)
         output.say(f"{total} episodes in {wall:.1f} s, {compiling:.1f} s of them compilation.")
         pictures = _draw(name, document, settings.out, output)
         document["files"] = [*document["files"], *(str(path) for path in pictures)]
-        return Study(document=document, section=_section(name, document, pictures, settings))
+        section = _section(name, experiment, document, pictures, settings)
+        return Study(document=document, section=section)
 
     return run
+
+
+def _experiment(name: str, settings: Settings) -> Experiment:
+    """Build the rows of an experiment made of episodes."""
+    if name == "fig5":
+        return figure5.experiment(ranges=settings.ranges)
+    return table2.experiment(extra=settings.extra, ranges=settings.ranges)
 
 
 def timing(settings: Settings, output: Output) -> Study:
@@ -154,7 +164,11 @@ def timing(settings: Settings, output: Output) -> Study:
 
 
 def _section(
-    name: str, document: dict[str, Any], pictures: list[Path], settings: Settings
+    name: str,
+    experiment: Experiment,
+    document: dict[str, Any],
+    pictures: list[Path],
+    settings: Settings,
 ) -> Section:
     """Write an experiment's part of the report."""
     from jaxlangnav.experiments.tables import HEADINGS, caption, deviation_lines, table_lines
@@ -171,8 +185,6 @@ def _section(
     headings, compared = deviation_lines(document)
     if compared:
         tables.append(Table(headings=headings, rows=compared))
-    module = importlib.import_module(f"jaxlangnav.experiments.{_MODULES[name]}")
-    experiment = module.EXPERIMENT
     remark = [experiment.remark(document)] if experiment.remark else []
     return Section(
         title=experiment.title,
@@ -228,8 +240,8 @@ def reliability_panels(document: dict[str, Any]) -> dict[str, dict[str, Any]]:
         document: of ``experiments.table2``.
 
     Returns:
-        For each policy that has a belief, the curve of each command over all worlds. Two hydrants
-        and no relation stand apart: there no belief can know which is meant.
+        For each policy that has a belief, the curve of each command over all worlds. Several
+        hydrants and no relation stand apart: there no belief can know which is meant.
     """
     from jaxlangnav.experiments.reliability import curve, pooled
 
@@ -280,6 +292,13 @@ def _graph(settings: Settings, output: Output) -> Study:
     return factor_graph(settings, output)
 
 
+def _unknowns(settings: Settings, output: Output) -> Study:
+    """Vary what the paper leaves open."""
+    from jaxlangnav.commands.unknowns import unknowns
+
+    return unknowns(settings, output)
+
+
 STUDIES: dict[str, Callable[[Settings, Output], Study]] = {
     "table1": table1,
     "table2": monte_carlo("table2"),
@@ -287,6 +306,7 @@ STUDIES: dict[str, Callable[[Settings, Output], Study]] = {
     "fig3": _graph,
     "fig4": _episode("fig4"),
     "fig5": monte_carlo("fig5"),
+    "unknowns": _unknowns,
     "time": timing,
 }
 """Every experiment by its name on the command line."""

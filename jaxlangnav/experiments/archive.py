@@ -19,7 +19,7 @@ import pyarrow.parquet as pq
 from jaxlangnav import __version__
 
 _LIBRARIES = ("jax", "jaxlib", "numpy", "optax", "pyarrow")
-_RESULTS = ("rows", "paper", "bounds", "wall_s", "compile_s", "files")
+_RESULTS = ("rows", "paper", "bounds", "variations", "explained", "wall_s", "compile_s", "files")
 
 
 def write_table(columns: Mapping[str, Any], path: Path) -> Path:

@@ -13,6 +13,7 @@ the robot has seen, so ending an episode at it biases nothing.
 """
 
 import functools
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -261,6 +262,7 @@ def tally_tasks(
     params: NavigatorParams,
     config: NavigatorConfig,
     max_steps: int = MAX_STEPS,
+    on_progress: Callable[[int], None] | None = None,
 ) -> Tally:
     """Judge any number of episodes.
 
@@ -270,6 +272,7 @@ def tally_tasks(
         params: the navigator's numbers.
         config: sizes and policy.
         max_steps: cycles that are judged.
+        on_progress: called with the number of episodes just judged.
 
     Returns:
         Sums of each episode as NumPy arrays, leaves [E, …].
@@ -280,6 +283,7 @@ def tally_tasks(
         ),
         tasks,
         capacity=LANES,
+        on_progress=on_progress,
     )
 
 

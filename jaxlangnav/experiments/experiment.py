@@ -14,12 +14,14 @@ from jaxlangnav.experiments.rows import (
     RowSpec,
     bound_rows,
     check_episodes,
-    default_noise,
+    describe_noise,
+    judged_episodes,
     printed_rows,
     run_rows,
 )
 from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
 from jaxlangnav.experiments.tables import caption, markdown_table, rich_table
+from jaxlangnav.messages import MotionParams, SensorParams, default_motion, default_sensor
 from jaxlangnav.navigator import NavigatorParams
 from jaxlangnav.world.templates import TABLE_2
 
@@ -35,6 +37,8 @@ class Options(TypedDict, total=False):
     num_particles: int
     environments: int
     params: NavigatorParams | None
+    sensor: SensorParams | None
+    motion: MotionParams | None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -46,6 +50,8 @@ class Experiment:
     specs: tuple[RowSpec, ...]
     remark: Callable[[dict[str, Any]], str] | None = None
     """Says beneath the table what its rows show."""
+    calibration_episodes: int = 0
+    """Episodes of a row in which every step's belief is held against the truth."""
 
     def markdown(self, document: dict[str, Any]) -> str:
         """Write the table, ours beside the paper's.
@@ -71,7 +77,7 @@ class Experiment:
         return rich_table(document, title=self.title)
 
     def total_episodes(self, *, episodes: int, policies: Sequence[str]) -> int:
-        """Count the runs, for a progress bar.
+        """Count the runs.
 
         Args:
             episodes: runs a row.
@@ -82,6 +88,24 @@ class Experiment:
         """
         return len(self.specs) * len(check_policies(policies)) * episodes
 
+    def total_work(self, *, episodes: int, policies: Sequence[str]) -> int:
+        """Count the runs and those held against the truth once more, for a progress bar.
+
+        Args:
+            episodes: runs a row.
+            policies: names.
+
+        Returns:
+            What ``on_progress`` of ``run`` adds up to.
+        """
+        judged = judged_episodes(
+            self.specs,
+            policies,
+            episodes=episodes,
+            calibration_episodes=self.calibration_episodes,
+        )
+        return self.total_episodes(episodes=episodes, policies=policies) + judged
+
     def run(
         self,
         *,
@@ -91,9 +115,10 @@ class Experiment:
         out: str | Path | None = None,
         on_progress: Progress | None = None,
         num_particles: int = DEFAULT_PARTICLES,
-        calibration_episodes: int = 0,
         environments: int = 0,
         params: NavigatorParams | None = None,
+        sensor: SensorParams | None = None,
+        motion: MotionParams | None = None,
     ) -> dict[str, Any]:
         """Run all rows for every policy.
 
@@ -102,12 +127,14 @@ class Experiment:
             policies: names; all of ``policies.POLICY_NAMES`` by default.
             seed: root seed of worlds and noise.
             out: folder for Parquet, Markdown and manifest; nothing is written if None.
-            on_progress: called with the number of episodes just finished.
+            on_progress: called with the number of episodes just finished, those held against the
+                truth included: ``total_work`` in all.
             num_particles: P, of the navigator's policies.
-            calibration_episodes: of each row, the first so many are judged step by step.
             environments: worlds of a template taken in turn, ten in the paper; 0 for a fresh one
                 per episode.
             params: the navigator's numbers; its defaults if None.
+            sensor: the detector; its range is that of each row. The default one if None.
+            motion: the odometry, of which the belief is told; the default one if None.
 
         Returns:
             The document: ``rows``, ``paper``, ``bounds``, ``sentences``, ``noise``, ``wall_s``
@@ -130,8 +157,10 @@ class Experiment:
                 seed=seed,
                 num_particles=num_particles,
                 params=params,
-                calibration_episodes=calibration_episodes,
+                calibration_episodes=self.calibration_episodes,
                 environments=environments,
+                sensor=sensor,
+                motion=motion,
                 on_progress=on_progress,
             )
         keys = {(one.world, one.range, one.relation) for one in self.specs}
@@ -143,9 +172,9 @@ class Experiment:
             "policies": list(names),
             "seed": seed,
             "num_particles": num_particles,
-            "calibration_episodes": min(episodes, calibration_episodes),
+            "calibration_episodes": min(episodes, self.calibration_episodes),
             "sentences": SENTENCES,
-            "noise": default_noise(),
+            "noise": describe_noise(sensor or default_sensor(), motion or default_motion()),
             "rows": found.rows,
             "paper": printed_rows(printed),
             "bounds": bound_rows(self.specs),

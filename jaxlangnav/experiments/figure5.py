@@ -20,11 +20,12 @@ WORLDS = ("2H1C",)
 """The template of which Table 2 prints both commands."""
 
 
-def experiment(worlds: Sequence[str] = WORLDS) -> Experiment:
+def experiment(worlds: Sequence[str] = WORLDS, ranges: Sequence[float] = ()) -> Experiment:
     """Build the experiment for some worlds.
 
     Args:
         worlds: templates, such as "2H1C".
+        ranges: metres; those of the paper if there is none.
 
     Returns:
         Rows by world and relation, ranges growing.
@@ -38,7 +39,7 @@ def experiment(worlds: Sequence[str] = WORLDS) -> Experiment:
         RowSpec(world=parse_template(world).name, range=sensing_range, relation=relation)
         for world in worlds
         for relation in RELATIONS
-        for sensing_range in RANGES
+        for sensing_range in sorted(set(ranges)) or RANGES
     ]
     return Experiment(
         name="figure5",
@@ -49,12 +50,13 @@ def experiment(worlds: Sequence[str] = WORLDS) -> Experiment:
 
 
 def reproduce_figure5(
-    *, worlds: Sequence[str] = WORLDS, **options: Unpack[Options]
+    *, worlds: Sequence[str] = WORLDS, ranges: Sequence[float] = (), **options: Unpack[Options]
 ) -> dict[str, Any]:
     """Run both commands at every range, for every policy; a world is the same at every range.
 
     Args:
         worlds: templates.
+        ranges: metres; those of the paper if there is none.
         options: as ``Experiment.run`` takes them.
 
     Returns:
@@ -64,15 +66,8 @@ def reproduce_figure5(
     Raises:
         ValueError: fewer than one episode, an unknown policy or template.
     """
-    document = experiment(worlds).run(**options)
+    document = experiment(worlds, ranges).run(**options)
     return document | {"falls": falls(document)}
-
-
-def total_episodes(
-    *, episodes: int, policies: Sequence[str], worlds: Sequence[str] = WORLDS
-) -> int:
-    """Count the runs of the figure, for a progress bar."""
-    return experiment(worlds).total_episodes(episodes=episodes, policies=policies)
 
 
 def falls(document: dict[str, Any]) -> list[dict[str, Any]]:

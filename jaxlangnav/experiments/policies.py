@@ -26,9 +26,12 @@ KNOWLEDGE = {
         "where things tend to stand; plans tours"
     ),
     "faithful": "the sentence, the operating area, what it sees; the paper's QMDP policy",
-    "frontier": "the operating area, the type to look for, what it sees; nearest frontier first",
-    "lawnmower": "the operating area, the type to look for, what it sees; sweeps in lanes",
-    "arc": "as lawnmower, and by what law the worlds are drawn; sweeps along the likeliest arc",
+    "frontier": (
+        "the operating area, the type to look for (no relation), what it sees; nearest frontier "
+        "first, stops at the first thing of that type"
+    ),
+    "lawnmower": "as frontier, but sweeps the area in lanes as wide as it sees",
+    "arc": "as frontier, and by what law the worlds are drawn; sweeps along the likeliest arc",
     "known": "the whole map and its own true position",
 }
 """What each policy may use, for the captions of tables."""

@@ -31,9 +31,10 @@ from jaxlangnav.experiments.policies import (
 )
 from jaxlangnav.experiments.reliability import bin_sums
 from jaxlangnav.experiments.sentences import SENTENCES, GroundedSentences
-from jaxlangnav.messages import default_motion, default_sensor
+from jaxlangnav.messages import MotionParams, SensorParams, default_motion, default_sensor
 from jaxlangnav.navigator import NavigatorParams, default_params
 from jaxlangnav.planner.params import POLICIES
+from jaxlangnav.pytree import replace
 from jaxlangnav.world.templates import TableRow
 
 Row = dict[str, Any]
@@ -92,6 +93,8 @@ def run_rows(
     params: NavigatorParams | None = None,
     calibration_episodes: int = 0,
     environments: int = 0,
+    sensor: SensorParams | None = None,
+    motion: MotionParams | None = None,
     on_progress: Progress | None = None,
 ) -> RowResults:
     """Run rows for every policy, on the same worlds and noise.
@@ -107,7 +110,10 @@ def run_rows(
         calibration_episodes: of each row, the first so many are run once more with every step's
             belief held against the truth.
         environments: worlds of a template taken in turn; 0 for a fresh one per episode.
-        on_progress: called with the number of episodes just finished.
+        sensor: the detector; its range is that of each row. The default one if None.
+        motion: the odometry, of which the belief is told; the default one if None.
+        on_progress: called with the number of episodes just finished, those held against the
+            truth included.
 
     Returns:
         Rows and episodes.
@@ -116,14 +122,12 @@ def run_rows(
         ValueError: fewer than one episode, or an unknown policy.
     """
     names, number = check_policies(policies), check_episodes(episodes)
-    order = list(SENTENCES)
-    cells = [
-        cell(one.world, one.relation, order.index(one.relation), one.range, number, seed)
-        for one in specs
-    ]
-    tasks = concatenate(
-        [make_tasks(dataclasses.replace(one, environments=environments)) for one in cells]
+    tasks = row_tasks(
+        specs, episodes=number, seed=seed, environments=environments, sensor=sensor, motion=motion
     )
+    if motion is not None:
+        params = default_params() if params is None else params
+        params = replace(params, map=replace(params.map, motion=motion))
     known = known_distances(tasks)
     rows: list[Row] = []
     parts: list[dict[str, Any]] = []
@@ -142,11 +146,68 @@ def run_rows(
         ]
         parts.append(_columns(specs, policy, number, seed) | result_columns(results, known))
         judged = min(number, calibration_episodes) if policy in POLICIES else 0
-        found = _calibration(specs, tasks, sentences, policy, num_particles, params, judged)
+        found = _calibration(
+            specs, tasks, sentences, policy, num_particles, params, judged, on_progress
+        )
         for row, judgement in zip(rows[-len(specs) :], found, strict=True):
             row |= judgement
     columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     return RowResults(rows=rows, columns=columns)
+
+
+def row_tasks(
+    specs: Sequence[RowSpec],
+    *,
+    episodes: int,
+    seed: int,
+    environments: int = 0,
+    sensor: SensorParams | None = None,
+    motion: MotionParams | None = None,
+) -> Task:
+    """Draw the tasks of rows.
+
+    Args:
+        specs: the rows.
+        episodes: runs a row.
+        seed: root seed of worlds and noise.
+        environments: worlds of a template taken in turn; 0 for a fresh one per episode.
+        sensor: the detector; its range is that of each row. The default one if None.
+        motion: the odometry; the default one if None.
+
+    Returns:
+        Tasks, leaves [rows · episodes, …], row by row; sentences in the order of ``SENTENCES``.
+
+    Raises:
+        ValueError: an unknown world or relation.
+    """
+    order = list(SENTENCES)
+    parts = []
+    for one in specs:
+        drawn = cell(one.world, one.relation, order.index(one.relation), one.range, episodes, seed)
+        mine = drawn.sensor if sensor is None else replace(sensor, range_max=drawn.sensor.range_max)
+        drawn = dataclasses.replace(
+            drawn, environments=environments, sensor=mine, motion=motion or drawn.motion
+        )
+        parts.append(make_tasks(drawn))
+    return concatenate(parts)
+
+
+def judged_episodes(
+    specs: Sequence[RowSpec], policies: Sequence[str], *, episodes: int, calibration_episodes: int
+) -> int:
+    """Count the episodes that are run once more to judge the belief, for a progress bar.
+
+    Args:
+        specs: the rows.
+        policies: names; baselines have no belief.
+        episodes: runs a row.
+        calibration_episodes: of each row at most.
+
+    Returns:
+        Runs of all rows and policies.
+    """
+    believers = sum(policy in POLICIES for policy in policies)
+    return len(specs) * believers * min(episodes, calibration_episodes)
 
 
 def _calibration(
@@ -157,6 +218,7 @@ def _calibration(
     num_particles: int,
     params: NavigatorParams | None,
     judged: int,
+    on_progress: Progress | None,
 ) -> list[dict[str, Any]]:
     """Judge the belief in the first episodes of every row; no scores where none is judged."""
     if not judged:
@@ -169,6 +231,7 @@ def _calibration(
         sentences.instructions,
         params=default_params() if params is None else params,
         config=navigator_config(policy, num_particles),
+        on_progress=on_progress,
     )
     parts = [
         jax.tree.map(lambda leaf, at=at: leaf[at * judged : (at + 1) * judged], tally)
@@ -254,8 +317,20 @@ def bound_rows(specs: Sequence[RowSpec]) -> list[Row]:
 
 
 def default_noise() -> dict[str, float]:
-    """Say the noise all rows run under: metres, radians, shares."""
-    sensor, motion = default_sensor(), default_motion()
+    """Say the noise all rows run under unless they say otherwise, as ``describe_noise``."""
+    return describe_noise(default_sensor(), default_motion())
+
+
+def describe_noise(sensor: SensorParams, motion: MotionParams) -> dict[str, float]:
+    """Say the noise of a detector and an odometry.
+
+    Args:
+        sensor: the detector.
+        motion: the odometry.
+
+    Returns:
+        Metres, radians, shares.
+    """
     return {
         "detection_probability": round(float(sensor.detection_probability), 6),
         "detection_noise": round(float(sensor.noise), 6),
