@@ -6,7 +6,6 @@ from typing import Any
 
 import jax
 
-from jaxlangnav import navigator
 from jaxlangnav.episode import Progress, Task, advance, begin
 from jaxlangnav.experiments.measuring import POLICY, Entry, entry, measure
 from jaxlangnav.experiments.monte_carlo import LANES
@@ -14,6 +13,7 @@ from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.navigator import NavigatorParams
 from jaxlangnav.semantic_map import filter as semantic_filter
+from jaxlangnav.semantic_map.behaviors import infer_behaviors
 from jaxlangnav.world.sensor import sense
 
 _STEPS = 5
@@ -73,7 +73,7 @@ def measure_parts(
     # The filter's part has to look as well; the sensor has been counted already.
     filtering = _compile(lambda one: _filter(one, params), progress)
     filtered = _part("the filter", filtering, progress, repetitions).without(sensor)
-    inference = _compile(lambda one: navigator.infer_behaviors(one.navigator), progress)
+    inference = _compile(_infer, progress)
     inferred = _part("behavior in every particle", inference, progress, repetitions)
     return [whole, sensor, filtered, inferred]
 
@@ -128,6 +128,14 @@ def _filter(progress: Progress, params: NavigatorParams) -> Any:
     observation = _look(progress)
     return semantic_filter.step(
         key, state.belief, state.instruction.readings, observation, params=params.map
+    )
+
+
+def _infer(progress: Progress) -> Any:
+    """Infer behaviors as a cycle does."""
+    state = progress.navigator
+    return infer_behaviors(
+        state.belief.particles, state.instruction, state.clause, state.previous_goal
     )
 
 
