@@ -15,7 +15,7 @@ import numpy as np
 import optax
 from jax import Array
 
-from jaxlangnav.episode import EpisodeResult, Progress, Task, advance, begin, finish
+from jaxlangnav.episode import EpisodeResult, Task, complete, finish
 from jaxlangnav.experiments.episode_evidence import WordsEvidence, log_words_of, remember
 from jaxlangnav.experiments.monte_carlo import map_pieces
 from jaxlangnav.grounding.instruction import Instruction
@@ -51,13 +51,7 @@ def _run(
     """Run episodes to their ends, leaves [E, …]."""
 
     def one(task: Task) -> tuple[EpisodeResult, WordsEvidence]:
-        def is_running(progress: Progress) -> Array:
-            return ~progress.navigator.is_done & (progress.steps < max_steps)
-
-        def body(progress: Progress) -> Progress:
-            return advance(progress, params=params, config=config)[0]
-
-        last = jax.lax.while_loop(is_running, body, begin(task, instructions, config=config))
+        last = complete(task, instructions, params=params, config=config, max_steps=max_steps)
         readings = last.navigator.instruction.readings
         kept = remember(last.navigator.belief, readings, num_readings=NUM_READINGS)
         return finish(last), kept
