@@ -105,8 +105,8 @@ def enter(
         link: the relation.
         figures: O + 1 candidates.
         landmarks: O + 1 candidates.
-        ways: places drawn for new figures (O + 1), new landmarks (O + 1), new pairs.
-        choice: i32[...], index into all pairs of candidates, then into ``ways`` in turn.
+        ways: pairs of candidates ((O + 1)²), new figures (O + 1), new landmarks (O + 1), new pairs.
+        choice: i32[...], which of them, counted through in turn.
 
     Returns:
         What is decided now; its weight as it was.
