@@ -13,7 +13,7 @@ from jax import Array
 
 from jaxlangnav import navigator
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.messages import MotionParams, SensorParams
+from jaxlangnav.messages import MotionParams, Observation, SensorParams
 from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams, NavigatorState
 from jaxlangnav.pytree import pytree, replace, strong
 from jaxlangnav.world import simulator
@@ -93,6 +93,17 @@ def begin(task: Task, instructions: Instruction, *, config: NavigatorConfig) -> 
     )
 
 
+def _step_keys(progress: Progress) -> Array:
+    """Derive the next step's keys, key[3]: to sense, to decide, to move."""
+    return jax.random.split(jax.random.fold_in(progress.task.key, progress.steps), 3)
+
+
+def observe(progress: Progress) -> Observation:
+    """Sense what the next step is decided by; the same however often it is asked for."""
+    task = progress.task
+    return sense(_step_keys(progress)[0], progress.world, task.scenario, task.sensor)
+
+
 def advance(
     progress: Progress, *, params: NavigatorParams, config: NavigatorConfig
 ) -> tuple[Progress, NavigatorInfo]:
@@ -107,10 +118,8 @@ def advance(
         The episode one step later, and why the robot did what it did.
     """
     task = progress.task
-    sense_key, decide_key, move_key = jax.random.split(
-        jax.random.fold_in(task.key, progress.steps), 3
-    )
-    observation = sense(sense_key, progress.world, task.scenario, task.sensor)
+    _, decide_key, move_key = _step_keys(progress)
+    observation = observe(progress)
     state, action, info = navigator.step(
         decide_key, progress.navigator, observation, params=params, config=config
     )
@@ -149,6 +158,25 @@ def finish(progress: Progress) -> EpisodeResult:
     )
 
 
+def complete(
+    task: Task,
+    instructions: Instruction,
+    *,
+    params: NavigatorParams,
+    config: NavigatorConfig,
+    max_steps: int,
+) -> Progress:
+    """Run an episode until it stops or its time is out; arguments as ``run``'s."""
+
+    def is_running(progress: Progress) -> Array:
+        return ~progress.navigator.is_done & (progress.steps < max_steps)
+
+    def body(progress: Progress) -> Progress:
+        return advance(progress, params=params, config=config)[0]
+
+    return jax.lax.while_loop(is_running, body, begin(task, instructions, config=config))
+
+
 @functools.partial(jax.jit, static_argnames=("config", "max_steps"))
 def run(
     task: Task,
@@ -170,14 +198,7 @@ def run(
     Returns:
         The result.
     """
-
-    def is_running(progress: Progress) -> Array:
-        return ~progress.navigator.is_done & (progress.steps < max_steps)
-
-    def body(progress: Progress) -> Progress:
-        return advance(progress, params=params, config=config)[0]
-
-    return finish(jax.lax.while_loop(is_running, body, begin(task, instructions, config=config)))
+    return finish(complete(task, instructions, params=params, config=config, max_steps=max_steps))
 
 
 @pytree

@@ -6,29 +6,28 @@ a physics simulator and a robot drive it alike.
 """
 
 import dataclasses
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.grounding.behavior import infer_behaviors as infer_topologies
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.grounding.program import NUM_TYPES
-from jaxlangnav.messages import ACTIONS, MODES, NONE, REGIONS, Action, Behavior, Observation
+from jaxlangnav.messages import ACTIONS, NONE, Action, Behavior, Observation
 from jaxlangnav.planner import graph, policy, search, tours
+from jaxlangnav.planner.constraints import constraint_cost
 from jaxlangnav.planner.goals import Goals, gather
-from jaxlangnav.planner.information import squared_distance_to_segment
 from jaxlangnav.planner.params import PlannerConfig, PlannerParams, default_planner_params
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map import filter as semantic_filter
-from jaxlangnav.semantic_map import summary
+from jaxlangnav.semantic_map.behaviors import infer_behaviors
 from jaxlangnav.semantic_map.filter import FilterInfo, ParticleBelief
 from jaxlangnav.semantic_map.params import MapConfig, MapParams, default_map_params
 
 _PLANNING = 77
 """Folded into a cycle's key for the planner; beyond the keys that the filter splits it into."""
-BLOCK = 8
-"""Topologies whose behavior is inferred at a time."""
+_APPROACH = 0.9
+"""Share of ``reach`` at which the robot halts before an object that it goes to."""
 
 
 @pytree
@@ -177,96 +176,23 @@ def hear(state: NavigatorState, instruction: Instruction, pose: Array) -> Naviga
     )
 
 
-def infer_behaviors(state: NavigatorState) -> Behavior:
-    """Infer the behavior of the present clause in every particle (section 3.3).
+class _Outlook(NamedTuple):
+    """What a belief comes to: where the robot is, what it is asked to do, and where."""
 
-    The behavior model sees a particle's topology only, so each distinct topology is inferred
-    once, ``BLOCK`` of them at a time, and handed to all particles that share it.
-
-    Args:
-        state: after the filter step.
-
-    Returns:
-        Behaviors, leaves [..., P].
-    """
-    program = jax.tree.map(lambda leaf: leaf[state.clause], state.instruction.program)
-    particles = state.belief.particles
-    number = particles.reading.shape[-1]
-    block = min(BLOCK, number)
-    topology, representative, count = summary.distinct_topologies(particles, NUM_TYPES)
-    padding = jnp.full((-number) % block, number, representative.dtype)
-    representative = jnp.append(representative, padding)
-
-    def infer(index: Array, behaviors: Behavior) -> Behavior:
-        chosen = jax.lax.dynamic_slice_in_dim(representative, index * block, block)
-        chosen = jnp.minimum(chosen, number - 1)
-        worlds = jax.vmap(summary.behavior_world, in_axes=(-1, None, None), out_axes=-1)(
-            jax.tree.map(lambda leaf: leaf[..., chosen], particles),
-            state.instruction.readings,
-            state.previous_goal,
-        )
-        inferred = infer_topologies(program, worlds, num_phrases=program.num_phrases)
-        place = topology - index * block
-
-        def hand_out(new: Array, old: Array) -> Array:
-            # Selects vectorise over particles, where a gather would go element by element.
-            for own in range(block):
-                old = jnp.where(place == own, new[..., own : own + 1], old)
-            return old
-
-        return jax.tree.map(hand_out, inferred, behaviors)
-
-    num_slots = particles.object_type.shape[0] + particles.referent.shape[0] + 1
-    nothing = Behavior(
-        action=jnp.zeros((len(ACTIONS), number), jnp.float32),
-        mode=jnp.zeros((len(MODES), number), jnp.float32),
-        goal=jnp.zeros((len(REGIONS), num_slots, number), jnp.float32),
-        constraint=jnp.zeros((len(REGIONS), num_slots, number), jnp.float32),
-    )
-    return jax.lax.fori_loop(0, (count + block - 1) // block, infer, nothing)
+    robot_x: Array  # f32[] believed position, metres, map frame
+    robot_y: Array  # f32[]
+    behavior: Behavior  # leaves [..., P]
+    expected: Behavior  # expectation over particles
+    goals: Goals
 
 
-def _constraint_cost(
-    state: NavigatorState,
-    behavior: Behavior,
-    nodes: graph.Nodes,
-    robot_x: Array,
-    robot_y: Array,
-    params: NavigatorParams,
-) -> Array:
-    """Charge each node for the probability that the way to it enters a forbidden region."""
-    particles = state.belief.particles
-    weight = jnp.exp(state.belief.log_weight)
-    num_objects = particles.object_type.shape[0]
-    forbidden = jnp.max(behavior.constraint, axis=0)[:num_objects]  # [O, P]
-    share = jnp.sum(forbidden * weight[None, :], axis=1)  # [O]
-    x = jnp.sum(particles.mean_x[:num_objects] * weight[None, :], axis=1)
-    y = jnp.sum(particles.mean_y[:num_objects] * weight[None, :], axis=1)
-    squared = squared_distance_to_segment(
-        x[None, :], y[None, :], robot_x, robot_y, nodes.x[:, None], nodes.y[:, None]
-    )
-    near = squared <= jnp.square(2.0)
-    return params.planner.constraint_cost * jnp.max(jnp.where(near, share[None, :], 0.0), axis=1)
+class _Decision(NamedTuple):
+    """What the planner has found and chosen."""
 
-
-def _plan(
-    key: Array,
-    state: NavigatorState,
-    observation: Observation,
-    robot_x: Array,
-    robot_y: Array,
-    params: NavigatorParams,
-) -> tours.Plan:
-    """Plan tours to what has not been seen; the key is that of the whole cycle."""
-    return tours.plan(
-        jax.random.fold_in(key, _PLANNING),
-        state.tour,
-        search.search_map(state.belief, params.planner.prior_share),
-        robot_x,
-        robot_y,
-        observation.sensor.range_max,
-        state.belief.coverage.area,
-    )
+    visited: graph.Visited
+    plan: tours.Plan | None  # of ``informed``
+    nodes: graph.Nodes
+    choice: policy.Choice
 
 
 def step(
@@ -289,20 +215,76 @@ def step(
     Returns:
         The new state, what the robot is to do, and why.
     """
+    state, filter_info = _observe(key, state, observation, params, config)
+    outlook = _infer(state, params)
+    decision = _decide(key, state, observation, outlook, filter_info.is_news, params, config)
+    action = _act(state, outlook, decision.choice, params)
+    info = NavigatorInfo(
+        filter=filter_info,
+        choice=decision.choice,
+        nodes=decision.nodes,
+        goals=outlook.goals,
+        behavior=outlook.expected,
+        robot=jnp.stack([outlook.robot_x, outlook.robot_y]),
+    )
+    return _carry_on(state, outlook, decision, params), action, info
+
+
+def _observe(
+    key: Array,
+    state: NavigatorState,
+    observation: Observation,
+    params: NavigatorParams,
+    config: NavigatorConfig,
+) -> tuple[NavigatorState, FilterInfo]:
+    """Filter the semantic map by what is seen and by what the words say of it (section 3.2)."""
     # The paper's own policy takes every word to be true.
     trusts = config.planner.policy == "faithful"
     map_params = replace(params.map, misleading=jnp.float32(0.0)) if trusts else params.map
-    belief, filter_info = semantic_filter.step(
+    belief, info = semantic_filter.step(
         key, state.belief, state.instruction.readings, observation, params=map_params
     )
-    state = replace(state, belief=belief)
-    behavior = infer_behaviors(state)
-    goals = gather(belief, behavior, params.map.relations)
+    return replace(state, belief=belief), info
+
+
+def _infer(state: NavigatorState, params: NavigatorParams) -> _Outlook:
+    """Infer the behavior of the present clause, and where its goal may be (section 3.3)."""
+    belief = state.belief
+    behavior = infer_behaviors(
+        belief.particles, state.instruction, state.clause, state.previous_goal
+    )
+    weight = jnp.exp(belief.log_weight)
     robot_x, robot_y = semantic_filter.robot_position(belief)
-    visited = graph.visit(state.visited, robot_x, robot_y, params.planner.visit_spacing)
-    plan = None
+    return _Outlook(
+        robot_x=robot_x,
+        robot_y=robot_y,
+        behavior=behavior,
+        expected=jax.tree.map(
+            lambda leaf: jnp.sum(leaf * jnp.broadcast_to(weight, leaf.shape), axis=-1), behavior
+        ),
+        goals=gather(belief, behavior, params.map.relations),
+    )
+
+
+def _decide(
+    key: Array,
+    state: NavigatorState,
+    observation: Observation,
+    outlook: _Outlook,
+    is_news: Array,
+    params: NavigatorParams,
+    config: NavigatorConfig,
+) -> _Decision:
+    """Choose among the graph's nodes or to stop (section 3.4); ``key`` is the whole cycle's."""
+    belief, goals, range_max = state.belief, outlook.goals, observation.sensor.range_max
+    robot = outlook.robot_x, outlook.robot_y
+    visited = graph.visit(state.visited, *robot, params.planner.visit_spacing)
+    plan = first_stops = None
     if config.planner.policy == "informed":
-        plan = _plan(key, state, observation, robot_x, robot_y, params)
+        unseen = search.search_map(belief, params.planner.prior_share)
+        plan_key = jax.random.fold_in(key, _PLANNING)
+        plan = tours.plan(plan_key, state.tour, unseen, *robot, range_max, belief.coverage.area)
+        first_stops = plan.tours.x[:, 0], plan.tours.y[:, 0]
     nodes = graph.nodes(
         belief.coverage,
         visited,
@@ -311,70 +293,77 @@ def step(
         goals.is_object,
         config.planner,
         params.planner,
-        None if plan is None else (plan.tours.x[:, 0], plan.tours.y[:, 0]),
-    )
-    weight = jnp.exp(belief.log_weight)
-    expected = jax.tree.map(
-        lambda leaf: jnp.sum(leaf * jnp.broadcast_to(weight, leaf.shape), axis=-1), behavior
+        first_stops,
     )
     choice = policy.choose(
         belief,
         nodes,
         goals,
-        robot_x,
-        robot_y,
+        *robot,
         state.commitment,
-        filter_info.is_news,
-        expected.action[1],
-        observation.sensor.range_max,
-        _constraint_cost(state, behavior, nodes, robot_x, robot_y, params),
+        is_news,
+        outlook.expected.action[ACTIONS.index("find")],
+        range_max,
+        constraint_cost(
+            belief, outlook.behavior.constraint, nodes, *robot, params.planner.constraint_cost
+        ),
         params=params.planner,
         config=config.planner,
         plan=plan,
     )
-    # A command carried out makes way for the next one, if the instruction has one.
-    is_last = state.clause + 1 >= state.instruction.num_clauses
-    is_stop = choice.is_stop & is_last
-    advances = choice.is_stop & ~is_last
-    # Of the objects that would do, the last command ended at the one gone up to.
-    away = jnp.hypot(goals.object_x - robot_x, goals.object_y - robot_y)[:-1]
-    will_do = goals.object_accepted[:-1] * params.planner.discount**away
-    goal_slot = jnp.argmax(will_do).astype(jnp.int32)
-    mode = jnp.argmax(expected.mode)
+    return _Decision(visited=visited, plan=plan, nodes=nodes, choice=choice)
+
+
+def _is_last_clause(state: NavigatorState) -> Array:
+    """Tell whether nothing follows the present command, bool[]."""
+    return state.clause + 1 >= state.instruction.num_clauses
+
+
+def _act(
+    state: NavigatorState, outlook: _Outlook, choice: policy.Choice, params: NavigatorParams
+) -> Action:
+    """Turn the choice into a step in the manner asked for: quickly, carefully."""
+    mode = jnp.argmax(outlook.expected.mode)
     speed, clearance = params.mode_speed[mode], params.mode_clearance[mode]
-    span_x, span_y = choice.waypoint_x - robot_x, choice.waypoint_y - robot_y
+    span_x, span_y = choice.waypoint_x - outlook.robot_x, choice.waypoint_y - outlook.robot_y
     distance = jnp.sqrt(span_x * span_x + span_y * span_y + 1e-9)
     # A thing is gone up to, not into; anything else is a place to stand on.
-    spare = jnp.where(choice.kind == graph.OBJECT, 0.9 * params.planner.reach, 0.0)
+    spare = jnp.where(choice.kind == graph.OBJECT, _APPROACH * params.planner.reach, 0.0)
     length = jnp.clip(distance - spare, 0.0, params.map.motion.step_length * speed)
     length = jnp.where(choice.is_stop, 0.0, length)
-    action = Action(
+    return Action(
         waypoint=jnp.stack([choice.waypoint_x, choice.waypoint_y]),
         step=jnp.stack([span_x, span_y]) / distance * length,
-        is_stop=is_stop,
+        is_stop=choice.is_stop & _is_last_clause(state),
         speed=speed,
         clearance=clearance,
     )
-    state = replace(
+
+
+def _carry_on(
+    state: NavigatorState, outlook: _Outlook, decision: _Decision, params: NavigatorParams
+) -> NavigatorState:
+    """Remember what the next decision needs.
+
+    A command carried out makes way for the next one, if the instruction has one.
+    """
+    choice, is_last = decision.choice, _is_last_clause(state)
+    # Of the objects that would do, the last command ended at the one gone up to.
+    goals, robot_x, robot_y = outlook.goals, outlook.robot_x, outlook.robot_y
+    away = jnp.hypot(goals.object_x - robot_x, goals.object_y - robot_y)[:-1]
+    will_do = goals.object_accepted[:-1] * params.planner.discount**away
+    goal_slot = jnp.argmax(will_do).astype(jnp.int32)
+    return replace(
         state,
-        clause=state.clause + advances.astype(jnp.int32),
+        clause=state.clause + (choice.is_stop & ~is_last).astype(jnp.int32),
         previous_goal=jnp.where(choice.is_stop, goal_slot, state.previous_goal),
-        visited=visited,
+        visited=decision.visited,
         commitment=policy.Commitment(
             x=choice.waypoint_x,
             y=choice.waypoint_y,
             kind=choice.kind,
             is_active=~choice.is_stop,
         ),
-        tour=state.tour if plan is None else tours.take(plan, choice.value),
-        is_done=state.is_done | is_stop,
+        tour=state.tour if decision.plan is None else tours.take(decision.plan, choice.value),
+        is_done=state.is_done | (choice.is_stop & is_last),
     )
-    info = NavigatorInfo(
-        filter=filter_info,
-        choice=choice,
-        nodes=nodes,
-        goals=goals,
-        behavior=expected,
-        robot=jnp.stack([robot_x, robot_y]),
-    )
-    return state, action, info

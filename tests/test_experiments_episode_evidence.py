@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import readings as by_hand
+from differences import central
 from oracles import enumeration
 from test_semantic_map_enumeration import small_world
 
@@ -74,23 +75,16 @@ def test_words_evidence_gradient_is_exact_in_a_small_area(name: str) -> None:
     one = replace(explored(SEEN), readings=sentence(name))
     relation, start = CASES[name][1][0][1], default_params()
     slopes = jax.jit(jax.grad(lambda p: log_words(one, params(p))))(start)
-    step = 1e-2
     for field in FIELDS:
         if field == "concentration" and relation == NEAR:
             continue  # κ = 0 is the edge of what is allowed
-        moved = [
-            float(
-                VALUE(
-                    one,
-                    replace(start, **{field: getattr(start, field).at[relation].add(sign * step)}),
-                    jnp.float32(0.05),
-                )
-            )
-            for sign in (1, -1)
-        ]
-        difference = (moved[0] - moved[1]) / (2 * step)
-        slope = float(getattr(slopes, field)[relation])
-        assert abs(difference - slope) < 0.02 * abs(difference) + 2e-3, field
+
+        def moved(by: float, field: str = field) -> jax.Array:
+            relations = replace(start, **{field: getattr(start, field).at[relation].add(by)})
+            return VALUE(one, relations, jnp.float32(0.05))
+
+        difference, error = central(moved, 1e-2)
+        assert abs(difference - float(getattr(slopes, field)[relation])) < error, field
 
 
 def test_filter_samples_the_same_evidence() -> None:
@@ -121,55 +115,53 @@ def looks(random: np.random.Generator, noise: float) -> object:
     return by_hand.stack(found)
 
 
+NAMES = ("noise", "detection_probability", "odometry_noise")
+UNIT = dict(zip(NAMES, jnp.eye(len(NAMES)), strict=True))
+
+
 @jax.jit
-def map_value_and_slope(noise, probability, tangent, observations):
-    def value(one: jax.Array, other: jax.Array) -> jax.Array:
-        specification = replace(by_hand.sensor(), noise=one, detection_probability=other)
+def map_value_and_slope(values, tangent, observations):
+    """Evidence of a drive under ``NAMES``, f32[3], and its slope along a tangent."""
+
+    def value(values: jax.Array) -> jax.Array:
+        noise, probability, odometry = values
+        numbers = by_hand.params(concentration=0.3)
         return log_map(
             jax.random.key(0),
             by_hand.begin(),
             observations,
-            params=by_hand.params(concentration=0.3),
-            sensor=specification,
+            params=replace(numbers, motion=replace(numbers.motion, odometry_noise=odometry)),
+            sensor=replace(by_hand.sensor(), noise=noise, detection_probability=probability),
             num_types=2,
         )
 
-    return jax.jvp(value, (noise, probability), tangent)
+    return jax.jvp(value, (values,), (tangent,))
 
 
-def test_map_evidence_gradient_equals_finite_differences() -> None:
-    """Detection noise and detection probability, through every step of the filter."""
+@pytest.mark.parametrize(
+    ("name", "step"), [("noise", 2e-3), ("detection_probability", 5e-3), ("odometry_noise", 2e-3)]
+)
+def test_map_evidence_gradient_equals_finite_differences(name: str, step: float) -> None:
+    """Detection noise, detection probability, odometry, through every step of the filter."""
     observations = looks(np.random.default_rng(0), 0.15)
-    zero, one = jnp.float32(0.0), jnp.float32(1.0)
-    for tangent in ((one, zero), (zero, one)):
-        values = []
-        for sign in (0.0, 1.0, -1.0):
-            noise = 0.12 + sign * 1e-3 * float(tangent[0])
-            probability = 0.8 + sign * 5e-3 * float(tangent[1])
-            values.append(
-                map_value_and_slope(
-                    jnp.float32(noise), jnp.float32(probability), tangent, observations
-                )
-            )
-        width = 2e-3 * float(tangent[0]) + 1e-2 * float(tangent[1])
-        difference = float(values[1][0] - values[2][0]) / width
-        slope = float(values[0][1])
-        assert abs(slope) > 1.0
-        assert abs(difference - slope) < 0.03 * abs(difference) + 0.1
+    start, tangent = jnp.array([0.12, 0.8, 0.05]), UNIT[name]
+    slope = float(map_value_and_slope(start, tangent, observations)[1])
+    difference, error = central(
+        lambda by: map_value_and_slope(start + by * tangent, tangent, observations)[0], step
+    )
+    assert abs(slope) > 1.0
+    assert abs(difference - slope) < error, (difference, slope, error)
 
 
 def test_map_evidence_has_its_maximum_at_the_true_sensor() -> None:
-    """Newton's step from the truth, over 24 drives, is within 4 standard errors of it."""
-    zero, one = jnp.float32(0.0), jnp.float32(1.0)
-    for tangent, name in (((one, zero), "noise"), ((zero, one), "probability")):
+    """The slope at the truth, over 24 drives, is within 4 standard errors of zero."""
+    truth = jnp.array([0.15, 0.9, 0.02])
+    for name in ("noise", "detection_probability"):
         slopes = np.array(
             [
                 float(
                     map_value_and_slope(
-                        jnp.float32(0.15),
-                        jnp.float32(0.9),
-                        tangent,
-                        looks(np.random.default_rng(100 + seed), 0.15),
+                        truth, UNIT[name], looks(np.random.default_rng(100 + seed), 0.15)
                     )[1]
                 )
                 for seed in range(24)

@@ -28,6 +28,7 @@ LAYERS = (
     "environments",
     "episode",
     "recording",
+    "recorder",
     "experiments",
     "viz",
     "commands",

@@ -8,9 +8,9 @@ import readings as by_hand
 
 from jaxlangnav.messages import NONE
 from jaxlangnav.planner import policy
+from jaxlangnav.planner.constraints import squared_distance_to_segment
 from jaxlangnav.planner.goals import Goals
 from jaxlangnav.planner.graph import FRONTIER, OBJECT, VISITED, Nodes
-from jaxlangnav.planner.information import squared_distance_to_segment
 from jaxlangnav.planner.params import PlannerConfig, default_planner_params
 from jaxlangnav.planner.search import CELLS, LATTICE, search_map, viewpoints, visibility
 from jaxlangnav.pytree import replace

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from recording_fixture import make_recording
 
-from jaxlangnav import episode, recording
+from jaxlangnav import episode, recorder
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.messages import default_motion, default_sensor
 from jaxlangnav.navigator import NavigatorConfig, default_params
@@ -43,7 +43,7 @@ def task_of(seed: int) -> episode.Task:
 @pytest.fixture(scope="module")
 def recordings(instructions) -> list[Recording]:
     return [
-        recording.record(
+        recorder.record(
             task_of(seed), instructions, params=default_params(), config=CONFIG, text=TEXT
         )
         for seed in SEEDS
@@ -68,7 +68,7 @@ def test_the_same_key_gives_the_same_episode_as_run(recordings, instructions):
 
 
 def test_a_recording_repeats_bit_by_bit(recordings, instructions):
-    again = recording.record(
+    again = recorder.record(
         task_of(SEEDS[0]), instructions, params=default_params(), config=CONFIG, text=TEXT
     )
     for field in dataclasses.fields(Frame):
@@ -79,11 +79,11 @@ def test_a_recording_repeats_bit_by_bit(recordings, instructions):
 def test_the_cycle_compiles_once(recordings, instructions):
     """Another episode of the same sizes is data: nothing compiles again."""
     assert len(recordings) == len(SEEDS)
-    before = recording._advance._cache_size()
-    recording.record(
+    before = recorder._advance._cache_size()
+    recorder.record(
         task_of(max(SEEDS) + 1), instructions, params=default_params(), config=CONFIG, text=TEXT
     )
-    assert recording._advance._cache_size() == before
+    assert recorder._advance._cache_size() == before
 
 
 def test_it_ends_with_the_stop_and_not_before(recordings):
@@ -136,7 +136,7 @@ def test_recorded_detections_are_those_the_belief_was_given(recordings):
 
 
 def test_a_time_out_is_recorded_to_the_last_step(instructions):
-    one = recording.record(
+    one = recorder.record(
         task_of(0), instructions, params=default_params(), config=CONFIG, max_steps=2
     )
     assert one.num_steps == 2
@@ -146,7 +146,7 @@ def test_a_time_out_is_recorded_to_the_last_step(instructions):
 
 def test_no_steps_are_refused(instructions):
     with pytest.raises(ValueError, match="max_steps is 0"):
-        recording.record(
+        recorder.record(
             task_of(0), instructions, params=default_params(), config=CONFIG, max_steps=0
         )
 

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from differences import central
 from oracles import relations as oracle
 
 from jaxlangnav.messages import BEHIND, FAR, FRONT, LEFT, NEAR, RELATIONS, RIGHT
@@ -195,14 +196,14 @@ def test_gradient_by_parameters_equals_finite_differences(field: str) -> None:
 
     gradient = np.asarray(getattr(jax.grad(value)(start), field))
     assert np.isfinite(gradient).all()
-    step = 1e-2
     for relation in ALL:
-        plus, minus = (
-            value(replace(start, **{field: getattr(start, field).at[relation].add(sign * step)}))
-            for sign in (1, -1)
+        difference, error = central(
+            lambda by, of=relation: value(
+                replace(start, **{field: getattr(start, field).at[of].add(by)})
+            ),
+            1e-2,
         )
-        difference = float(plus - minus) / (2 * step)
-        assert abs(difference - gradient[relation]) < 0.02 * abs(difference) + 0.01
+        assert abs(difference - gradient[relation]) < error
 
 
 @pytest.mark.parametrize("field", FIELDS)
@@ -217,11 +218,8 @@ def test_gradient_of_the_sampler_equals_finite_differences(field: str) -> None:
         return along + 2.0 * lateral
 
     gradient = float(np.asarray(getattr(jax.jit(jax.grad(value))(start), field))[BEHIND])
-    step = 3e-2
-    plus, minus = (
-        value(replace(start, **{field: getattr(start, field).at[BEHIND].add(sign * step)}))
-        for sign in (1, -1)
+    difference, error = central(
+        lambda by: value(replace(start, **{field: getattr(start, field).at[BEHIND].add(by)})), 3e-2
     )
-    difference = float(plus - minus) / (2 * step)
     assert np.isfinite(gradient)
-    assert abs(difference - gradient) < 0.05 * abs(difference) + 0.02
+    assert abs(difference - gradient) < error

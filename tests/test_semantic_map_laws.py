@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import readings as by_hand
+from differences import central
 from test_semantic_map_enumeration import CASES, OBJECTS, VIEWER, by_category
 
 from jaxlangnav.messages import BEHIND, NEAR, NONE
@@ -220,21 +221,20 @@ def test_gradient_of_the_evidence_equals_finite_differences(name: str) -> None:
     belief, key = by_hand.with_objects(wide, OBJECTS), jax.random.key(3)
     sentence = by_hand.readings([CASES[name][0]], [CASES[name][1]])
     start, relation = default_params(), CASES[name][1][0][1]
-    unit, step = jnp.zeros(6).at[relation].set(1.0), 5e-3
+    unit = jnp.zeros(6).at[relation].set(1.0)
     for field in ("log_distance", "log_distance_sd", "axis", "concentration"):
         tangent = replace(jax.tree.map(jnp.zeros_like, start), **{field: unit})
-        values = []
-        for sign in (0.0, 1.0, -1.0):
-            moved = getattr(start, field) + sign * step * unit
-            numbers = replace(start, **{field: moved})
-            value, slope = evidence_and_slope(numbers, tangent, key, belief, sentence)
-            values.append((float(value), float(slope)))
-        difference = (values[1][0] - values[2][0]) / (2 * step)
-        slope = values[0][1]
+
+        def moved(by: float, field: str = field, tangent: RelationParams = tangent) -> tuple:
+            numbers = replace(start, **{field: getattr(start, field) + by * unit})
+            return evidence_and_slope(numbers, tangent, key, belief, sentence)
+
+        slope = float(moved(0.0)[1])
         assert np.isfinite(slope)
         if field == "concentration" and name == "nearest":
             continue  # κ = 0 is the edge of what is allowed
-        assert abs(difference - slope) < 0.03 * abs(difference) + 0.02, field
+        difference, error = central(lambda by, moved=moved: moved(by)[0], 5e-3)
+        assert abs(difference - slope) < error, (field, difference, slope, error)
 
 
 def test_joint_gaussian_holds_hypotheses_by_their_anchors() -> None:

@@ -94,7 +94,6 @@ def by_particle(log_map: np.ndarray, overflow: int = 0) -> float:
         object_type=jnp.zeros((1, P), jnp.int32),
         is_hit=none,
         is_new=none,
-        is_known=none,
         offset_x=jnp.zeros((1, P)),
         offset_y=jnp.zeros((1, P)),
         log_weight=jnp.zeros(P),

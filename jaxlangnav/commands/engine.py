@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxlangnav import recording as recorder
+from jaxlangnav import recorder
 from jaxlangnav.commands.intent import is_among, meant_goals, with_goal
 from jaxlangnav.episode import MAX_STEPS, Task
 from jaxlangnav.experiments.monte_carlo import cell, make_tasks

@@ -166,8 +166,9 @@ class Follow:
         import jax
         import numpy as np
 
-        from jaxlangnav import recording as recorder
+        from jaxlangnav import recorder
         from jaxlangnav.commands.engine import judged
+        from jaxlangnav.recording import gather
         from jaxlangnav.viz.narrative import closing, tell
 
         instructions = jax.tree.map(lambda leaf: np.asarray(leaf)[None], understood.instruction)
@@ -186,7 +187,7 @@ class Follow:
             lines = closing(scene, recording.at(-1), recording.result)
         else:
             frames, results = zip(*whole, strict=True)
-            recording = judged(recorder.gather(scene, list(frames), results[-1]), prepared)
+            recording = judged(gather(scene, list(frames), results[-1]), prepared)
             lines = tell(recording)
         output.tell(lines)
         return recording

@@ -6,15 +6,14 @@ from typing import Any
 
 import jax
 
-from jaxlangnav import navigator
-from jaxlangnav.episode import Progress, Task, advance, begin
+from jaxlangnav.episode import Progress, Task, advance, begin, observe
 from jaxlangnav.experiments.measuring import POLICY, Entry, entry, measure
 from jaxlangnav.experiments.monte_carlo import LANES
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.navigator import NavigatorParams
 from jaxlangnav.semantic_map import filter as semantic_filter
-from jaxlangnav.world.sensor import sense
+from jaxlangnav.semantic_map.behaviors import infer_behaviors
 
 _STEPS = 5
 """Cycles run before the parts are timed: some things are seen, some words are refuted."""
@@ -69,31 +68,13 @@ def measure_parts(
     for _ in range(_STEPS):
         progress = cycle(progress)
     whole = _part("the cycle", cycle, progress, repetitions)
-    sensor = _part("the sensor", _compile(_look, progress), progress, repetitions)
+    sensor = _part("the sensor", _compile(observe, progress), progress, repetitions)
     # The filter's part has to look as well; the sensor has been counted already.
     filtering = _compile(lambda one: _filter(one, params), progress)
     filtered = _part("the filter", filtering, progress, repetitions).without(sensor)
-    inference = _compile(lambda one: navigator.infer_behaviors(one.navigator), progress)
+    inference = _compile(_infer, progress)
     inferred = _part("behavior in every particle", inference, progress, repetitions)
     return [whole, sensor, filtered, inferred]
-
-
-def shares(
-    tasks: Task, instructions: Instruction, *, params: NavigatorParams, repetitions: int
-) -> list[Entry]:
-    """Measure the parts of a cycle in one batch of lanes.
-
-    Args:
-        tasks: leaves [E, …], at least as many as lanes.
-        instructions: leaves [I, …].
-        params: the navigator's numbers.
-        repetitions: how often; the medians count.
-
-    Returns:
-        One entry per part, its share of the whole cycle in percent; planner and motion are what
-        is left over. Compiled alone a part may be slower than within the whole.
-    """
-    return share_entries(measure_parts(tasks, instructions, params=params, repetitions=repetitions))
 
 
 def share_entries(parts: list[Part]) -> list[Entry]:
@@ -103,7 +84,8 @@ def share_entries(parts: list[Part]) -> list[Entry]:
         parts: of ``measure_parts``.
 
     Returns:
-        As ``shares``.
+        The whole cycle, then one entry per part, its share of the whole in percent; planner and
+        motion are what is left over. Compiled alone a part may be slower than within the whole.
     """
     whole, *inner = parts
     entries = [entry("one cycle of one lane", 1e6 * whole.seconds, "µs CPU")]
@@ -115,19 +97,20 @@ def share_entries(parts: list[Part]) -> list[Entry]:
     return [*entries, entry(name, 100.0 * rest / whole.seconds, "%")]
 
 
-def _look(progress: Progress) -> Any:
-    """Sense as a cycle does."""
-    key = jax.random.fold_in(progress.task.key, progress.steps)
-    return sense(key, progress.world, progress.task.scenario, progress.task.sensor)
-
-
 def _filter(progress: Progress, params: NavigatorParams) -> Any:
     """Sense and run the filter as a cycle does."""
     state = progress.navigator
     key = jax.random.fold_in(progress.task.key, progress.steps)
-    observation = _look(progress)
     return semantic_filter.step(
-        key, state.belief, state.instruction.readings, observation, params=params.map
+        key, state.belief, state.instruction.readings, observe(progress), params=params.map
+    )
+
+
+def _infer(progress: Progress) -> Any:
+    """Infer behaviors as a cycle does."""
+    state = progress.navigator
+    return infer_behaviors(
+        state.belief.particles, state.instruction, state.clause, state.previous_goal
     )
 
 

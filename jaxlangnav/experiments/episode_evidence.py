@@ -9,7 +9,16 @@ the words are probable given the map and where the robot has looked,
 
 with D detections, K types of object, u the share of the area unexplored, and candidates f, l: what
 has been observed (w = A / α) and every cell of the area (w = its size times its miss probability
-m). The filter sums the words' evidence by sampling places. Its samples move with θ and fall from
+m). This scores the relation against worlds drawn by it, of which only those that fit the area are
+ever met. Their share falls as the relation reaches farther, so relations are compared by
+
+    log p(map | words; θ) = log p(words | map, m; θ) − log Z(θ) + constant
+    Z(θ) = (1/A) ∫_A ∫_A f(x_f − x_l; θ) dx_f dx_l = p(words | nothing observed, m = 1; θ)
+
+(``log_fit``). Left out, every unit of f that falls outside the area counts against θ, and the
+fitted distance comes out short. For a belief of fixed θ, Z is a constant.
+
+The filter sums the words' evidence by sampling places. Its samples move with θ and fall from
 one cell of m into another, or out of the area, in steps that have no derivative: the gradient of
 the sampled evidence leaves those out (in a small area half of it is missing). Here places are
 summed over on the grid itself, so value and gradient are exact but for the grid.
@@ -164,6 +173,32 @@ def log_words(one: WordsEvidence, params: MapParams) -> Array:
     return jax.nn.logsumexp(_log_all_figures(one, params))
 
 
+def _nothing_seen(one: WordsEvidence) -> WordsEvidence:
+    """Build what an episode has left before its first look."""
+    return replace(
+        one,
+        object_type=jnp.full_like(one.object_type, NONE),
+        miss=jnp.ones_like(one.miss),
+    )
+
+
+def log_fit(one: WordsEvidence, params: MapParams) -> Array:
+    """Compute log p(map | words) but for a constant: how well relations fit an episode.
+
+    The words' evidence, less log Z: that of an area where nothing has been seen. Limits: 0 where
+    nothing has been seen whatever the relations, so that nothing is learned from nothing.
+
+    Args:
+        one: of one episode. A superlative is weighed against the rivals that have been seen, of
+            which Z knows none: for relations without one.
+        params: relations and concentration; differentiable in the relations.
+
+    Returns:
+        f32[], nats.
+    """
+    return log_words(one, params) - log_words(_nothing_seen(one), params)
+
+
 def _log_all_figures(one: WordsEvidence, params: MapParams) -> Array:
     """Sum all readings' groundings by the place of their figure, f32[O + C]."""
     number = one.readings.log_probability.shape[0]
@@ -189,8 +224,8 @@ def figure_posterior(one: WordsEvidence, params: MapParams) -> tuple[Array, Arra
     return share[:num_objects], share[num_objects:]
 
 
-def log_words_of(episodes: WordsEvidence, relations: RelationParams, params: MapParams) -> Array:
-    """Sum the words' evidence of several episodes under relations, f32[].
+def log_fit_of(episodes: WordsEvidence, relations: RelationParams, params: MapParams) -> Array:
+    """Sum ``log_fit`` of several episodes under relations, f32[].
 
     Args:
         episodes: leaves [E, …].
@@ -201,7 +236,7 @@ def log_words_of(episodes: WordsEvidence, relations: RelationParams, params: Map
         f32[], nats.
     """
     numbers = replace(params, relations=prepare(relations))
-    return jnp.sum(jax.lax.map(lambda one: log_words(one, numbers), episodes, batch_size=8))
+    return jnp.sum(jax.lax.map(lambda one: log_fit(one, numbers), episodes, batch_size=8))
 
 
 def log_map(

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxlangnav.experiments.breakdown import shares
+from jaxlangnav.experiments.breakdown import measure_parts, share_entries
 from jaxlangnav.experiments.measuring import describe_machine
 from jaxlangnav.experiments.monte_carlo import LANES, cell, concatenate, make_tasks, take_tasks
 from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
@@ -39,9 +39,10 @@ def cycle_parts(*, params: NavigatorParams, repetitions: int = 3) -> dict[str, A
     tasks = concatenate([make_tasks(one) for one in cells])
     mixed = np.random.default_rng(0).permutation(number * len(TABLE_2))
     instructions = ground_sentences(list(SENTENCES.values())).instructions
-    whole, *parts = shares(
+    measured = measure_parts(
         take_tasks(tasks, mixed), instructions, params=params, repetitions=repetitions
     )
+    whole, *parts = share_entries(measured)
     return {
         "experiment": "time",
         "cycle_us": whole["value"],

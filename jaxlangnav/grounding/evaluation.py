@@ -5,16 +5,19 @@ the gold one. Confidence is the probability of that set.
 """
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from jaxlangnav.grounding.annotation import Belief, annotation_log_odds, infer_annotations
+from jaxlangnav.grounding.behavior_features import World
 from jaxlangnav.grounding.behavior_search import behavior_log_odds, infer_behavior_sets
-from jaxlangnav.grounding.examples import LabelledInstruction
+from jaxlangnav.grounding.examples import LabelledInstruction, Path
 from jaxlangnav.grounding.model import CorrespondenceModel
 from jaxlangnav.grounding.search import BEAM_WIDTH, search_exactly
 from jaxlangnav.grounding.symbols import Annotation, AnnotationSpace, BehaviorSpace
+from jaxlangnav.language.phrase import Phrase
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,6 +88,34 @@ def score_annotations(
     )
 
 
+class _Case(NamedTuple):
+    """A labelled sentence in one of its worlds."""
+
+    world: World
+    rank: dict[Path, int]
+    wanted: list[tuple[int, Phrase, np.ndarray]]  # clause, its root, bool[S] its gold symbols
+
+
+def _cases(
+    instructions: Sequence[LabelledInstruction],
+    annotation: CorrespondenceModel,
+    type_names: tuple[str, ...],
+) -> Iterator[_Case]:
+    """Go through the worlds of all sentences; clauses without a gold behavior are left out."""
+    for labelled in instructions:
+        if not labelled.worlds:
+            continue
+        rank = infer_annotations(labelled.parse, annotation, type_names).rank
+        for world, gold in zip(labelled.worlds, labelled.behavior, strict=True):
+            space = BehaviorSpace(world.object_type.shape[0])
+            wanted = [
+                (clause, root, space.mask(gold[(clause,)]))
+                for clause, root in enumerate(labelled.parse.clauses)
+                if (clause,) in gold
+            ]
+            yield _Case(world, rank, wanted)
+
+
 def score_behaviors(
     instructions: Sequence[LabelledInstruction],
     annotation: CorrespondenceModel,
@@ -105,23 +136,15 @@ def score_behaviors(
         Results in the order of the sentences and their worlds.
     """
     rows = []
-    for labelled in instructions:
-        if not labelled.worlds:
-            continue
-        rank = infer_annotations(labelled.parse, annotation, type_names).rank
-        for world, gold in zip(labelled.worlds, labelled.behavior, strict=True):
-            space = BehaviorSpace(world.object_type.shape[0])
-            right, confidence, log_gold = True, 1.0, 0.0
-            for clause, root in enumerate(labelled.parse.clauses):
-                if (clause,) not in gold:
-                    continue
-                wanted = space.mask(gold[(clause,)])
-                beam = infer_behavior_sets(root, clause, world, behavior, rank, type_names, width)
-                right = right and bool((beam[0].expressed == wanted).all())
-                confidence *= float(np.exp(beam[0].log_probability))
-                found = [h.log_probability for h in beam if (h.expressed == wanted).all()]
-                log_gold += found[0] if found else _LOG_FLOOR
-            rows.append((right, confidence, max(log_gold, _LOG_FLOOR)))
+    for world, rank, wanted in _cases(instructions, annotation, type_names):
+        right, confidence, log_gold = True, 1.0, 0.0
+        for clause, root, gold in wanted:
+            beam = infer_behavior_sets(root, clause, world, behavior, rank, type_names, width)
+            right = right and bool((beam[0].expressed == gold).all())
+            confidence *= float(np.exp(beam[0].log_probability))
+            found = [h.log_probability for h in beam if (h.expressed == gold).all()]
+            log_gold += found[0] if found else _LOG_FLOOR
+        rows.append((right, confidence, max(log_gold, _LOG_FLOOR)))
     return _collect(rows)
 
 
@@ -163,21 +186,14 @@ def score_behaviors_exactly(
 ) -> ExactScores:
     """Compare the likeliest behaviors of all with the gold ones; as ``score_behaviors``."""
     rows = []
-    for labelled in instructions:
-        if not labelled.worlds:
-            continue
-        rank = infer_annotations(labelled.parse, annotation, type_names).rank
-        for world, gold in zip(labelled.worlds, labelled.behavior, strict=True):
-            space = BehaviorSpace(world.object_type.shape[0])
-            is_right = is_proven = True
-            for clause, root in enumerate(labelled.parse.clauses):
-                if (clause,) not in gold:
-                    continue
-                log_odds = behavior_log_odds(root, clause, world, behavior, rank, type_names)
-                best, is_sure = search_exactly(root, log_odds, path=(clause,))
-                is_right &= bool((best.expressed == space.mask(gold[(clause,)])).all())
-                is_proven &= is_sure
-            rows.append((is_right, is_proven))
+    for world, rank, wanted in _cases(instructions, annotation, type_names):
+        is_right = is_proven = True
+        for clause, root, gold in wanted:
+            log_odds = behavior_log_odds(root, clause, world, behavior, rank, type_names)
+            best, is_sure = search_exactly(root, log_odds, path=(clause,))
+            is_right &= bool((best.expressed == gold).all())
+            is_proven &= is_sure
+        rows.append((is_right, is_proven))
     return ExactScores(*np.array(rows, bool).reshape(-1, 2).T)
 
 

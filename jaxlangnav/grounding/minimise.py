@@ -59,6 +59,27 @@ def _slope(problem: Problem, chance: Array) -> Array:
     return problem.times.sum(-1) * chance - problem.times[..., 1]
 
 
+def _gradient(problem: Problem, weights: Array, chance: Array, l2: Array) -> Array:
+    """Evaluate ∇J, f32[A, B], from the probabilities f32[U, G] that factors have φ = 1."""
+    return _pull_back(problem, _slope(problem, chance)) + l2 * weights
+
+
+def gradient(problem: Problem, weights: Array, l2: Array) -> Array:
+    """Evaluate the gradient in closed form: what is expected of each feature, less what is seen.
+
+        ∇J(V) = Σ_ug [(n₀ + n₁) σ(x_uᵀ V y_ug) − n₁] x_u y_ugᵀ + λ V
+
+    Args:
+        problem: its factors.
+        weights: f32[A, B].
+        l2: f32[], λ.
+
+    Returns:
+        f32[A, B].
+    """
+    return _gradient(problem, weights, _chance(log_odds_of(problem, weights)), l2)
+
+
 def objective(problem: Problem, weights: Array, l2: Array) -> Array:
     """Evaluate J(V), f32[]."""
     log_odds = log_odds_of(problem, weights)
@@ -124,8 +145,8 @@ def _advance(problem: Problem, carry: _Carry, l2: Array) -> _Carry:
     length, chance = _go(problem, carry, direction, along, l2)
     step = length * direction
     weights, log_odds = carry.weights + step, carry.log_odds + length * along
-    gradient = _pull_back(problem, _slope(problem, chance)) + l2 * weights
-    change = gradient - carry.gradient
+    slope = _gradient(problem, weights, chance, l2)
+    change = slope - carry.gradient
     curved = jnp.vdot(step, change)
     inverse = jnp.where(curved > 0.0, 1.0 / curved, 0.0)
 
@@ -135,7 +156,7 @@ def _advance(problem: Problem, carry: _Carry, l2: Array) -> _Carry:
     return _Carry(
         weights,
         log_odds,
-        gradient,
+        slope,
         newest_first(step, carry.steps),
         newest_first(change, carry.changes),
         newest_first(inverse, carry.inverse),
@@ -160,12 +181,12 @@ def minimise(
         Weights f32[A, B], the objective f32[] there, and the number of steps i32[].
     """
     shape = (problem.words.shape[1], problem.properties.shape[2])
-    log_odds = jnp.zeros(problem.times.shape[:2], jnp.float32)
+    weights = jnp.zeros(shape, jnp.float32)
     memory = jnp.zeros((MEMORY, *shape), jnp.float32)
     carry = _Carry(
-        weights=jnp.zeros(shape, jnp.float32),
-        log_odds=log_odds,
-        gradient=_pull_back(problem, _slope(problem, _chance(log_odds))),
+        weights=weights,
+        log_odds=jnp.zeros(problem.times.shape[:2], jnp.float32),
+        gradient=gradient(problem, weights, l2),
         steps=memory,
         changes=memory,
         inverse=jnp.zeros(MEMORY, jnp.float32),

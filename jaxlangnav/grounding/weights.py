@@ -3,7 +3,6 @@
 A file holds both models, the object types, the command that made it and a hash of the corpus.
 """
 
-import hashlib
 import json
 from functools import cache
 from importlib import resources
@@ -95,8 +94,3 @@ def shipped_path() -> Path:
 def load_shipped() -> GroundingModel:
     """Read the weights of the package; the same object at every call."""
     return load(shipped_path())
-
-
-def hash_file(path: Path) -> str:
-    """Hash a file, for the record of what was trained and what was run."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()[:16]

@@ -28,29 +28,18 @@ from jax import Array
 
 from jaxlangnav.messages import NONE, ROBOT, Readings
 from jaxlangnav.numerics import categorical
-from jaxlangnav.numerics.axes import column, lead, pick
+from jaxlangnav.numerics.axes import lead, pick
 from jaxlangnav.pytree import replace
 from jaxlangnav.relations import Law, law_of, robot_frame
 from jaxlangnav.semantic_map import options
 from jaxlangnav.semantic_map.coverage import area_size
-from jaxlangnav.semantic_map.options import Candidates, Draws, Link, Scene, Ways
+from jaxlangnav.semantic_map.options import Candidates, Draws, Link, Scene
 from jaxlangnav.semantic_map.order import PLURAL, SIDES, Order
 from jaxlangnav.semantic_map.params import MapParams
 from jaxlangnav.semantic_map.particle import SemanticMap
+from jaxlangnav.semantic_map.referents import Grounding, enter
 
 _LOG_FLOOR = -60.0
-
-
-class Grounding(NamedTuple):
-    """Carry over the relations of a reading: what the mentions refer to so far."""
-
-    slot: Array  # i32[M, ...] observed slot; NONE while hypothesised
-    x: Array  # f32[M, ...] metres
-    y: Array  # f32[M, ...]
-    anchor: Array  # i32[M, ...] slot in [0, N) or NONE
-    root: Array  # i32[M, ...] observed slot or NONE
-    is_grounded: Array  # bool[M, ...]
-    log_weight: Array  # f32[...]
 
 
 class Told(NamedTuple):
@@ -244,7 +233,7 @@ def ground_relation(
     # Where no grounding is possible (a drawn figure fell outside the area), the words stay a
     # hypothesis somewhere unexplored, of hardly any weight, that the next looks can refute.
     is_dead = (log_total <= _LOG_FLOOR)[None]
-    after = _enter(particle, link, figures, landmarks, grounding, ways, choice)
+    after = enter(grounding, link, figures, landmarks, ways, choice)
     after = after._replace(
         slot=jnp.where(is_dead & after.is_grounded & ~grounding.is_grounded, NONE, after.slot),
         anchor=jnp.where(is_dead, grounding.anchor, after.anchor),
@@ -260,86 +249,6 @@ def ground_relation(
             for new, old in zip(after, grounding, strict=True)
         )
     )
-
-
-def _enter(
-    particle: SemanticMap,
-    link: Link,
-    figures: Candidates,
-    landmarks: Candidates,
-    grounding: Grounding,
-    ways: Ways,
-    choice: Array,
-) -> Grounding:
-    """Enter the chosen figure and landmark into the carry; ends decided earlier stay."""
-    num_objects, size = particle.object_type.shape[0], particle.object_type.shape[0] + 1
-    new_figure, new_landmark, new_pair = ways.new_figure, ways.new_landmark, ways.new_pair
-    rest = choice - size * size
-    is_known, is_figure = rest < 0, (rest >= 0) & (rest < size)
-    is_landmark, is_pair = (rest >= size) & (rest < 2 * size), rest >= 2 * size
-    other = jnp.where(is_figure, rest, rest - size)
-    figure_index = jnp.where(is_known, choice // size, other)
-    landmark_index = jnp.where(is_known, choice % size, other)
-
-    def place(known: Array, hung: Array, paired: Array, index: Array, is_hung: Array) -> Array:
-        value = jnp.where(is_hung, pick(hung, other), pick(known, index))
-        return jnp.where(is_pair, pick(paired, rest - 2 * size), value)
-
-    def slot(mention: Array, ends: Candidates, index: Array, is_new: Array) -> Array:
-        chosen = jnp.where(is_new | is_pair | (index == num_objects), NONE, index)
-        return jnp.where(
-            ends.is_open, chosen, jnp.where(mention == NONE, NONE, pick(grounding.slot, mention))
-        )
-
-    figure_slot = slot(link.figure, figures, figure_index, is_figure)
-    landmark_slot = slot(link.landmark, landmarks, landmark_index, is_landmark)
-
-    def root(mention: Array, ends: Candidates, own_slot: Array) -> Array:
-        """Observed slot at which the chain of an end finishes; NONE for the ground."""
-        inherited = jnp.where(ends.is_open, NONE, pick(grounding.root, mention))
-        return jnp.where(own_slot == NONE, inherited, own_slot)
-
-    def own_place(mention: Array, own_slot: Array) -> Array:
-        return jnp.where(own_slot == NONE, num_objects + mention, own_slot)
-
-    is_object = (link.landmark != NONE) & ~link.is_robot
-    is_hung = is_object & ~link.is_free
-    figure_anchor = jnp.where(is_hung, own_place(link.landmark, landmark_slot), NONE)
-    figure_root = jnp.where(is_hung, root(link.landmark, landmarks, landmark_slot), NONE)
-    is_hung = is_landmark & ~link.is_free
-    landmark_anchor = jnp.where(is_hung, own_place(link.figure, figure_slot), NONE)
-    landmark_root = jnp.where(is_hung, root(link.figure, figures, figure_slot), NONE)
-    mentions = column(jnp.arange(grounding.slot.shape[0]), grounding.slot.ndim)
-    set_figure = (mentions == link.figure[None]) & figures.is_open[None]
-    set_landmark = (mentions == link.landmark[None]) & (landmarks.is_open & is_object)[None]
-
-    def enter(old: Array, for_figure: Array, for_landmark: Array) -> Array:
-        kept = jnp.where(set_landmark, for_landmark[None], old)
-        return jnp.where(set_figure, for_figure[None], kept)
-
-    return Grounding(
-        slot=enter(grounding.slot, figure_slot, landmark_slot),
-        x=enter(
-            grounding.x,
-            place(figures.x, new_figure.x, new_pair.x, figure_index, is_figure),
-            place(
-                landmarks.x, new_landmark.landmark_x, new_pair.landmark_x, landmark_index,
-                is_landmark,
-            ),
-        ),
-        y=enter(
-            grounding.y,
-            place(figures.y, new_figure.y, new_pair.y, figure_index, is_figure),
-            place(
-                landmarks.y, new_landmark.landmark_y, new_pair.landmark_y, landmark_index,
-                is_landmark,
-            ),
-        ),
-        anchor=enter(grounding.anchor, figure_anchor, landmark_anchor),
-        root=enter(grounding.root, figure_root, landmark_root),
-        is_grounded=grounding.is_grounded | set_figure | set_landmark,
-        log_weight=grounding.log_weight,
-    )  # fmt: skip
 
 
 def adopt(

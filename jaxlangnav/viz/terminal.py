@@ -142,13 +142,13 @@ def watch(
     """Draw an episode in the terminal while it runs.
 
     Args:
-        scene: from ``recording.set_scene``.
-        steps: from ``recording.play``, at least one.
+        scene: from ``recorder.set_scene``.
+        steps: from ``recorder.play``, at least one.
         console: where to draw; standard output by default.
         seconds_per_step: least time a step stays on the screen.
 
     Returns:
-        The recording, as ``recording.record`` would have made it.
+        The recording, as ``recorder.record`` would have made it.
     """
     import time
 

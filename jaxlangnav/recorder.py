@@ -1,0 +1,220 @@
+"""Running an episode step by step, to be looked at as it happens or kept (section 4).
+
+A Python loop over one compiled cycle, ``episode.advance``: ``play`` yields each step, ``record``
+keeps them all as NumPy arrays.
+"""
+
+import functools
+from collections.abc import Iterator
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jaxlangnav import episode
+from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Progress, Task
+from jaxlangnav.grounding.instruction import Instruction
+from jaxlangnav.language.lexicon import load_lexicon
+from jaxlangnav.messages import NONE, Readings
+from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams
+from jaxlangnav.recording import Frame, Recording, Scene, gather
+from jaxlangnav.semantic_map.filter import ParticleBelief
+from jaxlangnav.world.known import known_distance
+
+
+def set_scene(
+    task: Task,
+    instructions: Instruction,
+    *,
+    text: str,
+    params: NavigatorParams,
+    config: NavigatorConfig,
+) -> Scene:
+    """Gather what stays the same over an episode.
+
+    Args:
+        task: one episode.
+        instructions: leaves [I, …]; the task names one of them.
+        text: the sentence, for people.
+        params: the navigator's numbers.
+        config: sizes and policy.
+
+    Returns:
+        The scene.
+    """
+    index = int(task.instruction_index)
+    readings, num_clauses = jax.device_get((instructions.readings, instructions.num_clauses))
+    scenario, sensor, planner = jax.device_get((task.scenario, task.sensor, params.planner))
+    return Scene(
+        text=text,
+        type_names=load_lexicon().type_names,
+        policy=config.planner.policy_name,
+        scenario=scenario,
+        sensor=sensor,
+        readings=jax.tree.map(lambda leaf: leaf[index], readings),
+        planner=planner,
+        num_clauses=int(num_clauses[index]),
+        known_distance=float(known_distance(task.scenario)),
+    )
+
+
+def play(
+    task: Task,
+    instructions: Instruction,
+    *,
+    params: NavigatorParams,
+    config: NavigatorConfig,
+    max_steps: int = MAX_STEPS,
+) -> Iterator[tuple[Frame, EpisodeResult]]:
+    """Run an episode step by step, early exit included.
+
+    Args:
+        task: one episode; the same key gives the same episode as ``episode.run``.
+        instructions: leaves [I, …]; the task names one of them.
+        params: the navigator's numbers.
+        config: sizes and policy.
+        max_steps: cycles until a time-out, at least 1.
+
+    Yields:
+        Each step, and how the episode would be judged if it ended with it.
+
+    Raises:
+        ValueError: ``max_steps`` is less than 1.
+    """
+    if max_steps < 1:
+        raise ValueError(f"max_steps is {max_steps}, but must be at least 1")
+    progress = _begin(task, instructions, config=config)
+    for _ in range(max_steps):
+        progress, frame, result = _advance(progress, params=params, config=config)
+        shown, judged = jax.device_get((frame, result))
+        yield shown, judged
+        if shown.is_done:
+            return
+
+
+def record(
+    task: Task,
+    instructions: Instruction,
+    *,
+    params: NavigatorParams,
+    config: NavigatorConfig,
+    max_steps: int = MAX_STEPS,
+    text: str = "",
+) -> Recording:
+    """Run an episode and keep what pictures need.
+
+    Args:
+        task: one episode.
+        instructions: leaves [I, …]; the task names one of them.
+        params: the navigator's numbers.
+        config: sizes and policy.
+        max_steps: cycles until a time-out, at least 1.
+        text: the sentence, for people.
+
+    Returns:
+        The recording.
+    """
+    scene = set_scene(task, instructions, text=text, params=params, config=config)
+    steps = list(play(task, instructions, params=params, config=config, max_steps=max_steps))
+    return gather(scene, [frame for frame, _ in steps], steps[-1][1])
+
+
+@functools.partial(jax.jit, static_argnames=("config",))
+def _begin(task: Task, instructions: Instruction, *, config: NavigatorConfig) -> Progress:
+    """Compile ``episode.begin``: eager, its many small operations would take seconds."""
+    return episode.begin(task, instructions, config=config)
+
+
+@functools.partial(jax.jit, static_argnames=("config",))
+def _advance(
+    progress: Progress, *, params: NavigatorParams, config: NavigatorConfig
+) -> tuple[Progress, Frame, EpisodeResult]:
+    """Run one cycle and gather what it looked like."""
+    after, info = episode.advance(progress, params=params, config=config)
+    return after, _frame(progress, after, info), episode.finish(after)
+
+
+def _frame(before: Progress, after: Progress, info: NavigatorInfo) -> Frame:
+    """Gather one step: the world before the motion, the belief after the step."""
+    belief = after.navigator.belief
+    # What ``advance`` has sensed, once more: XLA merges the two.
+    observation = episode.observe(before)
+    return Frame(
+        position=before.world.position,
+        heading=before.world.heading,
+        odometry=before.world.odometry[:2],
+        robot=info.robot,
+        distance=before.world.distance,
+        clause=before.navigator.clause,
+        detection_type=observation.detection_type,
+        detection_range=observation.detection_range,
+        detection_bearing=observation.detection_bearing,
+        is_detection=observation.is_detection,
+        effective_sample_size=info.filter.effective_sample_size,
+        is_resampled=info.filter.is_resampled,
+        num_regrounded=info.filter.num_regrounded,
+        is_news=info.filter.is_news,
+        is_degenerate=info.filter.is_degenerate,
+        overflow=info.filter.overflow,
+        goal_region=_goal_region(info),
+        action=info.behavior.action,
+        mode=info.behavior.mode,
+        is_done=after.navigator.is_done,
+        **_belief_fields(belief, before.navigator.instruction.readings),
+        **_decision_fields(info),
+    )
+
+
+def _goal_region(info: NavigatorInfo) -> Array:
+    """Find the likeliest goal region of each observed object and of the robot, i32[O + 1]."""
+    num_objects = info.goals.object_x.shape[0] - 1
+    region = jnp.argmax(info.behavior.goal, axis=0).astype(jnp.int32)  # [N + 1]
+    return jnp.append(region[:num_objects], region[-1])
+
+
+def _belief_fields(belief: ParticleBelief, readings: Readings) -> dict[str, Array]:
+    """Gather what the particles hold."""
+    particles = belief.particles
+    num_objects = particles.object_type.shape[0]
+    mention_type = readings.mention_type[particles.reading].T  # [M, P]
+    return {
+        "weight": jnp.exp(belief.log_weight),
+        "reading": particles.reading,
+        "object_type": particles.object_type,
+        "object_x": particles.mean_x[:num_objects],
+        "object_y": particles.mean_y[:num_objects],
+        "mention_type": jnp.where(particles.is_mentioned, mention_type, NONE),
+        "referent": particles.referent,
+        "is_hypothesised": particles.is_hypothesised,
+        "hypothesis_x": particles.hypothesis_x,
+        "hypothesis_y": particles.hypothesis_y,
+        "miss": jnp.exp(belief.coverage.log_miss),
+    }
+
+
+def _decision_fields(info: NavigatorInfo) -> dict[str, Array]:
+    """Gather the goals, the nodes and the choice."""
+    goals, nodes, choice = info.goals, info.nodes, info.choice
+    return {
+        "goal_x": goals.object_x,
+        "goal_y": goals.object_y,
+        "goal_mass": goals.object_mass,
+        "goal_confirmed": goals.object_confirmed,
+        "is_goal": goals.is_object,
+        "hypothesis_goal_x": goals.hypothesis_x,
+        "hypothesis_goal_y": goals.hypothesis_y,
+        "hypothesis_goal_mass": goals.hypothesis_mass,
+        "node_x": nodes.x,
+        "node_y": nodes.y,
+        "is_node": nodes.is_node,
+        "node_kind": nodes.kind,
+        "value": choice.value,
+        "goal_value": choice.goal_value,
+        "information_value": choice.information_value,
+        "cost": choice.cost,
+        "waypoint": jnp.stack([choice.waypoint_x, choice.waypoint_y]),
+        "waypoint_kind": choice.kind,
+        "is_kept": choice.is_kept,
+        "is_stop": choice.is_stop,
+        "stop_mass": choice.stop_mass,
+    }

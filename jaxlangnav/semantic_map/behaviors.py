@@ -1,0 +1,68 @@
+"""The behavior in every particle: one inference for all that share a topology (section 3.3)."""
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jaxlangnav.grounding import behavior as grounding
+from jaxlangnav.grounding.instruction import Instruction
+from jaxlangnav.grounding.program import NUM_TYPES
+from jaxlangnav.messages import ACTIONS, MODES, REGIONS, Behavior
+from jaxlangnav.semantic_map import summary
+from jaxlangnav.semantic_map.particle import SemanticMap
+
+BLOCK = 8
+"""Topologies whose behavior is inferred at a time."""
+
+
+def infer_behaviors(
+    particles: SemanticMap, instruction: Instruction, clause: Array, previous_goal: Array
+) -> Behavior:
+    """Infer the behavior of one clause in every particle.
+
+    The behavior model sees a particle's topology only, so each distinct topology is inferred
+    once, ``BLOCK`` of them at a time, and handed to all particles that share it.
+
+    Args:
+        particles: leaves [..., P].
+        instruction: grounded sentence.
+        clause: i32[], which of its commands.
+        previous_goal: i32[], observed slot at which the command before ended; NONE.
+
+    Returns:
+        Behaviors, leaves [..., P].
+    """
+    program = jax.tree.map(lambda leaf: leaf[clause], instruction.program)
+    number = particles.reading.shape[-1]
+    block = min(BLOCK, number)
+    topology, representative, count = summary.distinct_topologies(particles, NUM_TYPES)
+    padding = jnp.full((-number) % block, number, representative.dtype)
+    representative = jnp.append(representative, padding)
+
+    def infer(index: Array, behaviors: Behavior) -> Behavior:
+        chosen = jax.lax.dynamic_slice_in_dim(representative, index * block, block)
+        chosen = jnp.minimum(chosen, number - 1)
+        worlds = jax.vmap(summary.behavior_world, in_axes=(-1, None, None), out_axes=-1)(
+            jax.tree.map(lambda leaf: leaf[..., chosen], particles),
+            instruction.readings,
+            previous_goal,
+        )
+        inferred = grounding.infer_behaviors(program, worlds, num_phrases=program.num_phrases)
+        place = topology - index * block
+
+        def hand_out(new: Array, old: Array) -> Array:
+            # Selects vectorise over particles, where a gather would go element by element.
+            for own in range(block):
+                old = jnp.where(place == own, new[..., own : own + 1], old)
+            return old
+
+        return jax.tree.map(hand_out, inferred, behaviors)
+
+    num_slots = particles.object_type.shape[0] + particles.referent.shape[0] + 1
+    nothing = Behavior(
+        action=jnp.zeros((len(ACTIONS), number), jnp.float32),
+        mode=jnp.zeros((len(MODES), number), jnp.float32),
+        goal=jnp.zeros((len(REGIONS), num_slots, number), jnp.float32),
+        constraint=jnp.zeros((len(REGIONS), num_slots, number), jnp.float32),
+    )
+    return jax.lax.fori_loop(0, (count + block - 1) // block, infer, nothing)
