@@ -66,8 +66,10 @@ def take(particles: Record, ancestors: Array) -> Record:
     particle lies in one piece, and the whole filter step then reads it with strides. From one
     table a gather copies whole particles, at a fifth of the cost.
 
+    The table is of floats, so that gradients pass through it.
+
     Args:
-        particles: leaves [..., P] of f32, i32 or bool.
+        particles: leaves [..., P] of f32, bool, or integers below 2²⁴, which floats hold exactly.
         ancestors: i32[P].
 
     Returns:
@@ -75,21 +77,12 @@ def take(particles: Record, ancestors: Array) -> Record:
     """
     leaves, form = jax.tree.flatten(particles)
     number = ancestors.shape[0]
-    table = jnp.concatenate([_bits(leaf).reshape(-1, number) for leaf in leaves])[:, ancestors]
+    rows = [leaf.astype(jnp.float32).reshape(-1, number) for leaf in leaves]
+    table = jnp.concatenate(rows)[:, ancestors]
     taken, start = [], 0
     for leaf in leaves:
         size = leaf.size // number
-        own = jax.lax.slice_in_dim(table, start, start + size).reshape(leaf.shape)
-        is_float = leaf.dtype == jnp.float32
-        taken.append(
-            jax.lax.bitcast_convert_type(own, jnp.float32) if is_float else own.astype(leaf.dtype)
-        )
+        own = jax.lax.slice_in_dim(table, start, start + size)
+        taken.append(own.reshape(leaf.shape).astype(leaf.dtype))
         start += size
     return jax.tree.unflatten(form, taken)
-
-
-def _bits(leaf: Array) -> Array:
-    """View numbers as integers, floating-point ones bit by bit."""
-    if leaf.dtype == jnp.float32:
-        return jax.lax.bitcast_convert_type(leaf, jnp.int32)
-    return leaf.astype(jnp.int32)
