@@ -23,6 +23,8 @@ PROJECT := pyproject.toml constraints.txt
 INSTRUCTION ?= go to the hydrant behind the cone
 OUT ?= demo
 ARGS ?=
+# Test processes. One holds up to 5 GB, so this is not the number of cores.
+WORKERS ?= 2
 
 .PHONY: help demo test test-all lint format types check bench build docs notebooks clean
 
@@ -32,11 +34,11 @@ help: ## this list
 demo: $(STAMPS)/viz ## follow a sentence with the shipped models and write pictures to demo/
 	@$(BIN)/jaxlangnav follow "$(INSTRUCTION)" --out $(OUT) $(ARGS)
 
-test: $(STAMPS)/dev ## the quick tier of tests
-	@$(BIN)/python -m pytest $(ARGS)
+test: $(STAMPS)/dev ## the quick tier of tests, WORKERS=2 at a time
+	@$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadfile $(ARGS)
 
 test-all: $(STAMPS)/dev ## every test, the slow ones too
-	@$(BIN)/python -m pytest -m "" $(ARGS)
+	@$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadfile -m "" $(ARGS)
 
 lint: $(STAMPS)/dev ## ruff: rules and format
 	@$(BIN)/ruff check .
