@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 import readings as by_hand
 
-from jaxlangnav.experiments.episode_evidence import WordsEvidence, log_fit, log_words
+from jaxlangnav.experiments.episode_evidence import (
+    WordsEvidence,
+    by_setting,
+    log_fit,
+    log_fit_of,
+    log_words,
+)
 from jaxlangnav.experiments.evidence_fitting import EpisodeFit, fit_to_episodes
 from jaxlangnav.messages import BEHIND, NEAR, NONE
 from jaxlangnav.pytree import replace
@@ -96,6 +102,12 @@ def true_relations() -> RelationParams:
     )
 
 
+@jax.jit
+@jax.value_and_grad
+def fit_and_slope(relations: RelationParams, one: WordsEvidence) -> jax.Array:
+    return log_fit(one, replace(params(), relations=prepare(relations)))
+
+
 @functools.partial(jax.jit, static_argnames="law")
 def scores(episodes: WordsEvidence, law) -> jax.Array:
     """Slopes of each episode's evidence at the truth, f32[E, 4]."""
@@ -127,11 +139,33 @@ def test_nothing_is_learned_where_nothing_was_seen() -> None:
         one, object_type=jnp.full_like(one.object_type, NONE), miss=jnp.ones_like(one.miss)
     )
     for relations in (default_params(), true_relations()):
-        numbers = replace(params(), relations=prepare(relations))
-        assert float(log_fit(blank, numbers)) == 0.0
+        assert float(fit_and_slope(relations, blank)[0]) == 0.0
     # Half of the area searched in vain: hydrants that would lie in the other half gain.
     in_vain = replace(blank, miss=jnp.where(one.cell_x > 0.0, 0.0, 1.0))
-    assert float(log_fit(in_vain, numbers)) < 0.0
+    assert float(fit_and_slope(true_relations(), in_vain)[0]) < 0.0
+
+
+def test_groups_of_a_setting_sum_to_their_episodes() -> None:
+    """Three viewers, of 3, 1 and 2 episodes: values and slopes as one episode at a time."""
+    episodes = explored_worlds(3, 6)
+    seat = jnp.array([0.0, 0.0, 2.0, 0.0, -1.0, -1.0])
+    episodes = replace(episodes, viewer=episodes.viewer.at[:, 1].set(seat))
+    groups = by_setting(episodes)
+    assert sorted(int(np.sum(group.is_used)) for group in groups) == [1, 2, 3]
+
+    each = [jax.tree.map(lambda leaf, k=k: leaf[k], episodes) for k in range(6)]
+    value, slope = jax.tree.map(
+        lambda *parts: sum(parts), *(fit_and_slope(true_relations(), one) for one in each)
+    )
+    of_group = jax.jit(jax.value_and_grad(lambda r, group: log_fit_of(group, r, params())))
+    found, of_groups = jax.tree.map(
+        lambda *parts: sum(parts), *(of_group(true_relations(), group) for group in groups)
+    )
+    np.testing.assert_allclose(found, value, rtol=1e-4)
+    for name in FIELDS:
+        np.testing.assert_allclose(
+            getattr(of_groups, name)[BEHIND], getattr(slope, name)[BEHIND], rtol=2e-3, atol=1e-3
+        )
 
 
 def values_of(fit: EpisodeFit) -> np.ndarray:

@@ -30,6 +30,7 @@ numbers; which detection is which object, and the resampling, are discrete draws
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from jaxlangnav.messages import FAR, NONE, ROBOT, Observation, Readings, SensorParams
@@ -42,6 +43,10 @@ from jaxlangnav.semantic_map.params import MapParams
 
 _NEVER = -1e4
 """Log-weight of what cannot be; finite, so that its gradient is nothing rather than NaN."""
+_TINY = 1e-30
+"""Density that counts as none, per square metre; above the smallest float32."""
+GROUP_SIZE = 64
+"""Episodes whose pairs are in memory at a time: 0.2 MB each in a map of 18 × 18 cells."""
 
 
 @pytree
@@ -118,46 +123,97 @@ def _candidates(one: WordsEvidence, kind: Array, params: MapParams) -> tuple[Arr
     )
 
 
-def _log_figures(one: WordsEvidence, reading: Array, params: MapParams) -> Array:
+def _log_told(
+    one: WordsEvidence,
+    reading: Array,
+    figures: tuple[Array, Array],
+    landmarks: tuple[Array, Array],
+    params: MapParams,
+) -> Array:
+    """Compute what the words say of figures f32[F] at landmarks f32[L]: log density, f32[F, L]."""
+    relation = one.readings.relation[reading, 0]
+    frame = viewer_frame(one.viewer[0], one.viewer[1], *landmarks)
+    frame = jax.tree.map(lambda leaf: leaf[None, :], frame)
+    x, y = (f[:, None] - k[None, :] for f, k in zip(figures, landmarks, strict=True))
+    told = log_density(params.relations, jnp.maximum(relation, 0), x, y, frame)
+    told = told + _log_superlative(one, reading, _distance(figures, landmarks), landmarks, params)
+    return jnp.logaddexp(
+        jnp.log1p(-params.misleading) + told, jnp.log(params.misleading) - jnp.log(one.area)
+    )
+
+
+def _between_cells(one: WordsEvidence, params: MapParams) -> Array:
+    """Compute what the words say of all pairs of cells: densities, f32[K, C, C].
+
+    Without a superlative they are the same for every episode of a setting.
+    """
+    cells = one.cell_x, one.cell_y
+
+    def of(reading: Array) -> Array:
+        return jnp.exp(_log_told(one, reading, cells, cells, params))
+
+    return jax.vmap(of)(jnp.arange(one.readings.relation.shape[0]))
+
+
+def _log_figures(
+    one: WordsEvidence, reading: Array, between_cells: Array, params: MapParams
+) -> Array:
     """Sum one reading's groundings by the place of their figure, f32[O + C]."""
-    readings = one.readings
-    figure, landmark = readings.figure[reading, 0], readings.landmark[reading, 0]
+    readings, slots = one.readings, one.object_type.shape[0]
     relation = readings.relation[reading, 0]
-    kind = readings.mention_type[reading, figure]
-    other = readings.mention_type[reading, jnp.maximum(landmark, 0)]
+    kind = readings.mention_type[reading, readings.figure[reading, 0]]
+    other = readings.mention_type[reading, jnp.maximum(readings.landmark[reading, 0], 0)]
     figure_x, figure_y, log_figure = _candidates(one, kind, params)
     landmark_x, landmark_y, log_landmark = _candidates(one, other, params)
-    frame = viewer_frame(one.viewer[0], one.viewer[1], landmark_x, landmark_y)
-    frame = jax.tree.map(lambda leaf: leaf[None, :], frame)
-    x = figure_x[:, None] - landmark_x[None, :]
-    y = figure_y[:, None] - landmark_y[None, :]
-    told = log_density(params.relations, jnp.maximum(relation, 0), x, y, frame)
-    told = told + _log_superlative(one, reading, jnp.sqrt(x * x + y * y + 1e-9), params)
-    log_area = jnp.log(one.area)
-    told = jnp.logaddexp(
-        jnp.log1p(-params.misleading) + told, jnp.log(params.misleading) - log_area
+    seen = landmark_x[:slots], landmark_y[:slots]
+
+    # Of what has been seen, or relates to it, every pair is computed; of all the other cells, a
+    # product with what is known between them.
+    of_seen = (figure_x[:slots], figure_y[:slots]), (landmark_x, landmark_y)
+    same = jnp.eye(slots, slots + one.miss.shape[0], dtype=bool) & (kind == other)
+    table = _log_told(one, reading, *of_seen, params) + log_landmark[None, :]
+    figures_seen = jax.nn.logsumexp(jnp.where(same, _NEVER, table), axis=1)
+
+    unseen = figure_x[slots:], figure_y[slots:]
+    at_seen = jax.nn.logsumexp(
+        _log_told(one, reading, unseen, seen, params) + log_landmark[None, :slots], axis=1
     )
-    slots, size = one.object_type.shape[0], log_figure.shape[0]
-    same = jnp.eye(size, dtype=bool) & (jnp.arange(size) < slots)[:, None] & (kind == other)
-    table = jnp.where(same, _NEVER, told) + log_figure[:, None] + log_landmark[None, :]
-    related = jax.nn.logsumexp(table, axis=1) - jnp.where(other == ROBOT, 0.0, log_area)
+    among_unseen = jnp.matmul(
+        between_cells[reading], jnp.exp(log_landmark[slots:]), precision=jax.lax.Precision.HIGHEST
+    )
+    figures_unseen = jnp.logaddexp(at_seen, jnp.log(jnp.maximum(among_unseen, _TINY)))
+
+    log_area = jnp.log(one.area)
+    related = log_figure + jnp.concatenate([figures_seen, figures_unseen])
+    related = related - jnp.where(other == ROBOT, 0.0, log_area)
     return jnp.where(relation == NONE, log_figure - log_area, related)
 
 
 def _log_superlative(
-    one: WordsEvidence, reading: Array, distance: Array, params: MapParams
+    one: WordsEvidence,
+    reading: Array,
+    distance: Array,
+    landmarks: tuple[Array, Array],
+    params: MapParams,
 ) -> Array:
-    """Penalise figures that an observed one of their type beats, f32[O + C, O + C]."""
+    """Penalise figures that an observed one of their type beats, f32[F, L]."""
     readings = one.readings
     sign = jnp.where(readings.relation[reading, 0] == FAR, -1.0, 1.0)
-    gap = sign * distance
     kind = readings.mention_type[reading, readings.figure[reading, 0]]
     is_rival = (one.object_type == kind) & (kind >= 0)
-    rivals = jnp.where(is_rival[:, None], gap[: one.object_type.shape[0]], jnp.inf)
-    excess = gap - jnp.minimum(jnp.min(rivals, axis=0)[None, :], gap)
+    rivals = _distance((one.object_x, one.object_y), landmarks)
+    rivals = jnp.min(jnp.where(is_rival[:, None], sign * rivals, jnp.inf), axis=0)
+    gap = sign * distance
+    excess = gap - jnp.minimum(rivals[None, :], gap)
     return jnp.where(
         readings.is_superlative[reading, 0], -excess / params.superlative_softness, 0.0
     )
+
+
+def _distance(figures: tuple[Array, Array], landmarks: tuple[Array, Array]) -> Array:
+    """Compute distances f32[F, L], metres; the small number keeps the slope at zero finite."""
+    x, y = (f[:, None] - k[None, :] for f, k in zip(figures, landmarks, strict=True))
+    return jnp.sqrt(x * x + y * y + 1e-9)
 
 
 def log_words(one: WordsEvidence, params: MapParams) -> Array:
@@ -170,7 +226,7 @@ def log_words(one: WordsEvidence, params: MapParams) -> Array:
     Returns:
         f32[]. Relative to all observed objects being bystanders, as in ``semantic_map.proposal``.
     """
-    return jax.nn.logsumexp(_log_all_figures(one, params))
+    return _log_words(one, _between_cells(one, params), params)
 
 
 def _nothing_seen(one: WordsEvidence) -> WordsEvidence:
@@ -196,13 +252,22 @@ def log_fit(one: WordsEvidence, params: MapParams) -> Array:
     Returns:
         f32[], nats.
     """
-    return log_words(one, params) - log_words(_nothing_seen(one), params)
+    between_cells = _between_cells(one, params)
+    log_z = _log_words(_nothing_seen(one), between_cells, params)
+    return _log_words(one, between_cells, params) - log_z
 
 
-def _log_all_figures(one: WordsEvidence, params: MapParams) -> Array:
+def _log_words(one: WordsEvidence, between_cells: Array, params: MapParams) -> Array:
+    """Compute ``log_words`` where ``_between_cells`` is known, f32[]."""
+    return jax.nn.logsumexp(_log_all_figures(one, between_cells, params))
+
+
+def _log_all_figures(one: WordsEvidence, between_cells: Array, params: MapParams) -> Array:
     """Sum all readings' groundings by the place of their figure, f32[O + C]."""
     number = one.readings.log_probability.shape[0]
-    each = jax.vmap(lambda reading: _log_figures(one, reading, params))(jnp.arange(number))
+    each = jax.vmap(lambda reading: _log_figures(one, reading, between_cells, params))(
+        jnp.arange(number)
+    )
     log_share = one.readings.log_probability
     is_used = (one.readings.figure[:, 0] != NONE) & (log_share > -20.0)
     each = jnp.where(is_used[:, None], each + log_share[:, None], _NEVER)
@@ -219,16 +284,57 @@ def figure_posterior(one: WordsEvidence, params: MapParams) -> tuple[Array, Arra
     Returns:
         f32[O], the probability of each observed object, and f32[C], of each cell of the area.
     """
-    share = jax.nn.softmax(_log_all_figures(one, params))
+    share = jax.nn.softmax(_log_all_figures(one, _between_cells(one, params), params))
     num_objects = one.object_type.shape[0]
     return share[:num_objects], share[num_objects:]
 
 
-def log_fit_of(episodes: WordsEvidence, relations: RelationParams, params: MapParams) -> Array:
-    """Sum ``log_fit`` of several episodes under relations, f32[].
+@pytree
+class EpisodeGroup:
+    """Episodes of one setting: the same area, viewer and sentence."""
+
+    episodes: WordsEvidence  # leaves [M, …]
+    is_used: Array  # bool[M]; the rest repeats episodes of the group
+
+
+def by_setting(episodes: WordsEvidence) -> list[EpisodeGroup]:
+    """Gather episodes that share all but what was seen and where was looked.
+
+    What a sentence says of two unseen places, nearly all of the work, is then computed once for
+    a group and not for every episode.
 
     Args:
         episodes: leaves [E, …].
+
+    Returns:
+        Groups, all of the same M, at most ``GROUP_SIZE``.
+    """
+    setting = replace(episodes, object_type=None, object_x=None, object_y=None, miss=None)
+    leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(setting)]
+    rows = np.concatenate([leaf.reshape(len(leaf), -1) for leaf in leaves], axis=1)
+    _, setting_of = np.unique(rows, axis=0, return_inverse=True)
+    members = []
+    for one in range(setting_of.max() + 1):
+        shared = np.flatnonzero(setting_of == one)
+        members += np.array_split(shared, -(-len(shared) // GROUP_SIZE))
+    size = max(map(len, members))
+
+    def gather(index: np.ndarray) -> EpisodeGroup:
+        padded = np.resize(index, size)
+        return EpisodeGroup(
+            episodes=jax.tree.map(lambda leaf: jnp.asarray(leaf)[padded], episodes),
+            is_used=jnp.arange(size) < len(index),
+        )
+
+    return [gather(index) for index in members]
+
+
+def log_fit_of(group: EpisodeGroup, relations: RelationParams, params: MapParams) -> Array:
+    """Sum ``log_fit`` of the episodes of a group under relations, f32[].
+
+    Args:
+        group: of ``by_setting``; no superlatives, which make every pair of places depend on
+            what an episode has seen.
         relations: what is differentiated.
         params: the rest.
 
@@ -236,7 +342,11 @@ def log_fit_of(episodes: WordsEvidence, relations: RelationParams, params: MapPa
         f32[], nats.
     """
     numbers = replace(params, relations=prepare(relations))
-    return jnp.sum(jax.lax.map(lambda one: log_fit(one, numbers), episodes, batch_size=8))
+    first = jax.tree.map(lambda leaf: leaf[0], group.episodes)
+    between_cells = _between_cells(first, numbers)
+    log_z = _log_words(_nothing_seen(first), between_cells, numbers)
+    each = jax.vmap(lambda one: _log_words(one, between_cells, numbers))(group.episodes)
+    return jnp.sum(jnp.where(group.is_used, each - log_z, 0.0))
 
 
 def log_map(

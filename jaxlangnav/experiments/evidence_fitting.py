@@ -18,11 +18,17 @@ import functools
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
+import scipy.optimize
 from jax import Array
 
 from jaxlangnav.episode import EpisodeResult, Task, complete, finish
-from jaxlangnav.experiments.episode_evidence import WordsEvidence, log_fit_of, remember
+from jaxlangnav.experiments.episode_evidence import (
+    EpisodeGroup,
+    WordsEvidence,
+    by_setting,
+    log_fit_of,
+    remember,
+)
 from jaxlangnav.experiments.monte_carlo import map_pieces
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams
@@ -37,6 +43,8 @@ NUM_READINGS = 1
 FLAT = 1e-3
 """Slope of the mean evidence, nats, that counts as the top. The information of an episode on the
 four free parameters is 0.3 to 9: of 128 episodes, within a fiftieth of the standard errors."""
+CURVATURE_STEP = 1e-2
+"""Of the difference of slopes: log metres, radians."""
 
 
 @pytree
@@ -45,7 +53,7 @@ class EpisodeFit:
 
     params: RelationParams
     standard_error: Array  # f32[4] of log distance, its spread, axis, concentration
-    log_evidence: Array  # f32[I + 1] of all episodes, before and after every iteration
+    log_evidence: Array  # f32[J + 1] of all episodes, before and after each of J iterations
 
 
 @functools.partial(jax.jit, static_argnames=("config", "max_steps"))
@@ -122,7 +130,7 @@ def fit_to_episodes(
         relation: index into ``messages.RELATIONS``, one with a direction.
         init: relations that the fit starts from.
         params: concentration, misleading, softness of the map.
-        num_iterations: I, at most.
+        num_iterations: J, at most.
 
     Returns:
         The fit. Standard errors are of the curvature at its end.
@@ -145,64 +153,44 @@ def fit_to_episodes(
             jnp.log(init.concentration[relation]),
         ]
     )
-    free, log_evidence, curvature = _climb(
-        episodes, free, jnp.int32(relation), init, params, num_iterations=num_iterations
+    groups, number = by_setting(episodes), episodes.area.shape[0]
+
+    def loss(free: np.ndarray) -> tuple[float, np.ndarray]:
+        """Compute the mean negative evidence and its slope, as the optimizer wants them."""
+        at = jnp.asarray(free, jnp.float32)
+        parts = [_loss(at, group, relation, init, params) for group in groups]
+        value = sum(float(one) for one, _ in parts)
+        slope = np.sum([np.asarray(one, np.float64) for _, one in parts], axis=0)
+        return value / number, slope / number
+
+    trace = [loss(np.asarray(free))[0]]
+    found = scipy.optimize.minimize(
+        loss,
+        np.asarray(free, np.float64),
+        jac=True,
+        method="L-BFGS-B",
+        options={"maxiter": num_iterations, "gtol": FLAT},
+        callback=lambda intermediate_result: trace.append(float(intermediate_result.fun)),
     )
+    step = CURVATURE_STEP * np.eye(free.shape[0])
+    bends = [(loss(found.x + one)[1] - loss(found.x - one)[1]) for one in step]
+    curvature = number * np.array(bends) / (2.0 * CURVATURE_STEP)
+    free = jnp.asarray(found.x, jnp.float32)
     return EpisodeFit(
         params=_with(init, relation, free),
-        standard_error=_errors(free, np.asarray(curvature, np.float64)),
-        log_evidence=log_evidence,
+        standard_error=_errors(free, 0.5 * (curvature + curvature.T)),
+        log_evidence=-number * jnp.asarray(trace, jnp.float32),
     )
 
 
-@functools.partial(jax.jit, static_argnames="num_iterations")
-def _climb(
-    episodes: WordsEvidence,
-    free: Array,
-    relation: Array,
-    init: RelationParams,
-    params: MapParams,
-    *,
-    num_iterations: int,
-) -> tuple[Array, Array, Array]:
-    """Climb from f32[4]: its end, the evidence f32[I + 1] on the way, the curvature f32[4, 4]."""
-    number = episodes.area.shape[0]
-
-    def loss(free: Array) -> Array:
-        return -log_fit_of(episodes, _with(init, relation, free), params) / number
-
-    optimizer = optax.lbfgs()
-    evaluate = optax.value_and_grad_from_state(loss)
-
-    def iterate(
-        carry: tuple[Array, optax.OptState], _: None
-    ) -> tuple[tuple[Array, optax.OptState], Array]:
-        free, state = carry
-        value, slope = evaluate(free, state=state)
-
-        def go() -> tuple[Array, optax.OptState]:
-            update, after = optimizer.update(
-                slope, state, free, value=value, grad=slope, value_fn=loss
-            )
-            return jnp.asarray(optax.apply_updates(free, update)), after
-
-        # At the top, float32 shows the line search no way up, and it tries for long.
-        is_there = jnp.max(jnp.abs(jnp.asarray(slope))) < FLAT
-        return jax.lax.cond(is_there, lambda: carry, go), jnp.asarray(value)
-
-    start = free, optimizer.init(free)
-    (free, _), values = jax.lax.scan(iterate, start, length=num_iterations)
-    step = 1e-2
-
-    def bend(unit: Array) -> Array:
-        ahead, behind = jax.lax.map(
-            jax.grad(loss), jnp.stack([free + step * unit, free - step * unit])
-        )
-        return (ahead - behind) / (2.0 * step)
-
-    curvature = jax.lax.map(bend, jnp.eye(free.shape[0]))
-    trace = jnp.append(values, loss(free))
-    return free, -number * trace, 0.5 * number * (curvature + curvature.T)
+@jax.jit
+def _loss(
+    free: Array, group: EpisodeGroup, relation: Array, init: RelationParams, params: MapParams
+) -> tuple[Array, Array]:
+    """Compute the negative evidence f32[] of a group and its slope f32[4]."""
+    return jax.value_and_grad(lambda at: -log_fit_of(group, _with(init, relation, at), params))(
+        free
+    )
 
 
 def _errors(free: Array, curvature: np.ndarray) -> Array:
