@@ -4,6 +4,8 @@ What people say of where things are, as data: the word, both places, where the s
 utterance and where the robot is now. In which of the frames it was meant is not labelled.
 """
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,8 +15,10 @@ from jaxlangnav.messages import RELATIONS
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.relations import (
     Frame,
+    Law,
+    RelationModel,
     RelationParams,
-    log_density,
+    log_density_of,
     prepare,
     robot_frame,
     viewer_frame,
@@ -107,6 +111,12 @@ def _in_frame(pairs: RelationPairs, pose: Array) -> tuple[Array, Array, Frame]:
     return pairs.figure_x - x, pairs.figure_y - y, frame
 
 
+def _laws(pairs: RelationPairs, model: RelationModel) -> Law:
+    """Look up every pair's law, leaves f32[N]: one gather, of which the slope is one scatter."""
+    names = (field.name for field in dataclasses.fields(Law))
+    return Law(**{name: getattr(model, name)[pairs.relation] for name in names})
+
+
 def log_frame_densities(pairs: RelationPairs, params: RelationParams) -> Array:
     """Evaluate every pair in every frame, without the frames' shares.
 
@@ -122,12 +132,13 @@ def log_frame_densities(pairs: RelationPairs, params: RelationParams) -> Array:
     """
     by_viewer = _in_frame(pairs, pairs.viewer)
     by_robot = _in_frame(pairs, pairs.robot)
-    directed, ring = prepare(params), prepare(replace(params, concentration=jnp.zeros(6)))
+    directed = _laws(pairs, prepare(params))
+    ring = _laws(pairs, prepare(replace(params, concentration=jnp.zeros(6))))
     return jnp.stack(
         [
-            log_density(directed, pairs.relation, *by_viewer),
-            log_density(directed, pairs.relation, *by_robot),
-            log_density(ring, pairs.relation, *by_viewer),
+            log_density_of(directed, *by_viewer),
+            log_density_of(directed, *by_robot),
+            log_density_of(ring, *by_viewer),
         ],
         axis=1,
     )
