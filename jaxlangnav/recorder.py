@@ -4,7 +4,6 @@ A Python loop over one compiled cycle, ``episode.advance``: ``play`` yields each
 keeps them all as NumPy arrays.
 """
 
-import functools
 from collections.abc import Iterator
 
 import jax
@@ -14,6 +13,7 @@ from jax import Array
 from jaxlangnav import episode
 from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Progress, Task
 from jaxlangnav.grounding.instruction import Instruction
+from jaxlangnav.kept import kept
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.messages import NONE, Readings
 from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams
@@ -119,13 +119,13 @@ def record(
     return gather(scene, [frame for frame, _ in steps], steps[-1][1])
 
 
-@functools.partial(jax.jit, static_argnames=("config",))
+@kept(static_argnames=("config",))
 def _begin(task: Task, instructions: Instruction, *, config: NavigatorConfig) -> Progress:
     """Compile ``episode.begin``: eager, its many small operations would take seconds."""
     return episode.begin(task, instructions, config=config)
 
 
-@functools.partial(jax.jit, static_argnames=("config",))
+@kept(static_argnames=("config",))
 def _advance(
     progress: Progress, *, params: NavigatorParams, config: NavigatorConfig
 ) -> tuple[Progress, Frame, EpisodeResult]:

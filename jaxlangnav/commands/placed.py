@@ -7,9 +7,10 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxlangnav.grounding.behavior import infer_behavior
+from jaxlangnav.grounding.behavior import BehaviorProgram, BehaviorWorld, infer_behavior
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.grounding.worlds import place_for, to_device
+from jaxlangnav.kept import kept
 from jaxlangnav.language.labels import PlacedWorld
 from jaxlangnav.messages import ACTIONS, MODES, REGIONS, Behavior
 from jaxlangnav.world.scenario import NUM_SLOTS
@@ -134,6 +135,7 @@ def describe_goal(placed: PlacedWorld, region: int, slot: int) -> dict[str, Any]
     return {"region": REGIONS[region], "object": name, "index": slot, "position": [x, y]}
 
 
-_infer = jax.jit(
-    lambda program, world: infer_behavior(program, world, num_phrases=program.num_phrases)
-)
+@kept()
+def _infer(program: BehaviorProgram, world: BehaviorWorld) -> Behavior:
+    """Compile the inference of one command in one world."""
+    return infer_behavior(program, world, num_phrases=program.num_phrases)

@@ -27,6 +27,8 @@ def keep_compiled_programs() -> None:
     """
     import jax
 
+    from jaxlangnav.kept import keep_in
+
     if getattr(jax.config, "jax_compilation_cache_dir", None) is None:
         directory = cache_directory() / "compiled"
         with contextlib.suppress(OSError):
@@ -35,6 +37,8 @@ def keep_compiled_programs() -> None:
             return
         jax.config.update("jax_compilation_cache_dir", str(directory))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+    folder = str(getattr(jax.config, "jax_compilation_cache_dir", None))
+    keep_in(None if "://" in folder else Path(folder) / "whole")
 
 
 @contextlib.contextmanager

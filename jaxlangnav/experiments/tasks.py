@@ -15,11 +15,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.typing import ArrayLike
 
 from jaxlangnav.episode import Task
+from jaxlangnav.kept import kept
 from jaxlangnav.messages import MotionParams, SensorParams, default_motion, default_sensor
 from jaxlangnav.world.known import known_distance
-from jaxlangnav.world.scenario import draw_scenario, scenario_law
+from jaxlangnav.world.scenario import draw_scenario, empty_scenario, scenario_law
 from jaxlangnav.world.state import Scenario
 
 BLOCK = 256
@@ -66,8 +68,8 @@ def cell(
     )
 
 
-@jax.jit
-def _draw(roots: Array, described: dict[str, Any], numbers: Array, worlds: Array) -> Task:
+@kept()
+def _draw(roots: Array, described: dict[str, Any], numbers: ArrayLike, worlds: ArrayLike) -> Task:
     """Draw each episode's key by its number and its world by the world's; leaves [BLOCK, …]."""
 
     def one(root: Array, cell: dict[str, Any], number: Array, world: Array) -> Task:
@@ -84,7 +86,7 @@ def _draw(roots: Array, described: dict[str, Any], numbers: Array, worlds: Array
             motion=cell["motion"],
         )
 
-    return jax.vmap(one)(roots, described, numbers, worlds)
+    return jax.vmap(one)(roots, described, jnp.asarray(numbers), jnp.asarray(worlds))
 
 
 @functools.partial(jax.jit, static_argnames="number")
@@ -134,12 +136,10 @@ def _describe(one: Cell) -> dict[str, Any]:
     law = scenario_law(
         template="1H1C" if is_own else one.world, relation="null" if is_own else one.relation
     )
-    drawn = jax.eval_shape(draw_scenario, jax.random.key(0), law)
-    blank = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), drawn)
     return {
         "law": law,
         "is_own": np.asarray(is_own),
-        "scenario": one.scenario if is_own else blank,
+        "scenario": one.scenario if is_own else empty_scenario(),
         "instruction_index": np.int32(one.instruction_index),
         "sensor": one.sensor,
         "motion": one.motion,

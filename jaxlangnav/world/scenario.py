@@ -20,9 +20,11 @@ A null world has the geometry of "behind", as the paper issues both commands in 
 
 import functools
 import math
+from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from jaxlangnav.messages import NONE
@@ -101,6 +103,23 @@ def sample_scenario(
             f"{num_slots}: choose a smaller template or at least {num_objects} slots"
         )
     return draw_scenario(key, scenario_law(template=record, relation=relation), num_slots=num_slots)
+
+
+def empty_scenario() -> Scenario:
+    """Build a place without objects, on the host; of the shapes of a drawn one."""
+    number = NUM_SLOTS
+    fields: dict[str, Any] = {
+        "object_type": np.full(number, NONE, np.int32),
+        "object_x": np.zeros(number, np.float32),
+        "object_y": np.zeros(number, np.float32),
+        "is_object": np.zeros(number, bool),
+        "goal": np.zeros(2, np.float32),
+        "goal_index": np.asarray(NONE, np.int32),
+        "start": np.zeros(3, np.float32),
+        "area": np.zeros(4, np.float32),
+        "is_valid": np.asarray(False),
+    }
+    return Scenario(**fields)
 
 
 @functools.partial(jax.jit, static_argnames=("num_slots", "num_attempts", "num_candidates"))

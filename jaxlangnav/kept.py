@@ -1,0 +1,185 @@
+"""Compiled programs kept whole: a later run neither traces nor lowers nor compiles them.
+
+JAX's own cache keeps what has been compiled, but finds it by the program's text, which has to be
+traced and lowered first: seconds for a decision cycle. Here a program is found by what the text
+follows from: the source of this package, the versions below it, this machine, and the shapes and
+static values of a call. Whatever does not fit, or cannot be read, is compiled as if nothing had
+been kept.
+
+Only functions of their arguments alone may be kept: what they read of modules must be constant.
+"""
+
+import contextlib
+import functools
+import hashlib
+import os
+import pickle
+import platform
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, ParamSpec, TypeVar
+
+import jax
+import jax.core
+import jaxlib.version
+from jax.experimental import serialize_executable
+
+P = ParamSpec("P")
+R = TypeVar("R")
+_MAX_PROGRAMS = 24
+"""Files that stay; the cycle's has 8 MB. Those used last are kept."""
+_SUFFIX = ".program"
+_SETTINGS = (
+    "jax_enable_x64",
+    "jax_default_matmul_precision",
+    "jax_debug_nans",
+    "jax_threefry_partitionable",
+)
+_folder: Path | None = None
+
+
+def keep_in(folder: Path | None) -> None:
+    """Name the folder of kept programs, for the rest of the process; None keeps none.
+
+    Args:
+        folder: existing or not. Programs are loaded from it as code: it must be the user's own.
+    """
+    global _folder
+    _folder = folder
+
+
+def kept(*, static_argnames: tuple[str, ...] = ()) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Compile a function as ``jax.jit`` does, and keep its programs where ``keep_in`` says.
+
+    Args:
+        static_argnames: keyword arguments that are part of the program; told apart by ``repr``.
+
+    Returns:
+        A decorator.
+    """
+
+    def decorate(function: Callable[P, R]) -> Callable[P, R]:
+        jitted = jax.jit(function, static_argnames=static_argnames)
+        whole: Callable[..., R] = function
+        programs: dict[str, Callable[[list[Any]], R]] = {}
+
+        @functools.wraps(jitted)
+        def call(*args: P.args, **kwargs: P.kwargs) -> R:
+            if _folder is None or not _is_plain():
+                return jitted(*args, **kwargs)
+            static = {name: kwargs[name] for name in static_argnames if name in kwargs}
+            data = args, {name: kwargs[name] for name in kwargs if name not in static}
+            leaves, tree = jax.tree.flatten(data)
+            if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
+                return jitted(*args, **kwargs)
+            name = _name(function, static, tree, leaves)
+            if name not in programs:
+
+                def flat(*leaves: Any) -> Any:
+                    args, kwargs = jax.tree.unflatten(tree, leaves)
+                    return whole(*args, **kwargs, **static)
+
+                programs[name] = _load(_folder / name) or _compile(_folder / name, flat, leaves)
+            return programs[name](leaves)
+
+        return call
+
+    return decorate
+
+
+def _is_plain() -> bool:
+    """Tell whether programs run on one CPU device: what keeping has been tried with."""
+    return jax.default_backend() == "cpu" and jax.device_count() == 1
+
+
+def _name(function: Callable[..., Any], static: Any, tree: Any, leaves: list[Any]) -> str:
+    """Name a program by all that it follows from."""
+    types = [jax.typeof(leaf) for leaf in leaves]
+    parts = (
+        _setting(),
+        function.__module__,
+        function.__qualname__,
+        static,
+        tree,
+        [(one.shape, str(one.dtype), getattr(one, "weak_type", False)) for one in types],
+    )
+    return hashlib.sha256(repr(parts).encode()).hexdigest()[:32] + _SUFFIX
+
+
+def _setting() -> tuple[Any, ...]:
+    """List what programs depend on besides their call; JAX's settings can change in between."""
+    return (
+        *_machine(),
+        *(getattr(jax.config, name) for name in _SETTINGS),
+        os.environ.get("XLA_FLAGS", ""),
+    )
+
+
+@functools.cache
+def _machine() -> tuple[str, ...]:
+    """Tell this package's source, the versions below it, and this machine."""
+    digest = hashlib.sha256()
+    package = Path(__file__).parent
+    for path in sorted(package.rglob("*")):
+        if path.is_file() and path.suffix != ".pyc":
+            digest.update(str(path.relative_to(package)).encode() + path.read_bytes())
+    features = ""
+    with contextlib.suppress(OSError):
+        lines = Path("/proc/cpuinfo").read_text("utf-8").splitlines()
+        features = next((line for line in lines if line.startswith(("flags", "Features"))), "")
+    return (
+        digest.hexdigest(),
+        jax.__version__,
+        jaxlib.version.__version__,
+        platform.python_version(),
+        platform.platform(),
+        platform.processor(),
+        features,
+    )
+
+
+def _load(path: Path) -> Callable[[list[Any]], Any] | None:
+    """Load a kept program; None if there is none, or none that can be read."""
+    try:
+        executable, skeleton = pickle.loads(path.read_bytes())
+        leaves, tree = jax.tree.flatten(skeleton)
+        in_tree = jax.tree.structure((tuple(range(executable[1])), {}))
+        compiled = serialize_executable.deserialize_and_load(
+            executable[0], in_tree, jax.tree.structure(list(leaves))
+        )
+        os.utime(path)
+    except Exception:  # whatever is wrong with a file: it is written anew
+        return None
+    return lambda values: jax.tree.unflatten(tree, compiled(*values))
+
+
+def _compile(path: Path, flat: Callable[..., Any], leaves: list[Any]) -> Callable[[list[Any]], Any]:
+    """Compile a program of flat arguments, and keep it if it can be kept."""
+    trees: list[Any] = []
+
+    def listed(*values: Any) -> list[Any]:
+        found, tree = jax.tree.flatten(flat(*values))
+        trees.append(tree)
+        return found
+
+    compiled = jax.jit(listed).lower(*leaves).compile()
+    tree = trees[0]
+    # A record with numbers for leaves tells the structure; JAX's own description has no file form.
+    skeleton = jax.tree.unflatten(tree, range(tree.num_leaves))
+    # A full or read-only disk, a program that has no file form: it is only not kept.
+    with contextlib.suppress(Exception):
+        payload, _, _ = serialize_executable.serialize(compiled)
+        _write(path, pickle.dumps(((payload, len(leaves)), skeleton)))
+    return lambda values: jax.tree.unflatten(tree, compiled(*values))
+
+
+def _write(path: Path, content: bytes) -> None:
+    """Write a file whole or not at all, and drop those used longest ago."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
+        file.write(content)
+    Path(file.name).replace(path)
+    programs = sorted(path.parent.glob(f"*{_SUFFIX}"), key=lambda one: one.stat().st_mtime)
+    for old in programs[:-_MAX_PROGRAMS]:
+        old.unlink(missing_ok=True)
