@@ -35,10 +35,10 @@ demo: $(STAMPS)/viz ## follow a sentence with the shipped models and write pictu
 	@$(BIN)/jaxlangnav follow "$(INSTRUCTION)" --out $(OUT) $(ARGS)
 
 test: $(STAMPS)/dev ## the quick tier of tests, WORKERS=2 at a time
-	@$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadfile $(ARGS)
+	@$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadfile --no-loadscope-reorder $(ARGS)
 
 test-all: $(STAMPS)/dev ## every test, the slow ones too
-	@$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadfile -m "" $(ARGS)
+	@$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadfile --no-loadscope-reorder -m "" $(ARGS)
 
 lint: $(STAMPS)/dev ## ruff: rules and format
 	@$(BIN)/ruff check .
