@@ -16,7 +16,7 @@ import os
 import pickle
 import platform
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
@@ -80,7 +80,8 @@ def kept(*, static_argnames: tuple[str, ...] = ()) -> Callable[[Callable[P, R]],
                     args, kwargs = jax.tree.unflatten(tree, leaves)
                     return whole(*args, **kwargs, **static)
 
-                programs[name] = _load(_folder / name) or _compile(_folder / name, flat, leaves)
+                loaded = _load(_folder / name, leaves)
+                programs[name] = loaded or _compile(_folder / name, flat, leaves)
             return programs[name](leaves)
 
         return call
@@ -139,15 +140,16 @@ def _machine() -> tuple[str, ...]:
     )
 
 
-def _load(path: Path) -> Callable[[list[Any]], Any] | None:
-    """Load a kept program; None if there is none, or none that can be read."""
+def _load(path: Path, leaves: list[Any]) -> Callable[[list[Any]], Any] | None:
+    """Load a kept program; None if there is none, or none that can be read and run."""
     try:
-        executable, skeleton = pickle.loads(path.read_bytes())
-        leaves, tree = jax.tree.flatten(skeleton)
-        in_tree = jax.tree.structure((tuple(range(executable[1])), {}))
-        compiled = serialize_executable.deserialize_and_load(
-            executable[0], in_tree, jax.tree.structure(list(leaves))
-        )
+        payload, number, skeleton = pickle.loads(path.read_bytes())
+        found, tree = jax.tree.flatten(skeleton)
+        in_tree = jax.tree.structure((tuple(range(number)), {}))
+        out_tree = jax.tree.structure(found)
+        compiled = serialize_executable.deserialize_and_load(payload, in_tree, out_tree)
+        # Some faults of a file show only here: XLA links when it runs.
+        jax.block_until_ready(compiled(*leaves))
         os.utime(path)
     except Exception:  # whatever is wrong with a file: it is written anew
         return None
@@ -158,20 +160,38 @@ def _compile(path: Path, flat: Callable[..., Any], leaves: list[Any]) -> Callabl
     """Compile a program of flat arguments, and keep it if it can be kept."""
     trees: list[Any] = []
 
-    def listed(*values: Any) -> list[Any]:
+    def kept_whole(*values: Any) -> list[Any]:
         found, tree = jax.tree.flatten(flat(*values))
         trees.append(tree)
         return found
 
-    compiled = jax.jit(listed).lower(*leaves).compile()
+    lowered = jax.jit(kept_whole).lower(*leaves)
+    with _outside_of_the_cache():
+        compiled = lowered.compile()
     tree = trees[0]
     # A record with numbers for leaves tells the structure; JAX's own description has no file form.
     skeleton = jax.tree.unflatten(tree, range(tree.num_leaves))
     # A full or read-only disk, a program that has no file form: it is only not kept.
     with contextlib.suppress(Exception):
         payload, _, _ = serialize_executable.serialize(compiled)
-        _write(path, pickle.dumps(((payload, len(leaves)), skeleton)))
+        _write(path, pickle.dumps((payload, len(leaves), skeleton)))
     return lambda values: jax.tree.unflatten(tree, compiled(*values))
+
+
+@contextlib.contextmanager
+def _outside_of_the_cache() -> Iterator[None]:
+    """Have JAX's own cache take nothing of what is compiled inside.
+
+    A CPU program that JAX has loaded from its cache is written without its functions (JAX 0.10),
+    so programs to be kept must never be found there.
+    """
+    name = "jax_persistent_cache_min_compile_time_secs"
+    before = getattr(jax.config, name)
+    jax.config.update(name, float("inf"))
+    try:
+        yield
+    finally:
+        jax.config.update(name, before)
 
 
 def _write(path: Path, content: bytes) -> None:

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.experimental.compilation_cache import compilation_cache
 
 from jaxlangnav import kept as module
 from jaxlangnav.kept import keep_in, kept
@@ -80,6 +81,32 @@ def test_a_damaged_file_is_compiled_anew(folder: Path, content: bytes) -> None:
     same(another_process()(*arguments), first)
     assert len(TRACES) == 2
     assert path.stat().st_size == pytest.approx(good, rel=0.1)
+
+
+def test_a_program_lost_is_written_whole_again(folder: Path, tmp_path: Path) -> None:
+    """JAX's own cache must not hold it: what JAX has loaded from there cannot be written again."""
+    settings = {
+        "jax_compilation_cache_dir": str(tmp_path / "jax"),
+        "jax_persistent_cache_min_compile_time_secs": 0.0,
+    }
+    before = {name: getattr(jax.config, name) for name in settings}
+    for name, value in settings.items():
+        jax.config.update(name, value)
+    compilation_cache.reset_cache()
+    try:
+        arguments = jax.random.key(3), default_motion()
+        first = another_process()(*arguments)
+        for _ in range(2):
+            (path,) = folder.glob("*.program")
+            path.unlink()
+            same(another_process()(*arguments), first)
+            traces = len(TRACES)
+            same(another_process()(*arguments), first)
+            assert len(TRACES) == traces
+    finally:
+        for name, value in before.items():
+            jax.config.update(name, value)
+        compilation_cache.reset_cache()
 
 
 def test_another_source_is_another_program(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
