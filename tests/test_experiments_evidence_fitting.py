@@ -25,7 +25,7 @@ HYDRANT, CONE = by_hand.HYDRANT, by_hand.CONE
 MEDIAN, SPREAD, AXIS, KAPPA = 3.6, 0.25, 0.4, 6.0
 TRUTH = np.array([np.log(MEDIAN), SPREAD, AXIS, KAPPA])
 FIELDS = ("log_distance", "log_distance_sd", "axis", "concentration")
-CELLS, HALF = 10, 6.0
+CELLS, HALF = 16, 6.0
 """Cells a side and half a side in metres: a third of the hydrants drawn fall outside."""
 MISS = (0.1, 1.0)
 """Probability of having missed an object, where the robot has looked and where it has not."""

@@ -43,6 +43,10 @@ NUM_READINGS = 1
 FLAT = 1e-3
 """Slope of the mean evidence, nats, that counts as the top. The information of an episode on the
 four free parameters is 0.3 to 9: of 128 episodes, within a fiftieth of the standard errors."""
+FIRST_STEP = 0.2
+"""Of the climb, log metres or radians: from afar, a step of one may end in another valley."""
+LEAST_SPREAD = 0.25
+"""Radial deviation in cells."""
 CURVATURE_STEP = 1e-2
 """Of the difference of slopes: log metres, radians."""
 
@@ -133,7 +137,8 @@ def fit_to_episodes(
         num_iterations: J, at most.
 
     Returns:
-        The fit. Standard errors are of the curvature at its end.
+        The fit. Standard errors are of the curvature at its end; infinite where it has no top
+        there, as for a spread that ends at its least, a quarter of a cell of the coverage map.
 
     Raises:
         ValueError: the relation has no direction to begin with, or a sentence is a superlative.
@@ -155,32 +160,48 @@ def fit_to_episodes(
     )
     groups, number = by_setting(episodes), episodes.area.shape[0]
 
-    def loss(free: np.ndarray) -> tuple[float, np.ndarray]:
+    begin = np.asarray(free, np.float64)
+
+    def loss(step: np.ndarray) -> tuple[float, np.ndarray]:
         """Compute the mean negative evidence and its slope, as the optimizer wants them."""
-        at = jnp.asarray(free, jnp.float32)
+        at = jnp.asarray(begin + FIRST_STEP * step, jnp.float32)
         parts = [_loss(at, group, relation, init, params) for group in groups]
         value = sum(float(one) for one, _ in parts)
         slope = np.sum([np.asarray(one, np.float64) for _, one in parts], axis=0)
-        return value / number, slope / number
+        return value / number, FIRST_STEP * slope / number
 
-    trace = [loss(np.asarray(free))[0]]
+    trace = [loss(np.zeros_like(begin))[0]]
     found = scipy.optimize.minimize(
         loss,
-        np.asarray(free, np.float64),
+        np.zeros_like(begin),
         jac=True,
+        bounds=_bounds(episodes, init, relation),
         method="L-BFGS-B",
-        options={"maxiter": num_iterations, "gtol": FLAT},
+        options={"maxiter": num_iterations, "gtol": FIRST_STEP * FLAT},
         callback=lambda intermediate_result: trace.append(float(intermediate_result.fun)),
     )
-    step = CURVATURE_STEP * np.eye(free.shape[0])
-    bends = [(loss(found.x + one)[1] - loss(found.x - one)[1]) for one in step]
-    curvature = number * np.array(bends) / (2.0 * CURVATURE_STEP)
-    free = jnp.asarray(found.x, jnp.float32)
+    step = CURVATURE_STEP / FIRST_STEP * np.eye(begin.size)
+    bends = [loss(found.x + one)[1] - loss(found.x - one)[1] for one in step]
+    curvature = number * np.array(bends) / (2.0 * CURVATURE_STEP * FIRST_STEP)
+    free = jnp.asarray(begin + FIRST_STEP * found.x, jnp.float32)
     return EpisodeFit(
         params=_with(init, relation, free),
         standard_error=_errors(free, 0.5 * (curvature + curvature.T)),
         log_evidence=-number * jnp.asarray(trace, jnp.float32),
     )
+
+
+def _bounds(
+    episodes: WordsEvidence, init: RelationParams, relation: int
+) -> list[tuple[float | None, float | None]]:
+    """Keep the spread, in steps from ``init``, above what the grid can tell.
+
+    A ring much thinner than a cell meets few of the centres, and which ones is chance.
+    """
+    cell = float(np.sqrt(np.mean(episodes.area) / episodes.miss.shape[-1]))
+    least = LEAST_SPREAD * cell / float(jnp.exp(init.log_distance[relation]))
+    down = (np.log(least) - float(jnp.log(init.log_distance_sd[relation]))) / FIRST_STEP
+    return [(None, None), (min(float(down), 0.0), None), (None, None), (None, None)]
 
 
 @jax.jit
@@ -196,7 +217,8 @@ def _loss(
 def _errors(free: Array, curvature: np.ndarray) -> Array:
     """Compute standard errors of the parameters from the curvature f64[4, 4], f32[4]."""
     covariance = np.linalg.pinv(curvature, hermitian=True)
-    error = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    variance = np.diag(covariance)
+    error = np.sqrt(np.where(variance > 0.0, variance, np.inf))
     # Spread and concentration were fitted as logarithms.
     scale = np.array([1.0, float(jnp.exp(free[1])), 1.0, float(jnp.exp(free[3]))])
     return jnp.asarray(error * scale, jnp.float32)
