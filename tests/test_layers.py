@@ -12,6 +12,7 @@ import pytest
 
 LAYERS = (
     "pytree",
+    "kept",
     "messages",
     "numerics",
     "relations",
