@@ -21,7 +21,8 @@ from jaxlangnav.planner.params import PlannerConfig, PlannerParams, default_plan
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.semantic_map.behaviors import infer_behaviors
-from jaxlangnav.semantic_map.filter import FilterInfo, ParticleBelief
+from jaxlangnav.semantic_map.belief import ParticleBelief
+from jaxlangnav.semantic_map.filter import FilterInfo
 from jaxlangnav.semantic_map.params import MapConfig, MapParams, default_map_params
 
 _PLANNING = 77
@@ -242,7 +243,12 @@ def _observe(
     trusts = config.planner.policy == "faithful"
     map_params = replace(params.map, misleading=jnp.float32(0.0)) if trusts else params.map
     belief, info = semantic_filter.step(
-        key, state.belief, state.instruction.readings, observation, params=map_params
+        key,
+        state.belief,
+        state.instruction.readings,
+        observation,
+        params=map_params,
+        is_sparse=True,
     )
     return replace(state, belief=belief), info
 

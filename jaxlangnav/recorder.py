@@ -18,7 +18,7 @@ from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.messages import NONE, Readings
 from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams
 from jaxlangnav.recording import Frame, Recording, Scene, gather
-from jaxlangnav.semantic_map.filter import ParticleBelief
+from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.world.known import known_distance
 
 

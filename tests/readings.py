@@ -11,8 +11,9 @@ import numpy as np
 from jaxlangnav.messages import NONE, MotionParams, Observation, Readings, SensorParams
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map import filter as semantic_filter
+from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.coverage import Coverage
-from jaxlangnav.semantic_map.filter import FilterInfo, ParticleBelief
+from jaxlangnav.semantic_map.filter import FilterInfo
 from jaxlangnav.semantic_map.params import MapConfig, MapParams, default_map_params
 
 K, M, J, D = 2, 3, 2, 6

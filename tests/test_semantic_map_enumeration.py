@@ -130,7 +130,7 @@ def test_groundings_equal_enumeration(name: str) -> None:
     evidence = weight.mean(1)
     compare(evidence, truth.sum())
     # A heavy tail would pass any test in standard errors: the estimate itself must be usable.
-    assert evidence.std() < (2.5 if name.startswith("figure first") else 0.5) * truth.sum()
+    assert evidence.std() < (2.5 if name.startswith("figure first") else 0.6) * truth.sum()
     # Weight of every grounding; those too rare for a standard error are taken together.
     samples = by_category(particles, weight, number, count)
     is_common = truth.ravel() > 0.02 * truth.sum()

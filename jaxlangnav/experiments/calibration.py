@@ -28,8 +28,8 @@ from jaxlangnav.messages import NONE, Readings
 from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams
 from jaxlangnav.planner.goals import Goals
 from jaxlangnav.pytree import pytree, replace
+from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.coverage import Coverage, cell_size
-from jaxlangnav.semantic_map.filter import ParticleBelief
 
 NUM_BINS = 10
 LANES = 64

@@ -37,8 +37,8 @@ from jaxlangnav.messages import FAR, NONE, ROBOT, Observation, Readings, SensorP
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.relations import RelationParams, log_density, prepare, viewer_frame
 from jaxlangnav.semantic_map import filter as semantic_filter
+from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.coverage import area_size, cell_centres
-from jaxlangnav.semantic_map.filter import ParticleBelief
 from jaxlangnav.semantic_map.params import MapParams
 
 _NEVER = -1e4

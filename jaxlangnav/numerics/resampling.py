@@ -1,6 +1,7 @@
 """Resampling and the effective sample size (section 3.2, last paragraph)."""
 
-from typing import TypeVar
+import math
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -75,14 +76,32 @@ def take(particles: Record, ancestors: Array) -> Record:
     Returns:
         The same records, leaves [..., P].
     """
-    leaves, form = jax.tree.flatten(particles)
-    number = ancestors.shape[0]
-    rows = [leaf.astype(jnp.float32).reshape(-1, number) for leaf in leaves]
-    table = jnp.concatenate(rows)[:, ancestors]
+    return unpack(pack(particles)[:, ancestors], particles)
+
+
+def pack(particles: Any) -> Array:
+    """Write records as one table, f32[rows, P], from leaves [..., P] as ``take`` can hold them."""
+    leaves = jax.tree.leaves(particles)
+    return jnp.concatenate(
+        [leaf.astype(jnp.float32).reshape(-1, leaf.shape[-1]) for leaf in leaves]
+    )
+
+
+def unpack(table: Array, form: Record) -> Record:
+    """Read records from a table, f32[rows, n], that ``pack`` has written and columns picked from.
+
+    Args:
+        table: of ``pack``.
+        form: the records that were packed, or others of their shapes and types; [..., P].
+
+    Returns:
+        Leaves [..., n].
+    """
+    leaves, tree = jax.tree.flatten(form)
     taken, start = [], 0
     for leaf in leaves:
-        size = leaf.size // number
+        size = math.prod(leaf.shape[:-1])
         own = jax.lax.slice_in_dim(table, start, start + size)
-        taken.append(own.reshape(leaf.shape).astype(leaf.dtype))
+        taken.append(own.reshape(*leaf.shape[:-1], table.shape[-1]).astype(leaf.dtype))
         start += size
-    return jax.tree.unflatten(form, taken)
+    return jax.tree.unflatten(tree, taken)

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.planner.graph import Nodes
-from jaxlangnav.semantic_map.filter import ParticleBelief
+from jaxlangnav.semantic_map.belief import ParticleBelief
 
 BERTH = 2.0
 """Metres around an object that a constraint forbids."""

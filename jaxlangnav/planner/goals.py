@@ -11,7 +11,7 @@ from jax import Array
 from jaxlangnav.messages import AT, Behavior
 from jaxlangnav.pytree import pytree
 from jaxlangnav.relations import RelationModel, robot_frame, to_map, viewer_frame
-from jaxlangnav.semantic_map.filter import ParticleBelief
+from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.particle import SemanticMap
 
 

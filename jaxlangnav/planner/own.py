@@ -15,7 +15,7 @@ from jaxlangnav.planner.goals import Goals
 from jaxlangnav.planner.graph import Nodes
 from jaxlangnav.planner.params import PlannerParams
 from jaxlangnav.pytree import pytree
-from jaxlangnav.semantic_map.filter import ParticleBelief
+from jaxlangnav.semantic_map.belief import ParticleBelief
 
 
 @pytree

@@ -21,8 +21,8 @@ from jaxlangnav.planner.own import Situation, Valuation
 from jaxlangnav.planner.params import PlannerConfig, PlannerParams
 from jaxlangnav.planner.tours import Plan
 from jaxlangnav.pytree import pytree
+from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.coverage import cell_size
-from jaxlangnav.semantic_map.filter import ParticleBelief
 
 _SETTLED = 10.0
 """Value of a goal that is settled; information values stay below 1."""

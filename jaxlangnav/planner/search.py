@@ -10,7 +10,7 @@ from jax import Array
 
 from jaxlangnav.planner import prior
 from jaxlangnav.pytree import pytree
-from jaxlangnav.semantic_map.filter import ParticleBelief
+from jaxlangnav.semantic_map.belief import ParticleBelief
 
 CELLS = 12
 """Cells of the search map a side; must divide the cells of the coverage."""

@@ -114,13 +114,15 @@ def look(
     return Coverage(log_miss=jnp.maximum(log_miss, LOG_MISS_FLOOR), area=coverage.area)
 
 
-def log_miss_at(coverage: Coverage, x: Array, y: Array) -> Array:
+def log_miss_at(coverage: Coverage, x: Array, y: Array, first_row: Array | int = 0) -> Array:
     """Look up the log-probability that an object at (x, y) would still be unseen.
 
     Args:
-        coverage: where the robot has looked.
+        coverage: where the robot has looked; or several, one below the other: f32[n G, G], and
+            the area of each place, f32[4, ...].
         x: f32[...], metres, map frame.
         y: f32[...], metres.
+        first_row: i32[...], where in several the map begins that is asked.
 
     Returns:
         f32[...]; −∞ outside the operating area, where nothing is.
@@ -130,7 +132,8 @@ def log_miss_at(coverage: Coverage, x: Array, y: Array) -> Array:
     column = jnp.floor((x - coverage.area[0]) / size_x).astype(jnp.int32)
     row = jnp.floor((y - coverage.area[2]) / size_y).astype(jnp.int32)
     is_in = (column >= 0) & (column < num_cells) & (row >= 0) & (row < num_cells)
-    flat = jnp.clip(row, 0, num_cells - 1) * num_cells + jnp.clip(column, 0, num_cells - 1)
+    row = first_row + jnp.clip(row, 0, num_cells - 1)
+    flat = row * num_cells + jnp.clip(column, 0, num_cells - 1)
     return jnp.where(is_in, coverage.log_miss.reshape(-1)[flat], -jnp.inf)
 
 

@@ -10,47 +10,27 @@ are properly weighted for the same target, so the mixture is too; and when every
 refuted all are replaced, which is how the filter revives.
 """
 
-import math
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
 from jaxlangnav.messages import Observation, Readings
 from jaxlangnav.numerics import categorical
 from jaxlangnav.numerics.resampling import effective_sample_size, independent, systematic, take
 from jaxlangnav.pytree import pytree, replace
-from jaxlangnav.semantic_map import association, motion, options, particle, proposal
-from jaxlangnav.semantic_map.coverage import (
-    Coverage,
-    area_size,
-    log_miss_at,
-    look,
-    sample_unseen,
-    unexplored,
-)
+from jaxlangnav.semantic_map import association, motion, particle
+from jaxlangnav.semantic_map.belief import ParticleBelief
+from jaxlangnav.semantic_map.coverage import area_size, log_miss_at, look, unexplored
 from jaxlangnav.semantic_map.params import MapConfig, MapParams
 from jaxlangnav.semantic_map.particle import SemanticMap
 from jaxlangnav.semantic_map.surprise import CONTRADICTION, surprise
+from jaxlangnav.semantic_map.words import ground_words
 
-_SPREAD = np.array([0.75487767, 0.56984029], np.float32)
-"""Steps of the additive recurrence that fills the unit square most evenly."""
-
-
-@pytree
-class ParticleBelief:
-    """Weighted particles and what they share; the particle axis is last in every particle."""
-
-    particles: SemanticMap  # leaves [..., P]
-    log_weight: Array  # f32[P] normalised
-    coverage: Coverage  # where the robot has looked
-    last_pose: Array  # f32[3] dead-reckoned pose at the last observation
-    viewer: Array  # f32[3] x, y, heading when the last instruction was heard, map frame
-    must_ground: Array  # bool[] words have come in that no particle has grounded yet
-    log_evidence: Array  # f32[] log predictive probability of all detections and absences so
-    # far, relative to a constant per detection; what new groundings of the words add is left out
+_ASKED = 16
+"""Particles that ground the words at every step, whatever happens: enough to tell the mean of the
+evidence, against which fresh groundings are weighed."""
 
 
 @pytree
@@ -158,66 +138,6 @@ def _detections(
     )
 
 
-def ground_words(
-    key: Array, belief: ParticleBelief, readings: Readings, params: MapParams
-) -> tuple[SemanticMap, Array]:
-    """Draw for every particle a reading and what its words refer to (eq. 7a).
-
-    Args:
-        key: random key.
-        belief: the observed map and where the robot has looked.
-        readings: the sentence.
-        params: relations, concentration.
-
-    Returns:
-        Particles with fresh groundings, and f32[P], log of the evidence estimated by each.
-    """
-    number = belief.log_weight.shape[0]
-    num_mentions = readings.mention_type.shape[1]
-    reading_key, pool_key, loop_key = jax.random.split(key, 3)
-    share = jnp.cumsum(jnp.exp(readings.log_probability))
-    uniform = jax.random.uniform(reading_key, (number,)) * share[-1]
-    reading = jnp.sum(share[:-1, None] <= uniform[None, :], axis=0).astype(jnp.int32)
-    pool = options.NUM_UNSEEN * number
-    comb = jax.random.uniform(pool_key, (2, pool))
-    pool_x, pool_y, log_unseen = sample_unseen(belief.coverage, comb[0, 0], comb)
-    scene = options.Scene(belief.coverage, log_unseen, belief.viewer)
-    stride = next(step for step in range(int(0.618 * number), 0, -1) if math.gcd(step, number) == 1)
-    num_relations = jnp.max(jnp.sum(readings.figure >= 0, axis=1))
-
-    def body(index: Array, grounding: proposal.Grounding) -> proposal.Grounding:
-        draws_key, shuffle_key = jax.random.split(jax.random.fold_in(loop_key, index))
-        # Which place of the comb goes to which particle is random: a fixed assignment would tie
-        # particles to regions. Each row is dealt over the whole comb.
-        start = jax.random.randint(shuffle_key, (), 0, pool)
-        row = jnp.arange(options.NUM_UNSEEN)[:, None]
-        dealt = options.NUM_UNSEEN * (stride * jnp.arange(number) % number)
-        chosen = (start + dealt[None, :] + row) % pool
-        unit = jax.random.uniform(draws_key, (6, number), minval=1e-6, maxval=1.0 - 1e-6)
-        normal = jax.scipy.special.ndtri(unit[:4])
-        # Evenly spread over the particles: what they choose stays for the episode, and with it the
-        # error of independent draws. Two additive recurrences of unlike steps, not tied together.
-        spread = (unit[4:, :1] + _SPREAD[:, None] * jnp.arange(number)[None]) % 1.0
-        draws = options.Draws(
-            distance=normal[:2],
-            angle=normal[2:],
-            choice=spread[0],
-            trust=spread[1],
-            unseen_x=pool_x[chosen],
-            unseen_y=pool_y[chosen],
-        )
-        one = jax.tree.map(lambda leaf: leaf[index], told)
-        return proposal.ground_relation(belief.particles, one, grounding, draws, scene, params)
-
-    told = proposal.look_up(readings, reading, params)
-    nothing = proposal.nothing_grounded(num_mentions, number)
-    grounding = jax.lax.fori_loop(0, num_relations, body, nothing)
-    return (
-        proposal.adopt(belief.particles, readings, reading, grounding),
-        grounding.log_weight,
-    )
-
-
 class Weighed(NamedTuple):
     """What one observation did to the particles, before any words are grounded anew."""
 
@@ -285,6 +205,7 @@ def reground(
     readings: Readings,
     weighed: Weighed,
     params: MapParams,
+    is_sparse: bool,
 ) -> Regrounded:
     """Ground the words anew where the old hypothesis was refuted or a new object calls for it.
 
@@ -295,6 +216,7 @@ def reground(
         readings: what the instruction says.
         weighed: of ``observe``.
         params: traced numbers.
+        is_sparse: see ``step``.
 
     Returns:
         The particles, properly weighted.
@@ -315,11 +237,18 @@ def reground(
     # weight, so that a wrong map dies out, and then grounds the words in it.
     ancestors = independent(kept_weight, ancestor_uniform)
     ancestors = jnp.where(is_fresh & ~must_ground, ancestors, jnp.arange(number))
+    is_asked = is_fresh | (jnp.arange(number) % max(1, number // _ASKED) == 0)
     fresh, log_language = ground_words(
-        key, replace(belief, particles=take(particles, ancestors)), readings, params
+        key,
+        replace(belief, particles=take(particles, ancestors)),
+        readings,
+        params,
+        is_asked=is_asked,
+        is_sparse=is_sparse,
     )
+    num_asked = jnp.sum(is_asked).astype(jnp.float32)
     language, log_language_total, _ = categorical.log_normalize(log_language)
-    language = jnp.clip(language * number, 1e-6, 50.0)
+    language = jnp.clip(language * num_asked, 1e-6, 50.0)
     # What a particle's own map weighs, apart from its hypotheses, goes with a forced draw.
     map_weight, _, _ = categorical.log_normalize(belief.log_weight + weighed.log_map)
     fresh_weight = jnp.where(must_ground, map_weight, 1.0 / number) * language
@@ -329,7 +258,7 @@ def reground(
         weight=weight / jnp.sum(weight),
         is_fresh=is_fresh,
         log_total=log_total,
-        log_language=log_language_total - jnp.log(float(number)),
+        log_language=log_language_total - jnp.log(num_asked),
         is_dead=is_dead,
     )
 
@@ -341,6 +270,7 @@ def step(
     observation: Observation,
     *,
     params: MapParams,
+    is_sparse: bool = False,
 ) -> tuple[ParticleBelief, FilterInfo]:
     """Run one step of the filter (eq. 6-8).
 
@@ -350,6 +280,8 @@ def step(
         readings: what the instruction says.
         observation: pose and detections now.
         params: traced numbers.
+        is_sparse: under ``vmap`` over beliefs, ground the words only in the particles that need
+            it, about a third of all. The same result, but no gradient in reverse mode.
 
     Returns:
         The belief now, and information on the step.
@@ -358,7 +290,7 @@ def step(
     associate_key, ground_key, keep_key, resample_key = jax.random.split(key, 4)
     observation, is_broken = _sound(observation, belief.last_pose)
     belief, weighed = observe(associate_key, belief, observation, params)
-    found = reground(ground_key, keep_key, belief, readings, weighed, params)
+    found = reground(ground_key, keep_key, belief, readings, weighed, params, is_sparse)
 
     size = effective_sample_size(found.weight)
     is_resampled = size < params.resample_threshold * number

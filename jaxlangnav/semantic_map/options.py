@@ -39,15 +39,27 @@ class Draws(NamedTuple):
     distance: Array  # f32[2, ...] standard normal: distance of a new figure; of a new landmark
     angle: Array  # f32[2, ...] standard normal: direction of a new figure; of a new landmark
     choice: Array  # f32[...] which grounding
-    trust: Array  # f32[...] uniform: is the relation true, for the places drawn
     unseen_x: Array  # f32[NUM_UNSEEN, ...] metres, places in the unexplored area
     unseen_y: Array  # f32[NUM_UNSEEN, ...]
 
 
+class Observed(NamedTuple):
+    """What a particle has seen, as far as words can refer to it."""
+
+    object_type: Array  # i32[O, ...] NONE in empty slots
+    mean_x: Array  # f32[O, ...] metres, map frame
+    mean_y: Array  # f32[O, ...]
+
+
 class Scene(NamedTuple):
-    """What all particles of an episode share while words are grounded."""
+    """What all particles of an episode share while words are grounded.
+
+    With particles of several episodes, everything has the particle axis too, and the coverage
+    maps stand one below the other.
+    """
 
     coverage: Coverage
+    first_row: Array  # i32[] where in ``coverage`` the episode's map begins
     log_unseen: Array  # f32[] log u
     viewer: Array  # f32[3] x, y, heading of the robot when it was told; map frame
 
@@ -80,8 +92,8 @@ class Link(NamedTuple):
     model: RelationModel  # for drawing
     law: Law  # of the relation
     softness: Array  # f32[] metres
-    misleading: Array  # f32[] ε
-    is_free: Array  # bool[...] places are drawn without the relation: none, or it misleads
+    log_told: Array  # f32[...] log (1 − ε), that the relation holds; −∞ where none is told
+    log_free: Array  # f32[...] log ε, that it says nothing; 0 where none is told
     order: Order
 
     def frame(self, x: Array, y: Array) -> Frame:
@@ -103,9 +115,8 @@ class Link(NamedTuple):
 
     def log_mixture(self, log_relation: Array) -> Array:
         """Mix a relation with the uniform law over the area, which ignores what was said."""
-        told = jnp.log1p(-self.misleading) + log_relation
-        mixed = jnp.logaddexp(told, jnp.log(self.misleading) - self.log_area)
-        return jnp.where(lead(self.relation == NONE, mixed.ndim), -self.log_area, mixed)
+        told = lead(self.log_told, log_relation.ndim) + log_relation
+        return jnp.logaddexp(told, lead(self.log_free, log_relation.ndim) - self.log_area)
 
     def sample(self, distance: Array, angle: Array, frame: Frame) -> tuple[Array, Array]:
         """Draw one offset from the relation and turn it into each of the frames, map axes."""
@@ -176,14 +187,14 @@ class Link(NamedTuple):
     @property
     def is_anywhere(self) -> Array:
         """Whether a new place is drawn from all that is unseen, bool[...]."""
-        return self.is_free | self.is_ordered | self.is_side
+        return self.is_ordered | self.is_side
 
     def log_found(self, scene: Scene, x: Array, y: Array, log_relation: Array) -> Array:
         """Weigh a place drawn for something new: the relation's, or anywhere unseen."""
-        log_miss = log_miss_at(scene.coverage, x, y)
+        log_miss = log_miss_at(scene.coverage, x, y, scene.first_row)
         told = jnp.where(self.is_anywhere[None], scene.log_unseen, log_miss) + log_relation
         told = told + jnp.where(self.is_ordered[None], jnp.log(PLURAL), 0.0)
-        return jnp.where(self.is_free[None], scene.log_unseen, told)
+        return told + self.log_told[None]
 
 
 class Pairs(NamedTuple):
@@ -202,12 +213,13 @@ class Ways(NamedTuple):
     new_figure: Pairs  # [O + 1, ...] one draw from the relation for each landmark
     new_landmark: Pairs  # [O + 1, ...] one draw for each figure
     new_pair: Pairs  # [NUM_UNSEEN, ...]
+    free: Pairs  # [1, ...] what is new is anywhere unseen, for the relation says nothing
     log_backward: Array  # f32[O + 1, ...] log of the relation's density over that of the draw, for
     # a landmark drawn backwards from its figure
 
 
 def propose(link: Link, figures: Candidates, landmarks: Candidates, draws: Draws) -> Ways:
-    """Pair the known, and draw what is new from the relation; without one, anywhere unseen.
+    """Pair the known, and draw what is new: from the relation, and anywhere unseen.
 
     Args:
         link: the relation.
@@ -244,14 +256,15 @@ def propose(link: Link, figures: Candidates, landmarks: Candidates, draws: Draws
     frame = link.frame(landmark_x, landmark_y)
     offset_x, offset_y = link.sample(draws.distance[0], draws.angle[0], frame)
     new_pair = Pairs(
-        # Where the relation misleads, the figure takes the next place's draw.
+        # Of an order or a side, the figure takes the next place's draw.
         x=instead(landmark_x[::-1], landmark_x + offset_x),
         y=instead(landmark_y[::-1], landmark_y + offset_y),
         landmark_x=landmark_x,
         landmark_y=landmark_y,
     )
     known = Pairs(figures.x[:, None], figures.y[:, None], landmarks.x[None], landmarks.y[None])
-    return Ways(known, new_figure, new_landmark, new_pair, log_backward)
+    free = Pairs(landmark_x[:1], landmark_y[:1], landmark_x[1:2], landmark_y[1:2])
+    return Ways(known, new_figure, new_landmark, new_pair, free, log_backward)
 
 
 def weigh(
@@ -267,10 +280,10 @@ def weigh(
         scene: where the robot has looked.
 
     Returns:
-        f32[(O + 1)² + 2 (O + 1) + NUM_UNSEEN, ...] log-weights: known pairs, new figures, new
-        landmarks, new pairs.
+        f32[(O + 1)² + 4 (O + 1) + NUM_UNSEEN + 1, ...] log-weights: known pairs, new figures, new
+        landmarks, new pairs; figures, landmarks and a pair anywhere, of which nothing is told.
     """
-    proposed = ways[:4]
+    proposed = (ways.known, ways.new_figure, ways.new_landmark, ways.new_pair)
     extremes = [
         link.log_extreme(pairs, log_order)
         for pairs, log_order in zip(proposed, link.log_orders(proposed), strict=True)
@@ -285,6 +298,10 @@ def weigh(
     )
     log_both = link.log_found(scene, pair.x, pair.y, extremes[3]) + log_pair
     is_open = figures.is_open & landmarks.is_open
+    # That the relation says nothing is weighed in every particle and not drawn: a draw in twenty
+    # leaves what it alone explains to two or three particles, which soon die out.
+    log_free = (link.log_free + scene.log_unseen)[None]
+    log_anywhere = log_free + scene.log_unseen + link.log_area
     known = _both_known(link, figures, landmarks, ways.known, extremes[0])
     return jnp.concatenate(
         [
@@ -292,6 +309,9 @@ def weigh(
             jnp.where(figures.is_open[None], log_figure, -jnp.inf),
             jnp.where(landmarks.is_open[None], log_landmark, -jnp.inf),
             jnp.where(is_open[None], log_both, -jnp.inf),
+            jnp.where(figures.is_open[None], log_free + landmarks.log_prior, -jnp.inf),
+            jnp.where(landmarks.is_open[None], log_free + figures.log_prior, -jnp.inf),
+            jnp.where(is_open[None], log_anywhere, -jnp.inf),
         ]
     )
 

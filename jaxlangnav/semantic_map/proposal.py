@@ -33,7 +33,7 @@ from jaxlangnav.pytree import replace
 from jaxlangnav.relations import Law, law_of, robot_frame
 from jaxlangnav.semantic_map import options
 from jaxlangnav.semantic_map.coverage import area_size
-from jaxlangnav.semantic_map.options import Candidates, Draws, Link, Scene
+from jaxlangnav.semantic_map.options import Candidates, Draws, Link, Observed, Scene
 from jaxlangnav.semantic_map.order import PLURAL, SIDES, Order
 from jaxlangnav.semantic_map.params import MapParams
 from jaxlangnav.semantic_map.particle import SemanticMap
@@ -70,7 +70,7 @@ def _mention_types(readings: Readings, reading: Array) -> Array:
 
 
 def _candidates(
-    particle: SemanticMap,
+    particle: Observed,
     grounding: Grounding,
     mention: Array,
     mention_type: Array,
@@ -79,7 +79,6 @@ def _candidates(
     log_bystander: Array,
 ) -> Candidates:
     """List what a mention may refer to; ``is_place`` puts it where the viewer is."""
-    num_objects = particle.object_type.shape[0]
     is_grounded = pick(grounding.is_grounded, mention)
     decided = is_place | is_grounded
     fits = (particle.object_type == mention_type[None]) & ~decided[None]
@@ -89,11 +88,11 @@ def _candidates(
 
     return Candidates(
         x=append(
-            particle.mean_x[:num_objects],
+            particle.mean_x,
             jnp.where(is_place, viewer[0], pick(grounding.x, mention)),
         ),
         y=append(
-            particle.mean_y[:num_objects],
+            particle.mean_y,
             jnp.where(is_place, viewer[1], pick(grounding.y, mention)),
         ),
         log_prior=append(
@@ -144,11 +143,11 @@ def look_up(readings: Readings, reading: Array, params: MapParams) -> Told:
     )
 
 
-def _link(particle: SemanticMap, told: Told, draws: Draws, scene: Scene, params: MapParams) -> Link:
+def _link(particle: Observed, told: Told, draws: Draws, scene: Scene, params: MapParams) -> Link:
     """Gather what the ways to ground a relation need to know of it."""
-    num_objects = particle.object_type.shape[0]
-    rival_x, rival_y = particle.mean_x[:num_objects], particle.mean_y[:num_objects]
+    rival_x, rival_y = particle.mean_x, particle.mean_y
     is_rival = particle.object_type == told.figure_type[None]
+    is_told = told.relation != NONE
     order = Order(
         relation=told.relation,
         rank=told.order,
@@ -168,7 +167,7 @@ def _link(particle: SemanticMap, told: Told, draws: Draws, scene: Scene, params:
         figure=told.figure,
         landmark=told.landmark,
         relation=told.relation,
-        is_superlative=told.is_superlative & (told.relation != NONE),
+        is_superlative=told.is_superlative & is_told,
         is_ordered=told.order > 0,
         is_side=told.is_side,
         is_robot=told.landmark_type == ROBOT,
@@ -181,14 +180,14 @@ def _link(particle: SemanticMap, told: Told, draws: Draws, scene: Scene, params:
         model=params.relations,
         law=told.law,
         softness=params.superlative_softness,
-        misleading=params.misleading,
-        is_free=(told.relation == NONE) | (draws.trust < params.misleading),
+        log_told=jnp.where(is_told, jnp.log1p(-params.misleading), -jnp.inf),
+        log_free=jnp.where(is_told, jnp.log(params.misleading), 0.0),
         order=order,
     )
 
 
 def ground_relation(
-    particle: SemanticMap,
+    particle: Observed,
     told: Told,
     grounding: Grounding,
     draws: Draws,
@@ -198,7 +197,7 @@ def ground_relation(
     """Ground one annotated relation of one particle's reading (eq. 7a).
 
     Args:
-        particle: with the observed map.
+        particle: what it has seen.
         told: the relation, from ``look_up``.
         grounding: what earlier relations have decided.
         draws: random numbers.

@@ -12,7 +12,7 @@ from jax import Array
 
 from jaxlangnav.messages import NONE
 from jaxlangnav.numerics.axes import column, pick
-from jaxlangnav.semantic_map.options import Candidates, Link, Ways
+from jaxlangnav.semantic_map.options import NUM_UNSEEN, Candidates, Link, Ways
 
 
 class Grounding(NamedTuple):
@@ -30,6 +30,7 @@ class Grounding(NamedTuple):
 class _Chosen(NamedTuple):
     """The grounding that was drawn, taken apart."""
 
+    is_free: Array  # bool[...] the relation says nothing: what is new may be anywhere
     is_figure: Array  # bool[...] the figure alone is new
     is_landmark: Array  # bool[...] the landmark alone is new
     is_pair: Array  # bool[...] both are new
@@ -38,19 +39,23 @@ class _Chosen(NamedTuple):
     pair: Array  # i32[...] which of the new pairs
 
     def place(
-        self, known: Array, hung: Array, paired: Array, index: Array, is_hung: Array
+        self, known: Array, hung: Array, paired: Array, free: Array, index: Array, is_hung: Array
     ) -> Array:
-        """Take an end's coordinate, f32[...], from what was known, hung on the other, or paired."""
-        one = jnp.where(is_hung, pick(hung, index), pick(known, index))
-        return jnp.where(self.is_pair, pick(paired, self.pair), one)
+        """Take an end's coordinate, f32[...], from what was known, or as it was drawn."""
+        drawn = jnp.where(self.is_pair, pick(paired, self.pair), pick(hung, index))
+        drawn = jnp.where(self.is_free, free[0], drawn)
+        return jnp.where(is_hung | self.is_pair, drawn, pick(known, index))
 
 
 def _take_apart(choice: Array, size: int) -> _Chosen:
     """Tell what an index into all groundings, i32[...], stands for; ``size`` candidates an end."""
-    rest = choice - size * size
+    num_told = size * size + 2 * size + NUM_UNSEEN
+    is_free = choice >= num_told
+    rest = choice - jnp.where(is_free, num_told, size * size)
     is_known, is_figure = rest < 0, (rest >= 0) & (rest < size)
     other = jnp.where(is_figure, rest, rest - size)
     return _Chosen(
+        is_free=is_free,
         is_figure=is_figure,
         is_landmark=(rest >= size) & (rest < 2 * size),
         is_pair=rest >= 2 * size,
@@ -105,14 +110,15 @@ def enter(
         link: the relation.
         figures: O + 1 candidates.
         landmarks: O + 1 candidates.
-        ways: pairs of candidates ((O + 1)²), new figures (O + 1), new landmarks (O + 1), new pairs.
-        choice: i32[...], which of them, counted through in turn.
+        ways: to ground the relation.
+        choice: i32[...], which of them, counted through as ``options.weigh`` lists them.
 
     Returns:
         What is decided now; its weight as it was.
     """
     size = figures.x.shape[0]
     new_figure, new_landmark, new_pair = ways.new_figure, ways.new_landmark, ways.new_pair
+    free = ways.free
     one = _take_apart(choice, size)
     figure = _end(grounding, link.figure, figures, one.figure, one.is_figure | one.is_pair)
     landmark = _end(
@@ -120,8 +126,8 @@ def enter(
     )
     # A figure hangs on its landmark; a landmark hangs on its figure only if it was drawn for it.
     is_object = (link.landmark != NONE) & ~link.is_robot
-    figure_anchor, figure_root = landmark.hang(is_object & ~link.is_free, size - 1)
-    landmark_anchor, landmark_root = figure.hang(one.is_landmark & ~link.is_free, size - 1)
+    figure_anchor, figure_root = landmark.hang(is_object & ~one.is_free, size - 1)
+    landmark_anchor, landmark_root = figure.hang(one.is_landmark & ~one.is_free, size - 1)
 
     mentions = column(jnp.arange(grounding.slot.shape[0]), grounding.slot.ndim)
     set_figure = (mentions == figure.mention[None]) & figure.is_open[None]
@@ -135,18 +141,18 @@ def enter(
         slot=put(grounding.slot, figure.slot, landmark.slot),
         x=put(
             grounding.x,
-            one.place(figures.x, new_figure.x, new_pair.x, one.figure, one.is_figure),
+            one.place(figures.x, new_figure.x, new_pair.x, free.x, one.figure, one.is_figure),
             one.place(
-                landmarks.x, new_landmark.landmark_x, new_pair.landmark_x, one.landmark,
-                one.is_landmark,
+                landmarks.x, new_landmark.landmark_x, new_pair.landmark_x, free.landmark_x,
+                one.landmark, one.is_landmark,
             ),
         ),
         y=put(
             grounding.y,
-            one.place(figures.y, new_figure.y, new_pair.y, one.figure, one.is_figure),
+            one.place(figures.y, new_figure.y, new_pair.y, free.y, one.figure, one.is_figure),
             one.place(
-                landmarks.y, new_landmark.landmark_y, new_pair.landmark_y, one.landmark,
-                one.is_landmark,
+                landmarks.y, new_landmark.landmark_y, new_pair.landmark_y, free.landmark_y,
+                one.landmark, one.is_landmark,
             ),
         ),
         anchor=put(grounding.anchor, figure_anchor, landmark_anchor),

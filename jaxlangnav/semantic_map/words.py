@@ -1,0 +1,231 @@
+"""Grounding the words of an instruction in the particles that need it (section 3.2, eq. 7a).
+
+At most steps few hypotheses are refuted, but which and how many differs from episode to episode,
+so plain ``vmap`` would ground the words in every particle of every lane. Here the particles that
+need it are gathered from all lanes, grounded in pieces of one size, and put back.
+"""
+
+import functools
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.custom_batching import custom_vmap
+
+from jaxlangnav.messages import NONE, Readings
+from jaxlangnav.numerics.resampling import pack, unpack
+from jaxlangnav.semantic_map import proposal
+from jaxlangnav.semantic_map.belief import ParticleBelief
+from jaxlangnav.semantic_map.coverage import Coverage, sample_unseen
+from jaxlangnav.semantic_map.options import NUM_UNSEEN, Draws, Observed, Scene
+from jaxlangnav.semantic_map.params import MapParams
+from jaxlangnav.semantic_map.particle import SemanticMap
+from jaxlangnav.semantic_map.referents import Grounding
+
+_STEPS = np.array([0.61803399, 0.41421356, 0.73205081, 0.64575131], np.float32)
+"""Steps of additive recurrences, fractions of roots of 5, 2, 3 and 7: each fills the unit interval
+evenly, the first most evenly of all, and several together the cube."""
+_PIECE = 256
+"""Particles grounded at once: their intermediates fit into a core's cache."""
+
+
+class Listening(NamedTuple):
+    """What one particle needs to ground the words; the particle axis is last."""
+
+    observed: Observed
+    told: proposal.Told  # leaves [J, ...]
+    draws: Draws  # leaves [J, ...]
+
+
+def ground_words(
+    key: Array,
+    belief: ParticleBelief,
+    readings: Readings,
+    params: MapParams,
+    *,
+    is_asked: Array | None = None,
+    is_sparse: bool = False,
+) -> tuple[SemanticMap, Array]:
+    """Draw for particles a reading and what its words refer to (eq. 7a).
+
+    Args:
+        key: random key.
+        belief: the observed map and where the robot has looked.
+        readings: the sentence.
+        params: relations, concentration.
+        is_asked: bool[P], the particles whose words are grounded; all by default.
+        is_sparse: under ``vmap``, compute only those; no gradient in reverse mode.
+
+    Returns:
+        Particles with fresh groundings, and f32[P], log of the evidence estimated by each. Of
+        particles that were not asked the groundings mean nothing and the evidence is −∞.
+    """
+    number = belief.log_weight.shape[0]
+    asked = jnp.ones(number, bool) if is_asked is None else is_asked
+    reading_key, draws_key = jax.random.split(key)
+    share = jnp.cumsum(jnp.exp(readings.log_probability))
+    uniform = jax.random.uniform(reading_key, (number,)) * share[-1]
+    reading = jnp.sum(share[:-1, None] <= uniform[None, :], axis=0).astype(jnp.int32)
+    draws, log_unseen = _draw(draws_key, belief, readings.figure.shape[1])
+    particles = belief.particles
+    num_objects = particles.object_type.shape[0]
+    listening = Listening(
+        observed=Observed(
+            object_type=particles.object_type,
+            mean_x=particles.mean_x[:num_objects],
+            mean_y=particles.mean_y[:num_objects],
+        ),
+        told=proposal.look_up(readings, reading, params),
+        draws=draws,
+    )
+    scene = Scene(belief.coverage, jnp.int32(0), log_unseen, belief.viewer)
+    num_mentions = readings.mention_type.shape[1]
+    ground = _sparse(num_mentions) if is_sparse else functools.partial(_ground_all, num_mentions)
+    grounding = ground(asked, listening, scene, params)
+    log_weight = jnp.where(asked, grounding.log_weight, -jnp.inf)
+    return proposal.adopt(particles, readings, reading, grounding), log_weight
+
+
+def _draw(key: Array, belief: ParticleBelief, num_relations: int) -> tuple[Draws, Array]:
+    """Draw the random numbers of all particles and relations, and f32[], the log of u."""
+    number = belief.log_weight.shape[0]
+    pool_key, loop_key = jax.random.split(key)
+    pool = NUM_UNSEEN * number
+    comb = jax.random.uniform(pool_key, (2, pool))
+    pool_x, pool_y, log_unseen = sample_unseen(belief.coverage, comb[0, 0], comb)
+    stride = next(step for step in range(int(0.618 * number), 0, -1) if math.gcd(step, number) == 1)
+
+    def of_relation(one: Array, step: Array) -> Draws:
+        draws_key, shuffle_key = jax.random.split(one)
+        # Which place of the comb goes to which particle is random: a fixed assignment would tie
+        # particles to regions. Each row is dealt over the whole comb.
+        start = jax.random.randint(shuffle_key, (), 0, pool)
+        row = jnp.arange(NUM_UNSEEN)[:, None]
+        dealt = NUM_UNSEEN * (stride * jnp.arange(number) % number)
+        chosen = (start + dealt[None, :] + row) % pool
+        unit = jax.random.uniform(draws_key, (5, number), minval=1e-6, maxval=1.0 - 1e-6)
+        normal = jax.scipy.special.ndtri(unit[:4])
+        return Draws(
+            distance=normal[:2],
+            angle=normal[2:],
+            # Evenly spread over the particles: what they choose stays for the episode, and with
+            # it the error of independent draws. Each relation has a step of its own, or what a
+            # particle chooses for one would tell what it chooses for the next.
+            choice=(unit[4, 0] + step * jnp.arange(number)) % 1.0,
+            unseen_x=pool_x[chosen],
+            unseen_y=pool_y[chosen],
+        )
+
+    index = np.arange(num_relations)
+    keys = jax.vmap(lambda one: jax.random.fold_in(loop_key, one))(index)
+    return jax.vmap(of_relation)(keys, _STEPS[index % len(_STEPS)]), log_unseen
+
+
+def _ground_all(
+    num_mentions: int, is_asked: Array, listening: Listening, scene: Scene, params: MapParams
+) -> Grounding:
+    """Ground the words of all particles, relation by relation: leaves [..., P]."""
+    told, draws = listening.told, listening.draws
+    num_relations = jnp.max(jnp.sum(told.figure != NONE, axis=0))
+
+    def body(index: Array, grounding: Grounding) -> Grounding:
+        one, chance = jax.tree.map(lambda leaf: leaf[index], (told, draws))
+        return proposal.ground_relation(listening.observed, one, grounding, chance, scene, params)
+
+    nothing = proposal.nothing_grounded(num_mentions, *is_asked.shape)
+    return jax.lax.fori_loop(0, num_relations, body, nothing)
+
+
+@functools.cache
+def _sparse(num_mentions: int) -> Callable[..., Grounding]:
+    """Build ``_ground_all`` with a rule of its own for ``vmap`` over lanes."""
+    dense = functools.partial(_ground_all, num_mentions)
+    ground = custom_vmap(dense)
+
+    def rule(num_lanes: int, is_batched: Any, *arguments: Any) -> tuple[Grounding, Grounding]:
+        axes = jax.tree.map(lambda has_lanes: 0 if has_lanes else None, is_batched)
+        if any(jax.tree.leaves(is_batched[-1])):
+            # Each lane with numbers of its own: rare, and not worth gathering them too.
+            grounding = jax.vmap(dense, in_axes=tuple(axes), axis_size=num_lanes)(*arguments)
+        else:
+            *own, params = arguments
+            own = jax.tree.map(
+                lambda leaf, has_lanes: (
+                    leaf if has_lanes else jnp.broadcast_to(leaf, (num_lanes, *leaf.shape))
+                ),
+                own,
+                list(is_batched[:-1]),
+            )
+            grounding = _ground_gathered(dense, *own, params)
+        return grounding, jax.tree.map(lambda _: True, grounding)
+
+    ground.def_vmap(rule)
+    return ground
+
+
+def _ground_gathered(
+    dense: Callable[..., Grounding],
+    is_asked: Array,
+    listening: Listening,
+    scene: Scene,
+    params: MapParams,
+) -> Grounding:
+    """Gather the particles that are asked from all lanes, ground them piece by piece, put back.
+
+    Args:
+        dense: grounds all particles it is given.
+        is_asked: bool[L, P].
+        listening: leaves [L, ..., P].
+        scene: leaves [L, ...].
+        params: of all lanes.
+
+    Returns:
+        Leaves [L, ..., P]; meaningless where nothing was asked.
+    """
+    num_lanes, number = is_asked.shape
+    size = num_lanes * number
+    piece = min(_PIECE, size)
+    room = -(-size // piece) * piece
+    asked = is_asked.reshape(size)
+    order = jnp.nonzero(asked, size=room, fill_value=0)[0]
+    side_by_side = jax.tree.map(
+        lambda leaf: jnp.moveaxis(leaf, 0, -2).reshape(*leaf.shape[1:-1], size), listening
+    )
+    table = pack(side_by_side)
+    maps, num_cells = scene.coverage.log_miss, scene.coverage.log_miss.shape[-1]
+
+    def scene_of(lane: Array) -> Scene:
+        return Scene(
+            coverage=Coverage(
+                log_miss=maps.reshape(-1, num_cells), area=scene.coverage.area[lane].T
+            ),
+            first_row=lane * num_cells,
+            log_unseen=scene.log_unseen[lane],
+            viewer=scene.viewer[lane].T,
+        )
+
+    def is_left(carry: tuple[Array, Array]) -> Array:
+        return carry[0] < jnp.sum(asked)
+
+    def body(carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        start, found = carry
+        chosen = jax.lax.dynamic_slice_in_dim(order, start, piece)
+        some = unpack(table[:, chosen], side_by_side)
+        grounding = dense(jnp.ones(piece, bool), some, scene_of(chosen // number), params)
+        found = jax.lax.dynamic_update_slice_in_dim(found, pack(grounding), start, axis=1)
+        return start + piece, found
+
+    form = jax.eval_shape(dense, asked, side_by_side, scene_of(jnp.arange(size) // number), params)
+    rows = sum(math.prod(leaf.shape[:-1]) for leaf in jax.tree.leaves(form))
+    nothing = jnp.zeros((rows, room), jnp.float32)
+    _, found = jax.lax.while_loop(is_left, body, (jnp.int32(0), nothing))
+    place = jnp.maximum(jnp.cumsum(asked) - 1, 0)
+    grounding = unpack(found[:, place], form)
+    return jax.tree.map(
+        lambda leaf: jnp.moveaxis(leaf.reshape(*leaf.shape[:-1], num_lanes, number), -2, 0),
+        grounding,
+    )
