@@ -10,6 +10,7 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.messages import SensorParams
+from jaxlangnav.numerics.axes import lead
 from jaxlangnav.pytree import pytree
 
 LOG_MISS_FLOOR = -30.0
@@ -128,11 +129,11 @@ def log_miss_at(coverage: Coverage, x: Array, y: Array, first_row: Array | int =
         f32[...]; −∞ outside the operating area, where nothing is.
     """
     num_cells = coverage.log_miss.shape[-1]
-    size_x, size_y = cell_size(coverage)
-    column = jnp.floor((x - coverage.area[0]) / size_x).astype(jnp.int32)
-    row = jnp.floor((y - coverage.area[2]) / size_y).astype(jnp.int32)
+    size_x, size_y = (lead(size, x.ndim) for size in cell_size(coverage))
+    column = jnp.floor((x - lead(coverage.area[0], x.ndim)) / size_x).astype(jnp.int32)
+    row = jnp.floor((y - lead(coverage.area[2], y.ndim)) / size_y).astype(jnp.int32)
     is_in = (column >= 0) & (column < num_cells) & (row >= 0) & (row < num_cells)
-    row = first_row + jnp.clip(row, 0, num_cells - 1)
+    row = lead(jnp.asarray(first_row), row.ndim) + jnp.clip(row, 0, num_cells - 1)
     flat = row * num_cells + jnp.clip(column, 0, num_cells - 1)
     return jnp.where(is_in, coverage.log_miss.reshape(-1)[flat], -jnp.inf)
 

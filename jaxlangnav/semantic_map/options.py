@@ -98,25 +98,23 @@ class Link(NamedTuple):
 
     def frame(self, x: Array, y: Array) -> Frame:
         """Build the frame in which the relation is meant for a landmark at (x, y)."""
-        seen = viewer_frame(self.viewer[0], self.viewer[1], x, y)
+        viewer_x, viewer_y, _ = (lead(one, x.ndim) for one in self.viewer)
+        seen = viewer_frame(viewer_x, viewer_y, x, y)
         is_robot = lead(self.is_robot, x.ndim)
-        return Frame(
-            along_x=jnp.where(is_robot, self.robot.along_x, seen.along_x),
-            along_y=jnp.where(is_robot, self.robot.along_y, seen.along_y),
-            lateral_x=jnp.where(is_robot, self.robot.lateral_x, seen.lateral_x),
-            lateral_y=jnp.where(is_robot, self.robot.lateral_y, seen.lateral_y),
+        return jax.tree.map(
+            lambda own, one: jnp.where(is_robot, lead(own, x.ndim), one), self.robot, seen
         )
 
     def log_density(self, offset_x: Array, offset_y: Array, frame: Frame) -> Array:
         """Evaluate the relation alone, without the chance that it misleads."""
         density = log_density_of(self.law, offset_x, offset_y, frame)
         is_anyhow = lead(self.is_ordered | self.is_side, density.ndim)
-        return jnp.where(is_anyhow, -self.log_area, density)
+        return jnp.where(is_anyhow, -lead(self.log_area, density.ndim), density)
 
     def log_mixture(self, log_relation: Array) -> Array:
         """Mix a relation with the uniform law over the area, which ignores what was said."""
         told = lead(self.log_told, log_relation.ndim) + log_relation
-        return jnp.logaddexp(told, lead(self.log_free, log_relation.ndim) - self.log_area)
+        return jnp.logaddexp(told, lead(self.log_free - self.log_area, log_relation.ndim))
 
     def sample(self, distance: Array, angle: Array, frame: Frame) -> tuple[Array, Array]:
         """Draw one offset from the relation and turn it into each of the frames, map axes."""
@@ -177,8 +175,9 @@ class Link(NamedTuple):
 
     def _log_side(self, offset_x: Array, offset_y: Array) -> Array:
         """Weigh offsets from the robot by their direction."""
-        along = offset_x * self.robot.along_x + offset_y * self.robot.along_y
-        lateral = offset_x * self.robot.lateral_x + offset_y * self.robot.lateral_y
+        own = jax.tree.map(lambda leaf: lead(leaf, offset_x.ndim), self.robot)
+        along = offset_x * own.along_x + offset_y * own.along_y
+        lateral = offset_x * own.lateral_x + offset_y * own.lateral_y
         axis_along = lead(self.law.axis_along, along.ndim)
         axis_lateral = lead(self.law.axis_lateral, along.ndim)
         squared = offset_x * offset_x + offset_y * offset_y + 1e-6
@@ -192,7 +191,8 @@ class Link(NamedTuple):
     def log_found(self, scene: Scene, x: Array, y: Array, log_relation: Array) -> Array:
         """Weigh a place drawn for something new: the relation's, or anywhere unseen."""
         log_miss = log_miss_at(scene.coverage, x, y, scene.first_row)
-        told = jnp.where(self.is_anywhere[None], scene.log_unseen, log_miss) + log_relation
+        log_unseen = lead(scene.log_unseen, log_miss.ndim)
+        told = jnp.where(self.is_anywhere[None], log_unseen, log_miss) + log_relation
         told = told + jnp.where(self.is_ordered[None], jnp.log(PLURAL), 0.0)
         return told + self.log_told[None]
 
@@ -296,12 +296,13 @@ def weigh(
     log_landmark = figures.log_prior + link.log_found(
         scene, landmark.landmark_x, landmark.landmark_y, ways.log_backward + extremes[2]
     )
-    log_both = link.log_found(scene, pair.x, pair.y, extremes[3]) + log_pair
+    log_both = link.log_found(scene, pair.x, pair.y, extremes[3])
+    log_both = log_both + lead(log_pair, log_both.ndim)
     is_open = figures.is_open & landmarks.is_open
     # That the relation says nothing is weighed in every particle and not drawn: a draw in twenty
     # leaves what it alone explains to two or three particles, which soon die out.
     log_free = (link.log_free + scene.log_unseen)[None]
-    log_anywhere = log_free + scene.log_unseen + link.log_area
+    log_anywhere = log_free + lead(scene.log_unseen + link.log_area, log_free.ndim)
     known = _both_known(link, figures, landmarks, ways.known, extremes[0])
     return jnp.concatenate(
         [

@@ -37,7 +37,9 @@ class Order(NamedTuple):
 
     relation: Array  # i32[...] relation index
     rank: Array  # i32[...] 1 the first in the order, 2 the second, ...; 0 where nothing is ordered
-    viewer_x: Array  # f32[] metres, map frame: where the robot was told
+    viewer_x: (
+        Array  # f32[], or f32[...] as all that follows: metres, map frame: where the robot was told
+    )
     viewer_y: Array  # f32[]
     robot: Frame  # the robot's own frame then
     sides: Array  # i32[J, ...] sides of the robot on which the figure is said to be, else NONE
@@ -84,8 +86,9 @@ class Order(NamedTuple):
         is_alone = (rank == 1) & (others == 0)
         share_before = jnp.mean(counts & (unseen < own[None]), axis=0)
         share_after = jnp.mean(counts & (unseen > own[None]), axis=0)
-        log_before = self.log_new + jnp.log(jnp.maximum(share_before, _LEAST_SHARE))
-        log_after = self.log_new + jnp.log(jnp.maximum(share_after, _LEAST_SHARE))
+        log_new = lead(self.log_new, own.ndim)
+        log_before = log_new + jnp.log(jnp.maximum(share_before, _LEAST_SHARE))
+        log_after = log_new + jnp.log(jnp.maximum(share_after, _LEAST_SHARE))
         excess = jnp.maximum(own - self._of_rank(jnp.where(is_rival, rival, jnp.inf)), 0.0)
         price = jnp.where(lacking > 0, lacking * log_before, 0.0)
         price = price + jnp.where(is_alone, log_after, 0.0) - excess / self.softness
@@ -95,17 +98,19 @@ class Order(NamedTuple):
 
     def _is_where_said(self, x: Array, y: Array) -> Array:
         """Tell which places are on the sides where the figure is said to be."""
-        offset_x, offset_y = x - self.viewer_x, y - self.viewer_y
+        offset_x, offset_y = x - lead(self.viewer_x, x.ndim), y - lead(self.viewer_y, y.ndim)
+        robot = jax.tree.map(lambda leaf: lead(leaf, x.ndim), self.robot)
         holds = jnp.ones(x.shape, bool)
         for side in self.sides:
-            holds = holds & is_on_side(lead(side, x.ndim), offset_x, offset_y, self.robot)
+            holds = holds & is_on_side(lead(side, x.ndim), offset_x, offset_y, robot)
         return holds
 
     def _merit(self, x: Array, y: Array, landmark_x: Array, landmark_y: Array) -> Array:
         """Measure places along the order, smaller is earlier."""
         dx, dy = x - landmark_x, y - landmark_y
         distance = jnp.sqrt(dx * dx + dy * dy + 1e-9)
-        side = dx * self.robot.lateral_x + dy * self.robot.lateral_y
+        lateral_x, lateral_y = self.robot.lateral_x, self.robot.lateral_y
+        side = dx * lead(lateral_x, dx.ndim) + dy * lead(lateral_y, dy.ndim)
         relation = lead(self.relation, distance.ndim)
         merit = jnp.where(relation == FAR, -distance, distance)
         merit = jnp.where(relation == LEFT, -side, merit)

@@ -96,7 +96,8 @@ def _candidates(
             jnp.where(is_place, viewer[1], pick(grounding.y, mention)),
         ),
         log_prior=append(
-            jnp.where(fits, log_bystander, -jnp.inf), jnp.where(decided, 0.0, -jnp.inf)
+            jnp.where(fits, lead(log_bystander, fits.ndim), -jnp.inf),
+            jnp.where(decided, 0.0, -jnp.inf),
         ),
         is_open=~decided,
     )

@@ -29,8 +29,9 @@ from jaxlangnav.semantic_map.referents import Grounding
 _STEPS = np.array([0.61803399, 0.41421356, 0.73205081, 0.64575131], np.float32)
 """Steps of additive recurrences, fractions of roots of 5, 2, 3 and 7: each fills the unit interval
 evenly, the first most evenly of all, and several together the cube."""
-_PIECE = 256
-"""Particles grounded at once: their intermediates fit into a core's cache."""
+_PIECES, _LEAST_PIECE = 8, 256
+"""Pieces in which the particles of all lanes are grounded, and the least size of one: more pieces
+would waste less of the last one, but leave a wide device idle."""
 
 
 class Listening(NamedTuple):
@@ -188,7 +189,7 @@ def _ground_gathered(
     """
     num_lanes, number = is_asked.shape
     size = num_lanes * number
-    piece = min(_PIECE, size)
+    piece = min(max(_LEAST_PIECE, -(-size // _PIECES)), size)
     room = -(-size // piece) * piece
     asked = is_asked.reshape(size)
     order = jnp.nonzero(asked, size=room, fill_value=0)[0]
