@@ -37,9 +37,8 @@ class Order(NamedTuple):
 
     relation: Array  # i32[...] relation index
     rank: Array  # i32[...] 1 the first in the order, 2 the second, ...; 0 where nothing is ordered
-    viewer_x: (
-        Array  # f32[], or f32[...] as all that follows: metres, map frame: where the robot was told
-    )
+    viewer_x: Array  # f32[] metres, map frame: where the robot was told. Of several episodes:
+    # f32[...], as the other scalars
     viewer_y: Array  # f32[]
     robot: Frame  # the robot's own frame then
     sides: Array  # i32[J, ...] sides of the robot on which the figure is said to be, else NONE

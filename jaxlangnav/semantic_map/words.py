@@ -123,7 +123,7 @@ def _draw(key: Array, belief: ParticleBelief, num_relations: int) -> tuple[Draws
 
     index = np.arange(num_relations)
     keys = jax.vmap(lambda one: jax.random.fold_in(loop_key, one))(index)
-    return jax.vmap(of_relation)(keys, _STEPS[index % len(_STEPS)]), log_unseen
+    return jax.vmap(of_relation)(keys, jnp.asarray(_STEPS[index % len(_STEPS)])), log_unseen
 
 
 def _ground_all(
@@ -148,20 +148,17 @@ def _sparse(num_mentions: int) -> Callable[..., Grounding]:
     ground = custom_vmap(dense)
 
     def rule(num_lanes: int, is_batched: Any, *arguments: Any) -> tuple[Grounding, Grounding]:
-        axes = jax.tree.map(lambda has_lanes: 0 if has_lanes else None, is_batched)
         if any(jax.tree.leaves(is_batched[-1])):
             # Each lane with numbers of its own: rare, and not worth gathering them too.
-            grounding = jax.vmap(dense, in_axes=tuple(axes), axis_size=num_lanes)(*arguments)
+            axes = jax.tree.map(lambda has_lanes: 0 if has_lanes else None, tuple(is_batched))
+            grounding = jax.vmap(dense, in_axes=axes, axis_size=num_lanes)(*arguments)
         else:
-            *own, params = arguments
-            own = jax.tree.map(
-                lambda leaf, has_lanes: (
-                    leaf if has_lanes else jnp.broadcast_to(leaf, (num_lanes, *leaf.shape))
-                ),
-                own,
-                list(is_batched[:-1]),
-            )
-            grounding = _ground_gathered(dense, *own, params)
+
+            def spread(leaf: Array, has_lanes: bool) -> Array:
+                return leaf if has_lanes else jnp.broadcast_to(leaf, (num_lanes, *leaf.shape))
+
+            asked, listening, scene = jax.tree.map(spread, arguments[:-1], tuple(is_batched[:-1]))
+            grounding = _ground_gathered(dense, asked, listening, scene, arguments[-1])
         return grounding, jax.tree.map(lambda _: True, grounding)
 
     ground.def_vmap(rule)
