@@ -1,7 +1,7 @@
 """Simulation-based calibration: worlds from the filter's own prior, ranks of the truth uniform.
 
 A world is drawn from the model that the filter assumes (landmark anywhere, figure where the
-relation places it, bystanders a Poisson process), a robot drives through it, and the truth is
+relation places it or, where the relation misleads, anywhere, bystanders a Poisson process), a robot drives through it, and the truth is
 ranked among draws of the posterior. If the filter is right the ranks are uniform, and an event
 believed with probability p happens in a share p of the worlds. The worlds are made by NumPy from
 the equations; only the filter is the package's.
@@ -19,6 +19,7 @@ from jaxlangnav.relations import default_params
 
 HYDRANT, CONE = by_hand.HYDRANT, by_hand.CONE
 ALPHA, DETECTION, NOISE, ODOMETRY = 0.5, 0.9, 0.1, 0.02
+MISLEADING = float(by_hand.params().misleading)
 X_MIN, X_MAX, Y_MIN, Y_MAX = by_hand.AREA
 DRAWS = 7
 """Posterior draws a truth is ranked among: few, for particles share ancestors."""
@@ -45,8 +46,9 @@ def draw_offset(random: np.random.Generator, relation: int, landmark: np.ndarray
 def draw_world(random: np.random.Generator, relation: int) -> Truth:
     """Draw a world; figure and landmark both lie in the area, or it is drawn again."""
     while True:
-        landmark = random.uniform([X_MIN, Y_MIN], [X_MAX, Y_MAX])
-        figure = landmark + draw_offset(random, relation, landmark)
+        landmark, figure = random.uniform([X_MIN, Y_MIN], [X_MAX, Y_MAX], (2, 2))
+        if random.uniform() >= MISLEADING:
+            figure = landmark + draw_offset(random, relation, landmark)
         if not (X_MIN < figure[0] < X_MAX and Y_MIN < figure[1] < Y_MAX):
             continue
         counts = random.poisson(ALPHA, 2)
