@@ -2,6 +2,7 @@
 
 import math
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -99,12 +100,21 @@ def distinct_topologies(particles: SemanticMap, num_types: int) -> tuple[Array, 
             _pack(flags, 8),
         ]
     )
-    same = jnp.all(words[:, :, None] == words[:, None, :], axis=0)
     index = jnp.arange(number)
-    first = jnp.min(jnp.where(same, index[None, :], number), axis=1)
-    is_first = first == index
-    rank = jnp.cumsum(is_first) - 1
-    topology = jnp.sum(jnp.where(first[:, None] == index[None, :], rank[None, :], 0), axis=1)
-    holds = is_first[None, :] & (rank[None, :] == index[:, None])
-    representative = jnp.min(jnp.where(holds, index[None, :], number), axis=1)
-    return topology, representative, jnp.sum(is_first)
+
+    def is_left(carry: tuple[Array, Array, Array]) -> Array:
+        return jnp.any(carry[0] < 0)
+
+    def peel(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        topology, representative, count = carry
+        first = jnp.argmax(topology < 0)
+        is_same = jnp.all(words == words[:, first, None], axis=0)
+        return (
+            jnp.where(is_same, count, topology),
+            jnp.where(index == count, first, representative),
+            count + 1,
+        )
+
+    # One topology after the other: to compare all particles with all is quadratic in P.
+    nothing = (jnp.full(number, -1), jnp.full(number, number), jnp.int32(0))
+    return jax.lax.while_loop(is_left, peel, nothing)
