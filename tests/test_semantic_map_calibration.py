@@ -1,10 +1,10 @@
 """Simulation-based calibration: worlds from the filter's own prior, ranks of the truth uniform.
 
 A world is drawn from the model that the filter assumes (landmark anywhere, figure where the
-relation places it or, where the relation misleads, anywhere, bystanders a Poisson process), a robot drives through it, and the truth is
-ranked among draws of the posterior. If the filter is right the ranks are uniform, and an event
-believed with probability p happens in a share p of the worlds. The worlds are made by NumPy from
-the equations; only the filter is the package's.
+relation places it or, where the relation misleads, anywhere, bystanders a Poisson process), a robot
+drives through it, and the truth is ranked among draws of the posterior. If the filter is right the
+ranks are uniform, and an event believed with probability p happens in a share p of the worlds. The
+worlds are made by NumPy from the equations; only the filter is the package's.
 """
 
 import dataclasses

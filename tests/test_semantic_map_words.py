@@ -44,7 +44,9 @@ def lanes():
     return keys, by_hand.stack(beliefs), by_hand.stack(SENTENCES), jnp.asarray(asked)
 
 
-@functools.partial(jax.jit, static_argnames=("is_sparse", "params_axis"))
+@functools.partial(
+    jax.jit, static_argnames=("is_sparse", "params_axis"), compiler_options=by_hand.BRIEFLY
+)
 def ground_lanes(keys, beliefs, sentences, asked, params, *, is_sparse, params_axis=None):
     def one(key, belief, sentence, is_asked, numbers):
         return ground_words(key, belief, sentence, numbers, is_asked=is_asked, is_sparse=is_sparse)
@@ -79,18 +81,20 @@ def test_nobody_asked() -> None:
 
 
 def test_lanes_with_numbers_of_their_own() -> None:
-    """Parameters that differ from lane to lane: the same, by the plain way."""
+    """Parameters that differ from lane to lane are heard: the plain way, and the same result."""
     keys, beliefs, sentences, asked = lanes()
-    params = by_hand.stack(
-        [by_hand.params(concentration=0.2 + 0.3 * index) for index in range(len(SENTENCES))]
-    )
-    found = ground_lanes(keys, beliefs, sentences, asked, params, is_sparse=True, params_axis=0)
-    single = jax.jit(functools.partial(ground_words, is_sparse=True))
-    for index in range(len(SENTENCES)):
-        one = jax.tree.map(lambda leaf, at=index: leaf[at], (beliefs, sentences, params))
-        belief, sentence, numbers = jax.tree.map(jnp.asarray, one)
-        _, log_weight = single(keys[index], belief, sentence, numbers, is_asked=asked[index])
-        np.testing.assert_allclose(found[1][index], log_weight, rtol=1e-4, atol=1e-4)
+    everyone = jnp.ones_like(asked)
+    params = by_hand.stack([by_hand.params(concentration=0.3)] * len(SENTENCES))
+    given = (keys, beliefs, sentences, everyone)
+    _, apart = ground_lanes(*given, params, is_sparse=True, params_axis=0)
+    _, shared = ground_lanes(*given, by_hand.params(concentration=0.3), is_sparse=True)
+    np.testing.assert_allclose(apart, shared, rtol=1e-4, atol=1e-4)
+    params = replace(params, concentration=0.3 + 0.5 * jnp.arange(len(SENTENCES)))
+    _, moved = ground_lanes(*given, params, is_sparse=True, params_axis=0)
+    differs = (np.abs(np.asarray(moved - apart)) > 1e-3).any(1)
+    # Without anything seen there is nothing that a density of bystanders could weigh against.
+    assert not differs[0]
+    assert differs[[1, 2, 3]].all()
 
 
 def test_what_only_misleading_words_explain_is_in_every_particle() -> None:
