@@ -12,8 +12,6 @@ ROOT = Path(__file__).parent.parent
 SCRIPT = ROOT / "scripts" / "notebooks.py"
 SOURCES = sorted((ROOT / "notebooks").glob("*.py"))
 MAX_BYTES = 1_500_000
-LONG = {"belief", "gradients"}
-"""Notebooks that take several minutes from a cold start; ``make test-all`` runs them."""
 
 
 def cells(path: Path) -> list[tuple[str, str]]:
@@ -38,13 +36,7 @@ def test_notebook_is_made_from_its_source(path: Path) -> None:
     assert not any(output.output_type == "error" for output in outputs)
 
 
-@pytest.mark.parametrize(
-    "path",
-    [
-        pytest.param(path, id=path.stem, marks=[pytest.mark.slow] if path.stem in LONG else [])
-        for path in SOURCES
-    ],
-)
+@pytest.mark.parametrize("path", SOURCES, ids=lambda path: path.stem)
 def test_notebook_runs_from_top_to_bottom(path: Path, tmp_path: Path) -> None:
     """In a process of its own, with the compiled programs that the tests keep."""
     environment = os.environ | {

@@ -58,6 +58,10 @@ CASES = {
     ),
 }
 
+SPREADS = {"figure first": 2.5, "behind the cone, left of the car": 0.6}
+"""Of the estimated evidence, in parts of it, where half is too little: what is drawn for the first
+relation does not know of the second (measured 0.52 over eight rounds)."""
+
 
 def miss_map(seed: int = 3) -> np.ndarray:
     """Draw a coverage with well seen, half seen and unseen parts, [32, 32] in blocks of two."""
@@ -130,7 +134,7 @@ def test_groundings_equal_enumeration(name: str) -> None:
     evidence = weight.mean(1)
     compare(evidence, truth.sum())
     # A heavy tail would pass any test in standard errors: the estimate itself must be usable.
-    assert evidence.std() < (2.5 if name.startswith("figure first") else 0.6) * truth.sum()
+    assert evidence.std() < SPREADS.get(name.split(":")[0], 0.5) * truth.sum()
     # Weight of every grounding; those too rare for a standard error are taken together.
     samples = by_category(particles, weight, number, count)
     is_common = truth.ravel() > 0.02 * truth.sum()

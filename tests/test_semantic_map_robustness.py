@@ -68,7 +68,8 @@ def test_refuted_hypotheses_revive_where_they_may_still_be() -> None:
     x, y = np.asarray(particles.hypothesis_x[:, 0]), np.asarray(particles.hypothesis_y[:, 0])
     inside = (x >= 0) & (x <= 10) & (np.abs(y) <= 5)
     assert ((weight * inside).sum(-1) > 0.99).all()
-    # They keep being many: no particle takes everything.
+    # They keep being many: no particle takes everything. (12 to 15 here, in a look that refutes two
+    # thirds of them: they lie all over what is unseen and not in the few places last drawn.)
     assert np.median(info.effective_sample_size[:, -1]) > 8
     # However little is left unseen, what the words weigh there is known to within a factor.
     assert info.log_language_evidence[:, -1].std() < 1.0

@@ -101,9 +101,9 @@ def test_what_only_misleading_words_explain_is_in_every_particle() -> None:
     """A hydrant stands where no cone can be in front of it: is it meant all the same?
 
     Everything but the area's far end has been seen well. Either the sentence misleads and this is
-    the hydrant, or it is a bystander, and hydrant and cone are both still to be found. Drawn with
-    probability ε, the first was left to a particle in twenty, and its share differed from seed to
-    seed by as much as itself.
+    the hydrant, or it is a bystander, and hydrant and cone are both still to be found. When each
+    particle drew whether the sentence misleads, the share of the first differed from seed to seed by
+    0.30 of itself; weighed in every particle, by 0.16.
     """
     sentence = SENTENCES[1]
     belief = by_hand.with_objects(by_hand.begin(), [(HYDRANT, 3.0, 0.0)])

@@ -85,8 +85,10 @@ def ground_words(
     )
     scene = Scene(belief.coverage, jnp.int32(0), log_unseen, belief.viewer)
     num_mentions = readings.mention_type.shape[1]
-    ground = _sparse(num_mentions) if is_sparse else functools.partial(_ground_all, num_mentions)
-    grounding = ground(asked, listening, scene, params)
+    if is_sparse:
+        grounding = _sparse(num_mentions)(asked, listening, scene, params)
+    else:
+        grounding = _ground_all(num_mentions, listening, scene, params)
     log_weight = jnp.where(asked, grounding.log_weight, -jnp.inf)
     return proposal.adopt(particles, readings, reading, grounding), log_weight
 
@@ -127,7 +129,7 @@ def _draw(key: Array, belief: ParticleBelief, num_relations: int) -> tuple[Draws
 
 
 def _ground_all(
-    num_mentions: int, is_asked: Array, listening: Listening, scene: Scene, params: MapParams
+    num_mentions: int, listening: Listening, scene: Scene, params: MapParams
 ) -> Grounding:
     """Ground the words of all particles, relation by relation: leaves [..., P]."""
     told, draws = listening.told, listening.draws
@@ -137,7 +139,7 @@ def _ground_all(
         one, chance = jax.tree.map(lambda leaf: leaf[index], (told, draws))
         return proposal.ground_relation(listening.observed, one, grounding, chance, scene, params)
 
-    nothing = proposal.nothing_grounded(num_mentions, *is_asked.shape)
+    nothing = proposal.nothing_grounded(num_mentions, *told.figure.shape[1:])
     return jax.lax.fori_loop(0, num_relations, body, nothing)
 
 
@@ -145,13 +147,17 @@ def _ground_all(
 def _sparse(num_mentions: int) -> Callable[..., Grounding]:
     """Build ``_ground_all`` with a rule of its own for ``vmap`` over lanes."""
     dense = functools.partial(_ground_all, num_mentions)
-    ground = custom_vmap(dense)
+
+    @custom_vmap
+    def ground(is_asked: Array, *arguments: Any) -> Grounding:
+        del is_asked  # of one lane all are grounded
+        return dense(*arguments)
 
     def rule(num_lanes: int, is_batched: Any, *arguments: Any) -> tuple[Grounding, Grounding]:
         if any(jax.tree.leaves(is_batched[-1])):
             # Each lane with numbers of its own: rare, and not worth gathering them too.
-            axes = jax.tree.map(lambda has_lanes: 0 if has_lanes else None, tuple(is_batched))
-            grounding = jax.vmap(dense, in_axes=axes, axis_size=num_lanes)(*arguments)
+            axes = jax.tree.map(lambda has_lanes: 0 if has_lanes else None, tuple(is_batched[1:]))
+            grounding = jax.vmap(dense, in_axes=axes, axis_size=num_lanes)(*arguments[1:])
         else:
 
             def spread(leaf: Array, has_lanes: bool) -> Array:
@@ -213,11 +219,11 @@ def _ground_gathered(
         start, found = carry
         chosen = jax.lax.dynamic_slice_in_dim(order, start, piece)
         some = unpack(table[:, chosen], side_by_side)
-        grounding = dense(jnp.ones(piece, bool), some, scene_of(chosen // number), params)
+        grounding = dense(some, scene_of(chosen // number), params)
         found = jax.lax.dynamic_update_slice_in_dim(found, pack(grounding), start, axis=1)
         return start + piece, found
 
-    form = jax.eval_shape(dense, asked, side_by_side, scene_of(jnp.arange(size) // number), params)
+    form = jax.eval_shape(dense, side_by_side, scene_of(jnp.arange(size) // number), params)
     rows = sum(math.prod(leaf.shape[:-1]) for leaf in jax.tree.leaves(form))
     nothing = jnp.zeros((rows, room), jnp.float32)
     _, found = jax.lax.while_loop(is_left, body, (jnp.int32(0), nothing))
