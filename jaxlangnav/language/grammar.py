@@ -164,9 +164,7 @@ class Grammar:
         self._lark: Any = lark
         self._earley: Any = lark.parser.parser
         self._lock = threading.Lock()
-        self._rules = [
-            (rule, frozenset(s.name for s in rule.expansion if s.is_term)) for rule in lark.rules
-        ]
+        self._rules = [(rule, [symbol.name for symbol in rule.expansion]) for rule in lark.rules]
 
     def _share_terminals(self, words: list[str]) -> dict[str, str]:
         """Give words that occur alone in the same classes one terminal."""
@@ -201,16 +199,28 @@ class Grammar:
         terminals = " ".join(sorted(set(self._terminals.values())))
         return "\n".join(lines) + f"\n%declare {terminals}\n"
 
-    def _predict_only(self, terminals: frozenset[str]) -> None:
-        """Leave out of Earley's predictions all rules that name a word the sentence lacks.
+    def _predict_only(self, terminals: frozenset[str], is_whole: bool) -> None:
+        """Leave out of Earley's predictions all rules that the words of the sentence cannot fill.
 
         Lark predicts the whole closure of a nonterminal at once, every expression of the lexicon
-        included; without them, and one rule at a time, a sentence takes a tenth of the time.
+        included; without them, and one rule at a time, a sentence takes a fiftieth of the time.
+
+        Args:
+            terminals: of the sentence.
+            is_whole: leave out rules of which any symbol cannot be made of them; otherwise rules
+                of which the first cannot, which changes nothing about where a parse ends.
         """
         predictions: dict[Any, list[Any]] = {rule.origin: [] for rule, _ in self._rules}
-        for rule, needed in self._rules:
-            if needed <= terminals:
-                predictions[rule.origin].append(rule)
+        can_stand, left, num_left = set(terminals), self._rules, len(self._rules) + 1
+        while len(left) < num_left:  # a rule can make another one's symbols
+            num_left, waiting = len(left), []
+            for rule, symbols in left:
+                if can_stand.issuperset(symbols if is_whole else symbols[:1]):
+                    predictions[rule.origin].append(rule)
+                    can_stand.add(rule.origin.name)
+                else:
+                    waiting.append((rule, symbols))
+            left = waiting
         self._earley.predictions = predictions
 
     def parse(self, tokens: list[str]) -> tuple[Derivation, float]:
@@ -230,15 +240,24 @@ class Grammar:
             if f'"{token}"' not in self._terminals:
                 raise NoParseError(index)
             terminals.append(self._terminals[f'"{token}"'])
-        try:
-            with self._lock:  # the predictions belong to one sentence
-                self._predict_only(frozenset(terminals))
+        with self._lock:  # the predictions belong to one sentence
+            try:
+                self._predict_only(frozenset(terminals), is_whole=True)
                 root = self._lark.parse(terminals)
-        except UnexpectedEOF:
-            raise NoParseError(len(tokens)) from None
-        except UnexpectedToken as error:
-            raise NoParseError(error.token.start_pos) from None
+            except (UnexpectedEOF, UnexpectedToken):
+                raise NoParseError(self._end_of_parse(terminals)) from None
         return ForestReader(self._by_rule, tokens).read(root)
+
+    def _end_of_parse(self, terminals: list[str]) -> int:
+        """Find the first token that cannot continue any tree, of a sentence that has none."""
+        self._predict_only(frozenset(terminals), is_whole=False)
+        try:
+            self._lark.parse(terminals)
+        except UnexpectedToken as error:
+            return error.token.start_pos
+        except UnexpectedEOF:
+            pass
+        return len(terminals)
 
 
 @cache
