@@ -28,7 +28,7 @@ from jaxlangnav.grounding.behavior_odds import (
     object_odds,
     region_odds,
 )
-from jaxlangnav.grounding.bits import iota, keep, pick, smallest, to_mask
+from jaxlangnav.grounding.bits import iota, pick, smallest, to_mask
 from jaxlangnav.grounding.program import (
     MAX_DEPTH,
     NOTHING,
@@ -38,6 +38,7 @@ from jaxlangnav.grounding.program import (
 )
 from jaxlangnav.grounding.symbols import NUM_REGIONS
 from jaxlangnav.messages import NONE, Behavior, BehaviorWorld
+from jaxlangnav.numerics.once import once
 
 BEAM = 4
 _DEAD = 1e6
@@ -187,11 +188,11 @@ def _advance(program: BehaviorProgram, scene: Scene, stack: Stack, phrase: Array
     )
     regions = region_odds(program, scene, joined, phrase, size)
     odds = jnp.concatenate([first[:, None], regions], axis=1)
-    odds = keep(odds.reshape(BEAM, -1, *odds.shape[-2:]), phrase)
-    (both, *places), cost = keep(_best_sets(odds, joined.cost, size), phrase)
+    odds = once(odds.reshape(BEAM, -1, *odds.shape[-2:]))
+    (both, *places), cost = once(_best_sets(odds, joined.cost, size))
     objects, constraints = jnp.where(is_verb, 0, both), jnp.where(is_verb, both, 0)
     lies = lying_in(program, scene, places, phrase)
-    top = Stack(jnp.stack([objects, *places, constraints, lies])[None], cost[None])
+    top = once(Stack(jnp.stack([objects, *places, constraints, lies])[None], cost[None]))
     return _push(stack, top, program.num_children[phrase])
 
 
@@ -222,20 +223,17 @@ def _conclude(program: BehaviorProgram, scene: Scene, stack: Stack) -> Behavior:
         constraint_odds(program, scene, joined, ROOT, size),
     )
     # Written out: XLA's logistic, and its sums over a short leading axis, are scalar on CPU.
-    goal, constraint = keep(
-        jax.tree.map(lambda x: 1.0 / (1.0 + jnp.exp(-x)), odds), program.num_phrases
-    )
+    goal, constraint = once(jax.tree.map(lambda x: 1.0 / (1.0 + jnp.exp(-x)), odds))
     is_none = jnp.prod(functools.reduce(jnp.multiply, _along_slots(1.0 - goal)), axis=1)
     total = jnp.sum(functools.reduce(jnp.add, _along_slots(goal)), axis=1)
     exists = jnp.where(program.num_phrases == 0, 0.0, 1.0)
     weight = exists * jax.nn.softmax(-joined.cost, axis=0)
     share = weight * (1.0 - is_none) / jnp.maximum(total, 1e-9)
-    by_slot = keep(
+    by_slot = once(
         (
             functools.reduce(jnp.add, [goal[i] * share[i][None, None] for i in range(BEAM)]),
             functools.reduce(jnp.add, [constraint[i] * weight[i][None] for i in range(BEAM)]),
-        ),
-        program.num_phrases,
+        )
     )
     return Behavior(
         action=jnp.broadcast_to(program.action, (program.action.shape[0], *lanes)),

@@ -3,8 +3,6 @@
 Two lane axes stand last, episodes E and particles P; N is the axis before them.
 """
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 from jax import Array
@@ -51,16 +49,3 @@ def pick(values: Array, index: Array) -> Array:
     odd = (index & 1) == 1
     low_part = jnp.where(odd, values[1:2], values[0:1])
     return jnp.where(high, jnp.where(odd, values[3:4], values[2:3]), low_part)
-
-
-def keep(values: Any, count: Array | int) -> Any:
-    """Have values computed once and kept, instead of anew inside every later fusion.
-
-    XLA on CPU drops optimisation barriers before it fuses; a conditional it does not cross.
-    """
-    return jax.lax.cond(
-        jnp.any(jnp.asarray(count) >= 0),
-        lambda same: same,
-        lambda same: jax.tree.map(jnp.zeros_like, same),
-        values,
-    )

@@ -19,6 +19,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.numerics.axes import column
+from jaxlangnav.numerics.once import once
 
 
 class Moments(NamedTuple):
@@ -125,7 +126,9 @@ def condition(
         # out anew wherever it is used, which doubles the cost with every update.
         gain = jnp.concatenate([edge[:size], edge[size:] - measured]) * scale[None]
         table = table - gain[:size, None] * gain[None]
-    return Moments(table[:, :size], table[:, size], table[:, size + 1])
+    # Much reads the means, and would run through all updates again each time.
+    mean_x, mean_y = once((table[:, size], table[:, size + 1]))
+    return Moments(table[:, :size], mean_x, mean_y)
 
 
 def product(matrix: Array, vector: Array) -> Array:

@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxlangnav.numerics.once import once
 from jaxlangnav.planner.search import SearchMap, viewpoints, visibility
 from jaxlangnav.pytree import pytree
 
@@ -137,7 +138,7 @@ def first_sight(
     first = met[:, 0]
     for stop in range(1, met.shape[1]):  # a reduction over a middle axis is not vectorised
         first = jnp.minimum(first, met[:, stop])
-    return first, walked[:, -1]
+    return once(first), walked[:, -1]
 
 
 def latency(

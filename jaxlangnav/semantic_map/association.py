@@ -14,6 +14,7 @@ from jax import Array
 from jaxlangnav.messages import NONE, SensorParams
 from jaxlangnav.numerics import categorical, gaussian
 from jaxlangnav.numerics.axes import column
+from jaxlangnav.numerics.once import once
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.coverage import share_in_view
 from jaxlangnav.semantic_map.particle import SemanticMap
@@ -88,7 +89,7 @@ def associate(
         may_be = (object_type == z_type) & ~is_hit
         log_new = jnp.broadcast_to(detections.log_new[index], (1, *log_weight.shape))
         choices = jnp.concatenate([jnp.where(may_be, log_existing, -jnp.inf), log_new])
-        choice, log_total = categorical.draw(choices, uniform[index])
+        choice, log_total = once(categorical.draw(choices, uniform[index]))
         free = jnp.min(jnp.where(object_type == NONE, slots, num_objects), axis=0)
         wants_new = choice == num_objects
         slot = jnp.where(wants_new, free, choice)

@@ -18,6 +18,7 @@ from jax import Array
 
 from jaxlangnav.messages import Observation, Readings
 from jaxlangnav.numerics import categorical
+from jaxlangnav.numerics.once import once
 from jaxlangnav.numerics.resampling import effective_sample_size, independent, systematic, take
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map import association, motion, particle
@@ -168,7 +169,7 @@ def observe(
     noise_variance = jnp.maximum(sensor.noise, association.MIN_NOISE) ** 2
     shape = (*observation.detection_type.shape, *belief.log_weight.shape)
     uniform = jax.random.uniform(key, shape)
-    grounded = association.associate(belief.particles, detections, uniform, noise_variance)
+    grounded = once(association.associate(belief.particles, detections, uniform, noise_variance))
     particles = association.condition(belief.particles, grounded, noise_variance)
     belief = replace(belief, particles=particles)
     robot_x, robot_y = robot_position(belief)
@@ -238,9 +239,10 @@ def reground(
     ancestors = independent(kept_weight, ancestor_uniform)
     ancestors = jnp.where(is_fresh & ~must_ground, ancestors, jnp.arange(number))
     is_asked = is_fresh | (jnp.arange(number) % max(1, number // _ASKED) == 0)
+    particles = take(particles, ancestors)
     fresh, log_language = ground_words(
         key,
-        replace(belief, particles=take(particles, ancestors)),
+        replace(belief, particles=particles),
         readings,
         params,
         is_asked=is_asked,
@@ -254,7 +256,9 @@ def reground(
     fresh_weight = jnp.where(must_ground, map_weight, 1.0 / number) * language
     weight = jnp.where(is_fresh, fresh_weight, jnp.maximum(kept_weight, 1.0 / number))
     return Regrounded(
-        particles=jax.tree.map(lambda new, old: jnp.where(is_fresh, new, old), fresh, particles),
+        particles=jax.tree.map(
+            lambda new, old: old if new is old else jnp.where(is_fresh, new, old), fresh, particles
+        ),
         weight=weight / jnp.sum(weight),
         is_fresh=is_fresh,
         log_total=log_total,

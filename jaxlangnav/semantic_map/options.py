@@ -17,6 +17,7 @@ from jax import Array
 
 from jaxlangnav.messages import FAR, NONE
 from jaxlangnav.numerics.axes import column, lead
+from jaxlangnav.numerics.once import once
 from jaxlangnav.relations import (
     Frame,
     Law,
@@ -133,12 +134,14 @@ class Link(NamedTuple):
         def signed_square(from_x: Array, from_y: Array) -> Array:
             return sign * ((from_x - landmark_x) ** 2 + (from_y - landmark_y) ** 2 + 1e-9)
 
-        own = best = signed_square(x, y)
+        best = jnp.full(landmark_x.shape, jnp.inf)
         for slot in range(self.rival_x.shape[0]):
             rival_x, rival_y = lead(self.rival_x[slot], x.ndim), lead(self.rival_y[slot], x.ndim)
             is_rival = lead(self.is_rival[slot], x.ndim)
             rival = jnp.where(is_rival, signed_square(rival_x, rival_y), jnp.inf)
             best = jnp.minimum(best, rival)
+        own = signed_square(x, y)
+        best = jnp.minimum(own, once(best))  # the same for all figures of a landmark
         excess = sign * (jnp.sqrt(jnp.abs(own)) - jnp.sqrt(jnp.abs(best)))
         extreme = jnp.where(lead(self.is_superlative, own.ndim), -excess / self.softness, 0.0)
         extreme = jnp.where(lead(self.is_ordered, own.ndim), log_order, extreme)
@@ -164,8 +167,8 @@ class Link(NamedTuple):
                 )
                 for column_of in zip(*ways, strict=True)
             ]
-            # The index, always 0, enters the body, or XLA would hoist the whole of it.
-            return self.order(every[0] + index, *every[1:])
+            # The index, always 0, enters all that is read, or XLA would hoist what it can.
+            return self.order(*(values + index.astype(values.dtype) for values in every))
 
         is_told = jnp.any(self.is_ordered).astype(jnp.int32)
         nothing = jnp.zeros((sum(sizes), *batch), jnp.float32)
@@ -284,10 +287,12 @@ def weigh(
         landmarks, new pairs; figures, landmarks and a pair anywhere, of which nothing is told.
     """
     proposed = (ways.known, ways.new_figure, ways.new_landmark, ways.new_pair)
-    extremes = [
-        link.log_extreme(pairs, log_order)
-        for pairs, log_order in zip(proposed, link.log_orders(proposed), strict=True)
-    ]
+    extremes = once(
+        [
+            link.log_extreme(pairs, log_order)
+            for pairs, log_order in zip(proposed, link.log_orders(proposed), strict=True)
+        ]
+    )
     figure, landmark, pair = ways.new_figure, ways.new_landmark, ways.new_pair
     # A landmark in a pair is uniform over the area: its share of unexplored area, times A for the
     # root of the chain.

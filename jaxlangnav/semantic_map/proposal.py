@@ -29,6 +29,7 @@ from jax import Array
 from jaxlangnav.messages import NONE, ROBOT, Readings
 from jaxlangnav.numerics import categorical
 from jaxlangnav.numerics.axes import lead, pick
+from jaxlangnav.numerics.once import once
 from jaxlangnav.pytree import replace
 from jaxlangnav.relations import Law, law_of, robot_frame
 from jaxlangnav.semantic_map import options
@@ -209,6 +210,7 @@ def ground_relation(
         The carry with figure and landmark decided; unchanged where the reading has no such
         relation.
     """
+    told = once(told)
     link = _link(particle, told, draws, scene, params)
     log_bystander = link.log_area - jnp.log(params.concentration)  # 1/λ
     batch = told.relation.shape
@@ -226,7 +228,7 @@ def ground_relation(
         is_place,
         log_bystander,
     )
-    ways = options.propose(link, figures, landmarks, draws)
+    ways = once(options.propose(link, figures, landmarks, draws))
     log_weight = options.weigh(link, figures, landmarks, ways, scene)
     choice, log_total = categorical.draw(log_weight, draws.choice)
     log_total = jnp.maximum(log_total + options.log_root(link, figures, landmarks), _LOG_FLOOR)

@@ -12,6 +12,7 @@ from jax import Array
 
 from jaxlangnav.messages import NONE
 from jaxlangnav.numerics.axes import column, pick
+from jaxlangnav.numerics.once import once
 from jaxlangnav.semantic_map.options import NUM_UNSEEN, Candidates, Link, Ways
 
 
@@ -44,7 +45,7 @@ class _Chosen(NamedTuple):
         """Take an end's coordinate, f32[...], from what was known, or as it was drawn."""
         drawn = jnp.where(self.is_pair, pick(paired, self.pair), pick(hung, index))
         drawn = jnp.where(self.is_free, free[0], drawn)
-        return jnp.where(is_hung | self.is_pair, drawn, pick(known, index))
+        return once(jnp.where(is_hung | self.is_pair, drawn, pick(known, index)))
 
 
 def _take_apart(choice: Array, size: int) -> _Chosen:
