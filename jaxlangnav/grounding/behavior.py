@@ -60,7 +60,14 @@ class Stack(NamedTuple):
     cost: Array  # f32[D, 4, E, P] −log-probability, ascending
 
 
-def _child(program: BehaviorProgram, stack: Stack, phrase: Array | int, k: int) -> Joined:
+class Expressed(NamedTuple):
+    """What a phrase may express, given each of the four best combinations of its children."""
+
+    odds: Array  # f32[4, 3 N, E, P] log-odds: objects (of a verb: constraints), regions by slot
+    cost: Array  # f32[4, E, P] of the combinations
+
+
+def _child(program: BehaviorProgram, stack: Stack, phrase: Array, k: int) -> Joined:
     """Read the hypotheses of a phrase's k-th child from the top as if it were the only one."""
     exists = program.num_children[phrase] > k
     sets = jnp.where(exists, stack.sets[k], 0)
@@ -103,7 +110,7 @@ def _combine(left: Joined, right: Joined) -> Joined:
     )
 
 
-def _join(program: BehaviorProgram, stack: Stack, phrase: Array | int) -> Joined:
+def _join(program: BehaviorProgram, stack: Stack, phrase: Array) -> Joined:
     """Combine the hypotheses of all children of a phrase."""
     joined = _child(program, stack, phrase, 0)
     for k in range(1, NUM_CHILDREN):
@@ -172,7 +179,9 @@ def _push(stack: Stack, top: Stack, num_children: Array) -> Stack:
     return Stack(shifted(stack.sets, top.sets), shifted(stack.cost, top.cost))
 
 
-def _advance(program: BehaviorProgram, scene: Scene, stack: Stack, phrase: Array | int) -> Stack:
+def _advance(
+    program: BehaviorProgram, scene: Scene, stack: Stack, phrase: Array
+) -> tuple[Stack, Expressed]:
     """Infer one phrase from its children."""
     size = scene.lies.shape[1]
     joined = _join(program, stack, phrase)
@@ -193,7 +202,7 @@ def _advance(program: BehaviorProgram, scene: Scene, stack: Stack, phrase: Array
     objects, constraints = jnp.where(is_verb, 0, both), jnp.where(is_verb, both, 0)
     lies = lying_in(program, scene, places, phrase)
     top = once(Stack(jnp.stack([objects, *places, constraints, lies])[None], cost[None]))
-    return _push(stack, top, program.num_children[phrase])
+    return _push(stack, top, program.num_children[phrase]), Expressed(odds, joined.cost)
 
 
 def _by_relation(values: Array, relation: Array) -> Array:
@@ -210,24 +219,21 @@ def _along_slots(values: Array) -> list[Array]:
     return [values[:, s] for s in range(NUM_SLOTS)]
 
 
-def _conclude(program: BehaviorProgram, scene: Scene, stack: Stack) -> Behavior:
+def _conclude(program: BehaviorProgram, root: Expressed, size: int) -> Behavior:
     """Read the behavior off the root, averaged over the combinations of its children.
 
     A behavior has one goal: the probability that any goal is expressed is shared in proportion
     to the probability of each.
     """
-    size, *lanes = scene.lies.shape[1:]
-    joined = _join(program, stack, ROOT)
-    odds = (
-        region_odds(program, scene, joined, ROOT, size),
-        constraint_odds(program, scene, joined, ROOT, size),
-    )
+    lanes = root.cost.shape[1:]
     # Written out: XLA's logistic, and its sums over a short leading axis, are scalar on CPU.
-    goal, constraint = once(jax.tree.map(lambda x: 1.0 / (1.0 + jnp.exp(-x)), odds))
+    probability = once(1.0 / (1.0 + jnp.exp(-root.odds)))
+    constraint, goal = probability[:, :size], probability[:, size:]
+    goal = goal.reshape(BEAM, NUM_SLOTS, size, *lanes)
     is_none = jnp.prod(functools.reduce(jnp.multiply, _along_slots(1.0 - goal)), axis=1)
     total = jnp.sum(functools.reduce(jnp.add, _along_slots(goal)), axis=1)
     exists = jnp.where(program.num_phrases == 0, 0.0, 1.0)
-    weight = exists * jax.nn.softmax(-joined.cost, axis=0)
+    weight = exists * jax.nn.softmax(-root.cost, axis=0)
     share = weight * (1.0 - is_none) / jnp.maximum(total, 1e-9)
     by_slot = once(
         (
@@ -252,16 +258,23 @@ def _infer_lanes(program: BehaviorProgram, worlds: BehaviorWorld, num_phrases: A
 
 def _infer_aligned(program: BehaviorProgram, worlds: BehaviorWorld, num_phrases: Array) -> Behavior:
     """Run the phrases bottom-up; shapes as ``_infer_lanes``."""
-    scene = jax.lax.optimization_barrier(build_scene(program, worlds))
-    lanes = scene.robot.shape
+    scene = build_scene(program, worlds)
+    size, *lanes = scene.lies.shape[1:]
     stack = Stack(
         sets=jnp.zeros((MAX_DEPTH, 3 + NUM_SLOTS, BEAM, *lanes), jnp.int32),
         cost=jnp.zeros((MAX_DEPTH, BEAM, *lanes), jnp.float32),
     )
-    stack = jax.lax.fori_loop(
-        0, num_phrases - 1, lambda phrase, carry: _advance(program, scene, carry, phrase), stack
+    nothing = Expressed(
+        odds=jnp.zeros((BEAM, (1 + NUM_SLOTS) * size, *lanes), jnp.float32), cost=stack.cost[0]
     )
-    return _conclude(program, scene, stack)
+
+    def infer(index: Array, carry: tuple[Stack, Expressed]) -> tuple[Stack, Expressed]:
+        # The root comes last in every lane, however many phrases a lane has.
+        phrase = jnp.where(index == num_phrases - 1, program.is_verb.shape[0] - 1, index)
+        return _advance(program, scene, carry[0], phrase)
+
+    _, root = jax.lax.fori_loop(0, num_phrases, infer, (stack, nothing))
+    return _conclude(program, root, size)
 
 
 @jax.custom_batching.custom_vmap

@@ -77,13 +77,13 @@ def build_scene(program: BehaviorProgram, world: BehaviorWorld) -> Scene:
     )
 
 
-def _own(program: BehaviorProgram, scene: Scene, phrase: Array | int) -> Array:
+def _own(program: BehaviorProgram, scene: Scene, phrase: Array) -> Array:
     """Find the objects of the types that the words name, i32[E, P]."""
     return jnp.sum(jnp.where(program.own[phrase], scene.types, 0), axis=0)
 
 
 def object_odds(
-    program: BehaviorProgram, scene: Scene, joined: Joined, phrase: Array | int, size: int
+    program: BehaviorProgram, scene: Scene, joined: Joined, phrase: Array, size: int
 ) -> Array:
     """Evaluate the log-odds of the objects, f32[4, N, E, P]."""
     own_mask = _own(program, scene, phrase)
@@ -104,7 +104,7 @@ def object_odds(
 
 
 def region_odds(
-    program: BehaviorProgram, scene: Scene, joined: Joined, phrase: Array | int, size: int
+    program: BehaviorProgram, scene: Scene, joined: Joined, phrase: Array, size: int
 ) -> Array:
     """Evaluate the log-odds of the regions (goals of a verb phrase), f32[4, L, N, E, P]."""
     own = is_in(_own(program, scene, phrase), size)
@@ -127,7 +127,7 @@ def region_odds(
 
 
 def constraint_odds(
-    program: BehaviorProgram, scene: Scene, joined: Joined, phrase: Array | int, size: int
+    program: BehaviorProgram, scene: Scene, joined: Joined, phrase: Array, size: int
 ) -> Array:
     """Evaluate the log-odds of the constraints in their slot, f32[4, N, E, P]."""
     base = jnp.where(is_in(scene.everything, size), program.constraint_base[phrase], NEVER)
@@ -146,9 +146,7 @@ def constraint_odds(
     )
 
 
-def lying_in(
-    program: BehaviorProgram, scene: Scene, regions: list[Array], phrase: Array | int
-) -> Array:
+def lying_in(program: BehaviorProgram, scene: Scene, regions: list[Array], phrase: Array) -> Array:
     """Find the objects that lie in the expressed regions, i32[4, E, P]."""
     size = scene.lies.shape[1]
     found = jnp.zeros_like(regions[0])

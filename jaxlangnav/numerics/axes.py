@@ -37,6 +37,19 @@ def lead(values: Array, ndim: int) -> Array:
     return values.reshape((1,) * (ndim - values.ndim) + values.shape)
 
 
+def apart(values: Array, ndim: int) -> Array:
+    """Put axes of length one behind the first: every row of values beside all of something.
+
+    Args:
+        values: [n, ..., P].
+        ndim: axes wanted.
+
+    Returns:
+        [n, 1, 1, ..., P] with ``ndim`` axes.
+    """
+    return values.reshape(values.shape[0], *(1,) * (ndim - values.ndim), *values.shape[1:])
+
+
 def pick(values: Array, index: Array) -> Array:
     """Look up a short table by selects: a gather would put the batch axes in another order.
 

@@ -8,13 +8,13 @@ Everything takes one particle, or all of them with the particle axis last ("…"
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.messages import NONE, SensorParams
 from jaxlangnav.numerics import categorical, gaussian
 from jaxlangnav.numerics.axes import column
-from jaxlangnav.numerics.once import once
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.coverage import share_in_view
 from jaxlangnav.semantic_map.particle import SemanticMap
@@ -73,44 +73,42 @@ def associate(
     spread = jnp.maximum(spread, 0.0) + noise_variance
     predicted_x = particle.mean_x[:num_objects] - particle.mean_x[num_objects:]
     predicted_y = particle.mean_y[:num_objects] - particle.mean_y[num_objects:]
-    object_type = particle.object_type
-    slots = column(jnp.arange(num_objects), object_type.ndim)
-    is_hit = is_new = jnp.zeros(object_type.shape, bool)
-    offset_x = offset_y = jnp.zeros(object_type.shape, jnp.float32)
-    log_weight = jnp.zeros(object_type.shape[1:], jnp.float32)
-    overflow = jnp.zeros(object_type.shape[1:], jnp.int32)
-    for index in range(detections.object_type.shape[0]):
-        z_type, z_x, z_y = (
-            detections.object_type[index],
-            detections.offset_x[index],
-            detections.offset_y[index],
-        )
+    slots = column(jnp.arange(num_objects), particle.object_type.ndim)
+
+    def ground(so_far: Association, one: tuple[Detections, Array]) -> tuple[Association, None]:
+        """Ground one detection, given how those before it are grounded."""
+        (z_type, z_x, z_y, log_new, present), chance = one
+        object_type, is_hit, is_new, offset_x, offset_y, log_weight, overflow = so_far
         log_existing = gaussian.log_normal_isotropic(z_x - predicted_x, z_y - predicted_y, spread)
         may_be = (object_type == z_type) & ~is_hit
-        log_new = jnp.broadcast_to(detections.log_new[index], (1, *log_weight.shape))
+        log_new = jnp.broadcast_to(log_new, (1, *log_weight.shape))
         choices = jnp.concatenate([jnp.where(may_be, log_existing, -jnp.inf), log_new])
-        choice, log_total = once(categorical.draw(choices, uniform[index]))
+        choice, log_total = categorical.draw(choices, chance)
         free = jnp.min(jnp.where(object_type == NONE, slots, num_objects), axis=0)
         wants_new = choice == num_objects
         slot = jnp.where(wants_new, free, choice)
-        present = detections.is_detection[index]
         entry = (slots == slot[None]) & present
-        is_new = is_new | (entry & wants_new[None])
-        object_type = jnp.where(entry, z_type, object_type)
-        is_hit = is_hit | entry
-        offset_x = jnp.where(entry, z_x, offset_x)
-        offset_y = jnp.where(entry, z_y, offset_y)
-        log_weight = log_weight + jnp.where(present, log_total, 0.0)
-        overflow = overflow + (present & (slot == num_objects)).astype(jnp.int32)
-    return Association(
-        object_type,
-        is_hit,
-        is_new,
-        offset_x,
-        offset_y,
-        log_weight,
-        overflow,
+        return Association(
+            object_type=jnp.where(entry, z_type, object_type),
+            is_hit=is_hit | entry,
+            is_new=is_new | (entry & wants_new[None]),
+            offset_x=jnp.where(entry, z_x, offset_x),
+            offset_y=jnp.where(entry, z_y, offset_y),
+            log_weight=log_weight + jnp.where(present, log_total, 0.0),
+            overflow=overflow + (present & (slot == num_objects)).astype(jnp.int32),
+        ), None
+
+    nobody, nowhere = jnp.zeros(predicted_x.shape, bool), jnp.zeros_like(predicted_x)
+    before = Association(
+        object_type=particle.object_type,
+        is_hit=nobody,
+        is_new=nobody,
+        offset_x=nowhere,
+        offset_y=nowhere,
+        log_weight=nowhere[0],
+        overflow=jnp.zeros(nowhere.shape[1:], jnp.int32),
     )
+    return jax.lax.scan(ground, before, (detections, uniform))[0]
 
 
 def condition(

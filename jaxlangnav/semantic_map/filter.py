@@ -18,7 +18,6 @@ from jax import Array
 
 from jaxlangnav.messages import Observation, Readings
 from jaxlangnav.numerics import categorical
-from jaxlangnav.numerics.once import once
 from jaxlangnav.numerics.resampling import effective_sample_size, independent, systematic, take
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map import association, motion, particle
@@ -169,7 +168,7 @@ def observe(
     noise_variance = jnp.maximum(sensor.noise, association.MIN_NOISE) ** 2
     shape = (*observation.detection_type.shape, *belief.log_weight.shape)
     uniform = jax.random.uniform(key, shape)
-    grounded = once(association.associate(belief.particles, detections, uniform, noise_variance))
+    grounded = association.associate(belief.particles, detections, uniform, noise_variance)
     particles = association.condition(belief.particles, grounded, noise_variance)
     belief = replace(belief, particles=particles)
     robot_x, robot_y = robot_position(belief)

@@ -16,7 +16,7 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.messages import FAR, NONE
-from jaxlangnav.numerics.axes import column, lead
+from jaxlangnav.numerics.axes import apart, column, lead
 from jaxlangnav.numerics.once import once
 from jaxlangnav.relations import (
     Frame,
@@ -131,17 +131,17 @@ class Link(NamedTuple):
         x, y, landmark_x, landmark_y = pairs
         sign = lead(jnp.where(self.relation == FAR, -1.0, 1.0), x.ndim)
 
-        def signed_square(from_x: Array, from_y: Array) -> Array:
-            return sign * ((from_x - landmark_x) ** 2 + (from_y - landmark_y) ** 2 + 1e-9)
+        def squared(away_x: Array, away_y: Array) -> Array:
+            return away_x * away_x + away_y * away_y + 1e-9
 
-        best = jnp.full(landmark_x.shape, jnp.inf)
-        for slot in range(self.rival_x.shape[0]):
-            rival_x, rival_y = lead(self.rival_x[slot], x.ndim), lead(self.rival_y[slot], x.ndim)
-            is_rival = lead(self.is_rival[slot], x.ndim)
-            rival = jnp.where(is_rival, signed_square(rival_x, rival_y), jnp.inf)
-            best = jnp.minimum(best, rival)
-        own = signed_square(x, y)
-        best = jnp.minimum(own, once(best))  # the same for all figures of a landmark
+        rival_x, rival_y, is_rival = (
+            apart(rivals, x.ndim + 1) for rivals in (self.rival_x, self.rival_y, self.is_rival)
+        )
+        rivals = sign[None] * squared(rival_x - landmark_x[None], rival_y - landmark_y[None])
+        # The same for all figures of a landmark.
+        best = once(jnp.min(jnp.where(is_rival, rivals, jnp.inf), axis=0))
+        own = sign * squared(x - landmark_x, y - landmark_y)
+        best = jnp.minimum(own, best)
         excess = sign * (jnp.sqrt(jnp.abs(own)) - jnp.sqrt(jnp.abs(best)))
         extreme = jnp.where(lead(self.is_superlative, own.ndim), -excess / self.softness, 0.0)
         extreme = jnp.where(lead(self.is_ordered, own.ndim), log_order, extreme)

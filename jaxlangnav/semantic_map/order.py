@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.messages import BEHIND, FAR, FRONT, LEFT, RIGHT
-from jaxlangnav.numerics.axes import lead
+from jaxlangnav.numerics.axes import apart, lead
 from jaxlangnav.relations import Frame
 
 _TIE = 1e-3
@@ -70,9 +70,7 @@ class Order(NamedTuple):
         x_there, y_there = landmark_x[None], landmark_y[None]
 
         def rows(values: Array) -> Array:
-            """Put the first axis before those of the places, and the batch behind them."""
-            between = own.ndim + 1 - values.ndim
-            return values.reshape(values.shape[0], *(1,) * between, *values.shape[1:])
+            return apart(values, own.ndim + 1)
 
         rival = self._merit(rows(self.rival_x), rows(self.rival_y), x_there, y_there)
         unseen = self._merit(rows(self.unseen_x), rows(self.unseen_y), x_there, y_there)
