@@ -26,8 +26,8 @@ from matplotlib.figure import Figure
 
 import jaxlangnav
 from jaxlangnav import relation_fitting
-from jaxlangnav.experiments.episode_evidence import log_map
 from jaxlangnav.experiments.evidence_fitting import fit_to_episodes, run_and_remember
+from jaxlangnav.experiments.map_evidence import log_map
 from jaxlangnav.experiments.own_worlds import OWN_AREA, own_tasks
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences

@@ -11,7 +11,8 @@ from differences import central
 from oracles import enumeration
 from test_semantic_map_enumeration import small_world
 
-from jaxlangnav.experiments.episode_evidence import WordsEvidence, log_map, log_words, remember
+from jaxlangnav.experiments.episode_evidence import WordsEvidence, log_words, remember
+from jaxlangnav.experiments.map_evidence import log_map
 from jaxlangnav.messages import BEHIND, NEAR, NONE, Readings
 from jaxlangnav.pytree import replace
 from jaxlangnav.relations import RelationParams, default_params, prepare

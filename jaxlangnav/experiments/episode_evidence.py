@@ -1,16 +1,15 @@
-"""How probable whole episodes are, as a differentiable function of relations and sensor.
+"""How probable the words of whole episodes are, as a differentiable function of relations.
 
 The model of ``semantic_map`` factors: what was seen and not seen is probable by the map alone, and
 the words are probable given the map and where the robot has looked,
 
     log p(z, words) = log p(z) + log p(words | map, m)
-    log p(z)     = Σ_t log p(z_t | z_<t) + D log p_d − K α (1 − u)        sensor, odometry
-    p(words | ·) = (1/A) Σ_{f, l} f(x_f − x_l; θ) w_f w_l                  relations
+    p(words | map, m) = (1/A) Σ_{f, l} f(x_f − x_l; θ) w_f w_l
 
-with D detections, K types of object, u the share of the area unexplored, and candidates f, l: what
-has been observed (w = A / α) and every cell of the area (w = its size times its miss probability
-m). This scores the relation against worlds drawn by it, of which only those that fit the area are
-ever met. Their share falls as the relation reaches farther, so relations are compared by
+with candidates f, l: what has been observed (w = A / α) and every cell of the area (w = its size
+times its miss probability m); log p(z) is ``map_evidence.log_map``. This scores the relation
+against worlds drawn by it, of which only those that fit the area are ever met. Their share falls
+as the relation reaches farther, so relations are compared by
 
     log p(map | words; θ) = log p(words | map, m; θ) − log Z(θ) + constant
     Z(θ) = (1/A) ∫_A ∫_A f(x_f − x_l; θ) dx_f dx_l = p(words | nothing observed, m = 1; θ)
@@ -22,10 +21,6 @@ The filter sums the words' evidence by sampling places. Its samples move with θ
 one cell of m into another, or out of the area, in steps that have no derivative: the gradient of
 the sampled evidence leaves those out (in a small area half of it is missing). Here places are
 summed over on the grid itself, so value and gradient are exact but for the grid.
-
-The map's part runs the filter without words. It is differentiated forwards, with common random
-numbers; which detection is which object, and the resampling, are discrete draws that are held
-(with well-separated objects nothing depends on them).
 """
 
 import jax
@@ -33,10 +28,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.messages import FAR, NONE, ROBOT, Observation, Readings, SensorParams
+from jaxlangnav.messages import FAR, NONE, ROBOT, Readings
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.relations import RelationParams, log_density, prepare, viewer_frame
-from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.coverage import area_size, cell_centres
 from jaxlangnav.semantic_map.params import MapParams
@@ -347,62 +341,3 @@ def log_fit_of(group: EpisodeGroup, relations: RelationParams, params: MapParams
     log_z = _log_words(_nothing_seen(first), between_cells, numbers)
     each = jax.vmap(lambda one: _log_words(one, between_cells, numbers))(group.episodes)
     return jnp.sum(jnp.where(group.is_used, each - log_z, 0.0))
-
-
-def log_map(
-    key: Array,
-    belief: ParticleBelief,
-    observations: Observation,
-    *,
-    params: MapParams,
-    sensor: SensorParams,
-    num_types: int,
-) -> Array:
-    """Compute log p(z): how probable detections and absences are, by the map alone.
-
-    Differentiable forwards (``jax.jvp``, ``jax.jacfwd``) in sensor and odometry.
-
-    Args:
-        key: random key; the same for values that are compared.
-        belief: before the first observation.
-        observations: leaves [T, …]; their sensor is not read.
-        params: of the map.
-        sensor: the specification that is held against the observations.
-        num_types: K, types of object that may be in the area.
-
-    Returns:
-        f32[], nats; a density in the detections' places.
-    """
-    silent = _no_words(belief)
-
-    def body(carry: ParticleBelief, step: tuple[Array, Observation]) -> tuple[ParticleBelief, None]:
-        step_key, observation = step
-        observation = replace(observation, sensor=sensor)
-        return semantic_filter.step(step_key, carry, silent, observation, params=params)[0], None
-
-    keys = jax.random.split(key, observations.pose.shape[0])
-    after, _ = jax.lax.scan(body, belief, (keys, observations))
-    hits = jnp.sum(observations.is_detection).astype(jnp.float32)
-    seen = 1.0 - jnp.mean(jnp.exp(after.coverage.log_miss))
-    log_hits = hits * jnp.log(jnp.minimum(sensor.detection_probability, 0.999))
-    return (
-        after.log_evidence
-        - belief.log_evidence
-        + log_hits
-        - num_types * params.concentration * seen
-    )
-
-
-def _no_words(belief: ParticleBelief) -> Readings:
-    """Build readings that mention nothing, for a belief's capacity."""
-    mentions = belief.particles.referent.shape[0]
-    none = jnp.full((1, 1), NONE, jnp.int32)
-    return Readings(
-        mention_type=jnp.full((1, mentions), NONE, jnp.int32),
-        figure=none,
-        relation=none,
-        landmark=none,
-        is_superlative=jnp.zeros((1, 1), bool),
-        rank=jnp.zeros((1, 1), jnp.int32),
-        log_probability=jnp.zeros(1, jnp.float32),
-    )
