@@ -17,6 +17,7 @@ on its way; and as the tour under way is among the candidates, it is left only f
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from jaxlangnav.numerics.once import once
@@ -202,13 +203,16 @@ def greedy(
     )
     distance = jnp.sqrt((view_x - robot_x) ** 2 + (view_y - robot_y) ** 2 + 1e-9)
     # A metre is added to each way: what can be had for nothing is not worth all.
-    _, here = jax.lax.top_k((sees @ search.mass) / (distance + 1.0), NUM_GREEDY)
-    stops, mass = [here], search.mass[None, :] * (1.0 - sees[here])
-    for _ in range(NUM_STOPS - 1):
-        here = jnp.argmax((mass @ sees.T) / (between[here] + 1.0), axis=1)
-        mass = mass * (1.0 - sees[here])
-        stops.append(here)
-    chosen = jnp.stack(stops, axis=1)
+    _, first = jax.lax.top_k((sees @ search.mass) / (distance + 1.0), NUM_GREEDY)
+
+    def go_on(carry: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], Array]:
+        here, mass = carry
+        there = jnp.argmax((mass @ sees.T) / (between[here] + 1.0), axis=1)
+        return (there, mass * (1.0 - sees[there])), there
+
+    left = search.mass[None, :] * (1.0 - sees[first])
+    _, others = jax.lax.scan(go_on, (first, left), length=NUM_STOPS - 1)
+    chosen = jnp.concatenate([first[None], others]).T
     return Tour(x=view_x[chosen], y=view_y[chosen])
 
 
@@ -289,21 +293,22 @@ def plan(
         Tour(x=here.x[None], y=here.y[None]), greedy(search, robot_x, robot_y, range_max, area)
     )
     keys = jax.random.split(key, NUM_ROUNDS)
-
-    def best_of(tours: Tour, cost: Array) -> tuple[Tour, Array]:
-        index = jnp.argmin(cost)
-        return Tour(x=tours.x[index], y=tours.y[index]), cost[index]
+    # As many drafts as changes: one program weighs them all.
+    drawn = np.minimum(np.arange(NUM_CHANGES), NUM_GREEDY)
+    drafts = Tour(x=drafts.x[drawn], y=drafts.y[drawn])
 
     def improve(index: Array, carry: tuple[Tour, Array]) -> tuple[Tour, Array]:
-        """Keep the best tour and try changes of it."""
-        best, least = best_of(*carry)
-        changed = change(keys[index], best, search, area)
-        cost = latency(changed, search, robot_x, robot_y, range_max, area)
+        """Keep the best tour and weigh changes of it; at first, the drafts."""
+        tours, cost = carry
+        least = jnp.argmin(cost)
+        best = Tour(x=tours.x[least], y=tours.y[least])
+        changed = change(keys[index - 1], best, search, area)
+        tried = jax.tree.map(lambda one, other: jnp.where(index == 0, one, other), drafts, changed)
+        weighed = latency(tried, search, robot_x, robot_y, range_max, area)
         kept = Tour(x=best.x[None], y=best.y[None])
-        return _join(kept, changed), jnp.append(least, cost)
+        return _join(kept, tried), jnp.append(cost[least], weighed)
 
-    best, least = best_of(drafts, latency(drafts, search, robot_x, robot_y, range_max, area))
     repeated = jnp.ones((NUM_CHANGES + 1, 1), jnp.float32)
-    first = Tour(x=repeated * best.x[None], y=repeated * best.y[None]), repeated[:, 0] * least
-    tours, cost = jax.lax.fori_loop(0, NUM_ROUNDS, improve, first)
+    nothing = Tour(x=repeated * here.x[None], y=repeated * here.y[None])
+    tours, cost = jax.lax.fori_loop(0, NUM_ROUNDS + 1, improve, (nothing, repeated[:, 0] * jnp.inf))
     return Plan(tours=tours, latency=cost, mass=jnp.sum(search.mass), hung=jnp.sum(search.hung))

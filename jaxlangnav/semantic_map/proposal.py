@@ -28,7 +28,7 @@ from jax import Array
 
 from jaxlangnav.messages import NONE, ROBOT, Readings
 from jaxlangnav.numerics import categorical
-from jaxlangnav.numerics.axes import lead, pick
+from jaxlangnav.numerics.axes import column, lead, pick
 from jaxlangnav.numerics.once import once
 from jaxlangnav.pytree import replace
 from jaxlangnav.relations import Law, law_of, robot_frame
@@ -65,9 +65,10 @@ def nothing_grounded(num_mentions: int, *batch: int) -> Grounding:
     return Grounding(none, zero, zero, none, none, jnp.zeros(none.shape, bool), jnp.zeros(batch))
 
 
-def _mention_types(readings: Readings, reading: Array) -> Array:
-    """Look up the types that a reading mentions, i32[M, ...]."""
-    return jnp.stack([pick(types, reading) for types in readings.mention_type.T])
+def _of_reading(table: Array, reading: Array) -> Array:
+    """Look up a table [K, n] by the reading that each particle believes: [n, ...]."""
+    index = jnp.broadcast_to(reading, (table.shape[1], *reading.shape))
+    return pick(column(table, 1 + index.ndim), index)
 
 
 def _candidates(
@@ -115,17 +116,18 @@ def look_up(readings: Readings, reading: Array, params: MapParams) -> Told:
     Returns:
         What is told, leaves [J, ...].
     """
-    mention_type = _mention_types(readings, reading)
-
-    def each(table: Array) -> Array:
-        """Pick i32[K, J] by the reading: i32[J, ...]."""
-        return jnp.stack([pick(column_of, reading) for column_of in table.T])
-
-    figure, landmark = each(readings.figure), each(readings.landmark)
-    relation, rank = each(readings.relation), each(readings.rank)
-    figure_type = jnp.stack([pick(mention_type, one) for one in figure])
-    landmark_type = jnp.stack([pick(mention_type, one) for one in landmark])
-    landmark_type = jnp.where(landmark == NONE, NONE, landmark_type)
+    mention_type, figure, landmark, relation, rank, is_superlative = (
+        _of_reading(table, reading)
+        for table in (
+            readings.mention_type,
+            readings.figure,
+            readings.landmark,
+            readings.relation,
+            readings.rank,
+            readings.is_superlative,
+        )
+    )
+    landmark_type = jnp.where(landmark == NONE, NONE, pick(mention_type, landmark))
     is_robot = landmark_type == ROBOT
     is_ordered = (rank > 1) | ((rank == 1) & is_robot)
     side = jnp.where(is_robot & (rank == 0), relation, NONE)
@@ -135,8 +137,8 @@ def look_up(readings: Readings, reading: Array, params: MapParams) -> Told:
         figure=figure,
         landmark=landmark,
         relation=relation,
-        is_superlative=each(readings.is_superlative),
-        figure_type=figure_type,
+        is_superlative=is_superlative,
+        figure_type=pick(mention_type, figure),
         landmark_type=landmark_type,
         is_side=jnp.isin(side, jnp.asarray(SIDES)),
         order=jnp.where(is_ordered, rank, 0),
@@ -275,5 +277,5 @@ def adopt(
         root=grounding.root,
         hypothesis_x=grounding.x,
         hypothesis_y=grounding.y,
-        is_mentioned=(_mention_types(readings, reading) >= 0) & grounding.is_grounded,
+        is_mentioned=(_of_reading(readings.mention_type, reading) >= 0) & grounding.is_grounded,
     )
