@@ -5,6 +5,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from jaxlangnav.experiments.deviations import NEAR, deviations
 from jaxlangnav.experiments.policies import KNOWLEDGE
 from jaxlangnav.experiments.rows import Row, row_key
 from jaxlangnav.planner.params import POLICIES
@@ -41,10 +42,6 @@ TERMINAL_HEADINGS = (
     "\nSPL",
     "Time-\nouts",
 )
-PAPER_RUNS = 100
-"""Simulations behind a printed figure: "approximately 100" (section 4.2)."""
-NEAR = 2.0
-"""Standard errors within which two figures agree."""
 
 
 def cells(row: Row, paper: Row | None) -> list[str]:
@@ -280,28 +277,6 @@ def caption(document: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def deviations(row: Row, paper: Row) -> dict[str, float]:
-    """Measure how far a row lies from the printed one, in standard errors of both.
-
-    Args:
-        row: ours.
-        paper: the printed row.
-
-    Returns:
-        ``distance`` and ``success``: signed; ours above the paper's is positive. A rate of 0 or
-        100 % counts as half a run away from it, or it would have no error at all.
-    """
-    way_error = math.hypot(distance_error(row), paper["distance_sd"] / math.sqrt(PAPER_RUNS))
-    success_error = math.hypot(
-        rate_error(row["success_rate"], row["episodes"]),
-        rate_error(paper["success_rate"], PAPER_RUNS),
-    )
-    return {
-        "distance": (row["distance_mean"] - paper["distance_mean"]) / max(way_error, 1e-9),
-        "success": (row["success_rate"] - paper["success_rate"]) / success_error,
-    }
-
-
 def deviation_lines(
     document: dict[str, Any], policy: str = "faithful"
 ) -> tuple[list[str], list[list[str]]]:
@@ -333,22 +308,3 @@ def deviation_lines(
             ]
         )
     return headings, lines
-
-
-def distance_error(row: Row) -> float:
-    """Compute the standard error of a row's mean distance, metres."""
-    return row["distance_sd"] / math.sqrt(max(1, row["episodes"]))
-
-
-def rate_error(percent: float, runs: int) -> float:
-    """Compute the standard error of a rate.
-
-    Args:
-        percent: the rate; 0 and 100 % count as half a run away from it.
-        runs: behind it.
-
-    Returns:
-        Percent.
-    """
-    rate = min(max(percent / 100.0, 0.5 / max(1, runs)), 1.0 - 0.5 / max(1, runs))
-    return 100.0 * math.sqrt(rate * (1.0 - rate) / max(1, runs))

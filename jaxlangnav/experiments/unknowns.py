@@ -23,6 +23,7 @@ from jax import Array
 from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task
 from jaxlangnav.experiments.archive import pytree_hash, write_experiment
 from jaxlangnav.experiments.compilation import CompileClock
+from jaxlangnav.experiments.deviations import NEAR, deviations, distance_error, rate_error
 from jaxlangnav.experiments.metrics import summarize
 from jaxlangnav.experiments.monte_carlo import Progress, known_distances, run_tasks
 from jaxlangnav.experiments.paired import compare
@@ -37,7 +38,6 @@ from jaxlangnav.experiments.rows import (
     row_tasks,
 )
 from jaxlangnav.experiments.sentences import SENTENCES, GroundedSentences, ground_sentences
-from jaxlangnav.experiments.tables import NEAR, deviations, distance_error, rate_error
 from jaxlangnav.experiments.unknowns_tables import markdown
 from jaxlangnav.messages import MotionParams, SensorParams, default_motion, default_sensor
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, check, default_params

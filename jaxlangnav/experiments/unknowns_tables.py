@@ -5,8 +5,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from jaxlangnav.experiments.deviations import NEAR, PAPER_RUNS
 from jaxlangnav.experiments.rows import Row
-from jaxlangnav.experiments.tables import NEAR, PAPER_RUNS
 
 TITLE = "What the paper leaves open, one thing at a time"
 LEAD = (

@@ -270,7 +270,7 @@ def _infer_aligned(program: BehaviorProgram, worlds: BehaviorWorld, num_phrases:
 
     def infer(index: Array, carry: tuple[Stack, Expressed]) -> tuple[Stack, Expressed]:
         # The root comes last in every lane, however many phrases a lane has.
-        phrase = jnp.where(index == num_phrases - 1, program.is_verb.shape[0] - 1, index)
+        phrase = jnp.where(index == num_phrases - 1, ROOT, index)
         return _advance(program, scene, carry[0], phrase)
 
     _, root = jax.lax.fori_loop(0, num_phrases, infer, (stack, nothing))

@@ -308,7 +308,8 @@ def plan(
         kept = Tour(x=best.x[None], y=best.y[None])
         return _join(kept, tried), jnp.append(cost[least], weighed)
 
-    repeated = jnp.ones((NUM_CHANGES + 1, 1), jnp.float32)
-    nothing = Tour(x=repeated * here.x[None], y=repeated * here.y[None])
-    tours, cost = jax.lax.fori_loop(0, NUM_ROUNDS + 1, improve, (nothing, repeated[:, 0] * jnp.inf))
+    # Nothing has been weighed yet: the first best is any of those that cost too much to be kept.
+    untried = jax.tree.map(lambda one: jnp.tile(one, (NUM_CHANGES + 1, 1)), here)
+    costs = jnp.full(NUM_CHANGES + 1, jnp.inf)
+    tours, cost = jax.lax.fori_loop(0, NUM_ROUNDS + 1, improve, (untried, costs))
     return Plan(tours=tours, latency=cost, mass=jnp.sum(search.mass), hung=jnp.sum(search.hung))

@@ -5,7 +5,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from jaxlangnav.experiments.tables import NEAR, PAPER_RUNS, rate_error
+from jaxlangnav.experiments.deviations import NEAR, PAPER_RUNS, rate_error
 from jaxlangnav.experiments.unknowns_tables import TITLE, row_name
 from jaxlangnav.viz import style
 
