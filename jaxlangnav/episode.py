@@ -100,8 +100,12 @@ def _step_keys(progress: Progress) -> Array:
 
 def observe(progress: Progress) -> Observation:
     """Sense what the next step is decided by; the same however often it is asked for."""
+    return _sense(_step_keys(progress)[0], progress)
+
+
+def _sense(key: Array, progress: Progress) -> Observation:
     task = progress.task
-    return sense(_step_keys(progress)[0], progress.world, task.scenario, task.sensor)
+    return sense(key, progress.world, task.scenario, task.sensor)
 
 
 def advance(
@@ -117,9 +121,16 @@ def advance(
     Returns:
         The episode one step later, and why the robot did what it did.
     """
+    return cycle(progress, params=params, config=config)[:2]
+
+
+def cycle(
+    progress: Progress, *, params: NavigatorParams, config: NavigatorConfig
+) -> tuple[Progress, NavigatorInfo, Observation]:
+    """Run one cycle as ``advance`` does, and return what was sensed in it, too."""
     task = progress.task
-    _, decide_key, move_key = _step_keys(progress)
-    observation = observe(progress)
+    sense_key, decide_key, move_key = _step_keys(progress)
+    observation = _sense(sense_key, progress)
     state, action, info = navigator.step(
         decide_key, progress.navigator, observation, params=params, config=config
     )
@@ -135,7 +146,7 @@ def advance(
         sum_effective_sample_size=progress.sum_effective_sample_size
         + info.filter.effective_sample_size,
     )
-    return after, info
+    return after, info, observation
 
 
 def finish(progress: Progress) -> EpisodeResult:

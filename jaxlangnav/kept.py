@@ -16,6 +16,7 @@ import os
 import pickle
 import platform
 import tempfile
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
@@ -37,6 +38,9 @@ _SETTINGS = (
     "jax_threefry_partitionable",
 )
 _folder: Path | None = None
+_outside = threading.Lock()
+_num_outside, _least_seconds = 0, 0.0
+"""How many threads compile outside of JAX's cache, and the setting that the last one restores."""
 
 
 def keep_in(folder: Path | None) -> None:
@@ -62,11 +66,11 @@ def kept(*, static_argnames: tuple[str, ...] = ()) -> Callable[[Callable[P, R]],
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
         jitted = jax.jit(function, static_argnames=static_argnames)
         whole: Callable[..., R] = function
-        programs: dict[str, Callable[[list[Any]], R]] = {}
+        programs: dict[str, _Program] = {}
 
         @functools.wraps(jitted)
         def call(*args: P.args, **kwargs: P.kwargs) -> R:
-            if _folder is None or not _is_plain():
+            if _folder is None or not is_keeping():
                 return jitted(*args, **kwargs)
             static = {name: kwargs[name] for name in static_argnames if name in kwargs}
             data = args, {name: kwargs[name] for name in kwargs if name not in static}
@@ -74,24 +78,35 @@ def kept(*, static_argnames: tuple[str, ...] = ()) -> Callable[[Callable[P, R]],
             if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
                 return jitted(*args, **kwargs)
             name = _name(function, static, tree, leaves)
-            if name not in programs:
 
-                def flat(*leaves: Any) -> Any:
-                    args, kwargs = jax.tree.unflatten(tree, leaves)
-                    return whole(*args, **kwargs, **static)
+            def flat(*leaves: Any) -> Any:
+                args, kwargs = jax.tree.unflatten(tree, leaves)
+                return whole(*args, **kwargs, **static)
 
-                loaded = _load(_folder / name, leaves)
-                programs[name] = loaded or _compile(_folder / name, flat, leaves)
-            return programs[name](leaves)
+            return programs.setdefault(name, _Program()).run(_folder / name, flat, leaves)
 
         return call
 
     return decorate
 
 
-def _is_plain() -> bool:
-    """Tell whether programs run on one CPU device: what keeping has been tried with."""
-    return jax.default_backend() == "cpu" and jax.device_count() == 1
+class _Program:
+    """One compiled program; threads that ask for it at the same time wait for one of them."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._made: Callable[[list[Any]], Any] | None = None
+
+    def run(self, path: Path, flat: Callable[..., Any], leaves: list[Any]) -> Any:
+        """Run it; load or compile it first if nobody has."""
+        with self._lock:
+            self._made = self._made or _load(path, leaves) or _compile(path, flat, leaves)
+        return self._made(leaves)
+
+
+def is_keeping() -> bool:
+    """Tell whether programs are kept: a folder is named, and there is one CPU device only."""
+    return _folder is not None and jax.default_backend() == "cpu" and jax.device_count() == 1
 
 
 def _name(function: Callable[..., Any], static: Any, tree: Any, leaves: list[Any]) -> str:
@@ -185,13 +200,20 @@ def _outside_of_the_cache() -> Iterator[None]:
     A CPU program that JAX has loaded from its cache is written without its functions (JAX 0.10),
     so programs to be kept must never be found there.
     """
+    global _num_outside, _least_seconds
     name = "jax_persistent_cache_min_compile_time_secs"
-    before = getattr(jax.config, name)
-    jax.config.update(name, float("inf"))
+    with _outside:
+        if _num_outside == 0:
+            _least_seconds = getattr(jax.config, name)
+            jax.config.update(name, float("inf"))
+        _num_outside += 1
     try:
         yield
     finally:
-        jax.config.update(name, before)
+        with _outside:
+            _num_outside -= 1
+            if _num_outside == 0:
+                jax.config.update(name, _least_seconds)
 
 
 def _write(path: Path, content: bytes) -> None:

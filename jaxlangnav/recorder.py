@@ -15,7 +15,7 @@ from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Progress, Task
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.kept import kept
 from jaxlangnav.language.lexicon import load_lexicon
-from jaxlangnav.messages import NONE, Readings
+from jaxlangnav.messages import NONE, Observation, Readings
 from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams
 from jaxlangnav.recording import Frame, Recording, Scene, gather
 from jaxlangnav.semantic_map.belief import ParticleBelief
@@ -130,15 +130,15 @@ def _advance(
     progress: Progress, *, params: NavigatorParams, config: NavigatorConfig
 ) -> tuple[Progress, Frame, EpisodeResult]:
     """Run one cycle and gather what it looked like."""
-    after, info = episode.advance(progress, params=params, config=config)
-    return after, _frame(progress, after, info), episode.finish(after)
+    after, info, observation = episode.cycle(progress, params=params, config=config)
+    return after, _frame(progress, after, info, observation), episode.finish(after)
 
 
-def _frame(before: Progress, after: Progress, info: NavigatorInfo) -> Frame:
+def _frame(
+    before: Progress, after: Progress, info: NavigatorInfo, observation: Observation
+) -> Frame:
     """Gather one step: the world before the motion, the belief after the step."""
     belief = after.navigator.belief
-    # What ``advance`` has sensed, once more: XLA merges the two.
-    observation = episode.observe(before)
     return Frame(
         position=before.world.position,
         heading=before.world.heading,

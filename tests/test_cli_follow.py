@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jaxlangnav import cli
+from jaxlangnav import cli, kept
 from jaxlangnav.commands import engine, intent
 from jaxlangnav.experiments.monte_carlo import cell, make_tasks
 from jaxlangnav.grounding import load_shipped, understand
@@ -35,6 +35,26 @@ KEYS = {
 def follow(words: list[str], capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
     assert cli.main(["follow", *words, "--json"]) == 0
     return json.loads(capsys.readouterr().out)
+
+
+@pytest.mark.parametrize("world", ["2H1C", "yard"])
+def test_what_is_rehearsed_is_what_is_run(
+    world: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The thread that compiles while the world is drawn compiles the program of the episode."""
+    programs: list[tuple[str, str]] = []
+    name_of = kept._name
+
+    def spy(function: Any, *rest: Any) -> str:
+        programs.append((function.__name__, name_of(function, *rest)))
+        return programs[-1][1]
+
+    monkeypatch.setattr(kept, "_name", spy)
+    document = follow([COMMAND, "--world", world], capsys)
+    for function, times in (("_begin", 2), ("_advance", document["steps"] + 1)):
+        names = [name for one, name in programs if one == function]
+        assert len(names) == times
+        assert len(set(names)) == 1
 
 
 def test_the_document_has_the_agreed_keys(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,6 +1,7 @@
 """Programs kept whole: found again without tracing, and never in the way."""
 
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import jax
@@ -116,6 +117,20 @@ def test_another_source_is_another_program(folder: Path, monkeypatch: pytest.Mon
     monkeypatch.setattr(module, "_machine", lambda: ("another digest", *machine[1:]))
     another_process()(*arguments)
     assert len(TRACES) == 2
+
+
+def test_threads_wait_for_one_program(folder: Path) -> None:
+    """What is prepared in a thread is not compiled again, and settings come back as they were."""
+    name = "jax_persistent_cache_min_compile_time_secs"
+    before = getattr(jax.config, name)
+    call, motion = another_process(), default_motion()
+    with ThreadPoolExecutor(4) as pool:
+        asked = [pool.submit(call, jax.random.key(3), motion, times=times) for times in [1, 2] * 4]
+    drawn = [one.result() for one in asked]
+    assert sorted(TRACES) == [1, 2]
+    for times, found in zip([1, 2] * 4, drawn, strict=True):
+        same(found[1], times * drawn[0][1])
+    assert getattr(jax.config, name) == before
 
 
 def test_where_nothing_can_be_kept_it_computes(tmp_path: Path) -> None:

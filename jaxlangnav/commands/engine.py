@@ -1,7 +1,9 @@
 """What several commands need of the engine: models, sizes, and an episode in a world."""
 
+import contextlib
 import dataclasses
 import functools
+import threading
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
@@ -14,8 +16,10 @@ from jaxlangnav import recorder
 from jaxlangnav.commands.intent import is_among, meant_goals, with_goal
 from jaxlangnav.episode import MAX_STEPS, Task
 from jaxlangnav.experiments.monte_carlo import cell, make_tasks
-from jaxlangnav.grounding.instruction import GroundingModel, Understanding
+from jaxlangnav.grounding.instruction import GroundingModel, Instruction, Understanding
 from jaxlangnav.grounding.weights import load, load_shipped
+from jaxlangnav.kept import is_keeping, kept
+from jaxlangnav.messages import default_motion, default_sensor
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, default_params
 from jaxlangnav.planner.params import PlannerConfig
 from jaxlangnav.pytree import replace
@@ -23,6 +27,7 @@ from jaxlangnav.recording import Recording
 from jaxlangnav.semantic_map.params import MapConfig
 from jaxlangnav.world.files import open_world
 from jaxlangnav.world.reading import World
+from jaxlangnav.world.scenario import empty_scenario
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 from jaxlangnav.world.state import Scenario
 from jaxlangnav.world.templates import Template
@@ -69,7 +74,12 @@ def load_models(path: Path | None) -> GroundingModel:
 @functools.cache
 def navigator_params() -> NavigatorParams:
     """Build the default parameters: compiled, as one by one their operations take seconds."""
-    return jax.jit(default_params)()
+    return _default_params()
+
+
+@kept()
+def _default_params() -> NavigatorParams:
+    return default_params()
 
 
 def navigator_config(policy: str, particles: int) -> NavigatorConfig:
@@ -128,6 +138,37 @@ def open_task(
         is_own = _is_its_own(place, understood)
         return _judge(place.name, task, understood, is_own=is_own, is_drawn=False)
     return _draw(place, understood, sensing_range or 3.0, seed)
+
+
+def rehearse(
+    instructions: Instruction, *, params: NavigatorParams, config: NavigatorConfig
+) -> None:
+    """Load or compile the decision cycle in a thread, while other things are done.
+
+    A step of an episode in an empty world asks for it: shapes are the same in every world. Where
+    no programs are kept nothing is done, as two threads would compile the same.
+
+    Args:
+        instructions: leaves [1, …].
+        params: the navigator's numbers.
+        config: sizes and policy.
+    """
+    if not is_keeping():
+        return
+    task = Task(
+        key=jax.random.key(0),
+        scenario=empty_scenario(),
+        instruction_index=jax.device_put(np.int32(0)),
+        sensor=default_sensor(),
+        motion=default_motion(),
+    )
+
+    def step() -> None:
+        # What goes wrong here goes wrong again where it is asked for, and is told there.
+        with contextlib.suppress(Exception):
+            next(recorder.play(task, instructions, params=params, config=config))
+
+    threading.Thread(target=step).start()
 
 
 def record_episode(
@@ -223,7 +264,7 @@ def _task_in(world: World, sensing_range: float | None, seed: int) -> Task:
     return Task(
         key=jax.random.key(seed),
         scenario=world.scenario,
-        instruction_index=jnp.int32(0),
+        instruction_index=jax.device_put(np.int32(0)),
         sensor=sensor,
         motion=world.motion,
     )
@@ -275,12 +316,13 @@ def _tasks_of(
         relation = "null"
     tasks = make_tasks(cell(template.name, relation, 0, sensing_range, number, seed))
     # On the host: taken apart on the device, each leaf would be a small program of its own.
+    keys = np.asarray(jax.random.key_data(tasks.key))
     scenarios, sensors, motions = jax.device_get((tasks.scenario, tasks.sensor, tasks.motion))
     return [
         Task(
-            key=tasks.key[index],
+            key=jax.random.wrap_key_data(keys[index]),
             scenario=_at(scenarios, index),
-            instruction_index=jnp.int32(0),
+            instruction_index=jax.device_put(np.int32(0)),
             sensor=_at(sensors, index),
             motion=_at(motions, index),
         )

@@ -19,7 +19,7 @@ from jaxlangnav.commands.settings import Place, apply, read_settings
 if TYPE_CHECKING:
     from jaxlangnav.commands.engine import Prepared
     from jaxlangnav.episode import EpisodeResult
-    from jaxlangnav.grounding.instruction import Understanding
+    from jaxlangnav.grounding.instruction import Instruction, Understanding
     from jaxlangnav.language.phrase import Parse
     from jaxlangnav.recording import Frame, Recording, Scene
 
@@ -88,14 +88,20 @@ class Follow:
         values = read_settings(self.settings, self.SETTINGS)
         if values:
             self._check_settings(values)
-        understood, prepared = self._prepare(parsed, output)
+        understood = self._understand(parsed)
+        from jaxlangnav.commands.engine import rehearse
         from jaxlangnav.pytree import replace
 
+        sizes = self._sizes(values)
+        rehearse(_alone(understood), **sizes)
+        prepared = self._open(understood, output)
         task = prepared.task
         sensor = apply(task.sensor, values, "sensor")
         motion = apply(task.motion, values, "motion")
         prepared = dataclasses.replace(prepared, task=replace(task, sensor=sensor, motion=motion))
-        recording = self._record(understood, prepared, values, output)
+        # The belief knows the odometry's specification.
+        sizes["params"] = replace(sizes["params"], map=replace(sizes["params"].map, motion=motion))
+        recording = self._record(understood, prepared, sizes, output)
         document = self._document(prepared.world, understood.annotations, recording)
         if self.out is not None:
             self._draw(recording, document, output)
@@ -123,9 +129,9 @@ class Follow:
         check(apply(navigator_params(), values, "params"))
         apply(navigator_config(self.policy, self.particles), values, "config")
 
-    def _prepare(self, parsed: "Parse", output: Output) -> "tuple[Understanding, Prepared]":
-        """Understand the sentence and open a world in which it can be followed."""
-        from jaxlangnav.commands.engine import load_models, missing_types, open_task
+    def _understand(self, parsed: "Parse") -> "Understanding":
+        """Understand the sentence, which has to ask for something."""
+        from jaxlangnav.commands.engine import load_models
         from jaxlangnav.grounding.instruction import understand_parse
 
         understood = understand_parse(parsed, load_models(self.weights))
@@ -134,6 +140,12 @@ class Follow:
                 f'"{self.text}" informs but asks for nothing to be done; say for example '
                 '"go to the hydrant"'
             )
+        return understood
+
+    def _open(self, understood: "Understanding", output: Output) -> "Prepared":
+        """Open a world in which the sentence can be followed."""
+        from jaxlangnav.commands.engine import missing_types, open_task
+
         prepared = open_task(self.world, understood, sensing_range=self.range, seed=self.seed)
         scenario, names = prepared.task.scenario, understood.type_names
         missing = missing_types(scenario, understood.annotations, names)
@@ -143,15 +155,13 @@ class Follow:
             output.note(f"note: world {prepared.world} has no {name}")
         if not prepared.is_meant:
             output.note("note: nothing there fits the sentence; judged by the world's own goal")
-        return understood, prepared
+        return prepared
 
-    def _sizes(self, prepared: "Prepared", values: "dict[Place, Any]") -> dict[str, Any]:
-        """Build the engine's numbers and sizes; the belief knows the odometry's specification."""
+    def _sizes(self, values: "dict[Place, Any]") -> dict[str, Any]:
+        """Build the engine's numbers and sizes."""
         from jaxlangnav.commands.engine import navigator_config, navigator_params
-        from jaxlangnav.pytree import replace
 
         params = apply(navigator_params(), values, "params")
-        params = replace(params, map=replace(params.map, motion=prepared.task.motion))
         config = apply(navigator_config(self.policy, self.particles), values, "config")
         return {"params": params, "config": config}
 
@@ -159,21 +169,16 @@ class Follow:
         self,
         understood: "Understanding",
         prepared: "Prepared",
-        values: "dict[Place, Any]",
+        sizes: dict[str, Any],
         output: Output,
     ) -> "Recording":
         """Run the episode and tell it, as it happens or afterwards."""
-        import jax
-        import numpy as np
-
         from jaxlangnav import recorder
         from jaxlangnav.commands.engine import judged
         from jaxlangnav.recording import gather
         from jaxlangnav.viz.narrative import closing, tell
 
-        instructions = jax.tree.map(lambda leaf: np.asarray(leaf)[None], understood.instruction)
-        sizes = self._sizes(prepared, values)
-        task = prepared.task
+        instructions, task = _alone(understood), prepared.task
         scene = recorder.set_scene(task, instructions, text=self.text, **sizes)
         steps = recorder.play(task, instructions, max_steps=self.max_steps, **sizes)
         with waiting(
@@ -246,6 +251,14 @@ class Follow:
         write_text(json.dumps(to_json(document), indent=2) + "\n", self.out / "episode.json")
         names = ", ".join(path.name for path in paths)
         output.say(f"\nWrote {names} and episode.json into {self.out}")
+
+
+def _alone(understood: "Understanding") -> "Instruction":
+    """Make a batch of one instruction, leaves [1, …] on the host."""
+    import jax
+    import numpy as np
+
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[None], understood.instruction)
 
 
 def nothing_there(prepared: "Prepared", missing: Sequence[str], names: Sequence[str]) -> str:

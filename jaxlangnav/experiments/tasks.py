@@ -6,7 +6,6 @@ places, as in the paper.
 """
 
 import dataclasses
-import functools
 import zlib
 from collections.abc import Sequence
 from typing import Any
@@ -73,11 +72,12 @@ def _draw(roots: Array, described: dict[str, Any], numbers: ArrayLike, worlds: A
     """Draw each episode's key by its number and its world by the world's; leaves [BLOCK, …]."""
 
     def one(root: Array, cell: dict[str, Any], number: Array, world: Array) -> Task:
-        episode_key = jax.random.split(jax.random.fold_in(root, number))[1]
-        scenario_key = jax.random.split(jax.random.fold_in(root, world))[0]
-        drawn = draw_scenario(scenario_key, cell["law"])
+        of_number, of_world = jax.vmap(
+            lambda index: jax.random.split(jax.random.fold_in(root, index))
+        )(jnp.stack([number, world]))
+        drawn = draw_scenario(of_world[0], cell["law"])
         return Task(
-            key=episode_key,
+            key=of_number[1],
             scenario=jax.tree.map(
                 lambda own, new: jnp.where(cell["is_own"], own, new), cell["scenario"], drawn
             ),
@@ -89,8 +89,8 @@ def _draw(roots: Array, described: dict[str, Any], numbers: ArrayLike, worlds: A
     return jax.vmap(one)(roots, described, jnp.asarray(numbers), jnp.asarray(worlds))
 
 
-@functools.partial(jax.jit, static_argnames="number")
-def _first(tasks: Task, number: int) -> Task:
+@kept(static_argnames=("number",))
+def _first(tasks: Task, *, number: int) -> Task:
     """Take the first of some tasks: one program for all leaves."""
     return jax.tree.map(lambda leaf: leaf[:number], tasks)
 
@@ -110,7 +110,8 @@ def draw_tasks(cells: Sequence[Cell], index: np.ndarray, numbers: np.ndarray) ->
         ValueError: unknown world or relation.
     """
     stacked = _stack([_describe(one) for one in cells])
-    roots = jnp.stack([_root(one) for one in cells])
+    seeds = np.array([one.seed for one in cells], np.uint32)
+    names = np.array([zlib.crc32(one.world.encode()) for one in cells], np.uint32)
     cycle = np.array([one.environments for one in cells])[index]
     worlds = np.where(cycle > 0, numbers % np.maximum(cycle, 1), numbers)
     parts = []
@@ -120,13 +121,18 @@ def draw_tasks(cells: Sequence[Cell], index: np.ndarray, numbers: np.ndarray) ->
         at = np.where(at < len(index), at, start)
         mine = jax.tree.map(lambda leaf, at=at: leaf[index[at]], stacked)
         which = numbers[at].astype(np.uint32), worlds[at].astype(np.uint32)
-        parts.append(_draw(roots[index[at]], mine, *which))
-    return _first(concatenate(parts) if len(parts) > 1 else parts[0], len(index))
+        parts.append(_draw(_roots(seeds[index[at]], names[index[at]]), mine, *which))
+    return _first(concatenate(parts) if len(parts) > 1 else parts[0], number=len(index))
 
 
-def _root(one: Cell) -> Array:
-    """Derive the key of a cell: policies, commands, ranges, noise levels share it, to be paired."""
-    return jax.random.fold_in(jax.random.key(one.seed), zlib.crc32(one.world.encode()))
+@kept()
+def _roots(seeds: ArrayLike, names: ArrayLike) -> Array:
+    """Derive keys of cells: policies, commands, ranges, noise levels share one, to be paired."""
+
+    def one(seed: Array, name: Array) -> Array:
+        return jax.random.fold_in(jax.random.key(seed), name)
+
+    return jax.vmap(one)(jnp.asarray(seeds), jnp.asarray(names))
 
 
 def _describe(one: Cell) -> dict[str, Any]:

@@ -8,7 +8,6 @@ import dataclasses
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
@@ -149,7 +148,7 @@ def understand_parse(tree: Parse, model: GroundingModel) -> Understanding:
     instruction = Instruction(
         readings=to_readings(belief),
         program=to_program(stacked),
-        num_clauses=jnp.int32(len(commands)),
+        num_clauses=jax.device_put(np.int32(len(commands))),
     )
     slack = max((clause.slack for clause in compiled), default=-np.inf)
     return Understanding(tree, belief, instruction, model.type_names, slack)

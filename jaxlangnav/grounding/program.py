@@ -12,7 +12,7 @@ out is bounded when the program is built (``slack``).
 import dataclasses
 from collections.abc import Mapping
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 from jax import Array
 
@@ -305,4 +305,4 @@ def _fill_choices(
 
 def to_program(fields: dict[str, np.ndarray]) -> BehaviorProgram:
     """Put the fields of a program on the device."""
-    return BehaviorProgram(**{name: jnp.asarray(value) for name, value in fields.items()})
+    return BehaviorProgram(**jax.device_put(fields))

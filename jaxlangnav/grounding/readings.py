@@ -7,7 +7,7 @@ grounded given the earlier ones: landmarks before the figures placed against the
 import dataclasses
 from collections.abc import Callable, Sequence
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 
 from jaxlangnav.grounding.annotation import Belief, Said
@@ -176,12 +176,13 @@ def pack(ranked: Sequence[tuple[Reading, float]]) -> Readings:
         for j, (figure, relation, landmark, rank) in enumerate(reading.relations):
             table[:, k, j] = figure, relation, landmark
             ranks[k, j] = rank
-    return Readings(
-        mention_type=jnp.asarray(mention_type),
-        figure=jnp.asarray(table[0]),
-        relation=jnp.asarray(table[1]),
-        landmark=jnp.asarray(table[2]),
-        is_superlative=jnp.asarray(ranks == 1),
-        rank=jnp.asarray(ranks),
-        log_probability=jnp.asarray(log_probability),
-    )
+    fields = {
+        "mention_type": mention_type,
+        "figure": table[0],
+        "relation": table[1],
+        "landmark": table[2],
+        "is_superlative": ranks == 1,
+        "rank": ranks,
+        "log_probability": log_probability,
+    }
+    return Readings(**jax.device_put(fields))

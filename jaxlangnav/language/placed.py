@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxlangnav.kept import kept
 from jaxlangnav.messages import FAR, NEAR, RELATIONS
 from jaxlangnav.relations import holds
 
@@ -25,7 +26,7 @@ class PlacedWorld:
     previous: int | None = None  # the goal of the command before this one
 
 
-@jax.jit
+@kept()
 def _all_relations(places: Array, viewer: Array, heading: Array) -> Array:
     """Evaluate all relations: bool[6, N, N + 1], landmark N is the robot."""
     own_heading: Any = heading
@@ -56,7 +57,8 @@ class Geometry:
         places = np.array([[x, y] for _, x, y in world.objects], np.float32).reshape(-1, 2)
         viewer = np.array(world.robot[:2], np.float32)
         heading = world.robot[2]
-        self.holds = np.asarray(_all_relations(places, viewer, np.float32(heading)))
+        where = jax.device_put((places, viewer, np.float32(heading)))
+        self.holds = np.asarray(_all_relations(*where))
         points = np.concatenate([places, viewer[None]], 0)
         self.offset = places[:, None] - points[None]
         self.distance = np.linalg.norm(self.offset, axis=-1)

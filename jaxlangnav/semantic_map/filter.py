@@ -14,10 +14,11 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from jaxlangnav.messages import Observation, Readings
-from jaxlangnav.numerics import categorical
+from jaxlangnav.numerics import categorical, chance
 from jaxlangnav.numerics.resampling import effective_sample_size, independent, systematic, take
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map import association, motion, particle
@@ -149,12 +150,12 @@ class Weighed(NamedTuple):
 
 
 def observe(
-    key: Array, belief: ParticleBelief, observation: Observation, params: MapParams
+    uniform: Array, belief: ParticleBelief, observation: Observation, params: MapParams
 ) -> tuple[ParticleBelief, Weighed]:
     """Move, ground the detections, condition, and weigh what was and what was not seen.
 
     Args:
-        key: random key, consumed.
+        uniform: f32[D, P], which decides what each detection is taken for.
         belief: at the last step.
         observation: pose and detections now, all of them finite.
         params: traced numbers.
@@ -166,8 +167,6 @@ def observe(
     detections = _detections(belief, observation, params)
     heading, sensor = observation.pose[2], observation.sensor
     noise_variance = jnp.maximum(sensor.noise, association.MIN_NOISE) ** 2
-    shape = (*observation.detection_type.shape, *belief.log_weight.shape)
-    uniform = jax.random.uniform(key, shape)
     grounded = association.associate(belief.particles, detections, uniform, noise_variance)
     particles = association.condition(belief.particles, grounded, noise_variance)
     belief = replace(belief, particles=particles)
@@ -200,7 +199,7 @@ class Regrounded(NamedTuple):
 
 def reground(
     key: Array,
-    keep_key: Array,
+    uniform: Array,
     belief: ParticleBelief,
     readings: Readings,
     weighed: Weighed,
@@ -211,7 +210,7 @@ def reground(
 
     Args:
         key: random key of the groundings, consumed.
-        keep_key: random key that decides who is kept, consumed.
+        uniform: f32[2, P], which decides who is kept, and whose map the others take.
         belief: of ``observe``.
         readings: what the instruction says.
         weighed: of ``observe``.
@@ -231,7 +230,7 @@ def reground(
         readings.mention_type.reshape(-1)[:, None, None] == new_type[None], axis=(0, 1)
     )
     must_ground = belief.must_ground | mentioned
-    keep_uniform, ancestor_uniform = jax.random.uniform(keep_key, (2, number))
+    keep_uniform, ancestor_uniform = uniform
     is_fresh = must_ground | (keep_uniform > kept_weight * number)
     # A refuted particle is replaced as a whole: it takes over the map of a particle drawn by
     # weight, so that a wrong map dies out, and then grounds the words in it.
@@ -290,14 +289,20 @@ def step(
         The belief now, and information on the step.
     """
     number, was_told = belief.log_weight.shape[0], belief.must_ground
-    associate_key, ground_key, keep_key, resample_key = jax.random.split(key, 4)
+    num_detections = observation.detection_type.shape[0]
+    keys = jax.random.split(key, 4)
+    associate, keep, resample = chance.uniforms(
+        keys[np.array([0, 2, 3])], max(num_detections, 2) * number
+    )
+    associate = associate[: num_detections * number].reshape(num_detections, number)
     observation, is_broken = _sound(observation, belief.last_pose)
-    belief, weighed = observe(associate_key, belief, observation, params)
-    found = reground(ground_key, keep_key, belief, readings, weighed, params, is_sparse)
+    belief, weighed = observe(associate, belief, observation, params)
+    keep = keep[: 2 * number].reshape(2, number)
+    found = reground(keys[1], keep, belief, readings, weighed, params, is_sparse)
 
     size = effective_sample_size(found.weight)
     is_resampled = size < params.resample_threshold * number
-    ancestors = systematic(found.weight, jax.random.uniform(resample_key))
+    ancestors = systematic(found.weight, resample[0])
     ancestors = jnp.where(is_resampled, ancestors, jnp.arange(number))
     log_weight = jnp.log(jnp.maximum(found.weight, 1e-30))
     belief = replace(

@@ -17,6 +17,7 @@ from jax import Array
 from jax.custom_batching import custom_vmap
 
 from jaxlangnav.messages import NONE, Readings
+from jaxlangnav.numerics import chance
 from jaxlangnav.numerics.resampling import pack, unpack
 from jaxlangnav.semantic_map import proposal
 from jaxlangnav.semantic_map.belief import ParticleBelief
@@ -67,11 +68,10 @@ def ground_words(
     """
     number = belief.log_weight.shape[0]
     asked = jnp.ones(number, bool) if is_asked is None else is_asked
-    reading_key, draws_key = jax.random.split(key)
+    uniform, draws, log_unseen = _draw(key, belief, readings.figure.shape[1])
     share = jnp.cumsum(jnp.exp(readings.log_probability))
-    uniform = jax.random.uniform(reading_key, (number,)) * share[-1]
-    reading = jnp.sum(share[:-1, None] <= uniform[None, :], axis=0).astype(jnp.int32)
-    draws, log_unseen = _draw(draws_key, belief, readings.figure.shape[1])
+    told = uniform * share[-1]
+    reading = jnp.sum(share[:-1, None] <= told[None, :], axis=0).astype(jnp.int32)
     particles = belief.particles
     num_objects = particles.object_type.shape[0]
     listening = Listening(
@@ -93,24 +93,37 @@ def ground_words(
     return proposal.adopt(particles, readings, reading, grounding), log_weight
 
 
-def _draw(key: Array, belief: ParticleBelief, num_relations: int) -> tuple[Draws, Array]:
-    """Draw the random numbers of all particles and relations, and f32[], the log of u."""
+def _draw(key: Array, belief: ParticleBelief, num_relations: int) -> tuple[Array, Draws, Array]:
+    """Draw the random numbers of all particles and relations.
+
+    Args:
+        key: random key, consumed.
+        belief: where the robot has looked.
+        num_relations: J.
+
+    Returns:
+        f32[P] that decides which reading a particle takes; leaves [J, ...]; f32[], the log of u.
+    """
     number = belief.log_weight.shape[0]
-    pool_key, loop_key = jax.random.split(key)
     pool = NUM_UNSEEN * number
-    comb = jax.random.uniform(pool_key, (2, pool))
+    reading_key, draws_key = jax.random.split(key)
+    pool_key, loop_key = jax.random.split(draws_key)
+    index = np.arange(num_relations)
+    keys = jax.vmap(lambda one: jax.random.split(jax.random.fold_in(loop_key, one)))(index)
+    keys_of_all = jnp.concatenate([jnp.stack([reading_key, pool_key]), keys[:, 0]])
+    uniforms = chance.uniforms(keys_of_all, max(2 * NUM_UNSEEN, 5) * number)
+    comb = uniforms[1, : 2 * pool].reshape(2, pool)
     pool_x, pool_y, log_unseen = sample_unseen(belief.coverage, comb[0, 0], comb)
     stride = next(step for step in range(int(0.618 * number), 0, -1) if math.gcd(step, number) == 1)
 
-    def of_relation(one: Array, step: Array) -> Draws:
-        draws_key, shuffle_key = jax.random.split(one)
+    def of_relation(uniform: Array, shuffle_key: Array, step: Array) -> Draws:
         # Which place of the comb goes to which particle is random: a fixed assignment would tie
         # particles to regions. Each row is dealt over the whole comb.
         start = jax.random.randint(shuffle_key, (), 0, pool)
         row = jnp.arange(NUM_UNSEEN)[:, None]
         dealt = NUM_UNSEEN * (stride * jnp.arange(number) % number)
         chosen = (start + dealt[None, :] + row) % pool
-        unit = jax.random.uniform(draws_key, (5, number), minval=1e-6, maxval=1.0 - 1e-6)
+        unit = chance.between(uniform[: 5 * number], 1e-6, 1.0 - 1e-6).reshape(5, number)
         normal = jax.scipy.special.ndtri(unit[:4])
         return Draws(
             distance=normal[:2],
@@ -123,9 +136,10 @@ def _draw(key: Array, belief: ParticleBelief, num_relations: int) -> tuple[Draws
             unseen_y=pool_y[chosen],
         )
 
-    index = np.arange(num_relations)
-    keys = jax.vmap(lambda one: jax.random.fold_in(loop_key, one))(index)
-    return jax.vmap(of_relation)(keys, jnp.asarray(_STEPS[index % len(_STEPS)])), log_unseen
+    draws = jax.vmap(of_relation)(
+        uniforms[2:], keys[:, 1], jnp.asarray(_STEPS[index % len(_STEPS)])
+    )
+    return uniforms[0, :number], draws, log_unseen
 
 
 def _ground_all(

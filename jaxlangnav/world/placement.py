@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxlangnav.numerics import chance
 from jaxlangnav.pytree import pytree
 from jaxlangnav.relations import to_map, viewer_frame
 from jaxlangnav.world.templates import MAX_CONES, MAX_HYDRANTS, RELATION_NAMES
@@ -135,17 +136,16 @@ def _place_free_cones(
 def _draw(key: Array, law: ScenarioLaw, num_candidates: int) -> _Draws:
     """Draw points of the hydrant law and the way from each to a cone, nothing checked."""
     shape = (MAX_HYDRANTS + NUM_FREE, num_candidates)
-    keys = jax.random.split(key, 5)
-    distance = law.range_mean + law.range_sd * jax.random.normal(keys[0], shape)
-    bearing = jax.random.uniform(keys[1], shape, minval=-BEARING_MAX, maxval=BEARING_MAX)
+    drawn = chance.uniforms(jax.random.split(key, 5), math.prod(shape)).reshape(5, *shape)
+    distance = law.range_mean + law.range_sd * chance.normal(drawn[0])
+    bearing = chance.between(drawn[1], -BEARING_MAX, BEARING_MAX)
     point = jnp.stack([distance * jnp.cos(bearing), distance * jnp.sin(bearing)])
 
     is_nearest = law.relation == NEAREST
     gap_max = jnp.where(is_nearest, NEAREST_DISTANCE_MAX, CONE_DISTANCE_MAX)
-    share = jax.random.uniform(keys[2], shape)
-    gap = CONE_DISTANCE_MIN + (gap_max - CONE_DISTANCE_MIN) * share
-    direction = jax.random.uniform(keys[3], shape, minval=-jnp.pi, maxval=jnp.pi)
-    lateral = LATERAL_SD * jax.random.normal(keys[4], shape)
+    gap = CONE_DISTANCE_MIN + (gap_max - CONE_DISTANCE_MIN) * drawn[2]
+    direction = chance.between(drawn[3], -math.pi, math.pi)
+    lateral = LATERAL_SD * chance.normal(drawn[4])
     # The gap is exact; the lateral part only turns it away from the line of sight.
     lateral = jnp.clip(lateral, -gap, gap)
     toward = -jnp.sqrt(gap**2 - lateral**2)

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.messages import NONE, Observation, SensorParams
+from jaxlangnav.numerics import chance
 from jaxlangnav.world.state import Scenario, WorldState
 
 NUM_DETECTIONS = 8
@@ -39,11 +40,11 @@ def sense(
     Returns:
         The observation, its pose by dead reckoning.
     """
-    key_miss, key_noise = jax.random.split(key)
     x, y, is_visible = visible(state, scenario, sensor)
-    is_found = is_visible & (jax.random.uniform(key_miss, x.shape) < sensor.detection_probability)
-    noise = sensor.noise * jax.random.normal(key_noise, (2, *x.shape))
-    x, y = x + noise[0], y + noise[1]
+    miss, noise = chance.uniforms(jax.random.split(key), 2 * x.size)
+    is_found = is_visible & (miss[: x.size] < sensor.detection_probability)
+    noise_x, noise_y = sensor.noise * chance.normal(noise).reshape(2, *x.shape)
+    x, y = x + noise_x, y + noise_y
     distance = jnp.where(is_found, jnp.hypot(x, y), jnp.inf)
     nearest = jnp.argsort(distance)
     order = jnp.pad(nearest, (0, max(0, num_detections - nearest.size)))[:num_detections]
