@@ -12,6 +12,7 @@ particles P, so that every operation is a vector operation over lanes; ``vmap`` 
 told to put its axis there. Equal sets that rest on different child hypotheses stay apart.
 """
 
+import dataclasses
 import functools
 from typing import Any, NamedTuple
 
@@ -31,14 +32,16 @@ from jaxlangnav.grounding.behavior_odds import (
 from jaxlangnav.grounding.bits import iota, pick, smallest, to_mask
 from jaxlangnav.grounding.program import (
     MAX_DEPTH,
-    NOTHING,
     NUM_CHILDREN,
+    NUM_PHRASES,
     NUM_SLOTS,
+    OF_THE_CLAUSE,
     BehaviorProgram,
 )
 from jaxlangnav.grounding.symbols import NUM_REGIONS
 from jaxlangnav.messages import NONE, Behavior, BehaviorWorld
 from jaxlangnav.numerics.once import once
+from jaxlangnav.pytree import replace
 
 BEAM = 4
 _DEAD = 1e6
@@ -67,23 +70,21 @@ class Expressed(NamedTuple):
     cost: Array  # f32[4, E, P] of the combinations
 
 
-def _child(program: BehaviorProgram, stack: Stack, phrase: Array, k: int) -> Joined:
+def _child(row: BehaviorProgram, stack: Stack, k: Array | int) -> Joined:
     """Read the hypotheses of a phrase's k-th child from the top as if it were the only one."""
-    exists = program.num_children[phrase] > k
+    exists = row.num_children > k
     sets = jnp.where(exists, stack.sets[k], 0)
-    regions = sets[REGIONS : REGIONS + NUM_SLOTS]
-
-    def in_slot(slot: Array) -> Array:
-        return jnp.where(slot == 0, regions[0], 0) | jnp.where(slot == 1, regions[1], 0)
-
+    objects, regions = sets[OBJECTS], sets[REGIONS : REGIONS + NUM_SLOTS]
+    slots = jnp.append(row.region_from[k], row.constraint_region[k][None], axis=0)
+    by_slot = jnp.zeros((1, 1, 1, 1), jnp.int32)
+    for slot in range(NUM_SLOTS):
+        by_slot = by_slot | jnp.where(slots == slot, regions[slot][:, None], 0)
+    touched = functools.reduce(jnp.bitwise_or, [objects, *regions])
+    kept = jnp.where(row.constraint_from[k] == NONE, 0, sets[CONSTRAINTS])
+    outside = jnp.where(row.is_restrictor[k] & exists, ~sets[LIES], 0)
     first = jnp.where(iota(BEAM, 3) == 0, 0.0, _DEAD).astype(jnp.float32)
     return Joined(
-        objects=sets[OBJECTS],
-        same=tuple(in_slot(program.region_from[phrase, k, s]) for s in range(NUM_SLOTS)),
-        touched=sets[OBJECTS] | regions[0] | regions[1],
-        near=in_slot(program.constraint_region[phrase, k]),
-        kept=jnp.where(program.constraint_from[phrase, k] == NONE, 0, sets[CONSTRAINTS]),
-        lies=jnp.where(program.is_restrictor[phrase, k] & exists, sets[LIES], -1),
+        sets=jnp.concatenate([jnp.stack([objects, touched, kept, outside], axis=1), by_slot], 1),
         cost=jnp.where(exists, stack.cost[k], first),
     )
 
@@ -95,37 +96,23 @@ def _combine(left: Joined, right: Joined) -> Joined:
     place = jnp.stack(places)
     i = jnp.where(place < 4, 0, jnp.where(place < 6, 1, place - 4))
     j = jnp.where(place < 4, place, jnp.where(place == 5, 1, 0))
-
-    def union(one: Array, other: Array) -> Array:
-        return pick(one, i) | pick(other, j)
-
     return Joined(
-        objects=union(left.objects, right.objects),
-        same=tuple(union(a, b) for a, b in zip(left.same, right.same, strict=True)),
-        touched=union(left.touched, right.touched),
-        near=union(left.near, right.near),
-        kept=union(left.kept, right.kept),
-        lies=pick(left.lies, i) & pick(right.lies, j),
-        cost=jnp.stack(values),
+        sets=pick(left.sets, i[:, None]) | pick(right.sets, j[:, None]), cost=jnp.stack(values)
     )
 
 
-def _join(program: BehaviorProgram, stack: Stack, phrase: Array) -> Joined:
+def _join(row: BehaviorProgram, stack: Stack) -> Joined:
     """Combine the hypotheses of all children of a phrase."""
-    joined = _child(program, stack, phrase, 0)
-    for k in range(1, NUM_CHILDREN):
-        # Skipped where no lane has so many children; the conditional also keeps the compiler
-        # from computing the same values anew inside every later fusion.
-        joined = jax.lax.cond(
-            jnp.any(program.num_children[phrase] > k),
-            lambda left, k=k: _combine(left, _child(program, stack, phrase, k)),
-            lambda left: left,
-            joined,
-        )
-    return joined
+
+    def add(k: Array, left: Joined) -> Joined:
+        return _combine(left, _child(row, stack, k))
+
+    # As many times as some lane has children; the loop also keeps the compiler from computing
+    # the same values anew inside every later fusion.
+    return jax.lax.fori_loop(1, jnp.max(row.num_children), add, _child(row, stack, 0))
 
 
-def _best_sets(odds: Array, cost: Array, size: int) -> tuple[list[Array], Array]:
+def _best_sets(odds: Array, cost: Array, size: int) -> tuple[Array, Array]:
     """Find the four best sets over the four combinations of the children.
 
     Args:
@@ -134,7 +121,7 @@ def _best_sets(odds: Array, cost: Array, size: int) -> tuple[list[Array], Array]
         size: N.
 
     Returns:
-        1 + L masks i32[4, E, P] and their costs f32[4, E, P], best first.
+        Masks i32[4, 1 + L, E, P] and their costs f32[4, E, P], best first.
     """
     margin = jnp.abs(odds)
     # Σ log(1 + e^−m) as one logarithm of a product: up to 2^60 fits float32.
@@ -152,14 +139,12 @@ def _best_sets(odds: Array, cost: Array, size: int) -> tuple[list[Array], Array]
         jnp.where((kind == 3) & ~pair, pick(f3, combination), NONE),
     )
     masks = to_mask(odds.reshape(BEAM, -1, size, *odds.shape[-2:]) > 0)  # [4, 1 + L, E, P]
-    chosen = []
-    for g in range(masks.shape[1]):
-        mask = pick(masks[:, g], combination)
-        for flip in flips:
-            bit = flip - g * size
-            is_here = (bit >= 0) & (bit < size)
-            mask = mask ^ jnp.where(is_here, jnp.left_shift(1, jnp.clip(bit, 0, size - 1)), 0)
-        chosen.append(mask)
+    first = size * jnp.arange(masks.shape[1], dtype=jnp.int32)[:, None, None]
+    chosen = pick(masks, combination[:, None])
+    for flip in flips:
+        bit = flip[:, None] - first
+        is_here = (bit >= 0) & (bit < size)
+        chosen = chosen ^ jnp.where(is_here, jnp.left_shift(1, jnp.clip(bit, 0, size - 1)), 0)
     return chosen, jnp.stack(values)
 
 
@@ -167,42 +152,48 @@ def _push(stack: Stack, top: Stack, num_children: Array) -> Stack:
     """Put a phrase's hypotheses (depth 1) where its children's were."""
 
     def shifted(old: Array, new: Array) -> Array:
-        rows = [jnp.where(num_children == NOTHING, old[0], new[0])]
-        for i in range(1, MAX_DEPTH):
-            row = old[i - 1]
-            row = jnp.where((num_children == 1) | (num_children == NOTHING), old[i], row)
-            for count in range(2, NUM_CHILDREN + 1):
-                row = jnp.where(num_children == count, old[min(i - 1 + count, MAX_DEPTH - 1)], row)
-            rows.append(row)
-        return jnp.stack(rows)
+        rows = old  # of a padded row
+        for count in range(NUM_CHILDREN + 1):
+            left = [old[count:], *[old[-1:]] * count]
+            rows = jnp.where(num_children == count, jnp.concatenate([new, *left])[:MAX_DEPTH], rows)
+        return rows
 
     return Stack(shifted(stack.sets, top.sets), shifted(stack.cost, top.cost))
 
 
-def _advance(
-    program: BehaviorProgram, scene: Scene, stack: Stack, phrase: Array
-) -> tuple[Stack, Expressed]:
+def _row(program: BehaviorProgram, phrase: Array) -> BehaviorProgram:
+    """Take the row of one phrase out of the fields that have rows."""
+    fields = {
+        field.name: jax.lax.dynamic_index_in_dim(
+            getattr(program, field.name), phrase, keepdims=False, allow_negative_indices=False
+        )
+        for field in dataclasses.fields(program)
+        if field.name not in OF_THE_CLAUSE
+    }
+    return replace(program, **fields)
+
+
+def _advance(row: BehaviorProgram, scene: Scene, stack: Stack) -> tuple[Stack, Expressed]:
     """Infer one phrase from its children."""
     size = scene.lies.shape[1]
-    joined = _join(program, stack, phrase)
-    is_verb = program.is_verb[phrase]
+    joined = _join(row, stack)
     # A phrase expresses objects or constraints, never both: they share the first N symbols.
     first = jax.lax.cond(
-        jnp.any(is_verb),
-        lambda noun: jnp.where(
-            is_verb, constraint_odds(program, scene, joined, phrase, size), noun
-        ),
+        jnp.any(row.is_verb),
+        lambda noun: jnp.where(row.is_verb, constraint_odds(row, scene, joined, size), noun),
         lambda noun: noun,
-        object_odds(program, scene, joined, phrase, size),
+        object_odds(row, scene, joined, size),
     )
-    regions = region_odds(program, scene, joined, phrase, size)
+    regions = region_odds(row, scene, joined, size)
     odds = jnp.concatenate([first[:, None], regions], axis=1)
     odds = once(odds.reshape(BEAM, -1, *odds.shape[-2:]))
-    (both, *places), cost = once(_best_sets(odds, joined.cost, size))
-    objects, constraints = jnp.where(is_verb, 0, both), jnp.where(is_verb, both, 0)
-    lies = lying_in(program, scene, places, phrase)
-    top = once(Stack(jnp.stack([objects, *places, constraints, lies])[None], cost[None]))
-    return _push(stack, top, program.num_children[phrase]), Expressed(odds, joined.cost)
+    sets, cost = once(_best_sets(odds, joined.cost, size))
+    both, places = sets[:, 0], sets[:, 1:]
+    objects, constraints = jnp.where(row.is_verb, 0, both), jnp.where(row.is_verb, both, 0)
+    lies = lying_in(row, scene, places)
+    found = jnp.stack([objects, *jnp.unstack(places, axis=1), constraints, lies])
+    top = once(Stack(found[None], cost[None]))
+    return _push(stack, top, row.num_children), Expressed(odds, joined.cost)
 
 
 def _by_relation(values: Array, relation: Array) -> Array:
@@ -270,8 +261,8 @@ def _infer_aligned(program: BehaviorProgram, worlds: BehaviorWorld, num_phrases:
 
     def infer(index: Array, carry: tuple[Stack, Expressed]) -> tuple[Stack, Expressed]:
         # The root comes last in every lane, however many phrases a lane has.
-        phrase = jnp.where(index == num_phrases - 1, ROOT, index)
-        return _advance(program, scene, carry[0], phrase)
+        phrase = jnp.where(index == num_phrases - 1, NUM_PHRASES - 1, index)
+        return _advance(_row(program, phrase), scene, carry[0])
 
     _, root = jax.lax.fori_loop(0, num_phrases, infer, (stack, nothing))
     return _conclude(program, root, size)

@@ -1,11 +1,13 @@
 """Log-odds of behavior symbols in the particles (eq. 4, section 3.3), given the children's sets.
 
 The device twin of ``behavior_features``: leaves of a program are [..., E, 1], those of worlds
-[..., E, P]; episodes and particles are lanes.
+[..., E, P]; episodes and particles are lanes. A ``row`` is a program of one phrase: its fields
+have lost their first axis.
 """
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -13,12 +15,10 @@ from jaxlangnav.grounding.bits import iota, is_in, to_mask
 from jaxlangnav.grounding.program import (
     AT_TABLE,
     NEVER,
-    NUM_SLOTS,
     NUM_TABLES,
     NUM_TYPES,
     BehaviorProgram,
 )
-from jaxlangnav.grounding.symbols import NUM_RELATIONS
 from jaxlangnav.messages import NONE, ROBOT, BehaviorWorld
 
 
@@ -35,125 +35,123 @@ class Scene(NamedTuple):
 class Joined(NamedTuple):
     """Four best combinations of the child hypotheses of a phrase."""
 
-    objects: Array  # i32[4, E, P]
-    same: tuple[Array, ...]  # L times i32[4, E, P], children's regions in the phrase's own slots
-    touched: Array  # i32[4, E, P] objects of any child symbol
-    near: Array  # i32[4, E, P] children's regions in the relation of the constraint slot
-    kept: Array  # i32[4, E, P] children's constraints
-    lies: Array  # i32[4, E, P] objects in the regions of every restricting child
+    sets: Array  # i32[4, 5 + L, E, P], named below; united where children are combined
     cost: Array  # f32[4, E, P]
+
+    @property
+    def objects(self) -> Array:
+        """The children's objects, i32[4, E, P]."""
+        return self.sets[:, 0]
+
+    @property
+    def touched(self) -> Array:
+        """Objects of any child symbol, i32[4, E, P]."""
+        return self.sets[:, 1]
+
+    @property
+    def kept(self) -> Array:
+        """The children's constraints, i32[4, E, P]."""
+        return self.sets[:, 2]
+
+    @property
+    def outside(self) -> Array:
+        """Objects that are in no region of some restricting child, i32[4, E, P]."""
+        return self.sets[:, 3]
+
+    @property
+    def same(self) -> Array:
+        """The children's regions in the phrase's own slots, i32[4, L, E, P]."""
+        return self.sets[:, 4:-1]
+
+    @property
+    def near(self) -> Array:
+        """The children's regions in the relation of the constraint slot, i32[4, E, P]."""
+        return self.sets[:, -1]
 
 
 def build_scene(program: BehaviorProgram, world: BehaviorWorld) -> Scene:
     """Turn worlds into bits; leaves of the world are [..., E, P]."""
     is_object = world.is_object
-    row = jnp.where(world.object_type == ROBOT, NUM_TYPES, world.object_type)
-    types = [to_mask((row == t) & is_object) for t in range(NUM_TYPES + 1)]
-    itself = jnp.where(is_object, jnp.left_shift(jnp.int32(1), iota(row.shape[0], 3)), 0)
+    kind = jnp.where(world.object_type == ROBOT, NUM_TYPES, world.object_type)
+    types = to_mask((kind[None] == iota(NUM_TYPES + 1, 3)[:, None]) & is_object[None])
+    itself = jnp.where(is_object, jnp.left_shift(jnp.int32(1), iota(kind.shape[0], 3)), 0)
     everything = jnp.sum(itself, axis=0)
-    figures = itself[None, :, None]
-    related = jnp.sum(jnp.where(world.is_related, figures, 0), axis=1)
-    extreme = jnp.sum(jnp.where(world.is_superlative, figures, 0), axis=1)
-    later = jnp.sum(jnp.where(world.is_later, figures, 0), axis=1)
-    tables = []
-    for n in range(NUM_TABLES):
-        kind, relation = program.table[n] // NUM_RELATIONS, program.table[n] % NUM_RELATIONS
-        chosen = jnp.zeros_like(itself)
-        for r in range(NUM_RELATIONS):
-            ranked = jnp.where(kind == 1, extreme[r], later[r])
-            chosen = chosen | jnp.where(relation == r, jnp.where(kind == 0, related[r], ranked), 0)
-        tables.append(jnp.where(kind == AT_TABLE // NUM_RELATIONS, itself, chosen))
+    edges = jnp.concatenate([world.is_related, world.is_superlative, world.is_later])
+    figures = jnp.sum(jnp.where(edges, itself[None, :, None], 0), axis=1)
+    figures = jnp.append(figures, itself[None], axis=0)  # [18 + 1, N, E, P]: the last table is "at"
+    lies = jnp.zeros((1, 1, 1, 1), jnp.int32)
+    for n in range(AT_TABLE + 1):
+        lies = lies | jnp.where(program.table[:, None] == n, figures[n][None], 0)
     previous = world.is_previous & is_object
     last_type = jnp.max(jnp.where(previous, world.object_type, NONE - 9), axis=0)
     alike = (world.object_type == last_type[None]) & is_object
-    goal, others = to_mask(previous), to_mask(alike & ~previous)
+    goal, others = to_mask(jnp.stack([previous, alike & ~previous]))
     rest = jnp.where(goal != 0, everything & ~(goal | others), 0)
     return Scene(
-        types=jnp.stack(types),
+        types=types,
         previous=jnp.stack([goal, others, rest]),
         robot=types[NUM_TYPES],
         everything=everything,
-        lies=jnp.stack(tables),
+        lies=lies,
     )
 
 
-def _own(program: BehaviorProgram, scene: Scene, phrase: Array) -> Array:
+def _own(row: BehaviorProgram, scene: Scene) -> Array:
     """Find the objects of the types that the words name, i32[E, P]."""
-    return jnp.sum(jnp.where(program.own[phrase], scene.types, 0), axis=0)
+    return jnp.sum(jnp.where(row.own, scene.types, 0), axis=0)
 
 
-def object_odds(
-    program: BehaviorProgram, scene: Scene, joined: Joined, phrase: Array, size: int
-) -> Array:
+def object_odds(row: BehaviorProgram, scene: Scene, joined: Joined, size: int) -> Array:
     """Evaluate the log-odds of the objects, f32[4, N, E, P]."""
-    own_mask = _own(program, scene, phrase)
+    own_mask = _own(row, scene)
     own = is_in(own_mask, size)
-    weight = program.object_previous[phrase]
-    base = jnp.where(own, program.object_named[phrase], program.object_unnamed[phrase])
+    weight = row.object_previous
+    base = jnp.where(own, row.object_named, row.object_unnamed)
     base = base + jnp.where(is_in(own_mask & scene.previous[0], size), weight[0], 0.0)
     for n in range(3):
         base = base + jnp.where(is_in(scene.previous[n], size), weight[1 + n], 0.0)
     base = base + jnp.where(scene.previous[0] == 0, weight[4], 0.0)[None]
     base = jnp.where(is_in(scene.everything, size), base, NEVER)
-    inside, lies = is_in(joined.objects, size), is_in(joined.lies, size)
-    there = program.object_inside[phrase] + jnp.where(
-        lies, program.object_lies[phrase], program.object_outside[phrase]
-    )
-    named = jnp.where(own[None] & lies, program.object_own_lies[phrase], 0.0)
-    return base[None] + named + jnp.where(inside, there, program.object_absent[phrase])
+    inside, lies = is_in(joined.objects, size), ~is_in(joined.outside, size)
+    there = row.object_inside + jnp.where(lies, row.object_lies, row.object_outside)
+    named = jnp.where(own[None] & lies, row.object_own_lies, 0.0)
+    return base[None] + named + jnp.where(inside, there, row.object_absent)
 
 
-def region_odds(
-    program: BehaviorProgram, scene: Scene, joined: Joined, phrase: Array, size: int
-) -> Array:
+def region_odds(row: BehaviorProgram, scene: Scene, joined: Joined, size: int) -> Array:
     """Evaluate the log-odds of the regions (goals of a verb phrase), f32[4, L, N, E, P]."""
-    own = is_in(_own(program, scene, phrase), size)
-    robot = is_in(scene.robot, size)
-    is_object = is_in(scene.everything, size)
-    inside = is_in(joined.objects, size)
-    rows = []
-    for s in range(NUM_SLOTS):
-        same = is_in(joined.same[s], size)
-        base = program.region_base[phrase, s] + jnp.where(own, program.region_own[phrase, s], 0.0)
-        base = base + jnp.where(robot, program.region_robot[phrase, s], 0.0)
-        base = jnp.where(is_object, base, NEVER)
-        rows.append(
-            base[None]
-            + jnp.where(inside, program.region_inside[phrase, s], 0.0)
-            + jnp.where(same, program.region_same[phrase, s], 0.0)
-            + jnp.where(inside | same, 0.0, program.region_absent[phrase, s])
-        )
-    return jnp.stack(rows, axis=1)
-
-
-def constraint_odds(
-    program: BehaviorProgram, scene: Scene, joined: Joined, phrase: Array, size: int
-) -> Array:
-    """Evaluate the log-odds of the constraints in their slot, f32[4, N, E, P]."""
-    base = jnp.where(is_in(scene.everything, size), program.constraint_base[phrase], NEVER)
-    kept, touched = is_in(joined.kept, size), is_in(joined.touched, size)
-    new = jnp.where(kept, 0.0, program.constraint_new[phrase])
+    inside = is_in(joined.objects, size)[:, None]
+    same = is_in(joined.same, size)
+    base = row.region_base[:, None]
+    base = base + jnp.where(is_in(_own(row, scene), size), row.region_own[:, None], 0.0)
+    base = base + jnp.where(is_in(scene.robot, size), row.region_robot[:, None], 0.0)
+    base = jnp.where(is_in(scene.everything, size), base, NEVER)
     return (
         base[None]
-        + jnp.where(is_in(joined.near, size), program.constraint_same[phrase], 0.0)
-        + jnp.where(is_in(joined.objects, size), program.constraint_inside[phrase], 0.0)
-        + jnp.where(
-            touched,
-            program.constraint_touched[phrase] + new,
-            program.constraint_untouched[phrase],
-        )
-        + jnp.where(kept, program.constraint_kept[phrase], 0.0)
+        + jnp.where(inside, row.region_inside[:, None], 0.0)
+        + jnp.where(same, row.region_same[:, None], 0.0)
+        + jnp.where(inside | same, 0.0, row.region_absent[:, None])
     )
 
 
-def lying_in(program: BehaviorProgram, scene: Scene, regions: list[Array], phrase: Array) -> Array:
-    """Find the objects that lie in the expressed regions, i32[4, E, P]."""
-    size = scene.lies.shape[1]
-    found = jnp.zeros_like(regions[0])
-    for s in range(NUM_SLOTS):
-        table = jnp.zeros_like(scene.lies[0])
-        for n in range(NUM_TABLES):
-            table = table | jnp.where(program.region_table[phrase, s] == n, scene.lies[n], 0)
-        for j in range(size):
-            found = found | jnp.where((regions[s] >> j) & 1 == 1, table[j][None], 0)
-    return found
+def constraint_odds(row: BehaviorProgram, scene: Scene, joined: Joined, size: int) -> Array:
+    """Evaluate the log-odds of the constraints in their slot, f32[4, N, E, P]."""
+    base = jnp.where(is_in(scene.everything, size), row.constraint_base, NEVER)
+    kept, touched = is_in(joined.kept, size), is_in(joined.touched, size)
+    new = jnp.where(kept, 0.0, row.constraint_new)
+    return (
+        base[None]
+        + jnp.where(is_in(joined.near, size), row.constraint_same, 0.0)
+        + jnp.where(is_in(joined.objects, size), row.constraint_inside, 0.0)
+        + jnp.where(touched, row.constraint_touched + new, row.constraint_untouched)
+        + jnp.where(kept, row.constraint_kept, 0.0)
+    )
+
+
+def lying_in(row: BehaviorProgram, scene: Scene, regions: Array) -> Array:
+    """Find the objects that lie in the expressed regions, i32[4, L, E, P] to i32[4, E, P]."""
+    table = jnp.zeros((1, 1, 1, 1), jnp.int32)
+    for n in range(NUM_TABLES):
+        table = table | jnp.where(row.region_table[:, None] == n, scene.lies[n][None], 0)
+    there = jnp.where(is_in(regions, scene.lies.shape[1]), table[None], 0)  # [4, L, N, E, P]
+    return jax.lax.reduce_or(there, axes=(1, 2))

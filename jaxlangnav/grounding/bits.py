@@ -44,7 +44,7 @@ def smallest(cost: Array, count: int) -> tuple[list[Array], list[Array]]:
 
 
 def pick(values: Array, index: Array) -> Array:
-    """Read one of four: values i32[4, E, P], index i32[m, E, P] → i32[m, E, P]."""
+    """Read one of four: values i32[4, ..., E, P], index i32[m, ..., E, P] → i32[m, ..., E, P]."""
     high = index >= 2
     odd = (index & 1) == 1
     low_part = jnp.where(odd, values[1:2], values[0:1])

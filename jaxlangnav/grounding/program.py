@@ -93,6 +93,10 @@ class BehaviorProgram:
     mode: Array  # f32[3] probability
 
 
+OF_THE_CLAUSE = ("num_phrases", "table", "action", "mode")
+"""Fields that have no row for each phrase."""
+
+
 def empty_program() -> dict[str, np.ndarray]:
     """Build the fields of a program that expresses nothing."""
     h, k, s, t = NUM_PHRASES, NUM_CHILDREN, NUM_SLOTS, NUM_TYPES + 1
