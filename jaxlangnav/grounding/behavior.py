@@ -40,6 +40,7 @@ from jaxlangnav.grounding.program import (
 )
 from jaxlangnav.grounding.symbols import NUM_REGIONS
 from jaxlangnav.messages import NONE, Behavior, BehaviorWorld
+from jaxlangnav.numerics.axes import row_of
 from jaxlangnav.numerics.once import once
 from jaxlangnav.pytree import replace
 
@@ -163,14 +164,8 @@ def _push(stack: Stack, top: Stack, num_children: Array) -> Stack:
 
 def _row(program: BehaviorProgram, phrase: Array) -> BehaviorProgram:
     """Take the row of one phrase out of the fields that have rows."""
-    fields = {
-        field.name: jax.lax.dynamic_index_in_dim(
-            getattr(program, field.name), phrase, keepdims=False, allow_negative_indices=False
-        )
-        for field in dataclasses.fields(program)
-        if field.name not in OF_THE_CLAUSE
-    }
-    return replace(program, **fields)
+    names = [one.name for one in dataclasses.fields(program) if one.name not in OF_THE_CLAUSE]
+    return replace(program, **row_of({name: getattr(program, name) for name in names}, phrase))
 
 
 def _advance(row: BehaviorProgram, scene: Scene, stack: Stack) -> tuple[Stack, Expressed]:

@@ -8,6 +8,8 @@ from jaxlangnav.grounding import behavior as grounding
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.grounding.program import NUM_TYPES
 from jaxlangnav.messages import ACTIONS, MODES, REGIONS, Behavior
+from jaxlangnav.numerics.axes import row_of
+from jaxlangnav.numerics.resampling import pack, unpack
 from jaxlangnav.semantic_map import summary
 from jaxlangnav.semantic_map.particle import SemanticMap
 
@@ -32,31 +34,26 @@ def infer_behaviors(
     Returns:
         Behaviors, leaves [..., P].
     """
-    program = jax.tree.map(lambda leaf: leaf[clause], instruction.program)
+    program = row_of(instruction.program, clause)
     number = particles.reading.shape[-1]
     block = min(BLOCK, number)
     topology, representative, count = summary.distinct_topologies(particles, NUM_TYPES)
     padding = jnp.full((-number) % block, number, representative.dtype)
     representative = jnp.append(representative, padding)
 
-    def infer(index: Array, behaviors: Behavior) -> Behavior:
+    def infer(index: Array, table: Array) -> Array:
         chosen = jax.lax.dynamic_slice_in_dim(representative, index * block, block)
-        chosen = jnp.minimum(chosen, number - 1)
         worlds = jax.vmap(summary.behavior_world, in_axes=(-1, None, None), out_axes=-1)(
-            jax.tree.map(lambda leaf: leaf[..., chosen], particles),
+            jax.tree.map(lambda leaf: jnp.take(leaf, chosen, axis=-1, mode="clip"), particles),
             instruction.readings,
             previous_goal,
         )
-        inferred = grounding.infer_behaviors(program, worlds, num_phrases=program.num_phrases)
+        inferred = pack(grounding.infer_behaviors(program, worlds, num_phrases=program.num_phrases))
         place = topology - index * block
-
-        def hand_out(new: Array, old: Array) -> Array:
-            # Selects vectorise over particles, where a gather would go element by element.
-            for own in range(block):
-                old = jnp.where(place == own, new[..., own : own + 1], old)
-            return old
-
-        return jax.tree.map(hand_out, inferred, behaviors)
+        # Selects vectorise over particles, where a gather would go element by element.
+        for own in range(block):
+            table = jnp.where(place == own, inferred[:, own : own + 1], table)
+        return table
 
     num_slots = particles.object_type.shape[0] + particles.referent.shape[0] + 1
     nothing = Behavior(
@@ -65,4 +62,5 @@ def infer_behaviors(
         goal=jnp.zeros((len(REGIONS), num_slots, number), jnp.float32),
         constraint=jnp.zeros((len(REGIONS), num_slots, number), jnp.float32),
     )
-    return jax.lax.fori_loop(0, (count + block - 1) // block, infer, nothing)
+    table = jax.lax.fori_loop(0, (count + block - 1) // block, infer, pack(nothing))
+    return unpack(table, nothing)

@@ -8,6 +8,7 @@ before counts. "The second" needs one before it; "the nearest" needs another one
 nobody would say so.
 """
 
+import functools
 from typing import NamedTuple
 
 import jax
@@ -96,11 +97,9 @@ class Order(NamedTuple):
     def _is_where_said(self, x: Array, y: Array) -> Array:
         """Tell which places are on the sides where the figure is said to be."""
         offset_x, offset_y = x - lead(self.viewer_x, x.ndim), y - lead(self.viewer_y, y.ndim)
-        robot = jax.tree.map(lambda leaf: lead(leaf, x.ndim), self.robot)
-        holds = jnp.ones(x.shape, bool)
-        for side in self.sides:
-            holds = holds & is_on_side(lead(side, x.ndim), offset_x, offset_y, robot)
-        return holds
+        robot = jax.tree.map(lambda leaf: lead(leaf, x.ndim + 1), self.robot)
+        holds = is_on_side(apart(self.sides, x.ndim + 1), offset_x[None], offset_y[None], robot)
+        return functools.reduce(jnp.logical_and, jnp.unstack(holds))
 
     def _merit(self, x: Array, y: Array, landmark_x: Array, landmark_y: Array) -> Array:
         """Measure places along the order, smaller is earlier."""

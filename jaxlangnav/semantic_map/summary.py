@@ -23,8 +23,9 @@ def behavior_world(particle: SemanticMap, readings: Readings, previous: Array) -
     """
     num_objects, num_mentions = particle.object_type.shape[0], particle.referent.shape[0]
     size = num_objects + num_mentions + 1
-    slots = jnp.arange(size)
-    mention_type = readings.mention_type[particle.reading]
+    slots, mentions = jnp.arange(size), jnp.arange(num_mentions)
+    read = jax.tree.map(lambda leaf: leaf[particle.reading], readings)
+    mention_type = read.mention_type
     object_type = jnp.concatenate(
         [
             particle.object_type,
@@ -33,34 +34,25 @@ def behavior_world(particle: SemanticMap, readings: Readings, previous: Array) -
         ]
     )
     is_object = jnp.concatenate([particle.is_observed, particle.is_hypothesised, jnp.ones(1, bool)])
-    place = jnp.where(
-        particle.referent == NONE, num_objects + jnp.arange(num_mentions), particle.referent
-    )
+    place = jnp.where(particle.referent == NONE, num_objects + mentions, particle.referent)
     place = jnp.where(mention_type == ROBOT, size - 1, place)
-    is_related = jnp.zeros((len(RELATIONS), size, size), bool)
-    is_superlative = jnp.zeros((len(RELATIONS), size, size), bool)
-    is_later = jnp.zeros((len(RELATIONS), size, size), bool)
-    for index in range(readings.relation.shape[1]):
-        relation = readings.relation[particle.reading, index]
-        mentions = jnp.arange(num_mentions)
-        figure = jnp.sum(jnp.where(mentions == readings.figure[particle.reading, index], place, 0))
-        landmark = jnp.sum(
-            jnp.where(mentions == readings.landmark[particle.reading, index], place, 0)
-        )
-        edge = (
-            (jnp.arange(len(RELATIONS)) == relation)[:, None, None]
-            & (slots == figure)[None, :, None]
-            & (slots == landmark)[None, None, :]
-        )
-        is_related = is_related | edge
-        is_superlative = is_superlative | (edge & readings.is_superlative[particle.reading, index])
-        is_later = is_later | (edge & (readings.rank[particle.reading, index] > 1))
+    figure, landmark = (
+        jnp.sum(jnp.where(one[:, None] == mentions[None], place[None], 0), axis=1)
+        for one in (read.figure, read.landmark)
+    )
+    edge = (  # [J, 6, N, N]
+        (read.relation[:, None] == jnp.arange(len(RELATIONS))[None])[:, :, None, None]
+        & (figure[:, None] == slots[None])[:, None, :, None]
+        & (landmark[:, None] == slots[None])[:, None, None, :]
+    )
+    is_superlative = read.is_superlative[:, None, None, None]
+    is_later = (read.rank > 1)[:, None, None, None]
     return BehaviorWorld(
         object_type=object_type,
         is_object=is_object,
-        is_related=is_related,
-        is_superlative=is_superlative,
-        is_later=is_later,
+        is_related=jnp.any(edge, axis=0),
+        is_superlative=jnp.any(edge & is_superlative, axis=0),
+        is_later=jnp.any(edge & is_later, axis=0),
         is_previous=(slots == previous) & (previous != NONE),
     )
 

@@ -18,6 +18,7 @@ from jax.custom_batching import custom_vmap
 
 from jaxlangnav.messages import NONE, Readings
 from jaxlangnav.numerics import chance
+from jaxlangnav.numerics.axes import row_of
 from jaxlangnav.numerics.resampling import pack, unpack
 from jaxlangnav.semantic_map import proposal
 from jaxlangnav.semantic_map.belief import ParticleBelief
@@ -150,8 +151,8 @@ def _ground_all(
     num_relations = jnp.max(jnp.sum(told.figure != NONE, axis=0))
 
     def body(index: Array, grounding: Grounding) -> Grounding:
-        one, chance = jax.tree.map(lambda leaf: leaf[index], (told, draws))
-        return proposal.ground_relation(listening.observed, one, grounding, chance, scene, params)
+        one, drawn = row_of((told, draws), index)
+        return proposal.ground_relation(listening.observed, one, grounding, drawn, scene, params)
 
     nothing = proposal.nothing_grounded(num_mentions, *told.figure.shape[1:])
     return jax.lax.fori_loop(0, num_relations, body, nothing)
