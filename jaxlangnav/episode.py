@@ -15,6 +15,7 @@ from jaxlangnav import navigator
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.messages import MotionParams, Observation, SensorParams
 from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams, NavigatorState
+from jaxlangnav.numerics.axes import row_of
 from jaxlangnav.pytree import pytree, replace, strong
 from jaxlangnav.world import simulator
 from jaxlangnav.world.motion import move
@@ -78,7 +79,7 @@ def begin(task: Task, instructions: Instruction, *, config: NavigatorConfig) -> 
     Returns:
         The episode before its first step.
     """
-    instruction = jax.tree.map(lambda leaf: leaf[task.instruction_index], instructions)
+    instruction = row_of(instructions, task.instruction_index)
     return Progress(
         task=task,
         navigator=navigator.start(

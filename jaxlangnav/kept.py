@@ -70,7 +70,8 @@ def kept(*, static_argnames: tuple[str, ...] = ()) -> Callable[[Callable[P, R]],
 
         @functools.wraps(jitted)
         def call(*args: P.args, **kwargs: P.kwargs) -> R:
-            if _folder is None or not is_keeping():
+            folder = kept_in()
+            if folder is None:
                 return jitted(*args, **kwargs)
             static = {name: kwargs[name] for name in static_argnames if name in kwargs}
             data = args, {name: kwargs[name] for name in kwargs if name not in static}
@@ -83,7 +84,7 @@ def kept(*, static_argnames: tuple[str, ...] = ()) -> Callable[[Callable[P, R]],
                 args, kwargs = jax.tree.unflatten(tree, leaves)
                 return whole(*args, **kwargs, **static)
 
-            return programs.setdefault(name, _Program()).run(_folder / name, flat, leaves)
+            return programs.setdefault(name, _Program()).run(folder / name, flat, leaves)
 
         return call
 
@@ -104,9 +105,10 @@ class _Program:
         return self._made(leaves)
 
 
-def is_keeping() -> bool:
-    """Tell whether programs are kept: a folder is named, and there is one CPU device only."""
-    return _folder is not None and jax.default_backend() == "cpu" and jax.device_count() == 1
+def kept_in() -> Path | None:
+    """Tell in which folder programs are kept; None unless it is named and one CPU all there is."""
+    is_plain = jax.default_backend() == "cpu" and jax.device_count() == 1
+    return _folder if is_plain else None
 
 
 def _name(function: Callable[..., Any], static: Any, tree: Any, leaves: list[Any]) -> str:

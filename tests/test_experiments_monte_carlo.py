@@ -93,6 +93,8 @@ def test_bad_cells_are_refused() -> None:
         make_tasks(cell("1H1C", "behnd", 0, 3.0, 1, 0))
     with pytest.raises(ValueError, match="unknown world template"):
         make_tasks(cell("hydrant", "null", 0, 3.0, 1, 0))
+    with pytest.raises(ValueError, match="seed is 4294967296, but must lie between 0 and"):
+        cell("1H1C", "null", 0, 3.0, 1, 2**32)
 
 
 @pytest.mark.parametrize(

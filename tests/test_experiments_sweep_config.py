@@ -57,6 +57,7 @@ def test_units() -> None:
         ({"episodes": [1, 2]}, "episodes is a list, but must be one whole number"),
         ({"episodes": 1.5}, "episodes is 1.5, but must be a whole number"),
         ({"seeds": [-1]}, "seeds is -1, but must be at least 0"),
+        ({"seeds": [2**32]}, "seeds is 4294967296, but must be below 4294967296"),
         ({"policies": ["infromed"]}, r'unknown policy "infromed".*did you mean "informed"'),
         ({"worlds": ["1X"]}, "unknown world template '1X'"),
         ({"worlds": ["yrad"]}, "unknown world 'yrad'"),

@@ -18,7 +18,7 @@ from jaxlangnav.episode import MAX_STEPS, Task
 from jaxlangnav.experiments.monte_carlo import cell, make_tasks
 from jaxlangnav.grounding.instruction import GroundingModel, Instruction, Understanding
 from jaxlangnav.grounding.weights import load, load_shipped
-from jaxlangnav.kept import is_keeping, kept
+from jaxlangnav.kept import kept, kept_in
 from jaxlangnav.messages import default_motion, default_sensor
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, default_params
 from jaxlangnav.planner.params import PlannerConfig
@@ -72,13 +72,9 @@ def load_models(path: Path | None) -> GroundingModel:
 
 
 @functools.cache
+@kept()
 def navigator_params() -> NavigatorParams:
     """Build the default parameters: compiled, as one by one their operations take seconds."""
-    return _default_params()
-
-
-@kept()
-def _default_params() -> NavigatorParams:
     return default_params()
 
 
@@ -140,6 +136,11 @@ def open_task(
     return _draw(place, understood, sensing_range or 3.0, seed)
 
 
+def alone(understood: Understanding) -> Instruction:
+    """Make a batch of one instruction, leaves [1, …] on the host."""
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[None], understood.instruction)
+
+
 def rehearse(
     instructions: Instruction, *, params: NavigatorParams, config: NavigatorConfig
 ) -> None:
@@ -153,7 +154,7 @@ def rehearse(
         params: the navigator's numbers.
         config: sizes and policy.
     """
-    if not is_keeping():
+    if kept_in() is None:
         return
     task = Task(
         key=jax.random.key(0),
@@ -193,9 +194,13 @@ def record_episode(
     Returns:
         The recording.
     """
-    instructions = jax.tree.map(lambda leaf: np.asarray(leaf)[None], understood.instruction)
     recording = recorder.record(
-        prepared.task, instructions, params=params, config=config, max_steps=max_steps, text=text
+        prepared.task,
+        alone(understood),
+        params=params,
+        config=config,
+        max_steps=max_steps,
+        text=text,
     )
     return judged(recording, prepared)
 

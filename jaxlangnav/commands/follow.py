@@ -19,7 +19,7 @@ from jaxlangnav.commands.settings import Place, apply, read_settings
 if TYPE_CHECKING:
     from jaxlangnav.commands.engine import Prepared
     from jaxlangnav.episode import EpisodeResult
-    from jaxlangnav.grounding.instruction import Instruction, Understanding
+    from jaxlangnav.grounding.instruction import Understanding
     from jaxlangnav.language.phrase import Parse
     from jaxlangnav.recording import Frame, Recording, Scene
 
@@ -89,11 +89,11 @@ class Follow:
         if values:
             self._check_settings(values)
         understood = self._understand(parsed)
-        from jaxlangnav.commands.engine import rehearse
+        from jaxlangnav.commands.engine import alone, rehearse
         from jaxlangnav.pytree import replace
 
         sizes = self._sizes(values)
-        rehearse(_alone(understood), **sizes)
+        rehearse(alone(understood), **sizes)
         prepared = self._open(understood, output)
         task = prepared.task
         sensor = apply(task.sensor, values, "sensor")
@@ -174,11 +174,11 @@ class Follow:
     ) -> "Recording":
         """Run the episode and tell it, as it happens or afterwards."""
         from jaxlangnav import recorder
-        from jaxlangnav.commands.engine import judged
+        from jaxlangnav.commands.engine import alone, judged
         from jaxlangnav.recording import gather
         from jaxlangnav.viz.narrative import closing, tell
 
-        instructions, task = _alone(understood), prepared.task
+        instructions, task = alone(understood), prepared.task
         scene = recorder.set_scene(task, instructions, text=self.text, **sizes)
         steps = recorder.play(task, instructions, max_steps=self.max_steps, **sizes)
         with waiting(
@@ -251,14 +251,6 @@ class Follow:
         write_text(json.dumps(to_json(document), indent=2) + "\n", self.out / "episode.json")
         names = ", ".join(path.name for path in paths)
         output.say(f"\nWrote {names} and episode.json into {self.out}")
-
-
-def _alone(understood: "Understanding") -> "Instruction":
-    """Make a batch of one instruction, leaves [1, …] on the host."""
-    import jax
-    import numpy as np
-
-    return jax.tree.map(lambda leaf: np.asarray(leaf)[None], understood.instruction)
 
 
 def nothing_there(prepared: "Prepared", missing: Sequence[str], names: Sequence[str]) -> str:

@@ -40,6 +40,7 @@ from typing import Any
 from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, check_policies
 from jaxlangnav.experiments.quantities import FIELDS, LENGTH
 from jaxlangnav.experiments.sentences import SENTENCES
+from jaxlangnav.experiments.tasks import SEED_LIMIT
 from jaxlangnav.world.files import World, open_world
 from jaxlangnav.world.scenario import scenario_law
 from jaxlangnav.world.templates import Template, check_relation
@@ -163,7 +164,7 @@ def config_from_dict(table: Mapping[str, Any], *, folder: Path = Path()) -> Swee
         name=str(table.get("name", "sweep")),
         episodes=_integers(table, "episodes", (100,), least=1, is_list=False)[0],
         environments=_integers(table, "environments", (0,), least=0, is_list=False)[0],
-        seeds=_integers(table, "seeds", (0,), least=0),
+        seeds=_integers(table, "seeds", (0,), least=0, limit=SEED_LIMIT),
         worlds=worlds,
         commands=tuple(_command(one) for one in _listed(table["commands"], "commands")),
         ranges=tuple(
@@ -216,6 +217,7 @@ def _integers(
     default: tuple[int, ...],
     *,
     least: int,
+    limit: int | None = None,
     is_list: bool = True,
 ) -> tuple[int, ...]:
     """Read one whole number or a list of them."""
@@ -228,6 +230,8 @@ def _integers(
             raise ValueError(f"{name} is {one!r}, but must be a whole number")
         if one < least:
             raise ValueError(f"{name} is {one}, but must be at least {least}")
+        if limit is not None and one >= limit:
+            raise ValueError(f"{name} is {one}, but must be below {limit}")
     return tuple(values)
 
 

@@ -23,6 +23,8 @@ from jaxlangnav.world.known import known_distance
 from jaxlangnav.world.scenario import draw_scenario, empty_scenario, scenario_law
 from jaxlangnav.world.state import Scenario
 
+SEED_LIMIT = 2**32
+"""Seeds lie below it: they are the root of the keys, 32 bits."""
 BLOCK = 256
 """Worlds drawn in one call."""
 
@@ -43,6 +45,11 @@ class Cell:
     """Different worlds, taken in turn (the paper has ten); 0 for a fresh one per episode."""
     scenario: Scenario | None = None
     """A world of somebody's own; None draws worlds of the template that ``world`` names."""
+
+    def __post_init__(self) -> None:
+        """Refuse a seed that another one would stand for."""
+        if not 0 <= self.seed < SEED_LIMIT:
+            raise ValueError(f"seed is {self.seed}, but must lie between 0 and {SEED_LIMIT - 1}")
 
 
 def cell(

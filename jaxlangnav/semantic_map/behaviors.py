@@ -42,6 +42,7 @@ def infer_behaviors(
     representative = jnp.append(representative, padding)
 
     def infer(index: Array, table: Array) -> Array:
+        # Beyond the last topology it is P, and the last particle stands in.
         chosen = jax.lax.dynamic_slice_in_dim(representative, index * block, block)
         worlds = jax.vmap(summary.behavior_world, in_axes=(-1, None, None), out_axes=-1)(
             jax.tree.map(lambda leaf: jnp.take(leaf, chosen, axis=-1, mode="clip"), particles),
