@@ -54,8 +54,7 @@ def follow(
         ValueError: the sentence, the world or an option is refused; one line.
     """
     understood = understand(text, load_shipped() if model is None else model)
-    if int(understood.instruction.num_clauses) == 0:
-        raise ValueError(f"{text!r} informs but asks for nothing to be done: give a command")
+    understood.check_task()
     if sensing_range is not None and not sensing_range > 0.0:
         raise ValueError(f"sensing_range is {sensing_range:g}, but must be positive, in metres")
     prepared = open_task(str(world), understood, sensing_range=sensing_range, seed=seed)

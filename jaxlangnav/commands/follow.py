@@ -135,11 +135,7 @@ class Follow:
         from jaxlangnav.grounding.instruction import understand_parse
 
         understood = understand_parse(parsed, load_models(self.weights))
-        if int(understood.instruction.num_clauses) == 0:
-            raise UsageError(
-                f'"{self.text}" informs but asks for nothing to be done; say for example '
-                '"go to the hydrant"'
-            )
+        understood.check_task()
         return understood
 
     def _open(self, understood: "Understanding", output: Output) -> "Prepared":

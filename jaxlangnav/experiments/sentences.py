@@ -38,7 +38,7 @@ def ground_sentences(texts: Sequence[str]) -> GroundedSentences:
         The instructions, stacked.
 
     Raises:
-        ValueError: a sentence is empty or not understood, or there is none.
+        ValueError: a sentence is not understood or asks for nothing to be done, or there is none.
     """
     if not texts:
         raise ValueError("no sentence given")
@@ -46,9 +46,13 @@ def ground_sentences(texts: Sequence[str]) -> GroundedSentences:
     from jaxlangnav.grounding.weights import load_shipped
 
     models = load_shipped()
-    understood = [understand(text, models).instruction for text in texts]
+    understood = [understand(text, models) for text in texts]
+    for one in understood:
+        one.check_task()
     return GroundedSentences(
         texts=tuple(texts),
-        instructions=jax.tree.map(lambda *leaves: jnp.stack(leaves), *understood),
+        instructions=jax.tree.map(
+            lambda *leaves: jnp.stack(leaves), *(one.instruction for one in understood)
+        ),
         models=models,
     )

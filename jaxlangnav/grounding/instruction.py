@@ -18,6 +18,7 @@ from jaxlangnav.grounding.model import CorrespondenceModel
 from jaxlangnav.grounding.program import BehaviorProgram, compile_clause, empty_program, to_program
 from jaxlangnav.grounding.readings import to_readings
 from jaxlangnav.grounding.symbols import AnnotationSpace, BehaviorSpace
+from jaxlangnav.language.constraint import is_constraint
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import COMMAND, Parse
 from jaxlangnav.messages import Readings
@@ -67,6 +68,33 @@ class Understanding:
             for symbol, rank, probability in self.belief.marginals()
             if probability >= _MIN_PROBABILITY
         ]
+
+    def check_task(self) -> None:
+        """Refuse a sentence that asks for nothing to be done.
+
+        Raises:
+            ValueError: it only informs, or only says what to keep away from; one line.
+        """
+        kinds = zip(self.parse.clauses, self.parse.kinds, strict=True)
+        commands = [clause for clause, kind in kinds if kind == COMMAND]
+        text = f"'{self.parse.instruction}'"
+        if not commands:
+            raise ValueError(
+                f"{text} informs but asks for nothing to be done: "
+                "give a command, as in 'go to the hydrant'"
+            )
+        alone = [clause for clause in commands if is_constraint(clause)]
+        if len(alone) == len(commands):
+            raise ValueError(
+                f"{text} says what to keep away from, but not where to go: say it with a command, "
+                "as in 'go to the bench but avoid the cone'"
+            )
+        if alone:
+            words = " ".join(word.text for word in alone[0].all_words())
+            raise ValueError(
+                f"'{words}' asks to keep away from where the command before it ends: "
+                "say where to go then, as in 'then go to the bench'"
+            )
 
     @property
     def unknown_words(self) -> list[str]:

@@ -11,6 +11,7 @@ import unicodedata
 from functools import cache
 
 from jaxlangnav.language.check import check
+from jaxlangnav.language.constraint import join_constraints
 from jaxlangnav.language.grammar import (
     COMMA,
     FULLSTOP,
@@ -164,6 +165,7 @@ def parse(text: str) -> Parse:
     builder = TreeBuilder([t.text for t in tokens], [t.position for t in tokens])
     clauses = resolve(builder.build(derivation))
     check(clauses, {position for _, position in builder.unknown})
+    clauses = join_constraints(clauses)
     unknown = [
         (t.text, t.position) for t in tokens if t.terminal in (UNKNOWN, UNKNOWN_ADVERB, UNKNOWN_ING)
     ]
