@@ -13,6 +13,8 @@ import pytest
 LAYERS = (
     "pytree",
     "input_files",
+    "own_files",
+    "compiled_program",
     "kept",
     "messages",
     "numerics",
