@@ -13,6 +13,7 @@ import pytest
 LAYERS = (
     "pytree",
     "input_files",
+    "array_files",
     "own_files",
     "compiled_program",
     "kept",
