@@ -1,10 +1,14 @@
-"""Compiled programs kept whole: a later run neither traces nor lowers nor compiles them.
+"""Compiled programs kept in files: a later run neither traces nor lowers nor compiles them.
 
 JAX's own cache keeps what has been compiled, but finds it by the program's text, which has to be
 traced and lowered first: seconds for a decision cycle. Here a program is found by what the text
 follows from: the source of this package, the versions below it, this machine, and the shapes and
-static values of a call. Whatever does not fit, or cannot be read, is compiled as if nothing had
-been kept.
+static values of a call.
+
+What is loaded runs as the user. So the folder must be the user's own and closed to others, the
+files too (``own_files``: that is what guards against people), and each file's digest must be right
+(``compiled_program``: that is what guards against accidents; some damage would end the process).
+Whatever does not pass is said once and compiled as if nothing had been kept.
 
 Only functions of their arguments alone may be kept: what they read of modules must be constant.
 """
@@ -13,44 +17,64 @@ import contextlib
 import functools
 import hashlib
 import os
-import pickle
 import platform
-import tempfile
 import threading
-from collections.abc import Callable, Iterator
+import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
 import jax
 import jax.core
 import jaxlib.version
-from jax.experimental import serialize_executable
+
+from jaxlangnav.compiled_program import Call, compile_program, load_program
+from jaxlangnav.own_files import own_folder, read_own_file, write_own_file
 
 P = ParamSpec("P")
 R = TypeVar("R")
 _MAX_PROGRAMS = 24
-"""Files that stay; the cycle's has 8 MB. Those used last are kept."""
+"""Files that stay; the cycle's has 5 MB. Those used last are kept."""
+_MAX_BYTES = 1 << 28
+"""A larger file is no program of ours."""
 _SUFFIX = ".program"
 _SETTINGS = (
     "jax_enable_x64",
     "jax_default_matmul_precision",
-    "jax_debug_nans",
+    "jax_default_prng_impl",
+    "jax_numpy_dtype_promotion",
     "jax_threefry_partitionable",
 )
+"""What a program depends on of JAX's settings."""
+_WATCHING = ("jax_debug_nans", "jax_debug_infs", "jax_disable_jit")
+"""Settings under which JAX must run a program itself."""
 _folder: Path | None = None
-_outside = threading.Lock()
-_num_outside, _least_seconds = 0, 0.0
-"""How many threads compile outside of JAX's cache, and the setting that the last one restores."""
+_say: Callable[[str], None] = warnings.warn
+_has_said = False
 
 
-def keep_in(folder: Path | None) -> None:
+def keep_in(folder: Path | None, *, say: Callable[[str], None] = warnings.warn) -> None:
     """Name the folder of kept programs, for the rest of the process; None keeps none.
 
     Args:
-        folder: existing or not. Programs are loaded from it as code: it must be the user's own.
+        folder: existing or not; made, closed to others.
+        say: takes the one line that tells what could not be used or kept, and why.
+
+    Raises:
+        OSError: the folder is another user's, others can enter or exchange it, or it cannot be
+            made; no programs are kept.
     """
-    global _folder
-    _folder = folder
+    global _folder, _say, _has_said
+    _folder, _say, _has_said = None, say, False
+    _folder = None if folder is None else own_folder(folder)
+
+
+def _tell_once(text: str) -> None:
+    """Say what went wrong, the first time."""
+    global _has_said
+    if not _has_said:
+        _has_said = True
+        _say(text)
 
 
 def kept(*, static_argnames: tuple[str, ...] = ()) -> Callable[[Callable[P, R]], Callable[P, R]]:
@@ -96,19 +120,21 @@ class _Program:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._made: Callable[[list[Any]], Any] | None = None
+        self._call: Call | None = None
 
     def run(self, path: Path, flat: Callable[..., Any], leaves: list[Any]) -> Any:
         """Run it; load or compile it first if nobody has."""
         with self._lock:
-            self._made = self._made or _load(path, leaves) or _compile(path, flat, leaves)
-        return self._made(leaves)
+            if self._call is None:
+                self._call = _load(path, leaves) or _compile(path, flat, leaves)
+        return self._call(leaves)
 
 
 def kept_in() -> Path | None:
     """Tell in which folder programs are kept; None unless it is named and one CPU all there is."""
     is_plain = jax.default_backend() == "cpu" and jax.device_count() == 1
-    return _folder if is_plain else None
+    is_watched = any(getattr(jax.config, name) for name in _WATCHING)
+    return _folder if is_plain and not is_watched else None
 
 
 def _name(function: Callable[..., Any], static: Any, tree: Any, leaves: list[Any]) -> str:
@@ -157,73 +183,38 @@ def _machine() -> tuple[str, ...]:
     )
 
 
-def _load(path: Path, leaves: list[Any]) -> Callable[[list[Any]], Any] | None:
-    """Load a kept program; None if there is none, or none that can be read and run."""
+def _load(path: Path, leaves: list[Any]) -> Call | None:
+    """Load a kept program; None if there is none, or none that may be used."""
     try:
-        payload, number, skeleton = pickle.loads(path.read_bytes())
-        found, tree = jax.tree.flatten(skeleton)
-        in_tree = jax.tree.structure((tuple(range(number)), {}))
-        out_tree = jax.tree.structure(found)
-        compiled = serialize_executable.deserialize_and_load(payload, in_tree, out_tree)
-        # Some faults of a file show only here: XLA links when it runs.
-        jax.block_until_ready(compiled(*leaves))
+        call = load_program(read_own_file(path, at_most=_MAX_BYTES), name=path.name)
+        # Some faults show only here: XLA links when it runs.
+        jax.block_until_ready(call(leaves))
         os.utime(path)
-    except Exception:  # whatever is wrong with a file: it is written anew
+    except FileNotFoundError:
         return None
-    return lambda values: jax.tree.unflatten(tree, compiled(*values))
+    except Exception as error:  # whatever is wrong with a file: it is written anew
+        why = " ".join(str(error).removeprefix(f"{path}: ").split()) or type(error).__name__
+        _tell_once(f"compiling anew what was kept in {path}: {why}")
+        return None
+    return call
 
 
-def _compile(path: Path, flat: Callable[..., Any], leaves: list[Any]) -> Callable[[list[Any]], Any]:
+def _compile(path: Path, flat: Callable[..., Any], leaves: list[Any]) -> Call:
     """Compile a program of flat arguments, and keep it if it can be kept."""
-    trees: list[Any] = []
-
-    def kept_whole(*values: Any) -> list[Any]:
-        found, tree = jax.tree.flatten(flat(*values))
-        trees.append(tree)
-        return found
-
-    lowered = jax.jit(kept_whole).lower(*leaves)
-    with _outside_of_the_cache():
-        compiled = lowered.compile()
-    tree = trees[0]
-    # A record with numbers for leaves tells the structure; JAX's own description has no file form.
-    skeleton = jax.tree.unflatten(tree, range(tree.num_leaves))
-    # A full or read-only disk, a program that has no file form: it is only not kept.
-    with contextlib.suppress(Exception):
-        payload, _, _ = serialize_executable.serialize(compiled)
-        _write(path, pickle.dumps((payload, len(leaves), skeleton)))
-    return lambda values: jax.tree.unflatten(tree, compiled(*values))
+    call, content = compile_program(flat, leaves, name=path.name)
+    if content is not None:
+        try:
+            write_own_file(path, content)
+            _drop_the_oldest(path.parent)
+        except OSError as error:
+            _tell_once(f"compiled programs are not kept: {error}")
+    return call
 
 
-@contextlib.contextmanager
-def _outside_of_the_cache() -> Iterator[None]:
-    """Have JAX's own cache take nothing of what is compiled inside.
-
-    A CPU program that JAX has loaded from its cache is written without its functions (JAX 0.10),
-    so programs to be kept must never be found there.
-    """
-    global _num_outside, _least_seconds
-    name = "jax_persistent_cache_min_compile_time_secs"
-    with _outside:
-        if _num_outside == 0:
-            _least_seconds = getattr(jax.config, name)
-            jax.config.update(name, float("inf"))
-        _num_outside += 1
-    try:
-        yield
-    finally:
-        with _outside:
-            _num_outside -= 1
-            if _num_outside == 0:
-                jax.config.update(name, _least_seconds)
-
-
-def _write(path: Path, content: bytes) -> None:
-    """Write a file whole or not at all, and drop those used longest ago."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
-        file.write(content)
-    Path(file.name).replace(path)
-    programs = sorted(path.parent.glob(f"*{_SUFFIX}"), key=lambda one: one.stat().st_mtime)
-    for old in programs[:-_MAX_PROGRAMS]:
-        old.unlink(missing_ok=True)
+def _drop_the_oldest(folder: Path) -> None:
+    """Drop the programs used longest ago if there are too many."""
+    # Another process may drop the same ones.
+    with contextlib.suppress(FileNotFoundError):
+        programs = sorted(folder.glob(f"*{_SUFFIX}"), key=lambda one: one.stat().st_mtime)
+        for old in programs[:-_MAX_PROGRAMS]:
+            old.unlink()

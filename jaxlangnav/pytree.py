@@ -12,6 +12,8 @@ import jax
 import jax.numpy as jnp
 
 T = TypeVar("T")
+RECORDS: dict[str, type] = {}
+"""Every record whose fields are all leaves, by its module and name: what a file may name."""
 
 
 def static(**kwargs: Any) -> Any:
@@ -36,6 +38,8 @@ def pytree(cls: type[T]) -> type[T]:
     for field in dataclasses.fields(record):
         (meta if field.metadata.get("static", False) else data).append(field.name)
     jax.tree_util.register_dataclass(record, data_fields=data, meta_fields=meta)
+    if not meta:
+        RECORDS[f"{record.__module__}.{record.__qualname__}"] = record
     return record
 
 

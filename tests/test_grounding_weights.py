@@ -1,7 +1,16 @@
 """Shipped weights: where they come from, and that they can be made again."""
 
+import collections
+import io
 import json
+import os
+import random
+import struct
+import tracemalloc
+import zipfile
+from collections.abc import Callable
 from importlib import resources
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +18,7 @@ import pytest
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.grounding.evaluation import Scores, calibration_error, fit_temperature
 from jaxlangnav.grounding.fitting import train_models
+from jaxlangnav.grounding.instruction import GroundingModel
 from jaxlangnav.grounding.weights import about, load, save, shipped_path
 
 TABLE_2 = (
@@ -35,14 +45,240 @@ def test_weights_say_where_they_come_from():
     assert len(str(record["corpus"])) == 16
 
 
-@pytest.mark.parametrize("content", [b"", b"no weights", None])
-def test_bad_files_are_refused_in_one_line(tmp_path, content):
-    path = tmp_path / "bad.npz"
+def shipped_members() -> dict[str, bytes]:
+    with zipfile.ZipFile(shipped_path()) as archive:
+        return {name: archive.read(name) for name in archive.namelist()}
+
+
+def packed(members: dict[str, bytes]) -> bytes:
+    """Write an archive whose checksums are right, as somebody would who means harm."""
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
+    return file.getvalue()
+
+
+def as_npy(array: np.ndarray, *, allow_pickle: bool = False) -> bytes:
+    file = io.BytesIO()
+    np.save(file, array, allow_pickle=allow_pickle)
+    return file.getvalue()
+
+
+def refused(path: Path, content: bytes | None, why: str = "") -> None:
     if content is not None:
         path.write_bytes(content)
-    with pytest.raises(ValueError, match="not a file of weights") as caught:
-        load(path)
-    assert "\n" not in str(caught.value)
+    for read in (load, about) if not why else (load,):
+        with pytest.raises(ValueError, match="not a file of weights") as caught:
+            read(path)
+        assert str(caught.value).startswith(f"{path}: ")
+        assert str(caught.value).isprintable()
+        assert why in str(caught.value)
+
+
+@pytest.mark.parametrize("content", [b"", b"no weights", b"PK\5\6" + bytes(18), None])
+def test_bad_files_are_refused_in_one_line(tmp_path, content):
+    refused(tmp_path / "bad.npz", content)
+
+
+def test_what_is_no_file_is_refused(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path, tmp_path / "pipe", Path("/dev/zero")):
+        refused(path, None)
+    with (tmp_path / "sparse").open("wb") as file:
+        file.truncate(1 << 40)
+    refused(tmp_path / "sparse", None)
+
+
+def test_arrays_that_are_not_those_of_two_models_are_refused(tmp_path):
+    path, shipped = tmp_path / "w.npz", shipped_members()
+    region = shipped["behavior/region.npy"]
+    refused(path, region, "not a zip file")  # .npy for .npz
+    missing = {name: shipped[name] for name in shipped if name != "behavior/mode.npy"}
+    refused(path, packed(missing), "not those of two models")
+    refused(path, packed(shipped | {"behavior/new.npy": region}), "not those of two models")
+    with zipfile.ZipFile(path, "a") as archive, pytest.warns(UserWarning, match="Duplicate"):
+        archive.writestr("about.npy", shipped["about.npy"])
+    refused(path, None, "a name stands in it twice")
+
+
+@pytest.mark.parametrize(
+    ("array", "why"),
+    [
+        (np.zeros((340, 25), np.float32), "shape (340, 25), not (341, 25)"),
+        (np.zeros((341, 24), np.float32), "shape (341, 24), not (341, 25)"),
+        (np.zeros((341, 26), np.float32), "shape (341, 26), not (341, 25)"),
+        (np.zeros((25, 341), np.float32).T, "not numbers or text in rows"),
+        (np.zeros((341, 12)), "numbers are float64"),
+        (np.zeros((341, 50), np.float16), "numbers are float16"),
+        (np.zeros((341, 25), np.int32), "holds int32"),
+        (np.zeros((341, 25), ">f4"), "numbers are >f4"),
+        (np.full((341, 25), np.nan, np.float32), "not finite"),
+        (np.full((341, 25), -np.inf, np.float32), "not finite"),
+        (np.full((341, 25), 1e7, np.float32), "a weight is beyond 1,000,000"),
+        (np.array("text"), "numbers are <U4"),
+        (np.zeros((4000, 4000), np.float32), "64,000,128 bytes; at most 38,196 belong there"),
+    ],
+)
+def test_a_wrong_array_is_refused(tmp_path, array, why):
+    refused(
+        tmp_path / "w.npz", packed(shipped_members() | {"behavior/region.npy": as_npy(array)}), why
+    )
+
+
+def test_pickled_objects_are_not_read(tmp_path):
+    objects = as_npy(np.array([print], object), allow_pickle=True)
+    refused(tmp_path / "w.npz", packed(shipped_members() | {"about.npy": objects}), "holds object")
+
+
+@pytest.mark.parametrize(
+    "shape", ["(1000000000000, 25)", "(341, 25, 10)", "(341,)", "(0, 9999999999999)", "(-341, 25)"]
+)
+def test_what_a_header_promises_is_compared_before_it_is_allocated(tmp_path, shape):
+    region = shipped_members()["behavior/region.npy"]
+    header = region[10:128].replace(b"(341, 25)", shape.encode()).rstrip() + b" "
+    forged = region[:10] + header.ljust(117) + b"\n" + region[128:]
+    content = packed(shipped_members() | {"behavior/region.npy": forged})
+    assert peak_of(lambda: refused(tmp_path / "w.npz", content, "promises shape")) < 3e6
+
+
+def peak_of(work: Callable[[], object]) -> int:
+    """Measure the memory that Python and NumPy take on top, bytes."""
+    tracemalloc.start()
+    try:
+        work()
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_bomb_is_not_inflated(tmp_path):
+    bomb = packed(shipped_members() | {"behavior/region.npy": bytes(100_000_000)})
+    assert len(bomb) < 1_000_000
+    assert peak_of(lambda: refused(tmp_path / "w.npz", bomb, "belong there")) < 3e6
+    # One that promises less than it holds.
+    lying = bomb.replace(struct.pack("<I", 100_000_000), struct.pack("<I", 34_228))
+    assert len(lying) == len(bomb)
+    assert peak_of(lambda: refused(tmp_path / "w.npz", lying, "behavior/region")) < 3e6
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("temperature", 0),
+        ("temperature", -1.0),
+        ("temperature", 1e-30),
+        ("temperature", float("nan")),
+        ("temperature", float("inf")),
+        ("temperature", 10**400),
+        ("temperature", True),
+        ("temperature", "1"),
+        ("temperature", None),
+        ("names", []),
+        ("names", ["bias"] * 341),
+        ("names", "bias"),
+        ("names", list(range(341))),
+        ("names", {"bias": 1}),
+        ("without", None),
+        ("without", [["word"]]),
+        ("more", 1),
+    ],
+)
+def test_a_wrong_header_is_refused(tmp_path, key, value):
+    shipped = shipped_members()
+    header = json.loads(str(np.load(io.BytesIO(shipped["behavior.json.npy"]))))
+    text = json.dumps(header | {key: value})
+    content = packed(shipped | {"behavior.json.npy": as_npy(np.array(text))})
+    refused(tmp_path / "w.npz", content, " ")
+
+
+@pytest.mark.parametrize("text", ["", "[]", "[" * 100_000, "9" * 5000, '{"names": ', "\x1b[31m\n"])
+def test_a_header_that_is_no_document_is_refused(tmp_path, text):
+    for name in ("behavior.json.npy", "about.npy"):
+        content = packed(shipped_members() | {name: as_npy(np.array(text))})
+        refused(tmp_path / "w.npz", content, " ")
+
+
+def test_types_that_the_lexicon_does_not_have_are_refused_in_one_line(tmp_path):
+    about = {"command": "", "corpus": "", "types": ["\x1b[31mghost\n", *["x"] * 9999]}
+    content = packed(shipped_members() | {"about.npy": as_npy(np.array(json.dumps(about)))})
+    (tmp_path / "w.npz").write_bytes(content)
+    with pytest.raises(ValueError, match="trained with types") as caught:
+        load(tmp_path / "w.npz")
+    assert str(caught.value).isprintable()
+    assert len(str(caught.value)) < 1000
+
+
+def mutated(draw: random.Random, content: bytes) -> bytes:
+    """Damage some bytes: flip, cut, drop, repeat, overwrite."""
+    changed = bytearray(content)
+    for _ in range(draw.choice((1, 1, 1, 2, 5))):
+        at = draw.randrange(max(len(changed), 1))
+        size = draw.choice((1, 2, 4, 16, 300))
+        kind = draw.randrange(6)
+        if kind <= 1 and changed:
+            changed[at] ^= 1 << draw.randrange(8)
+        elif kind == 2:
+            del changed[at:]
+        elif kind == 3:
+            del changed[at : at + size]
+        elif kind == 4:
+            changed[at:at] = changed[at : at + size]
+        else:
+            changed[at : at + size] = draw.randbytes(size)
+    return bytes(changed)
+
+
+def is_sound(model: GroundingModel) -> bool:
+    """Tell whether a model has the structure of the shipped one, and only sound numbers."""
+    shipped = load_shipped()
+    for one, other in ((model.annotation, shipped.annotation), (model.behavior, shipped.behavior)):
+        assert list(one.weights) == list(other.weights)
+        assert len(one.vocabulary.names) == len(set(one.vocabulary.names))
+        assert 0.01 <= one.temperature <= 100.0
+        for kind, weight in one.weights.items():
+            assert weight.dtype == np.float32
+            assert weight.shape == (len(one.vocabulary.names), other.weights[kind].shape[1])
+            assert np.isfinite(weight).all()
+    return True
+
+
+@pytest.mark.parametrize("rounds", [300, pytest.param(10_000, marks=pytest.mark.slow)])
+def test_damaged_weights_are_sound_or_refused_in_one_line(tmp_path, rounds):
+    """Half are damaged as a file, half in a member behind a right checksum."""
+    draw, path = random.Random(0), tmp_path / "w.npz"
+    shipped, content = shipped_members(), shipped_path().read_bytes()
+    counts = collections.Counter()
+    for number in range(rounds):
+        if number % 2:
+            name = draw.choice(sorted(shipped))
+            start, rest = shipped[name][:400], shipped[name][400:]
+            path.write_bytes(packed(shipped | {name: mutated(draw, start) + rest}))
+        else:
+            path.write_bytes(mutated(draw, content))
+        said = ""
+        try:
+            counts["sound"] += is_sound(load(path))
+        except ValueError as error:
+            said = str(error)
+            counts["refused"] += 1
+        assert not said or said.startswith(f"{path}: ")
+        assert said.isprintable()
+    assert min(counts["sound"], counts["refused"]) > rounds / 50
+
+
+def test_a_write_that_fails_leaves_what_was_there(tmp_path, monkeypatch):
+    save(tmp_path / "w.npz", load_shipped(), command="one", corpus_hash="abc")
+
+    def full(file, **_):
+        file.write(b"half")
+        raise OSError("full")
+
+    monkeypatch.setattr(np, "savez_compressed", full)
+    with pytest.raises(OSError, match="full"):
+        save(tmp_path / "w.npz", load_shipped(), command="two", corpus_hash="abc")
+    assert [one.name for one in tmp_path.iterdir()] == ["w.npz"]
+    assert about(tmp_path / "w.npz")["command"] == "one"
 
 
 def test_the_commands_of_table_2_are_in_no_corpus():

@@ -12,6 +12,10 @@ import pytest
 
 LAYERS = (
     "pytree",
+    "input_files",
+    "array_files",
+    "own_files",
+    "compiled_program",
     "kept",
     "messages",
     "numerics",

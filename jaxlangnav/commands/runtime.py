@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from jaxlangnav.commands.errors import one_line
 from jaxlangnav.commands.output import Output
 
 Advance = Callable[[int], None]
@@ -14,31 +15,60 @@ Advance = Callable[[int], None]
 
 
 def cache_directory() -> Path:
-    """Find the user's cache folder: XDG_CACHE_HOME, or .cache in the home folder."""
-    root = os.environ.get("XDG_CACHE_HOME")
-    return (Path(root) if root else Path.home() / ".cache") / "jaxlangnav"
+    """Find the user's cache folder: XDG_CACHE_HOME, or .cache in the home folder.
+
+    A relative XDG_CACHE_HOME is ignored, as the XDG base directory specification says.
+
+    Returns:
+        An absolute path, which need not exist.
+
+    Raises:
+        OSError: there is no home folder either.
+    """
+    root = Path(os.environ.get("XDG_CACHE_HOME", ""))
+    if not root.is_absolute():
+        root = Path(os.path.expanduser("~")) / ".cache"
+    if not root.is_absolute():
+        raise FileNotFoundError("there is no home folder; XDG_CACHE_HOME can name another")
+    return root / "jaxlangnav"
 
 
 def keep_compiled_programs() -> None:
-    """Let JAX keep what it compiles, so that the next run of a command answers fast.
+    """Keep what is compiled, so that the next run of a command answers fast.
 
-    A folder named by JAX_COMPILATION_CACHE_DIR is respected; where the folder cannot be written,
-    programs are compiled anew each time and nothing else changes.
+    A folder named by JAX_COMPILATION_CACHE_DIR stays JAX's own; our programs lie below it if it is
+    the user's alone to write, else in the user's cache folder, as JAX's do where none is named.
+    Where no folder can be used, that is said in one line on standard error, programs are compiled
+    anew each time, and nothing else changes. JAX_ENABLE_COMPILATION_CACHE=false keeps none.
     """
     import jax
 
     from jaxlangnav.kept import keep_in
+    from jaxlangnav.own_files import own_folder
 
-    if getattr(jax.config, "jax_compilation_cache_dir", None) is None:
-        directory = cache_directory() / "compiled"
+    if not getattr(jax.config, "jax_enable_compilation_cache", True):
+        return
+    say = Output(is_json=False).note
+    named = getattr(jax.config, "jax_compilation_cache_dir", None)
+    try:
+        if named is None:
+            # What JAX loads runs as the user, as ours does.
+            folder = own_folder(cache_directory() / "xla")
+            jax.config.update("jax_compilation_cache_dir", str(folder))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+        keep_in(_folder_of_programs(named), say=say)
+    except OSError as error:
+        say(f"compiled programs are not kept: {one_line(error)}")
+
+
+def _folder_of_programs(named: str | None) -> Path:
+    """Choose where our programs lie: below the folder named for JAX's, or in the user's own."""
+    from jaxlangnav.own_files import own_folder
+
+    if named and "://" not in named:
         with contextlib.suppress(OSError):
-            directory.mkdir(parents=True, exist_ok=True)
-        if not os.access(directory, os.W_OK):
-            return
-        jax.config.update("jax_compilation_cache_dir", str(directory))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
-    folder = str(getattr(jax.config, "jax_compilation_cache_dir", None))
-    keep_in(None if "://" in folder else Path(folder) / "whole")
+            return own_folder(Path(named) / "programs")
+    return own_folder(cache_directory() / "programs")
 
 
 @contextlib.contextmanager

@@ -9,14 +9,19 @@ seeds. Counted are all objects, not the goals alone, by range and bearing from t
 import numpy as np
 
 from jaxlangnav.experiments.tasks import cell, make_tasks
-from jaxlangnav.planner.prior import BEARING_MAX, RANGE_MAX, TABLE_FILE
+from jaxlangnav.planner.prior import (
+    BEARING_BINS,
+    BEARING_MAX,
+    RANGE_BINS,
+    RANGE_MAX,
+    TABLE_FILE,
+)
 from jaxlangnav.world.state import Scenario
 from jaxlangnav.world.templates import TABLE_2
 
 SEED = 2000
 WORLDS = 1000
 """Training worlds of each row."""
-RANGE_BINS, BEARING_BINS = 15, 9
 _SMOOTH = (0.25, 0.5, 0.25)
 _SAMPLES = 400
 """Points a side of the grid that measures how much of the area falls into each bin."""

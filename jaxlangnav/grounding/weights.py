@@ -1,21 +1,51 @@
 """The shipped weights: saving, loading, and where they came from.
 
-A file holds both models, the object types, the command that made it and a hash of the corpus.
+A file holds both models, the object types, the command that made it and a hash of the corpus. It
+may come from anybody: what is loaded has the names, shapes and types that the engine works with,
+or is refused before anything large is made of it.
 """
 
 import json
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from zipfile import BadZipFile
+from typing import Any
+from zipfile import ZipFile
 
 import numpy as np
 
+from jaxlangnav.array_files import faults_as_values, open_arrays, read_floats, read_text
+from jaxlangnav.grounding.behavior_features import World
+from jaxlangnav.grounding.examples import (
+    annotation_properties,
+    behavior_properties,
+    child_groundings,
+)
+from jaxlangnav.grounding.features import NUM_RANKS, Senses
 from jaxlangnav.grounding.instruction import GroundingModel
-from jaxlangnav.grounding.model import CorrespondenceModel, Vocabulary
+from jaxlangnav.grounding.model import (
+    ANNOTATION_KINDS,
+    BEHAVIOR_KINDS,
+    CorrespondenceModel,
+    Vocabulary,
+)
+from jaxlangnav.grounding.symbols import NUM_RELATIONS, AnnotationSpace, BehaviorSpace
+from jaxlangnav.input_files import read_file
 from jaxlangnav.language.lexicon import load_lexicon
+from jaxlangnav.messages import ROBOT
 
 SHIPPED = "weights.npz"
+_MAX_BYTES = 1 << 22
+"""Of a file; the shipped one has 118 kB."""
+_MAX_TEXT = 1 << 19
+"""Characters of a JSON document in it; the shipped one's longest has 4,690."""
+_MAX_NAMES = 1 << 14
+"""Word-side features of a model; the shipped ones have 347 and 341."""
+_HEAVIEST = 1e6
+"""Log-odds of one feature; the shipped ones reach 6.4. Far beyond, sums are no longer finite."""
+_TEMPERATURES = 0.01, 100.0
+_MODELS = {"annotation": ANNOTATION_KINDS, "behavior": BEHAVIOR_KINDS}
+_ABOUT = {"command", "corpus", "types"}
 
 
 def _pack(name: str, model: CorrespondenceModel) -> dict[str, np.ndarray]:
@@ -29,17 +59,69 @@ def _pack(name: str, model: CorrespondenceModel) -> dict[str, np.ndarray]:
     return arrays | {f"{name}.json": np.array(json.dumps(header))}
 
 
-def _unpack(name: str, arrays: dict[str, np.ndarray]) -> CorrespondenceModel:
-    """Build a model from named arrays."""
-    header = json.loads(str(arrays[f"{name}.json"]))
-    prefix = f"{name}/"
-    weights = {key.removeprefix(prefix): a for key, a in arrays.items() if key.startswith(prefix)}
-    vocabulary = Vocabulary(tuple(header["names"]), frozenset(header["without"]))
-    return CorrespondenceModel(vocabulary, weights, float(header["temperature"]))
+def _unpack(name: str, archive: ZipFile) -> CorrespondenceModel:
+    """Build a model from named arrays of an archive."""
+    header = _document(archive, f"{name}.json", {"names", "without", "temperature"})
+    names, without = _texts(header, "names"), _texts(header, "without")
+    temperature = header["temperature"]
+    coldest, hottest = _TEMPERATURES
+    if type(temperature) not in (int, float) or not coldest <= temperature <= hottest:
+        raise ValueError(f"{name}: its temperature is not between {coldest} and {hottest}")
+    if not 0 < len(names) <= _MAX_NAMES or len(set(names)) < len(names):
+        raise ValueError(f"{name}: {len(names)} names of features, or one of them twice")
+    weights = {}
+    for kind in _MODELS[name]:
+        shape = len(names), num_properties()[kind]
+        weights[kind] = read_floats(archive, f"{name}/{kind}", shape)
+        if np.abs(weights[kind]).max() > _HEAVIEST:
+            raise ValueError(f"{name}/{kind}: a weight is beyond {_HEAVIEST:,.0f}")
+    vocabulary = Vocabulary(names, frozenset(without))
+    return CorrespondenceModel(vocabulary, weights, float(temperature))
+
+
+def _document(archive: ZipFile, name: str, keys: set[str]) -> dict[str, Any]:
+    """Read a JSON document that must have these keys."""
+    text = read_text(archive, name, at_most=_MAX_TEXT)
+    with faults_as_values():
+        document = json.loads(text)
+    if type(document) is not dict or set(document) != keys:
+        raise ValueError(f"{name} does not hold {', '.join(sorted(keys))}")
+    return document
+
+
+def _texts(document: dict[str, Any], key: str) -> tuple[str, ...]:
+    """Read a list of texts."""
+    value = document[key]
+    if type(value) is not list or not all(type(one) is str for one in value):
+        raise ValueError(f"{key} is no list of texts")
+    return tuple(value)
+
+
+@cache
+def num_properties() -> dict[str, int]:
+    """Count the properties of each kind of symbol: the columns of its weights.
+
+    Returns:
+        Kind, of either model, → F.
+    """
+    nothing = Senses(*[frozenset()] * 5, is_robot=False)
+    robot = np.zeros(1, bool)
+    world = World(
+        np.array([ROBOT]),
+        robot,
+        np.zeros((NUM_RELATIONS, 1, 1), bool),
+        np.zeros((NUM_RANKS, NUM_RELATIONS, 1, 1), bool),
+        robot,
+    )
+    nobody = child_groundings(world, BehaviorSpace(1), [])
+    tables = annotation_properties(AnnotationSpace(1), nothing, [])
+    tables |= behavior_properties(world, False, nothing, nobody)
+    tables |= behavior_properties(world, True, nothing, nobody)
+    return {kind: table.shape[1] for kind, table in tables.items()}
 
 
 def save(path: Path, model: GroundingModel, *, command: str, corpus_hash: str) -> None:
-    """Write weights.
+    """Write weights, all or nothing.
 
     Args:
         path: file to write, ``.npz``.
@@ -48,8 +130,15 @@ def save(path: Path, model: GroundingModel, *, command: str, corpus_hash: str) -
         corpus_hash: of the corpus they were trained on.
     """
     about = {"command": command, "corpus": corpus_hash, "types": model.type_names}
-    arrays = _pack("annotation", model.annotation) | _pack("behavior", model.behavior)
-    np.savez_compressed(path, allow_pickle=False, **arrays, about=np.array(json.dumps(about)))
+    arrays = {"about": np.array(json.dumps(about))}
+    arrays |= _pack("annotation", model.annotation) | _pack("behavior", model.behavior)
+    partial = path.with_name(f".{path.name}.partial")
+    try:
+        with partial.open("wb") as file:
+            np.savez_compressed(file, allow_pickle=False, **arrays)
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
 
 
 def load(path: Path) -> GroundingModel:
@@ -61,28 +150,55 @@ def load(path: Path) -> GroundingModel:
         path: file written by ``save``.
 
     Returns:
-        Both models.
+        Both models: names, shapes and types are those the engine works with, numbers are finite.
 
     Raises:
         ValueError: the file is not readable as weights, or its types disagree with the lexicon.
     """
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            arrays = {key: archive[key] for key in archive.files}
-        trained = tuple(json.loads(str(arrays["about"]))["types"])
-        models = _unpack("annotation", arrays), _unpack("behavior", arrays)
-    except (OSError, EOFError, KeyError, ValueError, BadZipFile) as error:
-        raise ValueError(f"{path}: not a file of weights ({error})") from error
+        archive = open_arrays(read_file(path, at_most=_MAX_BYTES))
+        if sorted(archive.namelist()) != sorted(_members()):
+            raise ValueError("its arrays are not those of two models")
+        trained = _texts(_document(archive, "about", _ABOUT), "types")
+        annotation, behavior = (_unpack(name, archive) for name in _MODELS)
+    except (OSError, ValueError) as error:
+        raise _refusal(path, error) from error
     type_names = load_lexicon().type_names
     if type_names[: len(trained)] != trained:
-        raise ValueError(f"{path}: trained with types {trained}, but the lexicon has {type_names}")
-    return GroundingModel(*models, type_names)
+        said = str(trained)[:200]
+        raise ValueError(f"{path}: trained with types {said}, but the lexicon has {type_names}")
+    return GroundingModel(annotation, behavior, type_names)
 
 
 def about(path: Path) -> dict[str, object]:
-    """Read where weights came from: command, corpus hash, types."""
-    with np.load(path, allow_pickle=False) as archive:
-        return json.loads(str(archive["about"]))
+    """Read where weights came from: command, corpus hash, types.
+
+    Args:
+        path: file written by ``save``.
+
+    Returns:
+        ``command``, ``corpus`` and ``types``.
+
+    Raises:
+        ValueError: the file is not readable as weights.
+    """
+    try:
+        archive = open_arrays(read_file(path, at_most=_MAX_BYTES))
+        return _document(archive, "about", _ABOUT)
+    except (OSError, ValueError) as error:
+        raise _refusal(path, error) from error
+
+
+def _members() -> list[str]:
+    """List the files of an archive of weights."""
+    weights = [f"{name}/{kind}.npy" for name, kinds in _MODELS.items() for kind in kinds]
+    return ["about.npy", *(f"{name}.json.npy" for name in _MODELS), *weights]
+
+
+def _refusal(path: Path, error: Exception) -> ValueError:
+    """Say that a file holds no weights."""
+    why = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    return ValueError(f"{path}: not a file of weights ({why.removeprefix(f'{path}: ')})")
 
 
 def shipped_path() -> Path:

@@ -14,19 +14,36 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxlangnav.array_files import parse_floats
+from jaxlangnav.input_files import read_file
 from jaxlangnav.semantic_map.coverage import Coverage
 
 RANGE_MAX = 1.25
 """Range at the outer edge of the table, as a share of how far the area reaches ahead."""
 BEARING_MAX = np.pi / 2.0
 """Bearing to either side at its other edge, radians."""
+RANGE_BINS, BEARING_BINS = 15, 9
 TABLE_FILE = Path(__file__).parent / "data" / "prior.npy"
+_MAX_BYTES = 1 << 20
 
 
 @functools.cache
 def table() -> np.ndarray:
-    """Read the learned table, f32[range bins, bearing bins]: density relative to uniform."""
-    return np.load(TABLE_FILE)
+    """Read the learned table.
+
+    Returns:
+        f32[RANGE_BINS, BEARING_BINS], density relative to uniform; finite, not negative.
+
+    Raises:
+        ValueError: the file holds no such table.
+    """
+    try:
+        found = parse_floats(read_file(TABLE_FILE, at_most=_MAX_BYTES))
+        if found.shape != (RANGE_BINS, BEARING_BINS) or (found < 0.0).any():
+            raise ValueError(f"shape {found.shape}, or a negative density")
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{TABLE_FILE}: not a table of densities ({error})") from error
+    return found
 
 
 def depth_ahead(area: Array, viewer: Array) -> Array:

@@ -1,0 +1,149 @@
+"""Arrays in NumPy's files, read without believing what a file says of itself.
+
+An archive may promise more than it holds or hold more than it promises, hold one name twice, or
+bring Python objects. So nothing is inflated or allocated before what is promised has been compared
+with what belongs there, and what comes out is numbers or text, nothing else.
+"""
+
+import contextlib
+import io
+import math
+import warnings
+import zipfile
+from collections.abc import Iterator
+
+import numpy as np
+
+_HEADER = 4096
+"""Bytes that a header may take beside its array; NumPy's own have 128."""
+_COMPRESSIONS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+
+
+@contextlib.contextmanager
+def faults_as_values() -> Iterator[None]:
+    """Turn whatever a library raises over bytes that come from outside into a ``ValueError``.
+
+    Yields:
+        Nothing; parse inside.
+
+    Raises:
+        ValueError: something was wrong; its message is one line of what can be printed.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            yield
+    except Exception as error:  # zipfile, zlib, numpy and json have a dozen kinds
+        said = " ".join(str(error).split()) or type(error).__name__
+        said = "".join(one if one.isprintable() else "?" for one in said)
+        raise ValueError(said[:200]) from error
+
+
+def open_arrays(content: bytes) -> zipfile.ZipFile:
+    """Open an archive of arrays (``.npz``); nothing is inflated.
+
+    Args:
+        content: the whole file.
+
+    Returns:
+        The archive, for ``read_floats`` and ``read_text``.
+
+    Raises:
+        ValueError: it is no archive, or holds a name twice.
+    """
+    with faults_as_values():
+        archive = zipfile.ZipFile(io.BytesIO(content))
+        names = archive.namelist()
+        if len(set(names)) < len(names):
+            raise ValueError("a name stands in it twice")
+        return archive
+
+
+def read_floats(archive: zipfile.ZipFile, name: str, shape: tuple[int, ...]) -> np.ndarray:
+    """Read an array of an archive.
+
+    Args:
+        archive: from ``open_arrays``.
+        name: of the array.
+        shape: that it must have.
+
+    Returns:
+        f32[shape], finite; it cannot be written to.
+
+    Raises:
+        ValueError: it is not there, or anything else.
+    """
+    with faults_as_values():
+        array = parse_floats(_member(archive, name, 4 * math.prod(shape) + _HEADER))
+        if array.shape != shape:
+            raise ValueError(f"{name} has shape {array.shape}, not {shape}")
+        return array
+
+
+def read_text(archive: zipfile.ZipFile, name: str, *, at_most: int) -> str:
+    """Read a text of an archive, an array of no axes.
+
+    Args:
+        archive: from ``open_arrays``.
+        name: of the array.
+        at_most: characters.
+
+    Returns:
+        The text.
+
+    Raises:
+        ValueError: it is not there, or anything else.
+    """
+    with faults_as_values():
+        array = _parse(_member(archive, name, 4 * at_most + _HEADER))
+        if array.dtype.kind != "U" or array.shape != ():
+            raise ValueError(f"{name} is {array.dtype} of shape {array.shape}, not one text")
+        return str(array)
+
+
+def parse_floats(content: bytes) -> np.ndarray:
+    """Read a file of one array (``.npy``).
+
+    Args:
+        content: the whole file.
+
+    Returns:
+        f32[...], finite; it cannot be written to.
+
+    Raises:
+        ValueError: it is no such file, or its numbers are of another type or not finite.
+    """
+    with faults_as_values():
+        array = _parse(content)
+        if array.dtype != np.float32:
+            raise ValueError(f"numbers are {array.dtype}, not float32")
+        if not np.isfinite(array).all():
+            raise ValueError("a number is not finite")
+        return array
+
+
+def _member(archive: zipfile.ZipFile, name: str, at_most: int) -> bytes:
+    """Inflate a file of an archive; its checksum is compared at its end."""
+    if f"{name}.npy" not in archive.namelist():
+        raise ValueError(f"{name} is missing")
+    info = archive.getinfo(f"{name}.npy")
+    if info.file_size > at_most:
+        raise ValueError(f"{name} has {info.file_size:,} bytes; at most {at_most:,} belong there")
+    if info.compress_type not in _COMPRESSIONS:
+        raise ValueError(f"{name} is compressed in an unknown way")
+    with archive.open(info) as file:
+        return file.read(at_most + 1)
+
+
+def _parse(content: bytes) -> np.ndarray:
+    """Read numbers or text whose header promises exactly the bytes that follow it."""
+    stream = io.BytesIO(content)
+    if np.lib.format.read_magic(stream) != (1, 0):
+        raise ValueError("not of NumPy's format 1.0")
+    shape, is_fortran, dtype = np.lib.format.read_array_header_1_0(stream, max_header_size=_HEADER)
+    body = content[stream.tell() :]
+    if dtype.kind not in "fU" or dtype.itemsize == 0 or is_fortran:
+        raise ValueError(f"holds {dtype}, not numbers or text in rows")
+    if math.prod(shape) * dtype.itemsize != len(body):
+        raise ValueError(f"promises shape {shape} of {dtype}, holds {len(body):,} bytes")
+    return np.frombuffer(body, dtype).reshape(shape)
