@@ -54,8 +54,8 @@ class Summarize:
 
     def _write(self, document: Document, out: Path, output: Output) -> list[Path]:
         """Write the tables, and the figure where there is something to draw with."""
-        from jaxlangnav.experiments.archive import write_text
         from jaxlangnav.experiments.summary import markdown
+        from jaxlangnav.whole_files import write_text
 
         paths = [write_text(markdown(dict(document)), out / "summary.md")]
         if importlib.util.find_spec("matplotlib") is None:

@@ -6,7 +6,6 @@ import importlib.metadata
 import json
 import os
 import platform
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from jaxlangnav import __version__
+from jaxlangnav.whole_files import replacing, write_text
 
 _LIBRARIES = ("jax", "jaxlib", "numpy", "optax", "pyarrow")
 _RESULTS = ("rows", "paper", "bounds", "variations", "explained", "wall_s", "compile_s", "files")
@@ -39,36 +39,8 @@ def write_table(columns: Mapping[str, Any], path: Path) -> Path:
     if len(set(lengths.values())) > 1:
         raise ValueError(f"columns have different lengths: {lengths}")
     arrays = {name: _column(values) for name, values in columns.items()}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    # Written beside and moved: a full disk or a kill leaves no torn file under the name.
-    partial = path.with_name(f".{path.name}.partial")
-    try:
-        pq.write_table(pa.table(arrays), partial, compression="zstd")
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
-    return path
-
-
-def write_text(text: str, path: Path) -> Path:
-    """Write a text file, all or nothing.
-
-    Args:
-        text: what to write.
-        path: of the file; its folder is made.
-
-    Returns:
-        The path.
-    """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, partial = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-        Path(partial).chmod(0o644)
-        Path(partial).replace(path)
-    finally:
-        Path(partial).unlink(missing_ok=True)
+    with replacing(path) as temporary:
+        pq.write_table(pa.table(arrays), temporary, compression="zstd", write_page_checksum=True)
     return path
 
 
