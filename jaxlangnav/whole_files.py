@@ -120,10 +120,23 @@ def force_folder(folder: Path) -> None:
         os.close(handle)
 
 
+def make_folder(folder: Path) -> None:
+    """Make a folder and those above it, and force to the disk that they are there.
+
+    Args:
+        folder: the folder; it may be there.
+    """
+    if folder.is_dir():
+        return
+    make_folder(folder.parent)
+    folder.mkdir(exist_ok=True)
+    force_folder(folder.parent)
+
+
 @contextlib.contextmanager
 def _temporary(path: Path) -> Iterator[Path]:
     """Make an empty file beside a place, of a name that nobody else has; remove what is left."""
-    _make_folder(path.parent)
+    make_folder(path.parent)
     name = f"{_head(path)}{os.getpid()}-{secrets.token_hex(6)}{path.suffix}"
     temporary = path.with_name(name)
     # Made with the rights that any new file would get here.
@@ -146,12 +159,3 @@ def _force(path: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
-
-
-def _make_folder(folder: Path) -> None:
-    """Make a folder and those above it, and force to the disk that they are there."""
-    if folder.is_dir():
-        return
-    _make_folder(folder.parent)
-    folder.mkdir(exist_ok=True)
-    force_folder(folder.parent)

@@ -44,6 +44,8 @@ class Summarize:
         from jaxlangnav.experiments.summary import render, summarize_directory
 
         document = summarize_directory(self.directory)
+        for line in document["damaged"]:
+            output.note(f"note: {line}; it is left out: make it again with sweep --resume")
         output.say(render(document))
         if self.out is None:
             return document

@@ -35,13 +35,28 @@ def write_table(columns: Mapping[str, Any], path: Path) -> Path:
     Raises:
         ValueError: columns of different lengths.
     """
+    table = to_table(columns)
+    with replacing(path) as temporary:
+        pq.write_table(table, temporary, compression="zstd", write_page_checksum=True)
+    return path
+
+
+def to_table(columns: Mapping[str, Any]) -> pa.Table:
+    """Lay columns out as a table.
+
+    Args:
+        columns: by name, arrays [E] or lists of E; an array [E, 2] becomes a column of lists.
+
+    Returns:
+        The table.
+
+    Raises:
+        ValueError: columns of different lengths.
+    """
     lengths = {name: len(values) for name, values in columns.items()}
     if len(set(lengths.values())) > 1:
         raise ValueError(f"columns have different lengths: {lengths}")
-    arrays = {name: _column(values) for name, values in columns.items()}
-    with replacing(path) as temporary:
-        pq.write_table(pa.table(arrays), temporary, compression="zstd", write_page_checksum=True)
-    return path
+    return pa.table({name: _column(values) for name, values in columns.items()})
 
 
 def manifest(settings: Mapping[str, Any], *, models: Any = None) -> dict[str, Any]:
@@ -84,7 +99,19 @@ def write_manifest(document: Mapping[str, Any], path: Path) -> Path:
     Returns:
         The path.
     """
-    return write_text(json.dumps(document, indent=2, ensure_ascii=False) + "\n", path)
+    return write_text(to_json(document), path)
+
+
+def to_json(document: Mapping[str, Any]) -> str:
+    """Write a document as JSON for people to read.
+
+    Args:
+        document: of JSON's own types.
+
+    Returns:
+        The text, indented.
+    """
+    return json.dumps(document, indent=2, ensure_ascii=False) + "\n"
 
 
 def write_experiment(
