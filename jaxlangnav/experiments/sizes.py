@@ -27,6 +27,8 @@ SCRATCH = 8.5
 """Bytes a compiled step works with for each byte of an episode's records: XLA's own count of a
 batch of 32 lanes on a CPU, policy ``informed``, grows by 4,763 bytes a particle and lane, the
 records by 562 (``compiled.memory_analysis()``, between 64 and 512 particles)."""
+_INDEX_LIMIT = 2**31
+"""Sizes lie below it: arrays are indexed with 32 bits."""
 _LIMITS = (
     Path("/sys/fs/cgroup/memory.max"),
     Path("/sys/fs/cgroup/memory/memory.limit_in_bytes"),
@@ -89,6 +91,18 @@ def result_bytes() -> int:
     return bytes_of(jax.eval_shape(finish, _progress(NavigatorConfig())))
 
 
+def counted(number: int) -> str:
+    """Write a number for people, however large it is.
+
+    Args:
+        number: not negative.
+
+    Returns:
+        All digits in threes, or the power of ten.
+    """
+    return f"{number:,}" if number < 10**15 else f"10^{len(str(number)) - 1}"
+
+
 def check_count(name: str, count: int, *, each: int, fixed: int = 0, beside: str = "") -> None:
     """Refuse more of something than memory holds.
 
@@ -109,7 +123,7 @@ def check_count(name: str, count: int, *, each: int, fixed: int = 0, beside: str
     remedy = f"at most {fit:,} fit" if fit else "lower the other sizes: not even one fits"
     with_it = f" with {beside}" if beside else ""
     raise ValueError(
-        f"{name} is {count:,}{with_it}, which takes {_said(need)} of memory, but there are "
+        f"{name} is {counted(count)}{with_it}, which takes {_said(need)} of memory, but there are "
         f"{_said(limit)}: {remedy}"
     )
 
@@ -148,11 +162,10 @@ def check_recording(config: NavigatorConfig, max_steps: int) -> None:
 def _check_lanes(config: NavigatorConfig, lanes: int) -> None:
     """Refuse sizes with which some episodes under way at once do not fit."""
     sizes = config.map
-    beside = f"{sizes.num_objects:,} objects and {sizes.num_cells:,} cells a side"
-    try:
-        fixed, each = (int(SCRATCH * lanes * one) for one in episode_bytes(config))
-    except OverflowError:
-        raise ValueError(f"the sizes are too large for any memory: {beside}") from None
+    beside = f"{counted(sizes.num_objects)} objects and {counted(sizes.num_cells)} cells a side"
+    if max(sizes.num_objects, sizes.num_cells, config.planner.num_visited) >= _INDEX_LIMIT:
+        raise ValueError(f"the sizes are too large for any memory: {beside}")
+    fixed, each = (int(SCRATCH * lanes * one) for one in episode_bytes(config))
     check_count("particles", sizes.num_particles, each=each, fixed=fixed, beside=beside)
 
 
@@ -213,6 +226,6 @@ def _said(number: int) -> str:
     size = float(number) if number < 1 << 1000 else float("inf")
     for unit in units[:-1]:
         if size < 1024:
-            return f"{size:.3g} {unit}"
+            return f"{size:.4g} {unit}"
         size /= 1024
-    return f"{size:.3g} {units[-1]}"
+    return f"{size:.4g} {units[-1]}"

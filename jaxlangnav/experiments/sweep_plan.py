@@ -24,7 +24,7 @@ import numpy as np
 from jaxlangnav.episode import Task
 from jaxlangnav.experiments.monte_carlo import CHUNK, Cell, draw_tasks
 from jaxlangnav.experiments.policies import navigator_config
-from jaxlangnav.experiments.sizes import check_engine
+from jaxlangnav.experiments.sizes import check_engine, counted
 from jaxlangnav.experiments.sweep_config import SweepConfig, Values
 from jaxlangnav.messages import MotionParams, SensorParams, default_motion, default_sensor
 from jaxlangnav.navigator import NavigatorParams, check, default_params
@@ -181,11 +181,11 @@ def _check_files(plan: Plan) -> None:
         return
     fit = MOST_FILES // plan.num_arms * CHUNK // plan.num_settings
     cells = plan.num_arms * plan.num_settings
-    remedy = f"at most {fit} episodes a cell fit" if fit else "not even one episode a cell fits"
+    remedy = f"at most {fit:,} episodes a cell fit" if fit else "not even one a cell fits"
     raise ValueError(
-        f"the sweep has {cells:,} cells of {plan.config.episodes:,} episodes, {plan.num_files:,} "
-        f"files of {CHUNK:,} at most, but a folder holds {MOST_FILES:,}: {remedy}; divide the "
-        "lists (seeds, worlds, ...) among several sweeps"
+        f"the sweep has {counted(cells)} cells times {counted(plan.config.episodes)} episodes, "
+        f"which make {counted(plan.num_files)} files, but a folder holds {MOST_FILES:,}: {remedy}; "
+        "or divide the lists (seeds, worlds, ...) among several sweeps"
     )
 
 
