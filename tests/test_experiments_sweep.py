@@ -1,6 +1,7 @@
 """Sweeps: killed, resumed and split, they end with the bytes of an undisturbed run."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -11,7 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from jaxlangnav.experiments import archive, summary, summary_tables, sweep
+from jaxlangnav.experiments import summary, summary_tables, sweep, sweep_folder
 from jaxlangnav.experiments.sweep_config import SweepConfig, read_config
 
 BASELINES = """
@@ -26,6 +27,12 @@ policies = ["known", "lawnmower"]
 odometry_noise = [0, "1 %", "2 %", "4 %", "8 %", "16 %"]
 """
 ROWS = 2 * 2 * 4 * 70 * 2 * 6
+FEW = """
+episodes = 700
+worlds = ["1H1C"]
+commands = ["null", "behind"]
+policies = ["known"]
+"""
 NAVIGATOR = """
 episodes = 300
 worlds = ["1H1C"]
@@ -55,19 +62,28 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
 
 
-def run_and_kill(text: str, folder: Path, out: Path, pytestconfig: pytest.Config) -> int:
-    """Start a sweep in a process of its own and kill it after its second file; files it left."""
-    write(text, folder)
+def start(folder: Path, out: Path, pytestconfig: pytest.Config) -> subprocess.Popen[bytes]:
+    """Start a sweep in a process of its own."""
     cache = str(Path(pytestconfig.rootpath) / ".pytest_cache" / "jax")
-    process = subprocess.Popen(
+    return subprocess.Popen(
         [sys.executable, "-c", SCRIPT, str(folder / "sweep.toml"), str(out), cache],
         env=os.environ | {"JAX_PLATFORMS": "cpu"},
     )
+
+
+def wait_for_files(process: subprocess.Popen[bytes], out: Path, number: int) -> None:
+    deadline = time.monotonic() + 300
+    while len(list(out.glob("episodes-*.parquet"))) < number and process.poll() is None:
+        assert time.monotonic() < deadline
+        time.sleep(0.002)
+
+
+def run_and_kill(text: str, folder: Path, out: Path, pytestconfig: pytest.Config) -> int:
+    """Start a sweep in a process of its own and kill it after its second file; files it left."""
+    write(text, folder)
+    process = start(folder, out, pytestconfig)
     try:
-        deadline = time.monotonic() + 300
-        while len(list(out.glob("episodes-*.parquet"))) < 2 and process.poll() is None:
-            assert time.monotonic() < deadline
-            time.sleep(0.002)
+        wait_for_files(process, out, 2)
     finally:
         process.send_signal(signal.SIGKILL)
         process.wait()
@@ -94,12 +110,17 @@ def test_kill_and_resume(
     left = run_and_kill(BASELINES, tmp_path, out, pytestconfig)
     assert 2 <= left < len(list(whole.glob("episodes-*.parquet")))
     # What a kill in the middle of a write may leave.
-    (out / ".episodes-000015.parquet.partial").write_bytes(b"torn")
+    (out / ".episodes-000015.partial-77-abc.parquet").write_bytes(b"torn")
+    told: list[str] = []
     with pytest.raises(ValueError, match="already holds episodes of this sweep: add --resume"):
-        sweep.run_sweep(config, out)
-    document = sweep.run_sweep(config, out, resume=True)
+        sweep.run_sweep(config, out, on_note=told.append)
+    (line,) = told
+    assert "took over from process" in line
+    document = sweep.run_sweep(config, out, resume=True, on_note=told.append)
     assert document["is_complete"]
     assert document["kept"] >= 1024 + 96
+    # What the dead process had finished is sound.
+    assert len(told) == 1
     assert contents(out) == contents(whole)
 
 
@@ -129,16 +150,16 @@ def test_a_full_disk_keeps_what_is_written(
     undisturbed: tuple[SweepConfig, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     config, whole = undisturbed
-    write_table, written = archive.pq.write_table, []
+    write_bytes, written = Path.write_bytes, []
 
-    def disk(table: pa.Table, where: Path, **options: str) -> None:
+    def disk(where: Path, content: bytes) -> int:
         written.append(where)
-        if len(written) > 3:
-            Path(where).write_bytes(b"torn")
+        if len(written) > 4:
+            write_bytes(where, b"torn")
             raise OSError(28, "No space left on device")
-        write_table(table, where, **options)
+        return write_bytes(where, content)
 
-    monkeypatch.setattr(archive.pq, "write_table", disk)
+    monkeypatch.setattr(Path, "write_bytes", disk)
     with pytest.raises(OSError, match="No space left"):
         sweep.run_sweep(config, tmp_path, num_threads=1)
     left = contents(tmp_path)
@@ -187,6 +208,79 @@ def test_summary(undisturbed: tuple[SweepConfig, Path], tmp_path: Path) -> None:
     assert summary_tables.render(document) is not None
     with pytest.raises(ValueError, match="holds no sweep"):
         summary.summarize_directory(tmp_path)
+
+
+def test_damaged_files_are_named_and_made_again(
+    undisturbed: tuple[SweepConfig, Path], tmp_path: Path
+) -> None:
+    config, whole = undisturbed
+    out = tmp_path / "out"
+    shutil.copytree(whole, out)
+    names = [f"episodes-{index:06d}.parquet" for index in range(5)]
+    (out / names[0]).write_bytes((whole / names[0]).read_bytes()[:-100])
+    (out / names[1]).write_bytes(b"")
+    (out / names[2]).rename(out / "aside")
+    (out / names[3]).rename(out / names[2])
+    (out / "aside").rename(out / names[3])
+    flipped = bytearray((whole / names[4]).read_bytes())
+    flipped[len(flipped) // 3] ^= 1
+    (out / names[4]).write_bytes(flipped)
+
+    document = summary.summarize_directory(out)
+    assert document["missing"] == 5
+    assert [line.split()[0] for line in document["damaged"]] == [str(out / one) for one in names]
+    assert document["episodes"] < ROWS
+    assert "5 of them because they are damaged" in summary_tables.markdown(document)
+
+    told: list[str] = []
+    document = sweep.run_sweep(config, out, resume=True, on_note=told.append, num_threads=1)
+    assert document["is_complete"]
+    assert document["kept"] + document["episodes"] == ROWS
+    assert [line.split()[1] for line in told] == [str(out / one) for one in names]
+    for line, fault in zip(
+        told, ("cut short", "is empty", "place of another", "place of another", "SHA"), strict=True
+    ):
+        assert fault in line
+    assert contents(out) == contents(whole)
+
+
+def test_a_folder_of_nothing_sound_is_refused(
+    undisturbed: tuple[SweepConfig, Path], tmp_path: Path
+) -> None:
+    _, whole = undisturbed
+    manifest = (whole / sweep_folder.MANIFEST).read_text()
+    (tmp_path / sweep_folder.MANIFEST).write_text(manifest)
+    with pytest.raises(ValueError, match="holds no episodes yet"):
+        summary.summarize_directory(tmp_path)
+    name = "episodes-000000.parquet"
+    shutil.copy(whole / name, tmp_path)
+    # A manifest that says otherwise is that of another sweep.
+    (tmp_path / sweep_folder.MANIFEST).write_text(manifest.replace('"rows": ', '"rows": 1'))
+    with pytest.raises(ValueError, match=f"no sound episodes: .*{name} is of another sweep"):
+        summary.summarize_directory(tmp_path)
+    for text in ("", "{", "[]", "{}", '{"settings": {"files": "x"}}', "[" * 100_000, manifest[:99]):
+        (tmp_path / sweep_folder.MANIFEST).write_text(text)
+        with pytest.raises(ValueError, match="is not the manifest of a sweep, or is damaged"):
+            summary.summarize_directory(tmp_path)
+
+
+def test_of_two_at_once_one_is_refused(tmp_path: Path, pytestconfig: pytest.Config) -> None:
+    config = write(FEW, tmp_path)
+    out = tmp_path / "out"
+    first = start(tmp_path, out, pytestconfig)
+    try:
+        wait_for_files(first, out, 1)
+        first.send_signal(signal.SIGSTOP)
+        for shard in ("1/1", "2/3"):
+            with pytest.raises(ValueError, match=f"process {first.pid} on .* part 1/1"):
+                sweep.run_sweep(config, out, resume=True, shard=shard)
+        first.send_signal(signal.SIGCONT)
+        assert first.wait(300) == 0
+    finally:
+        first.kill()
+        first.wait()
+    document = sweep.run_sweep(config, out, resume=True)
+    assert (document["episodes"], document["kept"]) == (0, sweep.total_episodes(config))
 
 
 @pytest.mark.slow

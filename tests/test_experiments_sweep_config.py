@@ -7,7 +7,13 @@ from typing import Any
 import pytest
 
 from jaxlangnav.experiments.sweep_config import config_from_dict, read_config
-from jaxlangnav.experiments.sweep_plan import chunk_columns, make_plan, parse_shard, shard_chunks
+from jaxlangnav.experiments.sweep_plan import (
+    chunk_columns,
+    make_plan,
+    parse_shard,
+    shard_episodes,
+    shard_files,
+)
 
 SMALL: dict[str, Any] = {"worlds": ["1H1C"], "commands": ["behind"]}
 
@@ -116,7 +122,8 @@ def test_the_plan_holds_every_episode_once() -> None:
     # Settings 2·2·2·2·2 = 32 of 70 episodes; informed in 2·3 arms, the baseline in one.
     assert plan.episodes() == 32 * 70 * 7
     rows = set()
-    for chunk in plan.chunks:
+    for index in range(plan.num_files):
+        chunk = plan.chunk(index)
         columns = chunk_columns(plan, chunk)
         assert {len(values) for values in columns.values()} == {chunk.size}
         rows |= set(zip(*columns.values(), strict=True))
@@ -125,9 +132,53 @@ def test_the_plan_holds_every_episode_once() -> None:
 
 def test_shards_split_the_plan() -> None:
     plan = make_plan(config_from_dict(SMALL | {"episodes": 3000}))
-    parts = [[one.index for one in shard_chunks(plan, f"{i}/5")] for i in range(1, 6)]
-    assert sorted([index for part in parts for index in part]) == list(range(len(plan.chunks)))
+    parts = [shard_files(plan, f"{i}/5") for i in range(1, 6)]
+    assert sorted([index for part in parts for index in part]) == list(range(plan.num_files))
     assert max(map(len, parts)) - min(map(len, parts)) <= 1
+
+
+def test_a_part_of_a_billion_episodes_is_a_part() -> None:
+    config = config_from_dict(SMALL | {"episodes": 10**8, "seeds": list(range(10))})
+    plan = make_plan(config)
+    assert plan.episodes() == 10**9 * plan.num_arms * plan.num_settings // 10
+    parts = [shard_episodes(plan, f"{i}/1000") for i in (1, 500, 1000)]
+    assert max(parts) - min(parts) <= 1024
+    last = plan.chunk(shard_files(plan, "7/1000")[-1])
+    columns = chunk_columns(plan, last)
+    assert columns["episode"][0] == last.first % 10**8
+    assert columns["seed"][0] == last.first // 10**8
+    assert sum(shard_episodes(plan, f"{i}/7") for i in range(1, 8)) == plan.episodes()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (
+            {"episodes": 10**12},
+            r"1 cells times 1,000,000,000,000 episodes, which make 976,562,500 files, but a folder "
+            r"holds 1,000,000: at most 1,024,000,000 episodes a cell fit",
+        ),
+        ({"episodes": 10**100}, r"times 10\^100 episodes"),
+        (
+            {
+                "episodes": 1,
+                "seeds": list(range(2000)),
+                "ranges": [1 + i / 1000 for i in range(2000)],
+                "sensor": {"noise": [i / 1000 for i in range(1, 1001)]},
+            },
+            r"4,000,000,000 cells .* not even one a cell fits; or divide the lists",
+        ),
+        (
+            {"particles": [64, 10**12], "policies": ["informed"]},
+            r"particles is 1,000,000,000,000 with .*, which takes .* but there are .*: at most",
+        ),
+        ({"environments": 2**32}, "environments is 4294967296, but must be below"),
+    ],
+)
+def test_more_than_fits_is_refused(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message) as error:
+        make_plan(config_from_dict(SMALL | changes))
+    assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize("text", ["0/4", "5/4", "4", "a/b", "1/0", "-1/2"])

@@ -85,9 +85,12 @@ class Follow:
         self._check()
         parsed = parse_text(self.text, output)
         keep_compiled_programs()
+        from jaxlangnav.world.files import open_world
+
         values = read_settings(self.settings, self.SETTINGS)
-        if values:
-            self._check_settings(values)
+        self._check_settings(values)
+        # Before anything is compiled: a world that cannot be opened is refused at once.
+        open_world(self.world)
         understood = self._understand(parsed)
         from jaxlangnav.commands.engine import alone, rehearse
         from jaxlangnav.pytree import replace
@@ -122,12 +125,15 @@ class Follow:
             raise UsageError('--rrd needs the rerun viewer: pip install "jaxlangnav[rerun]"')
 
     def _check_settings(self, values: "dict[Place, Any]") -> None:
-        """Refuse numbers and sizes that do not go together."""
+        """Refuse numbers and sizes that do not go together, or that no memory holds."""
         from jaxlangnav.commands.engine import navigator_config, navigator_params
+        from jaxlangnav.experiments.sizes import check_recording
         from jaxlangnav.navigator import check
 
-        check(apply(navigator_params(), values, "params"))
-        apply(navigator_config(self.policy, self.particles), values, "config")
+        if values:
+            check(apply(navigator_params(), values, "params"))
+        config = apply(navigator_config(self.policy, self.particles), values, "config")
+        check_recording(config, self.max_steps)
 
     def _understand(self, parsed: "Parse") -> "Understanding":
         """Understand the sentence, which has to ask for something."""
@@ -234,8 +240,8 @@ class Follow:
         import json
 
         from jaxlangnav.commands.output import to_json
-        from jaxlangnav.experiments.archive import write_text
         from jaxlangnav.viz.pictures import write_pictures
+        from jaxlangnav.whole_files import write_text
 
         assert self.out is not None
         paths = write_pictures(recording, self.out)

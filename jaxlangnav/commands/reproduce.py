@@ -109,6 +109,7 @@ class Reproduce:
             out=self.out,
             command=self._command,
         )
+        reproduction.check_sizes(_NAMES if self.what == "all" else [self.what], settings)
         if self.what == "all":
             return reproduction.run_all(_NAMES, settings, output)
         return reproduction.run_one(self.what, settings, output).document

@@ -55,6 +55,33 @@ class Study:
     section: Section
 
 
+def check_sizes(names: Sequence[str], settings: Settings) -> None:
+    """Refuse, before the first of some experiments is run, what one of them could not do.
+
+    Args:
+        names: of the experiments.
+        settings: what is run.
+
+    Raises:
+        ValueError: more than memory holds; says the size, the limit and what would fit.
+    """
+    from jaxlangnav.commands import studies
+    from jaxlangnav.episode import MAX_STEPS
+    from jaxlangnav.experiments import unknowns
+    from jaxlangnav.experiments.policies import navigator_config
+    from jaxlangnav.experiments.sizes import check_recording
+
+    episodes, particles = settings.episodes, settings.particles
+    for name in names:
+        if name in ("table2", "fig5"):
+            experiment = studies.experiment_of(name, settings)
+            experiment.check(episodes=episodes, policies=settings.policies, num_particles=particles)
+        elif name == "unknowns":
+            unknowns.check_sizes(episodes=episodes, num_particles=particles)
+        elif name in ("fig1", "fig4"):
+            check_recording(navigator_config("faithful", settings.particles_drawn), MAX_STEPS)
+
+
 def run_one(name: str, settings: Settings, output: Output) -> Study:
     """Run one experiment, print what it found and write its files.
 

@@ -41,8 +41,8 @@ def table1(settings: Settings, output: Output) -> Study:
     Returns:
         The study.
     """
-    from jaxlangnav.experiments.archive import write_text
     from jaxlangnav.experiments.table1 import evaluate, render
+    from jaxlangnav.whole_files import write_text
 
     begin = time.perf_counter()
     with progress_bar("splits", _SPLITS) as advance:
@@ -87,7 +87,7 @@ def monte_carlo(name: str) -> Callable[[Settings, Output], Study]:
     """
 
     def run(settings: Settings, output: Output) -> Study:
-        experiment = _experiment(name, settings)
+        experiment = experiment_of(name, settings)
         counted = {"episodes": settings.episodes, "policies": settings.policies}
         with progress_bar("episodes", experiment.total_work(**counted)) as advance:
             document = experiment.run(
@@ -114,8 +114,16 @@ def monte_carlo(name: str) -> Callable[[Settings, Output], Study]:
     return run
 
 
-def _experiment(name: str, settings: Settings) -> Experiment:
-    """Build the rows of an experiment made of episodes."""
+def experiment_of(name: str, settings: Settings) -> Experiment:
+    """Build the rows of an experiment made of episodes.
+
+    Args:
+        name: "table2" or "fig5".
+        settings: which rows.
+
+    Returns:
+        The experiment.
+    """
     if name == "fig5":
         return figure5.experiment(ranges=settings.ranges)
     return table2.experiment(extra=settings.extra, ranges=settings.ranges)

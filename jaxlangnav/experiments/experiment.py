@@ -9,7 +9,12 @@ from typing import Any, TypedDict
 from jaxlangnav.experiments.archive import pytree_hash, write_experiment
 from jaxlangnav.experiments.compilation import CompileClock
 from jaxlangnav.experiments.monte_carlo import Progress
-from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, POLICY_NAMES, check_policies
+from jaxlangnav.experiments.policies import (
+    DEFAULT_PARTICLES,
+    POLICY_NAMES,
+    check_policies,
+    navigator_config,
+)
 from jaxlangnav.experiments.rows import (
     RowSpec,
     bound_rows,
@@ -20,9 +25,11 @@ from jaxlangnav.experiments.rows import (
     run_rows,
 )
 from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
+from jaxlangnav.experiments.sizes import check_engine
 from jaxlangnav.experiments.tables import caption, markdown_table, rich_table
 from jaxlangnav.messages import MotionParams, SensorParams, default_motion, default_sensor
 from jaxlangnav.navigator import NavigatorParams
+from jaxlangnav.planner.params import POLICIES
 from jaxlangnav.world.templates import TABLE_2
 
 
@@ -106,6 +113,29 @@ class Experiment:
         )
         return self.total_episodes(episodes=episodes, policies=policies) + judged
 
+    def check(
+        self, *, episodes: int, policies: Sequence[str], num_particles: int
+    ) -> tuple[str, ...]:
+        """Refuse, before anything is run, what cannot be.
+
+        Args:
+            episodes: runs a row.
+            policies: names.
+            num_particles: P, of the navigator's policies.
+
+        Returns:
+            The names, each once.
+
+        Raises:
+            ValueError: fewer than one episode, an unknown policy, or more than memory holds.
+        """
+        names = check_policies(policies)
+        check_episodes(episodes, rows=len(self.specs), kept=len(names))
+        for policy in names:
+            if policy in POLICIES:
+                check_engine(navigator_config(policy, num_particles))
+        return names
+
     def run(
         self,
         *,
@@ -142,10 +172,9 @@ class Experiment:
             ``files``. Rates in percent, distances in metres.
 
         Raises:
-            ValueError: fewer than one episode, or an unknown policy.
+            ValueError: fewer than one episode, an unknown policy, or more than memory holds.
         """
-        check_episodes(episodes)
-        names = check_policies(policies)
+        names = self.check(episodes=episodes, policies=policies, num_particles=num_particles)
         begin = time.perf_counter()
         with CompileClock() as clock:
             sentences = ground_sentences(list(SENTENCES.values()))

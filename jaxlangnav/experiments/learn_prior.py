@@ -16,6 +16,7 @@ from jaxlangnav.planner.prior import (
     RANGE_MAX,
     TABLE_FILE,
 )
+from jaxlangnav.whole_files import replacing
 from jaxlangnav.world.state import Scenario
 from jaxlangnav.world.templates import TABLE_2
 
@@ -84,5 +85,5 @@ def training_worlds(worlds: int = WORLDS) -> list[Scenario]:
 
 
 if __name__ == "__main__":
-    TABLE_FILE.parent.mkdir(exist_ok=True)
-    np.save(TABLE_FILE, learn(training_worlds()))
+    with replacing(TABLE_FILE) as temporary:
+        np.save(temporary, learn(training_worlds()))

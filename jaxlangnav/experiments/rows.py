@@ -31,6 +31,7 @@ from jaxlangnav.experiments.policies import (
 )
 from jaxlangnav.experiments.reliability import bin_sums
 from jaxlangnav.experiments.sentences import SENTENCES, GroundedSentences
+from jaxlangnav.experiments.sizes import check_count, result_bytes, task_bytes
 from jaxlangnav.messages import MotionParams, SensorParams, default_motion, default_sensor
 from jaxlangnav.navigator import NavigatorParams, default_params
 from jaxlangnav.planner.params import POLICIES
@@ -38,6 +39,8 @@ from jaxlangnav.pytree import replace
 from jaxlangnav.world.templates import TableRow
 
 Row = dict[str, Any]
+_NAMES = 4 * (len("1H1C") + len("nearest") + len("lawnmower")) + 3 * 8
+"""Bytes of an episode's row that say which it is: texts of four bytes a letter, three numbers."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -65,20 +68,25 @@ class RowResults:
     """One entry per episode."""
 
 
-def check_episodes(episodes: int) -> int:
-    """Refuse a number of episodes that cannot be run.
+def check_episodes(episodes: int, *, rows: int, kept: int) -> int:
+    """Refuse a number of episodes that cannot be run, before any is.
 
     Args:
         episodes: runs a row.
+        rows: how many rows there are.
+        kept: how often the episodes of a row are run and their results kept, such as policies.
 
     Returns:
         The same.
 
     Raises:
-        ValueError: fewer than one.
+        ValueError: fewer than one, or more than memory holds.
     """
     if episodes < 1:
         raise ValueError(f"episodes is {episodes}, but must be at least 1")
+    # Tasks and columns are laid out in parts and then put together: for a moment twice.
+    each = 2 * (task_bytes() + kept * (result_bytes() + _NAMES))
+    check_count("episodes", episodes, each=rows * each, beside=f"{rows} rows run {kept} times")
     return episodes
 
 
@@ -121,7 +129,8 @@ def run_rows(
     Raises:
         ValueError: fewer than one episode, or an unknown policy.
     """
-    names, number = check_policies(policies), check_episodes(episodes)
+    names = check_policies(policies)
+    number = check_episodes(episodes, rows=len(specs), kept=len(names))
     tasks = row_tasks(
         specs, episodes=number, seed=seed, environments=environments, sensor=sensor, motion=motion
     )

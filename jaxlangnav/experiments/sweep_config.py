@@ -163,7 +163,9 @@ def config_from_dict(table: Mapping[str, Any], *, folder: Path = Path()) -> Swee
     config = SweepConfig(
         name=str(table.get("name", "sweep")),
         episodes=_integers(table, "episodes", (100,), least=1, is_list=False)[0],
-        environments=_integers(table, "environments", (0,), least=0, is_list=False)[0],
+        environments=_integers(
+            table, "environments", (0,), least=0, limit=SEED_LIMIT, is_list=False
+        )[0],
         seeds=_integers(table, "seeds", (0,), least=0, limit=SEED_LIMIT),
         worlds=worlds,
         commands=tuple(_command(one) for one in _listed(table["commands"], "commands")),

@@ -6,6 +6,7 @@ splits of a model train at once, by ``vmap`` over the weights of the instruction
 """
 
 import dataclasses
+import math
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -13,7 +14,9 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
+from jaxlangnav.experiments.sizes import check_count
 from jaxlangnav.experiments.splits import draw_splits, mark_new_words
+from jaxlangnav.grounding.blocks import Design
 from jaxlangnav.grounding.evaluation import (
     ExactScores,
     Scores,
@@ -36,6 +39,7 @@ from jaxlangnav.grounding.model import (
     Vocabulary,
 )
 from jaxlangnav.grounding.search import BEAM_WIDTH
+from jaxlangnav.grounding.symbols import AnnotationSpace
 from jaxlangnav.grounding.training import Fit, build_design, fit
 from jaxlangnav.language.corpus import load_corpus
 from jaxlangnav.language.lexicon import load_lexicon
@@ -53,6 +57,8 @@ PAPER: dict[str, dict[str, float]] = {
 CORPUS = "corpus39"
 MODELS = ("annotation", "behavior")
 Progress = Callable[[int], None]
+_MASKS = 1 + 4
+"""Bytes of what a split says of one instruction: held out or not, and how much it counts."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,38 +76,75 @@ class Splits:
         return CorrespondenceModel(self.vocabulary, self.weights[split])
 
 
-def fit_splits(
+@dataclasses.dataclass(frozen=True)
+class Prepared:
+    """What all splits of one model have in common."""
+
+    vocabulary: Vocabulary
+    design: Design
+    sizes: np.ndarray  # f[I] (phrase, symbol) factors of each instruction
+
+
+def prepare_model(
     name: str,
     instructions: Sequence[LabelledInstruction],
-    held_out: np.ndarray,
     type_names: tuple[str, ...],
     without: frozenset[str] = frozenset(),
-) -> Splits:
-    """Train one model on every split at once, and on the first one alone for its time.
+) -> Prepared:
+    """Lay out the factors of one model.
 
     Args:
         name: "annotation" or "behavior".
         instructions: the corpus.
-        held_out: bool[K, I].
         type_names: object types.
         without: groups of word features to leave out.
 
     Returns:
-        The fitted models.
+        What ``fit_splits`` takes.
     """
     build = annotation_examples if name == "annotation" else behavior_examples
     examples = build(instructions, type_names)
     kinds = ANNOTATION_KINDS if name == "annotation" else BEHAVIOR_KINDS
-    vocabulary, design = build_design(examples, kinds, len(instructions), without)
-    shares = (~held_out).astype(np.float32)
+    sizes = np.zeros(len(instructions))
+    for example in examples:
+        sizes[example.instruction] += sum(len(rows.labels) for rows in example.rows.values())
+    return Prepared(*build_design(examples, kinds, len(instructions), without), sizes)
+
+
+def check_splits(prepared: Prepared, splits: int) -> None:
+    """Refuse more splits than memory holds.
+
+    Args:
+        prepared: the factors of one model.
+        splits: K.
+
+    Raises:
+        ValueError: says the size, the limit and how many would fit.
+    """
+    design = prepared.design
+    counts = math.prod(design.properties.shape[:2]) * 2
+    weights = design.words.shape[1] * design.properties.shape[2]
+    # Counts and weights of all splits lie side by side, the weights in double precision too.
+    check_count("splits", splits, each=4 * counts + (4 + 8) * weights)
+
+
+def fit_splits(prepared: Prepared, held_out: np.ndarray) -> Splits:
+    """Train one model on every split at once, and on the first one alone for its time.
+
+    Args:
+        prepared: the factors.
+        held_out: bool[K, I].
+
+    Returns:
+        The fitted models.
+    """
+    design, shares = prepared.design, (~held_out).astype(np.float32)
     _, first = fit(design, shares[:1])
     _, again = fit(design, shares[:1])  # the first one also starts JAX
     alone = dataclasses.replace(again, compile_seconds=first.compile_seconds)
     weights, together = fit(design, shares)
-    sizes = np.zeros(len(instructions))
-    for example in examples:
-        sizes[example.instruction] += sum(len(rows.labels) for rows in example.rows.values())
-    return Splits(vocabulary, weights, alone, together, round(float((shares @ sizes).mean())))
+    examples = round(float((shares @ prepared.sizes).mean()))
+    return Splits(prepared.vocabulary, weights, alone, together, examples)
 
 
 def summarise(scores: Sequence[Scores | ExactScores]) -> tuple[float, float]:
@@ -167,7 +210,8 @@ def evaluate(
         ``paper`` has the printed rows.
 
     Raises:
-        ValueError: fewer than two splits, a beam below one, or an unknown group of features.
+        ValueError: fewer than two splits, a beam below one, more of either than memory holds, or
+            an unknown group of features.
     """
     if splits < 2:
         raise ValueError(f"splits is {splits}, but at least 2 are needed for an interval")
@@ -177,12 +221,19 @@ def evaluate(
     if unknown:
         raise ValueError(f"unknown features {unknown}; known are {', '.join(FEATURE_GROUPS)}")
     type_names = load_lexicon().type_names
-    instructions = read_examples(load_corpus(CORPUS), type_names)
-    held_out = draw_splits(len(instructions), splits, seed)
-    fitted = {
-        name: fit_splits(name, instructions, held_out, type_names, frozenset(without))
-        for name in MODELS
+    symbols = AnnotationSpace(len(type_names)).size
+    # The sets of two children are combined each with each.
+    check_count("beams", max(beams), each=max(beams) * symbols)
+    corpus = load_corpus(CORPUS)
+    check_count("splits", splits, each=_MASKS * len(corpus))
+    instructions = read_examples(corpus, type_names)
+    prepared = {
+        name: prepare_model(name, instructions, type_names, frozenset(without)) for name in MODELS
     }
+    for one in prepared.values():
+        check_splits(one, splits)
+    held_out = draw_splits(len(instructions), splits, seed)
+    fitted = {name: fit_splits(one, held_out) for name, one in prepared.items()}
     scores: dict[str, dict[int, list[Scores]]] = {n: {b: [] for b in beams} for n in MODELS}
     exact: dict[str, list[ExactScores]] = {name: [] for name in MODELS}
     seconds: dict[str, list[float]] = {name: [] for name in MODELS}

@@ -38,6 +38,7 @@ from jaxlangnav.experiments.rows import (
     row_tasks,
 )
 from jaxlangnav.experiments.sentences import SENTENCES, GroundedSentences, ground_sentences
+from jaxlangnav.experiments.sizes import check_engine
 from jaxlangnav.experiments.unknowns_tables import markdown
 from jaxlangnav.messages import MotionParams, SensorParams, default_motion, default_sensor
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, check, default_params
@@ -169,6 +170,24 @@ def total_episodes(*, episodes: int) -> int:
     return len(VARIATIONS) * len(SPECS) * episodes
 
 
+def check_sizes(
+    *, episodes: int, num_particles: int, variations: Sequence[Variation] = VARIATIONS
+) -> None:
+    """Refuse, before anything is run, what cannot be.
+
+    Args:
+        episodes: runs a row and variation.
+        num_particles: P, where the number of particles is not what varies.
+        variations: what is varied.
+
+    Raises:
+        ValueError: fewer than one episode, or more than memory holds.
+    """
+    check_episodes(episodes, rows=len(SPECS), kept=len(variations))
+    for one in variations:
+        check_engine(one.config(num_particles))
+
+
 def reproduce_unknowns(
     *,
     episodes: int = 100,
@@ -202,9 +221,10 @@ def reproduce_unknowns(
         ``models_sha256``, ``files``. Rates in percent, distances in metres.
 
     Raises:
-        ValueError: fewer than one episode, or numbers with which the robot could never stop.
+        ValueError: fewer than one episode, more than memory holds, or numbers with which the
+            robot could never stop.
     """
-    check_episodes(episodes)
+    check_sizes(episodes=episodes, num_particles=num_particles, variations=variations)
     params = default_params() if params is None else params
     if motion is not None:
         params = replace(params, map=replace(params.map, motion=motion))

@@ -33,6 +33,7 @@ from jaxlangnav.grounding.symbols import NUM_RELATIONS, AnnotationSpace, Behavio
 from jaxlangnav.input_files import read_file
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.messages import ROBOT
+from jaxlangnav.whole_files import replacing
 
 SHIPPED = "weights.npz"
 _MAX_BYTES = 1 << 22
@@ -132,13 +133,8 @@ def save(path: Path, model: GroundingModel, *, command: str, corpus_hash: str) -
     about = {"command": command, "corpus": corpus_hash, "types": model.type_names}
     arrays = {"about": np.array(json.dumps(about))}
     arrays |= _pack("annotation", model.annotation) | _pack("behavior", model.behavior)
-    partial = path.with_name(f".{path.name}.partial")
-    try:
-        with partial.open("wb") as file:
-            np.savez_compressed(file, allow_pickle=False, **arrays)
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
+    with replacing(path) as temporary:
+        np.savez_compressed(temporary, allow_pickle=False, **arrays)
 
 
 def load(path: Path) -> GroundingModel:

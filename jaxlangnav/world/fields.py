@@ -139,15 +139,28 @@ class Fields:
         """Read a required table below this one."""
         return Fields(self.get(name), file=self._file, where=self.key(name))
 
-    def tables(self, name: str) -> list["Fields"]:
+    def tables(self, name: str, *, least: int, most: int) -> list["Fields"]:
         """Read a required list of tables.
 
+        Args:
+            name: the key.
+            least: fewest tables.
+            most: most tables.
+
+        Returns:
+            One record of fields each.
+
         Raises:
-            WorldFileError: missing or no list.
+            WorldFileError: missing, no list, or of another length.
         """
         value = self.get(name)
         if not isinstance(value, list):
             raise self.fail(name, f"is {value!r} but must be a list of tables: write [[{name}]]")
+        # Counted before any is opened: there may be millions.
+        if not least <= len(value) <= most:
+            raise self.fail(
+                name, f"has {len(value)} entries but must have {least} to {most}: add or remove"
+            )
         return [
             Fields(entry, file=self._file, where=f"{self.key(name)}[{index}]")
             for index, entry in enumerate(value)

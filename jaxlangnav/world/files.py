@@ -66,7 +66,7 @@ def load_world(path: str | Path, *, num_slots: int = NUM_SLOTS) -> World:
         WorldFileError: unreadable, or anything in it is wrong; one line that says what to do.
     """
     path = Path(path)
-    return world_from_dict(_read(path), file=path.name, num_slots=num_slots)
+    return world_from_dict(_read(path, num_slots), file=path.name, num_slots=num_slots)
 
 
 def shipped_worlds() -> tuple[str, ...]:
@@ -105,13 +105,14 @@ def open_world(text: str, *, num_slots: int = NUM_SLOTS) -> Template | World:
     )
 
 
-def _read(path: Path) -> Any:
+def _read(path: Path, num_slots: int) -> Any:
     """Read a file into tables, or say why not."""
     kind = path.suffix.lower()
     if kind not in (".toml", ".json"):
         raise WorldFileError(f"{path}: a world file's name must end in .toml or .json")
     try:
         text = path.read_text(encoding="utf-8")
+        _check_objects(text, path, num_slots)
         return tomllib.loads(text) if kind == ".toml" else json.loads(text)
     except FileNotFoundError:
         raise WorldFileError(
@@ -123,3 +124,12 @@ def _read(path: Path) -> Any:
         raise WorldFileError(f"{path}: is no text: save it as UTF-8") from None
     except (tomllib.TOMLDecodeError, json.JSONDecodeError) as error:
         raise WorldFileError(f"{path}: is no valid {kind[1:].upper()}: {error}") from None
+
+
+def _check_objects(text: str, path: Path, num_slots: int) -> None:
+    """Refuse a world of too many objects before it is parsed: of a million that takes long."""
+    number = f"\n{text}".count("\n[[objects]]")
+    if number > num_slots:
+        raise WorldFileError(
+            f"{path.name}: objects has {number:,} entries but must have 1 to {num_slots}: remove"
+        )

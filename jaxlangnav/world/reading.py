@@ -102,11 +102,7 @@ def _read_objects(
     top: Fields, area: Bounds, num_slots: int
 ) -> tuple[list[int], list[str], list[Place]]:
     """Read the objects: types, names (empty where there is none) and places."""
-    entries = top.tables("objects")
-    if not 1 <= len(entries) <= num_slots:
-        raise top.fail(
-            "objects", f"has {len(entries)} entries but must have 1 to {num_slots}: add or remove"
-        )
+    entries = top.tables("objects", least=1, most=num_slots)
     type_names = load_lexicon().type_names
     types: list[int] = []
     names: list[str] = []
