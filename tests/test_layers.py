@@ -12,6 +12,7 @@ import pytest
 
 LAYERS = (
     "pytree",
+    "input_files",
     "kept",
     "messages",
     "numerics",
