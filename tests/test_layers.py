@@ -12,7 +12,10 @@ import pytest
 
 LAYERS = (
     "pytree",
+    "limits",
     "input_files",
+    "plain_text",
+    "documents",
     "kept",
     "messages",
     "numerics",

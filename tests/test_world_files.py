@@ -166,8 +166,8 @@ COMPLAINTS = [
     ("area", ..., "area is missing: add it"),
     ("area", 3, "area is 3 but must be a table"),
     ("area.x_min", ..., "area.x_min is missing: add it"),
-    ("area.x_max", -1.0, "area.x_max is -1.0 but must be more than 0"),
-    ("area.y_max", -9.0, "area.y_max is -9.0 but must be more than -9"),
+    ("area.x_max", -1.0, "area.x_max is -1.0 but must be 0.1 or more"),
+    ("area.y_max", -9.0, "area.y_max is -9.0 but must be -8.9 or more"),
     ("area.y_max", "9", "area.y_max is '9' but must be a number: write it without quotes"),
     ("area.x_max", float("inf"), "area.x_max is inf but must be a finite number"),
     ("area.x_max", True, "area.x_max is True but must be a number"),
@@ -206,9 +206,9 @@ COMPLAINTS = [
         r"objects\[1\].name is 'far hydrant' as is objects\[0\]: ren",
     ),
     ("objects.0.colour", "red", r"objects\[0\].colour is unknown: known keys are name, type, x, y"),
-    ("sensor.range", 0, "sensor.range is 0 but must be more than 0"),
-    ("sensor.range", -2.0, "sensor.range is -2.0 but must be more than 0"),
-    ("sensor.field_of_view", 720, "sensor.field_of_view is 720 but must be more than 0 and 360 or"),
+    ("sensor.range", 0, "sensor.range is 0 but must be 0.001 or more"),
+    ("sensor.range", -2.0, "sensor.range is -2.0 but must be 0.001 or more"),
+    ("sensor.field_of_view", 720, "sensor.field_of_view is 720 but must be 0.1 or more and 360 or"),
     ("sensor.detection_probability", 1.5, "is 1.5 but must be 0 or more and 1 or less"),
     ("sensor.noise", -0.1, "sensor.noise is -0.1 but must be 0 or more"),
     (
@@ -216,7 +216,7 @@ COMPLAINTS = [
         90,
         "sensor.fov is unknown: known keys are detection_probability, field_of_view",
     ),
-    ("motion", {"step_length": 0}, "motion.step_length is 0 but must be more than 0"),
+    ("motion", {"step_length": 0}, "motion.step_length is 0 but must be 0.001 or more"),
     ("motion", {"odometry_noise": 2}, "motion.odometry_noise is 2 but must be 0 or more and 1 or"),
     ("name", 3, "name is 3 but must be a text"),
     ("instruction", " ", "instruction is ' ' but must be a text that is not empty"),
@@ -267,7 +267,7 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     with pytest.raises(WorldFileError, match="is no text: save it as UTF-8"):
         load_world(tmp_path / "latin.toml")
     (tmp_path / "folder.toml").mkdir()
-    with pytest.raises(WorldFileError, match=r"folder\.toml: cannot be read: Is a directory"):
+    with pytest.raises(WorldFileError, match=r"folder\.toml: is a folder, not a regular file"):
         load_world(tmp_path / "folder.toml")
 
 
