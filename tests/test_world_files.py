@@ -271,6 +271,49 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
         load_world(tmp_path / "folder.toml")
 
 
+@pytest.mark.parametrize(
+    ("where", "value", "message"),
+    [
+        ("area.x_max", 1e39, "x_max is 1e.39 but must be 0.1 or more and 100000 or less"),
+        ("area.x_max", 10**400, "x_max is a whole number of 1329 bits but must be"),
+        ("objects.0.x", -(10**30), "x is -1000000000000000000000000000000 but must be"),
+        ("sensor.range", 1e-46, "range is 1e-46 but must be 0.001 or more"),
+        ("sensor.noise", 1e39, "noise is 1e.39 but must be 0 or more and 100000 or less"),
+        ("name", "\x1b]0;title\x07", r"name has the control character U\+001B at place 1: remove"),
+        ("name", "\u202eright", r"name has the control character U\+202E"),
+        ("name", "a\nb", r"name has the control character U\+000A"),
+        ("name", "\ud800", r"name has the control character U\+D800"),
+        ("name", "x" * 5000, "name has 5000 characters but must have at most 100: shorten it"),
+        ("instruction", "go\x00", r"instruction has the control character U\+0000"),
+        ("objects.1.name", "x" * 101, r"objects\[1\].name has 101 characters"),
+        ("\x1b[2J" * 50, 1, "is unknown: known keys are"),
+        ("objects", [[[[]]]] * 2, "must be a table"),
+    ],
+    ids=range(14),
+)
+def test_hostile_values_are_refused_in_a_short_plain_line(where, value, message) -> None:
+    with pytest.raises(WorldFileError, match=message) as caught:
+        world_from_dict(change(tomllib.loads(YARD), where, value), file="yard.toml")
+    assert str(caught.value).isprintable()
+    assert len(str(caught.value)) < 300
+
+
+def test_a_name_that_comes_from_the_file_is_plain_and_short(tmp_path: Path) -> None:
+    text = YARD.replace('name = "yard"\n', "", 1)
+    world = load_world(write(tmp_path, text, "\x1b[31m\n" + "x" * 150 + ".toml"))
+    assert world.name.isprintable()
+    assert len(world.name) <= 100
+
+
+@pytest.mark.parametrize("kind", ["toml", "json"])
+def test_deep_and_large_files_are_refused(tmp_path: Path, kind: str) -> None:
+    deep = "[" * 50_000
+    for text in ("a = " + deep, deep, "a = " + "1" * 5000, "1" * 5000, "#" * 300_000):
+        with pytest.raises(WorldFileError) as caught:
+            load_world(write(tmp_path, text, f"bad.{kind}"))
+        assert "\n" not in str(caught.value)
+
+
 def test_files_that_cannot_be_written(tmp_path: Path) -> None:
     world = open_world("yard")
     assert isinstance(world, World)

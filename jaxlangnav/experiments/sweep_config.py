@@ -225,9 +225,14 @@ def _texts(table: Mapping[str, Any], name: str, default: tuple[str, ...]) -> tup
     for value in values:
         if not isinstance(value, str) or not value.strip():
             raise ValueError(f"{name} holds {shown(value)}, but must hold texts")
-        if fault := fault_of_name(value, longest=_LONGEST_TEXT):
-            raise ValueError(f"a text of {name} {fault}")
+        _check_text(value, f"a text of {name}")
     return tuple(values)
+
+
+def _check_text(value: str, what: str) -> None:
+    """Refuse a text that could not be shown to people."""
+    if fault := fault_of_name(value, longest=_LONGEST_TEXT):
+        raise ValueError(f"{what} {fault}")
 
 
 def _integers(
@@ -260,13 +265,16 @@ def _command(value: Any) -> Command:
         _check_keys(value, ("text", "relation"), "commands.")
         if not isinstance(value.get("text"), str) or not value["text"].strip():
             raise ValueError('a command\'s "text" is missing or empty')
+        _check_text(value["text"], "a command")
         relation = value.get("relation", "null")
         if not isinstance(relation, str):
             raise ValueError(f"a command's relation is {shown(relation)}, but must be a text")
+        _check_text(relation, "a command's relation")
         check_relation(relation)
         return Command(text=value["text"], relation=relation)
     if not isinstance(value, str) or not value.strip():
         raise ValueError(f"commands holds {shown(value)}, but must hold sentences")
+    _check_text(value, "a command")
     if value in SENTENCES:
         return Command(text=SENTENCES[value], relation=value)
     for relation, text in SENTENCES.items():

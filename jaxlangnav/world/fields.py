@@ -91,7 +91,7 @@ class Fields:
         if isinstance(value, bool) or not isinstance(value, int | float):
             problem = f"is {shown(value)} but must be a number: write it without quotes"
             raise self.fail(name, problem)
-        if not math.isfinite(value):
+        if isinstance(value, float) and not math.isfinite(value):
             raise self.fail(name, f"is {value!r} but must be a finite number")
         if not low <= value <= high:
             limits = f"{low:g} or more and {high:g} or less"
