@@ -11,7 +11,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "scripts"))
 from fuzz import Count, Target, mutate, run_once, throw, write_failures
 from fuzz_targets import TARGETS
 
-RUNS = 40
+RUNS = 30
 """Of each target; a few seconds in all."""
 
 

@@ -43,6 +43,8 @@ LARGEST_FILE = 64 << 20
 """Bytes of a corpus; the one of the package has about a million."""
 MOST_OBJECTS = 32
 """Objects of one world of a corpus."""
+_LONGEST_LINE = 1200
+"""Characters of a complaint; one that lists the phrases of the longest sentence needs as many."""
 _SYMBOL = re.compile(r"([a-z]+)\(([a-z0-9,_]*)\)")
 
 
@@ -80,7 +82,7 @@ class Example:
 
 def _check(condition: bool, message: str) -> None:
     if not condition:
-        raise CorpusError(message)
+        raise CorpusError(cut(message, _LONGEST_LINE))
 
 
 def _check_annotation(symbol: str, types: tuple[str, ...]) -> None:
@@ -264,7 +266,7 @@ def read_corpus(path: str | Path) -> tuple[Example, ...]:
             split = templates.setdefault(example.template, example.split)
             _check(split == example.split, f"template '{example.template}' is in both splits")
         except CorpusError as error:
-            raise CorpusError(f"{path.name} line {number}: {error}") from None
+            raise CorpusError(f"{cut(path.name)} line {number}: {error}") from None
         examples.append(example)
     _check(bool(examples), f"{path.name} holds no instruction")
     return tuple(examples)

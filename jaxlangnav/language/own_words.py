@@ -13,8 +13,6 @@ from typing import Any
 from jaxlangnav.language.tokens import is_word, plainly
 from jaxlangnav.plain_text import cut, fault_of_name, shown
 
-MOST_TYPES = 64
-"""Object types of a lexicon in all."""
 MOST_EXPRESSIONS = 1000
 """Expressions that may be added."""
 MOST_WORDS = 8
@@ -48,7 +46,7 @@ def extend(document: dict[str, Any], own: dict[str, Any]) -> None:
     tables = [types, classes, *(classes.values() if isinstance(classes, dict) else [])]
     if not all(isinstance(table, dict) for table in tables):
         raise ValueError("[types] and [class.X] must be tables of lists of words")
-    _check_size(document, types, classes)
+    _check_size(types, classes)
     known = _Known(document)
     for kind, words in types.items():
         where = f"[types] {cut(kind)}"
@@ -68,10 +66,8 @@ def extend(document: dict[str, Any], own: dict[str, Any]) -> None:
                 document["class"][name].setdefault(senses, []).append(expression)
 
 
-def _check_size(document: dict[str, Any], types: dict[str, Any], classes: dict[str, Any]) -> None:
+def _check_size(types: dict[str, Any], classes: dict[str, Any]) -> None:
     """Refuse more than the grammar takes."""
-    if len({*document["types"], *types}) > MOST_TYPES:
-        raise ValueError(f"[types] has {len(types)} types: there may be {MOST_TYPES} in all")
     lists = [*types.values(), *(words for table in classes.values() for words in table.values())]
     number = len(types) + sum(len(words) for words in lists if isinstance(words, list))
     if number > MOST_EXPRESSIONS:
