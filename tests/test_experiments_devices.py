@@ -12,7 +12,6 @@ import pytest
 from test_experiments_sweep import write
 
 from jaxlangnav.experiments import devices, sweep
-from jaxlangnav.experiments.sweep_plan import Arm, Chunk
 
 SMALL = """
 episodes = 300
@@ -64,23 +63,18 @@ def episodes(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in sorted(folder.glob("episodes-*"))}
 
 
-def chunk(index: int, policy: str, particles: int | None) -> Chunk:
-    arm = Arm(policy=policy, particles=particles, motion={}, map=None, planner=None)
-    return Chunk(index=index, arm=arm, first=0, size=10)
-
-
 def test_rounds_by_hand() -> None:
-    chunks = [
-        chunk(0, "informed", 64),
-        chunk(1, "known", None),
-        chunk(2, "informed", 64),
-        chunk(3, "informed", 16),
-        chunk(4, "informed", 64),
-        chunk(5, "known", None),
+    kinds = [
+        ("informed", 64),
+        ("known", None),
+        ("informed", 64),
+        ("informed", 16),
+        ("informed", 64),
+        ("known", None),
     ]
-    found = [[one.index for one in own] for own in sweep.rounds(chunks, 2)]
-    assert found == [[0, 2], [4], [1], [5], [3]]
-    assert [len(own) for own in sweep.rounds(chunks, 1)] == [1] * 6
+    found = list(sweep.rounds(range(6), kinds.__getitem__, 2))
+    assert found == [[1], [0, 2], [5], [3], [4]]
+    assert [len(own) for own in sweep.rounds(range(6), kinds.__getitem__, 1)] == [1] * 6
 
 
 def test_mistakes_are_one_line() -> None:

@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from jaxlangnav.experiments import archive, summary, summary_tables, sweep
+from jaxlangnav.experiments import summary, summary_tables, sweep
 from jaxlangnav.experiments.sweep_config import SweepConfig, read_config
 
 BASELINES = """
@@ -94,7 +94,7 @@ def test_kill_and_resume(
     left = run_and_kill(BASELINES, tmp_path, out, pytestconfig)
     assert 2 <= left < len(list(whole.glob("episodes-*.parquet")))
     # What a kill in the middle of a write may leave.
-    (out / ".episodes-000015.parquet.partial").write_bytes(b"torn")
+    (out / ".episodes-000015.partial-77-abc.parquet").write_bytes(b"torn")
     with pytest.raises(ValueError, match="already holds episodes of this sweep: add --resume"):
         sweep.run_sweep(config, out)
     document = sweep.run_sweep(config, out, resume=True)
@@ -129,16 +129,16 @@ def test_a_full_disk_keeps_what_is_written(
     undisturbed: tuple[SweepConfig, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     config, whole = undisturbed
-    write_table, written = archive.pq.write_table, []
+    write_bytes, written = Path.write_bytes, []
 
-    def disk(table: pa.Table, where: Path, **options: str) -> None:
+    def disk(where: Path, content: bytes) -> int:
         written.append(where)
-        if len(written) > 3:
-            Path(where).write_bytes(b"torn")
+        if len(written) > 4:
+            write_bytes(where, b"torn")
             raise OSError(28, "No space left on device")
-        write_table(table, where, **options)
+        return write_bytes(where, content)
 
-    monkeypatch.setattr(archive.pq, "write_table", disk)
+    monkeypatch.setattr(Path, "write_bytes", disk)
     with pytest.raises(OSError, match="No space left"):
         sweep.run_sweep(config, tmp_path, num_threads=1)
     left = contents(tmp_path)

@@ -7,7 +7,12 @@ from typing import Any
 import pytest
 
 from jaxlangnav.experiments.sweep_config import config_from_dict, read_config
-from jaxlangnav.experiments.sweep_plan import chunk_columns, make_plan, parse_shard, shard_chunks
+from jaxlangnav.experiments.sweep_plan import (
+    chunk_columns,
+    make_plan,
+    parse_shard,
+    shard_files,
+)
 
 SMALL: dict[str, Any] = {"worlds": ["1H1C"], "commands": ["behind"]}
 
@@ -116,7 +121,8 @@ def test_the_plan_holds_every_episode_once() -> None:
     # Settings 2·2·2·2·2 = 32 of 70 episodes; informed in 2·3 arms, the baseline in one.
     assert plan.episodes() == 32 * 70 * 7
     rows = set()
-    for chunk in plan.chunks:
+    for index in range(plan.num_files):
+        chunk = plan.chunk(index)
         columns = chunk_columns(plan, chunk)
         assert {len(values) for values in columns.values()} == {chunk.size}
         rows |= set(zip(*columns.values(), strict=True))
@@ -125,8 +131,8 @@ def test_the_plan_holds_every_episode_once() -> None:
 
 def test_shards_split_the_plan() -> None:
     plan = make_plan(config_from_dict(SMALL | {"episodes": 3000}))
-    parts = [[one.index for one in shard_chunks(plan, f"{i}/5")] for i in range(1, 6)]
-    assert sorted([index for part in parts for index in part]) == list(range(len(plan.chunks)))
+    parts = [shard_files(plan, f"{i}/5") for i in range(1, 6)]
+    assert sorted([index for part in parts for index in part]) == list(range(plan.num_files))
     assert max(map(len, parts)) - min(map(len, parts)) <= 1
 
 

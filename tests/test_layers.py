@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 LAYERS = (
+    "whole_files",
     "pytree",
     "limits",
     "input_files",

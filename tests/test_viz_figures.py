@@ -200,21 +200,6 @@ def test_the_same_figure_is_the_same_file(tmp_path):
     assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
 
 
-def test_a_failed_write_leaves_the_old_file(tmp_path):
-    path = tmp_path / "picture.png"
-    path.write_text("old")
-
-    def fail():
-        with style.replacing(path) as temporary:
-            temporary.write_text("half")
-            raise RuntimeError("disk full")
-
-    with pytest.raises(RuntimeError, match="full"):
-        fail()
-    assert path.read_text() == "old"
-    assert list(tmp_path.iterdir()) == [path]
-
-
 def test_the_house_style_does_not_leak():
     before = dict(matplotlib.rcParams)
     belief_figure(make_recording(3, 5), num_panels=1)

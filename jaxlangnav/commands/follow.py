@@ -238,8 +238,8 @@ class Follow:
         import json
 
         from jaxlangnav.commands.output import to_json
-        from jaxlangnav.experiments.archive import write_text
         from jaxlangnav.viz.pictures import write_pictures
+        from jaxlangnav.whole_files import write_text
 
         assert self.out is not None
         paths = write_pictures(recording, self.out)

@@ -15,7 +15,7 @@ from jaxlangnav.commands.output import Output
 from jaxlangnav.commands.reproduction import Settings, Study
 from jaxlangnav.commands.runtime import waiting
 from jaxlangnav.commands.settings import apply
-from jaxlangnav.experiments.archive import manifest, write_manifest, write_text
+from jaxlangnav.experiments.archive import manifest, write_manifest
 from jaxlangnav.experiments.compilation import CompileClock
 from jaxlangnav.experiments.report import Section, Table
 from jaxlangnav.experiments.sentences import SENTENCES
@@ -26,6 +26,7 @@ from jaxlangnav.planner.params import POLICIES
 from jaxlangnav.pytree import replace
 from jaxlangnav.recording import Recording
 from jaxlangnav.viz.moments import TABLE_HEADINGS, describe_moments, pick_moments, table_rows
+from jaxlangnav.whole_files import write_text
 
 TEXT = SENTENCES["behind"]
 """The sentence of all three figures."""

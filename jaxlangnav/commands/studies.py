@@ -42,8 +42,8 @@ def table1(settings: Settings, output: Output) -> Study:
     Returns:
         The study.
     """
-    from jaxlangnav.experiments.archive import write_text
     from jaxlangnav.experiments.table1 import evaluate, render
+    from jaxlangnav.whole_files import write_text
 
     begin = time.perf_counter()
     with progress_bar("splits", _SPLITS) as advance:

@@ -44,6 +44,8 @@ class Summarize:
         from jaxlangnav.experiments.summary import render, summarize_directory
 
         document = summarize_directory(self.directory)
+        for line in document["damaged"]:
+            output.note(f"note: {line}; it is left out: make it again with sweep --resume")
         output.say(render(document))
         if self.out is None:
             return document
@@ -54,8 +56,8 @@ class Summarize:
 
     def _write(self, document: Document, out: Path, output: Output) -> list[Path]:
         """Write the tables, and the figure where there is something to draw with."""
-        from jaxlangnav.experiments.archive import write_text
         from jaxlangnav.experiments.summary import markdown
+        from jaxlangnav.whole_files import write_text
 
         paths = [write_text(markdown(dict(document)), out / "summary.md")]
         if importlib.util.find_spec("matplotlib") is None:

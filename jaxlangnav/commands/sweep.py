@@ -76,7 +76,12 @@ class Sweep:
         config = read_config(self.config, overrides=overrides)
         with progress_bar("episodes", total_episodes(config, shard=shard)) as advance:
             document = run_sweep(
-                config, self.out, resume=self.resume, shard=shard, on_progress=advance
+                config,
+                self.out,
+                resume=self.resume,
+                shard=shard,
+                on_progress=advance,
+                on_note=output.note,
             )
         output.say(f"Wrote {self.out}. See it: jaxlangnav summarize {self.out}")
         return document

@@ -60,7 +60,6 @@ class Train:
             self.corpus, kinds=kinds, base=load_models(self.base), on_progress=output.note
         )
         if self.out is not None:
-            self.out.parent.mkdir(parents=True, exist_ok=True)
             save(
                 self.out,
                 trained.model,

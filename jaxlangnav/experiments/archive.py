@@ -6,7 +6,6 @@ import importlib.metadata
 import json
 import os
 import platform
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from jaxlangnav import __version__
+from jaxlangnav.whole_files import replacing, write_text
 
 _LIBRARIES = ("jax", "jaxlib", "numpy", "optax", "pyarrow")
 _RESULTS = ("rows", "paper", "bounds", "variations", "explained", "wall_s", "compile_s", "files")
@@ -35,41 +35,28 @@ def write_table(columns: Mapping[str, Any], path: Path) -> Path:
     Raises:
         ValueError: columns of different lengths.
     """
+    table = to_table(columns)
+    with replacing(path) as temporary:
+        pq.write_table(table, temporary, compression="zstd", write_page_checksum=True)
+    return path
+
+
+def to_table(columns: Mapping[str, Any]) -> pa.Table:
+    """Lay columns out as a table.
+
+    Args:
+        columns: by name, arrays [E] or lists of E; an array [E, 2] becomes a column of lists.
+
+    Returns:
+        The table.
+
+    Raises:
+        ValueError: columns of different lengths.
+    """
     lengths = {name: len(values) for name, values in columns.items()}
     if len(set(lengths.values())) > 1:
         raise ValueError(f"columns have different lengths: {lengths}")
-    arrays = {name: _column(values) for name, values in columns.items()}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    # Written beside and moved: a full disk or a kill leaves no torn file under the name.
-    partial = path.with_name(f".{path.name}.partial")
-    try:
-        pq.write_table(pa.table(arrays), partial, compression="zstd")
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
-    return path
-
-
-def write_text(text: str, path: Path) -> Path:
-    """Write a text file, all or nothing.
-
-    Args:
-        text: what to write.
-        path: of the file; its folder is made.
-
-    Returns:
-        The path.
-    """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, partial = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-        Path(partial).chmod(0o644)
-        Path(partial).replace(path)
-    finally:
-        Path(partial).unlink(missing_ok=True)
-    return path
+    return pa.table({name: _column(values) for name, values in columns.items()})
 
 
 def manifest(settings: Mapping[str, Any], *, models: Any = None) -> dict[str, Any]:
@@ -112,7 +99,19 @@ def write_manifest(document: Mapping[str, Any], path: Path) -> Path:
     Returns:
         The path.
     """
-    return write_text(json.dumps(document, indent=2, ensure_ascii=False) + "\n", path)
+    return write_text(to_json(document), path)
+
+
+def to_json(document: Mapping[str, Any]) -> str:
+    """Write a document as JSON for people to read.
+
+    Args:
+        document: of JSON's own types.
+
+    Returns:
+        The text, indented.
+    """
+    return json.dumps(document, indent=2, ensure_ascii=False) + "\n"
 
 
 def write_experiment(

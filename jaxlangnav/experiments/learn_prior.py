@@ -10,6 +10,7 @@ import numpy as np
 
 from jaxlangnav.experiments.tasks import cell, make_tasks
 from jaxlangnav.planner.prior import BEARING_MAX, RANGE_MAX, TABLE_FILE
+from jaxlangnav.whole_files import replacing
 from jaxlangnav.world.state import Scenario
 from jaxlangnav.world.templates import TABLE_2
 
@@ -79,5 +80,5 @@ def training_worlds(worlds: int = WORLDS) -> list[Scenario]:
 
 
 if __name__ == "__main__":
-    TABLE_FILE.parent.mkdir(exist_ok=True)
-    np.save(TABLE_FILE, learn(training_worlds()))
+    with replacing(TABLE_FILE) as temporary:
+        np.save(temporary, learn(training_worlds()))

@@ -2,20 +2,19 @@
 
 import dataclasses
 import itertools
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.experiments.metrics import summarize
 from jaxlangnav.experiments.paired import compare
+from jaxlangnav.experiments.shards import ShardError, read_shard
 from jaxlangnav.experiments.summary_tables import markdown, render
-from jaxlangnav.experiments.sweep import MANIFEST
+from jaxlangnav.experiments.sweep_folder import files_there, identity, read_manifest
 
 __all__ = ["markdown", "render", "summarize_directory"]
 
@@ -26,7 +25,7 @@ _MOST_PAIRS = 6
 
 
 def summarize_directory(path: str | Path) -> dict[str, Any]:
-    """Summarise the files of a sweep, complete or not.
+    """Summarise the files of a sweep, complete or not; a damaged file counts as missing.
 
     Args:
         path: the sweep's folder.
@@ -34,19 +33,16 @@ def summarize_directory(path: str | Path) -> dict[str, Any]:
     Returns:
         ``name``, ``rows`` (one per setting and arm, rates in percent, distances in metres),
         ``comparisons`` (second arm against first in one setting), ``varied`` (columns that take
-        more than one value), ``episodes``, ``files`` and ``missing`` files.
+        more than one value), ``episodes``, ``files``, ``missing`` files and, of those, the
+        ``damaged``: a line for each that names it and says what is wrong.
 
     Raises:
-        ValueError: no sweep there, or nothing of it is done yet.
+        ValueError: no sweep there, or nothing of it is done yet, or nothing is sound.
     """
     folder = Path(path)
-    if not (folder / MANIFEST).is_file():
-        raise ValueError(f"{folder} holds no sweep: there is no {MANIFEST}")
-    settings = json.loads((folder / MANIFEST).read_text("utf-8"))["settings"]
-    files = sorted(folder.glob("episodes-*.parquet"))
-    if not files:
-        raise ValueError(f"{folder} holds no episodes yet")
-    table = pa.concat_tables([pq.read_table(file) for file in files])
+    document = read_manifest(folder)
+    settings = document["settings"]
+    table, files, damaged = _read_all(folder, identity(document))
     result_names = {field.name for field in dataclasses.fields(EpisodeResult)}
     names = [
         name
@@ -68,9 +64,25 @@ def summarize_directory(path: str | Path) -> dict[str, Any]:
         "comparisons": comparisons,
         "varied": [name for name in names if len(table[name].unique()) > 1],
         "episodes": table.num_rows,
-        "files": len(files),
-        "missing": settings["files"] - len(files),
+        "files": files,
+        "missing": settings["files"] - files,
+        "damaged": damaged,
     }
+
+
+def _read_all(folder: Path, sweep: str) -> tuple[pa.Table, int, list[str]]:
+    """Read the sound files of a sweep, how many they are, and what is wrong with the others."""
+    tables: list[pa.Table] = []
+    damaged: list[str] = []
+    for index, path in sorted(files_there(folder)):
+        try:
+            tables.append(read_shard(path, sweep=sweep, index=index))
+        except ShardError as fault:
+            damaged.append(f"{path} {fault}")
+    if not tables:
+        most = f": {damaged[0]}" if damaged else " yet"
+        raise ValueError(f"{folder} holds no {'sound ' if damaged else ''}episodes{most}")
+    return pa.concat_tables(tables), len(tables), damaged
 
 
 def _is_of_arm(name: str) -> bool:

@@ -142,6 +142,8 @@ def _text(value: Any) -> str:
 def _state(document: Document) -> str:
     """Say how much of the sweep is there."""
     missing = f"; {document['missing']} files are still missing" if document["missing"] else ""
+    if document["damaged"]:
+        missing += f", {len(document['damaged'])} of them because they are damaged"
     return f"{document['episodes']} episodes in {document['files']} files{missing}."
 
 

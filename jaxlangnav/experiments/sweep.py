@@ -1,36 +1,38 @@
 """Sweeps: any grid of episodes, resumable, split over any number of processes (section 4.2).
 
-Every file holds the episodes of one chunk of the plan and is written whole or not at all: a
-killed process or a full disk loses the chunks under way and nothing else. Which episodes a file
-holds, and what they give, depends on the configuration alone, so a resumed or split sweep ends
-with the same bytes as an undisturbed one on the same kind of machine.
+Every file holds the episodes of one chunk of the plan, is written whole or not at all, and says
+of itself what its bytes must be: a killed process or a full disk loses the chunks under way and
+nothing else, and a damaged file is found and made again. Which episodes a file holds, and what
+they give, depends on the configuration alone, so a resumed or split sweep ends with the same
+bytes as an undisturbed one on the same kind of machine.
 """
 
 import concurrent.futures
-import json
+import dataclasses
 import time
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from jaxlangnav.episode import EpisodeResult, Task
-from jaxlangnav.experiments.archive import manifest, write_manifest, write_table
 from jaxlangnav.experiments.compilation import CompileClock
-from jaxlangnav.experiments.devices import (
-    CHUNK,
-    LANES,
-    Work,
-    fill,
-    mesh,
-    num_calls,
-    run_round,
-)
+from jaxlangnav.experiments.devices import Work, fill, mesh, num_calls, run_round
+from jaxlangnav.experiments.holding import Note, held
 from jaxlangnav.experiments.monte_carlo import Progress, known_distances
 from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, navigator_config, run_policy
 from jaxlangnav.experiments.rows import result_columns
 from jaxlangnav.experiments.sentences import GroundedSentences, ground_sentences
+from jaxlangnav.experiments.shards import Shard, write_shard
 from jaxlangnav.experiments.sweep_config import SweepConfig
+from jaxlangnav.experiments.sweep_folder import (
+    claim,
+    file_path,
+    files_there,
+    sound_files,
+    sweep_up,
+)
 from jaxlangnav.experiments.sweep_plan import (
     Arm,
     Chunk,
@@ -38,18 +40,25 @@ from jaxlangnav.experiments.sweep_plan import (
     chunk_columns,
     chunk_tasks,
     make_plan,
-    shard_chunks,
+    parse_shard,
+    shard_episodes,
+    shard_files,
 )
 from jaxlangnav.planner.params import POLICIES
 
-MANIFEST = "manifest.json"
-_IDENTITY = ("settings", "jaxlangnav", "libraries", "models_sha256", "device")
-"""What must be the same for files of one sweep to belong together; not how many devices."""
+_AHEAD = 2
+"""Rounds handed out for each call under way: no core waits, and no plan is laid out whole."""
 
 
-def chunk_path(out: Path, chunk: Chunk) -> Path:
-    """Name the file of a chunk."""
-    return out / f"episodes-{chunk.index:06d}.parquet"
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _Run:
+    """What all rounds of a run share."""
+
+    plan: Plan
+    folder: Path
+    sweep: str
+    """Identity of the sweep."""
+    sentences: GroundedSentences
 
 
 def total_episodes(config: SweepConfig, *, shard: str = "1/1") -> int:
@@ -63,9 +72,9 @@ def total_episodes(config: SweepConfig, *, shard: str = "1/1") -> int:
         Episodes, those already done included.
 
     Raises:
-        ValueError: the shard is not of this form, or Params that cannot be.
+        ValueError: the shard is not of this form, Params that cannot be, or more than fits.
     """
-    return sum(one.size for one in shard_chunks(make_plan(config), shard))
+    return shard_episodes(make_plan(config), shard)
 
 
 def run_sweep(
@@ -75,6 +84,7 @@ def run_sweep(
     resume: bool = False,
     shard: str = "1/1",
     on_progress: Progress | None = None,
+    on_note: Note | None = None,
     num_threads: int | None = None,
 ) -> dict[str, Any]:
     """Run a sweep, or a shard of it.
@@ -82,156 +92,122 @@ def run_sweep(
     Args:
         config: the grid, see ``read_config``.
         out: folder of the files; made if it is not there. All shards share it.
-        resume: keep the chunks that are there and run the rest.
+        resume: keep the files that are there and sound, and make the rest.
         shard: "i/n", the i-th of n parts.
         on_progress: called with the number of episodes just finished, kept ones at once.
+        on_note: called with a line for each damaged file, and for a dead process's lock.
         num_threads: calls under way at once; as many as keep all cores busy by default.
 
     Returns:
-        ``out``, ``episodes`` run now, ``kept`` from before, ``files``, ``is_complete`` (all
-        shards together), ``wall_s`` with compilation, ``compile_s`` of it.
+        ``out``, ``episodes`` run now, ``kept`` from before, ``files``, ``is_complete`` (files of
+        all shards are there), ``wall_s`` with compilation, ``compile_s`` of it.
 
     Raises:
-        ValueError: the folder holds another sweep, or this one and ``resume`` is not set.
+        ValueError: the folder holds another sweep, or this one and ``resume`` is not set; a
+            living process works on these files; the sweep is larger than a folder or memory.
     """
     begin, folder = time.perf_counter(), Path(out)
     plan = make_plan(config)
-    mine = shard_chunks(plan, shard)
+    mine = shard_files(plan, shard)
+    advance: Progress = on_progress or (lambda _done: None)
+    note: Note = on_note or (lambda _line: None)
     with CompileClock() as clock:
         sentences = ground_sentences([one.text for one in config.commands])
-        _claim(folder, plan, mine, sentences, is_resumed=resume)
-        done = [one for one in mine if chunk_path(folder, one).exists()]
-        todo = [one for one in mine if not chunk_path(folder, one).exists()]
-        kept = sum(one.size for one in done)
-        if kept and on_progress is not None:
-            on_progress(kept)
-        _run_chunks(plan, todo, folder, sentences, on_progress, num_threads)
+        with held(folder, parse_shard(shard), on_note=note) as is_held:
+            sweep = claim(folder, plan, mine, sentences.models, is_resumed=resume)
+            if is_held:
+                sweep_up(folder, mine)
+            kept = sound_files(folder, plan, mine, sweep, on_note=note, on_kept=advance)
+            run = _Run(plan=plan, folder=folder, sweep=sweep, sentences=sentences)
+            todo = (index for index in mine if index not in kept)
+            _run_files(run, todo, advance, num_threads)
+        num_kept = sum(plan.size(index) for index in kept)
+        there = sum(index < plan.num_files for index, _ in files_there(folder))
     return {
         "out": str(folder),
         "name": config.name,
         "shard": shard,
-        "episodes": sum(one.size for one in todo),
-        "kept": kept,
+        "episodes": shard_episodes(plan, shard) - num_kept,
+        "kept": num_kept,
         "files": len(mine),
-        "is_complete": all(chunk_path(folder, one).exists() for one in plan.chunks),
+        "is_complete": there == plan.num_files,
         "wall_s": time.perf_counter() - begin,
         "compile_s": clock.seconds,
     }
 
 
-def _claim(
-    folder: Path, plan: Plan, mine: list[Chunk], sentences: GroundedSentences, *, is_resumed: bool
+def _run_files(
+    run: _Run, todo: Iterable[int], on_progress: Progress, num_threads: int | None
 ) -> None:
-    """Write the manifest, or see that the one that is there is ours; sweep up torn files."""
-    settings = plan.config.document() | {
-        "chunk": CHUNK,
-        "lanes": LANES,
-        "files": len(plan.chunks),
-        "rows": plan.episodes(),
-    }
-    ours = json.loads(json.dumps(manifest(settings, models=sentences.models)))
-    path = folder / MANIFEST
-    # Looked at in this order because peers may be claiming the folder too: manifest first.
-    has_episodes = any(folder.glob("episodes-*.parquet"))
-    if path.exists():
-        theirs = json.loads(path.read_text("utf-8"))
-        for key in _IDENTITY:
-            there, here = _uncounted(theirs.get(key)), _uncounted(ours[key])
-            if there != here:
-                what = _difference(there, here, key)
-                raise ValueError(f"{folder} holds another sweep ({what}): choose another folder")
-        if not is_resumed and any(chunk_path(folder, one).exists() for one in mine):
-            raise ValueError(f"{folder} already holds episodes of this sweep: add --resume")
-    else:
-        if has_episodes:
-            raise ValueError(f"{folder} holds episodes without a manifest: choose another folder")
-        write_manifest(ours, path)
-    for one in mine:
-        whole = chunk_path(folder, one)
-        whole.with_name(f".{whole.name}.partial").unlink(missing_ok=True)
+    """Make files, several at once; the first failure ends the run and keeps what is written."""
+    calls = num_threads or num_calls()
+    with concurrent.futures.ThreadPoolExecutor(calls) as pool:
+        running: dict[concurrent.futures.Future[int], None] = {}
 
+        def collect() -> None:
+            done, _ = concurrent.futures.wait(
+                running, return_when=concurrent.futures.FIRST_COMPLETED
+            )
+            for one in done:
+                del running[one]
+                on_progress(one.result())
 
-def _uncounted(value: Any) -> Any:
-    """Leave out how many devices there are: the results do not depend on it."""
-    if isinstance(value, dict):
-        return {key: one for key, one in value.items() if key != "count"}
-    return value
-
-
-def _difference(theirs: Any, ours: Any, name: str) -> str:
-    """Say in a few words in what two manifests differ first."""
-    if isinstance(theirs, dict) and isinstance(ours, dict):
-        for key in {**ours, **theirs}:
-            if theirs.get(key) != ours.get(key):
-                where = key if name == "settings" else f"{name}.{key}"
-                return _difference(theirs.get(key), ours.get(key), where)
-    return f"{name}: {theirs} there, {ours} here"
-
-
-def _run_chunks(
-    plan: Plan,
-    todo: list[Chunk],
-    folder: Path,
-    sentences: GroundedSentences,
-    on_progress: Progress | None,
-    num_threads: int | None,
-) -> None:
-    """Run chunks, several at once; the first failure ends the run and keeps what is written."""
-    with concurrent.futures.ThreadPoolExecutor(num_threads or num_calls()) as pool:
-        running = {
-            pool.submit(_run_together, plan, chunks, folder, sentences): chunks
-            for chunks in rounds(todo, mesh().size)
-        }
         try:
-            for finished in concurrent.futures.as_completed(running):
-                finished.result()
-                if on_progress is not None:
-                    on_progress(sum(one.size for one in running[finished]))
+            for files in rounds(todo, run.plan.kind, mesh().size):
+                running[pool.submit(_run_together, run, files)] = None
+                if len(running) >= _AHEAD * calls:
+                    collect()
+            while running:
+                collect()
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
 
 
-def rounds(chunks: list[Chunk], devices: int) -> list[list[Chunk]]:
-    """Gather chunks that one call can run, one on each device.
+def rounds(
+    files: Iterable[int], kind: Callable[[int], tuple[str, int | None]], devices: int
+) -> Iterator[list[int]]:
+    """Gather files that one call can make, one on each device.
 
     Args:
-        chunks: to be run.
+        files: numbers of those to be made.
+        kind: policy and particles of a file.
         devices: how many there are.
 
-    Returns:
-        Every chunk once; those of a round share policy and particles. A baseline's chunk, which
+    Yields:
+        Every file once; those of a round share policy and particles. A baseline's file, which
         is computed in no time, is a round of its own.
     """
-    alike: dict[tuple[str, int | None], list[Chunk]] = {}
-    for one in chunks:
-        alike.setdefault((one.arm.policy, one.arm.particles), []).append(one)
-    gathered = []
-    for (policy, _), group in alike.items():
-        width = devices if policy in POLICIES else 1
-        gathered += [group[at : at + width] for at in range(0, len(group), width)]
-    return gathered
+    alike: dict[tuple[str, int | None], list[int]] = {}
+    for index in files:
+        policy, particles = kind(index)
+        group = alike.setdefault((policy, particles), [])
+        group.append(index)
+        if len(group) == (devices if policy in POLICIES else 1):
+            yield alike.pop((policy, particles))
+    yield from alike.values()
 
 
-def _run_together(
-    plan: Plan, chunks: list[Chunk], folder: Path, sentences: GroundedSentences
-) -> None:
-    """Run the episodes of a round and write its files."""
-    tasks = [chunk_tasks(plan, one) for one in chunks]
-    arm = chunks[0].arm
+def _run_together(run: _Run, files: list[int]) -> int:
+    """Run the episodes of a round and write its files; how many episodes they were."""
+    chunks = [run.plan.chunk(index) for index in files]
+    tasks = [chunk_tasks(run.plan, one) for one in chunks]
+    arm, sentences = chunks[0].arm, run.sentences
     if arm.policy in POLICIES:
         results = _run_navigator(chunks, tasks, sentences, arm)
     else:
         results = [run_policy(arm.policy, tasks[0], sentences.instructions, num_threads=1)]
     for chunk, own, result in zip(chunks, tasks, results, strict=True):
-        columns = chunk_columns(plan, chunk) | result_columns(result, known_distances(own))
-        path = chunk_path(folder, chunk)
+        columns = chunk_columns(run.plan, chunk) | result_columns(result, known_distances(own))
+        path = file_path(run.folder, chunk.index)
+        shard = Shard(sweep=run.sweep, index=chunk.index, rows=chunk.size)
         try:
-            write_table(_typed(columns), path)
+            write_shard(_typed(columns), path, shard)
         except OSError as error:
             raise OSError(
                 f"{path} cannot be written: {error}; the other files stay, go on with --resume"
             ) from error
+    return sum(one.size for one in chunks)
 
 
 def _run_navigator(

@@ -14,6 +14,7 @@ import numpy as np
 from jaxlangnav.grounding.instruction import GroundingModel
 from jaxlangnav.grounding.model import CorrespondenceModel, Vocabulary
 from jaxlangnav.language.lexicon import load_lexicon
+from jaxlangnav.whole_files import replacing
 
 SHIPPED = "weights.npz"
 
@@ -49,7 +50,10 @@ def save(path: Path, model: GroundingModel, *, command: str, corpus_hash: str) -
     """
     about = {"command": command, "corpus": corpus_hash, "types": model.type_names}
     arrays = _pack("annotation", model.annotation) | _pack("behavior", model.behavior)
-    np.savez_compressed(path, allow_pickle=False, **arrays, about=np.array(json.dumps(about)))
+    with replacing(path) as temporary:
+        np.savez_compressed(
+            temporary, allow_pickle=False, **arrays, about=np.array(json.dumps(about))
+        )
 
 
 def load(path: Path) -> GroundingModel:

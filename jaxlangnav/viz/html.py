@@ -21,6 +21,7 @@ from jaxlangnav.planner.graph import FRONTIER, OBJECT, VISITED
 from jaxlangnav.recording import Recording
 from jaxlangnav.viz import narrative, panels, sentences, style, summary
 from jaxlangnav.viz.words import describe_readings, percent
+from jaxlangnav.whole_files import write_text
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 
 _ABSENT = 65535
@@ -39,9 +40,7 @@ def write_html(recording: Recording, path: Path | str) -> Path:
     """
     path = Path(path)
     page = render_html(recording)
-    with style.replacing(path) as temporary:
-        temporary.write_text(page, encoding="utf-8")
-    return path
+    return write_text(page, path)
 
 
 def render_html(recording: Recording) -> str:

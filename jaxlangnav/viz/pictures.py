@@ -11,6 +11,7 @@ from jaxlangnav.viz.graph import graph_figure
 from jaxlangnav.viz.html import write_html
 from jaxlangnav.viz.narrative import tell
 from jaxlangnav.viz.values import values_figure
+from jaxlangnav.whole_files import write_text
 
 
 def write_pictures(recording: Recording, folder: Path | str) -> list[Path]:
@@ -33,9 +34,7 @@ def write_pictures(recording: Recording, folder: Path | str) -> list[Path]:
         *style.save(values_figure(recording), folder / "values"),
         write_html(recording, folder / "episode.html"),
     ]
-    with style.replacing(folder / "story.txt") as temporary:
-        temporary.write_text("\n".join(tell(recording)) + "\n", encoding="utf-8")
-    return [*paths, folder / "story.txt"]
+    return [*paths, write_text("\n".join(tell(recording)) + "\n", folder / "story.txt")]
 
 
 def write_graph(

@@ -11,6 +11,7 @@ import numpy as np
 
 from jaxlangnav.recording import Frame, Recording, Scene
 from jaxlangnav.viz import narrative, style, summary
+from jaxlangnav.whole_files import replacing
 
 _APPLICATION = "jaxlangnav"
 
@@ -31,7 +32,7 @@ def write_rrd(recording: Recording, path: Path | str) -> Path:
     style.require("rerun", extra="rerun")
     rerun: Any = importlib.import_module("rerun")
     path = Path(path)
-    with style.replacing(path) as temporary:
+    with replacing(path) as temporary:
         stream = rerun.RecordingStream(_APPLICATION, recording_id=recording.scene.text or None)
         stream.save(str(temporary))
         _log_scene(rerun, stream, recording.scene)

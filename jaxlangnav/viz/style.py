@@ -9,14 +9,13 @@ pyplot: no window, no global figure, no style left behind in somebody's notebook
 """
 
 import importlib.util
-import os
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jaxlangnav.plain_text import printable
+from jaxlangnav.whole_files import replacing
 
 if TYPE_CHECKING:
     from matplotlib.colors import LinearSegmentedColormap
@@ -195,28 +194,3 @@ def save(figure: "Figure", stem: Path | str) -> tuple[Path, Path]:
             with replacing(path) as temporary:
                 figure.savefig(temporary, format=kind, metadata=metadata)
     return paths
-
-
-@contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """Write a file beside its place and move it there at the end.
-
-    Args:
-        path: where the file is to stand; folders are made.
-
-    Yields:
-        The temporary path to write to; removed if writing fails.
-    """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
-    os.close(handle)
-    temporary = Path(name)
-    try:
-        yield temporary
-        # mkstemp makes files private; a picture gets the rights any new file would get.
-        umask = os.umask(0)
-        os.umask(umask)
-        temporary.chmod(0o666 & ~umask)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)

@@ -9,6 +9,7 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.language.lexicon import load_lexicon
+from jaxlangnav.whole_files import write_text
 from jaxlangnav.world.fields import WorldFileError
 from jaxlangnav.world.reading import World
 
@@ -30,7 +31,7 @@ def save_world(world: World, path: str | Path) -> None:
     table = world_to_dict(world)
     text = json.dumps(table, indent=2) + "\n" if kind == ".json" else _to_toml(table)
     try:
-        path.write_text(text, encoding="utf-8")
+        write_text(text, path)
     except OSError as error:
         raise WorldFileError(f"{path}: cannot be written: {error.strerror}") from None
 

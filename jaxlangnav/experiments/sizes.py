@@ -1,0 +1,218 @@
+"""Work is sized before it is begun: what memory cannot hold is refused, with what it could.
+
+The sizes are the engine's own: the records of an episode under way, traced without being made
+(``jax.eval_shape``), and the arrays of its task and its result.
+"""
+
+import dataclasses
+import functools
+import os
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxlangnav.episode import Task, begin, finish
+from jaxlangnav.experiments.devices import LANES, mesh, num_calls
+from jaxlangnav.grounding.instruction import NUM_CLAUSES, Instruction
+from jaxlangnav.grounding.program import empty_program, to_program
+from jaxlangnav.grounding.readings import pack
+from jaxlangnav.messages import default_motion, default_sensor
+from jaxlangnav.navigator import NavigatorConfig
+from jaxlangnav.world.scenario import empty_scenario
+
+SCRATCH = 8.5
+"""Bytes a compiled step works with for each byte of an episode's records: XLA's own count of a
+batch of 32 lanes on a CPU, policy ``informed``, grows by 4,763 bytes a particle and lane, the
+records by 562 (``compiled.memory_analysis()``, between 64 and 512 particles)."""
+_LIMITS = (
+    Path("/sys/fs/cgroup/memory.max"),
+    Path("/sys/fs/cgroup/memory/memory.limit_in_bytes"),
+)
+"""Where Linux says what a container may use."""
+
+
+def memory() -> int:
+    """Find how much memory there is for arrays: the device's, or what this process may use.
+
+    Returns:
+        Bytes.
+    """
+    if _is_on_host():
+        return _host_memory()
+    return int((jax.local_devices()[0].memory_stats() or {}).get("bytes_limit", _host_memory()))
+
+
+def bytes_of(tree: Any) -> int:
+    """Count the bytes of arrays, whether they are there or only their shapes.
+
+    Args:
+        tree: any pytree of arrays or ``jax.ShapeDtypeStruct``.
+
+    Returns:
+        Bytes.
+    """
+    total = 0
+    for leaf in jax.tree.leaves(tree):
+        if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
+            leaf = jax.eval_shape(jax.random.key_data, leaf)
+        each = np.dtype(leaf.dtype).itemsize
+        # As Python's integers: NumPy's would wrap.
+        total += functools.reduce(lambda one, other: one * int(other), leaf.shape, each)
+    return total
+
+
+def episode_bytes(config: NavigatorConfig) -> tuple[int, int]:
+    """Count the records of an episode under way.
+
+    Args:
+        config: sizes.
+
+    Returns:
+        Bytes that do not depend on the particles, and bytes of each particle.
+    """
+    few = 2
+    small = bytes_of(_progress(_with_particles(config, few)))
+    double = bytes_of(_progress(_with_particles(config, 2 * few)))
+    return 2 * small - double, (double - small) // few
+
+
+def task_bytes() -> int:
+    """Count the bytes of one task."""
+    return bytes_of(jax.eval_shape(_any_task))
+
+
+def result_bytes() -> int:
+    """Count the bytes of one episode's result."""
+    return bytes_of(jax.eval_shape(finish, _progress(NavigatorConfig())))
+
+
+def check_count(name: str, count: int, *, each: int, fixed: int = 0, beside: str = "") -> None:
+    """Refuse more of something than memory holds.
+
+    Args:
+        name: what is counted, for the message.
+        count: how many are asked for.
+        each: bytes of one.
+        fixed: bytes that they need besides.
+        beside: what else makes up the size, for the message.
+
+    Raises:
+        ValueError: says the size, the limit and how many would fit.
+    """
+    limit, need = memory(), fixed + count * each
+    if need <= limit:
+        return
+    fit = max(0, (limit - fixed) // each)
+    remedy = f"at most {fit:,} fit" if fit else "lower the other sizes: not even one fits"
+    with_it = f" with {beside}" if beside else ""
+    raise ValueError(
+        f"{name} is {count:,}{with_it}, which takes {_said(need)} of memory, but there are "
+        f"{_said(limit)}: {remedy}"
+    )
+
+
+def check_engine(config: NavigatorConfig) -> None:
+    """Refuse sizes with which a batch of episodes does not fit into memory.
+
+    Args:
+        config: sizes.
+
+    Raises:
+        ValueError: says the size, the limit and how many particles would fit.
+    """
+    # On a CPU all calls share one memory, on accelerators each device has its own.
+    _check_lanes(config, LANES * num_calls() * (mesh().size if _is_on_host() else 1))
+
+
+def check_recording(config: NavigatorConfig, max_steps: int) -> None:
+    """Refuse sizes with which one recorded episode does not fit into memory.
+
+    Args:
+        config: sizes.
+        max_steps: of each of which a record is kept, at most as large as the state.
+
+    Raises:
+        ValueError: says the size, the limit and what would fit.
+    """
+    _check_lanes(config, 1)
+    fixed, each = episode_bytes(config)
+    number = config.map.num_particles
+    state = fixed + number * each
+    beside = f"{number:,} particles"
+    check_count("max steps", max_steps, each=state, fixed=int(SCRATCH * state), beside=beside)
+
+
+def _check_lanes(config: NavigatorConfig, lanes: int) -> None:
+    """Refuse sizes with which some episodes under way at once do not fit."""
+    sizes = config.map
+    beside = f"{sizes.num_objects:,} objects and {sizes.num_cells:,} cells a side"
+    try:
+        fixed, each = (int(SCRATCH * lanes * one) for one in episode_bytes(config))
+    except OverflowError:
+        raise ValueError(f"the sizes are too large for any memory: {beside}") from None
+    check_count("particles", sizes.num_particles, each=each, fixed=fixed, beside=beside)
+
+
+def _is_on_host() -> bool:
+    """Tell whether arrays lie in the memory of the host."""
+    return jax.default_backend() == "cpu"
+
+
+def _with_particles(config: NavigatorConfig, number: int) -> NavigatorConfig:
+    """Set the number of particles."""
+    return dataclasses.replace(config, map=dataclasses.replace(config.map, num_particles=number))
+
+
+def _progress(config: NavigatorConfig) -> Any:
+    """Trace the records of an episode under way, without making them."""
+    return jax.eval_shape(
+        functools.partial(begin, config=config), jax.eval_shape(_any_task), _any_instructions()
+    )
+
+
+def _any_task() -> Task:
+    """Build a task: all have the same shapes."""
+    return Task(
+        key=jax.random.key(0),
+        scenario=empty_scenario(),
+        instruction_index=jnp.int32(0),
+        sensor=default_sensor(),
+        motion=default_motion(),
+    )
+
+
+@functools.cache
+def _any_instructions() -> Any:
+    """Build the shapes of a batch of one instruction: all sentences have the same."""
+    clauses = [empty_program()] * NUM_CLAUSES
+    program = jax.tree.map(lambda *leaves: np.stack(leaves), *clauses)
+    one = Instruction(
+        readings=pack(()), program=to_program(program), num_clauses=jnp.zeros((), jnp.int32)
+    )
+    return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((1, *leaf.shape), leaf.dtype), one)
+
+
+@functools.cache
+def _host_memory() -> int:
+    """Find how much memory the machine has, or the container if that is less."""
+    least = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    for path in _LIMITS:
+        try:
+            least = min(least, int(path.read_text()))
+        except (OSError, ValueError):
+            continue
+    return least
+
+
+def _said(number: int) -> str:
+    """Write a number of bytes for people."""
+    units = ("bytes", "KiB", "MiB", "GiB", "TiB", "PiB", "EiB")
+    size = float(number) if number < 1 << 1000 else float("inf")
+    for unit in units[:-1]:
+        if size < 1024:
+            return f"{size:.3g} {unit}"
+        size /= 1024
+    return f"{size:.3g} {units[-1]}"

@@ -1,0 +1,161 @@
+"""Files are written whole or not at all, and stay written: the one place that does it.
+
+What is written goes into a temporary file of its own name beside the place, is forced to the
+disk, takes the place in one move, and the move is forced to the disk too. Whoever reads meets
+the old file or the new one; a kill, a full disk or a power cut leaves at most a hidden temporary
+file, whose name begins with a dot.
+"""
+
+import contextlib
+import errno
+import os
+import secrets
+from collections.abc import Iterator
+from pathlib import Path
+
+_KEPT_OF_NAME = 100
+"""Characters of a file's name that its temporary one repeats: names may not be endless."""
+_CANNOT_SYNC = (errno.EINVAL, errno.EBADF, errno.ENOTSUP, errno.EACCES)
+"""What file systems answer that do not know how to force a folder to the disk."""
+
+
+@contextlib.contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Write a file beside its place and move it there at the end.
+
+    Args:
+        path: where the file is to stand; folders are made.
+
+    Yields:
+        The temporary path to write to, with the ending of ``path``; removed if writing fails.
+
+    Raises:
+        OSError: the disk is full, or the folder cannot be written to.
+    """
+    with _temporary(path) as temporary:
+        yield temporary
+        _force(temporary)
+        temporary.replace(path)
+    force_folder(path.parent)
+
+
+def write_bytes(content: bytes, path: Path) -> Path:
+    """Write a file, all or nothing.
+
+    Args:
+        content: what to write.
+        path: of the file; its folder is made.
+
+    Returns:
+        The path.
+    """
+    with replacing(path) as temporary:
+        temporary.write_bytes(content)
+    return path
+
+
+def write_text(text: str, path: Path) -> Path:
+    """Write a text file in UTF-8, all or nothing.
+
+    Args:
+        text: what to write.
+        path: of the file; its folder is made.
+
+    Returns:
+        The path.
+    """
+    return write_bytes(text.encode(), path)
+
+
+def write_once(content: bytes, path: Path) -> bool:
+    """Write a file, all or nothing, unless there is one: of several writers one wins.
+
+    Args:
+        content: what to write.
+        path: of the file; its folder is made.
+
+    Returns:
+        Whether this call has written it.
+    """
+    with _temporary(path) as temporary:
+        temporary.write_bytes(content)
+        _force(temporary)
+        try:
+            os.link(temporary, path)
+        except FileExistsError:
+            return False
+        except OSError:
+            # No second names on this file system: the last writer wins.
+            temporary.replace(path)
+    force_folder(path.parent)
+    return True
+
+
+def leftovers(path: Path) -> list[Path]:
+    """List temporary files that killed writers of a file have left, or living ones write to.
+
+    Args:
+        path: of the file.
+
+    Returns:
+        Their paths.
+    """
+    head = _head(path)
+    return [one for one in path.parent.glob(f"{head}*") if one.suffix == path.suffix]
+
+
+def force_folder(folder: Path) -> None:
+    """Force to the disk which files a folder holds.
+
+    Args:
+        folder: the folder.
+    """
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    except OSError as error:
+        if error.errno not in _CANNOT_SYNC:
+            raise
+    finally:
+        os.close(handle)
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder and those above it, and force to the disk that they are there.
+
+    Args:
+        folder: the folder; it may be there.
+    """
+    if folder.is_dir():
+        return
+    make_folder(folder.parent)
+    folder.mkdir(exist_ok=True)
+    force_folder(folder.parent)
+
+
+@contextlib.contextmanager
+def _temporary(path: Path) -> Iterator[Path]:
+    """Make an empty file beside a place, of a name that nobody else has; remove what is left."""
+    make_folder(path.parent)
+    name = f"{_head(path)}{os.getpid()}-{secrets.token_hex(6)}{path.suffix}"
+    temporary = path.with_name(name)
+    # Made with the rights that any new file would get here.
+    os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+    try:
+        yield temporary
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _head(path: Path) -> str:
+    """Begin the name of a file's temporary ones."""
+    return f".{path.stem[:_KEPT_OF_NAME]}.partial-"
+
+
+def _force(path: Path) -> None:
+    """Force a file's content to the disk."""
+    handle = os.open(path, os.O_RDWR)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
