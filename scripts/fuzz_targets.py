@@ -6,6 +6,7 @@ import json
 from functools import cache
 from importlib import resources
 from pathlib import Path
+from typing import Any
 from unittest import mock
 
 import numpy as np
@@ -14,7 +15,10 @@ from fuzz import TEXTS, Target
 from jaxlangnav import cli
 from jaxlangnav.commands.arguments import Command
 from jaxlangnav.commands.output import Output, write_document
+from jaxlangnav.experiments.shards import Shard, write_shard
+from jaxlangnav.experiments.summary import markdown, render, summarize_directory
 from jaxlangnav.experiments.sweep_config import read_config
+from jaxlangnav.experiments.sweep_folder import MANIFEST, identity, read_manifest
 from jaxlangnav.language.corpus import CorpusError, read_corpus
 from jaxlangnav.language.grammar import Grammar
 from jaxlangnav.language.lexicon import read_lexicon
@@ -139,6 +143,64 @@ def _sweep(text: bytes, folder: Path) -> None:
     assert config.name.isprintable()
 
 
+def _manifests() -> list[bytes]:
+    """Write manifests as a sweep does."""
+    settings = {"name": "range", "files": 2, "rows": 8, "worlds": ["1H1C"], "seeds": [0]}
+    document = {
+        "settings": settings,
+        "jaxlangnav": "1.0",
+        "libraries": {"jax": "0.10", "numpy": "2.0"},
+        "models_sha256": "0" * 64,
+        "device": {"platform": "cpu", "kind": "cpu", "count": 1},
+    }
+    return [json.dumps(document, indent=2).encode(), json.dumps({"settings": settings}).encode()]
+
+
+def _episodes() -> dict[str, Any]:
+    """Make eight episodes of a world with a name that no table and no terminal should obey."""
+    number, world = 8, "a|b <b>**[red]\x1b[2J.toml"
+    measured = dict.fromkeys(
+        ("distance", "final_x", "final_y", "goal_distance", "mean_effective_sample_size"),
+        np.linspace(1.0, 9.0, number, dtype=np.float32),
+    )
+    counted = dict.fromkeys(
+        ("steps", "overflow", "degenerate", "contradictions"), np.arange(number, dtype=np.int32)
+    )
+    is_so = np.arange(number) % 2 == 0
+    return {
+        "world": [world] * number,
+        "relation": ["behind"] * number,
+        "command": ["go"] * number,
+        "range": np.full(number, 3.0),
+        "policy": ["informed", "faithful"] * (number // 2),
+        "particles": [64] * number,
+        "seed": [0] * number,
+        "episode": [index // 2 for index in range(number)],
+        "is_success": is_so,
+        "is_stopped": np.ones(number, bool),
+        "is_valid": np.ones(number, bool),
+        "known_distance": np.full(number, 5.0, np.float32),
+        **measured,
+        **counted,
+    }
+
+
+def _manifest(text: bytes, folder: Path) -> None:
+    """Summarise a sweep whose manifest is damaged; what is taken can be shown everywhere."""
+    (folder / MANIFEST).write_bytes(text)
+    sweep = identity(read_manifest(folder))
+    shard = Shard(sweep=sweep, index=0, rows=8)
+    write_shard(_episodes(), folder / "episodes-000000.parquet", shard)
+    document = summarize_directory(folder)
+    told = io.StringIO()
+    with contextlib.redirect_stdout(told):
+        Output(is_json=False).say(render(document))
+        write_document(document)
+    told.write(markdown(document))
+    assert all(line.isprintable() for line in told.getvalue().split("\n")), "it is not plain"
+    assert "<b>" not in markdown(document)
+
+
 def _sentences() -> list[bytes]:
     """Take sentences of many constructions."""
     return [
@@ -205,6 +267,7 @@ TARGETS = (
     Target(name="lexicon", seeds=lambda: _LEXICONS, call=_lexicon, refusals=(ValueError,)),
     Target(name="corpus", seeds=_corpus_lines, call=_corpus, refusals=(CorpusError,)),
     Target(name="sweep", seeds=lambda: _SWEEPS, call=_sweep, refusals=(ValueError,)),
+    Target(name="manifest", seeds=_manifests, call=_manifest, refusals=(ValueError,)),
     Target(name="sentence", seeds=_sentences, call=_sentence, refusals=(LanguageError,)),
     Target(name="command-line", seeds=_words, call=_command_line, refusals=(CommandLineError,)),
 )

@@ -32,6 +32,7 @@ follow. The grid is the product of everything that is listed.
 import dataclasses
 import difflib
 import hashlib
+import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -292,11 +293,12 @@ def _open_worlds(worlds: tuple[str, ...], folder: Path) -> tuple[dict[str, World
     hashes: dict[str, str] = {}
     for entry in worlds:
         beside = folder / entry
-        found = open_world(str(beside) if beside.is_file() else entry)
+        is_beside = os.path.isfile(beside)
+        found = open_world(str(beside) if is_beside else entry)
         if isinstance(found, Template):
             continue
         own[entry] = found
-        if beside.is_file():
+        if is_beside:
             hashes[entry] = hashlib.sha256(read_file(beside, at_most=LARGEST_FILE)).hexdigest()
     return own, hashes
 

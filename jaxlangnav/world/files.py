@@ -37,6 +37,7 @@ clockwise from +x); the map frame is the file's own.
     odometry_noise = 0.02              # as a share of the way
 """
 
+import os
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -96,7 +97,8 @@ def open_world(text: str, *, num_slots: int = NUM_SLOTS) -> Template | World:
         table = parse_toml(data.read_text(encoding="utf-8"))
         return world_from_dict(table, file=f"{text}.toml", num_slots=num_slots)
     is_path = "/" in text or Path(text).suffix.lower() in (".toml", ".json")
-    if is_path or Path(text).is_file():
+    # Unlike Path.is_file, it takes a name that is too long for one as no file.
+    if is_path or os.path.isfile(text):
         return load_world(text, num_slots=num_slots)
     if text.strip()[:1].isdigit():
         return parse_template(text)
