@@ -26,7 +26,7 @@ ARGS ?=
 # Test processes. One holds up to 5 GB, so this is not the number of cores.
 WORKERS ?= 2
 
-.PHONY: help demo test test-all lint format types check bench build docs notebooks clean
+.PHONY: help demo test test-all fuzz lint format types check bench build docs notebooks clean
 
 help: ## this list
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -39,6 +39,9 @@ test: $(STAMPS)/dev ## the quick tier of tests, WORKERS=2 at a time
 
 test-all: $(STAMPS)/dev ## every test, the slow ones too
 	@$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadfile --no-loadscope-reorder -m "" $(ARGS)
+
+fuzz: $(STAMPS)/dev ## damaged input at every door; ARGS="--minutes 60 --seed 7 --target world"
+	@$(BIN)/python scripts/fuzz.py $(ARGS)
 
 lint: $(STAMPS)/dev ## ruff: rules and format
 	@$(BIN)/ruff check .
@@ -66,7 +69,7 @@ notebooks: $(STAMPS)/notebook ## run the notebooks whose source has changed (ARG
 	@$(BIN)/python scripts/notebooks.py $(ARGS)
 
 clean: ## remove the environments and what the tools left
-	@rm -rf .venv .venv-* dist site build .pytest_cache .ruff_cache .hypothesis
+	@rm -rf .venv .venv-* dist site build .pytest_cache .ruff_cache .hypothesis fuzz
 
 # Environments. A stamp is written last, so an interrupted set-up is done again; a changed
 # pyproject.toml or constraints.txt updates the environment in place.

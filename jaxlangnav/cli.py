@@ -4,6 +4,7 @@ Exit codes: 0 done; 1 a failure of ours; 2 bad input, said in one line; 130 inte
 Nothing heavy is imported before a command runs, so help and errors are instant.
 """
 
+import io
 import os
 import sys
 from collections.abc import Sequence
@@ -11,8 +12,9 @@ from collections.abc import Sequence
 from jaxlangnav import __version__
 from jaxlangnav.commands import SUMMARIES
 from jaxlangnav.commands.arguments import PROGRAM, Command, parse_arguments
-from jaxlangnav.commands.errors import UsageError, is_refusal, one_line
+from jaxlangnav.commands.errors import UsageError, is_refusal, one_line, platform_fault
 from jaxlangnav.commands.output import Output, standard_output_kept, write_document
+from jaxlangnav.plain_text import printable
 
 DEBUG = "JAXLANGNAV_DEBUG"
 _STORY = """\
@@ -45,6 +47,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit code.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        # What the terminal's alphabet lacks is written as an escape, as on standard error.
+        sys.stdout.reconfigure(errors="backslashreplace")
     if not words or words[0] in ("-h", "--help", "help"):
         print(story(), file=sys.stdout if words else sys.stderr)
         return 0 if words else 2
@@ -65,6 +70,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _raise_if_debugging(error)
         if is_refusal(error):
             return _complain(one_line(error), code=2)
+        if fault := platform_fault():
+            return _complain(fault, code=2)
         fault = f"internal error: {type(error).__name__}: {one_line(error)}"
         return _complain(f"{fault} ({DEBUG}=1 shows the traceback)", code=1)
 
@@ -88,7 +95,7 @@ def _run(command: Command) -> int:
 
 def _complain(message: str, *, code: int) -> int:
     """Print one line on standard error and return the exit code."""
-    print(f"{PROGRAM}: {message}", file=sys.stderr)
+    print(f"{PROGRAM}: {printable(message)}", file=sys.stderr)
     return code
 
 

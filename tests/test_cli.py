@@ -50,7 +50,7 @@ class Echo:
         print("a stray print")
         output.note("working")
         for _ in range(self.times):
-            output.say(f"[bold]{self.text}[/bold]")
+            output.say(self.text)
         return {"text": self.text, "times": np.int64(self.times), "score": float("nan")}
 
 

@@ -107,3 +107,16 @@ def test_what_is_written_cannot_break_the_page(tmp_path: Path) -> None:
 def test_only_pictures_are_taken(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="is no picture"):
         data_uri(tmp_path / "figure.pdf")
+
+
+def test_text_that_names_a_place_of_the_page_stays_text() -> None:
+    part = Section(title="__MADE__ <i>", lead="__CONTENTS__ \x1b[2J", notes=["__PARTS__"])
+    text = render_report("__PARTS__ <b>", [part], made={"command": "__TITLE__ \u202e"})
+    page = Page()
+    page.feed(text)
+    assert text.count("<section") == 1
+    assert "__PARTS__ <b>" in page.text
+    assert "__MADE__ <i>" in page.text
+    assert "<b>" not in text
+    assert "\x1b" not in text
+    assert "\u202e" not in text

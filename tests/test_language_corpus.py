@@ -245,7 +245,7 @@ def test_a_sound_line_is_read():
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        ("{", "no JSON document"),
+        ("{", "is no valid JSON"),
         ("{}", "key 'text' is missing"),
         (changed("split", value="dev"), "train or test"),
         (changed("text", value="do not go"), "refused: 'not'"),
@@ -263,6 +263,20 @@ def test_a_sound_line_is_read():
         (changed("worlds", 0, "previous", value=3), "below 1, not 3"),
         (changed("worlds", 0, "robot", value=[0, 0]), "x, y, heading"),
         (changed("worlds", 0, "objects", value=3), "wrong form"),
+        ("[" * 100_000, "nested more than 32 deep"),
+        ("1" * 5000, "a number of too many digits"),
+        ("7", "must be a table"),
+        (changed("text", value=7), "text is 7, but must be a text"),
+        (changed("template", value=["a"]), "template is ['a'], but must be a text"),
+        (changed("template", value="a\x1b[31m"), "template has the control character U+001B"),
+        (changed("clauses", 0, "rank", 0, value=True), "rank must be 0, 1, 2"),
+        (changed("worlds", 0, "previous", value=False), "not False"),
+        (changed("worlds", 0, "robot", 0, value=float("inf")), "must lie between"),
+        (changed("worlds", 0, "robot", 0, value="near"), "'near' must be a number"),
+        (changed("worlds", 0, "objects", 0, 1, value=1e39), "must lie between"),
+        (changed("worlds", 0, "objects", 0, 1, value=10**400), "a whole number of 1329 bits"),
+        (changed("worlds", 0, "objects", 0, 0, value=["cone"]), "is none of hydrant"),
+        (changed("worlds", 0, "objects", value=[["cone", 1, 2]] * 33), "at most 32"),
     ],
 )
 def test_faults_are_named(line, message):

@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from importlib import resources
 from pathlib import Path
 
 import pytest
@@ -59,7 +60,37 @@ def test_without_the_file_the_words_are_unknown(tmp_path: Path) -> None:
         ("[types]\nlamp = ['pylon']", "'pylon' is a name of cone already"),
         ("[class.zork]\nplain = ['x']", r"\[class.zork\]: no such class"),
         ("[refused]\npath = ['x']", r"only \[types\] and \[class.X\]"),
-        ("[types", "Expected"),
+        ("[types", "is no valid TOML"),
+        ("[types]\nlamp = ['the']", "'the' has a meaning of its own"),
+        ("[types]\nthe = ['lamp']", "'the' has a meaning of its own"),
+        ("[types]\nlamp = ['behind']", "'behind' has a meaning of its own"),
+        ("[types]\nlamp = ['and']", "'and' has a meaning of its own"),
+        ("[types]\nlamp = ['not']", "'not' has a meaning of its own"),
+        ("[types]\nlamp = ['nearest']", "'nearest' has a meaning of its own"),
+        ("[types]\nlamp = ['it']", "'it' has a meaning of its own"),
+        ("[types]\nlamp = ['the cone']", "'the' has a meaning .* an end of a name"),
+        ("[types]\nrobot = ['droid']", "'robot' has a meaning of its own"),
+        ("[types]\nlamp = ['comma']", "'comma' has a meaning of its own"),
+        ("[types]\nlamp = ['cones']", "'cones' is a name of cone already"),
+        ("[types]\nlamp = ['a=b']", "'a=b' could not be read as a word"),
+        ("[types]\nlamp = ['lamp,']", "'lamp,' could not be read as a word"),
+        ('[types]\nlamp = ["cone\'s"]', "could not be read as a word"),
+        ("[types]\nlamp = ['*']", "could not be read as a word"),
+        ("[types]\nlamp = ['\\']", "could not be read as a word"),
+        ('[types]\nlamp = ["a\\u001b[31m"]', r"control character U\+001B"),
+        ('[types]\nlamp = ["lam\\u202ep"]', r"control character U\+202E"),
+        ('[types]\nlamp = ["lam\\u0000p"]', r"control character U\+0000"),
+        (f"[types]\nlamp = ['{'x' * 31}']", "has more than 30 letters"),
+        (f"[types]\nlamp = ['{'x' * 5000}']", "has 5000 characters"),
+        (f"[types]\nlamp = ['{'x ' * 9}']", "has more than 8 words"),
+        ("[class.adj]\nplain = ['the']", "'the' has another meaning already"),
+        ("[class.adj]\nplain = ['not']", "'not' has another meaning already"),
+        ('[class.rel]\n"relation:left" = ["behind"]', "'behind' has another meaning"),
+        ('[class.rel]\n"relation:left" = ["in front of"]', "'in front of' has another meaning"),
+        ('[class.rel]\n"relation:sideways" = ["athwart"]', "no such sense"),
+        ("[class.adj]\ntag = ['x']", "no such sense"),
+        ('[class.rel]\n"relation:left" = ["*a *b"]', "more than one word marked"),
+        (f"[types]\nlamp = {[f'w{i}' for i in range(2000)]}", "at most 1000 may be added"),
     ],
 )
 def test_a_faulty_file_is_named(
@@ -88,3 +119,22 @@ def test_own_lines_come_after_those_of_the_package() -> None:
     assert lexicon.type_names == ("cone", "lamp")
     assert lexicon.entries["type"]["pylons",].senses == (("type:cone",),)
     assert lexicon.entries["adj"]["teal",].tags == ("JJ",)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[types]\nsign = ['stop sign', 'road sign']",
+        "[types]\nbag = ['bag of sand', 'sandbag']",
+        "[types]\npark = []",
+        "[types]\nlamp = ['light', 'ﬂoor lamp', 'Straßenlaterne', 'лампа']",
+        "[types]\ncone = ['cone', 'bollard']",
+        "[types]\ndoor = ['front door', 'fire exit']",
+        '[class.rel]\n"relation:behind" = ["in the *lee of", "overlooking"]',
+        '[class.v_to]\n"action:navigate" = ["mosey", "b"]',
+        "[class.adj]\nplain = ['red', 'teal']",
+    ],
+)
+def test_honest_words_are_taken(text: str) -> None:
+    shipped = resources.files("jaxlangnav.language").joinpath("data/lexicon.toml")
+    assert read_lexicon(shipped.read_text("utf-8"), text).type_names[0] == "hydrant"

@@ -13,10 +13,13 @@ import pytest
 LAYERS = (
     "whole_files",
     "pytree",
+    "limits",
     "input_files",
     "array_files",
     "own_files",
     "compiled_program",
+    "plain_text",
+    "documents",
     "kept",
     "messages",
     "numerics",

@@ -1,6 +1,7 @@
 """The interactive recording: one file, everything in it, small, fast, and it runs in a browser."""
 
 import base64
+import dataclasses
 import json
 import re
 import shutil
@@ -13,6 +14,7 @@ from recording_fixture import make_recording
 
 from jaxlangnav.viz.html import pack, render_html, write_html
 
+HOSTILE = "</script><script>alert(1)</script> __DATA__ __TITLE__ \x1b[31m \u202e <b> & \"'"
 KINDS = {"f4": "<f4", "u2": "<u2", "u1": "u1"}
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 OFFLINE = (
@@ -137,3 +139,17 @@ def test_it_runs_in_a_browser(tmp_path):
     assert "Step 8: says stop" in dom
     assert "step 8 of 8" in dom
     assert "Success: it stands 0.5 m" in dom
+
+
+def test_a_hostile_sentence_is_only_text():
+    recording = make_recording()
+    scene = dataclasses.replace(recording.scene, text=HOSTILE)
+    text = render_html(dataclasses.replace(recording, scene=scene))
+    page = Page()
+    page.feed(text)
+    assert "alert(1)</script>" not in text
+    assert not any(one in text for one in ("\x1b", "\u202e", "<b>"))
+    assert json.loads(page.data)["text"] == HOSTILE.replace("\x1b", r"\x1b").replace(
+        "\u202e", r"\u202e"
+    )
+    assert text.count('id="data"') == 1

@@ -166,8 +166,8 @@ COMPLAINTS = [
     ("area", ..., "area is missing: add it"),
     ("area", 3, "area is 3 but must be a table"),
     ("area.x_min", ..., "area.x_min is missing: add it"),
-    ("area.x_max", -1.0, "area.x_max is -1.0 but must be more than 0"),
-    ("area.y_max", -9.0, "area.y_max is -9.0 but must be more than -9"),
+    ("area.x_max", -1.0, "area.x_max is -1.0 but must be 0.1 or more"),
+    ("area.y_max", -9.0, "area.y_max is -9.0 but must be -8.9 or more"),
     ("area.y_max", "9", "area.y_max is '9' but must be a number: write it without quotes"),
     ("area.x_max", float("inf"), "area.x_max is inf but must be a finite number"),
     ("area.x_max", True, "area.x_max is True but must be a number"),
@@ -206,9 +206,9 @@ COMPLAINTS = [
         r"objects\[1\].name is 'far hydrant' as is objects\[0\]: ren",
     ),
     ("objects.0.colour", "red", r"objects\[0\].colour is unknown: known keys are name, type, x, y"),
-    ("sensor.range", 0, "sensor.range is 0 but must be more than 0"),
-    ("sensor.range", -2.0, "sensor.range is -2.0 but must be more than 0"),
-    ("sensor.field_of_view", 720, "sensor.field_of_view is 720 but must be more than 0 and 360 or"),
+    ("sensor.range", 0, "sensor.range is 0 but must be 0.001 or more"),
+    ("sensor.range", -2.0, "sensor.range is -2.0 but must be 0.001 or more"),
+    ("sensor.field_of_view", 720, "sensor.field_of_view is 720 but must be 0.1 or more and 360 or"),
     ("sensor.detection_probability", 1.5, "is 1.5 but must be 0 or more and 1 or less"),
     ("sensor.noise", -0.1, "sensor.noise is -0.1 but must be 0 or more"),
     (
@@ -216,7 +216,7 @@ COMPLAINTS = [
         90,
         "sensor.fov is unknown: known keys are detection_probability, field_of_view",
     ),
-    ("motion", {"step_length": 0}, "motion.step_length is 0 but must be more than 0"),
+    ("motion", {"step_length": 0}, "motion.step_length is 0 but must be 0.001 or more"),
     ("motion", {"odometry_noise": 2}, "motion.odometry_noise is 2 but must be 0 or more and 1 or"),
     ("name", 3, "name is 3 but must be a text"),
     ("instruction", " ", "instruction is ' ' but must be a text that is not empty"),
@@ -267,8 +267,51 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     with pytest.raises(WorldFileError, match="is no text: save it as UTF-8"):
         load_world(tmp_path / "latin.toml")
     (tmp_path / "folder.toml").mkdir()
-    with pytest.raises(WorldFileError, match=r"folder\.toml: cannot be read: Is a directory"):
+    with pytest.raises(WorldFileError, match=r"folder\.toml: is a folder, not a regular file"):
         load_world(tmp_path / "folder.toml")
+
+
+@pytest.mark.parametrize(
+    ("where", "value", "message"),
+    [
+        ("area.x_max", 1e39, "x_max is 1e.39 but must be 0.1 or more and 100000 or less"),
+        ("area.x_max", 10**400, "x_max is a whole number of 1329 bits but must be"),
+        ("objects.0.x", -(10**30), "x is -1000000000000000000000000000000 but must be"),
+        ("sensor.range", 1e-46, "range is 1e-46 but must be 0.001 or more"),
+        ("sensor.noise", 1e39, "noise is 1e.39 but must be 0 or more and 100000 or less"),
+        ("name", "\x1b]0;title\x07", r"name has the control character U\+001B at place 1: remove"),
+        ("name", "\u202eright", r"name has the control character U\+202E"),
+        ("name", "a\nb", r"name has the control character U\+000A"),
+        ("name", "\ud800", r"name has the control character U\+D800"),
+        ("name", "x" * 5000, "name has 5000 characters but must have at most 100: shorten it"),
+        ("instruction", "go\x00", r"instruction has the control character U\+0000"),
+        ("objects.1.name", "x" * 101, r"objects\[1\].name has 101 characters"),
+        ("\x1b[2J" * 50, 1, "is unknown: known keys are"),
+        ("objects", [[[[]]]] * 2, "must be a table"),
+    ],
+    ids=range(14),
+)
+def test_hostile_values_are_refused_in_a_short_plain_line(where, value, message) -> None:
+    with pytest.raises(WorldFileError, match=message) as caught:
+        world_from_dict(change(tomllib.loads(YARD), where, value), file="yard.toml")
+    assert str(caught.value).isprintable()
+    assert len(str(caught.value)) < 300
+
+
+def test_a_name_that_comes_from_the_file_is_plain_and_short(tmp_path: Path) -> None:
+    text = YARD.replace('name = "yard"\n', "", 1)
+    world = load_world(write(tmp_path, text, "\x1b[31m\n" + "x" * 150 + ".toml"))
+    assert world.name.isprintable()
+    assert len(world.name) <= 100
+
+
+@pytest.mark.parametrize("kind", ["toml", "json"])
+def test_deep_and_large_files_are_refused(tmp_path: Path, kind: str) -> None:
+    deep = "[" * 50_000
+    for text in ("a = " + deep, deep, "a = " + "1" * 5000, "1" * 5000, "#" * 300_000):
+        with pytest.raises(WorldFileError) as caught:
+            load_world(write(tmp_path, text, f"bad.{kind}"))
+        assert "\n" not in str(caught.value)
 
 
 def test_files_that_cannot_be_written(tmp_path: Path) -> None:

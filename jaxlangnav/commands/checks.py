@@ -5,6 +5,7 @@ import os
 from pathlib import Path
 
 from jaxlangnav.commands.errors import UsageError
+from jaxlangnav.limits import FARTHEST, SHORTEST
 
 
 def check_at_least(option: str, value: int, least: int) -> None:
@@ -20,9 +21,15 @@ def check_seed(value: int) -> None:
 
 
 def check_range(value: float | None) -> None:
-    """Refuse a sensing range that is no length."""
-    if value is not None and not (math.isfinite(value) and value > 0):
+    """Refuse a sensing range that is no length, or one that single precision cannot hold."""
+    if value is None:
+        return
+    if not (math.isfinite(value) and value > 0):
         raise UsageError(f"--range is {value:g}, but must be a length above 0 m")
+    if not SHORTEST <= value <= FARTHEST:
+        raise UsageError(
+            f"--range is {value:g}, but must be between {SHORTEST:g} m and {FARTHEST:g} m"
+        )
 
 
 def check_folder(option: str, path: Path | None) -> None:

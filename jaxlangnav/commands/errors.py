@@ -1,7 +1,16 @@
 """What a person did that cannot be done: one line, exit code 2."""
 
 import difflib
+import os
+import sys
 from collections.abc import Iterable
+
+from jaxlangnav.plain_text import cut, printable
+
+_PLATFORMS = "JAX_PLATFORMS"
+"""Environment variable that tells JAX where to compute."""
+_LONGEST = 600
+"""Characters of the one line: a path or a value may be of any length."""
 
 
 class UsageError(ValueError):
@@ -15,12 +24,14 @@ def one_line(error: BaseException) -> str:
         error: any exception.
 
     Returns:
-        Its message with line breaks folded, or its type's name where it says nothing.
+        Its message with line breaks folded, printable, cut where it is very long; its type's
+        name where it says nothing.
     """
+    message = " ".join(str(error).split()) or type(error).__name__
     if isinstance(error, OSError) and error.strerror:
-        where = f"{error.filename}: " if error.filename is not None else ""
-        return f"{where}{error.strerror}"
-    return " ".join(str(error).split()) or type(error).__name__
+        where = f"{cut(str(error.filename), _LONGEST // 2)}: " if error.filename is not None else ""
+        message = f"{where}{error.strerror}"
+    return cut(printable(message), _LONGEST)
 
 
 def is_refusal(error: BaseException) -> bool:
@@ -43,6 +54,25 @@ def is_refusal(error: BaseException) -> bool:
     raised_in = trace.tb_frame.f_globals.get("__name__", "") if trace is not None else ""
     is_ours = raised_in.split(".")[0] == "jaxlangnav"
     return isinstance(error, UsageError) or (isinstance(error, ValueError) and is_ours)
+
+
+def platform_fault() -> str | None:
+    """Find out whether JAX was told to compute on what is not here; asked after a failure.
+
+    Returns:
+        One line, or None where JAX has not been used or has found its devices.
+    """
+    jax, named = sys.modules.get("jax"), os.environ.get(_PLATFORMS)
+    if jax is None or not named:
+        return None
+    try:
+        jax.devices()
+    except (RuntimeError, AssertionError):
+        return (
+            f'{_PLATFORMS} is "{cut(named)}", but JAX can compute on no such device here: '
+            "unset it, or set it to cpu"
+        )
+    return None
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:

@@ -252,7 +252,8 @@ class Follow:
         document["pictures"] = [str(path) for path in paths]
         write_text(json.dumps(to_json(document), indent=2) + "\n", self.out / "episode.json")
         names = ", ".join(path.name for path in paths)
-        output.say(f"\nWrote {names} and episode.json into {self.out}")
+        output.say("")
+        output.say(f"Wrote {names} and episode.json into {self.out}")
 
 
 def nothing_there(prepared: "Prepared", missing: Sequence[str], names: Sequence[str]) -> str:

@@ -159,9 +159,12 @@ def show_graph(graph: dict[str, dict[str, int]], output: Output) -> None:
         graph: by model, ``phrases``, ``factors``, ``variables``.
         output: where to.
     """
+    from rich.text import Text
+
     for model, size in graph.items():
         objects = f", {size['objects']} objects" if "objects" in size else ""
-        output.say(
-            f"[dim]{model} graph: {size['phrases']} phrases, {size['factors']} factors, "
-            f"{size['variables']} variables{objects}[/dim]"
+        told = (
+            f"{model} graph: {size['phrases']} phrases, {size['factors']} factors, "
+            f"{size['variables']} variables{objects}"
         )
+        output.say(Text(told, style="dim"))

@@ -21,6 +21,7 @@ from jaxlangnav.experiments.report import Section, Table
 from jaxlangnav.experiments.sentences import SENTENCES
 from jaxlangnav.grounding.instruction import understand_parse
 from jaxlangnav.language.parser import parse
+from jaxlangnav.plain_text import markdown_table
 from jaxlangnav.planner.params import POLICIES
 from jaxlangnav.pytree import replace
 from jaxlangnav.recording import Recording
@@ -200,8 +201,7 @@ def _write(
     draw = belief_figure if name == "fig1" else values_figure
     pictures = [*save(draw(recording, steps=steps), out / figure.name)]
     page = write_html(recording, out / f"{figure.name}.html")
-    rows = [TABLE_HEADINGS, ["---"] * len(TABLE_HEADINGS), *table_rows(document["moments"])]
-    table = "".join(f"| {' | '.join(row)} |\n" for row in rows)
+    table = markdown_table(TABLE_HEADINGS, table_rows(document["moments"]))
     text = f"# {figure.title}\n\n{figure.paper}\n\n{figure.ours}\n\n{table}"
     settings = {key: value for key, value in document.items() if key != "moments"}
     written = [

@@ -10,6 +10,8 @@ import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from jaxlangnav.plain_text import Plain, is_plain, printable
+
 Document = Mapping[str, Any]
 """What a command found, in JSON's own types (NumPy and JAX scalars and arrays are turned)."""
 
@@ -32,18 +34,28 @@ class Output:
         self.is_json = is_json
 
     def say(self, *parts: Any) -> None:
-        """Print a line of the narrative (rich markup and renderables); nothing under ``--json``."""
+        """Print a line of the narrative; nothing under ``--json``.
+
+        Text may come from others: no markup is read in it, and nothing of it moves the terminal.
+
+        Args:
+            *parts: texts, each within one line, and what rich draws: tables, trees, styled text.
+        """
         if not self.is_json:
             from rich.console import Console
             from rich.measure import Measurement
 
-            console = Console(file=sys.stdout, highlight=False, soft_wrap=True)
+            console = Console(
+                file=sys.stdout, highlight=False, soft_wrap=True, markup=False, emoji=False
+            )
             # A table that is too wide for the screen is better wrapped by it than cut by us.
             tables = [part for part in parts if not isinstance(part, str)]
             room = console.options.update(max_width=_WIDEST)
             widths = [Measurement.get(console, room, part).maximum for part in tables]
             console.width = max([console.width, *widths])
-            console.print(*parts)
+            console.print(
+                *(printable(one) if isinstance(one, str) else Plain(one) for one in parts)
+            )
 
     def tell(self, lines: Sequence[str]) -> None:
         """Print a story in plain text; on a terminal long lines hang under their heads.
@@ -58,13 +70,14 @@ class Output:
         for line in lines:
             head = len(line.partition("] ")[0]) + 2 if line.startswith("[") else 0
             # A number and its unit stay together.
+            line = printable(line)
             kept = re.sub(r"(\d) (?=%|m\b)", "\\1\N{NO-BREAK SPACE}", line)
             hung = textwrap.fill(kept, width, subsequent_indent=" " * head)
             print(hung.replace("\N{NO-BREAK SPACE}", " ") if is_watched else line)
 
     def note(self, text: str) -> None:
         """Print a plain line on standard error: progress, warnings, repairs."""
-        print(text, file=sys.stderr, flush=True)
+        print(printable(text), file=sys.stderr, flush=True)
 
 
 def write_document(document: Document) -> None:
@@ -73,7 +86,12 @@ def write_document(document: Document) -> None:
     Args:
         document: what a command returned; numbers that JSON lacks (NaN, infinities) become null.
     """
-    sys.stdout.write(json.dumps(to_json(document), ensure_ascii=False, indent=2) + "\n")
+    is_unicode = (sys.stdout.encoding or "").lower().startswith("utf")
+    text = json.dumps(to_json(document), ensure_ascii=not is_unicode, indent=2)
+    # JSON lets a text hold what would steer a terminal; written as an escape it is the same text.
+    escaped = (one if is_plain(one) or one == "\n" else json.dumps(one)[1:-1] for one in text)
+    sys.stdout.write(text if text.isprintable() else "".join(escaped))
+    sys.stdout.write("\n")
     sys.stdout.flush()
 
 

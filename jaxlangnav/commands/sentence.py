@@ -7,6 +7,8 @@ from jaxlangnav.commands.errors import UsageError
 from jaxlangnav.commands.output import Output
 
 if TYPE_CHECKING:
+    from rich.text import Text
+
     from jaxlangnav.language.phrase import Parse
 
 
@@ -58,11 +60,10 @@ def _grow(branch: Any, phrase: Mapping[str, Any]) -> None:
         _grow(branch.add(_phrase_line(child)), child)
 
 
-def _phrase_line(phrase: Mapping[str, Any]) -> str:
+def _phrase_line(phrase: Mapping[str, Any]) -> "Text":
     """Write a phrase's label and words."""
-    from rich.markup import escape
+    from rich.text import Text
 
-    words = " ".join(
-        f"{escape(word['text'])}[dim]/{escape(word['tag'])}[/dim]" for word in phrase["words"]
-    )
-    return f"[bold cyan]{escape(phrase['label'])}[/bold cyan] {words}".rstrip()
+    words = [(word["text"], (f"/{word['tag']}", "dim")) for word in phrase["words"]]
+    parts = [part for text, tag in words for part in (" ", text, tag)]
+    return Text.assemble((phrase["label"], "bold cyan"), *parts)

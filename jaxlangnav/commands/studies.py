@@ -12,6 +12,7 @@ from jaxlangnav.commands.runtime import progress_bar, waiting
 from jaxlangnav.experiments import figure5, table2
 from jaxlangnav.experiments.experiment import Experiment
 from jaxlangnav.experiments.report import Section, Table
+from jaxlangnav.plain_text import markdown_table
 
 _SPLITS = 8
 """Random splits of Table 1, as in the paper; ``jaxlangnav evaluate`` takes any number."""
@@ -55,7 +56,7 @@ def table1(settings: Settings, output: Output) -> Study:
     wall = time.perf_counter() - begin
     files: list[str] = []
     if settings.out is not None:
-        text = f"# Table 1: ours beside the paper's\n\n{_markdown(headings, rows)}"
+        text = f"# Table 1: ours beside the paper's\n\n{markdown_table(headings, rows)}"
         files.append(str(write_text(text, settings.out / "table1.md")))
     section = Section(
         title="Table 1: how often sentences are understood",
@@ -264,12 +265,6 @@ def reliability_panels(document: dict[str, Any]) -> dict[str, dict[str, Any]]:
         policy: {name: curve(pooled(listed)) for name, listed in curves.items()}
         for policy, curves in parts.items()
     }
-
-
-def _markdown(headings: list[str], rows: list[list[str]]) -> str:
-    """Write a Markdown table."""
-    lines = [headings, ["---"] * len(headings), *rows]
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
 def _vector(paths: list[Path]) -> list[Path]:

@@ -12,6 +12,7 @@ from jaxlangnav.experiments.baselines import BASELINES, run_baseline
 from jaxlangnav.experiments.monte_carlo import BLOCK, Progress, map_pieces, run_tasks
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, default_params
+from jaxlangnav.plain_text import cut
 from jaxlangnav.planner.own import Policy
 from jaxlangnav.planner.params import POLICIES, PlannerConfig
 from jaxlangnav.semantic_map.params import MapConfig
@@ -53,10 +54,10 @@ def check_policies(names: Sequence[str]) -> tuple[str, ...]:
         raise ValueError(f"no policy given: choose from {', '.join(POLICY_NAMES)}")
     for name in names:
         if name not in POLICY_NAMES:
-            near = difflib.get_close_matches(str(name).lower(), POLICY_NAMES, n=1)
+            near = difflib.get_close_matches(cut(name).lower(), POLICY_NAMES, n=1)
             hint = f'; did you mean "{near[0]}"?' if near else ""
             raise ValueError(
-                f'unknown policy "{name}": choose from {", ".join(POLICY_NAMES)}{hint}'
+                f'unknown policy "{cut(name)}": choose from {", ".join(POLICY_NAMES)}{hint}'
             )
     return tuple(dict.fromkeys(names))
 

@@ -11,7 +11,9 @@ from typing import Any
 
 from jax import Array
 
+from jaxlangnav.limits import FARTHEST, LARGEST, SMALLEST
 from jaxlangnav.messages import MotionParams, SensorParams
+from jaxlangnav.plain_text import cut, shown
 from jaxlangnav.planner.params import PlannerParams
 from jaxlangnav.semantic_map.params import MapParams
 
@@ -53,7 +55,14 @@ class Quantity:
         is_low = number <= self.low if self.is_low_open else number < self.low
         if not math.isfinite(number) or is_low or number > self.high:
             raise ValueError(
-                f"{name} is {value}, but must be {self._limits()}{self._remedy(value)}"
+                f"{name} is {_said(value)}, but must be {self._limits()}{self._remedy(value)}"
+            )
+        is_lost = number != 0.0 and not SMALLEST <= abs(number) <= LARGEST
+        if is_lost or (self.kind == "length" and number > FARTHEST):
+            most = FARTHEST if self.kind == "length" else LARGEST
+            raise ValueError(
+                f"{name} is {_said(value)}, but single precision serves for {SMALLEST:g} to "
+                f"{most:g} only"
             )
         return number
 
@@ -64,15 +73,15 @@ class Quantity:
         match = _TEXT.match(value) if isinstance(value, str) else None
         if match is None:
             raise ValueError(
-                f"{name} is {value!r}, but must be {_NAMES[self.kind]}{self._example()}"
+                f"{name} is {shown(value)}, but must be {_NAMES[self.kind]}{self._example()}"
             )
         number, unit = float(match[1]), match[2]
         if not unit or unit in _UNITS[self.kind]:
             return number * _UNITS[self.kind].get(unit, 1.0)
         meant = next((kind for kind, units in _UNITS.items() if unit in units), None)
-        what = f"is {_NAMES[meant]}" if meant else f'has the unknown unit "{unit}"'
+        what = f"is {_NAMES[meant]}" if meant else f'has the unknown unit "{cut(unit)}"'
         raise ValueError(
-            f'{name} = "{value}" {what}, but {_NAMES[self.kind]} is needed{self._example()}'
+            f'{name} = "{cut(value)}" {what}, but {_NAMES[self.kind]} is needed{self._example()}'
         )
 
     def _example(self) -> str:
@@ -135,6 +144,11 @@ _RECORDS = {
     "map": MapParams,
     "planner": PlannerParams,
 }
+
+
+def _said(value: Any) -> str:
+    """Repeat a value in a message."""
+    return cut(value) if isinstance(value, str) else shown(value)
 
 
 def _fields(table: str) -> dict[str, Quantity]:

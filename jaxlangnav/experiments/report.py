@@ -13,6 +13,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from jaxlangnav.plain_text import printable
 from jaxlangnav.whole_files import write_text
 
 _NUMBER = re.compile(r"[≤≥<>+−-]? ?\d[\d.,]*(\s|$)")
@@ -67,15 +68,15 @@ def render_report(title: str, sections: Sequence[Section], *, made: Mapping[str,
     )
     parts = "\n".join(_section(index, part) for index, part in enumerate(sections, start=1))
     page = resources.files("jaxlangnav.experiments") / "report.html"
-    filled = page.read_text(encoding="utf-8")
-    for name, value in {
+    places = {
         "__TITLE__": _text(title),
         "__MADE__": _facts(made),
         "__CONTENTS__": contents,
         "__PARTS__": parts,
-    }.items():
-        filled = filled.replace(name, value)
-    return filled
+    }
+    # In one pass: a value may hold the name of another place.
+    filled = page.read_text(encoding="utf-8")
+    return re.sub("|".join(places), lambda found: places[found[0]], filled)
 
 
 def write_html(
@@ -178,5 +179,5 @@ def _facts(made: Mapping[str, str]) -> str:
 
 
 def _text(value: Any) -> str:
-    """Write plain text inside HTML."""
-    return html.escape(str(value), quote=True)
+    """Write plain text inside HTML; line breaks stay."""
+    return html.escape(printable(str(value), keep="\n"), quote=True)

@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from typing import Any
 
+from jaxlangnav import plain_text
+
 Document = dict[str, Any]
 _ALWAYS = ("world", "relation", "range", "policy")
 _RESULTS = ("Episodes", "Success % (95 %)", "Distance m (σ)", "Known m", "SPL", "Time-outs")
@@ -65,9 +67,12 @@ def markdown(document: Document) -> str:
     Returns:
         Heading, rows, paired tests.
     """
-    parts = [f"# {document['name']}", _state(document), _markdown_table(*rows_table(document))]
+    heading = f"# {plain_text.markdown(document['name'])}"
+    rows = plain_text.markdown_table(*rows_table(document))
+    parts = [heading, _state(document), rows.rstrip()]
     if document["comparisons"]:
-        parts += ["## Paired tests", _markdown_table(*comparisons_table(document)), _METHOD]
+        tests = plain_text.markdown_table(*comparisons_table(document))
+        parts += ["## Paired tests", tests.rstrip(), _METHOD]
     return "\n\n".join(parts) + "\n"
 
 
@@ -140,12 +145,6 @@ def _state(document: Document) -> str:
     if document["damaged"]:
         missing += f", {len(document['damaged'])} of them because they are damaged"
     return f"{document['episodes']} episodes in {document['files']} files{missing}."
-
-
-def _markdown_table(headings: Sequence[str], cells: Sequence[Sequence[str]]) -> str:
-    """Write a Markdown table."""
-    lines = [f"| {' | '.join(headings)} |", "|" + "---|" * len(headings)]
-    return "\n".join([*lines, *(f"| {' | '.join(row)} |" for row in cells)])
 
 
 def _rich_table(

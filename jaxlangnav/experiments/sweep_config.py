@@ -32,16 +32,19 @@ follow. The grid is the product of everything that is listed.
 import dataclasses
 import difflib
 import hashlib
-import tomllib
+import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from jaxlangnav.documents import DocumentError, parse_toml, read_text
 from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, check_policies
 from jaxlangnav.experiments.quantities import FIELDS, LENGTH
 from jaxlangnav.experiments.sentences import SENTENCES
 from jaxlangnav.experiments.tasks import SEED_LIMIT
-from jaxlangnav.world.files import World, open_world
+from jaxlangnav.input_files import read_file
+from jaxlangnav.plain_text import cut, fault_of_name, shown
+from jaxlangnav.world.files import LARGEST_FILE, World, open_world
 from jaxlangnav.world.scenario import scenario_law
 from jaxlangnav.world.templates import Template, check_relation
 
@@ -56,6 +59,10 @@ _KEYS = (
     "policies",
     "particles",
 )
+_LONGEST_TEXT = 1000
+"""Characters of a sentence, or of the path of a world."""
+_LARGEST_FILE = 1 << 20
+"""Bytes of a configuration."""
 Values = dict[str, tuple[float, ...]]
 
 
@@ -125,13 +132,15 @@ def read_config(
     """
     path = Path(path)
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
+        text = read_text(path, at_most=_LARGEST_FILE)
     except FileNotFoundError:
         raise ValueError(f"{path}: no such file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: cannot be read: {error}") from None
-    except tomllib.TOMLDecodeError as error:
-        raise ValueError(f"{path}: is no valid TOML: {error}") from None
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be read: {error.strerror}") from None
+    try:
+        table = parse_toml(text)
+    except DocumentError as error:
+        raise ValueError(f"{path}: {error}") from None
     for name, keys in (overrides or {}).items():
         if isinstance(table.setdefault(name, {}), dict):
             table[name] |= keys
@@ -161,7 +170,7 @@ def config_from_dict(table: Mapping[str, Any], *, folder: Path = Path()) -> Swee
     worlds = _texts(table, "worlds", ())
     own, hashes = _open_worlds(worlds, folder)
     config = SweepConfig(
-        name=str(table.get("name", "sweep")),
+        name=_name(table.get("name", "sweep")),
         episodes=_integers(table, "episodes", (100,), least=1, is_list=False)[0],
         environments=_integers(
             table, "environments", (0,), least=0, limit=SEED_LIMIT, is_list=False
@@ -191,9 +200,18 @@ def _check_keys(table: Mapping[str, Any], known: Iterable[str], where: str) -> N
     names = list(known)
     for key in table:
         if key not in names:
-            near = difflib.get_close_matches(key, names, n=1)
+            near = difflib.get_close_matches(cut(key), names, n=1)
             hint = f'; did you mean "{near[0]}"?' if near else f": choose from {', '.join(names)}"
-            raise ValueError(f'unknown key "{where}{key}"{hint}')
+            raise ValueError(f'unknown key "{where}{cut(key)}"{hint}')
+
+
+def _name(value: Any) -> str:
+    """Read the sweep's name, which heads its tables."""
+    if not isinstance(value, str) or not value.strip():
+        raise ValueError(f"name is {shown(value)}, but must be a text that is not empty")
+    if fault := fault_of_name(value):
+        raise ValueError(f"name {fault}")
+    return value
 
 
 def _listed(value: Any, name: str) -> list[Any]:
@@ -209,8 +227,15 @@ def _texts(table: Mapping[str, Any], name: str, default: tuple[str, ...]) -> tup
     values = _listed(table.get(name, list(default)), name)
     for value in values:
         if not isinstance(value, str) or not value.strip():
-            raise ValueError(f"{name} holds {value!r}, but must hold texts")
+            raise ValueError(f"{name} holds {shown(value)}, but must hold texts")
+        _check_text(value, f"a text of {name}")
     return tuple(values)
+
+
+def _check_text(value: str, what: str) -> None:
+    """Refuse a text that could not be shown to people."""
+    if fault := fault_of_name(value, longest=_LONGEST_TEXT):
+        raise ValueError(f"{what} {fault}")
 
 
 def _integers(
@@ -229,7 +254,7 @@ def _integers(
     values = _listed(value, name)
     for one in values:
         if not isinstance(one, int) or isinstance(one, bool):
-            raise ValueError(f"{name} is {one!r}, but must be a whole number")
+            raise ValueError(f"{name} is {shown(one)}, but must be a whole number")
         if one < least:
             raise ValueError(f"{name} is {one}, but must be at least {least}")
         if limit is not None and one >= limit:
@@ -243,19 +268,24 @@ def _command(value: Any) -> Command:
         _check_keys(value, ("text", "relation"), "commands.")
         if not isinstance(value.get("text"), str) or not value["text"].strip():
             raise ValueError('a command\'s "text" is missing or empty')
+        _check_text(value["text"], "a command")
         relation = value.get("relation", "null")
+        if not isinstance(relation, str):
+            raise ValueError(f"a command's relation is {shown(relation)}, but must be a text")
+        _check_text(relation, "a command's relation")
         check_relation(relation)
         return Command(text=value["text"], relation=relation)
     if not isinstance(value, str) or not value.strip():
-        raise ValueError(f"commands holds {value!r}, but must hold sentences")
+        raise ValueError(f"commands holds {shown(value)}, but must hold sentences")
+    _check_text(value, "a command")
     if value in SENTENCES:
         return Command(text=SENTENCES[value], relation=value)
     for relation, text in SENTENCES.items():
         if value == text:
             return Command(text=text, relation=relation)
     raise ValueError(
-        f'command "{value}": say by which relation the worlds are drawn, '
-        f'{{ text = "{value}", relation = "behind" }} (null, behind or nearest)'
+        f'command "{cut(value)}": say by which relation the worlds are drawn, '
+        f'{{ text = "{cut(value)}", relation = "behind" }} (null, behind or nearest)'
     )
 
 
@@ -265,19 +295,20 @@ def _open_worlds(worlds: tuple[str, ...], folder: Path) -> tuple[dict[str, World
     hashes: dict[str, str] = {}
     for entry in worlds:
         beside = folder / entry
-        found = open_world(str(beside) if beside.is_file() else entry)
+        is_beside = os.path.isfile(beside)
+        found = open_world(str(beside) if is_beside else entry)
         if isinstance(found, Template):
             continue
         own[entry] = found
-        if beside.is_file():
-            hashes[entry] = hashlib.sha256(beside.read_bytes()).hexdigest()
+        if is_beside:
+            hashes[entry] = hashlib.sha256(read_file(beside, at_most=LARGEST_FILE)).hexdigest()
     return own, hashes
 
 
 def _params(table: Any, name: str) -> Values:
     """Read one of the tables of Params."""
     if not isinstance(table, Mapping):
-        raise ValueError(f"{name} is {table!r}, but must be a table: [{name}]")
+        raise ValueError(f"{name} is {shown(table)}, but must be a table: [{name}]")
     _check_keys(table, FIELDS[name], f"{name}.")
     return {
         key: tuple(FIELDS[name][key].read(one, f"{name}.{key}") for one in _listed(value, key))

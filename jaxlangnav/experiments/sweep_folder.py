@@ -11,11 +11,13 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from jaxlangnav.documents import parse_json, read_text
 from jaxlangnav.experiments.archive import manifest, to_json
 from jaxlangnav.experiments.devices import CHUNK, LANES
 from jaxlangnav.experiments.holding import Note
 from jaxlangnav.experiments.shards import Shard, ShardError, check_shard
 from jaxlangnav.experiments.sweep_plan import Plan
+from jaxlangnav.plain_text import fault_of_name
 from jaxlangnav.whole_files import write_once
 
 MANIFEST = "manifest.json"
@@ -23,6 +25,8 @@ _IDENTITY = ("settings", "jaxlangnav", "libraries", "models_sha256", "device")
 """What must be the same for files of one sweep to belong together; not how many devices."""
 _FILE = re.compile(r"episodes-(\d{6,})\.parquet")
 _LEFT = re.compile(r"\.episodes-(\d{6,})\..*")
+_LARGEST_MANIFEST = 16 << 20
+"""Bytes of a manifest; it holds the configuration, of a million bytes at most, written out."""
 _UNREADABLE = "restore it, or run the sweep in another folder"
 
 
@@ -59,14 +63,14 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         ValueError: none is there, or it is not one of a sweep.
     """
     path = folder / MANIFEST
-    if not path.is_file():
+    if not path.exists():
         raise ValueError(f"{folder} holds no sweep: there is no {MANIFEST}")
     document: dict[str, Any] = {}
     try:
-        document = json.loads(path.read_text("utf-8"))
-        settings = document["settings"]
-        is_sound = isinstance(settings["name"], str) and isinstance(settings["files"], int)
-    except (ValueError, KeyError, TypeError, RecursionError):
+        document = parse_json(read_text(path, at_most=_LARGEST_MANIFEST))
+        name, files = document["settings"]["name"], document["settings"]["files"]
+        is_sound = isinstance(name, str) and fault_of_name(name) is None and type(files) is int
+    except (ValueError, KeyError, TypeError):
         is_sound = False
     if not is_sound:
         raise ValueError(f"{path} is not the manifest of a sweep, or is damaged: {_UNREADABLE}")

@@ -5,6 +5,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from jaxlangnav import plain_text
 from jaxlangnav.experiments.deviations import NEAR, deviations
 from jaxlangnav.experiments.policies import KNOWLEDGE
 from jaxlangnav.experiments.rows import Row, row_key
@@ -173,9 +174,7 @@ def markdown_table(document: dict[str, Any]) -> str:
     Returns:
         Lines, each ended.
     """
-    lines = [f"| {' | '.join(HEADINGS)} |", "|" + "---|" * len(HEADINGS)]
-    lines += [f"| {' | '.join(texts)} |" for _, texts in table_lines(document)]
-    return "\n".join(lines) + "\n"
+    return plain_text.markdown_table(HEADINGS, [texts for _, texts in table_lines(document)])
 
 
 def rich_table(document: dict[str, Any], *, title: str) -> Any:

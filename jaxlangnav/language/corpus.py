@@ -19,7 +19,7 @@ object that the command before this one led to, or null. ``split`` is "train" or
 ``python -m jaxlangnav.language.corpus FILE`` checks a file.
 """
 
-import json
+import math
 import re
 import sys
 from dataclasses import dataclass
@@ -28,14 +28,23 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from jaxlangnav.documents import DocumentError, parse_json, read_text
 from jaxlangnav.language.labels import ROBOT, Labels
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import COMMAND, STATEMENT, LanguageError, Parse
 from jaxlangnav.language.placed import PlacedWorld
+from jaxlangnav.limits import FARTHEST
 from jaxlangnav.messages import ACTIONS, MODES, REGIONS, RELATIONS
+from jaxlangnav.plain_text import cut, fault_of_name, printable, shown
 
 SPLITS = ("train", "test")
+LARGEST_FILE = 64 << 20
+"""Bytes of a corpus; the one of the package has about a million."""
+MOST_OBJECTS = 32
+"""Objects of one world of a corpus."""
+_LONGEST_LINE = 1200
+"""Characters of a complaint; one that lists the phrases of the longest sentence needs as many."""
 _SYMBOL = re.compile(r"([a-z]+)\(([a-z0-9,_]*)\)")
 
 
@@ -73,7 +82,7 @@ class Example:
 
 def _check(condition: bool, message: str) -> None:
     if not condition:
-        raise CorpusError(message)
+        raise CorpusError(cut(message, _LONGEST_LINE))
 
 
 def _check_annotation(symbol: str, types: tuple[str, ...]) -> None:
@@ -132,7 +141,7 @@ def _read_clause(record: dict[str, Any], found: Parse, index: int) -> ClauseLabe
     for symbols in record["annotation"]:
         for symbol in symbols:
             _check_annotation(symbol, types)
-    _check(all(isinstance(r, int) and r >= 0 for r in record["rank"]), "rank must be 0, 1, 2, ...")
+    _check(all(type(r) is int and r >= 0 for r in record["rank"]), "rank must be 0, 1, 2, ...")
     return ClauseLabels(
         annotation=tuple(frozenset(symbols) for symbols in record["annotation"]),
         rank=tuple(record["rank"]),
@@ -141,14 +150,11 @@ def _read_clause(record: dict[str, Any], found: Parse, index: int) -> ClauseLabe
 
 def _read_world(record: dict[str, Any], found: Parse) -> WorldLabels:
     """Read and check one world and its behavior labels."""
-    objects = tuple((str(kind), float(x), float(y)) for kind, x, y in record["objects"])
-    types = load_lexicon().type_names
-    for kind, _, _ in objects:
-        _check(kind in types, f"object type '{kind}' is none of {', '.join(types)}")
+    objects = _read_objects(record["objects"])
     previous = record["previous"]
     _check(
-        previous is None or (isinstance(previous, int) and 0 <= previous < len(objects)),
-        f"previous must be null or an object's index below {len(objects)}, not {previous}",
+        previous is None or (type(previous) is int and 0 <= previous < len(objects)),
+        f"previous must be null or an object's index below {len(objects)}, not {shown(previous)}",
     )
     _check(len(record["robot"]) == 3, "robot must be [x, y, heading]")
     _check(len(record["behavior"]) == len(found.clauses), "behavior needs one list per clause")
@@ -158,13 +164,40 @@ def _read_world(record: dict[str, Any], found: Parse) -> WorldLabels:
         for symbols in labels:
             for symbol in symbols:
                 _check_behavior(symbol, len(objects))
-    x, y, heading = (float(value) for value in record["robot"])
+    x, y, heading = (_number(value) for value in record["robot"])
     return WorldLabels(
         world=PlacedWorld(objects=objects, robot=(x, y, heading), previous=previous),
         behavior=tuple(
             tuple(frozenset(symbols) for symbols in labels) for labels in record["behavior"]
         ),
     )
+
+
+def _read_objects(records: list[Any]) -> tuple[tuple[str, float, float], ...]:
+    """Read and check the objects of one world: type, x, y."""
+    _check(len(records) <= MOST_OBJECTS, f"{len(records)} objects: at most {MOST_OBJECTS}")
+    types = load_lexicon().type_names
+    for record in records:
+        _check(isinstance(record, list) and len(record) == 3, "an object must be [type, x, y]")
+        _check(record[0] in types, f"object type {shown(record[0])} is none of {', '.join(types)}")
+    return tuple((kind, _number(x), _number(y)) for kind, x, y in records)
+
+
+def _number(value: Any) -> float:
+    """Read a coordinate or an angle."""
+    _check(type(value) in (int, float), f"{shown(value)} must be a number")
+    is_near = math.isfinite(value) and abs(value) <= FARTHEST
+    _check(is_near, f"{shown(value)} must lie between {-FARTHEST:g} and {FARTHEST:g}")
+    return float(value)
+
+
+def _check_texts(record: Any) -> None:
+    """Check that a line is a table whose texts are texts."""
+    _check(isinstance(record, dict), f"the line is {shown(record)}, but must be a table")
+    for key in ("text", "template", "split"):
+        _check(isinstance(record[key], str), f"{key} is {shown(record[key])}, but must be a text")
+    fault = fault_of_name(record["template"])
+    _check(fault is None, f"template {fault}")
 
 
 def read_example(line: str) -> Example:
@@ -180,9 +213,12 @@ def read_example(line: str) -> Example:
         CorpusError: what is wrong, in one line.
     """
     try:
-        record = json.loads(line)
+        record = parse_json(line)
+        _check_texts(record)
         found = parse(record["text"])
-        _check(record["split"] in SPLITS, f"split must be train or test, not {record['split']}")
+        _check(
+            record["split"] in SPLITS, f"split must be train or test, not {shown(record['split'])}"
+        )
         count = len(record["clauses"])
         _check(count == len(found.clauses), f"{count} clauses, parsed {len(found.clauses)}")
         clauses = [_read_clause(c, found, index) for index, c in enumerate(record["clauses"])]
@@ -191,14 +227,14 @@ def read_example(line: str) -> Example:
             text=record["text"], template=record["template"], split=record["split"],
             parse=found, clauses=tuple(clauses), worlds=tuple(worlds),
         )  # fmt: skip
-    except json.JSONDecodeError as error:
-        raise CorpusError(f"no JSON document ({error.msg}, column {error.colno})") from None
+    except DocumentError as error:
+        raise CorpusError(f"the line {error}") from None
     except KeyError as error:
         raise CorpusError(f"key {error} is missing") from None
     except LanguageError as error:
         raise CorpusError(f"the text is refused: {error}") from None
     except (TypeError, AttributeError) as error:
-        raise CorpusError(f"a value has the wrong form ({error})") from None
+        raise CorpusError(f"a value has the wrong form ({cut(str(error))})") from None
 
 
 def read_corpus(path: str | Path) -> tuple[Example, ...]:
@@ -215,9 +251,11 @@ def read_corpus(path: str | Path) -> tuple[Example, ...]:
     """
     path = Path(path)
     try:
-        lines = path.read_text("utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise CorpusError(f"cannot read {path}: {error}") from None
+        lines = read_text(path, at_most=LARGEST_FILE).splitlines()
+    except OSError as error:
+        raise CorpusError(f"cannot read {path}: {error.strerror}") from None
+    except ValueError as error:
+        raise CorpusError(str(error)) from None
     examples: list[Example] = []
     templates: dict[str, str] = {}
     for number, line in enumerate(lines, start=1):
@@ -228,7 +266,7 @@ def read_corpus(path: str | Path) -> tuple[Example, ...]:
             split = templates.setdefault(example.template, example.split)
             _check(split == example.split, f"template '{example.template}' is in both splits")
         except CorpusError as error:
-            raise CorpusError(f"{path.name} line {number}: {error}") from None
+            raise CorpusError(f"{cut(path.name)} line {number}: {error}") from None
         examples.append(example)
     _check(bool(examples), f"{path.name} holds no instruction")
     return tuple(examples)
@@ -255,7 +293,7 @@ def main(arguments: list[str]) -> int:
         try:
             examples = read_corpus(path)
         except CorpusError as error:
-            print(error, file=sys.stderr)
+            print(printable(str(error)), file=sys.stderr)
             status = 2
             continue
         phrases = sum(len(c.rank) for example in examples for c in example.clauses)
@@ -263,7 +301,8 @@ def main(arguments: list[str]) -> int:
         for example in examples:
             for kind in example.parse.kinds:
                 kinds[kind] += 1
-        print(f"{path}: {len(examples)} instructions, {phrases} phrases, {kinds}")
+        told = f"{path}: {len(examples)} instructions, {phrases} phrases, {kinds}"
+        print(printable(told))
     return status
 
 

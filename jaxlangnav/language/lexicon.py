@@ -6,15 +6,17 @@ grammar) is derived here.
 """
 
 import os
-import tomllib
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import resources
-from pathlib import Path
-from typing import Any
+
+from jaxlangnav.documents import parse_toml, read_text
+from jaxlangnav.language.own_words import extend
 
 OWN_LEXICON = "JAXLANGNAV_LEXICON"
 """Environment variable that names a lexicon file of one's own, joined to the package's."""
+_LARGEST_FILE = 256 * 1024
+"""Bytes of such a file."""
 TYPE_CLASS = "type"
 REASONS = {
     "negation": "negation is not supported; say what to do, or what to stay away from",
@@ -77,7 +79,7 @@ def ing_form(verb: str) -> str:
     if verb.endswith("e") and not verb.endswith(("ee", "ye", "oe")) and verb != "be":
         return verb[:-1] + "ing"
     doubles = len(verb) == 3 or verb in {"stop", "spot", "shun", "swing", "step"}
-    closed = verb[-1] in "bdgmnpt" and verb[-2] in "aeiou" and verb[-3:-2] not in "aeiou"
+    closed = verb[-1] in "bdgmnpt" and verb[-2:-1] in "aeiou" and verb[-3:-2] not in "aeiou"
     return verb + verb[-1] + "ing" if doubles and closed and verb != "get up" else verb + "ing"
 
 
@@ -158,49 +160,22 @@ def load_lexicon() -> Lexicon:
         The lexicon; the same object at every call.
 
     Raises:
-        ValueError: a file is missing, is no TOML, or names a class that does not exist.
+        ValueError: a file is missing, is no TOML, or what it adds is refused (``own_words``).
     """
     text = resources.files("jaxlangnav.language").joinpath("data/lexicon.toml").read_text("utf-8")
     own = os.environ.get(OWN_LEXICON)
     if not own:
         return read_lexicon(text)
     try:
-        return read_lexicon(text, Path(own).read_text("utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise ValueError(f"{OWN_LEXICON}: cannot read {own} ({error})") from None
+        added = read_text(own, at_most=_LARGEST_FILE)
+    except OSError as error:
+        raise ValueError(f"{OWN_LEXICON}: cannot read {own}: {error.strerror}") from None
+    except ValueError as error:
+        raise ValueError(f"{OWN_LEXICON}: {error}") from None
+    try:
+        return read_lexicon(text, added)
     except ValueError as error:
         raise ValueError(f"{own}: {error}") from None
-
-
-def _is_words(value: object) -> bool:
-    return isinstance(value, list) and all(isinstance(word, str) and word.split() for word in value)
-
-
-def _extend(document: dict[str, Any], own: dict[str, Any]) -> None:
-    """Join somebody's own lines to a lexicon: types and synonyms, words of known classes."""
-    unknown = set(own) - {"types", "class"}
-    if unknown:
-        raise ValueError(f"only [types] and [class.X] may be added to, not {sorted(unknown)}")
-    classes = own.get("class", {})
-    tables = [own.get("types", {}), classes]
-    tables += list(classes.values()) if isinstance(classes, dict) else []
-    if not all(isinstance(table, dict) for table in tables):
-        raise ValueError("[types] and [class.X] must be tables of lists of words")
-    owners = {word: kind for kind, words in document["types"].items() for word in words}
-    for kind, words in own.get("types", {}).items():
-        if not _is_words(words):
-            raise ValueError(f"[types] {kind} must be a list of words")
-        for word in map(str.lower, words):
-            if owners.setdefault(word, kind) != kind:
-                raise ValueError(f"[types] {kind}: '{word}' is a name of {owners[word]} already")
-        document["types"].setdefault(kind.lower(), []).extend(map(str.lower, words))
-    for name, table in classes.items():
-        if name not in document["class"]:
-            raise ValueError(f"[class.{name}]: no such class")
-        for senses, words in table.items():
-            if not _is_words(words):
-                raise ValueError(f"[class.{name}] {senses} must be a list of words")
-            document["class"][name].setdefault(senses, []).extend(map(str.lower, words))
 
 
 def read_lexicon(text: str, own: str | None = None) -> Lexicon:
@@ -214,14 +189,15 @@ def read_lexicon(text: str, own: str | None = None) -> Lexicon:
         The lexicon.
 
     Raises:
-        ValueError: a table is missing or a reason for refusal is unknown.
+        ValueError: a table is missing, a reason for refusal is unknown, or what is added is
+            refused.
     """
-    document = tomllib.loads(text)
-    if own is not None:
-        _extend(document, tomllib.loads(own))
+    document = parse_toml(text)
     for table in ("types", "class", "tags", "refused"):
         if table not in document:
             raise ValueError(f"lexicon: table [{table}] is missing")
+    if own is not None:
+        extend(document, parse_toml(own))
     unknown = set(document["refused"]) - set(REASONS)
     if unknown:
         raise ValueError(f"lexicon: [refused] has unknown reasons {sorted(unknown)}")

@@ -6,8 +6,6 @@ typing errors are repaired and reported. Time is bounded: input is limited in ch
 and the parser is polynomial.
 """
 
-import re
-import unicodedata
 from functools import cache
 
 from jaxlangnav.language.check import check
@@ -26,12 +24,12 @@ from jaxlangnav.language.phrase import COMMAND, STATEMENT, LanguageError, Parse
 from jaxlangnav.language.reference import resolve
 from jaxlangnav.language.refusal import Token, explain
 from jaxlangnav.language.spelling import repair
+from jaxlangnav.language.tokens import TOKEN, plainly
 from jaxlangnav.language.tree import TreeBuilder
 
 MAX_CHARACTERS = 10_000
 MAX_WORDS = 64
 MAX_UNKNOWN = 8  # more guesses than this are no reading, and their trees are very many
-_TOKEN = re.compile(r"[^\W\d_]+(?:['-][^\W\d_]+)*|\d+(?:st|nd|rd|th)?\b|\d[\w.]*|[.!?;]+|[,:]|\S")
 _IGNORED = set("\"'()[]*`“”")
 _COMMAS = {",", ":", "-", "–", "—"}
 
@@ -48,7 +46,12 @@ class _Reader:
 
     def read(self, text: str) -> None:
         """Read all of a text."""
-        for match in _TOKEN.finditer(_plain(text)):
+        text = plainly(text)
+        if len(text) > 2 * MAX_CHARACTERS:  # some signs stand for whole words
+            raise LanguageError(
+                f"the instruction has more than {MAX_CHARACTERS} characters; shorten it"
+            )
+        for match in TOKEN.finditer(text):
             piece = match.group()
             if piece[0] in ".!?;" or piece in _COMMAS:
                 self._mark(COMMA if piece in _COMMAS else FULLSTOP)
@@ -95,17 +98,6 @@ class _Reader:
         self.tokens.append(Token(text=word, terminal=terminal, position=self.num_words))
 
 
-def _plain(text: str) -> str:
-    """Write letters plainly: small, without ligatures, full width or marks that nobody sees."""
-    text = unicodedata.normalize("NFKC", text).lower()
-    text = "".join(letter for letter in text if unicodedata.category(letter) != "Cf")
-    if len(text) > 2 * MAX_CHARACTERS:  # some signs stand for whole words
-        raise LanguageError(
-            f"the instruction has more than {MAX_CHARACTERS} characters; shorten it"
-        )
-    return text.replace("\u2019", "'").replace("\u2018", "'")
-
-
 @cache
 def _compounds() -> dict[str, tuple[str, ...]]:
     """Find the words of compounds that are written as one: "firehydrant", "fire-hydrant"."""
@@ -144,9 +136,11 @@ def parse(text: str) -> Parse:
         The most probable phrase trees, what was unknown and what was repaired.
 
     Raises:
-        LanguageError: empty, too long, unsupported or not understood; one line that names the
-            word and its position.
+        LanguageError: no text, empty, too long, unsupported or not understood; one line that
+            names the word and its position.
     """
+    if not isinstance(text, str):
+        raise LanguageError(f"the instruction is of type {type(text).__name__}, but must be a text")
     if len(text) > MAX_CHARACTERS:
         raise LanguageError(f"the instruction has more than {MAX_CHARACTERS} characters")
     reader = _Reader()

@@ -8,6 +8,7 @@ in as base64 of little-endian numbers: positions of hypotheses on a 16-bit grid 
 import base64
 import html
 import json
+import re
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from jaxlangnav.messages import NONE
+from jaxlangnav.plain_text import printable
 from jaxlangnav.planner.graph import FRONTIER, OBJECT, VISITED
 from jaxlangnav.recording import Recording
 from jaxlangnav.viz import narrative, panels, sentences, style, summary
@@ -52,10 +54,12 @@ def render_html(recording: Recording) -> str:
     """
     template = resources.files("jaxlangnav.viz") / "recording.html"
     data = json.dumps(pack(recording), separators=(",", ":"), ensure_ascii=False, allow_nan=False)
-    title = html.escape(recording.scene.text or "Episode")
-    # Inside a script element only "</" and "<!--" could end the data early.
-    page = template.read_text(encoding="utf-8").replace("__TITLE__", title, 1)
-    return page.replace("__DATA__", data.replace("<", "\\u003c"), 1)
+    title = html.escape(printable(recording.scene.text or "Episode"))
+    # Inside a script element only "</" and "<!--" could end the data early. In one pass, as the
+    # sentence itself may hold the name of a place to be filled.
+    parts = {"__TITLE__": title, "__DATA__": data.replace("<", "\\u003c")}
+    page = template.read_text(encoding="utf-8")
+    return re.sub("|".join(parts), lambda found: parts[found[0]], page)
 
 
 def pack(recording: Recording) -> dict[str, Any]:
@@ -71,7 +75,7 @@ def pack(recording: Recording) -> dict[str, Any]:
     claims = describe_readings(scene, least=0.005)
     first = [f"Taken to say that there is {claim} ({percent(p)})." for claim, p in claims[:1]]
     return {
-        "text": scene.text,
+        "text": printable(scene.text),
         "summary": " ".join([*first, f"The {panels.verdict(recording)}."]),
         "is_success": bool(recording.result.is_success),
         "num_steps": recording.num_steps,

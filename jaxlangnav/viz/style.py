@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from jaxlangnav.plain_text import printable
 from jaxlangnav.whole_files import replacing
 
 if TYPE_CHECKING:
@@ -113,6 +114,8 @@ def rc() -> dict[str, Any]:
         "axes.spines.right": False,
         "axes.axisbelow": True,
         "text.color": INK,
+        # A dollar sign in somebody's sentence or file name is no formula.
+        "text.parse_math": False,
         "xtick.color": MUTED,
         "ytick.color": MUTED,
         "xtick.labelsize": 7.5,
@@ -152,6 +155,7 @@ def title(figure: "Figure", text: str, subtitle: str = "") -> None:
         text: the headline.
         subtitle: lines of explanation.
     """
+    text = printable(text)
     width, height = figure.get_figwidth(), figure.get_figheight()
     left = 0.12 / width
     text, size = _fitted(text, width - 0.3, 12.0, 8.0, _BOLD_WIDTH)

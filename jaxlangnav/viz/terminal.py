@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxlangnav.episode import EpisodeResult
+from jaxlangnav.plain_text import Plain
 from jaxlangnav.recording import Frame, Recording, Scene, gather
 from jaxlangnav.viz import narrative, style, summary
 from jaxlangnav.viz.words import percent
@@ -129,7 +130,7 @@ def draw_frame(
     grid.add_column(ratio=1, min_width=30)
     grid.add_row(draw_map(scene, frame, width=width), side)
     title = Text(f"“{scene.text}”" if scene.text else "Episode")
-    return Panel(grid, title=title, title_align="left", border_style="grey50")
+    return Plain(Panel(grid, title=title, title_align="left", border_style="grey50"))
 
 
 def watch(

@@ -8,6 +8,9 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from jaxlangnav.limits import FARTHEST
+from jaxlangnav.plain_text import LONGEST_NAME, cut, fault_of_name, printable, shown
+
 
 class WorldFileError(ValueError):
     """A world file cannot be used; the message is one line for the person who wrote it."""
@@ -30,13 +33,15 @@ class Fields:
         self._file, self._where = file, where
         if not isinstance(table, Mapping):
             raise WorldFileError(
-                f"{file}: {where or 'the file'} is {table!r} but must be a table of keys and values"
+                f"{file}: {where or 'the file'} is {shown(table)} but must be a table of keys and "
+                "values"
             )
         self._table = table
         self._read: set[str] = set()
 
     def key(self, name: str) -> str:
         """Name a key of this table in full, such as "objects[1].x"."""
+        name = cut(printable(name))
         return f"{self._where}.{name}" if self._where else name
 
     def fail(self, name: str, problem: str) -> WorldFileError:
@@ -62,19 +67,17 @@ class Fields:
         self,
         name: str,
         *,
-        low: float = -math.inf,
-        high: float = math.inf,
+        low: float = -FARTHEST,
+        high: float = FARTHEST,
         default: float | None = None,
-        is_low_open: bool = False,
     ) -> float:
         """Read a finite number within limits.
 
         Args:
             name: the key.
-            low: least value.
-            high: greatest value.
+            low: least value; as far as single precision tells centimetres apart if not given.
+            high: greatest value; likewise.
             default: value where the key is missing; None requires the key.
-            is_low_open: ``low`` itself is excluded.
 
         Returns:
             The number.
@@ -86,31 +89,36 @@ class Fields:
             return default
         value = self.get(name)
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise self.fail(name, f"is {value!r} but must be a number: write it without quotes")
-        if not math.isfinite(value):
+            problem = f"is {shown(value)} but must be a number: write it without quotes"
+            raise self.fail(name, problem)
+        if isinstance(value, float) and not math.isfinite(value):
             raise self.fail(name, f"is {value!r} but must be a finite number")
-        if value < low or value > high or (is_low_open and value == low):
-            raise self.fail(name, f"is {value!r} but must be {_limits(low, high, is_low_open)}")
+        if not low <= value <= high:
+            limits = f"{low:g} or more and {high:g} or less"
+            raise self.fail(name, f"is {shown(value)} but must be {limits}")
         return float(value)
 
-    def text(self, name: str, *, default: str | None = None) -> str:
-        """Read a text that is not empty.
+    def text(self, name: str, *, default: str | None = None, longest: int = LONGEST_NAME) -> str:
+        """Read a text that is not empty and can be shown to people.
 
         Args:
             name: the key.
             default: value where the key is missing; None requires the key.
+            longest: characters it may have.
 
         Returns:
             The text.
 
         Raises:
-            WorldFileError: missing, no text, or empty.
+            WorldFileError: missing, no text, empty, too long, or with a control character.
         """
         if default is not None and name not in self._table:
             return default
         value = self.get(name)
         if not isinstance(value, str) or not value.strip():
-            raise self.fail(name, f"is {value!r} but must be a text that is not empty")
+            raise self.fail(name, f"is {shown(value)} but must be a text that is not empty")
+        if fault := fault_of_name(value, longest=longest):
+            raise self.fail(name, fault)
         return value
 
     def choice(self, name: str, choices: Sequence[str], *, what: str) -> str:
@@ -131,7 +139,7 @@ class Fields:
         if value not in choices:
             known = ", ".join(choices) or "none so far"
             raise self.fail(
-                name, f"is {value!r} but must be {what}: {known}{did_you_mean(value, choices)}"
+                name, f"is {shown(value)} but must be {what}: {known}{did_you_mean(value, choices)}"
             )
         return value
 
@@ -155,7 +163,8 @@ class Fields:
         """
         value = self.get(name)
         if not isinstance(value, list):
-            raise self.fail(name, f"is {value!r} but must be a list of tables: write [[{name}]]")
+            problem = f"is {shown(value)} but must be a list of tables: write [[{name}]]"
+            raise self.fail(name, problem)
         # Counted before any is opened: there may be millions.
         if not least <= len(value) <= most:
             raise self.fail(
@@ -178,7 +187,7 @@ class Fields:
         allowed = sorted(self._read | set(known))
         for name in self._table:
             if name not in allowed:
-                hint = did_you_mean(name, allowed)
+                hint = did_you_mean(cut(name), allowed)
                 raise self.fail(name, f"is unknown: known keys are {', '.join(allowed)}{hint}")
 
 
@@ -194,13 +203,3 @@ def did_you_mean(value: str, choices: Sequence[str]) -> str:
     """
     close = difflib.get_close_matches(value, choices, n=1)
     return f". Did you mean {close[0]!r}?" if close else ""
-
-
-def _limits(low: float, high: float, is_low_open: bool) -> str:
-    """Say limits in words."""
-    bounds = []
-    if low > -math.inf:
-        bounds.append(f"more than {low:g}" if is_low_open else f"{low:g} or more")
-    if high < math.inf:
-        bounds.append(f"{high:g} or less")
-    return " and ".join(bounds)

@@ -37,12 +37,13 @@ clockwise from +x); the map frame is the file's own.
     odometry_noise = 0.02              # as a share of the way
 """
 
-import json
-import tomllib
+import os
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from jaxlangnav.documents import DocumentError, parse_json, parse_toml, read_text
+from jaxlangnav.plain_text import cut, shown
 from jaxlangnav.world.fields import WorldFileError, did_you_mean
 from jaxlangnav.world.reading import World, world_from_dict
 from jaxlangnav.world.scenario import NUM_SLOTS
@@ -50,6 +51,9 @@ from jaxlangnav.world.templates import TEMPLATE_NAMES, Template, parse_template
 from jaxlangnav.world.writing import save_world
 
 __all__ = ["World", "WorldFileError", "load_world", "open_world", "save_world", "shipped_worlds"]
+
+LARGEST_FILE = 256 * 1024
+"""Bytes of a world file; one of eight objects takes a thousand."""
 
 
 def load_world(path: str | Path, *, num_slots: int = NUM_SLOTS) -> World:
@@ -90,18 +94,19 @@ def open_world(text: str, *, num_slots: int = NUM_SLOTS) -> Template | World:
     """
     if text in shipped_worlds():
         data = resources.files("jaxlangnav.world") / "data" / f"{text}.toml"
-        table = tomllib.loads(data.read_text(encoding="utf-8"))
+        table = parse_toml(data.read_text(encoding="utf-8"))
         return world_from_dict(table, file=f"{text}.toml", num_slots=num_slots)
     is_path = "/" in text or Path(text).suffix.lower() in (".toml", ".json")
-    if is_path or Path(text).is_file():
+    # Unlike Path.is_file, it takes a name that is too long for one as no file.
+    if is_path or os.path.isfile(text):
         return load_world(text, num_slots=num_slots)
     if text.strip()[:1].isdigit():
         return parse_template(text)
     shipped = ", ".join(shipped_worlds())
-    hint = did_you_mean(text, (*shipped_worlds(), *TEMPLATE_NAMES))
+    hint = did_you_mean(cut(text), (*shipped_worlds(), *TEMPLATE_NAMES))
     raise ValueError(
-        f"unknown world {text!r}: give a template ({', '.join(TEMPLATE_NAMES)}), a shipped world "
-        f"({shipped}), or a .toml or .json file{hint}"
+        f"unknown world {shown(text)}: give a template ({', '.join(TEMPLATE_NAMES)}), a shipped "
+        f"world ({shipped}), or a .toml or .json file{hint}"
     )
 
 
@@ -111,19 +116,19 @@ def _read(path: Path, num_slots: int) -> Any:
     if kind not in (".toml", ".json"):
         raise WorldFileError(f"{path}: a world file's name must end in .toml or .json")
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path, at_most=LARGEST_FILE)
         _check_objects(text, path, num_slots)
-        return tomllib.loads(text) if kind == ".toml" else json.loads(text)
+        return parse_toml(text) if kind == ".toml" else parse_json(text)
     except FileNotFoundError:
         raise WorldFileError(
             f"{path}: no such file; shipped worlds are {', '.join(shipped_worlds())}"
         ) from None
     except OSError as error:
         raise WorldFileError(f"{path}: cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise WorldFileError(f"{path}: is no text: save it as UTF-8") from None
-    except (tomllib.TOMLDecodeError, json.JSONDecodeError) as error:
-        raise WorldFileError(f"{path}: is no valid {kind[1:].upper()}: {error}") from None
+    except DocumentError as error:
+        raise WorldFileError(f"{path}: {error}") from None
+    except ValueError as error:
+        raise WorldFileError(str(error)) from None
 
 
 def _check_objects(text: str, path: Path, num_slots: int) -> None:

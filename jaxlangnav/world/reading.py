@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxlangnav.language.lexicon import load_lexicon
+from jaxlangnav.limits import SHORTEST
 from jaxlangnav.messages import (
     NONE,
     MotionParams,
@@ -16,6 +17,7 @@ from jaxlangnav.messages import (
     default_motion,
     default_sensor,
 )
+from jaxlangnav.plain_text import LONGEST_NAME, cut, printable
 from jaxlangnav.world.fields import Fields
 from jaxlangnav.world.scenario import NUM_SLOTS
 from jaxlangnav.world.state import Scenario
@@ -23,6 +25,12 @@ from jaxlangnav.world.state import Scenario
 Place = tuple[float, float]
 Bounds = tuple[float, float, float, float]
 """x_min, x_max, y_min, y_max, metres."""
+_NARROWEST = 0.1
+"""Metres that an area measures at least, each way."""
+_LEAST_VIEW = 0.1
+"""Degrees of the narrowest field of view."""
+_LONGEST_INSTRUCTION = 1000
+"""Characters of a sentence in a world file."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -52,6 +60,7 @@ def world_from_dict(table: Any, *, file: str, num_slots: int = NUM_SLOTS) -> Wor
     Raises:
         WorldFileError: anything is missing, unknown or outside its limits.
     """
+    file = cut(printable(file), LONGEST_NAME)
     top = Fields(table, file=file, where="")
     area = _read_area(top.table("area"))
     start = (0.0, 0.0, 0.0)
@@ -66,7 +75,7 @@ def world_from_dict(table: Any, *, file: str, num_slots: int = NUM_SLOTS) -> Wor
     goal, goal_index = _read_goal(top.table("goal"), area, names, places)
     world = World(
         name=top.text("name", default=Path(file).stem),
-        instruction=top.text("instruction") if top.has("instruction") else None,
+        instruction=_read_instruction(top),
         scenario=_to_scenario(types, places, goal, goal_index, start, area, num_slots),
         sensor=_read_sensor(top.table("sensor")) if top.has("sensor") else default_sensor(),
         motion=_read_motion(top.table("motion")) if top.has("motion") else default_motion(),
@@ -76,11 +85,18 @@ def world_from_dict(table: Any, *, file: str, num_slots: int = NUM_SLOTS) -> Wor
     return world
 
 
+def _read_instruction(top: Fields) -> str | None:
+    """Read what to ask in this world, if it says so."""
+    if not top.has("instruction"):
+        return None
+    return top.text("instruction", longest=_LONGEST_INSTRUCTION)
+
+
 def _read_area(fields: Fields) -> Bounds:
     """Read the operating area: x_min, x_max, y_min, y_max."""
     x_min, y_min = fields.number("x_min"), fields.number("y_min")
-    x_max = fields.number("x_max", low=x_min, is_low_open=True)
-    y_max = fields.number("y_max", low=y_min, is_low_open=True)
+    x_max = fields.number("x_max", low=x_min + _NARROWEST)
+    y_max = fields.number("y_max", low=y_min + _NARROWEST)
     fields.close()
     return x_min, x_max, y_min, y_max
 
@@ -140,11 +156,9 @@ def _read_goal(
 def _read_sensor(fields: Fields) -> SensorParams:
     """Read the detector's specification."""
     sensor = SensorParams(
-        range_max=jnp.float32(fields.number("range", low=0.0, is_low_open=True, default=3.0)),
+        range_max=jnp.float32(fields.number("range", low=SHORTEST, default=3.0)),
         field_of_view=jnp.float32(
-            math.radians(
-                fields.number("field_of_view", low=0.0, high=360.0, is_low_open=True, default=360.0)
-            )
+            math.radians(fields.number("field_of_view", low=_LEAST_VIEW, high=360.0, default=360.0))
         ),
         detection_probability=jnp.float32(
             fields.number("detection_probability", low=0.0, high=1.0, default=0.95)
@@ -158,9 +172,7 @@ def _read_sensor(fields: Fields) -> SensorParams:
 def _read_motion(fields: Fields) -> MotionParams:
     """Read the specification of motion and odometry."""
     motion = MotionParams(
-        step_length=jnp.float32(
-            fields.number("step_length", low=0.0, is_low_open=True, default=1.0)
-        ),
+        step_length=jnp.float32(fields.number("step_length", low=SHORTEST, default=1.0)),
         odometry_noise=jnp.float32(
             fields.number("odometry_noise", low=0.0, high=1.0, default=0.02)
         ),

@@ -9,6 +9,8 @@ import difflib
 import math
 import re
 
+from jaxlangnav.plain_text import cut, shown
+
 RELATION_NAMES = ("null", "behind", "nearest")
 """Relations of the commands of Table 2; an index into this tuple is ``ScenarioLaw.relation``."""
 MAX_HYDRANTS = 4
@@ -82,22 +84,25 @@ def parse_template(name: str) -> Template:
         ValueError: the name is not of this form, or a number is outside its limits.
     """
     compact = re.sub(r"[\s,]", "", name).upper()
-    match = re.fullmatch(r"(\d+)H(\d+)C", compact)
+    match = re.fullmatch(r"(\d{1,9})H(\d{1,9})C", compact)
     if match is None:
-        turned = re.sub(r"(\d+C)(\d+H)", r"\2\1", compact)  # "1C2H" means 2H1C
+        # "1C2H" means 2H1C
+        turned = re.sub(r"(\d+C)(\d+H)", r"\2\1", cut(compact))
         close = difflib.get_close_matches(turned, TEMPLATE_NAMES, n=1, cutoff=0.4)
         hint = f" Did you mean {close[0]}?" if close else ""
         raise ValueError(
-            f"unknown world template {name!r}: expected <hydrants>H<cones>C, one of "
+            f"unknown world template {shown(name)}: expected <hydrants>H<cones>C, one of "
             f"{', '.join(TEMPLATE_NAMES)} or the like.{hint}"
         )
     num_hydrants, num_cones = int(match[1]), int(match[2])
     if not 1 <= num_hydrants <= MAX_HYDRANTS:
         raise ValueError(
-            f"world template {name!r} has {num_hydrants} hydrants: choose 1 to {MAX_HYDRANTS}"
+            f"world template {shown(name)} has {num_hydrants} hydrants: choose 1 to {MAX_HYDRANTS}"
         )
     if num_cones > MAX_CONES:
-        raise ValueError(f"world template {name!r} has {num_cones} cones: choose 0 to {MAX_CONES}")
+        raise ValueError(
+            f"world template {shown(name)} has {num_cones} cones: choose 0 to {MAX_CONES}"
+        )
     return Template(
         name=f"{num_hydrants}H{num_cones}C", num_hydrants=num_hydrants, num_cones=num_cones
     )
@@ -116,10 +121,10 @@ def check_relation(relation: str) -> int:
         ValueError: no such relation.
     """
     if relation not in RELATION_NAMES:
-        close = difflib.get_close_matches(relation, RELATION_NAMES, n=1)
+        close = difflib.get_close_matches(cut(relation), RELATION_NAMES, n=1)
         hint = f". Did you mean {close[0]!r}?" if close else ""
         raise ValueError(
-            f"unknown relation {relation!r}: choose one of {', '.join(RELATION_NAMES)}{hint}"
+            f"unknown relation {shown(relation)}: choose one of {', '.join(RELATION_NAMES)}{hint}"
         )
     return RELATION_NAMES.index(relation)
 

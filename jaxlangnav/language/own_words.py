@@ -1,0 +1,210 @@
+"""Somebody's own lines of a lexicon: checked in full, then joined to those of the package.
+
+A name that could never be read, or one that gives "the" or "behind" a second meaning, would change
+how every sentence is understood without a word: both are refused, in one line.
+"""
+
+import re
+from collections.abc import Iterator
+from functools import cache
+from importlib import resources
+from typing import Any
+
+from jaxlangnav.language.tokens import is_word, plainly
+from jaxlangnav.plain_text import cut, fault_of_name, shown
+
+MOST_EXPRESSIONS = 1000
+"""Expressions that may be added."""
+MOST_WORDS = 8
+"""Words of one expression."""
+LONGEST_WORD = 30
+"""Letters of one word."""
+_OPEN = frozenset({"adj", "nmod", "adv", "foreign", "place_noun"})
+"""Classes whose words may be names of things as well: "the light", "the park"."""
+_MEANT = frozenset({"such an action", "such a relation", "path", "containment"})
+"""Reasons for which words are refused that somebody may give a meaning of their own."""
+_MARKS = frozenset({"comma", "fullstop", "robot"})
+"""What stands for something else within the grammar and the labels."""
+
+
+def extend(document: dict[str, Any], own: dict[str, Any]) -> None:
+    """Join somebody's own lines to a lexicon: types and synonyms, words of known classes.
+
+    Args:
+        document: the lexicon of the package; changed in place.
+        own: the tables of the other file.
+
+    Raises:
+        ValueError: a table is none, a class or sense does not exist, a word could not be read or
+            has another meaning already; one line.
+    """
+    unknown = set(own) - {"types", "class"}
+    if unknown:
+        listed = cut(", ".join(sorted(map(shown, unknown))))
+        raise ValueError(f"only [types] and [class.X] may be added to, not {listed}")
+    types, classes = own.get("types", {}), own.get("class", {})
+    tables = [types, classes, *(classes.values() if isinstance(classes, dict) else [])]
+    if not all(isinstance(table, dict) for table in tables):
+        raise ValueError("[types] and [class.X] must be tables of lists of words")
+    _check_size(types, classes)
+    known = _Known(document)
+    for kind, words in types.items():
+        where = f"[types] {cut(kind)}"
+        name = _expression(kind, where)
+        for expression in [name, *_expressions(words, where)]:
+            known.check_name(expression, name, where)
+            listed = document["types"].setdefault(name, [])
+            if expression not in listed:
+                listed.append(expression)
+    for name, table in classes.items():
+        if name not in document["class"]:
+            raise ValueError(f"[class.{cut(name)}]: no such class")
+        for senses, words in table.items():
+            where = f"[class.{name}] {cut(senses)}"
+            for expression in _expressions(words, where):
+                known.check_sense(expression, name, senses, where)
+                document["class"][name].setdefault(senses, []).append(expression)
+
+
+def _check_size(types: dict[str, Any], classes: dict[str, Any]) -> None:
+    """Refuse more than the grammar takes."""
+    lists = [*types.values(), *(words for table in classes.values() for words in table.values())]
+    number = len(types) + sum(len(words) for words in lists if isinstance(words, list))
+    if number > MOST_EXPRESSIONS:
+        raise ValueError(f"has {number} expressions: at most {MOST_EXPRESSIONS} may be added")
+
+
+def _expressions(value: Any, where: str) -> Iterator[str]:
+    """Read a list of expressions."""
+    if not isinstance(value, list) or not all(isinstance(one, str) for one in value):
+        raise ValueError(f"{where} must be a list of words")
+    for text in value:
+        yield _expression(text, where)
+
+
+def _expression(text: str, where: str) -> str:
+    """Read one expression, written as the parser will see it."""
+    if not text.split():
+        raise ValueError(f"{where} must be a list of words, none of them empty")
+    if fault := fault_of_name(text, longest=MOST_WORDS * LONGEST_WORD):
+        raise ValueError(f"{where}: {shown(text)} {fault}")
+    words = plainly(text).split()
+    if len(words) > MOST_WORDS:
+        raise ValueError(f"{where}: {shown(text)} has more than {MOST_WORDS} words")
+    for word in words:
+        bare = word.removeprefix("*")
+        if len(bare) > LONGEST_WORD:
+            raise ValueError(f"{where}: {shown(word)} has more than {LONGEST_WORD} letters")
+        if not is_word(bare):
+            raise ValueError(
+                f"{where}: {shown(word)} could not be read as a word: use letters, with hyphens "
+                "between them"
+            )
+    return " ".join(words)
+
+
+class _Known:
+    """What the words of the package mean already."""
+
+    def __init__(self, document: dict[str, Any]) -> None:
+        """Index the lexicon of the package.
+
+        Args:
+            document: its tables.
+        """
+        self._senses: dict[str, set[tuple[str, str]]] = {}  # expression → class, senses
+        for name, table in document["class"].items():
+            for senses, texts in table.items():
+                if senses not in ("tag", "ing"):
+                    for text in texts:
+                        expression = text.replace("*", "")
+                        self._senses.setdefault(expression, set()).add((name, senses))
+        self._all_senses = {senses for uses in self._senses.values() for _, senses in uses}
+        self._refused = {w: why for why, words in document["refused"].items() for w in words}
+        self._tags = set(document["tags"])
+        self._owners = {
+            form: kind
+            for kind, names in document["types"].items()
+            for name in (kind, *names)
+            for form in (name, _plural(name))
+        }
+
+    def check_name(self, expression: str, kind: str, where: str) -> None:
+        """Refuse a name of a type that means something else.
+
+        Args:
+            expression: of one word or more.
+            kind: the type.
+            where: the line, for the message.
+
+        Raises:
+            ValueError: it belongs to another type, or to the grammar.
+        """
+        if "*" in expression:
+            raise ValueError(f"{where}: '{expression}' could not be read as a word: leave out *")
+        for form in (expression, _plural(expression)):
+            if (owner := self._owners.get(form, kind)) != kind:
+                raise ValueError(f"{where}: '{form}' is a name of {owner} already")
+        words = expression.split()
+        ends = {words[0], words[-1]}
+        wrong = next((word for word in ends if self._is_of_grammar(word, len(words) == 1)), None)
+        if wrong is not None:
+            raise ValueError(
+                f"{where}: '{wrong}' has a meaning of its own in every sentence and cannot be "
+                f"{'a name' if len(words) == 1 else 'an end of a name'}: choose another"
+            )
+        self._owners |= {expression: kind, _plural(expression): kind}
+
+    def check_sense(self, expression: str, name: str, senses: str, where: str) -> None:
+        """Refuse a word of a class that means something else.
+
+        Args:
+            expression: of one word or more, perhaps with * before one.
+            name: the class.
+            senses: the key of its list.
+            where: the line, for the message.
+
+        Raises:
+            ValueError: the senses do not exist, or the words have others already.
+        """
+        if senses not in self._all_senses:
+            raise ValueError(f"{where}: no such sense; the lexicon of the package has them all")
+        if expression.count("*") > 1:
+            raise ValueError(f"{where}: '{expression}' has more than one word marked with *")
+        bare = expression.replace("*", "")
+        uses = self._senses.get(bare, set())
+        if (name, senses) in uses:
+            return
+        is_other = any(meant != senses for _, meant in uses) or bare in self._owners
+        is_closed = " " not in bare and self._is_closed(bare)
+        if is_other or is_closed or self._refused.get(bare, "path") not in _MEANT:
+            raise ValueError(f"{where}: '{bare}' has another meaning already: choose another")
+
+    def _is_of_grammar(self, word: str, is_alone: bool) -> bool:
+        """Tell whether a word may not be a name, or may not be at the end of one."""
+        if self._is_closed(word) or self._refused.get(word, "path") not in _MEANT:
+            return True
+        uses = {name for name, _ in self._senses.get(word, ())}
+        is_known = any(name not in _OPEN and not name.startswith("v_") for name in uses)
+        is_refused = self._refused.get(word, "such an action") != "such an action"
+        return is_alone and (is_known or is_refused or word in self._tags)
+
+    def _is_closed(self, word: str) -> bool:
+        """Tell whether a word belongs to the grammar: articles, links, the rules' own words."""
+        uses = {name for name, _ in self._senses.get(word, ())}
+        return bool(uses & {"det", "rel", "be", "link", "conn", "beside"}) or word in _literals()
+
+
+@cache
+def _literals() -> frozenset[str]:
+    """Collect the words that stand in the rules of the grammar themselves."""
+    rules = resources.files("jaxlangnav.language").joinpath("data/grammar.txt").read_text("utf-8")
+    return frozenset(re.findall(r'"([^"\s]+)"', rules)) | _MARKS
+
+
+def _plural(expression: str) -> str:
+    """Make the plural of an expression, as the lexicon does."""
+    from jaxlangnav.language.lexicon import plural
+
+    *before, last = expression.split()
+    return " ".join([*before, plural(last)])

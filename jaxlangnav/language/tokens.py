@@ -1,0 +1,30 @@
+"""How a text falls into tokens: words, numbers and marks, written plainly (section 3.1)."""
+
+import re
+import unicodedata
+
+TOKEN = re.compile(r"[^\W\d_]+(?:['-][^\W\d_]+)*|\d+(?:st|nd|rd|th)?\b|\d[\w.]*|[.!?;]+|[,:]|\S")
+"""One token: a word (with hyphens and apostrophes inside), a number, a run of marks, a sign."""
+
+
+def plainly(text: str) -> str:
+    """Write letters plainly: small, without ligatures, full width or marks that nobody sees.
+
+    Args:
+        text: any.
+
+    Returns:
+        The text that is parsed; some signs stand for whole words, so it may be longer.
+    """
+    text = unicodedata.normalize("NFKC", text).lower()
+    text = "".join(letter for letter in text if unicodedata.category(letter) != "Cf")
+    return text.replace("\u2019", "'").replace("\u2018", "'")
+
+
+def is_word(text: str) -> bool:
+    """Tell whether a text, written plainly, is read as one word.
+
+    Args:
+        text: from a lexicon.
+    """
+    return text[:1].isalnum() and TOKEN.fullmatch(text) is not None and not text.endswith("'s")

@@ -1,0 +1,10 @@
+"""What numbers from outside may be: single precision computes with them and with their squares."""
+
+FARTHEST = 1e5
+"""Metres that a place or a length may have: single precision tells centimetres apart up to here."""
+SHORTEST = 1e-3
+"""Metres that a sensing range or a step has at least."""
+LARGEST = 1e15
+"""Of a plain number."""
+SMALLEST = 1e-15
+"""Of a plain number other than zero."""

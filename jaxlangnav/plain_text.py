@@ -1,0 +1,159 @@
+"""Text from others is data: how it is shown, and when it is refused.
+
+A name in a world file, a word of a sentence, the name of a file may hold escape sequences that
+move a terminal's cursor or set its title, letters that turn the direction of writing, line breaks
+that forge a line of ours. ``printable`` stands at every door where text leaves for a terminal.
+"""
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.console import Console, ConsoleOptions, RenderableType
+    from rich.segment import Segment
+
+LONGEST_NAME = 100
+"""Characters that a name may have: of a world, of an object in it, of a sweep."""
+_SHOWN = 60
+"""Characters of a value that are shown in a message."""
+
+
+def is_plain(character: str) -> bool:
+    """Tell whether a character can be printed as it is: it takes room and moves nothing.
+
+    Args:
+        character: one.
+
+    Returns:
+        False for control characters, line ends, formats that nobody sees (bidirectional marks,
+        joiners), lone surrogates and what Unicode does not know.
+    """
+    return character.isprintable() or character in "\N{NO-BREAK SPACE}\N{NARROW NO-BREAK SPACE}"
+
+
+def printable(text: str, *, keep: str = "") -> str:
+    r"""Write a text so that a terminal shows it and does nothing else.
+
+    Args:
+        text: any.
+        keep: characters that are left as they are, such as line breaks of our own.
+
+    Returns:
+        The text; what is not plain is written as an escape: ``\x1b``, ``\u202e``.
+    """
+    if text.isprintable():
+        return text
+    return "".join(one if is_plain(one) or one in keep else _escape(one) for one in text)
+
+
+def shown(value: Any) -> str:
+    """Write a value in a message, in quotes where it is a text, cut where it is long.
+
+    Args:
+        value: of JSON's or TOML's types.
+
+    Returns:
+        At most about sixty characters, all of them plain.
+    """
+    if isinstance(value, dict) and value:
+        return f"a table of {len(value)} keys"
+    if isinstance(value, list) and (
+        len(value) > 8 or any(isinstance(v, list | dict) for v in value)
+    ):
+        return f"a list of {len(value)} entries"
+    if isinstance(value, list):
+        return cut(f"[{', '.join(shown(one) for one in value)}]")
+    if isinstance(value, int) and value.bit_length() > 128:
+        return f"a whole number of {value.bit_length()} bits"
+    return cut(repr(value[:_SHOWN] + "…") if _is_long(value) else repr(value))
+
+
+def cut(text: str, most: int = _SHOWN) -> str:
+    """Cut a text that is longer than a limit; an ellipsis stands for the rest.
+
+    Args:
+        text: any.
+        most: characters of the result at most, at least 1.
+    """
+    return text if len(text) <= most else text[: most - 1] + "…"
+
+
+def fault_of_name(text: str, *, longest: int = LONGEST_NAME) -> str | None:
+    """Find why a text cannot be a name or a sentence that people are shown.
+
+    Args:
+        text: from a file.
+        longest: characters it may have.
+
+    Returns:
+        What is wrong and what to do about it; None where nothing is.
+    """
+    if len(text) > longest:
+        return f"has {len(text)} characters but must have at most {longest}: shorten it"
+    odd = next((place for place, one in enumerate(text) if not is_plain(one)), None)
+    if odd is None:
+        return None
+    return f"has the control character U+{ord(text[odd]):04X} at place {odd + 1}: remove it"
+
+
+class Plain:
+    """Something that rich draws, its text made printable; colours and frames stay."""
+
+    def __init__(self, renderable: "RenderableType") -> None:
+        """Wrap.
+
+        Args:
+            renderable: a table, a tree, a panel, ...
+        """
+        self.renderable = renderable
+
+    def __rich_console__(
+        self, console: "Console", options: "ConsoleOptions"
+    ) -> "Iterator[Segment]":
+        """Draw; segments of text lose what is not plain, rich's own control codes stay."""
+        from rich.segment import Segment
+
+        for text, style, control in console.render(self.renderable, options):
+            yield Segment(text if control else printable(text, keep="\n"), style, control)
+
+
+_MARKDOWN = re.compile(r"[\\`*\[\]|~]|(?<!\w)_|_(?!\w)")
+
+
+def markdown(text: str) -> str:
+    r"""Write a text so that Markdown shows it letter by letter, inside a cell of a table too.
+
+    Args:
+        text: any.
+
+    Returns:
+        One line, its signs escaped: ``\|``, ``\*``, ``&lt;``.
+    """
+    plain = printable(text).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+    return _MARKDOWN.sub(r"\\\g<0>", plain)
+
+
+def markdown_table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Write a table in Markdown.
+
+    Args:
+        headings: of the columns.
+        rows: each of as many texts.
+
+    Returns:
+        Lines, each ended.
+    """
+    lines = [[markdown(one) for one in line] for line in (headings, *rows)]
+    lines.insert(1, ["---"] * len(headings))
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def _is_long(value: Any) -> bool:
+    """Tell whether a value is a text that is cut before it is quoted."""
+    return isinstance(value, str) and len(value) > _SHOWN
+
+
+def _escape(character: str) -> str:
+    """Write one character as Python does; lone surrogates too."""
+    return character.encode("unicode_escape", "surrogatepass").decode("ascii")

@@ -1,0 +1,302 @@
+"""Throw damaged input at every door of the package until a time is over.
+
+    python scripts/fuzz.py --minutes 60
+    python scripts/fuzz.py --minutes 5 --seed 7 --target world --target corpus
+
+Each target has honest inputs. A run takes one, damages it in a few places and hands it to the
+package, which must take it or refuse it in one line; anything else is a failure, and its input is
+written to a folder with what was raised. The same seed throws the same inputs.
+"""
+
+import argparse
+import hashlib
+import random
+import re
+import signal
+import sys
+import tempfile
+import time
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from jaxlangnav.commands.errors import is_refusal
+from jaxlangnav.plain_text import is_plain
+
+SECONDS_PER_TURN = 2.0
+"""A target runs this long before the next has its turn."""
+SECONDS_PER_RUN = 60.0
+"""A run that takes longer is a failure: it hangs."""
+LONGEST_LINE = 2000
+"""Characters of a refusal."""
+_NUMBER = re.compile(rb"-?\d+(?:\.\d+)?")
+_TEXT = re.compile(rb'"[^"\n]*"')
+NUMBERS = (
+    b"0", b"-0.0", b"-1", b"1e-46", b"1e39", b"-1e39", b"1e308", b"1e400", b"nan", b"inf", b"-inf",
+    b"NaN", b"Infinity", b"true", b"null", b"9" * 25, b"9" * 400, b"9" * 5000, b"0x" + b"f" * 4000,
+    b"0.1", b"255", b"256", b"65536", b"4294967296", b"1_0", b"1979-05-27", b"[]", b"{}", b'"1"',
+)  # fmt: skip
+TEXTS = (
+    "", " ", "\x00", "\x1b[31mred", "\x1b]0;title\x07", "\x9b2J", "\u202eright", "\u2066x\u2069",
+    "a\nb", "a\rb", "\u2028", "[red]x[/red]", "[link=https://example.org]x[/link]", "a|b",
+    "<script>alert(1)</script>", "__DATA__", "$\\frac$", "{}", "%s", "the", "behind", "not",
+    "robot", "hydrant", "cone's", "*", "a" * 31, "a" * 5000, "/dev/zero", "../../etc/passwd",
+    "\ufb01re", "\ud800", "é" * 40, "𝄞", "\uff11", "null", "-", "--help",
+    "object(hydrant)", "region(behind,robot)",
+)  # fmt: skip
+_PIECES = (
+    b"[", b"]", b"{", b"}", b"[[", b"]]", b'"', b"'", b'"""', b"=", b",", b".", b"\n", b"\x00",
+    b"\xff", b"\xed\xa0\x80", b"\\", b"\\u0000", b"#", b"a.b.c", b"\xef\xbb\xbf", b"\r\n",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Target:
+    """A door of the package."""
+
+    name: str
+    seeds: Callable[[], Sequence[bytes]]
+    """Honest inputs; asked for once."""
+    call: Callable[[bytes, Path], Any]
+    """Hands an input to the package; may write into the folder, which is its own."""
+    refusals: tuple[type[Exception], ...]
+    """What may be raised, with a message of one line."""
+
+
+@dataclass
+class Count:
+    """What came of the runs of a target."""
+
+    runs: int = 0
+    accepted: int = 0
+    refused: int = 0
+    failed: int = 0
+    seconds: float = 0.0
+    failures: list[tuple[bytes, str]] = field(default_factory=list)
+
+
+class Overtime(BaseException):
+    """A run does not come to its end; no handler of the package may catch it."""
+
+
+def mutate(rng: random.Random, seeds: Sequence[bytes]) -> bytes:
+    """Damage one of some honest inputs.
+
+    Args:
+        rng: where chance comes from.
+        seeds: honest inputs.
+
+    Returns:
+        One of them, changed in one to six places.
+    """
+    text = rng.choice(seeds)
+    for _ in range(min(6, 1 + int(rng.expovariate(0.7)))):
+        text = rng.choice(_WAYS)(rng, text, seeds)
+    return text[: 1 << 20]
+
+
+def _number(rng: random.Random, text: bytes, _: Sequence[bytes]) -> bytes:
+    """Put another number in the place of one."""
+    return _instead(rng, text, _NUMBER, rng.choice(NUMBERS))
+
+
+def _string(rng: random.Random, text: bytes, _: Sequence[bytes]) -> bytes:
+    """Put another text in the place of one in quotes, as it is or with its signs escaped."""
+    other = rng.choice(TEXTS)
+    raw = other.encode("utf-8", "surrogatepass")
+    escaped = "".join(
+        one if is_plain(one) and one not in '"\\' and ord(one) < 65536 else f"\\u{ord(one):04x}"
+        for one in other
+        if ord(one) < 65536
+    ).encode("utf-8", "surrogatepass")
+    return _instead(rng, text, _TEXT, b'"' + rng.choice((raw, escaped)) + b'"')
+
+
+def _swap(rng: random.Random, text: bytes, seeds: Sequence[bytes]) -> bytes:
+    """Put a text in quotes of another input in the place of one."""
+    found = _TEXT.findall(rng.choice(seeds))
+    return _instead(rng, text, _TEXT, rng.choice(found)) if found else text
+
+
+def _instead(rng: random.Random, text: bytes, what: re.Pattern[bytes], other: bytes) -> bytes:
+    """Put something in the place of one of the matches."""
+    found = list(what.finditer(text))
+    if not found:
+        return text
+    start, end = rng.choice(found).span()
+    return text[:start] + other + text[end:]
+
+
+def _line(rng: random.Random, text: bytes, seeds: Sequence[bytes]) -> bytes:
+    """Drop a line, double it, move it, or bring one from another input."""
+    lines = text.split(b"\n")
+    line = lines.pop(rng.randrange(len(lines)))
+    other = rng.choice(rng.choice(seeds).split(b"\n"))
+    for one in rng.choice(((), (line, line), (line,), (other,), (line,) * 100)):
+        lines.insert(rng.randrange(len(lines) + 1), one)
+    return b"\n".join(lines)
+
+
+def _piece(rng: random.Random, text: bytes, _: Sequence[bytes]) -> bytes:
+    """Put a sign somewhere, once, a few times or very often."""
+    place = rng.randrange(len(text) + 1)
+    often = rng.choice((1, 1, 1, 3, 50, 5000))
+    return text[:place] + rng.choice(_PIECES) * often + text[place:]
+
+
+def _cut(rng: random.Random, text: bytes, _: Sequence[bytes]) -> bytes:
+    """Leave a part out, or double it."""
+    start, end = sorted(rng.randrange(len(text) + 1) for _ in range(2))
+    end = min(end, start + rng.choice((1, 8, 64, len(text))))
+    return text[:start] + text[start:end] * rng.choice((0, 0, 2, 20)) + text[end:]
+
+
+def _flip(rng: random.Random, text: bytes, _: Sequence[bytes]) -> bytes:
+    """Turn a bit."""
+    if not text:
+        return text
+    place = rng.randrange(len(text))
+    return text[:place] + bytes([text[place] ^ 1 << rng.randrange(8)]) + text[place + 1 :]
+
+
+_WAYS = (_number, _number, _string, _string, _swap, _line, _piece, _cut, _flip)
+
+
+def run_once(target: Target, text: bytes, count: Count) -> None:
+    """Hand one input to a target and judge what comes of it.
+
+    Args:
+        target: the door.
+        text: the input.
+        count: where the outcome is counted.
+    """
+    begin = time.perf_counter()
+    count.runs += 1
+    try:
+        with tempfile.TemporaryDirectory() as folder, _limited(SECONDS_PER_RUN):
+            target.call(text, Path(folder))
+        count.accepted += 1
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
+        fault = _fault(target, error)
+        count.refused += fault is None
+        count.failed += fault is not None
+        if fault is not None:
+            count.failures.append((text, fault))
+    count.seconds += time.perf_counter() - begin
+
+
+def _fault(target: Target, error: BaseException) -> str | None:
+    """Find out why an error is no proper refusal; None where it is one."""
+    if not isinstance(error, target.refusals):
+        return "".join(traceback.format_exception(error))
+    if isinstance(error, ValueError) and not is_refusal(error):
+        return "raised in the depth of a library:\n" + "".join(traceback.format_exception(error))
+    line = str(error)
+    if "\n" in line or not line or len(line) > LONGEST_LINE:
+        return f"the refusal is no line:\n{line[:LONGEST_LINE]!r}"
+    return None
+
+
+@contextmanager
+def _limited(seconds: float) -> Iterator[None]:
+    """Raise Overtime inside the block when it takes too long."""
+
+    def ring(_signal: int, _frame: Any) -> None:
+        raise Overtime(f"more than {seconds:g} s")
+
+    before = signal.signal(signal.SIGALRM, ring)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def throw(
+    target: Target,
+    *,
+    seed: int,
+    runs: int | None = None,
+    seconds: float = 0.0,
+    with_honest: bool = True,
+) -> Count:
+    """Throw damaged inputs at one target, its honest ones first.
+
+    Args:
+        target: the door.
+        seed: of the damage.
+        runs: how many; None for as many as the time allows.
+        seconds: how long, if ``runs`` is None.
+        with_honest: whether the honest ones are among them.
+
+    Returns:
+        What came of them.
+    """
+    count, seeds = Count(), list(target.seeds())
+    rng = random.Random(f"{target.name} {seed}")
+    end = time.monotonic() + seconds
+    for text in seeds[:runs] if with_honest else ():
+        run_once(target, text, count)
+    while count.runs < runs if runs is not None else time.monotonic() < end:
+        run_once(target, mutate(rng, seeds), count)
+    return count
+
+
+def write_failures(target: Target, count: Count, folder: Path) -> None:
+    """Keep the inputs that failed, each beside what was raised.
+
+    Args:
+        target: the door.
+        count: its failures.
+        folder: made if it is not there.
+    """
+    for text, fault in count.failures:
+        folder.mkdir(parents=True, exist_ok=True)
+        name = f"{target.name}-{hashlib.sha256(text).hexdigest()[:12]}"
+        (folder / f"{name}.input").write_bytes(text)
+        (folder / f"{name}.txt").write_text(fault, "utf-8", "backslashreplace")
+    count.failures.clear()
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Throw at all targets in turn; 0 where nothing fell through, else 1."""
+    from fuzz_targets import TARGETS
+
+    names = [one.name for one in TARGETS]
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--minutes", type=float, default=10.0, help="how long (10)")
+    parser.add_argument("--seed", type=int, default=0, help="of the damage (0)")
+    parser.add_argument("--target", action="append", choices=names, help="only these; repeatable")
+    parser.add_argument("--out", type=Path, default=Path("fuzz"), help="folder for what failed")
+    options = parser.parse_args(arguments)
+    chosen = [one for one in TARGETS if one.name in (options.target or names)]
+    counts = {one.name: Count() for one in chosen}
+    end, turn = time.monotonic() + 60.0 * options.minutes, 0
+    while time.monotonic() < end:
+        for target in chosen:
+            seed = options.seed * 1_000_000 + turn
+            found = throw(target, seed=seed, seconds=SECONDS_PER_TURN, with_honest=turn == 0)
+            write_failures(target, found, options.out)
+            for name in ("runs", "accepted", "refused", "failed", "seconds"):
+                mine = counts[target.name]
+                setattr(mine, name, getattr(mine, name) + getattr(found, name))
+        turn += 1
+    print(f"{'target':<12} {'runs':>9} {'accepted':>9} {'refused':>9} {'failed':>7} {'seconds':>8}")
+    for name, one in counts.items():
+        print(
+            f"{name:<12} {one.runs:>9} {one.accepted:>9} {one.refused:>9} {one.failed:>7} "
+            f"{one.seconds:>8.0f}"
+        )
+    failed = sum(one.failed for one in counts.values())
+    print(f"seed {options.seed}; {failed} failed" + (f", see {options.out}" if failed else ""))
+    return int(failed > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

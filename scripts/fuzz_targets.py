@@ -1,0 +1,274 @@
+"""The doors that ``fuzz.py`` throws at. A new one is one more ``Target`` in ``TARGETS``."""
+
+import contextlib
+import io
+import json
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import numpy as np
+from fuzz import TEXTS, Target
+
+from jaxlangnav import cli
+from jaxlangnav.commands.arguments import Command
+from jaxlangnav.commands.output import Output, write_document
+from jaxlangnav.experiments.shards import Shard, write_shard
+from jaxlangnav.experiments.summary import markdown, render, summarize_directory
+from jaxlangnav.experiments.sweep_config import read_config
+from jaxlangnav.experiments.sweep_folder import MANIFEST, identity, read_manifest
+from jaxlangnav.language.corpus import CorpusError, read_corpus
+from jaxlangnav.language.grammar import Grammar
+from jaxlangnav.language.lexicon import read_lexicon
+from jaxlangnav.language.parser import parse
+from jaxlangnav.language.phrase import LanguageError
+from jaxlangnav.world.fields import WorldFileError
+from jaxlangnav.world.files import load_world, save_world, shipped_worlds
+from jaxlangnav.world.writing import world_to_dict
+
+LANGUAGE = resources.files("jaxlangnav.language") / "data"
+_SWEEPS = (
+    b'worlds = ["1H1C", "yard"]\ncommands = ["behind"]\n',
+    b'name = "range"\nepisodes = 4\nenvironments = 2\nseeds = [0, 1]\nworlds = ["2H1C"]\n'
+    b'commands = ["nearest", { text = "drive to the hydrant", relation = "null" }]\n'
+    b'ranges = [2, 3.5, "500 cm"]\npolicies = ["informed", "faithful"]\nparticles = [64]\n'
+    b'[sensor]\ndetection_probability = [0.9, "95 %"]\nfield_of_view = "360 deg"\n'
+    b'noise = "10 cm"\n[motion]\nodometry_noise = "2 %"\n[map]\nconcentration = [0.1, 0.3]\n'
+    b"[planner]\ndiscount = 0.8\n",
+)
+_LEXICONS = (
+    b'[types]\n"lamp" = ["lamp post", "street lamp"]\ncar = ["truck", "lorry"]\n'
+    b'[class.adj]\nplain = ["teal", "very old"]\n',
+    b'[types]\n"sign" = ["stop sign"]\n[class.rel]\n"relation:behind" = ["in the *lee of"]\n'
+    b'[class.v_to]\n"action:navigate" = ["mosey"]\n[class.adv]\n"mode:quickly" = ["apace"]\n',
+)
+_LINES = (
+    ["parse", "go to the hydrant behind the cone"],
+    ["parse", "find the nearest car", "--json"],
+    ["follow", "go to the cone", "--range", "5", "--seed", "7", "--particles", "64"],
+    ["follow", "go to the cone", "--world", "2H1C", "--policy", "faithful", "--max-steps", "9"],
+    ["follow", "go to the cone", "--params.planner.discount", "0.9", "--out", "pictures"],
+    ["follow", "go to the cone", "--sensor.field-of-view", "90 deg", "--live"],
+    ["ground", "move behind the cone", "--world", "yard", "--json"],
+    ["sweep", "grid.toml", "--out", "results", "--shard", "2/8", "--resume"],
+    ["summarize", "results", "--out", "summary"],
+    ["train", "--out", "weights.npz"],
+    ["evaluate", "--weights", "weights.npz"],
+    ["reproduce", "table2", "--episodes", "100", "--policy", "all"],
+    ["bench", "--json"],
+    ["--help"],
+    ["--version"],
+)
+
+
+def _worlds() -> list[bytes]:
+    """Take the worlds of the package, as TOML."""
+    data = resources.files("jaxlangnav.world") / "data"
+    return [(data / f"{name}.toml").read_bytes() for name in shipped_worlds()]
+
+
+def _json_worlds() -> list[bytes]:
+    """Take the worlds of the package, as JSON."""
+    from jaxlangnav.world.files import World, open_world
+
+    opened = [open_world(name) for name in shipped_worlds()]
+    return [
+        json.dumps(world_to_dict(one), indent=1).encode()
+        for one in opened
+        if isinstance(one, World)
+    ]
+
+
+def _world(text: bytes, folder: Path, *, kind: str = "toml") -> None:
+    """Read a world; one that is taken is finite, can be shown, and is written back the same."""
+    path = folder / f"world.{kind}"
+    path.write_bytes(text)
+    world = load_world(path)
+    leaves = [*vars(world.scenario).values(), *vars(world.sensor).values()]
+    assert all(np.isfinite(np.asarray(one)).all() for one in leaves)
+    assert (world.name + (world.instruction or "")).isprintable()
+    save_world(world, folder / "again.toml")
+    again = load_world(folder / "again.toml")
+    for mine, theirs in zip(leaves, vars(again.scenario).values(), strict=False):
+        assert np.array_equal(mine, theirs)
+
+
+def _json_world(text: bytes, folder: Path) -> None:
+    """Read a world written as JSON."""
+    _world(text, folder, kind="json")
+
+
+@cache
+def _shipped_lexicon() -> str:
+    """Read the lexicon of the package."""
+    return (LANGUAGE / "lexicon.toml").read_text("utf-8")
+
+
+def _lexicon(text: bytes, folder: Path) -> None:
+    """Join somebody's words; now and then build the grammar of what is taken."""
+    from jaxlangnav.documents import read_text
+
+    (folder / "words.toml").write_bytes(text)
+    lexicon = read_lexicon(_shipped_lexicon(), read_text(folder / "words.toml", at_most=1 << 20))
+    assert lexicon.entries["det"]["the",].senses == ((),)
+    assert ("the",) not in lexicon.entries["type"]
+    assert all(word.isprintable() for word in lexicon.vocabulary)
+    if hash(text) % 50 == 0:
+        Grammar((LANGUAGE / "grammar.txt").read_text("utf-8"), lexicon)
+
+
+def _corpus_lines() -> list[bytes]:
+    """Take the shortest lines of the small corpus of the package."""
+    lines = (LANGUAGE / "corpus39.jsonl").read_bytes().splitlines()
+    return sorted((line for line in lines if line.startswith(b"{")), key=len)[:4]
+
+
+def _corpus(text: bytes, folder: Path) -> None:
+    """Read a corpus."""
+    (folder / "corpus.jsonl").write_bytes(text)
+    for example in read_corpus(folder / "corpus.jsonl"):
+        for labels in example.worlds:
+            places = [place for _, *place in labels.world.objects]
+            assert np.isfinite(np.array(places, float)).all()
+            assert np.isfinite(np.array(labels.world.robot, float)).all()
+
+
+def _sweep(text: bytes, folder: Path) -> None:
+    """Read the configuration of a sweep; what is taken can be written down."""
+    (folder / "sweep.toml").write_bytes(text)
+    config = read_config(folder / "sweep.toml")
+    json.dumps(config.document(), allow_nan=False).encode("utf-8")
+    assert config.name.isprintable()
+
+
+def _manifests() -> list[bytes]:
+    """Write manifests as a sweep does."""
+    settings = {"name": "range", "files": 2, "rows": 8, "worlds": ["1H1C"], "seeds": [0]}
+    document = {
+        "settings": settings,
+        "jaxlangnav": "1.0",
+        "libraries": {"jax": "0.10", "numpy": "2.0"},
+        "models_sha256": "0" * 64,
+        "device": {"platform": "cpu", "kind": "cpu", "count": 1},
+    }
+    return [json.dumps(document, indent=2).encode(), json.dumps({"settings": settings}).encode()]
+
+
+def _episodes() -> dict[str, Any]:
+    """Make eight episodes of a world with a name that no table and no terminal should obey."""
+    number, world = 8, "a|b <b>**[red]\x1b[2J.toml"
+    measured = dict.fromkeys(
+        ("distance", "final_x", "final_y", "goal_distance", "mean_effective_sample_size"),
+        np.linspace(1.0, 9.0, number, dtype=np.float32),
+    )
+    counted = dict.fromkeys(
+        ("steps", "overflow", "degenerate", "contradictions"), np.arange(number, dtype=np.int32)
+    )
+    is_so = np.arange(number) % 2 == 0
+    return {
+        "world": [world] * number,
+        "relation": ["behind"] * number,
+        "command": ["go"] * number,
+        "range": np.full(number, 3.0),
+        "policy": ["informed", "faithful"] * (number // 2),
+        "particles": [64] * number,
+        "seed": [0] * number,
+        "episode": [index // 2 for index in range(number)],
+        "is_success": is_so,
+        "is_stopped": np.ones(number, bool),
+        "is_valid": np.ones(number, bool),
+        "known_distance": np.full(number, 5.0, np.float32),
+        **measured,
+        **counted,
+    }
+
+
+def _manifest(text: bytes, folder: Path) -> None:
+    """Summarise a sweep whose manifest is damaged; what is taken can be shown everywhere."""
+    (folder / MANIFEST).write_bytes(text)
+    sweep = identity(read_manifest(folder))
+    shard = Shard(sweep=sweep, index=0, rows=8)
+    write_shard(_episodes(), folder / "episodes-000000.parquet", shard)
+    document = summarize_directory(folder)
+    told = io.StringIO()
+    with contextlib.redirect_stdout(told):
+        Output(is_json=False).say(render(document))
+        write_document(document)
+    told.write(markdown(document))
+    assert all(line.isprintable() for line in told.getvalue().split("\n")), "it is not plain"
+    assert "<b>" not in markdown(document)
+
+
+def _sentences() -> list[bytes]:
+    """Take sentences of many constructions."""
+    return [
+        b"go to the hydrant behind the cone",
+        b"please find the second cone on your left, then stop near it",
+        b"quickly drive to the fire-hydrant nearest to the cone and stay away from the car",
+        b"There is a hydrant behind the cone. Go to the cone's left!",
+    ]
+
+
+def _sentence(text: bytes, _: Path) -> None:
+    """Parse a sentence."""
+    document = parse(text.decode("utf-8", "surrogateescape")).to_dict()
+    with contextlib.redirect_stdout(io.StringIO()):
+        write_document(document)
+
+
+def _words() -> list[bytes]:
+    """Write command lines, a word a line, in quotes so that whole words are damaged too."""
+    hostile = [["parse", one] for one in TEXTS] + [["follow", "x", "--world", t] for t in TEXTS]
+    lines = [*_LINES, *hostile]
+    return ["\n".join(f'"{w}"' for w in one).encode("utf-8", "replace") for one in lines]
+
+
+class CommandLineError(Exception):
+    """The command line refused its arguments, properly or not: its whole standard error."""
+
+
+def _cheaply(command: Command) -> int:
+    """Do of a command what needs no engine."""
+    output = Output(is_json=command.json)
+    if type(command).__name__ == "Parse":
+        document = command.run(output)
+        if command.json:
+            write_document(document)
+        return 0
+    check = getattr(command, "_check", None)
+    if check is not None:
+        check()
+    return 0
+
+
+def _command_line(text: bytes, folder: Path) -> None:
+    """Run a command line in this process, up to where an engine would be compiled."""
+    decoded = text.decode("utf-8", "surrogateescape").split("\n")
+    words = [word.removeprefix('"').removesuffix('"') for word in decoded]
+    out, err = io.StringIO(), io.StringIO()
+    with (
+        contextlib.redirect_stdout(out), contextlib.redirect_stderr(err),
+        contextlib.chdir(folder), mock.patch.object(cli, "_run", _cheaply),
+    ):  # fmt: skip
+        code = cli.main(words)
+    told, said = out.getvalue(), err.getvalue()
+    assert all(line.isprintable() for line in (told + said).split("\n")), "it is not plain"
+    assert not list(folder.iterdir()), "something was left behind"
+    if code == 2:
+        raise CommandLineError(said.removesuffix("\n"))
+    assert code == 0, f"exit code {code}: {said}"
+
+
+TARGETS = (
+    Target(name="world", seeds=_worlds, call=_world, refusals=(WorldFileError,)),
+    Target(name="world-json", seeds=_json_worlds, call=_json_world, refusals=(WorldFileError,)),
+    Target(name="lexicon", seeds=lambda: _LEXICONS, call=_lexicon, refusals=(ValueError,)),
+    Target(name="corpus", seeds=_corpus_lines, call=_corpus, refusals=(CorpusError,)),
+    Target(name="sweep", seeds=lambda: _SWEEPS, call=_sweep, refusals=(ValueError,)),
+    Target(name="manifest", seeds=_manifests, call=_manifest, refusals=(ValueError,)),
+    Target(name="sentence", seeds=_sentences, call=_sentence, refusals=(LanguageError,)),
+    Target(name="command-line", seeds=_words, call=_command_line, refusals=(CommandLineError,)),
+)
+"""Every door that is thrown at."""
