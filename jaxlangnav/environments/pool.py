@@ -24,6 +24,8 @@ from jaxlangnav.world.state import Scenario
 
 NUM_WORLDS = 1024
 """Worlds of a pool unless told otherwise: 150 kB, and an average's σ/√N is 3 % of σ."""
+_SLICE = 64
+"""Worlds drawn together; all at once would hold every place tried."""
 
 
 @functools.partial(jax.jit, static_argnames="num_worlds")
@@ -46,7 +48,6 @@ def draw_pool(key: Array, law: ScenarioLaw, *, num_worlds: int = NUM_WORLDS) -> 
     """
     if num_worlds < 1:
         raise ValueError(f"num_worlds is {num_worlds}, but must be at least 1")
-    # One after the other in slices: all at once would hold every place tried.
     keys = jax.random.split(key, num_worlds)
     drawn = jax.lax.map(lambda one: draw_scenario(one, law), keys, batch_size=_SLICE)
     best = jnp.argsort(~drawn.is_valid, stable=True)
@@ -67,7 +68,3 @@ def pick(key: Array, pool: Scenario) -> Scenario:
     # One draw where randint takes four; 2³² is so large that its remainder favours nobody.
     index = jax.random.bits(key) % jnp.uint32(pool.goal_index.shape[0])
     return jax.tree.map(lambda leaf: leaf[index], pool)
-
-
-_SLICE = 64
-"""Worlds drawn together."""
