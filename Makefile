@@ -26,7 +26,7 @@ ARGS ?=
 # Test processes. One holds up to 5 GB, so this is not the number of cores.
 WORKERS ?= 2
 
-.PHONY: help demo test test-all fuzz lint format types check bench build docs notebooks clean
+.PHONY: help demo test test-all fuzz lint format types check bench build docs notebooks frozen clean
 
 help: ## this list
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -65,8 +65,11 @@ build: $(STAMPS)/dev ## a wheel and a source archive in dist/
 docs: $(STAMPS)/docs ## the documentation in site/, every link checked
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
 
-notebooks: $(STAMPS)/notebook ## run the notebooks whose source has changed (ARGS=--all: every one)
+notebooks: $(STAMPS)/notebook ## run the notebooks that are old (ARGS=--all: every one)
 	@$(BIN)/python scripts/notebooks.py $(ARGS)
+
+frozen: $(STAMPS)/notebook ## make anew what is old in notebooks, README and docs (ARGS=--check: say what)
+	@$(BIN)/python scripts/frozen.py $(ARGS)
 
 clean: ## remove the environments and what the tools left
 	@rm -rf .venv .venv-* dist site build .pytest_cache .ruff_cache .hypothesis fuzz

@@ -24,6 +24,9 @@ ORDER = (
 _AFTER = "Tutorial"
 _MAGICS = re.compile(r"(?m)^%.*\n")
 _ESCAPES = re.compile(r"\x1b\[[0-9;]*m")
+_FRAMES = re.compile("[\u2500-\u257f]")
+"""What draws boxes and trees: such output scrolls, for wrapped it means nothing."""
+_ALIGNED = "{ .text .aligned }"
 
 
 def notebooks() -> list[Path]:
@@ -89,7 +92,8 @@ def convert(path: Path) -> tuple[str, dict[str, bytes]]:
                 parts.append(f"![What this cell draws]({name})")
             else:
                 shown = _text(output.get("text", data.get("text/plain", "")))
-                parts.append(_fence(_ESCAPES.sub("", shown).rstrip(), "text"))
+                shown = _ESCAPES.sub("", shown).rstrip()
+                parts.append(_fence(shown, _ALIGNED if _FRAMES.search(shown) else "text"))
     where = f"Made by `notebooks/{path.stem}.py`; run `make notebooks` to make it again."
     return "\n\n".join([*parts, f"---\n\n*{where}*"]) + "\n", pictures
 

@@ -1,12 +1,14 @@
 """Notebooks: run the sources in ``notebooks/*.py`` and write the ``.ipynb`` beside them.
 
-    python scripts/notebooks.py                     # run those whose source has changed
+    python scripts/notebooks.py                     # run those that are old
     python scripts/notebooks.py --all               # run all of them
     python scripts/notebooks.py --draw DIR planner  # run one without Jupyter, its pictures into DIR
 
 The ``.py`` files (jupytext's percent format) are the truth; the ``.ipynb`` files are made from
 them, with their pictures, so that a reader of the repository sees what a notebook shows without
-running it. Pictures are reduced to a palette, which keeps a notebook well below ``MAX_BYTES``.
+running it. Old is a notebook whose source has changed, or that an engine of other results has made
+(``ages.py``); ``make frozen`` runs them with all else that is frozen. Pictures are reduced to a
+palette, which keeps a notebook well below ``MAX_BYTES``.
 """
 
 import argparse
@@ -19,6 +21,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+import ages
 import jupytext
 import nbformat
 
@@ -41,9 +44,9 @@ def cells(path: Path) -> list[tuple[str, str]]:
 
 
 def is_current(path: Path) -> bool:
-    """Tell whether a source's notebook is there and has the same cells."""
+    """Tell whether a source's notebook has the same cells, run by an engine of today's results."""
     pair = path.with_suffix(".ipynb")
-    return pair.exists() and cells(pair) == cells(path)
+    return pair.exists() and cells(pair) == cells(path) and ages.is_current(pair)
 
 
 def reduce_picture(picture: str) -> str:
@@ -100,6 +103,7 @@ def build(path: Path) -> Path:
         raise ValueError(f"{path.name}: {len(text)} bytes executed, but at most {MAX_BYTES}")
     pair = path.with_suffix(".ipynb")
     pair.write_text(text, "utf-8")
+    ages.record(pair)
     return pair
 
 
@@ -151,7 +155,7 @@ def main() -> int:
     """Run what the command line asks for."""
     parser = argparse.ArgumentParser(description="Run the notebooks and write them with pictures.")
     parser.add_argument("names", nargs="*", help="notebooks; all by default")
-    parser.add_argument("--all", action="store_true", help="also those that have not changed")
+    parser.add_argument("--all", action="store_true", help="also those that are not old")
     parser.add_argument("--draw", type=Path, help="run without Jupyter, pictures into this folder")
     arguments = parser.parse_args()
     known = {path.stem: path for path in sources()}

@@ -10,11 +10,13 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import ages
+
 from jaxlangnav.experiments.figure5 import describe_falls
 from jaxlangnav.experiments.tables import deviation_lines
 from jaxlangnav.experiments.unknowns_tables import caption, explained_lines, matrix
 
-ROOT = Path(__file__).parent.parent
+ROOT = ages.ROOT
 PAGE = ROOT / "docs" / "results.md"
 HAND = "<!-- What follows is written by hand; scripts/results_page.py keeps it. -->"
 PICTURES = ("table2", "calibration", "figure5", "unknowns")
@@ -149,14 +151,19 @@ One decision cycle of one episode in a batch (`jaxlangnav reproduce time`):
 {kept}"""
 
 
-def main() -> None:
-    """Write the page and copy its pictures."""
-    folder, commit = Path(sys.argv[1]), sys.argv[2]
+def write(folder: Path, commit: str) -> None:
+    """Write the page, copy its pictures and keep which engine made them.
+
+    Args:
+        folder: of the results.
+        commit: of the code that made them.
+    """
     old = PAGE.read_text("utf-8")
     PAGE.write_text(page(folder, commit, old[old.index(HAND) :]), "utf-8")
     for name in PICTURES:
         shutil.copy(folder / f"{name}.png", ROOT / "docs" / f"{name}.png")
+    ages.record(PAGE)
 
 
 if __name__ == "__main__":
-    main()
+    write(Path(sys.argv[1]), sys.argv[2])

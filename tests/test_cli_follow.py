@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from test_frozen import frozen
 
 from jaxlangnav import cli, kept
 from jaxlangnav.commands import engine, intent
@@ -91,6 +92,16 @@ def test_people_read_a_story(capsys: pytest.CaptureFixture[str]) -> None:
     assert told.startswith(f"You said: “{COMMAND}”.")
     assert "Says stop" in told
     assert "\nSuccess: " in told
+
+
+SHOWN = [one for page in frozen.pages() for one in frozen.shown(page) if " follow " in one[0]]
+
+
+@pytest.mark.parametrize(("command", "text"), SHOWN)
+def test_the_pages_show_what_is_printed(command: str, text: str, tmp_path: Path) -> None:
+    """If this fails: make frozen."""
+    pytest.importorskip("matplotlib")
+    assert frozen.printed(command, tmp_path) == text
 
 
 def test_live_draws_and_ends_with_the_verdict(capsys: pytest.CaptureFixture[str]) -> None:

@@ -92,3 +92,11 @@ def test_every_page_is_in_the_menu() -> None:
     menu = (ROOT / "mkdocs.yml").read_text("utf-8")
     for page in sorted((ROOT / "docs").rglob("*.md")):
         assert str(page.relative_to(ROOT / "docs")) in menu
+
+
+def test_stylesheets_are_there() -> None:
+    """MkDocs says nothing of one that is missing, and the site cuts code and tables off."""
+    menu = (ROOT / "mkdocs.yml").read_text("utf-8")
+    sheets = re.findall(r"[\w/]+\.css", menu)
+    assert sheets
+    assert all((ROOT / "docs" / sheet).is_file() for sheet in sheets)

@@ -1,6 +1,8 @@
 """Our worlds as environments: the laws of reset and step, and Gymnasium's own checks."""
 
+import importlib.util
 import warnings
+from typing import Any
 
 import gymnasium
 import jax
@@ -10,7 +12,11 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from jaxlangnav.environments import functional
-from jaxlangnav.environments.gymnasium_env import ID, FollowVectorEnv
+from jaxlangnav.environments.actions import ACTIONS, STOP_ABOVE
+from jaxlangnav.environments.gymnasium_env import ID, FollowEnv, FollowVectorEnv
+from jaxlangnav.environments.observation import COMMANDS, OBSERVATION_SIZE
+from jaxlangnav.environments.pool import draw_pool, pick
+from jaxlangnav.environments.spaces import action_space, to_functional
 from jaxlangnav.experiments.sentences import SENTENCES
 from jaxlangnav.pytree import replace
 from jaxlangnav.world.templates import RELATION_NAMES
@@ -18,9 +24,14 @@ from jaxlangnav.world.templates import RELATION_NAMES
 STOP = jnp.array([0.0, 0.0, 1.0])
 
 
+@pytest.fixture(scope="module")
+def pool() -> Any:
+    return draw_pool(jax.random.key(9), functional.default_params().law, num_worlds=64)
+
+
 def test_commands_are_those_of_the_tables() -> None:
-    assert tuple(functional.COMMANDS) == RELATION_NAMES
-    assert dict(SENTENCES) == functional.COMMANDS
+    assert tuple(COMMANDS) == RELATION_NAMES
+    assert dict(SENTENCES) == COMMANDS
 
 
 def test_the_observation_says_what_is_sensed() -> None:
@@ -29,7 +40,7 @@ def test_the_observation_says_what_is_sensed() -> None:
         params.sensor, detection_probability=jnp.float32(1.0), noise=jnp.float32(0.0)
     )
     observation, state = functional.reset(jax.random.key(3), replace(params, sensor=noiseless))
-    assert observation.shape == (functional.OBSERVATION_SIZE,)
+    assert observation.shape == (OBSERVATION_SIZE,)
     assert observation[:4].tolist() == [0.0, 0.0, 1.0, 0.0]
     np.testing.assert_allclose(observation[4:8], state.scenario.area)
     assert observation[8:12].tolist() == [50.0, 0.0, 1.0, 0.0]
@@ -79,22 +90,81 @@ def test_a_long_step_is_shortened() -> None:
     assert float(jnp.hypot(observation[0], observation[1])) == pytest.approx(1.0, abs=1e-5)
 
 
-def test_lanes_are_alike_alone_and_together() -> None:
-    params = functional.default_params(world="2H1C")
+def test_lanes_are_alike_alone_and_together(pool: Any) -> None:
+    params = functional.default_params()
     keys = jax.random.split(jax.random.key(7), 5)
-    together, _ = jax.vmap(functional.reset, in_axes=(0, None))(keys, params)
-    alone = [functional.reset(key, params)[0] for key in keys]
+    together, _ = jax.vmap(functional.reset, in_axes=(0, None, None))(keys, params, pool)
+    alone = [functional.reset(key, params, pool)[0] for key in keys]
     np.testing.assert_allclose(together, np.stack(alone), atol=1e-5)
     assert len({tuple(row) for row in np.asarray(together[:, 4:8]).tolist()}) == 1
 
 
-def test_step_and_reset_begins_anew() -> None:
+def test_step_and_reset_begins_anew(pool: Any) -> None:
+    params = functional.default_params()
+    _, state = functional.reset(jax.random.key(0), params)
+    observation, after, _, is_over, _ = functional.step_and_reset(
+        jax.random.key(1), state, STOP, params, pool
+    )
+    assert bool(is_over)
+    assert int(after.steps) == 0
+    goals = np.asarray(pool.goal)
+    assert (goals == np.asarray(after.scenario.goal)).all(axis=1).sum() == 1
+    assert observation[:4].tolist() == [0.0, 0.0, 1.0, 0.0]
+    _, after, _, is_over, info = functional.step_and_reset(
+        jax.random.key(1), state, jnp.array([1.0, 0.0, -1.0]), params, pool
+    )
+    assert not bool(is_over)
+    assert int(after.steps) == 1
+    np.testing.assert_array_equal(after.scenario.goal, state.scenario.goal)
+    assert float(info.distance) > 0.5
+
+
+def test_without_a_pool_a_world_is_drawn() -> None:
     params = functional.default_params()
     _, state = functional.reset(jax.random.key(0), params)
     _, after, _, is_over, _ = functional.step_and_reset(jax.random.key(1), state, STOP, params)
     assert bool(is_over)
-    assert int(after.steps) == 0
     assert not np.allclose(after.scenario.goal, state.scenario.goal)
+
+
+def test_a_pool_holds_the_worlds_of_the_law_and_hands_them_out_evenly(pool: Any) -> None:
+    assert bool(pool.is_valid.all())
+    goals = np.asarray(pool.goal)
+    assert len({tuple(goal) for goal in goals.tolist()}) == 64
+    keys = jax.random.split(jax.random.key(2), 6400)
+    drawn = np.asarray(jax.vmap(pick, in_axes=(0, None))(keys, pool).goal)
+    times = (drawn[:, None] == goals).all(axis=-1).sum(axis=0)
+    assert times.sum() == 6400
+    # Each is handed out a hundred times, with a standard deviation of ten.
+    assert np.abs(times - 100).max() < 50
+    with pytest.raises(ValueError, match="num_worlds is 0"):
+        draw_pool(jax.random.key(0), functional.default_params().law, num_worlds=0)
+
+
+def test_a_world_that_does_not_meet_the_law_is_replaced() -> None:
+    """Three hydrants and three cones in a few metres often find no place."""
+    law = functional.default_params(world="3H3C").law
+    crowded = replace(law, range_mean=0.9 * law.range_mean, range_sd=0.5 * law.range_sd)
+    pool = draw_pool(jax.random.key(4), crowded, num_worlds=64)
+    assert bool(pool.is_valid.all())
+    assert 1 < len({tuple(goal) for goal in pool.goal.tolist()}) < 64
+
+
+def test_a_random_agent_lives_longer_than_two_steps() -> None:
+    for actions, share in (("continuous", (1.0 - STOP_ABOVE) / 2), ("discrete", 1 / len(ACTIONS))):
+        space = action_space(actions)
+        space.seed(0)
+        tried = to_functional(np.array([space.sample() for _ in range(2000)]), space)
+        assert tried.shape == (2000, 3)
+        spread = (share * (1 - share) / 2000) ** 0.5
+        assert (tried[:, 2] > STOP_ABOVE).mean() == pytest.approx(share, abs=5 * spread)
+        assert 1 / share > 15
+
+
+def test_discrete_actions_are_stop_and_whole_steps() -> None:
+    assert (ACTIONS[:, 2] > STOP_ABOVE).tolist() == [True, *[False] * 16]
+    np.testing.assert_allclose(np.hypot(*ACTIONS[1:, :2].T), 1.0, atol=1e-6)
+    np.testing.assert_allclose(ACTIONS[[1, 5], :2], [[1.0, 0.0], [0.0, 1.0]], atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -111,21 +181,62 @@ def test_bad_options_are_refused(options: dict, expected: str) -> None:
         functional.default_params(**options)
 
 
-def test_gymnasium_finds_nothing_to_object_to() -> None:
-    env = gymnasium.make(ID, world="2H1C", relation="nearest", sensing_range=5.0)
+@pytest.mark.parametrize("options", [{}, {"actions": "discrete", "render_mode": "rgb_array"}])
+def test_gymnasium_finds_nothing_to_object_to(options: dict) -> None:
+    env = gymnasium.make(ID, world="2H1C", relation="nearest", sensing_range=5.0, **options)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         check_env(env.unwrapped)
     _, info = env.reset(seed=1)
     assert info["instruction"] == "go to the hydrant nearest to the cone"
-    with pytest.raises(ValueError, match="relation"):
-        gymnasium.make(ID, relation="beside")
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ({"relation": "beside"}, "relation"),
+        ({"actions": "few"}, 'actions is "few", but must be one of continuous, discrete'),
+        ({"render_mode": "human"}, 'render_mode is "human", but must be one of rgb_array'),
+    ],
+)
+def test_gymnasium_refuses_bad_options(options: dict, expected: str) -> None:
+    with pytest.raises(ValueError, match=expected):
+        FollowEnv(**options)
+
+
+def test_an_environment_draws_itself() -> None:
+    env = FollowEnv(render_mode="rgb_array", actions="discrete")
+    with pytest.raises(ValueError, match="render before reset"):
+        env.render()
+    env.reset(seed=0)
+    before = env.render()
+    assert before.dtype == np.uint8
+    assert before.shape[0] == 480
+    assert before.shape[2] == 3
+    for _ in range(3):
+        env.step(1)
+    after = env.render()
+    assert after.shape == before.shape
+    assert 0.001 < (after != before).any(axis=-1).mean() < 0.5
+    env.reset(seed=0)
+    np.testing.assert_array_equal(env.render(), before)
+
+
+def test_pictures_need_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(ValueError, match=r"pip install 'jaxlangnav\[viz\]'"):
+        FollowEnv(render_mode="rgb_array")
+
+
+def test_without_a_render_mode_there_is_no_picture() -> None:
+    with pytest.warns(UserWarning, match="render_mode="):
+        assert FollowEnv().render() is None
 
 
 def test_the_vector_form_begins_ended_lanes_anew() -> None:
-    env = FollowVectorEnv(4, relation="null")
+    env = FollowVectorEnv(4, relation="null", num_worlds=64, render_mode="rgb_array")
     observation, _ = env.reset(seed=2)
-    assert observation.shape == (4, functional.OBSERVATION_SIZE)
+    assert observation.shape == (4, OBSERVATION_SIZE)
     assert env.observation_space.contains(observation)
     first = env.reset(seed=2)[0]
     np.testing.assert_array_equal(first, observation)
@@ -142,5 +253,9 @@ def test_the_vector_form_begins_ended_lanes_anew() -> None:
     assert reward[1] == 0.0
     assert again[1, :2].tolist() == [0.0, 0.0]
     np.testing.assert_allclose(again[[0, 2, 3], 0], 2.0, atol=1e-5)
+    pictures = env.render()
+    assert [picture.shape[::2] for picture in pictures] == [(480, 3)] * 4
     with pytest.raises(ValueError, match="num_envs is 0"):
         FollowVectorEnv(0)
+    with pytest.raises(ValueError, match="num_worlds is -1"):
+        FollowVectorEnv(1, num_worlds=-1)

@@ -6,15 +6,38 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxlangnav.messages import Action, MotionParams, default_motion, default_sensor
+from jaxlangnav.messages import (
+    Action,
+    MotionParams,
+    Observation,
+    SensorParams,
+    default_motion,
+    default_sensor,
+)
 from jaxlangnav.world import simulator
 from jaxlangnav.world.motion import move as move_eagerly
 from jaxlangnav.world.scenario import draw_scenario, sample_scenario, scenario_law
-from jaxlangnav.world.state import WorldState
+from jaxlangnav.world.sensor import sense
+from jaxlangnav.world.state import Scenario, WorldState
 
 KEY = jax.random.key(0)
 move = jax.jit(move_eagerly)
-jitted_step = jax.jit(simulator.step)
+
+
+@jax.jit
+def walk(
+    key: jax.Array,
+    state: WorldState,
+    scenario: Scenario,
+    action: Action,
+    *,
+    sensor: SensorParams,
+    motion: MotionParams,
+) -> tuple[WorldState, Observation]:
+    """Move, then sense: what an episode and an environment do."""
+    key_move, key_sense = jax.random.split(key)
+    state = move_eagerly(key_move, state, action, motion)
+    return state, sense(key_sense, state, scenario, sensor)
 
 
 def action(x: float, y: float, *, is_stop: bool = False, speed: float = 1.0) -> Action:
@@ -90,7 +113,7 @@ def test_a_run_to_the_goal_succeeds_only_with_a_stop() -> None:
     for index in range(30):
         if simulator.goal_distance(state, scenario) <= 1.4:
             break
-        state, observation = jitted_step(
+        state, observation = walk(
             jax.random.fold_in(KEY, index),
             state,
             scenario,
@@ -121,7 +144,7 @@ def test_an_episode_of_data_traces_once_and_its_batch_equals_a_loop() -> None:
         """Walk five steps ahead; the way an episode uses the simulator."""
 
         def advance(state, key):
-            state, observation = simulator.step(
+            state, observation = walk(
                 key, state, scenario, action(1.0, 0.2), sensor=sensor, motion=motion
             )
             return state, observation.is_detection.sum()

@@ -7,40 +7,35 @@ it is to carry out, senses what the robot senses, and says stop where it takes t
     observation, state = reset(key, params)
     observation, state, reward, is_over, info = step(key, state, action, params)
 
+Where episodes follow one another, worlds are drawn ahead (``pool`` says what that means):
+
+    pool = draw_pool(key, params.law)
+    observation, state, reward, is_over, info = step_and_reset(key, state, action, params, pool)
+
 Everything is ``jit``- and ``vmap``-able; ``params`` are traced, so worlds, commands, ranges and
 noise may differ from lane to lane of one compiled program.
 """
+
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.messages import (
-    Action,
-    MotionParams,
-    Observation,
-    SensorParams,
-    default_motion,
-    default_sensor,
-)
-from jaxlangnav.pytree import pytree, replace
+from jaxlangnav.environments.actions import STOP_ABOVE
+from jaxlangnav.environments.observation import to_vector
+from jaxlangnav.environments.pool import pick
+from jaxlangnav.messages import Action, MotionParams, SensorParams, default_motion, default_sensor
+from jaxlangnav.pytree import pytree
 from jaxlangnav.world import simulator
 from jaxlangnav.world.motion import move
 from jaxlangnav.world.scenario import ScenarioLaw, draw_scenario, scenario_law
-from jaxlangnav.world.sensor import NUM_DETECTIONS, sense
-from jaxlangnav.world.state import CONE, HYDRANT, Scenario, WorldState
+from jaxlangnav.world.sensor import sense
+from jaxlangnav.world.state import Scenario, WorldState
 
-COMMANDS = {
-    "null": "go to the hydrant",
-    "behind": "go to the hydrant behind the cone",
-    "nearest": "go to the hydrant nearest to the cone",
-}
-"""What the agent is told, by relation, in the order of its one-hot in the observation."""
 MAX_STEPS = 120
-BOUND = 100.0
-"""Entries of an observation are clipped to plus and minus this."""
-OBSERVATION_SIZE = 12 + 5 * NUM_DETECTIONS
-ACTION_SIZE = 3
+RELATION = "behind"
+_Tree = TypeVar("_Tree")
 
 
 @pytree
@@ -77,7 +72,7 @@ class EnvironmentInfo:
 def default_params(
     *,
     world: str = "1H1C",
-    relation: str = "behind",
+    relation: str = RELATION,
     sensing_range: float = 3.0,
     max_steps: int = MAX_STEPS,
     metre_cost: float = 0.01,
@@ -110,22 +105,22 @@ def default_params(
     )
 
 
-def reset(key: Array, params: EnvironmentParams) -> tuple[Array, EnvironmentState]:
+def reset(
+    key: Array, params: EnvironmentParams, pool: Scenario | None = None
+) -> tuple[Array, EnvironmentState]:
     """Draw a world and put the robot at its start.
 
     Args:
         key: random key, consumed.
         params: the environment.
+        pool: worlds to begin in, of ``draw_pool``; without it a fresh one is drawn.
 
     Returns:
         The first observation, f32[52], and the state.
     """
     world_key, sense_key = jax.random.split(key)
-    scenario = draw_scenario(world_key, params.law)
-    world = simulator.reset(scenario)
-    seen = sense(sense_key, world, scenario, params.sensor)
-    state = EnvironmentState(scenario=scenario, world=world, steps=jnp.int32(0))
-    return to_vector(seen, scenario, params), state
+    state = _begin(_draw(world_key, params, pool))
+    return _observe(sense_key, state, params), state
 
 
 def step(
@@ -140,43 +135,25 @@ def step(
         key: random key, consumed.
         state: the episode.
         action: f32[3], in [−1, 1]: the step along the map's x and y in units of the greatest step
-            (1 m), and stop where above 0. A step longer than the greatest one is shortened.
+            (1 m), and stop where above ``actions.STOP_ABOVE``. A step longer than the greatest
+            one is shortened. ``actions.ACTIONS`` lists some.
         params: the environment.
 
     Returns:
         Observation f32[52], state, reward f32[], bool[] whether the episode is over, and info.
     """
     move_key, sense_key = jax.random.split(key)
-    action = jnp.clip(action, -1.0, 1.0)
-    is_stopped = action[2] > 0.0
-    way = action[:2] * params.motion.step_length
-    order = Action(
-        waypoint=state.world.odometry[:2] + way,
-        step=way,
-        is_stop=is_stopped,
-        speed=jnp.float32(1.0),
-        clearance=jnp.float32(0.0),
-    )
-    world = move(move_key, state.world, order, params.motion)
-    after = replace(state, world=world, steps=state.steps + 1)
-    is_success = simulator.is_success(world, state.scenario, is_stopped)
-    is_cut_off = ~is_stopped & (after.steps >= params.max_steps)
-    travelled = world.distance - state.world.distance
-    info = EnvironmentInfo(
-        is_success=is_success,
-        is_stopped=is_stopped,
-        is_cut_off=is_cut_off,
-        distance=world.distance,
-        goal_distance=simulator.goal_distance(world, state.scenario),
-    )
-    seen = sense(sense_key, world, state.scenario, params.sensor)
-    reward = is_success.astype(jnp.float32) - params.metre_cost * travelled
-    observation = to_vector(seen, state.scenario, params)
-    return observation, after, reward, is_stopped | is_cut_off, info
+    after, reward, info = _advance(move_key, state, action, params)
+    observation = _observe(sense_key, after, params)
+    return observation, after, reward, info.is_stopped | info.is_cut_off, info
 
 
 def step_and_reset(
-    key: Array, state: EnvironmentState, action: Array, params: EnvironmentParams
+    key: Array,
+    state: EnvironmentState,
+    action: Array,
+    params: EnvironmentParams,
+    pool: Scenario | None = None,
 ) -> tuple[Array, EnvironmentState, Array, Array, EnvironmentInfo]:
     """Carry out one action and begin the next episode at once where one ends, as gymnax does.
 
@@ -185,48 +162,91 @@ def step_and_reset(
         state: the episode.
         action: f32[3], as of ``step``.
         params: the environment.
+        pool: as of ``reset``; without it a world is drawn in every step.
 
     Returns:
         As ``step``; observation and state are those of a new episode where one is over.
     """
-    step_key, reset_key = jax.random.split(key)
-    observation, after, reward, is_over, info = step(step_key, state, action, params)
-    first, begun = reset(reset_key, params)
-    return (
-        jnp.where(is_over, first, observation),
-        jax.tree.map(lambda new, old: jnp.where(is_over, new, old), begun, after),
-        reward,
-        is_over,
-        info,
-    )
+    move_key, world_key, sense_key = jax.random.split(key, 3)
+    after, reward, info = _advance(move_key, state, action, params)
+    is_over = info.is_stopped | info.is_cut_off
+    after = _where(is_over, _begin(_draw(world_key, params, pool)), after)
+    return _observe(sense_key, after, params), after, reward, is_over, info
 
 
-def to_vector(seen: Observation, scenario: Scenario, params: EnvironmentParams) -> Array:
-    """Lay out what the agent is given.
+def step_or_reset(
+    key: Array,
+    state: EnvironmentState,
+    action: Array,
+    params: EnvironmentParams,
+    pool: Scenario | None,
+    is_over: Array,
+) -> tuple[Array, EnvironmentState, Array, EnvironmentInfo]:
+    """Carry out one action, or begin a new episode where the last one is over.
 
     Args:
-        seen: what the robot senses.
-        scenario: for the edges of the operating area, which are known to all.
-        params: for the command and the sensing range.
+        key: random key, consumed.
+        state: the episode.
+        action: f32[3], as of ``step``; without effect where a new episode begins.
+        params: the environment.
+        pool: as of ``step_and_reset``.
+        is_over: bool[], the last step ended the episode.
 
     Returns:
-        f32[52]: x, y, cosine and sine of the heading (odometry); the area's edges (4); the sensing
-        range; one-hot of the command (3); and for each of eight detections, nearest first,
-        whether there is one, metres ahead, metres to the left, is hydrant, is cone.
+        Observation, state, reward and info, the last two zero where a new episode begins.
     """
-    x, y, heading = seen.pose[0], seen.pose[1], seen.pose[2]
-    told = (jnp.arange(len(COMMANDS)) == params.law.relation).astype(jnp.float32)
-    is_there = seen.is_detection.astype(jnp.float32)
-    detections = jnp.stack(
-        [
-            is_there,
-            is_there * seen.detection_range * jnp.cos(seen.detection_bearing),
-            is_there * seen.detection_range * jnp.sin(seen.detection_bearing),
-            (seen.detection_type == HYDRANT).astype(jnp.float32),
-            (seen.detection_type == CONE).astype(jnp.float32),
-        ],
-        axis=1,
+    move_key, world_key, sense_key = jax.random.split(key, 3)
+    after, reward, info = _advance(move_key, state, action, params)
+    reward, info = _where(is_over, jax.tree.map(jnp.zeros_like, (reward, info)), (reward, info))
+    after = _where(is_over, _begin(_draw(world_key, params, pool)), after)
+    return _observe(sense_key, after, params), after, reward, info
+
+
+def _draw(key: Array, params: EnvironmentParams, pool: Scenario | None) -> Scenario:
+    """Take a world from the pool, or draw one."""
+    return draw_scenario(key, params.law) if pool is None else pick(key, pool)
+
+
+def _begin(scenario: Scenario) -> EnvironmentState:
+    """Put the robot at the start of a world."""
+    world = simulator.reset(scenario)
+    return EnvironmentState(scenario=scenario, world=world, steps=jnp.int32(0))
+
+
+def _advance(
+    key: Array, state: EnvironmentState, action: Array, params: EnvironmentParams
+) -> tuple[EnvironmentState, Array, EnvironmentInfo]:
+    """Move and judge; nothing is sensed yet."""
+    action = jnp.clip(action, -1.0, 1.0)
+    is_stopped = action[2] > STOP_ABOVE
+    way = action[:2] * params.motion.step_length
+    order = Action(
+        waypoint=state.world.odometry[:2] + way,
+        step=way,
+        is_stop=is_stopped,
+        speed=jnp.float32(1.0),
+        clearance=jnp.float32(0.0),
     )
-    own = jnp.stack([x, y, jnp.cos(heading), jnp.sin(heading)])
-    parts = [own, scenario.area, params.sensor.range_max[None], told, detections.reshape(-1)]
-    return jnp.clip(jnp.concatenate(parts), -BOUND, BOUND)
+    world = move(key, state.world, order, params.motion)
+    after = EnvironmentState(scenario=state.scenario, world=world, steps=state.steps + 1)
+    is_success = simulator.is_success(world, state.scenario, is_stopped)
+    info = EnvironmentInfo(
+        is_success=is_success,
+        is_stopped=is_stopped,
+        is_cut_off=~is_stopped & (after.steps >= params.max_steps),
+        distance=world.distance,
+        goal_distance=simulator.goal_distance(world, state.scenario),
+    )
+    travelled = world.distance - state.world.distance
+    return after, is_success.astype(jnp.float32) - params.metre_cost * travelled, info
+
+
+def _observe(key: Array, state: EnvironmentState, params: EnvironmentParams) -> Array:
+    """Sense, and lay it out for the agent."""
+    seen = sense(key, state.world, state.scenario, params.sensor)
+    return to_vector(seen, area=state.scenario.area, relation=params.law.relation)
+
+
+def _where(is_first: Array, first: _Tree, second: _Tree) -> _Tree:
+    """Choose between two trees."""
+    return jax.tree.map(lambda one, two: jnp.where(is_first, one, two), first, second)

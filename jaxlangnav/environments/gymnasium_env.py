@@ -1,38 +1,36 @@
 """Our worlds for Gymnasium: one environment, and many in one compiled program (section 4.2).
 
-Importing this module registers ``jaxlangnav/Follow-v0``:
+Importing this module registers ``jaxlangnav/Follow-v1``:
 
     import gymnasium, jaxlangnav.environments.gymnasium_env
-    env = gymnasium.make("jaxlangnav/Follow-v0", world="2H1C", relation="behind")
+    env = gymnasium.make("jaxlangnav/Follow-v1", world="2H1C", relation="behind")
 
-It needs the extra ``gym``. Observations and actions are those of ``functional``.
+It needs the extra ``gym``, and ``viz`` for ``render_mode="rgb_array"``. Observations and actions
+are those of ``functional``; with ``actions="discrete"`` an action is a row of ``ACTIONS``.
 """
 
 from typing import Any
 
 import gymnasium
 import jax
-import jax.numpy as jnp
 import numpy as np
-from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from jaxlangnav.environments import functional
 from jaxlangnav.environments.functional import EnvironmentInfo
+from jaxlangnav.environments.observation import COMMANDS
+from jaxlangnav.environments.pool import NUM_WORLDS, draw_pool
+from jaxlangnav.environments.rendering import METADATA, Camera, RenderMode
+from jaxlangnav.environments.spaces import (
+    Actions,
+    action_space,
+    observation_space,
+    to_functional,
+)
+from jaxlangnav.world.state import Scenario
 
-ID = "jaxlangnav/Follow-v0"
-
-
-def _observation_space() -> spaces.Box:
-    """Describe observations: bounded as ``functional.to_vector`` clips them."""
-    bound = functional.BOUND
-    return spaces.Box(-bound, bound, (functional.OBSERVATION_SIZE,), np.float32)
-
-
-def _action_space() -> spaces.Box:
-    """Describe actions: a step along x and y, and stop."""
-    return spaces.Box(-1.0, 1.0, (functional.ACTION_SIZE,), np.float32)
+ID = "jaxlangnav/Follow-v1"
 
 
 def _key(generator: np.random.Generator) -> jax.Array:
@@ -40,40 +38,33 @@ def _key(generator: np.random.Generator) -> jax.Array:
     return jax.random.key(generator.integers(2**32, dtype=np.uint32))
 
 
-class FollowEnv(gymnasium.Env[np.ndarray, np.ndarray]):
+class FollowEnv(gymnasium.Env[np.ndarray, Any]):
     """A robot to be driven to the goal of a command, in a world drawn anew for each episode."""
 
+    metadata = METADATA
+
     def __init__(
-        self,
-        *,
-        world: str = "1H1C",
-        relation: str = "behind",
-        sensing_range: float = 3.0,
-        max_steps: int = functional.MAX_STEPS,
-        metre_cost: float = 0.01,
+        self, *, actions: Actions = "continuous", render_mode: RenderMode | None = None, **law: Any
     ) -> None:
         """Set up the environment.
 
         Args:
-            world: a template such as "2H1C".
-            relation: "null", "behind" or "nearest": which command is given.
-            sensing_range: metres.
-            max_steps: steps after which an episode is truncated.
-            metre_cost: subtracted from the reward for each metre travelled.
+            actions: "continuous", f32[3] as of ``functional.step``, or "discrete", an index into
+                ``actions.ACTIONS``.
+            render_mode: "rgb_array" for pictures, or None.
+            law: world, relation, sensing_range, max_steps, metre_cost, as of
+                ``functional.default_params``.
 
         Raises:
-            ValueError: an unknown world or relation, or a number outside its limits.
+            MissingExtraError: pictures are asked for without the extra ``viz``.
+            ValueError: an unknown option, or a number outside its limits.
         """
-        self.observation_space = _observation_space()
-        self.action_space = _action_space()
-        self._params = functional.default_params(
-            world=world,
-            relation=relation,
-            sensing_range=sensing_range,
-            max_steps=max_steps,
-            metre_cost=metre_cost,
-        )
-        self.instruction = functional.COMMANDS[relation]
+        self.observation_space = observation_space()
+        self.action_space = action_space(actions)
+        self.instruction = _instruction(law)
+        self.render_mode = render_mode
+        self._camera = Camera(render_mode, self.instruction)
+        self._params = functional.default_params(**law)
         self._state: functional.EnvironmentState | None = None
 
     def reset(
@@ -89,14 +80,16 @@ class FollowEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             The first observation, and the command as text.
         """
         super().reset(seed=seed)
-        observation, self._state = _reset(_key(self.np_random), self._params)
+        observation, state = _reset(_key(self.np_random), self._params)
+        self._state = state
+        self._camera.see(state)
         return np.asarray(observation), {"instruction": self.instruction}
 
-    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+    def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Carry out one action.
 
         Args:
-            action: f32[3], in [−1, 1]: x, y, stop where above 0.
+            action: of the action space.
 
         Returns:
             Observation, reward, terminated (it has stopped), truncated (out of time), info.
@@ -106,43 +99,81 @@ class FollowEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         """
         if self._state is None:
             raise ValueError("step before reset: begin an episode first")
-        observation, self._state, reward, _, info = _step(
-            _key(self.np_random), self._state, np.asarray(action, np.float32), self._params
+        action = to_functional(action, self.action_space)
+        observation, state, reward, _, info = _step(
+            _key(self.np_random), self._state, action, self._params
         )
+        self._state = state
+        self._camera.see(state)
         told = {name: np.asarray(value).item() for name, value in _fields(info).items()}
         ended, late = bool(told["is_stopped"]), bool(told["is_cut_off"])
         return np.asarray(observation), float(reward), ended, late, told
 
+    def render(self) -> np.ndarray | None:
+        """Draw the true world, the way gone and what is in view.
 
-class FollowVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
-    """Many worlds at once, in one compiled program; a lane that has ended begins anew next step."""
+        Returns:
+            u8[480, W, 3]; None without a render mode.
 
-    def __init__(self, num_envs: int, **options: Any) -> None:
+        Raises:
+            ValueError: before the first ``reset``.
+        """
+        pictures = self._camera.draw(self._state, self._params)
+        return pictures[0] if pictures else None
+
+
+class FollowVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
+    """Many worlds at once, in one compiled program; a lane that has ended begins anew next step.
+
+    Every episode begins in one of ``num_worlds`` worlds drawn at ``reset`` (see ``pool``).
+    """
+
+    def __init__(
+        self,
+        num_envs: int,
+        *,
+        num_worlds: int = NUM_WORLDS,
+        actions: Actions = "continuous",
+        render_mode: RenderMode | None = None,
+        **law: Any,
+    ) -> None:
         """Set up the environments.
 
         Args:
             num_envs: lanes.
-            options: as of ``FollowEnv``.
+            num_worlds: worlds drawn ahead, out of which every episode takes one by lot; 0 draws
+                fresh ones in every step of every lane, at hundreds of times the cost.
+            actions: as of ``FollowEnv``.
+            render_mode: as of ``FollowEnv``; one picture a lane.
+            law: as of ``FollowEnv``.
 
         Raises:
-            ValueError: as ``FollowEnv``, or fewer than one lane.
+            MissingExtraError: pictures are asked for without the extra ``viz``.
+            ValueError: as ``FollowEnv``, fewer than one lane, or worlds below 0.
         """
         if num_envs < 1:
             raise ValueError(f"num_envs is {num_envs}, but must be at least 1")
-        self.metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}
-        self.num_envs = num_envs
-        self.single_observation_space = _observation_space()
-        self.single_action_space = _action_space()
+        if num_worlds < 0:
+            raise ValueError(
+                f"num_worlds is {num_worlds}, but must be at least 0 (0: always fresh)"
+            )
+        self.metadata = {**METADATA, "autoreset_mode": AutoresetMode.NEXT_STEP}
+        self.num_envs, self._num_worlds = num_envs, num_worlds
+        self.single_observation_space = observation_space()
+        self.single_action_space = action_space(actions)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._params = functional.default_params(**options)
+        self.render_mode = render_mode
+        self._camera = Camera(render_mode, _instruction(law))
+        self._params = functional.default_params(**law)
         self._state: functional.EnvironmentState | None = None
+        self._pool: Scenario | None = None
         self._is_over = np.zeros(num_envs, bool)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begin an episode in every lane.
+        """Draw the worlds, and begin an episode in every lane.
 
         Args:
             seed: of all lanes.
@@ -152,18 +183,23 @@ class FollowVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             Observations f32[num_envs, 52], and no info.
         """
         super().reset(seed=seed)
+        if self._num_worlds:
+            key = _key(self.np_random)
+            self._pool = draw_pool(key, self._params.law, num_worlds=self._num_worlds)
         keys = jax.random.split(_key(self.np_random), self.num_envs)
-        observation, self._state = _reset_many(keys, self._params)
+        observation, state = _reset_many(keys, self._params, self._pool)
         self._is_over = np.zeros(self.num_envs, bool)
+        self._state = state
+        self._camera.see(state)
         return np.asarray(observation), {}
 
     def step(
-        self, actions: np.ndarray
+        self, actions: Any
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Carry out one action in every lane.
 
         Args:
-            actions: f32[num_envs, 3]; ignored in lanes that begin anew.
+            actions: of the action space; ignored in lanes that begin anew.
 
         Returns:
             Observations, rewards, terminated, truncated, and info as arrays over lanes.
@@ -174,13 +210,32 @@ class FollowVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if self._state is None:
             raise ValueError("step before reset: begin the episodes first")
         keys = jax.random.split(_key(self.np_random), self.num_envs)
-        observation, self._state, reward, info = _step_many(
-            keys, self._state, np.asarray(actions, np.float32), self._params, self._is_over
+        actions = to_functional(actions, self.single_action_space)
+        observation, state, reward, info = _step_many(
+            keys, self._state, actions, self._params, self._pool, self._is_over
         )
+        self._state = state
+        self._camera.see(state)
         told = {name: np.asarray(value) for name, value in _fields(info).items()}
         ended, late = told["is_stopped"], told["is_cut_off"]
         self._is_over = ended | late
         return np.asarray(observation), np.asarray(reward), ended, late, told
+
+    def render(self) -> tuple[np.ndarray, ...] | None:
+        """Draw every lane.
+
+        Returns:
+            u8[480, W, 3] for each; None without a render mode.
+
+        Raises:
+            ValueError: before the first ``reset``.
+        """
+        return self._camera.draw(self._state, self._params)
+
+
+def _instruction(law: dict[str, Any]) -> str:
+    """Say the command of a law; ``default_params`` refuses a relation that is unknown."""
+    return COMMANDS.get(law.get("relation", functional.RELATION), "")
 
 
 def _fields(info: EnvironmentInfo) -> dict[str, jax.Array]:
@@ -188,26 +243,10 @@ def _fields(info: EnvironmentInfo) -> dict[str, jax.Array]:
     return vars(info)
 
 
-def _step_or_reset(
-    key: jax.Array,
-    state: functional.EnvironmentState,
-    action: jax.Array,
-    params: functional.EnvironmentParams,
-    is_over: jax.Array,
-) -> tuple[jax.Array, functional.EnvironmentState, jax.Array, EnvironmentInfo]:
-    """Carry out an action, or begin a new episode where the last one is over."""
-    observation, after, reward, _, info = functional.step(key, state, action, params)
-    first, begun = functional.reset(key, params)
-    nothing = jax.tree.map(jnp.zeros_like, (reward, info))
-    new, old = (first, begun, *nothing), (observation, after, reward, info)
-    chosen: Any = jax.tree.map(lambda one, two: jnp.where(is_over, one, two), new, old)
-    return chosen
-
-
 _reset = jax.jit(functional.reset)
 _step = jax.jit(functional.step)
-_reset_many = jax.jit(jax.vmap(functional.reset, in_axes=(0, None)))
-_step_many = jax.jit(jax.vmap(_step_or_reset, in_axes=(0, 0, 0, None, 0)))
+_reset_many = jax.jit(jax.vmap(functional.reset, in_axes=(0, None, None)))
+_step_many = jax.jit(jax.vmap(functional.step_or_reset, in_axes=(0, 0, 0, None, None, 0)))
 
 if ID not in gymnasium.registry:
     gymnasium.register(

@@ -5,14 +5,15 @@ Everything is in metres in the map frame.
 """
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from jaxlangnav.messages import NONE
+from jaxlangnav.messages import NONE, SensorParams
 from jaxlangnav.recording import Frame, Recording, Scene
 from jaxlangnav.viz import style
 from jaxlangnav.viz.summary import seen_objects
+from jaxlangnav.world.state import Scenario
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,6 +24,38 @@ if TYPE_CHECKING:
 
 _DART = [(1.0, 0.0), (-0.8, 0.7), (-0.45, 0.0), (-0.8, -0.7), (1.0, 0.0)]
 """The robot: an equilateral triangle would not tell which of its corners is the front."""
+
+
+class HasScenario(Protocol):
+    """A recording's scene, or the state of an environment."""
+
+    @property
+    def scenario(self) -> Scenario:
+        """The true world."""
+        ...
+
+
+class HasSensor(Protocol):
+    """A recording's scene, or the parameters of an environment."""
+
+    @property
+    def sensor(self) -> SensorParams:
+        """How far and how wide the robot sees."""
+        ...
+
+
+class HasPlace(Protocol):
+    """A recording's frame, or the state of a world."""
+
+    @property
+    def position(self) -> Any:
+        """f32[2], metres, map frame."""
+        ...
+
+    @property
+    def heading(self) -> Any:
+        """f32[], radians."""
+        ...
 
 
 def draw_ground(axes: "Axes", scene: Scene, frame: Frame) -> "AxesImage":
@@ -38,11 +71,10 @@ def draw_ground(axes: "Axes", scene: Scene, frame: Frame) -> "AxesImage":
     """
     from matplotlib.colors import LinearSegmentedColormap
 
-    x_min, x_max, y_min, y_max = scene.area
     ramp = LinearSegmentedColormap.from_list("jaxlangnav-ground", [style.PAPER, style.UNSEEN])
     image = axes.imshow(
         np.asarray(frame.miss),
-        extent=(x_min, x_max, y_min, y_max),
+        extent=scene.area,
         origin="lower",
         cmap=ramp,
         vmin=0.0,
@@ -50,6 +82,18 @@ def draw_ground(axes: "Axes", scene: Scene, frame: Frame) -> "AxesImage":
         interpolation="bilinear",
         zorder=0,
     )
+    frame_area(axes, scene.area)
+    return image
+
+
+def frame_area(axes: "Axes", area: tuple[float, float, float, float]) -> None:
+    """Give axes the limits of the operating area, and few ticks.
+
+    Args:
+        axes: of a map.
+        area: x_min, x_max, y_min, y_max, metres.
+    """
+    x_min, x_max, y_min, y_max = area
     margin = 0.02 * (x_max - x_min)
     axes.set_xlim(x_min - margin, x_max + margin)
     axes.set_ylim(y_min - margin, y_max + margin)
@@ -61,15 +105,14 @@ def draw_ground(axes: "Axes", scene: Scene, frame: Frame) -> "AxesImage":
         axes.spines[side].set_visible(True)
     for spine in axes.spines.values():
         spine.set_color(style.LINE)
-    return image
 
 
-def draw_truth(axes: "Axes", scene: Scene) -> "list[PathCollection]":
+def draw_truth(axes: "Axes", scene: HasScenario) -> "list[PathCollection]":
     """Mark where things truly stand, faintly, and the goal that was meant by a dotted ring.
 
     Args:
         axes: to draw into.
-        scene: of the episode.
+        scene: of the episode, or the state of an environment.
 
     Returns:
         One mark for each true object.
@@ -172,7 +215,7 @@ def draw_path(axes: "Axes", recording: Recording, step: int) -> "Line2D":
     return line
 
 
-def draw_view(axes: "Axes", scene: Scene, frame: Frame) -> "Patch":
+def draw_view(axes: "Axes", scene: HasSensor, frame: HasPlace) -> "Patch":
     """Draw the field of view: a circle, or a sector where it is limited."""
     from matplotlib.patches import Circle, Wedge
 
@@ -185,7 +228,7 @@ def draw_view(axes: "Axes", scene: Scene, frame: Frame) -> "Patch":
     return axes.add_patch(Wedge(place, reach, middle - half, middle + half, **look))
 
 
-def draw_robot(axes: "Axes", frame: Frame) -> "PathCollection":
+def draw_robot(axes: "Axes", frame: HasPlace) -> "PathCollection":
     """Draw the robot as a notched triangle that points where it heads."""
     from matplotlib.markers import MarkerStyle
     from matplotlib.path import Path

@@ -1,12 +1,8 @@
-"""The simulator: a world that answers an action with an observation (section 4.2)."""
+"""Where an episode begins in a world and when it is a success (section 4.2)."""
 
-import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.messages import Action, MotionParams, Observation, SensorParams
-from jaxlangnav.world.motion import move
-from jaxlangnav.world.sensor import NUM_DETECTIONS, sense
 from jaxlangnav.world.state import Scenario, WorldState
 
 SUCCESS_RADIUS = 1.5
@@ -28,36 +24,6 @@ def reset(scenario: Scenario) -> WorldState:
         odometry=scenario.start,
         distance=jnp.zeros_like(scenario.start[0]),
     )
-
-
-def step(
-    key: Array,
-    state: WorldState,
-    scenario: Scenario,
-    action: Action,
-    *,
-    sensor: SensorParams,
-    motion: MotionParams,
-    num_detections: int = NUM_DETECTIONS,
-) -> tuple[WorldState, Observation]:
-    """Move, then sense.
-
-    Args:
-        key: random key.
-        state: the robot.
-        scenario: the world.
-        action: what the navigator asks.
-        sensor: the detector's specification; traced.
-        motion: the odometry's specification; traced.
-        num_detections: D, slots of the observation.
-
-    Returns:
-        The robot after the step and what it senses there.
-    """
-    key_move, key_sense = jax.random.split(key)
-    state = move(key_move, state, action, motion)
-    observation = sense(key_sense, state, scenario, sensor, num_detections=num_detections)
-    return state, observation
 
 
 def goal_distance(state: WorldState, scenario: Scenario) -> Array:

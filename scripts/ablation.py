@@ -38,7 +38,7 @@ def ablate(*, splits: int = 40, seed: int = 0) -> list[dict[str, Any]]:
 
 
 def main() -> None:
-    """Print the table as Markdown: ``python -m jaxlangnav.experiments.ablation [SPLITS]``."""
+    """Print the table as Markdown: ``python scripts/ablation.py [SPLITS]``."""
     splits = int(sys.argv[1]) if len(sys.argv) > 1 else 40
     print("| without | annotation | with new words | behavior | with new words |")
     print("|---|---|---|---|---|")

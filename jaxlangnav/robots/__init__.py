@@ -1,1 +1,0 @@
-"""Robots: vehicle models, fiducial detection, adapters to robot middleware (section 4.3)."""
