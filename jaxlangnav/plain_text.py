@@ -66,7 +66,8 @@ def shown(value: Any) -> str:
         return cut(f"[{', '.join(shown(one) for one in value)}]")
     if isinstance(value, int) and value.bit_length() > 128:
         return f"a whole number of {value.bit_length()} bits"
-    return cut(repr(value[:_SHOWN] + "…") if _is_long(value) else repr(value))
+    # Cut before it is quoted: a text may have millions of characters.
+    return cut(repr(cut(value)) if isinstance(value, str) else repr(value))
 
 
 def cut(text: str, most: int = _SHOWN) -> str:
@@ -147,11 +148,6 @@ def markdown_table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> st
     lines = [[markdown(one) for one in line] for line in (headings, *rows)]
     lines.insert(1, ["---"] * len(headings))
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
-
-
-def _is_long(value: Any) -> bool:
-    """Tell whether a value is a text that is cut before it is quoted."""
-    return isinstance(value, str) and len(value) > _SHOWN
 
 
 def _escape(character: str) -> str:

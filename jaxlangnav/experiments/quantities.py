@@ -81,7 +81,7 @@ class Quantity:
         meant = next((kind for kind, units in _UNITS.items() if unit in units), None)
         what = f"is {_NAMES[meant]}" if meant else f'has the unknown unit "{cut(unit)}"'
         raise ValueError(
-            f'{name} = "{cut(value)}" {what}, but {_NAMES[self.kind]} is needed{self._example()}'
+            f'{name} = "{_said(value)}" {what}, but {_NAMES[self.kind]} is needed{self._example()}'
         )
 
     def _example(self) -> str:
