@@ -271,7 +271,7 @@ def test_a_write_that_fails_leaves_what_was_there(tmp_path, monkeypatch):
     save(tmp_path / "w.npz", load_shipped(), command="one", corpus_hash="abc")
 
     def full(file, **_):
-        file.write(b"half")
+        file.write_bytes(b"half")
         raise OSError("full")
 
     monkeypatch.setattr(np, "savez_compressed", full)
