@@ -107,7 +107,6 @@ def test_episodes_end_with_a_result(in_lanes: EpisodeResult) -> None:
     assert in_lanes.is_success[::3].mean() > 0.7
 
 
-@pytest.mark.slow
 def test_one_by_one_equals_the_batch(in_lanes: EpisodeResult, tasks, instructions) -> None:
     """``run`` in a Python loop against refilled lanes; one compilation for all of it."""
     results = []

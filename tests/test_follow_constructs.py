@@ -114,9 +114,6 @@ def make_scenario() -> Scenario:
     )
 
 
-pytestmark = pytest.mark.slow
-
-
 class Followed:
     """What one command led to."""
 

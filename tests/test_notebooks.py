@@ -36,6 +36,7 @@ def test_notebook_is_made_from_its_source(path: Path) -> None:
     assert not any(output.output_type == "error" for output in outputs)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", SOURCES, ids=lambda path: path.stem)
 def test_notebook_runs_from_top_to_bottom(path: Path, tmp_path: Path) -> None:
     """In a process of its own, with the compiled programs that the tests keep."""
