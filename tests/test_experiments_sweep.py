@@ -12,6 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from jaxlangnav import cli
 from jaxlangnav.experiments import summary, summary_tables, sweep, sweep_folder
 from jaxlangnav.experiments.sweep_config import SweepConfig, read_config
 
@@ -211,7 +212,7 @@ def test_summary(undisturbed: tuple[SweepConfig, Path], tmp_path: Path) -> None:
 
 
 def test_damaged_files_are_named_and_made_again(
-    undisturbed: tuple[SweepConfig, Path], tmp_path: Path
+    undisturbed: tuple[SweepConfig, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     config, whole = undisturbed
     out = tmp_path / "out"
@@ -231,6 +232,10 @@ def test_damaged_files_are_named_and_made_again(
     assert [line.split()[0] for line in document["damaged"]] == [str(out / one) for one in names]
     assert document["episodes"] < ROWS
     assert "5 of them because they are damaged" in summary_tables.markdown(document)
+    assert cli.main(["summarize", str(out)]) == 0
+    lines = capsys.readouterr().err.splitlines()
+    assert [line.split()[1] for line in lines] == [str(out / one) for one in names]
+    assert all(line.endswith("left out: make it again with sweep --resume") for line in lines)
 
     told: list[str] = []
     document = sweep.run_sweep(config, out, resume=True, on_note=told.append, num_threads=1)

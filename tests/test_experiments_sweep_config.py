@@ -8,12 +8,12 @@ import pytest
 
 from jaxlangnav.experiments.sweep_config import config_from_dict, read_config
 from jaxlangnav.experiments.sweep_plan import (
-    chunk_columns,
     make_plan,
     parse_shard,
     shard_episodes,
     shard_files,
 )
+from jaxlangnav.experiments.sweep_tasks import chunk_columns
 
 SMALL: dict[str, Any] = {"worlds": ["1H1C"], "commands": ["behind"]}
 

@@ -17,7 +17,8 @@ class Sweep:
     """Run any grid of worlds, commands, ranges and policies; resumable.
 
     Writes one row per episode in Parquet shards, with a manifest. A run that was killed goes on
-    with --resume and ends with the same rows. --shard 2/8 does the second of eight parts. All
+    with --resume and ends with the same rows; shards that are damaged are named and made again.
+    --shard 2/8 does the second of eight parts; a part has one process at a time. All
     devices of the machine are used; with --distributed the processes that a launcher has started
     (srun, mpirun) divide the work among them. Numbers of filter, planner, detector and motion can
     be set here in place of the file's, as in --params.planner.discount 0.9: see --help-params.

@@ -37,13 +37,12 @@ from jaxlangnav.experiments.sweep_plan import (
     Arm,
     Chunk,
     Plan,
-    chunk_columns,
-    chunk_tasks,
     make_plan,
     parse_shard,
     shard_episodes,
     shard_files,
 )
+from jaxlangnav.experiments.sweep_tasks import chunk_columns, chunk_tasks
 from jaxlangnav.planner.params import POLICIES
 
 _AHEAD = 2
