@@ -28,8 +28,8 @@ from jaxlangnav.plain_text import is_plain
 
 SECONDS_PER_TURN = 2.0
 """A target runs this long before the next has its turn."""
-SECONDS_PER_RUN = 60.0
-"""A run that takes longer is a failure: it hangs."""
+SECONDS_PER_RUN, SECONDS_WAITED = 30.0, 600.0
+"""A run that takes more of the processor, or of the clock, is a failure: it hangs."""
 LONGEST_LINE = 2000
 """Characters of a refusal."""
 _NUMBER = re.compile(rb"-?\d+(?:\.\d+)?")
@@ -176,7 +176,7 @@ def run_once(target: Target, text: bytes, count: Count) -> None:
     begin = time.perf_counter()
     count.runs += 1
     try:
-        with tempfile.TemporaryDirectory() as folder, _limited(SECONDS_PER_RUN):
+        with tempfile.TemporaryDirectory() as folder, _limited():
             target.call(text, Path(folder))
         count.accepted += 1
     except KeyboardInterrupt:
@@ -203,19 +203,26 @@ def _fault(target: Target, error: BaseException) -> str | None:
 
 
 @contextmanager
-def _limited(seconds: float) -> Iterator[None]:
-    """Raise Overtime inside the block when it takes too long."""
+def _limited() -> Iterator[None]:
+    """Raise Overtime inside the block when it takes too long, at work or waiting."""
+    timers = (
+        (signal.ITIMER_PROF, signal.SIGPROF, SECONDS_PER_RUN),
+        (signal.ITIMER_REAL, signal.SIGALRM, SECONDS_WAITED),
+    )
 
-    def ring(_signal: int, _frame: Any) -> None:
-        raise Overtime(f"more than {seconds:g} s")
+    def ring(number: int, _frame: Any) -> None:
+        limits = {sign: seconds for _, sign, seconds in timers}
+        raise Overtime(f"more than {limits[signal.Signals(number)]:g} s")
 
-    before = signal.signal(signal.SIGALRM, ring)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
+    before = [signal.signal(sign, ring) for _, sign, _ in timers]
+    for timer, _, seconds in timers:
+        signal.setitimer(timer, seconds)
     try:
         yield
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
+        for (timer, sign, _), handler in zip(timers, before, strict=True):
+            signal.setitimer(timer, 0.0)
+            signal.signal(sign, handler)
 
 
 def throw(

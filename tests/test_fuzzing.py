@@ -2,6 +2,7 @@
 
 import random
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -78,15 +79,19 @@ def test_an_error_of_a_library_is_no_refusal() -> None:
     assert count.failed == 1
 
 
-def test_a_run_that_hangs_is_a_failure(monkeypatch: pytest.MonkeyPatch) -> None:
-    import time
-
-    monkeypatch.setattr("fuzz.SECONDS_PER_RUN", 0.05)
+@pytest.mark.parametrize(
+    ("limit", "is_busy"), [("SECONDS_PER_RUN", True), ("SECONDS_WAITED", False)]
+)
+def test_a_run_that_hangs_is_a_failure(
+    limit: str, is_busy: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(f"fuzz.{limit}", 0.05)
     count = Count()
 
     def call(_text: bytes, _folder: Path) -> None:
         try:
-            time.sleep(60)
+            while True:
+                time.sleep(0.0 if is_busy else 60.0)
         except Exception:
             return
 

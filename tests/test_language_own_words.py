@@ -138,3 +138,18 @@ def test_own_lines_come_after_those_of_the_package() -> None:
 def test_honest_words_are_taken(text: str) -> None:
     shipped = resources.files("jaxlangnav.language").joinpath("data/lexicon.toml")
     assert read_lexicon(shipped.read_text("utf-8"), text).type_names[0] == "hydrant"
+
+
+def test_what_is_no_file_is_refused_and_not_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "large").write_bytes(b"#" * 300_000)
+    for path, says in (
+        (tmp_path / "pipe", "is a pipe, not a regular file"),
+        (tmp_path, "is a folder, not a regular file"),
+        (tmp_path / "large", "more than 262,144 bytes"),
+    ):
+        monkeypatch.setenv(OWN_LEXICON, str(path))
+        with pytest.raises(ValueError, match=says):
+            load_lexicon.__wrapped__()

@@ -300,3 +300,9 @@ def test_longer_input_is_refused():
 
 def test_grammar_is_built_once():
     assert load_grammar() is load_grammar()
+
+
+@pytest.mark.parametrize("text", [None, 3, b"go to the cone", ["go"], float("nan"), object])
+def test_what_is_no_text_is_refused(text):
+    with pytest.raises(LanguageError, match="the instruction is of type"):
+        parse(text)
