@@ -142,7 +142,7 @@ class Navigator:
 
 def _around(pose: Sequence[float]) -> tuple[float, ...]:
     """Lay the operating area about a start pose."""
-    x, y = float(pose[0]), float(pose[1])
+    x, y = (*map(float, pose), 0.0, 0.0)[:2]
     return (x - DEFAULT_EXTENT, x + DEFAULT_EXTENT, y - DEFAULT_EXTENT, y + DEFAULT_EXTENT)
 
 

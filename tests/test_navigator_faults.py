@@ -135,6 +135,9 @@ def test_a_place_that_cannot_be(robot, pose, area) -> None:
     """Refused in one line; in a batch, where it is data, the robot never moves and says so."""
     with pytest.raises(ValueError, match="but must be"):
         robot.start(TEXT, pose=pose, area=area)
+    for broken in ((np.nan, 0.0, 0.0), (1e39, 0.0, 0.0), (0.0,)):
+        with pytest.raises(ValueError, match="pose is"):
+            robot.start(TEXT, pose=broken)
     state = navigator.start(
         understand(TEXT, robot.model).instruction,
         jnp.asarray(pose, jnp.float32),

@@ -71,14 +71,17 @@ def check_place(pose: Sequence[float], area: Sequence[float]) -> None:
     Raises:
         ValueError: names the value, the limits and the remedy.
     """
-    bounds, start = jnp.asarray(area, jnp.float32), jnp.asarray(pose, jnp.float32)
-    if bounds.shape != (4,) or not is_area(bounds):
+    with np.errstate(over="ignore"):
+        bounds, start = (jnp.asarray(np.array(one, float), jnp.float32) for one in (area, pose))
+    # An area that was laid about a pose that cannot be is not to blame.
+    is_posed = start.shape == (3,) and bool(jnp.all(jnp.isfinite(start)))
+    if is_posed and (bounds.shape != (4,) or not is_area(bounds)):
         raise ValueError(
             f"area is {tuple(area)}, but must be (x_min, x_max, y_min, y_max) with x_min < x_max "
             f"and y_min < y_max, in metres, sides of {SIDES[0]:g} to {SIDES[1]:g} m, all within "
             f"{FARTHEST:g} m of the map's origin"
         )
-    if start.shape != (3,) or not is_pose(start, bounds):
+    if not is_posed or not is_pose(start, bounds):
         raise ValueError(
             f"pose is {tuple(pose)}, but must be (x, y, heading), finite, in metres and radians, "
             f"in the area {tuple(area)} or near it: move the area to where the robot is"
@@ -146,6 +149,12 @@ def _is_contradiction(observation: Observation, is_seen: Array) -> Array:
     return jnp.any(is_pair & (squared < MIN_NOISE**2))
 
 
+def _is_within(pose: Array, other: Array, metres: Array) -> Array:
+    """Tell whether two poses f32[3] are no farther apart than so many metres, bool[]."""
+    span = pose[:2] - other[:2]
+    return jnp.sum(span * span) <= metres * metres
+
+
 def _flags(raised: dict[Fault, Array]) -> Array:
     """Gather flags into bits, i32[]."""
     return sum((jnp.where(is_up, int(bit), 0) for bit, is_up in raised.items()), jnp.int32(0))
@@ -167,9 +176,8 @@ def sound_look(belief: ParticleBelief, observation: Observation, farthest: Array
     has_pose = is_pose(pose, belief.coverage.area)
     is_far = is_steady = jnp.asarray(False)
     if farthest is not None:
-        is_far = has_pose & ~(jnp.hypot(pose[0] - last[0], pose[1] - last[1]) <= farthest)
-        doubted = belief.doubted_pose
-        is_steady = jnp.hypot(pose[0] - doubted[0], pose[1] - doubted[1]) <= farthest
+        is_far = has_pose & ~_is_within(pose, last, farthest)
+        is_steady = _is_within(pose, belief.doubted_pose, farthest)
     has_sensor, given = _is_sensor(observation.sensor), observation.is_detection
     # What a detector cannot detect is not known of one that cannot be.
     is_odd = given & has_sensor & ~_is_detectable(observation, belief.num_types)
