@@ -79,6 +79,9 @@ def test_two_things_side_by_side_are_no_contradiction() -> None:
         at_one = [(CONE, 1.0, 0.0), (second, 1.0, 0.004)]
         found = judge(by_hand.observation(POSE, at_one))
         assert int(found.fault) == Fault.CONTRADICTION
+    # Of what cannot be at all it is not asked where it is.
+    garbage = by_hand.observation(POSE, [(99, 1.0, 0.0), (99, 1.0, 0.0)])
+    assert int(judge(garbage).fault) == Fault.DETECTION
 
 
 def test_types_are_known_up_to_the_number_told() -> None:

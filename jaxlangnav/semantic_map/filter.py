@@ -45,7 +45,7 @@ class FilterInfo:
     num_regrounded: Array  # i32[] particles that drew a new grounding
     log_language_evidence: Array  # f32[] log p(words | observed map), estimated
     overflow: Array  # i32[] detections without a free slot, most over particles
-    fault: Array  # i32[] bits of messages.Fault: why the observation was left out; 0: it was not
+    fault: Array  # i32[] bits of messages.Fault: why the observation was left out, or dead weights
     is_news: Array  # bool[] an object was seen for the first time, or words came in
     surprise: Array  # f32[] nats by which the observation is less probable than one that fits
     is_contradiction: Array  # bool[] … more than it is by chance: it contradicts the map
