@@ -202,7 +202,9 @@ def hear(state: NavigatorState, instruction: Instruction, pose: Array) -> Naviga
         is_done=jnp.asarray(False),
     )
     asks = instruction.num_clauses > 0
-    return jax.tree.map(lambda new, old: jnp.where(asks, new, old), told, state)
+    return jax.tree.map(
+        lambda new, old: old if new is old else jnp.where(asks, new, old), told, state
+    )
 
 
 class _Outlook(NamedTuple):
