@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from jaxlangnav.language.parser import parse as parse
     from jaxlangnav.messages import Action as Action
     from jaxlangnav.messages import Behavior as Behavior
+    from jaxlangnav.messages import Fault as Fault
     from jaxlangnav.messages import Observation as Observation
     from jaxlangnav.messages import SensorParams as SensorParams
     from jaxlangnav.messages import default_sensor as default_sensor
@@ -24,6 +25,7 @@ __version__ = "0.1.0"
 _HOMES = {
     "Action": "jaxlangnav.messages",
     "Behavior": "jaxlangnav.messages",
+    "Fault": "jaxlangnav.messages",
     "Navigator": "jaxlangnav.agent",
     "Observation": "jaxlangnav.messages",
     "SensorParams": "jaxlangnav.messages",
@@ -37,6 +39,7 @@ _HOMES = {
 __all__ = [
     "Action",
     "Behavior",
+    "Fault",
     "Navigator",
     "Observation",
     "SensorParams",

@@ -20,11 +20,13 @@ from jax import Array
 
 from jaxlangnav import navigator
 from jaxlangnav.grounding import GroundingModel, load_shipped, understand
+from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.messages import Action, Observation
 from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams, NavigatorState
 from jaxlangnav.planner.own import Policy
 from jaxlangnav.planner.params import PlannerConfig
 from jaxlangnav.pytree import replace
+from jaxlangnav.semantic_map.soundness import check_place
 
 DEFAULT_EXTENT = 15.0
 """Metres to each side of the robot that are its operating area unless it is told otherwise."""
@@ -82,29 +84,28 @@ class Navigator:
             The state before the first observation.
 
         Raises:
-            ValueError: the instruction is not understood, or the area is empty.
+            ValueError: the instruction is not understood or asks for nothing, or pose or area
+                cannot be.
         """
-        x, y = float(pose[0]), float(pose[1])
-        bounds = area or (
-            x - DEFAULT_EXTENT, x + DEFAULT_EXTENT, y - DEFAULT_EXTENT, y + DEFAULT_EXTENT
-        )  # fmt: skip
-        if bounds[0] >= bounds[1] or bounds[2] >= bounds[3]:
-            raise ValueError(
-                f"area is {tuple(bounds)}, but must be (x_min, x_max, y_min, y_max) with "
-                "x_min < x_max and y_min < y_max, in metres"
-            )
-        instruction = understand(text, self.model).instruction
-        if int(instruction.num_clauses) == 0:
-            raise ValueError(
-                f"{text!r} informs but asks for nothing to be done: say it with hear, or give a "
-                "command"
-            )
+        bounds = _around(pose) if area is None else area
+        check_place(pose, bounds)
         return navigator.start(
-            instruction,
+            self._command(text),
             jnp.asarray(pose, jnp.float32),
             jnp.asarray(bounds, jnp.float32),
             config=self.config,
+            num_types=len(self.model.type_names),
         )
+
+    def _command(self, text: str) -> Instruction:
+        """Understand a sentence that asks for something."""
+        instruction = understand(text, self.model).instruction
+        if int(instruction.num_clauses) == 0:
+            raise ValueError(
+                f"{text!r} informs but asks for nothing to be done: put it into the command, as in "
+                "'go to the hydrant behind the car'"
+            )
+        return instruction
 
     def step(
         self, key: Array, state: NavigatorState, observation: Observation
@@ -114,7 +115,8 @@ class Navigator:
         Args:
             key: random key, consumed.
             state: after the last cycle.
-            observation: pose and detections now.
+            observation: pose and detections now. One that cannot be is left out: the robot stands
+                still, and ``Fault(int(info.fault))`` says why.
 
         Returns:
             The new state, what the robot is to do, and why.
@@ -132,10 +134,16 @@ class Navigator:
             The state, to be followed by the next observation.
 
         Raises:
-            ValueError: the instruction is not understood.
+            ValueError: the instruction is not understood, or informs but asks for nothing: the
+                robot then keeps to the state that it has.
         """
-        instruction = understand(text, self.model).instruction
-        return navigator.hear(state, instruction, state.belief.last_pose)
+        return navigator.hear(state, self._command(text), state.belief.last_pose)
+
+
+def _around(pose: Sequence[float]) -> tuple[float, ...]:
+    """Lay the operating area about a start pose."""
+    x, y = (*map(float, pose), 0.0, 0.0)[:2]
+    return (x - DEFAULT_EXTENT, x + DEFAULT_EXTENT, y - DEFAULT_EXTENT, y + DEFAULT_EXTENT)
 
 
 def _params_anywhere() -> NavigatorParams:

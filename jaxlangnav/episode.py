@@ -13,7 +13,7 @@ from jax import Array
 
 from jaxlangnav import navigator
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.messages import MotionParams, Observation, SensorParams
+from jaxlangnav.messages import Fault, MotionParams, Observation, SensorParams
 from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams, NavigatorState
 from jaxlangnav.numerics.axes import row_of
 from jaxlangnav.pytree import pytree, replace, strong
@@ -50,6 +50,7 @@ class EpisodeResult:
     overflow: Array  # i32[] detections that found no free slot
     degenerate: Array  # i32[] steps at which all weights had died
     contradictions: Array  # i32[] steps at which the observation contradicted the map
+    faults: Array  # i32[] steps at which the robot stood still for what cannot be was reported
     mean_effective_sample_size: Array  # f32[] over the steps
     is_valid: Array  # bool[] the scenario met its template's law
 
@@ -65,6 +66,7 @@ class Progress:
     overflow: Array  # i32[]
     degenerate: Array  # i32[]
     contradictions: Array  # i32[]
+    faults: Array  # i32[]
     sum_effective_sample_size: Array  # f32[]
 
 
@@ -90,6 +92,7 @@ def begin(task: Task, instructions: Instruction, *, config: NavigatorConfig) -> 
         overflow=jnp.int32(0),
         degenerate=jnp.int32(0),
         contradictions=jnp.int32(0),
+        faults=jnp.int32(0),
         sum_effective_sample_size=jnp.float32(0.0),
     )
 
@@ -141,13 +144,30 @@ def cycle(
         navigator=state,
         world=world,
         steps=progress.steps + 1,
-        overflow=progress.overflow + info.filter.overflow,
-        degenerate=progress.degenerate + info.filter.is_degenerate.astype(jnp.int32),
-        contradictions=progress.contradictions + info.filter.is_contradiction.astype(jnp.int32),
-        sum_effective_sample_size=progress.sum_effective_sample_size
-        + info.filter.effective_sample_size,
+        **count(progress, info),
     )
     return after, info, observation
+
+
+def count(progress: Progress, info: NavigatorInfo) -> dict[str, Array]:
+    """Add what one cycle has to say of itself to the sums of an episode.
+
+    Args:
+        progress: before the cycle.
+        info: of the cycle.
+
+    Returns:
+        The new sums, by the names of their fields.
+    """
+    seen, weights = info.filter, int(Fault.WEIGHTS)
+    return {
+        "overflow": progress.overflow + seen.overflow,
+        "degenerate": progress.degenerate + ((info.fault & weights) != 0).astype(jnp.int32),
+        "contradictions": progress.contradictions + seen.is_contradiction.astype(jnp.int32),
+        "faults": progress.faults + ((info.fault & ~weights) != 0).astype(jnp.int32),
+        "sum_effective_sample_size": progress.sum_effective_sample_size
+        + seen.effective_sample_size,
+    }
 
 
 def finish(progress: Progress) -> EpisodeResult:
@@ -165,6 +185,7 @@ def finish(progress: Progress) -> EpisodeResult:
         overflow=progress.overflow,
         degenerate=progress.degenerate,
         contradictions=progress.contradictions,
+        faults=progress.faults,
         mean_effective_sample_size=progress.sum_effective_sample_size / steps,
         is_valid=scenario.is_valid,
     )

@@ -10,6 +10,8 @@ Axis letters, for the whole package: **E** episodes, **P** particles, **N** obje
 **D** detections, **A** actions (graph nodes), **G** coverage cells a side, **T** time.
 """
 
+import enum
+
 import jax.numpy as jnp
 from jax import Array
 
@@ -27,6 +29,22 @@ NONE = -1
 """Sentinel: no relation, no mention, no slot."""
 ROBOT = -2
 """Sentinel type of the robot itself, where it is the landmark ("on your left")."""
+
+
+class Fault(enum.IntFlag):
+    """Why a look is left out and the robot stands still; ``Fault(int(info.fault))`` names them.
+
+    A flag stays up until a sound look comes; ``PLACE`` until the robot is started anew.
+    """
+
+    PLACE = 1  # the operating area, or the pose at the start, cannot be
+    POSE = 2  # the pose is not finite, or far out of the operating area
+    JUMP = 4  # the pose is farther from the last one than the robot can have gone
+    SENSOR = 8  # the detector's specification cannot be
+    DETECTION = 16  # a detection is out of range, out of view, or of no known type
+    CONTRADICTION = 32  # two detections are of one place
+    WEIGHTS = 64  # no particle had any weight left, and all have been made equal
+    COMMAND = 128  # nothing has been asked for
 
 
 @pytree

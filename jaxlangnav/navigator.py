@@ -13,7 +13,16 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.messages import ACTIONS, NONE, Action, Behavior, Observation
+from jaxlangnav.grounding.program import NUM_TYPES
+from jaxlangnav.messages import (
+    ACTIONS,
+    NONE,
+    Action,
+    Behavior,
+    Fault,
+    Observation,
+    default_sensor,
+)
 from jaxlangnav.planner import graph, policy, search, tours
 from jaxlangnav.planner.constraints import constraint_cost
 from jaxlangnav.planner.goals import Goals, gather
@@ -24,9 +33,12 @@ from jaxlangnav.semantic_map.behaviors import infer_behaviors
 from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.filter import FilterInfo
 from jaxlangnav.semantic_map.params import MapConfig, MapParams, default_map_params
+from jaxlangnav.semantic_map.soundness import DEVIATIONS, is_pose
 
 _PLANNING = 77
 """Folded into a cycle's key for the planner; beyond the keys that the filter splits it into."""
+_SPARE = 0.01
+"""Metres by which odometry may round up what the robot has been sent."""
 _APPROACH = 0.9
 """Share of ``reach`` at which the robot halts before an object that it goes to."""
 
@@ -81,6 +93,7 @@ class NavigatorInfo:
     """What a person or a test wants to know of one decision."""
 
     filter: FilterInfo
+    fault: Array  # i32[] bits of messages.Fault: why the robot stands still; 0: it need not
     choice: policy.Choice
     nodes: graph.Nodes
     goals: Goals
@@ -129,57 +142,75 @@ def check(params: NavigatorParams) -> None:
 
 
 def start(
-    instruction: Instruction, pose: Array, area: Array, *, config: NavigatorConfig
+    instruction: Instruction,
+    pose: Array,
+    area: Array,
+    *,
+    config: NavigatorConfig,
+    num_types: int = NUM_TYPES,
 ) -> NavigatorState:
     """Build the state of a robot that has just been told what to do.
+
+    With a pose or an area that cannot be, as a batch may hold, it will stand still and say so.
 
     Args:
         instruction: grounded sentence.
         pose: f32[3], x, y, heading, metres and radians, map frame.
         area: f32[4], operating area x_min, x_max, y_min, y_max, metres.
         config: sizes.
+        num_types: object types that a detection may name.
 
     Returns:
         The state before the first observation.
     """
     num_mentions = instruction.readings.mention_type.shape[-1]
+    belief = semantic_filter.start(pose, area, num_mentions, config.map, num_types=num_types)
     return NavigatorState(
-        belief=semantic_filter.start(pose, area, num_mentions, config.map),
+        belief=belief,
         instruction=instruction,
         clause=jnp.int32(0),
         previous_goal=jnp.int32(NONE),
         visited=graph.nowhere(config.planner.num_visited),
         commitment=policy.no_commitment(),
-        tour=tours.no_tour(pose[0], pose[1]),
+        tour=tours.no_tour(belief.last_pose[0], belief.last_pose[1]),
         is_done=jnp.asarray(False),
     )
 
 
 def hear(state: NavigatorState, instruction: Instruction, pose: Array) -> NavigatorState:
-    """Take in another instruction: the map is kept, the words are grounded anew.
+    """Take in another command: the map is kept, the words are grounded anew.
+
+    Limits: what asks for nothing, such as a statement, changes nothing.
 
     Args:
         state: of a robot under way or at its goal.
         instruction: the new sentence, grounded.
-        pose: f32[3], where the robot is as it hears it, map frame.
+        pose: f32[3], where the robot is as it hears it, map frame; one that cannot be is taken to
+            be where it last was.
 
     Returns:
         The state, to be followed by the next observation.
     """
-    belief = replace(state.belief, viewer=pose, must_ground=jnp.asarray(True))
-    return replace(
+    belief = state.belief
+    viewer = jnp.where(is_pose(pose, belief.coverage.area), pose, belief.last_pose)
+    told = replace(
         state,
-        belief=belief,
+        belief=replace(belief, viewer=viewer, must_ground=jnp.asarray(True)),
         instruction=instruction,
         clause=jnp.int32(0),
         commitment=policy.no_commitment(),
         is_done=jnp.asarray(False),
+    )
+    asks = instruction.num_clauses > 0
+    return jax.tree.map(
+        lambda new, old: old if new is old else jnp.where(asks, new, old), told, state
     )
 
 
 class _Outlook(NamedTuple):
     """What a belief comes to: where the robot is, what it is asked to do, and where."""
 
+    fault: Array  # i32[] bits of Fault; the robot stands still unless it is 0
     robot_x: Array  # f32[] believed position, metres, map frame
     robot_y: Array  # f32[]
     behavior: Behavior  # leaves [..., P]
@@ -206,6 +237,9 @@ def step(
 ) -> tuple[NavigatorState, Action, NavigatorInfo]:
     """Run one decision cycle: from an observation to an action.
 
+    An observation that cannot be is left out as a whole (``semantic_map.soundness``): the robot
+    stands still, does not stop, and ``info.fault`` says why, until a sound one comes.
+
     Args:
         key: random key, consumed.
         state: after the last cycle.
@@ -217,11 +251,14 @@ def step(
         The new state, what the robot is to do, and why.
     """
     state, filter_info = _observe(key, state, observation, params, config)
-    outlook = _infer(state, params)
-    decision = _decide(key, state, observation, outlook, filter_info.is_news, params, config)
+    fault = filter_info.fault + jnp.where(state.instruction.num_clauses > 0, 0, int(Fault.COMMAND))
+    range_max = jnp.where(fault == 0, observation.sensor.range_max, default_sensor().range_max)
+    outlook = _infer(state, fault, params)
+    decision = _decide(key, state, outlook, range_max, filter_info.is_news, params, config)
     action = _act(state, outlook, decision.choice, params)
     info = NavigatorInfo(
         filter=filter_info,
+        fault=fault,
         choice=decision.choice,
         nodes=decision.nodes,
         goals=outlook.goals,
@@ -242,6 +279,10 @@ def _observe(
     # The paper's own policy takes every word to be true.
     trusts = config.planner.policy == "faithful"
     map_params = replace(params.map, misleading=jnp.float32(0.0)) if trusts else params.map
+    motion = params.map.motion
+    # One cycle's step at the highest speed, as far as odometry may be out.
+    farthest = jnp.max(params.mode_speed) * motion.step_length
+    farthest = farthest * (1.0 + DEVIATIONS * motion.odometry_noise) + _SPARE
     belief, info = semantic_filter.step(
         key,
         state.belief,
@@ -249,11 +290,12 @@ def _observe(
         observation,
         params=map_params,
         is_sparse=True,
+        farthest=farthest,
     )
     return replace(state, belief=belief), info
 
 
-def _infer(state: NavigatorState, params: NavigatorParams) -> _Outlook:
+def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> _Outlook:
     """Infer the behavior of the present clause, and where its goal may be (section 3.3)."""
     belief = state.belief
     behavior = infer_behaviors(
@@ -262,6 +304,7 @@ def _infer(state: NavigatorState, params: NavigatorParams) -> _Outlook:
     weight = jnp.exp(belief.log_weight)
     robot_x, robot_y = semantic_filter.robot_position(belief)
     return _Outlook(
+        fault=fault,
         robot_x=robot_x,
         robot_y=robot_y,
         behavior=behavior,
@@ -275,14 +318,14 @@ def _infer(state: NavigatorState, params: NavigatorParams) -> _Outlook:
 def _decide(
     key: Array,
     state: NavigatorState,
-    observation: Observation,
     outlook: _Outlook,
+    range_max: Array,
     is_news: Array,
     params: NavigatorParams,
     config: NavigatorConfig,
 ) -> _Decision:
     """Choose among the graph's nodes or to stop (section 3.4); ``key`` is the whole cycle's."""
-    belief, goals, range_max = state.belief, outlook.goals, observation.sensor.range_max
+    belief, goals = state.belief, outlook.goals
     robot = outlook.robot_x, outlook.robot_y
     visited = graph.visit(state.visited, *robot, params.planner.visit_spacing)
     plan = first_stops = None
@@ -317,6 +360,7 @@ def _decide(
         config=config.planner,
         plan=plan,
     )
+    choice = replace(choice, is_stop=choice.is_stop & (outlook.fault == 0))
     return _Decision(visited=visited, plan=plan, nodes=nodes, choice=choice)
 
 
@@ -328,17 +372,23 @@ def _is_last_clause(state: NavigatorState) -> Array:
 def _act(
     state: NavigatorState, outlook: _Outlook, choice: policy.Choice, params: NavigatorParams
 ) -> Action:
-    """Turn the choice into a step in the manner asked for: quickly, carefully."""
+    """Turn the choice into a step in the manner asked for: quickly, carefully.
+
+    With a fault up the robot stands still where it believes itself to be.
+    """
     mode = jnp.argmax(outlook.expected.mode)
     speed, clearance = params.mode_speed[mode], params.mode_clearance[mode]
-    span_x, span_y = choice.waypoint_x - outlook.robot_x, choice.waypoint_y - outlook.robot_y
+    robot = jnp.stack([outlook.robot_x, outlook.robot_y])
+    waypoint = jnp.stack([choice.waypoint_x, choice.waypoint_y])
+    waypoint = jnp.where(outlook.fault == 0, waypoint, robot)
+    span_x, span_y = waypoint - robot
     distance = jnp.sqrt(span_x * span_x + span_y * span_y + 1e-9)
     # A thing is gone up to, not into; anything else is a place to stand on.
     spare = jnp.where(choice.kind == graph.OBJECT, _APPROACH * params.planner.reach, 0.0)
     length = jnp.clip(distance - spare, 0.0, params.map.motion.step_length * speed)
     length = jnp.where(choice.is_stop, 0.0, length)
     return Action(
-        waypoint=jnp.stack([choice.waypoint_x, choice.waypoint_y]),
+        waypoint=waypoint,
         step=jnp.stack([span_x, span_y]) / distance * length,
         is_stop=choice.is_stop & _is_last_clause(state),
         speed=speed,

@@ -154,7 +154,7 @@ def _frame(
         is_resampled=info.filter.is_resampled,
         num_regrounded=info.filter.num_regrounded,
         is_news=info.filter.is_news,
-        is_degenerate=info.filter.is_degenerate,
+        fault=info.fault,
         overflow=info.filter.overflow,
         goal_region=_goal_region(info),
         action=info.behavior.action,

@@ -56,7 +56,7 @@ class Frame:
     is_resampled: Leaf  # bool[]
     num_regrounded: Leaf  # i32[] particles whose words were grounded anew
     is_news: Leaf  # bool[] an object was seen for the first time, or words came in
-    is_degenerate: Leaf  # bool[]
+    fault: Leaf  # i32[] bits of messages.Fault: why the robot stands still
     overflow: Leaf  # i32[]
     # Goals and behavior
     goal_x: Leaf  # f32[O + 1] goal place at each observed object; the robot last

@@ -221,12 +221,12 @@ for fault, axes in enumerate(figure.subplots(1, len(provoked.FAULTS), sharey=Tru
         axes.plot([0, last[episode] - 1], [episode] * 2, color=style.LINE, linewidth=1)
         end = "o" if found.result.is_success[episode] else "x"
         axes.plot(last[episode] - 1, episode, end, color=style.INK, markersize=3.5)
-    for bit, color, mark in ((4, ORANGE, "^"), (1, style.BAD, "s"), (2, BLUE, "D")):
+    for bit, color, mark in ((4, ORANGE, "^"), (1 + 8, style.BAD, "s"), (2, BLUE, "D")):
         where = np.argwhere(status & bit)
         axes.plot(where[:, 1], where[:, 0], mark, color=color, markersize=3.5)
     axes.set_title(provoked.FAULTS[fault], fontsize=8)
     axes.set_xlabel("decision")
-    counts = [int(((status & bit) > 0).sum()) for bit in (1, 4, 2)]
+    counts = [int(((status & bit) > 0).sum()) for bit in (1 + 8, 4, 2)]
     print(
         f"{provoked.FAULTS[fault]:>22}: {counts[0]} decisions degenerate, {counts[1]} astray, "
         f"{counts[2]} overfull; {int(found.result.is_stopped.sum())} of {len(last)} stopped by "

@@ -117,7 +117,7 @@ def make_frame(step: int, num_steps: int, num_particles: int, rng: np.random.Gen
         is_resampled=np.array(False),
         num_regrounded=np.int32(num_particles // 4 if step else num_particles),
         is_news=np.array(step == 0 or is_new(step, num_steps)),
-        is_degenerate=np.array(False),
+        fault=np.int32(0),
         overflow=np.int32(0),
         goal_x=no + np.array([6, 9, 0, 0, 0], np.float32),
         goal_y=no + 1,
@@ -173,6 +173,7 @@ def make_recording(
         overflow=np.int32(0),
         degenerate=np.int32(0),
         contradictions=np.int32(0),
+        faults=np.int32(0),
         mean_effective_sample_size=np.float32(18.0),
         is_valid=np.array(True),
     )

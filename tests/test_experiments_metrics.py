@@ -21,6 +21,7 @@ def results(**changes: Any) -> EpisodeResult:
         "overflow": np.array([0, 2, 0, 0]),
         "degenerate": np.array([1, 0, 0, 0]),
         "contradictions": np.array([0, 1, 2, 0]),
+        "faults": np.array([3, 0, 1, 7]),
         "mean_effective_sample_size": np.ones(number),
         "is_valid": np.array([True, True, True, False]),
     }
@@ -36,6 +37,7 @@ def test_a_row_by_hand() -> None:
     assert row.spl == pytest.approx((1.0 + 0.5 + 0.0) / 3)
     assert (row.timeouts, row.overflows, row.degenerate, row.invalid_worlds) == (1, 2, 1, 1)
     assert row.contradictions == 3
+    assert row.faults == 4
 
 
 def test_no_path_is_shorter_than_the_known_one() -> None:

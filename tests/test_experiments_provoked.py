@@ -68,10 +68,10 @@ def test_what_is_provoked_is_counted_when_it_happens(provoked: dict[int, Provoke
     running = provoked[ZERO_WEIGHTS].result.steps > FIRST
     assert (counts[ZERO_WEIGHTS][running, FIRST] & 1).all()
     assert (np.delete(counts[ZERO_WEIGHTS], FIRST, axis=1) & 1).sum() == 0
-    broken = counts[NOT_A_NUMBER][:, FIRST : LAST + 1] & 1
+    broken = counts[NOT_A_NUMBER][:, FIRST : LAST + 1] & 8
     running = provoked[NOT_A_NUMBER].result.steps > LAST
     assert broken[running].all()
-    assert (counts[NOT_A_NUMBER][:, LAST + 1 :] & 1).sum() == 0
+    assert (counts[NOT_A_NUMBER][:, LAST + 1 :] & 8).sum() == 0
     running = provoked[CONTRADICTION].result.steps > LAST
     surprised = counts[CONTRADICTION][running, FIRST : LAST + 1] & 4
     assert (surprised.any(axis=1)).all()
@@ -85,3 +85,4 @@ def test_sums_in_the_results_are_those_of_the_cycles(provoked: dict[int, Provoke
     for found in provoked.values():
         np.testing.assert_array_equal((found.statuses & 1).sum(1), found.result.degenerate)
         np.testing.assert_array_equal((found.statuses & 4).sum(1) // 4, found.result.contradictions)
+        np.testing.assert_array_equal((found.statuses & 8).sum(1) // 8, found.result.faults)

@@ -31,6 +31,7 @@ def row(**changes: Any) -> dict[str, Any]:
         "overflows": 0,
         "degenerate": 0,
         "contradictions": 0,
+        "faults": 0,
         "timeouts": 3,
         "invalid_worlds": 0,
     } | changes
@@ -121,10 +122,10 @@ def test_the_terminal_table_fits_and_says_the_noise() -> None:
 
 
 def test_the_caption_counts_each_way_to_go_wrong() -> None:
-    one = row(overflows=3, degenerate=2, contradictions=5, invalid_worlds=1)
+    one = row(overflows=3, degenerate=2, contradictions=5, faults=4, invalid_worlds=1)
     text = " ".join(tables.caption(document(one, row(policy="informed", contradictions=2))).split())
     assert "left out: 1; detections without a slot: 3; steps with all weights dead: 2" in text
-    assert "contradicts the map: 7." in text
+    assert "contradicts the map: 7, at which it stood still for what cannot be: 4." in text
 
 
 def test_falls_are_found() -> None:
@@ -175,7 +176,7 @@ def test_an_experiment_and_its_files(tmp_path: Path) -> None:
     ]
     keys = "world range relation policy episodes success_rate success_ci distance_mean distance_sd"
     keys += " ece brier coverage90 known_distance_mean known_distance_sd spl overflows"
-    keys += " degenerate contradictions timeouts"
+    keys += " degenerate contradictions faults timeouts"
     assert set(keys.split()) <= set(found["rows"][0])
     assert found["rows"][0]["relation"] is None
     assert len(found["paper"]) == 2

@@ -1,7 +1,7 @@
 """The agent in hand-made worlds: a perfect sensor, a perfect robot, one decision at a time."""
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import jax
 import jax.numpy as jnp
@@ -22,12 +22,14 @@ WORLD = [(CONE, 4.0, 0.5), (HYDRANT, 6.4, 0.8), (CONE, 2.5, -3.5)]
 RANGE = 3.0
 
 
+STEP = jax.jit(navigator.step, static_argnames="config", compiler_options=by_hand.BRIEFLY)
+"""Compiled once for all files that drive the robot."""
+
+
 @pytest.fixture(scope="module")
 def robot() -> Iterator[agent.Navigator]:
     compiled = agent._step
-    agent._step = jax.jit(
-        navigator.step, static_argnames="config", compiler_options=by_hand.BRIEFLY
-    )
+    agent._step = STEP
     yield agent.Navigator.pretrained()
     agent._step = compiled
 
@@ -44,19 +46,33 @@ class Run:
         return self.places[-1]
 
 
-def go(robot, state, places=WORLD, start=(0.0, 0.0), max_steps: int = 60, seed: int = 0) -> Run:
-    """Drive until the robot stops; heading along the step, every object in range detected."""
+def see(position, heading: float, places=WORLD):
+    """Look round: every object in range is detected, without noise."""
+    found = [
+        (kind, x - position[0], y - position[1])
+        for kind, x, y in places
+        if np.hypot(x - position[0], y - position[1]) <= RANGE
+    ]
+    return by_hand.observation(
+        np.array([*position, heading]), found, by_hand.sensor(RANGE, noise=0.02), size=8
+    )
+
+
+def go(
+    robot,
+    state,
+    places=WORLD,
+    start=(0.0, 0.0),
+    max_steps: int = 60,
+    seed: int = 0,
+    disturb: Callable = lambda state, look, step: state,
+) -> Run:
+    """Drive until the robot stops; heading along the step. Each look may be disturbed before."""
     position, heading = np.array(start, float), 0.0
     record = Run(state, [position], [], [])
     for step in range(max_steps):
-        found = [
-            (kind, x - position[0], y - position[1])
-            for kind, x, y in places
-            if np.hypot(x - position[0], y - position[1]) <= RANGE
-        ]
-        look = by_hand.observation(
-            np.array([*position, heading]), found, by_hand.sensor(RANGE, noise=0.02), size=8
-        )
+        look = see(position, heading, places)
+        record.state = disturb(record.state, look, step)
         key = jax.random.fold_in(jax.random.key(seed), step)
         record.state, action, info = robot.step(key, record.state, look)
         record.actions.append(jax.tree.map(np.asarray, action))

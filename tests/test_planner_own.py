@@ -41,21 +41,21 @@ def far_away(situation: Situation) -> Valuation:
     return dataclasses.replace(valuation, goal_value=3.0 * situation.distance)
 
 
-def choose(own, *, stop_mass: float | None = None) -> policy.Choice:
+def choose(own, *, stop_mass: float | None = None, goal: float = 0.5) -> policy.Choice:
     nodes = Nodes(
         x=jnp.array([1.0, 4.0, 2.0]),
         y=jnp.array([0.0, 0.0, 3.0]),
         is_node=jnp.array([True, True, True]),
         kind=jnp.full(3, FRONTIER, jnp.int32),
     )
-    none, zeros = jnp.zeros(0), jnp.zeros(1)
+    none, zeros, share = jnp.zeros(0), jnp.zeros(1), jnp.full(1, goal, jnp.float32)
     goals = Goals(
         object_x=zeros,
         object_y=zeros,
         object_mass=zeros,
-        object_accepted=zeros,
-        object_confirmed=zeros,
-        is_object=jnp.zeros(1, bool),
+        object_accepted=share,
+        object_confirmed=share,
+        is_object=jnp.ones(1, bool),
         hypothesis_x=none,
         hypothesis_y=none,
         hypothesis_mass=none,
@@ -96,6 +96,22 @@ def test_the_most_valuable_waypoint_is_taken_and_costs_count() -> None:
 @pytest.mark.parametrize(("mass", "stops"), [(0.69, False), (0.71, True)])
 def test_it_stops_from_tau_on(mass: float, stops: bool) -> None:
     assert bool(choose(nearest, stop_mass=mass).is_stop) is stops
+
+
+@pytest.mark.parametrize(("mass", "goal"), [(1.0, 0.0), (np.inf, 0.5), (np.nan, 0.5)])
+def test_whatever_it_says_there_is_no_stop_without_a_goal(mass: float, goal: float) -> None:
+    assert not bool(choose(nearest, stop_mass=mass, goal=goal).is_stop)
+
+
+def nothing(situation: Situation) -> Valuation:
+    valuation = nearest(situation)
+    return dataclasses.replace(valuation, goal_value=jnp.nan * situation.distance)
+
+
+def test_values_that_are_no_numbers_leave_it_where_it_is() -> None:
+    chosen = choose(nothing)
+    assert (float(chosen.waypoint_x), float(chosen.waypoint_y)) == (0.0, 0.0)
+    assert not bool(chosen.is_stop)
 
 
 def test_it_carries_its_function_s_name() -> None:

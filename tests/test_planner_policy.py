@@ -8,7 +8,7 @@ import readings as by_hand
 
 from jaxlangnav.messages import NONE
 from jaxlangnav.planner import policy
-from jaxlangnav.planner.constraints import squared_distance_to_segment
+from jaxlangnav.planner.constraints import constraint_cost, squared_distance_to_segment
 from jaxlangnav.planner.goals import Goals
 from jaxlangnav.planner.graph import FRONTIER, OBJECT, VISITED, Nodes
 from jaxlangnav.planner.params import PlannerConfig, default_planner_params
@@ -52,6 +52,20 @@ def test_distance_to_a_segment_by_hand() -> None:
     ):
         value = squared_distance_to_segment(*(jnp.float32(v) for v in (*point, *start, *end)))
         assert abs(float(value) - expected) < 1e-4
+
+
+def test_ways_past_what_is_to_be_avoided_cost_and_no_others() -> None:
+    """A cone at (3, 0) that is forbidden in a quarter of the maps: only the ways past it cost."""
+    belief = by_hand.with_objects(by_hand.begin(config=CONFIG), [(by_hand.CONE, 3.0, 0.0)])
+    forbidden = np.zeros((7, SLOTS + by_hand.M + 1, P), np.float32)
+    forbidden[6, 0, : P // 4] = 1.0
+    zero = jnp.float32(0.0)
+    cost = constraint_cost(belief, jnp.asarray(forbidden), nodes(), zero, zero, jnp.float32(2.0))
+    # Of the nodes at (4, 3), (1, 0) and (6, 0) the second is just out of its berth of 2 m.
+    away = replace(nodes(), x=jnp.array([4.0, 0.9, 6.0]), y=jnp.array([4.0, 0.0, 0.0]))
+    found = constraint_cost(belief, jnp.asarray(forbidden), away, zero, zero, jnp.float32(2.0))
+    np.testing.assert_allclose(found, [0.0, 0.0, 0.5], atol=1e-5)
+    assert float(cost[0]) == pytest.approx(0.5, abs=1e-5)
 
 
 def test_hung_hypotheses_count_where_they_are() -> None:
@@ -176,6 +190,37 @@ def test_stop_needs_enough_mass_within_reach(mass: float, robot: tuple, stops: b
     choice = choose(goals(mass), robot)
     assert bool(choice.is_stop) == stops
     assert bool(choose(goals(mass), robot, is_find=1.0).is_stop) == (mass > 0.7)
+
+
+@pytest.mark.parametrize("share", [0.0, 1e-3, np.nan])
+def test_no_stop_for_what_has_not_been_seen(share: float) -> None:
+    """All goal probability underfoot, but of a thing that no look has shown: no arrival."""
+    aims = replace(
+        goals(share, x=4.0, y=3.0, hypothesis=1.0),
+        hypothesis_x=jnp.array([4.0]),
+        hypothesis_y=jnp.array([3.0]),
+    )
+    for is_find in (0.0, 1.0):
+        assert not bool(choose(aims, (4.0, 3.0), is_find=is_find).is_stop)
+    seen = replace(aims, object_accepted=jnp.array([0.2]), object_mass=jnp.zeros(1))
+    assert bool(choose(seen, (4.0, 3.0)).is_stop)
+
+
+def test_nothing_stops_at_random_goals_out_of_reach() -> None:
+    """Random probabilities, some of them no numbers: stops are for what is seen and near."""
+    draw = np.random.default_rng(0)
+    for _ in range(200):
+        values = draw.choice([0.0, 0.005, 0.3, 1.0, np.nan, np.inf], 3)
+        aims = replace(
+            goals(values[0], hypothesis=values[1]),
+            object_accepted=jnp.asarray(values[2:], jnp.float32),
+        )
+        robot = draw.uniform([3.0, -2.0], [7.0, 4.0])
+        choice = choose(aims, tuple(robot))
+        assert np.isfinite([choice.waypoint_x, choice.waypoint_y]).all()
+        if bool(choice.is_stop):
+            assert policy.LEAST_GOAL <= values[2] <= 1.0
+            assert np.hypot(robot[0] - 6.0, robot[1]) <= float(default_planner_params().reach)
 
 
 def test_a_waypoint_is_kept_until_something_changes() -> None:

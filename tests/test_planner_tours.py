@@ -174,9 +174,39 @@ def test_a_goal_with_unseen_rivals_is_not_settled(rival: float, stops: bool) -> 
     """Informed, in reach of a confirmed goal: it looks on while rivals beside things seen are."""
     search = search_of(np.full(CELLS**2, 0.05 / CELLS**2), np.eye(1, CELLS**2, 30)[0] * rival)
     now = plan(search, tours.no_tour(jnp.float32(1.0), jnp.float32(0.0)))
-    number = now.latency.shape[0]
-    one = jnp.array([0.9], jnp.float32)
-    choice = jax.jit(policy.choose, static_argnames="config")(
+    choice = decide(now, 0.9)
+    assert bool(choice.is_stop) is stops
+    assert (float(choice.goal_value[-1]) > 1.0) is stops
+    value = np.asarray(choice.value)
+    parts = np.asarray(choice.goal_value + choice.information_value - choice.cost)
+    np.testing.assert_allclose(value[np.isfinite(value)], parts[np.isfinite(value)], atol=1e-6)
+    if not stops:
+        best = int(np.argmax(value))
+        assert best < now.latency.shape[0]
+        np.testing.assert_allclose(
+            [choice.waypoint_x, choice.waypoint_y], [now.tours.x[best, 0], now.tours.y[best, 0]]
+        )
+
+
+@pytest.mark.parametrize("goal", [0.0, 1e-30, 5e-3, np.nan])
+def test_with_nothing_left_to_find_it_settles_for_no_goal_that_is_none(goal: float) -> None:
+    """Informed, all looked at, before an object that does not fit: 0 ≥ 0 is no arrival."""
+    now = plan(search_of(np.zeros(CELLS**2)), tours.no_tour(jnp.float32(1.0), jnp.float32(0.0)))
+    choice = decide(now, goal)
+    assert not bool(choice.is_stop)
+    assert not float(choice.goal_value[-1]) > 1.0
+    assert np.isfinite([choice.waypoint_x, choice.waypoint_y]).all()
+    # An object that may well be it has to do.
+    assert bool(decide(now, 0.2).is_stop)
+
+
+CHOOSE = jax.jit(policy.choose, static_argnames="config")
+
+
+def decide(now: tours.Plan, goal: float) -> policy.Choice:
+    """Let the informed policy choose half a metre from an object, the goal with a probability."""
+    number, one = now.latency.shape[0], jnp.array([goal], jnp.float32)
+    return CHOOSE(
         by_hand.begin(config=CONFIG),
         Nodes(
             x=jnp.append(now.tours.x[:, 0], 1.5),
@@ -193,17 +223,6 @@ def test_a_goal_with_unseen_rivals_is_not_settled(rival: float, stops: bool) -> 
         jnp.float32(0.0), jnp.float32(RANGE), jnp.zeros(number + 1),
         params=default_planner_params(), config=PlannerConfig(policy="informed"), plan=now,
     )  # fmt: skip
-    assert bool(choice.is_stop) is stops
-    assert (float(choice.goal_value[-1]) > 1.0) is stops
-    value = np.asarray(choice.value)
-    parts = np.asarray(choice.goal_value + choice.information_value - choice.cost)
-    np.testing.assert_allclose(value[np.isfinite(value)], parts[np.isfinite(value)], atol=1e-6)
-    if not stops:
-        best = int(np.argmax(value))
-        assert best < number
-        np.testing.assert_allclose(
-            [choice.waypoint_x, choice.waypoint_y], [now.tours.x[best, 0], now.tours.y[best, 0]]
-        )
 
 
 def test_prior_is_relative_to_uniform_and_can_be_left_out() -> None:

@@ -7,7 +7,7 @@ import pytest
 import readings as by_hand
 from test_semantic_map_enumeration import EMPTY
 
-from jaxlangnav.messages import BEHIND, FRONT, NONE, ROBOT
+from jaxlangnav.messages import BEHIND, FRONT, NONE, ROBOT, Fault
 from jaxlangnav.pytree import replace
 
 HYDRANT, CONE = by_hand.HYDRANT, by_hand.CONE
@@ -60,7 +60,7 @@ def test_refuted_hypotheses_revive_where_they_may_still_be() -> None:
     looks = [by_hand.observation(np.array([x, y, 0.0]), []) for x, y in sweep(2)]
     beliefs, info = follow(looks)
     assert_sound(beliefs)
-    assert not info.is_degenerate.any()
+    assert not info.fault.any()
     weight = np.exp(np.asarray(beliefs.log_weight))
     particles = beliefs.particles
     open_mass = (weight * np.asarray(particles.is_hypothesised[:, 0])).sum(-1)
@@ -137,7 +137,7 @@ def test_no_noise_at_all(noise: float) -> None:
         looks.append(by_hand.observation(np.array([x, 0.0, 0.0]), found, specification))
     beliefs, info = follow(looks, numbers=by_hand.params(odometry_noise=0.0))
     assert_sound(beliefs)
-    assert not info.is_degenerate.any()
+    assert not info.fault.any()
     assert not info.is_contradiction.any()
     particles = jax.tree.map(np.asarray, beliefs.particles)
     for slot, (name, x, y) in enumerate(objects):
@@ -156,7 +156,7 @@ def test_certain_detection_and_a_vanished_object() -> None:
     looks += [by_hand.observation(pose, [], specification)] * 7
     beliefs, info = follow(looks)
     assert_sound(beliefs)
-    assert not info.is_degenerate.any()
+    assert not info.fault.any()
 
 
 @pytest.mark.parametrize("field", ["detection_range", "detection_bearing", "pose"])
@@ -172,7 +172,8 @@ def test_broken_observation_does_not_poison_the_belief(field: str, bad: float) -
     assert_sound(beliefs)
     assert np.isfinite(np.asarray(beliefs.last_pose)).all()
     assert np.isfinite(np.asarray(beliefs.coverage.log_miss)).all()
-    assert info.is_degenerate[:, 1].all(), "a broken observation must be counted"
+    assert info.fault[:, 1].all(), "a broken observation must be said"
+    assert not np.delete(info.fault, 1, axis=1).any()
     weight = np.exp(np.asarray(beliefs.log_weight))
     assert ((weight * (np.asarray(beliefs.particles.referent[:, 0]) >= 0)).sum(-1) > 0.5).all()
 
@@ -200,8 +201,9 @@ def test_dead_weights_are_counted_and_made_alive(dead: float) -> None:
     looks = [by_hand.observation(np.array([5.0, 0.0, 0.0]), [])] * 8
     beliefs, info = follow(looks, belief=belief)
     assert_sound(beliefs)
-    assert info.is_degenerate[:, 0].all()
-    assert not info.is_degenerate[:, 1:].any()
+    assert (info.fault[:, 0] == Fault.WEIGHTS).all()
+    assert not info.fault[:, 1:].any()
+    assert np.isfinite(np.asarray(beliefs.coverage.log_miss)).all()
 
 
 def test_one_dead_weight_among_good_ones() -> None:
@@ -211,7 +213,7 @@ def test_one_dead_weight_among_good_ones() -> None:
     looks = [by_hand.observation(np.array([5.0, 0.0, 0.0]), [])] * 8
     beliefs, info = follow(looks, belief=belief)
     assert_sound(beliefs)
-    assert not info.is_degenerate.any()
+    assert not info.fault.any()
 
 
 def test_words_that_nothing_can_satisfy() -> None:

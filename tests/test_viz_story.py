@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from recording_fixture import make_readings, make_recording, make_scene
 
-from jaxlangnav.messages import BEHIND, LEFT, NEAR, NONE, REGIONS, ROBOT
+from jaxlangnav.messages import BEHIND, LEFT, NEAR, NONE, REGIONS, ROBOT, Fault
 from jaxlangnav.pytree import replace
 from jaxlangnav.viz import moments, narrative, sentences, summary, words
+from jaxlangnav.viz.words import FAULT_WORDS
 from jaxlangnav.world.state import CONE, HYDRANT
 
 
@@ -154,12 +155,34 @@ def test_the_closing_tells_failures_apart():
     wrong = replace(one.result, is_success=np.array(False), goal_distance=np.float32(6.2))
     assert "6.2 m away" in narrative.closing(scene, frame, wrong)[0]
     crowded = replace(
-        one.result, overflow=np.int32(3), degenerate=np.int32(2), contradictions=np.int32(4)
+        one.result,
+        overflow=np.int32(3),
+        degenerate=np.int32(2),
+        contradictions=np.int32(4),
+        faults=np.int32(5),
     )
     said = " ".join(narrative.closing(scene, frame, crowded))
     assert "3 detections" in said
     assert "In 2 steps" in said
     assert "In 4 steps it saw what contradicts its map" in said
+    assert "In 5 steps it stood still, for what cannot be was reported to it." in said
+
+
+@pytest.mark.parametrize("fault", Fault)
+def test_a_step_with_a_fault_says_why_it_stands(fault: Fault):
+    one = make_recording(9, 20)
+    frame = replace(one.at(3), fault=np.int32(fault))
+    (told,) = narrative.tell_step(one.scene, frame, one.at(2))
+    assert told == f"Stands still: {FAULT_WORDS[fault]}."
+    assert narrative.headline(one.scene, frame, one.at(2)) == "stands still"
+    assert not narrative.is_quiet(frame, one.at(2))
+
+
+def test_several_faults_are_all_told():
+    one = make_recording(9, 20)
+    frame = replace(one.at(3), fault=np.int32(Fault.POSE | Fault.SENSOR))
+    (told,) = narrative.tell_step(one.scene, frame, None)
+    assert told.count(FAULT_WORDS[Fault.POSE]) == told.count(FAULT_WORDS[Fault.SENSOR]) == 1
 
 
 def test_headlines_say_what_happened():

@@ -264,6 +264,7 @@ def _judge(scenario: Scenario, world: WorldState, is_stopped: Array, steps: Arra
         overflow=jnp.int32(0),
         degenerate=jnp.int32(0),
         contradictions=jnp.int32(0),
+        faults=jnp.int32(0),
         mean_effective_sample_size=jnp.float32(0.0),
         is_valid=scenario.is_valid,
     )

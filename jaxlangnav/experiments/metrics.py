@@ -26,6 +26,7 @@ class RowMetrics:
     overflows: int
     degenerate: int
     contradictions: int
+    faults: int
     timeouts: int
     invalid_worlds: int
 
@@ -89,6 +90,7 @@ def summarize(results: EpisodeResult, known_distance: np.ndarray) -> RowMetrics:
         overflows=int(np.asarray(results.overflow)[valid].sum()),
         degenerate=int(np.asarray(results.degenerate)[valid].sum()),
         contradictions=int(np.asarray(results.contradictions)[valid].sum()),
+        faults=int(np.asarray(results.faults)[valid].sum()),
         timeouts=int((~np.asarray(results.is_stopped)[valid]).sum()),
         invalid_worlds=int((~valid).sum()),
     )

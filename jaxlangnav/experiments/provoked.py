@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav import navigator
-from jaxlangnav.episode import EpisodeResult, Progress, Task, begin, finish
+from jaxlangnav.episode import EpisodeResult, Progress, Task, begin, count, finish
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.messages import Observation
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, NavigatorState
@@ -33,7 +33,7 @@ class ProvokedResult:
     """How episodes with a fault ended; leaves lead with E."""
 
     result: EpisodeResult
-    statuses: Array  # i32[T] bits of each cycle: 1 degenerate, 2 overflow, 4 contradiction
+    statuses: Array  # i32[T] bits of each cycle: 1 degenerate, 2 overflow, 4 contradiction, 8 fault
     is_sound: Array  # bool[] all weights and places were finite in every cycle
 
 
@@ -112,23 +112,19 @@ def run_provoked(
         state, action, info = navigator.step(
             keys[1], state, observation, params=params, config=config
         )
-        seen = info.filter
         after = replace(
             progress,
             navigator=state,
             world=move(keys[2], progress.world, action, task.motion),
             steps=step + 1,
-            overflow=progress.overflow + seen.overflow,
-            degenerate=progress.degenerate + seen.is_degenerate.astype(jnp.int32),
-            contradictions=progress.contradictions + seen.is_contradiction.astype(jnp.int32),
-            sum_effective_sample_size=progress.sum_effective_sample_size
-            + seen.effective_sample_size,
+            **count(progress, info),
         )
         belief = state.belief
         status = (
-            seen.is_degenerate.astype(jnp.int32)
-            + 2 * (seen.overflow > 0)
-            + 4 * seen.is_contradiction
+            1 * (after.degenerate > progress.degenerate)
+            + 2 * (after.overflow > progress.overflow)
+            + 4 * (after.contradictions > progress.contradictions)
+            + 8 * (after.faults > progress.faults)
         )
         floats = (belief.log_weight, belief.particles.mean_x, belief.particles.mean_y, action.step)
         is_sound = jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in floats]))

@@ -241,14 +241,14 @@ def caption(document: dict[str, Any]) -> str:
         f"{100 * noise['odometry_noise']:g} % of the way; {noise['step_length']:g} m a step.",
         "The paper prints neither geometry nor noise; its σ is over about 100 runs.",
     ]
-    invalid, overflows, dead, odd = (
+    invalid, overflows, dead, odd, faults = (
         sum(row[name] for row in document["rows"])
-        for name in ("invalid_worlds", "overflows", "degenerate", "contradictions")
+        for name in ("invalid_worlds", "overflows", "degenerate", "contradictions", "faults")
     )
     lines.append(
         f"Worlds that missed their law and are left out: {invalid}; detections without a slot: "
         f"{overflows}; steps with all weights dead: {dead}, with a look that contradicts the map: "
-        f"{odd}."
+        f"{odd}, at which it stood still for what cannot be: {faults}."
     )
     if document.get("calibration_episodes"):
         lines.append(

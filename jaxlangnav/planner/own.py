@@ -3,7 +3,8 @@
 ``PlannerConfig(policy=f)`` takes any function from a ``Situation`` to a ``Valuation`` that JAX can
 trace. The planner does the rest as for the paper's policy: the most valuable open waypoint is taken
 and kept until it is reached or something new is seen, and the robot stops where ``stop_mass``
-reaches τ.
+reaches τ, if something seen that may be the goal is within reach (or in view,
+for "find") at all.
 """
 
 from collections.abc import Callable

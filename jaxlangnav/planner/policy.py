@@ -24,6 +24,8 @@ from jaxlangnav.pytree import pytree
 from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.coverage import cell_size
 
+LEAST_GOAL = 0.01
+"""Probability below which an object is no goal: nothing is settled and nothing stops for it."""
 _SETTLED = 10.0
 """Value of a goal that is settled; information values stay below 1."""
 _UNDERFOOT = 0.25
@@ -140,7 +142,11 @@ def informed(situation: Situation, plan: Plan) -> tuple[Valuation, Array]:
     goal_value = 0.01 * qmdp.values(nodes.x, nodes.y, goals, params.discount)
     confirmed = jnp.max(goals.object_confirmed)
     rest = jnp.sum(goals.hypothesis_mass)
-    is_exhausted = (rest <= params.rest_share * confirmed) & (confirmed < params.stop_probability)
+    is_exhausted = (
+        (rest <= params.rest_share * confirmed)
+        & (confirmed < params.stop_probability)
+        & (confirmed >= LEAST_GOAL)
+    )
     is_sure = (plan.hung <= params.rival_share * confirmed) | is_exhausted
     is_settled = is_sure & ((confirmed >= params.stop_probability) | is_exhausted)
     arrived = jnp.where(situation.is_find > 0.5, in_view, within_reach)
@@ -191,6 +197,20 @@ def _aim(
     return jax.tree.map(lambda kept, new: jnp.where(keeps, kept, new), commitment, chosen), keeps
 
 
+def _has_goal(situation: Situation) -> Array:
+    """Tell whether something that has been seen and may be the goal is within reach, bool[].
+
+    Whatever a policy makes of it, there is no arriving where there is no goal. Of "find", it is
+    enough to have it in view.
+    """
+    goals = situation.goals
+    reach = situation.params.reach
+    radius = jnp.where(situation.is_find > 0.5, jnp.maximum(reach, situation.range_max), reach)
+    squared = (goals.object_x - situation.robot_x) ** 2 + (goals.object_y - situation.robot_y) ** 2
+    share = jnp.where(squared <= radius * radius, goals.object_accepted, 0.0)
+    return jnp.any(goals.is_object & jnp.isfinite(share) & (share >= LEAST_GOAL))
+
+
 def choose(
     belief: ParticleBelief,
     nodes: Nodes,
@@ -208,6 +228,9 @@ def choose(
     plan: Plan | None = None,
 ) -> Choice:
     """Pick the waypoint of highest value, or stop (eq. 10).
+
+    Limits: no stop without a goal that has been seen and is within reach; a value that is no
+    number closes its node, and with all of them closed the waypoint is where the robot stands.
 
     Args:
         belief: weighted particles.
@@ -246,13 +269,16 @@ def choose(
     value = valuation.goal_value + valuation.information_value - cost
     # Standing still teaches nothing: the node underfoot is a_stop's business.
     is_open = nodes.is_node & (distance > jnp.where(nodes.kind == OBJECT, params.reach, _UNDERFOOT))
-    value = jnp.where(is_open, value, -jnp.inf)
+    value = jnp.where(is_open & ~jnp.isnan(value), value, -jnp.inf)
     aim, is_kept = _aim(situation, value, commitment, is_news, may_keep=config.policy != "informed")
     return Choice(
         waypoint_x=aim.x,
         waypoint_y=aim.y,
         kind=aim.kind,
-        is_stop=(valuation.stop_mass >= params.stop_probability) & is_sure,
+        is_stop=(valuation.stop_mass >= params.stop_probability)
+        & jnp.isfinite(valuation.stop_mass)
+        & is_sure
+        & _has_goal(situation),
         is_kept=is_kept,
         value=value,
         goal_value=valuation.goal_value,

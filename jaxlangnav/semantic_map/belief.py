@@ -14,7 +14,10 @@ class ParticleBelief:
     particles: SemanticMap  # leaves [..., P]
     log_weight: Array  # f32[P] normalised
     coverage: Coverage  # where the robot has looked
-    last_pose: Array  # f32[3] dead-reckoned pose at the last observation
+    last_pose: Array  # f32[3] dead-reckoned pose at the last observation that was believed
+    doubted_pose: Array  # f32[3] … that was reported, believed or not
+    is_placed: Array  # bool[] area and start pose are as they were given, and can be
+    num_types: Array  # i32[] object types that a detection may name
     viewer: Array  # f32[3] x, y, heading when the last instruction was heard, map frame
     must_ground: Array  # bool[] words have come in that no particle has grounded yet
     log_evidence: Array  # f32[] log predictive probability of all detections and absences so

@@ -17,7 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.messages import Observation, Readings
+from jaxlangnav.grounding.program import NUM_TYPES
+from jaxlangnav.messages import Fault, Observation, Readings
 from jaxlangnav.numerics import categorical, chance
 from jaxlangnav.numerics.resampling import effective_sample_size, independent, systematic, take
 from jaxlangnav.pytree import pytree, replace
@@ -26,6 +27,7 @@ from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.coverage import area_size, log_miss_at, look, unexplored
 from jaxlangnav.semantic_map.params import MapConfig, MapParams
 from jaxlangnav.semantic_map.particle import SemanticMap
+from jaxlangnav.semantic_map.soundness import sound_look, sound_place
 from jaxlangnav.semantic_map.surprise import CONTRADICTION, surprise
 from jaxlangnav.semantic_map.words import ground_words
 
@@ -43,25 +45,30 @@ class FilterInfo:
     num_regrounded: Array  # i32[] particles that drew a new grounding
     log_language_evidence: Array  # f32[] log p(words | observed map), estimated
     overflow: Array  # i32[] detections without a free slot, most over particles
-    is_degenerate: Array  # bool[] all weights had died and were made uniform, or the observation
-    # held numbers that are not finite, which were left out
+    fault: Array  # i32[] bits of messages.Fault: why the observation was left out, or dead weights
     is_news: Array  # bool[] an object was seen for the first time, or words came in
     surprise: Array  # f32[] nats by which the observation is less probable than one that fits
     is_contradiction: Array  # bool[] … more than it is by chance: it contradicts the map
 
 
-def start(pose: Array, area: Array, num_mentions: int, config: MapConfig) -> ParticleBelief:
+def start(
+    pose: Array, area: Array, num_mentions: int, config: MapConfig, *, num_types: int = NUM_TYPES
+) -> ParticleBelief:
     """Build the belief of a robot that has seen nothing.
+
+    A pose or an area that cannot be is replaced by a harmless one, and every look is then at fault.
 
     Args:
         pose: f32[3], x, y, heading, metres and radians, map frame.
         area: f32[4], operating area x_min, x_max, y_min, y_max, metres.
         num_mentions: M, capacity for mentions.
         config: sizes.
+        num_types: object types that a detection may name.
 
     Returns:
         The belief; words are grounded at the first step.
     """
+    pose, area, is_placed = sound_place(pose, area)
     one = particle.empty(config.num_objects, num_mentions, pose[0], pose[1])
     number = config.num_particles
     return ParticleBelief(
@@ -71,6 +78,9 @@ def start(pose: Array, area: Array, num_mentions: int, config: MapConfig) -> Par
         log_weight=jnp.full(number, -jnp.log(float(number)), jnp.float32),
         coverage=unexplored(area, config.num_cells),
         last_pose=pose,
+        doubted_pose=pose,
+        is_placed=is_placed,
+        num_types=jnp.int32(num_types),
         viewer=pose,
         must_ground=jnp.asarray(True),
         log_evidence=jnp.float32(0.0),
@@ -87,37 +97,25 @@ def robot_position(belief: ParticleBelief) -> tuple[Array, Array]:
     )
 
 
-def predict(belief: ParticleBelief, pose: Array, params: MapParams) -> ParticleBelief:
+def predict(
+    belief: ParticleBelief, pose: Array, is_jump: Array, params: MapParams
+) -> ParticleBelief:
     """Move the robot in every particle by what odometry has measured since the last step.
 
     Args:
         belief: before the motion.
         pose: f32[3], dead-reckoned pose now.
+        is_jump: bool[], motion does not explain it: the robot may be there or where it was.
         params: odometry noise.
 
     Returns:
         The belief after the motion.
     """
     step_x, step_y = pose[0] - belief.last_pose[0], pose[1] - belief.last_pose[1]
-    variance = (params.motion.odometry_noise**2) * (step_x * step_x + step_y * step_y)
+    share = jnp.where(is_jump, 1.0, params.motion.odometry_noise)
+    variance = (share**2) * (step_x * step_x + step_y * step_y)
     moved = motion.move(belief.particles, step_x, step_y, variance)
     return replace(belief, particles=moved, last_pose=pose)
-
-
-def _sound(observation: Observation, last_pose: Array) -> tuple[Observation, Array]:
-    """Leave out what is not finite: one NaN would poison every particle for good."""
-    is_finite = jnp.isfinite(observation.detection_range) & jnp.isfinite(
-        observation.detection_bearing
-    )
-    has_pose = jnp.all(jnp.isfinite(observation.pose))
-    sound = replace(
-        observation,
-        pose=jnp.where(has_pose, observation.pose, last_pose),
-        detection_range=jnp.where(is_finite, observation.detection_range, 0.0),
-        detection_bearing=jnp.where(is_finite, observation.detection_bearing, 0.0),
-        is_detection=observation.is_detection & is_finite,
-    )
-    return sound, ~has_pose | jnp.any(observation.is_detection & ~is_finite)
 
 
 def _detections(
@@ -150,20 +148,25 @@ class Weighed(NamedTuple):
 
 
 def observe(
-    uniform: Array, belief: ParticleBelief, observation: Observation, params: MapParams
+    uniform: Array,
+    belief: ParticleBelief,
+    observation: Observation,
+    is_jump: Array,
+    params: MapParams,
 ) -> tuple[ParticleBelief, Weighed]:
     """Move, ground the detections, condition, and weigh what was and what was not seen.
 
     Args:
         uniform: f32[D, P], which decides what each detection is taken for.
         belief: at the last step.
-        observation: pose and detections now, all of them finite.
+        observation: pose and detections now, all of them sound.
+        is_jump: bool[], motion does not explain the pose.
         params: traced numbers.
 
     Returns:
         The belief with its weights as they were, and the likelihoods.
     """
-    belief = predict(belief, observation.pose, params)
+    belief = predict(belief, observation.pose, is_jump, params)
     detections = _detections(belief, observation, params)
     heading, sensor = observation.pose[2], observation.sensor
     noise_variance = jnp.maximum(sensor.noise, association.MIN_NOISE) ** 2
@@ -273,6 +276,7 @@ def step(
     *,
     params: MapParams,
     is_sparse: bool = False,
+    farthest: Array | None = None,
 ) -> tuple[ParticleBelief, FilterInfo]:
     """Run one step of the filter (eq. 6-8).
 
@@ -280,10 +284,11 @@ def step(
         key: random key, consumed.
         belief: at the last step.
         readings: what the instruction says.
-        observation: pose and detections now.
+        observation: pose and detections now; what cannot be is left out and flagged.
         params: traced numbers.
         is_sparse: under ``vmap`` over beliefs, ground the words only in the particles that need
             it, about a third of all. The same result, but no gradient in reverse mode.
+        farthest: f32[], metres that the robot can have gone since the last step; None: anywhere.
 
     Returns:
         The belief now, and information on the step.
@@ -295,8 +300,15 @@ def step(
         keys[np.array([0, 2, 3])], max(num_detections, 2) * number
     )
     associate = associate[: num_detections * number].reshape(num_detections, number)
-    observation, is_broken = _sound(observation, belief.last_pose)
-    belief, weighed = observe(associate, belief, observation, params)
+    sound = sound_look(belief, observation, farthest)
+    is_alive = jnp.all(belief.log_weight < jnp.inf) & jnp.any(belief.log_weight > -jnp.inf)
+    equal = -jnp.log(float(number))
+    belief = replace(
+        belief,
+        log_weight=jnp.where(is_alive, belief.log_weight, equal),
+        doubted_pose=sound.doubted_pose,
+    )
+    belief, weighed = observe(associate, belief, sound.observation, sound.is_jump, params)
     keep = keep[: 2 * number].reshape(2, number)
     found = reground(keys[1], keep, belief, readings, weighed, params, is_sparse)
 
@@ -308,7 +320,7 @@ def step(
     belief = replace(
         belief,
         particles=take(found.particles, ancestors),
-        log_weight=jnp.where(is_resampled, -jnp.log(float(number)), log_weight),
+        log_weight=jnp.where(is_resampled, equal, log_weight),
         must_ground=jnp.asarray(False),
         log_evidence=belief.log_evidence + found.log_total,
     )
@@ -318,7 +330,7 @@ def step(
         num_regrounded=jnp.sum(found.is_fresh),
         log_language_evidence=found.log_language,
         overflow=jnp.max(weighed.overflow),
-        is_degenerate=found.is_dead | is_broken,
+        fault=sound.fault + jnp.where(is_alive & ~found.is_dead, 0, int(Fault.WEIGHTS)),
         is_news=was_told | jnp.any(weighed.is_new),
         surprise=weighed.surprise,
         is_contradiction=weighed.surprise > CONTRADICTION,

@@ -50,6 +50,8 @@ def tell_step(scene: Scene, frame: Frame, before: Frame | None) -> list[str]:
     Returns:
         One sentence each.
     """
+    if int(frame.fault):
+        return [sentences.stands(frame)]
     told = [
         sentences.commanded(scene, frame, before),
         sentences.seen(scene, frame, before),
@@ -72,6 +74,8 @@ def headline(scene: Scene, frame: Frame, before: Frame | None) -> str:
     Returns:
         "discovers a cone", "stops", …
     """
+    if int(frame.fault):
+        return "stands still"
     if frame.is_done:
         return "says stop"
     if frame.is_stop:
@@ -123,6 +127,10 @@ def closing(scene: Scene, frame: Frame, result: EpisodeResult) -> list[str]:
         notes.append(f"In {int(result.degenerate)} steps all hypotheses had died.")
     if int(result.contradictions):
         notes.append(f"In {int(result.contradictions)} steps it saw what contradicts its map.")
+    if int(result.faults):
+        notes.append(
+            f"In {int(result.faults)} steps it stood still, for what cannot be was reported to it."
+        )
     return [verdict, way, *notes]
 
 
@@ -162,7 +170,7 @@ def is_quiet(frame: Frame, before: Frame | None) -> bool:
         True where the robot discovers nothing, is about as sure of the goal as it was, and goes
         for the same kind of place.
     """
-    if before is None or bool(frame.is_stop) or bool(frame.is_news):
+    if before is None or bool(frame.is_stop) or bool(frame.is_news) or int(frame.fault):
         return False
     is_same = int(frame.clause) == int(before.clause)
     if not is_same or int(frame.waypoint_kind) != int(before.waypoint_kind):

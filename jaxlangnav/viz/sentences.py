@@ -10,6 +10,7 @@ from jaxlangnav.viz.words import (
     RELATION_WORDS,
     article,
     describe_reading,
+    fault_words,
     listed,
     node_words,
     percent,
@@ -226,6 +227,18 @@ def believed(scene: Scene, frame: Frame) -> str:
     if nothing >= 0.15:
         told.append(f"In {percent(nothing)} of the maps nothing fits the command.")
     return " ".join(told)
+
+
+def stands(frame: Frame) -> str:
+    """Tell that the robot stands still, and why.
+
+    Args:
+        frame: a step with a fault.
+
+    Returns:
+        A sentence.
+    """
+    return f"Stands still: {listed(fault_words(int(frame.fault)))}."
 
 
 def decided(scene: Scene, frame: Frame) -> str:

@@ -2,7 +2,7 @@
 
 import math
 
-from jaxlangnav.messages import NONE, RELATIONS, ROBOT
+from jaxlangnav.messages import NONE, RELATIONS, ROBOT, Fault
 from jaxlangnav.planner.graph import OBJECT, VISITED
 from jaxlangnav.recording import Scene
 
@@ -21,6 +21,16 @@ SUPERLATIVE_WORDS = {
     "right": "farthest right of",
     "near": "nearest to",
     "far": "farthest from",
+}
+FAULT_WORDS = {
+    Fault.PLACE: "its area or its start cannot be",
+    Fault.POSE: "its pose cannot be",
+    Fault.JUMP: "its pose is farther off than it can have gone",
+    Fault.SENSOR: "its detector cannot be as it is said to be",
+    Fault.DETECTION: "it was shown what its detector cannot see",
+    Fault.CONTRADICTION: "it was shown two things at one place",
+    Fault.WEIGHTS: "all of its hypotheses had died",
+    Fault.COMMAND: "nothing is asked of it",
 }
 ORDINALS = ("second", "third", "fourth")
 _EIGHTHS = (
@@ -45,6 +55,18 @@ def direction(bearing: float) -> str:
         One of eight directions: "ahead", "ahead to the left", …
     """
     return _EIGHTHS[round(bearing / (math.pi / 4)) % 8]
+
+
+def fault_words(fault: int) -> list[str]:
+    """Say why a robot stands still.
+
+    Args:
+        fault: bits of ``Fault``.
+
+    Returns:
+        A clause for each.
+    """
+    return [words for bit, words in FAULT_WORDS.items() if fault & bit]
 
 
 def node_words(kind: int, policy: str) -> str:

@@ -1,0 +1,180 @@
+"""What cannot be makes the robot stand still and say why; what can be again makes it go on."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hostile import MUTATIONS, looks
+from test_navigator_step import AREA, distance, go, robot, see
+
+from jaxlangnav import navigator
+from jaxlangnav.grounding import understand
+from jaxlangnav.messages import Fault
+from jaxlangnav.pytree import replace
+
+__all__ = ["robot"]
+TEXT = "go to the hydrant behind the cone"
+START = (2.0, 0.0)
+GOOD = see(START, 0.0)
+
+
+def begin(robot) -> navigator.NavigatorState:
+    return robot.start(TEXT, pose=(*START, 0.0), area=AREA)
+
+
+def advance(robot, state, look, seed: int = 0):
+    return robot.step(jax.random.fold_in(jax.random.key(1), seed), state, look)
+
+
+def assert_stands(action, info) -> None:
+    assert int(info.fault) != 0
+    assert not bool(action.is_stop)
+    np.testing.assert_array_equal(action.step, 0.0)
+    np.testing.assert_array_equal(action.waypoint, info.robot)
+    assert np.isfinite(np.asarray(info.robot)).all()
+
+
+def assert_finite(state) -> None:
+    """All of the state but log-weights, which may be −∞ where a reading has no probability."""
+    kept = replace(state, instruction=None)
+    for path, leaf in jax.tree_util.tree_leaves_with_path(kept):
+        assert np.isfinite(np.asarray(leaf, float)).all(), jax.tree_util.keystr(path)
+
+
+def assert_arrives(robot, state, start=START) -> None:
+    run = go(robot, state, start=start, seed=3)
+    assert bool(run.state.is_done)
+    assert distance(run, 1) < 1.5
+    assert all(int(info.fault) == 0 for info in run.infos)
+
+
+def jump(draw: np.random.Generator, look):
+    """Report a pose in the area, farther off than a cycle's way."""
+    angle, metres = draw.uniform(-np.pi, np.pi), draw.uniform(2.5, 4.0)
+    pose = look.pose + np.float32([metres * np.cos(angle), metres * np.sin(angle), 0.0])
+    return replace(look, pose=pose)
+
+
+@pytest.mark.parametrize("number", [220, pytest.param(10_000, marks=pytest.mark.slow)])
+def test_hostile_looks_never_stop_or_move_it_and_are_forgotten(robot, number: int) -> None:
+    state, draw = begin(robot), np.random.default_rng(7)
+    drawn = looks(GOOD, number, seed=number)
+    for index in range(1, number, 10):
+        drawn[index] = (jump(draw, GOOD), Fault.JUMP)
+    for index, (look, flag) in enumerate(drawn):
+        state, action, info = advance(robot, state, look, index)
+        assert_stands(action, info)
+        assert flag in Fault(int(info.fault)), (index, flag)
+        if index % 50 == 0:
+            assert_finite(state)
+    assert_finite(state)
+    assert_arrives(robot, state)
+
+
+def test_hostile_looks_on_the_way_cost_time_and_nothing_else(robot) -> None:
+    """Before each look that can be, one of every field that cannot."""
+    draw, names = np.random.default_rng(0), list(MUTATIONS)
+
+    def disturb(state, look, step: int):
+        broken = MUTATIONS[names[step % len(names)]][0](draw, look)
+        state, action, info = advance(robot, state, broken, 1000 + step)
+        assert_stands(action, info)
+        return state
+
+    state = robot.start(TEXT, area=AREA)
+    run = go(robot, state, disturb=disturb)
+    assert bool(run.state.is_done)
+    assert distance(run, 1) < 1.5
+
+
+def test_a_carried_robot_says_so_at_once_and_finds_its_way(robot) -> None:
+    run = go(robot, robot.start(TEXT, area=AREA), max_steps=3)
+    carried = (5.0, -3.0)
+    for step in range(2):  # it is doubted, and then taken over
+        state, action, info = advance(robot, run.state, see(carried, 0.0), step)
+        assert int(info.fault) == Fault.JUMP
+        assert_stands(action, info)
+        run.state = state
+    assert np.hypot(*(np.asarray(info.robot) - carried)) < 0.5
+    assert_arrives(robot, run.state, start=carried)
+
+
+def test_a_quick_robot_is_not_taken_for_a_carried_one(robot) -> None:
+    state = robot.start("quickly go to the hydrant", area=AREA)
+    run = go(robot, state)
+    assert max(float(np.hypot(*action.step)) for action in run.actions) > 1.4
+    assert all(int(info.fault) == 0 for info in run.infos)
+
+
+def test_a_type_that_the_model_does_not_know_is_said(robot) -> None:
+    kinds = np.array(GOOD.detection_type)
+    kinds[0] = len(robot.model.type_names)
+    _, action, info = advance(robot, begin(robot), replace(GOOD, detection_type=kinds))
+    assert_stands(action, info)
+    assert int(info.fault) == Fault.DETECTION
+
+
+def test_dead_weights_are_said_and_healed(robot) -> None:
+    run = go(robot, begin(robot), start=START, max_steps=2)
+    for dead in (-np.inf, np.nan):
+        weight = jnp.full_like(run.state.belief.log_weight, dead)
+        state = replace(run.state, belief=replace(run.state.belief, log_weight=weight))
+        place = tuple(run.end)
+        state, action, info = advance(robot, state, see(place, 0.0))
+        assert int(info.fault) == Fault.WEIGHTS
+        assert_stands(action, info)
+        assert_finite(state)
+        assert_arrives(robot, state, start=place)
+
+
+@pytest.mark.parametrize(
+    ("pose", "area"),
+    [((np.nan, 0.0, 0.0), AREA), ((0.0, 0.0, 0.0), (0.0, np.nan, -5.0, 5.0))],
+)
+def test_a_place_that_cannot_be(robot, pose, area) -> None:
+    """Refused in one line; in a batch, where it is data, the robot never moves and says so."""
+    with pytest.raises(ValueError, match="but must be"):
+        robot.start(TEXT, pose=pose, area=area)
+    for broken in ((np.nan, 0.0, 0.0), (1e39, 0.0, 0.0), (0.0,)):
+        with pytest.raises(ValueError, match="pose is"):
+            robot.start(TEXT, pose=broken)
+    state = navigator.start(
+        understand(TEXT, robot.model).instruction,
+        jnp.asarray(pose, jnp.float32),
+        jnp.asarray(area, jnp.float32),
+        config=robot.config,
+    )
+    state = replace(state, belief=replace(state.belief, num_types=begin(robot).belief.num_types))
+    for step in range(3):
+        state, action, info = advance(robot, state, GOOD, step)
+        assert_stands(action, info)
+        assert Fault.PLACE in Fault(int(info.fault))
+        assert_finite(state)
+    assert not bool(state.is_done)
+
+
+def test_a_statement_is_refused_and_ends_nothing(robot) -> None:
+    said = "the hydrant is behind the car"
+    with pytest.raises(ValueError, match="asks for nothing"):
+        robot.start(said, area=AREA)
+    run = go(robot, robot.start(TEXT, area=AREA), max_steps=2)
+    with pytest.raises(ValueError, match="asks for nothing"):
+        robot.hear(run.state, said)
+    statement = understand(said, robot.model).instruction
+    # In a batch it is data: the task goes on as if nothing had been said.
+    told = navigator.hear(run.state, statement, jnp.full(3, jnp.nan))
+    for ours, before in zip(jax.tree.leaves(told), jax.tree.leaves(run.state), strict=True):
+        np.testing.assert_array_equal(ours, before)
+    # A robot that has never been asked for anything stands still.
+    idle = replace(run.state, instruction=statement)
+    _, action, info = advance(robot, idle, see(tuple(run.end), 0.0))
+    assert int(info.fault) == Fault.COMMAND
+    assert_stands(action, info)
+
+
+def test_a_command_heard_at_a_place_that_cannot_be_is_heard_where_it_was(robot) -> None:
+    state = begin(robot)
+    instruction = understand("go to the cone", robot.model).instruction
+    told = navigator.hear(state, instruction, jnp.array([jnp.nan, 0.0, 0.0]))
+    np.testing.assert_array_equal(told.belief.viewer, state.belief.last_pose)
+    assert bool(told.belief.must_ground)
