@@ -99,13 +99,9 @@ class Navigator:
 
     def _command(self, text: str) -> Instruction:
         """Understand a sentence that asks for something."""
-        instruction = understand(text, self.model).instruction
-        if int(instruction.num_clauses) == 0:
-            raise ValueError(
-                f"{text!r} informs but asks for nothing to be done: put it into the command, as in "
-                "'go to the hydrant behind the car'"
-            )
-        return instruction
+        understood = understand(text, self.model)
+        understood.check_task()
+        return understood.instruction
 
     def step(
         self, key: Array, state: NavigatorState, observation: Observation
