@@ -1,4 +1,4 @@
-"""The navigator for people: models, parameters and sizes in one object.
+"""The navigator for people: grounder, parameters and sizes in one object.
 
 Two functions over records are the whole engine, for any robot or simulator:
 
@@ -19,7 +19,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav import navigator
-from jaxlangnav.grounding import GroundingModel, load_shipped, understand
+from jaxlangnav.grounding import Context, GraphGrounder, Grounder, load_shipped
 from jaxlangnav.messages import Action, Observation
 from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams, NavigatorState
 from jaxlangnav.planner.own import Policy
@@ -34,18 +34,21 @@ _step = jax.jit(navigator.step, static_argnames="config")
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Navigator:
-    """Models, parameters and sizes of an agent that follows instructions."""
+    """Grounder, parameters and sizes of an agent that follows instructions."""
 
-    model: GroundingModel
+    grounder: Grounder
     params: NavigatorParams
     config: NavigatorConfig
 
     @classmethod
-    def pretrained(cls, policy: str | Policy = "informed") -> Self:
+    def pretrained(
+        cls, policy: str | Policy = "informed", grounder: Grounder | None = None
+    ) -> Self:
         """Build a navigator from the weights that ship with the package.
 
         Args:
             policy: "informed", "faithful" to the paper, or a policy of one's own.
+            grounder: what understands instructions; the trained graph by default.
 
         Returns:
             The navigator, with default parameters and sizes, but without the search prior that was
@@ -55,7 +58,7 @@ class Navigator:
             ValueError: no such policy.
         """
         return cls(
-            model=load_shipped(),
+            grounder=GraphGrounder(load_shipped()) if grounder is None else grounder,
             params=_params_anywhere(),
             config=NavigatorConfig(planner=PlannerConfig(policy=policy)),
         )
@@ -63,6 +66,11 @@ class Navigator:
     def __post_init__(self) -> None:
         """Refuse parameters with which the robot could never stop."""
         navigator.check(self.params)
+
+    @property
+    def type_names(self) -> tuple[str, ...]:
+        """Object types; a detection names its type by the index into them."""
+        return self.grounder.type_names
 
     def start(
         self,
@@ -93,7 +101,7 @@ class Navigator:
                 f"area is {tuple(bounds)}, but must be (x_min, x_max, y_min, y_max) with "
                 "x_min < x_max and y_min < y_max, in metres"
             )
-        instruction = understand(text, self.model).instruction
+        instruction = self.grounder.ground(text, Context(is_under_way=False)).instruction
         if int(instruction.num_clauses) == 0:
             raise ValueError(
                 f"{text!r} informs but asks for nothing to be done: say it with hear, or give a "
@@ -134,7 +142,7 @@ class Navigator:
         Raises:
             ValueError: the instruction is not understood.
         """
-        instruction = understand(text, self.model).instruction
+        instruction = self.grounder.ground(text, Context(is_under_way=True)).instruction
         return navigator.hear(state, instruction, state.belief.last_pose)
 
 
