@@ -3,6 +3,7 @@
 import copy
 import json
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -317,3 +318,28 @@ def test_landmarks_come_before_the_figures_beside_them() -> None:
 def test_types_that_cannot_be_told_apart_are_refused(build: Callable[[], tuple]) -> None:
     with pytest.raises(ValueError, match="1 to 15 are held, each once"):
         AnnotationGrounder(build())
+
+
+def test_the_form_in_the_documentation_is_taken() -> None:
+    """And so is the grounder that is written there around a model."""
+    page = (Path(__file__).parent.parent / "docs" / "how-to.md").read_text("utf-8")
+    section = page.split("## Annotations from a form")[1].split("\n## ")[0]
+    document = section.split("```json\n")[1].split("```")[0]
+    names: dict = {}
+    exec(section.split("```python\n")[2].split("```")[0], names)
+    asked: list[str] = []
+
+    def ask(prompt: str) -> str:
+        asked.append(prompt)
+        return document
+
+    grounded = names["Asked"](ask, ("gazebo", "bridge")).ground("go there", START)
+    assert int(grounded.instruction.num_clauses) == 2
+    assert "go there" in asked[0]
+    assert "gazebo, bridge" in asked[0]
+    assert "exclusiveMinimum" in asked[0]
+    refusal = section.split("`$.")[1].split("`")[0]
+    wrong = changed(*RELATION, "relation", to="above")
+    with pytest.raises(ValueError, match="above") as refused:
+        AnnotationGrounder(TYPES).ground(json.dumps(wrong), START)
+    assert str(refused.value) == f"$.{refusal}"
