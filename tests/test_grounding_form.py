@@ -11,10 +11,10 @@ from jsonschema import Draft202012Validator
 
 from jaxlangnav.grounding import AnnotationGrounder, Context
 from jaxlangnav.grounding.features import NUM_RANKS
-from jaxlangnav.grounding.form import read_form, schema
+from jaxlangnav.grounding.form import annotation_schema, read_form
 from jaxlangnav.grounding.instruction import NUM_CLAUSES
+from jaxlangnav.grounding.json_schema import validate
 from jaxlangnav.grounding.readings import NUM_MENTIONS, NUM_READINGS, NUM_RELATIONS_SAID
-from jaxlangnav.grounding.schema import check
 from jaxlangnav.messages import ACTIONS, LEFT, MODES, NEAR, NONE, REGIONS, RELATIONS, ROBOT
 
 TYPES = ("hydrant", "cone", "car")
@@ -128,20 +128,20 @@ BAD: list[tuple[object, str]] = [
 
 
 def test_the_schema_is_one() -> None:
-    Draft202012Validator.check_schema(schema())
+    Draft202012Validator.check_schema(annotation_schema())
 
 
 @pytest.mark.parametrize("document", GOOD)
 def test_what_the_schema_takes_is_taken(document: dict) -> None:
-    assert Draft202012Validator(schema()).is_valid(document)
-    check(document, schema(), root=schema(), path="$")
+    assert Draft202012Validator(annotation_schema()).is_valid(document)
+    validate(document, annotation_schema(), root=annotation_schema(), path="$")
 
 
 @pytest.mark.parametrize(("document", "field"), BAD)
 def test_what_the_schema_refuses_is_refused_by_its_field(document: object, field: str) -> None:
-    assert not Draft202012Validator(schema()).is_valid(document)
+    assert not Draft202012Validator(annotation_schema()).is_valid(document)
     with pytest.raises(ValueError, match=r"but (may|must|at most)|is missing") as refused:
-        check(document, schema(), root=schema(), path="$")
+        validate(document, annotation_schema(), root=annotation_schema(), path="$")
     message = str(refused.value)
     assert message.startswith(f"{field} ")
     assert "\n" not in message
@@ -161,13 +161,13 @@ ANYTHING = (None, True, -1, 0, 1, 2.0, 2.5, 1e9, "", "a", "robot", "near", [], [
 
 
 def test_any_value_in_any_place_is_judged_as_by_the_schema() -> None:
-    judge = Draft202012Validator(schema())
+    judge = Draft202012Validator(annotation_schema())
     taken = 0
     for path in paths(FORM):
         for value in ANYTHING:
             document = changed(*path, to=value)
             try:
-                check(document, schema(), root=schema(), path="$")
+                validate(document, annotation_schema(), root=annotation_schema(), path="$")
                 is_taken = True
             except ValueError:
                 is_taken = False
@@ -178,7 +178,7 @@ def test_any_value_in_any_place_is_judged_as_by_the_schema() -> None:
 
 def test_the_schema_names_what_the_engine_knows() -> None:
     """The published file is read by others too, so it holds the names and sizes itself."""
-    parts = schema()["$defs"]
+    parts = annotation_schema()["$defs"]
     reading, relation, command = (
         parts[name]["properties"] for name in ("reading", "relation", "command")
     )
@@ -191,7 +191,7 @@ def test_the_schema_names_what_the_engine_knows() -> None:
     assert sizes == {
         "things": NUM_MENTIONS, "relations": NUM_RELATIONS_SAID, "commands": NUM_CLAUSES,
     }  # fmt: skip
-    assert schema()["properties"]["readings"]["maxItems"] == NUM_READINGS
+    assert annotation_schema()["properties"]["readings"]["maxItems"] == NUM_READINGS
 
 
 # Text → what the refusal says. None of this can be said by a schema.
@@ -201,6 +201,10 @@ MEANINGLESS: list[tuple[str, str]] = [
     ('{"readings": NaN}', "NaN, which is no number"),
     ('{"notes": [], "notes": []}', "'notes' twice"),
     ("[" * 20_000, "nest too deeply"),
+    (
+        '{"readings": [{"probability": 1%s, "things": []}]}' % ("0" * 5000),
+        "inf, but must be the pro",
+    ),
     (" " * 70_000, "70,000 characters; at most 65,536"),
     (json.dumps(changed(*FIRST, "probability", to=0.5)), "sum to 0.7, but must sum to 1"),
     (

@@ -249,6 +249,16 @@ def test_goals_that_nothing_tells_apart_share_by_their_probabilities() -> None:
     np.testing.assert_allclose(only[0], 0.3, atol=1e-3)
 
 
+def test_a_plain_relation_shows_in_a_reading_that_means_the_extreme_one() -> None:
+    """The nearest cone is near, so that the first goal is no surer than its reading."""
+    grounded = ground(
+        reading("cone tree", ("a", "near", "robot"), commands=[to("a")], probability=0.7),
+        reading("cone tree", ("a", "near", "robot", 1), commands=[to("b")], probability=0.3),
+    )
+    goal = behaviors(grounded, [world_of("cone tree", ("near", 0, -1))]).goal[AT, :, 0]
+    np.testing.assert_allclose(goal[:2], [0.49 + 0.21 / 2, 0.09 + 0.21 / 2], atol=1e-3)
+
+
 def test_readings_with_one_goal_leave_no_doubt_of_it() -> None:
     readings = [
         reading("cone tree", ("a", place, "b"), commands=[to("a", "behind")], probability=0.5)

@@ -188,6 +188,24 @@ def test_what_the_robot_sees_settles_which_reading_is_meant(robot) -> None:
     assert weight[reading == 1].sum() > 0.9
 
 
+def test_where_the_likelier_thing_is_nowhere_the_other_will_do(robot) -> None:
+    """Nothing said tells which thing is meant; there is no car, and the robot looks for it."""
+    told = dataclasses.replace(robot, grounder=AnnotationGrounder(robot.type_names))
+    readings = [
+        {
+            "probability": probability,
+            "things": [{"id": "it", "type": kind}],
+            "commands": [{"goal": {"thing": "it"}}],
+        }
+        for kind, probability in (("car", 0.7), ("hydrant", 0.3))
+    ]
+    run = go(told, told.start(json.dumps({"readings": readings}), area=AREA))
+    assert bool(run.state.is_done)
+    assert distance(run, 1) < 1.5
+    sure = go(robot, robot.start("go to the hydrant", area=AREA))
+    assert len(run.actions) > len(sure.actions)
+
+
 def test_annotations_may_speak_of_any_types(robot) -> None:
     """No lexicon, no training and no further compilation: the detector's names are enough."""
     types = ("gazebo", "bridge")

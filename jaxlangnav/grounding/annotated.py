@@ -31,7 +31,7 @@ from jaxlangnav.messages import NONE
 
 @dataclasses.dataclass(frozen=True)
 class AnnotationGrounder:
-    """Takes instructions as JSON that fits ``form.schema()``."""
+    """Takes instructions as JSON that fits ``form.annotation_schema()``."""
 
     type_names: tuple[str, ...] = dataclasses.field(
         default_factory=lambda: load_lexicon().type_names

@@ -24,7 +24,7 @@ class Description:
 
 
 @dataclasses.dataclass(frozen=True)
-class Goal:
+class Destination:
     """Where a command ends."""
 
     thing: Description
@@ -32,7 +32,7 @@ class Goal:
     before: int = ANY
 
 
-def describe(reading: FormReading, thing: int, behind: tuple[int, ...] = ()) -> Description:
+def description_of(reading: FormReading, thing: int, behind: tuple[int, ...] = ()) -> Description:
     """Describe a thing by its relations, and its landmarks by theirs.
 
     Args:
@@ -46,17 +46,17 @@ def describe(reading: FormReading, thing: int, behind: tuple[int, ...] = ()) -> 
     """
     path = (*behind, thing)
     places = {
-        (one.relation, one.rank, describe(reading, one.landmark, path))
+        (one.relation, one.rank, description_of(reading, one.landmark, path))
         for one in reading.relations
         if one.figure == thing and one.landmark not in path
     }
     return Description(reading.type_of(thing), frozenset(places))
 
 
-def goal_of(reading: FormReading, index: int) -> Goal:
+def destination_of(reading: FormReading, index: int) -> Destination:
     """Describe the goal of one of a reading's commands."""
     command = reading.commands[index]
-    goal = Goal(describe(reading, command.thing), command.region)
+    goal = Destination(description_of(reading, command.thing), command.region)
     if index == 0:
         return goal
     last = reading.commands[index - 1].thing
@@ -80,17 +80,21 @@ def may_fit(thing: Description, reading: FormReading) -> bool:
 def _fits(thing: Description, reading: FormReading, index: int) -> bool:
     """Tell whether a thing of a reading has a description, and maybe more."""
     told = [one for one in reading.relations if one.figure == index]
-    return reading.type_of(index) == thing.kind and all(
-        any(
-            (one.relation, one.rank) == (relation, rank) and _fits(landmark, reading, one.landmark)
+
+    def is_told(relation: int, rank: int, landmark: Description) -> bool:
+        # The nearest is near, too; of later ranks, a particle does not know which.
+        return any(
+            one.relation == relation
+            and (rank == 0 or min(rank, 2) == min(one.rank, 2))
+            and _fits(landmark, reading, one.landmark)
             for one in told
         )
-        for relation, rank, landmark in thing.places
-    )
+
+    return reading.type_of(index) == thing.kind and all(is_told(*place) for place in thing.places)
 
 
-def goals(form: Form, index: int) -> dict[Goal, float]:
-    """Find the goals of a command, likeliest first.
+def destinations(form: Form, index: int) -> dict[Destination, float]:
+    """Find the goals of a command.
 
     Args:
         form: whose readings may differ in what they ask for.
@@ -100,19 +104,14 @@ def goals(form: Form, index: int) -> dict[Goal, float]:
         The probability of each goal; 1 of one that shows in no particle whose reading has another
         goal, for then the particles' weights say how probable it is.
     """
-    total: dict[Goal, float] = {}
-    for reading in form.readings:
-        goal = goal_of(reading, index)
-        total[goal] = total.get(goal, 0.0) + reading.probability
-    ranked = sorted(total.items(), key=lambda item: -item[1])
-    return {
-        goal: share
-        if any(
-            goal_of(other, index) != goal and may_fit(goal.thing, other) for other in form.readings
-        )
-        else 1.0
-        for goal, share in ranked
-    }
+    meant = [destination_of(reading, index) for reading in form.readings]
+    pairs = list(zip(form.readings, meant, strict=True))
+    found: dict[Destination, float] = {}
+    for end in dict.fromkeys(meant):
+        share = sum(reading.probability for reading, own in pairs if own == end)
+        is_sure = not any(own != end and may_fit(end.thing, reading) for reading, own in pairs)
+        found[end] = 1.0 if is_sure else share
+    return found
 
 
 def avoided(form: Form, index: int) -> dict[Description, float]:
@@ -123,10 +122,10 @@ def avoided(form: Form, index: int) -> dict[Description, float]:
         index: which command.
 
     Returns:
-        Descriptions with probabilities, as ``goals``.
+        Descriptions with probabilities, as ``destinations``.
     """
     named = [
-        {describe(reading, thing) for thing in reading.commands[index].avoid}
+        [description_of(reading, thing) for thing in reading.commands[index].avoid]
         for reading in form.readings
     ]
     found: dict[Description, float] = {}

@@ -1,7 +1,7 @@
 """A form of annotations: what an instruction says and asks for, without its words (section 3.1).
 
 Whoever can read an instruction fills it in: a person, a program, a language model. It is JSON,
-described by ``schema()``, and refused field by field.
+described by ``annotation_schema()``, and refused field by field.
 """
 
 import dataclasses
@@ -12,7 +12,7 @@ from functools import cache
 from importlib import resources
 from typing import Any, NoReturn
 
-from jaxlangnav.grounding.schema import check, quote
+from jaxlangnav.grounding.json_schema import quote, validate
 from jaxlangnav.messages import ACTIONS, AT, BEHIND, FRONT, MODES, REGIONS, RELATIONS, ROBOT
 
 MAX_CHARACTERS = 65_536
@@ -23,7 +23,7 @@ _TOLERANCE = 0.01
 
 
 @dataclasses.dataclass(frozen=True)
-class Relation:
+class FormRelation:
     """Where a thing of a reading is; things are counted from 0, or ``ROBOT``."""
 
     figure: int
@@ -33,7 +33,7 @@ class Relation:
 
 
 @dataclasses.dataclass(frozen=True)
-class Command:
+class FormCommand:
     """Something to be done."""
 
     action: int  # index into ACTIONS
@@ -49,8 +49,8 @@ class FormReading:
 
     probability: float
     types: tuple[int, ...]  # object type of each thing
-    relations: tuple[Relation, ...]
-    commands: tuple[Command, ...]
+    relations: tuple[FormRelation, ...]
+    commands: tuple[FormCommand, ...]
 
     def type_of(self, thing: int) -> int:
         """Look up the object type of a thing; ``ROBOT`` is a type of its own."""
@@ -66,7 +66,7 @@ class Form:
 
 
 @cache
-def schema() -> Mapping[str, Any]:
+def annotation_schema() -> Mapping[str, Any]:
     """Read the published JSON Schema of the form."""
     file = resources.files("jaxlangnav.grounding").joinpath("data/annotations.schema.json")
     return json.loads(file.read_text("utf-8"))
@@ -76,7 +76,7 @@ def read_form(text: str, type_names: Sequence[str]) -> Form:
     """Read a form.
 
     Args:
-        text: JSON that fits ``schema()``.
+        text: JSON that fits ``annotation_schema()``.
         type_names: object types that a thing may have.
 
     Returns:
@@ -86,7 +86,7 @@ def read_form(text: str, type_names: Sequence[str]) -> Form:
         ValueError: it is no JSON, or a field cannot be; one line with the field's JSON path.
     """
     document = _load(text)
-    check(document, schema(), root=schema(), path="$")
+    validate(document, annotation_schema(), root=annotation_schema(), path="$")
     readings = [
         _read(one, type_names, f"$.readings[{i}]") for i, one in enumerate(document["readings"])
     ]
@@ -116,7 +116,12 @@ def _load(text: str) -> Any:
             f"the annotations have {len(text):,} characters; at most {MAX_CHARACTERS:,} are read"
         )
     try:
-        return json.loads(text, object_pairs_hook=_once_each, parse_constant=_refuse_constant)
+        return json.loads(
+            text,
+            object_pairs_hook=_once_each,
+            parse_constant=_refuse_constant,
+            parse_int=_read_integer,
+        )
     except json.JSONDecodeError as error:
         raise ValueError(
             f"annotations are JSON, but {quote(text)} is none: line {error.lineno}, column "
@@ -124,6 +129,11 @@ def _load(text: str) -> Any:
         ) from None
     except RecursionError:
         raise ValueError("the annotations nest too deeply for any form") from None
+
+
+def _read_integer(digits: str) -> int | float:
+    """Read a whole number; one of thousands of digits, which Python refuses, is infinite."""
+    return int(digits) if len(digits) < 20 else float(digits)
 
 
 def _refuse_constant(name: str) -> NoReturn:
@@ -184,7 +194,9 @@ def _look_up_thing(name: str, index: Mapping[str, int], path: str) -> int:
     return found
 
 
-def _read_relation(document: Mapping[str, Any], index: Mapping[str, int], path: str) -> Relation:
+def _read_relation(
+    document: Mapping[str, Any], index: Mapping[str, int], path: str
+) -> FormRelation:
     """Read one relation."""
     figure = _look_up_thing(document["figure"], index, f"{path}.figure")
     landmark = _look_up(document["landmark"], index, f"{path}.landmark")
@@ -199,10 +211,10 @@ def _read_relation(document: Mapping[str, Any], index: Mapping[str, int], path: 
             f"{path}.rank is {rank}, but nothing is ordered by {RELATIONS[relation]}: use near, "
             "far, left or right"
         )
-    return Relation(figure, relation, landmark, rank)
+    return FormRelation(figure, relation, landmark, rank)
 
 
-def _read_command(document: Mapping[str, Any], index: Mapping[str, int], path: str) -> Command:
+def _read_command(document: Mapping[str, Any], index: Mapping[str, int], path: str) -> FormCommand:
     """Read one command."""
     goal = document["goal"]
     region = REGIONS.index(goal.get("region", REGIONS[AT]))
@@ -217,7 +229,7 @@ def _read_command(document: Mapping[str, Any], index: Mapping[str, int], path: s
     )
     if thing in avoid and region == AT:
         raise ValueError(f"{path}.avoid holds {quote(goal['thing'])}, which is the goal")
-    return Command(
+    return FormCommand(
         action=ACTIONS.index(document.get("action", ACTIONS[0])),
         mode=MODES.index(document.get("mode", MODES[0])),
         region=region,

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxlangnav.grounding.described import AGAIN, ANY, OTHER, Description, avoided, goals
+from jaxlangnav.grounding.described import AGAIN, ANY, OTHER, Description, avoided, destinations
 from jaxlangnav.grounding.form import Form
 from jaxlangnav.grounding.program import (
     MAX_DEPTH,
@@ -61,8 +61,8 @@ def clause_of_form(form: Form, index: int) -> dict[str, np.ndarray]:
     Raises:
         CapacityError: the program cannot hold as much; one line.
     """
-    wanted = goals(form, index)
-    regions = sorted({goal.region for goal in wanted})
+    wanted = destinations(form, index)
+    regions = sorted({end.region for end in wanted})
     if len(regions) > NUM_SLOTS:
         names = ", ".join(REGIONS[region] for region in regions)
         raise CapacityError(
@@ -70,8 +70,8 @@ def clause_of_form(form: Form, index: int) -> dict[str, np.ndarray]:
             f"{NUM_SLOTS} are held: leave the least likely reading out"
         )
     phrases = [
-        _at_goal(_thing(goal.thing, CERTAIN, goal.before), goal.region, regions, share)
-        for goal, share in wanted.items()
+        _at_goal(_thing(end.thing, CERTAIN, end.before), end.region, regions, share)
+        for end, share in wanted.items()
     ]
     phrases += [_thing(thing, _log_odds(share)) for thing, share in avoided(form, index).items()]
     root = _Phrase(_root_row(regions), tuple(_gathered(phrases, regions)))

@@ -27,7 +27,7 @@ def quote(value: Any) -> str:
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…"
 
 
-def check(value: Any, schema: Mapping[str, Any], *, root: Mapping[str, Any], path: str) -> None:
+def validate(value: Any, schema: Mapping[str, Any], *, root: Mapping[str, Any], path: str) -> None:
     """Refuse a value that does not fit a schema.
 
     Args:
@@ -76,7 +76,7 @@ def _check_object(
                 f"{path} has a field {quote(name)}, but may only have {', '.join(fields)}: "
                 "leave it out"
             )
-        check(own, fields[name], root=root, path=f"{path}.{name}")
+        validate(own, fields[name], root=root, path=f"{path}.{name}")
 
 
 def _describe(schema: Mapping[str, Any], root: Mapping[str, Any]) -> str:
@@ -101,7 +101,7 @@ def _check_list(
             f"{schema['description']}"
         )
     for index, own in enumerate(value):
-        check(own, schema["items"], root=root, path=f"{path}[{index}]")
+        validate(own, schema["items"], root=root, path=f"{path}[{index}]")
 
 
 def _check_string(value: str, schema: Mapping[str, Any], path: str) -> None:
