@@ -36,7 +36,7 @@ def main(text: str) -> np.ndarray:
     state = navigator.start(text, pose=(0.0, 0.0, 0.0), area=(0.0, 12.0, -6.0, 6.0))
     position, heading = np.zeros(2), 0.0
     for step, key in enumerate(jax.random.split(jax.random.key(0), 100)):
-        observation = look(position, heading, navigator.model.type_names)
+        observation = look(position, heading, navigator.type_names)
         state, action, _ = navigator.step(key, state, observation)
         if action.is_stop:
             print(f"step {step}: stop at ({position[0]:.1f}, {position[1]:.1f})")

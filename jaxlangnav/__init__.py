@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from jaxlangnav.agent import Navigator as Navigator
     from jaxlangnav.commands.runtime import keep_compiled_programs as keep_compiled_programs
     from jaxlangnav.following import follow as follow
+    from jaxlangnav.grounding.annotated import AnnotationGrounder as AnnotationGrounder
     from jaxlangnav.language.parser import parse as parse
     from jaxlangnav.messages import Action as Action
     from jaxlangnav.messages import Behavior as Behavior
@@ -24,6 +25,7 @@ __version__ = "0.1.0"
 
 _HOMES = {
     "Action": "jaxlangnav.messages",
+    "AnnotationGrounder": "jaxlangnav.grounding.annotated",
     "Behavior": "jaxlangnav.messages",
     "Fault": "jaxlangnav.messages",
     "Navigator": "jaxlangnav.agent",
@@ -38,6 +40,7 @@ _HOMES = {
 
 __all__ = [
     "Action",
+    "AnnotationGrounder",
     "Behavior",
     "Fault",
     "Navigator",

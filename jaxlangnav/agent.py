@@ -1,4 +1,4 @@
-"""The navigator for people: models, parameters and sizes in one object.
+"""The navigator for people: grounder, parameters and sizes in one object.
 
 Two functions over records are the whole engine, for any robot or simulator:
 
@@ -19,10 +19,11 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav import navigator
-from jaxlangnav.grounding import GroundingModel, load_shipped, understand
+from jaxlangnav.grounding import Context, GraphGrounder, Grounder, load_shipped
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.messages import Action, Observation
 from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams, NavigatorState
+from jaxlangnav.plain_text import cut
 from jaxlangnav.planner.own import Policy
 from jaxlangnav.planner.params import PlannerConfig
 from jaxlangnav.pytree import replace
@@ -36,18 +37,21 @@ _step = jax.jit(navigator.step, static_argnames="config")
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Navigator:
-    """Models, parameters and sizes of an agent that follows instructions."""
+    """Grounder, parameters and sizes of an agent that follows instructions."""
 
-    model: GroundingModel
+    grounder: Grounder
     params: NavigatorParams
     config: NavigatorConfig
 
     @classmethod
-    def pretrained(cls, policy: str | Policy = "informed") -> Self:
+    def pretrained(
+        cls, policy: str | Policy = "informed", grounder: Grounder | None = None
+    ) -> Self:
         """Build a navigator from the weights that ship with the package.
 
         Args:
             policy: "informed", "faithful" to the paper, or a policy of one's own.
+            grounder: what understands instructions; the trained graph by default.
 
         Returns:
             The navigator, with default parameters and sizes, but without the search prior that was
@@ -57,7 +61,7 @@ class Navigator:
             ValueError: no such policy.
         """
         return cls(
-            model=load_shipped(),
+            grounder=GraphGrounder(load_shipped()) if grounder is None else grounder,
             params=_params_anywhere(),
             config=NavigatorConfig(planner=PlannerConfig(policy=policy)),
         )
@@ -65,6 +69,11 @@ class Navigator:
     def __post_init__(self) -> None:
         """Refuse parameters with which the robot could never stop."""
         navigator.check(self.params)
+
+    @property
+    def type_names(self) -> tuple[str, ...]:
+        """Object types; a detection names its type by the index into them."""
+        return self.grounder.type_names
 
     def start(
         self,
@@ -90,18 +99,22 @@ class Navigator:
         bounds = _around(pose) if area is None else area
         check_place(pose, bounds)
         return navigator.start(
-            self._command(text),
+            self._command(text, is_under_way=False),
             jnp.asarray(pose, jnp.float32),
             jnp.asarray(bounds, jnp.float32),
             config=self.config,
-            num_types=len(self.model.type_names),
+            num_types=len(self.type_names),
         )
 
-    def _command(self, text: str) -> Instruction:
-        """Understand a sentence that asks for something."""
-        understood = understand(text, self.model)
-        understood.check_task()
-        return understood.instruction
+    def _command(self, text: str, *, is_under_way: bool) -> Instruction:
+        """Understand what asks for something."""
+        context = Context(is_under_way=is_under_way)
+        instruction = self.grounder.ground(text, context).instruction
+        if int(instruction.num_clauses) == 0:
+            raise ValueError(
+                f"{cut(text)!r} informs but asks for nothing to be done: add a command"
+            )
+        return instruction
 
     def step(
         self, key: Array, state: NavigatorState, observation: Observation
@@ -133,7 +146,8 @@ class Navigator:
             ValueError: the instruction is not understood, or informs but asks for nothing: the
                 robot then keeps to the state that it has.
         """
-        return navigator.hear(state, self._command(text), state.belief.last_pose)
+        instruction = self._command(text, is_under_way=True)
+        return navigator.hear(state, instruction, state.belief.last_pose)
 
 
 def _around(pose: Sequence[float]) -> tuple[float, ...]:

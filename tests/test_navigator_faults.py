@@ -108,7 +108,7 @@ def test_a_quick_robot_is_not_taken_for_a_carried_one(robot) -> None:
 
 def test_a_type_that_the_model_does_not_know_is_said(robot) -> None:
     kinds = np.array(GOOD.detection_type)
-    kinds[0] = len(robot.model.type_names)
+    kinds[0] = len(robot.type_names)
     _, action, info = advance(robot, begin(robot), replace(GOOD, detection_type=kinds))
     assert_stands(action, info)
     assert int(info.fault) == Fault.DETECTION

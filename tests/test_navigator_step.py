@@ -1,6 +1,7 @@
 """The agent in hand-made worlds: a perfect sensor, a perfect robot, one decision at a time."""
 
 import dataclasses
+import json
 from collections.abc import Callable, Iterator
 
 import jax
@@ -10,6 +11,7 @@ import pytest
 import readings as by_hand
 
 from jaxlangnav import agent, navigator
+from jaxlangnav.grounding import AnnotationGrounder
 from jaxlangnav.messages import NONE
 from jaxlangnav.navigator import NavigatorConfig
 from jaxlangnav.planner.params import PlannerConfig
@@ -159,6 +161,81 @@ def test_hears_another_command_and_keeps_its_map(robot) -> None:
     again = go(robot, state, start=tuple(run.end), seed=1)
     assert bool(again.state.is_done)
     assert distance(again, 2 - first) < 1.5
+
+
+def form(*weighted: tuple[float, str], types: tuple[str, str] = ("hydrant", "cone")) -> str:
+    """Write annotations of "go to the hydrant <relation> the cone", with probabilities."""
+    things = [{"id": f"the-{kind}", "type": kind} for kind in types]
+    figure, landmark = (thing["id"] for thing in things)
+    readings = [
+        {
+            "probability": probability,
+            "things": things,
+            "relations": [{"figure": figure, "relation": relation, "landmark": landmark}],
+            "commands": [{"goal": {"thing": figure}}],
+        }
+        for probability, relation in weighted
+    ]
+    return json.dumps({"readings": readings})
+
+
+def test_annotations_drive_an_episode_as_the_sentence_does(robot) -> None:
+    told = dataclasses.replace(robot, grounder=AnnotationGrounder(robot.type_names))
+    mine = go(told, told.start(form((1.0, "behind")), area=AREA))
+    theirs = go(robot, robot.start("go to the hydrant behind the cone", area=AREA))
+    assert bool(mine.state.is_done)
+    assert distance(mine, 1) < 1.5
+    assert len(mine.actions) == len(theirs.actions) > 5
+    np.testing.assert_allclose(mine.places, theirs.places, atol=1e-3)
+    for own, other in zip(mine.actions, theirs.actions, strict=True):
+        np.testing.assert_allclose(own.waypoint, other.waypoint, atol=1e-3)
+        assert bool(own.is_stop) == bool(other.is_stop)
+
+
+def test_what_the_robot_sees_settles_which_reading_is_meant(robot) -> None:
+    """The likelier reading puts the hydrant where there is none."""
+    told = dataclasses.replace(robot, grounder=AnnotationGrounder(robot.type_names))
+    state = told.start(form((0.6, "front"), (0.4, "behind")), area=AREA)
+    run = go(told, state)
+    assert bool(run.state.is_done)
+    assert distance(run, 1) < 1.5
+    reading = np.asarray(run.state.belief.particles.reading)
+    weight = np.exp(np.asarray(run.state.belief.log_weight))
+    assert weight[reading == 1].sum() > 0.9
+
+
+def test_where_the_likelier_thing_is_nowhere_the_other_will_do(robot) -> None:
+    """Nothing said tells which thing is meant; there is no car, and the robot looks for it."""
+    told = dataclasses.replace(robot, grounder=AnnotationGrounder(robot.type_names))
+    readings = [
+        {
+            "probability": probability,
+            "things": [{"id": "it", "type": kind}],
+            "commands": [{"goal": {"thing": "it"}}],
+        }
+        for kind, probability in (("car", 0.7), ("hydrant", 0.3))
+    ]
+    run = go(told, told.start(json.dumps({"readings": readings}), area=AREA))
+    assert bool(run.state.is_done)
+    assert distance(run, 1) < 1.5
+    sure = go(robot, robot.start("go to the hydrant", area=AREA))
+    assert len(run.actions) > len(sure.actions)
+
+
+def test_annotations_may_speak_of_any_types(robot) -> None:
+    """No lexicon, no training and no further compilation: the detector's names are enough."""
+    types = ("gazebo", "bridge")
+    assert (types.index("gazebo"), types.index("bridge")) == (HYDRANT, CONE)
+    told = dataclasses.replace(robot, grounder=AnnotationGrounder(types))
+    size = agent._step._cache_size()
+    run = go(told, told.start(form((1.0, "behind"), types=types), area=AREA))
+    assert distance(run, 1) < 1.5
+    assert agent._step._cache_size() == size
+    command = {"goal": {"thing": "other"}}
+    heard = {"probability": 1, "things": [{"id": "other", "type": "bridge"}], "commands": [command]}
+    state = told.hear(run.state, json.dumps({"readings": [heard]}))
+    again = go(told, state, start=tuple(run.end), seed=1)
+    assert min(distance(again, 0), distance(again, 2)) < 1.5
 
 
 def test_step_is_compiled_once_whatever_is_said(robot) -> None:

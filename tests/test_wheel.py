@@ -51,11 +51,14 @@ def test_the_wheel_is_what_runs(site: Path) -> None:
 
 def test_data_files_are_in_it(site: Path) -> None:
     code = (
+        "from jaxlangnav.grounding.form import annotation_schema;"
         "from jaxlangnav.language.corpus import load_corpus;"
         "from jaxlangnav.world.files import open_world, shipped_worlds;"
-        "print(len(load_corpus('corpus39')), *[open_world(name).name for name in shipped_worlds()])"
+        "print(annotation_schema()['type'], len(load_corpus('corpus39')));"
+        "print(*[open_world(name).name for name in shipped_worlds()])"
     )
-    assert run(site, "-c", code).split() == ["39", "empty-corner", "street", "yard"]
+    worlds = ["empty-corner", "figure1", "figure4", "street", "yard"]
+    assert run(site, "-c", code).split() == ["object", "39", *worlds]
 
 
 def test_a_sentence_is_followed(site: Path) -> None:

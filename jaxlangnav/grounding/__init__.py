@@ -1,5 +1,6 @@
 """The Distributed Correspondence Graph (sections 3.1 and 3.3): what words mean, as data."""
 
+from jaxlangnav.grounding.annotated import AnnotationGrounder
 from jaxlangnav.grounding.behavior import infer_behavior, infer_behaviors
 from jaxlangnav.grounding.correspondence import (
     CorrespondenceGraph,
@@ -8,6 +9,7 @@ from jaxlangnav.grounding.correspondence import (
     read_tree,
     train_graph,
 )
+from jaxlangnav.grounding.grounder import Context, GraphGrounder, Grounded, Grounder
 from jaxlangnav.grounding.instruction import (
     GroundingModel,
     Instruction,
@@ -19,8 +21,13 @@ from jaxlangnav.grounding.program import BehaviorProgram
 from jaxlangnav.grounding.weights import load_shipped
 
 __all__ = [
+    "AnnotationGrounder",
     "BehaviorProgram",
+    "Context",
     "CorrespondenceGraph",
+    "GraphGrounder",
+    "Grounded",
+    "Grounder",
     "GroundingModel",
     "Instruction",
     "Labelled",

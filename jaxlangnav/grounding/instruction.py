@@ -5,6 +5,7 @@ result has fixed shapes: any sentence is data for one compiled program.
 """
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -170,13 +171,25 @@ def understand_parse(tree: Parse, model: GroundingModel) -> Understanding:
         compile_clause(tree.clauses[i], i, model.behavior, belief.rank, model.type_names)
         for i in commands
     ]
-    fields = [clause.fields for clause in compiled]
-    fields += [empty_program()] * (NUM_CLAUSES - len(fields))
+    instruction = pack_instruction(to_readings(belief), [clause.fields for clause in compiled])
+    slack = max((clause.slack for clause in compiled), default=-np.inf)
+    return Understanding(tree, belief, instruction, model.type_names, slack)
+
+
+def pack_instruction(readings: Readings, commands: Sequence[dict[str, np.ndarray]]) -> Instruction:
+    """Put readings and the programs of commands together.
+
+    Args:
+        readings: what is said of the world.
+        commands: fields of a program for each, in order, host arrays; at most ``NUM_CLAUSES``.
+
+    Returns:
+        The instruction, padded.
+    """
+    fields = [*commands, *[empty_program()] * (NUM_CLAUSES - len(commands))]
     stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *fields)
-    instruction = Instruction(
-        readings=to_readings(belief),
+    return Instruction(
+        readings=readings,
         program=to_program(stacked),
         num_clauses=jax.device_put(np.int32(len(commands))),
     )
-    slack = max((clause.slack for clause in compiled), default=-np.inf)
-    return Understanding(tree, belief, instruction, model.type_names, slack)

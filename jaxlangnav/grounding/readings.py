@@ -5,7 +5,8 @@ grounded given the earlier ones: landmarks before the figures placed against the
 """
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from typing import TypeVar
 
 import jax
 import numpy as np
@@ -29,17 +30,33 @@ class CapacityError(ValueError):
     """A sentence says more than the arrays hold."""
 
 
+Entry = TypeVar("Entry")
+
+
+def in_order(relations: Iterable[Entry], ends: Callable[[Entry], tuple[int, int]]) -> list[Entry]:
+    """Put a relation after those that place its landmark.
+
+    Args:
+        relations: entries of any kind.
+        ends: figure and landmark of an entry.
+
+    Returns:
+        The entries; where figures and landmarks go round in a circle, the first of them first.
+    """
+    left, ordered = list(relations), []
+    while left:
+        waiting = {ends(entry)[0] for entry in left}
+        ready = [e for e in left if ends(e)[1] not in waiting - {ends(e)[0]}]
+        ordered.append((ready or left)[0])
+        left.remove(ordered[-1])
+    return ordered
+
+
 def _ordered(said: Said) -> list[tuple[Annotation, int]]:
-    """Put a relation after those that place its landmark; plain objects last."""
+    """Put relations in order, and plain objects last."""
     relations = [entry for entry in said if entry[0].kind not in (OBJECT, REGION)]
     others = [entry for entry in said if entry[0].kind in (OBJECT, REGION)]
-    ordered: list[tuple[Annotation, int]] = []
-    while relations:
-        waiting = {symbol.figure for symbol, _ in relations}
-        ready = [e for e in relations if e[0].landmark not in waiting - {e[0].figure}]
-        ordered.append((ready or relations)[0])
-        relations.remove(ordered[-1])
-    return ordered + others
+    return in_order(relations, lambda entry: (entry[0].figure, entry[0].landmark)) + others
 
 
 Description = frozenset[tuple[int, int, int]]

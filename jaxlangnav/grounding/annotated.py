@@ -1,0 +1,132 @@
+"""A grounder for annotations that others give: a form, a person, a language model (section 3.1).
+
+It reads no words. What the robot is to do with the annotations is what it does with those of the
+trained graph: they are evidence for the map, and their doubt is doubt about the map.
+"""
+
+import dataclasses
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from jaxlangnav.grounding.annotation import describe
+from jaxlangnav.grounding.form import Form, FormReading, read_form
+from jaxlangnav.grounding.form_program import clause_of_form
+from jaxlangnav.grounding.grounder import Context, Grounded
+from jaxlangnav.grounding.instruction import Instruction, pack_instruction
+from jaxlangnav.grounding.program import NUM_TYPES
+from jaxlangnav.grounding.readings import (
+    NUM_MENTIONS,
+    NUM_RELATIONS_SAID,
+    CapacityError,
+    Reading,
+    in_order,
+    pack,
+)
+from jaxlangnav.grounding.symbols import Annotation, object_symbol, relation_symbol
+from jaxlangnav.language.lexicon import load_lexicon
+from jaxlangnav.messages import NONE
+
+
+@dataclasses.dataclass(frozen=True)
+class AnnotationGrounder:
+    """Takes instructions as JSON that fits ``form.annotation_schema()``."""
+
+    type_names: tuple[str, ...] = dataclasses.field(
+        default_factory=lambda: load_lexicon().type_names
+    )
+    """Object types that the robot's detector tells apart, any names; the lexicon's by default."""
+
+    def __post_init__(self) -> None:
+        """Refuse types that the programs cannot tell apart."""
+        names = self.type_names
+        if not 0 < len(names) <= NUM_TYPES or len(set(names)) < len(names):
+            raise ValueError(
+                f"type_names has {len(names)} names, {len(set(names))} of them different; "
+                f"1 to {NUM_TYPES} are held, each once"
+            )
+
+    def ground(self, text: str, context: Context) -> Grounded:
+        """Read a form; see ``Grounder.ground``.
+
+        A robot without a task takes no form that only informs.
+        """
+        form = read_form(text, self.type_names)
+        if not context.is_under_way and not form.readings[0].commands:
+            raise ValueError(
+                "$.readings[0].commands is missing: the annotations inform, but ask for nothing "
+                "to be done"
+            )
+        return Grounded(
+            instruction=to_instruction(form),
+            annotations=tuple(_annotations(form, self.type_names)),
+            notes=form.notes,
+        )
+
+
+def to_instruction(form: Form) -> Instruction:
+    """Turn a form into what the navigator takes.
+
+    Args:
+        form: as ``read_form`` reads it.
+
+    Returns:
+        Its readings, and a program for each command.
+
+    Raises:
+        CapacityError: it says more than the arrays hold; one line.
+    """
+    ranked = sorted(form.readings, key=lambda one: -one.probability)
+    readings = [
+        (_reading(one, f"$.readings[{form.readings.index(one)}]"), float(np.log(one.probability)))
+        for one in ranked
+    ]
+    commands = len(form.readings[0].commands)
+    return pack_instruction(pack(readings), [clause_of_form(form, i) for i in range(commands)])
+
+
+def _reading(form: FormReading, path: str) -> Reading:
+    """Turn one reading into mentions and relations, landmarks before the figures beside them."""
+    said = in_order(form.relations, lambda one: (one.figure, one.landmark))
+    touched = [end for one in said for end in (one.landmark, one.figure)]
+    things = list(dict.fromkeys((*touched, *range(len(form.types)))))
+    alone = [thing for thing in range(len(form.types)) if thing not in touched]
+    place = {thing: mention for mention, thing in enumerate(things)}
+    relations = [
+        (place[one.figure], one.relation, place[one.landmark], one.rank)
+        for one in dict.fromkeys(said)
+    ]
+    relations += [(place[thing], NONE, NONE, 0) for thing in alone]
+    if len(things) > NUM_MENTIONS:
+        raise CapacityError(
+            f"{path} speaks of {len(things)} things, with the robot; at most {NUM_MENTIONS} are "
+            "held: say less at once"
+        )
+    if len(relations) > NUM_RELATIONS_SAID:
+        raise CapacityError(
+            f"{path} has {len(said)} relations and {len(alone)} things in none; at most "
+            f"{NUM_RELATIONS_SAID} of both are held: say less at once"
+        )
+    return Reading(tuple(form.type_of(thing) for thing in things), tuple(relations))
+
+
+def _annotations(form: Form, type_names: tuple[str, ...]) -> Iterator[Mapping[str, Any]]:
+    """List what is said with its probability over the readings, likeliest first."""
+    total: dict[tuple[Annotation, int], float] = {}
+    for reading in form.readings:
+        for entry in dict.fromkeys(_said(reading)):
+            total[entry] = total.get(entry, 0.0) + reading.probability
+    for (symbol, rank), probability in sorted(total.items(), key=lambda item: -item[1]):
+        yield describe(symbol, rank, min(probability, 1.0), type_names)
+
+
+def _said(reading: FormReading) -> Iterator[tuple[Annotation, int]]:
+    """Yield a reading's annotation symbols with their ranks."""
+    for one in reading.relations:
+        figure, landmark = reading.type_of(one.figure), reading.type_of(one.landmark)
+        yield relation_symbol(figure, one.relation, landmark), one.rank
+    touched = {end for one in reading.relations for end in (one.figure, one.landmark)}
+    for index, kind in enumerate(reading.types):
+        if index not in touched:
+            yield object_symbol(kind), 0

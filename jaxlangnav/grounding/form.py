@@ -1,0 +1,238 @@
+"""A form of annotations: what an instruction says and asks for, without its words (section 3.1).
+
+Whoever can read an instruction fills it in: a person, a program, a language model. It is JSON,
+described by ``annotation_schema()``, and refused field by field.
+"""
+
+import dataclasses
+import json
+import math
+from collections.abc import Mapping, Sequence
+from functools import cache
+from importlib import resources
+from typing import Any, NoReturn
+
+from jaxlangnav.grounding.json_schema import quote, validate
+from jaxlangnav.messages import ACTIONS, AT, BEHIND, FRONT, MODES, REGIONS, RELATIONS, ROBOT
+
+MAX_CHARACTERS = 65_536
+"""Longer texts are no forms: the largest that the arrays hold has a tenth of it."""
+ROBOT_ID = "robot"
+_TOLERANCE = 0.01
+"""By how much the probabilities may miss 1, for people and models round them."""
+
+
+@dataclasses.dataclass(frozen=True)
+class FormRelation:
+    """Where a thing of a reading is; things are counted from 0, or ``ROBOT``."""
+
+    figure: int
+    relation: int  # index into RELATIONS
+    landmark: int
+    rank: int  # 0 plain, 1 the extreme one of its type, 2 the second, ...
+
+
+@dataclasses.dataclass(frozen=True)
+class FormCommand:
+    """Something to be done."""
+
+    action: int  # index into ACTIONS
+    mode: int  # index into MODES
+    region: int  # index into REGIONS
+    thing: int  # whose region it is
+    avoid: tuple[int, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class FormReading:
+    """One way to read an instruction."""
+
+    probability: float
+    types: tuple[int, ...]  # object type of each thing
+    relations: tuple[FormRelation, ...]
+    commands: tuple[FormCommand, ...]
+
+    def type_of(self, thing: int) -> int:
+        """Look up the object type of a thing; ``ROBOT`` is a type of its own."""
+        return thing if thing == ROBOT else self.types[thing]
+
+
+@dataclasses.dataclass(frozen=True)
+class Form:
+    """A form that has been read: its probabilities sum to one."""
+
+    readings: tuple[FormReading, ...]
+    notes: tuple[str, ...]
+
+
+@cache
+def annotation_schema() -> Mapping[str, Any]:
+    """Read the published JSON Schema of the form."""
+    file = resources.files("jaxlangnav.grounding").joinpath("data/annotations.schema.json")
+    return json.loads(file.read_text("utf-8"))
+
+
+def read_form(text: str, type_names: Sequence[str]) -> Form:
+    """Read a form.
+
+    Args:
+        text: JSON that fits ``annotation_schema()``.
+        type_names: object types that a thing may have.
+
+    Returns:
+        The form.
+
+    Raises:
+        ValueError: it is no JSON, or a field cannot be; one line with the field's JSON path.
+    """
+    document = _load(text)
+    validate(document, annotation_schema(), root=annotation_schema(), path="$")
+    readings = [
+        _read(one, type_names, f"$.readings[{i}]") for i, one in enumerate(document["readings"])
+    ]
+    total = math.fsum(reading.probability for reading in readings)
+    if abs(total - 1.0) > _TOLERANCE:
+        raise ValueError(
+            f"$.readings: the probabilities sum to {total:.3g}, but must sum to 1: divide each by "
+            "their sum, or add the reading that is missing"
+        )
+    for i, reading in enumerate(readings):
+        if len(reading.commands) != len(readings[0].commands):
+            raise ValueError(
+                f"$.readings[{i}].commands has {len(reading.commands)} entries, but the first "
+                f"reading has {len(readings[0].commands)}: every reading needs as many"
+            )
+    shares = [
+        dataclasses.replace(reading, probability=reading.probability / total)
+        for reading in readings
+    ]
+    return Form(tuple(shares), tuple(document.get("notes", ())))
+
+
+def _load(text: str) -> Any:
+    """Read JSON strictly: no field twice, no NaN, not too long, not too deep."""
+    if len(text) > MAX_CHARACTERS:
+        raise ValueError(
+            f"the annotations have {len(text):,} characters; at most {MAX_CHARACTERS:,} are read"
+        )
+    try:
+        return json.loads(
+            text,
+            object_pairs_hook=_once_each,
+            parse_constant=_refuse_constant,
+            parse_int=_read_integer,
+        )
+    except json.JSONDecodeError as error:
+        raise ValueError(
+            f"annotations are JSON, but {quote(text)} is none: line {error.lineno}, column "
+            f"{error.colno}: {error.msg}"
+        ) from None
+    except RecursionError:
+        raise ValueError("the annotations nest too deeply for any form") from None
+
+
+def _read_integer(digits: str) -> int | float:
+    """Read a whole number; one of thousands of digits, which Python refuses, is infinite."""
+    return int(digits) if len(digits) < 20 else float(digits)
+
+
+def _refuse_constant(name: str) -> NoReturn:
+    """Refuse what Python's reader takes for numbers and JSON does not."""
+    raise ValueError(f"the annotations hold {name}, which is no number of JSON")
+
+
+def _once_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Build an object, and refuse a field that stands twice: one of them would be lost."""
+    found: dict[str, Any] = {}
+    for name, value in pairs:
+        if name in found:
+            raise ValueError(f"the annotations have a field {quote(name)} twice: leave one out")
+        found[name] = value
+    return found
+
+
+def _read(document: Mapping[str, Any], type_names: Sequence[str], path: str) -> FormReading:
+    """Read a reading that fits the schema: ids become indices."""
+    index: dict[str, int] = {ROBOT_ID: ROBOT}
+    for i, thing in enumerate(document["things"]):
+        where = f"{path}.things[{i}]"
+        if thing["id"] in index:
+            raise ValueError(f"{where}.id is {quote(thing['id'])}, which an earlier thing has")
+        if thing["type"] not in type_names:
+            raise ValueError(
+                f"{where}.type is {quote(thing['type'])}, but must be one of "
+                f"{', '.join(type_names)}: those are what the detector tells apart"
+            )
+        index[thing["id"]] = i
+    relations = tuple(
+        _read_relation(one, index, f"{path}.relations[{i}]")
+        for i, one in enumerate(document.get("relations", ()))
+    )
+    commands = tuple(
+        _read_command(one, index, f"{path}.commands[{i}]")
+        for i, one in enumerate(document.get("commands", ()))
+    )
+    types = tuple(type_names.index(thing["type"]) for thing in document["things"])
+    return FormReading(float(document["probability"]), types, relations, commands)
+
+
+def _look_up(name: str, index: Mapping[str, int], path: str) -> int:
+    """Find the thing of an id."""
+    if name not in index:
+        raise ValueError(
+            f"{path} is {quote(name)}, but this reading has no such thing: use one of "
+            f"{', '.join(index)}, or add it to things"
+        )
+    return index[name]
+
+
+def _look_up_thing(name: str, index: Mapping[str, int], path: str) -> int:
+    """Find the thing of an id that must not be the robot."""
+    found = _look_up(name, index, path)
+    if found == ROBOT:
+        raise ValueError(f"{path} is 'robot', but must be a thing of this reading")
+    return found
+
+
+def _read_relation(
+    document: Mapping[str, Any], index: Mapping[str, int], path: str
+) -> FormRelation:
+    """Read one relation."""
+    figure = _look_up_thing(document["figure"], index, f"{path}.figure")
+    landmark = _look_up(document["landmark"], index, f"{path}.landmark")
+    if figure == landmark:
+        raise ValueError(
+            f"{path}.landmark is {quote(document['landmark'])}, as the figure is: "
+            "nothing is its own landmark"
+        )
+    relation, rank = RELATIONS.index(document["relation"]), int(document.get("rank", 0))
+    if rank and relation in (FRONT, BEHIND):
+        raise ValueError(
+            f"{path}.rank is {rank}, but nothing is ordered by {RELATIONS[relation]}: use near, "
+            "far, left or right"
+        )
+    return FormRelation(figure, relation, landmark, rank)
+
+
+def _read_command(document: Mapping[str, Any], index: Mapping[str, int], path: str) -> FormCommand:
+    """Read one command."""
+    goal = document["goal"]
+    region = REGIONS.index(goal.get("region", REGIONS[AT]))
+    thing = _look_up(goal["thing"], index, f"{path}.goal.thing")
+    if thing == ROBOT and region == AT:
+        raise ValueError(
+            f"{path}.goal.thing is 'robot', but the robot is always at itself: name a region"
+        )
+    avoid = tuple(
+        _look_up_thing(name, index, f"{path}.avoid[{i}]")
+        for i, name in enumerate(document.get("avoid", ()))
+    )
+    if thing in avoid and region == AT:
+        raise ValueError(f"{path}.avoid holds {quote(goal['thing'])}, which is the goal")
+    return FormCommand(
+        action=ACTIONS.index(document.get("action", ACTIONS[0])),
+        mode=MODES.index(document.get("mode", MODES[0])),
+        region=region,
+        thing=thing,
+        avoid=avoid,
+    )

@@ -1,0 +1,221 @@
+"""The behavior program of a form: coefficients without words (section 3.3).
+
+The trained graph contracts the words of each phrase with its weights; a form has none, and says
+itself what each phrase expresses. So the phrases are made up from what is described, "the hydrant"
+with "behind" over "the cone" below it, and their log-odds are ±``CERTAIN`` instead of learned:
+the doubt of a form is in its probabilities.
+"""
+
+import dataclasses
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from jaxlangnav.grounding.described import AGAIN, ANY, OTHER, Description, avoided, destinations
+from jaxlangnav.grounding.form import Form
+from jaxlangnav.grounding.program import (
+    MAX_DEPTH,
+    NEVER,
+    NUM_CHILDREN,
+    NUM_PHRASES,
+    NUM_SLOTS,
+    NUM_TABLES,
+    NUM_TYPES,
+    empty_program,
+)
+from jaxlangnav.grounding.readings import CapacityError
+from jaxlangnav.grounding.symbols import NUM_RELATIONS
+from jaxlangnav.messages import NEAR, NONE, REGIONS, ROBOT
+
+CERTAIN = 16.0
+"""Log-odds of what a form says; the probability of the contrary is 1e-7, lost in rounding."""
+
+
+@dataclasses.dataclass(frozen=True)
+class _Phrase:
+    """A phrase of the program, above those it is made of."""
+
+    row: Mapping[str, Any]  # values of the program's fields
+    children: tuple["_Phrase", ...] = ()
+    table: int = NONE  # of a phrase that says where a figure is: what lies in its region
+
+    def walk(self) -> Iterator["_Phrase"]:
+        """Yield the phrases below and this one, bottom-up."""
+        for child in self.children:
+            yield from child.walk()
+        yield self
+
+
+def clause_of_form(form: Form, index: int) -> dict[str, np.ndarray]:
+    """Build the fields of the program of one command.
+
+    Args:
+        form: readings with as many commands each.
+        index: which command.
+
+    Returns:
+        Fields of a ``BehaviorProgram``, host arrays.
+
+    Raises:
+        CapacityError: the program cannot hold as much; one line.
+    """
+    wanted = destinations(form, index)
+    regions = sorted({end.region for end in wanted})
+    if len(regions) > NUM_SLOTS:
+        names = ", ".join(REGIONS[region] for region in regions)
+        raise CapacityError(
+            f"command {index + 1} may end in {len(regions)} different regions ({names}); at most "
+            f"{NUM_SLOTS} are held: leave the least likely reading out"
+        )
+    phrases = [
+        _at_goal(_thing(end.thing, CERTAIN, end.before), end.region, regions, share)
+        for end, share in wanted.items()
+    ]
+    phrases += [_thing(thing, _log_odds(share)) for thing, share in avoided(form, index).items()]
+    root = _Phrase(_root_row(regions), tuple(_gathered(phrases, regions)))
+    fields = _lay_out(root, index)
+    for reading in form.readings:
+        command = reading.commands[index]
+        fields["action"][command.action] += reading.probability
+        fields["mode"][command.mode] += reading.probability
+    return fields
+
+
+def _log_odds(probability: float) -> float:
+    """Turn a probability into log-odds that are no surer than ``CERTAIN``."""
+    if probability >= 1.0:
+        return CERTAIN
+    return min(CERTAIN, math.log(probability / (1.0 - probability)))
+
+
+def _thing(thing: Description, peak: float, before: int = ANY) -> _Phrase:
+    """Express the objects of a description: "the hydrant behind the cone".
+
+    Args:
+        thing: what is said of it.
+        peak: log-odds of an object that it fits.
+        before: how it bears on the goal of the command before.
+    """
+    own = np.zeros(NUM_TYPES + 1, bool)
+    own[NUM_TYPES if thing.kind == ROBOT else thing.kind] = True
+    places = [_place(*place) for place in sorted(thing.places, key=_sorted_by)]
+    first, rest = places[:NUM_CHILDREN], places[NUM_CHILDREN:]
+    previous = {ANY: (), OTHER: (0,), AGAIN: (2,)}[before]
+    row = {
+        "own": own,
+        "object_named": -CERTAIN,
+        "object_unnamed": NEVER,
+        "object_own_lies": CERTAIN + (CERTAIN if rest else peak),
+        "object_previous": np.where(np.isin(np.arange(5), previous), NEVER, 0.0),
+    }
+    phrase = _Phrase(row, tuple(first))
+    while rest:  # more places than a phrase has children: a phrase of the same objects above it
+        some, rest = rest[: NUM_CHILDREN - 1], rest[NUM_CHILDREN - 1 :]
+        row = {
+            "object_unnamed": -CERTAIN,
+            "object_lies": CERTAIN + (CERTAIN if rest else peak),
+        }
+        phrase = _Phrase(row, (phrase, *some))
+    return phrase
+
+
+def _sorted_by(place: tuple[int, int, Description]) -> tuple[int, int, str]:
+    """Order places, so that equal forms make equal programs."""
+    return (place[0], place[1], repr(place[2]))
+
+
+def _place(relation: int, rank: int, landmark: Description) -> _Phrase:
+    """Express a region of a landmark, to say where a figure is: "behind the cone"."""
+    row = _in_slot(0, relation=relation, base=-CERTAIN, inside=2.0 * CERTAIN)
+    table = relation + NUM_RELATIONS * min(rank, 2)
+    return _Phrase(row, (_thing(landmark, CERTAIN),), table)
+
+
+def _at_goal(thing: _Phrase, region: int, regions: Sequence[int], share: float) -> _Phrase:
+    """Express a region to end in, in the slot that the root has for it."""
+    inside = CERTAIN + _log_odds(share)
+    row = _in_slot(regions.index(region), relation=region, base=-CERTAIN, inside=inside)
+    return _Phrase(row, (thing,))
+
+
+def _in_slot(slot: int, *, relation: int, **terms: float) -> dict[str, np.ndarray]:
+    """Build the fields of one region slot; the others stay empty."""
+    is_here = np.arange(NUM_SLOTS) == slot
+    row = {"region_relation": np.where(is_here, relation, NONE)}
+    empty = {"base": NEVER} | dict.fromkeys(set(terms) - {"base"}, 0.0)
+    return row | {f"region_{name}": np.where(is_here, terms[name], empty[name]) for name in empty}
+
+
+def _passing_on(regions: Sequence[int]) -> dict[str, np.ndarray]:
+    """Build the region fields of a phrase that expresses the goal regions of its children."""
+    is_used = np.arange(NUM_SLOTS) < len(regions)
+    slots = np.where(is_used, np.arange(NUM_SLOTS), NONE)
+    return {
+        "region_relation": np.append(regions, [NONE] * (NUM_SLOTS - len(regions))),
+        "region_base": np.where(is_used, -CERTAIN, NEVER),
+        "region_same": np.where(is_used, 2.0 * CERTAIN, 0.0),
+        "region_from": np.tile(slots, (NUM_CHILDREN, 1)),
+    }
+
+
+def _root_row(regions: Sequence[int]) -> dict[str, Any]:
+    """Build the verb phrase: the children's regions are goals, their objects to be avoided."""
+    return _passing_on(regions) | {
+        "is_verb": True,
+        "constraint_relation": NEAR,
+        "constraint_base": -CERTAIN,
+        "constraint_inside": 2.0 * CERTAIN,
+    }
+
+
+def _gathered(phrases: Sequence[_Phrase], regions: Sequence[int]) -> list[_Phrase]:
+    """Put more phrases than one may have as children below phrases that pass all of them on."""
+    left = list(phrases)
+    while len(left) > NUM_CHILDREN:
+        row = _passing_on(regions) | {"object_unnamed": -CERTAIN, "object_inside": 2.0 * CERTAIN}
+        left = [_Phrase(row, tuple(left[:NUM_CHILDREN])), *left[NUM_CHILDREN:]]
+    return left
+
+
+def _lay_out(root: _Phrase, index: int) -> dict[str, np.ndarray]:
+    """Write the phrases into the rows of a program, bottom-up, the root last."""
+    phrases = list(root.walk())
+    tables = list(dict.fromkeys(one.table for one in phrases if one.table != NONE))
+    _check_sizes(phrases, tables, index)
+    fields = empty_program()
+    fields["num_phrases"] = np.asarray(len(phrases), np.int32)
+    fields["table"][: len(tables)] = tables
+    for name in ("action", "mode"):
+        fields[name][:] = 0.0
+    for count, phrase in enumerate(phrases):
+        row = NUM_PHRASES - 1 if phrase is root else count
+        fields["num_children"][row] = len(phrase.children)
+        # The last child lies on top of the stack, and counts first.
+        labels = [child.table != NONE for child in phrase.children[::-1]]
+        fields["is_restrictor"][row, : len(labels)] = labels
+        for name, value in phrase.row.items():
+            fields[name][row] = value
+        if phrase.table != NONE:
+            fields["region_table"][row, 0] = tables.index(phrase.table)
+    return fields
+
+
+def _check_sizes(phrases: Sequence[_Phrase], tables: Sequence[int], index: int) -> None:
+    """Refuse a command whose program would not fit."""
+    depth = deepest = 0
+    for phrase in phrases:
+        depth += 1 - len(phrase.children)
+        deepest = max(deepest, depth)
+    sizes = (
+        ("phrases over all readings", len(phrases), NUM_PHRASES),
+        ("kinds of relations over all readings", len(tables), NUM_TABLES),
+        ("phrases that nest", deepest, MAX_DEPTH),
+    )
+    for what, size, most in sizes:
+        if size > most:
+            raise CapacityError(
+                f"command {index + 1} needs {size} {what}; at most {most} are held: "
+                "leave the least likely reading or a relation out"
+            )

@@ -1,0 +1,80 @@
+"""Grounders: from what a person says to what the navigator needs (sections 3.1 and 3.3).
+
+The door through which any source of annotations comes in: the trained graph here, a form in
+``annotated``, one of your own. Nothing behind the door asks which one it is.
+"""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+from jaxlangnav.grounding.instruction import GroundingModel, Instruction, understand
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Context:
+    """What a grounder is told besides the text."""
+
+    is_under_way: bool  # the robot has had an instruction before, and may be following it
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Grounded:
+    """What was understood: for the engine, and for people."""
+
+    instruction: Instruction
+    annotations: tuple[Mapping[str, Any], ...]
+    """What is said of the world, likeliest first: figure, relation, landmark, superlative and
+    probability, as ``jaxlangnav ground --json`` prints them."""
+    notes: tuple[str, ...] = ()
+    """What else people should know, a line each."""
+
+
+class Grounder(Protocol):
+    """What understands instructions."""
+
+    @property
+    def type_names(self) -> tuple[str, ...]:
+        """Object types that it speaks of; a detection names its type by the index into them."""
+        ...
+
+    def ground(self, text: str, context: Context) -> Grounded:
+        """Understand an instruction.
+
+        Args:
+            text: what was said, in whatever form the grounder takes.
+            context: what else it may want to know.
+
+        Returns:
+            What was understood; an instruction without a command informs only.
+
+        Raises:
+            ValueError: the text is refused; one line that says why and what to do about it.
+        """
+        ...
+
+
+@dataclasses.dataclass(frozen=True)
+class GraphGrounder:
+    """The trained Distributed Correspondence Graph: sentences of the controlled language."""
+
+    model: GroundingModel
+
+    @property
+    def type_names(self) -> tuple[str, ...]:
+        """Object types that the models speak of."""
+        return self.model.type_names
+
+    def ground(self, text: str, context: Context) -> Grounded:
+        """Understand a sentence; see ``Grounder.ground``."""
+        del context  # a sentence of the controlled language is understood by itself
+        understood = understand(text, self.model)
+        understood.check_task()
+        unknown = ", ".join(f"'{word}'" for word in understood.unknown_words)
+        return Grounded(
+            instruction=understood.instruction,
+            annotations=tuple(understood.annotations),
+            notes=(f"not in the lexicon, and read by what they look like: {unknown}",)
+            if unknown
+            else (),
+        )

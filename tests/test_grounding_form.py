@@ -1,0 +1,349 @@
+"""Annotations from a form: what is refused and how, and what the readings hold."""
+
+import copy
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from jsonschema import Draft202012Validator
+
+from jaxlangnav.grounding import AnnotationGrounder, Context
+from jaxlangnav.grounding.features import NUM_RANKS
+from jaxlangnav.grounding.form import annotation_schema, read_form
+from jaxlangnav.grounding.instruction import NUM_CLAUSES
+from jaxlangnav.grounding.json_schema import validate
+from jaxlangnav.grounding.readings import NUM_MENTIONS, NUM_READINGS, NUM_RELATIONS_SAID
+from jaxlangnav.messages import ACTIONS, LEFT, MODES, NEAR, NONE, REGIONS, RELATIONS, ROBOT
+
+TYPES = ("hydrant", "cone", "car")
+FORM = {
+    "readings": [
+        {
+            "probability": 0.8,
+            "things": [{"id": "a", "type": "hydrant"}, {"id": "b", "type": "cone"}],
+            "relations": [{"figure": "a", "relation": "behind", "landmark": "b"}],
+            "commands": [
+                {
+                    "action": "navigate",
+                    "mode": "quickly",
+                    "goal": {"region": "at", "thing": "a"},
+                    "avoid": ["b"],
+                }
+            ],
+        },
+        {
+            "probability": 0.2,
+            "things": [{"id": "x", "type": "car"}],
+            "relations": [{"figure": "x", "relation": "near", "landmark": "robot", "rank": 1}],
+            "commands": [{"goal": {"thing": "x"}}],
+        },
+    ],
+    "notes": ["'pylon' was taken for a cone"],
+}
+START = Context(is_under_way=False)
+FIRST, SECOND = ("readings", 0), ("readings", 1)
+COMMAND, RELATION = (*FIRST, "commands", 0), (*FIRST, "relations", 0)
+
+
+def changed(*path: str | int, to: object) -> dict:
+    """Set one field of the form, at the end of a path."""
+    document = copy.deepcopy(FORM)
+    place: object = document
+    for step in path[:-1]:
+        place = place[step]
+    place[path[-1]] = to
+    return document
+
+
+def without(*path: str | int) -> dict:
+    document = copy.deepcopy(FORM)
+    place: object = document
+    for step in path[:-1]:
+        place = place[step]
+    del place[path[-1]]
+    return document
+
+
+def things(count: int) -> list[dict]:
+    return [{"id": f"t{i}", "type": "cone"} for i in range(count)]
+
+
+GOOD = [
+    FORM,
+    without("notes"),
+    without(*SECOND, "relations"),
+    without(*COMMAND, "action"),
+    without(*COMMAND, "goal", "region"),
+    changed("notes", to=[]),
+    changed(*FIRST, "probability", to=1),
+    changed(*RELATION, "rank", to=1.0),
+    changed(*FIRST, "things", 0, "id", to="A-long_name-1"),
+    changed(*FIRST, "things", 0, "id", to="robots"),
+    changed(*FIRST, "things", to=things(6)),
+    changed(*FIRST, "commands", to=[]),
+]
+IN_COMMAND, IN_RELATION = "$.readings[0].commands[0]", "$.readings[0].relations[0]"
+# Document → the field that a refusal names.
+BAD: list[tuple[object, str]] = [
+    ([], "$"),
+    ("go to the cone", "$"),
+    ({}, "$.readings"),
+    (changed("readings", to=[]), "$.readings"),
+    (changed("readings", to=FORM["readings"] * 3), "$.readings"),
+    (changed("readings", to={}), "$.readings"),
+    (changed("colour", to="red"), "$"),
+    (changed("notes", to=["x" * 201]), "$.notes[0]"),
+    (changed("notes", to=[1]), "$.notes[0]"),
+    (changed("notes", to="none"), "$.notes"),
+    (changed("notes", to=["x"] * 9), "$.notes"),
+    (changed(*FIRST, "probability", to=0), "$.readings[0].probability"),
+    (changed(*FIRST, "probability", to=1.1), "$.readings[0].probability"),
+    (changed(*FIRST, "probability", to="80 %"), "$.readings[0].probability"),
+    (changed(*FIRST, "probability", to=True), "$.readings[0].probability"),
+    (changed(*FIRST, "probability", to=None), "$.readings[0].probability"),
+    (without(*SECOND, "probability"), "$.readings[1].probability"),
+    (without(*FIRST, "things"), "$.readings[0].things"),
+    (changed(*FIRST, "things", to=things(7)), "$.readings[0].things"),
+    (changed(*FIRST, "things", 0, to="hydrant"), "$.readings[0].things[0]"),
+    (without(*FIRST, "things", 1, "type"), "$.readings[0].things[1].type"),
+    (changed(*FIRST, "things", 1, "type", to=3), "$.readings[0].things[1].type"),
+    (changed(*FIRST, "things", 0, "id", to="robot"), "$.readings[0].things[0].id"),
+    (changed(*FIRST, "things", 0, "id", to="the cone"), "$.readings[0].things[0].id"),
+    (changed(*FIRST, "things", 0, "id", to="x" * 33), "$.readings[0].things[0].id"),
+    (changed(*FIRST, "things", 0, "id", to=""), "$.readings[0].things[0].id"),
+    (changed(*FIRST, "relations", to=[{}]), f"{IN_RELATION}.figure"),
+    (changed(*RELATION, "relation", to="above"), f"{IN_RELATION}.relation"),
+    (changed(*RELATION, "rank", to=5), f"{IN_RELATION}.rank"),
+    (changed(*RELATION, "rank", to=-1), f"{IN_RELATION}.rank"),
+    (changed(*RELATION, "rank", to=1.5), f"{IN_RELATION}.rank"),
+    (changed(*FIRST, "commands", to=[{}]), f"{IN_COMMAND}.goal"),
+    (changed(*COMMAND, "action", to="fetch"), f"{IN_COMMAND}.action"),
+    (changed(*COMMAND, "mode", to="fast"), f"{IN_COMMAND}.mode"),
+    (changed(*COMMAND, "goal", "region", to="in"), f"{IN_COMMAND}.goal.region"),
+    (changed(*COMMAND, "goal", "thing", to="the a"), f"{IN_COMMAND}.goal.thing"),
+    (changed(*COMMAND, "avoid", to=["b"] * 4), f"{IN_COMMAND}.avoid"),
+]  # fmt: skip
+
+
+def test_the_schema_is_one() -> None:
+    Draft202012Validator.check_schema(annotation_schema())
+
+
+@pytest.mark.parametrize("document", GOOD)
+def test_what_the_schema_takes_is_taken(document: dict) -> None:
+    assert Draft202012Validator(annotation_schema()).is_valid(document)
+    validate(document, annotation_schema(), root=annotation_schema(), path="$")
+
+
+@pytest.mark.parametrize(("document", "field"), BAD)
+def test_what_the_schema_refuses_is_refused_by_its_field(document: object, field: str) -> None:
+    assert not Draft202012Validator(annotation_schema()).is_valid(document)
+    with pytest.raises(ValueError, match=r"but (may|must|at most)|is missing") as refused:
+        validate(document, annotation_schema(), root=annotation_schema(), path="$")
+    message = str(refused.value)
+    assert message.startswith(f"{field} ")
+    assert "\n" not in message
+    assert len(message) < 300
+
+
+def paths(document: object, path: tuple = ()) -> Iterator[tuple]:
+    """Yield the path of every field and entry."""
+    parts = document.items() if isinstance(document, dict) else enumerate(document)
+    for name, own in parts:
+        yield (*path, name)
+        if isinstance(own, dict | list):
+            yield from paths(own, (*path, name))
+
+
+ANYTHING = (None, True, -1, 0, 1, 2.0, 2.5, 1e9, "", "a", "robot", "near", [], ["a"], {}, {"a": 1})
+
+
+def test_any_value_in_any_place_is_judged_as_by_the_schema() -> None:
+    judge = Draft202012Validator(annotation_schema())
+    taken = 0
+    for path in paths(FORM):
+        for value in ANYTHING:
+            document = changed(*path, to=value)
+            try:
+                validate(document, annotation_schema(), root=annotation_schema(), path="$")
+                is_taken = True
+            except ValueError:
+                is_taken = False
+            assert is_taken == judge.is_valid(document), (path, value)
+            taken += is_taken
+    assert taken > 50
+
+
+def test_the_schema_names_what_the_engine_knows() -> None:
+    """The published file is read by others too, so it holds the names and sizes itself."""
+    parts = annotation_schema()["$defs"]
+    reading, relation, command = (
+        parts[name]["properties"] for name in ("reading", "relation", "command")
+    )
+    assert relation["relation"]["enum"] == list(RELATIONS)
+    assert relation["rank"]["maximum"] == NUM_RANKS
+    assert command["goal"]["properties"]["region"]["enum"] == list(REGIONS)
+    assert command["action"]["enum"] == list(ACTIONS)
+    assert command["mode"]["enum"] == list(MODES)
+    sizes = {name: reading[name]["maxItems"] for name in ("things", "relations", "commands")}
+    assert sizes == {
+        "things": NUM_MENTIONS, "relations": NUM_RELATIONS_SAID, "commands": NUM_CLAUSES,
+    }  # fmt: skip
+    assert annotation_schema()["properties"]["readings"]["maxItems"] == NUM_READINGS
+
+
+# Text → what the refusal says. None of this can be said by a schema.
+MEANINGLESS: list[tuple[str, str]] = [
+    ("go to the hydrant", "'go to the hydrant' is none: line 1, column 1"),
+    ("", "is none: line 1, column 1"),
+    ('{"readings": NaN}', "NaN, which is no number"),
+    ('{"notes": [], "notes": []}', "'notes' twice"),
+    ("[" * 20_000, "nest too deeply"),
+    (
+        '{"readings": [{"probability": 1%s, "things": []}]}' % ("0" * 5000),
+        "inf, but must be the pro",
+    ),
+    (" " * 70_000, "70,000 characters; at most 65,536"),
+    (json.dumps(changed(*FIRST, "probability", to=0.5)), "sum to 0.7, but must sum to 1"),
+    (
+        json.dumps(changed(*FIRST, "things", 1, "type", to="gazebo")),
+        r"\$.readings\[0\].things\[1\].type is 'gazebo', but must be one of hydrant, cone, car",
+    ),
+    (
+        json.dumps(changed(*FIRST, "things", 1, "id", to="a")),
+        r"things\[1\].id is 'a', which an earlier thing has",
+    ),
+    (
+        json.dumps(changed(*SECOND, "commands", 0, "goal", "thing", to="a")),
+        r"\$.readings\[1\].commands\[0\].goal.thing is 'a', but this reading has no such thing: "
+        "use one of robot, x",
+    ),
+    (
+        json.dumps(changed(*RELATION, "landmark", to="a")),
+        "landmark is 'a', as the figure is",
+    ),
+    (
+        json.dumps(changed(*RELATION, "figure", to="robot")),
+        "figure is 'robot', but must be a thing",
+    ),
+    (json.dumps(changed(*RELATION, "rank", to=1)), "nothing is ordered by behind"),
+    (json.dumps(changed(*COMMAND, "avoid", to=["a"])), "'a', which is the goal"),
+    (json.dumps(changed(*COMMAND, "avoid", to=["robot"])), "must be a thing"),
+    (
+        json.dumps(changed(*COMMAND, "goal", "thing", to="robot")),
+        "the robot is always at itself",
+    ),
+    (json.dumps(without(*SECOND, "commands")), r"\$.readings\[1\].commands has 0 entries"),
+    (
+        json.dumps(changed(*SECOND, "things", to=[{"id": "x", "type": "car"}, *things(5)])),
+        r"\$.readings\[1\] speaks of 7 things, with the robot; at most 6",
+    ),
+    (
+        json.dumps(changed(*FIRST, "things", to=[*FORM["readings"][0]["things"], *things(4)])),
+        r"\$.readings\[0\] has 1 relations and 4 things in none; at most 4",
+    ),
+]
+
+
+@pytest.mark.parametrize(("text", "reason"), MEANINGLESS)
+def test_what_cannot_be_is_refused_in_one_line(text: str, reason: str) -> None:
+    with pytest.raises(ValueError, match=reason) as refused:
+        AnnotationGrounder(TYPES).ground(text, START)
+    assert "\n" not in str(refused.value)
+    assert len(str(refused.value)) < 300
+
+
+def test_a_form_that_only_informs_is_for_a_robot_under_way() -> None:
+    document = copy.deepcopy(FORM)
+    for reading in document["readings"]:
+        del reading["commands"]
+    grounder = AnnotationGrounder(TYPES)
+    with pytest.raises(ValueError, match="inform, but ask for nothing"):
+        grounder.ground(json.dumps(document), START)
+    told = grounder.ground(json.dumps(document), Context(is_under_way=True))
+    assert int(told.instruction.num_clauses) == 0
+    assert int(told.instruction.readings.mention_type[0, 0]) == TYPES.index("cone")
+
+
+def test_readings_are_those_of_the_form() -> None:
+    grounded = AnnotationGrounder(TYPES).ground(json.dumps(FORM), START)
+    readings = grounded.instruction.readings
+    np.testing.assert_array_equal(readings.mention_type[:2, :2], [[1, 0], [ROBOT, 2]])
+    np.testing.assert_array_equal(readings.figure[:2, 0], [1, 1])
+    np.testing.assert_array_equal(readings.landmark[:2, 0], [0, 0])
+    np.testing.assert_array_equal(readings.relation[:2, :2], [[1, NONE], [NEAR, NONE]])
+    np.testing.assert_array_equal(readings.rank[:2, 0], [0, 1])
+    np.testing.assert_array_equal(readings.is_superlative[:2, 0], [False, True])
+    np.testing.assert_allclose(np.exp(readings.log_probability), [0.8, 0.2, 0, 0], atol=1e-6)
+    assert grounded.notes == ("'pylon' was taken for a cone",)
+    assert grounded.annotations[0] == {
+        "figure": "hydrant", "relation": "behind", "landmark": "cone", "superlative": False,
+        "probability": 0.8,
+    }  # fmt: skip
+    assert grounded.annotations[1]["landmark"] == "robot"
+    assert grounded.annotations[1]["superlative"]
+
+
+def test_probabilities_that_people_round_are_made_to_sum_to_one() -> None:
+    document = changed(*FIRST, "probability", to=0.795)
+    form = read_form(json.dumps(document), TYPES)
+    assert sum(one.probability for one in form.readings) == pytest.approx(1.0)
+
+
+def test_landmarks_come_before_the_figures_beside_them() -> None:
+    """Each relation is grounded given the earlier ones, in whatever order the form has them."""
+    document = {
+        "readings": [
+            {
+                "probability": 1,
+                "things": [
+                    {"id": "a", "type": "hydrant"},
+                    {"id": "b", "type": "cone"},
+                    {"id": "c", "type": "car"},
+                ],
+                "relations": [
+                    {"figure": "a", "relation": "near", "landmark": "b"},
+                    {"figure": "b", "relation": "left", "landmark": "c"},
+                ],
+                "commands": [{"goal": {"thing": "a"}}],
+            }
+        ]
+    }
+    readings = AnnotationGrounder(TYPES).ground(json.dumps(document), START).instruction.readings
+    np.testing.assert_array_equal(readings.relation[0, :2], [LEFT, NEAR])
+    np.testing.assert_array_equal(readings.mention_type[0, :3], [2, 1, 0])
+
+
+@pytest.mark.parametrize(
+    "build", [lambda: (), lambda: ("cone", "cone"), lambda: tuple(map(str, range(16)))]
+)
+def test_types_that_cannot_be_told_apart_are_refused(build: Callable[[], tuple]) -> None:
+    with pytest.raises(ValueError, match="1 to 15 are held, each once"):
+        AnnotationGrounder(build())
+
+
+def test_the_form_in_the_documentation_is_taken() -> None:
+    """And so is the grounder that is written there around a model."""
+    page = (Path(__file__).parent.parent / "docs" / "how-to.md").read_text("utf-8")
+    section = page.split("## Annotations from a form")[1].split("\n## ")[0]
+    document = section.split("```json\n")[1].split("```")[0]
+    names: dict = {}
+    exec(section.split("```python\n")[2].split("```")[0], names)
+    asked: list[str] = []
+
+    def ask(prompt: str) -> str:
+        asked.append(prompt)
+        return document
+
+    grounded = names["Asked"](ask, ("gazebo", "bridge")).ground("go there", START)
+    assert int(grounded.instruction.num_clauses) == 2
+    assert "go there" in asked[0]
+    assert "gazebo, bridge" in asked[0]
+    assert "exclusiveMinimum" in asked[0]
+    refusal = section.split("`$.")[1].split("`")[0]
+    wrong = changed(*RELATION, "relation", to="above")
+    with pytest.raises(ValueError, match="above") as refused:
+        AnnotationGrounder(TYPES).ground(json.dumps(wrong), START)
+    assert str(refused.value) == f"$.{refusal}"
