@@ -16,6 +16,10 @@ CELLS = 12
 """Cells of the search map a side; must divide the cells of the coverage."""
 LATTICE = 6
 """Viewpoints a side, for first drafts of tours."""
+_TILT = 2e-3
+"""Share by which a cell at one end of the area counts for more than one at the other. Where robot
+and area are mirror-symmetric, so is the map, and each tour would be as good as its mirror image:
+rounding, which differs between compiled programs, would choose."""
 
 
 @pytree
@@ -93,6 +97,7 @@ def search_map(belief: ParticleBelief, prior_share: Array) -> SearchMap:
     size = miss.shape[0] // CELLS
     unseen = miss.reshape(CELLS, size, CELLS, size).sum(axis=(1, 3)).reshape(-1)
     unseen = unseen * prior.relative_density(belief.coverage, belief.viewer, x, y, prior_share)
+    unseen = unseen * (1.0 + _TILT * jnp.linspace(-0.5, 0.5, CELLS**2))
     column = jnp.floor((particles.hypothesis_x - area[0]) / (area[1] - area[0]) * CELLS)
     row = jnp.floor((particles.hypothesis_y - area[2]) / (area[3] - area[2]) * CELLS)
     is_in = (column >= 0) & (column < CELLS) & (row >= 0) & (row < CELLS)
