@@ -108,13 +108,13 @@ def annotation_log_odds(
         return (tables["symbol"] @ coefficients["symbol"]).astype(np.float64)
 
     rank = {
-        path: _log_softmax(np.append(0.0, rank_properties(senses) @ coefficients["rank"]))
+        path: log_softmax(np.append(0.0, rank_properties(senses) @ coefficients["rank"]))
         for path, (coefficients, senses) in prepared.items()
     }
     return log_odds, rank
 
 
-def _log_softmax(scores: np.ndarray) -> np.ndarray:
+def log_softmax(scores: np.ndarray) -> np.ndarray:
     """Normalise scores to log-probabilities."""
     return scores - np.logaddexp.reduce(scores)
 
@@ -186,10 +186,31 @@ def infer_clause(
     Returns:
         Up to ``width`` sets and their probabilities (not renormalised over the beam).
     """
-    space = AnnotationSpace(len(type_names))
     log_odds, rank = annotation_log_odds(root, clause, model, type_names)
-    found: list[tuple[Said, float]] = []
     beam = search(root, log_odds, width=width, path=(clause,))
+    return clause_belief(AnnotationSpace(len(type_names)), beam, clause, rank, width)
+
+
+def clause_belief(
+    space: AnnotationSpace,
+    beam: Sequence[Hypothesis],
+    clause: int,
+    rank: dict[Path, np.ndarray],
+    width: int,
+) -> Belief:
+    """Read a beam as annotations, each with its rank.
+
+    Args:
+        space: annotation symbols.
+        beam: hypotheses at the root, best first.
+        clause: its position in the sentence.
+        rank: for each phrase f64[5], log-probabilities of the ranks 0 to 4.
+        width: how many sets to keep.
+
+    Returns:
+        Up to ``width`` sets and their probabilities.
+    """
+    found: list[tuple[Said, float]] = []
     for hypothesis in beam:
         symbols = space.members(hypothesis.expressed)[:_MAX_SYMBOLS]
         chances = [_rank_chances(space, hypothesis, clause, s, rank) for s in symbols]
@@ -221,11 +242,29 @@ def infer_annotations(
     Returns:
         Up to ``width`` sets of annotations, best first.
     """
+    return join_clauses(
+        [
+            infer_clause(root, clause, model, type_names, width)
+            for clause, root in enumerate(parse.clauses)
+        ],
+        width,
+    )
+
+
+def join_clauses(beliefs: Sequence[Belief], width: int) -> Belief:
+    """Join what the clauses of a sentence say.
+
+    Args:
+        beliefs: one per clause.
+        width: how many sets to keep.
+
+    Returns:
+        Up to ``width`` sets of annotations, best first.
+    """
     joint: list[tuple[tuple[Said, ...], float]] = [((), 0.0)]
     rank: dict[Path, int] = {}
     silent: frozenset[Path] = frozenset()
-    for clause, root in enumerate(parse.clauses):
-        belief = infer_clause(root, clause, model, type_names, width)
+    for belief in beliefs:
         rank |= belief.rank
         silent |= belief.silent
         pairs = itertools.product(joint, belief.sets)

@@ -114,7 +114,7 @@ def _descend(problem: Problem, gap: Array, max_steps: Array) -> tuple[Array, Sea
             value_fn=value_of,
         )
         return _Carry(
-            weights=optax.apply_updates(carry.weights, change),
+            weights=carry.weights + jnp.asarray(change),
             memory=memory,
             value=optax.tree.get(memory, "value"),
             slope=optax.tree.get(memory, "grad"),
