@@ -126,18 +126,14 @@ def walk(phrase: Phrase, path: Path) -> Iterator[tuple[Phrase, Path]]:
         yield from walk(child, (*path, i))
 
 
-def _origins(
-    space: AnnotationSpace, hypothesis: Hypothesis, path: Path, symbol: Annotation
-) -> Iterator[Path]:
-    """Find the phrases that first express a symbol or the region it is in."""
-    region = region_symbol(symbol.relation, symbol.landmark)
-    wanted = [space.index[s] for s in {symbol, region}]
+def _origins(hypothesis: Hypothesis, path: Path, wanted: Sequence[int]) -> Iterator[Path]:
+    """Find the phrases that first express one of the symbols, by their places in the space."""
     below = False
     for i, child in enumerate(hypothesis.children):
-        for origin in _origins(space, child, (*path, i), symbol):
+        for origin in _origins(child, (*path, i), wanted):
             below = True
             yield origin
-    if not below and hypothesis.expressed[wanted].any():
+    if not below and any(hypothesis.expressed[symbol] for symbol in wanted):
         yield path
 
 
@@ -151,7 +147,9 @@ def _rank_chances(
     """List the two likeliest ranks of a symbol with their log-probabilities."""
     if symbol.kind == OBJECT:
         return [(0, 0.0)]
-    origins = [rank[path] for path in _origins(space, hypothesis, (clause,), symbol)]
+    region = region_symbol(symbol.relation, symbol.landmark)
+    wanted = [space.index[symbol], space.index[region]]
+    origins = [rank[path] for path in _origins(hypothesis, (clause,), wanted)]
     if not origins:
         return [(0, 0.0)]
     chances = min(origins, key=lambda chance: chance[0])

@@ -14,14 +14,11 @@ from typing import NamedTuple
 import chex
 import jax
 import jax.numpy as jnp
-import optax
 from jax import Array
 from jax.scipy.sparse.linalg import cg
 
-MEMORY = 10
-"""Pairs of steps and changes of the gradient that estimate the curvature."""
-_NOISE = 1e-5
-"""Share of J below which float32 cannot tell a rise from a fall: no step is refused for it."""
+from jaxlangnav.numerics.descent import descend
+
 _LINEAR_TOLERANCE, _LINEAR_STEPS = 1e-6, 2000
 """Of the linear system behind a derivative: residual as a share of its right side, steps."""
 
@@ -39,16 +36,6 @@ class Search(NamedTuple):
 
     value: Array  # f32[] J at the end
     num_steps: Array  # f32[], like all that a derivative passes
-
-
-class _Carry(NamedTuple):
-    """Where the search stands."""
-
-    weights: Array  # f32[A, B]
-    memory: optax.OptState
-    value: Array  # f32[] J
-    slope: Array  # f32[A, B] ∇J
-    num_steps: Array  # f32[]
 
 
 @jax.custom_jvp
@@ -86,48 +73,6 @@ def slope_of(problem: Problem, weights: Array) -> Array:
     return jax.grad(objective, argnums=1)(problem, weights)
 
 
-def _descend(problem: Problem, gap: Array, max_steps: Array) -> tuple[Array, Search]:
-    """Search from zero weights until J is within ``gap`` of its minimum for certain."""
-
-    def value_of(weights: Array) -> Array:
-        return objective(problem, weights)
-
-    # A step of one is nearly always taken, and its gradient is what the next one starts from.
-    search = optax.lbfgs(
-        None,
-        memory_size=MEMORY,
-        linesearch=optax.scale_by_backtracking_linesearch(
-            20, decrease_factor=0.5, increase_factor=jnp.inf, rtol=_NOISE, store_grad=True
-        ),
-    )
-
-    def is_open(carry: _Carry) -> Array:
-        return (0.5 * jnp.vdot(carry.slope, carry.slope) > gap) & (carry.num_steps < max_steps)
-
-    def advance(carry: _Carry) -> _Carry:
-        change, memory = search.update(
-            carry.slope,
-            carry.memory,
-            carry.weights,
-            value=carry.value,
-            grad=carry.slope,
-            value_fn=value_of,
-        )
-        return _Carry(
-            weights=carry.weights + jnp.asarray(change),
-            memory=memory,
-            value=optax.tree.get(memory, "value"),
-            slope=optax.tree.get(memory, "grad"),
-            num_steps=carry.num_steps + 1.0,
-        )
-
-    start = jnp.zeros((problem.words.shape[1], problem.properties.shape[2]), jnp.float32)
-    value, slope = jax.value_and_grad(value_of)(start)
-    carry = _Carry(start, search.init(start), value, slope, jnp.float32(0.0))
-    carry = jax.lax.while_loop(is_open, advance, carry)
-    return carry.weights, Search(carry.value, carry.num_steps)
-
-
 @jax.custom_jvp
 def minimise(problem: Problem, gap: Array, max_steps: Array) -> tuple[Array, Search]:
     """Minimise J by L-BFGS; differentiable by all of the problem, forwards and backwards.
@@ -148,7 +93,13 @@ def minimise(problem: Problem, gap: Array, max_steps: Array) -> tuple[Array, Sea
     chex.assert_shape(problem.properties, (num_words, None, None))
     chex.assert_shape(problem.times, (*problem.properties.shape[:2], 2))
     chex.assert_type(list(problem), jnp.float32)
-    return _descend(problem, gap, max_steps)
+    found = descend(
+        lambda weights: objective(problem, weights),
+        jnp.zeros((problem.words.shape[1], problem.properties.shape[2]), jnp.float32),
+        slope_length=jnp.sqrt(2.0 * gap),
+        max_steps=max_steps,
+    )
+    return found.point, Search(found.value, found.num_steps)
 
 
 @minimise.defjvp

@@ -19,6 +19,7 @@ from jaxlangnav.grounding.annotation import (
 )
 from jaxlangnav.grounding.annotation_features import rank_properties
 from jaxlangnav.grounding.behavior_features import World
+from jaxlangnav.grounding.blocks import identify
 from jaxlangnav.grounding.examples import (
     KIND_OF,
     LabelledInstruction,
@@ -160,8 +161,11 @@ def _annotation_odds(
         coefficients, senses = prepared[path]
         key = path, *(child.tobytes() for child in children)
         if key not in tables:
-            tables[key] = annotation_properties(space, senses, list(children))["symbol"]
-        return (coefficients[which] @ tables[key].T).astype(np.float64)
+            table = annotation_properties(space, senses, list(children))["symbol"]
+            first, alike = identify(table)
+            tables[key] = table[first], alike
+        distinct, alike = tables[key]
+        return (coefficients[which] @ distinct.T).astype(np.float64)[:, alike]
 
     return log_odds
 

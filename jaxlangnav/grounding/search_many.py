@@ -95,7 +95,7 @@ def _best_sets(log_odds: np.ndarray, width: int) -> tuple[np.ndarray, np.ndarray
     """
     size = log_odds.shape[1]
     margins = np.abs(log_odds)
-    top = -np.logaddexp(0.0, -margins).sum(1)
+    top = -np.log1p(np.exp(-margins)).sum(1)
     order = np.argsort(margins, axis=1, kind="stable")[:, :width]
     table = flips(width)[:, : order.shape[1]]
     table = table[~flips(width)[:, order.shape[1] :].any(1)]

@@ -49,7 +49,7 @@ class Fit:
     loss: np.ndarray  # f32[K] objective at the end
     steps: np.ndarray  # i32[K]
     seconds: float  # counting, fitting and reading back, compilation left out
-    compile_seconds: float
+    compile_seconds: float  # next to none where a fit of this size has been compiled before
     cpu_seconds: float  # as ``seconds``, CPU time of the process
 
 
@@ -134,6 +134,15 @@ def _fit_splits(
         counts,
         batch_size=lanes if lanes > 1 else None,
     )
+
+
+@functools.lru_cache(maxsize=8)
+def _compile(
+    shapes: tuple[jax.ShapeDtypeStruct, ...], config: TrainingConfig
+) -> jax.stages.Compiled:
+    """Compile the fits of designs and numbers of splits of one size, once."""
+    *factored, counts, l2 = shapes
+    return _fit_splits.lower(Factored(*factored), counts, l2, config=config).compile()
 
 
 def by_kind(weights: Array, design: Design) -> dict[str, Array]:
@@ -241,7 +250,8 @@ def fit(
     given = (factored, counts, jnp.asarray(strength, jnp.float32))
     prepared, prepared_cpu = time.perf_counter() - begin, time.process_time() - begin_cpu
     begin = time.perf_counter()
-    compiled = _fit_splits.lower(*given, config=config).compile()
+    shapes = tuple(jax.ShapeDtypeStruct(one.shape, one.dtype) for one in jax.tree.leaves(given))
+    compiled = _compile(shapes, config)
     compile_seconds = time.perf_counter() - begin
     begin, begin_cpu = time.perf_counter(), time.process_time()
     found, search = jax.block_until_ready(compiled(*given))
