@@ -11,6 +11,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
+from jaxlangnav.grounding.behavior_properties import PROPERTY_NAMES
 from jaxlangnav.grounding.instruction import GroundingModel
 from jaxlangnav.grounding.model import CorrespondenceModel, Vocabulary
 from jaxlangnav.language.lexicon import load_lexicon
@@ -25,6 +26,7 @@ def _pack(name: str, model: CorrespondenceModel) -> dict[str, np.ndarray]:
         "names": model.vocabulary.names,
         "without": sorted(model.vocabulary.without),
         "temperature": model.temperature,
+        "properties": {k: PROPERTY_NAMES[k] for k in model.weights if k in PROPERTY_NAMES},
     }
     return arrays | {f"{name}.json": np.array(json.dumps(header))}
 
@@ -34,6 +36,9 @@ def _unpack(name: str, arrays: dict[str, np.ndarray]) -> CorrespondenceModel:
     header = json.loads(str(arrays[f"{name}.json"]))
     prefix = f"{name}/"
     weights = {key.removeprefix(prefix): a for key, a in arrays.items() if key.startswith(prefix)}
+    for kind, names in header.get("properties", {}).items():
+        if tuple(names) != PROPERTY_NAMES.get(kind):
+            raise ValueError(f"the properties of '{kind}' are others than this version's")
     vocabulary = Vocabulary(tuple(header["names"]), frozenset(header["without"]))
     return CorrespondenceModel(vocabulary, weights, float(header["temperature"]))
 
