@@ -5,6 +5,7 @@ kernel evaluates the same properties with bit arithmetic (``behavior``); a test 
 """
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -62,7 +63,7 @@ def lies_in(world: World, regions: np.ndarray, rank: np.ndarray) -> np.ndarray:
     return lies & world.is_object
 
 
-def _stack(shape: tuple[int, ...], columns: list[np.ndarray | bool]) -> np.ndarray:
+def _stack(shape: tuple[int, ...], columns: Sequence[np.ndarray | bool]) -> np.ndarray:
     """Stack broadcast properties to f32[symbols, F]."""
     table = np.empty((*shape, len(columns)), np.float32)
     for i, column in enumerate(columns):

@@ -11,7 +11,7 @@ evaluated in the particles. The order here is that of the columns of the weights
 """
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -166,7 +166,7 @@ PROPERTY_NAMES: dict[str, tuple[str, ...]] = {
 
 
 def describe(
-    properties: Sequence[Property], words: Words, conditions: dict[str, np.ndarray | bool]
+    properties: Sequence[Property], words: Words, conditions: Mapping[str, np.ndarray | bool]
 ) -> list[np.ndarray]:
     """Evaluate properties on the host.
 

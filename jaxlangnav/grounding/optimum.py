@@ -19,7 +19,7 @@ from jax.scipy.sparse.linalg import cg
 
 from jaxlangnav.numerics.descent import descend
 
-_LINEAR_TOLERANCE, _LINEAR_STEPS = 1e-6, 2000
+_LINEAR_TOLERANCE, _LINEAR_STEPS = 1e-5, 500
 """Of the linear system behind a derivative: residual as a share of its right side, steps."""
 
 

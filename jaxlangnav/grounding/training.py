@@ -137,12 +137,9 @@ def _fit_splits(
 
 
 @functools.lru_cache(maxsize=8)
-def _compile(
-    shapes: tuple[jax.ShapeDtypeStruct, ...], config: TrainingConfig
-) -> jax.stages.Compiled:
+def _compile(shapes: tuple, config: TrainingConfig) -> jax.stages.Compiled:
     """Compile the fits of designs and numbers of splits of one size, once."""
-    *factored, counts, l2 = shapes
-    return _fit_splits.lower(Factored(*factored), counts, l2, config=config).compile()
+    return _fit_splits.lower(*shapes, config=config).compile()
 
 
 def by_kind(weights: Array, design: Design) -> dict[str, Array]:
@@ -250,7 +247,7 @@ def fit(
     given = (factored, counts, jnp.asarray(strength, jnp.float32))
     prepared, prepared_cpu = time.perf_counter() - begin, time.process_time() - begin_cpu
     begin = time.perf_counter()
-    shapes = tuple(jax.ShapeDtypeStruct(one.shape, one.dtype) for one in jax.tree.leaves(given))
+    shapes = jax.tree.map(lambda one: jax.ShapeDtypeStruct(one.shape, one.dtype), given)
     compiled = _compile(shapes, config)
     compile_seconds = time.perf_counter() - begin
     begin, begin_cpu = time.perf_counter(), time.process_time()
