@@ -18,11 +18,11 @@ the relation with the same mean direction there. Words are "front" to "far", as 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.optimize
 from jax import Array
 from jax.flatten_util import ravel_pytree
 
 from jaxlangnav.messages import FAR, NEAR, RELATIONS
+from jaxlangnav.numerics.descent import Descent, descend
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.relation_pairs import FRAMES, RelationPairs, log_frame_densities
 from jaxlangnav.relations import (
@@ -33,6 +33,9 @@ from jaxlangnav.relations import (
 _RINGS = (NEAR, FAR)
 """Relations without a direction: κ stays 0, and no frame can be told from another."""
 _MIN_CONCENTRATION = 1e-3
+_FLAT, _CONVERGED = 1e-4, 1e-3
+"""Length of the mean gradient that ends the search, and each number's that counts as vanished:
+float32 leaves a rounding error of about 1e-4."""
 
 
 @pytree
@@ -138,9 +141,6 @@ def _loss(vector: Array, pairs: RelationPairs, start: _Free, prior: RelationPrio
     return -(total + _log_prior(free, start, prior)) / pairs.relation.shape[0]
 
 
-_loss_and_slope = jax.jit(jax.value_and_grad(_loss))
-
-
 @jax.jit
 def _bend(vector: Array, pairs: RelationPairs, start: _Free, prior: RelationPrior) -> Array:
     """Compute the curvature f32[n, n], a row at a time: a third of the compilation of hessian."""
@@ -152,27 +152,27 @@ def _bend(vector: Array, pairs: RelationPairs, start: _Free, prior: RelationPrio
     return jax.lax.map(row, jnp.eye(vector.shape[0]))
 
 
+@jax.jit
+def _search(
+    start: _Free, pairs: RelationPairs, prior: RelationPrior, max_iterations: Array
+) -> Descent:
+    """Run L-BFGS from where the prior has its centre."""
+    return descend(
+        lambda vector: _loss(vector, pairs, start, prior),
+        ravel_pytree(start)[0],
+        slope_length=_FLAT,
+        max_steps=max_iterations,
+    )
+
+
 def _maximise(
     pairs: RelationPairs, start: _Free, prior: RelationPrior, max_iterations: int
 ) -> tuple[_Free, Array, Array]:
     """Run L-BFGS; also f32[n, n], the curvature there, and bool[], whether it has converged."""
-    first, unravel = ravel_pytree(start)
-
-    def loss(vector: np.ndarray) -> tuple[float, np.ndarray]:
-        value, slope = _loss_and_slope(jnp.asarray(vector, jnp.float32), pairs, start, prior)
-        return float(value), np.asarray(slope, np.float64)
-
-    found = scipy.optimize.minimize(
-        loss,
-        np.asarray(first, np.float64),
-        jac=True,
-        method="L-BFGS-B",
-        options={"maxiter": max_iterations, "ftol": 0.0},
-    )
-    vector = jnp.asarray(found.x, jnp.float32)
-    curvature = _bend(vector, pairs, start, prior) * pairs.relation.shape[0]
-    # float32 leaves a rounding error of about 1e-4 in the mean gradient.
-    return unravel(vector), curvature, jnp.asarray(np.max(np.abs(loss(found.x)[1])) < 1e-3)
+    found = _search(start, pairs, prior, jnp.float32(max_iterations))
+    curvature = _bend(found.point, pairs, start, prior) * pairs.relation.shape[0]
+    is_converged = jnp.max(jnp.abs(found.slope)) < _CONVERGED
+    return ravel_pytree(start)[1](found.point), curvature, is_converged
 
 
 def _standard_errors(

@@ -78,7 +78,7 @@ def test_exact_scores_are_those_of_the_beam_where_both_are_sure():
 def test_protocol_end_to_end():
     done = []
     document = evaluate(splits=4, beams=(4, 1), is_exact=True, on_progress=done.append)
-    assert done == [1] * 4
+    assert sum(done) == 4
     for name in ("annotation", "behavior"):
         row = document[name]
         assert row["splits"] == 4

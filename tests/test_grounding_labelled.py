@@ -7,9 +7,10 @@ import pytest
 from grounding_fixture import TYPES, corpus, example
 
 from jaxlangnav.grounding import load_shipped, understand
-from jaxlangnav.grounding.evaluation import gold_annotations, score_annotations, score_behaviors
+from jaxlangnav.grounding.evaluation import score_annotations, score_behaviors
 from jaxlangnav.grounding.examples import annotation_examples, behavior_examples, ranks_meant
 from jaxlangnav.grounding.labelled import read_annotation, read_behavior, read_example
+from jaxlangnav.grounding.scoring import gold_annotations
 from jaxlangnav.grounding.symbols import (
     ACTION,
     CONSTRAINT,

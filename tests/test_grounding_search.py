@@ -12,6 +12,7 @@ from jaxlangnav.grounding.search import (
     search,
     search_exactly,
 )
+from jaxlangnav.grounding.search_many import flips, search_exactly_many, search_many
 from jaxlangnav.language.phrase import Phrase
 
 
@@ -120,3 +121,66 @@ def test_what_cannot_be_proven_is_not():
     assert not is_proven
     _, is_proven = search_exactly(leaf(), lambda *_: np.full(40, 9.0))
     assert is_proven
+
+
+@pytest.mark.parametrize("width", [1, 2, 4, 5, 8])
+def test_no_cheap_choice_of_flips_is_forgotten(width):
+    """Of all choices among ten factors, by costs of every kind, the cheapest are in the table."""
+    rng = np.random.default_rng(width)
+    table = flips(width)
+    assert not table[0].any()
+    known = {row.tobytes() for row in np.pad(table, ((0, 0), (0, 10 - width)))}
+    every = np.array(list(all_sets(10)))
+    for scale in (0.01, 0.3, 1.0, 3.0):
+        cost = np.sort(rng.exponential(1, 10) ** scale)
+        cheapest = every[np.argsort(every @ cost)[:width]]
+        assert {row.tobytes() for row in cheapest} <= known
+    if width > 2:
+        # As many choices as the beam is wide are never dearer than the dearest factor but one.
+        assert len(table) < 4 * width
+
+
+@pytest.mark.parametrize("width", [1, 4, 16])
+def test_many_models_at_once_are_each_alone(width):
+    """Models of one tree that come upon different child sets: every hypothesis is the same."""
+    graphs = [graph_of(seed, size=3) for seed in range(7)]
+    tree = graphs[0][0]
+
+    def odds(phrase, path, children, models):
+        return np.stack([graphs[m][1](phrase, path, children) for m in models])
+
+    beams = search_many(tree, odds, len(graphs), width=width)
+    for model, (_, alone) in enumerate(graphs):
+        same(beams.of(model), search(tree, alone, width=width))
+
+
+def same(found, wanted):
+    """Compare hypotheses and all below them; rounding of sums aside."""
+    assert len(found) == len(wanted)
+    for one, other in zip(found, wanted, strict=True):
+        np.testing.assert_array_equal(one.expressed, other.expressed)
+        assert one.log_probability == pytest.approx(other.log_probability, abs=1e-12)
+        same(one.children, other.children)
+
+
+def test_a_symbol_that_is_excluded_is_so_for_many_models():
+    odds = np.array([[0.1, -np.inf, -0.2, 3.0], [2.0, -np.inf, 0.5, 0.4]])
+    beams = search_many(leaf(), lambda *given: odds[given[-1]], 2, width=8)
+    for model in range(2):
+        same(beams.of(model), search(leaf(), lambda *_, row=odds[model]: row, width=8))
+        assert len(beams.of(model)) == 8
+
+
+def test_many_models_are_proven_as_each_alone():
+    rng = np.random.default_rng(4)
+    odds = rng.normal(0, 3, (12, 9)) * rng.choice([0.02, 1.0], (12, 1))
+
+    def beams_of(width, models):
+        return search_many(leaf(), lambda *given: odds[models][given[-1]], len(models), width=width)
+
+    best, is_proven = search_exactly_many(beams_of, len(odds))
+    assert 0 < is_proven.sum() < len(odds)
+    for row, one, proven in zip(odds, best, is_proven, strict=True):
+        alone, is_sure = search_exactly(leaf(), lambda *_, row=row: row)
+        np.testing.assert_array_equal(one, alone.expressed)
+        assert proven == is_sure

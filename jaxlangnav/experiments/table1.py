@@ -6,6 +6,7 @@ splits of a model train at once, by ``vmap`` over the weights of the instruction
 """
 
 import dataclasses
+import itertools
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -16,15 +17,9 @@ from rich.table import Table
 
 from jaxlangnav.experiments.sizes import check_count
 from jaxlangnav.experiments.splits import draw_splits, mark_new_words
+from jaxlangnav.grounding.annotation import infer_annotations
+from jaxlangnav.grounding.behavior_search import infer_behavior_sets
 from jaxlangnav.grounding.blocks import Design
-from jaxlangnav.grounding.evaluation import (
-    ExactScores,
-    Scores,
-    score_annotations,
-    score_annotations_exactly,
-    score_behaviors,
-    score_behaviors_exactly,
-)
 from jaxlangnav.grounding.examples import (
     LabelledInstruction,
     annotation_examples,
@@ -37,6 +32,14 @@ from jaxlangnav.grounding.model import (
     BEHAVIOR_KINDS,
     CorrespondenceModel,
     Vocabulary,
+)
+from jaxlangnav.grounding.scoring import (
+    ExactScores,
+    Models,
+    Results,
+    Scores,
+    score_annotations,
+    score_behaviors,
 )
 from jaxlangnav.grounding.search import BEAM_WIDTH
 from jaxlangnav.grounding.symbols import AnnotationSpace
@@ -66,7 +69,7 @@ class Splits:
     """Everything fitted for one model over all splits."""
 
     vocabulary: Vocabulary
-    weights: list[dict[str, np.ndarray]]
+    weights: list[dict[str, np.ndarray]]  # K times kind → f32[W, F]
     alone: Fit  # one split by itself
     together: Fit  # all splits in one vmap
     examples: int  # (phrase, symbol) factors, mean over the training parts
@@ -74,6 +77,10 @@ class Splits:
     def model(self, split: int) -> CorrespondenceModel:
         """Build the model of one split."""
         return CorrespondenceModel(self.vocabulary, self.weights[split])
+
+    def models(self) -> Models:
+        """Put the models of all splits side by side."""
+        return Models.of([self.model(split) for split in range(len(self.weights))])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -154,35 +161,58 @@ def summarise(scores: Sequence[Scores | ExactScores]) -> tuple[float, float]:
     return float(accuracy.mean()), float(1.96 * spread / np.sqrt(len(accuracy)))
 
 
-def _score(
+def _score_all(
+    instructions: Sequence[LabelledInstruction],
+    fitted: dict[str, Splits],
+    held_out: np.ndarray,
+    type_names: tuple[str, ...],
+    on_progress: Progress | None,
+    **searched: Any,
+) -> dict[str, Results]:
+    """Measure both models of every split on its hold-out."""
+    annotation, behavior = (fitted[name].models() for name in MODELS)
+    splits, sentences = held_out.shape
+    count = itertools.count(1)
+
+    def tell() -> None:
+        """Say how many splits' worth of work the sentences so far have been."""
+        done = next(count)
+        ends = [splits * n // (len(MODELS) * sentences) for n in (done - 1, done)]
+        if on_progress is not None and ends[1] > ends[0]:
+            on_progress(ends[1] - ends[0])
+
+    shared: dict[str, Any] = {"on_sentence": tell} | searched
+    return {
+        "annotation": score_annotations(instructions, annotation, held_out, type_names, **shared),
+        "behavior": score_behaviors(
+            instructions, annotation, behavior, held_out, type_names, **shared
+        ),
+    }
+
+
+def _seconds(
     name: str,
     fitted: dict[str, Splits],
-    split: int,
-    held_out: Sequence[LabelledInstruction],
+    tested: Sequence[LabelledInstruction],
     type_names: tuple[str, ...],
     width: int,
-) -> Scores:
-    """Measure one model on one split's hold-out."""
-    annotation = fitted["annotation"].model(split)
-    if name == "annotation":
-        return score_annotations(held_out, annotation, type_names, width)
-    behavior = fitted["behavior"].model(split)
-    return score_behaviors(held_out, annotation, behavior, type_names, width)
-
-
-def _score_exactly(
-    name: str,
-    fitted: dict[str, Splits],
-    split: int,
-    held_out: Sequence[LabelledInstruction],
-    type_names: tuple[str, ...],
-) -> ExactScores:
-    """Measure the likeliest set of all, without a beam."""
-    annotation = fitted["annotation"].model(split)
-    if name == "annotation":
-        return score_annotations_exactly(held_out, annotation, type_names)
-    behavior = fitted["behavior"].model(split)
-    return score_behaviors_exactly(held_out, annotation, behavior, type_names)
+) -> float:
+    """Measure the mean seconds that the first split's model takes for one sentence (and world)."""
+    annotation, behavior = (fitted[name].model(0) for name in MODELS)
+    count, begin = 0, time.perf_counter()
+    for labelled in tested:
+        belief = infer_annotations(labelled.parse, annotation, type_names, width)
+        count += name == "annotation"
+        if name == "annotation":
+            continue
+        for world, gold in zip(labelled.worlds, labelled.behavior, strict=True):
+            count += 1
+            for clause, root in enumerate(labelled.parse.clauses):
+                if (clause,) in gold:
+                    infer_behavior_sets(
+                        root, clause, world, behavior, belief.rank, type_names, width
+                    )
+    return (time.perf_counter() - begin) / count
 
 
 def evaluate(
@@ -202,7 +232,7 @@ def evaluate(
         beams: beam widths; the first is the one that the table states.
         is_exact: also find the likeliest of all sets, and say how often it is proven.
         without: groups of word features to leave out (``FEATURE_GROUPS``), an ablation.
-        on_progress: called with the number of splits just measured.
+        on_progress: called with how many splits' worth of work is done; adds up to ``splits``.
 
     Returns:
         For each model the keys of the table; ``beams`` maps each width, and "exact", to its
@@ -234,30 +264,20 @@ def evaluate(
         check_splits(one, splits)
     held_out = draw_splits(len(instructions), splits, seed)
     fitted = {name: fit_splits(one, held_out) for name, one in prepared.items()}
-    scores: dict[str, dict[int, list[Scores]]] = {n: {b: [] for b in beams} for n in MODELS}
-    exact: dict[str, list[ExactScores]] = {name: [] for name in MODELS}
-    seconds: dict[str, list[float]] = {name: [] for name in MODELS}
-    for split in range(splits):
-        tested = [instructions[i] for i in np.flatnonzero(held_out[split])]
-        for name in MODELS:
-            for beam in beams:
-                begin = time.perf_counter()
-                score = _score(name, fitted, split, tested, type_names, beam)
-                if beam == beams[0]:
-                    elapsed = time.perf_counter() - begin
-                    seconds[name].append(elapsed / max(len(score.is_right), 1))
-                scores[name][beam].append(score)
-            if is_exact:
-                exact[name].append(_score_exactly(name, fitted, split, tested, type_names))
-        if on_progress is not None:
-            on_progress(1)
+    results = _score_all(
+        instructions, fitted, held_out, type_names, on_progress, widths=beams, is_exact=is_exact
+    )
+    tested = [instructions[i] for i in np.flatnonzero(held_out[0])]
     new_words = [mark_new_words(instructions, held_out[split]) for split in range(splits)]
     worlds = np.array([len(labelled.worlds) for labelled in instructions])
     document: dict[str, Any] = {
-        name: _row(fitted[name], scores[name], exact[name], seconds[name]) for name in MODELS
+        name: _row(
+            fitted[name], results[name], _seconds(name, fitted, tested, type_names, beams[0])
+        )
+        for name in MODELS
     }
     for name in MODELS:
-        of_first = scores[name][beams[0]]
+        of_first = results[name].by_width[beams[0]]
         document[name]["new_words"] = _on_new_words(
             [
                 (score.is_right, new if name == "annotation" else np.repeat(new, worlds[held]))
@@ -283,25 +303,20 @@ def _accuracy(scores: Sequence[Scores | ExactScores]) -> dict[str, float]:
     return {"accuracy_mean": round(mean, 2), "accuracy_ci95": round(interval, 2)}
 
 
-def _row(
-    fitted: Splits,
-    scores: dict[int, list[Scores]],
-    exact: Sequence[ExactScores],
-    seconds: list[float],
-) -> dict[str, Any]:
+def _row(fitted: Splits, results: Results, seconds: float) -> dict[str, Any]:
     """Write one row of the table."""
-    beams = {str(beam): _accuracy(of_beam) for beam, of_beam in scores.items()}
+    beams = {str(beam): _accuracy(of_beam) for beam, of_beam in results.by_width.items()}
     first = next(iter(beams.values()))
-    if exact:
-        proven = np.concatenate([score.is_proven for score in exact]).mean()
-        beams["exact"] = _accuracy(exact) | {"proven": round(float(proven), 4)}
+    if results.exact:
+        proven = np.concatenate([score.is_proven for score in results.exact]).mean()
+        beams["exact"] = _accuracy(results.exact) | {"proven": round(float(proven), 4)}
     return {
-        "splits": len(seconds),
+        "splits": len(fitted.weights),
         **first,
         "train_s": round(fitted.alone.seconds, 4),
         "train_compile_s": round(fitted.alone.compile_seconds, 3),
         "train_all_s": round(fitted.together.seconds, 4),
-        "infer_s": round(float(np.median(seconds)), 5),
+        "infer_s": round(seconds, 5),
         "examples": fitted.examples,
         "features": fitted.model(0).num_features,
         "beams": beams,

@@ -108,13 +108,13 @@ def annotation_log_odds(
         return (tables["symbol"] @ coefficients["symbol"]).astype(np.float64)
 
     rank = {
-        path: _log_softmax(np.append(0.0, rank_properties(senses) @ coefficients["rank"]))
+        path: log_softmax(np.append(0.0, rank_properties(senses) @ coefficients["rank"]))
         for path, (coefficients, senses) in prepared.items()
     }
     return log_odds, rank
 
 
-def _log_softmax(scores: np.ndarray) -> np.ndarray:
+def log_softmax(scores: np.ndarray) -> np.ndarray:
     """Normalise scores to log-probabilities."""
     return scores - np.logaddexp.reduce(scores)
 
@@ -126,18 +126,14 @@ def walk(phrase: Phrase, path: Path) -> Iterator[tuple[Phrase, Path]]:
         yield from walk(child, (*path, i))
 
 
-def _origins(
-    space: AnnotationSpace, hypothesis: Hypothesis, path: Path, symbol: Annotation
-) -> Iterator[Path]:
-    """Find the phrases that first express a symbol or the region it is in."""
-    region = region_symbol(symbol.relation, symbol.landmark)
-    wanted = [space.index[s] for s in {symbol, region}]
+def _origins(hypothesis: Hypothesis, path: Path, wanted: Sequence[int]) -> Iterator[Path]:
+    """Find the phrases that first express one of the symbols, by their places in the space."""
     below = False
     for i, child in enumerate(hypothesis.children):
-        for origin in _origins(space, child, (*path, i), symbol):
+        for origin in _origins(child, (*path, i), wanted):
             below = True
             yield origin
-    if not below and hypothesis.expressed[wanted].any():
+    if not below and any(hypothesis.expressed[symbol] for symbol in wanted):
         yield path
 
 
@@ -151,7 +147,9 @@ def _rank_chances(
     """List the two likeliest ranks of a symbol with their log-probabilities."""
     if symbol.kind == OBJECT:
         return [(0, 0.0)]
-    origins = [rank[path] for path in _origins(space, hypothesis, (clause,), symbol)]
+    region = region_symbol(symbol.relation, symbol.landmark)
+    wanted = [space.index[symbol], space.index[region]]
+    origins = [rank[path] for path in _origins(hypothesis, (clause,), wanted)]
     if not origins:
         return [(0, 0.0)]
     chances = min(origins, key=lambda chance: chance[0])
@@ -186,10 +184,31 @@ def infer_clause(
     Returns:
         Up to ``width`` sets and their probabilities (not renormalised over the beam).
     """
-    space = AnnotationSpace(len(type_names))
     log_odds, rank = annotation_log_odds(root, clause, model, type_names)
-    found: list[tuple[Said, float]] = []
     beam = search(root, log_odds, width=width, path=(clause,))
+    return clause_belief(AnnotationSpace(len(type_names)), beam, clause, rank, width)
+
+
+def clause_belief(
+    space: AnnotationSpace,
+    beam: Sequence[Hypothesis],
+    clause: int,
+    rank: dict[Path, np.ndarray],
+    width: int,
+) -> Belief:
+    """Read a beam as annotations, each with its rank.
+
+    Args:
+        space: annotation symbols.
+        beam: hypotheses at the root, best first.
+        clause: its position in the sentence.
+        rank: for each phrase f64[5], log-probabilities of the ranks 0 to 4.
+        width: how many sets to keep.
+
+    Returns:
+        Up to ``width`` sets and their probabilities.
+    """
+    found: list[tuple[Said, float]] = []
     for hypothesis in beam:
         symbols = space.members(hypothesis.expressed)[:_MAX_SYMBOLS]
         chances = [_rank_chances(space, hypothesis, clause, s, rank) for s in symbols]
@@ -221,11 +240,29 @@ def infer_annotations(
     Returns:
         Up to ``width`` sets of annotations, best first.
     """
+    return join_clauses(
+        [
+            infer_clause(root, clause, model, type_names, width)
+            for clause, root in enumerate(parse.clauses)
+        ],
+        width,
+    )
+
+
+def join_clauses(beliefs: Sequence[Belief], width: int) -> Belief:
+    """Join what the clauses of a sentence say.
+
+    Args:
+        beliefs: one per clause.
+        width: how many sets to keep.
+
+    Returns:
+        Up to ``width`` sets of annotations, best first.
+    """
     joint: list[tuple[tuple[Said, ...], float]] = [((), 0.0)]
     rank: dict[Path, int] = {}
     silent: frozenset[Path] = frozenset()
-    for clause, root in enumerate(parse.clauses):
-        belief = infer_clause(root, clause, model, type_names, width)
+    for belief in beliefs:
         rank |= belief.rank
         silent |= belief.silent
         pairs = itertools.product(joint, belief.sets)

@@ -5,12 +5,21 @@ kernel evaluates the same properties with bit arithmetic (``behavior``); a test 
 """
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
+from jaxlangnav.grounding.behavior_properties import (
+    CONSTRAINT_PROPERTIES,
+    GOAL_PROPERTIES,
+    OBJECT_PROPERTIES,
+    REGION_PROPERTIES,
+    Words,
+    describe,
+)
 from jaxlangnav.grounding.features import Senses
 from jaxlangnav.grounding.symbols import NUM_REGIONS, NUM_RELATIONS
-from jaxlangnav.messages import ACTIONS, AT, MODES, NEAR, ROBOT
+from jaxlangnav.messages import ACTIONS, AT, MODES, ROBOT
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,7 +63,7 @@ def lies_in(world: World, regions: np.ndarray, rank: np.ndarray) -> np.ndarray:
     return lies & world.is_object
 
 
-def _stack(shape: tuple[int, ...], columns: list[np.ndarray | bool]) -> np.ndarray:
+def _stack(shape: tuple[int, ...], columns: Sequence[np.ndarray | bool]) -> np.ndarray:
     """Stack broadcast properties to f32[symbols, F]."""
     table = np.empty((*shape, len(columns)), np.float32)
     for i, column in enumerate(columns):
@@ -68,8 +77,13 @@ def agrees(world: World, senses: Senses) -> np.ndarray:
     return (is_type | ((world.object_type == ROBOT) & senses.is_robot)) & world.is_object
 
 
+def _words(senses: Senses, child: ChildGroundings) -> Words:
+    """Read what the gates need."""
+    return Words.of(senses, child.has_children, child.is_restricted)
+
+
 def object_properties(world: World, senses: Senses, child: ChildGroundings) -> np.ndarray:
-    """Describe the object symbols of a noun or preposition phrase.
+    """Describe the object symbols of a noun or preposition phrase (``OBJECT_PROPERTIES``).
 
     Args:
         world: the world.
@@ -82,109 +96,67 @@ def object_properties(world: World, senses: Senses, child: ChildGroundings) -> n
     own = agrees(world, senses)
     has_previous = bool(world.is_previous.any())
     alike = np.isin(world.object_type, world.object_type[world.is_previous])
-    inside, lies, limited = child.objects, child.lies, child.is_restricted
-    return _stack(
-        own.shape,
-        [
-            True,
-            own,
-            ~own & (bool(senses.types) or senses.is_robot),
-            inside,
-            inside & lies & limited,
-            inside & ~lies & limited,
-            child.has_children & ~inside,
-            own & lies & limited,
-            own & world.is_previous,
-            world.is_previous,
-            alike & ~world.is_previous,
-            ~alike & has_previous,
-            not has_previous,
-        ],
-    )
+    inside, lies = child.objects, child.lies
+    conditions = {
+        "always": True,
+        "own": own,
+        "other": ~own,
+        "inside": inside,
+        "inside_lies": inside & lies,
+        "inside_elsewhere": inside & ~lies,
+        "outside": ~inside,
+        "own_lies": own & lies,
+        "own_previous": own & world.is_previous,
+        "previous": world.is_previous,
+        "alike": alike & ~world.is_previous,
+        "unlike": ~alike & has_previous,
+        "no_previous": not has_previous,
+    }
+    return _stack(own.shape, describe(OBJECT_PROPERTIES, _words(senses, child), conditions))
 
 
-def _relations(senses: Senses) -> np.ndarray:
-    """Mark the regions that the words name, bool[7, 1]."""
-    return np.isin(np.arange(NUM_REGIONS), sorted(senses.relations))[:, None]
+def _regions(world: World, senses: Senses, child: ChildGroundings) -> dict[str, np.ndarray | bool]:
+    """Evaluate the conditions of regions and goals, bool[7, N] and what broadcasts to it."""
+    inside, same = child.objects[None], child.regions
+    return {
+        "base": True,
+        "inside": inside,
+        "same": same,
+        "absent": ~inside & ~same,
+        "own": agrees(world, senses)[None],
+        "robot": (world.object_type == ROBOT)[None],
+    }
 
 
 def region_properties(world: World, senses: Senses, child: ChildGroundings) -> np.ndarray:
-    """Describe the region symbols; arguments as ``object_properties``, f32[7 N, 25]."""
-    relation, at = _relations(senses), (np.arange(NUM_REGIONS) == AT)[:, None]
-    inside, same = child.objects[None], child.regions
-    robot = (world.object_type == ROBOT)[None]
-    is_lone = not child.has_children and not senses.types
-    each = list(np.eye(NUM_REGIONS, dtype=bool)[:, :, None])
-    return _stack(
-        same.shape,
-        [
-            True,
-            relation,
-            inside,
-            relation & inside,
-            ~relation & inside & bool(senses.relations),
-            same,
-            child.has_children & ~inside & ~same,
-            at & inside & (not senses.relations),
-            relation & agrees(world, senses)[None],
-            relation & robot & is_lone,
-            robot,
-            *each,
-            *(row & inside for row in each),
-        ],
-    )
+    """Describe the region symbols (``REGION_PROPERTIES``); arguments as above, f32[7 N, 25]."""
+    conditions = _regions(world, senses, child)
+    columns = describe(REGION_PROPERTIES, _words(senses, child), conditions)
+    return _stack(child.regions.shape, columns)
 
 
 def goal_properties(world: World, senses: Senses, child: ChildGroundings) -> np.ndarray:
-    """Describe the goal symbols of a verb phrase; arguments as above, f32[7 N, 23]."""
-    relation, at = _relations(senses), (np.arange(NUM_REGIONS) == AT)[:, None]
-    inside, same = child.objects[None], child.regions
-    robot = (world.object_type == ROBOT)[None]
-    each = list(np.eye(NUM_REGIONS, dtype=bool)[:, :, None])
-    return _stack(
-        same.shape,
-        [
-            True,
-            same,
-            inside,
-            ~inside & ~same,
-            at & inside,
-            at & same,
-            relation & inside,
-            relation & same,
-            relation & robot,
-            *each,
-            *(row & same for row in each),
-        ],
-    )
+    """Describe the goal symbols (``GOAL_PROPERTIES``); arguments as above, f32[7 N, 23]."""
+    conditions = _regions(world, senses, child)
+    columns = describe(GOAL_PROPERTIES, _words(senses, child), conditions)
+    return _stack(child.regions.shape, columns)
 
 
 def constraint_properties(world: World, senses: Senses, child: ChildGroundings) -> np.ndarray:
-    """Describe the constraint symbols of a verb phrase; arguments as above, f32[7 N, 18]."""
-    del senses
-    shape = (NUM_REGIONS, world.object_type.shape[0])
-    at = (np.arange(NUM_REGIONS) == AT)[:, None]
-    near = (np.arange(NUM_REGIONS) == NEAR)[:, None]
+    """Describe constraints (``CONSTRAINT_PROPERTIES``); arguments as above, f32[7 N, 18]."""
     inside, same = child.objects[None], child.regions
     touched = inside | same.any(0, keepdims=True)
-    each = list(np.eye(NUM_REGIONS, dtype=bool)[:, :, None])
-    return _stack(
-        shape,
-        [
-            True,
-            same,
-            inside,
-            touched,
-            near & touched,
-            at & touched,
-            ~touched,
-            child.constraints,
-            touched & ~child.constraints,
-            near & inside,
-            at & inside,
-            *each,
-        ],
-    )
+    conditions = {
+        "base": True,
+        "same": same,
+        "inside": inside,
+        "touched": touched,
+        "untouched": ~touched,
+        "kept": child.constraints,
+        "new": touched & ~child.constraints,
+    }
+    columns = describe(CONSTRAINT_PROPERTIES, _words(senses, child), conditions)
+    return _stack((NUM_REGIONS, world.object_type.shape[0]), columns)
 
 
 def _choice_properties(named: frozenset[int], size: int) -> np.ndarray:

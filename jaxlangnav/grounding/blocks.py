@@ -81,7 +81,7 @@ def _bits(rows: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(rows, np.float32).view(np.uint32).astype(np.uint64)
 
 
-def _identify(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def identify(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Find equal rows of f32[N, F].
 
     Rows are told apart by a random 64-bit hash of their bits, some hundred times faster than
@@ -114,8 +114,8 @@ def pool(factors: Factors, columns: dict[str, slice], num_instructions: int) -> 
     Returns:
         The design.
     """
-    first_words, words = _identify(factors.words)
-    first_rows, rows = _identify(factors.properties)
+    first_words, words = identify(factors.words)
+    first_rows, rows = identify(factors.properties)
     pair = words[factors.phrase] * len(first_rows) + rows
     distinct, which = np.unique(pair, return_inverse=True)
     owner, row = distinct // len(first_rows), distinct % len(first_rows)
@@ -197,6 +197,6 @@ def _distinct(rows: Rows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Join equal factors of one phrase where there are many: properties, labels, how often."""
     if len(rows.labels) < _MANY:
         return rows.properties, rows.labels, np.ones(len(rows.labels))
-    first, which = _identify(rows.properties)
+    first, which = identify(rows.properties)
     pair, times = np.unique(2 * which + rows.labels, return_counts=True)
     return rows.properties[first[pair // 2]], pair % 2 == 1, times

@@ -1,14 +1,22 @@
 """Words contracted with the weights: what is left of them per phrase (eq. 4, section 3.3).
 
-Each function takes the coefficients z of the properties in ``behavior_features``, in their order.
+What a property's words come to stands with the property (``behavior_properties``); here it gets
+the shape of a ``BehaviorProgram``.
 """
 
 import numpy as np
 
+from jaxlangnav.grounding.behavior_properties import (
+    CONSTRAINT_PROPERTIES,
+    GOAL_PROPERTIES,
+    OBJECT_PROPERTIES,
+    REGION_PROPERTIES,
+    Words,
+    contract,
+)
 from jaxlangnav.grounding.features import Senses
 from jaxlangnav.grounding.graph import Node
 from jaxlangnav.grounding.symbols import NUM_REGIONS
-from jaxlangnav.messages import AT, NEAR
 
 NUM_TYPES = 15
 """Object types a program tells apart; the robot comes after them."""
@@ -20,71 +28,62 @@ def softmax(log_odds: np.ndarray) -> np.ndarray:
     return (weight / weight.sum()).astype(np.float32)
 
 
-def object_fields(z: np.ndarray, senses: Senses, node: Node, is_restricted: bool) -> dict:
-    """Contract the object properties (``behavior_features.object_properties``) of a phrase."""
+def object_fields(
+    coefficients: np.ndarray, senses: Senses, node: Node, is_restricted: bool
+) -> dict[str, np.ndarray]:
+    """Contract the properties of the objects of a phrase (``OBJECT_PROPERTIES``).
+
+    Args:
+        coefficients: f32[13], log-odds per property.
+        senses: of the phrase's own words.
+        node: the phrase.
+        is_restricted: whether some child says where its figure is.
+
+    Returns:
+        Fields of a ``BehaviorProgram``.
+    """
     own = np.zeros(NUM_TYPES + 1, bool)
     own[[t for t in senses.types if t < NUM_TYPES]] = True
     own[NUM_TYPES] = senses.is_robot
-    is_named = bool(senses.types) or senses.is_robot
-    limited = float(is_restricted)
+    words = Words.of(senses, bool(node.children), is_restricted)
+    terms = contract(OBJECT_PROPERTIES, words, coefficients)
+    previous = ("own_previous", "previous", "alike", "unlike", "no_previous")
     return {
-        "object_named": z[0] + z[1],
-        "object_unnamed": z[0] + z[2] * is_named,
+        "object_named": terms["always"] + terms["own"],
+        "object_unnamed": terms["always"] + terms["other"],
         "own": own,
-        "object_inside": z[3],
-        "object_lies": z[4] * limited,
-        "object_outside": z[5] * limited,
-        "object_absent": z[6] * bool(node.children),
-        "object_own_lies": z[7] * limited,
-        "object_previous": z[8:13],
+        "object_inside": terms["inside"],
+        "object_lies": terms["inside_lies"],
+        "object_outside": terms["inside_elsewhere"],
+        "object_absent": terms["outside"],
+        "object_own_lies": terms["own_lies"],
+        "object_previous": np.stack([terms[condition] for condition in previous]),
     }
 
 
-def _named(senses: Senses) -> np.ndarray:
-    """Mark the regions that the words name, f32[7]."""
-    return np.isin(np.arange(NUM_REGIONS), sorted(senses.relations)).astype(np.float32)
+_REGION_TERMS = ("base", "inside", "same", "absent", "own", "robot")
+"""Conditions of regions and goals that a program has a field for."""
 
 
-def region_terms(z: np.ndarray, senses: Senses, node: Node) -> dict[str, np.ndarray]:
+def _by_relation(terms: dict[str, np.ndarray], names: tuple[str, ...]) -> dict[str, np.ndarray]:
+    """Spread terms over the relations, f32[7] each; zero where no property has the condition."""
+    return {name: np.full(NUM_REGIONS, terms.get(name, 0.0), np.float32) for name in names}
+
+
+def region_terms(coefficients: np.ndarray, senses: Senses, node: Node) -> dict[str, np.ndarray]:
     """Contract the region properties of a noun or preposition phrase, f32[7] each."""
-    named, at = _named(senses), (np.arange(NUM_REGIONS) == AT).astype(np.float32)
-    has_relations = bool(senses.relations)
-    is_lone = not node.children and not senses.types
-    inside = z[2] + z[3] * named + z[4] * (1 - named) * has_relations
-    return {
-        "base": z[0] + z[1] * named + z[11:18],
-        "inside": inside + z[7] * at * (not has_relations) + z[18:25],
-        "same": np.full(NUM_REGIONS, z[5], np.float32),
-        "absent": np.full(NUM_REGIONS, z[6] * bool(node.children), np.float32),
-        "own": z[8] * named,
-        "robot": z[9] * named * is_lone + z[10],
-    }
+    words = Words.of(senses, bool(node.children), False)
+    return _by_relation(contract(REGION_PROPERTIES, words, coefficients), _REGION_TERMS)
 
 
-def goal_terms(z: np.ndarray, senses: Senses) -> dict[str, np.ndarray]:
+def goal_terms(coefficients: np.ndarray, senses: Senses, node: Node) -> dict[str, np.ndarray]:
     """Contract the goal properties of a verb phrase, f32[7] each."""
-    named, at = _named(senses), (np.arange(NUM_REGIONS) == AT).astype(np.float32)
-    return {
-        "base": z[0] + z[9:16],
-        "inside": z[2] + z[4] * at + z[6] * named,
-        "same": z[1] + z[5] * at + z[7] * named + z[16:23],
-        "absent": np.full(NUM_REGIONS, z[3], np.float32),
-        "own": np.zeros(NUM_REGIONS, np.float32),
-        "robot": z[8] * named,
-    }
+    words = Words.of(senses, bool(node.children), False)
+    return _by_relation(contract(GOAL_PROPERTIES, words, coefficients), _REGION_TERMS)
 
 
-def constraint_terms(z: np.ndarray) -> dict[str, np.ndarray]:
+def constraint_terms(coefficients: np.ndarray, senses: Senses, node: Node) -> dict[str, np.ndarray]:
     """Contract the constraint properties of a verb phrase, f32[7] each."""
-    at = (np.arange(NUM_REGIONS) == AT).astype(np.float32)
-    near = (np.arange(NUM_REGIONS) == NEAR).astype(np.float32)
-    ones = np.ones(NUM_REGIONS, np.float32)
-    return {
-        "base": z[0] + z[11:18],
-        "same": z[1] * ones,
-        "inside": z[2] + z[9] * near + z[10] * at,
-        "touched": z[3] + z[4] * near + z[5] * at,
-        "untouched": z[6] * ones,
-        "kept": z[7] * ones,
-        "new": z[8] * ones,
-    }
+    words = Words.of(senses, bool(node.children), False)
+    terms = contract(CONSTRAINT_PROPERTIES, words, coefficients)
+    return _by_relation(terms, tuple(terms))

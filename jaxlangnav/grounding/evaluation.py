@@ -4,60 +4,20 @@ A sentence counts as right when the likeliest set of symbols at the roots of its
 the gold one. Confidence is the probability of that set.
 """
 
-import dataclasses
-from collections.abc import Callable, Iterator, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from jaxlangnav.grounding.annotation import Belief, annotation_log_odds, infer_annotations
-from jaxlangnav.grounding.behavior_features import World
-from jaxlangnav.grounding.behavior_search import behavior_log_odds, infer_behavior_sets
-from jaxlangnav.grounding.examples import LabelledInstruction, Path
+from jaxlangnav.grounding import scoring
+from jaxlangnav.grounding.examples import LabelledInstruction
 from jaxlangnav.grounding.model import CorrespondenceModel
-from jaxlangnav.grounding.search import BEAM_WIDTH, search_exactly
-from jaxlangnav.grounding.symbols import Annotation, AnnotationSpace, BehaviorSpace
-from jaxlangnav.language.phrase import Phrase
+from jaxlangnav.grounding.scoring import ExactScores, Models, Scores
+from jaxlangnav.grounding.search import BEAM_WIDTH
 
 
-@dataclasses.dataclass(frozen=True)
-class Scores:
-    """Results on labelled sentences (and worlds)."""
-
-    is_right: np.ndarray  # bool[E]
-    confidence: np.ndarray  # f64[E] probability of the answer given
-    log_gold: np.ndarray  # f64[E] log-probability of the gold answer, floored
-
-    @property
-    def accuracy(self) -> float:
-        """Share that is right."""
-        return float(self.is_right.mean()) if len(self.is_right) else float("nan")
-
-
-_LOG_FLOOR = -12.0
-
-
-def gold_annotations(labelled: LabelledInstruction) -> frozenset[Annotation]:
-    """Join the gold annotations at the roots of all clauses."""
-    roots = (labelled.annotation[(i,)] for i in range(len(labelled.parse.clauses)))
-    return frozenset().union(*roots)
-
-
-def _score_annotation(belief: Belief, gold: frozenset[Annotation]) -> tuple[bool, float, float]:
-    """Compare a belief with the gold set, ranks summed out."""
-    chance: dict[frozenset[Annotation], float] = {}
-    for said, log_probability in belief.sets:
-        symbols = frozenset(symbol for symbol, _ in said)
-        chance[symbols] = chance.get(symbols, 0.0) + float(np.exp(log_probability))
-    best = max(chance, key=lambda symbols: chance[symbols])
-    log_gold = max(np.log(chance.get(gold, 0.0) + 1e-300), _LOG_FLOOR)
-    return best == gold, chance[best], log_gold
-
-
-def _collect(rows: Sequence[tuple[bool, float, float]]) -> Scores:
-    """Stack single results."""
-    right, confidence, log_gold = zip(*rows, strict=True) if rows else ((), (), ())
-    return Scores(np.array(right, bool), np.array(confidence), np.array(log_gold))
+def _on_all(instructions: Sequence[LabelledInstruction]) -> np.ndarray:
+    """Test one model on every sentence, bool[1, I]."""
+    return np.ones((1, len(instructions)), bool)
 
 
 def score_annotations(
@@ -77,43 +37,10 @@ def score_annotations(
     Returns:
         Results in the order of the sentences.
     """
-    return _collect(
-        [
-            _score_annotation(
-                infer_annotations(labelled.parse, model, type_names, width),
-                gold_annotations(labelled),
-            )
-            for labelled in instructions
-        ]
+    found = scoring.score_annotations(
+        instructions, Models.of([model]), _on_all(instructions), type_names, widths=(width,)
     )
-
-
-class _Case(NamedTuple):
-    """A labelled sentence in one of its worlds."""
-
-    world: World
-    rank: dict[Path, int]
-    wanted: list[tuple[int, Phrase, np.ndarray]]  # clause, its root, bool[S] its gold symbols
-
-
-def _cases(
-    instructions: Sequence[LabelledInstruction],
-    annotation: CorrespondenceModel,
-    type_names: tuple[str, ...],
-) -> Iterator[_Case]:
-    """Go through the worlds of all sentences; clauses without a gold behavior are left out."""
-    for labelled in instructions:
-        if not labelled.worlds:
-            continue
-        rank = infer_annotations(labelled.parse, annotation, type_names).rank
-        for world, gold in zip(labelled.worlds, labelled.behavior, strict=True):
-            space = BehaviorSpace(world.object_type.shape[0])
-            wanted = [
-                (clause, root, space.mask(gold[(clause,)]))
-                for clause, root in enumerate(labelled.parse.clauses)
-                if (clause,) in gold
-            ]
-            yield _Case(world, rank, wanted)
+    return found.by_width[width][0]
 
 
 def score_behaviors(
@@ -135,30 +62,11 @@ def score_behaviors(
     Returns:
         Results in the order of the sentences and their worlds.
     """
-    rows = []
-    for world, rank, wanted in _cases(instructions, annotation, type_names):
-        right, confidence, log_gold = True, 1.0, 0.0
-        for clause, root, gold in wanted:
-            beam = infer_behavior_sets(root, clause, world, behavior, rank, type_names, width)
-            right = right and bool((beam[0].expressed == gold).all())
-            confidence *= float(np.exp(beam[0].log_probability))
-            found = [h.log_probability for h in beam if (h.expressed == gold).all()]
-            log_gold += found[0] if found else _LOG_FLOOR
-        rows.append((right, confidence, max(log_gold, _LOG_FLOOR)))
-    return _collect(rows)
-
-
-@dataclasses.dataclass(frozen=True)
-class ExactScores:
-    """Results of the likeliest set of all, by enumeration as far as it is needed."""
-
-    is_right: np.ndarray  # bool[E]
-    is_proven: np.ndarray  # bool[E] no other set can be likelier (``search_exactly``)
-
-    @property
-    def accuracy(self) -> float:
-        """Share that is right."""
-        return float(self.is_right.mean()) if len(self.is_right) else float("nan")
+    models = Models.of([annotation]), Models.of([behavior])
+    found = scoring.score_behaviors(
+        instructions, *models, _on_all(instructions), type_names, widths=(width,)
+    )
+    return found.by_width[width][0]
 
 
 def score_annotations_exactly(
@@ -167,15 +75,10 @@ def score_annotations_exactly(
     type_names: tuple[str, ...],
 ) -> ExactScores:
     """Compare the likeliest annotations of all with the gold ones; as ``score_annotations``."""
-    space, rows = AnnotationSpace(len(type_names)), []
-    for labelled in instructions:
-        said, is_proven = frozenset(), True
-        for clause, root in enumerate(labelled.parse.clauses):
-            log_odds, _ = annotation_log_odds(root, clause, model, type_names)
-            best, is_sure = search_exactly(root, log_odds, path=(clause,))
-            said, is_proven = said.union(space.members(best.expressed)), is_proven and is_sure
-        rows.append((said == gold_annotations(labelled), is_proven))
-    return ExactScores(*np.array(rows, bool).reshape(-1, 2).T)
+    models, tested = Models.of([model]), _on_all(instructions)
+    return scoring.score_annotations(
+        instructions, models, tested, type_names, widths=(), is_exact=True
+    ).exact[0]
 
 
 def score_behaviors_exactly(
@@ -185,16 +88,10 @@ def score_behaviors_exactly(
     type_names: tuple[str, ...],
 ) -> ExactScores:
     """Compare the likeliest behaviors of all with the gold ones; as ``score_behaviors``."""
-    rows = []
-    for world, rank, wanted in _cases(instructions, annotation, type_names):
-        is_right = is_proven = True
-        for clause, root, gold in wanted:
-            log_odds = behavior_log_odds(root, clause, world, behavior, rank, type_names)
-            best, is_sure = search_exactly(root, log_odds, path=(clause,))
-            is_right &= bool((best.expressed == gold).all())
-            is_proven &= is_sure
-        rows.append((is_right, is_proven))
-    return ExactScores(*np.array(rows, bool).reshape(-1, 2).T)
+    models, tested = (Models.of([annotation]), Models.of([behavior])), _on_all(instructions)
+    return scoring.score_behaviors(
+        instructions, *models, tested, type_names, widths=(), is_exact=True
+    ).exact[0]
 
 
 def calibration_error(scores: Scores, num_bins: int = 10) -> float:

@@ -27,7 +27,21 @@ RESTRICTORS = ("PP", "ADJP", "SBAR")
 IDENTITY_SCALE = 0.4
 WORD_SCALE = 0.2
 GRAM_SCALE = 0.3
-FEATURE_GROUPS = ("word", "tag", "sense", "gram", "shape")
+_GROUP_OF = {
+    "word": "word",
+    "tag": "tag",
+    "sense": "sense",
+    "class": "sense",
+    "below": "sense",
+    "gram": "gram",
+    "label": "shape",
+    "length": "shape",
+    "child": "shape",
+    "pair": "shape",
+    "children": "shape",
+}
+"""What a feature's name begins with → its group."""
+FEATURE_GROUPS = tuple(dict.fromkeys(_GROUP_OF.values()))
 """Groups of word-side features that an ablation may leave out."""
 
 
@@ -77,6 +91,11 @@ def _grams(text: str) -> set[int]:
     return {zlib.crc32(gram.encode()) % NUM_GRAMS for gram in grams}
 
 
+def group_of(name: str) -> str:
+    """Find the group of a word-side feature: one of ``FEATURE_GROUPS``, or "bias"."""
+    return name if name == "bias" else _GROUP_OF[name.partition("=")[0]]
+
+
 def word_features(phrase: Phrase, without: frozenset[str] = frozenset()) -> dict[str, float]:
     """Describe the words and the shape of a phrase.
 
@@ -87,28 +106,25 @@ def word_features(phrase: Phrase, without: frozenset[str] = frozenset()) -> dict
     Returns:
         Values of named features; any other is zero. The bias is always one.
     """
-    groups: dict[str, dict[str, float]] = {group: {} for group in FEATURE_GROUPS}
+    features = {"bias": 1.0}
     for word in phrase.words:
-        groups["word"][f"word={word.lemma}"] = WORD_SCALE
-        groups["tag"][f"tag={word.tag}"] = 0.5
+        features[f"word={word.lemma}"] = WORD_SCALE
+        features[f"tag={word.tag}"] = 0.5
         for sense in word.senses:
-            groups["sense"][f"sense={sense}"] = IDENTITY_SCALE
-            groups["sense"][f"class={sense.partition(':')[0]}"] = 1.0
+            features[f"sense={sense}"] = IDENTITY_SCALE
+            features[f"class={sense.partition(':')[0]}"] = 1.0
         if not word.senses:
             for gram in _grams(word.text):
-                groups["gram"][f"gram={gram}"] = GRAM_SCALE
-    shape = groups["shape"]
-    shape[f"label={phrase.label}"] = 1.0
-    shape[f"length={min(len(phrase.words), 3)}"] = 0.5
+                features[f"gram={gram}"] = GRAM_SCALE
+    features[f"label={phrase.label}"] = 1.0
+    features[f"length={min(len(phrase.words), 3)}"] = 0.5
     for child in phrase.children:
-        shape[f"child={child.label}"] = 1.0
-        shape[f"pair={phrase.label}>{child.label}"] = 0.2
+        features[f"child={child.label}"] = 1.0
+        features[f"pair={phrase.label}>{child.label}"] = 0.2
         classes = {sense.partition(":")[0] for word in child.words for sense in word.senses}
         for name in classes or {"none"}:
-            groups["sense"][f"below={child.label}:{name}"] = 0.5
-    shape[f"children={min(len(phrase.children), 3)}"] = 0.5
-    features = {"bias": 1.0}
-    for group, values in groups.items():
-        if group not in without:
-            features |= values
-    return features
+            features[f"below={child.label}:{name}"] = 0.5
+    features[f"children={min(len(phrase.children), 3)}"] = 0.5
+    if not without:
+        return features
+    return {name: value for name, value in features.items() if group_of(name) not in without}

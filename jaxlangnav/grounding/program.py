@@ -283,8 +283,8 @@ def compile_clause(
         fields["is_restrictor"][row, : len(labels)] = labels
         meant = ranks_meant(node.phrase, node.path, rank, type_names)
         if node.is_verb:
-            terms = goal_terms(z["goal"], senses)
-            _fill_constraint(fields, at, constraint_terms(z["constraint"]))
+            terms = goal_terms(z["goal"], senses, node)
+            _fill_constraint(fields, at, constraint_terms(z["constraint"], senses, node))
         else:
             terms = region_terms(z["region"], senses, node)
             for name, value in object_fields(z["object"], senses, node, any(labels)).items():

@@ -139,13 +139,30 @@ def search(
     return merge(candidates, width)
 
 
+def is_likeliest(log_probability: np.ndarray) -> bool:
+    """Tell whether the first set of a beam is proven to be the likeliest of all 2^S.
+
+    What a beam of any width finds are lower bounds, and what it misses adds up to the rest m of
+    the probability. So where p(best) > p(second) + m, no other set is likelier, found or not.
+
+    Args:
+        log_probability: f64[W], best first; −inf where there is no further set.
+
+    Returns:
+        Whether it is proven.
+    """
+    chances = np.exp(log_probability)
+    missed = max(1.0 - float(chances.sum()), 0.0)
+    second = float(chances[1]) if len(chances) > 1 else 0.0
+    return bool(chances[0] > second + missed + 1e-9)
+
+
 def search_exactly(
     root: Phrase, log_odds: LogOdds, *, path: tuple[int, ...] = ()
 ) -> tuple[Hypothesis, bool]:
     """Find the likeliest of all 2^S sets, and whether it is proven to be.
 
-    What a beam of any width finds are lower bounds, and what it misses adds up to the rest m of
-    the probability. So where p(best) > p(second) + m, no other set is likelier, found or not.
+    Wider and wider beams are searched until the first of one is (``is_likeliest``).
 
     Args:
         root: phrase.
@@ -158,10 +175,8 @@ def search_exactly(
     best = None
     for width in PROOF_WIDTHS:
         beam = search(root, log_odds, width=width, path=path)
-        chances = np.exp([hypothesis.log_probability for hypothesis in beam])
-        best, missed = beam[0], max(1.0 - float(chances.sum()), 0.0)
-        second = float(chances[1]) if len(chances) > 1 else 0.0
-        if chances[0] > second + missed + 1e-9:
+        best = beam[0]
+        if is_likeliest(np.array([hypothesis.log_probability for hypothesis in beam])):
             return best, True
     assert best is not None
     return best, False

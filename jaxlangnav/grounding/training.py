@@ -2,26 +2,35 @@
 
 The objective is the regularised negative log-likelihood of the correspondences,
 
-    J(W) = Σ_e Σ_g Σ_φ n_egφ softplus(−(2φ − 1) x_eᵀ W y_eg) + λ/2 ‖W‖²
+    J(W) = Σ_e Σ_g Σ_φ n_egφ softplus(−(2φ − 1) x_eᵀ W y_eg) + ½ Σ_w λ_w ‖W_w‖²
 
-which is convex, with gradients in closed form. Several hold-out splits train at once by ``vmap``
-over the counts n. At the minimum W lies in the span of the data: W = Q V Rᵀ with Q and R bases of
-the word features and properties that occur, and ‖W‖ = ‖V‖; V is what is searched, a quarter of W.
+which is convex. λ is one number, or one for each group of word features. Several hold-out splits
+train at once by ``vmap`` over the counts n. At the minimum D W lies in the span of the data, where
+D = diag(λ): W = D⁻¹ Q V Rᵀ with Q and R bases of the word features and properties that occur; V is
+what is searched, a quarter of W. With Qᵀ D⁻¹ Q = L Lᵀ and Z = Lᵀ V the regulariser is ½ ‖Z‖².
 """
 
 import dataclasses
+import functools
 import time
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.scipy.linalg import solve_triangular
 
 from jaxlangnav.grounding.blocks import Design, flatten, pool
 from jaxlangnav.grounding.examples import Example
-from jaxlangnav.grounding.minimise import Problem, minimise, objective
+from jaxlangnav.grounding.features import group_of
 from jaxlangnav.grounding.model import CorrespondenceModel, Vocabulary, build_vocabulary
+from jaxlangnav.grounding.optimum import Problem, Search, data_loss, minimise
+
+LANES = 8
+"""Splits that are fitted side by side; all of them wait for the slowest."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,7 +39,7 @@ class TrainingConfig:
 
     l2: float = 0.01
     max_steps: int = 300
-    tolerance: float = 5e-3  # length of the gradient
+    gap: float = 1.25e-3  # nats; J ends nearer than this to its minimum for certain
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,23 +49,102 @@ class Fit:
     loss: np.ndarray  # f32[K] objective at the end
     steps: np.ndarray  # i32[K]
     seconds: float  # counting, fitting and reading back, compilation left out
-    compile_seconds: float
+    compile_seconds: float  # next to none where a fit of this size has been compiled before
     cpu_seconds: float  # as ``seconds``, CPU time of the process
 
 
-@jax.jit
+class Factored(NamedTuple):
+    """The distinct factors of a design in bases of what occurs: what training reads of them."""
+
+    words: Array  # f32[U, A] in the basis of words
+    properties: Array  # f32[U, G, B] in the basis of properties
+    word_basis: Array  # f32[W, A] orthonormal
+    property_basis: Array  # f32[F, B] orthonormal
+
+
+def factorise(design: Design) -> Factored:
+    """Write a design in bases of the words and properties that occur in it.
+
+    Args:
+        design: the factors.
+
+    Returns:
+        What ``train_weights`` needs of it.
+    """
+    words = _basis(design.words)
+    properties = _basis(design.properties.reshape(-1, design.properties.shape[2]))
+    return Factored(
+        jnp.asarray(_rotated(design.words, words)),
+        jnp.asarray(_rotated(design.properties, properties)),
+        jnp.asarray(words, jnp.float32),
+        jnp.asarray(properties, jnp.float32),
+    )
+
+
+def strengths(vocabulary: Vocabulary, by_group: Mapping[str, Array | float]) -> Array:
+    """Spread the strength of regularisation of each group over its word features.
+
+    Args:
+        vocabulary: names of the word features.
+        by_group: λ above zero of "bias" and of each of ``FEATURE_GROUPS``.
+
+    Returns:
+        f32[W], λ of each word feature; differentiable by every λ.
+    """
+    groups = tuple(by_group)
+    which = np.array([groups.index(group_of(name)) for name in vocabulary.names])
+    return jnp.stack([jnp.asarray(by_group[group], jnp.float32) for group in groups])[which]
+
+
+def train_weights(
+    factored: Factored, counts: Array, l2: Array, *, config: TrainingConfig
+) -> tuple[Array, Search]:
+    """Train one model: a pure function, differentiable by the counts and by the regularisation.
+
+    Args:
+        factored: of ``factorise``.
+        counts: f32[U, G, 2], a row of ``design.counts``.
+        l2: f32[W], λ of each word feature, above zero (``strengths``).
+        config: stopping; its own ``l2`` is not read.
+
+    Returns:
+        f32[W, F], the weights of all kinds side by side (``by_kind``), and what was measured.
+    """
+    width, depth = factored.word_basis.shape
+    chex.assert_shape(counts, (*factored.properties.shape[:2], 2))
+    chex.assert_shape(l2, (width,))
+    chex.assert_shape(factored.words, (factored.properties.shape[0], depth))
+    chex.assert_type((counts, l2), jnp.float32)
+    root = jnp.linalg.cholesky(factored.word_basis.T @ (factored.word_basis / l2[:, None]))
+    problem = Problem(factored.words @ root, factored.properties, counts)
+    found, search = minimise(problem, jnp.float32(config.gap), jnp.float32(config.max_steps))
+    rotated = solve_triangular(root, found, lower=True, trans="T")
+    weights = factored.word_basis @ rotated @ factored.property_basis.T
+    return weights / l2[:, None], search
+
+
+@functools.partial(jax.jit, static_argnames="config")
 def _fit_splits(
-    problem: Problem, l2: Array, tolerance: Array, max_steps: Array
-) -> tuple[Array, Array, Array]:
+    factored: Factored, counts: Array, l2: Array, config: TrainingConfig
+) -> tuple[Array, Search]:
     """Fit K sets of counts f32[K, U, G, 2] to the same words and properties."""
+    lanes = min(LANES, counts.shape[0])
+    return jax.lax.map(
+        lambda one: train_weights(factored, one, l2, config=config),
+        counts,
+        batch_size=lanes if lanes > 1 else None,
+    )
 
-    def one(times: Array) -> tuple[Array, Array, Array]:
-        return minimise(problem._replace(times=times), l2, tolerance, max_steps)
 
-    return jax.vmap(one)(problem.times)
+@functools.lru_cache(maxsize=8)
+def _compile(shapes: tuple, config: TrainingConfig) -> jax.stages.Compiled:
+    """Compile the fits of designs and numbers of splits of one size, once."""
+    return _fit_splits.lower(*shapes, config=config).compile()
 
 
-_fit_one = jax.jit(minimise)
+def by_kind(weights: Array, design: Design) -> dict[str, Array]:
+    """Part weights f32[W, F] of all kinds side by side, kind → f32[W, F of the kind]."""
+    return {kind: weights[:, columns] for kind, columns in design.columns.items()}
 
 
 def loss(weights: Mapping[str, Array], design: Design, counts: Array, l2: Array | float) -> Array:
@@ -66,14 +154,16 @@ def loss(weights: Mapping[str, Array], design: Design, counts: Array, l2: Array 
         weights: kind → f32[W, F].
         design: the factors.
         counts: f32[U, G, 2], a row of ``design.counts``.
-        l2: f32[], λ.
+        l2: λ, f32[] or f32[W]; 0 for the loss on sentences held out.
 
     Returns:
         f32[], J(W).
     """
+    chex.assert_shape(counts, (*design.properties.shape[:2], 2))
     problem = Problem(jnp.asarray(design.words), jnp.asarray(design.properties), counts)
     joined = jnp.concatenate([jnp.asarray(weights[kind]) for kind in design.columns], axis=1)
-    return objective(problem, joined, jnp.asarray(l2, jnp.float32))
+    strength = jnp.broadcast_to(jnp.asarray(l2, jnp.float32), joined.shape[:1])
+    return data_loss(problem, joined) + 0.5 * jnp.vdot(strength, jnp.sum(joined * joined, axis=1))
 
 
 def build_design(
@@ -132,6 +222,7 @@ def fit(
     design: Design,
     instruction_weights: np.ndarray,
     config: TrainingConfig | None = None,
+    l2: np.ndarray | None = None,
 ) -> tuple[list[dict[str, np.ndarray]], Fit]:
     """Train one model per row of instruction weights, all at once.
 
@@ -139,6 +230,7 @@ def fit(
         design: the factors.
         instruction_weights: f32[K, I], how much each instruction counts in each of K fits.
         config: regularisation and stopping; the default is that of the shipped weights.
+        l2: f32[W], λ of each word feature (``strengths``); that of ``config`` by default.
 
     Returns:
         K times kind → f32[W, F], and what was measured.
@@ -147,33 +239,26 @@ def fit(
         ValueError: the regularisation is not above zero: the minimum would not be unique.
     """
     config = config or TrainingConfig()
-    if config.l2 <= 0.0:
-        raise ValueError(f"l2 is {config.l2}, but must be above 0")
+    strength = np.broadcast_to(config.l2 if l2 is None else l2, design.words.shape[1:])
+    if not (strength > 0.0).all():
+        raise ValueError(f"l2 is {strength.min():g}, but must be above 0")
     begin, begin_cpu = time.perf_counter(), time.process_time()
-    num_fits, width = len(instruction_weights), design.properties.shape[2]
-    word_basis = _basis(design.words)
-    property_basis = _basis(design.properties.reshape(-1, width))
-    counts = design.counts(instruction_weights)
-    problem = Problem(
-        words=jnp.asarray(_rotated(design.words, word_basis)),
-        properties=jnp.asarray(_rotated(design.properties, property_basis)),
-        times=jnp.asarray(counts if num_fits > 1 else counts[0]),
-    )
-    options = (jnp.float32(config.l2), jnp.float32(config.tolerance), jnp.int32(config.max_steps))
+    factored, counts = factorise(design), jnp.asarray(design.counts(instruction_weights))
+    given = (factored, counts, jnp.asarray(strength, jnp.float32))
     prepared, prepared_cpu = time.perf_counter() - begin, time.process_time() - begin_cpu
     begin = time.perf_counter()
-    compiled = (_fit_splits if num_fits > 1 else _fit_one).lower(problem, *options).compile()
+    shapes = jax.tree.map(lambda one: jax.ShapeDtypeStruct(one.shape, one.dtype), given)
+    compiled = _compile(shapes, config)
     compile_seconds = time.perf_counter() - begin
     begin, begin_cpu = time.perf_counter(), time.process_time()
-    found, value, steps = jax.block_until_ready(compiled(problem, *options))
-    found = np.asarray(found, np.float64).reshape(num_fits, *found.shape[-2:])
-    weights = (word_basis @ found @ property_basis.T).astype(np.float32)
+    found, search = jax.block_until_ready(compiled(*given))
+    weights = np.array(found)
     # What never met has a weight of zero but for rounding; a zero takes no place in a file.
     weights[np.abs(weights) < 1e-6 * np.abs(weights).max()] = 0.0
     models = [{kind: w[:, columns] for kind, columns in design.columns.items()} for w in weights]
     measured = Fit(
-        loss=np.atleast_1d(value),
-        steps=np.atleast_1d(steps),
+        loss=np.asarray(search.value),
+        steps=np.asarray(search.num_steps, np.int32),
         seconds=prepared + time.perf_counter() - begin,
         compile_seconds=compile_seconds,
         cpu_seconds=prepared_cpu + time.process_time() - begin_cpu,

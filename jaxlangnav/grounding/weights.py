@@ -6,6 +6,7 @@ or is refused before anything large is made of it.
 """
 
 import json
+from collections.abc import Set
 from functools import cache
 from importlib import resources
 from pathlib import Path
@@ -15,13 +16,9 @@ from zipfile import ZipFile
 import numpy as np
 
 from jaxlangnav.array_files import faults_as_values, open_arrays, read_floats, read_text
-from jaxlangnav.grounding.behavior_features import World
-from jaxlangnav.grounding.examples import (
-    annotation_properties,
-    behavior_properties,
-    child_groundings,
-)
-from jaxlangnav.grounding.features import NUM_RANKS, Senses
+from jaxlangnav.grounding.behavior_properties import PROPERTY_NAMES
+from jaxlangnav.grounding.examples import annotation_properties
+from jaxlangnav.grounding.features import Senses
 from jaxlangnav.grounding.instruction import GroundingModel
 from jaxlangnav.grounding.model import (
     ANNOTATION_KINDS,
@@ -29,10 +26,9 @@ from jaxlangnav.grounding.model import (
     CorrespondenceModel,
     Vocabulary,
 )
-from jaxlangnav.grounding.symbols import NUM_RELATIONS, AnnotationSpace, BehaviorSpace
+from jaxlangnav.grounding.symbols import AnnotationSpace
 from jaxlangnav.input_files import read_file
 from jaxlangnav.language.lexicon import load_lexicon
-from jaxlangnav.messages import ROBOT
 from jaxlangnav.whole_files import replacing
 
 SHIPPED = "weights.npz"
@@ -47,6 +43,7 @@ _HEAVIEST = 1e6
 _TEMPERATURES = 0.01, 100.0
 _MODELS = {"annotation": ANNOTATION_KINDS, "behavior": BEHAVIOR_KINDS}
 _ABOUT = {"command", "corpus", "types"}
+_HEADER = {"names", "without", "temperature"}
 
 
 def _pack(name: str, model: CorrespondenceModel) -> dict[str, np.ndarray]:
@@ -56,13 +53,14 @@ def _pack(name: str, model: CorrespondenceModel) -> dict[str, np.ndarray]:
         "names": model.vocabulary.names,
         "without": sorted(model.vocabulary.without),
         "temperature": model.temperature,
+        "properties": {k: PROPERTY_NAMES[k] for k in model.weights if k in PROPERTY_NAMES},
     }
     return arrays | {f"{name}.json": np.array(json.dumps(header))}
 
 
 def _unpack(name: str, archive: ZipFile) -> CorrespondenceModel:
     """Build a model from named arrays of an archive."""
-    header = _document(archive, f"{name}.json", {"names", "without", "temperature"})
+    header = _document(archive, f"{name}.json", _HEADER, optional={"properties"})
     names, without = _texts(header, "names"), _texts(header, "without")
     temperature = header["temperature"]
     coldest, hottest = _TEMPERATURES
@@ -70,6 +68,7 @@ def _unpack(name: str, archive: ZipFile) -> CorrespondenceModel:
         raise ValueError(f"{name}: its temperature is not between {coldest} and {hottest}")
     if not 0 < len(names) <= _MAX_NAMES or len(set(names)) < len(names):
         raise ValueError(f"{name}: {len(names)} names of features, or one of them twice")
+    _check_properties(name, header.get("properties", {}))
     weights = {}
     for kind in _MODELS[name]:
         shape = len(names), num_properties()[kind]
@@ -80,12 +79,23 @@ def _unpack(name: str, archive: ZipFile) -> CorrespondenceModel:
     return CorrespondenceModel(vocabulary, weights, float(temperature))
 
 
-def _document(archive: ZipFile, name: str, keys: set[str]) -> dict[str, Any]:
-    """Read a JSON document that must have these keys."""
+def _check_properties(name: str, properties: Any) -> None:
+    """Refuse weights whose columns stand for other properties than this version's."""
+    if type(properties) is not dict or set(properties) - set(_MODELS[name]):
+        raise ValueError(f"{name}: its properties are no table of names by kind")
+    for kind in properties:
+        if _texts(properties, kind) != PROPERTY_NAMES.get(kind):
+            raise ValueError(f"the properties of '{kind}' are others than this version's")
+
+
+def _document(
+    archive: ZipFile, name: str, keys: set[str], *, optional: Set[str] = frozenset()
+) -> dict[str, Any]:
+    """Read a JSON document that must have these keys, and may have the optional ones."""
     text = read_text(archive, name, at_most=_MAX_TEXT)
     with faults_as_values():
         document = json.loads(text)
-    if type(document) is not dict or set(document) != keys:
+    if type(document) is not dict or set(document) - optional != keys:
         raise ValueError(f"{name} does not hold {', '.join(sorted(keys))}")
     return document
 
@@ -106,19 +116,9 @@ def num_properties() -> dict[str, int]:
         Kind, of either model, → F.
     """
     nothing = Senses(*[frozenset()] * 5, is_robot=False)
-    robot = np.zeros(1, bool)
-    world = World(
-        np.array([ROBOT]),
-        robot,
-        np.zeros((NUM_RELATIONS, 1, 1), bool),
-        np.zeros((NUM_RANKS, NUM_RELATIONS, 1, 1), bool),
-        robot,
-    )
-    nobody = child_groundings(world, BehaviorSpace(1), [])
     tables = annotation_properties(AnnotationSpace(1), nothing, [])
-    tables |= behavior_properties(world, False, nothing, nobody)
-    tables |= behavior_properties(world, True, nothing, nobody)
-    return {kind: table.shape[1] for kind, table in tables.items()}
+    counts = {kind: table.shape[1] for kind, table in tables.items()}
+    return counts | {kind: len(names) for kind, names in PROPERTY_NAMES.items()}
 
 
 def save(path: Path, model: GroundingModel, *, command: str, corpus_hash: str) -> None:
