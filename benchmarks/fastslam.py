@@ -26,7 +26,8 @@ from jaxlangnav.experiments.measuring import Entry, against, entry, measure
 from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
 from jaxlangnav.messages import MotionParams, Observation, Readings, SensorParams
 from jaxlangnav.numerics import categorical
-from jaxlangnav.numerics.resampling import effective_sample_size, systematic, take
+from jaxlangnav.numerics.batching import take
+from jaxlangnav.numerics.resampling import effective_sample_size, systematic
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map import association, motion, particle
 from jaxlangnav.semantic_map import filter as semantic_filter

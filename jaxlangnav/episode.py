@@ -15,7 +15,7 @@ from jaxlangnav import navigator
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.messages import Fault, MotionParams, Observation, SensorParams
 from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams, NavigatorState
-from jaxlangnav.numerics.axes import row_of
+from jaxlangnav.numerics.batching import row_of
 from jaxlangnav.pytree import pytree, replace, strong
 from jaxlangnav.world import simulator
 from jaxlangnav.world.motion import move

@@ -4,8 +4,6 @@ What people say of where things are, as data: the word, both places, where the s
 utterance and where the robot is now. In which of the frames it was meant is not labelled.
 """
 
-import dataclasses
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,9 +13,8 @@ from jaxlangnav.messages import RELATIONS
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.relations import (
     Frame,
-    Law,
-    RelationModel,
     RelationParams,
+    law_of,
     log_density_of,
     prepare,
     robot_frame,
@@ -111,12 +108,6 @@ def _in_frame(pairs: RelationPairs, pose: Array) -> tuple[Array, Array, Frame]:
     return pairs.figure_x - x, pairs.figure_y - y, frame
 
 
-def _laws(pairs: RelationPairs, model: RelationModel) -> Law:
-    """Look up every pair's law, leaves f32[N]: one gather, of which the slope is one scatter."""
-    names = (field.name for field in dataclasses.fields(Law))
-    return Law(**{name: getattr(model, name)[pairs.relation] for name in names})
-
-
 def log_frame_densities(pairs: RelationPairs, params: RelationParams) -> Array:
     """Evaluate every pair in every frame, without the frames' shares.
 
@@ -132,8 +123,8 @@ def log_frame_densities(pairs: RelationPairs, params: RelationParams) -> Array:
     """
     by_viewer = _in_frame(pairs, pairs.viewer)
     by_robot = _in_frame(pairs, pairs.robot)
-    directed = _laws(pairs, prepare(params))
-    ring = _laws(pairs, prepare(replace(params, concentration=jnp.zeros(6))))
+    directed = law_of(prepare(params), pairs.relation)
+    ring = law_of(prepare(replace(params, concentration=jnp.zeros(6))), pairs.relation)
     return jnp.stack(
         [
             log_density_of(directed, *by_viewer),

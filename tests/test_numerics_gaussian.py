@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from jaxlangnav.numerics import categorical, gaussian
-from jaxlangnav.numerics.resampling import effective_sample_size, independent, systematic, take
+from jaxlangnav.numerics.batching import take
+from jaxlangnav.numerics.resampling import effective_sample_size, independent, systematic
 
 EDGES = [(0, 5), (1, 5), (3, 5), (2, 4), (0, 1)]
 EPS = float(np.finfo(np.float32).eps)

@@ -7,6 +7,8 @@ import pytest
 import readings as by_hand
 from oracles.kalman import Kalman
 
+from jaxlangnav.messages import NONE
+from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map import association, motion
 from jaxlangnav.semantic_map.particle import START_VARIANCE, SemanticMap, empty
 
@@ -84,6 +86,34 @@ def test_equals_dense_kalman_filter(noise: float, odometry_noise: float) -> None
         updates = 5 * CALLS * by_hand.STEPS
         assert error < updates * EPS, (lane, error)
         assert shift < 10.0 * updates * EPS, (lane, shift)
+
+
+def test_hypotheses_move_with_what_they_hang_on() -> None:
+    """A cone turns out to lie half a metre further: what is "behind the cone" does so, too."""
+    one = empty(2, 3, jnp.float32(0.0), jnp.float32(0.0))
+    one = replace(
+        one,
+        object_type=jnp.array([1, 2]),
+        covariance=jnp.diag(jnp.array([1e4, 1.0, 0.0])),
+        mean_x=jnp.array([4.0, 7.0, 0.0]),
+        mean_y=jnp.array([1.0, -2.0, 0.0]),
+        # By the chain of anchors on the cone, on the ground, and on what was not seen again.
+        root=jnp.array([0, NONE, 1]),
+        hypothesis_x=jnp.array([6.0, 5.0, 9.0]),
+        hypothesis_y=jnp.array([1.5, 3.0, -2.0]),
+    )
+    detections = association.Detections(
+        object_type=jnp.array([1]),
+        offset_x=jnp.array([4.5]),
+        offset_y=jnp.array([0.8]),
+        log_new=jnp.array([-200.0]),
+        is_detection=jnp.array([True]),
+    )
+    grounded = association.associate(one, detections, jnp.array([0.5]), jnp.float32(1e-4))
+    after = association.condition(one, grounded, jnp.float32(1e-4))
+    np.testing.assert_allclose(after.mean_x, [4.5, 7.0, 0.0], atol=1e-4)
+    np.testing.assert_allclose(after.hypothesis_x, [6.5, 5.0, 9.0], atol=1e-4)
+    np.testing.assert_allclose(after.hypothesis_y, [1.3, 3.0, -2.0], atol=1e-4)
 
 
 LONG, LAPS = 600, 8

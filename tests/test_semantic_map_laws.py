@@ -180,6 +180,19 @@ def test_lanes_equal_a_python_loop() -> None:
         np.testing.assert_allclose(sizes, info.effective_sample_size[lane], rtol=0.02)
 
 
+def test_new_words_leave_the_weights_of_the_maps_as_they_were() -> None:
+    """All particles have to ground the words, and no map fits them better: what weighed stays."""
+    belief, number = by_hand.begin(), by_hand.CONFIG.num_particles
+    prior = np.linspace(1.0, 5.0, number) / np.linspace(1.0, 5.0, number).sum()
+    belief = replace(belief, log_weight=jnp.log(jnp.asarray(prior, jnp.float32)))
+    look = by_hand.observation(np.zeros(3), [])
+    after, info = by_hand.step_one(
+        jax.random.key(3), belief, by_hand.NULL, look, params=by_hand.params(threshold=0.0)
+    )
+    assert int(info.num_regrounded) == number
+    np.testing.assert_allclose(np.exp(after.log_weight), prior, rtol=1e-3)
+
+
 def test_step_is_compiled_once_for_any_numbers() -> None:
     """New sentences, ranges, noises and parameters are data."""
     belief, sizes = by_hand.begin(), []

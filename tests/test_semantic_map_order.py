@@ -5,36 +5,76 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxlangnav.messages import BEHIND, FAR, FRONT, LEFT, NEAR, NONE, RIGHT
-from jaxlangnav.relations import robot_frame
-from jaxlangnav.semantic_map.order import SIDE_CONCENTRATION, Order, is_on_side, log_side
+from jaxlangnav.messages import BEHIND, FAR, FRONT, LEFT, NEAR, NONE, RIGHT, ROBOT
+from jaxlangnav.relations import (
+    SIDE_CONCENTRATION,
+    anywhere,
+    default_params,
+    is_on_side,
+    law_of,
+    log_density_of,
+    prepare,
+    robot_frame,
+)
+from jaxlangnav.semantic_map.candidates import Draws, Pairs, Scene, Seen
+from jaxlangnav.semantic_map.coverage import unexplored
+from jaxlangnav.semantic_map.order import PLURAL, log_rank
+from jaxlangnav.semantic_map.params import default_map_params
+from jaxlangnav.semantic_map.said import Said
 
 CONES = np.array([[4.0, 3.0], [7.0, -3.0], [10.0, 4.0], [0.0, 0.0]], np.float32)
 """Ranges 5, 7.6, 10.8; the third is the leftmost, the second the rightmost; an empty slot."""
 LOG_NEW = np.log(0.25, dtype=np.float32)
+CONE = 1
+MODEL, PARAMS = prepare(default_params()), default_map_params()
 
 
 def order(relation: int, rank: int, *, known=(0, 1, 2), sides=(), unseen=((20.0, 0.0),) * 2):
-    return Order(
+    """Build the arguments of ``log_rank`` but for the places: an order among the known cones."""
+    kind = jnp.array([CONE, ROBOT])
+    said = Said(
+        mention=jnp.array([0, 1]),
+        kind=kind,
         relation=jnp.int32(relation),
         rank=jnp.int32(rank),
-        viewer_x=jnp.float32(0.0),
-        viewer_y=jnp.float32(0.0),
-        robot=robot_frame(jnp.float32(0.0)),
+        is_order=jnp.asarray(rank > 0),
+        is_anywhere=jnp.asarray(rank > 0),
         sides=jnp.array([*sides, *[NONE] * (3 - len(sides))], jnp.int32),
-        rival_x=CONES[:, 0],
-        rival_y=CONES[:, 1],
-        is_rival=jnp.isin(jnp.arange(4), jnp.array(known)),
+        law=law_of(MODEL, relation),
+    )
+    is_known = jnp.isin(jnp.arange(4), jnp.array(known))
+    seen = Seen(jnp.where(is_known, CONE, NONE), jnp.asarray(CONES[:, 0]), jnp.asarray(CONES[:, 1]))
+    draws = Draws(
+        distance=jnp.zeros(2),
+        angle=jnp.zeros(2),
+        choice=jnp.float32(0.0),
         unseen_x=jnp.array([x for x, _ in unseen], jnp.float32),
         unseen_y=jnp.array([y for _, y in unseen], jnp.float32),
-        log_new=jnp.float32(LOG_NEW),
-        softness=jnp.float32(0.3),
     )
+    scene = Scene(
+        coverage=unexplored(jnp.array([-20.0, 20.0, -20.0, 20.0]), 4),
+        first_row=jnp.int32(0),
+        log_area=jnp.log(1600.0),
+        log_unseen=jnp.float32(LOG_NEW) - jnp.log(PLURAL * PARAMS.concentration),
+        viewer=jnp.zeros(3),
+    )
+    return said, seen, draws, scene
 
 
-def weigh(one: Order, places=CONES) -> np.ndarray:
+def at(places) -> Pairs:
+    """Figures at places, their landmark at the origin."""
     zero = jnp.zeros(len(places), jnp.float32)
-    return np.asarray(one(jnp.asarray(places[:, 0]), jnp.asarray(places[:, 1]), zero, zero))
+    x, y = jnp.asarray(places[:, 0]), jnp.asarray(places[:, 1])
+    return Pairs(x, y, zero, zero)
+
+
+@jax.jit
+def weigh_at(places, said, seen, draws, scene) -> jax.Array:
+    return log_rank(said, at(places), seen, draws, scene, PARAMS)
+
+
+def weigh(one: tuple, places=CONES) -> np.ndarray:
+    return np.asarray(weigh_at(places, *one))
 
 
 @pytest.mark.parametrize(
@@ -91,10 +131,20 @@ def test_the_only_one_on_a_side_is_still_the_best_there():
 
 
 def test_a_side_is_normalised_over_directions():
+    """However far: 1 / A on average over directions, and by e^2κ likelier ahead than behind."""
     angle = np.linspace(0.0, 2 * np.pi, 720, endpoint=False, dtype=np.float32)
-    weight = np.exp(np.asarray(log_side(jnp.cos(angle))))
-    np.testing.assert_allclose(weight.mean(), 1.0, rtol=1e-3)
-    np.testing.assert_allclose(np.log(weight[0] / weight[360]), 2 * SIDE_CONCENTRATION, rtol=1e-3)
+    yes, no = jnp.asarray(True), jnp.asarray(False)
+    frame = robot_frame(jnp.float32(0.0))
+    for distance in (0.5, 20.0):
+        x, y = distance * jnp.cos(angle), distance * jnp.sin(angle)
+        for side, ahead in ((FRONT, 0), (LEFT, 180)):
+            law = anywhere(law_of(MODEL, side), yes, no, jnp.log(50.0))
+            weight = 50.0 * np.exp(np.asarray(log_density_of(law, x, y, frame)))
+            np.testing.assert_allclose(weight.mean(), 1.0, rtol=1e-3)
+            ratio = weight[ahead] / weight[ahead + 360]
+            np.testing.assert_allclose(np.log(ratio), 2 * SIDE_CONCENTRATION, rtol=1e-3)
+    law = anywhere(law_of(MODEL, NEAR), no, yes, jnp.log(50.0))
+    np.testing.assert_allclose(log_density_of(law, x, y, frame), -np.log(50.0), rtol=1e-5)
 
 
 @pytest.mark.parametrize("heading", [0.0, 2.0])
@@ -112,7 +162,8 @@ def test_sides_turn_with_the_robot(heading):
 
 def test_gradients_are_finite():
     def total(places):
-        zero = jnp.zeros(4)
-        return jnp.sum(order(NEAR, 2)(places[:, 0], places[:, 1], zero, zero)[:3])
+        return jnp.sum(weigh_at(places, *order(NEAR, 2))[:3])
 
-    assert np.isfinite(np.asarray(jax.grad(total)(jnp.asarray(CONES)))).all()
+    slope = jax.jacfwd(total)(jnp.asarray(CONES))
+    assert np.isfinite(np.asarray(slope)).all()
+    assert np.abs(np.asarray(slope)).max() > 0.0

@@ -218,7 +218,7 @@ def log_words(one: WordsEvidence, params: MapParams) -> Array:
         params: relations and concentration; differentiable in the relations.
 
     Returns:
-        f32[]. Relative to all observed objects being bystanders, as in ``semantic_map.proposal``.
+        f32[]. Relative to all observed objects being bystanders, as in ``semantic_map.choose``.
     """
     return _log_words(one, _between_cells(one, params), params)
 

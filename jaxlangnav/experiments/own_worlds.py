@@ -1,6 +1,6 @@
 """Worlds drawn from the belief's own prior: what the robot assumes before it has looked.
 
-The semantic map's model of a world (section 3.2, eq. 7a; spelled out in ``semantic_map.proposal``):
+The semantic map's model of a world (section 3.2, eq. 7a; spelled out in ``semantic_map.choose``):
 the sentence has one reading, drawn by its probability; every thing it mentions exists once, one of
 them anywhere in the operating area and the others where the relations place them; further objects
 of each type mentioned are a Poisson process of α expected in the area; a relation misleads with
@@ -28,8 +28,14 @@ from jaxlangnav.experiments.tasks import Cell, cell, concatenate
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.messages import FAR, NONE, ROBOT, Readings
 from jaxlangnav.navigator import NavigatorParams, default_params
-from jaxlangnav.relations import robot_frame, sample_polar, to_map, viewer_frame
-from jaxlangnav.semantic_map.order import SIDES, log_side
+from jaxlangnav.relations import (
+    SIDE_CONCENTRATION,
+    SIDES,
+    robot_frame,
+    sample_polar,
+    to_map,
+    viewer_frame,
+)
 from jaxlangnav.semantic_map.params import MapParams
 from jaxlangnav.world.state import Scenario
 
@@ -194,9 +200,7 @@ def _log_fit(
         cosine = (along * axis_x[relation] + lateral * axis_y[relation]) / jnp.hypot(off_x, off_y)
         is_side = is_robot & jnp.isin(relation, jnp.asarray(SIDES)) & is_told[index]
         # Relative to the side's own axis, so that it may decide whether a world is kept.
-        log_weight = log_weight + jnp.where(
-            is_side, log_side(cosine) - log_side(jnp.float32(1.0)), 0.0
-        )
+        log_weight = log_weight + jnp.where(is_side, SIDE_CONCENTRATION * (cosine - 1.0), 0.0)
     return log_weight
 
 

@@ -40,8 +40,7 @@ from jaxlangnav.grounding.program import (
 )
 from jaxlangnav.grounding.symbols import NUM_REGIONS
 from jaxlangnav.messages import NONE, Behavior, BehaviorWorld
-from jaxlangnav.numerics.axes import row_of
-from jaxlangnav.numerics.once import once
+from jaxlangnav.numerics.batching import once, row_of
 from jaxlangnav.pytree import replace
 
 BEAM = 4

@@ -6,7 +6,7 @@ import math
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.numerics.axes import column
+from jaxlangnav.numerics.batching import column
 
 _LOG_MIN, _LOG_MAX = -80.0, 80.0  # inside the range of exp in float32
 

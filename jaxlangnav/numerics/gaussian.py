@@ -16,10 +16,10 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
-from jaxlangnav.numerics.axes import column
-from jaxlangnav.numerics.once import once
+from jaxlangnav.numerics.batching import column, once, row_of
 
 
 class Moments(NamedTuple):
@@ -117,34 +117,25 @@ def condition(
     table = jnp.concatenate(
         [moments.covariance, moments.mean_x[:, None], moments.mean_y[:, None]], axis=1
     )
-    for index, (of, origin) in enumerate(edges):
-        edge = table[of] - table[origin]
-        spread = jnp.maximum(edge[of] - edge[origin], 0.0) + variance[index]
-        scale = jnp.where(is_used[index], jax.lax.rsqrt(spread), 0.0)
-        measured = jnp.stack([offset_x[index], offset_y[index]])
+    of, origin = np.array(edges, np.int32).T
+    measurements = (of, origin, is_used, offset_x, offset_y, variance[: len(edges)])
+
+    def update(table: Array, one: tuple[Array, ...]) -> tuple[Array, None]:
+        of, origin, is_used, offset_x, offset_y, variance = one
+        edge = row_of(table, of) - row_of(table, origin)
+        spread = jnp.maximum(row_of(edge, of) - row_of(edge, origin), 0.0) + variance
+        scale = jnp.where(is_used, jax.lax.rsqrt(spread), 0.0)
+        measured = jnp.stack([offset_x, offset_y])
         # Joined, XLA keeps the gain in memory. Written as one elementwise expression it is worked
-        # out anew wherever it is used, which doubles the cost with every update.
+        # out anew wherever it is used.
         gain = jnp.concatenate([edge[:size], edge[size:] - measured]) * scale[None]
-        table = table - gain[:size, None] * gain[None]
+        return table - gain[:size, None] * gain[None], None
+
+    # Unrolled: a loop would read and write the whole table in every round, three times as slow.
+    table, _ = jax.lax.scan(update, table, measurements, unroll=True)
     # Much reads the means, and would run through all updates again each time.
     mean_x, mean_y = once((table[:, size], table[:, size + 1]))
     return Moments(table[:, :size], mean_x, mean_y)
-
-
-def product(matrix: Array, vector: Array) -> Array:
-    """Multiply a small matrix by a vector, unrolled: XLA's own sum does not vectorise here.
-
-    Args:
-        matrix: f32[m, n, ...].
-        vector: f32[n, ...].
-
-    Returns:
-        f32[m, ...].
-    """
-    total = matrix[:, 0] * vector[None, 0]
-    for index in range(1, vector.shape[0]):
-        total = total + matrix[:, index] * vector[None, index]
-    return total
 
 
 def log_normal_isotropic(offset_x: Array, offset_y: Array, variance: Array) -> Array:

@@ -20,8 +20,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.numerics import chance
-from jaxlangnav.numerics.once import once
+from jaxlangnav.numerics import batching
+from jaxlangnav.numerics.batching import once
 from jaxlangnav.planner.search import SearchMap, viewpoints, visibility
 from jaxlangnav.pytree import pytree
 
@@ -229,7 +229,7 @@ def change(key: Array, tour: Tour, search: SearchMap, area: Array) -> Tour:
     Returns:
         Tours, leaves [NUM_CHANGES, K].
     """
-    uniform = chance.uniforms(key[None], 5 * NUM_CHANGES).reshape(5, NUM_CHANGES)
+    uniform = batching.uniforms(key[None], 5 * NUM_CHANGES).reshape(5, NUM_CHANGES)
     kind = (jnp.arange(NUM_CHANGES) % 5)[:, None]
     place = jnp.arange(NUM_STOPS)[None, :]
     one, other = jnp.floor(uniform[:2] * NUM_STOPS).astype(jnp.int32)[:, :, None]

@@ -14,10 +14,10 @@ from jax import Array
 
 from jaxlangnav.messages import NONE, SensorParams
 from jaxlangnav.numerics import categorical, gaussian
-from jaxlangnav.numerics.axes import column
+from jaxlangnav.numerics.batching import column, pick
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.coverage import share_in_view
-from jaxlangnav.semantic_map.particle import SemanticMap
+from jaxlangnav.semantic_map.particle import SemanticMap, positions
 
 MIN_NOISE = 0.01
 """Metres; a sensor without noise is taken to be this good, so that no division is by zero."""
@@ -146,19 +146,19 @@ def condition(
         offset_y,
         variance,
     )
-    moved_x = (joint.mean_x - particle.mean_x)[:num_objects]
-    moved_y = (joint.mean_y - particle.mean_y)[:num_objects]
-    # A root of NONE equals no slot: a hypothesis on the ground does not move.
-    hook = particle.root[:, None] == column(jnp.arange(num_objects), ndim)[None]
-    hook = hook.astype(jnp.float32)
+    # A root of NONE is no slot: a hypothesis on the ground does not move.
+    moved_x, moved_y = (
+        pick((after - before)[:num_objects], particle.root)
+        for after, before in ((joint.mean_x, particle.mean_x), (joint.mean_y, particle.mean_y))
+    )
     return replace(
         particle,
         object_type=association.object_type,
         covariance=joint.covariance,
         mean_x=joint.mean_x,
         mean_y=joint.mean_y,
-        hypothesis_x=particle.hypothesis_x + gaussian.product(hook, moved_x),
-        hypothesis_y=particle.hypothesis_y + gaussian.product(hook, moved_y),
+        hypothesis_x=particle.hypothesis_x + moved_x,
+        hypothesis_y=particle.hypothesis_y + moved_y,
     )
 
 
@@ -189,23 +189,15 @@ def log_absence(
         f32[...] for observed objects, and f32[M, ...] for each hypothesis (0 where there is none).
     """
     num_objects = particle.object_type.shape[0]
-    robot_x, robot_y = particle.mean_x[num_objects:], particle.mean_y[num_objects:]
+    x, y = positions(particle)
+    in_view = share_in_view(
+        x - particle.mean_x[num_objects:],
+        y - particle.mean_y[num_objects:],
+        heading,
+        softness,
+        sensor,
+    )
     probability = jnp.minimum(sensor.detection_probability, 0.999)
-    in_view = share_in_view(
-        particle.mean_x[:num_objects] - robot_x,
-        particle.mean_y[:num_objects] - robot_y,
-        heading,
-        softness,
-        sensor,
-    )
-    missed = particle.is_observed & ~is_hit
-    log_objects = jnp.sum(jnp.where(missed, jnp.log1p(-probability * in_view), 0.0), axis=0)
-    in_view = share_in_view(
-        particle.hypothesis_x - robot_x,
-        particle.hypothesis_y - robot_y,
-        heading,
-        softness,
-        sensor,
-    )
-    log_hypotheses = jnp.where(particle.is_hypothesised, jnp.log1p(-probability * in_view), 0.0)
-    return log_objects, log_hypotheses
+    is_missed = jnp.concatenate([particle.is_observed & ~is_hit, particle.is_hypothesised])
+    log_missed = jnp.where(is_missed, jnp.log1p(-probability * in_view), 0.0)
+    return jnp.sum(log_missed[:num_objects], axis=0), log_missed[num_objects:]

@@ -8,8 +8,7 @@ from jaxlangnav.grounding import behavior as grounding
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.grounding.program import NUM_TYPES
 from jaxlangnav.messages import ACTIONS, MODES, REGIONS, Behavior
-from jaxlangnav.numerics.axes import row_of
-from jaxlangnav.numerics.resampling import pack, unpack
+from jaxlangnav.numerics.batching import pack, row_of, unpack
 from jaxlangnav.semantic_map import summary
 from jaxlangnav.semantic_map.particle import SemanticMap
 

@@ -10,7 +10,7 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.messages import SensorParams
-from jaxlangnav.numerics.axes import lead
+from jaxlangnav.numerics.batching import lead
 from jaxlangnav.pytree import pytree
 
 LOG_MISS_FLOOR = -30.0
@@ -41,8 +41,8 @@ def unexplored(area: Array, num_cells: int) -> Coverage:
 def cell_size(coverage: Coverage) -> tuple[Array, Array]:
     """Compute the size of a cell, f32[] metres in x and in y."""
     num_cells = coverage.log_miss.shape[-1]
-    area = coverage.area
-    return (area[1] - area[0]) / num_cells, (area[3] - area[2]) / num_cells
+    x_min, x_max, y_min, y_max = coverage.area
+    return (x_max - x_min) / num_cells, (y_max - y_min) / num_cells
 
 
 def cell_centres(coverage: Coverage) -> tuple[Array, Array]:
@@ -54,8 +54,8 @@ def cell_centres(coverage: Coverage) -> tuple[Array, Array]:
 
 def area_size(coverage: Coverage) -> Array:
     """Compute the size of the operating area, f32[] square metres."""
-    area = coverage.area
-    return (area[1] - area[0]) * (area[3] - area[2])
+    x_min, x_max, y_min, y_max = coverage.area
+    return (x_max - x_min) * (y_max - y_min)
 
 
 def share_in_view(

@@ -19,17 +19,18 @@ from jax import Array
 
 from jaxlangnav.grounding.program import NUM_TYPES
 from jaxlangnav.messages import Fault, Observation, Readings
-from jaxlangnav.numerics import categorical, chance
-from jaxlangnav.numerics.resampling import effective_sample_size, independent, systematic, take
+from jaxlangnav.numerics import batching, categorical
+from jaxlangnav.numerics.batching import take
+from jaxlangnav.numerics.resampling import effective_sample_size, independent, systematic
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map import association, motion, particle
 from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.coverage import area_size, log_miss_at, look, unexplored
 from jaxlangnav.semantic_map.params import MapConfig, MapParams
 from jaxlangnav.semantic_map.particle import SemanticMap
+from jaxlangnav.semantic_map.regrounding import ground_words
 from jaxlangnav.semantic_map.soundness import sound_look, sound_place
 from jaxlangnav.semantic_map.surprise import CONTRADICTION, surprise
-from jaxlangnav.semantic_map.words import ground_words
 
 _ASKED = 16
 """Particles that ground the words at every step, whatever happens: enough to tell the mean of the
@@ -296,7 +297,7 @@ def step(
     number, was_told = belief.log_weight.shape[0], belief.must_ground
     num_detections = observation.detection_type.shape[0]
     keys = jax.random.split(key, 4)
-    associate, keep, resample = chance.uniforms(
+    associate, keep, resample = batching.uniforms(
         keys[np.array([0, 2, 3])], max(num_detections, 2) * number
     )
     associate = associate[: num_detections * number].reshape(num_detections, number)

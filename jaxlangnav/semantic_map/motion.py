@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.numerics import gaussian
-from jaxlangnav.numerics.axes import column
+from jaxlangnav.numerics.batching import column
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.particle import SemanticMap
 

@@ -1,23 +1,26 @@
-"""Relations to the robot that say nothing of how far (section 3.2, beyond the paper).
+"""Ranks: "nearest", "the second", "leftmost" (section 3.2, beyond the paper).
 
-"On your left" is a side, however far: any place of the area, weighed by a wide von Mises about the
-direction. "The nearest cone", "the second", "the leftmost" are orders: which of their type come
-before. What comes before may be unseen, so a figure with too few seen things before it is worth as
-much as unseen ones there are probable: λ A u = α u for each, of which the share that would come
-before counts. "The second" needs one before it; "the nearest" needs another one after it, or
-nobody would say so.
+"Nearest to the car" says where its figure is, and that no other seen thing of its type is nearer.
+"The second", "the leftmost" and, of the robot, "the nearest" are orders, which say nothing of how
+far: only which of their type come before. What comes before may be unseen, so a figure with too few
+seen things before it is worth as much as unseen ones there are probable: λ A u = α u for each, of
+which the share that would come before counts. "The second" needs one before it; "the nearest" needs
+another one after it, or nobody would say so.
 """
 
 import functools
-from typing import NamedTuple
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.messages import BEHIND, FAR, FRONT, LEFT, RIGHT
-from jaxlangnav.numerics.axes import apart, lead
-from jaxlangnav.relations import Frame
+from jaxlangnav.messages import FAR
+from jaxlangnav.numerics.batching import apart, lead
+from jaxlangnav.relations import degree, is_on_side, robot_frame
+from jaxlangnav.semantic_map.candidates import Draws, Pairs, Scene, Seen
+from jaxlangnav.semantic_map.params import MapParams
+from jaxlangnav.semantic_map.said import FIGURE, Said
 
 _TIE = 1e-3
 """Metres within which a seen thing is the figure itself."""
@@ -28,134 +31,118 @@ _OFF_SIDE = 1e-3
 NUM_RANKS = 4
 PLURAL = 10.0
 """Who says "the second" or "the rightmost" speaks of several: so much likelier are unseen ones."""
-SIDES = (FRONT, BEHIND, LEFT, RIGHT)
-SIDE_CONCENTRATION = 4.0
-"""κ of a side of the robot: 30 degrees off still fits, the opposite side does not."""
 
 
-class Order(NamedTuple):
-    """An order among the things of a type, seen and unseen."""
+def log_rank(
+    said: Said, pairs: Pairs, seen: Seen, draws: Draws, scene: Scene, params: MapParams
+) -> Array:
+    """Weigh figures at places by how well they fit their rank.
 
-    relation: Array  # i32[...] relation index
-    rank: Array  # i32[...] 1 the first in the order, 2 the second, ...; 0 where nothing is ordered
-    viewer_x: Array  # f32[] metres, map frame: where the robot was told. Of several episodes:
-    # f32[...], as the other scalars
-    viewer_y: Array  # f32[]
-    robot: Frame  # the robot's own frame then
-    sides: Array  # i32[J, ...] sides of the robot on which the figure is said to be, else NONE
-    rival_x: Array  # f32[O, ...] metres, seen things
-    rival_y: Array  # f32[O, ...]
-    is_rival: Array  # bool[O, ...] of the figure's type
-    unseen_x: Array  # f32[U, ...] metres, places drawn from the unexplored area
-    unseen_y: Array  # f32[U, ...]
-    log_new: Array  # f32[] log α u, probability of something unseen of the type
-    softness: Array  # f32[] metres
-
-    def __call__(self, x: Array, y: Array, landmark_x: Array, landmark_y: Array) -> Array:
-        """Weigh figures at places by how well they fit their rank.
-
-        "The nearest cone on your left" is compared with the cones on the left alone. Limits: with
-        all seen, the one of that rank has 0 and the others nearly −∞.
-
-        Args:
-            x: f32[n, ...] metres, map frame; as the other three, which broadcast with it. With
-                many particles, their axis is the last.
-            y: f32[n, ...]
-            landmark_x: f32[n, ...]
-            landmark_y: f32[n, ...]
-
-        Returns:
-            f32[n, ...] log-weight.
-        """
-        own = self._merit(x, y, landmark_x, landmark_y)
-        x_there, y_there = landmark_x[None], landmark_y[None]
-
-        def rows(values: Array) -> Array:
-            return apart(values, own.ndim + 1)
-
-        rival = self._merit(rows(self.rival_x), rows(self.rival_y), x_there, y_there)
-        unseen = self._merit(rows(self.unseen_x), rows(self.unseen_y), x_there, y_there)
-        is_rival = rows(self.is_rival & self._is_where_said(self.rival_x, self.rival_y))
-        counts = rows(self._is_where_said(self.unseen_x, self.unseen_y))
-        rank = lead(self.rank, own.ndim)
-        before = jnp.sum(is_rival & (rival < own[None] - _TIE), axis=0)
-        others = jnp.sum(is_rival & (jnp.abs(rival - own[None]) > _TIE), axis=0)
-        lacking = jnp.maximum(rank - 1 - before, 0)
-        is_alone = (rank == 1) & (others == 0)
-        share_before = jnp.mean(counts & (unseen < own[None]), axis=0)
-        share_after = jnp.mean(counts & (unseen > own[None]), axis=0)
-        log_new = lead(self.log_new, own.ndim)
-        log_before = log_new + jnp.log(jnp.maximum(share_before, _LEAST_SHARE))
-        log_after = log_new + jnp.log(jnp.maximum(share_after, _LEAST_SHARE))
-        excess = jnp.maximum(own - self._of_rank(jnp.where(is_rival, rival, jnp.inf)), 0.0)
-        price = jnp.where(lacking > 0, lacking * log_before, 0.0)
-        price = price + jnp.where(is_alone, log_after, 0.0) - excess / self.softness
-        is_there = jnp.broadcast_to(self._is_where_said(x, y), price.shape)
-        price = jnp.where(is_there, price, price + jnp.log(_OFF_SIDE))
-        return jnp.where(rank > 0, price, 0.0)
-
-    def _is_where_said(self, x: Array, y: Array) -> Array:
-        """Tell which places are on the sides where the figure is said to be."""
-        offset_x, offset_y = x - lead(self.viewer_x, x.ndim), y - lead(self.viewer_y, y.ndim)
-        robot = jax.tree.map(lambda leaf: lead(leaf, x.ndim + 1), self.robot)
-        holds = is_on_side(apart(self.sides, x.ndim + 1), offset_x[None], offset_y[None], robot)
-        return functools.reduce(jnp.logical_and, jnp.unstack(holds))
-
-    def _merit(self, x: Array, y: Array, landmark_x: Array, landmark_y: Array) -> Array:
-        """Measure places along the order, smaller is earlier."""
-        dx, dy = x - landmark_x, y - landmark_y
-        distance = jnp.sqrt(dx * dx + dy * dy + 1e-9)
-        lateral_x, lateral_y = self.robot.lateral_x, self.robot.lateral_y
-        side = dx * lead(lateral_x, dx.ndim) + dy * lead(lateral_y, dy.ndim)
-        relation = lead(self.relation, distance.ndim)
-        merit = jnp.where(relation == FAR, -distance, distance)
-        merit = jnp.where(relation == LEFT, -side, merit)
-        return jnp.where(relation == RIGHT, side, merit)
-
-    def _of_rank(self, rival: Array) -> Array:
-        """Find the rank-th smallest over the first axis; ∞ where there are fewer."""
-        last = jnp.full(rival.shape[1:], -jnp.inf)
-        found = last
-        wanted = lead(self.rank, last.ndim)
-        for rank in range(1, NUM_RANKS + 1):
-            last = jnp.min(jnp.where(rival > last[None] + _TIE, rival, jnp.inf), axis=0)
-            found = jnp.where(wanted == rank, last, found)
-        return jnp.where(wanted > NUM_RANKS, jnp.inf, found)
-
-
-def log_side(cosine: Array) -> Array:
-    """Weigh directions by how well they fit a side of the robot, over those of all directions.
-
-        log w = κ (cos Δ − 1) − log(I₀(κ) e^−κ)
-
-    Limits: the mean of w over all directions is 1.
+    "The nearest cone on your left" is compared with the cones on the left alone. Limits: with all
+    seen, the one of that rank has 0 and the others nearly −∞; 0 where no rank is meant.
 
     Args:
-        cosine: f32[...] of the angle Δ from the side's axis.
+        said: the relation.
+        pairs: places of figures and landmarks, f32[n, ...] each.
+        seen: what figures are compared with.
+        draws: places drawn from the unexplored area, for what is unseen.
+        scene: the robot when it was told, and u.
+        params: concentration, softness.
 
     Returns:
-        f32[...]
+        f32[n, ...] log-weight.
     """
-    constant = jnp.log(jax.scipy.special.i0e(jnp.float32(SIDE_CONCENTRATION)))
-    return SIDE_CONCENTRATION * (cosine - 1.0) - constant
+    is_nearest = (said.rank > 0) & ~said.is_order
+
+    def rarely(is_told: Array, weigh: Callable[[Pairs], Array]) -> Array:
+        # None told, no round of the loop. The index, always 0, enters all that is read, or XLA
+        # would hoist what it can.
+        def body(index: Array, _: Array) -> Array:
+            return weigh(jax.tree.map(lambda leaf: leaf + index.astype(leaf.dtype), pairs))
+
+        rounds = jnp.any(is_told).astype(jnp.int32)
+        found = jax.lax.fori_loop(0, rounds, body, jnp.zeros_like(pairs.x))
+        return jnp.where(is_told[None], found, 0.0)
+
+    softness = params.superlative_softness
+    log_nearest = rarely(is_nearest, lambda here: -_excess(said, here, seen) / softness)
+    # Orders cost more than all the rest.
+    log_order = rarely(
+        said.is_order, lambda here: _log_order(said, here, seen, draws, scene, params)
+    )
+    return log_nearest + log_order
 
 
-def is_on_side(relation: Array, offset_x: Array, offset_y: Array, robot: Frame) -> Array:
-    """Tell on which side of the robot something is, to compare things there: half-planes.
+def _excess(said: Said, pairs: Pairs, seen: Seen) -> Array:
+    """Measure by how many metres the figure is beaten by a seen thing of its type, f32[n, ...]."""
+    sign = jnp.where(said.relation == FAR, -1.0, 1.0)[None]
 
-    Args:
-        relation: i32[...], relation index; all but front, behind, left, right hold everywhere.
-        offset_x: f32[...] from the robot, metres, map axes.
-        offset_y: f32[...]
-        robot: the robot's own frame.
+    def merit(dx: Array, dy: Array) -> Array:
+        return lead(sign, dx.ndim) * (dx * dx + dy * dy + 1e-9)
 
-    Returns:
-        bool[...]
-    """
-    backward = offset_x * robot.along_x + offset_y * robot.along_y
-    leftward = offset_x * robot.lateral_x + offset_y * robot.lateral_y
-    sides = (backward < 0, backward > 0, leftward > 0, leftward < 0)
-    holds = jnp.ones(jnp.broadcast_shapes(relation.shape, offset_x.shape), bool)
-    for index, is_there in enumerate(sides):
-        holds = jnp.where(relation == index, is_there, holds)
-    return holds
+    own = merit(pairs.x - pairs.landmark_x, pairs.y - pairs.landmark_y)
+    x, y = apart(seen.x, own.ndim + 1), apart(seen.y, own.ndim + 1)
+    is_rival = apart(seen.object_type == said.kind[FIGURE][None], own.ndim + 1)
+    rival = merit(x - pairs.landmark_x[None], y - pairs.landmark_y[None])  # [O, n, ...]
+    best = jnp.minimum(own, jnp.min(jnp.where(is_rival, rival, jnp.inf), axis=0))
+    return sign * (jnp.sqrt(jnp.abs(own)) - jnp.sqrt(jnp.abs(best)))
+
+
+def _log_order(
+    said: Said, pairs: Pairs, seen: Seen, draws: Draws, scene: Scene, params: MapParams
+) -> Array:
+    """Weigh figures by an order, which counts what is unseen."""
+    num_seen, num_others = seen.x.shape[0], seen.x.shape[0] + draws.unseen_x.shape[0]
+    x = jnp.concatenate([seen.x, draws.unseen_x, pairs.x])
+    y = jnp.concatenate([seen.y, draws.unseen_y, pairs.y])
+    is_where_said = _is_where_said(said, scene, x, y)
+    own = _merit(said, pairs, scene, pairs.x[None], pairs.y[None])[0]
+    others = (apart(part[:num_others], own.ndim + 1) for part in (x, y))
+    merit, counts = _merit(said, pairs, scene, *others), apart(is_where_said, own.ndim + 1)
+    rival, unseen = merit[:num_seen], merit[num_seen:]  # [O, n, ...] and [NUM_UNSEEN, n, ...]
+    is_kind = seen.object_type == said.kind[FIGURE][None]
+    is_rival = counts[:num_seen] & apart(is_kind, rival.ndim)
+    rank = said.rank[None]
+    excess = jnp.maximum(own - _of_rank(rank, jnp.where(is_rival, rival, jnp.inf)), 0.0)
+
+    before = jnp.sum(is_rival & (rival < own[None] - _TIE), axis=0)
+    is_alone = ~jnp.any(is_rival & (jnp.abs(rival - own[None]) > _TIE), axis=0) & (rank == 1)
+    lacking = jnp.maximum(rank - 1 - before, 0)
+    log_new = lead(jnp.log(PLURAL * params.concentration) + scene.log_unseen, own.ndim)
+
+    def log_there(is_there: Array) -> Array:
+        share = jnp.mean(counts[num_seen:num_others] & is_there, axis=0)
+        return log_new + jnp.log(jnp.maximum(share, _LEAST_SHARE))
+
+    price = jnp.where(lacking > 0, lacking * log_there(unseen < own[None]), 0.0)
+    price = price + jnp.where(is_alone, log_there(unseen > own[None]), 0.0)
+    price = price + jnp.where(is_where_said[num_others:], 0.0, jnp.log(_OFF_SIDE))
+    return price - excess / params.superlative_softness
+
+
+def _merit(said: Said, pairs: Pairs, scene: Scene, x: Array, y: Array) -> Array:
+    """Measure places [k, n, ...] along the order of n landmarks, smaller is earlier."""
+    dx, dy = x - pairs.landmark_x[None], y - pairs.landmark_y[None]
+    robot = robot_frame(lead(scene.viewer[2], dx.ndim))
+    distance = jnp.sqrt(dx * dx + dy * dy + 1e-9)
+    sideways = dx * robot.lateral_x + dy * robot.lateral_y
+    return -degree(lead(said.relation, dx.ndim), distance, sideways)
+
+
+def _is_where_said(said: Said, scene: Scene, x: Array, y: Array) -> Array:
+    """Tell which places [n, ...] are on the sides of the robot where the figure is said to be."""
+    viewer_x, viewer_y, heading = (lead(one, x.ndim) for one in scene.viewer)
+    robot = jax.tree.map(lambda leaf: leaf[None], robot_frame(heading))
+    side = apart(said.sides, x.ndim + 1)
+    holds = is_on_side(side, (x - viewer_x)[None], (y - viewer_y)[None], robot)
+    return functools.reduce(jnp.logical_and, jnp.unstack(holds))
+
+
+def _of_rank(rank: Array, rival: Array) -> Array:
+    """Find the rank-th smallest over the first axis; ∞ where there are fewer."""
+    last = jnp.full(rival.shape[1:], -jnp.inf)
+    found = last
+    for place in range(1, NUM_RANKS + 1):
+        last = jnp.min(jnp.where(rival > last[None] + _TIE, rival, jnp.inf), axis=0)
+        found = jnp.where(rank == place, last, found)
+    return jnp.where(rank > NUM_RANKS, jnp.inf, found)

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.messages import NONE, RELATIONS, ROBOT, BehaviorWorld, Readings
-from jaxlangnav.numerics.axes import row_of
+from jaxlangnav.numerics.batching import row_of
 from jaxlangnav.semantic_map.particle import SemanticMap
 
 

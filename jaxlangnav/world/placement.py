@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.numerics import chance
+from jaxlangnav.numerics import batching
 from jaxlangnav.pytree import pytree
 from jaxlangnav.relations import to_map, viewer_frame
 from jaxlangnav.world.templates import MAX_CONES, MAX_HYDRANTS, RELATION_NAMES
@@ -136,16 +136,16 @@ def _place_free_cones(
 def _draw(key: Array, law: ScenarioLaw, num_candidates: int) -> _Draws:
     """Draw points of the hydrant law and the way from each to a cone, nothing checked."""
     shape = (MAX_HYDRANTS + NUM_FREE, num_candidates)
-    drawn = chance.uniforms(jax.random.split(key, 5), math.prod(shape)).reshape(5, *shape)
-    distance = law.range_mean + law.range_sd * chance.normal(drawn[0])
-    bearing = chance.between(drawn[1], -BEARING_MAX, BEARING_MAX)
+    drawn = batching.uniforms(jax.random.split(key, 5), math.prod(shape)).reshape(5, *shape)
+    distance = law.range_mean + law.range_sd * batching.normal(drawn[0])
+    bearing = batching.between(drawn[1], -BEARING_MAX, BEARING_MAX)
     point = jnp.stack([distance * jnp.cos(bearing), distance * jnp.sin(bearing)])
 
     is_nearest = law.relation == NEAREST
     gap_max = jnp.where(is_nearest, NEAREST_DISTANCE_MAX, CONE_DISTANCE_MAX)
     gap = CONE_DISTANCE_MIN + (gap_max - CONE_DISTANCE_MIN) * drawn[2]
-    direction = chance.between(drawn[3], -math.pi, math.pi)
-    lateral = LATERAL_SD * chance.normal(drawn[4])
+    direction = batching.between(drawn[3], -math.pi, math.pi)
+    lateral = LATERAL_SD * batching.normal(drawn[4])
     # The gap is exact; the lateral part only turns it away from the line of sight.
     lateral = jnp.clip(lateral, -gap, gap)
     toward = -jnp.sqrt(gap**2 - lateral**2)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.messages import NONE, Observation, SensorParams
-from jaxlangnav.numerics import chance
+from jaxlangnav.numerics import batching
 from jaxlangnav.world.state import Scenario, WorldState
 
 NUM_DETECTIONS = 8
@@ -41,9 +41,9 @@ def sense(
         The observation, its pose by dead reckoning.
     """
     x, y, is_visible = visible(state, scenario, sensor)
-    miss, noise = chance.uniforms(jax.random.split(key), 2 * x.size)
+    miss, noise = batching.uniforms(jax.random.split(key), 2 * x.size)
     is_found = is_visible & (miss[: x.size] < sensor.detection_probability)
-    noise_x, noise_y = sensor.noise * chance.normal(noise).reshape(2, *x.shape)
+    noise_x, noise_y = sensor.noise * batching.normal(noise).reshape(2, *x.shape)
     x, y = x + noise_x, y + noise_y
     distance = jnp.where(is_found, jnp.hypot(x, y), jnp.inf)
     nearest = jnp.argsort(distance)

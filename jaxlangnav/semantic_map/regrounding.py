@@ -8,7 +8,7 @@ need it are gathered from all lanes, grounded in pieces of one size, and put bac
 import functools
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -17,16 +17,23 @@ from jax import Array
 from jax.custom_batching import custom_vmap
 
 from jaxlangnav.messages import NONE, Readings
-from jaxlangnav.numerics import chance
-from jaxlangnav.numerics.axes import row_of
-from jaxlangnav.numerics.resampling import pack, unpack
-from jaxlangnav.semantic_map import proposal
+from jaxlangnav.numerics import batching
+from jaxlangnav.numerics.batching import pack, row_of, unpack
+from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.belief import ParticleBelief
-from jaxlangnav.semantic_map.coverage import Coverage, sample_unseen
-from jaxlangnav.semantic_map.options import NUM_UNSEEN, Draws, Observed, Scene
+from jaxlangnav.semantic_map.candidates import (
+    NUM_UNSEEN,
+    Draws,
+    Grounding,
+    Scene,
+    Seen,
+    nothing_grounded,
+)
+from jaxlangnav.semantic_map.choose import ground_relation
+from jaxlangnav.semantic_map.coverage import Coverage, area_size, sample_unseen
 from jaxlangnav.semantic_map.params import MapParams
 from jaxlangnav.semantic_map.particle import SemanticMap
-from jaxlangnav.semantic_map.referents import Grounding
+from jaxlangnav.semantic_map.said import FIGURE, Said, hear
 
 _STEPS = np.array([0.61803399, 0.41421356, 0.73205081, 0.64575131], np.float32)
 """Steps of additive recurrences, fractions of roots of 5, 2, 3 and 7: each fills the unit interval
@@ -36,12 +43,8 @@ _PIECES, _LEAST_PIECE = 8, 256
 would waste less of the last one, but leave a wide device idle."""
 
 
-class Listening(NamedTuple):
-    """What one particle needs to ground the words; the particle axis is last."""
-
-    observed: Observed
-    told: proposal.Told  # leaves [J, ...]
-    draws: Draws  # leaves [J, ...]
+Heard = tuple[Seen, Said, Draws]
+"""What one particle needs to ground the words; of what is said and drawn leaves [J, ..., P]."""
 
 
 def ground_words(
@@ -71,27 +74,32 @@ def ground_words(
     asked = jnp.ones(number, bool) if is_asked is None else is_asked
     uniform, draws, log_unseen = _draw(key, belief, readings.figure.shape[1])
     share = jnp.cumsum(jnp.exp(readings.log_probability))
-    told = uniform * share[-1]
-    reading = jnp.sum(share[:-1, None] <= told[None, :], axis=0).astype(jnp.int32)
+    point = uniform * share[-1]
+    reading = jnp.sum(share[:-1, None] <= point[None, :], axis=0).astype(jnp.int32)
     particles = belief.particles
     num_objects = particles.object_type.shape[0]
-    listening = Listening(
-        observed=Observed(
-            object_type=particles.object_type,
-            mean_x=particles.mean_x[:num_objects],
-            mean_y=particles.mean_y[:num_objects],
-        ),
-        told=proposal.look_up(readings, reading, params),
-        draws=draws,
+    log_area = jnp.log(area_size(belief.coverage))
+    seen = Seen(
+        particles.object_type, particles.mean_x[:num_objects], particles.mean_y[:num_objects]
     )
-    scene = Scene(belief.coverage, jnp.int32(0), log_unseen, belief.viewer)
+    heard = seen, hear(readings, reading, params.relations, log_area), draws
+    scene = Scene(belief.coverage, jnp.int32(0), log_area, log_unseen, belief.viewer)
     num_mentions = readings.mention_type.shape[1]
     if is_sparse:
-        grounding = _sparse(num_mentions)(asked, listening, scene, params)
+        grounding = _sparse(num_mentions)(asked, heard, scene, params)
     else:
-        grounding = _ground_all(num_mentions, listening, scene, params)
-    log_weight = jnp.where(asked, grounding.log_weight, -jnp.inf)
-    return proposal.adopt(particles, readings, reading, grounding), log_weight
+        grounding = _ground_all(num_mentions, heard, scene, params)
+    fresh = replace(
+        particles,
+        reading=reading,
+        referent=grounding.slot,
+        anchor=grounding.anchor,
+        root=grounding.root,
+        hypothesis_x=grounding.x,
+        hypothesis_y=grounding.y,
+        is_mentioned=grounding.is_grounded,
+    )
+    return fresh, jnp.where(asked, grounding.log_weight, -jnp.inf)
 
 
 def _draw(key: Array, belief: ParticleBelief, num_relations: int) -> tuple[Array, Draws, Array]:
@@ -112,7 +120,7 @@ def _draw(key: Array, belief: ParticleBelief, num_relations: int) -> tuple[Array
     index = np.arange(num_relations)
     keys = jax.vmap(lambda one: jax.random.split(jax.random.fold_in(loop_key, one)))(index)
     keys_of_all = jnp.concatenate([jnp.stack([reading_key, pool_key]), keys[:, 0]])
-    uniforms = chance.uniforms(keys_of_all, max(2 * NUM_UNSEEN, 5) * number)
+    uniforms = batching.uniforms(keys_of_all, max(2 * NUM_UNSEEN, 5) * number)
     comb = uniforms[1, : 2 * pool].reshape(2, pool)
     pool_x, pool_y, log_unseen = sample_unseen(belief.coverage, comb[0, 0], comb)
     stride = next(step for step in range(int(0.618 * number), 0, -1) if math.gcd(step, number) == 1)
@@ -124,7 +132,7 @@ def _draw(key: Array, belief: ParticleBelief, num_relations: int) -> tuple[Array
         row = jnp.arange(NUM_UNSEEN)[:, None]
         dealt = NUM_UNSEEN * (stride * jnp.arange(number) % number)
         chosen = (start + dealt[None, :] + row) % pool
-        unit = chance.between(uniform[: 5 * number], 1e-6, 1.0 - 1e-6).reshape(5, number)
+        unit = batching.between(uniform[: 5 * number], 1e-6, 1.0 - 1e-6).reshape(5, number)
         normal = jax.scipy.special.ndtri(unit[:4])
         return Draws(
             distance=normal[:2],
@@ -143,18 +151,16 @@ def _draw(key: Array, belief: ParticleBelief, num_relations: int) -> tuple[Array
     return uniforms[0, :number], draws, log_unseen
 
 
-def _ground_all(
-    num_mentions: int, listening: Listening, scene: Scene, params: MapParams
-) -> Grounding:
+def _ground_all(num_mentions: int, heard: Heard, scene: Scene, params: MapParams) -> Grounding:
     """Ground the words of all particles, relation by relation: leaves [..., P]."""
-    told, draws = listening.told, listening.draws
-    num_relations = jnp.max(jnp.sum(told.figure != NONE, axis=0))
+    seen, said, draws = heard
+    num_relations = jnp.max(jnp.sum(said.mention[:, FIGURE] != NONE, axis=0))
 
     def body(index: Array, grounding: Grounding) -> Grounding:
-        one, drawn = row_of((told, draws), index)
-        return proposal.ground_relation(listening.observed, one, grounding, drawn, scene, params)
+        one, drawn = row_of((said, draws), index)
+        return ground_relation(seen, one, grounding, drawn, scene, params)
 
-    nothing = proposal.nothing_grounded(num_mentions, *told.figure.shape[1:])
+    nothing = nothing_grounded(num_mentions, *said.relation.shape[1:])
     return jax.lax.fori_loop(0, num_relations, body, nothing)
 
 
@@ -178,8 +184,8 @@ def _sparse(num_mentions: int) -> Callable[..., Grounding]:
             def spread(leaf: Array, has_lanes: bool) -> Array:
                 return leaf if has_lanes else jnp.broadcast_to(leaf, (num_lanes, *leaf.shape))
 
-            asked, listening, scene = jax.tree.map(spread, arguments[:-1], tuple(is_batched[:-1]))
-            grounding = _ground_gathered(dense, asked, listening, scene, arguments[-1])
+            asked, heard, scene = jax.tree.map(spread, arguments[:-1], tuple(is_batched[:-1]))
+            grounding = _ground_gathered(dense, asked, heard, scene, arguments[-1])
         return grounding, jax.tree.map(lambda _: True, grounding)
 
     ground.def_vmap(rule)
@@ -189,7 +195,7 @@ def _sparse(num_mentions: int) -> Callable[..., Grounding]:
 def _ground_gathered(
     dense: Callable[..., Grounding],
     is_asked: Array,
-    listening: Listening,
+    heard: Heard,
     scene: Scene,
     params: MapParams,
 ) -> Grounding:
@@ -198,7 +204,7 @@ def _ground_gathered(
     Args:
         dense: grounds all particles it is given.
         is_asked: bool[L, P].
-        listening: leaves [L, ..., P].
+        heard: leaves [L, ..., P].
         scene: leaves [L, ...].
         params: of all lanes.
 
@@ -212,7 +218,7 @@ def _ground_gathered(
     asked = is_asked.reshape(size)
     order = jnp.nonzero(asked, size=room, fill_value=0)[0]
     side_by_side = jax.tree.map(
-        lambda leaf: jnp.moveaxis(leaf, 0, -2).reshape(*leaf.shape[1:-1], size), listening
+        lambda leaf: jnp.moveaxis(leaf, 0, -2).reshape(*leaf.shape[1:-1], size), heard
     )
     table = pack(side_by_side)
     maps, num_cells = scene.coverage.log_miss, scene.coverage.log_miss.shape[-1]
@@ -223,6 +229,7 @@ def _ground_gathered(
                 log_miss=maps.reshape(-1, num_cells), area=scene.coverage.area[lane].T
             ),
             first_row=lane * num_cells,
+            log_area=scene.log_area[lane],
             log_unseen=scene.log_unseen[lane],
             viewer=scene.viewer[lane].T,
         )

@@ -1,0 +1,176 @@
+"""What each trick of ``numerics.batching`` is worth: with it, and written plainly.
+
+    python benchmarks/batching.py [--quick] [--json]
+
+The sizes are those of a cycle: 64 particles in 32 lanes, nine coordinates, records of a particle.
+A trick with both ratios near 1 no longer pays: write its callers plainly and delete it.
+"""
+
+import pinning  # noqa: I001 - before JAX and NumPy start their threads
+
+import functools
+import time
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import record
+
+from jaxlangnav.experiments.measuring import Entry, entry, measure
+from jaxlangnav.numerics import batching, gaussian
+from jaxlangnav.semantic_map import particle
+
+LANES, PARTICLES, OBJECTS = 32, 64, 8
+CALLS = 50
+"""Calls in one measurement."""
+Program = Callable[[Any], Any]
+Trick = tuple[Program, Program, Any]
+"""With the trick, without it, and what both are given."""
+
+
+def batch_axes_last() -> Trick:
+    """Eight updates of small Gaussians, particles last, or batched by ``vmap``."""
+    number, size = LANES * PARTICLES, OBJECTS + 1
+    root = np.random.default_rng(0).normal(size=(number, size, size)).astype(np.float32)
+    covariance = root @ root.transpose(0, 2, 1) + np.eye(size, dtype=np.float32)
+    moments = gaussian.Moments(
+        jnp.asarray(covariance.transpose(1, 2, 0)),
+        jnp.zeros((size, number)),
+        jnp.zeros((size, number)),
+    )
+    edges = [(index, OBJECTS) for index in range(OBJECTS)]
+
+    def update(moments: gaussian.Moments) -> gaussian.Moments:
+        shape = (OBJECTS, *moments.mean_x.shape[1:])
+        offset, used = jnp.ones(shape), jnp.ones(shape, bool)
+        return gaussian.condition(moments, edges, used, offset, offset, jnp.full(shape, 0.01))
+
+    return update, jax.vmap(update, in_axes=-1, out_axes=-1), moments
+
+
+def rows() -> Trick:
+    """One row of twenty leaves in a loop over four, each added up."""
+    random = np.random.default_rng(1)
+    leaves = [jnp.asarray(random.normal(size=(4, 3, 256)), jnp.float32) for _ in range(20)]
+
+    def looped(row: Callable[[Any, Any], Any]) -> Program:
+        def run(leaves: Any) -> Any:
+            return jax.lax.fori_loop(
+                0, 4, lambda index, total: total + sum(row(leaves, index)), jnp.zeros((3, 256))
+            )
+
+        return run
+
+    return (
+        looped(batching.row_of),
+        looped(lambda leaves, index: [leaf[index] for leaf in leaves]),
+        leaves,
+    )
+
+
+def short_tables() -> Trick:
+    """One of nine candidates for each particle, of four tables."""
+    random = np.random.default_rng(2)
+    number = LANES * PARTICLES
+    tables = jnp.asarray(random.normal(size=(4, OBJECTS + 1, number)), jnp.float32)
+    index = jnp.asarray(random.integers(OBJECTS + 1, size=number), jnp.int32)
+
+    def selected(given: Any) -> Any:
+        return [batching.pick(table, given[1]) for table in given[0]]
+
+    def gathered(given: Any) -> Any:
+        return [jnp.take_along_axis(table, given[1][None], axis=0)[0] for table in given[0]]
+
+    return selected, gathered, (tables, index)
+
+
+def worked_out_once() -> Trick:
+    """A chain of cheap steps that ten joined arrays read."""
+
+    def read(keep: Program) -> Program:
+        def run(x: Any) -> Any:
+            for index in range(40):
+                x = jnp.where(x > index, x - 0.5, x + index)
+            x = keep(x)
+            return [jnp.concatenate([x * factor, x[:1]]) for factor in range(2, 12)]
+
+        return run
+
+    values = jnp.linspace(0.0, 1.0, LANES * PARTICLES)
+    return read(batching.once), read(lambda same: same), values
+
+
+def one_table() -> Trick:
+    """Resample the particles of all lanes."""
+    one = particle.empty(OBJECTS, 6, jnp.float32(0.0), jnp.float32(0.0))
+    shape = (LANES, PARTICLES)
+    many = jax.tree.map(
+        lambda leaf: jnp.broadcast_to(leaf[None, ..., None], (LANES, *leaf.shape, PARTICLES)) + 0,
+        one,
+    )
+    ancestors = jnp.asarray(np.sort(np.random.default_rng(3).integers(PARTICLES, size=shape)))
+
+    def plainly(particles: Any, ancestors: Any) -> Any:
+        return jax.tree.map(lambda leaf: leaf[..., ancestors], particles)
+
+    def of_lanes(take: Callable[[Any, Any], Any]) -> Program:
+        return lambda given: jax.vmap(take)(*given)
+
+    return of_lanes(batching.take), of_lanes(plainly), (many, ancestors)
+
+
+def one_draw() -> Trick:
+    """Numbers for four keys of each lane."""
+    keys = jax.random.split(jax.random.key(4), (LANES, 4))
+
+    def shared(keys: Any) -> Any:
+        return jax.vmap(lambda own: batching.uniforms(own, 5 * PARTICLES))(keys)
+
+    def apart(keys: Any) -> Any:
+        return jax.vmap(lambda own: [jax.random.uniform(key, (5 * PARTICLES,)) for key in own])(
+            keys
+        )
+
+    return shared, apart, keys
+
+
+TRICKS = (batch_axes_last, rows, short_tables, worked_out_once, one_table, one_draw)
+
+
+def compiled(program: Program, given: Any) -> tuple[Program, float]:
+    """Compile a program: CPU seconds."""
+    begin = time.process_time()
+    ready = jax.jit(program).lower(given).compile()
+    seconds = time.process_time() - begin
+    jax.block_until_ready(ready(given))
+    return ready, seconds
+
+
+def repeated(program: Program, given: Any) -> list[Any]:
+    """Call a program as often as one measurement asks for."""
+    return [program(given) for _ in range(CALLS)]
+
+
+def entries(*, is_quick: bool = False) -> list[Entry]:
+    """Measure every trick, with it and without it in turn."""
+    repetitions, found = 5 if is_quick else 25, []
+    for trick in TRICKS:
+        *programs, given = trick()
+        ready = [compiled(program, given) for program in programs]
+        costs: list[list[float]] = [[], []]
+        for _ in range(repetitions):
+            for own, (program, _) in zip(costs, ready, strict=True):
+                cost = measure(functools.partial(repeated, program, given), 1)
+                own.append(cost.cpu / CALLS)
+        ours, plain = (1e6 * float(np.median(own)) for own in costs)
+        name = trick.__name__.replace("_", " ")
+        found.append(entry(name, ours, "µs CPU", baseline=plain, ratio=plain / ours))
+        (_, ours), (_, plain) = ready
+        found.append(entry(f"{name}, compiled", ours, "s CPU", baseline=plain, ratio=plain / ours))
+    return found
+
+
+if __name__ == "__main__":
+    record.main(entries, __doc__, pinning.CORE)

@@ -1,0 +1,232 @@
+"""What pleases XLA on CPU: all of it stands here, and the mathematics elsewhere reads as for one.
+
+Why any of it is needed. The engine runs the same few hundred small loops for every particle of
+every lane at every step. XLA on CPU is good at long elementwise loops and at little else, so what
+counts is which axis is last, what is worked out anew, and how many loops there are to compile: 70 %
+of the compilation of a cycle is spent loop by loop. ``benchmarks/batching.py`` measures each trick
+against plain JAX; one that no longer pays there is to be deleted, with its callers made plain.
+
+*Batch axes last* (``column``, ``lead``, ``apart``). What runs for every particle at every step is
+written for one particle, with its own axes leading, and takes any batch axes behind them. ``vmap``
+would batch it as well, but moves the batch axis to the front of most results, where loops over nine
+entries are not vectorised.
+
+*Rows and short tables* (``row_of``, ``pick``). ``leaf[index]`` allows for negative indices, at five
+operations to trace for two; a gather from a short table goes entry by entry and puts the batch axes
+in another order, where selects are one vectorised loop.
+
+*Worked out once* (``once``). Cheap operations are fused into each of their readers. What many later
+loops read, the grounding of the detections say, is then worked out in each of them again, for each
+entry of their results: a chain of such steps costs many times what it does, and takes as many times
+longer to compile. Optimisation barriers do not help, for they are dropped before it fuses; a
+conditional is what it does not cross.
+
+*One table for a record* (``pack``, ``unpack``, ``take``). Leaf by leaf, a gather of particles picks
+numbers one by one, or turns every leaf around so that a particle lies in one piece, and all that
+follows reads it with strides. From one table a gather copies whole particles.
+
+*One draw for several keys* (``uniforms``). Each use of JAX's generator becomes loops of its own: 25
+uses took 15 of 68 CPU seconds of compilation (``benchmarks/NOTES.md``). Keys share one here; each
+gives the numbers that it would give alone.
+"""
+
+import math
+from typing import Any, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.custom_batching import custom_vmap
+
+T = TypeVar("T")
+
+
+def column(values: Array, ndim: int) -> Array:
+    """Append axes of length one: values along the first axes, the same for the whole batch.
+
+    Args:
+        values: [n, ...].
+        ndim: axes wanted.
+
+    Returns:
+        [n, ..., 1, 1] with ``ndim`` axes.
+    """
+    return values.reshape(values.shape + (1,) * (ndim - values.ndim))
+
+
+def lead(values: Array, ndim: int) -> Array:
+    """Prepend axes of length one: values along the batch axes, the same for every entry.
+
+    Args:
+        values: [..., P].
+        ndim: axes wanted.
+
+    Returns:
+        [1, 1, ..., P] with ``ndim`` axes.
+    """
+    return values.reshape((1,) * (ndim - values.ndim) + values.shape)
+
+
+def apart(values: Array, ndim: int) -> Array:
+    """Put axes of length one behind the first: every row of values beside all of something.
+
+    Args:
+        values: [n, ..., P].
+        ndim: axes wanted.
+
+    Returns:
+        [n, 1, 1, ..., P] with ``ndim`` axes.
+    """
+    return values.reshape(values.shape[0], *(1,) * (ndim - values.ndim), *values.shape[1:])
+
+
+def row_of(records: T, index: Array) -> T:
+    """Take one row of every leaf, in fewer operations than ``leaf[index]``, which may be negative.
+
+    Args:
+        records: leaves [n, ...].
+        index: i32[], from 0 to n − 1; the nearest of these is taken otherwise.
+
+    Returns:
+        Leaves [...].
+    """
+
+    def row(leaf: Array) -> Array:
+        start, sizes = (index, *(0,) * (leaf.ndim - 1)), (1, *leaf.shape[1:])
+        found = jax.lax.dynamic_slice(leaf, start, sizes, allow_negative_indices=False)
+        return jax.lax.squeeze(found, (0,))
+
+    return jax.tree.map(row, records)
+
+
+def pick(values: Array, index: Array) -> Array:
+    """Look up a short table by selects: a gather would put the batch axes in another order.
+
+    Args:
+        values: [n, ...], a table, or one for each member of the batch.
+        index: i32[...].
+
+    Returns:
+        [...], ``values[index]``; 0 where the index is out of bounds.
+    """
+    size = values.shape[0]
+    nothing = jnp.zeros(values.shape[1:], values.dtype)
+    rows = [jnp.broadcast_to(row, index.shape) for row in (*jnp.unstack(values), nothing)]
+    within = jnp.minimum(index.astype(jnp.uint32), size).astype(jnp.int32)  # −1 is very large
+    # One operation to trace; it becomes a tree of selects.
+    return jax.lax.select_n(within, *rows)
+
+
+def once(values: T) -> T:
+    """Have values worked out once: the same values, and derivatives go through in both modes.
+
+    Args:
+        values: arrays; under ``vmap`` they are kept for the whole batch.
+
+    Returns:
+        The same values.
+    """
+    return _once(values)
+
+
+@jax.custom_jvp
+def _once(values: Any) -> Any:
+    return _keep(values)
+
+
+@_once.defjvp
+def _once_jvp(primals: tuple[Any], tangents: tuple[Any]) -> tuple[Any, Any]:
+    return _once(*primals), *tangents
+
+
+@custom_vmap
+def _keep(values: Any) -> Any:
+    return jax.lax.platform_dependent(values, cpu=_conditionally, default=lambda same: same)
+
+
+@_keep.def_vmap
+def _keep_batch(axis_size: int, in_batched: list[Any], values: Any) -> tuple[Any, Any]:
+    del axis_size
+    return _keep(values), in_batched[0]
+
+
+def _conditionally(values: Any) -> Any:
+    """Pass values through a conditional whose condition holds, which the compiler cannot know."""
+    first = jax.tree.leaves(values)[0].reshape(-1)[0].astype(jnp.float32)
+    return jax.lax.cond(
+        (first < jnp.inf) | ~(first < jnp.inf),
+        lambda same: same,
+        lambda same: jax.tree.map(jnp.zeros_like, same),
+        values,
+    )
+
+
+def take(particles: T, ancestors: Array) -> T:
+    """Copy the ancestors' particles: all leaves as rows of one table, in one gather.
+
+    The table is of floats, so that gradients pass through it.
+
+    Args:
+        particles: leaves [..., P] of f32, bool, or integers below 2²⁴, which floats hold exactly.
+        ancestors: i32[P].
+
+    Returns:
+        The same records, leaves [..., P].
+    """
+    return unpack(pack(particles)[:, ancestors], particles)
+
+
+def pack(particles: Any) -> Array:
+    """Write records as one table, f32[rows, P], from leaves [..., P] as ``take`` can hold them."""
+    leaves = jax.tree.leaves(particles)
+    return jnp.concatenate(
+        [leaf.astype(jnp.float32).reshape(-1, leaf.shape[-1]) for leaf in leaves]
+    )
+
+
+def unpack(table: Array, form: T) -> T:
+    """Read records from a table, f32[rows, n], that ``pack`` has written and columns picked from.
+
+    Args:
+        table: of ``pack``.
+        form: the records that were packed, or others of their shapes and types; [..., P].
+
+    Returns:
+        Leaves [..., n].
+    """
+    leaves, tree = jax.tree.flatten(form)
+    taken, start = [], 0
+    for leaf in leaves:
+        size = math.prod(leaf.shape[:-1])
+        own = jax.lax.slice_in_dim(table, start, start + size)
+        taken.append(own.reshape(*leaf.shape[:-1], table.shape[-1]).astype(leaf.dtype))
+        start += size
+    return jax.tree.unflatten(tree, taken)
+
+
+def uniforms(keys: Array, size: int) -> Array:
+    """Draw from the unit interval for each key.
+
+    Args:
+        keys: key[n].
+        size: how many numbers. The first ones do not depend on it (``jax_threefry_partitionable``,
+            JAX's default), so keys that need fewer share the draw of the one that needs most.
+
+    Returns:
+        f32[n, size], each row as ``jax.random.uniform(key, (size,))``.
+    """
+    # Flat: LLVM unrolls short loops over a second axis, to many times the code.
+    return jax.vmap(lambda key: jax.random.uniform(key, (size,)))(keys)
+
+
+def between(uniform: Array, low: float, high: float) -> Array:
+    """Stretch numbers of the unit interval to [low, high), as ``jax.random.uniform`` does."""
+    least, most = np.float32(low), np.float32(high)
+    return jnp.maximum(least, uniform * (most - least) + least)
+
+
+def normal(uniform: Array) -> Array:
+    """Turn numbers of the unit interval into normal ones, as ``jax.random.normal`` does."""
+    low = np.nextafter(np.float32(-1.0), np.float32(0.0))
+    return np.float32(np.sqrt(2)) * jax.lax.erf_inv(between(uniform, float(low), 1.0))

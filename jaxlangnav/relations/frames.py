@@ -1,0 +1,73 @@
+"""Frames of reference, in which a relation is understood (section 3.2).
+
+The frame is the viewer's at the moment of the utterance: "behind the cone" lies beyond the cone
+as seen from where the person spoke. Where the robot itself is the landmark ("on your left"), the
+frame is the robot's own at that moment.
+"""
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jax.typing import ArrayLike
+
+from jaxlangnav.pytree import pytree
+
+
+@pytree
+class Frame:
+    """Orthonormal directions in which a relation is understood, map frame."""
+
+    along_x: Array  # f32[...]
+    along_y: Array  # f32[...]
+    lateral_x: Array  # f32[...]
+    lateral_y: Array  # f32[...]
+
+
+def viewer_frame(
+    viewer_x: ArrayLike, viewer_y: ArrayLike, landmark_x: ArrayLike, landmark_y: ArrayLike
+) -> Frame:
+    """Build the frame of somebody who looks at the landmark.
+
+    Args:
+        viewer_x: f32[...], metres, map frame: where the viewer stands.
+        viewer_y: f32[...], metres.
+        landmark_x: f32[...], metres, map frame.
+        landmark_y: f32[...], metres.
+
+    Returns:
+        ``along`` points from the viewer through the landmark, ``lateral`` to the viewer's left.
+    """
+    dx, dy = jnp.subtract(landmark_x, viewer_x), jnp.subtract(landmark_y, viewer_y)
+    scale = jax.lax.rsqrt(dx * dx + dy * dy + 1e-12)
+    ux, uy = dx * scale, dy * scale
+    return Frame(along_x=ux, along_y=uy, lateral_x=-uy, lateral_y=ux)
+
+
+def robot_frame(heading: Array) -> Frame:
+    """Build the frame of the robot as its own landmark: "in front of you" is where it heads.
+
+    Args:
+        heading: f32[...], radians, map frame.
+
+    Returns:
+        ``along`` points backwards (for "behind"), ``lateral`` to the robot's left.
+    """
+    cosine, sine = jnp.cos(heading), jnp.sin(heading)
+    return Frame(along_x=-cosine, along_y=-sine, lateral_x=-sine, lateral_y=cosine)
+
+
+def to_map(frame: Frame, along: Array, lateral: Array) -> tuple[Array, Array]:
+    """Turn frame coordinates into map axes.
+
+    Args:
+        frame: directions, broadcastable to the coordinates.
+        along: f32[...], metres.
+        lateral: f32[...], metres.
+
+    Returns:
+        f32[...] x and f32[...] y, metres, map axes.
+    """
+    return (
+        along * frame.along_x + lateral * frame.lateral_x,
+        along * frame.along_y + lateral * frame.lateral_y,
+    )

@@ -1,0 +1,35 @@
+"""The axes and the free parameters of the relations (section 3.2, eq. 7a): the only place."""
+
+import math
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxlangnav.messages import BEHIND, FAR, FRONT, LEFT, NEAR, RELATIONS, RIGHT
+from jaxlangnav.pytree import pytree
+
+SIDES = (FRONT, BEHIND, LEFT, RIGHT)
+"""Relations with an axis: of the robot itself they are its sides."""
+AXIS = {FRONT: math.pi, BEHIND: 0.0, LEFT: math.pi / 2, RIGHT: -math.pi / 2, NEAR: 0.0, FAR: 0.0}
+"""Radians from the frame's ``along``, counter-clockwise: behind is further along the line of sight.
+"Near" and "far" lie all round, and have none."""
+
+
+@pytree
+class RelationParams:
+    """Free parameters of the six relations, in the order of ``messages.RELATIONS``."""
+
+    log_distance: Array  # f32[6] μ, log metres
+    log_distance_sd: Array  # f32[6] σ, dimensionless
+    axis: Array  # f32[6] radians, direction in the frame, 0: along, π/2: to the left
+    concentration: Array  # f32[6] κ; 0 is undirected
+
+
+def default_params() -> RelationParams:
+    """Build plausible relations: an object's neighbourhood is a few metres."""
+    return RelationParams(
+        log_distance=jnp.log(jnp.array([2.4, 2.4, 2.4, 2.4, 2.2, 8.0], jnp.float32)),
+        log_distance_sd=jnp.array([0.35, 0.35, 0.35, 0.35, 0.35, 0.4], jnp.float32),
+        axis=jnp.array([AXIS[index] for index in range(len(RELATIONS))], jnp.float32),
+        concentration=jnp.array([12.0, 12.0, 12.0, 12.0, 0.0, 0.0], jnp.float32),
+    )

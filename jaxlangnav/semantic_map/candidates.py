@@ -1,0 +1,265 @@
+"""Ways to ground one relation: candidates for its ends, and places drawn (section 3.2, eq. 7a).
+
+Each end is an observed object, the place that an earlier relation decided, or new. The ways to
+ground the relation are counted through, and both what a way *is* and what it *means* are laid out
+by the same two functions, ``_of_figures`` and ``_of_landmarks``:
+
+    the relation holds     both ends known · figure new, at each landmark · landmark new, at each
+                           figure · both new
+    it says nothing        figure new, anywhere · landmark new, anywhere · both new, anywhere
+
+Shapes are those of one particle; with many, the particle axis is last ("...").
+"""
+
+import functools
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxlangnav.messages import NONE
+from jaxlangnav.numerics.batching import lead, pick
+from jaxlangnav.relations import RelationModel, log_density_in_frame, sample_law, to_map
+from jaxlangnav.semantic_map.coverage import Coverage
+from jaxlangnav.semantic_map.said import FIGURE, LANDMARK, Said
+
+NUM_UNSEEN = 2
+"""Places drawn from the unexplored area for each particle and relation."""
+
+
+class Draws(NamedTuple):
+    """Random numbers for grounding one relation in one particle."""
+
+    distance: Array  # f32[2, ...] standard normal: distance of a new figure; of a new landmark
+    angle: Array  # f32[2, ...] standard normal: direction of a new figure; of a new landmark
+    choice: Array  # f32[...] which grounding
+    unseen_x: Array  # f32[NUM_UNSEEN, ...] metres, places in the unexplored area
+    unseen_y: Array  # f32[NUM_UNSEEN, ...]
+
+
+class Seen(NamedTuple):
+    """What a particle has seen, as far as words can refer to it."""
+
+    object_type: Array  # i32[O, ...] NONE in empty slots
+    x: Array  # f32[O, ...] metres, map frame
+    y: Array  # f32[O, ...]
+
+
+class Scene(NamedTuple):
+    """What all particles of an episode share while words are grounded.
+
+    With particles of several episodes, everything has the particle axis too, and the coverage
+    maps stand one below the other.
+    """
+
+    coverage: Coverage
+    first_row: Array  # i32[] where in ``coverage`` the episode's map begins
+    log_area: Array  # f32[] log A, square metres
+    log_unseen: Array  # f32[] log u
+    viewer: Array  # f32[3] x, y, heading of the robot when it was told; map frame
+
+
+class Grounding(NamedTuple):
+    """Carry over the relations of a reading: what the mentions refer to so far."""
+
+    slot: Array  # i32[M, ...] observed slot; NONE while hypothesised
+    x: Array  # f32[M, ...] metres
+    y: Array  # f32[M, ...]
+    anchor: Array  # i32[M, ...] slot in [0, N) or NONE
+    root: Array  # i32[M, ...] observed slot or NONE
+    is_grounded: Array  # bool[M, ...]
+    log_weight: Array  # f32[...]
+
+
+def nothing_grounded(num_mentions: int, *batch: int) -> Grounding:
+    """Build the carry before the first relation, for a batch of particles."""
+    none = jnp.full((num_mentions, *batch), NONE, jnp.int32)
+    zero = jnp.zeros((num_mentions, *batch), jnp.float32)
+    return Grounding(none, zero, zero, none, none, jnp.zeros(none.shape, bool), jnp.zeros(batch))
+
+
+class Candidates(NamedTuple):
+    """What the ends of a relation may be: each observed object, or the place already decided."""
+
+    x: Array  # f32[2, O + 1, ...] metres; the last entry is the place already decided
+    y: Array  # f32[2, O + 1, ...]
+    log_prior: Array  # f32[2, O + 1, ...] −∞ where it is no candidate
+    is_open: Array  # bool[2, ...] nothing decided: may also be a new object
+    earlier: Grounding  # what they refer to already, leaves [2, ...]
+
+
+class Pairs(NamedTuple):
+    """Places of figures and of their landmarks, metres, map frame."""
+
+    x: Array  # f32[W, ...]
+    y: Array  # f32[W, ...]
+    landmark_x: Array  # f32[W, ...]
+    landmark_y: Array  # f32[W, ...]
+
+
+class Ways(NamedTuple):
+    """The W ways to ground a relation, and how what is new in them was drawn."""
+
+    pairs: Pairs
+    new_x: Array  # f32[2 (O + 1) + NUM_UNSEEN, ...] metres, what was drawn for the relation
+    new_y: Array  # f32[2 (O + 1) + NUM_UNSEEN, ...]
+    log_drawn: Array  # f32[...] log-density with which a new landmark was drawn, 1/m²
+
+    @property
+    def told(self) -> Pairs:
+        """The pairs of the ways in which the relation holds."""
+        size = (self.new_x.shape[0] - NUM_UNSEEN) // 2
+        return Pairs(*(leaf[: size * size + self.new_x.shape[0]] for leaf in self.pairs))
+
+
+def _of_figures(known: Array, new: Array, unseen: Array) -> Array:
+    """Lay out the figures of all ways, [W, ...].
+
+    Args:
+        known: [O + 1, ...], candidates.
+        new: [2 (O + 1) + NUM_UNSEEN, ...], see ``_of_new``.
+        unseen: [NUM_UNSEEN, ...], anywhere.
+    """
+    size, rest = known.shape[0], known.shape[1:]
+    each = jnp.broadcast_to(known[:, None], (size, size, *rest)).reshape(-1, *rest)
+    free = jnp.broadcast_to(unseen[:1], known.shape)
+    return jnp.concatenate([each, new[:size], known, new[2 * size :], free, known, unseen[:1]])
+
+
+def _of_landmarks(known: Array, new: Array, unseen: Array) -> Array:
+    """Lay out the landmarks of all ways, [W, ...]; arguments as for ``_of_figures``."""
+    size, rest = known.shape[0], known.shape[1:]
+    each = jnp.broadcast_to(known[None], (size, size, *rest)).reshape(-1, *rest)
+    free = jnp.broadcast_to(unseen[1:2], known.shape)
+    return jnp.concatenate([each, known, new[size : 2 * size], unseen, known, free, unseen[1:2]])
+
+
+def _of_new(figure: Array, landmark: Array, figure_of_pair: Array, size: int) -> Array:
+    """Lay out what is new in the ways told: figures, landmarks, the figures of new pairs.
+
+    Args:
+        figure: [1, ...] or [O + 1, ...], at each known landmark.
+        landmark: [1, ...] or [O + 1, ...], at each known figure.
+        figure_of_pair: [1, ...] or [NUM_UNSEEN, ...], at each new landmark.
+        size: O + 1.
+    """
+    numbers = (size, size, NUM_UNSEEN)
+    return jnp.concatenate(
+        [
+            jnp.broadcast_to(part, (number, *part.shape[1:]))
+            for part, number in zip((figure, landmark, figure_of_pair), numbers, strict=True)
+        ]
+    )
+
+
+@functools.cache
+def meaning(num_objects: int) -> tuple[np.ndarray, np.ndarray]:
+    """Tell what each way stands for.
+
+    Args:
+        num_objects: O.
+
+    Returns:
+        i32[2, W], the observed slot that each end is; NONE where it is new or decided already; and
+        bool[2, W], whether the end hangs on the other, having been drawn there or being said of it.
+    """
+    with jax.ensure_compile_time_eval():
+        slots = jnp.append(jnp.arange(num_objects), NONE)
+        new = jnp.full(2 * slots.size + NUM_UNSEEN, NONE)
+        figure = _of_figures(slots, new, new[:NUM_UNSEEN])
+        landmark = _of_landmarks(slots, new, new[:NUM_UNSEEN])
+        is_told = jnp.arange(figure.size) < slots.size**2 + new.size
+        no = jnp.zeros(slots.size, bool)
+        is_drawn = _of_landmarks(no, new == NONE, no[:NUM_UNSEEN])
+        return (
+            np.stack([np.asarray(figure, np.int32), np.asarray(landmark, np.int32)]),
+            np.stack([np.asarray(is_told), np.asarray(is_drawn)]),
+        )
+
+
+def list_candidates(
+    seen: Seen, said: Said, grounding: Grounding, scene: Scene, concentration: Array
+) -> Candidates:
+    """List what the ends may be: what has been decided, or each seen object of their types.
+
+    Args:
+        seen: objects.
+        said: the relation.
+        grounding: what earlier relations have decided.
+        scene: area and viewer.
+        concentration: f32[], α.
+
+    Returns:
+        The candidates.
+    """
+    decided = [pick(leaf, said.mention) for leaf in grounding[:-1]]
+    earlier = Grounding(*decided, log_weight=grounding.log_weight)
+    # With the robot as the landmark, or with none, the figure stands against the viewer.
+    is_viewer = jnp.stack([jnp.zeros_like(said.is_by_object), ~said.is_by_object])
+    is_open = ~is_viewer & ~earlier.is_grounded
+    log_bystander = scene.log_area - jnp.log(concentration)  # 1/λ
+    fits = (seen.object_type[None] == said.kind[:, None]) & is_open[:, None]
+
+    def append(objects: Array, place: Array) -> Array:
+        objects = jnp.broadcast_to(objects, fits.shape)
+        return jnp.concatenate([objects, place[:, None]], axis=1)
+
+    viewer_x, viewer_y, _ = (lead(one, is_open.ndim) for one in scene.viewer)
+    return Candidates(
+        x=append(seen.x[None], jnp.where(is_viewer, viewer_x, earlier.x)),
+        y=append(seen.y[None], jnp.where(is_viewer, viewer_y, earlier.y)),
+        log_prior=append(
+            jnp.where(fits, lead(log_bystander, fits.ndim), -jnp.inf),
+            jnp.where(is_open, -jnp.inf, 0.0),
+        ),
+        is_open=is_open,
+        earlier=earlier,
+    )
+
+
+def propose(said: Said, ends: Candidates, draws: Draws, scene: Scene, model: RelationModel) -> Ways:
+    """Pair what is known, and draw what is new: from the relation, and anywhere unseen.
+
+    Args:
+        said: the relation.
+        ends: what its ends may be.
+        draws: random numbers.
+        scene: viewer.
+        model: prepared relations, for drawing.
+
+    Returns:
+        The places of all ways.
+    """
+    size = ends.x.shape[1]
+    relation = jnp.maximum(said.relation, 0)[None]
+    along, lateral = sample_law(said.law, model, relation, draws.distance, draws.angle)
+    at_x = _of_new(ends.x[LANDMARK], ends.x[FIGURE], draws.unseen_x, size)
+    at_y = _of_new(ends.y[LANDMARK], ends.y[FIGURE], draws.unseen_y, size)
+
+    def of_ends(values: Array) -> Array:
+        # A landmark is drawn backwards from its figure, in a frame that is not its own: the weight
+        # makes up for it.
+        return _of_new(values[:1], -values[1:], values[:1], size)
+
+    def instead(unseen: Array, told: Array) -> Array:
+        # Of an order or a side, the figure of a new landmark takes the next place's draw.
+        anywhere = _of_new(unseen[:1], unseen[1:2], unseen[::-1], size)
+        return jnp.where(said.is_anywhere[None], anywhere, told)
+
+    frame = said.frame(scene.viewer, at_x, at_y)
+    offset_x, offset_y = to_map(frame, of_ends(along), of_ends(lateral))
+    new_x = instead(draws.unseen_x, at_x + offset_x)
+    new_y = instead(draws.unseen_y, at_y + offset_y)
+    return Ways(
+        pairs=Pairs(
+            x=_of_figures(ends.x[FIGURE], new_x, draws.unseen_x),
+            y=_of_figures(ends.y[FIGURE], new_y, draws.unseen_y),
+            landmark_x=_of_landmarks(ends.x[LANDMARK], new_x, draws.unseen_x),
+            landmark_y=_of_landmarks(ends.y[LANDMARK], new_y, draws.unseen_y),
+        ),
+        new_x=new_x,
+        new_y=new_y,
+        log_drawn=log_density_in_frame(said.law, along[LANDMARK], lateral[LANDMARK]),
+    )

@@ -1,0 +1,194 @@
+"""Proposal for annotations: to what do the words refer? (section 3.2, eq. 7a).
+
+Each annotated relation samples its figure and landmark jointly from the observed objects or from
+new ones under a Dirichlet-process prior, and the metric constraint of a new one from the
+relation's likelihood. The prior behind it: every thing mentioned exists once, anywhere in the
+operating area A or where a relation places it; further objects of each type are scattered at a
+density λ = α / A. Against "all observed objects are bystanders", the groundings weigh
+
+    both observed     f(x_f − x_l) A / α²          figure new      E_f[m] / α
+    landmark new      E_f[m] / α                   both new        u E_f[m]
+
+(f the relation's density, m the probability of having missed something, u its mean over A), and
+with no relation 1/α against u: the Dirichlet process, with "new" scaled by what is unexplored.
+Expectations are taken by sampling the place itself from a density q, so that it weighs f m / q and
+the total is an unbiased estimate of the evidence of the sentence given the observed map.
+
+People err and mislead: with probability ε a relation says nothing about where its figure is, and
+f is (1 − ε) times the relation's density plus ε / A. Without this the robot searches for ever for
+a hydrant "in front of the cone" that stands behind it.
+
+Everything takes one particle, or all of them with the particle axis last ("..." in shapes).
+"""
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxlangnav.messages import NONE
+from jaxlangnav.numerics import categorical
+from jaxlangnav.numerics.batching import column, lead, once
+from jaxlangnav.relations import log_density_of
+from jaxlangnav.semantic_map import candidates
+from jaxlangnav.semantic_map.candidates import (
+    NUM_UNSEEN,
+    Candidates,
+    Draws,
+    Grounding,
+    Pairs,
+    Scene,
+    Seen,
+    Ways,
+)
+from jaxlangnav.semantic_map.coverage import log_miss_at
+from jaxlangnav.semantic_map.order import PLURAL, log_rank
+from jaxlangnav.semantic_map.params import MapParams
+from jaxlangnav.semantic_map.said import FIGURE, LANDMARK, Said
+
+_LOG_FLOOR = -60.0
+
+
+def ground_relation(
+    seen: Seen, said: Said, grounding: Grounding, draws: Draws, scene: Scene, params: MapParams
+) -> Grounding:
+    """Ground one annotated relation of one particle's reading (eq. 7a).
+
+    Args:
+        seen: what the particle has seen.
+        said: the relation.
+        grounding: what earlier relations have decided.
+        draws: random numbers.
+        scene: coverage and viewer.
+        params: relations, concentration.
+
+    Returns:
+        The carry with figure and landmark decided; unchanged where the reading has no such
+        relation.
+    """
+    said = once(said)
+    ends = candidates.list_candidates(seen, said, grounding, scene, params.concentration)
+    ways = once(candidates.propose(said, ends, draws, scene, params.relations))
+    rank = log_rank(said, ways.told, seen, draws, scene, params)
+    log_weight = _weigh(said, ends, ways, rank, scene, params.misleading)
+    choice, log_total = categorical.draw(log_weight, draws.choice)
+    log_total = jnp.maximum(log_total + _log_root(said, ends, scene), _LOG_FLOOR)
+    # Where no grounding is possible (a drawn figure fell outside the area), the words stay a
+    # hypothesis somewhere unexplored, of hardly any weight, that the next looks can refute.
+    choice = jnp.where(log_total <= _LOG_FLOOR, log_weight.shape[0] - 1, choice)
+    return _enter(grounding, said, ends, ways, choice, log_total)
+
+
+def _log_density(said: Said, told: Pairs, scene: Scene) -> Array:
+    """Evaluate f for all pairs, each in its landmark's frame: f32[n, ...]."""
+    frame = said.frame(scene.viewer, told.landmark_x, told.landmark_y)
+    offset_x, offset_y = told.x - told.landmark_x, told.y - told.landmark_y
+    return log_density_of(said.law, offset_x, offset_y, frame)
+
+
+def _log_prior_known(ends: Candidates) -> Array:
+    """Give pairs of known ends their prior, f32[(O + 1)², ...]; nothing is its own landmark."""
+    size = ends.x.shape[1]
+    log_prior = ends.log_prior[FIGURE][:, None] + ends.log_prior[LANDMARK][None]
+    # The last candidates are places decided earlier, not objects.
+    is_same = jnp.asarray(np.diag(np.arange(size) < size - 1))
+    log_prior = jnp.where(column(is_same, log_prior.ndim), -jnp.inf, log_prior)
+    return log_prior.reshape(size * size, *log_prior.shape[2:])
+
+
+def _weigh(
+    said: Said, ends: Candidates, ways: Ways, log_rank: Array, scene: Scene, misleading: Array
+) -> Array:
+    """Weigh all ways to ground a relation: prior · f m / q, f32[W, ...] log-weights."""
+    size, ndim = ends.x.shape[1], ways.new_x.ndim
+    known, new = slice(size * size), slice(size * size, None)
+    log_area, log_unseen = lead(scene.log_area, ndim), lead(scene.log_unseen, ndim)
+    log_density = _log_density(said, ways.told, scene)
+    is_told = (said.relation != NONE)[None]
+    log_holds = jnp.where(is_told, jnp.log1p(-misleading), -jnp.inf) + log_rank
+    log_misleads = jnp.where(is_told, jnp.log(misleading), 0.0)
+    log_known = jnp.logaddexp(log_holds[known] + log_density[known], log_misleads - log_area)
+
+    # One end new: the other's prior. Both: the landmark is uniform over the area, its share of
+    # what is unexplored times A for the root of the chain.
+    log_other = jnp.where(ends.is_open[:, None], ends.log_prior[::-1], -jnp.inf)
+    log_other = log_other.reshape(2 * size, *log_other.shape[2:])
+    is_open = (ends.is_open[FIGURE] & ends.is_open[LANDMARK])[None]
+    log_both = jnp.where(is_open, log_unseen + log_area, -jnp.inf)
+    log_each = [log_both - jnp.log(float(NUM_UNSEEN))] * NUM_UNSEEN
+    log_new = _log_new(said, ways, log_density[new], scene) + log_holds[new]
+    # That the relation says nothing is weighed in every particle and not drawn: a draw in twenty
+    # leaves what it alone explains to two or three particles, which soon die out.
+    log_free = log_misleads + log_unseen
+    return jnp.concatenate(
+        [
+            log_known + _log_prior_known(ends),
+            log_new + jnp.concatenate([log_other, *log_each]),
+            log_free + jnp.concatenate([log_other, log_both]),
+        ]
+    )
+
+
+def _log_new(said: Said, ways: Ways, log_density: Array, scene: Scene) -> Array:
+    """Compute log f m / q of what was drawn for the relation, f32[2 (O + 1) + NUM_UNSEEN, ...]."""
+    log_miss = log_miss_at(scene.coverage, ways.new_x, ways.new_y, scene.first_row)
+    # A new figure was drawn from f; a landmark from its figure's frame, not from its own.
+    size = (log_miss.shape[0] - NUM_UNSEEN) // 2
+    log_ratio = log_density[size : 2 * size] - ways.log_drawn[None]
+    log_drawn = jnp.concatenate(
+        [log_miss[:size], log_miss[size : 2 * size] + log_ratio, log_miss[2 * size :]]
+    )
+    # Drawn from all that is unseen, q is m / u A.
+    log_anywhere = log_density + lead(scene.log_unseen + scene.log_area, log_miss.ndim)
+    log_anywhere = log_anywhere + jnp.where(said.is_order[None], jnp.log(PLURAL), 0.0)
+    return jnp.where(said.is_anywhere[None], log_anywhere, log_drawn)
+
+
+def _log_root(said: Said, ends: Candidates, scene: Scene) -> Array:
+    """Give the uniform prior over the area to one thing of each chain of relations.
+
+    A figure grounded earlier that is now placed against the robot gives its share back.
+    """
+    is_placed = ~ends.is_open[FIGURE] & ~said.is_by_object
+    both_open = ends.is_open[FIGURE] & ends.is_open[LANDMARK]
+    return jnp.where(both_open, -scene.log_area, jnp.where(is_placed, scene.log_area, 0.0))
+
+
+def _enter(
+    grounding: Grounding,
+    said: Said,
+    ends: Candidates,
+    ways: Ways,
+    choice: Array,
+    log_total: Array,
+) -> Grounding:
+    """Enter the chosen figure and landmark; ends decided earlier stay."""
+    num_objects = ends.x.shape[1] - 1
+    slots, hangs = candidates.meaning(num_objects)
+    slot = jnp.where(ends.is_open, jnp.asarray(slots)[:, choice], ends.earlier.slot)
+    inherited = jnp.where(ends.is_open, NONE, ends.earlier.root)
+    root = jnp.where(slot == NONE, inherited, slot)
+    place = jnp.where(slot == NONE, num_objects + said.mention, slot)
+    is_hung = jnp.asarray(hangs)[:, choice] & said.is_by_object[None]
+    x, y, landmark_x, landmark_y = (
+        jnp.take_along_axis(leaf, choice[None], axis=0)[0] for leaf in ways.pairs
+    )
+    after = (
+        slot,
+        jnp.stack([x, landmark_x]),
+        jnp.stack([y, landmark_y]),
+        jnp.where(is_hung, place[::-1], NONE),
+        jnp.where(is_hung, root[::-1], NONE),
+        jnp.ones_like(ends.is_open),
+    )
+    is_valid = said.mention[FIGURE] != NONE
+    is_set = ends.is_open & (said.kind >= 0) & is_valid[None]
+    mentions = column(jnp.arange(grounding.slot.shape[0]), grounding.slot.ndim)
+    is_figure, is_landmark = (mentions == said.mention[end][None] for end in (FIGURE, LANDMARK))
+
+    def put(old: Array, new: Array) -> Array:
+        old = jnp.where(is_landmark & is_set[LANDMARK][None], new[LANDMARK][None], old)
+        return jnp.where(is_figure & is_set[FIGURE][None], new[FIGURE][None], old)
+
+    log_weight = grounding.log_weight + jnp.where(is_valid, log_total, 0.0)
+    entered = [put(old, new) for old, new in zip(grounding[:-1], after, strict=True)]
+    return Grounding(*entered, log_weight=log_weight)

@@ -1,0 +1,111 @@
+"""What is said: one relation of a sentence, as a particle hears it (section 3.2, eq. 7a).
+
+A relation places a figure against a landmark. Both are its *ends*: of any leaf [2, ...] the first
+entry is the figure's, the second the landmark's.
+
+Shapes are those of one particle; with many, the particle axis is last ("...").
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jaxlangnav.messages import NONE, ROBOT, Readings
+from jaxlangnav.numerics.batching import lead, pack, pick, unpack
+from jaxlangnav.relations import (
+    SIDES,
+    Frame,
+    Law,
+    RelationModel,
+    anywhere,
+    law_of,
+    robot_frame,
+    viewer_frame,
+)
+
+FIGURE, LANDMARK = 0, 1
+
+
+class Said(NamedTuple):
+    """One relation of the reading that a particle believes."""
+
+    mention: Array  # i32[2, ...] the ends; NONE where the reading has no such relation or landmark
+    kind: Array  # i32[2, ...] their object types; ROBOT; NONE
+    relation: Array  # i32[...] relation index; NONE where the figure merely exists
+    rank: Array  # i32[...] 1 "nearest", 2 "the second", ...; 0 where none is meant
+    is_order: Array  # bool[...] "the second", "leftmost": a rank that says nothing of how far
+    is_anywhere: Array  # bool[...] an order or "on your left": however far
+    sides: Array  # i32[J, ...] of an order: where else its figure is said to be; NONE
+    law: Law  # leaves f32[...]
+
+    @property
+    def is_by_robot(self) -> Array:
+        """Whether the landmark is the robot itself, bool[...]."""
+        return self.kind[LANDMARK] == ROBOT
+
+    @property
+    def is_by_object(self) -> Array:
+        """Whether the landmark is an object, bool[...]."""
+        return (self.mention[LANDMARK] != NONE) & ~self.is_by_robot
+
+    def frame(self, viewer: Array, x: Array, y: Array) -> Frame:
+        """Build the frame in which the relation is meant.
+
+        Args:
+            viewer: f32[3] or f32[3, ...], x, y, heading at the utterance.
+            x: f32[n, ...] metres, map frame, of the landmark.
+            y: f32[n, ...]
+
+        Returns:
+            The viewer's frame, or the robot's own where the robot is the landmark.
+        """
+        viewer_x, viewer_y, heading = (lead(one, x.ndim) for one in viewer)
+        is_by_robot = lead(self.is_by_robot, x.ndim)
+        return jax.tree.map(
+            lambda own, seen: jnp.where(is_by_robot, own, seen),
+            robot_frame(heading),
+            viewer_frame(viewer_x, viewer_y, x, y),
+        )
+
+
+def hear(readings: Readings, reading: Array, model: RelationModel, log_area: Array) -> Said:
+    """Look up all relations of the readings that the particles believe.
+
+    Args:
+        readings: the sentence.
+        reading: i32[P].
+        model: prepared relations.
+        log_area: f32[], log square metres of the operating area.
+
+    Returns:
+        What is said, leaves [J, ..., P].
+    """
+    said = jax.vmap(_say, in_axes=(0, None, None), out_axes=-1)(readings, model, log_area)
+    rows = pack(said).T[..., None]
+    return unpack(pick(rows, jnp.broadcast_to(reading, (rows.shape[1], *reading.shape))), said)
+
+
+def _say(one: Readings, model: RelationModel, log_area: Array) -> Said:
+    """Gather all that a reading says, leaves [J, ...]."""
+    mention = jnp.stack([one.figure, one.landmark], axis=1)
+    kind = jnp.where(mention == NONE, NONE, one.mention_type[mention])
+    is_told, is_by_robot = one.relation != NONE, kind[:, LANDMARK] == ROBOT
+    rank = jnp.where(is_told, one.rank, 0)
+    is_order = (rank > 1) | ((rank == 1) & is_by_robot)
+    side = jnp.where(is_by_robot & (rank == 0), one.relation, NONE)
+    is_side = jnp.any(side[:, None] == jnp.asarray(SIDES)[None], axis=1)
+    # One figure's sides come from all the relations it has with the robot.
+    is_alike = (one.figure[:, None] == one.figure[None]) & is_order[:, None]
+    law = law_of(model, jnp.maximum(one.relation, 0))
+    return Said(
+        mention=mention,
+        kind=kind,
+        relation=one.relation,
+        rank=rank,
+        is_order=is_order,
+        is_anywhere=is_order | is_side,
+        sides=jnp.where(is_alike, side[None], NONE),
+        law=anywhere(law, is_side, is_order, log_area),
+    )
