@@ -16,7 +16,7 @@ from typing import Any
 
 from rich.console import Console
 
-from jaxlangnav.experiments.measuring import render
+from jaxlangnav.speed.measuring import render
 
 FOLDER = Path(__file__).parent
 BENCH = [sys.executable, "-m", "jaxlangnav", "bench"]

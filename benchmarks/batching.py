@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 import record
 
-from jaxlangnav.experiments.measuring import Entry, entry, measure
+from jaxlangnav.speed.measuring import Entry, entry, measure
 from jaxlangnav.numerics import batching, gaussian
 from jaxlangnav.semantic_map import particle
 

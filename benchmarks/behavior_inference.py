@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 import record
 
-from jaxlangnav.experiments.measuring import Entry, entry, measure
+from jaxlangnav.speed.measuring import Entry, entry, measure
 from jaxlangnav.experiments.table1 import PAPER
 from jaxlangnav.grounding import infer_behaviors, load_shipped, understand
 from jaxlangnav.grounding.program import BehaviorProgram

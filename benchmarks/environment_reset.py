@@ -19,7 +19,7 @@ import record
 
 from jaxlangnav.environments import functional
 from jaxlangnav.environments.pool import draw_pool
-from jaxlangnav.experiments.measuring import Entry, entry
+from jaxlangnav.speed.measuring import Entry, entry
 
 MANY, FEW = 200, 10
 """Steps of a turn: few where each of them takes a hundred times as long."""

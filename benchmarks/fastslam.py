@@ -22,7 +22,7 @@ import slam_scenario
 from jax import Array
 from slam_scenario import LANDMARKS, ODOMETRY_NOISE, SENSOR_NOISE, STEP, Drive
 
-from jaxlangnav.experiments.measuring import Entry, against, entry, measure
+from jaxlangnav.speed.measuring import Entry, against, entry, measure
 from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
 from jaxlangnav.messages import MotionParams, Observation, Readings, SensorParams
 from jaxlangnav.numerics import categorical

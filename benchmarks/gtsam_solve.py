@@ -21,7 +21,7 @@ import numpy as np
 import record
 from jax import Array
 
-from jaxlangnav.experiments.measuring import Entry, against, entry, measure
+from jaxlangnav.speed.measuring import Entry, against, entry, measure
 from jaxlangnav.numerics import gaussian
 
 NUM_OBJECTS = 8

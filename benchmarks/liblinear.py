@@ -33,7 +33,7 @@ import record
 from scipy import sparse
 from sklearn.linear_model import LogisticRegression
 
-from jaxlangnav.experiments.measuring import Entry, against, entry
+from jaxlangnav.speed.measuring import Entry, against, entry
 from jaxlangnav.grounding.blocks import Factors, pool
 from jaxlangnav.grounding.training import TrainingConfig, fit
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from rich.console import Console
 
-from jaxlangnav.experiments.measuring import Entry, describe_machine, render
+from jaxlangnav.speed.measuring import Entry, describe_machine, render
 
 
 def main(entries: Callable[..., list[Entry]], about: str | None, core: int | None) -> None:

@@ -18,8 +18,8 @@ import numpy as np
 import record
 
 from jaxlangnav.episode import advance, begin
-from jaxlangnav.experiments.bench import Bench, set_up
-from jaxlangnav.experiments.measuring import POLICY, Entry, entry, measure
+from jaxlangnav.speed.bench import Bench, set_up
+from jaxlangnav.speed.measuring import POLICY, Entry, entry, measure
 from jaxlangnav.experiments.monte_carlo import LANES, run_tasks, take_tasks
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.navigator import NavigatorConfig

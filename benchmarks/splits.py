@@ -17,7 +17,7 @@ from collections.abc import Callable
 import numpy as np
 import record
 
-from jaxlangnav.experiments.measuring import Entry, entry
+from jaxlangnav.speed.measuring import Entry, entry
 from jaxlangnav.experiments.splits import draw_splits
 from jaxlangnav.experiments.table1 import CORPUS, MODELS
 from jaxlangnav.grounding.examples import Example, annotation_examples, behavior_examples

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from jaxlangnav.agent import Navigator as Navigator
-    from jaxlangnav.commands.runtime import keep_compiled_programs as keep_compiled_programs
+    from jaxlangnav.cli.runtime import keep_compiled_programs as keep_compiled_programs
     from jaxlangnav.following import follow as follow
     from jaxlangnav.grounding.annotated import AnnotationGrounder as AnnotationGrounder
     from jaxlangnav.language.parser import parse as parse
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from jaxlangnav.messages import Observation as Observation
     from jaxlangnav.messages import SensorParams as SensorParams
     from jaxlangnav.messages import default_sensor as default_sensor
-    from jaxlangnav.relation_fitting import fit_relations as fit_relations
+    from jaxlangnav.relations.fit import fit_relations as fit_relations
 
 __version__ = "0.1.0"
 
@@ -32,9 +32,9 @@ _HOMES = {
     "Observation": "jaxlangnav.messages",
     "SensorParams": "jaxlangnav.messages",
     "default_sensor": "jaxlangnav.messages",
-    "fit_relations": "jaxlangnav.relation_fitting",
+    "fit_relations": "jaxlangnav.relations.fit",
     "follow": "jaxlangnav.following",
-    "keep_compiled_programs": "jaxlangnav.commands.runtime",
+    "keep_compiled_programs": "jaxlangnav.cli.runtime",
     "parse": "jaxlangnav.language.parser",
 }
 

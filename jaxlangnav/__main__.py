@@ -2,7 +2,7 @@
 
 import sys
 
-from jaxlangnav.cli import main
+from jaxlangnav.cli.main import main
 
 if __name__ == "__main__":
     sys.exit(main())

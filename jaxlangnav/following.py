@@ -6,13 +6,13 @@ once go through ``experiments.policies.run_policy``, a robot of one's own throug
 
 from pathlib import Path
 
-from jaxlangnav.commands.engine import (
+from jaxlangnav.cli.engine import (
     missing_types,
     navigator_params,
     open_task,
     record_episode,
 )
-from jaxlangnav.commands.follow import nothing_there
+from jaxlangnav.cli.follow import nothing_there
 from jaxlangnav.episode import MAX_STEPS
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.grounding import GroundingModel, load_shipped, understand

@@ -29,7 +29,7 @@ import jax.core
 import jaxlib.version
 
 from jaxlangnav.compiled_program import Call, compile_program, load_program
-from jaxlangnav.own_files import own_folder, read_own_file, write_own_file
+from jaxlangnav.files.own import own_folder, read_own_file, write_own_file
 
 P = ParamSpec("P")
 R = TypeVar("R")

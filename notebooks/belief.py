@@ -25,9 +25,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import jaxlangnav
-from jaxlangnav.experiments import calibration, joint_objects, provoked
-from jaxlangnav.experiments.episode_evidence import figure_posterior, remember
-from jaxlangnav.experiments.own_worlds import judge_own_worlds
+from jaxlangnav.experiments import calibration
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.reliability import bin_sums, curve
 from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
@@ -36,6 +34,9 @@ from jaxlangnav.messages import Observation
 from jaxlangnav.navigator import default_params
 from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.semantic_map.params import MapConfig
+from jaxlangnav.studies import joint_objects, provoked
+from jaxlangnav.studies.episode_evidence import figure_posterior, remember
+from jaxlangnav.studies.own_worlds import judge_own_worlds
 from jaxlangnav.viz import style
 from jaxlangnav.viz.measures import reliability_figure
 

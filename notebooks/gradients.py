@@ -25,23 +25,23 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import jaxlangnav
-from jaxlangnav import relation_fitting
-from jaxlangnav.experiments.evidence_fitting import fit_to_episodes, run_and_remember
-from jaxlangnav.experiments.map_evidence import log_map
-from jaxlangnav.experiments.own_worlds import OWN_AREA, own_tasks
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
 from jaxlangnav.experiments.tasks import cell
 from jaxlangnav.messages import BEHIND, Observation
 from jaxlangnav.navigator import default_params
 from jaxlangnav.pytree import replace
-from jaxlangnav.relation_pairs import FRAMES, make_pairs
 from jaxlangnav.relations import (
     default_params as default_relations,
 )
+from jaxlangnav.relations import fit as relation_fitting
 from jaxlangnav.relations import log_density, prepare, viewer_frame
+from jaxlangnav.relations.pairs import FRAMES, make_pairs
 from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.semantic_map.params import MapConfig
+from jaxlangnav.studies.evidence_fitting import fit_to_episodes, run_and_remember
+from jaxlangnav.studies.map_evidence import log_map
+from jaxlangnav.studies.own_worlds import OWN_AREA, own_tasks
 from jaxlangnav.viz import style
 
 jaxlangnav.keep_compiled_programs()

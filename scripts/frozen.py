@@ -65,7 +65,7 @@ def printed(command: str, folder: Path) -> str:
     Returns:
         Lines, standard output if it succeeds and the refusal if not.
     """
-    from jaxlangnav import cli
+    from jaxlangnav.cli import main as cli
 
     out, told = _Terminal(), io.StringIO()
     with (

@@ -23,7 +23,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from jaxlangnav.commands.errors import is_refusal
+from jaxlangnav.cli.errors import is_refusal
 from jaxlangnav.plain_text import is_plain
 
 SECONDS_PER_TURN = 2.0

@@ -12,9 +12,9 @@ from unittest import mock
 import numpy as np
 from fuzz import TEXTS, Target
 
-from jaxlangnav import cli
-from jaxlangnav.commands.arguments import Command
-from jaxlangnav.commands.output import Output, write_document
+from jaxlangnav.cli import main as cli
+from jaxlangnav.cli.arguments import Command
+from jaxlangnav.cli.output import Output, write_document
 from jaxlangnav.experiments.shards import Shard, write_shard
 from jaxlangnav.experiments.summary import markdown, render, summarize_directory
 from jaxlangnav.experiments.sweep_config import read_config
@@ -108,7 +108,7 @@ def _shipped_lexicon() -> str:
 
 def _lexicon(text: bytes, folder: Path) -> None:
     """Join somebody's words; now and then build the grammar of what is taken."""
-    from jaxlangnav.documents import read_text
+    from jaxlangnav.files.documents import read_text
 
     (folder / "words.toml").write_bytes(text)
     lexicon = read_lexicon(_shipped_lexicon(), read_text(folder / "words.toml", at_most=1 << 20))

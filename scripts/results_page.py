@@ -14,7 +14,7 @@ import ages
 
 from jaxlangnav.experiments.figure5 import describe_falls
 from jaxlangnav.experiments.tables import deviation_lines
-from jaxlangnav.experiments.unknowns_tables import caption, explained_lines, matrix
+from jaxlangnav.studies.unknowns_tables import caption, explained_lines, matrix
 
 ROOT = ages.ROOT
 PAGE = ROOT / "docs" / "results.md"

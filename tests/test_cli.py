@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 import tyro
 
-from jaxlangnav import __version__, cli
-from jaxlangnav.commands import SUMMARIES, arguments
-from jaxlangnav.commands.errors import UsageError, did_you_mean, is_refusal, one_line
-from jaxlangnav.commands.output import Output, to_json
+from jaxlangnav import __version__
+from jaxlangnav.cli import SUMMARIES, arguments
+from jaxlangnav.cli import main as cli
+from jaxlangnav.cli.errors import UsageError, did_you_mean, is_refusal, one_line
+from jaxlangnav.cli.output import Output, to_json
 from jaxlangnav.world import files
 
 
@@ -206,7 +207,7 @@ def test_one_line() -> None:
 
 @pytest.mark.parametrize("words", [["--help"], ["folow"], ["follow", "--help"], ["follow", "--x"]])
 def test_help_and_errors_load_nothing_heavy(words: list[str]) -> None:
-    code = f"import sys; from jaxlangnav.cli import main; main({words})"
+    code = f"import sys; from jaxlangnav.cli.main import main; main({words})"
     result = subprocess.run(
         [
             sys.executable,

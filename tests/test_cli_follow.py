@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from test_frozen import frozen
 
-from jaxlangnav import cli, kept
-from jaxlangnav.commands import engine, intent
+from jaxlangnav import kept
+from jaxlangnav.cli import engine, intent
+from jaxlangnav.cli import main as cli
 from jaxlangnav.experiments.monte_carlo import cell, make_tasks
 from jaxlangnav.grounding import load_shipped, understand
 

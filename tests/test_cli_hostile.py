@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from jaxlangnav import cli
-from jaxlangnav.commands.output import Output, write_document
+from jaxlangnav.cli import main as cli
+from jaxlangnav.cli.output import Output, write_document
 
 ANSI = "\x1b[31mred\x1b]0;title\x07\u202e\x9b2J"
 MARKUP = "[red]x[/red] [link=https://example.org]y[/link] :skull:"

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jaxlangnav import cli
+from jaxlangnav.cli import main as cli
 
 COMMAND = "go to the hydrant behind the cone"
 

@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jaxlangnav import cli
-from jaxlangnav.commands import settings
-from jaxlangnav.commands.arguments import parse_arguments
-from jaxlangnav.commands.engine import navigator_config, navigator_params
-from jaxlangnav.commands.errors import UsageError
-from jaxlangnav.commands.follow import Follow
+from jaxlangnav.cli import main as cli
+from jaxlangnav.cli import settings
+from jaxlangnav.cli.arguments import parse_arguments
+from jaxlangnav.cli.engine import navigator_config, navigator_params
+from jaxlangnav.cli.errors import UsageError
+from jaxlangnav.cli.follow import Follow
 from jaxlangnav.messages import default_sensor
 from jaxlangnav.planner.params import PlannerParams
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from jaxlangnav.commands.arguments import parse_arguments
+from jaxlangnav.cli.arguments import parse_arguments
 from jaxlangnav.experiments.sweep_config import config_from_dict
 from jaxlangnav.language.lexicon import read_lexicon
 from jaxlangnav.world.reading import world_from_dict

@@ -6,7 +6,7 @@ import jax
 import numpy as np
 import pytest
 
-from jaxlangnav import cli
+from jaxlangnav.cli import main as cli
 from jaxlangnav.episode import begin
 from jaxlangnav.experiments import sizes
 from jaxlangnav.experiments.policies import navigator_config

@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from jaxlangnav import cli
+from jaxlangnav.cli import main as cli
 from jaxlangnav.experiments import summary, summary_tables, sweep, sweep_folder
 from jaxlangnav.experiments.sweep_config import SweepConfig, read_config
 

@@ -11,21 +11,14 @@ from pathlib import Path
 import pytest
 
 LAYERS = (
-    "whole_files",
     "pytree",
-    "limits",
-    "input_files",
-    "array_files",
-    "own_files",
-    "compiled_program",
     "plain_text",
-    "documents",
+    "files",
+    "compiled_program",
     "kept",
     "messages",
     "numerics",
     "relations",
-    "relation_pairs",
-    "relation_fitting",
     "language",
     "grounding",
     "semantic_map",
@@ -37,11 +30,12 @@ LAYERS = (
     "recording",
     "recorder",
     "experiments",
+    "studies",
+    "speed",
     "viz",
     "environments",
-    "commands",
-    "following",
     "cli",
+    "following",
     "__main__",
 )
 """Lowest first. ``jaxlangnav/__init__.py`` is the facade: it names things from everywhere."""

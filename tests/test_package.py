@@ -47,7 +47,7 @@ def test_typing_marker_is_shipped() -> None:
 
 
 def test_import_is_light() -> None:
-    code = "import sys, jaxlangnav, jaxlangnav.cli; print('jax' in sys.modules)"
+    code = "import sys, jaxlangnav, jaxlangnav.cli.main; print('jax' in sys.modules)"
     result = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     )

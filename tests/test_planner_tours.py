@@ -7,7 +7,6 @@ import pytest
 import readings as by_hand
 from test_planner_policy import CONFIG, P, believe, random_places
 
-from jaxlangnav.experiments.learn_prior import learn, training_worlds
 from jaxlangnav.messages import NONE
 from jaxlangnav.planner import policy, prior, tours
 from jaxlangnav.planner.goals import Goals
@@ -15,6 +14,7 @@ from jaxlangnav.planner.graph import FRONTIER, OBJECT, Nodes
 from jaxlangnav.planner.params import PlannerConfig, default_planner_params
 from jaxlangnav.planner.search import CELLS, SearchMap, search_map
 from jaxlangnav.pytree import replace
+from jaxlangnav.studies.learn_prior import learn, training_worlds
 
 AREA = jnp.array([0.0, 10.0, -5.0, 5.0])
 K, RANGE = tours.NUM_STOPS, 3.0

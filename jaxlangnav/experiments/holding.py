@@ -23,7 +23,7 @@ import socket
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from jaxlangnav.whole_files import make_folder
+from jaxlangnav.files.whole import make_folder
 
 Note = Callable[[str], None]
 """Called with a line for people."""

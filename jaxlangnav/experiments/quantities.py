@@ -11,7 +11,7 @@ from typing import Any
 
 from jax import Array
 
-from jaxlangnav.limits import FARTHEST, LARGEST, SMALLEST
+from jaxlangnav.files.limits import FARTHEST, LARGEST, SMALLEST
 from jaxlangnav.messages import MotionParams, SensorParams
 from jaxlangnav.plain_text import cut, shown
 from jaxlangnav.planner.params import PlannerParams

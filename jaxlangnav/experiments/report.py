@@ -13,8 +13,8 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from jaxlangnav.files.whole import write_text
 from jaxlangnav.plain_text import printable
-from jaxlangnav.whole_files import write_text
 
 _NUMBER = re.compile(r"[≤≥<>+−-]? ?\d[\d.,]*(\s|$)")
 _MEDIA = {".svg": "image/svg+xml", ".png": "image/png"}

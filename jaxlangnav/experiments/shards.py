@@ -18,7 +18,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from jaxlangnav.experiments.archive import to_table
-from jaxlangnav.whole_files import write_bytes
+from jaxlangnav.files.whole import write_bytes
 
 _KEY = "jaxlangnav.shard"
 _UNKNOWN = "0" * 64

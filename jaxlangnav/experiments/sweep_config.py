@@ -37,12 +37,12 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from jaxlangnav.documents import DocumentError, parse_toml, read_text
 from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, check_policies
 from jaxlangnav.experiments.quantities import FIELDS, LENGTH
 from jaxlangnav.experiments.sentences import SENTENCES
 from jaxlangnav.experiments.tasks import SEED_LIMIT
-from jaxlangnav.input_files import read_file
+from jaxlangnav.files.documents import DocumentError, parse_toml, read_text
+from jaxlangnav.files.regular import read_file
 from jaxlangnav.plain_text import cut, fault_of_name, shown
 from jaxlangnav.world.files import LARGEST_FILE, World, open_world
 from jaxlangnav.world.scenario import scenario_law

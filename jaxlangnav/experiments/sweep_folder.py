@@ -11,14 +11,14 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from jaxlangnav.documents import parse_json, read_text
 from jaxlangnav.experiments.archive import manifest, to_json
 from jaxlangnav.experiments.devices import CHUNK, LANES
 from jaxlangnav.experiments.holding import Note
 from jaxlangnav.experiments.shards import Shard, ShardError, check_shard
 from jaxlangnav.experiments.sweep_plan import Plan
+from jaxlangnav.files.documents import parse_json, read_text
+from jaxlangnav.files.whole import write_once
 from jaxlangnav.plain_text import fault_of_name
-from jaxlangnav.whole_files import write_once
 
 MANIFEST = "manifest.json"
 _IDENTITY = ("settings", "jaxlangnav", "libraries", "models_sha256", "device")

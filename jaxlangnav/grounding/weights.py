@@ -15,7 +15,9 @@ from zipfile import ZipFile
 
 import numpy as np
 
-from jaxlangnav.array_files import faults_as_values, open_arrays, read_floats, read_text
+from jaxlangnav.files.arrays import faults_as_values, open_arrays, read_floats, read_text
+from jaxlangnav.files.regular import read_file
+from jaxlangnav.files.whole import replacing
 from jaxlangnav.grounding.behavior_properties import PROPERTY_NAMES
 from jaxlangnav.grounding.examples import annotation_properties
 from jaxlangnav.grounding.features import Senses
@@ -27,9 +29,7 @@ from jaxlangnav.grounding.model import (
     Vocabulary,
 )
 from jaxlangnav.grounding.symbols import AnnotationSpace
-from jaxlangnav.input_files import read_file
 from jaxlangnav.language.lexicon import load_lexicon
-from jaxlangnav.whole_files import replacing
 
 SHIPPED = "weights.npz"
 _MAX_BYTES = 1 << 22

@@ -15,13 +15,13 @@ from typing import Any
 
 import numpy as np
 
+from jaxlangnav.files.whole import write_text
 from jaxlangnav.messages import NONE
 from jaxlangnav.plain_text import printable
 from jaxlangnav.planner.graph import FRONTIER, OBJECT, VISITED
 from jaxlangnav.recording import Recording
 from jaxlangnav.viz import narrative, panels, sentences, style, summary
 from jaxlangnav.viz.words import describe_readings, percent
-from jaxlangnav.whole_files import write_text
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 
 _ABSENT = 65535

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from jaxlangnav.files.whole import write_text
 from jaxlangnav.grounding.instruction import GroundingModel
 from jaxlangnav.language.phrase import Parse
 from jaxlangnav.recording import Recording
@@ -11,7 +12,6 @@ from jaxlangnav.viz.graph import graph_figure
 from jaxlangnav.viz.html import write_html
 from jaxlangnav.viz.narrative import tell
 from jaxlangnav.viz.values import values_figure
-from jaxlangnav.whole_files import write_text
 
 
 def write_pictures(recording: Recording, folder: Path | str) -> list[Path]:

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from jaxlangnav.files.whole import replacing
 from jaxlangnav.recording import Frame, Recording, Scene
 from jaxlangnav.viz import narrative, style, summary
-from jaxlangnav.whole_files import replacing
 
 _APPLICATION = "jaxlangnav"
 

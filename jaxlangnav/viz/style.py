@@ -14,8 +14,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from jaxlangnav.files.whole import replacing
 from jaxlangnav.plain_text import printable
-from jaxlangnav.whole_files import replacing
 
 if TYPE_CHECKING:
     from matplotlib.colors import LinearSegmentedColormap

@@ -8,7 +8,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from jaxlangnav.limits import FARTHEST
+from jaxlangnav.files.limits import FARTHEST
 from jaxlangnav.plain_text import LONGEST_NAME, cut, fault_of_name, printable, shown
 
 

@@ -42,7 +42,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from jaxlangnav.documents import DocumentError, parse_json, parse_toml, read_text
+from jaxlangnav.files.documents import DocumentError, parse_json, parse_toml, read_text
 from jaxlangnav.plain_text import cut, shown
 from jaxlangnav.world.fields import WorldFileError, did_you_mean
 from jaxlangnav.world.reading import World, world_from_dict

@@ -8,8 +8,8 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from jaxlangnav.files.limits import SHORTEST
 from jaxlangnav.language.lexicon import load_lexicon
-from jaxlangnav.limits import SHORTEST
 from jaxlangnav.messages import (
     NONE,
     MotionParams,

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from jax import Array
 
+from jaxlangnav.files.whole import write_text
 from jaxlangnav.language.lexicon import load_lexicon
-from jaxlangnav.whole_files import write_text
 from jaxlangnav.world.fields import WorldFileError
 from jaxlangnav.world.reading import World
 

@@ -1,0 +1,56 @@
+"""Limits of options that several commands have; each says the value, the limit and the remedy."""
+
+import math
+import os
+from pathlib import Path
+
+from jaxlangnav.cli.errors import UsageError
+from jaxlangnav.files.limits import FARTHEST, SHORTEST
+
+
+def check_at_least(option: str, value: int, least: int) -> None:
+    """Refuse a number below its limit."""
+    if value < least:
+        raise UsageError(f"{option} is {value}, but must be at least {least}")
+
+
+def check_seed(value: int) -> None:
+    """Refuse a seed that does not fit into the root of the keys."""
+    if not 0 <= value < 2**32:
+        raise UsageError(f"--seed is {value}, but must lie between 0 and 4294967295")
+
+
+def check_range(value: float | None) -> None:
+    """Refuse a sensing range that is no length, or one that single precision cannot hold."""
+    if value is None:
+        return
+    if not (math.isfinite(value) and value > 0):
+        raise UsageError(f"--range is {value:g}, but must be a length above 0 m")
+    if not SHORTEST <= value <= FARTHEST:
+        raise UsageError(
+            f"--range is {value:g}, but must be between {SHORTEST:g} m and {FARTHEST:g} m"
+        )
+
+
+def check_folder(option: str, path: Path | None) -> None:
+    """Refuse, before anything runs, a folder that could not be written to afterwards."""
+    if path is None:
+        return
+    existing = path
+    while not existing.exists() and existing != existing.parent:
+        existing = existing.parent
+    if not existing.is_dir():
+        raise UsageError(f"{option} is {path}, but {existing} is a file: name a folder")
+    if not os.access(existing, os.W_OK):
+        raise UsageError(f"{option} is {path}, but {existing} cannot be written to")
+
+
+def check_file(option: str, path: Path | None, suffix: str) -> None:
+    """Refuse, before anything runs, a file that could not be written afterwards."""
+    if path is None:
+        return
+    if path.suffix != suffix:
+        raise UsageError(f"{option} is {path}, but its name must end in {suffix}")
+    if path.is_dir():
+        raise UsageError(f"{option} is {path}, but that is a folder: name a file")
+    check_folder(option, path.parent)

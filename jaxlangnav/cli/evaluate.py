@@ -1,0 +1,64 @@
+"""``jaxlangnav evaluate``: Table 1, how often whole sentences are understood (section 4.1)."""
+
+import dataclasses
+
+from jaxlangnav.cli.checks import check_at_least, check_seed
+from jaxlangnav.cli.errors import UsageError
+from jaxlangnav.cli.output import Document, Output
+from jaxlangnav.cli.runtime import keep_compiled_programs, progress_bar
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Evaluate:
+    """Measure understanding by the paper's protocol: Table 1.
+
+    39 labelled sentences, random splits of 67 to 33 percent, a sentence counts where every symbol
+    at its root is right. The three commands of Table 2 are in none of them.
+
+    Examples:
+      jaxlangnav evaluate
+      jaxlangnav evaluate --splits 200 --json
+    """
+
+    splits: int = 8
+    """Random splits; the paper has 8."""
+    seed: int = 0
+    """Of the splits."""
+    beams: tuple[int, ...] = (4, 1, 16)
+    """Beam widths of the search; the first is that of the table and of the seconds."""
+    beam_only: bool = False
+    """Leave out the exact search, which goes on until no other set of symbols can be likelier."""
+    json: bool = False
+    """Print one JSON document: by model accuracy, interval, seconds; the paper's rows."""
+
+    def run(self, output: Output) -> Document:
+        """Run the protocol and print the table beside the paper's.
+
+        Args:
+            output: where the table is printed.
+
+        Returns:
+            The document.
+
+        Raises:
+            ValueError: an option is outside its limits.
+        """
+        check_at_least("--splits", self.splits, 2)
+        check_seed(self.seed)
+        if not self.beams:
+            raise UsageError("--beams needs at least one width")
+        for beam in self.beams:
+            check_at_least("--beams", beam, 1)
+        keep_compiled_programs()
+        from jaxlangnav.experiments.table1 import evaluate, render
+
+        with progress_bar("splits", self.splits) as advance:
+            document = evaluate(
+                splits=self.splits,
+                seed=self.seed,
+                beams=self.beams,
+                is_exact=not self.beam_only,
+                on_progress=advance,
+            )
+        output.say(render(document))
+        return document

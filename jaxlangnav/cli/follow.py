@@ -1,0 +1,279 @@
+"""``jaxlangnav follow``: one episode, told and drawn (the whole of section 3)."""
+
+import dataclasses
+import importlib.util
+import itertools
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
+
+import tyro
+
+from jaxlangnav.cli.checks import check_at_least, check_folder, check_range, check_seed
+from jaxlangnav.cli.errors import UsageError
+from jaxlangnav.cli.metavars import File, Folder, Metres
+from jaxlangnav.cli.output import Document, Output
+from jaxlangnav.cli.runtime import keep_compiled_programs, waiting
+from jaxlangnav.cli.sentence import parse_text
+from jaxlangnav.cli.settings import Place, apply, read_settings
+
+if TYPE_CHECKING:
+    from jaxlangnav.cli.engine import Prepared
+    from jaxlangnav.episode import EpisodeResult
+    from jaxlangnav.grounding.instruction import Understanding
+    from jaxlangnav.language.phrase import Parse
+    from jaxlangnav.recording import Frame, Recording, Scene
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Follow:
+    """Follow a sentence in a world never seen, until the robot says stop.
+
+    Worlds: 1H1C, 1H2C, 2H1C, 2H2C (hydrants and cones, drawn anew for each seed so that the
+    sentence is true), a shipped world (yard, street, empty-corner, figure1, figure4), or a .toml
+    or .json file. The numbers and sizes of filter, planner, detector and motion can be set too, for
+    example --params.planner.discount 0.9: --help-params lists them with units.
+
+    Examples:
+      jaxlangnav follow "go to the hydrant behind the cone"
+      jaxlangnav follow "go to the hydrant nearest to the cone" --world 2H1C --range 5
+      jaxlangnav follow "find the car" --world street --out pictures
+      jaxlangnav follow "move behind the cone" --live
+      jaxlangnav follow "go to the hydrant" --policy faithful --seed 7 --json
+      jaxlangnav follow "go to the hydrant" --sensor.field-of-view "90 deg"
+    """
+
+    SETTINGS: ClassVar = ("params", "config", "sensor", "motion")
+
+    text: tyro.conf.Positional[str]
+    """The sentence, in quotes."""
+    world: str = "1H1C"
+    """A template, a shipped world or a file."""
+    range: Metres = None
+    """How far the robot sees; 3 m, or what the world file says, if not given."""
+    policy: Literal["informed", "faithful"] = "informed"
+    """informed: puts its hypotheses to the test; faithful: the paper's."""
+    seed: int = 0
+    """Of the world and of the noise."""
+    particles: int = 64
+    """Hypotheses of the map kept at once."""
+    max_steps: int = 120
+    """Decisions after which the episode ends as a time-out."""
+    out: Folder = None
+    """Where to write pictures (PNG, SVG), an interactive page (HTML) and the document."""
+    rrd: bool = False
+    """Write the episode for the rerun viewer too, episode.rrd; needs jaxlangnav[rerun]."""
+    live: bool = False
+    """Draw the episode in the terminal while it runs."""
+    weights: File = None
+    """Trained models, written by jaxlangnav train; the shipped ones if not given."""
+    json: bool = False
+    """Print one JSON document: success, distance, trajectory, annotations, pictures, ..."""
+    settings: tyro.conf.Suppress[Any] = None
+
+    def run(self, output: Output) -> Document:
+        """Run the episode, tell it, and draw it where a folder is given.
+
+        Args:
+            output: where the story is told.
+
+        Returns:
+            The document.
+
+        Raises:
+            ValueError: an option, the sentence or the world is refused.
+        """
+        self._check()
+        parsed = parse_text(self.text, output)
+        keep_compiled_programs()
+        from jaxlangnav.world.files import open_world
+
+        values = read_settings(self.settings, self.SETTINGS)
+        self._check_settings(values)
+        # Before anything is compiled: a world that cannot be opened is refused at once.
+        open_world(self.world)
+        understood = self._understand(parsed)
+        from jaxlangnav.cli.engine import alone, rehearse
+        from jaxlangnav.pytree import replace
+
+        sizes = self._sizes(values)
+        rehearse(alone(understood), **sizes)
+        prepared = self._open(understood, output)
+        task = prepared.task
+        sensor = apply(task.sensor, values, "sensor")
+        motion = apply(task.motion, values, "motion")
+        prepared = dataclasses.replace(prepared, task=replace(task, sensor=sensor, motion=motion))
+        # The belief knows the odometry's specification.
+        sizes["params"] = replace(sizes["params"], map=replace(sizes["params"].map, motion=motion))
+        recording = self._record(understood, prepared, sizes, output)
+        document = self._document(prepared.world, understood.annotations, recording)
+        if self.out is not None:
+            self._draw(recording, document, output)
+        return document
+
+    def _check(self) -> None:
+        """Refuse what can be refused before anything is loaded."""
+        check_range(self.range)
+        check_seed(self.seed)
+        check_at_least("--particles", self.particles, 2)
+        check_at_least("--max-steps", self.max_steps, 1)
+        check_folder("--out", self.out)
+        if self.out is not None and importlib.util.find_spec("matplotlib") is None:
+            raise UsageError('--out draws pictures and needs: pip install "jaxlangnav[viz]"')
+        if self.rrd and self.out is None:
+            raise UsageError("--rrd writes episode.rrd into the folder of --out: add --out DIR")
+        if self.rrd and importlib.util.find_spec("rerun") is None:
+            raise UsageError('--rrd needs the rerun viewer: pip install "jaxlangnav[rerun]"')
+
+    def _check_settings(self, values: "dict[Place, Any]") -> None:
+        """Refuse numbers and sizes that do not go together, or that no memory holds."""
+        from jaxlangnav.cli.engine import navigator_config, navigator_params
+        from jaxlangnav.experiments.sizes import check_recording
+        from jaxlangnav.navigator import check
+
+        if values:
+            check(apply(navigator_params(), values, "params"))
+        config = apply(navigator_config(self.policy, self.particles), values, "config")
+        check_recording(config, self.max_steps)
+
+    def _understand(self, parsed: "Parse") -> "Understanding":
+        """Understand the sentence, which has to ask for something."""
+        from jaxlangnav.cli.engine import load_models
+        from jaxlangnav.grounding.instruction import understand_parse
+
+        understood = understand_parse(parsed, load_models(self.weights))
+        understood.check_task()
+        return understood
+
+    def _open(self, understood: "Understanding", output: Output) -> "Prepared":
+        """Open a world in which the sentence can be followed."""
+        from jaxlangnav.cli.engine import missing_types, open_task
+
+        prepared = open_task(self.world, understood, sensing_range=self.range, seed=self.seed)
+        scenario, names = prepared.task.scenario, understood.type_names
+        missing = missing_types(scenario, understood.annotations, names)
+        if not prepared.is_meant and prepared.is_drawn:
+            raise UsageError(nothing_there(prepared, missing, names))
+        for name in missing:
+            output.note(f"note: world {prepared.world} has no {name}")
+        if not prepared.is_meant:
+            output.note("note: nothing there fits the sentence; judged by the world's own goal")
+        return prepared
+
+    def _sizes(self, values: "dict[Place, Any]") -> dict[str, Any]:
+        """Build the engine's numbers and sizes."""
+        from jaxlangnav.cli.engine import navigator_config, navigator_params
+
+        params = apply(navigator_params(), values, "params")
+        config = apply(navigator_config(self.policy, self.particles), values, "config")
+        return {"params": params, "config": config}
+
+    def _record(
+        self,
+        understood: "Understanding",
+        prepared: "Prepared",
+        sizes: dict[str, Any],
+        output: Output,
+    ) -> "Recording":
+        """Run the episode and tell it, as it happens or afterwards."""
+        from jaxlangnav import recorder
+        from jaxlangnav.cli.engine import alone, judged
+        from jaxlangnav.recording import gather
+        from jaxlangnav.viz.narrative import closing, tell
+
+        instructions, task = alone(understood), prepared.task
+        scene = recorder.set_scene(task, instructions, text=self.text, **sizes)
+        steps = recorder.play(task, instructions, max_steps=self.max_steps, **sizes)
+        with waiting(
+            "compiling the robot's mind; what is compiled is kept for the next run", output
+        ):
+            first = next(steps)
+        whole = itertools.chain([first], steps)
+        if self.live:
+            recording = judged(self._watch(scene, whole), prepared)
+            output.say("")
+            lines = closing(scene, recording.at(-1), recording.result)
+        else:
+            frames, results = zip(*whole, strict=True)
+            recording = judged(gather(scene, list(frames), results[-1]), prepared)
+            lines = tell(recording)
+        output.tell(lines)
+        return recording
+
+    def _watch(self, scene: "Scene", steps: "Iterable[tuple[Frame, EpisodeResult]]") -> "Recording":
+        """Draw the episode in the terminal while it runs."""
+        from rich.console import Console
+
+        from jaxlangnav.viz.terminal import watch
+
+        # Standard output is kept for the document where a script reads it.
+        return watch(scene, steps, console=Console(stderr=self.json))
+
+    def _document(
+        self, name: str, annotations: list[dict[str, Any]], recording: "Recording"
+    ) -> dict[str, Any]:
+        """Gather what ``--json`` prints."""
+        scene, result = recording.scene, recording.result
+        return {
+            "instruction": self.text,
+            "world": name,
+            "policy": self.policy,
+            "seed": self.seed,
+            "range": float(scene.sensor.range_max),
+            "particles": self.particles,
+            "success": bool(result.is_success),
+            "stopped": bool(result.is_stopped),
+            "distance": float(result.distance),
+            "known_distance": scene.known_distance,
+            "goal_distance": float(result.goal_distance),
+            "steps": int(result.steps),
+            "goal": [float(one) for one in scene.scenario.goal],
+            "trajectory": [
+                *([float(x), float(y)] for x, y in recording.frames.position),
+                [float(one) for one in result.final],
+            ],
+            "annotations": annotations,
+            "pictures": [],
+        }
+
+    def _draw(self, recording: "Recording", document: dict[str, Any], output: Output) -> None:
+        """Write pictures, recordings and document into the folder."""
+        import json
+
+        from jaxlangnav.cli.output import to_json
+        from jaxlangnav.files.whole import write_text
+        from jaxlangnav.viz.pictures import write_pictures
+
+        assert self.out is not None
+        paths = write_pictures(recording, self.out)
+        if self.rrd:
+            from jaxlangnav.viz.rrd import write_rrd
+
+            paths.append(write_rrd(recording, self.out / "episode.rrd"))
+        document["pictures"] = [str(path) for path in paths]
+        write_text(json.dumps(to_json(document), indent=2) + "\n", self.out / "episode.json")
+        names = ", ".join(path.name for path in paths)
+        output.say("")
+        output.say(f"Wrote {names} and episode.json into {self.out}")
+
+
+def nothing_there(prepared: "Prepared", missing: Sequence[str], names: Sequence[str]) -> str:
+    """Say that a template has nothing of what is asked for.
+
+    Args:
+        prepared: the world.
+        missing: types that the sentence speaks of and the world lacks.
+        names: object types by index.
+
+    Returns:
+        One line.
+    """
+    from jaxlangnav.cli.engine import count_types
+    from jaxlangnav.world.files import shipped_worlds
+
+    counts = count_types(prepared.task.scenario, names)
+    there = " and ".join(f"{number} {name}{'s' * (number > 1)}" for name, number in counts)
+    lack = f"no {missing[0]}" if missing else "nothing that fits the sentence"
+    return (
+        f"world {prepared.world} has {lack}, only {there}: choose another template, "
+        f"a shipped world ({', '.join(shipped_worlds())}) or a file with --world"
+    )

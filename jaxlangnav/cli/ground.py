@@ -1,0 +1,170 @@
+"""``jaxlangnav ground``: what a sentence is taken to mean, with probabilities (3.1 and 3.3)."""
+
+import dataclasses
+import importlib.util
+from typing import TYPE_CHECKING, Any
+
+import tyro
+
+from jaxlangnav.cli.checks import check_folder, check_seed
+from jaxlangnav.cli.errors import UsageError
+from jaxlangnav.cli.metavars import File, Folder, World
+from jaxlangnav.cli.output import Document, Output
+from jaxlangnav.cli.runtime import keep_compiled_programs
+from jaxlangnav.cli.sentence import parse_text
+
+if TYPE_CHECKING:
+    from jaxlangnav.grounding.instruction import Understanding
+
+PAPER_NUM_OBJECTS = 7
+"""Objects of the behavior graph that is counted where no world is given: the paper's number."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Ground:
+    """Show what a sentence is taken to mean, with probabilities.
+
+    Without a world: the annotations, what the sentence says of a place nobody has seen. With a
+    world also the behaviors: what is to be done there, if all of its objects were known.
+
+    Examples:
+      jaxlangnav ground "go to the hydrant behind the cone"
+      jaxlangnav ground "go to the hydrant behind the cone" --world 2H1C
+      jaxlangnav ground "go to the cone nearest to the car" --out pictures
+      jaxlangnav ground "move behind the cone" --json
+    """
+
+    text: tyro.conf.Positional[str]
+    """The sentence, in quotes."""
+    world: World = None
+    """A template, a shipped world or a file: ground the behavior in it too."""
+    seed: int = 0
+    """Of the world drawn from a template."""
+    out: Folder = None
+    """Where to draw the factor graph with its probabilities, graph.png and graph.svg."""
+    weights: File = None
+    """Trained models, written by jaxlangnav train; the shipped ones if not given."""
+    json: bool = False
+    """Print one JSON document: annotations, graph, behaviors, unknown_words."""
+
+    def run(self, output: Output) -> Document:
+        """Ground the sentence and show the distributions.
+
+        Args:
+            output: where the tables are shown for people.
+
+        Returns:
+            The document.
+
+        Raises:
+            ValueError: the sentence or the world is refused.
+        """
+        check_seed(self.seed)
+        check_folder("--out", self.out)
+        if self.out is not None and importlib.util.find_spec("matplotlib") is None:
+            raise UsageError('--out draws a picture and needs: pip install "jaxlangnav[viz]"')
+        parsed = parse_text(self.text, output)
+        keep_compiled_programs()
+        from jaxlangnav.cli.engine import load_models
+        from jaxlangnav.grounding.instruction import understand_parse
+
+        model = load_models(self.weights)
+        understood = understand_parse(parsed, model)
+        document: dict[str, Any] = {
+            "instruction": self.text,
+            "annotations": understood.annotations,
+            "unknown_words": understood.unknown_words,
+        }
+        show_annotations(document["annotations"], output)
+        num_objects = PAPER_NUM_OBJECTS
+        if self.world is not None:
+            document |= self._ground_in(self.world, understood)
+            show_behaviors(document["behaviors"], document["world"], output)
+            num_objects = len(document["objects"])
+        document["graph"] = understood.graph(num_objects)
+        show_graph(document["graph"], output)
+        if self.out is not None:
+            from jaxlangnav.viz.pictures import write_graph
+
+            document["pictures"] = [str(path) for path in write_graph(parsed, model, self.out)]
+            output.say(f"Wrote {', '.join(document['pictures'])}")
+        return document
+
+    def _ground_in(self, world_name: str, understood: "Understanding") -> dict[str, Any]:
+        """Infer the behavior in a world of which everything is known."""
+        from jaxlangnav.cli.engine import open_task
+        from jaxlangnav.cli.placed import list_behaviors, place_scenario
+
+        prepared = open_task(world_name, understood, sensing_range=None, seed=self.seed)
+        placed = place_scenario(prepared.task.scenario, understood.type_names)
+        return {
+            "world": prepared.world,
+            "objects": [{"type": kind, "position": [x, y]} for kind, x, y in placed.objects],
+            "behaviors": list_behaviors(understood.instruction, placed, understood.type_names),
+        }
+
+
+def show_annotations(annotations: list[dict[str, Any]], output: Output) -> None:
+    """Show what the sentence says of the world.
+
+    Args:
+        annotations: likeliest first.
+        output: where to.
+    """
+    from rich.table import Table
+
+    table = Table(title="Annotations: what it says of the world", title_justify="left")
+    for heading in ("Figure", "Relation", "Landmark"):
+        table.add_column(heading)
+    table.add_column("Probability", justify="right")
+    for said in annotations:
+        relation = said["relation"] or "-"
+        extreme = {"near": "nearest", "far": "farthest"}.get(relation, f"most {relation}")
+        table.add_row(
+            said["figure"] or "(the robot itself)",
+            extreme if said["superlative"] else relation,
+            said["landmark"] or "-",
+            f"{said['probability']:.3f}",
+        )
+    output.say(table)
+
+
+def show_behaviors(behaviors: list[dict[str, Any]], world: str, output: Output) -> None:
+    """Show what is to be done in a world.
+
+    Args:
+        behaviors: likeliest first.
+        world: its name.
+        output: where to.
+    """
+    from rich.table import Table
+
+    table = Table(title=f"Behaviors in world {world}", title_justify="left")
+    for heading in ("Action", "Mode", "Goal"):
+        table.add_column(heading)
+    table.add_column("Probability", justify="right")
+    for one in behaviors:
+        probability = f"{one['probability']:.3f}"
+        goal = one["goal"]
+        x, y = goal["position"]
+        where = f"{goal['region']} the {goal['object']} ({x:.1f}, {y:.1f})"
+        table.add_row(one["action"], one["mode"], where, probability)
+    output.say(table)
+
+
+def show_graph(graph: dict[str, dict[str, int]], output: Output) -> None:
+    """Show the sizes of the constructed graphs.
+
+    Args:
+        graph: by model, ``phrases``, ``factors``, ``variables``.
+        output: where to.
+    """
+    from rich.text import Text
+
+    for model, size in graph.items():
+        objects = f", {size['objects']} objects" if "objects" in size else ""
+        told = (
+            f"{model} graph: {size['phrases']} phrases, {size['factors']} factors, "
+            f"{size['variables']} variables{objects}"
+        )
+        output.say(Text(told, style="dim"))

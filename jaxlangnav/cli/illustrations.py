@@ -1,0 +1,242 @@
+"""The paper's illustrations, run anew: Figures 1, 3 and 4 (``jaxlangnav reproduce fig4``)."""
+
+import dataclasses
+import time
+from pathlib import Path
+from typing import Any
+
+from jaxlangnav.cli.engine import (
+    load_models,
+    navigator_config,
+    open_task,
+    record_episode,
+)
+from jaxlangnav.cli.output import Output
+from jaxlangnav.cli.reproduction import Settings, Study
+from jaxlangnav.cli.runtime import waiting
+from jaxlangnav.cli.settings import apply
+from jaxlangnav.experiments.archive import manifest, write_manifest
+from jaxlangnav.experiments.compilation import CompileClock
+from jaxlangnav.experiments.report import Section, Table
+from jaxlangnav.experiments.sentences import SENTENCES
+from jaxlangnav.files.whole import write_text
+from jaxlangnav.grounding.instruction import understand_parse
+from jaxlangnav.language.parser import parse
+from jaxlangnav.plain_text import markdown_table
+from jaxlangnav.planner.params import POLICIES
+from jaxlangnav.pytree import replace
+from jaxlangnav.recording import Recording
+from jaxlangnav.viz.moments import TABLE_HEADINGS, describe_moments, pick_moments, table_rows
+
+TEXT = SENTENCES["behind"]
+"""The sentence of all three figures."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Episode:
+    """A figure of one episode."""
+
+    title: str
+    name: str
+    """Of its world, and of the files."""
+    num_panels: int
+    paper: str
+    """What the printed figure shows, by its caption."""
+    ours: str
+    """What to see in ours."""
+
+
+EPISODES = {
+    "fig1": Episode(
+        title="Figure 1: the belief over time",
+        name="figure1",
+        num_panels=6,
+        paper="In the paper the robot begins with the cone in its field of view and does not know "
+        "the hydrant's location; its belief gathers behind the cone and follows what it sees.",
+        ours="The same scene: hypotheses of the hydrant gather behind the cone; those that come "
+        "into view and are not there are refuted; then the hydrant is seen.",
+    ),
+    "fig4": Episode(
+        title="Figure 4: the value function over time",
+        name="figure4",
+        num_panels=4,
+        paper="In the paper the robot has observed two cones and hypothesises hydrants behind both "
+        "(a); it moves towards the left cluster first, does not find the hydrant there, and the "
+        "map's distribution peaks at the right cluster (b); it moves right and observes the "
+        "hydrant (c).",
+        ours="The same scene: values γ^d of every waypoint over the distribution of the goal "
+        "(equations 11 and 12); the table says where the unseen goal is believed to be.",
+    ),
+}
+
+
+def illustrate(name: str, settings: Settings, output: Output) -> Study:
+    """Run the episode of a figure, tell it and draw it.
+
+    Args:
+        name: "fig1" or "fig4".
+        settings: policy, seed, particles, numbers, folder.
+        output: where it is told.
+
+    Returns:
+        The study; its document has ``moments``, a line for each panel.
+    """
+    from jaxlangnav.viz.narrative import tell
+
+    figure = EPISODES[name]
+    # All policies by default: then the paper's, whose figure it is.
+    named = [one for one in settings.policies if one in POLICIES]
+    policy = named[0] if len(named) == 1 else "faithful"
+    begin = time.perf_counter()
+    with CompileClock() as clock, waiting(f"an episode in {figure.name}", output):
+        recording = _record(figure, policy, settings)
+    steps = pick_moments(recording, figure.num_panels)
+    moments = describe_moments(recording, steps)
+    output.tell(tell(recording))
+    document: dict[str, Any] = {
+        "experiment": figure.name,
+        "instruction": TEXT,
+        "world": figure.name,
+        "policy": policy,
+        "seed": settings.seed,
+        "num_particles": settings.particles_drawn,
+        "range": float(recording.scene.sensor.range_max),
+        "success": bool(recording.result.is_success),
+        "distance": float(recording.result.distance),
+        "known_distance": recording.scene.known_distance,
+        "steps": int(recording.result.steps),
+        "moments": moments,
+        "paper": figure.paper,
+        "wall_s": time.perf_counter() - begin,
+        "compile_s": clock.seconds,
+        "files": [],
+    }
+    pictures: list[Path] = []
+    if settings.out is not None:
+        pictures = _write(name, recording, steps, document, settings.out)
+    return Study(document=document, section=_section(figure, document, pictures, name, settings))
+
+
+def factor_graph(settings: Settings, output: Output) -> Study:
+    """Draw the factor graph of the sentence: Figure 3.
+
+    Args:
+        settings: the folder.
+        output: where its size is told.
+
+    Returns:
+        The study.
+    """
+    from jaxlangnav.viz.pictures import write_graph
+
+    begin = time.perf_counter()
+    model = load_models(None)
+    parsed = parse(TEXT)
+    understood = understand_parse(parsed, model)
+    sizes = understood.graph(7)
+    document: dict[str, Any] = {
+        "experiment": "figure3",
+        "instruction": TEXT,
+        "graph": sizes,
+        "paper": {"annotation": {"factors": 2964, "variables": 5934},
+                  "behavior": {"factors": 383, "variables": 772}},
+        "wall_s": time.perf_counter() - begin,
+        "files": [],
+    }  # fmt: skip
+    rows = [
+        [kind, *(f"{document[who][kind][what]:,}" for what in ("factors", "variables")
+                 for who in ("graph", "paper"))]
+        for kind in ("annotation", "behavior")
+    ]  # fmt: skip
+    for row in rows:
+        output.say(f"{row[0]}: {row[1]} factors (paper {row[2]}), {row[3]} variables ({row[4]})")
+    pictures: list[Path] = []
+    if settings.out is not None:
+        pictures = write_graph(parsed, model, settings.out, name="figure3")
+        document["files"] = [str(path) for path in pictures]
+    section = Section(
+        title="Figure 3: the factor graph of a sentence",
+        lead="A Distributed Correspondence Graph of the sentence; the counts are of the graph that "
+        "is constructed, with seven objects for behaviors.",
+        pictures=[(path, "The factor graph") for path in pictures if path.suffix == ".svg"],
+        tables=[
+            Table(headings=["", "factors", "paper", "random variables", "paper"], rows=rows),
+        ],
+        made={
+            "command": settings.command("fig3"),
+            "wall time": f"{document['wall_s']:.1f} s",
+            "files": ", ".join(Path(one).name for one in document["files"]),
+        },
+    )
+    return Study(document=document, section=section)
+
+
+def _record(figure: Episode, policy: str, settings: Settings) -> Recording:
+    """Run the episode of a figure."""
+    understood = understand_parse(parse(TEXT), load_models(None))
+    prepared = open_task(figure.name, understood, sensing_range=None, seed=settings.seed)
+    task = prepared.task
+    sensor = apply(task.sensor, settings.values, "sensor")
+    motion = apply(task.motion, settings.values, "motion")
+    prepared = dataclasses.replace(prepared, task=replace(task, sensor=sensor, motion=motion))
+    return record_episode(
+        understood,
+        prepared,
+        text=TEXT,
+        params=replace(settings.params, map=replace(settings.params.map, motion=motion)),
+        config=navigator_config(policy, settings.particles_drawn),
+    )
+
+
+def _write(
+    name: str, recording: Recording, steps: list[int], document: dict[str, Any], out: Path
+) -> list[Path]:
+    """Write figure, page, table and manifest of an episode; return the pictures."""
+    from jaxlangnav.viz.belief import belief_figure
+    from jaxlangnav.viz.html import write_html
+    from jaxlangnav.viz.style import save
+    from jaxlangnav.viz.values import values_figure
+
+    figure = EPISODES[name]
+    draw = belief_figure if name == "fig1" else values_figure
+    pictures = [*save(draw(recording, steps=steps), out / figure.name)]
+    page = write_html(recording, out / f"{figure.name}.html")
+    table = markdown_table(TABLE_HEADINGS, table_rows(document["moments"]))
+    text = f"# {figure.title}\n\n{figure.paper}\n\n{figure.ours}\n\n{table}"
+    settings = {key: value for key, value in document.items() if key != "moments"}
+    written = [
+        page,
+        write_text(text, out / f"{figure.name}.md"),
+        write_manifest(
+            manifest(settings, models=load_models(None)), out / f"{figure.name}_manifest.json"
+        ),
+    ]
+    document["files"] = [str(path) for path in (*pictures, *written)]
+    return pictures
+
+
+def _section(
+    figure: Episode, document: dict[str, Any], pictures: list[Path], name: str, settings: Settings
+) -> Section:
+    """Write an episode's part of the report."""
+    vector = [path for path in pictures if path.suffix == ".svg"]
+    return Section(
+        title=figure.title,
+        lead=f"{figure.paper} {figure.ours}",
+        pictures=[(path, figure.title) for path in vector],
+        tables=[Table(headings=TABLE_HEADINGS, rows=table_rows(document["moments"]))],
+        notes=[
+            "Probabilities that the goal is an object seen, or unseen left or right of where "
+            "the robot faced at first; the spread of the unseen goal; the share of the area seen.",
+            "The paper prints no coordinates; the arrangement is ours, a world of the package.",
+        ],
+        made={
+            "command": settings.command(name),
+            "episode": f"world {document['world']}, policy {document['policy']}, seed "
+            f"{document['seed']}, {document['num_particles']} particles, sensing range "
+            f"{document['range']:g} m",
+            "wall time": f"{document['wall_s']:.1f} s, {document['compile_s']:.1f} s of them "
+            "compilation",
+            "files": ", ".join(Path(one).name for one in document["files"]),
+        },
+    )

@@ -1,0 +1,105 @@
+"""The command line: ``jaxlangnav COMMAND ...`` (design: what people touch).
+
+Exit codes: 0 done; 1 a failure of ours; 2 bad input, said in one line; 130 interrupted.
+Nothing heavy is imported before a command runs, so help and errors are instant.
+"""
+
+import io
+import os
+import sys
+from collections.abc import Sequence
+
+from jaxlangnav import __version__
+from jaxlangnav.cli import SUMMARIES
+from jaxlangnav.cli.arguments import PROGRAM, Command, parse_arguments
+from jaxlangnav.cli.errors import UsageError, is_refusal, one_line, platform_fault
+from jaxlangnav.cli.output import Output, standard_output_kept, write_document
+from jaxlangnav.plain_text import printable
+
+DEBUG = "JAXLANGNAV_DEBUG"
+_STORY = """\
+usage: {program} COMMAND ... [--json] [--help]
+
+You tell a robot "go to the hydrant behind the cone". It has never been here and sees neither.
+jaxlangnav takes the sentence as a sensor: it believes many maps at once, weighs them by what the
+robot sees and does not see, and goes where it is best on average, until it says stop.
+
+commands:
+{commands}
+
+examples:
+  {program} follow "go to the hydrant behind the cone"
+  {program} follow "go to the hydrant nearest to the cone" --world 2H1C --range 5 --out pictures
+  {program} ground "move behind the cone" --json
+  {program} reproduce table2 --episodes 100
+
+Each command explains itself: {program} follow --help
+--json prints one document on standard output. Bad input ends with one line and exit code 2."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command.
+
+    Args:
+        arguments: the words after the program's name; those of the process by default.
+
+    Returns:
+        The exit code.
+    """
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        # What the terminal's alphabet lacks is written as an escape, as on standard error.
+        sys.stdout.reconfigure(errors="backslashreplace")
+    if not words or words[0] in ("-h", "--help", "help"):
+        print(story(), file=sys.stdout if words else sys.stderr)
+        return 0 if words else 2
+    if words[0] in ("-V", "--version"):
+        print(f"{PROGRAM} {__version__}")
+        return 0
+    try:
+        return _run(parse_arguments(words))
+    except SystemExit as end:
+        return end.code if isinstance(end.code, int) else 0
+    except KeyboardInterrupt:
+        return _complain("interrupted", code=130)
+    except BrokenPipeError:
+        # The reader has gone (`| head`): say nothing, and keep Python from flushing into the void.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except Exception as error:
+        _raise_if_debugging(error)
+        if is_refusal(error):
+            return _complain(one_line(error), code=2)
+        if fault := platform_fault():
+            return _complain(fault, code=2)
+        fault = f"internal error: {type(error).__name__}: {one_line(error)}"
+        return _complain(f"{fault} ({DEBUG}=1 shows the traceback)", code=1)
+
+
+def story() -> str:
+    """Write the help of the whole program."""
+    width = max(map(len, SUMMARIES))
+    commands = "\n".join(f"  {name:<{width}}  {text}" for name, text in SUMMARIES.items())
+    return _STORY.format(program=PROGRAM, commands=commands)
+
+
+def _run(command: Command) -> int:
+    """Run a command; under ``--json`` print its document, and only that, on standard output."""
+    with standard_output_kept(for_json=command.json):
+        document = command.run(Output(is_json=command.json))
+    if command.json:
+        write_document(document)
+    sys.stdout.flush()
+    return 0
+
+
+def _complain(message: str, *, code: int) -> int:
+    """Print one line on standard error and return the exit code."""
+    print(f"{PROGRAM}: {printable(message)}", file=sys.stderr)
+    return code
+
+
+def _raise_if_debugging(error: Exception) -> None:
+    """Show the traceback of anything but a slip of the command line, where it was asked for."""
+    if os.environ.get(DEBUG) and not isinstance(error, UsageError):
+        raise error

@@ -1,0 +1,164 @@
+"""``jaxlangnav reproduce``: an experiment of the paper, beside its printed numbers (section 4)."""
+
+import dataclasses
+import importlib.util
+from typing import Annotated, Any, ClassVar, Literal
+
+import tyro
+
+from jaxlangnav.cli.checks import check_at_least, check_folder, check_seed
+from jaxlangnav.cli.errors import UsageError
+from jaxlangnav.cli.metavars import Folder
+from jaxlangnav.cli.output import Document, Output
+from jaxlangnav.cli.runtime import keep_compiled_programs
+from jaxlangnav.cli.settings import Place, apply, read_settings
+
+_NAMES = ("table1", "fig1", "fig3", "fig4", "table2", "fig5", "unknowns", "time")
+"""What ``all`` runs, in the order of the report."""
+_PARTICLES, _PARTICLES_DRAWN = 64, 256
+_SEED, _SEED_UNKNOWNS = 0, 3000
+_TAKES = {"table1": (), "fig3": (), "time": ("params",)}
+"""Groups of settings that mean something to an experiment; the others take all of them."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Reproduce:
+    """Run an experiment of the paper and set it beside the printed numbers.
+
+    table1: how often sentences are understood. table2: success and distance by world and command,
+    and how well the belief is calibrated. fig1: the belief over time. fig3: the factor graph.
+    fig4: the value function over time. fig5: success and distance against the sensing range.
+    unknowns: faithful with what the paper leaves open set otherwise, one thing at a time: what
+    explains its figures? time: where a decision cycle's time goes. all: everything, and one page,
+    report.html.
+
+    Policies: informed (ours), faithful (the paper's), frontier (nearest frontier, no language),
+    lawnmower (a sweep of the area), arc (a sweep that knows by what law the worlds are drawn),
+    known (the map is known). All of them run in the same worlds with the same noise. The numbers of
+    filter, planner, detector and motion can be set, as in --params.planner.discount 0.9 or
+    --sensor.noise "20 cm": see --help-params.
+
+    Examples:
+      jaxlangnav reproduce all --out results
+      jaxlangnav reproduce table2 --policy faithful --episodes 1000 --out results
+      jaxlangnav reproduce table2 --extra --ranges 2,3,10,15
+      jaxlangnav reproduce fig4 --out results
+      jaxlangnav reproduce table2 --json > table2.json
+    """
+
+    SETTINGS: ClassVar = ("params", "sensor", "motion")
+
+    what: tyro.conf.Positional[
+        Literal["table1", "table2", "fig1", "fig3", "fig4", "fig5", "unknowns", "time", "all"]
+    ]
+    """Which experiment."""
+    episodes: int = 100
+    """Runs a row."""
+    policy: str = "all"
+    """One policy, several with commas between, or all; fig1 and fig4 show faithful if not given."""
+    extra: bool = False
+    """In table2, rows that the paper lacks as well: 2H2C, and three hydrants or three cones."""
+    ranges: Annotated[str | None, tyro.conf.arg(metavar="METRES", help_behavior_hint="")] = None
+    """Sensing ranges in place of those of table2's rows and of fig5, with commas between."""
+    seed: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
+    """Root seed of worlds and noise; 0, and 3000 in unknowns, if not given."""
+    particles: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
+    """Hypotheses of the map kept at once; 64, and 256 in fig1 and fig4, if not given."""
+    out: Folder = None
+    """Where to write episodes (Parquet), tables (Markdown), manifests, figures and the report."""
+    json: bool = False
+    """Print one JSON document: rows, paper, wall_s, compile_s; for all, one by experiment."""
+    settings: tyro.conf.Suppress[Any] = None
+
+    def run(self, output: Output) -> Document:
+        """Run the experiment, print its table and write the files.
+
+        Args:
+            output: where the table is printed for people.
+
+        Returns:
+            The document.
+
+        Raises:
+            ValueError: an option is outside its limits.
+        """
+        self._check()
+        keep_compiled_programs()
+        from jaxlangnav.cli import reproduction
+        from jaxlangnav.cli.engine import navigator_params
+        from jaxlangnav.experiments.policies import POLICY_NAMES, check_policies
+        from jaxlangnav.navigator import check
+
+        ranges = self._ranges()
+        named = [one.strip() for one in self.policy.split(",") if one.strip()]
+        values = read_settings(self.settings, self.SETTINGS)
+        self._check_settings(values)
+        params = apply(navigator_params(), values, "params")
+        check(params)
+        settings = reproduction.Settings(
+            episodes=self.episodes,
+            policies=check_policies(list(POLICY_NAMES) if named == ["all"] else named),
+            seed=_SEED if self.seed is None else self.seed,
+            seed_unknowns=_SEED_UNKNOWNS if self.seed is None else self.seed,
+            extra=self.extra,
+            ranges=ranges,
+            particles=self.particles or _PARTICLES,
+            particles_drawn=self.particles or _PARTICLES_DRAWN,
+            params=params,
+            values=values,
+            out=self.out,
+            command=self._command,
+        )
+        reproduction.check_sizes(_NAMES if self.what == "all" else [self.what], settings)
+        if self.what == "all":
+            return reproduction.run_all(_NAMES, settings, output)
+        return reproduction.run_one(self.what, settings, output).document
+
+    def _check(self) -> None:
+        """Refuse what can be refused before anything is loaded."""
+        check_at_least("--episodes", self.episodes, 1)
+        check_at_least("--particles", _PARTICLES if self.particles is None else self.particles, 2)
+        check_seed(_SEED if self.seed is None else self.seed)
+        check_folder("--out", self.out)
+        if self.extra and self.what not in ("table2", "all"):
+            raise UsageError(f"--extra adds rows to table2, but {self.what} is run")
+        if self.ranges is not None and self.what not in ("table2", "fig5", "all"):
+            raise UsageError(f"--ranges is for table2 and fig5, but {self.what} is run")
+        if importlib.util.find_spec("matplotlib") is not None:
+            return
+        if self.what.startswith("fig") and self.what != "fig5":
+            raise UsageError(f'{self.what} is a picture and needs: pip install "jaxlangnav[viz]"')
+        if self.what == "all":
+            raise UsageError('all draws pictures and needs: pip install "jaxlangnav[viz]"')
+
+    def _check_settings(self, values: dict[Place, Any]) -> None:
+        """Refuse numbers that the experiment would never read."""
+        taken = _TAKES.get(self.what, self.SETTINGS)
+        for place in values:
+            if place[0] not in taken:
+                flag = "--" + ".".join(place).replace("_", "-")
+                raise UsageError(f"{flag} changes nothing in {self.what}: leave it out")
+
+    def _ranges(self) -> tuple[float, ...]:
+        """Read the ranges, metres; none if none is given."""
+        from jaxlangnav.experiments.quantities import LENGTH
+
+        if self.ranges is None:
+            return ()
+        return tuple(LENGTH.read(one.strip(), "--ranges") for one in self.ranges.split(","))
+
+    def _command(self, what: str) -> str:
+        """Write the command that runs an experiment again."""
+        words = ["jaxlangnav reproduce", what]
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            is_plain = field.name in ("episodes", "policy", "ranges", "seed", "particles")
+            if field.name == "extra" and value:
+                words.append("--extra")
+            elif is_plain and value != field.default:
+                words.append(f"--{field.name} {value}")
+        for place, value in read_settings(self.settings, self.SETTINGS).items():
+            flag = ".".join(place).replace("_", "-")
+            listed = value if isinstance(value, tuple) else (value,)
+            words.append(f"--{flag} {','.join(f'{one:g}' for one in listed)}")
+        return " ".join(words)

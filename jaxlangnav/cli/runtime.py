@@ -1,0 +1,145 @@
+"""What a command sets up before JAX computes: the kept programs, and progress on the terminal."""
+
+import contextlib
+import os
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from jaxlangnav.cli.errors import one_line
+from jaxlangnav.cli.output import Output
+
+Advance = Callable[[int], None]
+"""Called with the number of pieces of work just done."""
+
+
+def cache_directory() -> Path:
+    """Find the user's cache folder: XDG_CACHE_HOME, or .cache in the home folder.
+
+    A relative XDG_CACHE_HOME is ignored, as the XDG base directory specification says.
+
+    Returns:
+        An absolute path, which need not exist.
+
+    Raises:
+        OSError: there is no home folder either.
+    """
+    root = Path(os.environ.get("XDG_CACHE_HOME", ""))
+    if not root.is_absolute():
+        root = Path(os.path.expanduser("~")) / ".cache"
+    if not root.is_absolute():
+        raise FileNotFoundError("there is no home folder; XDG_CACHE_HOME can name another")
+    return root / "jaxlangnav"
+
+
+def keep_compiled_programs() -> None:
+    """Keep what is compiled, so that the next run of a command answers fast.
+
+    A folder named by JAX_COMPILATION_CACHE_DIR stays JAX's own; our programs lie below it if it is
+    the user's alone to write, else in the user's cache folder, as JAX's do where none is named.
+    Where no folder can be used, that is said in one line on standard error, programs are compiled
+    anew each time, and nothing else changes. JAX_ENABLE_COMPILATION_CACHE=false keeps none.
+    """
+    import jax
+
+    from jaxlangnav.files.own import own_folder
+    from jaxlangnav.kept import keep_in
+
+    if not getattr(jax.config, "jax_enable_compilation_cache", True):
+        return
+    say = Output(is_json=False).note
+    named = getattr(jax.config, "jax_compilation_cache_dir", None)
+    try:
+        if named is None:
+            # What JAX loads runs as the user, as ours does.
+            folder = own_folder(cache_directory() / "xla")
+            jax.config.update("jax_compilation_cache_dir", str(folder))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+        keep_in(_folder_of_programs(named), say=say)
+    except OSError as error:
+        say(f"compiled programs are not kept: {one_line(error)}")
+
+
+def _folder_of_programs(named: str | None) -> Path:
+    """Choose where our programs lie: below the folder named for JAX's, or in the user's own."""
+    from jaxlangnav.files.own import own_folder
+
+    if named and "://" not in named:
+        with contextlib.suppress(OSError):
+            return own_folder(Path(named) / "programs")
+    return own_folder(cache_directory() / "programs")
+
+
+@contextlib.contextmanager
+def waiting(what: str, output: Output, *, seconds: float = 5.0) -> Iterator[None]:
+    """Show that something is under way that has no steps to count, and for how long.
+
+    Args:
+        what: is being done.
+        output: where a note goes if nobody watches a terminal.
+        seconds: after which it is noted.
+
+    Yields:
+        Nothing; do the work inside.
+    """
+    if sys.stderr.isatty():
+        from rich.console import Console
+        from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+        columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+        with Progress(*columns, console=Console(file=sys.stderr), transient=True) as bar:
+            bar.add_task(what, total=None)
+            yield
+        return
+    timer = threading.Timer(seconds, output.note, [what])
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+
+
+@contextlib.contextmanager
+def progress_bar(what: str, total: int) -> Iterator[Advance]:
+    """Show work done, rate and time left on standard error, where a person is watching.
+
+    Args:
+        what: is being done, for example "episodes".
+        total: pieces of work.
+
+    Yields:
+        A function to call with the number of pieces just done.
+    """
+    if not sys.stderr.isatty():
+        yield lambda _done: None
+        return
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[rate]}"),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(file=sys.stderr), transient=True) as bar:
+        task = bar.add_task(what, total=total, rate="")
+
+        def advance(done: int) -> None:
+            bar.advance(task, done)
+            speed = bar.tasks[0].speed
+            bar.update(task, rate=f"{speed:.0f}/s" if speed else "")
+
+        yield advance

@@ -1,0 +1,69 @@
+"""What every command does with a sentence: check that there is one, parse it, draw it."""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from jaxlangnav.cli.errors import UsageError
+from jaxlangnav.cli.output import Output
+
+if TYPE_CHECKING:
+    from rich.text import Text
+
+    from jaxlangnav.language.phrase import Parse
+
+
+def parse_text(text: str, output: Output) -> "Parse":
+    """Parse a sentence and tell the person what was mended or not known.
+
+    Args:
+        text: what was typed.
+        output: where repairs and unknown words are noted.
+
+    Returns:
+        The parse.
+
+    Raises:
+        UsageError: there is no text.
+        LanguageError: the text is not understood; one line that names the word.
+    """
+    if not text.strip():
+        raise UsageError('the sentence is empty; say for example "go to the hydrant"')
+    from jaxlangnav.language.parser import parse
+
+    parsed = parse(text)
+    for written, meant in parsed.repairs:
+        output.note(f'note: "{written}" is read as "{meant}"')
+    for word, position in parsed.unknown_words:
+        output.note(f'note: "{word}" (word {position}) is not in the lexicon')
+    return parsed
+
+
+def draw_tree(phrase: Mapping[str, Any]) -> Any:
+    """Draw a phrase and all below it.
+
+    Args:
+        phrase: nested ``label``, ``words`` (each ``text`` and ``tag``) and ``children``.
+
+    Returns:
+        A rich tree.
+    """
+    from rich.tree import Tree
+
+    root = Tree(_phrase_line(phrase))
+    _grow(root, phrase)
+    return root
+
+
+def _grow(branch: Any, phrase: Mapping[str, Any]) -> None:
+    """Add a phrase's children to its branch."""
+    for child in phrase["children"]:
+        _grow(branch.add(_phrase_line(child)), child)
+
+
+def _phrase_line(phrase: Mapping[str, Any]) -> "Text":
+    """Write a phrase's label and words."""
+    from rich.text import Text
+
+    words = [(word["text"], (f"/{word['tag']}", "dim")) for word in phrase["words"]]
+    parts = [part for text, tag in words for part in (" ", text, tag)]
+    return Text.assemble((phrase["label"], "bold cyan"), *parts)

@@ -1,0 +1,318 @@
+"""The engine's numbers and sizes on the command line: ``--params.planner.discount 0.9``.
+
+Options are made from the records themselves: what they are called, their units from the
+comments beside the fields, their defaults, and the limits that a sweep's configuration has. The
+options are built only where somebody uses one or asks for them, so that plain help stays short
+and instant.
+"""
+
+import dataclasses
+import difflib
+import inspect
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Annotated, Any, TypeVar
+
+from jaxlangnav.cli.errors import UsageError
+
+T = TypeVar("T")
+Place = tuple[str, ...]
+"""Where a value stands: ("params", "planner", "discount")."""
+GROUPS = ("params", "config", "sensor", "motion")
+HELP_ALL = "--help-params"
+"""The help with all of these options."""
+
+_UNSET = "\0"
+"""What nobody can type."""
+_ELSEWHERE = {
+    ("config", "map", "num_particles"): "--particles",
+    ("config", "planner", "policy"): "--policy",
+    ("sensor", "range_max"): "--range",
+}
+"""What has an option of its own."""
+_NOT_OFFERED = {("params", "map", "motion")}
+"""The belief is told the world's own motion."""
+_GREEK = {"alpha": "α", "gamma": "γ", "kappa": "κ", "mu": "μ", "sigma": "σ", "tau": "τ"}
+_COMMENT = re.compile(r"^ {4}(\w+) *:[^#\n]*# *(.+?) *$", re.MULTILINE)
+_SHAPE = re.compile(r"^(?:f32|i32|bool)\[[^\]]*\]\s*")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Option:
+    """One value that can be set."""
+
+    path: Place
+    default: Any
+    """A number, or a tuple of them."""
+    help: str
+    is_whole: bool
+
+    @property
+    def flag(self) -> str:
+        """What is typed."""
+        return "--" + ".".join(self.path).replace("_", "-")
+
+    def read(self, text: str) -> Any:
+        """Read what was typed.
+
+        Args:
+            text: a number, perhaps with a unit; several with commas between for a tuple.
+
+        Returns:
+            A number, or a tuple of them.
+
+        Raises:
+            UsageError: no number, a wrong unit, out of limits, or too few.
+        """
+        if not isinstance(self.default, tuple):
+            return self._one(text)
+        parts = [part.strip() for part in text.split(",")]
+        if len(parts) != len(self.default):
+            number = len(self.default)
+            raise UsageError(f'{self.flag} is "{text}", but needs {number} numbers, a comma apart')
+        return tuple(self._one(part) for part in parts)
+
+    def _one(self, text: str) -> float | int:
+        """Read one number."""
+        if self.is_whole:
+            try:
+                return int(text)
+            except ValueError:
+                raise UsageError(f'{self.flag} is "{text}", but must be a whole number') from None
+        quantity = _quantity(self.path)
+        try:
+            number = float(text)
+        except ValueError:
+            return quantity.read(text, self.flag)
+        return quantity.read(number, self.flag)
+
+    def metavar(self) -> str:
+        """Name the kind of value, such as LENGTH; "3xLENGTH" for three with commas between."""
+        kind = "INT" if self.is_whole else _quantity(self.path).kind.upper()
+        return f"{len(self.default)}x{kind}" if isinstance(self.default, tuple) else kind
+
+
+def is_setting(word: str) -> bool:
+    """Tell whether a word of the command line asks for these options: it has a dot in its name."""
+    return word == HELP_ALL or re.match(r"--[\w-]+\.", word) is not None
+
+
+def options(groups: Iterable[str]) -> list[Option]:
+    """List the options of some groups.
+
+    Args:
+        groups: of ``GROUPS``, or a record in one, such as "params.planner": its own numbers.
+
+    Returns:
+        In the order of the records.
+    """
+    from jaxlangnav.cli.engine import navigator_params
+    from jaxlangnav.messages import default_motion, default_sensor
+    from jaxlangnav.navigator import NavigatorConfig
+
+    roots = {
+        "params": navigator_params,
+        "config": NavigatorConfig,
+        "sensor": default_sensor,
+        "motion": default_motion,
+    }
+    found: list[Option] = []
+    for group in groups:
+        root, *below = group.split(".")
+        all_of_it = _walk(roots[root](), (root,))
+        found += [one for one in all_of_it if not below or one.path[:-1] == (root, *below)]
+    return found
+
+
+def with_settings(kind: type[Any]) -> type[Any]:
+    """Add the options to a command.
+
+    Args:
+        kind: a command with a field ``settings`` and the groups it takes in ``SETTINGS``.
+
+    Returns:
+        The command whose ``settings`` are read from the command line.
+    """
+    import tyro
+
+    tree = _record_of("Settings", options(kind.SETTINGS), depth=0)
+    field = ("settings", Annotated[tree, tyro.conf.arg(name="")], dataclasses.field(default=tree()))
+    wider = dataclasses.make_dataclass(
+        kind.__name__, [field], bases=(kind,), frozen=True, kw_only=True
+    )
+    wider.__doc__ = kind.__doc__
+    return wider
+
+
+def read_settings(settings: Any, groups: Sequence[str]) -> dict[Place, Any]:
+    """Read what was typed.
+
+    Args:
+        settings: of a command; None where no such option was used.
+        groups: of the command.
+
+    Returns:
+        Values by path, only those that were typed.
+
+    Raises:
+        UsageError: a value is none, or out of its limits.
+    """
+    if settings is None:
+        return {}
+    typed = [(one, _at(settings, one.path)) for one in options(groups)]
+    return {one.path: one.read(text) for one, text in typed if text != _UNSET}
+
+
+def apply(record: T, values: Mapping[Place, Any], root: str) -> T:
+    """Set values in a record.
+
+    Args:
+        record: of Params or Config.
+        values: by path, of all groups.
+        root: the group of the record; others are left.
+
+    Returns:
+        The record; the very same where nothing is set.
+    """
+    mine = {path[1:]: value for path, value in values.items() if path[0] == root}
+    return _applied(record, mine) if mine else record
+
+
+def suggestion(flag: str, groups: Sequence[str], plain: Iterable[str]) -> str:
+    """Suggest what may have been meant by an option with a dot in its name.
+
+    Args:
+        flag: what was typed.
+        groups: of the command.
+        plain: the command's options without a dot, such as "--range".
+
+    Returns:
+        '; did you mean "--params.planner.discount"?', or where all of them are listed.
+    """
+    path = tuple(flag[2:].replace("-", "_").split("."))
+    for elsewhere, option in _ELSEWHERE.items():
+        if path[-1] == elsewhere[-1]:
+            # Where several may be given it is "--ranges".
+            near = [one for one in plain if one in (option, f"{option}s")]
+            return f'; did you mean "{near[0]}"?' if near else f"; see {HELP_ALL}"
+    found = options(groups)
+    names = difflib.get_close_matches(path[-1], [one.path[-1] for one in found], n=1)
+    near = [one for one in found if one.path[-1] in names]
+    symbol = _GREEK.get(path[-1])
+    if symbol and not near:
+        near = [one for one in found if re.match(rf"{symbol}\b", one.help)]
+    return f'; did you mean "{near[0].flag}"?' if near else f"; see {HELP_ALL}"
+
+
+def _walk(record: Any, path: Place) -> list[Option]:
+    """List the options of a record and of those in it."""
+    record = _as_typed(record)
+    helps, found = _comments(type(record)), []
+    for field in dataclasses.fields(record):
+        here, value = (*path, field.name), getattr(record, field.name)
+        if here in _ELSEWHERE or here in _NOT_OFFERED:
+            continue
+        if dataclasses.is_dataclass(value):
+            found += _walk(value, here)
+        elif (default := _numbers(value)) is not None:
+            text = _SHAPE.sub("", helps.get(field.name, ""))
+            is_whole = isinstance(value, int)
+            found.append(Option(path=here, default=default, help=text, is_whole=is_whole))
+    return found
+
+
+def _as_typed(record: Any) -> Any:
+    """Take the free parameters of the relations, of which the filter's tables are made."""
+    from jaxlangnav.relations import RelationModel, default_params
+
+    return default_params() if isinstance(record, RelationModel) else record
+
+
+def _numbers(value: Any) -> float | int | tuple[float, ...] | None:
+    """Turn a leaf into numbers; None where it is none that could be typed."""
+    import numpy as np
+
+    if isinstance(value, int) and not isinstance(value, bool):
+        return value
+    if isinstance(value, str | bool):
+        return None
+    array = np.asarray(value)
+    if array.ndim > 1 or not np.issubdtype(array.dtype, np.floating):
+        return None
+    rounded = tuple(float(f"{float(one):.6g}") for one in array.ravel())
+    return rounded if array.ndim else rounded[0]
+
+
+def _comments(kind: type[Any]) -> dict[str, str]:
+    """Read the comments beside the fields of a record."""
+    return dict(_COMMENT.findall(inspect.getsource(kind)))
+
+
+def _quantity(path: Place) -> Any:
+    """Find kind and limits of a number; the limits are those of a sweep's configuration."""
+    from jaxlangnav.experiments.quantities import FIELDS, Quantity
+
+    own = {
+        "mode_speed": Quantity(is_low_open=True),
+        "mode_clearance": Quantity(kind="length"),
+        "log_distance_sd": Quantity(is_low_open=True),
+        "concentration": Quantity(),
+        "axis": Quantity(kind="angle", low=-math.inf),
+    }
+    known = {**own, **FIELDS.get(path[-2], {})}
+    return known.get(path[-1], Quantity(low=-math.inf))
+
+
+def _record_of(name: str, found: Sequence[Option], *, depth: int) -> type[Any]:
+    """Build the nested dataclass that tyro reads."""
+    import tyro
+
+    fields: list[tuple[str, Any, Any]] = []
+    for key in dict.fromkeys(one.path[depth] for one in found):
+        below = [one for one in found if one.path[depth] == key]
+        if len(below[0].path) == depth + 1:
+            (one,) = below
+            given = ",".join(f"{number:g}" for number in _listed(one.default))
+            hint = tyro.conf.arg(
+                metavar=one.metavar(),
+                help=one.help or None,
+                help_behavior_hint=f"(default: {given})",
+            )
+            fields.append((key, Annotated[str, hint], _UNSET))
+        else:
+            kind = _record_of(key.capitalize(), below, depth=depth + 1)
+            fields.append((key, kind, dataclasses.field(default=kind())))
+    return dataclasses.make_dataclass(name, fields, frozen=True, kw_only=True)
+
+
+def _listed(value: Any) -> tuple[Any, ...]:
+    """Take one value as a tuple."""
+    return value if isinstance(value, tuple) else (value,)
+
+
+def _at(settings: Any, path: Place) -> str:
+    """Look up what was typed."""
+    for name in path:
+        settings = getattr(settings, name)
+    return settings
+
+
+def _applied(record: Any, values: Mapping[Place, Any]) -> Any:
+    """Set values in a record and in those in it."""
+    import jax.numpy as jnp
+
+    from jaxlangnav.relations import RelationModel, prepare
+
+    is_model = isinstance(record, RelationModel)
+    record = _as_typed(record)
+    changes: dict[str, Any] = {}
+    for name in dict.fromkeys(path[0] for path in values):
+        mine = {path[1:]: value for path, value in values.items() if path[0] == name}
+        if () in mine:
+            value = mine[()]
+            changes[name] = value if isinstance(value, int) else jnp.asarray(value, jnp.float32)
+        else:
+            changes[name] = _applied(getattr(record, name), mine)
+    changed = dataclasses.replace(record, **changes)
+    return prepare(changed) if is_model else changed

@@ -1,0 +1,103 @@
+"""``jaxlangnav sweep``: any grid of worlds, commands, ranges and policies (section 4.2)."""
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated, Any, ClassVar
+
+import tyro
+
+from jaxlangnav.cli.checks import check_folder
+from jaxlangnav.cli.output import Document, Output
+from jaxlangnav.cli.runtime import keep_compiled_programs, progress_bar
+from jaxlangnav.cli.settings import read_settings
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Sweep:
+    """Run any grid of worlds, commands, ranges and policies; resumable.
+
+    Writes one row per episode in Parquet shards, with a manifest. A run that was killed goes on
+    with --resume and ends with the same rows; shards that are damaged are named and made again.
+    --shard 2/8 does the second of eight parts; a part has one process at a time. All
+    devices of the machine are used; with --distributed the processes that a launcher has started
+    (srun, mpirun) divide the work among them. Numbers of filter, planner, detector and motion can
+    be set here in place of the file's, as in --params.planner.discount 0.9: see --help-params.
+
+    Examples:
+      jaxlangnav sweep grid.toml --out results
+      jaxlangnav sweep grid.toml --out results --resume
+      jaxlangnav sweep grid.toml --out results --shard 2/8
+      srun jaxlangnav sweep grid.toml --out results --resume --distributed
+      jaxlangnav sweep grid.toml --out wide --sensor.field-of-view "120 deg"
+    """
+
+    SETTINGS: ClassVar = ("params.map", "params.planner", "sensor", "motion")
+
+    config: tyro.conf.Positional[Path]
+    """What to run, TOML."""
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    """Folder for the shards."""
+    resume: bool = False
+    """Go on with what is in the folder."""
+    shard: Annotated[str, tyro.conf.arg(metavar="I/N")] = "1/1"
+    """Which part of how many."""
+    distributed: bool = False
+    """Divide the work among the processes of the launcher: SLURM, Open MPI, Kubernetes."""
+    coordinator: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None
+    """Address of the first process, under any other launcher."""
+    processes: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """How many processes there are, under any other launcher."""
+    process: Annotated[int | None, tyro.conf.arg(metavar="I")] = None
+    """Which one this is, from 0, under any other launcher."""
+    json: bool = False
+    """Print one JSON document: the manifest and what has run."""
+    settings: tyro.conf.Suppress[Any] = None
+
+    def run(self, output: Output) -> Document:
+        """Run the grid.
+
+        Args:
+            output: where people read what has been written.
+
+        Returns:
+            The document of the run.
+
+        Raises:
+            ValueError: a mistake in the configuration or an option.
+        """
+        check_folder("--out", self.out)
+        keep_compiled_programs()
+        shard = self._part()
+        from jaxlangnav.experiments.sweep import run_sweep, total_episodes
+        from jaxlangnav.experiments.sweep_config import read_config
+
+        overrides: dict[str, dict[str, float]] = {}
+        for place, value in read_settings(self.settings, self.SETTINGS).items():
+            overrides.setdefault(place[-2], {})[place[-1]] = value
+        config = read_config(self.config, overrides=overrides)
+        with progress_bar("episodes", total_episodes(config, shard=shard)) as advance:
+            document = run_sweep(
+                config,
+                self.out,
+                resume=self.resume,
+                shard=shard,
+                on_progress=advance,
+                on_note=output.note,
+            )
+        output.say(f"Wrote {self.out}. See it: jaxlangnav summarize {self.out}")
+        return document
+
+    def _part(self) -> str:
+        """Find out which part of the work is ours, "i/n"."""
+        told = (self.coordinator, self.processes, self.process)
+        if not self.distributed and told == (None, None, None):
+            return self.shard
+        if self.shard != "1/1":
+            raise ValueError(
+                f"--shard is {self.shard}, but processes that are joined divide the work "
+                "themselves: leave one of them out"
+            )
+        from jaxlangnav.experiments.devices import join
+
+        place, number = join(*told)
+        return f"{place + 1}/{number}"

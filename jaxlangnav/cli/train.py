@@ -1,0 +1,98 @@
+"""``jaxlangnav train``: the correspondence models, from a corpus (sections 3.1, 3.3 and 4.1)."""
+
+import dataclasses
+import shlex
+from typing import Any, Literal
+
+import tyro
+
+from jaxlangnav.cli.checks import check_file
+from jaxlangnav.cli.metavars import File
+from jaxlangnav.cli.output import Document, Output
+from jaxlangnav.cli.runtime import keep_compiled_programs
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Train:
+    """Train a model from labelled sentences, and measure it on those held out.
+
+    annotation: what a sentence says of a place nobody has seen. behavior: what it asks for among
+    objects whose places are known. The model that is not trained is kept from --base.
+
+    Examples:
+      jaxlangnav train annotation --out weights.npz
+      jaxlangnav train behavior --base weights.npz --out weights.npz
+      jaxlangnav train both --corpus my_corpus --out weights.npz --json
+      jaxlangnav follow "go to the hydrant" --weights weights.npz
+    """
+
+    what: tyro.conf.Positional[Literal["annotation", "behavior", "both"]]
+    """Which model."""
+    corpus: File = None
+    """A corpus file, or a folder with corpus.jsonl; the package's own if not given."""
+    base: File = None
+    """Weights that the other model comes from; the shipped ones if not given."""
+    out: File = None
+    """File to write, .npz; nothing is written if not given."""
+    json: bool = False
+    """Print one JSON document: sizes, seconds, accuracy on the hold-out, file."""
+
+    def run(self, output: Output) -> Document:
+        """Train, measure and write.
+
+        Args:
+            output: where people read what was measured.
+
+        Returns:
+            The report, and ``file``.
+
+        Raises:
+            ValueError: the corpus is unsound, or a file cannot be read or written.
+        """
+        check_file("--out", self.out, ".npz")
+        keep_compiled_programs()
+        from jaxlangnav.cli.engine import load_models
+        from jaxlangnav.grounding.fitting import MODELS, train_models
+        from jaxlangnav.grounding.weights import save
+
+        kinds = MODELS if self.what == "both" else (self.what,)
+        trained = train_models(
+            self.corpus, kinds=kinds, base=load_models(self.base), on_progress=output.note
+        )
+        if self.out is not None:
+            save(
+                self.out,
+                trained.model,
+                command=self._command(),
+                corpus_hash=trained.report["corpus"],
+            )
+        document = {**trained.report, "file": self.out}
+        _tell(document, kinds, output)
+        return document
+
+    def _command(self) -> str:
+        """Write the command that makes these weights again."""
+        corpus = f" --corpus {shlex.quote(self.corpus.name)}" if self.corpus else ""
+        return f"jaxlangnav train {self.what}{corpus}"
+
+
+def _tell(document: dict[str, Any], kinds: tuple[str, ...], output: Output) -> None:
+    """Say what was trained, how long it took, and how good it is."""
+    output.say(f"{document['sentences']} sentences, corpus {document['corpus']}")
+    for kind in kinds:
+        report = document[kind]
+        output.say(
+            f"{kind}: {report['examples']} factors, {report['features']} features; "
+            f"{report['steps']} steps in {report['train_s']:.2f} s "
+            f"(compiled in {report['train_compile_s']:.1f} s)"
+        )
+        if "accuracy" in report:
+            output.say(
+                f"  whole sentences right: {100 * report['accuracy']:.1f} % of the "
+                f"{report['held_out']} held out; calibration error "
+                f"{report['calibration_error']:.3f} at temperature {report['temperature']:.2f}"
+            )
+    if document["file"] is not None:
+        output.say(f"Wrote {document['file']}. Use it: jaxlangnav follow ... --weights FILE")
+    else:
+        output.say("Nothing was written; --out FILE keeps the weights.")

@@ -1,0 +1,123 @@
+"""TOML and JSON from outside: read with limits, refused in one line.
+
+A document that nests a thousand deep, or holds a number of ten thousand digits, breaks whoever
+walks through it or prints it; one key of many dots keeps the TOML parser busy for minutes. Each is
+refused here, before anything else sees the document.
+"""
+
+import json
+import re
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from jaxlangnav.files.regular import read_file
+from jaxlangnav.plain_text import cut
+
+DEEPEST = 32
+"""Tables and lists inside one another that a document may have."""
+_BITS = 64
+"""Of a whole number; so many digits stand for no size, place or count of ours."""
+_MESSAGE = 200
+"""Characters that a parser's complaint is cut to."""
+# Keys joined by dots cost the parser the square of their number. Starts only where a key may.
+_PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
+_DOTTED = re.compile(rf"""(?<![\w"'-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{DEEPEST}}}""")
+
+
+class DocumentError(ValueError):
+    """A document cannot be used; the message is one line and does not name the file."""
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Read TOML.
+
+    Args:
+        text: the document.
+
+    Returns:
+        Its tables, at most ``DEEPEST`` deep.
+
+    Raises:
+        DocumentError: no valid TOML, too deep, or with a number beyond 64 bits.
+    """
+    if _DOTTED.search(text):
+        raise DocumentError(f"has a key of more than {DEEPEST} parts: use fewer dots")
+    return _parse(tomllib.loads, text, "TOML")
+
+
+def parse_json(text: str) -> Any:
+    """Read JSON.
+
+    Args:
+        text: the document.
+
+    Returns:
+        Its value, at most ``DEEPEST`` deep.
+
+    Raises:
+        DocumentError: no valid JSON, too deep, or with a number beyond 64 bits.
+    """
+    return _parse(json.loads, text, "JSON")
+
+
+def read_text(path: str | Path, *, at_most: int) -> str:
+    """Read a file of text.
+
+    Args:
+        path: of the file.
+        at_most: bytes, the limit.
+
+    Returns:
+        Its text.
+
+    Raises:
+        ValueError: no regular file, too large, or no UTF-8; one line that names the file.
+        OSError: it cannot be opened or read.
+    """
+    try:
+        return read_file(path, at_most=at_most).decode("utf-8")
+    except UnicodeDecodeError:
+        raise ValueError(f"{path}: is no text: save it as UTF-8") from None
+
+
+def _parse(loads: Callable[[str], Any], text: str, kind: str) -> Any:
+    """Read a document and check its depth and numbers."""
+    try:
+        document = loads(text)
+    except RecursionError:
+        raise _too_deep() from None
+    except (tomllib.TOMLDecodeError, json.JSONDecodeError) as error:
+        raise DocumentError(f"is no valid {kind}: {cut(str(error), _MESSAGE)}") from None
+    except ValueError:
+        # Python's own limit on the digits of a whole number, or a date that is none.
+        raise DocumentError(
+            f"is no valid {kind}: a number of too many digits, or no such date"
+        ) from None
+    _check(document)
+    return document
+
+
+def _check(document: Any) -> None:
+    """Refuse what is too deep or too large; level by level, so that depth costs no stack."""
+    level, depth = [document], 0
+    while level:
+        if depth > DEEPEST:
+            raise _too_deep()
+        below: list[Any] = []
+        for value in level:
+            if isinstance(value, dict):
+                below += value.values()
+            elif isinstance(value, list):
+                below += value
+            elif isinstance(value, int) and value.bit_length() > _BITS:
+                raise DocumentError(
+                    f"holds a whole number of {value.bit_length()} bits: use at most {_BITS}"
+                )
+        level, depth = below, depth + 1
+
+
+def _too_deep() -> DocumentError:
+    """Build the error for a document that nests too deep."""
+    return DocumentError(f"is nested more than {DEEPEST} deep: use fewer tables inside tables")

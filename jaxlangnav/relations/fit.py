@@ -1,0 +1,308 @@
+"""Relations learned from examples: where people say things are (section 3.2, eq. 7a).
+
+A labelled pair is a figure, a landmark, the word between them, where the speaker stood at the
+utterance and where the robot stands now. The frame that was meant is not labelled, so each pair is
+a mixture over three of them,
+
+    p(o | word) = Σ_k π_k f(o; θ, frame_k),   k: viewer's frame at the utterance,
+                                                 robot's present frame, undirected (κ = 0)
+
+with the density f of ``relations`` and shares π of each word. Parameters and shares maximise the
+posterior by L-BFGS on exact gradients, and the curvature there gives standard errors. What frame
+each pair was meant in is reported as a posterior.
+
+The filter understands relations in the viewer's frame alone; ``in_viewer_frame`` turns a fit into
+the relation with the same mean direction there. Words are "front" to "far", as everywhere.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.flatten_util import ravel_pytree
+
+from jaxlangnav.messages import FAR, NEAR, RELATIONS
+from jaxlangnav.numerics.descent import Descent, descend
+from jaxlangnav.pytree import pytree, replace
+from jaxlangnav.relations import (
+    RelationParams,
+    default_params,
+)
+from jaxlangnav.relations.pairs import FRAMES, RelationPairs, log_frame_densities
+
+_RINGS = (NEAR, FAR)
+"""Relations without a direction: κ stays 0, and no frame can be told from another."""
+_MIN_CONCENTRATION = 1e-3
+_FLAT, _CONVERGED = 1e-4, 1e-3
+"""Length of the mean gradient that ends the search, and each number's that counts as vanished:
+float32 leaves a rounding error of about 1e-4."""
+
+
+@pytree
+class RelationPrior:
+    """How far parameters are believed to lie from where the fit starts; standard deviations."""
+
+    log_distance: Array  # f32[] log metres
+    log_distance_sd: Array  # f32[] of its logarithm
+    axis: Array  # f32[] radians
+    log_concentration: Array  # f32[]
+    frame_pairs: Array  # f32[] pairs that the uniform prior on the frames is worth
+
+
+@pytree
+class RelationFit:
+    """Fitted relations, and how well they are known."""
+
+    params: RelationParams
+    standard_error: RelationParams  # of each parameter; 0 where it was not fitted
+    frame_share: Array  # f32[6, F] π of each word, sums to one
+    frame_share_error: Array  # f32[6, F]
+    frame_posterior: Array  # f32[N, F] in which frame each pair was meant
+    log_likelihood: Array  # f32[] mean over the pairs, log of a density per square metre
+    log_likelihood_before: Array  # f32[] at the start: initial parameters, all frames alike
+    num_pairs: Array  # i32[6] pairs of each word
+    is_converged: Array  # bool[] the gradient has vanished
+
+
+@pytree
+class _Free:
+    """What is optimised, unconstrained."""
+
+    log_distance: Array  # f32[6]
+    log_spread: Array  # f32[6]
+    axis: Array  # f32[6]
+    log_concentration: Array  # f32[6]
+    frame_logit: Array  # f32[6, F]
+
+
+def default_prior() -> RelationPrior:
+    """Build a prior worth about one pair: it decides where there are no data, and only there."""
+    return RelationPrior(
+        log_distance=jnp.float32(1.0),
+        log_distance_sd=jnp.float32(1.0),
+        axis=jnp.float32(1.5),
+        log_concentration=jnp.float32(1.5),
+        frame_pairs=jnp.float32(1.0),
+    )
+
+
+def _decode(free: _Free) -> tuple[RelationParams, Array]:
+    """Turn unconstrained numbers into relations and log-shares of the frames f32[6, F]."""
+    is_ring = jnp.isin(jnp.arange(len(RELATIONS)), jnp.asarray(_RINGS))
+    params = RelationParams(
+        log_distance=free.log_distance,
+        log_distance_sd=jnp.exp(free.log_spread),
+        axis=free.axis,
+        concentration=jnp.where(is_ring, 0.0, jnp.exp(free.log_concentration)),
+    )
+    return params, jax.nn.log_softmax(free.frame_logit, axis=1)
+
+
+def _encode(params: RelationParams) -> _Free:
+    """Start from relations, with all frames alike."""
+    return _Free(
+        log_distance=params.log_distance,
+        log_spread=jnp.log(params.log_distance_sd),
+        axis=params.axis,
+        log_concentration=jnp.log(jnp.maximum(params.concentration, _MIN_CONCENTRATION)),
+        frame_logit=jnp.zeros((len(RELATIONS), len(FRAMES)), jnp.float32),
+    )
+
+
+def _log_joint(free: _Free, pairs: RelationPairs) -> Array:
+    """Log of share times density of every pair in every frame, f32[N, F]."""
+    params, log_share = _decode(free)
+    return log_frame_densities(pairs, params) + log_share[pairs.relation]
+
+
+def _log_prior(free: _Free, start: _Free, prior: RelationPrior) -> Array:
+    """Log-prior of the unconstrained numbers, up to a constant."""
+
+    def normal(value: Array, centre: Array, deviation: Array) -> Array:
+        return -0.5 * jnp.sum(((value - centre) / deviation) ** 2)
+
+    shares = jax.nn.log_softmax(free.frame_logit, axis=1)
+    # Shares do not change with the sum of the logits: hold that at zero.
+    anchor = -0.5 * jnp.sum(jnp.sum(free.frame_logit, axis=1) ** 2)
+    return (
+        normal(free.log_distance, start.log_distance, prior.log_distance)
+        + normal(free.log_spread, start.log_spread, prior.log_distance_sd)
+        + normal(free.axis, start.axis, prior.axis)
+        + normal(free.log_concentration, start.log_concentration, prior.log_concentration)
+        + prior.frame_pairs / len(FRAMES) * jnp.sum(shares)
+        + anchor
+    )
+
+
+def _loss(vector: Array, pairs: RelationPairs, start: _Free, prior: RelationPrior) -> Array:
+    """Compute the negative log posterior of the flat parameters f32[n], the mean over pairs."""
+    free = ravel_pytree(start)[1](vector)
+    total = jnp.sum(jax.nn.logsumexp(_log_joint(free, pairs), axis=1))
+    return -(total + _log_prior(free, start, prior)) / pairs.relation.shape[0]
+
+
+@jax.jit
+def _bend(vector: Array, pairs: RelationPairs, start: _Free, prior: RelationPrior) -> Array:
+    """Compute the curvature f32[n, n], a row at a time: a third of the compilation of hessian."""
+
+    def row(unit: Array) -> Array:
+        slope = jax.grad(lambda at: _loss(at, pairs, start, prior))
+        return jax.jvp(slope, (vector,), (unit,))[1]
+
+    return jax.lax.map(row, jnp.eye(vector.shape[0]))
+
+
+@jax.jit
+def _search(
+    start: _Free, pairs: RelationPairs, prior: RelationPrior, max_iterations: Array
+) -> Descent:
+    """Run L-BFGS from where the prior has its centre."""
+    return descend(
+        lambda vector: _loss(vector, pairs, start, prior),
+        ravel_pytree(start)[0],
+        slope_length=_FLAT,
+        max_steps=max_iterations,
+    )
+
+
+def _maximise(
+    pairs: RelationPairs, start: _Free, prior: RelationPrior, max_iterations: int
+) -> tuple[_Free, Array, Array]:
+    """Run L-BFGS; also f32[n, n], the curvature there, and bool[], whether it has converged."""
+    found = _search(start, pairs, prior, jnp.float32(max_iterations))
+    curvature = _bend(found.point, pairs, start, prior) * pairs.relation.shape[0]
+    is_converged = jnp.max(jnp.abs(found.slope)) < _CONVERGED
+    return ravel_pytree(start)[1](found.point), curvature, is_converged
+
+
+def _standard_errors(
+    free: _Free, curvature: Array, num_pairs: Array
+) -> tuple[RelationParams, Array]:
+    """Carry the curvature over to the parameters and shares (the delta method)."""
+    vector, unravel = ravel_pytree(free)
+    covariance = np.linalg.pinv(np.asarray(curvature, np.float64), hermitian=True)
+
+    def outputs(values: Array) -> tuple[RelationParams, Array]:
+        params, log_share = _decode(unravel(values))
+        return params, jnp.exp(log_share)
+
+    slopes = jax.jit(jax.jacfwd(outputs))(vector)
+    is_known = np.asarray(num_pairs) > 0
+
+    def error(leaf: Array) -> Array:
+        slope = np.asarray(leaf, np.float64)
+        variance = np.einsum("...i,ij,...j->...", slope, covariance, slope)
+        known = is_known.reshape(-1, *(1,) * (variance.ndim - 1))
+        return jnp.asarray(np.sqrt(np.maximum(np.where(known, variance, 0.0), 0.0)), jnp.float32)
+
+    params, share = slopes
+    return jax.tree.map(error, params), error(share)
+
+
+def fit_relations(
+    pairs: RelationPairs,
+    init: RelationParams | None = None,
+    *,
+    prior: RelationPrior | None = None,
+    max_iterations: int = 200,
+) -> RelationFit:
+    """Fit relations and the shares of their frames to labelled pairs.
+
+    Words without pairs keep their initial parameters. "Near" and "far" have no direction: only
+    their distances are fitted.
+
+    Args:
+        pairs: N labelled pairs; see ``relation_pairs.make_pairs``.
+        init: where the fit starts and the prior has its centre; the defaults if None.
+        prior: how strong it is; about one pair if None.
+        max_iterations: of L-BFGS.
+
+    Returns:
+        The fit; ``params`` goes through ``relations.prepare`` into ``MapParams.relations``.
+    """
+    start = _encode(default_params() if init is None else init)
+    held = default_prior() if prior is None else prior
+    free, curvature, is_converged = _maximise(pairs, start, held, max_iterations)
+    num_pairs = jnp.bincount(pairs.relation, length=len(RELATIONS))
+    params, log_share = _decode(free)
+    standard_error, share_error = _standard_errors(free, curvature, num_pairs)
+    joint = _log_joint(free, pairs)
+    return RelationFit(
+        params=params,
+        standard_error=standard_error,
+        frame_share=jnp.exp(log_share),
+        frame_share_error=share_error,
+        frame_posterior=jax.nn.softmax(joint, axis=1),
+        log_likelihood=jnp.mean(jax.nn.logsumexp(joint, axis=1)),
+        log_likelihood_before=jnp.mean(jax.nn.logsumexp(_log_joint(start, pairs), axis=1)),
+        num_pairs=num_pairs,
+        is_converged=is_converged,
+    )
+
+
+def in_viewer_frame(fit: RelationFit) -> RelationParams:
+    """Describe fitted relations in the viewer's frame alone, as the filter takes them.
+
+    The direction keeps its mean resultant length, I₁(κ') / I₀(κ') = π_viewer I₁(κ) / I₀(κ): what
+    is said in other frames is no direction in this one.
+
+    Args:
+        fit: of ``fit_relations``.
+
+    Returns:
+        The parameters; the same as ``fit.params`` where every pair was meant by the viewer.
+    """
+    kappa = np.asarray(fit.params.concentration, np.float64)
+    target = np.asarray(fit.frame_share[:, 0], np.float64) * _resultant(kappa)
+    low, high = np.zeros_like(kappa), np.maximum(kappa, _MIN_CONCENTRATION)
+    for _ in range(50):
+        middle = 0.5 * (low + high)
+        is_below = _resultant(middle) < target
+        low, high = np.where(is_below, middle, low), np.where(is_below, high, middle)
+    found = np.where(np.isin(np.arange(len(RELATIONS)), _RINGS), 0.0, 0.5 * (low + high))
+    return replace(fit.params, concentration=jnp.asarray(found, jnp.float32))
+
+
+def _resultant(concentration: np.ndarray) -> np.ndarray:
+    """Mean resultant length of a von Mises direction."""
+    kappa = jnp.asarray(concentration)
+    ratio = jax.scipy.special.i1e(kappa) / jax.scipy.special.i0e(kappa)
+    return np.asarray(ratio, np.float64)
+
+
+def describe(fit: RelationFit) -> list[dict[str, float | str]]:
+    """List what has been fitted, a row for each word with pairs.
+
+    Args:
+        fit: of ``fit_relations``.
+
+    Returns:
+        ``relation``, ``pairs``, ``distance`` (median, metres), ``spread``, ``axis`` (degrees),
+        ``concentration``, each with its standard error ``…_se``, and the shares of the frames.
+    """
+    rows: list[dict[str, float | str]] = []
+    params, error = fit.params, fit.standard_error
+    for index, name in enumerate(RELATIONS):
+        if not int(fit.num_pairs[index]):
+            continue
+        median = float(jnp.exp(params.log_distance[index]))
+        rows.append(
+            {
+                "relation": name,
+                "pairs": int(fit.num_pairs[index]),
+                "distance": median,
+                "distance_se": median * float(error.log_distance[index]),
+                "spread": float(params.log_distance_sd[index]),
+                "spread_se": float(error.log_distance_sd[index]),
+                "axis": float(jnp.rad2deg(params.axis[index])),
+                "axis_se": float(jnp.rad2deg(error.axis[index])),
+                "concentration": float(params.concentration[index]),
+                "concentration_se": float(error.concentration[index]),
+            }
+            | {f"share_{frame}": float(fit.frame_share[index, k]) for k, frame in enumerate(FRAMES)}
+            | {
+                f"share_{frame}_se": float(fit.frame_share_error[index, k])
+                for k, frame in enumerate(FRAMES)
+            }
+        )
+    return rows

@@ -1,0 +1,1 @@
+"""Speed: what ``jaxlangnav bench`` measures, and the plain twins that it is compared with."""

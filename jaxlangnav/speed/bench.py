@@ -1,0 +1,322 @@
+"""Speed of the engine, as ratios against baselines measured in the same run (section 4.2's runs).
+
+On a CPU costs are CPU seconds, all threads counted, so that other work on the machine disturbs
+them little; rates are by the clock on the wall. Every figure is the median of several repetitions
+after a first one that warms up, long ones excepted, which run once; compilation is measured apart.
+"""
+
+import dataclasses
+import functools
+import itertools
+import statistics
+import time
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.experimental.compilation_cache import compilation_cache
+
+from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task, run, run_batch
+from jaxlangnav.experiments.figure5 import RANGES
+from jaxlangnav.experiments.monte_carlo import (
+    LANES,
+    cell,
+    concatenate,
+    make_tasks,
+    run_tasks,
+    take_tasks,
+    usable_cores,
+)
+from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, navigator_config
+from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
+from jaxlangnav.grounding.instruction import Instruction
+from jaxlangnav.navigator import NavigatorParams, default_params
+from jaxlangnav.pytree import replace
+from jaxlangnav.speed import breakdown, numpy_twin, roofline
+from jaxlangnav.speed.measuring import (
+    POLICY,
+    Entry,
+    against,
+    describe_machine,
+    entry,
+    is_cache_on,
+    measure,
+    render,
+)
+from jaxlangnav.world.templates import TEMPLATE_NAMES
+
+__all__ = ["Bench", "render", "run_bench", "set_up", "stages"]
+
+MONTE_CARLO = len(TEMPLATE_NAMES) * len(SENTENCES) * len(RANGES) * 100
+"""Episodes of the paper's simulations: templates, commands, ranges, runs."""
+_PATIENCE = 10.0
+"""Seconds after which a measurement is not repeated."""
+Tell = Callable[[str, int], None]
+Stage = tuple[str, Callable[[], list[Entry]]]
+"""What is measured, in words, and how."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Bench:
+    """What all measurements share."""
+
+    tasks: Task
+    """Episodes of the paper's grid, mixed; as many as the largest batch."""
+    instructions: Instruction
+    params: NavigatorParams
+    repetitions: int
+    is_quick: bool
+
+
+def run_bench(bench: Bench, *, on_progress: Tell | None = None) -> dict[str, Any]:
+    """Measure speed.
+
+    Args:
+        bench: of ``set_up``.
+        on_progress: called with what is measured next and how many stages have just ended.
+
+    Returns:
+        ``machine`` and ``entries``, each with ``name``, ``value``, ``unit``, ``baseline``,
+        ``ratio``, ``target`` and ``holds``; None where there is no such thing.
+    """
+    machine = describe_machine()
+    entries: list[Entry] = []
+    for index, (name, work) in enumerate(stages(bench)):
+        if on_progress is not None:
+            on_progress(name, min(index, 1))
+        entries += work()
+    return {"machine": machine, "entries": entries}
+
+
+def stages(bench: Bench) -> list[Stage]:
+    """List what is measured.
+
+    Args:
+        bench: what all measurements share.
+
+    Returns:
+        The stages, in order.
+    """
+    counts = (DEFAULT_PARTICLES,) if bench.is_quick else (64, 256, 1000)
+    loops = [
+        (f"the full loop, {count} particles", functools.partial(_full_loop, bench, count))
+        for count in counts
+    ]
+    return [
+        *loops,
+        ("lanes without refilling", lambda: [_refilling(bench)]),
+        ("the parts of a cycle and the machine's limits", lambda: _limits(bench)),
+        ("compilation", lambda: _compilation(bench)),
+    ]
+
+
+def set_up(*, is_quick: bool = False) -> Bench:
+    """Draw the episodes that all measurements run.
+
+    Args:
+        is_quick: the default particle count only, smaller batches, fewer repetitions.
+
+    Returns:
+        What all measurements share.
+    """
+    largest = 256 if is_quick else 512
+    grid = list(itertools.product(TEMPLATE_NAMES, SENTENCES, RANGES))
+    number = -(-largest // len(grid))
+    order = list(SENTENCES)
+    cells = [
+        cell(world, relation, order.index(relation), reach, number, 4242)
+        for world, relation, reach in grid
+    ]
+    mixed = np.random.default_rng(0).permutation(number * len(grid))[:largest]
+    return Bench(
+        tasks=take_tasks(concatenate([make_tasks(one) for one in cells]), mixed),
+        instructions=ground_sentences(list(SENTENCES.values())).instructions,
+        params=default_params(),
+        repetitions=1 if is_quick else 3,
+        is_quick=is_quick,
+    )
+
+
+def _full_loop(bench: Bench, particles: int) -> list[Entry]:
+    """Measure whole episodes by batch, and one cycle against the NumPy twin."""
+    largest = bench.tasks.instruction_index.shape[0]
+    entries: list[Entry] = []
+    _measure_batch(bench, particles, 1, repetitions=1)  # compiles the program of all batches
+    batch = _Batch(size=0, steps=1, cpu=0.0, wall=1.0)
+    for size in (largest,) if bench.is_quick else (1, 64, largest):
+        batch = _measure_batch(bench, particles, size, repetitions=bench.repetitions)
+        label = f"{particles} particles, batch {size}"
+        entries.append(entry(f"episodes, {label}", size / batch.wall, "1/s"))
+        entries.append(entry(f"an episode, {label}", 1e3 * batch.cpu / size, "ms CPU"))
+    if particles == DEFAULT_PARTICLES:
+        entries += _monte_carlo(batch)
+    return entries + _against_twin(1e3 * batch.cpu / batch.steps, particles)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _Batch:
+    """A batch as it was measured."""
+
+    size: int
+    """Episodes."""
+    steps: int
+    """Cycles of all of them."""
+    cpu: float
+    """Seconds."""
+    wall: float
+    """Seconds."""
+
+
+def _measure_batch(
+    bench: Bench, particles: int, size: int, *, repetitions: int, num_threads: int | None = None
+) -> _Batch:
+    """Run the first episodes of the bench through the program of every experiment."""
+    tasks = take_tasks(bench.tasks, np.arange(size))
+    config = navigator_config(POLICY, particles)
+    found: list[EpisodeResult] = []
+
+    def work() -> None:
+        found.append(
+            run_tasks(
+                tasks,
+                bench.instructions,
+                params=bench.params,
+                config=config,
+                num_threads=num_threads,
+            )
+        )
+
+    cost = measure(work, repetitions, patience=_PATIENCE)
+    return _Batch(size=size, steps=int(np.sum(found[0].steps)), cpu=cost.cpu, wall=cost.wall)
+
+
+def _monte_carlo(batch: _Batch) -> list[Entry]:
+    """Say how long the paper's whole Monte Carlo takes at the rate of a batch."""
+    name = f"the paper's {MONTE_CARLO} simulations"
+    wall = MONTE_CARLO * batch.wall / batch.size
+    alone = MONTE_CARLO * batch.cpu / batch.size / usable_cores()
+    return [
+        entry(f"{name}, at this rate", wall, "s", target=60.0, is_limit=True),
+        entry(f"{name}, CPU over threads", alone, "s", target=60.0, is_limit=True),
+        entry(f"{name}, CPU over threads, stretch", alone, "s", target=20.0, is_limit=True),
+    ]
+
+
+def _against_twin(ours: float, particles: int) -> list[Entry]:
+    """Set a cycle, ms CPU, against the NumPy twin's."""
+    looping, vectorised = (
+        1e3 * _twin_seconds(particles, is_looping=is_looping) for is_looping in (True, False)
+    )
+    label = f"{particles} particles"
+    return [
+        entry(f"cycle against NumPy with loops over particles, {label}", ours, "ms CPU")
+        | against(ours, looping, 150.0),
+        entry(f"cycle against NumPy over all particles at once, {label}", ours, "ms CPU")
+        | against(ours, vectorised, 3.0),
+    ]
+
+
+def _twin_seconds(particles: int, *, is_looping: bool, steps: int = 12) -> float:
+    """Measure a cycle of the NumPy twin on a walk past a cone and a hydrant, CPU seconds."""
+    costs = []
+    for seed in range(3):
+        twin = numpy_twin.start(particles, seed=seed)
+        noise = np.random.default_rng(seed)
+        robot = np.zeros(2)
+        begin = time.process_time()
+        for index in range(steps):
+            move = np.array([0.7, 0.12]) if index else np.zeros(2)
+            robot = robot + move
+            seen = [
+                (kind, *(np.array(place) - robot + noise.normal(0.0, 0.1, 2)))
+                for kind, place in ((1, (6.0, 1.0)), (0, (8.0, 1.5)))
+                if np.hypot(*(np.array(place) - robot)) < 3.0
+            ]
+            numpy_twin.step(twin, move, seen, 3.0, is_looping=is_looping)
+        costs.append((time.process_time() - begin) / steps)
+    return statistics.median(costs)
+
+
+def _refilling(bench: Bench) -> Entry:
+    """Set refilled lanes against ``vmap`` of the loop over cycles, which waits for the slowest."""
+    number = bench.tasks.instruction_index.shape[0]
+    config = navigator_config(POLICY)
+
+    def waiting(many: Task) -> EpisodeResult:
+        def one(task: Task) -> EpisodeResult:
+            return run(task, bench.instructions, params=bench.params, config=config)
+
+        return jax.vmap(one)(many)
+
+    program = jax.jit(waiting).lower(bench.tasks).compile()
+    refilled = _measure_batch(
+        bench, DEFAULT_PARTICLES, number, repetitions=bench.repetitions, num_threads=1
+    )
+    ours = 1e3 * refilled.cpu / number
+    theirs = 1e3 * measure(lambda: program(bench.tasks), 1).cpu / number
+    name = f"refilled lanes against vmap of the loop, {number} episodes"
+    return entry(name, ours, "ms CPU an episode") | against(ours, theirs, 4.0)
+
+
+def _limits(bench: Bench) -> list[Entry]:
+    """Measure where a cycle's time goes, and how far it is from this machine's limits."""
+    parts = breakdown.measure_parts(
+        bench.tasks, bench.instructions, params=bench.params, repetitions=bench.repetitions
+    )
+    peaks = roofline.measure_peaks()
+    return breakdown.share_entries(parts) + roofline.distances(parts, peaks)
+
+
+def _compilation(bench: Bench) -> list[Entry]:
+    """Measure compilation without the persistent cache, and count recompilations."""
+    config = navigator_config(POLICY)
+    was_kept = is_cache_on()
+    try:
+        jax.config.update("jax_enable_compilation_cache", False)
+        compilation_cache.reset_cache()
+        begin, cpu = time.perf_counter(), time.process_time()
+        # Another program than any that is kept in memory.
+        program = functools.partial(
+            run_batch, config=config, num_lanes=LANES, max_steps=MAX_STEPS - 1
+        )
+        lowered = jax.jit(program).lower(bench.tasks, bench.instructions, params=bench.params)
+        traced = time.perf_counter() - begin
+        lowered.compile()
+        cold, cold_cpu = time.perf_counter() - begin, time.process_time() - cpu
+    finally:
+        jax.config.update("jax_enable_compilation_cache", was_kept)
+        compilation_cache.reset_cache()
+    return [
+        entry("compilation of a batch, cold", cold, "s", target=30.0, is_limit=True),
+        entry("compilation of a batch, cold, CPU", cold_cpu, "s CPU"),
+        entry("tracing and lowering of it", traced, "s"),
+        entry(
+            "recompilations in a sweep of Params, ranges and noise",
+            float(_recompilations(bench)),
+            "",
+            target=0.0,
+            is_limit=True,
+        ),
+    ]
+
+
+def _recompilations(bench: Bench) -> int:
+    """Count programs built while numbers vary; a single cycle stands for all."""
+    config = navigator_config(POLICY)
+    count = 0
+
+    @jax.jit
+    def one(task: Task, params: NavigatorParams) -> EpisodeResult:
+        nonlocal count
+        count += 1
+        return run(task, bench.instructions, params=params, config=config, max_steps=1)
+
+    first = jax.tree.map(lambda leaf: leaf[0], bench.tasks)
+    for value in (0.7, 0.8, 0.9):
+        planner = replace(bench.params.planner, discount=jnp.float32(value))
+        sensor = replace(first.sensor, range_max=jnp.float32(10.0 * value))
+        params = replace(bench.params, planner=planner)
+        jax.block_until_ready(one(replace(first, sensor=sensor), params))
+    return count - 1

@@ -1,0 +1,89 @@
+"""Learning where things tend to stand, for the order of search: ``planner.prior``'s table.
+
+    python -m jaxlangnav.studies.learn_prior
+
+Training worlds have seed 2000, the first 1,000 of each row of Table 2; results tables use other
+seeds. Counted are all objects, not the goals alone, by range and bearing from the start.
+"""
+
+import numpy as np
+
+from jaxlangnav.experiments.tasks import cell, make_tasks
+from jaxlangnav.files.whole import replacing
+from jaxlangnav.planner.prior import (
+    BEARING_BINS,
+    BEARING_MAX,
+    RANGE_BINS,
+    RANGE_MAX,
+    TABLE_FILE,
+)
+from jaxlangnav.world.state import Scenario
+from jaxlangnav.world.templates import TABLE_2
+
+SEED = 2000
+WORLDS = 1000
+"""Training worlds of each row."""
+_SMOOTH = (0.25, 0.5, 0.25)
+_SAMPLES = 400
+"""Points a side of the grid that measures how much of the area falls into each bin."""
+
+
+def _bins(x: np.ndarray, y: np.ndarray, depth: np.ndarray) -> np.ndarray:
+    """Count places by range and bearing, f64[RANGE_BINS, BEARING_BINS]."""
+    count, _, _ = np.histogram2d(
+        np.hypot(x, y) / depth,
+        np.abs(np.arctan2(y, x)),
+        bins=(RANGE_BINS, BEARING_BINS),
+        range=((0.0, RANGE_MAX), (0.0, BEARING_MAX)),
+    )
+    return count
+
+
+def _smooth(table: np.ndarray) -> np.ndarray:
+    """Run a short kernel along both axes; the edges take their own value beyond."""
+    for axis in (0, 1):
+        widths = [(1, 1) if axis == one else (0, 0) for one in (0, 1)]
+        parts = np.lib.stride_tricks.sliding_window_view(
+            np.pad(table, widths, mode="edge"), 3, axis
+        )
+        table = parts @ np.array(_SMOOTH)
+    return table
+
+
+def learn(rows: list[Scenario]) -> np.ndarray:
+    """Learn the table: the density of objects relative to one uniform over the operating area.
+
+    Args:
+        rows: training worlds, leaves [E, …] each; every record counts alike. The start is the
+            origin and faces +x, as in all drawn worlds.
+
+    Returns:
+        f32[RANGE_BINS, BEARING_BINS].
+    """
+    total = np.zeros((RANGE_BINS, BEARING_BINS))
+    for scenario in rows:
+        is_object = np.asarray(scenario.is_object)
+        area = np.asarray(scenario.area)
+        depth = np.broadcast_to(area[:, 1:2], is_object.shape)[is_object]
+        x = np.asarray(scenario.object_x)[is_object]
+        y = np.asarray(scenario.object_y)[is_object]
+        total += _bins(x, y, depth) / len(x) / len(rows)
+    # The share of a uniform law in each bin, on a fine grid over an area: all have one shape.
+    _, far, low, high = np.asarray(rows[0].area)[0]
+    grid = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
+    x, y = np.meshgrid(far * grid, low + (high - low) * grid)
+    uniform = _bins(x.ravel(), y.ravel(), np.full(x.size, far)) / x.size
+    return (_smooth(total) / np.maximum(_smooth(uniform), 1e-4)).astype(np.float32)
+
+
+def training_worlds(worlds: int = WORLDS) -> list[Scenario]:
+    """Draw the training worlds, one record a row of Table 2."""
+    return [
+        make_tasks(cell(row.world, row.relation, 0, row.range, worlds, SEED)).scenario
+        for row in TABLE_2
+    ]
+
+
+if __name__ == "__main__":
+    with replacing(TABLE_FILE) as temporary:
+        np.save(temporary, learn(training_worlds()))

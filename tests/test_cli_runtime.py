@@ -1,0 +1,113 @@
+"""Where the command line keeps what is compiled, and that nobody else can write there."""
+
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+
+import jax
+import pytest
+
+from jaxlangnav.cli.runtime import cache_directory, keep_compiled_programs
+from jaxlangnav.kept import keep_in, kept_in
+
+SETTINGS = ("jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
+
+
+@pytest.fixture(autouse=True)
+def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A home of one's own, and JAX without a cache; afterwards all is as it was."""
+    before = {name: getattr(jax.config, name) for name in SETTINGS}
+    jax.config.update("jax_compilation_cache_dir", None)
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    yield tmp_path / "home"
+    keep_in(None)
+    for name, value in before.items():
+        jax.config.update(name, value)
+
+
+def jax_folder() -> str | None:
+    return getattr(jax.config, "jax_compilation_cache_dir", None)
+
+
+def test_the_cache_folder_is_the_named_one_or_below_home(
+    home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert cache_directory() == home / ".cache" / "jaxlangnav"
+    for ignored in ("", "relative", "./relative", "~/cache"):
+        monkeypatch.setenv("XDG_CACHE_HOME", ignored)
+        assert cache_directory() == home / ".cache" / "jaxlangnav"
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "named"))
+    assert cache_directory() == tmp_path / "named" / "jaxlangnav"
+
+
+def test_both_caches_are_closed_to_others(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    keep_compiled_programs()
+    cache = home / ".cache" / "jaxlangnav"
+    assert jax_folder() == str(cache / "xla")
+    assert kept_in() == cache / "programs"
+    for folder in (home, home / ".cache", cache, cache / "xla", cache / "programs"):
+        assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+    assert capsys.readouterr().err == ""
+
+
+def test_a_folder_named_for_jax_is_taken_if_nobody_else_can_write_it(tmp_path: Path) -> None:
+    jax.config.update("jax_compilation_cache_dir", str(tmp_path / "jax"))
+    keep_compiled_programs()
+    assert jax_folder() == str(tmp_path / "jax")
+    assert kept_in() == tmp_path / "jax" / "programs"
+
+
+@pytest.mark.parametrize("shared", ["folder", "address"])
+def test_a_shared_folder_named_for_jax_is_left_to_jax(
+    shared: str, home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "jax").mkdir()
+    (tmp_path / "jax").chmod(0o777)
+    named = str(tmp_path / "jax") if shared == "folder" else "gs://bucket/jax"
+    jax.config.update("jax_compilation_cache_dir", named)
+    keep_compiled_programs()
+    assert jax_folder() == named
+    assert kept_in() == home / ".cache" / "jaxlangnav" / "programs"
+    assert not list((tmp_path / "jax").iterdir())
+    assert capsys.readouterr().err == ""
+
+
+def test_where_others_can_write_nothing_is_kept_and_that_is_said_once(
+    home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "shared").mkdir()
+    (tmp_path / "shared").chmod(0o777)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "shared"))
+    keep_compiled_programs()
+    assert jax_folder() is None
+    assert kept_in() is None
+    found = capsys.readouterr()
+    assert found.out == ""
+    assert found.err == (
+        f"compiled programs are not kept: {tmp_path / 'shared'}: others can write in it; "
+        "remedy: chmod go-w\n"
+    )
+    assert not list((tmp_path / "shared").iterdir())
+
+
+@pytest.mark.parametrize("place", ["file/cache", "relative"])
+def test_where_no_folder_can_be_made_nothing_is_kept(
+    place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("in the way")
+    monkeypatch.setenv("HOME", str(tmp_path / place) if "/" in place else place)
+    keep_compiled_programs()
+    assert (jax_folder(), kept_in()) == (None, None)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("compiled programs are not kept: ")
+
+
+def test_who_wants_no_cache_has_none(home: Path) -> None:
+    jax.config.update("jax_enable_compilation_cache", False)
+    try:
+        keep_compiled_programs()
+    finally:
+        jax.config.update("jax_enable_compilation_cache", True)
+    assert (jax_folder(), kept_in()) == (None, None)
+    assert not home.exists()

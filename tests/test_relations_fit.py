@@ -1,0 +1,263 @@
+"""Relations learned from pairs: known parameters recovered, gradients and posteriors exact."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import readings as by_hand
+from differences import central
+from jax.flatten_util import ravel_pytree
+from oracles import relations as oracle
+
+from jaxlangnav.messages import BEHIND, FRONT, LEFT, NEAR, RELATIONS
+from jaxlangnav.pytree import replace
+from jaxlangnav.relations import RelationParams, default_params, prepare
+from jaxlangnav.relations import fit as fitting
+from jaxlangnav.relations.fit import RelationFit
+from jaxlangnav.relations.pairs import FRAMES, RelationPairs, make_pairs
+
+VIEWER, ROBOT, UNDIRECTED = range(3)
+TRUE = {
+    BEHIND: {"median": 3.4, "spread": 0.25, "axis": 0.35, "concentration": 5.0},
+    LEFT: {"median": 1.7, "spread": 0.45, "axis": np.pi / 2, "concentration": 20.0},
+    NEAR: {"median": 3.0, "spread": 0.5, "axis": 0.0, "concentration": 0.0},
+}
+SHARES = {BEHIND: (0.6, 0.25, 0.15), LEFT: (0.2, 0.7, 0.1), NEAR: (1.0, 0.0, 0.0)}
+NUMBER = 1500
+
+
+def direction(pose: np.ndarray, landmark: np.ndarray, own: np.ndarray) -> np.ndarray:
+    """Angle of "along": from the pose through the landmark; backwards of the robot itself."""
+    sight = np.arctan2(landmark[:, 1] - pose[:, 1], landmark[:, 0] - pose[:, 0])
+    return np.where(own, pose[:, 2] + np.pi, sight)
+
+
+def synthesise(
+    seed: int, relations: tuple[int, ...] = (BEHIND, LEFT, NEAR), number: int = NUMBER
+) -> tuple[RelationPairs, np.ndarray]:
+    """Draw pairs from the equations by NumPy; also the true frame of each."""
+    random = np.random.default_rng(seed)
+    word = np.repeat(relations, number)
+    size = len(word)
+    viewer = np.column_stack([random.normal(0, 1, (size, 2)), random.uniform(-3, 3, size)])
+    robot = np.column_stack([random.normal(0, 8, (size, 2)), random.uniform(-3, 3, size)])
+    landmark = random.uniform(-10, 10, (size, 2))
+    own = random.uniform(size=size) < 0.2
+    frame = np.array([random.choice(3, p=SHARES[one]) for one in word])
+    pose = np.where((frame == ROBOT)[:, None], robot, viewer)
+    where = np.where(own[:, None], pose[:, :2], landmark)
+    distance = np.array(
+        [random.lognormal(np.log(TRUE[one]["median"]), TRUE[one]["spread"]) for one in word]
+    )
+    kappa = np.array([TRUE[one]["concentration"] for one in word])
+    turn = np.where(
+        (frame == UNDIRECTED) | (kappa == 0),
+        random.uniform(-np.pi, np.pi, size),
+        random.vonmises(0.0, np.maximum(kappa, 1e-6)),
+    )
+    # "Left" has its axis at +π/2 of the line of sight, which of the robot itself points backwards.
+    sign = np.where(own, -1.0, 1.0)
+    angle = direction(pose, where, own)
+    angle = angle + sign * np.array([TRUE[one]["axis"] for one in word]) + turn
+    figure = where + distance[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+    return make_pairs(word, figure, landmark, viewer, robot, own), frame
+
+
+def true_params() -> RelationParams:
+    params = default_params()
+    for index, law in TRUE.items():
+        params = RelationParams(
+            log_distance=params.log_distance.at[index].set(np.log(law["median"])),
+            log_distance_sd=params.log_distance_sd.at[index].set(law["spread"]),
+            axis=params.axis.at[index].set(law["axis"]),
+            concentration=params.concentration.at[index].set(law["concentration"]),
+        )
+    return params
+
+
+@pytest.fixture(scope="module")
+def fitted() -> tuple[RelationPairs, np.ndarray, RelationFit]:
+    pairs, frame = synthesise(0)
+    return pairs, frame, fitting.fit_relations(pairs)
+
+
+def test_known_parameters_are_recovered_within_their_errors(
+    fitted: tuple[RelationPairs, np.ndarray, RelationFit],
+) -> None:
+    """4 standard errors, and the errors themselves are small."""
+    _, _, fit = fitted
+    assert bool(fit.is_converged)
+    truth = true_params()
+    for name in ("log_distance", "log_distance_sd", "axis", "concentration"):
+        for index in TRUE:
+            if index == NEAR and name in ("axis", "concentration"):
+                continue
+            found = float(getattr(fit.params, name)[index])
+            error = float(getattr(fit.standard_error, name)[index])
+            expected = float(getattr(truth, name)[index])
+            assert 0.0 < error < 0.15 * max(1.0, abs(expected)), (name, index, error)
+            assert abs(found - expected) < 4 * error, (name, index, found, expected, error)
+    for index in (BEHIND, LEFT):
+        share, error = np.asarray(fit.frame_share[index]), np.asarray(fit.frame_share_error[index])
+        assert (np.abs(share - SHARES[index]) < 4 * error).all(), (share, error)
+        assert (error < 0.05).all()
+    assert float(fit.log_likelihood) > float(fit.log_likelihood_before) + 0.2
+
+
+def test_standard_errors_are_those_of_repetition() -> None:
+    """Pulls (found − true) / error of 30 repetitions have a deviation of one."""
+    truth, pulls = true_params(), []
+    for seed in range(30):
+        fit = fitting.fit_relations(synthesise(100 + seed, (BEHIND,), 250)[0])
+        for name in ("log_distance", "log_distance_sd", "axis", "concentration"):
+            gap = getattr(fit.params, name)[BEHIND] - getattr(truth, name)[BEHIND]
+            pulls.append(float(gap / getattr(fit.standard_error, name)[BEHIND]))
+    # 120 pulls: the deviation is known to 1 / √240; the shift to 1 / √120.
+    assert abs(np.std(pulls) - 1.0) < 4 / np.sqrt(240)
+    assert abs(np.mean(pulls)) < 4 / np.sqrt(120)
+
+
+def test_posterior_of_the_frame_equals_brute_force(
+    fitted: tuple[RelationPairs, np.ndarray, RelationFit],
+) -> None:
+    """Bayes' rule with the oracle's densities, every pair."""
+    pairs, frame, fit = fitted
+    flat = jax.tree.map(np.asarray, pairs)
+    expected = np.zeros((len(flat.relation), len(FRAMES)))
+    for row in range(0, len(flat.relation), 7):
+        index = flat.relation[row]
+        law = {
+            "median": float(np.exp(fit.params.log_distance[index])),
+            "spread": float(fit.params.log_distance_sd[index]),
+            "concentration": float(fit.params.concentration[index]),
+        }
+        figure = np.array([flat.figure_x[row], flat.figure_y[row]], float)
+        for k, pose in enumerate((flat.viewer[row], flat.robot[row], flat.viewer[row])):
+            own = bool(flat.is_robot[row])
+            there = np.array([flat.landmark_x[row], flat.landmark_y[row]], float)
+            where = pose[:2] if own else there
+            sight = float(direction(pose[None], where[None], np.array([own]))[0])
+            axis = float(fit.params.axis[index]) * (-1.0 if own else 1.0)
+            numbers = law | {"axis": axis}
+            if k == UNDIRECTED:
+                numbers["concentration"] = 0.0
+            value = oracle.density(figure - where, sight, **numbers)
+            expected[row, k] = value * float(fit.frame_share[index, k])
+    rows = expected.sum(1) > 0
+    assert rows.sum() > 500
+    expected = expected[rows] / expected[rows].sum(1, keepdims=True)
+    np.testing.assert_allclose(np.asarray(fit.frame_posterior)[rows], expected, atol=2e-3)
+    # And it is calibrated: the mean posterior of the true frame's pairs is their share.
+    for k in range(3):
+        chosen = flat.relation != NEAR
+        believed = np.asarray(fit.frame_posterior)[chosen, k]
+        spread = np.sqrt((believed * (1 - believed)).sum())
+        assert abs(believed.sum() - (frame[chosen] == k).sum()) < 5 * spread
+
+
+def test_gradient_equals_finite_differences() -> None:
+    pairs, _ = synthesise(3, number=60)
+    start = fitting._encode(default_params())
+    vector, unravel = ravel_pytree(start)
+    vector = vector + 0.1 * jnp.asarray(np.random.default_rng(0).normal(size=vector.shape))
+
+    @jax.jit
+    def value(values: jax.Array) -> jax.Array:
+        free = unravel(values)
+        total = jnp.mean(jax.nn.logsumexp(fitting._log_joint(free, pairs), axis=1))
+        return total + fitting._log_prior(free, start, fitting.default_prior())
+
+    slope = np.asarray(jax.jit(jax.grad(value))(vector))
+    for index in range(vector.size):
+        difference, error = central(lambda by, at=index: value(vector.at[at].add(by)), 3e-3)
+        assert abs(difference - slope[index]) < error, index
+
+
+def test_words_without_pairs_keep_their_parameters() -> None:
+    pairs, _ = synthesise(1, (BEHIND,), 200)
+    fit = fitting.fit_relations(pairs)
+    for name in ("log_distance", "log_distance_sd", "axis", "concentration"):
+        before, after = getattr(default_params(), name), getattr(fit.params, name)
+        np.testing.assert_allclose(after[FRONT], before[FRONT], atol=2e-3, rtol=1e-3)
+        assert float(getattr(fit.standard_error, name)[FRONT]) == 0.0
+    assert fit.num_pairs.tolist() == [0, 200, 0, 0, 0, 0]
+    assert [row["relation"] for row in fitting.describe(fit)] == [RELATIONS[BEHIND]]
+
+
+def test_order_and_repetition_of_the_pairs_do_not_matter() -> None:
+    pairs, _ = synthesise(2, (BEHIND, LEFT), 150)
+    order = np.random.default_rng(0).permutation(300)
+    shuffled = jax.tree.map(lambda leaf: leaf[order], pairs)
+    one, other = fitting.fit_relations(pairs), fitting.fit_relations(shuffled)
+    for left, right in zip(jax.tree.leaves(one.params), jax.tree.leaves(other.params), strict=True):
+        np.testing.assert_allclose(left, right, rtol=5e-3, atol=5e-3)
+    np.testing.assert_allclose(
+        np.asarray(one.frame_posterior)[order], other.frame_posterior, atol=1e-2
+    )
+
+
+def test_the_viewers_frame_keeps_the_mean_direction(
+    fitted: tuple[RelationPairs, np.ndarray, RelationFit],
+) -> None:
+    fit = fitted[2]
+    own = fitting.in_viewer_frame(fit)
+    angle = np.linspace(-np.pi, np.pi, 20001)
+
+    def resultant(kappa: float) -> float:
+        weight = np.exp(kappa * (np.cos(angle) - 1))
+        return float((weight * np.cos(angle)).sum() / weight.sum())
+
+    for index in (BEHIND, LEFT):
+        expected = float(fit.frame_share[index, 0]) * resultant(
+            float(fit.params.concentration[index])
+        )
+        assert resultant(float(own.concentration[index])) == pytest.approx(expected, abs=2e-3)
+        assert float(own.concentration[index]) < float(fit.params.concentration[index])
+    certain = jnp.eye(3)[jnp.zeros(6, jnp.int32)]
+    same = fitting.in_viewer_frame(replace(fit, frame_share=certain))
+    np.testing.assert_allclose(same.concentration, fit.params.concentration, rtol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"relation": np.zeros(0, int)}, "no pairs"),
+        ({"relation": np.array([6])}, "index from 0 to 5"),
+        ({"figure": np.zeros((1, 3))}, "figure has shape"),
+        ({"viewer": np.full((1, 3), np.nan)}, "not finite"),
+    ],
+)
+def test_bad_pairs_are_refused(changes: dict, message: str) -> None:
+    good = {
+        "relation": np.array([BEHIND]),
+        "figure": np.zeros((1, 2)),
+        "landmark": np.ones((1, 2)),
+        "viewer": np.zeros((1, 3)),
+    }
+    with pytest.raises(ValueError, match=message):
+        make_pairs(**(good | changes))
+
+
+def test_a_fit_changes_what_the_filter_believes() -> None:
+    """A cone is seen, "the hydrant behind the cone" is not: where is it sought?"""
+    pairs, _ = synthesise(4, (BEHIND,), 400)
+    fit = fitting.fit_relations(pairs)
+    sentence = by_hand.readings([[by_hand.HYDRANT, by_hand.CONE]], [[(0, BEHIND, 1, False)]])
+    belief = by_hand.begin((0.0, 0.0, 0.0), area=(0.0, 30.0, -15.0, 15.0))
+    belief = by_hand.with_objects(belief, [(by_hand.CONE, 6.0, 0.0)])
+    # Nothing else may explain the words: hardly any further cones, and nobody misleads.
+    numbers = by_hand.params(concentration=0.01)
+    numbers = replace(numbers, misleading=jnp.float32(0.0))
+    median = {}
+    for name, params in (("before", default_params()), ("after", fitting.in_viewer_frame(fit))):
+        told = replace(numbers, relations=prepare(params))
+        particles, _ = by_hand.ground_many(
+            jax.random.split(jax.random.key(0), by_hand.SEEDS), belief, sentence, told
+        )
+        is_hung = np.asarray(particles.referent[:, 1]) == 0
+        assert is_hung.mean() > 0.5
+        x = np.asarray(particles.hypothesis_x[:, 0])[is_hung]
+        y = np.asarray(particles.hypothesis_y[:, 0])[is_hung]
+        median[name] = np.median(np.hypot(x - 6.0, y))
+    assert median["before"] == pytest.approx(2.4, abs=0.1)
+    assert median["after"] == pytest.approx(TRUE[BEHIND]["median"], abs=0.15)
