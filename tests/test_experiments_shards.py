@@ -115,7 +115,7 @@ def other_number(path: Path) -> None:
         (foreign, "has no record of what was written"),
         (folder, "is no file"),
         (other_place, "stands in the place of another: it is file 4"),
-        (other_sweep, "is of another sweep"),
+        (other_sweep, "is of another sweep, or of another version"),
         (other_number, "has 2 rows, but must have 300"),
     ],
 )

@@ -261,7 +261,9 @@ def test_a_folder_of_nothing_sound_is_refused(
     shutil.copy(whole / name, tmp_path)
     # A manifest that says otherwise is that of another sweep.
     (tmp_path / sweep_folder.MANIFEST).write_text(manifest.replace('"rows": ', '"rows": 1'))
-    with pytest.raises(ValueError, match=f"no sound episodes: .*{name} is of another sweep"):
+    with pytest.raises(
+        ValueError, match=f"no sound episodes: .*{name} is of another sweep, or of another version"
+    ):
         summary.summarize_directory(tmp_path)
     for text in ("", "{", "[]", "{}", '{"settings": {"files": "x"}}', "[" * 100_000, manifest[:99]):
         (tmp_path / sweep_folder.MANIFEST).write_text(text)

@@ -140,7 +140,7 @@ def _record(content: bytes) -> Shard:
 def _compare(found: Shard, shard: Shard) -> None:
     """Refuse a sound file that is another one."""
     if found.sweep != shard.sweep:
-        raise ShardError("is of another sweep")
+        raise ShardError("is of another sweep, or of another version")
     if found.index != shard.index:
         raise ShardError(f"stands in the place of another: it is file {found.index} of the sweep")
     if found.rows != shard.rows:

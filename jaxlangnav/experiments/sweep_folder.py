@@ -4,6 +4,7 @@ The manifest is written once and never changed; it says which sweep the folder h
 says of itself which it is and what its bytes must be (``shards``).
 """
 
+import dataclasses
 import hashlib
 import json
 import re
@@ -11,6 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.experiments.archive import manifest, to_json
 from jaxlangnav.experiments.devices import CHUNK, LANES
 from jaxlangnav.experiments.holding import Note
@@ -78,7 +80,10 @@ def read_manifest(folder: Path) -> dict[str, Any]:
 
 
 def identity(document: dict[str, Any]) -> str:
-    """Hash what the files of a sweep share.
+    """Hash what the files of a sweep share, and what this version measures of an episode.
+
+    Files of a version that measured something else are those of another sweep: they cannot stand
+    in one table with these.
 
     Args:
         document: the manifest.
@@ -87,6 +92,7 @@ def identity(document: dict[str, Any]) -> str:
         SHA-256 in hexadecimal.
     """
     shared = {key: _uncounted(document.get(key)) for key in _IDENTITY}
+    shared["measured"] = [field.name for field in dataclasses.fields(EpisodeResult)]
     return hashlib.sha256(json.dumps(shared, sort_keys=True).encode()).hexdigest()
 
 
