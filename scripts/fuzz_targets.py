@@ -3,22 +3,26 @@
 import contextlib
 import io
 import json
+import tempfile
 from functools import cache
 from importlib import resources
 from pathlib import Path
 from typing import Any
 from unittest import mock
 
+import jax
 import numpy as np
 from fuzz import TEXTS, Target
 
 from jaxlangnav.cli import main as cli
 from jaxlangnav.cli.arguments import Command
 from jaxlangnav.cli.output import Output, write_document
-from jaxlangnav.experiments.shards import Shard, write_shard
+from jaxlangnav.experiments.shards import Shard, ShardError, read_shard, write_shard
 from jaxlangnav.experiments.summary import markdown, render, summarize_directory
 from jaxlangnav.experiments.sweep_config import read_config
 from jaxlangnav.experiments.sweep_folder import MANIFEST, identity, read_manifest
+from jaxlangnav.grounding import AnnotationGrounder, Context
+from jaxlangnav.grounding.weights import SHIPPED, load
 from jaxlangnav.language.corpus import CorpusError, read_corpus
 from jaxlangnav.language.grammar import Grammar
 from jaxlangnav.language.lexicon import read_lexicon
@@ -29,6 +33,7 @@ from jaxlangnav.world.files import load_world, save_world, shipped_worlds
 from jaxlangnav.world.writing import world_to_dict
 
 LANGUAGE = resources.files("jaxlangnav.language") / "data"
+GROUNDING = resources.files("jaxlangnav.grounding") / "data"
 _SWEEPS = (
     b'worlds = ["1H1C", "yard"]\ncommands = ["behind"]\n',
     b'name = "range"\nepisodes = 4\nenvironments = 2\nseeds = [0, 1]\nworlds = ["2H1C"]\n'
@@ -226,6 +231,50 @@ def _words() -> list[bytes]:
     return ["\n".join(f'"{w}"' for w in one).encode("utf-8", "replace") for one in lines]
 
 
+def _weights(text: bytes, folder: Path) -> None:
+    """Load trained models; what is taken is finite and as large as the shipped ones."""
+    (folder / "weights.npz").write_bytes(text)
+    model = load(folder / "weights.npz")
+    for part in (model.annotation, model.behavior):
+        assert all(np.isfinite(weight).all() for weight in part.weights.values())
+        assert np.isfinite(part.temperature)
+
+
+@cache
+def _whole_shard() -> bytes:
+    """Write a file of a sweep."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "episodes-000000.parquet"
+        return write_shard(_episodes(), path, Shard(sweep="0" * 64, index=0, rows=8)).read_bytes()
+
+
+def _shard(text: bytes, folder: Path) -> None:
+    """Read a file of a sweep; what is taken is what was written, to the last bit."""
+    path = folder / "episodes-000000.parquet"
+    path.write_bytes(text)
+    read_shard(path, sweep="0" * 64, index=0)
+    assert text == _whole_shard(), "a damaged file passes for whole"
+
+
+def _forms() -> list[bytes]:
+    """Write annotations as forms."""
+    things = [{"id": "a", "type": "hydrant"}, {"id": "b", "type": "cone"}]
+    relations = [{"figure": "a", "relation": "behind", "landmark": "b"}]
+    commands = [{"action": "navigate", "goal": {"region": "at", "thing": "a"}, "avoid": ["b"]}]
+    reading = {"things": things, "relations": relations, "commands": commands}
+    doubted = {"readings": [reading | {"probability": 0.7}, reading | {"probability": 0.3}]}
+    return [json.dumps(one).encode() for one in ({"readings": [reading]}, doubted)]
+
+
+def _form(text: bytes, _: Path) -> None:
+    """Ground annotations that come as a form; what is taken is finite."""
+    grounder = AnnotationGrounder(("hydrant", "cone", "car"))
+    grounded = grounder.ground(text.decode("utf-8", "surrogateescape"), Context(is_under_way=False))
+    program = grounded.instruction.program
+    for leaf in jax.tree.leaves(program):
+        assert np.isfinite(np.asarray(leaf)).all()
+
+
 class CommandLineError(Exception):
     """The command line refused its arguments, properly or not: its whole standard error."""
 
@@ -269,6 +318,16 @@ TARGETS = (
     Target(name="corpus", seeds=_corpus_lines, call=_corpus, refusals=(CorpusError,)),
     Target(name="sweep", seeds=lambda: _SWEEPS, call=_sweep, refusals=(ValueError,)),
     Target(name="manifest", seeds=_manifests, call=_manifest, refusals=(ValueError,)),
+    Target(name="shard", seeds=lambda: [_whole_shard()], call=_shard, refusals=(ShardError,)),
+    Target(
+        name="weights",
+        seeds=lambda: [
+            resources.files("jaxlangnav.grounding").joinpath(f"data/{SHIPPED}").read_bytes()
+        ],
+        call=_weights,
+        refusals=(ValueError,),
+    ),
+    Target(name="form", seeds=_forms, call=_form, refusals=(ValueError,)),
     Target(name="sentence", seeds=_sentences, call=_sentence, refusals=(LanguageError,)),
     Target(name="command-line", seeds=_words, call=_command_line, refusals=(CommandLineError,)),
 )
