@@ -11,19 +11,23 @@ Two functions over records are the whole engine, for any robot or simulator:
 """
 
 import dataclasses
+import logging
 from collections.abc import Sequence
 from typing import Self
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from jaxlangnav import navigator
 from jaxlangnav.grounding import Context, GraphGrounder, Grounder, load_shipped
 from jaxlangnav.grounding.instruction import Instruction
+from jaxlangnav.language.halting import Act, act_of, begins_with_halt
 from jaxlangnav.messages import Action, Observation
 from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams, NavigatorState
 from jaxlangnav.plain_text import cut
+from jaxlangnav.planner.endings import missing_types
 from jaxlangnav.planner.own import Policy
 from jaxlangnav.planner.params import PlannerConfig
 from jaxlangnav.pytree import replace
@@ -32,6 +36,7 @@ from jaxlangnav.semantic_map.soundness import check_place
 DEFAULT_EXTENT = 15.0
 """Metres to each side of the robot that are its operating area unless it is told otherwise."""
 
+_log = logging.getLogger(__name__)
 _step = jax.jit(navigator.step, static_argnames="config")
 
 
@@ -96,6 +101,12 @@ class Navigator:
             ValueError: the instruction is not understood or asks for nothing, or pose or area
                 cannot be.
         """
+        act = act_of(text)
+        if act is not None:
+            raise ValueError(
+                f"{text[:40]!r} is to {act}, but a robot that has no task yet has nothing to "
+                f"{act}: give a command, as in 'go to the hydrant'"
+            )
         bounds = _around(pose) if area is None else area
         check_place(pose, bounds)
         return navigator.start(
@@ -133,21 +144,52 @@ class Navigator:
         return _step(key, state, observation, params=self.params, config=self.config)
 
     def hear(self, state: NavigatorState, text: str) -> NavigatorState:
-        """Take in another command: the map is kept, the words are grounded anew.
+        """Take in another command, or words to halt, to go on or to cancel.
+
+        Of a command the map is kept and the words are grounded anew; a robot that has been halted
+        goes on with it. Words to halt work by themselves, before any model and whatever the state
+        is; until it is told to go on, or given a command, the robot stands still. Cancelled it is
+        idle: it has no task any more.
+
+        What begins with a sentence to halt ("Stop! There is a child …") halts the robot, too, where
+        the whole is no command that it understands. As the robot must not lose its halt to a
+        refusal, nothing is raised then: why the rest was left out is logged as a warning.
 
         Args:
-            state: of a robot under way or at its goal.
-            text: the new instruction.
+            state: of a robot under way, halted or at its goal.
+            text: what the person said.
 
         Returns:
             The state, to be followed by the next observation.
 
         Raises:
-            ValueError: the instruction is not understood, or informs but asks for nothing: the
+            ValueError: the instruction is not understood, or asks for nothing to be done: the
                 robot then keeps to the state that it has.
         """
-        instruction = self._command(text, is_under_way=True)
+        act = act_of(text)
+        if act is not None:
+            return navigator.obey(state, act)
+        try:
+            instruction = self._command(text, is_under_way=True)
+        except ValueError as refusal:
+            if not begins_with_halt(text):
+                raise
+            _log.warning("halted; the rest of what was said is left out: %s", refusal)
+            return navigator.obey(state, Act.HALT)
         return navigator.hear(state, instruction, state.belief.last_pose)
+
+    def missing(self, state: NavigatorState) -> list[str]:
+        """Name what the task speaks of and the robot has not seen, such as its goal's landmark.
+
+        Args:
+            state: after any step; of a robot that has not found its goal, it tells why.
+
+        Returns:
+            Names of object types, in the order of the sentence; none where all has been seen.
+        """
+        types = np.asarray(state.belief.particles.object_type)
+        missing = missing_types(state.instruction.readings, types)
+        return [self.type_names[kind] for kind in missing]
 
 
 def _around(pose: Sequence[float]) -> tuple[float, ...]:

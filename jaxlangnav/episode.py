@@ -13,7 +13,7 @@ from jax import Array
 
 from jaxlangnav import navigator
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.messages import Fault, MotionParams, Observation, SensorParams
+from jaxlangnav.messages import Fault, MotionParams, Observation, SensorParams, Status
 from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams, NavigatorState
 from jaxlangnav.numerics.batching import row_of
 from jaxlangnav.pytree import pytree, replace, strong
@@ -41,8 +41,9 @@ class Task:
 class EpisodeResult:
     """How an episode ended; one row of every results table."""
 
-    is_success: Array  # bool[] stopped by itself within 1.5 m of the intended goal
-    is_stopped: Array  # bool[] stopped by itself; otherwise it ran out of time
+    is_success: Array  # bool[] arrived, by its own account, within 1.5 m of the intended goal
+    is_stopped: Array  # bool[] the task ended; otherwise it ran out of time
+    ending: Array  # i32[] a messages.Status: at the end; under way where it ran out of time
     distance: Array  # f32[] metres truly travelled
     steps: Array  # i32[] decision cycles
     final: Array  # f32[2] metres, map frame: where it truly ended
@@ -172,12 +173,13 @@ def count(progress: Progress, info: NavigatorInfo) -> dict[str, Array]:
 
 def finish(progress: Progress) -> EpisodeResult:
     """Judge an episode."""
-    is_stopped = progress.navigator.is_done
+    status = progress.navigator.status
     scenario = progress.task.scenario
     steps = jnp.maximum(progress.steps, 1).astype(jnp.float32)
     return EpisodeResult(
-        is_success=simulator.is_success(progress.world, scenario, is_stopped),
-        is_stopped=is_stopped,
+        is_success=simulator.is_success(progress.world, scenario, status == Status.ARRIVED),
+        is_stopped=progress.navigator.is_done,
+        ending=status,
         distance=progress.world.distance,
         steps=progress.steps,
         final=progress.world.position,

@@ -47,6 +47,26 @@ class Fault(enum.IntFlag):
     COMMAND = 128  # nothing has been asked for
 
 
+class Status(enum.IntEnum):
+    """What the robot is doing about its task, or how the task ended: ``Action.status``.
+
+    ``Status(int(action.status)).word`` names it. The first two are under way; ``ARRIVED`` and
+    ``NOT_FOUND`` are endings: the robot stands still until it hears another command.
+    """
+
+    SEARCHING = 0  # looking for the goal, or for what tells it from others
+    APPROACHING = 1  # on its way to something seen that may be the goal
+    ARRIVED = 2  # the command has been carried out
+    NOT_FOUND = 3  # what can be looked at has been looked at, and there is no goal
+    HALTED = 4  # it was told to halt; the task is kept
+    IDLE = 5  # there is nothing to do
+
+    @property
+    def word(self) -> str:
+        """The status in words as documents hold it: "not_found"."""
+        return self.name.lower()
+
+
 @pytree
 class Readings:
     """The k best readings of an instruction: what it says of the unseen world (section 3.1).
@@ -127,7 +147,8 @@ class Action:
 
     waypoint: Array  # f32[2] map frame, metres: where to go in the end
     step: Array  # f32[2] map axes, metres: displacement for this decision cycle
-    is_stop: Array  # bool[] the command has been carried out
+    is_stop: Array  # bool[] the task has ended: it is carried out, or cannot be
+    status: Array  # i32[] a Status: what the robot is doing, or how the task has ended
     speed: Array  # f32[] factor on the normal speed, from the behavior's mode
     clearance: Array  # f32[] metres to keep from objects, from the behavior's mode
 

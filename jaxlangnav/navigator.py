@@ -10,10 +10,12 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.grounding.program import NUM_TYPES
+from jaxlangnav.language.halting import Act
 from jaxlangnav.messages import (
     ACTIONS,
     NONE,
@@ -21,10 +23,12 @@ from jaxlangnav.messages import (
     Behavior,
     Fault,
     Observation,
+    Status,
     default_sensor,
 )
 from jaxlangnav.planner import graph, policy, search, tours
 from jaxlangnav.planner.constraints import constraint_cost
+from jaxlangnav.planner.endings import chance_left
 from jaxlangnav.planner.goals import Goals, gather
 from jaxlangnav.planner.params import PlannerConfig, PlannerParams, default_planner_params
 from jaxlangnav.pytree import pytree, replace
@@ -85,7 +89,18 @@ class NavigatorState:
     visited: graph.Visited
     commitment: policy.Commitment
     tour: tours.Tour  # where ``informed`` is looking next, and after that
-    is_done: Array  # bool[]
+    status: Array  # i32[] a Status: of the task after the last cycle, whether halted or not
+    is_halted: Array  # bool[] it was told to halt
+
+    @property
+    def is_done(self) -> Array:
+        """Whether the task has ended: it is carried out, or cannot be. bool[]."""
+        return (self.status == Status.ARRIVED) | (self.status == Status.NOT_FOUND)
+
+    @property
+    def is_resting(self) -> Array:
+        """Whether the robot stands still until it hears something, bool[]."""
+        return self.is_halted | self.is_done | (self.status == Status.IDLE)
 
 
 @pytree
@@ -173,12 +188,15 @@ def start(
         visited=graph.nowhere(config.planner.num_visited),
         commitment=policy.no_commitment(),
         tour=tours.no_tour(belief.last_pose[0], belief.last_pose[1]),
-        is_done=jnp.asarray(False),
+        status=jnp.int32(Status.SEARCHING),
+        is_halted=jnp.asarray(False),
     )
 
 
 def hear(state: NavigatorState, instruction: Instruction, pose: Array) -> NavigatorState:
     """Take in another command: the map is kept, the words are grounded anew.
+
+    A robot that has been halted goes on, with the new task.
 
     Limits: what asks for nothing, such as a statement, changes nothing.
 
@@ -199,7 +217,8 @@ def hear(state: NavigatorState, instruction: Instruction, pose: Array) -> Naviga
         instruction=instruction,
         clause=jnp.int32(0),
         commitment=policy.no_commitment(),
-        is_done=jnp.asarray(False),
+        status=jnp.int32(Status.SEARCHING),
+        is_halted=jnp.asarray(False),
     )
     asks = instruction.num_clauses > 0
     return jax.tree.map(
@@ -207,10 +226,41 @@ def hear(state: NavigatorState, instruction: Instruction, pose: Array) -> Naviga
     )
 
 
+def obey(state: NavigatorState, act: Act) -> NavigatorState:
+    """Halt, go on, or drop the task, whatever the robot is at; nothing is computed or compiled.
+
+    Halted it stands still, however often it is stepped, and keeps looking about; to go on is to
+    take up the same task where it was. To cancel leaves it idle until another command is heard;
+    what the sentence said of the map stays.
+
+    Args:
+        state: of any robot, or of a batch of them, leaves [...].
+        act: what it was told.
+
+    Returns:
+        The state, to be followed by the next observation.
+    """
+
+    def everywhere(value: int | bool, like: Array) -> Array:
+        return jnp.asarray(np.full(like.shape, value, like.dtype))
+
+    is_halted = everywhere(act == Act.HALT, state.is_halted)
+    if act != Act.CANCEL:
+        return replace(state, is_halted=is_halted)
+    told = state.instruction
+    return replace(
+        state,
+        instruction=replace(told, num_clauses=everywhere(0, told.num_clauses)),
+        status=everywhere(Status.IDLE, state.status),
+        is_halted=is_halted,
+    )
+
+
 class _Outlook(NamedTuple):
     """What a belief comes to: where the robot is, what it is asked to do, and where."""
 
-    fault: Array  # i32[] bits of Fault; the robot stands still unless it is 0
+    fault: Array  # i32[] bits of Fault; 0 for a sound look and a task
+    stands: Array  # bool[] the robot stands still: for a fault, or as it has been told or has ended
     robot_x: Array  # f32[] believed position, metres, map frame
     robot_y: Array  # f32[]
     behavior: Behavior  # leaves [..., P]
@@ -251,11 +301,13 @@ def step(
         The new state, what the robot is to do, and why.
     """
     state, filter_info = _observe(key, state, observation, params, config)
-    fault = filter_info.fault + jnp.where(state.instruction.num_clauses > 0, 0, int(Fault.COMMAND))
+    is_asked = (state.instruction.num_clauses > 0) | (state.status == Status.IDLE)
+    fault = filter_info.fault + jnp.where(is_asked, 0, int(Fault.COMMAND))
     range_max = jnp.where(fault == 0, observation.sensor.range_max, default_sensor().range_max)
     outlook = _infer(state, fault, params)
     decision = _decide(key, state, outlook, range_max, filter_info.is_news, params, config)
-    action = _act(state, outlook, decision.choice, params)
+    after = _carry_on(state, outlook, decision, params)
+    action = _act(after, outlook, decision.choice, params)
     info = NavigatorInfo(
         filter=filter_info,
         fault=fault,
@@ -265,7 +317,7 @@ def step(
         behavior=outlook.expected,
         robot=jnp.stack([outlook.robot_x, outlook.robot_y]),
     )
-    return _carry_on(state, outlook, decision, params), action, info
+    return after, action, info
 
 
 def _observe(
@@ -305,6 +357,7 @@ def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> _Out
     robot_x, robot_y = semantic_filter.robot_position(belief)
     return _Outlook(
         fault=fault,
+        stands=(fault != 0) | state.is_resting,
         robot_x=robot_x,
         robot_y=robot_y,
         behavior=behavior,
@@ -328,10 +381,11 @@ def _decide(
     belief, goals = state.belief, outlook.goals
     robot = outlook.robot_x, outlook.robot_y
     visited = graph.visit(state.visited, *robot, params.planner.visit_spacing)
-    plan = first_stops = None
+    plan = first_stops = chance = None
     if config.planner.policy == "informed":
         unseen = search.search_map(belief, params.planner.prior_share)
         plan_key = jax.random.fold_in(key, _PLANNING)
+        chance = chance_left(unseen.unseen, params.map.concentration, params.map.misleading)
         plan = tours.plan(plan_key, state.tour, unseen, *robot, range_max, belief.coverage.area)
         first_stops = plan.tours.x[:, 0], plan.tours.y[:, 0]
     nodes = graph.nodes(
@@ -359,8 +413,13 @@ def _decide(
         params=params.planner,
         config=config.planner,
         plan=plan,
+        chance_left=chance,
     )
-    choice = replace(choice, is_stop=choice.is_stop & (outlook.fault == 0))
+    choice = replace(
+        choice,
+        is_stop=choice.is_stop & ~outlook.stands,
+        is_not_found=choice.is_not_found & ~choice.is_stop & ~outlook.stands,
+    )
     return _Decision(visited=visited, plan=plan, nodes=nodes, choice=choice)
 
 
@@ -369,28 +428,40 @@ def _is_last_clause(state: NavigatorState) -> Array:
     return state.clause + 1 >= state.instruction.num_clauses
 
 
+def _status(state: NavigatorState, outlook: _Outlook, choice: policy.Choice) -> Array:
+    """Tell what becomes of the task, i32[] a Status: what it was where the robot stands still."""
+    under_way = jnp.where(choice.is_approach, int(Status.APPROACHING), int(Status.SEARCHING))
+    is_arrived = choice.is_stop & _is_last_clause(state)
+    ended = jnp.where(choice.is_not_found, int(Status.NOT_FOUND), under_way)
+    status = jnp.where(is_arrived, int(Status.ARRIVED), ended)
+    return jnp.where(outlook.stands, state.status, status)
+
+
 def _act(
     state: NavigatorState, outlook: _Outlook, choice: policy.Choice, params: NavigatorParams
 ) -> Action:
     """Turn the choice into a step in the manner asked for: quickly, carefully.
 
-    With a fault up the robot stands still where it believes itself to be.
+    Where it stands the waypoint is where the robot believes itself to be. The state is the new one.
     """
     mode = jnp.argmax(outlook.expected.mode)
     speed, clearance = params.mode_speed[mode], params.mode_clearance[mode]
     robot = jnp.stack([outlook.robot_x, outlook.robot_y])
     waypoint = jnp.stack([choice.waypoint_x, choice.waypoint_y])
-    waypoint = jnp.where(outlook.fault == 0, waypoint, robot)
+    waypoint = jnp.where(outlook.stands | choice.is_not_found, robot, waypoint)
     span_x, span_y = waypoint - robot
     distance = jnp.sqrt(span_x * span_x + span_y * span_y + 1e-9)
     # A thing is gone up to, not into; anything else is a place to stand on.
     spare = jnp.where(choice.kind == graph.OBJECT, _APPROACH * params.planner.reach, 0.0)
     length = jnp.clip(distance - spare, 0.0, params.map.motion.step_length * speed)
     length = jnp.where(choice.is_stop, 0.0, length)
+    is_idle = state.instruction.num_clauses == 0
+    status = jnp.where(is_idle, int(Status.IDLE), state.status)
     return Action(
         waypoint=waypoint,
         step=jnp.stack([span_x, span_y]) / distance * length,
-        is_stop=choice.is_stop & _is_last_clause(state),
+        is_stop=state.is_done & ~state.is_halted & (outlook.fault == 0),
+        status=jnp.where(state.is_halted, int(Status.HALTED), status),
         speed=speed,
         clearance=clearance,
     )
@@ -421,5 +492,5 @@ def _carry_on(
             is_active=~choice.is_stop,
         ),
         tour=state.tour if decision.plan is None else tours.take(decision.plan, choice.value),
-        is_done=state.is_done | (choice.is_stop & is_last),
+        status=_status(state, outlook, choice),
     )

@@ -159,6 +159,7 @@ def _frame(
         goal_region=_goal_region(info),
         action=info.behavior.action,
         mode=info.behavior.mode,
+        status=after.navigator.status,
         is_done=after.navigator.is_done,
         **_belief_fields(belief, before.navigator.instruction.readings),
         **_decision_fields(info),

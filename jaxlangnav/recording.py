@@ -14,6 +14,7 @@ import numpy as np
 
 from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.messages import Readings, SensorParams
+from jaxlangnav.planner.endings import missing_types
 from jaxlangnav.planner.params import PlannerParams
 from jaxlangnav.pytree import pytree
 from jaxlangnav.world.state import Scenario
@@ -83,7 +84,8 @@ class Frame:
     waypoint_kind: Leaf  # i32[]
     is_kept: Leaf  # bool[] the former waypoint was kept
     is_stop: Leaf  # bool[] the present command has been carried out
-    is_done: Leaf  # bool[] … and it was the last one
+    status: Leaf  # i32[] a messages.Status: what the robot says of its task
+    is_done: Leaf  # bool[] the task has ended: it is carried out, or cannot be
     stop_mass: Leaf  # f32[] goal probability within reach
 
 
@@ -131,6 +133,11 @@ class Recording:
         """P, particles."""
         return int(self.frames.weight.shape[-1])
 
+    @property
+    def missing(self) -> list[str]:
+        """Types that the sentence speaks of and no look has shown by the end."""
+        return missing_names(self.scene, self.at(-1))
+
     def at(self, step: int) -> Frame:
         """Take one step out, leaves without the axis T.
 
@@ -141,6 +148,19 @@ class Recording:
             The frame.
         """
         return jax.tree.map(lambda leaf: leaf[step], self.frames)
+
+
+def missing_names(scene: Scene, frame: Frame) -> list[str]:
+    """Name what the sentence speaks of and no look has shown by a step.
+
+    Args:
+        scene: of the episode.
+        frame: the step.
+
+    Returns:
+        Names of object types, in the order of the sentence.
+    """
+    return [scene.type_name(kind) for kind in missing_types(scene.readings, frame.object_type)]
 
 
 def gather(scene: Scene, frames: list[Frame], result: EpisodeResult) -> Recording:

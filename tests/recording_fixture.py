@@ -3,7 +3,7 @@
 import numpy as np
 
 from jaxlangnav.episode import EpisodeResult
-from jaxlangnav.messages import AT, BEHIND, NONE, Readings, SensorParams
+from jaxlangnav.messages import AT, BEHIND, NONE, Readings, SensorParams, Status
 from jaxlangnav.planner.graph import FRONTIER, OBJECT, VISITED
 from jaxlangnav.planner.params import default_planner_params
 from jaxlangnav.recording import Frame, Recording, Scene, gather
@@ -142,6 +142,7 @@ def make_frame(step: int, num_steps: int, num_particles: int, rng: np.random.Gen
         waypoint_kind=kind[best],
         is_kept=np.array(step % 3 == 1),
         is_stop=np.array(is_last),
+        status=np.int32(Status.ARRIVED if is_last else Status.SEARCHING),
         is_done=np.array(is_last),
         stop_mass=np.float32(0.9 if is_last else 0.0),
     )
@@ -166,6 +167,7 @@ def make_recording(
     result = EpisodeResult(
         is_success=np.array(True),
         is_stopped=np.array(True),
+        ending=np.int32(Status.ARRIVED),
         distance=np.float32(8.56),
         steps=np.int32(num_steps),
         final=frames[-1].position,

@@ -15,7 +15,7 @@ CORPUS_39 = str(resources.files("jaxlangnav.language") / "data" / "corpus39.json
 ROW_KEYS = {
     "world", "range", "relation", "policy", "episodes", "success_rate", "success_ci",
     "distance_mean", "distance_sd", "known_distance_mean", "known_distance_sd", "spl",
-    "overflows", "degenerate", "contradictions", "faults", "timeouts",
+    "overflows", "degenerate", "contradictions", "faults", "timeouts", "not_found",
 }  # fmt: skip
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.experiments.metrics import summarize, wilson_interval
+from jaxlangnav.messages import Status
 
 
 def results(**changes: Any) -> EpisodeResult:
@@ -14,6 +15,7 @@ def results(**changes: Any) -> EpisodeResult:
     leaves: dict[str, Any] = {
         "is_success": np.array([True, True, False, True]),
         "is_stopped": np.array([True, True, False, True]),
+        "ending": np.array([Status.ARRIVED, Status.NOT_FOUND, Status.SEARCHING, Status.ARRIVED]),
         "distance": np.array([10.0, 20.0, 100.0, 5.0]),
         "steps": np.array([10, 20, 120, 5]),
         "final": np.zeros((number, 2)),
@@ -36,6 +38,7 @@ def test_a_row_by_hand() -> None:
     assert row.distance_sd == pytest.approx(np.std([10, 20, 100], ddof=1))
     assert row.spl == pytest.approx((1.0 + 0.5 + 0.0) / 3)
     assert (row.timeouts, row.overflows, row.degenerate, row.invalid_worlds) == (1, 2, 1, 1)
+    assert row.not_found == 1
     assert row.contradictions == 3
     assert row.faults == 4
 

@@ -33,6 +33,7 @@ def row(**changes: Any) -> dict[str, Any]:
         "contradictions": 0,
         "faults": 0,
         "timeouts": 3,
+        "not_found": 0,
         "invalid_worlds": 0,
     } | changes
 
@@ -176,7 +177,7 @@ def test_an_experiment_and_its_files(tmp_path: Path) -> None:
     ]
     keys = "world range relation policy episodes success_rate success_ci distance_mean distance_sd"
     keys += " ece brier coverage90 known_distance_mean known_distance_sd spl overflows"
-    keys += " degenerate contradictions faults timeouts"
+    keys += " degenerate contradictions faults timeouts not_found"
     assert set(keys.split()) <= set(found["rows"][0])
     assert found["rows"][0]["relation"] is None
     assert len(found["paper"]) == 2

@@ -35,7 +35,8 @@ def search_of(free, hung=None) -> SearchMap:
     x, y = np.tile(steps, CELLS), np.repeat(steps - 5.0, CELLS)
     hung = np.zeros(CELLS**2) if hung is None else hung
     x, y, free, hung = (jnp.asarray(one, jnp.float32) for one in (x, y, free, hung))
-    return SearchMap(x=x, y=y, free=free, hung=hung, partner_x=x, partner_y=y)
+    one = jnp.float32(1.0)
+    return SearchMap(x=x, y=y, free=free, hung=hung, partner_x=x, partner_y=y, unseen=one)
 
 
 def brute_force(tour_x, tour_y, x: float, y: float, radius: float) -> float:

@@ -83,7 +83,8 @@ def document() -> dict[str, Any]:
             is_off = one is VARIATIONS[0] or index == 0
             row = unknowns.SPECS[index].heading() | {
                 "policy": "faithful", "unknown": one.unknown, "value": one.value,
-                "episodes": 400, "invalid_worlds": 1, "timeouts": 2, "distance_sd": 20.0,
+                "episodes": 400, "invalid_worlds": 1, "timeouts": 2, "not_found": 0,
+                "distance_sd": 20.0,
                 "success_rate": paper["success_rate"],
                 "distance_mean": paper["distance_mean"] + 30.0 * is_off,
                 "paired": {"distance_difference": -30.0, "distance_ci": [-31.0, -29.0]},

@@ -45,6 +45,7 @@ def action(x: float, y: float, *, is_stop: bool = False, speed: float = 1.0) -> 
         waypoint=jnp.zeros(2),
         step=jnp.array([x, y], jnp.float32),
         is_stop=jnp.array(is_stop),
+        status=jnp.int32(0),
         speed=jnp.float32(speed),
         clearance=jnp.float32(0.0),
     )

@@ -19,7 +19,7 @@ from jaxlangnav.experiments.monte_carlo import cell, make_tasks
 from jaxlangnav.grounding.instruction import GroundingModel, Instruction, Understanding
 from jaxlangnav.grounding.weights import load, load_shipped
 from jaxlangnav.kept import kept, kept_in
-from jaxlangnav.messages import default_motion, default_sensor
+from jaxlangnav.messages import Status, default_motion, default_sensor
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, default_params
 from jaxlangnav.planner.params import PlannerConfig
 from jaxlangnav.pytree import replace
@@ -255,10 +255,9 @@ def judged(recording: Recording, prepared: Prepared) -> Recording:
     if not prepared.is_find:
         return recording
     result = recording.result
+    is_arrived = result.ending == Status.ARRIVED
     is_near = result.goal_distance <= max(recording.scene.sensor.range_max, SUCCESS_RADIUS)
-    return dataclasses.replace(
-        recording, result=replace(result, is_success=result.is_stopped & is_near)
-    )
+    return dataclasses.replace(recording, result=replace(result, is_success=is_arrived & is_near))
 
 
 def _task_in(world: World, sensing_range: float | None, seed: int) -> Task:

@@ -212,6 +212,8 @@ class Follow:
         self, name: str, annotations: list[dict[str, Any]], recording: "Recording"
     ) -> dict[str, Any]:
         """Gather what ``--json`` prints."""
+        from jaxlangnav.messages import Status
+
         scene, result = recording.scene, recording.result
         return {
             "instruction": self.text,
@@ -222,6 +224,8 @@ class Follow:
             "particles": self.particles,
             "success": bool(result.is_success),
             "stopped": bool(result.is_stopped),
+            "ending": Status(int(result.ending)).word,
+            "missing": recording.missing,
             "distance": float(result.distance),
             "known_distance": scene.known_distance,
             "goal_distance": float(result.goal_distance),

@@ -25,7 +25,14 @@ from jax import Array
 from jaxlangnav.environments.actions import STOP_ABOVE
 from jaxlangnav.environments.observation import to_vector
 from jaxlangnav.environments.pool import pick
-from jaxlangnav.messages import Action, MotionParams, SensorParams, default_motion, default_sensor
+from jaxlangnav.messages import (
+    Action,
+    MotionParams,
+    SensorParams,
+    Status,
+    default_motion,
+    default_sensor,
+)
 from jaxlangnav.pytree import pytree
 from jaxlangnav.world import simulator
 from jaxlangnav.world.motion import move
@@ -224,6 +231,7 @@ def _advance(
         waypoint=state.world.odometry[:2] + way,
         step=way,
         is_stop=is_stopped,
+        status=jnp.where(is_stopped, int(Status.ARRIVED), int(Status.SEARCHING)),
         speed=jnp.float32(1.0),
         clearance=jnp.float32(0.0),
     )

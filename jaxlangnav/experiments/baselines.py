@@ -23,7 +23,7 @@ from jax import Array
 from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task
 from jaxlangnav.experiments.patterns import Waypoint, arc_waypoint, lane_waypoint
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.messages import Action, Observation, SensorParams
+from jaxlangnav.messages import Action, Observation, SensorParams, Status
 from jaxlangnav.planner.graph import frontiers
 from jaxlangnav.planner.params import default_planner_params
 from jaxlangnav.pytree import pytree
@@ -174,9 +174,15 @@ def _act(explorer: Explorer, pose: Array) -> Action:
         waypoint=jnp.stack([x, y]),
         step=step,
         is_stop=is_stop,
+        status=_status(is_stop),
         speed=jnp.float32(1.0),
         clearance=jnp.float32(0.0),
     )
+
+
+def _status(is_stop: Array) -> Array:
+    """Tell how a baseline stands: it is at an object of the type, or looks for one; i32[]."""
+    return jnp.where(is_stop, int(Status.ARRIVED), int(Status.SEARCHING))
 
 
 def _start(scenario: Scenario) -> _Run:
@@ -257,6 +263,7 @@ def _judge(scenario: Scenario, world: WorldState, is_stopped: Array, steps: Arra
     return EpisodeResult(
         is_success=simulator.is_success(world, scenario, is_stopped),
         is_stopped=is_stopped,
+        ending=_status(is_stopped),
         distance=world.distance,
         steps=steps,
         final=world.position,

@@ -2,10 +2,13 @@
 
 import dataclasses
 import math
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
 from jaxlangnav.episode import EpisodeResult
+from jaxlangnav.messages import Status
 
 _Z95 = 1.959964
 
@@ -28,6 +31,7 @@ class RowMetrics:
     contradictions: int
     faults: int
     timeouts: int
+    not_found: int
     invalid_worlds: int
 
 
@@ -53,6 +57,19 @@ def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
         * math.sqrt(rate * (1 - rate) / trials + z2 / (4 * trials * trials))
     )
     return max(0.0, centre - half), min(1.0, centre + half)
+
+
+def timeouts_text(row: Mapping[str, Any]) -> str:
+    """Write how many episodes of a row ended without an arrival.
+
+    Args:
+        row: with ``timeouts`` and ``not_found``.
+
+    Returns:
+        "3"; where there are episodes that ended with the goal not found, "3 + 2 not found".
+    """
+    given_up = f" + {row['not_found']} not found" if row["not_found"] else ""
+    return f"{row['timeouts']}{given_up}"
 
 
 def summarize(results: EpisodeResult, known_distance: np.ndarray) -> RowMetrics:
@@ -92,5 +109,6 @@ def summarize(results: EpisodeResult, known_distance: np.ndarray) -> RowMetrics:
         contradictions=int(np.asarray(results.contradictions)[valid].sum()),
         faults=int(np.asarray(results.faults)[valid].sum()),
         timeouts=int((~np.asarray(results.is_stopped)[valid]).sum()),
+        not_found=int((np.asarray(results.ending)[valid] == Status.NOT_FOUND).sum()),
         invalid_worlds=int((~valid).sum()),
     )

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from jaxlangnav import plain_text
+from jaxlangnav.experiments.metrics import timeouts_text
 
 Document = dict[str, Any]
 _ALWAYS = ("world", "relation", "range", "policy")
@@ -128,7 +129,7 @@ def _result_cells(row: dict[str, Any]) -> list[str]:
         f"{row['distance_mean']:.2f} ({row['distance_sd']:.2f})",
         f"{row['known_distance_mean']:.2f}",
         f"{row['spl']:.2f}",
-        str(row["timeouts"]),
+        timeouts_text(row),
     ]
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 from jaxlangnav import plain_text
 from jaxlangnav.experiments.deviations import NEAR, deviations
+from jaxlangnav.experiments.metrics import timeouts_text
 from jaxlangnav.experiments.policies import KNOWLEDGE
 from jaxlangnav.experiments.rows import Row, row_key
 from jaxlangnav.planner.params import POLICIES
@@ -70,7 +71,7 @@ def cells(row: Row, paper: Row | None) -> list[str]:
         _with_sd(row, "known_distance"),
         _with_sd(paper, "known_distance") if paper else "",
         f"{row['spl']:.2f}",
-        str(row["timeouts"]),
+        timeouts_text(row),
         _score(row, "ece", ".3f"),
         _score(row, "brier", ".3f"),
         _score(row, "coverage90", ".0f"),

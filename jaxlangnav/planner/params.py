@@ -24,6 +24,8 @@ class PlannerParams:
     rival_share: Array  # f32[] unseen rivals near things seen that a goal may have, relative to it
     rest_share: Array  # f32[] goal probability still unseen, relative to the best, that is let go
     prior_share: Array  # f32[] how far the order of search trusts the learned prior; 0: not at all
+    give_up: Array  # f32[] probability that what is missing is there at all, below which the
+    # search ends; of ``informed``, 0: never
     constraint_cost: Array  # f32[] value lost by a path through a region to be kept out of
 
 
@@ -62,5 +64,6 @@ def default_planner_params() -> PlannerParams:
         rival_share=jnp.float32(0.1),
         rest_share=jnp.float32(0.25),
         prior_share=jnp.float32(0.8),
+        give_up=jnp.float32(0.1),
         constraint_cost=jnp.float32(1.0),
     )

@@ -8,7 +8,11 @@ value ties with that of the node underfoot.
 
 ``informed`` takes the tour that puts the hypotheses to the test soonest, and accepts a goal only
 once everything the sentence mentions has been observed and no rival is left near what has been.
+Once what is missing is hardly there at all (``endings``), it takes the likeliest thing that it has
+seen; where nothing seen will do, the goal is not to be found.
 """
+
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,7 +24,7 @@ from jaxlangnav.planner.graph import FRONTIER, OBJECT, Nodes, unexplored_cells
 from jaxlangnav.planner.own import Situation, Valuation
 from jaxlangnav.planner.params import PlannerConfig, PlannerParams
 from jaxlangnav.planner.tours import Plan
-from jaxlangnav.pytree import pytree
+from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.coverage import cell_size
 
@@ -39,7 +43,9 @@ class Choice:
     waypoint_x: Array  # f32[] metres, map frame
     waypoint_y: Array  # f32[]
     kind: Array  # i32[] kind of node it goes to
-    is_stop: Array  # bool[]
+    is_stop: Array  # bool[] the goal is within reach
+    is_approach: Array  # bool[] the waypoint is a thing seen that may be the goal
+    is_not_found: Array  # bool[] nothing is left to look for, and there is no goal
     is_kept: Array  # bool[] the former waypoint was kept
     value: Array  # f32[A] value of every node; −∞ where there is none
     goal_value: Array  # f32[A] part of it from goals
@@ -117,24 +123,39 @@ def faithful(situation: Situation) -> Valuation:
     )
 
 
-def informed(situation: Situation, plan: Plan) -> tuple[Valuation, Array]:
+class _Judgement(NamedTuple):
+    """What a policy makes of a situation."""
+
+    valuation: Valuation
+    is_sure: Array  # bool[] it may stop for all it knows
+    is_not_found: Array  # bool[] nothing is left to look for, and there is no goal
+
+
+def informed(situation: Situation, plan: Plan, chance_left: Array) -> _Judgement:
     """Value first stops of tours by how soon they find things, until the goal is settled.
 
     The information value of a tour is what is still to be found divided by the metres until it
     is. A goal is settled once its object and all that the sentence places it against have been
     seen and next to nothing speaks for an unseen rival beside things seen; the object is then
     worth more than anything there is to learn. Unsettled goals break ties. Where next to nothing
-    is left to be found and several things may still be meant, the likeliest has to do.
+    is left to be found and several things may still be meant, the likeliest has to do; so it has
+    where what the goal is placed against is hardly there at all.
 
     Args:
         situation: nodes (first stops of the plan's tours lead), goals, where the robot is.
         plan: candidate tours.
+        chance_left: f32[], probability that what is spoken of, and has not been seen, is there.
 
     Returns:
-        Values, with the confirmed goal probability within reach; and bool[], no rival is left.
+        Values, with the confirmed goal probability within reach; whether no rival is left.
     """
     params, goals, nodes = situation.params, situation.goals, situation.nodes
     here = situation.robot_x, situation.robot_y
+    has_looked = chance_left < params.give_up
+    goals = replace(
+        goals,
+        object_confirmed=jnp.where(has_looked, goals.object_accepted, goals.object_confirmed),
+    )
     _, within_reach = qmdp.mass_within(*here, goals, params.reach)
     _, in_view = qmdp.mass_within(*here, goals, situation.range_max)
     metres = plan.latency / jnp.maximum(plan.mass, 1e-6)
@@ -142,11 +163,8 @@ def informed(situation: Situation, plan: Plan) -> tuple[Valuation, Array]:
     goal_value = 0.01 * qmdp.values(nodes.x, nodes.y, goals, params.discount)
     confirmed = jnp.max(goals.object_confirmed)
     rest = jnp.sum(goals.hypothesis_mass)
-    is_exhausted = (
-        (rest <= params.rest_share * confirmed)
-        & (confirmed < params.stop_probability)
-        & (confirmed >= LEAST_GOAL)
-    )
+    is_doubtful = (rest <= params.rest_share * confirmed) & (confirmed < params.stop_probability)
+    is_exhausted = (is_doubtful | has_looked) & (confirmed >= LEAST_GOAL)
     is_sure = (plan.hung <= params.rival_share * confirmed) | is_exhausted
     is_settled = is_sure & ((confirmed >= params.stop_probability) | is_exhausted)
     arrived = jnp.where(situation.is_find > 0.5, in_view, within_reach)
@@ -159,20 +177,19 @@ def informed(situation: Situation, plan: Plan) -> tuple[Valuation, Array]:
         information_value=jnp.concatenate([plan.mass / (1.0 + metres), no_tours]),
         stop_mass=jnp.where(will_do, jnp.maximum(arrived, params.stop_probability), arrived),
     )
-    return valuation, is_sure
+    return _Judgement(valuation, is_sure, has_looked & (confirmed < LEAST_GOAL))
 
 
 def _judge(
-    situation: Situation, plan: Plan | None, config: PlannerConfig
-) -> tuple[Valuation, Array]:
-    """Value the nodes as the policy does; and bool[], whether it may stop for all it knows."""
-    if callable(config.policy):
-        return config.policy(situation), jnp.asarray(True)
-    if config.policy == "faithful":
-        return faithful(situation), jnp.asarray(True)
-    if plan is None:
-        raise ValueError("the informed policy chooses among tours: plan them first")
-    return informed(situation, plan)
+    situation: Situation, plan: Plan | None, chance_left: Array | None, config: PlannerConfig
+) -> _Judgement:
+    """Value the nodes as the policy does."""
+    if config.policy == "informed":
+        if plan is None or chance_left is None:
+            raise ValueError("the informed policy chooses among tours: plan them first")
+        return informed(situation, plan, chance_left)
+    valuation = config.policy(situation) if callable(config.policy) else faithful(situation)
+    return _Judgement(valuation, jnp.asarray(True), jnp.asarray(False))
 
 
 def _aim(
@@ -197,16 +214,9 @@ def _aim(
     return jax.tree.map(lambda kept, new: jnp.where(keeps, kept, new), commitment, chosen), keeps
 
 
-def _has_goal(situation: Situation) -> Array:
-    """Tell whether something that has been seen and may be the goal is within reach, bool[].
-
-    Whatever a policy makes of it, there is no arriving where there is no goal. Of "find", it is
-    enough to have it in view.
-    """
-    goals = situation.goals
-    reach = situation.params.reach
-    radius = jnp.where(situation.is_find > 0.5, jnp.maximum(reach, situation.range_max), reach)
-    squared = (goals.object_x - situation.robot_x) ** 2 + (goals.object_y - situation.robot_y) ** 2
+def _has_goal(goals: Goals, x: Array, y: Array, radius: Array) -> Array:
+    """Tell whether something that has been seen and may be the goal is near a place, bool[]."""
+    squared = (goals.object_x - x) ** 2 + (goals.object_y - y) ** 2
     share = jnp.where(squared <= radius * radius, goals.object_accepted, 0.0)
     return jnp.any(goals.is_object & jnp.isfinite(share) & (share >= LEAST_GOAL))
 
@@ -226,6 +236,7 @@ def choose(
     params: PlannerParams,
     config: PlannerConfig,
     plan: Plan | None = None,
+    chance_left: Array | None = None,
 ) -> Choice:
     """Pick the waypoint of highest value, or stop (eq. 10).
 
@@ -246,12 +257,13 @@ def choose(
         params: traced numbers.
         config: policy.
         plan: candidate tours, whose first stops lead the nodes; for ``informed``.
+        chance_left: f32[], probability that what is missing is there at all; for ``informed``.
 
     Returns:
         The choice.
 
     Raises:
-        ValueError: ``informed`` without a plan.
+        ValueError: ``informed`` without a plan or without that probability.
     """
     distance = jnp.sqrt((nodes.x - robot_x) ** 2 + (nodes.y - robot_y) ** 2 + 1e-9)
     situation = Situation(
@@ -265,12 +277,16 @@ def choose(
         is_find=is_find,
         params=params,
     )
-    valuation, is_sure = _judge(situation, plan, config)
+    valuation, is_sure, is_not_found = _judge(situation, plan, chance_left, config)
     value = valuation.goal_value + valuation.information_value - cost
     # Standing still teaches nothing: the node underfoot is a_stop's business.
     is_open = nodes.is_node & (distance > jnp.where(nodes.kind == OBJECT, params.reach, _UNDERFOOT))
     value = jnp.where(is_open & ~jnp.isnan(value), value, -jnp.inf)
     aim, is_kept = _aim(situation, value, commitment, is_news, may_keep=config.policy != "informed")
+    # Of "find", it is enough to have it in view. Whatever a policy makes of it, there is no
+    # arriving where there is no goal.
+    reach = params.reach
+    radius = jnp.where(is_find > 0.5, jnp.maximum(reach, range_max), reach)
     return Choice(
         waypoint_x=aim.x,
         waypoint_y=aim.y,
@@ -278,7 +294,9 @@ def choose(
         is_stop=(valuation.stop_mass >= params.stop_probability)
         & jnp.isfinite(valuation.stop_mass)
         & is_sure
-        & _has_goal(situation),
+        & _has_goal(goals, robot_x, robot_y, radius),
+        is_approach=(aim.kind == OBJECT) & _has_goal(goals, aim.x, aim.y, reach),
+        is_not_found=is_not_found,
         is_kept=is_kept,
         value=value,
         goal_value=valuation.goal_value,

@@ -8,6 +8,7 @@ that a thing spoken of, and not seen yet, lies there. ``tours`` plans the way th
 import jax.numpy as jnp
 from jax import Array
 
+from jaxlangnav.numerics.batching import once
 from jaxlangnav.planner import prior
 from jaxlangnav.pytree import pytree
 from jaxlangnav.semantic_map.belief import ParticleBelief
@@ -32,6 +33,7 @@ class SearchMap:
     hung: Array  # f32[C] probability that what hangs on an observed object lies there
     partner_x: Array  # f32[C] metres: where the other one of a free pair then is; else as x
     partner_y: Array  # f32[C]
+    unseen: Array  # f32[] probability that what is there to be found would still be unseen
 
     @property
     def mass(self) -> Array:
@@ -72,6 +74,31 @@ def _partner_scale(belief: ParticleBelief, is_free: Array, x: Array, y: Array) -
     return 1.0 - nearer / jnp.sqrt((x - viewer_x) ** 2 + (y - viewer_y) ** 2 + 1e-9)
 
 
+def _unseen(belief: ParticleBelief, hung: Array, prior_share: Array) -> Array:
+    """Compute the probability that what is there to be found would have escaped every look.
+
+    Anywhere in the area, as the order of search weighs it; or, if that is more, at the places on
+    observed objects where it is said to be, for they are little of the whole area.
+
+    Args:
+        belief: weighted particles and coverage.
+        hung: f32[C], probability that what hangs on an observed object lies in each cell.
+        prior_share: f32[], as of ``search_map``.
+
+    Returns:
+        f32[] in [0, 1].
+    """
+    # Of its own, so that the search map is computed to the bit as it would be without.
+    coverage, viewer, hung = once((belief.coverage, belief.viewer, hung))
+    size = coverage.log_miss.shape[0] // CELLS
+    cells = jnp.exp(coverage.log_miss).reshape(CELLS, size, CELLS, size)
+    missed = cells.mean(axis=(1, 3)).reshape(-1)
+    x, y = _grid(coverage.area, CELLS)
+    density = prior.relative_density(coverage, viewer, x, y, prior_share)
+    anywhere = jnp.sum(missed * density) / jnp.maximum(jnp.sum(density), 1e-9)
+    return jnp.minimum(jnp.maximum(anywhere, jnp.sum(hung * missed)), 1.0)
+
+
 def search_map(belief: ParticleBelief, prior_share: Array) -> SearchMap:
     """Fold the belief into a map of where to look.
 
@@ -103,14 +130,16 @@ def search_map(belief: ParticleBelief, prior_share: Array) -> SearchMap:
     is_in = (column >= 0) & (column < CELLS) & (row >= 0) & (row < CELLS)
     cell = jnp.where(is_in, row * CELLS + column, 0.0).astype(jnp.int32)
     hung = jnp.where(is_open & ~is_free & is_in, weight[None, :], 0.0)
+    hung_at = jnp.zeros(CELLS**2, jnp.float32).at[cell.reshape(-1)].add(hung.reshape(-1))
     scale = _partner_scale(belief, is_free, x, y)
     return SearchMap(
         x=x,
         y=y,
         free=share * unseen / jnp.maximum(jnp.sum(unseen), 1e-9),
-        hung=jnp.zeros(CELLS**2, jnp.float32).at[cell.reshape(-1)].add(hung.reshape(-1)),
+        hung=hung_at,
         partner_x=belief.viewer[0] + scale * (x - belief.viewer[0]),
         partner_y=belief.viewer[1] + scale * (y - belief.viewer[1]),
+        unseen=_unseen(belief, hung_at, prior_share),
     )
 
 

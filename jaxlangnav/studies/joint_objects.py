@@ -18,7 +18,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.messages import NONE, Action, MotionParams, SensorParams, default_sensor
+from jaxlangnav.messages import (
+    NONE,
+    Action,
+    MotionParams,
+    SensorParams,
+    Status,
+    default_sensor,
+)
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map import association, motion, particle
 from jaxlangnav.semantic_map.particle import SemanticMap
@@ -121,7 +128,12 @@ def _command(step: Array) -> Action:
     chord = jnp.stack([jnp.cos(turn), jnp.sin(turn)]) * length
     one = jnp.float32(1.0)
     return Action(
-        waypoint=chord, step=chord, is_stop=jnp.asarray(False), speed=one, clearance=0.0 * one
+        waypoint=chord,
+        step=chord,
+        is_stop=jnp.asarray(False),
+        status=jnp.int32(Status.SEARCHING),
+        speed=one,
+        clearance=0.0 * one,
     )
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from jaxlangnav.experiments.deviations import NEAR, PAPER_RUNS
+from jaxlangnav.experiments.metrics import timeouts_text
 from jaxlangnav.experiments.rows import Row
 
 TITLE = "What the paper leaves open, one thing at a time"
@@ -136,7 +137,7 @@ def _cells(row: Row) -> list[str]:
         f"{row['paper_distance_mean']:.2f}",
         f"{row['z_distance']:+.1f}",
         against,
-        str(row["timeouts"]),
+        timeouts_text(row),
     ]
 
 

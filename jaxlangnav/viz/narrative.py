@@ -5,6 +5,7 @@ it stopped. Every number comes from the recording; nothing is made up for the oc
 """
 
 from jaxlangnav.episode import EpisodeResult
+from jaxlangnav.messages import Status
 from jaxlangnav.planner.graph import OBJECT
 from jaxlangnav.recording import Frame, Recording, Scene
 from jaxlangnav.viz import sentences, summary
@@ -76,6 +77,8 @@ def headline(scene: Scene, frame: Frame, before: Frame | None) -> str:
     """
     if int(frame.fault):
         return "stands still"
+    if int(frame.status) == Status.NOT_FOUND:
+        return "gives up"
     if frame.is_done:
         return "says stop"
     if frame.is_stop:
@@ -113,6 +116,9 @@ def closing(scene: Scene, frame: Frame, result: EpisodeResult) -> list[str]:
         verdict = (
             f"Failure: it ran out of time after {int(result.steps)} steps and never said stop."
         )
+    elif int(result.ending) == Status.NOT_FOUND:
+        lack = sentences.unseen(scene, frame) or "nothing that fits the command"
+        verdict = f"Not found: it says that there is {lack}."
     elif bool(result.is_success):
         verdict = f"Success: it stands {off:.1f} m from the goal that was meant."
     else:
@@ -121,6 +127,9 @@ def closing(scene: Scene, frame: Frame, result: EpisodeResult) -> list[str]:
             f"(within {SUCCESS_RADIUS:g} m counts)."
         )
     notes = []
+    lack = sentences.unseen(scene, frame)
+    if lack and int(result.ending) == Status.ARRIVED:
+        notes.append(f"It has seen {lack}, and took what fits best.")
     if int(result.overflow):
         notes.append(f"{int(result.overflow)} detections found no free slot.")
     if int(result.degenerate):
@@ -171,6 +180,8 @@ def is_quiet(frame: Frame, before: Frame | None) -> bool:
         for the same kind of place.
     """
     if before is None or bool(frame.is_stop) or bool(frame.is_news) or int(frame.fault):
+        return False
+    if bool(frame.is_done):
         return False
     is_same = int(frame.clause) == int(before.clause)
     if not is_same or int(frame.waypoint_kind) != int(before.waypoint_kind):

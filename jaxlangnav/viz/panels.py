@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from jaxlangnav.messages import Status
 from jaxlangnav.recording import Recording
 from jaxlangnav.viz import style
 from jaxlangnav.viz.moments import pick_moments
@@ -118,6 +119,8 @@ def verdict(recording: Recording) -> str:
     ended = "success" if bool(result.is_success) else "failure"
     if not bool(result.is_stopped):
         ended = "failure: out of time"
+    elif int(result.ending) == Status.NOT_FOUND:
+        ended = "not found"
     away, walked = float(result.goal_distance), float(result.distance)
     return (
         f"{recording.scene.policy} policy: {ended}, {away:.1f} m from the meant goal after "

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from jaxlangnav.messages import AT, NONE, REGIONS
+from jaxlangnav.messages import AT, NONE, REGIONS, Status
 from jaxlangnav.planner.graph import OBJECT
-from jaxlangnav.recording import Frame, Scene
+from jaxlangnav.recording import Frame, Scene, missing_names
 from jaxlangnav.viz import summary
 from jaxlangnav.viz.words import (
     RELATION_WORDS,
@@ -253,6 +253,8 @@ def decided(scene: Scene, frame: Frame) -> str:
     """
     if bool(frame.is_stop):
         return _stopped(scene, frame)
+    if int(frame.status) == Status.NOT_FOUND:
+        return gives_up(scene, frame)
     place = _place(frame, float(frame.waypoint[0]), float(frame.waypoint[1]))
     target = f"{_target(scene, frame)} {place}"
     if bool(frame.is_kept):
@@ -301,11 +303,46 @@ def _reason(scene: Scene, frame: Frame) -> str:
     return f": of {number} places it is worth most to its policy (value {value:.2f})"
 
 
+def unseen(scene: Scene, frame: Frame) -> str:
+    """Name what the sentence speaks of and no look has shown.
+
+    Args:
+        scene: of the episode.
+        frame: the step.
+
+    Returns:
+        "no cone and no bench"; nothing where all has been seen.
+    """
+    missing = missing_names(scene, frame)
+    return " and ".join(f"no {name}" for name in missing)
+
+
+def gives_up(scene: Scene, frame: Frame) -> str:
+    """Tell that the search has ended without a goal.
+
+    Args:
+        scene: of the episode.
+        frame: the last step.
+
+    Returns:
+        A sentence.
+    """
+    lack = unseen(scene, frame) or "nothing that fits the command"
+    share = percent(summary.explored_share(frame))
+    return (
+        f"Says that there is {lack}: {share} of the area has been looked at, and that it has been "
+        f"missed is less likely than {percent(float(scene.planner.give_up))}."
+    )
+
+
 def _stopped(scene: Scene, frame: Frame) -> str:
     """Tell why it stops."""
     is_find = float(frame.action[1]) > 0.5
     where = "in view" if is_find else f"within {float(scene.planner.reach):g} m"
     said = "Says stop" if bool(frame.is_done) else "This command is done"
+    lack = unseen(scene, frame)
+    if bool(frame.is_done) and lack:
+        return f"{said}: what fits best is {where}; {lack} was to be found."
     return (
         f"{said}: the goal is {where} with probability {percent(float(frame.stop_mass))} "
         f"(it stops from {percent(float(scene.planner.stop_probability))} on)."

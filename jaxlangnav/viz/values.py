@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from jaxlangnav.messages import Status
 from jaxlangnav.recording import Frame, Recording, Scene
 from jaxlangnav.viz import mapping, panels, style
 from jaxlangnav.viz.summary import SAME_PLACE, distinct_nodes, goal_field
@@ -194,6 +195,8 @@ def _say_why_stopped(axes: "Axes", frame: Frame) -> None:
     is_find = float(frame.action[1]) > 0.5
     where = "in view" if is_find else "within reach"
     text = f"It stops: the goal is {where}\nwith probability {percent(float(frame.stop_mass))}."
+    if int(frame.status) == Status.NOT_FOUND:
+        text = "It gives up: what can be looked at\nhas been looked at."
     axes.text(0.02, 0.94, text, va="top", fontsize=8.5, transform=axes.transAxes)
     axes.axis("off")
 

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.messages import Action, MotionParams
+from jaxlangnav.messages import Action, MotionParams, Status
 from jaxlangnav.world.motion import move
 from jaxlangnav.world.simulator import goal_distance, is_success, reset
 from jaxlangnav.world.state import Scenario, WorldState
@@ -66,6 +66,7 @@ def drive_known_map(
             waypoint=scenario.goal,
             step=offset,
             is_stop=jnp.array(False),
+            status=jnp.int32(Status.APPROACHING),
             speed=jnp.float32(1.0),
             clearance=jnp.float32(0.0),
         )

@@ -40,15 +40,15 @@ def goal_distance(state: WorldState, scenario: Scenario) -> Array:
     return jnp.hypot(offset[0], offset[1])
 
 
-def is_success(state: WorldState, scenario: Scenario, is_stopped: Array) -> Array:
-    """Judge a run: the robot itself has stopped, within 1.5 m of the intended goal.
+def is_success(state: WorldState, scenario: Scenario, is_arrived: Array) -> Array:
+    """Judge a run: the robot itself says that it has arrived, within 1.5 m of the intended goal.
 
     Args:
         state: the robot at the end.
         scenario: the world.
-        is_stopped: bool[], the robot declared the command carried out.
+        is_arrived: bool[], the robot declared the command carried out.
 
     Returns:
         bool[].
     """
-    return is_stopped & (goal_distance(state, scenario) <= SUCCESS_RADIUS)
+    return is_arrived & (goal_distance(state, scenario) <= SUCCESS_RADIUS)

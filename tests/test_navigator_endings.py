@@ -1,0 +1,177 @@
+"""How a task ends, and words that end it: halt, resume, cancel, nothing to be found."""
+
+import logging
+
+import jax
+import numpy as np
+import pytest
+from test_navigator_step import AREA, CONE, HYDRANT, WORLD, distance, go, robot, see
+
+from jaxlangnav import agent, navigator
+from jaxlangnav.language.halting import Act
+from jaxlangnav.messages import Fault, Status
+from jaxlangnav.pytree import replace
+
+__all__ = ["robot"]
+TEXT = "go to the hydrant behind the cone"
+
+
+def assert_stands(action, status: Status) -> None:
+    assert Status(int(action.status)) == status
+    np.testing.assert_array_equal(action.step, 0.0)
+
+
+def advance(robot, run, number: int, state):
+    """Step a robot that stands where a run has ended."""
+    for step in range(number):
+        key = jax.random.fold_in(jax.random.key(9), step)
+        state, action, info = robot.step(key, state, see(tuple(run.end), 0.0))
+        if Status(int(action.status)) > Status.APPROACHING:
+            np.testing.assert_allclose(action.waypoint, info.robot)
+        yield state, action, info
+
+
+def test_the_way_to_an_arrival_is_told(robot) -> None:
+    run = go(robot, robot.start(TEXT, area=AREA))
+    told = [Status(int(action.status)) for action in run.actions]
+    assert told[0] == Status.SEARCHING
+    assert told[-2] == Status.APPROACHING
+    assert told[-1] == Status.ARRIVED
+    assert Status.ARRIVED not in told[:-1]
+    for _, action, _ in advance(robot, run, 3, run.state):
+        assert_stands(action, Status.ARRIVED)
+        assert bool(action.is_stop)
+    assert robot.missing(run.state) == []
+
+
+def test_halted_it_stands_and_looks_and_goes_on(robot) -> None:
+    run = go(robot, robot.start(TEXT, area=AREA), max_steps=3)
+    halted = robot.hear(run.state, "Stop, please!")
+    assert bool(halted.is_halted)
+    looked = float(np.exp(run.state.belief.coverage.log_miss).mean())
+    for after, action, info in advance(robot, run, 12, halted):
+        assert_stands(action, Status.HALTED)
+        assert not bool(action.is_stop)
+        assert not bool(after.is_done)
+        assert int(info.fault) == 0
+    assert float(np.exp(after.belief.coverage.log_miss).mean()) < looked
+    again = go(robot, robot.hear(after, "carry on"), start=tuple(run.end), seed=2)
+    assert Status(int(again.actions[-1].status)) == Status.ARRIVED
+    assert distance(again, 1) < 1.5
+
+
+def test_another_command_ends_a_halt(robot) -> None:
+    run = go(robot, robot.start(TEXT, area=AREA), max_steps=2)
+    state = robot.hear(robot.hear(run.state, "halt"), "go to the cone")
+    assert not bool(state.is_halted)
+    again = go(robot, state, start=tuple(run.end))
+    assert Status(int(again.actions[-1].status)) == Status.ARRIVED
+    assert min(distance(again, 0), distance(again, 2)) < 1.5
+
+
+def test_cancelled_it_is_idle_without_a_fault_until_it_is_told(robot) -> None:
+    run = go(robot, robot.start(TEXT, area=AREA), max_steps=2)
+    for words in (["never mind"], ["stop", "cancel"], ["cancel", "carry on"]):
+        state = run.state
+        for text in words:
+            state = robot.hear(state, text)
+        for idle, action, info in advance(robot, run, 4, state):
+            assert_stands(action, Status.IDLE)
+            assert int(info.fault) == 0
+            assert not bool(action.is_stop)
+    again = go(robot, robot.hear(idle, TEXT), start=tuple(run.end))
+    assert Status(int(again.actions[-1].status)) == Status.ARRIVED
+
+
+def test_an_idle_robot_can_be_halted(robot) -> None:
+    run = go(robot, robot.start(TEXT, area=AREA), max_steps=1)
+    halted = robot.hear(robot.hear(run.state, "cancel"), "freeze")
+    _, action, _ = next(advance(robot, run, 1, halted))
+    assert_stands(action, Status.HALTED)
+    _, action, _ = next(advance(robot, run, 1, robot.hear(halted, "resume")))
+    assert_stands(action, Status.IDLE)
+
+
+def test_an_arrival_is_remembered_through_a_halt(robot) -> None:
+    run = go(robot, robot.start("find the cone", area=AREA))
+    halted = robot.hear(run.state, "stop")
+    _, action, _ = next(advance(robot, run, 1, halted))
+    assert_stands(action, Status.HALTED)
+    _, action, _ = next(advance(robot, run, 1, robot.hear(halted, "go on")))
+    assert_stands(action, Status.ARRIVED)
+
+
+def test_a_halt_with_more_that_is_not_understood_is_not_lost(robot, caplog) -> None:
+    run = go(robot, robot.start(TEXT, area=AREA), max_steps=1)
+    for said in ("Stop! There is a wombat", "stop, avoid the cone", "Stop! Go to the cone"):
+        with caplog.at_level(logging.WARNING):
+            state = robot.hear(run.state, said)
+        assert bool(state.is_halted), said
+        assert "halted" in caplog.text
+        caplog.clear()
+    with pytest.raises(ValueError, match="wombat"):
+        robot.hear(run.state, "there is a wombat, stop")
+
+
+def test_a_lone_constraint_leaves_the_task_alone(robot) -> None:
+    run = go(robot, robot.start(TEXT, area=AREA), max_steps=1)
+    with pytest.raises(ValueError, match="says what to keep away from"):
+        robot.hear(run.state, "avoid the cone")
+
+
+@pytest.mark.parametrize("said", ["stop", "carry on", "never mind"])
+def test_a_robot_without_a_task_is_not_halted(robot, said: str) -> None:
+    with pytest.raises(ValueError, match=r"no task yet.*give a command") as refusal:
+        robot.start(said, area=AREA)
+    assert "\n" not in str(refusal.value)
+
+
+def test_none_of_it_is_compiled(robot) -> None:
+    run = go(robot, robot.start(TEXT, area=AREA), max_steps=1)
+    before = agent._step._cache_size()
+    state = run.state
+    for said in ("stop", "carry on", "wait", "go to the cone", "never mind", TEXT):
+        state = robot.hear(state, said)
+        state, _, _ = next(advance(robot, run, 1, state))
+        assert agent._step._cache_size() == before, said
+
+
+def test_a_batch_is_halted_as_one_is(robot) -> None:
+    one = robot.start(TEXT, area=AREA)
+    both = jax.tree.map(lambda leaf: np.stack([leaf, leaf]), one)
+    for act in Act:
+        told = navigator.obey(both, act)
+        for ours, alone in zip(
+            jax.tree.leaves(told), jax.tree.leaves(navigator.obey(one, act)), strict=True
+        ):
+            np.testing.assert_array_equal(ours, np.stack([alone, alone]))
+
+
+def test_a_fault_changes_no_status(robot) -> None:
+    run = go(robot, robot.start(TEXT, area=AREA))
+    broken = replace(see(tuple(run.end), 0.0), pose=np.float32([np.nan, 0.0, 0.0]))
+    _, action, info = robot.step(jax.random.key(0), run.state, broken)
+    assert int(info.fault) == Fault.POSE
+    assert_stands(action, Status.ARRIVED)
+    assert not bool(action.is_stop)
+
+
+def test_what_is_nowhere_is_not_found_and_named(robot) -> None:
+    places = [(CONE, 4.0, 0.5), (CONE, 2.5, -3.5)]
+    for text in ("go to the hydrant", "find the hydrant behind the cone"):
+        run = go(robot, robot.start(text, area=AREA), places, max_steps=90)
+        assert Status(int(run.actions[-1].status)) == Status.NOT_FOUND
+        assert bool(run.actions[-1].is_stop)
+        assert bool(run.state.is_done)
+        assert robot.missing(run.state) == ["hydrant"]
+        assert float(np.exp(run.state.belief.coverage.log_miss).mean()) < 0.1
+        for _, action, _ in advance(robot, run, 2, run.state):
+            assert_stands(action, Status.NOT_FOUND)
+
+
+def test_a_landmark_that_is_nowhere_hides_no_goal(robot) -> None:
+    places = [(HYDRANT, *WORLD[1][1:])]
+    run = go(robot, robot.start(TEXT, area=AREA), places, max_steps=90)
+    assert Status(int(run.actions[-1].status)) == Status.ARRIVED
+    assert distance(run, 0, places) < 1.5
+    assert robot.missing(run.state) == ["cone"]
