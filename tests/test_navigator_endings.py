@@ -5,15 +5,17 @@ import logging
 import jax
 import numpy as np
 import pytest
-from test_navigator_step import AREA, CONE, HYDRANT, WORLD, distance, go, robot, see
+from test_navigator_step import AREA, CONE, HYDRANT, RANGE, WORLD, distance, go, robot, see
 
 from jaxlangnav import agent, navigator
 from jaxlangnav.language.halting import Act
 from jaxlangnav.messages import Fault, Status
+from jaxlangnav.planner import policy
 from jaxlangnav.pytree import replace
 
 __all__ = ["robot"]
 TEXT = "go to the hydrant behind the cone"
+SLOW = pytest.mark.slow
 
 
 def assert_stands(action, status: Status) -> None:
@@ -75,11 +77,11 @@ def test_cancelled_it_is_idle_without_a_fault_until_it_is_told(robot) -> None:
         state = run.state
         for text in words:
             state = robot.hear(state, text)
-        for idle, action, info in advance(robot, run, 4, state):
+        for _, action, info in advance(robot, run, 4, state):
             assert_stands(action, Status.IDLE)
             assert int(info.fault) == 0
             assert not bool(action.is_stop)
-    again = go(robot, robot.hear(idle, TEXT), start=tuple(run.end))
+    again = go(robot, robot.hear(state, TEXT), start=tuple(run.end))
     assert Status(int(again.actions[-1].status)) == Status.ARRIVED
 
 
@@ -175,3 +177,41 @@ def test_a_landmark_that_is_nowhere_hides_no_goal(robot) -> None:
     assert Status(int(run.actions[-1].status)) == Status.ARRIVED
     assert distance(run, 0, places) < 1.5
     assert robot.missing(run.state) == ["cone"]
+
+
+SAID = (
+    "go to the hydrant",
+    "find the cone left of the hydrant",
+    "go to the second cone",
+    "move behind the car",
+    "go to the bench but avoid the cone",
+    "go to the cone then find the hydrant nearest to the cone",
+)
+
+
+@pytest.mark.parametrize("seed", [*range(6), *(pytest.param(s, marks=SLOW) for s in range(6, 60))])
+def test_no_arrival_without_a_goal_seen_within_reach(robot, seed: int) -> None:
+    """Random sentences, areas and things: nothing stops for what is not there; no broken number."""
+    draw = np.random.default_rng(seed)
+    low, sides = draw.uniform(-6.0, 0.0, 2), draw.uniform(1.0, 14.0, 2)
+    area = (low[0], low[0] + sides[0], low[1], low[1] + sides[1])
+    places = [
+        (int(draw.choice([HYDRANT, CONE, 2])), *(low + draw.uniform(0.0, 1.0, 2) * sides))
+        for _ in range(draw.integers(0, 6))
+    ]
+    start = low + draw.uniform(0.0, 1.0, 2) * sides
+    state = robot.start(SAID[seed % len(SAID)], pose=(*start, draw.uniform(-3.0, 3.0)), area=area)
+    run = go(robot, state, places, start=tuple(start), max_steps=40, seed=seed)
+    params = robot.params.planner
+    for action, info in zip(run.actions, run.infos, strict=True):
+        assert np.isfinite([*action.waypoint, *action.step]).all()
+        goals = info.goals
+        assert all(np.isfinite(np.asarray(leaf)).all() for leaf in jax.tree.leaves(goals))
+        away = np.hypot(goals.object_x - info.robot[0], goals.object_y - info.robot[1])
+        reach = RANGE if float(info.behavior.action[1]) > 0.5 else float(params.reach)
+        is_goal = np.asarray(goals.is_object) & (goals.object_accepted >= policy.LEAST_GOAL)
+        if Status(int(action.status)) == Status.ARRIVED:
+            assert (is_goal & (away <= reach)).any()
+        if Status(int(action.status)) == Status.NOT_FOUND:
+            assert not is_goal.any()
+        assert bool(action.is_stop) == (int(action.status) in (Status.ARRIVED, Status.NOT_FOUND))

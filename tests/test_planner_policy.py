@@ -7,8 +7,9 @@ import pytest
 import readings as by_hand
 
 from jaxlangnav.messages import NONE
-from jaxlangnav.planner import policy
+from jaxlangnav.planner import policy, tours
 from jaxlangnav.planner.constraints import constraint_cost, squared_distance_to_segment
+from jaxlangnav.planner.endings import chance_left
 from jaxlangnav.planner.goals import Goals
 from jaxlangnav.planner.graph import FRONTIER, OBJECT, VISITED, Nodes
 from jaxlangnav.planner.params import PlannerConfig, default_planner_params
@@ -233,3 +234,74 @@ def test_a_waypoint_is_kept_until_something_changes() -> None:
     assert not bool(choose(aims, (1.0, 0.1), commitment=under_way(1.0, 0.0, VISITED)).is_kept)
     assert not bool(choose(aims, commitment=under_way(1.0, 1.0, FRONTIER)).is_kept)
     assert bool(choose(aims, commitment=under_way(4.0, 3.0, FRONTIER)).is_kept)
+
+
+# The end of a search: what is missing may not be there at all.
+
+
+def test_the_chance_that_something_is_left_by_hand() -> None:
+    """Against the sum over how many there are; nothing unseen leaves nothing to be found."""
+    alpha, epsilon = 0.3, 0.05
+    number = np.arange(1, 20)
+    factorial = np.cumprod(number)
+    for unseen in (1.0, 0.4, 0.02):
+        there = np.sum(np.exp(-alpha) * (alpha * unseen) ** number / factorial) * (1 - epsilon)
+        expected = there / (there + np.exp(-alpha) * epsilon)
+        found = chance_left(*(jnp.float32(one) for one in (unseen, alpha, epsilon)))
+        assert float(found) == pytest.approx(expected, rel=1e-4)
+    for unseen, doubt, expected in ((0.0, 0.05, 0.0), (0.1, 0.0, 1.0), (0.0, 0.0, 0.0)):
+        found = chance_left(jnp.float32(unseen), jnp.float32(alpha), jnp.float32(doubt))
+        assert float(found) == pytest.approx(expected, abs=1e-6)
+
+
+def test_what_is_unseen_by_hand() -> None:
+    log_miss = -np.random.default_rng(1).exponential(1.0, (24, 24))
+    missed = np.exp(log_miss)
+    free = SEARCH_MAP(believe(random_places(), is_hung=False, log_miss=log_miss))
+    assert float(free.unseen) == pytest.approx(missed.mean(), rel=1e-4)
+    # Where it is said to be nobody has looked, however well the rest is known.
+    log_miss = np.full((24, 24), -8.0)
+    log_miss[12:14, 12:14] = 0.0
+    there = np.full((P, 2), 5.2)
+    there[:, 1] = 0.3
+    assert float(SEARCH_MAP(believe(there, is_hung=True, log_miss=log_miss)).unseen) > 0.99
+    assert float(SEARCH_MAP(believe(there, is_hung=False, log_miss=log_miss)).unseen) < 0.02
+
+
+@pytest.mark.parametrize(
+    ("mass", "robot", "chance", "stops", "ends"),
+    [
+        (0.4, (5.5, 0.0), 0.5, False, False),  # unconfirmed, and there may be more
+        (0.4, (5.5, 0.0), 0.01, True, False),  # the rest has been looked at
+        (0.4, (1.0, 0.0), 0.01, False, False),  # … and it is gone up to
+        (0.0, (5.5, 0.0), 0.01, False, True),  # there is none
+        (0.0, (5.5, 0.0), 0.5, False, False),
+        (np.nan, (5.5, 0.0), 0.01, False, False),
+        (0.4, (5.5, 0.0), np.nan, False, False),
+    ],
+)
+def test_informed_ends_once_the_rest_has_been_looked_at(mass, robot, chance, stops, ends) -> None:
+    unconfirmed = replace(goals(mass, hypothesis=0.6), object_confirmed=jnp.zeros(1))
+    one = jnp.zeros(1)
+    tour = tours.Tour(x=one[None] + 4.0, y=one[None] + 3.0)
+    plan = tours.Plan(tours=tour, latency=one + 9.0, mass=jnp.float32(0.6), hung=jnp.float32(0.6))
+    choice = CHOOSE(
+        by_hand.begin(config=CONFIG),
+        nodes(),
+        unconfirmed,
+        jnp.float32(robot[0]),
+        jnp.float32(robot[1]),
+        policy.no_commitment(),
+        jnp.asarray(False),
+        jnp.float32(0.0),
+        jnp.float32(3.0),
+        jnp.zeros(3),
+        params=default_planner_params(),
+        config=PlannerConfig(policy="informed"),
+        plan=plan,
+        chance_left=jnp.float32(chance),
+    )
+    assert (bool(choice.is_stop), bool(choice.is_not_found)) == (stops, ends)
+    if mass == 0.4 and chance < 0.1 and not stops:
+        assert int(choice.kind) == OBJECT
+        assert bool(choice.is_approach)
