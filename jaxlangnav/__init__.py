@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from jaxlangnav.agent import Navigator as Navigator
     from jaxlangnav.cli.runtime import keep_compiled_programs as keep_compiled_programs
-    from jaxlangnav.following import follow as follow
     from jaxlangnav.grounding.annotated import AnnotationGrounder as AnnotationGrounder
     from jaxlangnav.language.parser import parse as parse
     from jaxlangnav.messages import Action as Action
@@ -20,6 +19,7 @@ if TYPE_CHECKING:
     from jaxlangnav.messages import SensorParams as SensorParams
     from jaxlangnav.messages import default_sensor as default_sensor
     from jaxlangnav.relations.fit import fit_relations as fit_relations
+    from jaxlangnav.task.follow import follow as follow
 
 __version__ = "0.1.0"
 
@@ -33,7 +33,7 @@ _HOMES = {
     "SensorParams": "jaxlangnav.messages",
     "default_sensor": "jaxlangnav.messages",
     "fit_relations": "jaxlangnav.relations.fit",
-    "follow": "jaxlangnav.following",
+    "follow": "jaxlangnav.task.follow",
     "keep_compiled_programs": "jaxlangnav.cli.runtime",
     "parse": "jaxlangnav.language.parser",
 }

@@ -11,10 +11,11 @@ import pytest
 from test_frozen import frozen
 
 from jaxlangnav import kept
-from jaxlangnav.cli import engine, intent
 from jaxlangnav.cli import main as cli
 from jaxlangnav.experiments.monte_carlo import cell, make_tasks
 from jaxlangnav.grounding import load_shipped, understand
+from jaxlangnav.task import meant
+from jaxlangnav.task.opening import Prepared, open_task
 
 COMMAND = "go to the hydrant behind the cone"
 KEYS = {
@@ -180,12 +181,12 @@ def test_other_sentences_have_their_own_goal(
     assert document["success"], document["goal_distance"]
 
 
-def prepare(text: str, world: str, seed: int = 0) -> engine.Prepared:
+def prepare(text: str, world: str, seed: int = 0) -> Prepared:
     understood = understand(text, load_shipped())
-    return engine.open_task(world, understood, sensing_range=None, seed=seed)
+    return open_task(world, understood, sensing_range=None, seed=seed)
 
 
-def places(prepared: engine.Prepared) -> dict[str, list[np.ndarray]]:
+def places(prepared: Prepared) -> dict[str, list[np.ndarray]]:
     scenario = prepared.task.scenario
     found: dict[str, list[np.ndarray]] = {"hydrant": [], "cone": []}
     for slot in np.flatnonzero(np.asarray(scenario.is_object)):
@@ -235,7 +236,7 @@ def test_a_world_is_drawn_in_which_the_sentence_is_true() -> None:
 def test_a_model_that_knows_nothing_means_nothing() -> None:
     understood = understand(COMMAND, load_shipped().zeroed())
     scenario = prepare(COMMAND, "1H1C").task.scenario
-    goals, _ = intent.meant_goals(understood, scenario)
+    goals, _ = meant.meant_goals(understood, scenario)
     assert len(goals) != 1
 
 

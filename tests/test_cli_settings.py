@@ -9,11 +9,12 @@ import pytest
 from jaxlangnav.cli import main as cli
 from jaxlangnav.cli import settings
 from jaxlangnav.cli.arguments import parse_arguments
-from jaxlangnav.cli.engine import navigator_config, navigator_params
 from jaxlangnav.cli.errors import UsageError
 from jaxlangnav.cli.follow import Follow
+from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.messages import default_sensor
 from jaxlangnav.planner.params import PlannerParams
+from jaxlangnav.task.follow import navigator_params
 
 TEXT = "go to the hydrant"
 

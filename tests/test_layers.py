@@ -30,12 +30,12 @@ LAYERS = (
     "recording",
     "recorder",
     "experiments",
+    "task",
     "studies",
     "speed",
     "viz",
     "environments",
     "cli",
-    "following",
     "__main__",
 )
 """Lowest first. ``jaxlangnav/__init__.py`` is the facade: it names things from everywhere."""

@@ -3,7 +3,7 @@
 import dataclasses
 import importlib.util
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import tyro
@@ -17,11 +17,11 @@ from jaxlangnav.cli.sentence import parse_text
 from jaxlangnav.cli.settings import Place, apply, read_settings
 
 if TYPE_CHECKING:
-    from jaxlangnav.cli.engine import Prepared
     from jaxlangnav.episode import EpisodeResult
     from jaxlangnav.grounding.instruction import Understanding
     from jaxlangnav.language.phrase import Parse
     from jaxlangnav.recording import Frame, Recording, Scene
+    from jaxlangnav.task.opening import Prepared
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -92,8 +92,9 @@ class Follow:
         # Before anything is compiled: a world that cannot be opened is refused at once.
         open_world(self.world)
         understood = self._understand(parsed)
-        from jaxlangnav.cli.engine import alone, rehearse
+        from jaxlangnav.cli.engine import rehearse
         from jaxlangnav.pytree import replace
+        from jaxlangnav.task.follow import alone
 
         sizes = self._sizes(values)
         rehearse(alone(understood), **sizes)
@@ -126,9 +127,10 @@ class Follow:
 
     def _check_settings(self, values: "dict[Place, Any]") -> None:
         """Refuse numbers and sizes that do not go together, or that no memory holds."""
-        from jaxlangnav.cli.engine import navigator_config, navigator_params
+        from jaxlangnav.experiments.policies import navigator_config
         from jaxlangnav.experiments.sizes import check_recording
         from jaxlangnav.navigator import check
+        from jaxlangnav.task.follow import navigator_params
 
         if values:
             check(apply(navigator_params(), values, "params"))
@@ -146,7 +148,7 @@ class Follow:
 
     def _open(self, understood: "Understanding", output: Output) -> "Prepared":
         """Open a world in which the sentence can be followed."""
-        from jaxlangnav.cli.engine import missing_types, open_task
+        from jaxlangnav.task.opening import missing_types, nothing_there, open_task
 
         prepared = open_task(self.world, understood, sensing_range=self.range, seed=self.seed)
         scenario, names = prepared.task.scenario, understood.type_names
@@ -161,7 +163,8 @@ class Follow:
 
     def _sizes(self, values: "dict[Place, Any]") -> dict[str, Any]:
         """Build the engine's numbers and sizes."""
-        from jaxlangnav.cli.engine import navigator_config, navigator_params
+        from jaxlangnav.experiments.policies import navigator_config
+        from jaxlangnav.task.follow import navigator_params
 
         params = apply(navigator_params(), values, "params")
         config = apply(navigator_config(self.policy, self.particles), values, "config")
@@ -176,8 +179,8 @@ class Follow:
     ) -> "Recording":
         """Run the episode and tell it, as it happens or afterwards."""
         from jaxlangnav import recorder
-        from jaxlangnav.cli.engine import alone, judged
         from jaxlangnav.recording import gather
+        from jaxlangnav.task.follow import alone, judged
         from jaxlangnav.viz.narrative import closing, tell
 
         instructions, task = alone(understood), prepared.task
@@ -258,26 +261,3 @@ class Follow:
         names = ", ".join(path.name for path in paths)
         output.say("")
         output.say(f"Wrote {names} and episode.json into {self.out}")
-
-
-def nothing_there(prepared: "Prepared", missing: Sequence[str], names: Sequence[str]) -> str:
-    """Say that a template has nothing of what is asked for.
-
-    Args:
-        prepared: the world.
-        missing: types that the sentence speaks of and the world lacks.
-        names: object types by index.
-
-    Returns:
-        One line.
-    """
-    from jaxlangnav.cli.engine import count_types
-    from jaxlangnav.world.files import shipped_worlds
-
-    counts = count_types(prepared.task.scenario, names)
-    there = " and ".join(f"{number} {name}{'s' * (number > 1)}" for name, number in counts)
-    lack = f"no {missing[0]}" if missing else "nothing that fits the sentence"
-    return (
-        f"world {prepared.world} has {lack}, only {there}: choose another template, "
-        f"a shipped world ({', '.join(shipped_worlds())}) or a file with --world"
-    )

@@ -92,8 +92,8 @@ class Ground:
 
     def _ground_in(self, world_name: str, understood: "Understanding") -> dict[str, Any]:
         """Infer the behavior in a world of which everything is known."""
-        from jaxlangnav.cli.engine import open_task
-        from jaxlangnav.cli.placed import list_behaviors, place_scenario
+        from jaxlangnav.task.opening import open_task
+        from jaxlangnav.task.placed import list_behaviors, place_scenario
 
         prepared = open_task(world_name, understood, sensing_range=None, seed=self.seed)
         placed = place_scenario(prepared.task.scenario, understood.type_names)

@@ -5,18 +5,14 @@ import time
 from pathlib import Path
 from typing import Any
 
-from jaxlangnav.cli.engine import (
-    load_models,
-    navigator_config,
-    open_task,
-    record_episode,
-)
+from jaxlangnav.cli.engine import load_models
 from jaxlangnav.cli.output import Output
 from jaxlangnav.cli.reproduction import Settings, Study
 from jaxlangnav.cli.runtime import waiting
 from jaxlangnav.cli.settings import apply
 from jaxlangnav.experiments.archive import manifest, write_manifest
 from jaxlangnav.experiments.compilation import CompileClock
+from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.report import Section, Table
 from jaxlangnav.experiments.sentences import SENTENCES
 from jaxlangnav.files.whole import write_text
@@ -26,6 +22,8 @@ from jaxlangnav.plain_text import markdown_table
 from jaxlangnav.planner.params import POLICIES
 from jaxlangnav.pytree import replace
 from jaxlangnav.recording import Recording
+from jaxlangnav.task.follow import record_episode
+from jaxlangnav.task.opening import open_task
 from jaxlangnav.viz.moments import TABLE_HEADINGS, describe_moments, pick_moments, table_rows
 
 TEXT = SENTENCES["behind"]

@@ -85,9 +85,9 @@ class Reproduce:
         self._check()
         keep_compiled_programs()
         from jaxlangnav.cli import reproduction
-        from jaxlangnav.cli.engine import navigator_params
         from jaxlangnav.experiments.policies import POLICY_NAMES, check_policies
         from jaxlangnav.navigator import check
+        from jaxlangnav.task.follow import navigator_params
 
         ranges = self._ranges()
         named = [one.strip() for one in self.policy.split(",") if one.strip()]

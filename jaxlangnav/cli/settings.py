@@ -107,9 +107,9 @@ def options(groups: Iterable[str]) -> list[Option]:
     Returns:
         In the order of the records.
     """
-    from jaxlangnav.cli.engine import navigator_params
     from jaxlangnav.messages import default_motion, default_sensor
     from jaxlangnav.navigator import NavigatorConfig
+    from jaxlangnav.task.follow import navigator_params
 
     roots = {
         "params": navigator_params,

@@ -4,22 +4,27 @@ What ``jaxlangnav follow`` does on the command line, for notebooks and scripts. 
 once go through ``experiments.policies.run_policy``, a robot of one's own through ``Navigator``.
 """
 
+import dataclasses
+import functools
 from pathlib import Path
 
-from jaxlangnav.cli.engine import (
-    missing_types,
-    navigator_params,
-    open_task,
-    record_episode,
-)
-from jaxlangnav.cli.follow import nothing_there
+import jax
+import numpy as np
+
+from jaxlangnav import recorder
 from jaxlangnav.episode import MAX_STEPS
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.grounding import GroundingModel, load_shipped, understand
-from jaxlangnav.navigator import NavigatorParams
+from jaxlangnav.grounding.instruction import Instruction, Understanding
+from jaxlangnav.kept import kept
+from jaxlangnav.messages import Status
+from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, default_params
 from jaxlangnav.planner.own import Policy
+from jaxlangnav.pytree import replace
 from jaxlangnav.recording import Recording
 from jaxlangnav.semantic_map.params import MapConfig
+from jaxlangnav.task.opening import Prepared, missing_types, nothing_there, open_task
+from jaxlangnav.world.simulator import SUCCESS_RADIUS
 
 
 def follow(
@@ -70,3 +75,69 @@ def follow(
         config=navigator_config(policy, particles),
         max_steps=max_steps,
     )
+
+
+@functools.cache
+@kept()
+def navigator_params() -> NavigatorParams:
+    """Build the default parameters: compiled, as one by one their operations take seconds."""
+    return default_params()
+
+
+def alone(understood: Understanding) -> Instruction:
+    """Make a batch of one instruction, leaves [1, …] on the host."""
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[None], understood.instruction)
+
+
+def record_episode(
+    understood: Understanding,
+    prepared: Prepared,
+    *,
+    text: str,
+    params: NavigatorParams,
+    config: NavigatorConfig,
+    max_steps: int = MAX_STEPS,
+) -> Recording:
+    """Run one episode, and judge it by what its command asks for.
+
+    Args:
+        understood: the sentence.
+        prepared: the episode.
+        text: the sentence, for people.
+        params: the navigator's numbers.
+        config: sizes and policy.
+        max_steps: decisions after which it ends as a time-out.
+
+    Returns:
+        The recording.
+    """
+    recording = recorder.record(
+        prepared.task,
+        alone(understood),
+        params=params,
+        config=config,
+        max_steps=max_steps,
+        text=text,
+    )
+    return judged(recording, prepared)
+
+
+def judged(recording: Recording, prepared: Prepared) -> Recording:
+    """Judge an episode by what its command asks for.
+
+    To navigate is to stop within 1.5 m of the goal, which the episode has judged itself; to find
+    is to stop with the goal in view.
+
+    Args:
+        recording: the episode.
+        prepared: what was asked for.
+
+    Returns:
+        The recording, its result judged.
+    """
+    if not prepared.is_find:
+        return recording
+    result = recording.result
+    is_arrived = result.ending == Status.ARRIVED
+    is_near = result.goal_distance <= max(recording.scene.sensor.range_max, SUCCESS_RADIUS)
+    return dataclasses.replace(recording, result=replace(result, is_success=is_arrived & is_near))

@@ -11,13 +11,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.cli.placed import infer_in, place_scenario
 from jaxlangnav.grounding.instruction import Understanding
 from jaxlangnav.language.labels import PlacedWorld
 from jaxlangnav.messages import AT, NONE
 from jaxlangnav.planner.goals import region_offset
 from jaxlangnav.pytree import replace
 from jaxlangnav.relations import default_params, prepare
+from jaxlangnav.task.placed import infer_in, place_scenario
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 from jaxlangnav.world.state import Scenario
 

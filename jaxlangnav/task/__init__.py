@@ -1,0 +1,1 @@
+"""A task: a sentence followed in a world, and judged by what it means there."""

@@ -1,0 +1,219 @@
+"""An episode to run: a world opened for a sentence, with the goal that the sentence means there.
+
+A world is drawn from a template so that the sentence is true in it, or is somebody's own.
+"""
+
+import dataclasses
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxlangnav.episode import Task
+from jaxlangnav.experiments.monte_carlo import cell, make_tasks
+from jaxlangnav.grounding.instruction import Understanding
+from jaxlangnav.pytree import replace
+from jaxlangnav.task.meant import is_among, meant_goals, with_goal
+from jaxlangnav.world.files import open_world, shipped_worlds
+from jaxlangnav.world.reading import World
+from jaxlangnav.world.state import Scenario
+from jaxlangnav.world.templates import Template
+
+T = TypeVar("T")
+Said = Mapping[str, Any]
+"""An annotation: ``figure``, ``relation``, ``landmark``, ``superlative``, ``probability``."""
+_NUM_TRIES = 64
+"""Worlds drawn in search of one in which the sentence is true."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Prepared:
+    """An episode to run, and what a person means in its world."""
+
+    world: str
+    """The world's name."""
+    task: Task
+    is_find: bool
+    """Whether having the goal in view is enough."""
+    is_meant: bool
+    """Whether anything there fits the sentence."""
+    is_drawn: bool
+    """Whether the world has been drawn from a template."""
+
+
+def relation_said(annotations: Iterable[Said]) -> str:
+    """Tell for which of Table 2's commands to draw a world, so that the sentence is true in it.
+
+    Args:
+        annotations: likeliest first.
+
+    Returns:
+        "behind", "nearest" or "null".
+    """
+    for said in annotations:
+        if (said["figure"], said["landmark"]) == ("hydrant", "cone"):
+            if said["relation"] == "behind":
+                return "behind"
+            if said["relation"] == "near" and said["superlative"]:
+                return "nearest"
+    return "null"
+
+
+def open_task(
+    world: str, understood: Understanding, *, sensing_range: float | None, seed: int
+) -> Prepared:
+    """Prepare one episode, in a world drawn from a template or in somebody's own.
+
+    Args:
+        world: a template ("2H1C"), a shipped world or a file.
+        understood: the sentence; a template's world is drawn so that it is true there.
+        sensing_range: metres; that of the world, 3 m for a template, where None.
+        seed: of world and noise.
+
+    Returns:
+        The world's name and the task, with the goal that the sentence means.
+
+    Raises:
+        ValueError: no such world, a bad file, or a template that has nothing of what is asked.
+    """
+    place = open_world(world)
+    if isinstance(place, World):
+        task = _task_in(place, sensing_range, seed)
+        is_own = _is_its_own(place, understood)
+        return _judge(place.name, task, understood, is_own=is_own, is_drawn=False)
+    return _draw(place, understood, sensing_range or 3.0, seed)
+
+
+def nothing_there(prepared: Prepared, missing: Sequence[str], names: Sequence[str]) -> str:
+    """Say that a template has nothing of what is asked for.
+
+    Args:
+        prepared: the world.
+        missing: types that the sentence speaks of and the world lacks.
+        names: object types by index.
+
+    Returns:
+        One line.
+    """
+    counts = count_types(prepared.task.scenario, names)
+    there = " and ".join(f"{number} {name}{'s' * (number > 1)}" for name, number in counts)
+    lack = f"no {missing[0]}" if missing else "nothing that fits the sentence"
+    return (
+        f"world {prepared.world} has {lack}, only {there}: choose another template, "
+        f"a shipped world ({', '.join(shipped_worlds())}) or a file with --world"
+    )
+
+
+def missing_types(
+    scenario: Scenario, annotations: Iterable[Said], names: Sequence[str]
+) -> list[str]:
+    """List what the sentence speaks of and the world does not have.
+
+    Args:
+        scenario: the world.
+        annotations: what the sentence says.
+        names: object types by index.
+
+    Returns:
+        Names of types, in the order of the annotations.
+    """
+    there = {name for name, _ in count_types(scenario, names)}
+    likely = [said for said in annotations if said["probability"] >= 0.5]
+    spoken = dict.fromkeys(said[role] for said in likely for role in ("figure", "landmark"))
+    return [name for name in spoken if name in names and name not in there]
+
+
+def count_types(scenario: Scenario, names: Sequence[str]) -> list[tuple[str, int]]:
+    """Count the objects of a world.
+
+    Args:
+        scenario: the world.
+        names: object types by index.
+
+    Returns:
+        Each type that is there, and how many of it.
+    """
+    kinds = np.asarray(scenario.object_type)[np.asarray(scenario.is_object)]
+    types = [int(kind) for kind in kinds]
+    return [(names[kind], types.count(kind)) for kind in dict.fromkeys(types)]
+
+
+def _task_in(world: World, sensing_range: float | None, seed: int) -> Task:
+    """Prepare an episode in a world that somebody has written down."""
+    sensor = world.sensor
+    if sensing_range is not None:
+        sensor = replace(sensor, range_max=jnp.float32(sensing_range))
+    return Task(
+        key=jax.random.key(seed),
+        scenario=world.scenario,
+        instruction_index=jax.device_put(np.int32(0)),
+        sensor=sensor,
+        motion=world.motion,
+    )
+
+
+def _is_its_own(world: World, understood: Understanding) -> bool:
+    """Tell whether a sentence is the one that a world has been written for."""
+    own = " ".join((world.instruction or "").lower().split()).rstrip(".!")
+    return own == " ".join(understood.parse.instruction.lower().split()).rstrip(".!")
+
+
+def _judge(
+    name: str, task: Task, understood: Understanding, *, is_own: bool, is_drawn: bool
+) -> Prepared:
+    """Set the goal that the sentence means; that of the world where it is as good as any."""
+    goals, is_find = meant_goals(understood, task.scenario)
+    if goals and not is_own and not is_among(task.scenario, goals):
+        task = replace(task, scenario=with_goal(task.scenario, goals[0]))
+    is_meant = is_own or bool(goals)
+    return Prepared(world=name, task=task, is_find=is_find, is_meant=is_meant, is_drawn=is_drawn)
+
+
+def _draw(
+    template: Template, understood: Understanding, sensing_range: float, seed: int
+) -> Prepared:
+    """Draw a world of a template in which the sentence is true.
+
+    The first one tried is that of the first episode of the tables with this seed.
+    """
+    relation = relation_said(understood.annotations) if template.num_cones else "null"
+    tasks = _tasks_of(template, relation, sensing_range, seed, 1)
+    prepared = _judge(template.name, tasks[0], understood, is_own=False, is_drawn=True)
+    absent = missing_types(tasks[0].scenario, understood.annotations, understood.type_names)
+    if prepared.is_meant or absent:
+        return prepared
+    # Here each cone stands anywhere around its hydrant: the sentence may be true in some of them.
+    for task in _tasks_of(template, "nearest", sensing_range, seed, _NUM_TRIES):
+        other = _judge(template.name, task, understood, is_own=False, is_drawn=True)
+        if other.is_meant:
+            return other
+    return prepared
+
+
+def _tasks_of(
+    template: Template, relation: str, sensing_range: float, seed: int, number: int
+) -> list[Task]:
+    """Draw the first episodes of a row of the tables, leaf by leaf on the host."""
+    if not template.num_cones:
+        relation = "null"
+    tasks = make_tasks(cell(template.name, relation, 0, sensing_range, number, seed))
+    # On the host: taken apart on the device, each leaf would be a small program of its own.
+    keys = np.asarray(jax.random.key_data(tasks.key))
+    scenarios, sensors, motions = jax.device_get((tasks.scenario, tasks.sensor, tasks.motion))
+    return [
+        Task(
+            key=jax.random.wrap_key_data(keys[index]),
+            scenario=_at(scenarios, index),
+            instruction_index=jax.device_put(np.int32(0)),
+            sensor=_at(sensors, index),
+            motion=_at(motions, index),
+        )
+        for index in range(number)
+    ]
+
+
+def _at(record: T, index: int) -> T:
+    """Take one of the records out of a batch."""
+    return jax.tree.map(lambda leaf: leaf[index], record)
