@@ -310,7 +310,7 @@ vocabulary, design = training.build_design(
     annotation_examples(instructions, types), ANNOTATION_KINDS, len(instructions)
 )
 factored = training.factorise(design)
-is_test = draw_splits(len(instructions), SPLITS, 3)
+is_test = draw_splits(len(instructions), SPLITS, 4)
 random = np.random.default_rng(1)
 fold = np.argsort(random.random(is_test.shape), axis=1) % FOLDS
 is_chosen_by = ~is_test & (fold == np.arange(FOLDS)[:, None, None])  # FOLDS, SPLITS, sentences

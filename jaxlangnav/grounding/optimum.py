@@ -101,7 +101,8 @@ def minimise(problem: Problem, gap: Array, max_steps: Array) -> tuple[Array, Sea
 
     Args:
         problem: its factors; ``vmap`` over ``times`` fits many splits at once.
-        gap: f32[], nats; ends where J is nearer than this to its minimum for certain.
+        gap: f32[], nats; ends where J is nearer than this to its minimum for certain, or where
+            float32 gets no nearer.
         max_steps: f32[].
 
     Returns:
