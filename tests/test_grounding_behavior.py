@@ -256,6 +256,17 @@ def test_too_many_slots_are_refused(model):
         infer_behavior(program, world, num_phrases=3)
 
 
+def test_worlds_of_other_shapes_and_types_are_refused(model):
+    program, world = program_of("go to the hydrant", model), to_device(world_of(["hydrant"]))
+    for wrong, said in (
+        (dataclasses.replace(world, object_type=world.object_type.astype(jnp.float32)), "type"),
+        (dataclasses.replace(world, is_object=world.is_object[:-1]), "shape"),
+        (dataclasses.replace(world, is_later=world.is_later[:5]), "shape"),
+    ):
+        with pytest.raises(AssertionError, match=said):
+            infer_behavior(program, wrong, num_phrases=3)
+
+
 # ---------------------------------------------------------------- placed worlds
 
 

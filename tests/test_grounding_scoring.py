@@ -97,3 +97,12 @@ def test_each_of_many_models_is_scored_as_alone(instructions, models):
     assert found[0].by_width[4][0].is_right.all()
     assert found[1].by_width[4][0].is_right.all()
     assert not all(results.by_width[4][2].is_right.all() for results in found)
+
+
+def test_a_mask_of_other_models_or_sentences_is_refused(instructions, models):
+    annotation, behavior = (Models.of(one) for one in models)
+    for wrong, said in ((IS_TESTED[:2], "shape"), (IS_TESTED.astype(float), "type")):
+        with pytest.raises(AssertionError, match=said):
+            score_annotations(instructions, annotation, wrong, TYPES, widths=(4,))
+        with pytest.raises(AssertionError, match=said):
+            score_behaviors(instructions, annotation, behavior, wrong, TYPES, widths=(4,))

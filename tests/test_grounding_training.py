@@ -20,7 +20,7 @@ from jaxlangnav.grounding.model import (
     CorrespondenceModel,
     Vocabulary,
 )
-from jaxlangnav.grounding.optimum import Problem, minimise
+from jaxlangnav.grounding.optimum import Problem, minimise, slope_of
 from jaxlangnav.grounding.training import (
     TrainingConfig,
     build_design,
@@ -192,13 +192,13 @@ def test_fit_reaches_the_minimum(small):
     assert measured.loss[0] == pytest.approx(at_end, rel=1e-5)
 
 
-def separable(rng):
+def separable(rng, number=100.0):
     """Factors that a plane tells apart by far: slopes vanish, curvature spans many decades."""
     words = rng.random((12, 9)) < 0.4
     properties = rng.random((12, 20, 6)) < 0.4
     plane = rng.normal(0, 8, (9, 6))
     is_true = np.einsum("uw,wf,ugf->ug", words, plane, properties) > 0
-    times = 100.0 * np.stack([~is_true, is_true], -1)
+    times = number * np.stack([~is_true, is_true], -1)
     return Problem(*(jnp.asarray(x, jnp.float32) for x in (words, properties, times)))
 
 
@@ -243,6 +243,21 @@ def test_search_ends_at_the_minimum_of_hard_problems(l2):
         if l2 >= 1.0:
             own = np.asarray(found[k]) / np.sqrt(l2)
             np.testing.assert_allclose(own, weights, atol=1e-2 / l2 + 1e-4)
+
+
+@pytest.mark.parametrize("gap", [1e-3, 0.0])
+def test_search_ends_however_often_a_factor_occurs(gap):
+    """A million equal factors of which a model is sure weigh next to nothing, nor does rounding.
+
+    No bound on the rest is promised in float32 where none is asked for, but there is an end.
+    """
+    problem = separable(np.random.default_rng(0), 1e6)
+    found, search = jax.jit(minimise, static_argnums=(1, 2))(problem, gap, 5000.0)
+    _, value, _ = newton(*problem, 1.0)
+    assert int(search.num_steps) < 500
+    assert float(search.value) == pytest.approx(value, rel=1e-5)
+    slope = np.asarray(slope_of(problem, found), np.float64)
+    assert 0.5 * (slope * slope).sum() < 1e-3
 
 
 def test_derivative_by_every_strength_is_that_of_the_minimum():

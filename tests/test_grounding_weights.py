@@ -15,11 +15,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jaxlangnav.grounding import load_shipped, understand
-from jaxlangnav.grounding.behavior_properties import PROPERTY_NAMES
+from jaxlangnav.grounding import load_shipped, understand, weights
 from jaxlangnav.grounding.evaluation import Scores, calibration_error, fit_temperature
-from jaxlangnav.grounding.fitting import train_models
+from jaxlangnav.grounding.examples import property_names
+from jaxlangnav.grounding.fitting import MODELS, train_models
 from jaxlangnav.grounding.instruction import GroundingModel
+from jaxlangnav.grounding.training import TrainingConfig
 from jaxlangnav.grounding.weights import about, load, save, shipped_path
 
 TABLE_2 = (
@@ -38,23 +39,29 @@ def test_round_trip(tmp_path):
     for kind, weight in model.behavior.weights.items():
         np.testing.assert_array_equal(again.behavior.weights[kind], weight)
     assert about(tmp_path / "w.npz")["command"] == "test"
+    with np.load(tmp_path / "w.npz", allow_pickle=False) as file:
+        held = [json.loads(str(file[f"{name}.json"]))["properties"] for name in MODELS]
+    assert {kind: tuple(names) for one in held for kind, names in one.items()} == property_names()
 
 
-def test_weights_of_other_properties_are_refused(tmp_path, monkeypatch):
+@pytest.mark.parametrize("kind", ["symbol", "rank", "region"])
+def test_weights_of_other_properties_are_refused(tmp_path, monkeypatch, kind):
     """Columns are told by name: two that have changed places would be read without a sound."""
     save(tmp_path / "w.npz", load_shipped(), command="test", corpus_hash="abc")
-    first, second, *rest = PROPERTY_NAMES["region"]
-    monkeypatch.setitem(PROPERTY_NAMES, "region", (second, first, *rest))
-    with pytest.raises(ValueError, match="the properties of 'region' are others"):
+    first, second, *rest = property_names()[kind]
+    others = property_names() | {kind: (second, first, *rest)}
+    monkeypatch.setattr(weights, "property_names", lambda: others)
+    with pytest.raises(ValueError, match=f"the properties of '{kind}' are others"):
         load(tmp_path / "w.npz")
 
 
 def test_every_property_has_a_name_and_a_column():
-    weights = load_shipped().behavior.weights
-    assert {kind: len(names) for kind, names in PROPERTY_NAMES.items()} == {
-        kind: weight.shape[1] for kind, weight in weights.items()
+    models = load_shipped()
+    columns = models.annotation.weights | models.behavior.weights
+    assert {kind: len(names) for kind, names in property_names().items()} == {
+        kind: weight.shape[1] for kind, weight in columns.items()
     }
-    assert all(len(set(names)) == len(names) for names in PROPERTY_NAMES.values())
+    assert all(len(set(names)) == len(names) for names in property_names().values())
 
 
 def test_weights_say_where_they_come_from():
@@ -327,9 +334,11 @@ def test_training_again_gives_the_accuracy_reported():
     trained = train_models()
     report = trained.report
     assert report["corpus"] == about(shipped_path())["corpus"]
-    assert report["annotation"]["accuracy"] == 1.0
-    assert report["behavior"]["accuracy"] == 1.0
-    assert report["annotation"]["calibration_error"] < 0.03
+    # Measured: all of 385 sentences and 718 worlds right, calibration off by 0.0004 and 0.0019.
+    for name in MODELS:
+        assert report[name]["accuracy"] == 1.0
+        assert report[name]["calibration_error"] < 0.005
+        assert report[name]["steps"] < TrainingConfig().max_steps
     for text in TABLE_2:
         again, shipped = (understand(text, m) for m in (trained.model, load_shipped()))
         assert json.dumps(again.annotations[0]["relation"]) == json.dumps(

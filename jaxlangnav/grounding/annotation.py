@@ -108,7 +108,7 @@ def annotation_log_odds(
         return (tables["symbol"] @ coefficients["symbol"]).astype(np.float64)
 
     rank = {
-        path: log_softmax(np.append(0.0, rank_properties(senses) @ coefficients["rank"]))
+        path: log_softmax(np.append(0.0, rank_properties(senses).values @ coefficients["rank"]))
         for path, (coefficients, senses) in prepared.items()
     }
     return log_odds, rank

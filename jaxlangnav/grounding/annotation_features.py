@@ -1,14 +1,28 @@
 """Properties of annotation symbols: the grounding side of the bilinear score (section 3.1)."""
 
 import dataclasses
+from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 
 from jaxlangnav.grounding.features import NUM_RANKS, Senses
 from jaxlangnav.grounding.symbols import NUM_RELATIONS, AnnotationSpace
+from jaxlangnav.messages import RELATIONS
 
 NUM_IDENTITY = 8
 """Object types with a property of their own; further types are carried by agreement alone."""
+_IS_TYPE = tuple(f"is type {i}" for i in range(NUM_IDENTITY))
+_IS_LANDMARK = (*(f"landmark is type {i}" for i in range(NUM_IDENTITY)), "landmark is the robot")
+_IS_RELATION = tuple(f"is {name}" for name in RELATIONS)
+_IS_RANK = tuple(f"is {rank}" for rank in range(1, NUM_RANKS + 1))
+
+
+class Table(NamedTuple):
+    """Properties of the symbols of one kind, each declared once: its name and what it says."""
+
+    names: tuple[str, ...]  # of the F columns, and so of those of the weights
+    values: np.ndarray  # f32[S, F]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,12 +75,17 @@ def _members(indices: frozenset[int], size: int) -> np.ndarray:
     return mask
 
 
-def _columns(shape: tuple[int, ...], columns: list[np.ndarray | bool]) -> np.ndarray:
-    """Stack broadcast properties to f32[symbols, F]."""
-    table = np.empty((*shape, len(columns)), np.float32)
-    for i, column in enumerate(columns):
-        table[..., i] = column
-    return table.reshape(-1, len(columns))
+def _table(shape: tuple[int, ...], columns: Mapping[str, np.ndarray | bool]) -> Table:
+    """Stack broadcast properties by name."""
+    values = np.empty((*shape, len(columns)), np.float32)
+    for i, column in enumerate(columns.values()):
+        values[..., i] = column
+    return Table(tuple(columns), values.reshape(-1, len(columns)))
+
+
+def _identities(names: tuple[str, ...], rows: np.ndarray) -> dict[str, np.ndarray]:
+    """Give every row a property of its own."""
+    return dict(zip(names, rows, strict=True))
 
 
 def _type_identity(num_types: int) -> np.ndarray:
@@ -82,7 +101,7 @@ def _landmark_identity(num_types: int) -> np.ndarray:
     return identity
 
 
-def object_properties(space: AnnotationSpace, senses: Senses, child: ChildSets) -> np.ndarray:
+def object_properties(space: AnnotationSpace, senses: Senses, child: ChildSets) -> Table:
     """Describe the object symbols of a phrase, given what its children express.
 
     Args:
@@ -95,23 +114,23 @@ def object_properties(space: AnnotationSpace, senses: Senses, child: ChildSets) 
     """
     own = _members(senses.types, space.num_types)
     has_region = bool(child.regions.any())
-    return _columns(
+    return _table(
         (space.num_types,),
-        [
-            True,
-            own,
-            ~own & bool(senses.types),
-            child.objects,
-            child.objects & has_region,
-            child.objects & bool(child.relations.any()),
-            child.has_children & ~child.objects,
-            own & has_region,
-            *_type_identity(space.num_types),
-        ],
+        {
+            "bias": True,
+            "named": own,
+            "another named": ~own & bool(senses.types),
+            "of a child": child.objects,
+            "of a child, in a region": child.objects & has_region,
+            "of a child, in a relation": child.objects & bool(child.relations.any()),
+            "not of a child": child.has_children & ~child.objects,
+            "named, in a region": own & has_region,
+            **_identities(_IS_TYPE, _type_identity(space.num_types)),
+        },
     )
 
 
-def region_properties(space: AnnotationSpace, senses: Senses, child: ChildSets) -> np.ndarray:
+def region_properties(space: AnnotationSpace, senses: Senses, child: ChildSets) -> Table:
     """Describe the region symbols of a phrase; arguments as ``object_properties``, f32[6 L, F]."""
     size = space.num_landmarks
     relation = _members(senses.relations, NUM_RELATIONS)[:, None]
@@ -120,30 +139,30 @@ def region_properties(space: AnnotationSpace, senses: Senses, child: ChildSets) 
     own = np.append(_members(senses.types, space.num_types), senses.is_robot)[None, :]
     has_object = bool(child.heads.any())
     is_lone = not child.has_children and not senses.types
-    return _columns(
+    return _table(
         (NUM_RELATIONS, size),
-        [
-            True,
-            relation,
-            head,
-            relation & head,
-            ~relation & head & bool(senses.relations),
-            own,
-            relation & own,
-            relation & is_robot & is_lone,
-            is_robot & senses.is_robot,
-            child.regions,
-            child.regions & has_object,
-            child.regions & (not has_object),
-            child.has_children & ~child.regions & ~head,
-            relation & ~head & ~own & ~(is_robot & is_lone),
-            *np.eye(NUM_RELATIONS, dtype=bool)[:, :, None],
-            *_landmark_identity(space.num_types)[:, None, :],
-        ],
+        {
+            "bias": True,
+            "relation named": relation,
+            "head": head,
+            "head, relation named": relation & head,
+            "head, other relation named": ~relation & head & bool(senses.relations),
+            "named": own,
+            "named, relation named": relation & own,
+            "lone relation to the robot": relation & is_robot & is_lone,
+            "robot named": is_robot & senses.is_robot,
+            "of a child": child.regions,
+            "of a child, of an object": child.regions & has_object,
+            "of a child, of no object": child.regions & (not has_object),
+            "not of a child, not head": child.has_children & ~child.regions & ~head,
+            "relation named, of nothing": relation & ~head & ~own & ~(is_robot & is_lone),
+            **_identities(_IS_RELATION, np.eye(NUM_RELATIONS, dtype=bool)[:, :, None]),
+            **_identities(_IS_LANDMARK, _landmark_identity(space.num_types)[:, None, :]),
+        },
     )
 
 
-def relation_properties(space: AnnotationSpace, senses: Senses, child: ChildSets) -> np.ndarray:
+def relation_properties(space: AnnotationSpace, senses: Senses, child: ChildSets) -> Table:
     """Describe the relation symbols; arguments as ``object_properties``, f32[6 T L, F]."""
     size = space.num_landmarks
     own_type = _members(senses.types, space.num_types)[:, None, None]
@@ -152,31 +171,33 @@ def relation_properties(space: AnnotationSpace, senses: Senses, child: ChildSets
     relation = _members(senses.relations, NUM_RELATIONS)[None, :, None]
     is_robot = (np.arange(size) == space.num_types)[None, None, :]
     composed = head & region
-    return _columns(
+    return _table(
         (space.num_types, NUM_RELATIONS, size),
-        [
-            True,
-            child.relations,
-            composed,
-            own_type & region,
-            own_type & relation & is_robot,
-            head & relation & is_robot,
-            region & ~head & ~own_type,
-            head & ~region,
-            ~child.relations & ~composed,
-        ],
+        {
+            "bias": True,
+            "of a child": child.relations,
+            "composed": composed,
+            "named, in a region": own_type & region,
+            "named, relation to the robot named": own_type & relation & is_robot,
+            "head, relation to the robot named": head & relation & is_robot,
+            "region of a child, of no object": region & ~head & ~own_type,
+            "head, other region": head & ~region,
+            "neither": ~child.relations & ~composed,
+        },
     )
 
 
-def rank_properties(senses: Senses) -> np.ndarray:
+def rank_properties(senses: Senses) -> Table:
     """Describe the ranks 1 to 4 that a phrase may give its region, f32[4, 7]."""
     ranks = np.arange(1, NUM_RANKS + 1)
     own = np.isin(ranks, sorted(senses.ranks))
     named = bool(senses.ranks)
-    return _columns((NUM_RANKS,), [True, own, ~own & named, *np.eye(NUM_RANKS, dtype=bool)])
+    is_rank = _identities(_IS_RANK, np.eye(NUM_RANKS, dtype=bool))
+    said = {"bias": True, "named": own, "another named": ~own & named}
+    return _table((NUM_RANKS,), said | is_rank)
 
 
-def shared_properties(senses: Senses, expressed: np.ndarray, num_children: int) -> np.ndarray:
+def shared_properties(senses: Senses, expressed: np.ndarray, num_children: int) -> Table:
     """Describe symbols by what holds for every kind alike, so that kinds learn from each other.
 
     Args:
@@ -189,34 +210,36 @@ def shared_properties(senses: Senses, expressed: np.ndarray, num_children: int) 
         nothing themselves, not passed on.
     """
     names_nothing = not senses.types and not senses.relations
-    return _columns(
+    return _table(
         expressed.shape,
-        [
-            True,
-            expressed,
-            expressed & (num_children == 1),
-            expressed & (num_children > 1),
-            expressed & names_nothing,
-            ~expressed & (num_children > 0),
-        ],
+        {
+            "bias": True,
+            "of a child": expressed,
+            "of the only child": expressed & (num_children == 1),
+            "of one of several": expressed & (num_children > 1),
+            "of a child, nothing named": expressed & names_nothing,
+            "not of a child": ~expressed & (num_children > 0),
+        },
     )
 
 
-def join_kinds(tables: list[np.ndarray], shared: np.ndarray) -> np.ndarray:
+def join_kinds(tables: Mapping[str, Table], shared: Table) -> Table:
     """Put the properties of several kinds of symbol side by side, and shared ones after them.
 
     Args:
-        tables: f32[S_kind, F_kind] each.
+        tables: kind → f32[S_kind, F_kind].
         shared: f32[Σ S_kind, F].
 
     Returns:
         f32[Σ S_kind, Σ F_kind + F]; a symbol has zeros where other kinds have theirs.
     """
-    width = sum(table.shape[1] for table in tables)
-    joined = np.zeros((len(shared), width + shared.shape[1]), np.float32)
+    names = [f"{kind}: {name}" for kind, table in tables.items() for name in table.names]
+    rows, width = shared.values.shape[0], len(names)
+    joined = np.zeros((rows, width + shared.values.shape[1]), np.float32)
     row = column = 0
-    for table in tables:
-        joined[row : row + table.shape[0], column : column + table.shape[1]] = table
-        row, column = row + table.shape[0], column + table.shape[1]
-    joined[:, width:] = shared
-    return joined
+    for table in tables.values():
+        height, depth = table.values.shape
+        joined[row : row + height, column : column + depth] = table.values
+        row, column = row + height, column + depth
+    joined[:, width:] = shared.values
+    return Table((*names, *(f"any: {name}" for name in shared.names)), joined)

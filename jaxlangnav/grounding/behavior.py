@@ -16,6 +16,7 @@ import dataclasses
 import functools
 from typing import Any, NamedTuple
 
+import chex
 import jax
 import jax.numpy as jnp
 from jax import Array
@@ -38,7 +39,7 @@ from jaxlangnav.grounding.program import (
     OF_THE_CLAUSE,
     BehaviorProgram,
 )
-from jaxlangnav.grounding.symbols import NUM_REGIONS
+from jaxlangnav.grounding.symbols import NUM_REGIONS, NUM_RELATIONS
 from jaxlangnav.messages import NONE, Behavior, BehaviorWorld
 from jaxlangnav.numerics.batching import once, row_of
 from jaxlangnav.pytree import replace
@@ -324,6 +325,13 @@ def infer_behaviors(
     size = worlds.object_type.shape[0]
     if size > MAX_SLOTS:
         raise ValueError(f"{size} object slots, but bit masks hold at most {MAX_SLOTS}")
+    edges = worlds.is_related, worlds.is_superlative, worlds.is_later
+    chex.assert_shape([worlds.object_type, worlds.is_object, worlds.is_previous], (size, None))
+    chex.assert_shape(edges, (NUM_RELATIONS, size, size, None))
+    chex.assert_type([worlds.object_type, worlds.is_object, worlds.is_previous], [int, bool, bool])
+    chex.assert_type(edges, bool)
+    chex.assert_shape(program.region_base, (NUM_PHRASES, NUM_SLOTS))
+    chex.assert_type([program.object_named, program.region_base], jnp.float32)
     return _infer(program, worlds, jnp.asarray(num_phrases, jnp.int32))
 
 

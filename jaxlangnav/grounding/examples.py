@@ -5,12 +5,15 @@ paper is one factor, (phrase, symbol); one of ours is a phrase with the factors 
 """
 
 import dataclasses
+import functools
 from collections.abc import Iterable, Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 
 from jaxlangnav.grounding import annotation_features as af
 from jaxlangnav.grounding import behavior_features as bf
+from jaxlangnav.grounding.behavior_properties import PROPERTY_NAMES
 from jaxlangnav.grounding.features import NUM_RANKS, RESTRICTORS, Senses, senses_of
 from jaxlangnav.grounding.graph import Node, bottom_up
 from jaxlangnav.grounding.symbols import (
@@ -86,6 +89,23 @@ def _clauses(parse: Parse) -> Iterable[tuple[Node, ...]]:
     return (bottom_up(root, clause) for clause, root in enumerate(parse.clauses))
 
 
+def _annotation_tables(
+    space: AnnotationSpace, senses: Senses, groundings: list[np.ndarray]
+) -> dict[str, af.Table]:
+    """Describe every annotation symbol of a phrase; arguments as ``annotation_properties``."""
+    child = af.child_sets(space, groundings)
+    expressed = np.zeros(space.size, bool)
+    for grounding in groundings:
+        expressed |= grounding
+    tables = {
+        "object": af.object_properties(space, senses, child),
+        "region": af.region_properties(space, senses, child),
+        "relation": af.relation_properties(space, senses, child),
+    }
+    shared = af.shared_properties(senses, expressed, len(groundings))
+    return {"symbol": af.join_kinds(tables, shared), "rank": af.rank_properties(senses)}
+
+
 def annotation_properties(
     space: AnnotationSpace, senses: Senses, groundings: list[np.ndarray]
 ) -> dict[str, np.ndarray]:
@@ -99,19 +119,21 @@ def annotation_properties(
     Returns:
         "symbol" → f32[S, F], and "rank" → f32[4, F].
     """
-    child = af.child_sets(space, groundings)
-    expressed = np.zeros(space.size, bool)
-    for grounding in groundings:
-        expressed |= grounding
-    tables = [
-        af.object_properties(space, senses, child),
-        af.region_properties(space, senses, child),
-        af.relation_properties(space, senses, child),
-    ]
-    return {
-        "symbol": af.join_kinds(tables, af.shared_properties(senses, expressed, len(groundings))),
-        "rank": af.rank_properties(senses),
-    }
+    tables = _annotation_tables(space, senses, groundings)
+    return {kind: table.values for kind, table in tables.items()}
+
+
+@functools.cache
+def property_names() -> Mapping[str, tuple[str, ...]]:
+    """Name the columns of the weights of every kind of symbol; files of weights hold the names.
+
+    Returns:
+        Kind, of either model, → F names.
+    """
+    nothing = Senses(*[frozenset()] * 5, is_robot=False)
+    tables = _annotation_tables(AnnotationSpace(1), nothing, [])
+    own = {kind: table.names for kind, table in tables.items()}
+    return MappingProxyType(own | PROPERTY_NAMES)
 
 
 def _annotation_example(

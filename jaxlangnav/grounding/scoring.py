@@ -8,6 +8,7 @@ import dataclasses
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
+import chex
 import numpy as np
 
 from jaxlangnav.grounding.annotation import (
@@ -140,7 +141,7 @@ def _ranks(
     """Compute the log-probabilities of the ranks of every phrase by each model, f64[5] each."""
     found: list[dict[Path, np.ndarray]] = [{} for _ in models.temperature]
     for phrase, path in walk(root, (clause,)):
-        properties = rank_properties(senses_of(phrase, type_names))
+        properties = rank_properties(senses_of(phrase, type_names)).values
         odds = models.coefficients(phrase)["rank"] @ properties.T
         for own, row in zip(found, odds, strict=True):
             own[path] = log_softmax(np.append(0.0, row))
@@ -282,6 +283,8 @@ def score_annotations(
     Returns:
         Results of each model in the order of its sentences.
     """
+    chex.assert_shape(is_tested, (len(models.temperature), len(instructions)))
+    chex.assert_type(is_tested, bool)
     tally = _Tally(len(is_tested), widths, is_exact)
     for labelled, tested in zip(instructions, is_tested.T, strict=True):
         which = np.flatnonzero(tested)
@@ -363,6 +366,9 @@ def score_behaviors(
     Returns:
         Results of each model in the order of its sentences and their worlds.
     """
+    chex.assert_shape(is_tested, (len(behavior.temperature), len(instructions)))
+    chex.assert_type(is_tested, bool)
+    chex.assert_equal_shape([annotation.temperature, behavior.temperature])
     tally = _Tally(len(is_tested), widths, is_exact)
     for labelled, tested in zip(instructions, is_tested.T, strict=True):
         which = np.flatnonzero(tested)

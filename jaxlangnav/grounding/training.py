@@ -39,7 +39,7 @@ class TrainingConfig:
 
     l2: float = 0.01
     max_steps: int = 300
-    gap: float = 1.25e-3  # nats; J ends nearer than this to its minimum for certain
+    gap: float = 1.25e-3  # nats; J ends nearer than this to its minimum for certain, if float32 can
 
 
 @dataclasses.dataclass(frozen=True)
@@ -238,6 +238,7 @@ def fit(
     Raises:
         ValueError: the regularisation is not above zero: the minimum would not be unique.
     """
+    chex.assert_shape(instruction_weights, (None, design.num_instructions))
     config = config or TrainingConfig()
     strength = np.broadcast_to(config.l2 if l2 is None else l2, design.words.shape[1:])
     if not (strength > 0.0).all():

@@ -18,9 +18,7 @@ import numpy as np
 from jaxlangnav.files.arrays import faults_as_values, open_arrays, read_floats, read_text
 from jaxlangnav.files.regular import read_file
 from jaxlangnav.files.whole import replacing
-from jaxlangnav.grounding.behavior_properties import PROPERTY_NAMES
-from jaxlangnav.grounding.examples import annotation_properties
-from jaxlangnav.grounding.features import Senses
+from jaxlangnav.grounding.examples import property_names
 from jaxlangnav.grounding.instruction import GroundingModel
 from jaxlangnav.grounding.model import (
     ANNOTATION_KINDS,
@@ -28,7 +26,6 @@ from jaxlangnav.grounding.model import (
     CorrespondenceModel,
     Vocabulary,
 )
-from jaxlangnav.grounding.symbols import AnnotationSpace
 from jaxlangnav.language.lexicon import load_lexicon
 
 SHIPPED = "weights.npz"
@@ -53,7 +50,7 @@ def _pack(name: str, model: CorrespondenceModel) -> dict[str, np.ndarray]:
         "names": model.vocabulary.names,
         "without": sorted(model.vocabulary.without),
         "temperature": model.temperature,
-        "properties": {k: PROPERTY_NAMES[k] for k in model.weights if k in PROPERTY_NAMES},
+        "properties": {kind: property_names()[kind] for kind in model.weights},
     }
     return arrays | {f"{name}.json": np.array(json.dumps(header))}
 
@@ -71,7 +68,7 @@ def _unpack(name: str, archive: ZipFile) -> CorrespondenceModel:
     _check_properties(name, header.get("properties", {}))
     weights = {}
     for kind in _MODELS[name]:
-        shape = len(names), num_properties()[kind]
+        shape = len(names), len(property_names()[kind])
         weights[kind] = read_floats(archive, f"{name}/{kind}", shape)
         if np.abs(weights[kind]).max() > _HEAVIEST:
             raise ValueError(f"{name}/{kind}: a weight is beyond {_HEAVIEST:,.0f}")
@@ -84,7 +81,7 @@ def _check_properties(name: str, properties: Any) -> None:
     if type(properties) is not dict or set(properties) - set(_MODELS[name]):
         raise ValueError(f"{name}: its properties are no table of names by kind")
     for kind in properties:
-        if _texts(properties, kind) != PROPERTY_NAMES.get(kind):
+        if _texts(properties, kind) != property_names()[kind]:
             raise ValueError(f"the properties of '{kind}' are others than this version's")
 
 
@@ -106,19 +103,6 @@ def _texts(document: dict[str, Any], key: str) -> tuple[str, ...]:
     if type(value) is not list or not all(type(one) is str for one in value):
         raise ValueError(f"{key} is no list of texts")
     return tuple(value)
-
-
-@cache
-def num_properties() -> dict[str, int]:
-    """Count the properties of each kind of symbol: the columns of its weights.
-
-    Returns:
-        Kind, of either model, → F.
-    """
-    nothing = Senses(*[frozenset()] * 5, is_robot=False)
-    tables = annotation_properties(AnnotationSpace(1), nothing, [])
-    counts = {kind: table.shape[1] for kind, table in tables.items()}
-    return counts | {kind: len(names) for kind, names in PROPERTY_NAMES.items()}
 
 
 def save(path: Path, model: GroundingModel, *, command: str, corpus_hash: str) -> None:

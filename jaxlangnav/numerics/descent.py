@@ -14,6 +14,10 @@ _NOISE = 1e-5
 """Share of a value within which float32 hides a rise: no step is refused for it."""
 _SEARCHES = 20
 """Times that a step may be halved."""
+_FALL = 1e-6, 0.1
+"""Shares by which the value, or the square of the slope's length, is to fall below its lowest."""
+_PATIENCE = 10
+"""Steps without either after which float32 gets no further."""
 
 
 class Descent(NamedTuple):
@@ -25,6 +29,15 @@ class Descent(NamedTuple):
     num_steps: Array  # f32[], like all that a derivative passes
 
 
+class _Course(NamedTuple):
+    """A search on its way."""
+
+    at: Descent
+    memory: optax.OptState
+    lowest: Array  # f32[2] value, square of the slope's length
+    num_idle: Array  # f32[] steps since one of them was as low
+
+
 def descend(
     value_of: Callable[[Array], Array],
     start: Array,
@@ -32,11 +45,14 @@ def descend(
     slope_length: Array | float,
     max_steps: Array | float,
 ) -> Descent:
-    """Search for a minimum until the slope is short.
+    """Search for a minimum until the slope is short, or gets no shorter in float32.
 
     The steps are those of ``optax.lbfgs`` with a line search that only ever shortens them: near a
     minimum a step of one is right, and its gradient is what the next step starts from, so that a
     step costs one value and one gradient.
+
+    Where rounding hides the way down every step is halved to nothing, at the cost of many. So ten
+    steps that lower neither the value nor the slope are the end, too.
 
     Args:
         value_of: the function, of f32[...], to f32[].
@@ -55,17 +71,28 @@ def descend(
         ),
     )
 
-    def is_open(carry: tuple[Descent, optax.OptState]) -> Array:
-        at, _ = carry
-        return (jnp.vdot(at.slope, at.slope) > slope_length**2) & (at.num_steps < max_steps)
+    def is_open(course: _Course) -> Array:
+        at = course.at
+        is_far = jnp.vdot(at.slope, at.slope) > slope_length**2
+        return is_far & (at.num_steps < max_steps) & (course.num_idle < _PATIENCE)
 
-    def advance(carry: tuple[Descent, optax.OptState]) -> tuple[Descent, optax.OptState]:
-        at, memory = carry
+    def advance(course: _Course) -> _Course:
+        at = course.at
         step, memory = search.update(
-            at.slope, memory, at.point, value=at.value, grad=at.slope, value_fn=value_of
+            at.slope, course.memory, at.point, value=at.value, grad=at.slope, value_fn=value_of
         )
         value, slope = (optax.tree.get(memory, name) for name in ("value", "grad"))
-        return Descent(at.point + jnp.asarray(step), value, slope, at.num_steps + 1.0), memory
+        reached = jnp.stack([value, jnp.vdot(slope, slope)])
+        is_lower = reached < course.lowest - jnp.array(_FALL) * jnp.abs(course.lowest)
+        return _Course(
+            Descent(at.point + jnp.asarray(step), value, slope, at.num_steps + 1.0),
+            memory,
+            jnp.where(is_lower, reached, course.lowest),
+            jnp.where(is_lower.any(), 0.0, course.num_idle + 1.0),
+        )
 
-    begin = Descent(start, *jax.value_and_grad(value_of)(start), jnp.float32(0.0))
-    return jax.lax.while_loop(is_open, advance, (begin, search.init(start)))[0]
+    value, slope = jax.value_and_grad(value_of)(start)
+    none = jnp.float32(0.0)
+    lowest = jnp.stack([value, jnp.vdot(slope, slope)])
+    begin = _Course(Descent(start, value, slope, none), search.init(start), lowest, none)
+    return jax.lax.while_loop(is_open, advance, begin).at
