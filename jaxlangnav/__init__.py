@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from jaxlangnav.messages import Fault as Fault
     from jaxlangnav.messages import Observation as Observation
     from jaxlangnav.messages import SensorParams as SensorParams
+    from jaxlangnav.messages import Status as Status
     from jaxlangnav.messages import default_sensor as default_sensor
     from jaxlangnav.relation_fitting import fit_relations as fit_relations
 
@@ -29,6 +30,7 @@ _HOMES = {
     "Navigator": "jaxlangnav.agent",
     "Observation": "jaxlangnav.messages",
     "SensorParams": "jaxlangnav.messages",
+    "Status": "jaxlangnav.messages",
     "default_sensor": "jaxlangnav.messages",
     "fit_relations": "jaxlangnav.relation_fitting",
     "follow": "jaxlangnav.following",
@@ -43,6 +45,7 @@ __all__ = [
     "Navigator",
     "Observation",
     "SensorParams",
+    "Status",
     "__version__",
     "default_sensor",
     "fit_relations",
