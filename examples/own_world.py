@@ -8,7 +8,7 @@ import sys
 import jax
 import numpy as np
 
-from jaxlangnav import Navigator, Observation, default_sensor, keep_compiled_programs
+from jaxlangnav import Navigator, Observation, Status, default_sensor, keep_compiled_programs
 
 THINGS = {"cone": (6.0, 1.0), "hydrant": (8.5, 1.6), "tree": (3.0, -4.0)}  # metres
 SLOTS, RANGE = 8, 4.0
@@ -39,7 +39,8 @@ def main(text: str) -> np.ndarray:
         observation = look(position, heading, navigator.type_names)
         state, action, _ = navigator.step(key, state, observation)
         if action.is_stop:
-            print(f"step {step}: stop at ({position[0]:.1f}, {position[1]:.1f})")
+            ending = Status(int(action.status)).word  # "arrived" or "not_found"
+            print(f"step {step}: {ending} at ({position[0]:.1f}, {position[1]:.1f})")
             return position
         move = np.asarray(action.step)  # at most 1 m, map axes
         position, heading = position + move, float(np.arctan2(move[1], move[0]))

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from jaxlangnav.messages import Fault as Fault
     from jaxlangnav.messages import Observation as Observation
     from jaxlangnav.messages import SensorParams as SensorParams
+    from jaxlangnav.messages import Status as Status
     from jaxlangnav.messages import default_sensor as default_sensor
     from jaxlangnav.relations.fit import fit_relations as fit_relations
     from jaxlangnav.task.follow import follow as follow
@@ -31,6 +32,7 @@ _HOMES = {
     "Navigator": "jaxlangnav.agent",
     "Observation": "jaxlangnav.messages",
     "SensorParams": "jaxlangnav.messages",
+    "Status": "jaxlangnav.messages",
     "default_sensor": "jaxlangnav.messages",
     "fit_relations": "jaxlangnav.relations.fit",
     "follow": "jaxlangnav.task.follow",
@@ -46,6 +48,7 @@ __all__ = [
     "Navigator",
     "Observation",
     "SensorParams",
+    "Status",
     "__version__",
     "default_sensor",
     "fit_relations",

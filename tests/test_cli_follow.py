@@ -25,6 +25,8 @@ KEYS = {
     "seed": int,
     "success": bool,
     "stopped": bool,
+    "ending": str,
+    "missing": list,
     "distance": float,
     "known_distance": float,
     "steps": int,
@@ -68,6 +70,7 @@ def test_the_document_has_the_agreed_keys(capsys: pytest.CaptureFixture[str]) ->
     assert document["range"] == 3.0
     assert document["success"]
     assert document["stopped"]
+    assert (document["ending"], document["missing"]) == ("arrived", [])
     trajectory = np.array(document["trajectory"])
     assert trajectory.shape == (document["steps"] + 1, 2)
     assert trajectory[0].tolist() == [0.0, 0.0]

@@ -14,7 +14,7 @@ def test_own_world_ends_at_the_hydrant(capsys: pytest.CaptureFixture[str]) -> No
     example = runpy.run_path(str(EXAMPLES / "own_world.py"))
     end = example["main"]("go to the hydrant behind the cone")
     assert np.linalg.norm(end - example["THINGS"]["hydrant"]) <= 1.5
-    assert "stop at" in capsys.readouterr().out
+    assert "arrived at" in capsys.readouterr().out
     # Another sentence, the same compiled program and the same world.
     end = example["main"]("go to the tree")
     assert np.linalg.norm(end - example["THINGS"]["tree"]) <= 1.5

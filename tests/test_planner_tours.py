@@ -223,6 +223,7 @@ def decide(now: tours.Plan, goal: float) -> policy.Choice:
         jnp.float32(1.0), jnp.float32(0.0), policy.no_commitment(), jnp.asarray(False),
         jnp.float32(0.0), jnp.float32(RANGE), jnp.zeros(number + 1),
         params=default_planner_params(), config=PlannerConfig(policy="informed"), plan=now,
+        chance_left=jnp.float32(1.0),
     )  # fmt: skip
 
 

@@ -1,14 +1,16 @@
 """The story of an episode: every number in it is one of the recording's."""
 
+import dataclasses
 import math
 
 import numpy as np
 import pytest
 from recording_fixture import make_readings, make_recording, make_scene
 
-from jaxlangnav.messages import BEHIND, LEFT, NEAR, NONE, REGIONS, ROBOT, Fault
+from jaxlangnav.messages import BEHIND, LEFT, NEAR, NONE, REGIONS, ROBOT, Fault, Status
 from jaxlangnav.pytree import replace
 from jaxlangnav.viz import moments, narrative, sentences, summary, words
+from jaxlangnav.viz.panels import verdict
 from jaxlangnav.viz.words import FAULT_WORDS
 from jaxlangnav.world.state import CONE, HYDRANT
 
@@ -166,6 +168,36 @@ def test_the_closing_tells_failures_apart():
     assert "In 2 steps" in said
     assert "In 4 steps it saw what contradicts its map" in said
     assert "In 5 steps it stood still, for what cannot be was reported to it." in said
+
+
+def test_an_ending_without_a_goal_is_told_and_named():
+    one = make_recording(4, 10)
+    ended = replace(
+        one.at(-1),
+        object_type=np.full_like(one.frames.object_type[-1], NONE),
+        status=np.int32(Status.NOT_FOUND),
+        is_stop=np.array(False),
+    )
+    told = narrative.tell_step(one.scene, ended, one.at(2))[-1]
+    assert told.startswith("Says that there is no hydrant and no cone: ")
+    assert narrative.headline(one.scene, ended, one.at(2)) == "gives up"
+    assert not narrative.is_quiet(ended, one.at(2))
+    result = replace(one.result, ending=np.int32(Status.NOT_FOUND), is_success=np.array(False))
+    closing = narrative.closing(one.scene, ended, result)
+    assert closing[0] == "Not found: it says that there is no hydrant and no cone."
+    assert verdict(dataclasses.replace(one, result=result)).startswith("faithful policy: not found")
+
+
+def test_a_landmark_that_was_not_found_is_told():
+    one = make_recording(4, 10)
+    frame = one.at(-1)
+    assert frame.object_type[0, 0] == CONE
+    blind = replace(frame, object_type=np.where(frame.object_type == CONE, NONE, frame.object_type))
+    assert "no cone was to be found" in narrative.tell_step(one.scene, blind, one.at(2))[-1]
+    assert narrative.closing(one.scene, blind, one.result)[-1] == (
+        "It has seen no cone, and took what fits best."
+    )
+    assert "no cone" not in " ".join(narrative.closing(one.scene, frame, one.result))
 
 
 @pytest.mark.parametrize("fault", Fault)

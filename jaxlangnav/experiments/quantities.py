@@ -135,6 +135,7 @@ _KNOWN: dict[str, dict[str, Quantity]] = {
         "rival_share": Quantity(),
         "rest_share": Quantity(),
         "prior_share": SHARE,
+        "give_up": SHARE,
         "constraint_cost": Quantity(),
     },
 }

@@ -64,6 +64,6 @@ def default_planner_params() -> PlannerParams:
         rival_share=jnp.float32(0.1),
         rest_share=jnp.float32(0.25),
         prior_share=jnp.float32(0.8),
-        give_up=jnp.float32(0.1),
+        give_up=jnp.float32(0.15),
         constraint_cost=jnp.float32(1.0),
     )
