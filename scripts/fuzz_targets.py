@@ -164,7 +164,8 @@ def _episodes() -> dict[str, Any]:
         np.linspace(1.0, 9.0, number, dtype=np.float32),
     )
     counted = dict.fromkeys(
-        ("steps", "overflow", "degenerate", "contradictions"), np.arange(number, dtype=np.int32)
+        ("steps", "overflow", "degenerate", "contradictions", "faults"),
+        np.arange(number, dtype=np.int32),
     )
     is_so = np.arange(number) % 2 == 0
     return {
