@@ -169,7 +169,11 @@ def _episodes() -> dict[str, Any]:
         np.linspace(1.0, 9.0, number, dtype=np.float32),
     )
     counted = dict.fromkeys(
+<<<<<<< HEAD
         ("steps", "overflow", "degenerate", "faults", "contradictions"),
+=======
+        ("steps", "overflow", "degenerate", "contradictions", "faults"),
+>>>>>>> ending
         np.arange(number, dtype=np.int32),
     )
     is_so = np.arange(number) % 2 == 0

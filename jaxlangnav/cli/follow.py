@@ -53,7 +53,8 @@ class Follow:
     policy: Literal["informed", "faithful"] = "informed"
     """informed: puts its hypotheses to the test; faithful: the paper's."""
     seed: int = 0
-    """Of the world and of the noise."""
+    """Of the world and of the noise. The same episode in a table is rounded differently: rarely
+    one goes another way there."""
     particles: int = 64
     """Hypotheses of the map kept at once."""
     max_steps: int = 120

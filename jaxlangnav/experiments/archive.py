@@ -58,6 +58,12 @@ def to_table(columns: Mapping[str, Any]) -> pa.Table:
         raise ValueError(f"columns have different lengths: {lengths}")
     return pa.table({name: _column(values) for name, values in columns.items()})
 
+_REPEATS = (
+    "the same episodes on this kind of device with these versions; a program of another number of "
+    "lanes, such as jaxlangnav follow, rounds differently and may rarely decide differently"
+)
+"""How far a repetition is the same, for whoever sets one episode beside a table."""
+
 
 def manifest(settings: Mapping[str, Any], *, models: Any = None) -> dict[str, Any]:
     """Say how results were made.
@@ -67,7 +73,7 @@ def manifest(settings: Mapping[str, Any], *, models: Any = None) -> dict[str, An
         models: a pytree of arrays, the trained weights; None where none was used.
 
     Returns:
-        Settings, versions, the models' hash, the device.
+        Settings, versions, the models' hash, the device, and how far a repetition is the same.
     """
     device = jax.devices()[0]
     return {
@@ -86,6 +92,7 @@ def manifest(settings: Mapping[str, Any], *, models: Any = None) -> dict[str, An
             "cpu": platform.machine(),
             "cores": os.cpu_count(),
         },
+        "repeats": _REPEATS,
     }
 
 
