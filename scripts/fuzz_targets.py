@@ -169,11 +169,7 @@ def _episodes() -> dict[str, Any]:
         np.linspace(1.0, 9.0, number, dtype=np.float32),
     )
     counted = dict.fromkeys(
-<<<<<<< HEAD
-        ("steps", "overflow", "degenerate", "faults", "contradictions"),
-=======
-        ("steps", "overflow", "degenerate", "contradictions", "faults"),
->>>>>>> ending
+        ("steps", "ending", "overflow", "degenerate", "faults", "contradictions"),
         np.arange(number, dtype=np.int32),
     )
     is_so = np.arange(number) % 2 == 0

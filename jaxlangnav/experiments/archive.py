@@ -58,6 +58,7 @@ def to_table(columns: Mapping[str, Any]) -> pa.Table:
         raise ValueError(f"columns have different lengths: {lengths}")
     return pa.table({name: _column(values) for name, values in columns.items()})
 
+
 _REPEATS = (
     "the same episodes on this kind of device with these versions; a program of another number of "
     "lanes, such as jaxlangnav follow, rounds differently and may rarely decide differently"

@@ -15,7 +15,6 @@ from jaxlangnav.experiments.paired import compare
 from jaxlangnav.experiments.shards import ShardError, read_shard
 from jaxlangnav.experiments.summary_tables import markdown, render
 from jaxlangnav.experiments.sweep_folder import files_there, identity, read_manifest
-from jaxlangnav.messages import Status
 
 __all__ = ["markdown", "render", "summarize_directory"]
 
@@ -108,9 +107,6 @@ def _group(table: pa.Table, names: Sequence[str]) -> list[tuple[dict[str, Any], 
 
 def _metrics(table: pa.Table) -> dict[str, Any]:
     """Summarise the episodes of one arm in one setting."""
-    if "ending" not in table.column_names:  # of a version that knew of no ending but this one
-        arrived = np.where(table["is_stopped"].to_numpy(), Status.ARRIVED, Status.SEARCHING)
-        table = table.append_column("ending", pa.array(arrived))
     leaves: dict[str, Any] = {
         field.name: table[field.name].to_numpy()
         for field in dataclasses.fields(EpisodeResult)
