@@ -13,13 +13,12 @@ from jax import Array
 
 from jaxlangnav.grounding.bits import iota, is_in, to_mask
 from jaxlangnav.grounding.program import (
-    AT_TABLE,
     NEVER,
-    NUM_TABLES,
     NUM_TYPES,
     BehaviorProgram,
 )
 from jaxlangnav.messages import NONE, ROBOT, BehaviorWorld
+from jaxlangnav.numerics.batching import pick
 
 
 class Scene(NamedTuple):
@@ -79,9 +78,7 @@ def build_scene(program: BehaviorProgram, world: BehaviorWorld) -> Scene:
     edges = jnp.concatenate([world.is_related, world.is_superlative, world.is_later])
     figures = jnp.sum(jnp.where(edges, itself[None, :, None], 0), axis=1)
     figures = jnp.append(figures, itself[None], axis=0)  # [18 + 1, N, E, P]: the last table is "at"
-    lies = jnp.zeros((1, 1, 1, 1), jnp.int32)
-    for n in range(AT_TABLE + 1):
-        lies = lies | jnp.where(program.table[:, None] == n, figures[n][None], 0)
+    lies = pick(figures, _each(program.table, is_object))
     previous = world.is_previous & is_object
     last_type = jnp.max(jnp.where(previous, world.object_type, NONE - 9), axis=0)
     alike = (world.object_type == last_type[None]) & is_object
@@ -94,6 +91,11 @@ def build_scene(program: BehaviorProgram, world: BehaviorWorld) -> Scene:
         everything=everything,
         lies=lies,
     )
+
+
+def _each(index: Array, objects: Array) -> Array:
+    """Put the same index beside each object: i32[n, E, 1] to i32[n, N, E, P]."""
+    return jnp.broadcast_to(index[:, None], (index.shape[0], *objects.shape))
 
 
 def _own(row: BehaviorProgram, scene: Scene) -> Array:
@@ -150,8 +152,6 @@ def constraint_odds(row: BehaviorProgram, scene: Scene, joined: Joined, size: in
 
 def lying_in(row: BehaviorProgram, scene: Scene, regions: Array) -> Array:
     """Find the objects that lie in the expressed regions, i32[4, L, E, P] to i32[4, E, P]."""
-    table = jnp.zeros((1, 1, 1, 1), jnp.int32)
-    for n in range(NUM_TABLES):
-        table = table | jnp.where(row.region_table[:, None] == n, scene.lies[n][None], 0)
+    table = pick(scene.lies, _each(row.region_table, scene.lies[0]))
     there = jnp.where(is_in(regions, scene.lies.shape[1]), table[None], 0)  # [4, L, N, E, P]
     return jax.lax.reduce_or(there, axes=(1, 2))

@@ -3,6 +3,7 @@
 import itertools
 import math
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -50,7 +51,8 @@ def draw(log_weight: Array, uniform: Array) -> tuple[Array, Array]:
 
 def _running_sum(values: Array) -> Array:
     """Sum up a few values along the first axis one by one: fuses into one loop over a batch."""
-    return jnp.stack(list(itertools.accumulate(values[i] for i in range(values.shape[0]))))
+    rows = (jax.lax.slice_in_dim(values, i, i + 1) for i in range(values.shape[0]))
+    return jnp.concatenate(list(itertools.accumulate(rows)))
 
 
 def log_normalize(log_weight: Array) -> tuple[Array, Array, Array]:

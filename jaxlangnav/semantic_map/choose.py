@@ -21,6 +21,7 @@ a hydrant "in front of the cone" that stands behind it.
 Everything takes one particle, or all of them with the particle axis last ("..." in shapes).
 """
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -68,7 +69,8 @@ def ground_relation(
     said = once(said)
     ends = candidates.list_candidates(seen, said, grounding, scene, params.concentration)
     ways = once(candidates.propose(said, ends, draws, scene, params.relations))
-    rank = log_rank(said, ways.told, seen, draws, scene, params)
+    num_known = ends.x.shape[1]
+    rank = log_rank(said, ways.told, seen, draws, scene, params, num_known=num_known)
     log_weight = _weigh(said, ends, ways, rank, scene, params.misleading)
     choice, log_total = categorical.draw(log_weight, draws.choice)
     log_total = jnp.maximum(log_total + _log_root(said, ends, scene), _LOG_FLOOR)
@@ -183,11 +185,14 @@ def _enter(
     is_valid = said.mention[FIGURE] != NONE
     is_set = ends.is_open & (said.kind >= 0) & is_valid[None]
     mentions = column(jnp.arange(grounding.slot.shape[0]), grounding.slot.ndim)
-    is_figure, is_landmark = (mentions == said.mention[end][None] for end in (FIGURE, LANDMARK))
+    entered_by = jnp.where(is_set, said.mention, NONE)
+    is_figure, is_landmark = (mentions == entered_by[end][None] for end in (FIGURE, LANDMARK))
+    # One who is both is entered as the figure.
+    source = jnp.where(is_figure, 2, is_landmark.astype(jnp.int32))
 
     def put(old: Array, new: Array) -> Array:
-        old = jnp.where(is_landmark & is_set[LANDMARK][None], new[LANDMARK][None], old)
-        return jnp.where(is_figure & is_set[FIGURE][None], new[FIGURE][None], old)
+        of_end = (jnp.broadcast_to(new[end : end + 1], old.shape) for end in (LANDMARK, FIGURE))
+        return jax.lax.select_n(source, old, *of_end)
 
     log_weight = grounding.log_weight + jnp.where(is_valid, log_total, 0.0)
     entered = [put(old, new) for old, new in zip(grounding[:-1], after, strict=True)]

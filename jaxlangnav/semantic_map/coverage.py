@@ -41,8 +41,13 @@ def unexplored(area: Array, num_cells: int) -> Coverage:
 def cell_size(coverage: Coverage) -> tuple[Array, Array]:
     """Compute the size of a cell, f32[] metres in x and in y."""
     num_cells = coverage.log_miss.shape[-1]
-    x_min, x_max, y_min, y_max = coverage.area
-    return (x_max - x_min) / num_cells, (y_max - y_min) / num_cells
+    size_x, size_y = _sides(coverage) / num_cells
+    return size_x, size_y
+
+
+def _sides(coverage: Coverage) -> Array:
+    """Compute how long the operating area is in x and in y, f32[2, ...] metres."""
+    return coverage.area[1::2] - coverage.area[::2]
 
 
 def cell_centres(coverage: Coverage) -> tuple[Array, Array]:
@@ -54,8 +59,8 @@ def cell_centres(coverage: Coverage) -> tuple[Array, Array]:
 
 def area_size(coverage: Coverage) -> Array:
     """Compute the size of the operating area, f32[] square metres."""
-    x_min, x_max, y_min, y_max = coverage.area
-    return (x_max - x_min) * (y_max - y_min)
+    side_x, side_y = _sides(coverage)
+    return side_x * side_y
 
 
 def share_in_view(

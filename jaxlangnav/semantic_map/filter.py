@@ -225,8 +225,10 @@ def reground(
         The particles, properly weighted.
     """
     number, particles = belief.log_weight.shape[0], belief.particles
-    kept_weight, log_total, is_dead = categorical.log_normalize(
-        belief.log_weight + weighed.log_map + weighed.log_hypotheses
+    # What a particle's own map weighs, apart from its hypotheses, goes with a forced draw.
+    log_map = belief.log_weight + weighed.log_map
+    (kept_weight, map_weight), log_totals, are_dead = categorical.log_normalize(
+        jnp.stack([log_map + weighed.log_hypotheses, log_map])
     )
     # A new object of a type the particle's words speak of reopens what they refer to.
     new_type = jnp.where(weighed.is_new, particles.object_type, -3)
@@ -253,8 +255,6 @@ def reground(
     num_asked = jnp.sum(is_asked).astype(jnp.float32)
     language, log_language_total, _ = categorical.log_normalize(log_language)
     language = jnp.clip(language * num_asked, 1e-6, 50.0)
-    # What a particle's own map weighs, apart from its hypotheses, goes with a forced draw.
-    map_weight, _, _ = categorical.log_normalize(belief.log_weight + weighed.log_map)
     fresh_weight = jnp.where(must_ground, map_weight, 1.0 / number) * language
     weight = jnp.where(is_fresh, fresh_weight, jnp.maximum(kept_weight, 1.0 / number))
     return Regrounded(
@@ -263,9 +263,9 @@ def reground(
         ),
         weight=weight / jnp.sum(weight),
         is_fresh=is_fresh,
-        log_total=log_total,
+        log_total=log_totals[0],
         log_language=log_language_total - jnp.log(num_asked),
-        is_dead=is_dead,
+        is_dead=are_dead[0],
     )
 
 

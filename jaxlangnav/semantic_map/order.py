@@ -34,7 +34,14 @@ PLURAL = 10.0
 
 
 def log_rank(
-    said: Said, pairs: Pairs, seen: Seen, draws: Draws, scene: Scene, params: MapParams
+    said: Said,
+    pairs: Pairs,
+    seen: Seen,
+    draws: Draws,
+    scene: Scene,
+    params: MapParams,
+    *,
+    num_known: int = 0,
 ) -> Array:
     """Weigh figures at places by how well they fit their rank.
 
@@ -48,6 +55,8 @@ def log_rank(
         draws: places drawn from the unexplored area, for what is unseen.
         scene: the robot when it was told, and u.
         params: concentration, softness.
+        num_known: the first ``num_known``² pairs are of so many figures, each with the landmarks of
+            the first so many pairs behind them: what depends on these alone is worked out once.
 
     Returns:
         f32[n, ...] log-weight.
@@ -65,7 +74,7 @@ def log_rank(
         return jnp.where(is_told[None], found, 0.0)
 
     softness = params.superlative_softness
-    log_nearest = rarely(is_nearest, lambda here: -_excess(said, here, seen) / softness)
+    log_nearest = rarely(is_nearest, lambda here: -_excess(said, here, seen, num_known) / softness)
     # Orders cost more than all the rest.
     log_order = rarely(
         said.is_order, lambda here: _log_order(said, here, seen, draws, scene, params)
@@ -73,7 +82,7 @@ def log_rank(
     return log_nearest + log_order
 
 
-def _excess(said: Said, pairs: Pairs, seen: Seen) -> Array:
+def _excess(said: Said, pairs: Pairs, seen: Seen, num_known: int) -> Array:
     """Measure by how many metres the figure is beaten by a seen thing of its type, f32[n, ...]."""
     sign = jnp.where(said.relation == FAR, -1.0, 1.0)[None]
 
@@ -81,10 +90,12 @@ def _excess(said: Said, pairs: Pairs, seen: Seen) -> Array:
         return lead(sign, dx.ndim) * (dx * dx + dy * dy + 1e-9)
 
     own = merit(pairs.x - pairs.landmark_x, pairs.y - pairs.landmark_y)
+    at_x, at_y = (leaf[num_known * num_known :] for leaf in (pairs.landmark_x, pairs.landmark_y))
     x, y = apart(seen.x, own.ndim + 1), apart(seen.y, own.ndim + 1)
     is_rival = apart(seen.object_type == said.kind[FIGURE][None], own.ndim + 1)
-    rival = merit(x - pairs.landmark_x[None], y - pairs.landmark_y[None])  # [O, n, ...]
-    best = jnp.minimum(own, jnp.min(jnp.where(is_rival, rival, jnp.inf), axis=0))
+    rival = merit(x - at_x[None], y - at_y[None])  # [O, landmarks, ...]
+    best = jnp.min(jnp.where(is_rival, rival, jnp.inf), axis=0)
+    best = jnp.minimum(own, jnp.concatenate([*[best[:num_known]] * num_known, best]))
     return sign * (jnp.sqrt(jnp.abs(own)) - jnp.sqrt(jnp.abs(best)))
 
 

@@ -18,7 +18,7 @@ from jax.custom_batching import custom_vmap
 
 from jaxlangnav.messages import NONE, Readings
 from jaxlangnav.numerics import batching
-from jaxlangnav.numerics.batching import pack, row_of, unpack
+from jaxlangnav.numerics.batching import pack, row_of, take, unpack
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.candidates import (
@@ -33,7 +33,7 @@ from jaxlangnav.semantic_map.choose import ground_relation
 from jaxlangnav.semantic_map.coverage import Coverage, area_size, sample_unseen
 from jaxlangnav.semantic_map.params import MapParams
 from jaxlangnav.semantic_map.particle import SemanticMap
-from jaxlangnav.semantic_map.said import FIGURE, Said, hear
+from jaxlangnav.semantic_map.said import FIGURE, Said, hear, listen
 
 _STEPS = np.array([0.61803399, 0.41421356, 0.73205081, 0.64575131], np.float32)
 """Steps of additive recurrences, fractions of roots of 5, 2, 3 and 7: each fills the unit interval
@@ -43,8 +43,9 @@ _PIECES, _LEAST_PIECE = 8, 256
 would waste less of the last one, but leave a wide device idle."""
 
 
-Heard = tuple[Seen, Said, Draws]
-"""What one particle needs to ground the words; of what is said and drawn leaves [J, ..., P]."""
+Own = tuple[Seen, Draws, Array]
+"""What is each particle's own: what it has seen, leaves [J, ..., P] of what is drawn, and the
+reading that it believes, i32[P]."""
 
 
 def ground_words(
@@ -82,13 +83,14 @@ def ground_words(
     seen = Seen(
         particles.object_type, particles.mean_x[:num_objects], particles.mean_y[:num_objects]
     )
-    heard = seen, hear(readings, reading, params.relations, log_area), draws
+    own = seen, draws, reading
+    told = listen(readings, params.relations, log_area)
     scene = Scene(belief.coverage, jnp.int32(0), log_area, log_unseen, belief.viewer)
     num_mentions = readings.mention_type.shape[1]
     if is_sparse:
-        grounding = _sparse(num_mentions)(asked, heard, scene, params)
+        grounding = _sparse(num_mentions)(asked, own, told, scene, params)
     else:
-        grounding = _ground_all(num_mentions, heard, scene, params)
+        grounding = _ground_all(num_mentions, own, told, scene, params)
     fresh = replace(
         particles,
         reading=reading,
@@ -151,9 +153,18 @@ def _draw(key: Array, belief: ParticleBelief, num_relations: int) -> tuple[Array
     return uniforms[0, :number], draws, log_unseen
 
 
-def _ground_all(num_mentions: int, heard: Heard, scene: Scene, params: MapParams) -> Grounding:
-    """Ground the words of all particles, relation by relation: leaves [..., P]."""
-    seen, said, draws = heard
+def _ground_all(
+    num_mentions: int, own: Own, told: Said, scene: Scene, params: MapParams
+) -> Grounding:
+    """Ground the words of all particles of one lane: leaves [..., P]."""
+    seen, draws, reading = own
+    return _ground(num_mentions, seen, hear(told, reading), draws, scene, params)
+
+
+def _ground(
+    num_mentions: int, seen: Seen, said: Said, draws: Draws, scene: Scene, params: MapParams
+) -> Grounding:
+    """Ground the words of particles, relation by relation; of what is said leaves [J, ..., P]."""
     num_relations = jnp.max(jnp.sum(said.mention[:, FIGURE] != NONE, axis=0))
 
     def body(index: Array, grounding: Grounding) -> Grounding:
@@ -184,8 +195,9 @@ def _sparse(num_mentions: int) -> Callable[..., Grounding]:
             def spread(leaf: Array, has_lanes: bool) -> Array:
                 return leaf if has_lanes else jnp.broadcast_to(leaf, (num_lanes, *leaf.shape))
 
-            asked, heard, scene = jax.tree.map(spread, arguments[:-1], tuple(is_batched[:-1]))
-            grounding = _ground_gathered(dense, asked, heard, scene, arguments[-1])
+            of_lanes = jax.tree.map(spread, arguments[:-1], tuple(is_batched[:-1]))
+            asked, own, told, scene = of_lanes
+            grounding = _ground_gathered(num_mentions, asked, own, told, scene, arguments[-1])
         return grounding, jax.tree.map(lambda _: True, grounding)
 
     ground.def_vmap(rule)
@@ -193,18 +205,20 @@ def _sparse(num_mentions: int) -> Callable[..., Grounding]:
 
 
 def _ground_gathered(
-    dense: Callable[..., Grounding],
+    num_mentions: int,
     is_asked: Array,
-    heard: Heard,
+    own: Own,
+    told: Said,
     scene: Scene,
     params: MapParams,
 ) -> Grounding:
     """Gather the particles that are asked from all lanes, ground them piece by piece, put back.
 
     Args:
-        dense: grounds all particles it is given.
+        num_mentions: M.
         is_asked: bool[L, P].
-        heard: leaves [L, ..., P].
+        own: leaves [L, ..., P].
+        told: all readings of each lane, leaves [L, J, ..., K].
         scene: leaves [L, ...].
         params: of all lanes.
 
@@ -217,10 +231,10 @@ def _ground_gathered(
     room = -(-size // piece) * piece
     asked = is_asked.reshape(size)
     order = jnp.nonzero(asked, size=room, fill_value=0)[0]
-    side_by_side = jax.tree.map(
-        lambda leaf: jnp.moveaxis(leaf, 0, -2).reshape(*leaf.shape[1:-1], size), heard
+    side_by_side, all_told = jax.tree.map(
+        lambda leaf: jnp.moveaxis(leaf, 0, -2).reshape(*leaf.shape[1:-1], -1), (own, told)
     )
-    table = pack(side_by_side)
+    table, num_readings = pack(side_by_side), told.relation.shape[-1]
     maps, num_cells = scene.coverage.log_miss, scene.coverage.log_miss.shape[-1]
 
     def scene_of(lane: Array) -> Scene:
@@ -240,12 +254,14 @@ def _ground_gathered(
     def body(carry: tuple[Array, Array]) -> tuple[Array, Array]:
         start, found = carry
         chosen = jax.lax.dynamic_slice_in_dim(order, start, piece)
-        some = unpack(table[:, chosen], side_by_side)
-        grounding = dense(some, scene_of(chosen // number), params)
+        seen, draws, reading = unpack(table[:, chosen], side_by_side)
+        lane = chosen // number
+        said = take(all_told, lane * num_readings + reading)
+        grounding = _ground(num_mentions, seen, said, draws, scene_of(lane), params)
         found = jax.lax.dynamic_update_slice_in_dim(found, pack(grounding), start, axis=1)
         return start + piece, found
 
-    form = jax.eval_shape(dense, side_by_side, scene_of(jnp.arange(size) // number), params)
+    form = jax.eval_shape(lambda: nothing_grounded(num_mentions, size))
     rows = sum(math.prod(leaf.shape[:-1]) for leaf in jax.tree.leaves(form))
     nothing = jnp.zeros((rows, room), jnp.float32)
     _, found = jax.lax.while_loop(is_left, body, (jnp.int32(0), nothing))

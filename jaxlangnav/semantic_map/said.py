@@ -70,21 +70,24 @@ class Said(NamedTuple):
         )
 
 
-def hear(readings: Readings, reading: Array, model: RelationModel, log_area: Array) -> Said:
-    """Look up all relations of the readings that the particles believe.
+def listen(readings: Readings, model: RelationModel, log_area: Array) -> Said:
+    """Look up all that the readings say.
 
     Args:
-        readings: the sentence.
-        reading: i32[P].
+        readings: the sentence, K readings.
         model: prepared relations.
         log_area: f32[], log square metres of the operating area.
 
     Returns:
-        What is said, leaves [J, ..., P].
+        All relations of each reading, leaves [J, ..., K].
     """
-    said = jax.vmap(_say, in_axes=(0, None, None), out_axes=-1)(readings, model, log_area)
-    rows = pack(said).T[..., None]
-    return unpack(pick(rows, jnp.broadcast_to(reading, (rows.shape[1], *reading.shape))), said)
+    return jax.vmap(_say, in_axes=(0, None, None), out_axes=-1)(readings, model, log_area)
+
+
+def hear(told: Said, reading: Array) -> Said:
+    """Look up what particles hear that believe the readings i32[P]: leaves [J, ..., P]."""
+    rows = pack(told).T[..., None]
+    return unpack(pick(rows, jnp.broadcast_to(reading, (rows.shape[1], *reading.shape))), told)
 
 
 def _say(one: Readings, model: RelationModel, log_area: Array) -> Said:
