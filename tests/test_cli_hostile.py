@@ -10,7 +10,10 @@ from pathlib import Path
 import pytest
 
 from jaxlangnav.cli import main as cli
+from jaxlangnav.cli.errors import platform_fault
 from jaxlangnav.cli.output import Output, write_document
+from jaxlangnav.language.parser import parse
+from jaxlangnav.language.phrase import LanguageError
 
 ANSI = "\x1b[31mred\x1b]0;title\x07\u202e\x9b2J"
 MARKUP = "[red]x[/red] [link=https://example.org]y[/link] :skull:"
@@ -121,3 +124,28 @@ def test_a_platform_that_is_not_there_is_named() -> None:
     assert done.returncode == 2, done.stderr
     assert done.stderr.startswith('jaxlangnav: JAX_PLATFORMS is "\\x1b[31m", but JAX')
     assert done.stderr.count("\n") == 1
+
+
+def test_one_missing_platform_of_several_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """JAX fails the first time and then goes on with what it has found."""
+    monkeypatch.setenv("JAX_PLATFORMS", "cpu,nope")
+    failure = RuntimeError("Unable to initialize backend 'nope': unknown")
+    assert str(platform_fault(failure)).startswith('JAX_PLATFORMS is "cpu,nope", but')
+    assert platform_fault(RuntimeError("something else")) is None
+
+
+def test_a_bad_world_is_refused_before_anything_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "bad.toml").write_text("nothing = 1")
+    assert cli.main(["ground", "go to the hydrant", "--world", str(tmp_path / "bad.toml")]) == 2
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert len(told.err.splitlines()) == 1
+
+
+@pytest.mark.parametrize("text", ["go to the zorb\x07", "Stop! \x1b[31m", "go\x00 to"])
+def test_a_refusal_of_a_sentence_cannot_act_on_a_terminal(text: str) -> None:
+    with pytest.raises(LanguageError) as caught:
+        parse(text)
+    assert str(caught.value).isprintable()

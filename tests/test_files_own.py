@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from jaxlangnav.files import own as own_files
-from jaxlangnav.files.own import own_folder, read_own_file, write_own_file
+from jaxlangnav.files.own import check_own_files, own_folder, read_own_file, write_own_file
 
 
 def mode(path: Path) -> int:
@@ -118,3 +118,16 @@ def test_a_file_that_cannot_be_written_leaves_nothing(
         write_own_file(tmp_path / "file", b"new")
     assert [one.name for one in tmp_path.iterdir()] == ["file"]
     assert (tmp_path / "file").read_bytes() == b"content"
+
+
+def test_a_folder_is_refused_for_a_file_of_another_user(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = own_folder(tmp_path / "own")
+    (folder / "one").write_bytes(b"1")
+    (folder / "one").chmod(0o664)
+    check_own_files(folder)
+    mine = os.geteuid()
+    monkeypatch.setattr(os, "geteuid", lambda: mine + 1)
+    with pytest.raises(PermissionError, match="one: belongs to another user"):
+        check_own_files(folder)

@@ -106,3 +106,9 @@ def test_no_command_with_an_object_is_taken_for_a_word_to_halt() -> None:
 )
 def test_a_sentence_of_its_own_at_the_beginning(text: str, begins: bool) -> None:
     assert begins_with_halt(text) is begins
+
+
+@pytest.mark.parametrize("other", [None, 5, b"stop", ["stop"]])
+def test_what_is_no_text_is_left_to_the_parser_too(other: object) -> None:
+    assert act_of(other) is None
+    assert begins_with_halt(other) is False

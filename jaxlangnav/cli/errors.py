@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from jaxlangnav.plain_text import cut, printable
 
 _PLATFORMS = "JAX_PLATFORMS"
+_NO_BACKEND = "Unable to initialize backend"
 """Environment variable that tells JAX where to compute."""
 _LONGEST = 600
 """Characters of the one line: a path or a value may be of any length."""
@@ -56,8 +57,12 @@ def is_refusal(error: BaseException) -> bool:
     return isinstance(error, UsageError) or (isinstance(error, ValueError) and is_ours)
 
 
-def platform_fault() -> str | None:
+def platform_fault(failure: Exception) -> str | None:
     """Find out whether JAX was told to compute on what is not here; asked after a failure.
+
+    Args:
+        failure: what went wrong. Of several platforms one may be here and another not: JAX then
+            fails the first time and goes on with what it has found when asked again.
 
     Returns:
         One line, or None where JAX has not been used or has found its devices.
@@ -66,13 +71,15 @@ def platform_fault() -> str | None:
     if jax is None or not named:
         return None
     try:
-        jax.devices()
+        is_here = _NO_BACKEND not in str(failure) and bool(jax.devices())
     except (RuntimeError, AssertionError):
-        return (
-            f'{_PLATFORMS} is "{cut(named)}", but JAX can compute on no such device here: '
-            "unset it, or set it to cpu"
-        )
-    return None
+        is_here = False
+    if is_here:
+        return None
+    return (
+        f'{_PLATFORMS} is "{cut(named)}", but JAX can compute on no such device here: '
+        "unset it, or set it to cpu"
+    )
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:

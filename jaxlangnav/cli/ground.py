@@ -75,10 +75,12 @@ class Ground:
             "annotations": understood.annotations,
             "unknown_words": understood.unknown_words,
         }
-        show_annotations(document["annotations"], output)
         num_objects = PAPER_NUM_OBJECTS
-        if self.world is not None:
-            document |= self._ground_in(self.world, understood)
+        # Refused before anything is told.
+        grounded = {} if self.world is None else self._ground_in(self.world, understood)
+        document |= grounded
+        show_annotations(document["annotations"], output)
+        if grounded:
             show_behaviors(document["behaviors"], document["world"], output)
             num_objects = len(document["objects"])
         document["graph"] = understood.graph(num_objects)

@@ -70,7 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _raise_if_debugging(error)
         if is_refusal(error):
             return _complain(one_line(error), code=2)
-        if fault := platform_fault():
+        if fault := platform_fault(error):
             return _complain(fault, code=2)
         fault = f"internal error: {type(error).__name__}: {one_line(error)}"
         return _complain(f"{fault} ({DEBUG}=1 shows the traceback)", code=1)

@@ -43,7 +43,7 @@ def keep_compiled_programs() -> None:
     """
     import jax
 
-    from jaxlangnav.files.own import own_folder
+    from jaxlangnav.files.own import check_own_files, own_folder
     from jaxlangnav.kept import keep_in
 
     if not getattr(jax.config, "jax_enable_compilation_cache", True):
@@ -54,6 +54,7 @@ def keep_compiled_programs() -> None:
         if named is None:
             # What JAX loads runs as the user, as ours does.
             folder = own_folder(cache_directory() / "xla")
+            check_own_files(folder)
             jax.config.update("jax_compilation_cache_dir", str(folder))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
         keep_in(_folder_of_programs(named), say=say)

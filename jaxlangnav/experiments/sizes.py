@@ -98,9 +98,10 @@ def counted(number: int) -> str:
         number: not negative.
 
     Returns:
-        All digits in threes, or the power of ten.
+        All digits in threes, or the first two with the power of ten.
     """
-    return f"{number:,}" if number < 10**15 else f"10^{len(str(number)) - 1}"
+    digits = str(number)
+    return f"{number:,}" if number < 10**15 else f"{digits[0]}.{digits[1]}·10^{len(digits) - 1}"
 
 
 def check_count(name: str, count: int, *, each: int, fixed: int = 0, beside: str = "") -> None:

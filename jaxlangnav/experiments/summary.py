@@ -80,7 +80,8 @@ def _read_all(folder: Path, sweep: str) -> tuple[pa.Table, int, list[str]]:
         except ShardError as fault:
             damaged.append(f"{path} {fault}")
     if not tables:
-        most = f": {damaged[0]}" if damaged else " yet"
+        others = f" (and {len(damaged) - 1} others)" if len(damaged) > 1 else ""
+        most = f": {damaged[0]}{others}" if damaged else " yet"
         raise ValueError(f"{folder} holds no {'sound ' if damaged else ''}episodes{most}")
     return pa.concat_tables(tables), len(tables), damaged
 

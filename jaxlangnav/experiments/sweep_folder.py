@@ -180,6 +180,8 @@ def sound_files(
         try:
             check_shard(path, Shard(sweep=sweep, index=index, rows=plan.size(index)))
         except ShardError as fault:
+            if path.is_dir():
+                raise ValueError(f"{path}: is a folder where a file belongs: remove it") from None
             on_note(f"note: {path} {fault}; it is made again")
             continue
         kept.add(index)

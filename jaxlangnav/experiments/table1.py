@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from jaxlangnav.experiments.sizes import check_count
+from jaxlangnav.experiments.sizes import check_count, counted
 from jaxlangnav.experiments.splits import draw_splits, mark_new_words
 from jaxlangnav.grounding.annotation import infer_annotations
 from jaxlangnav.grounding.behavior_search import infer_behavior_sets
@@ -42,7 +42,6 @@ from jaxlangnav.grounding.scoring import (
     score_behaviors,
 )
 from jaxlangnav.grounding.search import BEAM_WIDTH
-from jaxlangnav.grounding.symbols import AnnotationSpace
 from jaxlangnav.grounding.training import Fit, build_design, fit
 from jaxlangnav.language.corpus import load_corpus
 from jaxlangnav.language.lexicon import load_lexicon
@@ -60,6 +59,8 @@ PAPER: dict[str, dict[str, float]] = {
 CORPUS = "corpus39"
 MODELS = ("annotation", "behavior")
 Progress = Callable[[int], None]
+_WIDEST = 256
+"""Sets of a phrase kept at most: those of two children are combined each with each."""
 _MASKS = 1 + 4
 """Bytes of what a split says of one instruction: held out or not, and how much it counts."""
 
@@ -251,9 +252,8 @@ def evaluate(
     if unknown:
         raise ValueError(f"unknown features {unknown}; known are {', '.join(FEATURE_GROUPS)}")
     type_names = load_lexicon().type_names
-    symbols = AnnotationSpace(len(type_names)).size
-    # The sets of two children are combined each with each.
-    check_count("beams", max(beams), each=max(beams) * symbols)
+    if max(beams) > _WIDEST:
+        raise ValueError(f"beam width is {counted(max(beams))}, but must be {_WIDEST} or less")
     corpus = load_corpus(CORPUS)
     check_count("splits", splits, each=_MASKS * len(corpus))
     instructions = read_examples(corpus, type_names)

@@ -55,6 +55,23 @@ def own_folder(path: Path) -> Path:
     return real
 
 
+def check_own_files(folder: Path) -> None:
+    """Refuse a folder in which a file is another user's, however it came there.
+
+    Whoever made the files may have let others write them, as many do with those of their group:
+    nobody else can enter the folder.
+
+    Args:
+        folder: that ``own_folder`` has passed.
+
+    Raises:
+        OSError: a file belongs to another user; the message says which.
+    """
+    for path in folder.iterdir():
+        if os.lstat(path).st_uid != os.geteuid():
+            raise PermissionError(f"{path}: belongs to another user; remedy: remove it")
+
+
 def read_own_file(path: Path, *, at_most: int) -> bytes:
     """Read a file of this user's that nobody else may write; no link to one.
 

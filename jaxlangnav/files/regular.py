@@ -76,4 +76,6 @@ def read_opened(descriptor: int, path: str | Path, *, at_most: int) -> bytes:
         if not piece:
             return bytes(content)
         content += piece
-    raise ValueError(f"{path}: has more than {at_most:,} bytes, the most that such a file may have")
+    raise ValueError(
+        f"{path}: has more than {at_most:,} bytes, the most that such a file may have: shorten it"
+    )

@@ -35,7 +35,10 @@ def act_of(text: str) -> Act | None:
     Returns:
         The act; None where the utterance says anything else. Where parts of it ask for different
         acts ("stop! never mind, go on"), halting wins over cancelling, and both over going on.
+        None too for what is no text, which the parser refuses.
     """
+    if not isinstance(text, str):
+        return None
     found = [_act_of_part(part) for part in _parts(text)]
     if None in found:
         return None
@@ -52,7 +55,7 @@ def begins_with_halt(text: str) -> bool:
     Returns:
         True if the first part, up to punctuation, is a word to halt.
     """
-    parts = _parts(text[:MAX_CHARACTERS])
+    parts = _parts(text[:MAX_CHARACTERS]) if isinstance(text, str) else []
     return bool(parts) and Act.HALT in (_act_of_part(parts[0]) or ())
 
 

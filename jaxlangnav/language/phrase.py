@@ -8,12 +8,18 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from jaxlangnav.plain_text import printable
+
 COMMAND = "command"
 STATEMENT = "statement"
 
 
 class LanguageError(ValueError):
     """A sentence that is refused; the message is one line naming the word and its position."""
+
+    def __init__(self, message: str) -> None:
+        """Keep the message; what it repeats of the sentence cannot act on a terminal."""
+        super().__init__(printable(message))
 
 
 @dataclass(frozen=True, kw_only=True)
