@@ -8,7 +8,7 @@ from hostile import MUTATIONS, looks
 from test_navigator_step import AREA, distance, go, robot, see
 
 from jaxlangnav import navigator
-from jaxlangnav.grounding import understand
+from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.messages import Fault
 from jaxlangnav.pytree import replace
 
@@ -139,7 +139,7 @@ def test_a_place_that_cannot_be(robot, pose, area) -> None:
         with pytest.raises(ValueError, match="pose is"):
             robot.start(TEXT, pose=broken)
     state = navigator.start(
-        understand(TEXT, robot.model).instruction,
+        understand(TEXT, load_shipped()).instruction,
         jnp.asarray(pose, jnp.float32),
         jnp.asarray(area, jnp.float32),
         config=robot.config,
@@ -160,7 +160,7 @@ def test_a_statement_is_refused_and_ends_nothing(robot) -> None:
     run = go(robot, robot.start(TEXT, area=AREA), max_steps=2)
     with pytest.raises(ValueError, match="asks for nothing"):
         robot.hear(run.state, said)
-    statement = understand(said, robot.model).instruction
+    statement = understand(said, load_shipped()).instruction
     # In a batch it is data: the task goes on as if nothing had been said.
     told = navigator.hear(run.state, statement, jnp.full(3, jnp.nan))
     for ours, before in zip(jax.tree.leaves(told), jax.tree.leaves(run.state), strict=True):
@@ -174,7 +174,7 @@ def test_a_statement_is_refused_and_ends_nothing(robot) -> None:
 
 def test_a_command_heard_at_a_place_that_cannot_be_is_heard_where_it_was(robot) -> None:
     state = begin(robot)
-    instruction = understand("go to the cone", robot.model).instruction
+    instruction = understand("go to the cone", load_shipped()).instruction
     told = navigator.hear(state, instruction, jnp.array([jnp.nan, 0.0, 0.0]))
     np.testing.assert_array_equal(told.belief.viewer, state.belief.last_pose)
     assert bool(told.belief.must_ground)
