@@ -158,7 +158,7 @@ def test_a_part_of_a_billion_episodes_is_a_part() -> None:
             r"1 cells times 1,000,000,000,000 episodes, which make 976,562,500 files, but a folder "
             r"holds 1,000,000: at most 1,024,000,000 episodes a cell fit",
         ),
-        ({"episodes": 10**100}, r"times 10\^100 episodes"),
+        ({"episodes": 10**100}, r"times 1\.0·10\^100 episodes"),
         (
             {
                 "episodes": 1,

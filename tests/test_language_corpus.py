@@ -254,6 +254,7 @@ def test_a_sound_line_is_read():
         (changed("clauses", 0, "rank", value=[0]), "1 rank for 3 phrases"),
         (changed("clauses", 0, "annotation", 0, value=["object(sofa)"]), "'sofa' is none of"),
         (changed("clauses", 0, "annotation", 0, value=["cone"]), "is no symbol"),
+        (changed("clauses", 0, "annotation", 0, value=["a\nb"]), r"'a\nb' is no symbol"),
         (changed("clauses", 0, "annotation", 0, value=["thing(cone)"]), "kind must be one of"),
         (changed("clauses", 0, "annotation", 0, value=["region(near)"]), "expected 2 argument"),
         (changed("worlds", 0, "behavior", 0, 0, value=["object(1)"]), "'1' is none of 0"),

@@ -89,6 +89,7 @@ def test_without_the_file_the_words_are_unknown(tmp_path: Path) -> None:
         ('[class.rel]\n"relation:left" = ["in front of"]', "'in front of' has another meaning"),
         ('[class.rel]\n"relation:sideways" = ["athwart"]', "no such sense"),
         ("[class.adj]\ntag = ['x']", "no such sense"),
+        ('[class.rel]\n"a\\nb" = ["athwart"]', r"a\\nb: no such sense"),
         ('[class.rel]\n"relation:left" = ["*a *b"]', "more than one word marked"),
         (f"[types]\nlamp = {[f'w{i}' for i in range(2000)]}", "at most 1000 may be added"),
     ],

@@ -82,7 +82,7 @@ class Example:
 
 def _check(condition: bool, message: str) -> None:
     if not condition:
-        raise CorpusError(cut(message, _LONGEST_LINE))
+        raise CorpusError(cut(printable(message), _LONGEST_LINE))
 
 
 def _check_annotation(symbol: str, types: tuple[str, ...]) -> None:

@@ -11,7 +11,7 @@ from importlib import resources
 from typing import Any
 
 from jaxlangnav.language.tokens import is_word, plainly
-from jaxlangnav.plain_text import cut, fault_of_name, shown
+from jaxlangnav.plain_text import cut, fault_of_name, printable, shown
 
 MOST_EXPRESSIONS = 1000
 """Expressions that may be added."""
@@ -49,7 +49,7 @@ def extend(document: dict[str, Any], own: dict[str, Any]) -> None:
     _check_size(types, classes)
     known = _Known(document)
     for kind, words in types.items():
-        where = f"[types] {cut(kind)}"
+        where = f"[types] {cut(printable(kind))}"
         name = _expression(kind, where)
         for expression in [name, *_expressions(words, where)]:
             known.check_name(expression, name, where)
@@ -60,7 +60,7 @@ def extend(document: dict[str, Any], own: dict[str, Any]) -> None:
         if name not in document["class"]:
             raise ValueError(f"[class.{cut(name)}]: no such class")
         for senses, words in table.items():
-            where = f"[class.{name}] {cut(senses)}"
+            where = f"[class.{name}] {cut(printable(senses))}"
             for expression in _expressions(words, where):
                 known.check_sense(expression, name, senses, where)
                 document["class"][name].setdefault(senses, []).append(expression)
