@@ -149,3 +149,11 @@ def test_a_refusal_of_a_sentence_cannot_act_on_a_terminal(text: str) -> None:
     with pytest.raises(LanguageError) as caught:
         parse(text)
     assert str(caught.value).isprintable()
+
+
+def test_a_long_value_does_not_push_out_the_reason(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["ground", "go to the cone", "--world", "x" * 5000 + ".toml"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert len(line) < 650
+    assert "xxx" in line
+    assert "shipped worlds are" in line or "too long" in line.lower()

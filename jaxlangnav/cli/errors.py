@@ -8,6 +8,8 @@ from collections.abc import Iterable
 from jaxlangnav.plain_text import cut, printable
 
 _PLATFORMS = "JAX_PLATFORMS"
+_ENDING = 200
+"""Characters at the end of a longer complaint that stay."""
 _NO_BACKEND = "Unable to initialize backend"
 """Environment variable that tells JAX where to compute."""
 _LONGEST = 600
@@ -25,14 +27,18 @@ def one_line(error: BaseException) -> str:
         error: any exception.
 
     Returns:
-        Its message with line breaks folded, printable, cut where it is very long; its type's
-        name where it says nothing.
+        Its message with line breaks folded, printable, cut in its middle where it is very long;
+        its type's name where it says nothing.
     """
     message = " ".join(str(error).split()) or type(error).__name__
     if isinstance(error, OSError) and error.strerror:
         where = f"{cut(str(error.filename), _LONGEST // 2)}: " if error.filename is not None else ""
         message = f"{where}{error.strerror}"
-    return cut(printable(message), _LONGEST)
+    message = printable(message)
+    if len(message) <= _LONGEST:
+        return message
+    # What was given stands first, why it is refused last: neither may push the other out.
+    return f"{message[: _LONGEST - _ENDING - 1]}…{message[-_ENDING:]}"
 
 
 def is_refusal(error: BaseException) -> bool:
