@@ -11,20 +11,24 @@ Two functions over records are the whole engine, for any robot or simulator:
 """
 
 import dataclasses
+import difflib
 import logging
-from collections.abc import Sequence
-from typing import Self
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Self
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.core import Tracer
 
-from jaxlangnav import navigator
+from jaxlangnav import navigator, sensing
 from jaxlangnav.grounding import Context, GraphGrounder, Grounder, load_shipped
-from jaxlangnav.grounding.instruction import Instruction
+from jaxlangnav.grounding.instruction import Instruction, pack_instruction
+from jaxlangnav.grounding.readings import Reading, pack
 from jaxlangnav.language.halting import Act, act_of, begins_with_halt
-from jaxlangnav.messages import Action, Observation
+from jaxlangnav.messages import NONE, Action, Observation, SensorParams, default_sensor
 from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams, NavigatorState
 from jaxlangnav.plain_text import cut
 from jaxlangnav.planner.endings import missing_types
@@ -50,24 +54,30 @@ class Navigator:
 
     @classmethod
     def pretrained(
-        cls, policy: str | Policy = "informed", grounder: Grounder | None = None
+        cls,
+        policy: str | Policy = "informed",
+        grounder: Grounder | None = None,
+        **numbers: float,
     ) -> Self:
         """Build a navigator from the weights that ship with the package.
 
         Args:
             policy: "informed", "faithful" to the paper, or a policy of one's own.
             grounder: what understands instructions; the trained graph by default.
+            **numbers: any single number of ``MapParams``, ``MotionParams`` or ``PlannerParams`` by
+                its name, such as ``odometry_noise=0.05`` or ``step_length=0.5``; new values never
+                recompile.
 
         Returns:
             The navigator, with default parameters and sizes, but without the search prior that was
             learned in the template worlds (``prior_share`` 0).
 
         Raises:
-            ValueError: no such policy.
+            ValueError: no such policy, no such number, or one that cannot be.
         """
         return cls(
             grounder=GraphGrounder(load_shipped()) if grounder is None else grounder,
-            params=_params_anywhere(),
+            params=_with_numbers(_params_anywhere(), numbers),
             config=NavigatorConfig(planner=PlannerConfig(policy=policy)),
         )
 
@@ -132,6 +142,9 @@ class Navigator:
     ) -> tuple[NavigatorState, Action, NavigatorInfo]:
         """Run one decision cycle, compiled: from an observation to an action.
 
+        However it is given, no observation of up to eight detections compiles anything anew: those
+        on the host are padded as ``Observation.of`` pads them, and Python's numbers are cast.
+
         Args:
             key: random key, consumed.
             state: after the last cycle.
@@ -141,7 +154,50 @@ class Navigator:
         Returns:
             The new state, what the robot is to do, and why.
         """
-        return _step(key, state, observation, params=self.params, config=self.config)
+        uniform = _uniform(observation)
+        return _step(key, state, uniform, params=self.params, config=self.config)
+
+    def observation(
+        self,
+        pose: Sequence[float],
+        detections: Iterable[Sequence[Any]] = (),
+        sensor: SensorParams | None = None,
+    ) -> Observation:
+        """Build an observation that names object types as this navigator does.
+
+        Args:
+            pose: x, y, heading, metres and radians, map frame.
+            detections: (type, range, bearing) each, as ``Observation.of`` takes them.
+            sensor: specification of the detector; ``default_sensor()`` if None.
+
+        Returns:
+            The observation.
+
+        Raises:
+            ValueError: what cannot be; one line.
+        """
+        return Observation.of(pose, detections, sensor, types=self.type_names)
+
+    def warm_up(self, detections: int = 0) -> float:
+        """Compile the decision cycle now, so that the first step of a task answers at once.
+
+        Args:
+            detections: as many as a look may hold; up to eight by default.
+
+        Returns:
+            Seconds that it took: most of a minute the first time, next to nothing once compiled.
+        """
+        began = time.perf_counter()
+        nothing = pack_instruction(pack([(Reading((), ()), 0.0)]), [])
+        place = jnp.zeros(3, jnp.float32)
+        area = jnp.asarray(_around((0.0, 0.0, 0.0)), jnp.float32)
+        state = navigator.start(
+            nothing, place, area, config=self.config, num_types=len(self.type_names)
+        )
+        look = [(0, 1.0 + slot, 0.0) for slot in range(detections)]
+        seen = self.observation((0.0, 0.0, 0.0), look, default_sensor(2.0 + detections))
+        jax.block_until_ready(self.step(jax.random.key(0), state, seen))
+        return time.perf_counter() - began
 
     def hear(self, state: NavigatorState, text: str) -> NavigatorState:
         """Take in another command, or words to halt, to go on or to cancel.
@@ -178,6 +234,18 @@ class Navigator:
             return navigator.obey(state, Act.HALT)
         return navigator.hear(state, instruction, state.belief.last_pose)
 
+    def spoken(self, state: NavigatorState) -> list[str]:
+        """Name the object types that the running task speaks of: what a detector should look for.
+
+        Args:
+            state: of any robot.
+
+        Returns:
+            Names of object types, in the order of the sentence; those of all its readings.
+        """
+        kinds = np.asarray(state.instruction.readings.mention_type).reshape(-1).tolist()
+        return [self.type_names[kind] for kind in dict.fromkeys(kinds) if kind >= 0]
+
     def missing(self, state: NavigatorState) -> list[str]:
         """Name what the task speaks of and the robot has not seen, such as its goal's landmark.
 
@@ -196,6 +264,54 @@ def _around(pose: Sequence[float]) -> tuple[float, ...]:
     """Lay the operating area about a start pose."""
     x, y = (*map(float, pose), 0.0, 0.0)[:2]
     return (x - DEFAULT_EXTENT, x + DEFAULT_EXTENT, y - DEFAULT_EXTENT, y + DEFAULT_EXTENT)
+
+
+def _uniform(observation: Observation) -> Observation:
+    """Give an observation of the host the shapes and dtypes that have been compiled already."""
+    leaves = jax.tree.leaves(observation)
+    slots = np.shape(observation.detection_type)
+    if any(isinstance(leaf, Tracer) for leaf in leaves) or len(slots) != 1:
+        return observation
+    spare = sensing.padded(slots[0]) - slots[0]
+
+    def cast(leaf: Any, dtype: Any) -> np.ndarray:
+        return np.asarray(leaf, dtype)
+
+    def pad(leaf: Any, dtype: Any, filler: int) -> np.ndarray:
+        return np.pad(cast(leaf, dtype), (0, spare), constant_values=filler)
+
+    return replace(
+        observation,
+        pose=cast(observation.pose, np.float32),
+        detection_type=pad(observation.detection_type, np.int32, NONE),
+        detection_range=pad(observation.detection_range, np.float32, 0),
+        detection_bearing=pad(observation.detection_bearing, np.float32, 0),
+        is_detection=pad(observation.is_detection, bool, 0),
+        sensor=jax.tree.map(lambda leaf: cast(leaf, np.float32), observation.sensor),
+    )
+
+
+def _with_numbers(params: NavigatorParams, numbers: Mapping[str, float]) -> NavigatorParams:
+    """Set single numbers by their names, wherever among the records they stand."""
+    records = {"motion": params.map.motion, "map": params.map, "planner": params.planner}
+    home = {
+        field.name: place
+        for place, record in records.items()
+        for field in dataclasses.fields(record)
+        if isinstance(value := getattr(record, field.name), Array) and value.ndim == 0
+    }
+    for name, value in numbers.items():
+        if name not in home:
+            near = difflib.get_close_matches(name, home, 1)
+            hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(sorted(home))}"
+            raise ValueError(f"{name[:40]} is no number of the navigator: {hint}")
+        read = sensing.number(value, name)
+        if read < 0.0:
+            raise ValueError(f"{name} is {read:g}, but must not be negative")
+        place = home[name]
+        records[place] = replace(records[place], **{name: jnp.float32(read)})
+    with_motion = replace(records["map"], motion=records["motion"])
+    return replace(params, map=with_motion, planner=records["planner"])
 
 
 def _params_anywhere() -> NavigatorParams:

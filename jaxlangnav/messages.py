@@ -11,10 +11,14 @@ Axis letters, for the whole package: **E** episodes, **P** particles, **N** obje
 """
 
 import enum
+from collections.abc import Iterable, Sequence
+from typing import Any, Self
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
+from jaxlangnav import sensing
 from jaxlangnav.pytree import pytree
 
 RELATIONS = ("front", "behind", "left", "right", "near", "far")
@@ -140,6 +144,54 @@ class Observation:
     is_detection: Array  # bool[D]
     sensor: SensorParams  # the specification in force (range, field of view)
 
+    @classmethod
+    def of(
+        cls,
+        pose: Sequence[Any],
+        detections: Iterable[Sequence[Any]] = (),
+        sensor: "SensorParams | None" = None,
+        *,
+        types: Sequence[str] = sensing.TYPES,
+    ) -> Self:
+        """Build the observation of one look, padded, cast and checked (host only).
+
+        However many are detected, up to eight take the same compiled program; up to 16, 32 and
+        64 take one each.
+
+        Args:
+            pose: x, y, heading, metres and radians, map frame.
+            detections: (type, range, bearing) each: a type by name or index, metres, radians in
+                the robot's frame, counter-clockwise from the heading.
+            sensor: specification of the detector; ``default_sensor()`` if None.
+            types: what a type index is an index into: ``navigator.type_names`` where the navigator
+                knows other types than the shipped ones.
+
+        Returns:
+            The observation, leaves on the host.
+
+        Raises:
+            ValueError: what cannot be, such as an unknown type, degrees for radians or a range
+                beyond the sensor's: one line that names the value, the limit and the remedy.
+        """
+        given = default_sensor() if sensor is None else sensor
+        if not isinstance(given, SensorParams):
+            raise ValueError(
+                f"sensor is {str(given)[:40]!r}, but must be SensorParams, "
+                "as of default_sensor(range_max)"
+            )
+        numbers = sensing.sensor_numbers(
+            given.range_max, given.field_of_view, given.detection_probability, given.noise
+        )
+        found = sensing.detected(detections, numbers, types)
+        return cls(
+            pose=_on_host(sensing.pose_numbers(pose)),
+            detection_type=_on_host(found.kind),
+            detection_range=_on_host(found.range),
+            detection_bearing=_on_host(found.bearing),
+            is_detection=_on_host(found.is_detection),
+            sensor=_sensor(numbers),
+        )
+
 
 @pytree
 class Action:
@@ -153,21 +205,46 @@ class Action:
     clearance: Array  # f32[] metres to keep from objects, from the behavior's mode
 
 
-def default_sensor(range_max: float = 3.0) -> SensorParams:
-    """Build the default detector: 95 % detection, 0.1 m noise, all round.
+def _on_host(value: Any) -> Any:
+    """Pass NumPy's numbers for JAX's: nothing is sent to a device before it is used."""
+    return np.asarray(value)
+
+
+def _sensor(numbers: Sequence[np.float32]) -> SensorParams:
+    """Put the numbers of a specification in their places."""
+    range_max, field_of_view, detection_probability, noise = map(jnp.asarray, numbers)
+    return SensorParams(
+        range_max=range_max,
+        field_of_view=field_of_view,
+        detection_probability=detection_probability,
+        noise=noise,
+    )
+
+
+def default_sensor(
+    range_max: float = 3.0,
+    *,
+    field_of_view: float = 2.0 * np.pi,
+    detection_probability: float = 0.95,
+    noise: float = 0.1,
+) -> SensorParams:
+    """Build a detector: by default 95 % detection, 0.1 m noise, all round.
+
+    The specification matters: what is not seen where it would have been is evidence.
 
     Args:
         range_max: sensing range, metres.
+        field_of_view: full opening angle centred on the heading, radians.
+        detection_probability: of a thing in view in one look, from 0 to 1.
+        noise: metres, standard deviation of a relative position on each axis.
 
     Returns:
         The specification as f32 scalars.
+
+    Raises:
+        ValueError: degrees, percent, or what cannot be; one line.
     """
-    return SensorParams(
-        range_max=jnp.float32(range_max),
-        field_of_view=jnp.float32(2 * jnp.pi),
-        detection_probability=jnp.float32(0.95),
-        noise=jnp.float32(0.1),
-    )
+    return _sensor(sensing.sensor_numbers(range_max, field_of_view, detection_probability, noise))
 
 
 def default_motion() -> MotionParams:

@@ -37,7 +37,8 @@ from jaxlangnav.semantic_map.behaviors import infer_behaviors
 from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.filter import FilterInfo
 from jaxlangnav.semantic_map.params import MapConfig, MapParams, default_map_params
-from jaxlangnav.semantic_map.soundness import DEVIATIONS, is_pose
+from jaxlangnav.semantic_map.soundness import is_pose
+from jaxlangnav.sensing import DEVIATIONS
 
 _PLANNING = 77
 """Folded into a cycle's key for the planner; beyond the keys that the filter splits it into."""

@@ -15,9 +15,12 @@ def test_own_world_ends_at_the_hydrant(capsys: pytest.CaptureFixture[str]) -> No
     end = example["main"]("go to the hydrant behind the cone")
     assert np.linalg.norm(end - example["THINGS"]["hydrant"]) <= 1.5
     assert "arrived at" in capsys.readouterr().out
-    # Another sentence, the same compiled program and the same world.
-    end = example["main"]("go to the tree")
-    assert np.linalg.norm(end - example["THINGS"]["tree"]) <= 1.5
+    # Other sentences, the same compiled program and the same world.
+    end = example["main"]("go to the tree", "go to the bench")
+    assert np.linalg.norm(end - example["THINGS"]["tree"]) > 1.5
+    told = capsys.readouterr().out
+    assert "arrived at" in told
+    assert "never seen: bench" in told
 
 
 def test_own_world_is_short() -> None:

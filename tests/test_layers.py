@@ -16,6 +16,7 @@ LAYERS = (
     "files",
     "compiled_program",
     "kept",
+    "sensing",
     "messages",
     "numerics",
     "relations",

@@ -113,6 +113,68 @@ def test_the_other_hydrant_is_not_taken(robot) -> None:
     assert distance(run, 1, places) < 1.5
 
 
+def test_no_form_of_a_look_compiles_anew(robot) -> None:
+    """Fewer slots, Python's numbers, and ``Observation.of`` all take the one program."""
+    state = robot.start("go to the cone", area=AREA)
+    look = see((0.0, 0.0), 0.0)
+    key = jax.random.key(0)
+    _, expected, _ = robot.step(key, state, look)
+    compiled = STEP._cache_size()
+    short = jax.tree.map(lambda leaf: leaf[:4] if leaf.shape == (8,) else leaf, look)
+    loose = jax.tree.map(lambda leaf: np.asarray(leaf).tolist(), short)
+    named = robot.observation(
+        (0.0, 0.0, 0.0),
+        [
+            (robot.type_names[kind], away, bearing)
+            for kind, away, bearing, is_seen in zip(
+                loose.detection_type,
+                loose.detection_range,
+                loose.detection_bearing,
+                loose.is_detection,
+                strict=True,
+            )
+            if is_seen
+        ],
+        look.sensor,
+    )
+    for one in (short, loose, named):
+        _, action, _ = robot.step(key, state, one)
+        assert np.array_equal(action.waypoint, expected.waypoint)
+    assert robot.warm_up() >= 0.0
+    assert STEP._cache_size() == compiled
+
+
+def test_the_types_of_a_task_are_named(robot) -> None:
+    state = robot.start("go to the hydrant behind the cone on your left", area=AREA)
+    assert sorted(robot.spoken(state)) == ["cone", "hydrant"]
+
+
+def test_numbers_are_set_by_name(robot) -> None:
+    own = agent.Navigator.pretrained(odometry_noise=0.05, misleading=0.1, reach=1.0)
+    assert float(own.params.map.motion.odometry_noise) == pytest.approx(0.05)
+    assert float(own.params.map.misleading) == pytest.approx(0.1)
+    assert float(own.params.planner.reach) == 1.0
+    rest = replace(
+        own.params, map=robot.params.map, planner=replace(own.params.planner, reach=np.float32(1.2))
+    )
+    assert all(jax.tree.leaves(jax.tree.map(np.array_equal, rest, robot.params)))
+
+
+@pytest.mark.parametrize(
+    ("numbers", "words"),
+    [
+        ({"misleadin": 0.1}, "did you mean misleading"),
+        ({"relations": 0.1}, "no number of the navigator"),
+        ({"reach": -1.0}, "must not be negative"),
+        ({"reach": float("nan")}, "finite"),
+        ({"stop_probability": 2.0}, "between 0 and 1"),
+    ],
+)
+def test_numbers_that_cannot_be_are_refused(numbers: dict[str, float], words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        agent.Navigator.pretrained(**numbers)
+
+
 def test_find_stops_once_it_is_in_view(robot) -> None:
     run = go(robot, robot.start("find the cone", area=AREA))
     assert bool(run.state.is_done)

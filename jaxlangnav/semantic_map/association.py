@@ -19,8 +19,6 @@ from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.coverage import share_in_view
 from jaxlangnav.semantic_map.particle import SemanticMap, positions
 
-MIN_NOISE = 0.01
-"""Metres; a sensor without noise is taken to be this good, so that no division is by zero."""
 LOG_SURPRISE = -30.0
 """Least log-weight of a detection where nothing can be: surprised, never dead."""
 

@@ -31,6 +31,7 @@ from jaxlangnav.semantic_map.particle import SemanticMap
 from jaxlangnav.semantic_map.regrounding import ground_words
 from jaxlangnav.semantic_map.soundness import sound_look, sound_place
 from jaxlangnav.semantic_map.surprise import CONTRADICTION, surprise
+from jaxlangnav.sensing import MIN_NOISE
 
 _ASKED = 16
 """Particles that ground the words at every step, whatever happens: enough to tell the mean of the
@@ -170,7 +171,7 @@ def observe(
     belief = predict(belief, observation.pose, is_jump, params)
     detections = _detections(belief, observation, params)
     heading, sensor = observation.pose[2], observation.sensor
-    noise_variance = jnp.maximum(sensor.noise, association.MIN_NOISE) ** 2
+    noise_variance = jnp.maximum(sensor.noise, MIN_NOISE) ** 2
     grounded = association.associate(belief.particles, detections, uniform, noise_variance)
     particles = association.condition(belief.particles, grounded, noise_variance)
     belief = replace(belief, particles=particles)

@@ -22,8 +22,8 @@ from jax import Array
 
 from jaxlangnav.messages import NONE, Fault, Observation, SensorParams, default_sensor
 from jaxlangnav.pytree import replace
-from jaxlangnav.semantic_map.association import MIN_NOISE
 from jaxlangnav.semantic_map.belief import ParticleBelief
+from jaxlangnav.sensing import DEVIATIONS, MIN_NOISE, RANGES, TURNS, VIEWS
 
 SIDES = (0.1, 1e4)
 """Metres, shortest and longest side of an operating area."""
@@ -31,14 +31,6 @@ FARTHEST = 1e5
 """Metres from the origin of the map frame to the edges of an area: float32 is 8 mm coarse there."""
 MOST_TURNED = 1e4
 """Radians of a heading, either way: float32 is a milliradian coarse there."""
-RANGES = (0.01, 1e4)
-"""Metres, shortest and longest sensing range."""
-VIEWS = (1e-3, 2.0 * np.pi + 1e-3)
-"""Radians, narrowest and widest field of view."""
-TURNS = 4.0 * np.pi
-"""Radians of a bearing, either way; headings that are not wrapped make it more than half a turn."""
-DEVIATIONS = 6.0
-"""Standard deviations of the noise by which a detection may lie out of range or out of view."""
 
 
 def _is_between(value: Array, low: Array | float, high: Array | float) -> Array:

@@ -29,6 +29,7 @@ from jaxlangnav.messages import (
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map import association, motion, particle
 from jaxlangnav.semantic_map.particle import SemanticMap
+from jaxlangnav.sensing import MIN_NOISE
 from jaxlangnav.world import simulator
 from jaxlangnav.world.motion import move
 from jaxlangnav.world.sensor import sense
@@ -171,7 +172,7 @@ def drive(key: Array, sensor: SensorParams, odometry: MotionParams) -> FormScore
     """
     world_key, drive_key = jax.random.split(key)
     scenario = _world(world_key)
-    noise = jnp.maximum(sensor.noise, association.MIN_NOISE) ** 2
+    noise = jnp.maximum(sensor.noise, MIN_NOISE) ** 2
     empty = particle.empty(NUM_OBJECTS, 1, scenario.start[0], scenario.start[1])
 
     def body(
