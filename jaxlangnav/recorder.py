@@ -12,6 +12,7 @@ from jax import Array
 
 from jaxlangnav import episode
 from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Progress, Task
+from jaxlangnav.grounding.asked import asked
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.kept import kept
 from jaxlangnav.language.lexicon import load_lexicon
@@ -43,7 +44,7 @@ def set_scene(
         The scene.
     """
     index = int(task.instruction_index)
-    readings, num_clauses = jax.device_get((instructions.readings, instructions.num_clauses))
+    instruction = jax.tree.map(lambda leaf: leaf[index], jax.device_get(instructions))
     scenario, sensor, planner = jax.device_get((task.scenario, task.sensor, params.planner))
     return Scene(
         text=text,
@@ -51,10 +52,11 @@ def set_scene(
         policy=config.planner.policy_name,
         scenario=scenario,
         sensor=sensor,
-        readings=jax.tree.map(lambda leaf: leaf[index], readings),
+        readings=instruction.readings,
         planner=planner,
-        num_clauses=int(num_clauses[index]),
+        num_clauses=int(instruction.num_clauses),
         known_distance=float(known_distance(task.scenario)),
+        asks=tuple(asked(instruction)),
     )
 
 
@@ -177,6 +179,7 @@ def _belief_fields(belief: ParticleBelief, readings: Readings) -> dict[str, Arra
     """Gather what the particles hold."""
     particles = belief.particles
     num_objects = particles.object_type.shape[0]
+    variance = jnp.diagonal(particles.covariance, axis1=0, axis2=1).T  # [O + 1, P]
     mention_type = readings.mention_type[particles.reading].T  # [M, P]
     return {
         "weight": jnp.exp(belief.log_weight),
@@ -184,6 +187,7 @@ def _belief_fields(belief: ParticleBelief, readings: Readings) -> dict[str, Arra
         "object_type": particles.object_type,
         "object_x": particles.mean_x[:num_objects],
         "object_y": particles.mean_y[:num_objects],
+        "object_sd": jnp.sqrt(jnp.maximum(variance[:num_objects], 0.0)),
         "mention_type": jnp.where(particles.is_mentioned, mention_type, NONE),
         "referent": particles.referent,
         "is_hypothesised": particles.is_hypothesised,

@@ -13,10 +13,12 @@ import jax
 import numpy as np
 
 from jaxlangnav.episode import EpisodeResult
+from jaxlangnav.grounding.asked import Asked
 from jaxlangnav.messages import Readings, SensorParams
 from jaxlangnav.planner.endings import missing_types
 from jaxlangnav.planner.params import PlannerParams
 from jaxlangnav.pytree import pytree
+from jaxlangnav.world.simulator import SUCCESS_RADIUS
 from jaxlangnav.world.state import Scenario
 
 Leaf: TypeAlias = Any
@@ -47,6 +49,7 @@ class Frame:
     object_type: Leaf  # i32[O, P] NONE in empty slots
     object_x: Leaf  # f32[O, P]
     object_y: Leaf  # f32[O, P]
+    object_sd: Leaf  # f32[O, P] metres, standard deviation on each axis within the particle
     mention_type: Leaf  # i32[M, P] type of what each mention speaks of
     referent: Leaf  # i32[M, P] observed slot a mention refers to; NONE
     is_hypothesised: Leaf  # bool[M, P] the mention is only a hypothesis yet
@@ -102,6 +105,14 @@ class Scene:
     planner: PlannerParams
     num_clauses: int
     known_distance: float  # metres, straight from the start to the goal
+    asks: tuple[Asked, ...] = ()  # what each command asks for
+    stop_radius: float = SUCCESS_RADIUS  # metres from the goal, within which it may stop
+    is_judged: bool = True  # something there fits the sentence, so that success can be told
+
+    @property
+    def straight_distance(self) -> float:
+        """Metres straight from the start to where it may stop: the least that any robot walks."""
+        return max(0.0, self.known_distance - self.stop_radius)
 
     @property
     def area(self) -> tuple[float, float, float, float]:

@@ -107,6 +107,7 @@ def make_frame(step: int, num_steps: int, num_particles: int, rng: np.random.Gen
         object_type=slots,
         object_x=np.tile(np.array([6, 9, 0, 0], np.float32)[:, None], num_particles),
         object_y=np.tile(np.array([1, 1, 0, 0], np.float32)[:, None], num_particles),
+        object_sd=np.full((SLOTS, num_particles), 0.1, np.float32),
         mention_type=mention_type,
         referent=np.full(shape, NONE, np.int32),
         is_hypothesised=is_open,

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from recording_fixture import make_readings, make_recording, make_scene
 
-from jaxlangnav.messages import BEHIND, LEFT, NEAR, NONE, REGIONS, ROBOT, Fault, Status
+from jaxlangnav.grounding.asked import Asked
+from jaxlangnav.messages import AT, BEHIND, LEFT, NEAR, NONE, REGIONS, ROBOT, Fault, Status
 from jaxlangnav.pytree import replace
 from jaxlangnav.viz import moments, narrative, sentences, summary, words
-from jaxlangnav.viz.panels import verdict
+from jaxlangnav.viz.panels import outcome, verdict
 from jaxlangnav.viz.words import FAULT_WORDS
 from jaxlangnav.world.state import CONE, HYDRANT
 
@@ -97,15 +98,40 @@ def test_things_are_counted(nouns, said):
     assert words.counted(nouns) == said
 
 
-def test_what_is_asked_for_is_told_with_probabilities():
-    frame = make_recording(3, 5).at(0)
-    assert sentences.asked(frame) == (
-        "It is to go there and stop (90 %), at its normal pace (100 %)."
+def test_what_is_asked_for_is_told_with_its_constraints():
+    scene = dataclasses.replace(
+        make_scene(),
+        asks=(
+            Asked("navigate", "normal", AT, 0, 0.99, ((NEAR, 1, 0.9),)),
+            Asked("find", "carefully", AT, 1, 0.7, ()),
+            Asked("navigate", "quickly", BEHIND, 1, 1.0, ()),
+            Asked("navigate", "normal", AT, NONE, 1.0, ()),
+        ),
     )
-    finds = replace(frame, action=np.array([0.2, 0.8]), mode=np.array([0.1, 0.1, 0.8]))
-    assert sentences.asked(finds) == (
-        "It is to find it: to have it in view is enough (80 %), carefully (80 %)."
-    )
+    assert words.describe_asked(scene) == [
+        "go to the hydrant behind a cone, keeping away from the cone",
+        "find the cone carefully (70 %)",
+        "go behind the cone quickly",
+        "go to another one than before",
+    ]
+    assert "keeping away from the cone; then to find" in " ".join(narrative.opening(scene))
+
+
+def test_what_cannot_be_judged_is_not_called_a_failure():
+    recording = make_recording(3, 5)
+    scene = dataclasses.replace(recording.scene, is_judged=False)
+    unjudged = dataclasses.replace(recording, scene=scene)
+    told = " ".join(narrative.closing(scene, unjudged.at(-1), unjudged.result))
+    assert "Cannot be judged" in told
+    assert "straight" not in told
+    assert outcome(unjudged) == "cannot be judged"
+
+
+def test_no_walk_beats_the_known_map_by_where_it_stops():
+    """The straight way ends where the robot may stop, not on the goal."""
+    scene = dataclasses.replace(make_scene(), known_distance=6.2)
+    assert scene.straight_distance == pytest.approx(4.7)
+    assert dataclasses.replace(scene, known_distance=1.0).straight_distance == 0.0
 
 
 def test_the_unseen_goal_has_a_share_only_where_there_is_doubt():
@@ -133,10 +159,10 @@ def test_the_story_in_full():
     assert "a hydrant (20 %)" in told[2]
     assert any("Discovers a cone" in line for line in told)
     assert any("Discovers a hydrant" in line for line in told)
-    assert any("Says stop" in line and "90 %" in line for line in told)
+    assert any("Says stop" in line and "70 %" in line for line in told)
     assert told[-2].startswith("Success: it stands 0.5 m")
     assert "8.6 m" in told[-1]
-    assert "9.1 m" in told[-1]
+    assert "7.6 m" in told[-1]
 
 
 def test_every_step_is_in_the_story_once():

@@ -93,6 +93,9 @@ class Follow:
         # Before anything is compiled: a world that cannot be opened is refused at once.
         open_world(self.world)
         understood = self._understand(parsed)
+        from jaxlangnav.task.opening import refuse_what_it_lacks
+
+        refuse_what_it_lacks(self.world, understood)
         from jaxlangnav.cli.engine import rehearse
         from jaxlangnav.pytree import replace
         from jaxlangnav.task.follow import alone
@@ -149,17 +152,22 @@ class Follow:
 
     def _open(self, understood: "Understanding", output: Output) -> "Prepared":
         """Open a world in which the sentence can be followed."""
-        from jaxlangnav.task.opening import missing_types, nothing_there, open_task
+        from jaxlangnav.task.opening import (
+            count_types,
+            missing_types,
+            nothing_there,
+            open_task,
+        )
 
         prepared = open_task(self.world, understood, sensing_range=self.range, seed=self.seed)
         scenario, names = prepared.task.scenario, understood.type_names
         missing = missing_types(scenario, understood.annotations, names)
         if not prepared.is_meant and prepared.is_drawn:
-            raise UsageError(nothing_there(prepared, missing, names))
+            raise UsageError(nothing_there(prepared.world, count_types(scenario, names), ()))
         for name in missing:
             output.note(f"note: world {prepared.world} has no {name}")
         if not prepared.is_meant:
-            output.note("note: nothing there fits the sentence; judged by the world's own goal")
+            output.note("note: nothing there fits the sentence, so success cannot be judged")
         return prepared
 
     def _sizes(self, values: "dict[Place, Any]") -> dict[str, Any]:
@@ -226,12 +234,13 @@ class Follow:
             "seed": self.seed,
             "range": float(scene.sensor.range_max),
             "particles": self.particles,
-            "success": bool(result.is_success),
+            "success": bool(result.is_success) if scene.is_judged else None,
             "stopped": bool(result.is_stopped),
             "ending": Status(int(result.ending)).word,
             "missing": recording.missing,
             "distance": float(result.distance),
             "known_distance": scene.known_distance,
+            "straight_distance": scene.straight_distance,
             "goal_distance": float(result.goal_distance),
             "steps": int(result.steps),
             "goal": [float(one) for one in scene.scenario.goal],

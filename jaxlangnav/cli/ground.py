@@ -66,6 +66,7 @@ class Ground:
         parsed = parse_text(self.text, output)
         keep_compiled_programs()
         from jaxlangnav.cli.engine import load_models
+        from jaxlangnav.grounding.asked import describe_asked
         from jaxlangnav.grounding.instruction import understand_parse
 
         model = load_models(self.weights)
@@ -79,7 +80,9 @@ class Ground:
         # Refused before anything is told.
         grounded = {} if self.world is None else self._ground_in(self.world, understood)
         document |= grounded
+        document["commands"] = describe_asked(understood.instruction, understood.type_names)
         show_annotations(document["annotations"], output)
+        show_commands(document["commands"], output)
         if grounded:
             show_behaviors(document["behaviors"], document["world"], output)
             num_objects = len(document["objects"])
@@ -129,6 +132,33 @@ def show_annotations(annotations: list[dict[str, Any]], output: Output) -> None:
             f"{said['probability']:.3f}",
         )
     output.say(table)
+
+
+def show_commands(commands: list[dict[str, Any]], output: Output) -> None:
+    """Show what is asked for, were the world as the sentence says.
+
+    Args:
+        commands: in order.
+        output: where to.
+    """
+    from rich.table import Table
+
+    table = Table(title="Commands: what it asks for", title_justify="left")
+    for heading in ("", "Action", "Mode", "Goal", "Keep away from"):
+        table.add_column(heading)
+    table.add_column("Probability", justify="right")
+    for number, one in enumerate(commands, 1):
+        goal = one["goal"]
+        table.add_row(
+            str(number),
+            one["action"],
+            one["mode"],
+            f"{goal['region']} the {goal['object']}" if goal else "another one than before",
+            ", ".join(f"the {kept['object']}" for kept in one["avoid"]) or "-",
+            f"{one['probability']:.3f}",
+        )
+    if commands:
+        output.say(table)
 
 
 def show_behaviors(behaviors: list[dict[str, Any]], world: str, output: Output) -> None:

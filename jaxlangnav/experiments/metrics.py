@@ -9,6 +9,7 @@ import numpy as np
 
 from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.messages import Status
+from jaxlangnav.world.simulator import SUCCESS_RADIUS
 
 _Z95 = 1.959964
 
@@ -72,12 +73,18 @@ def timeouts_text(row: Mapping[str, Any]) -> str:
     return f"{row['timeouts']}{given_up}"
 
 
+def _efficiency(known: np.ndarray, distance: np.ndarray) -> np.ndarray:
+    """Compare the ways walked with the least that end within reach of the goal."""
+    straight = np.maximum(known - SUCCESS_RADIUS, 1e-9)
+    return straight / np.maximum(straight, distance)
+
+
 def summarize(results: EpisodeResult, known_distance: np.ndarray) -> RowMetrics:
     """Summarise episodes of one row.
 
-    SPL is success weighted by path length: the mean of success · l / max(l, d), with l the known
-    map's distance and d the distance travelled. Worlds that missed their template's law are
-    counted and left out.
+    SPL is success weighted by path length: the mean of success · l / max(l, d), with l the straight
+    way to where the robot may stop and d the distance travelled. Worlds that missed their
+    template's law are counted and left out.
 
     Args:
         results: leaves [E, …].
@@ -102,7 +109,7 @@ def summarize(results: EpisodeResult, known_distance: np.ndarray) -> RowMetrics:
         distance_sd=spread,
         known_distance_mean=float(known.mean()) if number else 0.0,
         known_distance_sd=known_spread,
-        spl=float((success * known / np.maximum(known, distance)).mean()) if number else 0.0,
+        spl=float((success * _efficiency(known, distance)).mean()) if number else 0.0,
         steps_mean=float(np.asarray(results.steps)[valid].mean()) if number else 0.0,
         overflows=int(np.asarray(results.overflow)[valid].sum()),
         degenerate=int(np.asarray(results.degenerate)[valid].sum()),

@@ -23,7 +23,13 @@ from jaxlangnav.planner.own import Policy
 from jaxlangnav.pytree import replace
 from jaxlangnav.recording import Recording
 from jaxlangnav.semantic_map.params import MapConfig
-from jaxlangnav.task.opening import Prepared, missing_types, nothing_there, open_task
+from jaxlangnav.task.opening import (
+    Prepared,
+    count_types,
+    nothing_there,
+    open_task,
+    refuse_what_it_lacks,
+)
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 
 
@@ -62,11 +68,11 @@ def follow(
     understood.check_task()
     if sensing_range is not None and not sensing_range > 0.0:
         raise ValueError(f"sensing_range is {sensing_range:g}, but must be positive, in metres")
+    refuse_what_it_lacks(str(world), understood)
     prepared = open_task(str(world), understood, sensing_range=sensing_range, seed=seed)
     if prepared.is_drawn and not prepared.is_meant:
-        names = understood.type_names
-        missing = missing_types(prepared.task.scenario, understood.annotations, names)
-        raise ValueError(nothing_there(prepared, missing, names))
+        counts = count_types(prepared.task.scenario, understood.type_names)
+        raise ValueError(nothing_there(prepared.world, counts, ()))
     return record_episode(
         understood,
         prepared,
@@ -126,18 +132,23 @@ def judged(recording: Recording, prepared: Prepared) -> Recording:
     """Judge an episode by what its command asks for.
 
     To navigate is to stop within 1.5 m of the goal, which the episode has judged itself; to find
-    is to stop with the goal in view.
+    is to stop with the goal in view. Where nothing fits, there is nothing to judge: no success.
 
     Args:
         recording: the episode.
         prepared: what was asked for.
 
     Returns:
-        The recording, its result judged.
+        The recording, its result judged, and where it may have stopped.
     """
-    if not prepared.is_find:
-        return recording
-    result = recording.result
-    is_arrived = result.ending == Status.ARRIVED
-    is_near = result.goal_distance <= max(recording.scene.sensor.range_max, SUCCESS_RADIUS)
-    return dataclasses.replace(recording, result=replace(result, is_success=is_arrived & is_near))
+    result, scene = recording.result, recording.scene
+    radius = SUCCESS_RADIUS
+    if prepared.is_find:
+        radius = max(float(scene.sensor.range_max), SUCCESS_RADIUS)
+    is_arrived = (result.ending == Status.ARRIVED) & prepared.is_meant
+    is_success = np.asarray(is_arrived & (result.goal_distance <= radius))
+    return dataclasses.replace(
+        recording,
+        scene=dataclasses.replace(scene, stop_radius=radius, is_judged=prepared.is_meant),
+        result=replace(result, is_success=is_success),
+    )

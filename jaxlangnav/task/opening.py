@@ -4,7 +4,7 @@ A world is drawn from a template so that the sentence is true in it, or is someb
 """
 
 import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence, Set
 from typing import Any, TypeVar
 
 import jax
@@ -86,22 +86,42 @@ def open_task(
     return _draw(place, understood, sensing_range or 3.0, seed)
 
 
-def nothing_there(prepared: Prepared, missing: Sequence[str], names: Sequence[str]) -> str:
+def refuse_what_it_lacks(world: str, understood: Understanding) -> None:
+    """Refuse a template that has nothing of a type that is spoken of, before anything is drawn.
+
+    Args:
+        world: a template, a shipped world or a file; only a template is refused.
+        understood: the sentence.
+
+    Raises:
+        ValueError: one line that says what there is.
+    """
+    place = open_world(world)
+    if isinstance(place, World):
+        return
+    counts = [("hydrant", place.num_hydrants), ("cone", place.num_cones)]
+    there = [(name, number) for name, number in counts if number]
+    types = understood.type_names
+    missing = _lacking({name for name, _ in there}, understood.annotations, types)
+    if missing:
+        raise ValueError(nothing_there(place.name, there, missing))
+
+
+def nothing_there(world: str, counts: Sequence[tuple[str, int]], missing: Sequence[str]) -> str:
     """Say that a template has nothing of what is asked for.
 
     Args:
-        prepared: the world.
+        world: its name.
+        counts: each type that is there, and how many of it.
         missing: types that the sentence speaks of and the world lacks.
-        names: object types by index.
 
     Returns:
         One line.
     """
-    counts = count_types(prepared.task.scenario, names)
     there = " and ".join(f"{number} {name}{'s' * (number > 1)}" for name, number in counts)
     lack = f"no {missing[0]}" if missing else "nothing that fits the sentence"
     return (
-        f"world {prepared.world} has {lack}, only {there}: choose another template, "
+        f"world {world} has {lack}, only {there}: choose another template, "
         f"a shipped world ({', '.join(shipped_worlds())}) or a file with --world"
     )
 
@@ -119,7 +139,11 @@ def missing_types(
     Returns:
         Names of types, in the order of the annotations.
     """
-    there = {name for name, _ in count_types(scenario, names)}
+    return _lacking({name for name, _ in count_types(scenario, names)}, annotations, names)
+
+
+def _lacking(there: Set[str], annotations: Iterable[Said], names: Sequence[str]) -> list[str]:
+    """List what the sentence speaks of and is not among what is there."""
     likely = [said for said in annotations if said["probability"] >= 0.5]
     spoken = dict.fromkeys(said[role] for said in likely for role in ("figure", "landmark"))
     return [name for name in spoken if name in names and name not in there]

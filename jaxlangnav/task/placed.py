@@ -7,10 +7,9 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxlangnav.grounding.behavior import BehaviorProgram, BehaviorWorld, infer_behavior
+from jaxlangnav.grounding.asked import LEAST_GOAL, infer_once
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.grounding.worlds import place_for, to_device
-from jaxlangnav.kept import kept
 from jaxlangnav.language.labels import PlacedWorld
 from jaxlangnav.messages import ACTIONS, MODES, REGIONS, Behavior
 from jaxlangnav.world.scenario import NUM_SLOTS
@@ -18,8 +17,6 @@ from jaxlangnav.world.state import Scenario
 
 _LEAST = 1e-3
 """Behaviors less probable than this are not listed."""
-_LEAST_GOAL = 0.05
-"""A goal less probable than this is none: the command after it has no previous goal."""
 
 
 def place_scenario(scenario: Scenario, names: Sequence[str]) -> PlacedWorld:
@@ -69,13 +66,13 @@ def infer_in(
             lambda leaf, index=clause: np.asarray(leaf)[index], instruction.program
         )
         world = to_device(place_for(placed, names, instruction.readings), num_slots)
-        behavior = jax.device_get(_infer(program, world))
+        behavior = jax.device_get(infer_once(program, world))
         behavior = dataclasses.replace(
             behavior, goal=behavior.goal[:, slots], constraint=behavior.constraint[:, slots]
         )
         found.append(behavior)
         best = behavior.goal.max(axis=0)
-        previous = int(best.argmax()) if best.max() >= _LEAST_GOAL else number
+        previous = int(best.argmax()) if best.max() >= LEAST_GOAL else number
         placed = dataclasses.replace(placed, previous=previous if previous < number else None)
     return found
 
@@ -133,9 +130,3 @@ def describe_goal(placed: PlacedWorld, region: int, slot: int) -> dict[str, Any]
     is_robot = slot == len(placed.objects)
     name, x, y = ("robot", *placed.robot[:2]) if is_robot else placed.objects[slot]
     return {"region": REGIONS[region], "object": name, "index": slot, "position": [x, y]}
-
-
-@kept()
-def _infer(program: BehaviorProgram, world: BehaviorWorld) -> Behavior:
-    """Compile the inference of one command in one world."""
-    return infer_behavior(program, world, num_phrases=program.num_phrases)

@@ -22,7 +22,6 @@ from jaxlangnav.planner.graph import FRONTIER, OBJECT, VISITED
 from jaxlangnav.recording import Recording
 from jaxlangnav.viz import narrative, panels, sentences, style, summary
 from jaxlangnav.viz.words import describe_readings, percent
-from jaxlangnav.world.simulator import SUCCESS_RADIUS
 
 _ABSENT = 65535
 """Grid coordinate of a hypothesis that is none."""
@@ -77,7 +76,7 @@ def pack(recording: Recording) -> dict[str, Any]:
     return {
         "text": printable(scene.text),
         "summary": " ".join([*first, f"The {panels.verdict(recording)}."]),
-        "is_success": bool(recording.result.is_success),
+        "outcome": panels.outcome(recording),
         "num_steps": recording.num_steps,
         "num_particles": recording.num_particles,
         "num_nodes": int(frames.value.shape[1]),
@@ -86,7 +85,7 @@ def pack(recording: Recording) -> dict[str, Any]:
         "range": float(scene.sensor.range_max),
         "field_of_view": float(scene.sensor.field_of_view),
         "goal": [float(one) for one in scene.scenario.goal],
-        "success_radius": SUCCESS_RADIUS,
+        "success_radius": scene.stop_radius,
         "truth": _truth(recording),
         "value_stops": [_rgb(stop) for stop in style.VALUE_STOPS],
         "types": [

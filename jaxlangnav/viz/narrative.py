@@ -9,8 +9,7 @@ from jaxlangnav.messages import Status
 from jaxlangnav.planner.graph import OBJECT
 from jaxlangnav.recording import Frame, Recording, Scene
 from jaxlangnav.viz import sentences, summary
-from jaxlangnav.viz.words import counted, describe_readings, percent
-from jaxlangnav.world.simulator import SUCCESS_RADIUS
+from jaxlangnav.viz.words import counted, describe_asked, describe_readings, percent
 
 _SHIFT = 0.1
 """A change of an object's probability of being the goal that is worth a line."""
@@ -31,6 +30,9 @@ def opening(scene: Scene) -> list[str]:
     if claims:
         first, *others = [f"{claim} ({percent(share)})" for claim, share in claims]
         lines.append(f"It takes this to say that there is {first}.")
+        commands = describe_asked(scene)
+        if commands:
+            lines.append(f"It is to {'; then to '.join(commands)}.")
         if others:
             lines.append(f"It may also mean {', or '.join(others)}.")
     lines.append(
@@ -108,10 +110,13 @@ def closing(scene: Scene, frame: Frame, result: EpisodeResult) -> list[str]:
         Lines.
     """
     off, walked = float(result.goal_distance), float(result.distance)
-    way = (
-        f"It walked {walked:.1f} m; straight to the goal, with the map known, would have been "
-        f"{scene.known_distance:.1f} m."
-    )
+    way = f"It walked {walked:.1f} m."
+    if scene.is_judged:
+        way = (
+            f"It walked {walked:.1f} m. With the map known, straight on until it may stop "
+            f"({scene.stop_radius:g} m from the goal) would have been "
+            f"{scene.straight_distance:.1f} m."
+        )
     if not bool(result.is_stopped):
         verdict = (
             f"Failure: it ran out of time after {int(result.steps)} steps and never said stop."
@@ -119,12 +124,14 @@ def closing(scene: Scene, frame: Frame, result: EpisodeResult) -> list[str]:
     elif int(result.ending) == Status.NOT_FOUND:
         lack = sentences.unseen(scene, frame) or "nothing that fits the command"
         verdict = f"Not found: it says that there is {lack}."
+    elif not scene.is_judged:
+        verdict = "Cannot be judged: nothing there fits the sentence."
     elif bool(result.is_success):
         verdict = f"Success: it stands {off:.1f} m from the goal that was meant."
     else:
         verdict = (
             f"Failure: the goal that was meant is {off:.1f} m away "
-            f"(within {SUCCESS_RADIUS:g} m counts)."
+            f"(within {scene.stop_radius:g} m counts)."
         )
     notes = []
     lack = sentences.unseen(scene, frame)
@@ -153,7 +160,7 @@ def tell(recording: Recording) -> list[str]:
         Lines, each to be printed on its own; steps begin with their number and the metres walked.
     """
     scene, before = recording.scene, None
-    lines, quiet = [*opening(scene), sentences.asked(recording.at(0))], []
+    lines, quiet = opening(scene), []
     for step in range(recording.num_steps):
         frame = recording.at(step)
         if is_quiet(frame, before):

@@ -113,18 +113,28 @@ def head_panel(axes: "Axes", recording: Recording, step: int, index: int) -> Non
     )
 
 
+def outcome(recording: Recording) -> str:
+    """Say in two or three words how the episode ended."""
+    result = recording.result
+    if not bool(result.is_stopped):
+        return "failure: out of time"
+    if int(result.ending) == Status.NOT_FOUND:
+        return "not found"
+    if not recording.scene.is_judged:
+        return "cannot be judged"
+    return "success" if bool(result.is_success) else "failure"
+
+
 def verdict(recording: Recording) -> str:
     """Say in half a line how the episode ended."""
-    result = recording.result
-    ended = "success" if bool(result.is_success) else "failure"
-    if not bool(result.is_stopped):
-        ended = "failure: out of time"
-    elif int(result.ending) == Status.NOT_FOUND:
-        ended = "not found"
+    result, ended = recording.result, outcome(recording)
+    if not recording.scene.is_judged:
+        return f"{recording.scene.policy} policy: {ended}, for nothing there fits the sentence"
     away, walked = float(result.goal_distance), float(result.distance)
     return (
         f"{recording.scene.policy} policy: {ended}, {away:.1f} m from the meant goal after "
-        f"{walked:.1f} m (known map: {recording.scene.known_distance:.1f} m)"
+        f"{walked:.1f} m (known map, to where it may stop: "
+        f"{recording.scene.straight_distance:.1f} m)"
     )
 
 

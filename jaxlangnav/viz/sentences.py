@@ -38,26 +38,6 @@ def _place(frame: Frame, x: float, y: float) -> str:
     return whereabouts(x, y, float(frame.robot[0]), float(frame.robot[1]), float(frame.heading))
 
 
-_PACES = ("at its normal pace", "quickly", "carefully")
-"""How it is to move, in the order of ``messages.MODES``."""
-
-
-def asked(frame: Frame) -> str:
-    """Tell what the sentence is taken to ask for: action and mode, with probabilities.
-
-    Args:
-        frame: the first step.
-
-    Returns:
-        A sentence.
-    """
-    navigate, find = (float(one) for one in frame.action)
-    mode = int(np.argmax(frame.mode))
-    deed = "go there and stop" if navigate >= find else "find it: to have it in view is enough"
-    pace = f"{_PACES[mode]} ({percent(float(frame.mode[mode]))})"
-    return f"It is to {deed} ({percent(max(navigate, find))}), {pace}."
-
-
 def commanded(scene: Scene, frame: Frame, before: Frame | None) -> str:
     """Tell when the next command of the sentence begins.
 
@@ -343,7 +323,7 @@ def _stopped(scene: Scene, frame: Frame) -> str:
     lack = unseen(scene, frame)
     if bool(frame.is_done) and lack:
         return f"{said}: what fits best is {where}; {lack} was to be found."
-    return (
-        f"{said}: the goal is {where} with probability {percent(float(frame.stop_mass))} "
-        f"(it stops from {percent(float(scene.planner.stop_probability))} on)."
-    )
+    if float(frame.goal_mass.max()) < float(scene.planner.stop_probability):
+        return f"{said}: what fits best is {where}, and nothing left to look at would tell more."
+    sure = percent(float(scene.planner.stop_probability))
+    return f"{said}: the goal is {where}, and surer than the {sure} at which it stops."

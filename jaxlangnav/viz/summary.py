@@ -23,7 +23,7 @@ class SeenObject:
     object_type: int
     x: float  # metres, map frame, weighted mean
     y: float
-    spread: float  # metres, standard deviation over particles
+    spread: float  # metres, standard deviation on each axis, within particles and among them
     probability: float  # share of the weight of particles that have it
     goal_mass: float  # probability that it is the goal
 
@@ -58,14 +58,15 @@ def seen_objects(frame: Frame) -> list[SeenObject]:
             continue
         kind = int(np.argmax(np.bincount(types[types != NONE], weights=share[types != NONE])))
         share = np.where(types == kind, share, 0.0)
-        x, y, spread = _moments(share, frame.object_x[slot], frame.object_y[slot])
+        x, y, apart = _moments(share, frame.object_x[slot], frame.object_y[slot])
+        within = float(np.average(np.square(frame.object_sd[slot], dtype=float), weights=share))
         found.append(
             SeenObject(
                 slot=slot,
                 object_type=kind,
                 x=x,
                 y=y,
-                spread=spread,
+                spread=float(np.sqrt(within + 0.5 * apart * apart)),
                 probability=min(total, 1.0),
                 goal_mass=float(frame.goal_mass[slot]),
             )

@@ -1,8 +1,10 @@
 """Words for numbers: directions, distances, probabilities and readings in plain English."""
 
 import math
+from collections.abc import Callable
 
-from jaxlangnav.messages import NONE, RELATIONS, ROBOT, Fault
+from jaxlangnav.grounding.asked import Asked
+from jaxlangnav.messages import AT, NONE, REGIONS, RELATIONS, ROBOT, Fault
 from jaxlangnav.planner.graph import OBJECT, VISITED
 from jaxlangnav.recording import Scene
 
@@ -32,6 +34,8 @@ FAULT_WORDS = {
     Fault.WEIGHTS: "all of its hypotheses had died",
     Fault.COMMAND: "nothing is asked of it",
 }
+_SURE = 0.95
+"""From here on a command's probability is not worth a word."""
 ORDINALS = ("second", "third", "fourth")
 _EIGHTHS = (
     "ahead",
@@ -167,6 +171,18 @@ def describe_reading(scene: Scene, index: int) -> str:
     """
     readings = scene.readings
     types, relations = readings.mention_type[index], readings.relation[index]
+    landmarks = readings.landmark[index]
+    used = {int(landmarks[edge]) for edge in range(len(relations)) if relations[edge] != NONE}
+    heads = [
+        mention for mention in range(len(types)) if int(types[mention]) >= 0 and mention not in used
+    ]
+    return listed([_thing_words(scene, index, one) for one in heads]) if heads else "nothing"
+
+
+def _thing_words(scene: Scene, index: int, mention: int) -> str:
+    """Describe a thing that a reading mentions by its relations: "a hydrant behind a cone"."""
+    readings = scene.readings
+    types, relations = readings.mention_type[index], readings.relation[index]
     figures, landmarks = readings.figure[index], readings.landmark[index]
 
     def relation_words(edge: int) -> str:
@@ -178,7 +194,7 @@ def describe_reading(scene: Scene, index: int) -> str:
         return place + SUPERLATIVE_WORDS[name]
 
     def thing(mention: int, path: tuple[int, ...]) -> str:
-        if int(types[mention]) == ROBOT:
+        if mention == ROBOT or int(types[mention]) == ROBOT:
             return "the robot"
         parts = [article(scene.type_name(int(types[mention])))]
         for edge in range(len(relations)):
@@ -188,11 +204,49 @@ def describe_reading(scene: Scene, index: int) -> str:
                 parts.append(f"{relation_words(edge)} {thing(landmark, (*path, mention))}")
         return " ".join(parts)
 
-    used = {int(landmarks[edge]) for edge in range(len(relations)) if relations[edge] != NONE}
-    heads = [
-        mention for mention in range(len(types)) if int(types[mention]) >= 0 and mention not in used
-    ]
-    return listed([thing(mention, ()) for mention in heads]) if heads else "nothing"
+    return thing(mention, ())
+
+
+def describe_asked(scene: Scene) -> list[str]:
+    """Say what each command asks for, by the likeliest reading.
+
+    Args:
+        scene: of the episode.
+
+    Returns:
+        "go to the hydrant behind a cone, keeping away from the car", one a command.
+    """
+    best = max(range(len(scene.readings.log_probability)), key=_score(scene))
+    return [_asked_words(scene, best, one) for one in scene.asks]
+
+
+def _score(scene: Scene) -> Callable[[int], float]:
+    """Rank readings by probability."""
+    return lambda index: float(scene.readings.log_probability[index])
+
+
+def _asked_words(scene: Scene, best: int, one: Asked) -> str:
+    """Say what one command asks for."""
+
+    def place(region: int, mention: int) -> str:
+        if mention == NONE:
+            return "another one than before"
+        thing = _definite(_thing_words(scene, best, mention))
+        return thing if region == AT else f"{RELATION_WORDS[REGIONS[region]]} {thing}"
+
+    goal = place(one.region, one.mention)
+    verb = "find" if one.action == "find" else "go to" if one.region == AT else "go"
+    pace = "" if one.mode == "normal" else f" {one.mode}"
+    keep = [_definite(_thing_words(scene, best, mention)) for _, mention, _ in one.avoid]
+    away = f", keeping away from {listed(keep)}" if keep else ""
+    doubt = "" if one.probability >= _SURE else f" ({percent(one.probability)})"
+    return f"{verb} {goal}{pace}{away}{doubt}"
+
+
+def _definite(thing: str) -> str:
+    """Speak of one thing that is meant: "the hydrant behind a cone"."""
+    first, _, rest = thing.partition(" ")
+    return f"the {rest}" if first in ("a", "an") else thing
 
 
 def describe_readings(scene: Scene, *, least: float = 0.01) -> list[tuple[str, float]]:

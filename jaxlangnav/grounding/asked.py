@@ -1,0 +1,176 @@
+"""What a sentence asks for, in a world that is just as it says (section 3.3).
+
+The behavior model infers what is asked for among objects. Before any has been seen there are those
+that the sentence speaks of, placed as it places them; what the model infers among these is what the
+robot has understood of its commands: action, manner, goal, and what to keep away from.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxlangnav.grounding.behavior import BehaviorProgram, infer_behavior
+from jaxlangnav.grounding.behavior_features import World
+from jaxlangnav.grounding.features import NUM_RANKS
+from jaxlangnav.grounding.instruction import Instruction
+from jaxlangnav.grounding.symbols import NUM_RELATIONS
+from jaxlangnav.grounding.worlds import to_device
+from jaxlangnav.kept import kept
+from jaxlangnav.messages import (
+    ACTIONS,
+    MODES,
+    NONE,
+    REGIONS,
+    ROBOT,
+    Behavior,
+    BehaviorWorld,
+    Readings,
+)
+
+LEAST_GOAL = 0.05
+"""A goal less probable than this is none: the command after it has no previous goal."""
+_LEAST_KEPT = 0.5
+"""What is to be kept away from with less probability than this is not told."""
+_SLOTS = 9
+"""Those of a world of eight objects and the robot, so that one compiled program serves all."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Asked:
+    """What one command asks for; mentions are those of the likeliest reading, NONE for nothing."""
+
+    action: str  # of messages.ACTIONS
+    mode: str  # of messages.MODES
+    region: int  # index into messages.REGIONS: where at the mention it ends
+    mention: int
+    probability: float  # of action, mode and goal together
+    avoid: tuple[tuple[int, int, float], ...]  # region, mention, probability
+
+
+@kept()
+def infer_once(program: BehaviorProgram, world: BehaviorWorld) -> Behavior:
+    """Infer one command in one world, compiled.
+
+    Args:
+        program: of the command.
+        world: its objects.
+
+    Returns:
+        The behavior.
+    """
+    return infer_behavior(program, world, num_phrases=program.num_phrases)
+
+
+def asked(instruction: Instruction) -> list[Asked]:
+    """Tell what each command asks for, where the world is as the likeliest reading says.
+
+    Args:
+        instruction: the grounded sentence.
+
+    Returns:
+        One entry a command, in order.
+    """
+    readings = jax.tree.map(np.asarray, instruction.readings)
+    best = int(np.argmax(readings.log_probability))
+    slots, world = _as_said(readings, best)
+    found, previous = [], NONE
+    for clause in range(int(instruction.num_clauses)):
+        program = jax.tree.map(
+            lambda leaf, index=clause: np.asarray(leaf)[index], instruction.program
+        )
+        is_previous = np.arange(len(world.object_type)) == previous
+        told = dataclasses.replace(world, is_previous=is_previous & (previous != NONE))
+        behavior = jax.device_get(infer_once(program, to_device(told, _slots(world))))
+        one = _told(behavior, slots)
+        found.append(one)
+        previous = slots.index(one.mention) if one.mention != NONE else NONE
+    return found
+
+
+def describe_asked(instruction: Instruction, names: Sequence[str]) -> list[dict[str, Any]]:
+    """Describe what each command asks for, as ``ground --json`` prints it.
+
+    Args:
+        instruction: the grounded sentence.
+        names: object types by index.
+
+    Returns:
+        A command each, in order: ``action``, ``mode``, ``goal`` (``region``, ``object``; None where
+        it is another one than before), ``probability``, and ``avoid``, a list of ``region``,
+        ``object``, ``probability``.
+    """
+    readings = jax.tree.map(np.asarray, instruction.readings)
+    kinds = readings.mention_type[int(np.argmax(readings.log_probability))]
+
+    def place(region: int, mention: int) -> dict[str, str]:
+        kind = ROBOT if mention == ROBOT else int(kinds[mention])
+        return {"region": REGIONS[region], "object": "robot" if kind == ROBOT else names[kind]}
+
+    return [
+        {
+            "action": one.action,
+            "mode": one.mode,
+            "goal": None if one.mention == NONE else place(one.region, one.mention),
+            "probability": one.probability,
+            "avoid": [
+                {**place(region, mention), "probability": share}
+                for region, mention, share in one.avoid
+            ],
+        }
+        for one in asked(instruction)
+    ]
+
+
+def _slots(world: World) -> int:
+    """Pad as far as any other world of a scene is padded."""
+    return max(_SLOTS, len(world.object_type))
+
+
+def _as_said(readings: Readings, best: int) -> tuple[list[int], World]:
+    """Build the world of a reading: the mention of each slot, and the things; the robot is last."""
+    kinds = readings.mention_type[best]
+    things = [int(mention) for mention in np.flatnonzero(kinds >= 0)]
+    robots = [int(mention) for mention in np.flatnonzero(kinds == ROBOT)]
+    slot_of = {mention: slot for slot, mention in enumerate(things)}
+    slot_of |= dict.fromkeys(robots, len(things))
+    size = len(things) + 1
+    related = np.zeros((NUM_RELATIONS, size, size), bool)
+    ranked = np.zeros((NUM_RANKS, NUM_RELATIONS, size, size), bool)
+    for edge in np.flatnonzero(readings.relation[best] != NONE):
+        place = (
+            int(readings.relation[best, edge]),
+            slot_of[int(readings.figure[best, edge])],
+            slot_of[int(readings.landmark[best, edge])],
+        )
+        related[place] = True
+        rank = int(readings.rank[best, edge])
+        if rank:
+            ranked[(min(rank, NUM_RANKS) - 1, *place)] = True
+    types = np.array([*kinds[things], ROBOT], np.int32)
+    nothing = np.zeros(size, bool)
+    world = World(types, np.ones(size, bool), related, ranked, nothing)
+    return [*things, robots[0] if robots else ROBOT], world
+
+
+def _told(behavior: Behavior, slots: list[int]) -> Asked:
+    """Read the likeliest of everything; padding lies between the things and the robot."""
+    held = np.append(np.arange(len(slots) - 1), behavior.goal.shape[1] - 1)
+    goal, constraint = behavior.goal[:, held], behavior.constraint[:, held]
+    region, slot = np.unravel_index(int(goal.argmax()), goal.shape)
+    action, mode = int(behavior.action.argmax()), int(behavior.mode.argmax())
+    share = float(goal[region, slot])
+    has_goal = share >= LEAST_GOAL
+    return Asked(
+        action=ACTIONS[action],
+        mode=MODES[mode],
+        region=int(region),
+        mention=slots[slot] if has_goal else NONE,
+        probability=share * float(behavior.action[action]) * float(behavior.mode[mode]),
+        avoid=tuple(
+            (int(where), slots[kept], float(constraint[where, kept]))
+            for where, kept in np.argwhere(constraint >= _LEAST_KEPT)
+        ),
+    )
