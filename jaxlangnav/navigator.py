@@ -31,6 +31,7 @@ from jaxlangnav.planner.constraints import constraint_cost
 from jaxlangnav.planner.endings import chance_left
 from jaxlangnav.planner.goals import Goals, gather
 from jaxlangnav.planner.params import PlannerConfig, PlannerParams, default_planner_params
+from jaxlangnav.planner.relevance import bears_on_goal, group_of, has_open_partner
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.semantic_map.behaviors import infer_behaviors
@@ -266,6 +267,7 @@ class _Outlook(NamedTuple):
     robot_y: Array  # f32[]
     behavior: Behavior  # leaves [..., P]
     expected: Behavior  # expectation over particles
+    is_relevant: Array  # bool[M, P] mentions that bear on the goal of the present command
     goals: Goals
 
 
@@ -354,6 +356,7 @@ def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> _Out
     behavior = infer_behaviors(
         belief.particles, state.instruction, state.clause, state.previous_goal
     )
+    group = group_of(state.instruction.readings, belief.particles)
     weight = jnp.exp(belief.log_weight)
     robot_x, robot_y = semantic_filter.robot_position(belief)
     return _Outlook(
@@ -365,7 +368,10 @@ def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> _Out
         expected=jax.tree.map(
             lambda leaf: jnp.sum(leaf * jnp.broadcast_to(weight, leaf.shape), axis=-1), behavior
         ),
-        goals=gather(belief, behavior, params.map.relations),
+        is_relevant=bears_on_goal(group, belief.particles, behavior),
+        goals=gather(
+            belief, behavior, params.map.relations, has_open_partner(group, belief.particles)
+        ),
     )
 
 
@@ -384,7 +390,9 @@ def _decide(
     visited = graph.visit(state.visited, *robot, params.planner.visit_spacing)
     plan = first_stops = chance = None
     if config.planner.policy == "informed":
-        unseen = search.search_map(belief, params.planner.prior_share)
+        wanted = belief.particles.is_mentioned & outlook.is_relevant
+        wanted = replace(belief, particles=replace(belief.particles, is_mentioned=wanted))
+        unseen = search.search_map(wanted, params.planner.prior_share)
         plan_key = jax.random.fold_in(key, _PLANNING)
         chance = chance_left(unseen.unseen, params.map.concentration, params.map.misleading)
         plan = tours.plan(plan_key, state.tour, unseen, *robot, range_max, belief.coverage.area)

@@ -101,13 +101,16 @@ def claim(mass: Array, particles: SemanticMap) -> Array:
     return mass - claimed + jnp.where(first, jnp.sum(claimed, axis=0)[None, :], 0.0)
 
 
-def gather(belief: ParticleBelief, behavior: Behavior, relations: RelationModel) -> Goals:
+def gather(
+    belief: ParticleBelief, behavior: Behavior, relations: RelationModel, has_open: Array
+) -> Goals:
     """Gather the goals of all particles.
 
     Args:
         belief: weighted particles.
         behavior: of every particle, leaves [..., P].
         relations: prepared relations, for goal regions.
+        has_open: bool[M, P], mentions that are tied to something not seen (``relevance``).
 
     Returns:
         The goals.
@@ -139,11 +142,8 @@ def gather(belief: ParticleBelief, behavior: Behavior, relations: RelationModel)
     total_goal = jnp.minimum(jnp.sum(behavior.goal, axis=(0, 1)), 1.0)
     accepted = fit * (weight * total_goal)[None, :]
     # It is confirmed unless it is meant in relation to something not seen.
-    has_open = jnp.any(particles.is_hypothesised, axis=0)
-    is_meant = jnp.any(
-        particles.referent[None, :, :] == jnp.arange(num_objects + 1)[:, None, None], axis=1
-    )
-    is_confirmed = ~(has_open[None, :] & is_meant)
+    slots = jnp.arange(num_objects + 1)[:, None, None]
+    is_confirmed = ~jnp.any((particles.referent[None] == slots) & has_open[None], axis=1)
     best = jnp.argmax(on_hypotheses, axis=0)[None, :] == jnp.arange(on_hypotheses.shape[0])[:, None]
     return Goals(
         object_x=jnp.sum(share * known_x, axis=1),

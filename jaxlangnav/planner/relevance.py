@@ -1,0 +1,96 @@
+"""Which of the things spoken of bear on the goal: those it is placed against, and theirs (ours).
+
+A sentence may speak of more than its present command needs: of what to keep away from, of the next
+command's goal, of what was said before. To be sure of "the hydrant behind the cone" the cone must
+have been seen, and what the cone is placed against; the bench of the next command need not be, and
+is not searched for before its turn. The relations of a reading tie its mentions into groups; what
+bears on the goal is its group. The robot, against which anything may be placed, ties nothing.
+
+Sets of mentions are bits of integers: bit m of a set says whether mention m is in it.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxlangnav.messages import NONE, ROBOT, Behavior, Readings
+from jaxlangnav.numerics.batching import pick
+from jaxlangnav.semantic_map.particle import SemanticMap
+
+LEAST_GOAL = 1e-3
+"""Goal probability below which a mention is no goal of a particle's."""
+
+
+def groups(readings: Readings) -> Array:
+    """Find which mentions the relations of each reading tie together, directly or through others.
+
+    Args:
+        readings: K readings of M mentions.
+
+    Returns:
+        i32[M, K], a set of mentions for each; itself is in it.
+    """
+    num_mentions = readings.mention_type.shape[-1]
+    mentions, same = np.arange(num_mentions)[None, None], np.eye(num_mentions, dtype=bool)[None]
+    is_thing = readings.mention_type != ROBOT
+    figure = readings.figure[..., None] == mentions  # [K, J, M]
+    landmark = (readings.landmark[..., None] == mentions) & (readings.relation != NONE)[..., None]
+    is_tied = jnp.any(figure[..., :, None] & landmark[..., None, :], axis=1)  # [K, M, M]
+    is_tied = (is_tied | is_tied.mT) & is_thing[:, :, None] & is_thing[:, None, :]
+    is_tied = is_tied | same
+    for _ in range(max(1, int(np.ceil(np.log2(num_mentions))))):
+        is_tied = jnp.any(is_tied[:, :, :, None] & is_tied[:, None, :, :], axis=2)
+    return _set_of(is_tied.T)
+
+
+def _set_of(is_in: Array) -> Array:
+    """Write bool[M, ...] as a set of mentions, i32[...]."""
+    place = (1 << np.arange(is_in.shape[0])).reshape(-1, *(1,) * (is_in.ndim - 1))
+    return jnp.sum(jnp.where(is_in, place, 0), axis=0, dtype=jnp.int32)
+
+
+def group_of(readings: Readings, particles: SemanticMap) -> Array:
+    """Look up the groups of the reading that each particle believes.
+
+    Args:
+        readings: K readings.
+        particles: leaves [..., P].
+
+    Returns:
+        i32[M, P], the set of mentions that each mention is tied to.
+    """
+    table = groups(readings).T  # [K, M]
+    number = particles.reading.shape[-1]
+    index = jnp.broadcast_to(particles.reading, (table.shape[1], number))
+    return pick(table[:, :, None], index)
+
+
+def has_open_partner(group: Array, particles: SemanticMap) -> Array:
+    """Tell which mentions are tied to one that has not been seen, bool[M, P]; or are one."""
+    return (group & _set_of(particles.is_hypothesised)) != 0
+
+
+def bears_on_goal(group: Array, particles: SemanticMap, behavior: Behavior) -> Array:
+    """Tell which mentions are tied to the goal of the present command.
+
+    Limits: in a particle whose goal is none of the mentions, such as "the other cone", all do.
+
+    Args:
+        group: of ``group_of``.
+        particles: leaves [..., P].
+        behavior: of the present command in every particle, leaves [..., P].
+
+    Returns:
+        bool[M, P].
+    """
+    num_objects = particles.object_type.shape[0]
+    num_mentions = particles.referent.shape[0]
+    goal = jnp.sum(behavior.goal, axis=0)  # [N + 1, P]
+    slots = np.arange(num_objects)[:, None]
+    seen = [
+        jnp.sum(jnp.where(slots == particles.referent[m][None], goal[:num_objects], 0.0), axis=0)
+        for m in range(num_mentions)
+    ]
+    on_mention = jnp.stack(seen) + goal[num_objects : num_objects + num_mentions]
+    goals = _set_of((on_mention > LEAST_GOAL) & particles.is_mentioned)
+    return ((group & goals) != 0) | (goals == 0)
