@@ -14,7 +14,7 @@ import numpy as np
 
 from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.grounding.asked import Asked
-from jaxlangnav.messages import Readings, SensorParams
+from jaxlangnav.messages import NONE, Readings, SensorParams
 from jaxlangnav.planner.endings import missing_types
 from jaxlangnav.planner.params import PlannerParams
 from jaxlangnav.pytree import pytree
@@ -162,16 +162,24 @@ class Recording:
 
 
 def missing_names(scene: Scene, frame: Frame) -> list[str]:
-    """Name what the sentence speaks of and no look has shown by a step.
+    """Name what bears on the goal of the present command and no look has shown by a step.
 
     Args:
         scene: of the episode.
         frame: the step.
 
     Returns:
-        Names of object types, in the order of the sentence.
+        Names of object types, in the order of the sentence: of the goal and of what it is placed
+        against; of all that the sentence speaks of where the goal is not one of these.
     """
-    return [scene.type_name(kind) for kind in missing_types(scene.readings, frame.object_type)]
+    missing = missing_types(scene.readings, frame.object_type)
+    clause = int(frame.clause)
+    if clause < len(scene.asks) and scene.asks[clause].mention != NONE:
+        one, kinds = scene.asks[clause], scene.readings.mention_type
+        best = int(np.argmax(scene.readings.log_probability))
+        wanted = {int(kinds[best][mention]) for mention in (one.mention, *one.against)}
+        missing = [kind for kind in missing if kind in wanted]
+    return [scene.type_name(kind) for kind in missing]
 
 
 def gather(scene: Scene, frames: list[Frame], result: EpisodeResult) -> Recording:

@@ -48,6 +48,7 @@ class Asked:
     mention: int
     probability: float  # of action, mode and goal together
     avoid: tuple[tuple[int, int, float], ...]  # region, mention, probability
+    against: tuple[int, ...] = ()  # mentions that the goal is placed against, and theirs
 
 
 @kept()
@@ -85,6 +86,7 @@ def asked(instruction: Instruction) -> list[Asked]:
         told = dataclasses.replace(world, is_previous=is_previous & (previous != NONE))
         behavior = jax.device_get(infer_once(program, to_device(told, _slots(world))))
         one = _told(behavior, slots)
+        one = dataclasses.replace(one, against=_tied(readings, best, one.mention))
         found.append(one)
         previous = slots.index(one.mention) if one.mention != NONE else NONE
     return found
@@ -153,6 +155,17 @@ def _as_said(readings: Readings, best: int) -> tuple[list[int], World]:
     nothing = np.zeros(size, bool)
     world = World(types, np.ones(size, bool), related, ranked, nothing)
     return [*things, robots[0] if robots else ROBOT], world
+
+
+def _tied(readings: Readings, best: int, mention: int) -> tuple[int, ...]:
+    """List the mentions that relations tie to one, through others too; the robot ties nothing."""
+    is_edge = readings.relation[best] != NONE
+    edges = np.stack([readings.figure[best], readings.landmark[best]], axis=1)[is_edge]
+    edges = [edge for edge in edges.tolist() if ROBOT not in readings.mention_type[best][edge]]
+    tied = {mention}
+    for _ in edges:
+        tied |= {end for edge in edges if tied & set(edge) for end in edge}
+    return tuple(sorted(tied - {mention}))
 
 
 def _told(behavior: Behavior, slots: list[int]) -> Asked:

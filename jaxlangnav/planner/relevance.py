@@ -67,7 +67,7 @@ def group_of(readings: Readings, particles: SemanticMap) -> Array:
 
 def has_open_partner(group: Array, particles: SemanticMap) -> Array:
     """Tell which mentions are tied to one that has not been seen, bool[M, P]; or are one."""
-    return (group & _set_of(particles.is_hypothesised)) != 0
+    return (group & _set_of(particles.is_hypothesised)[None]) != 0
 
 
 def bears_on_goal(group: Array, particles: SemanticMap, behavior: Behavior) -> Array:
@@ -93,4 +93,4 @@ def bears_on_goal(group: Array, particles: SemanticMap, behavior: Behavior) -> A
     ]
     on_mention = jnp.stack(seen) + goal[num_objects : num_objects + num_mentions]
     goals = _set_of((on_mention > LEAST_GOAL) & particles.is_mentioned)
-    return ((group & goals) != 0) | (goals == 0)
+    return ((group & goals[None]) != 0) | (goals == 0)[None]
