@@ -27,9 +27,8 @@ from jaxlangnav.language.halting import Act, act_of, begins_with_halt
 from jaxlangnav.messages import Action, Observation
 from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams, NavigatorState
 from jaxlangnav.plain_text import cut
+from jaxlangnav.planner.config import AnyPolicy, PlannerConfig
 from jaxlangnav.planner.endings import missing_types
-from jaxlangnav.planner.own import Policy
-from jaxlangnav.planner.params import PlannerConfig
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.soundness import check_place
 
@@ -49,9 +48,7 @@ class Navigator:
     config: NavigatorConfig
 
     @classmethod
-    def pretrained(
-        cls, policy: str | Policy = "informed", grounder: Grounder | None = None
-    ) -> Self:
+    def pretrained(cls, policy: AnyPolicy = "informed", grounder: Grounder | None = None) -> Self:
         """Build a navigator from the weights that ship with the package.
 
         Args:

@@ -16,6 +16,7 @@ from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.messages import Readings, SensorParams
 from jaxlangnav.planner.endings import missing_types
 from jaxlangnav.planner.params import PlannerParams
+from jaxlangnav.planner.policy import Portrayal
 from jaxlangnav.pytree import pytree
 from jaxlangnav.world.state import Scenario
 
@@ -96,6 +97,7 @@ class Scene:
     text: str
     type_names: tuple[str, ...]
     policy: str
+    portrayal: Portrayal
     scenario: Scenario
     sensor: SensorParams
     readings: Readings
