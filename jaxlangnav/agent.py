@@ -60,7 +60,7 @@ class Navigator:
             learned in the template worlds (``prior_share`` 0).
 
         Raises:
-            ValueError: no such policy.
+            ValueError: no such policy, or an object that is none.
         """
         return cls(
             grounder=GraphGrounder(load_shipped()) if grounder is None else grounder,

@@ -245,12 +245,12 @@ def test_an_active_waypoint_is_gone_on_to_whatever_else_is_worth() -> None:
     valuation = Valuation(goal_value=worth, information_value=worth, stop_mass=jnp.float32(0.0))
     for is_active in (True, False):
         kept = Waypoint(
-            x=jnp.float32(2.0),
+            x=jnp.float32(3.0),
             y=jnp.float32(1.0),
             kind=jnp.int32(FRONTIER),
             is_active=jnp.asarray(is_active),
         )
         decision = decide(now, valuation, kept)
         assert bool(decision.is_kept) is is_active
-        assert (float(decision.waypoint_x) == 2.0) is is_active
+        assert (float(decision.waypoint_x) == 3.0) is is_active
         assert bool(decision.is_approach) is not is_active
