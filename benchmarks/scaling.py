@@ -23,7 +23,7 @@ from jaxlangnav.speed.measuring import POLICY, Entry, entry, measure
 from jaxlangnav.experiments.monte_carlo import LANES, run_tasks, take_tasks
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.navigator import NavigatorConfig
-from jaxlangnav.planner.params import PlannerConfig
+from jaxlangnav.planner.config import PlannerConfig
 from jaxlangnav.semantic_map.params import MapConfig
 
 LINEAR = 1.1

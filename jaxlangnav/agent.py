@@ -31,9 +31,8 @@ from jaxlangnav.language.halting import Act, act_of, begins_with_halt
 from jaxlangnav.messages import NONE, Action, Observation, SensorParams, default_sensor
 from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams, NavigatorState
 from jaxlangnav.plain_text import cut
+from jaxlangnav.planner.config import AnyPolicy, PlannerConfig
 from jaxlangnav.planner.endings import missing_types
-from jaxlangnav.planner.own import Policy
-from jaxlangnav.planner.params import PlannerConfig
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.soundness import check_place
 
@@ -55,7 +54,7 @@ class Navigator:
     @classmethod
     def pretrained(
         cls,
-        policy: str | Policy = "informed",
+        policy: AnyPolicy = "informed",
         grounder: Grounder | None = None,
         **numbers: float,
     ) -> Self:
@@ -73,7 +72,8 @@ class Navigator:
             learned in the template worlds (``prior_share`` 0).
 
         Raises:
-            ValueError: no such policy, no such number, or one that cannot be.
+            ValueError: no such policy or an object that is none; no such number or one that cannot
+                be.
         """
         return cls(
             grounder=GraphGrounder(load_shipped()) if grounder is None else grounder,

@@ -21,6 +21,7 @@ import platform
 import threading
 import warnings
 from collections.abc import Callable
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
@@ -82,6 +83,7 @@ def kept(*, static_argnames: tuple[str, ...] = ()) -> Callable[[Callable[P, R]],
 
     Args:
         static_argnames: keyword arguments that are part of the program; told apart by ``repr``.
+            With a value that is neither plain nor of this package nothing is kept.
 
     Returns:
         A decorator.
@@ -98,6 +100,8 @@ def kept(*, static_argnames: tuple[str, ...] = ()) -> Callable[[Callable[P, R]],
             if folder is None:
                 return jitted(*args, **kwargs)
             static = {name: kwargs[name] for name in static_argnames if name in kwargs}
+            if not _is_ours(tuple(static.values())):
+                return jitted(*args, **kwargs)
             data = args, {name: kwargs[name] for name in kwargs if name not in static}
             leaves, tree = jax.tree.flatten(data)
             if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
@@ -135,6 +139,21 @@ def kept_in() -> Path | None:
     is_plain = jax.default_backend() == "cpu" and jax.device_count() == 1
     is_watched = any(getattr(jax.config, name) for name in _WATCHING)
     return _folder if is_plain and not is_watched else None
+
+
+def _is_ours(value: object) -> bool:
+    """Tell whether a static value is plain or of this package.
+
+    What it does is then told by its ``repr`` and the source of this package. Of somebody's own
+    policy neither tells: its code may have changed since its program was kept.
+    """
+    if isinstance(value, tuple):
+        return all(map(_is_ours, value))
+    if value is None or isinstance(value, str | int | float):
+        return True
+    if type(value).__module__.partition(".")[0] != __name__.partition(".")[0]:
+        return False
+    return is_dataclass(value) and all(_is_ours(getattr(value, one.name)) for one in fields(value))
 
 
 def _name(function: Callable[..., Any], static: Any, tree: Any, leaves: list[Any]) -> str:

@@ -6,7 +6,7 @@ a physics simulator and a robot drive it alike.
 """
 
 import dataclasses
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -26,13 +26,12 @@ from jaxlangnav.messages import (
     Status,
     default_sensor,
 )
-from jaxlangnav.planner import graph, policy, search, tours
-from jaxlangnav.planner.constraints import constraint_cost
-from jaxlangnav.planner.endings import chance_left
+from jaxlangnav.planner import graph, policy
+from jaxlangnav.planner.config import PlannerConfig
 from jaxlangnav.planner.goals import Goals, gather
-from jaxlangnav.planner.params import PlannerConfig, PlannerParams, default_planner_params
+from jaxlangnav.planner.params import PlannerParams, default_planner_params
 from jaxlangnav.planner.relevance import bears_on_goal, group_of, has_open_partner
-from jaxlangnav.pytree import pytree, replace
+from jaxlangnav.pytree import pytree, replace, strong
 from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.semantic_map.behaviors import infer_behaviors
 from jaxlangnav.semantic_map.belief import ParticleBelief
@@ -73,11 +72,7 @@ class NavigatorConfig:
                 f"num_cells is {self.map.num_cells}, but must be a multiple of "
                 f"num_blocks, {self.planner.num_blocks}"
             )
-        if self.planner.policy == "informed" and self.map.num_cells % search.CELLS:
-            raise ValueError(
-                f"num_cells is {self.map.num_cells}, but must be a multiple of {search.CELLS} "
-                "for the informed policy's search map"
-            )
+        self.planner.chosen.check(self.map)
 
 
 @pytree
@@ -89,8 +84,7 @@ class NavigatorState:
     clause: Array  # i32[] which of the instruction's commands is being carried out
     previous_goal: Array  # i32[] observed slot at which the last command ended; NONE at first
     visited: graph.Visited
-    commitment: policy.Commitment
-    tour: tours.Tour  # where ``informed`` is looking next, and after that
+    memory: Any  # of the policy
     status: Array  # i32[] a Status: of the task after the last cycle, whether halted or not
     is_halted: Array  # bool[] it was told to halt
 
@@ -111,8 +105,7 @@ class NavigatorInfo:
 
     filter: FilterInfo
     fault: Array  # i32[] bits of messages.Fault: why the robot stands still; 0: it need not
-    choice: policy.Choice
-    nodes: graph.Nodes
+    choice: policy.Decision
     goals: Goals
     behavior: Behavior  # expectation over particles
     robot: Array  # f32[2] believed position, metres, map frame
@@ -188,8 +181,7 @@ def start(
         clause=jnp.int32(0),
         previous_goal=jnp.int32(NONE),
         visited=graph.nowhere(config.planner.num_visited),
-        commitment=policy.no_commitment(),
-        tour=tours.no_tour(belief.last_pose[0], belief.last_pose[1]),
+        memory=strong(config.planner.chosen.init(belief)),
         status=jnp.int32(Status.SEARCHING),
         is_halted=jnp.asarray(False),
     )
@@ -218,7 +210,6 @@ def hear(state: NavigatorState, instruction: Instruction, pose: Array) -> Naviga
         belief=replace(belief, viewer=viewer, must_ground=jnp.asarray(True)),
         instruction=instruction,
         clause=jnp.int32(0),
-        commitment=policy.no_commitment(),
         status=jnp.int32(Status.SEARCHING),
         is_halted=jnp.asarray(False),
     )
@@ -271,15 +262,6 @@ class _Outlook(NamedTuple):
     goals: Goals
 
 
-class _Decision(NamedTuple):
-    """What the planner has found and chosen."""
-
-    visited: graph.Visited
-    plan: tours.Plan | None  # of ``informed``
-    nodes: graph.Nodes
-    choice: policy.Choice
-
-
 def step(
     key: Array,
     state: NavigatorState,
@@ -308,14 +290,13 @@ def step(
     fault = filter_info.fault + jnp.where(is_asked, 0, int(Fault.COMMAND))
     range_max = jnp.where(fault == 0, observation.sensor.range_max, default_sensor().range_max)
     outlook = _infer(state, fault, params)
-    decision = _decide(key, state, outlook, range_max, filter_info.is_news, params, config)
-    after = _carry_on(state, outlook, decision, params)
-    action = _act(after, outlook, decision.choice, params)
+    state, choice = _decide(key, state, outlook, range_max, filter_info.is_news, params, config)
+    after = _carry_on(state, outlook, choice, params)
+    action = _act(after, outlook, choice, params)
     info = NavigatorInfo(
         filter=filter_info,
         fault=fault,
-        choice=decision.choice,
-        nodes=decision.nodes,
+        choice=choice,
         goals=outlook.goals,
         behavior=outlook.expected,
         robot=jnp.stack([outlook.robot_x, outlook.robot_y]),
@@ -331,9 +312,6 @@ def _observe(
     config: NavigatorConfig,
 ) -> tuple[NavigatorState, FilterInfo]:
     """Filter the semantic map by what is seen and by what the words say of it (section 3.2)."""
-    # The paper's own policy takes every word to be true.
-    trusts = config.planner.policy == "faithful"
-    map_params = replace(params.map, misleading=jnp.float32(0.0)) if trusts else params.map
     motion = params.map.motion
     # One cycle's step at the highest speed, as far as odometry may be out.
     farthest = jnp.max(params.mode_speed) * motion.step_length
@@ -343,7 +321,7 @@ def _observe(
         state.belief,
         state.instruction.readings,
         observation,
-        params=map_params,
+        params=config.planner.chosen.map_params(params.map),
         is_sparse=True,
         farthest=farthest,
     )
@@ -383,53 +361,34 @@ def _decide(
     is_news: Array,
     params: NavigatorParams,
     config: NavigatorConfig,
-) -> _Decision:
-    """Choose among the graph's nodes or to stop (section 3.4); ``key`` is the whole cycle's."""
-    belief, goals = state.belief, outlook.goals
-    robot = outlook.robot_x, outlook.robot_y
-    visited = graph.visit(state.visited, *robot, params.planner.visit_spacing)
-    plan = first_stops = chance = None
-    if config.planner.policy == "informed":
-        wanted = belief.particles.is_mentioned & outlook.is_relevant
-        wanted = replace(belief, particles=replace(belief.particles, is_mentioned=wanted))
-        unseen = search.search_map(wanted, params.planner.prior_share)
-        plan_key = jax.random.fold_in(key, _PLANNING)
-        chance = chance_left(unseen.unseen, params.map.concentration, params.map.misleading)
-        plan = tours.plan(plan_key, state.tour, unseen, *robot, range_max, belief.coverage.area)
-        first_stops = plan.tours.x[:, 0], plan.tours.y[:, 0]
-    nodes = graph.nodes(
-        belief.coverage,
-        visited,
-        goals.object_x,
-        goals.object_y,
-        goals.is_object,
-        config.planner,
-        params.planner,
-        first_stops,
+) -> tuple[NavigatorState, policy.Decision]:
+    """Have the policy decide where to go (section 3.4); ``key`` is the whole cycle's."""
+    goals, planner = outlook.goals, params.planner
+    robot_x, robot_y = outlook.robot_x, outlook.robot_y
+    visited = graph.visit(state.visited, robot_x, robot_y, planner.visit_spacing)
+    is_find = outlook.expected.action[ACTIONS.index("find")]
+    may_stop = policy.may_stop(goals, robot_x, robot_y, is_find, range_max, params=planner)
+    situation = policy.Situation(
+        belief=state.belief,
+        nodes=graph.known_nodes(visited, goals.object_x, goals.object_y, goals.is_object),
+        goals=goals,
+        constraint=outlook.behavior.constraint,
+        is_relevant=outlook.is_relevant,
+        robot_x=robot_x,
+        robot_y=robot_y,
+        range_max=range_max,
+        is_find=is_find,
+        is_news=is_news,
+        stands=outlook.stands,
+        may_stop=may_stop & ~outlook.stands,
+        params=planner,
+        map_params=params.map,
+        num_blocks=config.planner.num_blocks,
     )
-    choice = policy.choose(
-        belief,
-        nodes,
-        goals,
-        *robot,
-        state.commitment,
-        is_news,
-        outlook.expected.action[ACTIONS.index("find")],
-        range_max,
-        constraint_cost(
-            belief, outlook.behavior.constraint, nodes, *robot, params.planner.constraint_cost
-        ),
-        params=params.planner,
-        config=config.planner,
-        plan=plan,
-        chance_left=chance,
+    memory, choice = policy.choose(
+        config.planner.chosen, jax.random.fold_in(key, _PLANNING), state.memory, situation
     )
-    choice = replace(
-        choice,
-        is_stop=choice.is_stop & ~outlook.stands,
-        is_not_found=choice.is_not_found & ~choice.is_stop & ~outlook.stands,
-    )
-    return _Decision(visited=visited, plan=plan, nodes=nodes, choice=choice)
+    return replace(state, visited=visited, memory=memory), choice
 
 
 def _is_last_clause(state: NavigatorState) -> Array:
@@ -437,7 +396,7 @@ def _is_last_clause(state: NavigatorState) -> Array:
     return state.clause + 1 >= state.instruction.num_clauses
 
 
-def _status(state: NavigatorState, outlook: _Outlook, choice: policy.Choice) -> Array:
+def _status(state: NavigatorState, outlook: _Outlook, choice: policy.Decision) -> Array:
     """Tell what becomes of the task, i32[] a Status: what it was where the robot stands still."""
     under_way = jnp.where(choice.is_approach, int(Status.APPROACHING), int(Status.SEARCHING))
     is_arrived = choice.is_stop & _is_last_clause(state)
@@ -447,7 +406,7 @@ def _status(state: NavigatorState, outlook: _Outlook, choice: policy.Choice) -> 
 
 
 def _act(
-    state: NavigatorState, outlook: _Outlook, choice: policy.Choice, params: NavigatorParams
+    state: NavigatorState, outlook: _Outlook, choice: policy.Decision, params: NavigatorParams
 ) -> Action:
     """Turn the choice into a step in the manner asked for: quickly, carefully.
 
@@ -477,13 +436,13 @@ def _act(
 
 
 def _carry_on(
-    state: NavigatorState, outlook: _Outlook, decision: _Decision, params: NavigatorParams
+    state: NavigatorState, outlook: _Outlook, choice: policy.Decision, params: NavigatorParams
 ) -> NavigatorState:
     """Remember what the next decision needs.
 
     A command carried out makes way for the next one, if the instruction has one.
     """
-    choice, is_last = decision.choice, _is_last_clause(state)
+    is_last = _is_last_clause(state)
     # Of the objects that would do, the last command ended at the one gone up to.
     goals, robot_x, robot_y = outlook.goals, outlook.robot_x, outlook.robot_y
     away = jnp.hypot(goals.object_x - robot_x, goals.object_y - robot_y)[:-1]
@@ -493,13 +452,5 @@ def _carry_on(
         state,
         clause=state.clause + (choice.is_stop & ~is_last).astype(jnp.int32),
         previous_goal=jnp.where(choice.is_stop, goal_slot, state.previous_goal),
-        visited=decision.visited,
-        commitment=policy.Commitment(
-            x=choice.waypoint_x,
-            y=choice.waypoint_y,
-            kind=choice.kind,
-            is_active=~choice.is_stop,
-        ),
-        tour=state.tour if decision.plan is None else tours.take(decision.plan, choice.value),
         status=_status(state, outlook, choice),
     )

@@ -49,7 +49,8 @@ def set_scene(
     return Scene(
         text=text,
         type_names=load_lexicon().type_names,
-        policy=config.planner.policy_name,
+        policy=config.planner.chosen.name,
+        portrayal=config.planner.chosen.portrayal,
         scenario=scenario,
         sensor=sensor,
         readings=instruction.readings,
@@ -199,7 +200,8 @@ def _belief_fields(belief: ParticleBelief, readings: Readings) -> dict[str, Arra
 
 def _decision_fields(info: NavigatorInfo) -> dict[str, Array]:
     """Gather the goals, the nodes and the choice."""
-    goals, nodes, choice = info.goals, info.nodes, info.choice
+    goals, choice = info.goals, info.choice
+    nodes = choice.nodes
     return {
         "goal_x": goals.object_x,
         "goal_y": goals.object_y,

@@ -17,6 +17,7 @@ from jaxlangnav.grounding.asked import Asked
 from jaxlangnav.messages import NONE, Readings, SensorParams
 from jaxlangnav.planner.endings import missing_types
 from jaxlangnav.planner.params import PlannerParams
+from jaxlangnav.planner.policy import Portrayal
 from jaxlangnav.pytree import pytree
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 from jaxlangnav.world.state import Scenario
@@ -99,6 +100,7 @@ class Scene:
     text: str
     type_names: tuple[str, ...]
     policy: str
+    portrayal: Portrayal
     scenario: Scenario
     sensor: SensorParams
     readings: Readings

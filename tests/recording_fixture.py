@@ -4,6 +4,7 @@ import numpy as np
 
 from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.messages import AT, BEHIND, NONE, Readings, SensorParams, Status
+from jaxlangnav.planner.config import as_policy
 from jaxlangnav.planner.graph import FRONTIER, OBJECT, VISITED
 from jaxlangnav.planner.params import default_planner_params
 from jaxlangnav.recording import Frame, Recording, Scene, gather
@@ -51,6 +52,7 @@ def make_scene(*, policy: str = "faithful", text: str = TEXT) -> Scene:
         text=text,
         type_names=TYPES,
         policy=policy,
+        portrayal=as_policy(policy).portrayal,
         scenario=scenario,
         sensor=sensor,
         readings=make_readings(),

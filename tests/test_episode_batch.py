@@ -11,7 +11,7 @@ from jaxlangnav.episode import EpisodeResult, Task, run, run_batch
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.messages import MotionParams, SensorParams
 from jaxlangnav.navigator import NavigatorConfig
-from jaxlangnav.planner.params import PlannerConfig
+from jaxlangnav.planner.config import PlannerConfig
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.params import MapConfig
 from jaxlangnav.world.scenario import draw_scenario, scenario_law

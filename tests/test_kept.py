@@ -23,6 +23,8 @@ from jaxlangnav import kept as module
 from jaxlangnav.compiled_program import load_program
 from jaxlangnav.kept import keep_in, kept, kept_in
 from jaxlangnav.messages import default_motion
+from jaxlangnav.navigator import NavigatorConfig
+from jaxlangnav.planner.config import PlannerConfig
 from jaxlangnav.pytree import replace
 
 TRACES: list[int] = []
@@ -84,6 +86,22 @@ def test_what_makes_another_program_makes_another_file(folder: Path) -> None:
     assert len(list(folder.glob("*.program"))) == len(TRACES) == 4
     call(jax.random.key(4), motion, times=1)  # only data
     assert len(TRACES) == 4
+
+
+def _own(situation):
+    """A policy of somebody's own: another process may give the name to other code."""
+    raise NotImplementedError
+
+
+@pytest.mark.parametrize(("policy", "number"), [("informed", 1), (_own, 0)])
+def test_what_others_have_written_is_not_kept(folder: Path, policy, number: int) -> None:
+    def cells(x: jax.Array, *, config: NavigatorConfig) -> jax.Array:
+        return x + config.map.num_cells
+
+    config = NavigatorConfig(planner=PlannerConfig(policy=policy))
+    call = kept(static_argnames=("config",))(cells)
+    np.testing.assert_array_equal(call(jnp.zeros(2), config=config), 36.0)
+    assert len(list(folder.glob("*.program"))) == number
 
 
 def test_values_are_those_of_the_call(folder: Path) -> None:

@@ -8,7 +8,7 @@ import pytest
 from jaxlangnav.experiments import monte_carlo
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, default_params
-from jaxlangnav.planner.params import PlannerConfig
+from jaxlangnav.planner.config import PlannerConfig
 from jaxlangnav.pytree import replace
 
 TOLD = ("go to the hydrant", "go to the hydrant behind the cone")

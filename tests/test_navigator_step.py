@@ -14,7 +14,7 @@ from jaxlangnav import agent, navigator
 from jaxlangnav.grounding import AnnotationGrounder
 from jaxlangnav.messages import NONE
 from jaxlangnav.navigator import NavigatorConfig
-from jaxlangnav.planner.params import PlannerConfig
+from jaxlangnav.planner.config import PlannerConfig
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.params import MapConfig
 
@@ -319,7 +319,7 @@ def test_one_step_by_hand_leaves_a_readable_record(robot) -> None:
     is_open = np.isfinite(value)
     parts = info.choice.goal_value + info.choice.information_value - info.choice.cost
     np.testing.assert_allclose(value[is_open], np.asarray(parts)[is_open], atol=1e-5)
-    assert not np.asarray(info.nodes.is_node)[~is_open].all()
+    assert not np.asarray(info.choice.nodes.is_node)[~is_open].all()
     behavior = info.behavior
     np.testing.assert_allclose(behavior.mode.sum(), 1.0, atol=1e-3)
     np.testing.assert_allclose(behavior.action.sum(), 1.0, atol=1e-3)

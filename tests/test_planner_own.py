@@ -6,17 +6,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_planner_policy import believe, random_places
+import readings as by_hand
+from situations import CHOOSE, nodes_at, seen_goal, situation
+from test_planner_policy import CONFIG
 
 from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.experiments.policies import navigator_config, run_policy
 from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
 from jaxlangnav.experiments.tasks import cell, make_tasks
-from jaxlangnav.planner import policy, qmdp
-from jaxlangnav.planner.goals import Goals
-from jaxlangnav.planner.graph import FRONTIER, Nodes
-from jaxlangnav.planner.own import Situation, Valuation
-from jaxlangnav.planner.params import PlannerConfig, default_planner_params
+from jaxlangnav.planner import qmdp
+from jaxlangnav.planner.config import PlannerConfig, as_policy
+from jaxlangnav.planner.faithful import no_waypoint
+from jaxlangnav.planner.graph import VISITED
+from jaxlangnav.planner.policy import Decision, Situation, Valuation
 
 
 def twin(situation: Situation) -> Valuation:
@@ -41,53 +43,26 @@ def far_away(situation: Situation) -> Valuation:
     return dataclasses.replace(valuation, goal_value=3.0 * situation.distance)
 
 
-def choose(own, *, stop_mass: float | None = None, goal: float = 0.5) -> policy.Choice:
-    nodes = Nodes(
-        x=jnp.array([1.0, 4.0, 2.0]),
-        y=jnp.array([0.0, 0.0, 3.0]),
-        is_node=jnp.array([True, True, True]),
-        kind=jnp.full(3, FRONTIER, jnp.int32),
-    )
-    none, zeros, share = jnp.zeros(0), jnp.zeros(1), jnp.full(1, goal, jnp.float32)
-    goals = Goals(
-        object_x=zeros,
-        object_y=zeros,
-        object_mass=zeros,
-        object_accepted=share,
-        object_confirmed=share,
-        is_object=jnp.ones(1, bool),
-        hypothesis_x=none,
-        hypothesis_y=none,
-        hypothesis_mass=none,
-    )
+def choose(own, *, stop_mass: float | None = None, goal: float = 0.5) -> Decision:
+    """At (0, 0), all explored; the way to (4, 0) passes what half of the maps forbid."""
 
-    def decide(situation: Situation) -> Valuation:
-        valuation = own(situation)
+    def decide(shown: Situation) -> Valuation:
+        valuation = own(shown)
         if stop_mass is None:
             return valuation
         return dataclasses.replace(valuation, stop_mass=jnp.float32(stop_mass))
 
-    zero = jnp.float32(0.0)
-    return jax.jit(policy.choose, static_argnames="config")(
-        believe(random_places(), is_hung=False),
-        nodes,
-        goals,
-        zero,
-        zero,
-        policy.no_commitment(),
-        jnp.asarray(True),
-        zero,
-        jnp.float32(3.0),
-        jnp.array([0.0, 0.5, 0.0]),
-        params=default_planner_params(),
-        config=PlannerConfig(policy=decide),
-    )
+    belief = by_hand.with_objects(by_hand.begin(config=CONFIG), [(by_hand.CONE, 5.0, 0.0)])
+    nodes = nodes_at([1.0, 4.0, 2.0], [0.0, 0.0, 3.0], [VISITED] * 3)
+    shown = situation(belief, nodes, seen_goal(goal), is_news=True, forbidden=0.5)
+    key = jax.random.key(0)
+    return CHOOSE(as_policy(decide), key, no_waypoint(), shown)[1]
 
 
 def test_the_most_valuable_waypoint_is_taken_and_costs_count() -> None:
     chosen = choose(nearest)
     assert (float(chosen.waypoint_x), float(chosen.waypoint_y)) == (1.0, 0.0)
-    np.testing.assert_allclose(chosen.value, [-1.0, -4.5, -np.sqrt(13.0)], atol=1e-5)
+    np.testing.assert_allclose(chosen.value[1:], [-1.0, -4.5, -np.sqrt(13.0)], atol=1e-5)
     assert not bool(chosen.is_stop)
     chosen = choose(far_away)
     assert (float(chosen.waypoint_x), float(chosen.waypoint_y)) == (4.0, 0.0)
@@ -115,7 +90,7 @@ def test_values_that_are_no_numbers_leave_it_where_it_is() -> None:
 
 
 def test_it_carries_its_function_s_name() -> None:
-    assert PlannerConfig(policy=nearest).policy_name == "nearest"
+    assert PlannerConfig(policy=nearest).chosen.name == "nearest"
     assert navigator_config(nearest) == navigator_config(nearest)
     assert navigator_config(nearest) != navigator_config(far_away)
     with pytest.raises(ValueError, match="must be one of"):

@@ -5,22 +5,27 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import readings as by_hand
+from situations import CHOOSE, nodes_at, seen_goal, situation
 
 from jaxlangnav.messages import NONE
 from jaxlangnav.planner import policy, tours
+from jaxlangnav.planner.config import SHIPPED
 from jaxlangnav.planner.constraints import constraint_cost, squared_distance_to_segment
 from jaxlangnav.planner.endings import chance_left
+from jaxlangnav.planner.faithful import no_waypoint
 from jaxlangnav.planner.goals import Goals
 from jaxlangnav.planner.graph import FRONTIER, OBJECT, VISITED, Nodes
-from jaxlangnav.planner.params import PlannerConfig, default_planner_params
+from jaxlangnav.planner.informed import decide_on
+from jaxlangnav.planner.params import default_planner_params
+from jaxlangnav.planner.policy import Decision, Waypoint
 from jaxlangnav.planner.search import CELLS, LATTICE, search_map, viewpoints, visibility
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.params import MapConfig
 
-P, SLOTS = 16, 3
+P, SLOTS, KEY = 16, 3, jax.random.key(0)
 CONFIG = MapConfig(num_particles=P, num_objects=SLOTS, num_cells=24)
 SEARCH_MAP = jax.jit(lambda belief: search_map(belief, jnp.float32(0.0)))
-CHOOSE = jax.jit(policy.choose, static_argnames="config")
+DECIDE_ON = jax.jit(decide_on)
 
 
 def believe(hypotheses, *, is_hung: bool, log_miss=None):
@@ -61,9 +66,10 @@ def test_ways_past_what_is_to_be_avoided_cost_and_no_others() -> None:
     forbidden = np.zeros((7, SLOTS + by_hand.M + 1, P), np.float32)
     forbidden[6, 0, : P // 4] = 1.0
     zero = jnp.float32(0.0)
-    cost = constraint_cost(belief, jnp.asarray(forbidden), nodes(), zero, zero, jnp.float32(2.0))
+    all_three = nodes_at([4.0, 1.0, 6.0], [3.0, 0.0, 0.0], [FRONTIER, VISITED, OBJECT])
+    cost = constraint_cost(belief, jnp.asarray(forbidden), all_three, zero, zero, jnp.float32(2.0))
     # Of the nodes at (4, 3), (1, 0) and (6, 0) the second is just out of its berth of 2 m.
-    away = replace(nodes(), x=jnp.array([4.0, 0.9, 6.0]), y=jnp.array([4.0, 0.0, 0.0]))
+    away = replace(all_three, x=jnp.array([4.0, 0.9, 6.0]), y=jnp.array([4.0, 0.0, 0.0]))
     found = constraint_cost(belief, jnp.asarray(forbidden), away, zero, zero, jnp.float32(2.0))
     np.testing.assert_allclose(found, [0.0, 0.0, 0.5], atol=1e-5)
     assert float(cost[0]) == pytest.approx(0.5, abs=1e-5)
@@ -108,57 +114,35 @@ def test_visibility_is_a_disc() -> None:
     assert (sees[distance > 3.0 + 0.45] == 0.0).all()
 
 
-# The faithful policy on two nodes and one seen object, everything set by hand.
+# The faithful policy on one frontier, one visited place and one seen object, all set by hand.
+
+CELL = 10.0 / 24
+FRONT = (9.5 * CELL, 19.5 * CELL - 5.0)
+"""The only cell that nobody has looked at, near (4, 3)."""
 
 
 def nodes() -> Nodes:
-    return Nodes(
-        x=jnp.array([4.0, 1.0, 6.0]),
-        y=jnp.array([3.0, 0.0, 0.0]),
-        is_node=jnp.array([True, True, True]),
-        kind=jnp.array([FRONTIER, VISITED, OBJECT], jnp.int32),
-    )
+    """What every policy is shown; the paper's puts its frontier before."""
+    return nodes_at([1.0, 6.0], [0.0, 0.0], [VISITED, OBJECT])
 
 
 def goals(mass: float, x: float = 6.0, y: float = 0.0, hypothesis: float = 0.0) -> Goals:
-    one = jnp.array([mass], jnp.float32)
-    return Goals(
-        object_x=jnp.array([x], jnp.float32),
-        object_y=jnp.array([y], jnp.float32),
-        object_mass=one,
-        object_accepted=one,
-        object_confirmed=one,
-        is_object=jnp.array([True]),
-        hypothesis_x=jnp.array([4.0], jnp.float32),
-        hypothesis_y=jnp.array([3.5], jnp.float32),
-        hypothesis_mass=jnp.array([hypothesis], jnp.float32),
-    )
+    return seen_goal(mass, x, y, (hypothesis, 4.0, 3.5))
 
 
-def choose(
-    aims: Goals, robot=(0.0, 0.0), *, commitment=None, is_news=False, is_find=0.0, cost=None
-):
-    log_miss = np.zeros((24, 24))
-    log_miss[:, :9] = -3.0
-    belief = by_hand.with_coverage(by_hand.begin(config=CONFIG), log_miss)
-    return CHOOSE(
-        belief,
-        nodes(),
-        aims,
-        jnp.float32(robot[0]),
-        jnp.float32(robot[1]),
-        commitment or policy.no_commitment(),
-        jnp.asarray(is_news),
-        jnp.float32(is_find),
-        jnp.float32(3.0),
-        jnp.zeros(3) if cost is None else jnp.asarray(cost, jnp.float32),
-        params=default_planner_params(),
-        config=PlannerConfig(policy="faithful"),
-    )
+def choose(aims: Goals, robot=(0.0, 0.0), *, waypoint=None, places=(), **kwargs) -> Decision:
+    log_miss = np.full((24, 24), -3.0)
+    log_miss[19, 9] = 0.0
+    belief = by_hand.with_objects(by_hand.begin(config=CONFIG), list(places))
+    shown = situation(by_hand.with_coverage(belief, log_miss), nodes(), aims, robot, **kwargs)
+    after, decision = CHOOSE(SHIPPED["faithful"], KEY, waypoint or no_waypoint(), shown)
+    assert bool(after.is_active) is not bool(decision.is_stop)
+    np.testing.assert_array_equal(after.x, decision.waypoint_x)
+    return decision
 
 
-def under_way(x: float, y: float, kind: int) -> policy.Commitment:
-    return policy.Commitment(
+def under_way(x: float, y: float, kind: int) -> Waypoint:
+    return Waypoint(
         x=jnp.float32(x),
         y=jnp.float32(y),
         kind=jnp.int32(kind),
@@ -169,9 +153,8 @@ def under_way(x: float, y: float, kind: int) -> policy.Commitment:
 def test_faithful_takes_the_node_of_highest_value() -> None:
     gamma = float(default_planner_params().discount)
     choice = choose(goals(0.6, hypothesis=0.3))
-    way = np.hypot(
-        np.subtract.outer([4.0, 1.0, 6.0], [6.0, 4.0]), np.subtract.outer([3, 0, 0], [0, 3.5])
-    )
+    x, y = [FRONT[0], 1.0, 6.0], [FRONT[1], 0.0, 0.0]
+    way = np.hypot(np.subtract.outer(x, [6.0, 4.0]), np.subtract.outer(y, [0.0, 3.5]))
     np.testing.assert_allclose(choice.goal_value, (gamma**way) @ [0.6, 0.3], rtol=1e-4)
     assert int(choice.kind) == OBJECT
     assert not bool(choice.is_stop)
@@ -180,7 +163,12 @@ def test_faithful_takes_the_node_of_highest_value() -> None:
 
 
 def test_a_cost_turns_it_away() -> None:
-    assert int(choose(goals(0.6, hypothesis=0.3), cost=[0.0, 0.0, 1.0]).kind) != OBJECT
+    """A cone a metre beside the way to the object: in an eighth of the maps, and then in all."""
+    aims, cone = goals(0.6, hypothesis=0.3), [(by_hand.CONE, 5.0, -1.0)]
+    doubted = choose(aims, places=cone, forbidden=0.125)
+    np.testing.assert_allclose(doubted.cost, [0.0, 0.0, 0.125], atol=1e-6)
+    assert int(doubted.kind) == OBJECT
+    assert int(choose(aims, places=cone, forbidden=1.0).kind) != OBJECT
 
 
 @pytest.mark.parametrize(
@@ -224,16 +212,24 @@ def test_nothing_stops_at_random_goals_out_of_reach() -> None:
             assert np.hypot(robot[0] - 6.0, robot[1]) <= float(default_planner_params().reach)
 
 
+def test_a_robot_that_stands_does_not_stop_and_keeps_its_waypoint() -> None:
+    aims, waypoint = goals(0.9), under_way(1.0, 0.0, VISITED)
+    assert bool(choose(aims, (5.5, 0.0), waypoint=waypoint).is_stop)
+    halted = choose(aims, (5.5, 0.0), waypoint=waypoint, stands=True)
+    assert not bool(halted.is_stop)
+    assert bool(halted.is_kept)
+
+
 def test_a_waypoint_is_kept_until_something_changes() -> None:
     aims = goals(0.6, hypothesis=0.3)
-    kept = choose(aims, commitment=under_way(1.0, 0.0, VISITED))
+    kept = choose(aims, waypoint=under_way(1.0, 0.0, VISITED))
     assert bool(kept.is_kept)
     np.testing.assert_allclose([kept.waypoint_x, kept.waypoint_y], [1.0, 0.0])
     # News, arrival, and a frontier that is none any more each release it.
-    assert not bool(choose(aims, commitment=under_way(1.0, 0.0, VISITED), is_news=True).is_kept)
-    assert not bool(choose(aims, (1.0, 0.1), commitment=under_way(1.0, 0.0, VISITED)).is_kept)
-    assert not bool(choose(aims, commitment=under_way(1.0, 1.0, FRONTIER)).is_kept)
-    assert bool(choose(aims, commitment=under_way(4.0, 3.0, FRONTIER)).is_kept)
+    assert not bool(choose(aims, waypoint=under_way(1.0, 0.0, VISITED), is_news=True).is_kept)
+    assert not bool(choose(aims, (1.0, 0.1), waypoint=under_way(1.0, 0.0, VISITED)).is_kept)
+    assert not bool(choose(aims, waypoint=under_way(1.0, 1.0, FRONTIER)).is_kept)
+    assert bool(choose(aims, waypoint=under_way(4.0, 3.0, FRONTIER)).is_kept)
 
 
 # The end of a search: what is missing may not be there at all.
@@ -285,22 +281,8 @@ def test_informed_ends_once_the_rest_has_been_looked_at(mass, robot, chance, sto
     one = jnp.zeros(1)
     tour = tours.Tour(x=one[None] + 4.0, y=one[None] + 3.0)
     plan = tours.Plan(tours=tour, latency=one + 9.0, mass=jnp.float32(0.6), hung=jnp.float32(0.6))
-    choice = CHOOSE(
-        by_hand.begin(config=CONFIG),
-        nodes(),
-        unconfirmed,
-        jnp.float32(robot[0]),
-        jnp.float32(robot[1]),
-        policy.no_commitment(),
-        jnp.asarray(False),
-        jnp.float32(0.0),
-        jnp.float32(3.0),
-        jnp.zeros(3),
-        params=default_planner_params(),
-        config=PlannerConfig(policy="informed"),
-        plan=plan,
-        chance_left=jnp.float32(chance),
-    )
+    shown = situation(by_hand.begin(config=CONFIG), nodes(), unconfirmed, robot)
+    choice = DECIDE_ON(shown, plan, jnp.float32(chance))
     assert (bool(choice.is_stop), bool(choice.is_not_found)) == (stops, ends)
     if mass == 0.4 and chance < 0.1 and not stops:
         assert int(choice.kind) == OBJECT

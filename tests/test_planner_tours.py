@@ -5,13 +5,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import readings as by_hand
+from situations import nodes_at, seen_goal, situation
 from test_planner_policy import CONFIG, P, believe, random_places
 
 from jaxlangnav.messages import NONE
-from jaxlangnav.planner import policy, prior, tours
-from jaxlangnav.planner.goals import Goals
-from jaxlangnav.planner.graph import FRONTIER, OBJECT, Nodes
-from jaxlangnav.planner.params import PlannerConfig, default_planner_params
+from jaxlangnav.planner import prior, tours
+from jaxlangnav.planner.graph import OBJECT
+from jaxlangnav.planner.informed import decide_on
+from jaxlangnav.planner.policy import Decision
 from jaxlangnav.planner.search import CELLS, SearchMap, search_map
 from jaxlangnav.pytree import replace
 from jaxlangnav.studies.learn_prior import learn, training_worlds
@@ -201,30 +202,16 @@ def test_with_nothing_left_to_find_it_settles_for_no_goal_that_is_none(goal: flo
     assert bool(decide(now, 0.2).is_stop)
 
 
-CHOOSE = jax.jit(policy.choose, static_argnames="config")
+DECIDE_ON = jax.jit(decide_on)
 
 
-def decide(now: tours.Plan, goal: float) -> policy.Choice:
+def decide(now: tours.Plan, goal: float) -> Decision:
     """Let the informed policy choose half a metre from an object, the goal with a probability."""
-    number, one = now.latency.shape[0], jnp.array([goal], jnp.float32)
-    return CHOOSE(
-        by_hand.begin(config=CONFIG),
-        Nodes(
-            x=jnp.append(now.tours.x[:, 0], 1.5),
-            y=jnp.append(now.tours.y[:, 0], 0.0),
-            is_node=jnp.ones(number + 1, bool),
-            kind=jnp.array([FRONTIER] * number + [OBJECT], jnp.int32),
-        ),
-        Goals(
-            object_x=jnp.array([1.5]), object_y=jnp.zeros(1), object_mass=one,
-            object_accepted=one, object_confirmed=one, is_object=jnp.ones(1, bool),
-            hypothesis_x=jnp.zeros(1), hypothesis_y=jnp.zeros(1), hypothesis_mass=jnp.zeros(1),
-        ),
-        jnp.float32(1.0), jnp.float32(0.0), policy.no_commitment(), jnp.asarray(False),
-        jnp.float32(0.0), jnp.float32(RANGE), jnp.zeros(number + 1),
-        params=default_planner_params(), config=PlannerConfig(policy="informed"), plan=now,
-        chance_left=jnp.float32(1.0),
+    shown = situation(
+        by_hand.begin(config=CONFIG), nodes_at([1.5], [0.0], [OBJECT]), seen_goal(goal, 1.5),
+        (1.0, 0.0),
     )  # fmt: skip
+    return DECIDE_ON(shown, now, jnp.float32(1.0))
 
 
 def test_prior_is_relative_to_uniform_and_can_be_left_out() -> None:

@@ -12,7 +12,7 @@ from jaxlangnav import episode, recorder
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.messages import default_motion, default_sensor
 from jaxlangnav.navigator import NavigatorConfig, default_params
-from jaxlangnav.planner.params import PlannerConfig
+from jaxlangnav.planner.config import PlannerConfig
 from jaxlangnav.recording import Frame, Recording
 from jaxlangnav.semantic_map.params import MapConfig
 from jaxlangnav.world.scenario import sample_scenario

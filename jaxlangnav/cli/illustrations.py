@@ -19,7 +19,7 @@ from jaxlangnav.files.whole import write_text
 from jaxlangnav.grounding.instruction import understand_parse
 from jaxlangnav.language.parser import parse
 from jaxlangnav.plain_text import markdown_table
-from jaxlangnav.planner.params import POLICIES
+from jaxlangnav.planner.config import POLICIES
 from jaxlangnav.pytree import replace
 from jaxlangnav.recording import Recording
 from jaxlangnav.task.follow import record_episode

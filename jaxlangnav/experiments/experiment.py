@@ -29,7 +29,7 @@ from jaxlangnav.experiments.sizes import check_engine
 from jaxlangnav.experiments.tables import caption, markdown_table, rich_table
 from jaxlangnav.messages import MotionParams, SensorParams, default_motion, default_sensor
 from jaxlangnav.navigator import NavigatorParams
-from jaxlangnav.planner.params import POLICIES
+from jaxlangnav.planner.config import POLICIES
 from jaxlangnav.world.templates import TABLE_2
 
 

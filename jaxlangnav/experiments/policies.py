@@ -13,8 +13,7 @@ from jaxlangnav.experiments.monte_carlo import BLOCK, Progress, map_pieces, run_
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, default_params
 from jaxlangnav.plain_text import cut
-from jaxlangnav.planner.own import Policy
-from jaxlangnav.planner.params import POLICIES, PlannerConfig
+from jaxlangnav.planner.config import POLICIES, AnyPolicy, PlannerConfig
 from jaxlangnav.semantic_map.params import MapConfig
 
 POLICY_NAMES = (*reversed(POLICIES), *BASELINES)
@@ -62,9 +61,7 @@ def check_policies(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(names))
 
 
-def navigator_config(
-    policy: str | Policy, num_particles: int = DEFAULT_PARTICLES
-) -> NavigatorConfig:
+def navigator_config(policy: AnyPolicy, num_particles: int = DEFAULT_PARTICLES) -> NavigatorConfig:
     """Build the configuration of one of the navigator's own policies.
 
     Args:
@@ -80,7 +77,7 @@ def navigator_config(
 
 
 def run_policy(
-    policy: str | Policy,
+    policy: AnyPolicy,
     tasks: Task,
     instructions: Instruction,
     *,

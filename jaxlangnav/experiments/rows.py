@@ -34,7 +34,7 @@ from jaxlangnav.experiments.sentences import SENTENCES, GroundedSentences
 from jaxlangnav.experiments.sizes import check_count, result_bytes, task_bytes
 from jaxlangnav.messages import MotionParams, SensorParams, default_motion, default_sensor
 from jaxlangnav.navigator import NavigatorParams, default_params
-from jaxlangnav.planner.params import POLICIES
+from jaxlangnav.planner.config import POLICIES
 from jaxlangnav.pytree import replace
 from jaxlangnav.world.templates import TableRow
 

@@ -43,7 +43,7 @@ from jaxlangnav.experiments.sweep_plan import (
     shard_files,
 )
 from jaxlangnav.experiments.sweep_tasks import chunk_columns, chunk_tasks
-from jaxlangnav.planner.params import POLICIES
+from jaxlangnav.planner.config import POLICIES
 
 _AHEAD = 2
 """Rounds handed out for each call under way: no core waits, and no plan is laid out whole."""

@@ -25,7 +25,7 @@ from jaxlangnav.experiments.sizes import check_engine, counted
 from jaxlangnav.experiments.sweep_config import SweepConfig, Values
 from jaxlangnav.messages import MotionParams, SensorParams, default_motion, default_sensor
 from jaxlangnav.navigator import NavigatorParams, check, default_params
-from jaxlangnav.planner.params import POLICIES
+from jaxlangnav.planner.config import POLICIES
 from jaxlangnav.pytree import replace
 
 MOST_FILES = 1_000_000

@@ -10,7 +10,7 @@ from jaxlangnav.experiments.deviations import NEAR, deviations
 from jaxlangnav.experiments.metrics import timeouts_text
 from jaxlangnav.experiments.policies import KNOWLEDGE
 from jaxlangnav.experiments.rows import Row, row_key
-from jaxlangnav.planner.params import POLICIES
+from jaxlangnav.planner.config import POLICIES
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 
 HEADINGS = (

@@ -8,19 +8,19 @@ looked at least becomes the frontier and nothing is written off for good.
 """
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
-from jaxlangnav.planner.params import PlannerConfig, PlannerParams
 from jaxlangnav.pytree import pytree
 from jaxlangnav.semantic_map.coverage import Coverage, cell_centres
 
 FRONTIER, VISITED, OBJECT = range(3)
-"""Kinds of nodes."""
+"""Kinds of nodes; the first is that of any place that a policy has thought of."""
 
 
 @pytree
 class Nodes:
-    """Candidate waypoints; A = blocks² (or tours) + visited + observed objects, in order."""
+    """Candidate waypoints; A = blocks² (or a policy's own) + visited + objects seen, in order."""
 
     x: Array  # f32[A] metres, map frame
     y: Array  # f32[A]
@@ -108,43 +108,42 @@ def frontiers(
     )
 
 
-def nodes(
-    coverage: Coverage,
-    visited: Visited,
-    object_x: Array,
-    object_y: Array,
-    is_object: Array,
-    config: PlannerConfig,
-    params: PlannerParams,
-    first_stops: tuple[Array, Array] | None = None,
-) -> Nodes:
-    """Collect all candidate waypoints (eq. 9).
+def known_nodes(visited: Visited, x: Array, y: Array, is_object: Array) -> Nodes:
+    """Collect the waypoints that every policy is shown: places visited and objects seen.
 
     Args:
-        coverage: where the robot has looked.
-        visited: places it has been.
-        object_x: f32[O], metres, map frame: goal places of observed objects.
-        object_y: f32[O], metres.
+        visited: places the robot has been.
+        x: f32[O], metres, map frame: goal places of observed objects.
+        y: f32[O], metres.
         is_object: bool[O].
-        config: blocks for frontiers.
-        params: frontier threshold.
-        first_stops: f32[T] x and y, metres: first stops of the tours that ``informed`` chooses
-            among, in place of frontiers.
 
     Returns:
         The nodes, padded.
     """
-    if first_stops is not None:
-        frontier_x, frontier_y = first_stops
-        is_frontier = jnp.ones(frontier_x.shape, bool)
-    else:
-        frontier_x, frontier_y, is_frontier = frontiers(
-            coverage, config.num_blocks, params.frontier_miss
-        )
-    kinds = [(FRONTIER, frontier_x), (VISITED, visited.x), (OBJECT, object_x)]
+    sizes = visited.x.shape[0], x.shape[0]
     return Nodes(
-        x=jnp.concatenate([frontier_x, visited.x, object_x]),
-        y=jnp.concatenate([frontier_y, visited.y, object_y]),
-        is_node=jnp.concatenate([is_frontier, visited.is_node, is_object]),
-        kind=jnp.concatenate([jnp.full(x.shape[0], kind, jnp.int32) for kind, x in kinds]),
+        x=jnp.concatenate([visited.x, x]),
+        y=jnp.concatenate([visited.y, y]),
+        is_node=jnp.concatenate([visited.is_node, is_object]),
+        kind=jnp.asarray(np.repeat(np.array([VISITED, OBJECT], np.int32), sizes)),
+    )
+
+
+def lead(x: Array, y: Array, is_node: Array, nodes: Nodes) -> Nodes:
+    """Put frontiers, or what a policy has in their place, before other nodes (eq. 9).
+
+    Args:
+        x: f32[K], metres, map frame.
+        y: f32[K], metres.
+        is_node: bool[K].
+        nodes: what follows them, leaves [A].
+
+    Returns:
+        Leaves [K + A].
+    """
+    return Nodes(
+        x=jnp.concatenate([x, nodes.x]),
+        y=jnp.concatenate([y, nodes.y]),
+        is_node=jnp.concatenate([is_node, nodes.is_node]),
+        kind=jnp.concatenate([jnp.full(x.shape, FRONTIER, jnp.int32), nodes.kind]),
     )

@@ -1,15 +1,9 @@
-"""What a sweep may vary (traced) and what fixes the shapes (static) of the planner."""
-
-import dataclasses
-from collections.abc import Callable
-from typing import Any
+"""What a sweep may vary of the planner; traced."""
 
 import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.pytree import pytree
-
-POLICIES = ("faithful", "informed")
 
 
 @pytree
@@ -27,30 +21,6 @@ class PlannerParams:
     give_up: Array  # f32[] probability that what is missing is there at all, below which the
     # search ends; of ``informed``, 0: never
     constraint_cost: Array  # f32[] value lost by a path through a region to be kept out of
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class PlannerConfig:
-    """Sizes and policy of the planner; hashable, a change recompiles."""
-
-    policy: str | Callable[[Any], Any] = "faithful"
-    """One of ``POLICIES``, or a ``planner.own.Policy``."""
-    num_visited: int = 16
-    num_blocks: int = 6
-
-    def __post_init__(self) -> None:
-        """Refuse what the planner cannot work with."""
-        if not callable(self.policy) and self.policy not in POLICIES:
-            raise ValueError(f"policy is {self.policy!r}, but must be one of {', '.join(POLICIES)}")
-        if self.num_visited < 1 or self.num_blocks < 1:
-            raise ValueError("num_visited and num_blocks must be at least 1")
-
-    @property
-    def policy_name(self) -> str:
-        """The policy's name, for people: that of the function where it is one."""
-        if isinstance(self.policy, str):
-            return self.policy
-        return getattr(self.policy, "__name__", "own")
 
 
 def default_planner_params() -> PlannerParams:

@@ -1,44 +1,95 @@
-"""Choosing the next waypoint, or to stop (section 3.4, eq. 9-12).
+"""The door for policies: what one is shown, what it answers, what holds for all (section 3.4).
 
-``faithful`` is the paper's policy: the node of highest QMDP value. Two things the paper leaves
-open are read as follows. A chosen waypoint is kept until it is reached, is no frontier any more
-or something new has been seen; without this the policy limit-cycles between a frontier and a
-visited node. And a_stop is open only where the goal probability within reach exceeds τ, for its
-value ties with that of the node underfoot.
+    memory = policy.init(belief)
+    memory, decision = policy.step(key, memory, situation)
 
-``informed`` takes the tour that puts the hypotheses to the test soonest, and accepts a goal only
-once everything the sentence mentions has been observed and no rival is left near what has been.
-Once what is missing is hardly there at all (``endings``), it takes the likeliest thing that it has
-seen; where nothing seen will do, the goal is not to be found.
+A policy is written for ONE robot in operations that JAX can trace; the engine compiles and batches
+it. It has its own memory, its own randomness and, if it likes, waypoints of its own: ``ahead`` puts
+them before the places visited and the objects seen, which every policy is shown. ``decide`` makes
+a decision of what the waypoints are worth, by rules that are the same for all: a way past what is
+to be kept away from costs, nobody goes where he stands, a value that is no number closes its node,
+and nobody stops unless something that has been seen and may be the goal is within reach.
 """
 
-from typing import NamedTuple
+import dataclasses
+from abc import abstractmethod
+from typing import Any, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.planner import qmdp
+from jaxlangnav.planner import graph
+from jaxlangnav.planner.constraints import constraint_cost
 from jaxlangnav.planner.goals import Goals
-from jaxlangnav.planner.graph import FRONTIER, OBJECT, Nodes, unexplored_cells
-from jaxlangnav.planner.own import Situation, Valuation
-from jaxlangnav.planner.params import PlannerConfig, PlannerParams
-from jaxlangnav.planner.tours import Plan
-from jaxlangnav.pytree import pytree, replace
+from jaxlangnav.planner.graph import OBJECT, Nodes
+from jaxlangnav.planner.params import PlannerParams
+from jaxlangnav.pytree import pytree, replace, static, strong
 from jaxlangnav.semantic_map.belief import ParticleBelief
-from jaxlangnav.semantic_map.coverage import cell_size
+from jaxlangnav.semantic_map.params import MapConfig, MapParams
 
 LEAST_GOAL = 0.01
 """Probability below which an object is no goal: nothing is settled and nothing stops for it."""
-_SETTLED = 10.0
-"""Value of a goal that is settled; information values stay below 1."""
-_UNDERFOOT = 0.25
+UNDERFOOT = 0.25
 """Metres from a place that count as standing on it; an object is reached from further off."""
 
 
 @pytree
-class Choice:
-    """What the planner decided, and why."""
+class Situation:
+    """What a policy decides upon; metres, map frame."""
+
+    belief: ParticleBelief  # weighted maps, what each hypothesises, what has been looked at
+    nodes: Nodes  # leaves [A], waypoints to value: places visited, objects seen, and its own
+    goals: Goals  # where the goal may be, with probabilities
+    constraint: Array  # f32[R, N + 1, P] probability that a region of a slot is forbidden
+    is_relevant: Array  # bool[M, P] mentions that bear on the present goal (``relevance``)
+    robot_x: Array  # f32[] believed position
+    robot_y: Array  # f32[]
+    range_max: Array  # f32[] sensing range
+    is_find: Array  # f32[] probability that "find" is asked for: stop once it is in view
+    is_news: Array  # bool[] something new has been seen or heard in this step
+    stands: Array  # bool[] it stands still whatever is decided: halted, at its end, or at a fault
+    may_stop: Array  # bool[] something seen that may be the goal is within reach: a stop is heard
+    params: PlannerParams
+    map_params: MapParams
+    num_blocks: int = static()  # blocks a side that frontiers are gathered in
+
+    @property
+    def wanted(self) -> ParticleBelief:
+        """The belief of what is worth looking for: of the present goal, and what it hangs on."""
+        particles = self.belief.particles
+        spoken = particles.is_mentioned & self.is_relevant
+        return replace(self.belief, particles=replace(particles, is_mentioned=spoken))
+
+    @property
+    def distance(self) -> Array:
+        """Metres from the robot to each node, f32[A]."""
+        nodes = self.nodes
+        return jnp.sqrt((nodes.x - self.robot_x) ** 2 + (nodes.y - self.robot_y) ** 2 + 1e-9)
+
+
+@pytree
+class Valuation:
+    """What a policy makes of it; the value of a node is the sum of its parts less its cost."""
+
+    goal_value: Array  # f32[A] what a node is worth for being near the goal
+    information_value: Array  # f32[A] what it is worth for what the way would reveal
+    stop_mass: Array  # f32[] probability that the goal is within reach; the robot stops from τ on
+
+
+@pytree
+class Waypoint:
+    """The place the robot is on its way to."""
+
+    x: Array  # f32[] metres, map frame
+    y: Array  # f32[]
+    kind: Array  # i32[] of node
+    is_active: Array  # bool[] it is under way
+
+
+@pytree
+class Decision:
+    """What a policy decided, and why; ``decide`` makes it."""
 
     waypoint_x: Array  # f32[] metres, map frame
     waypoint_y: Array  # f32[]
@@ -47,6 +98,7 @@ class Choice:
     is_approach: Array  # bool[] the waypoint is a thing seen that may be the goal
     is_not_found: Array  # bool[] nothing is left to look for, and there is no goal
     is_kept: Array  # bool[] the former waypoint was kept
+    nodes: Nodes  # leaves [A], what it chose among
     value: Array  # f32[A] value of every node; −∞ where there is none
     goal_value: Array  # f32[A] part of it from goals
     information_value: Array  # f32[A] part of it from what the way would reveal
@@ -54,253 +106,233 @@ class Choice:
     stop_mass: Array  # f32[] goal probability within reach
 
 
-@pytree
-class Commitment:
-    """The waypoint the robot is on its way to."""
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Portrayal:
+    """How stories and pictures show a policy's choices."""
 
-    x: Array  # f32[] metres, map frame
-    y: Array  # f32[]
-    kind: Array  # i32[]
-    is_active: Array  # bool[]
-
-
-def no_commitment() -> Commitment:
-    """Build the commitment of a robot that has not chosen yet."""
-    zero = jnp.float32(0.0)
-    return Commitment(x=zero, y=zero, kind=jnp.int32(0), is_active=jnp.asarray(False))
+    place: str = "a place of its own choice"
+    """What its own waypoints are called."""
+    reason: str = "of {number} places it is worth most to its policy (value {value:.2f})"
+    """Why a waypoint was taken; {tested} is the share of maps that the way puts to the test."""
+    reason_object: str | None = None
+    """The same where it is an object that has been seen; None: no other reason."""
+    is_field: bool = False
+    """Places between the nodes have values, too: those of eq. 11."""
 
 
-def _is_still_frontier(belief: ParticleBelief, x: Array, y: Array, frontier_miss: Array) -> Array:
-    """Tell whether anything unexplored is left within a cell of a frontier node."""
-    coverage = belief.coverage
-    unexplored = unexplored_cells(coverage, frontier_miss)
-    size_x, size_y = cell_size(coverage)
-    steps = jnp.arange(coverage.log_miss.shape[-1]) + 0.5
-    near_x = jnp.abs(coverage.area[0] + steps * size_x - x) <= 1.01 * size_x
-    near_y = jnp.abs(coverage.area[2] + steps * size_y - y) <= 1.01 * size_y
-    return jnp.any(unexplored & near_y[:, None] & near_x[None, :])
+@runtime_checkable
+class Policy(Protocol):
+    """How a robot decides where to go, and when it is there.
 
-
-def _is_worth_keeping(
-    belief: ParticleBelief,
-    commitment: Commitment,
-    robot_x: Array,
-    robot_y: Array,
-    params: PlannerParams,
-) -> Array:
-    """Tell whether the waypoint under way is neither reached nor a frontier looked at by now."""
-    remaining = jnp.sqrt((commitment.x - robot_x) ** 2 + (commitment.y - robot_y) ** 2)
-    return (
-        commitment.is_active
-        & (remaining > jnp.where(commitment.kind == OBJECT, params.reach, _UNDERFOOT))
-        & (
-            (commitment.kind != FRONTIER)
-            | _is_still_frontier(belief, commitment.x, commitment.y, params.frontier_miss)
-        )
-    )
-
-
-def faithful(situation: Situation) -> Valuation:
-    """Value nodes as the paper does (eq. 11, 12): by the goals that lie near, and nothing else.
-
-    Args:
-        situation: nodes, goals, where the robot is.
-
-    Returns:
-        Values, and the goal probability within reach.
+    A policy of one's own derives from this class and has ``init`` and ``step``; the rest has
+    defaults. It must be hashable, as a frozen dataclass of plain numbers is: with other values it
+    is another policy, and another program is compiled.
     """
-    params, goals = situation.params, situation.goals
-    here = situation.robot_x, situation.robot_y
-    within_reach, _ = qmdp.mass_within(*here, goals, params.reach)
-    _, in_view = qmdp.mass_within(*here, goals, situation.range_max)
-    goal_value = qmdp.values(situation.nodes.x, situation.nodes.y, goals, params.discount)
-    return Valuation(
-        goal_value=goal_value,
-        information_value=jnp.zeros_like(goal_value),
-        stop_mass=jnp.where(
-            situation.is_find > 0.5, jnp.maximum(in_view, within_reach), within_reach
-        ),
-    )
+
+    @property
+    def name(self) -> str:
+        """What people call it."""
+        return type(self).__name__.lower()
+
+    @property
+    def portrayal(self) -> Portrayal:
+        """How stories and pictures show its choices."""
+        return Portrayal()
+
+    @abstractmethod
+    def init(self, belief: ParticleBelief, /) -> Any:
+        """Build the memory of a robot that has not decided yet.
+
+        Args:
+            belief: before the first look: operating area, where the robot stands, sizes.
+
+        Returns:
+            Any pytree of arrays. It is kept over commands; ``Situation.is_news`` tells of them.
+        """
+
+    @abstractmethod
+    def step(self, key: Array, memory: Any, situation: Situation, /) -> tuple[Any, Decision]:
+        """Decide.
+
+        Args:
+            key: random key, consumed.
+            memory: after the last decision.
+            situation: now.
+
+        Returns:
+            The memory, of the same shapes and dtypes, and the decision.
+        """
+        ...
+
+    def map_params(self, params: MapParams) -> MapParams:
+        """Tell by which numbers the robot believes what it sees and hears: by those given.
+
+        Args:
+            params: the map's numbers.
+
+        Returns:
+            Those to filter with.
+        """
+        return params
+
+    def check(self, sizes: MapConfig) -> None:
+        """Refuse sizes of the map that the policy cannot work with: there are none.
+
+        Args:
+            sizes: of the map.
+
+        Raises:
+            ValueError: names the value, the limit and the remedy.
+        """
+        return
 
 
-class _Judgement(NamedTuple):
-    """What a policy makes of a situation."""
-
-    valuation: Valuation
-    is_sure: Array  # bool[] it may stop for all it knows
-    is_not_found: Array  # bool[] nothing is left to look for, and there is no goal
-
-
-def informed(situation: Situation, plan: Plan, chance_left: Array) -> _Judgement:
-    """Value first stops of tours by how soon they find things, until the goal is settled.
-
-    The information value of a tour is what is still to be found divided by the metres until it
-    is. A goal is settled once its object and all that the sentence places it against have been
-    seen and next to nothing speaks for an unseen rival beside things seen; the object is then
-    worth more than anything there is to learn. Unsettled goals break ties. Where next to nothing
-    is left to be found and several things may still be meant, the likeliest has to do; so it has
-    where what the goal is placed against is hardly there at all.
-
-    Args:
-        situation: nodes (first stops of the plan's tours lead), goals, where the robot is.
-        plan: candidate tours.
-        chance_left: f32[], probability that what is spoken of, and has not been seen, is there.
-
-    Returns:
-        Values, with the confirmed goal probability within reach; whether no rival is left.
-    """
-    params, goals, nodes = situation.params, situation.goals, situation.nodes
-    here = situation.robot_x, situation.robot_y
-    has_looked = chance_left < params.give_up
-    goals = replace(
-        goals,
-        object_confirmed=jnp.where(has_looked, goals.object_accepted, goals.object_confirmed),
-    )
-    _, within_reach = qmdp.mass_within(*here, goals, params.reach)
-    _, in_view = qmdp.mass_within(*here, goals, situation.range_max)
-    metres = plan.latency / jnp.maximum(plan.mass, 1e-6)
-    no_tours = jnp.zeros(nodes.x.shape[0] - metres.shape[0], jnp.float32)
-    goal_value = 0.01 * qmdp.values(nodes.x, nodes.y, goals, params.discount)
-    confirmed = jnp.max(goals.object_confirmed)
-    rest = jnp.sum(goals.hypothesis_mass)
-    is_doubtful = (rest <= params.rest_share * confirmed) & (confirmed < params.stop_probability)
-    is_exhausted = (is_doubtful | has_looked) & (confirmed >= LEAST_GOAL)
-    is_sure = (plan.hung <= params.rival_share * confirmed) | is_exhausted
-    is_settled = is_sure & ((confirmed >= params.stop_probability) | is_exhausted)
-    arrived = jnp.where(situation.is_find > 0.5, in_view, within_reach)
-    # The mass within reach of a candidate may be spread over neighbours: nine tenths of it count.
-    will_do = is_exhausted & (arrived >= 0.9 * confirmed)
-    first_object = nodes.x.shape[0] - goals.object_x.shape[0]
-    is_goal = jnp.arange(nodes.x.shape[0]) == first_object + jnp.argmax(goals.object_confirmed)
-    valuation = Valuation(
-        goal_value=jnp.where(is_goal & is_settled, _SETTLED, goal_value),
-        information_value=jnp.concatenate([plan.mass / (1.0 + metres), no_tours]),
-        stop_mass=jnp.where(will_do, jnp.maximum(arrived, params.stop_probability), arrived),
-    )
-    return _Judgement(valuation, is_sure, has_looked & (confirmed < LEAST_GOAL))
-
-
-def _judge(
-    situation: Situation, plan: Plan | None, chance_left: Array | None, config: PlannerConfig
-) -> _Judgement:
-    """Value the nodes as the policy does."""
-    if config.policy == "informed":
-        if plan is None or chance_left is None:
-            raise ValueError("the informed policy chooses among tours: plan them first")
-        return informed(situation, plan, chance_left)
-    valuation = config.policy(situation) if callable(config.policy) else faithful(situation)
-    return _Judgement(valuation, jnp.asarray(True), jnp.asarray(False))
-
-
-def _aim(
-    situation: Situation, value: Array, commitment: Commitment, is_news: Array, *, may_keep: bool
-) -> tuple[Commitment, Array]:
-    """Pick the best open node, or keep the waypoint under way; bool[] tells whether it was kept."""
-    nodes = situation.nodes
-    robot_x, robot_y = situation.robot_x, situation.robot_y
-    best = jnp.argmax(value)
-    nowhere = jnp.all(value == -jnp.inf)
-    chosen = Commitment(
-        x=jnp.where(nowhere, robot_x, nodes.x[best]),
-        y=jnp.where(nowhere, robot_y, nodes.y[best]),
-        kind=nodes.kind[best],
-        is_active=jnp.asarray(True),
-    )
-    if not may_keep:
-        return chosen, jnp.asarray(False)
-    keeps = ~is_news & _is_worth_keeping(
-        situation.belief, commitment, robot_x, robot_y, situation.params
-    )
-    return jax.tree.map(lambda kept, new: jnp.where(keeps, kept, new), commitment, chosen), keeps
-
-
-def _has_goal(goals: Goals, x: Array, y: Array, radius: Array) -> Array:
+def has_goal(goals: Goals, x: Array, y: Array, radius: Array) -> Array:
     """Tell whether something that has been seen and may be the goal is near a place, bool[]."""
     squared = (goals.object_x - x) ** 2 + (goals.object_y - y) ** 2
     share = jnp.where(squared <= radius * radius, goals.object_accepted, 0.0)
     return jnp.any(goals.is_object & jnp.isfinite(share) & (share >= LEAST_GOAL))
 
 
-def choose(
-    belief: ParticleBelief,
-    nodes: Nodes,
-    goals: Goals,
-    robot_x: Array,
-    robot_y: Array,
-    commitment: Commitment,
-    is_news: Array,
-    is_find: Array,
-    range_max: Array,
-    cost: Array,
-    *,
-    params: PlannerParams,
-    config: PlannerConfig,
-    plan: Plan | None = None,
-    chance_left: Array | None = None,
-) -> Choice:
+def may_stop(
+    goals: Goals, x: Array, y: Array, is_find: Array, range_max: Array, *, params: PlannerParams
+) -> Array:
+    """Tell whether there is anything to stop for: whatever a policy says, otherwise there is none.
+
+    Args:
+        goals: weighed goals.
+        x: f32[], where the robot is, metres, map frame.
+        y: f32[], metres.
+        is_find: f32[], probability that "find" is asked for: to have it in view is then enough.
+        range_max: f32[], sensing range, metres.
+        params: reach.
+
+    Returns:
+        bool[], whether something that has been seen and may be the goal is within reach.
+    """
+    radius = jnp.where(is_find > 0.5, jnp.maximum(params.reach, range_max), params.reach)
+    return has_goal(goals, x, y, radius)
+
+
+def ahead(situation: Situation, x: Array, y: Array, is_node: Array | None = None) -> Situation:
+    """Put waypoints of a policy's own before those that every policy is shown.
+
+    Limits: a place that is no number is no waypoint.
+
+    Args:
+        situation: as shown to the policy.
+        x: f32[K], metres, map frame.
+        y: f32[K], metres.
+        is_node: bool[K], which of them are waypoints; all of them by default.
+
+    Returns:
+        The situation with K more nodes, which lead.
+    """
+    is_place = jnp.isfinite(x) & jnp.isfinite(y)
+    is_node = is_place if is_node is None else is_node & is_place
+    return replace(situation, nodes=graph.lead(x, y, is_node, situation.nodes))
+
+
+def _require_one_a_node(situation: Situation, valuation: Valuation) -> None:
+    """Refuse values that are not one for each node (when the program is traced)."""
+    shape = situation.nodes.x.shape
+    for name in ("goal_value", "information_value"):
+        found = jnp.shape(getattr(valuation, name))
+        if found != shape:
+            raise ValueError(
+                f"{name} has shape {found}, but must have {shape}: one value for each of "
+                "situation.nodes"
+            )
+
+
+def decide(situation: Situation, valuation: Valuation, kept: Waypoint | None = None) -> Decision:
     """Pick the waypoint of highest value, or stop (eq. 10).
 
     Limits: no stop without a goal that has been seen and is within reach; a value that is no
     number closes its node, and with all of them closed the waypoint is where the robot stands.
 
     Args:
-        belief: weighted particles.
-        nodes: candidate waypoints.
-        goals: weighed goals.
-        robot_x: f32[], metres, map frame.
-        robot_y: f32[], metres.
-        commitment: the waypoint under way.
-        is_news: bool[], something new has been seen or heard in this step.
-        is_find: f32[], probability that the action asked for is "find": stop once it is in view.
-        range_max: f32[], sensing range, metres.
-        cost: f32[A], cost of each node from constraint regions.
-        params: traced numbers.
-        config: policy.
-        plan: candidate tours, whose first stops lead the nodes; for ``informed``.
-        chance_left: f32[], probability that what is missing is there at all; for ``informed``.
+        situation: nodes, goals, where the robot is.
+        valuation: what its nodes are worth, and whether to stop.
+        kept: a waypoint that is gone on to, if it is active, whatever the nodes are worth.
 
     Returns:
-        The choice.
+        The decision; of itself it gives up nothing as not to be found.
 
     Raises:
-        ValueError: ``informed`` without a plan or without that probability.
+        ValueError: the values are not one for each node.
     """
-    distance = jnp.sqrt((nodes.x - robot_x) ** 2 + (nodes.y - robot_y) ** 2 + 1e-9)
-    situation = Situation(
-        belief=belief,
-        nodes=nodes,
-        goals=goals,
-        distance=distance,
-        robot_x=robot_x,
-        robot_y=robot_y,
-        range_max=range_max,
-        is_find=is_find,
-        params=params,
+    _require_one_a_node(situation, valuation)
+    nodes, goals, params = situation.nodes, situation.goals, situation.params
+    robot_x, robot_y = situation.robot_x, situation.robot_y
+    cost = constraint_cost(
+        situation.belief, situation.constraint, nodes, robot_x, robot_y, params.constraint_cost
     )
-    valuation, is_sure, is_not_found = _judge(situation, plan, chance_left, config)
     value = valuation.goal_value + valuation.information_value - cost
     # Standing still teaches nothing: the node underfoot is a_stop's business.
-    is_open = nodes.is_node & (distance > jnp.where(nodes.kind == OBJECT, params.reach, _UNDERFOOT))
-    value = jnp.where(is_open & ~jnp.isnan(value), value, -jnp.inf)
-    aim, is_kept = _aim(situation, value, commitment, is_news, may_keep=config.policy != "informed")
-    # Of "find", it is enough to have it in view. Whatever a policy makes of it, there is no
-    # arriving where there is no goal.
-    reach = params.reach
-    radius = jnp.where(is_find > 0.5, jnp.maximum(reach, range_max), reach)
-    return Choice(
-        waypoint_x=aim.x,
-        waypoint_y=aim.y,
-        kind=aim.kind,
-        is_stop=(valuation.stop_mass >= params.stop_probability)
-        & jnp.isfinite(valuation.stop_mass)
-        & is_sure
-        & _has_goal(goals, robot_x, robot_y, radius),
-        is_approach=(aim.kind == OBJECT) & _has_goal(goals, aim.x, aim.y, reach),
-        is_not_found=is_not_found,
+    is_away = situation.distance > jnp.where(nodes.kind == OBJECT, params.reach, UNDERFOOT)
+    value = jnp.where(nodes.is_node & is_away & ~jnp.isnan(value), value, -jnp.inf)
+    best = jnp.argmax(value)
+    is_nowhere = jnp.all(value == -jnp.inf)
+    x = jnp.where(is_nowhere, robot_x, nodes.x[best])
+    y = jnp.where(is_nowhere, robot_y, nodes.y[best])
+    kind, is_kept = nodes.kind[best], jnp.asarray(False)
+    if kept is not None:
+        is_kept = kept.is_active
+        x, y = jnp.where(is_kept, kept.x, x), jnp.where(is_kept, kept.y, y)
+        kind = jnp.where(is_kept, kept.kind, kind)
+    mass = valuation.stop_mass
+    is_sure = (mass >= params.stop_probability) & jnp.isfinite(mass)
+    return Decision(
+        waypoint_x=x,
+        waypoint_y=y,
+        kind=kind,
+        is_stop=is_sure & situation.may_stop,
+        is_approach=(kind == OBJECT) & has_goal(goals, x, y, params.reach),
+        is_not_found=jnp.asarray(False),
         is_kept=is_kept,
+        nodes=nodes,
         value=value,
         goal_value=valuation.goal_value,
         information_value=valuation.information_value,
         cost=cost,
-        stop_mass=valuation.stop_mass,
+        stop_mass=mass,
     )
+
+
+def choose(policy: Policy, key: Array, memory: Any, situation: Situation) -> tuple[Any, Decision]:
+    """Let a policy decide, and hold it to what holds for all.
+
+    Args:
+        policy: who decides.
+        key: random key, consumed.
+        memory: of the policy, after the last decision.
+        situation: now.
+
+    Returns:
+        The memory and the decision: a stop only where one is heard, and nothing given up as not to
+        be found on top of it.
+
+    Raises:
+        ValueError: the answer is no decision, or a memory of other shapes than the one before.
+    """
+    after, decision = policy.step(key, memory, situation)
+    if not isinstance(decision, Decision):
+        raise ValueError(
+            f"policy {policy.name} decides {type(decision).__name__}: its step must return its "
+            "memory and a Decision, as policy.decide makes it"
+        )
+    had, has = _shapes(memory), _shapes(after)
+    if had != has:
+        raise ValueError(
+            f"policy {policy.name} is given a memory of {had} and returns one of {has}: shapes and "
+            "dtypes must stay as its init makes them"
+        )
+    is_stop = decision.is_stop & situation.may_stop
+    is_not_found = decision.is_not_found & ~is_stop & ~situation.stands
+    return strong(after), replace(decision, is_stop=is_stop, is_not_found=is_not_found)
+
+
+def _shapes(memory: Any) -> Any:
+    """Tell the structure of a memory with the shape and dtype of every leaf."""
+    return jax.tree.map(lambda leaf: f"{jnp.result_type(leaf)}{list(jnp.shape(leaf))}", memory)

@@ -41,7 +41,7 @@ from jaxlangnav.experiments.sentences import SENTENCES, GroundedSentences, groun
 from jaxlangnav.experiments.sizes import check_engine
 from jaxlangnav.messages import MotionParams, SensorParams, default_motion, default_sensor
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, check, default_params
-from jaxlangnav.planner.params import PlannerConfig
+from jaxlangnav.planner.config import PlannerConfig
 from jaxlangnav.pytree import replace
 from jaxlangnav.studies.unknowns_tables import markdown
 from jaxlangnav.world.placement import BEARING_MAX

@@ -19,7 +19,7 @@ from jaxlangnav.grounding.instruction import Instruction, Understanding
 from jaxlangnav.kept import kept
 from jaxlangnav.messages import Status
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, default_params
-from jaxlangnav.planner.own import Policy
+from jaxlangnav.planner.config import AnyPolicy
 from jaxlangnav.pytree import replace
 from jaxlangnav.recording import Recording
 from jaxlangnav.semantic_map.params import MapConfig
@@ -38,7 +38,7 @@ def follow(
     *,
     world: str | Path = "1H1C",
     sensing_range: float | None = None,
-    policy: str | Policy = "informed",
+    policy: AnyPolicy = "informed",
     seed: int = 0,
     particles: int = MapConfig().num_particles,
     max_steps: int = MAX_STEPS,

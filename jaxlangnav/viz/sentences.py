@@ -259,7 +259,7 @@ def goes_on(scene: Scene, frame: Frame) -> str:
 def _target(scene: Scene, frame: Frame) -> str:
     """Name the waypoint."""
     if int(frame.waypoint_kind) != OBJECT:
-        return node_words(int(frame.waypoint_kind), scene.policy)
+        return node_words(int(frame.waypoint_kind), scene.portrayal.place)
     x, y = frame.goal_x - frame.waypoint[0], frame.goal_y - frame.waypoint[1]
     return goal_name(scene, frame, int(np.argmin(np.where(frame.is_goal, x * x + y * y, np.inf))))
 
@@ -269,18 +269,15 @@ def _reason(scene: Scene, frame: Frame) -> str:
     node = summary.chosen_node(frame)
     if node is None:
         return ""
-    value, number = float(frame.value[node]), len(summary.distinct_nodes(frame))
-    if scene.policy == "informed":
-        if int(frame.node_kind[node]) == OBJECT:
-            return ": nothing is left to find out that would matter more"
-        tested = percent(summary.tested_share(scene, frame))
-        return (
-            ": no tour that starts elsewhere finds the goal sooner; on the way "
-            f"{tested} of its maps are put to the test"
-        )
-    if scene.policy == "faithful":
-        return f": of {number} places the nearest to the goal, over all maps (value {value:.2f})"
-    return f": of {number} places it is worth most to its policy (value {value:.2f})"
+    reason, of_object = scene.portrayal.reason, scene.portrayal.reason_object
+    if of_object is not None and int(frame.node_kind[node]) == OBJECT:
+        reason = of_object
+    told = reason.format(
+        number=len(summary.distinct_nodes(frame)),
+        value=float(frame.value[node]),
+        tested=percent(summary.tested_share(scene, frame)),
+    )
+    return f": {told}"
 
 
 def unseen(scene: Scene, frame: Frame) -> str:

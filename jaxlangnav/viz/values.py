@@ -1,7 +1,7 @@
 """The value function over time, as Figure 4 of the paper: why this waypoint and no other.
 
-Every candidate waypoint is coloured by its value. For the ``faithful`` policy the value is also
-defined between the nodes (eq. 11, 12) and drawn as contours. Beneath each map stand the best
+Every candidate waypoint is coloured by its value. Where a policy's values are defined between the
+nodes, too (eq. 11, 12), they are drawn as contours. Beneath each map stand the best
 waypoints with the parts of their value: from the goal, from what the way reveals, and the cost.
 """
 
@@ -59,7 +59,7 @@ def values_figure(
     chosen = panels.choose_steps(recording, steps, num_panels)
     with style.house_style():
         text = "Discs: waypoints it may choose, darker where more valuable at that step."
-        if recording.scene.policy == "faithful":
+        if recording.scene.portrayal.is_field:
             text += " Lines: equal value."
         figure, maps, charts = panels.lay_out(
             recording, len(chosen), text=text, foot=0.62, extra=0.95
@@ -85,7 +85,7 @@ def draw_values(axes: "Axes", recording: Recording, step: int) -> "PathCollectio
     """
     scene, frame = recording.scene, recording.at(step)
     mapping.draw_ground(axes, scene, frame)
-    is_field = scene.policy == "faithful"
+    is_field = scene.portrayal.is_field
     norm = _draw_contours(axes, scene, frame) if is_field else _norm(frame.value)
     mapping.draw_hypotheses(axes, frame, filled=False)
     is_open = np.isfinite(frame.value)

@@ -73,12 +73,12 @@ def fault_words(fault: int) -> list[str]:
     return [words for bit, words in FAULT_WORDS.items() if fault & bit]
 
 
-def node_words(kind: int, policy: str) -> str:
+def node_words(kind: int, place: str) -> str:
     """Name a kind of waypoint.
 
     Args:
         kind: of ``planner.graph``.
-        policy: ``informed`` looks from viewpoints, ``faithful`` goes to frontiers.
+        place: what the policy's own waypoints are called.
 
     Returns:
         A noun with its article.
@@ -87,7 +87,7 @@ def node_words(kind: int, policy: str) -> str:
         return "an object"
     if kind == VISITED:
         return "a place it has been"
-    return "a viewpoint" if policy == "informed" else "the frontier"
+    return place
 
 
 def whereabouts(x: float, y: float, robot_x: float, robot_y: float, heading: float) -> str:

@@ -1,0 +1,86 @@
+"""Which policy decides, and what fixes the planner's shapes; the policies by name."""
+
+import dataclasses
+import inspect
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import TypeAlias
+
+from jaxlangnav.planner.faithful import Faithful, Keeping
+from jaxlangnav.planner.informed import Informed
+from jaxlangnav.planner.policy import Policy, Situation, Valuation
+
+SHIPPED: Mapping[str, Policy] = MappingProxyType({"faithful": Faithful(), "informed": Informed()})
+"""The policies that ship with the package, by name: the only list of them."""
+POLICIES = tuple(SHIPPED)
+AnyPolicy: TypeAlias = str | Policy | Callable[[Situation], Valuation]
+"""A name, a policy of one's own, or a function that values nodes and needs no memory."""
+_NAMES = ", ".join(POLICIES)
+_MEMBERS = ("check", "init", "map_params", "name", "portrayal", "step")
+
+
+def as_policy(given: AnyPolicy) -> Policy:
+    """Look up a policy, or check one of somebody's own.
+
+    Args:
+        given: a name, a policy, or a function from a situation to what its nodes are worth, whose
+            waypoints are then kept as the paper's are.
+
+    Returns:
+        The policy.
+
+    Raises:
+        ValueError: no such name, or the object is no policy; says what is missing.
+    """
+    if isinstance(given, str):
+        if given not in SHIPPED:
+            raise ValueError(f"policy is {given!r}, but must be one of {_NAMES}")
+        return SHIPPED[given]
+    _check_object(given)
+    if isinstance(given, Policy):
+        return given
+    return Keeping(given)
+
+
+def _check_object(given: object) -> None:
+    """Refuse an object that is neither a policy nor a function, or cannot be part of a program."""
+    if inspect.isclass(given):
+        name = given.__name__
+        raise ValueError(f"policy is the class {name}, but must be an object: write {name}(...)")
+    kind = type(given).__name__
+    missing = [name for name in _MEMBERS if not hasattr(given, name)]
+    is_function = callable(given) and {"init", "step"} <= set(missing)
+    if missing and not is_function:
+        raise ValueError(
+            f"policy is a {kind} without {', '.join(missing)}, but must be one of {_NAMES}, "
+            "or have them: derive its class from jaxlangnav.planner.policy.Policy and write init "
+            "and step"
+        )
+    try:
+        hash(given)
+    except TypeError as error:
+        raise ValueError(
+            f"policy is a {kind}, but must be hashable ({error}): make its class a frozen "
+            "dataclass of plain numbers and tuples"
+        ) from error
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class PlannerConfig:
+    """Sizes and policy of the planner; hashable, a change recompiles."""
+
+    policy: AnyPolicy = "faithful"
+    """One of ``POLICIES``, or a policy of one's own."""
+    num_visited: int = 16
+    num_blocks: int = 6
+
+    def __post_init__(self) -> None:
+        """Refuse what the planner cannot work with."""
+        as_policy(self.policy)
+        if self.num_visited < 1 or self.num_blocks < 1:
+            raise ValueError("num_visited and num_blocks must be at least 1")
+
+    @property
+    def chosen(self) -> Policy:
+        """The policy itself."""
+        return as_policy(self.policy)

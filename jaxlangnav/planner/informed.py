@@ -1,0 +1,154 @@
+"""Our policy: the tour that puts the hypotheses to the test soonest (section 3.4; ours).
+
+It accepts a goal only once everything the sentence mentions has been observed and no rival is left
+near what has been. Once what is missing is hardly there at all (``endings``), it takes the
+likeliest thing that it has seen; where nothing seen will do, the goal is not to be found.
+"""
+
+import dataclasses
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxlangnav.planner import graph, qmdp, search, tours
+from jaxlangnav.planner.endings import chance_left
+from jaxlangnav.planner.policy import (
+    LEAST_GOAL,
+    Decision,
+    Policy,
+    Portrayal,
+    Situation,
+    Valuation,
+    decide,
+)
+from jaxlangnav.pytree import replace
+from jaxlangnav.semantic_map.belief import ParticleBelief
+from jaxlangnav.semantic_map.params import MapConfig
+
+_SETTLED = 10.0
+"""Value of a goal that is settled; information values stay below 1."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Informed(Policy):
+    """Plans tours; its memory is the tour under way."""
+
+    @property
+    def portrayal(self) -> Portrayal:
+        """Its own waypoints are the first stops of tours."""
+        return Portrayal(
+            place="a viewpoint",
+            reason="no tour that starts elsewhere finds the goal sooner; on the way {tested} of "
+            "its maps are put to the test",
+            reason_object="nothing is left to find out that would matter more",
+        )
+
+    def check(self, sizes: MapConfig) -> None:
+        """Refuse a map that cannot be folded into the search map."""
+        if sizes.num_cells % search.CELLS:
+            raise ValueError(
+                f"num_cells is {sizes.num_cells}, but must be a multiple of {search.CELLS} "
+                "for the informed policy's search map"
+            )
+
+    def init(self, belief: ParticleBelief) -> tours.Tour:
+        """Begin with no tour."""
+        return tours.no_tour(belief.last_pose[0], belief.last_pose[1])
+
+    def step(
+        self, key: Array, memory: tours.Tour, situation: Situation
+    ) -> tuple[tours.Tour, Decision]:
+        """Improve the tour under way, go to its first stop or to the goal."""
+        belief, params = situation.belief, situation.params
+        unseen = search.search_map(situation.wanted, params.prior_share)
+        chance = chance_left(
+            unseen.unseen, situation.map_params.concentration, situation.map_params.misleading
+        )
+        plan = tours.plan(
+            key,
+            memory,
+            unseen,
+            situation.robot_x,
+            situation.robot_y,
+            situation.range_max,
+            belief.coverage.area,
+        )
+        decision = decide_on(situation, plan, chance)
+        return tours.take(plan, decision.value), decision
+
+
+def decide_on(situation: Situation, plan: tours.Plan, chance: Array) -> Decision:
+    """Decide among the first stops of tours and what every policy is shown.
+
+    Args:
+        situation: as shown to the policy.
+        plan: candidate tours.
+        chance: f32[], probability that what is spoken of, and has not been seen, is there.
+
+    Returns:
+        The decision.
+    """
+    stop_x, stop_y = plan.tours.x[:, 0], plan.tours.y[:, 0]
+    nodes = graph.lead(stop_x, stop_y, jnp.ones(stop_x.shape, bool), situation.nodes)
+    situation = replace(situation, nodes=nodes)
+    valuation, is_sure, is_not_found = judge(situation, plan, chance)
+    decision = decide(situation, valuation)
+    return replace(decision, is_stop=decision.is_stop & is_sure, is_not_found=is_not_found)
+
+
+class Judgement(NamedTuple):
+    """What the policy makes of a situation."""
+
+    valuation: Valuation
+    is_sure: Array  # bool[] it may stop for all it knows
+    is_not_found: Array  # bool[] nothing is left to look for, and there is no goal
+
+
+def judge(situation: Situation, plan: tours.Plan, chance: Array) -> Judgement:
+    """Value first stops of tours by how soon they find things, until the goal is settled.
+
+    The information value of a tour is what is still to be found divided by the metres until it
+    is. A goal is settled once its object and all that the sentence places it against have been
+    seen and next to nothing speaks for an unseen rival beside things seen; the object is then
+    worth more than anything there is to learn. Unsettled goals break ties. Where next to nothing
+    is left to be found and several things may still be meant, the likeliest has to do; so it has
+    where what the goal is placed against is hardly there at all.
+
+    Args:
+        situation: nodes (first stops of the plan's tours lead), goals, where the robot is.
+        plan: candidate tours.
+        chance: f32[], probability that what is spoken of, and has not been seen, is there.
+
+    Returns:
+        Values, with the confirmed goal probability within reach; whether no rival is left.
+    """
+    params, goals, nodes = situation.params, situation.goals, situation.nodes
+    here = situation.robot_x, situation.robot_y
+    has_looked = chance < params.give_up
+    goals = replace(
+        goals,
+        object_confirmed=jnp.where(has_looked, goals.object_accepted, goals.object_confirmed),
+    )
+    _, within_reach = qmdp.mass_within(*here, goals, params.reach)
+    _, in_view = qmdp.mass_within(*here, goals, situation.range_max)
+    metres = plan.latency / jnp.maximum(plan.mass, 1e-6)
+    no_tours = jnp.zeros(nodes.x.shape[0] - metres.shape[0], jnp.float32)
+    goal_value = 0.01 * qmdp.values(nodes.x, nodes.y, goals, params.discount)
+    confirmed = jnp.max(goals.object_confirmed)
+    rest = jnp.sum(goals.hypothesis_mass)
+    is_doubtful = (rest <= params.rest_share * confirmed) & (confirmed < params.stop_probability)
+    is_exhausted = (is_doubtful | has_looked) & (confirmed >= LEAST_GOAL)
+    is_sure = (plan.hung <= params.rival_share * confirmed) | is_exhausted
+    is_settled = is_sure & ((confirmed >= params.stop_probability) | is_exhausted)
+    arrived = jnp.where(situation.is_find > 0.5, in_view, within_reach)
+    # The mass within reach of a candidate may be spread over neighbours: nine tenths of it count.
+    will_do = is_exhausted & (arrived >= 0.9 * confirmed)
+    first_object = nodes.x.shape[0] - goals.object_x.shape[0]
+    is_goal = jnp.arange(nodes.x.shape[0]) == first_object + jnp.argmax(goals.object_confirmed)
+    valuation = Valuation(
+        goal_value=jnp.where(is_goal & is_settled, _SETTLED, goal_value),
+        information_value=jnp.concatenate([plan.mass / (1.0 + metres), no_tours]),
+        stop_mass=jnp.where(will_do, jnp.maximum(arrived, params.stop_probability), arrived),
+    )
+    return Judgement(valuation, is_sure, has_looked & (confirmed < LEAST_GOAL))

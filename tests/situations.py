@@ -1,0 +1,76 @@
+"""Situations by hand: what a policy is shown, as the navigator shows it."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxlangnav.planner import policy
+from jaxlangnav.planner.goals import Goals
+from jaxlangnav.planner.graph import Nodes
+from jaxlangnav.planner.params import default_planner_params
+from jaxlangnav.planner.policy import Situation
+from jaxlangnav.semantic_map.params import default_map_params
+
+RANGE = 3.0
+CHOOSE = jax.jit(policy.choose, static_argnames="policy")
+"""Compiled once for all files that let a policy decide by hand."""
+
+
+def nodes_at(x, y, kind) -> Nodes:
+    return Nodes(
+        x=jnp.asarray(x, jnp.float32),
+        y=jnp.asarray(y, jnp.float32),
+        is_node=jnp.ones(len(x), bool),
+        kind=jnp.asarray(kind, jnp.int32),
+    )
+
+
+def seen_goal(share, x: float = 0.0, y: float = 0.0, hypothesis=None) -> Goals:
+    """One thing that has been seen; a hypothesis is (mass, x, y)."""
+    one = jnp.full(1, share, jnp.float32)
+    mass, *place = hypothesis or (0.0, 0.0, 0.0)
+    return Goals(
+        object_x=jnp.full(1, x, jnp.float32),
+        object_y=jnp.full(1, y, jnp.float32),
+        object_mass=one,
+        object_accepted=one,
+        object_confirmed=one,
+        is_object=jnp.ones(1, bool),
+        hypothesis_x=jnp.full(1, place[0], jnp.float32),
+        hypothesis_y=jnp.full(1, place[1], jnp.float32),
+        hypothesis_mass=jnp.full(1, mass, jnp.float32),
+    )
+
+
+def forbid(belief, share: float):
+    """Forbid the first observed object in a share of the particles: f32[R, N + 1, P]."""
+    slots, number = belief.particles.mean_x.shape
+    forbidden = np.zeros((7, slots, number), np.float32)
+    forbidden[6, 0, : round(share * number)] = 1.0
+    return jnp.asarray(forbidden)
+
+
+def situation(
+    belief, nodes: Nodes, goals: Goals, robot=(0.0, 0.0), *, is_news=False, is_find=0.0,
+    stands=False, forbidden: float = 0.0, num_blocks: int = 1,
+) -> Situation:  # fmt: skip
+    x, y = jnp.float32(robot[0]), jnp.float32(robot[1])
+    params, find, reach = default_planner_params(), jnp.float32(is_find), jnp.float32(RANGE)
+    may_stop = policy.may_stop(goals, x, y, find, reach, params=params)
+    return Situation(
+        belief=belief,
+        nodes=nodes,
+        goals=goals,
+        constraint=forbid(belief, forbidden),
+        is_relevant=jnp.ones_like(belief.particles.is_mentioned),
+        robot_x=x,
+        robot_y=y,
+        range_max=reach,
+        is_find=find,
+        is_news=jnp.asarray(is_news),
+        stands=jnp.asarray(stands),
+        may_stop=may_stop & (not stands),
+        params=params,
+        map_params=default_map_params(),
+        num_blocks=num_blocks,
+    )

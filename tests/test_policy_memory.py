@@ -1,0 +1,256 @@
+"""A policy with a memory, randomness and waypoints of its own: written here, in no other file."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import readings as by_hand
+from situations import CHOOSE, nodes_at, seen_goal, situation
+from test_navigator_step import AREA, HYDRANT, WORLD, see
+from test_planner_policy import CONFIG
+
+from jaxlangnav import navigator
+from jaxlangnav.grounding import load_shipped, understand
+from jaxlangnav.messages import Status
+from jaxlangnav.navigator import NavigatorConfig
+from jaxlangnav.planner import qmdp
+from jaxlangnav.planner.config import PlannerConfig, as_policy
+from jaxlangnav.planner.graph import FRONTIER, OBJECT
+from jaxlangnav.planner.policy import Policy, Situation, Valuation, Waypoint, ahead, decide
+from jaxlangnav.pytree import replace
+from jaxlangnav.semantic_map.coverage import log_miss_at
+from jaxlangnav.semantic_map.params import MapConfig
+
+
+@dataclasses.dataclass(frozen=True)
+class Wanderer(Policy):
+    """Goes to random places not looked at, one after the other; then to what it has met thrice."""
+
+    times: int = 3
+
+    def init(self, belief):
+        x, y, _ = belief.last_pose
+        return {"x": x, "y": y, "met": jnp.zeros(belief.particles.object_type.shape[0] + 1)}
+
+    def step(self, key, memory, situation: Situation):
+        goals, area = situation.goals, situation.belief.coverage.area
+        x, y = area[::2, None] + (area[1::2] - area[::2])[:, None] * jax.random.uniform(key, (2, 9))
+        best = jnp.argmax(log_miss_at(situation.belief.coverage, x, y))
+        way = jnp.hypot(memory["x"] - situation.robot_x, memory["y"] - situation.robot_y)
+        x = jnp.where(way < 0.5, x[best], memory["x"])
+        y = jnp.where(way < 0.5, y[best], memory["y"])
+        met = memory["met"] + (goals.object_confirmed > 0.5)
+        situation = ahead(situation, x[None], y[None])
+        is_own = jnp.arange(situation.nodes.x.shape[0]) == 0
+        known = jnp.zeros(is_own.shape[0] - met.shape[0])
+        here = situation.robot_x, situation.robot_y
+        _, mass = qmdp.mass_within(*here, goals, situation.params.reach)
+        valuation = Valuation(
+            goal_value=jnp.concatenate([known, 1.0 + (met >= self.times)]),
+            information_value=jnp.where(is_own, 1.5, 0.0),
+            stop_mass=jnp.where(jnp.max(met) >= self.times, mass, 0.0),
+        )
+        return {"x": x, "y": y, "met": met}, decide(situation, valuation)
+
+
+def shown(robot=(0.0, 0.0), **kwargs) -> Situation:
+    log_miss = np.full((24, 24), -3.0)
+    log_miss[:, 12:] = 0.0
+    belief = by_hand.with_coverage(by_hand.begin(config=CONFIG), log_miss)
+    goals = seen_goal(0.9, 2.0, 3.0)
+    goals = jax.tree.map(lambda leaf: jnp.pad(leaf, (0, CONFIG.num_objects)), goals)
+    nodes = nodes_at(goals.object_x, goals.object_y, [OBJECT] * (CONFIG.num_objects + 1))
+    return situation(belief, replace(nodes, is_node=goals.is_object), goals, robot, **kwargs)
+
+
+def test_it_goes_to_a_place_of_its_own_and_keeps_it_until_it_is_there() -> None:
+    policy, now, drawn = Wanderer(), shown(), []
+    for seed in range(5):
+        memory, first = CHOOSE(policy, jax.random.key(seed), policy.init(now.belief), now)
+        place = (float(first.waypoint_x), float(first.waypoint_y))
+        assert int(first.kind) == FRONTIER
+        assert 5.0 <= place[0] <= 10.0, "half of the area has been looked at"
+        drawn.append(place)
+        memory, second = CHOOSE(policy, jax.random.key(seed + 100), memory, now)
+        assert (float(second.waypoint_x), float(second.waypoint_y)) == place
+        memory, third = CHOOSE(policy, jax.random.key(seed + 200), memory, shown(place))
+        # Met three times by now: that is worth more than another place.
+        assert int(third.kind) == OBJECT
+        np.testing.assert_allclose(memory["met"], [3.0, *[0.0] * CONFIG.num_objects])
+        assert (float(memory["x"]), float(memory["y"])) != place
+    assert len(set(drawn)) == 5
+
+
+def test_lanes_of_a_batch_decide_as_they_would_alone() -> None:
+    policy, robots = Wanderer(), [(0.0, 0.0), (2.5, 3.0), (7.0, -4.0)]
+    situations = [shown(robot, is_find=0.0) for robot in robots]
+    memories = [policy.init(one.belief) for one in situations]
+    memories[1] = memories[1] | {"met": memories[1]["met"].at[0].set(2.0)}
+    keys = jax.random.split(jax.random.key(5), 3)
+    alone = [CHOOSE(policy, *one) for one in zip(keys, memories, situations, strict=True)]
+    stack = [
+        jax.tree.map(lambda *leaves: jnp.stack(leaves), *one) for one in (memories, situations)
+    ]
+    together = jax.vmap(lambda *one: CHOOSE(policy, *one))(keys, *stack)
+    assert [bool(decision.is_stop) for _, decision in alone] == [False, True, False]
+    for lane, one in enumerate(alone):
+        for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(together), strict=True):
+            np.testing.assert_allclose(a, b[lane], rtol=1e-5, atol=1e-5)
+
+
+def test_it_drives_a_batch_of_robots_to_the_goal() -> None:
+    """Three robots in one compiled program, told the same in the same world, each its own way."""
+    config = NavigatorConfig(
+        map=MapConfig(num_particles=32, num_objects=4, num_cells=24),
+        planner=PlannerConfig(policy=Wanderer(), num_visited=4),
+    )
+    text, lanes = "go to the hydrant behind the cone", 3
+    told, params = understand(text, load_shipped()).instruction, navigator.default_params()
+    begun = navigator.start(told, jnp.zeros(3), jnp.asarray(AREA), config=config)
+    state = jax.tree.map(lambda leaf: jnp.stack([leaf] * lanes), begun)
+    step = jax.jit(
+        jax.vmap(lambda *one: navigator.step(*one, params=params, config=config)),
+        compiler_options=by_hand.BRIEFLY,
+    )
+    places, waypoints = np.zeros((lanes, 2)), [set() for _ in range(lanes)]
+    for cycle in range(80):
+        looks = [see(place, 0.0) for place in places]
+        look = jax.tree.map(lambda *leaves: jnp.stack(leaves), *looks)
+        keys = jax.random.split(jax.random.fold_in(jax.random.key(3), cycle), lanes)
+        state, action, info = step(keys, state, look)
+        is_own = np.asarray(info.choice.kind) == FRONTIER
+        going = np.stack([state.memory["x"], state.memory["y"]], axis=1)
+        np.testing.assert_allclose(info.choice.waypoint_x[is_own], going[is_own, 0])
+        for lane in np.flatnonzero(is_own):
+            waypoints[lane].add(tuple(going[lane].tolist()))
+        places = places + np.asarray(action.step)
+        if np.asarray(state.is_done).all():
+            break
+    assert (np.asarray(state.status) == Status.ARRIVED).all()
+    goal = next(np.array(place) for kind, *place in WORLD if kind == HYDRANT)
+    assert (np.hypot(*(places - goal).T) < 1.5).all()
+    assert (np.asarray(state.memory["met"]).max(axis=1) >= 3.0).all()
+    assert len(set.union(*waypoints)) == sum(map(len, waypoints)) >= lanes
+    assert step._cache_size() == 1
+
+
+# What is refused, in one line.
+
+
+class Half:
+    def step(self, key, memory, situation):
+        return memory, None
+
+
+@dataclasses.dataclass
+class Mutable(Policy):
+    """Not frozen, so without a hash."""
+
+    times: int = 3
+
+    def init(self, belief):
+        return ()
+
+    def step(self, key, memory, situation):
+        raise NotImplementedError
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ("neerest", "policy is 'neerest', but must be one of faithful, informed"),
+        (Half(), "a Half without check, init, map_params, name, portrayal"),
+        (7, "a int without .* write init and step"),
+        (None, "a NoneType without"),
+        (Wanderer, r"is the class Wanderer, but must be an object: write Wanderer\(\.\.\.\)"),
+        (Mutable(), "a Mutable, but must be hashable"),
+    ],
+)
+def test_what_is_no_policy_is_refused(given, said: str) -> None:
+    with pytest.raises(ValueError, match=said) as refused:
+        PlannerConfig(policy=given)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_policy_without_its_two_methods_cannot_be_made() -> None:
+    class Empty(Policy):
+        pass
+
+    with pytest.raises(TypeError, match="abstract"):
+        Empty()  # pyright: ignore[reportAbstractUsage]
+
+
+@dataclasses.dataclass(frozen=True)
+class Answers(Policy):
+    """Answers what it is told to, wrong as it may be."""
+
+    what: str
+
+    def init(self, belief):
+        return jnp.zeros(2)
+
+    def step(self, key, memory, situation):
+        values = jnp.zeros(3 if self.what == "values" else situation.nodes.x.shape)
+        valuation = Valuation(goal_value=values, information_value=values, stop_mass=jnp.zeros(()))
+        decision = decide(situation, valuation)
+        if self.what == "memory":
+            memory = memory.astype(int)
+        if self.what == "stop":
+            decision = replace(decision, is_stop=jnp.asarray(True), is_not_found=jnp.asarray(True))
+        return memory, valuation if self.what == "decision" else decision
+
+
+@pytest.mark.parametrize(
+    ("what", "said"),
+    [
+        ("values", r"goal_value has shape \(3,\), but must have \(4,\): one value for each"),
+        ("memory", r"a memory of float32\[2\] and returns one of int32\[2\]"),
+        ("decision", "decides Valuation: its step must return its memory and a Decision"),
+    ],
+)
+def test_an_answer_that_is_none_is_refused(what: str, said: str) -> None:
+    policy = as_policy(Answers(what))
+    with pytest.raises(ValueError, match=said):
+        policy_step(policy, shown())
+
+
+def policy_step(policy: Policy, now: Situation):
+    return CHOOSE(policy, jax.random.key(0), policy.init(now.belief), now)
+
+
+@pytest.mark.parametrize(
+    ("robot", "stands", "stops"),
+    [((0.0, 0.0), False, False), ((2.5, 3.0), False, True), ((2.5, 3.0), True, False)],
+)
+def test_it_stops_only_where_a_stop_is_heard(robot, stands: bool, stops: bool) -> None:
+    """A decision made without ``decide``: stop, and give up, at once and everywhere."""
+    _, decision = policy_step(Answers("stop"), shown(robot, stands=stands))
+    assert bool(decision.is_stop) is stops
+    assert bool(decision.is_not_found) is (not stops and not stands)
+
+
+def test_places_that_are_no_numbers_are_no_waypoints() -> None:
+    x, y = jnp.array([np.nan, 1.0, 2.0, np.inf]), jnp.array([0.0, -np.inf, 1.0, 0.0])
+    nodes = ahead(shown(), x, y).nodes
+    np.testing.assert_array_equal(nodes.is_node[:4], [False, False, True, False])
+    closed = ahead(shown(), x, y, jnp.zeros(4, bool)).nodes
+    assert not bool(closed.is_node[:4].any())
+
+
+def test_an_active_waypoint_is_gone_on_to_whatever_else_is_worth() -> None:
+    now = shown()
+    worth = jnp.ones(now.nodes.x.shape)
+    valuation = Valuation(goal_value=worth, information_value=worth, stop_mass=jnp.float32(0.0))
+    for is_active in (True, False):
+        kept = Waypoint(
+            x=jnp.float32(3.0),
+            y=jnp.float32(1.0),
+            kind=jnp.int32(FRONTIER),
+            is_active=jnp.asarray(is_active),
+        )
+        decision = decide(now, valuation, kept)
+        assert bool(decision.is_kept) is is_active
+        assert (float(decision.waypoint_x) == 3.0) is is_active
+        assert bool(decision.is_approach) is not is_active
