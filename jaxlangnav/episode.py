@@ -18,7 +18,7 @@ from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams
 from jaxlangnav.numerics.batching import row_of
 from jaxlangnav.pytree import pytree, replace, strong
 from jaxlangnav.world import simulator
-from jaxlangnav.world.motion import move
+from jaxlangnav.world.motion import HOLONOMIC, Body
 from jaxlangnav.world.sensor import sense
 from jaxlangnav.world.state import Scenario, WorldState
 
@@ -35,6 +35,7 @@ class Task:
     instruction_index: Array  # i32[] which of the batch's instructions
     sensor: SensorParams
     motion: MotionParams
+    body: Body = HOLONOMIC  # how the robot moves
 
 
 @pytree
@@ -86,7 +87,11 @@ def begin(task: Task, instructions: Instruction, *, config: NavigatorConfig) -> 
     return Progress(
         task=task,
         navigator=navigator.start(
-            instruction, task.scenario.start, task.scenario.area, config=config
+            instruction,
+            task.scenario.start,
+            task.scenario.area,
+            config=config,
+            terrain=task.scenario.terrain,
         ),
         world=simulator.reset(task.scenario),
         steps=jnp.int32(0),
@@ -139,7 +144,7 @@ def cycle(
     state, action, info = navigator.step(
         decide_key, progress.navigator, observation, params=params, config=config
     )
-    world = move(move_key, progress.world, action, task.motion)
+    world = task.body.move(move_key, progress.world, action, task.motion)
     after = replace(
         progress,
         navigator=state,

@@ -38,6 +38,7 @@ from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.filter import FilterInfo
 from jaxlangnav.semantic_map.params import MapConfig, MapParams, default_map_params
 from jaxlangnav.semantic_map.soundness import DEVIATIONS, is_pose
+from jaxlangnav.terrain import OPEN, Terrain
 
 _PLANNING = 77
 """Folded into a cycle's key for the planner; beyond the keys that the filter splits it into."""
@@ -163,6 +164,7 @@ def start(
     *,
     config: NavigatorConfig,
     num_types: int = NUM_TYPES,
+    terrain: Terrain = OPEN,
 ) -> NavigatorState:
     """Build the state of a robot that has just been told what to do.
 
@@ -174,12 +176,15 @@ def start(
         area: f32[4], operating area x_min, x_max, y_min, y_max, metres.
         config: sizes.
         num_types: object types that a detection may name.
+        terrain: how far one sees and walks in the area; the open field by default.
 
     Returns:
         The state before the first observation.
     """
     num_mentions = instruction.readings.mention_type.shape[-1]
-    belief = semantic_filter.start(pose, area, num_mentions, config.map, num_types=num_types)
+    belief = semantic_filter.start(
+        pose, area, num_mentions, config.map, num_types=num_types, terrain=terrain
+    )
     return NavigatorState(
         belief=belief,
         instruction=instruction,
@@ -449,17 +454,19 @@ def _act(
     robot = jnp.stack([outlook.robot_x, outlook.robot_y])
     waypoint = jnp.stack([choice.waypoint_x, choice.waypoint_y])
     waypoint = jnp.where(outlook.stands | choice.is_not_found, robot, waypoint)
-    span_x, span_y = waypoint - robot
-    distance = jnp.sqrt(span_x * span_x + span_y * span_y + 1e-9)
+    travel = state.belief.terrain.travel
+    here, there = (outlook.robot_x, outlook.robot_y), tuple(waypoint)
+    next_x, next_y = travel.next_place(*here, *there)
+    left, distance = travel.metres(*here, *there), travel.metres(*here, next_x, next_y)
     # A thing is gone up to, not into; anything else is a place to stand on.
     spare = jnp.where(choice.kind == graph.OBJECT, _APPROACH * params.planner.reach, 0.0)
-    length = jnp.clip(distance - spare, 0.0, params.map.motion.step_length * speed)
-    length = jnp.where(choice.is_stop, 0.0, length)
+    length = jnp.clip(left - spare, 0.0, params.map.motion.step_length * speed)
+    length = jnp.where(choice.is_stop, 0.0, jnp.minimum(length, distance))
     is_idle = state.instruction.num_clauses == 0
     status = jnp.where(is_idle, int(Status.IDLE), state.status)
     return Action(
         waypoint=waypoint,
-        step=jnp.stack([span_x, span_y]) / distance * length,
+        step=jnp.stack([next_x - here[0], next_y - here[1]]) / distance * length,
         is_stop=state.is_done & ~state.is_halted & (outlook.fault == 0),
         status=jnp.where(state.is_halted, int(Status.HALTED), status),
         speed=speed,
@@ -477,7 +484,8 @@ def _carry_on(
     choice, is_last = decision.choice, _is_last_clause(state)
     # Of the objects that would do, the last command ended at the one gone up to.
     goals, robot_x, robot_y = outlook.goals, outlook.robot_x, outlook.robot_y
-    away = jnp.hypot(goals.object_x - robot_x, goals.object_y - robot_y)[:-1]
+    travel = state.belief.terrain.travel
+    away = travel.metres(robot_x, robot_y, goals.object_x, goals.object_y)[:-1]
     will_do = goals.object_accepted[:-1] * params.planner.discount**away
     goal_slot = jnp.argmax(will_do).astype(jnp.int32)
     return replace(

@@ -18,6 +18,7 @@ LAYERS = (
     "kept",
     "messages",
     "numerics",
+    "terrain",
     "relations",
     "language",
     "grounding",

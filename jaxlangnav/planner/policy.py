@@ -27,6 +27,7 @@ from jaxlangnav.planner.tours import Plan
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.coverage import cell_size
+from jaxlangnav.terrain import Eye, View
 
 LEAST_GOAL = 0.01
 """Probability below which an object is no goal: nothing is settled and nothing stops for it."""
@@ -111,9 +112,12 @@ def faithful(situation: Situation) -> Valuation:
     """
     params, goals = situation.params, situation.goals
     here = situation.robot_x, situation.robot_y
-    within_reach, _ = qmdp.mass_within(*here, goals, params.reach)
-    _, in_view = qmdp.mass_within(*here, goals, situation.range_max)
-    goal_value = qmdp.values(situation.nodes.x, situation.nodes.y, goals, params.discount)
+    terrain = situation.belief.terrain
+    within_reach, _ = qmdp.mass_within(*here, goals, params.reach, terrain.view)
+    _, in_view = qmdp.mass_within(*here, goals, situation.range_max, terrain.view)
+    goal_value = qmdp.values(
+        situation.nodes.x, situation.nodes.y, goals, params.discount, terrain.travel
+    )
     return Valuation(
         goal_value=goal_value,
         information_value=jnp.zeros_like(goal_value),
@@ -156,11 +160,12 @@ def informed(situation: Situation, plan: Plan, chance_left: Array) -> _Judgement
         goals,
         object_confirmed=jnp.where(has_looked, goals.object_accepted, goals.object_confirmed),
     )
-    _, within_reach = qmdp.mass_within(*here, goals, params.reach)
-    _, in_view = qmdp.mass_within(*here, goals, situation.range_max)
+    terrain = situation.belief.terrain
+    _, within_reach = qmdp.mass_within(*here, goals, params.reach, terrain.view)
+    _, in_view = qmdp.mass_within(*here, goals, situation.range_max, terrain.view)
     metres = plan.latency / jnp.maximum(plan.mass, 1e-6)
     no_tours = jnp.zeros(nodes.x.shape[0] - metres.shape[0], jnp.float32)
-    goal_value = 0.01 * qmdp.values(nodes.x, nodes.y, goals, params.discount)
+    goal_value = 0.01 * qmdp.values(nodes.x, nodes.y, goals, params.discount, terrain.travel)
     confirmed = jnp.max(goals.object_confirmed)
     rest = jnp.sum(goals.hypothesis_mass)
     is_doubtful = (rest <= params.rest_share * confirmed) & (confirmed < params.stop_probability)
@@ -214,10 +219,10 @@ def _aim(
     return jax.tree.map(lambda kept, new: jnp.where(keeps, kept, new), commitment, chosen), keeps
 
 
-def _has_goal(goals: Goals, x: Array, y: Array, radius: Array) -> Array:
-    """Tell whether something that has been seen and may be the goal is near a place, bool[]."""
-    squared = (goals.object_x - x) ** 2 + (goals.object_y - y) ** 2
-    share = jnp.where(squared <= radius * radius, goals.object_accepted, 0.0)
+def _has_goal(goals: Goals, x: Array, y: Array, radius: Array, view: View) -> Array:
+    """Tell whether something seen that may be the goal is in sight of a place and near, bool[]."""
+    is_near = view.sees(Eye(x, y, radius), goals.object_x, goals.object_y)
+    share = jnp.where(is_near, goals.object_accepted, 0.0)
     return jnp.any(goals.is_object & jnp.isfinite(share) & (share >= LEAST_GOAL))
 
 
@@ -265,7 +270,8 @@ def choose(
     Raises:
         ValueError: ``informed`` without a plan or without that probability.
     """
-    distance = jnp.sqrt((nodes.x - robot_x) ** 2 + (nodes.y - robot_y) ** 2 + 1e-9)
+    terrain = belief.terrain
+    distance = terrain.travel.metres(robot_x, robot_y, nodes.x, nodes.y)
     situation = Situation(
         belief=belief,
         nodes=nodes,
@@ -294,8 +300,8 @@ def choose(
         is_stop=(valuation.stop_mass >= params.stop_probability)
         & jnp.isfinite(valuation.stop_mass)
         & is_sure
-        & _has_goal(goals, robot_x, robot_y, radius),
-        is_approach=(aim.kind == OBJECT) & _has_goal(goals, aim.x, aim.y, reach),
+        & _has_goal(goals, robot_x, robot_y, radius, terrain.view),
+        is_approach=(aim.kind == OBJECT) & _has_goal(goals, aim.x, aim.y, reach, terrain.view),
         is_not_found=is_not_found,
         is_kept=is_kept,
         value=value,

@@ -31,6 +31,8 @@ from jaxlangnav.semantic_map.particle import SemanticMap
 from jaxlangnav.semantic_map.regrounding import ground_words
 from jaxlangnav.semantic_map.soundness import sound_look, sound_place
 from jaxlangnav.semantic_map.surprise import CONTRADICTION, surprise
+from jaxlangnav.terrain import OPEN, Terrain
+from jaxlangnav.terrain.view import eye_of
 
 _ASKED = 16
 """Particles that ground the words at every step, whatever happens: enough to tell the mean of the
@@ -53,7 +55,13 @@ class FilterInfo:
 
 
 def start(
-    pose: Array, area: Array, num_mentions: int, config: MapConfig, *, num_types: int = NUM_TYPES
+    pose: Array,
+    area: Array,
+    num_mentions: int,
+    config: MapConfig,
+    *,
+    num_types: int = NUM_TYPES,
+    terrain: Terrain = OPEN,
 ) -> ParticleBelief:
     """Build the belief of a robot that has seen nothing.
 
@@ -65,6 +73,7 @@ def start(
         num_mentions: M, capacity for mentions.
         config: sizes.
         num_types: object types that a detection may name.
+        terrain: how far one sees and walks in the area.
 
     Returns:
         The belief; words are grounded at the first step.
@@ -78,6 +87,7 @@ def start(
         ),
         log_weight=jnp.full(number, -jnp.log(float(number)), jnp.float32),
         coverage=unexplored(area, config.num_cells),
+        terrain=terrain,
         last_pose=pose,
         doubted_pose=pose,
         is_placed=is_placed,
@@ -175,9 +185,11 @@ def observe(
     particles = association.condition(belief.particles, grounded, noise_variance)
     belief = replace(belief, particles=particles)
     robot_x, robot_y = robot_position(belief)
-    coverage = look(belief.coverage, robot_x, robot_y, heading, sensor)
+    view, softness = belief.terrain.view, 2.5 * params.kernel + 1e-3
+    eye = eye_of(robot_x, robot_y, heading, sensor)
+    coverage = look(belief.coverage, eye, sensor.detection_probability, view)
     log_objects, log_hypotheses = association.log_absence(
-        particles, grounded.is_hit, heading, 2.5 * params.kernel + 1e-3, sensor
+        particles, grounded.is_hit, heading, softness, sensor, view
     )
     log_map = grounded.log_weight + log_objects
     log_new = jnp.log(params.concentration) - jnp.log(area_size(coverage))
