@@ -7,6 +7,7 @@ rest. An episode's result depends on its own key only, never on its place in the
 
 import functools
 
+import chex
 import jax
 import jax.numpy as jnp
 from jax import Array
@@ -83,6 +84,11 @@ def begin(task: Task, instructions: Instruction, *, config: NavigatorConfig) -> 
     Returns:
         The episode before its first step.
     """
+    scenario = task.scenario
+    chex.assert_shape([scenario.start, scenario.area, scenario.goal], [(3,), (4,), (2,)])
+    chex.assert_rank([task.key, task.instruction_index, task.sensor.range_max], 0)
+    chex.assert_equal_shape([scenario.object_x, scenario.object_y, scenario.is_object])
+    chex.assert_type([scenario.object_type, scenario.is_object], [int, bool])
     instruction = row_of(instructions, task.instruction_index)
     return Progress(
         task=task,
@@ -284,6 +290,7 @@ def run_batch(
     Returns:
         Results, leaves [E, …], in the order of the tasks.
     """
+    chex.assert_rank([tasks.key, tasks.instruction_index, tasks.scenario.start], [1, 1, 2])
     number = tasks.instruction_index.shape[0] if count is None else count
     tasks, instructions, params, number = strong((tasks, instructions, params, number))
     return _run_batch(

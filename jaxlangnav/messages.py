@@ -12,6 +12,7 @@ Axis letters, for the whole package: **E** episodes, **P** particles, **N** obje
 
 import enum
 
+import chex
 import jax.numpy as jnp
 from jax import Array
 
@@ -139,6 +140,21 @@ class Observation:
     detection_bearing: Array  # f32[D] radians, robot frame, counter-clockwise from the heading
     is_detection: Array  # bool[D]
     sensor: SensorParams  # the specification in force (range, field of view)
+
+
+def assert_observation(observation: Observation) -> None:
+    """Check shapes and types of one robot's look, when a function of it is traced.
+
+    Raises:
+        AssertionError: names what is of another shape or type.
+    """
+    chex.assert_shape(observation.pose, (3,))
+    metres, bearing = observation.detection_range, observation.detection_bearing
+    chex.assert_rank(metres, 1)
+    chex.assert_equal_shape([metres, bearing, observation.detection_type, observation.is_detection])
+    chex.assert_type([observation.pose, metres, bearing], float)
+    chex.assert_type([observation.detection_type, observation.is_detection], [int, bool])
+    chex.assert_rank([observation.sensor.range_max, observation.sensor.field_of_view], 0)
 
 
 @pytree

@@ -8,6 +8,7 @@ a physics simulator and a robot drive it alike.
 import dataclasses
 from typing import NamedTuple
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -24,6 +25,7 @@ from jaxlangnav.messages import (
     Fault,
     Observation,
     Status,
+    assert_observation,
     default_sensor,
 )
 from jaxlangnav.planner import graph, policy, search, tours
@@ -181,6 +183,7 @@ def start(
     Returns:
         The state before the first observation.
     """
+    chex.assert_shape([pose, area], [(3,), (4,)])
     num_mentions = instruction.readings.mention_type.shape[-1]
     belief = semantic_filter.start(
         pose, area, num_mentions, config.map, num_types=num_types, terrain=terrain
@@ -305,6 +308,10 @@ def step(
     Returns:
         The new state, what the robot is to do, and why.
     """
+    assert_observation(observation)
+    chex.assert_rank([state.clause, state.status, state.is_halted, state.previous_goal], 0)
+    chex.assert_type([state.clause, state.status, state.is_halted], [int, int, bool])
+    chex.assert_equal_shape([params.mode_speed, params.mode_clearance])
     state, filter_info = _observe(key, state, observation, params, config)
     is_asked = (state.instruction.num_clauses > 0) | (state.status == Status.IDLE)
     fault = filter_info.fault + jnp.where(is_asked, 0, int(Fault.COMMAND))

@@ -1,5 +1,6 @@
 """QMDP values of candidate waypoints (section 3.4, eq. 11 and 12)."""
 
+import chex
 import jax.numpy as jnp
 from jax import Array
 
@@ -32,6 +33,9 @@ def values(
     Returns:
         f32[A].
     """
+    chex.assert_rank([node_x, node_y, discount], [1, 1, 0])
+    chex.assert_equal_shape([goals.object_x, goals.object_y, goals.object_mass])
+    chex.assert_equal_shape([goals.hypothesis_x, goals.hypothesis_y, goals.hypothesis_mass])
     x = jnp.concatenate([goals.object_x, goals.hypothesis_x])
     y = jnp.concatenate([goals.object_y, goals.hypothesis_y])
     mass = jnp.concatenate([goals.object_mass, goals.hypothesis_mass])

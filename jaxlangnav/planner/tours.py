@@ -15,6 +15,7 @@ turn a stretch round. The tour is kept from step to step, so the search goes on 
 on its way; and as the tour under way is among the candidates, it is left only for a shorter one.
 """
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -293,6 +294,10 @@ def plan(
     Returns:
         The candidates and what each of them costs.
     """
+    chex.assert_shape([tour.x, tour.y, area], [(NUM_STOPS,), (NUM_STOPS,), (4,)])
+    chex.assert_equal_shape([search.x, search.y, search.free, search.hung, search.partner_x])
+    chex.assert_rank([robot_x, robot_y, range_max], 0)
+    chex.assert_type([tour.x, search.free, area], float)
     here = advance(advance(tour, robot_x, robot_y), robot_x, robot_y)
     drafts = _join(
         Tour(x=here.x[None], y=here.y[None]), greedy(search, robot_x, robot_y, range_max, area)

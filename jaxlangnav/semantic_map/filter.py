@@ -12,13 +12,14 @@ refuted all are replaced, which is how the filter revives.
 
 from typing import NamedTuple
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
 from jaxlangnav.grounding.program import NUM_TYPES
-from jaxlangnav.messages import Fault, Observation, Readings
+from jaxlangnav.messages import Fault, Observation, Readings, assert_observation
 from jaxlangnav.numerics import batching, categorical
 from jaxlangnav.numerics.batching import take
 from jaxlangnav.numerics.resampling import effective_sample_size, independent, systematic
@@ -306,6 +307,11 @@ def step(
     Returns:
         The belief now, and information on the step.
     """
+    assert_observation(observation)
+    chex.assert_rank([belief.log_weight, readings.log_probability], 1)
+    chex.assert_shape([belief.last_pose, belief.viewer], (3,))
+    chex.assert_equal_shape([readings.figure, readings.relation, readings.landmark, readings.rank])
+    chex.assert_type([belief.log_weight, readings.mention_type], [float, int])
     number, was_told = belief.log_weight.shape[0], belief.must_ground
     num_detections = observation.detection_type.shape[0]
     keys = jax.random.split(key, 4)

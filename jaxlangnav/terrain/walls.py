@@ -115,7 +115,6 @@ def walls(*ends: tuple[float, float, float, float]) -> Walls:
     Raises:
         ValueError: a wall is not four finite numbers.
     """
-    found = np.asarray(ends, np.float32).reshape(len(ends), -1)
-    if ends and (found.shape[1] != 4 or not np.isfinite(found).all()):
+    if not all(len(one) == 4 and np.isfinite(one).all() for one in ends):
         raise ValueError(f"walls are {ends}, but each must be x, y, x, y, finite, in metres")
-    return Walls(ends=jnp.asarray(found.reshape(-1, 4)))
+    return Walls(ends=jnp.asarray(np.array(ends, np.float32).reshape(-1, 4)))

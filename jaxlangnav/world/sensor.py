@@ -6,6 +6,7 @@ There are no false detections; type is always right (section 3.2). What the plac
 the business of its ``terrain``.
 """
 
+import chex
 import jax
 import jax.numpy as jnp
 from jax import Array
@@ -42,6 +43,8 @@ def sense(
     Returns:
         The observation, its pose by dead reckoning.
     """
+    chex.assert_shape([state.position, state.odometry], [(2,), (3,)])
+    chex.assert_equal_shape([scenario.object_x, scenario.object_y, scenario.is_object])
     x, y, is_visible = visible(state, scenario, sensor)
     miss, noise = batching.uniforms(jax.random.split(key), 2 * x.size)
     is_found = is_visible & (miss[: x.size] < sensor.detection_probability)
