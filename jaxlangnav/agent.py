@@ -32,6 +32,7 @@ from jaxlangnav.planner.own import Policy
 from jaxlangnav.planner.params import PlannerConfig
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.soundness import check_place
+from jaxlangnav.terrain import OPEN, Terrain
 
 DEFAULT_EXTENT = 15.0
 """Metres to each side of the robot that are its operating area unless it is told otherwise."""
@@ -85,6 +86,8 @@ class Navigator:
         text: str,
         pose: Sequence[float] = (0.0, 0.0, 0.0),
         area: Sequence[float] | None = None,
+        *,
+        terrain: Terrain = OPEN,
     ) -> NavigatorState:
         """Tell a robot that has seen nothing what to do.
 
@@ -93,6 +96,7 @@ class Navigator:
             pose: x, y, heading, metres and radians, map frame.
             area: operating area x_min, x_max, y_min, y_max, metres, map frame; 15 m to each side
                 of the robot by default.
+            terrain: how far one sees and walks there; the open field by default.
 
         Returns:
             The state before the first observation.
@@ -115,6 +119,7 @@ class Navigator:
             jnp.asarray(bounds, jnp.float32),
             config=self.config,
             num_types=len(self.type_names),
+            terrain=terrain,
         )
 
     def _command(self, text: str, *, is_under_way: bool) -> Instruction:
