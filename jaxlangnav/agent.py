@@ -35,6 +35,7 @@ from jaxlangnav.planner.config import AnyPolicy, PlannerConfig
 from jaxlangnav.planner.endings import missing_types
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.soundness import check_place
+from jaxlangnav.terrain import OPEN, Terrain
 
 DEFAULT_EXTENT = 15.0
 """Metres to each side of the robot that are its operating area unless it is told otherwise."""
@@ -95,6 +96,8 @@ class Navigator:
         text: str,
         pose: Sequence[float] = (0.0, 0.0, 0.0),
         area: Sequence[float] | None = None,
+        *,
+        terrain: Terrain = OPEN,
     ) -> NavigatorState:
         """Tell a robot that has seen nothing what to do.
 
@@ -103,6 +106,7 @@ class Navigator:
             pose: x, y, heading, metres and radians, map frame.
             area: operating area x_min, x_max, y_min, y_max, metres, map frame; 15 m to each side
                 of the robot by default.
+            terrain: how far one sees and walks there; the open field by default.
 
         Returns:
             The state before the first observation.
@@ -125,6 +129,7 @@ class Navigator:
             jnp.asarray(bounds, jnp.float32),
             config=self.config,
             num_types=len(self.type_names),
+            terrain=terrain,
         )
 
     def _command(self, text: str, *, is_under_way: bool) -> Instruction:

@@ -7,6 +7,7 @@ rest. An episode's result depends on its own key only, never on its place in the
 
 import functools
 
+import chex
 import jax
 import jax.numpy as jnp
 from jax import Array
@@ -18,7 +19,7 @@ from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams
 from jaxlangnav.numerics.batching import row_of
 from jaxlangnav.pytree import pytree, replace, strong
 from jaxlangnav.world import simulator
-from jaxlangnav.world.motion import move
+from jaxlangnav.world.motion import HOLONOMIC, Body
 from jaxlangnav.world.sensor import sense
 from jaxlangnav.world.state import Scenario, WorldState
 
@@ -35,6 +36,7 @@ class Task:
     instruction_index: Array  # i32[] which of the batch's instructions
     sensor: SensorParams
     motion: MotionParams
+    body: Body = HOLONOMIC  # how the robot moves
 
 
 @pytree
@@ -82,11 +84,20 @@ def begin(task: Task, instructions: Instruction, *, config: NavigatorConfig) -> 
     Returns:
         The episode before its first step.
     """
+    scenario = task.scenario
+    chex.assert_shape([scenario.start, scenario.area, scenario.goal], [(3,), (4,), (2,)])
+    chex.assert_rank([task.key, task.instruction_index, task.sensor.range_max], 0)
+    chex.assert_equal_shape([scenario.object_x, scenario.object_y, scenario.is_object])
+    chex.assert_type([scenario.object_type, scenario.is_object], [int, bool])
     instruction = row_of(instructions, task.instruction_index)
     return Progress(
         task=task,
         navigator=navigator.start(
-            instruction, task.scenario.start, task.scenario.area, config=config
+            instruction,
+            task.scenario.start,
+            task.scenario.area,
+            config=config,
+            terrain=task.scenario.terrain,
         ),
         world=simulator.reset(task.scenario),
         steps=jnp.int32(0),
@@ -139,7 +150,7 @@ def cycle(
     state, action, info = navigator.step(
         decide_key, progress.navigator, observation, params=params, config=config
     )
-    world = move(move_key, progress.world, action, task.motion)
+    world = task.body.move(move_key, progress.world, action, task.motion)
     after = replace(
         progress,
         navigator=state,
@@ -279,6 +290,7 @@ def run_batch(
     Returns:
         Results, leaves [E, …], in the order of the tasks.
     """
+    chex.assert_rank([tasks.key, tasks.instruction_index, tasks.scenario.start], [1, 1, 2])
     number = tasks.instruction_index.shape[0] if count is None else count
     tasks, instructions, params, number = strong((tasks, instructions, params, number))
     return _run_batch(

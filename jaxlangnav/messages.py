@@ -14,6 +14,7 @@ import enum
 from collections.abc import Iterable, Sequence
 from typing import Any, Self
 
+import chex
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -191,6 +192,21 @@ class Observation:
             is_detection=_on_host(found.is_detection),
             sensor=_sensor(numbers),
         )
+
+
+def assert_observation(observation: Observation) -> None:
+    """Check shapes and types of one robot's look, when a function of it is traced.
+
+    Raises:
+        AssertionError: names what is of another shape or type.
+    """
+    chex.assert_shape(observation.pose, (3,))
+    metres, bearing = observation.detection_range, observation.detection_bearing
+    chex.assert_rank(metres, 1)
+    chex.assert_equal_shape([metres, bearing, observation.detection_type, observation.is_detection])
+    chex.assert_type([observation.pose, metres, bearing], float)
+    chex.assert_type([observation.detection_type, observation.is_detection], [int, bool])
+    chex.assert_rank([observation.sensor.range_max, observation.sensor.field_of_view], 0)
 
 
 @pytree

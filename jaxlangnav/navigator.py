@@ -8,6 +8,7 @@ a physics simulator and a robot drive it alike.
 import dataclasses
 from typing import Any, NamedTuple
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -24,6 +25,7 @@ from jaxlangnav.messages import (
     Fault,
     Observation,
     Status,
+    assert_observation,
     default_sensor,
 )
 from jaxlangnav.planner import graph, policy
@@ -39,6 +41,7 @@ from jaxlangnav.semantic_map.filter import FilterInfo
 from jaxlangnav.semantic_map.params import MapConfig, MapParams, default_map_params
 from jaxlangnav.semantic_map.soundness import is_pose
 from jaxlangnav.sensing import DEVIATIONS
+from jaxlangnav.terrain import OPEN, Eye, Terrain
 
 _PLANNING = 77
 """Folded into a cycle's key for the planner; beyond the keys that the filter splits it into."""
@@ -158,6 +161,7 @@ def start(
     *,
     config: NavigatorConfig,
     num_types: int = NUM_TYPES,
+    terrain: Terrain = OPEN,
 ) -> NavigatorState:
     """Build the state of a robot that has just been told what to do.
 
@@ -169,12 +173,16 @@ def start(
         area: f32[4], operating area x_min, x_max, y_min, y_max, metres.
         config: sizes.
         num_types: object types that a detection may name.
+        terrain: how far one sees and walks in the area; the open field by default.
 
     Returns:
         The state before the first observation.
     """
+    chex.assert_shape([pose, area], [(3,), (4,)])
     num_mentions = instruction.readings.mention_type.shape[-1]
-    belief = semantic_filter.start(pose, area, num_mentions, config.map, num_types=num_types)
+    belief = semantic_filter.start(
+        pose, area, num_mentions, config.map, num_types=num_types, terrain=terrain
+    )
     return NavigatorState(
         belief=belief,
         instruction=instruction,
@@ -285,6 +293,10 @@ def step(
     Returns:
         The new state, what the robot is to do, and why.
     """
+    assert_observation(observation)
+    chex.assert_rank([state.clause, state.status, state.is_halted, state.previous_goal], 0)
+    chex.assert_type([state.clause, state.status, state.is_halted], [int, int, bool])
+    chex.assert_equal_shape([params.mode_speed, params.mode_clearance])
     state, filter_info = _observe(key, state, observation, params, config)
     is_asked = (state.instruction.num_clauses > 0) | (state.status == Status.IDLE)
     fault = filter_info.fault + jnp.where(is_asked, 0, int(Fault.COMMAND))
@@ -367,7 +379,9 @@ def _decide(
     robot_x, robot_y = outlook.robot_x, outlook.robot_y
     visited = graph.visit(state.visited, robot_x, robot_y, planner.visit_spacing)
     is_find = outlook.expected.action[ACTIONS.index("find")]
-    may_stop = policy.may_stop(goals, robot_x, robot_y, is_find, range_max, params=planner)
+    view = state.belief.terrain.view
+    eye = Eye(robot_x, robot_y, range_max)
+    may_stop = policy.may_stop(goals, eye, is_find, params=planner, view=view)
     situation = policy.Situation(
         belief=state.belief,
         nodes=graph.known_nodes(visited, goals.object_x, goals.object_y, goals.is_object),
@@ -417,17 +431,19 @@ def _act(
     robot = jnp.stack([outlook.robot_x, outlook.robot_y])
     waypoint = jnp.stack([choice.waypoint_x, choice.waypoint_y])
     waypoint = jnp.where(outlook.stands | choice.is_not_found, robot, waypoint)
-    span_x, span_y = waypoint - robot
-    distance = jnp.sqrt(span_x * span_x + span_y * span_y + 1e-9)
+    travel = state.belief.terrain.travel
+    here, there = (outlook.robot_x, outlook.robot_y), tuple(waypoint)
+    next_x, next_y = travel.next_place(*here, *there)
+    left, distance = travel.metres(*here, *there), travel.metres(*here, next_x, next_y)
     # A thing is gone up to, not into; anything else is a place to stand on.
     spare = jnp.where(choice.kind == graph.OBJECT, _APPROACH * params.planner.reach, 0.0)
-    length = jnp.clip(distance - spare, 0.0, params.map.motion.step_length * speed)
-    length = jnp.where(choice.is_stop, 0.0, length)
+    length = jnp.clip(left - spare, 0.0, params.map.motion.step_length * speed)
+    length = jnp.where(choice.is_stop, 0.0, jnp.minimum(length, distance))
     is_idle = state.instruction.num_clauses == 0
     status = jnp.where(is_idle, int(Status.IDLE), state.status)
     return Action(
         waypoint=waypoint,
-        step=jnp.stack([span_x, span_y]) / distance * length,
+        step=jnp.stack([next_x - here[0], next_y - here[1]]) / distance * length,
         is_stop=state.is_done & ~state.is_halted & (outlook.fault == 0),
         status=jnp.where(state.is_halted, int(Status.HALTED), status),
         speed=speed,
@@ -445,7 +461,8 @@ def _carry_on(
     is_last = _is_last_clause(state)
     # Of the objects that would do, the last command ended at the one gone up to.
     goals, robot_x, robot_y = outlook.goals, outlook.robot_x, outlook.robot_y
-    away = jnp.hypot(goals.object_x - robot_x, goals.object_y - robot_y)[:-1]
+    travel = state.belief.terrain.travel
+    away = travel.metres(robot_x, robot_y, goals.object_x, goals.object_y)[:-1]
     will_do = goals.object_accepted[:-1] * params.planner.discount**away
     goal_slot = jnp.argmax(will_do).astype(jnp.int32)
     return replace(

@@ -10,6 +10,7 @@ from jaxlangnav.planner.graph import Nodes
 from jaxlangnav.planner.params import default_planner_params
 from jaxlangnav.planner.policy import Situation
 from jaxlangnav.semantic_map.params import default_map_params
+from jaxlangnav.terrain import Eye
 
 RANGE = 3.0
 CHOOSE = jax.jit(policy.choose, static_argnames="policy")
@@ -56,7 +57,7 @@ def situation(
 ) -> Situation:  # fmt: skip
     x, y = jnp.float32(robot[0]), jnp.float32(robot[1])
     params, find, reach = default_planner_params(), jnp.float32(is_find), jnp.float32(RANGE)
-    may_stop = policy.may_stop(goals, x, y, find, reach, params=params)
+    may_stop = policy.may_stop(goals, Eye(x, y, reach), find, params=params)
     return Situation(
         belief=belief,
         nodes=nodes,

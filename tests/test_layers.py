@@ -19,6 +19,7 @@ LAYERS = (
     "sensing",
     "messages",
     "numerics",
+    "terrain",
     "relations",
     "language",
     "grounding",

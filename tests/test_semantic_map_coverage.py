@@ -12,12 +12,27 @@ from jaxlangnav.semantic_map.coverage import (
     log_miss_at,
     look,
     sample_unseen,
-    share_in_view,
     unexplored,
 )
+from jaxlangnav.terrain import OPEN
+from jaxlangnav.terrain.view import eye_of
 
-LOOK, SAMPLE, AT = jax.jit(look), jax.jit(sample_unseen), jax.jit(log_miss_at)
+SAMPLE, AT = jax.jit(sample_unseen), jax.jit(log_miss_at)
 CELLS = 32
+
+
+@jax.jit
+def look_at(coverage, x, y, heading, sensor) -> Coverage:
+    eye = eye_of(x, y, heading, sensor)
+    return look(coverage, eye, sensor.detection_probability, OPEN.view)
+
+
+def share_in_view(x: float, y: float, heading: float, softness: float, sensor) -> float:
+    eye = eye_of(jnp.float32(0.0), jnp.float32(0.0), jnp.float32(heading), sensor)
+    share = OPEN.view.share(eye, jnp.float32(x), jnp.float32(y), jnp.float32(softness))
+    is_seen = bool(OPEN.view.sees(eye, jnp.float32(x), jnp.float32(y)))
+    assert is_seen == (share > 0.5)  # one test, soft and hard
+    return float(share)
 
 
 def fresh() -> Coverage:
@@ -32,7 +47,7 @@ def random_coverage(seed: int = 0) -> Coverage:
 
 
 def test_a_look_misses_with_one_minus_the_detection_probability() -> None:
-    coverage = LOOK(fresh(), 4.0, 1.0, 0.0, by_hand.sensor(range_max=2.0, probability=0.8))
+    coverage = look_at(fresh(), 4.0, 1.0, 0.0, by_hand.sensor(range_max=2.0, probability=0.8))
     x, y = np.meshgrid(*(np.asarray(axis) for axis in cell_centres(coverage)))
     distance = np.hypot(x - 4.0, y - 1.0)
     miss = np.exp(np.asarray(coverage.log_miss))
@@ -47,7 +62,7 @@ def test_looks_multiply() -> None:
     specification = by_hand.sensor(range_max=2.0, probability=0.8)
     coverage = fresh()
     for _ in range(3):
-        coverage = LOOK(coverage, 4.0, 1.0, 0.0, specification)
+        coverage = look_at(coverage, 4.0, 1.0, 0.0, specification)
     at_centre = float(AT(coverage, jnp.float32(4.0), jnp.float32(1.0)))
     assert abs(at_centre - 3 * np.log(0.2)) < 1e-4
 
@@ -55,7 +70,7 @@ def test_looks_multiply() -> None:
 def test_a_hundred_looks_keep_a_little_room() -> None:
     coverage = fresh()
     for _ in range(100):
-        coverage = LOOK(coverage, 4.0, 1.0, 0.0, by_hand.sensor(probability=1.0))
+        coverage = look_at(coverage, 4.0, 1.0, 0.0, by_hand.sensor(probability=1.0))
     assert np.isfinite(np.asarray(coverage.log_miss)).all()
 
 
@@ -70,17 +85,11 @@ def test_field_of_view() -> None:
         (0, 3.5, 0),
         (0.8, 1.6, 1),
     ):
-        share = share_in_view(
-            jnp.float32(x), jnp.float32(y), jnp.float32(np.pi / 2), jnp.float32(0.1), specification
-        )
+        share = share_in_view(x, y, np.pi / 2, 0.1, specification)
         assert float(share) == expected, (x, y)
     for turn in np.linspace(0, 2 * np.pi, 7):
         share = share_in_view(
-            jnp.float32(2 * np.cos(turn)),
-            jnp.float32(2 * np.sin(turn)),
-            jnp.float32(0.3),
-            jnp.float32(0.1),
-            by_hand.sensor(range_max=3.0),
+            2 * np.cos(turn), 2 * np.sin(turn), 0.3, 0.1, by_hand.sensor(range_max=3.0)
         )
         assert float(share) == 1.0
 
@@ -90,13 +99,7 @@ def test_view_wider_than_half_a_circle() -> None:
     specification = by_hand.sensor(range_max=3.0, view=np.deg2rad(300.0))
     for degrees, expected in ((0, 1), (100, 1), (140, 1), (160, 0), (180, 0), (-140, 1)):
         turn = np.deg2rad(degrees)
-        share = share_in_view(
-            jnp.float32(2 * np.cos(turn)),
-            jnp.float32(2 * np.sin(turn)),
-            jnp.float32(0.0),
-            jnp.float32(0.05),
-            specification,
-        )
+        share = share_in_view(2 * np.cos(turn), 2 * np.sin(turn), 0.0, 0.05, specification)
         assert float(share) == expected, degrees
 
 

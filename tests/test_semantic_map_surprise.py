@@ -8,6 +8,7 @@ import readings as by_hand
 
 from jaxlangnav.semantic_map import association
 from jaxlangnav.semantic_map.surprise import CONTRADICTION, surprise
+from jaxlangnav.terrain import OPEN
 
 CONE, CAR, HYDRANT = by_hand.CONE, by_hand.CAR, by_hand.HYDRANT
 P, D = by_hand.CONFIG.num_particles, by_hand.D
@@ -31,7 +32,7 @@ def look(types, x, y, log_missed, is_detection):
     )
     particles = association.condition(BELIEF.particles, grounded, jnp.float32(VARIANCE))
     log_objects, _ = association.log_absence(
-        particles, grounded.is_hit, jnp.float32(0.0), jnp.float32(0.25), by_hand.sensor()
+        particles, grounded.is_hit, jnp.float32(0.0), jnp.float32(0.25), by_hand.sensor(), OPEN.view
     )
     log_map = grounded.log_weight + log_objects
     return surprise(

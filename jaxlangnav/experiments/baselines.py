@@ -28,9 +28,10 @@ from jaxlangnav.planner.graph import frontiers
 from jaxlangnav.planner.params import default_planner_params
 from jaxlangnav.pytree import pytree
 from jaxlangnav.semantic_map.coverage import Coverage, log_miss_at, look, unexplored
+from jaxlangnav.terrain import OPEN
+from jaxlangnav.terrain.view import eye_of
 from jaxlangnav.world import simulator
 from jaxlangnav.world.known import drive_known_map
-from jaxlangnav.world.motion import move
 from jaxlangnav.world.sensor import sense
 from jaxlangnav.world.state import Scenario, WorldState
 
@@ -107,8 +108,10 @@ def notice(explorer: Explorer, observation: Observation, figure_type: Array) -> 
     rank = jnp.where(explorer.has_target, from_target, observation.detection_range)
     nearest = jnp.argmin(jnp.where(is_target, rank, jnp.inf))
     is_seen = jnp.any(is_target)
+    sensor = observation.sensor
+    eye = eye_of(pose[0], pose[1], pose[2], sensor)
     return Explorer(
-        coverage=look(explorer.coverage, pose[0], pose[1], pose[2], observation.sensor),
+        coverage=look(explorer.coverage, eye, sensor.detection_probability, OPEN.view),
         target_x=jnp.where(is_seen, x[nearest], explorer.target_x),
         target_y=jnp.where(is_seen, y[nearest], explorer.target_y),
         has_target=explorer.has_target | is_seen,
@@ -235,7 +238,7 @@ def explore(task: Task, figure_type: Array, *, policy: str, max_steps: int) -> E
         action = _act(explorer, observation.pose)
         return _Run(
             explorer=explorer,
-            world=move(move_key, run.world, action, task.motion),
+            world=task.body.move(move_key, run.world, action, task.motion),
             steps=run.steps + 1,
             is_stopped=action.is_stop,
         )

@@ -6,9 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxlangnav.grounding.features import NUM_RANKS, Senses
+from jaxlangnav.grounding.features import Senses
 from jaxlangnav.grounding.symbols import NUM_RELATIONS, AnnotationSpace
 from jaxlangnav.messages import RELATIONS
+from jaxlangnav.relations.table import NUM_RANKS
 
 NUM_IDENTITY = 8
 """Object types with a property of their own; further types are carried by agreement alone."""

@@ -14,7 +14,6 @@ import numpy as np
 
 from jaxlangnav.grounding.behavior import BehaviorProgram, infer_behavior
 from jaxlangnav.grounding.behavior_features import World
-from jaxlangnav.grounding.features import NUM_RANKS
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.grounding.symbols import NUM_RELATIONS
 from jaxlangnav.grounding.worlds import to_device
@@ -29,6 +28,7 @@ from jaxlangnav.messages import (
     BehaviorWorld,
     Readings,
 )
+from jaxlangnav.relations.table import NUM_RANKS
 
 LEAST_GOAL = 0.05
 """A goal less probable than this is none: the command after it has no previous goal."""

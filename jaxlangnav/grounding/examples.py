@@ -14,7 +14,7 @@ import numpy as np
 from jaxlangnav.grounding import annotation_features as af
 from jaxlangnav.grounding import behavior_features as bf
 from jaxlangnav.grounding.behavior_properties import PROPERTY_NAMES
-from jaxlangnav.grounding.features import NUM_RANKS, RESTRICTORS, Senses, senses_of
+from jaxlangnav.grounding.features import RESTRICTORS, Senses, senses_of
 from jaxlangnav.grounding.graph import Node, bottom_up
 from jaxlangnav.grounding.symbols import (
     ACTION,
@@ -30,6 +30,7 @@ from jaxlangnav.grounding.symbols import (
     BehaviorSymbol,
 )
 from jaxlangnav.language.phrase import Parse, Phrase
+from jaxlangnav.relations.table import NUM_RANKS
 
 Path = tuple[int, ...]
 """Clause index, then child indices from the root of the clause."""

@@ -20,8 +20,6 @@ from jaxlangnav.messages import ACTIONS, MODES, REGIONS
 
 NUM_GRAMS = 128
 """Buckets of the hashed character n-grams."""
-NUM_RANKS = 4
-"""Ranks of superlatives and ordinals: nearest (first), second, third, fourth."""
 RESTRICTORS = ("PP", "ADJP", "SBAR")
 """Labels of child phrases that say where the figure of a noun phrase is."""
 IDENTITY_SCALE = 0.4

@@ -13,7 +13,8 @@ from importlib import resources
 from typing import Any, NoReturn
 
 from jaxlangnav.grounding.json_schema import quote, validate
-from jaxlangnav.messages import ACTIONS, AT, BEHIND, FRONT, MODES, REGIONS, RELATIONS, ROBOT
+from jaxlangnav.messages import ACTIONS, AT, MODES, REGIONS, RELATIONS, ROBOT
+from jaxlangnav.relations.table import ORDERS
 
 MAX_CHARACTERS = 65_536
 """Longer texts are no forms: the largest that the arrays hold has a tenth of it."""
@@ -206,7 +207,7 @@ def _read_relation(
             "nothing is its own landmark"
         )
     relation, rank = RELATIONS.index(document["relation"]), int(document.get("rank", 0))
-    if rank and relation in (FRONT, BEHIND):
+    if rank and relation not in ORDERS:
         raise ValueError(
             f"{path}.rank is {rank}, but nothing is ordered by {RELATIONS[relation]}: use near, "
             "far, left or right"

@@ -6,30 +6,20 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxlangnav.grounding.behavior_features import World
-from jaxlangnav.grounding.features import NUM_RANKS
 from jaxlangnav.grounding.symbols import NUM_RELATIONS
 from jaxlangnav.language.labels import Geometry, PlacedWorld
-from jaxlangnav.messages import FAR, LEFT, NEAR, NONE, ROBOT, BehaviorWorld, Readings
-
-
-def _strengths(geometry: Geometry) -> np.ndarray:
-    """Measure how much each relation holds between each pair, f64[6, n, n + 1]."""
-    sideways = geometry.offset @ geometry.left
-    strength = np.repeat(-sideways[None], NUM_RELATIONS, axis=0)
-    strength[LEFT] = sideways
-    strength[NEAR], strength[FAR] = -geometry.distance, geometry.distance
-    return strength
+from jaxlangnav.messages import NONE, ROBOT, BehaviorWorld, Readings
+from jaxlangnav.relations.strength import num_before
+from jaxlangnav.relations.table import NUM_RANKS
 
 
 def _ranks(geometry: Geometry, object_type: np.ndarray) -> np.ndarray:
     """Count how many others of its type beat each figure, i[6, n, n + 1]."""
-    strength = _strengths(geometry)
     count = geometry.num_objects
     alike = object_type[:count, None] == object_type[None, :count]  # [figure, other]
-    own = np.eye(count, dtype=bool)
-    rival = (alike & ~own)[:, :, None] & ~np.eye(count, count + 1, dtype=bool)[None]
-    beats = strength[:, None, :, :] > strength[:, :, None, :]  # [6, figure, other, landmark]
-    return (beats & rival[None]).sum(2)
+    alike = alike & ~np.eye(count, dtype=bool)
+    is_rival = alike[None] & ~np.eye(count + 1, count, dtype=bool)[:, None, :]  # landmark first
+    return num_before(geometry.strength.swapaxes(1, 2), is_rival).swapaxes(1, 2)
 
 
 def place(placed: PlacedWorld, type_names: tuple[str, ...]) -> World:
@@ -77,7 +67,7 @@ def place_for(placed: PlacedWorld, type_names: tuple[str, ...], readings: Readin
     world = place(placed, type_names)
     if not placed.objects or not (np.asarray(readings.rank[0]) > 0).any():
         return world
-    strength = _strengths(Geometry(placed))
+    strength = Geometry(placed).strength
     kinds = np.asarray(readings.mention_type[0])
     columns = (readings.figure, readings.relation, readings.landmark, readings.rank)
     edges = np.stack([np.asarray(column[0]) for column in columns], axis=1)
@@ -92,7 +82,7 @@ def place_for(placed: PlacedWorld, type_names: tuple[str, ...], readings: Readin
         for index in np.flatnonzero(world.object_type == kinds[landmark]):
             mine = strength[relation, :, index]
             rivals = allowed & (np.arange(len(mine)) != index)
-            before = ((mine[None, :] > mine[:, None]) & rivals[None, :]).sum(1)
+            before = num_before(mine, rivals)
             own = (world.object_type == kinds[figure])[:-1]
             meant = rivals & (before == rank - 1)
             row = ranked[min(rank, 2) - 1, relation, :-1, index]

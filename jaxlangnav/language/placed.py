@@ -13,8 +13,9 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.kept import kept
-from jaxlangnav.messages import FAR, NEAR, RELATIONS
+from jaxlangnav.messages import RELATIONS
 from jaxlangnav.relations import holds
+from jaxlangnav.relations.strength import degree_of, num_before
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,26 +63,20 @@ class Geometry:
         points = np.concatenate([places, viewer[None]], 0)
         self.offset = places[:, None] - points[None]
         self.distance = np.linalg.norm(self.offset, axis=-1)
-        self.left = np.array([-np.sin(heading), np.cos(heading)])
-
-    def strength(self, relation: int, figure: int, landmark: int) -> float:
-        """Measure how much a relation holds, to find the extreme: larger is more so."""
-        if relation == NEAR:
-            return -float(self.distance[figure, landmark])
-        if relation == FAR:
-            return float(self.distance[figure, landmark])
-        sideways = float(self.offset[figure, landmark] @ self.left)
-        return sideways if RELATIONS[relation] == "left" else -sideways
+        sideways = self.offset @ np.array([-np.sin(heading), np.cos(heading)])
+        # How much each relation holds, f64[6, N, N + 1], larger is more so.
+        self.strength = np.stack(
+            [degree_of(one, self.distance, sideways) for one in range(len(RELATIONS))]
+        )
 
     def is_extreme(
         self, relation: int, figure: int, landmark: int, place: int, among: tuple[int, ...]
     ) -> bool:
         """Tell whether a figure is the ``place``-th extreme of its type among some objects."""
         kind = self.world.objects[figure][0]
-        mine = self.strength(relation, figure, landmark)
-        more = sum(
-            self.strength(relation, other, landmark) > mine
-            for other in among
-            if other not in (figure, landmark) and self.world.objects[other][0] == kind
-        )
-        return more == place - 1
+        is_rival = np.zeros(self.num_objects, bool)
+        for other in among:
+            is_alike = self.world.objects[other][0] == kind
+            is_rival[other] = is_alike and other not in (figure, landmark)
+        before = num_before(self.strength[relation, :, landmark], is_rival)
+        return bool(before[figure] == place - 1)

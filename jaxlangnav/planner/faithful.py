@@ -57,9 +57,10 @@ def qmdp_value(situation: Situation) -> Valuation:
     """
     params, goals = situation.params, situation.goals
     here = situation.robot_x, situation.robot_y
-    within_reach, _ = qmdp.mass_within(*here, goals, params.reach)
-    _, in_view = qmdp.mass_within(*here, goals, situation.range_max)
-    goal_value = qmdp.values(situation.nodes.x, situation.nodes.y, goals, params.discount)
+    terrain, nodes = situation.belief.terrain, situation.nodes
+    within_reach, _ = qmdp.mass_within(*here, goals, params.reach, terrain.view)
+    _, in_view = qmdp.mass_within(*here, goals, situation.range_max, terrain.view)
+    goal_value = qmdp.values(nodes.x, nodes.y, goals, params.discount, terrain.travel)
     return Valuation(
         goal_value=goal_value,
         information_value=jnp.zeros_like(goal_value),

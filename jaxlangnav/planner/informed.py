@@ -130,11 +130,12 @@ def judge(situation: Situation, plan: tours.Plan, chance: Array) -> Judgement:
         goals,
         object_confirmed=jnp.where(has_looked, goals.object_accepted, goals.object_confirmed),
     )
-    _, within_reach = qmdp.mass_within(*here, goals, params.reach)
-    _, in_view = qmdp.mass_within(*here, goals, situation.range_max)
+    terrain = situation.belief.terrain
+    _, within_reach = qmdp.mass_within(*here, goals, params.reach, terrain.view)
+    _, in_view = qmdp.mass_within(*here, goals, situation.range_max, terrain.view)
     metres = plan.latency / jnp.maximum(plan.mass, 1e-6)
     no_tours = jnp.zeros(nodes.x.shape[0] - metres.shape[0], jnp.float32)
-    goal_value = 0.01 * qmdp.values(nodes.x, nodes.y, goals, params.discount)
+    goal_value = 0.01 * qmdp.values(nodes.x, nodes.y, goals, params.discount, terrain.travel)
     confirmed = jnp.max(goals.object_confirmed)
     rest = jnp.sum(goals.hypothesis_mass)
     is_doubtful = (rest <= params.rest_share * confirmed) & (confirmed < params.stop_probability)

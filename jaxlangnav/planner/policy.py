@@ -27,6 +27,7 @@ from jaxlangnav.planner.params import PlannerParams
 from jaxlangnav.pytree import pytree, replace, static, strong
 from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.params import MapConfig, MapParams
+from jaxlangnav.terrain import OPEN, Eye, View
 
 LEAST_GOAL = 0.01
 """Probability below which an object is no goal: nothing is settled and nothing stops for it."""
@@ -64,8 +65,8 @@ class Situation:
     @property
     def distance(self) -> Array:
         """Metres from the robot to each node, f32[A]."""
-        nodes = self.nodes
-        return jnp.sqrt((nodes.x - self.robot_x) ** 2 + (nodes.y - self.robot_y) ** 2 + 1e-9)
+        metres = self.belief.terrain.travel.metres
+        return metres(self.robot_x, self.robot_y, self.nodes.x, self.nodes.y)
 
 
 @pytree
@@ -187,31 +188,30 @@ class Policy(Protocol):
         return
 
 
-def has_goal(goals: Goals, x: Array, y: Array, radius: Array) -> Array:
-    """Tell whether something that has been seen and may be the goal is near a place, bool[]."""
-    squared = (goals.object_x - x) ** 2 + (goals.object_y - y) ** 2
-    share = jnp.where(squared <= radius * radius, goals.object_accepted, 0.0)
+def has_goal(goals: Goals, x: Array, y: Array, radius: Array, view: View) -> Array:
+    """Tell whether something seen that may be the goal is in sight of a place and near, bool[]."""
+    is_near = view.sees(Eye(x, y, radius), goals.object_x, goals.object_y)
+    share = jnp.where(is_near, goals.object_accepted, 0.0)
     return jnp.any(goals.is_object & jnp.isfinite(share) & (share >= LEAST_GOAL))
 
 
 def may_stop(
-    goals: Goals, x: Array, y: Array, is_find: Array, range_max: Array, *, params: PlannerParams
+    goals: Goals, eye: Eye, is_find: Array, *, params: PlannerParams, view: View = OPEN.view
 ) -> Array:
     """Tell whether there is anything to stop for: whatever a policy says, otherwise there is none.
 
     Args:
         goals: weighed goals.
-        x: f32[], where the robot is, metres, map frame.
-        y: f32[], metres.
+        eye: where the robot is, and how far it sees.
         is_find: f32[], probability that "find" is asked for: to have it in view is then enough.
-        range_max: f32[], sensing range, metres.
         params: reach.
+        view: what can be seen; a thing behind a wall is not within reach.
 
     Returns:
         bool[], whether something that has been seen and may be the goal is within reach.
     """
-    radius = jnp.where(is_find > 0.5, jnp.maximum(params.reach, range_max), params.reach)
-    return has_goal(goals, x, y, radius)
+    radius = jnp.where(is_find > 0.5, jnp.maximum(params.reach, eye.range_max), params.reach)
+    return has_goal(goals, eye.x, eye.y, radius, view)
 
 
 def ahead(situation: Situation, x: Array, y: Array, is_node: Array | None = None) -> Situation:
@@ -265,6 +265,7 @@ def decide(situation: Situation, valuation: Valuation, kept: Waypoint | None = N
     _require_one_a_node(situation, valuation)
     nodes, goals, params = situation.nodes, situation.goals, situation.params
     robot_x, robot_y = situation.robot_x, situation.robot_y
+    view = situation.belief.terrain.view
     cost = constraint_cost(
         situation.belief, situation.constraint, nodes, robot_x, robot_y, params.constraint_cost
     )
@@ -288,7 +289,7 @@ def decide(situation: Situation, valuation: Valuation, kept: Waypoint | None = N
         waypoint_y=y,
         kind=kind,
         is_stop=is_sure & situation.may_stop,
-        is_approach=(kind == OBJECT) & has_goal(goals, x, y, params.reach),
+        is_approach=(kind == OBJECT) & has_goal(goals, x, y, params.reach, view),
         is_not_found=jnp.asarray(False),
         is_kept=is_kept,
         nodes=nodes,

@@ -1,15 +1,25 @@
 """QMDP values of candidate waypoints (section 3.4, eq. 11 and 12)."""
 
+import chex
 import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.planner.goals import Goals
+from jaxlangnav.terrain import OPEN, Eye, Travel, View
 
 
-def values(node_x: Array, node_y: Array, goals: Goals, discount: Array) -> Array:
+def values(
+    node_x: Array,
+    node_y: Array,
+    goals: Goals,
+    discount: Array,
+    travel: Travel = OPEN.travel,
+) -> Array:
     """Compute the expected discounted value of standing at each node.
 
         V(a) = Σ_i Σ_j γ^{d(a, g_ij)} p(β_j | S_i) p(S_i)      (eq. 11, 12)
+
+    d is how far it is to walk.
 
     Limits: γ → 1 gives the total goal mass everywhere; a node on the only goal has value 1.
 
@@ -18,36 +28,40 @@ def values(node_x: Array, node_y: Array, goals: Goals, discount: Array) -> Array
         node_y: f32[A], metres.
         goals: weighed goals.
         discount: f32[], γ per metre, in (0, 1).
+        travel: how far it is from place to place.
 
     Returns:
         f32[A].
     """
+    chex.assert_rank([node_x, node_y, discount], [1, 1, 0])
+    chex.assert_equal_shape([goals.object_x, goals.object_y, goals.object_mass])
+    chex.assert_equal_shape([goals.hypothesis_x, goals.hypothesis_y, goals.hypothesis_mass])
     x = jnp.concatenate([goals.object_x, goals.hypothesis_x])
     y = jnp.concatenate([goals.object_y, goals.hypothesis_y])
     mass = jnp.concatenate([goals.object_mass, goals.hypothesis_mass])
-    distance = jnp.sqrt(
-        (node_x[:, None] - x[None, :]) ** 2 + (node_y[:, None] - y[None, :]) ** 2 + 1e-9
-    )
+    distance = travel.metres(node_x[:, None], node_y[:, None], x[None, :], y[None, :])
     return jnp.sum(mass[None, :] * jnp.exp(jnp.log(discount) * distance), axis=1)
 
 
-def mass_within(x: Array, y: Array, goals: Goals, radius: Array) -> tuple[Array, Array]:
-    """Compute the goal probability within a radius of a place.
+def mass_within(
+    x: Array, y: Array, goals: Goals, radius: Array, view: View = OPEN.view
+) -> tuple[Array, Array]:
+    """Compute the goal probability within a radius of a place, and in view from there.
 
     Args:
         x: f32[], metres, map frame.
         y: f32[], metres.
         goals: weighed goals.
         radius: f32[], metres.
+        view: what can be seen; a thing behind a wall has not been reached.
 
     Returns:
         f32[], the probability that the goal, or an object that fits as well, is there; and f32[],
         the same for the best confirmed object alone.
     """
-    near = (goals.object_x - x) ** 2 + (goals.object_y - y) ** 2 <= radius * radius
-    near_hypothesis = (goals.hypothesis_x - x) ** 2 + (goals.hypothesis_y - y) ** 2 <= (
-        radius * radius
-    )
+    eye = Eye(x, y, radius)
+    near = view.sees(eye, goals.object_x, goals.object_y)
+    near_hypothesis = view.sees(eye, goals.hypothesis_x, goals.hypothesis_y)
     confirmed = jnp.max(jnp.where(near, goals.object_confirmed, 0.0))
     accepted = jnp.max(jnp.where(near, goals.object_accepted, 0.0))
     shared = jnp.sum(jnp.where(near, goals.object_mass, 0.0)) + jnp.sum(

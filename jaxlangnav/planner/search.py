@@ -12,6 +12,7 @@ from jaxlangnav.numerics.batching import once
 from jaxlangnav.planner import prior
 from jaxlangnav.pytree import pytree
 from jaxlangnav.semantic_map.belief import ParticleBelief
+from jaxlangnav.terrain import OPEN, Eye, Terrain
 
 CELLS = 12
 """Cells of the search map a side; must divide the cells of the coverage."""
@@ -34,6 +35,7 @@ class SearchMap:
     partner_x: Array  # f32[C] metres: where the other one of a free pair then is; else as x
     partner_y: Array  # f32[C]
     unseen: Array  # f32[] probability that what is there to be found would still be unseen
+    terrain: Terrain = OPEN  # how far one sees and walks there
 
     @property
     def mass(self) -> Array:
@@ -140,6 +142,7 @@ def search_map(belief: ParticleBelief, prior_share: Array) -> SearchMap:
         partner_x=belief.viewer[0] + scale * (x - belief.viewer[0]),
         partner_y=belief.viewer[1] + scale * (y - belief.viewer[1]),
         unseen=_unseen(belief, hung_at, prior_share),
+        terrain=belief.terrain,
     )
 
 
@@ -148,7 +151,5 @@ def visibility(
 ) -> Array:
     """Compute which share of each cell comes into view at each viewpoint, f32[A, C]."""
     softness = 0.5 * (area[1] - area[0] + area[3] - area[2]) / CELLS
-    offset_x = view_x[:, None] - search.x[None, :]
-    offset_y = view_y[:, None] - search.y[None, :]
-    squared = offset_x * offset_x + offset_y * offset_y
-    return jnp.clip((range_max - jnp.sqrt(squared + 1e-9)) / softness + 0.5, 0.0, 1.0)
+    eye = Eye(view_x[:, None], view_y[:, None], range_max)
+    return search.terrain.view.share(eye, search.x[None, :], search.y[None, :], softness)

@@ -15,6 +15,7 @@ turn a stretch round. The tour is kept from step to step, so the search goes on 
 on its way; and as the tour under way is among the candidates, it is left only for a shorter one.
 """
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -24,6 +25,8 @@ from jaxlangnav.numerics import batching
 from jaxlangnav.numerics.batching import once
 from jaxlangnav.planner.search import SearchMap, viewpoints, visibility
 from jaxlangnav.pytree import pytree
+from jaxlangnav.terrain import OPEN, Terrain
+from jaxlangnav.terrain.view import NEVER, Stretch
 
 NUM_STOPS = 6
 """K, stops of a tour."""
@@ -38,7 +41,6 @@ MARGIN = 0.5
 looks are a step apart, and a look may miss."""
 _ARRIVAL = 0.5
 """Metres from a stop that count as having been there."""
-_NEVER = 1e9
 _MOVE, _MOVE_FAR, _INSERT, _REVERSE, _REMOVE = range(5)
 
 
@@ -104,11 +106,18 @@ def advance(tour: Tour, robot_x: Array, robot_y: Array) -> Tour:
 
 
 def first_sight(
-    tours: Tour, x: Array, y: Array, robot_x: Array, robot_y: Array, radius: Array
+    tours: Tour,
+    x: Array,
+    y: Array,
+    robot_x: Array,
+    robot_y: Array,
+    radius: Array,
+    *,
+    terrain: Terrain = OPEN,
 ) -> tuple[Array, Array]:
-    """Compute after how many metres each tour first comes within a radius of each place.
+    """Compute after how many metres each tour first comes in sight of each place.
 
-    Limits: 0 for a place already within the radius; 10⁹ for one that is never.
+    Limits: 0 for a place already in sight; ``NEVER`` or more for one that never is.
 
     Args:
         tours: leaves [T, K].
@@ -116,7 +125,8 @@ def first_sight(
         y: f32[C].
         robot_x: f32[], where the tours start.
         robot_y: f32[].
-        radius: f32[], metres.
+        radius: f32[], metres, how far one sees.
+        terrain: what can be seen, and how far it is to walk.
 
     Returns:
         f32[T, C] metres; f32[T] metres, whole length of each tour.
@@ -124,19 +134,12 @@ def first_sight(
     start = jnp.ones_like(tours.x[:, :1])
     from_x = jnp.concatenate([robot_x * start, tours.x[:, :-1]], axis=1)
     from_y = jnp.concatenate([robot_y * start, tours.y[:, :-1]], axis=1)
-    span_x, span_y = tours.x - from_x, tours.y - from_y
-    length = jnp.sqrt(span_x * span_x + span_y * span_y + 1e-12)
+    length = terrain.travel.metres(from_x, from_y, tours.x, tours.y)
     walked = jnp.cumsum(length, axis=1)
     # All stretches of all tours against all places, [T, K, C].
-    offset_x = x[None, None] - from_x[:, :, None]
-    offset_y = y[None, None] - from_y[:, :, None]
-    unit_x, unit_y = span_x / length, span_y / length
-    along = offset_x * unit_x[:, :, None] + offset_y * unit_y[:, :, None]
-    aside = offset_x * offset_x + offset_y * offset_y - along * along
-    half = jnp.sqrt(jnp.maximum(radius * radius - aside, 0.0))
-    enter = jnp.maximum(along - half, 0.0)
-    is_seen = (aside < radius * radius) & (along + half > 0.0) & (enter < length[:, :, None])
-    met = jnp.where(is_seen, (walked - length)[:, :, None] + enter, _NEVER)
+    stretch = Stretch(from_x, from_y, tours.x, tours.y)
+    enter = terrain.travel.first_sight(terrain.view, stretch, x, y, radius)
+    met = (walked - length)[:, :, None] + enter
     first = met[:, 0]
     for stop in range(1, met.shape[1]):  # a reduction over a middle axis is not vectorised
         first = jnp.minimum(first, met[:, stop])
@@ -162,23 +165,26 @@ def latency(
     radius = jnp.maximum(range_max - MARGIN, 0.5 * range_max)
     places_x = jnp.concatenate([search.x, search.partner_x])
     places_y = jnp.concatenate([search.y, search.partner_y])
-    sight, walked = first_sight(tours, places_x, places_y, robot_x, robot_y, radius)
+    sight, walked = first_sight(
+        tours, places_x, places_y, robot_x, robot_y, radius, terrain=search.terrain
+    )
     hung, partner = jnp.split(sight, 2, axis=1)
     free = jnp.minimum(hung, partner)
-    last_x, last_y = tours.x[:, -1:], tours.y[:, -1:]
-    away = jnp.sqrt((search.x[None] - last_x) ** 2 + (search.y[None] - last_y) ** 2 + 1e-9)
+    away = search.terrain.travel.metres(
+        tours.x[:, -1:], tours.y[:, -1:], search.x[None], search.y[None]
+    )
     mass = search.mass
-    is_left = (free >= _NEVER) & (mass > 0.1 * jnp.mean(mass))[None, :]
+    is_left = (free >= NEVER) & (mass > 0.1 * jnp.mean(mass))[None, :]
     cell = (area[1] - area[0]) * (area[3] - area[2]) / mass.shape[0]
     sweep = jnp.sum(is_left, axis=1) * cell / (4.0 * range_max)
     rest = (walked + sweep)[:, None] + away
     total = jnp.sum(
-        search.free[None, :] * jnp.where(free < _NEVER, free, rest)
-        + search.hung[None, :] * jnp.where(hung < _NEVER, hung, rest),
+        search.free[None, :] * jnp.where(free < NEVER, free, rest)
+        + search.hung[None, :] * jnp.where(hung < NEVER, hung, rest),
         axis=1,
     )
     return total + jnp.where(
-        _is_underfoot(tours.x[:, 0], tours.y[:, 0], robot_x, robot_y), _NEVER, 0.0
+        _is_underfoot(tours.x[:, 0], tours.y[:, 0], robot_x, robot_y), NEVER, 0.0
     )
 
 
@@ -199,10 +205,9 @@ def greedy(
     """
     view_x, view_y = viewpoints(area)
     sees = visibility(view_x, view_y, search, range_max, area)
-    between = jnp.sqrt(
-        (view_x[:, None] - view_x[None, :]) ** 2 + (view_y[:, None] - view_y[None, :]) ** 2 + 1e-9
-    )
-    distance = jnp.sqrt((view_x - robot_x) ** 2 + (view_y - robot_y) ** 2 + 1e-9)
+    metres = search.terrain.travel.metres
+    between = metres(view_x[:, None], view_y[:, None], view_x[None, :], view_y[None, :])
+    distance = metres(robot_x, robot_y, view_x, view_y)
     # A metre is added to each way: what can be had for nothing is not worth all.
     _, first = jax.lax.top_k((sees @ search.mass) / (distance + 1.0), NUM_GREEDY)
 
@@ -289,6 +294,10 @@ def plan(
     Returns:
         The candidates and what each of them costs.
     """
+    chex.assert_shape([tour.x, tour.y, area], [(NUM_STOPS,), (NUM_STOPS,), (4,)])
+    chex.assert_equal_shape([search.x, search.y, search.free, search.hung, search.partner_x])
+    chex.assert_rank([robot_x, robot_y, range_max], 0)
+    chex.assert_type([tour.x, search.free, area], float)
     here = advance(advance(tour, robot_x, robot_y), robot_x, robot_y)
     drafts = _join(
         Tour(x=here.x[None], y=here.y[None]), greedy(search, robot_x, robot_y, range_max, area)

@@ -1,33 +1,88 @@
-"""Whether a relation holds, and how strongly, between things whose places are known."""
+"""Whether a relation holds, how strongly, and who is the n-th: the only place, host and device."""
 
 import math
+from typing import TypeVar
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
 from jaxlangnav.messages import FAR, LEFT, NEAR, RIGHT
 from jaxlangnav.relations.frames import Frame, robot_frame, viewer_frame
-from jaxlangnav.relations.table import AXIS, SIDES
+from jaxlangnav.relations.table import AXIS, NUM_RANKS, ORDERS, SIDES
+
+Values = TypeVar("Values", Array, np.ndarray)
 
 _HOLDS_MIN_COSINE = 0.7071  # within 45 degrees of the axis
 _HOLDS_MAX_DISTANCE = 5.0  # metres; "far" begins where the others end
 
 
-def degree(relation: Array, distance: Array, sideways: Array) -> Array:
-    """Measure how much relations hold, to find the extreme, the second, ...: larger is more so.
+def degree_of(relation: int, distance: Values, sideways: Values) -> Values:
+    """Measure how much one relation holds, to find the extreme, the second, ...: larger is more so.
+
+    The only place: host and device, NumPy and JAX.
 
     Args:
-        relation: i32[...], relation index.
-        distance: f32[...], metres from the landmark.
-        sideways: f32[...], metres to the robot's left of the landmark.
+        relation: relation index.
+        distance: f[...], metres from the landmark.
+        sideways: f[...], metres to the robot's left of the landmark.
 
     Returns:
-        f32[...], metres: "leftmost" is furthest to the left, "far" furthest, all others nearest.
+        f[...], metres: "leftmost" is furthest to the left, "far" furthest, all others nearest.
     """
-    held = jnp.where(relation == FAR, distance, -distance)
-    held = jnp.where(relation == LEFT, sideways, held)
-    return jnp.where(relation == RIGHT, -sideways, held)
+    if relation == FAR:
+        return distance
+    if relation == LEFT:
+        return sideways
+    return -sideways if relation == RIGHT else -distance
+
+
+def degree(relation: Array, distance: Array, sideways: Array) -> Array:
+    """Measure ``degree_of`` relations that differ from entry to entry, i32[...] indices."""
+    held = degree_of(NEAR, distance, sideways)
+    for one in ORDERS:
+        if one != NEAR:
+            held = jnp.where(relation == one, degree_of(one, distance, sideways), held)
+    return held
+
+
+def sign_of_distance(relation: Array) -> Array:
+    """Tell whether by a relation the nearer or the farther comes first, f32[...] 1 or −1."""
+    return jnp.where(relation == FAR, -1.0, 1.0)
+
+
+def num_before(strength: np.ndarray, is_rival: np.ndarray) -> np.ndarray:
+    """Count who comes before each figure (host only): none before the first, one before the second.
+
+    Args:
+        strength: f[..., n], of ``degree_of``, figures last.
+        is_rival: bool[..., n, n], figure and who is compared with it; broadcastable.
+
+    Returns:
+        i[..., n].
+    """
+    beats = strength[..., None, :] > strength[..., :, None]
+    return (beats & is_rival).sum(-1)
+
+
+def value_of_rank(rank: Array, values: Array, *, tie: float) -> Array:
+    """Find the rank-th smallest over the first axis; ∞ where there are fewer, or the rank is more.
+
+    Args:
+        rank: i32[...], 1 is the first, of at most ``NUM_RANKS``.
+        values: f32[n, ...], smaller comes before; ∞ for who does not count.
+        tie: values no farther apart are one.
+
+    Returns:
+        f32[...].
+    """
+    last = jnp.full(values.shape[1:], -jnp.inf)
+    found = last
+    for place in range(1, NUM_RANKS + 1):
+        last = jnp.min(jnp.where(values > last[None] + tie, values, jnp.inf), axis=0)
+        found = jnp.where(rank == place, last, found)
+    return jnp.where(rank > NUM_RANKS, jnp.inf, found)
 
 
 def is_on_side(relation: Array, offset_x: Array, offset_y: Array, robot: Frame) -> Array:

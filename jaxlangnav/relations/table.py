@@ -13,6 +13,10 @@ SIDES = (FRONT, BEHIND, LEFT, RIGHT)
 AXIS = {FRONT: math.pi, BEHIND: 0.0, LEFT: math.pi / 2, RIGHT: -math.pi / 2, NEAR: 0.0, FAR: 0.0}
 """Radians from the frame's ``along``, counter-clockwise: behind is further along the line of sight.
 "Near" and "far" lie all round, and have none."""
+ORDERS = (LEFT, RIGHT, NEAR, FAR)
+"""Relations by which things are ordered: "leftmost", "the second on your right", "nearest"."""
+NUM_RANKS = 4
+"""Ranks that can be told: nearest (first), second, third, fourth."""
 
 
 @pytree

@@ -16,8 +16,9 @@ from jaxlangnav.messages import NONE, SensorParams
 from jaxlangnav.numerics import categorical, gaussian
 from jaxlangnav.numerics.batching import column, pick
 from jaxlangnav.pytree import replace
-from jaxlangnav.semantic_map.coverage import share_in_view
 from jaxlangnav.semantic_map.particle import SemanticMap, positions
+from jaxlangnav.terrain import View
+from jaxlangnav.terrain.view import eye_of
 
 LOG_SURPRISE = -30.0
 """Least log-weight of a detection where nothing can be: surprised, never dead."""
@@ -171,6 +172,7 @@ def log_absence(
     heading: Array,
     softness: Array,
     sensor: SensorParams,
+    view: View,
 ) -> tuple[Array, Array]:
     """Weigh what was not seen: negative observations (eq. 8).
 
@@ -182,19 +184,15 @@ def log_absence(
         heading: f32[], radians.
         softness: f32[], metres over which an object's position is uncertain.
         sensor: range, field of view, detection probability.
+        view: what can be seen in this place.
 
     Returns:
         f32[...] for observed objects, and f32[M, ...] for each hypothesis (0 where there is none).
     """
     num_objects = particle.object_type.shape[0]
     x, y = positions(particle)
-    in_view = share_in_view(
-        x - particle.mean_x[num_objects:],
-        y - particle.mean_y[num_objects:],
-        heading,
-        softness,
-        sensor,
-    )
+    robot_x, robot_y = particle.mean_x[num_objects:], particle.mean_y[num_objects:]
+    in_view = view.share(eye_of(robot_x, robot_y, heading, sensor), x, y, softness)
     probability = jnp.minimum(sensor.detection_probability, 0.999)
     is_missed = jnp.concatenate([particle.is_observed & ~is_hit, particle.is_hypothesised])
     log_missed = jnp.where(is_missed, jnp.log1p(-probability * in_view), 0.0)

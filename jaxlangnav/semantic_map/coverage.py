@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.messages import SensorParams
 from jaxlangnav.numerics.batching import lead
 from jaxlangnav.pytree import pytree
+from jaxlangnav.terrain import Eye, View
 
 LOG_MISS_FLOOR = -30.0
 _GOLDEN = 0.6180339887
@@ -63,60 +63,23 @@ def area_size(coverage: Coverage) -> Array:
     return side_x * side_y
 
 
-def share_in_view(
-    offset_x: Array, offset_y: Array, heading: Array, softness: Array, sensor: SensorParams
-) -> Array:
-    """Compute which share of something spread over ``softness`` metres is in the field of view.
-
-    Limits: 1 well inside, 0 well outside, and the 0/1 test as softness → 0.
-
-    Args:
-        offset_x: f32[...], position relative to the robot, metres, map axes.
-        offset_y: f32[...], metres.
-        heading: f32[], radians.
-        softness: f32[] or broadcastable, metres, > 0.
-        sensor: range and field of view.
-
-    Returns:
-        f32[...] in [0, 1].
-    """
-    distance = jnp.sqrt(offset_x * offset_x + offset_y * offset_y + 1e-9)
-    in_range = jnp.clip((sensor.range_max - distance) / softness + 0.5, 0.0, 1.0)
-    # Half-angle test by cosine, so that no arc tangent is needed; all-round views always pass.
-    half = jnp.minimum(0.5 * sensor.field_of_view, jnp.pi)
-    ahead = offset_x * jnp.cos(heading) + offset_y * jnp.sin(heading)
-    margin = ahead - distance * jnp.cos(half)
-    in_angle = jnp.clip(margin / softness + 0.5, 0.0, 1.0)
-    return in_range * jnp.where(half >= jnp.pi - 1e-4, 1.0, in_angle)
-
-
-def look(
-    coverage: Coverage, robot_x: Array, robot_y: Array, heading: Array, sensor: SensorParams
-) -> Coverage:
+def look(coverage: Coverage, eye: Eye, detection_probability: Array, view: View) -> Coverage:
     """Enter one look at the surroundings: cells in view are missed with probability 1 − p_d.
 
     Args:
         coverage: before the look.
-        robot_x: f32[], metres, map frame.
-        robot_y: f32[], metres.
-        heading: f32[], radians.
-        sensor: range, field of view and detection probability.
+        eye: where the robot is, f32[], and how far and wide it looks.
+        detection_probability: f32[], p_d.
+        view: what can be seen in this place.
 
     Returns:
         Coverage after the look.
     """
     centre_x, centre_y = cell_centres(coverage)
     size_x, size_y = cell_size(coverage)
-    share = share_in_view(
-        centre_x[None, :] - robot_x,
-        centre_y[:, None] - robot_y,
-        heading,
-        0.5 * (size_x + size_y),
-        sensor,
-    )
-    log_miss = coverage.log_miss + jnp.log1p(
-        -jnp.minimum(sensor.detection_probability, 0.999) * share
-    )
+    softness = 0.5 * (size_x + size_y)
+    share = view.share(eye, centre_x[None, :], centre_y[:, None], softness)
+    log_miss = coverage.log_miss + jnp.log1p(-jnp.minimum(detection_probability, 0.999) * share)
     return Coverage(log_miss=jnp.maximum(log_miss, LOG_MISS_FLOOR), area=coverage.area)
 
 

@@ -12,13 +12,14 @@ refuted all are replaced, which is how the filter revives.
 
 from typing import NamedTuple
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
 from jaxlangnav.grounding.program import NUM_TYPES
-from jaxlangnav.messages import Fault, Observation, Readings
+from jaxlangnav.messages import Fault, Observation, Readings, assert_observation
 from jaxlangnav.numerics import batching, categorical
 from jaxlangnav.numerics.batching import take
 from jaxlangnav.numerics.resampling import effective_sample_size, independent, systematic
@@ -32,6 +33,8 @@ from jaxlangnav.semantic_map.regrounding import ground_words
 from jaxlangnav.semantic_map.soundness import sound_look, sound_place
 from jaxlangnav.semantic_map.surprise import CONTRADICTION, surprise
 from jaxlangnav.sensing import MIN_NOISE
+from jaxlangnav.terrain import OPEN, Terrain
+from jaxlangnav.terrain.view import eye_of
 
 _ASKED = 16
 """Particles that ground the words at every step, whatever happens: enough to tell the mean of the
@@ -54,7 +57,13 @@ class FilterInfo:
 
 
 def start(
-    pose: Array, area: Array, num_mentions: int, config: MapConfig, *, num_types: int = NUM_TYPES
+    pose: Array,
+    area: Array,
+    num_mentions: int,
+    config: MapConfig,
+    *,
+    num_types: int = NUM_TYPES,
+    terrain: Terrain = OPEN,
 ) -> ParticleBelief:
     """Build the belief of a robot that has seen nothing.
 
@@ -66,6 +75,7 @@ def start(
         num_mentions: M, capacity for mentions.
         config: sizes.
         num_types: object types that a detection may name.
+        terrain: how far one sees and walks in the area.
 
     Returns:
         The belief; words are grounded at the first step.
@@ -79,6 +89,7 @@ def start(
         ),
         log_weight=jnp.full(number, -jnp.log(float(number)), jnp.float32),
         coverage=unexplored(area, config.num_cells),
+        terrain=terrain,
         last_pose=pose,
         doubted_pose=pose,
         is_placed=is_placed,
@@ -176,9 +187,11 @@ def observe(
     particles = association.condition(belief.particles, grounded, noise_variance)
     belief = replace(belief, particles=particles)
     robot_x, robot_y = robot_position(belief)
-    coverage = look(belief.coverage, robot_x, robot_y, heading, sensor)
+    view, softness = belief.terrain.view, 2.5 * params.kernel + 1e-3
+    eye = eye_of(robot_x, robot_y, heading, sensor)
+    coverage = look(belief.coverage, eye, sensor.detection_probability, view)
     log_objects, log_hypotheses = association.log_absence(
-        particles, grounded.is_hit, heading, 2.5 * params.kernel + 1e-3, sensor
+        particles, grounded.is_hit, heading, softness, sensor, view
     )
     log_map = grounded.log_weight + log_objects
     log_new = jnp.log(params.concentration) - jnp.log(area_size(coverage))
@@ -295,6 +308,11 @@ def step(
     Returns:
         The belief now, and information on the step.
     """
+    assert_observation(observation)
+    chex.assert_rank([belief.log_weight, readings.log_probability], 1)
+    chex.assert_shape([belief.last_pose, belief.viewer], (3,))
+    chex.assert_equal_shape([readings.figure, readings.relation, readings.landmark, readings.rank])
+    chex.assert_type([belief.log_weight, readings.mention_type], [float, int])
     number, was_told = belief.log_weight.shape[0], belief.must_ground
     num_detections = observation.detection_type.shape[0]
     keys = jax.random.split(key, 4)

@@ -15,9 +15,9 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.messages import FAR
 from jaxlangnav.numerics.batching import apart, lead
 from jaxlangnav.relations import degree, is_on_side, robot_frame
+from jaxlangnav.relations.strength import sign_of_distance, value_of_rank
 from jaxlangnav.semantic_map.candidates import Draws, Pairs, Scene, Seen
 from jaxlangnav.semantic_map.params import MapParams
 from jaxlangnav.semantic_map.said import FIGURE, Said
@@ -28,7 +28,6 @@ _LEAST_SHARE = 0.1
 """Share of the unseen that may come before or after where neither of few draws does."""
 _OFF_SIDE = 1e-3
 """Weight of a figure that is not on the side where it is said to be."""
-NUM_RANKS = 4
 PLURAL = 10.0
 """Who says "the second" or "the rightmost" speaks of several: so much likelier are unseen ones."""
 
@@ -84,7 +83,7 @@ def log_rank(
 
 def _excess(said: Said, pairs: Pairs, seen: Seen, num_known: int) -> Array:
     """Measure by how many metres the figure is beaten by a seen thing of its type, f32[n, ...]."""
-    sign = jnp.where(said.relation == FAR, -1.0, 1.0)[None]
+    sign = sign_of_distance(said.relation)[None]
 
     def merit(dx: Array, dy: Array) -> Array:
         return lead(sign, dx.ndim) * (dx * dx + dy * dy + 1e-9)
@@ -114,7 +113,8 @@ def _log_order(
     is_kind = seen.object_type == said.kind[FIGURE][None]
     is_rival = counts[:num_seen] & apart(is_kind, rival.ndim)
     rank = said.rank[None]
-    excess = jnp.maximum(own - _of_rank(rank, jnp.where(is_rival, rival, jnp.inf)), 0.0)
+    meant = value_of_rank(rank, jnp.where(is_rival, rival, jnp.inf), tie=_TIE)
+    excess = jnp.maximum(own - meant, 0.0)
 
     before = jnp.sum(is_rival & (rival < own[None] - _TIE), axis=0)
     is_alone = ~jnp.any(is_rival & (jnp.abs(rival - own[None]) > _TIE), axis=0) & (rank == 1)
@@ -147,13 +147,3 @@ def _is_where_said(said: Said, scene: Scene, x: Array, y: Array) -> Array:
     side = apart(said.sides, x.ndim + 1)
     holds = is_on_side(side, (x - viewer_x)[None], (y - viewer_y)[None], robot)
     return functools.reduce(jnp.logical_and, jnp.unstack(holds))
-
-
-def _of_rank(rank: Array, rival: Array) -> Array:
-    """Find the rank-th smallest over the first axis; ∞ where there are fewer."""
-    last = jnp.full(rival.shape[1:], -jnp.inf)
-    found = last
-    for place in range(1, NUM_RANKS + 1):
-        last = jnp.min(jnp.where(rival > last[None] + _TIE, rival, jnp.inf), axis=0)
-        found = jnp.where(rank == place, last, found)
-    return jnp.where(rank > NUM_RANKS, jnp.inf, found)

@@ -24,6 +24,7 @@ from jaxlangnav.messages import NONE, Fault, Observation, SensorParams, default_
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.sensing import DEVIATIONS, MIN_NOISE, RANGES, TURNS, VIEWS
+from jaxlangnav.terrain.view import beyond
 
 SIDES = (0.1, 1e4)
 """Metres, shortest and longest side of an operating area."""
@@ -122,13 +123,11 @@ def _is_detectable(observation: Observation, num_types: Array) -> Array:
     sensor, metres = observation.sensor, observation.detection_range
     bearing = observation.detection_bearing
     slack = DEVIATIONS * sensor.noise + MIN_NOISE
-    turned = jnp.abs(bearing - 2.0 * jnp.pi * jnp.round(bearing / (2.0 * jnp.pi)))
-    beyond = jnp.clip(turned - 0.5 * sensor.field_of_view, 0.0, 0.5 * jnp.pi)
     return (
         _is_between(observation.detection_type, 0, num_types - 1)
-        & _is_between(metres, 0.0, sensor.range_max + slack)
         & _is_between(bearing, -TURNS, TURNS)
-        & (metres * jnp.sin(beyond) <= slack)
+        & (metres >= 0.0)
+        & (beyond(metres, bearing, sensor.range_max, sensor.field_of_view) <= slack)
     )
 
 

@@ -26,7 +26,7 @@ from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, navigator_config
 from jaxlangnav.experiments.sentences import SENTENCES, GroundedSentences
 from jaxlangnav.experiments.tasks import Cell, cell, concatenate
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.messages import FAR, NONE, ROBOT, Readings
+from jaxlangnav.messages import NONE, ROBOT, Readings
 from jaxlangnav.navigator import NavigatorParams, default_params
 from jaxlangnav.relations import (
     SIDE_CONCENTRATION,
@@ -36,6 +36,7 @@ from jaxlangnav.relations import (
     to_map,
     viewer_frame,
 )
+from jaxlangnav.relations.strength import sign_of_distance
 from jaxlangnav.semantic_map.params import MapParams
 from jaxlangnav.world.state import Scenario
 
@@ -185,7 +186,7 @@ def _log_fit(
         is_robot = readings.mention_type[reading, landmark] == ROBOT
         from_x = jnp.where(is_robot, start[0], x[landmark])
         from_y = jnp.where(is_robot, start[1], y[landmark])
-        sign = jnp.where(readings.relation[reading, index] == FAR, -1.0, 1.0)
+        sign = sign_of_distance(readings.relation[reading, index])
         gap = sign * jnp.hypot(x - from_x, y - from_y)
         is_rival = is_object & (types == types[figure]) & (jnp.arange(x.shape[0]) != landmark)
         excess = gap[figure] - jnp.min(jnp.where(is_rival, gap, gap[figure]))

@@ -17,7 +17,6 @@ from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.messages import Observation
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, NavigatorState
 from jaxlangnav.pytree import pytree, replace
-from jaxlangnav.world.motion import move
 from jaxlangnav.world.sensor import sense
 
 FAULTS = ("none", "zero weights", "NaN", "contradiction", "more objects than slots")
@@ -115,7 +114,7 @@ def run_provoked(
         after = replace(
             progress,
             navigator=state,
-            world=move(keys[2], progress.world, action, task.motion),
+            world=task.body.move(keys[2], progress.world, action, task.motion),
             steps=step + 1,
             **count(progress, info),
         )

@@ -1,15 +1,47 @@
 """Simulated motion and odometry (the odometry stream u of eq. 1 and 6).
 
-The robot makes for the step it is asked for; where it truly ends differs from its odometry by
-Gaussian noise in proportion to the way. A compass gives the heading, so that is known.
+A ``Body`` carries out the step that is asked for as well as it can. Where it truly ends differs
+from its odometry by Gaussian noise in proportion to the way. A compass gives the heading, so that
+is known.
 """
+
+from typing import Protocol
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.messages import Action, MotionParams
+from jaxlangnav.pytree import pytree
 from jaxlangnav.world.state import WorldState
+
+
+class Body(Protocol):
+    """How a pose changes with a command, and what odometry says of it: a record (``@pytree``).
+
+    A body never goes further in a cycle than ``step_length`` times the action's speed: the belief
+    takes what goes further for a jump.
+    """
+
+    def move(
+        self, key: Array, state: WorldState, action: Action, motion: MotionParams
+    ) -> WorldState:
+        """Carry out one decision cycle's step; see ``motion.move`` for the holonomic one."""
+        ...
+
+
+@pytree
+class Holonomic:
+    """Goes anywhere from where it stands, and looks where it goes."""
+
+    def move(
+        self, key: Array, state: WorldState, action: Action, motion: MotionParams
+    ) -> WorldState:
+        """Carry out one decision cycle's step, see ``move``."""
+        return move(key, state, action, motion)
+
+
+HOLONOMIC = Holonomic()
 
 
 def move(key: Array, state: WorldState, action: Action, motion: MotionParams) -> WorldState:

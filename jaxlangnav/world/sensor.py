@@ -2,15 +2,18 @@
 
 Each object within range and field of view is detected with a fixed probability. Its relative
 position in the robot's frame gets isotropic Gaussian noise and is reported as range and bearing.
-There are no false detections and no occlusion; type is always right (section 3.2).
+There are no false detections; type is always right (section 3.2). What the place itself hides is
+the business of its ``terrain``.
 """
 
+import chex
 import jax
 import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.messages import NONE, Observation, SensorParams
 from jaxlangnav.numerics import batching
+from jaxlangnav.terrain.view import eye_of
 from jaxlangnav.world.state import Scenario, WorldState
 
 NUM_DETECTIONS = 8
@@ -40,6 +43,8 @@ def sense(
     Returns:
         The observation, its pose by dead reckoning.
     """
+    chex.assert_shape([state.position, state.odometry], [(2,), (3,)])
+    chex.assert_equal_shape([scenario.object_x, scenario.object_y, scenario.is_object])
     x, y, is_visible = visible(state, scenario, sensor)
     miss, noise = batching.uniforms(jax.random.split(key), 2 * x.size)
     is_found = is_visible & (miss[: x.size] < sensor.detection_probability)
@@ -62,7 +67,7 @@ def sense(
 def visible(
     state: WorldState, scenario: Scenario, sensor: SensorParams
 ) -> tuple[Array, Array, Array]:
-    """Find which objects are within range and field of view (both bounds inclusive).
+    """Find which objects are in view: in range, in the field of view, and not hidden.
 
     Args:
         state: the robot.
@@ -76,7 +81,6 @@ def visible(
     dy = scenario.object_y - state.position[1]
     cosine, sine = jnp.cos(state.heading), jnp.sin(state.heading)
     x, y = cosine * dx + sine * dy, cosine * dy - sine * dx
-    # A microradian of slack: an all-round view must include what is exactly behind.
-    is_ahead = jnp.abs(jnp.arctan2(y, x)) <= 0.5 * sensor.field_of_view + 1e-6
-    is_near = jnp.hypot(x, y) <= sensor.range_max
-    return x, y, scenario.is_object & is_ahead & is_near
+    eye = eye_of(state.position[0], state.position[1], state.heading, sensor)
+    in_view = scenario.terrain.view.sees(eye, scenario.object_x, scenario.object_y)
+    return x, y, scenario.is_object & in_view

@@ -6,6 +6,7 @@ Axis letters: **O** object slots of a world (eight by default), **E** episodes i
 from jax import Array
 
 from jaxlangnav.pytree import pytree
+from jaxlangnav.terrain import OPEN, Terrain
 
 HYDRANT, CONE = 0, 1
 """Type indices, by the lexicon's order, of the two types that the templates of Table 2 place."""
@@ -24,6 +25,7 @@ class Scenario:
     start: Array  # f32[3] x, y metres, heading radians
     area: Array  # f32[4] x_min, x_max, y_min, y_max metres: the operating area, known to all
     is_valid: Array  # bool[] the law of the template was met; False: count it, do not use it
+    terrain: Terrain = OPEN  # what hides things there and what is in the way, known to all as well
 
 
 @pytree

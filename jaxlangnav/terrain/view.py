@@ -1,0 +1,162 @@
+"""What is in view: the one test (sections 3.2 and 4.2), for the sensor, the belief and the planner.
+
+A detector sees as far as its range and within its opening angle; what the place does to that is a
+``View``. In the open field nothing stands in the way; ``walls.Walls`` hide what is behind them.
+"""
+
+from typing import NamedTuple, Protocol
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxlangnav.messages import SensorParams
+from jaxlangnav.pytree import pytree
+
+NEVER = 1e9
+"""Metres after which comes into view what does not."""
+
+
+class Eye(NamedTuple):
+    """Where somebody looks from; metres, radians, map frame."""
+
+    x: Array  # f32[...]
+    y: Array  # f32[...]
+    range_max: Array  # f32[]
+    heading: Array | None = None  # f32[]; None: it turns round, and looks everywhere
+    field_of_view: Array | None = None  # f32[] full opening angle about the heading
+
+
+def eye_of(x: Array, y: Array, heading: Array, sensor: SensorParams) -> Eye:
+    """Put a detector somewhere.
+
+    Args:
+        x: f32[...], metres, map frame.
+        y: f32[...], metres.
+        heading: f32[], radians.
+        sensor: range and field of view.
+
+    Returns:
+        The eye.
+    """
+    return Eye(x, y, sensor.range_max, heading, sensor.field_of_view)
+
+
+class Stretch(NamedTuple):
+    """Straight stretches of a way, metres, map frame."""
+
+    from_x: Array  # f32[...]
+    from_y: Array  # f32[...]
+    to_x: Array  # f32[...]
+    to_y: Array  # f32[...]
+
+
+class View(Protocol):
+    """Which share of a place is seen from a pose: a record that JAX can trace (``@pytree``).
+
+    ``x`` and ``y`` broadcast against the eye's; ``sees`` is the limit of ``share`` as softness → 0.
+    """
+
+    def share(self, eye: Eye, x: Array, y: Array, softness: Array) -> Array:
+        """Compute which share of something spread over metres is in view, f32[...] in [0, 1]."""
+        ...
+
+    def sees(self, eye: Eye, x: Array, y: Array) -> Array:
+        """Tell whether a point is in view, bounds inclusive, bool[...]."""
+        ...
+
+    def first_sight(self, stretch: Stretch, x: Array, y: Array, radius: Array) -> Array:
+        """Compute after how many metres of straight stretches [...] points [C] come into view.
+
+        f32[..., C] metres; ``NEVER`` where they do not.
+        """
+        ...
+
+
+@pytree
+class OpenField:
+    """Nothing stands in the way: range and opening angle alone."""
+
+    def share(self, eye: Eye, x: Array, y: Array, softness: Array) -> Array:
+        """Compute which share of something spread over ``softness`` metres is in view.
+
+        Limits: 1 well inside, 0 well outside, and the 0/1 test as softness → 0.
+
+        Args:
+            eye: where the robot is, and how far and wide it looks.
+            x: f32[...], metres, map frame.
+            y: f32[...], metres.
+            softness: f32[] or broadcastable, metres, > 0.
+
+        Returns:
+            f32[...] in [0, 1].
+        """
+        offset_x, offset_y = x - eye.x, y - eye.y
+        distance = jnp.sqrt(offset_x * offset_x + offset_y * offset_y + 1e-9)
+        in_range = jnp.clip((eye.range_max - distance) / softness + 0.5, 0.0, 1.0)
+        if eye.heading is None or eye.field_of_view is None:
+            return in_range
+        # Half-angle test by cosine, so that no arc tangent is needed; all-round views always pass.
+        half = jnp.minimum(0.5 * eye.field_of_view, jnp.pi)
+        ahead = offset_x * jnp.cos(eye.heading) + offset_y * jnp.sin(eye.heading)
+        margin = ahead - distance * jnp.cos(half)
+        in_angle = jnp.clip(margin / softness + 0.5, 0.0, 1.0)
+        return in_range * jnp.where(half >= jnp.pi - 1e-4, 1.0, in_angle)
+
+    def sees(self, eye: Eye, x: Array, y: Array) -> Array:
+        """Tell whether a point is within range and opening angle, both inclusive, bool[...]."""
+        offset_x, offset_y = x - eye.x, y - eye.y
+        if eye.heading is None or eye.field_of_view is None:
+            return offset_x * offset_x + offset_y * offset_y <= eye.range_max * eye.range_max
+        cosine, sine = jnp.cos(eye.heading), jnp.sin(eye.heading)
+        ahead = cosine * offset_x + sine * offset_y
+        left = cosine * offset_y - sine * offset_x
+        distance, bearing = jnp.hypot(ahead, left), jnp.arctan2(left, ahead)
+        # A microradian of slack: an all-round view must include what is exactly behind.
+        return beyond(distance, bearing, eye.range_max, eye.field_of_view) <= 1e-6 * distance
+
+    def first_sight(self, stretch: Stretch, x: Array, y: Array, radius: Array) -> Array:
+        """Compute after how many metres of stretches points come within a radius.
+
+        Limits: 0 where one already is; ``NEVER`` where it never does.
+
+        Args:
+            stretch: straight stretches, f32[...].
+            x: f32[C], points, metres, map frame.
+            y: f32[C], metres.
+            radius: f32[], metres.
+
+        Returns:
+            f32[..., C], metres.
+        """
+        span_x, span_y = stretch.to_x - stretch.from_x, stretch.to_y - stretch.from_y
+        length = jnp.sqrt(span_x * span_x + span_y * span_y + 1e-12)
+        axes = (1,) * span_x.ndim
+        offset_x = x.reshape(*axes, -1) - stretch.from_x[..., None]
+        offset_y = y.reshape(*axes, -1) - stretch.from_y[..., None]
+        unit_x, unit_y = span_x / length, span_y / length
+        along = offset_x * unit_x[..., None] + offset_y * unit_y[..., None]
+        aside = offset_x * offset_x + offset_y * offset_y - along * along
+        half = jnp.sqrt(jnp.maximum(radius * radius - aside, 0.0))
+        enter = jnp.maximum(along - half, 0.0)
+        is_seen = (aside < radius * radius) & (along + half > 0.0) & (enter < length[..., None])
+        return jnp.where(is_seen, enter, NEVER)
+
+
+def beyond(distance: Array, bearing: Array, range_max: Array, field_of_view: Array) -> Array:
+    """Measure how far out of range or out of the opening angle something is.
+
+    Limits: 0 inside; more than a right angle past the edge, the way to the view is back
+    to the eye.
+
+    Args:
+        distance: f32[...], metres from the eye.
+        bearing: f32[...], radians from the heading, any number of turns.
+        range_max: f32[], metres.
+        field_of_view: f32[], radians, full opening angle.
+
+    Returns:
+        f32[...], metres to the view; NaN of NaN.
+    """
+    turned = jnp.abs(bearing - 2.0 * jnp.pi * jnp.round(bearing / (2.0 * jnp.pi)))
+    past = jnp.clip(turned - 0.5 * field_of_view, 0.0, 0.5 * jnp.pi)
+    return jnp.maximum(distance - range_max, distance * jnp.sin(past))

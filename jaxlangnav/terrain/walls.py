@@ -1,0 +1,120 @@
+"""Walls as straight segments: what is behind one is not in view.
+
+Seen from an eye a wall throws a shadow: the wedge between the lines of sight past its two ends,
+from the wall on. The wedge is convex, so how far outside of it a place lies is the greatest of its
+distances to three lines; a thing spread over some metres comes out of the shadow over as many.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxlangnav.numerics.batching import column
+from jaxlangnav.pytree import pytree
+from jaxlangnav.terrain.view import NEVER, Eye, OpenField, Stretch
+
+NUM_GLANCES = 9
+"""Places along a stretch, both ends included, from which one looks past walls."""
+_CLEAR = 1e6
+"""Metres outside of a shadow that there is none of."""
+
+
+@pytree
+class Walls:
+    """A field with walls in it; W of them, traced: other walls compile nothing."""
+
+    ends: Array  # f32[W, 4] x, y of one end and of the other, metres, map frame
+
+    def share(self, eye: Eye, x: Array, y: Array, softness: Array) -> Array:
+        """Compute which share of something is within the eye's view and behind no wall.
+
+        Limits: without walls, or with none in between, what the open field gives.
+
+        Args:
+            eye: where the robot is, and how far and wide it looks.
+            x: f32[...], metres, map frame.
+            y: f32[...], metres.
+            softness: f32[] or broadcastable, metres, > 0.
+
+        Returns:
+            f32[...] in [0, 1].
+        """
+        past = self._past_shadows(eye, x, y)
+        return OpenField().share(eye, x, y, softness) * jnp.clip(past / softness + 0.5, 0.0, 1.0)
+
+    def sees(self, eye: Eye, x: Array, y: Array) -> Array:
+        """Tell whether a point is within the eye's view and behind no wall, bool[...]."""
+        return OpenField().sees(eye, x, y) & (self._past_shadows(eye, x, y) >= 0.0)
+
+    def first_sight(self, stretch: Stretch, x: Array, y: Array, radius: Array) -> Array:
+        """Compute after how many metres of stretches points come into view past the walls.
+
+        It is looked for from ``NUM_GLANCES`` places along the stretch, so what shows only in
+        between is missed, and the metres are up to one step between glances too many.
+
+        Args:
+            stretch: straight stretches, f32[...].
+            x: f32[C], metres, map frame.
+            y: f32[C], metres.
+            radius: f32[], metres.
+
+        Returns:
+            f32[..., C], metres; ``NEVER`` where they do not.
+        """
+        first = OpenField().first_sight(stretch, x, y, radius)
+        stretch = Stretch(*(end[..., None] for end in stretch))
+        axes = (1,) * (first.ndim - 1)
+        x, y = x.reshape(*axes, -1), y.reshape(*axes, -1)
+        span_x, span_y = stretch.to_x - stretch.from_x, stretch.to_y - stretch.from_y
+        length = jnp.sqrt(span_x * span_x + span_y * span_y + 1e-12)
+        found = jnp.full_like(first, NEVER)
+        for part in np.linspace(1.0, 0.0, NUM_GLANCES):
+            eye = Eye(stretch.from_x + part * span_x, stretch.from_y + part * span_y, radius)
+            found = jnp.where(self.sees(eye, x, y), part * length, found)
+        # Where nothing hides it from the place at which it comes into range, that place counts.
+        share = first / length
+        entry = Eye(stretch.from_x + share * span_x, stretch.from_y + share * span_y, radius)
+        is_clear = (first < NEVER) & (self._past_shadows(entry, x, y) >= 0.0)
+        return jnp.where(is_clear, first, found)
+
+    def is_between(self, from_x: Array, from_y: Array, to_x: Array, to_y: Array) -> Array:
+        """Tell whether a wall stands between two points, bool[...]."""
+        return self._past_shadows(Eye(from_x, from_y, jnp.float32(0.0)), to_x, to_y) < 0.0
+
+    def _past_shadows(self, eye: Eye, x: Array, y: Array) -> Array:
+        """Measure how far outside of all shadows a place lies, metres; negative inside of one."""
+        off_x, off_y = (x - eye.x)[None], (y - eye.y)[None]
+        eye_x, eye_y = jnp.broadcast_to(eye.x, off_x.shape), jnp.broadcast_to(eye.y, off_x.shape)
+        one_x, one_y, other_x, other_y = (column(end, off_x.ndim) for end in self.ends.T)
+        a_x, a_y, b_x, b_y = one_x - eye_x, one_y - eye_y, other_x - eye_x, other_y - eye_y
+        # Left of the line to the one end and right of that to the other, if the wall runs
+        # counter-clockwise about the eye.
+        turn = jnp.where(a_x * b_y - a_y * b_x >= 0.0, 1.0, -1.0)
+        past_one = turn * _left_of(a_x, a_y, off_x, off_y)
+        past_other = -turn * _left_of(b_x, b_y, off_x, off_y)
+        behind = -turn * _left_of(b_x - a_x, b_y - a_y, off_x - a_x, off_y - a_y)
+        inside = jnp.minimum(jnp.minimum(past_one, past_other), behind)
+        return jnp.min(-inside, axis=0, initial=_CLEAR)
+
+
+def _left_of(line_x: Array, line_y: Array, x: Array, y: Array) -> Array:
+    """Measure how far left of a line through the origin a point lies, f32[...] metres."""
+    length = jnp.sqrt(line_x * line_x + line_y * line_y + 1e-12)
+    return (line_x * y - line_y * x) / length
+
+
+def walls(*ends: tuple[float, float, float, float]) -> Walls:
+    """Build walls by hand (host only).
+
+    Args:
+        ends: x, y of one end and of the other, metres, map frame; of each wall.
+
+    Returns:
+        The walls.
+
+    Raises:
+        ValueError: a wall is not four finite numbers.
+    """
+    if not all(len(one) == 4 and np.isfinite(one).all() for one in ends):
+        raise ValueError(f"walls are {ends}, but each must be x, y, x, y, finite, in metres")
+    return Walls(ends=jnp.asarray(np.array(ends, np.float32).reshape(-1, 4)))
