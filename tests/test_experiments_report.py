@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from jaxlangnav.experiments.report import Section, Table, data_uri, render_report, write_html
+from jaxlangnav.experiments.report import Section, data_uri, render_report, write_html
+from jaxlangnav.experiments.table import Table
 
 SVG = '<svg xmlns="http://www.w3.org/2000/svg" width="3" height="2"></svg>'
 

@@ -50,7 +50,7 @@ class Evaluate:
         for beam in self.beams:
             check_at_least("--beams", beam, 1)
         keep_compiled_programs()
-        from jaxlangnav.experiments.table1 import evaluate, render
+        from jaxlangnav.experiments.table1 import evaluate, table
 
         with progress_bar("splits", self.splits) as advance:
             document = evaluate(
@@ -60,5 +60,5 @@ class Evaluate:
                 is_exact=not self.beam_only,
                 on_progress=advance,
             )
-        output.say(render(document))
+        output.say(table(document).text())
         return document

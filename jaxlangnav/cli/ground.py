@@ -12,6 +12,7 @@ from jaxlangnav.cli.metavars import File, Folder, World
 from jaxlangnav.cli.output import Document, Output
 from jaxlangnav.cli.runtime import keep_compiled_programs
 from jaxlangnav.cli.sentence import parse_text
+from jaxlangnav.experiments.table import Table
 
 if TYPE_CHECKING:
     from jaxlangnav.grounding.instruction import Understanding
@@ -113,22 +114,21 @@ def show_annotations(annotations: list[dict[str, Any]], output: Output) -> None:
         annotations: likeliest first.
         output: where to.
     """
-    from rich.table import Table
-
-    table = Table(title="Annotations: what it says of the world", title_justify="left")
-    for heading in ("Figure", "Relation", "Landmark"):
-        table.add_column(heading)
-    table.add_column("Probability", justify="right")
+    rows = []
     for said in annotations:
         relation = said["relation"] or "-"
         extreme = {"near": "nearest", "far": "farthest"}.get(relation, f"most {relation}")
-        table.add_row(
-            said["figure"] or "(the robot itself)",
-            extreme if said["superlative"] else relation,
-            said["landmark"] or "-",
-            f"{said['probability']:.3f}",
+        rows.append(
+            [
+                said["figure"] or "(the robot itself)",
+                extreme if said["superlative"] else relation,
+                said["landmark"] or "-",
+                f"{said['probability']:.3f}",
+            ]
         )
-    output.say(table)
+    title = "Annotations: what it says of the world"
+    headings = ["Figure", "Relation", "Landmark", "Probability"]
+    output.say(Table(headings=headings, rows=rows, title=title).text())
 
 
 def show_behaviors(behaviors: list[dict[str, Any]], world: str, output: Output) -> None:
@@ -139,19 +139,14 @@ def show_behaviors(behaviors: list[dict[str, Any]], world: str, output: Output) 
         world: its name.
         output: where to.
     """
-    from rich.table import Table
-
-    table = Table(title=f"Behaviors in world {world}", title_justify="left")
-    for heading in ("Action", "Mode", "Goal"):
-        table.add_column(heading)
-    table.add_column("Probability", justify="right")
+    rows = []
     for one in behaviors:
-        probability = f"{one['probability']:.3f}"
         goal = one["goal"]
         x, y = goal["position"]
         where = f"{goal['region']} the {goal['object']} ({x:.1f}, {y:.1f})"
-        table.add_row(one["action"], one["mode"], where, probability)
-    output.say(table)
+        rows.append([one["action"], one["mode"], where, f"{one['probability']:.3f}"])
+    headings, title = ["Action", "Mode", "Goal", "Probability"], f"Behaviors in world {world}"
+    output.say(Table(headings=headings, rows=rows, title=title).text())
 
 
 def show_graph(graph: dict[str, dict[str, int]], output: Output) -> None:

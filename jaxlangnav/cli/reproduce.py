@@ -13,8 +13,6 @@ from jaxlangnav.cli.output import Document, Output
 from jaxlangnav.cli.runtime import keep_compiled_programs
 from jaxlangnav.cli.settings import Place, apply, read_settings
 
-_NAMES = ("table1", "fig1", "fig3", "fig4", "table2", "fig5", "unknowns", "time")
-"""What ``all`` runs, in the order of the report."""
 _PARTICLES, _PARTICLES_DRAWN = 64, 256
 _SEED, _SEED_UNKNOWNS = 0, 3000
 _TAKES = {"table1": (), "fig3": (), "time": ("params",)}
@@ -85,6 +83,7 @@ class Reproduce:
         self._check()
         keep_compiled_programs()
         from jaxlangnav.cli import reproduction
+        from jaxlangnav.cli.study import Settings
         from jaxlangnav.experiments.policies import POLICY_NAMES, check_policies
         from jaxlangnav.navigator import check
         from jaxlangnav.task.follow import navigator_params
@@ -95,7 +94,7 @@ class Reproduce:
         self._check_settings(values)
         params = apply(navigator_params(), values, "params")
         check(params)
-        settings = reproduction.Settings(
+        settings = Settings(
             episodes=self.episodes,
             policies=check_policies(list(POLICY_NAMES) if named == ["all"] else named),
             seed=_SEED if self.seed is None else self.seed,
@@ -109,9 +108,10 @@ class Reproduce:
             out=self.out,
             command=self._command,
         )
-        reproduction.check_sizes(_NAMES if self.what == "all" else [self.what], settings)
+        names = list(reproduction.STUDIES) if self.what == "all" else [self.what]
+        reproduction.check_sizes(names, settings)
         if self.what == "all":
-            return reproduction.run_all(_NAMES, settings, output)
+            return reproduction.run_all(settings, output)
         return reproduction.run_one(self.what, settings, output).document
 
     def _check(self) -> None:

@@ -115,8 +115,7 @@ def _metrics(table: pa.Table) -> dict[str, Any]:
     }
     leaves["final"] = np.stack([table["final_x"].to_numpy(), table["final_y"].to_numpy()], axis=1)
     results = EpisodeResult(**leaves)
-    metrics = dataclasses.asdict(summarize(results, table["known_distance"].to_numpy()))
-    return metrics | {"success_ci": [*metrics["success_ci"]]}
+    return summarize(results, table["known_distance"].to_numpy()).row()
 
 
 def _comparisons(arms: list[tuple[dict[str, Any], pa.Table]]) -> list[dict[str, Any]]:

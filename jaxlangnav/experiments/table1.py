@@ -13,10 +13,10 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from rich.table import Table
 
 from jaxlangnav.experiments.sizes import check_count, counted
 from jaxlangnav.experiments.splits import draw_splits, mark_new_words
+from jaxlangnav.experiments.table import Table
 from jaxlangnav.grounding.annotation import infer_annotations
 from jaxlangnav.grounding.behavior_search import infer_behavior_sets
 from jaxlangnav.grounding.blocks import Design
@@ -329,32 +329,24 @@ def _cell(row: dict[str, float]) -> str:
     return f"{row['accuracy_mean']:.2f} ± {row['accuracy_ci95']:.2f}{proven}"
 
 
-def render(document: dict[str, Any]) -> Table:
-    """Draw the table for people, ours beside the paper's.
+def table(document: dict[str, Any]) -> Table:
+    """Lay out the table for people, ours beside the paper's.
 
     Args:
         document: of ``evaluate``.
 
     Returns:
-        A rich table.
+        A line for each figure, each model's beside the printed one.
     """
-    table = Table(title="Table 1: ours beside the paper's")
-    table.add_column("")
-    for name in MODELS:
-        table.add_column(name)
-        table.add_column("paper")
+    rows: list[list[str]] = []
 
     def line(title: str, text: Callable[[dict[str, Any]], str], is_printed: bool = False) -> None:
         cells = [title]
         for name in MODELS:
             cells += [text(document[name]), text(document["paper"][name]) if is_printed else ""]
-        table.add_row(*cells)
+        rows.append(cells)
 
-    line(
-        "Accuracy % (95 %)",
-        _cell,
-        is_printed=True,
-    )
+    line("Accuracy % (95 %)", _cell, is_printed=True)
     for beam in document[MODELS[0]]["beams"]:
         title = "exact (proven)" if beam == "exact" else f"beam of {beam}"
         line(f"  {title}", lambda row, beam=beam: _cell(row["beams"][beam]))
@@ -365,4 +357,5 @@ def render(document: dict[str, Any]) -> Table:
     line("Splits", lambda row: str(row["splits"]))
     line("Examples", lambda row: str(row["examples"]))
     line("Features", lambda row: str(row["features"]))
-    return table
+    headings = ["", *(heading for name in MODELS for heading in (name, "paper"))]
+    return Table(headings=headings, rows=rows, title="Table 1: ours beside the paper's")

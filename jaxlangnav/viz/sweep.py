@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxlangnav.experiments.deviations import PAPER_RUNS
 from jaxlangnav.experiments.metrics import wilson_interval
+from jaxlangnav.experiments.rows import PAPER_RUNS
 from jaxlangnav.viz import style
 
 if TYPE_CHECKING:

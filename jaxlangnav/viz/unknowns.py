@@ -5,7 +5,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from jaxlangnav.experiments.deviations import NEAR, PAPER_RUNS, rate_error
+from jaxlangnav.experiments.rows import NEAR, PAPER_RUNS, rate_error
 from jaxlangnav.studies.unknowns_tables import TITLE, row_name
 from jaxlangnav.viz import style
 
@@ -22,7 +22,7 @@ def unknowns_figure(document: Mapping[str, Any]) -> "Figure":
     """Draw every variation beside the printed figures: success above, distance below.
 
     Args:
-        document: of ``studies.unknowns.reproduce_unknowns``.
+        document: of ``studies.unknowns``.
 
     Returns:
         The figure: a column for each row of Table 2, a line for each variation. A band spans two
