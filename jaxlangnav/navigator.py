@@ -31,7 +31,7 @@ from jaxlangnav.planner.constraints import constraint_cost
 from jaxlangnav.planner.endings import chance_left
 from jaxlangnav.planner.goals import Goals, gather
 from jaxlangnav.planner.params import PlannerConfig, PlannerParams, default_planner_params
-from jaxlangnav.pytree import pytree, replace
+from jaxlangnav.pytree import field, pytree, replace
 from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.semantic_map.behaviors import infer_behaviors
 from jaxlangnav.semantic_map.belief import ParticleBelief
@@ -53,8 +53,8 @@ class NavigatorParams:
 
     map: MapParams
     planner: PlannerParams
-    mode_speed: Array  # f32[3] factor on the step length: normal, quickly, carefully
-    mode_clearance: Array  # f32[3] metres kept from objects
+    mode_speed: Array = field("factor on the step length: normal, quickly, carefully")  # f32[3]
+    mode_clearance: Array = field("metres kept from objects")  # f32[3]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
