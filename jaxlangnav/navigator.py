@@ -179,7 +179,7 @@ def start(
         The state before the first observation.
     """
     num_mentions = instruction.readings.mention_type.shape[-1]
-    belief = semantic_filter.start(pose, area, num_mentions, config.map, num_types=num_types)
+    belief = semantic_filter.start(pose, area, num_mentions, config=config.map, num_types=num_types)
     return NavigatorState(
         belief=belief,
         instruction=instruction,
@@ -394,9 +394,9 @@ def _decide(
         goals.object_x,
         goals.object_y,
         goals.is_object,
-        config.planner,
-        params.planner,
-        first_stops,
+        config=config.planner,
+        params=params.planner,
+        first_stops=first_stops,
     )
     choice = policy.choose(
         belief,

@@ -131,7 +131,10 @@ def begin(
     num_mentions: int = M,
 ) -> ParticleBelief:
     return semantic_filter.start(
-        jnp.asarray(pose, jnp.float32), jnp.asarray(area, jnp.float32), num_mentions, config
+        jnp.asarray(pose, jnp.float32),
+        jnp.asarray(area, jnp.float32),
+        num_mentions,
+        config=config,
     )
 
 

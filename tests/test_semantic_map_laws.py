@@ -215,7 +215,7 @@ def test_step_is_compiled_once_for_any_numbers() -> None:
 
 def log_evidence(params: RelationParams, key: jax.Array, belief, sentence) -> jax.Array:
     numbers = replace(by_hand.params(concentration=3.0), relations=prepare(params))
-    _, log_weight = semantic_filter.ground_words(key, belief, sentence, numbers)
+    _, log_weight = semantic_filter.ground_words(key, belief, sentence, params=numbers)
     return jax.nn.logsumexp(log_weight) - jnp.log(log_weight.shape[0])
 
 

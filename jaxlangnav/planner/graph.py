@@ -114,6 +114,7 @@ def nodes(
     object_x: Array,
     object_y: Array,
     is_object: Array,
+    *,
     config: PlannerConfig,
     params: PlannerParams,
     first_stops: tuple[Array, Array] | None = None,

@@ -209,9 +209,9 @@ def _loss(
     free: Array, group: EpisodeGroup, relation: Array, init: RelationParams, params: MapParams
 ) -> tuple[Array, Array]:
     """Compute the negative evidence f32[] of a group and its slope f32[4]."""
-    return jax.value_and_grad(lambda at: -log_fit_of(group, _with(init, relation, at), params))(
-        free
-    )
+    return jax.value_and_grad(
+        lambda at: -log_fit_of(group, _with(init, relation, at), params=params)
+    )(free)
 
 
 def _errors(free: Array, curvature: np.ndarray) -> Array:

@@ -239,7 +239,7 @@ def draw_own_world(
 
 
 def own_tasks(
-    one: Cell, instructions: Instruction, area: Array, start: Array, params: MapParams
+    one: Cell, instructions: Instruction, area: Array, start: Array, *, params: MapParams
 ) -> Task:
     """Draw the episodes of a cell in worlds of the belief's own prior.
 
@@ -315,7 +315,7 @@ def judge_own_worlds(
     found = {}
     for name, reach in ranges.items():
         one = cell("own", name, list(SENTENCES).index(name), reach, episodes, seed)
-        tasks = own_tasks(one, sentences.instructions, bounds, start, numbers.map)
+        tasks = own_tasks(one, sentences.instructions, bounds, start, params=numbers.map)
         if not bool(np.all(np.asarray(tasks.scenario.is_valid))):
             raise ValueError(f'no world fits "{SENTENCES[name]}" in the area {area}: enlarge it')
         found[name] = tally_tasks(
