@@ -80,8 +80,7 @@ class Readings:
     figure: Array  # i32[K, J] mention index of what is placed; NONE in empty slots
     relation: Array  # i32[K, J] relation index; NONE where the thing merely exists
     landmark: Array  # i32[K, J] mention index it is placed against; NONE where relation is NONE
-    is_superlative: Array  # bool[K, J] "nearest": of all of the figure's type, the extreme one
-    rank: Array  # i32[K, J] 1 where the extreme one is meant, 2 the second, ...; 0 elsewhere
+    rank: Array  # i32[K, J] of the figure's type 1 is the extreme one, 2 the second; else 0
     log_probability: Array  # f32[K] normalised; -inf in empty readings
 
 

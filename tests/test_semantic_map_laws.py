@@ -106,7 +106,7 @@ def test_garbage_in_empty_slots_changes_nothing() -> None:
         dirty_sentence,
         landmark=dirty_sentence.landmark.at[0, 1].set(1),
         relation=dirty_sentence.relation.at[0, 1].set(NEAR),
-        is_superlative=dirty_sentence.is_superlative.at[0, 1].set(True),
+        rank=dirty_sentence.rank.at[0, 1].set(1),
         figure=dirty_sentence.figure.at[1, 0].set(2),
     )
     ours = run(clean, sentence, looks())

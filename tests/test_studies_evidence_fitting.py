@@ -217,7 +217,7 @@ def test_a_ring_cannot_be_fitted() -> None:
 
 def test_superlatives_cannot_be_fitted() -> None:
     episodes = explored_worlds(0, 2)
-    extreme = jnp.ones_like(episodes.readings.is_superlative)
-    episodes = replace(episodes, readings=replace(episodes.readings, is_superlative=extreme))
+    extreme = jnp.ones_like(episodes.readings.rank)
+    episodes = replace(episodes, readings=replace(episodes.readings, rank=extreme))
     with pytest.raises(ValueError, match="superlative"):
         fit_to_episodes(episodes, BEHIND, default_params(), params=params())

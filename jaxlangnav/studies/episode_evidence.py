@@ -199,9 +199,7 @@ def _log_superlative(
     rivals = jnp.min(jnp.where(is_rival[:, None], sign * rivals, jnp.inf), axis=0)
     gap = sign * distance
     excess = gap - jnp.minimum(rivals[None, :], gap)
-    return jnp.where(
-        readings.is_superlative[reading, 0], -excess / params.superlative_softness, 0.0
-    )
+    return jnp.where(readings.rank[reading, 0] == 1, -excess / params.superlative_softness, 0.0)
 
 
 def _distance(figures: tuple[Array, Array], landmarks: tuple[Array, Array]) -> Array:

@@ -145,7 +145,7 @@ def fit_to_episodes(
     """
     if float(init.concentration[relation]) <= 0.0:
         raise ValueError("only a relation with a direction (concentration > 0) can be fitted")
-    if bool(np.any(np.asarray(episodes.readings.is_superlative))):
+    if bool(np.any(np.asarray(episodes.readings.rank) == 1)):
         raise ValueError(
             'a superlative ("nearest") depends on rivals that may not have been seen: '
             "fit to sentences without one"

@@ -39,9 +39,9 @@ from jaxlangnav.relations import (
 from jaxlangnav.semantic_map.params import MapParams
 from jaxlangnav.world.state import Scenario
 
-NUM_SLOTS = 8
+_NUM_SLOTS = 8
 """O, object slots of a world, as many as the filter has."""
-NUM_ATTEMPTS = 64
+_NUM_ATTEMPTS = 64
 """Worlds tried at once; the first that fits the area and the slots is taken."""
 OWN_AREA = (0.0, 13.0, -9.2, 9.2)
 """Metres; the operating area of the template 1H1C."""
@@ -189,7 +189,7 @@ def _log_fit(
         gap = sign * jnp.hypot(x - from_x, y - from_y)
         is_rival = is_object & (types == types[figure]) & (jnp.arange(x.shape[0]) != landmark)
         excess = gap[figure] - jnp.min(jnp.where(is_rival, gap, gap[figure]))
-        applies = readings.is_superlative[reading, index] & (figure != NONE) & (landmark != NONE)
+        applies = (readings.rank[reading, index] == 1) & (figure != NONE) & (landmark != NONE)
         applies = applies & is_told[index]
         log_weight = log_weight - jnp.where(applies, excess / params.superlative_softness, 0.0)
         relation = readings.relation[reading, index]
@@ -212,8 +212,8 @@ def draw_own_world(
     start: Array,
     *,
     params: MapParams,
-    num_slots: int = NUM_SLOTS,
-    num_attempts: int = NUM_ATTEMPTS,
+    num_slots: int = _NUM_SLOTS,
+    num_attempts: int = _NUM_ATTEMPTS,
 ) -> Scenario:
     """Draw one world of which the sentence is true in the sense of the belief.
 
