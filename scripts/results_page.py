@@ -15,7 +15,7 @@ import ages
 from jaxlangnav.experiments.figure5 import describe_falls
 from jaxlangnav.experiments.table import Table
 from jaxlangnav.experiments.tables import deviations_table
-from jaxlangnav.studies.unknowns_tables import caption, explained_lines, matrix
+from jaxlangnav.studies.unknowns_tables import conditions, explained_lines, matrix
 
 ROOT = ages.ROOT
 PAGE = ROOT / "docs" / "results.md"
@@ -64,7 +64,7 @@ a time that the paper does not print. All figures with their standard errors and
 
 {matrix(document).markdown(is_marked=True).rstrip()}
 
-{caption(document)}
+{conditions(document)}
 
 What would explain each row by itself:
 

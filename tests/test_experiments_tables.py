@@ -13,6 +13,8 @@ from jaxlangnav.experiments.experiment import Experiment, Options
 from jaxlangnav.experiments.rows import RowSpec, describe_noise, printed_rows
 from jaxlangnav.world.templates import TABLE_2
 
+TABLE = table2.table_2()
+
 
 def row(**changes: Any) -> dict[str, Any]:
     return {
@@ -114,7 +116,7 @@ def test_deviations_by_hand() -> None:
 
 def test_the_terminal_table_fits_and_says_the_noise() -> None:
     console = Console(width=118, record=True, file=io.StringIO())
-    console.print(table2.EXPERIMENT.render(document(row(), row(policy="known"))))
+    console.print(TABLE.render(document(row(), row(policy="known"))))
     text = console.export_text()
     assert max(map(len, text.splitlines())) <= 118
     assert "…" not in text
@@ -141,18 +143,18 @@ def test_falls_are_found() -> None:
 
 def test_totals_and_refusals() -> None:
     counted = Options(episodes=100, policies=["faithful", "known"])
-    assert table2.EXPERIMENT.total_episodes(counted) == 1400
+    assert TABLE.total_episodes(counted) == 1400
     # The bar counts the 32 episodes a row that are run once more to judge the belief.
-    assert table2.EXPERIMENT.total_work(counted) == 1400 + 7 * 32
+    assert TABLE.total_work(counted) == 1400 + 7 * 32
     assert (
-        figure5.EXPERIMENT.total_work(Options(episodes=10, policies=["faithful", "known"])) == 240
+        figure5.figure_5().total_work(Options(episodes=10, policies=["faithful", "known"])) == 240
     )
     with pytest.raises(ValueError, match="episodes is 0, but must be at least 1"):
-        table2.EXPERIMENT.run(Options(episodes=0))
+        TABLE.run(Options(episodes=0))
     with pytest.raises(ValueError, match=r'unknown policy "faithfull".*did you mean "faithful"'):
-        table2.EXPERIMENT.run(Options(episodes=1, policies=["faithfull"]))
+        TABLE.run(Options(episodes=1, policies=["faithfull"]))
     with pytest.raises(ValueError, match="unknown world template"):
-        figure5.experiment(["2X"])
+        figure5.figure_5(["2X"])
 
 
 def test_an_experiment_and_its_files(tmp_path: Path) -> None:
@@ -195,7 +197,7 @@ def test_an_experiment_and_its_files(tmp_path: Path) -> None:
 def test_table2_with_the_navigator() -> None:
     done: list[int] = []
     options = Options(episodes=30, policies=["informed", "faithful"], seed=100)
-    found = table2.EXPERIMENT.run(options, on_progress=done.append)
+    found = TABLE.run(options, on_progress=done.append)
     assert sum(done) == 2 * 7 * (30 + 30)
     assert len(found["rows"]) == 14
     for one in found["rows"][:7]:

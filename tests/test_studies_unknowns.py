@@ -40,7 +40,7 @@ def test_each_variation_sets_one_thing_and_the_first_one_none() -> None:
         assert params is not None
         check(params)
     assert len({(one.unknown, one.value) for one in VARIATIONS}) == len(VARIATIONS)
-    assert unknowns.EXPERIMENT.total_episodes(Options(episodes=10)) == 70 * len(VARIATIONS)
+    assert unknowns.UNKNOWNS.total_episodes(Options(episodes=10)) == 70 * len(VARIATIONS)
 
 
 def test_only_sizes_compile_anew() -> None:
@@ -143,7 +143,7 @@ def test_tables_by_hand() -> None:
     ]  # fmt: skip
     assert long[0][11] == ""
     assert long[1][11] == "-30.00 (-31.00 to -29.00)"
-    text = unknowns_tables.markdown(found)
+    text = unknowns_tables.unknowns_markdown(found)
     assert "γ 0.8; 64 particles; τ 0.7; α 0.3; reach 1.2 m" in text
     assert "left out: 14" in text
 
@@ -164,7 +164,7 @@ def test_every_variation_is_a_point_of_every_panel() -> None:
 def test_the_study_runs_and_is_paired(tmp_path) -> None:
     done: list[int] = []
     chosen = [VARIATIONS[0], VARIATIONS[2], VARIATIONS[-1]]
-    experiment = dataclasses.replace(unknowns.EXPERIMENT, variations=chosen)
+    experiment = dataclasses.replace(unknowns.UNKNOWNS, variations=chosen)
     options = Options(episodes=6, seed=3000)
     found = experiment.run(options, out=tmp_path, on_progress=done.append)
     assert sum(done) == 3 * 7 * 6

@@ -49,17 +49,7 @@ class Ground:
     """Print one JSON document: annotations, graph, behaviors, unknown_words."""
 
     def run(self, output: Output) -> Document:
-        """Ground the sentence and show the distributions.
-
-        Args:
-            output: where the tables are shown for people.
-
-        Returns:
-            The document.
-
-        Raises:
-            ValueError: the sentence or the world is refused.
-        """
+        """Ground the sentence and show the distributions."""
         check_seed(self.seed)
         check_folder("--out", self.out)
         if self.out is not None and importlib.util.find_spec("matplotlib") is None:
@@ -80,12 +70,12 @@ class Ground:
         # Refused before anything is told.
         grounded = {} if self.world is None else self._ground_in(self.world, understood)
         document |= grounded
-        show_annotations(document["annotations"], output)
+        _show_annotations(document["annotations"], output)
         if grounded:
-            show_behaviors(document["behaviors"], document["world"], output)
+            _show_behaviors(document["behaviors"], document["world"], output)
             num_objects = len(document["objects"])
         document["graph"] = understood.graph(num_objects)
-        show_graph(document["graph"], output)
+        _show_graph(document["graph"], output)
         if self.out is not None:
             from jaxlangnav.viz.pictures import write_graph
 
@@ -107,13 +97,8 @@ class Ground:
         }
 
 
-def show_annotations(annotations: list[dict[str, Any]], output: Output) -> None:
-    """Show what the sentence says of the world.
-
-    Args:
-        annotations: likeliest first.
-        output: where to.
-    """
+def _show_annotations(annotations: list[dict[str, Any]], output: Output) -> None:
+    """Show what the sentence says of the world."""
     rows = []
     for said in annotations:
         relation = said["relation"] or "-"
@@ -131,14 +116,8 @@ def show_annotations(annotations: list[dict[str, Any]], output: Output) -> None:
     output.say(Table(headings=headings, rows=rows, title=title).text())
 
 
-def show_behaviors(behaviors: list[dict[str, Any]], world: str, output: Output) -> None:
-    """Show what is to be done in a world.
-
-    Args:
-        behaviors: likeliest first.
-        world: its name.
-        output: where to.
-    """
+def _show_behaviors(behaviors: list[dict[str, Any]], world: str, output: Output) -> None:
+    """Show what is to be done in a world."""
     rows = []
     for one in behaviors:
         goal = one["goal"]
@@ -149,13 +128,8 @@ def show_behaviors(behaviors: list[dict[str, Any]], world: str, output: Output) 
     output.say(Table(headings=headings, rows=rows, title=title).text())
 
 
-def show_graph(graph: dict[str, dict[str, int]], output: Output) -> None:
-    """Show the sizes of the constructed graphs.
-
-    Args:
-        graph: by model, ``phrases``, ``factors``, ``variables``.
-        output: where to.
-    """
+def _show_graph(graph: dict[str, dict[str, int]], output: Output) -> None:
+    """Show the sizes of the constructed graphs."""
     from rich.text import Text
 
     for model, size in graph.items():

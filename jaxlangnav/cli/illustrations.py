@@ -132,15 +132,7 @@ def illustrate(name: str, settings: Settings, output: Output) -> Study:
 
 
 def factor_graph(settings: Settings, output: Output) -> Study:
-    """Draw the factor graph of the sentence: Figure 3.
-
-    Args:
-        settings: the folder.
-        output: where its size is told.
-
-    Returns:
-        The study.
-    """
+    """Draw the factor graph of the sentence: Figure 3."""
     from jaxlangnav.viz.pictures import write_graph
 
     begin = time.perf_counter()

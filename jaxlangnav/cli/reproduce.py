@@ -15,6 +15,7 @@ from jaxlangnav.cli.settings import Place, apply, read_settings
 
 _PARTICLES, _PARTICLES_DRAWN = 64, 256
 _SEED, _SEED_UNKNOWNS = 0, 3000
+"""The study of unknowns has worlds of its own, none that a table or a tuning has used."""
 _TAKES = {"table1": (), "fig3": (), "time": ("params",)}
 """Groups of settings that mean something to an experiment; the others take all of them."""
 
@@ -69,17 +70,7 @@ class Reproduce:
     settings: tyro.conf.Suppress[Any] = None
 
     def run(self, output: Output) -> Document:
-        """Run the experiment, print its table and write the files.
-
-        Args:
-            output: where the table is printed for people.
-
-        Returns:
-            The document.
-
-        Raises:
-            ValueError: an option is outside its limits.
-        """
+        """Run the experiment, print its table and write the files."""
         self._check()
         keep_compiled_programs()
         from jaxlangnav.cli import reproduction

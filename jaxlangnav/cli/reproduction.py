@@ -12,7 +12,7 @@ from jaxlangnav.cli.study import Settings, Study
 from jaxlangnav.episode import MAX_STEPS
 from jaxlangnav.experiments.archive import manifest
 from jaxlangnav.experiments.policies import navigator_config
-from jaxlangnav.experiments.report import write_html
+from jaxlangnav.experiments.report import write_report
 from jaxlangnav.experiments.sizes import check_recording
 from jaxlangnav.grounding.weights import load_shipped
 
@@ -91,7 +91,7 @@ def run_all(settings: Settings, output: Output) -> Document:
         made = _made_by(settings, time.perf_counter() - begin)
         sections = [study.section for study in found.values()]
         title = "Following commands in unknown places: ours beside the paper's"
-        path = write_html(title, sections, settings.out / "report.html", made=made)
+        path = write_report(title, sections, settings.out / "report.html", made=made)
         documents["report"] = str(path)
         output.say(f"Wrote {path}")
     return documents

@@ -15,7 +15,7 @@ from typing import Annotated, Any, TypeVar
 
 from jaxlangnav.cli.errors import UsageError
 
-T = TypeVar("T")
+_T = TypeVar("_T")
 Place = tuple[str, ...]
 """Where a value stands: ("params", "planner", "discount")."""
 GROUPS = ("params", "config", "sensor", "motion")
@@ -161,7 +161,7 @@ def read_settings(settings: Any, groups: Sequence[str]) -> dict[Place, Any]:
     return {one.path: one.read(text) for one, text in typed if text != _UNSET}
 
 
-def apply(record: T, values: Mapping[Place, Any], root: str) -> T:
+def apply(record: _T, values: Mapping[Place, Any], root: str) -> _T:
     """Set values in a record.
 
     Args:

@@ -7,7 +7,7 @@ from typing import Any
 
 from jaxlangnav.cli.output import Output
 from jaxlangnav.cli.runtime import progress_bar, waiting
-from jaxlangnav.cli.study import Settings, Study, draw, told
+from jaxlangnav.cli.study import Settings, Study, draw_figures, told
 from jaxlangnav.experiments import figure5, table2
 from jaxlangnav.experiments.experiment import Experiment
 from jaxlangnav.studies import unknowns
@@ -23,22 +23,14 @@ _CURVES = {
 
 
 def table1(settings: Settings, output: Output) -> Study:
-    """Run the paper's protocol for understanding: Table 1.
-
-    Args:
-        settings: the seed of the splits is read.
-        output: where the table is printed.
-
-    Returns:
-        The study.
-    """
-    from jaxlangnav.experiments.table1 import evaluate, table
+    """Run the paper's protocol for understanding, Table 1; of the settings the seed is read."""
+    from jaxlangnav.experiments.table1 import evaluate, table_1
     from jaxlangnav.files.whole import write_text
 
     begin = time.perf_counter()
     with progress_bar("splits", _SPLITS) as advance:
         document = evaluate(splits=_SPLITS, seed=settings.seed, on_progress=advance)
-    laid = table(document)
+    laid = table_1(document)
     output.say(laid.text())
     document |= {"wall_s": time.perf_counter() - begin, "files": []}
     if settings.out is not None:
@@ -79,7 +71,7 @@ def episodes(name: str) -> Callable[[Settings, Output], Study]:
         wall, compiling = document["wall_s"], document["compile_s"]
         total = experiment.total_episodes(options)
         output.say(f"{total} episodes in {wall:.1f} s, {compiling:.1f} s of them compilation.")
-        pictures = draw(settings.out, output, _figures(experiment.name, document))
+        pictures = draw_figures(settings.out, output, _figures(experiment.name, document))
         document["files"] += [str(path) for path in pictures]
         return told(
             name,
@@ -111,10 +103,10 @@ def experiment_of(name: str, settings: Settings) -> Experiment:
         The experiment.
     """
     if name == "unknowns":
-        return unknowns.EXPERIMENT
+        return unknowns.UNKNOWNS
     if name == "fig5":
-        return figure5.experiment(ranges=settings.ranges)
-    return table2.experiment(extra=settings.extra, ranges=settings.ranges)
+        return figure5.figure_5(ranges=settings.ranges)
+    return table2.table_2(extra=settings.extra, ranges=settings.ranges)
 
 
 def seed_of(name: str, settings: Settings) -> int:
@@ -123,15 +115,7 @@ def seed_of(name: str, settings: Settings) -> int:
 
 
 def timing(settings: Settings, output: Output) -> Study:
-    """Measure where a decision cycle's time goes.
-
-    Args:
-        settings: the engine's numbers.
-        output: where the shares are printed.
-
-    Returns:
-        The study.
-    """
+    """Measure where a decision cycle's time goes, under the engine's numbers of the settings."""
     from jaxlangnav.experiments.archive import write_manifest
     from jaxlangnav.speed.timing import cycle_parts
 
@@ -140,7 +124,7 @@ def timing(settings: Settings, output: Output) -> Study:
     whole, parts = document["cycle_us"], document["parts_us"]
     for part, spent in sorted(parts.items(), key=lambda one: -one[1]):
         output.say(f"{part:<34} {spent:8.1f} µs {100 * spent / whole:5.1f} %")
-    pictures = draw(settings.out, output, _figures("time", document))
+    pictures = draw_figures(settings.out, output, _figures("time", document))
     if settings.out is not None:
         written = write_manifest(document, settings.out / "time.json")
         document["files"] = [str(path) for path in (written, *pictures)]

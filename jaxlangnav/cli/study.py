@@ -63,7 +63,7 @@ class Settings:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Study:
-    """An experiment that has been run."""
+    """An experiment that has been run: what ``reproduce`` makes of settings and an output."""
 
     document: dict[str, Any]
     section: Section
@@ -117,7 +117,7 @@ def told(
     return Study(document=document, section=section)
 
 
-def draw(
+def draw_figures(
     out: Path | None, output: Output, figures: "Mapping[str, Callable[[], Figure]]"
 ) -> list[Path]:
     """Draw figures, where there is a folder and something to draw with.

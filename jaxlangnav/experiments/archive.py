@@ -111,10 +111,10 @@ def write_manifest(document: Mapping[str, Any], path: Path) -> Path:
     Returns:
         The path.
     """
-    return write_text(to_json(document), path)
+    return write_text(json_text(document), path)
 
 
-def to_json(document: Mapping[str, Any]) -> str:
+def json_text(document: Mapping[str, Any]) -> str:
     """Write a document as JSON for people to read.
 
     Args:

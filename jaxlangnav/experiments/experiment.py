@@ -13,8 +13,8 @@ import pyarrow as pa
 from jaxlangnav.experiments.archive import pytree_hash, write_experiment
 from jaxlangnav.experiments.calibration import scores, tally_tasks
 from jaxlangnav.experiments.compilation import CompileClock
-from jaxlangnav.experiments.grid import Arm, Grid, Played, Row, play, policy_arm
-from jaxlangnav.experiments.monte_carlo import Progress
+from jaxlangnav.experiments.grid import Arm, Grid, Played, Row, policy_arm, run_grid
+from jaxlangnav.experiments.monte_carlo import OnProgress
 from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, POLICY_NAMES, check_policies
 from jaxlangnav.experiments.reliability import bin_sums
 from jaxlangnav.experiments.rows import RowSpec, bound_rows, describe_noise, printed_rows
@@ -32,7 +32,6 @@ from jaxlangnav.messages import MotionParams, SensorParams
 from jaxlangnav.navigator import NavigatorParams, check
 from jaxlangnav.world.templates import TABLE_2
 
-Document = dict[str, Any]
 _NAMES = 4 * (len("1H1C") + len("nearest") + len("lawnmower")) + 3 * 8
 """Bytes of an episode's row that say which it is: texts of four bytes a letter, three numbers."""
 
@@ -132,8 +131,8 @@ class Experiment:
         options: Options | None = None,
         *,
         out: str | Path | None = None,
-        on_progress: Progress | None = None,
-    ) -> Document:
+        on_progress: OnProgress | None = None,
+    ) -> dict[str, Any]:
         """Run all rows for every arm.
 
         Args:
@@ -161,7 +160,7 @@ class Experiment:
         first: Played | None = None
         with CompileClock() as clock:
             sentences = ground_sentences(list(SENTENCES.values()))
-            for played in play(grid, sentences.instructions, on_progress=on_progress):
+            for played in run_grid(grid, sentences.instructions, on_progress=on_progress):
                 first = first or played
                 rows += self.rows(played, first, self._judged(played, sentences, on_progress))
                 parts.append(pa.table(played.columns()))
@@ -201,7 +200,7 @@ class Experiment:
         """List those of the rows that the paper prints."""
         return printed_rows([row for row in TABLE_2 if _spec(row) in self.specs])
 
-    def found(self, rows: Sequence[Row], options: Options) -> Document:
+    def found(self, rows: Sequence[Row], options: Options) -> dict[str, Any]:
         """Work out what else stands in the document: the limits of every row.
 
         Args:
@@ -234,7 +233,7 @@ class Experiment:
         """Draw the table for the terminal, with rich."""
         return terminal_table(document, title=self.title).text()
 
-    def _settings(self, options: Options, arms: Sequence[Arm]) -> Document:
+    def _settings(self, options: Options, arms: Sequence[Arm]) -> dict[str, Any]:
         """Say under what the rows ran."""
         return {
             "experiment": self.name,
@@ -249,7 +248,7 @@ class Experiment:
         }
 
     def _judged(
-        self, played: Played, sentences: GroundedSentences, on_progress: Progress | None
+        self, played: Played, sentences: GroundedSentences, on_progress: OnProgress | None
     ) -> list[Row]:
         """Judge the belief in the first episodes of every row; no scores where none is judged."""
         arm, each = played.arm, played.grid.episodes

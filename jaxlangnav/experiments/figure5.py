@@ -9,17 +9,17 @@ import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from jaxlangnav.experiments.experiment import Document, Experiment, Options
+from jaxlangnav.experiments.experiment import Experiment, Options
 from jaxlangnav.experiments.grid import Row
 from jaxlangnav.experiments.rows import RowSpec
 from jaxlangnav.world.templates import parse_template
 
-RANGES = (2.0, 3.0, 5.0, 10.0, 15.0, 20.0)
+SENSING_RANGES = (2.0, 3.0, 5.0, 10.0, 15.0, 20.0)
 """Metres, as in the paper."""
-RELATIONS = ("behind", "nearest")
-WORLDS = ("2H1C",)
+_RELATIONS = ("behind", "nearest")
+_WORLDS = ("2H1C",)
 """The template of which Table 2 prints both commands."""
-LEAD = (
+_LEAD = (
     "The farther the robot sees, the less it has to search, and the less the sentence matters: all "
     "curves that use it end at the known map's (section 4.2). The printed figure states no "
     "numbers; where Table 2 prints a row of the same world, command and range, it is drawn."
@@ -29,12 +29,12 @@ LEAD = (
 class Figure5(Experiment):
     """Both commands at every range; a world is the same at every range."""
 
-    def found(self, rows: Sequence[Row], options: Options) -> Document:
+    def found(self, rows: Sequence[Row], options: Options) -> dict[str, Any]:
         """Add ``falls``: where success is lower than at the range before, intervals apart."""
         return super().found(rows, options) | {"falls": falls({"rows": rows})}
 
 
-def experiment(worlds: Sequence[str] = WORLDS, ranges: Sequence[float] = ()) -> Experiment:
+def figure_5(worlds: Sequence[str] = _WORLDS, ranges: Sequence[float] = ()) -> Experiment:
     """Build the experiment for some worlds.
 
     Args:
@@ -52,13 +52,13 @@ def experiment(worlds: Sequence[str] = WORLDS, ranges: Sequence[float] = ()) -> 
     specs = [
         RowSpec(world=parse_template(world).name, range=sensing_range, relation=relation)
         for world in worlds
-        for relation in RELATIONS
-        for sensing_range in sorted(set(ranges)) or RANGES
+        for relation in _RELATIONS
+        for sensing_range in sorted(set(ranges)) or SENSING_RANGES
     ]
     return Figure5(
         name="figure5",
         title="Figure 5: distance and success against the sensing range",
-        lead=LEAD,
+        lead=_LEAD,
         specs=tuple(specs),
         remark=describe_falls,
         fold="All numbers",
@@ -110,7 +110,3 @@ def describe_falls(document: Mapping[str, Any]) -> str:
         for one in falls(document)
     ]
     return "\n".join(lines) or "Success nowhere falls beyond its intervals as the range grows."
-
-
-EXPERIMENT = experiment()
-"""Both commands at every range, in the template of Table 2 that has both."""

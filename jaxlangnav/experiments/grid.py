@@ -17,7 +17,7 @@ import pyarrow as pa
 
 from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task
 from jaxlangnav.experiments.metrics import summarize
-from jaxlangnav.experiments.monte_carlo import Progress, run_tasks
+from jaxlangnav.experiments.monte_carlo import OnProgress, run_tasks
 from jaxlangnav.experiments.policies import navigator_config, run_policy
 from jaxlangnav.experiments.tasks import Cell, draw_tasks, known_distances
 from jaxlangnav.grounding.instruction import Instruction
@@ -81,7 +81,7 @@ class Arm:
         tasks: Task,
         instructions: Instruction,
         *,
-        on_progress: Progress | None = None,
+        on_progress: OnProgress | None = None,
         num_threads: int | None = None,
     ) -> EpisodeResult:
         """Run any number of tasks.
@@ -213,8 +213,8 @@ class Played:
         ]
 
 
-def play(
-    grid: Grid, instructions: Instruction, *, on_progress: Progress | None = None
+def run_grid(
+    grid: Grid, instructions: Instruction, *, on_progress: OnProgress | None = None
 ) -> Iterator[Played]:
     """Run a grid arm by arm; all settings go through one compiled program as one batch.
 

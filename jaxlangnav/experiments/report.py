@@ -63,7 +63,7 @@ def render_report(title: str, sections: Sequence[Section], *, made: Mapping[str,
     return re.sub("|".join(places), lambda found: places[found[0]], filled)
 
 
-def write_html(
+def write_report(
     title: str, sections: Sequence[Section], path: Path, *, made: Mapping[str, str]
 ) -> Path:
     """Write the page into a file, all or nothing.

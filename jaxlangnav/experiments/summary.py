@@ -13,10 +13,10 @@ from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.experiments.metrics import summarize
 from jaxlangnav.experiments.paired import compare
 from jaxlangnav.experiments.shards import ShardError, read_shard
-from jaxlangnav.experiments.summary_tables import markdown, render
+from jaxlangnav.experiments.summary_tables import render, summary_markdown
 from jaxlangnav.experiments.sweep_folder import files_there, identity, read_manifest
 
-__all__ = ["markdown", "render", "summarize_directory"]
+__all__ = ["render", "summarize_directory", "summary_markdown"]
 
 _ARM = ("policy", "particles")
 _PAIR = ("seed", "episode")

@@ -5,23 +5,15 @@ from typing import Any
 
 from jaxlangnav import plain_text
 from jaxlangnav.experiments.metrics import timeouts_text
-from jaxlangnav.experiments.table import Table
+from jaxlangnav.experiments.table import Document, Table
 
-Document = dict[str, Any]
 _ALWAYS = ("world", "relation", "range", "policy")
 _RESULTS = ("Episodes", "Success % (95 %)", "Distance m (σ)", "Known m", "SPL", "Time-outs")
 _TESTS = ("Pairs", "Only 1st, 2nd", "p", "Distance, 2nd − 1st m (95 %)", "p")
 
 
-def rows_table(document: Document) -> Table:
-    """Lay out the rows of a summary.
-
-    Args:
-        document: of ``summarize_directory``.
-
-    Returns:
-        The table. Columns that never vary are left out but for world, relation, range and policy.
-    """
+def _rows_table(document: Document) -> Table:
+    """Lay out the rows of a summary."""
     names = _names(document)
     cells = [
         [*(_text(row[name]) for name in names), *_result_cells(row)] for row in document["rows"]
@@ -31,15 +23,8 @@ def rows_table(document: Document) -> Table:
     )
 
 
-def comparisons_table(document: Document) -> Table:
-    """Lay out the paired tests of a summary.
-
-    Args:
-        document: of ``summarize_directory``.
-
-    Returns:
-        The table.
-    """
+def _comparisons_table(document: Document) -> Table:
+    """Lay out the paired tests of a summary."""
     comparisons = document["comparisons"]
     names = [name for name in _names(document) if comparisons and name in comparisons[0]]
     cells = []
@@ -62,7 +47,7 @@ def comparisons_table(document: Document) -> Table:
     return Table(headings=headings, rows=cells, title="Paired tests", caption=_METHOD)
 
 
-def markdown(document: Document) -> str:
+def summary_markdown(document: Document) -> str:
     """Write a summary as Markdown.
 
     Args:
@@ -71,10 +56,10 @@ def markdown(document: Document) -> str:
     Returns:
         Heading, rows, paired tests.
     """
-    rows = rows_table(document)
+    rows = _rows_table(document)
     parts = [f"# {plain_text.markdown(rows.title)}", rows.caption, rows.markdown().rstrip()]
     if document["comparisons"]:
-        tests = comparisons_table(document)
+        tests = _comparisons_table(document)
         parts += [f"## {tests.title}", tests.markdown().rstrip(), tests.caption]
     return "\n\n".join(parts) + "\n"
 
@@ -96,9 +81,9 @@ def render(document: Document) -> Any:
     """
     from rich.console import Group
 
-    tables = [rows_table(document)]
+    tables = [_rows_table(document)]
     if document["comparisons"]:
-        tables.append(comparisons_table(document))
+        tables.append(_comparisons_table(document))
     return Group(*(one.text() for one in tables))
 
 

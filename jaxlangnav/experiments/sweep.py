@@ -19,12 +19,12 @@ from jaxlangnav.experiments.compilation import CompileClock
 from jaxlangnav.experiments.devices import Work, fill, mesh, num_calls, run_round
 from jaxlangnav.experiments.grid import result_columns, typed
 from jaxlangnav.experiments.holding import Note, held
-from jaxlangnav.experiments.monte_carlo import Progress, known_distances
+from jaxlangnav.experiments.monte_carlo import OnProgress, known_distances
 from jaxlangnav.experiments.sentences import GroundedSentences, ground_sentences
 from jaxlangnav.experiments.shards import Shard, write_shard
 from jaxlangnav.experiments.sweep_config import SweepConfig
 from jaxlangnav.experiments.sweep_folder import (
-    claim,
+    claim_folder,
     file_path,
     files_there,
     sound_files,
@@ -32,7 +32,7 @@ from jaxlangnav.experiments.sweep_folder import (
 )
 from jaxlangnav.experiments.sweep_plan import (
     Chunk,
-    Plan,
+    SweepPlan,
     make_plan,
     parse_shard,
     shard_episodes,
@@ -48,7 +48,7 @@ _AHEAD = 2
 class _Run:
     """What all rounds of a run share."""
 
-    plan: Plan
+    plan: SweepPlan
     folder: Path
     sweep: str
     """Identity of the sweep."""
@@ -77,7 +77,7 @@ def run_sweep(
     *,
     resume: bool = False,
     shard: str = "1/1",
-    on_progress: Progress | None = None,
+    on_progress: OnProgress | None = None,
     on_note: Note | None = None,
     num_threads: int | None = None,
 ) -> dict[str, Any]:
@@ -103,12 +103,12 @@ def run_sweep(
     begin, folder = time.perf_counter(), Path(out)
     plan = make_plan(config)
     mine = shard_files(plan, shard)
-    advance: Progress = on_progress or (lambda _done: None)
+    advance: OnProgress = on_progress or (lambda _done: None)
     note: Note = on_note or (lambda _line: None)
     with CompileClock() as clock:
         sentences = ground_sentences([one.text for one in config.commands])
         with held(folder, parse_shard(shard), on_note=note) as is_held:
-            sweep = claim(folder, plan, mine, sentences.models, is_resumed=resume)
+            sweep = claim_folder(folder, plan, mine, sentences.models, is_resumed=resume)
             if is_held:
                 sweep_up(folder, mine)
             kept = sound_files(folder, plan, mine, sweep, on_note=note, on_kept=advance)
@@ -131,7 +131,7 @@ def run_sweep(
 
 
 def _run_files(
-    run: _Run, todo: Iterable[int], on_progress: Progress, num_threads: int | None
+    run: _Run, todo: Iterable[int], on_progress: OnProgress, num_threads: int | None
 ) -> None:
     """Make files, several at once; the first failure ends the run and keeps what is written."""
     calls = num_threads or num_calls()

@@ -34,13 +34,13 @@ from jaxlangnav.pytree import replace
 
 MOST_FILES = 1_000_000
 """Files of a folder: file systems grow slow with more, and their names have six digits."""
-T = TypeVar("T")
+_T = TypeVar("_T")
 
 
-class Lazy(Sequence[T]):
+class Lazy(Sequence[_T]):
     """As many things as one likes, each made from its number when it is asked for."""
 
-    def __init__(self, size: int, make: Callable[[int], T]) -> None:
+    def __init__(self, size: int, make: Callable[[int], _T]) -> None:
         """Keep how to make them.
 
         Args:
@@ -75,7 +75,7 @@ class Chunk:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Plan:
+class SweepPlan:
     """All files of a sweep, by their number."""
 
     config: SweepConfig
@@ -135,7 +135,7 @@ class Plan:
         return arm.policy, arm.told["particles"]
 
 
-def make_plan(config: SweepConfig) -> Plan:
+def make_plan(config: SweepConfig) -> SweepPlan:
     """Lay out a sweep.
 
     Args:
@@ -148,7 +148,7 @@ def make_plan(config: SweepConfig) -> Plan:
         ValueError: Params with which the robot could never stop, more particles than memory
             holds, or more files than a folder does.
     """
-    plan = Plan(config=config)
+    plan = SweepPlan(config=config)
     _check_files(plan)
     for policy in config.policies:
         if policy in POLICIES:
@@ -159,7 +159,7 @@ def make_plan(config: SweepConfig) -> Plan:
     return plan
 
 
-def _check_files(plan: Plan) -> None:
+def _check_files(plan: SweepPlan) -> None:
     """Refuse a sweep that no folder could hold, and say what one would."""
     if plan.num_files <= MOST_FILES:
         return
@@ -309,7 +309,7 @@ def parse_shard(text: str) -> tuple[int, int]:
     return part, parts
 
 
-def shard_files(plan: Plan, shard: str) -> range:
+def shard_files(plan: SweepPlan, shard: str) -> range:
     """Pick the files of a shard.
 
     Args:
@@ -326,7 +326,7 @@ def shard_files(plan: Plan, shard: str) -> range:
     return range(part - 1, plan.num_files, parts)
 
 
-def shard_episodes(plan: Plan, shard: str) -> int:
+def shard_episodes(plan: SweepPlan, shard: str) -> int:
     """Count the episodes of a shard.
 
     Args:

@@ -3,14 +3,16 @@
 import dataclasses
 import html
 import re
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 from jaxlangnav import plain_text
 
 if TYPE_CHECKING:
     import rich.table
 
+Document = Mapping[str, Any]
+"""What a command or an experiment found, in JSON's own types."""
 _NUMBER = re.compile(r"[≤≥<>+−-]? ?\d[\d.,]*([\s%*e-]|$)")
 
 

@@ -13,7 +13,7 @@ from jaxlangnav.experiments.rows import PRINTED, RowSpec
 
 CALIBRATION_EPISODES = 32
 """Episodes of a row in which every step's belief is held against the truth."""
-LEAD = (
+_LEAD = (
     "Success and distance in simulated worlds, by world and command (section 4.2). A run succeeds "
     "if the robot itself says stop within 1.5 m of the intended goal."
 )
@@ -30,7 +30,7 @@ EXTRA = (
 """Rows that the paper does not print: its fourth template, and three objects of one kind."""
 
 
-def experiment(*, extra: bool = False, ranges: Sequence[float] = ()) -> Experiment:
+def table_2(*, extra: bool = False, ranges: Sequence[float] = ()) -> Experiment:
     """Build the table.
 
     Args:
@@ -45,7 +45,7 @@ def experiment(*, extra: bool = False, ranges: Sequence[float] = ()) -> Experime
     return Experiment(
         name="table2",
         title="Table 2: ours beside the paper's",
-        lead=LEAD,
+        lead=_LEAD,
         specs=tuple(
             RowSpec(world=world, range=reach, relation=relation)
             for world, own, relation in [*printed, *(EXTRA if extra else ())]
@@ -54,7 +54,3 @@ def experiment(*, extra: bool = False, ranges: Sequence[float] = ()) -> Experime
         remark=describe_falls if len(reaches) > 1 else None,
         calibration_episodes=CALIBRATION_EPISODES,
     )
-
-
-EXPERIMENT = experiment()
-"""The seven rows, in the paper's order."""

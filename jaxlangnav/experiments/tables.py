@@ -100,15 +100,8 @@ def least_distance(bound: Mapping[str, Any]) -> float:
     return bound["search_law"] or max(0.0, bound["known"] - SUCCESS_RADIUS)
 
 
-def limit_cells(bound: Row) -> list[str]:
-    """Write the limits of a row, which no policy can pass.
-
-    Args:
-        bound: of ``rows.bound_rows``.
-
-    Returns:
-        Texts in the order of ``HEADINGS``; what has no limit is empty.
-    """
+def _limit_cells(bound: Row) -> list[str]:
+    """Write the limits of a row, which no policy can pass."""
     texts = dict.fromkeys(range(len(HEADINGS)), "")
     texts |= {
         0: bound["world"],
@@ -136,7 +129,7 @@ def results_table(document: Mapping[str, Any], *, fold: str = "") -> Table:
     for key, pairs in itertools.groupby(paired_rows(document), key=lambda pair: row_key(pair[0])):
         mine = [cells(*pair) for pair in pairs]
         if key in limits:
-            mine.append(limit_cells(limits[key]))
+            mine.append(_limit_cells(limits[key]))
         firsts += [index == 0 for index in range(len(mine))]
         lines += mine
     return Table(headings=HEADINGS, rows=lines, firsts=firsts, fold=fold)

@@ -20,7 +20,7 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task
-from jaxlangnav.experiments.experiment import Document, Experiment, Options
+from jaxlangnav.experiments.experiment import Experiment, Options
 from jaxlangnav.experiments.grid import Arm, Played, Row, policy_arm
 from jaxlangnav.experiments.paired import compare
 from jaxlangnav.experiments.rows import NEAR, PRINTED, deviations, distance_error, rate_error
@@ -31,9 +31,7 @@ from jaxlangnav.pytree import replace
 from jaxlangnav.studies import unknowns_tables
 from jaxlangnav.world.placement import BEARING_MAX
 
-SEED = 3000
-"""Root seed if none is given: worlds of their own, none that a table or a tuning has used."""
-POLICY = "faithful"
+_POLICY = "faithful"
 OURS = "as in all our tables"
 
 
@@ -70,11 +68,11 @@ class Variation:
             planner=replace(params.planner, **_as_arrays(self.planner)),
         )
         arm = policy_arm(
-            POLICY,
+            _POLICY,
             num_particles=max(2, round(self.particle_factor * options.num_particles)),
             params=params,
             motion=options.motion,
-            told={"policy": POLICY, "unknown": self.unknown, "value": self.value},
+            told={"policy": _POLICY, "unknown": self.unknown, "value": self.value},
         )
         assert arm.config is not None
         planner = dataclasses.replace(arm.config.planner, num_blocks=self.num_blocks)
@@ -186,7 +184,7 @@ class Unknowns(Experiment):
             rows.append(row | _against_paper(row, paper) | _against_first(mine, base))
         return rows
 
-    def found(self, rows: Sequence[Row], options: Options) -> Document:
+    def found(self, rows: Sequence[Row], options: Options) -> dict[str, Any]:
         """Say how near each variation comes to the paper, and what explains each row.
 
         Args:
@@ -198,7 +196,7 @@ class Unknowns(Experiment):
             comes over all rows), ``explained`` (by row).
         """
         return {
-            "policy": POLICY,
+            "policy": _POLICY,
             "ours": _settings(options),
             "variations": [_fit(one, rows) for one in self.variations],
             "explained": [_explained(index, rows) for index in range(len(PRINTED))],
@@ -212,15 +210,15 @@ class Unknowns(Experiment):
     def notes(self, document: Mapping[str, Any]) -> list[str]:
         """Say what explains each row, and under what it was measured."""
         explained = unknowns_tables.explained_lines(document)
-        return [*explained, *unknowns_tables.caption(document).splitlines()]
+        return [*explained, *unknowns_tables.conditions(document).splitlines()]
 
     def markdown(self, document: Mapping[str, Any]) -> str:
         """Write the whole study in Markdown."""
-        return unknowns_tables.markdown(document)
+        return unknowns_tables.unknowns_markdown(document)
 
     def render(self, document: Mapping[str, Any]) -> Any:
         """Draw the variations for the terminal, with rich."""
-        return unknowns_tables.render(document)
+        return unknowns_tables.draw_unknowns(document)
 
 
 def _against_paper(row: Row, paper: Row) -> Row:
@@ -312,7 +310,7 @@ def _as_arrays(chosen: Mapping[str, float]) -> dict[str, Array]:
     return {name: jnp.float32(value) for name, value in chosen.items()}
 
 
-EXPERIMENT = Unknowns(
+UNKNOWNS = Unknowns(
     name="unknowns", title=unknowns_tables.TITLE, lead=unknowns_tables.LEAD, specs=PRINTED
 )
 """All variations."""

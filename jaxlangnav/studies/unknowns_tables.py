@@ -8,7 +8,7 @@ from typing import Any
 from jaxlangnav.experiments.grid import Row
 from jaxlangnav.experiments.metrics import timeouts_text
 from jaxlangnav.experiments.rows import NEAR, PAPER_RUNS
-from jaxlangnav.experiments.table import Table
+from jaxlangnav.experiments.table import Document, Table
 
 TITLE = "What the paper leaves open, one thing at a time"
 LEAD = (
@@ -19,7 +19,6 @@ _LONG = (
     "World", "Range m", "Relation", "Unknown", "Value", "Success % ± s. e.", "paper", "z",
     "Distance m ± s. e.", "paper", "z", "against ours, m (95 %)", "Time-outs",
 )  # fmt: skip
-Document = Mapping[str, Any]
 
 
 def row_name(row: Mapping[str, Any]) -> str:
@@ -142,7 +141,7 @@ def _cells(row: Row) -> list[str]:
     ]
 
 
-def caption(document: Document) -> str:
+def conditions(document: Document) -> str:
     """Say how the tables are to be read and what they were measured under.
 
     Args:
@@ -172,7 +171,7 @@ def caption(document: Document) -> str:
     )
 
 
-def markdown(document: Document) -> str:
+def unknowns_markdown(document: Document) -> str:
     """Write the whole study as Markdown.
 
     Args:
@@ -188,7 +187,7 @@ def markdown(document: Document) -> str:
                 f"# {TITLE}",
                 LEAD,
                 matrix(document).markdown(is_marked=True).rstrip(),
-                caption(document),
+                conditions(document),
                 explained,
                 "## All figures",
                 long_table(document).markdown(is_marked=True).rstrip(),
@@ -198,7 +197,7 @@ def markdown(document: Document) -> str:
     )
 
 
-def render(document: Document) -> Any:
+def draw_unknowns(document: Document) -> Any:
     """Draw the variations for the terminal, figures near the paper's with a star.
 
     Args:
@@ -223,7 +222,7 @@ def render(document: Document) -> Any:
         headings=["success %\ndistance m", *names, "rows\nnear", "rms\nz"],
         rows=lines,
         title=TITLE,
-        caption=caption(document),
+        caption=conditions(document),
         faint=[place == 0 for place in range(len(lines))],
     )
     return Group(table.text(), *(Text(line) for line in explained_lines(document)))
