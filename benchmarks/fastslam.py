@@ -135,7 +135,7 @@ def run_whole(
         return semantic_filter.step(step_key, belief, readings, observation, params=params)[0], None
 
     num_mentions = readings.mention_type.shape[-1]
-    belief = semantic_filter.start(jnp.zeros(3), area, num_mentions, config)
+    belief = semantic_filter.start(jnp.zeros(3), area, num_mentions, config=config)
     inputs = (jax.random.split(key, len(odometry)), jnp.cumsum(odometry, axis=0), offsets)
     belief, _ = jax.lax.scan(step, belief, inputs)
     return belief.particles, belief.log_weight

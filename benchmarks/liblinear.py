@@ -128,7 +128,7 @@ def train_ours(factors: Factors, config: TrainingConfig) -> tuple[np.ndarray, fl
     begin = time.process_time()
     design = pool(factors, {"symbol": slice(0, factors.properties.shape[1])}, 1)
     pooled = time.process_time() - begin
-    (weights,), measured = fit(design, np.ones((1, 1), np.float32), config)
+    (weights,), measured = fit(design, np.ones((1, 1), np.float32), config=config)
     # A word or property that never occurs has no weight; the rest stand in their order.
     found = weights["symbol"].ravel()
     return found, pooled, measured.cpu_seconds, measured.compile_seconds
@@ -198,7 +198,7 @@ with np.load(sys.argv[1]) as file:
     factors = Factors(**file)
 config = TrainingConfig(l2=float(sys.argv[2]), max_steps=1000, gap=float(sys.argv[3]))
 design = pool(factors, {"symbol": slice(0, factors.properties.shape[1])}, 1)
-fit(design, np.ones((1, 1), np.float32), config)
+fit(design, np.ones((1, 1), np.float32), config=config)
 """,
     "theirs": """
 import pinning, sys

@@ -18,7 +18,7 @@ import numpy as np
 import record
 
 from jaxlangnav.episode import advance, begin
-from jaxlangnav.speed.bench import Bench, set_up
+from jaxlangnav.speed.bench import Workbench, set_up
 from jaxlangnav.speed.measuring import POLICY, Entry, entry, measure
 from jaxlangnav.experiments.monte_carlo import LANES, run_tasks, take_tasks
 from jaxlangnav.experiments.policies import navigator_config
@@ -39,7 +39,7 @@ def config(*, particles: int = 64, slots: int = 8, blocks: int = 6) -> Navigator
     )
 
 
-def cycle(bench: Bench, sizes: NavigatorConfig, repetitions: int) -> tuple[float, float]:
+def cycle(bench: Workbench, sizes: NavigatorConfig, repetitions: int) -> tuple[float, float]:
     """Measure one cycle of one lane: µs CPU, and bytes of state and scratch."""
     tasks = take_tasks(bench.tasks, np.arange(LANES))
 
@@ -106,7 +106,7 @@ def entries(*, is_quick: bool) -> list[Entry]:
     return found + grown("frontier nodes a cycle", nodes, costs, "µs CPU")
 
 
-def whole(bench: Bench, size: int) -> float:
+def whole(bench: Workbench, size: int) -> float:
     """Measure whole episodes: CPU seconds of a batch."""
     tasks = take_tasks(bench.tasks, np.arange(size))
 

@@ -20,7 +20,7 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav import sensing
-from jaxlangnav.pytree import pytree
+from jaxlangnav.pytree import field, pytree
 
 RELATIONS = ("front", "behind", "left", "right", "near", "far")
 """The six relations of section 3.1; an index into this tuple is a relation index."""
@@ -85,8 +85,7 @@ class Readings:
     figure: Array  # i32[K, J] mention index of what is placed; NONE in empty slots
     relation: Array  # i32[K, J] relation index; NONE where the thing merely exists
     landmark: Array  # i32[K, J] mention index it is placed against; NONE where relation is NONE
-    is_superlative: Array  # bool[K, J] "nearest": of all of the figure's type, the extreme one
-    rank: Array  # i32[K, J] 1 where the extreme one is meant, 2 the second, ...; 0 elsewhere
+    rank: Array  # i32[K, J] of the figure's type 1 is the extreme one, 2 the second; else 0
     log_probability: Array  # f32[K] normalised; -inf in empty readings
 
 
@@ -120,18 +119,22 @@ class Behavior:
 class SensorParams:
     """Specification of the object detector; traced, so a sweep never recompiles."""
 
-    range_max: Array  # f32[] metres
-    field_of_view: Array  # f32[] radians, full opening angle, centred on the heading; 2π: all round
-    detection_probability: Array  # f32[] in [0, 1]
-    noise: Array  # f32[] metres, standard deviation of a relative position, each axis
+    range_max: Array = field("metres")  # f32[]
+    field_of_view: Array = field(  # f32[]
+        "radians, full opening angle, centred on the heading; 2π: all round"
+    )
+    detection_probability: Array = field("in [0, 1]")  # f32[]
+    noise: Array = field("metres, standard deviation of a relative position, each axis")  # f32[]
 
 
 @pytree
 class MotionParams:
     """Specification of motion and odometry; traced."""
 
-    step_length: Array  # f32[] metres travelled in one decision cycle at normal speed
-    odometry_noise: Array  # f32[] standard deviation per axis as a share of the way (0.02: 2 %)
+    step_length: Array = field("metres travelled in one decision cycle at normal speed")  # f32[]
+    odometry_noise: Array = field(  # f32[]
+        "standard deviation per axis as a share of the way (0.02: 2 %)"
+    )
 
 
 @pytree

@@ -33,7 +33,7 @@ from jaxlangnav.planner.config import PlannerConfig
 from jaxlangnav.planner.goals import Goals, gather
 from jaxlangnav.planner.params import PlannerParams, default_planner_params
 from jaxlangnav.planner.relevance import bears_on_goal, group_of, has_open_partner
-from jaxlangnav.pytree import pytree, replace, strong
+from jaxlangnav.pytree import field, pytree, replace, strong
 from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.semantic_map.behaviors import infer_behaviors
 from jaxlangnav.semantic_map.belief import ParticleBelief
@@ -57,8 +57,8 @@ class NavigatorParams:
 
     map: MapParams
     planner: PlannerParams
-    mode_speed: Array  # f32[3] factor on the step length: normal, quickly, carefully
-    mode_clearance: Array  # f32[3] metres kept from objects
+    mode_speed: Array = field("factor on the step length: normal, quickly, carefully")  # f32[3]
+    mode_clearance: Array = field("metres kept from objects")  # f32[3]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -181,7 +181,7 @@ def start(
     chex.assert_shape([pose, area], [(3,), (4,)])
     num_mentions = instruction.readings.mention_type.shape[-1]
     belief = semantic_filter.start(
-        pose, area, num_mentions, config.map, num_types=num_types, terrain=terrain
+        pose, area, num_mentions, config=config.map, num_types=num_types, terrain=terrain
     )
     return NavigatorState(
         belief=belief,

@@ -21,8 +21,21 @@ def static(**kwargs: Any) -> Any:
     return dataclasses.field(metadata={"static": True}, **kwargs)
 
 
+def field(help: str, **kwargs: Any) -> Any:
+    """Say of a field what it is and in which unit, for whoever sets it (the command line's help).
+
+    Args:
+        help: one sentence; units first where it is a quantity.
+        **kwargs: of ``dataclasses.field``.
+
+    Returns:
+        The field.
+    """
+    return dataclasses.field(metadata={"help": help}, **kwargs)
+
+
 @dataclass_transform(
-    kw_only_default=True, frozen_default=True, field_specifiers=(static, dataclasses.field)
+    kw_only_default=True, frozen_default=True, field_specifiers=(static, field, dataclasses.field)
 )
 def pytree(cls: type[T]) -> type[T]:
     """Turn a class of annotated fields into a frozen, keyword-only, JAX-registered dataclass.
@@ -35,8 +48,8 @@ def pytree(cls: type[T]) -> type[T]:
     """
     record: Any = dataclasses.dataclass(frozen=True, kw_only=True)(cls)
     data, meta = [], []
-    for field in dataclasses.fields(record):
-        (meta if field.metadata.get("static", False) else data).append(field.name)
+    for one in dataclasses.fields(record):
+        (meta if one.metadata.get("static", False) else data).append(one.name)
     jax.tree_util.register_dataclass(record, data_fields=data, meta_fields=meta)
     if not meta:
         RECORDS[f"{record.__module__}.{record.__qualname__}"] = record

@@ -83,7 +83,7 @@ RUNS = 64
 @jax.jit
 def filtered(readings):
     """Probability of each slot to be the hydrant in each run, and the belief of one of them."""
-    start = semantic_filter.start(POSE, AREA, readings.mention_type.shape[1], MapConfig())
+    start = semantic_filter.start(POSE, AREA, readings.mention_type.shape[1], config=MapConfig())
     run = jax.vmap(lambda key: semantic_filter.step(key, start, readings, look, params=params.map))
     beliefs, _ = run(jax.random.split(jax.random.key(0), RUNS))
     weight, particles = jnp.exp(beliefs.log_weight), beliefs.particles
@@ -101,7 +101,8 @@ for index, (axes, (name, text)) in enumerate(
 ):
     readings = jax.tree.map(lambda leaf, index=index: leaf[index], sentences.instructions.readings)
     share, belief = filtered(readings)
-    exact, unseen = jax.jit(figure_posterior)(remember(belief, readings, blocks=1), params.map)
+    told = remember(belief, readings, blocks=1)
+    exact, unseen = jax.jit(figure_posterior)(told, params=params.map)
     order = [int(np.argmin(np.abs(np.asarray(belief.particles.mean_x[:slots, 0]) - x) + np.where(
         np.asarray(belief.particles.object_type[:, 0]) == 0, 0, 99))) for x in xs[1:]]  # fmt: skip
     exact = [*np.asarray(exact)[order], float(unseen.sum())]

@@ -115,7 +115,7 @@ where = jnp.asarray(OWN_AREA, jnp.float32)
 def episodes(relations, seed, number=128):
     """Tasks in worlds where people use these relations."""
     one = cell("own", "behind", list(SENTENCES).index("behind"), 3.0, number, seed)
-    return own_tasks(one, sentences.instructions, where, START, believing(relations).map)
+    return own_tasks(one, sentences.instructions, where, START, params=believing(relations).map)
 
 
 config = navigator_config("informed")
@@ -256,7 +256,7 @@ for step in range(STEPS):
         )
     )
 looks = jax.tree.map(lambda *leaves: np.stack(leaves), *looks)
-begin = semantic_filter.start(START, where, 1, MapConfig())
+begin = semantic_filter.start(START, where, 1, config=MapConfig())
 
 
 def evidence_of(noise, detection):

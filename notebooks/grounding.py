@@ -224,7 +224,7 @@ for one in train[:4]:
 
 # %%
 config = TrainingConfig(l2=0.01)
-graph, measured = train_graph(space, train, config, without=frozenset({"gram"}))
+graph, measured = train_graph(space, train, config=config, without=frozenset({"gram"}))
 print(
     f"{graph.weights.size:,} weights, {measured.steps[0]} steps, {1e3 * measured.seconds:.0f} ms, "
     f"and {measured.compile_seconds:.1f} s to compile"

@@ -13,8 +13,9 @@ from typing import Any
 import ages
 
 from jaxlangnav.experiments.figure5 import describe_falls
-from jaxlangnav.experiments.tables import deviation_lines
-from jaxlangnav.studies.unknowns_tables import caption, explained_lines, matrix
+from jaxlangnav.experiments.table import Table
+from jaxlangnav.experiments.tables import deviations_table
+from jaxlangnav.studies.unknowns_tables import conditions, explained_lines, matrix
 
 ROOT = ages.ROOT
 PAGE = ROOT / "docs" / "results.md"
@@ -29,12 +30,6 @@ def read(folder: Path, name: str) -> dict[str, Any]:
     return json.loads((folder / f"{name}.json").read_text("utf-8"))
 
 
-def markdown_table(headings: list[str], rows: list[list[str]]) -> str:
-    """Write a Markdown table."""
-    lines = [headings, ["---"] * len(headings), *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
-
-
 def range_table(document: dict[str, Any]) -> str:
     """Write success and distance by range, for the policies that use the sentence."""
     found: dict[tuple[str, float], dict[str, str]] = {}
@@ -45,7 +40,7 @@ def range_table(document: dict[str, Any]) -> str:
         [relation, f"{reach:g}", *(cells.get(name, "") for name in SHOWN)]
         for (relation, reach), cells in found.items()
     ]
-    return markdown_table(["command", "range m", *SHOWN], rows)
+    return Table(headings=["command", "range m", *SHOWN], rows=rows).markdown().rstrip()
 
 
 def time_line(document: dict[str, Any]) -> str:
@@ -67,9 +62,9 @@ a time that the paper does not print. All figures with their standard errors and
 
 ![Success and distance of every variation beside the paper's](unknowns.png)
 
-{markdown_table(*matrix(document))}
+{matrix(document).markdown(is_marked=True).rstrip()}
 
-{caption(document)}
+{conditions(document)}
 
 What would explain each row by itself:
 
@@ -91,7 +86,7 @@ def page(folder: Path, commit: str, kept: str) -> str:
     unknowns = read(folder, "unknowns")
     body = (folder / "table2.md").read_text("utf-8").split("\n", 2)[2].strip()
     figure4 = (folder / "figure4.md").read_text("utf-8").strip().split("\n\n")[-1]
-    far = markdown_table(*deviation_lines(table2))
+    far = deviations_table(table2).markdown().rstrip()
     machine = read(folder, "time")["machine"]
     return f"""# Results
 

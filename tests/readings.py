@@ -43,7 +43,7 @@ def readings(
     k, m, j = sizes
     types, figure = np.full((k, m), NONE, np.int32), np.full((k, j), NONE, np.int32)
     relation, landmark = figure.copy(), figure.copy()
-    is_superlative, probability = np.zeros((k, j), bool), np.zeros(k)
+    rank, probability = np.zeros((k, j), np.int32), np.zeros(k)
     probability[: len(mention_types)] = probabilities or [1.0 / len(mention_types)] * len(
         mention_types
     )
@@ -51,7 +51,7 @@ def readings(
         types[index, : len(names)] = names
         for edge, (fig, rel, land, extreme) in enumerate(edges):
             figure[index, edge], relation[index, edge] = fig, rel
-            landmark[index, edge], is_superlative[index, edge] = land, extreme
+            landmark[index, edge], rank[index, edge] = land, extreme
     with np.errstate(divide="ignore"):
         log_probability = np.log(probability)
     return Readings(
@@ -59,8 +59,7 @@ def readings(
         figure=jnp.asarray(figure),
         relation=jnp.asarray(relation),
         landmark=jnp.asarray(landmark),
-        is_superlative=jnp.asarray(is_superlative),
-        rank=jnp.asarray(is_superlative.astype(np.int32)),
+        rank=jnp.asarray(rank),
         log_probability=jnp.asarray(log_probability, jnp.float32),
     )
 
@@ -131,7 +130,10 @@ def begin(
     num_mentions: int = M,
 ) -> ParticleBelief:
     return semantic_filter.start(
-        jnp.asarray(pose, jnp.float32), jnp.asarray(area, jnp.float32), num_mentions, config
+        jnp.asarray(pose, jnp.float32),
+        jnp.asarray(area, jnp.float32),
+        num_mentions,
+        config=config,
     )
 
 

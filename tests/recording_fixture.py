@@ -23,7 +23,6 @@ def make_readings() -> Readings:
         figure=np.array([[0, NONE], [0, NONE]], np.int32),
         relation=np.array([[BEHIND, NONE], [NONE, NONE]], np.int32),
         landmark=np.array([[1, NONE], [NONE, NONE]], np.int32),
-        is_superlative=np.zeros((2, 2), bool),
         rank=np.zeros((2, 2), np.int32),
         log_probability=np.log(np.array([0.8, 0.2], np.float32)),
     )

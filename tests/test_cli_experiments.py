@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from jaxlangnav.cli import main as cli
-from jaxlangnav.cli import studies
+from jaxlangnav.cli import reproduction, studies
 from jaxlangnav.grounding.weights import load, load_shipped
 
 CORPUS_39 = str(resources.files("jaxlangnav.language") / "data" / "corpus39.jsonl")
@@ -179,7 +179,8 @@ def test_all_writes_one_page_of_its_parts(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The parts that need no long run; the page joins whatever has been run."""
-    monkeypatch.setattr("jaxlangnav.cli.reproduce._NAMES", ("fig3", "table2"))
+    few = {name: reproduction.STUDIES[name] for name in ("fig3", "table2")}
+    monkeypatch.setattr(reproduction, "STUDIES", few)
     words = ["reproduce", "all", "--episodes", "2", "--policy", "known", "--seed", "4", "--out"]
     words += [str(tmp_path), "--sensor.detection-probability", "0.9"]
     found = document(words, capsys)

@@ -24,7 +24,7 @@ def typed(*words: str) -> dict[settings.Place, Any]:
     return settings.read_settings(command.settings, Follow.SETTINGS)
 
 
-def test_every_number_of_the_planner_is_an_option_with_its_comment() -> None:
+def test_every_number_of_the_planner_is_an_option_with_its_help() -> None:
     found = {one.path: one for one in settings.options(["params"])}
     names = [path[-1] for path in found if path[:2] == ("params", "planner")]
     assert names == list(PlannerParams.__dataclass_fields__)
@@ -32,6 +32,9 @@ def test_every_number_of_the_planner_is_an_option_with_its_comment() -> None:
     assert discount.flag == "--params.planner.discount"
     assert discount.default == pytest.approx(float(navigator_params().planner.discount))
     assert discount.help.startswith("γ per metre")
+    # Every number says what it is, to its end; sizes say it by their names.
+    assert all(one.help or one.is_whole for one in settings.options(settings.GROUPS))
+    assert found["params", "planner", "give_up"].help.endswith("of ``informed``, 0: never")
     assert found["params", "mode_speed"].default == (1.0, 1.5, 0.6)
     assert "normal, quickly, carefully" in found["params", "mode_speed"].help
     # What has an option of its own is not offered twice.

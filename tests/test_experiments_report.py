@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from jaxlangnav.experiments.report import Section, Table, data_uri, render_report, write_html
+from jaxlangnav.experiments.report import Section, data_uri, render_report, write_report
+from jaxlangnav.experiments.table import Table
 
 SVG = '<svg xmlns="http://www.w3.org/2000/svg" width="3" height="2"></svg>'
 
@@ -100,7 +101,7 @@ def test_what_is_written_cannot_break_the_page(tmp_path: Path) -> None:
     evil = '</title><script>alert("x")</script>'
     page = render_report(evil, [Section(title=evil, lead=evil, notes=[evil])], made={"a": evil})
     assert "<script" not in page
-    path = write_html("t", [], tmp_path / "new" / "report.html", made={})
+    path = write_report("t", [], tmp_path / "new" / "report.html", made={})
     assert path.read_text("utf-8").startswith("<!doctype html>")
 
 

@@ -9,9 +9,11 @@ import pytest
 from jaxlangnav.cli import main as cli
 from jaxlangnav.episode import begin
 from jaxlangnav.experiments import sizes
+from jaxlangnav.experiments.experiment import check_episodes
 from jaxlangnav.experiments.policies import navigator_config
-from jaxlangnav.experiments.rows import RowSpec, check_episodes, row_tasks
+from jaxlangnav.experiments.rows import RowSpec
 from jaxlangnav.experiments.sentences import ground_sentences
+from jaxlangnav.experiments.tasks import draw_tasks
 from jaxlangnav.navigator import NavigatorConfig
 from jaxlangnav.semantic_map.params import MapConfig
 
@@ -20,7 +22,7 @@ HUGE = "1000000000000"
 
 def test_the_account_is_that_of_the_real_records() -> None:
     spec = RowSpec(world="1H1C", range=3.0, relation="null")
-    tasks = row_tasks([spec], episodes=2, seed=0)
+    tasks = draw_tasks([spec.setting(seed=0).cell], np.zeros(2, int), np.arange(2))
     assert 2 * sizes.task_bytes() == sizes.bytes_of(tasks)
     instructions = ground_sentences(["go to the hydrant"]).instructions
     task = jax.tree.map(lambda leaf: leaf[0], tasks)

@@ -203,7 +203,7 @@ def test_summary(undisturbed: tuple[SweepConfig, Path], tmp_path: Path) -> None:
     for one in document["comparisons"]:
         assert (one["first"]["policy"], one["second"]["policy"]) == ("known", "lawnmower")
         assert one["pairs"] == 280
-    text = summary_tables.markdown(document)
+    text = summary_tables.summary_markdown(document)
     assert "two robots" in text
     assert text.count("\n| 1H1C |") == 36
     assert summary_tables.render(document) is not None
@@ -231,7 +231,7 @@ def test_damaged_files_are_named_and_made_again(
     assert document["missing"] == 5
     assert [line.split()[0] for line in document["damaged"]] == [str(out / one) for one in names]
     assert document["episodes"] < ROWS
-    assert "5 of them because they are damaged" in summary_tables.markdown(document)
+    assert "5 of them because they are damaged" in summary_tables.summary_markdown(document)
     assert cli.main(["summarize", str(out)]) == 0
     lines = capsys.readouterr().err.splitlines()
     assert [line.split()[1] for line in lines] == [str(out / one) for one in names]

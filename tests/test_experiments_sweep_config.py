@@ -13,7 +13,6 @@ from jaxlangnav.experiments.sweep_plan import (
     shard_episodes,
     shard_files,
 )
-from jaxlangnav.experiments.sweep_tasks import chunk_columns
 
 SMALL: dict[str, Any] = {"worlds": ["1H1C"], "commands": ["behind"]}
 
@@ -124,7 +123,7 @@ def test_the_plan_holds_every_episode_once() -> None:
     rows = set()
     for index in range(plan.num_files):
         chunk = plan.chunk(index)
-        columns = chunk_columns(plan, chunk)
+        columns = plan.grid.labels(chunk.arm, chunk.places)
         assert {len(values) for values in columns.values()} == {chunk.size}
         rows |= set(zip(*columns.values(), strict=True))
     assert len(rows) == plan.episodes()
@@ -144,7 +143,7 @@ def test_a_part_of_a_billion_episodes_is_a_part() -> None:
     parts = [shard_episodes(plan, f"{i}/1000") for i in (1, 500, 1000)]
     assert max(parts) - min(parts) <= 1024
     last = plan.chunk(shard_files(plan, "7/1000")[-1])
-    columns = chunk_columns(plan, last)
+    columns = plan.grid.labels(last.arm, last.places)
     assert columns["episode"][0] == last.first % 10**8
     assert columns["seed"][0] == last.first // 10**8
     assert sum(shard_episodes(plan, f"{i}/7") for i in range(1, 8)) == plan.episodes()

@@ -9,9 +9,11 @@ import pytest
 from rich.console import Console
 
 from jaxlangnav.experiments import figure5, table2, tables
-from jaxlangnav.experiments.experiment import Experiment
-from jaxlangnav.experiments.rows import RowSpec, default_noise, printed_rows
+from jaxlangnav.experiments.experiment import Experiment, Options
+from jaxlangnav.experiments.rows import RowSpec, describe_noise, printed_rows
 from jaxlangnav.world.templates import TABLE_2
+
+TABLE = table2.table_2()
 
 
 def row(**changes: Any) -> dict[str, Any]:
@@ -44,7 +46,7 @@ def document(*rows: dict[str, Any]) -> dict[str, Any]:
         "policies": list(dict.fromkeys(one["policy"] for one in rows)),
         "seed": 0,
         "num_particles": 64,
-        "noise": default_noise(),
+        "noise": describe_noise(),
         "rows": list(rows),
         "paper": printed_rows(TABLE_2),
     }
@@ -60,7 +62,7 @@ def test_the_paper_is_printed_as_it_stands() -> None:
 
 
 def test_cells_by_hand() -> None:
-    text = tables.markdown_table(document(row(ece=0.0251, brier=None, coverage90=90.6)))
+    text = tables.results_table(document(row(ece=0.0251, brier=None, coverage90=90.6))).markdown()
     expected = (
         "| 2H1C | 3 | behind | faithful | 67.4 (62.0-72.0) | 67.4 | 18.72 (10.00) | 18.72 (10.23) "
         "| 10.30 (1.80) | 10.38 (1.86) | 0.50 | 3 | 0.025 |  | 91 |"
@@ -98,7 +100,7 @@ def test_policies_of_a_row_stand_together() -> None:
 
 
 def test_a_row_the_paper_lacks_has_no_figure_beside_it() -> None:
-    text = tables.markdown_table(document(row(world="2H2C")))
+    text = tables.results_table(document(row(world="2H2C"))).markdown()
     assert "| 2H2C | 3 | behind | faithful | 67.4 (62.0-72.0) |  | 18.72 (10.00) |  |" in text
 
 
@@ -114,7 +116,7 @@ def test_deviations_by_hand() -> None:
 
 def test_the_terminal_table_fits_and_says_the_noise() -> None:
     console = Console(width=118, record=True, file=io.StringIO())
-    console.print(table2.EXPERIMENT.render(document(row(), row(policy="known"))))
+    console.print(TABLE.render(document(row(), row(policy="known"))))
     text = console.export_text()
     assert max(map(len, text.splitlines())) <= 118
     assert "…" not in text
@@ -140,17 +142,19 @@ def test_falls_are_found() -> None:
 
 
 def test_totals_and_refusals() -> None:
-    counted = {"episodes": 100, "policies": ["faithful", "known"]}
-    assert table2.EXPERIMENT.total_episodes(**counted) == 1400
+    counted = Options(episodes=100, policies=["faithful", "known"])
+    assert TABLE.total_episodes(counted) == 1400
     # The bar counts the 32 episodes a row that are run once more to judge the belief.
-    assert table2.EXPERIMENT.total_work(**counted) == 1400 + 7 * 32
-    assert figure5.EXPERIMENT.total_work(episodes=10, policies=["faithful", "known"]) == 240
+    assert TABLE.total_work(counted) == 1400 + 7 * 32
+    assert (
+        figure5.figure_5().total_work(Options(episodes=10, policies=["faithful", "known"])) == 240
+    )
     with pytest.raises(ValueError, match="episodes is 0, but must be at least 1"):
-        table2.reproduce_table2(episodes=0)
+        TABLE.run(Options(episodes=0))
     with pytest.raises(ValueError, match=r'unknown policy "faithfull".*did you mean "faithful"'):
-        table2.reproduce_table2(episodes=1, policies=["faithfull"])
+        TABLE.run(Options(episodes=1, policies=["faithfull"]))
     with pytest.raises(ValueError, match="unknown world template"):
-        figure5.reproduce_figure5(episodes=1, worlds=["2X"])
+        figure5.figure_5(["2X"])
 
 
 def test_an_experiment_and_its_files(tmp_path: Path) -> None:
@@ -160,14 +164,8 @@ def test_an_experiment_and_its_files(tmp_path: Path) -> None:
     )
     experiment = Experiment(name="small", title="Small", specs=specs)
     done: list[int] = []
-    found = experiment.run(
-        episodes=20,
-        policies=["known", "frontier"],
-        seed=3,
-        out=tmp_path,
-        on_progress=done.append,
-        num_particles=64,
-    )
+    options = Options(episodes=20, policies=["known", "frontier"], seed=3)
+    found = experiment.run(options, out=tmp_path, on_progress=done.append)
     assert sum(done) == 80
     assert [(one["world"], one["policy"]) for one in found["rows"]] == [
         ("1H1C", "known"),
@@ -198,9 +196,8 @@ def test_an_experiment_and_its_files(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_table2_with_the_navigator() -> None:
     done: list[int] = []
-    found = table2.reproduce_table2(
-        episodes=30, policies=["informed", "faithful"], seed=100, on_progress=done.append
-    )
+    options = Options(episodes=30, policies=["informed", "faithful"], seed=100)
+    found = TABLE.run(options, on_progress=done.append)
     assert sum(done) == 2 * 7 * (30 + 30)
     assert len(found["rows"]) == 14
     for one in found["rows"][:7]:

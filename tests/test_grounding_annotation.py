@@ -138,7 +138,7 @@ def test_readings_of_a_relation(model):
         BEHIND,
         0,
     ]
-    assert not readings.is_superlative[0, 0]
+    assert readings.rank[0, 0] == 0
     assert readings.figure.shape == (4, 4)
     assert readings.mention_type.shape == (4, 6)
 

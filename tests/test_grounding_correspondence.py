@@ -61,7 +61,7 @@ def labelled():
 
 @pytest.fixture(scope="module")
 def graph():
-    return train_graph(SPACE, labelled(), TrainingConfig(l2=0.003))[0]
+    return train_graph(SPACE, labelled(), config=TrainingConfig(l2=0.003))[0]
 
 
 def test_own_symbols_are_learned(graph):

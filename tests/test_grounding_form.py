@@ -275,7 +275,6 @@ def test_readings_are_those_of_the_form() -> None:
     np.testing.assert_array_equal(readings.landmark[:2, 0], [0, 0])
     np.testing.assert_array_equal(readings.relation[:2, :2], [[1, NONE], [NEAR, NONE]])
     np.testing.assert_array_equal(readings.rank[:2, 0], [0, 1])
-    np.testing.assert_array_equal(readings.is_superlative[:2, 0], [False, True])
     np.testing.assert_allclose(np.exp(readings.log_probability), [0.8, 0.2, 0, 0], atol=1e-6)
     assert grounded.notes == ("'pylon' was taken for a cone",)
     assert grounded.annotations[0] == {

@@ -182,7 +182,9 @@ def test_fit_reaches_the_minimum(small):
     """J is λ-strongly convex: J(W) − min J ≤ ‖∇J(W)‖² / 2 λ."""
     _, _, design = small
     config = TrainingConfig(l2=0.1)
-    (weights,), measured = fit(design, np.ones((1, design.num_instructions), np.float32), config)
+    (weights,), measured = fit(
+        design, np.ones((1, design.num_instructions), np.float32), config=config
+    )
     gradient = jax.grad(loss)(weights, design, all_counts(design), 0.1)
     length = np.sqrt(sum(float(jnp.sum(g * g)) for g in gradient.values()))
     # Rounding adds to the length: sums of a few thousand float32 slopes below one.
@@ -346,7 +348,7 @@ def test_splits_at_once_equal_splits_alone(small):
 def test_bad_requests_are_refused(small):
     examples, _, design = small
     with pytest.raises(ValueError, match="l2 is 0"):
-        fit(design, np.ones((1, 3), np.float32), TrainingConfig(l2=0.0))
+        fit(design, np.ones((1, 3), np.float32), config=TrainingConfig(l2=0.0))
     with pytest.raises(AssertionError, match="shape"):
         train_weights(
             factorise(design),

@@ -106,7 +106,7 @@ def test_garbage_in_empty_slots_changes_nothing() -> None:
         dirty_sentence,
         landmark=dirty_sentence.landmark.at[0, 1].set(1),
         relation=dirty_sentence.relation.at[0, 1].set(NEAR),
-        is_superlative=dirty_sentence.is_superlative.at[0, 1].set(True),
+        rank=dirty_sentence.rank.at[0, 1].set(1),
         figure=dirty_sentence.figure.at[1, 0].set(2),
     )
     ours = run(clean, sentence, looks())
@@ -215,7 +215,7 @@ def test_step_is_compiled_once_for_any_numbers() -> None:
 
 def log_evidence(params: RelationParams, key: jax.Array, belief, sentence) -> jax.Array:
     numbers = replace(by_hand.params(concentration=3.0), relations=prepare(params))
-    _, log_weight = semantic_filter.ground_words(key, belief, sentence, numbers)
+    _, log_weight = semantic_filter.ground_words(key, belief, sentence, params=numbers)
     return jax.nn.logsumexp(log_weight) - jnp.log(log_weight.shape[0])
 
 

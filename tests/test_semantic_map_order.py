@@ -70,7 +70,7 @@ def at(places) -> Pairs:
 
 @jax.jit
 def weigh_at(places, said, seen, draws, scene) -> jax.Array:
-    return log_rank(said, at(places), seen, draws, scene, PARAMS)
+    return log_rank(said, at(places), seen, draws, scene, params=PARAMS)
 
 
 def weigh(one: tuple, places=CONES) -> np.ndarray:

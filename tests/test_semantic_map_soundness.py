@@ -119,7 +119,7 @@ def test_a_jump_taken_over_becomes_doubt_of_where_the_robot_is() -> None:
     belief = by_hand.with_objects(by_hand.begin((5.0, 0.0, 0.0)), [(CONE, 6.0, 0.0)])
     robot = by_hand.CONFIG.num_objects
     away = jnp.array([1.0, 0.0, 0.0])
-    after = semantic_filter.predict(belief, away, jnp.asarray(True), by_hand.params())
+    after = semantic_filter.predict(belief, away, jnp.asarray(True), params=by_hand.params())
     np.testing.assert_allclose(after.particles.mean_x[robot], 1.0)
     # Four metres that nothing explains: the standard deviation of its place.
     np.testing.assert_allclose(np.sqrt(after.particles.covariance[robot, robot]), 4.0, rtol=1e-3)

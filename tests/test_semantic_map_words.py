@@ -49,7 +49,9 @@ def lanes():
 )
 def ground_lanes(keys, beliefs, sentences, asked, params, *, is_sparse, params_axis=None):
     def one(key, belief, sentence, is_asked, numbers):
-        return ground_words(key, belief, sentence, numbers, is_asked=is_asked, is_sparse=is_sparse)
+        return ground_words(
+            key, belief, sentence, params=numbers, is_asked=is_asked, is_sparse=is_sparse
+        )
 
     return jax.vmap(one, in_axes=(0, 0, 0, 0, params_axis))(keys, beliefs, sentences, asked, params)
 

@@ -48,7 +48,7 @@ def params(relations: RelationParams, misleading: float = 0.05) -> MapParams:
 
 VALUE = jax.jit(
     lambda one, relations, misleading: log_words(
-        one, replace(params(relations), misleading=misleading)
+        one, params=replace(params(relations), misleading=misleading)
     )
 )
 """One program for all sentences and maps."""
@@ -75,7 +75,7 @@ def test_words_evidence_gradient_is_exact_in_a_small_area(name: str) -> None:
     """Where samples would cross cells and edges (finding F13), the grid does not."""
     one = replace(explored(SEEN), readings=sentence(name))
     relation, start = CASES[name][1][0][1], default_params()
-    slopes = jax.jit(jax.grad(lambda p: log_words(one, params(p))))(start)
+    slopes = jax.jit(jax.grad(lambda p: log_words(one, params=params(p))))(start)
     for field in FIELDS:
         if field == "concentration" and relation == NEAR:
             continue  # κ = 0 is the edge of what is allowed

@@ -105,7 +105,7 @@ def true_relations() -> RelationParams:
 @jax.jit
 @jax.value_and_grad
 def fit_and_slope(relations: RelationParams, one: WordsEvidence) -> jax.Array:
-    return log_fit(one, replace(params(), relations=prepare(relations)))
+    return log_fit(one, params=replace(params(), relations=prepare(relations)))
 
 
 @functools.partial(jax.jit, static_argnames="law")
@@ -157,7 +157,7 @@ def test_groups_of_a_setting_sum_to_their_episodes() -> None:
     value, slope = jax.tree.map(
         lambda *parts: sum(parts), *(fit_and_slope(true_relations(), one) for one in each)
     )
-    of_group = jax.jit(jax.value_and_grad(lambda r, group: log_fit_of(group, r, params())))
+    of_group = jax.jit(jax.value_and_grad(lambda r, group: log_fit_of(group, r, params=params())))
     found, of_groups = jax.tree.map(
         lambda *parts: sum(parts), *(of_group(true_relations(), group) for group in groups)
     )
@@ -217,7 +217,7 @@ def test_a_ring_cannot_be_fitted() -> None:
 
 def test_superlatives_cannot_be_fitted() -> None:
     episodes = explored_worlds(0, 2)
-    extreme = jnp.ones_like(episodes.readings.is_superlative)
-    episodes = replace(episodes, readings=replace(episodes.readings, is_superlative=extreme))
+    extreme = jnp.ones_like(episodes.readings.rank)
+    episodes = replace(episodes, readings=replace(episodes.readings, rank=extreme))
     with pytest.raises(ValueError, match="superlative"):
         fit_to_episodes(episodes, BEHIND, default_params(), params=params())

@@ -6,14 +6,24 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jaxlangnav.experiments.rows import RowSpec, printed_rows, row_tasks
-from jaxlangnav.navigator import check, default_params
+from jaxlangnav.episode import Task
+from jaxlangnav.experiments.experiment import Options
+from jaxlangnav.experiments.grid import Grid
+from jaxlangnav.experiments.rows import PRINTED as SPECS
+from jaxlangnav.experiments.rows import RowSpec, printed_rows
+from jaxlangnav.navigator import check
 from jaxlangnav.studies import unknowns, unknowns_tables
 from jaxlangnav.studies.unknowns import VARIATIONS, Variation, turned
 from jaxlangnav.viz import unknowns as picture
 from jaxlangnav.world.templates import TABLE_2
 
 PRINTED = printed_rows(TABLE_2)
+OPTIONS = Options(seed=3000)
+
+
+def drawn(spec: RowSpec, *, episodes: int, seed: int) -> Task:
+    grid = Grid(settings=[spec.setting(seed=seed)], arms=[], episodes=episodes, names=())
+    return grid.draw(np.arange(episodes))
 
 
 def test_each_variation_sets_one_thing_and_the_first_one_none() -> None:
@@ -26,22 +36,26 @@ def test_each_variation_sets_one_thing_and_the_first_one_none() -> None:
             and getattr(one, field.name) != getattr(blank, field.name)
         ]
         assert len(changed) == min(place, 1), one
-        check(one.params(default_params()))
+        params = one.arm(OPTIONS).params
+        assert params is not None
+        check(params)
     assert len({(one.unknown, one.value) for one in VARIATIONS}) == len(VARIATIONS)
-    assert unknowns.total_episodes(episodes=10) == 70 * len(VARIATIONS)
+    assert unknowns.UNKNOWNS.total_episodes(Options(episodes=10)) == 70 * len(VARIATIONS)
 
 
 def test_only_sizes_compile_anew() -> None:
     """What is static: particles and blocks by the config, the time-out by itself."""
-    first = VARIATIONS[0].config(64)
-    other = [one for one in VARIATIONS if one.config(64) != first]
-    assert {one.unknown for one in other} == {"particles", "frontier spacing"}
-    assert [one.config(64).map.num_particles for one in other if one.num_blocks == 6] == [16, 256]
+    configs = {one.unknown + one.value: one.arm(OPTIONS).config for one in VARIATIONS}
+    first = configs[unknowns.OURS]
+    other = {name: config for name, config in configs.items() if config != first}
+    assert set(other) == {"particles÷ 4", "particles× 4", "frontier spacingdoubled",
+                          "frontier spacinghalved"}  # fmt: skip
+    sizes = [one.map.num_particles for name, one in other.items() if one and "particles" in name]
+    assert sizes == [16, 256]
 
 
 def test_worlds_are_turned_as_a_whole() -> None:
-    specs = [RowSpec(world="2H2C", range=3.0, relation="behind")]
-    tasks = row_tasks(specs, episodes=64, seed=5)
+    tasks = drawn(RowSpec(world="2H2C", range=3.0, relation="behind"), episodes=64, seed=5)
     after = turned(tasks, 5)
     old, new = tasks.scenario, after.scenario
     before = np.asarray(old.object_x) + 1j * np.asarray(old.object_y)
@@ -66,9 +80,8 @@ def test_worlds_are_turned_as_a_whole() -> None:
 
 
 def test_variations_share_worlds_and_keys() -> None:
-    tasks = row_tasks(unknowns.SPECS[:1], episodes=3, seed=1)
-    wide = VARIATIONS[1]
-    other = wide.tasks(tasks, 1)
+    tasks = drawn(SPECS[0], episodes=3, seed=1)
+    other = VARIATIONS[1].arm(OPTIONS).tasks(tasks)
     assert other.key is tasks.key
     assert other.scenario is tasks.scenario
     assert np.asarray(other.sensor.field_of_view) == pytest.approx([np.pi] * 3)
@@ -81,7 +94,7 @@ def document() -> dict[str, Any]:
     for one in (VARIATIONS[0], VARIATIONS[2]):
         for index, paper in enumerate(PRINTED):
             is_off = one is VARIATIONS[0] or index == 0
-            row = unknowns.SPECS[index].heading() | {
+            row = SPECS[index].heading() | {
                 "policy": "faithful", "unknown": one.unknown, "value": one.value,
                 "episodes": 400, "invalid_worlds": 1, "timeouts": 2, "not_found": 0,
                 "distance_sd": 20.0,
@@ -93,7 +106,7 @@ def document() -> dict[str, Any]:
     return {
         "policy": "faithful", "episodes": 400, "seed": 3000, "num_particles": 64,
         "noise": {"field_of_view": 2 * np.pi, "detection_probability": 0.95, "step_length": 1.0},
-        "ours": unknowns._settings(default_params()), "paper": PRINTED, "rows": rows,
+        "ours": unknowns._settings(OPTIONS), "paper": PRINTED, "rows": rows,
         "variations": [unknowns._fit(one, rows) for one in (VARIATIONS[0], VARIATIONS[2])],
         "explained": [unknowns._explained(index, rows) for index in range(7)],
     }  # fmt: skip
@@ -117,19 +130,20 @@ def test_what_explains_a_row_by_hand() -> None:
 
 def test_tables_by_hand() -> None:
     found = document()
-    headings, lines = unknowns_tables.matrix(found)
+    table = unknowns_tables.matrix(found)
+    headings, lines = table.headings, table.rows
     assert headings[2:5] == ["1H1C null", "1H1C behind", "1H2C null"]
     assert lines[0][2:4] == ["93.9 · 16.8", "98.3 · 13.4"]
     assert lines[2][:4] == ["field of view", "90°", "**93.9** · 46.8", "**98.3** · **13.4**"]
     assert lines[2][-2] == "6 of 7"
-    _, long = unknowns_tables.long_table(found)
+    long = unknowns_tables.long_table(found).rows
     assert len(long) == 14
     assert long[1][:8] == [
         "1H1C", "3", "null", "field of view", "90°", "93.9 ± 1.2", "93.9", "+0.0",
     ]  # fmt: skip
     assert long[0][11] == ""
     assert long[1][11] == "-30.00 (-31.00 to -29.00)"
-    text = unknowns_tables.markdown(found)
+    text = unknowns_tables.unknowns_markdown(found)
     assert "γ 0.8; 64 particles; τ 0.7; α 0.3; reach 1.2 m" in text
     assert "left out: 14" in text
 
@@ -150,9 +164,9 @@ def test_every_variation_is_a_point_of_every_panel() -> None:
 def test_the_study_runs_and_is_paired(tmp_path) -> None:
     done: list[int] = []
     chosen = [VARIATIONS[0], VARIATIONS[2], VARIATIONS[-1]]
-    found = unknowns.reproduce_unknowns(
-        episodes=6, out=tmp_path, on_progress=done.append, variations=chosen
-    )
+    experiment = dataclasses.replace(unknowns.UNKNOWNS, variations=chosen)
+    options = Options(episodes=6, seed=3000)
+    found = experiment.run(options, out=tmp_path, on_progress=done.append)
     assert sum(done) == 3 * 7 * 6
     assert len(found["rows"]) == 21
     assert found["seed"] == 3000

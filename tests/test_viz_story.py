@@ -57,7 +57,7 @@ def readings_of(types, edges, superlative=False):
         figure=np.array([[one[0] for one in edges]], np.int32),
         relation=np.array([[one[1] for one in edges]], np.int32),
         landmark=np.array([[one[2] for one in edges]], np.int32),
-        is_superlative=np.full((1, size), superlative),
+        rank=np.full((1, size), superlative, np.int32),
         log_probability=np.zeros(1, np.float32),
     )
 

@@ -11,7 +11,7 @@ from jaxlangnav import agent, episode
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.messages import NONE, Status, default_sensor
 from jaxlangnav.navigator import NavigatorConfig, default_params
-from jaxlangnav.planner.params import PlannerConfig
+from jaxlangnav.planner.config import PlannerConfig
 from jaxlangnav.semantic_map.params import MapConfig
 from jaxlangnav.terrain import Terrain
 from jaxlangnav.terrain.geodesic import geodesic

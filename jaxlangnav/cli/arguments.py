@@ -26,7 +26,7 @@ _COMFORTABLE = 88
 _RULE = re.compile(r"^[─-]{8,}")
 
 
-class Command(Protocol):
+class Runnable(Protocol):
     """A command: a dataclass of options that can be run."""
 
     json: bool
@@ -36,7 +36,7 @@ class Command(Protocol):
         ...
 
 
-def parse_arguments(arguments: Sequence[str]) -> Command:
+def parse_arguments(arguments: Sequence[str]) -> Runnable:
     """Read a command and its options.
 
     Args:

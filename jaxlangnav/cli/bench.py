@@ -23,14 +23,7 @@ class Bench:
     """Print one JSON document: machine, entries."""
 
     def run(self, output: Output) -> Document:
-        """Run the benchmarks.
-
-        Args:
-            output: where the table is printed.
-
-        Returns:
-            ``machine`` and ``entries``.
-        """
+        """Run the benchmarks."""
         keep_compiled_programs()
         from jaxlangnav.speed.bench import render, run_bench, set_up, stages
 

@@ -32,17 +32,7 @@ class Evaluate:
     """Print one JSON document: by model accuracy, interval, seconds; the paper's rows."""
 
     def run(self, output: Output) -> Document:
-        """Run the protocol and print the table beside the paper's.
-
-        Args:
-            output: where the table is printed.
-
-        Returns:
-            The document.
-
-        Raises:
-            ValueError: an option is outside its limits.
-        """
+        """Run the protocol and print the table beside the paper's."""
         check_at_least("--splits", self.splits, 2)
         check_seed(self.seed)
         if not self.beams:
@@ -50,7 +40,7 @@ class Evaluate:
         for beam in self.beams:
             check_at_least("--beams", beam, 1)
         keep_compiled_programs()
-        from jaxlangnav.experiments.table1 import evaluate, render
+        from jaxlangnav.experiments.table1 import evaluate, table_1
 
         with progress_bar("splits", self.splits) as advance:
             document = evaluate(
@@ -60,5 +50,5 @@ class Evaluate:
                 is_exact=not self.beam_only,
                 on_progress=advance,
             )
-        output.say(render(document))
+        output.say(table_1(document).text())
         return document

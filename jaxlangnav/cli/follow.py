@@ -72,17 +72,7 @@ class Follow:
     settings: tyro.conf.Suppress[Any] = None
 
     def run(self, output: Output) -> Document:
-        """Run the episode, tell it, and draw it where a folder is given.
-
-        Args:
-            output: where the story is told.
-
-        Returns:
-            The document.
-
-        Raises:
-            ValueError: an option, the sentence or the world is refused.
-        """
+        """Run the episode, tell it, and draw it where a folder is given."""
         self._check()
         parsed = parse_text(self.text, output)
         keep_compiled_programs()

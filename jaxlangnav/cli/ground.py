@@ -12,6 +12,7 @@ from jaxlangnav.cli.metavars import File, Folder, World
 from jaxlangnav.cli.output import Document, Output
 from jaxlangnav.cli.runtime import keep_compiled_programs
 from jaxlangnav.cli.sentence import parse_text
+from jaxlangnav.experiments.table import Table
 
 if TYPE_CHECKING:
     from jaxlangnav.grounding.instruction import Understanding
@@ -48,17 +49,7 @@ class Ground:
     """Print one JSON document: annotations, graph, behaviors, unknown_words."""
 
     def run(self, output: Output) -> Document:
-        """Ground the sentence and show the distributions.
-
-        Args:
-            output: where the tables are shown for people.
-
-        Returns:
-            The document.
-
-        Raises:
-            ValueError: the sentence or the world is refused.
-        """
+        """Ground the sentence and show the distributions."""
         check_seed(self.seed)
         check_folder("--out", self.out)
         if self.out is not None and importlib.util.find_spec("matplotlib") is None:
@@ -81,13 +72,13 @@ class Ground:
         grounded = {} if self.world is None else self._ground_in(self.world, understood)
         document |= grounded
         document["commands"] = describe_asked(understood.instruction, understood.type_names)
-        show_annotations(document["annotations"], output)
-        show_commands(document["commands"], output)
+        _show_annotations(document["annotations"], output)
+        _show_commands(document["commands"], output)
         if grounded:
-            show_behaviors(document["behaviors"], document["world"], output)
+            _show_behaviors(document["behaviors"], document["world"], output)
             num_objects = len(document["objects"])
         document["graph"] = understood.graph(num_objects)
-        show_graph(document["graph"], output)
+        _show_graph(document["graph"], output)
         if self.out is not None:
             from jaxlangnav.viz.pictures import write_graph
 
@@ -109,88 +100,60 @@ class Ground:
         }
 
 
-def show_annotations(annotations: list[dict[str, Any]], output: Output) -> None:
-    """Show what the sentence says of the world.
-
-    Args:
-        annotations: likeliest first.
-        output: where to.
-    """
-    from rich.table import Table
-
-    table = Table(title="Annotations: what it says of the world", title_justify="left")
-    for heading in ("Figure", "Relation", "Landmark"):
-        table.add_column(heading)
-    table.add_column("Probability", justify="right")
+def _show_annotations(annotations: list[dict[str, Any]], output: Output) -> None:
+    """Show what the sentence says of the world."""
+    rows = []
     for said in annotations:
         relation = said["relation"] or "-"
         extreme = {"near": "nearest", "far": "farthest"}.get(relation, f"most {relation}")
-        table.add_row(
-            said["figure"] or "(the robot itself)",
-            extreme if said["superlative"] else relation,
-            said["landmark"] or "-",
-            f"{said['probability']:.3f}",
+        rows.append(
+            [
+                said["figure"] or "(the robot itself)",
+                extreme if said["superlative"] else relation,
+                said["landmark"] or "-",
+                f"{said['probability']:.3f}",
+            ]
         )
-    output.say(table)
+    title = "Annotations: what it says of the world"
+    headings = ["Figure", "Relation", "Landmark", "Probability"]
+    output.say(Table(headings=headings, rows=rows, title=title).text())
 
 
-def show_commands(commands: list[dict[str, Any]], output: Output) -> None:
-    """Show what is asked for, were the world as the sentence says.
-
-    Args:
-        commands: in order.
-        output: where to.
-    """
-    from rich.table import Table
-
-    table = Table(title="Commands: what it asks for", title_justify="left")
-    for heading in ("", "Action", "Mode", "Goal", "Keep away from"):
-        table.add_column(heading)
-    table.add_column("Probability", justify="right")
+def _show_commands(commands: list[dict[str, Any]], output: Output) -> None:
+    """Show what is asked for, were the world as the sentence says."""
+    rows = []
     for number, one in enumerate(commands, 1):
         goal = one["goal"]
-        table.add_row(
-            str(number),
-            one["action"],
-            one["mode"],
-            f"{goal['region']} the {goal['object']}" if goal else "another one than before",
-            ", ".join(f"the {kept['object']}" for kept in one["avoid"]) or "-",
-            f"{one['probability']:.3f}",
+        rows.append(
+            [
+                str(number),
+                one["action"],
+                one["mode"],
+                f"{goal['region']} the {goal['object']}" if goal else "another one than before",
+                ", ".join(f"the {kept['object']}" for kept in one["avoid"]) or "-",
+                f"{one['probability']:.3f}",
+            ]
         )
-    if commands:
-        output.say(table)
+    headings = ["Command", "Action", "Mode", "Goal", "Keep away from", "Probability"]
+    if rows:
+        title = "Commands: what it asks for"
+        output.say(Table(headings=headings, rows=rows, title=title).text())
 
 
-def show_behaviors(behaviors: list[dict[str, Any]], world: str, output: Output) -> None:
-    """Show what is to be done in a world.
-
-    Args:
-        behaviors: likeliest first.
-        world: its name.
-        output: where to.
-    """
-    from rich.table import Table
-
-    table = Table(title=f"Behaviors in world {world}", title_justify="left")
-    for heading in ("Action", "Mode", "Goal"):
-        table.add_column(heading)
-    table.add_column("Probability", justify="right")
+def _show_behaviors(behaviors: list[dict[str, Any]], world: str, output: Output) -> None:
+    """Show what is to be done in a world."""
+    rows = []
     for one in behaviors:
-        probability = f"{one['probability']:.3f}"
         goal = one["goal"]
         x, y = goal["position"]
         where = f"{goal['region']} the {goal['object']} ({x:.1f}, {y:.1f})"
-        table.add_row(one["action"], one["mode"], where, probability)
-    output.say(table)
+        rows.append([one["action"], one["mode"], where, f"{one['probability']:.3f}"])
+    headings, title = ["Action", "Mode", "Goal", "Probability"], f"Behaviors in world {world}"
+    output.say(Table(headings=headings, rows=rows, title=title).text())
 
 
-def show_graph(graph: dict[str, dict[str, int]], output: Output) -> None:
-    """Show the sizes of the constructed graphs.
-
-    Args:
-        graph: by model, ``phrases``, ``factors``, ``variables``.
-        output: where to.
-    """
+def _show_graph(graph: dict[str, dict[str, int]], output: Output) -> None:
+    """Show the sizes of the constructed graphs."""
     from rich.text import Text
 
     for model, size in graph.items():

@@ -7,24 +7,23 @@ from typing import Any
 
 from jaxlangnav.cli.engine import load_models
 from jaxlangnav.cli.output import Output
-from jaxlangnav.cli.reproduction import Settings, Study
 from jaxlangnav.cli.runtime import waiting
 from jaxlangnav.cli.settings import apply
+from jaxlangnav.cli.study import Settings, Study, told
 from jaxlangnav.experiments.archive import manifest, write_manifest
 from jaxlangnav.experiments.compilation import CompileClock
 from jaxlangnav.experiments.policies import navigator_config
-from jaxlangnav.experiments.report import Section, Table
 from jaxlangnav.experiments.sentences import SENTENCES
+from jaxlangnav.experiments.table import Table
 from jaxlangnav.files.whole import write_text
 from jaxlangnav.grounding.instruction import understand_parse
 from jaxlangnav.language.parser import parse
-from jaxlangnav.plain_text import markdown_table
 from jaxlangnav.planner.config import POLICIES
 from jaxlangnav.pytree import replace
 from jaxlangnav.recording import Recording
 from jaxlangnav.task.follow import record_episode
 from jaxlangnav.task.opening import open_task
-from jaxlangnav.viz.moments import TABLE_HEADINGS, describe_moments, pick_moments, table_rows
+from jaxlangnav.viz.moments import describe_moments, moments_table, pick_moments
 
 TEXT = SENTENCES["behind"]
 """The sentence of all three figures."""
@@ -112,19 +111,28 @@ def illustrate(name: str, settings: Settings, output: Output) -> Study:
     pictures: list[Path] = []
     if settings.out is not None:
         pictures = _write(name, recording, steps, document, settings.out)
-    return Study(document=document, section=_section(figure, document, pictures, name, settings))
+    return told(
+        name,
+        document,
+        settings,
+        title=figure.title,
+        lead=f"{figure.paper} {figure.ours}",
+        pictures=[(path, figure.title) for path in pictures],
+        tables=[moments_table(moments)],
+        notes=[
+            "Probabilities that the goal is an object seen, or unseen left or right of where "
+            "the robot faced at first; the spread of the unseen goal; the share of the area seen.",
+            "The paper prints no coordinates; the arrangement is ours, a world of the package.",
+        ],
+        made={
+            "episode": f"world {document['world']}, policy {policy}, seed {document['seed']}, "
+            f"{document['num_particles']} particles, sensing range {document['range']:g} m",
+        },
+    )
 
 
 def factor_graph(settings: Settings, output: Output) -> Study:
-    """Draw the factor graph of the sentence: Figure 3.
-
-    Args:
-        settings: the folder.
-        output: where its size is told.
-
-    Returns:
-        The study.
-    """
+    """Draw the factor graph of the sentence: Figure 3."""
     from jaxlangnav.viz.pictures import write_graph
 
     begin = time.perf_counter()
@@ -152,21 +160,16 @@ def factor_graph(settings: Settings, output: Output) -> Study:
     if settings.out is not None:
         pictures = write_graph(parsed, model, settings.out, name="figure3")
         document["files"] = [str(path) for path in pictures]
-    section = Section(
+    return told(
+        "fig3",
+        document,
+        settings,
         title="Figure 3: the factor graph of a sentence",
         lead="A Distributed Correspondence Graph of the sentence; the counts are of the graph that "
         "is constructed, with seven objects for behaviors.",
-        pictures=[(path, "The factor graph") for path in pictures if path.suffix == ".svg"],
-        tables=[
-            Table(headings=["", "factors", "paper", "random variables", "paper"], rows=rows),
-        ],
-        made={
-            "command": settings.command("fig3"),
-            "wall time": f"{document['wall_s']:.1f} s",
-            "files": ", ".join(Path(one).name for one in document["files"]),
-        },
+        pictures=[(path, "The factor graph") for path in pictures],
+        tables=[Table(headings=["", "factors", "paper", "random variables", "paper"], rows=rows)],
     )
-    return Study(document=document, section=section)
 
 
 def _record(figure: Episode, policy: str, settings: Settings) -> Recording:
@@ -199,7 +202,7 @@ def _write(
     draw = belief_figure if name == "fig1" else values_figure
     pictures = [*save(draw(recording, steps=steps), out / figure.name)]
     page = write_html(recording, out / f"{figure.name}.html")
-    table = markdown_table(TABLE_HEADINGS, table_rows(document["moments"]))
+    table = moments_table(document["moments"]).markdown()
     text = f"# {figure.title}\n\n{figure.paper}\n\n{figure.ours}\n\n{table}"
     settings = {key: value for key, value in document.items() if key != "moments"}
     written = [
@@ -211,30 +214,3 @@ def _write(
     ]
     document["files"] = [str(path) for path in (*pictures, *written)]
     return pictures
-
-
-def _section(
-    figure: Episode, document: dict[str, Any], pictures: list[Path], name: str, settings: Settings
-) -> Section:
-    """Write an episode's part of the report."""
-    vector = [path for path in pictures if path.suffix == ".svg"]
-    return Section(
-        title=figure.title,
-        lead=f"{figure.paper} {figure.ours}",
-        pictures=[(path, figure.title) for path in vector],
-        tables=[Table(headings=TABLE_HEADINGS, rows=table_rows(document["moments"]))],
-        notes=[
-            "Probabilities that the goal is an object seen, or unseen left or right of where "
-            "the robot faced at first; the spread of the unseen goal; the share of the area seen.",
-            "The paper prints no coordinates; the arrangement is ours, a world of the package.",
-        ],
-        made={
-            "command": settings.command(name),
-            "episode": f"world {document['world']}, policy {document['policy']}, seed "
-            f"{document['seed']}, {document['num_particles']} particles, sensing range "
-            f"{document['range']:g} m",
-            "wall time": f"{document['wall_s']:.1f} s, {document['compile_s']:.1f} s of them "
-            "compilation",
-            "files": ", ".join(Path(one).name for one in document["files"]),
-        },
-    )

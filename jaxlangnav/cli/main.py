@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 from jaxlangnav import __version__
 from jaxlangnav.cli import SUMMARIES
-from jaxlangnav.cli.arguments import PROGRAM, Command, parse_arguments
+from jaxlangnav.cli.arguments import PROGRAM, Runnable, parse_arguments
 from jaxlangnav.cli.errors import UsageError, is_refusal, one_line, platform_fault
 from jaxlangnav.cli.output import Output, standard_output_kept, write_document
 from jaxlangnav.plain_text import printable
@@ -83,7 +83,7 @@ def story() -> str:
     return _STORY.format(program=PROGRAM, commands=commands)
 
 
-def _run(command: Command) -> int:
+def _run(command: Runnable) -> int:
     """Run a command; under ``--json`` print its document, and only that, on standard output."""
     with standard_output_kept(for_json=command.json):
         document = command.run(Output(is_json=command.json))

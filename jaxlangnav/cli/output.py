@@ -10,12 +10,10 @@ import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from jaxlangnav.experiments.table import Document
 from jaxlangnav.plain_text import Plain, is_plain, printable
 
-Document = Mapping[str, Any]
-"""What a command found, in JSON's own types (NumPy and JAX scalars and arrays are turned)."""
-
-
+__all__ = ["Document", "Output", "standard_output_kept", "to_json", "write_document"]
 _WIDEST = 240
 """Columns that a table may take."""
 _COMFORTABLE = 100

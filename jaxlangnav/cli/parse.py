@@ -23,14 +23,7 @@ class Parse:
     """Print one JSON document: instruction, tree, unknown_words."""
 
     def run(self, output: Output) -> Document:
-        """Parse the sentence and draw its tree.
-
-        Args:
-            output: where the tree is drawn for people.
-
-        Returns:
-            ``instruction``, ``tree``, ``unknown_words`` and what else the parser says.
-        """
+        """Parse the sentence and draw its tree."""
         document = parse_text(self.text, output).to_dict()
         output.say(draw_tree(document["tree"]))
         return document

@@ -13,10 +13,9 @@ from jaxlangnav.cli.output import Document, Output
 from jaxlangnav.cli.runtime import keep_compiled_programs
 from jaxlangnav.cli.settings import Place, apply, read_settings
 
-_NAMES = ("table1", "fig1", "fig3", "fig4", "table2", "fig5", "unknowns", "time")
-"""What ``all`` runs, in the order of the report."""
 _PARTICLES, _PARTICLES_DRAWN = 64, 256
 _SEED, _SEED_UNKNOWNS = 0, 3000
+"""The study of unknowns has worlds of its own, none that a table or a tuning has used."""
 _TAKES = {"table1": (), "fig3": (), "time": ("params",)}
 """Groups of settings that mean something to an experiment; the others take all of them."""
 
@@ -71,20 +70,11 @@ class Reproduce:
     settings: tyro.conf.Suppress[Any] = None
 
     def run(self, output: Output) -> Document:
-        """Run the experiment, print its table and write the files.
-
-        Args:
-            output: where the table is printed for people.
-
-        Returns:
-            The document.
-
-        Raises:
-            ValueError: an option is outside its limits.
-        """
+        """Run the experiment, print its table and write the files."""
         self._check()
         keep_compiled_programs()
         from jaxlangnav.cli import reproduction
+        from jaxlangnav.cli.study import Settings
         from jaxlangnav.experiments.policies import POLICY_NAMES, check_policies
         from jaxlangnav.navigator import check
         from jaxlangnav.task.follow import navigator_params
@@ -95,7 +85,7 @@ class Reproduce:
         self._check_settings(values)
         params = apply(navigator_params(), values, "params")
         check(params)
-        settings = reproduction.Settings(
+        settings = Settings(
             episodes=self.episodes,
             policies=check_policies(list(POLICY_NAMES) if named == ["all"] else named),
             seed=_SEED if self.seed is None else self.seed,
@@ -109,9 +99,10 @@ class Reproduce:
             out=self.out,
             command=self._command,
         )
-        reproduction.check_sizes(_NAMES if self.what == "all" else [self.what], settings)
+        names = list(reproduction.STUDIES) if self.what == "all" else [self.what]
+        reproduction.check_sizes(names, settings)
         if self.what == "all":
-            return reproduction.run_all(_NAMES, settings, output)
+            return reproduction.run_all(settings, output)
         return reproduction.run_one(self.what, settings, output).document
 
     def _check(self) -> None:

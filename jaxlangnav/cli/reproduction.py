@@ -1,58 +1,32 @@
-"""The experiments behind ``jaxlangnav reproduce``: run, print, draw, write, report."""
+"""The experiments behind ``jaxlangnav reproduce`` by their names: one, or all with a report."""
 
-import dataclasses
+import functools
 import time
-from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from jaxlangnav import __version__
+from jaxlangnav.cli import illustrations, studies
 from jaxlangnav.cli.output import Document, Output
-from jaxlangnav.cli.settings import Place, apply
+from jaxlangnav.cli.study import Settings, Study
+from jaxlangnav.episode import MAX_STEPS
 from jaxlangnav.experiments.archive import manifest
-from jaxlangnav.experiments.report import Section, write_html
-from jaxlangnav.messages import MotionParams, SensorParams, default_motion, default_sensor
-from jaxlangnav.navigator import NavigatorParams
+from jaxlangnav.experiments.policies import navigator_config
+from jaxlangnav.experiments.report import write_report
+from jaxlangnav.experiments.sizes import check_recording
+from jaxlangnav.grounding.weights import load_shipped
 
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Settings:
-    """What is run, and where it is written."""
-
-    episodes: int
-    policies: tuple[str, ...]
-    seed: int
-    seed_unknowns: int
-    """Of the study of the paper's unknowns."""
-    extra: bool
-    """Whether Table 2 has rows that the paper lacks."""
-    ranges: tuple[float, ...]
-    """Metres, in place of those of Table 2's rows and of Figure 5; none for their own."""
-    particles: int
-    particles_drawn: int
-    """P of the episodes that are drawn."""
-    params: NavigatorParams
-    values: Mapping[Place, Any]
-    """Numbers of engine, detector and motion that are not the defaults."""
-    out: Path | None
-    command: Callable[[str], str]
-    """Writes the command that runs an experiment again."""
-
-    def sensor(self) -> SensorParams:
-        """Build the detector of drawn worlds; its range is a matter of each row."""
-        return apply(default_sensor(), self.values, "sensor")
-
-    def motion(self) -> MotionParams:
-        """Build the odometry of drawn worlds."""
-        return apply(default_motion(), self.values, "motion")
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Study:
-    """An experiment that has been run."""
-
-    document: dict[str, Any]
-    section: Section
+STUDIES: dict[str, Callable[[Settings, Output], Study]] = {
+    "table1": studies.table1,
+    "fig1": functools.partial(illustrations.illustrate, "fig1"),
+    "fig3": illustrations.factor_graph,
+    "fig4": functools.partial(illustrations.illustrate, "fig4"),
+    "table2": studies.episodes("table2"),
+    "fig5": studies.episodes("fig5"),
+    "unknowns": studies.episodes("unknowns"),
+    "time": studies.timing,
+}
+"""Every experiment by its name on the command line, in the order of the report."""
 
 
 def check_sizes(names: Sequence[str], settings: Settings) -> None:
@@ -65,19 +39,10 @@ def check_sizes(names: Sequence[str], settings: Settings) -> None:
     Raises:
         ValueError: more than memory holds; says the size, the limit and what would fit.
     """
-    from jaxlangnav.cli import studies
-    from jaxlangnav.episode import MAX_STEPS
-    from jaxlangnav.experiments.policies import navigator_config
-    from jaxlangnav.experiments.sizes import check_recording
-    from jaxlangnav.studies import unknowns
-
-    episodes, particles = settings.episodes, settings.particles
     for name in names:
-        if name in ("table2", "fig5"):
-            experiment = studies.experiment_of(name, settings)
-            experiment.check(episodes=episodes, policies=settings.policies, num_particles=particles)
-        elif name == "unknowns":
-            unknowns.check_sizes(episodes=episodes, num_particles=particles)
+        if name in ("table2", "fig5", "unknowns"):
+            options = settings.options(seed=studies.seed_of(name, settings))
+            studies.experiment_of(name, settings).check(options)
         elif name in ("fig1", "fig4"):
             check_recording(navigator_config("faithful", settings.particles_drawn), MAX_STEPS)
 
@@ -86,7 +51,7 @@ def run_one(name: str, settings: Settings, output: Output) -> Study:
     """Run one experiment, print what it found and write its files.
 
     Args:
-        name: "table1", "table2", "fig1", "fig3", "fig4", "fig5", "unknowns" or "time".
+        name: a key of ``STUDIES``.
         settings: what is run, and where it is written.
         output: where people read.
 
@@ -96,19 +61,16 @@ def run_one(name: str, settings: Settings, output: Output) -> Study:
     Raises:
         ValueError: an option is outside its limits.
     """
-    from jaxlangnav.cli import studies
-
-    study = studies.STUDIES[name](settings, output)
+    study = STUDIES[name](settings, output)
     for path in study.document.get("files", ()):
         output.say(f"Wrote {path}")
     return study
 
 
-def run_all(names: Sequence[str], settings: Settings, output: Output) -> Document:
+def run_all(settings: Settings, output: Output) -> Document:
     """Run all experiments, and write one page about them where a folder is given.
 
     Args:
-        names: of the experiments, in the order of the page.
         settings: what is run, and where it is written.
         output: where people read.
 
@@ -119,34 +81,24 @@ def run_all(names: Sequence[str], settings: Settings, output: Output) -> Documen
         ValueError: an option is outside its limits.
     """
     begin = time.perf_counter()
-    studies = {}
-    for place, name in enumerate(names, start=1):
-        output.note(f"{name} ({place} of {len(names)})")
-        studies[name] = run_one(name, settings, output)
-    documents: dict[str, Any] = {name: study.document for name, study in studies.items()}
+    found: dict[str, Study] = {}
+    for place, name in enumerate(STUDIES, start=1):
+        output.note(f"{name} ({place} of {len(STUDIES)})")
+        found[name] = run_one(name, settings, output)
+    documents: dict[str, Any] = {name: study.document for name, study in found.items()}
     documents["report"] = None
     if settings.out is not None:
-        made = made_by(settings, time.perf_counter() - begin)
-        sections = [study.section for study in studies.values()]
+        made = _made_by(settings, time.perf_counter() - begin)
+        sections = [study.section for study in found.values()]
         title = "Following commands in unknown places: ours beside the paper's"
-        path = write_html(title, sections, settings.out / "report.html", made=made)
+        path = write_report(title, sections, settings.out / "report.html", made=made)
         documents["report"] = str(path)
         output.say(f"Wrote {path}")
     return documents
 
 
-def made_by(settings: Settings, seconds: float) -> dict[str, str]:
-    """Say how a whole report was made.
-
-    Args:
-        settings: what was run.
-        seconds: on the clock on the wall, compilation included.
-
-    Returns:
-        Terms and what they are.
-    """
-    from jaxlangnav.grounding.weights import load_shipped
-
+def _made_by(settings: Settings, seconds: float) -> dict[str, str]:
+    """Say how a whole report was made; seconds on the wall, compilation included."""
     made = manifest({}, models=load_shipped())
     device, machine = made["device"], made["machine"]
     libraries = ", ".join(f"{name} {version}" for name, version in made["libraries"].items())

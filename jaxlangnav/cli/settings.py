@@ -1,14 +1,13 @@
 """The engine's numbers and sizes on the command line: ``--params.planner.discount 0.9``.
 
-Options are made from the records themselves: what they are called, their units from the
-comments beside the fields, their defaults, and the limits that a sweep's configuration has. The
+Options are made from the records themselves: what they are called, what their fields say of
+themselves (``pytree.field``), their defaults, and the limits that a sweep's configuration has. The
 options are built only where somebody uses one or asks for them, so that plain help stays short
 and instant.
 """
 
 import dataclasses
 import difflib
-import inspect
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -16,7 +15,7 @@ from typing import Annotated, Any, TypeVar
 
 from jaxlangnav.cli.errors import UsageError
 
-T = TypeVar("T")
+_T = TypeVar("_T")
 Place = tuple[str, ...]
 """Where a value stands: ("params", "planner", "discount")."""
 GROUPS = ("params", "config", "sensor", "motion")
@@ -34,8 +33,6 @@ _ELSEWHERE = {
 _NOT_OFFERED = {("params", "map", "motion")}
 """The belief is told the world's own motion."""
 _GREEK = {"alpha": "α", "gamma": "γ", "kappa": "κ", "mu": "μ", "sigma": "σ", "tau": "τ"}
-_COMMENT = re.compile(r"^ {4}(\w+) *:[^#\n]*# *(.+?) *$", re.MULTILINE)
-_SHAPE = re.compile(r"^(?:f32|i32|bool)\[[^\]]*\]\s*")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -164,7 +161,7 @@ def read_settings(settings: Any, groups: Sequence[str]) -> dict[Place, Any]:
     return {one.path: one.read(text) for one, text in typed if text != _UNSET}
 
 
-def apply(record: T, values: Mapping[Place, Any], root: str) -> T:
+def apply(record: _T, values: Mapping[Place, Any], root: str) -> _T:
     """Set values in a record.
 
     Args:
@@ -208,7 +205,7 @@ def suggestion(flag: str, groups: Sequence[str], plain: Iterable[str]) -> str:
 def _walk(record: Any, path: Place) -> list[Option]:
     """List the options of a record and of those in it."""
     record = _as_typed(record)
-    helps, found = _comments(type(record)), []
+    found: list[Option] = []
     for field in dataclasses.fields(record):
         here, value = (*path, field.name), getattr(record, field.name)
         if here in _ELSEWHERE or here in _NOT_OFFERED:
@@ -216,7 +213,7 @@ def _walk(record: Any, path: Place) -> list[Option]:
         if dataclasses.is_dataclass(value):
             found += _walk(value, here)
         elif (default := _numbers(value)) is not None:
-            text = _SHAPE.sub("", helps.get(field.name, ""))
+            text = field.metadata.get("help", "")
             is_whole = isinstance(value, int)
             found.append(Option(path=here, default=default, help=text, is_whole=is_whole))
     return found
@@ -242,11 +239,6 @@ def _numbers(value: Any) -> float | int | tuple[float, ...] | None:
         return None
     rounded = tuple(float(f"{float(one):.6g}") for one in array.ravel())
     return rounded if array.ndim else rounded[0]
-
-
-def _comments(kind: type[Any]) -> dict[str, str]:
-    """Read the comments beside the fields of a record."""
-    return dict(_COMMENT.findall(inspect.getsource(kind)))
 
 
 def _quantity(path: Place) -> Any:

@@ -29,17 +29,7 @@ class Summarize:
     """Print one JSON document."""
 
     def run(self, output: Output) -> Document:
-        """Summarise the folder.
-
-        Args:
-            output: where the tables are printed.
-
-        Returns:
-            The document.
-
-        Raises:
-            ValueError: not the folder of a sweep.
-        """
+        """Summarise the folder."""
         check_folder("--out", self.out)
         from jaxlangnav.experiments.summary import render, summarize_directory
 
@@ -56,10 +46,10 @@ class Summarize:
 
     def _write(self, document: Document, out: Path, output: Output) -> list[Path]:
         """Write the tables, and the figure where there is something to draw with."""
-        from jaxlangnav.experiments.summary import markdown
+        from jaxlangnav.experiments.summary import summary_markdown
         from jaxlangnav.files.whole import write_text
 
-        paths = [write_text(markdown(dict(document)), out / "summary.md")]
+        paths = [write_text(summary_markdown(dict(document)), out / "summary.md")]
         if importlib.util.find_spec("matplotlib") is None:
             output.note('note: no figure without matplotlib: pip install "jaxlangnav[viz]"')
             return paths

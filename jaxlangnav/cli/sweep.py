@@ -54,17 +54,7 @@ class Sweep:
     settings: tyro.conf.Suppress[Any] = None
 
     def run(self, output: Output) -> Document:
-        """Run the grid.
-
-        Args:
-            output: where people read what has been written.
-
-        Returns:
-            The document of the run.
-
-        Raises:
-            ValueError: a mistake in the configuration or an option.
-        """
+        """Run the grid."""
         check_folder("--out", self.out)
         keep_compiled_programs()
         shard = self._part()

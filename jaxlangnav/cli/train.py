@@ -38,17 +38,7 @@ class Train:
     """Print one JSON document: sizes, seconds, accuracy on the hold-out, file."""
 
     def run(self, output: Output) -> Document:
-        """Train, measure and write.
-
-        Args:
-            output: where people read what was measured.
-
-        Returns:
-            The report, and ``file``.
-
-        Raises:
-            ValueError: the corpus is unsound, or a file cannot be read or written.
-        """
+        """Train, measure and write."""
         check_file("--out", self.out, ".npz")
         keep_compiled_programs()
         from jaxlangnav.cli.engine import load_models

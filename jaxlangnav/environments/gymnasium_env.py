@@ -118,7 +118,7 @@ class FollowEnv(gymnasium.Env[np.ndarray, Any]):
         Raises:
             ValueError: before the first ``reset``.
         """
-        pictures = self._camera.draw(self._state, self._params)
+        pictures = self._camera.draw(self._state, params=self._params)
         return pictures[0] if pictures else None
 
 
@@ -230,7 +230,7 @@ class FollowVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
         Raises:
             ValueError: before the first ``reset``.
         """
-        return self._camera.draw(self._state, self._params)
+        return self._camera.draw(self._state, params=self._params)
 
 
 def _instruction(law: dict[str, Any]) -> str:

@@ -59,7 +59,7 @@ class Camera:
         ]
 
     def draw(
-        self, state: EnvironmentState | None, params: EnvironmentParams
+        self, state: EnvironmentState | None, *, params: EnvironmentParams
     ) -> tuple[np.ndarray, ...] | None:
         """Draw every lane.
 
@@ -84,6 +84,8 @@ class Camera:
         pictures = []
         for index, way in enumerate(self._ways):
             lane: EnvironmentState = jax.tree.map(lambda leaf, at=index: leaf[at], lanes)
-            picture = drive_picture(lane, params, lane.world, way=np.stack(way), text=self._text)
+            picture = drive_picture(
+                lane, params=params, world=lane.world, way=np.stack(way), text=self._text
+            )
             pictures.append(picture)
         return tuple(pictures)

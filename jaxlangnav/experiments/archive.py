@@ -18,15 +18,17 @@ import pyarrow.parquet as pq
 from jaxlangnav import __version__
 from jaxlangnav.files.whole import replacing, write_text
 
+Columns = pa.Table | Mapping[str, Any]
+"""One entry per episode: by name arrays [E] or lists of E; [E, 2] becomes a column of lists."""
 _LIBRARIES = ("jax", "jaxlib", "numpy", "optax", "pyarrow")
 _RESULTS = ("rows", "paper", "bounds", "variations", "explained", "wall_s", "compile_s", "files")
 
 
-def write_table(columns: Mapping[str, Any], path: Path) -> Path:
+def write_table(columns: Columns, path: Path) -> Path:
     """Write one row per episode as Parquet, all or nothing.
 
     Args:
-        columns: by name, arrays [E] or lists of E; an array [E, 2] becomes a column of lists.
+        columns: one row per episode.
         path: of the file; its folder is made.
 
     Returns:
@@ -41,11 +43,11 @@ def write_table(columns: Mapping[str, Any], path: Path) -> Path:
     return path
 
 
-def to_table(columns: Mapping[str, Any]) -> pa.Table:
+def to_table(columns: Columns) -> pa.Table:
     """Lay columns out as a table.
 
     Args:
-        columns: by name, arrays [E] or lists of E; an array [E, 2] becomes a column of lists.
+        columns: one row per episode.
 
     Returns:
         The table.
@@ -53,6 +55,8 @@ def to_table(columns: Mapping[str, Any]) -> pa.Table:
     Raises:
         ValueError: columns of different lengths.
     """
+    if isinstance(columns, pa.Table):
+        return columns
     lengths = {name: len(values) for name, values in columns.items()}
     if len(set(lengths.values())) > 1:
         raise ValueError(f"columns have different lengths: {lengths}")
@@ -107,10 +111,10 @@ def write_manifest(document: Mapping[str, Any], path: Path) -> Path:
     Returns:
         The path.
     """
-    return write_text(to_json(document), path)
+    return write_text(json_text(document), path)
 
 
-def to_json(document: Mapping[str, Any]) -> str:
+def json_text(document: Mapping[str, Any]) -> str:
     """Write a document as JSON for people to read.
 
     Args:
@@ -126,7 +130,7 @@ def write_experiment(
     folder: Path,
     name: str,
     document: Mapping[str, Any],
-    columns: Mapping[str, Any],
+    columns: Columns,
     text: str,
     models: Any,
 ) -> list[Path]:

@@ -208,18 +208,8 @@ def _start(scenario: Scenario) -> _Run:
     )
 
 
-def explore(task: Task, figure_type: Array, *, policy: str, max_steps: int) -> EpisodeResult:
-    """Run one episode of ``frontier``, ``lawnmower`` or ``arc``.
-
-    Args:
-        task: key, scenario, sensor and odometry.
-        figure_type: i32[], type of object to look for.
-        policy: which of the three.
-        max_steps: cycles until a time-out.
-
-    Returns:
-        The result.
-    """
+def _explore(task: Task, figure_type: Array, *, policy: str, max_steps: int) -> EpisodeResult:
+    """Run one episode of ``frontier``, ``lawnmower`` or ``arc``."""
     explore_on = {
         "frontier": _explore_frontiers,
         "lawnmower": functools.partial(_explore_sweep, waypoint=lane_waypoint),
@@ -247,15 +237,8 @@ def explore(task: Task, figure_type: Array, *, policy: str, max_steps: int) -> E
     return _judge(task.scenario, end.world, end.is_stopped, end.steps)
 
 
-def drive_known(task: Task) -> EpisodeResult:
-    """Run one episode of a robot that knows the map.
-
-    Args:
-        task: key, scenario and odometry.
-
-    Returns:
-        The result.
-    """
+def _drive_known(task: Task) -> EpisodeResult:
+    """Run one episode of a robot that knows the map."""
     world, is_there = drive_known_map(task.key, task.scenario, task.motion)
     steps = jnp.ceil(world.distance / task.motion.step_length).astype(jnp.int32)
     return _judge(task.scenario, world, is_there, steps)
@@ -301,7 +284,7 @@ def run_baseline(
     if policy not in BASELINES:
         raise ValueError(f"unknown baseline {policy!r}: choose one of {', '.join(BASELINES)}")
     if policy == "known":
-        return jax.vmap(drive_known)(tasks)
+        return jax.vmap(_drive_known)(tasks)
     figures = figure_types(instructions)[tasks.instruction_index]
-    one = functools.partial(explore, policy=policy, max_steps=max_steps)
+    one = functools.partial(_explore, policy=policy, max_steps=max_steps)
     return jax.vmap(one)(tasks, figures)

@@ -219,7 +219,7 @@ def judge(progress: Progress, info: NavigatorInfo, after: Progress) -> Tally:
 
 
 @functools.partial(jax.jit, static_argnames=("config", "max_steps"))
-def run_judged(
+def _run_judged(
     tasks: Task,
     instructions: Instruction,
     *,
@@ -227,18 +227,7 @@ def run_judged(
     config: NavigatorConfig,
     max_steps: int = MAX_STEPS,
 ) -> Tally:
-    """Run episodes and judge every step.
-
-    Args:
-        tasks: leaves [E, …].
-        instructions: leaves [I, …].
-        params: the navigator's numbers.
-        config: sizes and policy.
-        max_steps: cycles until a time-out.
-
-    Returns:
-        Sums of each episode, leaves [E, …].
-    """
+    """Run episodes and judge every step."""
 
     def is_running(carry: tuple[Progress, Tally]) -> Array:
         return ~carry[0].navigator.is_done & (carry[0].steps < max_steps)
@@ -278,7 +267,7 @@ def tally_tasks(
         Sums of each episode as NumPy arrays, leaves [E, …].
     """
     return map_pieces(
-        lambda piece, _: run_judged(
+        lambda piece, _: _run_judged(
             piece, instructions, params=params, config=config, max_steps=max_steps
         ),
         tasks,

@@ -28,7 +28,7 @@ CHUNK = 1024
 """Most episodes a device takes in one call; fewer are padded, and padding is not run."""
 LANES = 32
 """Episodes under way at once on a device."""
-AXIS = "episodes"
+_AXIS = "episodes"
 """The mesh's only axis."""
 
 _programs: dict[Any, Any] = {}
@@ -64,7 +64,7 @@ def num_calls() -> int:
 def mesh() -> Mesh:
     """Line up the devices of this process."""
     devices = jax.local_devices()
-    return jax.make_mesh((len(devices),), (AXIS,), axis_types=(AxisType.Auto,), devices=devices)
+    return jax.make_mesh((len(devices),), (_AXIS,), axis_types=(AxisType.Auto,), devices=devices)
 
 
 def join(
@@ -138,7 +138,7 @@ def run_round(
     """
     idle = mesh().size - len(works)
     padded = [*works, *[works[0]] * idle]
-    split = NamedSharding(mesh(), PartitionSpec(AXIS))
+    split = NamedSharding(mesh(), PartitionSpec(_AXIS))
     everywhere = NamedSharding(mesh(), PartitionSpec())
     stacked = strong(_stack([(one.tasks, one.params) for one in padded]))
     tasks, params = jax.device_put(stacked, split)
@@ -193,11 +193,11 @@ def _sharded(config: NavigatorConfig, max_steps: int) -> Any:
         on_one_device,
         mesh=mesh(),
         in_specs=(
-            PartitionSpec(AXIS),
+            PartitionSpec(_AXIS),
             PartitionSpec(),
-            PartitionSpec(AXIS),
-            PartitionSpec(AXIS),
+            PartitionSpec(_AXIS),
+            PartitionSpec(_AXIS),
         ),
-        out_specs=PartitionSpec(AXIS),
+        out_specs=PartitionSpec(_AXIS),
         check_vma=False,
     )

@@ -1,221 +1,298 @@
-"""An experiment of the paper: rows for every policy, a document, its files (section 4.2)."""
+"""An experiment of the paper: rows for every arm, a document, its tables, its files (4.2)."""
 
 import dataclasses
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any
+
+import jax
+import numpy as np
+import pyarrow as pa
 
 from jaxlangnav.experiments.archive import pytree_hash, write_experiment
+from jaxlangnav.experiments.calibration import scores, tally_tasks
 from jaxlangnav.experiments.compilation import CompileClock
-from jaxlangnav.experiments.monte_carlo import Progress
-from jaxlangnav.experiments.policies import (
-    DEFAULT_PARTICLES,
-    POLICY_NAMES,
-    check_policies,
-    navigator_config,
+from jaxlangnav.experiments.grid import Arm, Grid, Played, Row, policy_arm, run_grid
+from jaxlangnav.experiments.monte_carlo import OnProgress
+from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, POLICY_NAMES, check_policies
+from jaxlangnav.experiments.reliability import bin_sums
+from jaxlangnav.experiments.rows import RowSpec, bound_rows, describe_noise, printed_rows
+from jaxlangnav.experiments.sentences import SENTENCES, GroundedSentences, ground_sentences
+from jaxlangnav.experiments.sizes import check_count, check_engine, result_bytes, task_bytes
+from jaxlangnav.experiments.table import Table
+from jaxlangnav.experiments.tables import (
+    caption,
+    deviations_table,
+    results_table,
+    terminal_table,
 )
-from jaxlangnav.experiments.rows import (
-    RowSpec,
-    bound_rows,
-    check_episodes,
-    describe_noise,
-    judged_episodes,
-    printed_rows,
-    run_rows,
-)
-from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
-from jaxlangnav.experiments.sizes import check_engine
-from jaxlangnav.experiments.tables import caption, markdown_table, rich_table
-from jaxlangnav.messages import MotionParams, SensorParams, default_motion, default_sensor
-from jaxlangnav.navigator import NavigatorParams
-from jaxlangnav.planner.config import POLICIES
+from jaxlangnav.experiments.tasks import take_tasks
+from jaxlangnav.messages import MotionParams, SensorParams
+from jaxlangnav.navigator import NavigatorParams, check
 from jaxlangnav.world.templates import TABLE_2
 
+_NAMES = 4 * (len("1H1C") + len("nearest") + len("lawnmower")) + 3 * 8
+"""Bytes of an episode's row that say which it is: texts of four bytes a letter, three numbers."""
 
-class Options(TypedDict, total=False):
-    """What all experiments take; ``Experiment.run`` says what it means and what is the default."""
 
-    episodes: int
-    policies: Sequence[str]
-    seed: int
-    out: str | Path | None
-    on_progress: Progress | None
-    num_particles: int
-    environments: int
-    params: NavigatorParams | None
-    sensor: SensorParams | None
-    motion: MotionParams | None
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Options:
+    """How much of an experiment is run, and under which numbers."""
+
+    episodes: int = 100
+    """Runs a row and arm."""
+    policies: Sequence[str] = POLICY_NAMES
+    seed: int = 0
+    """Root seed of worlds and noise."""
+    num_particles: int = DEFAULT_PARTICLES
+    """P, of the navigator's policies."""
+    environments: int = 0
+    """Worlds of a template taken in turn, ten in the paper; 0 for a fresh one per episode."""
+    params: NavigatorParams | None = None
+    """The navigator's numbers; its defaults if None."""
+    sensor: SensorParams | None = None
+    """The detector; its range is that of each row. The default one if None."""
+    motion: MotionParams | None = None
+    """The odometry, of which the belief is told; the default one if None."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Experiment:
-    """What is run, and under which name it is written."""
+    """What is run, how it is told, and under which name it is written."""
 
     name: str
     title: str
     specs: tuple[RowSpec, ...]
-    remark: Callable[[dict[str, Any]], str] | None = None
+    lead: str = ""
+    """What it is and what to see in it, for people."""
+    remark: Callable[[Mapping[str, Any]], str] | None = None
     """Says beneath the table what its rows show."""
     calibration_episodes: int = 0
     """Episodes of a row in which every step's belief is held against the truth."""
+    fold: str = ""
+    """What to click on the page of results to see the table; it is open where empty."""
 
-    def markdown(self, document: dict[str, Any]) -> str:
-        """Write the table, ours beside the paper's.
-
-        Args:
-            document: of ``run``.
-
-        Returns:
-            A heading, the table, the remark, and what it was measured under; Markdown.
-        """
-        remark = f"{self.remark(document)}\n\n" if self.remark else ""
-        return f"# {self.title}\n\n{markdown_table(document)}\n{remark}{caption(document)}\n"
-
-    def render(self, document: dict[str, Any]) -> Any:
-        """Draw the table for the terminal.
+    def arms(self, options: Options) -> list[Arm]:
+        """Build what is compared: the policies, in the order of their names.
 
         Args:
-            document: of ``run``.
+            options: of the run.
 
         Returns:
-            A rich table.
+            At least one.
+
+        Raises:
+            ValueError: an unknown policy.
         """
-        return rich_table(document, title=self.title)
+        return [
+            policy_arm(
+                policy,
+                num_particles=options.num_particles,
+                params=options.params,
+                motion=options.motion,
+            )
+            for policy in check_policies(options.policies)
+        ]
 
-    def total_episodes(self, *, episodes: int, policies: Sequence[str]) -> int:
-        """Count the runs.
+    def total_episodes(self, options: Options) -> int:
+        """Count the runs of all rows and arms."""
+        return len(self.specs) * len(self.arms(options)) * options.episodes
 
-        Args:
-            episodes: runs a row.
-            policies: names.
+    def total_work(self, options: Options) -> int:
+        """Count the runs and those held against the truth once more, for a progress bar."""
+        believers = sum(arm.config is not None for arm in self.arms(options))
+        judged = min(options.episodes, self.calibration_episodes)
+        return self.total_episodes(options) + len(self.specs) * believers * judged
 
-        Returns:
-            Runs of all rows and policies.
-        """
-        return len(self.specs) * len(check_policies(policies)) * episodes
-
-    def total_work(self, *, episodes: int, policies: Sequence[str]) -> int:
-        """Count the runs and those held against the truth once more, for a progress bar.
-
-        Args:
-            episodes: runs a row.
-            policies: names.
-
-        Returns:
-            What ``on_progress`` of ``run`` adds up to.
-        """
-        judged = judged_episodes(
-            self.specs,
-            policies,
-            episodes=episodes,
-            calibration_episodes=self.calibration_episodes,
-        )
-        return self.total_episodes(episodes=episodes, policies=policies) + judged
-
-    def check(
-        self, *, episodes: int, policies: Sequence[str], num_particles: int
-    ) -> tuple[str, ...]:
+    def check(self, options: Options) -> list[Arm]:
         """Refuse, before anything is run, what cannot be.
 
         Args:
-            episodes: runs a row.
-            policies: names.
-            num_particles: P, of the navigator's policies.
+            options: of the run.
 
         Returns:
-            The names, each once.
+            The arms.
 
         Raises:
-            ValueError: fewer than one episode, an unknown policy, or more than memory holds.
+            ValueError: fewer than one episode, an unknown policy, more than memory holds, or
+                numbers with which the robot could never stop.
         """
-        names = check_policies(policies)
-        check_episodes(episodes, rows=len(self.specs), kept=len(names))
-        for policy in names:
-            if policy in POLICIES:
-                check_engine(navigator_config(policy, num_particles))
-        return names
+        arms = self.arms(options)
+        check_episodes(options.episodes, rows=len(self.specs), kept=len(arms))
+        for arm in arms:
+            if arm.config is not None and arm.params is not None:
+                check_engine(arm.config)
+                check(arm.params)
+        return arms
 
     def run(
         self,
+        options: Options | None = None,
         *,
-        episodes: int = 100,
-        policies: Sequence[str] = POLICY_NAMES,
-        seed: int = 0,
         out: str | Path | None = None,
-        on_progress: Progress | None = None,
-        num_particles: int = DEFAULT_PARTICLES,
-        environments: int = 0,
-        params: NavigatorParams | None = None,
-        sensor: SensorParams | None = None,
-        motion: MotionParams | None = None,
+        on_progress: OnProgress | None = None,
     ) -> dict[str, Any]:
-        """Run all rows for every policy.
+        """Run all rows for every arm.
 
         Args:
-            episodes: runs a row, a fresh world each.
-            policies: names; all of ``policies.POLICY_NAMES`` by default.
-            seed: root seed of worlds and noise.
-            out: folder for Parquet, Markdown and manifest; nothing is written if None.
+            options: what is run; 100 episodes of every policy if None.
+            out: folder for Parquet, Markdown, JSON and manifest; nothing is written if None.
             on_progress: called with the number of episodes just finished, those held against the
                 truth included: ``total_work`` in all.
-            num_particles: P, of the navigator's policies.
-            environments: worlds of a template taken in turn, ten in the paper; 0 for a fresh one
-                per episode.
-            params: the navigator's numbers; its defaults if None.
-            sensor: the detector; its range is that of each row. The default one if None.
-            motion: the odometry, of which the belief is told; the default one if None.
 
         Returns:
-            The document: ``rows``, ``paper``, ``bounds``, ``sentences``, ``noise``, ``wall_s``
-            with compilation, ``compile_s`` of it, ``models_sha256`` of the trained weights,
-            ``files``. Rates in percent, distances in metres.
+            The document: ``rows``, ``paper``, ``sentences``, ``noise``, ``wall_s`` with
+            compilation, ``compile_s`` of it, ``models_sha256`` of the trained weights, ``files``,
+            and what ``found`` adds. Rates in percent, distances in metres.
 
         Raises:
-            ValueError: fewer than one episode, an unknown policy, or more than memory holds.
+            ValueError: as ``check``, or an unknown world or relation.
         """
-        names = self.check(episodes=episodes, policies=policies, num_particles=num_particles)
-        begin = time.perf_counter()
+        options = Options() if options is None else options
+        arms, begin = self.check(options), time.perf_counter()
+        given = {"seed": options.seed, "environments": options.environments}
+        settings = [one.setting(**given, sensor=options.sensor) for one in self.specs]
+        names = (*settings[0].told, *arms[0].told)
+        grid = Grid(settings=settings, arms=arms, episodes=options.episodes, names=names)
+        rows: list[Row] = []
+        parts: list[pa.Table] = []
+        first: Played | None = None
         with CompileClock() as clock:
             sentences = ground_sentences(list(SENTENCES.values()))
-            found = run_rows(
-                self.specs,
-                sentences,
-                policies=names,
-                episodes=episodes,
-                seed=seed,
-                num_particles=num_particles,
-                params=params,
-                calibration_episodes=self.calibration_episodes,
-                environments=environments,
-                sensor=sensor,
-                motion=motion,
-                on_progress=on_progress,
-            )
-        keys = {(one.world, one.range, one.relation) for one in self.specs}
-        printed = [row for row in TABLE_2 if (row.world, row.range, row.relation) in keys]
-        document: dict[str, Any] = {
-            "experiment": self.name,
-            "episodes": episodes,
-            "environments": environments,
-            "policies": list(names),
-            "seed": seed,
-            "num_particles": num_particles,
-            "calibration_episodes": min(episodes, self.calibration_episodes),
-            "sentences": SENTENCES,
-            "noise": describe_noise(sensor or default_sensor(), motion or default_motion()),
-            "rows": found.rows,
-            "paper": printed_rows(printed),
-            "bounds": bound_rows(self.specs),
+            for played in run_grid(grid, sentences.instructions, on_progress=on_progress):
+                first = first or played
+                rows += self.rows(played, first, self._judged(played, sentences, on_progress))
+                parts.append(pa.table(played.columns()))
+        document = self._settings(options, arms) | {
+            "rows": rows,
+            "paper": self.printed(),
+            **self.found(rows, options),
             "wall_s": time.perf_counter() - begin,
             "compile_s": clock.seconds,
             "models_sha256": pytree_hash(sentences.models),
             "files": [],
         }
         if out is not None:
-            text = self.markdown(document)
+            columns, text = pa.concat_tables(parts), self.markdown(document)
             files = write_experiment(
-                Path(out), self.name, document, found.columns, text, sentences.models
+                Path(out), self.name, document, columns, text, sentences.models
             )
             document["files"] = [str(path) for path in files]
         return document
+
+    def rows(self, played: Played, first: Played, judged: Sequence[Row]) -> list[Row]:
+        """Summarise what an arm did.
+
+        Args:
+            played: the arm's episodes.
+            first: those of the first arm.
+            judged: scores of the arm's belief, by row.
+
+        Returns:
+            One per row.
+        """
+        del first
+        listed = zip(played.rows(), self.specs, judged, strict=True)
+        return [row | spec.heading() | scored for row, spec, scored in listed]
+
+    def printed(self) -> list[Row]:
+        """List those of the rows that the paper prints."""
+        return printed_rows([row for row in TABLE_2 if _spec(row) in self.specs])
+
+    def found(self, rows: Sequence[Row], options: Options) -> dict[str, Any]:
+        """Work out what else stands in the document: the limits of every row.
+
+        Args:
+            rows: of all arms.
+            options: of the run.
+
+        Returns:
+            Entries of the document.
+        """
+        del rows, options
+        return {"bounds": bound_rows(self.specs)}
+
+    def tables(self, document: Mapping[str, Any]) -> list[Table]:
+        """Lay out the tables for the page of results, ours beside the paper's."""
+        compared = deviations_table(document)
+        return [results_table(document, fold=self.fold), *([compared] if compared.rows else [])]
+
+    def notes(self, document: Mapping[str, Any]) -> list[str]:
+        """Say beneath the tables what they show and what they were measured under."""
+        remark = [self.remark(document)] if self.remark else []
+        return [*remark, *caption(document).splitlines()]
+
+    def markdown(self, document: Mapping[str, Any]) -> str:
+        """Write heading, table, remark and conditions in Markdown."""
+        remark = f"{self.remark(document)}\n\n" if self.remark else ""
+        table = results_table(document).markdown()
+        return f"# {self.title}\n\n{table}\n{remark}{caption(document)}\n"
+
+    def render(self, document: Mapping[str, Any]) -> Any:
+        """Draw the table for the terminal, with rich."""
+        return terminal_table(document, title=self.title).text()
+
+    def _settings(self, options: Options, arms: Sequence[Arm]) -> dict[str, Any]:
+        """Say under what the rows ran."""
+        return {
+            "experiment": self.name,
+            "episodes": options.episodes,
+            "environments": options.environments,
+            "policies": list(dict.fromkeys(arm.policy for arm in arms)),
+            "seed": options.seed,
+            "num_particles": options.num_particles,
+            "calibration_episodes": min(options.episodes, self.calibration_episodes),
+            "sentences": SENTENCES,
+            "noise": describe_noise(options.sensor, options.motion),
+        }
+
+    def _judged(
+        self, played: Played, sentences: GroundedSentences, on_progress: OnProgress | None
+    ) -> list[Row]:
+        """Judge the belief in the first episodes of every row; no scores where none is judged."""
+        arm, each = played.arm, played.grid.episodes
+        judged = min(each, self.calibration_episodes)
+        if not judged or arm.config is None or arm.params is None:
+            nothing = {"ece": None, "brier": None, "coverage90": None, "reliability": None}
+            return [dict(nothing) for _ in self.specs]
+        firsts = each * np.arange(len(self.specs))
+        tally = tally_tasks(
+            take_tasks(played.tasks, (firsts[:, None] + np.arange(judged)).ravel()),
+            sentences.instructions,
+            params=arm.params,
+            config=arm.config,
+            on_progress=on_progress,
+        )
+        parts = [
+            jax.tree.map(lambda leaf, at=at: leaf[at * judged : (at + 1) * judged], tally)
+            for at in range(len(self.specs))
+        ]
+        return [scores(part) | {"reliability": bin_sums(part)} for part in parts]
+
+
+def check_episodes(episodes: int, *, rows: int, kept: int) -> int:
+    """Refuse a number of episodes that cannot be run, before any is.
+
+    Args:
+        episodes: runs a row.
+        rows: how many rows there are.
+        kept: how often the episodes of a row are run and their results kept, such as policies.
+
+    Returns:
+        The same.
+
+    Raises:
+        ValueError: fewer than one, or more than memory holds.
+    """
+    if episodes < 1:
+        raise ValueError(f"episodes is {episodes}, but must be at least 1")
+    # Tasks and columns are laid out in parts and then put together: for a moment twice.
+    each = 2 * (task_bytes() + kept * (result_bytes() + _NAMES))
+    check_count("episodes", episodes, each=rows * each, beside=f"{rows} rows run {kept} times")
+    return episodes
+
+
+def _spec(row: Any) -> RowSpec:
+    """Take from a printed row which one it is."""
+    return RowSpec(world=row.world, range=row.range, relation=row.relation)

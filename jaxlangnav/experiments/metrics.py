@@ -35,6 +35,10 @@ class RowMetrics:
     not_found: int
     invalid_worlds: int
 
+    def row(self) -> dict[str, Any]:
+        """Write it in JSON's own types."""
+        return dataclasses.asdict(self) | {"success_ci": [*self.success_ci]}
+
 
 def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
     """Compute the 95 % Wilson score interval of a rate.

@@ -41,7 +41,7 @@ __all__ = [
     "CHUNK",
     "LANES",
     "Cell",
-    "Progress",
+    "OnProgress",
     "cell",
     "concatenate",
     "draw_tasks",
@@ -56,7 +56,7 @@ __all__ = [
 
 Result = TypeVar("Result")
 """Any record of arrays that lead with the episodes."""
-Progress = Callable[[int], None]
+OnProgress = Callable[[int], None]
 """Called with the number of episodes just finished."""
 
 
@@ -83,7 +83,7 @@ def map_pieces(
     tasks: Task,
     *,
     capacity: int,
-    on_progress: Progress | None = None,
+    on_progress: OnProgress | None = None,
     num_threads: int | None = None,
 ) -> Result:
     """Cut tasks into pieces, filled up to one shape, and run them, several at once.
@@ -123,7 +123,7 @@ def run_tasks(
     *,
     params: NavigatorParams,
     config: NavigatorConfig,
-    on_progress: Progress | None = None,
+    on_progress: OnProgress | None = None,
     num_threads: int | None = None,
     max_steps: int = MAX_STEPS,
 ) -> EpisodeResult:

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task
 from jaxlangnav.experiments.baselines import BASELINES, run_baseline
-from jaxlangnav.experiments.monte_carlo import BLOCK, Progress, map_pieces, run_tasks
+from jaxlangnav.experiments.monte_carlo import BLOCK, OnProgress, map_pieces, run_tasks
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, default_params
 from jaxlangnav.plain_text import cut
@@ -83,7 +83,7 @@ def run_policy(
     *,
     params: NavigatorParams | None = None,
     num_particles: int = DEFAULT_PARTICLES,
-    on_progress: Progress | None = None,
+    on_progress: OnProgress | None = None,
     num_threads: int | None = None,
     max_steps: int = MAX_STEPS,
 ) -> EpisodeResult:

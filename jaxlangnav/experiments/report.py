@@ -6,31 +6,15 @@ opens offline and can be sent around. What is in the pictures is up to the calle
 
 import base64
 import dataclasses
-import html
 import re
 from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any
 
+from jaxlangnav.experiments.table import Table, html_text
 from jaxlangnav.files.whole import write_text
-from jaxlangnav.plain_text import printable
 
-_NUMBER = re.compile(r"[≤≥<>+−-]? ?\d[\d.,]*(\s|$)")
 _MEDIA = {".svg": "image/svg+xml", ".png": "image/png"}
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Table:
-    """A table for the page."""
-
-    headings: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    firsts: Sequence[bool] = ()
-    """Which rows begin a block; none by default. The others do not repeat what they share with it
-    in the leading columns."""
-    fold: str = ""
-    """What to click to see it; it is open where empty."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -63,13 +47,13 @@ def render_report(title: str, sections: Sequence[Section], *, made: Mapping[str,
         ValueError: a picture is neither SVG nor PNG.
     """
     contents = "\n".join(
-        f'<li><a href="#part{index}">{_text(part.title)}</a></li>'
+        f'<li><a href="#part{index}">{html_text(part.title)}</a></li>'
         for index, part in enumerate(sections, start=1)
     )
     parts = "\n".join(_section(index, part) for index, part in enumerate(sections, start=1))
     page = resources.files("jaxlangnav.experiments") / "report.html"
     places = {
-        "__TITLE__": _text(title),
+        "__TITLE__": html_text(title),
         "__MADE__": _facts(made),
         "__CONTENTS__": contents,
         "__PARTS__": parts,
@@ -79,7 +63,7 @@ def render_report(title: str, sections: Sequence[Section], *, made: Mapping[str,
     return re.sub("|".join(places), lambda found: places[found[0]], filled)
 
 
-def write_html(
+def write_report(
     title: str, sections: Sequence[Section], path: Path, *, made: Mapping[str, str]
 ) -> Path:
     """Write the page into a file, all or nothing.
@@ -119,15 +103,15 @@ def data_uri(path: Path) -> str:
 
 def _section(index: int, part: Section) -> str:
     """Write one part of the page."""
-    pieces = [f'<section id="part{index}">', f"<h2>{_text(part.title)}</h2>"]
-    pieces += [f"<p>{_text(part.lead)}</p>"] if part.lead else []
+    pieces = [f'<section id="part{index}">', f"<h2>{html_text(part.title)}</h2>"]
+    pieces += [f"<p>{html_text(part.lead)}</p>"] if part.lead else []
     pieces += [
-        f'<figure><img src="{data_uri(path)}" alt="{_text(words)}"></figure>'
+        f'<figure><img src="{data_uri(path)}" alt="{html_text(words)}"></figure>'
         for path, words in part.pictures
     ]
-    pieces += [_table(table) for table in part.tables]
+    pieces += [table.html() for table in part.tables]
     if part.notes:
-        notes = "".join(f"<li>{_text(note)}</li>" for note in part.notes)
+        notes = "".join(f"<li>{html_text(note)}</li>" for note in part.notes)
         pieces.append(f'<ul class="notes">{notes}</ul>')
     if part.made:
         pieces.append(
@@ -136,48 +120,11 @@ def _section(index: int, part: Section) -> str:
     return "\n".join([*pieces, "</section>"])
 
 
-def _table(table: Table) -> str:
-    """Write a table; columns of numbers are aligned at the right, empty ones are left out."""
-    columns = list(zip(*table.rows, strict=True))
-    used = [place for place, column in enumerate(columns) if any(column)]
-    align = {place: _align(columns[place]) for place in used}
-    head = "".join(f"<th{align[place]}>{_text(table.headings[place])}</th>" for place in used)
-    firsts = table.firsts or [False] * len(table.rows)
-    lines, before = [], [""] * len(columns)
-    for is_first, row in zip(firsts, table.rows, strict=True):
-        said = [one and table.firsts and not is_first for one in _shared(before, row)]
-        cells = "".join(
-            f"<td{align[place]}>{'' if said[place] else _text(row[place])}</td>" for place in used
-        )
-        lines.append(f"<tr{' class=first' if is_first else ''}>{cells}</tr>")
-        before = list(row)
-    body = "\n".join(lines)
-    whole = f"<table><thead><tr>{head}</tr></thead>\n<tbody>{body}</tbody></table>"
-    whole = f'<div class="wide">{whole}</div>'
-    folded = f"<details><summary>{_text(table.fold)}</summary>{whole}</details>"
-    return folded if table.fold else whole
-
-
-def _shared(before: Sequence[str], row: Sequence[str]) -> list[bool]:
-    """Tell which leading cells are the same as in the row above."""
-    same = [one == other for one, other in zip(before, row, strict=True)]
-    return [all(same[: place + 1]) for place in range(len(same))]
-
-
-def _align(column: Sequence[str]) -> str:
-    """Align a column at the right where all it holds are numbers."""
-    is_numeric = all(_NUMBER.match(cell) for cell in column if cell)
-    return " class=number" if is_numeric else ""
-
-
 def _facts(made: Mapping[str, str]) -> str:
     """Write how something was made as a list of terms."""
     rows = "".join(
-        f"<dt>{_text(name)}</dt><dd>{_text(value)}</dd>" for name, value in made.items() if value
+        f"<dt>{html_text(name)}</dt><dd>{html_text(value)}</dd>"
+        for name, value in made.items()
+        if value
     )
     return f"<dl>{rows}</dl>"
-
-
-def _text(value: Any) -> str:
-    """Write plain text inside HTML; line breaks stay."""
-    return html.escape(printable(str(value), keep="\n"), quote=True)

@@ -13,10 +13,10 @@ from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.experiments.metrics import summarize
 from jaxlangnav.experiments.paired import compare
 from jaxlangnav.experiments.shards import ShardError, read_shard
-from jaxlangnav.experiments.summary_tables import markdown, render
+from jaxlangnav.experiments.summary_tables import render, summary_markdown
 from jaxlangnav.experiments.sweep_folder import files_there, identity, read_manifest
 
-__all__ = ["markdown", "render", "summarize_directory"]
+__all__ = ["render", "summarize_directory", "summary_markdown"]
 
 _ARM = ("policy", "particles")
 _PAIR = ("seed", "episode")
@@ -115,8 +115,7 @@ def _metrics(table: pa.Table) -> dict[str, Any]:
     }
     leaves["final"] = np.stack([table["final_x"].to_numpy(), table["final_y"].to_numpy()], axis=1)
     results = EpisodeResult(**leaves)
-    metrics = dataclasses.asdict(summarize(results, table["known_distance"].to_numpy()))
-    return metrics | {"success_ci": [*metrics["success_ci"]]}
+    return summarize(results, table["known_distance"].to_numpy()).row()
 
 
 def _comparisons(arms: list[tuple[dict[str, Any], pa.Table]]) -> list[dict[str, Any]]:

@@ -1,43 +1,30 @@
-"""A sweep's summary for people: tables in Markdown and in the terminal."""
+"""A sweep's summary for people: its rows, and its paired tests."""
 
 from collections.abc import Sequence
 from typing import Any
 
 from jaxlangnav import plain_text
 from jaxlangnav.experiments.metrics import timeouts_text
+from jaxlangnav.experiments.table import Document, Table
 
-Document = dict[str, Any]
 _ALWAYS = ("world", "relation", "range", "policy")
 _RESULTS = ("Episodes", "Success % (95 %)", "Distance m (σ)", "Known m", "SPL", "Time-outs")
 _TESTS = ("Pairs", "Only 1st, 2nd", "p", "Distance, 2nd − 1st m (95 %)", "p")
 
 
-def rows_table(document: Document) -> tuple[list[str], list[list[str]]]:
-    """Lay out the rows of a summary.
-
-    Args:
-        document: of ``summarize_directory``.
-
-    Returns:
-        Headings and cells. Columns that never vary are left out but for world, relation, range
-        and policy.
-    """
+def _rows_table(document: Document) -> Table:
+    """Lay out the rows of a summary."""
     names = _names(document)
     cells = [
         [*(_text(row[name]) for name in names), *_result_cells(row)] for row in document["rows"]
     ]
-    return [*names, *_RESULTS], cells
+    return Table(
+        headings=[*names, *_RESULTS], rows=cells, title=document["name"], caption=_state(document)
+    )
 
 
-def comparisons_table(document: Document) -> tuple[list[str], list[list[str]]]:
-    """Lay out the paired tests of a summary.
-
-    Args:
-        document: of ``summarize_directory``.
-
-    Returns:
-        Headings and cells.
-    """
+def _comparisons_table(document: Document) -> Table:
+    """Lay out the paired tests of a summary."""
     comparisons = document["comparisons"]
     names = [name for name in _names(document) if comparisons and name in comparisons[0]]
     cells = []
@@ -56,10 +43,11 @@ def comparisons_table(document: Document) -> tuple[list[str], list[list[str]]]:
                 f"{one['distance_p']:.3g}",
             ]
         )
-    return [*names, "1st", "2nd", *_TESTS], cells
+    headings = [*names, "1st", "2nd", *_TESTS]
+    return Table(headings=headings, rows=cells, title="Paired tests", caption=_METHOD)
 
 
-def markdown(document: Document) -> str:
+def summary_markdown(document: Document) -> str:
     """Write a summary as Markdown.
 
     Args:
@@ -68,12 +56,11 @@ def markdown(document: Document) -> str:
     Returns:
         Heading, rows, paired tests.
     """
-    heading = f"# {plain_text.markdown(document['name'])}"
-    rows = plain_text.markdown_table(*rows_table(document))
-    parts = [heading, _state(document), rows.rstrip()]
+    rows = _rows_table(document)
+    parts = [f"# {plain_text.markdown(rows.title)}", rows.caption, rows.markdown().rstrip()]
     if document["comparisons"]:
-        tests = plain_text.markdown_table(*comparisons_table(document))
-        parts += ["## Paired tests", tests.rstrip(), _METHOD]
+        tests = _comparisons_table(document)
+        parts += [f"## {tests.title}", tests.markdown().rstrip(), tests.caption]
     return "\n\n".join(parts) + "\n"
 
 
@@ -94,10 +81,10 @@ def render(document: Document) -> Any:
     """
     from rich.console import Group
 
-    parts = [_rich_table(document["name"], _state(document), *rows_table(document))]
+    tables = [_rows_table(document)]
     if document["comparisons"]:
-        parts.append(_rich_table("Paired tests", _METHOD, *comparisons_table(document)))
-    return Group(*parts)
+        tables.append(_comparisons_table(document))
+    return Group(*(one.text() for one in tables))
 
 
 def _names(document: Document) -> list[str]:
@@ -146,19 +133,3 @@ def _state(document: Document) -> str:
     if document["damaged"]:
         missing += f", {len(document['damaged'])} of them because they are damaged"
     return f"{document['episodes']} episodes in {document['files']} files{missing}."
-
-
-def _rich_table(
-    title: str, caption: str, headings: Sequence[str], cells: Sequence[Sequence[str]]
-) -> Any:
-    """Draw a table for the terminal."""
-    from rich.table import Table
-
-    table = Table(title=title, caption=caption, caption_justify="left")
-    for heading in headings:
-        table.add_column(
-            heading, justify="left" if heading in (*_ALWAYS, "1st", "2nd") else "right"
-        )
-    for row in cells:
-        table.add_row(*row)
-    return table

@@ -14,35 +14,30 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from jaxlangnav.episode import EpisodeResult, Task
 from jaxlangnav.experiments.compilation import CompileClock
 from jaxlangnav.experiments.devices import Work, fill, mesh, num_calls, run_round
+from jaxlangnav.experiments.grid import result_columns, typed
 from jaxlangnav.experiments.holding import Note, held
-from jaxlangnav.experiments.monte_carlo import Progress, known_distances
-from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, navigator_config, run_policy
-from jaxlangnav.experiments.rows import result_columns
+from jaxlangnav.experiments.monte_carlo import OnProgress, known_distances
 from jaxlangnav.experiments.sentences import GroundedSentences, ground_sentences
 from jaxlangnav.experiments.shards import Shard, write_shard
 from jaxlangnav.experiments.sweep_config import SweepConfig
 from jaxlangnav.experiments.sweep_folder import (
-    claim,
+    claim_folder,
     file_path,
     files_there,
     sound_files,
     sweep_up,
 )
 from jaxlangnav.experiments.sweep_plan import (
-    Arm,
     Chunk,
-    Plan,
+    SweepPlan,
     make_plan,
     parse_shard,
     shard_episodes,
     shard_files,
 )
-from jaxlangnav.experiments.sweep_tasks import chunk_columns, chunk_tasks
 from jaxlangnav.planner.config import POLICIES
 
 _AHEAD = 2
@@ -53,7 +48,7 @@ _AHEAD = 2
 class _Run:
     """What all rounds of a run share."""
 
-    plan: Plan
+    plan: SweepPlan
     folder: Path
     sweep: str
     """Identity of the sweep."""
@@ -82,7 +77,7 @@ def run_sweep(
     *,
     resume: bool = False,
     shard: str = "1/1",
-    on_progress: Progress | None = None,
+    on_progress: OnProgress | None = None,
     on_note: Note | None = None,
     num_threads: int | None = None,
 ) -> dict[str, Any]:
@@ -108,12 +103,12 @@ def run_sweep(
     begin, folder = time.perf_counter(), Path(out)
     plan = make_plan(config)
     mine = shard_files(plan, shard)
-    advance: Progress = on_progress or (lambda _done: None)
+    advance: OnProgress = on_progress or (lambda _done: None)
     note: Note = on_note or (lambda _line: None)
     with CompileClock() as clock:
         sentences = ground_sentences([one.text for one in config.commands])
         with held(folder, parse_shard(shard), on_note=note) as is_held:
-            sweep = claim(folder, plan, mine, sentences.models, is_resumed=resume)
+            sweep = claim_folder(folder, plan, mine, sentences.models, is_resumed=resume)
             if is_held:
                 sweep_up(folder, mine)
             kept = sound_files(folder, plan, mine, sweep, on_note=note, on_kept=advance)
@@ -136,7 +131,7 @@ def run_sweep(
 
 
 def _run_files(
-    run: _Run, todo: Iterable[int], on_progress: Progress, num_threads: int | None
+    run: _Run, todo: Iterable[int], on_progress: OnProgress, num_threads: int | None
 ) -> None:
     """Make files, several at once; the first failure ends the run and keeps what is written."""
     calls = num_threads or num_calls()
@@ -189,19 +184,16 @@ def rounds(
 
 def _run_together(run: _Run, files: list[int]) -> int:
     """Run the episodes of a round and write its files; how many episodes they were."""
-    chunks = [run.plan.chunk(index) for index in files]
-    tasks = [chunk_tasks(run.plan, one) for one in chunks]
-    arm, sentences = chunks[0].arm, run.sentences
-    if arm.policy in POLICIES:
-        results = _run_navigator(chunks, tasks, sentences, arm)
-    else:
-        results = [run_policy(arm.policy, tasks[0], sentences.instructions, num_threads=1)]
+    grid, chunks = run.plan.grid, [run.plan.chunk(index) for index in files]
+    tasks = [one.arm.tasks(grid.draw(one.places)) for one in chunks]
+    results = _results(chunks, tasks, run.sentences)
     for chunk, own, result in zip(chunks, tasks, results, strict=True):
-        columns = chunk_columns(run.plan, chunk) | result_columns(result, known_distances(own))
+        columns = typed(grid.labels(chunk.arm, chunk.places))
+        columns |= result_columns(result, known_distances(own))
         path = file_path(run.folder, chunk.index)
         shard = Shard(sweep=run.sweep, index=chunk.index, rows=chunk.size)
         try:
-            write_shard(_typed(columns), path, shard)
+            write_shard(columns, path, shard)
         except OSError as error:
             raise OSError(
                 f"{path} cannot be written: {error}; the other files stay, go on with --resume"
@@ -209,30 +201,19 @@ def _run_together(run: _Run, files: list[int]) -> int:
     return sum(one.size for one in chunks)
 
 
-def _run_navigator(
-    chunks: list[Chunk], tasks: list[Task], sentences: GroundedSentences, arm: Arm
+def _results(
+    chunks: list[Chunk], tasks: list[Task], sentences: GroundedSentences
 ) -> list[EpisodeResult]:
     """Run chunks of one policy and size, each with the Params of its own arm."""
+    arms = [one.arm for one in chunks]
     works = [
-        Work(tasks=fill(own, 0, one.size), count=one.size, params=one.arm.params())
+        Work(tasks=fill(own, 0, one.size), count=one.size, params=one.arm.params)
         for one, own in zip(chunks, tasks, strict=True)
+        if one.arm.params is not None
     ]
-    config = navigator_config(arm.policy, arm.particles or DEFAULT_PARTICLES)
-    return run_round(works, sentences.instructions, config=config)
-
-
-def _typed(columns: dict[str, Any]) -> dict[str, Any]:
-    """Give columns that may be empty in a file the type they have in the others."""
-    import pyarrow as pa
-
-    typed: dict[str, Any] = {}
-    for name, values in columns.items():
-        if isinstance(values, np.ndarray):
-            typed[name] = values
-        elif name in ("particles", "seed", "episode"):
-            typed[name] = pa.array(values, pa.int64())
-        elif isinstance(values[0], str):
-            typed[name] = pa.array(values, pa.string())
-        else:
-            typed[name] = pa.array(values, pa.float64())
-    return typed
+    if arms[0].config is None or not works:
+        return [
+            arm.run(own, sentences.instructions, num_threads=1)
+            for arm, own in zip(arms, tasks, strict=True)
+        ]
+    return run_round(works, sentences.instructions, config=arms[0].config)

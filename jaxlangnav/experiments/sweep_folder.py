@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Any
 
 from jaxlangnav.episode import EpisodeResult
-from jaxlangnav.experiments.archive import manifest, to_json
+from jaxlangnav.experiments.archive import json_text, manifest
 from jaxlangnav.experiments.devices import CHUNK, LANES
 from jaxlangnav.experiments.holding import Note
 from jaxlangnav.experiments.shards import Shard, ShardError, check_shard
-from jaxlangnav.experiments.sweep_plan import Plan
+from jaxlangnav.experiments.sweep_plan import SweepPlan
 from jaxlangnav.files.documents import parse_json, read_text
 from jaxlangnav.files.whole import write_once
 from jaxlangnav.plain_text import fault_of_name
@@ -96,7 +96,9 @@ def identity(document: dict[str, Any]) -> str:
     return hashlib.sha256(json.dumps(shared, sort_keys=True).encode()).hexdigest()
 
 
-def claim(folder: Path, plan: Plan, mine: Sequence[int], models: Any, *, is_resumed: bool) -> str:
+def claim_folder(
+    folder: Path, plan: SweepPlan, mine: Sequence[int], models: Any, *, is_resumed: bool
+) -> str:
     """Write the manifest, or see that the one that is there is ours.
 
     Args:
@@ -125,7 +127,7 @@ def claim(folder: Path, plan: Plan, mine: Sequence[int], models: Any, *, is_resu
     if not path.exists():
         if has_episodes:
             raise ValueError(f"{folder} holds episodes without a manifest: choose another folder")
-        write_once(to_json(ours).encode(), path)
+        write_once(json_text(ours).encode(), path)
     # Read back in any case: of several sweeps that begin at once here, one has written it.
     theirs = read_manifest(folder)
     for key in _IDENTITY:
@@ -153,7 +155,7 @@ def sweep_up(folder: Path, mine: Sequence[int]) -> None:
 
 def sound_files(
     folder: Path,
-    plan: Plan,
+    plan: SweepPlan,
     mine: Sequence[int],
     sweep: str,
     *,

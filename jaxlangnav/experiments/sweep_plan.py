@@ -14,65 +14,48 @@ import functools
 import itertools
 import math
 import re
-from collections.abc import Sequence
-from typing import Any, Literal
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Literal, TypeVar
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxlangnav.experiments.devices import CHUNK
+from jaxlangnav.experiments.grid import Arm, Grid, Setting, policy_arm
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.sizes import check_engine, counted
 from jaxlangnav.experiments.sweep_config import SweepConfig, Values
-from jaxlangnav.messages import MotionParams, SensorParams, default_motion, default_sensor
+from jaxlangnav.experiments.tasks import Cell
+from jaxlangnav.messages import default_motion, default_sensor
 from jaxlangnav.navigator import NavigatorParams, check, default_params
 from jaxlangnav.planner.config import POLICIES
 from jaxlangnav.pytree import replace
 
 MOST_FILES = 1_000_000
 """Files of a folder: file systems grow slow with more, and their names have six digits."""
-Chosen = dict[str, float]
-"""One value for each key of a table of Params."""
+_T = TypeVar("_T")
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Arm:
-    """What is compared: a policy with its numbers."""
+class Lazy(Sequence[_T]):
+    """As many things as one likes, each made from its number when it is asked for."""
 
-    policy: str
-    particles: int | None
-    """None for a baseline, which has none."""
-    motion: Chosen
-    map: Chosen | None
-    planner: Chosen | None
+    def __init__(self, size: int, make: Callable[[int], _T]) -> None:
+        """Keep how to make them.
 
-    def motion_params(self) -> MotionParams:
-        """Build the odometry of the arm's worlds."""
-        return replace(default_motion(), **_as_arrays(self.motion))
+        Args:
+            size: how many there are.
+            make: makes one; the last few are kept.
+        """
+        self._size, self._make = size, functools.lru_cache(maxsize=256)(make)
 
-    def params(self) -> NavigatorParams:
-        """Build the navigator's numbers; the belief knows the odometry's specification."""
-        params = default_params()
-        motion = self.motion_params()
-        return replace(
-            params,
-            map=replace(params.map, motion=motion, **_as_arrays(self.map or {})),
-            planner=replace(params.planner, **_as_arrays(self.planner or {})),
-        )
+    def __len__(self) -> int:
+        """Count them."""
+        return self._size
 
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Setting:
-    """Where it is compared: the same for all arms."""
-
-    world: str
-    command: int
-    range: float
-    sensor: Chosen
-    seed: int
-
-    def sensor_params(self) -> SensorParams:
-        """Build the detector."""
-        return replace(default_sensor(self.range), **_as_arrays(self.sensor))
+    def __getitem__(self, place: Any) -> Any:
+        """Make one."""
+        return self._make(place)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -85,12 +68,31 @@ class Chunk:
     """Place of its first episode among the arm's."""
     size: int
 
+    @property
+    def places(self) -> np.ndarray:
+        """Places of its episodes among the arm's."""
+        return self.first + np.arange(self.size)
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Plan:
+class SweepPlan:
     """All files of a sweep, by their number."""
 
     config: SweepConfig
+
+    @functools.cached_property
+    def grid(self) -> Grid:
+        """The grid of the sweep; settings and arms are worked out when they are asked for."""
+        config = self.config
+        arms = [(policy, _arm_sizes(config, policy)) for policy in config.policies]
+        sizes, tables = _setting_sizes(config), ("sensor", "motion", "map", "planner")
+        params = [f"{table}.{key}" for table in tables for key in config.params[table]]
+        return Grid(
+            settings=Lazy(self.num_settings, lambda at: _setting(config, _digits(at, sizes))),
+            arms=Lazy(self.num_arms, lambda at: _arm(config, *_place_of(at, arms))),
+            episodes=config.episodes,
+            names=("world", "command", "relation", "range", "policy", "particles", *params),
+        )
 
     @functools.cached_property
     def num_settings(self) -> int:
@@ -100,7 +102,7 @@ class Plan:
     @functools.cached_property
     def num_arms(self) -> int:
         """Count the arms."""
-        return sum(_arms_of(self.config, policy) for policy in self.config.policies)
+        return sum(math.prod(_arm_sizes(self.config, one)) for one in self.config.policies)
 
     @property
     def files_of_arm(self) -> int:
@@ -124,31 +126,16 @@ class Plan:
     def chunk(self, index: int) -> Chunk:
         """Work out the episodes of a file."""
         arm, place = divmod(index, self.files_of_arm)
-        return Chunk(index=index, arm=self.arm(arm), first=place * CHUNK, size=self.size(index))
+        own = self.grid.arms[arm]
+        return Chunk(index=index, arm=own, first=place * CHUNK, size=self.size(index))
 
     def kind(self, index: int) -> tuple[str, int | None]:
         """Work out which program runs a file: policy, and particles if it has any."""
-        arm = self.arm(index // self.files_of_arm)
-        return arm.policy, arm.particles
-
-    def arm(self, place: int) -> Arm:
-        """Work out an arm; a baseline has few, as the navigator's numbers are none of its own."""
-        return _arm(self.config, place)
-
-    def setting(self, place: int) -> Setting:
-        """Work out a setting."""
-        config, sensor = self.config, self.config.params["sensor"]
-        world, command, reach, *chosen, seed = _digits(place, _setting_sizes(config))
-        return Setting(
-            world=config.worlds[world],
-            command=command,
-            range=config.ranges[reach],
-            sensor=_picked(sensor, chosen),
-            seed=config.seeds[seed],
-        )
+        arm = self.grid.arms[index // self.files_of_arm]
+        return arm.policy, arm.told["particles"]
 
 
-def make_plan(config: SweepConfig) -> Plan:
+def make_plan(config: SweepConfig) -> SweepPlan:
     """Lay out a sweep.
 
     Args:
@@ -161,18 +148,18 @@ def make_plan(config: SweepConfig) -> Plan:
         ValueError: Params with which the robot could never stop, more particles than memory
             holds, or more files than a folder does.
     """
-    plan = Plan(config=config)
+    plan = SweepPlan(config=config)
     _check_files(plan)
     for policy in config.policies:
         if policy in POLICIES:
             check_engine(navigator_config(policy, max(config.particles)))
             # A limit of ``check`` is passed upwards or downwards: the ends stand for all arms.
-            check(_end(config, policy, -1).params())
-            check(_end(config, policy, 0).params())
+            check(_end(config, policy, -1))
+            check(_end(config, policy, 0))
     return plan
 
 
-def _check_files(plan: Plan) -> None:
+def _check_files(plan: SweepPlan) -> None:
     """Refuse a sweep that no folder could hold, and say what one would."""
     if plan.num_files <= MOST_FILES:
         return
@@ -198,11 +185,6 @@ def _setting_sizes(config: SweepConfig) -> list[int]:
     ]
 
 
-def _arms_of(config: SweepConfig, policy: str) -> int:
-    """Count the arms of a policy."""
-    return math.prod(_arm_sizes(config, policy))
-
-
 def _arm_sizes(config: SweepConfig, policy: str) -> list[int]:
     """Count the values of everything that makes up a policy's arms, the slowest first."""
     motion, *navigator = (
@@ -214,41 +196,75 @@ def _arm_sizes(config: SweepConfig, policy: str) -> list[int]:
     return [*motion, len(config.particles), *itertools.chain(*navigator)]
 
 
-def _arm(config: SweepConfig, place: int) -> Arm:
-    """Work out an arm by its number."""
-    for policy in config.policies:
-        number = _arms_of(config, policy)
-        if place < number:
-            return _built(config, policy, _digits(place, _arm_sizes(config, policy)))
-        place -= number
+def _setting(config: SweepConfig, digits: Sequence[int]) -> Setting:
+    """Build a setting from the places of its values."""
+    place, number, reach, *chosen, seed = digits
+    world, command = config.worlds[place], config.commands[number]
+    sensing_range = config.ranges[reach]
+    sensor, own = _picked(config.params["sensor"], chosen), config.own_worlds.get(world)
+    cell = Cell(
+        world=world,
+        relation=command.relation,
+        instruction_index=number,
+        sensor=replace(default_sensor(sensing_range), **_as_arrays(sensor)),
+        motion=default_motion(),
+        episodes=config.episodes,
+        environments=config.environments,
+        seed=config.seeds[seed],
+        scenario=None if own is None else jax.tree.map(np.asarray, own.scenario),
+    )
+    told: dict[str, Any] = {
+        "world": world,
+        "command": command.text,
+        "relation": command.relation,
+        "range": sensing_range,
+    }
+    return Setting(cell=cell, told=told | {f"sensor.{key}": sensor[key] for key in sensor})
+
+
+def _place_of(place: int, arms: Sequence[tuple[str, list[int]]]) -> tuple[str, list[int]]:
+    """Find the policy of an arm, and the places of the arm's values."""
+    for policy, sizes in arms:
+        if place < math.prod(sizes):
+            return policy, _digits(place, sizes)
+        place -= math.prod(sizes)
     raise IndexError("no such arm")
 
 
-def _end(config: SweepConfig, policy: str, which: Literal[0, -1]) -> Arm:
-    """Build a policy's arm with the least (0) or the largest (-1) of all numbers."""
+def _arm(config: SweepConfig, policy: str, digits: Sequence[int]) -> Arm:
+    """Build an arm; a baseline has few, as the navigator's numbers are none of its own."""
+    tables, rest = config.params, list(digits)
+    motion = _picked(tables["motion"], [rest.pop(0) for _ in tables["motion"]])
+    names = [f"{table}.{key}" for table in ("map", "planner") for key in tables[table]]
+    told: dict[str, Any] = {"policy": policy, "particles": None} | dict.fromkeys(names)
+    told |= {f"motion.{key}": value for key, value in motion.items()}
+    odometry = replace(default_motion(), **_as_arrays(motion))
+    if policy not in POLICIES:
+        return Arm(policy=policy, told=told, motion=odometry)
+    told["particles"] = particles = config.particles[rest.pop(0)]
+    own = {
+        table: _picked(tables[table], [rest.pop(0) for _ in tables[table]])
+        for table in ("map", "planner")
+    }
+    told |= {f"{table}.{key}": value for table, of in own.items() for key, value in of.items()}
+    params = default_params()
+    params = replace(
+        params,
+        map=replace(params.map, **_as_arrays(own["map"])),
+        planner=replace(params.planner, **_as_arrays(own["planner"])),
+    )
+    return policy_arm(policy, num_particles=particles, params=params, motion=odometry, told=told)
+
+
+def _end(config: SweepConfig, policy: str, which: Literal[0, -1]) -> NavigatorParams:
+    """Take a policy's numbers where each is the least (0) or the largest (-1) of all."""
     ordered = {
         table: {key: (sorted(values)[which],) for key, values in keys.items()}
         for table, keys in config.params.items()
     }
     single = dataclasses.replace(config, params=ordered, particles=config.particles[:1])
-    return _built(single, policy, [0] * len(_arm_sizes(single, policy)))
-
-
-def _built(config: SweepConfig, policy: str, digits: Sequence[int]) -> Arm:
-    """Build an arm from the places of its values."""
-    params = config.params
-    first = len(params["motion"])
-    motion = _picked(params["motion"], digits[:first])
-    if policy not in POLICIES:
-        return Arm(policy=policy, particles=None, motion=motion, map=None, planner=None)
-    middle = first + 1 + len(params["map"])
-    return Arm(
-        policy=policy,
-        particles=config.particles[digits[first]],
-        motion=motion,
-        map=_picked(params["map"], digits[first + 1 : middle]),
-        planner=_picked(params["planner"], digits[middle:]),
-    )
+    params = _arm(single, policy, [0] * len(_arm_sizes(single, policy))).params
+    return default_params() if params is None else params
 
 
 def _digits(place: int, sizes: Sequence[int]) -> list[int]:
@@ -260,12 +276,12 @@ def _digits(place: int, sizes: Sequence[int]) -> list[int]:
     return digits[::-1]
 
 
-def _picked(values: Values, digits: Sequence[int]) -> Chosen:
+def _picked(values: Values, digits: Sequence[int]) -> dict[str, float]:
     """Pick one value for each key of a table."""
     return {key: of[digit] for (key, of), digit in zip(values.items(), digits, strict=True)}
 
 
-def _as_arrays(chosen: Chosen) -> dict[str, Any]:
+def _as_arrays(chosen: Mapping[str, float]) -> dict[str, Any]:
     """Turn numbers into the traced scalars of Params."""
     return {key: jnp.float32(value) for key, value in chosen.items()}
 
@@ -293,7 +309,7 @@ def parse_shard(text: str) -> tuple[int, int]:
     return part, parts
 
 
-def shard_files(plan: Plan, shard: str) -> range:
+def shard_files(plan: SweepPlan, shard: str) -> range:
     """Pick the files of a shard.
 
     Args:
@@ -310,7 +326,7 @@ def shard_files(plan: Plan, shard: str) -> range:
     return range(part - 1, plan.num_files, parts)
 
 
-def shard_episodes(plan: Plan, shard: str) -> int:
+def shard_episodes(plan: SweepPlan, shard: str) -> int:
     """Count the episodes of a shard.
 
     Args:

@@ -13,10 +13,11 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from rich.table import Table
 
+from jaxlangnav.experiments.monte_carlo import OnProgress
 from jaxlangnav.experiments.sizes import check_count, counted
 from jaxlangnav.experiments.splits import draw_splits, mark_new_words
+from jaxlangnav.experiments.table import Table
 from jaxlangnav.grounding.annotation import infer_annotations
 from jaxlangnav.grounding.behavior_search import infer_behavior_sets
 from jaxlangnav.grounding.blocks import Design
@@ -26,6 +27,7 @@ from jaxlangnav.grounding.examples import (
     behavior_examples,
 )
 from jaxlangnav.grounding.features import FEATURE_GROUPS
+from jaxlangnav.grounding.fitting import MODELS
 from jaxlangnav.grounding.labelled import read_examples
 from jaxlangnav.grounding.model import (
     ANNOTATION_KINDS,
@@ -46,7 +48,7 @@ from jaxlangnav.grounding.training import Fit, build_design, fit
 from jaxlangnav.language.corpus import load_corpus
 from jaxlangnav.language.lexicon import load_lexicon
 
-PAPER: dict[str, dict[str, float]] = {
+TABLE_1: dict[str, dict[str, float]] = {
     "annotation": {
         "accuracy_mean": 62.5,
         "accuracy_ci95": 10.83,
@@ -57,8 +59,6 @@ PAPER: dict[str, dict[str, float]] = {
 }
 """Table 1 as printed."""
 CORPUS = "corpus39"
-MODELS = ("annotation", "behavior")
-Progress = Callable[[int], None]
 _WIDEST = 256
 """Sets of a phrase kept at most: those of two children are combined each with each."""
 _MASKS = 1 + 4
@@ -85,7 +85,7 @@ class Splits:
 
 
 @dataclasses.dataclass(frozen=True)
-class Prepared:
+class LaidOut:
     """What all splits of one model have in common."""
 
     vocabulary: Vocabulary
@@ -93,42 +93,24 @@ class Prepared:
     sizes: np.ndarray  # f[I] (phrase, symbol) factors of each instruction
 
 
-def prepare_model(
+def _prepare_model(
     name: str,
     instructions: Sequence[LabelledInstruction],
     type_names: tuple[str, ...],
     without: frozenset[str] = frozenset(),
-) -> Prepared:
-    """Lay out the factors of one model.
-
-    Args:
-        name: "annotation" or "behavior".
-        instructions: the corpus.
-        type_names: object types.
-        without: groups of word features to leave out.
-
-    Returns:
-        What ``fit_splits`` takes.
-    """
+) -> LaidOut:
+    """Lay out the factors of one model."""
     build = annotation_examples if name == "annotation" else behavior_examples
     examples = build(instructions, type_names)
     kinds = ANNOTATION_KINDS if name == "annotation" else BEHAVIOR_KINDS
     sizes = np.zeros(len(instructions))
     for example in examples:
         sizes[example.instruction] += sum(len(rows.labels) for rows in example.rows.values())
-    return Prepared(*build_design(examples, kinds, len(instructions), without), sizes)
+    return LaidOut(*build_design(examples, kinds, len(instructions), without), sizes)
 
 
-def check_splits(prepared: Prepared, splits: int) -> None:
-    """Refuse more splits than memory holds.
-
-    Args:
-        prepared: the factors of one model.
-        splits: K.
-
-    Raises:
-        ValueError: says the size, the limit and how many would fit.
-    """
+def _check_splits(prepared: LaidOut, splits: int) -> None:
+    """Refuse more splits than memory holds."""
     design = prepared.design
     counts = math.prod(design.properties.shape[:2]) * 2
     weights = design.words.shape[1] * design.properties.shape[2]
@@ -136,16 +118,8 @@ def check_splits(prepared: Prepared, splits: int) -> None:
     check_count("splits", splits, each=4 * counts + (4 + 8) * weights)
 
 
-def fit_splits(prepared: Prepared, held_out: np.ndarray) -> Splits:
-    """Train one model on every split at once, and on the first one alone for its time.
-
-    Args:
-        prepared: the factors.
-        held_out: bool[K, I].
-
-    Returns:
-        The fitted models.
-    """
+def _fit_splits(prepared: LaidOut, held_out: np.ndarray) -> Splits:
+    """Train one model on every split at once, and on the first one alone for its time."""
     design, shares = prepared.design, (~held_out).astype(np.float32)
     _, first = fit(design, shares[:1])
     _, again = fit(design, shares[:1])  # the first one also starts JAX
@@ -167,7 +141,7 @@ def _score_all(
     fitted: dict[str, Splits],
     held_out: np.ndarray,
     type_names: tuple[str, ...],
-    on_progress: Progress | None,
+    on_progress: OnProgress | None,
     **searched: Any,
 ) -> dict[str, Results]:
     """Measure both models of every split on its hold-out."""
@@ -223,7 +197,7 @@ def evaluate(
     beams: Sequence[int] = (BEAM_WIDTH,),
     is_exact: bool = False,
     without: Sequence[str] = (),
-    on_progress: Progress | None = None,
+    on_progress: OnProgress | None = None,
 ) -> dict[str, Any]:
     """Run the paper's protocol for both models.
 
@@ -258,12 +232,12 @@ def evaluate(
     check_count("splits", splits, each=_MASKS * len(corpus))
     instructions = read_examples(corpus, type_names)
     prepared = {
-        name: prepare_model(name, instructions, type_names, frozenset(without)) for name in MODELS
+        name: _prepare_model(name, instructions, type_names, frozenset(without)) for name in MODELS
     }
     for one in prepared.values():
-        check_splits(one, splits)
+        _check_splits(one, splits)
     held_out = draw_splits(len(instructions), splits, seed)
-    fitted = {name: fit_splits(one, held_out) for name, one in prepared.items()}
+    fitted = {name: _fit_splits(one, held_out) for name, one in prepared.items()}
     results = _score_all(
         instructions, fitted, held_out, type_names, on_progress, widths=beams, is_exact=is_exact
     )
@@ -284,7 +258,7 @@ def evaluate(
                 for score, new, held in zip(of_first, new_words, held_out, strict=True)
             ]
         )
-    return document | {"paper": PAPER, "corpus": CORPUS, "without": list(without), "seed": seed}
+    return document | {"paper": TABLE_1, "corpus": CORPUS, "without": list(without), "seed": seed}
 
 
 def _on_new_words(
@@ -329,32 +303,24 @@ def _cell(row: dict[str, float]) -> str:
     return f"{row['accuracy_mean']:.2f} ± {row['accuracy_ci95']:.2f}{proven}"
 
 
-def render(document: dict[str, Any]) -> Table:
-    """Draw the table for people, ours beside the paper's.
+def table_1(document: dict[str, Any]) -> Table:
+    """Lay out the table for people, ours beside the paper's.
 
     Args:
         document: of ``evaluate``.
 
     Returns:
-        A rich table.
+        A line for each figure, each model's beside the printed one.
     """
-    table = Table(title="Table 1: ours beside the paper's")
-    table.add_column("")
-    for name in MODELS:
-        table.add_column(name)
-        table.add_column("paper")
+    rows: list[list[str]] = []
 
     def line(title: str, text: Callable[[dict[str, Any]], str], is_printed: bool = False) -> None:
         cells = [title]
         for name in MODELS:
             cells += [text(document[name]), text(document["paper"][name]) if is_printed else ""]
-        table.add_row(*cells)
+        rows.append(cells)
 
-    line(
-        "Accuracy % (95 %)",
-        _cell,
-        is_printed=True,
-    )
+    line("Accuracy % (95 %)", _cell, is_printed=True)
     for beam in document[MODELS[0]]["beams"]:
         title = "exact (proven)" if beam == "exact" else f"beam of {beam}"
         line(f"  {title}", lambda row, beam=beam: _cell(row["beams"][beam]))
@@ -365,4 +331,5 @@ def render(document: dict[str, Any]) -> Table:
     line("Splits", lambda row: str(row["splits"]))
     line("Examples", lambda row: str(row["examples"]))
     line("Features", lambda row: str(row["features"]))
-    return table
+    headings = ["", *(heading for name in MODELS for heading in (name, "paper"))]
+    return Table(headings=headings, rows=rows, title="Table 1: ours beside the paper's")

@@ -1,15 +1,15 @@
-"""Tables for people: ours beside the paper's, in Markdown and in the terminal (section 4.2)."""
+"""Tables of rows: ours beside the paper's and the limits (section 4.2)."""
 
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from jaxlangnav import plain_text
-from jaxlangnav.experiments.deviations import NEAR, deviations
+from jaxlangnav.experiments.grid import Row
 from jaxlangnav.experiments.metrics import timeouts_text
 from jaxlangnav.experiments.policies import KNOWLEDGE
-from jaxlangnav.experiments.rows import Row, row_key
+from jaxlangnav.experiments.rows import NEAR, deviations, row_key
+from jaxlangnav.experiments.table import Table
 from jaxlangnav.planner.config import POLICIES
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 
@@ -100,15 +100,8 @@ def least_distance(bound: Mapping[str, Any]) -> float:
     return bound["search_law"] or max(0.0, bound["known"] - SUCCESS_RADIUS)
 
 
-def limit_cells(bound: Row) -> list[str]:
-    """Write the limits of a row, which no policy can pass.
-
-    Args:
-        bound: of ``rows.bound_rows``.
-
-    Returns:
-        Texts in the order of ``HEADINGS``; what has no limit is empty.
-    """
+def _limit_cells(bound: Row) -> list[str]:
+    """Write the limits of a row, which no policy can pass."""
     texts = dict.fromkeys(range(len(HEADINGS)), "")
     texts |= {
         0: bound["world"],
@@ -121,23 +114,46 @@ def limit_cells(bound: Row) -> list[str]:
     return list(texts.values())
 
 
-def table_lines(document: dict[str, Any]) -> list[tuple[bool, list[str]]]:
-    """Write all lines of a table: every row's policies, then its limits.
+def results_table(document: Mapping[str, Any], *, fold: str = "") -> Table:
+    """Lay out all lines of a table: every row's policies, then its limits.
 
     Args:
         document: with ``rows`` and perhaps ``paper`` and ``bounds``.
+        fold: what to click on a page to see it.
 
     Returns:
-        Whether the line begins a row, and its cells in the order of ``HEADINGS``.
+        The table, of ``HEADINGS``; each row of the paper's is a block.
     """
     limits = {row_key(bound): bound for bound in document.get("bounds", [])}
-    lines: list[tuple[bool, list[str]]] = []
+    firsts, lines = [], []
     for key, pairs in itertools.groupby(paired_rows(document), key=lambda pair: row_key(pair[0])):
         mine = [cells(*pair) for pair in pairs]
         if key in limits:
-            mine.append(limit_cells(limits[key]))
-        lines += [(index == 0, texts) for index, texts in enumerate(mine)]
-    return lines
+            mine.append(_limit_cells(limits[key]))
+        firsts += [index == 0 for index in range(len(mine))]
+        lines += mine
+    return Table(headings=HEADINGS, rows=lines, firsts=firsts, fold=fold)
+
+
+def terminal_table(document: Mapping[str, Any], *, title: str) -> Table:
+    """Lay out a document's rows narrow enough for a terminal, conditions beneath.
+
+    Args:
+        document: with ``rows`` and perhaps ``paper`` and ``bounds``.
+        title: above the table.
+
+    Returns:
+        The table, of ``TERMINAL_HEADINGS``.
+    """
+    wide = results_table(document)
+    return Table(
+        headings=TERMINAL_HEADINGS,
+        rows=[_terminal_cells(texts) for texts in wide.rows],
+        title=title,
+        caption=caption(document),
+        firsts=wide.firsts,
+        faint=[texts[3] == "limit" for texts in wide.rows],
+    )
 
 
 def _score(row: Row, name: str, form: str) -> str:
@@ -151,7 +167,7 @@ def _with_sd(row: Row, name: str) -> str:
     return f"{row[f'{name}_mean']:.2f} ({row[f'{name}_sd']:.2f})"
 
 
-def paired_rows(document: dict[str, Any]) -> list[tuple[Row, Row | None]]:
+def paired_rows(document: Mapping[str, Any]) -> list[tuple[Row, Row | None]]:
     """Set each of our rows beside the printed one; by row, then by policy.
 
     Args:
@@ -166,47 +182,7 @@ def paired_rows(document: dict[str, Any]) -> list[tuple[Row, Row | None]]:
     return [(row, printed.get(row_key(row))) for row in rows]
 
 
-def markdown_table(document: dict[str, Any]) -> str:
-    """Write a document's rows as a Markdown table.
-
-    Args:
-        document: with ``rows`` and perhaps ``paper``.
-
-    Returns:
-        Lines, each ended.
-    """
-    return plain_text.markdown_table(HEADINGS, [texts for _, texts in table_lines(document)])
-
-
-def rich_table(document: dict[str, Any], *, title: str) -> Any:
-    """Draw a document's rows for the terminal.
-
-    Args:
-        document: with ``rows`` and perhaps ``paper``.
-        title: above the table.
-
-    Returns:
-        A rich table, its caption says under what noise it was measured.
-    """
-    from rich.table import Table
-
-    table = Table(title=title, caption=caption(document), caption_justify="left")
-    for heading in TERMINAL_HEADINGS:
-        is_text = heading.strip() in ("World", "Relation", "Policy")
-        style = "dim" if heading.startswith("paper") else None
-        table.add_column(heading, justify="left" if is_text else "right", style=style, no_wrap=True)
-    for is_first, texts in table_lines(document):
-        if is_first and table.row_count:
-            table.add_section()
-        narrow = _terminal_cells(texts)
-        is_limit = texts[3] == "limit"
-        # What a block of policies has in common is said once.
-        common = narrow[:3] if is_first else ["", "", ""]
-        table.add_row(*common, *narrow[3:], style="dim" if is_limit else None)
-    return table
-
-
-def _terminal_cells(texts: list[str]) -> list[str]:
+def _terminal_cells(texts: Sequence[str]) -> list[str]:
     """Write one row's cells for the terminal, narrow enough for a hundred columns."""
     rate, _, interval = texts[4].partition(" (")
     ends = [f"{float(end):.0f}" for end in interval.rstrip(")").split("-") if end]
@@ -222,7 +198,7 @@ def _terminal_cells(texts: list[str]) -> list[str]:
     ]
 
 
-def caption(document: dict[str, Any]) -> str:
+def caption(document: Mapping[str, Any]) -> str:
     """Say under what conditions a table was measured.
 
     Args:
@@ -277,9 +253,7 @@ def caption(document: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def deviation_lines(
-    document: dict[str, Any], policy: str = "faithful"
-) -> tuple[list[str], list[list[str]]]:
+def deviations_table(document: Mapping[str, Any], policy: str = "faithful") -> Table:
     """Say row by row how far a policy lies from the paper's own rows.
 
     Args:
@@ -287,24 +261,22 @@ def deviation_lines(
         policy: the one that should agree with "Ours" of the paper.
 
     Returns:
-        Headings, and a line for each of its rows that the paper prints.
+        A line for each of its rows that the paper prints.
     """
     headings = ["World", "Range m", "Relation", f"{policy} − paper: success", "in s. e."]
     headings += ["distance m", "in s. e.", "within 2 s. e. of both"]
     lines = []
     for row, paper in paired_rows(document):
-        if row["policy"] != policy or paper is None:
-            continue
-        far = deviations(row, paper)
-        is_near = max(abs(one) for one in far.values()) <= NEAR
-        lines.append(
-            [
-                *cells(row, paper)[:3],
-                f"{row['success_rate'] - paper['success_rate']:+.1f}",
-                f"{far['success']:+.1f}",
-                f"{row['distance_mean'] - paper['distance_mean']:+.2f}",
-                f"{far['distance']:+.1f}",
-                "yes" if is_near else "no",
-            ]
-        )
-    return headings, lines
+        if row["policy"] == policy and paper is not None:
+            far = deviations(row, paper)
+            lines.append(
+                [
+                    *cells(row, paper)[:3],
+                    f"{row['success_rate'] - paper['success_rate']:+.1f}",
+                    f"{far['success']:+.1f}",
+                    f"{row['distance_mean'] - paper['distance_mean']:+.2f}",
+                    f"{far['distance']:+.1f}",
+                    "yes" if max(abs(one) for one in far.values()) <= NEAR else "no",
+                ]
+            )
+    return Table(headings=headings, rows=lines)

@@ -233,6 +233,7 @@ def _examples(space: SymbolSpace[World], one: Labelled[World], index: int) -> It
 def train_graph(
     space: SymbolSpace[World],
     labelled: Sequence[Labelled[World]],
+    *,
     config: TrainingConfig | None = None,
     without: frozenset[str] = frozenset(),
 ) -> tuple[CorrespondenceGraph[World], Fit]:
@@ -255,7 +256,7 @@ def train_graph(
     if without - set(FEATURE_GROUPS):
         raise ValueError(f"groups of features are {', '.join(FEATURE_GROUPS)}, not {set(without)}")
     examples = examples_of(space, labelled)
-    model, measured = train(examples, (KIND,), len(labelled), config, without)
+    model, measured = train(examples, (KIND,), len(labelled), config=config, without=without)
     return CorrespondenceGraph(space, model), measured
 
 

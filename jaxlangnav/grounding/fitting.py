@@ -68,7 +68,7 @@ def _fit_twice(
     examples = build(instructions, type_names)
     vocabulary, design = build_design(examples, kinds, len(instructions))
     shares = np.stack([np.ones(len(instructions)), ~is_tuning]).astype(np.float32)
-    (full, part), measured = fit(design, shares, config)
+    (full, part), measured = fit(design, shares, config=config)
     count = sum(len(rows.labels) for example in examples for rows in example.rows.values())
     return (
         CorrespondenceModel(vocabulary, full),

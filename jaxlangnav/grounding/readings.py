@@ -198,7 +198,6 @@ def pack(ranked: Sequence[tuple[Reading, float]]) -> Readings:
         "figure": table[0],
         "relation": table[1],
         "landmark": table[2],
-        "is_superlative": ranks == 1,
         "rank": ranks,
         "log_probability": log_probability,
     }

@@ -221,6 +221,7 @@ def _spectrum(gram: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def fit(
     design: Design,
     instruction_weights: np.ndarray,
+    *,
     config: TrainingConfig | None = None,
     l2: np.ndarray | None = None,
 ) -> tuple[list[dict[str, np.ndarray]], Fit]:
@@ -271,6 +272,7 @@ def train(
     examples: Sequence[Example],
     kinds: Sequence[str],
     num_instructions: int,
+    *,
     config: TrainingConfig | None = None,
     without: frozenset[str] = frozenset(),
 ) -> tuple[CorrespondenceModel, Fit]:
@@ -290,5 +292,5 @@ def train(
         ValueError: a kind has no example.
     """
     vocabulary, design = build_design(examples, kinds, num_instructions, without)
-    weights, measured = fit(design, np.ones((1, num_instructions), np.float32), config)
+    weights, measured = fit(design, np.ones((1, num_instructions), np.float32), config=config)
     return CorrespondenceModel(vocabulary, weights[0]), measured

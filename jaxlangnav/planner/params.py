@@ -3,24 +3,38 @@
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.pytree import pytree
+from jaxlangnav.pytree import field, pytree
 
 
 @pytree
 class PlannerParams:
     """Numbers of the planner; traced."""
 
-    discount: Array  # f32[] γ per metre (eq. 12)
-    stop_probability: Array  # f32[] τ, goal probability within reach at which the robot stops
-    reach: Array  # f32[] metres from the goal that count as having arrived
-    frontier_miss: Array  # f32[] cells missed more likely than this share of the worst are unseen
-    visit_spacing: Array  # f32[] metres between visited nodes
-    rival_share: Array  # f32[] unseen rivals near things seen that a goal may have, relative to it
-    rest_share: Array  # f32[] goal probability still unseen, relative to the best, that is let go
-    prior_share: Array  # f32[] how far the order of search trusts the learned prior; 0: not at all
-    give_up: Array  # f32[] probability that what is missing is there at all, below which the
-    # search ends; of ``informed``, 0: never
-    constraint_cost: Array  # f32[] value lost by a path through a region to be kept out of
+    discount: Array = field("γ per metre (eq. 12)")  # f32[]
+    stop_probability: Array = field(  # f32[]
+        "τ, goal probability within reach at which the robot stops"
+    )
+    reach: Array = field("metres from the goal that count as having arrived")  # f32[]
+    frontier_miss: Array = field(  # f32[]
+        "cells missed more likely than this share of the worst are unseen"
+    )
+    visit_spacing: Array = field("metres between visited nodes")  # f32[]
+    rival_share: Array = field(  # f32[]
+        "unseen rivals near things seen that a goal may have, relative to it"
+    )
+    rest_share: Array = field(  # f32[]
+        "goal probability still unseen, relative to the best, that is let go"
+    )
+    prior_share: Array = field(  # f32[]
+        "how far the order of search trusts the learned prior; 0: not at all"
+    )
+    give_up: Array = field(  # f32[]
+        "probability that what is missing is there at all, below which the search "
+        "ends; of ``informed``, 0: never"
+    )
+    constraint_cost: Array = field(  # f32[]
+        "value lost by a path through a region to be kept out of"
+    )
 
 
 def default_planner_params() -> PlannerParams:

@@ -112,7 +112,7 @@ def _encode(params: RelationParams) -> _Free:
 def _log_joint(free: _Free, pairs: RelationPairs) -> Array:
     """Log of share times density of every pair in every frame, f32[N, F]."""
     params, log_share = _decode(free)
-    return log_frame_densities(pairs, params) + log_share[pairs.relation]
+    return log_frame_densities(pairs, params=params) + log_share[pairs.relation]
 
 
 def _log_prior(free: _Free, start: _Free, prior: RelationPrior) -> Array:

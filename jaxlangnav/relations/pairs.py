@@ -108,7 +108,7 @@ def _in_frame(pairs: RelationPairs, pose: Array) -> tuple[Array, Array, Frame]:
     return pairs.figure_x - x, pairs.figure_y - y, frame
 
 
-def log_frame_densities(pairs: RelationPairs, params: RelationParams) -> Array:
+def log_frame_densities(pairs: RelationPairs, *, params: RelationParams) -> Array:
     """Evaluate every pair in every frame, without the frames' shares.
 
     Limits: κ = 0 makes the viewer's frame and "undirected" the same; a robot that has not moved

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.messages import BEHIND, FAR, FRONT, LEFT, NEAR, RELATIONS, RIGHT
-from jaxlangnav.pytree import pytree
+from jaxlangnav.pytree import field, pytree
 
 SIDES = (FRONT, BEHIND, LEFT, RIGHT)
 """Relations with an axis: of the robot itself they are its sides."""
@@ -23,10 +23,10 @@ NUM_RANKS = 4
 class RelationParams:
     """Free parameters of the six relations, in the order of ``messages.RELATIONS``."""
 
-    log_distance: Array  # f32[6] μ, log metres
-    log_distance_sd: Array  # f32[6] σ, dimensionless
-    axis: Array  # f32[6] radians, direction in the frame, 0: along, π/2: to the left
-    concentration: Array  # f32[6] κ; 0 is undirected
+    log_distance: Array = field("μ, log metres")  # f32[6]
+    log_distance_sd: Array = field("σ, dimensionless")  # f32[6]
+    axis: Array = field("radians, direction in the frame, 0: along, π/2: to the left")  # f32[6]
+    concentration: Array = field("κ; 0 is undirected")  # f32[6]
 
 
 def default_params() -> RelationParams:

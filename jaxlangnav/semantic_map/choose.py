@@ -50,7 +50,7 @@ _LOG_FLOOR = -60.0
 
 
 def ground_relation(
-    seen: Seen, said: Said, grounding: Grounding, draws: Draws, scene: Scene, params: MapParams
+    seen: Seen, said: Said, grounding: Grounding, draws: Draws, scene: Scene, *, params: MapParams
 ) -> Grounding:
     """Ground one annotated relation of one particle's reading (eq. 7a).
 
@@ -70,7 +70,7 @@ def ground_relation(
     ends = candidates.list_candidates(seen, said, grounding, scene, params.concentration)
     ways = once(candidates.propose(said, ends, draws, scene, params.relations))
     num_known = ends.x.shape[1]
-    rank = log_rank(said, ways.told, seen, draws, scene, params, num_known=num_known)
+    rank = log_rank(said, ways.told, seen, draws, scene, params=params, num_known=num_known)
     log_weight = _weigh(said, ends, ways, rank, scene, params.misleading)
     choice, log_total = categorical.draw(log_weight, draws.choice)
     log_total = jnp.maximum(log_total + _log_root(said, ends, scene), _LOG_FLOOR)

@@ -60,8 +60,8 @@ def start(
     pose: Array,
     area: Array,
     num_mentions: int,
-    config: MapConfig,
     *,
+    config: MapConfig,
     num_types: int = NUM_TYPES,
     terrain: Terrain = OPEN,
 ) -> ParticleBelief:
@@ -111,7 +111,7 @@ def robot_position(belief: ParticleBelief) -> tuple[Array, Array]:
 
 
 def predict(
-    belief: ParticleBelief, pose: Array, is_jump: Array, params: MapParams
+    belief: ParticleBelief, pose: Array, is_jump: Array, *, params: MapParams
 ) -> ParticleBelief:
     """Move the robot in every particle by what odometry has measured since the last step.
 
@@ -165,6 +165,7 @@ def observe(
     belief: ParticleBelief,
     observation: Observation,
     is_jump: Array,
+    *,
     params: MapParams,
 ) -> tuple[ParticleBelief, Weighed]:
     """Move, ground the detections, condition, and weigh what was and what was not seen.
@@ -179,7 +180,7 @@ def observe(
     Returns:
         The belief with its weights as they were, and the likelihoods.
     """
-    belief = predict(belief, observation.pose, is_jump, params)
+    belief = predict(belief, observation.pose, is_jump, params=params)
     detections = _detections(belief, observation, params)
     heading, sensor = observation.pose[2], observation.sensor
     noise_variance = jnp.maximum(sensor.noise, MIN_NOISE) ** 2
@@ -221,6 +222,7 @@ def reground(
     belief: ParticleBelief,
     readings: Readings,
     weighed: Weighed,
+    *,
     params: MapParams,
     is_sparse: bool,
 ) -> Regrounded:
@@ -262,7 +264,7 @@ def reground(
         key,
         replace(belief, particles=particles),
         readings,
-        params,
+        params=params,
         is_asked=is_asked,
         is_sparse=is_sparse,
     )
@@ -328,9 +330,9 @@ def step(
         log_weight=jnp.where(is_alive, belief.log_weight, equal),
         doubted_pose=sound.doubted_pose,
     )
-    belief, weighed = observe(associate, belief, sound.observation, sound.is_jump, params)
+    belief, weighed = observe(associate, belief, sound.observation, sound.is_jump, params=params)
     keep = keep[: 2 * number].reshape(2, number)
-    found = reground(keys[1], keep, belief, readings, weighed, params, is_sparse)
+    found = reground(keys[1], keep, belief, readings, weighed, params=params, is_sparse=is_sparse)
 
     size = effective_sample_size(found.weight)
     is_resampled = size < params.resample_threshold * number

@@ -38,8 +38,8 @@ def log_rank(
     seen: Seen,
     draws: Draws,
     scene: Scene,
-    params: MapParams,
     *,
+    params: MapParams,
     num_known: int = 0,
 ) -> Array:
     """Weigh figures at places by how well they fit their rank.

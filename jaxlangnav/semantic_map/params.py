@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.messages import MotionParams, default_motion
-from jaxlangnav.pytree import pytree
+from jaxlangnav.pytree import field, pytree
 from jaxlangnav.relations import RelationModel, default_params, prepare
 
 
@@ -14,12 +14,16 @@ from jaxlangnav.relations import RelationModel, default_params, prepare
 class MapParams:
     """Numbers of the filter; traced, so that new values never recompile."""
 
-    concentration: Array  # f32[] α, expected number of further objects of a type in the area
-    kernel: Array  # f32[] κ, metres, standard deviation of a sampled metric constraint
-    superlative_softness: Array  # f32[] metres within which two distances count as equal
-    misleading: Array  # f32[] ε, probability that a relation said does not hold at all; the
-    # policy "faithful" takes every word to be true
-    resample_threshold: Array  # f32[] resample where ESS / P falls below this
+    concentration: Array = field(  # f32[]
+        "α, expected number of further objects of a type in the area"
+    )
+    kernel: Array = field("κ, metres, standard deviation of a sampled metric constraint")  # f32[]
+    superlative_softness: Array = field("metres within which two distances count as equal")  # f32[]
+    misleading: Array = field(  # f32[]
+        "ε, probability that a relation said does not hold at all; the policy "
+        "``faithful`` takes every word to be true"
+    )
+    resample_threshold: Array = field("resample where ESS / P falls below this")  # f32[]
     relations: RelationModel  # densities of the six relations
     motion: MotionParams  # odometry as the belief assumes it
 

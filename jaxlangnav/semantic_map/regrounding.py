@@ -52,8 +52,8 @@ def ground_words(
     key: Array,
     belief: ParticleBelief,
     readings: Readings,
-    params: MapParams,
     *,
+    params: MapParams,
     is_asked: Array | None = None,
     is_sparse: bool = False,
 ) -> tuple[SemanticMap, Array]:
@@ -169,7 +169,7 @@ def _ground(
 
     def body(index: Array, grounding: Grounding) -> Grounding:
         one, drawn = row_of((said, draws), index)
-        return ground_relation(seen, one, grounding, drawn, scene, params)
+        return ground_relation(seen, one, grounding, drawn, scene, params=params)
 
     nothing = nothing_grounded(num_mentions, *said.relation.shape[1:])
     return jax.lax.fori_loop(0, num_relations, body, nothing)

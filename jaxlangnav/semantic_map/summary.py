@@ -46,7 +46,7 @@ def behavior_world(particle: SemanticMap, readings: Readings, previous: Array) -
         & (figure[:, None] == slots[None])[:, None, :, None]
         & (landmark[:, None] == slots[None])[:, None, None, :]
     )
-    is_superlative = read.is_superlative[:, None, None, None]
+    is_superlative = (read.rank == 1)[:, None, None, None]
     is_later = (read.rank > 1)[:, None, None, None]
     return BehaviorWorld(
         object_type=object_type,

@@ -19,7 +19,7 @@ import numpy as np
 from jax.experimental.compilation_cache import compilation_cache
 
 from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task, run, run_batch
-from jaxlangnav.experiments.figure5 import RANGES
+from jaxlangnav.experiments.figure5 import SENSING_RANGES
 from jaxlangnav.experiments.monte_carlo import (
     LANES,
     cell,
@@ -47,9 +47,9 @@ from jaxlangnav.speed.measuring import (
 )
 from jaxlangnav.world.templates import TEMPLATE_NAMES
 
-__all__ = ["Bench", "render", "run_bench", "set_up", "stages"]
+__all__ = ["Workbench", "render", "run_bench", "set_up", "stages"]
 
-MONTE_CARLO = len(TEMPLATE_NAMES) * len(SENTENCES) * len(RANGES) * 100
+MONTE_CARLO = len(TEMPLATE_NAMES) * len(SENTENCES) * len(SENSING_RANGES) * 100
 """Episodes of the paper's simulations: templates, commands, ranges, runs."""
 _PATIENCE = 10.0
 """Seconds after which a measurement is not repeated."""
@@ -59,7 +59,7 @@ Stage = tuple[str, Callable[[], list[Entry]]]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Bench:
+class Workbench:
     """What all measurements share."""
 
     tasks: Task
@@ -70,7 +70,7 @@ class Bench:
     is_quick: bool
 
 
-def run_bench(bench: Bench, *, on_progress: Tell | None = None) -> dict[str, Any]:
+def run_bench(bench: Workbench, *, on_progress: Tell | None = None) -> dict[str, Any]:
     """Measure speed.
 
     Args:
@@ -90,7 +90,7 @@ def run_bench(bench: Bench, *, on_progress: Tell | None = None) -> dict[str, Any
     return {"machine": machine, "entries": entries}
 
 
-def stages(bench: Bench) -> list[Stage]:
+def stages(bench: Workbench) -> list[Stage]:
     """List what is measured.
 
     Args:
@@ -112,7 +112,7 @@ def stages(bench: Bench) -> list[Stage]:
     ]
 
 
-def set_up(*, is_quick: bool = False) -> Bench:
+def set_up(*, is_quick: bool = False) -> Workbench:
     """Draw the episodes that all measurements run.
 
     Args:
@@ -122,7 +122,7 @@ def set_up(*, is_quick: bool = False) -> Bench:
         What all measurements share.
     """
     largest = 256 if is_quick else 512
-    grid = list(itertools.product(TEMPLATE_NAMES, SENTENCES, RANGES))
+    grid = list(itertools.product(TEMPLATE_NAMES, SENTENCES, SENSING_RANGES))
     number = -(-largest // len(grid))
     order = list(SENTENCES)
     cells = [
@@ -130,7 +130,7 @@ def set_up(*, is_quick: bool = False) -> Bench:
         for world, relation, reach in grid
     ]
     mixed = np.random.default_rng(0).permutation(number * len(grid))[:largest]
-    return Bench(
+    return Workbench(
         tasks=take_tasks(concatenate([make_tasks(one) for one in cells]), mixed),
         instructions=ground_sentences(list(SENTENCES.values())).instructions,
         params=default_params(),
@@ -139,7 +139,7 @@ def set_up(*, is_quick: bool = False) -> Bench:
     )
 
 
-def _full_loop(bench: Bench, particles: int) -> list[Entry]:
+def _full_loop(bench: Workbench, particles: int) -> list[Entry]:
     """Measure whole episodes by batch, and one cycle against the NumPy twin."""
     largest = bench.tasks.instruction_index.shape[0]
     entries: list[Entry] = []
@@ -170,7 +170,7 @@ class _Batch:
 
 
 def _measure_batch(
-    bench: Bench, particles: int, size: int, *, repetitions: int, num_threads: int | None = None
+    bench: Workbench, particles: int, size: int, *, repetitions: int, num_threads: int | None = None
 ) -> _Batch:
     """Run the first episodes of the bench through the program of every experiment."""
     tasks = take_tasks(bench.tasks, np.arange(size))
@@ -239,7 +239,7 @@ def _twin_seconds(particles: int, *, is_looping: bool, steps: int = 12) -> float
     return statistics.median(costs)
 
 
-def _refilling(bench: Bench) -> Entry:
+def _refilling(bench: Workbench) -> Entry:
     """Set refilled lanes against ``vmap`` of the loop over cycles, which waits for the slowest."""
     number = bench.tasks.instruction_index.shape[0]
     config = navigator_config(POLICY)
@@ -260,7 +260,7 @@ def _refilling(bench: Bench) -> Entry:
     return entry(name, ours, "ms CPU an episode") | against(ours, theirs, 4.0)
 
 
-def _limits(bench: Bench) -> list[Entry]:
+def _limits(bench: Workbench) -> list[Entry]:
     """Measure where a cycle's time goes, and how far it is from this machine's limits."""
     parts = breakdown.measure_parts(
         bench.tasks, bench.instructions, params=bench.params, repetitions=bench.repetitions
@@ -269,7 +269,7 @@ def _limits(bench: Bench) -> list[Entry]:
     return breakdown.share_entries(parts) + roofline.distances(parts, peaks)
 
 
-def _compilation(bench: Bench) -> list[Entry]:
+def _compilation(bench: Workbench) -> list[Entry]:
     """Measure compilation without the persistent cache, and count recompilations."""
     config = navigator_config(POLICY)
     was_kept = is_cache_on()
@@ -302,7 +302,7 @@ def _compilation(bench: Bench) -> list[Entry]:
     ]
 
 
-def _recompilations(bench: Bench) -> int:
+def _recompilations(bench: Workbench) -> int:
     """Count programs built while numbers vary; a single cycle stands for all."""
     config = navigator_config(POLICY)
     count = 0

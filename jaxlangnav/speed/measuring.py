@@ -13,6 +13,7 @@ import numpy as np
 
 from jaxlangnav.episode import MAX_STEPS
 from jaxlangnav.experiments.monte_carlo import CHUNK, LANES, usable_cores
+from jaxlangnav.experiments.table import Table
 
 POLICY = "informed"
 """The policy that is measured."""
@@ -131,29 +132,23 @@ def render(document: dict[str, Any]) -> Any:
     Returns:
         A rich table.
     """
-    from rich.table import Table
-
     machine = document["machine"]
     caption = (
         f"{machine['device']}, {machine['threads']} threads, load {machine['load']} at the start; "
         f"JAX {machine['jax']}; policy {machine['policy']}, at most {MAX_STEPS} cycles an episode; "
         f"at most {machine['chunk']} episodes a call, in {machine['lanes']} lanes."
     )
-    table = Table(title="Speed", caption=caption, caption_justify="left")
-    table.add_column("Measured")
-    for heading in ("Ours", "Baseline", "Ratio", "Target", "Holds"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    for one in document["entries"]:
-        holds = {True: "yes", False: "no", None: ""}[one["holds"]]
-        table.add_row(
+    rows = [
+        [
             one["name"],
             f"{one['value']:.3g} {one['unit']}".strip(),
-            _number(one["baseline"]),
-            _number(one["ratio"]),
-            _number(one["target"]),
-            holds,
-        )
-    return table
+            *(_number(one[name]) for name in ("baseline", "ratio", "target")),
+            {True: "yes", False: "no", None: ""}[one["holds"]],
+        ]
+        for one in document["entries"]
+    ]
+    headings = ["Measured", "Ours", "Baseline", "Ratio", "Target", "Holds"]
+    return Table(headings=headings, rows=rows, title="Speed", caption=caption).text()
 
 
 def _number(value: float | None) -> str:

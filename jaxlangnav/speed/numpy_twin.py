@@ -17,7 +17,7 @@ import math
 
 import numpy as np
 
-from jaxlangnav.speed.numpy_twin_choice import DETECTION, Arrays, Twin, centres, choose
+from jaxlangnav.speed.numpy_twin_choice import DETECTION, Arrays, Twin, centres, twin_choose
 
 _ALPHA, _SIGMA = 0.3, 0.1
 _BEHIND_DISTANCE, _BEHIND_SPREAD, _BEHIND_ANGLE = 2.5, 0.3, 0.35
@@ -100,7 +100,7 @@ def step(
         twin.particles = {name: leaf[..., chosen] for name, leaf in twin.particles.items()}
         weight = np.full(number, 1.0 / number)
     twin.log_weight = np.log(np.maximum(weight, 1e-30))
-    return choose(twin, robot, weight, sensing_range, parts)
+    return twin_choose(twin, robot, weight, sensing_range, parts)
 
 
 def _join(twin: Twin, parts: list[Arrays]) -> None:

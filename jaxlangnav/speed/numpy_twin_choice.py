@@ -78,7 +78,7 @@ def _frontiers(twin: Twin, num_blocks: int = 6) -> tuple[np.ndarray, np.ndarray]
     return total / np.maximum(count, 1.0), count > 0
 
 
-def choose(
+def twin_choose(
     twin: Twin, robot: np.ndarray, weight: np.ndarray, sensing_range: float, parts: list[slice]
 ) -> np.ndarray:
     """Choose a waypoint by the goals of all particles and by what a tour of looks would find.

@@ -200,9 +200,7 @@ def _log_superlative(
     rivals = jnp.min(jnp.where(is_rival[:, None], sign * rivals, jnp.inf), axis=0)
     gap = sign * distance
     excess = gap - jnp.minimum(rivals[None, :], gap)
-    return jnp.where(
-        readings.is_superlative[reading, 0], -excess / params.superlative_softness, 0.0
-    )
+    return jnp.where(readings.rank[reading, 0] == 1, -excess / params.superlative_softness, 0.0)
 
 
 def _distance(figures: tuple[Array, Array], landmarks: tuple[Array, Array]) -> Array:
@@ -211,7 +209,7 @@ def _distance(figures: tuple[Array, Array], landmarks: tuple[Array, Array]) -> A
     return jnp.sqrt(x * x + y * y + 1e-9)
 
 
-def log_words(one: WordsEvidence, params: MapParams) -> Array:
+def log_words(one: WordsEvidence, *, params: MapParams) -> Array:
     """Compute log p(words | observed map, where the robot has looked).
 
     Args:
@@ -233,7 +231,7 @@ def _nothing_seen(one: WordsEvidence) -> WordsEvidence:
     )
 
 
-def log_fit(one: WordsEvidence, params: MapParams) -> Array:
+def log_fit(one: WordsEvidence, *, params: MapParams) -> Array:
     """Compute log p(map | words) but for a constant: how well relations fit an episode.
 
     The words' evidence, less log Z: that of an area where nothing has been seen. Limits: 0 where
@@ -269,7 +267,7 @@ def _log_all_figures(one: WordsEvidence, between_cells: Array, params: MapParams
     return jax.nn.logsumexp(each, axis=0)
 
 
-def figure_posterior(one: WordsEvidence, params: MapParams) -> tuple[Array, Array]:
+def figure_posterior(one: WordsEvidence, *, params: MapParams) -> tuple[Array, Array]:
     """Compute exactly what the words' figure is: enumeration, to hold the filter against.
 
     Args:
@@ -324,7 +322,7 @@ def by_setting(episodes: WordsEvidence) -> list[EpisodeGroup]:
     return [gather(index) for index in members]
 
 
-def log_fit_of(group: EpisodeGroup, relations: RelationParams, params: MapParams) -> Array:
+def log_fit_of(group: EpisodeGroup, relations: RelationParams, *, params: MapParams) -> Array:
     """Sum ``log_fit`` of the episodes of a group under relations, f32[].
 
     Args:

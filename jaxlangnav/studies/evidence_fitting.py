@@ -145,7 +145,7 @@ def fit_to_episodes(
     """
     if float(init.concentration[relation]) <= 0.0:
         raise ValueError("only a relation with a direction (concentration > 0) can be fitted")
-    if bool(np.any(np.asarray(episodes.readings.is_superlative))):
+    if bool(np.any(np.asarray(episodes.readings.rank) == 1)):
         raise ValueError(
             'a superlative ("nearest") depends on rivals that may not have been seen: '
             "fit to sentences without one"
@@ -209,9 +209,9 @@ def _loss(
     free: Array, group: EpisodeGroup, relation: Array, init: RelationParams, params: MapParams
 ) -> tuple[Array, Array]:
     """Compute the negative evidence f32[] of a group and its slope f32[4]."""
-    return jax.value_and_grad(lambda at: -log_fit_of(group, _with(init, relation, at), params))(
-        free
-    )
+    return jax.value_and_grad(
+        lambda at: -log_fit_of(group, _with(init, relation, at), params=params)
+    )(free)
 
 
 def _errors(free: Array, curvature: np.ndarray) -> Array:

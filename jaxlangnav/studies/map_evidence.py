@@ -72,7 +72,6 @@ def _no_words(belief: ParticleBelief) -> Readings:
         figure=none,
         relation=none,
         landmark=none,
-        is_superlative=jnp.zeros((1, 1), bool),
         rank=jnp.zeros((1, 1), jnp.int32),
         log_probability=jnp.zeros(1, jnp.float32),
     )

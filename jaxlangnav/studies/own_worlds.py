@@ -40,9 +40,9 @@ from jaxlangnav.relations.strength import sign_of_distance
 from jaxlangnav.semantic_map.params import MapParams
 from jaxlangnav.world.state import Scenario
 
-NUM_SLOTS = 8
+_NUM_SLOTS = 8
 """O, object slots of a world, as many as the filter has."""
-NUM_ATTEMPTS = 64
+_NUM_ATTEMPTS = 64
 """Worlds tried at once; the first that fits the area and the slots is taken."""
 OWN_AREA = (0.0, 13.0, -9.2, 9.2)
 """Metres; the operating area of the template 1H1C."""
@@ -190,7 +190,7 @@ def _log_fit(
         gap = sign * jnp.hypot(x - from_x, y - from_y)
         is_rival = is_object & (types == types[figure]) & (jnp.arange(x.shape[0]) != landmark)
         excess = gap[figure] - jnp.min(jnp.where(is_rival, gap, gap[figure]))
-        applies = readings.is_superlative[reading, index] & (figure != NONE) & (landmark != NONE)
+        applies = (readings.rank[reading, index] == 1) & (figure != NONE) & (landmark != NONE)
         applies = applies & is_told[index]
         log_weight = log_weight - jnp.where(applies, excess / params.superlative_softness, 0.0)
         relation = readings.relation[reading, index]
@@ -213,8 +213,8 @@ def draw_own_world(
     start: Array,
     *,
     params: MapParams,
-    num_slots: int = NUM_SLOTS,
-    num_attempts: int = NUM_ATTEMPTS,
+    num_slots: int = _NUM_SLOTS,
+    num_attempts: int = _NUM_ATTEMPTS,
 ) -> Scenario:
     """Draw one world of which the sentence is true in the sense of the belief.
 
@@ -240,7 +240,7 @@ def draw_own_world(
 
 
 def own_tasks(
-    one: Cell, instructions: Instruction, area: Array, start: Array, params: MapParams
+    one: Cell, instructions: Instruction, area: Array, start: Array, *, params: MapParams
 ) -> Task:
     """Draw the episodes of a cell in worlds of the belief's own prior.
 
@@ -316,7 +316,7 @@ def judge_own_worlds(
     found = {}
     for name, reach in ranges.items():
         one = cell("own", name, list(SENTENCES).index(name), reach, episodes, seed)
-        tasks = own_tasks(one, sentences.instructions, bounds, start, numbers.map)
+        tasks = own_tasks(one, sentences.instructions, bounds, start, params=numbers.map)
         if not bool(np.all(np.asarray(tasks.scenario.is_valid))):
             raise ValueError(f'no world fits "{SENTENCES[name]}" in the area {area}: enlarge it')
         found[name] = tally_tasks(

@@ -10,9 +10,8 @@ that each variation brings near are counted too.
 """
 
 import dataclasses
-import time
+import functools
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -21,37 +20,19 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task
-from jaxlangnav.experiments.archive import pytree_hash, write_experiment
-from jaxlangnav.experiments.compilation import CompileClock
-from jaxlangnav.experiments.deviations import NEAR, deviations, distance_error, rate_error
-from jaxlangnav.experiments.metrics import summarize
-from jaxlangnav.experiments.monte_carlo import Progress, known_distances, run_tasks
+from jaxlangnav.experiments.experiment import Experiment, Options
+from jaxlangnav.experiments.grid import Arm, Played, Row, policy_arm
 from jaxlangnav.experiments.paired import compare
-from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, navigator_config
-from jaxlangnav.experiments.rows import (
-    Row,
-    RowSpec,
-    check_episodes,
-    describe_noise,
-    printed_rows,
-    result_columns,
-    row_tasks,
-)
-from jaxlangnav.experiments.sentences import SENTENCES, GroundedSentences, ground_sentences
-from jaxlangnav.experiments.sizes import check_engine
-from jaxlangnav.messages import MotionParams, SensorParams, default_motion, default_sensor
-from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, check, default_params
+from jaxlangnav.experiments.rows import NEAR, PRINTED, deviations, distance_error, rate_error
+from jaxlangnav.experiments.table import Table
+from jaxlangnav.navigator import default_params
 from jaxlangnav.planner.config import PlannerConfig
 from jaxlangnav.pytree import replace
-from jaxlangnav.studies.unknowns_tables import markdown
+from jaxlangnav.studies import unknowns_tables
 from jaxlangnav.world.placement import BEARING_MAX
-from jaxlangnav.world.templates import TABLE_2
 
-SEED = 3000
-"""Root seed if none is given: worlds of their own, none that a table or a tuning has used."""
-POLICY = "faithful"
+_POLICY = "faithful"
 OURS = "as in all our tables"
-SPECS = tuple(RowSpec(world=one.world, range=one.range, relation=one.relation) for one in TABLE_2)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -71,26 +52,35 @@ class Variation:
     is_turned: bool = False
     """Whether each world is turned about the start by an angle of its own."""
 
-    def params(self, params: NavigatorParams) -> NavigatorParams:
-        """Set the navigator's numbers."""
-        return replace(
+    def arm(self, options: Options) -> Arm:
+        """Build the arm that runs it.
+
+        Args:
+            options: of the run; ``params`` and ``num_particles`` where they are not what varies.
+
+        Returns:
+            The arm.
+        """
+        params = default_params() if options.params is None else options.params
+        params = replace(
             params,
             map=replace(params.map, **_as_arrays(self.map)),
             planner=replace(params.planner, **_as_arrays(self.planner)),
         )
-
-    def config(self, num_particles: int) -> NavigatorConfig:
-        """Set the navigator's sizes."""
-        config = navigator_config(POLICY, max(2, round(self.particle_factor * num_particles)))
-        planner = dataclasses.replace(config.planner, num_blocks=self.num_blocks)
-        return dataclasses.replace(config, planner=planner)
-
-    def tasks(self, tasks: Task, seed: int) -> Task:
-        """Set detector and worlds; keys stay, so that all variations are paired."""
-        number = tasks.instruction_index.shape[0]
-        chosen = {name: jnp.full(number, value) for name, value in self.sensor.items()}
-        tasks = replace(tasks, sensor=replace(tasks.sensor, **chosen))
-        return turned(tasks, seed) if self.is_turned else tasks
+        arm = policy_arm(
+            _POLICY,
+            num_particles=max(2, round(self.particle_factor * options.num_particles)),
+            params=params,
+            motion=options.motion,
+            told={"policy": _POLICY, "unknown": self.unknown, "value": self.value},
+        )
+        assert arm.config is not None
+        planner = dataclasses.replace(arm.config.planner, num_blocks=self.num_blocks)
+        config = dataclasses.replace(arm.config, planner=planner)
+        worlds = functools.partial(turned, seed=options.seed) if self.is_turned else None
+        return dataclasses.replace(
+            arm, config=config, sensor=self.sensor, max_steps=self.max_steps, worlds=worlds
+        )
 
 
 def _degrees(angle: float) -> dict[str, float]:
@@ -165,153 +155,70 @@ def turned(tasks: Task, seed: int) -> Task:
     )
 
 
-def total_episodes(*, episodes: int) -> int:
-    """Count the runs, for a progress bar."""
-    return len(VARIATIONS) * len(SPECS) * episodes
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Unknowns(Experiment):
+    """The rows of Table 2 for every variation; the first is what the others are compared with."""
 
+    variations: Sequence[Variation] = VARIATIONS
 
-def check_sizes(
-    *, episodes: int, num_particles: int, variations: Sequence[Variation] = VARIATIONS
-) -> None:
-    """Refuse, before anything is run, what cannot be.
+    def arms(self, options: Options) -> list[Arm]:
+        """Build an arm for each variation."""
+        return [one.arm(options) for one in self.variations]
 
-    Args:
-        episodes: runs a row and variation.
-        num_particles: P, where the number of particles is not what varies.
-        variations: what is varied.
+    def rows(self, played: Played, first: Played, judged: Sequence[Row]) -> list[Row]:
+        """Hold each row against the printed one, and against the first variation's.
 
-    Raises:
-        ValueError: fewer than one episode, or more than memory holds.
-    """
-    check_episodes(episodes, rows=len(SPECS), kept=len(variations))
-    for one in variations:
-        check_engine(one.config(num_particles))
+        Args:
+            played: the episodes of a variation.
+            first: those of the first one.
+            judged: not used, as no belief is judged here.
 
+        Returns:
+            One per row of Table 2.
+        """
+        del judged
+        rows = []
+        for place, (row, paper) in enumerate(zip(played.rows(), self.printed(), strict=True)):
+            row |= self.specs[place].heading()
+            (mine, _), (base, _) = played.of_setting(place), first.of_setting(place)
+            rows.append(row | _against_paper(row, paper) | _against_first(mine, base))
+        return rows
 
-def reproduce_unknowns(
-    *,
-    episodes: int = 100,
-    seed: int = SEED,
-    out: str | Path | None = None,
-    on_progress: Progress | None = None,
-    num_particles: int = DEFAULT_PARTICLES,
-    params: NavigatorParams | None = None,
-    sensor: SensorParams | None = None,
-    motion: MotionParams | None = None,
-    variations: Sequence[Variation] = VARIATIONS,
-) -> dict[str, Any]:
-    """Run the rows of Table 2 for every variation.
+    def found(self, rows: Sequence[Row], options: Options) -> dict[str, Any]:
+        """Say how near each variation comes to the paper, and what explains each row.
 
-    Args:
-        episodes: runs a row and variation, a fresh world each.
-        seed: root seed of worlds and noise.
-        out: folder for Parquet, Markdown, JSON and manifest; nothing is written if None.
-        on_progress: called with the number of episodes just finished.
-        num_particles: P, where the number of particles is not what varies.
-        params: the navigator's numbers, where they are not what varies; its defaults if None.
-        sensor: the detector; its range is that of each row. The default one if None.
-        motion: the odometry, of which the belief is told; the default one if None.
-        variations: what is varied; the first one is what the others are compared with.
+        Args:
+            rows: of all variations.
+            options: of the run.
 
-    Returns:
-        The document: ``rows`` (one per variation and row of Table 2, with standard errors, z
-        against the printed figures, and paired differences from the first variation), ``paper``,
-        ``variations`` (how near each comes over all rows), ``explained`` (by row), ``ours`` and
-        ``noise`` (what holds where it is not varied), ``wall_s`` with compilation, ``compile_s``,
-        ``models_sha256``, ``files``. Rates in percent, distances in metres.
+        Returns:
+            ``policy``, ``ours`` (what holds where it is not varied), ``variations`` (how near each
+            comes over all rows), ``explained`` (by row).
+        """
+        return {
+            "policy": _POLICY,
+            "ours": _settings(options),
+            "variations": [_fit(one, rows) for one in self.variations],
+            "explained": [_explained(index, rows) for index in range(len(PRINTED))],
+        }
 
-    Raises:
-        ValueError: fewer than one episode, more than memory holds, or numbers with which the
-            robot could never stop.
-    """
-    check_sizes(episodes=episodes, num_particles=num_particles, variations=variations)
-    params = default_params() if params is None else params
-    if motion is not None:
-        params = replace(params, map=replace(params.map, motion=motion))
-    for one in variations:
-        check(one.params(params))
-    begin = time.perf_counter()
-    printed = printed_rows(TABLE_2)
-    rows: list[Row] = []
-    parts: list[dict[str, Any]] = []
-    with CompileClock() as clock:
-        sentences = ground_sentences(list(SENTENCES.values()))
-        drawn = row_tasks(SPECS, episodes=episodes, seed=seed, sensor=sensor, motion=motion)
-        first: EpisodeResult | None = None
-        for one in variations:
-            tasks = one.tasks(drawn, seed)
-            results = _run(one, tasks, sentences, params, num_particles, on_progress)
-            first = results if first is None else first
-            known = known_distances(tasks)
-            rows += _rows(one, results, first, known, printed, episodes)
-            parts.append(_columns(one, seed, episodes) | result_columns(results, known))
-    document: dict[str, Any] = {
-        "experiment": "unknowns",
-        "policy": POLICY,
-        "episodes": episodes,
-        "seed": seed,
-        "num_particles": num_particles,
-        "sentences": SENTENCES,
-        "noise": describe_noise(sensor or default_sensor(), motion or default_motion()),
-        "ours": _settings(params),
-        "variations": [_fit(one, rows) for one in variations],
-        "rows": rows,
-        "paper": printed,
-        "explained": [_explained(index, rows) for index in range(len(SPECS))],
-        "wall_s": time.perf_counter() - begin,
-        "compile_s": clock.seconds,
-        "models_sha256": pytree_hash(sentences.models),
-        "files": [],
-    }
-    if out is not None:
-        columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-        files = write_experiment(
-            Path(out), "unknowns", document, columns, markdown(document), sentences.models
-        )
-        document["files"] = [str(path) for path in files]
-    return document
+    def tables(self, document: Mapping[str, Any]) -> list[Table]:
+        """Lay out variations by rows, and all figures."""
+        matrix = unknowns_tables.matrix(document, mark="*")
+        return [matrix, unknowns_tables.long_table(document)]
 
+    def notes(self, document: Mapping[str, Any]) -> list[str]:
+        """Say what explains each row, and under what it was measured."""
+        explained = unknowns_tables.explained_lines(document)
+        return [*explained, *unknowns_tables.conditions(document).splitlines()]
 
-def _run(
-    one: Variation,
-    tasks: Task,
-    sentences: GroundedSentences,
-    params: NavigatorParams,
-    num_particles: int,
-    on_progress: Progress | None,
-) -> EpisodeResult:
-    """Run the tasks of all rows under one variation; only sizes compile anew."""
-    return run_tasks(
-        tasks,
-        sentences.instructions,
-        params=one.params(params),
-        config=one.config(num_particles),
-        on_progress=on_progress,
-        max_steps=one.max_steps,
-    )
+    def markdown(self, document: Mapping[str, Any]) -> str:
+        """Write the whole study in Markdown."""
+        return unknowns_tables.unknowns_markdown(document)
 
-
-def _rows(
-    one: Variation,
-    results: EpisodeResult,
-    first: EpisodeResult,
-    known: np.ndarray,
-    printed: Sequence[Row],
-    episodes: int,
-) -> list[Row]:
-    """Summarise the episodes of one variation, row by row of Table 2."""
-    rows = []
-    for index, (spec, paper) in enumerate(zip(SPECS, printed, strict=True)):
-        span = slice(index * episodes, (index + 1) * episodes)
-        mine, base = (
-            jax.tree.map(lambda leaf, span=span: np.asarray(leaf)[span], part)
-            for part in (results, first)
-        )
-        metrics = dataclasses.asdict(summarize(mine, known[span]))
-        row = spec.heading() | {"policy": POLICY, "unknown": one.unknown, "value": one.value}
-        row |= metrics | {"success_ci": [*metrics["success_ci"]]}
-        rows.append(row | _against_paper(row, paper) | _against_first(mine, base))
-    return rows
+    def render(self, document: Mapping[str, Any]) -> Any:
+        """Draw the variations for the terminal, with rich."""
+        return unknowns_tables.draw_unknowns(document)
 
 
 def _against_paper(row: Row, paper: Row) -> Row:
@@ -358,14 +265,14 @@ def _fit(one: Variation, rows: Sequence[Row]) -> dict[str, Any]:
 
 def _explained(index: int, rows: Sequence[Row]) -> dict[str, Any]:
     """List the variations that bring a row of Table 2 within two standard errors of the paper."""
-    mine = rows[index :: len(SPECS)]
+    mine = rows[index :: len(PRINTED)]
     first, *others = mine
     named = {
         key: [name_of(row) for row in others if row[f"is_{key}"]]
         for key in ("near", "success_near", "distance_near")
     }
     nearest = min(mine, key=lambda row: max(abs(row["z_success"]), abs(row["z_distance"])))
-    return SPECS[index].heading() | {
+    return PRINTED[index].heading() | {
         "is_near": first["is_near"],
         "is_success_near": first["is_success_near"],
         "is_distance_near": first["is_distance_near"],
@@ -377,8 +284,9 @@ def _explained(index: int, rows: Sequence[Row]) -> dict[str, Any]:
     }
 
 
-def _settings(params: NavigatorParams) -> dict[str, float]:
+def _settings(options: Options) -> dict[str, float]:
     """Say what holds where it is not varied."""
+    params = default_params() if options.params is None else options.params
     traced = {
         "discount": params.planner.discount,
         "stop_probability": params.planner.stop_probability,
@@ -397,21 +305,12 @@ def name_of(row: Mapping[str, Any]) -> str:
     return f"{row['unknown']} {row['value']}".strip()
 
 
-def _columns(one: Variation, seed: int, episodes: int) -> dict[str, Any]:
-    """Say of every episode which it is."""
-    number = len(SPECS) * episodes
-    return {
-        "world": np.repeat([spec.world for spec in SPECS], episodes),
-        "range": np.repeat([spec.range for spec in SPECS], episodes),
-        "relation": np.repeat([spec.relation for spec in SPECS], episodes),
-        "policy": np.full(number, POLICY),
-        "unknown": np.full(number, one.unknown),
-        "value": np.full(number, one.value),
-        "seed": np.full(number, seed),
-        "episode": np.tile(np.arange(episodes), len(SPECS)),
-    }
-
-
 def _as_arrays(chosen: Mapping[str, float]) -> dict[str, Array]:
     """Turn numbers into the traced scalars of Params."""
     return {name: jnp.float32(value) for name, value in chosen.items()}
+
+
+UNKNOWNS = Unknowns(
+    name="unknowns", title=unknowns_tables.TITLE, lead=unknowns_tables.LEAD, specs=PRINTED
+)
+"""All variations."""

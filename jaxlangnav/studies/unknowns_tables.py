@@ -5,9 +5,10 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from jaxlangnav.experiments.deviations import NEAR, PAPER_RUNS
+from jaxlangnav.experiments.grid import Row
 from jaxlangnav.experiments.metrics import timeouts_text
-from jaxlangnav.experiments.rows import Row
+from jaxlangnav.experiments.rows import NEAR, PAPER_RUNS
+from jaxlangnav.experiments.table import Document, Table
 
 TITLE = "What the paper leaves open, one thing at a time"
 LEAD = (
@@ -18,7 +19,6 @@ _LONG = (
     "World", "Range m", "Relation", "Unknown", "Value", "Success % ± s. e.", "paper", "z",
     "Distance m ± s. e.", "paper", "z", "against ours, m (95 %)", "Time-outs",
 )  # fmt: skip
-Document = Mapping[str, Any]
 
 
 def row_name(row: Mapping[str, Any]) -> str:
@@ -26,15 +26,15 @@ def row_name(row: Mapping[str, Any]) -> str:
     return f"{row['world']} {row['relation'] or 'null'}"
 
 
-def matrix(document: Document, *, mark: str = "**") -> tuple[list[str], list[list[str]]]:
+def matrix(document: Document, *, mark: str = "**") -> Table:
     """Lay out the variations as lines and the rows of Table 2 as columns.
 
     Args:
-        document: of ``reproduce_unknowns``.
+        document: of ``Unknowns.run``.
         mark: put before and after a figure within two standard errors of the printed one.
 
     Returns:
-        Headings and cells, "success · distance"; the paper's line leads.
+        The table, its cells "success · distance"; the paper's line leads.
     """
     paper, rows = document["paper"], document["rows"]
     printed = [f"{one['success_rate']:.1f} · {one['distance_mean']:.1f}" for one in paper]
@@ -51,7 +51,7 @@ def matrix(document: Document, *, mark: str = "**") -> tuple[list[str], list[lis
             ]
         )
     names = [row_name(one) for one in paper]
-    return ["unknown", "set to", *names, "rows explained", "rms z"], lines
+    return Table(headings=["unknown", "set to", *names, "rows explained", "rms z"], rows=lines)
 
 
 def _figures(row: Row, before: str, after: str, between: str, unmarked: str = "") -> str:
@@ -67,7 +67,7 @@ def explained_lines(document: Document) -> list[str]:
     """Say row by row what explains it.
 
     Args:
-        document: of ``reproduce_unknowns``.
+        document: of ``Unknowns.run``.
 
     Returns:
         A sentence for each row of Table 2.
@@ -102,20 +102,20 @@ def _or(names: Sequence[str]) -> str:
     return f"{', '.join(others)} or {last}" if others else last
 
 
-def long_table(document: Document) -> tuple[list[str], list[list[str]]]:
+def long_table(document: Document) -> Table:
     """Lay out every figure with its standard error, the paper's and z beside it.
 
     Args:
-        document: of ``reproduce_unknowns``.
+        document: of ``Unknowns.run``.
 
     Returns:
-        Headings and cells, by row of Table 2, then by variation.
+        The table, by row of Table 2, then by variation.
     """
     number = len(document["paper"])
     ordered = itertools.chain.from_iterable(
         document["rows"][index::number] for index in range(number)
     )
-    return [*_LONG], [_cells(row) for row in ordered]
+    return Table(headings=_LONG, rows=[_cells(row) for row in ordered], fold="All figures")
 
 
 def _cells(row: Row) -> list[str]:
@@ -141,11 +141,11 @@ def _cells(row: Row) -> list[str]:
     ]
 
 
-def caption(document: Document) -> str:
+def conditions(document: Document) -> str:
     """Say how the tables are to be read and what they were measured under.
 
     Args:
-        document: of ``reproduce_unknowns``.
+        document: of ``Unknowns.run``.
 
     Returns:
         Lines of plain text.
@@ -171,11 +171,11 @@ def caption(document: Document) -> str:
     )
 
 
-def markdown(document: Document) -> str:
+def unknowns_markdown(document: Document) -> str:
     """Write the whole study as Markdown.
 
     Args:
-        document: of ``reproduce_unknowns``.
+        document: of ``Unknowns.run``.
 
     Returns:
         Heading, matrix, what explains each row, all figures.
@@ -186,52 +186,43 @@ def markdown(document: Document) -> str:
             [
                 f"# {TITLE}",
                 LEAD,
-                _table(*matrix(document)),
-                caption(document),
+                matrix(document).markdown(is_marked=True).rstrip(),
+                conditions(document),
                 explained,
                 "## All figures",
-                _table(*long_table(document)),
+                long_table(document).markdown(is_marked=True).rstrip(),
             ]
         )
         + "\n"
     )
 
 
-def render(document: Document) -> Any:
+def draw_unknowns(document: Document) -> Any:
     """Draw the variations for the terminal, figures near the paper's with a star.
 
     Args:
-        document: of ``reproduce_unknowns``.
+        document: of ``Unknowns.run``.
 
     Returns:
         A rich group: the table, and what explains each row.
     """
     from rich.console import Group
-    from rich.table import Table
     from rich.text import Text
 
     paper, rows = document["paper"], document["rows"]
-    table = Table(title=TITLE, caption=caption(document), caption_justify="left")
-    table.add_column("success %\ndistance m", no_wrap=True)
-    for one in paper:
-        table.add_column(row_name(one).replace(" ", "\n"), justify="right", no_wrap=True)
-    table.add_column("rows\nnear", justify="right")
-    table.add_column("rms\nz", justify="right")
+    names = [row_name(one).replace(" ", "\n") for one in paper]
     printed = [f"{one['success_rate']:.1f} \n{one['distance_mean']:.1f} " for one in paper]
-    table.add_row("the paper", *printed, "", "", style="dim")
+    lines = [["the paper", *printed, "", ""]]
     for place, fit in enumerate(document["variations"]):
         mine = rows[place * len(paper) : (place + 1) * len(paper)]
         stacked = [_figures(row, "", "*", "\n", " ") for row in mine]
-        table.add_row(
-            f"{fit['unknown']} {fit['value']}".strip(),
-            *stacked,
-            str(fit["rows_near"]),
-            f"{fit['rms_z']:.1f}",
-        )
-    return Group(table, *(Text(line) for line in explained_lines(document)))
-
-
-def _table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Write a Markdown table."""
-    lines = [headings, ["---"] * len(headings), *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+        near = [str(fit["rows_near"]), f"{fit['rms_z']:.1f}"]
+        lines.append([f"{fit['unknown']} {fit['value']}".strip(), *stacked, *near])
+    table = Table(
+        headings=["success %\ndistance m", *names, "rows\nnear", "rms\nz"],
+        rows=lines,
+        title=TITLE,
+        caption=conditions(document),
+        faint=[place == 0 for place in range(len(lines))],
+    )
+    return Group(table.text(), *(Text(line) for line in explained_lines(document)))

@@ -18,7 +18,7 @@ _DOTS = 100
 
 
 def drive_picture(
-    state: "HasScenario", params: "HasSensor", world: "HasPlace", *, way: np.ndarray, text: str
+    state: "HasScenario", *, params: "HasSensor", world: "HasPlace", way: np.ndarray, text: str
 ) -> np.ndarray:
     """Draw the true world with the robot in it.
 

@@ -9,22 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from jaxlangnav.experiments.table import Table
 from jaxlangnav.recording import Recording
 from jaxlangnav.viz.narrative import headline
 from jaxlangnav.viz.summary import expected_goal, explored_share
 from jaxlangnav.viz.words import percent
-
-TABLE_HEADINGS = [
-    "step",
-    "walked m",
-    "what happens",
-    "goal seen",
-    "unseen, left",
-    "unseen, right",
-    "its spread m",
-    "looked at",
-]
-"""Of ``table_rows``."""
 
 
 def change(recording: Recording) -> np.ndarray:
@@ -113,16 +102,18 @@ def describe_moments(recording: Recording, steps: Sequence[int]) -> list[dict[st
     return found
 
 
-def table_rows(moments: Sequence[dict[str, Any]]) -> list[list[str]]:
-    """Write the moments of a figure as lines of a table.
+def moments_table(moments: Sequence[dict[str, Any]]) -> Table:
+    """Lay out the moments of a figure.
 
     Args:
         moments: of ``describe_moments``.
 
     Returns:
-        Texts in the order of ``TABLE_HEADINGS``.
+        A line for each.
     """
-    return [
+    headings = ["step", "walked m", "what happens", "goal seen", "unseen, left", "unseen, right",
+                "its spread m", "looked at"]  # fmt: skip
+    rows = [
         [
             str(one["step"]),
             f"{one['distance']:.1f}",
@@ -133,6 +124,7 @@ def table_rows(moments: Sequence[dict[str, Any]]) -> list[list[str]]:
         ]
         for one in moments
     ]
+    return Table(headings=headings, rows=rows)
 
 
 def _spread(x: np.ndarray, y: np.ndarray, mass: np.ndarray) -> float | None:

@@ -1,7 +1,8 @@
 """The story of an episode in plain words (what section 4 shows by way of Figures 1 and 4).
 
 What the sentence was taken to mean, what is seen, what is believed now, why this waypoint, why
-it stopped. Every number comes from the recording; nothing is made up for the occasion.
+it stopped. Every number comes from the recording; nothing is made up for the occasion. ``frame``
+is a step of ``scene``, ``before`` the step before it, None at first.
 """
 
 from jaxlangnav.episode import EpisodeResult
@@ -17,9 +18,6 @@ _SHIFT = 0.1
 
 def opening(scene: Scene) -> list[str]:
     """Tell what was said and how it was understood.
-
-    Args:
-        scene: of the episode.
 
     Returns:
         Lines.
@@ -45,11 +43,6 @@ def opening(scene: Scene) -> list[str]:
 def tell_step(scene: Scene, frame: Frame, before: Frame | None) -> list[str]:
     """Tell one step: what is seen, what is believed, what it does and why.
 
-    Args:
-        scene: of the episode.
-        frame: the step.
-        before: the step before; None at first.
-
     Returns:
         One sentence each.
     """
@@ -68,11 +61,6 @@ def tell_step(scene: Scene, frame: Frame, before: Frame | None) -> list[str]:
 
 def headline(scene: Scene, frame: Frame, before: Frame | None) -> str:
     """Say a step in a few words, for the head of a panel.
-
-    Args:
-        scene: of the episode.
-        frame: the step.
-        before: the step before; None at first.
 
     Returns:
         "discovers a cone", "stops", …
@@ -153,9 +141,6 @@ def closing(scene: Scene, frame: Frame, result: EpisodeResult) -> list[str]:
 def tell(recording: Recording) -> list[str]:
     """Tell a whole episode, steps without event drawn together.
 
-    Args:
-        recording: the episode.
-
     Returns:
         Lines, each to be printed on its own; steps begin with their number and the metres walked.
     """
@@ -177,10 +162,6 @@ def tell(recording: Recording) -> list[str]:
 
 def is_quiet(frame: Frame, before: Frame | None) -> bool:
     """Tell whether nothing worth a line of its own happened in a step.
-
-    Args:
-        frame: the step.
-        before: the step before; None at first.
 
     Returns:
         True where the robot discovers nothing, is about as sure of the goal as it was, and goes

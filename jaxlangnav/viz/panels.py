@@ -19,16 +19,8 @@ _WIDTH = 10.5
 """Width of a figure, inches: two columns of a journal, or a screen."""
 
 
-def num_columns(number: int, shape: float) -> int:
-    """Choose the columns of a grid of maps.
-
-    Args:
-        number: maps.
-        shape: width of a map over its height.
-
-    Returns:
-        Columns: one row of tall maps, two rows of wide ones.
-    """
+def _num_columns(number: int, shape: float) -> int:
+    """Choose the columns of a grid of maps."""
     if number <= (4 if shape < 1.0 else 3):
         return number
     return math.ceil(number / 2) if shape >= 0.5 else number
@@ -53,7 +45,7 @@ def lay_out(
 
     x_min, x_max, y_min, y_max = recording.scene.area
     shape = (x_max - x_min) / (y_max - y_min)
-    columns = num_columns(number, shape)
+    columns = _num_columns(number, shape)
     rows = math.ceil(number / columns)
     left, gap, right, head = 0.62, 0.16, 0.12, 0.66
     above, below = 0.42, 0.40

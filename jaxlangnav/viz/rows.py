@@ -4,12 +4,12 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from jaxlangnav.experiments.grid import Row
 from jaxlangnav.experiments.tables import least_distance
 from jaxlangnav.viz import style
 from jaxlangnav.viz.sweep import (
     PAPER_BARS,
-    Look,
-    Row,
+    Mark,
     half_interval,
     legend_of,
     looks_of,
@@ -194,7 +194,7 @@ def _draw_limit(axes: "Axes", value: float, place: int) -> None:
     )  # fmt: skip
 
 
-def _draw_row(rates: "Axes", ways: "Axes", row: Row, looks: Look, place: float) -> None:
+def _draw_row(rates: "Axes", ways: "Axes", row: Row, looks: Mark, place: float) -> None:
     """Draw one row of a table."""
     if row["policy"] == "paper":
         bars = paper_success_bars(row)

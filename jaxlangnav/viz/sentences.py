@@ -1,7 +1,12 @@
-"""The sentences of the story, one function each: what is seen, believed and decided in a step."""
+"""The sentences of the story, one function each: what is seen, believed and decided in a step.
+
+``scene`` is of the episode, ``frame`` the step, ``before`` the one before it, None at first. What
+has nothing to tell returns an empty text.
+"""
 
 import numpy as np
 
+from jaxlangnav.language.lexicon import plural
 from jaxlangnav.messages import AT, NONE, REGIONS, Status
 from jaxlangnav.planner.graph import OBJECT
 from jaxlangnav.recording import Frame, Scene, missing_names
@@ -14,17 +19,12 @@ from jaxlangnav.viz.words import (
     listed,
     node_words,
     percent,
-    plural,
     whereabouts,
 )
 
 
 def new_objects(frame: Frame, before: Frame | None) -> list[summary.SeenObject]:
     """List what this step has discovered.
-
-    Args:
-        frame: the step.
-        before: the step before; None at first.
 
     Returns:
         Observed objects in slots that were empty before.
@@ -41,11 +41,6 @@ def _place(frame: Frame, x: float, y: float) -> str:
 def commanded(scene: Scene, frame: Frame, before: Frame | None) -> str:
     """Tell when the next command of the sentence begins.
 
-    Args:
-        scene: of the episode.
-        frame: the step.
-        before: the step before; None at first.
-
     Returns:
         A sentence, or nothing where the command is the same as before.
     """
@@ -55,16 +50,7 @@ def commanded(scene: Scene, frame: Frame, before: Frame | None) -> str:
 
 
 def seen(scene: Scene, frame: Frame, before: Frame | None) -> str:
-    """Tell the detections of a step, discoveries first.
-
-    Args:
-        scene: of the episode.
-        frame: the step.
-        before: the step before; None at first.
-
-    Returns:
-        A sentence.
-    """
+    """Tell the detections of a step, discoveries first."""
     new = new_objects(frame, before)
     if new:
         parts = [
@@ -84,15 +70,7 @@ def seen(scene: Scene, frame: Frame, before: Frame | None) -> str:
 
 
 def refuted(frame: Frame, before: Frame | None) -> str:
-    """Tell how many hypotheses what was not there has cost.
-
-    Args:
-        frame: the step.
-        before: the step before; None at first.
-
-    Returns:
-        A sentence, or nothing.
-    """
+    """Tell how many hypotheses what was not there has cost."""
     number, total = int(frame.num_regrounded), frame.weight.shape[0]
     if before is None or number < 2:
         return ""
@@ -112,11 +90,6 @@ def is_open(frame: Frame) -> bool:
 def reread(scene: Scene, frame: Frame, before: Frame | None) -> str:
     """Tell how what has been seen changes what the words are taken to mean.
 
-    Args:
-        scene: of the episode.
-        frame: the step.
-        before: the step before; None at first.
-
     Returns:
         A sentence, or nothing where no claim gained a tenth.
     """
@@ -131,10 +104,6 @@ def reread(scene: Scene, frame: Frame, before: Frame | None) -> str:
 
 def claim_shares(scene: Scene, frame: Frame) -> dict[str, float]:
     """Sum up which readings the particles believe in.
-
-    Args:
-        scene: of the episode.
-        frame: one step.
 
     Returns:
         Probability of each claim; readings of the same words are one claim.
@@ -171,15 +140,7 @@ def goal_name(scene: Scene, frame: Frame, slot: int) -> str:
 
 
 def believed(scene: Scene, frame: Frame) -> str:
-    """Tell where the goal is believed to be.
-
-    Args:
-        scene: of the episode.
-        frame: the step.
-
-    Returns:
-        Sentences.
-    """
+    """Tell where the goal is believed to be."""
     order = np.argsort(-frame.goal_mass)
     fitting = [int(slot) for slot in order if frame.goal_mass[slot] >= 0.05]
     seen = [
@@ -210,31 +171,16 @@ def believed(scene: Scene, frame: Frame) -> str:
 
 
 def stands(frame: Frame) -> str:
-    """Tell that the robot stands still, and why.
-
-    Args:
-        frame: a step with a fault.
-
-    Returns:
-        A sentence.
-    """
+    """Tell that the robot stands still, and why."""
     return f"Stands still: {listed(fault_words(int(frame.fault)))}."
 
 
 def decided(scene: Scene, frame: Frame) -> str:
-    """Tell what the robot does next, and why.
-
-    Args:
-        scene: of the episode.
-        frame: the step.
-
-    Returns:
-        A sentence.
-    """
+    """Tell what the robot does next, and why."""
     if bool(frame.is_stop):
         return _stopped(scene, frame)
     if int(frame.status) == Status.NOT_FOUND:
-        return gives_up(scene, frame)
+        return _gives_up(scene, frame)
     place = _place(frame, float(frame.waypoint[0]), float(frame.waypoint[1]))
     target = f"{_target(scene, frame)} {place}"
     if bool(frame.is_kept):
@@ -243,15 +189,7 @@ def decided(scene: Scene, frame: Frame) -> str:
 
 
 def goes_on(scene: Scene, frame: Frame) -> str:
-    """Tell that the robot goes where it was going.
-
-    Args:
-        scene: of the episode.
-        frame: the step.
-
-    Returns:
-        A sentence.
-    """
+    """Tell that the robot goes where it was going."""
     place = _place(frame, float(frame.waypoint[0]), float(frame.waypoint[1]))
     return f"Goes on to {_target(scene, frame)} {place}."
 
@@ -283,10 +221,6 @@ def _reason(scene: Scene, frame: Frame) -> str:
 def unseen(scene: Scene, frame: Frame) -> str:
     """Name what the sentence speaks of and no look has shown.
 
-    Args:
-        scene: of the episode.
-        frame: the step.
-
     Returns:
         "no cone and no bench"; nothing where all has been seen.
     """
@@ -294,16 +228,8 @@ def unseen(scene: Scene, frame: Frame) -> str:
     return " and ".join(f"no {name}" for name in missing)
 
 
-def gives_up(scene: Scene, frame: Frame) -> str:
-    """Tell that the search has ended without a goal.
-
-    Args:
-        scene: of the episode.
-        frame: the last step.
-
-    Returns:
-        A sentence.
-    """
+def _gives_up(scene: Scene, frame: Frame) -> str:
+    """Tell that the search has ended without a goal."""
     lack = unseen(scene, frame) or "nothing that fits the command"
     share = percent(summary.explored_share(frame))
     return (

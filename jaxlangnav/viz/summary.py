@@ -1,7 +1,8 @@
 """Numbers that several pictures and the story share: what a frame says in few figures.
 
 Particles agree on what has been seen, up to its exact place, so the objects of all particles are
-summed up slot by slot; hypotheses stay as they are, one per particle and mention.
+summed up slot by slot; hypotheses stay as they are, one per particle and mention. ``scene`` is of
+the episode, ``frame`` one of its steps.
 """
 
 import dataclasses
@@ -29,7 +30,7 @@ class SeenObject:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Hypothesis:
+class GoalHypothesis:
     """What is believed of a type that has been spoken of and not yet seen."""
 
     object_type: int
@@ -41,9 +42,6 @@ class Hypothesis:
 
 def seen_objects(frame: Frame) -> list[SeenObject]:
     """Sum up the observed objects of a frame.
-
-    Args:
-        frame: one step.
 
     Returns:
         One object for each slot in use, by slot.
@@ -74,11 +72,8 @@ def seen_objects(frame: Frame) -> list[SeenObject]:
     return found
 
 
-def hypotheses(frame: Frame) -> list[Hypothesis]:
+def hypotheses(frame: Frame) -> list[GoalHypothesis]:
     """Sum up the hypotheses of a frame by type.
-
-    Args:
-        frame: one step.
 
     Returns:
         One entry for each hypothesised type, the most probable first.
@@ -92,7 +87,7 @@ def hypotheses(frame: Frame) -> list[Hypothesis]:
             continue
         x, y, spread = _moments(share, frame.hypothesis_x, frame.hypothesis_y)
         found.append(
-            Hypothesis(object_type=int(kind), probability=particles, x=x, y=y, spread=spread)
+            GoalHypothesis(object_type=int(kind), probability=particles, x=x, y=y, spread=spread)
         )
     return sorted(found, key=lambda one: -one.probability)
 
@@ -160,9 +155,6 @@ def peaks(
 def chosen_node(frame: Frame) -> int | None:
     """Find the node the waypoint stands on.
 
-    Args:
-        frame: one step.
-
     Returns:
         Its index, or None where a former waypoint is kept that is no node any more.
     """
@@ -178,9 +170,6 @@ SAME_PLACE = 0.25
 
 def distinct_nodes(frame: Frame) -> np.ndarray:
     """Rank the places a robot may go to; of nodes that stand together the best counts.
-
-    Args:
-        frame: one step.
 
     Returns:
         i64[≤ A] indices of open nodes, the most valuable first.
@@ -198,10 +187,6 @@ def distinct_nodes(frame: Frame) -> np.ndarray:
 
 def tested_share(scene: Scene, frame: Frame) -> float:
     """Compute how much belief the way to the waypoint puts to the test.
-
-    Args:
-        scene: of the episode, for the sensing range.
-        frame: one step.
 
     Returns:
         Weight of the particles that have a hypothesised object within sensing range of the

@@ -6,16 +6,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxlangnav.experiments.deviations import PAPER_RUNS
+from jaxlangnav.experiments.grid import Row
 from jaxlangnav.experiments.metrics import wilson_interval
+from jaxlangnav.experiments.rows import PAPER_RUNS
 from jaxlangnav.viz import style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Row = Mapping[str, Any]
-Look = tuple[str, str, str]
+Mark = tuple[str, str, str]
 POLICY_LOOKS = {
     "informed": (style.SERIES[0], "o", "informed (ours)"),
     "faithful": (style.SERIES[1], "s", "faithful (the paper's method)"),
@@ -86,7 +86,7 @@ def range_figure(document: Mapping[str, Any]) -> "Figure":
     return figure
 
 
-def looks_of(arms: Sequence[str]) -> dict[str, Look]:
+def looks_of(arms: Sequence[str]) -> dict[str, Mark]:
     """Give each arm its colour, marker and name.
 
     Args:

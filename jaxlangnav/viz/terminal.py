@@ -85,21 +85,10 @@ def draw_map(scene: Scene, frame: Frame, *, width: int = 48) -> "Text":
     return text
 
 
-def draw_frame(
+def _draw_frame(
     scene: Scene, frame: Frame, before: Frame | None, step: int, *, width: int = 48
 ) -> "RenderableType":
-    """Draw a step: the map, and beside it what happens and how sure the robot is.
-
-    Args:
-        scene: of the episode.
-        frame: the step.
-        before: the step before; None at first.
-        step: its number.
-        width: columns of the map.
-
-    Returns:
-        Something rich prints.
-    """
+    """Draw a step: the map, and beside it what happens and how sure the robot is."""
     from rich.panel import Panel
     from rich.table import Table
     from rich.text import Text
@@ -167,7 +156,7 @@ def watch(
     with Live(console=console, auto_refresh=False, vertical_overflow="crop") as live:
         for step, (frame, result) in enumerate(steps):
             before = frames[-1] if frames else None
-            live.update(draw_frame(scene, frame, before, step, width=width), refresh=True)
+            live.update(_draw_frame(scene, frame, before, step, width=width), refresh=True)
             frames.append(frame)
             results.append(result)
             if console.is_terminal:

@@ -5,7 +5,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from jaxlangnav.experiments.deviations import NEAR, PAPER_RUNS, rate_error
+from jaxlangnav.experiments.grid import Row
+from jaxlangnav.experiments.rows import NEAR, PAPER_RUNS, rate_error
 from jaxlangnav.studies.unknowns_tables import TITLE, row_name
 from jaxlangnav.viz import style
 
@@ -13,7 +14,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Row = Mapping[str, Any]
 _LEFT, _COLUMN, _LINE = 2.05, 1.4, 0.155
 """Inches: labels, a row of Table 2, a variation."""
 
@@ -22,7 +22,7 @@ def unknowns_figure(document: Mapping[str, Any]) -> "Figure":
     """Draw every variation beside the printed figures: success above, distance below.
 
     Args:
-        document: of ``studies.unknowns.reproduce_unknowns``.
+        document: of ``studies.unknowns``.
 
     Returns:
         The figure: a column for each row of Table 2, a line for each variation. A band spans two

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable
 
 from jaxlangnav.grounding.asked import Asked
+from jaxlangnav.language.lexicon import plural
 from jaxlangnav.messages import AT, NONE, REGIONS, RELATIONS, ROBOT, Fault
 from jaxlangnav.planner.graph import OBJECT, VISITED
 from jaxlangnav.recording import Scene
@@ -149,11 +150,6 @@ def counted(nouns: list[str]) -> str:
     return listed(parts)
 
 
-def plural(noun: str) -> str:
-    """Put a noun into the plural: cones, benches, boxes."""
-    return f"{noun}{'es' if noun.endswith(('x', 'ch', 's')) else 's'}"
-
-
 def listed(parts: list[str]) -> str:
     """Join parts as in speech: "a, b and c"."""
     return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
@@ -187,7 +183,7 @@ def _thing_words(scene: Scene, index: int, mention: int) -> str:
 
     def relation_words(edge: int) -> str:
         name = RELATIONS[int(relations[edge])]
-        rank = max(int(readings.rank[index, edge]), int(readings.is_superlative[index, edge]))
+        rank = int(readings.rank[index, edge])
         if rank == 0:
             return RELATION_WORDS[name]
         place = f"{ORDINALS[min(rank, 4) - 2]} " if rank > 1 else ""

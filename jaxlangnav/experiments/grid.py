@@ -1,0 +1,264 @@
+"""The one engine of all tables: a grid of settings and arms, its episodes, their columns (4.2).
+
+A *setting* is where episodes run: world, command, range, detector, seed. An *arm* is what is
+compared in all of them: a policy with its numbers and sizes. Every arm runs the very same worlds
+with the same noise. Table 2, Figure 5, the study of the paper's unknowns and sweeps are presets;
+a sweep lays out neither settings nor arms, but works each out from its number.
+"""
+
+import dataclasses
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pyarrow as pa
+
+from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task
+from jaxlangnav.experiments.metrics import summarize
+from jaxlangnav.experiments.monte_carlo import OnProgress, run_tasks
+from jaxlangnav.experiments.policies import navigator_config, run_policy
+from jaxlangnav.experiments.tasks import Cell, draw_tasks, known_distances
+from jaxlangnav.grounding.instruction import Instruction
+from jaxlangnav.messages import MotionParams
+from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, default_params
+from jaxlangnav.planner.config import POLICIES
+from jaxlangnav.pytree import replace
+
+Row = dict[str, Any]
+Numbers = Mapping[str, float]
+"""Values of fields of a record of Params."""
+_WHOLE = ("particles", "seed", "episode")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Setting:
+    """Where arms are compared: the same for all of them."""
+
+    cell: Cell
+    told: Mapping[str, Any]
+    """What the columns say of it, by name."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Arm:
+    """What is compared: a policy with its numbers and sizes."""
+
+    policy: str
+    told: Mapping[str, Any]
+    """What the columns say of it, by name."""
+    config: NavigatorConfig | None = None
+    """None for a baseline, which has none."""
+    params: NavigatorParams | None = None
+    motion: MotionParams | None = None
+    """Odometry of its worlds; that of the setting if None."""
+    sensor: Numbers = dataclasses.field(default_factory=dict)
+    """Numbers of the detector in place of the setting's."""
+    max_steps: int = MAX_STEPS
+    worlds: Callable[[Task], Task] | None = None
+    """Sets its worlds otherwise."""
+
+    def tasks(self, tasks: Task) -> Task:
+        """Set odometry, detector and worlds; keys stay, so that all arms are paired.
+
+        Args:
+            tasks: as drawn for the settings, leaves [E, …].
+
+        Returns:
+            Tasks, leaves [E, …].
+        """
+        number = tasks.instruction_index.shape[0]
+        sensor = {name: jnp.full(number, one, jnp.float32) for name, one in self.sensor.items()}
+        tasks = replace(tasks, sensor=replace(tasks.sensor, **sensor))
+        if self.motion is not None:
+            spread = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (number,)), self.motion)
+            tasks = replace(tasks, motion=spread)
+        return tasks if self.worlds is None else self.worlds(tasks)
+
+    def run(
+        self,
+        tasks: Task,
+        instructions: Instruction,
+        *,
+        on_progress: OnProgress | None = None,
+        num_threads: int | None = None,
+    ) -> EpisodeResult:
+        """Run any number of tasks.
+
+        Args:
+            tasks: leaves [E, …].
+            instructions: leaves [I, …].
+            on_progress: called with the number of episodes just finished.
+            num_threads: calls under way at once; as many as keep all cores busy by default.
+
+        Returns:
+            Results as NumPy arrays, leaves [E, …], in the order of the tasks.
+        """
+        shared: dict[str, Any] = {"on_progress": on_progress, "num_threads": num_threads}
+        if self.config is None:
+            return run_policy(self.policy, tasks, instructions, max_steps=self.max_steps, **shared)
+        params = default_params() if self.params is None else self.params
+        return run_tasks(
+            tasks,
+            instructions,
+            params=params,
+            config=self.config,
+            max_steps=self.max_steps,
+            **shared,
+        )
+
+
+def policy_arm(
+    policy: str,
+    *,
+    num_particles: int,
+    params: NavigatorParams | None = None,
+    motion: MotionParams | None = None,
+    told: Mapping[str, Any] | None = None,
+) -> Arm:
+    """Build the arm of a policy.
+
+    Args:
+        policy: one of ``policies.POLICY_NAMES``.
+        num_particles: P, of the navigator's policies.
+        params: the navigator's numbers; its defaults if None.
+        motion: the odometry, of which the belief is told; that of the settings if None.
+        told: what the columns say of it; its name if None.
+
+    Returns:
+        The arm.
+    """
+    told = {"policy": policy} if told is None else told
+    if policy not in POLICIES:
+        return Arm(policy=policy, told=told, motion=motion)
+    params = default_params() if params is None else params
+    if motion is not None:
+        params = replace(params, map=replace(params.map, motion=motion))
+    config = navigator_config(policy, num_particles)
+    return Arm(policy=policy, told=told, config=config, params=params, motion=motion)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Grid:
+    """Settings × arms × episodes; an arm's episodes are numbered setting by setting."""
+
+    settings: Sequence[Setting]
+    arms: Sequence[Arm]
+    episodes: int
+    """Of an arm in a setting."""
+    names: tuple[str, ...]
+    """Columns that settings and arms fill; ``seed`` and ``episode`` follow them."""
+
+    def draw(self, places: np.ndarray) -> Task:
+        """Draw tasks.
+
+        Args:
+            places: i[E], numbers among an arm's episodes.
+
+        Returns:
+            Tasks, leaves [E, …]; an episode's depends on its setting and number only.
+        """
+        used, index, numbers = self._locate(places)
+        return draw_tasks([one.cell for one in used], index, numbers)
+
+    def labels(self, arm: Arm, places: np.ndarray) -> dict[str, list[Any]]:
+        """Say of every episode which it is.
+
+        Args:
+            arm: which runs them.
+            places: i[E], numbers among the arm's episodes.
+
+        Returns:
+            Lists of E by name; what an arm does not have is None.
+        """
+        used, index, numbers = self._locate(places)
+        told = [{**one.told, **arm.told, "seed": one.cell.seed} for one in used]
+        columns = {name: [told[at][name] for at in index] for name in (*self.names, "seed")}
+        return columns | {"episode": [int(number) for number in numbers]}
+
+    def _locate(self, places: np.ndarray) -> tuple[list[Setting], np.ndarray, np.ndarray]:
+        """Find the settings of episodes, which of them each is of, and its number in it."""
+        where, index = np.unique(places // self.episodes, return_inverse=True)
+        return [self.settings[int(at)] for at in where], index, places % self.episodes
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Played:
+    """An arm that has run in all settings."""
+
+    grid: Grid
+    arm: Arm
+    tasks: Task
+    results: EpisodeResult
+    known: np.ndarray
+    """f32[E], the known map's distance, metres."""
+
+    def columns(self) -> dict[str, Any]:
+        """Lay labels and results out, a column each, E long."""
+        labels = self.grid.labels(self.arm, np.arange(len(self.known)))
+        return typed(labels) | result_columns(self.results, self.known)
+
+    def of_setting(self, place: int) -> tuple[EpisodeResult, np.ndarray]:
+        """Take the results of one setting, and the known map's distances there."""
+        span = slice(place * self.grid.episodes, (place + 1) * self.grid.episodes)
+        mine = jax.tree.map(lambda leaf: np.asarray(leaf)[span], self.results)
+        return mine, self.known[span]
+
+    def rows(self) -> list[Row]:
+        """Summarise the episodes of each setting."""
+        return [
+            dict(setting.told) | dict(self.arm.told) | summarize(*self.of_setting(place)).row()
+            for place, setting in enumerate(self.grid.settings)
+        ]
+
+
+def run_grid(
+    grid: Grid, instructions: Instruction, *, on_progress: OnProgress | None = None
+) -> Iterator[Played]:
+    """Run a grid arm by arm; all settings go through one compiled program as one batch.
+
+    Args:
+        grid: settings and arms.
+        instructions: leaves [I, …], as the settings' cells number them.
+        on_progress: called with the number of episodes just finished.
+
+    Yields:
+        What each arm did.
+    """
+    drawn = grid.draw(np.arange(len(grid.settings) * grid.episodes))
+    for arm in grid.arms:
+        tasks = arm.tasks(drawn)
+        results = arm.run(tasks, instructions, on_progress=on_progress)
+        yield Played(grid=grid, arm=arm, tasks=tasks, results=results, known=known_distances(tasks))
+
+
+def result_columns(results: EpisodeResult, known: np.ndarray) -> dict[str, Any]:
+    """Lay results out as tidy columns of numbers.
+
+    Args:
+        results: leaves [E, …].
+        known: f32[E], the known map's distance, metres.
+
+    Returns:
+        Arrays [E] by name; the final position as ``final_x`` and ``final_y``.
+    """
+    columns: dict[str, Any] = {}
+    for field in dataclasses.fields(results):
+        values = np.asarray(getattr(results, field.name))
+        if values.ndim == 1:
+            columns[field.name] = values
+        else:
+            columns |= {f"{field.name}_x": values[:, 0], f"{field.name}_y": values[:, 1]}
+    return columns | {"known_distance": np.asarray(known)}
+
+
+def typed(labels: Mapping[str, list[Any]]) -> dict[str, pa.Array]:
+    """Give labels, which may be empty in one file, the type that they have in all others."""
+
+    def kind(name: str, values: list[Any]) -> pa.DataType:
+        if name in _WHOLE:
+            return pa.int64()
+        return pa.string() if isinstance(values[0], str) else pa.float64()
+
+    return {name: pa.array(values, kind(name, values)) for name, values in labels.items()}
