@@ -102,7 +102,7 @@ def test_a_robot_on_two_wheels_follows_a_sentence(monkeypatch: pytest.MonkeyPatc
         world = after
         if order.is_stop:
             break
-    assert Status(int(order.status)) == Status.ARRIVED
+    assert Status(int(state.status)) == Status.ARRIVED
     assert float(simulator.goal_distance(world, scene)) <= simulator.SUCCESS_RADIUS
 
 
