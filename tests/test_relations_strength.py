@@ -18,7 +18,7 @@ def test_one_step_to_the_left_by_hand() -> None:
     """3 m away and 2 m to the left: the far one by 3, the leftmost by 2, the nearest by -3."""
     expected = {FRONT: -3.0, BEHIND: -3.0, LEFT: 2.0, RIGHT: -2.0, NEAR: -3.0, FAR: 3.0}
     for relation, value in expected.items():
-        assert float(degree_of(relation, np.float64(3.0), np.float64(2.0))) == value
+        assert float(degree_of(relation, np.array(3.0), np.array(2.0))) == value
 
 
 def test_host_and_device_agree() -> None:
@@ -36,10 +36,9 @@ def test_who_is_nth_on_the_host_is_nth_on_the_device(relation: int) -> None:
     geometry = Geometry(PlacedWorld(objects=objects, robot=(0.3, -0.2, 0.9)))
     strength = geometry.strength[relation, :, 6]
     before = num_before(strength, ~np.eye(6, dtype=bool))
-    everything = tuple(range(6))
+    everything, merit = tuple(range(6)), jnp.asarray(-strength, jnp.float32)
     for rank in range(1, NUM_RANKS + 1):
         nth = int(np.flatnonzero(before == rank - 1)[0])
         assert geometry.is_extreme(relation, nth, 6, rank, everything)
-        merit = jnp.asarray(-strength, jnp.float32)
         assert float(NTH(jnp.int32(rank), merit, tie=1e-6)) == float(merit[nth])
     assert float(NTH(jnp.int32(5), merit, tie=1e-6)) == np.inf

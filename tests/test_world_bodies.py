@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from readings import BRIEFLY
 from test_navigator_step import STEP, WORLD
 from test_world_motion import KEY, action, motion, robot
 
@@ -102,7 +103,7 @@ def test_a_robot_on_two_wheels_follows_a_sentence(monkeypatch: pytest.MonkeyPatc
         world = after
         if order.is_stop:
             break
-    assert Status(int(order.status)) == Status.ARRIVED
+    assert Status(int(state.status)) == Status.ARRIVED
     assert float(simulator.goal_distance(world, scene)) <= simulator.SUCCESS_RADIUS
 
 
@@ -119,7 +120,10 @@ def test_an_episode_among_walls_on_two_wheels() -> None:
         map=MapConfig(num_particles=32, num_objects=4, num_cells=24),
         planner=PlannerConfig(policy="informed", num_visited=8),
     )
-    cycle = jax.jit(lambda one: episode.cycle(one, params=default_params(), config=config))
+    cycle = jax.jit(
+        lambda one: episode.cycle(one, params=default_params(), config=config),
+        compiler_options=BRIEFLY,
+    )
     one = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], instruction)
     arrived, ways = 0, []
     for seed in range(6):
