@@ -20,7 +20,9 @@ import record
 from jaxlangnav.episode import advance, begin
 from jaxlangnav.speed.bench import Workbench, set_up
 from jaxlangnav.speed.measuring import POLICY, Entry, entry, measure
-from jaxlangnav.experiments.monte_carlo import LANES, run_tasks, take_tasks
+from jaxlangnav.experiments.devices import LANES
+from jaxlangnav.experiments.monte_carlo import run_tasks
+from jaxlangnav.experiments.tasks import take_tasks
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.navigator import NavigatorConfig
 from jaxlangnav.planner.config import PlannerConfig

@@ -231,10 +231,10 @@ figure
 
 # %%
 from jaxlangnav.experiments.metrics import summarize
-from jaxlangnav.experiments.monte_carlo import cell, known_distances, make_tasks
 from jaxlangnav.experiments.paired import compare
 from jaxlangnav.experiments.policies import run_policy
 from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
+from jaxlangnav.experiments.tasks import cell, known_distances, make_tasks
 
 instructions = ground_sentences([SENTENCES["null"], SENTENCES["behind"]]).instructions
 tasks = make_tasks(cell("2H1C", "behind", 1, sensing_range=3.0, episodes=200, seed=0))

@@ -12,7 +12,7 @@ from test_frozen import frozen
 
 from jaxlangnav import kept
 from jaxlangnav.cli import main as cli
-from jaxlangnav.experiments.monte_carlo import cell, make_tasks
+from jaxlangnav.experiments.tasks import cell, make_tasks
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.task import meant
 from jaxlangnav.task.opening import Prepared, open_task

@@ -10,9 +10,9 @@ import pytest
 
 from jaxlangnav.episode import EpisodeResult, Task
 from jaxlangnav.experiments import baselines, patterns
-from jaxlangnav.experiments.monte_carlo import BLOCK, cell, make_tasks
 from jaxlangnav.experiments.policies import POLICY_NAMES, check_policies, run_policy
 from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
+from jaxlangnav.experiments.tasks import BLOCK, cell, make_tasks
 from jaxlangnav.planner.params import default_planner_params
 from jaxlangnav.pytree import replace
 from jaxlangnav.world.simulator import SUCCESS_RADIUS

@@ -6,9 +6,9 @@ import pytest
 
 from jaxlangnav import episode
 from jaxlangnav.experiments.compilation import CompileClock, union_length
-from jaxlangnav.experiments.monte_carlo import cell, make_tasks
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
+from jaxlangnav.experiments.tasks import cell, make_tasks
 from jaxlangnav.navigator import default_params
 from jaxlangnav.pytree import replace, strong
 

@@ -11,9 +11,16 @@ import pytest
 from jaxlangnav.episode import EpisodeResult, Task
 from jaxlangnav.experiments import monte_carlo
 from jaxlangnav.experiments.baselines import run_baseline
-from jaxlangnav.experiments.monte_carlo import BLOCK, cell, draw_tasks, make_tasks
 from jaxlangnav.experiments.policies import run_policy
 from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
+from jaxlangnav.experiments.tasks import (
+    BLOCK,
+    cell,
+    concatenate,
+    draw_tasks,
+    known_distances,
+    make_tasks,
+)
 from jaxlangnav.world.files import World, open_world
 
 INSTRUCTIONS = ground_sentences(list(SENTENCES.values())).instructions
@@ -123,7 +130,7 @@ def test_pieces_come_back_in_order_and_without_padding() -> None:
     found = monte_carlo.map_pieces(
         one, tasks, capacity=BLOCK, on_progress=seen.append, num_threads=2
     )
-    np.testing.assert_allclose(found.distance, monte_carlo.known_distances(tasks), atol=1.0)
+    np.testing.assert_allclose(found.distance, known_distances(tasks), atol=1.0)
     assert len(found.distance) == sum(seen) == 2 * BLOCK + 3
     alone = monte_carlo.map_pieces(one, take(tasks, slice(5)), capacity=BLOCK)
     np.testing.assert_array_equal(found.distance[:5], alone.distance)
@@ -135,7 +142,7 @@ def test_the_navigator_does_not_care_how_episodes_are_split() -> None:
         make_tasks(cell("2H1C", "behind", 1, 3.0, 40, 3)),
         make_tasks(cell("1H2C", "null", 0, 5.0, 40, 3)),
     ]
-    tasks = monte_carlo.concatenate(parts)
+    tasks = concatenate(parts)
     whole = run_policy("informed", tasks, INSTRUCTIONS, num_threads=1)
     order = np.random.default_rng(0).permutation(80)
     mixed = run_policy("informed", take(tasks, order), INSTRUCTIONS, num_threads=1)

@@ -5,7 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxlangnav.experiments import monte_carlo
+from jaxlangnav.experiments.monte_carlo import run_tasks
+from jaxlangnav.experiments.tasks import cell, concatenate, make_tasks
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, default_params
 from jaxlangnav.planner.config import PlannerConfig
@@ -26,15 +27,13 @@ def success(params: NavigatorParams, sentences: tuple[int, ...], world: str) -> 
         *(understand(text, model).instruction for text in TOLD + FALSE),
     )
     relation = "null" if sentences == (0,) else "behind"
-    tasks = monte_carlo.concatenate(
+    tasks = concatenate(
         [
-            monte_carlo.make_tasks(
-                monte_carlo.cell(world, relation, index, 3.0, EPISODES // len(sentences), SEED)
-            )
+            make_tasks(cell(world, relation, index, 3.0, EPISODES // len(sentences), SEED))
             for index in sentences
         ]
     )
-    result = monte_carlo.run_tasks(tasks, instructions, params=params, config=CONFIG)
+    result = run_tasks(tasks, instructions, params=params, config=CONFIG)
     return np.asarray(result.is_success, float)
 
 

@@ -23,36 +23,9 @@ from jaxlangnav.experiments.devices import (
     run_round,
     usable_cores,
 )
-from jaxlangnav.experiments.tasks import (
-    BLOCK,
-    Cell,
-    cell,
-    concatenate,
-    draw_tasks,
-    known_distances,
-    make_tasks,
-    take_tasks,
-)
+from jaxlangnav.experiments.tasks import take_tasks
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams
-
-__all__ = [
-    "BLOCK",
-    "CHUNK",
-    "LANES",
-    "Cell",
-    "OnProgress",
-    "cell",
-    "concatenate",
-    "draw_tasks",
-    "known_distances",
-    "make_tasks",
-    "map_pieces",
-    "pieces",
-    "run_tasks",
-    "take_tasks",
-    "usable_cores",
-]
 
 Result = TypeVar("Result")
 """Any record of arrays that lead with the episodes."""

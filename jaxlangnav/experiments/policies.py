@@ -9,7 +9,8 @@ from collections.abc import Sequence
 
 from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task
 from jaxlangnav.experiments.baselines import BASELINES, run_baseline
-from jaxlangnav.experiments.monte_carlo import BLOCK, OnProgress, map_pieces, run_tasks
+from jaxlangnav.experiments.monte_carlo import OnProgress, map_pieces, run_tasks
+from jaxlangnav.experiments.tasks import BLOCK
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, default_params
 from jaxlangnav.plain_text import cut

@@ -7,7 +7,7 @@ from typing import Any
 import jax
 
 from jaxlangnav.episode import Progress, Task, advance, begin, observe
-from jaxlangnav.experiments.monte_carlo import LANES
+from jaxlangnav.experiments.devices import LANES
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.navigator import NavigatorParams

@@ -12,7 +12,7 @@ import jax
 import numpy as np
 
 from jaxlangnav.episode import MAX_STEPS
-from jaxlangnav.experiments.monte_carlo import CHUNK, LANES, usable_cores
+from jaxlangnav.experiments.devices import CHUNK, LANES, usable_cores
 from jaxlangnav.experiments.table import Table
 
 POLICY = "informed"

@@ -5,8 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from jaxlangnav.experiments.monte_carlo import LANES, cell, concatenate, make_tasks, take_tasks
+from jaxlangnav.experiments.devices import LANES
 from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
+from jaxlangnav.experiments.tasks import cell, concatenate, make_tasks, take_tasks
 from jaxlangnav.navigator import NavigatorParams
 from jaxlangnav.speed.breakdown import measure_parts, share_entries
 from jaxlangnav.speed.measuring import describe_machine

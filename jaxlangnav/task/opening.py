@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxlangnav.episode import Task
-from jaxlangnav.experiments.monte_carlo import cell, make_tasks
+from jaxlangnav.experiments.tasks import cell, make_tasks
 from jaxlangnav.grounding.instruction import Understanding
 from jaxlangnav.pytree import replace
 from jaxlangnav.task.meant import is_among, meant_goals, with_goal
