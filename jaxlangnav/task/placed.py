@@ -69,7 +69,7 @@ def infer_in(
             lambda leaf, index=clause: np.asarray(leaf)[index], instruction.program
         )
         world = to_device(place_for(placed, names, instruction.readings), num_slots)
-        behavior = jax.device_get(_infer(program, world))
+        behavior = jax.device_get(infer_one(program, world))
         behavior = dataclasses.replace(
             behavior, goal=behavior.goal[:, slots], constraint=behavior.constraint[:, slots]
         )
@@ -136,6 +136,14 @@ def describe_goal(placed: PlacedWorld, region: int, slot: int) -> dict[str, Any]
 
 
 @kept()
-def _infer(program: BehaviorProgram, world: BehaviorWorld) -> Behavior:
-    """Compile the inference of one command in one world."""
+def infer_one(program: BehaviorProgram, world: BehaviorWorld) -> Behavior:
+    """Infer one command in one world; compiled once for each number of slots.
+
+    Args:
+        program: of the command.
+        world: its objects; the robot has the last slot.
+
+    Returns:
+        The behavior.
+    """
     return infer_behavior(program, world, num_phrases=program.num_phrases)

@@ -1,0 +1,304 @@
+"""Labelled sentences against what the trained graph makes of them (section 4.1).
+
+A sentence is right where it says of the world what its label says, and where each of its commands
+asks for the same: that is tried in a world made of the things of the label, which are related as
+the label has it, and of one more of each type of which something is said, which is not.
+"""
+
+import dataclasses
+from collections import Counter
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+from rich.table import Table
+
+from jaxlangnav.grounding.behavior_features import World
+from jaxlangnav.grounding.features import NUM_RANKS
+from jaxlangnav.grounding.instruction import GroundingModel, Understanding, understand
+from jaxlangnav.grounding.symbols import NUM_RELATIONS
+from jaxlangnav.grounding.worlds import to_device
+from jaxlangnav.messages import ACTIONS, MODES, NEAR, NONE, REGIONS, RELATIONS, ROBOT, Behavior
+from jaxlangnav.task.labelled import LabelledSentence, Meaning
+from jaxlangnav.task.placed import infer_one
+from jaxlangnav.world.scenario import NUM_SLOTS
+
+RIGHT, REFUSED, WRONG = OUTCOMES = ("right", "refused", "wrong")
+WORST_SHOWN = 40
+"""Sentences listed below the table; the document has all that are not right."""
+_LEAST = 0.05
+"""Goals less probable than this are not meant."""
+_ALIKE = 0.8
+"""Goals of at least this share of the best one's probability fit as well."""
+Relation = tuple[str, str, str, int]
+"""Types of figure and landmark around the relation's name, and the rank."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Score:
+    """What became of one sentence."""
+
+    sentence: LabelledSentence
+    outcome: str
+    why: str  # the refusal, or what differs; empty where it is right
+    confidence: float  # probability of the likeliest reading; 0 of a refusal
+
+
+def score_sentences(
+    sentences: Sequence[LabelledSentence],
+    model: GroundingModel,
+    on_progress: Callable[[int], None] | None = None,
+) -> list[Score]:
+    """Score labelled sentences.
+
+    Args:
+        sentences: with what they mean.
+        model: the trained models.
+        on_progress: told after each sentence.
+
+    Returns:
+        Their scores, in order.
+    """
+    scores = []
+    for sentence in sentences:
+        scores.append(_score(sentence, model))
+        if on_progress is not None:
+            on_progress(1)
+    return scores
+
+
+def summarize_scores(scores: Sequence[Score]) -> dict[str, Any]:
+    """Count scores.
+
+    Args:
+        scores: of ``score_sentences``.
+
+    Returns:
+        A JSON document: counts of all and by construction, and what is not right, worst first: a
+        wrong reading before a refusal, the surer the worse.
+    """
+    names = dict.fromkeys(score.sentence.construction for score in scores)
+    by_name = {n: [one for one in scores if one.sentence.construction == n] for n in names}
+    missed = [score for score in scores if score.outcome != RIGHT]
+    missed.sort(key=lambda one: (one.outcome != WRONG, -one.confidence, one.sentence.line))
+    return {
+        **_count(scores),
+        "by_construction": {name: _count(ones) for name, ones in by_name.items()},
+        "worst": [
+            {
+                "line": one.sentence.line,
+                "text": one.sentence.text,
+                "construction": one.sentence.construction,
+                "outcome": one.outcome,
+                "why": one.why,
+                "confidence": round(one.confidence, 4),
+            }
+            for one in missed
+        ],
+    }
+
+
+def render_scores(document: dict[str, Any]) -> tuple[Table, list[str]]:
+    """Draw the table for people, and the lines below it.
+
+    Args:
+        document: of ``summarize_scores``.
+
+    Returns:
+        A rich table; a line for each of the worst sentences.
+    """
+    table = Table(title="Sentences as labelled, right or rightly refused")
+    table.add_column("construction")
+    for name in ("sentences", *OUTCOMES, "right %"):
+        table.add_column(name, justify="right")
+    rows = [*document["by_construction"].items(), ("all", document)]
+    for name, row in rows:
+        cells = [str(row[one]) for one in ("sentences", *OUTCOMES)]
+        table.add_row(name or "-", *cells, f"{row['right_share']:.1f}")
+    worst = document["worst"]
+    lines = [
+        f"{one['outcome']}, line {one['line']}: {one['text']}\n    {one['why']}"
+        for one in worst[:WORST_SHOWN]
+    ]
+    if len(worst) > WORST_SHOWN:
+        lines.append(f"and {len(worst) - WORST_SHOWN} more: --json lists them all")
+    return table, lines
+
+
+def _count(scores: Sequence[Score]) -> dict[str, Any]:
+    """Count the outcomes of some sentences."""
+    counts = Counter(score.outcome for score in scores)
+    share = 100.0 * counts[RIGHT] / max(len(scores), 1)
+    return {
+        "sentences": len(scores),
+        **{outcome: counts[outcome] for outcome in OUTCOMES},
+        "right_share": round(share, 2),
+    }
+
+
+def _score(sentence: LabelledSentence, model: GroundingModel) -> Score:
+    """Score one sentence."""
+    meaning = sentence.meaning
+    try:
+        understood = understand(sentence.text, model)
+        if meaning is None or meaning.reading.commands:
+            understood.check_task()
+    except ValueError as error:
+        outcome = RIGHT if meaning is None else REFUSED
+        return Score(sentence, outcome, "" if meaning is None else str(error), 0.0)
+    confidence = float(np.exp(understood.instruction.readings.log_probability[0]))
+    if meaning is None:
+        return Score(sentence, WRONG, "was read, but must be refused", confidence)
+    why = _difference_in_world(meaning, understood) or _difference_in_commands(meaning, understood)
+    return Score(sentence, WRONG if why else RIGHT, why, confidence)
+
+
+def _difference_in_world(meaning: Meaning, understood: Understanding) -> str:
+    """Say how what is said of the world differs; empty where it does not."""
+    types, relations = _said(understood)
+    names = {meaning.type_of(thing) for thing in range(len(meaning.reading.types))}
+    if types != names:
+        return f"speaks of {_listed(types)}, not of {_listed(names)}"
+
+    def name(thing: int) -> str:
+        return "robot" if thing == ROBOT else meaning.type_of(thing)
+
+    meant = {
+        (name(one.figure), RELATIONS[one.relation], name(one.landmark), one.rank)
+        for one in meaning.reading.relations
+    }
+    if relations != meant:
+        return f"says {_listed(map(_worded, relations))}, not {_listed(map(_worded, meant))}"
+    return ""
+
+
+def _said(understood: Understanding) -> tuple[set[str], set[Relation]]:
+    """Collect the types and relations of the likeliest reading."""
+    fields = understood.instruction.readings
+    kinds = np.asarray(fields.mention_type[0])
+
+    def name(mention: int) -> str:
+        return "robot" if kinds[mention] == ROBOT else understood.type_names[kinds[mention]]
+
+    columns = (fields.figure, fields.relation, fields.landmark, fields.rank)
+    edges = np.stack([np.asarray(column[0]) for column in columns], axis=1)
+    relations = {
+        (name(figure), RELATIONS[relation], name(landmark), int(rank))
+        for figure, relation, landmark, rank in edges
+        if relation != NONE
+    }
+    return {understood.type_names[kind] for kind in kinds if kind >= 0}, relations
+
+
+def _worded(relation: Relation) -> str:
+    """Write a relation: "cone near car, rank 1"."""
+    figure, name, landmark, rank = relation
+    return f"{figure} {name} {landmark}" + (f", rank {rank}" if rank else "")
+
+
+def _listed(parts: Any) -> str:
+    """Write some names in one order."""
+    return "; ".join(sorted(parts)) or "nothing"
+
+
+def _difference_in_commands(meaning: Meaning, understood: Understanding) -> str:
+    """Say how what is asked for differs; empty where it does not."""
+    commands, number = meaning.reading.commands, int(understood.instruction.num_clauses)
+    if number != len(commands):
+        return f"gives {number} commands, not {len(commands)}"
+    try:
+        kinds = [understood.type_names.index(meaning.type_of(one)) for one in _slots(meaning)]
+    except ValueError:
+        return "speaks of other types"
+    world = _world(meaning, kinds)
+    for index in range(number):
+        program = jax.tree.map(
+            lambda leaf, index=index: np.asarray(leaf)[index], understood.instruction.program
+        )
+        size = max(NUM_SLOTS + 1, len(world.object_type))
+        behavior = jax.device_get(infer_one(program, to_device(world, size)))
+        why = _difference(meaning, index, behavior, world)
+        if why:
+            return f"command {index + 1} {why}"
+        previous = np.arange(len(world.object_type)) == commands[index].thing
+        world = dataclasses.replace(world, is_previous=previous)
+    return ""
+
+
+def _slots(meaning: Meaning) -> list[int]:
+    """List whose type each slot has: each thing, and another one of it if something is said."""
+    figures = dict.fromkeys(
+        meaning.reading.types[one.figure] for one in meaning.reading.relations
+    )
+    return [*range(len(meaning.reading.types)), *map(meaning.reading.types.index, figures)]
+
+
+def _world(meaning: Meaning, kinds: Sequence[int]) -> World:
+    """Build a world in which exactly what the label says holds; the robot has the last slot."""
+    size = len(kinds) + 1
+    is_related = np.zeros((NUM_RELATIONS, size, size), bool)
+    is_ranked = np.zeros((NUM_RANKS, NUM_RELATIONS, size, size), bool)
+    for one in meaning.reading.relations:
+        landmark = size - 1 if one.landmark == ROBOT else one.landmark
+        if one.rank == 0 or one.relation == NEAR:
+            is_related[one.relation, one.figure, landmark] = True
+        if one.rank:
+            # The device has one table of later ranks: whichever the sentence means.
+            is_ranked[min(one.rank, 2) - 1, one.relation, one.figure, landmark] = True
+    return World(
+        object_type=np.array([*kinds, ROBOT], np.int32),
+        is_object=np.ones(size, bool),
+        is_related=is_related,
+        is_ranked=is_ranked,
+        is_previous=np.zeros(size, bool),
+    )
+
+
+def _difference(meaning: Meaning, index: int, behavior: Behavior, world: World) -> str:
+    """Say how one command differs; empty where it does not."""
+    wanted, size = meaning.reading.commands[index], len(world.object_type)
+    for names, given, meant in (
+        (ACTIONS, behavior.action, wanted.action),
+        (MODES, behavior.mode, wanted.mode),
+    ):
+        if int(given.argmax()) != meant:
+            return f"asks for {names[int(given.argmax())]}, not {names[meant]}"
+    slots = np.append(np.arange(size - 1), behavior.goal.shape[1] - 1)
+    goal, kept_out = behavior.goal[:, slots], behavior.constraint[:, slots]
+    best = float(goal.max())
+    ends = set(zip(*np.nonzero(goal >= max(_LEAST, _ALIKE * best)), strict=True))
+    thing = size - 1 if wanted.thing == ROBOT else wanted.thing
+    alike = {(wanted.region, slot) for slot in _fitting(meaning, wanted.thing, world)}
+    if (wanted.region, thing) not in ends or not ends <= alike:
+        return f"ends {_ends(ends, meaning, world)}, not {REGIONS[wanted.region]} {thing}"
+    avoided = {int(slot) for slot in np.nonzero(kept_out.max(axis=0) > 0.5)[0]}
+    meant = {slot for one in wanted.avoid for slot in _fitting(meaning, one, world)}
+    if avoided != meant:
+        return f"keeps away from {sorted(avoided)}, not {sorted(meant)}"
+    return ""
+
+
+def _fitting(meaning: Meaning, thing: int, world: World) -> set[int]:
+    """Find the slots that fit all that the label says of a thing."""
+    last = len(world.object_type) - 1
+    if thing == ROBOT:
+        return {last}
+    fitting = world.object_type == world.object_type[thing]
+    for one in meaning.reading.relations:
+        if one.figure != thing:
+            continue
+        landmark = last if one.landmark == ROBOT else one.landmark
+        holds = world.is_ranked[min(one.rank, 2) - 1] if one.rank else world.is_related
+        fitting = fitting & holds[one.relation, :, landmark]
+    return {int(slot) for slot in np.nonzero(fitting)[0]}
+
+
+def _ends(ends: set[tuple[Any, Any]], meaning: Meaning, world: World) -> str:
+    """Write goals: region and slot, with its type."""
+    written = []
+    for region, slot in sorted(ends):
+        is_robot = slot == len(world.object_type) - 1
+        kind = "robot" if is_robot else meaning.type_of(_slots(meaning)[slot])
+        written.append(f"{REGIONS[region]} {kind} ({slot})")
+    return ", ".join(written) or "nowhere"
