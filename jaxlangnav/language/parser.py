@@ -8,6 +8,7 @@ and the parser is polynomial.
 
 from functools import cache
 
+from jaxlangnav.language.chatter import leave_out
 from jaxlangnav.language.check import check
 from jaxlangnav.language.constraint import join_constraints
 from jaxlangnav.language.grammar import (
@@ -23,8 +24,16 @@ from jaxlangnav.language.lexicon import TYPE_CLASS, load_lexicon
 from jaxlangnav.language.phrase import COMMAND, STATEMENT, LanguageError, Parse
 from jaxlangnav.language.reference import resolve
 from jaxlangnav.language.refusal import Token, explain
+from jaxlangnav.language.rewriting import join_contractions, rewrite
 from jaxlangnav.language.spelling import repair
-from jaxlangnav.language.tokens import TOKEN, plainly
+from jaxlangnav.language.tokens import (
+    COMMA_MARK,
+    FULLSTOP_MARK,
+    MARKS,
+    TOKEN,
+    Spoken,
+    plainly,
+)
 from jaxlangnav.language.tree import TreeBuilder
 
 MAX_CHARACTERS = 10_000
@@ -32,21 +41,21 @@ MAX_WORDS = 64
 MAX_UNKNOWN = 8  # more guesses than this are no reading, and their trees are very many
 _IGNORED = set("\"'()[]*`“”")
 _COMMAS = {",", ":", "-", "–", "—"}
+_SIGNS = {"&": "and"}
 
 
 class _Reader:
-    """Splits text into tokens, repairing and marking what the lexicon does not know."""
+    """Splits text into words and marks, repairing what is mistyped."""
 
     def __init__(self) -> None:
-        self.lexicon = load_lexicon()
         self.vocabulary = _vocabulary()
-        self.tokens: list[Token] = []
+        self.tokens: list[Spoken] = []
         self.repairs: list[tuple[str, str]] = []
         self.num_words = 0
 
     def read(self, text: str) -> None:
         """Read all of a text."""
-        text = plainly(text)
+        text = join_contractions(plainly(text))
         if len(text) > 2 * MAX_CHARACTERS:  # some signs stand for whole words
             raise LanguageError(
                 f"the instruction has more than {MAX_CHARACTERS} characters; shorten it"
@@ -54,19 +63,19 @@ class _Reader:
         for match in TOKEN.finditer(text):
             piece = match.group()
             if piece[0] in ".!?;" or piece in _COMMAS:
-                self._mark(COMMA if piece in _COMMAS else FULLSTOP)
+                self._mark(COMMA_MARK if piece in _COMMAS else FULLSTOP_MARK)
             elif piece not in _IGNORED:
-                for word in self._split(piece):
+                for word in self._split(_SIGNS.get(piece, piece)):
                     self._word(word)
-        while self.tokens and self.tokens[-1].terminal in (COMMA, FULLSTOP):
+        while self.tokens and self.tokens[-1].text in MARKS:
             self.tokens.pop()
 
-    def _mark(self, terminal: str) -> None:
+    def _mark(self, mark: str) -> None:
         """Add punctuation; a run of marks is its last, and none stands at the beginning."""
-        if self.tokens and self.tokens[-1].terminal in (COMMA, FULLSTOP):
+        if self.tokens and self.tokens[-1].text in MARKS:
             self.tokens.pop()
         if self.tokens:
-            self.tokens.append(Token(text="", terminal=terminal, position=self.num_words))
+            self.tokens.append(Spoken(text=mark, position=self.num_words))
 
     def _split(self, piece: str) -> list[str]:
         """Part "cone's" and hyphened words of which the lexicon knows the parts."""
@@ -81,21 +90,24 @@ class _Reader:
         return parts if len(parts) > 1 and set(parts) <= self.vocabulary else [piece]
 
     def _word(self, word: str) -> None:
-        """Add a word: known, repaired, or marked unknown."""
+        """Add a word, repaired where it is mistyped."""
         self.num_words += 1
         if self.num_words > MAX_WORDS:
             raise LanguageError(f"the instruction has more than {MAX_WORDS} words; shorten it")
         if not word[0].isalpha() and word not in self.vocabulary:
             raise LanguageError(_symbol_message(word, self.num_words))
-        terminal = word
-        if word not in self.vocabulary:
-            repaired = repair(word)
-            if repaired is None:
-                terminal = _unknown_mark(word)
-            else:
-                self.repairs.append((word, repaired))
-                word = terminal = repaired
-        self.tokens.append(Token(text=word, terminal=terminal, position=self.num_words))
+        repaired = None if word in self.vocabulary else repair(word)
+        if repaired is not None:
+            self.repairs.append((word, repaired))
+        self.tokens.append(Spoken(text=repaired or word, position=self.num_words))
+
+
+def _to_token(spoken: Spoken) -> Token:
+    """Say what a word or a mark can be to the grammar."""
+    terminal = {COMMA_MARK: COMMA, FULLSTOP_MARK: FULLSTOP}.get(spoken.text, spoken.text)
+    if spoken.text not in MARKS and spoken.text not in _vocabulary():
+        terminal = _unknown_mark(spoken.text)
+    return Token(text="" if spoken.text in MARKS else spoken.text, terminal=terminal, position=spoken.position)
 
 
 @cache
@@ -145,9 +157,11 @@ def parse(text: str) -> Parse:
         raise LanguageError(f"the instruction has more than {MAX_CHARACTERS} characters")
     reader = _Reader()
     reader.read(text)
-    tokens = reader.tokens
-    if not tokens:
+    if not reader.tokens:
         raise LanguageError("the instruction is empty")
+    heard, unread = leave_out(reader.tokens)
+    spoken, rewrites = rewrite(heard)
+    tokens = [_to_token(one) for one in spoken]
     unknown = [(t.text, t.position) for t in tokens if t.terminal.startswith("?")]
     if len(unknown) > MAX_UNKNOWN:
         text, position = unknown[0]
@@ -169,5 +183,7 @@ def parse(text: str) -> Parse:
         kinds=tuple(STATEMENT if clause.label == "S" else COMMAND for clause in clauses),
         unknown_words=tuple(builder.unknown),
         repairs=tuple(reader.repairs),
+        rewrites=tuple(rewrites),
+        unread=tuple(unread),
         probability=probability,
     )

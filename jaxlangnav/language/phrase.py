@@ -78,6 +78,8 @@ class Parse:
     unknown_words: tuple[tuple[str, int], ...]  # (word, position), part of speech was guessed
     repairs: tuple[tuple[str, str], ...]  # (as typed, as read)
     probability: float  # of this tree among all trees of the sentence
+    rewrites: tuple[tuple[str, str], ...] = ()  # (as said, as read), in the order of the rules
+    unread: tuple[str, ...] = ()  # small talk and reasons, which say nothing of the task
 
     def to_dict(self) -> dict[str, Any]:
         """Build a JSON document; several clauses stand below one node labelled ROOT."""
@@ -89,5 +91,7 @@ class Parse:
             "kinds": list(self.kinds),
             "unknown_words": [{"text": t, "position": p} for t, p in self.unknown_words],
             "repairs": [{"from": a, "to": b} for a, b in self.repairs],
+            "rewrites": [{"from": a, "to": b} for a, b in self.rewrites],
+            "unread": list(self.unread),
             "probability": self.probability,
         }

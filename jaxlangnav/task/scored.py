@@ -1,13 +1,13 @@
 """Labelled sentences against what the trained graph makes of them (section 4.1).
 
 A sentence is right where it says of the world what its label says, and where each of its commands
-asks for the same: that is tried in a world made of the things of the label, which are related as
+asks for the same, nothing asked twice: that is tried in a world made of the things of the label, which are related as
 the label has it, and of one more of each type of which something is said, which is not.
 """
 
 import dataclasses
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import jax
@@ -16,10 +16,15 @@ from rich.table import Table
 
 from jaxlangnav.grounding.behavior_features import World
 from jaxlangnav.grounding.features import NUM_RANKS
-from jaxlangnav.grounding.instruction import GroundingModel, Understanding, understand
+from jaxlangnav.grounding.instruction import (
+    GroundingModel,
+    Instruction,
+    Understanding,
+    understand,
+)
 from jaxlangnav.grounding.symbols import NUM_RELATIONS
 from jaxlangnav.grounding.worlds import to_device
-from jaxlangnav.messages import ACTIONS, MODES, NEAR, NONE, REGIONS, RELATIONS, ROBOT, Behavior
+from jaxlangnav.messages import ACTIONS, MODES, NEAR, NONE, REGIONS, RELATIONS, ROBOT
 from jaxlangnav.task.labelled import LabelledSentence, Meaning
 from jaxlangnav.task.placed import infer_one
 from jaxlangnav.world.scenario import NUM_SLOTS
@@ -43,6 +48,16 @@ class Score:
     outcome: str
     why: str  # the refusal, or what differs; empty where it is right
     confidence: float  # probability of the likeliest reading; 0 of a refusal
+
+
+@dataclasses.dataclass(frozen=True)
+class _Asked:
+    """What one command asks for in a world."""
+
+    action: int
+    mode: int
+    ends: frozenset[tuple[int, int]]  # region and slot of each goal that fits as well as any
+    avoided: frozenset[int]
 
 
 def score_sentences(
@@ -204,26 +219,42 @@ def _listed(parts: Any) -> str:
 
 def _difference_in_commands(meaning: Meaning, understood: Understanding) -> str:
     """Say how what is asked for differs; empty where it does not."""
-    commands, number = meaning.reading.commands, int(understood.instruction.num_clauses)
-    if number != len(commands):
-        return f"gives {number} commands, not {len(commands)}"
     try:
         kinds = [understood.type_names.index(meaning.type_of(one)) for one in _slots(meaning)]
     except ValueError:
         return "speaks of other types"
     world = _world(meaning, kinds)
-    for index in range(number):
+    asked = _asked(understood.instruction, world)
+    if len(asked) != len(meaning.reading.commands):
+        return f"gives {len(asked)} commands, not {len(meaning.reading.commands)}"
+    whys = (_difference(meaning, index, one, world) for index, one in enumerate(asked))
+    return next((f"command {i} {why}" for i, why in enumerate(whys, start=1) if why), "")
+
+
+def _asked(instruction: Instruction, world: World) -> list[_Asked]:
+    """Infer what each command asks for; one that asks for what is done already is left out."""
+    found: list[_Asked] = []
+    size = len(world.object_type)
+    num_slots = max(NUM_SLOTS + 1, size)
+    slots = np.append(np.arange(size - 1), num_slots - 1)
+    for clause in range(int(instruction.num_clauses)):
         program = jax.tree.map(
-            lambda leaf, index=index: np.asarray(leaf)[index], understood.instruction.program
+            lambda leaf, index=clause: np.asarray(leaf)[index], instruction.program
         )
-        size = max(NUM_SLOTS + 1, len(world.object_type))
-        behavior = jax.device_get(infer_one(program, to_device(world, size)))
-        why = _difference(meaning, index, behavior, world)
-        if why:
-            return f"command {index + 1} {why}"
-        previous = np.arange(len(world.object_type)) == commands[index].thing
+        behavior = jax.device_get(infer_one(program, to_device(world, num_slots)))
+        goal, kept_out = behavior.goal[:, slots], behavior.constraint[:, slots]
+        least = max(_LEAST, _ALIKE * float(goal.max()))
+        asked = _Asked(
+            action=int(behavior.action.argmax()),
+            mode=int(behavior.mode.argmax()),
+            ends=frozenset((int(r), int(slot)) for r, slot in np.argwhere(goal >= least)),
+            avoided=frozenset(int(slot) for slot in np.nonzero(kept_out.max(axis=0) > 0.5)[0]),
+        )
+        if not found or asked != found[-1]:
+            found.append(asked)
+        previous = np.arange(size) == int(goal.max(axis=0).argmax())
         world = dataclasses.replace(world, is_previous=previous)
-    return ""
+    return found
 
 
 def _slots(meaning: Meaning) -> list[int]:
@@ -255,27 +286,23 @@ def _world(meaning: Meaning, kinds: Sequence[int]) -> World:
     )
 
 
-def _difference(meaning: Meaning, index: int, behavior: Behavior, world: World) -> str:
+def _difference(meaning: Meaning, index: int, asked: _Asked, world: World) -> str:
     """Say how one command differs; empty where it does not."""
-    wanted, size = meaning.reading.commands[index], len(world.object_type)
+    wanted = meaning.reading.commands[index]
     for names, given, meant in (
-        (ACTIONS, behavior.action, wanted.action),
-        (MODES, behavior.mode, wanted.mode),
+        (ACTIONS, asked.action, wanted.action),
+        (MODES, asked.mode, wanted.mode),
     ):
-        if int(given.argmax()) != meant:
-            return f"asks for {names[int(given.argmax())]}, not {names[meant]}"
-    slots = np.append(np.arange(size - 1), behavior.goal.shape[1] - 1)
-    goal, kept_out = behavior.goal[:, slots], behavior.constraint[:, slots]
-    best = float(goal.max())
-    ends = set(zip(*np.nonzero(goal >= max(_LEAST, _ALIKE * best)), strict=True))
-    thing = size - 1 if wanted.thing == ROBOT else wanted.thing
+        if given != meant:
+            return f"asks for {names[given]}, not {names[meant]}"
+    thing = len(world.object_type) - 1 if wanted.thing == ROBOT else wanted.thing
     alike = {(wanted.region, slot) for slot in _fitting(meaning, wanted.thing, world)}
-    if (wanted.region, thing) not in ends or not ends <= alike:
-        return f"ends {_ends(ends, meaning, world)}, not {REGIONS[wanted.region]} {thing}"
-    avoided = {int(slot) for slot in np.nonzero(kept_out.max(axis=0) > 0.5)[0]}
+    if (wanted.region, thing) not in asked.ends or not asked.ends <= alike:
+        ends, end = (_ends(one, meaning, world) for one in (asked.ends, {(wanted.region, thing)}))
+        return f"ends {ends}, not {end}"
     meant = {slot for one in wanted.avoid for slot in _fitting(meaning, one, world)}
-    if avoided != meant:
-        return f"keeps away from {sorted(avoided)}, not {sorted(meant)}"
+    if asked.avoided != meant:
+        return f"keeps away from {len(asked.avoided)} things, not {len(meant)}"
     return ""
 
 
@@ -294,7 +321,7 @@ def _fitting(meaning: Meaning, thing: int, world: World) -> set[int]:
     return {int(slot) for slot in np.nonzero(fitting)[0]}
 
 
-def _ends(ends: set[tuple[Any, Any]], meaning: Meaning, world: World) -> str:
+def _ends(ends: Iterable[tuple[int, int]], meaning: Meaning, world: World) -> str:
     """Write goals: region and slot, with its type."""
     written = []
     for region, slot in sorted(ends):
