@@ -88,10 +88,16 @@ def _tells(words: Sequence[str]) -> bool:
     )
 
 
+def _is_of_grammar(words: Sequence[str]) -> bool:
+    """Tell whether the grammar itself reads words around a command: "please", "thank you"."""
+    entries = load_lexicon().entries
+    return any(tuple(words) in entries[name] for name in ("opener", "closer"))
+
+
 def _is_small_talk(part: Part) -> bool:
     """Tell whether a part of a sentence is about something else."""
     words, lists = [token.text for token in part], _words()
-    if not words or _tells(words):
+    if not words or _tells(words) or _is_of_grammar(words):
         return False
     if lists["praise"].issuperset(words) and lists["praising"].intersection(words):
         return True
