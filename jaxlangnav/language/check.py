@@ -17,7 +17,7 @@ def _type_of(word: Word) -> str | None:
 def _refuse(words: list[Word], reason: str) -> LanguageError:
     text = " ".join(word.text[:30] for word in words)
     where = f"word {words[0].position}"
-    return LanguageError(f"'{text}' ({where}): {reason}")
+    return LanguageError(f"'{text}' ({where}): {reason}", position=words[0].position)
 
 
 def _check_compound(phrase: Phrase) -> None:

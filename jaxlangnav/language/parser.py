@@ -20,10 +20,11 @@ from jaxlangnav.language.grammar import (
     NoParseError,
     load_grammar,
 )
-from jaxlangnav.language.lexicon import TYPE_CLASS, load_lexicon
+from jaxlangnav.language.lexicon import REASONS, TYPE_CLASS, load_lexicon
+from jaxlangnav.language.nearest import offer
 from jaxlangnav.language.phrase import COMMAND, STATEMENT, LanguageError, Parse
 from jaxlangnav.language.reference import resolve
-from jaxlangnav.language.refusal import Token, explain
+from jaxlangnav.language.refusal import Token, explain, is_contrary
 from jaxlangnav.language.rewriting import join_contractions, rewrite
 from jaxlangnav.language.spelling import repair
 from jaxlangnav.language.tokens import (
@@ -41,6 +42,8 @@ MAX_WORDS = 64
 MAX_UNKNOWN = 8  # more guesses than this are no reading, and their trees are very many
 _IGNORED = set("\"'()[]*`“”")
 _COMMAS = {",", ":", "-", "–", "—"}
+_LONGEST_LINE = 199
+"""Characters of a refusal with the sentence that it offers."""
 _SIGNS = {"&": "and"}
 
 
@@ -94,9 +97,8 @@ class _Reader:
         self.num_words += 1
         if self.num_words > MAX_WORDS:
             raise LanguageError(f"the instruction has more than {MAX_WORDS} words; shorten it")
-        if not word[0].isalpha() and word not in self.vocabulary:
-            raise LanguageError(_symbol_message(word, self.num_words))
-        repaired = None if word in self.vocabulary else repair(word)
+        is_known = word in self.vocabulary or not word[0].isalpha()
+        repaired = None if is_known else repair(word)
         if repaired is not None:
             self.repairs.append((word, repaired))
         self.tokens.append(Spoken(text=repaired or word, position=self.num_words))
@@ -107,7 +109,11 @@ def _to_token(spoken: Spoken) -> Token:
     terminal = {COMMA_MARK: COMMA, FULLSTOP_MARK: FULLSTOP}.get(spoken.text, spoken.text)
     if spoken.text not in MARKS and spoken.text not in _vocabulary():
         terminal = _unknown_mark(spoken.text)
-    return Token(text="" if spoken.text in MARKS else spoken.text, terminal=terminal, position=spoken.position)
+    return Token(
+        text="" if spoken.text in MARKS else spoken.text,
+        terminal=terminal,
+        position=spoken.position,
+    )
 
 
 @cache
@@ -122,11 +128,21 @@ def _vocabulary() -> frozenset[str]:
     return load_lexicon().vocabulary
 
 
-def _symbol_message(symbol: str, position: int) -> str:
-    what = "this sign is not supported; use words"
-    if symbol[0].isdigit():
-        what = "numbers are not supported; name a place, as in 'behind the cone'"
-    return f"'{symbol[:30]}' (word {position}): {what}"
+def _check_symbols(spoken: list[Spoken]) -> None:
+    """Refuse numbers and signs."""
+    for index, one in enumerate(spoken):
+        if one.text in MARKS or one.text[0].isalpha() or one.text in _vocabulary():
+            continue
+        what = "this sign is not supported; use words"
+        if one.text[0].isdigit():
+            what = "numbers are not supported; name a place, as in 'behind the cone'"
+            following = spoken[index + 1].text if index + 1 < len(spoken) else ""
+            refused = load_lexicon().refused
+            if refused.get(following) == REASONS["a distance"] or one.text[-1] == "m":
+                what = REASONS["a distance"]
+        raise LanguageError(
+            f"'{one.text[:30]}' (word {one.position}): {what}", position=one.position
+        )
 
 
 def _unknown_mark(word: str) -> str:
@@ -138,11 +154,12 @@ def _unknown_mark(word: str) -> str:
     return UNKNOWN
 
 
-def parse(text: str) -> Parse:
+def parse(text: str, *, is_nearest_offered: bool = True) -> Parse:
     """Parse an instruction of one or more clauses.
 
     Args:
         text: what the person typed, at most 10,000 characters.
+        is_nearest_offered: whether a refusal names the nearest sentence that can be read.
 
     Returns:
         The most probable phrase trees, what was unknown and what was repaired.
@@ -159,31 +176,58 @@ def parse(text: str) -> Parse:
     reader.read(text)
     if not reader.tokens:
         raise LanguageError("the instruction is empty")
+    try:
+        return _read(text, reader)
+    except LanguageError as error:
+        if error.position is None or not is_nearest_offered:
+            raise
+        raise _with_nearest(error, reader.tokens) from None
+
+
+def _read(text: str, reader: _Reader) -> Parse:
+    """Read the words of an instruction."""
     heard, unread = leave_out(reader.tokens)
     spoken, rewrites = rewrite(heard)
+    _check_symbols(spoken)
     tokens = [_to_token(one) for one in spoken]
-    unknown = [(t.text, t.position) for t in tokens if t.terminal.startswith("?")]
+    unknown = [token for token in tokens if token.terminal.startswith("?")]
     if len(unknown) > MAX_UNKNOWN:
-        text, position = unknown[0]
-        raise LanguageError(f"'{text[:30]}' (word {position}): unknown word, one of too many")
+        first = unknown[0]
+        raise LanguageError(
+            f"'{first.text[:30]}' (word {first.position}): unknown word, one of too many"
+        )
     try:
         derivation, probability = load_grammar().parse([token.terminal for token in tokens])
     except NoParseError as error:
-        raise LanguageError(explain(tokens, error.index)) from None
+        raise explain(tokens, error.index) from None
     builder = TreeBuilder([t.text for t in tokens], [t.position for t in tokens])
     clauses = resolve(builder.build(derivation))
     check(clauses, {position for _, position in builder.unknown})
     clauses = join_constraints(clauses)
-    unknown = [
-        (t.text, t.position) for t in tokens if t.terminal in (UNKNOWN, UNKNOWN_ADVERB, UNKNOWN_ING)
-    ]
     return Parse(
         instruction=text,
         clauses=tuple(clauses),
         kinds=tuple(STATEMENT if clause.label == "S" else COMMAND for clause in clauses),
         unknown_words=tuple(builder.unknown),
         repairs=tuple(reader.repairs),
+        probability=probability,
         rewrites=tuple(rewrites),
         unread=tuple(unread),
-        probability=probability,
     )
+
+
+def _with_nearest(error: LanguageError, heard: list[Spoken]) -> LanguageError:
+    """Add to a refusal the nearest sentence that can be read, where there is one."""
+    position = error.position or 0
+    blamed = next((one.text for one in heard if one.position == position), "")
+
+    def can_read(text: str) -> bool:
+        try:
+            found = parse(text, is_nearest_offered=False)
+        except LanguageError:
+            return False
+        return COMMAND in found.kinds and not found.unknown_words
+
+    near = offer(heard, position, is_contrary=is_contrary(blamed), can_read=can_read)
+    line = f"{error}; I can read '{near}'"
+    return error if near is None or len(line) > _LONGEST_LINE else LanguageError(line)

@@ -17,9 +17,15 @@ STATEMENT = "statement"
 class LanguageError(ValueError):
     """A sentence that is refused; the message is one line naming the word and its position."""
 
-    def __init__(self, message: str) -> None:
-        """Keep the message; what it repeats of the sentence cannot act on a terminal."""
+    def __init__(self, message: str, *, position: int | None = None) -> None:
+        """Keep the message; what it repeats of the sentence cannot act on a terminal.
+
+        Args:
+            message: the line.
+            position: of the word that stands in the way, where there is one.
+        """
         super().__init__(printable(message))
+        self.position = position
 
 
 @dataclass(frozen=True, kw_only=True)

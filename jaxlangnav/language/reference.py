@@ -114,7 +114,11 @@ def _is_definite(leaf: Phrase) -> bool:
     others = {"other", "anaphor", "place", SAME}
     senses = {sense for word in leaf.words for sense in word.senses}
     texts = [word.text for word in leaf.words]
-    return bool({"the", "that", "this"} & set(texts)) and leaf.words[-1].tag == "NN" and not senses & others
+    return (
+        bool({"the", "that", "this"} & set(texts))
+        and leaf.words[-1].tag == "NN"
+        and not senses & others
+    )
 
 
 def _said_of(statement: Phrase) -> tuple[Phrase, ...]:

@@ -1,8 +1,9 @@
 """Labelled sentences against what the trained graph makes of them (section 4.1).
 
 A sentence is right where it says of the world what its label says, and where each of its commands
-asks for the same, nothing asked twice: that is tried in a world made of the things of the label, which are related as
-the label has it, and of one more of each type of which something is said, which is not.
+asks for the same, nothing asked twice: that is tried in a world made of the things of the label,
+which are related as the label has it, and of one more of each type of which something is said,
+which is not.
 """
 
 import dataclasses
@@ -259,9 +260,7 @@ def _asked(instruction: Instruction, world: World) -> list[_Asked]:
 
 def _slots(meaning: Meaning) -> list[int]:
     """List whose type each slot has: each thing, and another one of it if something is said."""
-    figures = dict.fromkeys(
-        meaning.reading.types[one.figure] for one in meaning.reading.relations
-    )
+    figures = dict.fromkeys(meaning.reading.types[one.figure] for one in meaning.reading.relations)
     return [*range(len(meaning.reading.types)), *map(meaning.reading.types.index, figures)]
 
 
