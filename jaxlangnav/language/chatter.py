@@ -89,9 +89,8 @@ def _tells(words: Sequence[str]) -> bool:
 
 
 def _is_of_grammar(words: Sequence[str]) -> bool:
-    """Tell whether the grammar itself reads words around a command: "please", "thank you"."""
-    entries = load_lexicon().entries
-    return any(tuple(words) in entries[name] for name in ("opener", "closer"))
+    """Tell whether the grammar itself reads words after a command: "please", "thank you"."""
+    return tuple(words) in load_lexicon().entries["closer"]
 
 
 def _is_small_talk(part: Part) -> bool:
