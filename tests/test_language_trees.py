@@ -208,7 +208,7 @@ REFUSED = {
     "walk along the building": ("along", 2),
     "go between the cone and the car": ("between", 2),
     "go by the cone": ("by", 2),
-    "turn right at the building and go to the bench": ("turn", 1),
+    "turn right at the building and go to the bench": ("turn right", 1),
     "go to it": ("it", 3),
     "come to me": ("me", 3),
     "go to my left": ("my", 3),
