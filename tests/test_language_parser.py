@@ -201,7 +201,8 @@ PIECES = [
 def test_trees_hold_every_word_of_the_sentence(pieces):
     text = " ".join(pieces)
     found = outcome(text)
-    if isinstance(found, Parse):
+    # What is read as something else is told as such (test_language_rewriting.py).
+    if isinstance(found, Parse) and not (found.rewrites or found.unread):
         check_nothing_is_dropped(text, found)
 
 

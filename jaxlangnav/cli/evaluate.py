@@ -1,25 +1,33 @@
-"""``jaxlangnav evaluate``: Table 1, how often whole sentences are understood (section 4.1)."""
+"""``jaxlangnav evaluate``: how often whole sentences are understood (section 4.1)."""
 
 import dataclasses
+from pathlib import Path
 
 from jaxlangnav.cli.checks import check_at_least, check_seed
 from jaxlangnav.cli.errors import UsageError
+from jaxlangnav.cli.metavars import File
 from jaxlangnav.cli.output import Document, Output
 from jaxlangnav.cli.runtime import keep_compiled_programs, progress_bar
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Evaluate:
-    """Measure understanding by the paper's protocol: Table 1.
+    """Measure understanding by the paper's protocol: Table 1. Or score sentences of your own.
 
     39 labelled sentences, random splits of 67 to 33 percent, a sentence counts where every symbol
     at its root is right. The three commands of Table 2 are in none of them.
 
+    With --sentences: how many of a file's sentences are read as labelled, refused, and read
+    wrongly, by construction, and the worst of them. docs/language.md has the format.
+
     Examples:
       jaxlangnav evaluate
       jaxlangnav evaluate --splits 200 --json
+      jaxlangnav evaluate --sentences tests/sentences.jsonl
     """
 
+    sentences: File = None
+    """Labelled sentences, one JSON object a line: score these, and leave Table 1 out."""
     splits: int = 8
     """Random splits; the paper has 8."""
     seed: int = 0
@@ -39,6 +47,8 @@ class Evaluate:
             raise UsageError("--beams needs at least one width")
         for beam in self.beams:
             check_at_least("--beams", beam, 1)
+        if self.sentences is not None:
+            return self._score(self.sentences, output)
         keep_compiled_programs()
         from jaxlangnav.experiments.table1 import evaluate, table_1
 
@@ -52,3 +62,20 @@ class Evaluate:
             )
         output.say(table_1(document).text())
         return document
+
+    def _score(self, path: Path, output: Output) -> Document:
+        """Score a file of labelled sentences."""
+        from jaxlangnav.task.labelled import read_sentences
+
+        sentences = read_sentences(path)
+        keep_compiled_programs()
+        from jaxlangnav.grounding.weights import load_shipped
+        from jaxlangnav.task.scored import render_scores, score_sentences, summarize_scores
+
+        with progress_bar("sentences", len(sentences)) as advance:
+            document = summarize_scores(score_sentences(sentences, load_shipped(), advance))
+        table, lines = render_scores(document)
+        output.say(table)
+        for line in lines:
+            output.say(line)
+        return {"file": str(path), **document}

@@ -33,6 +33,11 @@ def parse_text(text: str, output: Output) -> "Parse":
     parsed = parse(text)
     for written, meant in parsed.repairs:
         output.note(f'note: "{written}" is read as "{meant}"')
+    for said, meant in parsed.rewrites:
+        if meant:
+            output.note(f"note: '{said}' read as '{meant}'")
+    for left in parsed.unread:
+        output.note(f"note: '{left}' says nothing of the task; left out")
     for word, position in parsed.unknown_words:
         output.note(f'note: "{word}" (word {position}) is not in the lexicon')
     return parsed

@@ -237,3 +237,26 @@ def _read_command(document: Mapping[str, Any], index: Mapping[str, int], path: s
         thing=thing,
         avoid=avoid,
     )
+
+
+def read_meaning(document: Any, *, path: str) -> tuple[FormReading, tuple[str, ...]]:
+    """Read one reading by itself, without a probability: what a labelled sentence means.
+
+    Args:
+        document: as ``json`` has read it; a ``reading`` of the schema but for its probability.
+        path: JSON path of the document, for refusals.
+
+    Returns:
+        The reading, and the object types that it names, in the order of its indices.
+
+    Raises:
+        ValueError: a field cannot be; one line with its JSON path.
+    """
+    schema = annotation_schema()
+    whole = schema["$defs"]["reading"]
+    fields = {name: one for name, one in whole["properties"].items() if name != "probability"}
+    validate(
+        document, {**whole, "properties": fields, "required": ["things"]}, root=schema, path=path
+    )
+    names = tuple(dict.fromkeys(thing["type"] for thing in document["things"]))
+    return _read({**document, "probability": 1.0}, names, path), names

@@ -70,11 +70,15 @@ class GraphGrounder:
         del context  # a sentence of the controlled language is understood by itself
         understood = understand(text, self.model)
         understood.check_task()
+        unread = tuple(
+            f"left out, as it says nothing of the task: '{text}'"
+            for text in understood.parse.unread
+        )
         unknown = ", ".join(f"'{word}'" for word in understood.unknown_words)
         return Grounded(
             instruction=understood.instruction,
             annotations=tuple(understood.annotations),
-            notes=(f"not in the lexicon, and read by what they look like: {unknown}",)
+            notes=(f"not in the lexicon, and read by what they look like: {unknown}", *unread)
             if unknown
-            else (),
+            else unread,
         )

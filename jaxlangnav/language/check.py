@@ -17,7 +17,7 @@ def _type_of(word: Word) -> str | None:
 def _refuse(words: list[Word], reason: str) -> LanguageError:
     text = " ".join(word.text[:30] for word in words)
     where = f"word {words[0].position}"
-    return LanguageError(f"'{text}' ({where}): {reason}")
+    return LanguageError(f"'{text}' ({where}): {reason}", position=words[0].position)
 
 
 def _check_compound(phrase: Phrase) -> None:
@@ -82,10 +82,10 @@ def _check_mode(clause: Phrase) -> None:
         )
 
 
-def _check_start(clause: Phrase) -> None:
+def _check_start(clause: Phrase, unknown: set[int]) -> None:
     """Refuse a later clause that begins with an unknown verb and no connective before it."""
     first = clause.words[:1]
-    if first and first[0].tag == "VB" and not first[0].senses:
+    if first and first[0].tag == "VB" and first[0].position in unknown:
         raise _refuse(
             list(first),
             "unknown word; it may be a verb or a mistyped relation: say it in other words",
@@ -103,7 +103,7 @@ def check(clauses: list[Phrase], unknown: set[int]) -> None:
         LanguageError: one line naming the words.
     """
     for clause in clauses[1:]:
-        _check_start(clause)
+        _check_start(clause, unknown)
     for clause in clauses:
         for phrase in clause.walk():
             if phrase.label == "NP":

@@ -34,6 +34,13 @@ REASONS = {
     "say to go to, stop at, find or stay away from something",
     "such a relation": "this relation is not supported here; "
     "say near, behind, in front of, left of, right of or far from",
+    "a turn": "turns alone are not carried out; say where to go, as in 'go to your left'",
+    "a distance": "distances are not measured out; say where to end, as in 'go behind the cone'",
+    "the compass": "where north is, is not known to the robot; say left, right, ahead or behind",
+    "two sides": "in front of it or behind it? say which",
+    "between": "places between two things are not supported; say near one of them",
+    "a part": "parts of things are not told apart; say near, behind or in front of it",
+    "amends": "what is taken back is not clear; give the command anew",
     "the speaker's own place": "where you are is not known to the robot; "
     "name an object, or say 'your left' for its own left",
 }
@@ -56,6 +63,7 @@ class Lexicon:
     type_names: tuple[str, ...]  # object types; position is the type index
     entries: dict[str, dict[tuple[str, ...], Entry]]  # class → words → entry
     refused: dict[str, str]  # word → why
+    refused_expressions: dict[tuple[str, ...], str] = field(default_factory=dict)  # words → why
     tags: dict[str, str] = field(default_factory=dict)  # word → Penn tag in expressions
 
     @property
@@ -206,12 +214,17 @@ def read_lexicon(text: str, own: str | None = None) -> Lexicon:
     for name, table in document["class"].items():
         builder.add_class(name, table)
     refused: dict[str, str] = {}
-    for reason, words in document["refused"].items():
-        for word in words:
-            refused.setdefault(word, REASONS[reason])
+    expressions: dict[tuple[str, ...], str] = {}
+    for reason, listed in document["refused"].items():
+        for words in map(str.split, listed):
+            if len(words) > 1:
+                expressions[tuple(words)] = REASONS[reason]
+            else:
+                refused.setdefault(words[0], REASONS[reason])
     return Lexicon(
         type_names=tuple(document["types"]),
         entries=builder.entries,
         refused=refused,
+        refused_expressions=expressions,
         tags=document["tags"],
     )

@@ -21,7 +21,10 @@ LONGEST_WORD = 30
 """Letters of one word."""
 _OPEN = frozenset({"adj", "nmod", "adv", "foreign", "place_noun"})
 """Classes whose words may be names of things as well: "the light", "the park"."""
-_MEANT = frozenset({"such an action", "such a relation", "path", "containment"})
+_MEANT = frozenset(
+    {"such an action", "such a relation", "path", "containment", "a turn", "the compass"}
+    | {"two sides", "between"}
+)
 """Reasons for which words are refused that somebody may give a meaning of their own."""
 _MARKS = frozenset({"comma", "fullstop", "robot"})
 """What stands for something else within the grammar and the labels."""

@@ -8,6 +8,7 @@ and the parser is polynomial.
 
 from functools import cache
 
+from jaxlangnav.language.chatter import leave_out
 from jaxlangnav.language.check import check
 from jaxlangnav.language.constraint import join_constraints
 from jaxlangnav.language.grammar import (
@@ -19,12 +20,21 @@ from jaxlangnav.language.grammar import (
     NoParseError,
     load_grammar,
 )
-from jaxlangnav.language.lexicon import TYPE_CLASS, load_lexicon
+from jaxlangnav.language.lexicon import REASONS, TYPE_CLASS, load_lexicon
+from jaxlangnav.language.nearest import offer
 from jaxlangnav.language.phrase import COMMAND, STATEMENT, LanguageError, Parse
 from jaxlangnav.language.reference import resolve
-from jaxlangnav.language.refusal import Token, explain
+from jaxlangnav.language.refusal import Token, explain, is_contrary
+from jaxlangnav.language.rewriting import join_contractions, rewrite
 from jaxlangnav.language.spelling import repair
-from jaxlangnav.language.tokens import TOKEN, plainly
+from jaxlangnav.language.tokens import (
+    COMMA_MARK,
+    FULLSTOP_MARK,
+    MARKS,
+    TOKEN,
+    Spoken,
+    plainly,
+)
 from jaxlangnav.language.tree import TreeBuilder
 
 MAX_CHARACTERS = 10_000
@@ -32,21 +42,23 @@ MAX_WORDS = 64
 MAX_UNKNOWN = 8  # more guesses than this are no reading, and their trees are very many
 _IGNORED = set("\"'()[]*`“”")
 _COMMAS = {",", ":", "-", "–", "—"}
+_LONGEST_LINE = 199
+"""Characters of a refusal with the sentence that it offers."""
+_SIGNS = {"&": "and"}
 
 
 class _Reader:
-    """Splits text into tokens, repairing and marking what the lexicon does not know."""
+    """Splits text into words and marks, repairing what is mistyped."""
 
     def __init__(self) -> None:
-        self.lexicon = load_lexicon()
         self.vocabulary = _vocabulary()
-        self.tokens: list[Token] = []
+        self.tokens: list[Spoken] = []
         self.repairs: list[tuple[str, str]] = []
         self.num_words = 0
 
     def read(self, text: str) -> None:
         """Read all of a text."""
-        text = plainly(text)
+        text = join_contractions(plainly(text))
         if len(text) > 2 * MAX_CHARACTERS:  # some signs stand for whole words
             raise LanguageError(
                 f"the instruction has more than {MAX_CHARACTERS} characters; shorten it"
@@ -54,19 +66,19 @@ class _Reader:
         for match in TOKEN.finditer(text):
             piece = match.group()
             if piece[0] in ".!?;" or piece in _COMMAS:
-                self._mark(COMMA if piece in _COMMAS else FULLSTOP)
+                self._mark(COMMA_MARK if piece in _COMMAS else FULLSTOP_MARK)
             elif piece not in _IGNORED:
-                for word in self._split(piece):
+                for word in self._split(_SIGNS.get(piece, piece)):
                     self._word(word)
-        while self.tokens and self.tokens[-1].terminal in (COMMA, FULLSTOP):
+        while self.tokens and self.tokens[-1].text in MARKS:
             self.tokens.pop()
 
-    def _mark(self, terminal: str) -> None:
+    def _mark(self, mark: str) -> None:
         """Add punctuation; a run of marks is its last, and none stands at the beginning."""
-        if self.tokens and self.tokens[-1].terminal in (COMMA, FULLSTOP):
+        if self.tokens and self.tokens[-1].text in MARKS:
             self.tokens.pop()
         if self.tokens:
-            self.tokens.append(Token(text="", terminal=terminal, position=self.num_words))
+            self.tokens.append(Spoken(text=mark, position=self.num_words))
 
     def _split(self, piece: str) -> list[str]:
         """Part "cone's" and hyphened words of which the lexicon knows the parts."""
@@ -81,21 +93,27 @@ class _Reader:
         return parts if len(parts) > 1 and set(parts) <= self.vocabulary else [piece]
 
     def _word(self, word: str) -> None:
-        """Add a word: known, repaired, or marked unknown."""
+        """Add a word, repaired where it is mistyped."""
         self.num_words += 1
         if self.num_words > MAX_WORDS:
             raise LanguageError(f"the instruction has more than {MAX_WORDS} words; shorten it")
-        if not word[0].isalpha() and word not in self.vocabulary:
-            raise LanguageError(_symbol_message(word, self.num_words))
-        terminal = word
-        if word not in self.vocabulary:
-            repaired = repair(word)
-            if repaired is None:
-                terminal = _unknown_mark(word)
-            else:
-                self.repairs.append((word, repaired))
-                word = terminal = repaired
-        self.tokens.append(Token(text=word, terminal=terminal, position=self.num_words))
+        is_known = word in self.vocabulary or not word[0].isalpha()
+        repaired = None if is_known else repair(word)
+        if repaired is not None:
+            self.repairs.append((word, repaired))
+        self.tokens.append(Spoken(text=repaired or word, position=self.num_words))
+
+
+def _to_token(spoken: Spoken) -> Token:
+    """Say what a word or a mark can be to the grammar."""
+    terminal = {COMMA_MARK: COMMA, FULLSTOP_MARK: FULLSTOP}.get(spoken.text, spoken.text)
+    if spoken.text not in MARKS and spoken.text not in _vocabulary():
+        terminal = _unknown_mark(spoken.text)
+    return Token(
+        text="" if spoken.text in MARKS else spoken.text,
+        terminal=terminal,
+        position=spoken.position,
+    )
 
 
 @cache
@@ -110,11 +128,21 @@ def _vocabulary() -> frozenset[str]:
     return load_lexicon().vocabulary
 
 
-def _symbol_message(symbol: str, position: int) -> str:
-    what = "this sign is not supported; use words"
-    if symbol[0].isdigit():
-        what = "numbers are not supported; name a place, as in 'behind the cone'"
-    return f"'{symbol[:30]}' (word {position}): {what}"
+def _check_symbols(spoken: list[Spoken]) -> None:
+    """Refuse numbers and signs."""
+    for index, one in enumerate(spoken):
+        if one.text in MARKS or one.text[0].isalpha() or one.text in _vocabulary():
+            continue
+        what = "this sign is not supported; use words"
+        if one.text[0].isdigit():
+            what = "numbers are not supported; name a place, as in 'behind the cone'"
+            following = spoken[index + 1].text if index + 1 < len(spoken) else ""
+            refused = load_lexicon().refused
+            if refused.get(following) == REASONS["a distance"] or one.text[-1] == "m":
+                what = REASONS["a distance"]
+        raise LanguageError(
+            f"'{one.text[:30]}' (word {one.position}): {what}", position=one.position
+        )
 
 
 def _unknown_mark(word: str) -> str:
@@ -126,11 +154,12 @@ def _unknown_mark(word: str) -> str:
     return UNKNOWN
 
 
-def parse(text: str) -> Parse:
+def parse(text: str, *, is_nearest_offered: bool = True) -> Parse:
     """Parse an instruction of one or more clauses.
 
     Args:
         text: what the person typed, at most 10,000 characters.
+        is_nearest_offered: whether a refusal names the nearest sentence that can be read.
 
     Returns:
         The most probable phrase trees, what was unknown and what was repaired.
@@ -145,24 +174,36 @@ def parse(text: str) -> Parse:
         raise LanguageError(f"the instruction has more than {MAX_CHARACTERS} characters")
     reader = _Reader()
     reader.read(text)
-    tokens = reader.tokens
-    if not tokens:
+    if not reader.tokens:
         raise LanguageError("the instruction is empty")
-    unknown = [(t.text, t.position) for t in tokens if t.terminal.startswith("?")]
+    try:
+        return _read(text, reader)
+    except LanguageError as error:
+        if error.position is None or not is_nearest_offered:
+            raise
+        raise _with_nearest(error, reader.tokens) from None
+
+
+def _read(text: str, reader: _Reader) -> Parse:
+    """Read the words of an instruction."""
+    heard, unread = leave_out(reader.tokens)
+    spoken, rewrites = rewrite(heard)
+    _check_symbols(spoken)
+    tokens = [_to_token(one) for one in spoken]
+    unknown = [token for token in tokens if token.terminal.startswith("?")]
     if len(unknown) > MAX_UNKNOWN:
-        text, position = unknown[0]
-        raise LanguageError(f"'{text[:30]}' (word {position}): unknown word, one of too many")
+        first = unknown[0]
+        raise LanguageError(
+            f"'{first.text[:30]}' (word {first.position}): unknown word, one of too many"
+        )
     try:
         derivation, probability = load_grammar().parse([token.terminal for token in tokens])
     except NoParseError as error:
-        raise LanguageError(explain(tokens, error.index)) from None
+        raise explain(tokens, error.index) from None
     builder = TreeBuilder([t.text for t in tokens], [t.position for t in tokens])
     clauses = resolve(builder.build(derivation))
     check(clauses, {position for _, position in builder.unknown})
     clauses = join_constraints(clauses)
-    unknown = [
-        (t.text, t.position) for t in tokens if t.terminal in (UNKNOWN, UNKNOWN_ADVERB, UNKNOWN_ING)
-    ]
     return Parse(
         instruction=text,
         clauses=tuple(clauses),
@@ -170,4 +211,23 @@ def parse(text: str) -> Parse:
         unknown_words=tuple(builder.unknown),
         repairs=tuple(reader.repairs),
         probability=probability,
+        rewrites=tuple(rewrites),
+        unread=tuple(unread),
     )
+
+
+def _with_nearest(error: LanguageError, heard: list[Spoken]) -> LanguageError:
+    """Add to a refusal the nearest sentence that can be read, where there is one."""
+    position = error.position or 0
+    blamed = next((one.text for one in heard if one.position == position), "")
+
+    def can_read(text: str) -> bool:
+        try:
+            found = parse(text, is_nearest_offered=False)
+        except LanguageError:
+            return False
+        return COMMAND in found.kinds and not found.unknown_words
+
+    near = offer(heard, position, is_contrary=is_contrary(blamed), can_read=can_read)
+    line = f"{error}; I can read '{near}'"
+    return error if near is None or len(line) > _LONGEST_LINE else LanguageError(line)

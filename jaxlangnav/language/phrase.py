@@ -17,9 +17,15 @@ STATEMENT = "statement"
 class LanguageError(ValueError):
     """A sentence that is refused; the message is one line naming the word and its position."""
 
-    def __init__(self, message: str) -> None:
-        """Keep the message; what it repeats of the sentence cannot act on a terminal."""
+    def __init__(self, message: str, *, position: int | None = None) -> None:
+        """Keep the message; what it repeats of the sentence cannot act on a terminal.
+
+        Args:
+            message: the line.
+            position: of the word that stands in the way, where there is one.
+        """
         super().__init__(printable(message))
+        self.position = position
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,6 +84,8 @@ class Parse:
     unknown_words: tuple[tuple[str, int], ...]  # (word, position), part of speech was guessed
     repairs: tuple[tuple[str, str], ...]  # (as typed, as read)
     probability: float  # of this tree among all trees of the sentence
+    rewrites: tuple[tuple[str, str], ...] = ()  # (as said, as read), in the order of the rules
+    unread: tuple[str, ...] = ()  # small talk and reasons, which say nothing of the task
 
     def to_dict(self) -> dict[str, Any]:
         """Build a JSON document; several clauses stand below one node labelled ROOT."""
@@ -89,5 +97,7 @@ class Parse:
             "kinds": list(self.kinds),
             "unknown_words": [{"text": t, "position": p} for t, p in self.unknown_words],
             "repairs": [{"from": a, "to": b} for a, b in self.repairs],
+            "rewrites": [{"from": a, "to": b} for a, b in self.rewrites],
+            "unread": list(self.unread),
             "probability": self.probability,
         }

@@ -114,7 +114,11 @@ def _is_definite(leaf: Phrase) -> bool:
     others = {"other", "anaphor", "place", SAME}
     senses = {sense for word in leaf.words for sense in word.senses}
     texts = [word.text for word in leaf.words]
-    return "the" in texts and leaf.words[-1].tag == "NN" and not senses & others
+    return (
+        bool({"the", "that", "this"} & set(texts))
+        and leaf.words[-1].tag == "NN"
+        and not senses & others
+    )
 
 
 def _said_of(statement: Phrase) -> tuple[Phrase, ...]:
@@ -128,19 +132,23 @@ def _restricted(leaf: Phrase, said: tuple[Phrase, ...]) -> Phrase:
     return Phrase(label="NP", words=(), children=(leaf, *said))
 
 
-def _inform(command: Phrase, statement: Phrase) -> Phrase:
-    """Let a command's bare goal have what a statement says of the same thing."""
+def _inform(command: Phrase, statement: Phrase, *, is_next: bool) -> Phrase:
+    """Let a command's bare goal have what a statement says of the same thing.
+
+    "Find a cone. It is behind the car": right after a command, "it" is what the command is about.
+    """
     figure, said = _head(statement), _said_of(statement)
     kind = None if figure is None else _type_sense(figure)
-    if kind is None or not said:
+    if figure is None or kind is None or not said:
         return command
     first = next((i for i, c in enumerate(command.children) if c.label != "VP"), None)
-    if first is None or _has(command.children[first], "relation"):
+    if first is None:
         return command
+    is_it = is_next and any(word.text == "it" for word in figure.words)
 
     def put(phrase: Phrase) -> Phrase:
         if phrase.label == "NP" and not phrase.children:
-            is_alike = _type_sense(phrase) == kind and _is_definite(phrase)
+            is_alike = _type_sense(phrase) == kind and (is_it or _is_definite(phrase))
             return _restricted(phrase, said) if is_alike else phrase
         if phrase.label == "NP":
             return phrase
@@ -167,10 +175,10 @@ def resolve(clauses: list[Phrase]) -> list[Phrase]:
     for clause in clauses:
         before = resolved[-1] if resolved else None
         resolved.append(_Resolver(before, is_statement=clause.label == "S").resolve(clause))
-    statements = [clause for clause in resolved if clause.label == "S"]
+    statements = [(i, clause) for i, clause in enumerate(resolved) if clause.label == "S"]
     for index, clause in enumerate(resolved):
-        for statement in statements:
+        for place, statement in statements:
             if clause.label == "VP":
-                clause = _inform(clause, statement)
+                clause = _inform(clause, statement, is_next=place == index + 1)
         resolved[index] = clause
     return resolved

@@ -3,8 +3,10 @@
 from dataclasses import dataclass
 
 from jaxlangnav.language.lexicon import REASONS, load_lexicon
+from jaxlangnav.language.phrase import LanguageError
 
 UNKNOWN_HERE = "unknown word, and no reading fits it; say it in other words"
+_NO_PLACE = "cannot be read here; say it in plainer words, or in commands joined by 'then'"
 _STRONG = (REASONS["negation"], REASONS["condition"])
 # Refused words that also begin supported expressions: blamed only just before the place.
 _SMALL = frozenset({"in", "of", "on", "by", "with", "from", "me", "my", "and", "off", "like"})
@@ -23,19 +25,23 @@ class Token:
     position: int  # 1-based, of words; marks have the position of the word before
 
 
-def explain(tokens: list[Token], index: int) -> str:
+def explain(tokens: list[Token], index: int) -> LanguageError:
     """Say in one line which word stands in the way.
 
-    A negation anywhere; of the words up to where no tree can go on: a condition, else the last
-    word that is unsupported or unknown, else a small word just before, else the one there.
+    A refused expression before all; a negation anywhere; of the words up to where no tree can go
+    on: a condition, else the last word that is unsupported or unknown, else a small word just
+    before, else the one there.
 
     Args:
         tokens: words and marks of the sentence.
         index: the first token that continues no tree; the number of tokens at the end.
 
     Returns:
-        The line, without a full stop.
+        The refusal; its line has no full stop.
     """
+    expression = _refused_expression(tokens, index)
+    if expression is not None:
+        return expression
     refused = load_lexicon().refused
     at_end = index >= len(tokens)
     read = [token for token in tokens[: index + 1] if token.text]
@@ -53,16 +59,44 @@ def explain(tokens: list[Token], index: int) -> str:
     for token in [first, *nearest[:1], *near[-1:]]:
         if token is not None:
             reason = reasons[token.position] or UNKNOWN_HERE
-            return f"'{token.text[:30]}' (word {token.position}): {reason}"
+            after = next((t.text for t in tokens if t.position == token.position + 1), "")
+            if refused.get(after) == REASONS["a distance"]:  # "two metres"
+                reason = refused[after]
+            return _refusal(token, reason)
     later = [t for t in tokens[index + 1 : index + 3] if t.terminal.startswith("?")]
     if stuck is not None and later:
-        text, position = later[0].text[:30], later[0].position
-        return f"'{text}' (word {position}): {UNKNOWN_HERE}"
+        return _refusal(later[0], UNKNOWN_HERE)
     if stuck is None:
         where = f"'{read[-1].text[:30]}' (word {read[-1].position})"
-        return f"the sentence breaks off after {where}; say all of it, as in 'go to the cone'"
-    where = f"'{stuck.text[:30]}' (word {stuck.position})"
-    return f"{where}: cannot be read here; say it in plainer words, or in commands joined by 'then'"
+        return LanguageError(
+            f"the sentence breaks off after {where}; say all of it, as in 'go to the cone'",
+            position=read[-1].position,
+        )
+    return _refusal(stuck, _NO_PLACE)
+
+
+def is_contrary(text: str) -> bool:
+    """Tell whether a word turns round what is said: a negation, a condition, a sign."""
+    return text == "but" or not text[:1].isalnum() or load_lexicon().refused.get(text) in _STRONG
+
+
+def _refusal(token: Token, reason: str) -> LanguageError:
+    return LanguageError(
+        f"'{token.text[:30]}' (word {token.position}): {reason}", position=token.position
+    )
+
+
+def _refused_expression(tokens: list[Token], last: int) -> LanguageError | None:
+    """Find the first expression of several words that is refused by name."""
+    refused = load_lexicon().refused_expressions
+    for index, token in enumerate(tokens[: last + 1]):
+        for words, reason in refused.items():
+            if tuple(one.text for one in tokens[index : index + len(words)]) == words:
+                named = " ".join(words)
+                return LanguageError(
+                    f"'{named}' (word {token.position}): {reason}", position=token.position
+                )
+    return None
 
 
 def _is_telling(token: Token) -> bool:

@@ -2,9 +2,21 @@
 
 import re
 import unicodedata
+from dataclasses import dataclass
 
 TOKEN = re.compile(r"[^\W\d_]+(?:['-][^\W\d_]+)*|\d+(?:st|nd|rd|th)?\b|\d[\w.]*|[.!?;]+|[,:]|\S")
 """One token: a word (with hyphens and apostrophes inside), a number, a run of marks, a sign."""
+
+MARKS = (COMMA_MARK, FULLSTOP_MARK) = (",", ".")
+"""How a pause and an end of a sentence are written among the words."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spoken:
+    """One word or mark of a sentence, before it is known what it can be."""
+
+    text: str  # small letters, typing errors repaired; or one of ``MARKS``
+    position: int  # 1-based, of words; marks have the position of the word before
 
 
 def plainly(text: str) -> str:

@@ -1,0 +1,123 @@
+"""What people say beside a command: small talk, reasons, thanks (section 3.1).
+
+"Go to the car, my friend is waiting. I left my keys there." Such parts are left out where nothing
+in them can tell what to do or which thing is meant: no known thing, no relation, no order, nobody
+addressed. Whatever is left out is reported, and what is not surely small talk stays and is read,
+or refused, with the rest. The words that decide stand in ``data/chatter.toml``.
+"""
+
+import tomllib
+from collections.abc import Sequence
+from functools import cache
+from importlib import resources
+
+from jaxlangnav.language.lexicon import TYPE_CLASS, load_lexicon
+from jaxlangnav.language.tokens import MARKS, Spoken
+
+Part = list[Spoken]
+
+
+@cache
+def _words() -> dict[str, frozenset[str]]:
+    """Read the lists of words."""
+    text = resources.files("jaxlangnav.language").joinpath("data/chatter.toml").read_text("utf-8")
+    return {name: frozenset(words) for name, words in tomllib.loads(text).items()}
+
+
+@cache
+def _names() -> frozenset[str]:
+    """Collect the words of names of known things."""
+    return frozenset(word for key in load_lexicon().entries[TYPE_CLASS] for word in key)
+
+
+def leave_out(tokens: Sequence[Spoken]) -> tuple[list[Spoken], list[str]]:
+    """Leave small talk and reasons out of a sentence.
+
+    Args:
+        tokens: words and marks.
+
+    Returns:
+        What is left to be read, all of it where nothing would be; and what has been left out.
+    """
+    parts = _parts(tokens)
+    kept: list[Spoken] = []
+    dropped: list[str] = []
+    for index, (part, mark) in enumerate(parts):
+        later = {token.text for other, _ in parts[index + 1 :] for token in other}
+        rest, reason = _without_reason(part)
+        if _is_small_talk(part) and not later & _words()["referring"]:
+            dropped.append(_text(part))
+            if kept and kept[-1].text == "," and mark is not None:
+                kept[-1] = mark
+            continue
+        if reason:
+            dropped.append(_text(reason))
+        kept += rest
+        if mark is not None:
+            kept.append(mark)
+    while kept and kept[-1].text in MARKS:
+        kept.pop()
+    return (kept, dropped) if kept else (list(tokens), [])
+
+
+def _text(part: Part) -> str:
+    return " ".join(token.text for token in part)
+
+
+def _parts(tokens: Sequence[Spoken]) -> list[tuple[Part, Spoken | None]]:
+    """Split a sentence at its marks; each part with the mark behind it."""
+    parts: list[tuple[Part, Spoken | None]] = []
+    part: Part = []
+    for token in tokens:
+        if token.text in MARKS:
+            parts.append((part, token))
+            part = []
+        else:
+            part.append(token)
+    return [*parts, (part, None)] if part else parts
+
+
+def _tells(words: Sequence[str]) -> bool:
+    """Tell whether words could say what to do or which thing is meant."""
+    if _names().intersection(words) or _words()["telling"].intersection(words):
+        return True
+    # "I left my keys": a verb there, and a side nearly everywhere else.
+    return any(
+        word in ("left", "right") and (index == 0 or words[index - 1] not in _words()["people"])
+        for index, word in enumerate(words)
+    )
+
+
+def _is_of_grammar(words: Sequence[str]) -> bool:
+    """Tell whether the grammar itself reads words after a command: "please", "thank you"."""
+    return tuple(words) in load_lexicon().entries["closer"]
+
+
+def _is_small_talk(part: Part) -> bool:
+    """Tell whether a part of a sentence is about something else."""
+    words, lists = [token.text for token in part], _words()
+    if not words or _tells(words) or _is_of_grammar(words):
+        return False
+    if lists["praise"].issuperset(words) and lists["praising"].intersection(words):
+        return True
+    if _text(part) in lists["greetings"]:
+        return True
+    for opening in sorted(lists["weather_openings"], key=len, reverse=True):
+        rest = words[len(opening.split()) :]
+        if words[: len(opening.split())] == opening.split() and rest:
+            return lists["weather"].issuperset(rest) or (
+                rest[0] == "where" and not lists["wishing"].intersection(rest)
+            )
+    return words[0] in lists["openings"] and not lists["wishing"].intersection(words)
+
+
+def _without_reason(part: Part) -> tuple[Part, Part]:
+    """Part a command from the reason that follows it: "because it's shady", "so I can rest"."""
+    words, lists = [token.text for token in part], _words()
+    for index in range(2, len(words) - 1):
+        is_because = words[index] in lists["because"]
+        is_so = words[index] == "so" and words[index + 1] in (*lists["people"], "that")
+        reason = words[index + 1 :]
+        if (is_because or is_so) and not _tells(reason) and "you" not in reason:
+            return part[:index], part[index:]
+    return part, []

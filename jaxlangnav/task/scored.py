@@ -1,0 +1,136 @@
+"""How many labelled sentences are read as labelled, refused, and read wrongly (section 4.1)."""
+
+import dataclasses
+from collections import Counter
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+
+from jaxlangnav.grounding.instruction import GroundingModel, understand
+from jaxlangnav.task.compared import difference
+from jaxlangnav.task.labelled import LabelledSentence
+
+RIGHT, REFUSED, WRONG = OUTCOMES = ("right", "refused", "wrong")
+WORST_SHOWN = 40
+"""Sentences listed below the table; the document has all that are not right."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Score:
+    """What became of one sentence."""
+
+    sentence: LabelledSentence
+    outcome: str
+    why: str  # the refusal, or what differs; empty where it is right
+    confidence: float  # probability of the likeliest reading; 0 of a refusal
+
+
+def score_sentences(
+    sentences: Sequence[LabelledSentence],
+    model: GroundingModel,
+    on_progress: Callable[[int], None] | None = None,
+) -> list[Score]:
+    """Score labelled sentences.
+
+    Args:
+        sentences: with what they mean.
+        model: the trained models.
+        on_progress: told after each sentence.
+
+    Returns:
+        Their scores, in order.
+    """
+    scores = []
+    for sentence in sentences:
+        scores.append(_score(sentence, model))
+        if on_progress is not None:
+            on_progress(1)
+    return scores
+
+
+def summarize_scores(scores: Sequence[Score]) -> dict[str, Any]:
+    """Count scores.
+
+    Args:
+        scores: of ``score_sentences``.
+
+    Returns:
+        A JSON document: counts of all and by construction, and what is not right, worst first: a
+        wrong reading before a refusal, the surer the worse.
+    """
+    names = dict.fromkeys(score.sentence.construction for score in scores)
+    by_name = {n: [one for one in scores if one.sentence.construction == n] for n in names}
+    missed = [score for score in scores if score.outcome != RIGHT]
+    missed.sort(key=lambda one: (one.outcome != WRONG, -one.confidence, one.sentence.line))
+    return {
+        **_count(scores),
+        "by_construction": {name: _count(ones) for name, ones in by_name.items()},
+        "worst": [
+            {
+                "line": one.sentence.line,
+                "text": one.sentence.text,
+                "construction": one.sentence.construction,
+                "outcome": one.outcome,
+                "why": one.why,
+                "confidence": round(one.confidence, 4),
+            }
+            for one in missed
+        ],
+    }
+
+
+def render_scores(document: dict[str, Any]) -> tuple[Table, list[str]]:
+    """Draw the table for people, and the lines below it.
+
+    Args:
+        document: of ``summarize_scores``.
+
+    Returns:
+        A rich table; a line for each of the worst sentences.
+    """
+    table = Table(title="Sentences as labelled, right or rightly refused")
+    table.add_column("construction")
+    for name in ("sentences", *OUTCOMES, "right %"):
+        table.add_column(name, justify="right")
+    rows = [*document["by_construction"].items(), ("all", document)]
+    for name, row in rows:
+        cells = [str(row[one]) for one in ("sentences", *OUTCOMES)]
+        table.add_row(name or "-", *cells, f"{row['right_share']:.1f}")
+    worst = document["worst"]
+    lines = [
+        f"{one['outcome']}, line {one['line']}: {one['text']}\n    {one['why']}"
+        for one in worst[:WORST_SHOWN]
+    ]
+    if len(worst) > WORST_SHOWN:
+        lines.append(f"and {len(worst) - WORST_SHOWN} more: --json lists them all")
+    return table, lines
+
+
+def _count(scores: Sequence[Score]) -> dict[str, Any]:
+    """Count the outcomes of some sentences."""
+    counts = Counter(score.outcome for score in scores)
+    share = 100.0 * counts[RIGHT] / max(len(scores), 1)
+    return {
+        "sentences": len(scores),
+        **{outcome: counts[outcome] for outcome in OUTCOMES},
+        "right_share": round(share, 2),
+    }
+
+
+def _score(sentence: LabelledSentence, model: GroundingModel) -> Score:
+    """Score one sentence."""
+    meaning = sentence.meaning
+    try:
+        understood = understand(sentence.text, model)
+        if meaning is None or meaning.reading.commands:
+            understood.check_task()
+    except ValueError as error:
+        outcome = RIGHT if meaning is None else REFUSED
+        return Score(sentence, outcome, "" if meaning is None else str(error), 0.0)
+    confidence = float(np.exp(understood.instruction.readings.log_probability[0]))
+    if meaning is None:
+        return Score(sentence, WRONG, "was read, but must be refused", confidence)
+    why = difference(meaning, understood)
+    return Score(sentence, WRONG if why else RIGHT, why, confidence)

@@ -1,0 +1,104 @@
+"""Wordings read as other wordings, small talk left out, and what a refusal offers."""
+
+import pytest
+
+from jaxlangnav.language.parser import parse
+from jaxlangnav.language.phrase import LanguageError
+from jaxlangnav.language.rewriting import load_rewrites, read_rewrites
+
+
+def tree(text: str) -> list[str]:
+    return [str(clause) for clause in parse(text).clauses]
+
+
+@pytest.mark.parametrize(
+    ("said", "plain"),
+    [
+        ("keep going until you reach the cone", "go to the cone"),
+        ("drive slowly till you get to the cone", "slowly go to the cone"),
+        ("move forward and stop next to the car", "stop next to the car"),
+        ("drop us off behind the car", "stop behind the car"),
+        ("go to the bench, no, the tree", "go to the tree"),
+        ("go to the cone and the tree", "go to the cone then the tree"),
+        ("go to the tree because it's shady", "go to the tree"),
+        ("i am tired. go to the bench", "go to the bench"),
+        ("go to the tree but don't go near the car", "go to the tree but avoid the car"),
+        ("move away form the cone", "move away from the cone"),
+        ("let 's go to teh cone", "let's go to the cone"),
+    ],
+)
+def test_one_meaning_has_one_tree(said, plain):
+    assert tree(said) == tree(plain)
+
+
+def test_what_is_read_as_something_else_is_told():
+    found = parse("keep going until you reach the cone, my friend is waiting")
+    assert found.rewrites == (("keep going until you reach", "go to"),)
+    assert found.unread == ("my friend is waiting",)
+    assert found.to_dict()["unread"] == ["my friend is waiting"]
+    assert parse("go to the cone").rewrites == ()
+
+
+def test_words_keep_the_places_where_they_were_said():
+    words = parse("keep going until you reach the cone").clauses[0].all_words()
+    assert [(word.text, word.position) for word in words] == [
+        ("go", 1), ("to", 2), ("the", 6), ("cone", 7),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "i lost my dog, go to the tree and look for it",  # "it" is no tree
+        "go to the car because the cone is near it",  # tells which one
+        "go to the cone behind the car uh the tree",  # in whose place?
+        "go to the cone near the car and the tree",  # near both, or to both?
+        "go from the tree to the cone",
+        "go to the cone, unless it's raining",
+        "stop when you see the car",
+    ],
+)
+def test_what_would_be_a_guess_is_refused(text):
+    with pytest.raises(LanguageError):
+        parse(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "begins", "offered"),
+    [
+        ("go to the box on the bench", "'on' (word 5)", "go to the box"),
+        ("go past the hydrant to the tree", "'past' (word 2)", "go to the tree"),
+        ("park opposite the house", "'opposite' (word 2)", "park near the house"),
+        ("go to my car", "'my' (word 3)", "go to the car"),
+        ("go to the cone or the tree", "'or' (word 5)", "go to the cone"),
+        ("go forward two metres", "'two' (word 3): distances", "go forward"),
+        ("dont go to the tree, go to the bench", "'dont' (word 1)", "go to the bench"),
+        ("turn left", "'turn left' (word 1): turns", None),
+        ("go anywhere but the car", "'but' (word 3)", None),
+        ("do not go to the tree", "'not' (word 2)", None),
+    ],
+)
+def test_a_refusal_names_the_cause_and_offers_what_can_be_read(text, begins, offered):
+    with pytest.raises(LanguageError) as error:
+        parse(text)
+    line = str(error.value)
+    assert line.startswith(begins)
+    assert line.endswith(f"I can read '{offered}'") == (offered is not None)
+    assert ("I can read" in line) == (offered is not None)
+    if offered is not None:
+        assert parse(offered).clauses
+
+
+def test_rules_do_not_feed_themselves():
+    text = "[slips]\n[sets]\n[[rules]]\nsaid = 'go'\nread = 'go go'\n"
+    assert len(read_rewrites(text).rules) == 1
+    assert all(rule.said.groups >= 0 for rule in load_rewrites().rules)
+    assert parse("go to the cone " + "and then to the cone " * 8).clauses
+
+
+@pytest.mark.parametrize("slip", sorted(load_rewrites().slips))
+def test_a_slip_is_no_word(slip):
+    from jaxlangnav.language.lexicon import load_lexicon
+
+    assert slip not in load_lexicon().vocabulary
+    assert load_rewrites().slips[slip] in load_lexicon().vocabulary

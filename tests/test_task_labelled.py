@@ -1,0 +1,115 @@
+"""Labelled sentences: the format, its refusals, and how readings are scored."""
+
+import json
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from jaxlangnav.cli import main as cli
+from jaxlangnav.grounding.weights import load_shipped
+from jaxlangnav.task.labelled import read_sentences
+from jaxlangnav.task.scored import render_scores, score_sentences, summarize_scores
+
+HERE = Path(__file__).parent
+
+
+def thing(name: str, ident: str = "a") -> dict[str, str]:
+    return {"id": ident, "type": name}
+
+
+CONE = {"things": [thing("cone")], "commands": [{"goal": {"thing": "a"}}]}
+
+
+def write(path: Path, *lines: object) -> Path:
+    path.write_text("\n".join(x if isinstance(x, str) else json.dumps(x) for x in lines))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("{", "is no valid JSON"),
+        ("[]", "must be an object with text and label"),
+        ({"text": "go"}, "label is missing"),
+        ({"label": "refuse"}, "text is missing"),
+        ({"text": 3, "label": "refuse"}, "text is 3"),
+        ({"text": "go", "label": "refused"}, "must be 'refuse' or an object"),
+        ({"text": "go", "label": "refuse", "note": ""}, "has 'note'"),
+        ({"text": "go", "label": {"things": [], "probability": 1}}, "probability"),
+        ({"text": "go", "label": {**CONE, "commands": [{"goal": {"thing": "b"}}]}}, "goal.thing"),
+    ],
+)
+def test_a_bad_line_is_refused_by_file_and_line(tmp_path, line, expected, capsys):
+    file = write(tmp_path / "own.jsonl", {"text": "go", "label": "refuse"}, "", line)
+    with pytest.raises(ValueError, match=r"own\.jsonl:3: ") as error:
+        read_sentences(file)
+    assert expected in str(error.value)
+    assert cli.main(["evaluate", "--sentences", str(file)]) == 2
+    assert "own.jsonl:3" in capsys.readouterr().err
+
+
+def test_no_file_and_an_empty_one_are_refused(tmp_path):
+    with pytest.raises(ValueError, match="cannot read"):
+        read_sentences(tmp_path / "none.jsonl")
+    with pytest.raises(ValueError, match="holds no sentence"):
+        read_sentences(write(tmp_path / "empty.jsonl", ""))
+
+
+def test_types_are_named_as_the_lexicon_names_them(tmp_path):
+    label = {"things": [thing("house"), thing("gazebo", "b")]}
+    (one,) = read_sentences(write(tmp_path / "a.jsonl", {"text": "x", "label": label}))
+    assert one.meaning is not None
+    assert one.meaning.type_names == ("building", "gazebo")
+
+
+def near(figure: str, landmark: str, **more: int) -> dict[str, object]:
+    return {"figure": figure, "relation": "near", "landmark": landmark, **more}
+
+
+PAIR = {"things": [thing("cone"), thing("car", "b")], "relations": [near("a", "b")]}
+SCORED = [
+    ("go to the cone", CONE, "right"),
+    ("go to the cone by the car", {**PAIR, "commands": [{"goal": {"thing": "a"}}]}, "right"),
+    ("go to the car by the cone", {**PAIR, "commands": [{"goal": {"thing": "a"}}]}, "wrong"),
+    ("go to the cone", {**PAIR, "commands": [{"goal": {"thing": "a"}}]}, "wrong"),
+    ("go to the nearest cone", CONE, "wrong"),
+    ("find the cone", CONE, "wrong"),
+    ("quickly go to the cone", CONE, "wrong"),
+    ("stop behind the cone", CONE, "wrong"),
+    ("go to the cone and avoid the car", CONE, "wrong"),
+    ("go to the cone then to the cone", CONE, "right"),  # asks for nothing new
+    ("the cone is near the car", PAIR, "right"),  # informs, as its label does
+    ("the cone is near the car", CONE, "refused"),
+    ("go through the cone", CONE, "refused"),
+    ("go through the cone", "refuse", "right"),
+    ("go to the cone", "refuse", "wrong"),
+]
+
+
+def test_sentences_are_scored_by_what_they_ask_for(tmp_path):
+    lines = [{"text": t, "label": m, "construction": o} for t, m, o in SCORED]
+    sentences = read_sentences(write(tmp_path / "a.jsonl", *lines))
+    scores = score_sentences(sentences, load_shipped())
+    assert [(one.sentence.text, one.outcome) for one in scores] == [(t, o) for t, _, o in SCORED]
+    document = summarize_scores(scores)
+    assert document["sentences"] == len(SCORED)
+    assert [document["by_construction"][name][name] for name in ("right", "refused")] == [5, 2]
+    kinds = [one["outcome"] for one in document["worst"]]
+    assert kinds == sorted(kinds, reverse=True)  # wrong before refused
+    table, listed = render_scores(document)
+    assert table.row_count == 4
+    assert len(listed) == len(document["worst"])
+
+
+@pytest.mark.parametrize(
+    ("name", "least", "most_wrong"), [("sentences", 264, 3), ("sentences_second", 97, 4)]
+)
+def test_shipped_sentences_stay_as_well_read(name, least, most_wrong):
+    # Nouns that the lexicon does not know are counted apart (docs/language.md).
+    sentences = [
+        one for one in read_sentences(HERE / f"{name}.jsonl") if one.construction != "unknown"
+    ]
+    counts = Counter(one.outcome for one in score_sentences(sentences, load_shipped()))
+    assert counts["right"] >= least
+    assert counts["wrong"] <= most_wrong
