@@ -23,6 +23,7 @@ from jax import Array
 from jaxlangnav import navigator
 from jaxlangnav.grounding import Context, GraphGrounder, Grounder, load_shipped
 from jaxlangnav.grounding.instruction import Instruction
+from jaxlangnav.kinds import name_of
 from jaxlangnav.language.halting import Act, act_of, begins_with_halt
 from jaxlangnav.messages import Action, Observation
 from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams, NavigatorState
@@ -50,23 +51,36 @@ class Navigator:
 
     @classmethod
     def pretrained(
-        cls, policy: str | Policy = "informed", grounder: Grounder | None = None
+        cls,
+        policy: str | Policy = "informed",
+        grounder: Grounder | None = None,
+        *,
+        labels: Sequence[str] | None = None,
+        attributes: Sequence[str] = (),
     ) -> Self:
         """Build a navigator from the weights that ship with the package.
 
         Args:
             policy: "informed", "faithful" to the paper, or a policy of one's own.
             grounder: what understands instructions; the trained graph by default.
+            labels: what the robot's detector tells apart, in the order of its indices, for the
+                trained graph; the lexicon's types by default.
+            attributes: groups of ``kinds.ATTRIBUTES`` that the detector reports.
 
         Returns:
             The navigator, with default parameters and sizes, but without the search prior that was
             learned in the template worlds (``prior_share`` 0).
 
         Raises:
-            ValueError: no such policy.
+            ValueError: no such policy, labels that cannot be, or labels for a grounder that has
+                its own.
         """
+        if grounder is not None and (labels is not None or attributes):
+            raise ValueError("labels and attributes are of the trained graph: give no grounder too")
+        if grounder is None:
+            grounder = GraphGrounder.of(load_shipped(), labels, attributes)
         return cls(
-            grounder=GraphGrounder(load_shipped()) if grounder is None else grounder,
+            grounder=grounder,
             params=_params_anywhere(),
             config=NavigatorConfig(planner=PlannerConfig(policy=policy)),
         )
@@ -185,11 +199,13 @@ class Navigator:
             state: after any step; of a robot that has not found its goal, it tells why.
 
         Returns:
-            Names of object types, in the order of the sentence; none where all has been seen.
+            Names of things, in the order of the sentence; none where all has been seen.
         """
         types = np.asarray(state.belief.particles.object_type)
         missing = missing_types(state.instruction.readings, types)
-        return [self.type_names[kind] for kind in missing]
+        # A grounder may know the names of things that its detector has no label for.
+        names: Sequence[str] = getattr(self.grounder, "names", self.type_names)
+        return [name_of(kind, names) for kind in missing]
 
 
 def _around(pose: Sequence[float]) -> tuple[float, ...]:

@@ -14,7 +14,7 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.grounding.program import NUM_TYPES
+from jaxlangnav.kinds import MOST_LABELS
 from jaxlangnav.language.halting import Act
 from jaxlangnav.messages import (
     ACTIONS,
@@ -162,7 +162,7 @@ def start(
     area: Array,
     *,
     config: NavigatorConfig,
-    num_types: int = NUM_TYPES,
+    num_types: int = MOST_LABELS,
 ) -> NavigatorState:
     """Build the state of a robot that has just been told what to do.
 

@@ -17,6 +17,7 @@ LAYERS = (
     "compiled_program",
     "kept",
     "messages",
+    "kinds",
     "numerics",
     "relations",
     "language",

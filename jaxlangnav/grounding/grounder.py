@@ -5,9 +5,10 @@ The door through which any source of annotations comes in: the trained graph her
 """
 
 import dataclasses
-from collections.abc import Mapping
-from typing import Any, Protocol
+from collections.abc import Iterable, Mapping
+from typing import Any, Protocol, Self
 
+from jaxlangnav.grounding.binding import Detector
 from jaxlangnav.grounding.instruction import GroundingModel, Instruction, understand
 
 
@@ -59,22 +60,50 @@ class GraphGrounder:
     """The trained Distributed Correspondence Graph: sentences of the controlled language."""
 
     model: GroundingModel
+    detector: Detector
+
+    @classmethod
+    def of(
+        cls,
+        model: GroundingModel,
+        labels: Iterable[str] | None = None,
+        attributes: Iterable[str] = (),
+    ) -> Self:
+        """Build a grounder for a detector.
+
+        Args:
+            model: trained models.
+            labels: what the detector tells apart, in the order of its indices; the types of the
+                models by default.
+            attributes: groups of ``kinds.ATTRIBUTES`` that it reports.
+
+        Returns:
+            The grounder.
+
+        Raises:
+            ValueError: labels or groups are refused; one line.
+        """
+        return cls(model, Detector(model.type_names if labels is None else labels, attributes))
 
     @property
     def type_names(self) -> tuple[str, ...]:
-        """Object types that the models speak of."""
-        return self.model.type_names
+        """The detector's labels."""
+        return self.detector.labels
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The labels, and after them nouns of sentences that there was no label for."""
+        return self.detector.names
 
     def ground(self, text: str, context: Context) -> Grounded:
         """Understand a sentence; see ``Grounder.ground``."""
         del context  # a sentence of the controlled language is understood by itself
-        understood = understand(text, self.model)
+        understood = understand(text, self.model, self.detector)
         understood.check_task()
-        unknown = ", ".join(f"'{word}'" for word in understood.unknown_words)
+        bound = understood.type_names
+        unknown = [f"'{word}'" for word in understood.unknown_words if word not in bound]
         return Grounded(
             instruction=understood.instruction,
             annotations=tuple(understood.annotations),
-            notes=(f"not in the lexicon, and read by what they look like: {unknown}",)
-            if unknown
-            else (),
+            notes=(*(f"not in the lexicon: {word}" for word in unknown), *understood.notes),
         )

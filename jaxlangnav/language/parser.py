@@ -6,6 +6,8 @@ typing errors are repaired and reported. Time is bounded: input is limited in ch
 and the parser is polynomial.
 """
 
+from collections.abc import Collection
+from dataclasses import replace
 from functools import cache
 
 from jaxlangnav.language.check import check
@@ -20,6 +22,7 @@ from jaxlangnav.language.grammar import (
     load_grammar,
 )
 from jaxlangnav.language.lexicon import TYPE_CLASS, load_lexicon
+from jaxlangnav.language.nouns import NOUN, is_noun_place, join_nouns, name_nouns
 from jaxlangnav.language.phrase import COMMAND, STATEMENT, LanguageError, Parse
 from jaxlangnav.language.reference import resolve
 from jaxlangnav.language.refusal import Token, explain
@@ -37,7 +40,8 @@ _COMMAS = {",", ":", "-", "–", "—"}
 class _Reader:
     """Splits text into tokens, repairing and marking what the lexicon does not know."""
 
-    def __init__(self) -> None:
+    def __init__(self, labels: Collection[str]) -> None:
+        self.labels = labels
         self.lexicon = load_lexicon()
         self.vocabulary = _vocabulary()
         self.tokens: list[Token] = []
@@ -60,6 +64,21 @@ class _Reader:
                     self._word(word)
         while self.tokens and self.tokens[-1].terminal in (COMMA, FULLSTOP):
             self.tokens.pop()
+        self.tokens = join_nouns(self.tokens, self.labels)
+        for index, token in enumerate(self.tokens):
+            self._mend(index, token)
+
+    def _mend(self, index: int, token: Token) -> None:
+        """Repair a word that is not known."""
+        if not token.terminal.startswith("?") or token.terminal == NOUN:
+            return
+        is_noun = is_noun_place(self.tokens, index)
+        repaired = repair(token.text, is_noun=is_noun)
+        if repaired is not None:
+            self.repairs.append((token.text, repaired))
+            self.tokens[index] = replace(token, text=repaired, terminal=repaired)
+        elif is_noun and token.terminal == UNKNOWN_ADVERB:  # "the lily"
+            self.tokens[index] = replace(token, terminal=UNKNOWN)
 
     def _mark(self, terminal: str) -> None:
         """Add punctuation; a run of marks is its last, and none stands at the beginning."""
@@ -81,20 +100,13 @@ class _Reader:
         return parts if len(parts) > 1 and set(parts) <= self.vocabulary else [piece]
 
     def _word(self, word: str) -> None:
-        """Add a word: known, repaired, or marked unknown."""
+        """Add a word: known, or marked unknown."""
         self.num_words += 1
         if self.num_words > MAX_WORDS:
             raise LanguageError(f"the instruction has more than {MAX_WORDS} words; shorten it")
         if not word[0].isalpha() and word not in self.vocabulary:
             raise LanguageError(_symbol_message(word, self.num_words))
-        terminal = word
-        if word not in self.vocabulary:
-            repaired = repair(word)
-            if repaired is None:
-                terminal = _unknown_mark(word)
-            else:
-                self.repairs.append((word, repaired))
-                word = terminal = repaired
+        terminal = word if word in self.vocabulary else _unknown_mark(word)
         self.tokens.append(Token(text=word, terminal=terminal, position=self.num_words))
 
 
@@ -126,11 +138,13 @@ def _unknown_mark(word: str) -> str:
     return UNKNOWN
 
 
-def parse(text: str) -> Parse:
+def parse(text: str, labels: Collection[str] = ()) -> Parse:
     """Parse an instruction of one or more clauses.
 
     Args:
         text: what the person typed, at most 10,000 characters.
+        labels: names of things that are nouns whatever else they may be, such as those that a
+            detector tells apart.
 
     Returns:
         The most probable phrase trees, what was unknown and what was repaired.
@@ -143,12 +157,14 @@ def parse(text: str) -> Parse:
         raise LanguageError(f"the instruction is of type {type(text).__name__}, but must be a text")
     if len(text) > MAX_CHARACTERS:
         raise LanguageError(f"the instruction has more than {MAX_CHARACTERS} characters")
-    reader = _Reader()
+    reader = _Reader(frozenset(labels))
     reader.read(text)
     tokens = reader.tokens
     if not tokens:
         raise LanguageError("the instruction is empty")
-    unknown = [(t.text, t.position) for t in tokens if t.terminal.startswith("?")]
+    unknown = [
+        (t.text, t.position) for t in tokens if t.terminal.startswith("?") and t.terminal != NOUN
+    ]
     if len(unknown) > MAX_UNKNOWN:
         text, position = unknown[0]
         raise LanguageError(f"'{text[:30]}' (word {position}): unknown word, one of too many")
@@ -157,12 +173,9 @@ def parse(text: str) -> Parse:
     except NoParseError as error:
         raise LanguageError(explain(tokens, error.index)) from None
     builder = TreeBuilder([t.text for t in tokens], [t.position for t in tokens])
-    clauses = resolve(builder.build(derivation))
+    clauses = resolve(name_nouns(builder.build(derivation)))
     check(clauses, {position for _, position in builder.unknown})
     clauses = join_constraints(clauses)
-    unknown = [
-        (t.text, t.position) for t in tokens if t.terminal in (UNKNOWN, UNKNOWN_ADVERB, UNKNOWN_ING)
-    ]
     return Parse(
         instruction=text,
         clauses=tuple(clauses),

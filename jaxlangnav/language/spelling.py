@@ -23,6 +23,19 @@ SMALL_TALK = {
     "conn",
     "conn_then",
 }
+_NOT_NOUNS = (
+    "v_",
+    "g_",
+    "avoid",
+    "adv",
+    "particle",
+    "degree",
+    "opener",
+    "closer",
+    "toward",
+    "conn",
+)
+"""What the names of classes begin with that no noun phrase holds."""
 COURTESIES = {"please", "could", "would", "robot", "there", "after", "thanks", "then", "finally"}
 
 
@@ -72,11 +85,20 @@ def _meanings(word: str, lexicon: Lexicon) -> frozenset[tuple[str, tuple[str, ..
 
 
 @cache
-def repair(word: str) -> str | None:
+def _nominal() -> frozenset[str]:
+    """Collect the words that stand where a noun does: names of things, sides, the robot."""
+    entries = load_lexicon().entries
+    names = [name for name in entries if not name.startswith(_NOT_NOUNS)]
+    return frozenset(word for name in names for key in entries[name] for word in key)
+
+
+@cache
+def repair(word: str, *, is_noun: bool = False) -> str | None:
     """Find the one word of the lexicon that a mistyped word must be.
 
     Args:
         word: lower case, not in the lexicon.
+        is_noun: it stands where only a noun can: "the easel" is nothing to do with "ease".
 
     Returns:
         The repaired word; None where the word is short, English, hopeless, or could be any of
@@ -87,7 +109,8 @@ def repair(word: str) -> str | None:
         return None
     if len(word) > 20:
         return None
-    candidates = sorted(c for c in edits(word) & repairable() if len(c) >= MIN_LETTERS - 1)
+    allowed = repairable() & _nominal() if is_noun else repairable()
+    candidates = sorted(c for c in edits(word) & allowed if len(c) >= MIN_LETTERS - 1)
     # "Carefuly" is "carefully" and not "careful", which only stands in longer expressions.
     alone = [c for c in candidates if _meanings(c, lexicon) or c in lexicon.refused]
     candidates = alone or candidates

@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxlangnav.kinds import ATTRIBUTE_BITS
 from jaxlangnav.messages import NONE, Fault, Observation, SensorParams, default_sensor
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.association import MIN_NOISE
@@ -132,8 +133,10 @@ def _is_detectable(observation: Observation, num_types: Array) -> Array:
     slack = DEVIATIONS * sensor.noise + MIN_NOISE
     turned = jnp.abs(bearing - 2.0 * jnp.pi * jnp.round(bearing / (2.0 * jnp.pi)))
     beyond = jnp.clip(turned - 0.5 * sensor.field_of_view, 0.0, 0.5 * jnp.pi)
+    code = observation.detection_attribute
     return (
         _is_between(observation.detection_type, 0, num_types - 1)
+        & (True if code is None else _is_between(code, 0, 2**ATTRIBUTE_BITS - 1))
         & _is_between(metres, 0.0, sensor.range_max + slack)
         & _is_between(bearing, -TURNS, TURNS)
         & (metres * jnp.sin(beyond) <= slack)

@@ -23,7 +23,7 @@ from jaxlangnav.planner.own import Policy
 from jaxlangnav.pytree import replace
 from jaxlangnav.recording import Recording
 from jaxlangnav.semantic_map.params import MapConfig
-from jaxlangnav.task.opening import Prepared, missing_types, nothing_there, open_task
+from jaxlangnav.task.opening import Prepared, detector_of, missing_types, nothing_there, open_task
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 
 
@@ -58,7 +58,8 @@ def follow(
     Raises:
         ValueError: the sentence, the world or an option is refused; one line.
     """
-    understood = understand(text, load_shipped() if model is None else model)
+    model = load_shipped() if model is None else model
+    understood = understand(text, model, detector_of(str(world), model.type_names))
     understood.check_task()
     if sensing_range is not None and not sensing_range > 0.0:
         raise ValueError(f"sensing_range is {sensing_range:g}, but must be positive, in metres")
@@ -118,6 +119,7 @@ def record_episode(
         config=config,
         max_steps=max_steps,
         text=text,
+        type_names=understood.type_names,
     )
     return judged(recording, prepared)
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from jaxlangnav.episode import Task
 from jaxlangnav.experiments.monte_carlo import cell, make_tasks
+from jaxlangnav.grounding.binding import Detector
 from jaxlangnav.grounding.instruction import Understanding
 from jaxlangnav.pytree import replace
 from jaxlangnav.task.meant import is_among, meant_goals, with_goal
@@ -84,6 +85,25 @@ def open_task(
         is_own = _is_its_own(place, understood)
         return _judge(place.name, task, understood, is_own=is_own, is_drawn=False)
     return _draw(place, understood, sensing_range or 3.0, seed)
+
+
+def detector_of(world: str, type_names: Sequence[str]) -> Detector:
+    """Build the detector of a world: what it tells apart, and what it reports of things.
+
+    Args:
+        world: a template, a shipped world or a file.
+        type_names: types that are told apart in a template.
+
+    Returns:
+        The detector.
+
+    Raises:
+        ValueError: no such world, or a bad file.
+    """
+    place = open_world(world)
+    if isinstance(place, World):
+        return Detector(place.type_names, place.attribute_groups)
+    return Detector(type_names)
 
 
 def nothing_there(prepared: Prepared, missing: Sequence[str], names: Sequence[str]) -> str:

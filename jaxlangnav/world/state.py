@@ -24,6 +24,7 @@ class Scenario:
     start: Array  # f32[3] x, y metres, heading radians
     area: Array  # f32[4] x_min, x_max, y_min, y_max metres: the operating area, known to all
     is_valid: Array  # bool[] the law of the template was met; False: count it, do not use it
+    object_attribute: Array | None = None  # i32[O] codes of ``kinds.attributes``, where reported
 
 
 @pytree
