@@ -1,9 +1,10 @@
 """Kinds: what a thing is and what it looks like, in one integer (sections 3.1 and 3.2).
 
 The low ``LABEL_BITS`` hold the index of the detector's label, the bits above them one value for
-each group of attributes: colour, material, size, height, width, shape; 0 where it is not known. The
-map keeps the kind of what was seen, a sentence says the kind of what it means, and ``fits``
-compares them. A kind without attributes is the bare index of its label.
+each group of attributes: colour, material, size, height; 0 where it is not known. Both together
+take 24 bits, as float32 holds them exactly: tables of particles are such numbers. The map keeps
+the kind of what was seen, a sentence says the kind of what it means, and ``fits`` compares them. A
+kind without attributes is the bare index of its label.
 
 Everything takes NumPy arrays, JAX arrays and plain integers; ``NONE`` and ``ROBOT`` are kinds that
 only fit themselves.
@@ -12,7 +13,7 @@ only fit themselves.
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-LABEL_BITS = 15
+LABEL_BITS = 13
 MOST_LABELS = 2**LABEL_BITS
 """Labels that are told apart: those of the detector, and nouns that it has no label for."""
 ATTRIBUTES = {
@@ -20,17 +21,12 @@ ATTRIBUTES = {
         "red", "orange", "yellow", "green", "blue", "purple", "pink", "brown",
         "white", "black", "gray", "silver", "gold", "beige", "striped",
     ),
-    "material": (
-        "wooden", "metal", "plastic", "glass", "stone", "brick", "leather", "cloth",
-        "paper", "rubber", "ceramic", "wicker",
-    ),
+    "material": ("wooden", "metal", "plastic", "glass", "stone", "brick", "paper"),
     "size": ("small", "big"),
     "height": ("short", "tall"),
-    "width": ("narrow", "wide"),
-    "shape": ("round", "square"),
 }  # fmt: skip
 """Groups and their values; the value of a group is a place in its tuple, counted from 1."""
-_WIDTHS = {"colour": 4, "material": 4, "size": 2, "height": 2, "width": 2, "shape": 2}
+_WIDTHS = {"colour": 4, "material": 3, "size": 2, "height": 2}
 ATTRIBUTE_BITS = sum(_WIDTHS.values())
 
 
@@ -92,9 +88,9 @@ def kind_of(label: Any, code: Any) -> Any:
 
 
 def label_of(kind: Any) -> Any:
-    """Take the label of a kind; ``NONE`` and ``ROBOT`` are labels of their own."""
-    # The sign is kept: of two's complement the low bits alone would be a label.
-    return kind & (MOST_LABELS - 1 - (1 << 31))
+    """Take the label of a kind; ``NONE`` and ``ROBOT`` stay what they are."""
+    # Of a negative number all bits are kept: its low ones alone would be a label.
+    return kind & (MOST_LABELS - 1 | (kind >> 31))
 
 
 def code_of(kind: int) -> int:

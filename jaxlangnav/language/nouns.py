@@ -23,7 +23,10 @@ _BEFORE_NOUNS = frozenset(
     {"adj", "nmod", TYPE_CLASS, "place_noun", "one", "foreign", "sup_adj", "ordinal", "side_adj"}
 )
 """Classes that go on with a noun phrase."""
-_OTHERS = frozenset({"old", "new", "young", "heavy", "long", "bright", "dark", "light", "deep"})
+_OTHERS = frozenset(
+    {"old", "new", "young", "heavy", "long", "bright", "dark", "light", "deep"}
+    | {"narrow", "thin", "wide", "broad", "thick", "round"}
+)
 """Adjectives that things are compared by and that are no attributes."""
 _QUALIFIERS = frozenset({"dark", "light", "bright", "pale", "very", "and", "deep"})
 """Words that shade an attribute and are none beside one: "dark red"."""
@@ -157,14 +160,25 @@ def is_noun_place(tokens: list[Token], index: int) -> bool:
         index: of the word.
 
     Returns:
-        True after a determiner, and before what is no part of a noun phrase.
+        True after a determiner, and before what is no part of a noun phrase; but not where a side
+        may be said: "on the _", "to the _ of the cone".
     """
+    before, following = tokens[max(index - 2, 0) : index], tokens[index + 1 : index + 2]
+    is_relative = len(before) == 2 and before[0].text == "to" and _has_noun(tokens[: index - 2])
+    is_by_side = len(before) == 2 and before[0].text in ("on", "at", "in")
+    if is_relative or is_by_side or (following and following[0].text == "of"):
+        return False
     after = tokens[index + 1] if index + 1 < len(tokens) else None
     if after is not None and (
         after.terminal.startswith("?") or after.text in _words_of(*_BEFORE_NOUNS)
     ):
         return False
     return _is_after_determiner(tokens, index)
+
+
+def _has_noun(tokens: Iterable[Token]) -> bool:
+    """Tell whether some noun phrase has begun."""
+    return any(token.text in _words_of("det") for token in tokens)
 
 
 def name_nouns(clauses: Iterable[Phrase]) -> list[Phrase]:

@@ -8,7 +8,7 @@ from functools import cache
 from importlib import resources
 from string import ascii_lowercase
 
-from jaxlangnav.language.lexicon import Lexicon, load_lexicon
+from jaxlangnav.language.lexicon import TYPE_CLASS, Lexicon, load_lexicon
 
 MIN_LETTERS = 5
 # Small talk holds many words that say nothing of the task ("plan", "time"): no repairs to them,
@@ -23,19 +23,8 @@ SMALL_TALK = {
     "conn",
     "conn_then",
 }
-_NOT_NOUNS = (
-    "v_",
-    "g_",
-    "avoid",
-    "adv",
-    "particle",
-    "degree",
-    "opener",
-    "closer",
-    "toward",
-    "conn",
-)
-"""What the names of classes begin with that no noun phrase holds."""
+_NOUNS = (TYPE_CLASS, "place_noun", "robot", "one")
+"""Classes whose words are the noun of a phrase."""
 COURTESIES = {"please", "could", "would", "robot", "there", "after", "thanks", "then", "finally"}
 
 
@@ -86,10 +75,9 @@ def _meanings(word: str, lexicon: Lexicon) -> frozenset[tuple[str, tuple[str, ..
 
 @cache
 def _nominal() -> frozenset[str]:
-    """Collect the words that stand where a noun does: names of things, sides, the robot."""
+    """Collect the words that may be the noun of a phrase."""
     entries = load_lexicon().entries
-    names = [name for name in entries if not name.startswith(_NOT_NOUNS)]
-    return frozenset(word for name in names for key in entries[name] for word in key)
+    return frozenset(word for name in _NOUNS for key in entries[name] for word in key)
 
 
 @cache
@@ -98,7 +86,7 @@ def repair(word: str, *, is_noun: bool = False) -> str | None:
 
     Args:
         word: lower case, not in the lexicon.
-        is_noun: it stands where only a noun can: "the easel" is nothing to do with "ease".
+        is_noun: it is the noun of a phrase: "the easel" has nothing to do with "ease".
 
     Returns:
         The repaired word; None where the word is short, English, hopeless, or could be any of

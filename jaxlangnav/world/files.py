@@ -25,7 +25,7 @@ clockwise from +x); the map frame is the file's own.
     name = "far hydrant"               # optional, unique
     x = 9.0
     y = 1.5
-    colour = "red"                     # optional, as are material, size, height, width and shape:
+    colour = "red"                     # optional, as are material, size and height:
                                        # what the detector reports of it (``kinds.ATTRIBUTES``)
 
     [sensor]                           # optional, each key too
