@@ -78,7 +78,7 @@ class Navigator:
         if grounder is not None and (labels is not None or attributes):
             raise ValueError("labels and attributes are of the trained graph: give no grounder too")
         if grounder is None:
-            grounder = GraphGrounder.of(load_shipped(), labels, attributes)
+            grounder = GraphGrounder(load_shipped(), labels, attributes)
         return cls(
             grounder=grounder,
             params=_params_anywhere(),
@@ -132,9 +132,12 @@ class Navigator:
         )
 
     def _command(self, text: str, *, is_under_way: bool) -> Instruction:
-        """Understand what asks for something."""
+        """Understand what asks for something; what of it is not used is logged."""
         context = Context(is_under_way=is_under_way)
-        instruction = self.grounder.ground(text, context).instruction
+        grounded = self.grounder.ground(text, context)
+        for note in grounded.notes:
+            _log.warning("%s: %s", cut(text), note)
+        instruction = grounded.instruction
         if int(instruction.num_clauses) == 0:
             raise ValueError(
                 f"{cut(text)!r} informs but asks for nothing to be done: add a command"

@@ -169,7 +169,7 @@ def test_labels_are_written_as_detectors_write_them(model) -> None:
 
 
 def test_a_landmark_without_a_label_is_noted_and_the_rest_used(model) -> None:
-    grounder = GraphGrounder.of(model, LABELS)
+    grounder = GraphGrounder(model, LABELS)
     told = understand("go to the hydrant behind the zorbel", model, grounder.detector)
     assert told.notes == ("my detector has no label for 'zorbel': it is never seen",)
     kind = int(told.instruction.readings.mention_type[0, 0])
@@ -313,16 +313,17 @@ def test_it_is_what_it_was_attributes_and_all(model) -> None:
 # ---------------------------------------------------------------- driven
 
 
-def test_own_nouns_drive_an_episode_and_compile_nothing(robot) -> None:
+def test_own_nouns_drive_an_episode_and_compile_nothing(robot, caplog) -> None:
     labels = ["gazebo", "easel"]
     assert (labels.index("gazebo"), labels.index("easel")) == (HYDRANT, CONE)
-    told = dataclasses.replace(robot, grounder=GraphGrounder.of(load_shipped(), labels))
+    told = dataclasses.replace(robot, grounder=GraphGrounder(load_shipped(), labels))
     go(robot, robot.start("go to the hydrant", area=AREA), max_steps=1)
     size = agent._step._cache_size()
     run = go(told, told.start("go to the gazebo behind the easel", area=AREA))
     assert distance(run, 1) < 1.5
     state = told.hear(run.state, "go to the easel near the zorbel")
     assert told.missing(state) == ["zorbel"]
+    assert "my detector has no label for 'zorbel'" in caplog.text
     assert agent._step._cache_size() == size
 
 

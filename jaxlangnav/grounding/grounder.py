@@ -6,7 +6,7 @@ The door through which any source of annotations comes in: the trained graph her
 
 import dataclasses
 from collections.abc import Iterable, Mapping
-from typing import Any, Protocol, Self
+from typing import Any, Protocol
 
 from jaxlangnav.grounding.binding import Detector
 from jaxlangnav.grounding.instruction import GroundingModel, Instruction, understand
@@ -55,21 +55,16 @@ class Grounder(Protocol):
         ...
 
 
-@dataclasses.dataclass(frozen=True)
 class GraphGrounder:
     """The trained Distributed Correspondence Graph: sentences of the controlled language."""
 
-    model: GroundingModel
-    detector: Detector
-
-    @classmethod
-    def of(
-        cls,
+    def __init__(
+        self,
         model: GroundingModel,
         labels: Iterable[str] | None = None,
         attributes: Iterable[str] = (),
-    ) -> Self:
-        """Build a grounder for a detector.
+    ) -> None:
+        """Bind the graph to a detector.
 
         Args:
             model: trained models.
@@ -77,13 +72,11 @@ class GraphGrounder:
                 models by default.
             attributes: groups of ``kinds.ATTRIBUTES`` that it reports.
 
-        Returns:
-            The grounder.
-
         Raises:
             ValueError: labels or groups are refused; one line.
         """
-        return cls(model, Detector(model.type_names if labels is None else labels, attributes))
+        self.model = model
+        self.detector = Detector(model.type_names if labels is None else labels, attributes)
 
     @property
     def type_names(self) -> tuple[str, ...]:
