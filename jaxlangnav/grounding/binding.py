@@ -8,6 +8,7 @@ lexicon first, and what it says is put into kinds (``kinds``) afterwards.
 
 import dataclasses
 from collections.abc import Iterable, Iterator, Sequence
+from functools import cache
 
 import numpy as np
 
@@ -106,7 +107,7 @@ class Detector:
         return found, False
 
     def _with(self, names: frozenset[str]) -> tuple[int, ...]:
-        """List the labels that are one of the names; where one is written so, it alone."""
+        """List the labels that are one of the names, written as one word or several."""
         joined = {name.replace(" ", "") for name in names}
         return tuple(
             i
@@ -132,14 +133,18 @@ def _ways_to_say(noun: str) -> Iterator[frozenset[str]]:
     """Yield names of the same thing: the noun, then its synonyms, then the lexicon's."""
     yield frozenset({noun})
     yield load_nouns().alike(noun)
-    entries = load_lexicon().entries[TYPE_CLASS]
-    of_type: dict[str, set[str]] = {}
-    for words, entry in entries.items():
-        for senses in entry.senses:
-            for sense in senses:
-                of_type.setdefault(sense.removeprefix(_TYPE), set()).add(" ".join(words))
-    if noun in of_type:
-        yield frozenset(of_type[noun])
+    if noun in _names_of_types():
+        yield _names_of_types()[noun]
+
+
+@cache
+def _names_of_types() -> dict[str, frozenset[str]]:
+    """Collect the lexicon's names of each of its types."""
+    names: dict[str, set[str]] = {}
+    for words, entry in load_lexicon().entries[TYPE_CLASS].items():
+        for sense in (sense for senses in entry.senses for sense in senses):
+            names.setdefault(sense.removeprefix(_TYPE), set()).add(" ".join(words))
+    return {kind: frozenset(found) for kind, found in names.items()}
 
 
 @dataclasses.dataclass(frozen=True)
