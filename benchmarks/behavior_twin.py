@@ -9,8 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxlangnav.grounding.behavior import BEAM
-from jaxlangnav.grounding.program import AT_TABLE, NEVER, NUM_SLOTS, NUM_TYPES
+from jaxlangnav.grounding.program import AT_TABLE, NEVER, NUM_SLOTS
 from jaxlangnav.grounding.symbols import NUM_REGIONS, NUM_RELATIONS
+from jaxlangnav.kinds import fits
 from jaxlangnav.messages import NONE, ROBOT
 
 Program = Any
@@ -205,12 +206,12 @@ def infer(program: Program, world: Worlds) -> tuple[np.ndarray, np.ndarray]:
     """
     size = world.object_type.shape[1]
     tables, stack = _tables(program, world), []
-    kind = np.where(world.object_type == ROBOT, NUM_TYPES, world.object_type)
+    kind = world.object_type
     rows = [*range(int(program.num_phrases) - 1), len(program.num_children) - 1]
     for row in rows:
         count = int(program.num_children[row])
         children = [stack.pop() for _ in range(count)]
-        own = program.own[row][kind] & world.is_object
+        own = fits(kind[..., None], program.own[row]).any(-1) & world.is_object
         joined = _join(program, row, children, kind)
         regions = _region_odds(program, world, own, joined, row)
         if row == rows[-1]:

@@ -27,6 +27,7 @@ from jaxlangnav import navigator, sensing
 from jaxlangnav.grounding import Context, GraphGrounder, Grounder, load_shipped
 from jaxlangnav.grounding.instruction import Instruction, pack_instruction
 from jaxlangnav.grounding.readings import Reading, pack
+from jaxlangnav.kinds import name_of
 from jaxlangnav.language.halting import Act, act_of, begins_with_halt
 from jaxlangnav.messages import NONE, Action, Observation, SensorParams, default_sensor
 from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams, NavigatorState
@@ -57,6 +58,9 @@ class Navigator:
         cls,
         policy: AnyPolicy = "informed",
         grounder: Grounder | None = None,
+        *,
+        labels: Sequence[str] | None = None,
+        attributes: Sequence[str] = (),
         **numbers: float,
     ) -> Self:
         """Build a navigator from the weights that ship with the package.
@@ -64,6 +68,9 @@ class Navigator:
         Args:
             policy: "informed", "faithful" to the paper, or a policy of one's own.
             grounder: what understands instructions; the trained graph by default.
+            labels: what the robot's detector tells apart, in the order of its indices, for the
+                trained graph; the lexicon's types by default.
+            attributes: groups of ``kinds.ATTRIBUTES`` that the detector reports.
             **numbers: any single number of ``MapParams``, ``MotionParams`` or ``PlannerParams`` by
                 its name, such as ``odometry_noise=0.05`` or ``step_length=0.5``; new values never
                 recompile.
@@ -74,10 +81,14 @@ class Navigator:
 
         Raises:
             ValueError: no such policy or an object that is none; no such number or one that cannot
-                be.
+                be; labels that cannot be, or labels for a grounder that has its own.
         """
+        if grounder is not None and (labels is not None or attributes):
+            raise ValueError("labels and attributes are of the trained graph: give no grounder too")
+        if grounder is None:
+            grounder = GraphGrounder(load_shipped(), labels, attributes)
         return cls(
-            grounder=GraphGrounder(load_shipped()) if grounder is None else grounder,
+            grounder=grounder,
             params=_with_numbers(_params_anywhere(), numbers),
             config=NavigatorConfig(planner=PlannerConfig(policy=policy)),
         )
@@ -133,9 +144,12 @@ class Navigator:
         )
 
     def _command(self, text: str, *, is_under_way: bool) -> Instruction:
-        """Understand what asks for something."""
+        """Understand what asks for something; what of it is not used is logged."""
         context = Context(is_under_way=is_under_way)
-        instruction = self.grounder.ground(text, context).instruction
+        grounded = self.grounder.ground(text, context)
+        for note in grounded.notes:
+            _log.warning("%s: %s", cut(text), note)
+        instruction = grounded.instruction
         if int(instruction.num_clauses) == 0:
             raise ValueError(
                 f"{cut(text)!r} informs but asks for nothing to be done: add a command"
@@ -249,7 +263,7 @@ class Navigator:
             Names of object types, in the order of the sentence; those of all its readings.
         """
         kinds = np.asarray(state.instruction.readings.mention_type).reshape(-1).tolist()
-        return [self.type_names[kind] for kind in dict.fromkeys(kinds) if kind >= 0]
+        return [name_of(kind, self._names) for kind in dict.fromkeys(kinds) if kind >= 0]
 
     def missing(self, state: NavigatorState) -> list[str]:
         """Name what the task speaks of and the robot has not seen, such as its goal's landmark.
@@ -258,11 +272,16 @@ class Navigator:
             state: after any step; of a robot that has not found its goal, it tells why.
 
         Returns:
-            Names of object types, in the order of the sentence; none where all has been seen.
+            Names of things, in the order of the sentence; none where all has been seen.
         """
         types = np.asarray(state.belief.particles.object_type)
         missing = missing_types(state.instruction.readings, types)
-        return [self.type_names[kind] for kind in missing]
+        return [name_of(kind, self._names) for kind in missing]
+
+    @property
+    def _names(self) -> Sequence[str]:
+        """Names of labels, and of things that a grounder's detector has no label for."""
+        return getattr(self.grounder, "names", self.type_names)
 
 
 def _around(pose: Sequence[float]) -> tuple[float, ...]:
@@ -285,6 +304,8 @@ def _uniform(observation: Observation) -> Observation:
     def pad(leaf: Any, dtype: Any, filler: int) -> np.ndarray:
         return np.pad(cast(leaf, dtype), (0, spare), constant_values=filler)
 
+    code = observation.detection_attribute
+
     return replace(
         observation,
         pose=cast(observation.pose, np.float32),
@@ -292,6 +313,7 @@ def _uniform(observation: Observation) -> Observation:
         detection_range=pad(observation.detection_range, np.float32, 0),
         detection_bearing=pad(observation.detection_bearing, np.float32, 0),
         is_detection=pad(observation.is_detection, bool, 0),
+        detection_attribute=None if code is None else pad(code, np.int32, 0),
         sensor=jax.tree.map(lambda leaf: cast(leaf, np.float32), observation.sensor),
     )
 

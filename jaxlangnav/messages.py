@@ -81,7 +81,7 @@ class Readings:
     Things of one type in one reading are one thing.
     """
 
-    mention_type: Array  # i32[K, M] object type index; ROBOT; NONE in empty slots
+    mention_type: Array  # i32[K, M] object kind (``kinds``); ROBOT; NONE in empty slots
     figure: Array  # i32[K, J] mention index of what is placed; NONE in empty slots
     relation: Array  # i32[K, J] relation index; NONE where the thing merely exists
     landmark: Array  # i32[K, J] mention index it is placed against; NONE where relation is NONE
@@ -97,7 +97,7 @@ class BehaviorWorld:
     landmark. Relations are the edges of the particle's topology, or geometry on the host.
     """
 
-    object_type: Array  # i32[N + 1] type index; ROBOT last
+    object_type: Array  # i32[N + 1] object kind; ROBOT last
     is_object: Array  # bool[N + 1]
     is_related: Array  # bool[6, N + 1, N + 1] relation, figure slot, landmark slot
     is_superlative: Array  # bool[6, N + 1, N + 1] and no other of the figure's type more so
@@ -142,11 +142,12 @@ class Observation:
     """What a robot senses in one decision cycle."""
 
     pose: Array  # f32[3] x, y, heading by dead reckoning since the start; map frame, m, rad
-    detection_type: Array  # i32[D] object type index
+    detection_type: Array  # i32[D] object type: index into the detector's labels
     detection_range: Array  # f32[D] metres
     detection_bearing: Array  # f32[D] radians, robot frame, counter-clockwise from the heading
     is_detection: Array  # bool[D]
     sensor: SensorParams  # the specification in force (range, field of view)
+    detection_attribute: Array | None = None  # i32[D] codes of ``kinds.attributes``; 0 not known
 
     @classmethod
     def of(

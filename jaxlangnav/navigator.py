@@ -15,7 +15,7 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.grounding.program import NUM_TYPES
+from jaxlangnav.kinds import MOST_LABELS
 from jaxlangnav.language.halting import Act
 from jaxlangnav.messages import (
     ACTIONS,
@@ -160,7 +160,7 @@ def start(
     area: Array,
     *,
     config: NavigatorConfig,
-    num_types: int = NUM_TYPES,
+    num_types: int = MOST_LABELS,
     terrain: Terrain = OPEN,
 ) -> NavigatorState:
     """Build the state of a robot that has just been told what to do.

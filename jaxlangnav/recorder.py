@@ -15,6 +15,7 @@ from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Progress, Task
 from jaxlangnav.grounding.asked import asked
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.kept import kept
+from jaxlangnav.kinds import label_of
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.messages import NONE, Observation, Readings
 from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams
@@ -30,6 +31,7 @@ def set_scene(
     text: str,
     params: NavigatorParams,
     config: NavigatorConfig,
+    type_names: tuple[str, ...] | None = None,
 ) -> Scene:
     """Gather what stays the same over an episode.
 
@@ -39,6 +41,7 @@ def set_scene(
         text: the sentence, for people.
         params: the navigator's numbers.
         config: sizes and policy.
+        type_names: of the detector's labels; the lexicon's types by default.
 
     Returns:
         The scene.
@@ -48,7 +51,7 @@ def set_scene(
     scenario, sensor, planner = jax.device_get((task.scenario, task.sensor, params.planner))
     return Scene(
         text=text,
-        type_names=load_lexicon().type_names,
+        type_names=load_lexicon().type_names if type_names is None else type_names,
         policy=config.planner.chosen.name,
         portrayal=config.planner.chosen.portrayal,
         scenario=scenario,
@@ -103,6 +106,7 @@ def record(
     config: NavigatorConfig,
     max_steps: int = MAX_STEPS,
     text: str = "",
+    type_names: tuple[str, ...] | None = None,
 ) -> Recording:
     """Run an episode and keep what pictures need.
 
@@ -113,11 +117,14 @@ def record(
         config: sizes and policy.
         max_steps: cycles until a time-out, at least 1.
         text: the sentence, for people.
+        type_names: of the detector's labels; the lexicon's types by default.
 
     Returns:
         The recording.
     """
-    scene = set_scene(task, instructions, text=text, params=params, config=config)
+    scene = set_scene(
+        task, instructions, text=text, params=params, config=config, type_names=type_names
+    )
     steps = list(play(task, instructions, params=params, config=config, max_steps=max_steps))
     return gather(scene, [frame for frame, _ in steps], steps[-1][1])
 
@@ -185,11 +192,11 @@ def _belief_fields(belief: ParticleBelief, readings: Readings) -> dict[str, Arra
     return {
         "weight": jnp.exp(belief.log_weight),
         "reading": particles.reading,
-        "object_type": particles.object_type,
+        "object_type": label_of(particles.object_type),
         "object_x": particles.mean_x[:num_objects],
         "object_y": particles.mean_y[:num_objects],
         "object_sd": jnp.sqrt(jnp.maximum(variance[:num_objects], 0.0)),
-        "mention_type": jnp.where(particles.is_mentioned, mention_type, NONE),
+        "mention_type": jnp.where(particles.is_mentioned, label_of(mention_type), NONE),
         "referent": particles.referent,
         "is_hypothesised": particles.is_hypothesised,
         "hypothesis_x": particles.hypothesis_x,

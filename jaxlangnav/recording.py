@@ -14,6 +14,7 @@ import numpy as np
 
 from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.grounding.asked import Asked
+from jaxlangnav.kinds import name_of
 from jaxlangnav.messages import NONE, Readings, SensorParams
 from jaxlangnav.planner.endings import missing_types
 from jaxlangnav.planner.params import PlannerParams
@@ -124,8 +125,7 @@ class Scene:
 
     def type_name(self, object_type: int) -> str:
         """Name an object type; "thing" where the index is unknown."""
-        known = 0 <= object_type < len(self.type_names)
-        return self.type_names[object_type] if known else "thing"
+        return name_of(object_type, self.type_names) if object_type >= 0 else "thing"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -269,3 +269,42 @@ def test_bad_input_is_one_line(
     assert captured.out == ""
     assert captured.err.count("\n") == 1
     assert expected.lower() in captured.err.lower()
+
+
+PARK = """
+[area]
+x_min = 0.0
+x_max = 10.0
+y_min = -5.0
+y_max = 5.0
+[goal]
+object = "here"
+[[objects]]
+type = "gazebo"
+name = "here"
+x = 7.0
+y = 0.6
+[[objects]]
+type = "easel"
+x = 4.5
+y = 0.5
+[[objects]]
+type = "gazebo"
+x = 3.0
+y = -4.0
+"""
+
+
+def test_a_world_of_own_nouns_needs_no_lexicon(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "park.toml"
+    path.write_text(PARK, encoding="utf-8")
+    words = ["go to the gazebo behind the easel", "--world", str(path), "--range", "4"]
+    document = follow(words, capsys)
+    assert document["success"]
+    said = document["annotations"][0]
+    assert (said["figure"], said["relation"], said["landmark"]) == ("gazebo", "behind", "easel")
+    assert cli.main(["follow", "go to the kiosk", "--world", str(path)]) == 2
+    line = capsys.readouterr().err.strip().splitlines()[-1]
+    assert "'kiosk' (word 4): my detector has no label for it" in line

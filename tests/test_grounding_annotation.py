@@ -116,9 +116,9 @@ def test_a_word_without_senses_does_not_ground_everything(model):
     assert sum(p for _, _, p in belief.marginals()) < 0.5
 
 
-def test_an_unknown_object_is_refused_by_name(model):
-    with pytest.raises(ValueError, match=r"'zorbel' \(word 7\): not an object I know"):
-        understand("go to the hydrant near the zorbel", model)
+def test_a_goal_that_can_never_be_found_is_refused_by_name(model):
+    with pytest.raises(ValueError, match=r"'zorbel' \(word 4\): my detector has no label for it"):
+        understand("go to the zorbel near the hydrant", model)
 
 
 def test_probabilities_are_probabilities(model):

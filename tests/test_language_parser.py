@@ -22,22 +22,22 @@ def senses(text: str) -> dict[str, tuple[str, ...]]:
 
 
 @pytest.mark.parametrize(
-    ("text", "unknown", "tag"),
+    ("text", "unknown", "tag", "senses"),
     [
-        ("go to the zorbel", ("zorbel", 4), "NN"),
-        ("go to the zorbels", ("zorbels", 4), "NNS"),
-        ("go to the fuzzle cone", ("fuzzle", 4), "JJ"),
-        ("gallop to the cone", ("gallop", 1), "VB"),
-        ("would you mind galloping to the cone", ("galloping", 4), "VBG"),
-        ("go zestily to the cone", ("zestily", 2), "RB"),
+        ("go to the zorbel", ("zorbel", 4), "NN", ("type:zorbel",)),
+        ("go to the zorbels", ("zorbels", 4), "NNS", ("type:zorbel",)),
+        ("go to the fuzzle cone", ("fuzzle", 4), "JJ", ()),
+        ("gallop to the cone", ("gallop", 1), "VB", ()),
+        ("would you mind galloping to the cone", ("galloping", 4), "VBG", ()),
+        ("go zestily to the cone", ("zestily", 2), "RB", ()),
     ],
 )
-def test_unknown_word_is_named_guessed_and_kept(text, unknown, tag):
+def test_unknown_word_is_named_guessed_and_kept(text, unknown, tag, senses):
     found = parse(text)
     words = {w.text: w for w in found.clauses[0].all_words()}
     assert found.unknown_words == (unknown,)
     assert words[unknown[0]].tag == tag
-    assert words[unknown[0]].senses == ()
+    assert words[unknown[0]].senses == senses
     assert words[unknown[0]].position == unknown[1]
 
 

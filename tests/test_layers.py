@@ -18,6 +18,7 @@ LAYERS = (
     "kept",
     "sensing",
     "messages",
+    "kinds",
     "numerics",
     "terrain",
     "relations",

@@ -25,9 +25,7 @@ def test_distinct_topologies_equal_a_plain_comparison() -> None:
         reading=jnp.asarray(random.integers(0, 2, P)),
         is_mentioned=jnp.asarray(random.uniform(size=(by_hand.M, P)) < 0.9),
     )
-    topology, first, count = jax.jit(distinct_topologies, static_argnames="num_types")(
-        particles, num_types=8
-    )
+    topology, first, count = jax.jit(distinct_topologies)(particles)
     rows: list[tuple] = []
     for index in range(P):
         row = tuple(

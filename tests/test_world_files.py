@@ -10,6 +10,7 @@ import jax
 import numpy as np
 import pytest
 
+from jaxlangnav.kinds import attributes
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.messages import NONE, default_motion, default_sensor
 from jaxlangnav.world.files import (
@@ -193,8 +194,7 @@ COMPLAINTS = [
     (
         "objects.1.type",
         "hidrant",
-        r"objects\[1\].type is 'hidrant' but must be an object type: hyd.*"
-        "Did you mean 'hydrant'",
+        r"objects\[1\].type is 'hidrant', which looks mistyped. Did you mean 'hydrant'",
     ),
     ("objects.0.type", "", r"objects\[0\].type is '' but must be a text that is not empty"),
     ("objects.0.x", -0.1, r"objects\[0\].x is -0.1 but the area reaches from 0 to 13"),
@@ -205,7 +205,17 @@ COMPLAINTS = [
         "far hydrant",
         r"objects\[1\].name is 'far hydrant' as is objects\[0\]: ren",
     ),
-    ("objects.0.colour", "red", r"objects\[0\].colour is unknown: known keys are name, type, x, y"),
+    (
+        "objects.0.weight",
+        "heavy",
+        r"objects\[0\].weight is unknown: known keys are colour, height, material, name, size",
+    ),
+    (
+        "objects.0.colour",
+        "reddish",
+        r"objects\[0\].colour is 'reddish' but must be a colour: red, ",
+    ),
+    ("objects.0.type", "gaz9ebo", r"objects\[0\].type is 'gaz9ebo' but must be a noun"),
     ("sensor.range", 0, "sensor.range is 0 but must be 0.001 or more"),
     ("sensor.range", -2.0, "sensor.range is -2.0 but must be 0.001 or more"),
     ("sensor.field_of_view", 720, "sensor.field_of_view is 720 but must be 0.1 or more and 360 or"),
@@ -337,3 +347,46 @@ def test_tables_are_plain_data() -> None:
 def test_templates_place_the_types_that_the_lexicon_calls_hydrant_and_cone() -> None:
     names = load_lexicon().type_names
     assert (names[HYDRANT], names[CONE]) == ("hydrant", "cone")
+
+
+def test_things_of_any_noun_with_their_looks_are_read_and_written_back(tmp_path: Path) -> None:
+    path = tmp_path / "park.toml"
+    path.write_text(PARK, encoding="utf-8")
+    world = load_world(path)
+    assert world.type_names[-2:] == ("gazebo", "easel")
+    assert world.attribute_groups == ("colour", "height")
+    assert world.scenario.object_type[:3].tolist() == [8, 9, 8]
+    codes = [attributes("white", "tall"), 0, attributes("red")]
+    assert world.scenario.object_attribute is not None
+    assert world.scenario.object_attribute[:3].tolist() == codes
+    save_world(world, path)
+    again = load_world(path)
+    jax.tree.map(np.testing.assert_array_equal, again.scenario, world.scenario)
+    assert again.type_names == world.type_names
+
+
+PARK = """
+[area]
+x_min = 0.0
+x_max = 10.0
+y_min = -5.0
+y_max = 5.0
+[goal]
+object = "here"
+[[objects]]
+type = "gazebo"
+name = "here"
+x = 7.0
+y = 1.0
+colour = "white"
+height = "tall"
+[[objects]]
+type = "Easel"
+x = 4.5
+y = 0.5
+[[objects]]
+type = "gazebo"
+x = 3.0
+y = -4.0
+colour = "red"
+"""

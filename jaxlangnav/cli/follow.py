@@ -13,7 +13,7 @@ from jaxlangnav.cli.errors import UsageError
 from jaxlangnav.cli.metavars import File, Folder, Metres
 from jaxlangnav.cli.output import Document, Output
 from jaxlangnav.cli.runtime import keep_compiled_programs, waiting
-from jaxlangnav.cli.sentence import parse_text
+from jaxlangnav.cli.sentence import is_template, parse_text
 from jaxlangnav.cli.settings import Place, apply, read_settings
 
 if TYPE_CHECKING:
@@ -74,15 +74,12 @@ class Follow:
     def run(self, output: Output) -> Document:
         """Run the episode, tell it, and draw it where a folder is given."""
         self._check()
-        parsed = parse_text(self.text, output)
+        # The words of a template are known; a world of somebody's own brings its own.
+        parsed = parse_text(self.text, output) if is_template(self.world) else None
         keep_compiled_programs()
-        from jaxlangnav.world.files import open_world
-
         values = read_settings(self.settings, self.SETTINGS)
         self._check_settings(values)
-        # Before anything is compiled: a world that cannot be opened is refused at once.
-        open_world(self.world)
-        understood = self._understand(parsed)
+        understood = self._understand(parsed, output)
         from jaxlangnav.task.opening import refuse_what_it_lacks
 
         refuse_what_it_lacks(self.world, understood)
@@ -131,12 +128,19 @@ class Follow:
         config = apply(navigator_config(self.policy, self.particles), values, "config")
         check_recording(config, self.max_steps)
 
-    def _understand(self, parsed: "Parse") -> "Understanding":
+    def _understand(self, parsed: "Parse | None", output: Output) -> "Understanding":
         """Understand the sentence, which has to ask for something."""
         from jaxlangnav.cli.engine import load_models
         from jaxlangnav.grounding.instruction import understand_parse
+        from jaxlangnav.language.lexicon import load_lexicon
+        from jaxlangnav.task.opening import detector_of
 
-        understood = understand_parse(parsed, load_models(self.weights))
+        # Before anything is compiled: a world that cannot be opened is refused at once.
+        detector = detector_of(self.world, load_lexicon().type_names)
+        parsed = parsed or parse_text(self.text, output, detector.plain_labels)
+        understood = understand_parse(parsed, load_models(self.weights), detector)
+        for note in understood.notes:
+            output.note(f"note: {note}")
         understood.check_task()
         return understood
 
@@ -183,7 +187,9 @@ class Follow:
         from jaxlangnav.viz.narrative import closing, tell
 
         instructions, task = alone(understood), prepared.task
-        scene = recorder.set_scene(task, instructions, text=self.text, **sizes)
+        scene = recorder.set_scene(
+            task, instructions, text=self.text, type_names=understood.type_names, **sizes
+        )
         steps = recorder.play(task, instructions, max_steps=self.max_steps, **sizes)
         with waiting(
             "compiling the robot's mind; what is compiled is kept for the next run", output

@@ -11,7 +11,7 @@ from jaxlangnav.cli.errors import UsageError
 from jaxlangnav.cli.metavars import File, Folder, World
 from jaxlangnav.cli.output import Document, Output
 from jaxlangnav.cli.runtime import keep_compiled_programs
-from jaxlangnav.cli.sentence import parse_text
+from jaxlangnav.cli.sentence import is_template, parse_text
 from jaxlangnav.experiments.table import Table
 
 if TYPE_CHECKING:
@@ -54,14 +54,21 @@ class Ground:
         check_folder("--out", self.out)
         if self.out is not None and importlib.util.find_spec("matplotlib") is None:
             raise UsageError('--out draws a picture and needs: pip install "jaxlangnav[viz]"')
-        parsed = parse_text(self.text, output)
+        is_own = self.world is not None and not is_template(self.world)
+        parsed = None if is_own else parse_text(self.text, output)
         keep_compiled_programs()
         from jaxlangnav.cli.engine import load_models
         from jaxlangnav.grounding.asked import describe_asked
         from jaxlangnav.grounding.instruction import understand_parse
+        from jaxlangnav.task.opening import detector_of
 
         model = load_models(self.weights)
-        understood = understand_parse(parsed, model)
+        detector = detector_of(self.world, model.type_names) if self.world else None
+        labels = detector.plain_labels if detector else ()
+        parsed = parsed or parse_text(self.text, output, labels)
+        understood = understand_parse(parsed, model, detector)
+        for note in understood.notes:
+            output.note(f"note: {note}")
         document: dict[str, Any] = {
             "instruction": self.text,
             "annotations": understood.annotations,
@@ -82,7 +89,9 @@ class Ground:
         if self.out is not None:
             from jaxlangnav.viz.pictures import write_graph
 
-            document["pictures"] = [str(path) for path in write_graph(parsed, model, self.out)]
+            model = dataclasses.replace(model, type_names=understood.names)
+            pictures = write_graph(understood.parse, model, self.out)
+            document["pictures"] = [str(path) for path in pictures]
             output.say(f"Wrote {', '.join(document['pictures'])}")
         return document
 

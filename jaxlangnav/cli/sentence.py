@@ -1,6 +1,6 @@
 """What every command does with a sentence: check that there is one, parse it, draw it."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING, Any
 
 from jaxlangnav.cli.errors import UsageError
@@ -12,12 +12,13 @@ if TYPE_CHECKING:
     from jaxlangnav.language.phrase import Parse
 
 
-def parse_text(text: str, output: Output) -> "Parse":
+def parse_text(text: str, output: Output, labels: Collection[str] = ()) -> "Parse":
     """Parse a sentence and tell the person what was mended or not known.
 
     Args:
         text: what was typed.
         output: where repairs and unknown words are noted.
+        labels: what the detector tells apart.
 
     Returns:
         The parse.
@@ -30,7 +31,7 @@ def parse_text(text: str, output: Output) -> "Parse":
         raise UsageError('the sentence is empty; say for example "go to the hydrant"')
     from jaxlangnav.language.parser import parse
 
-    parsed = parse(text)
+    parsed = parse(text, labels)
     for written, meant in parsed.repairs:
         output.note(f'note: "{written}" is read as "{meant}"')
     for said, meant in parsed.rewrites:
@@ -41,6 +42,11 @@ def parse_text(text: str, output: Output) -> "Parse":
     for word, position in parsed.unknown_words:
         output.note(f'note: "{word}" (word {position}) is not in the lexicon')
     return parsed
+
+
+def is_template(world: str) -> bool:
+    """Tell whether a world's name is that of a template, 2H1C: no file has to be read."""
+    return world.strip()[:1].isdigit() and "/" not in world and "." not in world
 
 
 def draw_tree(phrase: Mapping[str, Any]) -> Any:

@@ -15,7 +15,6 @@ from jaxlangnav.grounding.form import Form, FormReading, read_form
 from jaxlangnav.grounding.form_program import clause_of_form
 from jaxlangnav.grounding.grounder import Context, Grounded
 from jaxlangnav.grounding.instruction import Instruction, pack_instruction
-from jaxlangnav.grounding.program import NUM_TYPES
 from jaxlangnav.grounding.readings import (
     NUM_MENTIONS,
     NUM_RELATIONS_SAID,
@@ -25,6 +24,7 @@ from jaxlangnav.grounding.readings import (
     pack,
 )
 from jaxlangnav.grounding.symbols import Annotation, object_symbol, relation_symbol
+from jaxlangnav.kinds import MOST_LABELS
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.messages import NONE
 
@@ -41,10 +41,10 @@ class AnnotationGrounder:
     def __post_init__(self) -> None:
         """Refuse types that the programs cannot tell apart."""
         names = self.type_names
-        if not 0 < len(names) <= NUM_TYPES or len(set(names)) < len(names):
+        if not 0 < len(names) <= MOST_LABELS or len(set(names)) < len(names):
             raise ValueError(
                 f"type_names has {len(names)} names, {len(set(names))} of them different; "
-                f"1 to {NUM_TYPES} are held, each once"
+                f"1 to {MOST_LABELS} are held, each once"
             )
 
     def ground(self, text: str, context: Context) -> Grounded:

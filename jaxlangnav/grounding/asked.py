@@ -18,6 +18,7 @@ from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.grounding.symbols import NUM_RELATIONS
 from jaxlangnav.grounding.worlds import to_device
 from jaxlangnav.kept import kept
+from jaxlangnav.kinds import name_of
 from jaxlangnav.messages import (
     ACTIONS,
     MODES,
@@ -109,7 +110,10 @@ def describe_asked(instruction: Instruction, names: Sequence[str]) -> list[dict[
 
     def place(region: int, mention: int) -> dict[str, str]:
         kind = ROBOT if mention == ROBOT else int(kinds[mention])
-        return {"region": REGIONS[region], "object": "robot" if kind == ROBOT else names[kind]}
+        return {
+            "region": REGIONS[region],
+            "object": "robot" if kind == ROBOT else name_of(kind, names),
+        }
 
     return [
         {

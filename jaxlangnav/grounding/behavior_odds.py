@@ -5,6 +5,7 @@ The device twin of ``behavior_features``: leaves of a program are [..., E, 1], t
 have lost their first axis.
 """
 
+import functools
 from typing import NamedTuple
 
 import jax
@@ -14,9 +15,9 @@ from jax import Array
 from jaxlangnav.grounding.bits import iota, is_in, to_mask
 from jaxlangnav.grounding.program import (
     NEVER,
-    NUM_TYPES,
     BehaviorProgram,
 )
+from jaxlangnav.kinds import fits, label_of
 from jaxlangnav.messages import NONE, ROBOT, BehaviorWorld
 from jaxlangnav.numerics.batching import pick
 
@@ -24,7 +25,7 @@ from jaxlangnav.numerics.batching import pick
 class Scene(NamedTuple):
     """The particles' objects as bits."""
 
-    types: Array  # i32[16, E, P] per type, the objects of it
+    kind: Array  # i32[N, E, P] kinds of the objects
     previous: Array  # i32[3, E, P] the previous goal; others of its type; those of other types
     robot: Array  # i32[E, P]
     everything: Array  # i32[E, P]
@@ -71,8 +72,7 @@ class Joined(NamedTuple):
 def build_scene(program: BehaviorProgram, world: BehaviorWorld) -> Scene:
     """Turn worlds into bits; leaves of the world are [..., E, P]."""
     is_object = world.is_object
-    kind = jnp.where(world.object_type == ROBOT, NUM_TYPES, world.object_type)
-    types = to_mask((kind[None] == iota(NUM_TYPES + 1, 3)[:, None]) & is_object[None])
+    kind = world.object_type
     itself = jnp.where(is_object, jnp.left_shift(jnp.int32(1), iota(kind.shape[0], 3)), 0)
     everything = jnp.sum(itself, axis=0)
     edges = jnp.concatenate([world.is_related, world.is_superlative, world.is_later])
@@ -81,13 +81,14 @@ def build_scene(program: BehaviorProgram, world: BehaviorWorld) -> Scene:
     lies = pick(figures, _each(program.table, is_object))
     previous = world.is_previous & is_object
     last_type = jnp.max(jnp.where(previous, world.object_type, NONE - 9), axis=0)
-    alike = (world.object_type == last_type[None]) & is_object
-    goal, others = to_mask(jnp.stack([previous, alike & ~previous]))
+    alike = (label_of(kind) == label_of(last_type)[None]) & is_object
+    is_robot = (kind == ROBOT) & is_object
+    goal, others, robot = to_mask(jnp.stack([previous, alike & ~previous, is_robot]))
     rest = jnp.where(goal != 0, everything & ~(goal | others), 0)
     return Scene(
-        types=types,
+        kind=kind,
         previous=jnp.stack([goal, others, rest]),
-        robot=types[NUM_TYPES],
+        robot=robot,
         everything=everything,
         lies=lies,
     )
@@ -99,8 +100,9 @@ def _each(index: Array, objects: Array) -> Array:
 
 
 def _own(row: BehaviorProgram, scene: Scene) -> Array:
-    """Find the objects of the types that the words name, i32[E, P]."""
-    return jnp.sum(jnp.where(row.own, scene.types, 0), axis=0)
+    """Find the objects of the kinds that the words name, i32[E, P]."""
+    named = fits(scene.kind[None], row.own[:, None])  # [W, N, E, P]
+    return to_mask(functools.reduce(jnp.logical_or, named)) & scene.everything
 
 
 def object_odds(row: BehaviorProgram, scene: Scene, joined: Joined, size: int) -> Array:

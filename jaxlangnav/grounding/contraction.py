@@ -17,9 +17,10 @@ from jaxlangnav.grounding.behavior_properties import (
 from jaxlangnav.grounding.features import Senses
 from jaxlangnav.grounding.graph import Node
 from jaxlangnav.grounding.symbols import NUM_REGIONS
+from jaxlangnav.messages import NONE, ROBOT
 
-NUM_TYPES = 15
-"""Object types a program tells apart; the robot comes after them."""
+NUM_OWN = 4
+"""Kinds that the words of one phrase may name."""
 
 
 def softmax(log_odds: np.ndarray) -> np.ndarray:
@@ -42,9 +43,8 @@ def object_fields(
     Returns:
         Fields of a ``BehaviorProgram``.
     """
-    own = np.zeros(NUM_TYPES + 1, bool)
-    own[[t for t in senses.types if t < NUM_TYPES]] = True
-    own[NUM_TYPES] = senses.is_robot
+    named = [*sorted(senses.types), *([ROBOT] if senses.is_robot else [])][:NUM_OWN]
+    own = np.array(named + [NONE] * (NUM_OWN - len(named)), np.int32)
     words = Words.of(senses, bool(node.children), is_restricted)
     terms = contract(OBJECT_PROPERTIES, words, coefficients)
     previous = ("own_previous", "previous", "alike", "unlike", "no_previous")

@@ -19,15 +19,15 @@ from jaxlangnav.grounding.program import (
     MAX_DEPTH,
     NEVER,
     NUM_CHILDREN,
+    NUM_OWN,
     NUM_PHRASES,
     NUM_SLOTS,
     NUM_TABLES,
-    NUM_TYPES,
     empty_program,
 )
 from jaxlangnav.grounding.readings import CapacityError
 from jaxlangnav.grounding.symbols import NUM_RELATIONS
-from jaxlangnav.messages import NEAR, NONE, REGIONS, ROBOT
+from jaxlangnav.messages import NEAR, NONE, REGIONS
 
 CERTAIN = 16.0
 """Log-odds of what a form says; the probability of the contrary is 1e-7, lost in rounding."""
@@ -98,13 +98,11 @@ def _thing(thing: Description, peak: float, before: int = ANY) -> _Phrase:
         peak: log-odds of an object that it fits.
         before: how it bears on the goal of the command before.
     """
-    own = np.zeros(NUM_TYPES + 1, bool)
-    own[NUM_TYPES if thing.kind == ROBOT else thing.kind] = True
     places = [_place(*place) for place in sorted(thing.places, key=_sorted_by)]
     first, rest = places[:NUM_CHILDREN], places[NUM_CHILDREN:]
     previous = {ANY: (), OTHER: (0,), AGAIN: (2,)}[before]
     row = {
-        "own": own,
+        "own": np.array([thing.kind] + [NONE] * (NUM_OWN - 1), np.int32),
         "object_named": -CERTAIN,
         "object_unnamed": NEVER,
         "object_own_lies": CERTAIN + (CERTAIN if rest else peak),

@@ -5,9 +5,10 @@ The door through which any source of annotations comes in: the trained graph her
 """
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, Protocol
 
+from jaxlangnav.grounding.binding import Detector
 from jaxlangnav.grounding.instruction import GroundingModel, Instruction, understand
 
 
@@ -54,31 +55,55 @@ class Grounder(Protocol):
         ...
 
 
-@dataclasses.dataclass(frozen=True)
 class GraphGrounder:
     """The trained Distributed Correspondence Graph: sentences of the controlled language."""
 
-    model: GroundingModel
+    def __init__(
+        self,
+        model: GroundingModel,
+        labels: Iterable[str] | None = None,
+        attributes: Iterable[str] = (),
+    ) -> None:
+        """Bind the graph to a detector.
+
+        Args:
+            model: trained models.
+            labels: what the detector tells apart, in the order of its indices; the types of the
+                models by default.
+            attributes: groups of ``kinds.ATTRIBUTES`` that it reports.
+
+        Raises:
+            ValueError: labels or groups are refused; one line.
+        """
+        self.model = model
+        self.detector = Detector(model.type_names if labels is None else labels, attributes)
 
     @property
     def type_names(self) -> tuple[str, ...]:
-        """Object types that the models speak of."""
-        return self.model.type_names
+        """The detector's labels."""
+        return self.detector.labels
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The labels, and after them nouns of sentences that there was no label for."""
+        return self.detector.names
 
     def ground(self, text: str, context: Context) -> Grounded:
         """Understand a sentence; see ``Grounder.ground``."""
         del context  # a sentence of the controlled language is understood by itself
-        understood = understand(text, self.model)
+        understood = understand(text, self.model, self.detector)
         understood.check_task()
-        unread = tuple(
-            f"left out, as it says nothing of the task: '{text}'"
-            for text in understood.parse.unread
-        )
-        unknown = ", ".join(f"'{word}'" for word in understood.unknown_words)
+        bound = understood.type_names
+        unknown = [f"'{word}'" for word in understood.unknown_words if word not in bound]
         return Grounded(
             instruction=understood.instruction,
             annotations=tuple(understood.annotations),
-            notes=(f"not in the lexicon, and read by what they look like: {unknown}", *unread)
-            if unknown
-            else unread,
+            notes=(
+                *(f"not in the lexicon: {word}" for word in unknown),
+                *(
+                    f"left out, as it says nothing of the task: '{said}'"
+                    for said in understood.parse.unread
+                ),
+                *understood.notes,
+            ),
         )

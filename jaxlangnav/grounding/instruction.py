@@ -13,7 +13,7 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.grounding.annotation import Belief, describe, infer_annotations, walk
-from jaxlangnav.grounding.contraction import NUM_TYPES
+from jaxlangnav.grounding.binding import Detector, UnknownObjectError, bind
 from jaxlangnav.grounding.graph import build
 from jaxlangnav.grounding.model import CorrespondenceModel
 from jaxlangnav.grounding.program import BehaviorProgram, compile_clause, empty_program, to_program
@@ -58,14 +58,16 @@ class Understanding:
     parse: Parse
     belief: Belief
     instruction: Instruction
-    type_names: tuple[str, ...]
+    names: tuple[str, ...]  # types of the sentence, which ``belief`` speaks of
+    type_names: tuple[str, ...]  # what the detector tells apart, which ``instruction`` speaks of
+    notes: tuple[str, ...]  # what of the words is not used, a line each
     slack: float  # bound on the log-odds of any region left out of the program
 
     @property
     def annotations(self) -> list[dict[str, Any]]:
         """Annotations with probabilities, likeliest first, as ``ground --json`` prints them."""
         return [
-            describe(symbol, rank, probability, self.type_names)
+            describe(symbol, rank, probability, self.names)
             for symbol, rank, probability in self.belief.marginals()
             if probability >= _MIN_PROBABILITY
         ]
@@ -111,31 +113,29 @@ class Understanding:
         Returns:
             Sizes by model.
         """
-        annotation = build(self.parse, AnnotationSpace(len(self.type_names))).count()
+        annotation = build(self.parse, AnnotationSpace(len(self.names))).count()
         behavior = build(self.parse, BehaviorSpace(num_objects)).count()
         return {"annotation": annotation, "behavior": {**behavior, "objects": num_objects}}
 
 
-def understand(text: str, model: GroundingModel) -> Understanding:
+def understand(text: str, model: GroundingModel, detector: Detector | None = None) -> Understanding:
     """Understand an instruction: parse, annotations, and a program for behavior inference.
 
     Args:
         text: what the person said.
         model: trained models.
+        detector: what is told apart; the types of the models by default.
 
     Returns:
         What was understood; ``instruction`` is what the navigator takes.
 
     Raises:
         LanguageError: the text is refused by the parser.
-        UnknownObjectError: it speaks of an object that is not known.
+        UnknownObjectError: its goal is nothing that the detector has a label for.
         ValueError: the sentence says more than the arrays hold.
     """
-    return understand_parse(parse(text), model)
-
-
-class UnknownObjectError(ValueError):
-    """A noun that the lexicon does not know, and that the model cannot ground either."""
+    labels = () if detector is None else detector.plain_labels
+    return understand_parse(parse(text, labels), model, detector)
 
 
 def _check_nouns(tree: Parse, belief: Belief, type_names: tuple[str, ...]) -> None:
@@ -153,13 +153,14 @@ def _check_nouns(tree: Parse, belief: Belief, type_names: tuple[str, ...]) -> No
                     )
 
 
-def understand_parse(tree: Parse, model: GroundingModel) -> Understanding:
+def understand_parse(
+    tree: Parse, model: GroundingModel, detector: Detector | None = None
+) -> Understanding:
     """Understand a sentence that has been parsed already; see ``understand``."""
-    if len(model.type_names) > NUM_TYPES:
-        raise ValueError(
-            f"the lexicon has {len(model.type_names)} object types; at most {NUM_TYPES} are held"
-        )
-    belief = infer_annotations(tree, model.annotation, model.type_names)
+    detector = Detector(model.type_names) if detector is None else detector
+    bound = bind(tree, model.type_names, detector)
+    tree, names = bound.tree, bound.names
+    belief = infer_annotations(tree, model.annotation, names)
     _check_nouns(tree, belief, model.type_names)
     commands = [i for i, kind in enumerate(tree.kinds) if kind == COMMAND]
     if len(commands) > NUM_CLAUSES:
@@ -168,12 +169,20 @@ def understand_parse(tree: Parse, model: GroundingModel) -> Understanding:
             "say less at once"
         )
     compiled = [
-        compile_clause(tree.clauses[i], i, model.behavior, belief.rank, model.type_names)
-        for i in commands
+        compile_clause(tree.clauses[i], i, model.behavior, belief.rank, names) for i in commands
     ]
-    instruction = pack_instruction(to_readings(belief), [clause.fields for clause in compiled])
+    programs = [one.fields | {"own": bound.rewrite(one.fields["own"])} for one in compiled]
+    instruction = pack_instruction(to_readings(belief, bound.kinds_of), programs)
     slack = max((clause.slack for clause in compiled), default=-np.inf)
-    return Understanding(tree, belief, instruction, model.type_names, slack)
+    return Understanding(
+        parse=tree,
+        belief=belief,
+        instruction=instruction,
+        names=names,
+        type_names=detector.names,
+        notes=bound.notes,
+        slack=slack,
+    )
 
 
 def pack_instruction(readings: Readings, commands: Sequence[dict[str, np.ndarray]]) -> Instruction:

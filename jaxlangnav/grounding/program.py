@@ -18,7 +18,7 @@ from jax import Array
 
 from jaxlangnav.grounding.behavior_features import action_properties, mode_properties
 from jaxlangnav.grounding.contraction import (
-    NUM_TYPES,
+    NUM_OWN,
     constraint_terms,
     goal_terms,
     object_fields,
@@ -50,7 +50,7 @@ AT_TABLE = 3 * NUM_RELATIONS
 class BehaviorProgram:
     """Coefficients of one clause: phrases bottom-up, then padding, the root in the last row.
 
-    H rows, 3 children, L region slots, T tables. "named" marks object types that the words name.
+    H rows, 3 children, L region slots, T tables. "named" marks object kinds that the words name.
     The children of a phrase are what lies on top of the stack; the last child is child 0.
     """
 
@@ -58,7 +58,7 @@ class BehaviorProgram:
     num_children: Array  # i32[H]; NOTHING in padded rows
     is_verb: Array  # bool[H] expresses goals and constraints, otherwise objects and regions
     is_restrictor: Array  # bool[H, 3] the child says where the figure is
-    own: Array  # bool[H, 16] the words name the type
+    own: Array  # i32[H, 4] kinds that the words name; NONE beyond them
     object_named: Array  # f32[H] log-odds of an object of a type that the words name
     object_unnamed: Array  # f32[H] log-odds of any other object
     object_inside: Array  # f32[H] added where a child expresses the object
@@ -99,7 +99,7 @@ OF_THE_CLAUSE = ("num_phrases", "table", "action", "mode")
 
 def empty_program() -> dict[str, np.ndarray]:
     """Build the fields of a program that expresses nothing."""
-    h, k, s, t = NUM_PHRASES, NUM_CHILDREN, NUM_SLOTS, NUM_TYPES + 1
+    h, k, s = NUM_PHRASES, NUM_CHILDREN, NUM_SLOTS
     f32, i32 = np.float32, np.int32
     fields: dict[str, np.ndarray] = {
         "num_phrases": np.zeros((), i32),
@@ -108,7 +108,7 @@ def empty_program() -> dict[str, np.ndarray]:
         "is_verb": np.zeros(h, bool),
         "object_named": np.full(h, NEVER, f32),
         "object_unnamed": np.full(h, NEVER, f32),
-        "own": np.zeros((h, t), bool),
+        "own": np.full((h, NUM_OWN), NONE, i32),
         "table": np.full(NUM_TABLES, NONE, i32),
         "region_relation": np.full((h, s), NONE, i32),
         "region_table": np.full((h, s), NONE, i32),

@@ -5,7 +5,9 @@ grounded given the earlier ones: landmarks before the figures placed against the
 """
 
 import dataclasses
-from collections.abc import Callable, Iterable, Sequence
+import itertools
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TypeVar
 
 import jax
@@ -147,11 +149,18 @@ def _fits(reading: Reading) -> bool:
     return len(reading.mentions) <= NUM_MENTIONS and len(reading.relations) <= NUM_RELATIONS_SAID
 
 
-def to_readings(belief: Belief) -> Readings:
+def _itself(kind: int) -> tuple[int, ...]:
+    """Take a type for the kind of its own index."""
+    return (kind,)
+
+
+def to_readings(belief: Belief, kinds_of: Callable[[int], tuple[int, ...]] = _itself) -> Readings:
     """Pack the likeliest readings of a sentence.
 
     Args:
         belief: distribution over sets of annotations.
+        kinds_of: the kinds that each type of the sentence may be. Where there are several, each
+            way to choose is a reading of its own. By default a type is a kind.
 
     Returns:
         K readings, padded; their probabilities sum to one.
@@ -170,7 +179,21 @@ def to_readings(belief: Belief) -> Readings:
             f"{len(ranked[0][0].relations)} relations; at most {NUM_MENTIONS} and "
             f"{NUM_RELATIONS_SAID} are held: say less at once"
         )
-    return pack([item for item in ranked if _fits(item[0])][:NUM_READINGS])
+    fitting = [item for item in ranked if _fits(item[0])][:NUM_READINGS]
+    return pack(list(_of_kinds(fitting, kinds_of))[:NUM_READINGS])
+
+
+def _of_kinds(
+    ranked: Iterable[tuple[Reading, float]], kinds_of: Callable[[int], tuple[int, ...]]
+) -> Iterator[tuple[Reading, float]]:
+    """Put kinds in place of types, each way to choose with its share of the probability."""
+    for reading, score in ranked:
+        types = tuple(dict.fromkeys(reading.mentions))
+        ways = list(itertools.product(*map(kinds_of, types)))
+        for way in ways:
+            kinds = dict(zip(types, way, strict=True))
+            mentions = tuple(kinds[one] for one in reading.mentions)
+            yield dataclasses.replace(reading, mentions=mentions), score - math.log(len(ways))
 
 
 def pack(ranked: Sequence[tuple[Reading, float]]) -> Readings:

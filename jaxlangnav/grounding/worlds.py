@@ -7,6 +7,7 @@ import numpy as np
 
 from jaxlangnav.grounding.behavior_features import World
 from jaxlangnav.grounding.symbols import NUM_RELATIONS
+from jaxlangnav.kinds import fits, kind_of, label_of
 from jaxlangnav.language.labels import Geometry, PlacedWorld
 from jaxlangnav.messages import NONE, ROBOT, BehaviorWorld, Readings
 from jaxlangnav.relations.strength import num_before
@@ -33,7 +34,12 @@ def place(placed: PlacedWorld, type_names: tuple[str, ...]) -> World:
         A world of n + 1 slots.
     """
     count = len(placed.objects)
-    object_type = np.array([*(type_names.index(t) for t, _, _ in placed.objects), ROBOT], np.int32)
+    codes = placed.attributes or [0] * count
+    kinds = [
+        kind_of(type_names.index(name), code)
+        for (name, _, _), code in zip(placed.objects, codes, strict=True)
+    ]
+    object_type = np.array([*kinds, ROBOT], np.int32)
     shape = (NUM_RELATIONS, count + 1, count + 1)
     is_related = np.zeros(shape, bool)
     is_ranked = np.zeros((NUM_RANKS, *shape), bool)
@@ -41,7 +47,7 @@ def place(placed: PlacedWorld, type_names: tuple[str, ...]) -> World:
         geometry = Geometry(placed)
         other = ~np.eye(count, count + 1, dtype=bool)
         is_related[:, :count] = geometry.holds & other
-        ranks = _ranks(geometry, object_type)
+        ranks = _ranks(geometry, label_of(object_type))
         for rank in range(NUM_RANKS):
             is_ranked[rank, :, :count] = (ranks == rank) & other
     is_previous = np.zeros(count + 1, bool)
@@ -74,16 +80,16 @@ def place_for(placed: PlacedWorld, type_names: tuple[str, ...], readings: Readin
     edges = edges[edges[:, 1] != NONE]
     ranked = world.is_ranked.copy()
     for figure, relation, landmark, rank in edges[edges[:, 3] > 0]:
-        allowed = (world.object_type == kinds[figure])[:-1]
+        allowed = fits(world.object_type, kinds[figure])[:-1]
         for other, place_said, by, other_rank in edges:
             if other == figure and other_rank == 0:
-                near = world.is_related[place_said][:-1, world.object_type == kinds[by]]
+                near = world.is_related[place_said][:-1, fits(world.object_type, kinds[by])]
                 allowed = allowed & near.any(1)
-        for index in np.flatnonzero(world.object_type == kinds[landmark]):
+        for index in np.flatnonzero(fits(world.object_type, kinds[landmark])):
             mine = strength[relation, :, index]
             rivals = allowed & (np.arange(len(mine)) != index)
             before = num_before(mine, rivals)
-            own = (world.object_type == kinds[figure])[:-1]
+            own = fits(world.object_type, kinds[figure])[:-1]
             meant = rivals & (before == rank - 1)
             row = ranked[min(rank, 2) - 1, relation, :-1, index]
             ranked[min(rank, 2) - 1, relation, :-1, index] = np.where(own, meant, row)

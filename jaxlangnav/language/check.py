@@ -32,11 +32,12 @@ def _check_compound(phrase: Phrase) -> None:
             raise _refuse([word, following], "names no one object; name one")
 
 
-def _check_verb(clause: Phrase) -> None:
+def _check_verb(clause: Phrase, guessed: set[int]) -> None:
     """Refuse a command in which neither verb nor object is known."""
     verbs = [word for word in clause.words if word.tag.startswith("VB") and not word.senses]
     has_action = any(s.startswith(("action", "constraint")) for w in clause.words for s in w.senses)
-    types = [word for word in clause.all_words() if _type_of(word) is not None]
+    named = [word for word in clause.all_words() if _type_of(word) is not None]
+    types = [word for word in named if word.position not in guessed]
     anaphors = [w for w in clause.all_words() if set(w.senses) & {"anaphor", "place"}]
     if has_action or types or anaphors:
         return
@@ -112,5 +113,5 @@ def check(clauses: list[Phrase], unknown: set[int]) -> None:
                 _check_one(phrase)
         _check_unknown(clause, unknown)
         if clause.label == "VP":
-            _check_verb(clause)
+            _check_verb(clause, unknown if clause is clauses[0] else set())
             _check_mode(clause)

@@ -19,13 +19,14 @@ from lark.lexer import Lexer
 
 from jaxlangnav.language.forest import Derivation, ForestReader, Production
 from jaxlangnav.language.lexicon import Entry, Lexicon, load_lexicon
+from jaxlangnav.language.nouns import NOUN
 
 P_OPTIONAL = 0.2
 W_EXPRESSION = 0.005  # of a word of fixed expressions to be a noun, beside an unknown word
 COMMA, FULLSTOP, UNKNOWN, UNKNOWN_ADVERB, UNKNOWN_ING = "comma", "fullstop", "?", "?ly", "?ing"
 # What an unknown word may be, with its weight beside the known words of the class.
 UNKNOWN_CLASSES = {
-    "unknown_noun": {UNKNOWN: 1.0, UNKNOWN_ING: 0.1},
+    "unknown_noun": {UNKNOWN: 1.0, UNKNOWN_ING: 0.1, NOUN: 0.01},
     "adj": {UNKNOWN: 0.3, UNKNOWN_ING: 0.05},
     "v_to": {UNKNOWN: 0.05},
     "v_obj": {UNKNOWN: 0.05},

@@ -6,6 +6,8 @@ typing errors are repaired and reported. Time is bounded: input is limited in ch
 and the parser is polynomial.
 """
 
+from collections.abc import Collection
+from dataclasses import replace
 from functools import cache
 
 from jaxlangnav.language.chatter import leave_out
@@ -22,6 +24,7 @@ from jaxlangnav.language.grammar import (
 )
 from jaxlangnav.language.lexicon import REASONS, TYPE_CLASS, load_lexicon
 from jaxlangnav.language.nearest import offer
+from jaxlangnav.language.nouns import NOUN, is_noun_place, join_nouns, name_nouns
 from jaxlangnav.language.phrase import COMMAND, STATEMENT, LanguageError, Parse
 from jaxlangnav.language.reference import resolve
 from jaxlangnav.language.refusal import Token, explain, is_contrary
@@ -50,7 +53,8 @@ _SIGNS = {"&": "and"}
 class _Reader:
     """Splits text into words and marks, repairing what is mistyped."""
 
-    def __init__(self) -> None:
+    def __init__(self, labels: Collection[str]) -> None:
+        self.labels = labels
         self.vocabulary = _vocabulary()
         self.tokens: list[Spoken] = []
         self.repairs: list[tuple[str, str]] = []
@@ -72,6 +76,21 @@ class _Reader:
                     self._word(word)
         while self.tokens and self.tokens[-1].text in MARKS:
             self.tokens.pop()
+        self._mend()
+
+    def _mend(self) -> None:
+        """Repair what is mistyped; a noun only to a noun, and no part of a name at all."""
+        tokens = [_to_token(one) for one in self.tokens]
+        names = [one for one in join_nouns(tokens, self.labels) if one.terminal == NOUN]
+        named = {one.position + k for one in names for k in range(len(one.text.split()))}
+        for index, token in enumerate(tokens):
+            is_unknown = token.terminal.startswith("?") and token.text[0].isalpha()
+            if not is_unknown or token.position in named:
+                continue
+            repaired = repair(token.text, is_noun=is_noun_place(tokens, index))
+            if repaired is not None:
+                self.repairs.append((token.text, repaired))
+                self.tokens[index] = replace(self.tokens[index], text=repaired)
 
     def _mark(self, mark: str) -> None:
         """Add punctuation; a run of marks is its last, and none stands at the beginning."""
@@ -93,15 +112,11 @@ class _Reader:
         return parts if len(parts) > 1 and set(parts) <= self.vocabulary else [piece]
 
     def _word(self, word: str) -> None:
-        """Add a word, repaired where it is mistyped."""
+        """Add a word."""
         self.num_words += 1
         if self.num_words > MAX_WORDS:
             raise LanguageError(f"the instruction has more than {MAX_WORDS} words; shorten it")
-        is_known = word in self.vocabulary or not word[0].isalpha()
-        repaired = None if is_known else repair(word)
-        if repaired is not None:
-            self.repairs.append((word, repaired))
-        self.tokens.append(Spoken(text=repaired or word, position=self.num_words))
+        self.tokens.append(Spoken(text=word, position=self.num_words))
 
 
 def _to_token(spoken: Spoken) -> Token:
@@ -114,6 +129,17 @@ def _to_token(spoken: Spoken) -> Token:
         terminal=terminal,
         position=spoken.position,
     )
+
+
+def _to_tokens(spoken: list[Spoken], labels: Collection[str]) -> list[Token]:
+    """Say what words and marks can be, names of several words as one."""
+    tokens = join_nouns([_to_token(one) for one in spoken], labels)
+    return [
+        replace(one, terminal=UNKNOWN)  # "the lily"
+        if one.terminal == UNKNOWN_ADVERB and is_noun_place(tokens, index)
+        else one
+        for index, one in enumerate(tokens)
+    ]
 
 
 @cache
@@ -154,11 +180,13 @@ def _unknown_mark(word: str) -> str:
     return UNKNOWN
 
 
-def parse(text: str, *, is_nearest_offered: bool = True) -> Parse:
+def parse(text: str, labels: Collection[str] = (), *, is_nearest_offered: bool = True) -> Parse:
     """Parse an instruction of one or more clauses.
 
     Args:
         text: what the person typed, at most 10,000 characters.
+        labels: names of things that are nouns whatever else they may be, such as those that a
+            detector tells apart.
         is_nearest_offered: whether a refusal names the nearest sentence that can be read.
 
     Returns:
@@ -172,7 +200,7 @@ def parse(text: str, *, is_nearest_offered: bool = True) -> Parse:
         raise LanguageError(f"the instruction is of type {type(text).__name__}, but must be a text")
     if len(text) > MAX_CHARACTERS:
         raise LanguageError(f"the instruction has more than {MAX_CHARACTERS} characters")
-    reader = _Reader()
+    reader = _Reader(frozenset(labels))
     reader.read(text)
     if not reader.tokens:
         raise LanguageError("the instruction is empty")
@@ -181,7 +209,7 @@ def parse(text: str, *, is_nearest_offered: bool = True) -> Parse:
     except LanguageError as error:
         if error.position is None or not is_nearest_offered:
             raise
-        raise _with_nearest(error, reader.tokens) from None
+        raise _with_nearest(error, reader) from None
 
 
 def _read(text: str, reader: _Reader) -> Parse:
@@ -189,8 +217,8 @@ def _read(text: str, reader: _Reader) -> Parse:
     heard, unread = leave_out(reader.tokens)
     spoken, rewrites = rewrite(heard)
     _check_symbols(spoken)
-    tokens = [_to_token(one) for one in spoken]
-    unknown = [token for token in tokens if token.terminal.startswith("?")]
+    tokens = _to_tokens(spoken, reader.labels)
+    unknown = [one for one in tokens if one.terminal.startswith("?") and one.terminal != NOUN]
     if len(unknown) > MAX_UNKNOWN:
         first = unknown[0]
         raise LanguageError(
@@ -201,7 +229,7 @@ def _read(text: str, reader: _Reader) -> Parse:
     except NoParseError as error:
         raise explain(tokens, error.index) from None
     builder = TreeBuilder([t.text for t in tokens], [t.position for t in tokens])
-    clauses = resolve(builder.build(derivation))
+    clauses = resolve(name_nouns(builder.build(derivation)))
     check(clauses, {position for _, position in builder.unknown})
     clauses = join_constraints(clauses)
     return Parse(
@@ -216,14 +244,14 @@ def _read(text: str, reader: _Reader) -> Parse:
     )
 
 
-def _with_nearest(error: LanguageError, heard: list[Spoken]) -> LanguageError:
+def _with_nearest(error: LanguageError, reader: _Reader) -> LanguageError:
     """Add to a refusal the nearest sentence that can be read, where there is one."""
-    position = error.position or 0
+    position, heard = error.position or 0, reader.tokens
     blamed = next((one.text for one in heard if one.position == position), "")
 
     def can_read(text: str) -> bool:
         try:
-            found = parse(text, is_nearest_offered=False)
+            found = parse(text, reader.labels, is_nearest_offered=False)
         except LanguageError:
             return False
         return COMMAND in found.kinds and not found.unknown_words

@@ -25,6 +25,7 @@ class PlacedWorld:
     objects: tuple[tuple[str, float, float], ...]  # type, x, y; map frame, metres
     robot: tuple[float, float, float]  # x, y, heading; metres, radians
     previous: int | None = None  # the goal of the command before this one
+    attributes: tuple[int, ...] = ()  # of each object, codes of ``kinds.attributes``; or of none
 
 
 @kept()

@@ -30,14 +30,21 @@ def _leaves(phrase: Phrase) -> list[Phrase]:
     return [leaf for child in inner for leaf in _leaves(child)]
 
 
-def _head(phrase: Phrase) -> Phrase | None:
-    """Find the noun phrase that a clause is about: the goal of a command, what is said to be."""
+def head_of(phrase: Phrase) -> Phrase | None:
+    """Find the noun phrase that a clause is about: the goal of a command, what is said to be.
+
+    Args:
+        phrase: the clause.
+
+    Returns:
+        A phrase of it that names a thing; None where there is none.
+    """
     inner = [child for child in phrase.children if child.label != "VP"]
     if phrase.label == "S":
         inner = [child for child in phrase.children if child.label == "NP"]
     if phrase.label == "NP" and not phrase.children:
         return phrase
-    return _head(inner[0]) if inner else None
+    return head_of(inner[0]) if inner else None
 
 
 def _refuse(word: Word, reason: str) -> LanguageError:
@@ -50,7 +57,7 @@ class _Resolver:
     def __init__(self, before: Phrase | None, *, is_statement: bool) -> None:
         self.before = before
         self.is_statement = is_statement
-        self.head = None if before is None else _head(before)
+        self.head = None if before is None else head_of(before)
 
     def resolve(self, phrase: Phrase, *, is_landmark: bool = False) -> Phrase:
         """Put what is meant into every pronoun below a phrase."""
@@ -137,7 +144,7 @@ def _inform(command: Phrase, statement: Phrase, *, is_next: bool) -> Phrase:
 
     "Find a cone. It is behind the car": right after a command, "it" is what the command is about.
     """
-    figure, said = _head(statement), _said_of(statement)
+    figure, said = head_of(statement), _said_of(statement)
     kind = None if figure is None else _type_sense(figure)
     if figure is None or kind is None or not said:
         return command

@@ -8,7 +8,7 @@ from functools import cache
 from importlib import resources
 from string import ascii_lowercase
 
-from jaxlangnav.language.lexicon import Lexicon, load_lexicon
+from jaxlangnav.language.lexicon import TYPE_CLASS, Lexicon, load_lexicon
 from jaxlangnav.language.rewriting import load_rewrites
 
 MIN_LETTERS = 5
@@ -24,6 +24,8 @@ SMALL_TALK = {
     "conn",
     "conn_then",
 }
+_NOUNS = (TYPE_CLASS, "place_noun", "robot", "one")
+"""Classes whose words are the noun of a phrase."""
 COURTESIES = {"please", "could", "would", "robot", "there", "after", "thanks", "then", "finally"}
 
 
@@ -73,11 +75,19 @@ def _meanings(word: str, lexicon: Lexicon) -> frozenset[tuple[str, tuple[str, ..
 
 
 @cache
-def repair(word: str) -> str | None:
+def _nominal() -> frozenset[str]:
+    """Collect the words that may be the noun of a phrase."""
+    entries = load_lexicon().entries
+    return frozenset(word for name in _NOUNS for key in entries[name] for word in key)
+
+
+@cache
+def repair(word: str, *, is_noun: bool = False) -> str | None:
     """Find the one word of the lexicon that a mistyped word must be.
 
     Args:
         word: lower case, not in the lexicon.
+        is_noun: it is the noun of a phrase: "the easel" has nothing to do with "ease".
 
     Returns:
         The repaired word; None where the word is short, English, hopeless, or could be any of
@@ -90,7 +100,8 @@ def repair(word: str) -> str | None:
         return None
     if len(word) > 20:
         return None
-    candidates = sorted(c for c in edits(word) & repairable() if len(c) >= MIN_LETTERS - 1)
+    allowed = repairable() & _nominal() if is_noun else repairable()
+    candidates = sorted(c for c in edits(word) & allowed if len(c) >= MIN_LETTERS - 1)
     # "Carefuly" is "carefully" and not "careful", which only stands in longer expressions.
     alone = [c for c in candidates if _meanings(c, lexicon) or c in lexicon.refused]
     candidates = alone or candidates

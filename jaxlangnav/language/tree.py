@@ -8,6 +8,7 @@ tree: NP[] over NP[the cone] and PP[nearest to] over NP[the tree].
 from jaxlangnav.language.forest import Derivation
 from jaxlangnav.language.grammar import UNKNOWN_TAGS
 from jaxlangnav.language.lexicon import plural
+from jaxlangnav.language.nouns import NOUN
 from jaxlangnav.language.phrase import Phrase, Word
 
 PUNCTUATION = {"comma", "fullstop"}
@@ -63,7 +64,8 @@ class TreeBuilder:
         left = node.production.left
         if left in UNKNOWN_TAGS:
             tag = UNKNOWN_TAGS[left]
-            self.unknown.append((text, position))
+            if node.production.right != (f'"{NOUN}"',):
+                self.unknown.append((text, position))
             is_plural = tag == "NN" and text.endswith("s") and plural(text[:-1]) == text
             lemma = text[:-1] if is_plural else text
             return Word(text=text, tag="NNS" if is_plural else tag, lemma=lemma, position=position)

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxlangnav.kinds import fits
 from jaxlangnav.messages import Readings
 
 
@@ -42,12 +43,12 @@ def missing_types(readings: Readings, object_type: np.ndarray) -> list[int]:
 
     Args:
         readings: the sentence, of one robot; the likeliest reading is taken.
-        object_type: i32[...], types of all objects observed, in any of the maps; NONE in between.
+        object_type: i32[...], kinds of all objects observed, in any of the maps; NONE in between.
 
     Returns:
-        Type indices, in the order of the mentions.
+        Kinds, in the order of the mentions.
     """
     best = int(np.argmax(np.asarray(readings.log_probability)))
     spoken = dict.fromkeys(int(kind) for kind in np.asarray(readings.mention_type)[best])
-    seen = set(np.unique(object_type).tolist())
-    return [kind for kind in spoken if kind >= 0 and kind not in seen]
+    seen = np.unique(object_type)
+    return [kind for kind in spoken if kind >= 0 and not np.any(fits(seen, kind))]

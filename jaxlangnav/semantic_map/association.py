@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxlangnav.kinds import joined, label_of
 from jaxlangnav.messages import NONE, SensorParams
 from jaxlangnav.numerics import categorical, gaussian
 from jaxlangnav.numerics.batching import column, pick
@@ -27,7 +28,7 @@ LOG_SURPRISE = -30.0
 class Detections(NamedTuple):
     """Detections of one observation in map axes, relative to the robot."""
 
-    object_type: Array  # i32[D]
+    object_type: Array  # i32[D] kinds
     offset_x: Array  # f32[D] metres, map axes
     offset_y: Array  # f32[D]
     log_new: Array  # f32[D] log density of a not yet seen object there, 1/m²
@@ -37,7 +38,7 @@ class Detections(NamedTuple):
 class Association(NamedTuple):
     """How one particle grounded the detections."""
 
-    object_type: Array  # i32[O, ...] types, new objects entered
+    object_type: Array  # i32[O, ...] kinds, new objects entered
     is_hit: Array  # bool[O, ...] detected in this observation
     is_new: Array  # bool[O, ...] entered in this observation
     offset_x: Array  # f32[O, ...] measured offset where hit
@@ -79,7 +80,8 @@ def associate(
         (z_type, z_x, z_y, log_new, present), chance = one
         object_type, is_hit, is_new, offset_x, offset_y, log_weight, overflow = so_far
         log_existing = gaussian.log_normal_isotropic(z_x - predicted_x, z_y - predicted_y, spread)
-        may_be = (object_type == z_type) & ~is_hit
+        # Attributes decide nothing here: a detector that wavers must not make two of one thing.
+        may_be = (label_of(object_type) == label_of(z_type)) & ~is_hit
         log_new = jnp.broadcast_to(log_new, (1, *log_weight.shape))
         choices = jnp.concatenate([jnp.where(may_be, log_existing, -jnp.inf), log_new])
         choice, log_total = categorical.draw(choices, chance)
@@ -88,7 +90,9 @@ def associate(
         slot = jnp.where(wants_new, free, choice)
         entry = (slots == slot[None]) & present
         return Association(
-            object_type=jnp.where(entry, z_type, object_type),
+            object_type=jnp.where(
+                entry, jnp.where(wants_new, z_type, joined(object_type, z_type)), object_type
+            ),
             is_hit=is_hit | entry,
             is_new=is_new | (entry & wants_new[None]),
             offset_x=jnp.where(entry, z_x, offset_x),

@@ -6,7 +6,6 @@ from jax import Array
 
 from jaxlangnav.grounding import behavior as grounding
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.grounding.program import NUM_TYPES
 from jaxlangnav.messages import ACTIONS, MODES, REGIONS, Behavior
 from jaxlangnav.numerics.batching import pack, row_of, unpack
 from jaxlangnav.semantic_map import summary
@@ -36,7 +35,7 @@ def infer_behaviors(
     program = row_of(instruction.program, clause)
     number = particles.reading.shape[-1]
     block = min(BLOCK, number)
-    topology, representative, count = summary.distinct_topologies(particles, NUM_TYPES)
+    topology, representative, count = summary.distinct_topologies(particles)
     padding = jnp.full((-number) % block, number, representative.dtype)
     representative = jnp.append(representative, padding)
 

@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxlangnav.kinds import fits
 from jaxlangnav.messages import NONE
 from jaxlangnav.numerics.batching import lead, pick
 from jaxlangnav.relations import RelationModel, log_density_in_frame, sample_law, to_map
@@ -42,7 +43,7 @@ class Draws(NamedTuple):
 class Seen(NamedTuple):
     """What a particle has seen, as far as words can refer to it."""
 
-    object_type: Array  # i32[O, ...] NONE in empty slots
+    object_type: Array  # i32[O, ...] kinds; NONE in empty slots
     x: Array  # f32[O, ...] metres, map frame
     y: Array  # f32[O, ...]
 
@@ -200,10 +201,10 @@ def list_candidates(
     is_viewer = jnp.stack([jnp.zeros_like(said.is_by_object), ~said.is_by_object])
     is_open = ~is_viewer & ~earlier.is_grounded
     log_bystander = scene.log_area - jnp.log(concentration)  # 1/λ
-    fits = (seen.object_type[None] == said.kind[:, None]) & is_open[:, None]
+    may_be = fits(seen.object_type[None], said.kind[:, None]) & is_open[:, None]
 
     def append(objects: Array, place: Array) -> Array:
-        objects = jnp.broadcast_to(objects, fits.shape)
+        objects = jnp.broadcast_to(objects, may_be.shape)
         return jnp.concatenate([objects, place[:, None]], axis=1)
 
     viewer_x, viewer_y, _ = (lead(one, is_open.ndim) for one in scene.viewer)
@@ -211,7 +212,7 @@ def list_candidates(
         x=append(seen.x[None], jnp.where(is_viewer, viewer_x, earlier.x)),
         y=append(seen.y[None], jnp.where(is_viewer, viewer_y, earlier.y)),
         log_prior=append(
-            jnp.where(fits, lead(log_bystander, fits.ndim), -jnp.inf),
+            jnp.where(may_be, lead(log_bystander, may_be.ndim), -jnp.inf),
             jnp.where(is_open, -jnp.inf, 0.0),
         ),
         is_open=is_open,

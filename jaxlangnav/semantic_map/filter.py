@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.grounding.program import NUM_TYPES
+from jaxlangnav.kinds import MOST_LABELS, kind_of, label_of
 from jaxlangnav.messages import Fault, Observation, Readings, assert_observation
 from jaxlangnav.numerics import batching, categorical
 from jaxlangnav.numerics.batching import take
@@ -62,7 +62,7 @@ def start(
     num_mentions: int,
     *,
     config: MapConfig,
-    num_types: int = NUM_TYPES,
+    num_types: int = MOST_LABELS,
     terrain: Terrain = OPEN,
 ) -> ParticleBelief:
     """Build the belief of a robot that has seen nothing.
@@ -142,12 +142,19 @@ def _detections(
     log_missed = log_miss_at(belief.coverage, robot_x + offset_x, robot_y + offset_y)
     log_density = jnp.log(params.concentration) - jnp.log(area_size(belief.coverage))
     return association.Detections(
-        object_type=observation.detection_type,
+        object_type=kinds_seen(observation),
         offset_x=offset_x,
         offset_y=offset_y,
         log_new=log_density + jnp.maximum(log_missed, association.LOG_SURPRISE),
         is_detection=observation.is_detection,
     )
+
+
+def kinds_seen(observation: Observation) -> Array:
+    """Put the types and the attributes of detections together, i32[D] kinds."""
+    if observation.detection_attribute is None:
+        return observation.detection_type
+    return kind_of(observation.detection_type, observation.detection_attribute)
 
 
 class Weighed(NamedTuple):
@@ -156,6 +163,7 @@ class Weighed(NamedTuple):
     log_map: Array  # f32[P] log-likelihood of the observation, hypotheses left out
     log_hypotheses: Array  # f32[P] log-likelihood of the absence of what is hypothesised
     is_new: Array  # bool[O, P] slots that were entered
+    is_other: Array  # bool[O, P] slots of another kind than before: entered, or better known
     overflow: Array  # i32[P] detections that found no free slot
     surprise: Array  # f32[] nats by which the observation is less probable than one that fits
 
@@ -184,8 +192,9 @@ def observe(
     detections = _detections(belief, observation, params)
     heading, sensor = observation.pose[2], observation.sensor
     noise_variance = jnp.maximum(sensor.noise, MIN_NOISE) ** 2
-    grounded = association.associate(belief.particles, detections, uniform, noise_variance)
-    particles = association.condition(belief.particles, grounded, noise_variance)
+    before = belief.particles
+    grounded = association.associate(before, detections, uniform, noise_variance)
+    particles = association.condition(before, grounded, noise_variance)
     belief = replace(belief, particles=particles)
     robot_x, robot_y = robot_position(belief)
     view, softness = belief.terrain.view, 2.5 * params.kernel + 1e-3
@@ -200,6 +209,7 @@ def observe(
         log_map=log_map,
         log_hypotheses=jnp.sum(log_hypotheses, axis=0),
         is_new=grounded.is_new,
+        is_other=grounded.object_type != before.object_type,
         overflow=grounded.overflow,
         surprise=surprise(belief.log_weight, grounded, log_map, log_new, noise_variance),
     )
@@ -246,11 +256,11 @@ def reground(
     (kept_weight, map_weight), log_totals, are_dead = categorical.log_normalize(
         jnp.stack([log_map + weighed.log_hypotheses, log_map])
     )
-    # A new object of a type the particle's words speak of reopens what they refer to.
-    new_type = jnp.where(weighed.is_new, particles.object_type, -3)
-    mentioned = jnp.any(
-        readings.mention_type.reshape(-1)[:, None, None] == new_type[None], axis=(0, 1)
-    )
+    # A new object of a type the particle's words speak of reopens what they refer to, and so does
+    # a new attribute of one.
+    new_type = jnp.where(weighed.is_other, label_of(particles.object_type), -3)
+    mentioned = label_of(readings.mention_type.reshape(-1))
+    mentioned = jnp.any(mentioned[:, None, None] == new_type[None], axis=(0, 1))
     must_ground = belief.must_ground | mentioned
     keep_uniform, ancestor_uniform = uniform
     is_fresh = must_ground | (keep_uniform > kept_weight * number)

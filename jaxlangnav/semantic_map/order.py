@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxlangnav.kinds import fits
 from jaxlangnav.numerics.batching import apart, lead
 from jaxlangnav.relations import degree, is_on_side, robot_frame
 from jaxlangnav.relations.strength import sign_of_distance, value_of_rank
@@ -91,7 +92,7 @@ def _excess(said: Said, pairs: Pairs, seen: Seen, num_known: int) -> Array:
     own = merit(pairs.x - pairs.landmark_x, pairs.y - pairs.landmark_y)
     at_x, at_y = (leaf[num_known * num_known :] for leaf in (pairs.landmark_x, pairs.landmark_y))
     x, y = apart(seen.x, own.ndim + 1), apart(seen.y, own.ndim + 1)
-    is_rival = apart(seen.object_type == said.kind[FIGURE][None], own.ndim + 1)
+    is_rival = apart(fits(seen.object_type, said.kind[FIGURE][None]), own.ndim + 1)
     rival = merit(x - at_x[None], y - at_y[None])  # [O, landmarks, ...]
     best = jnp.min(jnp.where(is_rival, rival, jnp.inf), axis=0)
     best = jnp.minimum(own, jnp.concatenate([*[best[:num_known]] * num_known, best]))
@@ -110,7 +111,7 @@ def _log_order(
     others = (apart(part[:num_others], own.ndim + 1) for part in (x, y))
     merit, counts = _merit(said, pairs, scene, *others), apart(is_where_said, own.ndim + 1)
     rival, unseen = merit[:num_seen], merit[num_seen:]  # [O, n, ...] and [NUM_UNSEEN, n, ...]
-    is_kind = seen.object_type == said.kind[FIGURE][None]
+    is_kind = fits(seen.object_type, said.kind[FIGURE][None])
     is_rival = counts[:num_seen] & apart(is_kind, rival.ndim)
     rank = said.rank[None]
     meant = value_of_rank(rank, jnp.where(is_rival, rival, jnp.inf), tie=_TIE)

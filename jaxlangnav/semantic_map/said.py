@@ -32,7 +32,7 @@ class Said(NamedTuple):
     """One relation of the reading that a particle believes."""
 
     mention: Array  # i32[2, ...] the ends; NONE where the reading has no such relation or landmark
-    kind: Array  # i32[2, ...] their object types; ROBOT; NONE
+    kind: Array  # i32[2, ...] their kinds; ROBOT; NONE
     relation: Array  # i32[...] relation index; NONE where the figure merely exists
     rank: Array  # i32[...] 1 "nearest", 2 "the second", ...; 0 where none is meant
     is_order: Array  # bool[...] "the second", "leftmost": a rank that says nothing of how far

@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxlangnav.kinds import ATTRIBUTE_BITS
 from jaxlangnav.messages import NONE, Fault, Observation, SensorParams, default_sensor
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.belief import ParticleBelief
@@ -123,8 +124,10 @@ def _is_detectable(observation: Observation, num_types: Array) -> Array:
     sensor, metres = observation.sensor, observation.detection_range
     bearing = observation.detection_bearing
     slack = DEVIATIONS * sensor.noise + MIN_NOISE
+    code = observation.detection_attribute
     return (
         _is_between(observation.detection_type, 0, num_types - 1)
+        & (True if code is None else _is_between(code, 0, 2**ATTRIBUTE_BITS - 1))
         & _is_between(bearing, -TURNS, TURNS)
         & (metres >= 0.0)
         & (beyond(metres, bearing, sensor.range_max, sensor.field_of_view) <= slack)

@@ -69,7 +69,7 @@ def _pack(fields: Array, base: int) -> Array:
     return jnp.stack(words)
 
 
-def distinct_topologies(particles: SemanticMap, num_types: int) -> tuple[Array, Array, Array]:
+def distinct_topologies(particles: SemanticMap) -> tuple[Array, Array, Array]:
     """Find which particles share one topology: types, reading and what each mention refers to.
 
     Particles of one topology have the same behavior, and there are far fewer topologies than
@@ -77,7 +77,6 @@ def distinct_topologies(particles: SemanticMap, num_types: int) -> tuple[Array, 
 
     Args:
         particles: leaves [..., P].
-        num_types: bound on the object types.
 
     Returns:
         i32[P], the topology of each particle, counted from 0 in order of first appearance;
@@ -88,7 +87,7 @@ def distinct_topologies(particles: SemanticMap, num_types: int) -> tuple[Array, 
     flags = jnp.concatenate([particles.is_mentioned.astype(jnp.int32), particles.reading[None]])
     words = jnp.concatenate(
         [
-            _pack(particles.object_type, num_types + 3),
+            particles.object_type,
             _pack(particles.referent, num_objects + 3),
             _pack(flags, 8),
         ]

@@ -26,6 +26,7 @@ from jaxlangnav.semantic_map.params import MapConfig
 from jaxlangnav.task.opening import (
     Prepared,
     count_types,
+    detector_of,
     nothing_there,
     open_task,
     refuse_what_it_lacks,
@@ -64,7 +65,8 @@ def follow(
     Raises:
         ValueError: the sentence, the world or an option is refused; one line.
     """
-    understood = understand(text, load_shipped() if model is None else model)
+    model = load_shipped() if model is None else model
+    understood = understand(text, model, detector_of(str(world), model.type_names))
     understood.check_task()
     if sensing_range is not None and not sensing_range > 0.0:
         raise ValueError(f"sensing_range is {sensing_range:g}, but must be positive, in metres")
@@ -124,6 +126,7 @@ def record_episode(
         config=config,
         max_steps=max_steps,
         text=text,
+        type_names=understood.type_names,
     )
     return judged(recording, prepared)
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from jaxlangnav.episode import Task
 from jaxlangnav.experiments.tasks import cell, make_tasks
+from jaxlangnav.grounding.binding import Detector
 from jaxlangnav.grounding.instruction import Understanding
 from jaxlangnav.pytree import replace
 from jaxlangnav.task.meant import is_among, meant_goals, with_goal
@@ -105,6 +106,25 @@ def refuse_what_it_lacks(world: str, understood: Understanding) -> None:
     missing = _lacking({name for name, _ in there}, understood.annotations, types)
     if missing:
         raise ValueError(nothing_there(place.name, there, missing))
+
+
+def detector_of(world: str, type_names: Sequence[str]) -> Detector:
+    """Build the detector of a world: what it tells apart, and what it reports of things.
+
+    Args:
+        world: a template, a shipped world or a file.
+        type_names: types that are told apart in a template.
+
+    Returns:
+        The detector.
+
+    Raises:
+        ValueError: no such world, or a bad file.
+    """
+    place = open_world(world)
+    if isinstance(place, World):
+        return Detector(place.type_names, place.attribute_groups)
+    return Detector(type_names)
 
 
 def nothing_there(world: str, counts: Sequence[tuple[str, int]], missing: Sequence[str]) -> str:

@@ -40,6 +40,9 @@ def place_scenario(scenario: Scenario, names: Sequence[str]) -> PlacedWorld:
             (names[int(kind)], float(x), float(y)) for kind, x, y in zip(types, xs, ys, strict=True)
         ),
         robot=(x, y, heading),
+        attributes=()
+        if scenario.object_attribute is None
+        else tuple(np.asarray(scenario.object_attribute)[kept].tolist()),
     )
 
 

@@ -21,10 +21,12 @@ clockwise from +x); the map frame is the file's own.
     object = "far hydrant"
 
     [[objects]]                        # one to eight, within the area
-    type = "hydrant"                   # hydrant cone car building tree bench barrel box
+    type = "hydrant"                   # any noun
     name = "far hydrant"               # optional, unique
     x = 9.0
     y = 1.5
+    colour = "red"                     # optional, as are material, size and height:
+                                       # what the detector reports of it (``kinds.ATTRIBUTES``)
 
     [sensor]                           # optional, each key too
     range = 3.0

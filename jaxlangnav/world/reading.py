@@ -9,7 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxlangnav.files.limits import SHORTEST
+from jaxlangnav.kinds import ATTRIBUTES, attributes
 from jaxlangnav.language.lexicon import load_lexicon
+from jaxlangnav.language.spelling import repair
+from jaxlangnav.language.tokens import is_word, plainly
 from jaxlangnav.messages import (
     NONE,
     MotionParams,
@@ -17,7 +20,7 @@ from jaxlangnav.messages import (
     default_motion,
     default_sensor,
 )
-from jaxlangnav.plain_text import LONGEST_NAME, cut, printable
+from jaxlangnav.plain_text import LONGEST_NAME, cut, printable, shown
 from jaxlangnav.world.fields import Fields
 from jaxlangnav.world.scenario import NUM_SLOTS
 from jaxlangnav.world.state import Scenario
@@ -44,6 +47,12 @@ class World:
     instruction: str | None = None
     object_names: tuple[str, ...] = ()
     """One per slot, empty where the object has no name."""
+    type_names: tuple[str, ...] = dataclasses.field(
+        default_factory=lambda: load_lexicon().type_names
+    )
+    """Object types by index: those of the lexicon, then others that the file names."""
+    attribute_groups: tuple[str, ...] = ()
+    """What the detector reports of things besides their type: groups of ``kinds.ATTRIBUTES``."""
 
 
 def world_from_dict(table: Any, *, file: str, num_slots: int = NUM_SLOTS) -> World:
@@ -71,15 +80,20 @@ def world_from_dict(table: Any, *, file: str, num_slots: int = NUM_SLOTS) -> Wor
         fields.close()
     elif not (area[0] <= 0.0 <= area[1] and area[2] <= 0.0 <= area[3]):
         raise top.fail("start", "is missing, and its default 0, 0 lies outside the area: add it")
-    types, names, places = _read_objects(top, area, num_slots)
-    goal, goal_index = _read_goal(top.table("goal"), area, names, places)
+    things = _read_objects(top, area, num_slots)
+    names = things.names
+    goal, goal_index = _read_goal(top.table("goal"), area, names, things.places)
     world = World(
         name=top.text("name", default=Path(file).stem),
         instruction=_read_instruction(top),
-        scenario=_to_scenario(types, places, goal, goal_index, start, area, num_slots),
+        scenario=_to_scenario(things, goal, goal_index, start, area, num_slots),
         sensor=_read_sensor(top.table("sensor")) if top.has("sensor") else default_sensor(),
         motion=_read_motion(top.table("motion")) if top.has("motion") else default_motion(),
         object_names=(*names, *[""] * (num_slots - len(names))),
+        type_names=tuple(things.type_names),
+        attribute_groups=tuple(
+            group for group in ATTRIBUTES if any(group in looks for looks in things.looks)
+        ),
     )
     top.close("start", "sensor", "motion", "name", "instruction")
     return world
@@ -114,24 +128,50 @@ def _read_place(fields: Fields, area: Bounds, *, default: float | None = None) -
     return place
 
 
-def _read_objects(
-    top: Fields, area: Bounds, num_slots: int
-) -> tuple[list[int], list[str], list[Place]]:
-    """Read the objects: types, names (empty where there is none) and places."""
-    entries = top.tables("objects", least=1, most=num_slots)
-    type_names = load_lexicon().type_names
-    types: list[int] = []
-    names: list[str] = []
-    places: list[Place] = []
-    for fields in entries:
-        types.append(type_names.index(fields.choice("type", type_names, what="an object type")))
+@dataclasses.dataclass
+class _Things:
+    """The objects of a file, each list by object but for the types."""
+
+    type_names: list[str]
+    types: list[int] = dataclasses.field(default_factory=list)
+    names: list[str] = dataclasses.field(default_factory=list)
+    places: list[Place] = dataclasses.field(default_factory=list)
+    looks: list[dict[str, str]] = dataclasses.field(default_factory=list)
+
+
+def _read_objects(top: Fields, area: Bounds, num_slots: int) -> _Things:
+    """Read the objects: types, names (empty where there is none), places and attributes."""
+    things = _Things(list(load_lexicon().type_names))
+    for fields in top.tables("objects", least=1, most=num_slots):
+        things.types.append(_read_type(fields, things.type_names))
         name = fields.text("name") if fields.has("name") else ""
-        if name and name in names:
-            raise fields.fail("name", f"is {name!r} as is objects[{names.index(name)}]: rename one")
-        names.append(name)
-        places.append(_read_place(fields, area))
-        fields.close("name")
-    return types, names, places
+        if name and name in things.names:
+            twin = things.names.index(name)
+            raise fields.fail("name", f"is {name!r} as is objects[{twin}]: rename one")
+        things.names.append(name)
+        things.places.append(_read_place(fields, area))
+        things.looks.append(
+            {
+                group: fields.choice(group, values, what=f"a {group}")
+                for group, values in ATTRIBUTES.items()
+                if fields.has(group)
+            }
+        )
+        fields.close("name", *ATTRIBUTES)
+    return things
+
+
+def _read_type(fields: Fields, type_names: list[str]) -> int:
+    """Read a type: one of those known, or any noun, which is known from then on."""
+    name = " ".join(plainly(fields.text("type")).split())
+    if name not in type_names:
+        slip = repair(name, is_noun=True)
+        if slip is not None:
+            raise fields.fail("type", f"is {name!r}, which looks mistyped. Did you mean {slip!r}?")
+        if not all(is_word(word) for word in name.split()):
+            raise fields.fail("type", f"is {shown(name)} but must be a noun, in plain letters")
+        type_names.append(name)
+    return type_names.index(name)
 
 
 def _read_goal(
@@ -182,8 +222,7 @@ def _read_motion(fields: Fields) -> MotionParams:
 
 
 def _to_scenario(
-    types: list[int],
-    places: list[Place],
+    things: _Things,
     goal: Place,
     goal_index: int,
     start: tuple[float, float, float],
@@ -191,8 +230,10 @@ def _to_scenario(
     num_slots: int,
 ) -> Scenario:
     """Pad the objects to slots."""
+    types = things.types
     num_empty = num_slots - len(types)
-    x, y = np.pad(np.array(places, np.float32), ((0, num_empty), (0, 0))).T
+    x, y = np.pad(np.array(things.places, np.float32), ((0, num_empty), (0, 0))).T
+    codes = [attributes(*look.values()) for look in things.looks]
     return Scenario(
         object_type=jnp.array([*types, *[NONE] * num_empty], jnp.int32),
         object_x=jnp.asarray(x),
@@ -203,4 +244,5 @@ def _to_scenario(
         start=jnp.array(start, jnp.float32),
         area=jnp.array(area, jnp.float32),
         is_valid=jnp.array(True),
+        object_attribute=jnp.array(codes + [0] * num_empty, jnp.int32) if any(codes) else None,
     )

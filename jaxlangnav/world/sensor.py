@@ -61,7 +61,15 @@ def sense(
         detection_bearing=jnp.where(is_detection, jnp.arctan2(y, x)[order], 0.0),
         is_detection=is_detection,
         sensor=sensor,
+        detection_attribute=_attributes_seen(scenario, order, is_detection),
     )
+
+
+def _attributes_seen(scenario: Scenario, order: Array, is_detection: Array) -> Array | None:
+    """Report what the things detected look like, where the world says it."""
+    if scenario.object_attribute is None:
+        return None
+    return jnp.where(is_detection, scenario.object_attribute[order], 0)
 
 
 def visible(

@@ -9,9 +9,10 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.files.whole import write_text
-from jaxlangnav.language.lexicon import load_lexicon
+from jaxlangnav.kinds import group_of, words_of
 from jaxlangnav.world.fields import WorldFileError
 from jaxlangnav.world.reading import World
+from jaxlangnav.world.state import Scenario
 
 
 def save_world(world: World, path: str | Path) -> None:
@@ -46,7 +47,7 @@ def world_to_dict(world: World) -> dict[str, Any]:
         Tables that ``reading.world_from_dict`` reads back to the same world.
     """
     scenario = world.scenario
-    names, type_names = _object_names(world), load_lexicon().type_names
+    names, type_names = _object_names(world), world.type_names
     goal_index = int(scenario.goal_index)
     goal = (
         {"object": names[goal_index]}
@@ -59,6 +60,7 @@ def world_to_dict(world: World) -> dict[str, Any]:
             **({"name": names[slot]} if names[slot] else {}),
             "x": _length(scenario.object_x[slot]),
             "y": _length(scenario.object_y[slot]),
+            **_looks(scenario, int(slot)),
         }
         for slot in np.flatnonzero(np.asarray(scenario.is_object))
     ]
@@ -85,6 +87,14 @@ def world_to_dict(world: World) -> dict[str, Any]:
         },
         "objects": objects,
     }
+
+
+def _looks(scenario: Scenario, slot: int) -> dict[str, str]:
+    """List the attributes of an object by group."""
+    if scenario.object_attribute is None:
+        return {}
+    words = words_of(int(scenario.object_attribute[slot]))
+    return {str(group_of(word)): word for word in words}
 
 
 def _object_names(world: World) -> list[str]:

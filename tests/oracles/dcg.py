@@ -65,8 +65,8 @@ class BehaviorOracle:
         self.sets = all_sets(self.groups * self.size).reshape(-1, self.groups, self.size)
 
     def own(self, row):
-        kinds = np.where(self.w.object_type == -2, 15, self.w.object_type)
-        return (self.p["own"][row][kinds] > 0) & self.w.is_object
+        named = [kind for kind in self.p["own"][row] if kind != -1]
+        return np.isin(self.w.object_type, named) & self.w.is_object
 
     def lies(self, row, expressed):
         """Objects that lie in the regions that a phrase expresses."""

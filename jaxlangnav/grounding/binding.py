@@ -1,0 +1,318 @@
+"""From a sentence's nouns to what the detector tells apart (section 3.1).
+
+A sentence brings its own types. Each is a noun with its attributes ("red ball"), and is bound to
+one or more labels of the detector: by name, by a synonym, or by its head noun. The trained graph
+never sees the labels: it speaks of the sentence's types by their place in a list, those of the
+lexicon first, and what it says is put into kinds (``kinds``) afterwards.
+"""
+
+import dataclasses
+from collections.abc import Iterable, Iterator, Sequence
+from functools import cache
+
+import numpy as np
+
+from jaxlangnav.grounding.contraction import NUM_OWN
+from jaxlangnav.kinds import ATTRIBUTES, MOST_LABELS, attributes, group_of, kind_of, words_of
+from jaxlangnav.language.lexicon import TYPE_CLASS, load_lexicon
+from jaxlangnav.language.nouns import attributes_of, compared, load_nouns, singular
+from jaxlangnav.language.phrase import LanguageError, Parse, Phrase, Word
+from jaxlangnav.language.reference import SAME, head_of
+from jaxlangnav.language.tokens import plainly
+from jaxlangnav.messages import NONE, ROBOT
+
+_TYPE = "type:"
+_MOST_TOLD = 12
+"""Labels that a refusal lists."""
+
+
+class UnknownObjectError(ValueError):
+    """A noun that nothing the detector tells apart can be."""
+
+
+class Detector:
+    """What a detector tells apart; a detection names its type by the index into the labels.
+
+    Nouns that it has no label for get indices beyond its labels, and keep them, so that they can
+    be named, and stay what they are in the next sentence.
+    """
+
+    def __init__(self, labels: Iterable[str], attribute_groups: Iterable[str] = ()) -> None:
+        """Check labels and groups.
+
+        Args:
+            labels: names of what it tells apart, in the order of its indices.
+            attribute_groups: groups of ``kinds.ATTRIBUTES`` that it reports.
+
+        Raises:
+            ValueError: no label, too many, one twice or empty, or no such group; one line.
+        """
+        self.labels = tuple(labels)
+        self.attribute_groups = frozenset(attribute_groups)
+        self._names = [_plain(label) for label in self.labels]
+        self._beyond: list[str] = []
+        twice = [name for name in self._names if self._names.count(name) > 1]
+        if not 0 < len(self.labels) < MOST_LABELS or "" in self._names or twice:
+            fault = f"{twice[0]!r} twice" if twice else f"{len(self.labels)} names"
+            raise ValueError(
+                f"the detector's labels have {fault}: give 1 to {MOST_LABELS - 1} names, none "
+                "empty, each once"
+            )
+        unknown = sorted(self.attribute_groups - set(ATTRIBUTES))
+        if unknown:
+            raise ValueError(
+                f"the detector cannot report {unknown[0]!r}: attributes are compared by "
+                f"{', '.join(ATTRIBUTES)}"
+            )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The labels, and after them nouns that there was no label for."""
+        return (*self.labels, *self._beyond)
+
+    @property
+    def plain_labels(self) -> frozenset[str]:
+        """The labels and their synonyms as sentences say them."""
+        return frozenset().union(*(load_nouns().alike(name) for name in self._names))
+
+    def find(self, noun: str) -> tuple[tuple[int, ...], bool]:
+        """Find the labels that a thing of a noun may have.
+
+        Args:
+            noun: a name in the singular, small letters.
+
+        Returns:
+            Indices of the labels, none where it has none; and whether they mean the noun itself,
+            not only what it is a kind of.
+        """
+        for names in _ways_to_say(noun):
+            found = self._with(names)
+            if found:
+                return found, True
+        head = noun.split()[-1]
+        foreign = load_lexicon().entries["foreign"]
+        kinds = tuple(
+            i
+            for i, name in enumerate(self._names)
+            if singular(name).split()[-1] == noun and tuple(name.split()) not in foreign
+        )
+        if kinds:
+            return kinds, True  # "the sign": any of the detector's signs
+        broader = load_nouns().broader
+        wider = [names for one in (broader.get(noun), head) if one for names in _ways_to_say(one)]
+        # A mail box is no box, and a tree house no house.
+        if tuple(noun.split()) in foreign:
+            wider = []
+        found = next((found for names in wider if (found := self._with(names))), ())
+        return found, False
+
+    def _with(self, names: frozenset[str]) -> tuple[int, ...]:
+        """List the labels that are one of the names, written as one word or several."""
+        joined = {name.replace(" ", "") for name in names}
+        return tuple(
+            i
+            for i, name in enumerate(self._names)
+            if {name.replace(" ", ""), singular(name).replace(" ", "")} & joined
+        )
+
+    def beyond(self, noun: str) -> int:
+        """Give a noun without a label an index of its own."""
+        if noun not in self._beyond:
+            if len(self.names) + 1 >= MOST_LABELS:
+                raise ValueError(f"more than {MOST_LABELS} nouns and labels: start a new navigator")
+            self._beyond.append(noun)
+        return len(self.labels) + self._beyond.index(noun)
+
+
+def _plain(label: str) -> str:
+    """Write a label as sentences do: "Stop_Sign" is "stop sign"."""
+    return " ".join(plainly(label).replace("_", " ").replace("-", " ").split())
+
+
+def _ways_to_say(noun: str) -> Iterator[frozenset[str]]:
+    """Yield names of the same thing: the noun, then its synonyms, then the lexicon's."""
+    yield frozenset({noun})
+    yield load_nouns().alike(noun)
+    if noun in _names_of_types():
+        yield _names_of_types()[noun]
+
+
+@cache
+def _names_of_types() -> dict[str, frozenset[str]]:
+    """Collect the lexicon's names of each of its types."""
+    names: dict[str, set[str]] = {}
+    for words, entry in load_lexicon().entries[TYPE_CLASS].items():
+        for sense in (sense for senses in entry.senses for sense in senses):
+            names.setdefault(sense.removeprefix(_TYPE), set()).add(" ".join(words))
+    return {kind: frozenset(found) for kind, found in names.items()}
+
+
+@dataclasses.dataclass(frozen=True)
+class Bound:
+    """A sentence whose types are bound to what the detector tells apart."""
+
+    tree: Parse  # every noun has the sense ``type:NAME`` of one of the names
+    names: tuple[str, ...]  # the sentence's types, those of the lexicon first
+    kinds: tuple[tuple[int, ...], ...]  # of each, the kinds that it may be
+    notes: tuple[str, ...]
+
+    def rewrite(self, own: np.ndarray) -> np.ndarray:
+        """Put kinds in place of the sentence's types in a program's ``own``, i32[H, 4]."""
+        rewritten = np.full_like(own, NONE)
+        for row, named in zip(rewritten, own, strict=True):
+            kinds = [k for one in named if one != NONE for k in self.kinds_of(int(one))]
+            row[: len(kinds)] = kinds[:NUM_OWN]
+        return rewritten
+
+    def kinds_of(self, mention: int) -> tuple[int, ...]:
+        """List the kinds that a type may be; the robot is of its own."""
+        return (ROBOT,) if mention == ROBOT else self.kinds[mention]
+
+
+class _Binder:
+    """Binds the noun phrases of one sentence, in order."""
+
+    def __init__(self, type_names: Sequence[str], detector: Detector) -> None:
+        self.detector = detector
+        self.names = list(type_names)
+        self.kinds: list[tuple[int, ...]] = [() for _ in type_names]
+        self.notes: dict[str, None] = {}
+        self._latest: dict[str, int] = {}  # noun → code of its last mention's attributes
+
+    def bind(self, phrase: Phrase, goal: Phrase | None) -> Phrase:
+        """Bind the nouns of a phrase and of those below it."""
+        children = tuple(self.bind(child, goal) for child in phrase.children)
+        phrase_now = dataclasses.replace(phrase, children=children)
+        head = next((w for w in phrase.words if _type_of(w)), None)
+        if phrase.label != "NP" or head is None:
+            return phrase_now
+        noun = _type_of(head) or ""
+        name = self._name(noun, self._code(phrase, head, noun), phrase, is_goal=phrase is goal)
+        senses = tuple(_TYPE + name if s == _TYPE + noun else s for s in head.senses)
+        words = (dataclasses.replace(w, senses=senses) if w is head else w for w in phrase.words)
+        return dataclasses.replace(phrase_now, words=tuple(words))
+
+    def _code(self, phrase: Phrase, head: Word, noun: str) -> int:
+        """Read the attributes that are compared, and note those that are not."""
+        told, idle = attributes_of(phrase)
+        if SAME in head.senses and not told:
+            return self._latest.get(noun, 0)
+        used: dict[str | None, str] = {}
+        for word, value in told:
+            group = group_of(value)
+            if group not in self.detector.attribute_groups:
+                self._note(f"'{word.text}' is not used: my detector reports no {group}")
+            elif group in used:
+                self._note(f"'{word.text}' is not used: one {group} of a thing is compared")
+            else:
+                used[group] = value
+        for word in idle:
+            _check_compared(word)
+            self._note(f"'{word.text}' is not used: it is no attribute that is compared")
+        self._latest[noun] = attributes(*used.values())
+        return self._latest[noun]
+
+    def _note(self, text: str) -> None:
+        self.notes.setdefault(text)
+
+    def _name(self, noun: str, code: int, phrase: Phrase, *, is_goal: bool) -> str:
+        """Name the type of the sentence that a noun with its attributes is."""
+        said = _said(phrase) or noun
+        labels, is_itself = self.detector.find(said)
+        if not labels or not is_itself:
+            by_type, is_type = self.detector.find(noun)
+            labels, is_itself = (by_type, is_type) if by_type else (labels, is_itself)
+        if len(labels) > NUM_OWN:
+            some = ", ".join(self.detector.labels[i] for i in labels[:_MOST_TOLD])
+            raise UnknownObjectError(
+                f"'{said[:30]}' may be any of {len(labels)} labels of my detector ({some}, ...): "
+                "name one of them"
+            )
+        if not labels and is_goal:
+            raise UnknownObjectError(self._no_label(said, phrase))
+        if not labels:
+            labels = (self.detector.beyond(noun),)
+            self._note(f"my detector has no label for '{said[:30]}': it is never seen")
+        elif not is_itself:
+            taken = " or ".join(self.detector.labels[i] for i in labels)
+            self._note(f"my detector has no label for '{said[:30]}': any {taken} may be meant")
+        return self._enter(noun, code, labels)
+
+    def _no_label(self, noun: str, phrase: Phrase) -> str:
+        """Say that what is asked for can never be found."""
+        position = next(w.position for w in phrase.words if _type_of(w))
+        known = self.detector.labels[:_MOST_TOLD]
+        more = ", ..." if len(self.detector.labels) > len(known) else ""
+        return (
+            f"'{noun[:30]}' (word {position}): my detector has no label for it; "
+            f"it knows {', '.join(known)}{more}"
+        )
+
+    def _enter(self, noun: str, code: int, labels: tuple[int, ...]) -> str:
+        """Find the type with these kinds, or add it; the lexicon's types keep their places."""
+        kinds = tuple(kind_of(label, code) for label in labels)
+        if noun in self.names and self.kinds[self.names.index(noun)] in ((), kinds):
+            self.kinds[self.names.index(noun)] = kinds
+            return noun
+        if kinds in self.kinds:
+            return self.names[self.kinds.index(kinds)]
+        name = " ".join([*words_of(code), noun]) if noun in self.names else noun
+        while name in self.names:  # of one noun said in two ways, bound to different labels
+            name = f"other {name}"
+        self.names.append(name)
+        self.kinds.append(kinds)
+        return name
+
+
+def _type_of(word: Word) -> str | None:
+    """Find the type that a word names."""
+    return next((s.removeprefix(_TYPE) for s in word.senses if s.startswith(_TYPE)), None)
+
+
+def _said(phrase: Phrase) -> str:
+    """Write the noun of a phrase as it was said, in the singular: "traffic cone"."""
+    nouns = [word.text for word in phrase.words if word.tag in ("NN", "NNS") and word.text != "one"]
+    return singular(" ".join(nouns)) if nouns else ""
+
+
+def _check_compared(word: Word) -> None:
+    """Refuse "the tallest tree": how much things look like something is not known."""
+    adjective = compared(word.text)
+    if adjective is not None:
+        raise LanguageError(
+            f"'{word.text}' (word {word.position}): how {adjective} things are is not compared; "
+            f"say '{adjective}', or which one is the nearest"
+        )
+
+
+def bind(tree: Parse, type_names: Sequence[str], detector: Detector) -> Bound:
+    """Bind the types of a sentence.
+
+    Args:
+        tree: as the parser makes it.
+        type_names: types that the trained models know.
+        detector: what is told apart.
+
+    Returns:
+        The sentence with its own types.
+
+    Raises:
+        UnknownObjectError: the goal of a command has no label, or a noun far too many.
+        LanguageError: things are compared by how they look.
+    """
+    binder = _Binder(type_names, detector)
+    clauses = [
+        binder.bind(clause, head_of(clause) if clause.label == "VP" else None)
+        for clause in tree.clauses
+    ]
+    # Of what is not spoken of hardly anything is said, and nothing of what the detector lacks.
+    kinds = [
+        named or detector.find(name)[0][:NUM_OWN] or (MOST_LABELS - 1,)
+        for name, named in zip(binder.names, binder.kinds, strict=True)
+    ]
+    return Bound(
+        tree=dataclasses.replace(tree, clauses=tuple(clauses)),
+        names=tuple(binder.names),
+        kinds=tuple(kinds),
+        notes=tuple(binder.notes),
+    )

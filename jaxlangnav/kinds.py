@@ -1,0 +1,150 @@
+"""Kinds: what a thing is and what it looks like, in one integer (sections 3.1 and 3.2).
+
+The low ``LABEL_BITS`` hold the index of the detector's label, the bits above them one value for
+each group of attributes: colour, material, size, height; 0 where it is not known. Both together
+take 24 bits, as float32 holds them exactly: tables of particles are such numbers. The map keeps
+the kind of what was seen, a sentence says the kind of what it means, and ``fits`` compares them. A
+kind without attributes is the bare index of its label.
+
+Everything takes NumPy arrays, JAX arrays and plain integers; ``NONE`` and ``ROBOT`` are kinds that
+only fit themselves.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+LABEL_BITS = 13
+MOST_LABELS = 2**LABEL_BITS
+"""Labels that are told apart: those of the detector, and nouns that it has no label for."""
+ATTRIBUTES = {
+    "colour": (
+        "red", "orange", "yellow", "green", "blue", "purple", "pink", "brown",
+        "white", "black", "gray", "silver", "gold", "beige", "striped",
+    ),
+    "material": ("wooden", "metal", "plastic", "glass", "stone", "brick", "paper"),
+    "size": ("small", "big"),
+    "height": ("short", "tall"),
+}  # fmt: skip
+"""Groups and their values; the value of a group is a place in its tuple, counted from 1."""
+_WIDTHS = {"colour": 4, "material": 3, "size": 2, "height": 2}
+ATTRIBUTE_BITS = sum(_WIDTHS.values())
+
+
+def _places() -> Iterator[tuple[str, int, int]]:
+    """Yield the groups with their first bit in an attribute code, and a mask of their bits."""
+    first = 0
+    for group, width in _WIDTHS.items():
+        yield group, first, ((1 << width) - 1) << first
+        first += width
+
+
+_PLACES = {group: (first, mask) for group, first, mask in _places()}
+_MASKS = tuple(mask << LABEL_BITS for _, mask in _PLACES.values())
+
+
+def group_of(word: str) -> str | None:
+    """Find the group of an attribute; None of any other word."""
+    return next((group for group, values in ATTRIBUTES.items() if word in values), None)
+
+
+def attributes(*words: str) -> int:
+    """Build the code of attributes, for ``Observation.detection_attribute``.
+
+    Args:
+        *words: values of ``ATTRIBUTES``, at most one of each group.
+
+    Returns:
+        The code; 0 where nothing is known.
+
+    Raises:
+        ValueError: a word is no attribute, or two are of one group.
+    """
+    code = 0
+    for word in words:
+        group = group_of(word)
+        if group is None:
+            known = ", ".join(value for values in ATTRIBUTES.values() for value in values)
+            raise ValueError(f"{word[:30]!r} is no attribute that is compared: use {known}")
+        first, mask = _PLACES[group]
+        if code & mask:
+            raise ValueError(f"{word!r} is a second {group}: give one")
+        code |= (ATTRIBUTES[group].index(word) + 1) << first
+    return code
+
+
+def words_of(code: int) -> tuple[str, ...]:
+    """Name the attributes of a code, the inverse of ``attributes``."""
+    values = ((group, (code & mask) >> first) for group, (first, mask) in _PLACES.items())
+    return tuple(
+        ATTRIBUTES[group][value - 1]
+        for group, value in values
+        if 0 < value <= len(ATTRIBUTES[group])
+    )
+
+
+def kind_of(label: Any, code: Any) -> Any:
+    """Put a label and a code of attributes together."""
+    return label | (code << LABEL_BITS)
+
+
+def label_of(kind: Any) -> Any:
+    """Take the label of a kind; ``NONE`` and ``ROBOT`` stay what they are."""
+    # Of a negative number all bits are kept: its low ones alone would be a label.
+    return kind & (MOST_LABELS - 1 | (kind >> 31))
+
+
+def code_of(kind: int) -> int:
+    """Take the attributes of a kind, on the host."""
+    return kind >> LABEL_BITS if kind >= 0 else 0
+
+
+def name_of(kind: int, names: Sequence[str]) -> str:
+    """Name a kind for people: "red ball".
+
+    Args:
+        kind: of a thing, 0 or more.
+        names: of the labels, by index.
+
+    Returns:
+        The attributes and the label; "thing" for a label that has no name.
+    """
+    label = int(label_of(kind))
+    noun = names[label] if 0 <= label < len(names) else "thing"
+    return " ".join([*words_of(code_of(kind)), noun])
+
+
+def fits(thing: Any, kind: Any) -> Any:
+    """Tell whether a thing may be of a kind: the same label, and no attribute speaks against it.
+
+    Limits: without attributes on one side it is equality of labels; what is not known of a thing
+    does not speak against it.
+
+    Args:
+        thing: i32[...], kinds of things seen or supposed.
+        kind: i32[...], kinds that are asked for.
+
+    Returns:
+        bool[...].
+    """
+    may_be = label_of(thing) == label_of(kind)
+    for mask in _MASKS:
+        own, asked = thing & mask, kind & mask
+        may_be = may_be & ((own == asked) | (own == 0) | (asked == 0))
+    return may_be
+
+
+def joined(known: Any, seen: Any) -> Any:
+    """Add what one more look shows to what is known of a thing: the last word counts.
+
+    Args:
+        known: i32[...], kind of a thing.
+        seen: i32[...], kind of a detection of it, of the same label.
+
+    Returns:
+        i32[...], the kind with the groups of attributes that were seen.
+    """
+    for mask in _MASKS:
+        own = seen & mask
+        # A mask has no sign bit, so that this leaves every other bit as it is.
+        known = known + (own - (known & mask)) * (own != 0)
+    return known

@@ -1,0 +1,249 @@
+"""Any noun: names of things that the lexicon does not know (section 3.1).
+
+A sentence brings its own types. What its grammar makes a noun gets the sense ``type:NAME``, as the
+nouns of the lexicon have it, and so is carried by agreement ("the type that the words name"). Names
+of several words, of which one would be read as something else ("the stop sign"), are one token.
+"""
+
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
+from importlib import resources
+
+from jaxlangnav.files.documents import parse_toml
+from jaxlangnav.language.lexicon import REASONS, TYPE_CLASS, load_lexicon, plural
+from jaxlangnav.language.phrase import Phrase, Word
+from jaxlangnav.language.refusal import Token
+
+NOUN = "?noun"
+"""Terminal of what can only be a noun."""
+_VERBAL = frozenset({REASONS[name] for name in ("such an action", "containment", "path")})
+"""Reasons for which words are refused that may be the first half of a name: "the exit sign"."""
+_BEFORE_NOUNS = frozenset(
+    {"adj", "nmod", TYPE_CLASS, "place_noun", "one", "foreign", "sup_adj", "ordinal", "side_adj"}
+)
+"""Classes that go on with a noun phrase."""
+_OTHERS = frozenset(
+    {"old", "new", "young", "heavy", "long", "bright", "dark", "light", "deep"}
+    | {"narrow", "thin", "wide", "broad", "thick", "round"}
+)
+"""Adjectives that things are compared by and that are no attributes."""
+_QUALIFIERS = frozenset({"dark", "light", "bright", "pale", "very", "and", "deep"})
+"""Words that shade an attribute and are none beside one: "dark red"."""
+
+
+@dataclass(frozen=True)
+class Nouns:
+    """The contents of ``nouns.toml``."""
+
+    synonyms: tuple[frozenset[str], ...]
+    compounds: frozenset[tuple[str, ...]]
+    broader: Mapping[str, str]  # narrower → broader
+    attributes: Mapping[str, str]  # adjective → value
+
+    @cached_property
+    def _of(self) -> dict[str, frozenset[str]]:
+        return {name: names for names in self.synonyms for name in names}
+
+    def alike(self, noun: str) -> frozenset[str]:
+        """List the names of the same thing, the noun's own among them."""
+        return self._of.get(noun, frozenset({noun})) | {noun}
+
+
+@cache
+def load_nouns() -> Nouns:
+    """Read the package's nouns; the same object at every call."""
+    path = resources.files("jaxlangnav.language").joinpath("data/nouns.toml")
+    document = parse_toml(path.read_text("utf-8"))
+    names = {name for group in document["synonyms"] for name in group} | set(document["compounds"])
+    foreign = {" ".join(words) for words in load_lexicon().entries["foreign"]}
+    return Nouns(
+        synonyms=tuple(frozenset(group) for group in document["synonyms"]),
+        compounds=frozenset(tuple(name.split()) for name in names | foreign if " " in name),
+        broader={one: kind for kind, narrow in document["broader"].items() for one in narrow},
+        attributes=document["attributes"],
+    )
+
+
+def singular(noun: str) -> str:
+    """Undo a regular plural; the noun itself where it is none."""
+    for ending, instead in (("ies", "y"), ("es", ""), ("s", "")):
+        stem = noun.removesuffix(ending) + instead
+        if noun.endswith(ending) and len(stem) > 2 and _plural_of(stem) == noun:
+            return stem
+    return noun
+
+
+def _plural_of(noun: str) -> str:
+    *before, last = noun.split()
+    return " ".join([*before, plural(last)])
+
+
+@cache
+def _words_of(*classes: str) -> frozenset[str]:
+    """Collect the words that begin an expression of one of the classes."""
+    entries = load_lexicon().entries
+    return frozenset(key[0] for name in classes for key in entries.get(name, {}))
+
+
+@cache
+def _single_verbs() -> frozenset[str]:
+    """Collect the verbs of one word, and other words that no noun phrase can begin with."""
+    lexicon = load_lexicon()
+    verbs = {
+        key[0]
+        for name, entries in lexicon.entries.items()
+        if name.startswith("v_")
+        for key in entries
+        if len(key) == 1
+    }
+    refused = {word for word, reason in lexicon.refused.items() if reason in _VERBAL}
+    return frozenset((verbs | refused) - _words_of(*_BEFORE_NOUNS) - set(lexicon.tags))
+
+
+def join_nouns(tokens: list[Token], labels: Collection[str] = ()) -> list[Token]:
+    """Make one token of each name of several words, and nouns of the detector's labels.
+
+    Args:
+        tokens: words and marks of a sentence.
+        labels: what the detector tells apart, names in small letters.
+
+    Returns:
+        The tokens; a joined one has the position of its first word.
+    """
+    names = load_nouns().compounds | {tuple(label.split()) for label in labels}
+    # What the lexicon has as a type is read by it.
+    names -= load_lexicon().entries[TYPE_CLASS].keys()
+    longest = max((len(name) for name in names), default=1)
+    joined: list[Token] = []
+    index = 0
+    while index < len(tokens):
+        size = _size_of_name(tokens, index, names, longest)
+        first = tokens[index]
+        if size:
+            text = " ".join(token.text for token in tokens[index : index + size])
+            first = Token(text=text, terminal=NOUN, position=first.position)
+        joined.append(first)
+        index += max(size, 1)
+    return joined
+
+
+def _size_of_name(
+    tokens: list[Token], index: int, names: Collection[tuple[str, ...]], longest: int
+) -> int:
+    """Count the words of the name that begins at a token; 0 where none does."""
+    words = [token.text for token in tokens[index : index + longest]]
+    for size in range(len(words), 0, -1):
+        name = tuple(words[:size])
+        if "" in name or not {name, tuple(singular(" ".join(name)).split())} & set(names):
+            continue
+        if size > 1 or tokens[index].terminal.startswith("?") or is_noun_place(tokens, index):
+            return size
+    following = tokens[index + 1 : index + 2]
+    is_verbal = words[0] in _single_verbs() and _is_after_determiner(tokens, index)
+    return 2 if is_verbal and following and following[0].terminal.startswith("?") else 0
+
+
+def _is_after_determiner(tokens: list[Token], index: int) -> bool:
+    """Tell whether only a determiner, or one and adjectives, stands before a token."""
+    before = index - 1
+    while before >= 0 and tokens[before].text in _words_of("adj") and tokens[before].text:
+        before -= 1
+    return before >= 0 and tokens[before].text in _words_of("det")
+
+
+def is_noun_place(tokens: list[Token], index: int) -> bool:
+    """Tell whether a word can be nothing but the noun of its phrase: "the _ behind the cone".
+
+    Args:
+        tokens: words and marks of a sentence.
+        index: of the word.
+
+    Returns:
+        True after a determiner, and before what is no part of a noun phrase; but not where a side
+        may be said: "on the _", "to the _ of the cone".
+    """
+    before, following = tokens[max(index - 2, 0) : index], tokens[index + 1 : index + 2]
+    is_relative = len(before) == 2 and before[0].text == "to" and _has_noun(tokens[: index - 2])
+    is_by_side = len(before) == 2 and before[0].text in ("on", "at", "in")
+    if is_relative or is_by_side or (following and following[0].text == "of"):
+        return False
+    after = tokens[index + 1] if index + 1 < len(tokens) else None
+    if after is not None and (
+        after.terminal.startswith("?") or after.text in _words_of(*_BEFORE_NOUNS)
+    ):
+        return False
+    return _is_after_determiner(tokens, index)
+
+
+def _has_noun(tokens: Iterable[Token]) -> bool:
+    """Tell whether some noun phrase has begun."""
+    return any(token.text in _words_of("det") for token in tokens)
+
+
+def name_nouns(clauses: Iterable[Phrase]) -> list[Phrase]:
+    """Give the nouns that the lexicon does not know the senses of types of their own.
+
+    A noun that modifies one, known or not, is part of its name: "coke machine", "water fountain".
+
+    Args:
+        clauses: roots of trees.
+
+    Returns:
+        The roots.
+    """
+    return [_named(clause) for clause in clauses]
+
+
+def _named(phrase: Phrase) -> Phrase:
+    """Name the nouns of a phrase and of those below it."""
+    children = tuple(_named(child) for child in phrase.children)
+    words = phrase.words
+    last = max((i for i, word in enumerate(words) if word.tag in ("NN", "NNS")), default=None)
+    if phrase.label != "NP" or last is None or words[last].senses:
+        return replace(phrase, children=children)
+    first = last
+    while first and words[first - 1].tag == "NN" and not words[first - 1].senses:
+        first -= 1
+    head = words[last]
+    lemma = singular(head.lemma) if head.tag == "NN" else head.lemma
+    before = [word.text for word in words[first:last]]
+    is_plural = singular(head.text) != head.text
+    noun = Word(
+        text=" ".join([*before, head.text]),
+        tag="NNS" if is_plural else "NN",
+        lemma=" ".join([*before, lemma]),
+        senses=(f"type:{' '.join([*before, lemma])}",),
+        position=words[first].position,
+    )
+    return replace(phrase, words=(*words[:first], noun, *words[last + 1 :]), children=children)
+
+
+def attributes_of(phrase: Phrase) -> tuple[list[tuple[Word, str]], list[Word]]:
+    """Find what the adjectives of a noun phrase say of how the thing looks.
+
+    Args:
+        phrase: with words of its own.
+
+    Returns:
+        Words with the value that each says, and adjectives that say none.
+    """
+    known = load_nouns().attributes
+    words = [w for w in phrase.words if w.tag in ("JJ", "NN") and not w.senses]
+    told = [(word, known[word.text]) for word in words if word.text in known]
+    idle = [w for w in words if w.tag == "JJ" and w.text not in known]
+    return told, [w for w in idle if w.text not in _QUALIFIERS or not told]
+
+
+def compared(word: str) -> str | None:
+    """Find the adjective that a superlative or comparative is of: "tall" of "tallest"."""
+    known = load_nouns().attributes
+    for ending in ("est", "er"):
+        stem = word.removesuffix(ending)
+        if stem == word:
+            continue
+        stems = (stem, stem[:-1], stem + "e", stem[:-1] + "y")
+        found = next((one for one in stems if one in known or one in _OTHERS), None)
+        if found is not None:
+            return found
+    return None

@@ -1,0 +1,386 @@
+"""Any noun: a sentence brings its own types, bound to what the detector tells apart."""
+
+import dataclasses
+import itertools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from test_navigator_step import AREA, CONE, HYDRANT, distance, go, robot
+
+from jaxlangnav import agent, episode, kinds
+from jaxlangnav.grounding import GraphGrounder, load_shipped, understand
+from jaxlangnav.grounding.binding import Detector, UnknownObjectError
+from jaxlangnav.language.lexicon import load_lexicon
+from jaxlangnav.language.parser import parse
+from jaxlangnav.language.phrase import LanguageError
+from jaxlangnav.messages import NONE, ROBOT, default_motion, default_sensor
+from jaxlangnav.navigator import NavigatorConfig, default_params
+from jaxlangnav.pytree import replace
+from jaxlangnav.semantic_map.params import MapConfig
+from jaxlangnav.world.state import Scenario
+
+__all__ = ["robot"]
+LABELS = (
+    "person", "bicycle", "car", "motorcycle", "traffic light", "fire hydrant", "stop sign",
+    "parking meter", "bench", "potted plant", "dining table", "tv", "sports ball", "gazebo",
+    "easel", "truck", "mailbox", "sofa", "orange", "yield sign", "box", "cone",
+)  # fmt: skip
+SENTENCES = (
+    "go to the {0}",
+    "go to the {0} behind the {1}",
+    "go to the {0} that is to the left of the {1}",
+    "find the {0} nearest to the {1}",
+    "go to the second {0} on your left",
+    "move behind the {0}",
+    "go quickly to the {0} but stay away from the {1}",
+    "go to the {0}, then stop behind it",
+    "go to the {0} in front of the {1}, then to the other {0}",
+    "the {0} is near the {1}. go to the {0}",
+)
+
+
+@pytest.fixture(scope="module")
+def model():
+    return load_shipped()
+
+
+def understood(text, model, labels=LABELS, attributes=()):
+    return understand(text, model, Detector(labels, attributes))
+
+
+def arrays(text, model, labels):
+    """Everything that the navigator takes, with labels in place of their indices."""
+    told = jax.tree.map(np.asarray, understood(text, model, labels).instruction)
+
+    def named(indices):
+        return [labels[i] if i >= 0 else i for i in np.ravel(indices)]
+
+    names = named(told.readings.mention_type), named(told.program.own)
+    blank = replace(
+        told,
+        readings=replace(told.readings, mention_type=None),
+        program=replace(told.program, own=None),
+    )
+    return names, jax.tree.leaves(blank)
+
+
+# ---------------------------------------------------------------- what is carried
+
+
+@pytest.mark.parametrize("sentence", SENTENCES)
+def test_which_noun_it_is_makes_no_difference(sentence, model) -> None:
+    """The trained graph goes by the class of a word: to the bit the same for any pair of nouns."""
+    pairs = (("gazebo", "easel"), ("kiosk", "sundial"), ("vending machine", "lily"))
+    found = [arrays(sentence.format(*pair), model, pair) for pair in pairs]
+    for pair, (names, leaves) in zip(pairs, found, strict=True):
+        instead = dict(zip(pair, pairs[0], strict=True))
+        assert [[instead.get(n, n) for n in part] for part in names] == list(found[0][0])
+        for leaf, first in zip(leaves, found[0][1], strict=True):
+            np.testing.assert_array_equal(leaf, first)
+
+
+def likeliest(text, figure, landmark, labels, model):
+    """What the likeliest reading says of F and L, and how sure it is."""
+    told = understood(text.format(figure, landmark), model, labels)
+    readings = jax.tree.map(np.asarray, told.instruction.readings)
+    names = {labels.index(figure): "F", labels.index(landmark): "L", ROBOT: "R"}
+    said = [names.get(int(k)) for k in readings.mention_type[0]]
+    columns = (readings.figure[0], readings.relation[0], readings.landmark[0], readings.rank[0])
+    edges = {
+        (said[f], int(r), said[by] if by != NONE else None, int(rank))
+        for f, r, by, rank in zip(*columns, strict=True)
+        if f != NONE
+    }
+    return edges, sorted(map(str, said)), float(np.exp(readings.log_probability[0]))
+
+
+@pytest.mark.parametrize("steps", [(3,), pytest.param((1, 2, 4, 5, 6, 7), marks=pytest.mark.slow)])
+@pytest.mark.parametrize("text", SENTENCES)
+def test_new_nouns_are_read_as_those_of_the_training(text, steps, model) -> None:
+    """What is said of "gazebo" and "easel" is what is said of any pair of the known types."""
+    types = load_lexicon().type_names
+    *new, sure = likeliest(text, "gazebo", "easel", ("gazebo", "easel"), model)
+    assert sure > 0.9
+    for step, first in itertools.product(steps, range(len(types))):
+        pair = types[first], types[(first + step) % len(types)]
+        assert list(likeliest(text, *pair, types, model)[:2]) == new, pair
+
+
+def test_there_is_no_limit_of_fifteen(model) -> None:
+    labels = tuple(f"{a}{b}{c}zo" for a in "bdfgklmnprst" for b in "aeiou" for c in "bdfgklmn")
+    text = f"go to the {labels[400]} behind the {labels[37]}"
+    readings = understood(text, model, labels).instruction.readings
+    assert readings.mention_type[0, :3].tolist() == [37, 400, NONE]
+
+
+def test_any_sentence_is_data_of_one_shape(model) -> None:
+    def form(text):
+        leaves = jax.tree.leaves(understood(text, model, attributes=("colour",)).instruction)
+        return [(leaf.shape, leaf.dtype) for leaf in leaves]
+
+    first = form("go to the hydrant")
+    for text in ("go to the gazebo behind the easel", "go to the red truck near the zorbel"):
+        assert form(text) == first
+
+
+# ---------------------------------------------------------------- what it is bound to
+
+
+@pytest.mark.parametrize(
+    ("text", "label"),
+    [
+        ("go to the gazebo", "gazebo"),
+        ("go to the gazebos", "gazebo"),
+        ("go to the hydrant", "fire hydrant"),  # a synonym of the lexicon
+        ("go to the couch", "sofa"),  # a synonym
+        ("go to the ball", "sports ball"),
+        ("go to the mail box", "mailbox"),
+        ("go to the traffic signal", "traffic light"),
+        ("go to the traffic cone", "cone"),
+        ("go to the plant", "potted plant"),  # by head noun, "any of the detector's"
+        ("go to the orange", "orange"),  # an adjective of the grammar, here a thing
+        ("go to the orange cone", "cone"),
+        ("go to the stop sign", "stop sign"),
+        ("go to the TV", "tv"),
+        ("go to the rickety gazebo", "gazebo"),
+        ("go to the man", "person"),  # a broader label
+        ("go to the fire truck", "truck"),  # by its head
+    ],
+)
+def test_nouns_are_bound_to_labels(text, label, model) -> None:
+    readings = understood(text, model).instruction.readings
+    assert int(readings.mention_type[0, 0]) == LABELS.index(label)
+
+
+def test_a_noun_may_be_any_of_several_labels(model) -> None:
+    told = understood("go to the sign behind the gazebo", model).instruction
+    signs = {LABELS.index("stop sign"), LABELS.index("yield sign")}
+    assert {int(kind) for kind in told.readings.mention_type[:2, 1]} == signs
+    np.testing.assert_allclose(np.exp(told.readings.log_probability[:2]), 0.5, atol=0.01)
+    named = [set(row[row != NONE].tolist()) for row in np.asarray(told.program.own)[0]]
+    assert signs in named
+
+
+def test_labels_are_written_as_detectors_write_them(model) -> None:
+    told = understood("go to the stop sign", model, ("Traffic_Light", "Stop-Sign"))
+    assert int(told.instruction.readings.mention_type[0, 0]) == 1
+
+
+def test_a_landmark_without_a_label_is_noted_and_the_rest_used(model) -> None:
+    grounder = GraphGrounder(model, LABELS)
+    told = understand("go to the hydrant behind the zorbel", model, grounder.detector)
+    assert told.notes == ("my detector has no label for 'zorbel': it is never seen",)
+    kind = int(told.instruction.readings.mention_type[0, 0])
+    assert kind == len(LABELS)
+    assert grounder.names[kind] == "zorbel"
+    assert grounder.type_names == LABELS
+    # In the next sentence it is what it was.
+    again = understand("go to the gazebo near the zorbel", model, grounder.detector)
+    assert kind in np.asarray(again.instruction.readings.mention_type[0])
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        (
+            "go to the kiosk",
+            r"'kiosk' \(word 4\): my detector has no label for it; it knows person",
+        ),
+        ("go to the tree house behind the bench", "'tree house'.*no label"),
+        ("move behind the kiosk", "'kiosk'.*no label"),
+        ("go to the hydrant, then to the kiosk", "'kiosk'.*no label"),
+        ("go to the tallest truck", "how tall things are is not compared"),
+        ("go to the biggest red box", "how big things are is not compared"),
+        ("go to the bigger box", "how big things are is not compared"),
+    ],
+)
+def test_what_can_never_be_found_is_refused(text, why, model) -> None:
+    with pytest.raises((UnknownObjectError, LanguageError), match=why) as error:
+        understood(text, model)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "text", ["go to the jump", "smash the gazebo", "zorbel fuzzle", "", "go to the car bench"]
+)
+def test_nonsense_is_refused_as_before(text) -> None:
+    with pytest.raises(LanguageError):
+        parse(text, LABELS)
+
+
+def test_a_noun_of_too_many_labels_is_asked_back(model) -> None:
+    labels = ("stop sign", "yield sign", "exit sign", "street sign", "road sign")
+    with pytest.raises(UnknownObjectError, match=r"may be any of 5 labels .*: name one of them"):
+        understood("go to the sign", model, labels)
+
+
+@pytest.mark.parametrize(
+    ("labels", "groups", "why"),
+    [
+        ((), (), "0 names"),
+        (("box", "Box"), (), "'box' twice"),
+        (("box", " "), (), "none empty"),
+        (("box",), ("smell",), "cannot report 'smell'"),
+    ],
+)
+def test_labels_that_cannot_be_are_refused(labels, groups, why) -> None:
+    with pytest.raises(ValueError, match=why):
+        Detector(labels, groups)
+
+
+def test_spelling_leaves_nouns_alone_and_mends_slips() -> None:
+    for noun in ("easel", "gazebo", "weasel", "frond", "lily", "trolley", "crane"):
+        assert parse(f"go to the {noun} behind the cone").repairs == ()
+    assert parse("go to the benhc").repairs == (("benhc", "bench"),)
+    assert parse("go to the hydrnt near the gazebo").repairs == (("hydrnt", "hydrant"),)
+    assert parse("go to the gazebo behnd the cone").repairs == (("behnd", "behind"),)
+    assert parse("go to the benhc", ("benhc",)).repairs == ()
+
+
+# ---------------------------------------------------------------- attributes
+
+
+def test_a_kind_is_a_label_and_attributes() -> None:
+    red, tall = kinds.attributes("red"), kinds.attributes("tall")
+    both = kinds.attributes("tall", "red")
+    assert kinds.words_of(both) == ("red", "tall")
+    ball = [kinds.kind_of(7, code) for code in (0, red, kinds.attributes("blue"), both)]
+    asked = kinds.kind_of(7, red)
+    assert [bool(kinds.fits(one, asked)) for one in ball] == [True, True, False, True]
+    assert not kinds.fits(kinds.kind_of(8, red), asked)
+    assert kinds.joined(ball[2], kinds.kind_of(7, both)) == ball[3]
+    assert kinds.joined(ball[1], kinds.kind_of(7, tall)) == ball[3]
+    for special in (NONE, ROBOT):
+        assert kinds.label_of(special) == special
+        assert int(kinds.label_of(np.int32(special))) == special
+        assert not kinds.fits(special, asked)
+        assert kinds.fits(special, special)
+    assert not kinds.fits(NONE, ROBOT)
+    for words in itertools.product(*((None, *values) for values in kinds.ATTRIBUTES.values())):
+        given = tuple(word for word in words if word)
+        code = kinds.attributes(*given)
+        assert kinds.words_of(code) == given
+        kind = kinds.kind_of(kinds.MOST_LABELS - 1, code)
+        assert int(np.float32(kind)) == kind  # as tables of particles hold it
+
+
+def test_attributes_that_the_detector_reports_are_part_of_what_is_meant(model) -> None:
+    told = understood("go to the red ball behind the blue ball", model, attributes=("colour",))
+    ball = LABELS.index("sports ball")
+    said = [kinds.kind_of(ball, kinds.attributes(word)) for word in ("blue", "red")]
+    assert told.instruction.readings.mention_type[0, :2].tolist() == said
+    assert told.notes == ()
+    assert [one["figure"] for one in told.annotations[:1]] == ["ball"]
+    assert [one["landmark"] for one in told.annotations[:1]] == ["blue ball"]
+
+
+@pytest.mark.parametrize(
+    ("text", "groups", "notes"),
+    [
+        ("go to the red box", (), ("'red' is not used: my detector reports no colour",)),
+        ("go to the red box", ("colour",), ()),
+        ("go to the dark red box", ("colour",), ()),
+        (
+            "go to the tall red box",
+            ("height",),
+            ("'red' is not used: my detector reports no colour",),
+        ),
+        (
+            "go to the red and white box",
+            ("colour",),
+            ("'white' is not used: one colour of a thing is compared",),
+        ),
+        (
+            "go to the lovely box",
+            ("colour",),
+            ("'lovely' is not used: it is no attribute that is compared",),
+        ),
+    ],
+)
+def test_no_adjective_is_dropped_silently(text, groups, notes, model) -> None:
+    assert understood(text, model, attributes=groups).notes == notes
+
+
+def test_it_is_what_it_was_attributes_and_all(model) -> None:
+    told = understood("go to the red box, then stop behind it", model, attributes=("colour",))
+    kind = kinds.kind_of(LABELS.index("box"), kinds.attributes("red"))
+    readings = told.instruction.readings
+    assert set(np.asarray(readings.mention_type[0]).tolist()) == {kind, NONE}
+
+
+# ---------------------------------------------------------------- driven
+
+
+def test_own_nouns_drive_an_episode_and_compile_nothing(robot, caplog) -> None:
+    labels = ["gazebo", "easel"]
+    assert (labels.index("gazebo"), labels.index("easel")) == (HYDRANT, CONE)
+    told = dataclasses.replace(robot, grounder=GraphGrounder(load_shipped(), labels))
+    go(robot, robot.start("go to the hydrant", area=AREA), max_steps=1)
+    size = agent._step._cache_size()
+    run = go(told, told.start("go to the gazebo behind the easel", area=AREA))
+    assert distance(run, 1) < 1.5
+    state = told.hear(run.state, "go to the easel near the zorbel")
+    assert told.missing(state) == ["zorbel"]
+    assert "my detector has no label for 'zorbel'" in caplog.text
+    assert agent._step._cache_size() == size
+
+
+COMMANDS = ("go to the red ball", "go to the tall tree", "go to the white truck")
+LOOKS = ((("red",), ("blue",), ("green",)), (("tall",), ("short",), ("short",)),
+         (("white",), ("black",), ("red",)))  # fmt: skip
+THINGS = ("hydrant", "ball", "tree", "truck")
+
+
+def scene(draw: np.random.Generator, command: int) -> Scenario:
+    """Place the thing meant, two others of its noun, and one of another with its looks."""
+    area, places = np.array([0.0, 14.0, -7.0, 7.0]), []
+    while len(places) < 4:
+        place = draw.uniform(area[::2] + 0.5, area[1::2] - 0.5)
+        if all(np.hypot(*(place - other)) > 3.5 for other in [*places, np.zeros(2)]):
+            places.append(place)
+    looks = [kinds.attributes(*words) for words in LOOKS[command]]
+    other = 1 + (command + 1) % 3
+    types = np.array([command + 1] * 3 + [other] + [NONE] * 4, np.int32)
+    spots = np.float32([*places, *np.zeros((4, 2))])
+    return Scenario(
+        object_type=types,
+        object_x=spots[:, 0],
+        object_y=spots[:, 1],
+        is_object=np.arange(8) < 4,
+        goal=spots[0],
+        goal_index=np.int32(0),
+        start=np.zeros(3, np.float32),
+        area=np.float32(area),
+        is_valid=np.bool_(True),
+        object_attribute=np.int32([*looks, looks[0], 0, 0, 0, 0]),
+    )
+
+
+@pytest.mark.slow
+def test_attributes_select_among_things_of_one_noun(model) -> None:
+    """At least 98 % right things, distractors of the same noun about."""
+    number, draw = 300, np.random.default_rng(0)
+    detector = Detector(THINGS, ("colour", "height"))
+    told = [understand(text, model, detector).instruction for text in COMMANDS]
+    which = np.arange(number) % 3
+    scenes = [scene(draw, int(command)) for command in which]
+    tasks = episode.Task(
+        key=jax.random.split(jax.random.key(1), number),
+        scenario=jax.tree.map(lambda *leaves: jnp.stack(leaves), *scenes),
+        instruction_index=jnp.asarray(which, jnp.int32),
+        sensor=jax.tree.map(lambda leaf: jnp.full(number, leaf), default_sensor(4.0)),
+        motion=jax.tree.map(lambda leaf: jnp.full(number, leaf), default_motion()),
+    )
+    params = default_params()
+    anywhere = replace(params.planner, prior_share=jnp.float32(0.0))
+    results = episode.run_batch(
+        tasks,
+        jax.tree.map(lambda *leaves: jnp.stack(leaves), *told),
+        params=replace(params, planner=anywhere),
+        config=NavigatorConfig(map=MapConfig(num_particles=32)),
+        num_lanes=100,
+    )
+    right = np.asarray(results.is_success)
+    assert right.mean() >= 0.98, [float(right[which == one].mean()) for one in range(3)]
