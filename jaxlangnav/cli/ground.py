@@ -58,7 +58,7 @@ class Ground:
         parsed = None if is_own else parse_text(self.text, output)
         keep_compiled_programs()
         from jaxlangnav.cli.engine import load_models
-        from jaxlangnav.grounding.asked import describe_asked
+        from jaxlangnav.grounding.asked import list_commands
         from jaxlangnav.grounding.instruction import understand_parse
         from jaxlangnav.task.opening import detector_of
 
@@ -78,7 +78,7 @@ class Ground:
         # Refused before anything is told.
         grounded = {} if self.world is None else self._ground_in(self.world, understood)
         document |= grounded
-        document["commands"] = describe_asked(understood.instruction, understood.type_names)
+        document["commands"] = list_commands(understood.instruction, understood.type_names)
         _show_annotations(document["annotations"], output)
         _show_commands(document["commands"], output)
         if grounded:

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task
-from jaxlangnav.experiments.patterns import Waypoint, arc_waypoint, lane_waypoint
+from jaxlangnav.experiments.patterns import NextPlace, arc_waypoint, lane_waypoint
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.messages import Action, Observation, SensorParams, Status
 from jaxlangnav.planner.graph import frontiers
@@ -122,7 +122,7 @@ def notice(explorer: Explorer, observation: Observation, figure_type: Array) -> 
 
 
 def _explore_sweep(
-    explorer: Explorer, pose: Array, sensor: SensorParams, waypoint: Waypoint
+    explorer: Explorer, pose: Array, sensor: SensorParams, waypoint: NextPlace
 ) -> Explorer:
     """Go on to the next waypoint of a sweep once this one is reached."""
     area = explorer.coverage.area

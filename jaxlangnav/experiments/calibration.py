@@ -178,7 +178,7 @@ def referent_mass(progress: Progress) -> Array:
     return jnp.sum(jnp.where(is_slot, jnp.exp(belief.log_weight)[None, :], 0.0), axis=1)
 
 
-def judge(progress: Progress, info: NavigatorInfo, after: Progress) -> Tally:
+def tally_step(progress: Progress, info: NavigatorInfo, after: Progress) -> Tally:
     """Hold the belief of one step against the truth.
 
     Args:
@@ -235,7 +235,7 @@ def _run_judged(
     def body(carry: tuple[Progress, Tally]) -> tuple[Progress, Tally]:
         progress, tally = carry
         after, info = advance(progress, params=params, config=config)
-        return after, jax.tree.map(jnp.add, tally, judge(progress, info, after))
+        return after, jax.tree.map(jnp.add, tally, tally_step(progress, info, after))
 
     def one(task: Task) -> Tally:
         start = begin(task, instructions, config=config)

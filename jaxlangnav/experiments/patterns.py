@@ -9,7 +9,7 @@ from collections.abc import Callable
 import jax.numpy as jnp
 from jax import Array
 
-Waypoint = Callable[[Array, Array, Array], tuple[Array, Array]]
+NextPlace = Callable[[Array, Array, Array], tuple[Array, Array]]
 """From area, range and waypoints reached to the next waypoint."""
 _LANE_MARGINS = (1.0, 0.3)
 """How far from the edge a lane ends, as a share of the range: on the first pass and later on. The

@@ -63,7 +63,7 @@ _LONGEST_TEXT = 1000
 """Characters of a sentence, or of the path of a world."""
 _LARGEST_FILE = 1 << 20
 """Bytes of a configuration."""
-Values = dict[str, tuple[float, ...]]
+Choices = dict[str, tuple[float, ...]]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -88,7 +88,7 @@ class SweepConfig:
     ranges: tuple[float, ...]
     policies: tuple[str, ...]
     particles: tuple[int, ...]
-    params: dict[str, Values]
+    params: dict[str, Choices]
     """By table (sensor, motion, map, planner), then by key."""
     own_worlds: dict[str, World]
     """Worlds that are no template, by their entry in ``worlds``."""
@@ -305,7 +305,7 @@ def _open_worlds(worlds: tuple[str, ...], folder: Path) -> tuple[dict[str, World
     return own, hashes
 
 
-def _params(table: Any, name: str) -> Values:
+def _params(table: Any, name: str) -> Choices:
     """Read one of the tables of Params."""
     if not isinstance(table, Mapping):
         raise ValueError(f"{name} is {shown(table)}, but must be a table: [{name}]")

@@ -93,7 +93,7 @@ def asked(instruction: Instruction) -> list[Asked]:
     return found
 
 
-def describe_asked(instruction: Instruction, names: Sequence[str]) -> list[dict[str, Any]]:
+def list_commands(instruction: Instruction, names: Sequence[str]) -> list[dict[str, Any]]:
     """Describe what each command asks for, as ``ground --json`` prints it.
 
     Args:

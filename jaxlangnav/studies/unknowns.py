@@ -268,7 +268,7 @@ def _explained(index: int, rows: Sequence[Row]) -> dict[str, Any]:
     mine = rows[index :: len(PRINTED)]
     first, *others = mine
     named = {
-        key: [name_of(row) for row in others if row[f"is_{key}"]]
+        key: [variation_name(row) for row in others if row[f"is_{key}"]]
         for key in ("near", "success_near", "distance_near")
     }
     nearest = min(mine, key=lambda row: max(abs(row["z_success"]), abs(row["z_distance"])))
@@ -279,7 +279,7 @@ def _explained(index: int, rows: Sequence[Row]) -> dict[str, Any]:
         "both": named["near"],
         "success": named["success_near"],
         "distance": named["distance_near"],
-        "nearest": name_of(nearest),
+        "nearest": variation_name(nearest),
         "nearest_z": [nearest["z_success"], nearest["z_distance"]],
     }
 
@@ -300,7 +300,7 @@ def _settings(options: Options) -> dict[str, float]:
     }
 
 
-def name_of(row: Mapping[str, Any]) -> str:
+def variation_name(row: Mapping[str, Any]) -> str:
     """Name a variation: "field of view 90°"."""
     return f"{row['unknown']} {row['value']}".strip()
 
