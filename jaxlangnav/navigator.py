@@ -6,16 +6,17 @@ a physics simulator and a robot drive it alike.
 """
 
 import dataclasses
+import functools
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
+from jaxlangnav import conversation
+from jaxlangnav.conversation import Conversation, Words
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.grounding.program import NUM_TYPES
-from jaxlangnav.language.halting import Act
 from jaxlangnav.messages import (
     ACTIONS,
     NONE,
@@ -26,7 +27,10 @@ from jaxlangnav.messages import (
     Status,
     default_sensor,
 )
+from jaxlangnav.numerics.batching import row_of
 from jaxlangnav.planner import graph, policy, search, tours
+from jaxlangnav.planner.asking import Doubt, doubt_of
+from jaxlangnav.planner.blocked import Way, open_nodes, start_of_way, watch
 from jaxlangnav.planner.constraints import constraint_cost
 from jaxlangnav.planner.endings import chance_left
 from jaxlangnav.planner.goals import Goals, gather
@@ -37,7 +41,7 @@ from jaxlangnav.semantic_map.behaviors import infer_behaviors
 from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.filter import FilterInfo
 from jaxlangnav.semantic_map.params import MapConfig, MapParams, default_map_params
-from jaxlangnav.semantic_map.soundness import DEVIATIONS, is_pose
+from jaxlangnav.semantic_map.soundness import DEVIATIONS
 
 _PLANNING = 77
 """Folded into a cycle's key for the planner; beyond the keys that the filter splits it into."""
@@ -63,6 +67,10 @@ class NavigatorConfig:
 
     map: MapConfig = dataclasses.field(default_factory=MapConfig)
     planner: PlannerConfig = dataclasses.field(default_factory=PlannerConfig)
+    patience: int = 10
+    """Cycles without any way made after which a waypoint is given up for another."""
+    num_detours: int = 3
+    """Waypoints that may be given up before the way counts as blocked."""
 
     def __post_init__(self) -> None:
         """Refuse sizes that do not fit together."""
@@ -91,11 +99,17 @@ class NavigatorState:
     tour: tours.Tour  # where ``informed`` is looking next, and after that
     status: Array  # i32[] a Status: of the task after the last cycle, whether halted or not
     is_halted: Array  # bool[] it was told to halt
+    talk: Conversation  # what has been said besides, and ruled out
+    way: Way  # whether it gets on, and the waypoints given up
 
     @property
     def is_done(self) -> Array:
-        """Whether the task has ended: it is carried out, or cannot be. bool[]."""
-        return (self.status == Status.ARRIVED) | (self.status == Status.NOT_FOUND)
+        """Whether the task has ended, unless more is heard: it is carried out, or cannot be.
+
+        bool[].
+        """
+        endings = (Status.ARRIVED, Status.NOT_FOUND, Status.WHICH_ONE, Status.BLOCKED)
+        return functools.reduce(jnp.logical_or, [self.status == one for one in endings])
 
     @property
     def is_resting(self) -> Array:
@@ -163,6 +177,7 @@ def start(
     *,
     config: NavigatorConfig,
     num_types: int = NUM_TYPES,
+    words: Words | None = None,
 ) -> NavigatorState:
     """Build the state of a robot that has just been told what to do.
 
@@ -174,6 +189,8 @@ def start(
         area: f32[4], operating area x_min, x_max, y_min, y_max, metres.
         config: sizes.
         num_types: object types that a detection may name.
+        words: what the readings are about, where more may be said (``hearing``); by default the
+            task speaks of all of it.
 
     Returns:
         The state before the first observation.
@@ -190,69 +207,8 @@ def start(
         tour=tours.no_tour(belief.last_pose[0], belief.last_pose[1]),
         status=jnp.int32(Status.SEARCHING),
         is_halted=jnp.asarray(False),
-    )
-
-
-def hear(state: NavigatorState, instruction: Instruction, pose: Array) -> NavigatorState:
-    """Take in another command: the map is kept, the words are grounded anew.
-
-    A robot that has been halted goes on, with the new task.
-
-    Limits: what asks for nothing, such as a statement, changes nothing.
-
-    Args:
-        state: of a robot under way or at its goal.
-        instruction: the new sentence, grounded.
-        pose: f32[3], where the robot is as it hears it, map frame; one that cannot be is taken to
-            be where it last was.
-
-    Returns:
-        The state, to be followed by the next observation.
-    """
-    belief = state.belief
-    viewer = jnp.where(is_pose(pose, belief.coverage.area), pose, belief.last_pose)
-    told = replace(
-        state,
-        belief=replace(belief, viewer=viewer, must_ground=jnp.asarray(True)),
-        instruction=instruction,
-        clause=jnp.int32(0),
-        commitment=policy.no_commitment(),
-        status=jnp.int32(Status.SEARCHING),
-        is_halted=jnp.asarray(False),
-    )
-    asks = instruction.num_clauses > 0
-    return jax.tree.map(
-        lambda new, old: old if new is old else jnp.where(asks, new, old), told, state
-    )
-
-
-def obey(state: NavigatorState, act: Act) -> NavigatorState:
-    """Halt, go on, or drop the task, whatever the robot is at; nothing is computed or compiled.
-
-    Halted it stands still, however often it is stepped, and keeps looking about; to go on is to
-    take up the same task where it was. To cancel leaves it idle until another command is heard;
-    what the sentence said of the map stays.
-
-    Args:
-        state: of any robot, or of a batch of them, leaves [...].
-        act: what it was told.
-
-    Returns:
-        The state, to be followed by the next observation.
-    """
-
-    def everywhere(value: int | bool, like: Array) -> Array:
-        return jnp.asarray(np.full(like.shape, value, like.dtype))
-
-    is_halted = everywhere(act == Act.HALT, state.is_halted)
-    if act != Act.CANCEL:
-        return replace(state, is_halted=is_halted)
-    told = state.instruction
-    return replace(
-        state,
-        instruction=replace(told, num_clauses=everywhere(0, told.num_clauses)),
-        status=everywhere(Status.IDLE, state.status),
-        is_halted=is_halted,
+        talk=conversation.begin(instruction, belief.last_pose, config.map.num_objects, words),
+        way=start_of_way(belief.last_pose),
     )
 
 
@@ -260,6 +216,7 @@ class _Outlook(NamedTuple):
     """What a belief comes to: where the robot is, what it is asked to do, and where."""
 
     fault: Array  # i32[] bits of Fault; 0 for a sound look and a task
+    belief: ParticleBelief  # as far as the task speaks of it
     stands: Array  # bool[] the robot stands still: for a fault, or as it has been told or has ended
     robot_x: Array  # f32[] believed position, metres, map frame
     robot_y: Array  # f32[]
@@ -275,6 +232,8 @@ class _Decision(NamedTuple):
     plan: tours.Plan | None  # of ``informed``
     nodes: graph.Nodes
     choice: policy.Choice
+    way: Way
+    doubt: Doubt
 
 
 def step(
@@ -300,13 +259,14 @@ def step(
     Returns:
         The new state, what the robot is to do, and why.
     """
+    params = _as_told(state, params)
     state, filter_info = _observe(key, state, observation, params, config)
     is_asked = (state.instruction.num_clauses > 0) | (state.status == Status.IDLE)
     fault = filter_info.fault + jnp.where(is_asked, 0, int(Fault.COMMAND))
     range_max = jnp.where(fault == 0, observation.sensor.range_max, default_sensor().range_max)
     outlook = _infer(state, fault, params)
     decision = _decide(key, state, outlook, range_max, filter_info.is_news, params, config)
-    after = _carry_on(state, outlook, decision, params)
+    after = _carry_on(state, outlook, decision, params, config)
     action = _act(after, outlook, decision.choice, params)
     info = NavigatorInfo(
         filter=filter_info,
@@ -318,6 +278,12 @@ def step(
         robot=jnp.stack([outlook.robot_x, outlook.robot_y]),
     )
     return after, action, info
+
+
+def _as_told(state: NavigatorState, params: NavigatorParams) -> NavigatorParams:
+    """Go as close as the robot has been told to."""
+    reach = params.planner.reach * state.talk.closeness
+    return replace(params, planner=replace(params.planner, reach=reach))
 
 
 def _observe(
@@ -335,12 +301,15 @@ def _observe(
     # One cycle's step at the highest speed, as far as odometry may be out.
     farthest = jnp.max(params.mode_speed) * motion.step_length
     farthest = farthest * (1.0 + DEVIATIONS * motion.odometry_noise) + _SPARE
+    # A command is meant as it was seen from where it was heard.
+    viewer = row_of(state.talk.viewer, state.clause)
     belief, info = semantic_filter.step(
         key,
-        state.belief,
+        replace(state.belief, viewer=viewer),
         state.instruction.readings,
         observation,
         params=map_params,
+        told=state.talk.told,
         is_sparse=True,
         farthest=farthest,
     )
@@ -353,10 +322,15 @@ def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> _Out
     behavior = infer_behaviors(
         belief.particles, state.instruction, state.clause, state.previous_goal
     )
+    readings, talk = state.instruction.readings, state.talk
+    behavior = conversation.without(behavior, talk.ruled_out)
+    behavior = conversation.avoided(behavior, belief.particles, readings.mention_type, talk.words)
+    belief = replace(belief, particles=conversation.focus(belief.particles, talk.words))
     weight = jnp.exp(belief.log_weight)
     robot_x, robot_y = semantic_filter.robot_position(belief)
     return _Outlook(
         fault=fault,
+        belief=belief,
         stands=(fault != 0) | state.is_resting,
         robot_x=robot_x,
         robot_y=robot_y,
@@ -378,7 +352,7 @@ def _decide(
     config: NavigatorConfig,
 ) -> _Decision:
     """Choose among the graph's nodes or to stop (section 3.4); ``key`` is the whole cycle's."""
-    belief, goals = state.belief, outlook.goals
+    belief, goals = outlook.belief, outlook.goals
     robot = outlook.robot_x, outlook.robot_y
     visited = graph.visit(state.visited, *robot, params.planner.visit_spacing)
     plan = first_stops = chance = None
@@ -387,6 +361,10 @@ def _decide(
         plan_key = jax.random.fold_in(key, _PLANNING)
         chance = chance_left(unseen.unseen, params.map.concentration, params.map.misleading)
         plan = tours.plan(plan_key, state.tour, unseen, *robot, range_max, belief.coverage.area)
+    has_looked = False if chance is None else chance < params.planner.give_up
+    doubt = doubt_of(goals, params.planner.question_cost, has_looked, state.talk.may_ask)
+    if plan is not None:
+        plan = replace(plan, hung=jnp.where(doubt.looks_on, jnp.inf, plan.hung))
         first_stops = plan.tours.x[:, 0], plan.tours.y[:, 0]
     nodes = graph.nodes(
         belief.coverage,
@@ -398,13 +376,14 @@ def _decide(
         params.planner,
         first_stops,
     )
+    nodes = open_nodes(nodes, state.way)
     choice = policy.choose(
         belief,
         nodes,
         goals,
         *robot,
         state.commitment,
-        is_news,
+        is_news | state.way.is_news,
         outlook.expected.action[ACTIONS.index("find")],
         range_max,
         constraint_cost(
@@ -415,12 +394,16 @@ def _decide(
         plan=plan,
         chance_left=chance,
     )
+    doubt = replace(doubt, asks=doubt.asks & ~outlook.stands)
+    is_stop = choice.is_stop & ~outlook.stands & ~doubt.looks_on & ~doubt.asks
     choice = replace(
         choice,
-        is_stop=choice.is_stop & ~outlook.stands,
-        is_not_found=choice.is_not_found & ~choice.is_stop & ~outlook.stands,
+        is_stop=is_stop,
+        is_not_found=choice.is_not_found & ~choice.is_stop & ~outlook.stands & ~doubt.asks,
     )
-    return _Decision(visited=visited, plan=plan, nodes=nodes, choice=choice)
+    is_under_way = ~outlook.stands & ~is_stop & ~choice.is_not_found & ~doubt.asks
+    way = watch(state.way, choice, *robot, is_under_way, patience=config.patience)
+    return _Decision(visited=visited, plan=plan, nodes=nodes, choice=choice, way=way, doubt=doubt)
 
 
 def _is_last_clause(state: NavigatorState) -> Array:
@@ -428,12 +411,18 @@ def _is_last_clause(state: NavigatorState) -> Array:
     return state.clause + 1 >= state.instruction.num_clauses
 
 
-def _status(state: NavigatorState, outlook: _Outlook, choice: policy.Choice) -> Array:
+def _status(
+    state: NavigatorState, outlook: _Outlook, decision: _Decision, config: NavigatorConfig
+) -> Array:
     """Tell what becomes of the task, i32[] a Status: what it was where the robot stands still."""
+    choice = decision.choice
     under_way = jnp.where(choice.is_approach, int(Status.APPROACHING), int(Status.SEARCHING))
     is_arrived = choice.is_stop & _is_last_clause(state)
     ended = jnp.where(choice.is_not_found, int(Status.NOT_FOUND), under_way)
     status = jnp.where(is_arrived, int(Status.ARRIVED), ended)
+    status = jnp.where(decision.doubt.asks, int(Status.WHICH_ONE), status)
+    is_blocked = decision.way.num_closed > config.num_detours
+    status = jnp.where(is_blocked & ~choice.is_stop, int(Status.BLOCKED), status)
     return jnp.where(outlook.stands, state.status, status)
 
 
@@ -448,7 +437,8 @@ def _act(
     speed, clearance = params.mode_speed[mode], params.mode_clearance[mode]
     robot = jnp.stack([outlook.robot_x, outlook.robot_y])
     waypoint = jnp.stack([choice.waypoint_x, choice.waypoint_y])
-    waypoint = jnp.where(outlook.stands | choice.is_not_found, robot, waypoint)
+    stands = outlook.stands | (state.is_done & ~choice.is_stop)
+    waypoint = jnp.where(stands, robot, waypoint)
     span_x, span_y = waypoint - robot
     distance = jnp.sqrt(span_x * span_x + span_y * span_y + 1e-9)
     # A thing is gone up to, not into; anything else is a place to stand on.
@@ -468,7 +458,11 @@ def _act(
 
 
 def _carry_on(
-    state: NavigatorState, outlook: _Outlook, decision: _Decision, params: NavigatorParams
+    state: NavigatorState,
+    outlook: _Outlook,
+    decision: _Decision,
+    params: NavigatorParams,
+    config: NavigatorConfig,
 ) -> NavigatorState:
     """Remember what the next decision needs.
 
@@ -480,9 +474,10 @@ def _carry_on(
     away = jnp.hypot(goals.object_x - robot_x, goals.object_y - robot_y)[:-1]
     will_do = goals.object_accepted[:-1] * params.planner.discount**away
     goal_slot = jnp.argmax(will_do).astype(jnp.int32)
+    moves_on = choice.is_stop & ~is_last
     return replace(
         state,
-        clause=state.clause + (choice.is_stop & ~is_last).astype(jnp.int32),
+        clause=state.clause + moves_on.astype(jnp.int32),
         previous_goal=jnp.where(choice.is_stop, goal_slot, state.previous_goal),
         visited=decision.visited,
         commitment=policy.Commitment(
@@ -492,5 +487,24 @@ def _carry_on(
             is_active=~choice.is_stop,
         ),
         tour=state.tour if decision.plan is None else tours.take(decision.plan, choice.value),
-        status=_status(state, outlook, choice),
+        status=_status(state, outlook, decision, config),
+        talk=_recall(state.talk, goals, choice, goal_slot, moves_on),
+        way=replace(decision.way, num_closed=jnp.where(moves_on, 0, decision.way.num_closed)),
+    )
+
+
+def _recall(
+    talk: Conversation, goals: Goals, choice: policy.Choice, goal_slot: Array, moves_on: Array
+) -> Conversation:
+    """Remember what the robot goes up to, for what may be said of it."""
+    away = jnp.hypot(goals.object_x - choice.waypoint_x, goals.object_y - choice.waypoint_y)
+    is_goal = goals.is_object & (goals.object_accepted >= policy.LEAST_GOAL)
+    aimed = jnp.argmin(jnp.where(is_goal, away, jnp.inf)[:-1]).astype(jnp.int32)
+    approached = jnp.where(choice.is_approach, aimed, talk.approached)
+    return replace(
+        talk,
+        approached=jnp.where(choice.is_stop, goal_slot, approached),
+        ruled_out=jnp.where(moves_on, 0, talk.ruled_out),
+        closeness=jnp.where(moves_on, 1.0, talk.closeness),
+        candidate=jnp.where(goals.is_object, goals.object_mass, 0.0)[:-1],
     )

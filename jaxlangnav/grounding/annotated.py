@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from jaxlangnav.grounding.annotation import describe
-from jaxlangnav.grounding.form import Form, FormReading, read_form
+from jaxlangnav.grounding.form import Form, FormCommand, FormReading, read_form
 from jaxlangnav.grounding.form_program import clause_of_form
 from jaxlangnav.grounding.grounder import Context, Grounded
 from jaxlangnav.grounding.instruction import Instruction, pack_instruction
@@ -26,7 +26,7 @@ from jaxlangnav.grounding.readings import (
 )
 from jaxlangnav.grounding.symbols import Annotation, object_symbol, relation_symbol
 from jaxlangnav.language.lexicon import load_lexicon
-from jaxlangnav.messages import NONE
+from jaxlangnav.messages import ACTIONS, AT, NONE, ROBOT
 
 
 @dataclasses.dataclass(frozen=True)
@@ -84,6 +84,15 @@ def to_instruction(form: Form) -> Instruction:
     ]
     commands = len(form.readings[0].commands)
     return pack_instruction(pack(readings), [clause_of_form(form, i) for i in range(commands)])
+
+
+def returning() -> Instruction:
+    """Build the instruction to come to where the one who gives it stands."""
+    command = FormCommand(
+        action=ACTIONS.index("navigate"), mode=0, region=AT, thing=ROBOT, avoid=()
+    )
+    reading = FormReading(probability=1.0, types=(), relations=(), commands=(command,))
+    return to_instruction(Form(readings=(reading,), notes=()))
 
 
 def _reading(form: FormReading, path: str) -> Reading:

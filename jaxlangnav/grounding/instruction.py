@@ -18,10 +18,12 @@ from jaxlangnav.grounding.graph import build
 from jaxlangnav.grounding.model import CorrespondenceModel
 from jaxlangnav.grounding.program import BehaviorProgram, compile_clause, empty_program, to_program
 from jaxlangnav.grounding.readings import to_readings
+from jaxlangnav.grounding.spoken import Spoken, spoken_of
 from jaxlangnav.grounding.symbols import AnnotationSpace, BehaviorSpace
 from jaxlangnav.language.constraint import is_constraint
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import COMMAND, Parse
+from jaxlangnav.language.reference import Antecedent
 from jaxlangnav.messages import Readings
 from jaxlangnav.pytree import pytree
 
@@ -98,6 +100,11 @@ class Understanding:
             )
 
     @property
+    def spoken(self) -> Spoken:
+        """What the sentence speaks of."""
+        return spoken_of(self.parse, self.type_names)
+
+    @property
     def unknown_words(self) -> list[str]:
         """Words that the lexicon does not know."""
         return [word for word, _ in self.parse.unknown_words]
@@ -116,12 +123,15 @@ class Understanding:
         return {"annotation": annotation, "behavior": {**behavior, "objects": num_objects}}
 
 
-def understand(text: str, model: GroundingModel) -> Understanding:
+def understand(
+    text: str, model: GroundingModel, earlier: Antecedent | None = None
+) -> Understanding:
     """Understand an instruction: parse, annotations, and a program for behavior inference.
 
     Args:
         text: what the person said.
         model: trained models.
+        earlier: what earlier utterances have been about.
 
     Returns:
         What was understood; ``instruction`` is what the navigator takes.
@@ -131,7 +141,7 @@ def understand(text: str, model: GroundingModel) -> Understanding:
         UnknownObjectError: it speaks of an object that is not known.
         ValueError: the sentence says more than the arrays hold.
     """
-    return understand_parse(parse(text), model)
+    return understand_parse(parse(text, earlier), model)
 
 
 class UnknownObjectError(ValueError):
@@ -161,7 +171,10 @@ def understand_parse(tree: Parse, model: GroundingModel) -> Understanding:
         )
     belief = infer_annotations(tree, model.annotation, model.type_names)
     _check_nouns(tree, belief, model.type_names)
-    commands = [i for i, kind in enumerate(tree.kinds) if kind == COMMAND]
+    kinds = zip(tree.clauses, tree.kinds, strict=True)
+    commands = [
+        i for i, (one, kind) in enumerate(kinds) if kind == COMMAND and not is_constraint(one)
+    ]
     if len(commands) > NUM_CLAUSES:
         raise ValueError(
             f"the sentence has {len(commands)} commands; at most {NUM_CLAUSES} are held: "

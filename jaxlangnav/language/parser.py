@@ -21,7 +21,7 @@ from jaxlangnav.language.grammar import (
 )
 from jaxlangnav.language.lexicon import TYPE_CLASS, load_lexicon
 from jaxlangnav.language.phrase import COMMAND, STATEMENT, LanguageError, Parse
-from jaxlangnav.language.reference import resolve
+from jaxlangnav.language.reference import Antecedent, resolve
 from jaxlangnav.language.refusal import Token, explain
 from jaxlangnav.language.spelling import repair
 from jaxlangnav.language.tokens import TOKEN, plainly
@@ -126,11 +126,12 @@ def _unknown_mark(word: str) -> str:
     return UNKNOWN
 
 
-def parse(text: str) -> Parse:
+def parse(text: str, earlier: Antecedent | None = None) -> Parse:
     """Parse an instruction of one or more clauses.
 
     Args:
         text: what the person typed, at most 10,000 characters.
+        earlier: what earlier utterances have been about, for "it" and "the one on the left".
 
     Returns:
         The most probable phrase trees, what was unknown and what was repaired.
@@ -157,7 +158,7 @@ def parse(text: str) -> Parse:
     except NoParseError as error:
         raise LanguageError(explain(tokens, error.index)) from None
     builder = TreeBuilder([t.text for t in tokens], [t.position for t in tokens])
-    clauses = resolve(builder.build(derivation))
+    clauses = resolve(builder.build(derivation), earlier)
     check(clauses, {position for _, position in builder.unknown})
     clauses = join_constraints(clauses)
     unknown = [

@@ -27,6 +27,7 @@ class PlannerParams:
     give_up: Array  # f32[] probability that what is missing is there at all, below which the
     # search ends; of ``informed``, 0: never
     constraint_cost: Array  # f32[] value lost by a path through a region to be kept out of
+    question_cost: Array  # f32[] what a question costs, in probability of success; ∞: never ask
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -66,4 +67,5 @@ def default_planner_params() -> PlannerParams:
         prior_share=jnp.float32(0.8),
         give_up=jnp.float32(0.15),
         constraint_cost=jnp.float32(1.0),
+        question_cost=jnp.float32(jnp.inf),
     )

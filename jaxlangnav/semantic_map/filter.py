@@ -18,7 +18,7 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.grounding.program import NUM_TYPES
-from jaxlangnav.messages import Fault, Observation, Readings
+from jaxlangnav.messages import Fault, Observation, Readings, Told
 from jaxlangnav.numerics import batching, categorical
 from jaxlangnav.numerics.batching import take
 from jaxlangnav.numerics.resampling import effective_sample_size, independent, systematic
@@ -208,6 +208,8 @@ def reground(
     readings: Readings,
     weighed: Weighed,
     params: MapParams,
+    *,
+    told: Told | None,
     is_sparse: bool,
 ) -> Regrounded:
     """Ground the words anew where the old hypothesis was refuted or a new object calls for it.
@@ -219,6 +221,7 @@ def reground(
         readings: what the instruction says.
         weighed: of ``observe``.
         params: traced numbers.
+        told: see ``step``.
         is_sparse: see ``step``.
 
     Returns:
@@ -249,6 +252,7 @@ def reground(
         replace(belief, particles=particles),
         readings,
         params,
+        told=told,
         is_asked=is_asked,
         is_sparse=is_sparse,
     )
@@ -276,6 +280,7 @@ def step(
     observation: Observation,
     *,
     params: MapParams,
+    told: Told | None = None,
     is_sparse: bool = False,
     farthest: Array | None = None,
 ) -> tuple[ParticleBelief, FilterInfo]:
@@ -287,6 +292,7 @@ def step(
         readings: what the instruction says.
         observation: pose and detections now; what cannot be is left out and flagged.
         params: traced numbers.
+        told: how it was said; all of it to the belief's viewer by default.
         is_sparse: under ``vmap`` over beliefs, ground the words only in the particles that need
             it, about a third of all. The same result, but no gradient in reverse mode.
         farthest: f32[], metres that the robot can have gone since the last step; None: anywhere.
@@ -311,7 +317,9 @@ def step(
     )
     belief, weighed = observe(associate, belief, sound.observation, sound.is_jump, params)
     keep = keep[: 2 * number].reshape(2, number)
-    found = reground(keys[1], keep, belief, readings, weighed, params, is_sparse)
+    found = reground(
+        keys[1], keep, belief, readings, weighed, params, told=told, is_sparse=is_sparse
+    )
 
     size = effective_sample_size(found.weight)
     is_resampled = size < params.resample_threshold * number
