@@ -104,7 +104,7 @@ def _told(told: Told, joined: Joined, pose: Array) -> Told:
     viewer = told.viewer.reshape(-1, 3)[source]
     excluded = told.excluded.reshape(-1)[jnp.maximum(joined.from_mention, 0)]
     return Told(
-        viewer=jnp.where((joined.from_relation == NONE)[..., None], pose, viewer),
+        viewer=jnp.where((joined.from_relation == NONE)[..., None], pose[None, None], viewer),
         excluded=jnp.where(joined.from_mention == NONE, 0, excluded),
     )
 
@@ -122,6 +122,7 @@ def _arranged(state: NavigatorState, joined: Joined, pose: Array, left: Array) -
 
     words = talk.words
     goal = jnp.where(is_old[None], words.goal[:, kept], joined.new_goal[:, new])
+    is_pinned = jnp.where(is_old[None], words.is_pinned[:, kept], joined.new_pinned[:, new])
     return replace(
         state,
         instruction=replace(
@@ -132,8 +133,8 @@ def _arranged(state: NavigatorState, joined: Joined, pose: Array, left: Array) -
         clause=jnp.int32(0),
         talk=replace(
             talk,
-            words=replace(words, goal=goal),
-            viewer=jnp.where(is_old[:, None], talk.viewer[kept], pose),
+            words=replace(words, goal=goal, is_pinned=is_pinned),
+            viewer=jnp.where(is_old[:, None], talk.viewer[kept], pose[None]),
         ),
     )
 
@@ -216,11 +217,12 @@ def choose(state: NavigatorState, slot: Array) -> NavigatorState:
         slot: i32[], the answer.
 
     Returns:
-        The state, in which all other candidates are ruled out.
+        The state, in which all other candidates are ruled out, and nothing more is asked.
     """
     slots = jnp.arange(state.talk.candidate.shape[0])
     others = (state.talk.candidate > 0.0) & (slots != slot)
-    return rule_out(state, jnp.sum(jnp.where(others, jnp.left_shift(1, slots), 0)))
+    ruled_out = rule_out(state, jnp.sum(jnp.where(others, jnp.left_shift(1, slots), 0)))
+    return choose_freely(ruled_out)
 
 
 def choose_freely(state: NavigatorState) -> NavigatorState:

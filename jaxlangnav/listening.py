@@ -138,13 +138,14 @@ class Listener:
         if said.kind == Kind.ADDITION and self._has_more(state):
             how = How.APPEND
             self._check_room(state, grounded, text)
-        is_again = said.kind == Kind.CORRECTION or is_asked
+        is_again = said.kind == Kind.CORRECTION or (is_asked and spoken.goals == (about,))
         out = self._ruled_out(state, said, grounded, text) if how is How.REPLACE else NONE
         joined = self._join(state, grounded, how=how, is_loose=is_again or how is How.APPEND)
         after = hearing.tell(state, joined, pose, how=how)
         if out != NONE:
             after = hearing.rule_out(after, hearing.slot_bit(jnp.int32(out)))
-        kind = said.kind or (Kind.ANSWER if is_asked else Kind.COMMAND)
+        is_answer = is_asked and spoken.goals == (about,)
+        kind = said.kind or (Kind.ANSWER if is_answer else Kind.COMMAND)
         heard = Heard(
             text=text,
             kind=kind,

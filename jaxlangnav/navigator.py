@@ -324,6 +324,9 @@ def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> _Out
     )
     readings, talk = state.instruction.readings, state.talk
     behavior = conversation.without(behavior, talk.ruled_out)
+    behavior = conversation.pinned(
+        behavior, belief.particles, readings.mention_type, talk.words, state.clause
+    )
     behavior = conversation.avoided(behavior, belief.particles, readings.mention_type, talk.words)
     belief = replace(belief, particles=conversation.focus(belief.particles, talk.words))
     weight = jnp.exp(belief.log_weight)
@@ -377,6 +380,9 @@ def _decide(
         first_stops,
     )
     nodes = open_nodes(nodes, state.way)
+    # While there is more to be seen first, nothing is gone up to.
+    is_open = ~doubt.looks_on | (nodes.kind != graph.OBJECT)
+    nodes = replace(nodes, is_node=nodes.is_node & is_open)
     choice = policy.choose(
         belief,
         nodes,
@@ -501,6 +507,7 @@ def _recall(
     is_goal = goals.is_object & (goals.object_accepted >= policy.LEAST_GOAL)
     aimed = jnp.argmin(jnp.where(is_goal, away, jnp.inf)[:-1]).astype(jnp.int32)
     approached = jnp.where(choice.is_approach, aimed, talk.approached)
+    goal_slot = jnp.where(jnp.any(is_goal[:-1]), goal_slot, talk.approached)
     return replace(
         talk,
         approached=jnp.where(choice.is_stop, goal_slot, approached),

@@ -10,6 +10,7 @@ from jaxlangnav.conversation.memory import (
     begin,
     excluding,
     focus,
+    pinned,
     without,
 )
 
@@ -24,6 +25,7 @@ __all__ = [
     "excluding",
     "focus",
     "join",
+    "pinned",
     "without",
     "words_of",
 ]

@@ -31,6 +31,7 @@ class Joined:
     readings: Readings
     words: Words  # with the goals of the old commands
     new_goal: jax.Array  # i32[K, C] mention that each new command is about
+    new_pinned: jax.Array  # bool[K, C] earlier utterances say which one that is
     from_relation: jax.Array  # i32[K, J] where it was among the old ones, k J + j; NONE: it is new
     from_mention: jax.Array  # i32[K, M] likewise, k M + m
     program: BehaviorProgram  # of the new utterance, leaves [C, ...]
@@ -71,9 +72,18 @@ class _Reading:
     mentions: list[_Mention]
     edges: list[_Edge]
     goals: list[int]  # of the old commands
+    pinned: list[bool]  # likewise
     new_goals: list[int]
     log_probability: float
     num_dropped: int = 0
+
+    def is_told(self, goal: int, heard: int, *, is_now: bool) -> bool:
+        """Tell whether the utterance now, or those before, say where the thing of a goal is."""
+        return goal != NONE and any(
+            goal in (one.figure, one.landmark) and (one.heard == heard) == is_now
+            for one in self.edges
+            if one.relation != NONE
+        )
 
     def description(self, mention: int) -> frozenset[tuple[int, ...]]:
         """List what is said of a thing; what is said of the robot is so where it was said."""
@@ -92,6 +102,7 @@ class _About:
     is_asked: np.ndarray
     avoid: np.ndarray
     goal: np.ndarray
+    is_pinned: np.ndarray
     heard: np.ndarray
 
     @classmethod
@@ -120,7 +131,9 @@ def _read(readings: Readings, about: _About) -> list[_Reading]:
             for j in range(num_relations) if table.figure[k, j] != NONE
         ]  # fmt: skip
         goals = [int(goal) for goal in about.goal[k]]
-        found.append(_Reading(mentions, edges, goals, [], float(table.log_probability[k])))
+        pinned = [bool(one) for one in about.is_pinned[k]]
+        log_probability = float(table.log_probability[k])
+        found.append(_Reading(mentions, edges, goals, pinned, [], log_probability))
     return found
 
 
@@ -151,6 +164,7 @@ def _new_readings(
         is_asked=np.full(shape, is_asked),
         avoid=np.zeros(shape, np.int32),
         goal=np.full((shape[0], size), NONE),
+        is_pinned=np.zeros((shape[0], size), bool),
         heard=np.full(readings.relation.shape, heard),
     )
     found = _read(readings, about)
@@ -213,7 +227,7 @@ def _product(
             edges.append(one)
     goals = [NONE if goal == NONE else places[goal] for goal in new.new_goals]
     total = old.log_probability + new.log_probability
-    return _Reading(mentions, edges, list(old.goals), goals, total, old.num_dropped)
+    return _Reading(mentions, edges, old.goals, old.pinned, goals, total, old.num_dropped)
 
 
 def _tidied(reading: _Reading) -> _Reading:
@@ -255,6 +269,7 @@ def _fitted(reading: _Reading, num_mentions: int, num_relations: int) -> _Readin
         [reading.mentions[m] for m in kept],
         in_order(moved, lambda one: (one.figure, one.landmark)),
         at(reading.goals),
+        reading.pinned,
         at(reading.new_goals),
         reading.log_probability,
         reading.num_dropped + dropped,
@@ -284,6 +299,7 @@ def _write(
         )
     }  # fmt: skip
     goals = np.full((2, k_size, c_size), NONE, np.int32)
+    pinned = np.zeros((2, k_size, c_size), bool)
     log_probability = np.full(k_size, -np.inf, np.float32)
     total = np.logaddexp.reduce([one.log_probability for one in ranked])
     for k, reading in enumerate(ranked):
@@ -294,6 +310,10 @@ def _write(
                     leaf[k, place] = getattr(entry, name)
         for leaf, own in zip(goals, (reading.goals, reading.new_goals), strict=True):
             leaf[k, : len(own)] = own
+        told = [reading.is_told(goal, heard, is_now=True) for goal in reading.goals]
+        pinned[0, k, : len(told)] = np.logical_or(told, reading.pinned)
+        told = [reading.is_told(goal, heard, is_now=False) for goal in reading.new_goals]
+        pinned[1, k, : len(told)] = told
     readings = {
         "mention_type": mention["kind"],
         **{name: edge[name] for name in ("figure", "relation", "landmark", "rank")},
@@ -304,12 +324,14 @@ def _write(
         "is_asked": mention["is_asked"],
         "avoid": mention["avoid"],
         "goal": goals[0],
+        "is_pinned": pinned[0],
         "heard": edge["heard"],
         "num_heard": np.int32(heard + 1),
         "num_dropped": np.int32(ranked[0].num_dropped),
     }
     sources = {
         "new_goal": goals[1],
+        "new_pinned": pinned[1],
         "from_relation": edge["source"],
         "from_mention": mention["source"],
     }
@@ -348,9 +370,9 @@ def join(
         The K likeliest readings of both, in arrays of the size of ``readings``.
     """
     heard = int(words.num_heard)
-    old = _read(readings, _About.of(words)) or [_Reading([], [], [], [], 0.0)]
+    old = _read(readings, _About.of(words)) or [_Reading([], [], [], [], [], 0.0)]
     new = _new_readings(instruction, spoken, heard, is_asked=is_asked)
-    new = new or [_Reading([], [], [], [NONE] * int(instruction.num_clauses), 0.0)]
+    new = new or [_Reading([], [], [], [], [NONE] * int(instruction.num_clauses), 0.0)]
     both = [
         _product(one, other, spoken, is_new_task=is_new_task, is_loose=is_loose)
         for one, other in itertools.product(old, new)
@@ -384,6 +406,7 @@ def words_of(instruction: Instruction, spoken: Spoken | None) -> Words:
         "is_asked": np.ones((k_size, m_size), bool),
         "avoid": np.zeros((k_size, m_size), np.int32),
         "goal": goal,
+        "is_pinned": np.zeros(goal.shape, bool),
         "heard": np.zeros(readings.relation.shape, np.int32),
         "num_heard": np.int32(1),
         "num_dropped": np.int32(0),

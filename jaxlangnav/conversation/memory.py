@@ -27,6 +27,7 @@ class Words:
     is_asked: Array  # bool[K, M] the task speaks of it; otherwise it is only known of the map
     avoid: Array  # i32[K, M] AVOID_IT, AVOID_ALL, or 0
     goal: Array  # i32[K, C] mention that each command is about; NONE: not known
+    is_pinned: Array  # bool[K, C] other utterances say which one that is
     heard: Array  # i32[K, J] which utterance said the relation, counted from 0
     num_heard: Array  # i32[] utterances so far
     num_dropped: Array  # i32[] relations of the likeliest reading that found no room any more
@@ -83,6 +84,7 @@ def _all_asked(instruction: Instruction) -> Words:
         is_asked=jnp.ones(readings.mention_type.shape, bool),
         avoid=jnp.zeros_like(readings.mention_type),
         goal=jnp.full((readings.mention_type.shape[0], num_commands), NONE, jnp.int32),
+        is_pinned=jnp.zeros((readings.mention_type.shape[0], num_commands), bool),
         heard=jnp.zeros_like(readings.relation),
         num_heard=jnp.int32(1),
         num_dropped=jnp.int32(0),
@@ -130,6 +132,47 @@ def without(behavior: Behavior, ruled_out: Array) -> Behavior:
     slots = jnp.arange(behavior.goal.shape[1])
     is_out = (slots < 31) & ((ruled_out >> jnp.minimum(slots, 30)) & 1 == 1)
     return replace(behavior, goal=jnp.where(is_out[None, :, None], 0.0, behavior.goal))
+
+
+def pinned(
+    behavior: Behavior, particles: SemanticMap, mention_type: Array, words: Words, clause: Array
+) -> Behavior:
+    """Take for goals only what a command refers to, where other utterances say which one it is.
+
+    By itself "go to the hydrant" is content with any hydrant. Told that the hydrant is behind the
+    car it is not, and what its words refer to in a particle knows of that, which the words of the
+    command do not.
+
+    Limits: nothing changes where no other utterance has spoken of what the command is about.
+
+    Args:
+        behavior: of every particle, leaves [..., P].
+        particles: leaves [..., P].
+        mention_type: i32[K, M], of the readings.
+        words: what they are about.
+        clause: i32[], the present command.
+
+    Returns:
+        The behavior, without goals at others of that type.
+    """
+    num_objects, reading = particles.object_type.shape[0], particles.reading
+    by_reading = [jnp.take(one, clause, axis=1) for one in (words.goal, words.is_pinned)]
+    goal, is_pinned = (jnp.take(one, reading, mode="clip") for one in by_reading)  # [P]
+    mentions = jnp.arange(mention_type.shape[1])[:, None]
+    is_goal = mentions == goal[None]
+    own_type = _of_reading(mention_type, particles)  # [M, P]
+    kind = jnp.sum(jnp.where(is_goal, own_type, 0), axis=0)
+    referent = jnp.sum(jnp.where(is_goal, particles.referent, 0), axis=0)
+    is_other = jnp.concatenate(
+        [
+            (particles.object_type == kind[None])
+            & (jnp.arange(num_objects)[:, None] != referent[None]),
+            (own_type == kind[None]) & ~is_goal,
+        ]
+    )
+    is_other = is_other & (is_pinned & (goal != NONE))[None]
+    is_other = jnp.pad(is_other, ((0, 1), (0, 0)))  # the robot
+    return replace(behavior, goal=jnp.where(is_other[None], 0.0, behavior.goal))
 
 
 def avoided(

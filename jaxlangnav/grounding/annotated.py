@@ -24,6 +24,7 @@ from jaxlangnav.grounding.readings import (
     in_order,
     pack,
 )
+from jaxlangnav.grounding.spoken import Spoken
 from jaxlangnav.grounding.symbols import Annotation, object_symbol, relation_symbol
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.messages import ACTIONS, AT, NONE, ROBOT
@@ -62,7 +63,14 @@ class AnnotationGrounder:
             instruction=to_instruction(form),
             annotations=tuple(_annotations(form, self.type_names)),
             notes=form.notes,
+            spoken=_spoken(form),
         )
+
+
+def _spoken(form: Form) -> Spoken:
+    """Tell what the commands are about, as the first reading has it."""
+    first = form.readings[0]
+    return Spoken(goals=tuple(first.type_of(one.thing) for one in first.commands))
 
 
 def to_instruction(form: Form) -> Instruction:

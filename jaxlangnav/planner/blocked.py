@@ -64,8 +64,10 @@ def open_nodes(nodes: Nodes, way: Way) -> Nodes:
     Returns:
         The nodes; all of them where nothing has been.
     """
-    squared = (nodes.x[:, None] - way.closed_x) ** 2 + (nodes.y[:, None] - way.closed_y) ** 2
-    is_closed = jnp.any((squared < _AROUND**2) & (way.closed_for > 0), axis=1)
+    offset_x = nodes.x[:, None] - way.closed_x[None]
+    offset_y = nodes.y[:, None] - way.closed_y[None]
+    is_near = offset_x * offset_x + offset_y * offset_y < _AROUND**2
+    is_closed = jnp.any(is_near & (way.closed_for > 0)[None], axis=1)
     return replace(nodes, is_node=nodes.is_node & ~is_closed)
 
 
