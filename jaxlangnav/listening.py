@@ -145,6 +145,8 @@ class Listener:
         if out != NONE:
             after = hearing.rule_out(after, hearing.slot_bit(jnp.int32(out)))
         is_answer = is_asked and spoken.goals == (about,)
+        if is_answer:  # one question is enough: what still fits best will do
+            after = hearing.choose_freely(after)
         kind = said.kind or (Kind.ANSWER if is_answer else Kind.COMMAND)
         heard = Heard(
             text=text,

@@ -174,7 +174,7 @@ def test_halting_words_halt_whatever_else_is_said(robot) -> None:
     assert not bool(robot.hear(state, "no, the other one").is_halted)
 
 
-def curious(robot, cost: float = 0.2):
+def curious(robot, cost: float = 0.05):
     planner = replace(robot.params.planner, question_cost=np.float32(cost))
     params = replace(robot.params, planner=planner)
     return agent.Navigator(grounder=robot.grounder, params=params, config=robot.config)

@@ -18,7 +18,7 @@ from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.semantic_map.params import MapConfig
 
 HYDRANT, CONE, CAR = by_hand.HYDRANT, by_hand.CONE, by_hand.CAR
-SEEDS = 100
+SEEDS, RANGE = 100, 4.0
 OBJECTS = [
     (HYDRANT, 6.4, 1.3),
     (CONE, 4.2, 0.6),
@@ -84,9 +84,9 @@ def see(pose):
     found = [
         (kind, x - pose[0], y - pose[1])
         for kind, x, y in OBJECTS
-        if np.hypot(x - pose[0], y - pose[1]) <= 3.0
+        if np.hypot(x - pose[0], y - pose[1]) <= RANGE
     ]
-    return by_hand.observation(np.array(pose), found, by_hand.sensor(noise=0.02))
+    return by_hand.observation(np.array(pose), found, by_hand.sensor(RANGE, noise=0.02))
 
 
 def converse(texts):
