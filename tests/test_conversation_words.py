@@ -151,6 +151,17 @@ def test_the_robot_is_one_thing_and_its_sides_are_where_it_was() -> None:
     assert sum(relation == LEFT for _, relation, _ in talk.said) == 2
 
 
+def test_neither_goal_nor_what_is_avoided_is_ever_dropped() -> None:
+    talk = Talk("go to the bench").say("avoid the cone", is_asked=False)
+    for side in ("left of", "behind", "in front of", "near", "right of"):
+        for thing in ("hydrant", "barrel"):
+            talk.say(f"the {thing} is {side} the car", is_asked=False)
+    assert len(talk.said) == Capacity().num_relations
+    assert CONE in talk.kinds
+    assert int(talk.words.goal[0, 0]) != NONE
+    assert int(talk.words.num_dropped) > 0
+
+
 def test_doubts_multiply() -> None:
     readings = by_hand.readings(
         [[HYDRANT], [CONE]], [[(0, NONE, NONE, False)]] * 2, [0.7, 0.3], sizes=(4, 10, 8)

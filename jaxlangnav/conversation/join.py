@@ -245,6 +245,15 @@ def _tidied(reading: _Reading) -> _Reading:
     return reading
 
 
+def _is_needed(reading: _Reading, edge: _Edge) -> bool:
+    """Tell whether a relation is the last that speaks of a goal, or of what is to be avoided."""
+    goals = {*reading.goals, *reading.new_goals} - {NONE}
+    needed = goals | {m for m, one in enumerate(reading.mentions) if one.avoid}
+    others = [one for one in reading.edges if one is not edge]
+    held = {end for one in others for end in (one.figure, one.landmark)}
+    return bool({edge.figure, edge.landmark} & needed - held)
+
+
 def _fitted(reading: _Reading, num_mentions: int, num_relations: int) -> _Reading:
     """Drop the oldest relations, and what nothing speaks of any more, until the arrays hold it."""
     dropped = 0
@@ -253,10 +262,7 @@ def _fitted(reading: _Reading, num_mentions: int, num_relations: int) -> _Readin
         kept = [m for m in range(len(reading.mentions)) if m in touched]
         if len(kept) <= num_mentions and len(reading.edges) <= num_relations:
             break
-        oldest = min(
-            reading.edges,
-            key=lambda one: (one.heard, reading.mentions[one.figure].is_asked),
-        )
+        oldest = min(reading.edges, key=lambda one: (_is_needed(reading, one), one.heard))
         reading.edges = [one for one in reading.edges if one is not oldest]
         dropped += 1
     place = [kept.index(m) if m in touched else NONE for m in range(len(reading.mentions))]
