@@ -24,12 +24,15 @@ from jax import Array
 from jax.core import Tracer
 
 from jaxlangnav import navigator, sensing
-from jaxlangnav.grounding import Context, GraphGrounder, Grounder, load_shipped
-from jaxlangnav.grounding.instruction import Instruction, pack_instruction
-from jaxlangnav.grounding.readings import Reading, pack
+from jaxlangnav.conversation import words_of
+from jaxlangnav.grounding import Context, GraphGrounder, Grounded, Grounder, load_shipped
+from jaxlangnav.grounding.annotated import returning
+from jaxlangnav.grounding.behavior import MAX_SLOTS
+from jaxlangnav.grounding.readings import Capacity, widen
 from jaxlangnav.kinds import name_of
-from jaxlangnav.language.halting import Act, act_of, begins_with_halt
-from jaxlangnav.messages import NONE, Action, Observation, SensorParams, default_sensor
+from jaxlangnav.language.halting import act_of
+from jaxlangnav.listening import Candidate, Heard, Listener
+from jaxlangnav.messages import NONE, Action, Observation, SensorParams, Status, default_sensor
 from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams, NavigatorState
 from jaxlangnav.plain_text import cut
 from jaxlangnav.planner.config import AnyPolicy, PlannerConfig
@@ -42,6 +45,7 @@ DEFAULT_EXTENT = 15.0
 """Metres to each side of the robot that are its operating area unless it is told otherwise."""
 
 _log = logging.getLogger(__name__)
+
 _step = jax.jit(navigator.step, static_argnames="config")
 
 
@@ -52,6 +56,8 @@ class Navigator:
     grounder: Grounder
     params: NavigatorParams
     config: NavigatorConfig
+    capacity: Capacity = dataclasses.field(default_factory=Capacity)
+    """How much of a conversation is kept."""
 
     @classmethod
     def pretrained(
@@ -94,8 +100,14 @@ class Navigator:
         )
 
     def __post_init__(self) -> None:
-        """Refuse parameters with which the robot could never stop."""
+        """Refuse parameters with which the robot could never stop, and sizes that do not fit."""
         navigator.check(self.params)
+        size = self.config.map.num_objects + self.capacity.num_mentions + 1
+        if size > MAX_SLOTS:
+            raise ValueError(
+                f"num_objects and num_mentions sum to {size - 1}, but at most {MAX_SLOTS - 1} are "
+                "held: lower one of them"
+            )
 
     @property
     def type_names(self) -> tuple[str, ...]:
@@ -132,29 +144,56 @@ class Navigator:
                 f"{text[:40]!r} is to {act}, but a robot that has no task yet has nothing to "
                 f"{act}: give a command, as in 'go to the hydrant'"
             )
+        grounded = self.grounder.ground(text, Context(is_under_way=False))
+        if int(grounded.instruction.num_clauses) == 0:
+            raise ValueError(
+                f"{cut(text)!r} informs but asks for nothing to be done: add a command"
+            )
+        for note in grounded.notes:
+            _log.warning("%s: %s", cut(text), note)
+        return self._start(grounded, pose, area, terrain)
+
+    def wait(
+        self, pose: Sequence[float] = (0.0, 0.0, 0.0), area: Sequence[float] | None = None
+    ) -> NavigatorState:
+        """Place a robot that has seen nothing and been told nothing: it is idle until it hears.
+
+        Args:
+            pose: see ``start``.
+            area: see ``start``.
+
+        Returns:
+            The state before the first observation.
+
+        Raises:
+            ValueError: pose or area cannot be.
+        """
+        nothing = returning()
+        silent = replace(nothing, num_clauses=jnp.zeros_like(nothing.num_clauses))
+        grounded = Grounded(instruction=silent, annotations=())
+        return replace(self._start(grounded, pose, area), status=jnp.int32(Status.IDLE))
+
+    def _start(
+        self,
+        grounded: Grounded,
+        pose: Sequence[float],
+        area: Sequence[float] | None,
+        terrain: Terrain = OPEN,
+    ) -> NavigatorState:
+        """Begin with what has been understood, in arrays that hold a conversation."""
         bounds = _around(pose) if area is None else area
         check_place(pose, bounds)
+        told = grounded.instruction
+        instruction = replace(told, readings=widen(told.readings, self.capacity))
         return navigator.start(
-            self._command(text, is_under_way=False),
+            instruction,
             jnp.asarray(pose, jnp.float32),
             jnp.asarray(bounds, jnp.float32),
             config=self.config,
             num_types=len(self.type_names),
             terrain=terrain,
+            words=words_of(instruction, grounded.spoken),
         )
-
-    def _command(self, text: str, *, is_under_way: bool) -> Instruction:
-        """Understand what asks for something; what of it is not used is logged."""
-        context = Context(is_under_way=is_under_way)
-        grounded = self.grounder.ground(text, context)
-        for note in grounded.notes:
-            _log.warning("%s: %s", cut(text), note)
-        instruction = grounded.instruction
-        if int(instruction.num_clauses) == 0:
-            raise ValueError(
-                f"{cut(text)!r} informs but asks for nothing to be done: add a command"
-            )
-        return instruction
 
     def step(
         self, key: Array, state: NavigatorState, observation: Observation
@@ -207,51 +246,64 @@ class Navigator:
             Seconds that it took: most of a minute the first time, next to nothing once compiled.
         """
         began = time.perf_counter()
-        nothing = pack_instruction(pack([(Reading((), ()), 0.0)]), [])
-        place = jnp.zeros(3, jnp.float32)
-        area = jnp.asarray(_around((0.0, 0.0, 0.0)), jnp.float32)
-        state = navigator.start(
-            nothing, place, area, config=self.config, num_types=len(self.type_names)
-        )
+        state = self.wait()
         look = [(0, 1.0 + slot, 0.0) for slot in range(detections)]
         seen = self.observation((0.0, 0.0, 0.0), look, default_sensor(2.0 + detections))
         jax.block_until_ready(self.step(jax.random.key(0), state, seen))
         return time.perf_counter() - began
 
     def hear(self, state: NavigatorState, text: str) -> NavigatorState:
-        """Take in another command, or words to halt, to go on or to cancel.
+        """Take in an utterance; see ``take``, which also tells what it was taken for."""
+        return self.take(state, text)[0]
 
-        Of a command the map is kept and the words are grounded anew; a robot that has been halted
-        goes on with it. Words to halt work by themselves, before any model and whatever the state
-        is; until it is told to go on, or given a command, the robot stands still. Cancelled it is
-        idle: it has no task any more.
+    def take(self, state: NavigatorState, text: str) -> tuple[NavigatorState, Heard]:
+        """Take in an utterance: a conversation is a stream of them.
 
-        What begins with a sentence to halt ("Stop! There is a child …") halts the robot, too, where
-        the whole is no command that it understands. As the robot must not lose its halt to a
-        refusal, nothing is raised then: why the rest was left out is logged as a warning.
+        A command takes the place of the task, an addition ("then …") comes after it. A statement
+        says something of the map and changes no task; so does what to keep away from, which holds
+        until the robot is told to go to the very thing. A correction rules out what is being
+        approached ("the other one"), or says what is meant; "come back" returns to where the
+        conversation began; a question (``Status.WHICH_ONE``) is answered by "the left one", "the
+        second", "the one by the cone". What was said of the map is never forgotten while there is
+        room for it, and words reach back: "it", "the one on the left", "the other hydrant".
+
+        Words to halt, to go on or to cancel work by themselves, before any model and whatever the
+        state is. A halted robot goes on when it is told to, or given a command, a correction or an
+        answer, and not for a statement, an addition or a constraint. Cancelled it is idle: it has
+        no task any more. What begins with a sentence to halt ("Stop! There is a child …") halts
+        the robot, too, where the whole is no command that it understands. As the robot must not
+        lose its halt to a refusal, nothing is raised then: why the rest was left out is logged as
+        a warning.
+
+        Nothing is compiled for it, whatever is said.
 
         Args:
-            state: of a robot under way, halted or at its goal.
+            state: of a robot under way, halted, idle or at its end.
             text: what the person said.
 
         Returns:
-            The state, to be followed by the next observation.
+            The state, to be followed by the next observation, and what the words were taken for.
 
         Raises:
-            ValueError: the instruction is not understood, or asks for nothing to be done: the
-                robot then keeps to the state that it has.
+            ValueError: the words are not understood, or refer to what is not there, as "the other
+                one" where nothing has been approached: the robot then keeps to its state.
         """
-        act = act_of(text)
-        if act is not None:
-            return navigator.obey(state, act)
-        try:
-            instruction = self._command(text, is_under_way=True)
-        except ValueError as refusal:
-            if not begins_with_halt(text):
-                raise
-            _log.warning("halted; the rest of what was said is left out: %s", refusal)
-            return navigator.obey(state, Act.HALT)
-        return navigator.hear(state, instruction, state.belief.last_pose)
+        return self._listener.take(state, text)
+
+    def candidates(self, state: NavigatorState) -> list[Candidate]:
+        """List the things that may be meant, the nearest first: what a question is about.
+
+        Args:
+            state: after any step.
+
+        Returns:
+            Things seen that may be the goal, with where they are believed to be.
+        """
+        return self._listener.candidates(state)
+
+    @property
+    def _listener(self) -> Listener:
+        return Listener(self.grounder)
 
     def spoken(self, state: NavigatorState) -> list[str]:
         """Name the object types that the running task speaks of: what a detector should look for.
@@ -275,7 +327,9 @@ class Navigator:
             Names of things, in the order of the sentence; none where all has been seen.
         """
         types = np.asarray(state.belief.particles.object_type)
-        missing = missing_types(state.instruction.readings, types)
+        readings, is_asked = state.instruction.readings, state.talk.words.is_asked
+        spoken = np.where(np.asarray(is_asked), np.asarray(readings.mention_type), NONE)
+        missing = missing_types(replace(readings, mention_type=spoken), types)
         return [name_of(kind, self._names) for kind in missing]
 
     @property

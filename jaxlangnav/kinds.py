@@ -98,6 +98,12 @@ def code_of(kind: int) -> int:
     return kind >> LABEL_BITS if kind >= 0 else 0
 
 
+def noun_of(kind: int, names: Sequence[str]) -> str:
+    """Name the label of a kind, whatever it looks like; "thing" for one that has no name."""
+    label = int(label_of(kind))
+    return names[label] if 0 <= label < len(names) else "thing"
+
+
 def name_of(kind: int, names: Sequence[str]) -> str:
     """Name a kind for people: "red ball".
 
@@ -108,9 +114,7 @@ def name_of(kind: int, names: Sequence[str]) -> str:
     Returns:
         The attributes and the label; "thing" for a label that has no name.
     """
-    label = int(label_of(kind))
-    noun = names[label] if 0 <= label < len(names) else "thing"
-    return " ".join([*words_of(code_of(kind)), noun])
+    return " ".join([*words_of(code_of(kind)), noun_of(kind, names)])
 
 
 def fits(thing: Any, kind: Any) -> Any:

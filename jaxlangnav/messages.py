@@ -55,8 +55,9 @@ class Fault(enum.IntFlag):
 class Status(enum.IntEnum):
     """What the robot is doing about its task, or how the task ended: ``Action.status``.
 
-    ``Status(int(action.status)).word`` names it. The first two are under way; ``ARRIVED`` and
-    ``NOT_FOUND`` are endings: the robot stands still until it hears another command.
+    ``Status(int(action.status)).word`` names it. The first two are under way; ``ARRIVED``,
+    ``NOT_FOUND``, ``WHICH_ONE`` and ``BLOCKED`` are endings: the robot stands still until it hears
+    more.
     """
 
     SEARCHING = 0  # looking for the goal, or for what tells it from others
@@ -65,6 +66,8 @@ class Status(enum.IntEnum):
     NOT_FOUND = 3  # what can be looked at has been looked at, and there is no goal
     HALTED = 4  # it was told to halt; the task is kept
     IDLE = 5  # there is nothing to do
+    WHICH_ONE = 6  # several things may be meant, and there is nothing left to see that would tell
+    BLOCKED = 7  # it cannot get there, and has tried other ways
 
     @property
     def word(self) -> str:
@@ -87,6 +90,14 @@ class Readings:
     landmark: Array  # i32[K, J] mention index it is placed against; NONE where relation is NONE
     rank: Array  # i32[K, J] of the figure's type 1 is the extreme one, 2 the second; else 0
     log_probability: Array  # f32[K] normalised; -inf in empty readings
+
+
+@pytree
+class Told:
+    """How the relations of ``Readings`` were said, as they come from several utterances."""
+
+    viewer: Array  # f32[K, J, 3] x, y, heading of the robot as it heard each relation; map frame
+    excluded: Array  # i32[K, M] observed slots that a mention is not: bit s is slot s
 
 
 @pytree

@@ -6,17 +6,18 @@ a physics simulator and a robot drive it alike.
 """
 
 import dataclasses
+import functools
 from typing import Any, NamedTuple
 
 import chex
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
+from jaxlangnav import conversation
+from jaxlangnav.conversation import Conversation, Words
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.kinds import MOST_LABELS
-from jaxlangnav.language.halting import Act
 from jaxlangnav.messages import (
     ACTIONS,
     NONE,
@@ -28,7 +29,9 @@ from jaxlangnav.messages import (
     assert_observation,
     default_sensor,
 )
+from jaxlangnav.numerics.batching import row_of
 from jaxlangnav.planner import graph, policy
+from jaxlangnav.planner.blocked import Way, start_of_way, watch
 from jaxlangnav.planner.config import PlannerConfig
 from jaxlangnav.planner.goals import Goals, gather
 from jaxlangnav.planner.params import PlannerParams, default_planner_params
@@ -39,7 +42,6 @@ from jaxlangnav.semantic_map.behaviors import infer_behaviors
 from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.filter import FilterInfo
 from jaxlangnav.semantic_map.params import MapConfig, MapParams, default_map_params
-from jaxlangnav.semantic_map.soundness import is_pose
 from jaxlangnav.sensing import DEVIATIONS
 from jaxlangnav.terrain import OPEN, Eye, Terrain
 
@@ -67,6 +69,12 @@ class NavigatorConfig:
 
     map: MapConfig = dataclasses.field(default_factory=MapConfig)
     planner: PlannerConfig = dataclasses.field(default_factory=PlannerConfig)
+    patience: int = field(
+        "cycles without any way made after which a waypoint is given up", default=10
+    )
+    num_detours: int = field(
+        "waypoints that may be given up before the way counts as blocked", default=3
+    )
 
     def __post_init__(self) -> None:
         """Refuse sizes that do not fit together."""
@@ -90,11 +98,17 @@ class NavigatorState:
     memory: Any  # of the policy
     status: Array  # i32[] a Status: of the task after the last cycle, whether halted or not
     is_halted: Array  # bool[] it was told to halt
+    talk: Conversation  # what has been said besides, and ruled out
+    way: Way  # whether it gets on, and the waypoints given up
 
     @property
     def is_done(self) -> Array:
-        """Whether the task has ended: it is carried out, or cannot be. bool[]."""
-        return (self.status == Status.ARRIVED) | (self.status == Status.NOT_FOUND)
+        """Whether the task has ended, unless more is heard: it is carried out, or cannot be.
+
+        bool[].
+        """
+        endings = (Status.ARRIVED, Status.NOT_FOUND, Status.WHICH_ONE, Status.BLOCKED)
+        return functools.reduce(jnp.logical_or, [self.status == one for one in endings])
 
     @property
     def is_resting(self) -> Array:
@@ -162,6 +176,7 @@ def start(
     config: NavigatorConfig,
     num_types: int = MOST_LABELS,
     terrain: Terrain = OPEN,
+    words: Words | None = None,
 ) -> NavigatorState:
     """Build the state of a robot that has just been told what to do.
 
@@ -174,6 +189,8 @@ def start(
         config: sizes.
         num_types: object types that a detection may name.
         terrain: how far one sees and walks in the area; the open field by default.
+        words: what the readings are about, where more may be said (``hearing``); by default the
+            task speaks of all of it.
 
     Returns:
         The state before the first observation.
@@ -192,68 +209,8 @@ def start(
         memory=strong(config.planner.chosen.init(belief)),
         status=jnp.int32(Status.SEARCHING),
         is_halted=jnp.asarray(False),
-    )
-
-
-def hear(state: NavigatorState, instruction: Instruction, pose: Array) -> NavigatorState:
-    """Take in another command: the map is kept, the words are grounded anew.
-
-    A robot that has been halted goes on, with the new task.
-
-    Limits: what asks for nothing, such as a statement, changes nothing.
-
-    Args:
-        state: of a robot under way or at its goal.
-        instruction: the new sentence, grounded.
-        pose: f32[3], where the robot is as it hears it, map frame; one that cannot be is taken to
-            be where it last was.
-
-    Returns:
-        The state, to be followed by the next observation.
-    """
-    belief = state.belief
-    viewer = jnp.where(is_pose(pose, belief.coverage.area), pose, belief.last_pose)
-    told = replace(
-        state,
-        belief=replace(belief, viewer=viewer, must_ground=jnp.asarray(True)),
-        instruction=instruction,
-        clause=jnp.int32(0),
-        status=jnp.int32(Status.SEARCHING),
-        is_halted=jnp.asarray(False),
-    )
-    asks = instruction.num_clauses > 0
-    return jax.tree.map(
-        lambda new, old: old if new is old else jnp.where(asks, new, old), told, state
-    )
-
-
-def obey(state: NavigatorState, act: Act) -> NavigatorState:
-    """Halt, go on, or drop the task, whatever the robot is at; nothing is computed or compiled.
-
-    Halted it stands still, however often it is stepped, and keeps looking about; to go on is to
-    take up the same task where it was. To cancel leaves it idle until another command is heard;
-    what the sentence said of the map stays.
-
-    Args:
-        state: of any robot, or of a batch of them, leaves [...].
-        act: what it was told.
-
-    Returns:
-        The state, to be followed by the next observation.
-    """
-
-    def everywhere(value: int | bool, like: Array) -> Array:
-        return jnp.asarray(np.full(like.shape, value, like.dtype))
-
-    is_halted = everywhere(act == Act.HALT, state.is_halted)
-    if act != Act.CANCEL:
-        return replace(state, is_halted=is_halted)
-    told = state.instruction
-    return replace(
-        state,
-        instruction=replace(told, num_clauses=everywhere(0, told.num_clauses)),
-        status=everywhere(Status.IDLE, state.status),
-        is_halted=is_halted,
+        talk=conversation.begin(instruction, belief.last_pose, config.map.num_objects, words),
+        way=start_of_way(belief.last_pose),
     )
 
 
@@ -261,6 +218,7 @@ class _Outlook(NamedTuple):
     """What a belief comes to: where the robot is, what it is asked to do, and where."""
 
     fault: Array  # i32[] bits of Fault; 0 for a sound look and a task
+    belief: ParticleBelief  # as far as the task speaks of it
     stands: Array  # bool[] the robot stands still: for a fault, or as it has been told or has ended
     robot_x: Array  # f32[] believed position, metres, map frame
     robot_y: Array  # f32[]
@@ -297,13 +255,14 @@ def step(
     chex.assert_rank([state.clause, state.status, state.is_halted, state.previous_goal], 0)
     chex.assert_type([state.clause, state.status, state.is_halted], [int, int, bool])
     chex.assert_equal_shape([params.mode_speed, params.mode_clearance])
+    params = _as_told(state, params)
     state, filter_info = _observe(key, state, observation, params, config)
     is_asked = (state.instruction.num_clauses > 0) | (state.status == Status.IDLE)
     fault = filter_info.fault + jnp.where(is_asked, 0, int(Fault.COMMAND))
     range_max = jnp.where(fault == 0, observation.sensor.range_max, default_sensor().range_max)
     outlook = _infer(state, fault, params)
     state, choice = _decide(key, state, outlook, range_max, filter_info.is_news, params, config)
-    after = _carry_on(state, outlook, choice, params)
+    after = _carry_on(state, outlook, choice, params, config)
     action = _act(after, outlook, choice, params)
     info = NavigatorInfo(
         filter=filter_info,
@@ -314,6 +273,12 @@ def step(
         robot=jnp.stack([outlook.robot_x, outlook.robot_y]),
     )
     return after, action, info
+
+
+def _as_told(state: NavigatorState, params: NavigatorParams) -> NavigatorParams:
+    """Go as close as the robot has been told to."""
+    reach = params.planner.reach * state.talk.closeness
+    return replace(params, planner=replace(params.planner, reach=reach))
 
 
 def _observe(
@@ -328,12 +293,15 @@ def _observe(
     # One cycle's step at the highest speed, as far as odometry may be out.
     farthest = jnp.max(params.mode_speed) * motion.step_length
     farthest = farthest * (1.0 + DEVIATIONS * motion.odometry_noise) + _SPARE
+    # A command is meant as it was seen from where it was heard.
+    viewer = row_of(state.talk.viewer, state.clause)
     belief, info = semantic_filter.step(
         key,
-        state.belief,
+        replace(state.belief, viewer=viewer),
         state.instruction.readings,
         observation,
         params=config.planner.chosen.map_params(params.map),
+        told=state.talk.told,
         is_sparse=True,
         farthest=farthest,
     )
@@ -346,11 +314,19 @@ def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> _Out
     behavior = infer_behaviors(
         belief.particles, state.instruction, state.clause, state.previous_goal
     )
-    group = group_of(state.instruction.readings, belief.particles)
+    readings, talk = state.instruction.readings, state.talk
+    behavior = conversation.without(behavior, talk.ruled_out)
+    behavior = conversation.pinned(
+        behavior, belief.particles, readings.mention_type, talk.words, state.clause
+    )
+    behavior = conversation.avoided(behavior, belief.particles, readings.mention_type, talk.words)
+    belief = replace(belief, particles=conversation.focus(belief.particles, talk.words))
+    group = group_of(readings, belief.particles)
     weight = jnp.exp(belief.log_weight)
     robot_x, robot_y = semantic_filter.robot_position(belief)
     return _Outlook(
         fault=fault,
+        belief=belief,
         stands=(fault != 0) | state.is_resting,
         robot_x=robot_x,
         robot_y=robot_y,
@@ -379,11 +355,11 @@ def _decide(
     robot_x, robot_y = outlook.robot_x, outlook.robot_y
     visited = graph.visit(state.visited, robot_x, robot_y, planner.visit_spacing)
     is_find = outlook.expected.action[ACTIONS.index("find")]
-    view = state.belief.terrain.view
+    view = outlook.belief.terrain.view
     eye = Eye(robot_x, robot_y, range_max)
     may_stop = policy.may_stop(goals, eye, is_find, params=planner, view=view)
     situation = policy.Situation(
-        belief=state.belief,
+        belief=outlook.belief,
         nodes=graph.known_nodes(visited, goals.object_x, goals.object_y, goals.is_object),
         goals=goals,
         constraint=outlook.behavior.constraint,
@@ -391,8 +367,10 @@ def _decide(
         robot_x=robot_x,
         robot_y=robot_y,
         range_max=range_max,
+        way=state.way,
+        may_ask=state.talk.may_ask,
         is_find=is_find,
-        is_news=is_news,
+        is_news=is_news | state.way.is_news,
         stands=outlook.stands,
         may_stop=may_stop & ~outlook.stands,
         params=planner,
@@ -402,7 +380,10 @@ def _decide(
     memory, choice = policy.choose(
         config.planner.chosen, jax.random.fold_in(key, _PLANNING), state.memory, situation
     )
-    return replace(state, visited=visited, memory=memory), choice
+    robot, waypoint = (robot_x, robot_y), (choice.waypoint_x, choice.waypoint_y)
+    is_under_way = ~outlook.stands & ~choice.is_stop & ~choice.is_not_found & ~choice.doubt.asks
+    way = watch(state.way, waypoint, robot, is_under_way, patience=config.patience)
+    return replace(state, visited=visited, memory=memory, way=way), choice
 
 
 def _is_last_clause(state: NavigatorState) -> Array:
@@ -410,12 +391,17 @@ def _is_last_clause(state: NavigatorState) -> Array:
     return state.clause + 1 >= state.instruction.num_clauses
 
 
-def _status(state: NavigatorState, outlook: _Outlook, choice: policy.Decision) -> Array:
+def _status(
+    state: NavigatorState, outlook: _Outlook, choice: policy.Decision, config: NavigatorConfig
+) -> Array:
     """Tell what becomes of the task, i32[] a Status: what it was where the robot stands still."""
     under_way = jnp.where(choice.is_approach, int(Status.APPROACHING), int(Status.SEARCHING))
     is_arrived = choice.is_stop & _is_last_clause(state)
     ended = jnp.where(choice.is_not_found, int(Status.NOT_FOUND), under_way)
     status = jnp.where(is_arrived, int(Status.ARRIVED), ended)
+    status = jnp.where(choice.doubt.asks, int(Status.WHICH_ONE), status)
+    is_blocked = state.way.num_closed > config.num_detours
+    status = jnp.where(is_blocked & ~choice.is_stop, int(Status.BLOCKED), status)
     return jnp.where(outlook.stands, state.status, status)
 
 
@@ -430,7 +416,8 @@ def _act(
     speed, clearance = params.mode_speed[mode], params.mode_clearance[mode]
     robot = jnp.stack([outlook.robot_x, outlook.robot_y])
     waypoint = jnp.stack([choice.waypoint_x, choice.waypoint_y])
-    waypoint = jnp.where(outlook.stands | choice.is_not_found, robot, waypoint)
+    stands = outlook.stands | (state.is_done & ~choice.is_stop)
+    waypoint = jnp.where(stands, robot, waypoint)
     travel = state.belief.terrain.travel
     here, there = (outlook.robot_x, outlook.robot_y), tuple(waypoint)
     next_x, next_y = travel.next_place(*here, *there)
@@ -452,7 +439,11 @@ def _act(
 
 
 def _carry_on(
-    state: NavigatorState, outlook: _Outlook, choice: policy.Decision, params: NavigatorParams
+    state: NavigatorState,
+    outlook: _Outlook,
+    choice: policy.Decision,
+    params: NavigatorParams,
+    config: NavigatorConfig,
 ) -> NavigatorState:
     """Remember what the next decision needs.
 
@@ -465,9 +456,30 @@ def _carry_on(
     away = travel.metres(robot_x, robot_y, goals.object_x, goals.object_y)[:-1]
     will_do = goals.object_accepted[:-1] * params.planner.discount**away
     goal_slot = jnp.argmax(will_do).astype(jnp.int32)
+    moves_on = choice.is_stop & ~is_last
     return replace(
         state,
-        clause=state.clause + (choice.is_stop & ~is_last).astype(jnp.int32),
+        clause=state.clause + moves_on.astype(jnp.int32),
         previous_goal=jnp.where(choice.is_stop, goal_slot, state.previous_goal),
-        status=_status(state, outlook, choice),
+        status=_status(state, outlook, choice, config),
+        talk=_recall(state.talk, goals, choice, goal_slot, moves_on),
+        way=replace(state.way, num_closed=jnp.where(moves_on, 0, state.way.num_closed)),
+    )
+
+
+def _recall(
+    talk: Conversation, goals: Goals, choice: policy.Decision, goal_slot: Array, moves_on: Array
+) -> Conversation:
+    """Remember what the robot goes up to, for what may be said of it."""
+    away = jnp.hypot(goals.object_x - choice.waypoint_x, goals.object_y - choice.waypoint_y)
+    is_goal = goals.is_object & (goals.object_accepted >= policy.LEAST_GOAL)
+    aimed = jnp.argmin(jnp.where(is_goal, away, jnp.inf)[:-1]).astype(jnp.int32)
+    approached = jnp.where(choice.is_approach, aimed, talk.approached)
+    goal_slot = jnp.where(jnp.any(is_goal[:-1]), goal_slot, talk.approached)
+    return replace(
+        talk,
+        approached=jnp.where(choice.is_stop, goal_slot, approached),
+        ruled_out=jnp.where(moves_on, 0, talk.ruled_out),
+        closeness=jnp.where(moves_on, 1.0, talk.closeness),
+        candidate=jnp.where(goals.is_object, goals.object_mass, 0.0)[:-1],
     )

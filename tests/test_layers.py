@@ -26,7 +26,10 @@ LAYERS = (
     "grounding",
     "semantic_map",
     "planner",
+    "conversation",
     "navigator",
+    "hearing",
+    "listening",
     "agent",
     "world",
     "episode",
@@ -43,7 +46,10 @@ LAYERS = (
 )
 """Lowest first. ``jaxlangnav/__init__.py`` is the facade: it names things from everywhere."""
 
-BELIEF = ("grounding", "semantic_map", "planner", "navigator", "agent")
+BELIEF = (
+    "grounding", "semantic_map", "planner", "conversation", "navigator", "hearing", "listening",
+    "agent",
+)  # fmt: skip
 TRUTH = "world"
 PACKAGE = Path(__file__).parent.parent / "jaxlangnav"
 

@@ -7,7 +7,8 @@ import pytest
 from hostile import MUTATIONS, looks
 from test_navigator_step import AREA, distance, go, robot, see
 
-from jaxlangnav import navigator
+from jaxlangnav import hearing, navigator
+from jaxlangnav.conversation import join
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.messages import Fault
 from jaxlangnav.pytree import replace
@@ -153,20 +154,17 @@ def test_a_place_that_cannot_be(robot, pose, area) -> None:
     assert not bool(state.is_done)
 
 
-def test_a_statement_is_refused_and_ends_nothing(robot) -> None:
+def test_a_statement_is_no_beginning_and_ends_nothing(robot) -> None:
     said = "the hydrant is behind the car"
     with pytest.raises(ValueError, match="asks for nothing"):
         robot.start(said, area=AREA)
     run = go(robot, robot.start(TEXT, area=AREA), max_steps=2)
-    with pytest.raises(ValueError, match="asks for nothing"):
-        robot.hear(run.state, said)
-    statement = understand(said, load_shipped()).instruction
-    # In a batch it is data: the task goes on as if nothing had been said.
-    told = navigator.hear(run.state, statement, jnp.full(3, jnp.nan))
-    for ours, before in zip(jax.tree.leaves(told), jax.tree.leaves(run.state), strict=True):
-        np.testing.assert_array_equal(ours, before)
+    told = robot.hear(run.state, said)
+    for name in ("clause", "status", "is_halted", "previous_goal"):
+        np.testing.assert_array_equal(getattr(told, name), getattr(run.state, name))
     # A robot that has never been asked for anything stands still.
-    idle = replace(run.state, instruction=statement)
+    none = jnp.zeros_like(run.state.instruction.num_clauses)
+    idle = replace(run.state, instruction=replace(run.state.instruction, num_clauses=none))
     _, action, info = advance(robot, idle, see(tuple(run.end), 0.0))
     assert int(info.fault) == Fault.COMMAND
     assert_stands(action, info)
@@ -175,6 +173,8 @@ def test_a_statement_is_refused_and_ends_nothing(robot) -> None:
 def test_a_command_heard_at_a_place_that_cannot_be_is_heard_where_it_was(robot) -> None:
     state = begin(robot)
     instruction = understand("go to the cone", load_shipped()).instruction
-    told = navigator.hear(state, instruction, jnp.array([jnp.nan, 0.0, 0.0]))
-    np.testing.assert_array_equal(told.belief.viewer, state.belief.last_pose)
+    words = join(state.instruction.readings, state.talk.words, instruction, None, is_new_task=True)
+    nowhere = jnp.array([jnp.nan, 0.0, 0.0])
+    told = hearing.tell(state, words, nowhere, how=hearing.How.REPLACE)
+    np.testing.assert_array_equal(told.talk.viewer[0], state.belief.last_pose)
     assert bool(told.belief.must_ground)

@@ -41,6 +41,8 @@ def order(relation: int, rank: int, *, known=(0, 1, 2), sides=(), unseen=((20.0,
         is_anywhere=jnp.asarray(rank > 0),
         sides=jnp.array([*sides, *[NONE] * (3 - len(sides))], jnp.int32),
         law=law_of(MODEL, relation),
+        viewer=jnp.zeros(3),
+        excluded=jnp.zeros(2, jnp.int32),
     )
     is_known = jnp.isin(jnp.arange(4), jnp.array(known))
     seen = Seen(jnp.where(is_known, CONE, NONE), jnp.asarray(CONES[:, 0]), jnp.asarray(CONES[:, 1]))
@@ -56,7 +58,6 @@ def order(relation: int, rank: int, *, known=(0, 1, 2), sides=(), unseen=((20.0,
         first_row=jnp.int32(0),
         log_area=jnp.log(1600.0),
         log_unseen=jnp.float32(LOG_NEW) - jnp.log(PLURAL * PARAMS.concentration),
-        viewer=jnp.zeros(3),
     )
     return said, seen, draws, scene
 

@@ -137,6 +137,7 @@ _KNOWN: dict[str, dict[str, Quantity]] = {
         "prior_share": SHARE,
         "give_up": SHARE,
         "constraint_cost": Quantity(),
+        "question_cost": Quantity(),
     },
 }
 _RECORDS = {

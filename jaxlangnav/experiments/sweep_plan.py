@@ -25,7 +25,7 @@ from jaxlangnav.experiments.devices import CHUNK
 from jaxlangnav.experiments.grid import Arm, Grid, Setting, policy_arm
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.sizes import check_engine, counted
-from jaxlangnav.experiments.sweep_config import SweepConfig, Values
+from jaxlangnav.experiments.sweep_config import Choices, SweepConfig
 from jaxlangnav.experiments.tasks import Cell
 from jaxlangnav.messages import default_motion, default_sensor
 from jaxlangnav.navigator import NavigatorParams, check, default_params
@@ -276,7 +276,7 @@ def _digits(place: int, sizes: Sequence[int]) -> list[int]:
     return digits[::-1]
 
 
-def _picked(values: Values, digits: Sequence[int]) -> dict[str, float]:
+def _picked(values: Choices, digits: Sequence[int]) -> dict[str, float]:
     """Pick one value for each key of a table."""
     return {key: of[digit] for (key, of), digit in zip(values.items(), digits, strict=True)}
 

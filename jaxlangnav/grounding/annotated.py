@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from jaxlangnav.grounding.annotation import describe
-from jaxlangnav.grounding.form import Form, FormReading, read_form
+from jaxlangnav.grounding.form import Form, FormCommand, FormReading, read_form
 from jaxlangnav.grounding.form_program import clause_of_form
 from jaxlangnav.grounding.grounder import Context, Grounded
 from jaxlangnav.grounding.instruction import Instruction, pack_instruction
@@ -23,10 +23,11 @@ from jaxlangnav.grounding.readings import (
     in_order,
     pack,
 )
+from jaxlangnav.grounding.spoken import Spoken
 from jaxlangnav.grounding.symbols import Annotation, object_symbol, relation_symbol
 from jaxlangnav.kinds import MOST_LABELS
 from jaxlangnav.language.lexicon import load_lexicon
-from jaxlangnav.messages import NONE
+from jaxlangnav.messages import ACTIONS, AT, NONE, ROBOT
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,7 +63,14 @@ class AnnotationGrounder:
             instruction=to_instruction(form),
             annotations=tuple(_annotations(form, self.type_names)),
             notes=form.notes,
+            spoken=_spoken(form),
         )
+
+
+def _spoken(form: Form) -> Spoken:
+    """Tell what the commands are about, as the first reading has it."""
+    first = form.readings[0]
+    return Spoken(goals=tuple(first.type_of(one.thing) for one in first.commands))
 
 
 def to_instruction(form: Form) -> Instruction:
@@ -84,6 +92,15 @@ def to_instruction(form: Form) -> Instruction:
     ]
     commands = len(form.readings[0].commands)
     return pack_instruction(pack(readings), [clause_of_form(form, i) for i in range(commands)])
+
+
+def returning() -> Instruction:
+    """Build the instruction to come to where the one who gives it stands."""
+    command = FormCommand(
+        action=ACTIONS.index("navigate"), mode=0, region=AT, thing=ROBOT, avoid=()
+    )
+    reading = FormReading(probability=1.0, types=(), relations=(), commands=(command,))
+    return to_instruction(Form(readings=(reading,), notes=()))
 
 
 def _reading(form: FormReading, path: str) -> Reading:

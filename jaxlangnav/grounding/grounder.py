@@ -10,6 +10,10 @@ from typing import Any, Protocol
 
 from jaxlangnav.grounding.binding import Detector
 from jaxlangnav.grounding.instruction import GroundingModel, Instruction, understand
+from jaxlangnav.grounding.spoken import Spoken
+from jaxlangnav.kinds import noun_of
+from jaxlangnav.language.reference import Antecedent
+from jaxlangnav.messages import NONE
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -17,6 +21,8 @@ class Context:
     """What a grounder is told besides the text."""
 
     is_under_way: bool  # the robot has had an instruction before, and may be following it
+    about: int = NONE  # object type that earlier utterances have been about, for "it" and "one"
+    is_at: bool = False  # the robot is at one of those, or on its way to it
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -29,6 +35,8 @@ class Grounded:
     probability, as ``jaxlangnav ground --json`` prints them."""
     notes: tuple[str, ...] = ()
     """What else people should know, a line each."""
+    spoken: Spoken | None = None
+    """What it speaks of, for what was said before and comes after; None: as its readings show."""
 
 
 class Grounder(Protocol):
@@ -47,7 +55,8 @@ class Grounder(Protocol):
             context: what else it may want to know.
 
         Returns:
-            What was understood; an instruction without a command informs only.
+            What was understood; an instruction without a command informs only, or says what to
+            keep away from.
 
         Raises:
             ValueError: the text is refused; one line that says why and what to do about it.
@@ -90,9 +99,14 @@ class GraphGrounder:
 
     def ground(self, text: str, context: Context) -> Grounded:
         """Understand a sentence; see ``Grounder.ground``."""
-        del context  # a sentence of the controlled language is understood by itself
-        understood = understand(text, self.model, self.detector)
-        understood.check_task()
+        earlier = None
+        if context.about != NONE:
+            kind = noun_of(context.about, self.names)
+            earlier = Antecedent(kind=kind, is_at=context.is_at)
+        understood = understand(text, self.model, self.detector, earlier)
+        # A robot under way may also be told of the map, and what to keep away from.
+        if not context.is_under_way or int(understood.instruction.num_clauses):
+            understood.check_task()
         bound = understood.type_names
         unknown = [f"'{word}'" for word in understood.unknown_words if word not in bound]
         return Grounded(
@@ -106,4 +120,5 @@ class GraphGrounder:
                 ),
                 *understood.notes,
             ),
+            spoken=understood.spoken,
         )

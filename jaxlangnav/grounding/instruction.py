@@ -18,10 +18,12 @@ from jaxlangnav.grounding.graph import build
 from jaxlangnav.grounding.model import CorrespondenceModel
 from jaxlangnav.grounding.program import BehaviorProgram, compile_clause, empty_program, to_program
 from jaxlangnav.grounding.readings import to_readings
+from jaxlangnav.grounding.spoken import Spoken, spoken_of
 from jaxlangnav.grounding.symbols import AnnotationSpace, BehaviorSpace
 from jaxlangnav.language.constraint import is_constraint
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import COMMAND, Parse
+from jaxlangnav.language.reference import Antecedent
 from jaxlangnav.messages import Readings
 from jaxlangnav.pytree import pytree
 
@@ -100,6 +102,11 @@ class Understanding:
             )
 
     @property
+    def spoken(self) -> Spoken:
+        """What the sentence speaks of."""
+        return spoken_of(self.parse, self.type_names)
+
+    @property
     def unknown_words(self) -> list[str]:
         """Words that the lexicon does not know."""
         return [word for word, _ in self.parse.unknown_words]
@@ -118,13 +125,19 @@ class Understanding:
         return {"annotation": annotation, "behavior": {**behavior, "objects": num_objects}}
 
 
-def understand(text: str, model: GroundingModel, detector: Detector | None = None) -> Understanding:
+def understand(
+    text: str,
+    model: GroundingModel,
+    detector: Detector | None = None,
+    earlier: Antecedent | None = None,
+) -> Understanding:
     """Understand an instruction: parse, annotations, and a program for behavior inference.
 
     Args:
         text: what the person said.
         model: trained models.
         detector: what is told apart; the types of the models by default.
+        earlier: what earlier utterances have been about.
 
     Returns:
         What was understood; ``instruction`` is what the navigator takes.
@@ -135,7 +148,7 @@ def understand(text: str, model: GroundingModel, detector: Detector | None = Non
         ValueError: the sentence says more than the arrays hold.
     """
     labels = () if detector is None else detector.plain_labels
-    return understand_parse(parse(text, labels), model, detector)
+    return understand_parse(parse(text, labels, earlier), model, detector)
 
 
 def _check_nouns(tree: Parse, belief: Belief, type_names: tuple[str, ...]) -> None:
@@ -162,7 +175,10 @@ def understand_parse(
     tree, names = bound.tree, bound.names
     belief = infer_annotations(tree, model.annotation, names)
     _check_nouns(tree, belief, model.type_names)
-    commands = [i for i, kind in enumerate(tree.kinds) if kind == COMMAND]
+    kinds = zip(tree.clauses, tree.kinds, strict=True)
+    commands = [
+        i for i, (one, kind) in enumerate(kinds) if kind == COMMAND and not is_constraint(one)
+    ]
     if len(commands) > NUM_CLAUSES:
         raise ValueError(
             f"the sentence has {len(commands)} commands; at most {NUM_CLAUSES} are held: "

@@ -12,12 +12,34 @@ from typing import TypeVar
 
 import jax
 import numpy as np
+from jax import Array
 
 from jaxlangnav.grounding.annotation import Belief, Said
 from jaxlangnav.grounding.symbols import OBJECT, REGION, Annotation
 from jaxlangnav.messages import NONE, ROBOT, Readings
+from jaxlangnav.pytree import replace
 
 NUM_READINGS, NUM_MENTIONS, NUM_RELATIONS_SAID = 4, 6, 4
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Capacity:
+    """How much of a conversation is kept; sizes of arrays, a change recompiles."""
+
+    num_mentions: int = 10
+    num_relations: int = 8
+
+    def __post_init__(self) -> None:
+        """Refuse what does not hold one sentence."""
+        for name, least in (
+            ("num_mentions", NUM_MENTIONS),
+            ("num_relations", NUM_RELATIONS_SAID),
+        ):
+            value = getattr(self, name)
+            if value < least:
+                raise ValueError(
+                    f"{name} is {value}, but must be at least {least}: what one sentence may say"
+                )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -194,6 +216,32 @@ def _of_kinds(
             kinds = dict(zip(types, way, strict=True))
             mentions = tuple(kinds[one] for one in reading.mentions)
             yield dataclasses.replace(reading, mentions=mentions), score - math.log(len(ways))
+
+
+def widen(readings: Readings, capacity: Capacity) -> Readings:
+    """Make room for what else may be said (host).
+
+    Args:
+        readings: of one sentence.
+        capacity: sizes wanted, no less than those of the readings.
+
+    Returns:
+        The same readings, padded.
+    """
+
+    def pad(leaf: Array, size: int, fill: int) -> np.ndarray:
+        room = ((0, 0), (0, size - leaf.shape[1]))
+        return np.pad(np.asarray(leaf), room, constant_values=fill)
+
+    size = capacity.num_relations
+    wide = {
+        "mention_type": pad(readings.mention_type, capacity.num_mentions, NONE),
+        "figure": pad(readings.figure, size, NONE),
+        "relation": pad(readings.relation, size, NONE),
+        "landmark": pad(readings.landmark, size, NONE),
+        "rank": pad(readings.rank, size, 0),
+    }
+    return replace(readings, **jax.device_put(wide))
 
 
 def pack(ranked: Sequence[tuple[Reading, float]]) -> Readings:

@@ -26,7 +26,7 @@ from jaxlangnav.language.lexicon import REASONS, TYPE_CLASS, load_lexicon
 from jaxlangnav.language.nearest import offer
 from jaxlangnav.language.nouns import NOUN, is_noun_place, join_nouns, name_nouns
 from jaxlangnav.language.phrase import COMMAND, STATEMENT, LanguageError, Parse
-from jaxlangnav.language.reference import resolve
+from jaxlangnav.language.reference import Antecedent, resolve
 from jaxlangnav.language.refusal import Token, explain, is_contrary
 from jaxlangnav.language.rewriting import join_contractions, rewrite
 from jaxlangnav.language.spelling import repair
@@ -180,13 +180,20 @@ def _unknown_mark(word: str) -> str:
     return UNKNOWN
 
 
-def parse(text: str, labels: Collection[str] = (), *, is_nearest_offered: bool = True) -> Parse:
+def parse(
+    text: str,
+    labels: Collection[str] = (),
+    earlier: Antecedent | None = None,
+    *,
+    is_nearest_offered: bool = True,
+) -> Parse:
     """Parse an instruction of one or more clauses.
 
     Args:
         text: what the person typed, at most 10,000 characters.
         labels: names of things that are nouns whatever else they may be, such as those that a
             detector tells apart.
+        earlier: what earlier utterances have been about, for "it" and "the one on the left".
         is_nearest_offered: whether a refusal names the nearest sentence that can be read.
 
     Returns:
@@ -205,14 +212,14 @@ def parse(text: str, labels: Collection[str] = (), *, is_nearest_offered: bool =
     if not reader.tokens:
         raise LanguageError("the instruction is empty")
     try:
-        return _read(text, reader)
+        return _read(text, reader, earlier)
     except LanguageError as error:
         if error.position is None or not is_nearest_offered:
             raise
-        raise _with_nearest(error, reader) from None
+        raise _with_nearest(error, reader, earlier) from None
 
 
-def _read(text: str, reader: _Reader) -> Parse:
+def _read(text: str, reader: _Reader, earlier: Antecedent | None) -> Parse:
     """Read the words of an instruction."""
     heard, unread = leave_out(reader.tokens)
     spoken, rewrites = rewrite(heard)
@@ -229,7 +236,7 @@ def _read(text: str, reader: _Reader) -> Parse:
     except NoParseError as error:
         raise explain(tokens, error.index) from None
     builder = TreeBuilder([t.text for t in tokens], [t.position for t in tokens])
-    clauses = resolve(name_nouns(builder.build(derivation)))
+    clauses = resolve(name_nouns(builder.build(derivation)), earlier)
     check(clauses, {position for _, position in builder.unknown})
     clauses = join_constraints(clauses)
     return Parse(
@@ -244,14 +251,16 @@ def _read(text: str, reader: _Reader) -> Parse:
     )
 
 
-def _with_nearest(error: LanguageError, reader: _Reader) -> LanguageError:
+def _with_nearest(
+    error: LanguageError, reader: _Reader, earlier: Antecedent | None
+) -> LanguageError:
     """Add to a refusal the nearest sentence that can be read, where there is one."""
     position, heard = error.position or 0, reader.tokens
     blamed = next((one.text for one in heard if one.position == position), "")
 
     def can_read(text: str) -> bool:
         try:
-            found = parse(text, reader.labels, is_nearest_offered=False)
+            found = parse(text, reader.labels, earlier, is_nearest_offered=False)
         except LanguageError:
             return False
         return COMMAND in found.kinds and not found.unknown_words

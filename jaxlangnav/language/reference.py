@@ -6,7 +6,7 @@ of it. "The hydrant is behind the cone. Go to the hydrant": what a statement say
 for the same thing named again. Where more than one thing could be meant, the sentence is refused.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from jaxlangnav.language.phrase import LanguageError, Phrase, Word
 
@@ -17,17 +17,18 @@ def _has(phrase: Phrase, prefix: str) -> bool:
     return any(sense.startswith(prefix) for word in phrase.words for sense in word.senses)
 
 
-def _type_sense(phrase: Phrase) -> str | None:
+def type_sense(phrase: Phrase) -> str | None:
+    """Find the sense of a phrase's own words that names an object type; None where none does."""
     senses = (sense for word in phrase.words for sense in word.senses)
     return next((sense for sense in senses if sense.startswith("type:")), None)
 
 
-def _leaves(phrase: Phrase) -> list[Phrase]:
+def leaves(phrase: Phrase) -> list[Phrase]:
     """List the noun phrases that name a thing, constraints left out."""
     if phrase.label == "NP" and not phrase.children:
-        return [phrase] if _type_sense(phrase) else []
+        return [phrase] if type_sense(phrase) else []
     inner = [child for child in phrase.children if child.label != "VP"]
-    return [leaf for child in inner for leaf in _leaves(child)]
+    return [leaf for child in inner for leaf in leaves(child)]
 
 
 def head_of(phrase: Phrase) -> Phrase | None:
@@ -51,13 +52,31 @@ def _refuse(word: Word, reason: str) -> LanguageError:
     return LanguageError(f"'{word.text}' (word {word.position}): {reason}; name the object")
 
 
+@dataclass(frozen=True, kw_only=True)
+class Antecedent:
+    """What earlier utterances have been about."""
+
+    kind: str  # object type
+    is_at: bool  # the robot is at one of them, or on its way to it: "it" is that very one
+
+    @property
+    def clause(self) -> Phrase:
+        """The shortest command that is about it."""
+        word = Word(text=self.kind, tag="NN", lemma=self.kind, senses=(f"type:{self.kind}",))
+        return Phrase(label="VP", words=(), children=(Phrase(label="NP", words=(word,)),))
+
+
 class _Resolver:
     """Resolves the pronouns of one clause against the clause before."""
 
-    def __init__(self, before: Phrase | None, *, is_statement: bool) -> None:
-        self.before = before
+    def __init__(
+        self, before: Phrase | None, *, is_statement: bool, earlier: Antecedent | None = None
+    ) -> None:
+        self.is_far = before is None and earlier is not None
+        self.is_at = earlier is None or earlier.is_at
+        self.before = earlier.clause if before is None and earlier is not None else before
         self.is_statement = is_statement
-        self.head = None if before is None else head_of(before)
+        self.head = None if self.before is None else head_of(self.before)
 
     def resolve(self, phrase: Phrase, *, is_landmark: bool = False) -> Phrase:
         """Put what is meant into every pronoun below a phrase."""
@@ -80,35 +99,38 @@ class _Resolver:
     def _meant(self, pronoun: Phrase, is_landmark: bool) -> Phrase:
         """Give a pronoun the type of the thing it stands for."""
         word = next(w for w in pronoun.words if any(s == PRONOUN for s in w.senses))
-        if self.before is None or self.head is None:
+        before = self.before
+        if before is None or self.head is None:
             raise _refuse(word, "nothing said before that it could stand for")
-        kind = _type_sense(self.head)
+        kind = type_sense(self.head)
         if kind is None or self.head.words[-1].tag == "NNS":
             raise _refuse(word, "what it stands for is not clear")
-        others = [s for s in (_type_sense(leaf) for leaf in _leaves(self.before)) if s]
-        if is_landmark and self.before.label == "VP" and len(others) > 1:
+        others = [s for s in (type_sense(leaf) for leaf in leaves(before)) if s]
+        if is_landmark and before.label == "VP" and len(others) > 1:
             names = " or ".join(dict.fromkeys(f"the {sense[5:]}" for sense in others))
             raise _refuse(word, f"is it {names}?")
-        is_very = self.before.label == "VP" and not self.is_statement
+        is_very = before.label == "VP" and not self.is_statement
+        is_very = is_very and (self.is_at or not self.is_far)
         senses = (kind, SAME) if is_very else (kind,)
         resolved = replace(
             pronoun,
             words=tuple(replace(w, senses=senses) if w is word else w for w in pronoun.words),
         )
-        said = _said_of(self.before) if self.before.label == "S" else ()
+        said = _said_of(before) if before.label == "S" else ()
         return _restricted(resolved, said) if said else resolved
 
     def _again(self, leaf: Phrase) -> Phrase:
         """Mark "the cone" as the very cone that the command before went to."""
         one = next((w for w in leaf.words if w.text == "one" and "anaphor" in w.senses), None)
-        kind = None if self.head is None else _type_sense(self.head)
+        kind = None if self.head is None else type_sense(self.head)
         if one is not None and kind is not None and not _has(leaf, "other"):
             words = (replace(w, senses=(kind,)) if w is one else w for w in leaf.words)
             return replace(leaf, words=tuple(words))
-        is_goal = self.before is not None and self.before.label == "VP"
+        # "The cone" of an earlier utterance may be another cone than this one.
+        is_goal = self.before is not None and self.before.label == "VP" and not self.is_far
         if self.is_statement or not is_goal or not _is_definite(leaf):
             return leaf
-        if kind is None or kind != _type_sense(leaf):
+        if kind is None or kind != type_sense(leaf):
             return leaf
         words = (
             replace(w, senses=(*w.senses, SAME)) if kind in w.senses else w for w in leaf.words
@@ -145,7 +167,7 @@ def _inform(command: Phrase, statement: Phrase, *, is_next: bool) -> Phrase:
     "Find a cone. It is behind the car": right after a command, "it" is what the command is about.
     """
     figure, said = head_of(statement), _said_of(statement)
-    kind = None if figure is None else _type_sense(figure)
+    kind = None if figure is None else type_sense(figure)
     if figure is None or kind is None or not said:
         return command
     first = next((i for i, c in enumerate(command.children) if c.label != "VP"), None)
@@ -155,7 +177,7 @@ def _inform(command: Phrase, statement: Phrase, *, is_next: bool) -> Phrase:
 
     def put(phrase: Phrase) -> Phrase:
         if phrase.label == "NP" and not phrase.children:
-            is_alike = _type_sense(phrase) == kind and (is_it or _is_definite(phrase))
+            is_alike = type_sense(phrase) == kind and (is_it or _is_definite(phrase))
             return _restricted(phrase, said) if is_alike else phrase
         if phrase.label == "NP":
             return phrase
@@ -166,11 +188,12 @@ def _inform(command: Phrase, statement: Phrase, *, is_next: bool) -> Phrase:
     return replace(command, children=tuple(children))
 
 
-def resolve(clauses: list[Phrase]) -> list[Phrase]:
+def resolve(clauses: list[Phrase], earlier: Antecedent | None = None) -> list[Phrase]:
     """Resolve what refers back, clause by clause.
 
     Args:
         clauses: roots of the trees, in order.
+        earlier: what earlier utterances have been about.
 
     Returns:
         The roots; words of a statement stand again in a command that they hold for.
@@ -181,7 +204,9 @@ def resolve(clauses: list[Phrase]) -> list[Phrase]:
     resolved: list[Phrase] = []
     for clause in clauses:
         before = resolved[-1] if resolved else None
-        resolved.append(_Resolver(before, is_statement=clause.label == "S").resolve(clause))
+        is_statement = clause.label == "S"
+        resolver = _Resolver(before, is_statement=is_statement, earlier=earlier)
+        resolved.append(resolver.resolve(clause))
     statements = [(i, clause) for i, clause in enumerate(resolved) if clause.label == "S"]
     for index, clause in enumerate(resolved):
         for place, statement in statements:

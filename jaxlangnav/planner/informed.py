@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.planner import graph, qmdp, search, tours
+from jaxlangnav.planner.asking import doubt_of
 from jaxlangnav.planner.endings import chance_left
 from jaxlangnav.planner.policy import (
     LEAST_GOAL,
@@ -92,8 +93,13 @@ def decide_on(situation: Situation, plan: tours.Plan, chance: Array) -> Decision
     stop_x, stop_y = plan.tours.x[:, 0], plan.tours.y[:, 0]
     nodes = graph.lead(stop_x, stop_y, jnp.ones(stop_x.shape, bool), situation.nodes)
     situation = replace(situation, nodes=nodes)
+    params = situation.params
+    doubt = doubt_of(
+        situation.goals, params.question_cost, chance < params.give_up, situation.may_ask
+    )
+    plan = replace(plan, hung=jnp.where(doubt.looks_on, jnp.inf, plan.hung))
     valuation, is_sure, is_not_found = judge(situation, plan, chance)
-    decision = decide(situation, valuation)
+    decision = decide(situation, valuation, doubt=doubt)
     return replace(decision, is_stop=decision.is_stop & is_sure, is_not_found=is_not_found)
 
 

@@ -35,6 +35,9 @@ class PlannerParams:
     constraint_cost: Array = field(  # f32[]
         "value lost by a path through a region to be kept out of"
     )
+    question_cost: Array = field(  # f32[]
+        "what a question costs, in probability of success; inf: never ask"
+    )
 
 
 def default_planner_params() -> PlannerParams:
@@ -50,4 +53,5 @@ def default_planner_params() -> PlannerParams:
         prior_share=jnp.float32(0.8),
         give_up=jnp.float32(0.15),
         constraint_cost=jnp.float32(1.0),
+        question_cost=jnp.float32(jnp.inf),
     )

@@ -20,6 +20,8 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.planner import graph
+from jaxlangnav.planner.asking import Doubt, doubt_of
+from jaxlangnav.planner.blocked import Way, open_nodes
 from jaxlangnav.planner.constraints import constraint_cost
 from jaxlangnav.planner.goals import Goals
 from jaxlangnav.planner.graph import OBJECT, Nodes
@@ -47,6 +49,8 @@ class Situation:
     robot_x: Array  # f32[] believed position
     robot_y: Array  # f32[]
     range_max: Array  # f32[] sensing range
+    way: Way  # waypoints that have been given up as out of reach
+    may_ask: Array  # bool[] it has not been told to choose by itself
     is_find: Array  # f32[] probability that "find" is asked for: stop once it is in view
     is_news: Array  # bool[] something new has been seen or heard in this step
     stands: Array  # bool[] it stands still whatever is decided: halted, at its end, or at a fault
@@ -105,6 +109,7 @@ class Decision:
     information_value: Array  # f32[A] part of it from what the way would reveal
     cost: Array  # f32[A] part of it lost to constraint regions
     stop_mass: Array  # f32[] goal probability within reach
+    doubt: Doubt  # whether to ask which one is meant, or to look on before anything is accepted
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -245,7 +250,12 @@ def _require_one_a_node(situation: Situation, valuation: Valuation) -> None:
             )
 
 
-def decide(situation: Situation, valuation: Valuation, kept: Waypoint | None = None) -> Decision:
+def decide(
+    situation: Situation,
+    valuation: Valuation,
+    kept: Waypoint | None = None,
+    doubt: Doubt | None = None,
+) -> Decision:
     """Pick the waypoint of highest value, or stop (eq. 10).
 
     Limits: no stop without a goal that has been seen and is within reach; a value that is no
@@ -255,6 +265,8 @@ def decide(situation: Situation, valuation: Valuation, kept: Waypoint | None = N
         situation: nodes, goals, where the robot is.
         valuation: what its nodes are worth, and whether to stop.
         kept: a waypoint that is gone on to, if it is active, whatever the nodes are worth.
+        doubt: whether to ask which one is meant (``asking``); by default as one who does not know
+            when all has been looked at.
 
     Returns:
         The decision; of itself it gives up nothing as not to be found.
@@ -272,7 +284,11 @@ def decide(situation: Situation, valuation: Valuation, kept: Waypoint | None = N
     value = valuation.goal_value + valuation.information_value - cost
     # Standing still teaches nothing: the node underfoot is a_stop's business.
     is_away = situation.distance > jnp.where(nodes.kind == OBJECT, params.reach, UNDERFOOT)
-    value = jnp.where(nodes.is_node & is_away & ~jnp.isnan(value), value, -jnp.inf)
+    if doubt is None:
+        doubt = doubt_of(goals, params.question_cost, False, situation.may_ask)
+    # While there is more to be seen first, nothing is gone up to.
+    is_open = open_nodes(nodes, situation.way).is_node & (~doubt.looks_on | (nodes.kind != OBJECT))
+    value = jnp.where(is_open & is_away & ~jnp.isnan(value), value, -jnp.inf)
     best = jnp.argmax(value)
     is_nowhere = jnp.all(value == -jnp.inf)
     x = jnp.where(is_nowhere, robot_x, nodes.x[best])
@@ -284,11 +300,13 @@ def decide(situation: Situation, valuation: Valuation, kept: Waypoint | None = N
         kind = jnp.where(is_kept, kept.kind, kind)
     mass = valuation.stop_mass
     is_sure = (mass >= params.stop_probability) & jnp.isfinite(mass)
+    doubt = replace(doubt, asks=doubt.asks & ~situation.stands)
+    may_stop = situation.may_stop & ~doubt.looks_on & ~doubt.asks
     return Decision(
         waypoint_x=x,
         waypoint_y=y,
         kind=kind,
-        is_stop=is_sure & situation.may_stop,
+        is_stop=is_sure & may_stop,
         is_approach=(kind == OBJECT) & has_goal(goals, x, y, params.reach, view),
         is_not_found=jnp.asarray(False),
         is_kept=is_kept,
@@ -298,6 +316,7 @@ def decide(situation: Situation, valuation: Valuation, kept: Waypoint | None = N
         information_value=valuation.information_value,
         cost=cost,
         stop_mass=mass,
+        doubt=doubt,
     )
 
 
@@ -329,8 +348,8 @@ def choose(policy: Policy, key: Array, memory: Any, situation: Situation) -> tup
             f"policy {policy.name} is given a memory of {had} and returns one of {has}: shapes and "
             "dtypes must stay as its init makes them"
         )
-    is_stop = decision.is_stop & situation.may_stop
-    is_not_found = decision.is_not_found & ~is_stop & ~situation.stands
+    is_stop = decision.is_stop & situation.may_stop & ~decision.doubt.asks
+    is_not_found = decision.is_not_found & ~is_stop & ~situation.stands & ~decision.doubt.asks
     return strong(after), replace(decision, is_stop=is_stop, is_not_found=is_not_found)
 
 

@@ -21,7 +21,7 @@ from jax import Array
 
 from jaxlangnav.kinds import fits
 from jaxlangnav.messages import NONE
-from jaxlangnav.numerics.batching import lead, pick
+from jaxlangnav.numerics.batching import column, lead, pick
 from jaxlangnav.relations import RelationModel, log_density_in_frame, sample_law, to_map
 from jaxlangnav.semantic_map.coverage import Coverage
 from jaxlangnav.semantic_map.said import FIGURE, LANDMARK, Said
@@ -59,7 +59,6 @@ class Scene(NamedTuple):
     first_row: Array  # i32[] where in ``coverage`` the episode's map begins
     log_area: Array  # f32[] log A, square metres
     log_unseen: Array  # f32[] log u
-    viewer: Array  # f32[3] x, y, heading of the robot when it was told; map frame
 
 
 class Grounding(NamedTuple):
@@ -189,7 +188,7 @@ def list_candidates(
         seen: objects.
         said: the relation.
         grounding: what earlier relations have decided.
-        scene: area and viewer.
+        scene: area.
         concentration: f32[], α.
 
     Returns:
@@ -202,12 +201,14 @@ def list_candidates(
     is_open = ~is_viewer & ~earlier.is_grounded
     log_bystander = scene.log_area - jnp.log(concentration)  # 1/λ
     may_be = fits(seen.object_type[None], said.kind[:, None]) & is_open[:, None]
+    slots = column(jnp.arange(seen.x.shape[0]), may_be.ndim - 1)[None]
+    may_be = may_be & ((said.excluded[:, None] >> slots) & 1 == 0)
 
     def append(objects: Array, place: Array) -> Array:
         objects = jnp.broadcast_to(objects, may_be.shape)
         return jnp.concatenate([objects, place[:, None]], axis=1)
 
-    viewer_x, viewer_y, _ = (lead(one, is_open.ndim) for one in scene.viewer)
+    viewer_x, viewer_y, _ = (lead(one, is_open.ndim) for one in jnp.unstack(said.viewer))
     return Candidates(
         x=append(seen.x[None], jnp.where(is_viewer, viewer_x, earlier.x)),
         y=append(seen.y[None], jnp.where(is_viewer, viewer_y, earlier.y)),
@@ -220,14 +221,13 @@ def list_candidates(
     )
 
 
-def propose(said: Said, ends: Candidates, draws: Draws, scene: Scene, model: RelationModel) -> Ways:
+def propose(said: Said, ends: Candidates, draws: Draws, model: RelationModel) -> Ways:
     """Pair what is known, and draw what is new: from the relation, and anywhere unseen.
 
     Args:
         said: the relation.
         ends: what its ends may be.
         draws: random numbers.
-        scene: viewer.
         model: prepared relations, for drawing.
 
     Returns:
@@ -249,7 +249,7 @@ def propose(said: Said, ends: Candidates, draws: Draws, scene: Scene, model: Rel
         anywhere = _of_new(unseen[:1], unseen[1:2], unseen[::-1], size)
         return jnp.where(said.is_anywhere[None], anywhere, told)
 
-    frame = said.frame(scene.viewer, at_x, at_y)
+    frame = said.frame(at_x, at_y)
     offset_x, offset_y = to_map(frame, of_ends(along), of_ends(lateral))
     new_x = instead(draws.unseen_x, at_x + offset_x)
     new_y = instead(draws.unseen_y, at_y + offset_y)

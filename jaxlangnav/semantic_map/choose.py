@@ -59,7 +59,7 @@ def ground_relation(
         said: the relation.
         grounding: what earlier relations have decided.
         draws: random numbers.
-        scene: coverage and viewer.
+        scene: coverage.
         params: relations, concentration.
 
     Returns:
@@ -68,7 +68,7 @@ def ground_relation(
     """
     said = once(said)
     ends = candidates.list_candidates(seen, said, grounding, scene, params.concentration)
-    ways = once(candidates.propose(said, ends, draws, scene, params.relations))
+    ways = once(candidates.propose(said, ends, draws, params.relations))
     num_known = ends.x.shape[1]
     rank = log_rank(said, ways.told, seen, draws, scene, params=params, num_known=num_known)
     log_weight = _weigh(said, ends, ways, rank, scene, params.misleading)
@@ -80,9 +80,9 @@ def ground_relation(
     return _enter(grounding, said, ends, ways, choice, log_total)
 
 
-def _log_density(said: Said, told: Pairs, scene: Scene) -> Array:
+def _log_density(said: Said, told: Pairs) -> Array:
     """Evaluate f for all pairs, each in its landmark's frame: f32[n, ...]."""
-    frame = said.frame(scene.viewer, told.landmark_x, told.landmark_y)
+    frame = said.frame(told.landmark_x, told.landmark_y)
     offset_x, offset_y = told.x - told.landmark_x, told.y - told.landmark_y
     return log_density_of(said.law, offset_x, offset_y, frame)
 
@@ -104,7 +104,7 @@ def _weigh(
     size, ndim = ends.x.shape[1], ways.new_x.ndim
     known, new = slice(size * size), slice(size * size, None)
     log_area, log_unseen = lead(scene.log_area, ndim), lead(scene.log_unseen, ndim)
-    log_density = _log_density(said, ways.told, scene)
+    log_density = _log_density(said, ways.told)
     is_told = (said.relation != NONE)[None]
     log_holds = jnp.where(is_told, jnp.log1p(-misleading), -jnp.inf) + log_rank
     log_misleads = jnp.where(is_told, jnp.log(misleading), 0.0)

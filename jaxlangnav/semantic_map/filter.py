@@ -19,7 +19,7 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.kinds import MOST_LABELS, kind_of, label_of
-from jaxlangnav.messages import Fault, Observation, Readings, assert_observation
+from jaxlangnav.messages import Fault, Observation, Readings, Told, assert_observation
 from jaxlangnav.numerics import batching, categorical
 from jaxlangnav.numerics.batching import take
 from jaxlangnav.numerics.resampling import effective_sample_size, independent, systematic
@@ -234,6 +234,7 @@ def reground(
     weighed: Weighed,
     *,
     params: MapParams,
+    told: Told | None,
     is_sparse: bool,
 ) -> Regrounded:
     """Ground the words anew where the old hypothesis was refuted or a new object calls for it.
@@ -245,6 +246,7 @@ def reground(
         readings: what the instruction says.
         weighed: of ``observe``.
         params: traced numbers.
+        told: see ``step``.
         is_sparse: see ``step``.
 
     Returns:
@@ -275,6 +277,7 @@ def reground(
         replace(belief, particles=particles),
         readings,
         params=params,
+        told=told,
         is_asked=is_asked,
         is_sparse=is_sparse,
     )
@@ -302,6 +305,7 @@ def step(
     observation: Observation,
     *,
     params: MapParams,
+    told: Told | None = None,
     is_sparse: bool = False,
     farthest: Array | None = None,
 ) -> tuple[ParticleBelief, FilterInfo]:
@@ -313,6 +317,7 @@ def step(
         readings: what the instruction says.
         observation: pose and detections now; what cannot be is left out and flagged.
         params: traced numbers.
+        told: how it was said; all of it to the belief's viewer by default.
         is_sparse: under ``vmap`` over beliefs, ground the words only in the particles that need
             it, about a third of all. The same result, but no gradient in reverse mode.
         farthest: f32[], metres that the robot can have gone since the last step; None: anywhere.
@@ -342,7 +347,16 @@ def step(
     )
     belief, weighed = observe(associate, belief, sound.observation, sound.is_jump, params=params)
     keep = keep[: 2 * number].reshape(2, number)
-    found = reground(keys[1], keep, belief, readings, weighed, params=params, is_sparse=is_sparse)
+    found = reground(
+        keys[1],
+        keep,
+        belief,
+        readings,
+        weighed,
+        params=params,
+        told=told,
+        is_sparse=is_sparse,
+    )
 
     size = effective_sample_size(found.weight)
     is_resampled = size < params.resample_threshold * number

@@ -53,7 +53,7 @@ def log_rank(
         pairs: places of figures and landmarks, f32[n, ...] each.
         seen: what figures are compared with.
         draws: places drawn from the unexplored area, for what is unseen.
-        scene: the robot when it was told, and u.
+        scene: u.
         params: concentration, softness.
         num_known: the first ``num_known``² pairs are of so many figures, each with the landmarks of
             the first so many pairs behind them: what depends on these alone is worked out once.
@@ -106,10 +106,10 @@ def _log_order(
     num_seen, num_others = seen.x.shape[0], seen.x.shape[0] + draws.unseen_x.shape[0]
     x = jnp.concatenate([seen.x, draws.unseen_x, pairs.x])
     y = jnp.concatenate([seen.y, draws.unseen_y, pairs.y])
-    is_where_said = _is_where_said(said, scene, x, y)
-    own = _merit(said, pairs, scene, pairs.x[None], pairs.y[None])[0]
+    is_where_said = _is_where_said(said, x, y)
+    own = _merit(said, pairs, pairs.x[None], pairs.y[None])[0]
     others = (apart(part[:num_others], own.ndim + 1) for part in (x, y))
-    merit, counts = _merit(said, pairs, scene, *others), apart(is_where_said, own.ndim + 1)
+    merit, counts = _merit(said, pairs, *others), apart(is_where_said, own.ndim + 1)
     rival, unseen = merit[:num_seen], merit[num_seen:]  # [O, n, ...] and [NUM_UNSEEN, n, ...]
     is_kind = fits(seen.object_type, said.kind[FIGURE][None])
     is_rival = counts[:num_seen] & apart(is_kind, rival.ndim)
@@ -132,18 +132,18 @@ def _log_order(
     return price - excess / params.superlative_softness
 
 
-def _merit(said: Said, pairs: Pairs, scene: Scene, x: Array, y: Array) -> Array:
+def _merit(said: Said, pairs: Pairs, x: Array, y: Array) -> Array:
     """Measure places [k, n, ...] along the order of n landmarks, smaller is earlier."""
     dx, dy = x - pairs.landmark_x[None], y - pairs.landmark_y[None]
-    robot = robot_frame(lead(scene.viewer[2], dx.ndim))
+    robot = robot_frame(lead(said.viewer[2], dx.ndim))
     distance = jnp.sqrt(dx * dx + dy * dy + 1e-9)
     sideways = dx * robot.lateral_x + dy * robot.lateral_y
     return -degree(lead(said.relation, dx.ndim), distance, sideways)
 
 
-def _is_where_said(said: Said, scene: Scene, x: Array, y: Array) -> Array:
+def _is_where_said(said: Said, x: Array, y: Array) -> Array:
     """Tell which places [n, ...] are on the sides of the robot where the figure is said to be."""
-    viewer_x, viewer_y, heading = (lead(one, x.ndim) for one in scene.viewer)
+    viewer_x, viewer_y, heading = (lead(one, x.ndim) for one in jnp.unstack(said.viewer))
     robot = jax.tree.map(lambda leaf: leaf[None], robot_frame(heading))
     side = apart(said.sides, x.ndim + 1)
     holds = is_on_side(side, (x - viewer_x)[None], (y - viewer_y)[None], robot)

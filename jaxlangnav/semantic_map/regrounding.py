@@ -16,7 +16,7 @@ import numpy as np
 from jax import Array
 from jax.custom_batching import custom_vmap
 
-from jaxlangnav.messages import NONE, Readings
+from jaxlangnav.messages import NONE, Readings, Told
 from jaxlangnav.numerics import batching
 from jaxlangnav.numerics.batching import pack, row_of, take, unpack
 from jaxlangnav.pytree import replace
@@ -33,7 +33,7 @@ from jaxlangnav.semantic_map.choose import ground_relation
 from jaxlangnav.semantic_map.coverage import Coverage, area_size, sample_unseen
 from jaxlangnav.semantic_map.params import MapParams
 from jaxlangnav.semantic_map.particle import SemanticMap
-from jaxlangnav.semantic_map.said import FIGURE, Said, hear, listen
+from jaxlangnav.semantic_map.said import FIGURE, Said, hear, listen, told_now
 
 _STEPS = np.array([0.61803399, 0.41421356, 0.73205081, 0.64575131], np.float32)
 """Steps of additive recurrences, fractions of roots of 5, 2, 3 and 7: each fills the unit interval
@@ -54,6 +54,7 @@ def ground_words(
     readings: Readings,
     *,
     params: MapParams,
+    told: Told | None = None,
     is_asked: Array | None = None,
     is_sparse: bool = False,
 ) -> tuple[SemanticMap, Array]:
@@ -64,6 +65,7 @@ def ground_words(
         belief: the observed map and where the robot has looked.
         readings: the sentence.
         params: relations, concentration.
+        told: how it was said; all of it to the belief's viewer by default.
         is_asked: bool[P], the particles whose words are grounded; all by default.
         is_sparse: under ``vmap``, compute only those; no gradient in reverse mode.
 
@@ -84,13 +86,14 @@ def ground_words(
         particles.object_type, particles.mean_x[:num_objects], particles.mean_y[:num_objects]
     )
     own = seen, draws, reading
-    told = listen(readings, params.relations, log_area)
-    scene = Scene(belief.coverage, jnp.int32(0), log_area, log_unseen, belief.viewer)
+    how = told_now(readings, belief.viewer) if told is None else told
+    said = listen(readings, how, params.relations, log_area)
+    scene = Scene(belief.coverage, jnp.int32(0), log_area, log_unseen)
     num_mentions = readings.mention_type.shape[1]
     if is_sparse:
-        grounding = _sparse(num_mentions)(asked, own, told, scene, params)
+        grounding = _sparse(num_mentions)(asked, own, said, scene, params)
     else:
-        grounding = _ground_all(num_mentions, own, told, scene, params)
+        grounding = _ground_all(num_mentions, own, said, scene, params)
     fresh = replace(
         particles,
         reading=reading,
@@ -245,7 +248,6 @@ def _ground_gathered(
             first_row=lane * num_cells,
             log_area=scene.log_area[lane],
             log_unseen=scene.log_unseen[lane],
-            viewer=scene.viewer[lane].T,
         )
 
     def is_left(carry: tuple[Array, Array]) -> Array:

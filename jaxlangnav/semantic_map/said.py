@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.messages import NONE, ROBOT, Readings
+from jaxlangnav.messages import NONE, ROBOT, Readings, Told
 from jaxlangnav.numerics.batching import lead, pack, pick, unpack
 from jaxlangnav.relations import (
     SIDES,
@@ -39,6 +39,8 @@ class Said(NamedTuple):
     is_anywhere: Array  # bool[...] an order or "on your left": however far
     sides: Array  # i32[J, ...] of an order: where else its figure is said to be; NONE
     law: Law  # leaves f32[...]
+    viewer: Array  # f32[3, ...] x, y, heading of the robot as it heard the relation; map frame
+    excluded: Array  # i32[2, ...] observed slots that the ends are not: bit s is slot s
 
     @property
     def is_by_robot(self) -> Array:
@@ -50,18 +52,17 @@ class Said(NamedTuple):
         """Whether the landmark is an object, bool[...]."""
         return (self.mention[LANDMARK] != NONE) & ~self.is_by_robot
 
-    def frame(self, viewer: Array, x: Array, y: Array) -> Frame:
+    def frame(self, x: Array, y: Array) -> Frame:
         """Build the frame in which the relation is meant.
 
         Args:
-            viewer: f32[3] or f32[3, ...], x, y, heading at the utterance.
             x: f32[n, ...] metres, map frame, of the landmark.
             y: f32[n, ...]
 
         Returns:
             The viewer's frame, or the robot's own where the robot is the landmark.
         """
-        viewer_x, viewer_y, heading = (lead(one, x.ndim) for one in viewer)
+        viewer_x, viewer_y, heading = (lead(one, x.ndim) for one in jnp.unstack(self.viewer))
         is_by_robot = lead(self.is_by_robot, x.ndim)
         return jax.tree.map(
             lambda own, seen: jnp.where(is_by_robot, own, seen),
@@ -70,18 +71,36 @@ class Said(NamedTuple):
         )
 
 
-def listen(readings: Readings, model: RelationModel, log_area: Array) -> Said:
+def told_now(readings: Readings, viewer: Array) -> Told:
+    """Say how a single utterance is told: all of it from one place, and nothing ruled out.
+
+    Args:
+        readings: the sentence.
+        viewer: f32[3], x, y, heading of the robot as it hears it.
+
+    Returns:
+        How it is told.
+    """
+    return Told(
+        viewer=jnp.broadcast_to(viewer, (*readings.relation.shape, 3)),
+        excluded=jnp.zeros_like(readings.mention_type),
+    )
+
+
+def listen(readings: Readings, told: Told, model: RelationModel, log_area: Array) -> Said:
     """Look up all that the readings say.
 
     Args:
-        readings: the sentence, K readings.
+        readings: what is said, K readings.
+        told: how it was said.
         model: prepared relations.
         log_area: f32[], log square metres of the operating area.
 
     Returns:
         All relations of each reading, leaves [J, ..., K].
     """
-    return jax.vmap(_say, in_axes=(0, None, None), out_axes=-1)(readings, model, log_area)
+    say = jax.vmap(_say, in_axes=(0, 0, None, None), out_axes=-1)
+    return say(readings, told, model, log_area)
 
 
 def hear(told: Said, reading: Array) -> Said:
@@ -90,7 +109,7 @@ def hear(told: Said, reading: Array) -> Said:
     return unpack(pick(rows, jnp.broadcast_to(reading, (rows.shape[1], *reading.shape))), told)
 
 
-def _say(one: Readings, model: RelationModel, log_area: Array) -> Said:
+def _say(one: Readings, told: Told, model: RelationModel, log_area: Array) -> Said:
     """Gather all that a reading says, leaves [J, ...]."""
     mention = jnp.stack([one.figure, one.landmark], axis=1)
     kind = jnp.where(mention == NONE, NONE, one.mention_type[mention])
@@ -111,4 +130,6 @@ def _say(one: Readings, model: RelationModel, log_area: Array) -> Said:
         is_anywhere=is_order | is_side,
         sides=jnp.where(is_alike, side[None], NONE),
         law=anywhere(law, is_side, is_order, log_area),
+        viewer=told.viewer,
+        excluded=jnp.where(mention == NONE, 0, told.excluded[mention]),
     )

@@ -12,6 +12,11 @@ from jaxlangnav.recording import Frame, Recording, Scene
 from jaxlangnav.viz import sentences, summary
 from jaxlangnav.viz.words import counted, describe_asked, describe_readings, percent
 
+_ENDED = {
+    int(Status.NOT_FOUND): "gives up",
+    int(Status.WHICH_ONE): "asks which one",
+    int(Status.BLOCKED): "cannot get on",
+}
 _SHIFT = 0.1
 """A change of an object's probability of being the goal that is worth a line."""
 
@@ -67,8 +72,8 @@ def headline(scene: Scene, frame: Frame, before: Frame | None) -> str:
     """
     if int(frame.fault):
         return "stands still"
-    if int(frame.status) == Status.NOT_FOUND:
-        return "gives up"
+    if int(frame.status) in _ENDED:
+        return _ENDED[int(frame.status)]
     if frame.is_done:
         return "says stop"
     if frame.is_stop:
@@ -114,6 +119,10 @@ def closing(scene: Scene, frame: Frame, result: EpisodeResult) -> list[str]:
         verdict = f"Not found: it says that there is {lack}."
     elif not scene.is_judged:
         verdict = "Cannot be judged: nothing there fits the sentence."
+    elif int(result.ending) == Status.WHICH_ONE:
+        verdict = "Asked: it stands still until it is told which one is meant."
+    elif int(result.ending) == Status.BLOCKED:
+        verdict = "Blocked: it made no way, and tried other waypoints before it said so."
     elif bool(result.is_success):
         verdict = f"Success: it stands {off:.1f} m from the goal that was meant."
     else:

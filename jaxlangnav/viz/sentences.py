@@ -181,6 +181,10 @@ def decided(scene: Scene, frame: Frame) -> str:
         return _stopped(scene, frame)
     if int(frame.status) == Status.NOT_FOUND:
         return _gives_up(scene, frame)
+    if int(frame.status) == Status.WHICH_ONE:
+        return "Asks which one is meant: several fit, and nothing left to see would tell."
+    if int(frame.status) == Status.BLOCKED:
+        return "Says that it cannot get on: one waypoint after the other was given up."
     place = _place(frame, float(frame.waypoint[0]), float(frame.waypoint[1]))
     target = f"{_target(scene, frame)} {place}"
     if bool(frame.is_kept):

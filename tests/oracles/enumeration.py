@@ -184,3 +184,55 @@ def chain(world, kinds, edges, places, first, sorting):
     if middle == 2:
         result = np.swapaxes(result, 2, 3)
     return result / scale
+
+
+def stream(world: World, kinds: list[int], edges: list, viewers: list, excluded: dict):
+    """Weigh all groundings of what several utterances have said together.
+
+    Args:
+        world: what has been seen.
+        kinds: type of each mention; none is the robot.
+        edges: relations (figure, relation, landmark, superlative) that form no circles; landmark
+            ``ROBOT`` for the robot itself; relation NONE where a thing merely exists.
+        viewers: x, y, heading of the robot as it heard each of them.
+        excluded: mention → indices of seen objects that it is not, as it was told.
+
+    Returns:
+        f64[C, ...], probabilities over the categories of each mention, C = seen objects + 1.
+    """
+    number = len(world.objects) + 1
+    places, weights, categories = map(
+        list, zip(*[candidates(world, kind) for kind in kinds], strict=True)
+    )
+    for mention, objects in excluded.items():
+        weights[mention] = weights[mention] * ~np.isin(categories[mention], list(objects))
+    ties = {}
+    for edge, viewer in zip(edges, viewers, strict=True):
+        figure, relation, landmark, extreme = edge
+        seen_from = dataclasses.replace(world, viewer=viewer)
+        if landmark == ROBOT:
+            told = potential(
+                seen_from, [kinds[figure], ROBOT], (0, relation, 1, extreme),
+                [places[figure], np.array([viewer[:2]])],
+            )  # fmt: skip
+            weights[figure] = weights[figure] * told[:, 0]
+        elif relation != NONE:
+            table = potential(seen_from, kinds, edge, places)
+            ties[figure, landmark], ties[landmark, figure] = table, table.T
+    order: list[int] = []
+
+    def below(mention: int, parent: int) -> np.ndarray:
+        order.append(mention)
+        hot = weights[mention][:, None] * (categories[mention][:, None] == np.arange(number))
+        for one, other in ties:
+            if one == mention and other != parent:
+                side = ties[one, other] @ below(other, mention)
+                hot = (hot[:, :, None] * side[:, None, :]).reshape(hot.shape[0], -1)
+        return hot
+
+    joint = np.ones(1)
+    for mention in range(len(kinds)):
+        if mention not in order:
+            joint = np.multiply.outer(joint, below(mention, NONE).sum(0)).ravel()
+    joint = joint.reshape((number,) * len(kinds))
+    return np.transpose(joint, np.argsort(order)) / joint.sum()

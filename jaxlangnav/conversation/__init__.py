@@ -1,0 +1,31 @@
+"""What a stream of utterances leaves behind: words joined, things ruled out, what is spoken of."""
+
+from jaxlangnav.conversation.join import Joined, join, words_of
+from jaxlangnav.conversation.memory import (
+    AVOID_ALL,
+    AVOID_IT,
+    Conversation,
+    Words,
+    avoided,
+    begin,
+    excluding,
+    focus,
+    pinned,
+    without,
+)
+
+__all__ = [
+    "AVOID_ALL",
+    "AVOID_IT",
+    "Conversation",
+    "Joined",
+    "Words",
+    "avoided",
+    "begin",
+    "excluding",
+    "focus",
+    "join",
+    "pinned",
+    "without",
+    "words_of",
+]

@@ -1,0 +1,249 @@
+"""What an utterance does to a navigator's state: pure functions of arrays, for one robot or many.
+
+``agent.Navigator.take`` finds out what was said, on the host; what it comes to is here. None of it
+computes on the map or compiles with the words: the next decision does what there is to do. So each
+may be ``vmap``-ed over the states of a batch that hears the same, and ``jit`` sees no new shapes.
+"""
+
+import enum
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxlangnav.conversation import Conversation, Joined, excluding
+from jaxlangnav.language.halting import Act
+from jaxlangnav.messages import NONE, Status, Told
+from jaxlangnav.navigator import NavigatorState
+from jaxlangnav.planner.blocked import start_of_way
+from jaxlangnav.pytree import replace
+from jaxlangnav.semantic_map.soundness import is_pose
+
+CLOSER, CLOSEST = 0.5, 0.25
+"""Share of the reach by which "closer" shortens it, and the least of the usual one that is left."""
+
+
+class How(enum.Enum):
+    """What a new utterance does to the task."""
+
+    REPLACE = enum.auto()  # it is the task from now on
+    APPEND = enum.auto()  # it is done after what is left of the task
+    INFORM = enum.auto()  # the task stays
+
+
+def obey(state: NavigatorState, act: Act) -> NavigatorState:
+    """Halt, go on, or drop the task, whatever the robot is at; nothing is computed or compiled.
+
+    Halted it stands still, however often it is stepped, and keeps looking about; to go on is to
+    take up the same task where it was. To cancel leaves it idle until another command is heard;
+    what the sentence said of the map stays.
+
+    Args:
+        state: of any robot, or of a batch of them, leaves [...].
+        act: what it was told.
+
+    Returns:
+        The state, to be followed by the next observation.
+    """
+
+    def everywhere(value: int | bool, like: Array) -> Array:
+        return jnp.asarray(np.full(like.shape, value, like.dtype))
+
+    is_halted = everywhere(act == Act.HALT, state.is_halted)
+    if act != Act.CANCEL:
+        return replace(state, is_halted=is_halted)
+    told = state.instruction
+    return replace(
+        state,
+        instruction=replace(told, num_clauses=everywhere(0, told.num_clauses)),
+        status=everywhere(Status.IDLE, state.status),
+        is_halted=is_halted,
+    )
+
+
+def tell(state: NavigatorState, joined: Joined, pose: Array, *, how: How) -> NavigatorState:
+    """Take in what has been joined with what was said before: the words are grounded anew.
+
+    The map is kept, and what earlier utterances said of it. Of a new task the robot begins at the
+    first command, halted or not; a statement leaves it at what it is doing, but takes up again a
+    search that has ended without a goal.
+
+    Limits: what has no command changes no task, however it is told.
+
+    Args:
+        state: of a robot under way or at its goal, which has heard what was joined.
+        joined: all that has been said.
+        pose: f32[3], where the robot is as it hears it, map frame; one that cannot be is taken to
+            be where it last was.
+        how: what the new utterance does to the task.
+
+    Returns:
+        The state, to be followed by the next observation.
+    """
+    belief, talk = state.belief, state.talk
+    pose = jnp.where(is_pose(pose, belief.coverage.area), pose, belief.last_pose)
+    told = replace(
+        state,
+        belief=replace(belief, must_ground=jnp.asarray(True)),
+        instruction=replace(state.instruction, readings=joined.readings),
+        talk=replace(talk, words=joined.words, told=_told(talk.told, joined, pose)),
+    )
+    if how is How.REPLACE:
+        return _begun(_arranged(told, joined, pose, jnp.int32(0)))
+    if how is How.APPEND:
+        left = state.instruction.num_clauses - state.clause
+        return _arranged(told, joined, pose, jnp.maximum(left, 0))
+    return _looking_again(told)
+
+
+def _told(told: Told, joined: Joined, pose: Array) -> Told:
+    """Carry over from where relations were said, and what mentions are not."""
+    source = jnp.maximum(joined.from_relation, 0)
+    viewer = told.viewer.reshape(-1, 3)[source]
+    excluded = told.excluded.reshape(-1)[jnp.maximum(joined.from_mention, 0)]
+    return Told(
+        viewer=jnp.where((joined.from_relation == NONE)[..., None], pose[None, None], viewer),
+        excluded=jnp.where(joined.from_mention == NONE, 0, excluded),
+    )
+
+
+def _arranged(state: NavigatorState, joined: Joined, pose: Array, left: Array) -> NavigatorState:
+    """Put the new commands behind ``left`` of the old ones; the present one comes first."""
+    told, talk = state.instruction, state.talk
+    place = jnp.arange(talk.viewer.shape[0])
+    is_old = place < left
+    last = place.shape[0] - 1
+    kept, new = jnp.minimum(state.clause + place, last), jnp.clip(place - left, 0, last)
+
+    def arrange(old: Array, fresh: Array) -> Array:
+        return jnp.where(is_old.reshape(-1, *(1,) * (old.ndim - 1)), old[kept], fresh[new])
+
+    words = talk.words
+    goal = jnp.where(is_old[None], words.goal[:, kept], joined.new_goal[:, new])
+    is_pinned = jnp.where(is_old[None], words.is_pinned[:, kept], joined.new_pinned[:, new])
+    return replace(
+        state,
+        instruction=replace(
+            told,
+            program=jax.tree.map(arrange, told.program, joined.program),
+            num_clauses=(left + joined.num_clauses).astype(jnp.int32),
+        ),
+        clause=jnp.int32(0),
+        talk=replace(
+            talk,
+            words=replace(words, goal=goal, is_pinned=is_pinned),
+            viewer=jnp.where(is_old[:, None], talk.viewer[kept], pose[None]),
+        ),
+    )
+
+
+def _begun(state: NavigatorState) -> NavigatorState:
+    """Begin a task; what was being approached is then what was gone up to before it."""
+    talk = state.talk
+    is_at = talk.approached != NONE
+    return _under_way(
+        replace(
+            state,
+            previous_goal=jnp.where(is_at, talk.approached, state.previous_goal),
+            talk=replace(
+                talk,
+                approached=jnp.int32(NONE),
+                ruled_out=jnp.int32(0),
+                candidate=jnp.zeros_like(talk.candidate),
+                closeness=jnp.float32(1.0),
+                may_ask=jnp.asarray(True),
+            ),
+        )
+    )
+
+
+def _under_way(state: NavigatorState) -> NavigatorState:
+    """Set out, halted or at an end as the robot may be."""
+    return replace(
+        state,
+        status=jnp.int32(Status.SEARCHING),
+        is_halted=jnp.asarray(False),
+        way=start_of_way(state.belief.last_pose),
+    )
+
+
+def _looking_again(state: NavigatorState) -> NavigatorState:
+    """Take up a search again that has ended without a goal: there is news of the map."""
+    lacks = (state.status == Status.NOT_FOUND) | (state.status == Status.WHICH_ONE)
+    return replace(state, status=jnp.where(lacks, int(Status.SEARCHING), state.status))
+
+
+def rule_out(state: NavigatorState, slots: Array) -> NavigatorState:
+    """Take observed slots not to be what the present command is about, and go on.
+
+    Limits: of no slots, only goes on.
+
+    Args:
+        state: of a robot with a task, under way, halted or at its end.
+        slots: i32[], a bit for each slot: ``slot_bit``.
+
+    Returns:
+        The state, to be followed by the next observation.
+    """
+    talk = excluding(state.talk, state.clause, slots)
+    belief = replace(state.belief, must_ground=jnp.asarray(True))
+    return _under_way(replace(state, belief=belief, talk=_forgetting(talk)))
+
+
+def _forgetting(talk: Conversation) -> Conversation:
+    """Forget what is being approached where it has been ruled out."""
+    is_out = (talk.ruled_out & slot_bit(talk.approached)) != 0
+    return replace(talk, approached=jnp.where(is_out, NONE, talk.approached))
+
+
+def slot_bit(slot: Array) -> Array:
+    """Mark an observed slot, i32[]; no bit for ``NONE``."""
+    return jnp.where(slot == NONE, 0, jnp.left_shift(1, jnp.maximum(slot, 0))).astype(jnp.int32)
+
+
+def correct(state: NavigatorState) -> NavigatorState:
+    """Rule out what is being approached: "no, the other one"."""
+    return rule_out(state, slot_bit(state.talk.approached))
+
+
+def choose(state: NavigatorState, slot: Array) -> NavigatorState:
+    """Take an observed slot, of all that the question was about, to be what is meant.
+
+    Args:
+        state: of a robot that has asked which one.
+        slot: i32[], the answer.
+
+    Returns:
+        The state, in which all other candidates are ruled out, and nothing more is asked.
+    """
+    slots = jnp.arange(state.talk.candidate.shape[0])
+    others = (state.talk.candidate > 0.0) & (slots != slot)
+    ruled_out = rule_out(state, jnp.sum(jnp.where(others, jnp.left_shift(1, slots), 0)))
+    return choose_freely(ruled_out)
+
+
+def choose_freely(state: NavigatorState) -> NavigatorState:
+    """Let the robot choose by itself, and ask no more for this task."""
+    return _under_way(replace(state, talk=replace(state.talk, may_ask=jnp.asarray(False))))
+
+
+def come_closer(state: NavigatorState) -> NavigatorState:
+    """Go on to half the distance at which the robot would have arrived; a quarter is the least."""
+    closeness = jnp.maximum(state.talk.closeness * CLOSER, CLOSEST)
+    return _under_way(replace(state, talk=replace(state.talk, closeness=closeness)))
+
+
+def come_back(state: NavigatorState, joined: Joined) -> NavigatorState:
+    """Return to where the conversation began.
+
+    Args:
+        state: of any robot.
+        joined: what has been said, with ``returning`` as the new task.
+
+    Returns:
+        The state, to be followed by the next observation.
+    """
+    told = tell(state, joined, state.belief.last_pose, how=How.REPLACE)
+    talk = told.talk
+    return replace(told, talk=replace(talk, viewer=jnp.broadcast_to(talk.home, talk.viewer.shape)))

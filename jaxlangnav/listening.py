@@ -1,0 +1,291 @@
+"""Finding out what was said to a robot, and letting it act on its state (host).
+
+``Navigator.take`` documents what an utterance may be. Here its wording is looked up
+(``language.utterance``), what is left is grounded and joined with what was said before
+(``conversation``), and the state is changed by the functions of ``hearing``.
+"""
+
+import dataclasses
+import logging
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxlangnav import hearing
+from jaxlangnav.conversation import Joined, join
+from jaxlangnav.grounding import Context, Grounded, Grounder
+from jaxlangnav.grounding.annotated import returning
+from jaxlangnav.grounding.spoken import Spoken
+from jaxlangnav.hearing import How
+from jaxlangnav.kinds import label_of, name_of, noun_of
+from jaxlangnav.language.halting import Act, begins_with_halt
+from jaxlangnav.language.utterance import Kind, Utterance, Wording, classify
+from jaxlangnav.messages import NONE, Status
+from jaxlangnav.navigator import NavigatorState
+from jaxlangnav.plain_text import cut
+
+_ACTS = {Kind.HALT: Act.HALT, Kind.RESUME: Act.RESUME, Kind.CANCEL: Act.CANCEL}
+_PLACES = {Wording.FIRST: 0, Wording.SECOND: 1, Wording.THIRD: 2}
+_LEAST = 0.01
+"""Goal probability below which a thing is no candidate for a question."""
+
+_log = logging.getLogger(__name__)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Heard:
+    """What an utterance was taken for, and what it changed."""
+
+    text: str
+    kind: Kind
+    ruled_out: tuple[int, ...] = ()  # observed slots that it says are not meant
+    notes: tuple[str, ...] = ()  # what else people should know, a line each
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Candidate:
+    """A thing that may be meant, as a question would name it."""
+
+    slot: int  # observed slot
+    type_name: str
+    x: float  # metres, map frame
+    y: float
+    probability: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Listener:
+    """Takes in utterances with a grounder."""
+
+    grounder: Grounder
+
+    def take(self, state: NavigatorState, text: str) -> tuple[NavigatorState, Heard]:
+        """Take in an utterance; see ``Navigator.take``."""
+        is_asked = int(state.status) == Status.WHICH_ONE
+        said = classify(text, is_asked=is_asked)
+        if said.kind is not None and said.kind in _ACTS:
+            return hearing.obey(state, _ACTS[said.kind]), Heard(text=text, kind=said.kind)
+        if said.wording is not None:
+            return self._by_wording(state, text, said)
+        try:
+            after, heard = self._by_sentence(state, text, said, is_asked=is_asked)
+        except ValueError as refusal:
+            if not begins_with_halt(text):
+                raise
+            _log.warning("halted; the rest of what was said is left out: %s", refusal)
+            return hearing.obey(state, Act.HALT), Heard(text=text, kind=Kind.HALT)
+        if heard.kind in (Kind.STATEMENT, Kind.CONSTRAINT) and begins_with_halt(text):
+            after = hearing.obey(after, Act.HALT)
+            heard = dataclasses.replace(heard, kind=Kind.HALT)
+        return after, heard
+
+    def _by_wording(
+        self, state: NavigatorState, text: str, said: Utterance
+    ) -> tuple[NavigatorState, Heard]:
+        """Take in what its wording says all of."""
+        at, kind = int(state.talk.approached), said.kind or Kind.ANSWER
+        if said.wording == Wording.RETURN:
+            joined = self._join(state, Grounded(instruction=returning(), annotations=()))
+            return hearing.come_back(state, joined), Heard(text=text, kind=kind)
+        if kind == Kind.ANSWER:
+            return self._answered(state, text, said)
+        if int(state.instruction.num_clauses) == 0 or at == NONE:
+            raise ValueError(
+                f"{cut(text)!r}: nothing is being approached yet: say what is meant, as in 'go to "
+                "the hydrant by the cone'"
+            )
+        if said.wording == Wording.CLOSER:
+            return hearing.come_closer(state), Heard(text=text, kind=kind)
+        return hearing.correct(state), Heard(text=text, kind=kind, ruled_out=(at,))
+
+    def _answered(
+        self, state: NavigatorState, text: str, said: Utterance
+    ) -> tuple[NavigatorState, Heard]:
+        """Take in the answer to a question."""
+        heard, found = Heard(text=text, kind=Kind.ANSWER), self.candidates(state)
+        if said.wording == Wording.ANY:
+            return hearing.choose_freely(state), heard
+        slots = [one.slot for one in found]
+        if said.wording == Wording.NO:
+            none = sum(1 << slot for slot in slots)
+            ruled = dataclasses.replace(heard, ruled_out=tuple(slots))
+            return hearing.rule_out(state, jnp.int32(none)), ruled
+        chosen = _chosen(found, said.wording, np.asarray(state.belief.last_pose))
+        if chosen is None:
+            raise ValueError(
+                f"{cut(text)!r}: it may be one of {len(found)}: say which, as in 'the left one' or "
+                "'the second'"
+            )
+        others = tuple(slot for slot in slots if slot != chosen.slot)
+        after = hearing.choose(state, jnp.int32(chosen.slot))
+        return after, dataclasses.replace(heard, ruled_out=others)
+
+    def _by_sentence(
+        self, state: NavigatorState, text: str, said: Utterance, *, is_asked: bool
+    ) -> tuple[NavigatorState, Heard]:
+        """Take in what has to be understood."""
+        about, is_at = self._about(state)
+        context = Context(is_under_way=True, about=about, is_at=is_at)
+        grounded = self.grounder.ground(said.rest, context)
+        spoken = grounded.spoken or Spoken()
+        pose, notes = state.belief.last_pose, grounded.notes
+        if int(grounded.instruction.num_clauses) == 0:
+            kind = Kind.CONSTRAINT if spoken.avoided else Kind.STATEMENT
+            joined = self._join(state, grounded, how=How.INFORM)
+            after = hearing.tell(state, joined, pose, how=How.INFORM)
+            return after, Heard(text=text, kind=kind, notes=notes + _dropped(state, after))
+        how = How.REPLACE
+        if said.kind == Kind.ADDITION and self._has_more(state):
+            how = How.APPEND
+            self._check_room(state, grounded, text)
+        is_again = said.kind == Kind.CORRECTION or (is_asked and spoken.goals == (about,))
+        out = self._ruled_out(state, said, grounded, text) if how is How.REPLACE else NONE
+        joined = self._join(state, grounded, how=how, is_loose=is_again or how is How.APPEND)
+        after = hearing.tell(state, joined, pose, how=how)
+        if out != NONE:
+            after = hearing.rule_out(after, hearing.slot_bit(jnp.int32(out)))
+        is_answer = is_asked and spoken.goals == (about,)
+        if is_answer:  # one question is enough: what still fits best will do
+            after = hearing.choose_freely(after)
+        kind = said.kind or (Kind.ANSWER if is_answer else Kind.COMMAND)
+        heard = Heard(
+            text=text,
+            kind=kind,
+            ruled_out=() if out == NONE else (out,),
+            notes=notes + _dropped(state, after),
+        )
+        return after, heard
+
+    def _join(
+        self,
+        state: NavigatorState,
+        grounded: Grounded,
+        *,
+        how: How = How.REPLACE,
+        is_loose: bool = True,
+    ) -> Joined:
+        """Join what has been understood with what was said before."""
+        return join(
+            state.instruction.readings,
+            state.talk.words,
+            grounded.instruction,
+            grounded.spoken,
+            is_new_task=how is How.REPLACE,
+            is_loose=is_loose,
+            is_asked=how is not How.INFORM,
+        )
+
+    def _about(self, state: NavigatorState) -> tuple[int, bool]:
+        """Find the type of what has been spoken of, and whether the robot is at one of them."""
+        at = int(state.talk.approached)
+        if at != NONE:
+            return self._type_at(state, at), True
+        readings = state.instruction.readings
+        best = int(np.argmax(np.asarray(readings.log_probability)))
+        goal = int(state.talk.words.goal[best, int(state.clause)])
+        kind = NONE if goal == NONE else int(readings.mention_type[best, goal])
+        return (kind if kind >= 0 else NONE), False
+
+    def _type_at(self, state: NavigatorState, slot: int) -> int:
+        """Look up the type of an observed slot, as the weightiest particle has it."""
+        best = int(np.argmax(np.asarray(state.belief.log_weight)))
+        return int(state.belief.particles.object_type[slot, best])
+
+    def _has_more(self, state: NavigatorState) -> bool:
+        """Tell whether the robot has a task that is not at its end."""
+        return int(state.instruction.num_clauses) > 0 and not bool(state.is_done)
+
+    def _check_room(self, state: NavigatorState, grounded: Grounded, text: str) -> None:
+        """Refuse more commands than are held."""
+        left = int(state.instruction.num_clauses) - int(state.clause)
+        wanted, most = left + int(grounded.instruction.num_clauses), state.talk.viewer.shape[0]
+        if wanted > most:
+            raise ValueError(
+                f"{cut(text)!r} makes {wanted} commands; at most {most} are held: say it again "
+                "when one of them is carried out"
+            )
+
+    def _ruled_out(
+        self, state: NavigatorState, said: Utterance, grounded: Grounded, text: str
+    ) -> int:
+        """Find the observed slot that a new task is not about; NONE where there is none."""
+        spoken = grounded.spoken or Spoken()
+        kind = spoken.goals[0] if spoken.goals else NONE
+        at, last = int(state.talk.approached), int(state.previous_goal)
+        slots = [
+            slot
+            for slot in (at, last)
+            if slot != NONE and label_of(self._type_at(state, slot)) == kind
+        ]
+        if len(spoken.goals) == 1 and kind in spoken.others:
+            if not slots:
+                name = noun_of(kind, self._names)
+                raise ValueError(
+                    f"{cut(text)!r}: no {name} has been approached yet, so there is no other: "
+                    f"say which, as in 'the {name} by the cone'"
+                )
+            return slots[0]
+        return at if said.is_not_that and at in slots else NONE
+
+    @property
+    def _names(self) -> Sequence[str]:
+        """Names of labels, and of things that the detector has no label for."""
+        return getattr(self.grounder, "names", self.grounder.type_names)
+
+    def candidates(self, state: NavigatorState) -> list[Candidate]:
+        """List the things that may be meant, the nearest first: what a question is about.
+
+        Args:
+            state: after any step.
+
+        Returns:
+            Things seen that may be the goal, with where they are believed to be.
+        """
+        share = np.asarray(state.talk.candidate)
+        particles, weight = state.belief.particles, np.exp(np.asarray(state.belief.log_weight))
+        mean_x, mean_y = np.asarray(particles.mean_x), np.asarray(particles.mean_y)
+        is_in = np.asarray(particles.object_type) != NONE
+        pose, found = np.asarray(state.belief.last_pose), []
+        for slot in np.flatnonzero(share >= _LEAST).tolist():
+            own = weight * is_in[slot]
+            total = max(float(own.sum()), 1e-9)
+            found.append(
+                Candidate(
+                    slot=slot,
+                    type_name=name_of(self._type_at(state, slot), self._names),
+                    x=float((own * mean_x[slot]).sum() / total),
+                    y=float((own * mean_y[slot]).sum() / total),
+                    probability=float(share[slot]),
+                )
+            )
+        return sorted(found, key=lambda one: np.hypot(one.x - pose[0], one.y - pose[1]))
+
+
+def _chosen(
+    found: Sequence[Candidate], wording: Wording | None, pose: np.ndarray
+) -> Candidate | None:
+    """Find the candidate that an answer names; None where it names none."""
+    if not found:
+        return None
+    if wording == Wording.YES:
+        return found[0] if len(found) == 1 else None
+    if wording is not None and wording in _PLACES:
+        place = _PLACES[wording]
+        return found[place] if place < len(found) else None
+    if wording in (Wording.NEAREST, Wording.FARTHEST):
+        return found[0 if wording == Wording.NEAREST else -1]
+    turn = float(pose[2])
+
+    def leftward(one: Candidate) -> float:
+        return (one.y - pose[1]) * np.cos(turn) - (one.x - pose[0]) * np.sin(turn)
+
+    return (max if wording == Wording.LEFT else min)(found, key=leftward)
+
+
+def _dropped(before: NavigatorState, after: NavigatorState) -> tuple[str, ...]:
+    """Say how much of what was said found no room any more."""
+    number = int(after.talk.words.num_dropped) - int(before.talk.words.num_dropped)
+    if number <= 0:
+        return ()
+    return (f"{number} of what was said of the map earlier is forgotten: there is no room for it",)

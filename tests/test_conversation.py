@@ -1,0 +1,329 @@
+"""A conversation driven: what each kind of utterance does to where the robot ends."""
+
+import jax
+import numpy as np
+import pytest
+import readings as by_hand
+from test_navigator_step import AREA, CONE, HYDRANT, STEP, go, robot, see
+
+from jaxlangnav import agent, hearing
+from jaxlangnav.grounding.readings import Capacity
+from jaxlangnav.language.utterance import Kind
+from jaxlangnav.messages import Status
+from jaxlangnav.pytree import replace
+
+__all__ = ["robot"]
+CAR = 2
+WORLD = [(HYDRANT, 4.0, 2.5), (HYDRANT, 4.5, -2.5), (CONE, 2.0, -3.0), (CAR, 8.0, 3.0)]
+NEAR_HYDRANT, FAR_HYDRANT, ONE_CONE, ONE_CAR = range(4)
+NULL = "go to the hydrant"
+
+
+def set_out(robot, text: str = NULL, max_steps: int = 4, places=WORLD):
+    return go(robot, robot.start(text, area=AREA), places, max_steps=max_steps)
+
+
+def tell(robot, run, *texts: str, places=WORLD, max_steps: int = 60):
+    """Say something to a robot where a run has left it, and drive on."""
+    state = run.state
+    for text in texts:
+        state, heard = robot.take(state, text)
+    return heard, go(robot, state, places, start=tuple(run.end), seed=3, max_steps=max_steps)
+
+
+def ended(run) -> Status:
+    return Status(int(run.actions[-1].status))
+
+
+def away(run, index: int, places=WORLD) -> float:
+    return float(np.hypot(*(run.end - places[index][1:])))
+
+
+@pytest.mark.parametrize(
+    "text", ["no, the other one", "not that one, the one by the cone", "go to the other hydrant"]
+)
+def test_another_one_is_found(robot, text: str) -> None:
+    run = set_out(robot)
+    assert int(run.state.talk.approached) == 0
+    heard, after = tell(robot, run, text)
+    assert heard.kind == (Kind.COMMAND if text.startswith("go") else Kind.CORRECTION)
+    assert heard.ruled_out == (0,)
+    assert ended(after) == Status.ARRIVED
+    assert away(after, FAR_HYDRANT) < 1.5
+
+
+def test_an_arrival_is_corrected_until_there_is_no_other(robot) -> None:
+    run = set_out(robot, max_steps=60)
+    assert ended(run) == Status.ARRIVED
+    _, other = tell(robot, run, "that's not it")
+    assert ended(other) == Status.ARRIVED
+    assert away(other, FAR_HYDRANT) < 1.5
+    _, none = tell(robot, other, "wrong one")
+    assert ended(none) == Status.NOT_FOUND
+    mass = np.asarray([info.goals.object_mass for info in none.infos])
+    assert mass[:, [0, 2]].max() == 0.0
+
+
+def test_what_was_meant_takes_the_place_of_the_task(robot) -> None:
+    heard, after = tell(robot, set_out(robot), "I meant the car")
+    assert heard.kind == Kind.CORRECTION
+    assert away(after, ONE_CAR) < 1.5
+
+
+@pytest.mark.parametrize("text", ["no, the other one", "closer", "go to the other hydrant"])
+def test_nothing_approached_is_no_other(robot, text: str) -> None:
+    """Where nothing has been approached there is no coin to toss."""
+    with pytest.raises(ValueError, match="approached yet") as refusal:
+        robot.hear(robot.start(NULL, area=AREA), text)
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_statement_changes_no_task(robot) -> None:
+    run = set_out(robot, "go to the car")
+    state, heard = robot.take(run.state, "the hydrant is behind the car")
+    assert heard.kind == Kind.STATEMENT
+    told = state.instruction
+    for before, after in zip(
+        jax.tree.leaves((run.state.instruction.program, run.state.clause, run.state.status)),
+        jax.tree.leaves((told.program, state.clause, state.status)),
+        strict=True,
+    ):
+        np.testing.assert_array_equal(before, after)
+    _, after = tell(robot, run, "the hydrant is behind the car")
+    assert ended(after) == Status.ARRIVED
+    assert away(after, ONE_CAR) < 1.5
+
+
+def test_a_statement_says_which_one_is_meant(robot) -> None:
+    _, after = tell(robot, set_out(robot), "the hydrant is near the cone")
+    assert ended(after) == Status.ARRIVED
+    assert away(after, FAR_HYDRANT) < 1.5
+
+
+def test_an_ended_robot_that_is_informed_stays_where_it_is(robot) -> None:
+    run = set_out(robot, "go to the car", max_steps=60)
+    _, after = tell(robot, run, "the hydrant is behind the cone", max_steps=3)
+    assert [Status(int(action.status)) for action in after.actions] == [Status.ARRIVED]
+
+
+def test_what_is_to_be_avoided_is_never_a_goal(robot) -> None:
+    idle = go(robot, robot.wait(area=AREA), WORLD, max_steps=1)
+    heard, after = tell(robot, idle, "steer clear of the cone", max_steps=3)
+    assert heard.kind == Kind.CONSTRAINT
+    assert {int(action.status) for action in after.actions} == {Status.IDLE}
+    np.testing.assert_array_equal(after.end, (0.0, 0.0))
+    run = set_out(robot, "go to the car", max_steps=2)
+    _, told = tell(robot, run, "avoid the cone", "avoid the hydrant")
+    assert ended(told) == Status.ARRIVED
+    assert away(told, ONE_CAR) < 1.5
+    constraint = np.asarray([info.behavior.constraint for info in told.infos])
+    assert constraint[-1].max() > 0.9
+    goals = np.asarray([info.goals.object_mass for info in told.infos])
+    types = np.asarray(told.state.belief.particles.object_type)[:, 0]
+    assert goals[:, :-1][:, types != CAR].max() < 0.01
+    # The very thing may be asked for all the same.
+    _, there = tell(robot, told, NULL)
+    assert min(away(there, NEAR_HYDRANT), away(there, FAR_HYDRANT)) < 1.5
+
+
+def test_an_addition_comes_after_the_task(robot) -> None:
+    heard, after = tell(robot, set_out(robot), "and after that go to the car")
+    assert heard.kind == Kind.ADDITION
+    assert ended(after) == Status.ARRIVED
+    assert away(after, ONE_CAR) < 1.5
+    passed = np.hypot(*(np.asarray(after.places) - WORLD[NEAR_HYDRANT][1:]).T)
+    assert passed.min() < 1.5
+    # At its end, it begins at once.
+    _, back = tell(robot, after, "then go to the cone")
+    assert away(back, ONE_CONE) < 1.5
+
+
+def test_more_commands_than_are_held_are_refused(robot) -> None:
+    state = robot.start("go to the hydrant, then to the car, then to the cone", area=AREA)
+    with pytest.raises(ValueError, match="at most 3"):
+        robot.hear(state, "then go to the car")
+
+
+def test_it_comes_back_and_comes_closer(robot) -> None:
+    run = set_out(robot, max_steps=60)
+    heard, back = tell(robot, run, "come back")
+    assert heard.kind == Kind.RETURN
+    assert ended(back) == Status.ARRIVED
+    assert np.hypot(*back.end) < 1.25
+    _, near = tell(robot, run, "closer")
+    assert ended(near) == Status.ARRIVED
+    assert away(near, NEAR_HYDRANT) <= 0.65 < away(run, NEAR_HYDRANT)
+
+
+def test_it_is_what_is_being_approached(robot) -> None:
+    _, after = tell(robot, set_out(robot), "go behind it")
+    assert ended(after) == Status.ARRIVED
+    hydrant = np.asarray(WORLD[NEAR_HYDRANT][1:])
+    assert np.hypot(*(after.end - hydrant)) < 3.0
+    assert np.hypot(*after.end) > np.hypot(*hydrant)
+
+
+def test_halting_words_halt_whatever_else_is_said(robot) -> None:
+    run = set_out(robot)
+    for text in ("stop, avoid the cone", "Stop! The hydrant is behind the car"):
+        state, heard = robot.take(run.state, text)
+        assert heard.kind == Kind.HALT
+        assert bool(state.is_halted)
+    for text in ("the car is behind the cone", "avoid the cone", "then go to the cone"):
+        assert bool(robot.hear(state, text).is_halted), text
+    assert not bool(robot.hear(state, "no, the other one").is_halted)
+
+
+def curious(robot, cost: float = 0.05):
+    planner = replace(robot.params.planner, question_cost=np.float32(cost))
+    params = replace(robot.params, planner=planner)
+    return agent.Navigator(grounder=robot.grounder, params=params, config=robot.config)
+
+
+@pytest.mark.parametrize(
+    ("answer", "end"), [("the left one", NEAR_HYDRANT), ("the one by the cone", FAR_HYDRANT)]
+)
+def test_a_question_in_place_of_a_guess(robot, answer: str, end: int) -> None:
+    asking = curious(robot)
+    run = set_out(asking, max_steps=60)
+    assert ended(run) == Status.WHICH_ONE
+    assert bool(run.actions[-1].is_stop)
+    found = asking.candidates(run.state)
+    assert {one.type_name for one in found} == {"hydrant"}
+    assert len(found) == 2
+    assert sum(one.probability for one in found) > 0.9
+    heard, after = tell(asking, run, answer)
+    assert heard.kind == Kind.ANSWER
+    assert ended(after) == Status.ARRIVED
+    assert away(after, end) < 1.5
+
+
+def test_an_answer_that_is_none_is_refused_and_none_of_them_searches_on(robot) -> None:
+    asking = curious(robot)
+    run = set_out(asking, max_steps=60)
+    with pytest.raises(ValueError, match="may be one of 2"):
+        asking.hear(run.state, "yes")
+    _, any_of = tell(asking, run, "you choose")
+    assert ended(any_of) == Status.ARRIVED
+    _, none = tell(asking, run, "neither of them")
+    assert ended(none) == Status.NOT_FOUND
+
+
+def test_one_candidate_is_no_question(robot) -> None:
+    places = [WORLD[NEAR_HYDRANT], WORLD[ONE_CONE]]
+    run = set_out(curious(robot), max_steps=60, places=places)
+    assert ended(run) == Status.ARRIVED
+
+
+def test_a_robot_that_makes_no_way_tries_others_and_says_so(robot) -> None:
+    state, statuses, sent = robot.start(NULL, area=AREA), [], []
+    for step in range(60):
+        key = jax.random.fold_in(jax.random.key(1), step)
+        state, action, info = robot.step(key, state, see((1.0, 0.0), 0.0, WORLD))
+        statuses.append(Status(int(action.status)))
+        sent.append(np.asarray(info.choice.waypoint_x + 100.0 * info.choice.waypoint_y))
+        if action.is_stop:
+            break
+    assert statuses[-1] == Status.BLOCKED
+    assert len(statuses) > (robot.config.num_detours + 1) * robot.config.patience
+    assert len(np.unique(np.round(sent, 1))) > robot.config.num_detours
+    np.testing.assert_array_equal(action.step, 0.0)
+    free = go(robot, robot.hear(state, NULL), WORLD, start=(1.0, 0.0))
+    assert ended(free) == Status.ARRIVED
+
+
+STREAM = (
+    "the cone is near the hydrant", "then go to the car", "no, the other one", "avoid the cone",
+    "stop", "carry on", "go to the hydrant behind the car", "closer", "come back", "never mind",
+    "the car is on your left", "find the other hydrant", "go to it", "not that one, the left one",
+)  # fmt: skip
+
+
+def test_nothing_said_is_compiled(robot) -> None:
+    run = set_out(robot)
+    before, state = agent._step._cache_size(), run.state
+    kinds = set()
+    for index, text in enumerate(STREAM):
+        # As if the robot were at something, whatever became of the last utterance.
+        state = replace(state, talk=replace(state.talk, approached=run.state.talk.approached))
+        state, heard = robot.take(state, text)
+        kinds.add(heard.kind)
+        state, action, _ = robot.step(jax.random.key(index), state, see(run.end, 0.0, WORLD))
+        assert np.isfinite(action.step).all()
+    assert kinds == set(Kind) - {Kind.ANSWER}
+    assert agent._step._cache_size() == before
+
+
+def test_what_finds_no_room_leaves_the_oldest_first_and_is_counted(robot) -> None:
+    state = set_out(robot, max_steps=1).state
+    number, notes = 0, ()
+    for side in ("left of", "behind", "in front of", "near", "right of"):
+        for thing in ("hydrant", "cone"):
+            state, heard = robot.take(state, f"the {thing} is {side} the car")
+            number, notes = number + 1, notes + heard.notes
+    held = np.asarray(state.instruction.readings.relation)[0]
+    most = Capacity().num_relations
+    assert (held >= 0).sum() == most
+    assert int(state.talk.words.num_dropped) == number - most
+    assert np.asarray(state.talk.words.heard)[0].min() == number - most + 1
+    assert len(notes) == number - most
+
+
+def test_sizes_that_do_not_fit_are_refused(robot) -> None:
+    with pytest.raises(ValueError, match="at least 6"):
+        Capacity(num_mentions=5)
+    with pytest.raises(ValueError, match="at most 20"):
+        agent.Navigator(
+            grounder=robot.grounder,
+            params=robot.params,
+            config=robot.config,
+            capacity=Capacity(num_mentions=16),
+        )
+
+
+@pytest.mark.slow
+def test_a_correction_leads_to_the_other_one() -> None:
+    """In 100 random worlds of two hydrants, told as soon as one of them is approached."""
+    number, draw = 100, np.random.default_rng(5)
+    one = agent.Navigator.pretrained()
+    step = jax.jit(
+        jax.vmap(lambda key, state, look: STEP.__wrapped__(
+            key, state, look, params=one.params, config=one.config)),
+        compiler_options=by_hand.BRIEFLY,
+    )  # fmt: skip
+    correct = jax.jit(jax.vmap(hearing.correct))
+    choose = jax.jit(
+        lambda which, new, old: jax.tree.map(
+            lambda a, b: jax.vmap(jax.numpy.where)(which, a, b), new, old
+        )
+    )
+    left = np.stack([draw.uniform(3.0, 9.0, number), draw.uniform(1.5, 4.5, number)], axis=1)
+    right = np.stack([draw.uniform(3.0, 9.0, number), -draw.uniform(1.5, 4.5, number)], axis=1)
+    states = jax.tree.map(
+        lambda leaf: np.broadcast_to(leaf, (number, *leaf.shape)), one.start(NULL, area=AREA)
+    )
+    position, first = np.zeros((number, 2)), np.full(number, -1)
+    for index in range(90):
+        looks = by_hand.stack(
+            [
+                see(here, 0.0, [(HYDRANT, *a), (HYDRANT, *b)])
+                for here, a, b in zip(position, left, right, strict=True)
+            ]
+        )
+        keys = jax.random.split(jax.random.fold_in(jax.random.key(2), index), number)
+        states, action, _ = step(keys, states, looks)
+        position = position + np.asarray(action.step)
+        is_first = (first < 0) & (np.asarray(states.talk.approached) >= 0)
+        if is_first.any():
+            slot = np.asarray(states.talk.approached)
+            lanes = np.arange(number)
+            mean_y = np.asarray(states.belief.particles.mean_y)[lanes, slot, 0]
+            first = np.where(is_first, (mean_y < 0).astype(int), first)
+            states = choose(is_first, correct(states), states)
+        if np.asarray(states.is_done).all():
+            break
+    other = np.where((first == 0)[:, None], right, left)
+    is_right = np.hypot(*(position - other).T) < 1.5
+    is_right &= np.asarray(states.status) == Status.ARRIVED
+    assert (first >= 0).all()
+    assert is_right.mean() >= 0.99

@@ -1,0 +1,181 @@
+"""What an utterance is taken for by its wording, and how words are joined; nothing is compiled."""
+
+import numpy as np
+import pytest
+import readings as by_hand
+
+from jaxlangnav.conversation import AVOID_ALL, AVOID_IT, join, words_of
+from jaxlangnav.grounding import Context, GraphGrounder, Grounded, load_shipped
+from jaxlangnav.grounding.readings import Capacity, widen
+from jaxlangnav.language.utterance import Kind, Wording, classify
+from jaxlangnav.messages import BEHIND, LEFT, NEAR, NONE, ROBOT
+from jaxlangnav.pytree import replace
+
+HYDRANT, CONE, CAR = by_hand.HYDRANT, by_hand.CONE, by_hand.CAR
+
+
+@pytest.mark.parametrize(
+    ("text", "kind", "wording", "rest"),
+    [
+        ("no, the other one", Kind.CORRECTION, Wording.OTHER, ""),
+        ("Wait! Not that one, please.", Kind.CORRECTION, Wording.OTHER, ""),
+        ("no, I meant the other one", Kind.CORRECTION, Wording.OTHER, ""),
+        ("closer", Kind.CORRECTION, Wording.CLOSER, ""),
+        ("Come back, please", Kind.RETURN, Wording.RETURN, ""),
+        ("go back", Kind.RETURN, Wording.RETURN, ""),
+        ("not that one, the one on the left", Kind.CORRECTION, None, "the one on the left"),
+        ("I meant the cone's left", Kind.CORRECTION, None, "the cone's left"),
+        ("and after that, go to the cone", Kind.ADDITION, None, "go to the cone"),
+        ("then stop behind it", Kind.ADDITION, None, "stop behind it"),
+        ("stop", Kind.HALT, None, ""),
+        ("carry on", Kind.RESUME, None, ""),
+        ("never mind", Kind.CANCEL, None, ""),
+        ("go to the other hydrant", None, None, "go to the other hydrant"),
+        ("the left one", None, None, "the left one"),
+        ("yes", None, None, "yes"),
+        ("", None, None, ""),
+    ],
+)
+def test_wordings(text: str, kind, wording, rest: str) -> None:
+    said = classify(text)
+    assert (said.kind, said.wording, said.rest) == (kind, wording, rest)
+
+
+@pytest.mark.parametrize(
+    ("text", "wording"),
+    [
+        ("the left one, please", Wording.LEFT),
+        ("right", Wording.RIGHT),
+        ("The second one.", Wording.SECOND),
+        ("no", Wording.NO),
+        ("yes", Wording.YES),
+        ("it doesn't matter", Wording.ANY),
+    ],
+)
+def test_answers_are_answers_only_to_a_question(text: str, wording: Wording) -> None:
+    said = classify(text, is_asked=True)
+    assert (said.kind, said.wording) == (Kind.ANSWER, wording)
+    assert classify(text).kind != Kind.ANSWER
+
+
+def test_halting_wins_over_a_question() -> None:
+    for text in ("stop", "wait", "freeze, please"):
+        assert classify(text, is_asked=True).kind == Kind.HALT
+
+
+class Talk:
+    """Utterances joined one after the other, by the trained graph."""
+
+    def __init__(self, text: str) -> None:
+        self.grounder = GraphGrounder(load_shipped())
+        grounded = self.ground(text)
+        told = grounded.instruction
+        wide = replace(told, readings=widen(told.readings, Capacity()))
+        self.readings, self.words = wide.readings, words_of(wide, grounded.spoken)
+        self.joined = None
+
+    def ground(self, text: str) -> Grounded:
+        return self.grounder.ground(text, Context(is_under_way=True))
+
+    def say(self, text: str, **how: bool) -> "Talk":
+        grounded = self.ground(text)
+        how = {"is_new_task": False, "is_loose": True} | how
+        self.joined = join(self.readings, self.words, grounded.instruction, grounded.spoken, **how)
+        self.readings, self.words = self.joined.readings, self.joined.words
+        return self
+
+    @property
+    def kinds(self) -> list[int]:
+        return [int(kind) for kind in self.readings.mention_type[0] if kind != NONE]
+
+    @property
+    def said(self) -> set[tuple[int, int, int]]:
+        """Relations of the likeliest reading; mentions by number."""
+        table = (self.readings.figure, self.readings.relation, self.readings.landmark)
+        rows = np.stack([np.asarray(leaf)[0] for leaf in table], axis=1)
+        return {tuple(row) for row in rows.tolist() if row[0] != NONE}
+
+
+def test_a_statement_speaks_of_the_thing_of_the_task() -> None:
+    talk = Talk("go to the hydrant behind the cone")
+    talk.say("the hydrant is near the car", is_asked=False)
+    hydrant, cone, car = (talk.kinds.index(kind) for kind in (HYDRANT, CONE, CAR))
+    assert len(talk.kinds) == 3
+    assert talk.said == {(hydrant, BEHIND, cone), (hydrant, NEAR, car)}
+    # The goal hangs on the car now, too.
+    assert np.asarray(talk.words.is_asked)[0, :3].all()
+    assert bool(talk.words.is_pinned[0, 0])
+
+
+def test_another_one_is_another_thing() -> None:
+    talk = Talk("go to the hydrant behind the cone").say("there is a hydrant near the car")
+    assert talk.kinds.count(HYDRANT) == 2
+    talk = Talk("go to the hydrant").say("go to the other hydrant", is_new_task=True)
+    assert talk.kinds.count(HYDRANT) == 2
+    goal = int(talk.joined.new_goal[0, 0])
+    asked = np.asarray(talk.words.is_asked)[0]
+    assert asked[goal]
+    assert asked.sum() == 1
+
+
+def test_what_was_said_is_not_said_twice() -> None:
+    talk = Talk("go to the hydrant").say("there is a hydrant").say("there is a hydrant")
+    assert talk.kinds == [HYDRANT]
+    assert talk.said == {(0, NONE, NONE)}
+    talk.say("the hydrant is behind the cone")
+    assert all(relation == BEHIND for _, relation, _ in talk.said)
+
+
+def test_a_new_task_asks_for_nothing_else() -> None:
+    talk = Talk("go to the hydrant behind the cone").say("go to the car", is_new_task=True)
+    asked = np.asarray(talk.words.is_asked)[0, : len(talk.kinds)]
+    assert [kind for kind, one in zip(talk.kinds, asked, strict=True) if one] == [CAR]
+    assert len(talk.kinds) == 3
+
+
+def test_constraints_mark_what_is_avoided() -> None:
+    talk = Talk("go to the hydrant").say("avoid the cone and the car", is_asked=False)
+    avoid = dict(zip(talk.kinds, np.asarray(talk.words.avoid)[0].tolist(), strict=False))
+    assert avoid == {HYDRANT: 0, CONE: AVOID_ALL, CAR: AVOID_ALL}
+    talk = Talk("go to the hydrant").say("avoid the cone behind the car", is_asked=False)
+    avoid = dict(zip(talk.kinds, np.asarray(talk.words.avoid)[0].tolist(), strict=False))
+    assert avoid == {HYDRANT: 0, CONE: AVOID_IT, CAR: 0}
+    assert not np.asarray(talk.words.is_asked)[0, talk.kinds.index(CONE)]
+
+
+def test_the_robot_is_one_thing_and_its_sides_are_where_it_was() -> None:
+    talk = Talk("go to the cone on your left").say("the cone on your left is near the car")
+    assert talk.kinds.count(ROBOT) == 1
+    # "On your left" said from elsewhere may be said of another cone.
+    assert talk.kinds.count(CONE) == 2
+    assert sum(relation == LEFT for _, relation, _ in talk.said) == 2
+
+
+def test_neither_goal_nor_what_is_avoided_is_ever_dropped() -> None:
+    talk = Talk("go to the bench").say("avoid the cone", is_asked=False)
+    for side in ("left of", "behind", "in front of", "near", "right of"):
+        for thing in ("hydrant", "barrel"):
+            talk.say(f"the {thing} is {side} the car", is_asked=False)
+    assert len(talk.said) == Capacity().num_relations
+    assert CONE in talk.kinds
+    assert int(talk.words.goal[0, 0]) != NONE
+    assert int(talk.words.num_dropped) > 0
+
+
+def test_doubts_multiply() -> None:
+    readings = by_hand.readings(
+        [[HYDRANT], [CONE]], [[(0, NONE, NONE, False)]] * 2, [0.7, 0.3], sizes=(4, 10, 8)
+    )
+    grounded = Talk("go to the car")
+    told = replace(grounded.ground("go to the car").instruction, readings=readings)
+    joined = join(
+        widen(readings, Capacity()), words_of(told, None),
+        replace(told, readings=by_hand.readings(
+            [[CAR], [HYDRANT]], [[(0, NONE, NONE, False)]] * 2, [0.6, 0.4], sizes=(4, 6, 4)
+        )),
+        None, is_new_task=False,
+    )  # fmt: skip
+    share = np.exp(np.asarray(joined.readings.log_probability))
+    np.testing.assert_allclose(share, [0.42, 0.28, 0.18, 0.12], rtol=1e-5)
+    kinds = [set(row[row != NONE]) for row in np.asarray(joined.readings.mention_type)]
+    assert kinds == [{HYDRANT, CAR}, {HYDRANT}, {CONE, CAR}, {CONE, HYDRANT}]
