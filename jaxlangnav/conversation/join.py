@@ -329,7 +329,6 @@ def _write(
     readings = {
         "mention_type": mention["kind"],
         **{name: edge[name] for name in ("figure", "relation", "landmark", "rank")},
-        "is_superlative": edge["rank"] == 1,
         "log_probability": log_probability,
     }
     words = {
