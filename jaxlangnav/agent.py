@@ -31,10 +31,13 @@ from jaxlangnav.planner.endings import missing_types
 from jaxlangnav.planner.own import Policy
 from jaxlangnav.planner.params import PlannerConfig
 from jaxlangnav.pytree import replace
+from jaxlangnav.semantic_map.params import MapConfig
 from jaxlangnav.semantic_map.soundness import check_place
 
 DEFAULT_EXTENT = 15.0
 """Metres to each side of the robot that are its operating area unless it is told otherwise."""
+OBJECTS, BYSTANDERS = 12, 64
+"""Things that a sentence may mean, and others, that are remembered: for places as they are."""
 
 _log = logging.getLogger(__name__)
 _step = jax.jit(navigator.step, static_argnames="config")
@@ -68,7 +71,10 @@ class Navigator:
         return cls(
             grounder=GraphGrounder(load_shipped()) if grounder is None else grounder,
             params=_params_anywhere(),
-            config=NavigatorConfig(planner=PlannerConfig(policy=policy)),
+            config=NavigatorConfig(
+                map=MapConfig(num_objects=OBJECTS, num_bystanders=BYSTANDERS),
+                planner=PlannerConfig(policy=policy),
+            ),
         )
 
     def __post_init__(self) -> None:

@@ -26,6 +26,7 @@ from jaxlangnav.messages import (
     Status,
     default_sensor,
 )
+from jaxlangnav.numerics.batching import row_of
 from jaxlangnav.planner import graph, policy, search, tours
 from jaxlangnav.planner.constraints import constraint_cost
 from jaxlangnav.planner.endings import chance_left
@@ -343,8 +344,20 @@ def _observe(
         params=map_params,
         is_sparse=True,
         farthest=farthest,
+        spoken=_spoken(state) if config.map.num_bystanders else None,
     )
     return replace(state, belief=belief), info
+
+
+def _spoken(state: NavigatorState) -> Array:
+    """Tell of which types the task speaks, or the goal before was: bool[T]."""
+    told, slots = state.instruction, state.belief.particles.object_type
+    spoken = jnp.any(told.program.own, axis=(0, 1))
+    types = jnp.arange(spoken.shape[0])
+    before = row_of(slots, jnp.maximum(state.previous_goal, 0))[0]
+    before = jnp.where(state.previous_goal == NONE, NONE, before)
+    named = jnp.append(told.readings.mention_type, before)
+    return spoken | jnp.any(named[:, None] == types[None], axis=0)
 
 
 def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> _Outlook:

@@ -121,6 +121,7 @@ _KNOWN: dict[str, dict[str, Quantity]] = {
     },
     "map": {
         "concentration": Quantity(is_low_open=True),
+        "clumping": Quantity(),
         "kernel": LENGTH,
         "superlative_softness": LENGTH,
         "misleading": SHARE,

@@ -49,7 +49,7 @@ _DEAD = 1e6
 """Cost of a hypothesis that does not exist."""
 _PAIRS = ((0, 0), (0, 1), (0, 2), (0, 3), (1, 0), (1, 1), (2, 0), (3, 0))
 """Pairs of two sorted lists of four among which the four best sums are."""
-MAX_SLOTS = 15
+MAX_SLOTS = 31
 """Object slots, the robot's included: a bit mask and a sorted list of factors hold them."""
 ROOT = -1
 """Row of the root in a program: the last one, however many phrases there are."""
@@ -312,7 +312,7 @@ def infer_behaviors(
 
     Args:
         program: one clause.
-        worlds: the particles' objects, leaves [..., P]; at most 15 slots with the robot's.
+        worlds: the particles' objects, leaves [..., P]; at most 31 slots with the robot's.
         num_phrases: how many phrases to infer, at least those of the program. It is a trip
             count, so padding costs nothing; a batch of episodes takes the largest.
 

@@ -48,7 +48,11 @@ class Association(NamedTuple):
 
 
 def associate(
-    particle: SemanticMap, detections: Detections, uniform: Array, noise_variance: Array
+    particle: SemanticMap,
+    detections: Detections,
+    uniform: Array,
+    noise_variance: Array,
+    growth: Array | float = 0.0,
 ) -> Association:
     """Ground each detection in an existing object or in a new one (eq. 7b).
 
@@ -62,6 +66,7 @@ def associate(
         detections: f32[D] each.
         uniform: f32[D, ...], uniform draws in [0, 1).
         noise_variance: f32[], R, square metres per axis.
+        growth: f32[], by how much more of λ each thing of the type that is held makes it (κ / α).
 
     Returns:
         The grounding and its weight.
@@ -81,7 +86,8 @@ def associate(
         object_type, is_hit, is_new, offset_x, offset_y, log_weight, overflow = so_far
         log_existing = gaussian.log_normal_isotropic(z_x - predicted_x, z_y - predicted_y, spread)
         may_be = (object_type == z_type) & ~is_hit
-        log_new = jnp.broadcast_to(log_new, (1, *log_weight.shape))
+        number = jnp.sum(object_type == z_type, axis=0)
+        log_new = (log_new + jnp.log1p(growth * number))[None]
         choices = jnp.concatenate([jnp.where(may_be, log_existing, -jnp.inf), log_new])
         choice, log_total = categorical.draw(choices, chance)
         free = jnp.min(jnp.where(object_type == NONE, slots, num_objects), axis=0)

@@ -22,7 +22,9 @@ from jax import Array
 from jaxlangnav.messages import NONE
 from jaxlangnav.numerics.batching import lead, pick
 from jaxlangnav.relations import RelationModel, log_density_in_frame, sample_law, to_map
+from jaxlangnav.semantic_map.counts import log_expected
 from jaxlangnav.semantic_map.coverage import Coverage
+from jaxlangnav.semantic_map.params import MapParams
 from jaxlangnav.semantic_map.said import FIGURE, LANDMARK, Said
 
 NUM_UNSEEN = 2
@@ -86,6 +88,7 @@ class Candidates(NamedTuple):
     x: Array  # f32[2, O + 1, ...] metres; the last entry is the place already decided
     y: Array  # f32[2, O + 1, ...]
     log_prior: Array  # f32[2, O + 1, ...] −∞ where it is no candidate
+    log_alike: Array  # f32[...] what two observed ends of one type weigh more than each by itself
     is_open: Array  # bool[2, ...] nothing decided: may also be a new object
     earlier: Grounding  # what they refer to already, leaves [2, ...]
 
@@ -180,7 +183,7 @@ def meaning(num_objects: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def list_candidates(
-    seen: Seen, said: Said, grounding: Grounding, scene: Scene, concentration: Array
+    seen: Seen, said: Said, grounding: Grounding, scene: Scene, params: MapParams
 ) -> Candidates:
     """List what the ends may be: what has been decided, or each seen object of their types.
 
@@ -189,7 +192,7 @@ def list_candidates(
         said: the relation.
         grounding: what earlier relations have decided.
         scene: area and viewer.
-        concentration: f32[], α.
+        params: concentration, clumping.
 
     Returns:
         The candidates.
@@ -199,8 +202,15 @@ def list_candidates(
     # With the robot as the landmark, or with none, the figure stands against the viewer.
     is_viewer = jnp.stack([jnp.zeros_like(said.is_by_object), ~said.is_by_object])
     is_open = ~is_viewer & ~earlier.is_grounded
-    log_bystander = scene.log_area - jnp.log(concentration)  # 1/λ
-    fits = (seen.object_type[None] == said.kind[:, None]) & is_open[:, None]
+    is_kind = seen.object_type[None] == said.kind[:, None]
+    fits = is_kind & is_open[:, None]
+    # Of those of its type that have been seen all but one are bystanders; of a pair all but two.
+    number, unseen = jnp.sum(is_kind, axis=1), jnp.exp(lead(scene.log_unseen, is_open.ndim))
+    log_one, log_two = (
+        log_expected(jnp.maximum(number - but, 0), unseen, params) for but in (1, 2)
+    )
+    log_bystander = lead(scene.log_area, is_open.ndim) - log_one  # 1/λ
+    is_alike = said.kind[FIGURE] == said.kind[LANDMARK]
 
     def append(objects: Array, place: Array) -> Array:
         objects = jnp.broadcast_to(objects, fits.shape)
@@ -211,9 +221,10 @@ def list_candidates(
         x=append(seen.x[None], jnp.where(is_viewer, viewer_x, earlier.x)),
         y=append(seen.y[None], jnp.where(is_viewer, viewer_y, earlier.y)),
         log_prior=append(
-            jnp.where(fits, lead(log_bystander, fits.ndim), -jnp.inf),
+            jnp.where(fits, log_bystander[:, None], -jnp.inf),
             jnp.where(is_open, -jnp.inf, 0.0),
         ),
+        log_alike=jnp.where(is_alike, (log_one - log_two)[FIGURE], 0.0),
         is_open=is_open,
         earlier=earlier,
     )

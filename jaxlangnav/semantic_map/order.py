@@ -19,6 +19,7 @@ from jaxlangnav.messages import FAR
 from jaxlangnav.numerics.batching import apart, lead
 from jaxlangnav.relations import degree, is_on_side, robot_frame
 from jaxlangnav.semantic_map.candidates import Draws, Pairs, Scene, Seen
+from jaxlangnav.semantic_map.counts import log_expected
 from jaxlangnav.semantic_map.params import MapParams
 from jaxlangnav.semantic_map.said import FIGURE, Said
 
@@ -119,7 +120,9 @@ def _log_order(
     before = jnp.sum(is_rival & (rival < own[None] - _TIE), axis=0)
     is_alone = ~jnp.any(is_rival & (jnp.abs(rival - own[None]) > _TIE), axis=0) & (rank == 1)
     lacking = jnp.maximum(rank - 1 - before, 0)
-    log_new = lead(jnp.log(PLURAL * params.concentration) + scene.log_unseen, own.ndim)
+    others = jnp.maximum(jnp.sum(is_kind, axis=0) - 1, 0)
+    log_more = log_expected(others, jnp.exp(lead(scene.log_unseen, others.ndim)), params)
+    log_new = lead(jnp.log(PLURAL) + log_more, own.ndim) + lead(scene.log_unseen, own.ndim)
 
     def log_there(is_there: Array) -> Array:
         share = jnp.mean(counts[num_seen:num_others] & is_there, axis=0)
