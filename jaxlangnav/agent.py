@@ -72,7 +72,7 @@ class Navigator:
             grounder=GraphGrounder(load_shipped()) if grounder is None else grounder,
             params=_params_anywhere(),
             config=NavigatorConfig(
-                map=MapConfig(num_objects=OBJECTS, num_bystanders=BYSTANDERS),
+                map=MapConfig(num_objects=OBJECTS, num_bystanders=BYSTANDERS, has_doubts=True),
                 planner=PlannerConfig(policy=policy),
             ),
         )

@@ -10,6 +10,7 @@ Axis letters, for the whole package: **E** episodes, **P** particles, **N** obje
 **D** detections, **A** actions (graph nodes), **G** coverage cells a side, **T** time.
 """
 
+import dataclasses
 import enum
 
 import jax.numpy as jnp
@@ -29,6 +30,10 @@ NONE = -1
 """Sentinel: no relation, no mention, no slot."""
 ROBOT = -2
 """Sentinel type of the robot itself, where it is the landmark ("on your left")."""
+
+
+def _none() -> Array:
+    return jnp.float32(0.0)
 
 
 class Fault(enum.IntFlag):
@@ -119,6 +124,10 @@ class SensorParams:
     field_of_view: Array  # f32[] radians, full opening angle, centred on the heading; 2π: all round
     detection_probability: Array  # f32[] in [0, 1]
     noise: Array  # f32[] metres, standard deviation of a relative position, each axis
+    false_detections: Array = dataclasses.field(default_factory=_none)  # f32[] expected in one
+    # look, of each type, anywhere in view
+    mislabelled: Array = dataclasses.field(default_factory=_none)  # f32[] in [0, 1), probability
+    # that a detection names another type than the thing's, any of them
 
 
 @pytree

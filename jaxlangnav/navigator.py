@@ -398,7 +398,9 @@ def _decide(
     if config.planner.policy == "informed":
         unseen = search.search_map(belief, params.planner.prior_share)
         plan_key = jax.random.fold_in(key, _PLANNING)
-        chance = chance_left(unseen.unseen, params.map.concentration, params.map.misleading)
+        chance = chance_left(
+            unseen.unseen, params.map.concentration, params.map.misleading, params.map.clumping
+        )
         plan = tours.plan(plan_key, state.tour, unseen, *robot, range_max, belief.coverage.area)
         first_stops = plan.tours.x[:, 0], plan.tours.y[:, 0]
     nodes = graph.nodes(

@@ -185,6 +185,8 @@ def sensor_of(scenario: Scenario) -> Any:
         field_of_view=jnp.float32(2 * np.pi),
         detection_probability=jnp.float32(1.0 - scenario.misses),
         noise=jnp.float32(0.1),
+        false_detections=jnp.float32(scenario.ghosts / 2.0),
+        mislabelled=jnp.float32(scenario.wrong_labels),
     )
 
 

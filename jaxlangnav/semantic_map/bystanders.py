@@ -18,10 +18,13 @@ from jax import Array
 from jaxlangnav.messages import NONE, Observation
 from jaxlangnav.numerics.batching import column, row_of
 from jaxlangnav.pytree import pytree, replace
-from jaxlangnav.semantic_map.particle import SemanticMap
+from jaxlangnav.semantic_map.particle import SemanticMap, clear
 
 _DEVIATIONS = 5.0
 """Standard deviations within which two sightings of one type are of one thing."""
+
+_REMEMBERED = 0.95
+"""Probability that what the list holds exists, where that is in doubt: looks will tell."""
 
 
 @pytree
@@ -164,6 +167,9 @@ def promote(
         known, _ = _enter(known, Sighting(kind, x, y, spread, is_there))
         return held, known
 
+    def put_away(held: SemanticMap) -> SemanticMap:
+        return clear(held, held.is_observed & ~is_spoken_of(held.object_type, spoken))
+
     def bring_in(_: Array, both: tuple[SemanticMap, Bystanders]) -> tuple[SemanticMap, Bystanders]:
         held, known = both
         is_meant = is_spoken_of(known.object_type, spoken)
@@ -183,23 +189,10 @@ def promote(
     rounds = jnp.where(is_told, num_objects, 0)
     both = jax.lax.fori_loop(0, rounds, put_aside, (particles, known))
     both = jax.lax.fori_loop(
-        0, jnp.where(is_told, 1, 0), lambda _, now: (_clear(now[0], spoken), now[1]), both
+        0, jnp.where(is_told, 1, 0), lambda _, now: (put_away(now[0]), now[1]), both
     )
     rounds = jnp.where(is_told, jnp.sum(is_spoken_of(known.object_type, spoken)), 0)
     return jax.lax.fori_loop(0, rounds, bring_in, both)
-
-
-def _clear(particles: SemanticMap, spoken: Array) -> SemanticMap:
-    """Empty the slots of things that the task speaks of no more."""
-    is_odd = particles.is_observed & ~is_spoken_of(particles.object_type, spoken)
-    gone = jnp.concatenate([is_odd, jnp.zeros_like(is_odd[:1])])
-    return replace(
-        particles,
-        object_type=jnp.where(is_odd, NONE, particles.object_type),
-        covariance=jnp.where(gone[:, None] | gone[None], 0.0, particles.covariance),
-        mean_x=jnp.where(gone, 0.0, particles.mean_x),
-        mean_y=jnp.where(gone, 0.0, particles.mean_y),
-    )
 
 
 def _hold(particles: SemanticMap, thing: Bystanders, is_there: Array) -> SemanticMap:
@@ -217,4 +210,7 @@ def _hold(particles: SemanticMap, thing: Bystanders, is_there: Array) -> Semanti
         covariance=jnp.where(own & here[:, None], thing.variance, covariance),
         mean_x=jnp.where(here, thing.x, particles.mean_x),
         mean_y=jnp.where(here, thing.y, particles.mean_y),
+        existence=jnp.where(is_slot, _REMEMBERED, particles.existence)
+        if particles.existence.shape[0]
+        else particles.existence,
     )

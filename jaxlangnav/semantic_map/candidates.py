@@ -47,6 +47,7 @@ class Seen(NamedTuple):
     object_type: Array  # i32[O, ...] NONE in empty slots
     x: Array  # f32[O, ...] metres, map frame
     y: Array  # f32[O, ...]
+    existence: Array | None = None  # f32[O, ...] probability that it exists; None: all of it does
 
 
 class Scene(NamedTuple):
@@ -209,7 +210,13 @@ def list_candidates(
     log_one, log_two = (
         log_expected(jnp.maximum(number - but, 0), unseen, params) for but in (1, 2)
     )
-    log_bystander = lead(scene.log_area, is_open.ndim) - log_one  # 1/λ
+    log_bystander = (lead(scene.log_area, is_open.ndim) - log_one)[:, None]  # 1/λ
+    if seen.existence is not None:
+        real = jnp.where(is_kind, seen.existence[None], 0.0)
+        others = jnp.maximum(jnp.sum(real, axis=1, keepdims=True) - real, 0.0)
+        log_others = log_expected(others, unseen[:, None], params)
+        log_bystander = lead(scene.log_area, fits.ndim) - log_others
+        log_bystander = log_bystander + jnp.log(jnp.maximum(seen.existence, 1e-9))[None]
     is_alike = said.kind[FIGURE] == said.kind[LANDMARK]
 
     def append(objects: Array, place: Array) -> Array:
@@ -221,7 +228,7 @@ def list_candidates(
         x=append(seen.x[None], jnp.where(is_viewer, viewer_x, earlier.x)),
         y=append(seen.y[None], jnp.where(is_viewer, viewer_y, earlier.y)),
         log_prior=append(
-            jnp.where(fits, log_bystander[:, None], -jnp.inf),
+            jnp.where(fits, log_bystander, -jnp.inf),
             jnp.where(is_open, -jnp.inf, 0.0),
         ),
         log_alike=jnp.where(is_alike, (log_one - log_two)[FIGURE], 0.0),

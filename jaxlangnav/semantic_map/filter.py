@@ -18,7 +18,7 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.grounding.program import NUM_TYPES
-from jaxlangnav.messages import NONE, Fault, Observation, Readings
+from jaxlangnav.messages import Fault, Observation, Readings
 from jaxlangnav.numerics import batching, categorical
 from jaxlangnav.numerics.batching import take
 from jaxlangnav.numerics.resampling import effective_sample_size, independent, systematic
@@ -36,6 +36,9 @@ from jaxlangnav.semantic_map.surprise import CONTRADICTION, surprise
 _ASKED = 16
 """Particles that ground the words at every step, whatever happens: enough to tell the mean of the
 evidence, against which fresh groundings are weighed."""
+
+LEAST_EXISTENCE = 0.02
+"""Probability below which a thing that was detected is taken not to exist, and forgotten."""
 
 
 @pytree
@@ -72,7 +75,9 @@ def start(
         The belief; words are grounded at the first step.
     """
     pose, area, is_placed = sound_place(pose, area)
-    one = particle.empty(config.num_objects, num_mentions, pose[0], pose[1])
+    one = particle.empty(
+        config.num_objects, num_mentions, pose[0], pose[1], has_doubts=config.has_doubts
+    )
     number = config.num_particles
     return ParticleBelief(
         particles=jax.tree.map(
@@ -149,6 +154,7 @@ class Weighed(NamedTuple):
     log_hypotheses: Array  # f32[P] what that of a particle with its words is above it: absence of
     # what is hypothesised, and bystanders that are none
     is_new: Array  # bool[O, P] slots that were entered
+    is_lost: Array | None  # bool[P] what its words refer to does not exist; None: all of it does
     overflow: Array  # i32[P] detections that found no free slot
     surprise: Array  # f32[] nats by which the observation is less probable than one that fits
 
@@ -177,28 +183,58 @@ def observe(
     heading, sensor = observation.pose[2], observation.sensor
     noise_variance = jnp.maximum(sensor.noise, association.MIN_NOISE) ** 2
     growth = params.clumping / params.concentration
-    grounded = association.associate(belief.particles, detections, uniform, noise_variance, growth)
+    has_doubts, doubt = belief.particles.existence.shape[0] > 0, None
+    if has_doubts:
+        right = sensor.detection_probability * (1.0 - sensor.mislabelled)
+        sensor = replace(sensor, detection_probability=right)
+        doubt = association.doubt_of(sensor, belief.num_types)
+    grounded = association.associate(
+        belief.particles, detections, uniform, noise_variance, growth, doubt
+    )
     particles = association.condition(belief.particles, grounded, noise_variance)
-    belief = replace(belief, particles=particles)
+    believed, belief = belief.particles, replace(belief, particles=particles)
     robot_x, robot_y = robot_position(belief)
     before, coverage = belief.coverage, look(belief.coverage, robot_x, robot_y, heading, sensor)
-    log_objects, log_hypotheses = association.log_absence(
+    log_objects, log_hypotheses, existence = association.log_absence(
         particles, grounded.is_hit, heading, 2.5 * params.kernel + 1e-3, sensor
     )
     # What is looked at and shows no more of a type tells against there being many.
     exposure = log_exposure(share_unseen(coverage), params)
     exposure = exposure - log_exposure(share_unseen(before), params)
-    is_meant = particles.is_mentioned & (particles.referent != NONE)
+    is_meant, is_lost = believed.is_meant, None
     log_map = grounded.log_weight + log_objects - exposure * jnp.sum(particles.is_observed, axis=0)
     log_meant = exposure * jnp.sum(is_meant, axis=0)  # … of which these are no bystanders
+    if has_doubts:
+        log_kept = jnp.log(jnp.maximum(existence, 1e-9) / jnp.maximum(believed.existence, 1e-9))
+        log_meant = log_meant + jnp.sum(jnp.where(is_meant, log_kept, 0.0), axis=0)
+        particles, is_lost = _forget(replace(particles, existence=existence))
+        belief = replace(belief, particles=particles)
     log_new = jnp.log(params.concentration) - jnp.log(area_size(coverage))
     return replace(belief, coverage=coverage), Weighed(
         log_map=log_map,
         log_hypotheses=jnp.sum(log_hypotheses, axis=0) + log_meant,
         is_new=grounded.is_new,
+        is_lost=is_lost,
         overflow=grounded.overflow,
         surprise=surprise(belief.log_weight, grounded, log_map, log_new, noise_variance),
     )
+
+
+def _forget(particles: SemanticMap) -> tuple[SemanticMap, Array]:
+    """Empty the slots of what hardly exists, in all particles: slots stay of one thing.
+
+    Returns:
+        The particles, and bool[P], whose words refer to such a thing.
+    """
+    is_held = particles.is_observed
+    is_false = ~is_held | (particles.existence < LEAST_EXISTENCE)
+    is_gone = is_held & jnp.all(is_false, axis=-1, keepdims=True)
+    is_lost = jnp.any(is_gone & particles.is_meant, axis=0)
+    # Most looks empty none.
+    rounds = jnp.any(is_gone).astype(jnp.int32)
+    return jax.lax.fori_loop(
+        0, rounds, lambda _, held: particle.clear(held, is_gone), particles
+    ), is_lost
 
 
 class Regrounded(NamedTuple):
@@ -249,6 +285,7 @@ def reground(
     must_ground = belief.must_ground | mentioned
     keep_uniform, ancestor_uniform = uniform
     is_fresh = must_ground | (keep_uniform > kept_weight * number)
+    is_fresh = is_fresh if weighed.is_lost is None else is_fresh | weighed.is_lost
     # A refuted particle is replaced as a whole: it takes over the map of a particle drawn by
     # weight, so that a wrong map dies out, and then grounds the words in it.
     ancestors = independent(kept_weight, ancestor_uniform)

@@ -93,7 +93,7 @@ def _excess(said: Said, pairs: Pairs, seen: Seen, num_known: int) -> Array:
     own = merit(pairs.x - pairs.landmark_x, pairs.y - pairs.landmark_y)
     at_x, at_y = (leaf[num_known * num_known :] for leaf in (pairs.landmark_x, pairs.landmark_y))
     x, y = apart(seen.x, own.ndim + 1), apart(seen.y, own.ndim + 1)
-    is_rival = apart(seen.object_type == said.kind[FIGURE][None], own.ndim + 1)
+    is_rival = apart(_is_rival(seen, said), own.ndim + 1)
     rival = merit(x - at_x[None], y - at_y[None])  # [O, landmarks, ...]
     best = jnp.min(jnp.where(is_rival, rival, jnp.inf), axis=0)
     best = jnp.minimum(own, jnp.concatenate([*[best[:num_known]] * num_known, best]))
@@ -112,7 +112,7 @@ def _log_order(
     others = (apart(part[:num_others], own.ndim + 1) for part in (x, y))
     merit, counts = _merit(said, pairs, scene, *others), apart(is_where_said, own.ndim + 1)
     rival, unseen = merit[:num_seen], merit[num_seen:]  # [O, n, ...] and [NUM_UNSEEN, n, ...]
-    is_kind = seen.object_type == said.kind[FIGURE][None]
+    is_kind = _is_rival(seen, said)
     is_rival = counts[:num_seen] & apart(is_kind, rival.ndim)
     rank = said.rank[None]
     excess = jnp.maximum(own - _of_rank(rank, jnp.where(is_rival, rival, jnp.inf)), 0.0)
@@ -132,6 +132,12 @@ def _log_order(
     price = price + jnp.where(is_alone, log_there(unseen > own[None]), 0.0)
     price = price + jnp.where(is_where_said[num_others:], 0.0, jnp.log(_OFF_SIDE))
     return price - excess / params.superlative_softness
+
+
+def _is_rival(seen: Seen, said: Said) -> Array:
+    """Tell what figures are compared with: of their type, and likelier there than not."""
+    is_kind = seen.object_type == said.kind[FIGURE][None]
+    return is_kind if seen.existence is None else is_kind & (seen.existence > 0.5)
 
 
 def _merit(said: Said, pairs: Pairs, scene: Scene, x: Array, y: Array) -> Array:

@@ -35,6 +35,9 @@ class MapConfig:
     num_bystanders: int = 0
     """Things of types not spoken of that are remembered; 0: all that is seen takes a slot."""
 
+    has_doubts: bool = False
+    """Whether what is detected may not exist, as ``SensorParams`` says; else all of it does."""
+
     def __post_init__(self) -> None:
         """Refuse sizes the filter cannot work with."""
         least_sizes = {"num_particles": 2, "num_objects": 1, "num_cells": 4, "num_bystanders": 0}

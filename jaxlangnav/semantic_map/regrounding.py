@@ -81,7 +81,10 @@ def ground_words(
     num_objects = particles.object_type.shape[0]
     log_area = jnp.log(area_size(belief.coverage))
     seen = Seen(
-        particles.object_type, particles.mean_x[:num_objects], particles.mean_y[:num_objects]
+        particles.object_type,
+        particles.mean_x[:num_objects],
+        particles.mean_y[:num_objects],
+        particles.existence if particles.existence.shape[0] else None,
     )
     own = seen, draws, reading
     told = listen(readings, params.relations, log_area)

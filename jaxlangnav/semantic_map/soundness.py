@@ -37,6 +37,8 @@ VIEWS = (1e-3, 2.0 * np.pi + 1e-3)
 """Radians, narrowest and widest field of view."""
 TURNS = 4.0 * np.pi
 """Radians of a bearing, either way; headings that are not wrapped make it more than half a turn."""
+MOST_FALSE = 100.0
+"""False detections of one type expected in a look."""
 DEVIATIONS = 6.0
 """Standard deviations of the noise by which a detection may lie out of range or out of view."""
 
@@ -122,6 +124,8 @@ def _is_sensor(sensor: SensorParams) -> Array:
         & _is_between(sensor.detection_probability, 0.0, 1.0)
         # What errs by more than it sees far tells nothing.
         & _is_between(sensor.noise, 0.0, sensor.range_max)
+        & _is_between(sensor.false_detections, 0.0, MOST_FALSE)
+        & _is_between(sensor.mislabelled, 0.0, 0.99)
     )
 
 
