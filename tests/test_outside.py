@@ -9,6 +9,7 @@ import jaxlangnav
 RIGHT = {
     "plain": 0.99,
     "false": 0.99,
+    "pairs_3": 0.98,
     "misses": 0.98,
     "bystanders": 0.995,
     "ghosts_2": 0.99,
