@@ -10,6 +10,8 @@ RIGHT = {
     "plain": 0.99,
     "false": 0.99,
     "pairs_3": 0.98,
+    "pairs_5": 0.98,
+    "crowd": 0.97,
     "misses": 0.98,
     "bystanders": 0.995,
     "ghosts_2": 0.99,
