@@ -38,11 +38,18 @@ from jaxlangnav.plain_text import cut
 from jaxlangnav.planner.config import AnyPolicy, PlannerConfig
 from jaxlangnav.planner.endings import missing_types
 from jaxlangnav.pytree import replace
+from jaxlangnav.semantic_map.params import MapConfig
 from jaxlangnav.semantic_map.soundness import check_place
 from jaxlangnav.terrain import OPEN, Terrain
 
 DEFAULT_EXTENT = 15.0
 """Metres to each side of the robot that are its operating area unless it is told otherwise."""
+OBJECTS, BYSTANDERS = 12, 64
+"""Things that a sentence may mean, and others, that are remembered: for places as they are."""
+CLUMPING, MISLEADING = 1.0, 0.01
+"""How many things there are is not known, and a sentence is rather taken to speak of another of
+them than to be false: in 14 × 18 m with two further pairs 197 of 200 arrive (180 with the numbers
+of the tables), and a false sentence costs 37.5 m (34.9)."""
 
 _log = logging.getLogger(__name__)
 
@@ -82,8 +89,9 @@ class Navigator:
                 recompile.
 
         Returns:
-            The navigator, with default parameters and sizes, but without the search prior that was
-            learned in the template worlds (``prior_share`` 0).
+            The navigator, with parameters and sizes for places as they are: without the search
+            prior that was learned in the template worlds (``prior_share`` 0), with room for
+            bystanders, and in doubt about how many things there are and whether they exist.
 
         Raises:
             ValueError: no such policy or an object that is none; no such number or one that cannot
@@ -96,7 +104,10 @@ class Navigator:
         return cls(
             grounder=grounder,
             params=_with_numbers(_params_anywhere(), numbers),
-            config=NavigatorConfig(planner=PlannerConfig(policy=policy)),
+            config=NavigatorConfig(
+                map=MapConfig(num_objects=OBJECTS, num_bystanders=BYSTANDERS, has_doubts=True),
+                planner=PlannerConfig(policy=policy),
+            ),
         )
 
     def __post_init__(self) -> None:
@@ -398,5 +409,8 @@ def _with_numbers(params: NavigatorParams, numbers: Mapping[str, float]) -> Navi
 def _params_anywhere() -> NavigatorParams:
     """Build the default numbers for places that are unlike the planner's training worlds."""
     params = navigator.default_params()
+    believed = replace(
+        params.map, clumping=jnp.float32(CLUMPING), misleading=jnp.float32(MISLEADING)
+    )
     planner = replace(params.planner, prior_share=jnp.float32(0.0))
-    return replace(params, planner=planner)
+    return replace(params, map=believed, planner=planner)

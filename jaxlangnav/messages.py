@@ -10,6 +10,7 @@ Axis letters, for the whole package: **E** episodes, **P** particles, **N** obje
 **D** detections, **A** actions (graph nodes), **G** coverage cells a side, **T** time.
 """
 
+import dataclasses
 import enum
 from collections.abc import Iterable, Sequence
 from typing import Any, Self
@@ -34,6 +35,10 @@ NONE = -1
 """Sentinel: no relation, no mention, no slot."""
 ROBOT = -2
 """Sentinel type of the robot itself, where it is the landmark ("on your left")."""
+
+
+def _none() -> Array:
+    return jnp.float32(0.0)
 
 
 class Fault(enum.IntFlag):
@@ -136,6 +141,14 @@ class SensorParams:
     )
     detection_probability: Array = field("in [0, 1]")  # f32[]
     noise: Array = field("metres, standard deviation of a relative position, each axis")  # f32[]
+    false_detections: Array = field(  # f32[]
+        "false detections expected in one look, of each type, anywhere in view",
+        default_factory=_none,
+    )
+    mislabelled: Array = field(  # f32[]
+        "in [0, 1), probability that a detection names another type than the thing's, any of them",
+        default_factory=_none,
+    )
 
 
 @pytree
@@ -196,7 +209,7 @@ class Observation:
                 "as of default_sensor(range_max)"
             )
         numbers = sensing.sensor_numbers(
-            given.range_max, given.field_of_view, given.detection_probability, given.noise
+            *(getattr(given, one.name) for one in dataclasses.fields(given))
         )
         found = sensing.detected(detections, numbers, types)
         return cls(
@@ -243,13 +256,8 @@ def _on_host(value: Any) -> Any:
 
 def _sensor(numbers: Sequence[np.float32]) -> SensorParams:
     """Put the numbers of a specification in their places."""
-    range_max, field_of_view, detection_probability, noise = map(jnp.asarray, numbers)
-    return SensorParams(
-        range_max=range_max,
-        field_of_view=field_of_view,
-        detection_probability=detection_probability,
-        noise=noise,
-    )
+    names = [one.name for one in dataclasses.fields(SensorParams)]
+    return SensorParams(**dict(zip(names, map(jnp.asarray, numbers), strict=True)))
 
 
 def default_sensor(
@@ -258,16 +266,21 @@ def default_sensor(
     field_of_view: float = 2.0 * np.pi,
     detection_probability: float = 0.95,
     noise: float = 0.1,
+    false_detections: float = 0.0,
+    mislabelled: float = 0.0,
 ) -> SensorParams:
-    """Build a detector: by default 95 % detection, 0.1 m noise, all round.
+    """Build a detector: by default 95 % detection, 0.1 m noise, all round, never wrong.
 
-    The specification matters: what is not seen where it would have been is evidence.
+    The specification matters: what is not seen where it would have been is evidence, and what is
+    seen is as good as the detector is said to be.
 
     Args:
         range_max: sensing range, metres.
         field_of_view: full opening angle centred on the heading, radians.
         detection_probability: of a thing in view in one look, from 0 to 1.
         noise: metres, standard deviation of a relative position on each axis.
+        false_detections: expected in one look, of each type, anywhere in view.
+        mislabelled: share of detections that name another type than the thing's.
 
     Returns:
         The specification as f32 scalars.
@@ -275,7 +288,11 @@ def default_sensor(
     Raises:
         ValueError: degrees, percent, or what cannot be; one line.
     """
-    return _sensor(sensing.sensor_numbers(range_max, field_of_view, detection_probability, noise))
+    return _sensor(
+        sensing.sensor_numbers(
+            range_max, field_of_view, detection_probability, noise, false_detections, mislabelled
+        )
+    )
 
 
 def default_motion() -> MotionParams:

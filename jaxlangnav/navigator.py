@@ -17,7 +17,7 @@ from jax import Array
 from jaxlangnav import conversation
 from jaxlangnav.conversation import Conversation, Words
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.kinds import MOST_LABELS
+from jaxlangnav.kinds import MOST_LABELS, label_of
 from jaxlangnav.messages import (
     ACTIONS,
     NONE,
@@ -304,8 +304,24 @@ def _observe(
         told=state.talk.told,
         is_sparse=True,
         farthest=farthest,
+        spoken=_spoken(state) if config.map.num_bystanders else None,
     )
     return replace(state, belief=belief), info
+
+
+def _spoken(state: NavigatorState) -> Array:
+    """Tell of which types the task speaks, or what was gone up to is: bool[T]."""
+    told, slots = state.instruction, state.belief.particles.object_type
+
+    def type_at(slot: Array) -> Array:
+        return jnp.where(slot == NONE, NONE, row_of(slots, jnp.maximum(slot, 0))[0])
+
+    gone_to = [type_at(state.previous_goal), type_at(state.talk.approached)]
+    words = told.program.own.reshape(-1), told.readings.mention_type.reshape(-1)
+    named = label_of(jnp.concatenate([*words, jnp.stack(gone_to)]))
+    # What is negative, such as NONE, falls out of the table.
+    index = jnp.where(named < 0, MOST_LABELS, named)
+    return jnp.zeros(MOST_LABELS, bool).at[index].set(True, mode="drop")
 
 
 def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> _Outlook:

@@ -24,6 +24,8 @@ DEVIATIONS = 6.0
 """Standard deviations of the noise by which a detection may lie out of range or out of view."""
 MIN_NOISE = 0.01
 """Metres; a sensor without noise is taken to be this good, so that no division is by zero."""
+MOST_FALSE, MOST_WRONG = 100.0, 0.99
+"""False detections of one type expected in a look; share of wrong labels."""
 SLOTS = (8, 16, 32, 64)
 """Sizes to which detections are padded: each has a compiled program of its own."""
 
@@ -68,7 +70,12 @@ def _between(value: Any, low: float, high: float, what: str, remedy: str) -> flo
 
 
 def sensor_numbers(
-    range_max: Any, field_of_view: Any, detection_probability: Any, noise: Any
+    range_max: Any,
+    field_of_view: Any,
+    detection_probability: Any,
+    noise: Any,
+    false_detections: Any = 0.0,
+    mislabelled: Any = 0.0,
 ) -> tuple[np.float32, ...]:
     """Hold a detector's specification against what it can be.
 
@@ -77,9 +84,11 @@ def sensor_numbers(
         field_of_view: radians, full opening angle.
         detection_probability: from 0 to 1.
         noise: metres, standard deviation on each axis.
+        false_detections: expected in one look, of each type.
+        mislabelled: share of detections with a wrong type.
 
     Returns:
-        The four, in this order, as f32.
+        All of them, in this order, as f32.
 
     Raises:
         ValueError: names the value, the limits and the remedy.
@@ -90,7 +99,11 @@ def sensor_numbers(
     share = "give a share, 0.95 for 95 percent"
     seen = _between(detection_probability, 0.0, 1.0, "detection_probability", share)
     errs = _between(noise, 0.0, reach, "noise", "give metres, less than the range")
-    return np.float32(reach), np.float32(view), np.float32(seen), np.float32(errs)
+    most = "give how many to expect in one look"
+    false = _between(false_detections, 0.0, MOST_FALSE, "false_detections", most)
+    rate = "give a share, 0.1 for 10 percent"
+    wrong = _between(mislabelled, 0.0, MOST_WRONG, "mislabelled", rate)
+    return tuple(np.float32(one) for one in (reach, view, seen, errs, false, wrong))
 
 
 def pose_numbers(pose: Sequence[Any]) -> np.ndarray:
@@ -196,7 +209,7 @@ def detected(
     Raises:
         ValueError: names the detection, the value, the limit and the remedy.
     """
-    range_max, field_of_view, _, noise = (float(one) for one in sensor)
+    range_max, field_of_view, _, noise, *_ = (float(one) for one in sensor)
     if isinstance(detections, str) or not isinstance(detections, Iterable):
         raise ValueError(
             f"detections is {str(detections)[:40]!r}, but must be a list of (type, range, bearing)"

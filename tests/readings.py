@@ -76,12 +76,17 @@ def sensor(
 
 
 def params(
-    *, concentration: float = 0.3, odometry_noise: float = 0.02, threshold: float = 0.5
+    *,
+    concentration: float = 0.3,
+    odometry_noise: float = 0.02,
+    threshold: float = 0.5,
+    clumping: float = 0.0,
 ) -> MapParams:
     motion = MotionParams(step_length=jnp.float32(1.0), odometry_noise=jnp.float32(odometry_noise))
     return replace(
         default_map_params(),
         concentration=jnp.float32(concentration),
+        clumping=jnp.float32(clumping),
         resample_threshold=jnp.float32(threshold),
         motion=motion,
     )

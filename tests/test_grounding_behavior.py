@@ -251,8 +251,8 @@ def test_a_clause_that_does_not_exist_asks_for_nothing(model):
 
 def test_too_many_slots_are_refused(model):
     program = program_of("go to the hydrant", model)
-    world = to_device(world_of(["hydrant"]), 22)
-    with pytest.raises(ValueError, match="at most 21"):
+    world = to_device(world_of(["hydrant"]), 32)
+    with pytest.raises(ValueError, match="at most 31"):
         infer_behavior(program, world, num_phrases=3)
 
 

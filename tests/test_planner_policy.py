@@ -243,10 +243,17 @@ def test_the_chance_that_something_is_left_by_hand() -> None:
     for unseen in (1.0, 0.4, 0.02):
         there = np.sum(np.exp(-alpha) * (alpha * unseen) ** number / factorial) * (1 - epsilon)
         expected = there / (there + np.exp(-alpha) * epsilon)
-        found = chance_left(*(jnp.float32(one) for one in (unseen, alpha, epsilon)))
+        found = chance_left(*(jnp.float32(one) for one in (unseen, alpha, epsilon, 0.0)))
         assert float(found) == pytest.approx(expected, rel=1e-4)
+        # … and where the number is negative binomial, by its recursion.
+        clumping, shape = 2.0, alpha / 2.0
+        nobody = (1.0 + clumping) ** -shape
+        steps = (shape + np.arange(60)) / (1.0 + np.arange(60)) * clumping / (1.0 + clumping)
+        there = np.sum(nobody * np.cumprod(steps * unseen)) * (1 - epsilon)
+        found = chance_left(*(jnp.float32(one) for one in (unseen, alpha, epsilon, clumping)))
+        assert float(found) == pytest.approx(there / (there + nobody * epsilon), rel=1e-4)
     for unseen, doubt, expected in ((0.0, 0.05, 0.0), (0.1, 0.0, 1.0), (0.0, 0.0, 0.0)):
-        found = chance_left(jnp.float32(unseen), jnp.float32(alpha), jnp.float32(doubt))
+        found = chance_left(*(jnp.float32(one) for one in (unseen, alpha, doubt, 0.0)))
         assert float(found) == pytest.approx(expected, abs=1e-6)
 
 

@@ -43,7 +43,7 @@ def draw_offset(random: np.random.Generator, relation: int, landmark: np.ndarray
     return distance * np.array([np.cos(angle), np.sin(angle)])
 
 
-def draw_world(random: np.random.Generator, relation: int) -> Truth:
+def draw_world(random: np.random.Generator, relation: int, clumping: float) -> Truth:
     """Draw a world; figure and landmark both lie in the area, or it is drawn again."""
     while True:
         landmark, figure = random.uniform([X_MIN, Y_MIN], [X_MAX, Y_MAX], (2, 2))
@@ -51,7 +51,8 @@ def draw_world(random: np.random.Generator, relation: int) -> Truth:
             figure = landmark + draw_offset(random, relation, landmark)
         if not (X_MIN < figure[0] < X_MAX and Y_MIN < figure[1] < Y_MAX):
             continue
-        counts = random.poisson(ALPHA, 2)
+        rates = random.gamma(ALPHA / clumping, clumping, 2) if clumping else ALPHA
+        counts = random.poisson(rates, 2)
         if counts.sum() > by_hand.CONFIG.num_objects - 2:
             continue
         others = random.uniform([X_MIN, Y_MIN], [X_MAX, Y_MAX], (counts.sum(), 2))
@@ -86,7 +87,14 @@ def drive(random: np.random.Generator, world: Truth, reach: float, view: float):
     return by_hand.stack(looks)
 
 
-def simulate(relation: int, rounds: int, seed: int, reach: float = 3.0, view: float = 2 * np.pi):
+def simulate(
+    relation: int,
+    rounds: int,
+    seed: int,
+    reach: float = 3.0,
+    view: float = 2 * np.pi,
+    clumping: float = 0.0,
+):
     """Run rounds × SEEDS episodes.
 
     Returns the truths f64[E, 2], draws of the posterior f64[E, DRAWS, 2], and for each hydrant
@@ -94,10 +102,10 @@ def simulate(relation: int, rounds: int, seed: int, reach: float = 3.0, view: fl
     """
     random = np.random.default_rng(seed)
     sentence = by_hand.readings([[HYDRANT, CONE]], [[(0, relation, 1, False)]])
-    numbers = by_hand.params(concentration=ALPHA, odometry_noise=ODOMETRY)
+    numbers = by_hand.params(concentration=ALPHA, odometry_noise=ODOMETRY, clumping=clumping)
     truths, draws, believed, happened, start = [], [], [], [], 0
     for index in range(rounds):
-        worlds = [draw_world(random, relation) for _ in range(by_hand.SEEDS)]
+        worlds = [draw_world(random, relation, clumping) for _ in range(by_hand.SEEDS)]
         beliefs, _ = by_hand.run_many(
             jax.random.split(jax.random.key(seed + index), by_hand.SEEDS),
             by_hand.repeat(by_hand.begin(), by_hand.SEEDS),
@@ -171,6 +179,10 @@ def check(relation: int, rounds: int, seed: int, level: float, **sensor: float) 
 
 def test_calibrated_on_its_own_worlds() -> None:
     check(BEHIND, rounds=2, seed=11, level=0.001)
+
+
+def test_calibrated_where_the_number_of_things_is_not_known() -> None:
+    check(BEHIND, rounds=4, seed=23, level=0.001, clumping=1.0)
 
 
 @pytest.mark.slow

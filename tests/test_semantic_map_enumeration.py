@@ -70,7 +70,9 @@ def miss_map(seed: int = 3) -> np.ndarray:
     return np.kron(miss, np.ones((2, 2)))
 
 
-def small_world(objects=OBJECTS, miss=None, fineness: int = 2) -> exact.World:
+def small_world(
+    objects=OBJECTS, miss=None, fineness: int = 2, clumping: float = 0.0
+) -> exact.World:
     free = default_params()
     return exact.World(
         objects=objects,
@@ -85,16 +87,17 @@ def small_world(objects=OBJECTS, miss=None, fineness: int = 2) -> exact.World:
         axis=np.asarray(free.axis, float),
         concentration=np.asarray(free.concentration, float),
         fineness=fineness,
+        clumping=clumping,
     )
 
 
-def estimate(sentence, seed: int = 0, objects=OBJECTS):
+def estimate(sentence, seed: int = 0, objects=OBJECTS, clumping: float = 0.0):
     """Ground the sentence SEEDS times: referents [S, M, P], weights [S, P], places."""
     belief = by_hand.with_objects(by_hand.begin(VIEWER), objects)
     belief = by_hand.with_coverage(belief, np.log(miss_map()))
     keys = jax.random.split(jax.random.key(seed), by_hand.SEEDS)
     particles, log_weight = by_hand.ground_many(
-        keys, belief, sentence, by_hand.params(concentration=ALPHA)
+        keys, belief, sentence, by_hand.params(concentration=ALPHA, clumping=clumping)
     )
     weight = np.exp(np.asarray(log_weight, float))
     return jax.tree.map(np.asarray, particles), weight
@@ -163,6 +166,20 @@ def test_posterior_over_readings() -> None:
     for index, name in enumerate(names):
         truth, _ = exact.groundings(small_world(), *CASES[name])
         compare((weight * (particles.reading == index)).mean(1), share[index] * truth.sum())
+
+
+@pytest.mark.parametrize("name", ["null", "behind", "cone near another cone"])
+def test_number_of_things_is_inferred_as_by_enumeration(name: str) -> None:
+    """Of two cones or hydrants seen either may be the only one, or both may be of many."""
+    kinds, edges = CASES[name]
+    truth, _ = exact.groundings(small_world(clumping=2.0), kinds, edges)
+    fixed, _ = exact.groundings(small_world(), kinds, edges)
+    particles, weight = estimate(by_hand.readings([kinds], [edges]), clumping=2.0)
+    compare(weight.mean(1), truth.sum())
+    assert abs(np.log(truth.sum() / fixed.sum())) > 0.05
+    samples = by_category(particles, weight, len(OBJECTS) + 1, len(kinds))
+    is_common = truth.ravel() > 0.02 * truth.sum()
+    compare(samples[:, is_common], truth.ravel()[is_common])
 
 
 def test_nothing_seen_leaves_only_hypotheses() -> None:

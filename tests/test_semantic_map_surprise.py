@@ -31,7 +31,7 @@ def look(types, x, y, log_missed, is_detection):
         jnp.float32(VARIANCE),
     )
     particles = association.condition(BELIEF.particles, grounded, jnp.float32(VARIANCE))
-    log_objects, _ = association.log_absence(
+    log_objects, _, _ = association.log_absence(
         particles, grounded.is_hit, jnp.float32(0.0), jnp.float32(0.25), by_hand.sensor(), OPEN.view
     )
     log_map = grounded.log_weight + log_objects
@@ -99,6 +99,7 @@ def by_particle(log_map: np.ndarray, overflow: int = 0) -> float:
         offset_y=jnp.zeros((1, P)),
         log_weight=jnp.zeros(P),
         overflow=jnp.full(P, overflow, jnp.int32),
+        existence=jnp.zeros((0, P)),
     )
     uniform = jnp.full(P, -np.log(P), jnp.float32)
     found = surprise(

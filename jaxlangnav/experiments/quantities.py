@@ -114,6 +114,8 @@ _KNOWN: dict[str, dict[str, Quantity]] = {
         "field_of_view": Quantity(kind="angle", high=2.0 * math.pi + 1e-6, is_low_open=True),
         "detection_probability": Quantity(kind="share", high=1.0, is_low_open=True),
         "noise": Quantity(kind="length"),
+        "false_detections": Quantity(),
+        "mislabelled": Quantity(kind="share", high=0.99),
     },
     "motion": {
         "step_length": LENGTH,
@@ -121,6 +123,7 @@ _KNOWN: dict[str, dict[str, Quantity]] = {
     },
     "map": {
         "concentration": Quantity(is_low_open=True),
+        "clumping": Quantity(),
         "kernel": LENGTH,
         "superlative_softness": LENGTH,
         "misleading": SHARE,

@@ -49,7 +49,7 @@ _DEAD = 1e6
 """Cost of a hypothesis that does not exist."""
 _PAIRS = ((0, 0), (0, 1), (0, 2), (0, 3), (1, 0), (1, 1), (2, 0), (3, 0))
 """Pairs of two sorted lists of four among which the four best sums are."""
-MAX_SLOTS = 21
+MAX_SLOTS = 31
 """Object slots, the robot's included: a bit mask and a sorted list of factors hold them."""
 ROOT = -1
 """Row of the root in a program: the last one, however many phrases there are."""

@@ -8,7 +8,9 @@ are some and all have escaped every look with probability
 
     Σ_{n≥1} e^{-α} (α u)ⁿ / n! = e^{-α} (e^{α u} − 1)
 
-where u is the probability that one of them has (``search.SearchMap.unseen``).
+where u is the probability that one of them has (``search.SearchMap.unseen``). Where the rate is not
+known but Gamma, with mean α and variance α κ (``semantic_map.counts``), e^{α u} is
+((1 + κ) / (1 + κ (1 − u)))^{α / κ}.
 """
 
 import jax.numpy as jnp
@@ -19,7 +21,7 @@ from jaxlangnav.kinds import fits
 from jaxlangnav.messages import Readings
 
 
-def chance_left(unseen: Array, concentration: Array, misleading: Array) -> Array:
+def chance_left(unseen: Array, concentration: Array, misleading: Array, clumping: Array) -> Array:
     """Compute the probability that what is spoken of, and has not been seen, is there at all.
 
         p = (1 − ε) (e^{α u} − 1) / [(1 − ε) (e^{α u} − 1) + ε]
@@ -30,11 +32,14 @@ def chance_left(unseen: Array, concentration: Array, misleading: Array) -> Array
         unseen: f32[], u, probability that a thing that is there would have escaped every look.
         concentration: f32[], α, expected number of things of a type in the area.
         misleading: f32[], ε, probability that what is said does not hold.
+        clumping: f32[], κ of the number of things.
 
     Returns:
         f32[] in [0, 1].
     """
-    there = (1.0 - misleading) * jnp.expm1(concentration * unseen)
+    grown = jnp.log1p(clumping * unseen / (1.0 + clumping * (1.0 - unseen)))
+    share = jnp.where(clumping > 0.0, grown / jnp.maximum(clumping, 1e-9), unseen)
+    there = (1.0 - misleading) * jnp.expm1(concentration * share)
     return there / jnp.maximum(there + misleading, 1e-12)
 
 

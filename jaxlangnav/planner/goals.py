@@ -123,6 +123,10 @@ def gather(
     x = jnp.concatenate([particles.mean_x[:num_objects], particles.hypothesis_x, viewer_x])
     y = jnp.concatenate([particles.mean_y[:num_objects], particles.hypothesis_y, viewer_y])
     fits = jnp.sum(behavior.goal, axis=0) * weight[None, :]  # [N + 1, P]
+    if particles.existence.shape[0]:
+        # The words say that what they refer to exists.
+        real = jnp.where(particles.is_meant, 1.0, particles.existence)
+        fits = fits * jnp.concatenate([real, jnp.ones_like(fits[num_objects:])])
     mass = claim(fits, particles)
     region = jnp.argmax(behavior.goal, axis=0)  # [N + 1, P]
     is_robot = (jnp.arange(x.shape[0]) == x.shape[0] - 1)[:, None]

@@ -61,11 +61,9 @@ class Informed(Policy):
         self, key: Array, memory: tours.Tour, situation: Situation
     ) -> tuple[tours.Tour, Decision]:
         """Improve the tour under way, go to its first stop or to the goal."""
-        belief, params = situation.belief, situation.params
+        belief, params, maps = situation.belief, situation.params, situation.map_params
         unseen = search.search_map(situation.wanted, params.prior_share)
-        chance = chance_left(
-            unseen.unseen, situation.map_params.concentration, situation.map_params.misleading
-        )
+        chance = chance_left(unseen.unseen, maps.concentration, maps.misleading, maps.clumping)
         plan = tours.plan(
             key,
             memory,

@@ -18,8 +18,7 @@ from jaxlangnav.numerics import categorical, gaussian
 from jaxlangnav.numerics.batching import column, pick
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.particle import SemanticMap, positions
-from jaxlangnav.terrain import View
-from jaxlangnav.terrain.view import eye_of
+from jaxlangnav.terrain.view import View, eye_of
 
 LOG_SURPRISE = -30.0
 """Least log-weight of a detection where nothing can be: surprised, never dead."""
@@ -35,6 +34,38 @@ class Detections(NamedTuple):
     is_detection: Array  # bool[D]
 
 
+class Doubt(NamedTuple):
+    """How often a detector reports what is not there, against true detections."""
+
+    log_false: Array  # f32[] false detections of a type, 1/m²
+    log_confused: Array  # f32[] odds that a thing is given a type that is not its own
+    log_as: Array  # f32[] … that it is given a certain one
+
+
+def doubt_of(sensor: SensorParams, num_types: Array) -> Doubt:
+    """Work out how far detections are to be doubted; −∞ where not at all.
+
+    Args:
+        sensor: the specification; its ``detection_probability`` is of detections rightly labelled.
+        num_types: i32[], T, types that the detector tells apart.
+
+    Returns:
+        The doubt.
+    """
+
+    def log_of(share: Array) -> Array:
+        return jnp.where(share > 0.0, jnp.log(jnp.maximum(share, 1e-30)), -jnp.inf)
+
+    in_view = 0.5 * sensor.field_of_view * sensor.range_max**2
+    rate = sensor.false_detections / jnp.maximum(sensor.detection_probability, 1e-3)
+    odds = sensor.mislabelled / (1.0 - sensor.mislabelled)
+    return Doubt(
+        log_false=log_of(rate / in_view),
+        log_confused=log_of(odds),
+        log_as=log_of(odds / jnp.maximum(num_types - 1, 1)),
+    )
+
+
 class Association(NamedTuple):
     """How one particle grounded the detections."""
 
@@ -45,10 +76,16 @@ class Association(NamedTuple):
     offset_y: Array  # f32[O, ...]
     log_weight: Array  # f32[...] log predictive probability
     overflow: Array  # i32[...] detections that found no free slot
+    existence: Array  # f32[O, ...] as in the particle
 
 
 def associate(
-    particle: SemanticMap, detections: Detections, uniform: Array, noise_variance: Array
+    particle: SemanticMap,
+    detections: Detections,
+    uniform: Array,
+    noise_variance: Array,
+    growth: Array | float = 0.0,
+    doubt: Doubt | None = None,
 ) -> Association:
     """Ground each detection in an existing object or in a new one (eq. 7b).
 
@@ -62,6 +99,8 @@ def associate(
         detections: f32[D] each.
         uniform: f32[D, ...], uniform draws in [0, 1).
         noise_variance: f32[], R, square metres per axis.
+        growth: f32[], by how much more of λ each thing of the type that is held makes it (κ / α).
+        doubt: how far detections are to be doubted, of particles that hold ``existence``.
 
     Returns:
         The grounding and its weight.
@@ -78,11 +117,18 @@ def associate(
     def ground(so_far: Association, one: tuple[Detections, Array]) -> tuple[Association, None]:
         """Ground one detection, given how those before it are grounded."""
         (z_type, z_x, z_y, log_new, present), chance = one
-        object_type, is_hit, is_new, offset_x, offset_y, log_weight, overflow = so_far
+        object_type, is_hit, is_new, offset_x, offset_y, log_weight, overflow, existence = so_far
         log_existing = gaussian.log_normal_isotropic(z_x - predicted_x, z_y - predicted_y, spread)
         # Attributes decide nothing here: a detector that wavers must not make two of one thing.
-        may_be = (label_of(object_type) == label_of(z_type)) & ~is_hit
-        log_new = jnp.broadcast_to(log_new, (1, *log_weight.shape))
+        is_alike = label_of(object_type) == label_of(z_type)
+        may_be = is_alike & ~is_hit
+        log_new = (log_new + jnp.log1p(growth * jnp.sum(is_alike, axis=0)))[None]
+        is_real = existence
+        if doubt is not None:
+            is_other = ~is_alike & (object_type != NONE)
+            log_existing, log_new, is_real = _doubted(
+                log_existing, log_new, existence, is_other, doubt
+            )
         choices = jnp.concatenate([jnp.where(may_be, log_existing, -jnp.inf), log_new])
         choice, log_total = categorical.draw(choices, chance)
         free = jnp.min(jnp.where(object_type == NONE, slots, num_objects), axis=0)
@@ -99,6 +145,7 @@ def associate(
             offset_y=jnp.where(entry, z_y, offset_y),
             log_weight=log_weight + jnp.where(present, log_total, 0.0),
             overflow=overflow + (present & (slot == num_objects)).astype(jnp.int32),
+            existence=existence if doubt is None else jnp.where(entry, is_real, existence),
         ), None
 
     nobody, nowhere = jnp.zeros(predicted_x.shape, bool), jnp.zeros_like(predicted_x)
@@ -110,8 +157,42 @@ def associate(
         offset_y=nowhere,
         log_weight=nowhere[0],
         overflow=jnp.zeros(nowhere.shape[1:], jnp.int32),
+        existence=particle.existence,
     )
     return jax.lax.scan(ground, before, (detections, uniform))[0]
+
+
+def _doubted(
+    log_existing: Array, log_new: Array, existence: Array, is_other: Array, doubt: Doubt
+) -> tuple[Array, Array, Array]:
+    """Weigh a detection that may be false: of something that is held, and of something new.
+
+        p(z is o) ∝ (r + (1 − r) h) N,   p(z is new) ∝ λ m + c,   c = c₀ + λ m k + h Σ_other r N
+
+    with r the probability that o exists, c₀ the density of false detections, k the odds that a
+    label is wrong and h those of a certain wrong one. What does not exist as what it was entered as
+    is a thing of another type, mislabelled each time: so it may be detected again, but rarely.
+
+    Args:
+        log_existing: f32[O, ...], log N of each slot.
+        log_new: f32[1, ...], log λ m.
+        existence: f32[O, ...], r.
+        is_other: bool[O, ...], slots that hold something of another type.
+        doubt: of the detector.
+
+    Returns:
+        Both log-weights, doubted, and f32[O, ...], r of each slot if the detection falls to it.
+    """
+    log_real = jnp.log(jnp.maximum(existence, 1e-9))
+    log_mislabelled = jnp.log(jnp.maximum(1.0 - existence, 1e-9)) + doubt.log_as
+    log_own = jnp.logaddexp(log_real, log_mislabelled)
+    of_others = jnp.where(is_other, log_existing + log_real + doubt.log_as, -jnp.inf)
+    of_others = jax.scipy.special.logsumexp(of_others, axis=0, keepdims=True)
+    log_false = jnp.logaddexp(doubt.log_false, log_new + doubt.log_confused)
+    log_any = jnp.logaddexp(log_new, jnp.logaddexp(log_false, of_others))
+    is_held = existence > 0.0
+    is_real = jnp.where(is_held, jnp.exp(log_real - log_own), jnp.exp(log_new - log_any))
+    return log_existing + log_own, log_any, is_real
 
 
 def condition(
@@ -160,6 +241,7 @@ def condition(
         covariance=joint.covariance,
         mean_x=joint.mean_x,
         mean_y=joint.mean_y,
+        existence=association.existence,
         hypothesis_x=particle.hypothesis_x + moved_x,
         hypothesis_y=particle.hypothesis_y + moved_y,
     )
@@ -177,10 +259,13 @@ def log_absence(
     softness: Array,
     sensor: SensorParams,
     view: View,
-) -> tuple[Array, Array]:
+) -> tuple[Array, Array, Array]:
     """Weigh what was not seen: negative observations (eq. 8).
 
-        Σ_o log(1 − p_d v_o)   over the objects not detected, v the share in view
+        Σ_o log(1 − p_d v_o r_o),   r' = r (1 − p_d v) / (1 − p_d v r)
+
+    over the objects not detected, v the share in view and r the probability that they exist, 1
+    where particles do not doubt it.
 
     Args:
         particle: one particle, after conditioning.
@@ -191,7 +276,8 @@ def log_absence(
         view: what can be seen in this place.
 
     Returns:
-        f32[...] for observed objects, and f32[M, ...] for each hypothesis (0 where there is none).
+        f32[...] for observed objects, and f32[M, ...] for each hypothesis (0 where there is none);
+        and how probable the observed objects are now to exist, as in the particle.
     """
     num_objects = particle.object_type.shape[0]
     x, y = positions(particle)
@@ -199,5 +285,11 @@ def log_absence(
     in_view = view.share(eye_of(robot_x, robot_y, heading, sensor), x, y, softness)
     probability = jnp.minimum(sensor.detection_probability, 0.999)
     is_missed = jnp.concatenate([particle.is_observed & ~is_hit, particle.is_hypothesised])
-    log_missed = jnp.where(is_missed, jnp.log1p(-probability * in_view), 0.0)
-    return jnp.sum(log_missed[:num_objects], axis=0), log_missed[num_objects:]
+    likely, existence = probability * in_view, particle.existence
+    if existence.shape[0]:
+        own = likely[:num_objects]
+        left = existence * (1.0 - own) / (1.0 - own * existence)
+        likely = jnp.concatenate([own * existence, likely[num_objects:]])
+        existence = jnp.where(is_missed[:num_objects], left, existence)
+    log_missed = jnp.where(is_missed, jnp.log1p(-likely), 0.0)
+    return jnp.sum(log_missed[:num_objects], axis=0), log_missed[num_objects:], existence

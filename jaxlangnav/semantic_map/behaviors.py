@@ -6,8 +6,10 @@ from jax import Array
 
 from jaxlangnav.grounding import behavior as grounding
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.messages import ACTIONS, MODES, REGIONS, Behavior
+from jaxlangnav.kinds import label_of
+from jaxlangnav.messages import ACTIONS, MODES, REGIONS, Behavior, BehaviorWorld
 from jaxlangnav.numerics.batching import pack, row_of, unpack
+from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map import summary
 from jaxlangnav.semantic_map.particle import SemanticMap
 
@@ -39,6 +41,10 @@ def infer_behaviors(
     padding = jnp.full((-number) % block, number, representative.dtype)
     representative = jnp.append(representative, padding)
 
+    num_slots = particles.object_type.shape[0] + particles.referent.shape[0] + 1
+    is_crowded = num_slots > grounding.MAX_SLOTS
+    named = label_of(program.own.reshape(-1))
+
     def infer(index: Array, table: Array) -> Array:
         # Beyond the last topology it is P, and the last particle stands in.
         chosen = jax.lax.dynamic_slice_in_dim(representative, index * block, block)
@@ -47,14 +53,21 @@ def infer_behaviors(
             instruction.readings,
             previous_goal,
         )
-        inferred = pack(grounding.infer_behaviors(program, worlds, num_phrases=program.num_phrases))
+        slots = None
+        if is_crowded:
+            worlds, slots = jax.vmap(likeliest_slots, in_axes=(-1, None), out_axes=-1)(
+                worlds, named
+            )
+        behaviors = grounding.infer_behaviors(program, worlds, num_phrases=program.num_phrases)
+        if slots is not None:
+            behaviors = _spread(behaviors, slots, num_slots)
+        inferred = pack(behaviors)
         place = topology - index * block
         # Selects vectorise over particles, where a gather would go element by element.
         for own in range(block):
             table = jnp.where(place == own, inferred[:, own : own + 1], table)
         return table
 
-    num_slots = particles.object_type.shape[0] + particles.referent.shape[0] + 1
     nothing = Behavior(
         action=jnp.zeros((len(ACTIONS), number), jnp.float32),
         mode=jnp.zeros((len(MODES), number), jnp.float32),
@@ -63,3 +76,48 @@ def infer_behaviors(
     )
     table = jax.lax.fori_loop(0, (count + block - 1) // block, infer, pack(nothing))
     return unpack(table, nothing)
+
+
+def likeliest_slots(world: BehaviorWorld, named: Array) -> tuple[BehaviorWorld, Array]:
+    """Leave out the slots that a behavior hardly speaks of, where masks of bits hold fewer.
+
+    What the words refer to and the last goal come first, then what they name, then the rest; the
+    robot stays the last.
+
+    Args:
+        world: one particle's, N + 1 slots, more than ``MAX_SLOTS``.
+        named: i32[n], labels that the words name; NONE.
+
+    Returns:
+        The world of ``MAX_SLOTS`` slots, and i32[MAX_SLOTS], which ones they are.
+    """
+    kind = world.object_type
+    is_meant = jnp.any(world.is_related, axis=(0, 1)) | jnp.any(world.is_related, axis=(0, 2))
+    is_named = (kind >= 0) & jnp.any(label_of(kind)[:, None] == named[None], axis=1)
+    rank = jnp.where(world.is_object, 1, 0) + 2 * is_named + 4 * (is_meant | world.is_previous)
+    order = jnp.argsort(-rank[:-1], stable=True)[: grounding.MAX_SLOTS - 1]
+    slots = jnp.append(jnp.sort(order), kind.shape[0] - 1)
+
+    def both(edges: Array) -> Array:
+        return edges[:, slots][:, :, slots]
+
+    return BehaviorWorld(
+        object_type=kind[slots],
+        is_object=world.is_object[slots],
+        is_related=both(world.is_related),
+        is_superlative=both(world.is_superlative),
+        is_later=both(world.is_later),
+        is_previous=world.is_previous[slots],
+    ), slots
+
+
+def _spread(behavior: Behavior, slots: Array, num_slots: int) -> Behavior:
+    """Put behaviors over chosen slots, [MAX_SLOTS, block], back where they belong; 0 elsewhere."""
+
+    def put(values: Array, chosen: Array) -> Array:
+        return jnp.zeros((values.shape[0], num_slots)).at[:, chosen].set(values)
+
+    spread = jax.vmap(put, in_axes=(-1, -1), out_axes=-1)
+    return replace(
+        behavior, goal=spread(behavior.goal, slots), constraint=spread(behavior.constraint, slots)
+    )

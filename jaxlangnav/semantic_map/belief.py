@@ -3,6 +3,7 @@
 from jax import Array
 
 from jaxlangnav.pytree import pytree
+from jaxlangnav.semantic_map.bystanders import Bystanders
 from jaxlangnav.semantic_map.coverage import Coverage
 from jaxlangnav.semantic_map.particle import SemanticMap
 from jaxlangnav.terrain import Terrain
@@ -16,6 +17,7 @@ class ParticleBelief:
     log_weight: Array  # f32[P] normalised
     coverage: Coverage  # where the robot has looked
     terrain: Terrain  # how far one sees and walks there, as the robot takes it to be
+    bystanders: Bystanders  # things of types that the task does not speak of; B may be 0
     last_pose: Array  # f32[3] dead-reckoned pose at the last observation that was believed
     doubted_pose: Array  # f32[3] … that was reported, believed or not
     is_placed: Array  # bool[] area and start pose are as they were given, and can be

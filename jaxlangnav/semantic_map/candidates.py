@@ -19,11 +19,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.kinds import fits
+from jaxlangnav.kinds import fits, label_of
 from jaxlangnav.messages import NONE
 from jaxlangnav.numerics.batching import column, lead, pick
 from jaxlangnav.relations import RelationModel, log_density_in_frame, sample_law, to_map
+from jaxlangnav.semantic_map.counts import log_expected
 from jaxlangnav.semantic_map.coverage import Coverage
+from jaxlangnav.semantic_map.params import MapParams
 from jaxlangnav.semantic_map.said import FIGURE, LANDMARK, Said
 
 NUM_UNSEEN = 2
@@ -46,6 +48,7 @@ class Seen(NamedTuple):
     object_type: Array  # i32[O, ...] kinds; NONE in empty slots
     x: Array  # f32[O, ...] metres, map frame
     y: Array  # f32[O, ...]
+    existence: Array | None = None  # f32[O, ...] probability that it exists; None: all of it does
 
 
 class Scene(NamedTuple):
@@ -86,6 +89,7 @@ class Candidates(NamedTuple):
     x: Array  # f32[2, O + 1, ...] metres; the last entry is the place already decided
     y: Array  # f32[2, O + 1, ...]
     log_prior: Array  # f32[2, O + 1, ...] −∞ where it is no candidate
+    log_alike: Array  # f32[...] what two observed ends of one type weigh more than each by itself
     is_open: Array  # bool[2, ...] nothing decided: may also be a new object
     earlier: Grounding  # what they refer to already, leaves [2, ...]
 
@@ -180,7 +184,7 @@ def meaning(num_objects: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def list_candidates(
-    seen: Seen, said: Said, grounding: Grounding, scene: Scene, concentration: Array
+    seen: Seen, said: Said, grounding: Grounding, scene: Scene, params: MapParams
 ) -> Candidates:
     """List what the ends may be: what has been decided, or each seen object of their types.
 
@@ -188,8 +192,8 @@ def list_candidates(
         seen: objects.
         said: the relation.
         grounding: what earlier relations have decided.
-        scene: area.
-        concentration: f32[], α.
+        scene: area and viewer.
+        params: concentration, clumping.
 
     Returns:
         The candidates.
@@ -199,10 +203,22 @@ def list_candidates(
     # With the robot as the landmark, or with none, the figure stands against the viewer.
     is_viewer = jnp.stack([jnp.zeros_like(said.is_by_object), ~said.is_by_object])
     is_open = ~is_viewer & ~earlier.is_grounded
-    log_bystander = scene.log_area - jnp.log(concentration)  # 1/λ
-    may_be = fits(seen.object_type[None], said.kind[:, None]) & is_open[:, None]
-    slots = column(jnp.arange(seen.x.shape[0]), may_be.ndim - 1)[None]
-    may_be = may_be & ((said.excluded[:, None] >> slots) & 1 == 0)
+    is_kind = fits(seen.object_type[None], said.kind[:, None])
+    slots = column(jnp.arange(seen.x.shape[0]), is_kind.ndim - 1)[None]
+    may_be = is_kind & is_open[:, None] & ((said.excluded[:, None] >> slots) & 1 == 0)
+    # Of those of its type that have been seen all but one are bystanders; of a pair all but two.
+    number, unseen = jnp.sum(is_kind, axis=1), jnp.exp(lead(scene.log_unseen, is_open.ndim))
+    log_one, log_two = (
+        log_expected(jnp.maximum(number - but, 0), unseen, params) for but in (1, 2)
+    )
+    log_bystander = (lead(scene.log_area, is_open.ndim) - log_one)[:, None]  # 1/λ
+    if seen.existence is not None:
+        real = jnp.where(is_kind, seen.existence[None], 0.0)
+        others = jnp.maximum(jnp.sum(real, axis=1, keepdims=True) - real, 0.0)
+        log_others = log_expected(others, unseen[:, None], params)
+        log_bystander = lead(scene.log_area, may_be.ndim) - log_others
+        log_bystander = log_bystander + jnp.log(jnp.maximum(seen.existence, 1e-9))[None]
+    is_alike = label_of(said.kind[FIGURE]) == label_of(said.kind[LANDMARK])
 
     def append(objects: Array, place: Array) -> Array:
         objects = jnp.broadcast_to(objects, may_be.shape)
@@ -213,9 +229,10 @@ def list_candidates(
         x=append(seen.x[None], jnp.where(is_viewer, viewer_x, earlier.x)),
         y=append(seen.y[None], jnp.where(is_viewer, viewer_y, earlier.y)),
         log_prior=append(
-            jnp.where(may_be, lead(log_bystander, may_be.ndim), -jnp.inf),
+            jnp.where(may_be, log_bystander, -jnp.inf),
             jnp.where(is_open, -jnp.inf, 0.0),
         ),
+        log_alike=jnp.where(is_alike, (log_one - log_two)[FIGURE], 0.0),
         is_open=is_open,
         earlier=earlier,
     )

@@ -4,7 +4,8 @@ Each annotated relation samples its figure and landmark jointly from the observe
 new ones under a Dirichlet-process prior, and the metric constraint of a new one from the
 relation's likelihood. The prior behind it: every thing mentioned exists once, anywhere in the
 operating area A or where a relation places it; further objects of each type are scattered at a
-density λ = α / A. Against "all observed objects are bystanders", the groundings weigh
+density λ = α / A, with α as expected after what has been seen (``counts``). Against "all observed
+objects are bystanders", the groundings weigh
 
     both observed     f(x_f − x_l) A / α²          figure new      E_f[m] / α
     landmark new      E_f[m] / α                   both new        u E_f[m]
@@ -67,7 +68,7 @@ def ground_relation(
         relation.
     """
     said = once(said)
-    ends = candidates.list_candidates(seen, said, grounding, scene, params.concentration)
+    ends = candidates.list_candidates(seen, said, grounding, scene, params)
     ways = once(candidates.propose(said, ends, draws, params.relations))
     num_known = ends.x.shape[1]
     rank = log_rank(said, ways.told, seen, draws, scene, params=params, num_known=num_known)
@@ -91,6 +92,9 @@ def _log_prior_known(ends: Candidates) -> Array:
     """Give pairs of known ends their prior, f32[(O + 1)², ...]; nothing is its own landmark."""
     size = ends.x.shape[1]
     log_prior = ends.log_prior[FIGURE][:, None] + ends.log_prior[LANDMARK][None]
+    is_both = np.arange(size) < size - 1
+    is_both = column(jnp.asarray(is_both[:, None] & is_both[None]), log_prior.ndim)
+    log_prior = log_prior + jnp.where(is_both, lead(ends.log_alike, log_prior.ndim), 0.0)
     # The last candidates are places decided earlier, not objects.
     is_same = jnp.asarray(np.diag(np.arange(size) < size - 1))
     log_prior = jnp.where(column(is_same, log_prior.ndim), -jnp.inf, log_prior)

@@ -24,8 +24,9 @@ from jaxlangnav.numerics import batching, categorical
 from jaxlangnav.numerics.batching import take
 from jaxlangnav.numerics.resampling import effective_sample_size, independent, systematic
 from jaxlangnav.pytree import pytree, replace
-from jaxlangnav.semantic_map import association, motion, particle
+from jaxlangnav.semantic_map import association, bystanders, motion, particle
 from jaxlangnav.semantic_map.belief import ParticleBelief
+from jaxlangnav.semantic_map.counts import log_expected, log_exposure, share_unseen
 from jaxlangnav.semantic_map.coverage import area_size, log_miss_at, look, unexplored
 from jaxlangnav.semantic_map.params import MapConfig, MapParams
 from jaxlangnav.semantic_map.particle import SemanticMap
@@ -40,6 +41,9 @@ _ASKED = 16
 """Particles that ground the words at every step, whatever happens: enough to tell the mean of the
 evidence, against which fresh groundings are weighed."""
 
+LEAST_EXISTENCE = 0.02
+"""Probability below which a thing that was detected is taken not to exist, and forgotten."""
+
 
 @pytree
 class FilterInfo:
@@ -49,7 +53,8 @@ class FilterInfo:
     is_resampled: Array  # bool[]
     num_regrounded: Array  # i32[] particles that drew a new grounding
     log_language_evidence: Array  # f32[] log p(words | observed map), estimated
-    overflow: Array  # i32[] detections without a free slot, most over particles
+    overflow: Array  # i32[] detections without a free slot, most over particles, or without room
+    # among the bystanders
     fault: Array  # i32[] bits of messages.Fault: why the observation was left out, or dead weights
     is_news: Array  # bool[] an object was seen for the first time, or words came in
     surprise: Array  # f32[] nats by which the observation is less probable than one that fits
@@ -81,7 +86,9 @@ def start(
         The belief; words are grounded at the first step.
     """
     pose, area, is_placed = sound_place(pose, area)
-    one = particle.empty(config.num_objects, num_mentions, pose[0], pose[1])
+    one = particle.empty(
+        config.num_objects, num_mentions, pose[0], pose[1], has_doubts=config.has_doubts
+    )
     number = config.num_particles
     return ParticleBelief(
         particles=jax.tree.map(
@@ -90,6 +97,7 @@ def start(
         log_weight=jnp.full(number, -jnp.log(float(number)), jnp.float32),
         coverage=unexplored(area, config.num_cells),
         terrain=terrain,
+        bystanders=bystanders.nobody(config.num_bystanders),
         last_pose=pose,
         doubted_pose=pose,
         is_placed=is_placed,
@@ -140,7 +148,8 @@ def _detections(
     offset_y = observation.detection_range * jnp.sin(bearing)
     robot_x, robot_y = robot_position(belief)
     log_missed = log_miss_at(belief.coverage, robot_x + offset_x, robot_y + offset_y)
-    log_density = jnp.log(params.concentration) - jnp.log(area_size(belief.coverage))
+    log_density = log_expected(jnp.float32(0.0), share_unseen(belief.coverage), params)
+    log_density = log_density - jnp.log(area_size(belief.coverage))
     return association.Detections(
         object_type=kinds_seen(observation),
         offset_x=offset_x,
@@ -161,9 +170,11 @@ class Weighed(NamedTuple):
     """What one observation did to the particles, before any words are grounded anew."""
 
     log_map: Array  # f32[P] log-likelihood of the observation, hypotheses left out
-    log_hypotheses: Array  # f32[P] log-likelihood of the absence of what is hypothesised
+    log_hypotheses: Array  # f32[P] what that of a particle with its words is above it: absence of
+    # what is hypothesised, and bystanders that are none
     is_new: Array  # bool[O, P] slots that were entered
     is_other: Array  # bool[O, P] slots of another kind than before: entered, or better known
+    is_lost: Array | None  # bool[P] what its words refer to does not exist; None: all of it does
     overflow: Array  # i32[P] detections that found no free slot
     surprise: Array  # f32[] nats by which the observation is less probable than one that fits
 
@@ -192,27 +203,63 @@ def observe(
     detections = _detections(belief, observation, params)
     heading, sensor = observation.pose[2], observation.sensor
     noise_variance = jnp.maximum(sensor.noise, MIN_NOISE) ** 2
-    before = belief.particles
-    grounded = association.associate(before, detections, uniform, noise_variance)
-    particles = association.condition(before, grounded, noise_variance)
-    belief = replace(belief, particles=particles)
+    growth = params.clumping / params.concentration
+    has_doubts, doubt = belief.particles.existence.shape[0] > 0, None
+    if has_doubts:
+        right = sensor.detection_probability * (1.0 - sensor.mislabelled)
+        sensor = replace(sensor, detection_probability=right)
+        doubt = association.doubt_of(sensor, belief.num_types)
+    grounded = association.associate(
+        belief.particles, detections, uniform, noise_variance, growth, doubt
+    )
+    particles = association.condition(belief.particles, grounded, noise_variance)
+    believed, belief = belief.particles, replace(belief, particles=particles)
     robot_x, robot_y = robot_position(belief)
     view, softness = belief.terrain.view, 2.5 * params.kernel + 1e-3
     eye = eye_of(robot_x, robot_y, heading, sensor)
-    coverage = look(belief.coverage, eye, sensor.detection_probability, view)
-    log_objects, log_hypotheses = association.log_absence(
+    before = belief.coverage
+    coverage = look(before, eye, sensor.detection_probability, view)
+    log_objects, log_hypotheses, existence = association.log_absence(
         particles, grounded.is_hit, heading, softness, sensor, view
     )
-    log_map = grounded.log_weight + log_objects
+    # What is looked at and shows no more of a type tells against there being many.
+    exposure = log_exposure(share_unseen(coverage), params)
+    exposure = exposure - log_exposure(share_unseen(before), params)
+    is_meant, is_lost = believed.is_meant, None
+    log_map = grounded.log_weight + log_objects - exposure * jnp.sum(particles.is_observed, axis=0)
+    log_meant = exposure * jnp.sum(is_meant, axis=0)  # … of which these are no bystanders
+    if has_doubts:
+        log_kept = jnp.log(jnp.maximum(existence, 1e-9) / jnp.maximum(believed.existence, 1e-9))
+        log_meant = log_meant + jnp.sum(jnp.where(is_meant, log_kept, 0.0), axis=0)
+        particles, is_lost = _forget(replace(particles, existence=existence))
+        belief = replace(belief, particles=particles)
     log_new = jnp.log(params.concentration) - jnp.log(area_size(coverage))
     return replace(belief, coverage=coverage), Weighed(
         log_map=log_map,
-        log_hypotheses=jnp.sum(log_hypotheses, axis=0),
+        log_hypotheses=jnp.sum(log_hypotheses, axis=0) + log_meant,
         is_new=grounded.is_new,
-        is_other=grounded.object_type != before.object_type,
+        is_other=grounded.object_type != believed.object_type,
+        is_lost=is_lost,
         overflow=grounded.overflow,
         surprise=surprise(belief.log_weight, grounded, log_map, log_new, noise_variance),
     )
+
+
+def _forget(particles: SemanticMap) -> tuple[SemanticMap, Array]:
+    """Empty the slots of what hardly exists, in all particles: slots stay of one thing.
+
+    Returns:
+        The particles, and bool[P], whose words refer to such a thing.
+    """
+    is_held = particles.is_observed
+    is_false = ~is_held | (particles.existence < LEAST_EXISTENCE)
+    is_gone = is_held & jnp.all(is_false, axis=-1, keepdims=True)
+    is_lost = jnp.any(is_gone & particles.is_meant, axis=0)
+    # Most looks empty none.
+    rounds = jnp.any(is_gone).astype(jnp.int32)
+    return jax.lax.fori_loop(
+        0, rounds, lambda _, held: particle.clear(held, is_gone), particles
+    ), is_lost
 
 
 class Regrounded(NamedTuple):
@@ -266,6 +313,7 @@ def reground(
     must_ground = belief.must_ground | mentioned
     keep_uniform, ancestor_uniform = uniform
     is_fresh = must_ground | (keep_uniform > kept_weight * number)
+    is_fresh = is_fresh if weighed.is_lost is None else is_fresh | weighed.is_lost
     # A refuted particle is replaced as a whole: it takes over the map of a particle drawn by
     # weight, so that a wrong map dies out, and then grounds the words in it.
     ancestors = independent(kept_weight, ancestor_uniform)
@@ -298,6 +346,33 @@ def reground(
     )
 
 
+def _part(
+    belief: ParticleBelief, observation: Observation, spoken: Array | None
+) -> tuple[ParticleBelief, Observation, Observation | None]:
+    """Part what the particles hold from bystanders, in the map and in what is seen now."""
+    if spoken is None or belief.bystanders.x.shape[0] == 0:
+        return belief, observation, None
+    particles, known = bystanders.promote(
+        belief.particles, belief.bystanders, spoken, belief.log_weight, belief.must_ground
+    )
+    return (
+        replace(belief, particles=particles, bystanders=known),
+        *bystanders.part(observation, spoken),
+    )
+
+
+def _remember(
+    belief: ParticleBelief, others: Observation | None
+) -> tuple[ParticleBelief, Array | int]:
+    """Remember bystanders that are seen; i32[] tells how many found no room."""
+    if others is None:
+        return belief, 0
+    variance = jnp.sum(jnp.exp(belief.log_weight) * belief.particles.covariance[-1, -1])
+    robot = *robot_position(belief), variance
+    known, num_forgotten = bystanders.remember(belief.bystanders, others, robot)
+    return replace(belief, bystanders=known), num_forgotten
+
+
 def step(
     key: Array,
     belief: ParticleBelief,
@@ -308,6 +383,7 @@ def step(
     told: Told | None = None,
     is_sparse: bool = False,
     farthest: Array | None = None,
+    spoken: Array | None = None,
 ) -> tuple[ParticleBelief, FilterInfo]:
     """Run one step of the filter (eq. 6-8).
 
@@ -321,6 +397,8 @@ def step(
         is_sparse: under ``vmap`` over beliefs, ground the words only in the particles that need
             it, about a third of all. The same result, but no gradient in reverse mode.
         farthest: f32[], metres that the robot can have gone since the last step; None: anywhere.
+        spoken: bool[T], types that the task speaks of; where the belief has room for bystanders,
+            things of other types are remembered as such. None: it speaks of all.
 
     Returns:
         The belief now, and information on the step.
@@ -345,7 +423,9 @@ def step(
         log_weight=jnp.where(is_alive, belief.log_weight, equal),
         doubted_pose=sound.doubted_pose,
     )
-    belief, weighed = observe(associate, belief, sound.observation, sound.is_jump, params=params)
+    belief, seen, others = _part(belief, sound.observation, spoken)
+    belief, weighed = observe(associate, belief, seen, sound.is_jump, params=params)
+    belief, num_forgotten = _remember(belief, others)
     keep = keep[: 2 * number].reshape(2, number)
     found = reground(
         keys[1],
@@ -375,7 +455,7 @@ def step(
         is_resampled=is_resampled,
         num_regrounded=jnp.sum(found.is_fresh),
         log_language_evidence=found.log_language,
-        overflow=jnp.max(weighed.overflow),
+        overflow=jnp.max(weighed.overflow) + num_forgotten,
         fault=sound.fault + jnp.where(is_alive & ~found.is_dead, 0, int(Fault.WEIGHTS)),
         is_news=was_told | jnp.any(weighed.is_new),
         surprise=weighed.surprise,

@@ -20,6 +20,7 @@ from jaxlangnav.numerics.batching import apart, lead
 from jaxlangnav.relations import degree, is_on_side, robot_frame
 from jaxlangnav.relations.strength import sign_of_distance, value_of_rank
 from jaxlangnav.semantic_map.candidates import Draws, Pairs, Scene, Seen
+from jaxlangnav.semantic_map.counts import log_expected
 from jaxlangnav.semantic_map.params import MapParams
 from jaxlangnav.semantic_map.said import FIGURE, Said
 
@@ -92,7 +93,7 @@ def _excess(said: Said, pairs: Pairs, seen: Seen, num_known: int) -> Array:
     own = merit(pairs.x - pairs.landmark_x, pairs.y - pairs.landmark_y)
     at_x, at_y = (leaf[num_known * num_known :] for leaf in (pairs.landmark_x, pairs.landmark_y))
     x, y = apart(seen.x, own.ndim + 1), apart(seen.y, own.ndim + 1)
-    is_rival = apart(fits(seen.object_type, said.kind[FIGURE][None]), own.ndim + 1)
+    is_rival = apart(_is_rival(seen, said), own.ndim + 1)
     rival = merit(x - at_x[None], y - at_y[None])  # [O, landmarks, ...]
     best = jnp.min(jnp.where(is_rival, rival, jnp.inf), axis=0)
     best = jnp.minimum(own, jnp.concatenate([*[best[:num_known]] * num_known, best]))
@@ -111,7 +112,7 @@ def _log_order(
     others = (apart(part[:num_others], own.ndim + 1) for part in (x, y))
     merit, counts = _merit(said, pairs, *others), apart(is_where_said, own.ndim + 1)
     rival, unseen = merit[:num_seen], merit[num_seen:]  # [O, n, ...] and [NUM_UNSEEN, n, ...]
-    is_kind = fits(seen.object_type, said.kind[FIGURE][None])
+    is_kind = _is_rival(seen, said)
     is_rival = counts[:num_seen] & apart(is_kind, rival.ndim)
     rank = said.rank[None]
     meant = value_of_rank(rank, jnp.where(is_rival, rival, jnp.inf), tie=_TIE)
@@ -120,7 +121,9 @@ def _log_order(
     before = jnp.sum(is_rival & (rival < own[None] - _TIE), axis=0)
     is_alone = ~jnp.any(is_rival & (jnp.abs(rival - own[None]) > _TIE), axis=0) & (rank == 1)
     lacking = jnp.maximum(rank - 1 - before, 0)
-    log_new = lead(jnp.log(PLURAL * params.concentration) + scene.log_unseen, own.ndim)
+    others = jnp.maximum(jnp.sum(is_kind, axis=0) - 1, 0)
+    log_more = log_expected(others, jnp.exp(lead(scene.log_unseen, others.ndim)), params)
+    log_new = lead(jnp.log(PLURAL) + log_more, own.ndim) + lead(scene.log_unseen, own.ndim)
 
     def log_there(is_there: Array) -> Array:
         share = jnp.mean(counts[num_seen:num_others] & is_there, axis=0)
@@ -130,6 +133,12 @@ def _log_order(
     price = price + jnp.where(is_alone, log_there(unseen > own[None]), 0.0)
     price = price + jnp.where(is_where_said[num_others:], 0.0, jnp.log(_OFF_SIDE))
     return price - excess / params.superlative_softness
+
+
+def _is_rival(seen: Seen, said: Said) -> Array:
+    """Tell what figures are compared with: of their type, and likelier there than not."""
+    is_kind = fits(seen.object_type, said.kind[FIGURE][None])
+    return is_kind if seen.existence is None else is_kind & (seen.existence > 0.5)
 
 
 def _merit(said: Said, pairs: Pairs, x: Array, y: Array) -> Array:

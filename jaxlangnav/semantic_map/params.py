@@ -17,7 +17,10 @@ class MapParams:
     concentration: Array = field(  # f32[]
         "α, expected number of further objects of a type in the area"
     )
-    kernel: Array = field("κ, metres, standard deviation of a sampled metric constraint")  # f32[]
+    clumping: Array = field(  # f32[]
+        "κ, how much more of a type each one seen makes probable; 0: not at all"
+    )
+    kernel: Array = field("metres, standard deviation of a sampled metric constraint")  # f32[]
     superlative_softness: Array = field("metres within which two distances count as equal")  # f32[]
     misleading: Array = field(  # f32[]
         "ε, probability that a relation said does not hold at all; the policy "
@@ -35,10 +38,16 @@ class MapConfig:
     num_particles: int = 64
     num_objects: int = 8
     num_cells: int = 36
+    num_bystanders: int = 0
+    """Things of types not spoken of that are remembered; 0: all that is seen takes a slot."""
+
+    has_doubts: bool = False
+    """Whether what is detected may not exist, as ``SensorParams`` says; else all of it does."""
 
     def __post_init__(self) -> None:
         """Refuse sizes the filter cannot work with."""
-        for name, least in (("num_particles", 2), ("num_objects", 1), ("num_cells", 4)):
+        least_sizes = {"num_particles": 2, "num_objects": 1, "num_cells": 4, "num_bystanders": 0}
+        for name, least in least_sizes.items():
             value = getattr(self, name)
             if value < least:
                 raise ValueError(f"{name} is {value}, but must be at least {least}")
@@ -48,6 +57,7 @@ def default_map_params() -> MapParams:
     """Build the parameters used in all tables unless they say otherwise."""
     return MapParams(
         concentration=jnp.float32(0.3),
+        clumping=jnp.float32(0.0),
         kernel=jnp.float32(0.1),
         superlative_softness=jnp.float32(0.3),
         misleading=jnp.float32(0.05),

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.messages import NONE
-from jaxlangnav.pytree import pytree
+from jaxlangnav.pytree import pytree, replace
 
 START_VARIANCE = 1e-4
 """Square metres, of the robot's first position in each axis: known to a centimetre."""
@@ -40,6 +40,7 @@ class SemanticMap:
     hypothesis_x: Array  # f32[M] metres, mean of the hypothesis
     hypothesis_y: Array  # f32[M]
     is_mentioned: Array  # bool[M] the particle's reading has this mention, and it is an object
+    existence: Array  # f32[O] probability that it exists, whatever the words mean; f32[0]: all do
 
     @property
     def is_observed(self) -> Array:
@@ -47,12 +48,27 @@ class SemanticMap:
         return self.object_type != NONE
 
     @property
+    def is_meant(self) -> Array:
+        """Which observed slots the particle's words refer to, bool[O, ...]."""
+        slots = jnp.arange(self.object_type.shape[0])
+        slots = slots.reshape(-1, *(1,) * self.referent.ndim)
+        refers = jnp.where(self.is_mentioned, self.referent, NONE)
+        return jnp.any(refers[None] == slots, axis=1)
+
+    @property
     def is_hypothesised(self) -> Array:
         """Which mentions exist only as hypotheses, bool[M]."""
         return self.is_mentioned & (self.referent == NONE)
 
 
-def empty(num_objects: int, num_mentions: int, start_x: Array, start_y: Array) -> SemanticMap:
+def empty(
+    num_objects: int,
+    num_mentions: int,
+    start_x: Array,
+    start_y: Array,
+    *,
+    has_doubts: bool = False,
+) -> SemanticMap:
     """Build the map of a robot that has seen and heard nothing.
 
     Args:
@@ -60,6 +76,7 @@ def empty(num_objects: int, num_mentions: int, start_x: Array, start_y: Array) -
         num_mentions: M, capacity for mentions.
         start_x: f32[], metres, map frame.
         start_y: f32[], metres.
+        has_doubts: whether what is detected may not exist.
 
     Returns:
         One particle.
@@ -78,6 +95,21 @@ def empty(num_objects: int, num_mentions: int, start_x: Array, start_y: Array) -
         hypothesis_x=jnp.zeros(num_mentions, jnp.float32),
         hypothesis_y=jnp.zeros(num_mentions, jnp.float32),
         is_mentioned=jnp.zeros(num_mentions, bool),
+        existence=jnp.zeros(num_objects if has_doubts else 0, jnp.float32),
+    )
+
+
+def clear(particle: SemanticMap, is_gone: Array) -> SemanticMap:
+    """Empty observed slots, bool[O, ...]; what refers to them is to be grounded anew."""
+    gone = jnp.concatenate([is_gone, jnp.zeros_like(is_gone[:1])])
+    has_doubts = particle.existence.shape[0] > 0
+    return replace(
+        particle,
+        object_type=jnp.where(is_gone, NONE, particle.object_type),
+        covariance=jnp.where(gone[:, None] | gone[None], 0.0, particle.covariance),
+        mean_x=jnp.where(gone, 0.0, particle.mean_x),
+        mean_y=jnp.where(gone, 0.0, particle.mean_y),
+        existence=jnp.where(is_gone, 0.0, particle.existence) if has_doubts else particle.existence,
     )
 
 

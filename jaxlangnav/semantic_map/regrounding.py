@@ -83,7 +83,10 @@ def ground_words(
     num_objects = particles.object_type.shape[0]
     log_area = jnp.log(area_size(belief.coverage))
     seen = Seen(
-        particles.object_type, particles.mean_x[:num_objects], particles.mean_y[:num_objects]
+        particles.object_type,
+        particles.mean_x[:num_objects],
+        particles.mean_y[:num_objects],
+        particles.existence if particles.existence.shape[0] else None,
     )
     own = seen, draws, reading
     how = told_now(readings, belief.viewer) if told is None else told

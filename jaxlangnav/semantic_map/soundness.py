@@ -24,7 +24,7 @@ from jaxlangnav.kinds import ATTRIBUTE_BITS
 from jaxlangnav.messages import NONE, Fault, Observation, SensorParams, default_sensor
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.belief import ParticleBelief
-from jaxlangnav.sensing import DEVIATIONS, MIN_NOISE, RANGES, TURNS, VIEWS
+from jaxlangnav.sensing import DEVIATIONS, MIN_NOISE, MOST_FALSE, MOST_WRONG, RANGES, TURNS, VIEWS
 from jaxlangnav.terrain.view import beyond
 
 SIDES = (0.1, 1e4)
@@ -116,6 +116,8 @@ def _is_sensor(sensor: SensorParams) -> Array:
         & _is_between(sensor.detection_probability, 0.0, 1.0)
         # What errs by more than it sees far tells nothing.
         & _is_between(sensor.noise, 0.0, sensor.range_max)
+        & _is_between(sensor.false_detections, 0.0, MOST_FALSE)
+        & _is_between(sensor.mislabelled, 0.0, MOST_WRONG)
     )
 
 

@@ -10,6 +10,10 @@ what is meant",
 
     (1 / A) ∏_relations f · ∏_observed 1/λ · ∏_unseen ∫ m(x) dx
 
+Where the number of things of a type is itself not known, but Gamma-Poisson with mean α and variance
+of the rate α κ, ∏ 1/λ over k observed things of a type of which n have been seen is the ratio of
+how probable n − k and n bystanders in the share s of the area that has been looked at are.
+
 This module sums over all assignments, and over a fine grid of places for what is unseen. NumPy,
 float64; nothing is shared with the package.
 """
@@ -37,11 +41,28 @@ class World:
     axis: np.ndarray  # [6] radians from the line of sight
     concentration: np.ndarray  # [6]
     misleading: float  # ε
+    clumping: float = 0.0  # κ
     fineness: int = 3  # grid points a side in each cell
 
     @property
     def size(self) -> float:
         return (self.area[1] - self.area[0]) * (self.area[3] - self.area[2])
+
+
+def bystander_odds(world: World, kind: int, meant: int) -> float:
+    """Compute p(n − meant) / p(n) of bystanders of a type, as a density over places: negative
+    binomial by its definition, and Poisson where κ is 0."""
+    number = sum(name == kind for name, _, _ in world.objects)
+    looked = 1.0 - world.miss.mean()
+
+    def log_density(count: int) -> float:
+        if world.clumping == 0.0:
+            return count * math.log(world.alpha / world.size)
+        shape, rate = world.alpha / world.clumping, 1.0 / world.clumping
+        grown = math.lgamma(shape + count) - math.lgamma(shape)
+        return grown - count * math.log(world.size * (rate + looked))
+
+    return math.exp(log_density(number - meant) - log_density(number))
 
 
 def density(world: World, relation: int, figure: np.ndarray, landmark: np.ndarray, own: bool):
@@ -105,7 +126,10 @@ def candidates(world: World, kind: int):
         ]
     )
     weight = np.concatenate(
-        [np.full(len(seen), world.size / world.alpha), miss.ravel() * step_x * step_y]
+        [
+            np.full(len(seen), bystander_odds(world, kind, 1) if seen else 0.0),
+            miss.ravel() * step_x * step_y,
+        ]
     )
     category = [index for index, _, _ in seen] + [len(world.objects)] * number**2
     return place, weight, np.array(category)
@@ -123,6 +147,9 @@ def potential(world: World, kinds: list[int], edge: tuple[int, int, int, bool], 
     table = (1.0 - world.misleading) * table + world.misleading / world.size
     if kinds[figure] == kinds[landmark]:
         table = np.where((rows == columns).all(-1), 0.0, table)
+        known = sum(name == kinds[figure] for name, _, _ in world.objects)
+        both = bystander_odds(world, kinds[figure], 2) if known > 1 else 0.0
+        table[:known, :known] *= both / bystander_odds(world, kinds[figure], 1) ** 2
     return table
 
 

@@ -1,0 +1,218 @@
+"""Things that nobody has spoken of: remembered, at little cost, until somebody does (ours).
+
+A particle asks of every thing that it holds whether the words mean it, which is dear: the ways to
+ground a relation grow with the square of the things. Of a tree nobody spoke of there is nothing to
+ask. So things of types that the task does not name are kept in one list for all particles, with no
+hypotheses, and take no room from the others. Where a later sentence names their type they are
+entered into every particle (``promote``), and what it speaks of no more goes back to the list.
+
+Limits: a list of no room (B = 0) is never looked at, and everything seen enters the particles.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jaxlangnav.kinds import label_of
+from jaxlangnav.messages import NONE, Observation
+from jaxlangnav.numerics.batching import column, row_of
+from jaxlangnav.pytree import pytree, replace
+from jaxlangnav.semantic_map.particle import SemanticMap, clear
+
+_DEVIATIONS = 5.0
+"""Standard deviations within which two sightings of one type are of one thing."""
+
+_REMEMBERED = 0.95
+"""Probability that what the list holds exists, where that is in doubt: looks will tell."""
+
+
+@pytree
+class Bystanders:
+    """Sightings of things of types not spoken of, the same for all particles; B places."""
+
+    object_type: Array  # i32[B] type index; NONE in empty places
+    x: Array  # f32[B] metres, map frame
+    y: Array  # f32[B]
+    variance: Array  # f32[B] m², both axes
+
+    @property
+    def is_held(self) -> Array:
+        """Which places are filled, bool[B]."""
+        return self.object_type != NONE
+
+
+def nobody(number: int) -> Bystanders:
+    """Build an empty list with room for ``number`` things."""
+    zero = jnp.zeros(number, jnp.float32)
+    return Bystanders(object_type=jnp.full(number, NONE, jnp.int32), x=zero, y=zero, variance=zero)
+
+
+class Sighting(NamedTuple):
+    """One thing seen, or put aside."""
+
+    object_type: Array  # i32[]
+    x: Array  # f32[] metres, map frame
+    y: Array  # f32[]
+    variance: Array  # f32[] m²
+    is_there: Array  # bool[]
+
+
+def is_spoken_of(object_type: Array, spoken: Array) -> Array:
+    """Tell of which types i32[...] the task speaks, bool[...]; of nothing it does not."""
+    label = label_of(object_type)
+    return (label >= 0) & jnp.take(spoken, jnp.maximum(label, 0), mode="clip")
+
+
+def part(observation: Observation, spoken: Array) -> tuple[Observation, Observation]:
+    """Part what is seen into what the task speaks of and all else.
+
+    Args:
+        observation: sound.
+        spoken: bool[T], types that the task speaks of.
+
+    Returns:
+        The observation of either kind.
+    """
+    is_of_task = is_spoken_of(observation.detection_type, spoken)
+    seen = observation.is_detection
+    return (
+        replace(observation, is_detection=seen & is_of_task),
+        replace(observation, is_detection=seen & ~is_of_task),
+    )
+
+
+def remember(
+    known: Bystanders, observation: Observation, robot: tuple[Array, Array, Array]
+) -> tuple[Bystanders, Array]:
+    """Enter what is seen: a thing that is known is placed better, another one is added.
+
+    Args:
+        known: before the look.
+        observation: detections, all of them sound and of types not spoken of.
+        robot: f32[] each, x, y in metres, map frame, and the variance of either in m².
+
+    Returns:
+        The list after the look, and i32[], how many found no room.
+    """
+    bearing = observation.pose[2] + observation.detection_bearing
+    noise = observation.sensor.noise
+    seen = Sighting(
+        object_type=observation.detection_type,
+        x=robot[0] + observation.detection_range * jnp.cos(bearing),
+        y=robot[1] + observation.detection_range * jnp.sin(bearing),
+        variance=jnp.broadcast_to(noise * noise + robot[2] + 1e-4, bearing.shape),
+        is_there=observation.is_detection,
+    )
+    known, lost = jax.lax.scan(_enter, known, seen)
+    return known, jnp.sum(lost)
+
+
+def _enter(known: Bystanders, seen: Sighting) -> tuple[Bystanders, Array]:
+    """Enter one sighting; i32[] tells whether it found no room."""
+    squared = (known.x - seen.x) ** 2 + (known.y - seen.y) ** 2
+    is_near = squared <= _DEVIATIONS**2 * (known.variance + seen.variance)
+    may_be = (known.object_type == seen.object_type) & is_near
+    places = jnp.arange(known.x.shape[0])
+    nearest = jnp.argmin(jnp.where(may_be, squared, jnp.inf))
+    free = jnp.argmax(~known.is_held)
+    is_known, has_room = jnp.any(may_be), jnp.any(~known.is_held)
+    here = places == jnp.where(is_known, nearest, free)
+    here = here & seen.is_there & (is_known | has_room)
+    gain = jnp.where(is_known, known.variance / (known.variance + seen.variance), 1.0)
+    after = Bystanders(
+        object_type=jnp.where(here, seen.object_type, known.object_type),
+        x=jnp.where(here, known.x + gain * (seen.x - known.x), known.x),
+        y=jnp.where(here, known.y + gain * (seen.y - known.y), known.y),
+        variance=jnp.where(here, gain * seen.variance, known.variance),
+    )
+    return after, (seen.is_there & ~is_known & ~has_room).astype(jnp.int32)
+
+
+def promote(
+    particles: SemanticMap, known: Bystanders, spoken: Array, log_weight: Array, is_told: Array
+) -> tuple[SemanticMap, Bystanders]:
+    """Exchange things between particles and list, where another sentence has been heard.
+
+    What particles hold and the task speaks of no more goes to the list, as the likeliest of them
+    has it; what the list holds and it speaks of enters every particle, as known by itself. The
+    words are grounded anew afterwards, so nothing refers to a slot that has changed.
+
+    Args:
+        particles: leaves [..., P].
+        known: the list.
+        spoken: bool[T], types that the task speaks of.
+        log_weight: f32[P].
+        is_told: bool[], a sentence has been heard that nothing has been grounded of.
+
+    Returns:
+        Particles and list; as they were where nothing has been heard.
+    """
+    num_objects = particles.object_type.shape[0]
+    likeliest = jnp.argmax(log_weight)
+
+    def put_aside(
+        slot: Array, both: tuple[SemanticMap, Bystanders]
+    ) -> tuple[SemanticMap, Bystanders]:
+        held, known = both
+        kind, x, y, spread = (
+            row_of(leaf, slot)[likeliest]
+            for leaf in (
+                held.object_type,
+                held.mean_x,
+                held.mean_y,
+                jnp.diagonal(held.covariance).T,
+            )
+        )
+        is_there = (kind != NONE) & ~is_spoken_of(kind, spoken)
+        known, _ = _enter(known, Sighting(kind, x, y, spread, is_there))
+        return held, known
+
+    def put_away(held: SemanticMap) -> SemanticMap:
+        return clear(held, held.is_observed & ~is_spoken_of(held.object_type, spoken))
+
+    def bring_in(_: Array, both: tuple[SemanticMap, Bystanders]) -> tuple[SemanticMap, Bystanders]:
+        held, known = both
+        is_meant = is_spoken_of(known.object_type, spoken)
+        chosen = jnp.argmax(is_meant)
+        is_there = jnp.any(is_meant) & jnp.any(held.object_type == NONE)
+        return (
+            _hold(held, row_of(known, chosen), is_there),
+            replace(
+                known,
+                object_type=jnp.where(
+                    (jnp.arange(known.x.shape[0]) == chosen) & is_there, NONE, known.object_type
+                ),
+            ),
+        )
+
+    # Nearly always no round of either loop.
+    rounds = jnp.where(is_told, num_objects, 0)
+    both = jax.lax.fori_loop(0, rounds, put_aside, (particles, known))
+    both = jax.lax.fori_loop(
+        0, jnp.where(is_told, 1, 0), lambda _, now: (put_away(now[0]), now[1]), both
+    )
+    rounds = jnp.where(is_told, jnp.sum(is_spoken_of(known.object_type, spoken)), 0)
+    return jax.lax.fori_loop(0, rounds, bring_in, both)
+
+
+def _hold(particles: SemanticMap, thing: Bystanders, is_there: Array) -> SemanticMap:
+    """Enter one thing of the list, leaves [], into the first free slot of every particle."""
+    num_objects = particles.object_type.shape[0]
+    slots = column(jnp.arange(num_objects), particles.object_type.ndim)
+    free = jnp.min(jnp.where(particles.object_type == NONE, slots, num_objects), axis=0)
+    is_slot = (slots == free[None]) & is_there
+    here = jnp.concatenate([is_slot, jnp.zeros_like(is_slot[:1])])
+    own = column(jnp.eye(num_objects + 1, dtype=bool), particles.covariance.ndim)
+    covariance = jnp.where(here[:, None] | here[None], 0.0, particles.covariance)
+    return replace(
+        particles,
+        object_type=jnp.where(is_slot, thing.object_type, particles.object_type),
+        covariance=jnp.where(own & here[:, None], thing.variance, covariance),
+        mean_x=jnp.where(here, thing.x, particles.mean_x),
+        mean_y=jnp.where(here, thing.y, particles.mean_y),
+        existence=jnp.where(is_slot, _REMEMBERED, particles.existence)
+        if particles.existence.shape[0]
+        else particles.existence,
+    )

@@ -1,0 +1,63 @@
+"""Another pair of eyes: a world that shares no code with ours drives ``Navigator``."""
+
+import numpy as np
+import outside
+import pytest
+
+import jaxlangnav
+
+RIGHT = {
+    "plain": 0.99,
+    "false": 0.99,
+    "pairs_3": 0.98,
+    "pairs_5": 0.98,
+    "crowd": 0.97,
+    "misses": 0.98,
+    "bystanders": 0.995,
+    "ghosts_2": 0.99,
+    "ghosts_10": 0.97,
+    "labels": 0.96,
+}
+"""Share of episodes that must end at the goal."""
+FARTHEST = {"false": 45.0}
+"""Metres walked on average that a scenario may cost."""
+EPISODES = 200
+
+
+@pytest.fixture(scope="module")
+def robot() -> jaxlangnav.Navigator:
+    return jaxlangnav.Navigator.pretrained()
+
+
+def test_places_hold_what_is_asked_for() -> None:
+    random, types = np.random.default_rng(0), ("car", "cone", "hydrant", "tree")
+    place = outside.furnish(random, outside.Scenario(extra_pairs=2, bystanders=3), types)
+    assert [types[kind] for kind in place.kind].count("hydrant") == 3
+    assert len(place.kind) == len(place.at) == 9
+    assert outside.is_behind(place.at[0], place.at[1])
+    false = outside.furnish(random, outside.Scenario(says_false=True), types)
+    assert not outside.is_behind(false.at[0], false.at[1])
+
+
+def test_detector_reports_what_is_in_range() -> None:
+    random, types = np.random.default_rng(1), ("car", "cone", "hydrant", "tree")
+    place = outside.Place(np.array([2, 1]), np.array([[2.0, 0.0], [0.0, 9.0]]))
+    sure = outside.Scenario(misses=0.0)
+    ((kind, metres, bearing),) = outside.look(random, sure, place, np.zeros(2), types)
+    assert kind == 2
+    assert abs(metres - 2.0) < 0.6
+    assert abs(bearing) < 0.4
+    assert not outside.look(random, outside.Scenario(misses=1.0), place, np.zeros(2), types)
+
+
+def test_goal_is_found_in_plain_places(robot: jaxlangnav.Navigator) -> None:
+    outcome = outside.drive(robot, outside.SCENARIOS["plain"], outside.LANES)
+    assert outcome.is_right.all(), outcome.line("plain")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", RIGHT)
+def test_goal_is_found_in_places_as_they_are(robot: jaxlangnav.Navigator, name: str) -> None:
+    outcome = outside.drive(robot, outside.SCENARIOS[name], EPISODES)
+    assert outcome.is_right.mean() >= RIGHT[name], outcome.line(name)
+    assert outcome.metres.mean() <= FARTHEST.get(name, np.inf), outcome.line(name)

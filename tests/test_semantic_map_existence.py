@@ -1,0 +1,123 @@
+"""Whether what was detected exists: by hand, and by summing over what can have been."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import readings as by_hand
+
+from jaxlangnav.messages import NONE
+from jaxlangnav.pytree import replace
+from jaxlangnav.semantic_map import association, particle
+from jaxlangnav.semantic_map import filter as semantic_filter
+from jaxlangnav.terrain import OPEN
+
+HYDRANT, CONE = by_hand.HYDRANT, by_hand.CONE
+LOG_THING, RATE, DETECTION, TYPES = np.log(2e-3), 0.05, 0.8, 8
+NOISE = jnp.float32(0.01)
+
+
+def sensor(**values: float):
+    known = {"false_detections": 0.0, "mislabelled": 0.0} | values
+    return replace(
+        by_hand.sensor(3.0, 2 * np.pi, DETECTION, 0.1),
+        **{name: jnp.float32(value) for name, value in known.items()},
+    )
+
+
+@jax.jit
+def look(one, kind, x, is_detection, specification):
+    """One look of one particle at one place: the particle, and log p(look)."""
+    doubt = association.doubt_of(specification, jnp.int32(TYPES))
+    seen = association.Detections(
+        kind[None], x[None], jnp.zeros(1), jnp.full(1, LOG_THING), is_detection[None]
+    )
+    grounded = association.associate(one, seen, jnp.full(1, 0.5), NOISE, 0.0, doubt)
+    after = association.condition(one, grounded, NOISE)
+    log_missed, _, existence = association.log_absence(
+        after, grounded.is_hit, jnp.float32(0.0), jnp.float32(0.1), specification, OPEN.view
+    )
+    return replace(after, existence=existence), grounded.log_weight + log_missed
+
+
+def see(one, specification, kind: int | None, x: float = 1.0):
+    is_detection = jnp.asarray(kind is not None)
+    return look(one, jnp.int32(kind or 0), jnp.float32(x), is_detection, specification)
+
+
+def nothing():
+    return particle.empty(3, 1, jnp.float32(0.0), jnp.float32(0.0), has_doubts=True)
+
+
+def test_all_is_as_without_doubt_where_the_detector_invents_nothing() -> None:
+    one, log_weight = see(nothing(), sensor(), HYDRANT)
+    np.testing.assert_allclose(log_weight, LOG_THING, rtol=1e-6)
+    np.testing.assert_array_equal(one.existence, [1.0, 0.0, 0.0])
+    one, log_weight = see(one, sensor(), None)
+    np.testing.assert_allclose(log_weight, np.log(1 - DETECTION), rtol=1e-5)
+    assert one.existence[0] == 1.0
+
+
+def test_existence_equals_a_sum_over_what_can_have_been() -> None:
+    """Seen once and then missed: a thing that was missed, or nothing at all."""
+    specification = sensor(false_detections=RATE)
+    false = RATE / (np.pi * 9.0) / DETECTION
+    thing, total = np.exp(LOG_THING), 0.0
+    one, log_weight = see(nothing(), specification, HYDRANT)
+    total += float(log_weight)
+    np.testing.assert_allclose(one.existence[0], thing / (thing + false), rtol=1e-5)
+    for misses in range(1, 4):
+        one, log_weight = see(one, specification, None)
+        total += float(log_weight)
+        still = thing * (1 - DETECTION) ** misses
+        np.testing.assert_allclose(one.existence[0], still / (still + false), rtol=1e-4)
+        np.testing.assert_allclose(np.exp(total), still + false, rtol=1e-4)
+    # False detections are scattered, so what is seen twice in one place is there.
+    one, _ = see(one, specification, HYDRANT)
+    assert one.existence[0] == 1.0
+
+
+def test_mislabelled_thing_is_told_by_its_other_labels() -> None:
+    """A box that was called a hydrant once or twice is called so rarely: odds by enumeration."""
+    wrong = 0.1
+    specification = sensor(mislabelled=wrong)
+    as_this = wrong / (TYPES - 1) / (1 - wrong)
+    one, _ = see(nothing(), specification, HYDRANT)
+    # Things of seven other types, each as frequent, may have been called a hydrant.
+    odds = 1.0 / ((TYPES - 1) * as_this)
+    np.testing.assert_allclose(one.existence[0], odds / (1 + odds), rtol=1e-5)
+    one, _ = see(one, specification, HYDRANT)
+    odds /= as_this
+    np.testing.assert_allclose(one.existence[0], odds / (1 + odds), rtol=1e-5)
+
+
+def test_known_thing_explains_a_wrong_label() -> None:
+    """What is called a cone in the place of a hydrant is the hydrant."""
+    specification = sensor(mislabelled=0.1)
+    one, _ = see(nothing(), specification, HYDRANT)
+    one, _ = see(one, specification, HYDRANT)
+    one, _ = see(one, specification, CONE)
+    np.testing.assert_array_equal(one.object_type, [HYDRANT, CONE, NONE])
+    assert one.existence[0] > 0.9
+    assert one.existence[1] < 0.05
+
+
+def test_what_hardly_exists_is_forgotten_and_its_words_are_lost() -> None:
+    belief = by_hand.with_objects(
+        by_hand.begin(), [(HYDRANT, 3.0, 1.0), (CONE, 2.0, 0.0), (CONE, 4.0, 0.0)]
+    )
+    number = belief.log_weight.shape[0]
+    existence = np.zeros((by_hand.CONFIG.num_objects, number), np.float32)
+    existence[0], existence[1], existence[2] = 0.001, 0.9, 0.001
+    existence[2, 5] = 0.5  # one particle still takes it to be there
+    referent = np.full((by_hand.M, number), NONE, np.int32)
+    referent[0, :10], referent[0, 10:] = 0, 1
+    particles = replace(
+        belief.particles,
+        existence=jnp.asarray(existence),
+        referent=jnp.asarray(referent),
+        is_mentioned=jnp.asarray(np.arange(by_hand.M)[:, None] < np.full(number, 1)),
+    )
+    after, is_lost = jax.jit(semantic_filter._forget)(particles)
+    np.testing.assert_array_equal(after.object_type[:3, 0], [NONE, CONE, CONE])
+    np.testing.assert_array_equal(is_lost, np.arange(number) < 10)
+    assert float(jnp.abs(after.covariance[0]).max()) == 0.0
