@@ -31,7 +31,7 @@ from jaxlangnav.messages import (
 )
 from jaxlangnav.numerics.batching import row_of
 from jaxlangnav.planner import graph, policy
-from jaxlangnav.planner.blocked import Way, start_of_way, watch
+from jaxlangnav.planner.blocked import Way, keep_watch, start_of_way
 from jaxlangnav.planner.config import PlannerConfig
 from jaxlangnav.planner.goals import Goals, gather
 from jaxlangnav.planner.params import PlannerParams, default_planner_params
@@ -398,7 +398,7 @@ def _decide(
     )
     robot, waypoint = (robot_x, robot_y), (choice.waypoint_x, choice.waypoint_y)
     is_under_way = ~outlook.stands & ~choice.is_stop & ~choice.is_not_found & ~choice.doubt.asks
-    way = watch(state.way, waypoint, robot, is_under_way, patience=config.patience)
+    way = keep_watch(state.way, waypoint, robot, is_under_way, patience=config.patience)
     return replace(state, visited=visited, memory=memory, way=way), choice
 
 

@@ -33,9 +33,9 @@ belief_figure(recording)
 # ## The same as a story
 
 # %%
-from jaxlangnav.viz.narrative import tell
+from jaxlangnav.viz.narrative import narrate
 
-print(*tell(recording), sep="\n")
+print(*narrate(recording), sep="\n")
 
 # %% [markdown]
 # ## Anything in it is an array

@@ -32,7 +32,7 @@ discount = [0.7, 0.8, 0.9]
 MEETING = """
 import sys, time
 from jaxlangnav.experiments import devices
-place, number = devices.join(sys.argv[1], 2, int(sys.argv[2]))
+place, number = devices.join_devices(sys.argv[1], 2, int(sys.argv[2]))
 print(place, number, flush=True)
 import jax.numpy as jnp
 time.sleep(30.0 if place == 0 else 3.0)
@@ -79,9 +79,9 @@ def test_rounds_by_hand() -> None:
 
 def test_mistakes_are_one_line() -> None:
     with pytest.raises(ValueError, match='coordinator is "here", but must be HOST:PORT'):
-        devices.join("here", 2, 0)
+        devices.join_devices("here", 2, 0)
     with pytest.raises(ValueError, match="cannot join the other processes: ") as caught:
-        devices.join("127.0.0.1:9", 2, 2)
+        devices.join_devices("127.0.0.1:9", 2, 2)
     assert "\n" not in str(caught.value)
 
 

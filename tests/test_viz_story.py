@@ -153,7 +153,7 @@ def test_claims_are_ranked_and_sum_to_one():
 
 
 def test_the_story_in_full():
-    told = narrative.tell(make_recording(9, 20))
+    told = narrative.narrate(make_recording(9, 20))
     assert told[0] == "You said: “go to the hydrant behind the cone”."
     assert "a hydrant behind a cone (80 %)" in told[1]
     assert "a hydrant (20 %)" in told[2]
@@ -166,7 +166,7 @@ def test_the_story_in_full():
 
 
 def test_every_step_is_in_the_story_once():
-    told = narrative.tell(make_recording(12, 20))
+    told = narrative.narrate(make_recording(12, 20))
     heads = [line[1:].split("·")[0].strip() for line in told if line.startswith("[")]
     covered = []
     for head in heads:

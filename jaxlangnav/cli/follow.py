@@ -184,7 +184,7 @@ class Follow:
         from jaxlangnav import recorder
         from jaxlangnav.recording import gather
         from jaxlangnav.task.follow import alone, judged
-        from jaxlangnav.viz.narrative import closing, tell
+        from jaxlangnav.viz.narrative import closing, narrate
 
         instructions, task = alone(understood), prepared.task
         scene = recorder.set_scene(
@@ -203,7 +203,7 @@ class Follow:
         else:
             frames, results = zip(*whole, strict=True)
             recording = judged(gather(scene, list(frames), results[-1]), prepared)
-            lines = tell(recording)
+            lines = narrate(recording)
         output.tell(lines)
         return recording
 

@@ -78,7 +78,7 @@ def illustrate(name: str, settings: Settings, output: Output) -> Study:
     Returns:
         The study; its document has ``moments``, a line for each panel.
     """
-    from jaxlangnav.viz.narrative import tell
+    from jaxlangnav.viz.narrative import narrate
 
     figure = EPISODES[name]
     # All policies by default: then the paper's, whose figure it is.
@@ -89,7 +89,7 @@ def illustrate(name: str, settings: Settings, output: Output) -> Study:
         recording = _record(figure, policy, settings)
     steps = pick_moments(recording, figure.num_panels)
     moments = describe_moments(recording, steps)
-    output.tell(tell(recording))
+    output.tell(narrate(recording))
     document: dict[str, Any] = {
         "experiment": figure.name,
         "instruction": TEXT,

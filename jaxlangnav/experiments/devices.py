@@ -2,7 +2,8 @@
 
 The devices of a process form one mesh. Each runs the same program on one chunk of episodes at a
 time, so that what an episode gives does not depend on how many devices there are. Processes share
-nothing but a folder: each finds its place among them by ``join`` and does its part of the files.
+nothing but a folder: each finds its place among them by ``join_devices`` and does its part of
+the files.
 """
 
 import dataclasses
@@ -67,7 +68,7 @@ def mesh() -> Mesh:
     return jax.make_mesh((len(devices),), (_AXIS,), axis_types=(AxisType.Auto,), devices=devices)
 
 
-def join(
+def join_devices(
     coordinator: str | None = None, processes: int | None = None, process: int | None = None
 ) -> tuple[int, int]:
     """Find out which of how many processes this is; before anything is computed.

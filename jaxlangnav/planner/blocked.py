@@ -70,7 +70,7 @@ def open_nodes(nodes: Nodes, way: Way) -> Nodes:
     return replace(nodes, is_node=nodes.is_node & ~is_closed)
 
 
-def watch(
+def keep_watch(
     way: Way,
     waypoint: tuple[Array, Array],
     robot: tuple[Array, Array],

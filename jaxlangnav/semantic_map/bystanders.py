@@ -83,7 +83,7 @@ def part(observation: Observation, spoken: Array) -> tuple[Observation, Observat
     )
 
 
-def remember(
+def remember_bystanders(
     known: Bystanders, observation: Observation, robot: tuple[Array, Array, Array]
 ) -> tuple[Bystanders, Array]:
     """Enter what is seen: a thing that is known is placed better, another one is added.

@@ -369,7 +369,7 @@ def _remember(
         return belief, 0
     variance = jnp.sum(jnp.exp(belief.log_weight) * belief.particles.covariance[-1, -1])
     robot = *robot_position(belief), variance
-    known, num_forgotten = bystanders.remember(belief.bystanders, others, robot)
+    known, num_forgotten = bystanders.remember_bystanders(belief.bystanders, others, robot)
     return replace(belief, bystanders=known), num_forgotten
 
 

@@ -147,7 +147,7 @@ def closing(scene: Scene, frame: Frame, result: EpisodeResult) -> list[str]:
     return [verdict, way, *notes]
 
 
-def tell(recording: Recording) -> list[str]:
+def narrate(recording: Recording) -> list[str]:
     """Tell a whole episode, steps without event drawn together.
 
     Returns:

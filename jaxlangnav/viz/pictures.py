@@ -10,7 +10,7 @@ from jaxlangnav.viz import style
 from jaxlangnav.viz.belief import belief_figure
 from jaxlangnav.viz.graph import graph_figure
 from jaxlangnav.viz.html import write_html
-from jaxlangnav.viz.narrative import tell
+from jaxlangnav.viz.narrative import narrate
 from jaxlangnav.viz.values import values_figure
 
 
@@ -34,7 +34,7 @@ def write_pictures(recording: Recording, folder: Path | str) -> list[Path]:
         *style.save(values_figure(recording), folder / "values"),
         write_html(recording, folder / "episode.html"),
     ]
-    return [*paths, write_text("\n".join(tell(recording)) + "\n", folder / "story.txt")]
+    return [*paths, write_text("\n".join(narrate(recording)) + "\n", folder / "story.txt")]
 
 
 def write_graph(
