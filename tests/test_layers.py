@@ -35,6 +35,7 @@ LAYERS = (
     "speed",
     "viz",
     "environments",
+    "robots",
     "cli",
     "__main__",
 )

@@ -1,0 +1,353 @@
+"""A navigator drives a robot: from a sentence to an ending (Figure 2 of the paper, section 4.3).
+
+The waypoint that the navigator chooses goes to the robot's own motion planner; after a step's way,
+or when the robot is there, cannot go on or some time has passed, it looks and decides again. What
+the navigator cannot know of is judged here, and each of it has an ending: a camera without
+pictures, a way that cannot be gone, a report that cannot be, a goal that is not where it was seen.
+"""
+
+import dataclasses
+import enum
+from collections.abc import Callable, Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxlangnav.agent import Navigator
+from jaxlangnav.messages import AT, NONE, Action, Fault, Observation, SensorParams, Status
+from jaxlangnav.navigator import NavigatorInfo, NavigatorState
+from jaxlangnav.robots.robot import Detection, Progress, Robot
+
+NUM_DETECTIONS = 8
+"""Detections that a look can hold; of more the nearest are kept."""
+CYCLE = 1.5
+"""Seconds after which a robot under way looks and decides again."""
+_WAIT = 0.2
+"""Seconds between two questions whether the robot is there."""
+_GIVE_UPS = 4
+"""Ways given up, one after the other, after which the robot is blocked."""
+_MOVED = 0.3
+"""Metres from where it last gave up that count as a new place."""
+_IDLE_LOOKS = 12
+"""Looks from one place after which a robot that is sent nowhere else is blocked."""
+_BLIND = 5.0
+"""Seconds without a picture after which the robot is blind."""
+_FAULTY = 10
+"""Looks at fault, one after the other, after which the robot is lost."""
+_CONFIRM = 4
+"""Looks within which the goal must be seen once more before it is said to have been reached."""
+_SAME = 0.8
+"""Metres within which a detection is of the goal that is believed to be there."""
+
+
+class Ending(enum.Enum):
+    """How a drive has ended."""
+
+    ARRIVED = "arrived"
+    NOT_FOUND = "not_found"
+    IDLE = "idle"
+    """It was told to drop the task."""
+    BLOCKED = "blocked"
+    """It cannot get where it would have to go."""
+    BLIND = "blind"
+    """Its camera delivers no pictures."""
+    LOST = "lost"
+    """What it reports of itself cannot be."""
+    HALTED = "halted"
+    """It was told to halt, and its time ran out before it was told to go on."""
+    OUT_OF_TIME = "out_of_time"
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Step:
+    """One decision, as the robot knows of it."""
+
+    seconds: float
+    pose: tuple[float, float, float]
+    """By dead reckoning, metres and radians."""
+    detections: tuple[Detection, ...] | None
+    status: Status
+    fault: Fault
+    target: tuple[float, float] | None
+    """Where it was sent, in the frame of ``pose``, metres; None: it was told to stand."""
+    progress: Progress
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Drive:
+    """A drive that has ended."""
+
+    ending: Ending
+    why: str
+    """In one line, for people."""
+    steps: tuple[Step, ...]
+    state: NavigatorState
+
+
+OnStep = Callable[[Step, NavigatorState, NavigatorInfo | None], None]
+"""Is told each decision; the info is None where there was no picture to decide by."""
+
+
+def observe(
+    pose: np.ndarray, found: Sequence[Detection], sensor: SensorParams, size: int = NUM_DETECTIONS
+) -> Observation:
+    """Build the navigator's observation from a robot's report.
+
+    Args:
+        pose: f64[3], x, y, heading by dead reckoning.
+        found: what has been detected; of more than ``size`` the nearest are kept.
+        sensor: the detector's specification.
+        size: D, slots of the observation.
+
+    Returns:
+        The observation.
+    """
+    kept = sorted(found, key=lambda one: one.range)[:size]
+    empty = size - len(kept)
+    return Observation(
+        pose=jnp.asarray(pose, jnp.float32),
+        detection_type=jnp.array([one.object_type for one in kept] + [NONE] * empty, jnp.int32),
+        detection_range=jnp.array([one.range for one in kept] + [0.0] * empty, jnp.float32),
+        detection_bearing=jnp.array([one.bearing for one in kept] + [0.0] * empty, jnp.float32),
+        is_detection=jnp.arange(size) < len(kept),
+        sensor=sensor,
+    )
+
+
+def drive(
+    navigator: Navigator,
+    robot: Robot,
+    text: str,
+    *,
+    key: Array,
+    max_seconds: float = 300.0,
+    listen: Callable[[], str | None] | None = None,
+    on_step: OnStep | None = None,
+) -> Drive:
+    """Let a robot follow a sentence until the drive ends; then it stands.
+
+    Args:
+        navigator: what understands and decides.
+        robot: what drives and sees.
+        text: the sentence.
+        key: random key of the decisions, consumed.
+        max_seconds: after which the drive is broken off.
+        listen: asked before each decision for what has been said since, None for nothing; "stop"
+            makes it stand until "go on".
+        on_step: told each decision.
+
+    Returns:
+        How it ended, and every decision.
+
+    Raises:
+        ValueError: the sentence is not understood, or asks for nothing.
+    """
+    state = navigator.start(text, pose=robot.pose().tolist(), area=robot.area)
+    journey = _Journey(navigator, robot, key, on_step)
+    try:
+        while True:
+            said = listen() if listen is not None else None
+            if said is not None:
+                state = navigator.hear(state, said)
+            state, end = journey.decide(state)
+            if end is not None:
+                break
+            if journey.seconds >= max_seconds:
+                is_halted = bool(state.is_halted)
+                end = Ending.HALTED if is_halted else Ending.OUT_OF_TIME
+                end = end, f"no ending within {max_seconds:g} s"
+                break
+    finally:
+        robot.stop()
+    robot.wait(CYCLE)
+    return Drive(ending=end[0], why=end[1], steps=tuple(journey.steps), state=state)
+
+
+_End = tuple[Ending, str]
+
+
+class _Journey:
+    """What the driver keeps count of on the way."""
+
+    def __init__(
+        self, navigator: Navigator, robot: Robot, key: Array, on_step: OnStep | None
+    ) -> None:
+        self.navigator, self.robot, self.key, self.on_step = navigator, robot, key, on_step
+        self.steps: list[Step] = []
+        self.seconds = 0.0
+        self.blind_for = 0.0
+        self.faulty = self.gave_up = self.idle = self.unconfirmed = 0
+        self.last_place = robot.pose()[:2]
+
+    def decide(self, state: NavigatorState) -> tuple[NavigatorState, _End | None]:
+        """Look, decide, and go for a while."""
+        found = self.robot.detections()
+        if found is None:
+            return state, self._be_blind(state)
+        self.blind_for = 0.0
+        pose = self.robot.pose()
+        observation = observe(pose, found, self.robot.sensor)
+        key = jax.random.fold_in(self.key, len(self.steps))
+        after, action, info = self.navigator.step(key, state, observation)
+        action, status = jax.device_get(action), Status(int(action.status))
+        self.faulty = self.faulty + 1 if int(info.fault) else 0
+        if bool(action.is_stop) and status == Status.ARRIVED:
+            return self._arrive(state, after, pose, found, info)
+        self.unconfirmed = 0
+        if bool(action.is_stop) or status == Status.IDLE:
+            self._note(pose, found, status, info, None, Progress.STANDING, after)
+            return after, self._name_the_end(status, after)
+        target = self._target(action, pose, info)
+        progress = self._go(action, target)
+        self._note(pose, found, status, info, target, progress, after)
+        return after, self._judge(progress, target, info)
+
+    def _be_blind(self, state: NavigatorState) -> _End | None:
+        """Stand without a picture, for a while."""
+        self.robot.stop()
+        status = Status(int(state.status))
+        self._note(self.robot.pose(), None, status, None, None, Progress.STANDING, state)
+        self._wait(_WAIT)
+        self.blind_for += _WAIT
+        if self.blind_for < _BLIND:
+            return None
+        return Ending.BLIND, f"the camera has delivered no picture for {self.blind_for:.0f} s"
+
+    def _arrive(
+        self,
+        before: NavigatorState,
+        after: NavigatorState,
+        pose: np.ndarray,
+        found: Sequence[Detection],
+        info: NavigatorInfo,
+    ) -> tuple[NavigatorState, _End | None]:
+        """Believe an arrival once the goal has been seen from there; look again if it has not."""
+        self.robot.stop()
+        self._note(pose, found, Status.ARRIVED, info, None, Progress.STANDING, after)
+        goal = _goal_object(after, info)
+        if goal is None or _is_seen(goal, info, found, pose):
+            return after, (Ending.ARRIVED, "arrived")
+        self.unconfirmed += 1
+        name = self.navigator.type_names[goal[0]]
+        if self.unconfirmed >= _CONFIRM:
+            return after, (Ending.NOT_FOUND, f"the {name} is not where it was seen")
+        # Its back may be turned on the goal: face it and look again.
+        offset = np.array(goal[1:]) - np.asarray(info.robot)
+        self.robot.go_to((pose[:2] + offset)[None], speed=1.0, clearance=0.0)
+        self._wait(CYCLE)
+        return before, None
+
+    def _name_the_end(self, status: Status, state: NavigatorState) -> _End | None:
+        """Say how the task ended by the navigator's own account."""
+        if status == Status.NOT_FOUND:
+            missing = self.navigator.missing(state)
+            return Ending.NOT_FOUND, f"not found: {', '.join(missing) or 'nothing fits'}"
+        return Ending.IDLE, "nothing is left to do"
+
+    def _target(self, action: Action, pose: np.ndarray, info: NavigatorInfo) -> np.ndarray | None:
+        """Say where to send the robot in its own frame, f64[2]; None where it is to stand."""
+        offset = np.asarray(action.waypoint, float) - np.asarray(info.robot, float)
+        stands = int(info.fault) != 0 or int(action.status) == Status.HALTED
+        if stands or np.hypot(*offset) < 1e-3:
+            return None
+        return pose[:2] + offset
+
+    def _go(self, action: Action, target: np.ndarray | None) -> Progress:
+        """Go for a step's way, or until something is to be decided."""
+        if target is None:
+            self.robot.stop()
+            return self._wait(CYCLE)
+        speed, clearance = float(action.speed), float(action.clearance)
+        self.robot.go_to(target[None], speed=speed, clearance=clearance)
+        length = max(float(np.hypot(*action.step)), _MOVED)
+        start, begin = self.robot.pose()[:2], self.seconds
+        progress = self._wait(_WAIT)
+        while progress is Progress.UNDER_WAY and self.seconds - begin < CYCLE:
+            if np.hypot(*(self.robot.pose()[:2] - start)) >= length:
+                break
+            progress = self._wait(_WAIT)
+        return progress
+
+    def _judge(
+        self, progress: Progress, target: np.ndarray | None, info: NavigatorInfo
+    ) -> _End | None:
+        """Find out whether it is of any use to go on."""
+        if self.faulty >= _FAULTY:
+            names = Fault(int(info.fault)).name
+            return Ending.LOST, f"what the robot reports cannot be: {names}"
+        place = self.robot.pose()[:2]
+        if np.hypot(*(place - self.last_place)) > _MOVED:
+            self.last_place, self.gave_up, self.idle = place, 0, 0
+        self.gave_up += progress is Progress.GAVE_UP
+        self.idle += progress is Progress.THERE
+        if self.gave_up < _GIVE_UPS and self.idle < _IDLE_LOOKS:
+            return None
+        where = "" if target is None else f" to ({target[0]:.1f}, {target[1]:.1f})"
+        if self.gave_up >= _GIVE_UPS:
+            return Ending.BLOCKED, f"the motion planner finds no way{where}"
+        return Ending.BLOCKED, f"it cannot come any nearer{where}"
+
+    def _wait(self, seconds: float) -> Progress:
+        self.seconds += seconds
+        return self.robot.wait(seconds)
+
+    def _note(
+        self,
+        pose: np.ndarray,
+        found: Sequence[Detection] | None,
+        status: Status,
+        info: NavigatorInfo | None,
+        target: np.ndarray | None,
+        progress: Progress,
+        state: NavigatorState,
+    ) -> None:
+        """Keep a decision, and tell it."""
+        step = Step(
+            seconds=round(self.seconds, 3),
+            pose=(float(pose[0]), float(pose[1]), float(pose[2])),
+            detections=None if found is None else tuple(found),
+            status=status,
+            fault=Fault(0 if info is None else int(info.fault)),
+            target=None if target is None else (float(target[0]), float(target[1])),
+            progress=progress,
+        )
+        self.steps.append(step)
+        if self.on_step is not None:
+            self.on_step(step, state, info)
+
+
+def _goal_object(state: NavigatorState, info: NavigatorInfo) -> tuple[int, float, float] | None:
+    """Find the thing that the robot has arrived at: type and place; None for a mere region."""
+    goals = jax.device_get(info.goals)
+    mass = np.where(goals.is_object, goals.object_mass, 0.0)[:-1]
+    away = np.hypot(goals.object_x[:-1] - info.robot[0], goals.object_y[:-1] - info.robot[1])
+    slot = int(np.argmax(mass * np.exp(-away)))
+    region = int(np.argmax(np.asarray(info.behavior.goal)[:, slot]))
+    types = np.asarray(state.belief.particles.object_type)[slot]
+    types = types[types >= 0]
+    if region != AT or not len(types) or mass[slot] <= 0.0:
+        return None
+    kind = int(np.bincount(types).argmax())
+    return kind, float(goals.object_x[slot]), float(goals.object_y[slot])
+
+
+def _is_seen(
+    goal: tuple[int, float, float],
+    info: NavigatorInfo,
+    found: Sequence[Detection],
+    pose: np.ndarray,
+) -> bool:
+    """Tell whether one of the detections is of the goal."""
+    kind, x, y = goal
+    robot_x, robot_y = np.asarray(info.robot, float)
+    for one in found:
+        bearing = pose[2] + one.bearing
+        seen_x, seen_y = (
+            robot_x + one.range * np.cos(bearing),
+            robot_y + one.range * np.sin(bearing),
+        )
+        if one.object_type == kind and np.hypot(seen_x - x, seen_y - y) <= _SAME:
+            return True
+    return False
