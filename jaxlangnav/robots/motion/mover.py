@@ -29,6 +29,8 @@ _MOVED = 0.1
 """Metres, or a fifth of a radian, that count as having moved."""
 _GRACE, _DETOUR = 15.0, 4.0
 """It gives up after a time, too: seconds, and how often the time that the straight way takes."""
+_TREMBLE = np.array([0.0, 0.0, 0.06])
+"""Metres by which discs may grow or stir before a way is not free any more."""
 _PLAN_EVERY = 0.3
 """Seconds after which a way is looked for again, or a free one shortened."""
 _TRIES = 10
@@ -165,19 +167,26 @@ class Mover:
             return
         self._age = 0.0
         if is_free and self._way is not None:
-            # A corner is passed once the way can be seen beyond it.
-            while len(self._way) > 1 and is_clear(pose[:2], self._way[1], inflated):
-                self._way = self._way[1:]
+            self._way = self._shortened(pose[:2], self._way, inflated)
             return
         self._way = find_path(pose[:2], goal, inflated)
         self._failed = self._failed + 1 if self._way is None else 0
 
     @staticmethod
+    def _shortened(start: np.ndarray, way: np.ndarray, inflated: np.ndarray) -> np.ndarray:
+        """Leave out corners that have been passed, or beyond which the way lies open."""
+        discs = inflated - _TREMBLE
+        while len(way) > 1:
+            is_passed = (start - way[0]) @ (way[1] - way[0]) > 0.0
+            if not is_passed and not is_clear(start, way[1], discs):
+                break
+            way = way[1:]
+        return way
+
+    @staticmethod
     def _is_free(start: np.ndarray, way: np.ndarray, inflated: np.ndarray) -> bool:
-        points = [start, *way]
-        # A finger's breadth less, so that a disc that trembles does not change the way.
-        discs = inflated - np.array([0.0, 0.0, 0.05])
-        return all(is_clear(*pair, discs) for pair in itertools.pairwise(points))
+        discs = inflated - _TREMBLE
+        return all(is_clear(*pair, discs) for pair in itertools.pairwise([start, *way]))
 
     def _arrive(self, pose: np.ndarray) -> Command:
         """Face what the last waypoint is on, and be there."""
