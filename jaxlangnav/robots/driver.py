@@ -30,8 +30,14 @@ _GIVE_UPS = 4
 """Ways given up, one after the other, after which the robot is blocked."""
 _MOVED = 0.3
 """Metres from where it last gave up that count as a new place."""
-_IDLE_LOOKS = 12
-"""Looks from one place after which a robot that is sent nowhere else is blocked."""
+_IDLE_LOOKS = 3
+"""Looks from as near to a waypoint as can be after which it looks at it from elsewhere."""
+_DETOURS = 6
+"""Looks from elsewhere, all of them for one waypoint, after which it is blocked."""
+_DETOUR, _TURNED = 0.5, 2.2
+"""Metres of such a detour, and radians from one to the next: another half of the world is seen."""
+_DETOUR_SECONDS = 6.0
+"""Seconds that a detour takes at most."""
 _BLIND = 5.0
 """Seconds without a picture after which the robot is blind."""
 _FAULTY = 10
@@ -180,6 +186,10 @@ class _Journey:
         self.blind_for = 0.0
         self.faulty = self.gave_up = self.idle = self.unconfirmed = 0
         self.last_place = robot.pose()[:2]
+        self.detour: np.ndarray | None = None
+        self.detour_since = 0.0
+        self.detours = 0
+        self.detour_for = np.full(2, np.inf)
 
     def decide(self, state: NavigatorState) -> tuple[NavigatorState, _End | None]:
         """Look, decide, and go for a while."""
@@ -200,6 +210,8 @@ class _Journey:
             self._note(pose, found, status, info, None, Progress.STANDING, after)
             return after, self._name_the_end(status, after)
         target = self._target(action, pose, info)
+        if target is not None and self.detour is not None:
+            target = self.detour
         progress = self._go(action, target)
         self._note(pose, found, status, info, target, progress, after)
         return after, self._judge(progress, target, info)
@@ -277,17 +289,38 @@ class _Journey:
         if self.faulty >= _FAULTY:
             names = Fault(int(info.fault)).name
             return Ending.LOST, f"what the robot reports cannot be: {names}"
+        if self.detour is not None:
+            is_over = self.seconds - self.detour_since > _DETOUR_SECONDS
+            if is_over or progress is not Progress.UNDER_WAY:
+                self.detour = None
+            return None
         place = self.robot.pose()[:2]
         if np.hypot(*(place - self.last_place)) > _MOVED:
             self.last_place, self.gave_up, self.idle = place, 0, 0
         self.gave_up += progress is Progress.GAVE_UP
         self.idle += progress is Progress.THERE
-        if self.gave_up < _GIVE_UPS and self.idle < _IDLE_LOOKS:
-            return None
-        where = "" if target is None else f" to ({target[0]:.1f}, {target[1]:.1f})"
         if self.gave_up >= _GIVE_UPS:
+            where = "" if target is None else f" to ({target[0]:.1f}, {target[1]:.1f})"
             return Ending.BLOCKED, f"the motion planner finds no way{where}"
-        return Ending.BLOCKED, f"it cannot come any nearer{where}"
+        if self.idle < _IDLE_LOOKS or target is None:
+            return None
+        return self._look_from_elsewhere(target)
+
+    def _look_from_elsewhere(self, target: np.ndarray) -> _End | None:
+        """Leave a waypoint that cannot be stood on and turn: the belief may be waiting for a look.
+
+        A place to look from may lie within a thing or too near to one.
+        """
+        if np.hypot(*(target - self.detour_for)) > _DETOUR:
+            self.detour_for, self.detours = target, 0
+        if self.detours >= _DETOURS:
+            return Ending.BLOCKED, f"it cannot come nearer to ({target[0]:.1f}, {target[1]:.1f})"
+        x, y, heading = self.robot.pose()
+        self.detours += 1
+        self.idle, self.detour_since = 0, self.seconds
+        angle = heading + _TURNED
+        self.detour = np.array([x + _DETOUR * np.cos(angle), y + _DETOUR * np.sin(angle)])
+        return None
 
     def _wait(self, seconds: float) -> Progress:
         self.seconds += seconds

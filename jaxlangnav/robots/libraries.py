@@ -5,12 +5,15 @@ Rendering off screen goes through EGL, which is the system's, not pip's.
 
 import importlib
 import os
+import sys
 from typing import Any
 
 from jaxlangnav.viz.style import require
 
 SYSTEM_PACKAGES = "libegl1 libegl-mesa0 libgl1-mesa-dri"
 """Debian and Ubuntu packages that rendering off screen needs."""
+_BACKEND = "MUJOCO_GL"
+"""Environment variable by which MuJoCo chooses how to render; read as it is imported."""
 
 
 class MissingSystemLibraryError(ValueError):
@@ -28,7 +31,12 @@ def mujoco() -> Any:
         MissingSystemLibraryError: EGL is not there.
     """
     require("mujoco", extra="robot")
-    os.environ.setdefault("MUJOCO_GL", "egl")
+    if "mujoco" in sys.modules and os.environ.get(_BACKEND) is None:
+        raise MissingSystemLibraryError(
+            f"mujoco was imported before jaxlangnav.robots could ask it to render off screen: set "
+            f"{_BACKEND}=egl in the environment"
+        )
+    os.environ.setdefault(_BACKEND, "egl")
     try:
         return importlib.import_module("mujoco")
     except (ImportError, AttributeError, OSError) as error:

@@ -244,7 +244,7 @@ def _told(ended: Drive, truth: list[list[float]]) -> list[dict[str, Any]]:
         {
             "seconds": step.seconds,
             "pose": [round(one, 3) for one in step.pose],
-            "true_pose": true,
+            "true_pose_after": true,
             "status": step.status.word,
             "fault": int(step.fault),
             "target": step.target and [round(one, 3) for one in step.target],
