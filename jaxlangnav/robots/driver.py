@@ -18,6 +18,8 @@ from jax import Array
 from jaxlangnav.agent import Navigator
 from jaxlangnav.messages import AT, NONE, Action, Fault, Observation, SensorParams, Status
 from jaxlangnav.navigator import NavigatorInfo, NavigatorState
+from jaxlangnav.pytree import replace
+from jaxlangnav.robots.motion.mover import wrap
 from jaxlangnav.robots.robot import Detection, Progress, Robot
 
 NUM_DETECTIONS = 8
@@ -31,19 +33,20 @@ _GIVE_UPS = 4
 _MOVED = 0.3
 """Metres from where it last gave up that count as a new place."""
 _IDLE_LOOKS = 3
-"""Looks from as near to a waypoint as can be after which it looks at it from elsewhere."""
-_DETOURS = 6
-"""Looks from elsewhere, all of them for one waypoint, after which it is blocked."""
-_DETOUR, _TURNED = 0.5, 2.2
-"""Metres of such a detour, and radians from one to the next: another half of the world is seen."""
-_DETOUR_SECONDS = 6.0
-"""Seconds that a detour takes at most."""
+"""Looks from as near to a waypoint as can be after which it looks about."""
+_TURNS = 6
+"""Turns on the spot, all of them for one waypoint, after which it is blocked."""
+_TURNED, _SAME_WAYPOINT = 1.3, 0.5
+"""Radians from one to the next, and metres within which a waypoint is still the same."""
+_TURN_SECONDS = 6.0
+"""Seconds that a turn takes at most."""
 _BLIND = 5.0
 """Seconds without a picture after which the robot is blind."""
 _FAULTY = 10
 """Looks at fault, one after the other, after which the robot is lost."""
-_CONFIRM = 4
-"""Looks within which the goal must be seen once more before it is said to have been reached."""
+_CONFIRM = (0.0, 0.5, -0.5, 1.0, -1.0, 1.8, -1.8, 3.0)
+"""Radians off the goal of the looks within which it must be seen once more before it is said to
+have been reached: it is believed to be straight ahead, but odometry may be out."""
 _SAME = 0.8
 """Metres within which a detection is of the goal that is believed to be there."""
 
@@ -186,10 +189,10 @@ class _Journey:
         self.blind_for = 0.0
         self.faulty = self.gave_up = self.idle = self.unconfirmed = 0
         self.last_place = robot.pose()[:2]
-        self.detour: np.ndarray | None = None
-        self.detour_since = 0.0
-        self.detours = 0
-        self.detour_for = np.full(2, np.inf)
+        self.facing: float | None = None
+        self.turning_since = 0.0
+        self.turns = 0
+        self.turns_for = np.full(2, np.inf)
 
     def decide(self, state: NavigatorState) -> tuple[NavigatorState, _End | None]:
         """Look, decide, and go for a while."""
@@ -210,8 +213,8 @@ class _Journey:
             self._note(pose, found, status, info, None, Progress.STANDING, after)
             return after, self._name_the_end(status, after)
         target = self._target(action, pose, info)
-        if target is not None and self.detour is not None:
-            target = self.detour
+        if target is not None and self.facing is not None:
+            target = pose[:2]
         progress = self._go(action, target)
         self._note(pose, found, status, info, target, progress, after)
         return after, self._judge(progress, target, info)
@@ -243,13 +246,16 @@ class _Journey:
             return after, (Ending.ARRIVED, "arrived")
         self.unconfirmed += 1
         name = self.navigator.type_names[goal[0]]
-        if self.unconfirmed >= _CONFIRM:
+        if self.unconfirmed > len(_CONFIRM):
             return after, (Ending.NOT_FOUND, f"the {name} is not where it was seen")
-        # Its back may be turned on the goal: face it and look again.
-        offset = np.array(goal[1:]) - np.asarray(info.robot)
-        self.robot.go_to((pose[:2] + offset)[None], speed=1.0, clearance=0.0)
-        self._wait(CYCLE)
-        return before, None
+        x, y = np.array(goal[1:]) - np.asarray(info.robot)
+        facing = wrap(float(np.arctan2(y, x)) + _CONFIRM[self.unconfirmed - 1])
+        self.robot.go_to(pose[None, :2], speed=1.0, clearance=0.0, facing=facing)
+        begin, progress = self.seconds, self._wait(_WAIT)
+        while progress is Progress.UNDER_WAY and self.seconds - begin < _TURN_SECONDS:
+            progress = self._wait(_WAIT)
+        # What has been seen is kept, but the task goes on.
+        return replace(after, status=before.status), None
 
     def _name_the_end(self, status: Status, state: NavigatorState) -> _End | None:
         """Say how the task ended by the navigator's own account."""
@@ -272,7 +278,7 @@ class _Journey:
             self.robot.stop()
             return self._wait(CYCLE)
         speed, clearance = float(action.speed), float(action.clearance)
-        self.robot.go_to(target[None], speed=speed, clearance=clearance)
+        self.robot.go_to(target[None], speed=speed, clearance=clearance, facing=self.facing)
         length = max(float(np.hypot(*action.step)), _MOVED)
         start, begin = self.robot.pose()[:2], self.seconds
         progress = self._wait(_WAIT)
@@ -289,10 +295,10 @@ class _Journey:
         if self.faulty >= _FAULTY:
             names = Fault(int(info.fault)).name
             return Ending.LOST, f"what the robot reports cannot be: {names}"
-        if self.detour is not None:
-            is_over = self.seconds - self.detour_since > _DETOUR_SECONDS
+        if self.facing is not None:
+            is_over = self.seconds - self.turning_since > _TURN_SECONDS
             if is_over or progress is not Progress.UNDER_WAY:
-                self.detour = None
+                self.facing = None
             return None
         place = self.robot.pose()[:2]
         if np.hypot(*(place - self.last_place)) > _MOVED:
@@ -304,22 +310,20 @@ class _Journey:
             return Ending.BLOCKED, f"the motion planner finds no way{where}"
         if self.idle < _IDLE_LOOKS or target is None:
             return None
-        return self._look_from_elsewhere(target)
+        return self._look_about(target)
 
-    def _look_from_elsewhere(self, target: np.ndarray) -> _End | None:
-        """Leave a waypoint that cannot be stood on and turn: the belief may be waiting for a look.
+    def _look_about(self, target: np.ndarray) -> _End | None:
+        """Turn on the spot: a waypoint that cannot be stood on may be waiting for a look.
 
         A place to look from may lie within a thing or too near to one.
         """
-        if np.hypot(*(target - self.detour_for)) > _DETOUR:
-            self.detour_for, self.detours = target, 0
-        if self.detours >= _DETOURS:
+        if np.hypot(*(target - self.turns_for)) > _SAME_WAYPOINT:
+            self.turns_for, self.turns = target, 0
+        if self.turns >= _TURNS:
             return Ending.BLOCKED, f"it cannot come nearer to ({target[0]:.1f}, {target[1]:.1f})"
-        x, y, heading = self.robot.pose()
-        self.detours += 1
-        self.idle, self.detour_since = 0, self.seconds
-        angle = heading + _TURNED
-        self.detour = np.array([x + _DETOUR * np.cos(angle), y + _DETOUR * np.sin(angle)])
+        self.turns += 1
+        self.idle, self.turning_since = 0, self.seconds
+        self.facing = wrap(float(self.robot.pose()[2]) + _TURNED)
         return None
 
     def _wait(self, seconds: float) -> Progress:

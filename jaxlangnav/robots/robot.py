@@ -60,7 +60,14 @@ class Robot(Protocol):
         """Look: things found now; None where the camera delivers no picture."""
         ...
 
-    def go_to(self, waypoints: np.ndarray, *, speed: float, clearance: float) -> None:
+    def go_to(
+        self,
+        waypoints: np.ndarray,
+        *,
+        speed: float,
+        clearance: float,
+        facing: float | None = None,
+    ) -> None:
         """Make for waypoints one after the other; returns at once, ``wait`` lets it happen.
 
         Args:
@@ -68,6 +75,8 @@ class Robot(Protocol):
                 is gone up to as near as the body allows.
             speed: factor on the robot's normal speed.
             clearance: metres to keep between the body and things, but for what is gone up to.
+            facing: heading at the end, radians, map frame; towards a waypoint that could not be
+                reached, or any, if None.
         """
         ...
 

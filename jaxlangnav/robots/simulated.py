@@ -102,9 +102,16 @@ class SimulatedRobot(abc.ABC):
         """Look, see ``Robot.detections``."""
         return self._look() if self.camera_works else None
 
-    def go_to(self, waypoints: np.ndarray, *, speed: float, clearance: float) -> None:
+    def go_to(
+        self,
+        waypoints: np.ndarray,
+        *,
+        speed: float,
+        clearance: float,
+        facing: float | None = None,
+    ) -> None:
         """Make for waypoints, see ``Robot.go_to``."""
-        self.mover.go_to(waypoints, speed=speed, clearance=clearance)
+        self.mover.go_to(waypoints, speed=speed, clearance=clearance, facing=facing)
 
     def stop(self) -> None:
         """Stand still, see ``Robot.stop``."""

@@ -19,6 +19,8 @@ TICK = 0.1
 """Seconds between two commands to the wheels."""
 NEAR = 0.12
 """Metres from a waypoint that count as being there."""
+_CREEP = 0.1
+"""Metres a second below which it may turn on the spot."""
 _FACING = 0.15
 """Radians off the last waypoint that count as facing it."""
 _BESIDE = 0.3
@@ -92,6 +94,7 @@ class Mover:
         self.progress = Progress.STANDING
         self._waypoints = np.zeros((0, 2))
         self._speed, self._clearance = 1.0, 0.0
+        self._facing: float | None = None
         self._forget()
 
     def _forget(self) -> None:
@@ -102,14 +105,23 @@ class Mover:
         self._still_for = 0.0
         self._left = math.inf
 
-    def go_to(self, waypoints: np.ndarray, *, speed: float, clearance: float) -> None:
+    def go_to(
+        self,
+        waypoints: np.ndarray,
+        *,
+        speed: float,
+        clearance: float,
+        facing: float | None = None,
+    ) -> None:
         """Take waypoints, see ``Robot.go_to``; the same ones again change nothing."""
         points = np.asarray(waypoints, float).reshape(-1, 2)
         if not len(points) or not np.isfinite(points).all():
             raise ValueError(f"waypoints are {points.tolist()}, but must be finite, one at least")
         is_same = self.progress is Progress.UNDER_WAY and points.shape == self._waypoints.shape
         is_same = is_same and bool(np.hypot(*(points - self._waypoints).T).max() < NEAR)
+        is_same = is_same and facing == self._facing
         self._waypoints, self._speed, self._clearance = points, speed, clearance
+        self._facing = facing
         if is_same:
             return
         self._forget()
@@ -132,6 +144,9 @@ class Mover:
         wanted = STILL
         if self.progress is Progress.UNDER_WAY:
             wanted = self._follow(pose, discs)
+        if wanted.speed == 0.0 and abs(self.moving.speed) > _CREEP:
+            # First brake: tyres that turn a skid-steer on the spot hold it no longer ahead.
+            wanted = STILL
         self.moving = _limited(wanted, self.moving, self.body)
         return self.moving
 
@@ -195,8 +210,11 @@ class Mover:
             self._way = None
             return STILL
         offset = self._waypoints[0] - pose[:2]
-        off = wrap(math.atan2(offset[1], offset[0]) - pose[2])
-        if np.hypot(*offset) > _BESIDE and abs(off) > _FACING:
+        facing = self._facing
+        if facing is None and np.hypot(*offset) > _BESIDE:
+            facing = math.atan2(offset[1], offset[0])
+        off = 0.0 if facing is None else wrap(facing - pose[2])
+        if abs(off) > _FACING:
             return turn_by(off, self.body)
         self.progress = Progress.THERE
         return STILL
