@@ -8,10 +8,11 @@ from test_navigator_step import robot as navigator
 
 from jaxlangnav.messages import NONE, Fault, Status, default_sensor
 from jaxlangnav.pytree import replace
-from jaxlangnav.robots.driver import Drive, Ending, drive, observe
+from jaxlangnav.robots.driver import drive
 from jaxlangnav.robots.kinematic import KinematicRobot
 from jaxlangnav.robots.motion.pursuit import Pursuit
 from jaxlangnav.robots.motion.window import Window
+from jaxlangnav.robots.record import Drive, Ending, observe
 from jaxlangnav.robots.robot import Detection, Progress
 from jaxlangnav.world.scenario import empty_scenario
 from jaxlangnav.world.state import CONE, HYDRANT

@@ -6,24 +6,21 @@ the navigator cannot know of is judged here, and each of it has an ending: a cam
 pictures, a way that cannot be gone, a report that cannot be, a goal that is not where it was seen.
 """
 
-import dataclasses
-import enum
 from collections.abc import Callable, Sequence
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
 from jaxlangnav.agent import Navigator
-from jaxlangnav.messages import AT, NONE, Action, Fault, Observation, SensorParams, Status
+from jaxlangnav.messages import Action, Fault, Status
 from jaxlangnav.navigator import NavigatorInfo, NavigatorState
 from jaxlangnav.pytree import replace
+from jaxlangnav.robots.arrival import goal_object, is_seen
 from jaxlangnav.robots.motion.mover import wrap
+from jaxlangnav.robots.record import Drive, Ending, OnStep, Step, observe
 from jaxlangnav.robots.robot import Detection, Progress, Robot
 
-NUM_DETECTIONS = 8
-"""Detections that a look can hold; of more the nearest are kept."""
 CYCLE = 1.5
 """Seconds after which a robot under way looks and decides again."""
 _WAIT = 0.2
@@ -47,82 +44,6 @@ _FAULTY = 10
 _CONFIRM = (0.0, 0.5, -0.5, 1.0, -1.0, 1.8, -1.8, 3.0)
 """Radians off the goal of the looks within which it must be seen once more before it is said to
 have been reached: it is believed to be straight ahead, but odometry may be out."""
-_SAME = 0.8
-"""Metres within which a detection is of the goal that is believed to be there."""
-
-
-class Ending(enum.Enum):
-    """How a drive has ended."""
-
-    ARRIVED = "arrived"
-    NOT_FOUND = "not_found"
-    IDLE = "idle"
-    """It was told to drop the task."""
-    BLOCKED = "blocked"
-    """It cannot get where it would have to go."""
-    BLIND = "blind"
-    """Its camera delivers no pictures."""
-    LOST = "lost"
-    """What it reports of itself cannot be."""
-    HALTED = "halted"
-    """It was told to halt, and its time ran out before it was told to go on."""
-    OUT_OF_TIME = "out_of_time"
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Step:
-    """One decision, as the robot knows of it."""
-
-    seconds: float
-    pose: tuple[float, float, float]
-    """By dead reckoning, metres and radians."""
-    detections: tuple[Detection, ...] | None
-    status: Status
-    fault: Fault
-    target: tuple[float, float] | None
-    """Where it was sent, in the frame of ``pose``, metres; None: it was told to stand."""
-    progress: Progress
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Drive:
-    """A drive that has ended."""
-
-    ending: Ending
-    why: str
-    """In one line, for people."""
-    steps: tuple[Step, ...]
-    state: NavigatorState
-
-
-OnStep = Callable[[Step, NavigatorState, NavigatorInfo | None], None]
-"""Is told each decision; the info is None where there was no picture to decide by."""
-
-
-def observe(
-    pose: np.ndarray, found: Sequence[Detection], sensor: SensorParams, size: int = NUM_DETECTIONS
-) -> Observation:
-    """Build the navigator's observation from a robot's report.
-
-    Args:
-        pose: f64[3], x, y, heading by dead reckoning.
-        found: what has been detected; of more than ``size`` the nearest are kept.
-        sensor: the detector's specification.
-        size: D, slots of the observation.
-
-    Returns:
-        The observation.
-    """
-    kept = sorted(found, key=lambda one: one.range)[:size]
-    empty = size - len(kept)
-    return Observation(
-        pose=jnp.asarray(pose, jnp.float32),
-        detection_type=jnp.array([one.object_type for one in kept] + [NONE] * empty, jnp.int32),
-        detection_range=jnp.array([one.range for one in kept] + [0.0] * empty, jnp.float32),
-        detection_bearing=jnp.array([one.bearing for one in kept] + [0.0] * empty, jnp.float32),
-        is_detection=jnp.arange(size) < len(kept),
-        sensor=sensor,
-    )
 
 
 def drive(
@@ -241,8 +162,8 @@ class _Journey:
         """Believe an arrival once the goal has been seen from there; look again if it has not."""
         self.robot.stop()
         self._note(pose, found, Status.ARRIVED, info, None, Progress.STANDING, after)
-        goal = _goal_object(after, info)
-        if goal is None or _is_seen(goal, info, found, pose):
+        goal = goal_object(after, info)
+        if goal is None or is_seen(goal, info, found, pose):
             return after, (Ending.ARRIVED, "arrived")
         self.unconfirmed += 1
         name = self.navigator.type_names[goal[0]]
@@ -353,38 +274,3 @@ class _Journey:
         self.steps.append(step)
         if self.on_step is not None:
             self.on_step(step, state, info)
-
-
-def _goal_object(state: NavigatorState, info: NavigatorInfo) -> tuple[int, float, float] | None:
-    """Find the thing that the robot has arrived at: type and place; None for a mere region."""
-    goals = jax.device_get(info.goals)
-    mass = np.where(goals.is_object, goals.object_mass, 0.0)[:-1]
-    away = np.hypot(goals.object_x[:-1] - info.robot[0], goals.object_y[:-1] - info.robot[1])
-    slot = int(np.argmax(mass * np.exp(-away)))
-    region = int(np.argmax(np.asarray(info.behavior.goal)[:, slot]))
-    types = np.asarray(state.belief.particles.object_type)[slot]
-    types = types[types >= 0]
-    if region != AT or not len(types) or mass[slot] <= 0.0:
-        return None
-    kind = int(np.bincount(types).argmax())
-    return kind, float(goals.object_x[slot]), float(goals.object_y[slot])
-
-
-def _is_seen(
-    goal: tuple[int, float, float],
-    info: NavigatorInfo,
-    found: Sequence[Detection],
-    pose: np.ndarray,
-) -> bool:
-    """Tell whether one of the detections is of the goal."""
-    kind, x, y = goal
-    robot_x, robot_y = np.asarray(info.robot, float)
-    for one in found:
-        bearing = pose[2] + one.bearing
-        seen_x, seen_y = (
-            robot_x + one.range * np.cos(bearing),
-            robot_y + one.range * np.sin(bearing),
-        )
-        if one.object_type == kind and np.hypot(seen_x - x, seen_y - y) <= _SAME:
-            return True
-    return False

@@ -14,8 +14,9 @@ from jaxlangnav.files.whole import replacing
 from jaxlangnav.messages import Status
 from jaxlangnav.navigator import NavigatorInfo, NavigatorState
 from jaxlangnav.robots import libraries
-from jaxlangnav.robots.driver import Step, drive
+from jaxlangnav.robots.driver import drive
 from jaxlangnav.robots.physics.robot import PhysicsRobot
+from jaxlangnav.robots.record import Step
 
 FORMATS = (".gif", ".mp4")
 PANEL = (400, 300)

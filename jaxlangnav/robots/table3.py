@@ -16,11 +16,12 @@ import numpy as np
 
 from jaxlangnav.agent import Navigator
 from jaxlangnav.pytree import replace
-from jaxlangnav.robots.driver import Drive, Ending, OnStep, drive
+from jaxlangnav.robots.driver import drive
 from jaxlangnav.robots.motion.mover import wrap
 from jaxlangnav.robots.perception.figures import told
 from jaxlangnav.robots.perception.tags import Gates
 from jaxlangnav.robots.physics.robot import PhysicsRobot
+from jaxlangnav.robots.record import Drive, Ending, OnStep
 from jaxlangnav.robots.robot import Progress
 from jaxlangnav.world.scenario import draw_scenario, scenario_law
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
