@@ -34,7 +34,8 @@ _IDLE_LOOKS = 3
 _TURNS = 6
 """Turns on the spot, all of them for one waypoint, after which it is blocked."""
 _TURNED, _SAME_WAYPOINT = 1.3, 0.5
-"""Radians from one to the next, and metres within which a waypoint is still the same."""
+"""Radians by which each turns farther off the waypoint than the last, so that they go all round;
+and metres within which a waypoint is still the same."""
 _TURN_SECONDS = 6.0
 """Seconds that a turn takes at most."""
 _BLIND = 5.0
@@ -244,7 +245,7 @@ class _Journey:
             return Ending.BLOCKED, f"it cannot come nearer to ({target[0]:.1f}, {target[1]:.1f})"
         self.turns += 1
         self.idle, self.turning_since = 0, self.seconds
-        self.facing = wrap(float(self.robot.pose()[2]) + _TURNED)
+        self.facing = wrap(float(self.robot.pose()[2]) + _TURNED * self.turns)
         return None
 
     def _wait(self, seconds: float) -> Progress:

@@ -21,7 +21,7 @@ class Machine:
     body: Body
     steering: Steering
     wheel_radius: float
-    """Metres, as the loaded wheel rolls: the Husky's soft tyres sink in by a hundredth."""
+    """Metres, as the loaded wheel rolls: the Husky's soft tyres sink in a little."""
     track: float
     """Metres between the wheels of the two sides."""
     effective_track: float
@@ -61,10 +61,10 @@ MACHINES = {
             turn_acceleration=1.5,
         ),
         steering=Pursuit(),
-        wheel_radius=0.1635,
+        wheel_radius=0.1647,
         track=0.555,
-        effective_track=1.9,
-        camera_ahead=0.28,
+        effective_track=1.92,
+        camera_ahead=0.05,
     ),
     "wheelchair": Machine(
         body=Body(
