@@ -1,5 +1,7 @@
 """A navigator drives a robot to an ending; what goes wrong on the way has an ending, too."""
 
+from types import SimpleNamespace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,6 +10,7 @@ from test_navigator_step import robot as navigator
 
 from jaxlangnav.messages import NONE, Fault, Status, default_sensor
 from jaxlangnav.pytree import replace
+from jaxlangnav.robots import driver
 from jaxlangnav.robots.driver import drive
 from jaxlangnav.robots.kinematic import KinematicRobot
 from jaxlangnav.robots.motion.pursuit import Pursuit
@@ -161,6 +164,24 @@ def test_it_halts_goes_on_and_drops_the_task(navigator) -> None:
     halted = go(navigator, robot, listen=lambda: "stop", max_seconds=4.0)
     assert halted.ending is Ending.HALTED
     assert robot.travelled == 0.0
+
+
+def test_a_waypoint_that_cannot_be_stood_on_is_seen_from_all_sides_and_then_given_up() -> None:
+    robot = put()
+    journey = driver._Journey(None, robot, jax.random.key(0), None)
+    info, target = SimpleNamespace(fault=0), np.array([0.8, 0.3])
+    facing, beyond, end = [], [], None
+    while end is None:
+        end = journey._judge(Progress.THERE, target, info)
+        facing += [journey.facing] if journey.facing is not None else []
+        beyond += [journey.beyond] if journey.beyond is not None else []
+        assert len(facing) + len(beyond) < 9
+    assert end[0] is Ending.BLOCKED
+    turned = np.sort(np.mod(facing, 2.0 * np.pi))
+    assert np.diff([0.0, *turned, 2.0 * np.pi]).max() < np.pi / 2
+    (place,) = beyond
+    assert place @ target > target @ target
+    assert np.cross([*place, 0.0], [*target, 0.0]) == pytest.approx(0.0, abs=1e-6)
 
 
 def test_an_observation_keeps_the_nearest() -> None:

@@ -31,11 +31,14 @@ _MOVED = 0.3
 """Metres from where it last gave up that count as a new place."""
 _IDLE_LOOKS = 3
 """Looks from as near to a waypoint as can be after which it looks about."""
-_TURNS = 6
-"""Turns on the spot, all of them for one waypoint, after which it is blocked."""
+_TURNS = 4
+"""Turns on the spot, all of them for one waypoint, after which it tries from its other side and is
+then blocked."""
 _TURNED, _SAME_WAYPOINT = 1.3, 0.5
 """Radians by which each turns farther off the waypoint than the last, so that they go all round;
 and metres within which a waypoint is still the same."""
+_BEYOND, _BEYOND_SECONDS = 1.2, 15.0
+"""Metres past a waypoint from where it is looked at after that, and seconds to get there."""
 _TURN_SECONDS = 6.0
 """Seconds that a turn takes at most."""
 _BLIND = 5.0
@@ -115,6 +118,7 @@ class _Journey:
         self.turning_since = 0.0
         self.turns = 0
         self.turns_for = np.full(2, np.inf)
+        self.beyond: np.ndarray | None = None
 
     def decide(self, state: NavigatorState) -> tuple[NavigatorState, _End | None]:
         """Look, decide, and go for a while."""
@@ -137,6 +141,8 @@ class _Journey:
         target = self._target(action, pose, info)
         if target is not None and self.facing is not None:
             target = pose[:2]
+        elif target is not None and self.beyond is not None:
+            target = self.beyond
         progress = self._go(action, target)
         self._note(pose, found, status, info, target, progress, after)
         return after, self._judge(progress, target, info)
@@ -222,6 +228,11 @@ class _Journey:
             if is_over or progress is not Progress.UNDER_WAY:
                 self.facing = None
             return None
+        if self.beyond is not None:
+            is_over = self.seconds - self.turning_since > _BEYOND_SECONDS
+            if is_over or progress is not Progress.UNDER_WAY:
+                self.beyond = None
+            return None
         place = self.robot.pose()[:2]
         if np.hypot(*(place - self.last_place)) > _MOVED:
             self.last_place, self.gave_up, self.idle = place, 0, 0
@@ -241,11 +252,18 @@ class _Journey:
         """
         if np.hypot(*(target - self.turns_for)) > _SAME_WAYPOINT:
             self.turns_for, self.turns = target, 0
-        if self.turns >= _TURNS:
+        if self.turns == _TURNS:
+            # The last way to see more of it: from its other side.
+            way = target - self.robot.pose()[:2]
+            place = target + _BEYOND * way / max(float(np.hypot(*way)), 0.1)
+            x_min, x_max, y_min, y_max = self.robot.area
+            self.beyond = np.clip(place, (x_min, y_min), (x_max, y_max))
+        if self.turns > _TURNS:
             return Ending.BLOCKED, f"it cannot come nearer to ({target[0]:.1f}, {target[1]:.1f})"
         self.turns += 1
         self.idle, self.turning_since = 0, self.seconds
-        self.facing = wrap(float(self.robot.pose()[2]) + _TURNED * self.turns)
+        if self.beyond is None:
+            self.facing = wrap(float(self.robot.pose()[2]) + _TURNED * self.turns)
         return None
 
     def _wait(self, seconds: float) -> Progress:
