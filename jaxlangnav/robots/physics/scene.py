@@ -17,7 +17,6 @@ from jaxlangnav.world.state import CONE, HYDRANT, Scenario
 
 MIDDLE_HEIGHT = 0.45
 """Metres from the floor to the middle of a cube."""
-THING_RADIUS = 0.5 * CUBE_SIDE * 2.0**0.5
 PERSON_RADIUS, PERSON_HEIGHT = 0.25, 1.7
 TIMESTEP = 0.002
 """Seconds; skid-steering on soft contacts needs it."""
