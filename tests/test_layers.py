@@ -41,6 +41,7 @@ LAYERS = (
     "speed",
     "viz",
     "environments",
+    "robots",
     "cli",
     "__main__",
 )

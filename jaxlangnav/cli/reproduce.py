@@ -16,6 +16,8 @@ from jaxlangnav.cli.settings import Place, apply, read_settings
 _PARTICLES, _PARTICLES_DRAWN = 64, 256
 _SEED, _SEED_UNKNOWNS = 0, 3000
 """The study of unknowns has worlds of its own, none that a table or a tuning has used."""
+_TRIALS = 10
+"""Of each row of Table 3, as in the paper."""
 _TAKES = {"table1": (), "fig3": (), "time": ("params",)}
 """Groups of settings that mean something to an experiment; the others take all of them."""
 
@@ -28,8 +30,8 @@ class Reproduce:
     and how well the belief is calibrated. fig1: the belief over time. fig3: the factor graph.
     fig4: the value function over time. fig5: success and distance against the sensing range.
     unknowns: faithful with what the paper leaves open set otherwise, one thing at a time: what
-    explains its figures? time: where a decision cycle's time goes. all: everything, and one page,
-    report.html.
+    explains its figures? time: where a decision cycle's time goes. table3: robots with bodies, in
+    physics with rendered cameras. all: everything but table3, and one page, report.html.
 
     Policies: informed (ours), faithful (the paper's), frontier (nearest frontier, no language),
     lawnmower (a sweep of the area), arc (a sweep that knows by what law the worlds are drawn),
@@ -43,18 +45,23 @@ class Reproduce:
       jaxlangnav reproduce table2 --extra --ranges 2,3,10,15
       jaxlangnav reproduce fig4 --out results
       jaxlangnav reproduce table2 --json > table2.json
+      jaxlangnav reproduce table3 --trials 10 --out robots
     """
 
     SETTINGS: ClassVar = ("params", "sensor", "motion")
 
     what: tyro.conf.Positional[
-        Literal["table1", "table2", "fig1", "fig3", "fig4", "fig5", "unknowns", "time", "all"]
+        Literal[
+            "table1", "table2", "table3", "fig1", "fig3", "fig4", "fig5", "unknowns", "time", "all"
+        ]
     ]
     """Which experiment."""
     episodes: int = 100
     """Runs a row."""
     policy: str = "all"
     """One policy, several with commas between, or all; fig1 and fig4 show faithful if not given."""
+    trials: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
+    """In table3, trials of each row; 10 if not given. Those that DIR holds are not run again."""
     extra: bool = False
     """In table2, rows that the paper lacks as well: 2H2C, and three hydrants or three cones."""
     ranges: Annotated[str | None, tyro.conf.arg(metavar="METRES", help_behavior_hint="")] = None
@@ -72,6 +79,8 @@ class Reproduce:
     def run(self, output: Output) -> Document:
         """Run the experiment, print its table and write the files."""
         self._check()
+        if self.what == "table3":
+            return self._table3(output)
         keep_compiled_programs()
         from jaxlangnav.cli import reproduction
         from jaxlangnav.cli.study import Settings
@@ -105,8 +114,35 @@ class Reproduce:
             return reproduction.run_all(settings, output)
         return reproduction.run_one(self.what, settings, output).document
 
+    def _table3(self, output: Output) -> Document:
+        """Run the robots with bodies."""
+        for field in dataclasses.fields(self):
+            is_read = field.name in ("what", "trials", "policy", "seed", "out", "json", "settings")
+            if not is_read and getattr(self, field.name) != field.default:
+                raise UsageError(f"--{field.name} changes nothing in table3: leave it out")
+        policy = "informed" if self.policy == "all" else self.policy
+        if policy not in ("informed", "faithful"):
+            raise UsageError(
+                f'--policy is "{policy}", but a robot of table3 takes one: informed or faithful'
+            )
+        for place in read_settings(self.settings, self.SETTINGS):
+            raise UsageError(f"--{'.'.join(place)} changes nothing in table3: leave it out")
+        from jaxlangnav.cli.robots import table3
+
+        keep_compiled_programs()
+        return table3(
+            trials=_TRIALS if self.trials is None else self.trials,
+            seed=_SEED if self.seed is None else self.seed,
+            policy=policy,
+            out=self.out,
+            output=output,
+        )
+
     def _check(self) -> None:
         """Refuse what can be refused before anything is loaded."""
+        check_at_least("--trials", _TRIALS if self.trials is None else self.trials, 1)
+        if self.trials is not None and self.what != "table3":
+            raise UsageError(f"--trials is for table3, but {self.what} is run")
         check_at_least("--episodes", self.episodes, 1)
         check_at_least("--particles", _PARTICLES if self.particles is None else self.particles, 2)
         check_seed(_SEED if self.seed is None else self.seed)

@@ -1,0 +1,295 @@
+"""A navigator drives a robot: from a sentence to an ending (Figure 2 of the paper, section 4.3).
+
+The waypoint that the navigator chooses goes to the robot's own motion planner; after a step's way,
+or when the robot is there, cannot go on or some time has passed, it looks and decides again. What
+the navigator cannot know of is judged here, and each of it has an ending: a camera without
+pictures, a way that cannot be gone, a report that cannot be, a goal that is not where it was seen.
+"""
+
+from collections.abc import Callable, Sequence
+
+import jax
+import numpy as np
+from jax import Array
+
+from jaxlangnav.agent import Navigator
+from jaxlangnav.messages import Action, Fault, Status
+from jaxlangnav.navigator import NavigatorInfo, NavigatorState
+from jaxlangnav.pytree import replace
+from jaxlangnav.robots.arrival import goal_object, is_seen
+from jaxlangnav.robots.motion.mover import wrap
+from jaxlangnav.robots.record import Drive, Ending, OnStep, Step, observe
+from jaxlangnav.robots.robot import Detection, Progress, Robot
+
+CYCLE = 1.5
+"""Seconds after which a robot under way looks and decides again."""
+_WAIT = 0.2
+"""Seconds between two questions whether the robot is there."""
+_GIVE_UPS = 4
+"""Ways given up, one after the other, after which the robot is blocked."""
+_MOVED = 0.3
+"""Metres from where it last gave up that count as a new place."""
+_IDLE_LOOKS = 3
+"""Looks from as near to a waypoint as can be after which it looks about."""
+_TURNS = 4
+"""Turns on the spot, all of them for one waypoint, after which it tries from its other side and is
+then blocked."""
+_TURNED, _SAME_WAYPOINT = 1.3, 0.5
+"""Radians by which each turns farther off the waypoint than the last, so that they go all round;
+and metres within which a waypoint is still the same."""
+_BEYOND, _BEYOND_SECONDS = 1.2, 15.0
+"""Metres past a waypoint from where it is looked at after that, and seconds to get there."""
+_TURN_SECONDS = 6.0
+"""Seconds that a turn takes at most."""
+_BLIND = 5.0
+"""Seconds without a picture after which the robot is blind."""
+_FAULTY = 10
+"""Looks at fault, one after the other, after which the robot is lost."""
+_CONFIRM = (0.0, 0.5, -0.5, 1.0, -1.0, 1.8, -1.8, 3.0)
+"""Radians off the goal of the looks within which it must be seen once more before it is said to
+have been reached: it is believed to be straight ahead, but odometry may be out."""
+
+
+def drive(
+    navigator: Navigator,
+    robot: Robot,
+    text: str,
+    *,
+    key: Array,
+    max_seconds: float = 300.0,
+    listen: Callable[[], str | None] | None = None,
+    on_step: OnStep | None = None,
+) -> Drive:
+    """Let a robot follow a sentence until the drive ends; then it stands.
+
+    Args:
+        navigator: what understands and decides.
+        robot: what drives and sees.
+        text: the sentence.
+        key: random key of the decisions, consumed.
+        max_seconds: after which the drive is broken off.
+        listen: asked before each decision for what has been said since, None for nothing; "stop"
+            makes it stand until "go on".
+        on_step: told each decision.
+
+    Returns:
+        How it ended, and every decision.
+
+    Raises:
+        ValueError: the sentence is not understood, or asks for nothing.
+    """
+    state = navigator.start(text, pose=robot.pose().tolist(), area=robot.area)
+    journey = _Journey(navigator, robot, key, on_step)
+    try:
+        while True:
+            said = listen() if listen is not None else None
+            if said is not None:
+                state = navigator.hear(state, said)
+            state, end = journey.decide(state)
+            if end is not None:
+                break
+            if journey.seconds >= max_seconds:
+                is_halted = bool(state.is_halted)
+                end = Ending.HALTED if is_halted else Ending.OUT_OF_TIME
+                end = end, f"no ending within {max_seconds:g} s"
+                break
+    finally:
+        robot.stop()
+    robot.wait(CYCLE)
+    return Drive(ending=end[0], why=end[1], steps=tuple(journey.steps), state=state)
+
+
+_End = tuple[Ending, str]
+
+
+class _Journey:
+    """What the driver keeps count of on the way."""
+
+    def __init__(
+        self, navigator: Navigator, robot: Robot, key: Array, on_step: OnStep | None
+    ) -> None:
+        self.navigator, self.robot, self.key, self.on_step = navigator, robot, key, on_step
+        self.steps: list[Step] = []
+        self.seconds = 0.0
+        self.blind_for = 0.0
+        self.faulty = self.gave_up = self.idle = self.unconfirmed = 0
+        self.last_place = robot.pose()[:2]
+        self.facing: float | None = None
+        self.turning_since = 0.0
+        self.turns = 0
+        self.turns_for = np.full(2, np.inf)
+        self.beyond: np.ndarray | None = None
+
+    def decide(self, state: NavigatorState) -> tuple[NavigatorState, _End | None]:
+        """Look, decide, and go for a while."""
+        found = self.robot.detections()
+        if found is None:
+            return state, self._be_blind(state)
+        self.blind_for = 0.0
+        pose = self.robot.pose()
+        observation = observe(pose, found, self.robot.sensor)
+        key = jax.random.fold_in(self.key, len(self.steps))
+        after, action, info = self.navigator.step(key, state, observation)
+        action, status = jax.device_get(action), Status(int(action.status))
+        self.faulty = self.faulty + 1 if int(info.fault) else 0
+        if bool(action.is_stop) and status == Status.ARRIVED:
+            return self._arrive(state, after, pose, found, info)
+        self.unconfirmed = 0
+        if bool(action.is_stop) or status == Status.IDLE:
+            self._note(pose, found, status, info, None, Progress.STANDING, after)
+            return after, self._name_the_end(status, after)
+        target = self._target(action, pose, info)
+        if target is not None and self.facing is not None:
+            target = pose[:2]
+        elif target is not None and self.beyond is not None:
+            target = self.beyond
+        progress = self._go(action, target)
+        self._note(pose, found, status, info, target, progress, after)
+        return after, self._judge(progress, target, info)
+
+    def _be_blind(self, state: NavigatorState) -> _End | None:
+        """Stand without a picture, for a while."""
+        self.robot.stop()
+        status = Status(int(state.status))
+        self._note(self.robot.pose(), None, status, None, None, Progress.STANDING, state)
+        self._wait(_WAIT)
+        self.blind_for += _WAIT
+        if self.blind_for < _BLIND:
+            return None
+        return Ending.BLIND, f"the camera has delivered no picture for {self.blind_for:.0f} s"
+
+    def _arrive(
+        self,
+        before: NavigatorState,
+        after: NavigatorState,
+        pose: np.ndarray,
+        found: Sequence[Detection],
+        info: NavigatorInfo,
+    ) -> tuple[NavigatorState, _End | None]:
+        """Believe an arrival once the goal has been seen from there; look again if it has not."""
+        self.robot.stop()
+        self._note(pose, found, Status.ARRIVED, info, None, Progress.STANDING, after)
+        goal = goal_object(after, info)
+        if goal is None or is_seen(goal, info, found, pose):
+            return after, (Ending.ARRIVED, "arrived")
+        self.unconfirmed += 1
+        name = self.navigator.type_names[goal[0]]
+        if self.unconfirmed > len(_CONFIRM):
+            return after, (Ending.NOT_FOUND, f"the {name} is not where it was seen")
+        x, y = np.array(goal[1:]) - np.asarray(info.robot)
+        facing = wrap(float(np.arctan2(y, x)) + _CONFIRM[self.unconfirmed - 1])
+        self.robot.go_to(pose[None, :2], speed=1.0, clearance=0.0, facing=facing)
+        begin, progress = self.seconds, self._wait(_WAIT)
+        while progress is Progress.UNDER_WAY and self.seconds - begin < _TURN_SECONDS:
+            progress = self._wait(_WAIT)
+        # What has been seen is kept, but the task goes on.
+        return replace(after, status=before.status), None
+
+    def _name_the_end(self, status: Status, state: NavigatorState) -> _End | None:
+        """Say how the task ended by the navigator's own account."""
+        if status == Status.NOT_FOUND:
+            missing = self.navigator.missing(state)
+            return Ending.NOT_FOUND, f"not found: {', '.join(missing) or 'nothing fits'}"
+        return Ending.IDLE, "nothing is left to do"
+
+    def _target(self, action: Action, pose: np.ndarray, info: NavigatorInfo) -> np.ndarray | None:
+        """Say where to send the robot in its own frame, f64[2]; None where it is to stand."""
+        offset = np.asarray(action.waypoint, float) - np.asarray(info.robot, float)
+        stands = int(info.fault) != 0 or int(action.status) == Status.HALTED
+        if stands or np.hypot(*offset) < 1e-3:
+            return None
+        return pose[:2] + offset
+
+    def _go(self, action: Action, target: np.ndarray | None) -> Progress:
+        """Go for a step's way, or until something is to be decided."""
+        if target is None:
+            self.robot.stop()
+            return self._wait(CYCLE)
+        speed, clearance = float(action.speed), float(action.clearance)
+        self.robot.go_to(target[None], speed=speed, clearance=clearance, facing=self.facing)
+        length = max(float(np.hypot(*action.step)), _MOVED)
+        start, begin = self.robot.pose()[:2], self.seconds
+        progress = self._wait(_WAIT)
+        while progress is Progress.UNDER_WAY and self.seconds - begin < CYCLE:
+            if np.hypot(*(self.robot.pose()[:2] - start)) >= length:
+                break
+            progress = self._wait(_WAIT)
+        return progress
+
+    def _judge(
+        self, progress: Progress, target: np.ndarray | None, info: NavigatorInfo
+    ) -> _End | None:
+        """Find out whether it is of any use to go on."""
+        if self.faulty >= _FAULTY:
+            names = Fault(int(info.fault)).name
+            return Ending.LOST, f"what the robot reports cannot be: {names}"
+        if self.facing is not None:
+            is_over = self.seconds - self.turning_since > _TURN_SECONDS
+            if is_over or progress is not Progress.UNDER_WAY:
+                self.facing = None
+            return None
+        if self.beyond is not None:
+            is_over = self.seconds - self.turning_since > _BEYOND_SECONDS
+            if is_over or progress is not Progress.UNDER_WAY:
+                self.beyond = None
+            return None
+        place = self.robot.pose()[:2]
+        if np.hypot(*(place - self.last_place)) > _MOVED:
+            self.last_place, self.gave_up, self.idle = place, 0, 0
+        self.gave_up += progress is Progress.GAVE_UP
+        self.idle += progress is Progress.THERE
+        if self.gave_up >= _GIVE_UPS:
+            where = "" if target is None else f" to ({target[0]:.1f}, {target[1]:.1f})"
+            return Ending.BLOCKED, f"the motion planner finds no way{where}"
+        if self.idle < _IDLE_LOOKS or target is None:
+            return None
+        return self._look_about(target)
+
+    def _look_about(self, target: np.ndarray) -> _End | None:
+        """Turn on the spot: a waypoint that cannot be stood on may be waiting for a look.
+
+        A place to look from may lie within a thing or too near to one.
+        """
+        if np.hypot(*(target - self.turns_for)) > _SAME_WAYPOINT:
+            self.turns_for, self.turns = target, 0
+        if self.turns == _TURNS:
+            # The last way to see more of it: from its other side.
+            way = target - self.robot.pose()[:2]
+            place = target + _BEYOND * way / max(float(np.hypot(*way)), 0.1)
+            x_min, x_max, y_min, y_max = self.robot.area
+            self.beyond = np.clip(place, (x_min, y_min), (x_max, y_max))
+        if self.turns > _TURNS:
+            return Ending.BLOCKED, f"it cannot come nearer to ({target[0]:.1f}, {target[1]:.1f})"
+        self.turns += 1
+        self.idle, self.turning_since = 0, self.seconds
+        if self.beyond is None:
+            self.facing = wrap(float(self.robot.pose()[2]) + _TURNED * self.turns)
+        return None
+
+    def _wait(self, seconds: float) -> Progress:
+        self.seconds += seconds
+        return self.robot.wait(seconds)
+
+    def _note(
+        self,
+        pose: np.ndarray,
+        found: Sequence[Detection] | None,
+        status: Status,
+        info: NavigatorInfo | None,
+        target: np.ndarray | None,
+        progress: Progress,
+        state: NavigatorState,
+    ) -> None:
+        """Keep a decision, and tell it."""
+        step = Step(
+            seconds=round(self.seconds, 3),
+            pose=(float(pose[0]), float(pose[1]), float(pose[2])),
+            detections=None if found is None else tuple(found),
+            status=status,
+            fault=Fault(0 if info is None else int(info.fault)),
+            target=None if target is None else (float(target[0]), float(target[1])),
+            progress=progress,
+        )
+        self.steps.append(step)
+        if self.on_step is not None:
+            self.on_step(step, state, info)

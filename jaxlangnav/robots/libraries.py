@@ -1,0 +1,111 @@
+"""Libraries of the extra ``robot``, loaded when they are needed, and what to install if they lack.
+
+Rendering off screen goes through EGL, which is the system's, not pip's.
+"""
+
+import importlib
+import os
+import sys
+from typing import Any
+
+from jaxlangnav.viz.style import require
+
+SYSTEM_PACKAGES = "libegl1 libegl-mesa0 libgl1-mesa-dri"
+"""Debian and Ubuntu packages that rendering off screen needs."""
+_BACKEND = "MUJOCO_GL"
+"""Environment variable by which MuJoCo chooses how to render; read as it is imported."""
+
+
+class MissingSystemLibraryError(ValueError):
+    """Rendering off screen does not work here; says what to install."""
+
+
+def mujoco() -> Any:
+    """Load MuJoCo, set up to render off screen.
+
+    Returns:
+        The module.
+
+    Raises:
+        MissingExtraError: it is not installed.
+        MissingSystemLibraryError: EGL is not there.
+    """
+    require("mujoco", extra="robot")
+    if "mujoco" in sys.modules and os.environ.get(_BACKEND) is None:
+        raise MissingSystemLibraryError(
+            f"mujoco was imported before jaxlangnav.robots could ask it to render off screen: set "
+            f"{_BACKEND}=egl in the environment"
+        )
+    os.environ.setdefault(_BACKEND, "egl")
+    try:
+        return importlib.import_module("mujoco")
+    except (ImportError, AttributeError, OSError) as error:
+        raise _no_rendering(error) from error
+
+
+def renderer(model: Any, height: int, width: int) -> Any:
+    """Open a renderer.
+
+    Args:
+        model: a ``mujoco.MjModel``.
+        height: pixels.
+        width: pixels.
+
+    Returns:
+        A ``mujoco.Renderer``.
+
+    Raises:
+        MissingSystemLibraryError: EGL or its driver is not there.
+    """
+    try:
+        return mujoco().Renderer(model, height, width)
+    except Exception as error:  # PyOpenGL raises whatever it meets first
+        raise _no_rendering(error) from error
+
+
+def opencv() -> Any:
+    """Load OpenCV.
+
+    Returns:
+        The module ``cv2``.
+
+    Raises:
+        MissingExtraError: it is not installed.
+    """
+    require("cv2", extra="robot")
+    return importlib.import_module("cv2")
+
+
+def apriltags() -> Any:
+    """Load the detector of AprilTags.
+
+    Returns:
+        The module ``pupil_apriltags``.
+
+    Raises:
+        MissingExtraError: it is not installed.
+    """
+    require("pupil_apriltags", extra="robot")
+    return importlib.import_module("pupil_apriltags")
+
+
+def check_libraries() -> None:
+    """Make sure that everything for physics, cameras and tags is there, before anything is run.
+
+    Raises:
+        MissingExtraError: a Python library is not installed.
+        MissingSystemLibraryError: rendering off screen does not work.
+    """
+    opencv()
+    apriltags()
+    model = mujoco().MjModel.from_xml_string("<mujoco/>")
+    renderer(model, 8, 8).close()
+
+
+def _no_rendering(error: BaseException) -> MissingSystemLibraryError:
+    """Say what rendering off screen needs."""
+    why = " ".join(str(error).split()) or type(error).__name__
+    return MissingSystemLibraryError(
+        f"rendering off screen needs EGL, which does not work here ({why[:120]}): "
+        f"apt-get install {SYSTEM_PACKAGES}"
+    )

@@ -1,0 +1,300 @@
+"""Following waypoints with a body: a way around things, found anew as it goes, and steering.
+
+``Mover`` holds what both motion planners have in common; how to steer along the way is their own:
+``pursuit`` or ``window``. It gives up where there is no way, or where it no longer comes nearer.
+"""
+
+import itertools
+import math
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from jaxlangnav.robots.motion.body import Body
+from jaxlangnav.robots.motion.path import find_path, inflate, is_clear
+from jaxlangnav.robots.motion.scan import NO_DISCS
+from jaxlangnav.robots.robot import Progress
+
+TICK = 0.1
+"""Seconds between two commands to the wheels."""
+NEAR = 0.12
+"""Metres from a waypoint that count as being there."""
+_CREEP = 0.1
+"""Metres a second below which it may turn on the spot."""
+_FACING = 0.15
+"""Radians off the last waypoint that count as facing it."""
+_BESIDE = 0.3
+"""Metres from the last waypoint from which on there is something to face."""
+_PATIENCE = 8.0
+"""Seconds without moving after which it gives up."""
+_MOVED = 0.1
+"""Metres, or a fifth of a radian, that count as having moved."""
+_GRACE, _DETOUR = 15.0, 4.0
+"""It gives up after a time, too: seconds, and how often the time that the straight way takes."""
+_TREMBLE = np.array([0.0, 0.0, 0.06])
+"""Metres by which discs may grow or stir before a way is not free any more."""
+_PLAN_EVERY = 0.3
+"""Seconds after which a way is looked for again, or a free one shortened."""
+_TRIES = 10
+"""Ways looked for in vain, one after the other, after which there is none."""
+
+
+class Command(NamedTuple):
+    """What the wheels are told."""
+
+    speed: float  # metres a second ahead
+    turn: float  # radians a second, counter-clockwise
+
+
+STILL = Command(0.0, 0.0)
+
+
+class Steering(Protocol):
+    """How to follow a way: chooses the next command."""
+
+    def steer(
+        self,
+        pose: np.ndarray,
+        moving: Command,
+        way: np.ndarray,
+        discs: np.ndarray,
+        *,
+        top_speed: float,
+        body: Body,
+    ) -> Command:
+        """Choose a command.
+
+        Args:
+            pose: f64[3], x, y, heading.
+            moving: the present one.
+            way: f64[V, 2], corners ahead, V ≥ 1, metres; its end is to be stopped at.
+            discs: f64[K, 3], things, metres, not inflated.
+            top_speed: metres a second wished for.
+            body: size and limits.
+
+        Returns:
+            The command; ``Mover`` keeps it within what the body can do in a tick.
+        """
+        ...
+
+
+class Mover:
+    """A motion planner: A* on inflated discs before a way of steering."""
+
+    def __init__(self, body: Body, steering: Steering) -> None:
+        """Build one that stands still.
+
+        Args:
+            body: what it moves.
+            steering: how it follows a way.
+        """
+        self.body = body
+        self.steering = steering
+        self.moving = STILL
+        self.progress = Progress.STANDING
+        self._waypoints = np.zeros((0, 2))
+        self._speed, self._clearance = 1.0, 0.0
+        self._facing: float | None = None
+        self._forget()
+
+    def _forget(self) -> None:
+        self._way: np.ndarray | None = None
+        self._age = math.inf
+        self._failed = 0
+        self._last = np.full(3, np.inf)
+        self._still_for = 0.0
+        self._left = math.inf
+
+    def go_to(
+        self,
+        waypoints: np.ndarray,
+        *,
+        speed: float,
+        clearance: float,
+        facing: float | None = None,
+    ) -> None:
+        """Take waypoints, see ``Robot.go_to``; the same ones again change nothing."""
+        points = np.asarray(waypoints, float).reshape(-1, 2)
+        if not len(points) or not np.isfinite(points).all():
+            raise ValueError(f"waypoints are {points.tolist()}, but must be finite, one at least")
+        is_same = self.progress is Progress.UNDER_WAY and points.shape == self._waypoints.shape
+        is_same = is_same and bool(np.hypot(*(points - self._waypoints).T).max() < NEAR)
+        is_same = is_same and facing == self._facing
+        self._waypoints, self._speed, self._clearance = points, speed, clearance
+        self._facing = facing
+        if is_same:
+            return
+        self._forget()
+        self.progress = Progress.UNDER_WAY
+
+    def stop(self) -> None:
+        """Forget the waypoints; the next commands brake."""
+        self.progress = Progress.STANDING
+
+    def tick(self, pose: np.ndarray, discs: np.ndarray = NO_DISCS) -> Command:
+        """Choose the next command to the wheels.
+
+        Args:
+            pose: f64[3], where the robot takes itself to be.
+            discs: f64[K, 3], things in the same frame, metres.
+
+        Returns:
+            The command, within what the body can do in a tick.
+        """
+        wanted = STILL
+        if self.progress is Progress.UNDER_WAY:
+            wanted = self._follow(pose, discs)
+        if wanted.speed == 0.0 and abs(self.moving.speed) > _CREEP:
+            # First brake: tyres that turn a skid-steer on the spot hold it no longer ahead.
+            wanted = STILL
+        self.moving = _limited(wanted, self.moving, self.body)
+        return self.moving
+
+    def _follow(self, pose: np.ndarray, discs: np.ndarray) -> Command:
+        """Choose the command that is wanted, whatever the body can do."""
+        if len(self._waypoints) > 1 and np.hypot(*(self._waypoints[0] - pose[:2])) < NEAR:
+            self._waypoints = self._waypoints[1:]
+            self._way = None
+        self._plan(pose, discs)
+        if self._way is None:
+            if self._failed >= _TRIES:
+                self.progress = Progress.GAVE_UP
+            return STILL
+        if len(self._way) == 1 and np.hypot(*(self._way[0] - pose[:2])) < NEAR:
+            self._way = self._way[1:]
+        if not len(self._way):
+            return self._arrive(pose)
+        if self._is_stuck(pose):
+            self.progress = Progress.GAVE_UP
+            return STILL
+        wished = min(self.body.speed * self._speed, self.body.top_speed)
+        return self.steering.steer(
+            pose, self.moving, self._way, discs, top_speed=wished, body=self.body
+        )
+
+    def _plan(self, pose: np.ndarray, discs: np.ndarray) -> None:
+        """Look for a way if there is none, if the old one is not free any more, or now and then."""
+        self._age += TICK
+        goal = self._waypoints[0]
+        inflated = inflate(discs, pose[:2], goal, self.body.radius, self._clearance)
+        is_free = self._way is not None and self._is_free(pose[:2], self._way, inflated)
+        if self._age < _PLAN_EVERY and (is_free or self._way is None):
+            return
+        self._age = 0.0
+        if is_free and self._way is not None:
+            self._way = self._shortened(pose[:2], self._way, inflated)
+            return
+        self._way = find_path(pose[:2], goal, inflated)
+        self._failed = self._failed + 1 if self._way is None else 0
+
+    @staticmethod
+    def _shortened(start: np.ndarray, way: np.ndarray, inflated: np.ndarray) -> np.ndarray:
+        """Leave out corners that have been passed, or beyond which the way lies open."""
+        discs = inflated - _TREMBLE
+        while len(way) > 1:
+            is_passed = (start - way[0]) @ (way[1] - way[0]) > 0.0
+            if not is_passed and not is_clear(start, way[1], discs):
+                break
+            way = way[1:]
+        return way
+
+    @staticmethod
+    def _is_free(start: np.ndarray, way: np.ndarray, inflated: np.ndarray) -> bool:
+        discs = inflated - _TREMBLE
+        return all(is_clear(*pair, discs) for pair in itertools.pairwise([start, *way]))
+
+    def _arrive(self, pose: np.ndarray) -> Command:
+        """Face what the last waypoint is on, and be there."""
+        if len(self._waypoints) > 1:
+            self._waypoints = self._waypoints[1:]
+            self._way = None
+            return STILL
+        offset = self._waypoints[0] - pose[:2]
+        facing = self._facing
+        if facing is None and np.hypot(*offset) > _BESIDE:
+            facing = math.atan2(offset[1], offset[0])
+        off = 0.0 if facing is None else wrap(facing - pose[2])
+        if abs(off) > _FACING:
+            return turn_by(off, self.body)
+        self.progress = Progress.THERE
+        return STILL
+
+    def _is_stuck(self, pose: np.ndarray) -> bool:
+        """Tell whether it has stood for too long, or been under way for too long."""
+        if math.isinf(self._left):
+            straight = float(np.hypot(*(self._waypoints[-1] - pose[:2])))
+            self._left = _GRACE + _DETOUR * straight / max(self.body.speed * self._speed, 0.05)
+        self._left -= TICK
+        self._still_for += TICK
+        moved = np.hypot(*(pose - self._last)[:2]) > _MOVED
+        if moved or abs(pose[2] - self._last[2]) > 2.0 * _MOVED:
+            self._last, self._still_for = pose.copy(), 0.0
+        return self._still_for > _PATIENCE or self._left < 0.0
+
+
+def wrap(angle: float) -> float:
+    """Bring an angle, radians, into [−π, π]."""
+    return math.remainder(angle, 2.0 * math.pi)
+
+
+def turn_by(angle: float, body: Body) -> Command:
+    """Turn on the spot, slowing down in time.
+
+    Args:
+        angle: radians left to turn.
+        body: its limits.
+
+    Returns:
+        The command.
+    """
+    rate = min(body.turn_rate, math.sqrt(1.2 * body.turn_acceleration * abs(angle)))
+    return Command(0.0, math.copysign(rate, angle))
+
+
+def braked(speed: float, room: float, body: Body) -> float:
+    """Limit a speed so that the body can stop within a room.
+
+    Args:
+        speed: metres a second.
+        room: metres.
+        body: its limits.
+
+    Returns:
+        Metres a second.
+    """
+    return min(speed, math.sqrt(1.6 * body.acceleration * max(room, 0.0)))
+
+
+def room_ahead(pose: np.ndarray, discs: np.ndarray, body: Body) -> float:
+    """Measure how far the body can go straight ahead before it touches a thing.
+
+    Args:
+        pose: f64[3].
+        discs: f64[K, 3], things, not inflated.
+        body: its size.
+
+    Returns:
+        Metres; infinite where nothing is in the way.
+    """
+    if not len(discs):
+        return math.inf
+    cosine, sine = math.cos(pose[2]), math.sin(pose[2])
+    dx, dy = discs[:, 0] - pose[0], discs[:, 1] - pose[1]
+    ahead, side = cosine * dx + sine * dy, cosine * dy - sine * dx
+    reach = discs[:, 2] + body.radius
+    is_ahead = (ahead > 0.0) & (np.abs(side) < reach)
+    if not is_ahead.any():
+        return math.inf
+    depth = np.sqrt(reach[is_ahead] ** 2 - side[is_ahead] ** 2)
+    return float(max((ahead[is_ahead] - depth).min(), 0.0))
+
+
+def _limited(wanted: Command, moving: Command, body: Body) -> Command:
+    """Keep a command within the body's speed and acceleration."""
+    speed = min(max(wanted.speed, -body.top_speed), body.top_speed)
+    turn = min(max(wanted.turn, -body.turn_rate), body.turn_rate)
+    most, most_turn = body.acceleration * TICK, body.turn_acceleration * TICK
+    return Command(
+        min(max(speed, moving.speed - most), moving.speed + most),
+        min(max(turn, moving.turn - most_turn), moving.turn + most_turn),
+    )

@@ -1,0 +1,153 @@
+"""A way around things: A* over a grid of inflated discs, pulled taut.
+
+Every disc is inflated by the body's radius and the clearance asked for. What the robot goes up to
+is inflated by its body only; and where the body is nearer to a disc than that already, as when
+something has come up to it, the disc shrinks to let it out.
+"""
+
+import heapq
+import math
+
+import numpy as np
+
+CELL = 0.15
+"""Metres, side of a grid cell."""
+MARGIN = 3.0
+"""Metres of room that a way may take beyond the box of start and goal."""
+_STEPS = [(dx, dy, math.hypot(dx, dy)) for dx in (-1, 0, 1) for dy in (-1, 0, 1) if dx or dy]
+_ALIVE = 0.08
+"""Metres that a body is told to keep from a thing that it stands against."""
+_UP_TO = 0.6
+"""Metres from the goal to the edge of a disc within which it counts as what is gone up to."""
+
+
+def inflate(
+    discs: np.ndarray, start: np.ndarray, goal: np.ndarray, radius: float, clearance: float
+) -> np.ndarray:
+    """Inflate discs by the body and by the clearance where that can be.
+
+    Args:
+        discs: f64[K, 3], x, y, radius, metres.
+        start: f64[2], where the robot is.
+        goal: f64[2], where it goes.
+        radius: of the body, metres.
+        clearance: metres to keep besides.
+
+    Returns:
+        f64[K, 3]; the middle of the body has to stay out of these.
+    """
+    if not len(discs):
+        return discs
+    from_goal = np.hypot(*(discs[:, :2] - goal).T) - discs[:, 2]
+    kept = radius + np.where(from_goal <= _UP_TO, _ALIVE, np.maximum(clearance, _ALIVE))
+    from_start = np.hypot(*(discs[:, :2] - start).T) - discs[:, 2]
+    kept = np.minimum(kept, np.maximum(from_start - 0.01, 0.0))
+    return np.column_stack([discs[:, :2], discs[:, 2] + kept])
+
+
+def is_clear(start: np.ndarray, end: np.ndarray, discs: np.ndarray) -> bool:
+    """Tell whether a straight way stays out of inflated discs.
+
+    Args:
+        start: f64[2], metres.
+        end: f64[2], metres.
+        discs: f64[K, 3], inflated.
+
+    Returns:
+        True where it does.
+    """
+    if not len(discs):
+        return True
+    way = end - start
+    squared = float(way @ way)
+    to_disc = discs[:, :2] - start
+    share = np.clip(to_disc @ way / squared, 0.0, 1.0) if squared > 0 else np.zeros(len(discs))
+    away = np.hypot(*(to_disc - share[:, None] * way).T)
+    return bool((away >= discs[:, 2] - 1e-9).all())
+
+
+def find_path(start: np.ndarray, goal: np.ndarray, discs: np.ndarray) -> np.ndarray | None:
+    """Find a short way that stays out of inflated discs.
+
+    Limits: without discs the straight line. A goal inside a disc is replaced by the free place
+    nearest to it that can be reached.
+
+    Args:
+        start: f64[2], metres.
+        goal: f64[2], metres.
+        discs: f64[K, 3], inflated.
+
+    Returns:
+        f64[V, 2], corners of the way without the start, none where there is nothing nearer to
+        the goal; None where there is no way.
+    """
+    if is_clear(start, goal, discs):
+        return goal[None]
+    low = np.minimum(start, goal) - MARGIN
+    shape = np.ceil((np.maximum(start, goal) + MARGIN - low) / CELL).astype(int)
+    x = low[0] + CELL * (np.arange(shape[0]) + 0.5)
+    y = low[1] + CELL * (np.arange(shape[1]) + 0.5)
+    is_free = np.ones(shape, bool)
+    for disc_x, disc_y, radius in discs:
+        is_free &= (x[:, None] - disc_x) ** 2 + (y[None] - disc_y) ** 2 >= radius**2
+    first = tuple(((start - low) / CELL).astype(int))
+    is_free[first] = True
+    from_goal = np.hypot(x[:, None] - goal[0], y[None] - goal[1])
+    cells = _search(is_free, first, from_goal)
+    if cells is None:
+        return None
+    way = np.array([[x[i], y[j]] for i, j in cells]).reshape(-1, 2)
+    if len(way) and is_clear(way[-1], goal, discs):
+        way[-1] = goal
+    return _taut(start, way, discs)
+
+
+def _search(
+    is_free: np.ndarray, first: tuple[int, ...], from_goal: np.ndarray
+) -> list[tuple[int, int]] | None:
+    """Search the grid; ends at the cell nearest to the goal that can be reached."""
+    lengths = {first: 0.0}
+    before: dict[tuple[int, ...], tuple[int, ...]] = {}
+    best = first
+    queue = [(float(from_goal[first]), first)]
+    done = set()
+    nearest_free = from_goal[is_free].min()
+    while queue:
+        _, cell = heapq.heappop(queue)
+        if cell in done:
+            continue
+        done.add(cell)
+        if from_goal[cell] < from_goal[best]:
+            best = cell
+        if from_goal[best] <= nearest_free + CELL:
+            break
+        for dx, dy, step in _STEPS:
+            other = cell[0] + dx, cell[1] + dy
+            is_inside = 0 <= other[0] < is_free.shape[0] and 0 <= other[1] < is_free.shape[1]
+            if not is_inside or not is_free[other] or other in done:
+                continue
+            length = lengths[cell] + step * CELL
+            if length < lengths.get(other, math.inf):
+                lengths[other] = length
+                before[other] = cell
+                heapq.heappush(queue, (length + float(from_goal[other]), other))
+    if from_goal[best] > nearest_free + 2 * CELL:
+        return None
+    way = [best]
+    while way[-1] in before:
+        way.append(before[way[-1]])
+    return [(int(i), int(j)) for i, j in way[-2::-1]]
+
+
+def _taut(start: np.ndarray, way: np.ndarray, discs: np.ndarray) -> np.ndarray:
+    """Leave out corners that can be cut."""
+    corners: list[np.ndarray] = []
+    here, index = start, 0
+    while index < len(way):
+        ahead = len(way) - 1
+        while ahead > index and not is_clear(here, way[ahead], discs):
+            ahead -= 1
+        here = way[ahead]
+        corners.append(here)
+        index = ahead + 1
+    return np.array(corners).reshape(-1, 2)

@@ -1,0 +1,176 @@
+"""What the camera and its tags are good for: measured, printed, and told to the belief.
+
+A robot stands before one thing at a time, at many ranges, bearings and turns of its cube. What is
+counted is what the navigator gets: things, after all gates but that of range.
+"""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxlangnav.messages import SensorParams, default_sensor
+from jaxlangnav.pytree import replace
+from jaxlangnav.robots.perception.tags import TAGS_PER_TYPE, Gates
+from jaxlangnav.robots.physics.machines import Wear
+from jaxlangnav.robots.physics.robot import PhysicsRobot
+from jaxlangnav.robots.physics.scene import OUT_OF_SIGHT
+from jaxlangnav.world.scenario import empty_scenario
+from jaxlangnav.world.state import HYDRANT
+
+RATE, NOISE = 0.95, 0.05
+"""Detection rate within the gates, and standard deviation of a thing's place, metres each axis:
+``measure`` at ranges of 1.25 to 4 m, rounded to the cautious side."""
+RANGES = (1.25, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0)
+"""Metres."""
+TURNS = (0.0, 15.0, 30.0, 45.0)
+"""Degrees between the line of sight and the nearest side's normal; 45 is a cube's corner."""
+PICTURES = {"clean": (0.0, 0.0), "as told": (Wear().grain, Wear().blur), "bad": (12.0, 1.6)}
+"""Grain, grey levels, and blur, pixels."""
+_FARTHEST = 20.0
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Figure:
+    """What came of one kind of look."""
+
+    picture: str
+    range: float  # metres
+    turned: float  # degrees
+    looks: int
+    rate: float  # share of the looks in which the thing was found
+    bias: float  # metres, mean of the range found less the true one; NaN where never found
+    error: float  # metres, root mean square of a place's error, each axis
+    false: int  # tags that are not there
+
+
+def told(gates: Gates) -> SensorParams:
+    """Tell the belief what the detector is good for.
+
+    Args:
+        gates: what is used of it.
+
+    Returns:
+        The specification.
+    """
+    return replace(
+        default_sensor(gates.range),
+        field_of_view=jnp.float32(gates.field_of_view),
+        detection_probability=jnp.float32(RATE),
+        noise=jnp.float32(NOISE),
+    )
+
+
+def measure(
+    *,
+    looks: int = 6,
+    ranges: Sequence[float] = RANGES,
+    turns: Sequence[float] = TURNS,
+    pictures: Sequence[str] = tuple(PICTURES),
+    seed: int = 0,
+    on_progress: Callable[[int], None] = lambda done: None,
+) -> list[Figure]:
+    """Measure the detector of the Husky; the wheelchair's camera is the same one.
+
+    Args:
+        looks: of each kind, at bearings drawn within the gate.
+        ranges: metres.
+        turns: degrees.
+        pictures: names in ``PICTURES``.
+        seed: of noise and bearings.
+        on_progress: is told how many figures have just been measured.
+
+    Returns:
+        One figure for each picture, range and turn.
+    """
+    there: Any = np.arange(len(empty_scenario().object_x)) == 0
+    place: Any = np.where(there, OUT_OF_SIGHT[0], 0.0)
+    scenario = replace(
+        empty_scenario(),
+        object_type=np.where(there, HYDRANT, -1),
+        object_x=place,
+        is_object=there,
+    )
+    found = []
+    for picture in pictures:
+        grain, blur = PICTURES[picture]
+        gates = Gates(range=_FARTHEST)
+        robot = PhysicsRobot(
+            "husky",
+            scenario,
+            seed=seed,
+            gates=gates,
+            sensor=default_sensor(_FARTHEST),
+            wear=Wear(grain=grain, blur=blur),
+        )
+        random = np.random.default_rng(seed)
+        for away in ranges:
+            for turned in turns:
+                found.append(_look(robot, random, picture, away, turned, looks))
+                on_progress(1)
+        robot.close()
+    return found
+
+
+def _look(
+    robot: PhysicsRobot,
+    random: np.random.Generator,
+    picture: str,
+    away: float,
+    turned: float,
+    looks: int,
+) -> Figure:
+    """Look at one thing from one range, as it is turned."""
+    errors, biases, false = [], [], 0
+    half = 0.5 * Gates(range=_FARTHEST).field_of_view
+    x, y, heading = robot.true_pose
+    for _ in range(looks):
+        bearing = random.uniform(-half, half) * 0.98
+        angle = heading + bearing
+        place = np.array([x + away * np.cos(angle), y + away * np.sin(angle)])
+        robot.scene.put("thing0", *place)
+        robot.scene.turn("thing0", angle + random.choice([-1, 1]) * np.deg2rad(turned))
+        robot.settle()
+        seen = robot.detections() or []
+        false += sum(tag.number != HYDRANT * TAGS_PER_TYPE for tag in robot.last_tags)
+        for one in seen[:1]:
+            angle_seen = heading + one.bearing
+            measured = np.array([x, y]) + one.range * np.array(
+                [np.cos(angle_seen), np.sin(angle_seen)]
+            )
+            errors.append(measured - place)
+            biases.append(one.range - away)
+    has_any = bool(errors)
+    return Figure(
+        picture=picture,
+        range=away,
+        turned=turned,
+        looks=looks,
+        rate=len(errors) / looks,
+        bias=float(np.mean(biases)) if has_any else float("nan"),
+        error=float(np.sqrt(np.mean(np.square(errors)))) if has_any else float("nan"),
+        false=false,
+    )
+
+
+def table(figures: Sequence[Figure]) -> tuple[list[str], list[list[str]]]:
+    """Lay figures out for people: a row for each picture and range, a column for each turn.
+
+    Args:
+        figures: of ``measure``.
+
+    Returns:
+        Headings and rows.
+    """
+    turns = list(dict.fromkeys(one.turned for one in figures))
+    headings = ["picture", "range (m)", *(f"{turn:g}°" for turn in turns)]
+    rows: dict[tuple[str, float], list[str]] = {}
+    for one in figures:
+        cell = f"{100 * one.rate:.0f} %"
+        if one.rate > 0:
+            cell += f", {100 * one.bias:+.1f}, {100 * one.error:.1f} cm"
+        cell += f", {one.false} false" if one.false else ""
+        rows.setdefault((one.picture, one.range), []).append(cell)
+    return headings, [[name, f"{away:g}", *cells] for (name, away), cells in rows.items()]

@@ -1,0 +1,228 @@
+"""A robot of MuJoCo: wheels turn, tyres slip, a camera renders, tags are found (section 4.3).
+
+Odometry: lengths from the wheels' encoders, turns from the gyro while the wheels turn; radius and
+bias are out, and what the tyres slip the wheels do not know.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from jaxlangnav.messages import SensorParams
+from jaxlangnav.robots import libraries
+from jaxlangnav.robots.motion.mover import TICK, Command, Mover, Steering
+from jaxlangnav.robots.perception.tags import Camera, Gates, Tag, degrade, find_tags, to_detections
+from jaxlangnav.robots.physics.machines import MACHINES, Wear
+from jaxlangnav.robots.physics.scene import OUT_OF_SIGHT, TIMESTEP, build
+from jaxlangnav.robots.robot import Detection
+from jaxlangnav.robots.simulated import BEAMS, SCAN_RANGE, SimulatedRobot
+from jaxlangnav.world.state import Scenario
+
+_READINGS = 10
+"""Readings of the gyro in a tick."""
+_SETTLE = 250
+"""Steps of physics in which it comes to rest on its wheels."""
+_STANDS = 1e-4
+"""Metres that a wheel turns in a tick below which it stands."""
+_ICE = 0.02
+"""Friction of a tyre on a slippery patch."""
+_SEEN_BY_SCANNER = np.array([0, 1, 0, 0, 0, 0], np.uint8)
+
+
+class PhysicsRobot(SimulatedRobot):
+    """The Husky or the wheelchair in a place of its own."""
+
+    def __init__(
+        self,
+        machine: str,
+        scenario: Scenario,
+        *,
+        seed: int,
+        gates: Gates,
+        sensor: SensorParams,
+        num_types: int = 8,
+        wear: Wear | None = None,
+        steering: Steering | None = None,
+    ) -> None:
+        """Put a robot at the start of a place.
+
+        Args:
+            machine: "husky" or "wheelchair".
+            scenario: the truth.
+            seed: of all noise.
+            gates: which tags are used.
+            sensor: what the belief is told of that.
+            num_types: object types of the navigator.
+            wear: how its sensors err; the default if None.
+            steering: how it follows a way; the machine's own if None.
+        """
+        self.machine = MACHINES[machine]
+        super().__init__(
+            Mover(self.machine.body, self.machine.steering if steering is None else steering),
+            sensor=sensor,
+            area=np.asarray(scenario.area).tolist(),
+            start=np.asarray(scenario.start, float).tolist(),
+        )
+        self._mujoco = libraries.mujoco()
+        self.camera = Camera(ahead=self.machine.camera_ahead)
+        self.slippery: list[tuple[float, float, float]] = []
+        """Discs x, y, radius, metres, on which the tyres hardly hold."""
+        self.last_picture: np.ndarray | None = None
+        """u8[H, W, 3] of the last look, red, green, blue, and its tags: to be shown."""
+        self.last_tags: list[Tag] = []
+        self.scenario = scenario
+        self._gates, self._num_types = gates, num_types
+        self._wear = Wear() if wear is None else wear
+        self._random = np.random.default_rng(seed)
+        self._scale = 1.0 + self._wear.wheel_scale * self._random.standard_normal()
+        self._bias = self._wear.gyro_bias * self._random.standard_normal()
+        self.scene = build(machine, scenario, seed=seed)
+        model = self.scene.model
+        names = [model.actuator(index).name for index in range(model.nu)]
+        self._side = np.array([1.0 if name.startswith("left") else -1.0 for name in names])
+        joints = [model.actuator_trnid[index, 0] for index in range(model.nu)]
+        self._wheels = np.array([model.jnt_qposadr[joint] for joint in joints])
+        bodies = [model.jnt_bodyid[joint] for joint in joints]
+        self._tyres = np.array(
+            [geom for geom in range(model.ngeom) if model.geom_bodyid[geom] in bodies]
+        )
+        self._grip = model.geom_friction[self._tyres, 0].copy()
+        self._scanner = int(model.site("scanner").id)
+        self._renderer = libraries.renderer(model, self.camera.height, self.camera.width)
+        self._with_robot = self._mujoco.MjvOption()
+        self._with_robot.geomgroup[3] = 1
+        self._mujoco.mj_step(model, self.scene.data, nstep=_SETTLE)
+
+    def close(self) -> None:
+        """Give the renderer's memory back."""
+        self._renderer.close()
+
+    @property
+    def true_pose(self) -> np.ndarray:
+        """Where it truly is."""
+        qpos = self.scene.data.qpos
+        w, x, y, z = qpos[3:7]
+        heading = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        return np.array([qpos[0], qpos[1], heading])
+
+    def settle(self) -> None:
+        """Let what has been put elsewhere be there, for a look without any time passing."""
+        self._mujoco.mj_forward(self.scene.model, self.scene.data)
+
+    def put_person(self, x: float, y: float) -> None:
+        """Let a person stand somewhere.
+
+        Args:
+            x: metres, map frame.
+            y: metres.
+        """
+        self.scene.put("person", x, y)
+
+    def move_object(self, slot: int, x: float, y: float) -> None:
+        """Put a thing elsewhere, or out of sight where a coordinate is not finite.
+
+        Args:
+            slot: of the scenario.
+            x: metres, map frame.
+            y: metres.
+        """
+        place = (x, y) if np.isfinite([x, y]).all() else OUT_OF_SIGHT
+        self.scene.put(f"thing{slot}", *place)
+
+    def picture(self) -> np.ndarray:
+        """Render what the camera sees, u8[H, W, 3], red, green, blue, without noise."""
+        return self.render("front")
+
+    def render(self, camera: str | object) -> np.ndarray:
+        """Render a picture.
+
+        Args:
+            camera: a camera's name, or a ``mujoco.MjvCamera``.
+
+        Returns:
+            u8[H, W, 3], red, green, blue.
+        """
+        # Its own camera is mounted so that it does not see itself.
+        option = None if camera == "front" else self._with_robot
+        self._renderer.update_scene(self.scene.data, camera, option)
+        self._renderer.scene.flags[self._mujoco.mjtRndFlag.mjRND_SHADOW] = 0
+        return self._renderer.render()
+
+    def _look(self) -> list[Detection]:
+        self.last_picture = self.picture()
+        cv2 = libraries.opencv()
+        grey = cv2.cvtColor(self.last_picture, cv2.COLOR_RGB2GRAY)
+        grey = degrade(grey, self._random, noise=self._wear.grain, blur=self._wear.blur)
+        self.last_tags = find_tags(grey, self.camera)
+        return to_detections(self.last_tags, self.camera, self._gates, self._num_types)
+
+    def _scan(self) -> np.ndarray:
+        heading = self.true_pose[2]
+        ways = np.column_stack(
+            [np.cos(BEAMS + heading), np.sin(BEAMS + heading), np.zeros(len(BEAMS))]
+        )
+        ranges, hit = np.empty(len(BEAMS)), np.empty(len(BEAMS), np.int32)
+        self._mujoco.mj_multiRay(
+            self.scene.model,
+            self.scene.data,
+            self.scene.data.site_xpos[self._scanner],
+            ways.ravel(),
+            _SEEN_BY_SCANNER,
+            True,
+            -1,
+            hit,
+            ranges,
+            None,
+            len(BEAMS),
+            SCAN_RANGE,
+        )
+        return np.where((hit >= 0) & (ranges <= SCAN_RANGE), ranges, np.inf)
+
+    def _move(self, command: Command) -> np.ndarray:
+        machine, data = self.machine, self.scene.data
+        spread = 0.5 * machine.track * machine.effective_track * command.turn
+        data.ctrl[:] = (command.speed - self._side * spread) / machine.wheel_radius
+        self._set_grip()
+        before, turned = data.qpos[self._wheels].copy(), 0.0
+        steps = round(TICK / _READINGS / TIMESTEP)
+        for _ in range(_READINGS):
+            self._mujoco.mj_step(self.scene.model, data, nstep=steps)
+            noise = self._wear.gyro_noise * self._random.standard_normal()
+            turned += (float(data.sensordata[2]) + self._bias + noise) * TICK / _READINGS
+        rolled = (data.qpos[self._wheels] - before) * machine.wheel_radius
+        is_still = bool((np.abs(rolled) < _STANDS).all())
+        ahead = 0.5 * (rolled[self._side > 0].mean() + rolled[self._side < 0].mean())
+        return np.array([self._scale * ahead, 0.0 if is_still else turned])
+
+    def _set_grip(self) -> None:
+        """Let the tyres slip where the ground is slippery."""
+        if not self.slippery:
+            return
+        x, y, _ = self.true_pose
+        is_on_ice = any(np.hypot(x - a, y - b) < radius for a, b, radius in self.slippery)
+        self.scene.model.geom_friction[self._tyres, 0] = _ICE if is_on_ice else self._grip
+
+
+def wheel_speeds(robot: PhysicsRobot, command: Command, seconds: float) -> Sequence[float]:
+    """Drive by a command and measure what comes of it: to calibrate a body.
+
+    Args:
+        robot: that stands.
+        command: ahead and turn.
+        seconds: for how long.
+
+    Returns:
+        Metres a second of the left and of the right wheels' rims, and radians a second turned.
+    """
+    data, side = robot.scene.data, robot._side
+    for _ in range(round(1.0 / TICK)):
+        robot._move(command)
+    before, heading = data.qpos[robot._wheels].copy(), np.unwrap([robot.true_pose[2]])[0]
+    turned = 0.0
+    for _ in range(round(seconds / TICK)):
+        robot._move(command)
+        now = robot.true_pose[2]
+        turned += (now - heading + np.pi) % (2.0 * np.pi) - np.pi
+        heading = now
+    rolled = (data.qpos[robot._wheels] - before) * robot.machine.wheel_radius / seconds
+    return [rolled[side > 0].mean(), rolled[side < 0].mean(), turned / seconds]

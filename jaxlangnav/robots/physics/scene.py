@@ -1,0 +1,228 @@
+"""The place in MuJoCo: floor, light, things with tags on four sides, a person who may step in.
+
+Things and the person are moved, not pushed: they stand where they are put. Geometry groups tell
+the scanner what to see: 1 things and people, 2 their looks, 3 the robot, 0 the floor.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from importlib import resources
+from typing import Any
+
+import numpy as np
+
+from jaxlangnav.robots import libraries
+from jaxlangnav.robots.perception.tags import CUBE_SIDE, TAGS_PER_TYPE, draw_tag
+from jaxlangnav.world.state import CONE, HYDRANT, Scenario
+
+MIDDLE_HEIGHT = 0.45
+"""Metres from the floor to the middle of a cube."""
+PERSON_RADIUS, PERSON_HEIGHT = 0.25, 1.7
+TIMESTEP = 0.002
+"""Seconds; skid-steering on soft contacts needs it."""
+OUT_OF_SIGHT = (500.0, 500.0)
+_COLOURS = {HYDRANT: (0.75, 0.1, 0.1, 1.0), CONE: (0.95, 0.45, 0.05, 1.0)}
+_COVERED = (0.45, 0.45, 0.45, 1.0)
+_SIDES = ("front", "left", "back", "right")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Scene:
+    """A compiled place."""
+
+    model: Any
+    """A ``mujoco.MjModel``."""
+    data: Any
+    """A ``mujoco.MjData``."""
+    slots: tuple[int, ...]
+    """Slots of the scenario that have a body, in the order of the bodies."""
+
+    def body(self, name: str) -> int:
+        """Look up the number of a body."""
+        return int(self.model.body(name).id)
+
+    def put(self, name: str, x: float, y: float) -> None:
+        """Put a thing or the person somewhere.
+
+        Args:
+            name: "thing3" for the slot 3, or "person".
+            x: metres, map frame.
+            y: metres.
+        """
+        index = int(self.model.body_mocapid[self.body(name)])
+        self.data.mocap_pos[index, :2] = x, y
+
+    def turn(self, name: str, heading: float) -> None:
+        """Turn a thing about its upright axis.
+
+        Args:
+            name: of its body.
+            heading: radians, map frame.
+        """
+        index = int(self.model.body_mocapid[self.body(name)])
+        half = 0.5 * heading
+        self.data.mocap_quat[index] = np.cos(half), 0.0, 0.0, np.sin(half)
+
+    def cover(self, slot: int, sides: Sequence[str] = _SIDES) -> None:
+        """Hang something grey over tags of a thing.
+
+        Args:
+            slot: of the scenario.
+            sides: "front", "left", "back" or "right", as the thing was put.
+        """
+        for side in sides:
+            geom = int(self.model.geom(f"tag{slot}_{side}").id)
+            self.model.geom_matid[geom] = -1
+            self.model.geom_rgba[geom] = _COVERED
+
+
+def build(robot: str, scenario: Scenario, *, seed: int) -> Scene:
+    """Build a place with a robot in it.
+
+    Args:
+        robot: "husky" or "wheelchair".
+        scenario: what is where; the robot stands at its start.
+        seed: of how the cubes are turned.
+
+    Returns:
+        The scene at its beginning.
+    """
+    mujoco = libraries.mujoco()
+    path = resources.files("jaxlangnav.robots.physics") / f"{robot}.xml"
+    spec = mujoco.MjSpec.from_string(path.read_text(encoding="utf-8"))
+    _set_up(spec, mujoco)
+    random = np.random.default_rng(seed)
+    slots = tuple(np.flatnonzero(np.asarray(scenario.is_object)).tolist())
+    counts: dict[int, int] = {}
+    for slot in slots:
+        kind = int(np.asarray(scenario.object_type)[slot])
+        number = kind * TAGS_PER_TYPE + counts.get(kind, 0)
+        counts[kind] = counts.get(kind, 0) + 1
+        place = float(scenario.object_x[slot]), float(scenario.object_y[slot])
+        _add_thing(spec, mujoco, slot, number, kind, place, random.uniform(0.0, 0.5 * np.pi))
+    _add_person(spec, mujoco)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    x, y, heading = (float(one) for one in np.asarray(scenario.start))
+    data.qpos[:2] = x, y
+    data.qpos[3:7] = np.cos(0.5 * heading), 0.0, 0.0, np.sin(0.5 * heading)
+    mujoco.mj_forward(model, data)
+    return Scene(model=model, data=data, slots=slots)
+
+
+def _set_up(spec: Any, mujoco: Any) -> None:
+    """Set the solver, the light and the floor."""
+    spec.option.timestep = TIMESTEP
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    spec.option.impratio = 1.0
+    spec.visual.global_.offwidth, spec.visual.global_.offheight = 1280, 720
+    # What is near and far does not follow from who stands out of sight.
+    spec.stat.extent = 10.0
+    spec.visual.map.znear, spec.visual.map.zfar = 0.005, 10.0
+    spec.visual.quality.shadowsize = 0
+    spec.visual.quality.offsamples = 0
+    spec.visual.headlight.ambient = [0.5, 0.5, 0.5]
+    spec.visual.headlight.diffuse = [0.4, 0.4, 0.4]
+    spec.visual.headlight.specular = [0.0, 0.0, 0.0]
+    spec.worldbody.add_light(pos=[0, 0, 20], dir=[0.3, 0.2, -1], diffuse=[0.3, 0.3, 0.3])
+    spec.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=[0.75, 0.83, 0.92],
+        rgb2=[0.93, 0.94, 0.95],
+        width=64,
+        height=64,
+    )
+    spec.add_texture(
+        name="ground",
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
+        rgb1=[0.42, 0.46, 0.40],
+        rgb2=[0.46, 0.50, 0.44],
+        width=128,
+        height=128,
+    )
+    ground = spec.add_material(name="ground", texrepeat=[0.5, 0.5], texuniform=True)
+    ground.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "ground"
+    spec.worldbody.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[60, 60, 1],
+        material="ground",
+        group=0,
+        contype=1,
+        conaffinity=2,
+    )
+
+
+def _add_thing(
+    spec: Any,
+    mujoco: Any,
+    slot: int,
+    number: int,
+    kind: int,
+    place: tuple[float, float],
+    turned: float,
+) -> None:
+    """Add a cube on a foot, a tag on each upright side."""
+    half = 0.5 * CUBE_SIDE
+    colour = _COLOURS.get(kind, (0.3, 0.4, 0.6, 1.0))
+    body = spec.worldbody.add_body(
+        name=f"thing{slot}",
+        mocap=True,
+        pos=[*place, MIDDLE_HEIGHT],
+        quat=[np.cos(0.5 * turned), 0.0, 0.0, np.sin(0.5 * turned)],
+    )
+    cylinder, box = mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_BOX
+    solid = {"contype": 1, "conaffinity": 2, "group": 1}
+    looks = {"contype": 0, "conaffinity": 0, "group": 2}
+    body.add_geom(type=box, size=[half - 0.004] * 3, rgba=[0.9, 0.9, 0.9, 1], **solid)
+    foot = 0.5 * (MIDDLE_HEIGHT - half)
+    body.add_geom(
+        type=cylinder, size=[0.1, foot, 0], pos=[0, 0, -half - foot], rgba=colour, **solid
+    )
+    body.add_geom(
+        type=cylinder, size=[0.14, 0.05, 0], pos=[0, 0, half + 0.05], rgba=colour, **looks
+    )
+    name = f"tag{slot}"
+    png = libraries.opencv().imencode(".png", draw_tag(number))[1].tobytes()
+    spec.assets = {**spec.assets, f"{name}.png": png}
+    spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, file=f"{name}.png")
+    material = spec.add_material(name=name, specular=0.0, shininess=0.0, emission=0.1)
+    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
+    for side, angle in zip(_SIDES, 0.5 * np.pi * np.arange(4), strict=True):
+        cosine, sine = np.cos(angle), np.sin(angle)
+        body.add_geom(
+            name=f"{name}_{side}",
+            type=mujoco.mjtGeom.mjGEOM_PLANE,
+            size=[half, half, 0.1],
+            pos=[half * cosine, half * sine, 0.0],
+            quat=_upright(mujoco, cosine, sine),
+            material=name,
+            **looks,
+        )
+
+
+def _upright(mujoco: Any, cosine: float, sine: float) -> np.ndarray:
+    """Turn a plane so that it faces outwards, x to the viewer's right, y up; a quaternion."""
+    columns = np.array([[-sine, 0.0, cosine], [cosine, 0.0, sine], [0.0, 1.0, 0.0]])
+    turned = np.empty(4)
+    mujoco.mju_mat2Quat(turned, columns.ravel())
+    return turned
+
+
+def _add_person(spec: Any, mujoco: Any) -> None:
+    """Add a person, out of sight."""
+    straight = 0.5 * PERSON_HEIGHT - PERSON_RADIUS
+    body = spec.worldbody.add_body(
+        name="person", mocap=True, pos=[*OUT_OF_SIGHT, 0.5 * PERSON_HEIGHT]
+    )
+    body.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+        size=[PERSON_RADIUS, straight, 0],
+        rgba=[0.2, 0.35, 0.6, 1],
+        contype=1,
+        conaffinity=2,
+        group=1,
+    )

@@ -1,0 +1,137 @@
+"""What simulated robots have in common: a clock, a motion planner, odometry, things that happen.
+
+A backend tells how the body answers a command and what scanner and camera see. The truth stays in
+here: ``true_position`` and ``travelled`` are for whoever judges a run, never for the navigator.
+"""
+
+import abc
+import heapq
+import itertools
+from collections.abc import Callable, Sequence
+from typing import Self
+
+import numpy as np
+
+from jaxlangnav.messages import SensorParams
+from jaxlangnav.robots.motion.mover import TICK, Command, Mover
+from jaxlangnav.robots.motion.scan import to_discs
+from jaxlangnav.robots.robot import Detection, Progress
+
+BEAMS = np.linspace(-np.pi, np.pi, 181)[:-1]
+"""Radians, directions of the scanner's beams in the robot frame."""
+SCAN_RANGE = 6.0
+"""Metres that the scanner sees."""
+
+
+class SimulatedRobot(abc.ABC):
+    """A robot whose time passes only in ``wait``."""
+
+    def __init__(
+        self,
+        mover: Mover,
+        *,
+        sensor: SensorParams,
+        area: Sequence[float],
+        start: Sequence[float] = (0.0, 0.0, 0.0),
+    ) -> None:
+        """Put the robot at its start.
+
+        Args:
+            mover: its motion planner.
+            sensor: specification of its detector.
+            area: operating area x_min, x_max, y_min, y_max, metres, map frame.
+            start: x, y, heading, metres and radians; known to it.
+        """
+        self.mover = mover
+        self.seconds = 0.0
+        self.travelled = 0.0
+        self.camera_works = True
+        self.on_tick: Callable[[Self], None] | None = None
+        self._sensor = sensor
+        x_min, x_max, y_min, y_max = (float(edge) for edge in area)
+        self._area = (x_min, x_max, y_min, y_max)
+        self._odometry = np.array(start, float)
+        self._count = itertools.count()
+        self._events: list[tuple[float, int, Callable[[Self], None]]] = []
+
+    @property
+    def sensor(self) -> SensorParams:
+        """What the belief is told of the detector."""
+        return self._sensor
+
+    @property
+    def area(self) -> tuple[float, float, float, float]:
+        """The operating area."""
+        return self._area
+
+    @property
+    @abc.abstractmethod
+    def true_pose(self) -> np.ndarray:
+        """Where it truly is: x, y, heading, f64[3], map frame."""
+
+    @abc.abstractmethod
+    def _scan(self) -> np.ndarray:
+        """Measure how far the nearest thing is along each of ``BEAMS``, f64[B], metres."""
+
+    @abc.abstractmethod
+    def _move(self, command: Command) -> np.ndarray:
+        """Carry out a command for a tick.
+
+        Returns:
+            Metres gone ahead and radians turned, as wheels and gyro have it, f64[2].
+        """
+
+    @abc.abstractmethod
+    def _look(self) -> list[Detection]:
+        """Find things in a picture taken now."""
+
+    def at(self, seconds: float, event: Callable[[Self], None]) -> None:
+        """Let something happen at a time: a fault, a person who steps in the way.
+
+        Args:
+            seconds: on the robot's clock.
+            event: is given the robot.
+        """
+        heapq.heappush(self._events, (seconds, next(self._count), event))
+
+    def pose(self) -> np.ndarray:
+        """Tell x, y, heading by dead reckoning, see ``Robot.pose``."""
+        return self._odometry.copy()
+
+    def detections(self) -> list[Detection] | None:
+        """Look, see ``Robot.detections``."""
+        return self._look() if self.camera_works else None
+
+    def go_to(
+        self,
+        waypoints: np.ndarray,
+        *,
+        speed: float,
+        clearance: float,
+        facing: float | None = None,
+    ) -> None:
+        """Make for waypoints, see ``Robot.go_to``."""
+        self.mover.go_to(waypoints, speed=speed, clearance=clearance, facing=facing)
+
+    def stop(self) -> None:
+        """Stand still, see ``Robot.stop``."""
+        self.mover.stop()
+
+    def wait(self, seconds: float) -> Progress:
+        """Let time pass, see ``Robot.wait``."""
+        for _ in range(max(1, round(seconds / TICK))):
+            self._tick()
+        return self.mover.progress
+
+    def _tick(self) -> None:
+        while self._events and self._events[0][0] <= self.seconds:
+            heapq.heappop(self._events)[2](self)
+        discs = to_discs(self._scan(), BEAMS, self._odometry)
+        before = self.true_pose
+        ahead, turned = self._move(self.mover.tick(self._odometry, discs))
+        self.travelled += float(np.hypot(*(self.true_pose - before)[:2]))
+        middle = self._odometry[2] + 0.5 * turned
+        self._odometry += np.array([ahead * np.cos(middle), ahead * np.sin(middle), turned])
+        self.seconds += TICK
+        if self.on_tick is not None:
+            self.on_tick(self)

@@ -1,0 +1,267 @@
+"""Many trials of Table 3 in parallel processes, each kept as it ends, and the table they make.
+
+A trial's result follows from its row, its number and the seed alone: neither from the number of
+processes nor from what had been run before. One that has been kept is not run again.
+"""
+
+import concurrent.futures
+import dataclasses
+import json
+import multiprocessing
+import os
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxlangnav import __version__
+from jaxlangnav.agent import Navigator
+from jaxlangnav.experiments.metrics import wilson_interval
+from jaxlangnav.files.whole import write_text
+from jaxlangnav.robots.libraries import check_libraries
+from jaxlangnav.robots.table3 import ROWS, Row, run_known, run_trial
+
+KNOWN = "known"
+"""In place of a trial's number: the run with a completely known map."""
+_CACHE = "jax_compilation_cache_dir"
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Plan:
+    """What is run."""
+
+    trials: int
+    """Of each row, besides the known run."""
+    seed: int = 0
+    policy: str = "informed"
+    out: Path | None = None
+    """Folder for ``trials/``, one file for each; nothing is kept, or found again, without."""
+    processes: int = 2
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be run."""
+        for name in ("trials", "processes"):
+            value = getattr(self, name)
+            if value < 1:
+                raise ValueError(f"{name} is {value}, but must be at least 1")
+
+    def path(self, row: Row, trial: int | str) -> Path | None:
+        """Name the file of a trial."""
+        if self.out is None:
+            return None
+        return self.out / "trials" / f"{row.name}-{self.policy}-seed{self.seed}-{trial}.json"
+
+    @property
+    def made(self) -> dict[str, Any]:
+        """What a kept trial must have been made with to be used again."""
+        return {"version": __version__, "seed": self.seed, "policy": self.policy}
+
+
+def reproduce_table3(
+    plan: Plan,
+    *,
+    rows: Sequence[Row] = ROWS,
+    on_progress: Callable[[int], None] = lambda done: None,
+) -> dict[str, Any]:
+    """Run Table 3.
+
+    Args:
+        plan: how many trials, and where they are kept.
+        rows: all of the paper's by default.
+        on_progress: is told how many trials have just ended.
+
+    Returns:
+        The document: ``rows``, each beside the paper's; ``success`` over all trials; ``wall_s``.
+
+    Raises:
+        MissingExtraError: a library of the extra ``robot`` is not installed.
+        MissingSystemLibraryError: rendering off screen does not work.
+    """
+    begin = time.perf_counter()
+    check_libraries()
+    wanted = [(row, one) for row in rows for one in (KNOWN, *range(plan.trials))]
+    found: dict[tuple[str, str], dict[str, Any]] = {}
+    missing = []
+    for row, trial in wanted:
+        kept = _read(plan, row, trial)
+        if kept is None:
+            missing.append((row, trial))
+        else:
+            found[row.name, str(trial)] = kept
+            on_progress(1)
+    for row, trial, result in _run(plan, missing):
+        path = plan.path(row, trial)
+        if path is not None:
+            write_text(json.dumps({**result, "made": plan.made}, indent=1) + "\n", path)
+        found[row.name, str(trial)] = result
+        on_progress(1)
+    summaries = [
+        _summary(row, found[row.name, KNOWN], [found[row.name, str(n)] for n in range(plan.trials)])
+        for row in rows
+    ]
+    successes = sum(one["successes"] for one in summaries)
+    return {
+        "experiment": "table3",
+        **plan.made,
+        "trials": plan.trials,
+        "rows": summaries,
+        "success": successes / (plan.trials * len(summaries)),
+        "success_interval": wilson_interval(successes, plan.trials * len(summaries)),
+        "resumed": len(wanted) - len(missing),
+        "wall_s": time.perf_counter() - begin,
+    }
+
+
+def _read(plan: Plan, row: Row, trial: int | str) -> dict[str, Any] | None:
+    """Read a trial that has been kept; None if there is none that is whole and made alike."""
+    path = plan.path(row, trial)
+    if path is None or not path.is_file():
+        return None
+    try:
+        kept = json.loads(path.read_text("utf-8"))
+    except ValueError:
+        return None
+    return kept if isinstance(kept, dict) and kept.get("made") == plan.made else None
+
+
+def _run(
+    plan: Plan, missing: Sequence[tuple[Row, int | str]]
+) -> Iterator[tuple[Row, int | str, dict[str, Any]]]:
+    """Run trials, and yield each as it ends."""
+    if not missing:
+        return
+    # MuJoCo's and JAX's threads do not survive a fork.
+    pool = concurrent.futures.ProcessPoolExecutor(
+        max_workers=min(plan.processes, len(missing)),
+        mp_context=multiprocessing.get_context("spawn"),
+        initializer=_begin,
+        initargs=(getattr(jax.config, _CACHE), plan.policy),
+    )
+    with pool:
+        waiting = {pool.submit(_one, row, trial, plan.seed): (row, trial) for row, trial in missing}
+        try:
+            for done in concurrent.futures.as_completed(waiting):
+                yield *waiting[done], done.result()
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+_navigator: Navigator | None = None
+
+
+def _begin(cache: str | None, policy: str) -> None:
+    """Set up a process: one navigator for all of its trials."""
+    global _navigator
+    if cache:
+        jax.config.update(_CACHE, cache)
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+    _navigator = Navigator.pretrained(policy)
+
+
+def _one(row: Row, trial: int | str, seed: int) -> dict[str, Any]:
+    """Run one trial in its process; whatever goes wrong in it is a result, too."""
+    assert _navigator is not None
+    try:
+        if isinstance(trial, str):
+            return run_known(row, seed=seed)
+        return run_trial(row, trial, navigator=_navigator, seed=seed)
+    except Exception as error:  # a lost trial must not lose the others
+        if os.environ.get("JAXLANGNAV_DEBUG"):
+            raise
+        why = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        nothing = {"distance": None, "goal_distance": None, "seconds": None}
+        failed = {"ending": "crashed", "why": why, "success": False, **nothing}
+        return {"row": row.name, "trial": trial, "seed": seed, **failed}
+
+
+def _summary(row: Row, known: dict[str, Any], trials: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Make a row of the table out of its trials."""
+    successes = sum(bool(one["success"]) for one in trials)
+    way = np.array([one["distance"] for one in trials if one["distance"] is not None])
+    seconds = [one["seconds"] for one in trials if one["seconds"] is not None]
+    return {
+        "robot": row.robot,
+        "world": row.world,
+        "range": row.range,
+        "relation": None if row.relation == "null" else row.relation,
+        "trials": len(trials),
+        "successes": successes,
+        "success": successes / len(trials),
+        "success_interval": wilson_interval(successes, len(trials)),
+        "distance": float(way.mean()) if len(way) else None,
+        "distance_sd": float(way.std(ddof=1)) if len(way) > 1 else None,
+        "seconds": float(np.mean(seconds)) if seconds else None,
+        "known_success": bool(known["success"]),
+        "known_distance": known["distance"],
+        "endings": dict(Counter(one["ending"] for one in trials)),
+        "failures": [
+            {key: one[key] for key in ("trial", "ending", "why", "goal_distance")}
+            for one in trials
+            if not one["success"]
+        ],
+        "paper": {
+            "success": row.success,
+            "known_distance": row.known,
+            "distance": row.distance,
+            "distance_sd": row.distance_sd,
+        },
+    }
+
+
+HEADINGS = (
+    "robot",
+    "world",
+    "range (m)",
+    "relation",
+    "success (%)",
+    "paper",
+    "distance (m)",
+    "paper",
+    "known (m)",
+    "paper",
+    "time (s)",
+    "endings",
+)
+
+
+def table_rows(document: dict[str, Any]) -> list[list[str]]:
+    """Write the table's cells, ours beside the paper's.
+
+    Args:
+        document: of ``reproduce_table3``.
+
+    Returns:
+        Rows under ``HEADINGS``; distances as mean (sd).
+    """
+    return [_cells(row) for row in document["rows"]]
+
+
+def _cells(row: dict[str, Any]) -> list[str]:
+    """Write one row."""
+    paper = row["paper"]
+    low, high = (100 * one for one in row["success_interval"])
+    return [
+        row["robot"],
+        row["world"],
+        f"{row['range']:g}",
+        row["relation"] or "null",
+        f"{100 * row['success']:.0f} [{low:.0f}, {high:.0f}]",
+        f"{paper['success']:g}",
+        _metres(row["distance"], row["distance_sd"]),
+        _metres(paper["distance"], paper["distance_sd"]),
+        _metres(row["known_distance"], None) + ("" if row["known_success"] else " (failed)"),
+        _metres(paper["known_distance"], None),
+        "–" if row["seconds"] is None else f"{row['seconds']:.0f}",
+        ", ".join(f"{number} {name}" for name, number in row["endings"].items()),
+    ]
+
+
+def _metres(mean: float | None, spread: float | None) -> str:
+    """Write a distance, or a dash where there is none."""
+    if mean is None:
+        return "–"
+    return f"{mean:.2f}" + ("" if spread is None else f" ({spread:.2f})")

@@ -1,0 +1,31 @@
+"""Measure what the robots' camera and tags are good for: rate, error, false tags.
+
+    python scripts/measure_detector.py [LOOKS]
+
+Prints a Markdown table; docs/robots.md shows it, ``robots/perception/figures.py`` holds what the
+belief is told of it. Needs ``jaxlangnav[robot]`` and EGL.
+"""
+
+import sys
+
+import numpy as np
+
+from jaxlangnav.plain_text import markdown_table
+from jaxlangnav.robots.perception import figures
+
+
+def main() -> None:
+    """Measure, and print."""
+    looks = int(sys.argv[1]) if len(sys.argv) > 1 else 6
+    found = figures.measure(looks=looks)
+    print(markdown_table(*figures.table(found)))
+    near = [one for one in found if one.picture == "as told" and one.range <= 4.0]
+    rate = np.mean([one.rate for one in near])
+    error = np.sqrt(np.nanmean([one.error**2 for one in near]))
+    false = sum(one.false for one in found)
+    print(f"As told, to 4 m: found {100 * rate:.1f} %, error {100 * error:.1f} cm each axis;")
+    print(f"{false} false tags in {sum(one.looks for one in found)} looks.")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,194 @@
+"""A navigator drives a robot to an ending; what goes wrong on the way has an ending, too."""
+
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from test_navigator_step import robot as navigator
+
+from jaxlangnav.messages import NONE, Fault, Status, default_sensor
+from jaxlangnav.pytree import replace
+from jaxlangnav.robots import driver
+from jaxlangnav.robots.driver import drive
+from jaxlangnav.robots.kinematic import KinematicRobot
+from jaxlangnav.robots.motion.pursuit import Pursuit
+from jaxlangnav.robots.motion.window import Window
+from jaxlangnav.robots.record import Drive, Ending, observe
+from jaxlangnav.robots.robot import Detection, Progress
+from jaxlangnav.world.scenario import empty_scenario
+from jaxlangnav.world.state import CONE, HYDRANT
+
+__all__ = ["navigator"]
+TEXT = "go to the hydrant behind the cone"
+GOAL = (6.0, 0.8)
+
+
+def put(
+    objects=((HYDRANT, *GOAL), (CONE, 4.0, 0.5)), *, steering=None, seed: int = 0
+) -> KinematicRobot:
+    scenario = empty_scenario()
+    kind, x, y = (np.array(one) for one in zip(*objects, strict=True))
+    empty = len(scenario.object_x) - len(kind)
+    scenario = replace(
+        scenario,
+        object_type=np.pad(kind, (0, empty), constant_values=NONE).astype(np.int32),
+        object_x=np.pad(x, (0, empty)).astype(np.float32),
+        object_y=np.pad(y, (0, empty)).astype(np.float32),
+        is_object=np.arange(len(kind) + empty) < len(kind),
+        area=np.array([0.0, 9.0, -4.5, 4.5], np.float32),
+    )
+    sensor = replace(default_sensor(3.0), field_of_view=jnp.float32(np.pi / 2))
+    return KinematicRobot(scenario, seed=seed, sensor=sensor, steering=steering)
+
+
+def go(navigator, robot, text: str = TEXT, **options) -> Drive:
+    return drive(navigator, robot, text, key=jax.random.key(1), **options)
+
+
+def goal_distance(robot: KinematicRobot, goal=GOAL) -> float:
+    return float(np.hypot(*(robot.true_pose[:2] - goal)))
+
+
+@pytest.mark.parametrize("steering", [Pursuit(), Window()], ids=["pursuit", "window"])
+def test_a_sentence_is_carried_out(navigator, steering) -> None:
+    robot, told = put(steering=steering), []
+    drive = go(navigator, robot, on_step=lambda step, state, info: told.append(step))
+    assert drive.ending is Ending.ARRIVED, drive.why
+    assert goal_distance(robot) < 1.5
+    assert tuple(told) == drive.steps
+    assert drive.steps[0].status == Status.SEARCHING
+    assert drive.steps[-1].status == Status.ARRIVED
+    # Decided by odometry, never by the truth: they differ.
+    assert not np.allclose(robot.pose(), robot.true_pose, atol=1e-3)
+    place = robot.true_pose
+    robot.wait(2.0)
+    np.testing.assert_array_equal(robot.true_pose, place)
+
+
+def test_a_camera_that_stops_makes_it_blind_and_it_stands(navigator) -> None:
+    robot = put()
+    robot.at(3.0, lambda one: setattr(one, "camera_works", False))
+    drive = go(navigator, robot)
+    assert drive.ending is Ending.BLIND, drive.why
+    assert "picture" in drive.why
+    assert robot.seconds < 15.0
+
+
+def test_a_camera_that_comes_back_in_time_is_no_ending(navigator) -> None:
+    robot = put()
+    robot.at(3.0, lambda one: setattr(one, "camera_works", False))
+    robot.at(6.0, lambda one: setattr(one, "camera_works", True))
+    assert go(navigator, robot).ending is Ending.ARRIVED
+    assert goal_distance(robot) < 1.5
+
+
+def test_a_goal_that_cannot_be_seen_is_not_found(navigator) -> None:
+    robot = put([(CONE, 4.0, 0.5)])
+    robot.obstacles.append((*GOAL, 0.28))
+    drive = go(navigator, robot)
+    assert drive.ending is Ending.NOT_FOUND, drive.why
+    assert "hydrant" in drive.why
+
+
+def test_a_goal_that_is_taken_away_is_never_arrived_at(navigator) -> None:
+    robot = put()
+
+    def take_away(one: KinematicRobot) -> None:
+        near = goal_distance(one) < 2.6
+        one.move_object(0, np.nan, np.nan) if near else one.at(one.seconds + 0.1, take_away)
+
+    robot.at(0.0, take_away)
+    drive = go(navigator, robot)
+    assert drive.ending is Ending.NOT_FOUND, drive.why
+
+
+def test_slippery_ground_ends_at_the_goal_all_the_same(navigator) -> None:
+    robot = put()
+    robot.slippery.append((1.5, 0.0, 0.4))
+    drive = go(navigator, robot)
+    assert drive.ending in (Ending.ARRIVED, Ending.NOT_FOUND, Ending.BLOCKED), drive.why
+    if drive.ending is Ending.ARRIVED:
+        assert goal_distance(robot) < 1.5
+
+
+def test_a_person_who_steps_in_the_way_is_gone_around(navigator) -> None:
+    robot = put(steering=Window())
+
+    def step_in(one: KinematicRobot) -> None:
+        x, y, heading = one.true_pose
+        one.obstacles.append((x + 1.1 * np.cos(heading), y + 1.1 * np.sin(heading), 0.25))
+
+    robot.at(2.5, step_in)
+    assert go(navigator, robot).ending is Ending.ARRIVED
+    assert goal_distance(robot) < 1.5
+
+
+def test_who_is_walled_in_is_blocked(navigator) -> None:
+    robot = put()
+    turns = np.linspace(0.0, 2.0 * np.pi, 30)[:-1]
+    robot.obstacles += [(1.2 * np.cos(one), 1.2 * np.sin(one), 0.2) for one in turns]
+    drive = go(navigator, robot)
+    assert drive.ending is Ending.BLOCKED, drive.why
+    assert drive.steps[-1].progress is Progress.GAVE_UP
+    assert robot.travelled < 1.0
+
+
+def test_a_report_that_cannot_be_makes_it_lost(navigator) -> None:
+    robot = put()
+    robot._look = lambda: [Detection(object_type=CONE, range=50.0, bearing=0.0)]
+    drive = go(navigator, robot)
+    assert drive.ending is Ending.LOST
+    assert "DETECTION" in drive.why
+    assert drive.steps[-1].fault == Fault.DETECTION
+    assert robot.travelled == 0.0
+
+
+def test_it_halts_goes_on_and_drops_the_task(navigator) -> None:
+    said = {4: "stop!", 8: "go on"}
+    robot, places = put(), []
+
+    def listen() -> str | None:
+        places.append(robot.pose())
+        return said.pop(len(places), None)
+
+    drive = go(navigator, robot, listen=listen)
+    assert drive.ending is Ending.ARRIVED, drive.why
+    assert drive.steps[4].status == Status.HALTED
+    np.testing.assert_array_equal(places[5], places[7])
+    assert drive.steps[8].target is not None
+    robot = put()
+    assert go(navigator, robot, listen=iter([None, "cancel"]).__next__).ending is Ending.IDLE
+    robot = put()
+    halted = go(navigator, robot, listen=lambda: "stop", max_seconds=4.0)
+    assert halted.ending is Ending.HALTED
+    assert robot.travelled == 0.0
+
+
+def test_a_waypoint_that_cannot_be_stood_on_is_seen_from_all_sides_and_then_given_up() -> None:
+    robot = put()
+    journey = driver._Journey(None, robot, jax.random.key(0), None)
+    info, target = SimpleNamespace(fault=0), np.array([0.8, 0.3])
+    facing, beyond, end = [], [], None
+    while end is None:
+        end = journey._judge(Progress.THERE, target, info)
+        facing += [journey.facing] if journey.facing is not None else []
+        beyond += [journey.beyond] if journey.beyond is not None else []
+        assert len(facing) + len(beyond) < 9
+    assert end[0] is Ending.BLOCKED
+    turned = np.sort(np.mod(facing, 2.0 * np.pi))
+    assert np.diff([0.0, *turned, 2.0 * np.pi]).max() < np.pi / 2
+    (place,) = beyond
+    assert place @ target > target @ target
+    assert np.cross([*place, 0.0], [*target, 0.0]) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_an_observation_keeps_the_nearest() -> None:
+    found = [Detection(object_type=k % 2, range=9.0 - k, bearing=0.1 * k) for k in range(9)]
+    look = observe(np.array([1.0, 2.0, 0.5]), found, default_sensor(10.0))
+    assert look.is_detection.all()
+    np.testing.assert_allclose(look.detection_range, np.arange(1.0, 9.0))
+    few = observe(np.zeros(3), found[:2], default_sensor(10.0))
+    assert int(few.is_detection.sum()) == 2
+    assert int(few.detection_type[-1]) == NONE

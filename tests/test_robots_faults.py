@@ -1,0 +1,104 @@
+"""Things that go wrong with robots in physics: each has its ending, none a false "arrived"."""
+
+from collections.abc import Callable
+
+import jax
+import numpy as np
+import pytest
+from test_navigator_step import robot as navigator
+
+from jaxlangnav.robots import libraries
+from jaxlangnav.robots.driver import drive
+from jaxlangnav.robots.film import film
+from jaxlangnav.robots.physics.robot import PhysicsRobot
+from jaxlangnav.robots.record import Ending
+from jaxlangnav.robots.table3 import COMMANDS, ROWS, make_robot
+
+__all__ = ["navigator"]
+pytestmark = pytest.mark.slow
+HUSKY, CHAIR = ROWS[6], ROWS[2]
+GOAL = 0
+"""Slot of the hydrant."""
+try:
+    libraries.check_libraries()
+except ValueError as missing:
+    pytest.skip(str(missing), allow_module_level=True)
+
+
+def near(robot: PhysicsRobot, metres: float, event: Callable[[PhysicsRobot], None]) -> None:
+    """Let something happen once the robot has come near to its goal."""
+
+    def look(one: PhysicsRobot) -> None:
+        away = np.hypot(*(one.true_pose[:2] - np.asarray(one.scenario.goal)))
+        event(one) if away < metres else one.at(one.seconds + 0.1, look)
+
+    robot.at(0.0, look)
+
+
+def cover(robot: PhysicsRobot) -> None:
+    robot.scene.cover(GOAL)
+
+
+def move(robot: PhysicsRobot) -> None:
+    robot.move_object(GOAL, np.nan, np.nan)
+
+
+def step_in(robot: PhysicsRobot) -> None:
+    x, y, heading = robot.true_pose
+    robot.put_person(x + 1.3 * np.cos(heading), y + 1.3 * np.sin(heading))
+
+
+def slip(robot: PhysicsRobot) -> None:
+    x, y, heading = robot.true_pose
+    robot.slippery.append((x + 0.6 * np.cos(heading), y + 0.6 * np.sin(heading), 0.4))
+
+
+@pytest.mark.parametrize("row", [HUSKY, CHAIR], ids=["husky", "wheelchair"])
+@pytest.mark.parametrize(
+    ("fault", "endings"),
+    [
+        (lambda one: one.at(4.0, lambda it: setattr(it, "camera_works", False)), {Ending.BLIND}),
+        (lambda one: one.at(0.0, cover), {Ending.NOT_FOUND}),
+        (lambda one: near(one, 2.2, move), {Ending.NOT_FOUND}),
+        (lambda one: one.at(3.0, step_in), {Ending.ARRIVED}),
+        (lambda one: one.at(2.0, slip), {Ending.ARRIVED, Ending.NOT_FOUND, Ending.BLOCKED}),
+    ],
+    ids=["camera", "covered", "moved", "person", "slip"],
+)
+def test_what_goes_wrong_has_its_ending(navigator, row, fault, endings) -> None:
+    robot = make_robot(row, 0, 0)
+    fault(robot)
+    try:
+        ended = drive(
+            navigator, robot, COMMANDS[row.relation], key=jax.random.key(3), max_seconds=240.0
+        )
+        away = np.hypot(*(robot.true_pose[:2] - np.asarray(robot.scenario.goal)))
+    finally:
+        robot.close()
+    assert ended.ending in endings, ended.why
+    if ended.ending is Ending.ARRIVED:
+        assert away < 1.5
+
+
+def test_a_motion_planner_that_gives_up_leaves_it_blocked(navigator, monkeypatch) -> None:
+    monkeypatch.setattr("jaxlangnav.robots.motion.mover.find_path", lambda *given: None)
+    robot = make_robot(HUSKY, 0, 0)
+    ended = drive(navigator, robot, COMMANDS["behind"], key=jax.random.key(0), max_seconds=60.0)
+    robot.close()
+    assert ended.ending is Ending.BLOCKED, ended.why
+    assert robot.travelled < 0.1
+
+
+def test_a_run_is_filmed(navigator, tmp_path) -> None:
+    robot, path = make_robot(CHAIR, 0, 0), tmp_path / "run.gif"
+    key = jax.random.key(0)
+    written, why = film(path, robot, COMMANDS["behind"], navigator=navigator, key=key)
+    robot.close()
+    assert written == path
+    assert why == "arrived"
+    ok, animation = libraries.opencv().imreadanimation(str(path))
+    assert ok
+    assert len(animation.frames) > 10
+    assert animation.frames[0].shape[1] == 1200
+    with pytest.raises(ValueError, match="is no film"):
+        film(tmp_path / "run.avi", robot, "go to the cone", navigator=navigator, key=key)

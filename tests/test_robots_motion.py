@@ -1,0 +1,190 @@
+"""Motion planners among things: they get there, touch nothing, and say so where there is no way."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from jaxlangnav.pytree import replace
+from jaxlangnav.robots.kinematic import KinematicRobot, Slip
+from jaxlangnav.robots.motion.path import find_path, inflate, is_clear
+from jaxlangnav.robots.motion.pursuit import Pursuit
+from jaxlangnav.robots.motion.scan import gaps, to_discs
+from jaxlangnav.robots.motion.window import Window
+from jaxlangnav.robots.robot import Progress, Robot
+from jaxlangnav.world.scenario import empty_scenario
+
+BOTH = pytest.mark.parametrize("steering", [Pursuit(), Window()], ids=["pursuit", "window"])
+SURE = Slip(scale=0.0, noise=0.0, drift=0.0)
+
+
+def put(steering, discs=(), *, slip: Slip = SURE, start=(0.0, 0.0, 0.0)) -> KinematicRobot:
+    area, pose = np.array([-2.0, 10.0, -6.0, 6.0]), np.array(start)
+    scenario = replace(empty_scenario(), area=area, start=pose)
+    robot = KinematicRobot(scenario, seed=0, steering=steering, slip=slip)
+    robot.obstacles = [tuple(disc) for disc in discs]
+    return robot
+
+
+def go(robot: KinematicRobot, *waypoints, clearance=0.2, speed=1.0, seconds=90.0):
+    """Drive to the end; return how that was, and the least gap between body and things."""
+    robot.go_to(np.array(waypoints), speed=speed, clearance=clearance)
+    least, progress = np.inf, Progress.UNDER_WAY
+    while progress is Progress.UNDER_WAY and robot.seconds < seconds:
+        progress = robot.wait(0.1)
+        pose = robot.true_pose
+        gap = gaps(pose[None, 0], pose[None, 1], robot.things())[0] - robot.mover.body.radius
+        least = min(least, float(gap))
+    return progress, least
+
+
+def field(seed: int, number: int = 14) -> np.ndarray:
+    """Scatter things so that the body fits between them, away from start and goal."""
+    random = np.random.default_rng(seed)
+    discs: list[tuple[float, float, float]] = []
+    while len(discs) < number:
+        x, y, radius = random.uniform(0.5, 7.5), random.uniform(-3, 3), random.uniform(0.1, 0.4)
+        near = [np.hypot(x - a, y - b) - radius - other for a, b, other in discs]
+        is_free = min([np.hypot(x, y), np.hypot(x - 8.0, y)]) > radius + 0.8
+        if is_free and min(near, default=9.0) > 1.4:
+            discs.append((x, y, radius))
+        number -= len(discs) < number and random.uniform() < 0.01
+    return np.array(discs)
+
+
+@BOTH
+@pytest.mark.parametrize("seed", range(8))
+def test_it_gets_through_a_random_field_and_touches_nothing(steering, seed: int) -> None:
+    robot = put(steering, field(seed))
+    progress, least = go(robot, (8.0, 0.0))
+    assert progress is Progress.THERE
+    assert np.hypot(*(robot.true_pose[:2] - (8.0, 0.0))) < 0.2
+    assert least > 0.0
+
+
+@BOTH
+@pytest.mark.parametrize("aside", [0.0, 0.1, -0.3])
+def test_a_thing_straight_in_the_way_holds_nobody_up(steering, aside: float) -> None:
+    robot = put(steering, [(2.0, aside, 0.4)])
+    progress, least = go(robot, (4.0, 0.0))
+    assert progress is Progress.THERE
+    assert least > 0.0
+    assert robot.travelled < 6.0
+
+
+@BOTH
+def test_a_pocket_is_no_trap(steering) -> None:
+    """Three sides of a box, open towards the robot: a window alone would stay in it."""
+    wall = [(3.0, y, 0.15) for y in np.arange(-1.2, 1.3, 0.3)]
+    sides = [(x, y, 0.15) for x in (1.8, 2.1, 2.4, 2.7) for y in (-1.2, 1.2)]
+    robot = put(steering, [*wall, *sides])
+    progress, least = go(robot, (5.0, 0.0))
+    assert progress is Progress.THERE
+    assert least > 0.0
+
+
+@BOTH
+def test_who_is_walled_in_gives_up_and_touches_nothing(steering) -> None:
+    turns = np.linspace(0.0, 2.0 * np.pi, 30)[:-1]
+    robot = put(steering, [(1.5 * np.cos(one), 1.5 * np.sin(one), 0.2) for one in turns])
+    progress, least = go(robot, (5.0, 0.0), seconds=40.0)
+    assert progress is Progress.GAVE_UP
+    assert least > 0.0
+    assert robot.wait(1.0) is Progress.GAVE_UP
+
+
+@BOTH
+def test_a_person_who_steps_in_the_way_is_not_run_over(steering) -> None:
+    robot = put(steering)
+    robot.at(2.5, lambda one: one.obstacles.append((one.true_pose[0] + 1.0, 0.0, 0.25)))
+    progress, least = go(robot, (5.0, 0.0))
+    assert progress is Progress.THERE
+    assert least > 0.0
+
+
+@BOTH
+def test_a_thing_is_gone_up_to_and_faced(steering) -> None:
+    robot = put(steering, [(3.0, 0.0, 0.3)], start=(0.0, 0.0, 2.0))
+    progress, least = go(robot, (3.0, 0.0), clearance=0.6)
+    assert progress is Progress.THERE
+    x, y, heading = robot.true_pose
+    assert 0.0 < least < 0.35
+    assert abs(np.angle(np.exp(1j * (np.arctan2(-y, 3.0 - x) - heading)))) < 0.2
+
+
+def test_clearance_and_speed_are_those_asked_for() -> None:
+    gap, time = {}, {}
+    for clearance, speed in ((0.1, 1.5), (0.6, 0.6)):
+        robot = put(Pursuit(), [(3.0, 0.05, 0.3)])
+        progress, least = go(robot, (6.0, 0.0), clearance=clearance, speed=speed)
+        assert progress is Progress.THERE
+        gap[clearance], time[clearance] = least, robot.seconds
+    assert gap[0.6] > 0.45 > gap[0.1] > 0.0
+    assert time[0.6] > 1.8 * time[0.1]
+
+
+def test_waypoints_are_taken_one_after_the_other() -> None:
+    robot = put(Window())
+    way = []
+    robot.on_tick = lambda one: way.append(one.true_pose[:2])
+    progress, _ = go(robot, (2.0, 2.0), (4.0, 0.0))
+    assert progress is Progress.THERE
+    assert np.hypot(*(np.array(way) - (2.0, 2.0)).T).min() < 0.2
+    assert np.hypot(*(way[-1] - (4.0, 0.0))) < 0.2
+
+
+def test_stop_brakes_within_the_bodys_limits() -> None:
+    robot = put(Pursuit())
+    robot.go_to(np.array([[5.0, 0.0]]), speed=1.0, clearance=0.0)
+    robot.wait(3.0)
+    x = robot.true_pose[0]
+    robot.stop()
+    assert robot.wait(2.0) is Progress.STANDING
+    body = robot.mover.body
+    assert robot.true_pose[0] - x < body.speed**2 / (2 * body.acceleration) + 0.1
+    assert robot.wait(0.1) is Progress.STANDING
+    assert robot.mover.moving == (0.0, 0.0)
+
+
+def test_odometry_goes_wrong_as_it_is_said_to() -> None:
+    """Over many robots, the length that a way seems to have spreads by scale and noise."""
+    ends = []
+    for seed in range(40):
+        slip = Slip(scale=0.02, noise=0.02, drift=0.002)
+        robot = KinematicRobot(
+            replace(empty_scenario(), area=np.array([-1.0, 9.0, -5.0, 5.0])), seed=seed, slip=slip
+        )
+        go(robot, (4.0, 0.0))
+        ends.append(robot.pose() - robot.true_pose)
+    spread = np.std(ends, axis=0)
+    expected = np.hypot(4.0 * 0.02, 0.02 * 2.0)
+    # The standard deviation of 40 draws is right to 11 %; the limits are at 5 of these.
+    assert 0.45 * expected < spread[0] < 1.55 * expected
+    assert spread[2] > 0.002
+    assert isinstance(robot, Robot)
+
+
+def test_way_of_a_body_that_stands_against_a_thing_leads_away() -> None:
+    start, goal = np.zeros(2), np.array([2.0, 0.0])
+    discs = inflate(np.array([[0.5, 0.0, 0.2]]), start, goal, 0.4, 0.3)
+    way = find_path(start, goal, discs)
+    assert way is not None
+    np.testing.assert_allclose(way[-1], goal)
+    corners = np.vstack([start, way])
+    assert all(is_clear(*pair, discs * [1, 1, 0.9]) for pair in itertools.pairwise(corners))
+
+
+def test_hits_of_one_thing_are_one_disc() -> None:
+    angles = np.linspace(-0.5, 0.5, 21)
+    ranges = np.full(21, np.inf)
+    ranges[3:6], ranges[14:17] = 2.0, 3.0
+    discs = to_discs(ranges, angles, np.array([1.0, 0.0, np.pi / 2]))
+    assert len(discs) == 2
+    nearest = np.hypot(discs[:, 0] - 1.0, discs[:, 1]) - discs[:, 2]
+    np.testing.assert_allclose(nearest, [2.0, 3.0], atol=0.08)
+    assert (discs[:, 2] < 0.3).all()
+
+
+def test_waypoints_that_cannot_be_are_refused() -> None:
+    with pytest.raises(ValueError, match="waypoints"):
+        put(Pursuit()).go_to(np.array([[np.nan, 0.0]]), speed=1.0, clearance=0.0)

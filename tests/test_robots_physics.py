@@ -1,0 +1,210 @@
+"""Robots in MuJoCo: bodies that turn as they should, tags that are found where they are."""
+
+import dataclasses
+import subprocess
+import sys
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from jaxlangnav.messages import default_sensor
+from jaxlangnav.pytree import replace
+from jaxlangnav.robots import libraries
+from jaxlangnav.robots.motion.mover import Command, wrap
+from jaxlangnav.robots.perception import figures, tags
+from jaxlangnav.robots.physics.machines import MACHINES, Wear
+from jaxlangnav.robots.physics.robot import PhysicsRobot, wheel_speeds
+from jaxlangnav.robots.robot import Progress, Robot
+from jaxlangnav.world.scenario import empty_scenario
+from jaxlangnav.world.state import CONE, HYDRANT
+
+try:
+    libraries.check_libraries()
+except ValueError as missing:
+    pytest.skip(str(missing), allow_module_level=True)
+
+BOTH = pytest.mark.parametrize("machine", sorted(MACHINES))
+SURE = Wear(wheel_scale=0.0, gyro_bias=0.0, gyro_noise=0.0)
+OBJECTS = ((HYDRANT, 3.0, -0.4), (CONE, 2.2, 1.0))
+
+
+def put(machine: str = "husky", objects=OBJECTS, *, wear: Wear = SURE, seed: int = 0):
+    scenario = empty_scenario()
+    size, number = len(scenario.object_x), len(objects)
+    columns = np.zeros((3, size))
+    columns[:, :number] = np.array(objects).reshape(-1, 3).T
+    scenario = replace(
+        scenario,
+        object_type=columns[0].astype(int),
+        object_x=columns[1],
+        object_y=columns[2],
+        is_object=np.arange(size) < number,
+        area=np.array([-1.0, 8.0, -4.0, 4.0]),
+    )
+    gates = tags.Gates(range=4.0)
+    return PhysicsRobot(
+        machine, scenario, seed=seed, gates=gates, sensor=default_sensor(4.0), wear=wear
+    )
+
+
+@pytest.fixture(scope="module")
+def husky() -> Iterator[PhysicsRobot]:
+    robot = put()
+    yield robot
+    robot.close()
+
+
+@BOTH
+def test_its_wheels_seem_as_far_apart_as_is_known(machine: str) -> None:
+    """A skid-steer's effective track is 1.8 to 2.1 times the real one; a chair's is the same."""
+    ratios = []
+    for turn in (0.5, -0.8):
+        robot = put(machine, ())
+        left, right, rate = wheel_speeds(robot, Command(0.0, turn), 3.0)
+        robot.close()
+        ratios.append((right - left) / rate / robot.machine.track)
+        assert rate == pytest.approx(turn, rel=0.15)
+    low, high = (1.8, 2.1) if machine == "husky" else (0.95, 1.1)
+    assert low < min(ratios) <= max(ratios) < high
+
+
+@BOTH
+def test_its_wheels_roll_as_far_as_they_are_said_to(machine: str) -> None:
+    robot = put(machine, ())
+    robot.go_to(np.array([[4.0, 0.0]]), speed=1.0, clearance=0.0)
+    assert robot.wait(15.0) is Progress.THERE
+    x, y, heading = robot.true_pose
+    assert abs(x - robot.pose()[0]) < 0.01 * x + 0.01
+    assert abs(y) < 0.05
+    assert abs(heading) < 0.02
+    assert robot.travelled == pytest.approx(x, rel=0.02)
+    assert isinstance(robot, Robot)
+    robot.close()
+
+
+def test_odometry_drifts_and_never_tells_the_truth() -> None:
+    robot = put("husky", (), wear=Wear(), seed=3)
+    robot.go_to(np.array([[3.0, 2.0], [0.0, 2.0]]), speed=1.0, clearance=0.0)
+    assert robot.wait(25.0) is Progress.THERE
+    off = robot.pose() - robot.true_pose
+    assert 0.005 < np.hypot(*off[:2]) < 0.5
+    assert 0.0 < abs(wrap(off[2])) < 0.2
+    robot.close()
+
+
+def test_tags_are_found_where_their_things_are(husky: PhysicsRobot) -> None:
+    found = {one.object_type: one for one in husky.detections()}
+    assert set(found) == {HYDRANT, CONE}
+    for kind, x, y in OBJECTS:
+        assert found[kind].range == pytest.approx(np.hypot(x, y), abs=0.02)
+        assert found[kind].bearing == pytest.approx(np.arctan2(y, x), abs=0.01)
+
+
+def test_opencvs_own_detector_sees_the_same_tags(husky: PhysicsRobot) -> None:
+    cv2 = libraries.opencv()
+    grey = cv2.cvtColor(husky.picture(), cv2.COLOR_RGB2GRAY)
+    book = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    corners, numbers, _ = cv2.aruco.ArucoDetector(book).detectMarkers(grey)
+    theirs = [
+        (int(one), four.reshape(4, 2).mean(axis=0))
+        for one, four in zip(numbers.ravel(), corners, strict=True)
+    ]
+    ours = tags.find_tags(grey, husky.camera)
+    assert len(ours) >= 2
+    for tag in ours:
+        # OpenCV counts pixels from their middles.
+        near = [
+            one for one, place in theirs if np.hypot(*(tag.corners.mean(0) - 0.5 - place)) < 1.0
+        ]
+        assert near == [tag.number]
+    assert {one for one, _ in theirs} == {tag.number for tag in ours}
+
+
+@pytest.mark.parametrize(
+    "gates",
+    [
+        tags.Gates(range=2.8),
+        tags.Gates(range=9.0, field_of_view=0.5),
+        tags.Gates(range=9.0, view_angle=0.01),
+    ],
+    ids=["range", "bearing", "view angle"],
+)
+def test_what_is_out_of_the_gates_is_not_used(husky: PhysicsRobot, gates: tags.Gates) -> None:
+    husky.detections()
+    wide = tags.Gates(range=9.0, field_of_view=6.0, view_angle=1.5)
+    every = tags.to_detections(husky.last_tags, husky.camera, wide, 8)
+    kept = tags.to_detections(husky.last_tags, husky.camera, gates, 8)
+    assert len(every) == 2
+    assert len(kept) < len(every)
+    assert tags.to_detections(husky.last_tags, husky.camera, wide, num_types=0) == []
+
+
+def test_a_covered_tag_is_not_seen_and_a_turned_cube_is() -> None:
+    robot = put(objects=((HYDRANT, 2.5, 0.0),))
+    for angle in np.linspace(0.0, 1.5, 4):
+        robot.scene.turn("thing0", angle)
+        robot.settle()
+        (one,) = robot.detections()
+        assert one.range == pytest.approx(2.5, abs=0.02)
+    robot.scene.cover(0)
+    assert robot.detections() == []
+    robot.close()
+
+
+def test_things_and_people_are_seen_by_the_scanner_and_not_run_into() -> None:
+    robot = put("wheelchair", ((CONE, 2.0, 0.1),))
+    robot.at(4.0, lambda one: one.put_person(one.true_pose[0] + 1.3, one.true_pose[1]))
+    robot.go_to(np.array([[4.5, 0.0]]), speed=1.0, clearance=0.2)
+    places = []
+    robot.on_tick = lambda one: places.append(one.true_pose)
+    assert robot.wait(45.0) is Progress.THERE
+    way = np.array(places)[:, :2]
+    person = robot.scene.data.mocap_pos[-1, :2]
+    assert np.hypot(*(way - (2.0, 0.1)).T).min() > 0.28 + 0.31
+    assert np.hypot(*(way[60:] - person).T).min() > 0.25 + 0.31
+    robot.close()
+
+
+@pytest.mark.slow
+def test_the_detector_is_as_good_as_the_belief_is_told() -> None:
+    found = figures.measure(looks=4, ranges=(1.25, 2.5, 4.0), pictures=("as told",))
+    rate = np.mean([one.rate for one in found])
+    looks = sum(one.looks for one in found)
+    assert rate > figures.RATE - 5 * np.sqrt(figures.RATE * (1 - figures.RATE) / looks)
+    assert np.nanmax([one.error for one in found]) < figures.NOISE
+    assert sum(one.false for one in found) == 0
+    headings, rows = figures.table(found)
+    assert len(rows) == 3
+    assert len(rows[0]) == len(headings)
+
+
+@pytest.mark.parametrize(("library", "says"), [("cv2", "robot"), ("mujoco", "robot")])
+def test_a_missing_extra_is_said_in_one_line(monkeypatch, library: str, says: str) -> None:
+    find = libraries.require.__globals__["importlib"].util.find_spec
+    monkeypatch.setattr(
+        "importlib.util.find_spec", lambda name: None if name == library else find(name)
+    )
+    with pytest.raises(ValueError, match=rf"{library}.*jaxlangnav\[{says}\]"):
+        libraries.check_libraries()
+
+
+def test_a_missing_system_library_is_said_in_one_line() -> None:
+    """Rendering through a library that is not there, as on a machine without EGL."""
+    code = (
+        "import ctypes.util; ctypes.util.find_library = lambda name: None\n"
+        "from jaxlangnav.robots.libraries import check_libraries\n"
+        "try: check_libraries()\n"
+        "except ValueError as error: print(error)"
+    )
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    if ran.stdout:
+        assert "apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri" in ran.stdout
+        assert ran.stdout.count("\n") == 1
+
+
+def test_machines_are_within_their_bodies() -> None:
+    for machine in MACHINES.values():
+        assert machine.body.speed <= machine.body.top_speed
+        assert machine.body.radius > 0.5 * machine.track
+        assert dataclasses.asdict(machine.body)["name"] in MACHINES

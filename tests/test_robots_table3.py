@@ -1,0 +1,127 @@
+"""Table 3: what is kept is not run again, and what is refused."""
+
+import importlib.util
+import json
+
+import jax
+import numpy as np
+import pytest
+
+from jaxlangnav.cli.main import main
+from jaxlangnav.robots import trials
+from jaxlangnav.robots.table3 import HALT, ROWS, environment
+from jaxlangnav.robots.trials import KNOWN, Plan
+
+
+def result(row, trial, *, success: bool = True) -> dict:
+    return {
+        "row": row.name,
+        "trial": trial,
+        "ending": "arrived" if success else "blocked",
+        "why": "",
+        "success": success,
+        "distance": 5.0 + (0 if isinstance(trial, str) else trial),
+        "goal_distance": 1.0,
+        "seconds": 20.0,
+    }
+
+
+@pytest.fixture
+def ran(monkeypatch) -> list:
+    """Run nothing; tell what would have been run."""
+    told: list = []
+
+    def run(plan, missing):
+        told.extend((row.name, trial) for row, trial in missing)
+        for row, trial in missing:
+            yield row, trial, result(row, trial, success=trial != 1)
+
+    monkeypatch.setattr(trials, "_run", run)
+    monkeypatch.setattr(trials, "check_libraries", lambda: None)
+    return told
+
+
+def test_what_has_been_kept_is_not_run_again(ran: list, tmp_path) -> None:
+    plan, done = Plan(trials=2, out=tmp_path), []
+    first = trials.reproduce_table3(plan, rows=ROWS[:2], on_progress=done.append)
+    assert len(ran) == sum(done) == 6
+    assert first["resumed"] == 0
+    ran.clear()
+    damaged = plan.path(ROWS[0], 1)
+    assert damaged is not None
+    damaged.write_text(damaged.read_text()[:20])
+    other = plan.path(ROWS[1], 0)
+    assert other is not None
+    other.write_text(json.dumps({**json.loads(other.read_text()), "made": {"version": "0"}}))
+    again = trials.reproduce_table3(Plan(trials=3, out=tmp_path), rows=ROWS[:2])
+    assert set(ran) == {
+        (ROWS[0].name, 1), (ROWS[1].name, 0), (ROWS[0].name, 2), (ROWS[1].name, 2)
+    }  # fmt: skip
+    assert again["resumed"] == 4
+    ran.clear()
+    trials.reproduce_table3(Plan(trials=1, out=tmp_path, seed=1), rows=ROWS[:1])
+    assert ran == [(ROWS[0].name, KNOWN), (ROWS[0].name, 0)]
+
+
+def test_the_table_stands_beside_the_papers(ran: list) -> None:
+    document = trials.reproduce_table3(Plan(trials=3))
+    assert document["success"] == pytest.approx(2 / 3)
+    rows = trials.table_rows(document)
+    assert len(rows) == 7
+    for cells, row in zip(rows, ROWS, strict=True):
+        assert len(cells) == len(trials.HEADINGS)
+        assert cells[0] == row.robot
+        assert cells[5] == f"{row.success:g}"
+        assert cells[6] == "6.00 (1.00)"
+        assert "1 blocked" in cells[-1]
+    assert rows[3][7] == "6.00 (1.38)"
+    assert rows[6][7] == "–"
+    assert document["rows"][0]["failures"][0]["trial"] == 1
+
+
+def test_environments_are_as_far_as_the_paper_prints() -> None:
+    drawn = [environment(row, 0) for row in ROWS]
+    for row, scenario in zip(ROWS, drawn, strict=True):
+        assert bool(scenario.is_valid)
+        hydrants, cones = int(row.world[0]), int(row.world[2])
+        kinds = np.asarray(scenario.object_type)[np.asarray(scenario.is_object)].tolist()
+        assert (kinds.count(0), kinds.count(1)) == (hydrants, cones)
+        if row.known is not None:
+            assert np.hypot(*scenario.goal) == pytest.approx(row.known + HALT, abs=0.15)
+    jax.tree.map(np.testing.assert_array_equal, drawn[0], drawn[1])
+    assert not np.allclose(environment(ROWS[0], 1).goal, drawn[0].goal)
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        ("table3 --trials 0", "--trials is 0"),
+        ("table2 --trials 3", "--trials is for table3"),
+        ("table3 --episodes 5", "--episodes changes nothing"),
+        ("table3 --policy known", "informed or faithful"),
+        ("table3 --params.planner.discount 0.9", "changes nothing in table3"),
+    ],
+)
+def test_what_would_change_nothing_is_refused(capsys, words: str, says: str) -> None:
+    assert main(["reproduce", *words.split()]) == 2
+    said = capsys.readouterr().err
+    assert says in said
+    assert said.count("\n") == 1
+
+
+def test_a_missing_library_ends_the_command_with_one_line(monkeypatch, capsys) -> None:
+    find = importlib.util.find_spec
+    monkeypatch.setattr(
+        "importlib.util.find_spec", lambda name: None if name == "cv2" else find(name)
+    )
+    assert main(["reproduce", "table3"]) == 2
+    said = capsys.readouterr().err
+    assert "jaxlangnav[robot]" in said
+    assert said.count("\n") == 1
+
+
+def test_plans_that_cannot_be_are_refused() -> None:
+    with pytest.raises(ValueError, match="trials is 0"):
+        Plan(trials=0)
+    with pytest.raises(ValueError, match="processes is 0"):
+        Plan(trials=1, processes=0)
