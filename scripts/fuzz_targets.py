@@ -15,10 +15,11 @@ import numpy as np
 from fuzz import TEXTS, Target
 
 from jaxlangnav.cli import main as cli
-from jaxlangnav.cli.arguments import Command
+from jaxlangnav.cli.arguments import Runnable
 from jaxlangnav.cli.output import Output, write_document
 from jaxlangnav.experiments.shards import Shard, ShardError, read_shard, write_shard
-from jaxlangnav.experiments.summary import markdown, render, summarize_directory
+from jaxlangnav.experiments.summary import summarize_directory
+from jaxlangnav.experiments.summary_tables import render, summary_markdown
 from jaxlangnav.experiments.sweep_config import read_config
 from jaxlangnav.experiments.sweep_folder import MANIFEST, identity, read_manifest
 from jaxlangnav.grounding import AnnotationGrounder, Context
@@ -202,9 +203,9 @@ def _manifest(text: bytes, folder: Path) -> None:
     with contextlib.redirect_stdout(told):
         Output(is_json=False).say(render(document))
         write_document(document)
-    told.write(markdown(document))
+    told.write(summary_markdown(document))
     assert all(line.isprintable() for line in told.getvalue().split("\n")), "it is not plain"
-    assert "<b>" not in markdown(document)
+    assert "<b>" not in summary_markdown(document)
 
 
 def _sentences() -> list[bytes]:
@@ -279,7 +280,7 @@ class CommandLineError(Exception):
     """The command line refused its arguments, properly or not: its whole standard error."""
 
 
-def _cheaply(command: Command) -> int:
+def _cheaply(command: Runnable) -> int:
     """Do of a command what needs no engine."""
     output = Output(is_json=command.json)
     if type(command).__name__ == "Parse":

@@ -175,9 +175,9 @@ def ground_many(
     keys: jax.Array, belief: ParticleBelief, sentence: Readings, numbers: MapParams
 ) -> tuple[object, jax.Array]:
     """Ground the words of one belief under S keys: particles [S, ..., P], log-weights [S, P]."""
-    return jax.vmap(semantic_filter.ground_words, in_axes=(0, None, None, None))(
-        keys, belief, sentence, numbers
-    )
+    return jax.vmap(
+        lambda key: semantic_filter.ground_words(key, belief, sentence, params=numbers)
+    )(keys)
 
 
 @jax.jit

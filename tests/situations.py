@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxlangnav.planner import policy
+from jaxlangnav.planner.blocked import start_of_way
 from jaxlangnav.planner.goals import Goals
 from jaxlangnav.planner.graph import Nodes
 from jaxlangnav.planner.params import default_planner_params
@@ -67,6 +68,8 @@ def situation(
         robot_x=x,
         robot_y=y,
         range_max=reach,
+        way=start_of_way(jnp.zeros(3)),
+        may_ask=jnp.asarray(True),
         is_find=find,
         is_news=jnp.asarray(is_news),
         stands=jnp.asarray(stands),

@@ -9,7 +9,7 @@ from jaxlangnav.messages import NONE
 from jaxlangnav.semantic_map import bystanders
 
 HYDRANT, CONE, CAR = by_hand.HYDRANT, by_hand.CONE, by_hand.CAR
-remember = jax.jit(bystanders.remember)
+remember = jax.jit(bystanders.remember_bystanders)
 promote = jax.jit(bystanders.promote)
 HERE = (jnp.float32(0.0), jnp.float32(0.0), jnp.float32(1e-4))
 

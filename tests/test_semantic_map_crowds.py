@@ -11,7 +11,7 @@ from jaxlangnav import messages, navigator
 from jaxlangnav.grounding.behavior import MAX_SLOTS
 from jaxlangnav.messages import NONE, ROBOT, BehaviorWorld
 from jaxlangnav.navigator import NavigatorConfig
-from jaxlangnav.planner.params import PlannerConfig
+from jaxlangnav.planner.config import PlannerConfig
 from jaxlangnav.semantic_map.behaviors import likeliest_slots
 from jaxlangnav.semantic_map.params import MapConfig
 
