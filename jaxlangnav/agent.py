@@ -27,7 +27,6 @@ from jaxlangnav import navigator, sensing
 from jaxlangnav.conversation import words_of
 from jaxlangnav.grounding import Context, GraphGrounder, Grounded, Grounder, load_shipped
 from jaxlangnav.grounding.annotated import returning
-from jaxlangnav.grounding.behavior import MAX_SLOTS
 from jaxlangnav.grounding.readings import Capacity, widen
 from jaxlangnav.kinds import name_of
 from jaxlangnav.language.halting import act_of
@@ -42,6 +41,8 @@ from jaxlangnav.semantic_map.params import MapConfig
 from jaxlangnav.semantic_map.soundness import check_place
 from jaxlangnav.terrain import OPEN, Terrain
 
+MOST_BITS = 31
+"""Slots and mentions of which sets are held, a bit each."""
 DEFAULT_EXTENT = 15.0
 """Metres to each side of the robot that are its operating area unless it is told otherwise."""
 OBJECTS, BYSTANDERS = 12, 64
@@ -113,12 +114,15 @@ class Navigator:
     def __post_init__(self) -> None:
         """Refuse parameters with which the robot could never stop, and sizes that do not fit."""
         navigator.check(self.params)
-        size = self.config.map.num_objects + self.capacity.num_mentions + 1
-        if size > MAX_SLOTS:
-            raise ValueError(
-                f"num_objects and num_mentions sum to {size - 1}, but at most {MAX_SLOTS - 1} are "
-                "held: lower one of them"
-            )
+        sizes = {
+            "num_objects": self.config.map.num_objects,
+            "num_mentions": self.capacity.num_mentions,
+        }
+        for name, size in sizes.items():
+            if size > MOST_BITS:
+                raise ValueError(
+                    f"{name} is {size}, but at most {MOST_BITS} are told apart in a conversation"
+                )
 
     @property
     def type_names(self) -> tuple[str, ...]:
