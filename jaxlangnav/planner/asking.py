@@ -45,7 +45,7 @@ def doubt_of(goals: Goals, question_cost: Array, has_looked: Array | bool, may_a
     is_seen = goals.is_object[:-1]
     mass = jnp.where(is_seen, goals.object_mass[:-1], 0.0)
     unseen = jnp.sum(goals.hypothesis_mass)
-    seen, best = jnp.sum(mass), jnp.max(mass)
+    seen, best = jnp.sum(mass), jnp.max(mass, initial=0.0)
     total = jnp.maximum(seen + unseen + goals.object_mass[-1], 1e-9)
     gain = (seen - best) / total
     is_allowed = may_ask & jnp.isfinite(question_cost)
