@@ -139,6 +139,7 @@ def begin(
         jnp.asarray(area, jnp.float32),
         num_mentions,
         config=config,
+        num_types=15,
     )
 
 

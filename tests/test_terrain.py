@@ -145,7 +145,7 @@ def test_what_is_behind_a_wall_is_neither_seen_nor_counted_as_absent() -> None:
     )
     none_hit = jnp.zeros_like(particles.is_observed)
     for view, expected in ((OPEN.view, np.log(0.05)), (walls(WALL), 0.0)):
-        _, missed = ABSENCE(hypothetical, none_hit, HERE, jnp.float32(0.25), sensor, view)
+        _, missed, _ = ABSENCE(hypothetical, none_hit, HERE, jnp.float32(0.25), sensor, view)
         np.testing.assert_allclose(missed[0], expected, atol=1e-4)
         np.testing.assert_allclose(missed[1], np.log(0.05), atol=1e-4)
 
