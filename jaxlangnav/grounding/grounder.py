@@ -37,6 +37,17 @@ class Grounded:
     """What else people should know, a line each."""
     spoken: Spoken | None = None
     """What it speaks of, for what was said before and comes after; None: as its readings show."""
+    alternatives: "tuple[Alternative, ...]" = ()
+    """Whole ways to understand it, likeliest first, where the grounder tells them apart."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Alternative:
+    """One way to understand what was said."""
+
+    says: str  # for people, one line
+    probability: float
+    grounded: Grounded
 
 
 class Grounder(Protocol):

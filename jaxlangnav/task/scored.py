@@ -8,13 +8,16 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from jaxlangnav.grounding.instruction import GroundingModel, understand
+from jaxlangnav.grounding.grounder import Context, GraphGrounder, Grounder
+from jaxlangnav.grounding.instruction import GroundingModel, Instruction
 from jaxlangnav.task.compared import difference
 from jaxlangnav.task.labelled import LabelledSentence
 
 RIGHT, REFUSED, WRONG = OUTCOMES = ("right", "refused", "wrong")
 WORST_SHOWN = 40
 """Sentences listed below the table; the document has all that are not right."""
+Arm = Callable[[GraphGrounder], Grounder]
+"""Builds the grounder that is scored around the trained graph, anew for each sentence."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,6 +34,7 @@ def score_sentences(
     sentences: Sequence[LabelledSentence],
     model: GroundingModel,
     on_progress: Callable[[int], None] | None = None,
+    arm: Arm = lambda graph: graph,
 ) -> list[Score]:
     """Score labelled sentences.
 
@@ -38,13 +42,14 @@ def score_sentences(
         sentences: with what they mean.
         model: the trained models.
         on_progress: told after each sentence.
+        arm: what reads them; the trained graph by default.
 
     Returns:
         Their scores, in order.
     """
     scores = []
     for sentence in sentences:
-        scores.append(_score(sentence, model))
+        scores.append(_score(sentence, model, arm))
         if on_progress is not None:
             on_progress(1)
     return scores
@@ -119,18 +124,30 @@ def _count(scores: Sequence[Score]) -> dict[str, Any]:
     }
 
 
-def _score(sentence: LabelledSentence, model: GroundingModel) -> Score:
-    """Score one sentence."""
+@dataclasses.dataclass(frozen=True)
+class Heard:
+    """What a grounder makes of a sentence, and the object types that it speaks of."""
+
+    instruction: Instruction
+    type_names: tuple[str, ...]
+
+
+def context_of(sentence: LabelledSentence) -> Context:
+    """Tell what a grounder is told: only what is meant to inform may ask for nothing."""
     meaning = sentence.meaning
+    return Context(is_under_way=meaning is not None and not meaning.reading.commands)
+
+
+def _score(sentence: LabelledSentence, model: GroundingModel, arm: Arm) -> Score:
+    """Score one sentence."""
+    meaning, graph = sentence.meaning, GraphGrounder(model)
     try:
-        understood = understand(sentence.text, model)
-        if meaning is None or meaning.reading.commands:
-            understood.check_task()
+        grounded = arm(graph).ground(sentence.text, context_of(sentence))
     except ValueError as error:
         outcome = RIGHT if meaning is None else REFUSED
         return Score(sentence, outcome, "" if meaning is None else str(error), 0.0)
-    confidence = float(np.exp(understood.instruction.readings.log_probability[0]))
+    confidence = float(np.exp(grounded.instruction.readings.log_probability[0]))
     if meaning is None:
         return Score(sentence, WRONG, "was read, but must be refused", confidence)
-    why = difference(meaning, understood)
+    why = difference(meaning, Heard(grounded.instruction, graph.names))
     return Score(sentence, WRONG if why else RIGHT, why, confidence)
