@@ -16,9 +16,13 @@ from jaxlangnav.task.compared import difference
 from jaxlangnav.task.labelled import LabelledSentence
 from jaxlangnav.task.scored import (
     OUTCOMES,
+    RIGHT,
+    WRONG,
     Arm,
     Heard,
+    Score,
     context_of,
+    count_scores,
     score_sentences,
     summarize_scores,
 )
@@ -68,7 +72,8 @@ def compare_arms(
         on_progress: told after each sentence of each arm.
 
     Returns:
-        A JSON document: ``temperature``; ``arms``, by name as ``summarize_scores`` counts.
+        A JSON document: ``temperature``; ``arms``, by name as ``summarize_scores`` counts, and
+        the same counts of the sentences that are ``meant`` to be read and those ``to_refuse``.
     """
     params = default_rewrite_params(temperature)
 
@@ -83,9 +88,20 @@ def compare_arms(
     return {
         "temperature": temperature,
         "arms": {
-            name: summarize_scores(score_sentences(sentences, model, on_progress, builds[name]))
+            name: _summary(score_sentences(sentences, model, on_progress, builds[name]))
             for name in ARMS
         },
+    }
+
+
+def _summary(scores: Sequence[Score]) -> dict[str, Any]:
+    """Count scores, those of sentences that mean something and of others apart."""
+    meant = [one for one in scores if one.sentence.meaning is not None]
+    others = [one for one in scores if one.sentence.meaning is None]
+    return {
+        **summarize_scores(scores),
+        "meant": count_scores(meant),
+        "to_refuse": count_scores(others),
     }
 
 
@@ -131,12 +147,13 @@ def render_arms(document: dict[str, Any], fit: TemperatureFit | None) -> tuple[T
         A rich table; lines.
     """
     table = Table(title="Sentences as labelled, by what reads them")
-    table.add_column("")
-    for name in ("sentences", *OUTCOMES, "right %"):
-        table.add_column(name, justify="right")
+    headings = [f"meant: {name}" for name in OUTCOMES]
+    for name in ("", *headings, "to refuse: right", "wrong", "all right %"):
+        table.add_column(name, justify="right" if name else "left")
     for name, row in document["arms"].items():
-        cells = [str(row[one]) for one in ("sentences", *OUTCOMES)]
-        table.add_row(name, *cells, f"{row['right_share']:.1f}")
+        meant = [str(row["meant"][one]) for one in OUTCOMES]
+        others = [str(row["to_refuse"][one]) for one in (RIGHT, WRONG)]
+        table.add_row(name, *meant, *others, f"{row['right_share']:.1f}")
     lines = [f"temperature {document['temperature']:.3g}"]
     if fit is not None:
         told = dataclasses.asdict(fit)

@@ -70,8 +70,8 @@ def summarize_scores(scores: Sequence[Score]) -> dict[str, Any]:
     missed = [score for score in scores if score.outcome != RIGHT]
     missed.sort(key=lambda one: (one.outcome != WRONG, -one.confidence, one.sentence.line))
     return {
-        **_count(scores),
-        "by_construction": {name: _count(ones) for name, ones in by_name.items()},
+        **count_scores(scores),
+        "by_construction": {name: count_scores(ones) for name, ones in by_name.items()},
         "worst": [
             {
                 "line": one.sentence.line,
@@ -113,8 +113,15 @@ def render_scores(document: dict[str, Any]) -> tuple[Table, list[str]]:
     return table, lines
 
 
-def _count(scores: Sequence[Score]) -> dict[str, Any]:
-    """Count the outcomes of some sentences."""
+def count_scores(scores: Sequence[Score]) -> dict[str, Any]:
+    """Count the outcomes of some sentences.
+
+    Args:
+        scores: of ``score_sentences``.
+
+    Returns:
+        A JSON document: the count of sentences, of each outcome, and the percentage right.
+    """
     counts = Counter(score.outcome for score in scores)
     share = 100.0 * counts[RIGHT] / max(len(scores), 1)
     return {
