@@ -2,6 +2,10 @@
 
 import json
 import math
+import re
+import sys
+import types
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -268,3 +272,29 @@ def test_arms_are_compared(tmp_path, capsys) -> None:
     assert document["arms"]["both"]["meant"]["right"] == 2
     assert cli.main([*run, "--temperature", "-1"]) == 2
     assert "temperature is -1.0" in capsys.readouterr().err
+
+
+def test_the_local_model_of_the_how_to_is_plugged_in_as_shown(monkeypatch) -> None:
+    """The page's code runs as it stands, around a model that answers from a list."""
+    answers = [" go to the gazebo"] * 15 + [" go to the bench"] * 4 + [" go through the gazebo"]
+
+    class Llama:
+        def __init__(self, *_, **__):
+            self.left = list(answers)
+
+        def create_completion(self, prompt, *, grammar, **_):
+            assert "root ::=" in grammar
+            assert "zigzag" in prompt
+            return {"choices": [{"text": self.left.pop()}]}
+
+    grammar = types.SimpleNamespace(from_string=lambda text: text)
+    module = types.SimpleNamespace(Llama=Llama, LlamaGrammar=grammar)
+    monkeypatch.setitem(sys.modules, "llama_cpp", module)
+    page = (Path(__file__).parent.parent / "docs" / "how-to.md").read_text("utf-8")
+    (block,) = [one for one in re.findall(r"(?ms)^```python\n(.*?)^```", page) if "llama" in one]
+    space: dict = {}
+    exec(block, space)
+    grounded = space["both"].ground("zigzag through the gazebo", START)
+    assert grounded.spoken.goals == (0,)
+    assert any("1 of 3 rewritings cannot be read" in note for note in grounded.notes)
+    assert grounded.alternatives[0].probability == pytest.approx(15 / 19)

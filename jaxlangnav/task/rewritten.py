@@ -23,6 +23,7 @@ from jaxlangnav.task.scored import (
     Score,
     context_of,
     count_scores,
+    labels_of,
     score_sentences,
     summarize_scores,
 )
@@ -121,12 +122,14 @@ def fit_recorded(
     Raises:
         ValueError: they say nothing about it; one line.
     """
-    return fit_temperature([_judge(one, recorded, model) for one in sentences if one.meaning])
+    labels = labels_of(sentences, model)
+    return fit_temperature(
+        [_judge(one, recorded, GraphGrounder(model, labels)) for one in sentences if one.meaning]
+    )
 
 
-def _judge(sentence: LabelledSentence, recorded: RecordedRewrites, model: GroundingModel) -> Judged:
+def _judge(sentence: LabelledSentence, recorded: RecordedRewrites, graph: GraphGrounder) -> Judged:
     """Judge each rewriting that can be read by the label."""
-    graph = GraphGrounder(model)
     found, _ = read_rewrites(graph, recorded(sentence.text), context_of(sentence))
     is_right = [
         sentence.meaning is not None

@@ -39,7 +39,8 @@ def score_sentences(
     """Score labelled sentences.
 
     Args:
-        sentences: with what they mean.
+        sentences: with what they mean. The detector tells apart all types that these name, and
+            the lexicon's.
         model: the trained models.
         on_progress: told after each sentence.
         arm: what reads them; the trained graph by default.
@@ -47,9 +48,9 @@ def score_sentences(
     Returns:
         Their scores, in order.
     """
-    scores = []
+    scores, labels = [], labels_of(sentences, model)
     for sentence in sentences:
-        scores.append(_score(sentence, model, arm))
+        scores.append(_score(sentence, GraphGrounder(model, labels), arm))
         if on_progress is not None:
             on_progress(1)
     return scores
@@ -145,9 +146,16 @@ def context_of(sentence: LabelledSentence) -> Context:
     return Context(is_under_way=meaning is not None and not meaning.reading.commands)
 
 
-def _score(sentence: LabelledSentence, model: GroundingModel, arm: Arm) -> Score:
+def labels_of(sentences: Sequence[LabelledSentence], model: GroundingModel) -> tuple[str, ...]:
+    """List what a detector tells apart for whom the sentences are meant."""
+    meanings = [one.meaning for one in sentences if one.meaning is not None]
+    named = [name for one in meanings for name in one.type_names]
+    return tuple(dict.fromkeys([*model.type_names, *named]))
+
+
+def _score(sentence: LabelledSentence, graph: GraphGrounder, arm: Arm) -> Score:
     """Score one sentence."""
-    meaning, graph = sentence.meaning, GraphGrounder(model)
+    meaning = sentence.meaning
     try:
         grounded = arm(graph).ground(sentence.text, context_of(sentence))
     except ValueError as error:
