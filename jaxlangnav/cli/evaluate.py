@@ -54,10 +54,12 @@ class Evaluate:
             raise UsageError("--beams needs at least one width")
         for beam in self.beams:
             check_at_least("--beams", beam, 1)
+        if self.rewrites is not None and self.sentences is None:
+            raise UsageError("--rewrites needs --sentences, the labelled sentences themselves")
+        if self.rewrites is None and (self.fit_temperature or self.temperature != 1.0):
+            raise UsageError("--temperature and --fit-temperature are of --rewrites: give a file")
         if self.sentences is not None and self.rewrites is not None:
             return self._compare(self.sentences, self.rewrites, output)
-        if self.rewrites is not None or self.fit_temperature:
-            raise UsageError("--rewrites and --fit-temperature need --sentences and --rewrites")
         if self.sentences is not None:
             return self._score(self.sentences, output)
         keep_compiled_programs()

@@ -57,7 +57,7 @@ class RewriteParams:
 
 
 def default_rewrite_params(temperature: float = 1.0) -> RewriteParams:
-    """Build parameters; ``fit_temperature`` finds a temperature for a source.
+    """Build parameters; ``fit_source_temperature`` finds a temperature for a source.
 
     Args:
         temperature: 1 believes the source; above 1 it is taken to be too sure of itself.
@@ -107,7 +107,7 @@ class RewriteGrounder:
     def ground(self, text: str, context: Context) -> Grounded:
         """Understand a sentence by its rewritings; see ``Grounder.ground``."""
         rewrites, notes = self._rewrites(text)
-        found, refusals = read_rewrites(self.graph, rewrites, context)
+        found, refusals = verify_rewrites(self.graph, rewrites, context)
         if not found:
             first, why = next(iter(refusals.items()))
             raise ValueError(
@@ -146,7 +146,7 @@ class RewriteGrounder:
         return ranked[:MOST_REWRITES], notes
 
 
-def read_rewrites(
+def verify_rewrites(
     graph: Grounder, rewrites: Sequence[Rewrite], context: Context
 ) -> tuple[list[Read], dict[str, str]]:
     """Verify rewritings: parse and ground each.

@@ -64,7 +64,7 @@ def log_likelihood(sentences: Sequence[Judged], temperature: float) -> float:
     return float(total / len(sentences))
 
 
-def fit_temperature(sentences: Sequence[Judged]) -> TemperatureFit:
+def fit_source_temperature(sentences: Sequence[Judged]) -> TemperatureFit:
     """Find the likeliest temperature.
 
     Args:

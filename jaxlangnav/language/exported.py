@@ -17,7 +17,7 @@ from jaxlangnav.language.grammar import COMMA, FULLSTOP, UNKNOWN, Grammar, load_
 from jaxlangnav.language.nouns import load_nouns
 from jaxlangnav.language.tokens import is_word, plainly
 
-Form = Literal["lark", "gbnf"]
+Notation = Literal["lark", "gbnf"]
 Rules = dict[str, list[tuple[str, ...]]]
 """Ways to make each symbol; a part in double quotes is a word."""
 START = "start"
@@ -27,7 +27,7 @@ _LEFT_OUT = frozenset({"one", "VP_after", "of_all"})
 _UNKNOWN_NOUN, _ADJECTIVE, _ADJECTIVES, _GROUP = "unknown_noun", "adj", "adjs", "noun_group"
 
 
-def export_grammar(form: Form, nouns: Iterable[str] = ()) -> str:
+def export_grammar(form: Notation, nouns: Iterable[str] = ()) -> str:
     """Write the grammar of the controlled language.
 
     Args:
@@ -123,7 +123,7 @@ def _reached(ways: Rules) -> Rules:
     return found
 
 
-def _name(left: str, form: Form) -> str:
+def _name(left: str, form: Notation) -> str:
     """Name a symbol as the form wants it: lark's are small, GBNF has no underscore."""
     capital = left[:1].isupper()
     small = left.lower() + ("_phrase" if capital else "")

@@ -10,17 +10,17 @@ from jaxlangnav.grounding.choosing import FirstGrounder
 from jaxlangnav.grounding.grounder import GraphGrounder
 from jaxlangnav.grounding.instruction import GroundingModel
 from jaxlangnav.grounding.recorded import RecordedRewrites
-from jaxlangnav.grounding.rewrites import RewriteGrounder, default_rewrite_params, read_rewrites
-from jaxlangnav.grounding.temperature import Judged, TemperatureFit, fit_temperature
+from jaxlangnav.grounding.rewrites import RewriteGrounder, default_rewrite_params, verify_rewrites
+from jaxlangnav.grounding.temperature import Judged, TemperatureFit, fit_source_temperature
 from jaxlangnav.task.compared import difference
 from jaxlangnav.task.labelled import LabelledSentence
 from jaxlangnav.task.scored import (
     OUTCOMES,
     RIGHT,
     WRONG,
-    Arm,
-    Heard,
+    ReadAs,
     Score,
+    Wrapping,
     context_of,
     count_scores,
     labels_of,
@@ -81,7 +81,7 @@ def compare_arms(
     def rewritten(graph: GraphGrounder) -> RewriteGrounder:
         return RewriteGrounder(graph, recorded, params)
 
-    builds: dict[str, Arm] = {
+    builds: dict[str, Wrapping] = {
         GRAPH: lambda graph: graph,
         REWRITES: rewritten,
         BOTH: lambda graph: FirstGrounder(graph, rewritten(graph)),
@@ -123,17 +123,17 @@ def fit_recorded(
         ValueError: they say nothing about it; one line.
     """
     labels = labels_of(sentences, model)
-    return fit_temperature(
+    return fit_source_temperature(
         [_judge(one, recorded, GraphGrounder(model, labels)) for one in sentences if one.meaning]
     )
 
 
 def _judge(sentence: LabelledSentence, recorded: RecordedRewrites, graph: GraphGrounder) -> Judged:
     """Judge each rewriting that can be read by the label."""
-    found, _ = read_rewrites(graph, recorded(sentence.text), context_of(sentence))
+    found, _ = verify_rewrites(graph, recorded(sentence.text), context_of(sentence))
     is_right = [
         sentence.meaning is not None
-        and not difference(sentence.meaning, Heard(one.grounded.instruction, graph.names))
+        and not difference(sentence.meaning, ReadAs(one.grounded.instruction, graph.names))
         for one in found
     ]
     return Judged(tuple(one.log_probability for one in found), tuple(is_right))

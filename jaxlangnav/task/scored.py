@@ -16,7 +16,7 @@ from jaxlangnav.task.labelled import LabelledSentence
 RIGHT, REFUSED, WRONG = OUTCOMES = ("right", "refused", "wrong")
 WORST_SHOWN = 40
 """Sentences listed below the table; the document has all that are not right."""
-Arm = Callable[[GraphGrounder], Grounder]
+Wrapping = Callable[[GraphGrounder], Grounder]
 """Builds the grounder that is scored around the trained graph, anew for each sentence."""
 
 
@@ -34,7 +34,7 @@ def score_sentences(
     sentences: Sequence[LabelledSentence],
     model: GroundingModel,
     on_progress: Callable[[int], None] | None = None,
-    arm: Arm = lambda graph: graph,
+    arm: Wrapping = lambda graph: graph,
 ) -> list[Score]:
     """Score labelled sentences.
 
@@ -133,7 +133,7 @@ def count_scores(scores: Sequence[Score]) -> dict[str, Any]:
 
 
 @dataclasses.dataclass(frozen=True)
-class Heard:
+class ReadAs:
     """What a grounder makes of a sentence, and the object types that it speaks of."""
 
     instruction: Instruction
@@ -153,7 +153,7 @@ def labels_of(sentences: Sequence[LabelledSentence], model: GroundingModel) -> t
     return tuple(dict.fromkeys([*model.type_names, *named]))
 
 
-def _score(sentence: LabelledSentence, graph: GraphGrounder, arm: Arm) -> Score:
+def _score(sentence: LabelledSentence, graph: GraphGrounder, arm: Wrapping) -> Score:
     """Score one sentence."""
     meaning = sentence.meaning
     try:
@@ -164,5 +164,5 @@ def _score(sentence: LabelledSentence, graph: GraphGrounder, arm: Arm) -> Score:
     confidence = float(np.exp(grounded.instruction.readings.log_probability[0]))
     if meaning is None:
         return Score(sentence, WRONG, "was read, but must be refused", confidence)
-    why = difference(meaning, Heard(grounded.instruction, graph.names))
+    why = difference(meaning, ReadAs(grounded.instruction, graph.names))
     return Score(sentence, WRONG if why else RIGHT, why, confidence)
