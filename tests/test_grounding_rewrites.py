@@ -172,6 +172,15 @@ def test_a_person_picks_among_rewritings(graph) -> None:
         ChoosingGrounder(source, lambda *_: 2).ground("x", START)
 
 
+def test_nouns_without_a_label_keep_their_names() -> None:
+    graph = GraphGrounder(load_shipped(), ["cone"])
+    asking = ChoosingGrounder(
+        rewriting(graph, ("go to the cone near the zorbel", 0.0)), lambda *_: 0
+    )
+    asking.ground("x", START)
+    assert FirstGrounder(asking, graph).names == ("cone", "zorbel")
+
+
 def test_a_person_picks_among_readings() -> None:
     signs = GraphGrounder(load_shipped(), ["stop sign", "yield sign", "cone"])
     ways = []

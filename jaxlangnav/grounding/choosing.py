@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from jaxlangnav import pytree
-from jaxlangnav.grounding.grounder import Alternative, Context, Grounded, Grounder
+from jaxlangnav.grounding.grounder import Alternative, Context, Grounded, Grounder, names_of
 from jaxlangnav.grounding.readings import Reading, pack, unpack
 from jaxlangnav.kinds import name_of
 from jaxlangnav.messages import NONE, RELATIONS, ROBOT
@@ -42,6 +42,11 @@ class FirstGrounder:
         """Those of both."""
         return self.first.type_names
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The types, and nouns that there was none for."""
+        return names_of(self.first)
+
     def ground(self, text: str, context: Context) -> Grounded:
         """Understand an instruction; where both refuse, the first's reason is given."""
         try:
@@ -75,10 +80,15 @@ class ChoosingGrounder:
         """The wrapped grounder's."""
         return self.grounder.type_names
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The types, and nouns that there was none for."""
+        return names_of(self.grounder)
+
     def ground(self, text: str, context: Context) -> Grounded:
         """Understand an instruction, and ask which way; see ``Grounder.ground``."""
         found = self.grounder.ground(text, context)
-        ways = found.alternatives or tuple(_by_reading(found, self.type_names))
+        ways = found.alternatives or tuple(_by_reading(found, self.names))
         ways = [one for one in ways if one.probability >= self.least]
         if len(ways) < 2:
             return found

@@ -75,6 +75,11 @@ class Grounder(Protocol):
         ...
 
 
+def names_of(grounder: Grounder) -> tuple[str, ...]:
+    """List the types of a grounder, and after them nouns that it has met and had no type for."""
+    return getattr(grounder, "names", grounder.type_names)
+
+
 class GraphGrounder:
     """The trained Distributed Correspondence Graph: sentences of the controlled language."""
 

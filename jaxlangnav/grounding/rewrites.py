@@ -19,7 +19,7 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.grounding.asked import Asked, asked
-from jaxlangnav.grounding.grounder import Alternative, Context, Grounded, Grounder
+from jaxlangnav.grounding.grounder import Alternative, Context, Grounded, Grounder, names_of
 from jaxlangnav.grounding.json_schema import quote
 from jaxlangnav.grounding.readings import NUM_READINGS, Reading, pack, unpack
 from jaxlangnav.messages import ROBOT
@@ -103,6 +103,11 @@ class RewriteGrounder:
     def type_names(self) -> tuple[str, ...]:
         """The graph's."""
         return self.graph.type_names
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The types, and nouns that there was none for."""
+        return names_of(self.graph)
 
     def ground(self, text: str, context: Context) -> Grounded:
         """Understand a sentence by its rewritings; see ``Grounder.ground``."""

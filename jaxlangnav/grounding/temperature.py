@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+from scipy.optimize import minimize
 
 COLDEST, HOTTEST = 0.05, 20.0
 """Temperatures beyond these are not looked for."""
@@ -89,9 +89,9 @@ def fit_source_temperature(sentences: Sequence[Judged]) -> TemperatureFit:
     grid = np.linspace(math.log(COLDEST), math.log(HOTTEST), _GRID)
     best = int(np.argmin([loss(one) for one in grid]))
     around = (grid[max(best - 1, 0)], grid[min(best + 1, _GRID - 1)])
-    found = float(minimize_scalar(loss, bounds=around, method="bounded")["x"])
+    found = minimize(lambda at: loss(float(at[0])), x0=grid[best : best + 1], bounds=[around])
     is_at_bound = best in (0, _GRID - 1)
-    temperature = math.exp(grid[best] if is_at_bound else found)
+    temperature = math.exp(grid[best] if is_at_bound else found.x[0])
     return TemperatureFit(
         temperature=temperature,
         log_likelihood=log_likelihood(used, temperature),
