@@ -24,10 +24,17 @@ class Evaluate:
       jaxlangnav evaluate
       jaxlangnav evaluate --splits 200 --json
       jaxlangnav evaluate --sentences tests/sentences.jsonl
+      jaxlangnav evaluate --sentences mine.jsonl --rewrites recorded.jsonl --temperature 1.5
     """
 
     sentences: File = None
     """Labelled sentences, one JSON object a line: score these, and leave Table 1 out."""
+    rewrites: File = None
+    """Recorded rewritings of them: compare the trained graph, the rewritings, and both."""
+    temperature: float = 1.0
+    """By which the log-probabilities of rewritings are divided."""
+    fit_temperature: bool = False
+    """Fit the temperature to these sentences first; take it to others with --temperature."""
     splits: int = 8
     """Random splits; the paper has 8."""
     seed: int = 0
@@ -47,6 +54,12 @@ class Evaluate:
             raise UsageError("--beams needs at least one width")
         for beam in self.beams:
             check_at_least("--beams", beam, 1)
+        if self.rewrites is not None and self.sentences is None:
+            raise UsageError("--rewrites needs --sentences, the labelled sentences themselves")
+        if self.rewrites is None and (self.fit_temperature or self.temperature != 1.0):
+            raise UsageError("--temperature and --fit-temperature are of --rewrites: give a file")
+        if self.sentences is not None and self.rewrites is not None:
+            return self._compare(self.sentences, self.rewrites, output)
         if self.sentences is not None:
             return self._score(self.sentences, output)
         keep_compiled_programs()
@@ -79,3 +92,37 @@ class Evaluate:
         for line in lines:
             output.say(line)
         return {"file": str(path), **document}
+
+    def _compare(self, path: Path, rewrites: Path, output: Output) -> Document:
+        """Score labelled sentences with and without recorded rewritings."""
+        from jaxlangnav.task.labelled import read_sentences
+
+        sentences = read_sentences(path)
+        keep_compiled_programs()
+        from jaxlangnav.grounding.recorded import RecordedRewrites
+        from jaxlangnav.grounding.rewrites import default_rewrite_params
+        from jaxlangnav.grounding.weights import load_shipped
+        from jaxlangnav.task.rewritten import (
+            ARMS,
+            compare_arms,
+            fit_recorded,
+            recorded_of,
+            render_arms,
+        )
+
+        default_rewrite_params(self.temperature)
+        recorded = RecordedRewrites(rewrites)
+        kept = recorded_of(sentences, recorded)
+        if len(kept) < len(sentences):
+            output.note(f"note: {len(sentences) - len(kept)} sentences were not recorded; left out")
+        model = load_shipped()
+        fit = fit_recorded(kept, recorded, model) if self.fit_temperature else None
+        temperature = self.temperature if fit is None else fit.temperature
+        with progress_bar("sentences", len(kept) * len(ARMS)) as advance:
+            document = compare_arms(kept, recorded, model, temperature, advance)
+        table, lines = render_arms(document, fit)
+        output.say(table)
+        for line in lines:
+            output.say(line)
+        told = None if fit is None else dataclasses.asdict(fit)
+        return {"file": str(path), "rewrites": str(rewrites), "fit": told, **document}

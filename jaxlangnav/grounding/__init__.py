@@ -2,6 +2,7 @@
 
 from jaxlangnav.grounding.annotated import AnnotationGrounder
 from jaxlangnav.grounding.behavior import infer_behavior, infer_behaviors
+from jaxlangnav.grounding.choosing import ChoosingGrounder, FirstGrounder
 from jaxlangnav.grounding.correspondence import (
     CorrespondenceGraph,
     Labelled,
@@ -9,7 +10,7 @@ from jaxlangnav.grounding.correspondence import (
     read_tree,
     train_graph,
 )
-from jaxlangnav.grounding.grounder import Context, GraphGrounder, Grounded, Grounder
+from jaxlangnav.grounding.grounder import Alternative, Context, GraphGrounder, Grounded, Grounder
 from jaxlangnav.grounding.instruction import (
     GroundingModel,
     Instruction,
@@ -18,21 +19,30 @@ from jaxlangnav.grounding.instruction import (
     understand_parse,
 )
 from jaxlangnav.grounding.program import BehaviorProgram
+from jaxlangnav.grounding.recorded import RecordedRewrites
+from jaxlangnav.grounding.rewrites import RewriteGrounder, RewriteSource, default_rewrite_params
 from jaxlangnav.grounding.weights import load_shipped
 
 __all__ = [
+    "Alternative",
     "AnnotationGrounder",
     "BehaviorProgram",
+    "ChoosingGrounder",
     "Context",
     "CorrespondenceGraph",
+    "FirstGrounder",
     "GraphGrounder",
     "Grounded",
     "Grounder",
     "GroundingModel",
     "Instruction",
     "Labelled",
+    "RecordedRewrites",
+    "RewriteGrounder",
+    "RewriteSource",
     "SymbolSpace",
     "Understanding",
+    "default_rewrite_params",
     "infer_behavior",
     "infer_behaviors",
     "load_shipped",

@@ -37,6 +37,17 @@ class Grounded:
     """What else people should know, a line each."""
     spoken: Spoken | None = None
     """What it speaks of, for what was said before and comes after; None: as its readings show."""
+    alternatives: "tuple[Alternative, ...]" = ()
+    """Whole ways to understand it, likeliest first, where the grounder tells them apart."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Alternative:
+    """One way to understand what was said."""
+
+    says: str  # for people, one line
+    probability: float
+    grounded: Grounded
 
 
 class Grounder(Protocol):
@@ -62,6 +73,11 @@ class Grounder(Protocol):
             ValueError: the text is refused; one line that says why and what to do about it.
         """
         ...
+
+
+def names_of(grounder: Grounder) -> tuple[str, ...]:
+    """List the types of a grounder, and after them nouns that it has met and had no type for."""
+    return getattr(grounder, "names", grounder.type_names)
 
 
 class GraphGrounder:

@@ -273,3 +273,24 @@ def pack(ranked: Sequence[tuple[Reading, float]]) -> Readings:
         "log_probability": log_probability,
     }
     return Readings(**jax.device_put(fields))
+
+
+def unpack(readings: Readings) -> list[tuple[Reading, float]]:
+    """Undo ``pack``.
+
+    Args:
+        readings: of one sentence, padded.
+
+    Returns:
+        (reading, log-probability), in the order of the arrays; likeliest first if so packed.
+    """
+    fields = jax.device_get(readings)
+    found = []
+    for k in np.flatnonzero(np.isfinite(fields.log_probability)):
+        columns = (fields.figure, fields.relation, fields.landmark, fields.rank)
+        edges = np.stack([column[k] for column in columns], axis=1)
+        relations = tuple(tuple(edge) for edge in edges[fields.figure[k] != NONE].tolist())
+        kinds = fields.mention_type[k]
+        mentions = tuple(kinds[kinds != NONE].tolist())
+        found.append((Reading(mentions, relations), float(fields.log_probability[k])))
+    return found

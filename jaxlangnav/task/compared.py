@@ -8,14 +8,14 @@ which is not.
 
 import dataclasses
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import jax
 import numpy as np
 
 from jaxlangnav.grounding.asked import infer_once
 from jaxlangnav.grounding.behavior_features import World
-from jaxlangnav.grounding.instruction import Instruction, Understanding
+from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.grounding.symbols import NUM_RELATIONS
 from jaxlangnav.grounding.worlds import to_device
 from jaxlangnav.messages import ACTIONS, MODES, NEAR, NONE, REGIONS, RELATIONS, ROBOT
@@ -31,6 +31,20 @@ Relation = tuple[str, str, str, int]
 """Types of figure and landmark around the relation's name, and the rank."""
 
 
+class Understood(Protocol):
+    """What was understood, and the object types that it speaks of."""
+
+    @property
+    def instruction(self) -> Instruction:
+        """For the navigator."""
+        ...
+
+    @property
+    def type_names(self) -> tuple[str, ...]:
+        """Object types by index."""
+        ...
+
+
 @dataclasses.dataclass(frozen=True)
 class _Asked:
     """What one command asks for in a world."""
@@ -41,12 +55,12 @@ class _Asked:
     avoided: frozenset[int]
 
 
-def difference(meaning: Meaning, understood: Understanding) -> str:
+def difference(meaning: Meaning, understood: Understood) -> str:
     """Say how a sentence differs from what it means.
 
     Args:
         meaning: of its label.
-        understood: what the trained graph makes of it.
+        understood: what is made of it.
 
     Returns:
         What differs first, in one line; empty where nothing does.
@@ -54,7 +68,7 @@ def difference(meaning: Meaning, understood: Understanding) -> str:
     return _difference_in_world(meaning, understood) or _difference_in_commands(meaning, understood)
 
 
-def _difference_in_world(meaning: Meaning, understood: Understanding) -> str:
+def _difference_in_world(meaning: Meaning, understood: Understood) -> str:
     """Say how what is said of the world differs; empty where it does not."""
     types, relations = _said(understood)
     names = {meaning.type_of(thing) for thing in range(len(meaning.reading.types))}
@@ -73,7 +87,7 @@ def _difference_in_world(meaning: Meaning, understood: Understanding) -> str:
     return ""
 
 
-def _said(understood: Understanding) -> tuple[set[str], set[Relation]]:
+def _said(understood: Understood) -> tuple[set[str], set[Relation]]:
     """Collect the types and relations of the likeliest reading."""
     fields = understood.instruction.readings
     kinds = np.asarray(fields.mention_type[0])
@@ -102,7 +116,7 @@ def _listed(parts: Any) -> str:
     return "; ".join(sorted(parts)) or "nothing"
 
 
-def _difference_in_commands(meaning: Meaning, understood: Understanding) -> str:
+def _difference_in_commands(meaning: Meaning, understood: Understood) -> str:
     """Say how what is asked for differs; empty where it does not."""
     try:
         kinds = [understood.type_names.index(meaning.type_of(one)) for one in _slots(meaning)]

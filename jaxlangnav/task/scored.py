@@ -8,13 +8,16 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from jaxlangnav.grounding.instruction import GroundingModel, understand
+from jaxlangnav.grounding.grounder import Context, GraphGrounder, Grounder
+from jaxlangnav.grounding.instruction import GroundingModel, Instruction
 from jaxlangnav.task.compared import difference
 from jaxlangnav.task.labelled import LabelledSentence
 
 RIGHT, REFUSED, WRONG = OUTCOMES = ("right", "refused", "wrong")
 WORST_SHOWN = 40
 """Sentences listed below the table; the document has all that are not right."""
+Wrapping = Callable[[GraphGrounder], Grounder]
+"""Builds the grounder that is scored around the trained graph, anew for each sentence."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,20 +34,23 @@ def score_sentences(
     sentences: Sequence[LabelledSentence],
     model: GroundingModel,
     on_progress: Callable[[int], None] | None = None,
+    arm: Wrapping = lambda graph: graph,
 ) -> list[Score]:
     """Score labelled sentences.
 
     Args:
-        sentences: with what they mean.
+        sentences: with what they mean. The detector tells apart all types that these name, and
+            the lexicon's.
         model: the trained models.
         on_progress: told after each sentence.
+        arm: what reads them; the trained graph by default.
 
     Returns:
         Their scores, in order.
     """
-    scores = []
+    scores, labels = [], labels_of(sentences, model)
     for sentence in sentences:
-        scores.append(_score(sentence, model))
+        scores.append(_score(sentence, GraphGrounder(model, labels), arm))
         if on_progress is not None:
             on_progress(1)
     return scores
@@ -65,8 +71,8 @@ def summarize_scores(scores: Sequence[Score]) -> dict[str, Any]:
     missed = [score for score in scores if score.outcome != RIGHT]
     missed.sort(key=lambda one: (one.outcome != WRONG, -one.confidence, one.sentence.line))
     return {
-        **_count(scores),
-        "by_construction": {name: _count(ones) for name, ones in by_name.items()},
+        **count_scores(scores),
+        "by_construction": {name: count_scores(ones) for name, ones in by_name.items()},
         "worst": [
             {
                 "line": one.sentence.line,
@@ -108,8 +114,15 @@ def render_scores(document: dict[str, Any]) -> tuple[Table, list[str]]:
     return table, lines
 
 
-def _count(scores: Sequence[Score]) -> dict[str, Any]:
-    """Count the outcomes of some sentences."""
+def count_scores(scores: Sequence[Score]) -> dict[str, Any]:
+    """Count the outcomes of some sentences.
+
+    Args:
+        scores: of ``score_sentences``.
+
+    Returns:
+        A JSON document: the count of sentences, of each outcome, and the percentage right.
+    """
     counts = Counter(score.outcome for score in scores)
     share = 100.0 * counts[RIGHT] / max(len(scores), 1)
     return {
@@ -119,18 +132,37 @@ def _count(scores: Sequence[Score]) -> dict[str, Any]:
     }
 
 
-def _score(sentence: LabelledSentence, model: GroundingModel) -> Score:
+@dataclasses.dataclass(frozen=True)
+class ReadAs:
+    """What a grounder makes of a sentence, and the object types that it speaks of."""
+
+    instruction: Instruction
+    type_names: tuple[str, ...]
+
+
+def context_of(sentence: LabelledSentence) -> Context:
+    """Tell what a grounder is told: only what is meant to inform may ask for nothing."""
+    meaning = sentence.meaning
+    return Context(is_under_way=meaning is not None and not meaning.reading.commands)
+
+
+def labels_of(sentences: Sequence[LabelledSentence], model: GroundingModel) -> tuple[str, ...]:
+    """List what a detector tells apart for whom the sentences are meant."""
+    meanings = [one.meaning for one in sentences if one.meaning is not None]
+    named = [name for one in meanings for name in one.type_names]
+    return tuple(dict.fromkeys([*model.type_names, *named]))
+
+
+def _score(sentence: LabelledSentence, graph: GraphGrounder, arm: Wrapping) -> Score:
     """Score one sentence."""
     meaning = sentence.meaning
     try:
-        understood = understand(sentence.text, model)
-        if meaning is None or meaning.reading.commands:
-            understood.check_task()
+        grounded = arm(graph).ground(sentence.text, context_of(sentence))
     except ValueError as error:
         outcome = RIGHT if meaning is None else REFUSED
         return Score(sentence, outcome, "" if meaning is None else str(error), 0.0)
-    confidence = float(np.exp(understood.instruction.readings.log_probability[0]))
+    confidence = float(np.exp(grounded.instruction.readings.log_probability[0]))
     if meaning is None:
         return Score(sentence, WRONG, "was read, but must be refused", confidence)
-    why = difference(meaning, understood)
+    why = difference(meaning, ReadAs(grounded.instruction, graph.names))
     return Score(sentence, WRONG if why else RIGHT, why, confidence)

@@ -1,0 +1,265 @@
+"""A grounder for rewritings: what others put into the controlled language (sections 3.1, 3.3).
+
+A source, such as a language model, gives a sentence in other words, several times, with
+log-probabilities. The parser verifies: what it cannot read is dropped and counted, and the trained
+graph grounds the rest. Their readings are mixed by weight, as evidence for the map.
+
+Commands are not mixed: a behavior program is log-linear in the phrases of one sentence, and no
+program has as its behaviors the weighted sum of those of two. Rewritings that mean the same put
+their weights together, and of the weightiest meaning the likeliest rewriting commands.
+"""
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxlangnav.grounding.asked import Asked, asked
+from jaxlangnav.grounding.grounder import Alternative, Context, Grounded, Grounder, names_of
+from jaxlangnav.grounding.json_schema import quote
+from jaxlangnav.grounding.readings import NUM_READINGS, Reading, pack, unpack
+from jaxlangnav.messages import ROBOT
+from jaxlangnav.pytree import pytree, replace
+
+MOST_REWRITES = 16
+"""Rewritings of one sentence that are read: the likeliest."""
+_LEAST_TOLD = 0.005
+"""Shares of the weight smaller than this are not told."""
+
+Rewrite = tuple[str, float]
+"""A sentence of the controlled language, and its log-probability; they need not sum to one."""
+
+
+class RewriteSource(Protocol):
+    """What puts sentences into the controlled language."""
+
+    def __call__(self, text: str) -> Sequence[Rewrite]:
+        """Rewrite a sentence.
+
+        Args:
+            text: what was said.
+
+        Returns:
+            Rewritings with log-probabilities, in any order; none where it knows of none.
+        """
+        ...
+
+
+@pytree
+class RewriteParams:
+    """How far the source's log-probabilities are believed."""
+
+    temperature: Array  # f32[] above 0; weights are softmax(log-probability / temperature)
+
+
+def default_rewrite_params(temperature: float = 1.0) -> RewriteParams:
+    """Build parameters; ``fit_source_temperature`` finds a temperature for a source.
+
+    Args:
+        temperature: 1 believes the source; above 1 it is taken to be too sure of itself.
+
+    Returns:
+        The parameters.
+
+    Raises:
+        ValueError: the temperature is none; one line.
+    """
+    if not (math.isfinite(temperature) and temperature > 0.0):
+        raise ValueError(f"temperature is {temperature}, but must be a finite number above 0")
+    return RewriteParams(temperature=jnp.float32(temperature))
+
+
+@dataclasses.dataclass(frozen=True)
+class Read:
+    """A rewriting that could be read."""
+
+    text: str
+    log_probability: float  # as the source has it
+    grounded: Grounded
+
+
+class RewriteGrounder:
+    """Grounds rewritings of what is said, and not its own words."""
+
+    def __init__(
+        self, graph: Grounder, source: RewriteSource, params: RewriteParams | None = None
+    ) -> None:
+        """Join a source to what reads its rewritings.
+
+        Args:
+            graph: reads sentences of the controlled language.
+            source: puts sentences into it.
+            params: how far the source is believed; as it says by default.
+        """
+        self.graph = graph
+        self.source = source
+        self.params = default_rewrite_params() if params is None else params
+
+    @property
+    def type_names(self) -> tuple[str, ...]:
+        """The graph's."""
+        return self.graph.type_names
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The types, and nouns that there was none for."""
+        return names_of(self.graph)
+
+    def ground(self, text: str, context: Context) -> Grounded:
+        """Understand a sentence by its rewritings; see ``Grounder.ground``."""
+        rewrites, notes = self._rewrites(text)
+        found, refusals = verify_rewrites(self.graph, rewrites, context)
+        if not found:
+            first, why = next(iter(refusals.items()))
+            raise ValueError(
+                f"none of the {len(refusals)} rewritings of {quote(text)} can be read; "
+                f"the likeliest is {quote(first)}: {why}"
+            )
+        temperature = float(self.params.temperature)
+        if refusals:
+            log_lost = [score / temperature for one, score in rewrites if one in refusals]
+            log_all = [score / temperature for _, score in rewrites]
+            lost = np.exp(np.logaddexp.reduce(log_lost) - np.logaddexp.reduce(log_all))
+            notes += (
+                f"{len(refusals)} of {len(rewrites)} rewritings cannot be read and are left out, "
+                f"{lost:.0%} of the weight",
+            )
+        log_weights = np.array([one.log_probability for one in found]) / temperature
+        log_weights -= np.logaddexp.reduce(log_weights)
+        return _mixed(found, log_weights, notes)
+
+    def _rewrites(self, text: str) -> tuple[list[Rewrite], tuple[str, ...]]:
+        """Ask the source: the likeliest first, each text once, and what to note."""
+        total: dict[str, float] = {}
+        for one, score in self.source(text):
+            if not isinstance(one, str) or math.isnan(score) or score == math.inf:
+                raise ValueError(
+                    f"the source gives {quote(one)} the log-probability {score}; it must be a "
+                    "text and a number that is finite or -inf"
+                )
+            if score > -math.inf:
+                total[one] = float(np.logaddexp(total.get(one, -np.inf), score))
+        if not total:
+            raise ValueError(f"the source has no rewriting of {quote(text)}: say it in other words")
+        ranked = sorted(total.items(), key=lambda item: -item[1])
+        left_out = len(ranked) - MOST_REWRITES
+        notes = (f"{left_out} less likely rewritings are not read",) if left_out > 0 else ()
+        return ranked[:MOST_REWRITES], notes
+
+
+def verify_rewrites(
+    graph: Grounder, rewrites: Sequence[Rewrite], context: Context
+) -> tuple[list[Read], dict[str, str]]:
+    """Verify rewritings: parse and ground each.
+
+    Args:
+        graph: reads sentences of the controlled language.
+        rewrites: each text once.
+        context: of the sentence.
+
+    Returns:
+        Those that can be read, in order; why each of the others cannot.
+    """
+    found, refusals = [], {}
+    for text, score in rewrites:
+        try:
+            found.append(Read(text, score, graph.ground(text, context)))
+        except ValueError as error:
+            refusals[text] = str(error)
+    return found, refusals
+
+
+def _mixed(found: Sequence[Read], log_weights: np.ndarray, notes: tuple[str, ...]) -> Grounded:
+    """Mix what rewritings say, and let those of the weightiest meaning command."""
+    groups: dict[Any, list[int]] = {}
+    for index, one in enumerate(found):
+        groups.setdefault(_meaning(one.grounded), []).append(index)
+    weight = np.exp(log_weights)
+    ranked = sorted(groups.values(), key=lambda group: -weight[group].sum())
+    alternatives = tuple(_alternative(found, weight, group) for group in ranked)
+    first = alternatives[0]
+    told = [one for one in alternatives if one.probability >= _LEAST_TOLD]
+    chosen = [f"read as '{first.says}', {first.probability:.0%} of the weight"]
+    if len(told) > 1:
+        others = ", ".join(f"'{one.says}' {one.probability:.0%}" for one in told[1:])
+        chosen.append(f"it may also mean {others}")
+    readings, left_out = _mixed_readings(found, log_weights, [i for group in ranked for i in group])
+    if left_out >= _LEAST_TOLD:
+        chosen.append(f"readings of {left_out:.0%} of the weight are more than are held")
+    return Grounded(
+        instruction=replace(first.grounded.instruction, readings=pack(readings)),
+        annotations=_mixed_annotations(found, weight),
+        notes=(*notes, *chosen, *first.grounded.notes),
+        spoken=first.grounded.spoken,
+        alternatives=alternatives,
+    )
+
+
+def _alternative(found: Sequence[Read], weight: np.ndarray, group: list[int]) -> Alternative:
+    """Let the weightiest of the rewritings that mean the same speak for them."""
+    best = max(group, key=lambda index: weight[index])
+    share = float(weight[group].sum())
+    return Alternative(says=found[best].text, probability=share, grounded=found[best].grounded)
+
+
+def _mixed_readings(
+    found: Sequence[Read], log_weights: np.ndarray, order: Sequence[int]
+) -> tuple[list[tuple[Reading, float]], float]:
+    """Sum readings by weight: the likeliest that are held, and the share of those that are not."""
+    first: dict[Any, Reading] = {}
+    total: dict[Any, float] = {}
+    for index in order:
+        for reading, score in unpack(found[index].grounded.instruction.readings):
+            key = _said(reading)
+            first.setdefault(key, reading)
+            share = score + float(log_weights[index])
+            total[key] = float(np.logaddexp(total.get(key, -np.inf), share))
+    ranked = sorted(total, key=lambda key: -total[key])
+    left_out = sum(math.exp(total[key]) for key in ranked[NUM_READINGS:])
+    return [(first[key], total[key]) for key in ranked[:NUM_READINGS]], left_out
+
+
+def _said(reading: Reading) -> tuple[Any, ...]:
+    """Tell what a reading says, in whatever order it says it."""
+    kinds = reading.mentions
+
+    def kind(mention: int) -> int:
+        return kinds[mention] if mention >= 0 else mention
+
+    edges = [(kind(f), relation, kind(m), rank) for f, relation, m, rank in reading.relations]
+    return tuple(sorted(kinds)), tuple(sorted(edges))
+
+
+def _meaning(grounded: Grounded) -> tuple[Any, ...]:
+    """Tell what a sentence says and asks for, so that wordings of one meaning compare equal."""
+    reading, _ = unpack(grounded.instruction.readings)[0]
+
+    def thing(mention: int) -> tuple[Any, ...]:
+        if mention < 0:
+            return (mention,)
+        if reading.mentions[mention] == ROBOT:
+            return (ROBOT,)
+        own = [edge for edge in reading.relations if edge[0] == mention and edge[2] >= 0]
+        places = sorted((edge[1], reading.mentions[edge[2]], edge[3]) for edge in own)
+        return (reading.mentions[mention], *places)
+
+    def ask(one: Asked) -> tuple[Any, ...]:
+        avoided = sorted((region, thing(mention)) for region, mention, _ in one.avoid)
+        return (one.action, one.mode, one.region, thing(one.mention), tuple(avoided))
+
+    return (_said(reading), tuple(ask(one) for one in asked(grounded.instruction)))
+
+
+def _mixed_annotations(found: Sequence[Read], weight: np.ndarray) -> tuple[Mapping[str, Any], ...]:
+    """Sum annotations by weight, likeliest first."""
+    total: dict[tuple[Any, ...], float] = {}
+    for one, share in zip(found, weight, strict=True):
+        for said in one.grounded.annotations:
+            key = tuple(item for item in said.items() if item[0] != "probability")
+            total[key] = total.get(key, 0.0) + float(share) * float(said["probability"])
+    ranked = sorted(total.items(), key=lambda item: -item[1])
+    return tuple(dict(key) | {"probability": min(share, 1.0)} for key, share in ranked)

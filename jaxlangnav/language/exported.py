@@ -1,0 +1,152 @@
+"""The controlled language as a grammar for other programs: Lark's form and GBNF (section 3.1).
+
+Whoever rewrites sentences into the controlled language, such as a language model whose output is
+constrained token by token, is held to this grammar. It is made of the rules and the words that the
+parser has, less its guesses about words that it does not know: nouns come in by name instead. Each
+word has a space before it, the first one too, as the tokens of most models do.
+
+What the grammar makes can be refused all the same, for the parser also checks what refers to what:
+a rewriting is parsed before it counts.
+"""
+
+import json
+from collections.abc import Iterable, Iterator
+from typing import Literal
+
+from jaxlangnav.language.grammar import COMMA, FULLSTOP, UNKNOWN, Grammar, load_grammar
+from jaxlangnav.language.nouns import load_nouns
+from jaxlangnav.language.tokens import is_word, plainly
+
+Notation = Literal["lark", "gbnf"]
+Rules = dict[str, list[tuple[str, ...]]]
+"""Ways to make each symbol; a part in double quotes is a word."""
+START = "start"
+_MARKS = {f'"{COMMA}"': ",", f'"{FULLSTOP}"': "."}
+_LEFT_OUT = frozenset({"one", "VP_after", "of_all"})
+"""What people say and a rewriting needs not: "the one", "after going to", "of all the"."""
+_UNKNOWN_NOUN, _ADJECTIVE, _ADJECTIVES, _GROUP = "unknown_noun", "adj", "adjs", "noun_group"
+
+
+def export_grammar(form: Notation, nouns: Iterable[str] = ()) -> str:
+    """Write the grammar of the controlled language.
+
+    Args:
+        form: ``"lark"``, which lark and llguidance read, or ``"gbnf"``, which llama.cpp reads.
+        nouns: names of things beside the lexicon's, such as a detector's labels.
+
+    Returns:
+        The grammar; a sentence of it has a space before each word.
+
+    Raises:
+        ValueError: a noun is none; one line.
+    """
+    rules = exported_rules(load_grammar(), nouns)
+    names = {left: _name(left, form) for left in rules}
+    write = {"lark": _lark_line, "gbnf": _gbnf_line}[form]
+    head = {"lark": "//", "gbnf": "#"}[form]
+    note = f"{head} The controlled language of jaxlangnav. Every word has a space before it."
+    return "\n".join([note, *(write(names[left], rules[left], names) for left in rules)]) + "\n"
+
+
+def exported_rules(grammar: Grammar, nouns: Iterable[str] = ()) -> Rules:
+    """List the rules that can be filled with words, and are reached from the start.
+
+    Args:
+        grammar: of the parser.
+        nouns: names of things beside the lexicon's.
+
+    Returns:
+        Ways to make each symbol, the start first.
+
+    Raises:
+        ValueError: a noun is none; one line.
+    """
+    ways: Rules = {}
+    for one in grammar.productions:
+        is_guess = one.entry is None and one.left in (_UNKNOWN_NOUN, _ADJECTIVE)
+        is_guess |= any(part.startswith(f'"{UNKNOWN}') for part in one.right)
+        is_compound = one.left == _GROUP and len(one.right) > 1
+        if not (is_guess or is_compound or one.left in _LEFT_OUT):
+            ways.setdefault(one.left, []).append(one.right)
+    # To the parser these are words that it does not know: one before a noun is read.
+    ways.setdefault(_ADJECTIVES, []).extend((f'"{one}"',) for one in _attributes())
+    ways[_UNKNOWN_NOUN] = [tuple(f'"{word}"' for word in _words(noun)) for noun in nouns]
+    ways = {left: list(dict.fromkeys(rights)) for left, rights in ways.items()}
+    return _reached(_fillable(ways))
+
+
+def spaced(text: str) -> str:
+    """Write a sentence as the exported grammar has it: a space before each word.
+
+    Args:
+        text: a sentence.
+
+    Returns:
+        The same words and marks, small.
+    """
+    return " " + " ".join(plainly(text).split())
+
+
+def _attributes() -> list[str]:
+    """List the adjectives of one word that say how a thing looks."""
+    return sorted(one for one in load_nouns().attributes if one.isalpha())
+
+
+def _words(noun: str) -> list[str]:
+    """Part a name into words."""
+    words = plainly(noun).split()
+    if not words or not all(map(is_word, words)):
+        raise ValueError(f"'{noun[:30]}' is no noun: give words of letters, as in 'fire hydrant'")
+    return words
+
+
+def _fillable(ways: Rules) -> Rules:
+    """Leave out what cannot be filled with words."""
+    size = -1
+    while size != sum(map(len, ways.values())):
+        size = sum(map(len, ways.values()))
+        ways = {
+            left: [r for r in rights if all(part[0] == '"' or ways.get(part) for part in r)]
+            for left, rights in ways.items()
+        }
+    return {left: rights for left, rights in ways.items() if rights}
+
+
+def _reached(ways: Rules) -> Rules:
+    """Leave out what no sentence uses."""
+    found, waiting = {}, [START]
+    while waiting:
+        left = waiting.pop(0)
+        if left not in found:
+            found[left] = ways[left]
+            waiting += [part for right in ways[left] for part in right if part[0] != '"']
+    return found
+
+
+def _name(left: str, form: Notation) -> str:
+    """Name a symbol as the form wants it: lark's are small, GBNF has no underscore."""
+    capital = left[:1].isupper()
+    small = left.lower() + ("_phrase" if capital else "")
+    if form == "lark":
+        return small
+    return "root" if left == START else small.replace("_", "-")
+
+
+def _literal(part: str) -> str:
+    """Write a word with the space before it, or a mark without."""
+    word = part.strip('"')
+    return json.dumps(_MARKS.get(part) or (word if word == "'s" else f" {word}"))
+
+
+def _right_sides(rights: list[tuple[str, ...]], names: dict[str, str]) -> Iterator[str]:
+    """Write the ways to make a symbol."""
+    for right in rights:
+        yield " ".join(_literal(one) if one[0] == '"' else names[one] for one in right)
+
+
+def _lark_line(name: str, rights: list[tuple[str, ...]], names: dict[str, str]) -> str:
+    return f"{name}: " + "\n  | ".join(_right_sides(rights, names))
+
+
+def _gbnf_line(name: str, rights: list[tuple[str, ...]], names: dict[str, str]) -> str:
+    return f"{name} ::= " + " | ".join(_right_sides(rights, names))
