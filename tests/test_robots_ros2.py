@@ -1,0 +1,232 @@
+"""Words, odometry and looks over messages: conversions, bookkeeping, whole drives, without ROS."""
+
+import math
+from types import SimpleNamespace as Message
+
+import numpy as np
+import pytest
+from test_navigator_step import robot as navigator
+
+from jaxlangnav.robots.robot import Detection, Progress
+from jaxlangnav.robots.ros2 import conversions
+from jaxlangnav.robots.ros2.headway import Headway
+from jaxlangnav.robots.ros2.inbox import Inbox
+
+__all__ = ["navigator"]
+
+
+def quaternion(x: float, y: float, z: float, w: float) -> Message:
+    return Message(x=x, y=y, z=z, w=w)
+
+
+def odometry(x: float, y: float, yaw: float) -> Message:
+    turn = quaternion(*conversions.quaternion_of(yaw))
+    return Message(pose=Message(pose=Message(position=Message(x=x, y=y), orientation=turn)))
+
+
+def cloud(found, **other) -> Message:
+    fields = [
+        Message(name=name, offset=4 * place, datatype=6 if name == "label" else 7)
+        for place, name in enumerate(("x", "y", "z", "label"))
+    ]
+    data = conversions.to_cloud(found)
+    values = {
+        "fields": fields, "is_bigendian": False, "point_step": 16,
+        "width": len(found), "height": 1, "data": data,
+    }  # fmt: skip
+    return Message(**{**values, **other})
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.3, -2.9, math.pi - 1e-6, math.pi / 2])
+def test_a_heading_survives_a_quaternion(yaw) -> None:
+    x, y, z, w = conversions.quaternion_of(yaw)
+    assert conversions.yaw_of(quaternion(x, y, z, w)) == pytest.approx(yaw, abs=1e-12)
+    # The same rotation, the other sign.
+    assert conversions.yaw_of(quaternion(-x, -y, -z, -w)) == pytest.approx(yaw, abs=1e-12)
+
+
+def test_odometry_by_hand_and_what_is_none() -> None:
+    np.testing.assert_allclose(conversions.pose_of(odometry(1.0, -2.0, 0.5)), [1.0, -2.0, 0.5])
+    with pytest.raises(ValueError, match="length 0"):
+        conversions.yaw_of(quaternion(0.0, 0.0, 0.0, 0.0))
+    with pytest.raises(ValueError, match="nan"):
+        conversions.yaw_of(quaternion(0.0, 0.0, 0.0, math.nan))
+    with pytest.raises(ValueError, match="a place is two numbers"):
+        conversions.pose_of(odometry(math.inf, 0.0, 0.0))
+
+
+def test_a_cloud_holds_a_look_and_an_empty_one_too() -> None:
+    found = [Detection(object_type=1, range=2.0, bearing=math.pi / 2)]
+    (one,) = conversions.detections_of_cloud(cloud(found), 2)
+    assert one.object_type == 1
+    assert (one.range, one.bearing) == pytest.approx((2.0, math.pi / 2), abs=1e-6)
+    assert conversions.detections_of_cloud(cloud([]), 2) == []
+
+
+@pytest.mark.parametrize(
+    ("other", "said"),
+    [
+        ({"fields": []}, "has fields none"),
+        ({"width": 2}, "16 bytes, but 2 points"),
+        ({"data": conversions.to_cloud([Detection(object_type=0, range=math.inf, bearing=0.0)])},
+         "nowhere"),
+        ({"data": conversions.to_cloud([Detection(object_type=2, range=1.0, bearing=0.0)])},
+         "label 2, but the last of the navigator's type_names is 1"),
+    ],
+)  # fmt: skip
+def test_a_cloud_that_is_no_look_is_refused_in_one_line(other, said) -> None:
+    found = [Detection(object_type=1, range=2.0, bearing=0.0)]
+    with pytest.raises(ValueError, match=said) as refusal:
+        conversions.detections_of_cloud(cloud(found, **other), 2)
+    assert "\n" not in str(refusal.value)
+
+
+def test_boxes_are_their_best_guess_and_strangers_are_left_out() -> None:
+    def box(x: float, y: float, **scores: float) -> Message:
+        results = [
+            Message(hypothesis=Message(class_id=name, score=score))
+            for name, score in scores.items()
+        ]
+        return Message(
+            results=results, bbox=Message(center=Message(position=Message(x=x, y=y, z=0.3)))
+        )
+
+    look = Message(
+        detections=[
+            box(3.0, 4.0, cone=0.2, hydrant=0.7), box(1.0, 0.0, dragon=0.9),
+            box(1.0, 0.0, cone=0.4), box(1.0, 0.0),
+        ]
+    )  # fmt: skip
+    (one,) = conversions.detections_of_boxes(look, ("hydrant", "cone"))
+    assert (one.object_type, one.range) == (0, 5.0)
+    assert one.bearing == pytest.approx(math.atan2(4.0, 3.0))
+
+
+def test_a_tag_is_turned_from_the_optical_frame_to_the_base() -> None:
+    there = Message(
+        child_frame_id="tag36h11:7",
+        transform=Message(translation=Message(x=-1.0, y=0.2, z=2.0)),
+    )
+    types, other = {"tag36h11:7": 1}, Message(child_frame_id="tag36h11:8")
+    (one,) = conversions.detections_of_tags([there, other], types)
+    assert (one.range, one.bearing) == pytest.approx((math.sqrt(5.0), math.atan2(1.0, 2.0)))
+    # A camera half a metre ahead that looks to the left.
+    (one,) = conversions.detections_of_tags([there], types, mount=(0.5, 0.0, math.pi / 2))
+    place = one.range * np.array([math.cos(one.bearing), math.sin(one.bearing)])
+    np.testing.assert_allclose(place, [-0.5, 2.0], atol=1e-12)
+
+
+def test_a_look_is_carried_to_where_the_robot_is_now() -> None:
+    seen = [Detection(object_type=0, range=2.0, bearing=0.0)]
+    now = np.array([1.0, 0.0, math.pi / 2])
+    (one,) = conversions.carried(seen, np.zeros(3), now)
+    assert (one.range, one.bearing) == pytest.approx((1.0, -math.pi / 2))
+    frame = np.array([3.0, -1.0, 2.0])
+    np.testing.assert_allclose(
+        conversions.compose(frame, conversions.inverse(frame)), np.zeros(3), atol=1e-12
+    )
+    middle = conversions.between(np.array([0, 0, 3.0]), np.array([2.0, 0, -3.0]), 0.5)
+    np.testing.assert_allclose(middle, [1.0, 0.0, math.pi], atol=1e-12)
+
+
+SEEN = [Detection(object_type=0, range=2.0, bearing=0.0)]
+
+
+def filled(seconds: float = 1.0, speed: float = 1.0) -> Inbox:
+    inbox = Inbox()
+    for stamp in np.arange(0.0, seconds + 1e-9, 0.1).round(3).tolist():
+        inbox.add_odometry(stamp, np.array([speed * stamp, 0.0, 0.0]))
+    return inbox
+
+
+def test_a_look_is_used_once_from_where_it_was_taken() -> None:
+    inbox = filled()
+    inbox.add_look(0.45, SEEN, now=7.0)
+    (one,) = inbox.take() or []
+    assert one.range == pytest.approx(2.0 - 0.55)
+    assert inbox.take() is None
+    assert inbox.counts.used == 1
+    assert (inbox.silent_for(7.5), Inbox().silent_for(7.5)) == (0.5, math.inf)
+
+
+def test_doubled_overtaken_and_late_looks_are_counted_and_left_out() -> None:
+    inbox = filled(4.0)
+    inbox.add_look(4.0, SEEN, now=0.0)
+    inbox.add_look(4.0, [], now=0.0)
+    inbox.add_look(3.9, [], now=0.0)
+    assert len(inbox.take() or []) == 1
+    inbox.add_look(4.0, SEEN, now=0.0)
+    assert inbox.take() is None
+    assert (inbox.counts.doubled, inbox.counts.late) == (2, 1)
+    late = filled(4.0)
+    late.add_look(1.9, SEEN, now=0.0)
+    assert late.take() is None
+    assert late.counts.late == 1
+
+
+def test_odometry_in_any_order_doubled_or_with_gaps_places_the_same_look() -> None:
+    stamps = np.arange(0.0, 1.01, 0.1).round(3).tolist()
+    order = [*reversed(stamps), 0.3, 0.3, 1.0]
+    del order[5]
+    inbox = Inbox()
+    for stamp in order:
+        inbox.add_odometry(stamp, np.array([stamp, 0.0, 0.0]))
+    inbox.add_look(0.45, SEEN, now=0.0)
+    (one,) = inbox.take() or []
+    assert one.range == pytest.approx(2.0 - 0.55)
+    assert inbox.counts.doubled == 3
+    assert inbox.counts.restarts == 0
+
+
+def test_a_look_without_odometry_waits_for_it_and_is_dropped_if_it_is_missing() -> None:
+    inbox = filled()
+    inbox.add_look(1.8, SEEN, now=0.0)
+    assert inbox.take() is None
+    inbox.add_odometry(1.8, np.array([1.8, 0.0, 0.0]))
+    assert len(inbox.take() or []) == 1
+    gap = filled()
+    gap.add_odometry(2.8, np.array([2.8, 0.0, 0.0]))
+    gap.add_look(1.9, SEEN, now=0.0)
+    assert gap.take() is None
+    assert gap.counts.unplaced == 1
+    assert Inbox().take() is None
+
+
+def test_odometry_that_begins_anew_keeps_the_map() -> None:
+    inbox = filled(10.0, speed=0.5)
+    inbox.add_odometry(10.5, np.array([0.0, 0.0, -math.pi / 2]))
+    np.testing.assert_allclose(inbox.track.pose, [5.0, 0.0, 0.0], atol=1e-9)
+    inbox.add_odometry(11.0, np.array([0.0, -0.4, -math.pi / 2]))
+    np.testing.assert_allclose(inbox.track.pose, [5.4, 0.0, 0.0], atol=1e-9)
+    assert inbox.counts.restarts == 1
+
+
+def test_a_clock_that_begins_anew_is_a_restart_and_late_odometry_is_none() -> None:
+    inbox = filled(30.0, speed=0.5)
+    inbox.add_odometry(12.0, np.array([6.0, 0.0, 0.0]))
+    assert (inbox.counts.late, inbox.counts.restarts) == (1, 0)
+    inbox.add_look(30.0, SEEN, now=0.0)
+    for tick in range(12):
+        inbox.add_odometry(0.1 * tick, np.array([0.02 * tick, 0.0, 0.0]))
+    assert (inbox.counts.late, inbox.counts.restarts) == (1, 1)
+    np.testing.assert_allclose(inbox.track.pose, [15.22, 0.0, 0.0], atol=1e-9)
+    # The look was of its former life.
+    assert inbox.take() is None
+    inbox.add_look(1.1, SEEN, now=0.0)
+    assert len(inbox.take() or []) == 1
+
+
+def test_headway_is_told_from_odometry_alone() -> None:
+    goal, headway = np.array([2.0, 0.0, 0.0]), Headway()
+    assert headway.progress(np.zeros(3), 0.0) is Progress.STANDING
+    headway.set(goal, 0.0)
+    assert headway.progress(np.array([0.5, 0.0, 0.0]), 2.0) is Progress.UNDER_WAY
+    # The same goal once more does not begin its time anew.
+    headway.set(goal + 0.01, 4.0)
+    assert headway.progress(np.array([0.5, 0.0, 0.0]), 5.5) is Progress.GAVE_UP
+    assert headway.progress(np.array([1.0, 0.0, 0.0]), 6.0) is Progress.UNDER_WAY
+    assert headway.progress(np.array([1.0, 0.0, 0.0]), 9.5) is Progress.THERE
+    headway.set(goal, 9.5)
+    assert headway.progress(np.array([1.9, 0.0, 0.1]), 9.6) is Progress.THERE
+    headway.set(None, 9.6)
+    assert headway.progress(np.array([1.9, 0.0, 0.1]), 9.7) is Progress.STANDING
