@@ -1,16 +1,24 @@
 """Words, odometry and looks over messages: conversions, bookkeeping, whole drives, without ROS."""
 
+import json
 import math
 from types import SimpleNamespace as Message
 
+import jax
 import numpy as np
 import pytest
 from test_navigator_step import robot as navigator
+from test_robots_drive import TEXT, goal_distance, put
 
+from jaxlangnav.robots.motion.mover import TICK
+from jaxlangnav.robots.record import Ending
 from jaxlangnav.robots.robot import Detection, Progress
 from jaxlangnav.robots.ros2 import conversions
+from jaxlangnav.robots.ros2.faults import UnrulyChannel
 from jaxlangnav.robots.ros2.headway import Headway
 from jaxlangnav.robots.ros2.inbox import Inbox
+from jaxlangnav.robots.ros2.robot import RosRobot
+from jaxlangnav.robots.ros2.session import Session
 
 __all__ = ["navigator"]
 
@@ -230,3 +238,149 @@ def test_headway_is_told_from_odometry_alone() -> None:
     assert headway.progress(np.array([1.9, 0.0, 0.1]), 9.6) is Progress.THERE
     headway.set(None, 9.6)
     assert headway.progress(np.array([1.9, 0.0, 0.1]), 9.7) is Progress.STANDING
+
+
+class Loop:
+    """A bus to a kinematic robot: its time is the robot's, its messages pass a bad network."""
+
+    def __init__(self, simulated, *, share: float = 0.0) -> None:
+        self.simulated, self.inbox = simulated, Inbox()
+        self.channel: UnrulyChannel = UnrulyChannel(share, seed=3)
+        self.origin, self.ticks, self.goals = np.zeros(3), 0, []
+        self.spin(0.3)
+
+    def now(self) -> float:
+        return self.simulated.seconds
+
+    def spin(self, seconds: float) -> None:
+        for _ in range(max(1, round(seconds / TICK))):
+            self.simulated.wait(TICK)
+            now, self.ticks = self.now(), self.ticks + 1
+            pose = conversions.compose(conversions.inverse(self.origin), self.simulated.pose())
+            self.channel.put(("odometry", now, pose), now)
+            found = self.simulated.detections() if self.ticks % 4 == 0 else None
+            if found is not None:
+                self.channel.put(("look", now, cloud(found)), now)
+            for topic, stamp, what in self.channel.take(now):
+                if topic == "odometry":
+                    self.inbox.add_odometry(stamp, what)
+                else:
+                    seen = conversions.detections_of_cloud(what, 15)
+                    self.inbox.add_look(stamp, seen, now)
+
+    def send_goal(self, goal, *, speed, clearance) -> None:
+        self.goals.append(goal)
+        place = conversions.compose(self.origin, goal)
+        self.simulated.go_to(place[None, :2], speed=speed, clearance=clearance, facing=place[2])
+
+    def restart(self) -> None:
+        """Odometry begins anew where the robot is, and the goal is forgotten."""
+        self.origin = self.simulated.pose()
+        self.simulated.stop()
+
+
+def session(navigator, bus: Loop, **options) -> tuple[Session, list]:
+    told: list = []
+    simulated = bus.simulated
+    robot = RosRobot(bus, sensor=simulated.sensor, area=simulated.area)
+    return Session(navigator, robot, told.append, key=jax.random.key(1), **options), told
+
+
+@pytest.mark.parametrize("share", [0.0, 0.2])
+def test_a_sentence_is_carried_out_over_messages(navigator, share) -> None:
+    simulated = put()
+    bus = Loop(simulated, share=share)
+    talk, told = session(navigator, bus)
+    for text in (TEXT, TEXT):
+        talk.say(text, now=0.0)
+    ended = talk.go()
+    assert ended is not None
+    assert ended.ending is Ending.ARRIVED, ended.why
+    assert goal_distance(simulated) < 1.5
+    # The words came twice and were heard once.
+    assert [one["status"] for one in told].count("heard") == 1
+    assert told[-1]["ending"] == "arrived"
+    assert talk.go() is None
+    counts = bus.inbox.counts
+    assert counts.used >= len(ended.steps) - 3
+    assert (counts.doubled > 0, counts.late > 0) == (share > 0.0, share > 0.0)
+    assert counts.restarts == 0
+    json.dumps(told)
+
+
+def test_a_robot_that_starts_anew_in_the_middle_is_driven_on(navigator) -> None:
+    simulated = put()
+    bus = Loop(simulated)
+    simulated.at(4.0, lambda one: bus.restart())
+    talk, _ = session(navigator, bus)
+    talk.say(TEXT, now=0.0)
+    ended = talk.go()
+    assert ended is not None
+    assert ended.ending is Ending.ARRIVED, ended.why
+    assert goal_distance(simulated) < 1.5
+    # Goals are sent in the frame that the robot has by then.
+    assert np.hypot(*bus.origin[:2]) > 0.5
+
+
+def test_a_node_that_starts_anew_takes_up_its_task_and_a_silent_robot_makes_it_blind(
+    navigator, tmp_path
+) -> None:
+    kept = tmp_path / "words.json"
+    simulated = put()
+    simulated.at(4.0, lambda one: setattr(one, "camera_works", False))
+    talk, told = session(navigator, Loop(simulated), kept=kept)
+
+    def fall(told_now) -> None:
+        told.append(told_now)
+        if told_now.get("detections") is None and told_now["status"] == "searching":
+            raise KeyboardInterrupt
+
+    talk._tell = fall
+    talk.say("dance a tango on the moon", now=0.0)
+    talk.say(TEXT, now=0.0)
+    with pytest.raises(KeyboardInterrupt):
+        talk.go()
+    assert [one["status"] for one in told[:2]] == ["refused", "heard"]
+    assert json.loads(kept.read_text("utf-8")) == [TEXT]
+    # Another node, while the camera still delivers nothing: told, and no crash.
+    ended = session(navigator, Loop(simulated), kept=kept)[0].go()
+    assert ended is not None
+    assert ended.ending is Ending.BLIND, ended.why
+    assert json.loads(kept.read_text("utf-8")) == []
+    kept.write_text(json.dumps([TEXT]), "utf-8")
+    simulated.camera_works = True
+    ended = session(navigator, Loop(simulated), kept=kept)[0].go()
+    assert ended is not None
+    assert ended.ending is Ending.ARRIVED, ended.why
+    assert goal_distance(simulated) < 1.5
+
+
+def test_words_under_way_and_after_the_end(navigator) -> None:
+    simulated = put()
+    talk, told = session(navigator, Loop(simulated), max_seconds=40.0)
+    talk.say("stop", now=0.0)
+    assert talk.go() is None
+    assert told[0]["status"] == "refused"
+    talk.say(TEXT, now=1.0)
+    simulated.at(3.0, lambda one: talk.say("stop", now=3.0))
+    simulated.at(8.0, lambda one: talk.say("go on", now=8.0))
+    ended = talk.go()
+    assert ended is not None
+    assert ended.ending is Ending.ARRIVED, ended.why
+    assert [one["text"] for one in told if one["status"] == "heard"] == [TEXT, "stop", "go on"]
+    # The map is kept: the cone has been seen, and is gone to without a search.
+    talk.say("go to the cone", now=100.0)
+    ended = talk.go()
+    assert ended is not None
+    assert ended.ending is Ending.ARRIVED, ended.why
+    assert goal_distance(simulated, (4.0, 0.5)) < 1.5
+
+
+def test_words_that_are_none_are_refused_in_one_line(tmp_path) -> None:
+    kept = tmp_path / "words.json"
+    for text in ("{", "[1]", "{}"):
+        kept.write_text(text, "utf-8")
+        with pytest.raises(ValueError, match="remove it to begin anew"):
+            Session(None, None, print, key=None, kept=kept)
+    with pytest.raises(ValueError, match=r"give 0 to 0\.3"):
+        UnrulyChannel(0.5, 0)
