@@ -133,7 +133,7 @@ def test_a_look_is_carried_to_where_the_robot_is_now() -> None:
     np.testing.assert_allclose(
         conversions.compose(frame, conversions.inverse(frame)), np.zeros(3), atol=1e-12
     )
-    middle = conversions.between(np.array([0, 0, 3.0]), np.array([2.0, 0, -3.0]), 0.5)
+    middle = conversions.pose_between(np.array([0, 0, 3.0]), np.array([2.0, 0, -3.0]), 0.5)
     np.testing.assert_allclose(middle, [1.0, 0.0, math.pi], atol=1e-12)
 
 
@@ -247,26 +247,32 @@ class Loop:
         self.simulated, self.inbox = simulated, Inbox()
         self.channel: UnrulyChannel = UnrulyChannel(share, seed=3)
         self.origin, self.ticks, self.goals = np.zeros(3), 0, []
+        self.clock = simulated.seconds
         self.spin(0.3)
+        self.began = self.now()
 
     def now(self) -> float:
-        return self.simulated.seconds
+        return self.clock
 
     def spin(self, seconds: float) -> None:
-        for _ in range(max(1, round(seconds / TICK))):
+        self.clock += seconds
+        while self.simulated.seconds + TICK <= self.clock + 1e-6:
             self.simulated.wait(TICK)
-            now, self.ticks = self.now(), self.ticks + 1
+            now, self.ticks = self.simulated.seconds, self.ticks + 1
             pose = conversions.compose(conversions.inverse(self.origin), self.simulated.pose())
-            self.channel.put(("odometry", now, pose), now)
+            self.channel.put(("odom", now, pose), now)
             found = self.simulated.detections() if self.ticks % 4 == 0 else None
             if found is not None:
-                self.channel.put(("look", now, cloud(found)), now)
+                self.channel.put(("detections", now, cloud(found)), now)
             for topic, stamp, what in self.channel.take(now):
-                if topic == "odometry":
-                    self.inbox.add_odometry(stamp, what)
-                else:
-                    seen = conversions.detections_of_cloud(what, 15)
-                    self.inbox.add_look(stamp, seen, now)
+                self.receive(topic, stamp, what)
+
+    def receive(self, topic: str, stamp: float, what) -> None:
+        if topic == "odom":
+            self.inbox.add_odometry(stamp, what)
+        else:
+            seen = conversions.detections_of_cloud(what, 15)
+            self.inbox.add_look(stamp, seen, self.simulated.seconds)
 
     def send_goal(self, goal, *, speed, clearance) -> None:
         self.goals.append(goal)

@@ -21,7 +21,6 @@ from jaxlangnav.robots.ros2.node import RosBus
 from jaxlangnav.robots.ros2.robot import RosRobot
 from jaxlangnav.robots.ros2.serve import RobotServer
 from jaxlangnav.robots.ros2.session import Session
-from jaxlangnav.viz.style import MissingExtraError
 from jaxlangnav.world.scenario import sample_scenario
 
 _WAIT = 0.2
@@ -146,7 +145,7 @@ def main() -> int:
             rclpy.try_shutdown()
     except KeyboardInterrupt:
         return 0
-    except (ValueError, MissingExtraError) as error:
+    except ValueError as error:
         print(printable(str(error)), file=sys.stderr)
         return 2
     return 0

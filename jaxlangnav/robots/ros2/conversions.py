@@ -251,7 +251,7 @@ def carried(found: Sequence[Detection], then: np.ndarray, now: np.ndarray) -> li
     return there
 
 
-def between(earlier: np.ndarray, later: np.ndarray, share: float) -> np.ndarray:
+def pose_between(earlier: np.ndarray, later: np.ndarray, share: float) -> np.ndarray:
     """Give the pose a share of the way from one to another; the heading turns the shorter way."""
     turned = wrap(float(later[2] - earlier[2]))
     middle = earlier + share * (later - earlier)

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from jaxlangnav.robots.robot import Detection
-from jaxlangnav.robots.ros2.conversions import between, carried, compose, inverse
+from jaxlangnav.robots.ros2.conversions import carried, compose, inverse, pose_between
 
 _KEPT = 10.0
 """Seconds of odometry that are kept."""
@@ -112,7 +112,7 @@ class Track:
             return None
         span = self._stamps[last] - self._stamps[first]
         share = (stamp - self._stamps[first]) / span if span > 0.0 else 0.0
-        return between(self._poses[first], self._poses[last], share)
+        return pose_between(self._poses[first], self._poses[last], share)
 
     def _add_old(self, stamp: float, pose: np.ndarray) -> None:
         """Hold what is too late for use, until it is plain that the clock began anew."""

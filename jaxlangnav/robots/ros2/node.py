@@ -33,7 +33,7 @@ _TURN = 0.05
 """Seconds that are waited for a message at most, before it is asked what the time is."""
 _QUIET = 5.0
 """Seconds between two warnings of one kind."""
-FORMATS = ("cloud", "boxes")
+LOOKS = ("cloud", "boxes")
 """Kinds of messages that a look may come in."""
 
 
@@ -48,14 +48,14 @@ class RosBus:
         Args:
             type_names: the navigator's.
             say: is given what is said.
-            look: one of ``FORMATS``.
+            look: one of ``LOOKS``.
 
         Raises:
             ValueError: no such format.
             MissingExtraError: a package of messages is not installed.
         """
-        if look not in FORMATS:
-            raise ValueError(f"looks come as {look!r}, but must be one of {', '.join(FORMATS)}")
+        if look not in LOOKS:
+            raise ValueError(f"looks come as {look!r}, but must be one of {', '.join(LOOKS)}")
         self.inbox = Inbox()
         self.say = say
         """Is given what is said."""

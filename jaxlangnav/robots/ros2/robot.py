@@ -90,6 +90,8 @@ class RosRobot:
             The look; None where the detector has been silent for longer than ``PATIENCE``.
         """
         bus, began = self._bus, self._bus.now()
+        # What has come during a long decision is no silence.
+        bus.spin(_TURN)
         found = bus.inbox.take()
         while found is None and self._may_come(began):
             bus.spin(_TURN)

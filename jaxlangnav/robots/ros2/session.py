@@ -25,7 +25,7 @@ DOUBLED = 1.0
 """Seconds within which the same words have been carried twice, not said twice."""
 _MOST_BYTES = 100_000
 """Length of a file of words beyond which it is none."""
-Tell = Callable[[dict[str, Any]], None]
+TellStatus = Callable[[dict[str, Any]], None]
 """Is given what the robot is doing, as a JSON object."""
 
 
@@ -36,7 +36,7 @@ class Session:
         self,
         navigator: Navigator,
         robot: Robot,
-        tell: Tell,
+        tell: TellStatus,
         *,
         key: Array,
         max_seconds: float = 300.0,
