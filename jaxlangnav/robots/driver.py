@@ -56,6 +56,7 @@ def drive(
     text: str,
     *,
     key: Array,
+    state: NavigatorState | None = None,
     max_seconds: float = 300.0,
     listen: Callable[[], str | None] | None = None,
     on_step: OnStep | None = None,
@@ -67,6 +68,8 @@ def drive(
         robot: what drives and sees.
         text: the sentence.
         key: random key of the decisions, consumed.
+        state: in which a former drive has ended, to go on from: the sentence is heard in it, and
+            what has been seen and said is kept. By default nothing is known.
         max_seconds: after which the drive is broken off.
         listen: asked before each decision for what has been said since, None for nothing; "stop"
             makes it stand until "go on".
@@ -78,7 +81,10 @@ def drive(
     Raises:
         ValueError: the sentence is not understood, or asks for nothing.
     """
-    state = navigator.start(text, pose=robot.pose().tolist(), area=robot.area)
+    if state is None:
+        state = navigator.start(text, pose=robot.pose().tolist(), area=robot.area)
+    else:
+        state = navigator.hear(state, text)
     journey = _Journey(navigator, robot, key, on_step)
     try:
         while True:

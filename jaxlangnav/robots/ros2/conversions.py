@@ -1,0 +1,259 @@
+"""Messages of ROS 2 to what the navigator is told, and back: pure functions, without ROS.
+
+A message is read by the names of its fields, so that those of ``rclpy`` and of ``rosbags`` do
+alike. Frames are those of REP 103 and 105: the *odometry* frame is where the robot started, its
+*base* has x ahead and y to the left; a camera's *optical* frame has x to the right and z ahead.
+"""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from jaxlangnav.robots.motion.mover import wrap
+from jaxlangnav.robots.robot import Detection
+
+_UNIT = 0.01
+"""By how much the length of a quaternion may differ from one."""
+_LABELLED = (("x", 7), ("y", 7), ("z", 7), ("label", 6))
+"""Names and types (float32 7, uint32 6) of the fields of a cloud of PointXYZL."""
+POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("label", "<u4")])
+"""One point of a cloud as ``to_cloud`` packs it, 16 bytes."""
+
+
+def yaw_of(quaternion: Any) -> float:
+    """Tell the heading of an orientation.
+
+    Args:
+        quaternion: a geometry_msgs/Quaternion.
+
+    Returns:
+        Radians about the vertical, in [-π, π]; roll and pitch are left out.
+
+    Raises:
+        ValueError: it is no rotation, such as the (0, 0, 0, 0) of a message never filled in.
+    """
+    x, y, z, w = (float(getattr(quaternion, name)) for name in "xyzw")
+    length = math.sqrt(x * x + y * y + z * z + w * w)
+    if not abs(length - 1.0) <= _UNIT:
+        raise ValueError(
+            f"orientation ({x:g}, {y:g}, {z:g}, {w:g}) has length {length:g}, but a rotation has "
+            "length 1: fill it in, (0, 0, 0, 1) for none"
+        )
+    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
+def quaternion_of(yaw: float) -> tuple[float, float, float, float]:
+    """Build the orientation of a heading.
+
+    Args:
+        yaw: radians.
+
+    Returns:
+        x, y, z, w.
+    """
+    return 0.0, 0.0, math.sin(0.5 * yaw), math.cos(0.5 * yaw)
+
+
+def seconds_of(stamp: Any) -> float:
+    """Tell the time of a builtin_interfaces/Time, seconds."""
+    return float(stamp.sec) + 1e-9 * float(stamp.nanosec)
+
+
+def pose_of(odometry: Any) -> np.ndarray:
+    """Read a nav_msgs/Odometry.
+
+    Args:
+        odometry: the message.
+
+    Returns:
+        f64[3], x, y, heading, metres and radians, odometry frame.
+
+    Raises:
+        ValueError: it is no pose.
+    """
+    pose = odometry.pose.pose
+    place = float(pose.position.x), float(pose.position.y)
+    if not all(map(math.isfinite, place)):
+        raise ValueError(f"odometry says ({place[0]:g}, {place[1]:g}), but a place is two numbers")
+    return np.array([*place, yaw_of(pose.orientation)])
+
+
+def detection_at(kind: int, x: float, y: float) -> Detection:
+    """Build the detection of a thing by where it is.
+
+    Args:
+        kind: index into the navigator's ``type_names``.
+        x: metres ahead, base frame.
+        y: metres to the left.
+
+    Returns:
+        The detection.
+    """
+    return Detection(object_type=kind, range=math.hypot(x, y), bearing=math.atan2(y, x))
+
+
+def detections_of_cloud(cloud: Any, num_types: int) -> list[Detection]:
+    """Read a look from a sensor_msgs/PointCloud2 of points x, y, z, label, base frame.
+
+    Args:
+        cloud: the message; one without points is a look at nothing.
+        num_types: labels that there are; a label is an index into ``type_names``.
+
+    Returns:
+        The detections.
+
+    Raises:
+        ValueError: other fields, a size that does not fit, a point that is nowhere or a label
+            that there is not.
+    """
+    fields = {one.name: one for one in cloud.fields}
+    for name, kind in _LABELLED:
+        if name not in fields or fields[name].datatype != kind:
+            raise ValueError(
+                f"the cloud has fields {', '.join(fields) or 'none'}, but a look has float32 x, y "
+                "and z and uint32 label"
+            )
+    order = ">" if cloud.is_bigendian else "<"
+    layout = np.dtype(
+        {
+            "names": [name for name, _ in _LABELLED],
+            "formats": [f"{order}f4"] * 3 + [f"{order}u4"],
+            "offsets": [fields[name].offset for name, _ in _LABELLED],
+            "itemsize": cloud.point_step,
+        }
+    )
+    count, data = cloud.width * cloud.height, bytes(cloud.data)
+    if len(data) != count * cloud.point_step:
+        raise ValueError(
+            f"the cloud holds {len(data)} bytes, but {count} points of {cloud.point_step} bytes "
+            "are announced"
+        )
+    points = np.frombuffer(data, layout)
+    if not (np.isfinite(points["x"]) & np.isfinite(points["y"])).all():
+        raise ValueError("the cloud has a point that is nowhere: leave out what is not finite")
+    if (points["label"] >= num_types).any():
+        raise ValueError(
+            f"the cloud has label {points['label'].max()}, but the last of the navigator's "
+            f"type_names is {num_types - 1}"
+        )
+    return [detection_at(int(one["label"]), float(one["x"]), float(one["y"])) for one in points]
+
+
+def to_cloud(found: Sequence[Detection]) -> bytes:
+    """Pack detections as the data of a cloud of ``POINT``, base frame.
+
+    Args:
+        found: the detections.
+
+    Returns:
+        16 bytes a detection.
+    """
+    points = np.zeros(len(found), POINT)
+    for point, one in zip(points, found, strict=True):
+        point["x"] = one.range * math.cos(one.bearing)
+        point["y"] = one.range * math.sin(one.bearing)
+        point["label"] = one.object_type
+    return points.tobytes()
+
+
+def detections_of_boxes(
+    boxes: Any, type_names: Sequence[str], *, least_score: float = 0.5
+) -> list[Detection]:
+    """Read a look from a vision_msgs/Detection3DArray, base frame.
+
+    Args:
+        boxes: the message. A thing is what its best hypothesis says, where its box has its middle.
+        type_names: the navigator's; a thing of another class is left out.
+        least_score: hypotheses below are left out.
+
+    Returns:
+        The detections.
+    """
+    found = []
+    for one in boxes.detections:
+        guesses = [guess.hypothesis for guess in one.results]
+        best = max(guesses, key=lambda guess: guess.score, default=None)
+        if best is None or best.score < least_score or best.class_id not in type_names:
+            continue
+        middle = one.bbox.center.position
+        found.append(detection_at(type_names.index(best.class_id), middle.x, middle.y))
+    return found
+
+
+def detections_of_tags(
+    transforms: Iterable[Any],
+    types: Mapping[str, int],
+    *,
+    mount: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> list[Detection]:
+    """Read a look from the transforms that ``apriltag_ros`` publishes, one for each tag.
+
+    Args:
+        transforms: geometry_msgs/TransformStamped from the camera's optical frame.
+        types: frame of a tag, such as "tag36h11:7", to the index of the type it is fixed to.
+        mount: x, y, heading of the camera in the base frame, metres and radians.
+
+    Returns:
+        The detections; tags that are not in ``types`` are left out.
+    """
+    found = []
+    for one in transforms:
+        kind = types.get(one.child_frame_id)
+        if kind is None:
+            continue
+        place = one.transform.translation
+        ahead, left = float(place.z), -float(place.x)
+        cos, sin = math.cos(mount[2]), math.sin(mount[2])
+        x, y = mount[0] + cos * ahead - sin * left, mount[1] + sin * ahead + cos * left
+        found.append(detection_at(kind, x, y))
+    return found
+
+
+def compose(frame: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    """Express a pose of one frame in the frame that this is placed in, f64[3] each."""
+    cos, sin = math.cos(frame[2]), math.sin(frame[2])
+    return np.array(
+        [
+            frame[0] + cos * pose[0] - sin * pose[1],
+            frame[1] + sin * pose[0] + cos * pose[1],
+            wrap(float(frame[2] + pose[2])),
+        ]
+    )
+
+
+def inverse(frame: np.ndarray) -> np.ndarray:
+    """Place the outer frame in the inner one, f64[3]; composed with ``frame`` it is zero."""
+    cos, sin = math.cos(frame[2]), math.sin(frame[2])
+    x, y = frame[0], frame[1]
+    return np.array([-cos * x - sin * y, sin * x - cos * y, -frame[2]])
+
+
+def carried(found: Sequence[Detection], then: np.ndarray, now: np.ndarray) -> list[Detection]:
+    """Express what was seen from one pose as seen from another: a look is older than the pose.
+
+    Args:
+        found: detections from ``then``.
+        then: f64[3], pose at the look.
+        now: f64[3], pose now, in the same frame.
+
+    Returns:
+        The detections from ``now``.
+    """
+    moved = compose(inverse(now), then)
+    there = []
+    for one in found:
+        bearing = moved[2] + one.bearing
+        x = moved[0] + one.range * math.cos(bearing)
+        y = moved[1] + one.range * math.sin(bearing)
+        there.append(detection_at(one.object_type, x, y))
+    return there
+
+
+def pose_between(earlier: np.ndarray, later: np.ndarray, share: float) -> np.ndarray:
+    """Give the pose a share of the way from one to another; the heading turns the shorter way."""
+    turned = wrap(float(later[2] - earlier[2]))
+    middle = earlier + share * (later - earlier)
+    middle[2] = wrap(float(earlier[2] + share * turned))
+    return middle

@@ -1,0 +1,205 @@
+"""What has come in from a robot, whatever became of it on the way: bookkeeping, without ROS.
+
+Messages come late, twice, in another order than they were sent, or not at all, and the robot's
+side may start anew, its clock and its odometry at zero. A look is used once, beside the pose that
+the robot had when it was taken. All is by the robot's own stamps, but for whether it is silent.
+"""
+
+import bisect
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from jaxlangnav.robots.robot import Detection
+from jaxlangnav.robots.ros2.conversions import carried, compose, inverse, pose_between
+
+_KEPT = 10.0
+"""Seconds of odometry that are kept."""
+_GAP = 0.5
+"""Seconds that a look may be away from the nearest odometry to be placed by it."""
+_LATE = 2.0
+"""Seconds after which a message is too old to be of use."""
+_BACKWARDS = 10
+"""Messages in a row, each later than the last, yet too late for use, that mean that the
+robot's clock has begun anew; fewer have been late."""
+_SPEED, _JUMP = 2.0, 0.5
+"""Metres a second, and metres besides, beyond which odometry has jumped: it has begun anew."""
+
+
+@dataclasses.dataclass(kw_only=True)
+class Counts:
+    """How many messages have come to what."""
+
+    used: int = 0
+    """Looks that have been decided by."""
+    doubled: int = 0
+    late: int = 0
+    """Too old to be of use, or overtaken by a newer look that has been used."""
+    unplaced: int = 0
+    """Looks without odometry at their time."""
+    malformed: int = 0
+    restarts: int = 0
+    """Times that the robot's clock or odometry has begun anew."""
+
+
+class Track:
+    """Odometry by time, in a map frame that outlives a restart of the robot.
+
+    Where the robot's odometry begins anew it is taken to stand where it was last known to be.
+    """
+
+    def __init__(self, counts: Counts) -> None:
+        """Begin with none.
+
+        Args:
+            counts: are counted in.
+        """
+        self._counts = counts
+        self._stamps: list[float] = []
+        self._poses: list[np.ndarray] = []
+        self._map_odometry = np.zeros(3)
+        self._old: list[tuple[float, np.ndarray]] = []
+
+    @property
+    def newest(self) -> float | None:
+        """Stamp of the newest pose, seconds of the robot's clock; None if there is none."""
+        return self._stamps[-1] if self._stamps else None
+
+    @property
+    def pose(self) -> np.ndarray | None:
+        """The newest pose, f64[3], map frame; None if there is none."""
+        return self._poses[-1].copy() if self._poses else None
+
+    @property
+    def frame(self) -> np.ndarray:
+        """Where the robot's present odometry frame is placed in the map frame, f64[3]."""
+        return self._map_odometry
+
+    def add(self, stamp: float, pose: np.ndarray) -> None:
+        """Take in odometry.
+
+        Args:
+            stamp: seconds of the robot's clock.
+            pose: f64[3], odometry frame.
+        """
+        if self._stamps and stamp < self._stamps[-1] - _LATE:
+            self._add_old(stamp, pose)
+            return
+        self._old.clear()
+        place = bisect.bisect_left(self._stamps, stamp)
+        if place < len(self._stamps) and self._stamps[place] == stamp:
+            self._counts.doubled += 1
+            return
+        if self._stamps and place == len(self._stamps):
+            self._mind_jump(stamp - self._stamps[-1], pose)
+        self._stamps.insert(place, stamp)
+        self._poses.insert(place, compose(self._map_odometry, pose))
+        first = bisect.bisect_left(self._stamps, self._stamps[-1] - _KEPT)
+        del self._stamps[:first], self._poses[:first]
+
+    def at(self, stamp: float) -> np.ndarray | None:
+        """Tell where the robot was, f64[3], map frame; None where no odometry is near.
+
+        Args:
+            stamp: seconds of the robot's clock.
+        """
+        if not self._stamps:
+            return None
+        after = bisect.bisect_left(self._stamps, stamp)
+        first, last = max(after - 1, 0), min(after, len(self._stamps) - 1)
+        if min(abs(self._stamps[first] - stamp), abs(self._stamps[last] - stamp)) > _GAP:
+            return None
+        span = self._stamps[last] - self._stamps[first]
+        share = (stamp - self._stamps[first]) / span if span > 0.0 else 0.0
+        return pose_between(self._poses[first], self._poses[last], share)
+
+    def _add_old(self, stamp: float, pose: np.ndarray) -> None:
+        """Hold what is too late for use, until it is plain that the clock began anew."""
+        if self._old and stamp <= self._old[-1][0]:
+            self._old.clear()
+        self._old.append((stamp, pose))
+        self._counts.late += 1
+        if len(self._old) < _BACKWARDS:
+            return
+        fresh, self._old = self._old, []
+        self._counts.late -= len(fresh)
+        self._restart(fresh[0][1])
+        for one in fresh:
+            self.add(*one)
+
+    def _mind_jump(self, seconds: float, pose: np.ndarray) -> None:
+        """Begin anew where the robot cannot have gone in the meantime."""
+        gone = np.hypot(*(compose(self._map_odometry, pose) - self._poses[-1])[:2])
+        if gone > _SPEED * seconds + _JUMP:
+            self._restart(pose)
+
+    def _restart(self, pose: np.ndarray) -> None:
+        """Place the robot's new odometry frame so that it stands where it last was."""
+        last = self._poses[-1]
+        if np.hypot(*(compose(self._map_odometry, pose) - last)[:2]) > _JUMP:
+            self._map_odometry = compose(last, inverse(pose))
+        self._stamps.clear()
+        self._poses.clear()
+        self._counts.restarts += 1
+
+
+class Inbox:
+    """Odometry and looks of one robot."""
+
+    def __init__(self) -> None:
+        """Begin with nothing."""
+        self.counts = Counts()
+        self.track = Track(self.counts)
+        self._look: tuple[float, Sequence[Detection]] | None = None
+        self._taken = -np.inf
+        self._heard = -np.inf
+        self._restarts = 0
+
+    def add_odometry(self, stamp: float, pose: np.ndarray) -> None:
+        """Take in odometry, see ``Track.add``."""
+        self.track.add(stamp, pose)
+        if self._restarts != self.counts.restarts:
+            # Looks of the robot's former life tell nothing of its new clock.
+            self._restarts = self.counts.restarts
+            self._look, self._taken = None, -np.inf
+
+    def add_look(self, stamp: float, found: Sequence[Detection], now: float) -> None:
+        """Take in a look; the newest is kept.
+
+        Args:
+            stamp: when it was taken, seconds of the robot's clock.
+            found: what was seen from where the robot then was.
+            now: when it has come, seconds of this side's clock.
+        """
+        self._heard = now
+        if stamp == self._taken or (self._look is not None and stamp == self._look[0]):
+            self.counts.doubled += 1
+        elif stamp < self._taken or (self._look is not None and stamp < self._look[0]):
+            self.counts.late += 1
+        else:
+            self._look = stamp, found
+
+    def silent_for(self, now: float) -> float:
+        """Tell for how many seconds of this side's clock no look has come; infinite at first."""
+        return now - self._heard
+
+    def take(self) -> list[Detection] | None:
+        """Take the newest look, as from where the robot is now; None if there is no new one."""
+        newest, pose = self.track.newest, self.track.pose
+        if self._look is None or newest is None or pose is None:
+            return None
+        stamp, found = self._look
+        if stamp < newest - _LATE:
+            self.counts.late += 1
+            self._look = None
+            return None
+        then = self.track.at(stamp)
+        if then is None:
+            if stamp < newest:
+                self.counts.unplaced += 1
+                self._look = None
+            return None
+        self._look, self._taken = None, stamp
+        self.counts.used += 1
+        return carried(found, then, pose)

@@ -1,0 +1,164 @@
+"""The node: topics to the inbox and the session, goals and status back (ROS 2, rclpy).
+
+Topics, all of them relative, so that they can be remapped and put in a namespace:
+
+    in   instruction, utterance  std_msgs/String          what is said
+    in   odom                    nav_msgs/Odometry        dead reckoning
+    in   detections              sensor_msgs/PointCloud2  a look: x, y, z, label in the base frame,
+                                                          or vision_msgs/Detection3DArray
+    out  goal_pose               geometry_msgs/PoseStamped  where to go, in the odometry's frame
+    out  navigator_status        std_msgs/String          JSON, the last one kept for late listeners
+"""
+
+import dataclasses
+import json
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from jaxlangnav.robots.robot import Detection
+from jaxlangnav.robots.ros2.conversions import (
+    detections_of_boxes,
+    detections_of_cloud,
+    pose_of,
+    quaternion_of,
+    seconds_of,
+)
+from jaxlangnav.robots.ros2.inbox import Inbox
+from jaxlangnav.robots.ros2.libraries import ros
+
+_TURN = 0.05
+"""Seconds that are waited for a message at most, before it is asked what the time is."""
+_QUIET = 5.0
+"""Seconds between two warnings of one kind."""
+LOOKS = ("cloud", "boxes")
+"""Kinds of messages that a look may come in."""
+
+
+class RosBus:
+    """Topics of a robot; messages are taken in while it is spun, in this very thread."""
+
+    def __init__(
+        self, type_names: Sequence[str], say: Callable[[str], None], *, look: str = "cloud"
+    ) -> None:
+        """Open the topics; ``rclpy.init`` has been called.
+
+        Args:
+            type_names: the navigator's.
+            say: is given what is said.
+            look: one of ``LOOKS``.
+
+        Raises:
+            ValueError: no such format.
+            MissingExtraError: a package of messages is not installed.
+        """
+        if look not in LOOKS:
+            raise ValueError(f"looks come as {look!r}, but must be one of {', '.join(LOOKS)}")
+        self.inbox = Inbox()
+        self.say = say
+        """Is given what is said."""
+        self._names, self._frame, self._base = tuple(type_names), "", ""
+        self._stamp: Any = None
+        self._pace: dict[str, float] = {}
+        self._node = ros("rclpy").create_node("jaxlangnav")
+        self._executor = ros("rclpy.executors").SingleThreadedExecutor()
+        self._executor.add_node(self._node)
+        self._string = string = ros("std_msgs.msg").String
+        self._pose_stamped = ros("geometry_msgs.msg").PoseStamped
+        kept = ros("rclpy.qos").DurabilityPolicy.TRANSIENT_LOCAL
+        profile = ros("rclpy.qos").QoSProfile(depth=1, durability=kept)
+        self._goals = self._node.create_publisher(self._pose_stamped, "goal_pose", 1)
+        self._told = self._node.create_publisher(string, "navigator_status", profile)
+        for topic in ("instruction", "utterance"):
+            on_words = self._minding(lambda message: self.say(message.data))
+            self._node.create_subscription(string, topic, on_words, 10)
+        self._subscribe_to_robot(look)
+
+    def _subscribe_to_robot(self, look: str) -> None:
+        """Take in odometry and looks."""
+        qos = ros("rclpy.qos")
+        # Best effort: what a robot publishes either way is received. Deep: a decision takes long.
+        stream = qos.QoSProfile(depth=100, reliability=qos.ReliabilityPolicy.BEST_EFFORT)
+        odometry, on_odometry = ros("nav_msgs.msg").Odometry, self._minding(self._on_odometry)
+        self._node.create_subscription(odometry, "odom", on_odometry, stream)
+        kind = (
+            ros("sensor_msgs.msg").PointCloud2
+            if look == "cloud"
+            else ros("vision_msgs.msg").Detection3DArray
+        )
+        self._read = self._of_cloud if look == "cloud" else self._of_boxes
+        self._node.create_subscription(kind, "detections", self._minding(self._on_look), stream)
+
+    def now(self) -> float:
+        """Tell the time, see ``Bus.now``."""
+        return time.monotonic()
+
+    def spin(self, seconds: float) -> None:
+        """Take in what comes within a time, see ``Bus.spin``."""
+        end = self.now() + seconds
+        while (left := end - self.now()) > 0.0:
+            self._executor.spin_once(timeout_sec=min(left, _TURN))
+
+    def send_goal(self, goal: np.ndarray, *, speed: float, clearance: float) -> None:
+        """Send where to go, see ``Bus.send_goal``; speed and clearance go into the status."""
+        message = self._pose_stamped()
+        message.header.frame_id = self._frame
+        message.header.stamp = self._stamp
+        position, turn = message.pose.position, message.pose.orientation
+        position.x, position.y = float(goal[0]), float(goal[1])
+        turn.x, turn.y, turn.z, turn.w = quaternion_of(float(goal[2]))
+        self._goals.publish(message)
+        self._pace = {"speed": round(speed, 3), "clearance": round(clearance, 3)}
+
+    def tell(self, status: dict[str, Any]) -> None:
+        """Publish what the robot is doing.
+
+        Args:
+            status: a JSON object; the counts of messages and the last goal's pace are added.
+        """
+        counts = dataclasses.asdict(self.inbox.counts)
+        text = json.dumps({**status, **self._pace, "messages": counts}, ensure_ascii=False)
+        self._told.publish(self._string(data=text))
+
+    def close(self) -> None:
+        """Close the topics."""
+        self._executor.shutdown()
+        self._node.destroy_node()
+
+    def _minding(self, take: Callable[[Any], None]) -> Callable[[Any], None]:
+        """Take a message in; one that cannot be is counted, told, and left out."""
+
+        def on_message(message: Any) -> None:
+            try:
+                take(message)
+            except ValueError as error:
+                self.inbox.counts.malformed += 1
+                self._node.get_logger().warning(str(error), throttle_duration_sec=_QUIET)
+
+        return on_message
+
+    def _on_odometry(self, message: Any) -> None:
+        pose, stamp = pose_of(message), message.header.stamp
+        self._frame, self._base, self._stamp = (
+            message.header.frame_id,
+            message.child_frame_id,
+            stamp,
+        )
+        self.inbox.add_odometry(seconds_of(stamp), pose)
+
+    def _on_look(self, message: Any) -> None:
+        frame = message.header.frame_id
+        if self._base and frame != self._base:
+            raise ValueError(
+                f"detections come in frame {frame!r}, but odometry is of {self._base!r}: "
+                "transform them to it"
+            )
+        self.inbox.add_look(seconds_of(message.header.stamp), self._read(message), self.now())
+
+    def _of_cloud(self, message: Any) -> list[Detection]:
+        return detections_of_cloud(message, len(self._names))
+
+    def _of_boxes(self, message: Any) -> list[Detection]:
+        return detections_of_boxes(message, self._names)

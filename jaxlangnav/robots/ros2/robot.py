@@ -1,0 +1,139 @@
+"""The door ``Robot`` over messages: any robot that takes goals and tells odometry and looks."""
+
+import math
+from typing import Protocol
+
+import numpy as np
+
+from jaxlangnav.messages import SensorParams
+from jaxlangnav.robots.robot import Detection, Progress
+from jaxlangnav.robots.ros2.conversions import compose, inverse
+from jaxlangnav.robots.ros2.headway import Headway
+from jaxlangnav.robots.ros2.inbox import Inbox
+
+PATIENCE = 1.0
+"""Seconds that a look is waited for: a detector has to deliver one more often than that."""
+_TURN = 0.05
+"""Seconds of one turn of the loop that takes messages in."""
+
+
+class Bus(Protocol):
+    """What carries messages; takes them in only while it is spun, never behind one's back."""
+
+    inbox: Inbox
+
+    def now(self) -> float:
+        """Tell the time, seconds since any moment; never goes back."""
+        ...
+
+    def spin(self, seconds: float) -> None:
+        """Take in what comes within a time."""
+        ...
+
+    def send_goal(self, goal: np.ndarray, *, speed: float, clearance: float) -> None:
+        """Send where to go.
+
+        Args:
+            goal: f64[3], x, y, heading, metres and radians, the robot's own odometry frame.
+            speed: factor on the robot's normal speed.
+            clearance: metres to keep from things.
+        """
+        ...
+
+
+class RosRobot:
+    """A robot on the other side of a bus."""
+
+    def __init__(
+        self,
+        bus: Bus,
+        *,
+        sensor: SensorParams,
+        area: tuple[float, float, float, float],
+    ) -> None:
+        """Take a bus whose first odometry has come in.
+
+        Args:
+            bus: what carries the messages.
+            sensor: specification of the detector.
+            area: operating area x_min, x_max, y_min, y_max, metres, map frame.
+
+        Raises:
+            ValueError: no odometry has come.
+        """
+        if bus.inbox.track.pose is None:
+            raise ValueError("no odometry has come from the robot: wait for it first")
+        self._bus, self._sensor, self._area = bus, sensor, area
+        self._headway = Headway()
+
+    @property
+    def sensor(self) -> SensorParams:
+        """What the belief is told of the detector."""
+        return self._sensor
+
+    @property
+    def area(self) -> tuple[float, float, float, float]:
+        """The operating area."""
+        return self._area
+
+    def pose(self) -> np.ndarray:
+        """Tell x, y, heading, see ``Robot.pose``; what was last known while it is silent."""
+        pose = self._bus.inbox.track.pose
+        if pose is None:
+            raise ValueError("no odometry has come from the robot")
+        return pose
+
+    def detections(self) -> list[Detection] | None:
+        """Give the newest look that has not been given yet, waiting for one if need be.
+
+        Returns:
+            The look; None where the detector has been silent for longer than ``PATIENCE``.
+        """
+        bus, began = self._bus, self._bus.now()
+        # What has come during a long decision is no silence.
+        bus.spin(_TURN)
+        found = bus.inbox.take()
+        while found is None and self._may_come(began):
+            bus.spin(_TURN)
+            found = bus.inbox.take()
+        return found
+
+    def _may_come(self, began: float) -> bool:
+        """Tell whether it is of use to wait on for a look."""
+        now = self._bus.now()
+        return self._bus.inbox.silent_for(now) <= PATIENCE and now - began <= 2.0 * PATIENCE
+
+    def go_to(
+        self,
+        waypoints: np.ndarray,
+        *,
+        speed: float,
+        clearance: float,
+        facing: float | None = None,
+    ) -> None:
+        """Send the last of the waypoints as the goal, see ``Robot.go_to``.
+
+        Without ``facing`` the robot is to look the way that it comes.
+        """
+        pose, target = self.pose(), np.asarray(waypoints, float)[-1]
+        way = target - pose[:2]
+        if facing is None:
+            facing = math.atan2(way[1], way[0]) if np.hypot(*way) > _TURN else float(pose[2])
+        goal = np.array([*target, facing])
+        self._headway.set(goal, self._bus.now())
+        self._send(goal, speed, clearance)
+
+    def wait(self, seconds: float) -> Progress:
+        """Take messages in for a time, see ``Robot.wait``."""
+        self._bus.spin(seconds)
+        return self._headway.progress(self.pose(), self._bus.now())
+
+    def stop(self) -> None:
+        """Send the robot to where it is."""
+        self._headway.set(None, self._bus.now())
+        self._send(self.pose(), 1.0, 0.0)
+
+    def _send(self, goal: np.ndarray, speed: float, clearance: float) -> None:
+        """Send a goal in the frame that the robot's odometry has at present."""
+        frame = self._bus.inbox.track.frame
+        self._bus.send_goal(compose(inverse(frame), goal), speed=speed, clearance=clearance)

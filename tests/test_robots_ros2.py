@@ -1,0 +1,392 @@
+"""Words, odometry and looks over messages: conversions, bookkeeping, whole drives, without ROS."""
+
+import json
+import math
+from types import SimpleNamespace as Message
+
+import jax
+import numpy as np
+import pytest
+from test_navigator_step import robot as navigator
+from test_robots_drive import TEXT, goal_distance, put
+
+from jaxlangnav.robots.motion.mover import TICK
+from jaxlangnav.robots.record import Ending
+from jaxlangnav.robots.robot import Detection, Progress
+from jaxlangnav.robots.ros2 import conversions
+from jaxlangnav.robots.ros2.faults import UnrulyChannel
+from jaxlangnav.robots.ros2.headway import Headway
+from jaxlangnav.robots.ros2.inbox import Inbox
+from jaxlangnav.robots.ros2.robot import RosRobot
+from jaxlangnav.robots.ros2.session import Session
+
+__all__ = ["navigator"]
+
+
+def quaternion(x: float, y: float, z: float, w: float) -> Message:
+    return Message(x=x, y=y, z=z, w=w)
+
+
+def odometry(x: float, y: float, yaw: float) -> Message:
+    turn = quaternion(*conversions.quaternion_of(yaw))
+    return Message(pose=Message(pose=Message(position=Message(x=x, y=y), orientation=turn)))
+
+
+def cloud(found, **other) -> Message:
+    fields = [
+        Message(name=name, offset=4 * place, datatype=6 if name == "label" else 7)
+        for place, name in enumerate(("x", "y", "z", "label"))
+    ]
+    data = conversions.to_cloud(found)
+    values = {
+        "fields": fields, "is_bigendian": False, "point_step": 16,
+        "width": len(found), "height": 1, "data": data,
+    }  # fmt: skip
+    return Message(**{**values, **other})
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.3, -2.9, math.pi - 1e-6, math.pi / 2])
+def test_a_heading_survives_a_quaternion(yaw) -> None:
+    x, y, z, w = conversions.quaternion_of(yaw)
+    assert conversions.yaw_of(quaternion(x, y, z, w)) == pytest.approx(yaw, abs=1e-12)
+    # The same rotation, the other sign.
+    assert conversions.yaw_of(quaternion(-x, -y, -z, -w)) == pytest.approx(yaw, abs=1e-12)
+
+
+def test_odometry_by_hand_and_what_is_none() -> None:
+    np.testing.assert_allclose(conversions.pose_of(odometry(1.0, -2.0, 0.5)), [1.0, -2.0, 0.5])
+    with pytest.raises(ValueError, match="length 0"):
+        conversions.yaw_of(quaternion(0.0, 0.0, 0.0, 0.0))
+    with pytest.raises(ValueError, match="nan"):
+        conversions.yaw_of(quaternion(0.0, 0.0, 0.0, math.nan))
+    with pytest.raises(ValueError, match="a place is two numbers"):
+        conversions.pose_of(odometry(math.inf, 0.0, 0.0))
+
+
+def test_a_cloud_holds_a_look_and_an_empty_one_too() -> None:
+    found = [Detection(object_type=1, range=2.0, bearing=math.pi / 2)]
+    (one,) = conversions.detections_of_cloud(cloud(found), 2)
+    assert one.object_type == 1
+    assert (one.range, one.bearing) == pytest.approx((2.0, math.pi / 2), abs=1e-6)
+    assert conversions.detections_of_cloud(cloud([]), 2) == []
+
+
+@pytest.mark.parametrize(
+    ("other", "said"),
+    [
+        ({"fields": []}, "has fields none"),
+        ({"width": 2}, "16 bytes, but 2 points"),
+        ({"data": conversions.to_cloud([Detection(object_type=0, range=math.inf, bearing=0.0)])},
+         "nowhere"),
+        ({"data": conversions.to_cloud([Detection(object_type=2, range=1.0, bearing=0.0)])},
+         "label 2, but the last of the navigator's type_names is 1"),
+    ],
+)  # fmt: skip
+def test_a_cloud_that_is_no_look_is_refused_in_one_line(other, said) -> None:
+    found = [Detection(object_type=1, range=2.0, bearing=0.0)]
+    with pytest.raises(ValueError, match=said) as refusal:
+        conversions.detections_of_cloud(cloud(found, **other), 2)
+    assert "\n" not in str(refusal.value)
+
+
+def test_boxes_are_their_best_guess_and_strangers_are_left_out() -> None:
+    def box(x: float, y: float, **scores: float) -> Message:
+        results = [
+            Message(hypothesis=Message(class_id=name, score=score))
+            for name, score in scores.items()
+        ]
+        return Message(
+            results=results, bbox=Message(center=Message(position=Message(x=x, y=y, z=0.3)))
+        )
+
+    look = Message(
+        detections=[
+            box(3.0, 4.0, cone=0.2, hydrant=0.7), box(1.0, 0.0, dragon=0.9),
+            box(1.0, 0.0, cone=0.4), box(1.0, 0.0),
+        ]
+    )  # fmt: skip
+    (one,) = conversions.detections_of_boxes(look, ("hydrant", "cone"))
+    assert (one.object_type, one.range) == (0, 5.0)
+    assert one.bearing == pytest.approx(math.atan2(4.0, 3.0))
+
+
+def test_a_tag_is_turned_from_the_optical_frame_to_the_base() -> None:
+    there = Message(
+        child_frame_id="tag36h11:7",
+        transform=Message(translation=Message(x=-1.0, y=0.2, z=2.0)),
+    )
+    types, other = {"tag36h11:7": 1}, Message(child_frame_id="tag36h11:8")
+    (one,) = conversions.detections_of_tags([there, other], types)
+    assert (one.range, one.bearing) == pytest.approx((math.sqrt(5.0), math.atan2(1.0, 2.0)))
+    # A camera half a metre ahead that looks to the left.
+    (one,) = conversions.detections_of_tags([there], types, mount=(0.5, 0.0, math.pi / 2))
+    place = one.range * np.array([math.cos(one.bearing), math.sin(one.bearing)])
+    np.testing.assert_allclose(place, [-0.5, 2.0], atol=1e-12)
+
+
+def test_a_look_is_carried_to_where_the_robot_is_now() -> None:
+    seen = [Detection(object_type=0, range=2.0, bearing=0.0)]
+    now = np.array([1.0, 0.0, math.pi / 2])
+    (one,) = conversions.carried(seen, np.zeros(3), now)
+    assert (one.range, one.bearing) == pytest.approx((1.0, -math.pi / 2))
+    frame = np.array([3.0, -1.0, 2.0])
+    np.testing.assert_allclose(
+        conversions.compose(frame, conversions.inverse(frame)), np.zeros(3), atol=1e-12
+    )
+    middle = conversions.pose_between(np.array([0, 0, 3.0]), np.array([2.0, 0, -3.0]), 0.5)
+    np.testing.assert_allclose(middle, [1.0, 0.0, math.pi], atol=1e-12)
+
+
+SEEN = [Detection(object_type=0, range=2.0, bearing=0.0)]
+
+
+def filled(seconds: float = 1.0, speed: float = 1.0) -> Inbox:
+    inbox = Inbox()
+    for stamp in np.arange(0.0, seconds + 1e-9, 0.1).round(3).tolist():
+        inbox.add_odometry(stamp, np.array([speed * stamp, 0.0, 0.0]))
+    return inbox
+
+
+def test_a_look_is_used_once_from_where_it_was_taken() -> None:
+    inbox = filled()
+    inbox.add_look(0.45, SEEN, now=7.0)
+    (one,) = inbox.take() or []
+    assert one.range == pytest.approx(2.0 - 0.55)
+    assert inbox.take() is None
+    assert inbox.counts.used == 1
+    assert (inbox.silent_for(7.5), Inbox().silent_for(7.5)) == (0.5, math.inf)
+
+
+def test_doubled_overtaken_and_late_looks_are_counted_and_left_out() -> None:
+    inbox = filled(4.0)
+    inbox.add_look(4.0, SEEN, now=0.0)
+    inbox.add_look(4.0, [], now=0.0)
+    inbox.add_look(3.9, [], now=0.0)
+    assert len(inbox.take() or []) == 1
+    inbox.add_look(4.0, SEEN, now=0.0)
+    assert inbox.take() is None
+    assert (inbox.counts.doubled, inbox.counts.late) == (2, 1)
+    late = filled(4.0)
+    late.add_look(1.9, SEEN, now=0.0)
+    assert late.take() is None
+    assert late.counts.late == 1
+
+
+def test_odometry_in_any_order_doubled_or_with_gaps_places_the_same_look() -> None:
+    stamps = np.arange(0.0, 1.01, 0.1).round(3).tolist()
+    order = [*reversed(stamps), 0.3, 0.3, 1.0]
+    del order[5]
+    inbox = Inbox()
+    for stamp in order:
+        inbox.add_odometry(stamp, np.array([stamp, 0.0, 0.0]))
+    inbox.add_look(0.45, SEEN, now=0.0)
+    (one,) = inbox.take() or []
+    assert one.range == pytest.approx(2.0 - 0.55)
+    assert inbox.counts.doubled == 3
+    assert inbox.counts.restarts == 0
+
+
+def test_a_look_without_odometry_waits_for_it_and_is_dropped_if_it_is_missing() -> None:
+    inbox = filled()
+    inbox.add_look(1.8, SEEN, now=0.0)
+    assert inbox.take() is None
+    inbox.add_odometry(1.8, np.array([1.8, 0.0, 0.0]))
+    assert len(inbox.take() or []) == 1
+    gap = filled()
+    gap.add_odometry(2.8, np.array([2.8, 0.0, 0.0]))
+    gap.add_look(1.9, SEEN, now=0.0)
+    assert gap.take() is None
+    assert gap.counts.unplaced == 1
+    assert Inbox().take() is None
+
+
+def test_odometry_that_begins_anew_keeps_the_map() -> None:
+    inbox = filled(10.0, speed=0.5)
+    inbox.add_odometry(10.5, np.array([0.0, 0.0, -math.pi / 2]))
+    np.testing.assert_allclose(inbox.track.pose, [5.0, 0.0, 0.0], atol=1e-9)
+    inbox.add_odometry(11.0, np.array([0.0, -0.4, -math.pi / 2]))
+    np.testing.assert_allclose(inbox.track.pose, [5.4, 0.0, 0.0], atol=1e-9)
+    assert inbox.counts.restarts == 1
+
+
+def test_a_clock_that_begins_anew_is_a_restart_and_late_odometry_is_none() -> None:
+    inbox = filled(30.0, speed=0.5)
+    inbox.add_odometry(12.0, np.array([6.0, 0.0, 0.0]))
+    assert (inbox.counts.late, inbox.counts.restarts) == (1, 0)
+    inbox.add_look(30.0, SEEN, now=0.0)
+    for tick in range(12):
+        inbox.add_odometry(0.1 * tick, np.array([0.02 * tick, 0.0, 0.0]))
+    assert (inbox.counts.late, inbox.counts.restarts) == (1, 1)
+    np.testing.assert_allclose(inbox.track.pose, [15.22, 0.0, 0.0], atol=1e-9)
+    # The look was of its former life.
+    assert inbox.take() is None
+    inbox.add_look(1.1, SEEN, now=0.0)
+    assert len(inbox.take() or []) == 1
+
+
+def test_headway_is_told_from_odometry_alone() -> None:
+    goal, headway = np.array([2.0, 0.0, 0.0]), Headway()
+    assert headway.progress(np.zeros(3), 0.0) is Progress.STANDING
+    headway.set(goal, 0.0)
+    assert headway.progress(np.array([0.5, 0.0, 0.0]), 2.0) is Progress.UNDER_WAY
+    # The same goal once more does not begin its time anew.
+    headway.set(goal + 0.01, 4.0)
+    assert headway.progress(np.array([0.5, 0.0, 0.0]), 5.5) is Progress.GAVE_UP
+    assert headway.progress(np.array([1.0, 0.0, 0.0]), 6.0) is Progress.UNDER_WAY
+    assert headway.progress(np.array([1.0, 0.0, 0.0]), 9.5) is Progress.THERE
+    headway.set(goal, 9.5)
+    assert headway.progress(np.array([1.9, 0.0, 0.1]), 9.6) is Progress.THERE
+    headway.set(None, 9.6)
+    assert headway.progress(np.array([1.9, 0.0, 0.1]), 9.7) is Progress.STANDING
+
+
+class Loop:
+    """A bus to a kinematic robot: its time is the robot's, its messages pass a bad network."""
+
+    def __init__(self, simulated, *, share: float = 0.0) -> None:
+        self.simulated, self.inbox = simulated, Inbox()
+        self.channel: UnrulyChannel = UnrulyChannel(share, seed=3)
+        self.origin, self.ticks, self.goals = np.zeros(3), 0, []
+        self.clock = simulated.seconds
+        self.spin(0.3)
+        self.began = self.now()
+
+    def now(self) -> float:
+        return self.clock
+
+    def spin(self, seconds: float) -> None:
+        self.clock += seconds
+        while self.simulated.seconds + TICK <= self.clock + 1e-6:
+            self.simulated.wait(TICK)
+            now, self.ticks = self.simulated.seconds, self.ticks + 1
+            pose = conversions.compose(conversions.inverse(self.origin), self.simulated.pose())
+            self.channel.put(("odom", now, pose), now)
+            found = self.simulated.detections() if self.ticks % 4 == 0 else None
+            if found is not None:
+                self.channel.put(("detections", now, cloud(found)), now)
+            for topic, stamp, what in self.channel.take(now):
+                self.receive(topic, stamp, what)
+
+    def receive(self, topic: str, stamp: float, what) -> None:
+        if topic == "odom":
+            self.inbox.add_odometry(stamp, what)
+        else:
+            seen = conversions.detections_of_cloud(what, 15)
+            self.inbox.add_look(stamp, seen, self.simulated.seconds)
+
+    def send_goal(self, goal, *, speed, clearance) -> None:
+        self.goals.append(goal)
+        place = conversions.compose(self.origin, goal)
+        self.simulated.go_to(place[None, :2], speed=speed, clearance=clearance, facing=place[2])
+
+    def restart(self) -> None:
+        """Odometry begins anew where the robot is, and the goal is forgotten."""
+        self.origin = self.simulated.pose()
+        self.simulated.stop()
+
+
+def session(navigator, bus: Loop, **options) -> tuple[Session, list]:
+    told: list = []
+    simulated = bus.simulated
+    robot = RosRobot(bus, sensor=simulated.sensor, area=simulated.area)
+    return Session(navigator, robot, told.append, key=jax.random.key(1), **options), told
+
+
+@pytest.mark.parametrize("share", [0.0, 0.2])
+def test_a_sentence_is_carried_out_over_messages(navigator, share) -> None:
+    simulated = put()
+    bus = Loop(simulated, share=share)
+    talk, told = session(navigator, bus)
+    for text in (TEXT, TEXT):
+        talk.say(text, now=0.0)
+    ended = talk.go()
+    assert ended is not None
+    assert ended.ending is Ending.ARRIVED, ended.why
+    assert goal_distance(simulated) < 1.5
+    # The words came twice and were heard once.
+    assert [one["status"] for one in told].count("heard") == 1
+    assert told[-1]["ending"] == "arrived"
+    assert talk.go() is None
+    counts = bus.inbox.counts
+    assert counts.used >= len(ended.steps) - 3
+    assert (counts.doubled > 0, counts.late > 0) == (share > 0.0, share > 0.0)
+    assert counts.restarts == 0
+    json.dumps(told)
+
+
+def test_a_robot_that_starts_anew_in_the_middle_is_driven_on(navigator) -> None:
+    simulated = put()
+    bus = Loop(simulated)
+    simulated.at(4.0, lambda one: bus.restart())
+    talk, _ = session(navigator, bus)
+    talk.say(TEXT, now=0.0)
+    ended = talk.go()
+    assert ended is not None
+    assert ended.ending is Ending.ARRIVED, ended.why
+    assert goal_distance(simulated) < 1.5
+    # Goals are sent in the frame that the robot has by then.
+    assert np.hypot(*bus.origin[:2]) > 0.5
+
+
+def test_a_node_that_starts_anew_takes_up_its_task_and_a_silent_robot_makes_it_blind(
+    navigator, tmp_path
+) -> None:
+    kept = tmp_path / "words.json"
+    simulated = put()
+    simulated.at(4.0, lambda one: setattr(one, "camera_works", False))
+    talk, told = session(navigator, Loop(simulated), kept=kept)
+
+    def fall(told_now) -> None:
+        told.append(told_now)
+        if told_now.get("detections") is None and told_now["status"] == "searching":
+            raise KeyboardInterrupt
+
+    talk._tell = fall
+    talk.say("dance a tango on the moon", now=0.0)
+    talk.say(TEXT, now=0.0)
+    with pytest.raises(KeyboardInterrupt):
+        talk.go()
+    assert [one["status"] for one in told[:2]] == ["refused", "heard"]
+    assert json.loads(kept.read_text("utf-8")) == [TEXT]
+    # Another node, while the camera still delivers nothing: told, and no crash.
+    ended = session(navigator, Loop(simulated), kept=kept)[0].go()
+    assert ended is not None
+    assert ended.ending is Ending.BLIND, ended.why
+    assert json.loads(kept.read_text("utf-8")) == []
+    kept.write_text(json.dumps([TEXT]), "utf-8")
+    simulated.camera_works = True
+    ended = session(navigator, Loop(simulated), kept=kept)[0].go()
+    assert ended is not None
+    assert ended.ending is Ending.ARRIVED, ended.why
+    assert goal_distance(simulated) < 1.5
+
+
+def test_words_under_way_and_after_the_end(navigator) -> None:
+    simulated = put()
+    talk, told = session(navigator, Loop(simulated), max_seconds=40.0)
+    talk.say("stop", now=0.0)
+    assert talk.go() is None
+    assert told[0]["status"] == "refused"
+    talk.say(TEXT, now=1.0)
+    simulated.at(3.0, lambda one: talk.say("stop", now=3.0))
+    simulated.at(8.0, lambda one: talk.say("go on", now=8.0))
+    ended = talk.go()
+    assert ended is not None
+    assert ended.ending is Ending.ARRIVED, ended.why
+    assert [one["text"] for one in told if one["status"] == "heard"] == [TEXT, "stop", "go on"]
+    # The map is kept: the cone has been seen, and is gone to without a search.
+    talk.say("go to the cone", now=100.0)
+    ended = talk.go()
+    assert ended is not None
+    assert ended.ending is Ending.ARRIVED, ended.why
+    assert goal_distance(simulated, (4.0, 0.5)) < 1.5
+
+
+def test_words_that_are_none_are_refused_in_one_line(tmp_path) -> None:
+    kept = tmp_path / "words.json"
+    for text in ("{", "[1]", "{}"):
+        kept.write_text(text, "utf-8")
+        with pytest.raises(ValueError, match="remove it to begin anew"):
+            Session(None, None, print, key=None, kept=kept)
+    with pytest.raises(ValueError, match=r"give 0 to 0\.3"):
+        UnrulyChannel(0.5, 0)
