@@ -268,8 +268,14 @@ class Navigator:
         return time.perf_counter() - began
 
     def hear(self, state: NavigatorState, text: str) -> NavigatorState:
-        """Take in an utterance; see ``take``, which also tells what it was taken for."""
-        return self.take(state, text)[0]
+        """Take in an utterance; see ``take``, which also tells what it was taken for.
+
+        What people should know of it besides, such as words that are not used, is logged.
+        """
+        state, heard = self.take(state, text)
+        for note in heard.notes:
+            _log.warning("%s: %s", cut(text), note)
+        return state
 
     def take(self, state: NavigatorState, text: str) -> tuple[NavigatorState, Heard]:
         """Take in an utterance: a conversation is a stream of them.

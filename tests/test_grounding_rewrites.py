@@ -44,7 +44,7 @@ def graph() -> GraphGrounder:
 
 def rewriting(graph, *rewrites, temperature=1.0):
     params = default_rewrite_params(temperature)
-    return RewriteGrounder(graph, lambda text: rewrites if text else (), params)
+    return RewriteGrounder(graph, lambda text: rewrites if text else (), params=params)
 
 
 def relations(grounded) -> dict[int, float]:

@@ -86,7 +86,7 @@ class RewriteGrounder:
     """Grounds rewritings of what is said, and not its own words."""
 
     def __init__(
-        self, graph: Grounder, source: RewriteSource, params: RewriteParams | None = None
+        self, graph: Grounder, source: RewriteSource, *, params: RewriteParams | None = None
     ) -> None:
         """Join a source to what reads its rewritings.
 

@@ -184,7 +184,7 @@ def meaning(num_objects: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def list_candidates(
-    seen: Seen, said: Said, grounding: Grounding, scene: Scene, params: MapParams
+    seen: Seen, said: Said, grounding: Grounding, scene: Scene, *, params: MapParams
 ) -> Candidates:
     """List what the ends may be: what has been decided, or each seen object of their types.
 
@@ -209,13 +209,13 @@ def list_candidates(
     # Of those of its type that have been seen all but one are bystanders; of a pair all but two.
     number, unseen = jnp.sum(is_kind, axis=1), jnp.exp(lead(scene.log_unseen, is_open.ndim))
     log_one, log_two = (
-        log_expected(jnp.maximum(number - but, 0), unseen, params) for but in (1, 2)
+        log_expected(jnp.maximum(number - but, 0), unseen, params=params) for but in (1, 2)
     )
     log_bystander = (lead(scene.log_area, is_open.ndim) - log_one)[:, None]  # 1/λ
     if seen.existence is not None:
         real = jnp.where(is_kind, seen.existence[None], 0.0)
         others = jnp.maximum(jnp.sum(real, axis=1, keepdims=True) - real, 0.0)
-        log_others = log_expected(others, unseen[:, None], params)
+        log_others = log_expected(others, unseen[:, None], params=params)
         log_bystander = lead(scene.log_area, may_be.ndim) - log_others
         log_bystander = log_bystander + jnp.log(jnp.maximum(seen.existence, 1e-9))[None]
     is_alike = label_of(said.kind[FIGURE]) == label_of(said.kind[LANDMARK])

@@ -68,7 +68,7 @@ def ground_relation(
         relation.
     """
     said = once(said)
-    ends = candidates.list_candidates(seen, said, grounding, scene, params)
+    ends = candidates.list_candidates(seen, said, grounding, scene, params=params)
     ways = once(candidates.propose(said, ends, draws, params.relations))
     num_known = ends.x.shape[1]
     rank = log_rank(said, ways.told, seen, draws, scene, params=params, num_known=num_known)

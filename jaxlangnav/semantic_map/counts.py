@@ -27,7 +27,7 @@ def share_unseen(coverage: Coverage) -> Array:
     return jnp.mean(jnp.exp(coverage.log_miss))
 
 
-def log_expected(number: Array, unseen: Array, params: MapParams) -> Array:
+def log_expected(number: Array, unseen: Array, *, params: MapParams) -> Array:
     """Compute how many more things of a type are expected in the whole area.
 
         log (α + κ n) / (1 + κ (1 − u))
@@ -40,9 +40,11 @@ def log_expected(number: Array, unseen: Array, params: MapParams) -> Array:
     Returns:
         f32[...].
     """
-    return jnp.log(params.concentration + params.clumping * number) - log_exposure(unseen, params)
+    return jnp.log(params.concentration + params.clumping * number) - log_exposure(
+        unseen, params=params
+    )
 
 
-def log_exposure(unseen: Array, params: MapParams) -> Array:
+def log_exposure(unseen: Array, *, params: MapParams) -> Array:
     """Compute log (1 + κ s) of the share s = 1 − u that has been looked at, f32[...]."""
     return jnp.log1p(params.clumping * (1.0 - unseen))

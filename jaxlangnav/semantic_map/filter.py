@@ -148,7 +148,7 @@ def _detections(
     offset_y = observation.detection_range * jnp.sin(bearing)
     robot_x, robot_y = robot_position(belief)
     log_missed = log_miss_at(belief.coverage, robot_x + offset_x, robot_y + offset_y)
-    log_density = log_expected(jnp.float32(0.0), share_unseen(belief.coverage), params)
+    log_density = log_expected(jnp.float32(0.0), share_unseen(belief.coverage), params=params)
     log_density = log_density - jnp.log(area_size(belief.coverage))
     return association.Detections(
         object_type=kinds_seen(observation),
@@ -223,8 +223,8 @@ def observe(
         particles, grounded.is_hit, heading, softness, sensor, view
     )
     # What is looked at and shows no more of a type tells against there being many.
-    exposure = log_exposure(share_unseen(coverage), params)
-    exposure = exposure - log_exposure(share_unseen(before), params)
+    exposure = log_exposure(share_unseen(coverage), params=params)
+    exposure = exposure - log_exposure(share_unseen(before), params=params)
     is_meant, is_lost = believed.is_meant, None
     log_map = grounded.log_weight + log_objects - exposure * jnp.sum(particles.is_observed, axis=0)
     log_meant = exposure * jnp.sum(is_meant, axis=0)  # … of which these are no bystanders

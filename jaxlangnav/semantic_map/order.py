@@ -122,7 +122,7 @@ def _log_order(
     is_alone = ~jnp.any(is_rival & (jnp.abs(rival - own[None]) > _TIE), axis=0) & (rank == 1)
     lacking = jnp.maximum(rank - 1 - before, 0)
     others = jnp.maximum(jnp.sum(is_kind, axis=0) - 1, 0)
-    log_more = log_expected(others, jnp.exp(lead(scene.log_unseen, others.ndim)), params)
+    log_more = log_expected(others, jnp.exp(lead(scene.log_unseen, others.ndim)), params=params)
     log_new = lead(jnp.log(PLURAL) + log_more, own.ndim) + lead(scene.log_unseen, own.ndim)
 
     def log_there(is_there: Array) -> Array:

@@ -79,7 +79,7 @@ def compare_arms(
     params = default_rewrite_params(temperature)
 
     def rewritten(graph: GraphGrounder) -> RewriteGrounder:
-        return RewriteGrounder(graph, recorded, params)
+        return RewriteGrounder(graph, recorded, params=params)
 
     builds: dict[str, Wrapping] = {
         GRAPH: lambda graph: graph,
