@@ -121,6 +121,7 @@ def test_who_talks_is_heard_at_any_step_and_may_leave(robot) -> None:
         (["--hear", "120: stop"], "the last one is 119"),
         (["--hear", "-1: stop"], "must name a step"),
         (["--hear", "5: frobnicate the zorp"], '--hear "5: frobnicate the zorp"'),
+        (["--person", "atentive"], 'did you mean "attentive"'),
         (["--ask"], "--ask needs a terminal"),
         (["--talk"], "--talk needs a terminal"),
     ],
@@ -175,3 +176,18 @@ def test_an_episode_hears_by_step(capsys) -> None:
     assert document["ending"] == "idle"
     assert document["success"] is None
     assert document["steps"] == 13
+
+
+@pytest.mark.slow
+def test_a_simulated_person_corrects_and_answers(capsys) -> None:
+    """Between them these seeds hold a wrong hydrant that is gone up to, and a question."""
+    kinds = []
+    for seed in ("0", "1", "2"):
+        words = ["--world", "2H1C", "--seed", seed, "--person", "attentive", "--json"]
+        for more in ([], ["--ask"]):
+            assert cli.main(["follow", NULL, *words, *more]) == 0
+            document = json.loads(capsys.readouterr().out)
+            kinds += [one["kind"] for one in document["utterances"]]
+            assert all(one["speaker"] == "attentive" for one in document["utterances"])
+            assert document["success"] is not None
+    assert {"correction", "answer"} <= set(kinds)

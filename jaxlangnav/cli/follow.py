@@ -4,7 +4,7 @@ import dataclasses
 import importlib.util
 import itertools
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import tyro
 
@@ -70,8 +70,11 @@ class Follow:
     """What is said under way: the step before whose decision it is heard, a colon, the words, as in
     --hear "5: go to the other hydrant"; may be given several times."""
     ask: bool = False
-    """Let the robot ask which one is meant, and answer on the terminal; a question costs 0.1 of a
-    success unless --params.planner.question-cost says otherwise."""
+    """Let the robot ask which one is meant: you answer on the terminal, or --person does. A
+    question costs 0.1 of a success unless --params.planner.question-cost says otherwise."""
+    person: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
+    """A simulated person who knows the goal, watches, corrects and answers: attentive, slow (waits
+    5 steps), careless (errs in 10 %) or patient (corrects up to 5 times)."""
     talk: bool = False
     """Type what you like while the robot goes; "stop" halts it at once, end of input (Ctrl-D) lets
     it finish alone."""
@@ -142,7 +145,13 @@ class Follow:
         """What may be said under way."""
         from jaxlangnav.cli.speech import Speech
 
-        return Speech.of(self.hear, ask=self.ask, talk=self.talk, max_steps=self.max_steps)
+        return Speech.of(
+            self.hear,
+            ask=self.ask,
+            talk=self.talk,
+            person=self.person,
+            max_steps=self.max_steps,
+        )
 
     def _check_settings(self, values: "dict[Place, Any]") -> None:
         """Refuse numbers and sizes that do not go together, or that no memory holds."""

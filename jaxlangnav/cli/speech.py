@@ -1,6 +1,7 @@
 """What is said to the robot of ``follow`` under way: options, and who sits at the terminal."""
 
 import dataclasses
+import difflib
 import math
 import queue
 import sys
@@ -55,6 +56,18 @@ def parse_hear(text: str, max_steps: int) -> tuple[int, str]:
     return step, words.strip()
 
 
+def check_person(name: str | None) -> None:
+    """Refuse a simulated person that there is not."""
+    from jaxlangnav.world.person import PERSONS
+
+    if name is not None and name not in PERSONS:
+        near = difflib.get_close_matches(name, PERSONS, n=1)
+        hint = f'; did you mean "{near[0]}"?' if near else ""
+        raise UsageError(
+            f'--person is "{cut(name)}", but must be one of {", ".join(PERSONS)}{hint}'
+        )
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Speech:
     """What may be said in an episode."""
@@ -62,9 +75,13 @@ class Speech:
     script: Mapping[int, Sequence[str]]
     asks: bool
     talks: bool
+    person: str | None = None
+    """A simulated one's name."""
 
     @classmethod
-    def of(cls, hear: Iterable[str], *, ask: bool, talk: bool, max_steps: int) -> "Speech":
+    def of(
+        cls, hear: Iterable[str], *, ask: bool, talk: bool, person: str | None, max_steps: int
+    ) -> "Speech":
         """Read the options, and refuse what can be before anything is loaded.
 
         Raises:
@@ -74,18 +91,21 @@ class Speech:
         for one in hear:
             step, text = parse_hear(one, max_steps)
             script.setdefault(step, []).append(text)
-        for option, is_given in (("--ask", ask), ("--talk", talk)):
+        check_person(person)
+        if person is not None and talk:
+            raise UsageError("--person speaks for you: leave out --talk")
+        for option, is_given in (("--ask", ask and person is None), ("--talk", talk)):
             if is_given and not sys.stdin.isatty():
                 raise UsageError(
                     f"{option} needs a terminal at which somebody answers: run it in one, or say "
                     'by step what is heard, as in --hear "5: the left one"'
                 )
-        return cls(script=script, asks=ask, talks=talk)
+        return cls(script=script, asks=ask, talks=talk, person=person)
 
     @property
     def is_silent(self) -> bool:
         """Whether nothing can be said under way."""
-        return not (self.script or self.asks or self.talks)
+        return not (self.script or self.asks or self.talks or self.person)
 
     def check_words(self, grounder: "Grounder", first: "Understanding") -> None:
         """Refuse words that the robot could not understand in any state."""
@@ -125,6 +145,18 @@ class Speech:
         """
         from jaxlangnav.task.talk import YOU, Earshot
 
+        if self.person is not None:
+            from jaxlangnav.task.watcher import Watcher
+
+            watcher = Watcher.named(self.person)
+            return Earshot(
+                grounder=grounder,
+                first=first,
+                scene=scene,
+                script=self.script,
+                voices={self.person: watcher.speak},
+                is_awaited=watcher.is_there,
+            )
         typist = Typist(output, is_talking=self.talks) if self.asks or self.talks else None
         return Earshot(
             grounder=grounder,
