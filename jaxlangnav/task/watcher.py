@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Sequence
 
 import jax
+from jax import Array
 
 from jaxlangnav.episode import Progress
 from jaxlangnav.experiments.watched import seen_of
@@ -25,7 +26,7 @@ _PLACES = ("the first", "the second", "the third")
 
 
 @kept()
-def _say(progress: Progress, person: Person, params: PersonParams) -> tuple[Person, int, int]:
+def _say(progress: Progress, person: Person, params: PersonParams) -> tuple[Person, Array, Array]:
     """Decide what to say, compiled."""
     key = jax.random.fold_in(jax.random.fold_in(progress.task.key, _SPEECH), _SPEECH)
     seen = seen_of(progress.navigator, progress.steps)
