@@ -242,24 +242,32 @@ class Listener:
         Returns:
             Things seen that may be the goal, with where they are believed to be.
         """
-        share = np.asarray(state.talk.candidate)
-        particles, weight = state.belief.particles, np.exp(np.asarray(state.belief.log_weight))
-        mean_x, mean_y = np.asarray(particles.mean_x), np.asarray(particles.mean_y)
-        is_in = np.asarray(particles.object_type) != NONE
-        pose, found = np.asarray(state.belief.last_pose), []
-        for slot in np.flatnonzero(share >= _LEAST).tolist():
-            own = weight * is_in[slot]
-            total = max(float(own.sum()), 1e-9)
-            found.append(
-                Candidate(
-                    slot=slot,
-                    type_name=name_of(self._type_at(state, slot), self._names),
-                    x=float((own * mean_x[slot]).sum() / total),
-                    y=float((own * mean_y[slot]).sum() / total),
-                    probability=float(share[slot]),
-                )
-            )
+        share, pose = np.asarray(state.talk.candidate), np.asarray(state.belief.last_pose)
+        slots = np.flatnonzero(share >= _LEAST).tolist()
+        found = [self.thing_at(state, slot) for slot in slots]
         return sorted(found, key=lambda one: np.hypot(one.x - pose[0], one.y - pose[1]))
+
+    def thing_at(self, state: NavigatorState, slot: int) -> Candidate:
+        """Name the thing in an observed slot, as the belief has it.
+
+        Args:
+            state: after any step.
+            slot: an observed slot that holds something.
+
+        Returns:
+            Its type, where it is believed to be, and its probability of being the goal.
+        """
+        particles = state.belief.particles
+        weight = np.exp(np.asarray(state.belief.log_weight))
+        own = weight * (np.asarray(particles.object_type[slot]) != NONE)
+        total = max(float(own.sum()), 1e-9)
+        return Candidate(
+            slot=slot,
+            type_name=name_of(self._type_at(state, slot), self._names),
+            x=float((own * np.asarray(particles.mean_x[slot])).sum() / total),
+            y=float((own * np.asarray(particles.mean_y[slot])).sum() / total),
+            probability=float(state.talk.candidate[slot]),
+        )
 
 
 def _chosen(

@@ -5,9 +5,11 @@ keeps them all as NumPy arrays.
 """
 
 from collections.abc import Iterator
+from typing import Protocol
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from jaxlangnav import episode
@@ -17,11 +19,28 @@ from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.kept import kept
 from jaxlangnav.kinds import label_of
 from jaxlangnav.language.lexicon import load_lexicon
-from jaxlangnav.messages import NONE, Observation, Readings
+from jaxlangnav.messages import NONE, Observation, Readings, Status
 from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams
+from jaxlangnav.pytree import replace
 from jaxlangnav.recording import Frame, Recording, Scene, gather
 from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.world.known import known_distance
+
+
+class Ear(Protocol):
+    """What a robot hears while an episode runs."""
+
+    def begin(self, progress: Progress) -> Progress:
+        """Prepare the state, before the first step, for what may be said."""
+        ...
+
+    def hear(self, step: int, progress: Progress) -> Progress:
+        """Take in what is said before the decision of a step."""
+        ...
+
+    def expects(self, progress: Progress) -> bool:
+        """Tell whether more may be said to a robot that stands still until it hears something."""
+        ...
 
 
 def set_scene(
@@ -71,6 +90,7 @@ def play(
     params: NavigatorParams,
     config: NavigatorConfig,
     max_steps: int = MAX_STEPS,
+    ear: Ear | None = None,
 ) -> Iterator[tuple[Frame, EpisodeResult]]:
     """Run an episode step by step, early exit included.
 
@@ -80,6 +100,7 @@ def play(
         params: the navigator's numbers.
         config: sizes and policy.
         max_steps: cycles until a time-out, at least 1.
+        ear: what is said under way; the episode goes on as long as it expects more.
 
     Yields:
         Each step, and how the episode would be judged if it ended with it.
@@ -90,11 +111,18 @@ def play(
     if max_steps < 1:
         raise ValueError(f"max_steps is {max_steps}, but must be at least 1")
     progress = _begin(task, instructions, config=config)
-    for _ in range(max_steps):
+    if ear is not None:
+        progress = ear.begin(progress)
+    for step in range(max_steps):
+        if ear is not None:
+            progress = ear.hear(step, progress)
         progress, frame, result = _advance(progress, params=params, config=config)
         shown, judged = jax.device_get((frame, result))
+        if bool(progress.navigator.is_halted):
+            halted = np.int32(Status.HALTED)
+            shown, judged = replace(shown, status=halted), replace(judged, ending=halted)
         yield shown, judged
-        if shown.is_done:
+        if bool(progress.navigator.is_resting) and (ear is None or not ear.expects(progress)):
             return
 
 

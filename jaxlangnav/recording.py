@@ -15,6 +15,7 @@ import numpy as np
 from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.grounding.asked import Asked
 from jaxlangnav.kinds import name_of
+from jaxlangnav.listening import Candidate
 from jaxlangnav.messages import NONE, Readings, SensorParams
 from jaxlangnav.planner.endings import missing_types
 from jaxlangnav.planner.params import PlannerParams
@@ -111,6 +112,7 @@ class Scene:
     asks: tuple[Asked, ...] = ()  # what each command asks for
     stop_radius: float = SUCCESS_RADIUS  # metres from the goal, within which it may stop
     is_judged: bool = True  # something there fits the sentence, so that success can be told
+    unjudged: str = "nothing there fits the sentence"  # why not, where it cannot be told
 
     @property
     def straight_distance(self) -> float:
@@ -129,12 +131,28 @@ class Scene:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
+class Remark:
+    """An utterance that the robot heard under way, and what came of it."""
+
+    step: int  # heard before this decision
+    text: str
+    kind: str = ""  # what it was taken for, a ``language.utterance.Kind``; "" where refused
+    speaker: str = "you"  # or the simulated person's name
+    ruled_out: tuple[Candidate, ...] = ()  # things that it says are not meant
+    notes: tuple[str, ...] = ()  # what else people should know, a line each
+    refusal: str = ""  # why the robot kept to its task, where it did
+    scene: Scene | None = None  # what is understood from then on; None: as before
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class Recording:
     """A whole episode; leaves are NumPy arrays."""
 
     scene: Scene
     frames: Frame  # leaves [T, …]
     result: EpisodeResult
+    said: tuple[Remark, ...] = ()  # under way, in order
+    candidates: tuple[Candidate, ...] = ()  # what may be meant, where it ended with a question
 
     @property
     def num_steps(self) -> int:
@@ -149,7 +167,24 @@ class Recording:
     @property
     def missing(self) -> list[str]:
         """Types that the sentence speaks of and no look has shown by the end."""
-        return missing_names(self.scene, self.at(-1))
+        return missing_names(self.last_scene, self.at(-1))
+
+    def scene_at(self, step: int) -> Scene:
+        """Take the scene with what was understood by a step, not negative."""
+        heard = [one.scene for one in self.said if one.step <= step and one.scene is not None]
+        if not heard:
+            return self.scene
+        own = {name: getattr(self.scene, name) for name in ("stop_radius", "is_judged", "unjudged")}
+        return dataclasses.replace(heard[-1], **own)
+
+    @property
+    def last_scene(self) -> Scene:
+        """The scene with what was understood in the end."""
+        return self.scene_at(self.num_steps - 1)
+
+    def said_at(self, step: int) -> tuple[Remark, ...]:
+        """List what was heard just before the decision of a step."""
+        return tuple(one for one in self.said if one.step == step)
 
     def at(self, step: int) -> Frame:
         """Take one step out, leaves without the axis T.

@@ -4,24 +4,27 @@ import dataclasses
 import importlib.util
 import itertools
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import tyro
 
 from jaxlangnav.cli.checks import check_at_least, check_folder, check_range, check_seed
 from jaxlangnav.cli.errors import UsageError
-from jaxlangnav.cli.metavars import File, Folder, Metres
+from jaxlangnav.cli.metavars import ByStep, File, Folder, Metres
 from jaxlangnav.cli.output import Document, Output
 from jaxlangnav.cli.runtime import keep_compiled_programs, waiting
 from jaxlangnav.cli.sentence import is_template, parse_text
 from jaxlangnav.cli.settings import Place, apply, read_settings
 
 if TYPE_CHECKING:
+    from jaxlangnav.cli.speech import Speech
     from jaxlangnav.episode import EpisodeResult
+    from jaxlangnav.grounding import Grounder
     from jaxlangnav.grounding.instruction import Understanding
     from jaxlangnav.language.phrase import Parse
-    from jaxlangnav.recording import Frame, Recording, Scene
+    from jaxlangnav.recording import Frame, Recording, Remark, Scene
     from jaxlangnav.task.opening import Prepared
+    from jaxlangnav.task.talk import Earshot
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -40,6 +43,8 @@ class Follow:
       jaxlangnav follow "move behind the cone" --live
       jaxlangnav follow "go to the hydrant" --policy faithful --seed 7 --json
       jaxlangnav follow "go to the hydrant" --sensor.field-of-view "90 deg"
+      jaxlangnav follow "go to the hydrant" --world 2H1C --hear "9: no, the other one"
+      jaxlangnav follow "go to the hydrant" --world 2H1C --talk
     """
 
     SETTINGS: ClassVar = ("params", "config", "sensor", "motion")
@@ -61,6 +66,18 @@ class Follow:
     """Decisions after which the episode ends as a time-out."""
     out: Folder = None
     """Where to write pictures (PNG, SVG), an interactive page (HTML) and the document."""
+    hear: tyro.conf.UseAppendAction[tuple[ByStep, ...]] = ()
+    """What is said under way: the step before whose decision it is heard, a colon, the words, as in
+    --hear "5: go to the other hydrant"; may be given several times."""
+    ask: bool = False
+    """Let the robot ask which one is meant: you answer on the terminal, or --person does. A
+    question costs 0.1 of a success unless --params.planner.question-cost says otherwise."""
+    person: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
+    """A simulated person who knows the goal, watches, corrects and answers: attentive, slow (waits
+    5 steps), careless (errs in 10 %) or patient (corrects up to 5 times)."""
+    talk: bool = False
+    """Type what you like while the robot goes; "stop" halts it at once, end of input (Ctrl-D) lets
+    it finish alone."""
     rrd: bool = False
     """Write the episode for the rerun viewer too, episode.rrd; needs jaxlangnav[rerun]."""
     live: bool = False
@@ -79,14 +96,19 @@ class Follow:
         keep_compiled_programs()
         values = read_settings(self.settings, self.SETTINGS)
         self._check_settings(values)
-        understood = self._understand(parsed, output)
+        understood, grounder = self._understand(parsed, output)
         from jaxlangnav.task.opening import refuse_what_it_lacks
 
         refuse_what_it_lacks(self.world, understood)
         from jaxlangnav.cli.engine import rehearse
         from jaxlangnav.pytree import replace
         from jaxlangnav.task.follow import alone
+        from jaxlangnav.task.talk import roomy
 
+        speech = self._speech
+        if not speech.is_silent:
+            speech.check_words(grounder, understood)
+            understood = roomy(understood)
         sizes = self._sizes(values)
         rehearse(alone(understood), **sizes)
         prepared = self._open(understood, output)
@@ -96,7 +118,7 @@ class Follow:
         prepared = dataclasses.replace(prepared, task=replace(task, sensor=sensor, motion=motion))
         # The belief knows the odometry's specification.
         sizes["params"] = replace(sizes["params"], map=replace(sizes["params"].map, motion=motion))
-        recording = self._record(understood, prepared, sizes, output)
+        recording = self._record(understood, grounder, prepared, sizes, output)
         document = self._document(prepared.world, understood.annotations, recording)
         if self.out is not None:
             self._draw(recording, document, output)
@@ -109,12 +131,27 @@ class Follow:
         check_at_least("--particles", self.particles, 2)
         check_at_least("--max-steps", self.max_steps, 1)
         check_folder("--out", self.out)
+        if self._speech.talks and self.live:
+            raise UsageError("--talk tells the story as it goes: leave out --live")
         if self.out is not None and importlib.util.find_spec("matplotlib") is None:
             raise UsageError('--out draws pictures and needs: pip install "jaxlangnav[viz]"')
         if self.rrd and self.out is None:
             raise UsageError("--rrd writes episode.rrd into the folder of --out: add --out DIR")
         if self.rrd and importlib.util.find_spec("rerun") is None:
             raise UsageError('--rrd needs the rerun viewer: pip install "jaxlangnav[rerun]"')
+
+    @property
+    def _speech(self) -> "Speech":
+        """What may be said under way."""
+        from jaxlangnav.cli.speech import Speech
+
+        return Speech.of(
+            self.hear,
+            ask=self.ask,
+            talk=self.talk,
+            person=self.person,
+            max_steps=self.max_steps,
+        )
 
     def _check_settings(self, values: "dict[Place, Any]") -> None:
         """Refuse numbers and sizes that do not go together, or that no memory holds."""
@@ -128,9 +165,12 @@ class Follow:
         config = apply(navigator_config(self.policy, self.particles), values, "config")
         check_recording(config, self.max_steps)
 
-    def _understand(self, parsed: "Parse | None", output: Output) -> "Understanding":
+    def _understand(
+        self, parsed: "Parse | None", output: Output
+    ) -> "tuple[Understanding, Grounder]":
         """Understand the sentence, which has to ask for something."""
         from jaxlangnav.cli.engine import load_models
+        from jaxlangnav.grounding import GraphGrounder
         from jaxlangnav.grounding.instruction import understand_parse
         from jaxlangnav.language.lexicon import load_lexicon
         from jaxlangnav.task.opening import detector_of
@@ -138,11 +178,12 @@ class Follow:
         # Before anything is compiled: a world that cannot be opened is refused at once.
         detector = detector_of(self.world, load_lexicon().type_names)
         parsed = parsed or parse_text(self.text, output, detector.plain_labels)
-        understood = understand_parse(parsed, load_models(self.weights), detector)
+        models = load_models(self.weights)
+        understood = understand_parse(parsed, models, detector)
         for note in understood.notes:
             output.note(f"note: {note}")
         understood.check_task()
-        return understood
+        return understood, GraphGrounder.of_detector(models, detector)
 
     def _open(self, understood: "Understanding", output: Output) -> "Prepared":
         """Open a world in which the sentence can be followed."""
@@ -169,57 +210,86 @@ class Follow:
         from jaxlangnav.experiments.policies import navigator_config
         from jaxlangnav.task.follow import navigator_params
 
-        params = apply(navigator_params(), values, "params")
+        params = self._speech.allow_questions(apply(navigator_params(), values, "params"))
         config = apply(navigator_config(self.policy, self.particles), values, "config")
         return {"params": params, "config": config}
 
     def _record(
         self,
         understood: "Understanding",
+        grounder: "Grounder",
         prepared: "Prepared",
         sizes: dict[str, Any],
         output: Output,
     ) -> "Recording":
         """Run the episode and tell it, as it happens or afterwards."""
         from jaxlangnav import recorder
-        from jaxlangnav.recording import gather
-        from jaxlangnav.task.follow import alone, judged
-        from jaxlangnav.viz.narrative import closing, narrate
+        from jaxlangnav.task.follow import alone
 
         instructions, task = alone(understood), prepared.task
         scene = recorder.set_scene(
             task, instructions, text=self.text, type_names=understood.type_names, **sizes
         )
-        steps = recorder.play(task, instructions, max_steps=self.max_steps, **sizes)
+        speech = self._speech
+        ear = None if speech.is_silent else speech.ear(grounder, understood, scene, output)
+        steps = recorder.play(task, instructions, max_steps=self.max_steps, ear=ear, **sizes)
         with waiting(
             "compiling the robot's mind; what is compiled is kept for the next run", output
         ):
             first = next(steps)
-        whole = itertools.chain([first], steps)
+        return self._told(scene, itertools.chain([first], steps), ear, prepared, output)
+
+    def _told(
+        self,
+        scene: "Scene",
+        steps: "Iterable[tuple[Frame, EpisodeResult]]",
+        ear: "Earshot | None",
+        prepared: "Prepared",
+        output: Output,
+    ) -> "Recording":
+        """Run the rest of an episode, judge it and tell it."""
+        from jaxlangnav.recording import gather
+        from jaxlangnav.task.follow import judged
+        from jaxlangnav.task.talk import with_talk
+        from jaxlangnav.viz.narrative import closing, narrate, opening, tell_on
+
+        said = [] if ear is None else ear.said
         if self.live:
-            recording = judged(self._watch(scene, whole), prepared)
-            output.say("")
-            lines = closing(scene, recording.at(-1), recording.result)
+            recording = self._watch(scene, steps, said)
         else:
-            frames, results = zip(*whole, strict=True)
-            recording = judged(gather(scene, list(frames), results[-1]), prepared)
-            lines = narrate(recording)
-        output.tell(lines)
+            if self.talk:
+                output.tell(opening(scene))
+                steps = tell_on(scene, steps, said, output.tell)
+            frames, results = zip(*steps, strict=True)
+            recording = gather(scene, list(frames), results[-1])
+        recording = judged(recording, prepared)
+        recording = recording if ear is None else with_talk(recording, ear)
+        if self.live or self.talk:
+            output.say("")
+            output.tell(closing(recording.last_scene, recording.at(-1), recording.result))
+        else:
+            output.tell(narrate(recording))
         return recording
 
-    def _watch(self, scene: "Scene", steps: "Iterable[tuple[Frame, EpisodeResult]]") -> "Recording":
+    def _watch(
+        self,
+        scene: "Scene",
+        steps: "Iterable[tuple[Frame, EpisodeResult]]",
+        said: "list[Remark]",
+    ) -> "Recording":
         """Draw the episode in the terminal while it runs."""
         from rich.console import Console
 
         from jaxlangnav.viz.terminal import watch
 
         # Standard output is kept for the document where a script reads it.
-        return watch(scene, steps, console=Console(stderr=self.json))
+        return watch(scene, steps, said=said, console=Console(stderr=self.json))
 
     def _document(
         self, name: str, annotations: list[dict[str, Any]], recording: "Recording"
     ) -> dict[str, Any]:
         """Gather what ``--json`` prints."""
+        from jaxlangnav.cli.speech import describe_talk
         from jaxlangnav.messages import Status
 
         scene, result = recording.scene, recording.result
@@ -234,6 +304,7 @@ class Follow:
             "stopped": bool(result.is_stopped),
             "ending": Status(int(result.ending)).word,
             "missing": recording.missing,
+            **describe_talk(recording),
             "distance": float(result.distance),
             "known_distance": scene.known_distance,
             "straight_distance": scene.straight_distance,

@@ -8,4 +8,5 @@ import tyro
 Folder = Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")]
 File = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")]
 Metres = Annotated[float | None, tyro.conf.arg(metavar="METRES", help_behavior_hint="")]
+ByStep = Annotated[str, tyro.conf.arg(metavar="STEP:TEXT")]
 World = Annotated[str | None, tyro.conf.arg(metavar="WORLD", help_behavior_hint="")]

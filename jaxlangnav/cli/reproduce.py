@@ -18,7 +18,7 @@ _SEED, _SEED_UNKNOWNS = 0, 3000
 """The study of unknowns has worlds of its own, none that a table or a tuning has used."""
 _TRIALS = 10
 """Of each row of Table 3, as in the paper."""
-_TAKES = {"table1": (), "fig3": (), "time": ("params",)}
+_TAKES = {"table1": (), "fig3": (), "time": ("params",), "conversation": ("params",)}
 """Groups of settings that mean something to an experiment; the others take all of them."""
 
 
@@ -30,7 +30,8 @@ class Reproduce:
     and how well the belief is calibrated. fig1: the belief over time. fig3: the factor graph.
     fig4: the value function over time. fig5: success and distance against the sensing range.
     unknowns: faithful with what the paper leaves open set otherwise, one thing at a time: what
-    explains its figures? time: where a decision cycle's time goes. table3: robots with bodies, in
+    explains its figures? conversation: what a person's corrections, answers and statements are
+    worth, of informed. time: where a decision cycle's time goes. table3: robots with bodies, in
     physics with rendered cameras. all: everything but table3, and one page, report.html.
 
     Policies: informed (ours), faithful (the paper's), frontier (nearest frontier, no language),
@@ -52,7 +53,17 @@ class Reproduce:
 
     what: tyro.conf.Positional[
         Literal[
-            "table1", "table2", "table3", "fig1", "fig3", "fig4", "fig5", "unknowns", "time", "all"
+            "table1",
+            "table2",
+            "table3",
+            "fig1",
+            "fig3",
+            "fig4",
+            "fig5",
+            "unknowns",
+            "conversation",
+            "time",
+            "all",
         ]
     ]
     """Which experiment."""
@@ -108,7 +119,7 @@ class Reproduce:
             out=self.out,
             command=self._command,
         )
-        names = list(reproduction.STUDIES) if self.what == "all" else [self.what]
+        names = reproduction.reported() if self.what == "all" else [self.what]
         reproduction.check_sizes(names, settings)
         if self.what == "all":
             return reproduction.run_all(settings, output)
@@ -147,6 +158,8 @@ class Reproduce:
         check_at_least("--particles", _PARTICLES if self.particles is None else self.particles, 2)
         check_seed(_SEED if self.seed is None else self.seed)
         check_folder("--out", self.out)
+        if self.what == "conversation" and self.policy not in ("all", "informed"):
+            raise UsageError(f'--policy is "{self.policy}", but in conversation it is informed')
         if self.extra and self.what not in ("table2", "all"):
             raise UsageError(f"--extra adds rows to table2, but {self.what} is run")
         if self.ranges is not None and self.what not in ("table2", "fig5", "all"):

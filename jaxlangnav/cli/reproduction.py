@@ -25,8 +25,14 @@ STUDIES: dict[str, Callable[[Settings, Output], Study]] = {
     "fig5": studies.episodes("fig5"),
     "unknowns": studies.episodes("unknowns"),
     "time": studies.timing,
+    "conversation": studies.conversation,
 }
 """Every experiment by its name on the command line, in the order of the report."""
+
+
+def reported() -> list[str]:
+    """List the experiments of the report: those of the paper, which has no conversation."""
+    return [name for name in STUDIES if name != "conversation"]
 
 
 def check_sizes(names: Sequence[str], settings: Settings) -> None:
@@ -82,8 +88,8 @@ def run_all(settings: Settings, output: Output) -> Document:
     """
     begin = time.perf_counter()
     found: dict[str, Study] = {}
-    for place, name in enumerate(STUDIES, start=1):
-        output.note(f"{name} ({place} of {len(STUDIES)})")
+    for place, name in enumerate(reported(), start=1):
+        output.note(f"{name} ({place} of {len(reported())})")
         found[name] = run_one(name, settings, output)
     documents: dict[str, Any] = {name: study.document for name, study in found.items()}
     documents["report"] = None

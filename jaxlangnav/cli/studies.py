@@ -1,11 +1,12 @@
 """The tables and measurements that ``jaxlangnav reproduce`` runs: printed, drawn, told."""
 
 import functools
+import json
 import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from jaxlangnav.cli.output import Output
+from jaxlangnav.cli.output import Output, to_json
 from jaxlangnav.cli.runtime import progress_bar, waiting
 from jaxlangnav.cli.study import Settings, Study, draw_figures, told
 from jaxlangnav.experiments import figure5, table2
@@ -141,6 +142,36 @@ def timing(settings: Settings, output: Output) -> Study:
             f"{machine['device']}, {machine['threads']} threads, load {machine['load']} at the "
             f"start; JAX {machine['jax']}; policy {machine['policy']}. CPU time of all threads.",
         ],
+    )
+
+
+def conversation(settings: Settings, output: Output) -> Study:
+    """Run episodes in which a simulated person speaks; ``informed`` alone is told of it."""
+    from jaxlangnav.experiments import conversation as rows_of
+    from jaxlangnav.files.whole import write_text
+
+    with progress_bar("episodes", settings.episodes * len(rows_of.ROWS)) as advance:
+        document = rows_of.run_rows(
+            episodes=settings.episodes,
+            seed=settings.seed,
+            particles=settings.particles,
+            params=settings.params,
+            out=settings.out,
+            on_progress=advance,
+        )
+    table = rows_of.dialogue_table(document)
+    output.say(table.text())
+    if settings.out is not None:
+        written = json.dumps(to_json(document), indent=2) + "\n"
+        document["files"].append(str(write_text(written, settings.out / "conversation.json")))
+    return told(
+        "conversation",
+        document,
+        settings,
+        title=rows_of.TITLE,
+        lead="A simulated person who knows the goal corrects, answers and states.",
+        tables=[table],
+        notes=[rows_of.NOTE],
     )
 
 

@@ -6,7 +6,7 @@ The door through which any source of annotations comes in: the trained graph her
 
 import dataclasses
 from collections.abc import Iterable, Mapping
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
 
 from jaxlangnav.grounding.binding import Detector
 from jaxlangnav.grounding.instruction import GroundingModel, Instruction, understand
@@ -102,6 +102,21 @@ class GraphGrounder:
         """
         self.model = model
         self.detector = Detector(model.type_names if labels is None else labels, attributes)
+
+    @classmethod
+    def of_detector(cls, model: GroundingModel, detector: Detector) -> Self:
+        """Bind the graph to a detector that knows nouns of sentences already.
+
+        Args:
+            model: trained models.
+            detector: as sentences were understood with before.
+
+        Returns:
+            The grounder, to which those nouns are what they were.
+        """
+        bound = cls(model, detector.labels, detector.attribute_groups)
+        bound.detector = detector
+        return bound
 
     @property
     def type_names(self) -> tuple[str, ...]:

@@ -72,6 +72,7 @@ def pack(recording: Recording) -> dict[str, Any]:
     """
     scene, frames = recording.scene, recording.frames
     claims = describe_readings(scene, least=0.005)
+    all_claims = _all_claims(recording)
     first = [f"Taken to say that there is {claim} ({percent(p)})." for claim, p in claims[:1]]
     return {
         "text": printable(scene.text),
@@ -92,21 +93,29 @@ def pack(recording: Recording) -> dict[str, Any]:
             {"name": name, "color": style.type_color(kind), "shape": style.type_marker(kind)}
             for kind, name in enumerate(scene.type_names)
         ],
-        "claims": [claim for claim, _ in claims],
-        **_by_step(recording, [claim for claim, _ in claims]),
+        "claims": all_claims,
+        **_by_step(recording, all_claims),
         **_arrays(recording),
     }
 
 
+def _all_claims(recording: Recording) -> list[str]:
+    """List what the words are taken to say, first and after each utterance under way."""
+    scenes = [recording.scene, *(one.scene for one in recording.said if one.scene is not None)]
+    told = (describe_readings(scene, least=0.005) for scene in scenes)
+    return list(dict.fromkeys(claim for claims in told for claim, _ in claims))
+
+
 def _by_step(recording: Recording, claims: list[str]) -> dict[str, Any]:
     """Gather what is short enough to stand in the page as it is: the story, objects, events."""
-    scene, frames = recording.scene, recording.frames
+    frames = recording.frames
     story, headlines, objects, detections, shares = [], [], [], [], []
     before = None
     for step in range(recording.num_steps):
         frame = recording.at(step)
-        story.append(narrative.tell_step(scene, frame, before))
-        headlines.append(narrative.headline(scene, frame, before))
+        scene, said = recording.scene_at(step), recording.said_at(step)
+        story.append(narrative.tell_step(scene, frame, before, said))
+        headlines.append(narrative.headline(scene, frame, before, said))
         objects.append(
             [
                 [one.object_type, *_short(one.x, one.y, one.spread, one.probability, one.goal_mass)]
@@ -123,12 +132,12 @@ def _by_step(recording: Recording, claims: list[str]) -> dict[str, Any]:
             ]
         )
         now = sentences.claim_shares(scene, frame)
-        shares.append(_short(*(now[claim] for claim in claims)))
+        shares.append(_short(*(now.get(claim, 0.0) for claim in claims)))
         before = frame
     return {
-        "story": [narrative.opening(scene)[1:] + story[0], *story[1:]],
+        "story": [narrative.opening(recording.scene)[1:] + story[0], *story[1:]],
         "headlines": headlines,
-        "closing": narrative.closing(scene, recording.at(-1), recording.result),
+        "closing": narrative.closing(recording.last_scene, recording.at(-1), recording.result),
         "objects": objects,
         "detections": detections,
         "claim_shares": shares,

@@ -91,7 +91,7 @@ def describe_moments(recording: Recording, steps: Sequence[int]) -> list[dict[st
             {
                 "step": step,
                 "distance": float(frame.distance),
-                "event": headline(recording.scene, frame, before),
+                "event": headline(recording.scene_at(step), frame, before, recording.said_at(step)),
                 "goal_seen": float(frame.goal_mass.sum()),
                 "unseen_left": float(mass[is_left].sum()),
                 "unseen_right": float(mass[~is_left].sum()),

@@ -5,10 +5,12 @@ it stopped. Every number comes from the recording; nothing is made up for the oc
 is a step of ``scene``, ``before`` the step before it, None at first.
 """
 
+from collections.abc import Callable, Iterable, Iterator, Sequence
+
 from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.messages import Status
 from jaxlangnav.planner.graph import OBJECT
-from jaxlangnav.recording import Frame, Recording, Scene
+from jaxlangnav.recording import Frame, Recording, Remark, Scene
 from jaxlangnav.viz import sentences, summary
 from jaxlangnav.viz.words import counted, describe_asked, describe_readings, percent
 
@@ -16,6 +18,8 @@ _ENDED = {
     int(Status.NOT_FOUND): "gives up",
     int(Status.WHICH_ONE): "asks which one",
     int(Status.BLOCKED): "cannot get on",
+    int(Status.HALTED): "stands, told to halt",
+    int(Status.IDLE): "has no task",
 }
 _SHIFT = 0.1
 """A change of an object's probability of being the goal that is worth a line."""
@@ -45,32 +49,47 @@ def opening(scene: Scene) -> list[str]:
     return lines
 
 
-def tell_step(scene: Scene, frame: Frame, before: Frame | None) -> list[str]:
-    """Tell one step: what is seen, what is believed, what it does and why.
+def tell_step(
+    scene: Scene, frame: Frame, before: Frame | None, said: Sequence[Remark] = ()
+) -> list[str]:
+    """Tell one step: what is heard and seen, what is believed, what it does and why.
+
+    Args:
+        scene: of the episode, with what is understood by then.
+        frame: the step.
+        before: the step before it; None at first.
+        said: what was heard just before its decision.
 
     Returns:
         One sentence each.
     """
+    heard = [sentences.heard(frame, one) for one in said]
+    if int(frame.status) in (Status.HALTED, Status.IDLE):
+        return [*heard, sentences.rests(frame)]
     if int(frame.fault):
-        return [sentences.stands(frame)]
+        return [*heard, sentences.stands(frame)]
+    is_same = not said  # what was understood before is nothing to compare with
     told = [
-        sentences.commanded(scene, frame, before),
+        *heard,
+        sentences.commanded(scene, frame, before) if is_same else "",
         sentences.seen(scene, frame, before),
         sentences.refuted(frame, before),
-        sentences.reread(scene, frame, before),
+        sentences.reread(scene, frame, before) if is_same else "",
         sentences.believed(scene, frame),
         sentences.decided(scene, frame),
     ]
     return [sentence for sentence in told if sentence]
 
 
-def headline(scene: Scene, frame: Frame, before: Frame | None) -> str:
+def headline(scene: Scene, frame: Frame, before: Frame | None, said: Sequence[Remark] = ()) -> str:
     """Say a step in a few words, for the head of a panel.
 
     Returns:
         "discovers a cone", "stops", …
     """
-    if int(frame.fault):
+    if said:
+        return f"hears “{said[-1].text}”"
+    if int(frame.fault) and int(frame.status) not in _ENDED:
         return "stands still"
     if int(frame.status) in _ENDED:
         return _ENDED[int(frame.status)]
@@ -110,7 +129,11 @@ def closing(scene: Scene, frame: Frame, result: EpisodeResult) -> list[str]:
             f"({scene.stop_radius:g} m from the goal) would have been "
             f"{scene.straight_distance:.1f} m."
         )
-    if not bool(result.is_stopped):
+    if int(result.ending) == Status.HALTED:
+        verdict = "Halted: it stands still as it was told, and keeps its task."
+    elif int(result.ending) == Status.IDLE:
+        verdict = "Cancelled: it has no task any more."
+    elif not bool(result.is_stopped):
         verdict = (
             f"Failure: it ran out of time after {int(result.steps)} steps and never said stop."
         )
@@ -118,7 +141,7 @@ def closing(scene: Scene, frame: Frame, result: EpisodeResult) -> list[str]:
         lack = sentences.unseen(scene, frame) or "nothing that fits the command"
         verdict = f"Not found: it says that there is {lack}."
     elif not scene.is_judged:
-        verdict = "Cannot be judged: nothing there fits the sentence."
+        verdict = f"Cannot be judged: {scene.unjudged}."
     elif int(result.ending) == Status.WHICH_ONE:
         verdict = "Asked: it stands still until it is told which one is meant."
     elif int(result.ending) == Status.BLOCKED:
@@ -153,20 +176,49 @@ def narrate(recording: Recording) -> list[str]:
     Returns:
         Lines, each to be printed on its own; steps begin with their number and the metres walked.
     """
-    scene, before = recording.scene, None
-    lines, quiet = opening(scene), []
+    before = None
+    lines, quiet = opening(recording.scene), []
     for step in range(recording.num_steps):
+        scene, said = recording.scene_at(step), recording.said_at(step)
         frame = recording.at(step)
-        if is_quiet(frame, before):
+        if not said and is_quiet(frame, before):
             quiet.append(step)
         else:
             lines += _drawn_together(quiet, recording)
             quiet = []
             head = _head(str(step), float(frame.distance))
-            lines.append(f"{head} {' '.join(tell_step(scene, frame, before))}")
+            lines.append(f"{head} {' '.join(tell_step(scene, frame, before, said))}")
         before = frame
     lines += _drawn_together(quiet, recording)
-    return lines + closing(scene, recording.at(-1), recording.result)
+    return lines + closing(recording.last_scene, recording.at(-1), recording.result)
+
+
+def tell_on(
+    scene: Scene,
+    steps: Iterable[tuple[Frame, EpisodeResult]],
+    said: Sequence[Remark],
+    tell: Callable[[list[str]], object],
+) -> Iterator[tuple[Frame, EpisodeResult]]:
+    """Tell an episode while it runs, and pass its steps on.
+
+    Args:
+        scene: of the episode.
+        steps: as they happen.
+        said: utterances; a list that grows as the episode runs.
+        tell: prints lines.
+
+    Yields:
+        The steps.
+    """
+    before = None
+    for step, (frame, result) in enumerate(steps):
+        now = [one for one in said if one.step == step]
+        scene = next((one.scene for one in reversed(now) if one.scene is not None), scene)
+        if now or not is_quiet(frame, before):
+            told = " ".join(tell_step(scene, frame, before, now))
+            tell([f"{_head(str(step), float(frame.distance))} {told}"])
+        before = frame
+        yield frame, result
 
 
 def is_quiet(frame: Frame, before: Frame | None) -> bool:
@@ -176,10 +228,14 @@ def is_quiet(frame: Frame, before: Frame | None) -> bool:
         True where the robot discovers nothing, is about as sure of the goal as it was, and goes
         for the same kind of place.
     """
-    if before is None or bool(frame.is_stop) or bool(frame.is_news) or int(frame.fault):
+    if before is None:
+        return False
+    if int(frame.status) in (Status.HALTED, Status.IDLE):
+        return int(frame.status) == int(before.status)
+    if bool(frame.is_stop) or bool(frame.is_news) or int(frame.fault):
         return False
     if bool(frame.is_done):
-        return False
+        return bool(before.is_done) and int(frame.status) == int(before.status)
     is_same = int(frame.clause) == int(before.clause)
     if not is_same or int(frame.waypoint_kind) != int(before.waypoint_kind):
         return False
@@ -199,15 +255,19 @@ def _drawn_together(steps: list[int], recording: Recording) -> list[str]:
     last = recording.at(steps[-1])
     number = str(steps[0]) if len(steps) == 1 else f"{steps[0]}-{steps[-1]}"
     head = _head(number, float(last.distance))
+    if bool(last.is_done) or int(last.status) in (Status.HALTED, Status.IDLE):
+        return [f"{head} {sentences.rests(last)}"]
     if int(last.waypoint_kind) == OBJECT:
         gone = float(last.distance) - float(recording.frames.distance[max(steps[0] - 1, 0)])
         if len(steps) > 2 and gone < 0.5:
-            return [f"{head} Stands still. {sentences.believed(recording.scene, last)}"]
-        return [f"{head} {sentences.goes_on(recording.scene, last)}"]
+            return [
+                f"{head} Stands still. {sentences.believed(recording.scene_at(steps[-1]), last)}"
+            ]
+        return [f"{head} {sentences.goes_on(recording.scene_at(steps[-1]), last)}"]
     refuted = int(recording.frames.num_regrounded[steps].sum())
     share = percent(summary.explored_share(last))
     seen = "Looks on" if last.is_detection.any() else "Searches, finds nothing"
     return [
         f"{head} {seen}: {refuted} hypotheses refuted by what was not there, {share} of the area "
-        f"looked at. {sentences.believed(recording.scene, last)}"
+        f"looked at. {sentences.believed(recording.scene_at(steps[-1]), last)}"
     ]

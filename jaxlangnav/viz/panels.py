@@ -95,7 +95,7 @@ def head_panel(axes: "Axes", recording: Recording, step: int, index: int) -> Non
     head = f"({letter}) step {step} · {float(frame.distance):.1f} m"
     axes.set_title(head, pad=16)
     axes.annotate(
-        headline(recording.scene, frame, before),
+        headline(recording.scene_at(step), frame, before, recording.said_at(step)),
         xy=(0, 1),
         xytext=(0, 5),
         xycoords="axes fraction",
@@ -108,6 +108,8 @@ def head_panel(axes: "Axes", recording: Recording, step: int, index: int) -> Non
 def outcome(recording: Recording) -> str:
     """Say in two or three words how the episode ended."""
     result = recording.result
+    if int(result.ending) in (Status.HALTED, Status.IDLE):
+        return "halted" if int(result.ending) == Status.HALTED else "cancelled"
     if not bool(result.is_stopped):
         return "failure: out of time"
     if int(result.ending) == Status.NOT_FOUND:
@@ -121,7 +123,7 @@ def verdict(recording: Recording) -> str:
     """Say in half a line how the episode ended."""
     result, ended = recording.result, outcome(recording)
     if not recording.scene.is_judged:
-        return f"{recording.scene.policy} policy: {ended}, for nothing there fits the sentence"
+        return f"{recording.scene.policy} policy: {ended}, for {recording.scene.unjudged}"
     away, walked = float(result.goal_distance), float(result.distance)
     return (
         f"{recording.scene.policy} policy: {ended}, {away:.1f} m from the meant goal after "

@@ -43,10 +43,11 @@ def write_rrd(recording: Recording, path: Path | str) -> Path:
             _log_belief(rerun, stream, recording, step)
             _log_plan(rerun, stream, recording, step)
             _log_numbers(rerun, stream, frame)
-            told = narrative.tell_step(recording.scene, frame, before)
+            scene, said = recording.scene_at(step), recording.said_at(step)
+            told = narrative.tell_step(scene, frame, before, said)
             stream.log("story", rerun.TextLog(" ".join(told)))
             before = frame
-        for line in narrative.closing(recording.scene, recording.at(-1), recording.result):
+        for line in narrative.closing(recording.last_scene, recording.at(-1), recording.result):
             stream.log("story", rerun.TextLog(line))
         stream.flush()
         stream.disconnect()

@@ -9,7 +9,7 @@ import numpy as np
 from jaxlangnav.language.lexicon import plural
 from jaxlangnav.messages import AT, NONE, REGIONS, Status
 from jaxlangnav.planner.graph import OBJECT
-from jaxlangnav.recording import Frame, Scene, missing_names
+from jaxlangnav.recording import Frame, Remark, Scene, missing_names
 from jaxlangnav.viz import summary
 from jaxlangnav.viz.words import (
     RELATION_WORDS,
@@ -36,6 +36,34 @@ def new_objects(frame: Frame, before: Frame | None) -> list[summary.SeenObject]:
 def _place(frame: Frame, x: float, y: float) -> str:
     """Say where a place is, seen from the robot as it believes itself to stand."""
     return whereabouts(x, y, float(frame.robot[0]), float(frame.robot[1]), float(frame.heading))
+
+
+def heard(frame: Frame, said: Remark) -> str:
+    """Tell an utterance: what it was taken for, and what it changed, or why nothing.
+
+    Returns:
+        Sentences.
+    """
+    who = "Hears" if said.speaker == "you" else f"Hears {said.speaker}:"
+    if said.refusal:
+        return f"{who} “{said.text}”, and keeps to its task: {said.refusal}."
+    told = [f"{who} “{said.text}”, {article(said.kind)}."]
+    if said.ruled_out:
+        things = [f"the {one.type_name} {_place(frame, one.x, one.y)}" for one in said.ruled_out]
+        told.append(f"Rules out {listed(things)}.")
+    return " ".join([*told, *(f"{note[:1].upper()}{note[1:]}." for note in said.notes)])
+
+
+def rests(frame: Frame) -> str:
+    """Tell that the robot stands still until it hears something.
+
+    Returns:
+        A sentence.
+    """
+    if int(frame.status) == Status.IDLE:
+        return "Stands still: it has no task."
+    is_halted = int(frame.status) == Status.HALTED
+    return f"Stands still{', as it was told' if is_halted else ' until it hears more'}."
 
 
 def commanded(scene: Scene, frame: Frame, before: Frame | None) -> str:

@@ -4,14 +4,14 @@ A map of characters beside the story of the step. What shares a cell is drawn in
 importance: robot, waypoint, observed objects, the densest hypotheses, the ground.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.plain_text import Plain
-from jaxlangnav.recording import Frame, Recording, Scene, gather
+from jaxlangnav.recording import Frame, Recording, Remark, Scene, gather
 from jaxlangnav.viz import narrative, style, summary
 from jaxlangnav.viz.words import percent
 
@@ -86,7 +86,13 @@ def draw_map(scene: Scene, frame: Frame, *, width: int = 48) -> "Text":
 
 
 def _draw_frame(
-    scene: Scene, frame: Frame, before: Frame | None, step: int, *, width: int = 48
+    scene: Scene,
+    frame: Frame,
+    before: Frame | None,
+    step: int,
+    *,
+    said: Sequence[Remark] = (),
+    width: int = 48,
 ) -> "RenderableType":
     """Draw a step: the map, and beside it what happens and how sure the robot is."""
     from rich.panel import Panel
@@ -95,8 +101,8 @@ def _draw_frame(
 
     side = Text()
     side.append(f"step {step} · {float(frame.distance):.1f} m\n", style="bold")
-    side.append(f"{narrative.headline(scene, frame, before)}\n\n", style="italic")
-    for sentence in narrative.tell_step(scene, frame, before):
+    side.append(f"{narrative.headline(scene, frame, before, said)}\n\n", style="italic")
+    for sentence in narrative.tell_step(scene, frame, before, said):
         side.append(f"{sentence}\n")
     side.append("\n")
     for name, share, look in (
@@ -126,6 +132,7 @@ def watch(
     scene: Scene,
     steps: Iterable[tuple[Frame, EpisodeResult]],
     *,
+    said: Sequence[Remark] = (),
     console: "Console | None" = None,
     seconds_per_step: float = 0.4,
 ) -> Recording:
@@ -134,6 +141,7 @@ def watch(
     Args:
         scene: from ``recorder.set_scene``.
         steps: from ``recorder.play``, at least one.
+        said: utterances; a list that grows as the episode runs.
         console: where to draw; standard output by default.
         seconds_per_step: least time a step stays on the screen.
 
@@ -151,19 +159,22 @@ def watch(
     x_min, x_max, y_min, y_max = scene.area
     # The map must fit the screen, or a live display would scroll.
     width = min(width, int(height * _CELL_SHAPE * (x_max - x_min) / (y_max - y_min)))
-    frames: list[Frame] = []
+    first, frames = scene, list[Frame]()
     results: list[EpisodeResult] = []
     with Live(console=console, auto_refresh=False, vertical_overflow="crop") as live:
         for step, (frame, result) in enumerate(steps):
             before = frames[-1] if frames else None
-            live.update(_draw_frame(scene, frame, before, step, width=width), refresh=True)
+            now = [one for one in said if one.step == step]
+            scene = next((one.scene for one in reversed(now) if one.scene is not None), scene)
+            drawn = _draw_frame(scene, frame, before, step, said=now, width=width)
+            live.update(drawn, refresh=True)
             frames.append(frame)
             results.append(result)
             if console.is_terminal:
                 time.sleep(seconds_per_step)
     if not results:
         raise ValueError("an episode needs at least one step")
-    return gather(scene, frames, results[-1])
+    return gather(first, frames, results[-1])
 
 
 def _ground(frame: Frame, width: int, height: int) -> tuple[list[list[str]], list[list[str]]]:

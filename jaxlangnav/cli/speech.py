@@ -1,0 +1,267 @@
+"""What is said to the robot of ``follow`` under way: options, and who sits at the terminal."""
+
+import dataclasses
+import difflib
+import math
+import queue
+import sys
+import threading
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from jaxlangnav.cli.errors import UsageError
+from jaxlangnav.cli.output import Output
+from jaxlangnav.plain_text import cut, printable
+
+if TYPE_CHECKING:
+    from jaxlangnav.episode import Progress
+    from jaxlangnav.grounding import Grounder
+    from jaxlangnav.grounding.instruction import Understanding
+    from jaxlangnav.listening import Candidate
+    from jaxlangnav.navigator import NavigatorParams
+    from jaxlangnav.recording import Recording, Remark, Scene
+    from jaxlangnav.task.talk import Earshot
+
+QUESTION_COST = 0.1
+"""What a question costs, in probability of success, where questions are allowed by ``--ask``."""
+_PACE = 0.4
+"""Seconds that a step takes at least while somebody may type."""
+
+
+def parse_hear(text: str, max_steps: int) -> tuple[int, str]:
+    """Read an utterance and its step: "5: go to the other hydrant".
+
+    Args:
+        text: as it stands on the command line.
+        max_steps: of the episode.
+
+    Returns:
+        The step, and what is said before its decision.
+
+    Raises:
+        UsageError: there is no step, or it is none of the episode's.
+    """
+    head, colon, words = text.partition(":")
+    if not colon or not (head.strip().isascii() and head.strip().isdigit()) or not words.strip():
+        raise UsageError(
+            f'--hear is "{cut(text)}", but must name a step and what is said: '
+            '--hear "5: go to the other hydrant"'
+        )
+    step = int(head.strip()[:9])
+    if step >= max_steps:
+        raise UsageError(
+            f"--hear is for step {step}, but the last one is {max_steps - 1}: name an earlier "
+            "step, or raise --max-steps"
+        )
+    return step, words.strip()
+
+
+def check_person(name: str | None) -> None:
+    """Refuse a simulated person that there is not."""
+    from jaxlangnav.world.person import PERSONS
+
+    if name is not None and name not in PERSONS:
+        near = difflib.get_close_matches(name, PERSONS, n=1)
+        hint = f'; did you mean "{near[0]}"?' if near else ""
+        raise UsageError(
+            f'--person is "{cut(name)}", but must be one of {", ".join(PERSONS)}{hint}'
+        )
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Speech:
+    """What may be said in an episode."""
+
+    script: Mapping[int, Sequence[str]]
+    asks: bool
+    talks: bool
+    person: str | None = None
+    """A simulated one's name."""
+
+    @classmethod
+    def of(
+        cls, hear: Iterable[str], *, ask: bool, talk: bool, person: str | None, max_steps: int
+    ) -> "Speech":
+        """Read the options, and refuse what can be before anything is loaded.
+
+        Raises:
+            UsageError: an utterance without a step, or nobody who could type.
+        """
+        script: dict[int, list[str]] = {}
+        for one in hear:
+            step, text = parse_hear(one, max_steps)
+            script.setdefault(step, []).append(text)
+        check_person(person)
+        if person is not None and talk:
+            raise UsageError("--person speaks for you: leave out --talk")
+        for option, is_given in (("--ask", ask and person is None), ("--talk", talk)):
+            if is_given and not sys.stdin.isatty():
+                raise UsageError(
+                    f"{option} needs a terminal at which somebody answers: run it in one, or say "
+                    'by step what is heard, as in --hear "5: the left one"'
+                )
+        return cls(script=script, asks=ask, talks=talk, person=person)
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether nothing can be said under way."""
+        return not (self.script or self.asks or self.talks or self.person)
+
+    def check_words(self, grounder: "Grounder", first: "Understanding") -> None:
+        """Refuse words that the robot could not understand in any state."""
+        from jaxlangnav.task.talk import check_words
+
+        for step, texts in self.script.items():
+            for text in texts:
+                try:
+                    check_words(grounder, first, text)
+                except ValueError as refusal:
+                    raise UsageError(f'--hear "{step}: {cut(text)}": {refusal}') from refusal
+
+    def allow_questions(self, params: "NavigatorParams") -> "NavigatorParams":
+        """Give questions a finite cost where they are to be answered and have none yet."""
+        import jax.numpy as jnp
+
+        from jaxlangnav.pytree import replace
+
+        if not self.asks or math.isfinite(float(params.planner.question_cost)):
+            return params
+        cost = jnp.float32(QUESTION_COST)
+        return replace(params, planner=replace(params.planner, question_cost=cost))
+
+    def ear(
+        self, grounder: "Grounder", first: "Understanding", scene: "Scene", output: Output
+    ) -> "Earshot":
+        """Build what hears for the robot.
+
+        Args:
+            grounder: what understands utterances.
+            first: the sentence that the episode begins with, with room for more.
+            scene: of the episode.
+            output: where people read.
+
+        Returns:
+            The ear of ``recorder.play``.
+        """
+        from jaxlangnav.task.talk import YOU, Earshot
+
+        if self.person is not None:
+            from jaxlangnav.task.watcher import Watcher
+
+            watcher = Watcher.named(self.person)
+            return Earshot(
+                grounder=grounder,
+                first=first,
+                scene=scene,
+                script=self.script,
+                voices={self.person: watcher.speak},
+                is_awaited=watcher.is_there,
+            )
+        typist = Typist(output, is_talking=self.talks) if self.asks or self.talks else None
+        return Earshot(
+            grounder=grounder,
+            first=first,
+            scene=scene,
+            script=self.script,
+            voices={} if typist is None else {YOU: typist.say},
+            is_awaited=lambda progress: typist is not None and typist.is_there(progress),
+            on_said=lambda one: None if typist is None else typist.reply(one),
+        )
+
+
+class Typist:
+    """Who sits at the terminal: answers questions, and may type at any time where they talk."""
+
+    def __init__(self, output: Output, *, is_talking: bool, lines: Iterable[str] | None = None):
+        """Listen to a stream of lines.
+
+        Args:
+            output: where questions are put.
+            is_talking: lines may come at any time; otherwise only as answers.
+            lines: what is typed; standard input by default.
+        """
+        self._output, self._is_talking = output, is_talking
+        self._lines = sys.stdin if lines is None else lines
+        self._typed: queue.Queue[str | None] = queue.Queue()
+        self._has_left = False
+        self._step = -1
+        threading.Thread(target=self._read, daemon=True).start()
+
+    def _read(self) -> None:
+        """Pass on what is typed, and at last that there is no more."""
+        for line in self._lines:
+            self._typed.put(line)
+        self._typed.put(None)
+
+    def is_there(self, progress: "Progress") -> bool:
+        """Tell whether somebody may yet speak to a robot that stands still."""
+        from jaxlangnav.messages import Status
+
+        is_asked = int(progress.navigator.status) == Status.WHICH_ONE
+        return not self._has_left and (self._is_talking or is_asked)
+
+    def say(self, step: int, progress: "Progress", doubt: "Sequence[Candidate]") -> str | None:
+        """Wait for an answer to a question, or for a moment for anything else."""
+        is_waiting = bool(doubt) or (self._is_talking and bool(progress.navigator.is_resting))
+        if self._has_left or not (is_waiting or self._is_talking):
+            return None
+        if doubt:
+            self._ask(doubt)
+        elif is_waiting:
+            self._output.note("It stands still. Say something, or end the input (Ctrl-D).")
+        is_new, self._step = step != self._step, step
+        try:
+            line = self._typed.get(timeout=None if is_waiting else _PACE if is_new else 0.0)
+        except queue.Empty:
+            return None
+        if line is None or (is_waiting and not line.strip()):
+            self._has_left = True
+            return None
+        return line.strip() or None
+
+    def _ask(self, doubt: "Sequence[Candidate]") -> None:
+        """Put the question."""
+        self._output.note("Which one? The nearest first:")
+        for place, one in enumerate(doubt, start=1):
+            self._output.note(
+                f"  {place}. the {one.type_name} at ({one.x:.1f}, {one.y:.1f}) m, "
+                f"{100 * one.probability:.0f} %"
+            )
+        self._output.note('Answer "the first", "the left one", "either", …; an empty line: none.')
+
+    def reply(self, said: "Remark") -> None:
+        """Tell at once what was not taken in."""
+        if said.refusal:
+            self._output.note(f"not understood now: {said.refusal}")
+
+
+def describe_talk(recording: "Recording") -> dict[str, Any]:
+    """Gather what was said, and what may be meant, for documents.
+
+    Args:
+        recording: the episode.
+
+    Returns:
+        ``utterances`` and ``candidates``.
+    """
+
+    def thing(one: "Candidate") -> dict[str, Any]:
+        return {"slot": one.slot, "type": one.type_name, "x": one.x, "y": one.y}
+
+    return {
+        "utterances": [
+            {
+                "step": one.step,
+                "speaker": one.speaker,
+                "text": printable(one.text),
+                "kind": one.kind or None,
+                "ruled_out": [thing(other) for other in one.ruled_out],
+                "notes": list(one.notes),
+                "refusal": one.refusal or None,
+            }
+            for one in recording.said
+        ],
+        "candidates": [
+            {**thing(one), "probability": one.probability} for one in recording.candidates
+        ],
+    }

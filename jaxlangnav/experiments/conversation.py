@@ -1,0 +1,201 @@
+"""What a conversation is worth: rows of a person who corrects, answers, states, and errs.
+
+``jaxlangnav reproduce conversation``: success, metres and questions of each row in the worlds of
+Table 2, which the paper leaves to future work.
+"""
+
+import dataclasses
+import math
+import time
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxlangnav.experiments.dialogue import Spoken, converse, sentence_of
+from jaxlangnav.experiments.metrics import wilson_interval
+from jaxlangnav.experiments.monte_carlo import OnProgress
+from jaxlangnav.experiments.policies import navigator_config
+from jaxlangnav.experiments.table import Table
+from jaxlangnav.experiments.tasks import cell, make_tasks
+from jaxlangnav.files.whole import write_text
+from jaxlangnav.navigator import NavigatorParams
+from jaxlangnav.pytree import replace
+from jaxlangnav.world.person import params_of
+
+_NULL, _BEHIND = "go to the hydrant", "go to the hydrant behind the cone"
+_TRUTH, _FALSEHOOD = "the hydrant is behind the cone", "the hydrant is in front of the cone"
+_SILENT: dict[str, Any] = {"num_corrections": 0, "answers": False}
+_ANSWERS: dict[str, Any] = {"num_corrections": 0}
+COST = 0.1
+"""What a question costs in the rows that do not vary it."""
+COSTS = (0.02, 0.05, 0.2, 0.4)
+"""What it costs in the others."""
+TITLE = "What a conversation is worth"
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Dialogue:
+    """A row: where, what is said at first, and who speaks."""
+
+    name: str
+    world: str = "2H1C"
+    relation: str = "null"
+    text: str = _NULL
+    person: dict[str, Any]
+    cost: float = math.inf
+
+
+ROWS = (
+    Dialogue(name="nothing more", person=_SILENT),
+    Dialogue(name="one correction", person={}),
+    Dialogue(name="one correction, errs in 10 %", person={"error_rate": 0.1}),
+    Dialogue(name="questions", person=_ANSWERS, cost=COST),
+    Dialogue(name="questions, errs in 10 %", person=_ANSWERS | {"error_rate": 0.1}, cost=COST),
+    *(Dialogue(name="questions", person=_ANSWERS, cost=cost) for cost in COSTS),
+    Dialogue(name="questions", world="1H1C", person=_ANSWERS, cost=COST),
+    Dialogue(name="questions", world="1H2C", person=_ANSWERS, cost=COST),
+    Dialogue(name="nothing more", relation="behind", person=_SILENT),
+    Dialogue(name="stated at step 4", relation="behind", person=_SILENT | {"states_at": 4}),
+    Dialogue(
+        name="stated at step 4, errs in 10 %",
+        relation="behind",
+        person=_SILENT | {"states_at": 4, "error_rate": 0.1},
+    ),
+    Dialogue(name="said at first", relation="behind", text=_BEHIND, person=_SILENT),
+)
+"""All rows; those of a world and relation are run in the same worlds."""
+
+
+def run_row(
+    row: Dialogue,
+    *,
+    episodes: int,
+    seed: int,
+    particles: int,
+    params: NavigatorParams,
+    on_progress: OnProgress | None = None,
+) -> dict[str, Any]:
+    """Run a row.
+
+    Args:
+        row: which one.
+        episodes: E.
+        seed: of worlds and noise, as in Table 2.
+        particles: P.
+        params: the navigator's numbers, but for the cost of a question.
+        on_progress: called with the number of episodes just finished.
+
+    Returns:
+        Its entries in the document: shares in percent, distances in metres.
+    """
+    tasks = make_tasks(cell(row.world, row.relation, 0, 3.0, episodes, seed))
+    planner = replace(params.planner, question_cost=jnp.float32(row.cost))
+    spoken = converse(
+        tasks,
+        sentence_of(row.text, _TRUTH, _FALSEHOOD),
+        params_of(**row.person),
+        params=replace(params, planner=planner),
+        config=navigator_config("informed", particles),
+        on_progress=on_progress,
+    )
+    return _entries(row, spoken)
+
+
+def _entries(row: Dialogue, spoken: Spoken) -> dict[str, Any]:
+    """Summarise a row."""
+    is_success = np.asarray(spoken.result.is_success)
+    number, questions = len(is_success), float(np.mean(spoken.num_questions))
+    low, high = wilson_interval(int(is_success.sum()), number)
+    cost = row.cost if math.isfinite(row.cost) else None
+    has_way = (np.asarray(spoken.num_corrections) > 0) & is_success
+    straight = float(np.sum(spoken.straight[has_way]))
+    rate = 100.0 * float(np.mean(is_success))
+    return {
+        "world": row.world,
+        "relation": row.relation,
+        "said": row.name,
+        "question_cost": cost,
+        "episodes": number,
+        "success": rate,
+        "success_low": low,
+        "success_high": high,
+        "distance": float(np.mean(spoken.result.distance)),
+        "distance_of_successes": float(np.mean(spoken.result.distance[is_success]))
+        if is_success.any()
+        else None,
+        "questions": questions,
+        "corrections": float(np.mean(spoken.num_corrections)),
+        "corrected_way": float(np.sum(spoken.walked[has_way])) / straight if straight else None,
+        "weighted": rate if cost is None else rate - 100.0 * cost * questions,
+        "time_outs": int(np.sum(~np.asarray(spoken.result.is_stopped))),
+    }
+
+
+def run_rows(
+    *,
+    episodes: int,
+    seed: int,
+    particles: int,
+    params: NavigatorParams,
+    out: Path | None,
+    on_progress: OnProgress | None = None,
+) -> dict[str, Any]:
+    """Run all rows; arguments as ``run_row``'s, and the folder for the table and the document."""
+    begin = time.perf_counter()
+    numbers = {"episodes": episodes, "seed": seed, "particles": particles}
+    rows = [run_row(row, **numbers, params=params, on_progress=on_progress) for row in ROWS]
+    document = {
+        "experiment": "conversation",
+        "episodes": episodes,
+        "seed": seed,
+        "num_particles": particles,
+        "rows": rows,
+        "wall_s": time.perf_counter() - begin,
+        "files": [],
+    }
+    if out is not None:
+        text = f"# {TITLE}\n\n{dialogue_table(document).markdown()}\n{NOTE}\n"
+        document["files"] = [str(write_text(text, out / "conversation.md"))]
+    return document
+
+
+NOTE = (
+    "Corrected way: metres from the first correction to the end over those straight to where the "
+    "robot may stop, of the successes that were corrected. Weighted: success less the cost of the "
+    "questions asked."
+)
+
+
+def dialogue_table(document: dict[str, Any]) -> Table:
+    """Lay out the rows.
+
+    Args:
+        document: of ``run_rows``.
+
+    Returns:
+        The table.
+    """
+
+    def text(value: float | None, form: str) -> str:
+        return "" if value is None else format(value, form)
+
+    rows = [
+        [
+            row["world"],
+            row["relation"],
+            row["said"],
+            text(row["question_cost"], "g"),
+            f"{row['success']:.1f}",
+            f"{row['distance']:.2f}",
+            f"{row['questions']:.2f}",
+            f"{row['corrections']:.2f}",
+            text(row["corrected_way"], ".2f"),
+            f"{row['weighted']:.1f}",
+        ]
+        for row in document["rows"]
+    ]
+    headings = ["world", "drawn for", "said", "question costs", "success %", "walked m",
+                "questions", "corrections", "corrected way", "weighted %"]  # fmt: skip
+    return Table(headings=headings, rows=rows, title=TITLE, caption=NOTE)

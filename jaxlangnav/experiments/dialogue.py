@@ -1,0 +1,253 @@
+"""Episodes in which a simulated person speaks, many at once: what a conversation is worth.
+
+Lanes as in ``episode.run_batch``, but each with a person (``world.person``) who is shown what the
+robot says of itself and speaks before its decisions. What is said is put into the state by the
+functions of ``hearing``, the words of a statement joined once for all lanes.
+"""
+
+import dataclasses
+import functools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxlangnav import episode, hearing
+from jaxlangnav.conversation import Joined, Words, join, words_of
+from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Progress, Task
+from jaxlangnav.experiments.monte_carlo import OnProgress
+from jaxlangnav.experiments.tasks import take_tasks
+from jaxlangnav.experiments.watched import seen_of
+from jaxlangnav.grounding import load_shipped, understand
+from jaxlangnav.grounding.instruction import Instruction
+from jaxlangnav.grounding.readings import Capacity, widen
+from jaxlangnav.hearing import How
+from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, NavigatorState
+from jaxlangnav.pytree import pytree, replace, strong
+from jaxlangnav.world.person import Person, PersonParams, Says, say, unspoken
+from jaxlangnav.world.simulator import SUCCESS_RADIUS, goal_distance
+
+NUM_LANES = 32
+_SPEECH = 31
+"""Folded twice into an episode's key for the person; its steps fold and split it otherwise."""
+
+
+@pytree
+class Sentence:
+    """What is said at first, and may be stated under way."""
+
+    instruction: Instruction  # leaves [1, …], with room for more
+    words: Words
+    truth: Joined
+    falsehood: Joined
+
+
+@pytree
+class Spoken:
+    """How an episode with a person ended."""
+
+    result: EpisodeResult
+    num_questions: Array  # i32[] answered
+    num_corrections: Array  # i32[]
+    walked: Array  # f32[] metres from the first correction to the end; NaN without one
+    straight: Array  # f32[] metres straight from there to where the robot may stop
+
+
+@pytree
+class _Lane:
+    progress: Progress
+    person: Person
+    said_at: Array  # f32[] metres walked at the first correction; NaN before it
+    straight: Array  # f32[] metres straight from there to where it may stop
+
+
+def sentence_of(text: str, truth: str, falsehood: str) -> Sentence:
+    """Ground what is said at first, and join to it what may be stated.
+
+    Args:
+        text: the command.
+        truth: a statement that holds in the worlds that are drawn.
+        falsehood: one that does not.
+
+    Returns:
+        All of it in arrays.
+
+    Raises:
+        ValueError: a sentence is refused.
+    """
+    model = load_shipped()
+    first = understand(text, model)
+    told = replace(first.instruction, readings=widen(first.instruction.readings, Capacity()))
+    words = words_of(told, first.spoken)
+
+    def joined(statement: str) -> Joined:
+        said = understand(statement, model)
+        return join(
+            told.readings,
+            words,
+            said.instruction,
+            said.spoken,
+            is_new_task=False,
+            is_asked=False,
+        )
+
+    return Sentence(
+        instruction=jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], told),
+        words=words,
+        truth=joined(truth),
+        falsehood=joined(falsehood),
+    )
+
+
+def _hear(state: NavigatorState, said: Array, slot: Array, sentence: Sentence) -> NavigatorState:
+    """Put what was said into the state of one robot."""
+    pose, candidates = state.belief.last_pose, state.talk.candidate > 0.0
+    bits = jnp.left_shift(1, jnp.arange(candidates.shape[0]))
+    outcomes = {
+        Says.OTHER: hearing.correct(state),
+        Says.THIS: hearing.choose(state, slot),
+        Says.NONE_OF_THEM: hearing.rule_out(state, jnp.sum(jnp.where(candidates, bits, 0))),
+        Says.TRUTH: hearing.tell(state, sentence.truth, pose, how=How.INFORM),
+        Says.FALSEHOOD: hearing.tell(state, sentence.falsehood, pose, how=How.INFORM),
+    }
+    for kind, after in outcomes.items():
+        is_said = said == kind
+        state = jax.tree.map(
+            lambda old, new, is_said=is_said: jnp.where(is_said, new, old).astype(old.dtype),
+            state,
+            after,
+        )
+    return state
+
+
+def _loaded(task: Task, sentence: Sentence, config: NavigatorConfig) -> _Lane:
+    """Put an episode at its start."""
+    progress = episode.begin(task, sentence.instruction, config=config)
+    navigator = progress.navigator
+    talk = replace(navigator.talk, words=sentence.words)
+    nothing = jnp.float32(jnp.nan)
+    return _Lane(
+        progress=replace(progress, navigator=replace(navigator, talk=talk)),
+        person=unspoken(),
+        said_at=nothing,
+        straight=nothing,
+    )
+
+
+def _advanced(
+    lane: _Lane,
+    sentence: Sentence,
+    person_params: PersonParams,
+    params: NavigatorParams,
+    config: NavigatorConfig,
+) -> tuple[_Lane, Array, Spoken]:
+    """Let the person speak, run one cycle, and tell whether the episode is over."""
+    progress, scenario = lane.progress, lane.progress.task.scenario
+    key = jax.random.fold_in(jax.random.fold_in(progress.task.key, _SPEECH), _SPEECH)
+
+    def watched(progress: Progress, person: Person) -> tuple[Person, Array, Array]:
+        seen = seen_of(progress.navigator, progress.steps)
+        return say(key, person, seen, scenario, params=person_params)
+
+    person, said, slot = watched(progress, lane.person)
+    is_first = (said == Says.OTHER) & jnp.isnan(lane.said_at)
+    left = jnp.maximum(goal_distance(progress.world, scenario) - SUCCESS_RADIUS, 0.0)
+    heard = replace(progress, navigator=_hear(progress.navigator, said, slot, sentence))
+    after, _ = episode.advance(heard, params=params, config=config)
+    lane = _Lane(
+        progress=after,
+        person=person,
+        said_at=jnp.where(is_first, progress.world.distance, lane.said_at),
+        straight=jnp.where(is_first, left, lane.straight),
+    )
+    is_waiting = watched(after, person)[0].intends
+    is_over = (after.navigator.is_done & ~is_waiting) | (after.steps >= MAX_STEPS)
+    spoken = Spoken(
+        result=episode.finish(after),
+        num_questions=person.num_answers,
+        num_corrections=person.num_corrections,
+        walked=after.world.distance - lane.said_at,
+        straight=lane.straight,
+    )
+    return lane, is_over, spoken
+
+
+@functools.partial(jax.jit, static_argnames="config")
+def _load(tasks: Task, sentence: Sentence, *, config: NavigatorConfig) -> _Lane:
+    return jax.vmap(lambda task: strong(_loaded(task, sentence, config)))(tasks)
+
+
+@functools.partial(jax.jit, static_argnames="config")
+def _cycle(
+    lanes: _Lane,
+    sentence: Sentence,
+    person: PersonParams,
+    *,
+    params: NavigatorParams,
+    config: NavigatorConfig,
+) -> tuple[_Lane, Array, Spoken]:
+    return jax.vmap(lambda lane: strong(_advanced(lane, sentence, person, params, config)))(lanes)
+
+
+@jax.jit
+def _refilled(is_over: Array, fresh: _Lane, lanes: _Lane) -> _Lane:
+    def pick(new: Array, old: Array) -> Array:
+        return jnp.where(is_over.reshape(-1, *(1,) * (new.ndim - 1)), new, old)
+
+    return jax.tree.map(pick, fresh, lanes)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _Queue:
+    """Hands out tasks to lanes, and is filled up with the first where none are left."""
+
+    tasks: Task
+    number: int
+
+    def of(self, index: np.ndarray) -> Task:
+        return take_tasks(self.tasks, np.where(index < self.number, index, 0))
+
+
+def converse(
+    tasks: Task,
+    sentence: Sentence,
+    person: PersonParams,
+    *,
+    params: NavigatorParams,
+    config: NavigatorConfig,
+    on_progress: OnProgress | None = None,
+) -> Spoken:
+    """Run episodes in which a person speaks.
+
+    Args:
+        tasks: leaves [E, …].
+        sentence: what is said.
+        person: the numbers of the person.
+        params: the navigator's.
+        config: sizes and policy.
+        on_progress: called with the number of episodes just finished.
+
+    Returns:
+        NumPy arrays, leaves [E, …], in the order of the tasks.
+    """
+    number = int(tasks.instruction_index.shape[0])
+    queue, index = _Queue(tasks=tasks, number=number), np.arange(NUM_LANES)
+    lanes, following = _load(queue.of(index), sentence, config=config), NUM_LANES
+    found: dict[int, Any] = {}
+    while len(found) < number:
+        lanes, over, spoken = _cycle(lanes, sentence, person, params=params, config=config)
+        is_over = np.asarray(over) & (index < number)
+        if not is_over.any():
+            continue
+        host = jax.device_get(spoken)
+        for lane in np.flatnonzero(is_over).tolist():
+            found[int(index[lane])] = jax.tree.map(lambda leaf, at=lane: leaf[at], host)
+            index[lane], following = following, following + 1
+        if on_progress is not None:
+            on_progress(int(is_over.sum()))
+        if (index[is_over] < number).any():
+            fresh = _load(queue.of(index), sentence, config=config)
+            lanes = _refilled(jnp.asarray(is_over), fresh, lanes)
+    return jax.tree.map(lambda *leaves: np.stack(leaves), *(found[at] for at in range(number)))

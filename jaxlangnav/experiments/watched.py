@@ -1,0 +1,45 @@
+"""What a simulated person is shown of the robot: where belief and truth meet, for ``world.person``.
+
+The robot says what it goes up to, what it takes for possible where it asks, and where these are.
+"""
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxlangnav.messages import NONE, Status
+from jaxlangnav.navigator import NavigatorState
+from jaxlangnav.world.person import Seen
+
+LEAST_SHARE = 0.01
+"""Goal probability below which a thing is no candidate of a question."""
+
+
+def seen_of(state: NavigatorState, step: Array) -> Seen:
+    """Gather what the robot says of itself.
+
+    A robot at an end without a goal goes up to nothing, whatever it went up to before.
+
+    Args:
+        state: after the last cycle.
+        step: i32[], the decision to come.
+
+    Returns:
+        What a person is shown.
+    """
+    particles = state.belief.particles
+    num_slots = particles.object_type.shape[0]
+    weight = jnp.exp(state.belief.log_weight)[None] * (particles.object_type != NONE)
+    total = jnp.maximum(jnp.sum(weight, axis=1), 1e-9)
+
+    def mean(values: Array) -> Array:
+        return jnp.sum(weight * values[:num_slots], axis=1) / total
+
+    is_at = (state.status == Status.APPROACHING) | (state.status == Status.ARRIVED)
+    return Seen(
+        step=step,
+        aimed=jnp.where(is_at, state.talk.approached, NONE),
+        is_asking=state.status == Status.WHICH_ONE,
+        is_candidate=state.talk.candidate >= LEAST_SHARE,
+        x=mean(particles.mean_x),
+        y=mean(particles.mean_y),
+    )

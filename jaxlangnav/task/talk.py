@@ -1,0 +1,205 @@
+"""What is said to a robot while an episode runs: by step, by a person at hand, by a simulated one.
+
+The ear of ``recorder.play``: it holds every utterance against the state as it then is, and keeps
+what it was taken for and what it changed. What the state refuses is kept too: the robot goes on
+with what it was at.
+"""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+
+import jax
+import numpy as np
+
+from jaxlangnav.conversation import words_of
+from jaxlangnav.episode import Progress
+from jaxlangnav.grounding import Context, Grounder
+from jaxlangnav.grounding.asked import asked
+from jaxlangnav.grounding.instruction import Instruction, Understanding
+from jaxlangnav.grounding.readings import Capacity, widen
+from jaxlangnav.language.halting import begins_with_halt
+from jaxlangnav.language.utterance import Kind, classify
+from jaxlangnav.listening import Candidate, Heard, Listener
+from jaxlangnav.messages import NONE, Status
+from jaxlangnav.navigator import NavigatorState
+from jaxlangnav.plain_text import cut
+from jaxlangnav.pytree import replace
+from jaxlangnav.recording import Recording, Remark, Scene
+
+CHANGE_WHAT_IS_MEANT = frozenset(
+    {Kind.COMMAND, Kind.ADDITION, Kind.RETURN, Kind.CANCEL, Kind.CORRECTION, Kind.ANSWER}
+)
+"""Kinds of utterances after which the goal that a world was opened for need not be meant."""
+YOU = "you"
+
+Voice = Callable[[int, Progress, Sequence[Candidate]], str | None]
+"""Says something before a step, or nothing more: given the step, the episode, what may be meant."""
+_MOST = 8
+"""Utterances of one speaker that are heard before a step."""
+
+
+def roomy(understood: Understanding) -> Understanding:
+    """Make room in the arrays of a sentence for what else may be said.
+
+    Args:
+        understood: a sentence.
+
+    Returns:
+        The same, in arrays that hold a conversation.
+    """
+    told = understood.instruction
+    wide = replace(told, readings=jax.device_put(widen(told.readings, Capacity())))
+    return dataclasses.replace(understood, instruction=wide)
+
+
+def check_words(grounder: Grounder, first: Understanding, text: str) -> None:
+    """Refuse an utterance that no state of the robot would make understood.
+
+    Args:
+        grounder: what understands utterances.
+        first: the sentence that the episode begins with.
+        text: the utterance.
+
+    Raises:
+        ValueError: the words are not understood; one line.
+    """
+    said = classify(text)
+    if said.kind is not None and not said.rest:
+        return
+    if said.wording is not None or classify(text, is_asked=True).wording is not None:
+        return
+    if begins_with_halt(text):
+        return
+    about = next((kind for kind in first.spoken.goals if kind != NONE), NONE)
+    is_at = about != NONE
+    grounder.ground(said.rest, Context(is_under_way=True, about=about, is_at=is_at))
+
+
+@dataclasses.dataclass(kw_only=True)
+class Earshot:
+    """The ear of an episode; ``said`` grows as it runs."""
+
+    grounder: Grounder
+    first: Understanding
+    scene: Scene
+    script: Mapping[int, Sequence[str]] = dataclasses.field(default_factory=dict)
+    """What is said before which step."""
+    voices: Mapping[str, Voice] = dataclasses.field(default_factory=dict)
+    """Who else may speak, by name."""
+    is_awaited: Callable[[Progress], bool] = lambda progress: False
+    """Whether somebody is there who may yet speak to a robot that stands still."""
+    on_said: Callable[[Remark], object] = lambda said: None
+    """Told of every utterance as it is heard."""
+    said: list[Remark] = dataclasses.field(default_factory=list)
+    candidates: tuple[Candidate, ...] = ()
+    """What may be meant, after the last step that asked."""
+    _step: int = 0
+
+    def begin(self, progress: Progress) -> Progress:
+        """Note what the first sentence speaks of, as later ones may refer to it."""
+        words = words_of(self.first.instruction, self.first.spoken)
+        navigator = progress.navigator
+        talk = replace(navigator.talk, words=words)
+        return replace(progress, navigator=replace(navigator, talk=talk))
+
+    def hear(self, step: int, progress: Progress) -> Progress:
+        """Take in what is said before the decision of a step."""
+        self._step = step
+        for text in self.script.get(step, ()):
+            progress = self._take(step, progress, YOU, text)
+        for name, voice in self.voices.items():
+            for _ in range(_MOST):
+                text = voice(step, progress, self._doubt(progress))
+                if text is None:
+                    break
+                progress = self._take(step, progress, name, text)
+        return progress
+
+    def expects(self, progress: Progress) -> bool:
+        """Tell whether more may be said to a robot that stands still."""
+        self.candidates = tuple(self._doubt(progress))
+        is_scripted = any(step > self._step for step in self.script)
+        return is_scripted or self.is_awaited(progress)
+
+    def _doubt(self, progress: Progress) -> list[Candidate]:
+        """List what may be meant, where the robot asks."""
+        state = progress.navigator
+        if int(state.status) != Status.WHICH_ONE:
+            return []
+        return Listener(self.grounder).candidates(state)
+
+    def _take(self, step: int, progress: Progress, speaker: str, text: str) -> Progress:
+        """Take in an utterance, or keep to the task where the state refuses it."""
+        listener, before = Listener(self.grounder), progress.navigator
+        try:
+            after, heard = listener.take(before, text)
+        except ValueError as refusal:
+            why = str(refusal).removeprefix(f"{cut(text)!r}: ")
+            line = " ".join(why.split()).rstrip(".")
+            self._keep(Remark(step=step, text=text, speaker=speaker, refusal=line))
+            return progress
+        self._keep(
+            Remark(
+                step=step,
+                text=text,
+                kind=str(heard.kind),
+                speaker=speaker,
+                ruled_out=_things(listener, before, heard),
+                notes=heard.notes,
+                scene=self._scene_of(before, after),
+            )
+        )
+        return replace(progress, navigator=after)
+
+    def _keep(self, said: Remark) -> None:
+        """Keep an utterance, and tell of it."""
+        self.said.append(said)
+        self.on_said(said)
+
+    def _scene_of(self, before: NavigatorState, after: NavigatorState) -> Scene | None:
+        """Set the scene anew where words have been joined with those before."""
+        if after.instruction is before.instruction:
+            return None
+        told: Instruction = jax.device_get(after.instruction)
+        names = getattr(self.grounder, "names", self.grounder.type_names)
+        return dataclasses.replace(
+            self.scene,
+            readings=told.readings,
+            num_clauses=int(told.num_clauses),
+            asks=tuple(asked(told)),
+            type_names=tuple(names),
+        )
+
+
+def with_talk(recording: Recording, ear: Earshot) -> Recording:
+    """Add to an episode what was said in it.
+
+    What a person at hand has said may mean another goal than the one the world was opened for, so
+    it cannot be judged then; a simulated person has that goal in mind.
+
+    Args:
+        recording: the episode.
+        ear: that has heard it.
+
+    Returns:
+        The recording.
+    """
+    is_else = any(one.speaker == YOU and one.kind in CHANGE_WHAT_IS_MEANT for one in ear.said)
+    scene, result = recording.scene, recording.result
+    if is_else and scene.is_judged:
+        why = "what was said under way may mean another goal"
+        scene = dataclasses.replace(scene, is_judged=False, unjudged=why)
+        result = replace(result, is_success=np.asarray(False))
+    is_asking = int(result.ending) == Status.WHICH_ONE
+    return dataclasses.replace(
+        recording,
+        scene=scene,
+        result=result,
+        said=tuple(ear.said),
+        candidates=ear.candidates if is_asking else (),
+    )
+
+
+def _things(listener: Listener, state: NavigatorState, heard: Heard) -> tuple[Candidate, ...]:
+    """Name the observed slots that an utterance has ruled out."""
+    return tuple(listener.thing_at(state, slot) for slot in heard.ruled_out)

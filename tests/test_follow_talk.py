@@ -1,0 +1,193 @@
+"""What is said while an episode runs: by step or typed; what story and documents keep of it."""
+
+import dataclasses
+import json
+from types import SimpleNamespace
+
+import jax.numpy as jnp
+import pytest
+from recording_fixture import make_recording, make_scene
+from test_navigator_step import AREA, HYDRANT, robot
+
+from jaxlangnav.cli import main as cli
+from jaxlangnav.cli import speech
+from jaxlangnav.cli.output import Output
+from jaxlangnav.grounding import load_shipped, understand
+from jaxlangnav.listening import Candidate
+from jaxlangnav.messages import Status
+from jaxlangnav.pytree import replace
+from jaxlangnav.recording import Remark
+from jaxlangnav.task import talk
+from jaxlangnav.viz import html
+from jaxlangnav.viz.narrative import narrate
+
+__all__ = ["robot"]
+NULL = "go to the hydrant"
+OTHER = Candidate(slot=1, type_name="hydrant", x=9.0, y=1.0, probability=0.5)
+
+
+@dataclasses.dataclass
+class Episode:
+    """As much of ``episode.Progress`` as an ear reads."""
+
+    navigator: object
+
+
+def ear_of(robot, **fields) -> tuple[talk.Earshot, Episode]:
+    first = talk.roomy(understand(NULL, load_shipped()))
+    ear = talk.Earshot(grounder=robot.grounder, first=first, scene=make_scene(text=NULL), **fields)
+    return ear, ear.begin(Episode(robot.start(NULL, area=AREA)))
+
+
+def at_a_hydrant(episode: Episode) -> Episode:
+    state = episode.navigator
+    kinds = state.belief.particles.object_type
+    particles = replace(state.belief.particles, object_type=kinds.at[0].set(HYDRANT))
+    state = replace(
+        state,
+        belief=replace(state.belief, particles=particles),
+        talk=replace(state.talk, approached=jnp.int32(0)),
+    )
+    return Episode(state)
+
+
+def test_what_was_said_is_kept_with_what_it_changed(robot) -> None:
+    ear, episode = ear_of(robot, script={3: ["no, the other one", "stop"], 5: ["go on"]})
+    assert ear.hear(2, episode) is episode
+    after = ear.hear(3, at_a_hydrant(episode))
+    assert [(one.step, one.kind) for one in ear.said] == [(3, "correction"), (3, "halt")]
+    assert [(one.slot, one.type_name) for one in ear.said[0].ruled_out] == [(0, "hydrant")]
+    assert int(after.navigator.talk.ruled_out) == 1
+    assert bool(after.navigator.is_halted)
+    assert ear.expects(after)  # "go on" is still to come
+    assert not bool(ear.hear(5, after).navigator.is_halted)
+    assert not ear.expects(after)
+
+
+def test_what_the_state_refuses_changes_nothing(robot) -> None:
+    ear, episode = ear_of(robot, script={0: ["no, the other one"]})
+    assert ear.hear(0, episode) is episode
+    assert ear.said[0].kind == ""
+    assert "nothing is being approached yet" in ear.said[0].refusal
+
+
+def test_a_statement_sets_the_scene_anew(robot) -> None:
+    ear, episode = ear_of(robot, script={0: ["the hydrant is behind the car"]})
+    ear.hear(0, episode)
+    scene = ear.said[0].scene
+    assert scene is not None
+    assert (scene.readings.relation >= 0).any()
+    assert ear.scene.readings is not scene.readings
+
+
+def test_a_question_is_answered_by_who_sits_there(robot, capsys) -> None:
+    typist = speech.Typist(Output(is_json=True), is_talking=False, lines=["the first\n"])
+    ear, episode = ear_of(robot, voices={"you": typist.say}, is_awaited=typist.is_there)
+    episode = at_a_hydrant(episode)
+    state = episode.navigator
+    share = state.talk.candidate.at[0].set(0.5).at[1].set(0.5)
+    kinds = state.belief.particles.object_type.at[1].set(HYDRANT)
+    particles = replace(state.belief.particles, object_type=kinds)
+    state = replace(
+        state,
+        status=jnp.int32(Status.WHICH_ONE),
+        belief=replace(state.belief, particles=particles),
+        talk=replace(state.talk, candidate=share),
+    )
+    assert ear.expects(Episode(state))
+    assert len(ear.candidates) == 2
+    after = ear.hear(0, Episode(state))
+    assert [one.kind for one in ear.said] == ["answer"]
+    assert int(after.navigator.talk.ruled_out) != 0
+    assert "Which one?" in capsys.readouterr().err
+
+
+def test_who_talks_is_heard_at_any_step_and_may_leave(robot) -> None:
+    lines = ["stop\n", "go on\n"]
+    typist = speech.Typist(Output(is_json=True), is_talking=True, lines=lines)
+    ear, episode = ear_of(robot, voices={"you": typist.say}, is_awaited=typist.is_there)
+    after = ear.hear(0, episode)
+    assert [one.kind for one in ear.said][:1] == ["halt"]
+    assert not bool(ear.hear(1, after).navigator.is_halted)
+    assert not ear.expects(after)
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["--hear", "stop"], "must name a step"),
+        (["--hear", "x: stop"], "must name a step"),
+        (["--hear", "5:"], "must name a step"),
+        (["--hear", "120: stop"], "the last one is 119"),
+        (["--hear", "-1: stop"], "must name a step"),
+        (["--hear", "5: frobnicate the zorp"], '--hear "5: frobnicate the zorp"'),
+        (["--person", "atentive"], 'did you mean "attentive"'),
+        (["--ask"], "--ask needs a terminal"),
+        (["--talk"], "--talk needs a terminal"),
+    ],
+)
+def test_bad_speech_is_one_line_and_compiles_nothing(
+    words: list[str], expected: str, capsys, monkeypatch
+) -> None:
+    monkeypatch.setattr("jaxlangnav.recorder.play", lambda *_, **__: pytest.fail("it set out"))
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: False))
+    assert cli.main(["follow", NULL, "--json", *words]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.count("\n") == 1
+    assert expected in captured.err
+
+
+def test_story_page_and_document_tell_what_was_said() -> None:
+    said = (
+        Remark(step=2, text="the other one", refusal="nothing is being approached yet"),
+        Remark(step=5, text="no, the other one", kind="correction", ruled_out=(OTHER,)),
+    )
+    recording = dataclasses.replace(make_recording(), said=said, candidates=(OTHER,))
+    story = "\n".join(narrate(recording))
+    assert "Hears “the other one”, and keeps to its task: nothing is being approached" in story
+    assert "Hears “no, the other one”, a correction. Rules out the hydrant" in story
+    page = html.pack(recording)
+    assert "Rules out the hydrant" in " ".join(page["story"][5])
+    document = speech.describe_talk(recording)
+    assert [one["kind"] for one in document["utterances"]] == [None, "correction"]
+    assert document["utterances"][1]["ruled_out"][0]["slot"] == 1
+    assert document["candidates"][0]["probability"] == 0.5
+
+
+def test_what_may_mean_another_goal_is_not_judged(robot) -> None:
+    ear, episode = ear_of(robot, script={0: ["go to the cone"]})
+    ear.hear(0, episode)
+    recording = talk.with_talk(make_recording(), ear)
+    assert not recording.scene.is_judged
+    assert not bool(recording.result.is_success)
+    ear, episode = ear_of(robot, script={0: ["avoid the cone"]})
+    ear.hear(0, episode)
+    assert talk.with_talk(make_recording(), ear).scene.is_judged
+
+
+@pytest.mark.slow
+def test_an_episode_hears_by_step(capsys) -> None:
+    words = ["--world", "2H1C", "--hear", "2: the other one", "--hear", "9: stop"]
+    assert cli.main(["follow", NULL, *words, "--hear", "12: never mind", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    kinds = [one["kind"] for one in document["utterances"]]
+    assert kinds == [None, "halt", "cancel"]
+    assert document["ending"] == "idle"
+    assert document["success"] is None
+    assert document["steps"] == 13
+
+
+@pytest.mark.slow
+def test_a_simulated_person_corrects_and_answers(capsys) -> None:
+    """Between them these seeds hold a wrong hydrant that is gone up to, and a question."""
+    kinds = []
+    for seed in ("0", "1", "2"):
+        words = ["--world", "2H1C", "--seed", seed, "--person", "attentive", "--json"]
+        for more in ([], ["--ask"]):
+            assert cli.main(["follow", NULL, *words, *more]) == 0
+            document = json.loads(capsys.readouterr().out)
+            kinds += [one["kind"] for one in document["utterances"]]
+            assert all(one["speaker"] == "attentive" for one in document["utterances"])
+            assert document["success"] is not None
+    assert {"correction", "answer"} <= set(kinds)

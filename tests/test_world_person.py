@@ -1,0 +1,118 @@
+"""The law of the simulated person, held against its words."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from recording_fixture import make_scene
+
+from jaxlangnav.messages import NONE
+from jaxlangnav.pytree import replace
+from jaxlangnav.world.person import PERSONS, Person, Says, Seen, params_of, say, unspoken
+
+SCENARIO = jax.tree.map(jnp.asarray, make_scene().scenario)  # the goal at (9, 1), a cone at (6, 1)
+GOAL, WRONG = 0, 1
+speak = jax.jit(say)
+
+
+def seen(step: int = 0, aimed: int = NONE, asking: bool = False, candidates=(True, True)) -> Seen:
+    return Seen(
+        step=jnp.int32(step),
+        aimed=jnp.int32(aimed),
+        is_asking=jnp.asarray(asking),
+        is_candidate=jnp.array(candidates),
+        x=jnp.array([8.8, 6.1], jnp.float32),
+        y=jnp.array([1.1, 0.9], jnp.float32),
+    )
+
+
+def watch(params, *sights: Seen, seed: int = 0) -> tuple[list[Says], Person]:
+    person, told = unspoken(), []
+    for sight in sights:
+        person, said, _ = speak(jax.random.key(seed), person, sight, SCENARIO, params=params)
+        told.append(Says(int(said)))
+    return told, person
+
+
+def test_what_is_wrong_is_corrected_after_the_delay_as_often_as_allowed() -> None:
+    wrong = [seen(aimed=WRONG)] * 5
+    told, person = watch(params_of(delay=2, num_corrections=1), *wrong)
+    assert told == [Says.NOTHING, Says.NOTHING, Says.OTHER, Says.NOTHING, Says.NOTHING]
+    assert not bool(person.intends)
+    assert watch(params_of(num_corrections=0), *wrong)[0] == [Says.NOTHING] * 5
+
+
+def test_what_is_right_is_not_corrected_and_the_wait_begins_anew() -> None:
+    assert watch(params_of(), *[seen(aimed=GOAL)] * 4)[0] == [Says.NOTHING] * 4
+    sights = [seen(aimed=WRONG), seen(aimed=WRONG), seen(aimed=GOAL), seen(aimed=WRONG)]
+    assert watch(params_of(delay=2), *sights)[0] == [Says.NOTHING] * 4
+
+
+def test_a_question_is_answered() -> None:
+    person, said, slot = speak(
+        jax.random.key(0), unspoken(), seen(asking=True), SCENARIO, params=params_of()
+    )
+    assert (int(said), int(slot), int(person.num_answers)) == (Says.THIS, GOAL, 1)
+    sight = seen(asking=True, candidates=(False, True))
+    assert watch(params_of(), sight)[0] == [Says.NONE_OF_THEM]
+    assert watch(params_of(answers=False), sight)[0] == [Says.NOTHING]
+
+
+def test_a_statement_is_made_once() -> None:
+    sights = [seen(step=step) for step in range(4)]
+    told, person = watch(params_of(states_at=2), *sights)
+    assert told == [Says.NOTHING, Says.NOTHING, Says.TRUTH, Says.NOTHING]
+    assert not bool(person.intends)
+    assert watch(params_of(states_at=2), *sights[:2])[1].intends
+
+
+@pytest.mark.parametrize("rate", [0.1, 0.5])
+def test_errors_come_at_their_rate(rate: float) -> None:
+    """Over 2,000 persons, within 5 standard errors."""
+    keys = jax.random.split(jax.random.key(1), 2000)
+    allowed = 5.0 * np.sqrt(rate * (1.0 - rate) / 2000)
+    params = params_of(error_rate=rate, delay=0, states_at=0)
+    for sight, wrong in (
+        (seen(step=1, aimed=GOAL), Says.OTHER),
+        (seen(step=1, aimed=WRONG), Says.NOTHING),
+        (seen(step=0), Says.FALSEHOOD),
+    ):
+        _, said, _ = jax.vmap(
+            lambda key, sight=sight: speak(key, unspoken(), sight, SCENARIO, params=params)
+        )(keys)
+        assert abs(float(np.mean(np.asarray(said) == wrong)) - rate) < allowed
+    _, _, slot = jax.vmap(
+        lambda key: speak(key, unspoken(), seen(1, asking=True), SCENARIO, params=params)
+    )(keys)
+    assert abs(float(np.mean(np.asarray(slot) == WRONG)) - rate) < allowed
+
+
+def test_an_error_in_a_thing_is_kept() -> None:
+    params = params_of(error_rate=0.5, delay=0, num_corrections=99)
+    for seed in range(8):
+        told, _ = watch(params, *[seen(1, aimed=GOAL)] * 4, seed=seed)
+        assert len(set(told)) == 1
+
+
+def test_numbers_that_cannot_be_are_refused() -> None:
+    with pytest.raises(ValueError, match="error_rate is"):
+        params_of(error_rate=1.5)
+    with pytest.raises(ValueError, match="delay is"):
+        params_of(delay=-1)
+    with pytest.raises(ValueError, match="num_corrections is"):
+        params_of(num_corrections=-1)
+    for numbers in PERSONS.values():
+        params_of(**numbers)
+
+
+def test_a_batch_is_a_loop() -> None:
+    sights = [seen(aimed=GOAL), seen(aimed=WRONG), seen(asking=True)]
+    batch = jax.tree.map(lambda *leaves: jnp.stack(leaves), *sights)
+    keys = jax.random.split(jax.random.key(3), 3)
+    params = replace(params_of(error_rate=0.5), delay=jnp.int32(0))
+    _, said, _ = jax.vmap(lambda k, s: say(k, unspoken(), s, SCENARIO, params=params))(keys, batch)
+    alone = [
+        int(speak(k, unspoken(), s, SCENARIO, params=params)[1])
+        for k, s in zip(keys, sights, strict=True)
+    ]
+    assert np.asarray(said).tolist() == alone
