@@ -17,7 +17,7 @@ from jaxlangnav.robots.perception import figures
 def main() -> None:
     """Measure, and print."""
     looks = int(sys.argv[1]) if len(sys.argv) > 1 else 6
-    found = figures.measure(looks=looks)
+    found = figures.measure_detector(looks=looks)
     print(markdown_table(*figures.table(found)))
     near = [one for one in found if one.picture == "as told" and one.range <= 4.0]
     rate = np.mean([one.rate for one in near])

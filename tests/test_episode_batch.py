@@ -56,6 +56,8 @@ def tasks() -> Task:
             field_of_view=jnp.full(EPISODES, 2 * jnp.pi, jnp.float32),
             detection_probability=jnp.full(EPISODES, 0.95, jnp.float32),
             noise=jnp.full(EPISODES, 0.1, jnp.float32),
+            false_detections=jnp.zeros(EPISODES),
+            mislabelled=jnp.zeros(EPISODES),
         ),
         motion=MotionParams(
             step_length=jnp.full(EPISODES, 1.0, jnp.float32),

@@ -9,7 +9,7 @@ import pytest
 from jaxlangnav.cli import main as cli
 from jaxlangnav.experiments import conversation
 from jaxlangnav.experiments.conversation import ROWS, dialogue_table, run_row
-from jaxlangnav.experiments.dialogue import sentence_of
+from jaxlangnav.experiments.dialogue import sentence_with
 from jaxlangnav.navigator import default_params
 from jaxlangnav.world.person import params_of
 
@@ -24,7 +24,7 @@ def test_every_row_has_a_person_and_pairs_with_its_worlds() -> None:
 
 
 def test_what_is_stated_is_joined_once_for_all() -> None:
-    said = sentence_of("go to the hydrant", conversation._TRUTH, conversation._FALSEHOOD)
+    said = sentence_with("go to the hydrant", conversation._TRUTH, conversation._FALSEHOOD)
     shape = said.instruction.readings.relation.shape[1:]
     for joined in (said.truth, said.falsehood):
         assert joined.readings.relation.shape == shape

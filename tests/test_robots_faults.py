@@ -12,11 +12,11 @@ from jaxlangnav.robots.driver import drive
 from jaxlangnav.robots.film import film
 from jaxlangnav.robots.physics.robot import PhysicsRobot
 from jaxlangnav.robots.record import Ending
-from jaxlangnav.robots.table3 import COMMANDS, ROWS, make_robot
+from jaxlangnav.robots.table3 import COMMANDS, TABLE3, make_robot
 
 __all__ = ["navigator"]
 pytestmark = pytest.mark.slow
-HUSKY, CHAIR = ROWS[6], ROWS[2]
+HUSKY, CHAIR = TABLE3[6], TABLE3[2]
 GOAL = 0
 """Slot of the hydrant."""
 try:

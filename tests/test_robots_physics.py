@@ -11,7 +11,7 @@ import pytest
 from jaxlangnav.messages import default_sensor
 from jaxlangnav.pytree import replace
 from jaxlangnav.robots import libraries
-from jaxlangnav.robots.motion.mover import Command, wrap
+from jaxlangnav.robots.motion.mover import WheelCommand, wrap
 from jaxlangnav.robots.perception import figures, tags
 from jaxlangnav.robots.physics.machines import MACHINES, Wear
 from jaxlangnav.robots.physics.robot import PhysicsRobot, wheel_speeds
@@ -61,7 +61,7 @@ def test_its_wheels_seem_as_far_apart_as_is_known(machine: str) -> None:
     ratios = []
     for turn in (0.5, -0.8):
         robot = put(machine, ())
-        left, right, rate = wheel_speeds(robot, Command(0.0, turn), 3.0)
+        left, right, rate = wheel_speeds(robot, WheelCommand(0.0, turn), 3.0)
         robot.close()
         ratios.append((right - left) / rate / robot.machine.track)
         assert rate == pytest.approx(turn, rel=0.15)
@@ -168,7 +168,7 @@ def test_things_and_people_are_seen_by_the_scanner_and_not_run_into() -> None:
 
 @pytest.mark.slow
 def test_the_detector_is_as_good_as_the_belief_is_told() -> None:
-    found = figures.measure(looks=4, ranges=(1.25, 2.5, 4.0), pictures=("as told",))
+    found = figures.measure_detector(looks=4, ranges=(1.25, 2.5, 4.0), pictures=("as told",))
     rate = np.mean([one.rate for one in found])
     looks = sum(one.looks for one in found)
     assert rate > figures.RATE - 5 * np.sqrt(figures.RATE * (1 - figures.RATE) / looks)

@@ -9,7 +9,7 @@ import pytest
 
 from jaxlangnav.cli.main import main
 from jaxlangnav.robots import trials
-from jaxlangnav.robots.table3 import HALT, ROWS, environment
+from jaxlangnav.robots.table3 import HALT, TABLE3, environment
 from jaxlangnav.robots.trials import KNOWN, Plan
 
 
@@ -43,24 +43,24 @@ def ran(monkeypatch) -> list:
 
 def test_what_has_been_kept_is_not_run_again(ran: list, tmp_path) -> None:
     plan, done = Plan(trials=2, out=tmp_path), []
-    first = trials.reproduce_table3(plan, rows=ROWS[:2], on_progress=done.append)
+    first = trials.reproduce_table3(plan, rows=TABLE3[:2], on_progress=done.append)
     assert len(ran) == sum(done) == 6
     assert first["resumed"] == 0
     ran.clear()
-    damaged = plan.path(ROWS[0], 1)
+    damaged = plan.path(TABLE3[0], 1)
     assert damaged is not None
     damaged.write_text(damaged.read_text()[:20])
-    other = plan.path(ROWS[1], 0)
+    other = plan.path(TABLE3[1], 0)
     assert other is not None
     other.write_text(json.dumps({**json.loads(other.read_text()), "made": {"version": "0"}}))
-    again = trials.reproduce_table3(Plan(trials=3, out=tmp_path), rows=ROWS[:2])
+    again = trials.reproduce_table3(Plan(trials=3, out=tmp_path), rows=TABLE3[:2])
     assert set(ran) == {
-        (ROWS[0].name, 1), (ROWS[1].name, 0), (ROWS[0].name, 2), (ROWS[1].name, 2)
+        (TABLE3[0].name, 1), (TABLE3[1].name, 0), (TABLE3[0].name, 2), (TABLE3[1].name, 2)
     }  # fmt: skip
     assert again["resumed"] == 4
     ran.clear()
-    trials.reproduce_table3(Plan(trials=1, out=tmp_path, seed=1), rows=ROWS[:1])
-    assert ran == [(ROWS[0].name, KNOWN), (ROWS[0].name, 0)]
+    trials.reproduce_table3(Plan(trials=1, out=tmp_path, seed=1), rows=TABLE3[:1])
+    assert ran == [(TABLE3[0].name, KNOWN), (TABLE3[0].name, 0)]
 
 
 def test_the_table_stands_beside_the_papers(ran: list) -> None:
@@ -68,7 +68,7 @@ def test_the_table_stands_beside_the_papers(ran: list) -> None:
     assert document["success"] == pytest.approx(2 / 3)
     rows = trials.table_rows(document)
     assert len(rows) == 7
-    for cells, row in zip(rows, ROWS, strict=True):
+    for cells, row in zip(rows, TABLE3, strict=True):
         assert len(cells) == len(trials.HEADINGS)
         assert cells[0] == row.robot
         assert cells[5] == f"{row.success:g}"
@@ -80,8 +80,8 @@ def test_the_table_stands_beside_the_papers(ran: list) -> None:
 
 
 def test_environments_are_as_far_as_the_paper_prints() -> None:
-    drawn = [environment(row, 0) for row in ROWS]
-    for row, scenario in zip(ROWS, drawn, strict=True):
+    drawn = [environment(row, 0) for row in TABLE3]
+    for row, scenario in zip(TABLE3, drawn, strict=True):
         assert bool(scenario.is_valid)
         hydrants, cones = int(row.world[0]), int(row.world[2])
         kinds = np.asarray(scenario.object_type)[np.asarray(scenario.is_object)].tolist()
@@ -89,7 +89,7 @@ def test_environments_are_as_far_as_the_paper_prints() -> None:
         if row.known is not None:
             assert np.hypot(*scenario.goal) == pytest.approx(row.known + HALT, abs=0.15)
     jax.tree.map(np.testing.assert_array_equal, drawn[0], drawn[1])
-    assert not np.allclose(environment(ROWS[0], 1).goal, drawn[0].goal)
+    assert not np.allclose(environment(TABLE3[0], 1).goal, drawn[0].goal)
 
 
 @pytest.mark.parametrize(

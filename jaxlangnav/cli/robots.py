@@ -39,10 +39,10 @@ def table3(
     check_libraries()
     from rich.table import Table
 
-    from jaxlangnav.robots.trials import HEADINGS, ROWS, Plan, reproduce_table3, table_rows
+    from jaxlangnav.robots.trials import HEADINGS, TABLE3, Plan, reproduce_table3, table_rows
 
     plan = Plan(trials=trials, seed=seed, policy=policy, out=out)
-    total = len(ROWS) * (trials + 1)
+    total = len(TABLE3) * (trials + 1)
     output.note(f"{total} runs of two robots, two at a time")
     with progress_bar("runs", total) as advance:
         document = reproduce_table3(plan, on_progress=advance)

@@ -13,7 +13,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from jaxlangnav.experiments.dialogue import Spoken, converse, sentence_of
+from jaxlangnav.experiments.dialogue import Exchange, converse, sentence_with
 from jaxlangnav.experiments.metrics import wilson_interval
 from jaxlangnav.experiments.monte_carlo import OnProgress
 from jaxlangnav.experiments.policies import navigator_config
@@ -32,7 +32,7 @@ COST = 0.1
 """What a question costs in the rows that do not vary it."""
 COSTS = (0.02, 0.05, 0.2, 0.4)
 """What it costs in the others."""
-TITLE = "What a conversation is worth"
+HEADING = "What a conversation is worth"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -94,7 +94,7 @@ def run_row(
     planner = replace(params.planner, question_cost=jnp.float32(row.cost))
     spoken = converse(
         tasks,
-        sentence_of(row.text, _TRUTH, _FALSEHOOD),
+        sentence_with(row.text, _TRUTH, _FALSEHOOD),
         params_of(**row.person),
         params=replace(params, planner=planner),
         config=navigator_config("informed", particles),
@@ -103,7 +103,7 @@ def run_row(
     return _entries(row, spoken)
 
 
-def _entries(row: Dialogue, spoken: Spoken) -> dict[str, Any]:
+def _entries(row: Dialogue, spoken: Exchange) -> dict[str, Any]:
     """Summarise a row."""
     is_success = np.asarray(spoken.result.is_success)
     number, questions = len(is_success), float(np.mean(spoken.num_questions))
@@ -156,7 +156,7 @@ def run_rows(
         "files": [],
     }
     if out is not None:
-        text = f"# {TITLE}\n\n{dialogue_table(document).markdown()}\n{NOTE}\n"
+        text = f"# {HEADING}\n\n{dialogue_table(document).markdown()}\n{NOTE}\n"
         document["files"] = [str(write_text(text, out / "conversation.md"))]
     return document
 
@@ -198,4 +198,4 @@ def dialogue_table(document: dict[str, Any]) -> Table:
     ]
     headings = ["world", "drawn for", "said", "question costs", "success %", "walked m",
                 "questions", "corrections", "corrected way", "weighted %"]  # fmt: skip
-    return Table(headings=headings, rows=rows, title=TITLE, caption=NOTE)
+    return Table(headings=headings, rows=rows, title=HEADING, caption=NOTE)

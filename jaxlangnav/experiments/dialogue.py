@@ -45,7 +45,7 @@ class Sentence:
 
 
 @pytree
-class Spoken:
+class Exchange:
     """How an episode with a person ended."""
 
     result: EpisodeResult
@@ -63,7 +63,7 @@ class _Lane:
     straight: Array  # f32[] metres straight from there to where it may stop
 
 
-def sentence_of(text: str, truth: str, falsehood: str) -> Sentence:
+def sentence_with(text: str, truth: str, falsehood: str) -> Sentence:
     """Ground what is said at first, and join to it what may be stated.
 
     Args:
@@ -142,7 +142,7 @@ def _advanced(
     person_params: PersonParams,
     params: NavigatorParams,
     config: NavigatorConfig,
-) -> tuple[_Lane, Array, Spoken]:
+) -> tuple[_Lane, Array, Exchange]:
     """Let the person speak, run one cycle, and tell whether the episode is over."""
     progress, scenario = lane.progress, lane.progress.task.scenario
     key = jax.random.fold_in(jax.random.fold_in(progress.task.key, _SPEECH), _SPEECH)
@@ -164,7 +164,7 @@ def _advanced(
     )
     is_waiting = watched(after, person)[0].intends
     is_over = (after.navigator.is_done & ~is_waiting) | (after.steps >= MAX_STEPS)
-    spoken = Spoken(
+    spoken = Exchange(
         result=episode.finish(after),
         num_questions=person.num_answers,
         num_corrections=person.num_corrections,
@@ -187,7 +187,7 @@ def _cycle(
     *,
     params: NavigatorParams,
     config: NavigatorConfig,
-) -> tuple[_Lane, Array, Spoken]:
+) -> tuple[_Lane, Array, Exchange]:
     return jax.vmap(lambda lane: strong(_advanced(lane, sentence, person, params, config)))(lanes)
 
 
@@ -218,7 +218,7 @@ def converse(
     params: NavigatorParams,
     config: NavigatorConfig,
     on_progress: OnProgress | None = None,
-) -> Spoken:
+) -> Exchange:
     """Run episodes in which a person speaks.
 
     Args:

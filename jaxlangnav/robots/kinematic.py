@@ -13,7 +13,7 @@ import numpy as np
 from jaxlangnav.messages import SensorParams, default_sensor
 from jaxlangnav.pytree import replace
 from jaxlangnav.robots.motion.body import Body
-from jaxlangnav.robots.motion.mover import TICK, Command, Mover, Steering
+from jaxlangnav.robots.motion.mover import TICK, Mover, Steering, WheelCommand
 from jaxlangnav.robots.motion.pursuit import Pursuit
 from jaxlangnav.robots.robot import Detection
 from jaxlangnav.robots.simulated import BEAMS, SCAN_RANGE, SimulatedRobot
@@ -130,7 +130,7 @@ class KinematicRobot(SimulatedRobot):
             ranges = np.where(is_hit, np.minimum(ranges, along - depth), ranges)
         return np.where(ranges <= SCAN_RANGE, ranges, np.inf)
 
-    def _move(self, command: Command) -> np.ndarray:
+    def _move(self, command: WheelCommand) -> np.ndarray:
         ahead, turned = command.speed * TICK, command.turn * TICK
         x, y, heading = self._true
         grip = 0.2 if any(np.hypot(x - a, y - b) < r for a, b, r in self.slippery) else 1.0

@@ -13,7 +13,7 @@ from typing import Self
 import numpy as np
 
 from jaxlangnav.messages import SensorParams
-from jaxlangnav.robots.motion.mover import TICK, Command, Mover
+from jaxlangnav.robots.motion.mover import TICK, Mover, WheelCommand
 from jaxlangnav.robots.motion.scan import to_discs
 from jaxlangnav.robots.robot import Detection, Progress
 
@@ -74,7 +74,7 @@ class SimulatedRobot(abc.ABC):
         """Measure how far the nearest thing is along each of ``BEAMS``, f64[B], metres."""
 
     @abc.abstractmethod
-    def _move(self, command: Command) -> np.ndarray:
+    def _move(self, command: WheelCommand) -> np.ndarray:
         """Carry out a command for a tick.
 
         Returns:

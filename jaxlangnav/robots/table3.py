@@ -18,7 +18,7 @@ from jaxlangnav.agent import Navigator
 from jaxlangnav.pytree import replace
 from jaxlangnav.robots.driver import drive
 from jaxlangnav.robots.motion.mover import wrap
-from jaxlangnav.robots.perception.figures import told
+from jaxlangnav.robots.perception.figures import as_told
 from jaxlangnav.robots.perception.tags import Gates
 from jaxlangnav.robots.physics.robot import PhysicsRobot
 from jaxlangnav.robots.record import Drive, Ending, OnStep
@@ -44,7 +44,7 @@ _WORLDS, _TRIALS = 3, 4
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Row:
+class TrialRow:
     """A row: what is run, and what the paper prints of it."""
 
     robot: str
@@ -62,9 +62,9 @@ class Row:
         return f"{self.robot}-{self.world}-{self.range:g}-{self.relation}"
 
 
-def _row(world: str, sensing: float, relation: str, *printed: float) -> Row:
+def _row(world: str, sensing: float, relation: str, *printed: float) -> TrialRow:
     success, known, distance, spread = printed
-    return Row(
+    return TrialRow(
         robot="wheelchair",
         world=world,
         range=sensing,
@@ -76,14 +76,14 @@ def _row(world: str, sensing: float, relation: str, *printed: float) -> Row:
     )
 
 
-ROWS = (
+TABLE3 = (
     _row("1H1C", 2.5, "null", 100.0, 4.69, 16.56, 7.20),
     _row("1H1C", 2.5, "behind", 100.0, 4.69, 9.91, 3.41),
     _row("1H2C", 3.0, "behind", 100.0, 4.58, 7.64, 2.08),
     _row("2H1C", 2.5, "behind", 80.0, 5.29, 6.00, 1.38),
     _row("2H1C", 4.0, "nearest", 100.0, 4.09, 4.95, 0.39),
     _row("2H1C", 3.0, "nearest", 50.0, 6.30, 7.05, 0.58),
-    Row(
+    TrialRow(
         robot="husky",
         world="1H1C",
         range=3.0,
@@ -99,7 +99,7 @@ Husky neither range nor distances are printed; 3 m and the first row's geometry 
 _HUSKY_KNOWN = 4.69
 
 
-def environment(row: Row, seed: int) -> Scenario:
+def environment(row: TrialRow, seed: int) -> Scenario:
     """Draw the environment of a row: of many, the one whose known run is nearest to the printed.
 
     Rows of one world, and of one printed distance, share it, as the paper issues several commands
@@ -128,7 +128,7 @@ def environment(row: Row, seed: int) -> Scenario:
 _draw_many = jax.jit(jax.vmap(draw_scenario, in_axes=(0, None)))
 
 
-def make_robot(row: Row, seed: int, trial: int) -> PhysicsRobot:
+def make_robot(row: TrialRow, seed: int, trial: int) -> PhysicsRobot:
     """Put a row's robot at the start of its environment.
 
     Args:
@@ -140,18 +140,18 @@ def make_robot(row: Row, seed: int, trial: int) -> PhysicsRobot:
         The robot; to be closed.
     """
     gates = Gates(range=row.range)
-    noise = np.random.SeedSequence([seed, _TRIALS, ROWS.index(row), trial + 1])
+    noise = np.random.SeedSequence([seed, _TRIALS, TABLE3.index(row), trial + 1])
     return PhysicsRobot(
         row.robot,
         environment(row, seed),
         seed=int(noise.generate_state(1)[0]),
         gates=gates,
-        sensor=told(gates),
+        sensor=as_told(gates),
     )
 
 
 def run_trial(
-    row: Row, trial: int, *, navigator: Navigator, seed: int = 0, on_step: OnStep | None = None
+    row: TrialRow, trial: int, *, navigator: Navigator, seed: int = 0, on_step: OnStep | None = None
 ) -> dict[str, Any]:
     """Run one trial of a row; the robot knows nothing of the environment but its edges.
 
@@ -174,7 +174,7 @@ def run_trial(
         if on_step is not None:
             on_step(*said)
 
-    key = jax.random.fold_in(jax.random.fold_in(jax.random.key(seed), ROWS.index(row)), trial)
+    key = jax.random.fold_in(jax.random.fold_in(jax.random.key(seed), TABLE3.index(row)), trial)
     try:
         ended = drive(
             navigator, robot, COMMANDS[row.relation], key=key, max_seconds=MAX_SECONDS, on_step=keep
@@ -193,7 +193,7 @@ def run_trial(
     }
 
 
-def run_known(row: Row, *, seed: int = 0) -> dict[str, Any]:
+def run_known(row: TrialRow, *, seed: int = 0) -> dict[str, Any]:
     """Run a row's robot with a completely known map: straight to the goal by its odometry.
 
     Args:
@@ -223,7 +223,7 @@ def run_known(row: Row, *, seed: int = 0) -> dict[str, Any]:
     return {"row": row.name, "trial": "known", "seed": seed, "why": "", **found, "wall_s": wall}
 
 
-def _judged(row: Row, seed: int, robot: PhysicsRobot, ending: Ending) -> dict[str, Any]:
+def _judged(row: TrialRow, seed: int, robot: PhysicsRobot, ending: Ending) -> dict[str, Any]:
     """Judge a run by where the robot truly is."""
     goal = np.asarray(robot.scenario.goal, float)
     away = float(np.hypot(*(robot.true_pose[:2] - goal)))

@@ -23,7 +23,7 @@ from jaxlangnav.agent import Navigator
 from jaxlangnav.experiments.metrics import wilson_interval
 from jaxlangnav.files.whole import write_text
 from jaxlangnav.robots.libraries import check_libraries
-from jaxlangnav.robots.table3 import ROWS, Row, run_known, run_trial
+from jaxlangnav.robots.table3 import TABLE3, TrialRow, run_known, run_trial
 
 KNOWN = "known"
 """In place of a trial's number: the run with a completely known map."""
@@ -49,7 +49,7 @@ class Plan:
             if value < 1:
                 raise ValueError(f"{name} is {value}, but must be at least 1")
 
-    def path(self, row: Row, trial: int | str) -> Path | None:
+    def path(self, row: TrialRow, trial: int | str) -> Path | None:
         """Name the file of a trial."""
         if self.out is None:
             return None
@@ -64,7 +64,7 @@ class Plan:
 def reproduce_table3(
     plan: Plan,
     *,
-    rows: Sequence[Row] = ROWS,
+    rows: Sequence[TrialRow] = TABLE3,
     on_progress: Callable[[int], None] = lambda done: None,
 ) -> dict[str, Any]:
     """Run Table 3.
@@ -116,7 +116,7 @@ def reproduce_table3(
     }
 
 
-def _read(plan: Plan, row: Row, trial: int | str) -> dict[str, Any] | None:
+def _read(plan: Plan, row: TrialRow, trial: int | str) -> dict[str, Any] | None:
     """Read a trial that has been kept; None if there is none that is whole and made alike."""
     path = plan.path(row, trial)
     if path is None or not path.is_file():
@@ -129,8 +129,8 @@ def _read(plan: Plan, row: Row, trial: int | str) -> dict[str, Any] | None:
 
 
 def _run(
-    plan: Plan, missing: Sequence[tuple[Row, int | str]]
-) -> Iterator[tuple[Row, int | str, dict[str, Any]]]:
+    plan: Plan, missing: Sequence[tuple[TrialRow, int | str]]
+) -> Iterator[tuple[TrialRow, int | str, dict[str, Any]]]:
     """Run trials, and yield each as it ends."""
     if not missing:
         return
@@ -162,7 +162,7 @@ def _begin(cache: str | None, policy: str) -> None:
     _navigator = Navigator.pretrained(policy)
 
 
-def _one(row: Row, trial: int | str, seed: int) -> dict[str, Any]:
+def _one(row: TrialRow, trial: int | str, seed: int) -> dict[str, Any]:
     """Run one trial in its process; whatever goes wrong in it is a result, too."""
     assert _navigator is not None
     try:
@@ -178,7 +178,9 @@ def _one(row: Row, trial: int | str, seed: int) -> dict[str, Any]:
         return {"row": row.name, "trial": trial, "seed": seed, **failed}
 
 
-def _summary(row: Row, known: dict[str, Any], trials: Sequence[dict[str, Any]]) -> dict[str, Any]:
+def _summary(
+    row: TrialRow, known: dict[str, Any], trials: Sequence[dict[str, Any]]
+) -> dict[str, Any]:
     """Make a row of the table out of its trials."""
     successes = sum(bool(one["success"]) for one in trials)
     way = np.array([one["distance"] for one in trials if one["distance"] is not None])
@@ -212,7 +214,7 @@ def _summary(row: Row, known: dict[str, Any], trials: Sequence[dict[str, Any]]) 
     }
 
 
-HEADINGS = (
+TRIAL_HEADINGS = (
     "robot",
     "world",
     "range (m)",
@@ -235,7 +237,7 @@ def table_rows(document: dict[str, Any]) -> list[list[str]]:
         document: of ``reproduce_table3``.
 
     Returns:
-        Rows under ``HEADINGS``; distances as mean (sd).
+        Rows under ``TRIAL_HEADINGS``; distances as mean (sd).
     """
     return [_cells(row) for row in document["rows"]]
 

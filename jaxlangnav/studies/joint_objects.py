@@ -159,7 +159,7 @@ def _score(one: SemanticMap, scenario: Scenario) -> tuple[Array, Array, Array]:
     return jnp.where(number > 0, nll, jnp.nan), error, number
 
 
-def drive(key: Array, sensor: SensorParams, odometry: MotionParams) -> FormScores:
+def drive_joint(key: Array, sensor: SensorParams, odometry: MotionParams) -> FormScores:
     """Drive once and keep both maps.
 
     Args:
@@ -239,7 +239,7 @@ def compare_forms(
     odometry = MotionParams(
         step_length=jnp.float32(2.0), odometry_noise=jnp.float32(odometry_noise)
     )
-    run = jax.jit(jax.vmap(drive, in_axes=(0, None, None)))
+    run = jax.jit(jax.vmap(drive_joint, in_axes=(0, None, None)))
     scores = jax.tree.map(
         np.asarray, run(keys, default_sensor() if sensor is None else sensor, odometry)
     )

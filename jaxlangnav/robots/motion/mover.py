@@ -17,7 +17,7 @@ from jaxlangnav.robots.robot import Progress
 
 TICK = 0.1
 """Seconds between two commands to the wheels."""
-NEAR = 0.12
+CLOSE_BY = 0.12
 """Metres from a waypoint that count as being there."""
 _CREEP = 0.1
 """Metres a second below which it may turn on the spot."""
@@ -39,14 +39,14 @@ _TRIES = 10
 """Ways looked for in vain, one after the other, after which there is none."""
 
 
-class Command(NamedTuple):
+class WheelCommand(NamedTuple):
     """What the wheels are told."""
 
     speed: float  # metres a second ahead
     turn: float  # radians a second, counter-clockwise
 
 
-STILL = Command(0.0, 0.0)
+STILL = WheelCommand(0.0, 0.0)
 
 
 class Steering(Protocol):
@@ -55,13 +55,13 @@ class Steering(Protocol):
     def steer(
         self,
         pose: np.ndarray,
-        moving: Command,
+        moving: WheelCommand,
         way: np.ndarray,
         discs: np.ndarray,
         *,
         top_speed: float,
         body: Body,
-    ) -> Command:
+    ) -> WheelCommand:
         """Choose a command.
 
         Args:
@@ -118,7 +118,7 @@ class Mover:
         if not len(points) or not np.isfinite(points).all():
             raise ValueError(f"waypoints are {points.tolist()}, but must be finite, one at least")
         is_same = self.progress is Progress.UNDER_WAY and points.shape == self._waypoints.shape
-        is_same = is_same and bool(np.hypot(*(points - self._waypoints).T).max() < NEAR)
+        is_same = is_same and bool(np.hypot(*(points - self._waypoints).T).max() < CLOSE_BY)
         is_same = is_same and facing == self._facing
         self._waypoints, self._speed, self._clearance = points, speed, clearance
         self._facing = facing
@@ -131,7 +131,7 @@ class Mover:
         """Forget the waypoints; the next commands brake."""
         self.progress = Progress.STANDING
 
-    def tick(self, pose: np.ndarray, discs: np.ndarray = NO_DISCS) -> Command:
+    def tick(self, pose: np.ndarray, discs: np.ndarray = NO_DISCS) -> WheelCommand:
         """Choose the next command to the wheels.
 
         Args:
@@ -150,9 +150,9 @@ class Mover:
         self.moving = _limited(wanted, self.moving, self.body)
         return self.moving
 
-    def _follow(self, pose: np.ndarray, discs: np.ndarray) -> Command:
+    def _follow(self, pose: np.ndarray, discs: np.ndarray) -> WheelCommand:
         """Choose the command that is wanted, whatever the body can do."""
-        if len(self._waypoints) > 1 and np.hypot(*(self._waypoints[0] - pose[:2])) < NEAR:
+        if len(self._waypoints) > 1 and np.hypot(*(self._waypoints[0] - pose[:2])) < CLOSE_BY:
             self._waypoints = self._waypoints[1:]
             self._way = None
         self._plan(pose, discs)
@@ -160,7 +160,7 @@ class Mover:
             if self._failed >= _TRIES:
                 self.progress = Progress.GAVE_UP
             return STILL
-        if len(self._way) == 1 and np.hypot(*(self._way[0] - pose[:2])) < NEAR:
+        if len(self._way) == 1 and np.hypot(*(self._way[0] - pose[:2])) < CLOSE_BY:
             self._way = self._way[1:]
         if not len(self._way):
             return self._arrive(pose)
@@ -203,7 +203,7 @@ class Mover:
         discs = inflated - _TREMBLE
         return all(is_clear(*pair, discs) for pair in itertools.pairwise([start, *way]))
 
-    def _arrive(self, pose: np.ndarray) -> Command:
+    def _arrive(self, pose: np.ndarray) -> WheelCommand:
         """Face what the last waypoint is on, and be there."""
         if len(self._waypoints) > 1:
             self._waypoints = self._waypoints[1:]
@@ -237,7 +237,7 @@ def wrap(angle: float) -> float:
     return math.remainder(angle, 2.0 * math.pi)
 
 
-def turn_by(angle: float, body: Body) -> Command:
+def turn_by(angle: float, body: Body) -> WheelCommand:
     """Turn on the spot, slowing down in time.
 
     Args:
@@ -248,7 +248,7 @@ def turn_by(angle: float, body: Body) -> Command:
         The command.
     """
     rate = min(body.turn_rate, math.sqrt(1.2 * body.turn_acceleration * abs(angle)))
-    return Command(0.0, math.copysign(rate, angle))
+    return WheelCommand(0.0, math.copysign(rate, angle))
 
 
 def braked(speed: float, room: float, body: Body) -> float:
@@ -289,12 +289,12 @@ def room_ahead(pose: np.ndarray, discs: np.ndarray, body: Body) -> float:
     return float(max((ahead[is_ahead] - depth).min(), 0.0))
 
 
-def _limited(wanted: Command, moving: Command, body: Body) -> Command:
+def _limited(wanted: WheelCommand, moving: WheelCommand, body: Body) -> WheelCommand:
     """Keep a command within the body's speed and acceleration."""
     speed = min(max(wanted.speed, -body.top_speed), body.top_speed)
     turn = min(max(wanted.turn, -body.turn_rate), body.turn_rate)
     most, most_turn = body.acceleration * TICK, body.turn_acceleration * TICK
-    return Command(
+    return WheelCommand(
         min(max(speed, moving.speed - most), moving.speed + most),
         min(max(turn, moving.turn - most_turn), moving.turn + most_turn),
     )

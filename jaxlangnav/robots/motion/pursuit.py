@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from jaxlangnav.robots.motion.body import Body
-from jaxlangnav.robots.motion.mover import Command, braked, room_ahead, turn_by, wrap
+from jaxlangnav.robots.motion.mover import WheelCommand, braked, room_ahead, turn_by, wrap
 from jaxlangnav.robots.motion.path import is_clear
 
 _SPARE = 0.02
@@ -30,13 +30,13 @@ class Pursuit:
     def steer(
         self,
         pose: np.ndarray,
-        moving: Command,
+        moving: WheelCommand,
         way: np.ndarray,
         discs: np.ndarray,
         *,
         top_speed: float,
         body: Body,
-    ) -> Command:
+    ) -> WheelCommand:
         """Choose a command, see ``Steering``."""
         target = pursued(pose, way, self.ahead, discs, body)
         offset = target - pose[:2]
@@ -52,7 +52,7 @@ class Pursuit:
             speed *= body.turn_rate / abs(turn)
         if speed < 0.02 and abs(off) > 0.05:
             return turn_by(off, body)
-        return Command(speed, turn)
+        return WheelCommand(speed, turn)
 
 
 def pursued(

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from jaxlangnav.robots.motion.body import Body
-from jaxlangnav.robots.motion.mover import Command, braked, turn_by, wrap
+from jaxlangnav.robots.motion.mover import WheelCommand, braked, turn_by, wrap
 from jaxlangnav.robots.motion.pursuit import pursued
 from jaxlangnav.robots.motion.scan import gaps
 
@@ -38,13 +38,13 @@ class Window:
     def steer(
         self,
         pose: np.ndarray,
-        moving: Command,
+        moving: WheelCommand,
         way: np.ndarray,
         discs: np.ndarray,
         *,
         top_speed: float,
         body: Body,
-    ) -> Command:
+    ) -> WheelCommand:
         """Choose a command, see ``Steering``."""
         target = pursued(pose, way, self.ahead, discs, body)
         off = wrap(math.atan2(*(target - pose[:2])[::-1]) - pose[2])
@@ -65,14 +65,14 @@ class Window:
         here = float(gaps(pose[None, 0], pose[None, 1], discs)[0]) - body.radius
         is_free = gap.min(axis=1) >= min(self.spare, here - 1e-3)
         if not is_free.any():
-            return turn_by(off, body) if abs(off) > 0.05 else Command(0.0, 0.0)
+            return turn_by(off, body) if abs(off) > 0.05 else WheelCommand(0.0, 0.0)
         miss = np.hypot(x - target[0], y - target[1]).min(axis=1)
         near = np.minimum(gap.min(axis=1), 0.5)
         worth = -miss + self.clearance_weight * near + self.speed_weight * speed
         best = int(np.argmax(np.where(is_free, worth, -np.inf)))
         if speed[best] < 0.02 and abs(off) > 0.05:
             return turn_by(off, body)
-        return Command(float(speed[best]), float(turn[best]))
+        return WheelCommand(float(speed[best]), float(turn[best]))
 
 
 def _arcs(

@@ -22,7 +22,7 @@ from jaxlangnav.world.state import HYDRANT
 
 RATE, NOISE = 0.95, 0.05
 """Detection rate within the gates, and standard deviation of a thing's place, metres each axis:
-``measure`` at ranges of 1.25 to 4 m, rounded to the cautious side."""
+``measure_detector`` at ranges of 1.25 to 4 m, rounded to the cautious side."""
 RANGES = (1.25, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0)
 """Metres."""
 TURNS = (0.0, 15.0, 30.0, 45.0)
@@ -46,7 +46,7 @@ class Figure:
     false: int  # tags that are not there
 
 
-def told(gates: Gates) -> SensorParams:
+def as_told(gates: Gates) -> SensorParams:
     """Tell the belief what the detector is good for.
 
     Args:
@@ -63,7 +63,7 @@ def told(gates: Gates) -> SensorParams:
     )
 
 
-def measure(
+def measure_detector(
     *,
     looks: int = 6,
     ranges: Sequence[float] = RANGES,
@@ -159,7 +159,7 @@ def table(figures: Sequence[Figure]) -> tuple[list[str], list[list[str]]]:
     """Lay figures out for people: a row for each picture and range, a column for each turn.
 
     Args:
-        figures: of ``measure``.
+        figures: of ``measure_detector``.
 
     Returns:
         Headings and rows.

@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxlangnav.messages import SensorParams
 from jaxlangnav.robots import libraries
-from jaxlangnav.robots.motion.mover import TICK, Command, Mover, Steering
+from jaxlangnav.robots.motion.mover import TICK, Mover, Steering, WheelCommand
 from jaxlangnav.robots.perception.tags import Camera, Gates, Tag, degrade, find_tags, to_detections
 from jaxlangnav.robots.physics.machines import MACHINES, Wear
 from jaxlangnav.robots.physics.scene import OUT_OF_SIGHT, TIMESTEP, build
@@ -178,7 +178,7 @@ class PhysicsRobot(SimulatedRobot):
         )
         return np.where((hit >= 0) & (ranges <= SCAN_RANGE), ranges, np.inf)
 
-    def _move(self, command: Command) -> np.ndarray:
+    def _move(self, command: WheelCommand) -> np.ndarray:
         machine, data = self.machine, self.scene.data
         spread = 0.5 * machine.track * machine.effective_track * command.turn
         data.ctrl[:] = (command.speed - self._side * spread) / machine.wheel_radius
@@ -203,7 +203,7 @@ class PhysicsRobot(SimulatedRobot):
         self.scene.model.geom_friction[self._tyres, 0] = _ICE if is_on_ice else self._grip
 
 
-def wheel_speeds(robot: PhysicsRobot, command: Command, seconds: float) -> Sequence[float]:
+def wheel_speeds(robot: PhysicsRobot, command: WheelCommand, seconds: float) -> Sequence[float]:
     """Drive by a command and measure what comes of it: to calibrate a body.
 
     Args:
