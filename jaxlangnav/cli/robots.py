@@ -39,7 +39,7 @@ def table3(
     check_libraries()
     from rich.table import Table
 
-    from jaxlangnav.robots.trials import HEADINGS, TABLE3, Plan, reproduce_table3, table_rows
+    from jaxlangnav.robots.trials import TABLE3, TRIAL_HEADINGS, Plan, reproduce_table3, table_rows
 
     plan = Plan(trials=trials, seed=seed, policy=policy, out=out)
     total = len(TABLE3) * (trials + 1)
@@ -47,7 +47,7 @@ def table3(
     with progress_bar("runs", total) as advance:
         document = reproduce_table3(plan, on_progress=advance)
     rows = table_rows(document)
-    drawn = Table(*HEADINGS, title=_TITLE, caption=_CAPTION)
+    drawn = Table(*TRIAL_HEADINGS, title=_TITLE, caption=_CAPTION)
     for row in rows:
         drawn.add_row(*row)
     output.say(drawn)
@@ -63,7 +63,7 @@ def table3(
     )
     document["files"] = []
     if out is not None:
-        text = f"# {_TITLE}\n\n{_CAPTION}\n\n{markdown_table(list(HEADINGS), rows)}"
+        text = f"# {_TITLE}\n\n{_CAPTION}\n\n{markdown_table(list(TRIAL_HEADINGS), rows)}"
         written = [
             write_text(text, out / "table3.md"),
             write_text(json.dumps(to_json(document), indent=2) + "\n", out / "table3.json"),

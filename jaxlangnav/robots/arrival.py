@@ -13,7 +13,7 @@ from jaxlangnav.messages import AT
 from jaxlangnav.navigator import NavigatorInfo, NavigatorState
 from jaxlangnav.robots.robot import Detection
 
-SAME_PLACE = 0.8
+SAME_THING = 0.8
 """Metres within which a detection is of the goal that is believed to be there."""
 Goal = tuple[int, float, float]
 """Index of an object type, and x and y in the map frame, metres."""
@@ -67,6 +67,6 @@ def is_seen(
             robot_x + one.range * np.cos(bearing),
             robot_y + one.range * np.sin(bearing),
         )
-        if one.object_type == kind and np.hypot(seen_x - x, seen_y - y) <= SAME_PLACE:
+        if one.object_type == kind and np.hypot(seen_x - x, seen_y - y) <= SAME_THING:
             return True
     return False
