@@ -168,7 +168,7 @@ def conversation(settings: Settings, output: Output) -> Study:
         "conversation",
         document,
         settings,
-        title=rows_of.TITLE,
+        title=rows_of.HEADING,
         lead="A simulated person who knows the goal corrects, answers and states.",
         tables=[table],
         notes=[rows_of.NOTE],
