@@ -92,12 +92,12 @@ def _world(text: bytes, folder: Path, *, kind: str = "toml") -> None:
     path = folder / f"world.{kind}"
     path.write_bytes(text)
     world = load_world(path)
-    leaves = [*vars(world.scenario).values(), *vars(world.sensor).values()]
+    leaves = jax.tree.leaves((world.scenario, world.sensor))
     assert all(np.isfinite(np.asarray(one)).all() for one in leaves)
     assert (world.name + (world.instruction or "")).isprintable()
     save_world(world, folder / "again.toml")
     again = load_world(folder / "again.toml")
-    for mine, theirs in zip(leaves, vars(again.scenario).values(), strict=False):
+    for mine, theirs in zip(leaves, jax.tree.leaves(again.scenario), strict=False):
         assert np.array_equal(mine, theirs)
 
 

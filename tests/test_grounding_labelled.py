@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from grounding_fixture import TYPES, corpus, example
 
+from jaxlangnav import kinds
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.grounding.evaluation import score_annotations, score_behaviors
 from jaxlangnav.grounding.examples import annotation_examples, behavior_examples, ranks_meant
@@ -102,6 +103,7 @@ def test_scores_of_the_shipped_models():
 
 def test_more_types_than_a_program_holds_are_refused():
     model = load_shipped()
-    crowded = dataclasses.replace(model, type_names=(*TYPES, *"abcdefgh"))
-    with pytest.raises(ValueError, match="at most 15"):
+    names = (*TYPES, *(f"kind{number}" for number in range(kinds.MOST_LABELS)))
+    crowded = dataclasses.replace(model, type_names=names)
+    with pytest.raises(ValueError, match=f"give 1 to {kinds.MOST_LABELS - 1} names"):
         understand("go to the hydrant", crowded)
