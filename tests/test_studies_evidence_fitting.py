@@ -114,7 +114,7 @@ def scores(episodes: WordsEvidence, law) -> jax.Array:
 
     def slope(one: WordsEvidence) -> jax.Array:
         def value(relations: RelationParams) -> jax.Array:
-            return law(one, replace(params(), relations=prepare(relations)))
+            return law(one, params=replace(params(), relations=prepare(relations)))
 
         found = jax.grad(value)(true_relations())
         return jnp.stack([getattr(found, name)[BEHIND] for name in FIELDS])
