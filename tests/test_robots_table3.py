@@ -69,7 +69,7 @@ def test_the_table_stands_beside_the_papers(ran: list) -> None:
     rows = trials.table_rows(document)
     assert len(rows) == 7
     for cells, row in zip(rows, TABLE3, strict=True):
-        assert len(cells) == len(trials.HEADINGS)
+        assert len(cells) == len(trials.TRIAL_HEADINGS)
         assert cells[0] == row.robot
         assert cells[5] == f"{row.success:g}"
         assert cells[6] == "6.00 (1.00)"
