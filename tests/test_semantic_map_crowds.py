@@ -5,9 +5,11 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 import jaxlangnav
 from jaxlangnav import messages, navigator
+from jaxlangnav.grounding import Context
 from jaxlangnav.grounding.behavior import MAX_SLOTS
 from jaxlangnav.messages import NONE, ROBOT, BehaviorWorld
 from jaxlangnav.navigator import NavigatorConfig
@@ -49,7 +51,12 @@ def test_forty_slots_fit_into_a_cycle() -> None:
         map=MapConfig(num_objects=40, num_bystanders=64, has_doubts=True),
         planner=PlannerConfig(policy="informed"),
     )
-    state = dataclasses.replace(robot, config=config).start("go to the hydrant behind the cone")
+    # Without a conversation: one tells apart 31 slots at most.
+    with pytest.raises(ValueError, match="at most 31"):
+        dataclasses.replace(robot, config=config)
+    told = robot.grounder.ground("go to the hydrant behind the cone", Context(is_under_way=False))
+    area = jnp.array([-8.0, 8.0, -8.0, 8.0])
+    state = navigator.start(told.instruction, jnp.zeros(3), area, config=config)
     seen = messages.Observation(
         pose=jnp.zeros(3),
         detection_type=jnp.full(4, NONE, jnp.int32),
