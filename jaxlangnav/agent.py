@@ -27,6 +27,7 @@ from jaxlangnav import navigator, sensing
 from jaxlangnav.conversation import words_of
 from jaxlangnav.grounding import Context, GraphGrounder, Grounded, Grounder, load_shipped
 from jaxlangnav.grounding.annotated import returning
+from jaxlangnav.grounding.grounder import names_of
 from jaxlangnav.grounding.readings import Capacity, widen
 from jaxlangnav.kinds import name_of
 from jaxlangnav.language.halting import act_of
@@ -336,7 +337,9 @@ class Navigator:
             Names of object types, in the order of the sentence; those of all its readings.
         """
         kinds = np.asarray(state.instruction.readings.mention_type).reshape(-1).tolist()
-        return [name_of(kind, self._names) for kind in dict.fromkeys(kinds) if kind >= 0]
+        return [
+            name_of(kind, names_of(self.grounder)) for kind in dict.fromkeys(kinds) if kind >= 0
+        ]
 
     def missing(self, state: NavigatorState) -> list[str]:
         """Name what the task speaks of and the robot has not seen, such as its goal's landmark.
@@ -351,12 +354,7 @@ class Navigator:
         readings, is_asked = state.instruction.readings, state.talk.words.is_asked
         spoken = np.where(np.asarray(is_asked), np.asarray(readings.mention_type), NONE)
         missing = missing_types(replace(readings, mention_type=spoken), types)
-        return [name_of(kind, self._names) for kind in missing]
-
-    @property
-    def _names(self) -> Sequence[str]:
-        """Names of labels, and of things that a grounder's detector has no label for."""
-        return getattr(self.grounder, "names", self.type_names)
+        return [name_of(kind, names_of(self.grounder)) for kind in missing]
 
 
 def _around(pose: Sequence[float]) -> tuple[float, ...]:

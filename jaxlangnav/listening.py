@@ -16,6 +16,7 @@ from jaxlangnav import hearing
 from jaxlangnav.conversation import Joined, join
 from jaxlangnav.grounding import Context, Grounded, Grounder
 from jaxlangnav.grounding.annotated import returning
+from jaxlangnav.grounding.grounder import names_of
 from jaxlangnav.grounding.spoken import Spoken
 from jaxlangnav.hearing import How
 from jaxlangnav.kinds import label_of, name_of, noun_of
@@ -220,18 +221,13 @@ class Listener:
         ]
         if len(spoken.goals) == 1 and kind in spoken.others:
             if not slots:
-                name = noun_of(kind, self._names)
+                name = noun_of(kind, names_of(self.grounder))
                 raise ValueError(
                     f"{cut(text)!r}: no {name} has been approached yet, so there is no other: "
                     f"say which, as in 'the {name} by the cone'"
                 )
             return slots[0]
         return at if said.is_not_that and at in slots else NONE
-
-    @property
-    def _names(self) -> Sequence[str]:
-        """Names of labels, and of things that the detector has no label for."""
-        return getattr(self.grounder, "names", self.grounder.type_names)
 
     def candidates(self, state: NavigatorState) -> list[Candidate]:
         """List the things that may be meant, the nearest first: what a question is about.
@@ -263,7 +259,7 @@ class Listener:
         total = max(float(own.sum()), 1e-9)
         return Candidate(
             slot=slot,
-            type_name=name_of(self._type_at(state, slot), self._names),
+            type_name=name_of(self._type_at(state, slot), names_of(self.grounder)),
             x=float((own * np.asarray(particles.mean_x[slot])).sum() / total),
             y=float((own * np.asarray(particles.mean_y[slot])).sum() / total),
             probability=float(state.talk.candidate[slot]),
