@@ -34,8 +34,8 @@ from scipy import sparse
 from sklearn.linear_model import LogisticRegression
 
 from jaxlangnav.speed.measuring import Entry, against, entry
-from jaxlangnav.grounding.blocks import Factors, pool
-from jaxlangnav.grounding.training import TrainingConfig, fit
+from jaxlangnav.training.blocks import Factors, pool
+from jaxlangnav.training.fit import TrainingConfig, fit
 
 NUM_EXAMPLES, NUM_SYMBOLS = 83_547, 494
 NUM_WORDS, NUM_PROPERTIES = 254, 54
@@ -101,11 +101,11 @@ def draw(number: int) -> Data:
 
 def corpus() -> Data:
     """Build the annotation factors of the corpus of Table 1."""
-    from jaxlangnav.grounding.examples import annotation_examples
-    from jaxlangnav.grounding.labelled import read_examples
     from jaxlangnav.grounding.model import build_vocabulary
     from jaxlangnav.language.corpus import load_corpus
     from jaxlangnav.language.lexicon import load_lexicon
+    from jaxlangnav.training.examples import annotation_examples
+    from jaxlangnav.training.labelled import read_examples
 
     types = load_lexicon().type_names
     examples = annotation_examples(read_examples(load_corpus("corpus39"), types), types)
@@ -192,8 +192,8 @@ COLD = {
     "ours": """
 import pinning, sys
 import numpy as np
-from jaxlangnav.grounding.blocks import Factors, pool
-from jaxlangnav.grounding.training import TrainingConfig, fit
+from jaxlangnav.training.blocks import Factors, pool
+from jaxlangnav.training.fit import TrainingConfig, fit
 with np.load(sys.argv[1]) as file:
     factors = Factors(**file)
 config = TrainingConfig(l2=float(sys.argv[2]), max_steps=1000, gap=float(sys.argv[3]))

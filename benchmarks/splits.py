@@ -20,10 +20,10 @@ import record
 from jaxlangnav.speed.measuring import Entry, entry
 from jaxlangnav.experiments.splits import draw_splits
 from jaxlangnav.experiments.table1 import CORPUS, MODELS
-from jaxlangnav.grounding.examples import Example, annotation_examples, behavior_examples
-from jaxlangnav.grounding.labelled import read_examples
+from jaxlangnav.training.examples import Example, annotation_examples, behavior_examples
+from jaxlangnav.training.labelled import read_examples
 from jaxlangnav.grounding.model import ANNOTATION_KINDS, BEHAVIOR_KINDS
-from jaxlangnav.grounding.training import build_design, fit
+from jaxlangnav.training.fit import build_design, fit
 from jaxlangnav.language.corpus import load_corpus
 from jaxlangnav.language.lexicon import load_lexicon
 

@@ -31,10 +31,7 @@ from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
 from jaxlangnav.experiments.splits import draw_splits
 from jaxlangnav.experiments.table1 import CORPUS
 from jaxlangnav.experiments.tasks import cell
-from jaxlangnav.grounding import scoring, training
-from jaxlangnav.grounding.examples import annotation_examples
 from jaxlangnav.grounding.features import FEATURE_GROUPS
-from jaxlangnav.grounding.labelled import read_examples
 from jaxlangnav.grounding.model import ANNOTATION_KINDS, CorrespondenceModel
 from jaxlangnav.language.corpus import load_corpus
 from jaxlangnav.language.lexicon import load_lexicon
@@ -52,6 +49,10 @@ from jaxlangnav.semantic_map.params import MapConfig
 from jaxlangnav.studies.evidence_fitting import fit_to_episodes, run_and_remember
 from jaxlangnav.studies.map_evidence import log_map
 from jaxlangnav.studies.own_worlds import OWN_AREA, own_tasks
+from jaxlangnav.training import TrainingConfig, scoring
+from jaxlangnav.training.examples import annotation_examples
+from jaxlangnav.training.fit import build_design, by_kind, factorise, loss, strengths, train_weights
+from jaxlangnav.training.labelled import read_examples
 from jaxlangnav.viz import style
 
 jaxlangnav.keep_compiled_programs()
@@ -309,10 +310,10 @@ SPLITS, FOLDS = 8, 3
 GROUPS = ("bias", *FEATURE_GROUPS)
 types = load_lexicon().type_names
 instructions = read_examples(load_corpus(CORPUS), types)
-vocabulary, design = training.build_design(
+vocabulary, design = build_design(
     annotation_examples(instructions, types), ANNOTATION_KINDS, len(instructions)
 )
-factored = training.factorise(design)
+factored = factorise(design)
 is_test = draw_splits(len(instructions), SPLITS, 4)
 random = np.random.default_rng(1)
 fold = np.argsort(random.random(is_test.shape), axis=1) % FOLDS
@@ -322,9 +323,9 @@ is_chosen_by = ~is_test & (fold == np.arange(FOLDS)[:, None, None])  # FOLDS, SP
 def held_out_loss(log_strength, split):
     """Train on some counts at exp(log_strength), evaluate on others: weights, nats a sentence."""
     kept, out, number = split
-    strength = training.strengths(vocabulary, dict(zip(GROUPS, jnp.exp(log_strength), strict=True)))
-    weights, _ = training.train_weights(factored, kept, strength, config=training.TrainingConfig())
-    nats = training.loss(training.by_kind(weights, design), design, out, 0.0)
+    strength = strengths(vocabulary, dict(zip(GROUPS, jnp.exp(log_strength), strict=True)))
+    weights, _ = train_weights(factored, kept, strength, config=TrainingConfig())
+    nats = loss(by_kind(weights, design), design, out, 0.0)
     return nats / number, weights
 
 
@@ -347,7 +348,7 @@ def slope(log_strength):
     return nats.reshape(FOLDS, -1).mean(0), slopes.reshape(FOLDS, SPLITS, -1).mean(0)
 
 
-start = jnp.full((SPLITS, len(GROUPS)), jnp.log(training.TrainingConfig().l2))
+start = jnp.full((SPLITS, len(GROUPS)), jnp.log(TrainingConfig().l2))
 chosen, descent = start, optax.adam(0.4)
 memory, course = descent.init(chosen), []
 for _ in range(8):
@@ -378,10 +379,7 @@ def test(log_strength):
 found = {}
 for name, log_strength in (("0.01 for all", start), ("chosen by gradient", chosen)):
     nats, weights = test(log_strength)
-    models = [
-        CorrespondenceModel(vocabulary, training.by_kind(one, design))
-        for one in np.asarray(weights)
-    ]
+    models = [CorrespondenceModel(vocabulary, by_kind(one, design)) for one in np.asarray(weights)]
     results = scoring.score_annotations(
         instructions, scoring.Models.of(models), is_test, types, widths=(4,)
     )

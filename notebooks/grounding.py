@@ -31,11 +31,11 @@ import jaxlangnav
 from jaxlangnav.grounding.correspondence import (
     KIND,
     Labelled,
-    examples_of,
     read_tree,
-    train_graph,
 )
-from jaxlangnav.grounding.training import TrainingConfig, build_design, loss
+from jaxlangnav.training import train_graph
+from jaxlangnav.training.fit import TrainingConfig, build_design, loss
+from jaxlangnav.training.graph import examples_of
 from jaxlangnav.viz.graph import beliefs_figure
 
 jaxlangnav.keep_compiled_programs()

@@ -3,9 +3,9 @@
     python scripts/mutants.py                 all of ``mutants.toml``
     python scripts/mutants.py --only claim    those whose name has "claim" in it
 
-Each mutant changes one expression in a copy of the working tree, runs the quick tests that are named
-with it there, and lives where they pass. A mutant whose expression is no longer in the file is an
-error: the list is kept true by being run.
+Each mutant changes one expression in a copy of the working tree, runs the quick tests that are
+named with it there, and lives where they pass. A mutant whose expression is no longer in the file
+is an error: the list is kept true by being run.
 """
 
 import argparse

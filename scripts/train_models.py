@@ -6,8 +6,8 @@ python scripts/train_models.py
 import json
 import sys
 
-from jaxlangnav.grounding.fitting import train_models
 from jaxlangnav.grounding.weights import save, shipped_path
+from jaxlangnav.training.shipped import train_models
 
 
 def main() -> None:

@@ -3,13 +3,13 @@
 import numpy as np
 
 from jaxlangnav.grounding.behavior_features import World
-from jaxlangnav.grounding.labelled import read_example
 from jaxlangnav.grounding.worlds import place
 from jaxlangnav.language.corpus import ClauseLabels, Example, WorldLabels
 from jaxlangnav.language.labels import Geometry, PlacedWorld, annotate, behave
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.language.parser import parse
 from jaxlangnav.messages import ROBOT
+from jaxlangnav.training.labelled import read_example
 
 TYPES = load_lexicon().type_names
 

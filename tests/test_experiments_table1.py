@@ -7,7 +7,7 @@ from grounding_fixture import TYPES, corpus
 from jaxlangnav.experiments.splits import draw_splits, mark_new_words
 from jaxlangnav.experiments.table1 import evaluate, summarise, table_1
 from jaxlangnav.grounding import load_shipped
-from jaxlangnav.grounding.evaluation import (
+from jaxlangnav.training.evaluation import (
     Scores,
     score_annotations,
     score_annotations_exactly,

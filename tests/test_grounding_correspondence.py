@@ -10,13 +10,13 @@ from oracles.dcg import root_distribution
 from jaxlangnav.grounding.correspondence import (
     KIND,
     Labelled,
-    examples_of,
     read_tree,
-    train_graph,
 )
-from jaxlangnav.grounding.training import TrainingConfig
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import Phrase, Word
+from jaxlangnav.training import train_graph
+from jaxlangnav.training.graph import examples_of
+from jaxlangnav.training.fit import TrainingConfig
 from jaxlangnav.viz.graph import beliefs_figure
 
 COLOURS = ("red", "blue", "green")

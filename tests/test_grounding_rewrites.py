@@ -23,14 +23,14 @@ from jaxlangnav.grounding import (
 )
 from jaxlangnav.grounding.readings import Reading, pack, unpack
 from jaxlangnav.grounding.rewrites import MOST_REWRITES
-from jaxlangnav.grounding.temperature import (
+from jaxlangnav.grounding.weights import load_shipped
+from jaxlangnav.messages import BEHIND, FRONT, NONE
+from jaxlangnav.training.temperature import (
     COLDEST,
     Judged,
     fit_source_temperature,
     log_likelihood,
 )
-from jaxlangnav.grounding.weights import load_shipped
-from jaxlangnav.messages import BEHIND, FRONT, NONE
 
 START = Context(is_under_way=False)
 TYPES = load_shipped().type_names

@@ -12,8 +12,8 @@ from jaxlangnav.grounding.search import (
     search,
     search_exactly,
 )
-from jaxlangnav.grounding.search_many import flips, search_exactly_many, search_many
 from jaxlangnav.language.phrase import Phrase
+from jaxlangnav.training.search_many import flips, search_exactly_many, search_many
 
 
 def leaf(label="NP", *children):

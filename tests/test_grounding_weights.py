@@ -16,12 +16,12 @@ import numpy as np
 import pytest
 
 from jaxlangnav.grounding import load_shipped, understand, weights
-from jaxlangnav.grounding.evaluation import Scores, calibration_error, fit_temperature
-from jaxlangnav.grounding.examples import property_names
-from jaxlangnav.grounding.fitting import MODELS, train_models
 from jaxlangnav.grounding.instruction import GroundingModel
-from jaxlangnav.grounding.training import TrainingConfig
+from jaxlangnav.grounding.properties import property_names
 from jaxlangnav.grounding.weights import about, load, save, shipped_path
+from jaxlangnav.training.evaluation import Scores, calibration_error, fit_temperature
+from jaxlangnav.training.fit import TrainingConfig
+from jaxlangnav.training.shipped import MODELS, train_models
 
 TABLE_2 = (
     "go to the hydrant",

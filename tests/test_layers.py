@@ -24,6 +24,7 @@ LAYERS = (
     "relations",
     "language",
     "grounding",
+    "training",
     "semantic_map",
     "planner",
     "conversation",
@@ -48,8 +49,8 @@ LAYERS = (
 """Lowest first. ``jaxlangnav/__init__.py`` is the facade: it names things from everywhere."""
 
 BELIEF = (
-    "grounding", "semantic_map", "planner", "conversation", "navigator", "hearing", "listening",
-    "agent",
+    "grounding", "training", "semantic_map", "planner", "conversation", "navigator", "hearing",
+    "listening", "agent",
 )  # fmt: skip
 TRUTH = "world"
 PACKAGE = Path(__file__).parent.parent / "jaxlangnav"

@@ -42,8 +42,8 @@ class Train:
         check_file("--out", self.out, ".npz")
         keep_compiled_programs()
         from jaxlangnav.cli.engine import load_models
-        from jaxlangnav.grounding.fitting import MODELS, train_models
         from jaxlangnav.grounding.weights import save
+        from jaxlangnav.training.shipped import MODELS, train_models
 
         kinds = MODELS if self.what == "both" else (self.what,)
         trained = train_models(

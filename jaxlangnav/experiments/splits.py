@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jaxlangnav.grounding.examples import LabelledInstruction
+from jaxlangnav.training.examples import LabelledInstruction
 
 HOLD_OUT = 1 / 3
 

@@ -20,22 +20,21 @@ from jaxlangnav.experiments.splits import draw_splits, mark_new_words
 from jaxlangnav.experiments.table import Table
 from jaxlangnav.grounding.annotation import infer_annotations
 from jaxlangnav.grounding.behavior_search import infer_behavior_sets
-from jaxlangnav.grounding.blocks import Design
-from jaxlangnav.grounding.examples import (
-    LabelledInstruction,
-    annotation_examples,
-    behavior_examples,
-)
 from jaxlangnav.grounding.features import FEATURE_GROUPS
-from jaxlangnav.grounding.fitting import MODELS
-from jaxlangnav.grounding.labelled import read_examples
 from jaxlangnav.grounding.model import (
     ANNOTATION_KINDS,
     BEHAVIOR_KINDS,
     CorrespondenceModel,
     Vocabulary,
 )
-from jaxlangnav.grounding.scoring import (
+from jaxlangnav.grounding.search import BEAM_WIDTH
+from jaxlangnav.language.corpus import load_corpus
+from jaxlangnav.language.lexicon import load_lexicon
+from jaxlangnav.training.blocks import Design
+from jaxlangnav.training.examples import LabelledInstruction, annotation_examples, behavior_examples
+from jaxlangnav.training.fit import Fit, build_design, fit
+from jaxlangnav.training.labelled import read_examples
+from jaxlangnav.training.scoring import (
     ExactScores,
     Models,
     Results,
@@ -43,10 +42,7 @@ from jaxlangnav.grounding.scoring import (
     score_annotations,
     score_behaviors,
 )
-from jaxlangnav.grounding.search import BEAM_WIDTH
-from jaxlangnav.grounding.training import Fit, build_design, fit
-from jaxlangnav.language.corpus import load_corpus
-from jaxlangnav.language.lexicon import load_lexicon
+from jaxlangnav.training.shipped import MODELS
 
 TABLE_1: dict[str, dict[str, float]] = {
     "annotation": {

@@ -8,7 +8,6 @@ from jaxlangnav.grounding.correspondence import (
     Labelled,
     SymbolSpace,
     read_tree,
-    train_graph,
 )
 from jaxlangnav.grounding.grounder import Alternative, Context, GraphGrounder, Grounded, Grounder
 from jaxlangnav.grounding.instruction import (
@@ -47,7 +46,6 @@ __all__ = [
     "infer_behaviors",
     "load_shipped",
     "read_tree",
-    "train_graph",
     "understand",
     "understand_parse",
 ]

@@ -13,9 +13,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from jaxlangnav.grounding.annotation_features import rank_properties
-from jaxlangnav.grounding.examples import Path, annotation_properties
 from jaxlangnav.grounding.features import senses_of
 from jaxlangnav.grounding.model import CorrespondenceModel
+from jaxlangnav.grounding.properties import Path, annotation_properties
 from jaxlangnav.grounding.search import BEAM_WIDTH, Hypothesis, LogOdds, search
 from jaxlangnav.grounding.symbols import (
     OBJECT,

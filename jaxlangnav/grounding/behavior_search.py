@@ -9,16 +9,16 @@ import numpy as np
 
 from jaxlangnav.grounding.annotation import walk
 from jaxlangnav.grounding.behavior_features import World
-from jaxlangnav.grounding.examples import (
+from jaxlangnav.grounding.features import senses_of
+from jaxlangnav.grounding.graph import VERB_LABELS
+from jaxlangnav.grounding.model import CorrespondenceModel
+from jaxlangnav.grounding.properties import (
     KIND_OF,
     Path,
     behavior_properties,
     child_groundings,
     ranks_meant,
 )
-from jaxlangnav.grounding.features import senses_of
-from jaxlangnav.grounding.graph import VERB_LABELS
-from jaxlangnav.grounding.model import CorrespondenceModel
 from jaxlangnav.grounding.search import BEAM_WIDTH, Hypothesis, LogOdds, search
 from jaxlangnav.grounding.symbols import BehaviorSpace
 from jaxlangnav.language.phrase import Phrase

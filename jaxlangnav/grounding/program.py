@@ -25,10 +25,10 @@ from jaxlangnav.grounding.contraction import (
     region_terms,
     softmax,
 )
-from jaxlangnav.grounding.examples import Path, ranks_meant
 from jaxlangnav.grounding.features import RESTRICTORS, senses_of
 from jaxlangnav.grounding.graph import Node, bottom_up
 from jaxlangnav.grounding.model import CorrespondenceModel
+from jaxlangnav.grounding.properties import Path, ranks_meant
 from jaxlangnav.grounding.symbols import NUM_REGIONS, NUM_RELATIONS
 from jaxlangnav.language.phrase import Phrase
 from jaxlangnav.messages import AT, NONE

@@ -18,7 +18,6 @@ import numpy as np
 from jaxlangnav.files.arrays import faults_as_values, open_arrays, read_floats, read_text
 from jaxlangnav.files.regular import read_file
 from jaxlangnav.files.whole import replacing
-from jaxlangnav.grounding.examples import property_names
 from jaxlangnav.grounding.instruction import GroundingModel
 from jaxlangnav.grounding.model import (
     ANNOTATION_KINDS,
@@ -26,6 +25,7 @@ from jaxlangnav.grounding.model import (
     CorrespondenceModel,
     Vocabulary,
 )
+from jaxlangnav.grounding.properties import property_names
 from jaxlangnav.language.lexicon import load_lexicon
 
 SHIPPED = "weights.npz"

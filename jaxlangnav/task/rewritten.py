@@ -11,7 +11,6 @@ from jaxlangnav.grounding.grounder import GraphGrounder
 from jaxlangnav.grounding.instruction import GroundingModel
 from jaxlangnav.grounding.recorded import RecordedRewrites
 from jaxlangnav.grounding.rewrites import RewriteGrounder, default_rewrite_params, verify_rewrites
-from jaxlangnav.grounding.temperature import Judged, TemperatureFit, fit_source_temperature
 from jaxlangnav.task.compared import difference
 from jaxlangnav.task.labelled import LabelledSentence
 from jaxlangnav.task.scored import (
@@ -27,6 +26,7 @@ from jaxlangnav.task.scored import (
     score_sentences,
     summarize_scores,
 )
+from jaxlangnav.training.temperature import Judged, TemperatureFit, fit_source_temperature
 
 GRAPH, REWRITES, BOTH = ARMS = ("graph alone", "rewrites alone", "both")
 """What reads the sentences; both: the graph, and rewritings of what it refuses."""

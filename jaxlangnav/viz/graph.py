@@ -13,9 +13,9 @@ import numpy as np
 
 from jaxlangnav.grounding.annotation import infer_annotations, walk
 from jaxlangnav.grounding.correspondence import PhraseBelief, beliefs_below
-from jaxlangnav.grounding.examples import annotation_properties
 from jaxlangnav.grounding.features import senses_of
 from jaxlangnav.grounding.instruction import GroundingModel
+from jaxlangnav.grounding.properties import annotation_properties
 from jaxlangnav.grounding.search import search
 from jaxlangnav.grounding.symbols import Annotation, AnnotationSpace
 from jaxlangnav.language.phrase import Parse, Phrase

@@ -20,25 +20,16 @@ from jaxlangnav.grounding.annotation import (
 )
 from jaxlangnav.grounding.annotation_features import rank_properties
 from jaxlangnav.grounding.behavior_features import World
-from jaxlangnav.grounding.blocks import identify
-from jaxlangnav.grounding.examples import (
+from jaxlangnav.grounding.features import senses_of
+from jaxlangnav.grounding.graph import VERB_LABELS
+from jaxlangnav.grounding.model import CorrespondenceModel, Vocabulary
+from jaxlangnav.grounding.properties import (
     KIND_OF,
-    LabelledInstruction,
     Path,
     annotation_properties,
     behavior_properties,
     child_groundings,
     ranks_meant,
-)
-from jaxlangnav.grounding.features import senses_of
-from jaxlangnav.grounding.graph import VERB_LABELS
-from jaxlangnav.grounding.model import CorrespondenceModel, Vocabulary
-from jaxlangnav.grounding.search_many import (
-    Beams,
-    Children,
-    ManyLogOdds,
-    search_exactly_many,
-    search_many,
 )
 from jaxlangnav.grounding.symbols import (
     ACTION,
@@ -48,6 +39,15 @@ from jaxlangnav.grounding.symbols import (
     BehaviorSpace,
 )
 from jaxlangnav.language.phrase import Phrase
+from jaxlangnav.training.blocks import identify
+from jaxlangnav.training.examples import LabelledInstruction
+from jaxlangnav.training.search_many import (
+    Beams,
+    Children,
+    ManyLogOdds,
+    search_exactly_many,
+    search_many,
+)
 
 LOG_FLOOR = -12.0
 """Log-probability that a gold answer counts with where the beam has not got it."""

@@ -9,13 +9,13 @@ from grounding_fixture import TYPES, corpus
 from jaxlangnav.grounding import load_shipped
 from jaxlangnav.grounding.annotation import infer_annotations
 from jaxlangnav.grounding.behavior_search import infer_behavior_sets
-from jaxlangnav.grounding.scoring import (
+from jaxlangnav.grounding.symbols import BehaviorSpace
+from jaxlangnav.training.scoring import (
     Models,
     gold_annotations,
     score_annotations,
     score_behaviors,
 )
-from jaxlangnav.grounding.symbols import BehaviorSpace
 
 SENTENCES = (
     "go to the second box near the tree",

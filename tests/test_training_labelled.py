@@ -8,10 +8,7 @@ from grounding_fixture import TYPES, corpus, example
 
 from jaxlangnav import kinds
 from jaxlangnav.grounding import load_shipped, understand
-from jaxlangnav.grounding.evaluation import score_annotations, score_behaviors
-from jaxlangnav.grounding.examples import annotation_examples, behavior_examples, ranks_meant
-from jaxlangnav.grounding.labelled import read_annotation, read_behavior, read_example
-from jaxlangnav.grounding.scoring import gold_annotations
+from jaxlangnav.grounding.properties import ranks_meant
 from jaxlangnav.grounding.symbols import (
     ACTION,
     CONSTRAINT,
@@ -23,6 +20,10 @@ from jaxlangnav.grounding.symbols import (
     relation_symbol,
 )
 from jaxlangnav.messages import AT, BEHIND, LEFT, NEAR, NONE, ROBOT
+from jaxlangnav.training.evaluation import score_annotations, score_behaviors
+from jaxlangnav.training.examples import annotation_examples, behavior_examples
+from jaxlangnav.training.labelled import read_annotation, read_behavior, read_example
+from jaxlangnav.training.scoring import gold_annotations
 
 
 def test_symbols_are_read_by_name():

@@ -23,11 +23,11 @@ import numpy as np
 from jax import Array
 from jax.scipy.linalg import solve_triangular
 
-from jaxlangnav.grounding.blocks import Design, flatten, pool
-from jaxlangnav.grounding.examples import Example
 from jaxlangnav.grounding.features import group_of
 from jaxlangnav.grounding.model import CorrespondenceModel, Vocabulary, build_vocabulary
-from jaxlangnav.grounding.optimum import Problem, Search, data_loss, minimise
+from jaxlangnav.training.blocks import Design, flatten, pool
+from jaxlangnav.training.examples import Example
+from jaxlangnav.training.optimum import Problem, Search, data_loss, minimise
 
 LANES = 8
 """Splits that are fitted side by side; all of them wait for the slowest."""

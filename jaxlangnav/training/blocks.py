@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxlangnav.grounding.examples import Example, Rows
 from jaxlangnav.grounding.model import Vocabulary
+from jaxlangnav.training.examples import Example, Rows
 
 
 class Factors(NamedTuple):

@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
-from jaxlangnav.grounding.examples import LabelledInstruction, Path
 from jaxlangnav.grounding.graph import bottom_up
+from jaxlangnav.grounding.properties import Path
 from jaxlangnav.grounding.symbols import (
     KINDS,
     OBJECT,
@@ -17,6 +17,7 @@ from jaxlangnav.grounding.worlds import place
 from jaxlangnav.language.corpus import Example
 from jaxlangnav.language.phrase import COMMAND, Parse
 from jaxlangnav.messages import ACTIONS, MODES, NONE, REGIONS, RELATIONS, ROBOT
+from jaxlangnav.training.examples import LabelledInstruction
 
 
 def _split(text: str) -> tuple[str, list[str]]:

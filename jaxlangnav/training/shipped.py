@@ -14,24 +14,20 @@ from typing import Any
 
 import numpy as np
 
-from jaxlangnav.grounding.evaluation import (
+from jaxlangnav.grounding.instruction import GroundingModel
+from jaxlangnav.grounding.model import ANNOTATION_KINDS, BEHAVIOR_KINDS, CorrespondenceModel
+from jaxlangnav.language.corpus import Example, load_corpus, read_corpus
+from jaxlangnav.language.lexicon import load_lexicon
+from jaxlangnav.training.evaluation import (
     Scores,
     calibration_error,
     fit_temperature,
     score_annotations,
     score_behaviors,
 )
-from jaxlangnav.grounding.examples import (
-    LabelledInstruction,
-    annotation_examples,
-    behavior_examples,
-)
-from jaxlangnav.grounding.instruction import GroundingModel
-from jaxlangnav.grounding.labelled import read_examples
-from jaxlangnav.grounding.model import ANNOTATION_KINDS, BEHAVIOR_KINDS, CorrespondenceModel
-from jaxlangnav.grounding.training import Fit, TrainingConfig, build_design, fit
-from jaxlangnav.language.corpus import Example, load_corpus, read_corpus
-from jaxlangnav.language.lexicon import load_lexicon
+from jaxlangnav.training.examples import LabelledInstruction, annotation_examples, behavior_examples
+from jaxlangnav.training.fit import Fit, TrainingConfig, build_design, fit
+from jaxlangnav.training.labelled import read_examples
 
 MODELS = ("annotation", "behavior")
 

@@ -8,11 +8,11 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from jaxlangnav.grounding import scoring
-from jaxlangnav.grounding.examples import LabelledInstruction
 from jaxlangnav.grounding.model import CorrespondenceModel
-from jaxlangnav.grounding.scoring import ExactScores, Models, Scores
 from jaxlangnav.grounding.search import BEAM_WIDTH
+from jaxlangnav.training import scoring
+from jaxlangnav.training.examples import LabelledInstruction
+from jaxlangnav.training.scoring import ExactScores, Models, Scores
 
 
 def _on_all(instructions: Sequence[LabelledInstruction]) -> np.ndarray:

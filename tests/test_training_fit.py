@@ -11,8 +11,6 @@ import pytest
 from grounding_fixture import TYPES, corpus
 from oracles.dcg import objective
 
-from jaxlangnav.grounding.blocks import Design, Factors, pool
-from jaxlangnav.grounding.examples import annotation_examples, behavior_examples
 from jaxlangnav.grounding.features import FEATURE_GROUPS, group_of, word_features
 from jaxlangnav.grounding.model import (
     ANNOTATION_KINDS,
@@ -20,8 +18,9 @@ from jaxlangnav.grounding.model import (
     CorrespondenceModel,
     Vocabulary,
 )
-from jaxlangnav.grounding.optimum import Problem, minimise, slope_of
-from jaxlangnav.grounding.training import (
+from jaxlangnav.training.blocks import Design, Factors, pool
+from jaxlangnav.training.examples import annotation_examples, behavior_examples
+from jaxlangnav.training.fit import (
     TrainingConfig,
     build_design,
     by_kind,
@@ -32,6 +31,7 @@ from jaxlangnav.grounding.training import (
     train,
     train_weights,
 )
+from jaxlangnav.training.optimum import Problem, minimise, slope_of
 
 SMALL = ("walk to the barrel", "find the car behind the tree", "park near the box")
 
