@@ -15,8 +15,8 @@ from jaxlangnav.grounding.correspondence import (
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import Phrase, Word
 from jaxlangnav.training import train_graph
-from jaxlangnav.training.graph import examples_of
 from jaxlangnav.training.fit import TrainingConfig
+from jaxlangnav.training.graph import examples_of
 from jaxlangnav.viz.graph import beliefs_figure
 
 COLOURS = ("red", "blue", "green")

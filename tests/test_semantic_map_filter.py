@@ -10,6 +10,7 @@ from oracles import associations, enumeration
 from test_semantic_map_enumeration import EMPTY, by_category, small_world
 
 from jaxlangnav.messages import BEHIND, NEAR, NONE
+from jaxlangnav.pytree import replace
 
 HYDRANT, CONE, CAR = by_hand.HYDRANT, by_hand.CONE, by_hand.CAR
 PATH = [(0.7 * step, 0.0) for step in range(by_hand.STEPS)]
@@ -136,8 +137,9 @@ def test_missed_objects_speak_against_hypotheses_only_in_view() -> None:
     assert mass[2] < 0.02
 
 
-def test_evidence_of_detections_is_the_predictive_density() -> None:
-    """One object, three looks, nothing else possible: log-evidence in closed form."""
+@pytest.mark.parametrize("clumping", [0.0, 2.0])
+def test_evidence_of_detections_is_the_predictive_density(clumping: float) -> None:
+    """One object, three looks, next to nothing else possible: log-evidence in closed form."""
     concentration, noise = 1e-6, 0.2
     places = [(1.0, 0.5), (1.1, 0.4), (0.9, 0.6)]
     looks = [[place] for place in places] + [[]] * (by_hand.STEPS - 3)
@@ -151,7 +153,7 @@ def test_evidence_of_detections_is_the_predictive_density() -> None:
         by_hand.repeat(by_hand.begin(tuple(POSE)), by_hand.SEEDS),
         by_hand.repeat(by_hand.readings([[CAR]], [[EMPTY]]), by_hand.SEEDS),
         by_hand.repeat(by_hand.stack(observations), by_hand.SEEDS),
-        by_hand.params(concentration=concentration),
+        by_hand.params(concentration=concentration, clumping=clumping),
     )
     _, expected = associations.posterior(
         looks, intensity=concentration / 100.0, detection_probability=0.7, variance=noise**2
@@ -159,6 +161,37 @@ def test_evidence_of_detections_is_the_predictive_density() -> None:
     # The car is spoken of and not seen either: its absence is part of the evidence.
     area_seen = np.pi * 3.0**2 / 100.0
     not_seen = np.log(1 - area_seen * (1 - 0.3 ** np.array([1.0, by_hand.STEPS])))
+    # Where one stands, others are expected; that no look has shown any is evidence, too.
+    share_seen = 1 - np.exp(np.asarray(beliefs.coverage.log_miss[0], float)).mean()
+    expected -= np.log1p(clumping * share_seen)
     log_evidence = np.asarray(beliefs.log_evidence)
     # The first look falls before the words are grounded; the others after.
     assert abs(log_evidence.mean() - expected - (not_seen[1] - not_seen[0])) < 0.05
+
+
+@pytest.mark.parametrize("must_ground", [True, False], ids=["words come", "no words"])
+def test_weights_are_those_of_the_maps_whoever_draws_anew(must_ground: bool) -> None:
+    """Particles alike but for their weights w, and a look at nothing.
+
+    Where words come, all draw what they refer to and keep w. Where none do, a particle is kept with
+    probability P w at most, at weight 1 / P if it is; who is not draws anew at that weight.
+    """
+    number = by_hand.CONFIG.num_particles
+    weight = np.random.default_rng(3).dirichlet(np.full(number, 0.8))
+    belief = by_hand.begin()
+    belief = replace(
+        belief,
+        log_weight=np.log(weight).astype(np.float32),
+        must_ground=np.array(must_ground),
+    )
+    look = by_hand.observation(np.zeros(3), [])
+    _, infos = by_hand.run_many(
+        jax.random.split(jax.random.key(5), by_hand.SEEDS),
+        by_hand.repeat(belief, by_hand.SEEDS),
+        by_hand.repeat(by_hand.NULL, by_hand.SEEDS),
+        by_hand.repeat(by_hand.stack([look] * by_hand.STEPS), by_hand.SEEDS),
+        by_hand.params(),
+    )
+    after = weight if must_ground else np.maximum(weight, 1.0 / number)
+    expected = after.sum() ** 2 / (after**2).sum()
+    np.testing.assert_allclose(infos.effective_sample_size[:, 0], expected, rtol=1e-3)

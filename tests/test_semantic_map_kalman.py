@@ -116,6 +116,29 @@ def test_hypotheses_move_with_what_they_hang_on() -> None:
     np.testing.assert_allclose(after.hypothesis_y, [1.3, 3.0, -2.0], atol=1e-4)
 
 
+def test_a_detection_is_expected_with_what_robot_and_object_have_in_common() -> None:
+    """log N(z; x_o − x_r, σ_o² + σ_r² − 2 σ_or + R): a doubt that both share is none."""
+    one = empty(1, 1, jnp.float32(0.0), jnp.float32(0.0))
+    one = replace(
+        one,
+        object_type=jnp.array([1]),
+        covariance=jnp.array([[1.0, 0.6], [0.6, 0.5]]),
+        mean_x=jnp.array([4.0, 1.0]),
+        mean_y=jnp.array([1.0, 0.0]),
+    )
+    seen = association.Detections(
+        object_type=jnp.array([1]),
+        offset_x=jnp.array([3.4]),
+        offset_y=jnp.array([0.8]),
+        log_new=jnp.array([-200.0]),
+        is_detection=jnp.array([True]),
+    )
+    grounded = association.associate(one, seen, jnp.array([0.5]), jnp.float32(0.04))
+    spread = 1.0 + 0.5 - 2 * 0.6 + 0.04
+    expected = -(0.4**2 + 0.2**2) / (2 * spread) - np.log(2 * np.pi * spread)
+    np.testing.assert_allclose(grounded.log_weight, expected, rtol=1e-5)
+
+
 LONG, LAPS = 600, 8
 """Steps of the long drive, and how often it goes round."""
 
