@@ -13,7 +13,7 @@ from test_robots_drive import TEXT, goal_distance, put
 from jaxlangnav.robots.motion.mover import TICK
 from jaxlangnav.robots.record import Ending
 from jaxlangnav.robots.robot import Detection, Progress
-from jaxlangnav.robots.ros2 import conversions
+from jaxlangnav.robots.ros2 import conversions, tags
 from jaxlangnav.robots.ros2.faults import UnrulyChannel
 from jaxlangnav.robots.ros2.headway import Headway
 from jaxlangnav.robots.ros2.inbox import Inbox
@@ -124,6 +124,81 @@ def test_a_tag_is_turned_from_the_optical_frame_to_the_base() -> None:
     np.testing.assert_allclose(place, [-0.5, 2.0], atol=1e-12)
 
 
+def quarter_turned() -> Message:
+    """A tag's frame that faces the camera: its z axis straight ahead, then turned by 30 degrees."""
+    half = math.radians(30.0) / 2.0
+    return quaternion(0.0, math.sin(half), 0.0, math.cos(half))
+
+
+def test_the_middle_of_a_thing_is_behind_its_tag_and_its_sides_are_one_thing() -> None:
+    def tag(x: float, z: float, turn: Message, name: str = "tag36h11:7") -> Message:
+        place = Message(x=x, y=0.2, z=z)
+        return Message(child_frame_id=name, transform=Message(translation=place, rotation=turn))
+
+    types, straight = {"tag36h11:7": 1, "tag36h11:8": 1}, quaternion(0.0, 0.0, 0.0, 1.0)
+    (one,) = conversions.detections_of_tags([tag(0.0, 2.0, straight)], types, depth=0.2)
+    assert (one.range, one.bearing) == pytest.approx((2.2, 0.0))
+    # Its z axis to the viewer, as some detectors have it: the same.
+    over = quaternion(0.0, 1.0, 0.0, 0.0)
+    (one,) = conversions.detections_of_tags([tag(0.0, 2.0, over)], types, depth=0.2)
+    assert (one.range, one.bearing) == pytest.approx((2.2, 0.0))
+    (one,) = conversions.detections_of_tags([tag(0.0, 2.0, quarter_turned())], types, depth=0.2)
+    assert one.range * math.sin(one.bearing) == pytest.approx(-0.1)
+    # Two sides of one thing, and another thing of the type.
+    seen = [tag(0.0, 2.0, straight), tag(0.2, 2.2, straight, "tag36h11:8"), tag(-1.0, 2.0, over)]
+    near, other = conversions.detections_of_tags(seen, types)
+    assert near.range == pytest.approx(math.hypot(2.1, 0.1))
+    assert other.bearing > 0.4
+    with pytest.raises(ValueError, match="tag36h11:7 is at nan, 2: nowhere"):
+        conversions.detections_of_tags([tag(math.nan, 2.0, straight)], types)
+    with pytest.raises(ValueError, match="length 0"):
+        conversions.detections_of_tags([tag(0.0, 2.0, quaternion(0, 0, 0, 0))], types, depth=0.1)
+
+
+def header(frame: str, seconds: float) -> Message:
+    stamp = Message(sec=int(seconds), nanosec=round(1e9 * (seconds % 1.0)))
+    return Message(frame_id=frame, stamp=stamp)
+
+
+def transforms(*tags: tuple[str, float, float], seconds: float, frame: str = "camera") -> Message:
+    return Message(
+        transforms=[
+            Message(
+                header=header(frame, seconds), child_frame_id=name,
+                transform=Message(translation=Message(x=-left, y=0.0, z=ahead)),
+            )
+            for name, ahead, left in tags
+        ]
+    )  # fmt: skip
+
+
+def test_looks_by_tags_come_of_transforms_and_of_pictures_of_nothing() -> None:
+    types = tags.read_tag_types(["tag36h11:7=cone", "a=b=hydrant"], ("hydrant", "cone"))
+    assert types == {"tag36h11:7": 1, "a=b": 0}
+    looks = tags.TagLooks(tags.TagSetup(types=types, range=3.0, field_of_view=math.pi / 2))
+    stamp, (one,) = looks.of_transforms(transforms(("tag36h11:7", 2.0, 0.5), seconds=4.5))
+    assert (stamp, one.object_type) == (4.5, 1)
+    assert one.bearing == pytest.approx(math.atan2(0.5, 2.0))
+    # The robot's own transforms are no look; a tag too far, or aside, is one at nothing.
+    assert looks.of_transforms(transforms(("base_link", 1.0, 0.0), seconds=5.0)) is None
+    assert looks.of_transforms(transforms(seconds=5.0)) is None
+    far = ("tag36h11:7", 3.1, 0.0), ("a=b", 1.0, 1.1)
+    assert looks.of_transforms(transforms(*far, seconds=5.0)) == (5.0, [])
+    # What tags of no known type are seen in is a look at nothing, once the picture is known.
+    stranger = transforms(("tag36h11:99", 1.0, 0.0), seconds=6.0)
+    assert looks.of_transforms(stranger) is None
+    assert looks.of_found(Message(header=header("camera", 6.0), detections=[1])) is None
+    assert looks.of_transforms(stranger) == (6.0, [])
+    assert looks.of_found(Message(header=header("camera", 7.0), detections=[])) == (7.0, [])
+
+
+@pytest.mark.parametrize("texts", [[], ["tag36h11:7"], ["=cone"], ["tag36h11:7=dragon"]])
+def test_tags_on_nothing_are_refused_in_one_line(texts) -> None:
+    with pytest.raises(ValueError, match="tag36h11:7=hydrant") as refusal:
+        tags.read_tag_types(texts, ("hydrant", "cone"))
+    assert "\n" not in str(refusal.value)
+
+
 def test_a_look_is_carried_to_where_the_robot_is_now() -> None:
     seen = [Detection(object_type=0, range=2.0, bearing=0.0)]
     now = np.array([1.0, 0.0, math.pi / 2])
@@ -224,6 +299,23 @@ def test_a_clock_that_begins_anew_is_a_restart_and_late_odometry_is_none() -> No
     assert len(inbox.take() or []) == 1
 
 
+def test_odometry_at_zero_after_a_silence_begins_anew_and_any_other_goes_on() -> None:
+    inbox = filled(10.0, speed=0.5)
+    # Twenty seconds would do to drive back, but a robot that has just been switched on is at zero.
+    inbox.add_odometry(30.0, np.array([0.05, 0.0, 0.0]))
+    np.testing.assert_allclose(inbox.track.pose, [5.0, 0.0, 0.0], atol=1e-9)
+    assert inbox.counts.restarts == 1
+    went_on = filled(10.0, speed=0.5)
+    went_on.add_odometry(30.0, np.array([1.0, 2.0, 0.5]))
+    np.testing.assert_allclose(went_on.track.pose, [1.0, 2.0, 0.5], atol=1e-9)
+    assert went_on.counts.restarts == 0
+    # It had only turned: the heading is kept, too.
+    turned = Inbox()
+    turned.add_odometry(0.0, np.array([0.1, 0.0, 2.0]))
+    turned.add_odometry(20.0, np.zeros(3))
+    np.testing.assert_allclose(turned.track.pose, [0.1, 0.0, 2.0], atol=1e-9)
+
+
 def test_headway_is_told_from_odometry_alone() -> None:
     goal, headway = np.array([2.0, 0.0, 0.0]), Headway()
     assert headway.progress(np.zeros(3), 0.0) is Progress.STANDING
@@ -247,6 +339,7 @@ class Loop:
         self.simulated, self.inbox = simulated, Inbox()
         self.channel: UnrulyChannel = UnrulyChannel(share, seed=3)
         self.origin, self.ticks, self.goals = np.zeros(3), 0, []
+        self.away_until = 0.0
         self.clock = simulated.seconds
         self.spin(0.3)
         self.began = self.now()
@@ -268,6 +361,8 @@ class Loop:
                 self.receive(topic, stamp, what)
 
     def receive(self, topic: str, stamp: float, what) -> None:
+        if self.simulated.seconds < self.away_until:
+            return
         if topic == "odom":
             self.inbox.add_odometry(stamp, what)
         else:
@@ -276,8 +371,15 @@ class Loop:
 
     def send_goal(self, goal, *, speed, clearance) -> None:
         self.goals.append(goal)
+        if self.simulated.seconds < self.away_until:
+            return
         place = conversions.compose(self.origin, goal)
         self.simulated.go_to(place[None, :2], speed=speed, clearance=clearance, facing=place[2])
+
+    def vanish(self, seconds: float) -> None:
+        """It is switched off and on again."""
+        self.away_until = self.simulated.seconds + seconds
+        self.restart()
 
     def restart(self) -> None:
         """Odometry begins anew where the robot is, and the goal is forgotten."""
@@ -326,6 +428,29 @@ def test_a_robot_that_starts_anew_in_the_middle_is_driven_on(navigator) -> None:
     assert goal_distance(simulated) < 1.5
     # Goals are sent in the frame that the robot has by then.
     assert np.hypot(*bus.origin[:2]) > 0.5
+
+
+def test_a_robot_that_is_away_for_a_while_is_waited_for_and_told_of_once(navigator) -> None:
+    simulated, silences = put(), []
+    bus = Loop(simulated)
+    simulated.at(4.0, lambda one: bus.vanish(20.0))
+    talk, _ = session(navigator, bus)
+    robot = talk._robot
+    robot._patience, robot._on_silence = 60.0, lambda: silences.append(bus.now())
+    talk.say(TEXT, now=0.0)
+    ended = talk.go()
+    assert ended is not None
+    assert ended.ending is Ending.ARRIVED, ended.why
+    assert goal_distance(simulated) < 1.5
+    assert bus.inbox.counts.restarts == 1
+    assert len(silences) == 1
+    # One that does not come back leaves it blind after its patience.
+    bus.vanish(500.0)
+    talk.say("go to the cone", now=100.0)
+    ended = talk.go()
+    assert ended is not None
+    assert ended.ending is Ending.BLIND, ended.why
+    assert bus.now() - silences[-1] < 90.0
 
 
 def test_a_node_that_starts_anew_takes_up_its_task_and_a_silent_robot_makes_it_blind(
