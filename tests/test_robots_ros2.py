@@ -10,13 +10,13 @@ import pytest
 from test_navigator_step import robot as navigator
 from test_robots_drive import TEXT, goal_distance, put
 
-from jaxlangnav.robots.motion.mover import TICK
 from jaxlangnav.robots.record import Ending
 from jaxlangnav.robots.robot import Detection, Progress
 from jaxlangnav.robots.ros2 import conversions, tags
 from jaxlangnav.robots.ros2.faults import UnrulyChannel
 from jaxlangnav.robots.ros2.headway import Headway
 from jaxlangnav.robots.ros2.inbox import Inbox
+from jaxlangnav.robots.ros2.loopback import Loopback
 from jaxlangnav.robots.ros2.robot import RosRobot
 from jaxlangnav.robots.ros2.session import Session
 
@@ -332,49 +332,24 @@ def test_headway_is_told_from_odometry_alone() -> None:
     assert headway.progress(np.array([1.9, 0.0, 0.1]), 9.7) is Progress.STANDING
 
 
-class Loop:
-    """A bus to a kinematic robot: its time is the robot's, its messages pass a bad network."""
+class Loop(Loopback):
+    """A bus to a kinematic robot whose messages pass a bad network."""
 
     def __init__(self, simulated, *, share: float = 0.0) -> None:
-        self.simulated, self.inbox = simulated, Inbox()
+        super().__init__(simulated)
         self.channel: UnrulyChannel = UnrulyChannel(share, seed=3)
-        self.origin, self.ticks, self.goals = np.zeros(3), 0, []
         self.away_until = 0.0
-        self.clock = simulated.seconds
         self.spin(0.3)
-        self.began = self.now()
 
-    def now(self) -> float:
-        return self.clock
-
-    def spin(self, seconds: float) -> None:
-        self.clock += seconds
-        while self.simulated.seconds + TICK <= self.clock + 1e-6:
-            self.simulated.wait(TICK)
-            now, self.ticks = self.simulated.seconds, self.ticks + 1
-            pose = conversions.compose(conversions.inverse(self.origin), self.simulated.pose())
-            self.channel.put(("odom", now, pose), now)
-            found = self.simulated.detections() if self.ticks % 4 == 0 else None
-            if found is not None:
-                self.channel.put(("detections", now, cloud(found)), now)
-            for topic, stamp, what in self.channel.take(now):
-                self.receive(topic, stamp, what)
-
-    def receive(self, topic: str, stamp: float, what) -> None:
-        if self.simulated.seconds < self.away_until:
-            return
-        if topic == "odom":
-            self.inbox.add_odometry(stamp, what)
-        else:
-            seen = conversions.detections_of_cloud(what, 15)
-            self.inbox.add_look(stamp, seen, self.simulated.seconds)
+    def publish(self, topic: str, stamp: float, what) -> None:
+        self.channel.put((topic, stamp, what), stamp)
+        for one in self.channel.take(stamp):
+            if stamp >= self.away_until:
+                super().publish(*one)
 
     def send_goal(self, goal, *, speed, clearance) -> None:
-        self.goals.append(goal)
-        if self.simulated.seconds < self.away_until:
-            return
-        place = conversions.compose(self.origin, goal)
-        self.simulated.go_to(place[None, :2], speed=speed, clearance=clearance, facing=place[2])
+        if self.simulated.seconds >= self.away_until:
+            super().send_goal(goal, speed=speed, clearance=clearance)
 
     def vanish(self, seconds: float) -> None:
         """It is switched off and on again."""

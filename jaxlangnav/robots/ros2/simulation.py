@@ -8,6 +8,7 @@ it truly is is said on standard output as it ends, for whoever judges the run.
 import contextlib
 import dataclasses
 import math
+from collections.abc import Iterator
 from typing import Literal
 
 import jax
@@ -58,11 +59,8 @@ def simulate(options: RobotOptions) -> None:
         MissingExtraError: a library of the extra ``robot`` is not installed.
         MissingSystemLibraryError: rendering off screen does not work.
     """
-    scenario = _place(options)
-    with contextlib.ExitStack() as stack:
-        robot = _put(options, scenario)
-        if isinstance(robot, PhysicsRobot):
-            stack.callback(robot.close)
+    scenario = draw_place(options)
+    with switched_on(options, scenario) as robot, contextlib.ExitStack() as stack:
         server = RobotServer(robot, share=options.faults, seed=options.seed)
         stack.callback(server.close)
         try:
@@ -77,8 +75,18 @@ def simulate(options: RobotOptions) -> None:
             )
 
 
-def _place(options: RobotOptions) -> Scenario:
-    """Draw the place."""
+def draw_place(options: RobotOptions) -> Scenario:
+    """Draw the place, and where in it the robot is switched on.
+
+    Args:
+        options: template, relation, seed and start.
+
+    Returns:
+        The place.
+
+    Raises:
+        ValueError: no such place, or the start is not in it; one line.
+    """
     scenario = sample_scenario(
         jax.random.key(options.seed), template=options.world, relation=options.relation
     )
@@ -96,14 +104,31 @@ def _place(options: RobotOptions) -> Scenario:
     return replace(scenario, start=np.array([x, y, math.radians(degrees)], np.float32))
 
 
-def _put(options: RobotOptions, scenario: Scenario) -> SimulatedRobot:
-    """Put the robot there."""
+@contextlib.contextmanager
+def switched_on(options: RobotOptions, scenario: Scenario) -> Iterator[SimulatedRobot]:
+    """Put the robot at the start of a place, and close it at last.
+
+    Args:
+        options: which robot, and what its detector sees.
+        scenario: the place.
+
+    Yields:
+        The robot.
+
+    Raises:
+        MissingExtraError: a library of the extra ``robot`` is not installed.
+        MissingSystemLibraryError: rendering off screen does not work.
+    """
     view = math.radians(options.field_of_view)
     sensor = default_sensor(options.range, field_of_view=view)
     if options.robot == "cart":
-        return KinematicRobot(scenario, seed=options.seed, sensor=sensor)
+        yield KinematicRobot(scenario, seed=options.seed, sensor=sensor)
+        return
     check_libraries()
     gates = Gates(range=options.range, field_of_view=view)
-    return PhysicsRobot(
-        options.robot, scenario, seed=options.seed, gates=gates, sensor=as_told(gates)
-    )
+    told, seed = as_told(gates), options.seed
+    robot = PhysicsRobot(options.robot, scenario, seed=seed, gates=gates, sensor=told)
+    try:
+        yield robot
+    finally:
+        robot.close()
