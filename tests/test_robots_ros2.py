@@ -1,5 +1,6 @@
 """Words, odometry and looks over messages: conversions, bookkeeping, whole drives, without ROS."""
 
+import importlib.util
 import json
 import math
 from types import SimpleNamespace as Message
@@ -13,12 +14,15 @@ from test_robots_drive import TEXT, goal_distance, put
 from jaxlangnav.robots.record import Ending
 from jaxlangnav.robots.robot import Detection, Progress
 from jaxlangnav.robots.ros2 import conversions, tags
+from jaxlangnav.robots.ros2.__main__ import NavigatorOptions, navigate
 from jaxlangnav.robots.ros2.faults import UnrulyChannel
 from jaxlangnav.robots.ros2.headway import Headway
 from jaxlangnav.robots.ros2.inbox import Inbox
+from jaxlangnav.robots.ros2.libraries import ros
 from jaxlangnav.robots.ros2.loopback import Loopback
 from jaxlangnav.robots.ros2.robot import RosRobot
 from jaxlangnav.robots.ros2.session import Session
+from jaxlangnav.robots.ros2.simulation import RobotOptions, simulate
 
 __all__ = ["navigator"]
 
@@ -76,6 +80,8 @@ def test_a_cloud_holds_a_look_and_an_empty_one_too() -> None:
     [
         ({"fields": []}, "has fields none"),
         ({"width": 2}, "16 bytes, but 2 points"),
+        ({"point_step": 8}, "has 8 bytes, but its fields end at 16"),
+        ({"point_step": 2**31}, "65536 are the most"),
         ({"data": conversions.to_cloud([Detection(object_type=0, range=math.inf, bearing=0.0)])},
          "nowhere"),
         ({"data": conversions.to_cloud([Detection(object_type=2, range=1.0, bearing=0.0)])},
@@ -480,6 +486,27 @@ def test_words_under_way_and_after_the_end(navigator) -> None:
     assert ended is not None
     assert ended.ending is Ending.ARRIVED, ended.why
     assert goal_distance(simulated, (4.0, 0.5)) < 1.5
+
+
+def test_options_that_cannot_be_are_refused_before_anything_is_compiled() -> None:
+    for options, said in (
+        ({"area": (1.0, 0.0, 0.0, 1.0)}, "area is 1 0 0 1, but must be x_min x_max"),
+        ({"patience": -1.0}, "patience is -1, but must be more than 0 s"),
+        ({"max_seconds": 0.0}, "max-seconds is 0, but must be"),
+        ({"tasks": 0}, "tasks is 0, but must be at least 1"),
+        ({"field_of_view": 9000.0}, "field"),
+    ):
+        with pytest.raises(ValueError, match=said) as refusal:
+            navigate(NavigatorOptions(**options))
+        assert "\n" not in str(refusal.value)
+    with pytest.raises(ValueError, match=r"start 99 0 0 is not in the place, x 0\.0 to"):
+        simulate(RobotOptions(start=(99.0, 0.0, 0.0)))
+
+
+@pytest.mark.skipif(importlib.util.find_spec("tf2_msgs") is not None, reason="tf2_msgs is there")
+def test_messages_that_no_wheel_has_are_said_to_be_of_an_installation() -> None:
+    with pytest.raises(ValueError, match=r"tf2_msgs is not installed, and no wheel: .*tf2-msgs"):
+        ros("tf2_msgs.msg")
 
 
 def test_words_that_are_none_are_refused_in_one_line(tmp_path) -> None:

@@ -130,5 +130,5 @@ def _read(path: Path) -> list[tuple[float, str, Any]]:
                 (1e-9 * time, one.topic.strip("/"), store.deserialize_cdr(raw, one.msgtype))
                 for one, time, raw in reader.messages()
             ]
-    except bags.ReaderError as error:
+    except (bags.ReaderError, OSError) as error:
         raise ValueError(f"{path} is no bag that can be read: {error}") from error

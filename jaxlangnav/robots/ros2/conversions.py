@@ -20,6 +20,8 @@ _ONE_THING = 0.6
 """Metres within which tags of one type are on one thing."""
 _LABELLED = (("x", 7), ("y", 7), ("z", 7), ("label", 6))
 """Names and types (float32 7, uint32 6) of the fields of a cloud of PointXYZL."""
+_LONGEST_POINT = 65_536
+"""Bytes of one point of a cloud, beyond which it is none."""
 POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("label", "<u4")])
 """One point of a cloud as ``to_cloud`` packs it, 16 bytes."""
 
@@ -117,6 +119,12 @@ def detections_of_cloud(cloud: Any, num_types: int) -> list[Detection]:
                 f"the cloud has fields {', '.join(fields) or 'none'}, but a look has float32 x, y "
                 "and z and uint32 label"
             )
+    ends = max(fields[name].offset for name, _ in _LABELLED) + 4
+    if not ends <= cloud.point_step <= _LONGEST_POINT:
+        raise ValueError(
+            f"a point of the cloud has {cloud.point_step} bytes, but its fields end at {ends}, and "
+            f"{_LONGEST_POINT} are the most"
+        )
     order = ">" if cloud.is_bigendian else "<"
     layout = np.dtype(
         {
