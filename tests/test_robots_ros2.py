@@ -368,7 +368,7 @@ class Loop(Loopback):
         self.simulated.stop()
 
 
-def session(navigator, bus: Loop, **options) -> tuple[Session, list]:
+def session(navigator, bus: Loopback, **options) -> tuple[Session, list]:
     told: list = []
     simulated = bus.simulated
     robot = RosRobot(bus, sensor=simulated.sensor, area=simulated.area)
@@ -395,6 +395,48 @@ def test_a_sentence_is_carried_out_over_messages(navigator, share) -> None:
     assert (counts.doubled > 0, counts.late > 0) == (share > 0.0, share > 0.0)
     assert counts.restarts == 0
     json.dumps(told)
+
+
+class Tagged(Loopback):
+    """A bus on which looks come as apriltag_ros publishes them, by a camera 0.2 m ahead."""
+
+    def __init__(self, simulated) -> None:
+        super().__init__(simulated)
+        types, view = {f"tag36h11:{kind}": kind for kind in range(15)}, math.pi / 2
+        setup = tags.TagSetup(types=types, range=3.0, field_of_view=view, mount=(0.2, 0.0, 0.0))
+        self.looks = tags.TagLooks(setup)
+        self.spin(0.3)
+
+    def publish(self, topic: str, stamp: float, what) -> None:
+        if topic == "odom":
+            super().publish(topic, stamp, what)
+            return
+        places = [
+            (f"tag36h11:{one.object_type}", one.range * math.cos(one.bearing) - 0.2,
+             one.range * math.sin(one.bearing))
+            for one in what
+        ]  # fmt: skip
+        found = Message(header=header("camera", stamp), detections=places)
+        moved = transforms(*places, seconds=stamp)
+        own = transforms(("base_link", 1.0, 0.0), seconds=stamp, frame="odom")
+        looks = self.looks
+        for look in (
+            looks.of_found(found), looks.of_transforms(own), looks.of_transforms(moved)
+        ):  # fmt: skip
+            if look is not None:
+                self.inbox.add_look(*look, stamp)
+
+
+def test_a_sentence_is_carried_out_by_what_apriltag_ros_publishes(navigator) -> None:
+    simulated = put()
+    bus = Tagged(simulated)
+    talk, _ = session(navigator, bus)
+    talk.say(TEXT, now=0.0)
+    ended = talk.go()
+    assert ended is not None
+    assert ended.ending is Ending.ARRIVED, ended.why
+    assert goal_distance(simulated) < 1.5
+    assert bus.inbox.counts.used >= len(ended.steps) - 3
 
 
 def test_a_robot_that_starts_anew_in_the_middle_is_driven_on(navigator) -> None:

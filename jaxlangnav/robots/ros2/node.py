@@ -168,7 +168,7 @@ class RosBus:
         if not found:
             return f"nobody publishes {topic}: start the robot, or remap the topic"
         if wanted in found:
-            return f"nothing comes on {topic}, though it is published"
+            return f"nothing that can be read comes on {topic}, though it is published"
         return f"{topic} is published as {', '.join(sorted(found))}, but must be {wanted}"
 
     def close(self) -> None:
