@@ -45,6 +45,33 @@ def test_all_trees_of_an_ambiguous_phrase_are_counted(count, trees):
     assert math.isclose(log_probability(derivation), math.log(leaf(count)), rel_tol=1e-9)
 
 
+def test_a_token_that_is_its_own_node_as_in_the_lark_of_ros_reads_alike(monkeypatch) -> None:
+    """The wheels of ROS 2 put lark 0.12 in place of lark 1, where no node is around a token."""
+    grammar = Grammar(RULES, LEXICON)
+    tokens = ["cone", *["near", "cone"] * 3]
+    expected, parse, unwrapped = grammar.parse(tokens), grammar._lark.parse, []
+
+    def parse_as_then(terminals):
+        root = parse(terminals)
+        waiting, seen = [root], set()
+        while waiting:
+            node = waiting.pop()
+            for packed in node.children if id(node) not in seen else ():
+                for side in ("left", "right"):
+                    child = getattr(packed, side)
+                    if hasattr(child, "token"):
+                        unwrapped.append(child)
+                        setattr(packed, side, child.token)
+                    elif child is not None:
+                        waiting.append(child)
+            seen.add(id(node))
+        return root
+
+    monkeypatch.setattr(grammar._lark, "parse", parse_as_then)
+    assert grammar.parse(tokens) == expected
+    assert len(unwrapped) >= len(tokens)
+
+
 def log_probability(derivation) -> float:
     """Sum the log probabilities of all productions of a tree."""
     below = [log_probability(child) for child in derivation.children if not isinstance(child, int)]

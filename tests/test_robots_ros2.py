@@ -1,5 +1,6 @@
 """Words, odometry and looks over messages: conversions, bookkeeping, whole drives, without ROS."""
 
+import importlib.util
 import json
 import math
 from types import SimpleNamespace as Message
@@ -10,15 +11,18 @@ import pytest
 from test_navigator_step import robot as navigator
 from test_robots_drive import TEXT, goal_distance, put
 
-from jaxlangnav.robots.motion.mover import TICK
 from jaxlangnav.robots.record import Ending
 from jaxlangnav.robots.robot import Detection, Progress
-from jaxlangnav.robots.ros2 import conversions
+from jaxlangnav.robots.ros2 import conversions, tags
+from jaxlangnav.robots.ros2.__main__ import NavigatorOptions, navigate
 from jaxlangnav.robots.ros2.faults import UnrulyChannel
 from jaxlangnav.robots.ros2.headway import Headway
 from jaxlangnav.robots.ros2.inbox import Inbox
+from jaxlangnav.robots.ros2.libraries import ros
+from jaxlangnav.robots.ros2.loopback import Loopback
 from jaxlangnav.robots.ros2.robot import RosRobot
 from jaxlangnav.robots.ros2.session import Session
+from jaxlangnav.robots.ros2.simulation import RobotOptions, simulate
 
 __all__ = ["navigator"]
 
@@ -76,6 +80,8 @@ def test_a_cloud_holds_a_look_and_an_empty_one_too() -> None:
     [
         ({"fields": []}, "has fields none"),
         ({"width": 2}, "16 bytes, but 2 points"),
+        ({"point_step": 8}, "has 8 bytes, but its fields end at 16"),
+        ({"point_step": 2**31}, "65536 are the most"),
         ({"data": conversions.to_cloud([Detection(object_type=0, range=math.inf, bearing=0.0)])},
          "nowhere"),
         ({"data": conversions.to_cloud([Detection(object_type=2, range=1.0, bearing=0.0)])},
@@ -122,6 +128,81 @@ def test_a_tag_is_turned_from_the_optical_frame_to_the_base() -> None:
     (one,) = conversions.detections_of_tags([there], types, mount=(0.5, 0.0, math.pi / 2))
     place = one.range * np.array([math.cos(one.bearing), math.sin(one.bearing)])
     np.testing.assert_allclose(place, [-0.5, 2.0], atol=1e-12)
+
+
+def quarter_turned() -> Message:
+    """A tag's frame that faces the camera: its z axis straight ahead, then turned by 30 degrees."""
+    half = math.radians(30.0) / 2.0
+    return quaternion(0.0, math.sin(half), 0.0, math.cos(half))
+
+
+def test_the_middle_of_a_thing_is_behind_its_tag_and_its_sides_are_one_thing() -> None:
+    def tag(x: float, z: float, turn: Message, name: str = "tag36h11:7") -> Message:
+        place = Message(x=x, y=0.2, z=z)
+        return Message(child_frame_id=name, transform=Message(translation=place, rotation=turn))
+
+    types, straight = {"tag36h11:7": 1, "tag36h11:8": 1}, quaternion(0.0, 0.0, 0.0, 1.0)
+    (one,) = conversions.detections_of_tags([tag(0.0, 2.0, straight)], types, depth=0.2)
+    assert (one.range, one.bearing) == pytest.approx((2.2, 0.0))
+    # Its z axis to the viewer, as some detectors have it: the same.
+    over = quaternion(0.0, 1.0, 0.0, 0.0)
+    (one,) = conversions.detections_of_tags([tag(0.0, 2.0, over)], types, depth=0.2)
+    assert (one.range, one.bearing) == pytest.approx((2.2, 0.0))
+    (one,) = conversions.detections_of_tags([tag(0.0, 2.0, quarter_turned())], types, depth=0.2)
+    assert one.range * math.sin(one.bearing) == pytest.approx(-0.1)
+    # Two sides of one thing, and another thing of the type.
+    seen = [tag(0.0, 2.0, straight), tag(0.2, 2.2, straight, "tag36h11:8"), tag(-1.0, 2.0, over)]
+    near, other = conversions.detections_of_tags(seen, types)
+    assert near.range == pytest.approx(math.hypot(2.1, 0.1))
+    assert other.bearing > 0.4
+    with pytest.raises(ValueError, match="tag36h11:7 is at nan, 2: nowhere"):
+        conversions.detections_of_tags([tag(math.nan, 2.0, straight)], types)
+    with pytest.raises(ValueError, match="length 0"):
+        conversions.detections_of_tags([tag(0.0, 2.0, quaternion(0, 0, 0, 0))], types, depth=0.1)
+
+
+def header(frame: str, seconds: float) -> Message:
+    stamp = Message(sec=int(seconds), nanosec=round(1e9 * (seconds % 1.0)))
+    return Message(frame_id=frame, stamp=stamp)
+
+
+def transforms(*tags: tuple[str, float, float], seconds: float, frame: str = "camera") -> Message:
+    return Message(
+        transforms=[
+            Message(
+                header=header(frame, seconds), child_frame_id=name,
+                transform=Message(translation=Message(x=-left, y=0.0, z=ahead)),
+            )
+            for name, ahead, left in tags
+        ]
+    )  # fmt: skip
+
+
+def test_looks_by_tags_come_of_transforms_and_of_pictures_of_nothing() -> None:
+    types = tags.read_tag_types(["tag36h11:7=cone", "a=b=hydrant"], ("hydrant", "cone"))
+    assert types == {"tag36h11:7": 1, "a=b": 0}
+    looks = tags.TagLooks(tags.TagSetup(types=types, range=3.0, field_of_view=math.pi / 2))
+    stamp, (one,) = looks.of_transforms(transforms(("tag36h11:7", 2.0, 0.5), seconds=4.5))
+    assert (stamp, one.object_type) == (4.5, 1)
+    assert one.bearing == pytest.approx(math.atan2(0.5, 2.0))
+    # The robot's own transforms are no look; a tag too far, or aside, is one at nothing.
+    assert looks.of_transforms(transforms(("base_link", 1.0, 0.0), seconds=5.0)) is None
+    assert looks.of_transforms(transforms(seconds=5.0)) is None
+    far = ("tag36h11:7", 3.1, 0.0), ("a=b", 1.0, 1.1)
+    assert looks.of_transforms(transforms(*far, seconds=5.0)) == (5.0, [])
+    # What tags of no known type are seen in is a look at nothing, once the picture is known.
+    stranger = transforms(("tag36h11:99", 1.0, 0.0), seconds=6.0)
+    assert looks.of_transforms(stranger) is None
+    assert looks.of_found(Message(header=header("camera", 6.0), detections=[1])) is None
+    assert looks.of_transforms(stranger) == (6.0, [])
+    assert looks.of_found(Message(header=header("camera", 7.0), detections=[])) == (7.0, [])
+
+
+@pytest.mark.parametrize("texts", [[], ["tag36h11:7"], ["=cone"], ["tag36h11:7=dragon"]])
+def test_tags_on_nothing_are_refused_in_one_line(texts) -> None:
+    with pytest.raises(ValueError, match="tag36h11:7=hydrant") as refusal:
+        tags.read_tag_types(texts, ("hydrant", "cone"))
+    assert "\n" not in str(refusal.value)
 
 
 def test_a_look_is_carried_to_where_the_robot_is_now() -> None:
@@ -224,6 +305,23 @@ def test_a_clock_that_begins_anew_is_a_restart_and_late_odometry_is_none() -> No
     assert len(inbox.take() or []) == 1
 
 
+def test_odometry_at_zero_after_a_silence_begins_anew_and_any_other_goes_on() -> None:
+    inbox = filled(10.0, speed=0.5)
+    # Twenty seconds would do to drive back, but a robot that has just been switched on is at zero.
+    inbox.add_odometry(30.0, np.array([0.05, 0.0, 0.0]))
+    np.testing.assert_allclose(inbox.track.pose, [5.0, 0.0, 0.0], atol=1e-9)
+    assert inbox.counts.restarts == 1
+    went_on = filled(10.0, speed=0.5)
+    went_on.add_odometry(30.0, np.array([1.0, 2.0, 0.5]))
+    np.testing.assert_allclose(went_on.track.pose, [1.0, 2.0, 0.5], atol=1e-9)
+    assert went_on.counts.restarts == 0
+    # It had only turned: the heading is kept, too.
+    turned = Inbox()
+    turned.add_odometry(0.0, np.array([0.1, 0.0, 2.0]))
+    turned.add_odometry(20.0, np.zeros(3))
+    np.testing.assert_allclose(turned.track.pose, [0.1, 0.0, 2.0], atol=1e-9)
+
+
 def test_headway_is_told_from_odometry_alone() -> None:
     goal, headway = np.array([2.0, 0.0, 0.0]), Headway()
     assert headway.progress(np.zeros(3), 0.0) is Progress.STANDING
@@ -240,44 +338,29 @@ def test_headway_is_told_from_odometry_alone() -> None:
     assert headway.progress(np.array([1.9, 0.0, 0.1]), 9.7) is Progress.STANDING
 
 
-class Loop:
-    """A bus to a kinematic robot: its time is the robot's, its messages pass a bad network."""
+class Loop(Loopback):
+    """A bus to a kinematic robot whose messages pass a bad network."""
 
     def __init__(self, simulated, *, share: float = 0.0) -> None:
-        self.simulated, self.inbox = simulated, Inbox()
+        super().__init__(simulated)
         self.channel: UnrulyChannel = UnrulyChannel(share, seed=3)
-        self.origin, self.ticks, self.goals = np.zeros(3), 0, []
-        self.clock = simulated.seconds
+        self.away_until = 0.0
         self.spin(0.3)
-        self.began = self.now()
 
-    def now(self) -> float:
-        return self.clock
-
-    def spin(self, seconds: float) -> None:
-        self.clock += seconds
-        while self.simulated.seconds + TICK <= self.clock + 1e-6:
-            self.simulated.wait(TICK)
-            now, self.ticks = self.simulated.seconds, self.ticks + 1
-            pose = conversions.compose(conversions.inverse(self.origin), self.simulated.pose())
-            self.channel.put(("odom", now, pose), now)
-            found = self.simulated.detections() if self.ticks % 4 == 0 else None
-            if found is not None:
-                self.channel.put(("detections", now, cloud(found)), now)
-            for topic, stamp, what in self.channel.take(now):
-                self.receive(topic, stamp, what)
-
-    def receive(self, topic: str, stamp: float, what) -> None:
-        if topic == "odom":
-            self.inbox.add_odometry(stamp, what)
-        else:
-            seen = conversions.detections_of_cloud(what, 15)
-            self.inbox.add_look(stamp, seen, self.simulated.seconds)
+    def publish(self, topic: str, stamp: float, what) -> None:
+        self.channel.put((topic, stamp, what), stamp)
+        for one in self.channel.take(stamp):
+            if stamp >= self.away_until:
+                super().publish(*one)
 
     def send_goal(self, goal, *, speed, clearance) -> None:
-        self.goals.append(goal)
-        place = conversions.compose(self.origin, goal)
-        self.simulated.go_to(place[None, :2], speed=speed, clearance=clearance, facing=place[2])
+        if self.simulated.seconds >= self.away_until:
+            super().send_goal(goal, speed=speed, clearance=clearance)
+
+    def vanish(self, seconds: float) -> None:
+        """It is switched off and on again."""
+        self.away_until = self.simulated.seconds + seconds
+        self.restart()
 
     def restart(self) -> None:
         """Odometry begins anew where the robot is, and the goal is forgotten."""
@@ -285,7 +368,7 @@ class Loop:
         self.simulated.stop()
 
 
-def session(navigator, bus: Loop, **options) -> tuple[Session, list]:
+def session(navigator, bus: Loopback, **options) -> tuple[Session, list]:
     told: list = []
     simulated = bus.simulated
     robot = RosRobot(bus, sensor=simulated.sensor, area=simulated.area)
@@ -314,6 +397,48 @@ def test_a_sentence_is_carried_out_over_messages(navigator, share) -> None:
     json.dumps(told)
 
 
+class Tagged(Loopback):
+    """A bus on which looks come as apriltag_ros publishes them, by a camera 0.2 m ahead."""
+
+    def __init__(self, simulated) -> None:
+        super().__init__(simulated)
+        types, view = {f"tag36h11:{kind}": kind for kind in range(15)}, math.pi / 2
+        setup = tags.TagSetup(types=types, range=3.0, field_of_view=view, mount=(0.2, 0.0, 0.0))
+        self.looks = tags.TagLooks(setup)
+        self.spin(0.3)
+
+    def publish(self, topic: str, stamp: float, what) -> None:
+        if topic == "odom":
+            super().publish(topic, stamp, what)
+            return
+        places = [
+            (f"tag36h11:{one.object_type}", one.range * math.cos(one.bearing) - 0.2,
+             one.range * math.sin(one.bearing))
+            for one in what
+        ]  # fmt: skip
+        found = Message(header=header("camera", stamp), detections=places)
+        moved = transforms(*places, seconds=stamp)
+        own = transforms(("base_link", 1.0, 0.0), seconds=stamp, frame="odom")
+        looks = self.looks
+        for look in (
+            looks.of_found(found), looks.of_transforms(own), looks.of_transforms(moved)
+        ):  # fmt: skip
+            if look is not None:
+                self.inbox.add_look(*look, stamp)
+
+
+def test_a_sentence_is_carried_out_by_what_apriltag_ros_publishes(navigator) -> None:
+    simulated = put()
+    bus = Tagged(simulated)
+    talk, _ = session(navigator, bus)
+    talk.say(TEXT, now=0.0)
+    ended = talk.go()
+    assert ended is not None
+    assert ended.ending is Ending.ARRIVED, ended.why
+    assert goal_distance(simulated) < 1.5
+    assert bus.inbox.counts.used >= len(ended.steps) - 3
+
+
 def test_a_robot_that_starts_anew_in_the_middle_is_driven_on(navigator) -> None:
     simulated = put()
     bus = Loop(simulated)
@@ -326,6 +451,29 @@ def test_a_robot_that_starts_anew_in_the_middle_is_driven_on(navigator) -> None:
     assert goal_distance(simulated) < 1.5
     # Goals are sent in the frame that the robot has by then.
     assert np.hypot(*bus.origin[:2]) > 0.5
+
+
+def test_a_robot_that_is_away_for_a_while_is_waited_for_and_told_of_once(navigator) -> None:
+    simulated, silences = put(), []
+    bus = Loop(simulated)
+    simulated.at(4.0, lambda one: bus.vanish(20.0))
+    talk, _ = session(navigator, bus)
+    robot = talk._robot
+    robot._patience, robot._on_silence = 60.0, lambda: silences.append(bus.now())
+    talk.say(TEXT, now=0.0)
+    ended = talk.go()
+    assert ended is not None
+    assert ended.ending is Ending.ARRIVED, ended.why
+    assert goal_distance(simulated) < 1.5
+    assert bus.inbox.counts.restarts == 1
+    assert len(silences) == 1
+    # One that does not come back leaves it blind after its patience.
+    bus.vanish(500.0)
+    talk.say("go to the cone", now=100.0)
+    ended = talk.go()
+    assert ended is not None
+    assert ended.ending is Ending.BLIND, ended.why
+    assert bus.now() - silences[-1] < 90.0
 
 
 def test_a_node_that_starts_anew_takes_up_its_task_and_a_silent_robot_makes_it_blind(
@@ -380,6 +528,27 @@ def test_words_under_way_and_after_the_end(navigator) -> None:
     assert ended is not None
     assert ended.ending is Ending.ARRIVED, ended.why
     assert goal_distance(simulated, (4.0, 0.5)) < 1.5
+
+
+def test_options_that_cannot_be_are_refused_before_anything_is_compiled() -> None:
+    for options, said in (
+        ({"area": (1.0, 0.0, 0.0, 1.0)}, "area is 1 0 0 1, but must be x_min x_max"),
+        ({"patience": -1.0}, "patience is -1, but must be more than 0 s"),
+        ({"max_seconds": 0.0}, "max-seconds is 0, but must be"),
+        ({"tasks": 0}, "tasks is 0, but must be at least 1"),
+        ({"field_of_view": 9000.0}, "field"),
+    ):
+        with pytest.raises(ValueError, match=said) as refusal:
+            navigate(NavigatorOptions(**options))
+        assert "\n" not in str(refusal.value)
+    with pytest.raises(ValueError, match=r"start 99 0 0 is not in the place, x 0\.0 to"):
+        simulate(RobotOptions(start=(99.0, 0.0, 0.0)))
+
+
+@pytest.mark.skipif(importlib.util.find_spec("tf2_msgs") is not None, reason="tf2_msgs is there")
+def test_messages_that_no_wheel_has_are_said_to_be_of_an_installation() -> None:
+    with pytest.raises(ValueError, match=r"tf2_msgs is not installed, and no wheel: .*tf2-msgs"):
+        ros("tf2_msgs.msg")
 
 
 def test_words_that_are_none_are_refused_in_one_line(tmp_path) -> None:

@@ -8,7 +8,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from lark.parsers.earley_forest import PackedNode, SymbolNode, TokenNode
+from lark.parsers.earley_forest import PackedNode, SymbolNode
 
 from jaxlangnav.language.lexicon import Entry
 
@@ -81,8 +81,9 @@ class ForestReader:
         log_best = log_sum = 0.0
         children: tuple[Derivation | int, ...] = ()
         for part in packed.children:
-            if isinstance(part, TokenNode):
-                children += (part.token.start_pos,)
+            if not isinstance(part, SymbolNode):
+                # The wheels of ROS 2 bring lark 0.12 in place of 1: a token is its own node there.
+                children += (getattr(part, "token", part).start_pos,)
                 continue
             value = self.memo[id(part)]
             log_best, log_sum = log_best + value.log_best, log_sum + value.log_sum

@@ -4,24 +4,23 @@ import dataclasses
 import math
 import signal
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
 import jax
-import numpy as np
 import tyro
 
 from jaxlangnav.agent import Navigator
-from jaxlangnav.messages import default_sensor
+from jaxlangnav.messages import SensorParams, default_sensor
 from jaxlangnav.plain_text import printable
-from jaxlangnav.pytree import replace
-from jaxlangnav.robots.kinematic import KinematicRobot
+from jaxlangnav.robots.record import Ending
 from jaxlangnav.robots.ros2.libraries import ros
 from jaxlangnav.robots.ros2.node import RosBus
 from jaxlangnav.robots.ros2.robot import RosRobot
-from jaxlangnav.robots.ros2.serve import RobotServer
 from jaxlangnav.robots.ros2.session import Session
-from jaxlangnav.world.scenario import sample_scenario
+from jaxlangnav.robots.ros2.simulation import RobotOptions, simulate
+from jaxlangnav.robots.ros2.tags import TagSetup, read_tag_types
 
 _WAIT = 0.2
 """Seconds between two questions whether anything has been said."""
@@ -37,31 +36,24 @@ class NavigatorOptions:
     """Degrees that it sees, centred on what is ahead."""
     area: tuple[float, float, float, float] = (-15.0, 15.0, -15.0, 15.0)
     """Operating area x_min x_max y_min y_max, metres, in the odometry's frame."""
-    look: Literal["cloud", "boxes"] = "cloud"
-    """What detections come as: sensor_msgs/PointCloud2 or vision_msgs/Detection3DArray."""
+    look: Literal["cloud", "boxes", "tf"] = "cloud"
+    """What detections come as: sensor_msgs/PointCloud2, vision_msgs/Detection3DArray, or what
+    apriltag_ros publishes: /tf, beside apriltag_msgs/AprilTagDetectionArray on detections."""
+    tags: tuple[str, ...] = ()
+    """With tf: what tags are on, a frame and a type each, such as tag36h11:7=hydrant."""
+    camera: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """With tf: x, y in metres and heading in degrees of the camera in the base frame."""
+    tag_depth: float = 0.0
+    """With tf: metres from a tag to the middle of the thing behind it."""
     kept: Path | None = None
     """File for the words of the running task, which a node that is started anew takes up."""
     max_seconds: float = 600.0
     """After which a drive is broken off."""
+    patience: float = 60.0
+    """Seconds for which a robot that says nothing, odometry neither, is waited for; or inf."""
     seed: int = 0
     tasks: int | None = None
     """End after as many endings; go on for ever by default."""
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class RobotOptions:
-    """Drive a simulated cart among things of its own behind topics."""
-
-    world: str = "1H1C"
-    """Template of the place."""
-    relation: str = "behind"
-    range: float = 3.0
-    """Metres that its detector sees."""
-    field_of_view: float = 90.0
-    """Degrees that it sees."""
-    faults: float = 0.0
-    """Share of messages that are lost, doubled and late, each."""
-    seed: int = 0
 
 
 def navigate(options: NavigatorOptions) -> None:
@@ -70,57 +62,104 @@ def navigate(options: NavigatorOptions) -> None:
     Args:
         options: see ``NavigatorOptions``.
     """
-    sensor = default_sensor(
-        options.range, field_of_view=math.radians(options.field_of_view), noise=0.1
-    )
+    _check(options)
     navigator, said = Navigator.pretrained(), []
-    bus = RosBus(navigator.type_names, said.append, look=options.look)
+    tags = _tags(options, navigator.type_names)
+    bus = RosBus(navigator.type_names, said.append, look=options.look, tags=tags)
     try:
         bus.tell({"status": "warming_up"})
         navigator.warm_up()
-        bus.tell({"status": "waiting_for_odometry"})
-        while bus.inbox.track.pose is None:
-            bus.spin(_WAIT)
-        robot = RosRobot(bus, sensor=sensor, area=options.area)
-        session = Session(
-            navigator,
-            robot,
-            bus.tell,
-            key=jax.random.key(options.seed),
-            max_seconds=options.max_seconds,
-            kept=options.kept,
-        )
+        _wait_for_robot(bus, options.patience)
+        session = _begin(bus, navigator, options)
         bus.say = lambda text: session.say(text, bus.now())
         for text in said:
             bus.say(text)
         bus.tell({"status": "ready"})
         left = math.inf if options.tasks is None else options.tasks
         while left > 0:
-            left -= session.go() is not None
+            ended = session.go()
+            if ended is not None and ended.ending is Ending.BLIND:
+                bus.warn(bus.why_silent("detections"))
+            left -= ended is not None
             bus.spin(_WAIT)
     finally:
         bus.close()
 
 
-def simulate(options: RobotOptions) -> None:
-    """Run the simulated robot until it is ended, and say at last where it truly is.
-
-    Args:
-        options: see ``RobotOptions``.
-    """
-    scenario = sample_scenario(
-        jax.random.key(options.seed), template=options.world, relation=options.relation
+def _begin(bus: RosBus, navigator: Navigator, options: NavigatorOptions) -> Session:
+    """Begin a conversation with the robot on the bus."""
+    robot = RosRobot(
+        bus,
+        sensor=_sensor(options),
+        area=options.area,
+        patience=options.patience,
+        on_silence=lambda: _tell_of_silence(bus),
     )
+    return Session(
+        navigator,
+        robot,
+        bus.tell,
+        key=jax.random.key(options.seed),
+        max_seconds=options.max_seconds,
+        kept=options.kept,
+    )
+
+
+def _sensor(options: NavigatorOptions) -> SensorParams:
+    """Build what the belief is told of the detector."""
     view = math.radians(options.field_of_view)
-    sensor = replace(default_sensor(options.range), field_of_view=np.float32(view))
-    robot = KinematicRobot(scenario, seed=options.seed, sensor=sensor)
-    server = RobotServer(robot, share=options.faults, seed=options.seed)
-    try:
-        server.run(math.inf)
-    finally:
-        server.close()
-        away = float(np.hypot(*(robot.true_pose[:2] - np.asarray(scenario.goal))))
-        print(f"ended {away:.2f} m from the goal, {robot.travelled:.2f} m driven", flush=True)
+    return default_sensor(options.range, field_of_view=view, noise=0.1)
+
+
+def _check(options: NavigatorOptions) -> None:
+    """Refuse numbers that cannot be, before anything is compiled."""
+    _sensor(options)
+    x_min, x_max, y_min, y_max = options.area
+    if not (x_min < x_max and y_min < y_max and all(map(math.isfinite, options.area))):
+        raise ValueError(
+            f"area is {' '.join(f'{edge:g}' for edge in options.area)}, but must be x_min x_max "
+            "y_min y_max, each pair of finite numbers and rising"
+        )
+    for name in ("patience", "max_seconds"):
+        value = getattr(options, name)
+        if not value > 0.0:
+            raise ValueError(f"{name.replace('_', '-')} is {value:g}, but must be more than 0 s")
+    if options.tasks is not None and options.tasks < 1:
+        raise ValueError(f"tasks is {options.tasks}, but must be at least 1")
+
+
+def _tags(options: NavigatorOptions, type_names: Sequence[str]) -> TagSetup | None:
+    """Read what the tags are on, where they are looked by."""
+    if options.look != "tf":
+        return None
+    x, y, degrees = options.camera
+    return TagSetup(
+        types=read_tag_types(options.tags, type_names),
+        range=options.range,
+        field_of_view=math.radians(options.field_of_view),
+        mount=(x, y, math.radians(degrees)),
+        depth=options.tag_depth,
+    )
+
+
+def _tell_of_silence(bus: RosBus) -> None:
+    """Tell that the robot says nothing: it has not been started, or is starting anew."""
+    bus.tell({"status": "waiting_for_odometry"})
+    bus.warn(bus.why_silent("odom"))
+
+
+def _wait_for_robot(bus: RosBus, patience: float) -> None:
+    """Wait until odometry comes in.
+
+    Raises:
+        ValueError: it does not; one line.
+    """
+    bus.tell({"status": "waiting_for_odometry"})
+    end = bus.now() + patience
+    while bus.inbox.track.pose is None:
+        bus.spin(_WAIT)
+        if bus.now() >= end:
+            raise ValueError(f"no odometry within {patience:g} s: {bus.why_silent('odom')}")
 
 
 def main() -> int:

@@ -73,23 +73,22 @@ class ReplayBus:
             num_types: labels that there are.
 
         Raises:
-            ValueError: it holds no odometry.
+            ValueError: it is no bag, or holds no odometry.
             MissingExtraError: rosbags is not installed.
         """
         self.inbox, self.goals = Inbox(), []
         """Goals that were sent, f64[3] each, in the robot's odometry frame."""
         self._num_types, self._next = num_types, 0
-        store = typestore()
-        with ros("rosbags.rosbag2").Reader(path) as reader:
-            self._messages = [
-                (1e-9 * time, one.topic.strip("/"), store.deserialize_cdr(raw, one.msgtype))
-                for one, time, raw in reader.messages()
-            ]
-        times = [time for time, topic, _ in self._messages if topic == "odom"]
+        self._messages = _read(path)
+        times = [time for time, _ in self.recorded("odom")]
         if not times:
             raise ValueError(f"{path} holds no odometry on the topic odom: nothing can be replayed")
         self._now = times[0]
         self._play()
+
+    def recorded(self, topic: str) -> list[tuple[float, Any]]:
+        """List what was recorded on a topic, each with when it came, seconds."""
+        return [(time, message) for time, name, message in self._messages if name == topic]
 
     @property
     def is_over(self) -> bool:
@@ -120,3 +119,16 @@ class ReplayBus:
             elif topic == "detections":
                 found = detections_of_cloud(message, self._num_types)
                 self.inbox.add_look(seconds_of(message.header.stamp), found, time)
+
+
+def _read(path: Path) -> list[tuple[float, str, Any]]:
+    """Read all messages of a bag: when each came, its topic, and what it says."""
+    bags, store = ros("rosbags.rosbag2"), typestore()
+    try:
+        with bags.Reader(path) as reader:
+            return [
+                (1e-9 * time, one.topic.strip("/"), store.deserialize_cdr(raw, one.msgtype))
+                for one, time, raw in reader.messages()
+            ]
+    except (bags.ReaderError, OSError) as error:
+        raise ValueError(f"{path} is no bag that can be read: {error}") from error

@@ -16,8 +16,12 @@ from jaxlangnav.robots.robot import Detection
 
 _UNIT = 0.01
 """By how much the length of a quaternion may differ from one."""
+_ONE_THING = 0.6
+"""Metres within which tags of one type are on one thing."""
 _LABELLED = (("x", 7), ("y", 7), ("z", 7), ("label", 6))
 """Names and types (float32 7, uint32 6) of the fields of a cloud of PointXYZL."""
+_LONGEST_POINT = 65_536
+"""Bytes of one point of a cloud, beyond which it is none."""
 POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("label", "<u4")])
 """One point of a cloud as ``to_cloud`` packs it, 16 bytes."""
 
@@ -115,6 +119,12 @@ def detections_of_cloud(cloud: Any, num_types: int) -> list[Detection]:
                 f"the cloud has fields {', '.join(fields) or 'none'}, but a look has float32 x, y "
                 "and z and uint32 label"
             )
+    ends = max(fields[name].offset for name, _ in _LABELLED) + 4
+    if not ends <= cloud.point_step <= _LONGEST_POINT:
+        raise ValueError(
+            f"a point of the cloud has {cloud.point_step} bytes, but its fields end at {ends}, and "
+            f"{_LONGEST_POINT} are the most"
+        )
     order = ">" if cloud.is_bigendian else "<"
     layout = np.dtype(
         {
@@ -187,6 +197,7 @@ def detections_of_tags(
     types: Mapping[str, int],
     *,
     mount: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    depth: float = 0.0,
 ) -> list[Detection]:
     """Read a look from the transforms that ``apriltag_ros`` publishes, one for each tag.
 
@@ -194,21 +205,45 @@ def detections_of_tags(
         transforms: geometry_msgs/TransformStamped from the camera's optical frame.
         types: frame of a tag, such as "tag36h11:7", to the index of the type it is fixed to.
         mount: x, y, heading of the camera in the base frame, metres and radians.
+        depth: metres from a tag to the middle of the thing behind it.
 
     Returns:
-        The detections; tags that are not in ``types`` are left out.
+        The detections; tags that are not in ``types`` are left out, and those of one type that
+        are near to each other are sides of one thing, which is at their mean.
+
+    Raises:
+        ValueError: a tag is nowhere.
     """
-    found = []
+    things: list[tuple[int, list[np.ndarray]]] = []
     for one in transforms:
         kind = types.get(one.child_frame_id)
         if kind is None:
             continue
-        place = one.transform.translation
-        ahead, left = float(place.z), -float(place.x)
-        cos, sin = math.cos(mount[2]), math.sin(mount[2])
-        x, y = mount[0] + cos * ahead - sin * left, mount[1] + sin * ahead + cos * left
-        found.append(detection_at(kind, x, y))
-    return found
+        place = _place_of_tag(one, mount, depth)
+        for other, sides in things:
+            if other == kind and np.hypot(*(sides[0] - place)) <= _ONE_THING:
+                sides.append(place)
+                break
+        else:
+            things.append((kind, [place]))
+    return [detection_at(kind, *np.mean(sides, axis=0).tolist()) for kind, sides in things]
+
+
+def _place_of_tag(one: Any, mount: tuple[float, float, float], depth: float) -> np.ndarray:
+    """Place the middle of what a tag is on, f64[2], base frame."""
+    place = one.transform.translation
+    level = np.array([place.z, -place.x], float)
+    if not np.isfinite(level).all():
+        raise ValueError(f"tag {one.child_frame_id} is at {place.x:g}, {place.z:g}: nowhere")
+    if depth:
+        turn = one.transform.rotation
+        yaw_of(turn)
+        x, y, z, w = (float(getattr(turn, name)) for name in "xyzw")
+        normal = np.array([1.0 - 2.0 * (x * x + y * y), -2.0 * (x * z + w * y)])
+        # A tag is seen from its front: whichever way its z axis points, inwards is away.
+        inwards = normal * np.sign(normal @ level) / max(float(np.hypot(*normal)), 1e-6)
+        level += depth * inwards
+    return compose(np.array(mount), np.array([*level, 0.0]))[:2]
 
 
 def compose(frame: np.ndarray, pose: np.ndarray) -> np.ndarray:

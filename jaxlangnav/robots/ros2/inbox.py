@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from jaxlangnav.robots.motion.mover import wrap
 from jaxlangnav.robots.robot import Detection
 from jaxlangnav.robots.ros2.conversions import carried, compose, inverse, pose_between
 
@@ -24,7 +25,11 @@ _BACKWARDS = 10
 """Messages in a row, each later than the last, yet too late for use, that mean that the
 robot's clock has begun anew; fewer have been late."""
 _SPEED, _JUMP = 2.0, 0.5
-"""Metres a second, and metres besides, beyond which odometry has jumped: it has begun anew."""
+"""Metres a second, and metres (radians for a heading) besides, beyond which odometry has jumped: it
+has begun anew."""
+_SILENCE, _ZERO = 1.0, 0.2
+"""Seconds without odometry after which one that is within as many metres and radians of its zero
+has begun anew, however far it may have gone in the meantime."""
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -131,14 +136,19 @@ class Track:
     def _mind_jump(self, seconds: float, pose: np.ndarray) -> None:
         """Begin anew where the robot cannot have gone in the meantime."""
         gone = np.hypot(*(compose(self._map_odometry, pose) - self._poses[-1])[:2])
-        if gone > _SPEED * seconds + _JUMP:
+        is_zero = seconds > _SILENCE and bool((np.abs(pose) < _ZERO).all())
+        if gone > _SPEED * seconds + _JUMP or (is_zero and self._is_elsewhere(pose)):
             self._restart(pose)
+
+    def _is_elsewhere(self, pose: np.ndarray) -> bool:
+        """Tell whether a pose, odometry frame, is not where the robot last was."""
+        off = compose(self._map_odometry, pose) - self._poses[-1]
+        return bool(np.hypot(*off[:2]) > _JUMP or abs(wrap(float(off[2]))) > _JUMP)
 
     def _restart(self, pose: np.ndarray) -> None:
         """Place the robot's new odometry frame so that it stands where it last was."""
-        last = self._poses[-1]
-        if np.hypot(*(compose(self._map_odometry, pose) - last)[:2]) > _JUMP:
-            self._map_odometry = compose(last, inverse(pose))
+        if self._is_elsewhere(pose):
+            self._map_odometry = compose(self._poses[-1], inverse(pose))
         self._stamps.clear()
         self._poses.clear()
         self._counts.restarts += 1

@@ -6,19 +6,23 @@ Topics, all of them relative, so that they can be remapped and put in a namespac
     in   odom                    nav_msgs/Odometry        dead reckoning
     in   detections              sensor_msgs/PointCloud2  a look: x, y, z, label in the base frame,
                                                           or vision_msgs/Detection3DArray
+                                                          or, beside /tf, what apriltag_ros says:
+                                                          apriltag_msgs/AprilTagDetectionArray
+    in   /tf                     tf2_msgs/TFMessage       where tags are, with ``look="tf"``
     out  goal_pose               geometry_msgs/PoseStamped  where to go, in the odometry's frame
     out  navigator_status        std_msgs/String          JSON, the last one kept for late listeners
 """
 
 import dataclasses
 import json
+import math
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
-from jaxlangnav.robots.robot import Detection
+from jaxlangnav.plain_text import printable
 from jaxlangnav.robots.ros2.conversions import (
     detections_of_boxes,
     detections_of_cloud,
@@ -28,12 +32,13 @@ from jaxlangnav.robots.ros2.conversions import (
 )
 from jaxlangnav.robots.ros2.inbox import Inbox
 from jaxlangnav.robots.ros2.libraries import ros
+from jaxlangnav.robots.ros2.tags import Look, TagLooks, TagSetup
 
 _TURN = 0.05
 """Seconds that are waited for a message at most, before it is asked what the time is."""
-_QUIET = 5.0
-"""Seconds between two warnings of one kind."""
-LOOKS = ("cloud", "boxes")
+_QUIET, _ALIKE = 5.0, 16
+"""Seconds between two warnings of one kind, and letters that they then have in common."""
+LOOKS = ("cloud", "boxes", "tf")
 """Kinds of messages that a look may come in."""
 
 
@@ -41,7 +46,12 @@ class RosBus:
     """Topics of a robot; messages are taken in while it is spun, in this very thread."""
 
     def __init__(
-        self, type_names: Sequence[str], say: Callable[[str], None], *, look: str = "cloud"
+        self,
+        type_names: Sequence[str],
+        say: Callable[[str], None],
+        *,
+        look: str = "cloud",
+        tags: TagSetup | None = None,
     ) -> None:
         """Open the topics; ``rclpy.init`` has been called.
 
@@ -49,19 +59,24 @@ class RosBus:
             type_names: the navigator's.
             say: is given what is said.
             look: one of ``LOOKS``.
+            tags: what tags mean, for looks by "tf".
 
         Raises:
-            ValueError: no such format.
+            ValueError: no such format, or nothing is said of the tags.
             MissingExtraError: a package of messages is not installed.
         """
         if look not in LOOKS:
             raise ValueError(f"looks come as {look!r}, but must be one of {', '.join(LOOKS)}")
+        if look == "tf" and tags is None:
+            raise ValueError("looks come as 'tf', but what the tags are on has not been said")
         self.inbox = Inbox()
         self.say = say
         """Is given what is said."""
         self._names, self._frame, self._base = tuple(type_names), "", ""
         self._stamp: Any = None
         self._pace: dict[str, float] = {}
+        self._kinds: dict[str, str] = {}
+        self._warned: dict[str, float] = {}
         self._node = ros("rclpy").create_node("jaxlangnav")
         self._executor = ros("rclpy.executors").SingleThreadedExecutor()
         self._executor.add_node(self._node)
@@ -74,22 +89,31 @@ class RosBus:
         for topic in ("instruction", "utterance"):
             on_words = self._minding(lambda message: self.say(message.data))
             self._node.create_subscription(string, topic, on_words, 10)
-        self._subscribe_to_robot(look)
+        self._subscribe_to_robot(look, tags)
 
-    def _subscribe_to_robot(self, look: str) -> None:
+    def _subscribe_to_robot(self, look: str, tags: TagSetup | None) -> None:
         """Take in odometry and looks."""
         qos = ros("rclpy.qos")
         # Best effort: what a robot publishes either way is received. Deep: a decision takes long.
         stream = qos.QoSProfile(depth=100, reliability=qos.ReliabilityPolicy.BEST_EFFORT)
-        odometry, on_odometry = ros("nav_msgs.msg").Odometry, self._minding(self._on_odometry)
-        self._node.create_subscription(odometry, "odom", on_odometry, stream)
-        kind = (
-            ros("sensor_msgs.msg").PointCloud2
-            if look == "cloud"
-            else ros("vision_msgs.msg").Detection3DArray
-        )
-        self._read = self._of_cloud if look == "cloud" else self._of_boxes
-        self._node.create_subscription(kind, "detections", self._minding(self._on_look), stream)
+        detections: list[tuple[str, Any, Callable[[Any], None]]]
+        if tags is not None and look == "tf":
+            looks = TagLooks(tags)
+            found = ros("apriltag_msgs.msg").AprilTagDetectionArray
+            detections = [
+                ("/tf", ros("tf2_msgs.msg").TFMessage, self._taking(looks.of_transforms)),
+                ("detections", found, self._taking(looks.of_found)),
+            ]
+        elif look == "boxes":
+            boxes = ros("vision_msgs.msg").Detection3DArray
+            detections = [("detections", boxes, self._taking(self._of_boxes))]
+        else:
+            cloud = ros("sensor_msgs.msg").PointCloud2
+            detections = [("detections", cloud, self._taking(self._of_cloud))]
+        odometry = ros("nav_msgs.msg").Odometry
+        for topic, kind, take in [("odom", odometry, self._on_odometry), *detections]:
+            self._node.create_subscription(kind, topic, self._minding(take), stream)
+            self._kinds[topic] = f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}"
 
     def now(self) -> float:
         """Tell the time, see ``Bus.now``."""
@@ -122,6 +146,31 @@ class RosBus:
         text = json.dumps({**status, **self._pace, "messages": counts}, ensure_ascii=False)
         self._told.publish(self._string(data=text))
 
+    def warn(self, text: str) -> None:
+        """Say on the console what a person should know; what begins alike, every few seconds only.
+
+        Args:
+            text: one line.
+        """
+        kind, now = text[:_ALIKE], self.now()
+        if now - self._warned.get(kind, -math.inf) >= _QUIET:
+            self._warned[kind] = now
+            self._node.get_logger().warning(printable(text))
+
+    def why_silent(self, topic: str) -> str:
+        """Tell why nothing may be coming on a topic, in one line.
+
+        Args:
+            topic: "odom" or "detections".
+        """
+        wanted = self._kinds[topic]
+        found = {one.topic_type for one in self._node.get_publishers_info_by_topic(topic)}
+        if not found:
+            return f"nobody publishes {topic}: start the robot, or remap the topic"
+        if wanted in found:
+            return f"nothing that can be read comes on {topic}, though it is published"
+        return f"{topic} is published as {', '.join(sorted(found))}, but must be {wanted}"
+
     def close(self) -> None:
         """Close the topics."""
         self._executor.shutdown()
@@ -135,7 +184,7 @@ class RosBus:
                 take(message)
             except ValueError as error:
                 self.inbox.counts.malformed += 1
-                self._node.get_logger().warning(str(error), throttle_duration_sec=_QUIET)
+                self.warn(str(error))
 
         return on_message
 
@@ -148,17 +197,34 @@ class RosBus:
         )
         self.inbox.add_odometry(seconds_of(stamp), pose)
 
-    def _on_look(self, message: Any) -> None:
-        frame = message.header.frame_id
-        if self._base and frame != self._base:
+    def _taking(self, read: Callable[[Any], Look | None]) -> Callable[[Any], None]:
+        """Hand what is read of a message to the inbox."""
+
+        def take(message: Any) -> None:
+            look = read(message)
+            if look is not None:
+                self.inbox.add_look(*look, self.now())
+
+        return take
+
+    def _in_base(self, header: Any) -> float:
+        """Tell when a look in the base frame was taken, seconds of the robot's clock."""
+        if self._base and header.frame_id != self._base:
             raise ValueError(
-                f"detections come in frame {frame!r}, but odometry is of {self._base!r}: "
-                "transform them to it"
+                f"detections come in frame {header.frame_id!r}, but odometry is of "
+                f"{self._base!r}: transform them to it"
             )
-        self.inbox.add_look(seconds_of(message.header.stamp), self._read(message), self.now())
+        return seconds_of(header.stamp)
 
-    def _of_cloud(self, message: Any) -> list[Detection]:
-        return detections_of_cloud(message, len(self._names))
+    def _of_cloud(self, message: Any) -> Look:
+        return self._in_base(message.header), detections_of_cloud(message, len(self._names))
 
-    def _of_boxes(self, message: Any) -> list[Detection]:
-        return detections_of_boxes(message, self._names)
+    def _of_boxes(self, message: Any) -> Look:
+        results = [guess.hypothesis for one in message.detections for guess in one.results]
+        strangers = {guess.class_id for guess in results} - set(self._names)
+        if strangers:
+            self.warn(
+                f"{', '.join(sorted(strangers))}: no type that is known, left out; types are "
+                f"{', '.join(self._names)}"
+            )
+        return self._in_base(message.header), detections_of_boxes(message, self._names)

@@ -1,6 +1,7 @@
 """The door ``Robot`` over messages: any robot that takes goals and tells odometry and looks."""
 
 import math
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
@@ -50,6 +51,8 @@ class RosRobot:
         *,
         sensor: SensorParams,
         area: tuple[float, float, float, float],
+        patience: float = 0.0,
+        on_silence: Callable[[], None] = lambda: None,
     ) -> None:
         """Take a bus whose first odometry has come in.
 
@@ -57,6 +60,9 @@ class RosRobot:
             bus: what carries the messages.
             sensor: specification of the detector.
             area: operating area x_min, x_max, y_min, y_max, metres, map frame.
+            patience: seconds for which a robot that tells nothing any more, odometry neither, is
+                waited for: it may be starting anew.
+            on_silence: is told when that begins.
 
         Raises:
             ValueError: no odometry has come.
@@ -65,6 +71,8 @@ class RosRobot:
             raise ValueError("no odometry has come from the robot: wait for it first")
         self._bus, self._sensor, self._area = bus, sensor, area
         self._headway = Headway()
+        self._patience, self._on_silence = patience, on_silence
+        self._newest, self._newest_at, self._is_away = bus.inbox.track.newest, bus.now(), False
 
     @property
     def sensor(self) -> SensorParams:
@@ -87,7 +95,8 @@ class RosRobot:
         """Give the newest look that has not been given yet, waiting for one if need be.
 
         Returns:
-            The look; None where the detector has been silent for longer than ``PATIENCE``.
+            The look; None where the detector has been silent for longer than ``PATIENCE``, and
+            the whole robot for longer than its patience.
         """
         bus, began = self._bus, self._bus.now()
         # What has come during a long decision is no silence.
@@ -101,6 +110,15 @@ class RosRobot:
     def _may_come(self, began: float) -> bool:
         """Tell whether it is of use to wait on for a look."""
         now = self._bus.now()
+        newest = self._bus.inbox.track.newest
+        if newest != self._newest:
+            self._newest, self._newest_at, self._is_away = newest, now, False
+        silent = now - self._newest_at
+        if PATIENCE < silent <= self._patience:
+            if not self._is_away:
+                self._is_away = True
+                self._on_silence()
+            return True
         return self._bus.inbox.silent_for(now) <= PATIENCE and now - began <= 2.0 * PATIENCE
 
     def go_to(

@@ -1,0 +1,35 @@
+"""Record the Husky on its way to a hydrant behind a cone: a bag that replays to the same decisions.
+
+    python scripts/make_bag.py OUT
+
+OUT is a folder that is not there yet; tests/data/husky_bag was made by this. Needs rosbags (of
+``jaxlangnav[ros2]``), ``jaxlangnav[robot]`` and EGL, not ROS.
+"""
+
+import sys
+from pathlib import Path
+
+import jax
+
+from jaxlangnav import Navigator, keep_compiled_programs
+from jaxlangnav.robots.ros2.recording import record_drive
+from jaxlangnav.robots.ros2.simulation import RobotOptions, draw_place, switched_on
+
+TEXT = "go to the hydrant behind the cone"
+
+
+def main() -> None:
+    """Drive, and write the bag."""
+    path = Path(sys.argv[1])
+    options = RobotOptions(robot="husky")
+    keep_compiled_programs()
+    with switched_on(options, draw_place(options)) as robot:
+        key = jax.random.key(options.seed)
+        ended = record_drive(path, robot, TEXT, navigator=Navigator.pretrained(), key=key)
+        size = sum(one.stat().st_size for one in path.iterdir())
+        way = f"{robot.travelled:.1f} m in {robot.seconds:.0f} s, {size / 1000:.0f} kB"
+    print(f"{path}: {ended.ending.value}, {len(ended.steps)} decisions, {way}")
+
+
+if __name__ == "__main__":
+    main()
