@@ -13,9 +13,11 @@ from jaxlangnav.pytree import replace
 from jaxlangnav.robots import libraries
 from jaxlangnav.robots.motion.mover import WheelCommand, wrap
 from jaxlangnav.robots.perception import figures, tags
+from jaxlangnav.robots.physics import odometry
 from jaxlangnav.robots.physics.machines import MACHINES, Wear
 from jaxlangnav.robots.physics.robot import PhysicsRobot, wheel_speeds
 from jaxlangnav.robots.robot import Progress, Robot
+from jaxlangnav.robots.table3 import navigator_of
 from jaxlangnav.world.scenario import empty_scenario
 from jaxlangnav.world.state import CONE, HYDRANT
 
@@ -177,6 +179,24 @@ def test_the_detector_is_as_good_as_the_belief_is_told() -> None:
     headings, rows = figures.table(found)
     assert len(rows) == 3
     assert len(rows[0]) == len(headings)
+
+
+@BOTH
+def test_the_belief_is_told_how_far_its_odometry_is_out(machine: str) -> None:
+    """Neither less than is measured nor twice as much; other drives than those it was told by."""
+    found = odometry.measure_odometry(machine, drives=6, seed=100)
+    told = odometry.TOLD[machine]
+    # Six drives of some twenty cycles: the share is known to a tenth at best.
+    assert 0.5 * told < max(found.shares) < 1.3 * told
+    assert 0.0 < found.end < found.end_most < 0.15
+    headings, rows = odometry.odometry_table([found])
+    assert len(rows[0]) == len(headings)
+
+
+def test_a_robots_navigator_is_told_its_own_odometry() -> None:
+    for machine, share in odometry.TOLD.items():
+        motion = navigator_of(machine).params.map.motion
+        assert float(motion.odometry_noise) == pytest.approx(share)
 
 
 @pytest.mark.parametrize(("library", "says"), [("cv2", "robot"), ("mujoco", "robot")])

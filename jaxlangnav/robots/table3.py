@@ -20,6 +20,7 @@ from jaxlangnav.robots.driver import drive
 from jaxlangnav.robots.motion.mover import wrap
 from jaxlangnav.robots.perception.figures import as_told
 from jaxlangnav.robots.perception.tags import Gates
+from jaxlangnav.robots.physics import odometry
 from jaxlangnav.robots.physics.robot import PhysicsRobot
 from jaxlangnav.robots.record import Drive, Ending, OnStep
 from jaxlangnav.robots.robot import Progress
@@ -150,6 +151,19 @@ def make_robot(row: TrialRow, seed: int, trial: int) -> PhysicsRobot:
     )
 
 
+def navigator_of(robot: str, policy: str = "informed") -> Navigator:
+    """Build the navigator of a robot, which is told how far its odometry may be out.
+
+    Args:
+        robot: "husky" or "wheelchair".
+        policy: "informed" or "faithful".
+
+    Returns:
+        The navigator.
+    """
+    return Navigator.pretrained(policy, odometry_noise=odometry.TOLD[robot])
+
+
 def run_trial(
     row: TrialRow, trial: int, *, navigator: Navigator, seed: int = 0, on_step: OnStep | None = None
 ) -> dict[str, Any]:
@@ -158,7 +172,7 @@ def run_trial(
     Args:
         row: the row.
         trial: which one, 0 or more.
-        navigator: what decides.
+        navigator: what decides; ``navigator_of`` builds it.
         seed: root seed.
         on_step: told each decision.
 
