@@ -63,6 +63,25 @@ def test_what_has_been_kept_is_not_run_again(ran: list, tmp_path) -> None:
     assert ran == [(TABLE3[0].name, KNOWN), (TABLE3[0].name, 0)]
 
 
+def test_first_trials_and_failures_are_recorded(monkeypatch, tmp_path) -> None:
+    pages = []
+
+    def run(row, trial, *, navigator, seed, page):
+        pages.append((trial, page and page.relative_to(tmp_path).as_posix()))
+        return result(row, trial, success=trial != 2)
+
+    monkeypatch.setattr(trials, "run_trial", run)
+    monkeypatch.setattr(trials, "_navigator_of", lambda robot, policy: None)
+    plan = Plan(trials=3, out=tmp_path)
+    for trial in range(3):
+        trials._one(TABLE3[6], trial, plan)
+    stem = "recordings/husky-1H1C-3-behind-informed-seed0"
+    assert pages == [(0, f"{stem}-0.html"), (1, None), (2, None), (2, f"{stem}-2.html")]
+    pages.clear()
+    trials._one(TABLE3[6], 2, Plan(trials=3))
+    assert pages == [(2, None)]
+
+
 def test_the_table_stands_beside_the_papers(ran: list) -> None:
     document = trials.reproduce_table3(Plan(trials=3))
     assert document["success"] == pytest.approx(2 / 3)

@@ -40,7 +40,8 @@ class Plan:
     seed: int = 0
     policy: str = "informed"
     out: Path | None = None
-    """Folder for ``trials/``, one file for each; nothing is kept, or found again, without."""
+    """Folder for ``trials/``, one file for each, and ``recordings/``, a page of each row's first
+    trial and of each that fails; nothing is kept, or found again, without."""
     processes: int = 2
 
     def __post_init__(self) -> None:
@@ -55,6 +56,11 @@ class Plan:
         if self.out is None:
             return None
         return self.out / "trials" / f"{row.name}-{self.policy}-seed{self.seed}-{trial}.json"
+
+    def page(self, row: TrialRow, trial: int | str) -> Path | None:
+        """Name the page of a trial's recording."""
+        path = self.path(row, trial)
+        return path and path.parent.with_name("recordings") / f"{path.stem}.html"
 
     @property
     def made(self) -> dict[str, Any]:
@@ -148,10 +154,7 @@ def _run(
         initargs=(getattr(jax.config, _CACHE),),
     )
     with pool:
-        waiting = {
-            pool.submit(_one, row, trial, plan.seed, plan.policy): (row, trial)
-            for row, trial in missing
-        }
+        waiting = {pool.submit(_one, row, trial, plan): (row, trial) for row, trial in missing}
         try:
             for done in concurrent.futures.as_completed(waiting):
                 yield *waiting[done], done.result()
@@ -169,13 +172,19 @@ def _begin(cache: str | None) -> None:
 _navigator_of = functools.cache(navigator_of)
 
 
-def _one(row: TrialRow, trial: int | str, seed: int, policy: str) -> dict[str, Any]:
+def _one(row: TrialRow, trial: int | str, plan: Plan) -> dict[str, Any]:
     """Run one trial in its process; whatever goes wrong in it is a result, too."""
+    seed = plan.seed
     try:
         if isinstance(trial, str):
             return run_known(row, seed=seed)
-        navigator = _navigator_of(row.robot, policy)
-        return run_trial(row, trial, navigator=navigator, seed=seed)
+        navigator, page = _navigator_of(row.robot, plan.policy), plan.page(row, trial)
+        first = page if trial == 0 else None
+        found = run_trial(row, trial, navigator=navigator, seed=seed, page=first)
+        if not found["success"] and page != first:
+            # Once more, the same to the last decision, to be looked at.
+            run_trial(row, trial, navigator=navigator, seed=seed, page=page)
+        return found
     except Exception as error:  # a lost trial must not lose the others
         if os.environ.get("JAXLANGNAV_DEBUG"):
             raise
