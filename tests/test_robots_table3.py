@@ -2,6 +2,8 @@
 
 import importlib.util
 import json
+import runpy
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -11,6 +13,8 @@ from jaxlangnav.cli.main import main
 from jaxlangnav.robots import trials
 from jaxlangnav.robots.table3 import HALT, TABLE3, environment
 from jaxlangnav.robots.trials import KNOWN, Plan
+
+SCRIPTS = Path(__file__).parent.parent / "scripts"
 
 
 def result(row, trial, *, success: bool = True) -> dict:
@@ -137,6 +141,40 @@ def test_a_missing_library_ends_the_command_with_one_line(monkeypatch, capsys) -
     said = capsys.readouterr().err
     assert "jaxlangnav[robot]" in said
     assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "words", "says"),
+    [
+        ("film_robot", "run.avi", "run.avi is no film"),
+        ("film_robot", "run.gif tank", "invalid choice: 'tank'"),
+        ("film_robot", "run.gif husky --trial -1", "--trial is -1"),
+        ("film_robot", "run.gif husky", "jaxlangnav[robot]"),
+        ("film_robot", "run.html wheelchair", "jaxlangnav[robot]"),
+        ("measure_odometry", "0", "drives is 0"),
+        ("measure_odometry", "3", "jaxlangnav[robot]"),
+        ("measure_detector", "x", "invalid int value: 'x'"),
+        ("measure_detector", "3", "jaxlangnav[robot]"),
+    ],
+)
+def test_scripts_refuse_in_one_line(monkeypatch, capsys, name, words, says, tmp_path) -> None:
+    find = importlib.util.find_spec
+    missing = ("mujoco", "cv2")
+    monkeypatch.setattr(
+        "importlib.util.find_spec", lambda name: None if name in missing else find(name)
+    )
+    monkeypatch.setattr("sys.argv", [name, *words.split()])
+    monkeypatch.chdir(tmp_path)
+    path = SCRIPTS / f"{name}.py"
+    try:
+        code = runpy.run_path(str(path))["main"]()
+    except SystemExit as refused:
+        code = refused.code
+    assert code == 2
+    said = capsys.readouterr().err.splitlines()
+    assert says in said[-1]
+    assert all(line.startswith(("usage:", " ")) for line in said[:-1])
+    assert not list(tmp_path.iterdir())
 
 
 def test_plans_that_cannot_be_are_refused() -> None:

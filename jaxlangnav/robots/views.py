@@ -13,7 +13,7 @@ PANEL = (400, 300)
 DARK = (45, 45, 45)
 """Blue, green, red, of a picture that there is none of."""
 _GREEN, _ORANGE = (60, 220, 60), (40, 160, 250)
-_CAMERA = "Through its camera: tags used (green), or too far off or aside (orange)"
+_CAMERA = "Through its camera: tags used (green), tags outside its gates (orange)"
 _QUALITY = 75
 """Of a JPEG, in percent."""
 
@@ -78,15 +78,21 @@ class Views:
         """Write a name on dark ground above a tag."""
         cv2, font = self._cv2, self._cv2.FONT_HERSHEY_SIMPLEX
         (wide, high), low = cv2.getTextSize(words, font, 1.3, 3)
-        bottom = max(int(top) - 14, high + low)
-        place, corner = (int(left), bottom), (int(left) + wide, bottom + low)
-        cv2.rectangle(picture, (int(left), bottom - high - low), corner, DARK, -1)
+        bottom, cut = max(int(top) - 14, high + low), _cut(picture)
+        left = min(max(int(left), cut.start), cut.stop - wide)
+        place, corner = (left, bottom), (left + wide, bottom + low)
+        cv2.rectangle(picture, (left, bottom - high - low), corner, DARK, -1)
         cv2.putText(picture, words, place, font, 1.3, colour, 3, cv2.LINE_AA)
 
     def _shrunk(self, picture: np.ndarray) -> Any:
         """Cut a picture to a panel's shape, and shrink it."""
-        height, width = picture.shape[:2]
-        wide = height * PANEL[0] // PANEL[1]
-        left = (width - wide) // 2
-        cut = picture[:, left : left + wide]
+        cut = picture[:, _cut(picture)]
         return self._cv2.resize(cut, PANEL, interpolation=self._cv2.INTER_AREA)
+
+
+def _cut(picture: np.ndarray) -> slice:
+    """Find the columns of a picture that have a panel's shape."""
+    height, width = picture.shape[:2]
+    wide = height * PANEL[0] // PANEL[1]
+    left = (width - wide) // 2
+    return slice(left, left + wide)
