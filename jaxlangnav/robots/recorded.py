@@ -6,8 +6,10 @@ cameras its pictures go with each step.
 
 import dataclasses
 from collections.abc import Callable, Mapping
+from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
@@ -74,10 +76,10 @@ class DriveRecorder:
         """Take down where the robot truly is."""
         true, odometry = self._robot.true_pose, self._robot.pose()
         return WorldState(
-            position=np.asarray(true[:2], np.float32),
-            heading=np.float32(true[2]),
-            odometry=np.asarray(odometry, np.float32),
-            distance=np.float32(self._robot.travelled),
+            position=jnp.asarray(true[:2], jnp.float32),
+            heading=jnp.float32(true[2]),
+            odometry=jnp.asarray(odometry, jnp.float32),
+            distance=jnp.float32(self._robot.travelled),
         )
 
     def on_step(self, step: Step, state: NavigatorState, info: NavigatorInfo | None) -> None:
@@ -161,7 +163,8 @@ class DriveRecorder:
             "mean_effective_sample_size": float(np.mean(samples)),
             "is_valid": bool(self._scenario.is_valid),
         }
-        return EpisodeResult(**{name: np.asarray(one) for name, one in numbers.items()})
+        leaves: dict[str, Any] = {name: np.asarray(one) for name, one in numbers.items()}
+        return EpisodeResult(**leaves)
 
 
 def record_drive(
