@@ -19,6 +19,7 @@ from jaxlangnav.viz.html import render_html
 __all__ = ["navigator"]
 pytestmark = pytest.mark.slow
 HUSKY, CHAIR = TABLE3[6], TABLE3[2]
+BOTH = pytest.mark.parametrize("row", [HUSKY, CHAIR], ids=["husky", "wheelchair"])
 GOAL = 0
 """Slot of the hydrant."""
 try:
@@ -55,7 +56,7 @@ def slip(robot: PhysicsRobot) -> None:
     robot.slippery.append((x + 0.6 * np.cos(heading), y + 0.6 * np.sin(heading), 0.4))
 
 
-@pytest.mark.parametrize("row", [HUSKY, CHAIR], ids=["husky", "wheelchair"])
+@BOTH
 @pytest.mark.parametrize(
     ("fault", "endings"),
     [
@@ -82,9 +83,10 @@ def test_what_goes_wrong_has_its_ending(navigator, row, fault, endings) -> None:
         assert away < 1.5
 
 
-def test_a_motion_planner_that_gives_up_leaves_it_blocked(navigator, monkeypatch) -> None:
+@BOTH
+def test_a_motion_planner_that_gives_up_leaves_it_blocked(navigator, row, monkeypatch) -> None:
     monkeypatch.setattr("jaxlangnav.robots.motion.mover.find_path", lambda *given: None)
-    robot = make_robot(HUSKY, 0, 0)
+    robot = make_robot(row, 0, 0)
     ended = drive(navigator, robot, COMMANDS["behind"], key=jax.random.key(0), max_seconds=60.0)
     robot.close()
     assert ended.ending is Ending.BLOCKED, ended.why
