@@ -19,12 +19,13 @@ from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.kept import kept
 from jaxlangnav.kinds import label_of
 from jaxlangnav.language.lexicon import load_lexicon
-from jaxlangnav.messages import NONE, Observation, Readings, Status
-from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams
+from jaxlangnav.messages import NONE, Observation, Readings, SensorParams, Status
+from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams, NavigatorState
 from jaxlangnav.pytree import replace
 from jaxlangnav.recording import Frame, Recording, Scene, gather
 from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.world.known import known_distance
+from jaxlangnav.world.state import Scenario, WorldState
 
 
 class Ear(Protocol):
@@ -67,7 +68,44 @@ def set_scene(
     """
     index = int(task.instruction_index)
     instruction = jax.tree.map(lambda leaf: leaf[index], jax.device_get(instructions))
-    scenario, sensor, planner = jax.device_get((task.scenario, task.sensor, params.planner))
+    return scene_of(
+        task.scenario,
+        task.sensor,
+        instruction,
+        text=text,
+        params=params,
+        config=config,
+        type_names=type_names,
+    )
+
+
+def scene_of(
+    scenario: Scenario,
+    sensor: SensorParams,
+    instruction: Instruction,
+    *,
+    text: str,
+    params: NavigatorParams,
+    config: NavigatorConfig,
+    type_names: tuple[str, ...] | None = None,
+) -> Scene:
+    """Gather what stays the same, whoever moves the robot.
+
+    Args:
+        scenario: the truth.
+        sensor: what the belief is told of the detector.
+        instruction: the sentence, grounded.
+        text: the sentence, for people.
+        params: the navigator's numbers.
+        config: sizes and policy.
+        type_names: of the detector's labels; the lexicon's types by default.
+
+    Returns:
+        The scene.
+    """
+    instruction, scenario, sensor, planner = jax.device_get(
+        (instruction, scenario, sensor, params.planner)
+    )
     return Scene(
         text=text,
         type_names=load_lexicon().type_names if type_names is None else type_names,
@@ -78,7 +116,7 @@ def set_scene(
         readings=instruction.readings,
         planner=planner,
         num_clauses=int(instruction.num_clauses),
-        known_distance=float(known_distance(task.scenario)),
+        known_distance=float(known_distance(scenario)),
         asks=tuple(asked(instruction)),
     )
 
@@ -169,21 +207,37 @@ def _advance(
 ) -> tuple[Progress, Frame, EpisodeResult]:
     """Run one cycle and gather what it looked like."""
     after, info, observation = episode.cycle(progress, params=params, config=config)
-    return after, _frame(progress, after, info, observation), episode.finish(after)
+    frame = frame_of(progress.world, progress.navigator, after.navigator, info, observation)
+    return after, frame, episode.finish(after)
 
 
-def _frame(
-    before: Progress, after: Progress, info: NavigatorInfo, observation: Observation
+def frame_of(
+    world: WorldState,
+    before: NavigatorState,
+    after: NavigatorState,
+    info: NavigatorInfo,
+    observation: Observation,
 ) -> Frame:
-    """Gather one step: the world before the motion, the belief after the step."""
-    belief = after.navigator.belief
+    """Gather one step.
+
+    Args:
+        world: before the motion.
+        before: the navigator's state before its decision.
+        after: and after it.
+        info: of the decision.
+        observation: that it was decided by.
+
+    Returns:
+        The frame: the world before the motion, the belief after the step.
+    """
+    belief = after.belief
     return Frame(
-        position=before.world.position,
-        heading=before.world.heading,
-        odometry=before.world.odometry[:2],
+        position=world.position,
+        heading=world.heading,
+        odometry=world.odometry[:2],
         robot=info.robot,
-        distance=before.world.distance,
-        clause=before.navigator.clause,
+        distance=world.distance,
+        clause=before.clause,
         detection_type=observation.detection_type,
         detection_range=observation.detection_range,
         detection_bearing=observation.detection_bearing,
@@ -197,9 +251,9 @@ def _frame(
         goal_region=_goal_region(info),
         action=info.behavior.action,
         mode=info.behavior.mode,
-        status=after.navigator.status,
-        is_done=after.navigator.is_done,
-        **_belief_fields(belief, before.navigator.instruction.readings),
+        status=after.status,
+        is_done=after.is_done,
+        **_belief_fields(belief, before.instruction.readings),
         **_decision_fields(info),
     )
 

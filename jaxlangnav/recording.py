@@ -7,6 +7,7 @@ Further axis letter: **T** steps of the episode.
 """
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any, TypeAlias
 
 import jax
@@ -153,6 +154,8 @@ class Recording:
     result: EpisodeResult
     said: tuple[Remark, ...] = ()  # under way, in order
     candidates: tuple[Candidate, ...] = ()  # what may be meant, where it ended with a question
+    pictures: tuple[Mapping[str, bytes], ...] = ()  # of each step, JPEG by title; () without
+    ended: str = ""  # how, in words, where no status tells it: "blind: no picture for 5 s"
 
     @property
     def num_steps(self) -> int:

@@ -19,6 +19,7 @@ ORDER = (
     "sweep",
     "gradients",
     "your_own_world",
+    "husky",
 )
 """How they stand in the menu."""
 _AFTER = "Tutorial"

@@ -1,34 +1,63 @@
 """Film one run of a robot in physics: from outside, through its camera, and what it believes.
 
-    python scripts/film_robot.py OUT.gif [husky|wheelchair] [SEED]
+    python scripts/film_robot.py OUT.gif [husky|wheelchair] [--trial N]
 
-The environment is that of Table 3's "behind" with one hydrant and one cone. Needs
+OUT.gif or OUT.mp4 is a film; OUT.html a page with a slider over the steps: both views, map, numbers
+and story. The environment is that of Table 3's "behind" with one hydrant and one cone. Needs
 ``jaxlangnav[robot]`` and EGL.
 """
 
+import argparse
 import sys
 from pathlib import Path
 
 import jax
 
-from jaxlangnav import Navigator, keep_compiled_programs
-from jaxlangnav.robots.film import film
-from jaxlangnav.robots.table3 import COMMANDS, ROWS, make_robot
+from jaxlangnav import keep_compiled_programs
+from jaxlangnav.robots.film import check_format, film
+from jaxlangnav.robots.libraries import check_libraries
+from jaxlangnav.robots.physics.machines import MACHINES
+from jaxlangnav.robots.recorded import record_drive
+from jaxlangnav.robots.table3 import COMMANDS, TABLE3, make_robot, navigator_of
+from jaxlangnav.viz.html import write_html
+
+_PAGE = ".html"
 
 
-def main() -> None:
-    """Drive, and write the film."""
-    path = Path(sys.argv[1])
-    machine = sys.argv[2] if len(sys.argv) > 2 else "husky"
-    seed = int(sys.argv[3]) if len(sys.argv) > 3 else 0
+def main() -> int:
+    """Drive, and write film or page."""
+    parser = argparse.ArgumentParser(description="Film one run of a robot in physics.")
+    parser.add_argument("out", type=Path, help="file ending in .gif, .mp4 or .html")
+    parser.add_argument("robot", nargs="?", choices=sorted(MACHINES), default="husky")
+    parser.add_argument("--trial", type=int, default=0, help="of which noise; 0 or more")
+    given = parser.parse_args()
+    if given.trial < 0:
+        parser.error(f"--trial is {given.trial}, but must be at least 0")
+    try:
+        if given.out.suffix != _PAGE:
+            check_format(given.out)
+        check_libraries()
+        print(_run(given.out, given.robot, given.trial))
+    except (ValueError, OSError) as error:
+        print(error, file=sys.stderr)
+        return 2
+    return 0
+
+
+def _run(out: Path, name: str, trial: int) -> str:
+    """Drive once; say in one line what came of it."""
     keep_compiled_programs()
-    row = next(one for one in ROWS if one.robot == machine and one.relation == "behind")
-    robot = make_robot(row, 0, seed)
-    key = jax.random.key(seed)
-    text = COMMANDS[row.relation]
-    written, why = film(path, robot, text, navigator=Navigator.pretrained(), key=key)
-    print(f"{written}: {why}, {robot.travelled:.1f} m in {robot.seconds:.0f} s")
+    row = next(one for one in TABLE3 if one.robot == name and one.relation == "behind")
+    robot, text, key = make_robot(row, 0, trial), COMMANDS[row.relation], jax.random.key(trial)
+    navigator = navigator_of(name)
+    if out.suffix == _PAGE:
+        ended, recording = record_drive(robot, text, navigator=navigator, key=key)
+        written, why = write_html(recording, out), ended.why
+    else:
+        written, why = film(out, robot, text, navigator=navigator, key=key)
+    robot.close()
+    return f"{written}: {why}, {robot.travelled:.1f} m in {robot.seconds:.0f} s"
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

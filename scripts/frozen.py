@@ -163,6 +163,10 @@ def main() -> int:
             return int(bool(old or books))
         remake(texts, Path(name) / "demo" / "belief.png")
     for path in books:
+        why = notebooks.lacking(path)
+        if why:
+            print(f"left as it is: {path.relative_to(ROOT)}: {why}")
+            continue
         print(f"made: {notebooks.build(path).relative_to(ROOT)}", flush=True)
     if not ages.is_current(RESULTS):
         print("then: jaxlangnav reproduce all --out results, and --results results COMMIT")

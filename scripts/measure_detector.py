@@ -6,6 +6,7 @@ Prints a Markdown table; docs/robots.md shows it, ``robots/perception/figures.py
 belief is told of it. Needs ``jaxlangnav[robot]`` and EGL.
 """
 
+import argparse
 import sys
 
 import numpy as np
@@ -14,10 +15,18 @@ from jaxlangnav.plain_text import markdown_table
 from jaxlangnav.robots.perception import figures
 
 
-def main() -> None:
+def main() -> int:
     """Measure, and print."""
-    looks = int(sys.argv[1]) if len(sys.argv) > 1 else 6
-    found = figures.measure_detector(looks=looks)
+    parser = argparse.ArgumentParser(description="Measure the robots' camera and tags.")
+    parser.add_argument("looks", nargs="?", type=int, default=6, help="of each kind; 6")
+    looks = parser.parse_args().looks
+    if looks < 1:
+        parser.error(f"looks is {looks}, but must be at least 1")
+    try:
+        found = figures.measure_detector(looks=looks)
+    except ValueError as error:
+        print(error, file=sys.stderr)
+        return 2
     print(markdown_table(*figures.table(found)))
     near = [one for one in found if one.picture == "as told" and one.range <= 4.0]
     rate = np.mean([one.rate for one in near])
@@ -25,7 +34,8 @@ def main() -> None:
     false = sum(one.false for one in found)
     print(f"As told, to 4 m: found {100 * rate:.1f} %, error {100 * error:.1f} cm each axis;")
     print(f"{false} false tags in {sum(one.looks for one in found)} looks.")
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -49,6 +49,19 @@ def is_current(path: Path) -> bool:
     return pair.exists() and cells(pair) == cells(path) and ages.is_current(pair)
 
 
+def lacking(path: Path) -> str:
+    """Say why a source cannot be run here; "" where it can: robots need an extra and EGL."""
+    if "check_libraries()" not in path.read_text("utf-8"):
+        return ""
+    from jaxlangnav.robots.libraries import check_libraries
+
+    try:
+        check_libraries()
+    except ValueError as error:
+        return str(error)
+    return ""
+
+
 def reduce_picture(picture: str) -> str:
     """Reduce a PNG to a palette; base64 in and out."""
     from PIL import Image
@@ -164,8 +177,10 @@ def main() -> int:
         print(f'no notebook "{unknown[0]}": choose from {", ".join(known)}', file=sys.stderr)
         return 2
     for path in [known[name] for name in arguments.names] or list(known.values()):
-        begin = time.perf_counter()
-        if arguments.draw is not None:
+        begin, why = time.perf_counter(), lacking(path)
+        if why:
+            print(f"{path.stem}: left as it is: {why}")
+        elif arguments.draw is not None:
             pictures = draw(path, arguments.draw)
             print(f"{path.stem}: {len(pictures)} pictures, {time.perf_counter() - begin:.0f} s")
         elif arguments.all or arguments.names or not is_current(path):

@@ -8,6 +8,8 @@ from pathlib import Path
 import jupytext
 import pytest
 
+from jaxlangnav.robots.libraries import check_libraries
+
 ROOT = Path(__file__).parent.parent
 SCRIPT = ROOT / "scripts" / "notebooks.py"
 SOURCES = sorted((ROOT / "notebooks").glob("*.py"))
@@ -40,6 +42,11 @@ def test_notebook_is_made_from_its_source(path: Path) -> None:
 @pytest.mark.parametrize("path", SOURCES, ids=lambda path: path.stem)
 def test_notebook_runs_from_top_to_bottom(path: Path, tmp_path: Path) -> None:
     """In a process of its own, with the compiled programs that the tests keep."""
+    if "check_libraries()" in path.read_text("utf-8"):
+        try:
+            check_libraries()
+        except ValueError as missing:
+            pytest.skip(str(missing))
     environment = os.environ | {
         "MPLBACKEND": "Agg",
         "JAX_PLATFORMS": "cpu",

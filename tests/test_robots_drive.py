@@ -16,7 +16,10 @@ from jaxlangnav.robots.kinematic import KinematicRobot
 from jaxlangnav.robots.motion.pursuit import Pursuit
 from jaxlangnav.robots.motion.window import Window
 from jaxlangnav.robots.record import Drive, Ending, observe
+from jaxlangnav.robots.recorded import record_drive
 from jaxlangnav.robots.robot import Detection, Progress
+from jaxlangnav.viz.html import pack, render_html
+from jaxlangnav.viz.panels import outcome
 from jaxlangnav.world.scenario import empty_scenario
 from jaxlangnav.world.state import CONE, HYDRANT
 
@@ -37,6 +40,7 @@ def put(
         object_x=np.pad(x, (0, empty)).astype(np.float32),
         object_y=np.pad(y, (0, empty)).astype(np.float32),
         is_object=np.arange(len(kind) + empty) < len(kind),
+        goal=np.array([x[0], y[0]], np.float32),
         area=np.array([0.0, 9.0, -4.5, 4.5], np.float32),
     )
     sensor = replace(default_sensor(3.0), field_of_view=jnp.float32(np.pi / 2))
@@ -164,6 +168,54 @@ def test_it_halts_goes_on_and_drops_the_task(navigator) -> None:
     halted = go(navigator, robot, listen=lambda: "stop", max_seconds=4.0)
     assert halted.ending is Ending.HALTED
     assert robot.travelled == 0.0
+
+
+@pytest.mark.parametrize(
+    ("status", "ending"),
+    [
+        (Status.NOT_FOUND, Ending.NOT_FOUND),
+        (Status.BLOCKED, Ending.BLOCKED),
+        (Status.WHICH_ONE, Ending.WHICH_ONE),
+        (Status.IDLE, Ending.IDLE),
+    ],
+)
+def test_each_ending_of_the_navigator_is_one_of_the_drive(navigator, status, ending) -> None:
+    state = navigator.start(TEXT)
+    named, why = driver._Journey(navigator, put(), jax.random.key(0), None)._name_the_end(
+        status, state
+    )
+    assert named is ending
+    assert why
+
+
+def test_a_drive_is_recorded_with_the_truth_of_each_look(navigator) -> None:
+    robot = put()
+    ended, kept = record_drive(robot, TEXT, navigator=navigator, key=jax.random.key(1))
+    assert kept.num_steps == len(ended.steps) > 3
+    frames = kept.frames
+    np.testing.assert_array_equal(frames.position[0], [0.0, 0.0])
+    assert (np.diff(frames.distance) >= 0.0).all()
+    poses = np.array([step.pose for step in ended.steps])
+    np.testing.assert_allclose(frames.odometry, poses[:, :2], atol=1e-5)
+    seen = [len(step.detections or ()) for step in ended.steps]
+    assert frames.is_detection.sum(axis=1).tolist() == seen
+    assert kept.result.is_success == (ended.ending is Ending.ARRIVED)
+    assert float(kept.result.goal_distance) == pytest.approx(goal_distance(robot))
+    assert kept.pictures == ()
+    assert "Says stop" in render_html(kept)
+
+
+def test_a_recording_tells_endings_that_only_robots_have(navigator) -> None:
+    robot = put()
+    robot.at(3.0, lambda one: setattr(one, "camera_works", False))
+    ended, kept = record_drive(robot, TEXT, navigator=navigator, key=jax.random.key(1))
+    assert kept.num_steps == len(ended.steps)
+    assert outcome(kept) == "blind"
+    assert not kept.frames.is_detection[-1].any()
+    np.testing.assert_allclose(kept.frames.position[-1], robot.true_pose[:2], atol=1e-5)
+    closing = pack(kept)["closing"]
+    assert "picture" in closing[0]
+    assert not any("out of time" in line for line in closing)
 
 
 def test_a_waypoint_that_cannot_be_stood_on_is_seen_from_all_sides_and_then_given_up() -> None:

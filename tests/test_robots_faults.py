@@ -12,11 +12,14 @@ from jaxlangnav.robots.driver import drive
 from jaxlangnav.robots.film import film
 from jaxlangnav.robots.physics.robot import PhysicsRobot
 from jaxlangnav.robots.record import Ending
+from jaxlangnav.robots.recorded import record_drive
 from jaxlangnav.robots.table3 import COMMANDS, TABLE3, make_robot
+from jaxlangnav.viz.html import render_html
 
 __all__ = ["navigator"]
 pytestmark = pytest.mark.slow
 HUSKY, CHAIR = TABLE3[6], TABLE3[2]
+BOTH = pytest.mark.parametrize("row", [HUSKY, CHAIR], ids=["husky", "wheelchair"])
 GOAL = 0
 """Slot of the hydrant."""
 try:
@@ -53,7 +56,7 @@ def slip(robot: PhysicsRobot) -> None:
     robot.slippery.append((x + 0.6 * np.cos(heading), y + 0.6 * np.sin(heading), 0.4))
 
 
-@pytest.mark.parametrize("row", [HUSKY, CHAIR], ids=["husky", "wheelchair"])
+@BOTH
 @pytest.mark.parametrize(
     ("fault", "endings"),
     [
@@ -80,9 +83,10 @@ def test_what_goes_wrong_has_its_ending(navigator, row, fault, endings) -> None:
         assert away < 1.5
 
 
-def test_a_motion_planner_that_gives_up_leaves_it_blocked(navigator, monkeypatch) -> None:
+@BOTH
+def test_a_motion_planner_that_gives_up_leaves_it_blocked(navigator, row, monkeypatch) -> None:
     monkeypatch.setattr("jaxlangnav.robots.motion.mover.find_path", lambda *given: None)
-    robot = make_robot(HUSKY, 0, 0)
+    robot = make_robot(row, 0, 0)
     ended = drive(navigator, robot, COMMANDS["behind"], key=jax.random.key(0), max_seconds=60.0)
     robot.close()
     assert ended.ending is Ending.BLOCKED, ended.why
@@ -102,3 +106,21 @@ def test_a_run_is_filmed(navigator, tmp_path) -> None:
     assert animation.frames[0].shape[1] == 1200
     with pytest.raises(ValueError, match="is no film"):
         film(tmp_path / "run.avi", robot, "go to the cone", navigator=navigator, key=key)
+
+
+def test_a_run_is_recorded_with_what_is_seen_of_it(navigator) -> None:
+    robot, key = make_robot(HUSKY, 0, 0), jax.random.key(0)
+    ended, kept = record_drive(robot, COMMANDS["behind"], navigator=navigator, key=key)
+    robot.close()
+    assert kept.num_steps == len(ended.steps) == len(kept.pictures)
+    read = libraries.opencv().imdecode
+    for step in (0, -1):
+        assert len(kept.pictures[step]) == 2
+        for jpeg in kept.pictures[step].values():
+            assert len(jpeg) < 40_000
+            picture = read(np.frombuffer(jpeg, np.uint8), 1)
+            assert picture.shape == (300, 400, 3)
+            assert picture.std() > 10.0
+    first, last = kept.pictures[0], kept.pictures[-1]
+    assert all(first[title] != last[title] for title in first)
+    assert len(render_html(kept)) < 5_000_000

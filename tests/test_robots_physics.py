@@ -1,6 +1,7 @@
 """Robots in MuJoCo: bodies that turn as they should, tags that are found where they are."""
 
 import dataclasses
+import os
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -13,9 +14,11 @@ from jaxlangnav.pytree import replace
 from jaxlangnav.robots import libraries
 from jaxlangnav.robots.motion.mover import WheelCommand, wrap
 from jaxlangnav.robots.perception import figures, tags
+from jaxlangnav.robots.physics import odometry
 from jaxlangnav.robots.physics.machines import MACHINES, Wear
 from jaxlangnav.robots.physics.robot import PhysicsRobot, wheel_speeds
 from jaxlangnav.robots.robot import Progress, Robot
+from jaxlangnav.robots.table3 import navigator_of
 from jaxlangnav.world.scenario import empty_scenario
 from jaxlangnav.world.state import CONE, HYDRANT
 
@@ -179,6 +182,24 @@ def test_the_detector_is_as_good_as_the_belief_is_told() -> None:
     assert len(rows[0]) == len(headings)
 
 
+@BOTH
+def test_the_belief_is_told_how_far_its_odometry_is_out(machine: str) -> None:
+    """Neither less than is measured nor twice as much; other drives than those it was told by."""
+    found = odometry.measure_odometry(machine, drives=6, seed=100)
+    told = odometry.TOLD[machine]
+    # Six drives of some twenty cycles: the share is known to a tenth at best.
+    assert 0.5 * told < max(found.shares) < 1.3 * told
+    assert 0.0 < found.end < found.end_most < 0.15
+    headings, rows = odometry.odometry_table([found])
+    assert len(rows[0]) == len(headings)
+
+
+def test_a_robots_navigator_is_told_its_own_odometry() -> None:
+    for machine, share in odometry.TOLD.items():
+        motion = navigator_of(machine).params.map.motion
+        assert float(motion.odometry_noise) == pytest.approx(share)
+
+
 @pytest.mark.parametrize(("library", "says"), [("cv2", "robot"), ("mujoco", "robot")])
 def test_a_missing_extra_is_said_in_one_line(monkeypatch, library: str, says: str) -> None:
     find = libraries.require.__globals__["importlib"].util.find_spec
@@ -189,18 +210,23 @@ def test_a_missing_extra_is_said_in_one_line(monkeypatch, library: str, says: st
         libraries.check_libraries()
 
 
-def test_a_missing_system_library_is_said_in_one_line() -> None:
-    """Rendering through a library that is not there, as on a machine without EGL."""
+@pytest.mark.skipif(sys.platform != "linux", reason="how EGL finds its driver on Linux")
+def test_a_missing_system_library_is_said_in_one_line(tmp_path) -> None:
+    """EGL is told to look for drivers where there are none, as on a machine without them."""
     code = (
-        "import ctypes.util; ctypes.util.find_library = lambda name: None\n"
         "from jaxlangnav.robots.libraries import check_libraries\n"
         "try: check_libraries()\n"
         "except ValueError as error: print(error)"
     )
-    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    if ran.stdout:
-        assert "apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri" in ran.stdout
-        assert ran.stdout.count("\n") == 1
+    ran = subprocess.run(
+        [sys.executable, "-c", code],
+        env=os.environ | {"__EGL_VENDOR_LIBRARY_DIRS": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert "apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri" in ran.stdout
+    assert (ran.stdout + ran.stderr).count("\n") == 1
 
 
 def test_machines_are_within_their_bodies() -> None:

@@ -2,6 +2,8 @@
 
 import importlib.util
 import json
+import runpy
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -11,6 +13,8 @@ from jaxlangnav.cli.main import main
 from jaxlangnav.robots import trials
 from jaxlangnav.robots.table3 import HALT, TABLE3, environment
 from jaxlangnav.robots.trials import KNOWN, Plan
+
+SCRIPTS = Path(__file__).parent.parent / "scripts"
 
 
 def result(row, trial, *, success: bool = True) -> dict:
@@ -61,6 +65,25 @@ def test_what_has_been_kept_is_not_run_again(ran: list, tmp_path) -> None:
     ran.clear()
     trials.reproduce_table3(Plan(trials=1, out=tmp_path, seed=1), rows=TABLE3[:1])
     assert ran == [(TABLE3[0].name, KNOWN), (TABLE3[0].name, 0)]
+
+
+def test_first_trials_and_failures_are_recorded(monkeypatch, tmp_path) -> None:
+    pages = []
+
+    def run(row, trial, *, navigator, seed, page):
+        pages.append((trial, page and page.relative_to(tmp_path).as_posix()))
+        return result(row, trial, success=trial != 2)
+
+    monkeypatch.setattr(trials, "run_trial", run)
+    monkeypatch.setattr(trials, "_navigator_of", lambda robot, policy: None)
+    plan = Plan(trials=3, out=tmp_path)
+    for trial in range(3):
+        trials._one(TABLE3[6], trial, plan)
+    stem = "recordings/husky-1H1C-3-behind-informed-seed0"
+    assert pages == [(0, f"{stem}-0.html"), (1, None), (2, None), (2, f"{stem}-2.html")]
+    pages.clear()
+    trials._one(TABLE3[6], 2, Plan(trials=3))
+    assert pages == [(2, None)]
 
 
 def test_the_table_stands_beside_the_papers(ran: list) -> None:
@@ -118,6 +141,40 @@ def test_a_missing_library_ends_the_command_with_one_line(monkeypatch, capsys) -
     said = capsys.readouterr().err
     assert "jaxlangnav[robot]" in said
     assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "words", "says"),
+    [
+        ("film_robot", "run.avi", "run.avi is no film"),
+        ("film_robot", "run.gif tank", "invalid choice: 'tank'"),
+        ("film_robot", "run.gif husky --trial -1", "--trial is -1"),
+        ("film_robot", "run.gif husky", "jaxlangnav[robot]"),
+        ("film_robot", "run.html wheelchair", "jaxlangnav[robot]"),
+        ("measure_odometry", "0", "drives is 0"),
+        ("measure_odometry", "3", "jaxlangnav[robot]"),
+        ("measure_detector", "x", "invalid int value: 'x'"),
+        ("measure_detector", "3", "jaxlangnav[robot]"),
+    ],
+)
+def test_scripts_refuse_in_one_line(monkeypatch, capsys, name, words, says, tmp_path) -> None:
+    find = importlib.util.find_spec
+    missing = ("mujoco", "cv2")
+    monkeypatch.setattr(
+        "importlib.util.find_spec", lambda name: None if name in missing else find(name)
+    )
+    monkeypatch.setattr("sys.argv", [name, *words.split()])
+    monkeypatch.chdir(tmp_path)
+    path = SCRIPTS / f"{name}.py"
+    try:
+        code = runpy.run_path(str(path))["main"]()
+    except SystemExit as refused:
+        code = refused.code
+    assert code == 2
+    said = capsys.readouterr().err.splitlines()
+    assert says in said[-1]
+    assert all(line.startswith(("usage:", " ")) for line in said[:-1])
+    assert not list(tmp_path.iterdir())
 
 
 def test_plans_that_cannot_be_are_refused() -> None:

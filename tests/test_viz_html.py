@@ -110,6 +110,18 @@ def test_a_sentence_cannot_break_out_of_the_page():
     assert page.ids >= {"data"}
 
 
+def test_pictures_of_a_robot_go_with_their_steps():
+    one = make_recording(3, 5)
+    assert pack(one)["pictures"] == []
+    pictures = tuple({"From outside": b"\xff\xd8" + bytes([step])} for step in range(3))
+    page, data = read(dataclasses.replace(one, pictures=pictures, ended="blocked: <no way>"))
+    assert "views" in page.ids
+    kept = [base64.b64decode(step["From outside"]) for step in data["pictures"]]
+    assert kept == [step["From outside"] for step in pictures]
+    assert data["outcome"] == "blocked"
+    assert data["closing"][0] == "Blocked: <no way>."
+
+
 def test_no_hypotheses_at_all():
     one = make_recording(3, 5)
     frames = one.frames

@@ -196,6 +196,11 @@ class _Journey:
         if status == Status.NOT_FOUND:
             missing = self.navigator.missing(state)
             return Ending.NOT_FOUND, f"not found: {', '.join(missing) or 'nothing fits'}"
+        if status == Status.BLOCKED:
+            return Ending.BLOCKED, "it made no way, and has tried other waypoints"
+        if status == Status.WHICH_ONE:
+            number = len(self.navigator.candidates(state))
+            return Ending.WHICH_ONE, f"{number} things may be meant, and nothing more tells"
         return Ending.IDLE, "nothing is left to do"
 
     def _target(self, action: Action, pose: np.ndarray, info: NavigatorInfo) -> np.ndarray | None:

@@ -17,34 +17,33 @@ from jaxlangnav.robots import libraries
 from jaxlangnav.robots.driver import drive
 from jaxlangnav.robots.physics.robot import PhysicsRobot
 from jaxlangnav.robots.record import Step
+from jaxlangnav.robots.views import DARK, PANEL, Views
 
 FORMATS = (".gif", ".mp4")
-PANEL = (400, 300)
-"""Pixels, width and height of each of the three panels."""
 _CAPTION = 36
 _TICKS = 5
 """Ticks of the robot's clock between two frames."""
 _MILLISECONDS = 200
 _COLOURS = ((40, 40, 220), (30, 140, 250), (200, 120, 40), (120, 120, 120))
 """Blue, green, red, of hydrant, cone and further types in turn."""
-_DARK, _LIGHT, _GREEN = (45, 45, 45), (235, 235, 235), (60, 200, 60)
+_LIGHT = (235, 235, 235)
 
 
 class Film:
     """Frames of a run, taken as it goes."""
 
-    def __init__(self, robot: PhysicsRobot, text: str) -> None:
+    def __init__(self, robot: PhysicsRobot, text: str, type_names: tuple[str, ...] = ()) -> None:
         """Begin a film; ``robot.on_tick`` and ``film.on_step`` take its frames.
 
         Args:
             robot: that is filmed.
             text: what it has been told.
+            type_names: by which tags are named.
         """
         self.frames: list[np.ndarray] = []
         self._robot, self._text = robot, text
-        self._cv2, self._mujoco = libraries.opencv(), libraries.mujoco()
-        self._view = self._mujoco.MjvCamera()
-        self._belief = np.full((*PANEL[::-1], 3), _DARK, np.uint8)
+        self._cv2, self._views = libraries.opencv(), Views(robot, type_names)
+        self._belief = np.full((*PANEL[::-1], 3), DARK, np.uint8)
         self._status, self._ticks = Status.SEARCHING, 0
         robot.on_tick = lambda _: self._tick()
 
@@ -61,43 +60,15 @@ class Film:
 
     def _take(self) -> None:
         """Put a frame together."""
-        panels = np.hstack([self._from_outside(), self._through_the_camera(), self._belief])
+        views = self._views
+        panels = np.hstack([views.from_outside(), views.through_the_camera(), self._belief])
         caption = np.full((_CAPTION, panels.shape[1], 3), 255, np.uint8)
         words = f'"{self._text}"   {self._status.word}   {self._robot.seconds:.0f} s'
         words += f"   {self._robot.travelled:.1f} m"
-        self._write(caption, words, (10, 24), 0.5, _DARK)
-        self.frames.append(np.vstack([caption, panels]))
-
-    def _write(
-        self, picture: np.ndarray, words: str, place: tuple[int, int], size: float, colour: Any
-    ) -> None:
         cv2 = self._cv2
-        cv2.putText(picture, words, place, cv2.FONT_HERSHEY_SIMPLEX, size, colour, 1, cv2.LINE_AA)
-
-    def _shrunk(self, picture: np.ndarray) -> np.ndarray:
-        """Cut a picture, blue, green, red, to a panel's shape, and shrink it."""
-        height, width = picture.shape[:2]
-        wide = height * PANEL[0] // PANEL[1]
-        left = (width - wide) // 2
-        cut = picture[:, left : left + wide]
-        return self._cv2.resize(cut, PANEL, interpolation=self._cv2.INTER_AREA)
-
-    def _from_outside(self) -> np.ndarray:
-        x, y, heading = self._robot.true_pose
-        self._view.lookat[:] = x + 0.8 * np.cos(heading), y + 0.8 * np.sin(heading), 0.3
-        self._view.distance, self._view.elevation = 4.5, -28.0
-        self._view.azimuth = 35.0
-        picture = self._robot.render(self._view)
-        return self._shrunk(picture[..., ::-1])
-
-    def _through_the_camera(self) -> np.ndarray:
-        if self._robot.last_picture is None:
-            return np.full((*PANEL[::-1], 3), _DARK, np.uint8)
-        picture = np.ascontiguousarray(self._robot.last_picture[..., ::-1])
-        for tag in self._robot.last_tags:
-            corners = tag.corners.round().astype(np.int32)
-            self._cv2.polylines(picture, [corners[:, None]], True, _GREEN, 5)
-        return self._shrunk(picture)
+        font = cv2.FONT_HERSHEY_SIMPLEX
+        cv2.putText(caption, words, (10, 24), font, 0.5, DARK, 1, cv2.LINE_AA)
+        self.frames.append(np.vstack([caption, panels]))
 
     def _draw_belief(
         self, step: Step, state: NavigatorState, info: NavigatorInfo | None
@@ -208,6 +179,6 @@ def film(
         ValueError: no such format, or the sentence is refused.
     """
     check_format(path)
-    reel = Film(robot, text)
+    reel = Film(robot, text, navigator.type_names)
     ended = drive(navigator, robot, text, key=key, on_step=reel.on_step)
     return reel.write(path), ended.why

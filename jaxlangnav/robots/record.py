@@ -24,6 +24,8 @@ class Ending(enum.Enum):
     """It was told to drop the task."""
     BLOCKED = "blocked"
     """It cannot get where it would have to go."""
+    WHICH_ONE = "which_one"
+    """Several things may be meant, and nothing is left to see that would tell."""
     BLIND = "blind"
     """Its camera delivers no pictures."""
     LOST = "lost"

@@ -47,6 +47,8 @@ class SimulatedRobot(abc.ABC):
         self.travelled = 0.0
         self.camera_works = True
         self.on_tick: Callable[[Self], None] | None = None
+        self.on_look: Callable[[Self], None] | None = None
+        """Is told each look just after it was taken, one without a picture too."""
         self._sensor = sensor
         x_min, x_max, y_min, y_max = (float(edge) for edge in area)
         self._area = (x_min, x_max, y_min, y_max)
@@ -100,7 +102,10 @@ class SimulatedRobot(abc.ABC):
 
     def detections(self) -> list[Detection] | None:
         """Look, see ``Robot.detections``."""
-        return self._look() if self.camera_works else None
+        found = self._look() if self.camera_works else None
+        if self.on_look is not None:
+            self.on_look(self)
+        return found
 
     def go_to(
         self,

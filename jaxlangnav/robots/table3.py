@@ -8,6 +8,7 @@ environment is drawn by the law of ``world.scenario`` so that the known run is a
 
 import dataclasses
 import time
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -15,14 +16,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxlangnav.agent import Navigator
+from jaxlangnav.navigator import NavigatorInfo, NavigatorState
 from jaxlangnav.pytree import replace
 from jaxlangnav.robots.driver import drive
 from jaxlangnav.robots.motion.mover import wrap
 from jaxlangnav.robots.perception.figures import as_told
 from jaxlangnav.robots.perception.tags import Gates
+from jaxlangnav.robots.physics import odometry
 from jaxlangnav.robots.physics.robot import PhysicsRobot
-from jaxlangnav.robots.record import Drive, Ending, OnStep
+from jaxlangnav.robots.record import Drive, Ending, Step
+from jaxlangnav.robots.recorded import DriveRecorder
 from jaxlangnav.robots.robot import Progress
+from jaxlangnav.viz.html import write_html
 from jaxlangnav.world.scenario import draw_scenario, scenario_law
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 from jaxlangnav.world.state import Scenario
@@ -150,17 +155,35 @@ def make_robot(row: TrialRow, seed: int, trial: int) -> PhysicsRobot:
     )
 
 
+def navigator_of(robot: str, policy: str = "informed") -> Navigator:
+    """Build the navigator of a robot, which is told how far its odometry may be out.
+
+    Args:
+        robot: "husky" or "wheelchair".
+        policy: "informed" or "faithful".
+
+    Returns:
+        The navigator.
+    """
+    return Navigator.pretrained(policy, odometry_noise=odometry.TOLD[robot])
+
+
 def run_trial(
-    row: TrialRow, trial: int, *, navigator: Navigator, seed: int = 0, on_step: OnStep | None = None
+    row: TrialRow,
+    trial: int,
+    *,
+    navigator: Navigator,
+    seed: int = 0,
+    page: Path | None = None,
 ) -> dict[str, Any]:
     """Run one trial of a row; the robot knows nothing of the environment but its edges.
 
     Args:
         row: the row.
         trial: which one, 0 or more.
-        navigator: what decides.
+        navigator: what decides; ``navigator_of`` builds it.
         seed: root seed.
-        on_step: told each decision.
+        page: file for the recording of it, a page for the browser; none is made if None.
 
     Returns:
         What came of it, in JSON's types: a row of the table, and the whole drive as ``steps``.
@@ -168,17 +191,19 @@ def run_trial(
     begin = time.perf_counter()
     robot = make_robot(row, seed, trial)
     truth: list[list[float]] = []
+    text = COMMANDS[row.relation]
+    kept = None if page is None else DriveRecorder(robot, navigator, text)
 
-    def keep(*said: Any) -> None:
+    def keep(step: Step, state: NavigatorState, info: NavigatorInfo | None) -> None:
         truth.append([round(float(one), 3) for one in robot.true_pose])
-        if on_step is not None:
-            on_step(*said)
+        if kept is not None:
+            kept.on_step(step, state, info)
 
     key = jax.random.fold_in(jax.random.fold_in(jax.random.key(seed), TABLE3.index(row)), trial)
     try:
-        ended = drive(
-            navigator, robot, COMMANDS[row.relation], key=key, max_seconds=MAX_SECONDS, on_step=keep
-        )
+        ended = drive(navigator, robot, text, key=key, max_seconds=MAX_SECONDS, on_step=keep)
+        if kept is not None and page is not None:
+            write_html(kept.recording(ended), page)
         found = _judged(row, seed, robot, ended.ending)
     finally:
         robot.close()

@@ -6,6 +6,7 @@ processes nor from what had been run before. One that has been kept is not run a
 
 import concurrent.futures
 import dataclasses
+import functools
 import json
 import multiprocessing
 import os
@@ -19,11 +20,11 @@ import jax
 import numpy as np
 
 from jaxlangnav import __version__
-from jaxlangnav.agent import Navigator
 from jaxlangnav.experiments.metrics import wilson_interval
 from jaxlangnav.files.whole import write_text
 from jaxlangnav.robots.libraries import check_libraries
-from jaxlangnav.robots.table3 import TABLE3, TrialRow, run_known, run_trial
+from jaxlangnav.robots.physics.odometry import TOLD
+from jaxlangnav.robots.table3 import TABLE3, TrialRow, navigator_of, run_known, run_trial
 
 KNOWN = "known"
 """In place of a trial's number: the run with a completely known map."""
@@ -39,7 +40,8 @@ class Plan:
     seed: int = 0
     policy: str = "informed"
     out: Path | None = None
-    """Folder for ``trials/``, one file for each; nothing is kept, or found again, without."""
+    """Folder for ``trials/``, one file for each, and ``recordings/``, a page of each row's first
+    trial and of each that fails; nothing is kept, or found again, without."""
     processes: int = 2
 
     def __post_init__(self) -> None:
@@ -55,10 +57,20 @@ class Plan:
             return None
         return self.out / "trials" / f"{row.name}-{self.policy}-seed{self.seed}-{trial}.json"
 
+    def page(self, row: TrialRow, trial: int | str) -> Path | None:
+        """Name the page of a trial's recording."""
+        path = self.path(row, trial)
+        return path and path.parent.with_name("recordings") / f"{path.stem}.html"
+
     @property
     def made(self) -> dict[str, Any]:
         """What a kept trial must have been made with to be used again."""
-        return {"version": __version__, "seed": self.seed, "policy": self.policy}
+        return {
+            "version": __version__,
+            "seed": self.seed,
+            "policy": self.policy,
+            "odometry_noise": TOLD,
+        }
 
 
 def reproduce_table3(
@@ -139,10 +151,10 @@ def _run(
         max_workers=min(plan.processes, len(missing)),
         mp_context=multiprocessing.get_context("spawn"),
         initializer=_begin,
-        initargs=(getattr(jax.config, _CACHE), plan.policy),
+        initargs=(getattr(jax.config, _CACHE),),
     )
     with pool:
-        waiting = {pool.submit(_one, row, trial, plan.seed): (row, trial) for row, trial in missing}
+        waiting = {pool.submit(_one, row, trial, plan): (row, trial) for row, trial in missing}
         try:
             for done in concurrent.futures.as_completed(waiting):
                 yield *waiting[done], done.result()
@@ -150,25 +162,29 @@ def _run(
             pool.shutdown(wait=False, cancel_futures=True)
 
 
-_navigator: Navigator | None = None
-
-
-def _begin(cache: str | None, policy: str) -> None:
-    """Set up a process: one navigator for all of its trials."""
-    global _navigator
+def _begin(cache: str | None) -> None:
+    """Set up a process: compiled programs are found where the first one keeps them."""
     if cache:
         jax.config.update(_CACHE, cache)
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
-    _navigator = Navigator.pretrained(policy)
 
 
-def _one(row: TrialRow, trial: int | str, seed: int) -> dict[str, Any]:
+_navigator_of = functools.cache(navigator_of)
+
+
+def _one(row: TrialRow, trial: int | str, plan: Plan) -> dict[str, Any]:
     """Run one trial in its process; whatever goes wrong in it is a result, too."""
-    assert _navigator is not None
+    seed = plan.seed
     try:
         if isinstance(trial, str):
             return run_known(row, seed=seed)
-        return run_trial(row, trial, navigator=_navigator, seed=seed)
+        navigator, page = _navigator_of(row.robot, plan.policy), plan.page(row, trial)
+        first = page if trial == 0 else None
+        found = run_trial(row, trial, navigator=navigator, seed=seed, page=first)
+        if not found["success"] and page != first:
+            # Once more, the same to the last decision, to be looked at.
+            run_trial(row, trial, navigator=navigator, seed=seed, page=page)
+        return found
     except Exception as error:  # a lost trial must not lose the others
         if os.environ.get("JAXLANGNAV_DEBUG"):
             raise

@@ -94,6 +94,10 @@ def pack(recording: Recording) -> dict[str, Any]:
             for kind, name in enumerate(scene.type_names)
         ],
         "claims": all_claims,
+        "pictures": [
+            {title: base64.b64encode(one).decode("ascii") for title, one in step.items()}
+            for step in recording.pictures
+        ],
         **_by_step(recording, all_claims),
         **_arrays(recording),
     }
@@ -137,13 +141,24 @@ def _by_step(recording: Recording, claims: list[str]) -> dict[str, Any]:
     return {
         "story": [narrative.opening(recording.scene)[1:] + story[0], *story[1:]],
         "headlines": headlines,
-        "closing": narrative.closing(recording.last_scene, recording.at(-1), recording.result),
+        "closing": _closing(recording),
         "objects": objects,
         "detections": detections,
         "claim_shares": shares,
         "news": [bool(one) for one in frames.is_news],
         "is_done": [bool(one) for one in frames.is_done],
     }
+
+
+def _closing(recording: Recording) -> list[str]:
+    """Tell how it ended."""
+    if recording.ended:
+        said = printable(recording.ended).replace("_", " ")
+        return [
+            f"{said[:1].upper()}{said[1:]}.",
+            f"It drove {float(recording.result.distance):.1f} m.",
+        ]
+    return narrative.closing(recording.last_scene, recording.at(-1), recording.result)
 
 
 def _arrays(recording: Recording) -> dict[str, Any]:

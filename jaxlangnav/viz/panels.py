@@ -108,6 +108,8 @@ def head_panel(axes: "Axes", recording: Recording, step: int, index: int) -> Non
 def outcome(recording: Recording) -> str:
     """Say in two or three words how the episode ended."""
     result = recording.result
+    if recording.ended:
+        return recording.ended.partition(":")[0].replace("_", " ")
     if int(result.ending) in (Status.HALTED, Status.IDLE):
         return "halted" if int(result.ending) == Status.HALTED else "cancelled"
     if not bool(result.is_stopped):

@@ -148,6 +148,10 @@ class PhysicsRobot(SimulatedRobot):
         self._renderer.scene.flags[self._mujoco.mjtRndFlag.mjRND_SHADOW] = 0
         return self._renderer.render()
 
+    def is_used(self, tag: Tag) -> bool:
+        """Tell whether a tag is within what the navigator is told of."""
+        return bool(to_detections([tag], self.camera, self._gates, self._num_types))
+
     def _look(self) -> list[Detection]:
         self.last_picture = self.picture()
         cv2 = libraries.opencv()

@@ -1,0 +1,132 @@
+"""How far the robots' dead reckoning is out: measured, printed, and told to the belief.
+
+The belief takes each cycle's error for independent, its standard deviation a share of the cycle's
+way (``MotionParams.odometry_noise``). A robot's is not: a skid-steer slides aside in a turn and
+partly back in the next, a wheel's radius and a gyro's bias are out all along. So what is measured
+is the share with which that law is right over a number of cycles, for several numbers.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from jaxlangnav.messages import default_sensor
+from jaxlangnav.pytree import replace
+from jaxlangnav.robots.driver import CYCLE
+from jaxlangnav.robots.perception.tags import Gates
+from jaxlangnav.robots.physics.robot import PhysicsRobot
+from jaxlangnav.robots.robot import Progress
+from jaxlangnav.world.scenario import empty_scenario
+
+TOLD = {"husky": 0.11, "wheelchair": 0.022}
+"""Standard deviation of each axis as a share of a cycle's way: ``measure_odometry``'s largest over
+``SPANS``, rounded to the cautious side."""
+SPANS = (1, 2, 4, 8, 16)
+"""Cycles over which the law is held against what is measured."""
+_LEGS, _SHORTEST, _LONGEST, _EDGE = 5, 1.0, 4.0, 6.0
+"""Legs of a drive, metres of each, and metres from the start within which they end."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class OdometryFigures:
+    """What came of a robot's drives."""
+
+    machine: str
+    drives: int
+    way: float  # metres, mean of a drive
+    shares: tuple[float, ...]  # of ``SPANS``: standard deviation of an axis, as the belief has it
+    end: float  # mean distance between true and reckoned end, as a share of the way
+    end_most: float  # the largest such share
+    heading: float  # radians, mean error at the end
+
+
+def measure_odometry(machine: str, *, drives: int = 30, seed: int = 0) -> OdometryFigures:
+    """Drive a robot from place to place in the open, and hold its odometry against the truth.
+
+    Args:
+        machine: "husky" or "wheelchair".
+        drives: each with wheels, gyro and places of its own.
+        seed: of the first; the others follow.
+
+    Returns:
+        The figures.
+    """
+    logs = [_drive(machine, seed + one) for one in range(drives)]
+    way = np.array([np.hypot(*np.diff(log[:, :2], axis=0).T).sum() for log in logs])
+    off = np.array([log[-1, :3] - log[-1, 3:] for log in logs])
+    ends = np.hypot(off[:, 0], off[:, 1]) / way
+    headings = np.abs((off[:, 2] + np.pi) % (2.0 * np.pi) - np.pi)
+    return OdometryFigures(
+        machine=machine,
+        drives=drives,
+        way=float(way.mean()),
+        shares=tuple(_share(logs, span) for span in SPANS),
+        end=float(ends.mean()),
+        end_most=float(ends.max()),
+        heading=float(headings.mean()),
+    )
+
+
+def _drive(machine: str, seed: int) -> np.ndarray:
+    """Drive once.
+
+    Returns:
+        f64[T, 6], pose by odometry and true pose after each cycle.
+    """
+    gates = Gates(range=1.0)
+    robot = PhysicsRobot(
+        machine,
+        replace(empty_scenario(), area=np.array([-_EDGE, _EDGE, -_EDGE, _EDGE])),
+        seed=seed,
+        gates=gates,
+        sensor=default_sensor(gates.range),
+    )
+    random, place = np.random.default_rng(seed), np.zeros(2)
+    log = [np.append(robot.pose(), robot.true_pose)]
+    for _ in range(_LEGS):
+        angle, way = random.uniform(-np.pi, np.pi), random.uniform(_SHORTEST, _LONGEST)
+        place = np.clip(place + way * np.array([np.cos(angle), np.sin(angle)]), -_EDGE, _EDGE)
+        robot.go_to(place[None], speed=1.0, clearance=0.0)
+        progress = Progress.UNDER_WAY
+        while progress is Progress.UNDER_WAY:
+            progress = robot.wait(CYCLE)
+            log.append(np.append(robot.pose(), robot.true_pose))
+    robot.close()
+    return np.array(log)
+
+
+def _share(logs: Sequence[np.ndarray], span: int) -> float:
+    """Find the share with which independent errors of cycles explain those of a span.
+
+        σ² = Σ |e|² / (2 Σ d²)
+
+    with e the error of a span and d the ways of its cycles.
+    """
+    errors = ways = 0.0
+    for log in logs:
+        off = log[:, :2] - log[:, 3:5]
+        squares = np.append(0.0, np.cumsum((np.diff(log[:, :2], axis=0) ** 2).sum(axis=1)))
+        errors += float(((off[span:] - off[:-span]) ** 2).sum())
+        ways += float(2.0 * (squares[span:] - squares[:-span]).sum())
+    return float(np.sqrt(errors / ways))
+
+
+def odometry_table(figures: Sequence[OdometryFigures]) -> tuple[list[str], list[list[str]]]:
+    """Lay figures out for people.
+
+    Args:
+        figures: of ``measure_odometry``.
+
+    Returns:
+        Headings and rows.
+    """
+    spans = [f"{span} cycle" + ("s" if span > 1 else "") for span in SPANS]
+    headings = ["robot", *spans, "told", "end, mean (most)", "heading"]
+    rows = []
+    for one in figures:
+        shares = [f"{100 * share:.1f} %" for share in one.shares]
+        end = f"{100 * one.end:.1f} % ({100 * one.end_most:.1f} %)"
+        told = f"{100 * TOLD[one.machine]:g} %"
+        rows.append([one.machine, *shares, told, end, f"{np.rad2deg(one.heading):.1f}°"])
+    return headings, rows

@@ -1,0 +1,195 @@
+"""A robot's drive as a recording: pages, stories and figures show it as they show an episode.
+
+The truth is taken at each look, beside what is believed after the decision. Where a robot has
+cameras its pictures go with each step.
+"""
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxlangnav.agent import Navigator
+from jaxlangnav.episode import EpisodeResult
+from jaxlangnav.messages import Fault, Status
+from jaxlangnav.navigator import NavigatorInfo, NavigatorState
+from jaxlangnav.pytree import replace
+from jaxlangnav.recorder import frame_of, scene_of
+from jaxlangnav.recording import Frame, Recording, gather
+from jaxlangnav.robots.driver import drive
+from jaxlangnav.robots.kinematic import KinematicRobot
+from jaxlangnav.robots.physics.robot import PhysicsRobot
+from jaxlangnav.robots.record import Drive, Ending, Step, observe
+from jaxlangnav.robots.views import Views
+from jaxlangnav.world.simulator import SUCCESS_RADIUS
+from jaxlangnav.world.state import WorldState
+
+_STATUS = {
+    Ending.ARRIVED: Status.ARRIVED,
+    Ending.NOT_FOUND: Status.NOT_FOUND,
+    Ending.WHICH_ONE: Status.WHICH_ONE,
+    Ending.HALTED: Status.HALTED,
+    Ending.IDLE: Status.IDLE,
+}
+"""Of the other endings no status tells."""
+_frame_of = jax.jit(frame_of)
+
+
+class DriveRecorder:
+    """Keeps a drive, step by step: ``drive(..., on_step=recorder.on_step)``."""
+
+    def __init__(
+        self,
+        robot: PhysicsRobot | KinematicRobot,
+        navigator: Navigator,
+        text: str,
+    ) -> None:
+        """Begin; ``robot.on_look`` is taken for it.
+
+        Args:
+            robot: at its start.
+            navigator: what decides.
+            text: the sentence, for people.
+        """
+        self._robot, self._navigator, self._text = robot, navigator, text
+        self._scenario = robot.scenario
+        self._portray: Callable[[], Mapping[str, bytes]] | None = None
+        if isinstance(robot, PhysicsRobot):
+            self._portray = Views(robot, navigator.type_names).jpegs
+        self._world = self._where()
+        self._taken: Mapping[str, bytes] = {}
+        self._frames: list[Frame] = []
+        self._pictures: list[Mapping[str, bytes]] = []
+        self._clause, self._contradictions = np.int32(0), 0
+        robot.on_look = lambda _: self._on_look()
+
+    def _on_look(self) -> None:
+        self._world = self._where()
+        if self._portray is not None:
+            self._taken = self._portray()
+
+    def _where(self) -> WorldState:
+        """Take down where the robot truly is."""
+        true, odometry = self._robot.true_pose, self._robot.pose()
+        return WorldState(
+            position=jnp.asarray(true[:2], jnp.float32),
+            heading=jnp.float32(true[2]),
+            odometry=jnp.asarray(odometry, jnp.float32),
+            distance=jnp.float32(self._robot.travelled),
+        )
+
+    def on_step(self, step: Step, state: NavigatorState, info: NavigatorInfo | None) -> None:
+        """Keep a decision; one without a picture shows the belief as it was."""
+        if info is None:
+            if not self._frames:
+                return
+            frame = self._blind_frame()
+        else:
+            clause = np.minimum(self._clause, np.asarray(state.instruction.num_clauses) - 1)
+            before = replace(state, clause=np.maximum(clause, 0))
+            seen = observe(np.array(step.pose), step.detections or (), self._robot.sensor)
+            frame = jax.device_get(_frame_of(self._world, before, state, info, seen))
+            self._contradictions += int(info.filter.is_contradiction)
+        self._clause = np.asarray(state.clause)
+        self._frames.append(frame)
+        self._pictures.append(self._taken)
+
+    def _blind_frame(self) -> Frame:
+        """Repeat the last step without anything seen, from where the robot is now."""
+        last = self._frames[-1]
+        return replace(
+            last,
+            position=self._world.position,
+            heading=self._world.heading,
+            odometry=self._world.odometry[:2],
+            distance=self._world.distance,
+            is_detection=np.zeros_like(last.is_detection),
+            is_news=np.zeros_like(last.is_news),
+        )
+
+    def recording(self, ended: Drive) -> Recording:
+        """Put the recording together.
+
+        Args:
+            ended: the drive that was kept.
+
+        Returns:
+            The recording.
+
+        Raises:
+            ValueError: not a single decision was kept.
+        """
+        if not self._frames:
+            raise ValueError("nothing was recorded: give drive on_step=recorder.on_step")
+        navigator = self._navigator
+        scene = scene_of(
+            self._scenario,
+            self._robot.sensor,
+            ended.state.instruction,
+            text=self._text,
+            params=navigator.params,
+            config=navigator.config,
+            type_names=navigator.type_names,
+        )
+        told = gather(scene, self._frames, self._result(ended))
+        why = "" if ended.ending is Ending.ARRIVED else f"{ended.ending.value}: {ended.why}"
+        pictures = tuple(self._pictures) if self._portray is not None else ()
+        return dataclasses.replace(told, pictures=pictures, ended=why)
+
+    def _result(self, ended: Drive) -> EpisodeResult:
+        """Judge the drive by where the robot truly is."""
+        place = self._robot.true_pose[:2]
+        away = float(np.hypot(*(place - np.asarray(self._scenario.goal))))
+        faults = np.array([int(frame.fault) for frame in self._frames])
+        samples = [float(frame.effective_sample_size) for frame in self._frames]
+        is_success = ended.ending is Ending.ARRIVED and away <= SUCCESS_RADIUS
+        status = _STATUS.get(ended.ending, Status(int(ended.state.status)))
+        numbers = {
+            "is_success": is_success,
+            "is_stopped": ended.ending is not Ending.OUT_OF_TIME,
+            "ending": int(status),
+            "distance": self._robot.travelled,
+            "steps": len(self._frames),
+            "final": place,
+            "goal_distance": away,
+            "overflow": sum(int(frame.overflow) for frame in self._frames),
+            "degenerate": int(((faults & Fault.WEIGHTS) != 0).sum()),
+            "contradictions": self._contradictions,
+            "faults": int(((faults & ~Fault.WEIGHTS) != 0).sum()),
+            "mean_effective_sample_size": float(np.mean(samples)),
+            "is_valid": bool(self._scenario.is_valid),
+        }
+        leaves: dict[str, Any] = {name: np.asarray(one) for name, one in numbers.items()}
+        return EpisodeResult(**leaves)
+
+
+def record_drive(
+    robot: PhysicsRobot | KinematicRobot,
+    text: str,
+    *,
+    navigator: Navigator,
+    key: Array,
+    max_seconds: float = 300.0,
+) -> tuple[Drive, Recording]:
+    """Let a robot follow a sentence, and keep what there is to be seen of it.
+
+    Args:
+        robot: at its start.
+        text: the sentence.
+        navigator: what decides.
+        key: random key of the decisions, consumed.
+        max_seconds: after which the drive is broken off.
+
+    Returns:
+        How it ended, and the recording: ``viz.html.write_html`` makes a page of it.
+
+    Raises:
+        ValueError: the sentence is refused.
+    """
+    kept = DriveRecorder(robot, navigator, text)
+    ended = drive(navigator, robot, text, key=key, max_seconds=max_seconds, on_step=kept.on_step)
+    return ended, kept.recording(ended)
