@@ -37,6 +37,7 @@ class Task:
     sensor: SensorParams
     motion: MotionParams
     body: Body = HOLONOMIC  # how the robot moves
+    told: SensorParams | None = None  # what it takes its detector for; None: what it is
 
 
 @pytree
@@ -121,7 +122,7 @@ def observe(progress: Progress) -> Observation:
 
 def _sense(key: Array, progress: Progress) -> Observation:
     task = progress.task
-    return sense(key, progress.world, task.scenario, task.sensor)
+    return sense(key, progress.world, task.scenario, task.sensor, task.told)
 
 
 def advance(
