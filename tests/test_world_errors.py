@@ -14,7 +14,7 @@ from jaxlangnav.world.state import Errors, Scenario, WorldState
 
 NUMBER = 4000
 THINGS = ((2, 1.5, 0.5), (3, -1.0, 2.0), (5, 6.0, 0.0))
-"""Type, x, y; the robot stands at (1, 1) and turns its back on nothing: the last is out of range."""
+"""Type, x, y; the robot stands at (1, 1): the last is out of range."""
 ROBOT = WorldState(
     position=jnp.array([1.0, 1.0]),
     heading=jnp.float32(0.4),

@@ -70,6 +70,8 @@ class Experiment:
     """Says beneath the table what its rows show."""
     calibration_episodes: int = 0
     """Episodes of a row in which every step's belief is held against the truth."""
+    sentences: Mapping[str, str] = dataclasses.field(default_factory=lambda: SENTENCES)
+    """What is said, by the name that a row has for it."""
     fold: str = ""
     """What to click on the page of results to see the table; it is open where empty."""
 
@@ -159,7 +161,7 @@ class Experiment:
         parts: list[pa.Table] = []
         first: Played | None = None
         with CompileClock() as clock:
-            sentences = ground_sentences(list(SENTENCES.values()))
+            sentences = ground_sentences(list(self.sentences.values()))
             for played in run_grid(grid, sentences.instructions, on_progress=on_progress):
                 first = first or played
                 rows += self.rows(played, first, self._judged(played, sentences, on_progress))
@@ -243,7 +245,7 @@ class Experiment:
             "seed": options.seed,
             "num_particles": options.num_particles,
             "calibration_episodes": min(options.episodes, self.calibration_episodes),
-            "sentences": SENTENCES,
+            "sentences": dict(self.sentences),
             "noise": describe_noise(options.sensor, options.motion),
         }
 

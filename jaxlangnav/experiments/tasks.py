@@ -47,7 +47,7 @@ class Cell:
     scenario: Scenario | None = None
     """A world of somebody's own; None draws worlds of the template that ``world`` names."""
     place: PlaceLaw | None = None
-    """Places to draw in place of a template's; ``world`` names them, and what they share keys with."""
+    """Places to draw in place of a template's; those of one name in ``world`` share their keys."""
     told: SensorParams | None = None
     """What the robot takes its detector for; the truth if None."""
 

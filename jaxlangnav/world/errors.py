@@ -22,7 +22,7 @@ from jaxlangnav.world.state import Errors, Scenario, WorldState
 MOST_FRESH = 4
 """Fresh ghosts in one look; at a mean of 0.1 there are more in one look of ten million."""
 Ghosts = tuple[Array, Array, Array, Array]
-"""Type i32[n], x ahead and y to the left f32[n] metres, robot frame, and whether reported bool[n]."""
+"""Type i32[n]; x ahead, y to the left, f32[n] metres, robot frame; whether reported, bool[n]."""
 
 
 def located(

@@ -20,7 +20,7 @@ from jaxlangnav.world.state import Scenario, WorldState
 NUM_DETECTIONS, NUM_DETECTIONS_CROWDED = 8, 16
 """Slots of an observation, in places of at most eight things and of more."""
 _ERRING = 79
-"""Folded into a look's key for what the detector gets wrong; the rest of the look stays as it is."""
+"""Folded into a look's key for what the detector gets wrong; the rest of the look stays."""
 
 
 def sense(

@@ -1,7 +1,7 @@
 """Records of the ground truth: what a simulated place holds and where its robot is (section 4.2).
 
-Axis letters: **O** object slots of a world (eight by default), **E** episodes in a batch, **T** types
-that a detector tells apart, **G** places at which it is apt to see what is not there.
+Axis letters: **O** object slots of a world (eight by default), **E** episodes in a batch, **T**
+types that a detector tells apart, **G** places at which it is apt to see what is not there.
 """
 
 from jax import Array
