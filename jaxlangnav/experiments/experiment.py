@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 
 from jaxlangnav.experiments.archive import pytree_hash, write_experiment
-from jaxlangnav.experiments.calibration import scores, tally_tasks
+from jaxlangnav.experiments.calibration import Tally, scores, tally_tasks
 from jaxlangnav.experiments.compilation import CompileClock
 from jaxlangnav.experiments.grid import Arm, Grid, Played, Row, policy_arm, run_grid
 from jaxlangnav.experiments.monte_carlo import OnProgress
@@ -254,6 +254,8 @@ class Experiment:
     ) -> list[Row]:
         """Judge the belief in the first episodes of every row; no scores where none is judged."""
         arm, each = played.arm, played.grid.episodes
+        if played.tally is not None:
+            return [scored_part(played.tally, at, each) for at in range(len(self.specs))]
         judged = min(each, self.calibration_episodes)
         if not judged or arm.config is None or arm.params is None:
             nothing = {"ece": None, "brier": None, "coverage90": None, "reliability": None}
@@ -266,11 +268,23 @@ class Experiment:
             config=arm.config,
             on_progress=on_progress,
         )
-        parts = [
-            jax.tree.map(lambda leaf, at=at: leaf[at * judged : (at + 1) * judged], tally)
-            for at in range(len(self.specs))
-        ]
-        return [scores(part) | {"reliability": bin_sums(part)} for part in parts]
+        return [scored_part(tally, at, judged) for at in range(len(self.specs))]
+
+
+def scored_part(tally: Tally, place: int, each: int) -> Row:
+    """Score the episodes of one row.
+
+    Args:
+        tally: of all rows, one after another, leaves [E, …].
+        place: which row.
+        each: episodes of a row.
+
+    Returns:
+        Scores, and the sums of a reliability curve.
+    """
+    span = slice(place * each, (place + 1) * each)
+    part = jax.tree.map(lambda leaf: leaf[span], tally)
+    return scores(part) | {"reliability": bin_sums(part)}
 
 
 def check_episodes(episodes: int, *, rows: int, kept: int) -> int:

@@ -94,6 +94,7 @@ class PlaceSpec(RowSpec):
         """
         del sensor
         true = default_sensor(self.range, **self.truth)
+        given: dict[str, Any] = {"area": AHEAD, **self.place}
         moved = {name: jnp.float32(value) for name, value in self.motion.items()}
         mine = Cell(
             world=self.world,
@@ -104,7 +105,7 @@ class PlaceSpec(RowSpec):
             episodes=1,
             seed=seed,
             environments=environments,
-            place=place_law(**{"area": AHEAD} | dict(self.place)),
+            place=place_law(**given),
             told=default_sensor(self.range, **{**self.truth, **self.told}),
         )
         return Setting(cell=mine, told=self.heading() | {"relation": self.relation})

@@ -82,8 +82,8 @@ def _draw_scenario(
     rates.errorbar([row["success_rate"]], at, xerr=success_bars([row]), **look)
     ways.errorbar([row["distance_mean"]], at, xerr=[half_interval(row)], **look)
     if row["ece"] is not None:
-        fill = {} if row["is_told"] else {"markerfacecolor": style.PAPER}
-        scores.plot([min(row["ece"], _WITH_BELIEF)], at, **look | fill)
+        fill: dict[str, Any] = {} if row["is_told"] else {"markerfacecolor": style.PAPER}
+        scores.plot([min(row["ece"], _WITH_BELIEF)], at, **(look | fill))
     mark: dict[str, Any] = {"color": style.INK, "linewidth": 1.4, "zorder": 4}
     if row["target"] is not None:
         rates.plot([row["target"]] * 2, [place - 0.42, place + 0.42], **mark)
