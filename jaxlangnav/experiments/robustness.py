@@ -30,7 +30,7 @@ ECE_TARGET = 0.05
 """Of "this is the goal", in every scenario whose law the belief was told."""
 _FOREIGN = "arc"
 """The baseline that knows the law of Table 2's worlds, which these are not of."""
-HEADINGS = (
+SUITE_HEADINGS = (
     "Scenario",
     "Policy",
     "Success % (95 %)",
@@ -226,17 +226,17 @@ def robustness_table(document: Mapping[str, Any]) -> Table:
         document: of the experiment.
 
     Returns:
-        The table, of ``HEADINGS``.
+        The table, of ``SUITE_HEADINGS``.
     """
     order = list(dict.fromkeys(row["scenario"] for row in document["rows"]))
     rows = sorted(document["rows"], key=lambda row: order.index(row["scenario"]))
     before = ["", *(row["scenario"] for row in rows[:-1])]
     firsts = [row["scenario"] != above for row, above in zip(rows, before, strict=True)]
-    return Table(headings=HEADINGS, rows=[_cells(row) for row in rows], firsts=firsts)
+    return Table(headings=SUITE_HEADINGS, rows=[_cells(row) for row in rows], firsts=firsts)
 
 
 def _cells(row: Row) -> list[str]:
-    """Write one row's cells, in the order of ``HEADINGS``."""
+    """Write one row's cells, in the order of ``SUITE_HEADINGS``."""
     low, high = row["success_ci"]
     target = "" if row["target"] is None else f"≥ {row['target']:g}"
     if row.get("longest"):

@@ -24,7 +24,7 @@ SAID = {
     "null": "go to the hydrant",
 }
 """The sentences; "null" says nothing of where."""
-Numbers = Mapping[str, Any]
+_Numbers = Mapping[str, Any]
 AHEAD = (-2.0, 12.0, -9.0, 9.0)
 """Metres; the operating area unless a scenario has its own."""
 
@@ -39,13 +39,13 @@ class PlaceSpec(RowSpec):
     world: str = "place"
     range: float = 3.0
     relation: str = "behind"
-    place: Numbers = dataclasses.field(default_factory=dict)
+    place: _Numbers = dataclasses.field(default_factory=dict)
     """Arguments of ``place_law``."""
-    truth: Numbers = dataclasses.field(default_factory=dict)
+    truth: _Numbers = dataclasses.field(default_factory=dict)
     """Numbers of the detector, of ``default_sensor``."""
-    told: Numbers = dataclasses.field(default_factory=dict)
+    told: _Numbers = dataclasses.field(default_factory=dict)
     """Those of them that the belief is told otherwise."""
-    motion: Numbers = dataclasses.field(default_factory=dict)
+    motion: _Numbers = dataclasses.field(default_factory=dict)
     """Numbers of odometry; the belief always takes it for the default one."""
     target: float | None = None
     """Percent of success that ``informed`` is to reach."""
@@ -126,7 +126,7 @@ def _said(name: str, value: float) -> str:
     return f"{words[name]} {100.0 * value:g} %"
 
 
-def _square(half: float) -> Numbers:
+def _square(half: float) -> _Numbers:
     return {"area": (-half, half, -half, half)}
 
 
