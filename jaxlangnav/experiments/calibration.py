@@ -29,11 +29,9 @@ from jaxlangnav.episode import (
     advance,
     begin,
     finish,
-    run_batch,
 )
-from jaxlangnav.experiments.devices import CHUNK
 from jaxlangnav.experiments.goal_region import GoalDensity, goal_region, relative_variance
-from jaxlangnav.experiments.monte_carlo import map_pieces
+from jaxlangnav.experiments.monte_carlo import map_pieces, run_tasks
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.messages import NONE, Readings
 from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams
@@ -342,15 +340,15 @@ def run_judged(
     Returns:
         Results and sums of each episode as NumPy arrays, leaves [E, …].
     """
-    return map_pieces(
-        lambda piece, size: run_batch(
-            piece, instructions, params=params, config=config, max_steps=max_steps, count=size,
-            course=_JUDGED,
-        ),
+    return run_tasks(
         tasks,
-        capacity=CHUNK,
+        instructions,
+        params=params,
+        config=config,
         on_progress=on_progress,
-    )  # fmt: skip
+        max_steps=max_steps,
+        course=_JUDGED,
+    )
 
 
 def _error(events: Reliability) -> tuple[float | None, float | None, float | None]:
