@@ -57,7 +57,9 @@ def test_truth_and_what_is_told_differ_only_where_it_says_so(name: str) -> None:
     is_same = all(float(true) == float(told) for true, told in pairs)
     odometry = float(cell.motion.odometry_noise) == np.float32(0.02)
     haunted = spec.place.get("num_haunted", 0)
-    assert spec.is_told == (is_same and odometry and not haunted)
+    is_so = spec.relation == "null" or ("false" not in name and not name.startswith("no "))
+    is_so = is_so or name.startswith("noise")
+    assert spec.is_told == (is_same and odometry and not haunted and is_so)
     assert bool(spec.described()["told"]) != spec.is_told
 
 
@@ -81,10 +83,22 @@ def test_a_target_is_met_with_success_and_way_and_by_informed_alone() -> None:
         (found,) = suite.rows(played, played, [scored])  # pyright: ignore
         verdicts[way, policy] = found["is_met"], found["is_calibrated"]
     assert verdicts == {
-        (30.0, "informed"): (True, False),
-        (50.0, "informed"): (False, False),
+        (30.0, "informed"): (True, None),
+        (50.0, "informed"): (False, None),
         (30.0, "frontier"): (None, None),
     }
+
+
+def test_calibration_has_a_target_where_the_belief_was_told_the_truth() -> None:
+    verdicts = {}
+    for name, ece in (("plain", 0.06), ("pairs", 0.04), ("untold", 0.4)):
+        of = {"pairs": "2 more pairs", "untold": "ghosts 10 %, not told"}.get(name, name)
+        suite = dataclasses.replace(ROBUSTNESS, specs=(BY_NAME[of],))
+        played = _Played(BY_NAME[of], ending=[2, 2], is_success=[True, True])
+        scored = {"ece": ece, "ece_floor": 0.01}
+        (found,) = suite.rows(played, played, [scored])  # pyright: ignore
+        verdicts[name] = found["is_calibrated"]
+    assert verdicts == {"plain": False, "pairs": True, "untold": None}
 
 
 def test_what_is_missed_is_said() -> None:

@@ -27,7 +27,7 @@ from jaxlangnav.planner.config import POLICIES
 MAX_STEPS = 400
 """Decision cycles until a time-out: an area of 60 × 60 m takes more than the paper's worlds."""
 ECE_TARGET = 0.05
-"""Of "this is the goal", in every scenario whose law the belief was told."""
+"""Of "this is the goal", where the belief was told the truth of its sensors and by the sentence."""
 _FOREIGN = "arc"
 """The baseline that knows the law of Table 2's worlds, which these are not of."""
 SUITE_HEADINGS = (
@@ -214,7 +214,7 @@ def _caption(document: Mapping[str, Any]) -> list[str]:
         "the same places and noise.",
         "ECE of “this is the goal” over every step; in brackets what a perfect belief would show "
         "by chance in so few episodes. Targets are of informed; ECE has one only where the belief "
-        "was told the truth of its sensors.",
+        "was told the truth, of its sensors and by the sentence.",
         f"Places in which something found no room, left out: {invalid}.",
     ]
 

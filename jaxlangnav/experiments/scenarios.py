@@ -56,8 +56,16 @@ class PlaceSpec(RowSpec):
 
     @property
     def is_told(self) -> bool:
-        """Whether the belief was told the truth of its sensors."""
-        return not (self.told or self.motion or self.place.get("num_haunted"))
+        """Whether the belief was told the truth: of its sensors, and by the sentence."""
+        return self._is_true and not (self.told or self.motion or self.place.get("num_haunted"))
+
+    @property
+    def _is_true(self) -> bool:
+        """Whether what is said to be there is there."""
+        if not (self.place.get("has_goal", True) and self.place.get("has_cone", True)):
+            return False
+        sides = self.place.get("side", 1.0), self.place.get("said", 1.0)
+        return self.relation == "null" or sides[0] == sides[1]
 
     def heading(self) -> Row:
         """Say which row it is."""
@@ -70,6 +78,7 @@ class PlaceSpec(RowSpec):
         told = [_said(name, value) for name, value in self.told.items()]
         told += ["odometry 2 %"] if self.motion else []
         told += ["nothing of the four places"] if haunted else []
+        told += [] if self._is_true else ["a sentence that is not so"]
         return {
             "scenario": self.name,
             "what": self.what,

@@ -60,8 +60,7 @@ def robustness_figure(document: Mapping[str, Any]) -> "Figure":
             ROBUSTNESS.title,
             f"{document['episodes']} episodes a row; bars: 95 % interval of the mean. Vertical "
             "strokes: targets of informed.\nNames: green, all targets met; red, one is missed; "
-            "black, none is set. Empty points of ECE: the belief was not told the truth of its "
-            "sensors.",
+            "black, none is set. Empty points of ECE: the belief was not told the truth.",
         )
         handles, labels = legend_of([[panels[0]]])
         figure.legend(handles, labels, loc="lower center", ncols=3)
