@@ -6,6 +6,8 @@ rest. An episode's result depends on its own key only, never on its place in the
 """
 
 import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import chex
 import jax
@@ -37,6 +39,7 @@ class Task:
     sensor: SensorParams
     motion: MotionParams
     body: Body = HOLONOMIC  # how the robot moves
+    told: SensorParams | None = None  # what it takes its detector for; None: what it is
 
 
 @pytree
@@ -121,7 +124,7 @@ def observe(progress: Progress) -> Observation:
 
 def _sense(key: Array, progress: Progress) -> Observation:
     task = progress.task
-    return sense(key, progress.world, task.scenario, task.sensor)
+    return sense(key, progress.world, task.scenario, task.sensor, task.told)
 
 
 def advance(
@@ -247,14 +250,34 @@ def run(
     return finish(complete(task, instructions, params=params, config=config, max_steps=max_steps))
 
 
+class Course(NamedTuple):
+    """What lanes run: an episode, or one with more kept of it; part of the compiled program."""
+
+    begin: Callable[..., Any]
+    """As ``begin``: a state from a task and the instructions."""
+    advance: Callable[..., Any]
+    """As ``advance``: the next state, and something that is not used."""
+    finish: Callable[[Any], Any]
+    """As ``finish``: the result of a state."""
+    progress: Callable[[Any], Progress]
+    """Takes the episode out of a state."""
+
+
+def _itself(progress: Progress) -> Progress:
+    return progress
+
+
+EPISODE = Course(begin=begin, advance=advance, finish=finish, progress=_itself)
+
+
 @pytree
 class _Lanes:
     """Carry of the refilled loop; L lanes."""
 
-    progress: Progress  # leaves [L, …]
+    state: Any  # of the course; leaves [L, …]
     episode: Array  # i32[L] which task a lane runs; E once there is none left
     next_episode: Array  # i32[]
-    results: EpisodeResult  # leaves [E, …]
+    results: Any  # of the course; leaves [E, …]
 
 
 def _where(mask: Array, new: Array, old: Array) -> Array:
@@ -274,7 +297,8 @@ def run_batch(
     num_lanes: int = 32,
     max_steps: int = MAX_STEPS,
     count: Array | int | None = None,
-) -> EpisodeResult:
+    course: Course = EPISODE,
+) -> Any:
     """Run many episodes in lanes that are refilled as episodes end.
 
     Args:
@@ -286,9 +310,11 @@ def run_batch(
         max_steps: cycles until a time-out.
         count: i32[], how many of the tasks to run; the rest is padding whose results are zero.
             All by default.
+        course: what is kept of an episode; its result by default.
 
     Returns:
-        Results, leaves [E, …], in the order of the tasks.
+        Results, leaves [E, …], in the order of the tasks: an ``EpisodeResult``, or what the course
+        finishes with.
     """
     chex.assert_rank([tasks.key, tasks.instruction_index, tasks.scenario.start], [1, 1, 2])
     number = tasks.instruction_index.shape[0] if count is None else count
@@ -301,10 +327,11 @@ def run_batch(
         config=config,
         num_lanes=num_lanes,
         max_steps=max_steps,
+        course=course,
     )
 
 
-@functools.partial(jax.jit, static_argnames=("config", "num_lanes", "max_steps"))
+@functools.partial(jax.jit, static_argnames=("config", "num_lanes", "max_steps", "course"))
 def _run_batch(
     tasks: Task,
     instructions: Instruction,
@@ -314,44 +341,48 @@ def _run_batch(
     config: NavigatorConfig,
     num_lanes: int,
     max_steps: int,
-) -> EpisodeResult:
+    course: Course,
+) -> Any:
     """Run a batch whose arrays have types of their own, see ``run_batch``."""
     capacity = tasks.instruction_index.shape[0]
     number = jnp.minimum(count, capacity).astype(jnp.int32)
 
-    def load(episode: Array) -> Progress:
+    def load(episode: Array) -> Any:
         task = jax.tree.map(lambda leaf: leaf[jnp.clip(episode, 0, capacity - 1)], tasks)
-        return begin(task, instructions, config=config)
+        return course.begin(task, instructions, config=config)
 
     def body(lanes: _Lanes) -> _Lanes:
-        progress, _ = jax.vmap(lambda one: advance(one, params=params, config=config))(
-            lanes.progress
+        state, _ = jax.vmap(lambda one: course.advance(one, params=params, config=config))(
+            lanes.state
         )
+        progress = course.progress(state)
         is_over = progress.navigator.is_done | (progress.steps >= max_steps)
         is_over = is_over & (lanes.episode < number)
         target = jnp.where(is_over, lanes.episode, capacity)  # an index of E is dropped
         results = jax.tree.map(
             lambda store, value: store.at[target].set(value, mode="drop"),
             lanes.results,
-            jax.vmap(finish)(progress),
+            jax.vmap(course.finish)(state),
         )
         order = lanes.next_episode + jnp.cumsum(is_over) - 1
         episode = jnp.where(is_over, jnp.minimum(order, number), lanes.episode)
         fresh = jax.vmap(load)(episode)
-        progress = jax.tree.map(lambda new, old: _where(is_over, new, old), fresh, progress)
+        state = jax.tree.map(lambda new, old: _where(is_over, new, old), fresh, state)
         return _Lanes(
-            progress=progress,
+            state=state,
             episode=episode.astype(jnp.int32),
             next_episode=lanes.next_episode + jnp.sum(is_over),
             results=results,
         )
 
     first = jnp.arange(num_lanes, dtype=jnp.int32)
-    progress = jax.vmap(load)(first)
-    shape = jax.eval_shape(lambda one: finish(one), jax.tree.map(lambda leaf: leaf[0], progress))
+    state = jax.vmap(load)(first)
+    shape = jax.eval_shape(
+        lambda one: course.finish(one), jax.tree.map(lambda leaf: leaf[0], state)
+    )
     results = jax.tree.map(lambda leaf: jnp.zeros((capacity, *leaf.shape), leaf.dtype), shape)
     lanes = _Lanes(
-        progress=progress,
+        state=state,
         episode=jnp.minimum(first, number),
         next_episode=jnp.int32(num_lanes),
         results=results,

@@ -235,6 +235,8 @@ def test_a_sweep_runs_and_is_summarised(tmp_path: Path, capsys: pytest.CaptureFi
         (["reproduce", "time", "--motion.step-length", "1"], "changes nothing in time"),
         (["reproduce", "table2", "--sensor.range-max", "3"], 'did you mean "--ranges"'),
         (["reproduce", "table2", "--sensor.noise", "1 s"], "unknown unit"),
+        (["reproduce", "robustness", "--sensor.noise", "1"], "changes nothing in robustness"),
+        (["reproduce", "robustness", "--policy", "arc"], 'policy is "arc"'),
         (["reproduce", "fig5", "--extra"], "--extra adds rows to table2, but fig5 is run"),
         (["reproduce", "fig4", "--ranges", "3"], "--ranges is for table2 and fig5"),
         (["reproduce", "table2", "--ranges", "3,"], "--ranges is ''"),

@@ -14,9 +14,15 @@ from jaxlangnav.experiments.calibration import (
     Tally,
     draw_unseen,
     reliability,
+    run_judged,
     scores,
+    tally_tasks,
 )
 from jaxlangnav.experiments.goal_region import BANDWIDTH, GoalDensity, goal_region
+from jaxlangnav.experiments.policies import navigator_config
+from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
+from jaxlangnav.experiments.tasks import cell, make_tasks
+from jaxlangnav.navigator import default_params
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.coverage import sample_unseen, unexplored
 
@@ -221,3 +227,20 @@ def test_kernel_bandwidth_is_that_of_the_density() -> None:
     )
     _, log_density = RANK(lone, jnp.float32(0.0), jnp.float32(0.0))
     assert float(log_density) == pytest.approx(-np.log(2 * np.pi * BANDWIDTH**2), abs=1e-5)
+
+
+@pytest.mark.slow
+def test_episodes_judged_as_they_run_are_those_judged_apart() -> None:
+    sentences = ground_sentences([SENTENCES["behind"]])
+    tasks = make_tasks(cell("1H1C", "behind", 0, 3.0, 40, 5))
+    given: Any = {"params": default_params(), "config": navigator_config("informed", 16)}
+    results, found = run_judged(tasks, sentences.instructions, **given)
+    apart = tally_tasks(tasks, sentences.instructions, **given)
+    np.testing.assert_array_equal(found.steps.sum(axis=1), results.steps)
+    # Two programs may round differently, and then an episode goes another way.
+    same = (found.steps == apart.steps).all(axis=1)
+    assert same.mean() > 0.8
+    np.testing.assert_allclose(
+        found.planner.probability[same], apart.planner.probability[same], atol=1e-2
+    )
+    assert results.is_success.mean() > 0.8

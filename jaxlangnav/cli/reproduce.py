@@ -13,12 +13,14 @@ from jaxlangnav.cli.output import Document, Output
 from jaxlangnav.cli.runtime import keep_compiled_programs
 from jaxlangnav.cli.settings import Place, apply, read_settings
 
+_EPISODES, _EPISODES_ROBUSTNESS = 100, 500
 _PARTICLES, _PARTICLES_DRAWN = 64, 256
 _SEED, _SEED_UNKNOWNS = 0, 3000
 """The study of unknowns has worlds of its own, none that a table or a tuning has used."""
 _TRIALS = 10
 """Of each row of Table 3, as in the paper."""
 _TAKES = {"table1": (), "fig3": (), "time": ("params",), "conversation": ("params",)}
+_TAKES |= {"robustness": ("params",)}
 """Groups of settings that mean something to an experiment; the others take all of them."""
 
 
@@ -32,7 +34,9 @@ class Reproduce:
     unknowns: faithful with what the paper leaves open set otherwise, one thing at a time: what
     explains its figures? conversation: what a person's corrections, answers and statements are
     worth, of informed. time: where a decision cycle's time goes. table3: robots with bodies, in
-    physics with rendered cameras. all: everything but table3, and one page, report.html.
+    physics with rendered cameras. robustness: places unlike the paper's: crowds, bystanders, false
+    detections, wrong labels, misses, false sentences, areas of 8 to 60 m. all: the paper's
+    experiments but table3, and one page, report.html.
 
     Policies: informed (ours), faithful (the paper's), frontier (nearest frontier, no language),
     lawnmower (a sweep of the area), arc (a sweep that knows by what law the worlds are drawn),
@@ -62,13 +66,14 @@ class Reproduce:
             "fig5",
             "unknowns",
             "conversation",
+            "robustness",
             "time",
             "all",
         ]
     ]
     """Which experiment."""
-    episodes: int = 100
-    """Runs a row."""
+    episodes: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
+    """Runs a row; 100, and 500 in robustness, if not given."""
     policy: str = "all"
     """One policy, several with commas between, or all; fig1 and fig4 show faithful if not given."""
     trials: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
@@ -106,7 +111,7 @@ class Reproduce:
         params = apply(navigator_params(), values, "params")
         check(params)
         settings = Settings(
-            episodes=self.episodes,
+            episodes=self._episodes,
             policies=check_policies(list(POLICY_NAMES) if named == ["all"] else named),
             seed=_SEED if self.seed is None else self.seed,
             seed_unknowns=_SEED_UNKNOWNS if self.seed is None else self.seed,
@@ -154,7 +159,7 @@ class Reproduce:
         check_at_least("--trials", _TRIALS if self.trials is None else self.trials, 1)
         if self.trials is not None and self.what != "table3":
             raise UsageError(f"--trials is for table3, but {self.what} is run")
-        check_at_least("--episodes", self.episodes, 1)
+        check_at_least("--episodes", self._episodes, 1)
         check_at_least("--particles", _PARTICLES if self.particles is None else self.particles, 2)
         check_seed(_SEED if self.seed is None else self.seed)
         check_folder("--out", self.out)
@@ -186,6 +191,12 @@ class Reproduce:
         if self.ranges is None:
             return ()
         return tuple(LENGTH.read(one.strip(), "--ranges") for one in self.ranges.split(","))
+
+    @property
+    def _episodes(self) -> int:
+        """Runs a row."""
+        usual = _EPISODES_ROBUSTNESS if self.what == "robustness" else _EPISODES
+        return usual if self.episodes is None else self.episodes
 
     def _command(self, what: str) -> str:
         """Write the command that runs an experiment again."""

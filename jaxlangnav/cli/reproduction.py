@@ -26,13 +26,14 @@ STUDIES: dict[str, Callable[[Settings, Output], Study]] = {
     "unknowns": studies.episodes("unknowns"),
     "time": studies.timing,
     "conversation": studies.conversation,
+    "robustness": studies.episodes("robustness"),
 }
 """Every experiment by its name on the command line, in the order of the report."""
 
 
 def reported() -> list[str]:
-    """List the experiments of the report: those of the paper, which has no conversation."""
-    return [name for name in STUDIES if name != "conversation"]
+    """List the experiments of the report: those of the paper, and what they cost."""
+    return [name for name in STUDIES if name not in ("conversation", "robustness")]
 
 
 def check_sizes(names: Sequence[str], settings: Settings) -> None:
@@ -46,8 +47,8 @@ def check_sizes(names: Sequence[str], settings: Settings) -> None:
         ValueError: more than memory holds; says the size, the limit and what would fit.
     """
     for name in names:
-        if name in ("table2", "fig5", "unknowns"):
-            options = settings.options(seed=studies.seed_of(name, settings))
+        if name in ("table2", "fig5", "unknowns", "robustness"):
+            options = studies.options_of(name, settings)
             studies.experiment_of(name, settings).check(options)
         elif name in ("fig1", "fig4"):
             check_recording(navigator_config("faithful", settings.particles_drawn), MAX_STEPS)

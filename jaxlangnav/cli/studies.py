@@ -1,5 +1,6 @@
 """The tables and measurements that ``jaxlangnav reproduce`` runs: printed, drawn, told."""
 
+import dataclasses
 import functools
 import json
 import time
@@ -8,9 +9,10 @@ from typing import Any
 
 from jaxlangnav.cli.output import Output, to_json
 from jaxlangnav.cli.runtime import progress_bar, waiting
+from jaxlangnav.cli.settings import apply
 from jaxlangnav.cli.study import Settings, Study, draw_figures, told
-from jaxlangnav.experiments import figure5, table2
-from jaxlangnav.experiments.experiment import Experiment
+from jaxlangnav.experiments import figure5, robustness, table2
+from jaxlangnav.experiments.experiment import Experiment, Options
 from jaxlangnav.studies import unknowns
 
 _SPLITS = 8
@@ -57,7 +59,7 @@ def episodes(name: str) -> Callable[[Settings, Output], Study]:
     """Build the runner of an experiment made of episodes.
 
     Args:
-        name: "table2", "fig5" or "unknowns".
+        name: "table2", "fig5", "unknowns" or "robustness".
 
     Returns:
         A function that runs it for every row and arm.
@@ -65,7 +67,7 @@ def episodes(name: str) -> Callable[[Settings, Output], Study]:
 
     def run(settings: Settings, output: Output) -> Study:
         experiment = experiment_of(name, settings)
-        options = settings.options(seed=seed_of(name, settings))
+        options = options_of(name, settings)
         with progress_bar("episodes", experiment.total_work(options)) as advance:
             document = experiment.run(options, out=settings.out, on_progress=advance)
         output.say(experiment.render(document))
@@ -97,7 +99,7 @@ def experiment_of(name: str, settings: Settings) -> Experiment:
     """Build the rows of an experiment made of episodes.
 
     Args:
-        name: "table2", "fig5" or "unknowns".
+        name: "table2", "fig5", "unknowns" or "robustness".
         settings: which rows.
 
     Returns:
@@ -105,9 +107,28 @@ def experiment_of(name: str, settings: Settings) -> Experiment:
     """
     if name == "unknowns":
         return unknowns.UNKNOWNS
+    if name == "robustness":
+        return robustness.ROBUSTNESS
     if name == "fig5":
         return figure5.figure_5(ranges=settings.ranges)
     return table2.table_2(extra=settings.extra, ranges=settings.ranges)
+
+
+def options_of(name: str, settings: Settings) -> Options:
+    """Say what an experiment of episodes runs.
+
+    Args:
+        name: "table2", "fig5", "unknowns" or "robustness".
+        settings: from the command line.
+
+    Returns:
+        Its options; the numbers that the settings leave alone are the experiment's own.
+    """
+    options = settings.options(seed=seed_of(name, settings))
+    if name != "robustness":
+        return options
+    params = apply(robustness.numbers(), settings.values, "params")
+    return dataclasses.replace(options, params=params)
 
 
 def seed_of(name: str, settings: Settings) -> int:
@@ -178,12 +199,15 @@ def conversation(settings: Settings, output: Output) -> Study:
 def _figures(name: str, document: Mapping[str, Any]) -> dict[str, Callable[[], Any]]:
     """Name the figures of an experiment, and what draws them."""
     from jaxlangnav.viz.measures import reliability_figure, time_figure
+    from jaxlangnav.viz.robustness import robustness_figure
     from jaxlangnav.viz.rows import table_figure
     from jaxlangnav.viz.sweep import range_figure
     from jaxlangnav.viz.unknowns import unknowns_figure
 
     if name == "time":
         return {"time": lambda: time_figure(document["parts_us"])}
+    if name == "robustness":
+        return {"robustness": functools.partial(robustness_figure, document)}
     drawers = {"table2": table_figure, "figure5": range_figure, "unknowns": unknowns_figure}
     found: dict[str, Callable[[], Any]] = {name: functools.partial(drawers[name], document)}
     if panels := reliability_panels(document):

@@ -222,7 +222,7 @@ def _explore(task: Task, figure_type: Array, *, policy: str, max_steps: int) -> 
     def body(run: _Run) -> _Run:
         # The very keys of episode.advance: common random numbers for all policies.
         sense_key, _, move_key = jax.random.split(jax.random.fold_in(task.key, run.steps), 3)
-        observation = sense(sense_key, run.world, task.scenario, task.sensor)
+        observation = sense(sense_key, run.world, task.scenario, task.sensor, task.told)
         explorer = notice(run.explorer, observation, figure_type)
         explorer = explore_on(explorer, observation.pose, task.sensor)
         action = _act(explorer, observation.pose)

@@ -20,9 +20,18 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.episode import MAX_STEPS, Progress, Task, advance, begin
+from jaxlangnav.episode import (
+    MAX_STEPS,
+    Course,
+    EpisodeResult,
+    Progress,
+    Task,
+    advance,
+    begin,
+    finish,
+)
 from jaxlangnav.experiments.goal_region import GoalDensity, goal_region, relative_variance
-from jaxlangnav.experiments.monte_carlo import map_pieces
+from jaxlangnav.experiments.monte_carlo import map_pieces, run_tasks
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.messages import NONE, Readings
 from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams
@@ -273,6 +282,72 @@ def tally_tasks(
         tasks,
         capacity=LANES,
         on_progress=on_progress,
+    )
+
+
+@pytree
+class _Judged:
+    """An episode under way, and what its steps have come to."""
+
+    progress: Progress
+    tally: Tally
+
+
+def _begin_judged(task: Task, instructions: Instruction, *, config: NavigatorConfig) -> _Judged:
+    return _Judged(progress=begin(task, instructions, config=config), tally=nothing())
+
+
+def _advance_judged(
+    state: _Judged, *, params: NavigatorParams, config: NavigatorConfig
+) -> tuple[_Judged, None]:
+    after, info = advance(state.progress, params=params, config=config)
+    one = tally_step(state.progress, info, after)
+    return _Judged(progress=after, tally=jax.tree.map(jnp.add, state.tally, one)), None
+
+
+def _finish_judged(state: _Judged) -> tuple[EpisodeResult, Tally]:
+    return finish(state.progress), state.tally
+
+
+def _progress_of(state: _Judged) -> Progress:
+    return state.progress
+
+
+_JUDGED = Course(
+    begin=_begin_judged, advance=_advance_judged, finish=_finish_judged, progress=_progress_of
+)
+
+
+def run_judged(
+    tasks: Task,
+    instructions: Instruction,
+    *,
+    params: NavigatorParams,
+    config: NavigatorConfig,
+    max_steps: int = MAX_STEPS,
+    on_progress: Callable[[int], None] | None = None,
+) -> tuple[EpisodeResult, Tally]:
+    """Run any number of episodes and judge every step of them, in refilled lanes.
+
+    Args:
+        tasks: leaves [E, …].
+        instructions: leaves [I, …].
+        params: the navigator's numbers.
+        config: sizes and policy.
+        max_steps: cycles until a time-out.
+        on_progress: called with the number of episodes just run.
+
+    Returns:
+        Results and sums of each episode as NumPy arrays, leaves [E, …].
+    """
+    return run_tasks(
+        tasks,
+        instructions,
+        params=params,
+        config=config,
+        on_progress=on_progress,
+        max_steps=max_steps,
+        course=_JUDGED,
     )
 
 

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 
-from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task, run_batch
+from jaxlangnav.episode import EPISODE, MAX_STEPS, Course, Task, run_batch
 from jaxlangnav.experiments.tasks import take_tasks
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams
@@ -125,7 +125,8 @@ def run_round(
     *,
     config: NavigatorConfig,
     max_steps: int = MAX_STEPS,
-) -> list[EpisodeResult]:
+    course: Course = EPISODE,
+) -> list[Any]:
     """Run one call of the program, a chunk on each device.
 
     Args:
@@ -133,6 +134,7 @@ def run_round(
         instructions: leaves [I, …].
         config: sizes and policy.
         max_steps: cycles until a time-out.
+        course: what is kept of an episode; its result by default.
 
     Returns:
         For each of the works its results as NumPy arrays, leaves [count, …].
@@ -146,7 +148,7 @@ def run_round(
     counts = [*(one.count for one in works), *[0] * idle]
     count = jax.device_put(jnp.asarray(counts, jnp.int32), split)
     inputs = (tasks, jax.device_put(strong(instructions), everywhere), params, count)
-    results = jax.tree.map(np.asarray, _program(inputs, config, max_steps)(*inputs))
+    results = jax.tree.map(np.asarray, _program(inputs, config, max_steps, course)(*inputs))
     return [
         jax.tree.map(lambda leaf, at=at, size=one.count: leaf[at, :size], results)
         for at, one in enumerate(works)
@@ -158,22 +160,22 @@ def _stack(records: Sequence[Any]) -> Any:
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *records)
 
 
-def _program(inputs: Any, config: NavigatorConfig, max_steps: int) -> Any:
+def _program(inputs: Any, config: NavigatorConfig, max_steps: int, course: Course) -> Any:
     """Compile the batch for these shapes once, whichever thread asks first."""
     kinds = [jax.typeof(leaf) for leaf in jax.tree.leaves(inputs)]
-    name = (config, max_steps, LANES, mesh(), tuple(kinds))
+    name = (config, max_steps, course, LANES, mesh(), tuple(kinds))
     with _programs_lock:
         if name not in _programs:
-            _programs[name] = jax.jit(_sharded(config, max_steps)).lower(*inputs).compile()
+            _programs[name] = jax.jit(_sharded(config, max_steps, course)).lower(*inputs).compile()
         return _programs[name]
 
 
-def _sharded(config: NavigatorConfig, max_steps: int) -> Any:
+def _sharded(config: NavigatorConfig, max_steps: int, course: Course) -> Any:
     """Spread the batch of one device over all of them."""
 
     def on_one_device(
         tasks: Task, instructions: Instruction, params: NavigatorParams, count: jax.Array
-    ) -> EpisodeResult:
+    ) -> Any:
         own_tasks, own_params, own_count = jax.tree.map(
             lambda leaf: leaf[0], (tasks, params, count)
         )
@@ -185,6 +187,7 @@ def _sharded(config: NavigatorConfig, max_steps: int) -> Any:
             num_lanes=LANES,
             max_steps=max_steps,
             count=own_count,
+            course=course,
         )
         return jax.tree.map(lambda leaf: leaf[None], results)
 

@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 
 from jaxlangnav.experiments.archive import pytree_hash, write_experiment
-from jaxlangnav.experiments.calibration import scores, tally_tasks
+from jaxlangnav.experiments.calibration import Tally, scores, tally_tasks
 from jaxlangnav.experiments.compilation import CompileClock
 from jaxlangnav.experiments.grid import Arm, Grid, Played, Row, policy_arm, run_grid
 from jaxlangnav.experiments.monte_carlo import OnProgress
@@ -70,6 +70,8 @@ class Experiment:
     """Says beneath the table what its rows show."""
     calibration_episodes: int = 0
     """Episodes of a row in which every step's belief is held against the truth."""
+    sentences: Mapping[str, str] = dataclasses.field(default_factory=lambda: SENTENCES)
+    """What is said, by the name that a row has for it."""
     fold: str = ""
     """What to click on the page of results to see the table; it is open where empty."""
 
@@ -159,7 +161,7 @@ class Experiment:
         parts: list[pa.Table] = []
         first: Played | None = None
         with CompileClock() as clock:
-            sentences = ground_sentences(list(SENTENCES.values()))
+            sentences = ground_sentences(list(self.sentences.values()))
             for played in run_grid(grid, sentences.instructions, on_progress=on_progress):
                 first = first or played
                 rows += self.rows(played, first, self._judged(played, sentences, on_progress))
@@ -243,7 +245,7 @@ class Experiment:
             "seed": options.seed,
             "num_particles": options.num_particles,
             "calibration_episodes": min(options.episodes, self.calibration_episodes),
-            "sentences": SENTENCES,
+            "sentences": dict(self.sentences),
             "noise": describe_noise(options.sensor, options.motion),
         }
 
@@ -252,6 +254,8 @@ class Experiment:
     ) -> list[Row]:
         """Judge the belief in the first episodes of every row; no scores where none is judged."""
         arm, each = played.arm, played.grid.episodes
+        if played.tally is not None:
+            return [scored_part(played.tally, at, each) for at in range(len(self.specs))]
         judged = min(each, self.calibration_episodes)
         if not judged or arm.config is None or arm.params is None:
             nothing = {"ece": None, "brier": None, "coverage90": None, "reliability": None}
@@ -264,11 +268,23 @@ class Experiment:
             config=arm.config,
             on_progress=on_progress,
         )
-        parts = [
-            jax.tree.map(lambda leaf, at=at: leaf[at * judged : (at + 1) * judged], tally)
-            for at in range(len(self.specs))
-        ]
-        return [scores(part) | {"reliability": bin_sums(part)} for part in parts]
+        return [scored_part(tally, at, judged) for at in range(len(self.specs))]
+
+
+def scored_part(tally: Tally, place: int, each: int) -> Row:
+    """Score the episodes of one row.
+
+    Args:
+        tally: of all rows, one after another, leaves [E, …].
+        place: which row.
+        each: episodes of a row.
+
+    Returns:
+        Scores, and the sums of a reliability curve.
+    """
+    span = slice(place * each, (place + 1) * each)
+    part = jax.tree.map(lambda leaf: leaf[span], tally)
+    return scores(part) | {"reliability": bin_sums(part)}
 
 
 def check_episodes(episodes: int, *, rows: int, kept: int) -> int:

@@ -16,6 +16,7 @@ import numpy as np
 import pyarrow as pa
 
 from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task
+from jaxlangnav.experiments.calibration import Tally, run_judged
 from jaxlangnav.experiments.metrics import summarize
 from jaxlangnav.experiments.monte_carlo import OnProgress, run_tasks
 from jaxlangnav.experiments.policies import navigator_config, run_policy
@@ -56,6 +57,8 @@ class Arm:
     sensor: Numbers = dataclasses.field(default_factory=dict)
     """Numbers of the detector in place of the setting's."""
     max_steps: int = MAX_STEPS
+    is_judged: bool = False
+    """Whether the belief of every step is held against the truth as the episodes run."""
     worlds: Callable[[Task], Task] | None = None
     """Sets its worlds otherwise."""
 
@@ -106,6 +109,30 @@ class Arm:
             config=self.config,
             max_steps=self.max_steps,
             **shared,
+        )
+
+    def judge(
+        self, tasks: Task, instructions: Instruction, *, on_progress: OnProgress | None = None
+    ) -> tuple[EpisodeResult, Tally | None]:
+        """Run any number of tasks and, where ``is_judged``, hold the belief against the truth.
+
+        Args:
+            tasks: leaves [E, …].
+            instructions: leaves [I, …].
+            on_progress: called with the number of episodes just finished.
+
+        Returns:
+            Results, and the sums of each episode, leaves [E, …]; None where nothing is judged.
+        """
+        if not self.is_judged or self.config is None:
+            return self.run(tasks, instructions, on_progress=on_progress), None
+        return run_judged(
+            tasks,
+            instructions,
+            params=default_params() if self.params is None else self.params,
+            config=self.config,
+            max_steps=self.max_steps,
+            on_progress=on_progress,
         )
 
 
@@ -193,6 +220,8 @@ class Played:
     results: EpisodeResult
     known: np.ndarray
     """f32[E], the known map's distance, metres."""
+    tally: Tally | None = None
+    """Of an arm that is judged: its belief against the truth; leaves [E, …]."""
 
     def columns(self) -> dict[str, Any]:
         """Lay labels and results out, a column each, E long."""
@@ -229,8 +258,9 @@ def run_grid(
     drawn = grid.draw(np.arange(len(grid.settings) * grid.episodes))
     for arm in grid.arms:
         tasks = arm.tasks(drawn)
-        results = arm.run(tasks, instructions, on_progress=on_progress)
-        yield Played(grid=grid, arm=arm, tasks=tasks, results=results, known=known_distances(tasks))
+        results, tally = arm.judge(tasks, instructions, on_progress=on_progress)
+        known = known_distances(tasks)
+        yield Played(grid=grid, arm=arm, tasks=tasks, results=results, known=known, tally=tally)
 
 
 def result_columns(results: EpisodeResult, known: np.ndarray) -> dict[str, Any]:

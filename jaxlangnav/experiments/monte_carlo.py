@@ -7,12 +7,12 @@ not depend on how many episodes are asked for or how they are split.
 import concurrent.futures
 import itertools
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import jax
 import numpy as np
 
-from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task
+from jaxlangnav.episode import EPISODE, MAX_STEPS, Course, Task
 from jaxlangnav.experiments.devices import (
     CHUNK,
     LANES,
@@ -99,7 +99,8 @@ def run_tasks(
     on_progress: OnProgress | None = None,
     num_threads: int | None = None,
     max_steps: int = MAX_STEPS,
-) -> EpisodeResult:
+    course: Course = EPISODE,
+) -> Any:
     """Run tasks of any number through one compiled program, on all cores and devices.
 
     Args:
@@ -110,23 +111,25 @@ def run_tasks(
         on_progress: called with the number of episodes just finished.
         num_threads: calls under way at once; as many as keep all cores busy by default.
         max_steps: cycles until a time-out.
+        course: what is kept of an episode; its result by default.
 
     Returns:
-        Results as NumPy arrays, leaves [E, …], in the order of the tasks.
+        Results as NumPy arrays, leaves [E, …], in the order of the tasks: an ``EpisodeResult``, or
+        what the course finishes with.
     """
     number = tasks.instruction_index.shape[0]
     calls, devices = num_threads or num_calls(), mesh().size
     parts = pieces(number, CHUNK, calls * devices)
     rounds = [parts[at : at + devices] for at in range(0, len(parts), devices)]
 
-    def work(places: list[tuple[int, int]]) -> list[EpisodeResult]:
+    def work(places: list[tuple[int, int]]) -> list[Any]:
         works = [
             Work(tasks=fill(tasks, first, size), count=size, params=params)
             for first, size in places
         ]
-        return run_round(works, instructions, config=config, max_steps=max_steps)
+        return run_round(works, instructions, config=config, max_steps=max_steps, course=course)
 
-    results: list[EpisodeResult] = []
+    results: list[Any] = []
     with concurrent.futures.ThreadPoolExecutor(calls) as pool:
         for places, done in zip(rounds, pool.map(work, rounds), strict=True):
             results += done

@@ -20,6 +20,7 @@ from jaxlangnav.episode import Task
 from jaxlangnav.kept import kept
 from jaxlangnav.messages import MotionParams, SensorParams, default_motion, default_sensor
 from jaxlangnav.world.known import known_distance
+from jaxlangnav.world.places import PlaceLaw, draw_place
 from jaxlangnav.world.scenario import draw_scenario, empty_scenario, scenario_law
 from jaxlangnav.world.state import Scenario
 
@@ -45,6 +46,10 @@ class Cell:
     """Different worlds, taken in turn (the paper has ten); 0 for a fresh one per episode."""
     scenario: Scenario | None = None
     """A world of somebody's own; None draws worlds of the template that ``world`` names."""
+    place: PlaceLaw | None = None
+    """Places to draw in place of a template's; those of one name in ``world`` share their keys."""
+    told: SensorParams | None = None
+    """What the robot takes its detector for; the truth if None."""
 
     def __post_init__(self) -> None:
         """Refuse a seed that another one would stand for."""
@@ -82,18 +87,26 @@ def _draw(roots: Array, described: dict[str, Any], numbers: ArrayLike, worlds: A
         of_number, of_world = jax.vmap(
             lambda index: jax.random.split(jax.random.fold_in(root, index))
         )(jnp.stack([number, world]))
-        drawn = draw_scenario(of_world[0], cell["law"])
         return Task(
             key=of_number[1],
-            scenario=jax.tree.map(
-                lambda own, new: jnp.where(cell["is_own"], own, new), cell["scenario"], drawn
-            ),
+            scenario=_scenario(of_world[0], cell),
             instruction_index=cell["instruction_index"],
             sensor=cell["sensor"],
             motion=cell["motion"],
+            told=cell["told"],
         )
 
     return jax.vmap(one)(roots, described, jnp.asarray(numbers), jnp.asarray(worlds))
+
+
+def _scenario(key: Array, cell: dict[str, Any]) -> Scenario:
+    """Draw a world of a template or a place, or take the one that is given."""
+    if "place" in cell:
+        return draw_place(key, cell["place"])
+    drawn = draw_scenario(key, cell["law"])
+    return jax.tree.map(
+        lambda own, new: jnp.where(cell["is_own"], own, new), cell["scenario"], drawn
+    )
 
 
 @kept(static_argnames=("number",))
@@ -114,8 +127,10 @@ def draw_tasks(cells: Sequence[Cell], index: np.ndarray, numbers: np.ndarray) ->
         Tasks, leaves [E, …]; an episode's depends on its cell and number only.
 
     Raises:
-        ValueError: unknown world or relation.
+        ValueError: unknown world or relation, or places beside templates.
     """
+    if len({one.place is None for one in cells}) > 1:
+        raise ValueError("places and templates cannot be drawn at once: they differ in size")
     stacked = _stack([_describe(one) for one in cells])
     seeds = np.array([one.seed for one in cells], np.uint32)
     names = np.array([zlib.crc32(one.world.encode()) for one in cells], np.uint32)
@@ -144,18 +159,23 @@ def _roots(seeds: ArrayLike, names: ArrayLike) -> Array:
 
 def _describe(one: Cell) -> dict[str, Any]:
     """Gather what the tasks of a cell have in common; leaves are single values."""
+    common = {
+        "instruction_index": np.int32(one.instruction_index),
+        "sensor": one.sensor,
+        "motion": one.motion,
+        "told": one.told,
+    }
+    if one.place is not None:
+        return common | {"place": one.place}
     is_own = one.scenario is not None
     # The world of somebody's own is put in place of a drawn one, which then does not matter.
     law = scenario_law(
         template="1H1C" if is_own else one.world, relation="null" if is_own else one.relation
     )
-    return {
+    return common | {
         "law": law,
         "is_own": np.asarray(is_own),
         "scenario": one.scenario if is_own else empty_scenario(),
-        "instruction_index": np.int32(one.instruction_index),
-        "sensor": one.sensor,
-        "motion": one.motion,
     }
 
 

@@ -2,8 +2,9 @@
 
 Each object within range and field of view is detected with a fixed probability. Its relative
 position in the robot's frame gets isotropic Gaussian noise and is reported as range and bearing.
-There are no false detections; type is always right (section 3.2). What the place itself hides is
-the business of its ``terrain``.
+The paper's detector invents nothing and its types are always right (section 3.2). Elsewhere
+(``Scenario.errors``) it errs as ``errors`` says. What the place itself hides is the business of its
+``terrain``.
 """
 
 import chex
@@ -13,10 +14,13 @@ from jax import Array
 
 from jaxlangnav.messages import NONE, Observation, SensorParams
 from jaxlangnav.numerics import batching
-from jaxlangnav.terrain.view import eye_of
+from jaxlangnav.world.errors import fresh_ghosts, haunting_ghosts, labels_read, located
 from jaxlangnav.world.state import Scenario, WorldState
 
-NUM_DETECTIONS = 8
+NUM_DETECTIONS, NUM_DETECTIONS_CROWDED = 8, 16
+"""Slots of an observation, in places of at most eight things and of more."""
+_ERRING = 79
+"""Folded into a look's key for what the detector gets wrong; the rest of the look stays."""
 
 
 def sense(
@@ -24,43 +28,57 @@ def sense(
     state: WorldState,
     scenario: Scenario,
     sensor: SensorParams,
+    told: SensorParams | None = None,
     *,
-    num_detections: int = NUM_DETECTIONS,
+    num_detections: int | None = None,
 ) -> Observation:
     """Detect the objects around the robot, nearest first.
 
     Limits: no noise and probability 1 report exactly what ``visible`` shows; probability 0
-    reports nothing. The order is that of the reported ranges, so that slots of the true world
-    do not show through; of more objects than D the nearest are kept.
+    reports nothing but what is invented. The order is that of the reported ranges, so that slots
+    of the true world do not show through; of more objects than D the nearest are kept.
 
     Args:
         key: random key.
         state: the robot.
         scenario: the world.
-        sensor: the specification; traced.
-        num_detections: D, slots of the observation.
+        sensor: what the detector is truly like; traced.
+        told: what the robot takes it for; the truth if None.
+        num_detections: D, slots of the observation; ``NUM_DETECTIONS`` by default, and
+            ``NUM_DETECTIONS_CROWDED`` in a world of more slots than that.
 
     Returns:
         The observation, its pose by dead reckoning.
     """
     chex.assert_shape([state.position, state.odometry], [(2,), (3,)])
     chex.assert_equal_shape([scenario.object_x, scenario.object_y, scenario.is_object])
+    if num_detections is None:
+        is_crowded = scenario.object_x.size > NUM_DETECTIONS
+        num_detections = NUM_DETECTIONS_CROWDED if is_crowded else NUM_DETECTIONS
     x, y, is_visible = visible(state, scenario, sensor)
     miss, noise = batching.uniforms(jax.random.split(key), 2 * x.size)
     is_found = is_visible & (miss[: x.size] < sensor.detection_probability)
     noise_x, noise_y = sensor.noise * batching.normal(noise).reshape(2, *x.shape)
-    x, y = x + noise_x, y + noise_y
+    x, y, kind = x + noise_x, y + noise_y, scenario.object_type
+    if scenario.errors is not None:
+        keys = jax.random.split(jax.random.fold_in(key, _ERRING), 3)
+        kind = labels_read(keys[0], kind, scenario.errors, sensor)
+        ghosts = [fresh_ghosts(keys[1], state, scenario, scenario.errors, sensor)]
+        ghosts += [haunting_ghosts(keys[2], state, scenario, scenario.errors, sensor)]
+        kind, x, y, is_found = (
+            jnp.concatenate(parts) for parts in zip((kind, x, y, is_found), *ghosts, strict=True)
+        )
     distance = jnp.where(is_found, jnp.hypot(x, y), jnp.inf)
     nearest = jnp.argsort(distance)
     order = jnp.pad(nearest, (0, max(0, num_detections - nearest.size)))[:num_detections]
     is_detection = is_found[order] & (jnp.arange(num_detections) < nearest.size)
     return Observation(
         pose=state.odometry,
-        detection_type=jnp.where(is_detection, scenario.object_type[order], NONE),
+        detection_type=jnp.where(is_detection, kind[order], NONE),
         detection_range=jnp.where(is_detection, distance[order], 0.0),
         detection_bearing=jnp.where(is_detection, jnp.arctan2(y, x)[order], 0.0),
         is_detection=is_detection,
-        sensor=sensor,
+        sensor=sensor if told is None else told,
         detection_attribute=_attributes_seen(scenario, order, is_detection),
     )
 
@@ -69,7 +87,10 @@ def _attributes_seen(scenario: Scenario, order: Array, is_detection: Array) -> A
     """Report what the things detected look like, where the world says it."""
     if scenario.object_attribute is None:
         return None
-    return jnp.where(is_detection, scenario.object_attribute[order], 0)
+    # What is invented looks like nothing: it comes after the things.
+    number = scenario.object_attribute.size
+    seen = scenario.object_attribute[jnp.minimum(order, number - 1)]
+    return jnp.where(is_detection & (order < number), seen, 0)
 
 
 def visible(
@@ -85,10 +106,6 @@ def visible(
     Returns:
         f32[O] x ahead and f32[O] y to the left, metres, robot frame; bool[O] in view.
     """
-    dx = scenario.object_x - state.position[0]
-    dy = scenario.object_y - state.position[1]
-    cosine, sine = jnp.cos(state.heading), jnp.sin(state.heading)
-    x, y = cosine * dx + sine * dy, cosine * dy - sine * dx
-    eye = eye_of(state.position[0], state.position[1], state.heading, sensor)
-    in_view = scenario.terrain.view.sees(eye, scenario.object_x, scenario.object_y)
-    return x, y, scenario.is_object & in_view
+    return located(
+        scenario.object_x, scenario.object_y, scenario.is_object, state, scenario, sensor
+    )

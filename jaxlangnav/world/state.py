@@ -1,6 +1,7 @@
 """Records of the ground truth: what a simulated place holds and where its robot is (section 4.2).
 
-Axis letters: **O** object slots of a world (eight by default), **E** episodes in a batch.
+Axis letters: **O** object slots of a world (eight by default), **E** episodes in a batch, **T**
+types that a detector tells apart, **G** places at which it is apt to see what is not there.
 """
 
 from jax import Array
@@ -10,6 +11,21 @@ from jaxlangnav.terrain import OPEN, Terrain
 
 HYDRANT, CONE = 0, 1
 """Type indices, by the lexicon's order, of the two types that the templates of Table 2 place."""
+
+
+@pytree
+class Errors:
+    """What a detector gets wrong in one place, at the rates that its ``SensorParams`` give.
+
+    Without this record nothing is invented and every label is right, whatever the rates.
+    """
+
+    is_type: Array  # bool[T] types told apart: a wrong label is any other of them, equally likely
+    is_invented: Array  # bool[T] types that false detections take, each at the rate of one type
+    haunt_type: Array  # i32[G] what fixed places are mistaken for; NONE in empty slots
+    haunt_x: Array  # f32[G] metres
+    haunt_y: Array  # f32[G] metres
+    haunt_probability: Array  # f32[] of such a place in view to be reported in one look
 
 
 @pytree
@@ -27,6 +43,7 @@ class Scenario:
     is_valid: Array  # bool[] the law of the template was met; False: count it, do not use it
     terrain: Terrain = OPEN  # what hides things there and what is in the way, known to all as well
     object_attribute: Array | None = None  # i32[O] codes of ``kinds.attributes``, where reported
+    errors: Errors | None = None  # what the detector gets wrong there; None: nothing
 
 
 @pytree

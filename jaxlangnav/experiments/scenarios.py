@@ -1,0 +1,237 @@
+"""What ``reproduce robustness`` runs: scenarios outside the law of Table 2's worlds, as data.
+
+To add one is to add an entry to ``SCENARIOS``. Places that share ``world`` and law are the very
+same, so that a worse detector is compared in the places of a better one.
+"""
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import jax.numpy as jnp
+
+from jaxlangnav.experiments.grid import Row, Setting
+from jaxlangnav.experiments.rows import RowSpec
+from jaxlangnav.experiments.tasks import Cell
+from jaxlangnav.messages import SensorParams, default_motion, default_sensor
+from jaxlangnav.pytree import replace
+from jaxlangnav.world.places import place_law
+
+SAID = {
+    "behind": "go to the hydrant behind the cone",
+    "front": "go to the hydrant in front of the cone",
+    "null": "go to the hydrant",
+}
+"""The sentences; "null" says nothing of where."""
+_Numbers = Mapping[str, Any]
+AHEAD = (-2.0, 12.0, -9.0, 9.0)
+"""Metres; the operating area unless a scenario has its own."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class PlaceSpec(RowSpec):
+    """A scenario: where, what is said, what the sensors are truly like, what the belief is told."""
+
+    name: str
+    what: str
+    """For people."""
+    world: str = "place"
+    range: float = 3.0
+    relation: str = "behind"
+    place: _Numbers = dataclasses.field(default_factory=dict)
+    """Arguments of ``place_law``."""
+    truth: _Numbers = dataclasses.field(default_factory=dict)
+    """Numbers of the detector, of ``default_sensor``."""
+    told: _Numbers = dataclasses.field(default_factory=dict)
+    """Those of them that the belief is told otherwise."""
+    motion: _Numbers = dataclasses.field(default_factory=dict)
+    """Numbers of odometry; the belief always takes it for the default one."""
+    target: float | None = None
+    """Percent of success that ``informed`` is to reach."""
+    longest: float | None = None
+    """Metres that it may take on average."""
+    ending: str = "arrived"
+    """What is right: "arrived", or "not_found" where there is no goal."""
+
+    @property
+    def is_told(self) -> bool:
+        """Whether the belief was told the truth: of its sensors, and by the sentence."""
+        return self._is_true and not (self.told or self.motion or self.place.get("num_haunted"))
+
+    @property
+    def _is_true(self) -> bool:
+        """Whether what is said to be there is there."""
+        if not (self.place.get("has_goal", True) and self.place.get("has_cone", True)):
+            return False
+        sides = self.place.get("side", 1.0), self.place.get("said", 1.0)
+        return self.relation == "null" or sides[0] == sides[1]
+
+    def heading(self) -> Row:
+        """Say which row it is."""
+        return {"scenario": self.name} | super().heading()
+
+    def described(self) -> Row:
+        """Say what it is, for people."""
+        true = [_said(name, value) for name, value in {**self.truth, **self.motion}.items()]
+        haunted = self.place.get("num_haunted")
+        told = [_said(name, value) for name, value in self.told.items()]
+        told += ["odometry 2 %"] if self.motion else []
+        told += ["nothing of the four places"] if haunted else []
+        told += [] if self._is_true else ["a sentence that is not so"]
+        return {
+            "scenario": self.name,
+            "what": self.what,
+            "said": SAID[self.relation],
+            "truth": ", ".join([f"range {self.range:g} m", *true]),
+            "told": ", ".join(told),
+            "is_told": self.is_told,
+        }
+
+    def setting(
+        self, *, seed: int, environments: int = 0, sensor: SensorParams | None = None
+    ) -> Setting:
+        """Build the setting of its episodes; the detector is its own, whatever ``sensor`` is.
+
+        Args:
+            seed: root seed of places and noise.
+            environments: places taken in turn; 0 for a fresh one per episode.
+            sensor: not read.
+
+        Returns:
+            The setting; sentences are numbered in the order of ``SAID``.
+        """
+        del sensor
+        true = default_sensor(self.range, **self.truth)
+        given: dict[str, Any] = {"area": AHEAD, **self.place}
+        moved = {name: jnp.float32(value) for name, value in self.motion.items()}
+        mine = Cell(
+            world=self.world,
+            relation=self.relation,
+            instruction_index=list(SAID).index(self.relation),
+            sensor=true,
+            motion=replace(default_motion(), **moved),
+            episodes=1,
+            seed=seed,
+            environments=environments,
+            place=place_law(**given),
+            told=default_sensor(self.range, **{**self.truth, **self.told}),
+        )
+        return Setting(cell=mine, told=self.heading() | {"relation": self.relation})
+
+
+def _said(name: str, value: float) -> str:
+    """Write a number of a sensor for people."""
+    if name == "field_of_view":
+        return f"view {math.degrees(value):.0f}°"
+    if name == "noise":
+        return f"noise {value:g} m"
+    words = {
+        "detection_probability": "detects",
+        "false_detections": "false of a type",
+        "mislabelled": "wrong labels",
+        "odometry_noise": "odometry",
+    }
+    return f"{words[name]} {100.0 * value:g} %"
+
+
+def _square(half: float) -> _Numbers:
+    return {"area": (-half, half, -half, half)}
+
+
+_GHOSTS_2, _GHOSTS_10 = {"false_detections": 0.01}, {"false_detections": 0.05}
+"""Of each of two types, hydrants and cones: one false detection in 50 looks, and in 10."""
+_FALSE: dict[str, Any] = {"side": -1.0}
+
+SCENARIOS = (
+    PlaceSpec(name="plain", what="one pair, ahead and beside, 14 × 18 m"),
+    PlaceSpec(
+        name="all round", what="the start in the middle of 20 × 20 m", place=_square(10.0)
+    ),
+    PlaceSpec(
+        name="in front", what="the goal is before its cone", relation="front",
+        place={"side": -1.0, "said": -1.0},
+    ),
+    PlaceSpec(name="far sight", what="a detector of 7 m", range=7.0),
+    PlaceSpec(
+        name="2 more pairs", what="two more hydrants and cones", place={"num_pairs": 2}, target=98.0
+    ),
+    PlaceSpec(
+        name="2 more pairs, 5 m", what="two more hydrants and cones", range=5.0,
+        place={"num_pairs": 2}, target=98.0,
+    ),
+    PlaceSpec(name="4 more pairs", what="four more hydrants and cones", place={"num_pairs": 4}),
+    PlaceSpec(
+        name="false sentence", what="the hydrant is in front of the cone", place=_FALSE,
+        target=99.0, longest=45.0,
+    ),
+    PlaceSpec(
+        name="false sentence, 5 m", what="the hydrant is in front of the cone", range=5.0,
+        place=_FALSE, target=99.0, longest=45.0,
+    ),
+    PlaceSpec(name="empty sentence", what="nothing is said of where", relation="null"),
+    PlaceSpec(name="no cone", what="the landmark is not there", place={"has_cone": False}),
+    PlaceSpec(
+        name="no hydrant", what="there is no goal: to be told so is right", ending="not_found",
+        place={"has_goal": False},
+    ),
+    PlaceSpec(
+        name="14 bystanders", what="things of other types", place={"num_bystanders": 14},
+        target=99.5,
+    ),
+    PlaceSpec(name="30 bystanders", what="things of other types", place={"num_bystanders": 30}),
+    PlaceSpec(
+        name="crowd of 60", what="56 bystanders and one more pair",
+        place={"num_bystanders": 56, "num_pairs": 1},
+    ),
+    PlaceSpec(name="ghosts 2 %", what="false detections, anew each look", truth=_GHOSTS_2,
+              target=99.0),
+    PlaceSpec(name="ghosts 10 %", what="false detections, anew each look", truth=_GHOSTS_10,
+              target=97.0),
+    PlaceSpec(name="ghosts 10 %, not told", what="false detections, anew each look",
+              truth=_GHOSTS_10, told={"false_detections": 0.0}),
+    PlaceSpec(
+        name="ghosts at 4 places", what="seen there in 20 % of looks",
+        truth=_GHOSTS_2, place={"num_haunted": 4, "haunt_probability": 0.2},
+    ),
+    PlaceSpec(
+        name="labels 10 % wrong", what="six bystanders", truth={"mislabelled": 0.1},
+        place={"num_bystanders": 6}, target=96.0,
+    ),
+    PlaceSpec(
+        name="labels 10 %, not told", what="six bystanders", truth={"mislabelled": 0.1},
+        told={"mislabelled": 0.0}, place={"num_bystanders": 6},
+    ),
+    PlaceSpec(name="misses 20 %", what="", truth={"detection_probability": 0.8}),
+    PlaceSpec(name="misses 40 %", what="", truth={"detection_probability": 0.6}),
+    PlaceSpec(
+        name="misses 40 %, not told", what="", truth={"detection_probability": 0.6},
+        told={"detection_probability": 0.95},
+    ),
+    PlaceSpec(
+        name="misses 40 %, ghosts 10 %", what="false detections, anew each look",
+        truth={"detection_probability": 0.6, **_GHOSTS_10}, target=95.0,
+    ),
+    PlaceSpec(name="noise 0.3 m", what="", truth={"noise": 0.3}),
+    PlaceSpec(name="noise 0.3 m, not told", what="", truth={"noise": 0.3}, told={"noise": 0.1}),
+    PlaceSpec(name="odometry 5 %", what="", motion={"odometry_noise": 0.05}),
+    PlaceSpec(name="odometry 10 %", what="", motion={"odometry_noise": 0.1}),
+    PlaceSpec(name="view 120°", what="", truth={"field_of_view": math.radians(120.0)}),
+    PlaceSpec(name="view 90°", what="", truth={"field_of_view": math.radians(90.0)}),
+    PlaceSpec(name="8 × 8 m", what="the start in the middle", place=_square(4.0)),
+    PlaceSpec(name="25 × 25 m", what="the start in the middle", place=_square(12.5)),
+    PlaceSpec(name="40 × 40 m, 5 m", what="the start in the middle", range=5.0,
+              place=_square(20.0)),
+    PlaceSpec(
+        name="40 × 40 m, 5 m, empty", what="nothing is said of where", range=5.0,
+        relation="null", place=_square(20.0),
+    ),
+    PlaceSpec(name="60 × 60 m, 5 m", what="the start in the middle", range=5.0,
+              place=_square(30.0)),
+    PlaceSpec(
+        name="all at once", what="14 bystanders and one more pair",
+        place={"num_bystanders": 14, "num_pairs": 1},
+        truth={"detection_probability": 0.8, "mislabelled": 0.05, **_GHOSTS_2},
+    ),
+)  # fmt: skip
+"""Some with the targets that they are to meet."""

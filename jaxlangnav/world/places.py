@@ -1,0 +1,246 @@
+"""Random places that are not those of Table 2: crowds, goals all round, areas of any size.
+
+Frame: the robot starts at the origin and faces +x, anywhere in a rectangular operating area. The
+law, of which nothing is told to any policy:
+
+- the goal is a hydrant 1.2-2.8 m behind (or in front of) its cone as seen from the start, turned
+  from the line of sight by N(0, 0.25²) rad; the cone stands evenly anywhere in the area that is
+  within the bearings and at least 1.5 m from the start;
+- further hydrants and cones, and bystanders of other types, stand evenly anywhere in the area;
+- goal and cone keep 0.9 m from all others, the others ``gap`` from each other;
+- but for the goal and its cone, no hydrant may pass for standing to any cone as the sentence says
+  (within 5 m and 72°). So a true sentence means one hydrant, and a false one none.
+"""
+
+import math
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jaxlangnav.messages import NONE
+from jaxlangnav.pytree import pytree
+from jaxlangnav.world.state import CONE, HYDRANT, Errors, Scenario
+
+NUM_THINGS = 64
+"""O, object slots of a place."""
+NUM_HAUNTED = 4
+"""G, places at which a detector may be apt to see what is not there."""
+NUM_TYPES = 8
+"""T, types of the shipped lexicon, that a detector tells apart; bystanders are of all but two."""
+NUM_CANDIDATES = 32
+"""Places tried at once for each thing."""
+OWN_GAP = 0.9  # metres from goal and cone to anything else
+PAIR_GAP = (1.2, 2.8)  # metres from the cone to the goal
+TURN_SD = 0.25  # radians
+MARGIN = 0.5  # metres from the border, of all things
+PASSING_DISTANCE, PASSING_COSINE = 5.0, 0.3
+_NEAREST = 1.5
+
+
+@pytree
+class PlaceLaw:
+    """What fixes a random place; traced, so one program draws them all."""
+
+    area: Array  # f32[4] x_min, x_max, y_min, y_max metres; the start, at the origin, is in it
+    bearing: Array  # f32[] radians: the goal's cone stands within ± of straight ahead; π: all round
+    side: Array  # f32[] 1: the goal is behind its cone, −1: in front of it
+    said: Array  # f32[] what no other pair may pass for: 1 behind, −1 in front; 0 anything may
+    has_goal: Array  # bool[]
+    has_cone: Array  # bool[] whether the goal's cone is there
+    num_pairs: Array  # i32[] further hydrants, and as many further cones
+    num_bystanders: Array  # i32[]
+    gap: Array  # f32[] metres between things
+    num_haunted: Array  # i32[] at most NUM_HAUNTED
+    haunt_probability: Array  # f32[] see ``Errors``
+    is_invented: Array  # bool[T] types that false detections take
+
+
+def draw_place(key: Array, law: PlaceLaw, *, num_slots: int = NUM_THINGS) -> Scenario:
+    """Draw one place.
+
+    Args:
+        key: random key.
+        law: what to draw; traced.
+        num_slots: O; a law of more things makes the place invalid.
+
+    Returns:
+        The place; ``is_valid`` is False where something found no room. Without a goal
+        ``goal_index`` is NONE, and ``goal`` where it would have been.
+    """
+    pair_key, kind_key, thing_key, haunt_key = jax.random.split(key, 4)
+    goal, cone, is_met = _draw_pair(pair_key, law)
+    kind, is_object = _kinds(kind_key, law, num_slots)
+    first = jnp.stack([goal, cone], axis=1)
+    placed = jnp.pad(first, ((0, 0), (0, num_slots - 2)))
+    tried = _anywhere(thing_key, law.area, (num_slots, NUM_CANDIDATES))
+
+    def put(index: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        placed, is_met = carry
+        before = is_object & (jnp.arange(num_slots) < index)
+        is_fit = _fits(tried[:, index], kind[index], placed, kind, before, law)
+        chosen = tried[:, index, jnp.argmax(is_fit)]
+        return placed.at[:, index].set(chosen), is_met & (jnp.any(is_fit) | ~is_object[index])
+
+    placed, is_met = jax.lax.fori_loop(2, num_slots, put, (placed, is_met))
+    number = 2 + 2 * law.num_pairs + law.num_bystanders
+    return Scenario(
+        object_type=jnp.where(is_object, kind, NONE),
+        object_x=jnp.where(is_object, placed[0], 0.0),
+        object_y=jnp.where(is_object, placed[1], 0.0),
+        is_object=is_object,
+        goal=goal,
+        goal_index=jnp.where(law.has_goal, 0, NONE).astype(jnp.int32),
+        start=jnp.zeros(3, jnp.float32),
+        area=law.area,
+        is_valid=is_met & (number <= num_slots),
+        errors=_errors(haunt_key, law),
+    )
+
+
+def passes_for(figure: Array, cone: Array, side: Array) -> Array:
+    """Tell whether hydrants may pass for standing to cones as is said, seen from the start.
+
+    Args:
+        figure: f32[2, ...] metres.
+        cone: f32[2, ...] metres.
+        side: f32[], 1 behind, −1 in front; 0: nothing passes.
+
+    Returns:
+        bool[...].
+    """
+    span = figure - cone
+    far = jnp.hypot(span[0], span[1])
+    along = (span[0] * cone[0] + span[1] * cone[1]) / jnp.maximum(jnp.hypot(cone[0], cone[1]), 1e-6)
+    is_near = far < PASSING_DISTANCE
+    return is_near & (side != 0.0) & (side * along > PASSING_COSINE * far)
+
+
+def _draw_pair(key: Array, law: PlaceLaw) -> tuple[Array, Array, Array]:
+    """Place the goal and its cone: f32[2] each, and whether a place was found, bool[]."""
+    place_key, gap_key, turn_key = jax.random.split(key, 3)
+    cone = _anywhere(place_key, law.area, (8 * NUM_CANDIDATES,))
+    uniform = jax.random.uniform(gap_key, cone.shape[1:])
+    gap = PAIR_GAP[0] + (PAIR_GAP[1] - PAIR_GAP[0]) * uniform
+    bearing = jnp.arctan2(cone[1], cone[0])
+    turn = bearing + TURN_SD * jax.random.normal(turn_key, cone.shape[1:])
+    goal = cone + law.side * jnp.stack([gap * jnp.cos(turn), gap * jnp.sin(turn)])
+    is_fit = (jnp.hypot(cone[0], cone[1]) > _NEAREST) & (jnp.abs(bearing) <= law.bearing)
+    is_fit &= (jnp.hypot(goal[0], goal[1]) > _NEAREST) & _is_inside(goal, law.area)
+    at = jnp.argmax(is_fit)
+    return goal[:, at], cone[:, at], jnp.any(is_fit)
+
+
+def _kinds(key: Array, law: PlaceLaw, num_slots: int) -> tuple[Array, Array]:
+    """List types by slot, i32[O], goal and cone first, and which slots are used, bool[O]."""
+    slots = jnp.arange(num_slots)
+    paired = 2 + 2 * law.num_pairs
+    pair = jnp.where(slots % 2 == 0, HYDRANT, CONE)
+    others = jax.random.randint(key, (num_slots,), 2, NUM_TYPES)
+    is_object = slots < paired + law.num_bystanders
+    is_object &= (slots != 0) | law.has_goal
+    is_object &= (slots != 1) | law.has_cone
+    return jnp.where(slots < paired, pair, others).astype(jnp.int32), is_object
+
+
+def _fits(
+    place: Array, kind: Array, placed: Array, kinds: Array, is_placed: Array, law: PlaceLaw
+) -> Array:
+    """Tell at which places f32[2, K] a thing of a type may stand beside those f32[2, O] there."""
+
+    def beside(other: Array, other_kind: Array, gap: Array) -> Array:
+        other = other[:, None]
+        apart = jnp.hypot(place[0] - other[0], place[1] - other[1])
+        as_hydrant = passes_for(place, other, law.said) & (other_kind == CONE) & (kind == HYDRANT)
+        as_cone = passes_for(other, place, law.said) & (other_kind == HYDRANT) & (kind == CONE)
+        return (apart >= gap) & ~as_hydrant & ~as_cone
+
+    gaps = jnp.where(jnp.arange(kinds.size) < 2, OWN_GAP, law.gap)
+    is_fit = jax.vmap(beside, in_axes=(1, 0, 0))(placed, kinds, gaps)
+    return jnp.all(is_fit | ~is_placed[:, None], axis=0)
+
+
+def _errors(key: Array, law: PlaceLaw) -> Errors:
+    """Draw where the detector is apt to see a hydrant or a cone that is not there."""
+    place_key, kind_key = jax.random.split(key)
+    place = _anywhere(place_key, law.area, (NUM_HAUNTED,))
+    kind = jax.random.randint(kind_key, (NUM_HAUNTED,), HYDRANT, CONE + 1)
+    is_haunted = jnp.arange(NUM_HAUNTED) < law.num_haunted
+    return Errors(
+        is_type=jnp.ones(NUM_TYPES, bool),
+        is_invented=law.is_invented,
+        haunt_type=jnp.where(is_haunted, kind, NONE).astype(jnp.int32),
+        haunt_x=place[0],
+        haunt_y=place[1],
+        haunt_probability=law.haunt_probability,
+    )
+
+
+def _anywhere(key: Array, area: Array, shape: tuple[int, ...]) -> Array:
+    """Draw places evenly from the area but for its border, f32[2, *shape] metres."""
+    low = area[0::2].reshape(2, *(1,) * len(shape)) + MARGIN
+    high = area[1::2].reshape(2, *(1,) * len(shape)) - MARGIN
+    return low + (high - low) * jax.random.uniform(key, (2, *shape))
+
+
+def _is_inside(point: Array, area: Array) -> Array:
+    """Tell which places f32[2, K] are in the area and not on its border."""
+    is_in = (point[0] >= area[0] + MARGIN) & (point[0] <= area[1] - MARGIN)
+    return is_in & (point[1] >= area[2] + MARGIN) & (point[1] <= area[3] - MARGIN)
+
+
+def place_law(
+    *,
+    area: tuple[float, float, float, float],
+    bearing: float = math.pi,
+    side: float = 1.0,
+    said: float = 1.0,
+    has_goal: bool = True,
+    has_cone: bool = True,
+    num_pairs: int = 0,
+    num_bystanders: int = 0,
+    num_haunted: int = 0,
+    haunt_probability: float = 0.0,
+) -> PlaceLaw:
+    """Build a law of places.
+
+    Args:
+        area: x_min, x_max, y_min, y_max, metres; the origin is in it.
+        bearing: half the angle ahead in which the goal's cone stands, radians.
+        side: 1: the goal is behind its cone, −1: in front of it.
+        said: what the sentence says, see ``PlaceLaw``.
+        has_goal: whether the goal is there.
+        has_cone: whether its cone is there.
+        num_pairs: further hydrants, and as many further cones.
+        num_bystanders: things of other types.
+        num_haunted: fixed places of false detections.
+        haunt_probability: of such a place in view to be reported in one look.
+
+    Returns:
+        The law. Hydrants and cones are what is invented, the worst for a sentence about them.
+
+    Raises:
+        ValueError: more things than there are slots, or more haunted places.
+    """
+    number = 2 + 2 * num_pairs + num_bystanders
+    if number > NUM_THINGS or num_haunted > NUM_HAUNTED:
+        raise ValueError(
+            f"a place of {number} things and {num_haunted} haunted places was asked for, but must "
+            f"have at most {NUM_THINGS} and {NUM_HAUNTED}: take fewer"
+        )
+    invented = jnp.isin(jnp.arange(NUM_TYPES), jnp.array([HYDRANT, CONE]))
+    return PlaceLaw(
+        area=jnp.array(area, jnp.float32),
+        bearing=jnp.float32(bearing),
+        side=jnp.float32(side),
+        said=jnp.float32(said),
+        has_goal=jnp.asarray(has_goal),
+        has_cone=jnp.asarray(has_cone),
+        num_pairs=jnp.int32(num_pairs),
+        num_bystanders=jnp.int32(num_bystanders),
+        # So many things would find no room at a metre from each other.
+        gap=jnp.float32(0.5 if number > 30 else OWN_GAP),
+        num_haunted=jnp.int32(num_haunted),
+        haunt_probability=jnp.float32(haunt_probability),
+        is_invented=invented,
+    )

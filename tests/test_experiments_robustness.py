@@ -1,0 +1,210 @@
+"""The robustness suite: what it holds, how its rows are judged, and a small one from end to end."""
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from jaxlangnav.experiments.experiment import Options
+from jaxlangnav.experiments.robustness import (
+    ROBUSTNESS,
+    Robustness,
+    describe_missed,
+    missed,
+    robustness_table,
+    scenarios_table,
+)
+from jaxlangnav.experiments.scenarios import SAID, SCENARIOS, PlaceSpec
+from jaxlangnav.viz.robustness import robustness_figure
+
+BY_NAME = {one.name: one for one in SCENARIOS}
+
+
+def row(scenario: str, policy: str = "informed", **other: Any) -> dict[str, Any]:
+    spec = BY_NAME[scenario]
+    return {
+        "scenario": scenario, "policy": policy, "success_rate": 99.0, "success_ci": [95.0, 100.0],
+        "distance_mean": 20.0, "distance_sd": 5.0, "known_distance_mean": 8.0, "episodes": 100,
+        "elsewhere": 1, "not_found": 0, "asks": 0, "other_ends": 0, "timeouts": 0, "ece": 0.02,
+        "ece_floor": 0.03, "overflow_episodes": 0, "is_told": spec.is_told, "target": spec.target,
+        "longest": spec.longest, "is_met": None, "is_calibrated": None, "invalid_worlds": 0,
+    } | other  # fmt: skip
+
+
+def document(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    return {
+        "rows": rows, "policies": ["informed"], "episodes": 100, "seed": 0, "num_particles": 64,
+        "missed": missed(rows),
+        "scenarios": [one.described() for one in SCENARIOS],
+    }  # fmt: skip
+
+
+def test_there_are_thirty_and_more_each_with_a_name_of_its_own() -> None:
+    assert len(SCENARIOS) >= 30
+    assert len(BY_NAME) == len(SCENARIOS)
+    assert {one.relation for one in SCENARIOS} == set(SAID)
+
+
+@pytest.mark.parametrize("name", BY_NAME)
+def test_truth_and_what_is_told_differ_only_where_it_says_so(name: str) -> None:
+    spec = BY_NAME[name]
+    cell = spec.setting(seed=0).cell
+    assert cell.told is not None
+    pairs = zip(dataclasses.astuple(cell.sensor), dataclasses.astuple(cell.told), strict=True)
+    is_same = all(float(true) == float(told) for true, told in pairs)
+    odometry = float(cell.motion.odometry_noise) == np.float32(0.02)
+    haunted = spec.place.get("num_haunted", 0)
+    is_so = spec.relation == "null" or ("false" not in name and not name.startswith("no "))
+    is_so = is_so or name.startswith("noise")
+    assert spec.is_told == (is_same and odometry and not haunted and is_so)
+    assert bool(spec.described()["told"]) != spec.is_told
+
+
+def test_where_there_is_no_goal_it_is_right_to_say_so() -> None:
+    (spec,) = (one for one in SCENARIOS if one.ending == "not_found")
+    suite = dataclasses.replace(ROBUSTNESS, specs=(spec,))
+    played = _Played(spec, ending=[3, 3, 2, 0], is_success=[False] * 4)
+    (found,) = suite.rows(played, played, [{"ece": None, "ece_floor": None}])  # pyright: ignore
+    assert found["success_rate"] == 50.0
+    assert (found["elsewhere"], found["timeouts"]) == (1, 1)
+    assert found["success_ci"][0] < 50.0 < found["success_ci"][1]
+
+
+def test_a_target_is_met_with_success_and_way_and_by_informed_alone() -> None:
+    spec = BY_NAME["false sentence"]
+    suite = dataclasses.replace(ROBUSTNESS, specs=(spec,))
+    verdicts = {}
+    for way, policy in ((30.0, "informed"), (50.0, "informed"), (30.0, "frontier")):
+        played = _Played(spec, ending=[2, 2], is_success=[True, True], way=way, policy=policy)
+        scored = {"ece": 0.06, "ece_floor": 0.01}
+        (found,) = suite.rows(played, played, [scored])  # pyright: ignore
+        verdicts[way, policy] = found["is_met"], found["is_calibrated"]
+    assert verdicts == {
+        (30.0, "informed"): (True, None),
+        (50.0, "informed"): (False, None),
+        (30.0, "frontier"): (None, None),
+    }
+
+
+def test_calibration_has_a_target_where_the_belief_was_told_the_truth() -> None:
+    verdicts = {}
+    for name, ece in (("plain", 0.06), ("pairs", 0.04), ("untold", 0.4)):
+        of = {"pairs": "2 more pairs", "untold": "ghosts 10 %, not told"}.get(name, name)
+        suite = dataclasses.replace(ROBUSTNESS, specs=(BY_NAME[of],))
+        played = _Played(BY_NAME[of], ending=[2, 2], is_success=[True, True])
+        scored = {"ece": ece, "ece_floor": 0.01}
+        (found,) = suite.rows(played, played, [scored])  # pyright: ignore
+        verdicts[name] = found["is_calibrated"]
+    assert verdicts == {"plain": False, "pairs": True, "untold": None}
+
+
+def test_what_is_missed_is_said() -> None:
+    rows = [
+        row("plain", is_calibrated=False, ece=0.071),
+        row("false sentence", is_met=False, distance_mean=51.2),
+        row("14 bystanders", is_met=True),
+    ]
+    lines = describe_missed(document(rows))
+    assert "false sentence (99.0, target 99; 51.2 m, at most 45)" in lines[0]
+    assert "bystanders" not in lines[0]
+    assert "plain (0.071, target 0.05)" in lines[1]
+
+
+def test_tables_say_what_was_told_and_what_was_true() -> None:
+    listed = {line[0]: line for line in scenarios_table(document([row("plain")])).rows}
+    assert listed["plain"][4] == "no"
+    assert listed["labels 10 %, not told"][3:] == [
+        "range 3 m, wrong labels 10 %",
+        "wrong labels 0 %",
+    ]
+    cells = robustness_table(document([row("false sentence")])).rows[0]
+    assert "≥ 99, ≤ 45 m" in cells
+    assert "0.020 (0.030)" in cells
+
+
+def test_the_figure_colours_names_by_their_targets(tmp_path: Path) -> None:
+    rows = [
+        row("plain"),
+        row("plain", "faithful", ece=0.9),
+        row("2 more pairs", is_met=False, is_calibrated=True),
+        row("14 bystanders", is_met=True, is_calibrated=True),
+        row("no hydrant", ece=None),
+    ]
+    figure = robustness_figure(document(rows))
+    texts = figure.axes[0].get_yticklabels()
+    colours = {text.get_text(): text.get_color() for text in texts}
+    assert len({colours[name] for name in ("plain", "2 more pairs", "14 bystanders")}) == 3
+    assert colours["plain"] == colours["no hydrant"]
+    with pytest.raises(ValueError, match="no rows"):
+        robustness_figure(document([]))
+
+
+def test_the_sweep_that_knows_other_worlds_takes_no_part() -> None:
+    names = [arm.policy for arm in ROBUSTNESS.arms(Options(policies=("known", "arc")))]
+    assert names == ["known"]
+    with pytest.raises(ValueError, match='policy is "arc"'):
+        ROBUSTNESS.arms(Options(policies=("arc",)))
+
+
+@pytest.mark.slow
+def test_a_small_suite_from_end_to_end(tmp_path: Path) -> None:
+    names = ("plain", "ghosts 10 %", "labels 10 %, not told", "no hydrant", "14 bystanders")
+    suite = dataclasses.replace(ROBUSTNESS, specs=tuple(BY_NAME[name] for name in names))
+    assert isinstance(suite, Robustness)
+    options = Options(episodes=12, policies=("informed", "frontier", "known"))
+    done: list[int] = []
+    found = suite.run(options, out=tmp_path, on_progress=done.append)
+    assert sum(done) == suite.total_work(options)
+    rows = {(one["scenario"], one["policy"]): one for one in found["rows"]}
+    assert len(rows) == 3 * len(names)
+    assert all(one["invalid_worlds"] == 0 for one in rows.values())
+    assert rows["plain", "informed"]["success_rate"] >= 90.0
+    assert rows["14 bystanders", "informed"]["success_rate"] >= 75.0
+    assert rows["no hydrant", "informed"]["success_rate"] >= 50.0
+    assert rows["no hydrant", "frontier"]["success_rate"] == 0.0
+    assert rows["plain", "known"]["success_rate"] == 100.0
+    # Paired: ghosts do not move the places.
+    ways = {rows[name, "known"]["known_distance_mean"] for name in ("plain", "ghosts 10 %")}
+    assert len(ways) == 1
+    written = json.loads((tmp_path / "robustness.json").read_text("utf-8"))
+    assert [one["scenario"] for one in written["scenarios"]] == [one.name for one in SCENARIOS]
+    assert "labels 10 %, not told" in (tmp_path / "robustness.md").read_text("utf-8")
+    robustness_figure(found)
+
+
+@dataclasses.dataclass
+class _Results:
+    ending: np.ndarray
+    is_success: np.ndarray
+    is_stopped: np.ndarray
+    is_valid: np.ndarray
+    overflow: np.ndarray
+
+
+class _Played:
+    """An arm that has run in one scenario."""
+
+    def __init__(
+        self, spec: PlaceSpec, *, ending: list[int], is_success: list[bool], way: float = 9.0,
+        policy: str = "informed",
+    ) -> None:  # fmt: skip
+        ends, number = np.array(ending), len(ending)
+        right = np.array(is_success)
+        self._results = _Results(
+            ending=ends, is_success=right, is_stopped=ends > 1, is_valid=np.ones(number, bool),
+            overflow=np.zeros(number, int),
+        )  # fmt: skip
+        self._row = row(spec.name) | {
+            "policy": policy, "episodes": number, "success_rate": 100.0 * float(right.mean()),
+            "distance_mean": way, "not_found": int((ends == 3).sum()),
+            "timeouts": int((ends < 2).sum()),
+        }  # fmt: skip
+
+    def of_setting(self, place: int) -> tuple[_Results, None]:
+        return self._results, None
+
+    def rows(self) -> list[dict[str, Any]]:
+        return [dict(self._row)]
