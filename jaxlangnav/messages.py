@@ -172,12 +172,13 @@ class MotionParams:
     )
 
 
+DRIFTS = ("heading_bias", "heading_noise", "turn_noise")
+"""What of ``MotionParams`` makes the heading drift; all of them 0 where a compass gives it."""
+
+
 def is_drifting(motion: MotionParams) -> bool:
     """Tell whether the heading drifts (host only): without a compass it does."""
-    return any(
-        float(jnp.max(one)) > 0.0
-        for one in (motion.heading_bias, motion.heading_noise, motion.turn_noise)
-    )
+    return any(float(jnp.max(getattr(motion, name))) > 0.0 for name in DRIFTS)
 
 
 @pytree

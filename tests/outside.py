@@ -40,6 +40,7 @@ class Scenario:
     wrong_labels: float = 0.0
     reach: float = 3.0  # metres of the detector
     says_false: bool = False  # the hydrant stands in front of the cone, not behind it
+    is_empty: bool = False  # nothing of what is spoken of is there: to say so is right
     sentence: str = SENTENCE
     steady_drift: float = 0.0  # radians a metre, of either sign: what the heading drifts by
     drift: float = 0.0  # radians per root of a metre, standard deviation
@@ -57,6 +58,7 @@ SCENARIOS = {
     "labels": Scenario(bystanders=6, wrong_labels=0.1),
     "bad_detector": Scenario(ghosts=0.1, misses=0.4),
     "crowd": Scenario(bystanders=56, extra_pairs=1),
+    "nowhere": Scenario(is_empty=True, bystanders=4),
     "drift": Scenario(drift=np.radians(3.0)),
     "steady_drift": Scenario(steady_drift=np.radians(3.0)),
 }
@@ -106,7 +108,8 @@ def furnish(random: np.random.Generator, scenario: Scenario, types: tuple[str, .
             and near.min() > (crowded if len(at) < 30 else 0.0)
             and fits == (set() if scenario.says_false else {(0, 1)})
         ):
-            return Place(np.array(kind), at)
+            first = 2 if scenario.is_empty else 0
+            return Place(np.array(kind)[first:], at[first:])
 
 
 def look(
@@ -250,7 +253,7 @@ def _drive_lanes(
         poses = np.concatenate([odometry, np.zeros((LANES, 1))], axis=1)
         keys = jax.random.split(jax.random.key(1000 * seed + number), LANES)
         state, told = step(keys, state, observation(poses, found, sensor), robot.params)
-        move, is_stop, _, lost = (np.asarray(leaf) for leaf in told)
+        move, is_stop, status, lost = (np.asarray(leaf) for leaf in told)
         is_done |= is_stop
         overflow += np.where(is_done, 0, lost)
         if is_done.all():
@@ -268,6 +271,8 @@ def _drive_lanes(
         turned = after
     goal = np.stack([place.at[0] for place in places])
     is_right = is_done & (np.hypot(*(position - goal).T) <= REACH)
+    if scenario.is_empty:
+        is_right = is_done & (status == messages.Status.NOT_FOUND)
     return is_right, is_done, metres, overflow
 
 

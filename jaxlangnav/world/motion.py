@@ -105,6 +105,6 @@ def driven(
     return WorldState(
         position=state.position + displacement,
         heading=heading + error + drift,
-        odometry=jnp.append(state.odometry[:2] + step, heading),
+        odometry=jnp.stack([state.odometry[0] + step[0], state.odometry[1] + step[1], heading]),
         distance=state.distance + jnp.hypot(displacement[0], displacement[1]),
     )
