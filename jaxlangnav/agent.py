@@ -32,7 +32,15 @@ from jaxlangnav.grounding.readings import Capacity, widen
 from jaxlangnav.kinds import name_of
 from jaxlangnav.language.halting import act_of
 from jaxlangnav.listening import Candidate, Heard, Listener
-from jaxlangnav.messages import NONE, Action, Observation, SensorParams, Status, default_sensor
+from jaxlangnav.messages import (
+    NONE,
+    Action,
+    Observation,
+    SensorParams,
+    Status,
+    default_sensor,
+    is_drifting,
+)
 from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams, NavigatorState
 from jaxlangnav.plain_text import cut
 from jaxlangnav.planner.config import AnyPolicy, PlannerConfig
@@ -88,7 +96,8 @@ class Navigator:
             attributes: groups of ``kinds.ATTRIBUTES`` that the detector reports.
             **numbers: any single number of ``MapParams``, ``MotionParams`` or ``PlannerParams`` by
                 its name, such as ``odometry_noise=0.05`` or ``step_length=0.5``; new values never
-                recompile.
+                recompile. A heading that drifts (``heading_noise`` and the like) is believed so by
+                a program of its own.
 
         Returns:
             The navigator, with parameters and sizes for places as they are: without the search
@@ -103,11 +112,17 @@ class Navigator:
             raise ValueError("labels and attributes are of the trained graph: give no grounder too")
         if grounder is None:
             grounder = GraphGrounder(load_shipped(), labels, attributes)
+        params = _with_numbers(_params_anywhere(), numbers)
         return cls(
             grounder=grounder,
-            params=_with_numbers(_params_anywhere(), numbers),
+            params=params,
             config=NavigatorConfig(
-                map=MapConfig(num_objects=OBJECTS, num_bystanders=BYSTANDERS, has_doubts=True),
+                map=MapConfig(
+                    num_objects=OBJECTS,
+                    num_bystanders=BYSTANDERS,
+                    has_doubts=True,
+                    has_drift=is_drifting(params.map.motion),
+                ),
                 planner=PlannerConfig(policy=policy),
             ),
         )

@@ -18,6 +18,7 @@ from jaxlangnav.messages import NONE, Status, Told
 from jaxlangnav.navigator import NavigatorState
 from jaxlangnav.planner.blocked import start_of_way
 from jaxlangnav.pytree import replace
+from jaxlangnav.semantic_map.belief import in_map
 from jaxlangnav.semantic_map.soundness import is_pose
 
 CLOSER, CLOSEST = 0.5, 0.25
@@ -74,8 +75,8 @@ def tell(state: NavigatorState, joined: Joined, pose: Array, *, how: How) -> Nav
     Args:
         state: of a robot under way or at its goal, which has heard what was joined.
         joined: all that has been said.
-        pose: f32[3], where the robot is as it hears it, map frame; one that cannot be is taken to
-            be where it last was.
+        pose: f32[3], where the robot is as it hears it, by dead reckoning, map frame; one that
+            cannot be is taken to be where it last was.
         how: what the new utterance does to the task.
 
     Returns:
@@ -83,6 +84,7 @@ def tell(state: NavigatorState, joined: Joined, pose: Array, *, how: How) -> Nav
     """
     belief, talk = state.belief, state.talk
     pose = jnp.where(is_pose(pose, belief.coverage.area), pose, belief.last_pose)
+    pose = in_map(belief, pose)
     told = replace(
         state,
         belief=replace(belief, must_ground=jnp.asarray(True)),

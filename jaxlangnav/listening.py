@@ -25,6 +25,7 @@ from jaxlangnav.language.utterance import Kind, Utterance, Wording, classify
 from jaxlangnav.messages import NONE, Status
 from jaxlangnav.navigator import NavigatorState
 from jaxlangnav.plain_text import cut
+from jaxlangnav.semantic_map.belief import in_map
 
 _ACTS = {Kind.HALT: Act.HALT, Kind.RESUME: Act.RESUME, Kind.CANCEL: Act.CANCEL}
 _PLACES = {Wording.FIRST: 0, Wording.SECOND: 1, Wording.THIRD: 2}
@@ -112,7 +113,7 @@ class Listener:
             none = sum(1 << slot for slot in slots)
             ruled = dataclasses.replace(heard, ruled_out=tuple(slots))
             return hearing.rule_out(state, jnp.int32(none)), ruled
-        chosen = _chosen(found, said.wording, np.asarray(state.belief.last_pose))
+        chosen = _chosen(found, said.wording, _pose(state))
         if chosen is None:
             raise ValueError(
                 f"{cut(text)!r}: it may be one of {len(found)}: say which, as in 'the left one' or "
@@ -238,7 +239,7 @@ class Listener:
         Returns:
             Things seen that may be the goal, with where they are believed to be.
         """
-        share, pose = np.asarray(state.talk.candidate), np.asarray(state.belief.last_pose)
+        share, pose = np.asarray(state.talk.candidate), _pose(state)
         slots = np.flatnonzero(share >= _LEAST).tolist()
         found = [self.thing_at(state, slot) for slot in slots]
         return sorted(found, key=lambda one: np.hypot(one.x - pose[0], one.y - pose[1]))
@@ -285,6 +286,11 @@ def _chosen(
         return (one.y - pose[1]) * np.cos(turn) - (one.x - pose[0]) * np.sin(turn)
 
     return (max if wording == Wording.LEFT else min)(found, key=leftward)
+
+
+def _pose(state: NavigatorState) -> np.ndarray:
+    """Tell where the robot is, f32[3], map frame."""
+    return np.asarray(in_map(state.belief, state.belief.last_pose))
 
 
 def _dropped(before: NavigatorState, after: NavigatorState) -> tuple[str, ...]:

@@ -159,6 +159,26 @@ class MotionParams:
     odometry_noise: Array = field(  # f32[]
         "standard deviation per axis as a share of the way (0.02: 2 %)"
     )
+    heading_bias: Array = field(  # f32[]
+        "radians a metre by which the heading drifts steadily; of unknown sign to the belief",
+        default_factory=_none,
+    )
+    heading_noise: Array = field(  # f32[]
+        "radians per √metre, standard deviation of the heading's drift", default_factory=_none
+    )
+    turn_noise: Array = field(  # f32[]
+        "radians per √radian, standard deviation of the heading's drift as the robot turns",
+        default_factory=_none,
+    )
+
+
+DRIFTS = ("heading_bias", "heading_noise", "turn_noise")
+"""What of ``MotionParams`` makes the heading drift; all of them 0 where a compass gives it."""
+
+
+def is_drifting(motion: MotionParams) -> bool:
+    """Tell whether the heading drifts (host only): without a compass it does."""
+    return any(float(jnp.max(getattr(motion, name))) > 0.0 for name in DRIFTS)
 
 
 @pytree
@@ -242,7 +262,8 @@ class Action:
     """What the navigator asks of the robot."""
 
     waypoint: Array  # f32[2] map frame, metres: where to go in the end
-    step: Array  # f32[2] map axes, metres: displacement for this decision cycle
+    step: Array  # f32[2] axes of odometry (the map's, with a compass), metres: displacement for
+    # this decision cycle
     is_stop: Array  # bool[] the task has ended: it is carried out, or cannot be
     status: Array  # i32[] a Status: what the robot is doing, or how the task has ended
     speed: Array  # f32[] factor on the normal speed, from the behavior's mode

@@ -39,8 +39,14 @@ from jaxlangnav.planner.relevance import bears_on_goal, group_of, has_open_partn
 from jaxlangnav.pytree import field, pytree, replace, strong
 from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.semantic_map.behaviors import infer_behaviors
-from jaxlangnav.semantic_map.belief import ParticleBelief
+from jaxlangnav.semantic_map.belief import (
+    ParticleBelief,
+    about_robot,
+    mean_drift,
+    robot_position,
+)
 from jaxlangnav.semantic_map.filter import FilterInfo
+from jaxlangnav.semantic_map.motion import rotated
 from jaxlangnav.semantic_map.params import MapConfig, MapParams, default_map_params
 from jaxlangnav.sensing import DEVIATIONS
 from jaxlangnav.terrain import OPEN, Eye, Terrain
@@ -337,9 +343,10 @@ def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> _Out
     )
     behavior = conversation.avoided(behavior, belief.particles, readings.mention_type, talk.words)
     belief = replace(belief, particles=conversation.focus(belief.particles, talk.words))
+    belief = about_robot(belief)
     group = group_of(readings, belief.particles)
     weight = jnp.exp(belief.log_weight)
-    robot_x, robot_y = semantic_filter.robot_position(belief)
+    robot_x, robot_y = robot_position(belief)
     return _Outlook(
         fault=fault,
         belief=belief,
@@ -443,10 +450,14 @@ def _act(
     length = jnp.clip(left - spare, 0.0, params.map.motion.step_length * speed)
     length = jnp.where(choice.is_stop, 0.0, jnp.minimum(length, distance))
     is_idle = state.instruction.num_clauses == 0
+    step_x, step_y = next_x - here[0], next_y - here[1]
+    drift = mean_drift(state.belief)
+    if drift is not None:
+        step_x, step_y = rotated(step_x, step_y, -drift)
     status = jnp.where(is_idle, int(Status.IDLE), state.status)
     return Action(
         waypoint=waypoint,
-        step=jnp.stack([next_x - here[0], next_y - here[1]]) / distance * length,
+        step=jnp.stack([step_x, step_y]) / distance * length,
         is_stop=state.is_done & ~state.is_halted & (outlook.fault == 0),
         status=jnp.where(state.is_halted, int(Status.HALTED), status),
         speed=speed,

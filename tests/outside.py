@@ -40,7 +40,10 @@ class Scenario:
     wrong_labels: float = 0.0
     reach: float = 3.0  # metres of the detector
     says_false: bool = False  # the hydrant stands in front of the cone, not behind it
+    is_empty: bool = False  # nothing of what is spoken of is there: to say so is right
     sentence: str = SENTENCE
+    steady_drift: float = 0.0  # radians a metre, of either sign: what the heading drifts by
+    drift: float = 0.0  # radians per root of a metre, standard deviation
 
 
 SCENARIOS = {
@@ -55,6 +58,9 @@ SCENARIOS = {
     "labels": Scenario(bystanders=6, wrong_labels=0.1),
     "bad_detector": Scenario(ghosts=0.1, misses=0.4),
     "crowd": Scenario(bystanders=56, extra_pairs=1),
+    "nowhere": Scenario(is_empty=True, bystanders=4),
+    "drift": Scenario(drift=np.radians(3.0)),
+    "steady_drift": Scenario(steady_drift=np.radians(3.0)),
 }
 
 
@@ -102,7 +108,8 @@ def furnish(random: np.random.Generator, scenario: Scenario, types: tuple[str, .
             and near.min() > (crowded if len(at) < 30 else 0.0)
             and fits == (set() if scenario.says_false else {(0, 1)})
         ):
-            return Place(np.array(kind), at)
+            first = 2 if scenario.is_empty else 0
+            return Place(np.array(kind)[first:], at[first:])
 
 
 def look(
@@ -190,6 +197,12 @@ def sensor_of(scenario: Scenario) -> Any:
     )
 
 
+@functools.lru_cache
+def robot_of(steady_drift: float, drift: float) -> jaxlangnav.Navigator:
+    """Build a robot that has been told how its heading drifts."""
+    return jaxlangnav.Navigator.pretrained(heading_bias=steady_drift, heading_noise=drift)
+
+
 def drive(
     robot: jaxlangnav.Navigator, scenario: Scenario, episodes: int, *, seed: int = 0
 ) -> Outcome:
@@ -208,6 +221,16 @@ def drive(
     return Outcome(*(np.concatenate(leaves) for leaves in zip(*parts, strict=True)))
 
 
+def _turned_back(
+    found: list[tuple[int, float, float]], turned: float
+) -> list[tuple[int, float, float]]:
+    """Take bearings against a heading that is out by so much."""
+    return [
+        (kind, metres, float(np.remainder(bearing - turned + np.pi, 2 * np.pi) - np.pi))
+        for kind, metres, bearing in found
+    ]
+
+
 def _drive_lanes(
     robot: jaxlangnav.Navigator, scenario: Scenario, seed: int
 ) -> tuple[np.ndarray, ...]:
@@ -217,17 +240,20 @@ def _drive_lanes(
     first = robot.start(scenario.sentence, area=AREA)
     state = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (LANES, *leaf.shape)), first)
     position, odometry = np.zeros((2, LANES, 2))
+    # By how much the true heading exceeds that of odometry, which is all that the robot knows.
+    turned, drifting = np.zeros(LANES), np.random.default_rng([seed, 78])
+    steady = scenario.steady_drift * drifting.choice([-1.0, 1.0], LANES)
     metres, is_done, overflow = np.zeros(LANES), np.zeros(LANES, bool), np.zeros(LANES, int)
     step, sensor = stepper(robot.config), sensor_of(scenario)
     for number in range(STEPS):
         found = [
-            look(random, scenario, place, position[lane], types)
+            _turned_back(look(random, scenario, place, position[lane], types), turned[lane])
             for lane, place in enumerate(places)
         ]
         poses = np.concatenate([odometry, np.zeros((LANES, 1))], axis=1)
         keys = jax.random.split(jax.random.key(1000 * seed + number), LANES)
         state, told = step(keys, state, observation(poses, found, sensor), robot.params)
-        move, is_stop, _, lost = (np.asarray(leaf) for leaf in told)
+        move, is_stop, status, lost = (np.asarray(leaf) for leaf in told)
         is_done |= is_stop
         overflow += np.where(is_done, 0, lost)
         if is_done.all():
@@ -236,9 +262,17 @@ def _drive_lanes(
         length = np.hypot(*move.T)
         metres += length
         odometry = odometry + move
-        position = position + move + random.normal(0.0, 0.02, (LANES, 2)) * length[:, None]
+        after = turned + steady * length
+        after = after + scenario.drift * np.sqrt(length) * drifting.normal(0.0, 1.0, LANES)
+        cosine, sine = np.cos(0.5 * (turned + after)), np.sin(0.5 * (turned + after))
+        move = np.stack([[cosine, -sine], [sine, cosine]]).transpose(2, 0, 1) @ move[:, :, None]
+        position = position + move[:, :, 0]
+        position = position + random.normal(0.0, 0.02, (LANES, 2)) * length[:, None]
+        turned = after
     goal = np.stack([place.at[0] for place in places])
     is_right = is_done & (np.hypot(*(position - goal).T) <= REACH)
+    if scenario.is_empty:
+        is_right = is_done & (status == messages.Status.NOT_FOUND)
     return is_right, is_done, metres, overflow
 
 
@@ -248,11 +282,13 @@ def main() -> None:
     parser.add_argument("names", nargs="*", default=list(SCENARIOS))
     parser.add_argument("--episodes", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--as-by-compass", action="store_true", help="tell it of no drift")
     given = parser.parse_args()
-    robot = jaxlangnav.Navigator.pretrained()
     for name in given.names:
-        begun = time.perf_counter()
-        outcome = drive(robot, SCENARIOS[name], given.episodes, seed=given.seed)
+        begun, scenario = time.perf_counter(), SCENARIOS[name]
+        told = (0.0, 0.0) if given.as_by_compass else (scenario.steady_drift, scenario.drift)
+        robot = robot_of(*told)
+        outcome = drive(robot, scenario, given.episodes, seed=given.seed)
         print(outcome.line(name), f" {time.perf_counter() - begun:.0f} s", flush=True)
 
 

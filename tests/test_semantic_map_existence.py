@@ -107,7 +107,7 @@ def test_what_hardly_exists_is_forgotten_and_its_words_are_lost() -> None:
     )
     number = belief.log_weight.shape[0]
     existence = np.zeros((by_hand.CONFIG.num_objects, number), np.float32)
-    existence[0], existence[1], existence[2] = 0.001, 0.9, 0.001
+    existence[0], existence[1], existence[2] = 1e-5, 0.9, 1e-5
     existence[2, 5] = 0.5  # one particle still takes it to be there
     referent = np.full((by_hand.M, number), NONE, np.int32)
     referent[0, :10], referent[0, 10:] = 0, 1

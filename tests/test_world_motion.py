@@ -14,6 +14,7 @@ from jaxlangnav.messages import (
     default_motion,
     default_sensor,
 )
+from jaxlangnav.pytree import replace
 from jaxlangnav.world import simulator
 from jaxlangnav.world.motion import move as move_eagerly
 from jaxlangnav.world.scenario import draw_scenario, sample_scenario, scenario_law
@@ -101,6 +102,35 @@ def test_odometry_noise_is_a_share_of_the_way_on_each_axis() -> None:
     np.testing.assert_allclose(state.odometry[:, :2], np.tile([1.8, 2.9], (count, 1)), rtol=1e-5)
     travelled = np.hypot(*(np.asarray(state.position) - [1.0, 2.0]).T)
     np.testing.assert_allclose(state.distance, 3.0 + travelled, rtol=1e-5)
+
+
+def test_a_heading_that_drifts_bends_the_way_and_odometry_does_not_know() -> None:
+    steady = replace(motion(), heading_bias=jnp.float32(0.2))
+    start = replace(robot(), heading=robot().heading + 0.1)  # it has drifted by as much before
+    state = move(KEY, start, action(0.6, 0.8), steady)
+    np.testing.assert_allclose(state.odometry, [2.1, 3.3, np.arctan2(0.8, 0.6)], rtol=1e-6)
+    np.testing.assert_allclose(state.heading - state.odometry[2], 0.3, atol=1e-6)
+    along = np.arctan2(0.8, 0.6) + 0.2
+    np.testing.assert_allclose(
+        state.position, [1.0 + np.cos(along), 2.0 + np.sin(along)], rtol=1e-6
+    )
+    still = move(KEY, start, action(0.0, 0.0), replace(steady, turn_noise=jnp.float32(0.5)))
+    chex.assert_trees_all_equal(still, start)
+
+
+@pytest.mark.parametrize(
+    ("name", "spread"), [("heading_noise", np.sqrt(0.5)), ("turn_noise", np.sqrt(0.2))]
+)
+def test_drift_grows_with_the_root_of_the_way_and_of_the_turn(name: str, spread: float) -> None:
+    count, share = 8000, 0.1
+    keys = jax.random.split(jax.random.key(2), count)
+    step = action(0.5 * np.cos(0.9), 0.5 * np.sin(0.9))  # a turn of 0.2 rad, half a metre
+    known = replace(motion(), **{name: jnp.float32(share)})
+    state = jax.vmap(lambda key: move(key, robot(), step, known))(keys)
+    drift = np.asarray(state.heading - state.odometry[:, 2])
+    sigma = share * spread
+    assert abs(drift.mean()) < 5 * sigma / np.sqrt(count)
+    assert abs(drift.std() - sigma) < 5 * sigma / np.sqrt(2 * count)
 
 
 def test_a_run_to_the_goal_succeeds_only_with_a_stop() -> None:

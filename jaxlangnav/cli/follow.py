@@ -101,6 +101,7 @@ class Follow:
 
         refuse_what_it_lacks(self.world, understood)
         from jaxlangnav.cli.engine import rehearse
+        from jaxlangnav.experiments.policies import without_compass
         from jaxlangnav.pytree import replace
         from jaxlangnav.task.follow import alone
         from jaxlangnav.task.talk import roomy
@@ -118,6 +119,7 @@ class Follow:
         prepared = dataclasses.replace(prepared, task=replace(task, sensor=sensor, motion=motion))
         # The belief knows the odometry's specification.
         sizes["params"] = replace(sizes["params"], map=replace(sizes["params"].map, motion=motion))
+        sizes["config"] = without_compass(sizes["config"], motion)
         recording = self._record(understood, grounder, prepared, sizes, output)
         document = self._document(prepared.world, understood.annotations, recording)
         if self.out is not None:

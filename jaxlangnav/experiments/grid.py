@@ -19,7 +19,7 @@ from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task
 from jaxlangnav.experiments.calibration import Tally, run_judged
 from jaxlangnav.experiments.metrics import summarize
 from jaxlangnav.experiments.monte_carlo import OnProgress, run_tasks
-from jaxlangnav.experiments.policies import navigator_config, run_policy
+from jaxlangnav.experiments.policies import navigator_config, run_policy, without_compass
 from jaxlangnav.experiments.tasks import Cell, draw_tasks, known_distances
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.messages import MotionParams
@@ -162,7 +162,7 @@ def policy_arm(
     params = default_params() if params is None else params
     if motion is not None:
         params = replace(params, map=replace(params.map, motion=motion))
-    config = navigator_config(policy, num_particles)
+    config = without_compass(navigator_config(policy, num_particles), params.map.motion)
     return Arm(policy=policy, told=told, config=config, params=params, motion=motion)
 
 

@@ -4,6 +4,7 @@ All of them answer the same tasks with the same records, so that every table can
 them side by side, paired episode by episode.
 """
 
+import dataclasses
 import difflib
 from collections.abc import Sequence
 
@@ -12,6 +13,7 @@ from jaxlangnav.experiments.baselines import BASELINES, run_baseline
 from jaxlangnav.experiments.monte_carlo import OnProgress, map_pieces, run_tasks
 from jaxlangnav.experiments.tasks import BLOCK
 from jaxlangnav.grounding.instruction import Instruction
+from jaxlangnav.messages import MotionParams, is_drifting
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, default_params
 from jaxlangnav.plain_text import cut
 from jaxlangnav.planner.config import POLICIES, AnyPolicy, PlannerConfig
@@ -77,6 +79,21 @@ def navigator_config(policy: AnyPolicy, num_particles: int = DEFAULT_PARTICLES) 
     )
 
 
+def without_compass(config: NavigatorConfig, motion: MotionParams) -> NavigatorConfig:
+    """Have the belief doubt the heading where odometry lets it drift.
+
+    Args:
+        config: sizes and policy.
+        motion: odometry as the belief is told it is; concrete.
+
+    Returns:
+        The same where a compass gives the heading.
+    """
+    if not is_drifting(motion):
+        return config
+    return dataclasses.replace(config, map=dataclasses.replace(config.map, has_drift=True))
+
+
 def run_policy(
     policy: AnyPolicy,
     tasks: Task,
@@ -109,11 +126,12 @@ def run_policy(
     if isinstance(policy, str):
         check_policies([policy])
     if not isinstance(policy, str) or policy in POLICIES:
+        params = default_params() if params is None else params
         return run_tasks(
             tasks,
             instructions,
-            params=default_params() if params is None else params,
-            config=navigator_config(policy, num_particles),
+            params=params,
+            config=without_compass(navigator_config(policy, num_particles), params.map.motion),
             on_progress=on_progress,
             num_threads=num_threads,
             max_steps=max_steps,

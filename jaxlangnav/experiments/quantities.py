@@ -120,6 +120,9 @@ _KNOWN: dict[str, dict[str, Quantity]] = {
     "motion": {
         "step_length": LENGTH,
         "odometry_noise": SHARE,
+        "heading_bias": Quantity(kind="angle"),
+        "heading_noise": Quantity(kind="angle"),
+        "turn_noise": Quantity(kind="angle"),
     },
     "map": {
         "concentration": Quantity(is_low_open=True),

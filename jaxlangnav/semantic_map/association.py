@@ -28,8 +28,8 @@ class Detections(NamedTuple):
     """Detections of one observation in map axes, relative to the robot."""
 
     object_type: Array  # i32[D] kinds
-    offset_x: Array  # f32[D] metres, map axes
-    offset_y: Array  # f32[D]
+    offset_x: Array  # f32[D] metres, map axes; f32[D, 1, ...] where headings differ
+    offset_y: Array  # see ``offset_x``
     log_new: Array  # f32[D] log density of a not yet seen object there, 1/m²
     is_detection: Array  # bool[D]
 
@@ -270,7 +270,7 @@ def log_absence(
     Args:
         particle: one particle, after conditioning.
         is_hit: bool[O, ...], detected objects.
-        heading: f32[], radians.
+        heading: f32[] or f32[1, ...], radians.
         softness: f32[], metres over which an object's position is uncertain.
         sensor: range, field of view, detection probability.
         view: what can be seen in this place.

@@ -1,10 +1,12 @@
 """What the robot believes: weighted particles and what they share (section 3.2)."""
 
+import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.pytree import pytree
+from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map.bystanders import Bystanders
 from jaxlangnav.semantic_map.coverage import Coverage
+from jaxlangnav.semantic_map.motion import rotated
 from jaxlangnav.semantic_map.particle import SemanticMap
 from jaxlangnav.terrain import Terrain
 
@@ -26,3 +28,77 @@ class ParticleBelief:
     must_ground: Array  # bool[] words have come in that no particle has grounded yet
     log_evidence: Array  # f32[] log predictive probability of all detections and absences so
     # far, relative to a constant per detection; what new groundings of the words add is left out
+
+
+def robot_position(belief: ParticleBelief) -> tuple[Array, Array]:
+    """Compute the mean position of the robot over the particles, f32[] x and y, metres."""
+    weight = jnp.exp(belief.log_weight)
+    robot = belief.particles.object_type.shape[0]
+    return (
+        jnp.sum(weight * belief.particles.mean_x[robot]),
+        jnp.sum(weight * belief.particles.mean_y[robot]),
+    )
+
+
+def mean_drift(belief: ParticleBelief) -> Array | None:
+    """Compute by how much the true heading exceeds odometry's, f32[] radians; None: a compass."""
+    if belief.particles.drift.shape[0] == 0:
+        return None
+    return jnp.sum(jnp.exp(belief.log_weight) * belief.particles.drift[0])
+
+
+def in_map(belief: ParticleBelief, pose: Array) -> Array:
+    """Take a dead-reckoned pose to the map, as far as the heading may have drifted.
+
+    Args:
+        belief: at its last look.
+        pose: f32[3], x, y, heading by dead reckoning, metres and radians.
+
+    Returns:
+        f32[3], map frame; as it was where a compass gives the heading.
+    """
+    drift = mean_drift(belief)
+    if drift is None:
+        return pose
+    offset = pose - belief.last_pose
+    x, y = rotated(offset[0], offset[1], drift)
+    robot_x, robot_y = robot_position(belief)
+    return jnp.stack([robot_x + x, robot_y + y, pose[2] + drift])
+
+
+def about_robot(belief: ParticleBelief) -> ParticleBelief:
+    """Lay the particles' maps over each other so that the robot has one pose in all of them.
+
+    Drifted apart, what they agree on, which is where things are from the robot, is in none of
+    their averages.
+
+    Args:
+        belief: any.
+
+    Returns:
+        The belief with every map moved and turned as a whole; as it was with a compass.
+    """
+    drift, particles = mean_drift(belief), belief.particles
+    if drift is None:
+        return belief
+    here = robot_position(belief)
+    origin = particles.mean_x[-1:], particles.mean_y[-1:]
+    turn = drift - particles.drift[:1]
+
+    def moved(x: Array, y: Array) -> tuple[Array, Array]:
+        x, y = rotated(x - origin[0], y - origin[1], turn)
+        return here[0] + x, here[1] + y
+
+    mean_x, mean_y = moved(particles.mean_x, particles.mean_y)
+    hypothesis_x, hypothesis_y = moved(particles.hypothesis_x, particles.hypothesis_y)
+    return replace(
+        belief,
+        particles=replace(
+            particles,
+            mean_x=mean_x,
+            mean_y=mean_y,
+            hypothesis_x=hypothesis_x,
+            hypothesis_y=hypothesis_y,
+            drift=particles.drift.at[0].set(drift),
+        ),
+    )

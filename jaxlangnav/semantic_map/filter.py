@@ -21,11 +21,11 @@ from jax import Array
 from jaxlangnav.kinds import MOST_LABELS, kind_of, label_of
 from jaxlangnav.messages import Fault, Observation, Readings, Told, assert_observation
 from jaxlangnav.numerics import batching, categorical
-from jaxlangnav.numerics.batching import take
+from jaxlangnav.numerics.batching import column, take
 from jaxlangnav.numerics.resampling import effective_sample_size, independent, systematic
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map import association, bystanders, motion, particle
-from jaxlangnav.semantic_map.belief import ParticleBelief
+from jaxlangnav.semantic_map.belief import ParticleBelief, mean_drift, robot_position
 from jaxlangnav.semantic_map.counts import log_expected, log_exposure, share_unseen
 from jaxlangnav.semantic_map.coverage import area_size, log_miss_at, look, unexplored
 from jaxlangnav.semantic_map.params import MapConfig, MapParams
@@ -41,8 +41,15 @@ _ASKED = 16
 """Particles that ground the words at every step, whatever happens: enough to tell the mean of the
 evidence, against which fresh groundings are weighed."""
 
-LEAST_EXISTENCE = 0.02
-"""Probability below which a thing that was detected is taken not to exist, and forgotten."""
+LEAST_EXISTENCE, LEAST_WORTH = 1e-4, 0.02
+"""Probability below which a thing that was detected is taken not to exist, and forgotten; and where
+hardly a slot is free. What is forgotten takes its detections with it, but the looks that missed it
+stay: a thing forgotten too soon would have to be detected more often than it can be."""
+_SPARE_SLOTS = 2
+"""Slots that are kept free, if need be, by forgetting what is least likely to exist."""
+
+_DRIFT = 1
+"""Folded into the key of the detections for the drift of the heading."""
 
 
 @pytree
@@ -87,13 +94,23 @@ def start(
     """
     pose, area, is_placed = sound_place(pose, area)
     one = particle.empty(
-        config.num_objects, num_mentions, pose[0], pose[1], has_doubts=config.has_doubts
+        config.num_objects,
+        num_mentions,
+        pose[0],
+        pose[1],
+        has_doubts=config.has_doubts,
+        has_drift=config.has_drift,
     )
     number = config.num_particles
+    particles = jax.tree.map(
+        lambda leaf: jnp.broadcast_to(leaf[..., None], (*leaf.shape, number)), one
+    )
+    if config.has_drift:
+        # Spread evenly over the law of the steady drift.
+        spread = batching.normal((jnp.arange(number, dtype=jnp.float32) + 0.5) / number)
+        particles = replace(particles, drift=particles.drift.at[1].set(spread))
     return ParticleBelief(
-        particles=jax.tree.map(
-            lambda leaf: jnp.broadcast_to(leaf[..., None], (*leaf.shape, number)), one
-        ),
+        particles=particles,
         log_weight=jnp.full(number, -jnp.log(float(number)), jnp.float32),
         coverage=unexplored(area, config.num_cells),
         terrain=terrain,
@@ -108,18 +125,13 @@ def start(
     )
 
 
-def robot_position(belief: ParticleBelief) -> tuple[Array, Array]:
-    """Compute the mean position of the robot over the particles, f32[] x and y, metres."""
-    weight = jnp.exp(belief.log_weight)
-    robot = belief.particles.object_type.shape[0]
-    return (
-        jnp.sum(weight * belief.particles.mean_x[robot]),
-        jnp.sum(weight * belief.particles.mean_y[robot]),
-    )
-
-
 def predict(
-    belief: ParticleBelief, pose: Array, is_jump: Array, *, params: MapParams
+    belief: ParticleBelief,
+    pose: Array,
+    is_jump: Array,
+    noise: Array | None = None,
+    *,
+    params: MapParams,
 ) -> ParticleBelief:
     """Move the robot in every particle by what odometry has measured since the last step.
 
@@ -127,6 +139,7 @@ def predict(
         belief: before the motion.
         pose: f32[3], dead-reckoned pose now.
         is_jump: bool[], motion does not explain it: the robot may be there or where it was.
+        noise: f32[2, P], standard normal, of particles that hold a ``drift``.
         params: odometry noise.
 
     Returns:
@@ -134,9 +147,23 @@ def predict(
     """
     step_x, step_y = pose[0] - belief.last_pose[0], pose[1] - belief.last_pose[1]
     share = jnp.where(is_jump, 1.0, params.motion.odometry_noise)
-    variance = (share**2) * (step_x * step_x + step_y * step_y)
-    moved = motion.move(belief.particles, step_x, step_y, variance)
+    squared = step_x * step_x + step_y * step_y
+    variance, particles = (share**2) * squared, belief.particles
+    if noise is not None:
+        way, turn = jnp.sqrt(squared), motion.wrapped(pose[2] - belief.last_pose[2])
+        drift = motion.drifted(particles.drift, way, turn, noise, motion=params.motion)
+        # Over the step it is half of what has come in.
+        halfway = 0.5 * (particles.drift[:1] + drift[:1])
+        step_x, step_y = motion.rotated(step_x, step_y, halfway)
+        particles = replace(particles, drift=drift)
+    moved = motion.move(particles, step_x, step_y, variance)
     return replace(belief, particles=moved, last_pose=pose)
+
+
+def _with_drift(belief: ParticleBelief, observation: Observation) -> Observation:
+    """Correct the heading of a look by how far the robot is believed to have drifted."""
+    drift, pose = mean_drift(belief), observation.pose
+    return observation if drift is None else replace(observation, pose=pose.at[2].add(drift))
 
 
 def _detections(
@@ -150,6 +177,11 @@ def _detections(
     log_missed = log_miss_at(belief.coverage, robot_x + offset_x, robot_y + offset_y)
     log_density = log_expected(jnp.float32(0.0), share_unseen(belief.coverage), params=params)
     log_density = log_density - jnp.log(area_size(belief.coverage))
+    drift = mean_drift(belief)
+    if drift is not None:
+        own = (belief.particles.drift[:1] - drift)[None]
+        offset_x, offset_y = (column(offset, 3) for offset in (offset_x, offset_y))
+        offset_x, offset_y = motion.rotated(offset_x, offset_y, own)
     return association.Detections(
         object_type=kinds_seen(observation),
         offset_x=offset_x,
@@ -179,11 +211,18 @@ class Weighed(NamedTuple):
     surprise: Array  # f32[] nats by which the observation is less probable than one that fits
 
 
+def _headings(belief: ParticleBelief, heading: Array) -> Array:
+    """Tell where each particle takes the robot to look, f32[] or f32[1, P], given the mean."""
+    drift = mean_drift(belief)
+    return heading if drift is None else heading + belief.particles.drift[:1] - drift
+
+
 def observe(
     uniform: Array,
     belief: ParticleBelief,
     observation: Observation,
     is_jump: Array,
+    noise: Array | None = None,
     *,
     params: MapParams,
 ) -> tuple[ParticleBelief, Weighed]:
@@ -194,12 +233,14 @@ def observe(
         belief: at the last step.
         observation: pose and detections now, all of them sound.
         is_jump: bool[], motion does not explain the pose.
+        noise: see ``predict``.
         params: traced numbers.
 
     Returns:
         The belief with its weights as they were, and the likelihoods.
     """
-    belief = predict(belief, observation.pose, is_jump, params=params)
+    belief = predict(belief, observation.pose, is_jump, noise, params=params)
+    observation = _with_drift(belief, observation)
     detections = _detections(belief, observation, params)
     heading, sensor = observation.pose[2], observation.sensor
     noise_variance = jnp.maximum(sensor.noise, MIN_NOISE) ** 2
@@ -220,7 +261,7 @@ def observe(
     before = belief.coverage
     coverage = look(before, eye, sensor.detection_probability, view)
     log_objects, log_hypotheses, existence = association.log_absence(
-        particles, grounded.is_hit, heading, softness, sensor, view
+        particles, grounded.is_hit, _headings(belief, heading), softness, sensor, view
     )
     # What is looked at and shows no more of a type tells against there being many.
     exposure = log_exposure(share_unseen(coverage), params=params)
@@ -252,8 +293,13 @@ def _forget(particles: SemanticMap) -> tuple[SemanticMap, Array]:
         The particles, and bool[P], whose words refer to such a thing.
     """
     is_held = particles.is_observed
-    is_false = ~is_held | (particles.existence < LEAST_EXISTENCE)
-    is_gone = is_held & jnp.all(is_false, axis=-1, keepdims=True)
+    likeliest = jnp.max(jnp.where(is_held, particles.existence, 0.0), axis=-1, keepdims=True)
+    is_taken = jnp.any(is_held, axis=-1, keepdims=True)
+    is_crowded = jnp.sum(is_taken) > is_taken.shape[0] - _SPARE_SLOTS
+    least = jnp.argmin(jnp.where(is_taken, likeliest, jnp.inf))
+    is_least = (jnp.arange(is_taken.shape[0])[:, None] == least) & is_crowded
+    limit = jnp.where(is_least, LEAST_WORTH, LEAST_EXISTENCE)
+    is_gone = is_held & (likeliest < limit)
     is_lost = jnp.any(is_gone & particles.is_meant, axis=0)
     # Most looks empty none.
     rounds = jnp.any(is_gone).astype(jnp.int32)
@@ -346,6 +392,13 @@ def reground(
     )
 
 
+def _drift_noise(key: Array, belief: ParticleBelief) -> Array | None:
+    """Draw by what the headings drift, f32[2, P]; None where a compass gives them."""
+    if belief.particles.drift.shape[0] == 0:
+        return None
+    return jax.random.normal(jax.random.fold_in(key, _DRIFT), belief.particles.drift.shape)
+
+
 def _part(
     belief: ParticleBelief, observation: Observation, spoken: Array | None
 ) -> tuple[ParticleBelief, Observation, Observation | None]:
@@ -367,8 +420,13 @@ def _remember(
     """Remember bystanders that are seen; i32[] tells how many found no room."""
     if others is None:
         return belief, 0
-    variance = jnp.sum(jnp.exp(belief.log_weight) * belief.particles.covariance[-1, -1])
-    robot = *robot_position(belief), variance
+    weight, particles = jnp.exp(belief.log_weight), belief.particles
+    here, spread = robot_position(belief), particles.covariance[-1, -1]
+    if mean_drift(belief) is not None:
+        apart = (particles.mean_x[-1] - here[0]) ** 2 + (particles.mean_y[-1] - here[1]) ** 2
+        spread = spread + 0.5 * apart
+    robot = *here, jnp.sum(weight * spread)
+    others = _with_drift(belief, others)
     known, num_forgotten = bystanders.remember_bystanders(belief.bystanders, others, robot)
     return replace(belief, bystanders=known), num_forgotten
 
@@ -424,7 +482,8 @@ def step(
         doubted_pose=sound.doubted_pose,
     )
     belief, seen, others = _part(belief, sound.observation, spoken)
-    belief, weighed = observe(associate, belief, seen, sound.is_jump, params=params)
+    noise = _drift_noise(keys[0], belief)
+    belief, weighed = observe(associate, belief, seen, sound.is_jump, noise, params=params)
     belief, num_forgotten = _remember(belief, others)
     keep = keep[: 2 * number].reshape(2, number)
     found = reground(

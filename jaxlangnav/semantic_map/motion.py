@@ -1,12 +1,58 @@
-"""Proposal for the robot's motion: a node and an edge, the old pose marginalised out (eq. 6)."""
+"""Proposal for the robot's motion: a node and an edge, the old pose marginalised out (eq. 6).
+
+Without a compass the heading is dead-reckoned, too, and drifts. How far it has drifted acts on all
+that is seen and driven from then on by a rotation, which no Gaussian holds: every particle has a
+drift of its own, and what it sees again weighs it (FastSLAM; Montemerlo et al. 2002).
+"""
 
 import jax.numpy as jnp
 from jax import Array
 
+from jaxlangnav.messages import MotionParams
 from jaxlangnav.numerics import gaussian
 from jaxlangnav.numerics.batching import column
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.particle import SemanticMap
+
+STEADY = 50.0
+"""Metres over which a steady drift is forgotten: it wanders as that of a gyro does, so that
+particles which share an ancestor do not keep its drift for ever."""
+
+
+def wrapped(angle: Array) -> Array:
+    """Bring an angle to within half a turn, radians."""
+    return angle - 2.0 * jnp.pi * jnp.round(angle / (2.0 * jnp.pi))
+
+
+def rotated(x: Array, y: Array, angle: Array) -> tuple[Array, Array]:
+    """Turn offsets counter-clockwise, radians; exact where the angle is zero."""
+    cosine, sine = jnp.cos(angle), jnp.sin(angle)
+    return cosine * x - sine * y, sine * x + cosine * y
+
+
+def drifted(drift: Array, way: Array, turn: Array, noise: Array, *, motion: MotionParams) -> Array:
+    """Let the heading drift as the robot turns and drives.
+
+        e' = e + b ζ s + √(σ² s + τ² |φ|) ε₁,   ζ' = ρ ζ + √(1 − ρ²) ε₂,   ρ = e^(−s / S)
+
+    with e by how much the true heading exceeds that of odometry, s the way, φ the turn, ε standard
+    normal, and b ζ the steady drift, of which only the magnitude b is known.
+    Limits: b = σ = τ = 0 leaves e as it is.
+
+    Args:
+        drift: f32[2, ...], e and ζ.
+        way: f32[], s, metres.
+        turn: f32[], φ, radians.
+        noise: f32[2, ...], ε.
+        motion: heading_bias b, heading_noise σ, turn_noise τ.
+
+    Returns:
+        f32[2, ...], e' and ζ'.
+    """
+    variance = motion.heading_noise**2 * way + motion.turn_noise**2 * jnp.abs(turn)
+    error = drift[0] + motion.heading_bias * drift[1] * way + jnp.sqrt(variance) * noise[0]
+    kept = jnp.exp(-way / STEADY)
+    return jnp.stack([error, kept * drift[1] + jnp.sqrt(1.0 - kept * kept) * noise[1]])
 
 
 def move(particle: SemanticMap, step_x: Array, step_y: Array, variance: Array) -> SemanticMap:
@@ -16,8 +62,8 @@ def move(particle: SemanticMap, step_x: Array, step_y: Array, variance: Array) -
 
     Args:
         particle: one particle, or all of them with their axis last.
-        step_x: f32[], odometry u, metres, map axes.
-        step_y: f32[], metres.
+        step_x: f32[] or f32[1, ...], odometry u, metres, map axes.
+        step_y: see ``step_x``.
         variance: f32[], square metres per axis.
 
     Returns:

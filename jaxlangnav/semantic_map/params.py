@@ -44,6 +44,9 @@ class MapConfig:
     has_doubts: bool = False
     """Whether what is detected may not exist, as ``SensorParams`` says; else all of it does."""
 
+    has_drift: bool = False
+    """Whether the heading drifts, as ``MotionParams`` says; else a compass gives it."""
+
     def __post_init__(self) -> None:
         """Refuse sizes the filter cannot work with."""
         least_sizes = {"num_particles": 2, "num_objects": 1, "num_cells": 4, "num_bystanders": 0}

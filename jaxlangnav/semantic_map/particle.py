@@ -41,6 +41,8 @@ class SemanticMap:
     hypothesis_y: Array  # f32[M]
     is_mentioned: Array  # bool[M] the particle's reading has this mention, and it is an object
     existence: Array  # f32[O] probability that it exists, whatever the words mean; f32[0]: all do
+    drift: Array  # f32[2] radians by which the true heading exceeds odometry's, and its steady
+    # part in units of ``heading_bias``; f32[0]: a compass gives the heading
 
     @property
     def is_observed(self) -> Array:
@@ -68,6 +70,7 @@ def empty(
     start_y: Array,
     *,
     has_doubts: bool = False,
+    has_drift: bool = False,
 ) -> SemanticMap:
     """Build the map of a robot that has seen and heard nothing.
 
@@ -77,6 +80,7 @@ def empty(
         start_x: f32[], metres, map frame.
         start_y: f32[], metres.
         has_doubts: whether what is detected may not exist.
+        has_drift: whether the heading may drift.
 
     Returns:
         One particle.
@@ -96,6 +100,7 @@ def empty(
         hypothesis_y=jnp.zeros(num_mentions, jnp.float32),
         is_mentioned=jnp.zeros(num_mentions, bool),
         existence=jnp.zeros(num_objects if has_doubts else 0, jnp.float32),
+        drift=jnp.zeros(2 if has_drift else 0, jnp.float32),
     )
 
 

@@ -37,6 +37,9 @@ clockwise from +x); the map frame is the file's own.
     [motion]                           # optional, each key too
     step_length = 1.0                  # in one decision cycle
     odometry_noise = 0.02              # as a share of the way
+    heading_bias = 0.0                 # degrees a metre by which the heading drifts; 0: a compass
+    heading_noise = 0.0                # degrees per root of a metre, standard deviation
+    turn_noise = 0.0                   # degrees per root of a radian turned, likewise
 """
 
 import os

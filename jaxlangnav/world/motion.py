@@ -1,8 +1,8 @@
 """Simulated motion and odometry (the odometry stream u of eq. 1 and 6).
 
 A ``Body`` carries out the step that is asked for as well as it can. Where it truly ends differs
-from its odometry by Gaussian noise in proportion to the way. A compass gives the heading, so that
-is known.
+from its odometry by Gaussian noise in proportion to the way. A compass gives the heading unless
+``MotionParams`` lets it drift: odometry then has a heading of its own, and goes by that.
 """
 
 from typing import Protocol
@@ -47,9 +47,10 @@ HOLONOMIC = Holonomic()
 def move(key: Array, state: WorldState, action: Action, motion: MotionParams) -> WorldState:
     """Carry out one decision cycle's step.
 
-        x' = x + u + N(0, (ε |u|)²) per axis,   odometry' = odometry + u
+        x' = x + R(e) u + N(0, (ε |u|)²) per axis,   odometry' = odometry + u
 
-    Limits: ε = 0 keeps odometry and truth together; a stop or a zero step changes nothing. A
+    with e by how much the true heading exceeds odometry's (see ``driven``).
+    Limits: no noise keeps odometry and truth together; a stop or a zero step changes nothing. A
     robot goes no further in a cycle than ``step_length`` times the action's speed.
 
     Args:
@@ -67,12 +68,43 @@ def move(key: Array, state: WorldState, action: Action, motion: MotionParams) ->
     is_long = asked > limit
     step = jnp.where(is_long, step * (limit / jnp.where(is_long, asked, 1.0)), step)
     way = jnp.minimum(asked, limit)
-    is_moving = way > 0.0
-    displacement = step + motion.odometry_noise * way * jax.random.normal(key, (2,))
-    heading = jnp.where(is_moving, jnp.arctan2(step[1], step[0]), state.heading)
+    heading = jnp.where(way > 0.0, jnp.arctan2(step[1], step[0]), state.odometry[2])
+    return driven(key, state, step, way, heading, motion)
+
+
+def driven(
+    key: Array, state: WorldState, step: Array, way: Array, heading: Array, motion: MotionParams
+) -> WorldState:
+    """Turn and drive as odometry has it, and end where noise and drift of the heading lead.
+
+        e' = e + b s + N(0, σ² s + τ² |φ|),   x' = x + R((e + e') / 2) u + N(0, (ε s)²) per axis
+
+    with φ the turn.
+
+    Args:
+        key: random key.
+        state: the robot.
+        step: f32[2], u, metres, axes of odometry.
+        way: f32[], s = |u|.
+        heading: f32[], radians, after the turn, as odometry has it.
+        motion: odometry_noise ε, heading_bias b, heading_noise σ, turn_noise τ.
+
+    Returns:
+        The robot there.
+    """
+    noise = jax.random.normal(key, (3,))
+    turn = heading - state.odometry[2]
+    turn = jnp.abs(turn - 2.0 * jnp.pi * jnp.round(turn / (2.0 * jnp.pi)))
+    spread = jnp.sqrt(motion.heading_noise**2 * way + motion.turn_noise**2 * turn)
+    drift = motion.heading_bias * way + spread * noise[2]
+    error = state.heading - state.odometry[2]
+    halfway = error + 0.5 * drift
+    cosine, sine = jnp.cos(halfway), jnp.sin(halfway)
+    along = jnp.stack([cosine * step[0] - sine * step[1], sine * step[0] + cosine * step[1]])
+    displacement = along + motion.odometry_noise * way * noise[:2]
     return WorldState(
         position=state.position + displacement,
-        heading=heading,
+        heading=heading + error + drift,
         odometry=jnp.stack([state.odometry[0] + step[0], state.odometry[1] + step[1], heading]),
         distance=state.distance + jnp.hypot(displacement[0], displacement[1]),
     )

@@ -14,6 +14,7 @@ from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.language.spelling import repair
 from jaxlangnav.language.tokens import is_word, plainly
 from jaxlangnav.messages import (
+    DRIFTS,
     NONE,
     MotionParams,
     SensorParams,
@@ -216,8 +217,12 @@ def _read_motion(fields: Fields) -> MotionParams:
         odometry_noise=jnp.float32(
             fields.number("odometry_noise", low=0.0, high=1.0, default=0.02)
         ),
+        **{
+            name: jnp.float32(math.radians(fields.number(name, low=0.0, high=180.0, default=0.0)))
+            for name in DRIFTS
+        },
     )
-    fields.close("step_length", "odometry_noise")
+    fields.close("step_length", "odometry_noise", *DRIFTS)
     return motion
 
 

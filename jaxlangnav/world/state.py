@@ -51,6 +51,6 @@ class WorldState:
     """Where the robot truly is, and where its odometry says it is."""
 
     position: Array  # f32[2] true, map frame, metres
-    heading: Array  # f32[] radians, true and known (compass)
+    heading: Array  # f32[] radians, true; odometry's too, unless that drifts
     odometry: Array  # f32[3] x, y metres, heading radians: dead reckoning from the start pose
     distance: Array  # f32[] metres truly travelled so far

@@ -10,6 +10,7 @@ from jax import Array
 
 from jaxlangnav.files.whole import write_text
 from jaxlangnav.kinds import group_of, words_of
+from jaxlangnav.messages import DRIFTS
 from jaxlangnav.world.fields import WorldFileError
 from jaxlangnav.world.reading import World
 from jaxlangnav.world.state import Scenario
@@ -84,6 +85,11 @@ def world_to_dict(world: World) -> dict[str, Any]:
         "motion": {
             "step_length": _length(world.motion.step_length),
             "odometry_noise": _length(world.motion.odometry_noise),
+            **{
+                name: _degrees(value)
+                for name in DRIFTS
+                if (value := getattr(world.motion, name)) > 0.0
+            },
         },
         "objects": objects,
     }
