@@ -15,11 +15,12 @@ import numpy as np
 
 from jaxlangnav.grounding.asked import infer_once
 from jaxlangnav.grounding.behavior_features import World
+from jaxlangnav.grounding.form import FormRelation
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.grounding.symbols import NUM_RELATIONS
 from jaxlangnav.grounding.worlds import to_device
 from jaxlangnav.messages import ACTIONS, MODES, NEAR, NONE, REGIONS, RELATIONS, ROBOT
-from jaxlangnav.relations.table import NUM_RANKS
+from jaxlangnav.relations.table import CONVERSE, NUM_RANKS
 from jaxlangnav.task.labelled import Meaning
 from jaxlangnav.world.scenario import NUM_SLOTS
 
@@ -65,7 +66,33 @@ def difference(meaning: Meaning, understood: Understood) -> str:
     Returns:
         What differs first, in one line; empty where nothing does.
     """
+    meaning = _as_said(meaning, understood)
     return _difference_in_world(meaning, understood) or _difference_in_commands(meaning, understood)
+
+
+def _as_said(meaning: Meaning, understood: Understood) -> Meaning:
+    """Turn round what is said the other way round: a tree behind a cone, a cone before a tree."""
+    _, said = _said(understood)
+
+    def turned(one: FormRelation) -> FormRelation:
+        if one.rank or one.landmark == ROBOT:
+            return one
+        other = FormRelation(one.landmark, CONVERSE[one.relation], one.figure, 0)
+        own, instead = (_named(meaning, it) for it in (one, other))
+        return other if instead in said and own not in said else one
+
+    relations = tuple(turned(one) for one in meaning.reading.relations)
+    return dataclasses.replace(
+        meaning, reading=dataclasses.replace(meaning.reading, relations=relations)
+    )
+
+
+def _named(meaning: Meaning, one: FormRelation) -> Relation:
+    """Write a relation with the names of its types."""
+    figure, landmark = (
+        "robot" if thing == ROBOT else meaning.type_of(thing) for thing in (one.figure, one.landmark)
+    )
+    return figure, RELATIONS[one.relation], landmark, one.rank
 
 
 def _difference_in_world(meaning: Meaning, understood: Understood) -> str:
@@ -75,13 +102,7 @@ def _difference_in_world(meaning: Meaning, understood: Understood) -> str:
     if types != names:
         return f"speaks of {_listed(types)}, not of {_listed(names)}"
 
-    def name(thing: int) -> str:
-        return "robot" if thing == ROBOT else meaning.type_of(thing)
-
-    meant = {
-        (name(one.figure), RELATIONS[one.relation], name(one.landmark), one.rank)
-        for one in meaning.reading.relations
-    }
+    meant = {_named(meaning, one) for one in meaning.reading.relations}
     if relations != meant:
         return f"says {_listed(map(_worded, relations))}, not {_listed(map(_worded, meant))}"
     return ""
