@@ -207,6 +207,7 @@ def test_goal_regions_by_hand(is_robot: bool) -> None:
             jnp.float32(place[1]),
             viewer,
             jnp.asarray(is_robot),
+            jnp.float32(0.0),
         )
         expected = oracle.goal_place(region, place, np.zeros(3), DISTANCE, is_robot) - place
         np.testing.assert_allclose([x, y], expected, atol=1e-4)

@@ -1,12 +1,12 @@
 """Turns and distances: places that are told from where the robot stands, or from a thing (ours).
 
 "Go forward two metres, then turn left" names places relative to the robot as it hears it, and "10
-feet past the cone" one relative to a thing. What is measured is taken out of the sentence, which is
-then read as "go in front of you then go to your left" and "behind the cone"; how far, and from
-where, is told beside the tree (``phrase.Measure``). A robot looks where it goes, so that a turn with
-nothing after it is a short way in that direction. How it will stand where a command before leads is
-not known when the sentence is said: turns and distances from there are refused. The words stand in
-``data/measures.toml``.
+feet past the cone" one relative to a thing. What is measured is taken out of the sentence, which
+is then read as "go in front of you then go to your left" and "behind the cone"; how far, and from
+where, is told beside the tree (``phrase.Measure``). A robot looks where it goes, so that a turn
+with nothing after it is a short way in that direction. How it will stand where a command before
+leads is not known when the sentence is said: turns and distances from there are refused. The words
+stand in ``data/measures.toml``.
 """
 
 import math
@@ -113,7 +113,8 @@ def _words() -> _Words:
             for one in document["motions"]
         ),
         distance=re.compile(
-            rf"(?<![^ ])(?:(?P<half>half) (?:an? )?|(?P<number>\d+(?:\.\d+)?) ?|(?P<word>{number}) )"
+            r"(?<![^ ])(?:(?P<half>half) (?:an? )?|(?P<number>\d+(?:\.\d+)?) ?"
+            rf"|(?P<word>{number}) )"
             rf"(?:(?P<and>and a half) )?(?P<unit>{units})(?P<later> and a half)?(?![^ ])"
         ),
         angle=re.compile(rf"(?<![^ ])({number}) ?(?:degrees?|deg)(?![^ ])"),

@@ -28,6 +28,8 @@ _LEAST = 0.05
 """Goals less probable than this are not meant."""
 _ALIKE = 0.8
 """Goals of at least this share of the best one's probability fit as well."""
+_EXACT = 0.01
+"""Metres by which a distance may differ from the label's, which may leave it out."""
 Relation = tuple[str, str, str, int]
 """Types of figure and landmark around the relation's name, and the rank."""
 
@@ -54,6 +56,8 @@ class _Asked:
     mode: int
     ends: frozenset[tuple[int, int]]  # region and slot of each goal that fits as well as any
     avoided: frozenset[int]
+    metres: float  # from its landmark, where they are told
+    frame: tuple[float, ...]  # from where it is meant, in the robot's frame
 
 
 def difference(meaning: Meaning, understood: Understood) -> str:
@@ -90,7 +94,8 @@ def _as_said(meaning: Meaning, understood: Understood) -> Meaning:
 def _named(meaning: Meaning, one: FormRelation) -> Relation:
     """Write a relation with the names of its types."""
     figure, landmark = (
-        "robot" if thing == ROBOT else meaning.type_of(thing) for thing in (one.figure, one.landmark)
+        "robot" if thing == ROBOT else meaning.type_of(thing)
+        for thing in (one.figure, one.landmark)
     )
     return figure, RELATIONS[one.relation], landmark, one.rank
 
@@ -169,6 +174,8 @@ def _asked(instruction: Instruction, world: World) -> list[_Asked]:
             mode=int(behavior.mode.argmax()),
             ends=frozenset((int(r), int(slot)) for r, slot in np.argwhere(goal >= least)),
             avoided=frozenset(int(slot) for slot in np.nonzero(kept_out.max(axis=0) > 0.5)[0]),
+            metres=float(instruction.metres[clause]),
+            frame=tuple(np.asarray(instruction.frame)[clause].tolist()),
         )
         if not found or asked != found[-1]:
             found.append(asked)
@@ -218,6 +225,8 @@ def _difference(meaning: Meaning, index: int, asked: _Asked, world: World) -> st
     if (wanted.region, thing) not in asked.ends or not asked.ends <= alike:
         ends, end = (_ends(one, meaning, world) for one in (asked.ends, {(wanted.region, thing)}))
         return f"ends {ends}, not {end}"
+    if wanted.metres and abs(asked.metres - wanted.metres) > _EXACT:
+        return f"goes {asked.metres:.3g} m, not {wanted.metres:.3g} m"
     meant = {slot for one in wanted.avoid for slot in _fitting(meaning, one, world)}
     if asked.avoided != meant:
         return f"keeps away from {len(asked.avoided)} things, not {len(meant)}"

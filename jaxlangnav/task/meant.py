@@ -53,7 +53,7 @@ def meant_goals(understood: Understanding, scenario: Scenario) -> tuple[list[Goa
         return [], False
     last, told = behaviors[-1], understood.instruction
     metres, frame = (np.asarray(one)[len(behaviors) - 1] for one in (told.metres, told.frame))
-    viewer = np.asarray(seen_from(np.float32(placed.robot), frame[None]))[0]
+    viewer = np.asarray(seen_from(jnp.asarray(placed.robot, jnp.float32), frame[None]))[0]
     best = float(last.goal.max())
     if best < _LEAST:
         return [], False
