@@ -72,11 +72,12 @@ def test_places_follow_one_another() -> None:
     first, second, third = parse(
         "turn left, go 2 metres, turn right and go 3 metres, then go to the cone"
     ).measures
-    np.testing.assert_allclose((first.end, second.end), ((0.0, 2.0), (3.0, 2.0)), atol=1e-6)
+    assert first.end == pytest.approx((0.0, 2.0), abs=1e-6)
+    assert second.end == pytest.approx((3.0, 2.0), abs=1e-6)
     np.testing.assert_allclose(second.frame, (0.0, 2.0, math.pi / 2), atol=1e-6)
     assert (third.metres, third.end) == (0.0, None)
     (half,) = parse("turn 45 degrees to the right and go 2 metres").measures
-    np.testing.assert_allclose(half.end, (math.sqrt(2.0), -math.sqrt(2.0)), atol=1e-6)
+    assert half.end == pytest.approx((math.sqrt(2.0), -math.sqrt(2.0)), abs=1e-6)
 
 
 # ---------------------------------------------------------------- driven
