@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.conversation import Conversation, Joined, excluding
+from jaxlangnav.conversation import Conversation, Joined, excluding, seen_from
 from jaxlangnav.language.halting import Act
 from jaxlangnav.messages import NONE, Status, Told
 from jaxlangnav.navigator import NavigatorState
@@ -130,12 +130,14 @@ def _arranged(state: NavigatorState, joined: Joined, pose: Array, left: Array) -
             told,
             program=jax.tree.map(arrange, told.program, joined.program),
             num_clauses=(left + joined.num_clauses).astype(jnp.int32),
+            metres=arrange(told.metres, joined.metres),
+            frame=arrange(told.frame, joined.frame),
         ),
         clause=jnp.int32(0),
         talk=replace(
             talk,
             words=replace(words, goal=goal, is_pinned=is_pinned),
-            viewer=jnp.where(is_old[:, None], talk.viewer[kept], pose[None]),
+            viewer=arrange(talk.viewer, seen_from(pose, joined.frame)),
         ),
     )
 

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxlangnav import hearing
-from jaxlangnav.conversation import Joined, join
+from jaxlangnav.conversation import Joined, join, seen_from
 from jaxlangnav.grounding import Context, Grounded, Grounder
 from jaxlangnav.grounding.annotated import returning
 from jaxlangnav.grounding.grounder import names_of
@@ -141,6 +141,13 @@ class Listener:
         if said.kind == Kind.ADDITION and self._has_more(state):
             how = How.APPEND
             self._check_room(state, grounded, text)
+            if spoken.steps:
+                raise ValueError(
+                    f"{cut(text)!r}: where the robot will stand when its task is done is not known "
+                    "yet: say it when it is there"
+                )
+        area = state.belief.coverage.area
+        check_steps(spoken, np.asarray(pose).tolist(), np.asarray(area).tolist())
         is_again = said.kind == Kind.CORRECTION or (is_asked and spoken.goals == (about,))
         out = self._ruled_out(state, said, grounded, text) if how is How.REPLACE else NONE
         joined = self._join(state, grounded, how=how, is_loose=is_again or how is How.APPEND)
@@ -265,6 +272,28 @@ class Listener:
             y=float((own * np.asarray(particles.mean_y[slot])).sum() / total),
             probability=float(state.talk.candidate[slot]),
         )
+
+
+def check_steps(spoken: Spoken | None, pose: Sequence[float], area: Sequence[float]) -> None:
+    """Refuse to move out of the operating area (host only).
+
+    Args:
+        spoken: what is asked for, of a robot that hears it now.
+        pose: x, y, heading, metres and radians, map frame.
+        area: x_min, x_max, y_min, y_max, metres.
+
+    Raises:
+        ValueError: names the place, the limits and the remedy.
+    """
+    ends = () if spoken is None else spoken.steps
+    frame = jnp.array([[*end, 0.0] for end in ends], jnp.float32).reshape(-1, 3)
+    for x, y, _ in np.asarray(seen_from(jnp.asarray(pose, jnp.float32), frame)):
+        if not (area[0] <= x <= area[1] and area[2] <= y <= area[3]):
+            limits = ", ".join(f"{float(one):g}" for one in area)
+            raise ValueError(
+                f"that leads to ({x:.1f}, {y:.1f}), but the operating area is ({limits}): go less "
+                "far, or start with a larger area"
+            )
 
 
 def _chosen(

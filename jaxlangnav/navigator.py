@@ -282,9 +282,15 @@ def step(
 
 
 def _as_told(state: NavigatorState, params: NavigatorParams) -> NavigatorParams:
-    """Go as close as the robot has been told to."""
+    """Go as close as the robot has been told to; a place told in metres is stood on."""
     reach = params.planner.reach * state.talk.closeness
+    reach = jnp.where(_metres(state) > 0.0, policy.UNDERFOOT, reach)
     return replace(params, planner=replace(params.planner, reach=reach))
+
+
+def _metres(state: NavigatorState) -> Array:
+    """Look up how far from its landmark the present command ends, f32[]; 0: nobody has said."""
+    return row_of(state.instruction.metres, state.clause)
 
 
 def _observe(
@@ -359,7 +365,11 @@ def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> _Out
         ),
         is_relevant=bears_on_goal(group, belief.particles, behavior),
         goals=gather(
-            belief, behavior, params.map.relations, has_open_partner(group, belief.particles)
+            belief,
+            behavior,
+            params.map.relations,
+            has_open_partner(group, belief.particles),
+            _metres(state),
         ),
     )
 

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import readings as by_hand
 from test_navigator_step import AREA, CONE, HYDRANT, distance, go, robot
 
 from jaxlangnav import agent, episode, kinds
@@ -15,7 +16,7 @@ from jaxlangnav.grounding.binding import Detector, UnknownObjectError
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import LanguageError
-from jaxlangnav.messages import NONE, ROBOT, default_motion, default_sensor
+from jaxlangnav.messages import NONE, ROBOT, Status, default_motion, default_sensor
 from jaxlangnav.navigator import NavigatorConfig, default_params
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.params import MapConfig
@@ -325,6 +326,37 @@ def test_own_nouns_drive_an_episode_and_compile_nothing(robot, caplog) -> None:
     assert told.missing(state) == ["zorbel"]
     assert "my detector has no label for 'zorbel'" in caplog.text
     assert agent._step._cache_size() == size
+
+
+BALLS = ((3.0, 2.0, "blue"), (3.0, -2.0, "red"), (6.0, 0.5, "green"), (6.0, -4.0, "yellow"))
+
+
+def look_at_balls(place, heading: float):
+    """Look round: every ball is in view, with its colour."""
+    found = [(HYDRANT, x - place[0], y - place[1]) for x, y, _ in BALLS]
+    pose, sensor = np.array([*place, heading]), by_hand.sensor(12.0, noise=0.02)
+    codes = np.zeros(8, np.int32)
+    codes[: len(BALLS)] = [kinds.attributes(colour) for _, _, colour in BALLS]
+    seen = by_hand.observation(pose, found, sensor, size=8)
+    return replace(seen, detection_attribute=codes)
+
+
+@pytest.mark.parametrize("colour", ["red", "green"])
+def test_the_red_ball_is_chosen_among_balls(robot, colour: str) -> None:
+    grounder = GraphGrounder(load_shipped(), ["ball", "tree"], ["colour"])
+    told = dataclasses.replace(robot, grounder=grounder)
+    state, place, heading = told.start(f"go to the {colour} ball", area=AREA), np.zeros(2), 0.0
+    for step in range(30):
+        key = jax.random.fold_in(jax.random.key(0), step)
+        state, action, _ = told.step(key, state, look_at_balls(place, heading))
+        if action.is_stop:
+            break
+        move = np.asarray(action.step, float)
+        place, heading = place + move, float(np.arctan2(move[1], move[0]))
+    away = {name: float(np.hypot(x - place[0], y - place[1])) for x, y, name in BALLS}
+    assert int(state.status) == Status.ARRIVED
+    assert min(away, key=away.__getitem__) == colour
+    assert away[colour] < 1.25
 
 
 COMMANDS = ("go to the red ball", "go to the tall tree", "go to the white truck")

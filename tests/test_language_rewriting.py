@@ -25,6 +25,9 @@ def tree(text: str) -> list[str]:
         ("go to the tree but don't go near the car", "go to the tree but avoid the car"),
         ("move away form the cone", "move away from the cone"),
         ("let 's go to teh cone", "let's go to the cone"),
+        ("go to the house with the tree in front", "go to the house behind the tree"),
+        ("go to the car beside which a cone stands", "go to the car near a cone"),
+        ("my friend is waiting so take me to the car", "take me to the car"),
     ],
 )
 def test_one_meaning_has_one_tree(said, plain):
@@ -71,9 +74,9 @@ def test_what_would_be_a_guess_is_refused(text):
         ("park opposite the house", "'opposite' (word 2)", "park near the house"),
         ("go to my car", "'my' (word 3)", "go to the car"),
         ("go to the cone or the tree", "'or' (word 5)", "go to the cone"),
-        ("go forward two metres", "'two' (word 3): distances", "go forward"),
+        ("go forward a bit", "'a bit' (word 3): distances", "go forward"),
         ("dont go to the tree, go to the bench", "'dont' (word 1)", "go to the bench"),
-        ("turn left", "'turn left' (word 1): turns", None),
+        ("turn left at the cone", "'turn left' (word 1): turns", None),
         ("go anywhere but the car", "'but' (word 3)", None),
         ("do not go to the tree", "'not' (word 2)", None),
     ],

@@ -23,7 +23,7 @@ NODES = np.random.default_rng(5).uniform([0, -5], [10, 5], (40, 2))
 @jax.jit
 def value_of(belief, behavior, discount):
     has_open = jnp.zeros_like(belief.particles.is_mentioned)
-    goals = gather(belief, behavior, prepare(default_params()), has_open)
+    goals = gather(belief, behavior, prepare(default_params()), has_open, jnp.float32(0.0))
     x, y = jnp.asarray(NODES[:, 0], jnp.float32), jnp.asarray(NODES[:, 1], jnp.float32)
     return qmdp.values(x, y, goals, discount), goals
 
@@ -207,6 +207,7 @@ def test_goal_regions_by_hand(is_robot: bool) -> None:
             jnp.float32(place[1]),
             viewer,
             jnp.asarray(is_robot),
+            jnp.float32(0.0),
         )
         expected = oracle.goal_place(region, place, np.zeros(3), DISTANCE, is_robot) - place
         np.testing.assert_allclose([x, y], expected, atol=1e-4)

@@ -11,6 +11,7 @@ from jaxlangnav.conversation.memory import (
     excluding,
     focus,
     pinned,
+    seen_from,
     without,
 )
 
@@ -26,6 +27,7 @@ __all__ = [
     "focus",
     "join",
     "pinned",
+    "seen_from",
     "without",
     "words_of",
 ]

@@ -37,6 +37,8 @@ class Joined:
     from_mention: jax.Array  # i32[K, M] likewise, k M + m
     program: BehaviorProgram  # of the new utterance, leaves [C, ...]
     num_clauses: jax.Array  # i32[] of the new utterance
+    metres: jax.Array  # f32[C] as ``Instruction`` has it
+    frame: jax.Array  # f32[C, 3] likewise
 
 
 @dataclasses.dataclass(frozen=True)
@@ -351,6 +353,8 @@ def _write(
         words=Words(**jax.device_put(words)),
         program=instruction.program,
         num_clauses=instruction.num_clauses,
+        metres=instruction.metres,
+        frame=instruction.frame,
         **jax.device_put(sources),
     )
 

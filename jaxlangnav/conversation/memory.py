@@ -63,11 +63,11 @@ def begin(
     Returns:
         The memory.
     """
-    readings, num_commands = instruction.readings, instruction.program.num_phrases.shape[-1]
+    readings = instruction.readings
     return Conversation(
         words=_all_asked(instruction) if words is None else words,
         told=told_now(readings, pose),
-        viewer=jnp.broadcast_to(pose, (num_commands, 3)),
+        viewer=seen_from(pose, instruction.frame),
         home=pose,
         approached=jnp.int32(NONE),
         ruled_out=jnp.int32(0),
@@ -75,6 +75,24 @@ def begin(
         closeness=jnp.float32(1.0),
         may_ask=jnp.asarray(True),
     )
+
+
+def seen_from(pose: Array, frame: Array) -> Array:
+    """Put poses that are told relative to the robot into the map.
+
+    Limits: none told gives the robot's own pose.
+
+    Args:
+        pose: f32[3], x, y, heading of the robot as it hears them, map frame.
+        frame: f32[C, 3], in the robot's frame, metres and radians.
+
+    Returns:
+        f32[C, 3], map frame.
+    """
+    ahead, aside = jnp.cos(pose[2]), jnp.sin(pose[2])
+    x = pose[0] + ahead * frame[:, 0] - aside * frame[:, 1]
+    y = pose[1] + aside * frame[:, 0] + ahead * frame[:, 1]
+    return jnp.stack([x, y, pose[2] + frame[:, 2]], axis=1)
 
 
 def _all_asked(instruction: Instruction) -> Words:

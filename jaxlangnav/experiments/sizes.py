@@ -204,7 +204,11 @@ def _any_instructions() -> Any:
     clauses = [empty_program()] * NUM_CLAUSES
     program = jax.tree.map(lambda *leaves: np.stack(leaves), *clauses)
     one = Instruction(
-        readings=pack(()), program=to_program(program), num_clauses=jnp.zeros((), jnp.int32)
+        readings=pack(()),
+        program=to_program(program),
+        num_clauses=jnp.zeros((), jnp.int32),
+        metres=jnp.zeros(NUM_CLAUSES, jnp.float32),
+        frame=jnp.zeros((NUM_CLAUSES, 3), jnp.float32),
     )
     return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((1, *leaf.shape), leaf.dtype), one)
 

@@ -27,6 +27,7 @@ from jaxlangnav.grounding.spoken import Spoken
 from jaxlangnav.grounding.symbols import Annotation, object_symbol, relation_symbol
 from jaxlangnav.kinds import MOST_LABELS
 from jaxlangnav.language.lexicon import load_lexicon
+from jaxlangnav.language.phrase import Measure
 from jaxlangnav.messages import ACTIONS, AT, NONE, ROBOT
 
 
@@ -91,7 +92,9 @@ def to_instruction(form: Form) -> Instruction:
         for one in ranked
     ]
     commands = len(form.readings[0].commands)
-    return pack_instruction(pack(readings), [clause_of_form(form, i) for i in range(commands)])
+    measures = [Measure(metres=one.metres) for one in form.readings[0].commands]
+    programs = [clause_of_form(form, i) for i in range(commands)]
+    return pack_instruction(pack(readings), programs, measures)
 
 
 def returning() -> Instruction:

@@ -42,6 +42,7 @@ class FormCommand:
     region: int  # index into REGIONS
     thing: int  # whose region it is
     avoid: tuple[int, ...]
+    metres: float = 0.0  # from the thing to the place; 0: as far as the region suggests
 
 
 @dataclasses.dataclass(frozen=True)
@@ -103,6 +104,12 @@ def read_form(text: str, type_names: Sequence[str]) -> Form:
                 f"$.readings[{i}].commands has {len(reading.commands)} entries, but the first "
                 f"reading has {len(readings[0].commands)}: every reading needs as many"
             )
+        for j, (one, first) in enumerate(zip(reading.commands, readings[0].commands, strict=True)):
+            if one.metres != first.metres:
+                raise ValueError(
+                    f"$.readings[{i}].commands[{j}].goal.metres is {one.metres:g}, but "
+                    f"{first.metres:g} in the first reading: it must be the same in all"
+                )
     shares = [
         dataclasses.replace(reading, probability=reading.probability / total)
         for reading in readings
@@ -219,7 +226,12 @@ def _read_command(document: Mapping[str, Any], index: Mapping[str, int], path: s
     """Read one command."""
     goal = document["goal"]
     region = REGIONS.index(goal.get("region", REGIONS[AT]))
-    thing = _look_up(goal["thing"], index, f"{path}.goal.thing")
+    thing, metres = _look_up(goal["thing"], index, f"{path}.goal.thing"), goal.get("metres", 0.0)
+    if metres and region == AT:
+        raise ValueError(
+            f"{path}.goal.metres is {metres:g}, but to be at a thing is to be no metres from it: "
+            "name a region"
+        )
     if thing == ROBOT and region == AT:
         raise ValueError(
             f"{path}.goal.thing is 'robot', but the robot is always at itself: name a region"
@@ -236,6 +248,7 @@ def _read_command(document: Mapping[str, Any], index: Mapping[str, int], path: s
         region=region,
         thing=thing,
         avoid=avoid,
+        metres=float(metres),
     )
 
 

@@ -22,7 +22,7 @@ from jaxlangnav.grounding.spoken import Spoken, spoken_of
 from jaxlangnav.grounding.symbols import AnnotationSpace, BehaviorSpace
 from jaxlangnav.language.constraint import is_constraint
 from jaxlangnav.language.parser import parse
-from jaxlangnav.language.phrase import COMMAND, Parse
+from jaxlangnav.language.phrase import COMMAND, Measure, Parse
 from jaxlangnav.language.reference import Antecedent
 from jaxlangnav.messages import Readings
 from jaxlangnav.pytree import pytree
@@ -51,6 +51,9 @@ class Instruction:
     readings: Readings  # what it says of the world
     program: BehaviorProgram  # every leaf leads with C
     num_clauses: Array  # i32[] commands; statements inform and ask for nothing
+    metres: Array  # f32[C] told, from the landmark to the goal place; 0: what the relation suggests
+    frame: Array  # f32[C, 3] from where a command is meant: x, y, heading; metres, radians, frame
+    # of the robot as it hears the sentence
 
 
 @dataclasses.dataclass(frozen=True)
@@ -188,7 +191,9 @@ def understand_parse(
         compile_clause(tree.clauses[i], i, model.behavior, belief.rank, names) for i in commands
     ]
     programs = [one.fields | {"own": bound.rewrite(one.fields["own"])} for one in compiled]
-    instruction = pack_instruction(to_readings(belief, bound.kinds_of), programs)
+    instruction = pack_instruction(
+        to_readings(belief, bound.kinds_of), programs, [tree.measures[i] for i in commands]
+    )
     slack = max((clause.slack for clause in compiled), default=-np.inf)
     return Understanding(
         parse=tree,
@@ -201,20 +206,30 @@ def understand_parse(
     )
 
 
-def pack_instruction(readings: Readings, commands: Sequence[dict[str, np.ndarray]]) -> Instruction:
+def pack_instruction(
+    readings: Readings,
+    commands: Sequence[dict[str, np.ndarray]],
+    measures: Sequence[Measure] = (),
+) -> Instruction:
     """Put readings and the programs of commands together.
 
     Args:
         readings: what is said of the world.
         commands: fields of a program for each, in order, host arrays; at most ``NUM_CLAUSES``.
+        measures: how far each goes; by default as far as its words suggest.
 
     Returns:
         The instruction, padded.
     """
     fields = [*commands, *[empty_program()] * (NUM_CLAUSES - len(commands))]
     stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *fields)
+    metres, frame = np.zeros(NUM_CLAUSES, np.float32), np.zeros((NUM_CLAUSES, 3), np.float32)
+    for index, one in enumerate(measures):
+        metres[index], frame[index] = one.metres, one.frame
     return Instruction(
         readings=readings,
         program=to_program(stacked),
         num_clauses=jax.device_put(np.int32(len(commands))),
+        metres=jax.device_put(metres),
+        frame=jax.device_put(frame),
     )

@@ -23,6 +23,8 @@ class Spoken:
     known: frozenset[int] = frozenset()  # a statement says of the one spoken of before
     others: frozenset[int] = frozenset()  # another one is meant: "the other hydrant"
     avoided: tuple[tuple[int, bool], ...] = ()  # to keep away from, and whether from all of a type
+    steps: tuple[tuple[float, float], ...] = ()
+    """Where commands end that are told from the robot as it hears them: metres, its frame."""
 
 
 def spoken_of(tree: Parse, type_names: tuple[str, ...]) -> Spoken:
@@ -55,6 +57,7 @@ def spoken_of(tree: Parse, type_names: tuple[str, ...]) -> Spoken:
         known=frozenset(known - {NONE}),
         others=frozenset(others - {NONE}),
         avoided=tuple(one for one in avoided if one[0] != NONE),
+        steps=tuple(one.end for one in tree.measures if one.end is not None),
     )
 
 

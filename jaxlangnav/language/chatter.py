@@ -8,6 +8,7 @@ or refused, with the rest. The words that decide stand in ``data/chatter.toml``.
 
 import tomllib
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache
 from importlib import resources
 
@@ -39,7 +40,7 @@ def leave_out(tokens: Sequence[Spoken]) -> tuple[list[Spoken], list[str]]:
     Returns:
         What is left to be read, all of it where nothing would be; and what has been left out.
     """
-    parts = _parts(tokens)
+    parts = _parts(_parted_at_so(tokens))
     kept: list[Spoken] = []
     dropped: list[str] = []
     for index, (part, mark) in enumerate(parts):
@@ -58,6 +59,16 @@ def leave_out(tokens: Sequence[Spoken]) -> tuple[list[Spoken], list[str]]:
     while kept and kept[-1].text in MARKS:
         kept.pop()
     return (kept, dropped) if kept else (list(tokens), [])
+
+
+def _parted_at_so(tokens: Sequence[Spoken]) -> list[Spoken]:
+    """Put a mark in the place of "so" after small talk: "my friend is waiting so go to the car"."""
+    parted = list(tokens)
+    for index, token in enumerate(tokens):
+        begin = max((i + 1 for i in range(index) if parted[i].text in MARKS), default=0)
+        if token.text == "so" and _is_small_talk(parted[begin:index]):
+            parted[index] = replace(token, text=MARKS[0])
+    return parted
 
 
 def _text(part: Part) -> str:

@@ -34,8 +34,10 @@ REASONS = {
     "say to go to, stop at, find or stay away from something",
     "such a relation": "this relation is not supported here; "
     "say near, behind, in front of, left of, right of or far from",
-    "a turn": "turns alone are not carried out; say where to go, as in 'go to your left'",
-    "a distance": "distances are not measured out; say where to end, as in 'go behind the cone'",
+    "a turn": "turns are made from where the robot stands; "
+    "say them first, as in 'turn left', or say where to go",
+    "a distance": "distances are measured from the robot or in front of, behind or beside a thing, "
+    "as in 'go forward two metres', 'stop 3 metres behind the cone'",
     "the compass": "where north is, is not known to the robot; say left, right, ahead or behind",
     "two sides": "in front of it or behind it? say which",
     "between": "places between two things are not supported; say near one of them",
@@ -73,8 +75,22 @@ class Lexicon:
         return frozenset(known | set(self.refused) | {"'s"})
 
 
+_PLURALS = {
+    **{one: one.rstrip("e")[:-1] + "ves" for one in ("shelf", "leaf", "wolf", "half", "calf")},
+    **{one: one.rstrip("e")[:-1] + "ves" for one in ("loaf", "scarf", "knife", "wife", "thief")},
+    **{one: one[:-3] + "men" for one in ("man", "woman", "fireman", "policeman", "workman")},
+    **{"child": "children", "person": "people", "goose": "geese", "mouse": "mice"},
+    **{"foot": "feet", "tooth": "teeth"},
+}
+
+SINGULARS = {many: one for one, many in _PLURALS.items()}
+"""Nouns by their irregular plurals."""
+
+
 def plural(noun: str) -> str:
-    """Make a regular plural: boxes, benches, cones."""
+    """Make a plural: boxes, benches, cones, shelves."""
+    if noun in _PLURALS:
+        return _PLURALS[noun]
     if noun.endswith(("s", "x", "ch", "sh")):
         return noun + "es"
     if noun.endswith("y") and noun[-2:-1] not in "aeiou":

@@ -11,7 +11,7 @@ from functools import cache, cached_property
 from importlib import resources
 
 from jaxlangnav.files.documents import parse_toml
-from jaxlangnav.language.lexicon import REASONS, TYPE_CLASS, load_lexicon, plural
+from jaxlangnav.language.lexicon import REASONS, SINGULARS, TYPE_CLASS, load_lexicon, plural
 from jaxlangnav.language.phrase import Phrase, Word
 from jaxlangnav.language.refusal import Token
 
@@ -66,7 +66,10 @@ def load_nouns() -> Nouns:
 
 
 def singular(noun: str) -> str:
-    """Undo a regular plural; the noun itself where it is none."""
+    """Undo a plural; the noun itself where it is none."""
+    *before, last = noun.split() or [""]
+    if last in SINGULARS:
+        return " ".join([*before, SINGULARS[last]])
     for ending, instead in (("ies", "y"), ("es", ""), ("s", "")):
         stem = noun.removesuffix(ending) + instead
         if noun.endswith(ending) and len(stem) > 2 and _plural_of(stem) == noun:

@@ -23,6 +23,7 @@ from jaxlangnav.language.grammar import (
     load_grammar,
 )
 from jaxlangnav.language.lexicon import REASONS, TYPE_CLASS, load_lexicon
+from jaxlangnav.language.measured import of_clauses, take_out
 from jaxlangnav.language.nearest import offer
 from jaxlangnav.language.nouns import NOUN, is_noun_place, join_nouns, name_nouns
 from jaxlangnav.language.phrase import COMMAND, STATEMENT, LanguageError, Parse
@@ -43,8 +44,8 @@ from jaxlangnav.language.tree import TreeBuilder
 MAX_CHARACTERS = 10_000
 MAX_WORDS = 64
 MAX_UNKNOWN = 8  # more guesses than this are no reading, and their trees are very many
-_IGNORED = set("\"'()[]*`“”")
-_COMMAS = {",", ":", "-", "–", "—"}
+_IGNORED = set("\"'[]*`“”")
+_COMMAS = {",", ":", "-", "–", "—", "(", ")"}
 _LONGEST_LINE = 199
 """Characters of a refusal with the sentence that it offers."""
 _SIGNS = {"&": "and"}
@@ -222,7 +223,8 @@ def parse(
 def _read(text: str, reader: _Reader, earlier: Antecedent | None) -> Parse:
     """Read the words of an instruction."""
     heard, unread = leave_out(reader.tokens)
-    spoken, rewrites = rewrite(heard)
+    plain, measured = take_out(heard)
+    spoken, rewrites = rewrite(plain)
     _check_symbols(spoken)
     tokens = _to_tokens(spoken, reader.labels)
     unknown = [one for one in tokens if one.terminal.startswith("?") and one.terminal != NOUN]
@@ -248,6 +250,7 @@ def _read(text: str, reader: _Reader, earlier: Antecedent | None) -> Parse:
         probability=probability,
         rewrites=tuple(rewrites),
         unread=tuple(unread),
+        measures=of_clauses(clauses, measured),
     )
 
 

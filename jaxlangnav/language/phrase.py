@@ -75,6 +75,17 @@ class Phrase:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Measure:
+    """How far a command goes, and from where, as far as it is told in metres and turns."""
+
+    metres: float = 0.0  # from its landmark to the goal place; 0: as far as the relation suggests
+    frame: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """From where it is meant: x, y, heading; metres, radians, frame of the robot as it hears it."""
+    end: tuple[float, float] | None = None
+    """Where it ends, in the same frame, where it is told from the robot itself."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Parse:
     """What the parser makes of an instruction."""
 
@@ -86,6 +97,7 @@ class Parse:
     probability: float  # of this tree among all trees of the sentence
     rewrites: tuple[tuple[str, str], ...] = ()  # (as said, as read), in the order of the rules
     unread: tuple[str, ...] = ()  # small talk and reasons, which say nothing of the task
+    measures: tuple[Measure, ...] = ()  # per clause
 
     def to_dict(self) -> dict[str, Any]:
         """Build a JSON document; several clauses stand below one node labelled ROOT."""
@@ -99,5 +111,6 @@ class Parse:
             "repairs": [{"from": a, "to": b} for a, b in self.repairs],
             "rewrites": [{"from": a, "to": b} for a, b in self.rewrites],
             "unread": list(self.unread),
+            "measures": [{"metres": one.metres, "frame": list(one.frame)} for one in self.measures],
             "probability": self.probability,
         }

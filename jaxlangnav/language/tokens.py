@@ -4,7 +4,9 @@ import re
 import unicodedata
 from dataclasses import dataclass
 
-TOKEN = re.compile(r"[^\W\d_]+(?:['-][^\W\d_]+)*|\d+(?:st|nd|rd|th)?\b|\d[\w.]*|[.!?;]+|[,:]|\S")
+TOKEN = re.compile(
+    r"[^\W\d_]+(?:['-][^\W\d_]+)*|\d+(?:st|nd|rd|th)\b|\d+(?:\.\d+)?[^\W\d_]*|[.!?;]+|[,:]|\S"
+)
 """One token: a word (with hyphens and apostrophes inside), a number, a run of marks, a sign."""
 
 MARKS = (COMMA_MARK, FULLSTOP_MARK) = (",", ".")

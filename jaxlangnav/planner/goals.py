@@ -37,8 +37,11 @@ def region_offset(
     y: Array,
     viewer: Array,
     is_robot: Array,
+    metres: Array,
 ) -> tuple[Array, Array]:
-    """Compute the typical place of a goal region relative to its object.
+    """Compute the place of a goal region relative to its object.
+
+    Limits: without metres told it is the typical place of the relation.
 
     Args:
         relations: prepared relations.
@@ -47,13 +50,14 @@ def region_offset(
         y: f32[...], metres.
         viewer: f32[3], pose at the utterance.
         is_robot: bool[...], the object is the robot.
+        metres: f32[], told from the object to the place; 0: none.
 
     Returns:
         f32[...] x and y, metres, map axes.
     """
     seen, own = viewer_frame(viewer[0], viewer[1], x, y), robot_frame(viewer[2])
     safe = jnp.minimum(relation, AT - 1)
-    distance = jnp.exp(relations.log_distance)[safe]
+    distance = jnp.where(metres > 0.0, metres, jnp.exp(relations.log_distance)[safe])
     along = distance * relations.axis_along[safe]
     lateral = distance * relations.axis_lateral[safe]
     # A region all round ("near") is entered from the viewer's side.
@@ -102,7 +106,11 @@ def claim(mass: Array, particles: SemanticMap) -> Array:
 
 
 def gather(
-    belief: ParticleBelief, behavior: Behavior, relations: RelationModel, has_open: Array
+    belief: ParticleBelief,
+    behavior: Behavior,
+    relations: RelationModel,
+    has_open: Array,
+    metres: Array,
 ) -> Goals:
     """Gather the goals of all particles.
 
@@ -111,6 +119,7 @@ def gather(
         behavior: of every particle, leaves [..., P].
         relations: prepared relations, for goal regions.
         has_open: bool[M, P], mentions that are tied to something not seen (``relevance``).
+        metres: f32[], told from a region's object to the goal place; 0: none.
 
     Returns:
         The goals.
@@ -130,7 +139,7 @@ def gather(
     mass = claim(fits, particles)
     region = jnp.argmax(behavior.goal, axis=0)  # [N + 1, P]
     is_robot = (jnp.arange(x.shape[0]) == x.shape[0] - 1)[:, None]
-    offset_x, offset_y = region_offset(relations, region, x, y, belief.viewer, is_robot)
+    offset_x, offset_y = region_offset(relations, region, x, y, belief.viewer, is_robot, metres)
     x, y = x + offset_x, y + offset_y
     known = jnp.append(jnp.arange(num_objects), x.shape[0] - 1)
     on_known, on_hypotheses = mass[known], mass[num_objects:-1]

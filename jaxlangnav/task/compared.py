@@ -15,11 +15,12 @@ import numpy as np
 
 from jaxlangnav.grounding.asked import infer_once
 from jaxlangnav.grounding.behavior_features import World
+from jaxlangnav.grounding.form import FormRelation
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.grounding.symbols import NUM_RELATIONS
 from jaxlangnav.grounding.worlds import to_device
 from jaxlangnav.messages import ACTIONS, MODES, NEAR, NONE, REGIONS, RELATIONS, ROBOT
-from jaxlangnav.relations.table import NUM_RANKS
+from jaxlangnav.relations.table import CONVERSE, NUM_RANKS
 from jaxlangnav.task.labelled import Meaning
 from jaxlangnav.world.scenario import NUM_SLOTS
 
@@ -27,6 +28,8 @@ _LEAST = 0.05
 """Goals less probable than this are not meant."""
 _ALIKE = 0.8
 """Goals of at least this share of the best one's probability fit as well."""
+_EXACT = 0.01
+"""Metres by which a distance may differ from the label's, which may leave it out."""
 Relation = tuple[str, str, str, int]
 """Types of figure and landmark around the relation's name, and the rank."""
 
@@ -53,6 +56,8 @@ class _Asked:
     mode: int
     ends: frozenset[tuple[int, int]]  # region and slot of each goal that fits as well as any
     avoided: frozenset[int]
+    metres: float  # from its landmark, where they are told
+    frame: tuple[float, ...]  # from where it is meant, in the robot's frame
 
 
 def difference(meaning: Meaning, understood: Understood) -> str:
@@ -65,7 +70,34 @@ def difference(meaning: Meaning, understood: Understood) -> str:
     Returns:
         What differs first, in one line; empty where nothing does.
     """
+    meaning = _as_said(meaning, understood)
     return _difference_in_world(meaning, understood) or _difference_in_commands(meaning, understood)
+
+
+def _as_said(meaning: Meaning, understood: Understood) -> Meaning:
+    """Turn round what is said the other way round: a tree behind a cone, a cone before a tree."""
+    _, said = _said(understood)
+
+    def turned(one: FormRelation) -> FormRelation:
+        if one.rank or one.landmark == ROBOT:
+            return one
+        other = FormRelation(one.landmark, CONVERSE[one.relation], one.figure, 0)
+        own, instead = (_named(meaning, it) for it in (one, other))
+        return other if instead in said and own not in said else one
+
+    relations = tuple(turned(one) for one in meaning.reading.relations)
+    return dataclasses.replace(
+        meaning, reading=dataclasses.replace(meaning.reading, relations=relations)
+    )
+
+
+def _named(meaning: Meaning, one: FormRelation) -> Relation:
+    """Write a relation with the names of its types."""
+    figure, landmark = (
+        "robot" if thing == ROBOT else meaning.type_of(thing)
+        for thing in (one.figure, one.landmark)
+    )
+    return figure, RELATIONS[one.relation], landmark, one.rank
 
 
 def _difference_in_world(meaning: Meaning, understood: Understood) -> str:
@@ -75,13 +107,7 @@ def _difference_in_world(meaning: Meaning, understood: Understood) -> str:
     if types != names:
         return f"speaks of {_listed(types)}, not of {_listed(names)}"
 
-    def name(thing: int) -> str:
-        return "robot" if thing == ROBOT else meaning.type_of(thing)
-
-    meant = {
-        (name(one.figure), RELATIONS[one.relation], name(one.landmark), one.rank)
-        for one in meaning.reading.relations
-    }
+    meant = {_named(meaning, one) for one in meaning.reading.relations}
     if relations != meant:
         return f"says {_listed(map(_worded, relations))}, not {_listed(map(_worded, meant))}"
     return ""
@@ -148,6 +174,8 @@ def _asked(instruction: Instruction, world: World) -> list[_Asked]:
             mode=int(behavior.mode.argmax()),
             ends=frozenset((int(r), int(slot)) for r, slot in np.argwhere(goal >= least)),
             avoided=frozenset(int(slot) for slot in np.nonzero(kept_out.max(axis=0) > 0.5)[0]),
+            metres=float(instruction.metres[clause]),
+            frame=tuple(np.asarray(instruction.frame)[clause].tolist()),
         )
         if not found or asked != found[-1]:
             found.append(asked)
@@ -197,6 +225,8 @@ def _difference(meaning: Meaning, index: int, asked: _Asked, world: World) -> st
     if (wanted.region, thing) not in asked.ends or not asked.ends <= alike:
         ends, end = (_ends(one, meaning, world) for one in (asked.ends, {(wanted.region, thing)}))
         return f"ends {ends}, not {end}"
+    if wanted.metres and abs(asked.metres - wanted.metres) > _EXACT:
+        return f"goes {asked.metres:.3g} m, not {wanted.metres:.3g} m"
     meant = {slot for one in wanted.avoid for slot in _fitting(meaning, one, world)}
     if asked.avoided != meant:
         return f"keeps away from {len(asked.avoided)} things, not {len(meant)}"

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxlangnav.conversation import seen_from
 from jaxlangnav.grounding.instruction import Understanding
 from jaxlangnav.language.labels import PlacedWorld
 from jaxlangnav.messages import AT, NONE
@@ -50,7 +51,9 @@ def meant_goals(understood: Understanding, scenario: Scenario) -> tuple[list[Goa
     behaviors = infer_in(understood.instruction, placed, understood.type_names)
     if not behaviors:
         return [], False
-    last = behaviors[-1]
+    last, told = behaviors[-1], understood.instruction
+    metres, frame = (np.asarray(one)[len(behaviors) - 1] for one in (told.metres, told.frame))
+    viewer = np.asarray(seen_from(jnp.asarray(placed.robot, jnp.float32), frame[None]))[0]
     best = float(last.goal.max())
     if best < _LEAST:
         return [], False
@@ -59,7 +62,7 @@ def meant_goals(understood: Understanding, scenario: Scenario) -> tuple[list[Goa
         Goal(
             region=int(region),
             index=int(kept[slot]) if slot < len(kept) else NONE,
-            position=_position(placed, int(region), int(slot)),
+            position=_position(placed, int(region), int(slot), viewer, metres),
         )
         for region, slot in zip(*np.nonzero(last.goal >= _ALIKE * best), strict=True)
     ]
@@ -101,18 +104,22 @@ def with_goal(scenario: Scenario, goal: Goal) -> Scenario:
     )
 
 
-def _position(placed: PlacedWorld, region: int, slot: int) -> tuple[float, float]:
-    """Compute the typical place of a region."""
+def _position(
+    placed: PlacedWorld, region: int, slot: int, viewer: np.ndarray, metres: np.float32
+) -> tuple[float, float]:
+    """Compute the place that a region means."""
     is_robot = slot == len(placed.objects)
-    x, y = placed.robot[:2] if is_robot else placed.objects[slot][1:]
+    x, y = viewer[:2].tolist() if is_robot else placed.objects[slot][1:]
     if region == AT:
         return x, y
-    viewer = np.asarray(placed.robot, np.float32)
-    offset = _offset(np.int32(region), np.float32(x), np.float32(y), viewer, np.bool_(is_robot))
+    place = np.int32(region), np.float32(x), np.float32(y), viewer, np.bool_(is_robot), metres
+    offset = _offset(*place)
     return x + float(offset[0]), y + float(offset[1])
 
 
 @jax.jit
-def _offset(region: Array, x: Array, y: Array, viewer: Array, is_robot: Array) -> tuple:
+def _offset(
+    region: Array, x: Array, y: Array, viewer: Array, is_robot: Array, metres: Array
+) -> tuple:
     """Compute where in a region a robot goes, the way the planner does it."""
-    return region_offset(prepare(default_params()), region, x, y, viewer, is_robot)
+    return region_offset(prepare(default_params()), region, x, y, viewer, is_robot, metres)
