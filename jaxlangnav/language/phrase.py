@@ -74,6 +74,11 @@ class Phrase:
         }
 
 
+def says_between(phrase: Phrase) -> bool:
+    """Tell whether a phrase's own words say that something lies between two others."""
+    return any("between" in word.senses for word in phrase.words)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Parse:
     """What the parser makes of an instruction."""

@@ -29,8 +29,8 @@ from jax import Array
 
 from jaxlangnav.messages import NONE
 from jaxlangnav.numerics import categorical
-from jaxlangnav.numerics.batching import column, lead, once
-from jaxlangnav.relations import log_density_of
+from jaxlangnav.numerics.batching import column, lead, once, pick, rarely
+from jaxlangnav.relations import log_density_between, log_density_of
 from jaxlangnav.semantic_map import candidates
 from jaxlangnav.semantic_map.candidates import (
     NUM_UNSEEN,
@@ -67,7 +67,7 @@ def ground_relation(
         The carry with figure and landmark decided; unchanged where the reading has no such
         relation.
     """
-    said = once(said)
+    said = once(_from_other(said, grounding))
     ends = candidates.list_candidates(seen, said, grounding, scene, params=params)
     ways = once(candidates.propose(said, ends, draws, params.relations))
     num_known = ends.x.shape[1]
@@ -81,11 +81,30 @@ def ground_relation(
     return _enter(grounding, said, ends, ways, choice, log_total)
 
 
+def _from_other(said: Said, grounding: Grounding) -> Said:
+    """See what lies between two landmarks from the other one, which is neither of the ends."""
+    table = jnp.stack([grounding.x, grounding.y, grounding.slot.astype(jnp.float32)], axis=1)
+    other = pick(table, jnp.broadcast_to(said.other, table.shape[1:]))
+    slot = jnp.where(said.is_between, other[2], NONE).astype(jnp.int32)
+    taken = jnp.where(slot == NONE, 0, jnp.left_shift(1, slot))
+    return said._replace(
+        # In which direction the speaker looked counts for nothing then.
+        viewer=jnp.where(said.is_between, other, said.viewer),
+        excluded=said.excluded | taken,
+    )
+
+
 def _log_density(said: Said, told: Pairs) -> Array:
     """Evaluate f for all pairs, each in its landmark's frame: f32[n, ...]."""
     frame = said.frame(told.landmark_x, told.landmark_y)
     offset_x, offset_y = told.x - told.landmark_x, told.y - told.landmark_y
-    return log_density_of(said.law, offset_x, offset_y, frame)
+    log_one = log_density_of(said.law, offset_x, offset_y, frame)
+
+    def of_two(here: Pairs) -> Array:
+        other = said.viewer[0][None], said.viewer[1][None]
+        return log_density_between((here.x, here.y), (here.landmark_x, here.landmark_y), other)
+
+    return jnp.where(said.is_between[None], rarely(said.is_between, of_two, told), log_one)
 
 
 def _log_prior_known(ends: Candidates) -> Array:
@@ -139,7 +158,7 @@ def _log_new(said: Said, ways: Ways, log_density: Array, scene: Scene) -> Array:
     log_miss = log_miss_at(scene.coverage, ways.new_x, ways.new_y, scene.first_row)
     # A new figure was drawn from f; a landmark from its figure's frame, not from its own.
     size = (log_miss.shape[0] - NUM_UNSEEN) // 2
-    log_ratio = log_density[size : 2 * size] - ways.log_drawn[None]
+    log_ratio = log_density[size : 2 * size] - ways.log_drawn
     log_drawn = jnp.concatenate(
         [log_miss[:size], log_miss[size : 2 * size] + log_ratio, log_miss[2 * size :]]
     )

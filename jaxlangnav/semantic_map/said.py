@@ -1,7 +1,8 @@
 """What is said: one relation of a sentence, as a particle hears it (section 3.2, eq. 7a).
 
 A relation places a figure against a landmark. Both are its *ends*: of any leaf [2, ...] the first
-entry is the figure's, the second the landmark's.
+entry is the figure's, the second the landmark's. What lies between two landmarks has two relations:
+to a particle the first says that its landmark exists, and the second is seen from there.
 
 Shapes are those of one particle; with many, the particle axis is last ("...").
 """
@@ -10,10 +11,12 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
-from jaxlangnav.messages import NONE, ROBOT, Readings, Told
+from jaxlangnav.messages import BETWEEN, NONE, ROBOT, Readings, Told
 from jaxlangnav.numerics.batching import lead, pack, pick, unpack
+from jaxlangnav.pytree import replace
 from jaxlangnav.relations import (
     SIDES,
     Frame,
@@ -34,13 +37,19 @@ class Said(NamedTuple):
     mention: Array  # i32[2, ...] the ends; NONE where the reading has no such relation or landmark
     kind: Array  # i32[2, ...] their kinds; ROBOT; NONE
     relation: Array  # i32[...] relation index; NONE where the figure merely exists
-    rank: Array  # i32[...] 1 "nearest", 2 "the second", ...; 0 where none is meant
+    rank: Array  # i32[...] 1 "nearest", 2 "the second", ...; BETWEEN; 0 where none is meant
+    other: Array  # i32[...] mention of the other landmark of "between", grounded by then; NONE
     is_order: Array  # bool[...] "the second", "leftmost": a rank that says nothing of how far
     is_anywhere: Array  # bool[...] an order or "on your left": however far
     sides: Array  # i32[J, ...] of an order: where else its figure is said to be; NONE
     law: Law  # leaves f32[...]
     viewer: Array  # f32[3, ...] x, y, heading of the robot as it heard the relation; map frame
     excluded: Array  # i32[2, ...] observed slots that the ends are not: bit s is slot s
+
+    @property
+    def is_between(self) -> Array:
+        """Whether the figure lies between the landmark and another one, bool[...]."""
+        return self.other != NONE
 
     @property
     def is_by_robot(self) -> Array:
@@ -109,8 +118,31 @@ def hear(told: Said, reading: Array) -> Said:
     return unpack(pick(rows, jnp.broadcast_to(reading, (rows.shape[1], *reading.shape))), told)
 
 
+def _paired(one: Readings) -> tuple[Readings, Array]:
+    """Take the first relation of each "between" for the existence of its landmark.
+
+    So the second, with which figure and landmark are grounded together, has the other landmark's
+    place to be understood by, and the evidence is unbiased whichever comes first.
+
+    Returns:
+        The reading, and i32[J], the other landmark of the second relation; NONE elsewhere.
+    """
+    is_between = one.rank == BETWEEN
+    is_alike = (one.figure[:, None] == one.figure[None]) & is_between[:, None] & is_between[None]
+    is_earlier = is_alike & np.tri(one.figure.shape[0], k=-1, dtype=bool)
+    other = jnp.max(jnp.where(is_earlier, one.landmark[None], NONE), axis=1)
+    is_first = is_between & (other == NONE)
+    return replace(
+        one,
+        figure=jnp.where(is_first, one.landmark, one.figure),
+        relation=jnp.where(is_first, NONE, one.relation),
+        landmark=jnp.where(is_first, NONE, one.landmark),
+    ), other
+
+
 def _say(one: Readings, told: Told, model: RelationModel, log_area: Array) -> Said:
     """Gather all that a reading says, leaves [J, ...]."""
+    one, other = _paired(one)
     mention = jnp.stack([one.figure, one.landmark], axis=1)
     kind = jnp.where(mention == NONE, NONE, one.mention_type[mention])
     is_told, is_by_robot = one.relation != NONE, kind[:, LANDMARK] == ROBOT
@@ -126,6 +158,7 @@ def _say(one: Readings, told: Told, model: RelationModel, log_area: Array) -> Sa
         kind=kind,
         relation=one.relation,
         rank=rank,
+        other=other,
         is_order=is_order,
         is_anywhere=is_order | is_side,
         sides=jnp.where(is_alike, side[None], NONE),
