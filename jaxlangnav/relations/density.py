@@ -269,16 +269,16 @@ def sample_between(along_normal: Array, across_normal: Array) -> tuple[Array, Ar
     Returns:
         f32[2, ...] along and lateral, from landmark to figure, in the frame of somebody who looks
         from the other landmark, and in shares of how far he sees: to the landmark where the figure
-        is new, to the figure where the landmark is; and f32[...], the log-density with which the
+        is new, to the figure where the landmark is; and f32[1, ...], the log-density with which the
         landmark was drawn, per square of that.
     """
     (along, across), (range_sd, angle_sd) = BETWEEN_SPREAD, _BEYOND
-    log_range, angle = range_sd * along_normal[1], angle_sd * across_normal[1]
+    beyond, aside = along_normal[1:], across_normal[1:]
+    log_range, angle = range_sd * beyond, angle_sd * aside
     distance = jnp.exp(log_range)
-    square = along_normal[1] * along_normal[1] + across_normal[1] * across_normal[1]
     log_constant = math.log(2.0 * math.pi * range_sd * angle_sd)
     return (
-        jnp.stack([along * along_normal[0] - 0.5, -distance * jnp.cos(angle)]),
-        jnp.stack([across * across_normal[0], -distance * jnp.sin(angle)]),
-        -0.5 * square - log_constant - 2.0 * log_range,
+        jnp.concatenate([along * along_normal[:1] - 0.5, -distance * jnp.cos(angle)]),
+        jnp.concatenate([across * across_normal[:1], -distance * jnp.sin(angle)]),
+        -0.5 * (beyond * beyond + aside * aside) - log_constant - 2.0 * log_range,
     )

@@ -245,13 +245,13 @@ def list_candidates(
 
 
 def _draw(said: Said, draws: Draws, model: RelationModel) -> tuple[Array, Array, Array]:
-    """Draw offsets in a frame, f32[2, ...] along and lateral, with the landmark's log-density."""
+    """Draw offsets f32[2, ...] along and lateral, and the landmark's log-density f32[1, ...]."""
     relation = jnp.maximum(said.relation, 0)[None]
     along, lateral = sample_law(said.law, model, relation, draws.distance, draws.angle)
-    of_one = along, lateral, log_density_in_frame(said.law, along[LANDMARK], lateral[LANDMARK])
-    of_two = sample_between(draws.distance, draws.angle)
+    log_drawn = log_density_in_frame(said.law, along[LANDMARK:], lateral[LANDMARK:])
+    of_one, of_two = (along, lateral, log_drawn), sample_between(draws.distance, draws.angle)
     along, lateral, log_drawn = (
-        jnp.where(said.is_between, two, one) for two, one in zip(of_two, of_one, strict=True)
+        jnp.where(said.is_between[None], two, one) for two, one in zip(of_two, of_one, strict=True)
     )
     return along, lateral, log_drawn
 
@@ -300,5 +300,5 @@ def propose(said: Said, ends: Candidates, draws: Draws, model: RelationModel) ->
         ),
         new_x=new_x,
         new_y=new_y,
-        log_drawn=log_drawn[None] - jnp.log(squared[size : 2 * size]),
+        log_drawn=log_drawn - jnp.log(squared[size : 2 * size]),
     )

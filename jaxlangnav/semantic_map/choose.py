@@ -89,8 +89,8 @@ def _from_other(said: Said, grounding: Grounding) -> Said:
     taken = jnp.where(slot == NONE, 0, jnp.left_shift(1, slot))
     return said._replace(
         # In which direction the speaker looked counts for nothing then.
-        viewer=jnp.where(said.is_between, other, said.viewer),
-        excluded=said.excluded | taken,
+        viewer=jnp.where(said.is_between[None], other, said.viewer),
+        excluded=said.excluded | taken[None],
     )
 
 
