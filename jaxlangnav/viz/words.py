@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 from jaxlangnav.grounding.asked import Asked
 from jaxlangnav.language.lexicon import plural
-from jaxlangnav.messages import AT, NONE, REGIONS, RELATIONS, ROBOT, Fault
+from jaxlangnav.messages import AT, BETWEEN, NONE, REGIONS, ROBOT, Fault, relation_name
 from jaxlangnav.planner.graph import OBJECT, VISITED
 from jaxlangnav.recording import Scene
 
@@ -16,6 +16,7 @@ RELATION_WORDS = {
     "right": "to the right of",
     "near": "near",
     "far": "far from",
+    "between": "between",
 }
 SUPERLATIVE_WORDS = {
     "front": "most in front of",
@@ -182,9 +183,9 @@ def _thing_words(scene: Scene, index: int, mention: int) -> str:
     figures, landmarks = readings.figure[index], readings.landmark[index]
 
     def relation_words(edge: int) -> str:
-        name = RELATIONS[int(relations[edge])]
         rank = int(readings.rank[index, edge])
-        if rank == 0:
+        name = relation_name(int(relations[edge]), rank)
+        if rank <= 0:
             return RELATION_WORDS[name]
         place = f"{ORDINALS[min(rank, 4) - 2]} " if rank > 1 else ""
         return place + SUPERLATIVE_WORDS[name]
