@@ -10,7 +10,8 @@ from jaxlangnav.grounding.symbols import NUM_RELATIONS
 from jaxlangnav.kinds import fits, kind_of, label_of
 from jaxlangnav.language.labels import Geometry, PlacedWorld
 from jaxlangnav.messages import BETWEEN, NONE, ROBOT, BehaviorWorld, Readings
-from jaxlangnav.relations.strength import lies_between, num_before
+from jaxlangnav.relations.between import lies_between
+from jaxlangnav.relations.strength import num_before
 from jaxlangnav.relations.table import NUM_RANKS
 
 

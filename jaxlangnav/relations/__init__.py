@@ -13,16 +13,14 @@ from jaxlangnav.relations.density import (
     anywhere,
     law_of,
     log_density,
-    log_density_between,
     log_density_in_frame,
     log_density_of,
     prepare,
-    sample_between,
     sample_law,
     sample_polar,
 )
 from jaxlangnav.relations.frames import Frame, robot_frame, to_map, viewer_frame
-from jaxlangnav.relations.strength import degree, holds, is_on_side, lies_between
+from jaxlangnav.relations.strength import degree, holds, is_on_side
 from jaxlangnav.relations.table import SIDES, RelationParams, default_params
 
 __all__ = [
@@ -40,14 +38,11 @@ __all__ = [
     "holds",
     "is_on_side",
     "law_of",
-    "lies_between",
     "log_density",
-    "log_density_between",
     "log_density_in_frame",
     "log_density_of",
     "prepare",
     "robot_frame",
-    "sample_between",
     "sample_law",
     "sample_polar",
     "to_map",

@@ -7,16 +7,10 @@ the landmark the distance is log-normal and the direction von Mises about the re
 
 so "behind" is directed (κ > 0) and "near" a ring (κ = 0); ∫ f(o) do = 1 for every relation.
 
-"Between" has two landmarks and no viewer: a Gaussian about their middle, spread by the way d from
-one to the other, so that it looks alike at any scale,
-
-    f(o) = N(u; ½, α) N(v; 0, β) / d²,      u along and v across the way, in shares of d
-
 x and y stand apart everywhere: XLA on CPU vectorises badly over a trailing axis of two.
 """
 
 import dataclasses
-import math
 
 import jax
 import jax.numpy as jnp
@@ -26,16 +20,12 @@ from jax.typing import ArrayLike
 from jaxlangnav.numerics.batching import lead
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.relations.frames import Frame
-from jaxlangnav.relations.table import BETWEEN_SPREAD, RelationParams
+from jaxlangnav.relations.table import RelationParams
 
 NUM_QUANTILES = 256
 """Resolution of the tabulated von Mises quantile function used for sampling."""
 MAX_NORMAL = 4.5
 """Standard normal draws are clipped here when they choose an angle."""
-_BEYOND = (0.8, 0.6)
-"""Standard deviations with which a landmark of "between" is drawn beyond its figure: of the log of
-how far, against the way to the other one, and in radians. About twice those that ``BETWEEN_SPREAD``
-comes to there, so that the weight, which makes up for it, has no heavy tail."""
 SIDE_CONCENTRATION = 4.0
 """κ of a side of the robot: 30 degrees off still fits, the opposite side does not."""
 
@@ -227,58 +217,3 @@ def sample_law(
     along = distance * (law.axis_along * cosine - law.axis_lateral * sine)
     lateral = distance * (law.axis_lateral * cosine + law.axis_along * sine)
     return along, lateral
-
-
-def log_density_between(
-    figure: tuple[Array, Array], landmark: tuple[Array, Array], other: tuple[Array, Array]
-) -> Array:
-    """Evaluate how likely a thing lies where it does, given that it lies between two others.
-
-        log f = −(u − ½)² / 2α² − v² / 2β² − log 2πα β d²
-
-    Limits: exchanging the landmarks changes nothing; with both at one place f is that of a point.
-
-    Args:
-        figure: f32[...] x and y, metres, map frame.
-        landmark: f32[...], likewise, one of the two.
-        other: f32[...], the other.
-
-    Returns:
-        f32[...], log of the density per square metre.
-    """
-    along, across = BETWEEN_SPREAD
-    way_x, way_y = landmark[0] - other[0], landmark[1] - other[1]
-    x, y = figure[0] - other[0], figure[1] - other[1]
-    squared = way_x * way_x + way_y * way_y + 1e-6
-    u = ((x * way_x + y * way_y) / squared - 0.5) / along
-    v = ((y * way_x - x * way_y) / squared) / across
-    log_constant = math.log(2.0 * math.pi * along * across)
-    return -0.5 * (u * u + v * v) - log_constant - jnp.log(squared)
-
-
-def sample_between(along_normal: Array, across_normal: Array) -> tuple[Array, Array, Array]:
-    """Draw what is new of a figure and a landmark that are said with another landmark.
-
-    The figure comes from ``log_density_between``; a landmark beyond its figure, as far from it as
-    the other one is but for the spread, in a density of its own.
-
-    Args:
-        along_normal: f32[2, ...], standard normal draws, for the figure and for the landmark.
-        across_normal: f32[2, ...]
-
-    Returns:
-        f32[2, ...] along and lateral, from landmark to figure, in the frame of somebody who looks
-        from the other landmark, and in shares of how far he sees: to the landmark where the figure
-        is new, to the figure where the landmark is; and f32[1, ...], the log-density with which the
-        landmark was drawn, per square of that.
-    """
-    (along, across), (range_sd, angle_sd) = BETWEEN_SPREAD, _BEYOND
-    beyond, aside = along_normal[1:], across_normal[1:]
-    log_range, angle = range_sd * beyond, angle_sd * aside
-    distance = jnp.exp(log_range)
-    log_constant = math.log(2.0 * math.pi * range_sd * angle_sd)
-    return (
-        jnp.concatenate([along * along_normal[:1] - 0.5, -distance * jnp.cos(angle)]),
-        jnp.concatenate([across * across_normal[:1], -distance * jnp.sin(angle)]),
-        -0.5 * (beyond * beyond + aside * aside) - log_constant - 2.0 * log_range,
-    )

@@ -14,7 +14,8 @@ from jaxlangnav.relations.table import AXIS, NUM_RANKS, ORDERS, SIDES
 
 Values = TypeVar("Values", Array, np.ndarray)
 
-_HOLDS_MIN_COSINE = 0.7071  # within 45 degrees of the axis
+HOLDS_MIN_COSINE = 0.7071
+"""Directed relations hold within 45 degrees of their axis."""
 _HOLDS_MAX_DISTANCE = 5.0  # metres; "far" begins where the others end
 
 
@@ -143,24 +144,4 @@ def holds(
     along = x * frame.along_x + y * frame.along_y
     lateral = x * frame.lateral_x + y * frame.lateral_y
     projection = along * math.cos(AXIS[relation]) + lateral * math.sin(AXIS[relation])
-    return (projection >= _HOLDS_MIN_COSINE * distance) & (distance <= _HOLDS_MAX_DISTANCE)
-
-
-def lies_between(figure: ArrayLike, landmark: ArrayLike, other: ArrayLike) -> np.ndarray:
-    """Decide whether something lies between two others, as people would say it (host only).
-
-    It does where they stand on opposite sides of it, within 45 degrees: seen from it, no farther
-    from a straight line than directed relations may be from their axis. Like ``holds``, for worlds
-    whose truth is known.
-
-    Args:
-        figure: f[..., 2], metres, map frame.
-        landmark: f[..., 2]
-        other: f[..., 2]
-
-    Returns:
-        bool[...]; nothing lies between itself and something else.
-    """
-    to, away = np.subtract(landmark, figure), np.subtract(figure, other)
-    length = np.linalg.norm(to, axis=-1) * np.linalg.norm(away, axis=-1)
-    return ((to * away).sum(-1) >= _HOLDS_MIN_COSINE * length) & (length > 0.0)
+    return (projection >= HOLDS_MIN_COSINE * distance) & (distance <= _HOLDS_MAX_DISTANCE)

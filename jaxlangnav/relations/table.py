@@ -15,10 +15,6 @@ AXIS = {FRONT: math.pi, BEHIND: 0.0, LEFT: math.pi / 2, RIGHT: -math.pi / 2, NEA
 "Near" and "far" lie all round, and have none."""
 ORDERS = (LEFT, RIGHT, NEAR, FAR)
 """Relations by which things are ordered: "leftmost", "the second on your right", "nearest"."""
-BETWEEN_SPREAD = (0.2, 0.15)
-"""Standard deviations of what lies between two landmarks about the middle, as shares of the way from
-one to the other: along it and across it (ours, not fitted: the middle three fifths, and no farther
-out than a third of the way)."""
 NUM_RANKS = 4
 """Ranks that can be told: nearest (first), second, third, fourth."""
 

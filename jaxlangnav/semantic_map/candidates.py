@@ -22,13 +22,7 @@ from jax import Array
 from jaxlangnav.kinds import fits, label_of
 from jaxlangnav.messages import NONE
 from jaxlangnav.numerics.batching import column, lead, pick
-from jaxlangnav.relations import (
-    RelationModel,
-    log_density_in_frame,
-    sample_between,
-    sample_law,
-    to_map,
-)
+from jaxlangnav.relations import RelationModel
 from jaxlangnav.semantic_map.counts import log_expected
 from jaxlangnav.semantic_map.coverage import Coverage
 from jaxlangnav.semantic_map.params import MapParams
@@ -244,18 +238,6 @@ def list_candidates(
     )
 
 
-def _draw(said: Said, draws: Draws, model: RelationModel) -> tuple[Array, Array, Array]:
-    """Draw offsets f32[2, ...] along and lateral, and the landmark's log-density f32[1, ...]."""
-    relation = jnp.maximum(said.relation, 0)[None]
-    along, lateral = sample_law(said.law, model, relation, draws.distance, draws.angle)
-    log_drawn = log_density_in_frame(said.law, along[LANDMARK:], lateral[LANDMARK:])
-    of_one, of_two = (along, lateral, log_drawn), sample_between(draws.distance, draws.angle)
-    along, lateral, log_drawn = (
-        jnp.where(said.is_between[None], two, one) for two, one in zip(of_two, of_one, strict=True)
-    )
-    return along, lateral, log_drawn
-
-
 def propose(said: Said, ends: Candidates, draws: Draws, model: RelationModel) -> Ways:
     """Pair what is known, and draw what is new: from the relation, and anywhere unseen.
 
@@ -269,7 +251,7 @@ def propose(said: Said, ends: Candidates, draws: Draws, model: RelationModel) ->
         The places of all ways.
     """
     size = ends.x.shape[1]
-    along, lateral, log_drawn = _draw(said, draws, model)
+    along, lateral, log_drawn = said.draw(draws.distance, draws.angle, model)
     at_x = _of_new(ends.x[LANDMARK], ends.x[FIGURE], draws.unseen_x, size)
     at_y = _of_new(ends.y[LANDMARK], ends.y[FIGURE], draws.unseen_y, size)
 
@@ -283,14 +265,9 @@ def propose(said: Said, ends: Candidates, draws: Draws, model: RelationModel) ->
         anywhere = _of_new(unseen[:1], unseen[1:2], unseen[::-1], size)
         return jnp.where(said.is_anywhere[None], anywhere, told)
 
-    offset_x, offset_y = to_map(said.frame(at_x, at_y), of_ends(along), of_ends(lateral))
-    # Between two landmarks the way from one to the other is what lengths are shares of.
-    way_x, way_y = at_x - said.viewer[0][None], at_y - said.viewer[1][None]
-    squared = way_x * way_x + way_y * way_y + 1e-6
-    squared = jnp.where(said.is_between[None], squared, 1.0)
-    unit = jnp.sqrt(squared)
-    new_x = instead(draws.unseen_x, at_x + unit * offset_x)
-    new_y = instead(draws.unseen_y, at_y + unit * offset_y)
+    offset_x, offset_y, log_unit = said.offset(at_x, at_y, of_ends(along), of_ends(lateral))
+    new_x = instead(draws.unseen_x, at_x + offset_x)
+    new_y = instead(draws.unseen_y, at_y + offset_y)
     return Ways(
         pairs=Pairs(
             x=_of_figures(ends.x[FIGURE], new_x, draws.unseen_x),
@@ -300,5 +277,5 @@ def propose(said: Said, ends: Candidates, draws: Draws, model: RelationModel) ->
         ),
         new_x=new_x,
         new_y=new_y,
-        log_drawn=log_drawn - jnp.log(squared[size : 2 * size]),
+        log_drawn=log_drawn - log_unit[size : 2 * size],
     )

@@ -29,15 +29,13 @@ from jax import Array
 
 from jaxlangnav.messages import NONE
 from jaxlangnav.numerics import categorical
-from jaxlangnav.numerics.batching import column, lead, once, pick, rarely
-from jaxlangnav.relations import log_density_between, log_density_of
+from jaxlangnav.numerics.batching import column, lead, once, pick
 from jaxlangnav.semantic_map import candidates
 from jaxlangnav.semantic_map.candidates import (
     NUM_UNSEEN,
     Candidates,
     Draws,
     Grounding,
-    Pairs,
     Scene,
     Seen,
     Ways,
@@ -94,19 +92,6 @@ def _from_other(said: Said, grounding: Grounding) -> Said:
     )
 
 
-def _log_density(said: Said, told: Pairs) -> Array:
-    """Evaluate f for all pairs, each in its landmark's frame: f32[n, ...]."""
-    frame = said.frame(told.landmark_x, told.landmark_y)
-    offset_x, offset_y = told.x - told.landmark_x, told.y - told.landmark_y
-    log_one = log_density_of(said.law, offset_x, offset_y, frame)
-
-    def of_two(here: Pairs) -> Array:
-        other = said.viewer[0][None], said.viewer[1][None]
-        return log_density_between((here.x, here.y), (here.landmark_x, here.landmark_y), other)
-
-    return jnp.where(said.is_between[None], rarely(said.is_between, of_two, told), log_one)
-
-
 def _log_prior_known(ends: Candidates) -> Array:
     """Give pairs of known ends their prior, f32[(O + 1)², ...]; nothing is its own landmark."""
     size = ends.x.shape[1]
@@ -127,7 +112,7 @@ def _weigh(
     size, ndim = ends.x.shape[1], ways.new_x.ndim
     known, new = slice(size * size), slice(size * size, None)
     log_area, log_unseen = lead(scene.log_area, ndim), lead(scene.log_unseen, ndim)
-    log_density = _log_density(said, ways.told)
+    log_density = said.log_density(*ways.told)
     is_told = (said.relation != NONE)[None]
     log_holds = jnp.where(is_told, jnp.log1p(-misleading), -jnp.inf) + log_rank
     log_misleads = jnp.where(is_told, jnp.log(misleading), 0.0)

@@ -15,7 +15,7 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.messages import BETWEEN, NONE, ROBOT, Readings, Told
-from jaxlangnav.numerics.batching import lead, pack, pick, unpack
+from jaxlangnav.numerics.batching import lead, pack, pick, rarely, unpack
 from jaxlangnav.pytree import replace
 from jaxlangnav.relations import (
     SIDES,
@@ -23,8 +23,13 @@ from jaxlangnav.relations import (
     Law,
     RelationModel,
     anywhere,
+    between,
     law_of,
+    log_density_in_frame,
+    log_density_of,
     robot_frame,
+    sample_law,
+    to_map,
     viewer_frame,
 )
 
@@ -78,6 +83,76 @@ class Said(NamedTuple):
             robot_frame(heading),
             viewer_frame(viewer_x, viewer_y, x, y),
         )
+
+    def log_density(self, x: Array, y: Array, landmark_x: Array, landmark_y: Array) -> Array:
+        """Evaluate how likely figures are placed against landmarks, each in its own frame.
+
+        Args:
+            x: f32[n, ...] metres, map frame, of the figures.
+            y: f32[n, ...]
+            landmark_x: f32[n, ...]
+            landmark_y: f32[n, ...]
+
+        Returns:
+            f32[n, ...], log of the density per square metre.
+        """
+        frame = self.frame(landmark_x, landmark_y)
+        log_one = log_density_of(self.law, x - landmark_x, y - landmark_y, frame)
+
+        def of_two(places: tuple[Array, ...]) -> Array:
+            x, y, landmark_x, landmark_y = places
+            other = self.viewer[0][None], self.viewer[1][None]
+            return between.log_density((x, y), (landmark_x, landmark_y), other)
+
+        log_two = rarely(self.is_between, of_two, (x, y, landmark_x, landmark_y))
+        return jnp.where(self.is_between[None], log_two, log_one)
+
+    def draw(
+        self, distance: Array, angle: Array, model: RelationModel
+    ) -> tuple[Array, Array, Array]:
+        """Draw a new figure against its landmark, and a new landmark against its figure.
+
+        Args:
+            distance: f32[2, ...], standard normal draws.
+            angle: f32[2, ...]
+            model: prepared relations.
+
+        Returns:
+            f32[2, ...] along and lateral in the frame, from landmark to figure; and f32[1, ...],
+            the log-density of the landmark's draw; both in the units of ``offset``.
+        """
+        relation = jnp.maximum(self.relation, 0)[None]
+        along, lateral = sample_law(self.law, model, relation, distance, angle)
+        log_drawn = log_density_in_frame(self.law, along[LANDMARK:], lateral[LANDMARK:])
+        of_one, of_two = (along, lateral, log_drawn), between.sample(distance, angle)
+        is_two = self.is_between[None]
+        along, lateral, log_drawn = (
+            jnp.where(is_two, two, one) for two, one in zip(of_two, of_one, strict=True)
+        )
+        return along, lateral, log_drawn
+
+    def offset(
+        self, x: Array, y: Array, along: Array, lateral: Array
+    ) -> tuple[Array, Array, Array]:
+        """Turn what was drawn into map axes.
+
+        The unit is a metre; of what lies between two landmarks it is the way from the other one.
+
+        Args:
+            x: f32[n, ...] metres, map frame: what it was drawn against.
+            y: f32[n, ...]
+            along: f32[n, ...] units, in the frame of that.
+            lateral: f32[n, ...]
+
+        Returns:
+            f32[n, ...] x and y, metres, map axes, and log square metres of a square unit.
+        """
+        way_x, way_y = x - self.viewer[0][None], y - self.viewer[1][None]
+        squared = way_x * way_x + way_y * way_y + 1e-6
+        squared = jnp.where(self.is_between[None], squared, 1.0)
+        unit = jnp.sqrt(squared)
+        offset_x, offset_y = to_map(self.frame(x, y), along, lateral)
+        return unit * offset_x, unit * offset_y, jnp.log(squared)
 
 
 def told_now(readings: Readings, viewer: Array) -> Told:
