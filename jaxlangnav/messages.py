@@ -101,7 +101,7 @@ class Readings:
     figure: Array  # i32[K, J] mention index of what is placed; NONE in empty slots
     relation: Array  # i32[K, J] relation index; NONE where the thing merely exists
     landmark: Array  # i32[K, J] mention index it is placed against; NONE where relation is NONE
-    rank: Array  # i32[K, J] of the figure's type 1 is the extreme one, 2 the second; BETWEEN; else 0
+    rank: Array  # i32[K, J] of the figure's type 1 is the extreme one, 2 the second; BETWEEN; or 0
     log_probability: Array  # f32[K] normalised; -inf in empty readings
 
 

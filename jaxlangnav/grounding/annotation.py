@@ -24,7 +24,7 @@ from jaxlangnav.grounding.symbols import (
     AnnotationSpace,
     region_symbol,
 )
-from jaxlangnav.language.phrase import Parse, Phrase, says_between
+from jaxlangnav.language.phrase import Parse, Phrase
 from jaxlangnav.messages import BETWEEN, NONE, ROBOT, relation_name
 
 Said = tuple[tuple[Annotation, int], ...]
@@ -191,7 +191,7 @@ def infer_clause(
     """
     log_odds, rank = annotation_log_odds(root, clause, model, type_names)
     beam = search(root, log_odds, width=width, path=(clause,))
-    between = frozenset(path for one, path in walk(root, (clause,)) if says_between(one))
+    between = frozenset(path for one, path in walk(root, (clause,)) if one.says("between"))
     return clause_belief(AnnotationSpace(len(type_names)), beam, clause, rank, width, between)
 
 

@@ -106,7 +106,11 @@ class _Reader:
 
         def mention(kind: int, *others: int, rank: int = 0, is_pair: bool = False) -> int:
             for k, (i, known) in enumerate(own):
-                if self.mentions[i] == kind and i not in others and 0 in (known, rank, known - rank):
+                if (
+                    self.mentions[i] == kind
+                    and i not in others
+                    and 0 in (known, rank, known - rank)
+                ):
                     own[k] = (i, known or rank)
                     return i
             is_again = any(self.mentions[i] == kind for i, _ in own) and not is_pair
@@ -127,7 +131,9 @@ class _Reader:
             if rank == BETWEEN:
                 is_one = [how == BETWEEN and it.figure == symbol.figure for it, how in ordered]
                 if not any(is_one[place + 1 :]):  # with the last, both landmarks are placed
-                    sides = [it.landmark for (it, _), one in zip(ordered, is_one, strict=True) if one]
+                    sides = [
+                        it.landmark for (it, _), one in zip(ordered, is_one, strict=True) if one
+                    ]
                     self._lie_between(symbol, sides, mention)
                 continue
             landmark = mention(symbol.landmark)

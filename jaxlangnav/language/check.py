@@ -7,7 +7,7 @@ with nothing known to hold on to.
 
 from itertools import pairwise
 
-from jaxlangnav.language.phrase import LanguageError, Phrase, Word, says_between
+from jaxlangnav.language.phrase import LanguageError, Phrase, Word
 
 
 def _type_of(word: Word) -> str | None:
@@ -77,11 +77,11 @@ def _check_one(phrase: Phrase) -> None:
 def _check_between(phrase: Phrase) -> None:
     """Refuse "between" with one landmark, and what is said to lie between twice over."""
     parts = [one for child in phrase.children[1:] for one in (child, *child.children)]
-    told = [one for one in parts if says_between(one)]
+    told = [one for one in parts if one.says("between")]
     if len(told) > 1:
         raise _refuse(_head(told[1]), "said of one thing twice; say one of them")
     nouns = [word for word in phrase.children[0].all_words() if word.tag.startswith("NN")]
-    if says_between(phrase) and len(phrase.children) == 1 and nouns[0].tag != "NNS":
+    if phrase.says("between") and len(phrase.children) == 1 and nouns[0].tag != "NNS":
         raise _refuse(_head(phrase), "between that and what? name both")
 
 

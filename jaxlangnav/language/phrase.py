@@ -54,6 +54,10 @@ class Phrase:
             return head
         return head + "{" + ", ".join(str(child) for child in self.children) + "}"
 
+    def says(self, sense: str) -> bool:
+        """Tell whether a word of its own has a sense."""
+        return any(sense in word.senses for word in self.words)
+
     def walk(self) -> Iterator["Phrase"]:
         """Yield all phrases, children before parents (the order of inference)."""
         for child in self.children:
@@ -72,11 +76,6 @@ class Phrase:
             "words": [{"text": word.text, "tag": word.tag} for word in self.words],
             "children": [child.to_dict() for child in self.children],
         }
-
-
-def says_between(phrase: Phrase) -> bool:
-    """Tell whether a phrase's own words say that something lies between two others."""
-    return any("between" in word.senses for word in phrase.words)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""What lies between two landmarks: its density, draws, and when it does (section 3.2, beyond eq. 7a).
+"""What lies between two landmarks: where, how it is drawn, and when it does (beyond eq. 7a).
 
 "The hydrant between the cone and the car" has two landmarks and no viewer: a Gaussian about their
 middle, spread by the way d from one to the other, so that it looks alike at any scale,
@@ -16,12 +16,12 @@ from jax.typing import ArrayLike
 from jaxlangnav.relations.strength import HOLDS_MIN_COSINE
 
 SPREAD = (0.2, 0.15)
-"""α and β (ours, not fitted): most of what lies between is in the middle four fifths of the way, and
-no farther from it than three tenths of its length."""
+"""α and β (ours, not fitted): most of what lies between is in the middle four fifths of the way,
+and no farther from it than three tenths of its length."""
 _BEYOND = (0.8, 0.6)
 """Standard deviations with which a landmark is drawn beyond its figure: of the log of how far,
-against the way to the other one, and in radians. What ``SPREAD`` comes to there is about as wide, so
-that the weight, which makes up for the difference, has no heavy tail."""
+against the way to the other one, and in radians. What ``SPREAD`` comes to there is about as wide,
+so that the weight, which makes up for the difference, has no heavy tail."""
 
 
 def log_density(
