@@ -109,10 +109,12 @@ def _with_between(
     points = np.array([[x, y] for _, x, y in placed.objects])
     lies = lies_between(points[:, None, None], points[None, :, None], points[None, None])
     for figure, relation, landmark, _ in told:
-        (other,) = told[(told[:, 0] == figure) & (told[:, 2] != landmark), 2]
-        is_figure, is_landmark, is_other = (
-            fits(world.object_type, kinds[one])[:-1] for one in (figure, landmark, other)
+        is_figure, is_landmark = (
+            fits(world.object_type, kinds[one])[:-1] for one in (figure, landmark)
         )
+        is_other = np.zeros(len(points), bool)
+        for other in told[(told[:, 0] == figure) & (told[:, 2] != landmark), 2]:
+            is_other |= fits(world.object_type, kinds[other])[:-1]
         own = (lies & is_other).any(-1)
         ends = np.ix_([relation], np.flatnonzero(is_figure), np.flatnonzero(is_landmark))
         related[ends] = own[is_figure][:, is_landmark]
