@@ -48,14 +48,14 @@ def test_draws_have_the_densities_they_say() -> None:
         error = spread / np.sqrt(values.size)
         assert abs(values.mean() - mean) < 5 * error
         assert abs(values.std() - spread) < 5 * error
-    # Areas weigh as the landmark's density says: the mean of 1 / q over a disk is its area.
-    distance = np.hypot(along[1], lateral[1])
+    # A landmark, seen from its figure: the mean of 1 / q over a piece of a sector is its area.
+    distance, turn = np.hypot(along[1], lateral[1]), np.arctan2(lateral[1], -along[1])
     for radius in (0.5, 1.0, 2.0):
-        inside = np.where(
-            (distance > 0.2) & (distance < radius), np.exp(-np.asarray(log_drawn[0], float)), 0.0
-        )
-        is_heavy = inside.std() / np.sqrt(inside.size)
-        assert abs(inside.mean() - np.pi * (radius**2 - 0.04)) < 5 * is_heavy
+        is_in = (distance > 0.2) & (distance < radius) & (np.abs(turn) < 1.2)
+        inside = np.where(is_in, np.exp(-np.asarray(log_drawn[0], float)), 0.0)
+        error = inside.std() / np.sqrt(inside.size)
+        assert error < 0.05
+        assert abs(inside.mean() - 1.2 * (radius**2 - 0.04)) < 5 * error
 
 
 def test_lies_between_by_hand() -> None:

@@ -11,7 +11,7 @@ import math
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.typing import ArrayLike
+from numpy.typing import ArrayLike
 
 from jaxlangnav.relations.strength import HOLDS_MIN_COSINE
 
