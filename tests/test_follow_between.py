@@ -7,9 +7,10 @@ import pytest
 
 from jaxlangnav import episode
 from jaxlangnav.episode import Task
+from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.messages import Status, default_motion, default_sensor
-from jaxlangnav.navigator import NavigatorConfig, default_params
+from jaxlangnav.navigator import default_params
 from jaxlangnav.relations.between import lies_between
 from jaxlangnav.world.scenario import NUM_SLOTS
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
@@ -94,7 +95,7 @@ def test_what_lies_between_is_found_among_others() -> None:
         jax.tree.map(lambda *leaves: jnp.stack(leaves), *tasks),
         jax.tree.map(lambda *leaves: jnp.stack(leaves), *instructions),
         params=default_params(),
-        config=NavigatorConfig(),
+        config=navigator_config("informed"),
         num_lanes=len(tasks),
         max_steps=MAX_STEPS,
     )
