@@ -35,6 +35,14 @@ NONE = -1
 """Sentinel: no relation, no mention, no slot."""
 ROBOT = -2
 """Sentinel type of the robot itself, where it is the landmark ("on your left")."""
+BETWEEN = -1
+"""Sentinel rank: the figure is near the landmark in that it lies between it and another one, which
+it has another relation of this rank with ("between the cone and the car")."""
+
+
+def relation_name(relation: int, rank: int) -> str:
+    """Name what is said of a figure and a landmark: one of ``RELATIONS``, or "between"."""
+    return "between" if rank == BETWEEN else RELATIONS[relation]
 
 
 def _none() -> Array:
@@ -93,7 +101,7 @@ class Readings:
     figure: Array  # i32[K, J] mention index of what is placed; NONE in empty slots
     relation: Array  # i32[K, J] relation index; NONE where the thing merely exists
     landmark: Array  # i32[K, J] mention index it is placed against; NONE where relation is NONE
-    rank: Array  # i32[K, J] of the figure's type 1 is the extreme one, 2 the second; else 0
+    rank: Array  # i32[K, J] of the figure's type 1 is the extreme one, 2 the second; BETWEEN; or 0
     log_probability: Array  # f32[K] normalised; -inf in empty readings
 
 

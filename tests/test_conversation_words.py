@@ -8,7 +8,7 @@ from jaxlangnav.conversation import AVOID_ALL, AVOID_IT, join, words_of
 from jaxlangnav.grounding import Context, GraphGrounder, Grounded, load_shipped
 from jaxlangnav.grounding.readings import Capacity, widen
 from jaxlangnav.language.utterance import Kind, Wording, classify
-from jaxlangnav.messages import BEHIND, LEFT, NEAR, NONE, ROBOT
+from jaxlangnav.messages import BEHIND, BETWEEN, LEFT, NEAR, NONE, ROBOT
 from jaxlangnav.pytree import replace
 
 HYDRANT, CONE, CAR = by_hand.HYDRANT, by_hand.CONE, by_hand.CAR
@@ -160,6 +160,15 @@ def test_neither_goal_nor_what_is_avoided_is_ever_dropped() -> None:
     assert CONE in talk.kinds
     assert int(talk.words.goal[0, 0]) != NONE
     assert int(talk.words.num_dropped) > 0
+
+
+def test_between_is_dropped_as_a_whole() -> None:
+    talk = Talk("go to the bench").say("the box is between the car and the tree", is_asked=False)
+    for side in ("left of", "behind", "in front of", "near", "right of"):
+        talk.say(f"the hydrant is {side} the barrel", is_asked=False)
+        talk.say(f"the cone is {side} the building", is_asked=False)
+        assert (np.asarray(talk.readings.rank[0]) == BETWEEN).sum() in (0, 2)
+    assert (np.asarray(talk.readings.rank[0]) == BETWEEN).sum() == 0
 
 
 def test_doubts_multiply() -> None:

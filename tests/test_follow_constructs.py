@@ -49,6 +49,9 @@ ENDS = {
     "go to the cone on your right": "right cone",
     "go to the cone in front of you": "far cone",
     "go to the hydrant behind you": "hydrant at the tree",
+    # two landmarks
+    "go to the hydrant between the cone and the bench": "hydrant behind",
+    "go to the hydrant that is between the tree and the cone": "hydrant at the tree",
     # superlatives, ordinals, the other
     "go to the nearest cone": "left cone",
     "go to the farthest cone": "far cone",
@@ -71,6 +74,7 @@ ENDS = {
     "the hydrant is behind the cone. go to the hydrant": "hydrant behind",
     "there is a hydrant behind the cone. go to it": "hydrant behind",
     "the hydrant is next to the tree. go to the hydrant": "hydrant at the tree",
+    "the hydrant is between the cone and the bench. go to the hydrant": "hydrant behind",
 }
 # Region goals without a figure → the object, and the way from it (seen from the robot) in metres.
 REGIONS = {

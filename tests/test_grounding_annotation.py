@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from jaxlangnav.grounding import load_shipped, understand, understand_parse
-from jaxlangnav.grounding.annotation import infer_annotations
+from jaxlangnav.grounding.annotation import describe, infer_annotations
 from jaxlangnav.grounding.readings import CapacityError, read, to_readings
 from jaxlangnav.grounding.symbols import object_symbol, region_symbol, relation_symbol
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import Phrase
-from jaxlangnav.messages import BEHIND, LEFT, NEAR, NONE, RIGHT, ROBOT
+from jaxlangnav.messages import BEHIND, BETWEEN, LEFT, NEAR, NONE, RIGHT, ROBOT
 
 HYDRANT, CONE, CAR, TREE = 0, 1, 2, 4
 
@@ -191,6 +191,55 @@ def test_things_of_later_clauses(first, second, number):
     assert reading.mentions.count(CONE) == number
     assert reading.mentions.count(ROBOT) <= 1
     assert len(set(reading.relations)) == len(reading.relations)
+
+
+BETWEEN_TWO = (said(HYDRANT, NEAR, CONE, BETWEEN), said(HYDRANT, NEAR, CAR, BETWEEN))
+
+
+@pytest.mark.parametrize(
+    ("clause", "mentions", "relations"),
+    [
+        (BETWEEN_TWO, (CONE, CAR, HYDRANT), [(2, 0), (2, 1)]),
+        # of one type alone there are two; and the figure is a third
+        ((said(HYDRANT, NEAR, CONE, BETWEEN),), (CONE, CONE, HYDRANT), [(2, 0), (2, 1)]),
+        ((said(CONE, NEAR, CONE, BETWEEN),), (CONE, CONE, CONE), [(2, 0), (2, 1)]),
+        (
+            (said(CONE, NEAR, CONE, BETWEEN), said(CONE, NEAR, CAR, BETWEEN)),
+            (CONE, CAR, CONE),
+            [(2, 0), (2, 1)],
+        ),
+        # a landmark is placed first
+        ((*BETWEEN_TWO, said(CAR, BEHIND, 4)), (4, CAR, CONE, HYDRANT), [(1, 0), (3, 2), (3, 1)]),
+    ],
+)
+def test_what_lies_between_has_two_relations(clause, mentions, relations):
+    reading = read(clause)
+    assert reading.mentions == mentions
+    assert [one[::2][:2] for one in reading.relations] == relations
+    if mentions.count(CONE) < 2:
+        assert read(clause, clause) == reading
+
+
+@pytest.mark.parametrize(
+    ("text", "landmarks"),
+    [
+        ("go to the hydrant between the cone and the car", {"cone", "car"}),
+        ("find the hydrant that is in between the two trees", {"tree"}),
+        ("the hydrant is between the box and the barrel. go to it", {"box", "barrel"}),
+        ("go to the hydrant between the fountain and the cone near the car", {"fountain", "cone"}),
+    ],
+)
+def test_between_is_read_as_its_two_relations(model, text, landmarks):
+    """The trained graph has six relations: "between" is near either, and a pair."""
+    understood = understand(text, model)
+    told = [describe(*one, understood.names) for one in understood.belief.marginals()]
+    between = [one for one in told if one["relation"] == "between" and one["probability"] > 0.05]
+    assert {one["landmark"] for one in between if one["probability"] > 0.95} == landmarks
+    assert {one["figure"] for one in between} == {"hydrant"}
+    readings = understood.instruction.readings
+    is_pair = np.asarray(readings.rank[0]) == BETWEEN
+    assert is_pair.sum() == 2
+    assert len(set(np.asarray(readings.landmark[0])[is_pair].tolist())) == 2
 
 
 def test_too_much_is_refused(model):

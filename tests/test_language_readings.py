@@ -39,6 +39,8 @@ def place(phrase: Phrase) -> str:
     if relation is None:
         inner = phrase.children[0]
         return thing(inner) if inner.label == "NP" else "@" + place(inner)
+    if sense(phrase, "between"):
+        return "between " + " and ".join(thing(child) for child in phrase.children)
     ranked = f"{relation}{rank(phrase) or ''}"
     return f"{ranked} {thing(phrase.children[0]) if phrase.children else 'robot'}"
 

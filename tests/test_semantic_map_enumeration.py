@@ -7,7 +7,7 @@ import pytest
 import readings as by_hand
 from oracles import enumeration as exact
 
-from jaxlangnav.messages import BEHIND, FAR, FRONT, LEFT, NEAR, NONE, RIGHT, ROBOT
+from jaxlangnav.messages import BEHIND, BETWEEN, FAR, FRONT, LEFT, NEAR, NONE, RIGHT, ROBOT
 from jaxlangnav.pytree import replace
 from jaxlangnav.relations import default_params
 
@@ -154,6 +154,25 @@ def test_groundings_equal_enumeration(name: str) -> None:
     unseen = np.take(moments, number - 1, axis=1).reshape(2, -1).sum(-1)
     compare((is_open * weight * particles.hypothesis_x[:, 0]).mean(1), unseen[0])
     compare((is_open * weight * particles.hypothesis_y[:, 0]).mean(1), unseen[1])
+
+
+@pytest.mark.parametrize("kinds", [(HYDRANT, CONE, CAR), (CAR, CONE, CONE), (CONE, CONE, HYDRANT)])
+def test_between_two_landmarks_equals_enumeration(kinds) -> None:
+    """Of figure and both landmarks each may be seen or not, and none is another."""
+    truth = exact.between(small_world(fineness=1), kinds)
+    edges = [(0, NEAR, 1, BETWEEN), (0, NEAR, 2, BETWEEN)]
+    sentence = by_hand.readings([list(kinds)], [edges])
+    rounds = [estimate(sentence, seed) for seed in range(4)]
+    particles, weight = jax.tree.map(lambda *parts: np.concatenate(parts), *rounds)
+    evidence = weight.mean(1)
+    compare(evidence, truth.sum())
+    assert evidence.std() < 0.6 * truth.sum()
+    samples = by_category(particles, weight, len(OBJECTS) + 1, 3)
+    is_common = truth.ravel() > 0.02 * truth.sum()
+    assert is_common.sum() > 4
+    compare(samples[:, is_common], truth.ravel()[is_common])
+    rest = truth.ravel()[~is_common].sum()
+    assert abs(samples[:, ~is_common].sum(1).mean() - rest) < 0.02 * truth.sum()
 
 
 def test_posterior_over_readings() -> None:

@@ -8,7 +8,7 @@ import pytest
 from recording_fixture import make_readings, make_recording, make_scene
 
 from jaxlangnav.grounding.asked import Asked
-from jaxlangnav.messages import AT, BEHIND, LEFT, NEAR, NONE, REGIONS, ROBOT, Fault, Status
+from jaxlangnav.messages import AT, BEHIND, BETWEEN, LEFT, NEAR, NONE, REGIONS, ROBOT, Fault, Status
 from jaxlangnav.pytree import replace
 from jaxlangnav.viz import moments, narrative, sentences, summary, words
 from jaxlangnav.viz.panels import outcome, verdict
@@ -72,6 +72,10 @@ def readings_of(types, edges, superlative=False):
         (
             readings_of([HYDRANT, CONE, 2], [(0, BEHIND, 1), (1, NEAR, 2)]),
             "a hydrant behind a cone near a car",
+        ),
+        (
+            readings_of([HYDRANT, CONE, 2], [(0, NEAR, 1), (0, NEAR, 2)], BETWEEN),
+            "a hydrant between a cone and a car",
         ),
         (readings_of([HYDRANT, CONE], [(0, NONE, NONE), (1, NONE, NONE)]), "a hydrant and a cone"),
         (readings_of([NONE, NONE], [(NONE, NONE, NONE)]), "nothing"),

@@ -21,7 +21,7 @@ from jaxlangnav.grounding.program import BehaviorProgram
 from jaxlangnav.grounding.readings import in_order
 from jaxlangnav.grounding.spoken import Spoken
 from jaxlangnav.kinds import label_of
-from jaxlangnav.messages import NONE, ROBOT, Readings
+from jaxlangnav.messages import BETWEEN, NONE, ROBOT, Readings
 from jaxlangnav.pytree import pytree
 
 
@@ -262,6 +262,13 @@ def _is_needed(reading: _Reading, edge: _Edge) -> bool:
     return bool({edge.figure, edge.landmark} & needed - held)
 
 
+def _goes_with(edge: _Edge, dropped: _Edge) -> bool:
+    """Tell whether a relation goes where another one does: "between" says nothing by halves."""
+    return edge is dropped or (
+        edge.rank == dropped.rank == BETWEEN and edge.figure == dropped.figure
+    )
+
+
 def _fitted(reading: _Reading, num_mentions: int, num_relations: int) -> _Reading:
     """Drop the oldest relations, and what nothing speaks of any more, until the arrays hold it."""
     dropped = 0
@@ -271,7 +278,7 @@ def _fitted(reading: _Reading, num_mentions: int, num_relations: int) -> _Readin
         if len(kept) <= num_mentions and len(reading.edges) <= num_relations:
             break
         oldest = min(reading.edges, key=lambda one: (_is_needed(reading, one), one.heard))
-        reading.edges = [one for one in reading.edges if one is not oldest]
+        reading.edges = [one for one in reading.edges if not _goes_with(one, oldest)]
         dropped += 1
     place = [kept.index(m) if m in touched else NONE for m in range(len(reading.mentions))]
 

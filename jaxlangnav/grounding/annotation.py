@@ -3,7 +3,8 @@
 The annotations are the symbols expressed at the root of the tree. The search keeps a distribution
 over sets of them. Whether a region is meant as an extreme ("nearest to": rank 1; "the second": 2)
 is inferred by factors of its own at each phrase, outside the paper's 494 symbols, and belongs to
-the symbols whose region that phrase expressed first.
+the symbols whose region that phrase expressed first. So is "between": a region near each of two
+things, which the phrase that says so makes ``BETWEEN``.
 """
 
 import dataclasses
@@ -24,7 +25,7 @@ from jaxlangnav.grounding.symbols import (
     region_symbol,
 )
 from jaxlangnav.language.phrase import Parse, Phrase
-from jaxlangnav.messages import NONE, RELATIONS, ROBOT
+from jaxlangnav.messages import BETWEEN, NONE, ROBOT, relation_name
 
 Said = tuple[tuple[Annotation, int], ...]
 """A set of annotations, each with its rank (0: no superlative); in the order of the space."""
@@ -58,7 +59,7 @@ def describe(
 
     Args:
         symbol: the annotation.
-        rank: 1 where the extreme is meant, 2 where the second is, 0 otherwise.
+        rank: 1 where the extreme is meant, 2 where the second is, ``BETWEEN``, 0 otherwise.
         probability: its marginal probability.
         type_names: object types.
 
@@ -74,7 +75,7 @@ def describe(
 
     document: dict[str, object] = {
         "figure": name(symbol.figure),
-        "relation": None if symbol.relation == NONE else RELATIONS[symbol.relation],
+        "relation": None if symbol.relation == NONE else relation_name(symbol.relation, rank),
         "landmark": name(symbol.landmark),
         "superlative": rank == 1,
         "probability": round(probability, 6),
@@ -143,13 +144,17 @@ def _rank_chances(
     clause: int,
     symbol: Annotation,
     rank: dict[Path, np.ndarray],
+    between: frozenset[Path],
 ) -> list[tuple[int, float]]:
     """List the two likeliest ranks of a symbol with their log-probabilities."""
     if symbol.kind == OBJECT:
         return [(0, 0.0)]
     region = region_symbol(symbol.relation, symbol.landmark)
     wanted = [space.index[symbol], space.index[region]]
-    origins = [rank[path] for path in _origins(hypothesis, (clause,), wanted)]
+    paths = list(_origins(hypothesis, (clause,), wanted))
+    if any(path in between for path in paths):
+        return [(BETWEEN, 0.0)]
+    origins = [rank[path] for path in paths]
     if not origins:
         return [(0, 0.0)]
     chances = min(origins, key=lambda chance: chance[0])
@@ -186,7 +191,8 @@ def infer_clause(
     """
     log_odds, rank = annotation_log_odds(root, clause, model, type_names)
     beam = search(root, log_odds, width=width, path=(clause,))
-    return clause_belief(AnnotationSpace(len(type_names)), beam, clause, rank, width)
+    between = frozenset(path for one, path in walk(root, (clause,)) if one.says("between"))
+    return clause_belief(AnnotationSpace(len(type_names)), beam, clause, rank, width, between)
 
 
 def clause_belief(
@@ -195,6 +201,7 @@ def clause_belief(
     clause: int,
     rank: dict[Path, np.ndarray],
     width: int,
+    between: frozenset[Path] = frozenset(),
 ) -> Belief:
     """Read a beam as annotations, each with its rank.
 
@@ -204,6 +211,7 @@ def clause_belief(
         clause: its position in the sentence.
         rank: for each phrase f64[5], log-probabilities of the ranks 0 to 4.
         width: how many sets to keep.
+        between: the phrases that say "between".
 
     Returns:
         Up to ``width`` sets and their probabilities.
@@ -211,7 +219,7 @@ def clause_belief(
     found: list[tuple[Said, float]] = []
     for hypothesis in beam:
         symbols = space.members(hypothesis.expressed)[:_MAX_SYMBOLS]
-        chances = [_rank_chances(space, hypothesis, clause, s, rank) for s in symbols]
+        chances = [_rank_chances(space, hypothesis, clause, s, rank, between) for s in symbols]
         for choice in itertools.product(*chances):
             said = tuple((s, r) for s, (r, _) in zip(symbols, choice, strict=True))
             score = hypothesis.log_probability + sum(log_chance for _, log_chance in choice)

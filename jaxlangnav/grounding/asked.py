@@ -153,7 +153,7 @@ def _as_said(readings: Readings, best: int) -> tuple[list[int], World]:
         )
         related[place] = True
         rank = int(readings.rank[best, edge])
-        if rank:
+        if rank > 0:
             ranked[(min(rank, NUM_RANKS) - 1, *place)] = True
     types = np.array([*kinds[things], ROBOT], np.int32)
     nothing = np.zeros(size, bool)

@@ -10,7 +10,7 @@ from jaxlangnav import pytree
 from jaxlangnav.grounding.grounder import Alternative, Context, Grounded, Grounder, names_of
 from jaxlangnav.grounding.readings import Reading, pack, unpack
 from jaxlangnav.kinds import name_of
-from jaxlangnav.messages import NONE, RELATIONS, ROBOT
+from jaxlangnav.messages import NONE, ROBOT, relation_name
 
 Chooser = Callable[[str, Sequence[Alternative]], int | None]
 """Told what was said and the ways to understand it, likeliest first; answers with the index of one,
@@ -129,7 +129,7 @@ def _annotations(reading: Reading, names: Sequence[str]) -> Iterator[Mapping[str
     for figure, relation, landmark, rank in reading.relations:
         said = {
             "figure": name(figure),
-            "relation": None if relation == NONE else RELATIONS[relation],
+            "relation": None if relation == NONE else relation_name(relation, rank),
             "landmark": name(landmark),
             "superlative": rank == 1,
             "probability": 1.0,

@@ -16,7 +16,7 @@ from jax import Array
 
 from jaxlangnav.grounding.annotation import Belief, Said
 from jaxlangnav.grounding.symbols import OBJECT, REGION, Annotation
-from jaxlangnav.messages import NONE, ROBOT, Readings
+from jaxlangnav.messages import BETWEEN, NONE, ROBOT, Readings
 from jaxlangnav.pytree import replace
 
 NUM_READINGS, NUM_MENTIONS, NUM_RELATIONS_SAID = 4, 6, 4
@@ -104,13 +104,18 @@ class _Reader:
                 told.setdefault(symbol.figure, set()).add(place)
         own: list[tuple[int, int]] = []  # mentions of this clause, and how each is ranked
 
-        def mention(kind: int, other: int = NONE, rank: int = 0) -> int:
+        def mention(kind: int, *others: int, rank: int = 0, is_pair: bool = False) -> int:
             for k, (i, known) in enumerate(own):
-                if self.mentions[i] == kind and i != other and 0 in (known, rank, known - rank):
+                if (
+                    self.mentions[i] == kind
+                    and i not in others
+                    and 0 in (known, rank, known - rank)
+                ):
                     own[k] = (i, known or rank)
                     return i
-            is_again = any(self.mentions[i] == kind for i, _ in own)
-            index = NONE if is_again else self._find(kind, frozenset(told.get(kind, ())), other)
+            is_again = any(self.mentions[i] == kind for i, _ in own) and not is_pair
+            description = frozenset(told.get(kind, ()))
+            index = NONE if is_again else self._find(kind, description, others)
             if index == NONE:
                 index = len(self.mentions)
                 self.mentions.append(kind)
@@ -118,21 +123,42 @@ class _Reader:
             own.append((index, rank))
             return index
 
-        for symbol, rank in _ordered(said):
+        ordered = _ordered(said)
+        for place, (symbol, rank) in enumerate(ordered):
             if symbol.kind in (OBJECT, REGION):
                 self._exist([t for t in (symbol.landmark, symbol.figure) if t >= 0], mention)
                 continue
+            if rank == BETWEEN:
+                is_one = [how == BETWEEN and it.figure == symbol.figure for it, how in ordered]
+                if not any(is_one[place + 1 :]):  # with the last, both landmarks are placed
+                    sides = [
+                        it.landmark for (it, _), one in zip(ordered, is_one, strict=True) if one
+                    ]
+                    self._lie_between(symbol, sides, mention)
+                continue
             landmark = mention(symbol.landmark)
-            figure = mention(symbol.figure, landmark, rank)
-            edge = (figure, symbol.relation, landmark, rank)
-            if edge not in self.relations:
-                self.relations.append(edge)
+            figure = mention(symbol.figure, landmark, rank=rank)
+            self._say([(figure, symbol.relation, landmark, rank)])
 
-    def _find(self, kind: int, description: Description, other: int) -> int:
+    def _say(self, edges: Sequence[tuple[int, int, int, int]]) -> None:
+        """Enter relations that have not been said before."""
+        self.relations += [edge for edge in edges if edge not in self.relations]
+
+    def _lie_between(
+        self, symbol: Annotation, sides: list[int], mention: Callable[..., int]
+    ) -> None:
+        """Say that a thing lies between two others; of one type alone there are two of it."""
+        first, second = (sides * 2)[:2]
+        one = mention(first)
+        other = mention(second, one, is_pair=first == second)
+        figure = mention(symbol.figure, one, other)
+        self._say([(figure, symbol.relation, side, BETWEEN) for side in (one, other)])
+
+    def _find(self, kind: int, description: Description, others: Sequence[int]) -> int:
         """Find a thing of an earlier clause that this may be: what is said of one is no less."""
         for i in reversed(range(len(self.mentions))):
             is_alike = description <= self.described[i] or self.described[i] <= description
-            if self.mentions[i] == kind and i != other and (kind == ROBOT or is_alike):
+            if self.mentions[i] == kind and i not in others and (kind == ROBOT or is_alike):
                 self.described[i] = self.described[i] | description
                 return i
         return NONE

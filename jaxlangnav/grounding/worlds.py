@@ -9,7 +9,8 @@ from jaxlangnav.grounding.behavior_features import World
 from jaxlangnav.grounding.symbols import NUM_RELATIONS
 from jaxlangnav.kinds import fits, kind_of, label_of
 from jaxlangnav.language.labels import Geometry, PlacedWorld
-from jaxlangnav.messages import NONE, ROBOT, BehaviorWorld, Readings
+from jaxlangnav.messages import BETWEEN, NONE, ROBOT, BehaviorWorld, Readings
+from jaxlangnav.relations.between import lies_between
 from jaxlangnav.relations.strength import num_before
 from jaxlangnav.relations.table import NUM_RANKS
 
@@ -57,10 +58,11 @@ def place(placed: PlacedWorld, type_names: tuple[str, ...]) -> World:
 
 
 def place_for(placed: PlacedWorld, type_names: tuple[str, ...], readings: Readings) -> World:
-    """Describe placed objects as a sentence orders them.
+    """Describe placed objects as a sentence orders them, and says what lies between which.
 
     "The second cone on your left" is the second of those on the left. The device knows one rank
-    beyond the first, so the second table holds whichever the sentence means.
+    beyond the first, so the second table holds whichever the sentence means. What is said to lie
+    between two things is near either of them to the device, and so nothing else of its type is.
 
     Args:
         placed: objects whose places are known.
@@ -71,13 +73,15 @@ def place_for(placed: PlacedWorld, type_names: tuple[str, ...], readings: Readin
         A world of n + 1 slots.
     """
     world = place(placed, type_names)
-    if not placed.objects or not (np.asarray(readings.rank[0]) > 0).any():
+    if not placed.objects or not np.asarray(readings.rank[0]).any():
         return world
     strength = Geometry(placed).strength
     kinds = np.asarray(readings.mention_type[0])
     columns = (readings.figure, readings.relation, readings.landmark, readings.rank)
     edges = np.stack([np.asarray(column[0]) for column in columns], axis=1)
     edges = edges[edges[:, 1] != NONE]
+    related = _with_between(world, placed, kinds, edges)
+    world = dataclasses.replace(world, is_related=related)
     ranked = world.is_ranked.copy()
     for figure, relation, landmark, rank in edges[edges[:, 3] > 0]:
         allowed = fits(world.object_type, kinds[figure])[:-1]
@@ -94,6 +98,27 @@ def place_for(placed: PlacedWorld, type_names: tuple[str, ...], readings: Readin
             row = ranked[min(rank, 2) - 1, relation, :-1, index]
             ranked[min(rank, 2) - 1, relation, :-1, index] = np.where(own, meant, row)
     return dataclasses.replace(world, is_ranked=ranked)
+
+
+def _with_between(
+    world: World, placed: PlacedWorld, kinds: np.ndarray, edges: np.ndarray
+) -> np.ndarray:
+    """Put what lies between two things in place of what is near them, bool[6, n + 1, n + 1]."""
+    told = edges[edges[:, 3] == BETWEEN]
+    related = world.is_related.copy()
+    points = np.array([[x, y] for _, x, y in placed.objects])
+    lies = lies_between(points[:, None, None], points[None, :, None], points[None, None])
+    for figure, relation, landmark, _ in told:
+        is_figure, is_landmark = (
+            fits(world.object_type, kinds[one])[:-1] for one in (figure, landmark)
+        )
+        is_other = np.zeros(len(points), bool)
+        for other in told[(told[:, 0] == figure) & (told[:, 2] != landmark), 2]:
+            is_other |= fits(world.object_type, kinds[other])[:-1]
+        own = (lies & is_other).any(-1)
+        ends = np.ix_([relation], np.flatnonzero(is_figure), np.flatnonzero(is_landmark))
+        related[ends] = own[is_figure][:, is_landmark]
+    return related
 
 
 def to_device(world: World, num_slots: int | None = None) -> BehaviorWorld:

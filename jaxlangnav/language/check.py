@@ -74,6 +74,22 @@ def _check_one(phrase: Phrase) -> None:
         raise _refuse(list(leaf.words[-1:]), "of what kind? name the object")
 
 
+def _check_between(phrase: Phrase) -> None:
+    """Refuse "between" with one landmark, and what is said to lie between twice over."""
+    parts = [one for child in phrase.children[1:] for one in (child, *child.children)]
+    told = [one for one in parts if one.says("between")]
+    if len(told) > 1:
+        raise _refuse(_head(told[1]), "said of one thing twice; say one of them")
+    nouns = [word for word in phrase.children[0].all_words() if word.tag.startswith("NN")]
+    if phrase.says("between") and len(phrase.children) == 1 and nouns[0].tag != "NNS":
+        raise _refuse(_head(phrase), "between that and what? name both")
+
+
+def _head(phrase: Phrase) -> list[Word]:
+    """Find the words that carry the senses of a phrase."""
+    return [word for word in phrase.words if word.senses]
+
+
 def _check_mode(clause: Phrase) -> None:
     """Refuse a command to be both quick and careful."""
     modes = {s: word for word in clause.words for s in word.senses if s.startswith("mode:")}
@@ -111,6 +127,7 @@ def check(clauses: list[Phrase], unknown: set[int]) -> None:
                 _check_compound(phrase)
             if phrase.children:
                 _check_one(phrase)
+                _check_between(phrase)
         _check_unknown(clause, unknown)
         if clause.label == "VP":
             _check_verb(clause, unknown if clause is clauses[0] else set())

@@ -40,7 +40,8 @@ REASONS = {
     "as in 'go forward two metres', 'stop 3 metres behind the cone'",
     "the compass": "where north is, is not known to the robot; say left, right, ahead or behind",
     "two sides": "in front of it or behind it? say which",
-    "between": "places between two things are not supported; say near one of them",
+    "between": "what lies between is told by two things, and is no place by itself; "
+    "say for example 'the bench between the cone and the car'",
     "a part": "parts of things are not told apart; say near, behind or in front of it",
     "amends": "what is taken back is not clear; give the command anew",
     "the speaker's own place": "where you are is not known to the robot; "

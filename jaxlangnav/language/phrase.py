@@ -54,6 +54,10 @@ class Phrase:
             return head
         return head + "{" + ", ".join(str(child) for child in self.children) + "}"
 
+    def says(self, sense: str) -> bool:
+        """Tell whether a word of its own has a sense."""
+        return any(sense in word.senses for word in self.words)
+
     def walk(self) -> Iterator["Phrase"]:
         """Yield all phrases, children before parents (the order of inference)."""
         for child in self.children:

@@ -31,6 +31,7 @@ gives the numbers that it would give alone.
 """
 
 import math
+from collections.abc import Callable
 from typing import Any, TypeVar
 
 import jax
@@ -128,6 +129,28 @@ def once(values: T) -> T:
         The same values.
     """
     return _once(values)
+
+
+def rarely(is_meant: Array, weigh: Callable[[T], Array], records: T) -> Array:
+    """Weigh what is seldom asked for: where no member of the batch asks, nothing is computed.
+
+    Args:
+        is_meant: bool[...], which members ask.
+        weigh: gives f32[n, ...] of ``records``.
+        records: leaves [n, ...].
+
+    Returns:
+        f32[n, ...]; 0 where it is not asked for.
+    """
+
+    # The index, always 0, enters all that is read, or XLA would hoist what it can.
+    def body(index: Array, _: Array) -> Array:
+        return weigh(jax.tree.map(lambda leaf: leaf + index.astype(leaf.dtype), records))
+
+    rounds = jnp.any(is_meant).astype(jnp.int32)
+    nothing = jnp.zeros_like(jax.tree.leaves(records)[0])
+    found = jax.lax.fori_loop(0, rounds, body, nothing)
+    return jnp.where(is_meant[None], found, 0.0)
 
 
 @jax.custom_jvp

@@ -14,7 +14,8 @@ from jaxlangnav.relations.table import AXIS, NUM_RANKS, ORDERS, SIDES
 
 Values = TypeVar("Values", Array, np.ndarray)
 
-_HOLDS_MIN_COSINE = 0.7071  # within 45 degrees of the axis
+HOLDS_MIN_COSINE = 0.7071
+"""Directed relations hold within 45 degrees of their axis."""
 _HOLDS_MAX_DISTANCE = 5.0  # metres; "far" begins where the others end
 
 
@@ -143,4 +144,4 @@ def holds(
     along = x * frame.along_x + y * frame.along_y
     lateral = x * frame.lateral_x + y * frame.lateral_y
     projection = along * math.cos(AXIS[relation]) + lateral * math.sin(AXIS[relation])
-    return (projection >= _HOLDS_MIN_COSINE * distance) & (distance <= _HOLDS_MAX_DISTANCE)
+    return (projection >= HOLDS_MIN_COSINE * distance) & (distance <= _HOLDS_MAX_DISTANCE)

@@ -22,7 +22,7 @@ from jax import Array
 from jaxlangnav.kinds import fits, label_of
 from jaxlangnav.messages import NONE
 from jaxlangnav.numerics.batching import column, lead, pick
-from jaxlangnav.relations import RelationModel, log_density_in_frame, sample_law, to_map
+from jaxlangnav.relations import RelationModel
 from jaxlangnav.semantic_map.counts import log_expected
 from jaxlangnav.semantic_map.coverage import Coverage
 from jaxlangnav.semantic_map.params import MapParams
@@ -109,7 +109,7 @@ class Ways(NamedTuple):
     pairs: Pairs
     new_x: Array  # f32[2 (O + 1) + NUM_UNSEEN, ...] metres, what was drawn for the relation
     new_y: Array  # f32[2 (O + 1) + NUM_UNSEEN, ...]
-    log_drawn: Array  # f32[...] log-density with which a new landmark was drawn, 1/m²
+    log_drawn: Array  # f32[O + 1, ...] log-density with which a new landmark was drawn, 1/m²
 
     @property
     def told(self) -> Pairs:
@@ -251,8 +251,7 @@ def propose(said: Said, ends: Candidates, draws: Draws, model: RelationModel) ->
         The places of all ways.
     """
     size = ends.x.shape[1]
-    relation = jnp.maximum(said.relation, 0)[None]
-    along, lateral = sample_law(said.law, model, relation, draws.distance, draws.angle)
+    along, lateral, log_drawn = said.draw(draws.distance, draws.angle, model)
     at_x = _of_new(ends.x[LANDMARK], ends.x[FIGURE], draws.unseen_x, size)
     at_y = _of_new(ends.y[LANDMARK], ends.y[FIGURE], draws.unseen_y, size)
 
@@ -266,8 +265,7 @@ def propose(said: Said, ends: Candidates, draws: Draws, model: RelationModel) ->
         anywhere = _of_new(unseen[:1], unseen[1:2], unseen[::-1], size)
         return jnp.where(said.is_anywhere[None], anywhere, told)
 
-    frame = said.frame(at_x, at_y)
-    offset_x, offset_y = to_map(frame, of_ends(along), of_ends(lateral))
+    offset_x, offset_y, log_unit = said.offset(at_x, at_y, of_ends(along), of_ends(lateral))
     new_x = instead(draws.unseen_x, at_x + offset_x)
     new_y = instead(draws.unseen_y, at_y + offset_y)
     return Ways(
@@ -279,5 +277,5 @@ def propose(said: Said, ends: Candidates, draws: Draws, model: RelationModel) ->
         ),
         new_x=new_x,
         new_y=new_y,
-        log_drawn=log_density_in_frame(said.law, along[LANDMARK], lateral[LANDMARK]),
+        log_drawn=log_drawn - log_unit[size : 2 * size],
     )

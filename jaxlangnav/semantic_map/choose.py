@@ -29,15 +29,13 @@ from jax import Array
 
 from jaxlangnav.messages import NONE
 from jaxlangnav.numerics import categorical
-from jaxlangnav.numerics.batching import column, lead, once
-from jaxlangnav.relations import log_density_of
+from jaxlangnav.numerics.batching import column, lead, once, pick
 from jaxlangnav.semantic_map import candidates
 from jaxlangnav.semantic_map.candidates import (
     NUM_UNSEEN,
     Candidates,
     Draws,
     Grounding,
-    Pairs,
     Scene,
     Seen,
     Ways,
@@ -67,7 +65,7 @@ def ground_relation(
         The carry with figure and landmark decided; unchanged where the reading has no such
         relation.
     """
-    said = once(said)
+    said = once(_from_other(said, grounding))
     ends = candidates.list_candidates(seen, said, grounding, scene, params=params)
     ways = once(candidates.propose(said, ends, draws, params.relations))
     num_known = ends.x.shape[1]
@@ -81,11 +79,17 @@ def ground_relation(
     return _enter(grounding, said, ends, ways, choice, log_total)
 
 
-def _log_density(said: Said, told: Pairs) -> Array:
-    """Evaluate f for all pairs, each in its landmark's frame: f32[n, ...]."""
-    frame = said.frame(told.landmark_x, told.landmark_y)
-    offset_x, offset_y = told.x - told.landmark_x, told.y - told.landmark_y
-    return log_density_of(said.law, offset_x, offset_y, frame)
+def _from_other(said: Said, grounding: Grounding) -> Said:
+    """See what lies between two landmarks from the other one, which is neither of the ends."""
+    table = jnp.stack([grounding.x, grounding.y, grounding.slot.astype(jnp.float32)], axis=1)
+    other = pick(table, jnp.broadcast_to(said.other, table.shape[1:]))
+    slot = jnp.where(said.is_between, other[2], NONE).astype(jnp.int32)
+    taken = jnp.where(slot == NONE, 0, jnp.left_shift(1, slot))
+    return said._replace(
+        # In which direction the speaker looked counts for nothing then.
+        viewer=jnp.where(said.is_between[None], other, said.viewer),
+        excluded=said.excluded | taken[None],
+    )
 
 
 def _log_prior_known(ends: Candidates) -> Array:
@@ -108,7 +112,7 @@ def _weigh(
     size, ndim = ends.x.shape[1], ways.new_x.ndim
     known, new = slice(size * size), slice(size * size, None)
     log_area, log_unseen = lead(scene.log_area, ndim), lead(scene.log_unseen, ndim)
-    log_density = _log_density(said, ways.told)
+    log_density = said.log_density(*ways.told)
     is_told = (said.relation != NONE)[None]
     log_holds = jnp.where(is_told, jnp.log1p(-misleading), -jnp.inf) + log_rank
     log_misleads = jnp.where(is_told, jnp.log(misleading), 0.0)
@@ -139,7 +143,7 @@ def _log_new(said: Said, ways: Ways, log_density: Array, scene: Scene) -> Array:
     log_miss = log_miss_at(scene.coverage, ways.new_x, ways.new_y, scene.first_row)
     # A new figure was drawn from f; a landmark from its figure's frame, not from its own.
     size = (log_miss.shape[0] - NUM_UNSEEN) // 2
-    log_ratio = log_density[size : 2 * size] - ways.log_drawn[None]
+    log_ratio = log_density[size : 2 * size] - ways.log_drawn
     log_drawn = jnp.concatenate(
         [log_miss[:size], log_miss[size : 2 * size] + log_ratio, log_miss[2 * size :]]
     )

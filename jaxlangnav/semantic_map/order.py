@@ -9,14 +9,13 @@ another one after it, or nobody would say so.
 """
 
 import functools
-from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.kinds import fits
-from jaxlangnav.numerics.batching import apart, lead
+from jaxlangnav.numerics.batching import apart, lead, rarely
 from jaxlangnav.relations import degree, is_on_side, robot_frame
 from jaxlangnav.relations.strength import sign_of_distance, value_of_rank
 from jaxlangnav.semantic_map.candidates import Draws, Pairs, Scene, Seen
@@ -64,21 +63,13 @@ def log_rank(
     """
     is_nearest = (said.rank > 0) & ~said.is_order
 
-    def rarely(is_told: Array, weigh: Callable[[Pairs], Array]) -> Array:
-        # None told, no round of the loop. The index, always 0, enters all that is read, or XLA
-        # would hoist what it can.
-        def body(index: Array, _: Array) -> Array:
-            return weigh(jax.tree.map(lambda leaf: leaf + index.astype(leaf.dtype), pairs))
-
-        rounds = jnp.any(is_told).astype(jnp.int32)
-        found = jax.lax.fori_loop(0, rounds, body, jnp.zeros_like(pairs.x))
-        return jnp.where(is_told[None], found, 0.0)
-
     softness = params.superlative_softness
-    log_nearest = rarely(is_nearest, lambda here: -_excess(said, here, seen, num_known) / softness)
+    log_nearest = rarely(
+        is_nearest, lambda here: -_excess(said, here, seen, num_known) / softness, pairs
+    )
     # Orders cost more than all the rest.
     log_order = rarely(
-        said.is_order, lambda here: _log_order(said, here, seen, draws, scene, params)
+        said.is_order, lambda here: _log_order(said, here, seen, draws, scene, params), pairs
     )
     return log_nearest + log_order
 

@@ -1,7 +1,8 @@
 """What is said: one relation of a sentence, as a particle hears it (section 3.2, eq. 7a).
 
 A relation places a figure against a landmark. Both are its *ends*: of any leaf [2, ...] the first
-entry is the figure's, the second the landmark's.
+entry is the figure's, the second the landmark's. What lies between two landmarks has two relations:
+to a particle the first says that its landmark exists, and the second is seen from there.
 
 Shapes are those of one particle; with many, the particle axis is last ("...").
 """
@@ -10,18 +11,25 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
-from jaxlangnav.messages import NONE, ROBOT, Readings, Told
-from jaxlangnav.numerics.batching import lead, pack, pick, unpack
+from jaxlangnav.messages import BETWEEN, NONE, ROBOT, Readings, Told
+from jaxlangnav.numerics.batching import lead, pack, pick, rarely, unpack
+from jaxlangnav.pytree import replace
 from jaxlangnav.relations import (
     SIDES,
     Frame,
     Law,
     RelationModel,
     anywhere,
+    between,
     law_of,
+    log_density_in_frame,
+    log_density_of,
     robot_frame,
+    sample_law,
+    to_map,
     viewer_frame,
 )
 
@@ -34,13 +42,19 @@ class Said(NamedTuple):
     mention: Array  # i32[2, ...] the ends; NONE where the reading has no such relation or landmark
     kind: Array  # i32[2, ...] their kinds; ROBOT; NONE
     relation: Array  # i32[...] relation index; NONE where the figure merely exists
-    rank: Array  # i32[...] 1 "nearest", 2 "the second", ...; 0 where none is meant
+    rank: Array  # i32[...] 1 "nearest", 2 "the second", ...; BETWEEN; 0 where none is meant
+    other: Array  # i32[...] mention of the other landmark of "between", grounded by then; NONE
     is_order: Array  # bool[...] "the second", "leftmost": a rank that says nothing of how far
     is_anywhere: Array  # bool[...] an order or "on your left": however far
     sides: Array  # i32[J, ...] of an order: where else its figure is said to be; NONE
     law: Law  # leaves f32[...]
     viewer: Array  # f32[3, ...] x, y, heading of the robot as it heard the relation; map frame
     excluded: Array  # i32[2, ...] observed slots that the ends are not: bit s is slot s
+
+    @property
+    def is_between(self) -> Array:
+        """Whether the figure lies between the landmark and another one, bool[...]."""
+        return self.other != NONE
 
     @property
     def is_by_robot(self) -> Array:
@@ -69,6 +83,76 @@ class Said(NamedTuple):
             robot_frame(heading),
             viewer_frame(viewer_x, viewer_y, x, y),
         )
+
+    def log_density(self, x: Array, y: Array, landmark_x: Array, landmark_y: Array) -> Array:
+        """Evaluate how likely figures are placed against landmarks, each in its own frame.
+
+        Args:
+            x: f32[n, ...] metres, map frame, of the figures.
+            y: f32[n, ...]
+            landmark_x: f32[n, ...]
+            landmark_y: f32[n, ...]
+
+        Returns:
+            f32[n, ...], log of the density per square metre.
+        """
+        frame = self.frame(landmark_x, landmark_y)
+        log_one = log_density_of(self.law, x - landmark_x, y - landmark_y, frame)
+
+        def of_two(places: tuple[Array, ...]) -> Array:
+            x, y, landmark_x, landmark_y = places
+            other = self.viewer[0][None], self.viewer[1][None]
+            return between.log_density((x, y), (landmark_x, landmark_y), other)
+
+        log_two = rarely(self.is_between, of_two, (x, y, landmark_x, landmark_y))
+        return jnp.where(self.is_between[None], log_two, log_one)
+
+    def draw(
+        self, distance: Array, angle: Array, model: RelationModel
+    ) -> tuple[Array, Array, Array]:
+        """Draw a new figure against its landmark, and a new landmark against its figure.
+
+        Args:
+            distance: f32[2, ...], standard normal draws.
+            angle: f32[2, ...]
+            model: prepared relations.
+
+        Returns:
+            f32[2, ...] along and lateral in the frame, from landmark to figure; and f32[1, ...],
+            the log-density of the landmark's draw; both in the units of ``offset``.
+        """
+        relation = jnp.maximum(self.relation, 0)[None]
+        along, lateral = sample_law(self.law, model, relation, distance, angle)
+        log_drawn = log_density_in_frame(self.law, along[LANDMARK:], lateral[LANDMARK:])
+        of_one, of_two = (along, lateral, log_drawn), between.sample(distance, angle)
+        is_two = self.is_between[None]
+        along, lateral, log_drawn = (
+            jnp.where(is_two, two, one) for two, one in zip(of_two, of_one, strict=True)
+        )
+        return along, lateral, log_drawn
+
+    def offset(
+        self, x: Array, y: Array, along: Array, lateral: Array
+    ) -> tuple[Array, Array, Array]:
+        """Turn what was drawn into map axes.
+
+        The unit is a metre; of what lies between two landmarks it is the way from the other one.
+
+        Args:
+            x: f32[n, ...] metres, map frame: what it was drawn against.
+            y: f32[n, ...]
+            along: f32[n, ...] units, in the frame of that.
+            lateral: f32[n, ...]
+
+        Returns:
+            f32[n, ...] x and y, metres, map axes, and log square metres of a square unit.
+        """
+        way_x, way_y = x - self.viewer[0][None], y - self.viewer[1][None]
+        squared = way_x * way_x + way_y * way_y + 1e-6
+        squared = jnp.where(self.is_between[None], squared, 1.0)
+        unit = jnp.sqrt(squared)
+        offset_x, offset_y = to_map(self.frame(x, y), along, lateral)
+        return unit * offset_x, unit * offset_y, jnp.log(squared)
 
 
 def told_now(readings: Readings, viewer: Array) -> Told:
@@ -109,8 +193,31 @@ def hear(told: Said, reading: Array) -> Said:
     return unpack(pick(rows, jnp.broadcast_to(reading, (rows.shape[1], *reading.shape))), told)
 
 
+def _paired(one: Readings) -> tuple[Readings, Array]:
+    """Take the first relation of each "between" for the existence of its landmark.
+
+    So the second, with which figure and landmark are grounded together, has the other landmark's
+    place to be understood by, and the evidence is unbiased whichever comes first.
+
+    Returns:
+        The reading, and i32[J], the other landmark of the second relation; NONE elsewhere.
+    """
+    is_between = one.rank == BETWEEN
+    is_alike = (one.figure[:, None] == one.figure[None]) & is_between[:, None] & is_between[None]
+    is_earlier = is_alike & np.tri(one.figure.shape[0], k=-1, dtype=bool)
+    other = jnp.max(jnp.where(is_earlier, one.landmark[None], NONE), axis=1)
+    is_first = is_between & (other == NONE)
+    return replace(
+        one,
+        figure=jnp.where(is_first, one.landmark, one.figure),
+        relation=jnp.where(is_first, NONE, one.relation),
+        landmark=jnp.where(is_first, NONE, one.landmark),
+    ), other
+
+
 def _say(one: Readings, told: Told, model: RelationModel, log_area: Array) -> Said:
     """Gather all that a reading says, leaves [J, ...]."""
+    one, other = _paired(one)
     mention = jnp.stack([one.figure, one.landmark], axis=1)
     kind = jnp.where(mention == NONE, NONE, one.mention_type[mention])
     is_told, is_by_robot = one.relation != NONE, kind[:, LANDMARK] == ROBOT
@@ -126,6 +233,7 @@ def _say(one: Readings, told: Told, model: RelationModel, log_area: Array) -> Sa
         kind=kind,
         relation=one.relation,
         rank=rank,
+        other=other,
         is_order=is_order,
         is_anywhere=is_order | is_side,
         sides=jnp.where(is_alike, side[None], NONE),

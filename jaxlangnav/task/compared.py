@@ -19,7 +19,16 @@ from jaxlangnav.grounding.form import FormRelation
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.grounding.symbols import NUM_RELATIONS
 from jaxlangnav.grounding.worlds import to_device
-from jaxlangnav.messages import ACTIONS, MODES, NEAR, NONE, REGIONS, RELATIONS, ROBOT
+from jaxlangnav.messages import (
+    ACTIONS,
+    MODES,
+    NEAR,
+    NONE,
+    REGIONS,
+    RELATIONS,
+    ROBOT,
+    relation_name,
+)
 from jaxlangnav.relations.table import CONVERSE, NUM_RANKS
 from jaxlangnav.task.labelled import Meaning
 from jaxlangnav.world.scenario import NUM_SLOTS
@@ -124,7 +133,7 @@ def _said(understood: Understood) -> tuple[set[str], set[Relation]]:
     columns = (fields.figure, fields.relation, fields.landmark, fields.rank)
     edges = np.stack([np.asarray(column[0]) for column in columns], axis=1)
     relations = {
-        (name(figure), RELATIONS[relation], name(landmark), int(rank))
+        (name(figure), relation_name(relation, rank), name(landmark), max(int(rank), 0))
         for figure, relation, landmark, rank in edges
         if relation != NONE
     }

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 from jaxlangnav.grounding.asked import Asked
 from jaxlangnav.language.lexicon import plural
-from jaxlangnav.messages import AT, NONE, REGIONS, RELATIONS, ROBOT, Fault
+from jaxlangnav.messages import AT, NONE, REGIONS, ROBOT, Fault, relation_name
 from jaxlangnav.planner.graph import OBJECT, VISITED
 from jaxlangnav.recording import Scene
 
@@ -182,23 +182,25 @@ def _thing_words(scene: Scene, index: int, mention: int) -> str:
     figures, landmarks = readings.figure[index], readings.landmark[index]
 
     def relation_words(edge: int) -> str:
-        name = RELATIONS[int(relations[edge])]
         rank = int(readings.rank[index, edge])
-        if rank == 0:
-            return RELATION_WORDS[name]
+        name = relation_name(int(relations[edge]), rank)
+        if rank <= 0:
+            return RELATION_WORDS.get(name, name)
         place = f"{ORDINALS[min(rank, 4) - 2]} " if rank > 1 else ""
         return place + SUPERLATIVE_WORDS[name]
 
     def thing(mention: int, path: tuple[int, ...]) -> str:
         if mention == ROBOT or int(types[mention]) == ROBOT:
             return "the robot"
-        parts = [article(scene.type_name(int(types[mention])))]
+        said: dict[str, list[str]] = {}
         for edge in range(len(relations)):
             landmark = int(landmarks[edge])
             is_edge = int(figures[edge]) == mention and int(relations[edge]) != NONE
             if is_edge and landmark not in path:
-                parts.append(f"{relation_words(edge)} {thing(landmark, (*path, mention))}")
-        return " ".join(parts)
+                side = thing(landmark, (*path, mention))
+                said.setdefault(relation_words(edge), []).append(side)
+        parts = [f"{words} {listed(things)}" for words, things in said.items()]
+        return " ".join([article(scene.type_name(int(types[mention]))), *parts])
 
     return thing(mention, ())
 

@@ -263,3 +263,47 @@ def stream(world: World, kinds: list[int], edges: list, viewers: list, excluded:
             joint = np.multiply.outer(joint, below(mention, NONE).sum(0)).ravel()
     joint = joint.reshape((number,) * len(kinds))
     return np.transpose(joint, np.argsort(order)) / joint.sum()
+
+
+BETWEEN_ALONG, BETWEEN_ACROSS = 0.2, 0.15
+
+
+def between(world: World, kinds: tuple[int, int, int]) -> np.ndarray:
+    """Weigh all groundings of a figure that lies between two landmarks.
+
+    The landmarks are anywhere; given both, the figure is Gaussian about the middle of the way from
+    one to the other, with standard deviations that are shares of its length. One landmark after
+    another, all figures and other landmarks at a time.
+
+    Args:
+        world: what has been seen.
+        kinds: type of the figure, of one landmark and of the other.
+
+    Returns:
+        Weights f64[C, C, C] over the categories of the three, C = seen objects + 1.
+    """
+    number = len(world.objects) + 1
+    (figures, weight, category), first, second = (candidates(world, kind) for kind in kinds)
+    others, other_weight, other_category = second
+    result = np.zeros((number, number, number))
+    by_figure = weight[:, None] * (category[:, None] == np.arange(number))
+    by_other = other_weight[:, None] * (other_category[:, None] == np.arange(number))
+    cell = weight[-1] / max(world.miss.ravel()[-1], 1e-12)
+    for one, one_weight, one_category in zip(*first, strict=True):
+        way = (others - one)[None]
+        square = np.maximum((way**2).sum(-1), 1e-12)
+        offset = (figures - one)[:, None]
+        u = (offset * way).sum(-1) / square - 0.5
+        v = (offset[..., 1] * way[..., 0] - offset[..., 0] * way[..., 1]) / square
+        density = np.exp(-0.5 * ((u / BETWEEN_ALONG) ** 2 + (v / BETWEEN_ACROSS) ** 2))
+        density /= 2.0 * math.pi * BETWEEN_ALONG * BETWEEN_ACROSS * square
+        # Two of one cell of the grid: so is what lies between.
+        is_here = (figures == one).all(-1)[:, None]
+        density = np.where(square < 1e-9, is_here / cell, density)
+        density = (1.0 - world.misleading) * density + world.misleading / world.size
+        is_one = one_category < number - 1
+        density[is_one & (category == one_category)] = 0.0
+        density[:, is_one & (other_category == one_category)] = 0.0
+        density[(category[:, None] == other_category) & (category < number - 1)[:, None]] = 0.0
+        result[:, one_category] += one_weight * by_figure.T @ density @ by_other
+    return result / world.size**2

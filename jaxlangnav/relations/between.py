@@ -1,0 +1,99 @@
+"""What lies between two landmarks: where, how it is drawn, and when it does (beyond eq. 7a).
+
+"The hydrant between the cone and the car" has two landmarks and no viewer: a Gaussian about their
+middle, spread by the way d from one to the other, so that it looks alike at any scale,
+
+    f(o) = N(u; ½, α) N(v; 0, β) / d²,      u along and v across the way, in shares of d
+"""
+
+import math
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from numpy.typing import ArrayLike
+
+from jaxlangnav.relations.strength import HOLDS_MIN_COSINE
+
+SPREAD = (0.2, 0.15)
+"""α and β (ours, not fitted): most of what lies between is in the middle four fifths of the way,
+and no farther from it than three tenths of its length."""
+_BEYOND = (0.8, 0.6)
+"""Standard deviations with which a landmark is drawn beyond its figure: of the log of how far,
+against the way to the other one, and in radians. What ``SPREAD`` comes to there is about as wide,
+so that the weight, which makes up for the difference, has no heavy tail."""
+
+
+def log_density(
+    figure: tuple[Array, Array], landmark: tuple[Array, Array], other: tuple[Array, Array]
+) -> Array:
+    """Evaluate how likely a thing lies where it does, given that it lies between two others.
+
+        log f = −(u − ½)² / 2α² − v² / 2β² − log 2πα β d²
+
+    Limits: exchanging the landmarks changes nothing; with both at one place f is that of a point.
+
+    Args:
+        figure: f32[...] x and y, metres, map frame.
+        landmark: f32[...], likewise, one of the two.
+        other: f32[...], the other.
+
+    Returns:
+        f32[...], log of the density per square metre.
+    """
+    along, across = SPREAD
+    way_x, way_y = landmark[0] - other[0], landmark[1] - other[1]
+    x, y = figure[0] - other[0], figure[1] - other[1]
+    squared = way_x * way_x + way_y * way_y + 1e-6
+    u = ((x * way_x + y * way_y) / squared - 0.5) / along
+    v = ((y * way_x - x * way_y) / squared) / across
+    log_constant = math.log(2.0 * math.pi * along * across)
+    return -0.5 * (u * u + v * v) - log_constant - jnp.log(squared)
+
+
+def sample(along_normal: Array, across_normal: Array) -> tuple[Array, Array, Array]:
+    """Draw what is new of a figure and a landmark that are said with another landmark.
+
+    The figure comes from ``log_density``; a landmark beyond its figure, as far from it as
+    the other one is but for the spread, in a density of its own.
+
+    Args:
+        along_normal: f32[2, ...], standard normal draws, for the figure and for the landmark.
+        across_normal: f32[2, ...]
+
+    Returns:
+        f32[2, ...] along and lateral, from landmark to figure, in the frame of somebody who looks
+        from the other landmark, and in shares of how far he sees: to the landmark where the figure
+        is new, to the figure where the landmark is; and f32[1, ...], the log-density with which the
+        landmark was drawn, per square of that.
+    """
+    (along, across), (range_sd, angle_sd) = SPREAD, _BEYOND
+    beyond, aside = along_normal[1:], across_normal[1:]
+    log_range, angle = range_sd * beyond, angle_sd * aside
+    distance = jnp.exp(log_range)
+    log_constant = math.log(2.0 * math.pi * range_sd * angle_sd)
+    return (
+        jnp.concatenate([along * along_normal[:1] - 0.5, -distance * jnp.cos(angle)]),
+        jnp.concatenate([across * across_normal[:1], -distance * jnp.sin(angle)]),
+        -0.5 * (beyond * beyond + aside * aside) - log_constant - 2.0 * log_range,
+    )
+
+
+def lies_between(figure: ArrayLike, landmark: ArrayLike, other: ArrayLike) -> np.ndarray:
+    """Decide whether something lies between two others, as people would say it (host only).
+
+    It does where they stand on opposite sides of it, within 45 degrees: seen from it, no farther
+    from a straight line than directed relations may be from their axis. Like ``holds``, for worlds
+    whose truth is known.
+
+    Args:
+        figure: f[..., 2], metres, map frame.
+        landmark: f[..., 2]
+        other: f[..., 2]
+
+    Returns:
+        bool[...]; nothing lies between itself and something else.
+    """
+    to, away = np.subtract(landmark, figure), np.subtract(figure, other)
+    length = np.linalg.norm(to, axis=-1) * np.linalg.norm(away, axis=-1)
+    return ((to * away).sum(-1) >= HOLDS_MIN_COSINE * length) & (length > 0.0)
