@@ -93,7 +93,11 @@ def decide_on(situation: Situation, plan: tours.Plan, chance: Array) -> Decision
     situation = replace(situation, nodes=nodes)
     params = situation.params
     doubt = doubt_of(
-        situation.goals, params.question_cost, chance < params.give_up, situation.may_ask
+        situation.goals,
+        jnp.min(plan.latency) / jnp.maximum(plan.mass, 1e-6),
+        params=params,
+        has_looked=(chance < params.give_up) | situation.has_chosen,
+        may_ask=situation.may_ask,
     )
     plan = replace(plan, hung=jnp.where(doubt.looks_on, jnp.inf, plan.hung))
     valuation, is_sure, is_not_found = judge(situation, plan, chance)
