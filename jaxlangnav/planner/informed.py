@@ -101,6 +101,9 @@ def decide_on(situation: Situation, plan: tours.Plan, chance: Array) -> Decision
     )
     plan = replace(plan, hung=jnp.where(doubt.looks_on, jnp.inf, plan.hung))
     valuation, is_sure, is_not_found = judge(situation, plan, chance)
+    # What has been seen draws nobody back who looks on: else he goes to and fro.
+    drawn = jnp.where(doubt.looks_on, 0.0, valuation.goal_value)
+    valuation = replace(valuation, goal_value=drawn)
     decision = decide(situation, valuation, doubt=doubt)
     return replace(decision, is_stop=decision.is_stop & is_sure, is_not_found=is_not_found)
 
