@@ -57,5 +57,5 @@ def default_planner_params() -> PlannerParams:
         give_up=jnp.float32(0.15),
         constraint_cost=jnp.float32(1.0),
         question_cost=jnp.float32(jnp.inf),
-        look_cost=jnp.float32(0.002),
+        look_cost=jnp.float32(0.001),
     )
