@@ -28,7 +28,8 @@ from jaxlangnav.plain_text import cut
 from jaxlangnav.semantic_map.belief import in_map
 
 _ACTS = {Kind.HALT: Act.HALT, Kind.RESUME: Act.RESUME, Kind.CANCEL: Act.CANCEL}
-_PLACES = {Wording.FIRST: 0, Wording.SECOND: 1, Wording.THIRD: 2}
+_ORDINALS = ("FIRST", "SECOND", "THIRD", "FOURTH", "FIFTH", "SIXTH")
+_PLACES = {Wording[name]: place for place, name in enumerate(_ORDINALS)}
 _LEAST = 0.01
 """Goal probability below which a thing is no candidate for a question."""
 
@@ -307,7 +308,7 @@ def _chosen(
     if wording is not None and wording in _PLACES:
         place = _PLACES[wording]
         return found[place] if place < len(found) else None
-    if wording in (Wording.NEAREST, Wording.FARTHEST):
+    if wording in (Wording.NEAREST, Wording.FARTHEST, Wording.LAST):
         return found[0 if wording == Wording.NEAREST else -1]
     turn = float(pose[2])
 

@@ -402,6 +402,7 @@ def _decide(
         range_max=range_max,
         way=state.way,
         may_ask=state.talk.may_ask,
+        has_chosen=state.talk.approached != NONE,
         is_find=is_find,
         is_news=is_news | state.way.is_news,
         stands=outlook.stands,

@@ -70,6 +70,7 @@ def situation(
         range_max=reach,
         way=start_of_way(jnp.zeros(3)),
         may_ask=jnp.asarray(True),
+        has_chosen=jnp.asarray(False),
         is_find=find,
         is_news=jnp.asarray(is_news),
         stands=jnp.asarray(stands),

@@ -8,7 +8,8 @@ from test_navigator_step import AREA, CONE, HYDRANT, STEP, go, robot, see
 
 from jaxlangnav import agent, hearing
 from jaxlangnav.grounding.readings import Capacity
-from jaxlangnav.language.utterance import Kind
+from jaxlangnav.language.utterance import Kind, classify
+from jaxlangnav.listening import Candidate, _chosen
 from jaxlangnav.messages import Status
 from jaxlangnav.pytree import replace
 
@@ -40,7 +41,8 @@ def away(run, index: int, places=WORLD) -> float:
 
 
 @pytest.mark.parametrize(
-    "text", ["no, the other one", "not that one, the one by the cone", "go to the other hydrant"]
+    "text",
+    ["no, the other one", "no", "not that one, the one by the cone", "go to the other hydrant"],
 )
 def test_another_one_is_found(robot, text: str) -> None:
     run = set_out(robot)
@@ -70,12 +72,30 @@ def test_what_was_meant_takes_the_place_of_the_task(robot) -> None:
     assert away(after, ONE_CAR) < 1.5
 
 
-@pytest.mark.parametrize("text", ["no, the other one", "closer", "go to the other hydrant"])
+@pytest.mark.parametrize("text", ["no, the other one", "no", "closer", "go to the other hydrant"])
 def test_nothing_approached_is_no_other(robot, text: str) -> None:
     """Where nothing has been approached there is no coin to toss."""
     with pytest.raises(ValueError, match="approached yet") as refusal:
         robot.hear(robot.start(NULL, area=AREA), text)
     assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("text", ["go to the other hydrant", "go to the other one"])
+def test_at_first_there_is_no_other(robot, text: str) -> None:
+    with pytest.raises(ValueError, match="spoken of yet, so there is no other") as refusal:
+        robot.start(text, area=AREA)
+    assert "\n" not in str(refusal.value)
+    for fine in ("go to the cone then go to the other cone", "go to the cone near the other cone"):
+        robot.start(fine, area=AREA)
+
+
+def test_any_candidate_can_be_chosen_by_its_place() -> None:
+    found = [Candidate(slot=n, type_name="cone", x=n, y=0.0, probability=0.2) for n in range(7)]
+    pose = np.zeros(3)
+    for text, slot in (("the first", 0), ("the fourth", 3), ("number 6", 5), ("the last", 6)):
+        chosen = _chosen(found, classify(text, is_asked=True).wording, pose)
+        assert chosen is found[slot]
+    assert _chosen(found[:3], classify("the fourth", is_asked=True).wording, pose) is None
 
 
 def test_a_statement_changes_no_task(robot) -> None:
@@ -197,6 +217,13 @@ def test_a_question_in_place_of_a_guess(robot, answer: str, end: int) -> None:
     heard, after = tell(asking, run, answer)
     assert heard.kind == Kind.ANSWER
     assert ended(after) == Status.ARRIVED
+    if answer == "the left one":  # as the robot stands where it asks
+        x, y, turn = np.asarray(run.state.belief.last_pose)
+        leftward = [
+            (WORLD[n][2] - y) * np.cos(turn) - (WORLD[n][1] - x) * np.sin(turn)
+            for n in (NEAR_HYDRANT, FAR_HYDRANT)
+        ]
+        end = (NEAR_HYDRANT, FAR_HYDRANT)[int(np.argmax(leftward))]
     assert away(after, end) < 1.5
 
 

@@ -19,6 +19,8 @@ HYDRANT, CONE, CAR = by_hand.HYDRANT, by_hand.CONE, by_hand.CAR
     [
         ("no, the other one", Kind.CORRECTION, Wording.OTHER, ""),
         ("Wait! Not that one, please.", Kind.CORRECTION, Wording.OTHER, ""),
+        ("no", Kind.CORRECTION, Wording.OTHER, ""),
+        ("Nope, robot!", Kind.CORRECTION, Wording.OTHER, ""),
         ("no, I meant the other one", Kind.CORRECTION, Wording.OTHER, ""),
         ("closer", Kind.CORRECTION, Wording.CLOSER, ""),
         ("Come back, please", Kind.RETURN, Wording.RETURN, ""),
@@ -47,6 +49,9 @@ def test_wordings(text: str, kind, wording, rest: str) -> None:
         ("the left one, please", Wording.LEFT),
         ("right", Wording.RIGHT),
         ("The second one.", Wording.SECOND),
+        ("the fourth one", Wording.FOURTH),
+        ("number 5", Wording.FIFTH),
+        ("the last one", Wording.LAST),
         ("no", Wording.NO),
         ("yes", Wording.YES),
         ("it doesn't matter", Wording.ANY),

@@ -36,10 +36,12 @@ def test_a_row_without_a_cost_weighs_no_questions() -> None:
     entry = {
         "world": "2H1C", "relation": "null", "said": "one correction", "question_cost": None,
         "success": 99.0, "distance": 20.0, "questions": 0.0, "corrections": 0.5,
-        "corrected_way": None, "weighted": 99.0,
+        "corrected_way_seen": 1.05, "corrected_seen": 12, "corrected_way_unseen": None,
+        "corrected_unseen": 0, "weighted": 99.0,
     }  # fmt: skip
     table = dialogue_table({"rows": [entry]})
-    assert table.rows[0][3] == table.rows[0][8] == ""
+    assert table.rows[0][3] == table.rows[0][9] == ""
+    assert table.rows[0][8] == "1.05 (12)"
     assert "one correction" in table.markdown()
 
 

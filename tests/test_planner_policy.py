@@ -294,3 +294,25 @@ def test_informed_ends_once_the_rest_has_been_looked_at(mass, robot, chance, sto
     if mass == 0.4 and chance < 0.1 and not stops:
         assert int(choice.kind) == OBJECT
         assert bool(choice.is_approach)
+
+
+def test_who_looks_on_is_not_drawn_back_to_what_has_been_seen() -> None:
+    """What is left to be found is little and far, what has been seen is near and likely."""
+    one = jnp.ones(1)
+    tour = tours.Tour(x=one[None] - 4.0, y=one[None] + 3.0)
+    plan = tours.Plan(tours=tour, latency=2.0 * one, mass=0.1 * one[0], hung=0.0 * one[0])
+    aims = goals(0.9, hypothesis=0.1)
+    with_robot = {
+        name: jnp.append(getattr(aims, name), 0).astype(getattr(aims, name).dtype)
+        for name in ("object_x", "object_y", "object_mass", "object_accepted", "is_object")
+    }
+    aims = replace(aims, **with_robot, object_confirmed=with_robot["object_accepted"])
+    around = nodes_at([5.0, 6.0, 0.0], [0.0] * 3, [VISITED, OBJECT, OBJECT])
+    around = replace(around, is_node=jnp.array([True, True, False]))
+    shown = situation(by_hand.begin(config=CONFIG), around, aims, (2.0, 0.0))
+    asking = replace(shown.params, question_cost=jnp.float32(0.1), look_cost=jnp.float32(5e-4))
+    for params, looks_on in ((shown.params, False), (asking, True)):
+        choice = DECIDE_ON(replace(shown, params=params), plan, jnp.float32(0.5))
+        assert bool(choice.doubt.looks_on) == looks_on
+        at_stop = (float(choice.waypoint_x), float(choice.waypoint_y)) == (-3.0, 4.0)
+        assert at_stop == looks_on

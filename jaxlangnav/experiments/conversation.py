@@ -45,11 +45,13 @@ class Dialogue:
     text: str = _NULL
     person: dict[str, Any]
     cost: float = math.inf
+    sees: float = 3.0  # metres
 
 
 ROWS = (
     Dialogue(name="nothing more", person=_SILENT),
     Dialogue(name="one correction", person={}),
+    Dialogue(name="one correction, sees 12 m", person={}, sees=12.0),
     Dialogue(name="one correction, errs in 10 %", person={"error_rate": 0.1}),
     Dialogue(name="questions", person=_ANSWERS, cost=COST),
     Dialogue(name="questions, errs in 10 %", person=_ANSWERS | {"error_rate": 0.1}, cost=COST),
@@ -90,7 +92,7 @@ def run_row(
     Returns:
         Its entries in the document: shares in percent, distances in metres.
     """
-    tasks = make_tasks(cell(row.world, row.relation, 0, 3.0, episodes, seed))
+    tasks = make_tasks(cell(row.world, row.relation, 0, row.sees, episodes, seed))
     planner = replace(params.planner, question_cost=jnp.float32(row.cost))
     spoken = converse(
         tasks,
@@ -110,7 +112,7 @@ def _entries(row: Dialogue, spoken: Exchange) -> dict[str, Any]:
     low, high = wilson_interval(int(is_success.sum()), number)
     cost = row.cost if math.isfinite(row.cost) else None
     has_way = (np.asarray(spoken.num_corrections) > 0) & is_success
-    straight = float(np.sum(spoken.straight[has_way]))
+    ways = [_way(spoken, has_way & (spoken.is_known == known)) for known in (True, False)]
     rate = 100.0 * float(np.mean(is_success))
     return {
         "world": row.world,
@@ -127,10 +129,19 @@ def _entries(row: Dialogue, spoken: Exchange) -> dict[str, Any]:
         else None,
         "questions": questions,
         "corrections": float(np.mean(spoken.num_corrections)),
-        "corrected_way": float(np.sum(spoken.walked[has_way])) / straight if straight else None,
+        "corrected_way_seen": ways[0],
+        "corrected_way_unseen": ways[1],
+        "corrected_seen": int(np.sum(has_way & spoken.is_known)),
+        "corrected_unseen": int(np.sum(has_way & ~spoken.is_known)),
         "weighted": rate if cost is None else rate - 100.0 * cost * questions,
         "time_outs": int(np.sum(~np.asarray(spoken.result.is_stopped))),
     }
+
+
+def _way(spoken: Exchange, which: np.ndarray) -> float | None:
+    """Compute metres after the first correction over those straight, None where there are none."""
+    straight = float(np.sum(spoken.straight[which]))
+    return float(np.sum(spoken.walked[which])) / straight if straight else None
 
 
 def run_rows(
@@ -162,10 +173,16 @@ def run_rows(
 
 
 NOTE = (
-    "Corrected way: metres from the first correction to the end over those straight to where the "
-    "robot may stop, of the successes that were corrected. Weighted: success less the cost of the "
-    "questions asked."
+    "Corrected way: metres from the first correction to the end over those straight from there to "
+    "where the robot may stop, of the successes that were corrected, where the goal had been seen "
+    "by then and where it had not and had to be looked for; with how many there were. Weighted: "
+    "success less the cost of the questions asked."
 )
+
+
+def _counted(ratio: float | None, number: int) -> str:
+    """Write a ratio with the number of episodes that it is of."""
+    return "" if ratio is None else f"{ratio:.2f} ({number})"
 
 
 def dialogue_table(document: dict[str, Any]) -> Table:
@@ -191,11 +208,13 @@ def dialogue_table(document: dict[str, Any]) -> Table:
             f"{row['distance']:.2f}",
             f"{row['questions']:.2f}",
             f"{row['corrections']:.2f}",
-            text(row["corrected_way"], ".2f"),
+            _counted(row["corrected_way_seen"], row["corrected_seen"]),
+            _counted(row["corrected_way_unseen"], row["corrected_unseen"]),
             f"{row['weighted']:.1f}",
         ]
         for row in document["rows"]
     ]
     headings = ["world", "drawn for", "said", "question costs", "success %", "walked m",
-                "questions", "corrections", "corrected way", "weighted %"]  # fmt: skip
+                "questions", "corrections", "corrected way, seen", "unseen",
+                "weighted %"]  # fmt: skip
     return Table(headings=headings, rows=rows, title=HEADING, caption=NOTE)

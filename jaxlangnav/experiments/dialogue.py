@@ -19,7 +19,7 @@ from jaxlangnav.conversation import Joined, Words, join, words_of
 from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Progress, Task
 from jaxlangnav.experiments.monte_carlo import OnProgress
 from jaxlangnav.experiments.tasks import take_tasks
-from jaxlangnav.experiments.watched import seen_of
+from jaxlangnav.experiments.watched import has_seen_goal, seen_of
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.grounding.readings import Capacity, widen
@@ -53,6 +53,7 @@ class Exchange:
     num_corrections: Array  # i32[]
     walked: Array  # f32[] metres from the first correction to the end; NaN without one
     straight: Array  # f32[] metres straight from there to where the robot may stop
+    is_known: Array  # bool[] the robot had seen the goal by then
 
 
 @pytree
@@ -61,6 +62,7 @@ class _Lane:
     person: Person
     said_at: Array  # f32[] metres walked at the first correction; NaN before it
     straight: Array  # f32[] metres straight from there to where it may stop
+    is_known: Array  # bool[] it had seen the goal by then
 
 
 def sentence_with(text: str, truth: str, falsehood: str) -> Sentence:
@@ -133,6 +135,7 @@ def _loaded(task: Task, sentence: Sentence, config: NavigatorConfig) -> _Lane:
         person=unspoken(),
         said_at=nothing,
         straight=nothing,
+        is_known=jnp.asarray(False),
     )
 
 
@@ -154,6 +157,8 @@ def _advanced(
     person, said, slot = watched(progress, lane.person)
     is_first = (said == Says.OTHER) & jnp.isnan(lane.said_at)
     left = jnp.maximum(goal_distance(progress.world, scenario) - SUCCESS_RADIUS, 0.0)
+    at = progress.navigator
+    is_known = has_seen_goal(seen_of(at, progress.steps), at, scenario)
     heard = replace(progress, navigator=_hear(progress.navigator, said, slot, sentence))
     after, _ = episode.advance(heard, params=params, config=config)
     lane = _Lane(
@@ -161,6 +166,7 @@ def _advanced(
         person=person,
         said_at=jnp.where(is_first, progress.world.distance, lane.said_at),
         straight=jnp.where(is_first, left, lane.straight),
+        is_known=jnp.where(is_first, is_known, lane.is_known),
     )
     is_waiting = watched(after, person)[0].intends
     is_over = (after.navigator.is_done & ~is_waiting) | (after.steps >= MAX_STEPS)
@@ -170,6 +176,7 @@ def _advanced(
         num_corrections=person.num_corrections,
         walked=after.world.distance - lane.said_at,
         straight=lane.straight,
+        is_known=lane.is_known,
     )
     return lane, is_over, spoken
 

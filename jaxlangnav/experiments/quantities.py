@@ -144,6 +144,7 @@ _KNOWN: dict[str, dict[str, Quantity]] = {
         "give_up": SHARE,
         "constraint_cost": Quantity(),
         "question_cost": Quantity(),
+        "look_cost": Quantity(),
     },
 }
 _RECORDS = {

@@ -9,9 +9,28 @@ from jax import Array
 from jaxlangnav.messages import NONE, Status
 from jaxlangnav.navigator import NavigatorState
 from jaxlangnav.world.person import Seen
+from jaxlangnav.world.simulator import SUCCESS_RADIUS
+from jaxlangnav.world.state import Scenario
 
 LEAST_SHARE = 0.01
 """Goal probability below which a thing is no candidate of a question."""
+
+
+def has_seen_goal(seen: Seen, state: NavigatorState, scenario: Scenario) -> Array:
+    """Tell whether the robot takes a thing for being where the goal truly is, bool[].
+
+    Args:
+        seen: of the robot.
+        state: of the same robot.
+        scenario: the truth.
+
+    Returns:
+        Whether most of the weight has an observed thing within the success radius of the goal.
+    """
+    weight = jnp.exp(state.belief.log_weight)[None]
+    is_held = jnp.sum(weight * (state.belief.particles.object_type != NONE), axis=1) > 0.5
+    away = jnp.hypot(seen.x - scenario.goal[0], seen.y - scenario.goal[1])
+    return jnp.any(is_held & (away <= SUCCESS_RADIUS))
 
 
 def seen_of(state: NavigatorState, step: Array) -> Seen:

@@ -137,7 +137,7 @@ class GraphGrounder:
         understood = understand(text, self.model, self.detector, earlier)
         # A robot under way may also be told of the map, and what to keep away from.
         if not context.is_under_way or int(understood.instruction.num_clauses):
-            understood.check_task()
+            understood.check_task(is_first=not context.is_under_way)
         bound = understood.type_names
         unknown = [f"'{word}'" for word in understood.unknown_words if word not in bound]
         return Grounded(

@@ -23,7 +23,7 @@ from jaxlangnav.grounding.symbols import AnnotationSpace, BehaviorSpace
 from jaxlangnav.language.constraint import is_constraint
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import COMMAND, Measure, Parse
-from jaxlangnav.language.reference import Antecedent
+from jaxlangnav.language.reference import Antecedent, type_sense
 from jaxlangnav.messages import Readings
 from jaxlangnav.pytree import pytree
 
@@ -77,12 +77,18 @@ class Understanding:
             if probability >= _MIN_PROBABILITY
         ]
 
-    def check_task(self) -> None:
-        """Refuse a sentence that asks for nothing to be done.
+    def check_task(self, *, is_first: bool = True) -> None:
+        """Refuse a sentence that asks for nothing to be done, or for another where there is none.
+
+        Args:
+            is_first: nothing has been said before it.
 
         Raises:
-            ValueError: it only informs, or only says what to keep away from; one line.
+            ValueError: it only informs, or only says what to keep away from, or speaks of "the
+                other one" before any has been spoken of; one line.
         """
+        if is_first:
+            self._check_others()
         kinds = zip(self.parse.clauses, self.parse.kinds, strict=True)
         commands = [clause for clause, kind in kinds if kind == COMMAND]
         text = f"'{self.parse.instruction}'"
@@ -103,6 +109,21 @@ class Understanding:
                 f"'{words}' asks to keep away from where the command before it ends: "
                 "say where to go then, as in 'then go to the bench'"
             )
+
+    def _check_others(self) -> None:
+        """Refuse "the other hydrant" where no hydrant has been spoken of before."""
+        named: set[str] = set()
+        for clause in self.parse.clauses:
+            things = [one for one in clause.walk() if one.label == "NP" and not one.children]
+            others = [one for one in things if any("other" in word.senses for word in one.words)]
+            named |= {type_sense(one) or "" for one in things if one not in others} - {""}
+            for kind in (type_sense(one) for one in others):
+                if kind not in named and (kind is not None or not named):
+                    noun = "thing" if kind is None else kind.partition(":")[2]
+                    raise ValueError(
+                        f"'{self.parse.instruction}': no {noun} has been spoken of yet, so there "
+                        "is no other: say which, as in 'the hydrant by the cone'"
+                    )
 
     @property
     def spoken(self) -> Spoken:

@@ -43,6 +43,7 @@ class Wording(enum.StrEnum):
     RETURN = "return"
     YES = "yes"
     NO = "no"
+    DENIAL = "denial"  # "no", and nothing else: to a question, or of what is being approached
     ANY = "any"
     LEFT = "left"
     RIGHT = "right"
@@ -51,6 +52,10 @@ class Wording(enum.StrEnum):
     FIRST = "first"
     SECOND = "second"
     THIRD = "third"
+    FOURTH = "fourth"
+    FIFTH = "fifth"
+    SIXTH = "sixth"
+    LAST = "last"
 
 
 _KINDS = {
@@ -129,7 +134,9 @@ def _words(text: str) -> list[tuple[str, int]]:
 def _whole(words: tuple[str, ...], *, is_asked: bool) -> Wording | None:
     """Look up a wording that is all that was said; answers only where there is a question."""
     table, _, around = _wordings()
-    known = {key: one for key, one in table.items() if is_asked or one in _KINDS}
+    denial = Wording.NO if is_asked else Wording.OTHER
+    meant = {key: denial if one == Wording.DENIAL else one for key, one in table.items()}
+    known = {key: one for key, one in meant.items() if is_asked or one in _KINDS}
     while words:
         if words in known:
             return known[words]

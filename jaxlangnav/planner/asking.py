@@ -1,21 +1,37 @@
 """When to ask which one is meant, in place of a guess (ours; the paper knows no questions).
 
-Success is worth 1 and a question costs c, both in probability. With p_s the probability that the
-goal is the observed thing s, and u that it is none seen yet, the robot
+Success is worth 1; a question costs c of it, a metre of looking on λ. With p_s the probability that
+the goal is the observed thing s, p the largest of them, u that the goal has not been seen, and L
+metres until what is missing is found, if it is there,
 
-    guesses     max_s p_s
-    asks        Σ_s p_s − c       the answer tells which of those seen it is, and no other
-    looks on    if u > c          as much may still be gained by looking as a question costs
+    guess       p
+    ask         1 − c − u (λ L + m)                   "none of them" sends it on
+    look on     1 − (1 − e) h(n, 0) − e h(n + 1, b) − λ L (2 − e)
 
-So it asks where what it would lose by guessing, Σ_s p_s − max_s p_s, is more than c, once looking
-can gain no more than that; c = ∞, the default, never asks.
+Here n = Σ_s p_s / p is the number of candidates, each as good as the best; a = u / p the number of
+others to be expected, taken for Poisson, of which there are some with probability e = 1 − exp(−a);
+b = a / 2 of them are left when the first is found, on the average; the way on is L where there is
+one and 2 L where there is none. What is lost at n candidates with b others unseen, and at the first
+thing found after "none of them", is the least of
+
+    h(n, b) = min(1 − 1 / (n + b),  c + λ L b / (n + b))      a guess, a question
+    m       = min(1 − 1 / (1 + b),  c b + 2 λ L)              a guess, looking on to the end
+
+The robot does what is worth most. On small worlds it asks where the exact value says so
+(``tests/test_planner_asking.py``). c = ∞, the default, never asks.
 """
+
+from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.planner.goals import Goals
+from jaxlangnav.planner.params import PlannerParams
 from jaxlangnav.pytree import pytree
+
+_OPEN = 0.5
+"""Share of the candidates' fit that hangs on things unseen, above which these may tell which."""
 
 
 @pytree
@@ -24,34 +40,85 @@ class Doubt:
 
     looks_on: Array  # bool[] what has not been seen may still be the goal: nothing is accepted yet
     asks: Array  # bool[] several things may be meant, and a question is worth it
-    gain: Array  # f32[] probability of success that an answer would add to a guess
 
 
-def doubt_of(goals: Goals, question_cost: Array, has_looked: Array | bool, may_ask: Array) -> Doubt:
-    """Weigh a question against a guess.
+class _Values(NamedTuple):
+    guess: Array  # f32[] expected success, less what it costs
+    ask: Array
+    look: Array
 
-    Limits: at c = ∞ there is neither a question nor any reason to look on; with one candidate there
-    is nothing to be asked.
+
+def _values(mass: Array, walk: Array, cost: Array) -> _Values:
+    """Compute what guessing, asking and looking on are worth.
+
+    Args:
+        mass: f32[3], probability that the goal has been seen, that it is the likeliest of the
+            things seen, and that it has not been seen.
+        walk: f32[], λ L.
+        cost: f32[], c.
+
+    Returns:
+        The three values.
+    """
+    seen, best, unseen = mass
+    number, others = seen / jnp.maximum(best, 1e-9), unseen / jnp.maximum(best, 1e-9)
+    number = jnp.maximum(number, 1.0)
+    rest, exists = 0.5 * others, -jnp.expm1(-others)
+    after_none = jnp.minimum(rest / (1.0 + rest), cost * rest + 2.0 * walk)
+
+    def lost(number: Array, rest: Array) -> Array:
+        guess = 1.0 - 1.0 / (number + rest)
+        return jnp.minimum(guess, cost + walk * rest / (number + rest))
+
+    alone = (1.0 - exists) * lost(number, jnp.zeros_like(rest))
+    return _Values(
+        guess=best,
+        ask=1.0 - cost - unseen * jnp.minimum(walk + after_none, 1.0),
+        look=1.0 - alone - exists * lost(number + 1.0, rest) - walk * (2.0 - exists),
+    )
+
+
+def doubt_of(
+    goals: Goals,
+    metres: Array,
+    *,
+    params: PlannerParams,
+    has_looked: Array | bool,
+    may_ask: Array,
+) -> Doubt:
+    """Weigh a question against a guess, and against looking on.
+
+    Where the candidates are meant in relation to something not seen, it is looked for first if that
+    is cheaper than a question: it may tell which.
+
+    Limits: at c = ∞ there is neither a question nor any reason to look on; with one candidate and
+    nothing unseen there is nothing to be asked.
 
     Args:
         goals: weighed goals.
-        question_cost: f32[], c.
-        has_looked: bool[], nothing is left to be found.
+        metres: f32[], L, the way until what is missing is found, if it is there.
+        params: c and λ.
+        has_looked: bool[], nothing is left to be found, or it has been decided that enough has been
+            looked for: decided anew at every step, it would go to and fro between two places.
         may_ask: bool[], the robot has not been told to choose by itself.
 
     Returns:
         What to do about the doubt.
     """
+    cost, walk = params.question_cost, params.look_cost * metres
     is_seen = goals.is_object[:-1]
-    mass = jnp.where(is_seen, goals.object_mass[:-1], 0.0)
-    unseen = jnp.sum(goals.hypothesis_mass)
-    seen, best = jnp.sum(mass), jnp.max(mass, initial=0.0)
-    total = jnp.maximum(seen + unseen + goals.object_mass[-1], 1e-9)
-    gain = (seen - best) / total
-    is_allowed = may_ask & jnp.isfinite(question_cost)
-    looks_on = is_allowed & (unseen > question_cost * total) & ~jnp.asarray(has_looked)
-    return Doubt(
-        looks_on=looks_on & (seen > 0.0),
-        asks=is_allowed & ~looks_on & (gain > question_cost),
-        gain=gain,
+    seen, fits, confirmed = (
+        jnp.where(is_seen, mass[:-1], 0.0)
+        for mass in (goals.object_mass, goals.object_accepted, goals.object_confirmed)
     )
+    best = jnp.max(seen, initial=0.0)
+    unseen = jnp.where(has_looked, 0.0, jnp.sum(goals.hypothesis_mass))
+    total = jnp.maximum(jnp.sum(seen) + unseen, 1e-9)
+    value = _values(jnp.stack([jnp.sum(seen), best, unseen]) / total, walk, cost)
+    is_open = jnp.sum(confirmed) < _OPEN * jnp.sum(fits)
+    waits = is_open & (walk < cost) & ~jnp.asarray(has_looked)
+    is_allowed = may_ask & jnp.isfinite(cost) & (best > 0.0)
+    is_worth = value.ask > value.guess
+    asks = is_worth & (value.ask >= value.look) & ~waits
+    looks_on = (unseen > 0.0) & (value.look > value.guess) & ~asks
+    return Doubt(looks_on=is_allowed & (looks_on | (is_worth & waits)), asks=is_allowed & asks)

@@ -93,10 +93,17 @@ def decide_on(situation: Situation, plan: tours.Plan, chance: Array) -> Decision
     situation = replace(situation, nodes=nodes)
     params = situation.params
     doubt = doubt_of(
-        situation.goals, params.question_cost, chance < params.give_up, situation.may_ask
+        situation.goals,
+        jnp.min(plan.latency) / jnp.maximum(plan.mass, 1e-6),
+        params=params,
+        has_looked=(chance < params.give_up) | situation.has_chosen,
+        may_ask=situation.may_ask,
     )
     plan = replace(plan, hung=jnp.where(doubt.looks_on, jnp.inf, plan.hung))
     valuation, is_sure, is_not_found = judge(situation, plan, chance)
+    # What has been seen draws nobody back who looks on: else he goes to and fro.
+    drawn = jnp.where(doubt.looks_on, 0.0, valuation.goal_value)
+    valuation = replace(valuation, goal_value=drawn)
     decision = decide(situation, valuation, doubt=doubt)
     return replace(decision, is_stop=decision.is_stop & is_sure, is_not_found=is_not_found)
 

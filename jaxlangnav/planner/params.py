@@ -38,6 +38,9 @@ class PlannerParams:
     question_cost: Array = field(  # f32[]
         "what a question costs, in probability of success; inf: never ask"
     )
+    look_cost: Array = field(  # f32[]
+        "what a metre of looking on costs where questions are allowed, in probability of success"
+    )
 
 
 def default_planner_params() -> PlannerParams:
@@ -54,4 +57,5 @@ def default_planner_params() -> PlannerParams:
         give_up=jnp.float32(0.15),
         constraint_cost=jnp.float32(1.0),
         question_cost=jnp.float32(jnp.inf),
+        look_cost=jnp.float32(0.001),
     )

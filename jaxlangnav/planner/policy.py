@@ -51,6 +51,7 @@ class Situation:
     range_max: Array  # f32[] sensing range
     way: Way  # waypoints that have been given up as out of reach
     may_ask: Array  # bool[] it has not been told to choose by itself
+    has_chosen: Array  # bool[] it has gone up to something for this task, or is on its way
     is_find: Array  # f32[] probability that "find" is asked for: stop once it is in view
     is_news: Array  # bool[] something new has been seen or heard in this step
     stands: Array  # bool[] it stands still whatever is decided: halted, at its end, or at a fault
@@ -238,6 +239,15 @@ def ahead(situation: Situation, x: Array, y: Array, is_node: Array | None = None
     return replace(situation, nodes=graph.lead(x, y, is_node, situation.nodes))
 
 
+def _metres_left(situation: Situation) -> Array:
+    """Estimate the way to what has not been seen where no tour is planned: to where it may be."""
+    goals, travel = situation.goals, situation.belief.terrain.travel
+    here = situation.robot_x, situation.robot_y
+    away = travel.metres(*here, goals.hypothesis_x, goals.hypothesis_y)
+    mass = goals.hypothesis_mass
+    return jnp.sum(mass * away) / jnp.maximum(jnp.sum(mass), 1e-9)
+
+
 def _require_one_a_node(situation: Situation, valuation: Valuation) -> None:
     """Refuse values that are not one for each node (when the program is traced)."""
     shape = situation.nodes.x.shape
@@ -285,7 +295,13 @@ def decide(
     # Standing still teaches nothing: the node underfoot is a_stop's business.
     is_away = situation.distance > jnp.where(nodes.kind == OBJECT, params.reach, UNDERFOOT)
     if doubt is None:
-        doubt = doubt_of(goals, params.question_cost, False, situation.may_ask)
+        doubt = doubt_of(
+            goals,
+            _metres_left(situation),
+            params=params,
+            has_looked=situation.has_chosen,
+            may_ask=situation.may_ask,
+        )
     # While there is more to be seen first, nothing is gone up to.
     is_open = open_nodes(nodes, situation.way).is_node & (~doubt.looks_on | (nodes.kind != OBJECT))
     value = jnp.where(is_open & is_away & ~jnp.isnan(value), value, -jnp.inf)

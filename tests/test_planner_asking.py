@@ -1,0 +1,180 @@
+"""When to ask, look on or guess: the rule against the exact value on worlds that are enumerated."""
+
+import itertools
+from functools import cache
+from math import comb
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxlangnav.navigator import default_params
+from jaxlangnav.planner.asking import Doubt, doubt_of
+from jaxlangnav.planner.goals import Goals
+from jaxlangnav.pytree import replace
+
+SEEN = [(1.0,), (1.0, 1.0), (1.0, 1.0, 1.0), (0.03, 1.0), (0.1, 1.0), (0.3, 1.0), (1.0, 3.0)]
+"""How well the things seen fit; one that has not been seen would fit as 1 does."""
+STEPS = (1.0, 4.0)
+LOOK_COSTS = (0.0005, 0.002, 0.008)
+QUESTION_COSTS = (0.02, 0.05, 0.1, 0.2, 0.4)
+PLANNER = default_params().planner
+
+
+class TinyWorld:
+    """Places in a row, of which each holds a thing with one probability; all of it enumerated.
+
+    The goal is drawn among all things in proportion to how well they fit. The robot may guess, ask
+    (the answer names the goal if it has been seen, and otherwise rules out all that has), or look
+    at the next place, a step further on.
+    """
+
+    def __init__(self, share: float, step: float, look_cost: float, question_cost: float) -> None:
+        """Set the probability that a place holds a thing, metres between places, and the costs."""
+        self.share, self.walk, self.cost = share, step * look_cost, question_cost
+        self.worth = cache(self.worth)
+
+    def others(self, out: float, seen: tuple[float, ...], left: int) -> np.ndarray:
+        """Compute how many of the places left hold a thing, given that what is out is no goal."""
+        count, fit = np.arange(left + 1), sum(seen)
+        drawn = [comb(left, n) * self.share**n * (1.0 - self.share) ** (left - n) for n in count]
+        chance = np.array(drawn) * (fit + count) / np.maximum(out + fit + count, 1e-12)
+        return chance / max(chance.sum(), 1e-300)
+
+    def unseen(self, seen: tuple[float, ...], left: int) -> float:
+        """Compute the probability that the goal has not been seen."""
+        count = np.arange(left + 1)
+        return float(self.others(0.0, seen, left) @ (count / (sum(seen) + count)))
+
+    def worth(self, out: float, seen: tuple[float, ...], left: int) -> dict[str, float]:
+        """Compute the exact value of each act: by induction over places left."""
+        count, chance, fit = np.arange(left + 1), self.others(out, seen, left), sum(seen)
+        if not seen and not left:
+            return {"guess": 0.0}
+        among = float(chance @ (fit / np.maximum(fit + count, 1e-12)))
+        values = {"guess": among * max(seen, default=0.0) / max(fit, 1e-12)}
+        if seen:
+            on = self.best(out + fit, (), left) if among < 1.0 - 1e-12 else 0.0
+            values["ask"] = among + (1.0 - among) * on - self.cost
+        if left:
+            found = float(chance @ count) / left
+            more = self.best(out, tuple(sorted((*seen, 1.0))), left - 1)
+            values["look"] = found * more + (1.0 - found) * self.best(out, seen, left - 1)
+            values["look"] -= self.walk
+        return values
+
+    def best(self, out: float, seen: tuple[float, ...], left: int) -> float:
+        """Compute the value of the best act."""
+        return max(self.worth(out, seen, left).values())
+
+
+def goals_of(seen: tuple[float, ...], unseen: float) -> Goals:
+    """Write a state as the goals that a robot would weigh, three slots and one hypothesis."""
+    share = np.zeros(4, np.float32)
+    share[: len(seen)] = (1.0 - unseen) * np.array(seen) / sum(seen)
+    zero = np.zeros(4, np.float32)
+    return Goals(
+        object_x=zero, object_y=zero, object_mass=share, object_accepted=share,
+        object_confirmed=share, is_object=share > 0.0, hypothesis_x=zero[:1],
+        hypothesis_y=zero[:1], hypothesis_mass=np.array([unseen], np.float32),
+    )  # fmt: skip
+
+
+def decide(states: list[tuple[Goals, float, float, float]]) -> Doubt:
+    """Weigh many states at once: goals, metres left, cost of a metre and of a question."""
+    goals = jax.tree.map(lambda *leaves: np.stack(leaves), *(state[0] for state in states))
+    numbers = np.array([state[1:] for state in states], np.float32)
+
+    @jax.jit
+    @jax.vmap
+    def weigh(goals: Goals, numbers: jax.Array) -> Doubt:
+        metres, look, question = numbers
+        params = replace(PLANNER, look_cost=look, question_cost=question)
+        free = jnp.asarray(True)
+        return doubt_of(goals, metres, params=params, has_looked=False, may_ask=free)
+
+    return jax.device_get(weigh(goals, numbers))
+
+
+def compare(shares: tuple[float, ...], most: float) -> tuple[np.ndarray, np.ndarray]:
+    """Hold the rule against the exact value in all states with at most so many others expected.
+
+    Returns:
+        Whether both ask or neither does; and what is lost by the rule, in probability of success.
+    """
+    states, exact = [], []
+    numbers = itertools.product(shares, STEPS, LOOK_COSTS, QUESTION_COSTS)
+    for (share, step, look, question), seen in itertools.product(numbers, SEEN):
+        world = TinyWorld(share, step, look, question)
+        for left in range(8):
+            if share * left <= most + 1e-9:
+                goals = goals_of(seen, world.unseen(seen, left))
+                states.append((goals, 0.5 * step * (left + 1) * (left > 0), look, question))
+                exact.append(world.worth(0.0, seen, left))
+    doubt = decide(states)
+    agrees, lost = [], []
+    for values, asks, looks in zip(exact, doubt.asks, doubt.looks_on, strict=True):
+        best = max(values.values())
+        agrees.append(bool(asks) == (values["ask"] >= best - 1e-9))
+        chosen = "ask" if asks else "look" if looks else "guess"
+        lost.append(best - values[chosen])
+    return np.array(agrees), np.array(lost)
+
+
+def test_the_robot_asks_where_the_exact_value_says_so() -> None:
+    """As many others as the tables' belief expects, 0.3 of them, or fewer."""
+    agrees, lost = compare((0.02, 0.04, 0.06, 0.1), 0.3)
+    assert agrees.size > 5_000
+    assert agrees.mean() >= 0.98
+    assert lost.mean() < 2e-4
+
+
+def test_where_many_others_are_expected_little_is_lost() -> None:
+    agrees, lost = compare((0.2,), 1.4)
+    assert agrees.mean() >= 0.9
+    assert lost.mean() < 5e-4
+    assert lost.max() < 0.05
+
+
+def doubt(seen: tuple[float, ...], unseen: float, *, metres=10.0, question=0.1, **changes) -> Doubt:
+    goals = replace(goals_of(seen, unseen), **changes.pop("goals", {}))
+    params = replace(PLANNER, question_cost=jnp.float32(question), look_cost=jnp.float32(0.002))
+    given = {"has_looked": False, "may_ask": jnp.asarray(True)} | changes
+    return doubt_of(goals, jnp.float32(metres), params=params, **given)
+
+
+def test_two_that_fit_alike_are_asked_about_at_once() -> None:
+    """However much is unseen: "neither of them" sends the robot on as well later as now."""
+    for unseen in (0.0, 0.1, 0.2):
+        found = doubt((1.0, 1.0), unseen)
+        assert (bool(found.asks), bool(found.looks_on)) == (True, False)
+
+
+def test_of_one_it_looks_on_while_the_way_is_worth_it() -> None:
+    assert bool(doubt((1.0,), 0.2).looks_on)
+    assert not bool(doubt((1.0,), 0.2, metres=100.0).looks_on)
+    assert not bool(doubt((1.0,), 0.005).looks_on)
+    assert not bool(doubt((1.0,), 0.2, has_looked=True).looks_on)
+
+
+def test_of_one_it_asks_where_looking_costs_more_than_a_question() -> None:
+    assert bool(doubt((1.0,), 0.2, metres=60.0, question=0.05).asks)
+    assert not bool(doubt((1.0,), 0.2, metres=5.0, question=0.05).asks)
+
+
+@pytest.mark.parametrize(
+    "changes", [{"question": np.inf}, {"may_ask": jnp.asarray(False)}, {"unseen": 1.0}]
+)
+def test_who_may_not_ask_or_has_seen_nothing_has_no_doubt(changes: dict) -> None:
+    unseen = changes.pop("unseen", 0.2)
+    for seen in ((1.0,), (1.0, 1.0)):
+        found = doubt(seen, unseen, **changes)
+        assert not bool(found.asks | found.looks_on)
+
+
+def test_what_they_are_placed_against_is_looked_for_first_if_that_is_cheaper() -> None:
+    nothing = {"goals": {"object_confirmed": np.zeros(4, np.float32)}}
+    assert bool(doubt((1.0, 1.0), 0.0, **nothing).looks_on)
+    assert bool(doubt((1.0, 1.0), 0.0, metres=80.0, **nothing).asks)
+    assert bool(doubt((1.0, 1.0), 0.0, has_looked=True, **nothing).asks)
