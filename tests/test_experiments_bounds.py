@@ -1,74 +1,111 @@
-"""Limits of search against integrals by hand and against robots that search by simulation."""
+"""Limits of search against linear programs, and against robots that search by simulation."""
 
+import itertools
 import math
 
 import numpy as np
 import pytest
+from scipy.optimize import linprog
 
 from jaxlangnav.experiments import bounds
 
 
-def test_uniform_bound_by_hand() -> None:
-    # A = 100, R = 2: (100 - 4π)² / 800.
-    assert bounds.uniform_search_bound(100.0, 2.0) == pytest.approx((100 - 4 * math.pi) ** 2 / 800)
-    assert bounds.uniform_search_bound(100.0, 20.0) == 0.0
+def test_the_share_seen_by_hand() -> None:
+    edges, area, mass = np.array([10.0, 11.0]), np.array([20.0]), np.array([1.0])
+    found = bounds.likeliest_share(edges, area, mass, 2.0, np.array([0.0, 8.0, 9.0, 13.0, 50.0]))
+    # Nothing before the ring is in reach after 8 m; then 4 square metres of its 20 a metre.
+    np.testing.assert_allclose(found, [0.0, 0.0, 0.2, 1.0, 1.0])
 
 
-def test_the_uniform_bound_is_the_integral_it_says() -> None:
-    area, reach = 240.0, 3.0
-    way = np.linspace(0.0, 60.0, 600_001)
-    unseen = np.maximum(0.0, 1.0 - (math.pi * reach**2 + 2 * reach * way) / area)
-    integral = np.sum(unseen) * (way[1] - way[0])
-    assert bounds.uniform_search_bound(area, reach) == pytest.approx(integral, rel=1e-4)
+def test_no_set_within_the_bounds_on_nested_sets_is_likelier() -> None:
+    random = np.random.default_rng(0)
+    for _ in range(20):
+        edges = np.cumsum(random.uniform(0.2, 1.0, 9))
+        area, mass = random.uniform(0.5, 4.0, 8), random.dirichlet(np.ones(8))
+        reach, way = random.uniform(0.5, 2.0), random.uniform(0.0, 5.0)
+        first = np.where(edges[:-1] < reach, area, 0.0)
+        tails = np.triu(np.ones((8, 8)))
+        since = np.maximum(0.0, way - np.maximum(0.0, edges[:-1] - reach))
+        best = linprog(
+            -mass / area,
+            tails,
+            tails @ first + 2 * reach * since,
+            bounds=[(0, one) for one in area],
+        )
+        found = bounds.likeliest_share(edges, area, mass, reach, np.array([way]))
+        assert found[0] == pytest.approx(-best.fun, abs=1e-9)
 
 
-def test_the_law_bound_in_the_limit_of_an_even_law() -> None:
-    # A far, wide law is nearly even over its sector where it is likeliest: the bound must lie
-    # under that of any region that holds a share of it, and above the straight way into view.
-    mean, sd, reach = 8.75, 1.69, 3.0
-    found = bounds.law_search_bound(mean, sd, reach)
-    assert found >= mean - reach - 1e-3
-    assert found <= bounds.uniform_search_bound(bounds.operating_area("1H1C", "null"), reach)
+def _ways(stops: np.ndarray, goal: np.ndarray, reach: float) -> np.ndarray:
+    """Walk straight from the origin from stop to stop: metres to 1.5 m from each goal, or inf."""
+    path = [np.zeros((1, 2))]
+    for start, end in itertools.pairwise(np.concatenate([np.zeros((1, 2)), stops])):
+        path.append(start + (end - start) * np.linspace(0.0, 1.0, 21)[1:, None])
+    points = np.concatenate(path)
+    walked = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
+    away = np.hypot(points[:, :1] - goal[:, 0], points[:, 1:] - goal[:, 1])
+    seen = (away <= reach).argmax(axis=0)
+    rest = np.maximum(0.0, away[seen, np.arange(len(goal))] - 1.5)
+    return np.where((away <= reach).any(axis=0), walked[seen] + rest, np.inf)
 
 
-def test_the_law_bound_falls_with_the_range_and_is_met_at_last() -> None:
-    values = [bounds.law_search_bound(8.75, 1.69, reach) for reach in (1.0, 2.0, 3.0, 5.0, 30.0)]
-    assert values == sorted(values, reverse=True)
-    assert values[-1] == pytest.approx(0.0, abs=1e-6)
-    # A view of half a metre makes the search long: the area must count.
-    assert bounds.law_search_bound(8.75, 1.69, 0.5) > 2 * 8.75
+@pytest.mark.parametrize("num_goals", [1, 2])
+def test_no_tour_of_a_small_area_beats_the_bound(num_goals: int) -> None:
+    depth, width, reach = 5.0, 7.0, 2.0
+    random = np.random.default_rng(1)
+    goals = random.uniform([0.0, -0.5 * width], [depth, 0.5 * width], (num_goals, 200, 2))
+    places = list(itertools.product([1.5, 3.5], [-2.2, 0.0, 2.2]))
+    means = []
+    for tour in itertools.permutations(places, 4):
+        ways = [_ways(np.array(tour), goal, reach) for goal in goals]
+        if np.isfinite(ways[0]).all():
+            means.append(np.min(ways, axis=0).mean())
+    found = bounds.uniform_search_bound(depth, width, reach, num_goals)
+    assert (0.7 if num_goals == 1 else 0.5) * min(means) < found < min(means)
 
 
 def test_no_sweep_along_the_best_arc_beats_the_bound() -> None:
     random = np.random.default_rng(0)
-    mean, sd, reach = 8.75, 1.69, 1.0
-    distance = random.normal(mean, sd, 4000)
-    bearing = random.uniform(-math.pi / 4, math.pi / 4, 4000)
-    x, y = distance * np.cos(bearing), distance * np.sin(bearing)
-    # Out along one edge of the sector and back and forth on arcs, nearest to the mean first.
-    path = [np.linspace(0.0, mean, 200)[:, None] * [math.cos(0.785), -math.sin(0.785)]]
-    angle = np.linspace(-math.pi / 4, math.pi / 4, 400)
-    for turn, radius in enumerate(mean + np.array([0.0, 2.0, -2.0, 4.0, -4.0, 6.0, -6.0])):
-        sweep = angle if turn % 2 == 0 else angle[::-1]
-        path.append(radius * np.stack([np.cos(sweep), np.sin(sweep)], axis=1))
-    points = np.concatenate(path)
-    walked = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
-    apart = np.hypot(points[:, :1] - x, points[:, 1:] - y) <= reach
-    first = np.where(apart.any(axis=0), walked[apart.argmax(axis=0)], walked[-1])
-    assert first.mean() > bounds.law_search_bound(mean, sd, reach)
+    mean, sd, reach = 8.75, 1.69, 3.0
+    distance = random.normal(mean, sd, 1000)
+    bearing = random.uniform(-math.pi / 4, math.pi / 4, 1000)
+    goal = distance[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
+    ways = []
+    # Out along one edge of the sector, along an arc to the other one, back along a farther one.
+    for radius in (6.0, 7.0, 8.0, 9.0):
+        angle = np.linspace(-math.pi / 4, math.pi / 4, 9) * 0.9
+        arc = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        ways.append(_ways(np.concatenate([radius * arc, (radius + 5.0) * arc[::-1]]), goal, reach))
+    found = bounds.law_search_bound(mean, sd, reach)
+    # Those whom no arc finds are counted with the straight way to them: too little.
+    means = [np.where(np.isfinite(one), one, distance - 1.5).mean() for one in ways]
+    assert mean - 1.5 + 2.0 < found < min(means)
 
 
-def test_approach_by_hand() -> None:
-    assert bounds.approach(10.0, 0.01, 3.0) == pytest.approx(1.5)
-    assert bounds.approach(10.0, 0.01, 20.0) == pytest.approx(8.5, abs=1e-3)
-    assert bounds.approach(10.0, 0.01, 1.0) == 0.0
+def test_the_law_bound_falls_with_the_range_to_the_straight_way() -> None:
+    values = [bounds.law_search_bound(8.75, 1.69, reach) for reach in (0.5, 1.0, 3.0, 5.0, 30.0)]
+    assert values == sorted(values, reverse=True)
+    assert values[-1] == pytest.approx(8.75 - 1.5, abs=0.1)
+    assert values[-1] < 8.75 - 1.5
+    # A view of half a metre makes the search long: the area must count.
+    assert values[0] > 4 * 8.75
+
+
+def test_a_small_range_sweeps_the_area() -> None:
+    # As R falls the way nears that of a sweep without overlap, A / 4R.
+    assert bounds.uniform_search_bound(10.0, 14.0, 0.2) == pytest.approx(140.0 / 0.8, rel=0.05)
 
 
 def test_limits_of_rows() -> None:
     null = bounds.limits("2H1C", "null", 3.0)
     assert null["success"] == 50.0
     assert null["known"] == pytest.approx(10.49)
-    assert null["search_uniform"] is not None
+    law, uniform = null["search_law"], null["search_uniform"]
+    assert law is not None
+    assert uniform is not None
+    # Either hydrant will do: the nearer one of two may stand nearer than one does on average.
+    assert 8.0 < law < bounds.law_search_bound(10.49, 1.81, 3.0)
+    assert law < uniform
     behind = bounds.limits("2H1C", "behind", 3.0)
     assert behind["success"] == 100.0
     assert behind["search_law"] is None

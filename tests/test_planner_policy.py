@@ -24,7 +24,7 @@ from jaxlangnav.semantic_map.params import MapConfig
 
 P, SLOTS, KEY = 16, 3, jax.random.key(0)
 CONFIG = MapConfig(num_particles=P, num_objects=SLOTS, num_cells=24)
-SEARCH_MAP = jax.jit(lambda belief: search_map(belief, jnp.float32(0.0)))
+SEARCH_MAP = jax.jit(lambda belief: search_map(belief, jnp.float32(0.0), jnp.float32(0.0)))
 DECIDE_ON = jax.jit(decide_on)
 
 

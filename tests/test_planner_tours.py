@@ -20,6 +20,7 @@ from jaxlangnav.studies.learn_prior import learn, training_worlds
 AREA = jnp.array([0.0, 10.0, -5.0, 5.0])
 K, RANGE = tours.NUM_STOPS, 3.0
 SEARCH_MAP, PLAN = jax.jit(search_map), jax.jit(tours.plan)
+NOT = jnp.float32(0.0)
 
 
 def random_tours(number: int, seed: int = 0) -> tours.Tour:
@@ -114,11 +115,11 @@ def test_partner_is_where_the_relation_has_it() -> None:
         hypothesis_y=particles.hypothesis_y.at[1].set(jnp.asarray(nearer[:, 1], jnp.float32)),
         root=particles.root.at[1].set(NONE),
     )
-    search = SEARCH_MAP(replace(belief, particles=particles), jnp.float32(0.0))
+    search = SEARCH_MAP(replace(belief, particles=particles), NOT, NOT)
     before = np.hypot(search.x, search.y) - np.hypot(search.partner_x, search.partner_y)
     far = np.hypot(search.x, search.y) > 2.1
     np.testing.assert_allclose(before[far], 2.0, atol=1e-3)
-    alone = SEARCH_MAP(belief, jnp.float32(0.0))
+    alone = SEARCH_MAP(belief, NOT, NOT)
     np.testing.assert_allclose(alone.partner_x, alone.x, atol=1e-5)
 
 
@@ -220,18 +221,23 @@ def test_prior_is_relative_to_uniform_and_can_be_left_out() -> None:
     x, y = (jnp.asarray(one, jnp.float32) for one in (np.tile(steps, 80), np.repeat(steps - 5, 80)))
     viewer = jnp.zeros(3)
 
-    def density(share: float):
-        return np.asarray(prior.relative_density(belief.coverage, viewer, x, y, jnp.float32(share)))
+    def density(share: float, ahead: float = 0.0):
+        numbers = jnp.float32(share), jnp.float32(ahead)
+        return np.asarray(prior.relative_density(belief.coverage, viewer, x, y, *numbers))
 
-    np.testing.assert_allclose(density(0.0), 1.0)
+    np.testing.assert_array_equal(density(0.0), 1.0)
     trusted = density(1.0)
     assert trusted.max() > 2.0
     np.testing.assert_allclose(density(0.5), 0.5 * trusted + 0.5, rtol=1e-5)
     # Behind the viewer nothing was ever learned.
     turned = prior.relative_density(
-        belief.coverage, jnp.array([0.0, 0.0, np.pi]), x, y, jnp.float32(1.0)
+        belief.coverage, jnp.array([0.0, 0.0, np.pi]), x, y, jnp.float32(1.0), NOT
     )
     assert float(jnp.max(turned)) == 0.0
+    # Of a robot that takes things to lie ahead, exp κ (cos b − 1), at any range.
+    np.testing.assert_allclose(
+        density(0.0, 1.5), np.exp(1.5 * (np.asarray(x) / np.hypot(x, y) - 1.0)), rtol=1e-4
+    )
 
 
 def test_the_shipped_table_is_what_training_worlds_teach() -> None:
@@ -243,9 +249,11 @@ def test_the_shipped_table_is_what_training_worlds_teach() -> None:
 
 def test_free_hypotheses_follow_the_prior() -> None:
     belief = believe(random_places(), is_hung=False)
-    search = SEARCH_MAP(belief, jnp.float32(1.0))
+    search = SEARCH_MAP(belief, jnp.float32(1.0), NOT)
     expected = np.asarray(
-        prior.relative_density(belief.coverage, belief.viewer, search.x, search.y, jnp.float32(1.0))
+        prior.relative_density(
+            belief.coverage, belief.viewer, search.x, search.y, jnp.float32(1.0), NOT
+        )
     )
     # The map is tilted by 0.2 % from one end to the other.
     np.testing.assert_allclose(search.free, expected / expected.sum(), rtol=2e-3)

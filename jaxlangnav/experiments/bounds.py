@@ -1,109 +1,174 @@
 """Limits no robot can beat in these worlds, by computation (section 4.2).
 
 - The known map: the straight way to the goal.
-- Search without a hint. After L metres a robot that sees R metres all round has seen at most
-  πR² + 2RL square metres, so it has found the goal with at most the probability of the likeliest
-  region of that size. For a goal anywhere in the area A alike that gives
+- Search without a hint. Call D the way of a robot that sees R metres all round, misses nothing and
+  starts at the origin, until it is within s = 1.5 m of a goal that stands at range r from there.
 
-      E[L] ≥ (A − πR²)² / (4RA);
+  *Sight comes first.* Where the goal comes into view after L metres it is min(r, R) away, so
+  D ≥ L + min(r, R) − s. Until then the robot has been told nothing: its path is what it would walk
+  wherever the goal is, and the goal is seen by L exactly if it lies in the union S(L) of all looks
+  along that path.
 
-  for goals drawn by the worlds' law (range N(mean, sd), bearing ±45°) the likeliest region is
-  known too, and the integral of 1 − F over L is done on a grid. It is never less than the way to
-  where the goal comes into view, r − R. Having found the goal at min(r, R) metres the robot still
-  has to go to within 1.5 m of it; that way is added.
+  *What a path can have seen.* One metre of it adds at most 2R square metres to S. A place at range
+  ρ > R is in no look before the robot is at range ρ − R, which takes ρ − R metres; so for every ρ
 
-Detection is taken as certain in both, which only lowers them. They hold where the sentence gives
-no relation: a relation makes the landmark a hint.
+      |S(L) ∩ {range ≥ ρ}| ≤ |first look ∩ {range ≥ ρ}| + 2R · max(0, L − max(0, ρ − R))
+
+  *The likeliest such set.* Of all sets that keep these bounds none holds the goal more probably
+  than the one that takes rings about the start in the order of their density, of each as much as
+  the bounds of all smaller ρ leave: they are bounds on nested sets, for which the greedy choice is
+  the best. With F(L) its probability, and k goals of which any will do, however they stand to one
+  another,
+
+      E[D] ≥ ∫ max(0, 1 − k F(max(0, x − max(0, R − s)))) dx
+
+  Both sums are taken so that they err downwards: rings count from their inner edge, and every step
+  of x with the probability at its end.
+
+They hold where the sentence gives no relation: a relation makes the landmark a hint. With one, what
+is proved is the straight way, 1.5 m short of the goal: the same sums for the first sight of figure
+or landmark, whichever comes first, gave no more in the rows of Table 2.
 """
 
+import functools
 import math
 
 import numpy as np
 
+from jaxlangnav.world.placement import AREA_SIGMAS
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 from jaxlangnav.world.templates import known_range, parse_template
 
 _SECTOR = math.pi / 2.0
 """Radians: hydrants stand within ±45° of the start's heading."""
+_RINGS, _STEPS, _ANGLES = 200, 800, 720
+"""Rings about the start, steps of the way, and directions in which a ring is held to the area."""
 
 
-def operating_area(template: str, relation: str) -> float:
-    """Compute the size of the operating area of a template's worlds.
-
-    Args:
-        template: such as "2H1C".
-        relation: "null", "behind" or "nearest".
-
-    Returns:
-        Square metres: D · √2 D, with D the known mean + 2.5 sigma.
-    """
-    mean, sd = known_range(parse_template(template), relation)
-    depth = mean + 2.5 * sd
-    return math.sqrt(2.0) * depth * depth
-
-
-def uniform_search_bound(area: float, sensing_range: float) -> float:
-    """Bound the mean way until a goal that may be anywhere alike comes into view.
-
-        E[L] ≥ (A − πR²)² / (4RA)
-
-    Limits: 0 once the first look covers the area; proportional to A / 4R for a small R.
+def operating_depth(mean: float, sd: float) -> float:
+    """Compute D, how far the operating area of a template's worlds reaches ahead; it is √2 D wide.
 
     Args:
-        area: A, square metres.
-        sensing_range: R, metres.
-
-    Returns:
-        Metres.
-    """
-    unseen = max(0.0, area - math.pi * sensing_range**2)
-    return unseen * unseen / (4.0 * sensing_range * area)
-
-
-def law_search_bound(mean: float, sd: float, sensing_range: float) -> float:
-    """Bound the mean way until a goal drawn by the worlds' law comes into view.
-
-        E[L] ≥ max(∫ 1 − F(πR² + 2RL) dL, E[max(0, r − R)])
-
-    with F(a) the probability of the likeliest region of area a. Limit: 0 for a large R.
-
-    Args:
-        mean: of the goal's range from the start, metres.
+        mean: of a hydrant's range from the start, metres.
         sd: of the same, metres.
+
+    Returns:
+        Metres: mean + 2.5 sigma.
+    """
+    return mean + AREA_SIGMAS * sd
+
+
+def likeliest_share(
+    edges: np.ndarray, area: np.ndarray, mass: np.ndarray, sensing_range: float, way: np.ndarray
+) -> np.ndarray:
+    """Bound the probability that a goal has come into view, whatever the path.
+
+    Limits: the mass of the first look for no way at all; 1 for a long one.
+
+    Args:
+        edges: f64[N + 1], metres, growing: ranges between which rings about the start lie.
+        area: f64[N], square metres of each ring in which the goal may be.
+        mass: f64[N], probability that the goal is in each ring, even over it.
         sensing_range: R, metres.
+        way: f64[X], L, metres walked.
+
+    Returns:
+        f64[X], F(L).
+    """
+    inner = edges[:-1]
+    first = np.where(inner < sensing_range, area, 0.0)
+    since = np.maximum(0.0, way[:, None] - np.maximum(0.0, inner - sensing_range))
+    room = np.cumsum(first[::-1])[::-1] + 2.0 * sensing_range * since
+    found = np.zeros(way.shape)
+    for ring in np.argsort(-mass / np.maximum(area, 1e-12), kind="stable"):
+        taken = np.minimum(area[ring], room[:, : ring + 1].min(axis=1))
+        room[:, : ring + 1] -= taken[:, None]
+        found += mass[ring] * taken / max(area[ring], 1e-12)
+    return np.minimum(found, 1.0)
+
+
+def search_bound(
+    edges: np.ndarray,
+    area: np.ndarray,
+    mass: np.ndarray,
+    sensing_range: float,
+    *,
+    num_goals: int = 1,
+) -> float:
+    """Bound the mean way of a search that ends within 1.5 m of a goal.
+
+        E[D] ≥ ∫ max(0, 1 − k F(max(0, x − max(0, R − s)))) dx
+
+    Limits: the mean straight way less 1.5 m for a large R and one goal.
+
+    Args:
+        edges: f64[N + 1], metres, growing: ranges between which rings about the start lie.
+        area: f64[N], square metres of each ring in which a goal may be.
+        mass: f64[N], probability that a goal is in each ring.
+        sensing_range: R, metres.
+        num_goals: k, goals of which any will do.
 
     Returns:
         Metres.
     """
-    edges = np.linspace(0.0, mean + 6.0 * sd, 4001)
+    longest = edges[-1] + float(area.sum()) / (2.0 * sensing_range)
+    ends = np.linspace(0.0, longest, _STEPS + 1)[1:]
+    way = np.maximum(0.0, ends - max(0.0, sensing_range - SUCCESS_RADIUS))
+    found = likeliest_share(edges, area, mass, sensing_range, way)
+    # What is in view from the start is not reached before it has been walked to.
+    within = mass @ (edges[:-1, None] <= ends + SUCCESS_RADIUS)
+    missed = np.maximum(0.0, 1.0 - num_goals * np.minimum(found, within))
+    return float(np.sum(missed) * ends[0])
+
+
+@functools.cache
+def uniform_search_bound(
+    depth: float, width: float, sensing_range: float, num_goals: int = 1
+) -> float:
+    """Bound the mean way to a goal that may be anywhere alike in the operating area.
+
+    Limits: near A / 4R for a small R.
+
+    Args:
+        depth: metres that the area reaches ahead of the start.
+        width: metres across; the start is in the middle of that side.
+        sensing_range: R, metres.
+        num_goals: goals of which any will do.
+
+    Returns:
+        Metres.
+    """
+    edges = np.linspace(0.0, math.hypot(depth, 0.5 * width), _RINGS + 1)
     middle = 0.5 * (edges[1:] + edges[:-1])
-    mass = np.exp(-0.5 * ((middle - mean) / sd) ** 2)
-    mass /= mass.sum()
-    # Thin arcs of the sector, likeliest per square metre first.
-    area = 0.5 * _SECTOR * (edges[1:] ** 2 - edges[:-1] ** 2)
-    order = np.argsort(-mass / area)
-    covered = np.concatenate([[0.0], np.cumsum(area[order])])
-    found = np.concatenate([[0.0], np.cumsum(mass[order])])
-    way = np.maximum(0.0, (covered - math.pi * sensing_range**2) / (2.0 * sensing_range))
-    search = np.sum((1.0 - 0.5 * (found[1:] + found[:-1])) * np.diff(way))
-    return float(max(search, np.sum(mass * np.maximum(0.0, middle - sensing_range))))
+    angle = (np.arange(_ANGLES) + 0.5) / _ANGLES * math.pi - 0.5 * math.pi
+    is_in = (middle[:, None] * np.cos(angle) <= depth) & (
+        middle[:, None] * np.abs(np.sin(angle)) <= 0.5 * width
+    )
+    area = 0.5 * math.pi * is_in.mean(axis=1) * np.diff(edges**2)
+    return search_bound(edges, area, area / area.sum(), sensing_range, num_goals=num_goals)
 
 
-def approach(mean: float, sd: float, sensing_range: float) -> float:
-    """Compute the mean way from where the goal comes into view to 1.5 m from it.
+@functools.cache
+def law_search_bound(mean: float, sd: float, sensing_range: float, num_goals: int = 1) -> float:
+    """Bound the mean way to a goal drawn by the worlds' law: range N(mean, sd), bearing ±45°.
+
+    Limits: mean − 1.5 m for a large R and one goal.
 
     Args:
         mean: of the goal's range from the start, metres.
         sd: of the same, metres.
         sensing_range: R, metres.
+        num_goals: goals of which any will do.
 
     Returns:
-        Metres: E[max(0, min(r, R) − 1.5)].
+        Metres.
     """
-    steps = np.linspace(max(0.0, mean - 6.0 * sd), mean + 6.0 * sd, 2001)
-    mass = np.exp(-0.5 * ((steps - mean) / sd) ** 2)
-    way = np.maximum(0.0, np.minimum(steps, sensing_range) - SUCCESS_RADIUS)
-    return float(np.sum(mass * way) / np.sum(mass))
+    edges = np.linspace(max(0.0, mean - 5.0 * sd), mean + 5.0 * sd, _RINGS + 1)
+    below = np.array([0.5 * math.erfc((mean - edge) / (sd * math.sqrt(2.0))) for edge in edges])
+    mass = np.diff(below) / (below[-1] - below[0])
+    return search_bound(
+        edges, 0.5 * _SECTOR * np.diff(edges**2), mass, sensing_range, num_goals=num_goals
+    )
 
 
 def limits(template: str, relation: str, sensing_range: float) -> dict[str, float | None]:
@@ -128,9 +193,11 @@ def limits(template: str, relation: str, sensing_range: float) -> dict[str, floa
         "success": 100.0,
     }
     if relation == "null":
-        rest = approach(mean, sd, sensing_range)
-        area = operating_area(template, relation)
-        found["search_uniform"] = rest + uniform_search_bound(area, sensing_range)
-        found["search_law"] = rest + law_search_bound(mean, sd, sensing_range)
-        found["success"] = 100.0 / record.num_hydrants
+        number = record.num_hydrants
+        depth = operating_depth(mean, sd)
+        found["search_uniform"] = uniform_search_bound(
+            depth, math.sqrt(2.0) * depth, sensing_range, number
+        )
+        found["search_law"] = law_search_bound(mean, sd, sensing_range, number)
+        found["success"] = 100.0 / number
     return found

@@ -141,6 +141,7 @@ _KNOWN: dict[str, dict[str, Quantity]] = {
         "rival_share": Quantity(),
         "rest_share": Quantity(),
         "prior_share": SHARE,
+        "ahead": Quantity(),
         "give_up": SHARE,
         "constraint_cost": Quantity(),
         "question_cost": Quantity(),

@@ -238,7 +238,7 @@ def caption(document: Mapping[str, Any]) -> str:
         lines.append(
             "limit: with the map unknown, the highest success rate and the least mean way of a "
             "policy that reaches it: straight to within 1.5 m of the goal; without a relation, a "
-            "search that knows by what law the worlds are drawn."
+            "search that knows by what law the hydrants stand."
         )
     searches = [
         f"{bound['search_uniform']:.1f} m ({bound['world']}, {bound['range']:g} m)"
@@ -247,8 +247,8 @@ def caption(document: Mapping[str, Any]) -> str:
     ]
     if searches:
         lines.append(
-            "A search for a goal that may be anywhere in the area walks on average at least "
-            f"(A − πR²)²/4RA, and then up to it: {', '.join(searches)}."
+            "A search for a goal that may be anywhere in the area, whatever the path, walks on "
+            f"average at least: {', '.join(searches)}."
         )
     return "\n".join(lines)
 

@@ -62,7 +62,7 @@ class Informed(Policy):
     ) -> tuple[tours.Tour, Decision]:
         """Improve the tour under way, go to its first stop or to the goal."""
         belief, params, maps = situation.belief, situation.params, situation.map_params
-        unseen = search.search_map(situation.wanted, params.prior_share)
+        unseen = search.search_map(situation.wanted, params.prior_share, params.ahead)
         chance = chance_left(unseen.unseen, maps.concentration, maps.misleading, maps.clumping)
         plan = tours.plan(
             key,

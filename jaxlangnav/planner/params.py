@@ -28,6 +28,9 @@ class PlannerParams:
     prior_share: Array = field(  # f32[]
         "how far the order of search trusts the learned prior; 0: not at all"
     )
+    ahead: Array = field(  # f32[]
+        "κ, how far the order of search takes what is spoken of to lie ahead of the one spoken to"
+    )
     give_up: Array = field(  # f32[]
         "probability that what is missing is there at all, below which the search "
         "ends; of ``informed``, 0: never"
@@ -54,6 +57,7 @@ def default_planner_params() -> PlannerParams:
         rival_share=jnp.float32(0.1),
         rest_share=jnp.float32(0.25),
         prior_share=jnp.float32(0.8),
+        ahead=jnp.float32(0.0),
         give_up=jnp.float32(0.15),
         constraint_cost=jnp.float32(1.0),
         question_cost=jnp.float32(jnp.inf),

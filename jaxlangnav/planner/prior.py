@@ -5,6 +5,10 @@ other worlds before: a table, learned by ``jaxlangnav.studies.learn_prior`` from
 seeds are in no results table, says how much likelier than elsewhere a thing is found at a range and
 bearing from where the robot was told. Only the order of search hangs on it; the belief itself stays
 uniform over what is unexplored, and ``PlannerParams.prior_share`` = 0 takes it out.
+
+One that has been nowhere may still take it that people speak of what lies ahead: by
+``PlannerParams.ahead`` a place at a bearing b of the heading in which the robot was told counts as
+a von Mises law has it, exp κ cos b. Nothing of that is learned, and it says nothing of ranges.
 """
 
 import functools
@@ -62,10 +66,15 @@ def depth_ahead(area: Array, viewer: Array) -> Array:
     return jnp.maximum(jnp.max(ahead), 0.01)
 
 
-def relative_density(coverage: Coverage, viewer: Array, x: Array, y: Array, share: Array) -> Array:
+def relative_density(
+    coverage: Coverage, viewer: Array, x: Array, y: Array, share: Array, ahead: Array
+) -> Array:
     """Look up how much likelier than elsewhere a thing stands at each place.
 
-    Limits: 1 everywhere for a share of 0; 1 − share where no training world had anything.
+        (share · learned + 1 − share) · exp κ (cos b − 1)
+
+    Limits: 1 everywhere for a share and κ of 0; 1 − share straight ahead where no training world
+    had anything.
 
     Args:
         coverage: for the operating area.
@@ -73,9 +82,10 @@ def relative_density(coverage: Coverage, viewer: Array, x: Array, y: Array, shar
         x: f32[C], metres, map frame.
         y: f32[C], metres.
         share: f32[] in [0, 1], how far the table is trusted; the rest is uniform.
+        ahead: f32[], κ ≥ 0, concentration of bearings b about the viewer's heading.
 
     Returns:
-        f32[C], relative to uniform.
+        f32[C], relative to uniform, straight ahead.
     """
     learned = jnp.asarray(table())
     offset_x, offset_y = x - viewer[0], y - viewer[1]
@@ -92,4 +102,4 @@ def relative_density(coverage: Coverage, viewer: Array, x: Array, y: Array, shar
     is_in = (row < rows) & (column < columns)
     flat = jnp.where(is_in, row * columns + column, 0.0).astype(jnp.int32)
     value = jnp.where(is_in, learned.reshape(-1)[flat], 0.0)
-    return share * value + (1.0 - share)
+    return (share * value + (1.0 - share)) * jnp.exp(ahead * (jnp.cos(bearing) - 1.0))

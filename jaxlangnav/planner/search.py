@@ -76,7 +76,7 @@ def _partner_scale(belief: ParticleBelief, is_free: Array, x: Array, y: Array) -
     return 1.0 - nearer / jnp.sqrt((x - viewer_x) ** 2 + (y - viewer_y) ** 2 + 1e-9)
 
 
-def _unseen(belief: ParticleBelief, hung: Array, prior_share: Array) -> Array:
+def _unseen(belief: ParticleBelief, hung: Array, prior_share: Array, ahead: Array) -> Array:
     """Compute the probability that what is there to be found would have escaped every look.
 
     Anywhere in the area, as the order of search weighs it; or, if that is more, at the places on
@@ -86,6 +86,7 @@ def _unseen(belief: ParticleBelief, hung: Array, prior_share: Array) -> Array:
         belief: weighted particles and coverage.
         hung: f32[C], probability that what hangs on an observed object lies in each cell.
         prior_share: f32[], as of ``search_map``.
+        ahead: f32[], as of ``search_map``.
 
     Returns:
         f32[] in [0, 1].
@@ -96,12 +97,12 @@ def _unseen(belief: ParticleBelief, hung: Array, prior_share: Array) -> Array:
     cells = jnp.exp(coverage.log_miss).reshape(CELLS, size, CELLS, size)
     missed = cells.mean(axis=(1, 3)).reshape(-1)
     x, y = _grid(coverage.area, CELLS)
-    density = prior.relative_density(coverage, viewer, x, y, prior_share)
+    density = prior.relative_density(coverage, viewer, x, y, prior_share, ahead)
     anywhere = jnp.sum(missed * density) / jnp.maximum(jnp.sum(density), 1e-9)
     return jnp.minimum(jnp.maximum(anywhere, jnp.sum(hung * missed)), 1.0)
 
 
-def search_map(belief: ParticleBelief, prior_share: Array) -> SearchMap:
+def search_map(belief: ParticleBelief, prior_share: Array, ahead: Array) -> SearchMap:
     """Fold the belief into a map of where to look.
 
     Hypotheses that hang on nothing observed may be anywhere unexplored, so their share is spread
@@ -111,6 +112,7 @@ def search_map(belief: ParticleBelief, prior_share: Array) -> SearchMap:
     Args:
         belief: weighted particles and coverage.
         prior_share: f32[] in [0, 1], how far the learned prior is trusted; 0 leaves it out.
+        ahead: f32[], κ, how far things are taken to lie ahead of the viewer; 0: all round alike.
 
     Returns:
         The map; its mass sums to the expected number of things still to be found.
@@ -125,7 +127,8 @@ def search_map(belief: ParticleBelief, prior_share: Array) -> SearchMap:
     miss = jnp.exp(belief.coverage.log_miss)
     size = miss.shape[0] // CELLS
     unseen = miss.reshape(CELLS, size, CELLS, size).sum(axis=(1, 3)).reshape(-1)
-    unseen = unseen * prior.relative_density(belief.coverage, belief.viewer, x, y, prior_share)
+    likelier = prior.relative_density(belief.coverage, belief.viewer, x, y, prior_share, ahead)
+    unseen = unseen * likelier
     unseen = unseen * (1.0 + _TILT * jnp.linspace(-0.5, 0.5, CELLS**2))
     column = jnp.floor((particles.hypothesis_x - area[0]) / (area[1] - area[0]) * CELLS)
     row = jnp.floor((particles.hypothesis_y - area[2]) / (area[3] - area[2]) * CELLS)
@@ -141,7 +144,7 @@ def search_map(belief: ParticleBelief, prior_share: Array) -> SearchMap:
         hung=hung_at,
         partner_x=belief.viewer[0] + scale * (x - belief.viewer[0]),
         partner_y=belief.viewer[1] + scale * (y - belief.viewer[1]),
-        unseen=_unseen(belief, hung_at, prior_share),
+        unseen=_unseen(belief, hung_at, prior_share, ahead),
         terrain=belief.terrain,
     )
 
