@@ -115,7 +115,7 @@ def _with_between(
         is_other = np.zeros(len(points), bool)
         for other in told[(told[:, 0] == figure) & (told[:, 2] != landmark), 2]:
             is_other |= fits(world.object_type, kinds[other])[:-1]
-        own = (lies & is_other).any(-1)
+        own = np.any(lies & is_other, axis=-1)
         ends = np.ix_([relation], np.flatnonzero(is_figure), np.flatnonzero(is_landmark))
         related[ends] = own[is_figure][:, is_landmark]
     return related
