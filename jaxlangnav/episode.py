@@ -302,7 +302,7 @@ def run_batch(
     """Run many episodes in lanes that are refilled as episodes end.
 
     Args:
-        tasks: leaves [E, …].
+        tasks: leaves [E, …]; a number of sensor or motion may be one for all.
         instructions: leaves [I, …].
         params: the navigator's numbers, shared; traced.
         config: sizes and policy.
@@ -319,6 +319,15 @@ def run_batch(
     chex.assert_rank([tasks.key, tasks.instruction_index, tasks.scenario.start], [1, 1, 2])
     number = tasks.instruction_index.shape[0] if count is None else count
     tasks, instructions, params, number = strong((tasks, instructions, params, number))
+    episodes = tasks.instruction_index.shape[:1]
+    own = {
+        name: jax.tree.map(
+            lambda leaf: jnp.broadcast_to(leaf, episodes) if leaf.ndim == 0 else leaf,
+            getattr(tasks, name),
+        )
+        for name in ("sensor", "motion", "told")
+    }
+    tasks = replace(tasks, **own)
     return _run_batch(
         tasks,
         instructions,

@@ -56,8 +56,8 @@ def tasks() -> Task:
             field_of_view=jnp.full(EPISODES, 2 * jnp.pi, jnp.float32),
             detection_probability=jnp.full(EPISODES, 0.95, jnp.float32),
             noise=jnp.full(EPISODES, 0.1, jnp.float32),
-            false_detections=jnp.zeros(EPISODES),
-            mislabelled=jnp.zeros(EPISODES),
+            # What is not said, or is one number, holds for all.
+            false_detections=jnp.float32(0.0),
         ),
         motion=MotionParams(
             step_length=jnp.full(EPISODES, 1.0, jnp.float32),
@@ -117,7 +117,7 @@ def test_one_by_one_equals_the_batch(in_lanes: EpisodeResult, tasks, instruction
     results = []
     before = quick_run._cache_size()
     for index in range(EPISODES):
-        task = jax.tree.map(lambda leaf, index=index: leaf[index], tasks)
+        task = jax.tree.map(lambda leaf, index=index: leaf[index] if leaf.ndim else leaf, tasks)
         results.append(
             quick_run(
                 task,
@@ -174,7 +174,9 @@ def test_any_numbers_are_data(in_lanes: EpisodeResult, tasks, instructions) -> N
 def test_order_of_tasks_does_not_matter(in_lanes: EpisodeResult, tasks, instructions) -> None:
     """The same program with tasks permuted: bitwise the same episodes."""
     order = np.random.default_rng(0).permutation(EPISODES)
-    permuted = batch(jax.tree.map(lambda leaf: leaf[order], tasks), instructions, lanes=7)
+    permuted = batch(
+        jax.tree.map(lambda leaf: leaf[order] if leaf.ndim else leaf, tasks), instructions, lanes=7
+    )
     for ours, theirs in zip(jax.tree.leaves(permuted), jax.tree.leaves(in_lanes), strict=True):
         np.testing.assert_array_equal(ours, theirs[order])
 
