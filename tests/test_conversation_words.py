@@ -176,6 +176,31 @@ def test_between_is_dropped_as_a_whole() -> None:
     assert (np.asarray(talk.readings.rank[0]) == BETWEEN).sum() == 0
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "go to the cone between the cone and the tree",
+        "go to the bench between the two trees",
+        "go to the cone behind the cone",
+    ],
+)
+def test_of_one_type_said_again_nothing_changes_places(text: str) -> None:
+    talk = Talk(text)
+    kinds, said, goal = talk.kinds, set(talk.said), int(talk.words.goal[0, 0])
+    talk.say(text)
+    assert talk.kinds == kinds
+    assert talk.said == said
+    is_between = np.asarray(talk.readings.rank[0]) == BETWEEN
+    assert is_between.sum() == (2 if "between" in text else 0)
+    assert int(talk.words.goal[0, 0]) == goal
+
+
+def test_what_lies_between_one_of_its_type_and_another_is_gone_to() -> None:
+    talk = Talk("the cone is between the cone and the tree. go to the cone")
+    assert talk.kinds.count(CONE) == 2
+    assert {figure for figure, _, _ in talk.said} == {int(talk.words.goal[0, 0])}
+
+
 def test_doubts_multiply() -> None:
     readings = by_hand.readings(
         [[HYDRANT], [CONE]], [[(0, NONE, NONE, False)]] * 2, [0.7, 0.3], sizes=(4, 10, 8)

@@ -2,7 +2,7 @@
 
 import copy
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,7 @@ from jaxlangnav.grounding.form import annotation_schema, read_form
 from jaxlangnav.grounding.instruction import NUM_CLAUSES
 from jaxlangnav.grounding.json_schema import validate
 from jaxlangnav.grounding.readings import NUM_MENTIONS, NUM_READINGS, NUM_RELATIONS_SAID
-from jaxlangnav.messages import ACTIONS, LEFT, MODES, NEAR, NONE, REGIONS, RELATIONS, ROBOT
+from jaxlangnav.messages import ACTIONS, BETWEEN, LEFT, MODES, NEAR, NONE, REGIONS, RELATIONS, ROBOT
 from jaxlangnav.relations.table import NUM_RANKS
 
 TYPES = ("hydrant", "cone", "car")
@@ -70,8 +70,14 @@ def things(count: int) -> list[dict]:
     return [{"id": f"t{i}", "type": "cone"} for i in range(count)]
 
 
+def between(landmarks: Iterable[str]) -> list[dict]:
+    """Say that the hydrant lies between things."""
+    return [{"figure": "a", "relation": "between", "landmark": one} for one in landmarks]
+
+
 GOOD = [
     FORM,
+    changed(*FIRST, "relations", to=between("bc")),
     without("notes"),
     without(*SECOND, "relations"),
     without(*COMMAND, "action"),
@@ -182,7 +188,7 @@ def test_the_schema_names_what_the_engine_knows() -> None:
     reading, relation, command = (
         parts[name]["properties"] for name in ("reading", "relation", "command")
     )
-    assert relation["relation"]["enum"] == list(RELATIONS)
+    assert relation["relation"]["enum"] == [*RELATIONS, "between"]
     assert relation["rank"]["maximum"] == NUM_RANKS
     assert command["goal"]["properties"]["region"]["enum"] == list(REGIONS)
     assert command["action"]["enum"] == list(ACTIONS)
@@ -229,6 +235,19 @@ MEANINGLESS: list[tuple[str, str]] = [
         "figure is 'robot', but must be a thing",
     ),
     (json.dumps(changed(*RELATION, "rank", to=1)), "nothing is ordered by behind"),
+    (
+        json.dumps(changed(*RELATION, "relation", to="between")),
+        r"\$.readings\[0\].relations has 'a' between 'b', but a thing lies between two",
+    ),
+    (json.dumps(changed(*FIRST, "relations", to=between("bb"))), "'a' between 'b', but"),
+    (
+        json.dumps(changed(*FIRST, "relations", to=[{**between("b")[0], "rank": 1}])),
+        r"relations\[0\].rank is 1, but nothing is ordered by between",
+    ),
+    (
+        json.dumps(changed(*FIRST, "relations", to=between(["b", "robot"]))),
+        r"relations\[1\].landmark is 'robot', but what lies between the robot",
+    ),
     (json.dumps(changed(*COMMAND, "avoid", to=["a"])), "'a', which is the goal"),
     (json.dumps(changed(*COMMAND, "avoid", to=["robot"])), "must be a thing"),
     (
@@ -313,6 +332,23 @@ def test_landmarks_come_before_the_figures_beside_them() -> None:
     readings = AnnotationGrounder(TYPES).ground(json.dumps(document), START).instruction.readings
     np.testing.assert_array_equal(readings.relation[0, :2], [LEFT, NEAR])
     np.testing.assert_array_equal(readings.mention_type[0, :3], [2, 1, 0])
+
+
+def test_what_lies_between_two_things_has_a_relation_with_each() -> None:
+    more = [{"id": name, "type": "cone"} for name in "cd"]
+    document = changed(*FIRST, "things", to=[*FORM["readings"][0]["things"], *more])
+    document["readings"][0]["relations"] = between("bcd")
+    with pytest.raises(ValueError, match="'a' between 'b', 'c', 'd', but a thing lies between two"):
+        AnnotationGrounder(TYPES).ground(json.dumps(document), START)
+    document["readings"][0]["relations"] = between("bc")
+    grounded = AnnotationGrounder(TYPES).ground(json.dumps(document), START)
+    readings = grounded.instruction.readings
+    np.testing.assert_array_equal(readings.mention_type[0, :4], [1, 0, 1, 1])
+    np.testing.assert_array_equal(readings.figure[0, :3], [1, 1, 3])
+    np.testing.assert_array_equal(readings.landmark[0, :3], [0, 2, NONE])
+    np.testing.assert_array_equal(readings.relation[0, :3], [NEAR, NEAR, NONE])
+    np.testing.assert_array_equal(readings.rank[0, :3], [BETWEEN, BETWEEN, 0])
+    assert grounded.annotations[0]["relation"] == "between"
 
 
 @pytest.mark.parametrize(

@@ -74,6 +74,9 @@ SAME = {
     "go to the hydrant behind the cone near the car": one(
         "hydrant cone car", ("a", "behind", "b"), ("b", "near", "c")
     ),
+    "go to the hydrant between the cone and the car": one(
+        "hydrant cone car", ("a", "between", "b"), ("a", "between", "c")
+    ),
     "go to the nearest cone": one("cone", ("a", "near", "robot", 1)),
     "go to the leftmost tree": one("tree", ("a", "left", "robot", 1)),
     "go to the hydrant nearest to the cone": one("hydrant cone", ("a", "near", "b", 1)),
@@ -115,6 +118,17 @@ def crowded(text: str, rng: np.random.Generator) -> list[World]:
     return worlds
 
 
+def with_a_pair(world: World) -> World:
+    """Let the first hydrant alone lie between the first cone and the first car, where they are."""
+    world.is_related[NEAR] = False
+    kinds = [TYPES.index(name) for name in ("hydrant", "cone", "car")]
+    found = [np.flatnonzero((world.object_type == kind) & world.is_object) for kind in kinds]
+    if all(one.size for one in found):
+        figure, *landmarks = (one[0] for one in found)
+        world.is_related[NEAR, figure, landmarks] = True
+    return world
+
+
 @jax.jit
 def infer(program: object, worlds: object) -> object:
     return infer_behaviors(program, worlds, num_phrases=program.num_phrases)
@@ -134,6 +148,8 @@ def test_a_form_asks_for_what_its_sentence_does(text: str) -> None:
     graph, form = GraphGrounder(load_shipped()).ground(text, START), ground(SAME[text])
     assert int(form.instruction.num_clauses) == int(graph.instruction.num_clauses)
     worlds = crowded(text, np.random.default_rng(5))
+    if "between" in text:
+        worlds = [with_a_pair(world) for world in worlds]
     for clause in range(int(form.instruction.num_clauses)):
         mine, theirs = (behaviors(grounded, worlds, clause) for grounded in (form, graph))
         assert (mine.goal.sum((0, 1)) > 0.9).sum() >= 8  # and these worlds have such a goal

@@ -296,6 +296,34 @@ def test_informed_ends_once_the_rest_has_been_looked_at(mass, robot, chance, sto
         assert bool(choice.is_approach)
 
 
+@pytest.mark.parametrize(("likelier", "stops"), [(0.8, False), (0.2, False), (0.15, True)])
+def test_what_hangs_on_the_unseen_and_is_likelier_is_not_passed_over(likelier, stops) -> None:
+    """The robot stands at what alone can be confirmed; another thing is likelier, or is not."""
+    one = jnp.ones(1)
+    tour = tours.Tour(x=one[None] - 4.0, y=one[None] + 3.0)
+    plan = tours.Plan(tours=tour, latency=2.0 * one, mass=0.6 * one[0], hung=0.6 * one[0])
+    accepted = jnp.array([likelier, 0.16], jnp.float32)
+    aims = Goals(
+        object_x=jnp.array([6.0, 0.0]),
+        object_y=jnp.zeros(2),
+        object_mass=accepted,
+        object_accepted=accepted,
+        object_confirmed=jnp.array([0.08, 0.16]),
+        is_object=jnp.ones(2, bool),
+        hypothesis_x=jnp.zeros(1),
+        hypothesis_y=jnp.zeros(1),
+        hypothesis_mass=jnp.full(1, 0.01),
+    )
+    around = nodes_at([5.0, 6.0, 0.0], [0.0] * 3, [VISITED, OBJECT, OBJECT])
+    shown = situation(by_hand.begin(config=CONFIG), around, aims)
+    choice = DECIDE_ON(shown, plan, jnp.float32(0.5))
+    assert bool(choice.is_stop) is stops
+    # Once nothing is left to look for, the likeliest of all is gone to.
+    choice = DECIDE_ON(shown, plan, jnp.float32(0.01))
+    assert bool(choice.is_stop) is (likelier < 0.16)
+    assert stops or float(choice.waypoint_x) == 6.0
+
+
 def test_who_looks_on_is_not_drawn_back_to_what_has_been_seen() -> None:
     """What is left to be found is little and far, what has been seen is near and likely."""
     one = jnp.ones(1)

@@ -191,9 +191,12 @@ def _new_readings(
 def _places(old: _Reading, new: _Reading, spoken: Spoken | None, *, is_loose: bool) -> list[int]:
     """Find which mention of all that is said each mention of the new utterance is."""
     places: list[int] = []
-    size = len(old.mentions)
+    size, again = len(old.mentions), _said_again(old, new)
     for index, one in enumerate(new.mentions):
-        taken = set(places) if one.kind != ROBOT else set()
+        if index in again:
+            places.append(again[index])
+            continue
+        taken = {*places, *again.values()} if one.kind != ROBOT else set()
         alike = [m for m, it in enumerate(old.mentions) if it.kind == one.kind and m not in taken]
         # What the task speaks of comes to mind first, then what was spoken of last.
         alike.sort(key=lambda m: (old.mentions[m].is_asked, m), reverse=True)
@@ -205,6 +208,24 @@ def _places(old: _Reading, new: _Reading, spoken: Spoken | None, *, is_loose: bo
         places.append(alike[0] if alike else size)
         size += not alike
     return places
+
+
+def _said_again(old: _Reading, new: _Reading) -> dict[int, int]:
+    """Find what the new utterance describes, beside others of its kind, as it has been before.
+
+    Of "the cone behind the cone", said again, neither cone is the other one.
+    """
+    kinds, found = [one.kind for one in new.mentions], {}
+    for index, one in enumerate(new.mentions):
+        said = new.description(index)
+        alike = [
+            m
+            for m, it in enumerate(old.mentions)
+            if it.kind == one.kind and m not in found.values() and old.description(m) == said
+        ]
+        if said and alike and kinds.count(one.kind) > 1:
+            found[index] = alike[-1]
+    return found
 
 
 def _may_be(new: frozenset, old: frozenset, *, is_loose: bool) -> bool:
@@ -231,7 +252,9 @@ def _product(
     known_edges = {dataclasses.replace(one, heard=0, source=NONE) for one in edges}
     for one in (edge.moved(places) for edge in new.edges):
         # From another place "behind the cone" is another side of it: said again, it is news.
-        if one.relation != NONE or dataclasses.replace(one, heard=0) not in known_edges:
+        # What lies between two things does so from anywhere.
+        is_news = one.relation != NONE and one.rank != BETWEEN
+        if is_news or dataclasses.replace(one, heard=0) not in known_edges:
             edges.append(one)
     goals = [NONE if goal == NONE else places[goal] for goal in new.new_goals]
     total = old.log_probability + new.log_probability

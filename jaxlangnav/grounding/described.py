@@ -45,8 +45,9 @@ def description_of(reading: FormReading, thing: int, behind: tuple[int, ...] = (
         The description.
     """
     path = (*behind, thing)
+    # Behavior knows what lies between two things as near each of them.
     places = {
-        (one.relation, one.rank, description_of(reading, one.landmark, path))
+        (one.relation, max(one.rank, 0), description_of(reading, one.landmark, path))
         for one in reading.relations
         if one.figure == thing and one.landmark not in path
     }

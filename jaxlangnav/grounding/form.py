@@ -13,7 +13,17 @@ from importlib import resources
 from typing import Any, NoReturn
 
 from jaxlangnav.grounding.json_schema import quote, validate
-from jaxlangnav.messages import ACTIONS, AT, MODES, REGIONS, RELATIONS, ROBOT
+from jaxlangnav.messages import (
+    ACTIONS,
+    AT,
+    BETWEEN,
+    MODES,
+    NEAR,
+    REGIONS,
+    RELATIONS,
+    ROBOT,
+    relation_name,
+)
 from jaxlangnav.relations.table import ORDERS
 
 MAX_CHARACTERS = 65_536
@@ -30,7 +40,7 @@ class FormRelation:
     figure: int
     relation: int  # index into RELATIONS
     landmark: int
-    rank: int  # 0 plain, 1 the extreme one of its type, 2 the second, ...
+    rank: int  # 0 plain, 1 the extreme one of its type, 2 the second, ...; BETWEEN, of two
 
 
 @dataclasses.dataclass(frozen=True)
@@ -176,6 +186,7 @@ def _read(document: Mapping[str, Any], type_names: Sequence[str], path: str) -> 
         _read_relation(one, index, f"{path}.relations[{i}]")
         for i, one in enumerate(document.get("relations", ()))
     )
+    _check_pairs(relations, tuple(index), path)
     commands = tuple(
         _read_command(one, index, f"{path}.commands[{i}]")
         for i, one in enumerate(document.get("commands", ()))
@@ -213,13 +224,38 @@ def _read_relation(
             f"{path}.landmark is {quote(document['landmark'])}, as the figure is: "
             "nothing is its own landmark"
         )
-    relation, rank = RELATIONS.index(document["relation"]), int(document.get("rank", 0))
+    rank = int(document.get("rank", 0))
+    if document["relation"] == relation_name(NEAR, BETWEEN):
+        if rank:
+            raise ValueError(f"{path}.rank is {rank}, but nothing is ordered by between: leave it")
+        if landmark == ROBOT:
+            raise ValueError(
+                f"{path}.landmark is 'robot', but what lies between the robot and a thing cannot "
+                "be told: say that it is near, or in front"
+            )
+        return FormRelation(figure, NEAR, landmark, BETWEEN)
+    relation = RELATIONS.index(document["relation"])
     if rank and relation not in ORDERS:
         raise ValueError(
             f"{path}.rank is {rank}, but nothing is ordered by {RELATIONS[relation]}: use near, "
             "far, left or right"
         )
     return FormRelation(figure, relation, landmark, rank)
+
+
+def _check_pairs(relations: Sequence[FormRelation], ids: Sequence[str], path: str) -> None:
+    """Refuse what lies between other than two things; of things the ids, the robot's first."""
+    landmarks: dict[int, set[int]] = {}
+    for one in relations:
+        if one.rank == BETWEEN:
+            landmarks.setdefault(one.figure, set()).add(one.landmark)
+    for figure, found in landmarks.items():
+        if len(found) != 2:
+            raise ValueError(
+                f"{path}.relations has {quote(ids[figure + 1])} between "
+                f"{', '.join(quote(ids[one + 1]) for one in sorted(found))}, but a thing lies "
+                "between two: one entry for each of its two landmarks"
+            )
 
 
 def _read_command(document: Mapping[str, Any], index: Mapping[str, int], path: str) -> FormCommand:

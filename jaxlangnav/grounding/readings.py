@@ -149,10 +149,20 @@ class _Reader:
     ) -> None:
         """Say that a thing lies between two others; of one type alone there are two of it."""
         first, second = (sides * 2)[:2]
+        if symbol.figure in (first, second) and self._is_said(symbol.figure, {first, second}):
+            return  # in an earlier clause: which of its type is which has been settled there
         one = mention(first)
         other = mention(second, one, is_pair=first == second)
         figure = mention(symbol.figure, one, other)
         self._say([(figure, symbol.relation, side, BETWEEN) for side in (one, other)])
+
+    def _is_said(self, figure: int, sides: set[int]) -> bool:
+        """Whether something of a type has been said to lie between things of two types."""
+        found: dict[int, set[int]] = {}
+        for own, _, landmark, rank in self.relations:
+            if rank == BETWEEN and self.mentions[own] == figure:
+                found.setdefault(own, set()).add(self.mentions[landmark])
+        return sides in found.values()
 
     def _find(self, kind: int, description: Description, others: Sequence[int]) -> int:
         """Find a thing of an earlier clause that this may be: what is said of one is no less."""

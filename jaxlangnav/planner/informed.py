@@ -123,8 +123,9 @@ def judge(situation: Situation, plan: tours.Plan, chance: Array) -> Judgement:
     is. A goal is settled once its object and all that the sentence places it against have been
     seen and next to nothing speaks for an unseen rival beside things seen; the object is then
     worth more than anything there is to learn. Unsettled goals break ties. Where next to nothing
-    is left to be found and several things may still be meant, the likeliest has to do; so it has
-    where what the goal is placed against is hardly there at all.
+    is left to be found and several things may still be meant, the likeliest has to do, unless it is
+    meant in relation to something not seen: that is looked for, and nothing less likely taken
+    instead. Where what the goal is placed against is hardly there at all, the likeliest has to do.
 
     Args:
         situation: nodes (first stops of the plan's tours lead), goals, where the robot is.
@@ -149,15 +150,17 @@ def judge(situation: Situation, plan: tours.Plan, chance: Array) -> Judgement:
     goal_value = 0.01 * qmdp.values(nodes.x, nodes.y, goals, params.discount, terrain.travel)
     confirmed = jnp.max(goals.object_confirmed)
     rest = jnp.sum(goals.hypothesis_mass)
+    is_best = jnp.arange(goals.object_x.shape[0]) == jnp.argmax(goals.object_confirmed)
+    is_likeliest = confirmed >= jnp.max(jnp.where(is_best, 0.0, goals.object_accepted))
     is_doubtful = (rest <= params.rest_share * confirmed) & (confirmed < params.stop_probability)
-    is_exhausted = (is_doubtful | has_looked) & (confirmed >= LEAST_GOAL)
+    is_exhausted = ((is_doubtful & is_likeliest) | has_looked) & (confirmed >= LEAST_GOAL)
     is_sure = (plan.hung <= params.rival_share * confirmed) | is_exhausted
     is_settled = is_sure & ((confirmed >= params.stop_probability) | is_exhausted)
     arrived = jnp.where(situation.is_find > 0.5, in_view, within_reach)
     # The mass within reach of a candidate may be spread over neighbours: nine tenths of it count.
     will_do = is_exhausted & (arrived >= 0.9 * confirmed)
     first_object = nodes.x.shape[0] - goals.object_x.shape[0]
-    is_goal = jnp.arange(nodes.x.shape[0]) == first_object + jnp.argmax(goals.object_confirmed)
+    is_goal = jnp.concatenate([jnp.zeros(first_object, bool), is_best])
     valuation = Valuation(
         goal_value=jnp.where(is_goal & is_settled, _SETTLED, goal_value),
         information_value=jnp.concatenate([plan.mass / (1.0 + metres), no_tours]),

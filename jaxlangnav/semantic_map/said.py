@@ -204,9 +204,13 @@ def _paired(one: Readings) -> tuple[Readings, Array]:
     """
     is_between = one.rank == BETWEEN
     is_alike = (one.figure[:, None] == one.figure[None]) & is_between[:, None] & is_between[None]
-    is_earlier = is_alike & np.tri(one.figure.shape[0], k=-1, dtype=bool)
-    other = jnp.max(jnp.where(is_earlier, one.landmark[None], NONE), axis=1)
-    is_first = is_between & (other == NONE)
+    number = one.figure.shape[0]
+    is_earlier = is_alike & np.tri(number, k=-1, dtype=bool)
+    # A figure may have been said to lie between one pair, and between another.
+    last = jnp.max(jnp.where(is_earlier, np.arange(number)[None], 0), axis=1)
+    is_second = is_between & (jnp.sum(is_earlier, axis=1) % 2 == 1)
+    other = jnp.where(is_second, one.landmark[last], NONE)
+    is_first = is_between & ~is_second
     return replace(
         one,
         figure=jnp.where(is_first, one.landmark, one.figure),

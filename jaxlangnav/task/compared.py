@@ -25,7 +25,6 @@ from jaxlangnav.messages import (
     NEAR,
     NONE,
     REGIONS,
-    RELATIONS,
     ROBOT,
     relation_name,
 )
@@ -106,7 +105,7 @@ def _named(meaning: Meaning, one: FormRelation) -> Relation:
         "robot" if thing == ROBOT else meaning.type_of(thing)
         for thing in (one.figure, one.landmark)
     )
-    return figure, RELATIONS[one.relation], landmark, one.rank
+    return figure, relation_name(one.relation, one.rank), landmark, max(one.rank, 0)
 
 
 def _difference_in_world(meaning: Meaning, understood: Understood) -> str:
@@ -206,9 +205,9 @@ def _world(meaning: Meaning, kinds: Sequence[int]) -> World:
     is_ranked = np.zeros((NUM_RANKS, NUM_RELATIONS, size, size), bool)
     for one in meaning.reading.relations:
         landmark = size - 1 if one.landmark == ROBOT else one.landmark
-        if one.rank == 0 or one.relation == NEAR:
+        if one.rank <= 0 or one.relation == NEAR:
             is_related[one.relation, one.figure, landmark] = True
-        if one.rank:
+        if one.rank > 0:
             # The device has one table of later ranks: whichever the sentence means.
             is_ranked[min(one.rank, 2) - 1, one.relation, one.figure, landmark] = True
     return World(
@@ -252,7 +251,7 @@ def _fitting(meaning: Meaning, thing: int, world: World) -> set[int]:
         if one.figure != thing:
             continue
         landmark = last if one.landmark == ROBOT else one.landmark
-        holds = world.is_ranked[min(one.rank, 2) - 1] if one.rank else world.is_related
+        holds = world.is_ranked[min(one.rank, 2) - 1] if one.rank > 0 else world.is_related
         fitting = fitting & holds[one.relation, :, landmark]
     return {int(slot) for slot in np.nonzero(fitting)[0]}
 
