@@ -60,6 +60,8 @@ CLUMPING, MISLEADING = 1.0, 0.01
 """How many things there are is not known, and a sentence is rather taken to speak of another of
 them than to be false: in 14 × 18 m with two further pairs 197 of 200 arrive (180 with the numbers
 of the tables), and a false sentence costs 37.5 m (34.9)."""
+ABSENT = 0.05
+"""How often what is spoken of is nowhere."""
 
 _log = logging.getLogger(__name__)
 
@@ -436,5 +438,5 @@ def _params_anywhere() -> NavigatorParams:
     believed = replace(
         params.map, clumping=jnp.float32(CLUMPING), misleading=jnp.float32(MISLEADING)
     )
-    planner = replace(params.planner, prior_share=jnp.float32(0.0))
+    planner = replace(params.planner, prior_share=jnp.float32(0.0), absent=jnp.float32(ABSENT))
     return replace(params, map=believed, planner=planner)

@@ -19,9 +19,10 @@ RIGHT = {
     "labels": 0.96,
     "bad_detector": 0.95,
     "drift": 0.95,
+    "nowhere": 0.99,
 }
 """Share of episodes that must end at the goal."""
-FARTHEST = {"false": 45.0}
+FARTHEST = {"false": 45.0, "nowhere": 65.0}
 """Metres walked on average that a scenario may cost."""
 EPISODES = 200
 

@@ -11,7 +11,7 @@ from jaxlangnav.messages import NONE
 from jaxlangnav.planner import policy, tours
 from jaxlangnav.planner.config import SHIPPED
 from jaxlangnav.planner.constraints import constraint_cost, squared_distance_to_segment
-from jaxlangnav.planner.endings import chance_left
+from jaxlangnav.planner.endings import Chances, chance_left, chances
 from jaxlangnav.planner.faithful import no_waypoint
 from jaxlangnav.planner.goals import Goals
 from jaxlangnav.planner.graph import FRONTIER, OBJECT, VISITED, Nodes
@@ -20,7 +20,7 @@ from jaxlangnav.planner.params import default_planner_params
 from jaxlangnav.planner.policy import Decision, Waypoint
 from jaxlangnav.planner.search import CELLS, LATTICE, search_map, viewpoints, visibility
 from jaxlangnav.pytree import replace
-from jaxlangnav.semantic_map.params import MapConfig
+from jaxlangnav.semantic_map.params import MapConfig, default_map_params
 
 P, SLOTS, KEY = 16, 3, jax.random.key(0)
 CONFIG = MapConfig(num_particles=P, num_objects=SLOTS, num_cells=24)
@@ -257,6 +257,26 @@ def test_the_chance_that_something_is_left_by_hand() -> None:
         assert float(found) == pytest.approx(expected, abs=1e-6)
 
 
+def both(chance: float) -> Chances:
+    """Build the chances where nothing is nowhere."""
+    return Chances(jnp.float32(chance), jnp.float32(chance), jnp.float32(0.0))
+
+
+def test_what_is_nowhere_ends_a_search_sooner_by_hand() -> None:
+    """Three cases: it is there, the sentence is wrong of where, and it is nowhere at all."""
+    maps = replace(default_map_params(), misleading=jnp.float32(0.01), clumping=jnp.float32(0.0))
+    epsilon, nu = 0.01, 0.2
+    for unseen in (1.0, 0.1, 0.01):
+        odds = np.expm1(float(maps.concentration) * unseen)
+        cases = np.array([(1 - epsilon) * (1 - nu) * odds, epsilon, (1 - epsilon) * nu])
+        found = chances(jnp.float32(unseen), jnp.float32(nu), maps)
+        share = cases / cases.sum()
+        np.testing.assert_allclose([found.any, found.nowhere], share[[0, 2]], rtol=1e-4)
+        assert float(found.fitting) > float(found.any)
+        none = chances(jnp.float32(unseen), jnp.float32(0.0), maps)
+        assert [float(one) for one in none] == [float(found.fitting)] * 2 + [0.0]
+
+
 def test_what_is_unseen_by_hand() -> None:
     log_miss = -np.random.default_rng(1).exponential(1.0, (24, 24))
     missed = np.exp(log_miss)
@@ -289,11 +309,28 @@ def test_informed_ends_once_the_rest_has_been_looked_at(mass, robot, chance, sto
     tour = tours.Tour(x=one[None] + 4.0, y=one[None] + 3.0)
     plan = tours.Plan(tours=tour, latency=one + 9.0, mass=jnp.float32(0.6), hung=jnp.float32(0.6))
     shown = situation(by_hand.begin(config=CONFIG), nodes(), unconfirmed, robot)
-    choice = DECIDE_ON(shown, plan, jnp.float32(chance))
+    choice = DECIDE_ON(shown, plan, both(chance))
     assert (bool(choice.is_stop), bool(choice.is_not_found)) == (stops, ends)
     if mass == 0.4 and chance < 0.1 and not stops:
         assert int(choice.kind) == OBJECT
         assert bool(choice.is_approach)
+    # That it is nowhere ends a search that has shown nothing, and nothing is taken for it.
+    choice = DECIDE_ON(shown, plan, Chances(jnp.float32(0.5), jnp.float32(chance), jnp.float32(0)))
+    assert (bool(choice.is_stop), bool(choice.is_not_found)) == (False, ends)
+
+
+def test_nowhere_ends_no_search_that_has_shown_something() -> None:
+    """What does not fit now may have to do: the sentence is rather false than of nothing there."""
+    one = jnp.zeros(1)
+    tour = tours.Tour(x=one[None] + 4.0, y=one[None] + 3.0)
+    plan = tours.Plan(tours=tour, latency=one + 9.0, mass=jnp.float32(0.6), hung=jnp.float32(0.6))
+    for is_seen in (True, False):
+        # The robot's own entry comes last, and is nothing that has been seen.
+        aims = replace(goals(0.0, hypothesis=0.6), is_object=jnp.array([is_seen, True]))
+        shown = situation(by_hand.begin(config=CONFIG), nodes(), aims, (5.5, 0.0))
+        low = Chances(jnp.float32(0.5), jnp.float32(0.01), jnp.float32(0.4))
+        assert bool(DECIDE_ON(shown, plan, low).is_not_found) is not is_seen
+        assert bool(DECIDE_ON(shown, plan, both(0.01)).is_not_found)
 
 
 @pytest.mark.parametrize(("likelier", "stops"), [(0.8, False), (0.2, False), (0.15, True)])
@@ -340,7 +377,7 @@ def test_who_looks_on_is_not_drawn_back_to_what_has_been_seen() -> None:
     shown = situation(by_hand.begin(config=CONFIG), around, aims, (2.0, 0.0))
     asking = replace(shown.params, question_cost=jnp.float32(0.1), look_cost=jnp.float32(5e-4))
     for params, looks_on in ((shown.params, False), (asking, True)):
-        choice = DECIDE_ON(replace(shown, params=params), plan, jnp.float32(0.5))
+        choice = DECIDE_ON(replace(shown, params=params), plan, both(0.5))
         assert bool(choice.doubt.looks_on) == looks_on
         at_stop = (float(choice.waypoint_x), float(choice.waypoint_y)) == (-3.0, 4.0)
         assert at_stop == looks_on

@@ -10,6 +10,7 @@ from test_planner_policy import CONFIG, P, believe, random_places
 
 from jaxlangnav.messages import NONE
 from jaxlangnav.planner import prior, tours
+from jaxlangnav.planner.endings import Chances
 from jaxlangnav.planner.graph import OBJECT
 from jaxlangnav.planner.informed import decide_on
 from jaxlangnav.planner.policy import Decision
@@ -89,6 +90,12 @@ def test_latency_is_the_mean_way_until_found() -> None:
     expected = (mass * np.where(is_seen, first, 6.0 + sweep + away)).sum()
     found = tours.latency(line, search, zero, zero, jnp.float32(RANGE), AREA)
     np.testing.assert_allclose(found, [expected], rtol=1e-4)
+    # It may be nowhere: the way until all has been looked at counts as much as that is likely.
+    is_missed = ~is_seen & (mass > 0.1 * mass.mean())
+    whole = 6.0 + away[is_missed].mean() + is_missed.sum() * 100.0 / CELLS**2 / (2 * RANGE)
+    search = replace(search, nowhere=jnp.float32(0.3))
+    found = tours.latency(line, search, zero, zero, jnp.float32(RANGE), AREA)
+    np.testing.assert_allclose(found, [0.7 * expected + 0.3 * whole], rtol=1e-4)
 
 
 def test_either_of_a_pair_will_do() -> None:
@@ -212,7 +219,7 @@ def decide(now: tours.Plan, goal: float) -> Decision:
         by_hand.begin(config=CONFIG), nodes_at([1.5], [0.0], [OBJECT]), seen_goal(goal, 1.5),
         (1.0, 0.0),
     )  # fmt: skip
-    return DECIDE_ON(shown, now, jnp.float32(1.0))
+    return DECIDE_ON(shown, now, Chances(jnp.float32(1.0), jnp.float32(1.0), NOT))
 
 
 def test_prior_is_relative_to_uniform_and_can_be_left_out() -> None:

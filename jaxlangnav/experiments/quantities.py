@@ -143,6 +143,7 @@ _KNOWN: dict[str, dict[str, Quantity]] = {
         "prior_share": SHARE,
         "ahead": Quantity(),
         "give_up": SHARE,
+        "absent": SHARE,
         "constraint_cost": Quantity(),
         "question_cost": Quantity(),
         "look_cost": Quantity(),

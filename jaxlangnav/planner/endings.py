@@ -11,7 +11,19 @@ are some and all have escaped every look with probability
 where u is the probability that one of them has (``search.SearchMap.unseen``). Where the rate is not
 known but Gamma, with mean α and variance α κ (``semantic_map.counts``), e^{α u} is
 ((1 + κ) / (1 + κ (1 − u)))^{α / κ}.
+
+That a sentence says where a thing is which stands elsewhere, and that it speaks of a thing which is
+nowhere, are two errors: ε is the probability of the first one, the planner's ``absent``, ν, of the
+second one. To take something seen that does not fit is to hold the sentence for false: the search
+for another goes on until ε says that there is none. Where nothing of it all has been seen either
+error ends the search, so it ends sooner, by ε + (1 − ε) ν; and with the probability of the second,
+
+    q = (1 − ε) ν / [(1 − ε) (1 − ν) (e^{α u} − 1) + ε + (1 − ε) ν]
+
+all is to be looked at whatever the order, so that the whole way counts (``tours``).
 """
+
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -19,6 +31,7 @@ from jax import Array
 
 from jaxlangnav.kinds import fits
 from jaxlangnav.messages import Readings
+from jaxlangnav.semantic_map.params import MapParams
 
 
 def chance_left(unseen: Array, concentration: Array, misleading: Array, clumping: Array) -> Array:
@@ -41,6 +54,37 @@ def chance_left(unseen: Array, concentration: Array, misleading: Array, clumping
     share = jnp.where(clumping > 0.0, grown / jnp.maximum(clumping, 1e-9), unseen)
     there = (1.0 - misleading) * jnp.expm1(concentration * share)
     return there / jnp.maximum(there + misleading, 1e-12)
+
+
+class Chances(NamedTuple):
+    """How likely it is that what has not been seen is there."""
+
+    fitting: Array  # f32[] that there is one that fits, where something seen does not
+    any: Array  # f32[] that there is one at all, where nothing spoken of has been seen
+    nowhere: Array  # f32[] q, that there is none because what is spoken of is nowhere
+
+
+def chances(unseen: Array, absent: Array, maps: MapParams) -> Chances:
+    """Compute how likely it is that what has not been seen is there.
+
+    Limits: at ν = 0 both are the same, and q is 0.
+
+    Args:
+        unseen: f32[], u, as of ``chance_left``.
+        absent: f32[], ν, probability that what is spoken of is nowhere in the area.
+        maps: α, ε and κ.
+
+    Returns:
+        The probabilities, in [0, 1].
+    """
+    nowhere = (1.0 - maps.misleading) * absent
+    wrong = maps.misleading + nowhere
+    fitting, either = (
+        chance_left(unseen, maps.concentration, doubt, maps.clumping)
+        for doubt in (maps.misleading, wrong)
+    )
+    share = nowhere / jnp.maximum(wrong, 1e-12)
+    return Chances(fitting=fitting, any=either, nowhere=share * (1.0 - either))
 
 
 def missing_types(readings: Readings, object_type: np.ndarray) -> list[int]:

@@ -2,7 +2,8 @@
 
 It accepts a goal only once everything the sentence mentions has been observed and no rival is left
 near what has been. Once what is missing is hardly there at all (``endings``), it takes the
-likeliest thing that it has seen; where nothing seen will do, the goal is not to be found.
+likeliest thing that it has seen; where nothing seen will do, the goal is not to be found. That is
+said sooner where nothing that is spoken of has been seen: it may all be somewhere else.
 """
 
 import dataclasses
@@ -13,7 +14,7 @@ from jax import Array
 
 from jaxlangnav.planner import graph, qmdp, search, tours
 from jaxlangnav.planner.asking import doubt_of
-from jaxlangnav.planner.endings import chance_left
+from jaxlangnav.planner.endings import Chances, chances
 from jaxlangnav.planner.policy import (
     LEAST_GOAL,
     Decision,
@@ -63,11 +64,11 @@ class Informed(Policy):
         """Improve the tour under way, go to its first stop or to the goal."""
         belief, params, maps = situation.belief, situation.params, situation.map_params
         unseen = search.search_map(situation.wanted, params.prior_share, params.ahead)
-        chance = chance_left(unseen.unseen, maps.concentration, maps.misleading, maps.clumping)
+        chance = chances(unseen.unseen, params.absent, maps)
         plan = tours.plan(
             key,
             memory,
-            unseen,
+            replace(unseen, nowhere=chance.nowhere),
             situation.robot_x,
             situation.robot_y,
             situation.range_max,
@@ -77,13 +78,13 @@ class Informed(Policy):
         return tours.take(plan, decision.value), decision
 
 
-def decide_on(situation: Situation, plan: tours.Plan, chance: Array) -> Decision:
+def decide_on(situation: Situation, plan: tours.Plan, chance: Chances) -> Decision:
     """Decide among the first stops of tours and what every policy is shown.
 
     Args:
         situation: as shown to the policy.
         plan: candidate tours.
-        chance: f32[], probability that what is spoken of, and has not been seen, is there.
+        chance: that what is spoken of, and has not been seen, is there.
 
     Returns:
         The decision.
@@ -96,7 +97,7 @@ def decide_on(situation: Situation, plan: tours.Plan, chance: Array) -> Decision
         situation.goals,
         jnp.min(plan.latency) / jnp.maximum(plan.mass, 1e-6),
         params=params,
-        has_looked=(chance < params.give_up) | situation.has_chosen,
+        has_looked=(chance.fitting < params.give_up) | situation.has_chosen,
         may_ask=situation.may_ask,
     )
     plan = replace(plan, hung=jnp.where(doubt.looks_on, jnp.inf, plan.hung))
@@ -116,7 +117,7 @@ class Judgement(NamedTuple):
     is_not_found: Array  # bool[] nothing is left to look for, and there is no goal
 
 
-def judge(situation: Situation, plan: tours.Plan, chance: Array) -> Judgement:
+def judge(situation: Situation, plan: tours.Plan, chance: Chances) -> Judgement:
     """Value first stops of tours by how soon they find things, until the goal is settled.
 
     The information value of a tour is what is still to be found divided by the metres until it
@@ -130,14 +131,18 @@ def judge(situation: Situation, plan: tours.Plan, chance: Array) -> Judgement:
     Args:
         situation: nodes (first stops of the plan's tours lead), goals, where the robot is.
         plan: candidate tours.
-        chance: f32[], probability that what is spoken of, and has not been seen, is there.
+        chance: that what is spoken of, and has not been seen, is there.
 
     Returns:
         Values, with the confirmed goal probability within reach; whether no rival is left.
     """
     params, goals, nodes = situation.params, situation.goals, situation.nodes
     here = situation.robot_x, situation.robot_y
-    has_looked = chance < params.give_up
+    has_looked = chance.fitting < params.give_up
+    fits_nothing = jnp.max(goals.object_accepted) < LEAST_GOAL
+    # Things seen that do not fit now may have to do in the end.
+    has_seen = jnp.any(goals.is_object[:-1])
+    is_over = jnp.where(has_seen, chance.fitting, chance.any) < params.give_up
     goals = replace(
         goals,
         object_confirmed=jnp.where(has_looked, goals.object_accepted, goals.object_confirmed),
@@ -166,4 +171,4 @@ def judge(situation: Situation, plan: tours.Plan, chance: Array) -> Judgement:
         information_value=jnp.concatenate([plan.mass / (1.0 + metres), no_tours]),
         stop_mass=jnp.where(will_do, jnp.maximum(arrived, params.stop_probability), arrived),
     )
-    return Judgement(valuation, is_sure, has_looked & (confirmed < LEAST_GOAL))
+    return Judgement(valuation, is_sure, is_over & fits_nothing)

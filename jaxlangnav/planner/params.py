@@ -35,6 +35,10 @@ class PlannerParams:
         "probability that what is missing is there at all, below which the search "
         "ends; of ``informed``, 0: never"
     )
+    absent: Array = field(  # f32[]
+        "ν, probability that what is spoken of is nowhere: the more, the more a tour is to show "
+        "all of the area, and the sooner a search that shows nothing ends; of ``informed``"
+    )
     constraint_cost: Array = field(  # f32[]
         "value lost by a path through a region to be kept out of"
     )
@@ -59,6 +63,7 @@ def default_planner_params() -> PlannerParams:
         prior_share=jnp.float32(0.8),
         ahead=jnp.float32(0.0),
         give_up=jnp.float32(0.15),
+        absent=jnp.float32(0.0),
         constraint_cost=jnp.float32(1.0),
         question_cost=jnp.float32(jnp.inf),
         look_cost=jnp.float32(0.001),

@@ -6,6 +6,7 @@ that a thing spoken of, and not seen yet, lies there. ``tours`` plans the way th
 """
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from jaxlangnav.numerics.batching import once
@@ -36,6 +37,7 @@ class SearchMap:
     partner_y: Array  # f32[C]
     unseen: Array  # f32[] probability that what is there to be found would still be unseen
     terrain: Terrain = OPEN  # how far one sees and walks there
+    nowhere: Array | np.float32 = np.float32(0.0)  # f32[] q, that it is nowhere (``endings``)
 
     @property
     def mass(self) -> Array:

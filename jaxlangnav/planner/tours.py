@@ -9,6 +9,11 @@ m_c is the mass of cell c, t_c the length of the way at which the line of stops 
 sensing range of it (of a free pair: of either), T the whole length, q_K the last stop and B the
 area that the tour has missed, so that B / 4R is about half of a sweep of it.
 
+What is looked for may be nowhere, with probability q (``endings``): then all of the area is looked
+at before that is known, in whatever order, and the way until then is what counts:
+
+    L' = (1 − q) L + q M (T + mean_{c missed} |c − q_K| + B / 2R),   M = Σ_c m_c
+
 Each decision starts from the tour under way and from greedy tours over a lattice of viewpoints, and
 improves the best of them by a few rounds of random changes: move a stop, put one in, take one out,
 turn a stretch round. The tour is kept from step to step, so the search goes on while the robot is
@@ -151,6 +156,8 @@ def latency(
 ) -> Array:
     """Compute the expected way until what is looked for comes into view, times its mass.
 
+    Limits: at q = 0 the way until all has been looked at does not count.
+
     Args:
         tours: leaves [T, K].
         search: where looking is worth while.
@@ -174,7 +181,8 @@ def latency(
         tours.x[:, -1:], tours.y[:, -1:], search.x[None], search.y[None]
     )
     mass = search.mass
-    is_left = (free >= NEVER) & (mass > 0.1 * jnp.mean(mass))[None, :]
+    counts = (mass > 0.1 * jnp.mean(mass))[None, :]
+    is_left = (free >= NEVER) & counts
     cell = (area[1] - area[0]) * (area[3] - area[2]) / mass.shape[0]
     sweep = jnp.sum(is_left, axis=1) * cell / (4.0 * range_max)
     rest = (walked + sweep)[:, None] + away
@@ -183,6 +191,11 @@ def latency(
         + search.hung[None, :] * jnp.where(hung < NEVER, hung, rest),
         axis=1,
     )
+    is_missed = (hung >= NEVER) & counts
+    number = jnp.sum(is_missed, axis=1)
+    back = jnp.sum(jnp.where(is_missed, away, 0.0), axis=1) / jnp.maximum(number, 1)
+    whole = walked + back + number * cell / (2.0 * range_max)
+    total = (1.0 - search.nowhere) * total + search.nowhere * jnp.sum(mass) * whole
     return total + jnp.where(
         _is_underfoot(tours.x[:, 0], tours.y[:, 0], robot_x, robot_y), NEVER, 0.0
     )
