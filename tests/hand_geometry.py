@@ -88,7 +88,8 @@ def holds(name: str, place: np.ndarray, landmark: np.ndarray | None, *, is_core:
     along, left = _along(place, landmark)
     away = np.hypot(along, left)
     if name == "near":
-        return away < (2.2 if is_core else 5.0)
+        core = 3.5 if landmark is None else 2.2  # nothing stands right where the robot does
+        return away < (core if is_core else 5.0)
     if name == "far":
         return away > (8.0 if is_core else 4.0)
     if landmark is None:
@@ -150,18 +151,25 @@ def _ranked(
 
 
 def goals_of(commands: list[Command], world: Place) -> list[set[int]] | None:
-    """Find what each command means; None where a world leaves it open."""
+    """Find what each command means, nothing where it is the robot; None where it is left open.
+
+    "The cone, then the other cone" is open only in which of the two comes first.
+    """
     gone: set[int] = set()
     last: set[int] = set()
     meant = []
-    for command in commands:
-        if "same" in command.thing.marks:
+    for command, after in zip(commands, [*commands[1:], None], strict=True):
+        thing = command.thing
+        if "same" in thing.marks:
             found = last
         else:
-            found = find_things(command.thing, world, gone, is_core=True)
-            if found != find_things(command.thing, world, gone, is_core=False):
+            found = find_things(thing, world, gone, is_core=True)
+            if found != find_things(thing, world, gone, is_core=False):
                 return None
-        if not found or (len(commands) > 1 and len(found) > 1):
+        is_either = after is not None and after.thing == Thing(thing.kind, ("other",))
+        if is_either and not thing.relations and len(found) == 2:
+            return [found, found] if len(commands) == 2 else None
+        if thing.kind != ROBOT and (not found or (len(commands) > 1 and len(found) > 1)):
             return None
         gone, last = set(found), found
         meant.append(found)
