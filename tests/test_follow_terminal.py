@@ -27,6 +27,7 @@ TERMINAL = """
 import os, pty, sys
 sys.exit(os.waitstatus_to_exitcode(pty.spawn([sys.executable, "-c", *sys.argv[1:]])))
 """
+FOLLOW = TERMINAL.replace('"-c", ', "")
 
 
 @pytest.mark.parametrize(
@@ -64,3 +65,35 @@ def test_one_answers_and_leaves_at_a_terminal(way: str, keys: bytes, code: int, 
     assert "Traceback" not in shown.decode()
     if way == "ask":
         assert "  2. the hydrant at (5.0, 1.0) m, 50 %" in lines
+
+
+@pytest.mark.slow
+def test_one_talks_to_a_whole_episode_and_leaves() -> None:
+    """Halted, sent on, sent to the other one, and left alone: the story tells all of it."""
+    follow = ["follow", "go to the hydrant", "--world", "2H1C", "--talk"]
+    call = [sys.executable, "-c", FOLLOW, "-m", "jaxlangnav", *follow]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(call, stdin=pipe, stdout=pipe, stderr=pipe) as terminal:
+        assert terminal.stdin is not None
+        assert terminal.stdout is not None
+        assert terminal.stderr is not None
+        told = shown = b""
+        # An episode that has ended waits, too: whatever is typed finds the robot standing still.
+        for typed in (b"stop\n", b"resume\n", b"go to the other hydrant\n", b"\x04"):
+            while typed != b"stop\n" and b"stands still" not in shown:
+                piece = terminal.stdout.read1(4096)
+                assert piece, shown
+                shown += piece
+            before, _, shown = shown.partition(b"stands still")
+            told += before
+            terminal.stdin.write(typed)
+            terminal.stdin.flush()
+        told += shown + terminal.stdout.read()
+        errors = terminal.stderr.read()
+        assert terminal.wait() == 0, errors
+    story = b" ".join(told.split()).decode()
+    for part in ("“stop”, a halt", "“resume”, a resume", "other hydrant”, a command. Rules out"):
+        assert part in story
+    assert story.endswith(" m.")
+    assert "Traceback" not in story
+    assert errors == b""

@@ -1,0 +1,289 @@
+"""Accepted sentences of ``spoken.txt`` driven in random worlds: where the robot ends is right.
+
+What is right is said by plain geometry (``hand_geometry``), from the meaning that was written down
+by hand for each sentence. All sentences and worlds are lanes of one compiled program.
+"""
+
+import os
+import random
+import zlib
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hand_geometry import (
+    ROBOT,
+    Command,
+    Place,
+    Thing,
+    find_things,
+    goals_of,
+    holds,
+    kinds_in,
+    read_label,
+)
+from readings import repeat, stack
+
+from jaxlangnav import Navigator, episode
+from jaxlangnav.episode import Progress, Task
+from jaxlangnav.grounding import load_shipped, understand
+from jaxlangnav.grounding.binding import Detector
+from jaxlangnav.grounding.instruction import Instruction
+from jaxlangnav.messages import NONE, Status, default_motion, default_sensor
+from jaxlangnav.navigator import NavigatorConfig, NavigatorParams
+from jaxlangnav.world.motion import HOLONOMIC
+from jaxlangnav.world.scenario import NUM_SLOTS
+from jaxlangnav.world.simulator import SUCCESS_RADIUS
+from jaxlangnav.world.state import Scenario
+
+LINES = Path(__file__).with_name("spoken.txt").read_text("utf-8").splitlines()
+SPOKEN = [line.split(" => ") for line in LINES if line and not line.startswith("#")]
+NUM_WORLDS, ROUND, LANES, STEPS = 3, 256, 32, 120
+MOST_THINGS, RANGE, EXTENT = 6, 8.0, 10.0
+AVOIDED = 1.2
+"""Metres within which a thing to be avoided has been approached."""
+SENTENCES = [(text, read_label(label)) for text, label in SPOKEN if label != "REFUSED"]
+COMMANDS = [(text, told) for text, told in SENTENCES if told and "between" not in text]
+"""Sentences that send somewhere; ``test_follow_between`` drives those of two landmarks."""
+SPARE = ("bench", "box", "tree", "car")
+KINDS = sorted({kind for _, told in COMMANDS for kind in kinds_in(told)} | set(SPARE))
+
+
+def scatter(told: list[Command], kinds: list[str], draw: np.random.Generator) -> np.ndarray:
+    """Throw things into the area, those that a label relates about where it has them."""
+    at = draw.uniform(-EXTENT + 1.0, EXTENT - 1.0, (len(kinds), 2))
+    free = list(range(len(kinds)))
+
+    def put(thing: Thing) -> np.ndarray | None:
+        if thing.kind == ROBOT:
+            return None
+        slot = next((n for n in free if kinds[n] == thing.kind), None)
+        marks = [(name, put(mark)) for name, rank, mark in thing.relations if rank == 0]
+        if slot is None:
+            return draw.uniform(-5.0, 5.0, 2)
+        free.remove(slot)
+        if marks:
+            name, landmark = marks[0]
+            spots = draw.uniform(-6.0, 6.0, (200, 2)) + (0.0 if landmark is None else landmark)
+            core = (one for one in spots if holds(name, one, landmark, is_core=True))
+            at[slot] = next(core, at[slot])
+        return at[slot]
+
+    for command in told:
+        for one in (command.thing, *command.avoided):
+            put(one)
+    return at
+
+
+def is_clear(told: list[Command], world: Place) -> bool:
+    """Tell whether nothing is in the way, and what is to be avoided is known and can be."""
+    away = np.hypot(*(world.at[:, None] - world.at[None]).transpose(2, 0, 1))
+    if (away + 9.0 * np.eye(len(away)) < 1.5).any() or (np.hypot(*world.at.T) < 2.5).any():
+        return False
+    meant = goals_of(told, world)
+    if "other" in told[0].thing.marks:  # than which?
+        return False
+    if meant is None or np.abs(world.at).max() > EXTENT - 0.5:
+        return False
+    for out in avoided_in(told, world):
+        near = [n for found in meant for n in found]
+        if out in near or np.hypot(*world.at[out]) < 3.5 or (away[out, near] < 5.0).any():
+            return False
+    return True
+
+
+def avoided_in(told: list[Command], world: Place) -> set[int]:
+    return {
+        n
+        for command in told
+        for one in command.avoided
+        if "same" not in one.marks
+        for n in find_things(one, world, set(), is_core=True)
+    }
+
+
+def draw_world(told: list[Command], seed: int) -> Place | None:
+    """Draw a world in which it is clear what is meant; None where none was found."""
+    draw, kinds = np.random.default_rng(seed), kinds_in(told)
+    if len(kinds) > MOST_THINGS:
+        return None
+    extra = [told[-1].thing.kind] if told[-1].thing.relations and len(kinds) < MOST_THINGS else []
+    extra += [one for one in SPARE if one not in kinds][:1]
+    kinds = (kinds + [one for one in extra if one not in ("one", "place")])[:MOST_THINGS]
+    for _ in range(400):
+        world = Place(tuple(kinds), scatter(told, kinds, draw))
+        if is_clear(told, world):
+            return world
+    return None
+
+
+def scenario_of(world: Place, names: tuple[str, ...]) -> Scenario:
+    number = len(world.kinds)
+    kinds, at = np.full(NUM_SLOTS, NONE, np.int32), np.zeros((NUM_SLOTS, 2), np.float32)
+    kinds[:number], at[:number] = [names.index(kind) for kind in world.kinds], world.at
+    return Scenario(
+        object_type=kinds, object_x=at[:, 0], object_y=at[:, 1],
+        is_object=np.arange(NUM_SLOTS) < number, goal=np.zeros(2, np.float32),
+        goal_index=np.int32(NONE), start=np.zeros(3, np.float32),
+        area=np.array([-EXTENT, EXTENT] * 2, np.float32), is_valid=np.bool_(True),
+    )  # fmt: skip
+
+
+class Way(NamedTuple):
+    """An episode that keeps where it has been."""
+
+    progress: Progress
+    at: jax.Array  # f32[STEPS + 1, 2] metres; NaN where it has not come to
+
+
+def _begin(task: Task, instructions: Instruction, *, config: NavigatorConfig) -> Way:
+    at = jnp.full((STEPS + 1, 2), jnp.nan).at[0].set(task.scenario.start[:2])
+    return Way(episode.begin(task, instructions, config=config), at)
+
+
+def _advance(way: Way, *, params: NavigatorParams, config: NavigatorConfig) -> tuple[Way, None]:
+    after, _ = episode.advance(way.progress, params=params, config=config)
+    return Way(after, way.at.at[after.steps].set(after.world.position)), None
+
+
+def _finish(way: Way) -> tuple[jax.Array, jax.Array, jax.Array]:
+    return way.at, way.progress.navigator.status, way.progress.steps
+
+
+COURSE = episode.Course(_begin, _advance, _finish, lambda way: way.progress)
+
+
+def follow(cases: list[tuple[str, Place]]) -> list[tuple[np.ndarray, Status, int]]:
+    """Follow sentences in worlds: the way of each, how it ended, and after how many steps."""
+    model = load_shipped()
+    labels = tuple(dict.fromkeys([*model.type_names, *KINDS]))
+    told = {text: understand(text, model, Detector(labels)).instruction for text, _ in cases}
+    robot, found = Navigator.pretrained(), []
+    for first in range(0, len(cases), ROUND):
+        number = min(ROUND, len(cases) - first)
+        some = [cases[first + n % number] for n in range(ROUND)]
+        tasks = Task(
+            key=jax.random.split(jax.random.key(0), ROUND),
+            scenario=stack([scenario_of(world, labels) for _, world in some]),
+            instruction_index=jnp.arange(ROUND, dtype=jnp.int32),
+            sensor=repeat(default_sensor(RANGE), ROUND),
+            motion=repeat(default_motion(), ROUND),
+            body=HOLONOMIC,
+        )
+        ways = episode.run_batch(
+            tasks, stack([told[text] for text, _ in some]), params=robot.params,
+            config=robot.config, num_lanes=LANES, max_steps=STEPS, count=number, course=COURSE,
+        )  # fmt: skip
+        found += [
+            (path[~np.isnan(path[:, 0])], Status(int(ended)), int(steps))
+            for path, ended, steps in zip(*jax.device_get(ways), strict=True)
+        ][:number]
+    return found
+
+
+def what_is_wrong(
+    told: list[Command], world: Place, path: np.ndarray, ended: Status, steps: int
+) -> str:
+    """Hold an episode against plain geometry; empty where it is right."""
+    meant, end, last = goals_of(told, world), path[-1], told[-1]
+    assert meant is not None
+    if ended != Status.ARRIVED:
+        return f"ended {ended.word}"
+    if last.region is not None and not last.is_find:
+        marks = [None] if last.thing.kind == ROBOT else [world.at[n] for n in meant[-1]]
+        if not any(holds(last.region, end, mark, is_core=False) for mark in marks):
+            return f"ended at {end.round(1)}, not {last.region}"
+    else:
+        away = min(np.hypot(*(end - world.at[n])) for n in meant[-1])
+        if away > (RANGE if last.is_find else SUCCESS_RADIUS):
+            return f"ended {away:.1f} m from what is meant, at {end.round(1)}"
+    for command, found in zip(told[:-1], meant[:-1], strict=True):
+        if command.region is None and not command.is_find:
+            way = max(np.hypot(*(path - world.at[n]).T).min() for n in found)
+            if way > SUCCESS_RADIUS:
+                return f"passed {way:.1f} m from what came before"
+    for out in avoided_in(told, world):
+        way = float(np.hypot(*(path - world.at[out]).T).min())
+        if way < AVOIDED:
+            return f"approached what is to be avoided, {way:.1f} m"
+    if steps == 1 and not last.is_find and last.region is None:
+        return "stopped where it stood"
+    return ""
+
+
+def cases_of(number: int) -> list[tuple[str, list[Command], Place]]:
+    """Draw worlds for every sentence, ``number`` each."""
+    cases = []
+    for text, told in COMMANDS:
+        for index in range(number):
+            world = draw_world(told, zlib.crc32(f"{index} {text}".encode()))
+            if world is not None:
+                cases.append((text, told, world))
+    return cases
+
+
+def test_the_geometry_is_what_people_mean() -> None:
+    world = Place(
+        ("cone", "hydrant", "hydrant", "car"), np.array([[5, 0], [7, 0], [5, 2.5], [1, -4]])
+    )
+    for label, expected in (
+        ("nav hydrant[behind cone]", {1}), ("nav hydrant[left cone]", {2}),
+        ("nav car[right robot]", {3}), ("nav hydrant[near1 cone]", {1}),
+        ("nav cone[front hydrant[behind cone]]", {0}), ("nav cone ; nav hydrant[left1 robot]", {2}),
+        ("find:carefully one[behind cone] avoid car", {1}),
+    ):  # fmt: skip
+        found = find_things(read_label(label)[-1].thing, world, set(), is_core=True)
+        assert found == expected, label
+    assert goals_of(read_label("nav cone ; nav @behind same cone"), world) == [{0}, {0}]
+
+
+def test_most_sentences_have_worlds_in_which_they_are_clear() -> None:
+    some = COMMANDS[::40]
+    assert len(COMMANDS) > 500
+    drawn = [draw_world(told, index) is not None for index, (_, told) in enumerate(some)]
+    assert np.mean(drawn) > 0.8
+
+
+KNOWN = {
+    "what may be of any type is taken for a bystander, and never found": (
+        "drive to the thing behind the cone", "the one behind the car",
+        "go to the one behind the car", "drive to the object near the car",
+    ),
+    "does not look on for a thing that would come before": (
+        "drive to the barrel furthest away from the car",
+        "Would you be able to find the closest barrel to the hydrant?",
+        "please make a move to the cone nearest you",
+    ),
+    "stops at another than the third though it has the third in view": (
+        "the third car", "go to the third barrel on your right",
+    ),
+    "keeps away from whatever may yet be the nearest, and never gets on": (
+        "stay away from the nearest cone and go to the second cone",
+    ),
+    "gives up before it has looked into the corners": ("once you reach the cone, go to the tree",),
+}  # fmt: skip
+"""Sentences that go wrong in some world, by why: none may be added (docs/limits.md)."""
+MOST_WRONG = 12
+"""Worlds of the first two rounds in which they do; may only shrink."""
+
+
+@pytest.mark.slow
+def test_every_sentence_leads_where_it_says() -> None:
+    """Two rounds of worlds drawn from all; ``SPOKEN_ROUNDS=9`` drives every one."""
+    rounds = int(os.environ.get("SPOKEN_ROUNDS", "2"))
+    cases = cases_of(NUM_WORLDS)
+    random.Random(0).shuffle(cases)
+    cases = cases[: rounds * ROUND]
+    found = follow([(text, world) for text, _, world in cases])
+    wrong = [
+        (text, f"{why}; {list(zip(world.kinds, world.at.round(1).tolist(), strict=True))}")
+        for (text, told, world), one in zip(cases, found, strict=True)
+        if (why := what_is_wrong(told, world, *one))
+    ]
+    known = {text for texts in KNOWN.values() for text in texts}
+    said = "\n".join(f"{text!r}: {why}" for text, why in wrong)
+    assert not {text for text, _ in wrong} - known, f"{len(wrong)} of {len(cases)}:\n{said}"
+    assert rounds > 2 or len(wrong) <= MOST_WRONG, said
