@@ -82,7 +82,7 @@ def test_what_would_be_a_guess_is_refused(text):
         ("saunter behind the tree", "go behind the tree"),
         ("dock at the box", "stop at the box"),
         ("steer for the hydrant over by the tree", "go to the hydrant near the tree"),
-        ("go to a cone which is close to a tree", "go to a cone that is close to a tree"),
+        ("go to a cone what is near a tree", "go to a cone that is near a tree"),
         ("linger near the tree", "stop near the tree"),
         ("go to the cone and give the car a wide berth", "go to the cone but avoid the car"),
         ("stop at the tree. actually, make that the bench", "stop at the bench"),
