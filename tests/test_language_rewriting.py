@@ -67,6 +67,84 @@ def test_what_would_be_a_guess_is_refused(text):
 
 
 @pytest.mark.parametrize(
+    ("said", "plain"),
+    [
+        ("head on over there to the bench", "go to the bench"),
+        ("go to the bench for a bit, please and thank you", "go to the bench"),
+        ("go to the tree right of the bench, which is itself right of the car",
+         "go to the tree right of the bench that is right of the car"),
+        ("i'd like to see you at the cone next to the tree", "be at the cone next to the tree"),
+        ("see if you can spot a hydrant", "spot a hydrant"),
+        ("do me a favor, stop behind the car", "stop behind the car"),
+        ("quick, behind the tree!", "quickly stop behind the tree"),
+        ("in front of the cone is where you should be", "stop in front of the cone"),
+        ("tuck yourself in behind the cone", "stop behind the cone"),
+        ("saunter behind the tree", "go behind the tree"),
+        ("dock at the box", "stop at the box"),
+        ("steer for the hydrant over by the tree", "go to the hydrant near the tree"),
+        ("go to a cone what is near a tree", "go to a cone that is near a tree"),
+        ("linger near the tree", "stop near the tree"),
+        ("go to the cone and give the car a wide berth", "go to the cone but avoid the car"),
+        ("stop at the tree. actually, make that the bench", "stop at the bench"),
+        ("i lost my box, it's somewhere near the bench. find the box",
+         "the box is near the bench. find the box"),
+        ("see that cone near the tree? that's where you're going",
+         "there is that cone near the tree. go there"),
+        ("one of the hydrants near the car", "a hydrants near the car"),
+        ("the inspection is at noon. go to the cone", "go to the cone"),
+        ("go to the cone, we've got a fire to put out", "go to the cone"),
+        ("go to the bench pleeease", "go to the bench please"),
+        ("stop at the bench, no, the tree", "stop at the tree"),
+        ("go to the far cone", "go to the farthest cone"),
+    ],
+)  # fmt: skip
+def test_what_is_refused_as_it_stands_is_read_in_plainer_words(said, plain):
+    assert tree(said) == tree(plain)
+
+
+def test_plainer_words_are_told_and_never_offered():
+    found = parse("tuck yourself in behind the cone. the inspection is at noon")
+    assert ("tuck yourself in", "stop") in found.rewrites
+    assert found.unread == ("the inspection is at noon",)
+    with pytest.raises(LanguageError):
+        parse("tuck yourself in behind the cone", is_nearest_offered=False)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "i'd hate for you to go to the tree",
+        "if you can see the car, go to the tree",
+        "tell me if you can find the tree",
+        "that's not where you should go",
+        "do not give the truck a wide berth",
+        "i was told not to go to the tree",
+        "throw yourself at the tree",
+        "the bench is broken, it's the bench. repair it",
+        "hide the box behind the car",
+        "go to the bench where i am sitting",  # tells which one
+        "i am by the tree, come get the box",
+        "go to the cone. the box is ready for the car",  # speaks of known things
+        "keep going straight",  # how far?
+    ],
+)
+def test_plainer_words_leave_out_nothing_that_tells(text):
+    with pytest.raises(LanguageError):
+        parse(text)
+
+
+def test_an_open_end_asks_how_far():
+    with pytest.raises(LanguageError, match="how far"):
+        parse("keep going straight")
+
+
+@pytest.mark.parametrize("name", ["exit", "well", "crossing"])
+def test_a_word_of_another_class_is_a_noun_where_only_one_can_stand(name):
+    (clause,) = parse(f"go to the box left of the car, close to the {name}").clauses
+    assert any(f"type:{name}" in word.senses for word in clause.all_words())
+
+
+@pytest.mark.parametrize(
     ("text", "begins", "offered"),
     [
         ("go to the box on the bench", "'on' (word 5)", "go to the box"),

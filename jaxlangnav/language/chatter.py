@@ -7,15 +7,19 @@ or refused, with the rest. The words that decide stand in ``data/chatter.toml``.
 """
 
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from functools import cache
 from importlib import resources
 
-from jaxlangnav.language.lexicon import TYPE_CLASS, load_lexicon
+from jaxlangnav.language.lexicon import REASONS, TYPE_CLASS, load_lexicon
 from jaxlangnav.language.tokens import MARKS, Spoken
 
 Part = list[Spoken]
+_UNSAID = frozenset(
+    {REASONS[name] for name in ("negation", "condition", "such an action", "amends", "a turn")}
+)
+"""What a remark holds nothing of: it could change or add to what is to be done."""
 
 
 @cache
@@ -25,10 +29,15 @@ def _words() -> dict[str, frozenset[str]]:
     return {name: frozenset(words) for name, words in tomllib.loads(text).items()}
 
 
-@cache
-def _names() -> frozenset[str]:
-    """Collect the words of names of known things."""
-    return frozenset(word for key in load_lexicon().entries[TYPE_CLASS] for word in key)
+def _names_thing(words: Sequence[str]) -> bool:
+    """Tell whether a known thing is named: "fire hydrant", and not "fire"."""
+    names = load_lexicon().entries[TYPE_CLASS]
+    longest = max(len(name) for name in names)
+    return any(
+        tuple(words[index : index + size]) in names
+        for index in range(len(words))
+        for size in range(1, longest + 1)
+    )
 
 
 def leave_out(tokens: Sequence[Spoken]) -> tuple[list[Spoken], list[str]]:
@@ -61,6 +70,47 @@ def leave_out(tokens: Sequence[Spoken]) -> tuple[list[Spoken], list[str]]:
     return (kept, dropped) if kept else (list(tokens), [])
 
 
+def leave_out_remarks(tokens: Sequence[Spoken]) -> tuple[list[Spoken], list[str]]:
+    """Leave out of a refused sentence remarks on what nothing else in it speaks of.
+
+    "The inspection is at noon. Go to the hydrant." A remark says that something is so; it can
+    select nothing where no other part has one of its words or points back.
+
+    Args:
+        tokens: words and marks.
+
+    Returns:
+        What is left to be read, all of it where nothing would be; and what has been left out.
+    """
+    parts = _parts(tokens)
+    kept: list[Spoken] = []
+    dropped: list[str] = []
+    for index, (part, mark) in enumerate(parts):
+        later = {token.text for other, _ in parts[index + 1 :] for token in other}
+        others = {token.text for other, _ in parts if other is not part for token in other}
+        if _is_remark(part, others) and not later & _words()["referring"]:
+            dropped.append(_text(part))
+            continue
+        kept += part if mark is None else [*part, mark]
+    while kept and kept[-1].text in MARKS:
+        kept.pop()
+    return (kept, dropped) if kept else (list(tokens), [])
+
+
+def _is_remark(part: Part, others: Collection[str]) -> bool:
+    """Tell whether a part says that something is so of which the others do not speak."""
+    words, lists = [token.text for token in part], _words()
+    if len(words) < 2 or words[0] not in lists["remarking"] | lists["ourselves"] or _tells(words):
+        return False
+    refused = load_lexicon().refused
+    is_ours = words[0] in lists["ourselves"]  # and what we do is no order
+    unsaid = _UNSAID - {REASONS["such an action"]} if is_ours else _UNSAID
+    if any(refused.get(word) in unsaid for word in words) or lists["pointing"] & set(words):
+        return False
+    is_told = is_ours or words[0] in lists["exclaiming"] or lists["being"].intersection(words[1:5])
+    return bool(is_told) and not (set(words) - lists["empty"]) & set(others)
+
+
 def _parted_at_so(tokens: Sequence[Spoken]) -> list[Spoken]:
     """Put a mark in the place of "so" after small talk: "my friend is waiting so go to the car"."""
     parted = list(tokens)
@@ -90,7 +140,7 @@ def _parts(tokens: Sequence[Spoken]) -> list[tuple[Part, Spoken | None]]:
 
 def _tells(words: Sequence[str]) -> bool:
     """Tell whether words could say what to do or which thing is meant."""
-    if _names().intersection(words) or _words()["telling"].intersection(words):
+    if _names_thing(words) or _words()["telling"].intersection(words):
         return True
     # "I left my keys": a verb there, and a side nearly everywhere else.
     return any(

@@ -224,11 +224,13 @@ class Grammar:
             left = waiting
         self._earley.predictions = predictions
 
-    def parse(self, tokens: list[str]) -> tuple[Derivation, float]:
+    def parse(self, tokens: list[str], *, is_end_found: bool = True) -> tuple[Derivation, float]:
         """Find the most probable derivation.
 
         Args:
             tokens: words in lower case, or the marks of unknown words and punctuation.
+            is_end_found: find where no tree can go on, which takes another parse; otherwise the
+                error names the last token.
 
         Returns:
             The derivation and its share of the probability of all derivations.
@@ -246,7 +248,8 @@ class Grammar:
                 self._predict_only(frozenset(terminals), is_whole=True)
                 root = self._lark.parse(terminals)
             except (UnexpectedEOF, UnexpectedToken):
-                raise NoParseError(self._end_of_parse(terminals)) from None
+                end = self._end_of_parse(terminals) if is_end_found else len(tokens) - 1
+                raise NoParseError(end) from None
         return ForestReader(self._by_rule, tokens).read(root)
 
     def _end_of_parse(self, terminals: list[str]) -> int:

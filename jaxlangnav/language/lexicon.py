@@ -38,6 +38,7 @@ REASONS = {
     "say them first, as in 'turn left', or say where to go",
     "a distance": "distances are measured from the robot or in front of, behind or beside a thing, "
     "as in 'go forward two metres', 'stop 3 metres behind the cone'",
+    "an open end": "how far? say it, as in 'go forward 2 metres', or say where to end",
     "the compass": "where north is, is not known to the robot; say left, right, ahead or behind",
     "two sides": "in front of it or behind it? say which",
     "between": "what lies between is told by two things, and is no place by itself; "

@@ -38,6 +38,7 @@ class Nouns:
 
     synonyms: tuple[frozenset[str], ...]
     compounds: frozenset[tuple[str, ...]]
+    also: frozenset[str]  # words of other classes that may be nouns
     broader: Mapping[str, str]  # narrower → broader
     attributes: Mapping[str, str]  # adjective → value
 
@@ -60,6 +61,7 @@ def load_nouns() -> Nouns:
     return Nouns(
         synonyms=tuple(frozenset(group) for group in document["synonyms"]),
         compounds=frozenset(tuple(name.split()) for name in names | foreign if " " in name),
+        also=frozenset(document["also_nouns"]),
         broader={one: kind for kind, narrow in document["broader"].items() for one in narrow},
         attributes=document["attributes"],
     )
@@ -115,6 +117,7 @@ def join_nouns(tokens: list[Token], labels: Collection[str] = ()) -> list[Token]
         The tokens; a joined one has the position of its first word.
     """
     names = load_nouns().compounds | {tuple(label.split()) for label in labels}
+    names |= {(noun,) for noun in load_nouns().also}
     # What the lexicon has as a type is read by it.
     names -= load_lexicon().entries[TYPE_CLASS].keys()
     longest = max((len(name) for name in names), default=1)
@@ -142,6 +145,8 @@ def _size_of_name(
             continue
         if size > 1 or tokens[index].terminal.startswith("?") or is_noun_place(tokens, index):
             return size
+        if words[0] in load_nouns().also and _is_head(tokens, index):
+            return size
     following = tokens[index + 1 : index + 2]
     is_verbal = words[0] in _single_verbs() and _is_after_determiner(tokens, index)
     return 2 if is_verbal and following and following[0].terminal.startswith("?") else 0
@@ -149,10 +154,19 @@ def _size_of_name(
 
 def _is_after_determiner(tokens: list[Token], index: int) -> bool:
     """Tell whether only a determiner, or one and adjectives, stands before a token."""
-    before = index - 1
-    while before >= 0 and tokens[before].text in _words_of("adj") and tokens[before].text:
+    before, qualifying = index - 1, _words_of("adj", "sup_adj") - {""}
+    while before >= 0 and tokens[before].text in qualifying:
         before -= 1
     return before >= 0 and tokens[before].text in _words_of("det")
+
+
+def _is_head(tokens: list[Token], index: int) -> bool:
+    """Tell whether a word that is no side is the noun of its phrase: "close to the _"."""
+    after = [token.text for token in tokens[index + 1 : index + 3]]
+    is_last = not after or after[0] not in _words_of(*_BEFORE_NOUNS) | {"of"}
+    is_before_place = len(after) > 1 and after[1] in _words_of("det")  # "near the"
+    is_unknown = bool(after) and tokens[index + 1].terminal.startswith("?")
+    return (is_last or is_before_place) and not is_unknown and _is_after_determiner(tokens, index)
 
 
 def is_noun_place(tokens: list[Token], index: int) -> bool:

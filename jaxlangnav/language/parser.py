@@ -6,6 +6,7 @@ typing errors are repaired and reported. Time is bounded: input is limited in ch
 and the parser is polynomial.
 """
 
+import re
 from collections.abc import Collection
 from dataclasses import replace
 from functools import cache
@@ -23,6 +24,7 @@ from jaxlangnav.language.grammar import (
     load_grammar,
 )
 from jaxlangnav.language.lexicon import REASONS, TYPE_CLASS, load_lexicon
+from jaxlangnav.language.loosening import loosen
 from jaxlangnav.language.measured import of_clauses, take_out
 from jaxlangnav.language.nearest import offer
 from jaxlangnav.language.nouns import NOUN, is_noun_place, join_nouns, name_nouns
@@ -49,6 +51,8 @@ _COMMAS = {",", ":", "-", "–", "—", "(", ")"}
 _LONGEST_LINE = 199
 """Characters of a refusal with the sentence that it offers."""
 _SIGNS = {"&": "and"}
+_DRAWN = re.compile(r"([a-z])\1{2,}")
+"""A letter that is drawn out: "pleeease"."""
 
 
 class _Reader:
@@ -109,6 +113,11 @@ class _Reader:
         joined = _compounds().get(piece.replace("-", ""))
         if joined is not None:
             return list(joined)
+        if piece.replace("-", "") in self.labels:  # "the white-board"
+            return [piece.replace("-", "")]
+        short = _DRAWN.sub(r"\1", piece)
+        if short in self.vocabulary:
+            return [short]
         parts = piece.split("-")
         return parts if len(parts) > 1 and set(parts) <= self.vocabulary else [piece]
 
@@ -213,16 +222,38 @@ def parse(
     if not reader.tokens:
         raise LanguageError("the instruction is empty")
     try:
-        return _read(text, reader, earlier)
+        return _read(text, reader, reader.tokens, earlier)
     except LanguageError as error:
         if error.position is None or not is_nearest_offered:
             raise
+        loosened = _read_loosely(text, reader, earlier)
+        if loosened is not None:
+            return loosened
         raise _with_nearest(error, reader, earlier) from None
 
 
-def _read(text: str, reader: _Reader, earlier: Antecedent | None) -> Parse:
-    """Read the words of an instruction."""
-    heard, unread = leave_out(reader.tokens)
+def _read_loosely(text: str, reader: _Reader, earlier: Antecedent | None) -> Parse | None:
+    """Read a sentence that is refused as it stands in plainer words; None where that fails too."""
+    tokens, remarks, changes = loosen(reader.tokens)
+    if not (remarks or changes):
+        return None
+    try:
+        found = _read(text, reader, tokens, earlier, is_blame_sought=False)
+    except LanguageError:
+        return None
+    return replace(found, rewrites=(*changes, *found.rewrites), unread=(*remarks, *found.unread))
+
+
+def _read(
+    text: str,
+    reader: _Reader,
+    said: list[Spoken],
+    earlier: Antecedent | None,
+    *,
+    is_blame_sought: bool = True,
+) -> Parse:
+    """Read the words of an instruction; a refusal names the true cause where that is sought."""
+    heard, unread = leave_out(said)
     plain, measured = take_out(heard)
     spoken, rewrites = rewrite(plain)
     _check_symbols(spoken)
@@ -234,7 +265,9 @@ def _read(text: str, reader: _Reader, earlier: Antecedent | None) -> Parse:
             f"'{first.text[:30]}' (word {first.position}): unknown word, one of too many"
         )
     try:
-        derivation, probability = load_grammar().parse([token.terminal for token in tokens])
+        derivation, probability = load_grammar().parse(
+            [token.terminal for token in tokens], is_end_found=is_blame_sought
+        )
     except NoParseError as error:
         raise explain(tokens, error.index) from None
     builder = TreeBuilder([t.text for t in tokens], [t.position for t in tokens])
@@ -262,8 +295,10 @@ def _with_nearest(
     blamed = next((one.text for one in heard if one.position == position), "")
 
     def can_read(text: str) -> bool:
+        again = _Reader(reader.labels)
         try:
-            found = parse(text, reader.labels, earlier, is_nearest_offered=False)
+            again.read(text)
+            found = _read(text, again, again.tokens, earlier, is_blame_sought=False)
         except LanguageError:
             return False
         return COMMAND in found.kinds and not found.unknown_words

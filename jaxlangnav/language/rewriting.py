@@ -7,8 +7,8 @@ controlled language first. The rules stand in ``data/rewrites.toml``; what they 
 
 import re
 import tomllib
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cache
 from importlib import resources
 from itertools import zip_longest
@@ -36,19 +36,21 @@ class Rewrites:
 
     slips: dict[str, str]
     rules: tuple[Rule, ...]
+    sets: Mapping[str, str] = field(default_factory=dict)
 
 
-def read_rewrites(text: str) -> Rewrites:
+def read_rewrites(text: str, known: Mapping[str, str] | None = None) -> Rewrites:
     """Read rules from TOML; the format is described at the head of ``rewrites.toml``.
 
     Args:
         text: contents of the file.
+        known: sets of another file that its rules may name.
 
     Returns:
         The rules, ready to match.
     """
     document = tomllib.loads(text)
-    sets: dict[str, str] = {}
+    sets = dict(known or {})
 
     def whole(pattern: str) -> str:
         return _SET.sub(lambda match: f"(?:{sets[match[1]]})", pattern)
@@ -63,7 +65,7 @@ def read_rewrites(text: str) -> Rewrites:
         )
         for one in document["rules"]
     )
-    return Rewrites(slips=document["slips"], rules=rules)
+    return Rewrites(slips=document.get("slips", {}), rules=rules, sets=sets)
 
 
 @cache
@@ -95,8 +97,24 @@ def rewrite(tokens: Sequence[Spoken]) -> tuple[list[Spoken], list[tuple[str, str
         Words and marks, each at the position of a word that it stands for; and what has been read
         as what, in the order of the rules.
     """
+    left, changes = apply(load_rewrites().rules, tokens)
+    return _without_idle_marks(left), changes
+
+
+def apply(
+    rules: Sequence[Rule], tokens: Sequence[Spoken]
+) -> tuple[list[Spoken], list[tuple[str, str]]]:
+    """Apply rules to a sentence, one after the other.
+
+    Args:
+        rules: in the order in which they apply.
+        tokens: words and marks.
+
+    Returns:
+        As ``rewrite``.
+    """
     left, changes = list(tokens), []
-    for rule in load_rewrites().rules:
+    for rule in rules:
         for _ in range(_MOST_TIMES):
             text = " ".join(token.text for token in left)
             match = rule.said.search(text)
@@ -109,7 +127,7 @@ def rewrite(tokens: Sequence[Spoken]) -> tuple[list[Spoken], list[tuple[str, str
                 break
             changes.append((" ".join(was), " ".join(now)))
             left[first:last] = put
-    return _without_idle_marks(left), changes
+    return left, changes
 
 
 def _without_idle_marks(tokens: list[Spoken]) -> list[Spoken]:
