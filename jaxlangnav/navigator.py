@@ -321,15 +321,8 @@ def _observe(
     return replace(state, belief=belief), info
 
 
-_MAY_MEAN = -4.0
-"""Log-odds of the unnamed above which a phrase that names no type ("the thing") may mean any."""
-
-
 def _spoken(state: NavigatorState) -> Array:
-    """Tell of which types the task speaks, or what was gone up to is: bool[T].
-
-    "The thing behind the hydrant" speaks of all of them.
-    """
+    """Tell of which types the task speaks, or what was gone up to is: bool[T]."""
     told, slots = state.instruction, state.belief.particles.object_type
 
     def type_at(slot: Array) -> Array:
@@ -340,9 +333,7 @@ def _spoken(state: NavigatorState) -> Array:
     named = label_of(jnp.concatenate([*words, jnp.stack(gone_to)]))
     # What is negative, such as NONE, falls out of the table.
     index = jnp.where(named < 0, MOST_LABELS, named)
-    spoken = jnp.zeros(MOST_LABELS, bool).at[index].set(True, mode="drop")
-    names_none = jnp.all(told.program.own == NONE, axis=-1)
-    return spoken | jnp.any(names_none & (told.program.object_unnamed > _MAY_MEAN))
+    return jnp.zeros(MOST_LABELS, bool).at[index].set(True, mode="drop")
 
 
 def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> _Outlook:

@@ -248,7 +248,7 @@ def test_most_sentences_have_worlds_in_which_they_are_clear() -> None:
 
 
 KNOWN = {
-    "what may be of any type is taken for a bystander, and never found": (
+    "what has no type of its own is related to nothing in the map, and never found": (
         "drive to the thing behind the cone", "the one behind the car",
         "go to the one behind the car", "drive to the object near the car",
     ),
