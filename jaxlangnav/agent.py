@@ -31,7 +31,7 @@ from jaxlangnav.grounding.grounder import names_of
 from jaxlangnav.grounding.readings import Capacity, widen
 from jaxlangnav.kinds import name_of
 from jaxlangnav.language.halting import act_of
-from jaxlangnav.listening import Candidate, Heard, Listener, check_steps
+from jaxlangnav.listening import Candidate, Heard, Listener, check_measures
 from jaxlangnav.messages import (
     NONE,
     Action,
@@ -216,7 +216,7 @@ class Navigator:
         """Begin with what has been understood, in arrays that hold a conversation."""
         bounds = _around(pose) if area is None else area
         check_place(pose, bounds)
-        check_steps(grounded.spoken, pose, bounds)
+        check_measures(grounded.spoken, pose, bounds)
         told = grounded.instruction
         instruction = replace(told, readings=widen(told.readings, self.capacity))
         return navigator.start(

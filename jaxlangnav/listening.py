@@ -148,7 +148,7 @@ class Listener:
                     "yet: say it when it is there"
                 )
         area = state.belief.coverage.area
-        check_steps(spoken, np.asarray(pose).tolist(), np.asarray(area).tolist())
+        check_measures(spoken, np.asarray(pose).tolist(), np.asarray(area).tolist())
         is_again = said.kind == Kind.CORRECTION or (is_asked and spoken.goals == (about,))
         out = self._ruled_out(state, said, grounded, text) if how is How.REPLACE else NONE
         joined = self._join(state, grounded, how=how, is_loose=is_again or how is How.APPEND)
@@ -275,7 +275,7 @@ class Listener:
         )
 
 
-def check_steps(spoken: Spoken | None, pose: Sequence[float], area: Sequence[float]) -> None:
+def check_measures(spoken: Spoken | None, pose: Sequence[float], area: Sequence[float]) -> None:
     """Refuse to move out of the operating area (host only).
 
     Args:

@@ -123,7 +123,7 @@ def test_eight_types_in_order_and_legal_senses():
     legal |= {f"relation:{name}" for name in RELATIONS} | {f"action:{name}" for name in ACTIONS}
     legal |= {f"mode:{name}" for name in MODES} | {f"rank:{n}" for n in range(1, 5)}
     legal |= {"superlative", "constraint", "robot", "other", "anaphor", "place", "foreign"}
-    legal |= {"pronoun", "any"}
+    legal |= {"pronoun", "any", "between"}
     found = {
         sense
         for entries in lexicon.entries.values()

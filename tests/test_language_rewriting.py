@@ -183,3 +183,15 @@ def test_a_slip_is_no_word(slip):
 
     assert slip not in load_lexicon().vocabulary
     assert load_rewrites().slips[slip] in load_lexicon().vocabulary
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "go to the tree that stands by the building",
+        "go to the tree that stands alone near the building",
+        "go to the box that sits next to the ramp",
+    ],
+)
+def test_a_verb_after_that_is_no_noun(text: str) -> None:
+    assert parse(text).clauses

@@ -215,7 +215,6 @@ REFUSED = {
     "go to it": ("it", 3),
     "come to me": ("me", 3),
     "go to my left": ("my", 3),
-    "go 3 meters behind the cone": ("3", 2),
     "go to the two cones": ("two", 4),
     "go to all cones": ("all", 3),
     "go to the cone or the car": ("or", 5),

@@ -353,10 +353,10 @@ def test_what_hangs_on_the_unseen_and_is_likelier_is_not_passed_over(likelier, s
     )
     around = nodes_at([5.0, 6.0, 0.0], [0.0] * 3, [VISITED, OBJECT, OBJECT])
     shown = situation(by_hand.begin(config=CONFIG), around, aims)
-    choice = DECIDE_ON(shown, plan, jnp.float32(0.5))
+    choice = DECIDE_ON(shown, plan, both(0.5))
     assert bool(choice.is_stop) is stops
     # Once nothing is left to look for, the likeliest of all is gone to.
-    choice = DECIDE_ON(shown, plan, jnp.float32(0.01))
+    choice = DECIDE_ON(shown, plan, both(0.01))
     assert bool(choice.is_stop) is (likelier < 0.16)
     assert stops or float(choice.waypoint_x) == 6.0
 

@@ -12,7 +12,7 @@ from functools import cache
 from importlib import resources
 
 from jaxlangnav.language.chatter import leave_out_remarks
-from jaxlangnav.language.rewriting import Rewrites, apply, load_rewrites, read_rewrites
+from jaxlangnav.language.rewriting import Rewrites, apply_rules, load_rewrites, read_rewrites
 from jaxlangnav.language.tokens import Spoken
 
 
@@ -36,5 +36,5 @@ def loosen(
         been read as what; the latter two empty where there are no plainer words.
     """
     kept, remarks = leave_out_remarks(tokens)
-    left, changes = apply(load_loose().rules, kept)
+    left, changes = apply_rules(load_loose().rules, kept)
     return left, remarks, changes

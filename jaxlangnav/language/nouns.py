@@ -140,8 +140,11 @@ def _size_of_name(
     """Count the words of the name that begins at a token; 0 where none does."""
     words = [token.text for token in tokens[index : index + longest]]
     for size in range(len(words), 0, -1):
-        name = tuple(words[:size])
-        if "" in name or not {name, tuple(singular(" ".join(name)).split())} & set(names):
+        name, text = tuple(words[:size]), " ".join(words[:size])
+        if "" in name or not {name, tuple(singular(text).split())} & set(names):
+            continue
+        # "The tree that stands by …" is no plural of "stand".
+        if name not in names and singular(text) in load_nouns().also:
             continue
         if size > 1 or tokens[index].terminal.startswith("?") or is_noun_place(tokens, index):
             return size

@@ -97,11 +97,11 @@ def rewrite(tokens: Sequence[Spoken]) -> tuple[list[Spoken], list[tuple[str, str
         Words and marks, each at the position of a word that it stands for; and what has been read
         as what, in the order of the rules.
     """
-    left, changes = apply(load_rewrites().rules, tokens)
+    left, changes = apply_rules(load_rewrites().rules, tokens)
     return _without_idle_marks(left), changes
 
 
-def apply(
+def apply_rules(
     rules: Sequence[Rule], tokens: Sequence[Spoken]
 ) -> tuple[list[Spoken], list[tuple[str, str]]]:
     """Apply rules to a sentence, one after the other.
