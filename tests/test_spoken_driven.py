@@ -253,20 +253,22 @@ KNOWN = {
         "go to the one behind the car", "drive to the object near the car",
     ),
     "does not look on for a thing that would come before": (
-        "drive to the barrel furthest away from the car",
-        "Would you be able to find the closest barrel to the hydrant?",
-        "please make a move to the cone nearest you",
+        "drive to the barrel furthest away from the car", "go to the tree on the far left",
+        "the hydrant nearest the cone", "2nd tree",
     ),
     "stops at another than the third though it has the third in view": (
-        "the third car", "go to the third barrel on your right",
+        "go to the third barrel on your right",
     ),
-    "keeps away from whatever may yet be the nearest, and never gets on": (
+    "keeps away from what may yet be there, and never gets on": (
         "stay away from the nearest cone and go to the second cone",
+        "find the car then park in front of it and stay away from the tree",
     ),
-    "gives up before it has looked into the corners": ("once you reach the cone, go to the tree",),
+    "says that it is not there before it has looked into the corners": (
+        "take it slow and go to the car", "go to the tree fast",
+    ),
 }  # fmt: skip
 """Sentences that go wrong in some world, by why: none may be added (docs/limits.md)."""
-MOST_WRONG = 12
+MOST_WRONG = 14
 """Worlds of the first two rounds in which they do; may only shrink."""
 
 
