@@ -23,8 +23,10 @@ try:
 except KeyboardInterrupt:
     sys.exit(130)
 """
+# Who runs the tests in the background may have had Ctrl-C ignored, which children inherit.
 TERMINAL = """
-import os, pty, sys
+import os, pty, signal, sys
+signal.signal(signal.SIGINT, signal.SIG_DFL)
 sys.exit(os.waitstatus_to_exitcode(pty.spawn([sys.executable, "-c", *sys.argv[1:]])))
 """
 FOLLOW = TERMINAL.replace('"-c", ', "")
