@@ -11,10 +11,9 @@ Two functions over records are the whole engine, for any robot or simulator:
 """
 
 import dataclasses
-import difflib
 import logging
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, Self
 
 import jax
@@ -24,6 +23,7 @@ from jax import Array
 from jax.core import Tracer
 
 from jaxlangnav import navigator, sensing
+from jaxlangnav.anywhere import config_anywhere, params_anywhere, with_numbers
 from jaxlangnav.conversation import first_words
 from jaxlangnav.grounding import Context, GraphGrounder, Grounded, Grounder, load_shipped
 from jaxlangnav.grounding.annotated import returning
@@ -39,14 +39,12 @@ from jaxlangnav.messages import (
     SensorParams,
     Status,
     default_sensor,
-    is_drifting,
 )
 from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams, NavigatorState
 from jaxlangnav.plain_text import cut
-from jaxlangnav.planner.config import AnyPolicy, PlannerConfig
+from jaxlangnav.planner.config import AnyPolicy
 from jaxlangnav.planner.endings import missing_types
 from jaxlangnav.pytree import replace
-from jaxlangnav.semantic_map.params import MapConfig
 from jaxlangnav.semantic_map.soundness import check_place
 from jaxlangnav.terrain import OPEN, Terrain
 
@@ -54,15 +52,6 @@ MOST_BITS = 31
 """Slots and mentions of which sets are held, a bit each."""
 DEFAULT_EXTENT = 15.0
 """Metres to each side of the robot that are its operating area unless it is told otherwise."""
-OBJECTS, BYSTANDERS = 12, 64
-"""Things that a sentence may mean, and others, that are remembered: for places as they are."""
-CLUMPING, MISLEADING = 1.0, 0.01
-"""How many things there are is not known, and a sentence is rather taken to speak of another of
-them than to be false: in 14 × 18 m with two further pairs 197 of 200 arrive (180 with the numbers
-of the tables), and a false sentence costs 37.5 m (34.9)."""
-ABSENT = 0.05
-"""How often what is spoken of is nowhere."""
-
 _log = logging.getLogger(__name__)
 
 _step = jax.jit(navigator.step, static_argnames="config")
@@ -114,20 +103,8 @@ class Navigator:
             raise ValueError("labels and attributes are of the trained graph: give no grounder too")
         if grounder is None:
             grounder = GraphGrounder(load_shipped(), labels, attributes)
-        params = _with_numbers(_params_anywhere(), numbers)
-        return cls(
-            grounder=grounder,
-            params=params,
-            config=NavigatorConfig(
-                map=MapConfig(
-                    num_objects=OBJECTS,
-                    num_bystanders=BYSTANDERS,
-                    has_doubts=True,
-                    has_drift=is_drifting(params.map.motion),
-                ),
-                planner=PlannerConfig(policy=policy),
-            ),
-        )
+        params = with_numbers(params_anywhere(), numbers)
+        return cls(grounder=grounder, params=params, config=config_anywhere(policy, params))
 
     def __post_init__(self) -> None:
         """Refuse parameters with which the robot could never stop, and sizes that do not fit."""
@@ -407,36 +384,3 @@ def _uniform(observation: Observation) -> Observation:
         detection_attribute=None if code is None else pad(code, np.int32, 0),
         sensor=jax.tree.map(lambda leaf: cast(leaf, np.float32), observation.sensor),
     )
-
-
-def _with_numbers(params: NavigatorParams, numbers: Mapping[str, float]) -> NavigatorParams:
-    """Set single numbers by their names, wherever among the records they stand."""
-    records = {"motion": params.map.motion, "map": params.map, "planner": params.planner}
-    home = {
-        field.name: place
-        for place, record in records.items()
-        for field in dataclasses.fields(record)
-        if isinstance(value := getattr(record, field.name), Array) and value.ndim == 0
-    }
-    for name, value in numbers.items():
-        if name not in home:
-            near = difflib.get_close_matches(name, home, 1)
-            hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(sorted(home))}"
-            raise ValueError(f"{name[:40]} is no number of the navigator: {hint}")
-        read = sensing.number(value, name)
-        if read < 0.0:
-            raise ValueError(f"{name} is {read:g}, but must not be negative")
-        place = home[name]
-        records[place] = replace(records[place], **{name: jnp.float32(read)})
-    with_motion = replace(records["map"], motion=records["motion"])
-    return replace(params, map=with_motion, planner=records["planner"])
-
-
-def _params_anywhere() -> NavigatorParams:
-    """Build the default numbers for places that are unlike the planner's training worlds."""
-    params = navigator.default_params()
-    believed = replace(
-        params.map, clumping=jnp.float32(CLUMPING), misleading=jnp.float32(MISLEADING)
-    )
-    planner = replace(params.planner, prior_share=jnp.float32(0.0), absent=jnp.float32(ABSENT))
-    return replace(params, map=believed, planner=planner)

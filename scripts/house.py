@@ -24,8 +24,9 @@ from jaxlangnav.navigator import NavigatorConfig
 
 PACKAGE = Path(navigator.__file__).parent
 ENGINE = (
-    "messages", "pytree", "numerics", "relations", "semantic_map", "planner", "navigator", "agent",
-    "episode", "recording", "recorder",
+    "messages", "pytree", "numerics", "relations", "semantic_map", "planner", "navigator", "anywhere",
+    "agent",
+    "episode", "lanes", "recording", "recorder",
 )  # fmt: skip
 """From messages to episode; ``grounding`` is read after lunch."""
 NUM_DETECTIONS = 8

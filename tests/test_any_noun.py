@@ -10,7 +10,7 @@ import pytest
 import readings as by_hand
 from test_navigator_step import AREA, CONE, HYDRANT, distance, go, robot
 
-from jaxlangnav import agent, episode, kinds
+from jaxlangnav import agent, episode, kinds, lanes
 from jaxlangnav.grounding import GraphGrounder, load_shipped, understand
 from jaxlangnav.grounding.binding import Detector, UnknownObjectError
 from jaxlangnav.language.lexicon import load_lexicon
@@ -407,7 +407,7 @@ def test_attributes_select_among_things_of_one_noun(model) -> None:
     )
     params = default_params()
     anywhere = replace(params.planner, prior_share=jnp.float32(0.0))
-    results = episode.run_batch(
+    results = lanes.run_batch(
         tasks,
         jax.tree.map(lambda *leaves: jnp.stack(leaves), *told),
         params=replace(params, planner=anywhere),

@@ -7,8 +7,9 @@ import pytest
 import readings as by_hand
 
 from jaxlangnav import episode, navigator
-from jaxlangnav.episode import EpisodeResult, Task, run, run_batch
+from jaxlangnav.episode import EpisodeResult, Task, run
 from jaxlangnav.grounding import load_shipped, understand
+from jaxlangnav.lanes import run_batch
 from jaxlangnav.messages import MotionParams, SensorParams
 from jaxlangnav.navigator import NavigatorConfig
 from jaxlangnav.planner.config import PlannerConfig

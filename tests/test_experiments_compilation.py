@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from jaxlangnav import episode
+from jaxlangnav import lanes
 from jaxlangnav.experiments.compilation import CompileClock, union_length
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
@@ -53,7 +53,7 @@ def test_strong_keeps_values_and_keys() -> None:
 def test_weak_types_do_not_compile_a_batch_again(monkeypatch: pytest.MonkeyPatch) -> None:
     seen = []
     monkeypatch.setattr(
-        episode,
+        lanes,
         "_run_batch",
         lambda *arrays, params, count, **sizes: seen.append(
             [jax.typeof(leaf) for leaf in jax.tree.leaves((arrays, params, count))]
@@ -65,7 +65,7 @@ def test_weak_types_do_not_compile_a_batch_again(monkeypatch: pytest.MonkeyPatch
     params = default_params()
     other = replace(params, planner=replace(params.planner, discount=0.7))
     for own, numbers, count in ((tasks, params, None), (weak, other, 3)):
-        episode.run_batch(
+        lanes.run_batch(
             own, instructions, params=numbers, config=navigator_config("informed"), count=count
         )
     assert seen[0] == seen[1]

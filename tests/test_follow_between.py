@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxlangnav import episode
+from jaxlangnav import lanes
 from jaxlangnav.episode import Task
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.grounding import load_shipped, understand
@@ -91,7 +91,7 @@ def test_what_lies_between_is_found_among_others() -> None:
                 )
             )
     instructions = [understand(command, model).instruction for command in COMMANDS]
-    result = episode.run_batch(
+    result = lanes.run_batch(
         jax.tree.map(lambda *leaves: jnp.stack(leaves), *tasks),
         jax.tree.map(lambda *leaves: jnp.stack(leaves), *instructions),
         params=default_params(),

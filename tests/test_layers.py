@@ -31,9 +31,11 @@ LAYERS = (
     "navigator",
     "hearing",
     "listening",
+    "anywhere",
     "agent",
     "world",
     "episode",
+    "lanes",
     "recording",
     "recorder",
     "experiments",
@@ -50,7 +52,7 @@ LAYERS = (
 
 BELIEF = (
     "grounding", "training", "semantic_map", "planner", "conversation", "navigator", "hearing",
-    "listening", "agent",
+    "listening", "anywhere", "agent",
 )  # fmt: skip
 TRUTH = "world"
 PACKAGE = Path(__file__).parent.parent / "jaxlangnav"

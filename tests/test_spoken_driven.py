@@ -27,7 +27,7 @@ from hand_geometry import (
 )
 from readings import repeat, stack
 
-from jaxlangnav import Navigator, episode
+from jaxlangnav import Navigator, episode, lanes
 from jaxlangnav.episode import EpisodeState, Task
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.grounding.binding import Detector
@@ -153,7 +153,7 @@ def _finish(way: Way) -> tuple[jax.Array, jax.Array, jax.Array]:
     return way.at, way.progress.navigator.status, way.progress.steps
 
 
-COURSE = episode.Course(_begin, _advance, _finish, lambda way: way.progress)
+COURSE = lanes.Course(_begin, _advance, _finish, lambda way: way.progress)
 
 
 def follow(cases: list[tuple[str, Place]]) -> list[tuple[np.ndarray, Status, int]]:
@@ -173,7 +173,7 @@ def follow(cases: list[tuple[str, Place]]) -> list[tuple[np.ndarray, Status, int
             motion=repeat(default_motion(), ROUND),
             body=HOLONOMIC,
         )
-        ways = episode.run_batch(
+        ways = lanes.run_batch(
             tasks, stack([told[text] for text, _ in some]), params=robot.params,
             config=robot.config, num_lanes=LANES, max_steps=STEPS, count=number, course=COURSE,
         )  # fmt: skip

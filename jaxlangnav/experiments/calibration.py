@@ -22,7 +22,6 @@ from jax import Array
 
 from jaxlangnav.episode import (
     MAX_STEPS,
-    Course,
     EpisodeResult,
     EpisodeState,
     Task,
@@ -33,6 +32,7 @@ from jaxlangnav.episode import (
 from jaxlangnav.experiments.goal_region import GoalDensity, goal_region, relative_variance
 from jaxlangnav.experiments.monte_carlo import map_pieces, run_tasks
 from jaxlangnav.grounding.instruction import Instruction
+from jaxlangnav.lanes import Course
 from jaxlangnav.messages import NONE, Readings
 from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams
 from jaxlangnav.planner.goals import Goals

@@ -19,9 +19,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 
-from jaxlangnav.episode import EPISODE, MAX_STEPS, Course, Task, run_batch
+from jaxlangnav.episode import MAX_STEPS, Task
 from jaxlangnav.experiments.tasks import take_tasks
 from jaxlangnav.grounding.instruction import Instruction
+from jaxlangnav.lanes import EPISODE, Course, run_batch
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams
 from jaxlangnav.pytree import strong
 

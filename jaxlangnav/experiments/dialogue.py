@@ -1,6 +1,6 @@
 """Episodes in which a simulated person speaks, many at once: what a conversation is worth.
 
-Lanes as in ``episode.run_batch``, but each with a person (``world.person``) who is shown what the
+Lanes as in ``lanes.run_batch``, but each with a person (``world.person``) who is shown what the
 robot says of itself and speaks before its decisions. What is said is put into the state by the
 functions of ``hearing``, the words of a statement joined once for all lanes.
 """

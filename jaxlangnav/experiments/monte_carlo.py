@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import jax
 import numpy as np
 
-from jaxlangnav.episode import EPISODE, MAX_STEPS, Course, Task
+from jaxlangnav.episode import MAX_STEPS, Task
 from jaxlangnav.experiments.devices import (
     CHUNK,
     LANES,
@@ -25,6 +25,7 @@ from jaxlangnav.experiments.devices import (
 )
 from jaxlangnav.experiments.tasks import take_tasks
 from jaxlangnav.grounding.instruction import Instruction
+from jaxlangnav.lanes import EPISODE, Course
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams
 
 Result = TypeVar("Result")

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.experimental.compilation_cache import compilation_cache
 
-from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task, run, run_batch
+from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task, run
 from jaxlangnav.experiments.devices import LANES, usable_cores
 from jaxlangnav.experiments.figure5 import SENSING_RANGES
 from jaxlangnav.experiments.monte_carlo import run_tasks
@@ -26,6 +26,7 @@ from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, navigator_config
 from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
 from jaxlangnav.experiments.tasks import cell, concatenate, make_tasks, take_tasks
 from jaxlangnav.grounding.instruction import Instruction
+from jaxlangnav.lanes import run_batch
 from jaxlangnav.navigator import NavigatorParams, default_params
 from jaxlangnav.pytree import replace
 from jaxlangnav.speed import breakdown, numpy_twin, roofline

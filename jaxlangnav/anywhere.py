@@ -1,0 +1,89 @@
+"""Numbers and sizes for places as they are: what ``Navigator.pretrained`` believes of them."""
+
+import dataclasses
+import difflib
+from collections.abc import Mapping
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxlangnav import navigator, sensing
+from jaxlangnav.messages import is_drifting
+from jaxlangnav.navigator import NavigatorConfig, NavigatorParams
+from jaxlangnav.planner.config import AnyPolicy, PlannerConfig
+from jaxlangnav.pytree import replace
+from jaxlangnav.semantic_map.params import MapConfig
+
+OBJECTS, BYSTANDERS = 12, 64
+"""Things that a sentence may mean, and others, that are remembered: for places as they are."""
+CLUMPING, MISLEADING = 1.0, 0.01
+"""How many things there are is not known, and a sentence is rather taken to speak of another of
+them than to be false: in 14 × 18 m with two further pairs 197 of 200 arrive (180 with the numbers
+of the tables), and a false sentence costs 37.5 m (34.9)."""
+ABSENT = 0.05
+"""How often what is spoken of is nowhere."""
+
+
+def params_anywhere() -> NavigatorParams:
+    """Build the default numbers for places that are unlike the planner's training worlds."""
+    params = navigator.default_params()
+    believed = replace(
+        params.map, clumping=jnp.float32(CLUMPING), misleading=jnp.float32(MISLEADING)
+    )
+    planner = replace(params.planner, prior_share=jnp.float32(0.0), absent=jnp.float32(ABSENT))
+    return replace(params, map=believed, planner=planner)
+
+
+def config_anywhere(policy: AnyPolicy, params: NavigatorParams) -> NavigatorConfig:
+    """Build sizes with room for bystanders and for doubts of what exists.
+
+    Args:
+        policy: of the planner.
+        params: concrete numbers: a heading that drifts takes a program of its own.
+
+    Returns:
+        Sizes and policy.
+    """
+    return NavigatorConfig(
+        map=MapConfig(
+            num_objects=OBJECTS,
+            num_bystanders=BYSTANDERS,
+            has_doubts=True,
+            has_drift=is_drifting(params.map.motion),
+        ),
+        planner=PlannerConfig(policy=policy),
+    )
+
+
+def with_numbers(params: NavigatorParams, numbers: Mapping[str, float]) -> NavigatorParams:
+    """Set single numbers by their names, wherever among the records they stand (host only).
+
+    Args:
+        params: of a navigator.
+        numbers: by the names of fields of ``MapParams``, ``MotionParams`` or ``PlannerParams``.
+
+    Returns:
+        The parameters with these numbers.
+
+    Raises:
+        ValueError: no such number, or one that cannot be.
+    """
+    records = {"motion": params.map.motion, "map": params.map, "planner": params.planner}
+    home = {
+        field.name: place
+        for place, record in records.items()
+        for field in dataclasses.fields(record)
+        if isinstance(value := getattr(record, field.name), Array) and value.ndim == 0
+    }
+    for name, value in numbers.items():
+        if name not in home:
+            near = difflib.get_close_matches(name, home, 1)
+            hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(sorted(home))}"
+            raise ValueError(f"{name[:40]} is no number of the navigator: {hint}")
+        read = sensing.number(value, name)
+        if read < 0.0:
+            raise ValueError(f"{name} is {read:g}, but must not be negative")
+        place = home[name]
+        records[place] = replace(records[place], **{name: jnp.float32(read)})
+    with_motion = replace(records["map"], motion=records["motion"])
+    return replace(params, map=with_motion, planner=records["planner"])

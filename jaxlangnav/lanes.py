@@ -1,0 +1,197 @@
+"""Many episodes in refilled lanes.
+
+``run_batch`` keeps a fixed number of lanes busy: a lane whose episode has ended takes the next one,
+so that the slowest episode does not hold the rest. An episode's result depends on its own key only,
+never on its place in the batch.
+"""
+
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import chex
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jaxlangnav.episode import MAX_STEPS, EpisodeState, Task, advance, begin, finish
+from jaxlangnav.grounding.instruction import Instruction
+from jaxlangnav.navigator import NavigatorConfig, NavigatorParams
+from jaxlangnav.pytree import pytree, replace, strong
+
+
+class Course(NamedTuple):
+    """What lanes run: an episode, or one with more kept of it; part of the compiled program."""
+
+    begin: Callable[..., Any]
+    """As ``begin``: a state from a task and the instructions."""
+    advance: Callable[..., Any]
+    """As ``advance``: the next state, and something that is not used."""
+    finish: Callable[[Any], Any]
+    """As ``finish``: the result of a state."""
+    progress: Callable[[Any], EpisodeState]
+    """Takes the episode out of a state."""
+
+
+def _itself(progress: EpisodeState) -> EpisodeState:
+    return progress
+
+
+EPISODE = Course(begin=begin, advance=advance, finish=finish, progress=_itself)
+
+
+@pytree
+class _Lanes:
+    """Carry of the refilled loop; L lanes."""
+
+    state: Any  # of the course; leaves [L, …]
+    episode: Array  # i32[L] which task a lane runs; E once there is none left
+    next_episode: Array  # i32[]
+    results: Any  # of the course; leaves [E, …]
+
+
+def _where(mask: Array, new: Array, old: Array) -> Array:
+    """Choose whole lanes; typed keys go through their data."""
+    if jnp.issubdtype(new.dtype, jax.dtypes.prng_key):
+        chosen = _where(mask, jax.random.key_data(new), jax.random.key_data(old))
+        return jax.random.wrap_key_data(chosen, impl=jax.random.key_impl(new))
+    return jnp.where(mask.reshape(mask.shape + (1,) * (new.ndim - 1)), new, old)
+
+
+def run_batch(
+    tasks: Task,
+    instructions: Instruction,
+    *,
+    params: NavigatorParams,
+    config: NavigatorConfig,
+    num_lanes: int = 32,
+    max_steps: int = MAX_STEPS,
+    count: Array | int | None = None,
+    course: Course = EPISODE,
+) -> Any:
+    """Run many episodes in lanes that are refilled as episodes end.
+
+    Args:
+        tasks: leaves [E, …]; a number of sensor or motion may be one for all.
+        instructions: leaves [I, …].
+        params: the navigator's numbers, shared; traced.
+        config: sizes and policy.
+        num_lanes: L, episodes under way at once.
+        max_steps: cycles until a time-out.
+        count: i32[], how many of the tasks to run; the rest is padding whose results are zero.
+            All by default.
+        course: what is kept of an episode; its result by default.
+
+    Returns:
+        Results, leaves [E, …], in the order of the tasks: an ``EpisodeResult``, or what the course
+        finishes with.
+    """
+    chex.assert_rank([tasks.key, tasks.instruction_index, tasks.scenario.start], [1, 1, 2])
+    number = tasks.instruction_index.shape[0] if count is None else count
+    tasks, instructions, params, number = strong((tasks, instructions, params, number))
+    episodes = tasks.instruction_index.shape[:1]
+    own = {
+        name: jax.tree.map(
+            lambda leaf: jnp.broadcast_to(leaf, episodes) if leaf.ndim == 0 else leaf,
+            getattr(tasks, name),
+        )
+        for name in ("sensor", "motion", "told")
+    }
+    tasks = replace(tasks, **own)
+    return _run_batch(
+        tasks,
+        instructions,
+        params=params,
+        count=number,
+        config=config,
+        num_lanes=num_lanes,
+        max_steps=max_steps,
+        course=course,
+    )
+
+
+@functools.partial(jax.jit, static_argnames=("config", "num_lanes", "max_steps", "course"))
+def _run_batch(
+    tasks: Task,
+    instructions: Instruction,
+    *,
+    params: NavigatorParams,
+    count: Array,
+    config: NavigatorConfig,
+    num_lanes: int,
+    max_steps: int,
+    course: Course,
+) -> Any:
+    """Run a batch whose arrays have types of their own, see ``run_batch``."""
+    capacity = tasks.instruction_index.shape[0]
+    number = jnp.minimum(count, capacity).astype(jnp.int32)
+
+    def load(episode: Array) -> Any:
+        task = jax.tree.map(lambda leaf: leaf[jnp.clip(episode, 0, capacity - 1)], tasks)
+        return course.begin(task, instructions, config=config)
+
+    def body(lanes: _Lanes) -> _Lanes:
+        state, _ = jax.vmap(lambda one: course.advance(one, params=params, config=config))(
+            lanes.state
+        )
+        progress = course.progress(state)
+        is_over = progress.navigator.is_done | (progress.steps >= max_steps)
+        is_over = is_over & (lanes.episode < number)
+        return _refilled(lanes, state, is_over, number, course, load)
+
+    first = jnp.arange(num_lanes, dtype=jnp.int32)
+    state = jax.vmap(load)(first)
+    lanes = _Lanes(
+        state=state,
+        episode=jnp.minimum(first, number),
+        next_episode=jnp.int32(num_lanes),
+        results=_no_results(state, capacity, course),
+    )
+    return jax.lax.while_loop(lambda one: jnp.any(one.episode < number), body, lanes).results
+
+
+def _no_results(state: Any, capacity: int, course: Course) -> Any:
+    """Make room for the results of E episodes, leaves [E, …], given states of lanes."""
+    shape = jax.eval_shape(
+        lambda one: course.finish(one), jax.tree.map(lambda leaf: leaf[0], state)
+    )
+    return jax.tree.map(lambda leaf: jnp.zeros((capacity, *leaf.shape), leaf.dtype), shape)
+
+
+def _refilled(
+    lanes: _Lanes,
+    state: Any,
+    is_over: Array,
+    number: Array,
+    course: Course,
+    load: Callable[[Array], Any],
+) -> _Lanes:
+    """Store the results of the lanes that are over, and give these their next tasks.
+
+    Args:
+        lanes: before the cycle.
+        state: of the course after it, leaves [L, …].
+        is_over: bool[L].
+        number: i32[], tasks to run.
+        course: what lanes run.
+        load: begins a task, given its index.
+
+    Returns:
+        The lanes after the cycle.
+    """
+    capacity = jax.tree.leaves(lanes.results)[0].shape[0]
+    target = jnp.where(is_over, lanes.episode, capacity)  # an index of E is dropped
+    results = jax.tree.map(
+        lambda store, value: store.at[target].set(value, mode="drop"),
+        lanes.results,
+        jax.vmap(course.finish)(state),
+    )
+    order = lanes.next_episode + jnp.cumsum(is_over) - 1
+    episode = jnp.where(is_over, jnp.minimum(order, number), lanes.episode)
+    fresh = jax.vmap(load)(episode)
+    return _Lanes(
+        state=jax.tree.map(lambda new, old: _where(is_over, new, old), fresh, state),
+        episode=episode.astype(jnp.int32),
+        next_episode=lanes.next_episode + jnp.sum(is_over),
+        results=results,
+    )
