@@ -103,8 +103,8 @@ class Navigator:
             raise ValueError("labels and attributes are of the trained graph: give no grounder too")
         if grounder is None:
             grounder = GraphGrounder(load_shipped(), labels, attributes)
-        params = with_numbers(params_anywhere(), numbers)
-        return cls(grounder=grounder, params=params, config=config_anywhere(policy, params))
+        params = with_numbers(numbers, params=params_anywhere())
+        return cls(grounder=grounder, params=params, config=config_anywhere(policy, params=params))
 
     def __post_init__(self) -> None:
         """Refuse parameters with which the robot could never stop, and sizes that do not fit."""

@@ -34,7 +34,7 @@ def params_anywhere() -> NavigatorParams:
     return replace(params, map=believed, planner=planner)
 
 
-def config_anywhere(policy: AnyPolicy, params: NavigatorParams) -> NavigatorConfig:
+def config_anywhere(policy: AnyPolicy, *, params: NavigatorParams) -> NavigatorConfig:
     """Build sizes with room for bystanders and for doubts of what exists.
 
     Args:
@@ -55,12 +55,12 @@ def config_anywhere(policy: AnyPolicy, params: NavigatorParams) -> NavigatorConf
     )
 
 
-def with_numbers(params: NavigatorParams, numbers: Mapping[str, float]) -> NavigatorParams:
+def with_numbers(numbers: Mapping[str, float], *, params: NavigatorParams) -> NavigatorParams:
     """Set single numbers by their names, wherever among the records they stand (host only).
 
     Args:
-        params: of a navigator.
         numbers: by the names of fields of ``MapParams``, ``MotionParams`` or ``PlannerParams``.
+        params: of a navigator.
 
     Returns:
         The parameters with these numbers.

@@ -141,11 +141,12 @@ def _run_batch(
 
     first = jnp.arange(num_lanes, dtype=jnp.int32)
     state = jax.vmap(load)(first)
+    results = _no_results(state, capacity, course)
     lanes = _Lanes(
         state=state,
         episode=jnp.minimum(first, number),
         next_episode=jnp.int32(num_lanes),
-        results=_no_results(state, capacity, course),
+        results=results,
     )
     return jax.lax.while_loop(lambda one: jnp.any(one.episode < number), body, lanes).results
 

@@ -17,16 +17,16 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+import jaxlangnav
 from jaxlangnav import navigator
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.messages import Observation, default_sensor
 from jaxlangnav.navigator import NavigatorConfig
 
-PACKAGE = Path(navigator.__file__).parent
+PACKAGE = Path(jaxlangnav.__file__).parent
 ENGINE = (
-    "messages", "pytree", "numerics", "relations", "semantic_map", "planner", "navigator", "anywhere",
-    "agent",
-    "episode", "lanes", "recording", "recorder",
+    "messages", "pytree", "numerics", "relations", "semantic_map", "planner", "navigator",
+    "anywhere", "agent", "episode", "lanes", "recording", "recorder",
 )  # fmt: skip
 """From messages to episode; ``grounding`` is read after lunch."""
 NUM_DETECTIONS = 8

@@ -5,17 +5,13 @@ particle, choose a waypoint. It knows nothing of where observations come from; a
 a physics simulator and a robot drive it alike.
 """
 
-import dataclasses
-import functools
-from typing import Any, NamedTuple
-
 import chex
 import jax
 import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav import conversation
-from jaxlangnav.conversation import Conversation, Words
+from jaxlangnav.conversation import Words
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.kinds import MOST_LABELS, label_of
 from jaxlangnav.messages import (
@@ -29,25 +25,18 @@ from jaxlangnav.messages import (
     assert_observation,
     default_sensor,
 )
+from jaxlangnav.navigator.outcome import act, carry_on
+from jaxlangnav.navigator.records import NavigatorConfig, NavigatorParams, NavigatorState, Outlook
 from jaxlangnav.numerics.batching import row_of
 from jaxlangnav.planner import graph, policy
-from jaxlangnav.planner.blocked import Way, keep_watch, start_of_way
-from jaxlangnav.planner.config import PlannerConfig
+from jaxlangnav.planner.blocked import keep_watch, start_of_way
 from jaxlangnav.planner.goals import Goals, gather
-from jaxlangnav.planner.params import PlannerParams, default_planner_params
 from jaxlangnav.planner.relevance import bears_on_goal, believed_groups, has_open_partner
-from jaxlangnav.pytree import field, pytree, replace, strong
+from jaxlangnav.pytree import pytree, replace, strong
 from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.semantic_map.behaviors import infer_clause_behaviors
-from jaxlangnav.semantic_map.belief import (
-    ParticleBelief,
-    about_robot,
-    mean_drift,
-    robot_position,
-)
+from jaxlangnav.semantic_map.belief import about_robot, robot_position
 from jaxlangnav.semantic_map.filter import FilterInfo
-from jaxlangnav.semantic_map.motion import rotated
-from jaxlangnav.semantic_map.params import MapConfig, MapParams, default_map_params
 from jaxlangnav.sensing import DEVIATIONS
 from jaxlangnav.terrain import OPEN, Eye, Terrain
 
@@ -55,71 +44,6 @@ _PLANNING = 77
 """Folded into a cycle's key for the planner; beyond the keys that the filter splits it into."""
 _SPARE = 0.01
 """Metres by which odometry may round up what the robot has been sent."""
-_APPROACH = 0.9
-"""Share of ``reach`` at which the robot halts before an object that it goes to."""
-
-
-@pytree
-class NavigatorParams:
-    """Everything a sweep may vary; traced."""
-
-    map: MapParams
-    planner: PlannerParams
-    mode_speed: Array = field("factor on the step length: normal, quickly, carefully")  # f32[3]
-    mode_clearance: Array = field("metres kept from objects")  # f32[3]
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class NavigatorConfig:
-    """Sizes and policy; hashable, a change recompiles."""
-
-    map: MapConfig = dataclasses.field(default_factory=MapConfig)
-    planner: PlannerConfig = dataclasses.field(default_factory=PlannerConfig)
-    patience: int = field(
-        "cycles without any way made after which a waypoint is given up", default=10
-    )
-    num_detours: int = field(
-        "waypoints that may be given up before the way counts as blocked", default=3
-    )
-
-    def __post_init__(self) -> None:
-        """Refuse sizes that do not fit together."""
-        if self.map.num_cells % self.planner.num_blocks:
-            raise ValueError(
-                f"num_cells is {self.map.num_cells}, but must be a multiple of "
-                f"num_blocks, {self.planner.num_blocks}"
-            )
-        self.planner.chosen.check(self.map)
-
-
-@pytree
-class NavigatorState:
-    """What the next decision needs."""
-
-    belief: ParticleBelief
-    instruction: Instruction
-    clause: Array  # i32[] which of the instruction's commands is being carried out
-    previous_goal: Array  # i32[] observed slot at which the last command ended; NONE at first
-    visited: graph.Visited
-    memory: Any  # of the policy
-    status: Array  # i32[] a Status: of the task after the last cycle, whether halted or not
-    is_halted: Array  # bool[] it was told to halt
-    talk: Conversation  # what has been said besides, and ruled out
-    way: Way  # whether it gets on, and the waypoints given up
-
-    @property
-    def is_done(self) -> Array:
-        """Whether the task has ended, unless more is heard: it is carried out, or cannot be.
-
-        bool[].
-        """
-        endings = (Status.ARRIVED, Status.NOT_FOUND, Status.WHICH_ONE, Status.BLOCKED)
-        return functools.reduce(jnp.logical_or, [self.status == one for one in endings])
-
-    @property
-    def is_resting(self) -> Array:
-        """Whether the robot stands still until it hears something, bool[]."""
-        return self.is_halted | self.is_done | (self.status == Status.IDLE)
 
 
 @pytree
@@ -132,46 +56,6 @@ class NavigatorInfo:
     goals: Goals
     behavior: Behavior  # expectation over particles
     robot: Array  # f32[2] believed position, metres, map frame
-
-
-def default_params() -> NavigatorParams:
-    """Build the parameters used in all tables unless they say otherwise."""
-    return NavigatorParams(
-        map=default_map_params(),
-        planner=default_planner_params(),
-        mode_speed=jnp.array([1.0, 1.5, 0.6], jnp.float32),
-        mode_clearance=jnp.array([0.3, 0.2, 0.6], jnp.float32),
-    )
-
-
-def check(params: NavigatorParams) -> None:
-    """Refuse parameters with which the robot could never stop (host only).
-
-    With one candidate seen and nothing else explored, its posterior is 1 / (1 + α): a τ above
-    that sends the robot through the whole area first.
-
-    Args:
-        params: concrete parameters.
-
-    Raises:
-        ValueError: names the value, the limit and the remedy.
-    """
-    alpha = float(jnp.max(params.map.concentration))
-    tau = float(jnp.max(params.planner.stop_probability))
-    gamma = float(jnp.max(params.planner.discount))
-    limit = 1.0 / (1.0 + alpha)
-    if not 0.0 < gamma < 1.0:
-        raise ValueError(f"discount is {gamma:g}, but must lie between 0 and 1")
-    if not 0.0 < tau < 1.0:
-        raise ValueError(f"stop_probability is {tau:g}, but must lie between 0 and 1")
-    if alpha <= 0.0:
-        raise ValueError(f"concentration is {alpha:g}, but must be positive")
-    if tau >= limit:
-        raise ValueError(
-            f"stop_probability is {tau:g}, but with concentration {alpha:g} the first candidate "
-            f"seen has probability {limit:.2f}: lower stop_probability below it or lower "
-            "concentration"
-        )
 
 
 def start(
@@ -222,20 +106,6 @@ def start(
     )
 
 
-class _Outlook(NamedTuple):
-    """What a belief comes to: where the robot is, what it is asked to do, and where."""
-
-    fault: Array  # i32[] bits of Fault; 0 for a sound look and a task
-    belief: ParticleBelief  # as far as the task speaks of it
-    stands: Array  # bool[] the robot stands still: for a fault, or as it has been told or has ended
-    robot_x: Array  # f32[] believed position, metres, map frame
-    robot_y: Array  # f32[]
-    behavior: Behavior  # leaves [..., P]
-    expected: Behavior  # expectation over particles
-    is_relevant: Array  # bool[M, P] mentions that bear on the goal of the present command
-    goals: Goals
-
-
 def step(
     key: Array,
     state: NavigatorState,
@@ -270,8 +140,8 @@ def step(
     range_max = jnp.where(fault == 0, observation.sensor.range_max, default_sensor().range_max)
     outlook = _infer(state, fault, params)
     state, choice = _decide(key, state, outlook, range_max, filter_info.is_news, params, config)
-    after = _carry_on(state, outlook, choice, params, config)
-    action = _act(after, outlook, choice, params)
+    after = carry_on(state, outlook, choice, params=params, config=config)
+    action = act(after, outlook, choice, params=params)
     info = NavigatorInfo(
         filter=filter_info,
         fault=fault,
@@ -338,7 +208,7 @@ def _spoken(state: NavigatorState) -> Array:
     return jnp.zeros(MOST_LABELS, bool).at[index].set(True, mode="drop")
 
 
-def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> _Outlook:
+def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> Outlook:
     """Infer the behavior of the present clause, and where its goal may be (section 3.3)."""
     belief = state.belief
     behavior = infer_clause_behaviors(
@@ -355,7 +225,7 @@ def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> _Out
     group = believed_groups(readings, belief.particles)
     weight = jnp.exp(belief.log_weight)
     robot_x, robot_y = robot_position(belief)
-    return _Outlook(
+    return Outlook(
         fault=fault,
         belief=belief,
         stands=(fault != 0) | state.is_resting,
@@ -379,7 +249,7 @@ def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> _Out
 def _decide(
     key: Array,
     state: NavigatorState,
-    outlook: _Outlook,
+    outlook: Outlook,
     range_max: Array,
     is_news: Array,
     params: NavigatorParams,
@@ -420,106 +290,3 @@ def _decide(
     is_under_way = ~outlook.stands & ~choice.is_stop & ~choice.is_not_found & ~choice.doubt.asks
     way = keep_watch(state.way, waypoint, robot, is_under_way, patience=config.patience)
     return replace(state, visited=visited, memory=memory, way=way), choice
-
-
-def _is_last_clause(state: NavigatorState) -> Array:
-    """Tell whether nothing follows the present command, bool[]."""
-    return state.clause + 1 >= state.instruction.num_clauses
-
-
-def _status(
-    state: NavigatorState, outlook: _Outlook, choice: policy.Decision, config: NavigatorConfig
-) -> Array:
-    """Tell what becomes of the task, i32[] a Status: what it was where the robot stands still."""
-    under_way = jnp.where(choice.is_approach, int(Status.APPROACHING), int(Status.SEARCHING))
-    is_arrived = choice.is_stop & _is_last_clause(state)
-    ended = jnp.where(choice.is_not_found, int(Status.NOT_FOUND), under_way)
-    status = jnp.where(is_arrived, int(Status.ARRIVED), ended)
-    status = jnp.where(choice.doubt.asks, int(Status.WHICH_ONE), status)
-    is_blocked = state.way.num_closed > config.num_detours
-    status = jnp.where(is_blocked & ~choice.is_stop, int(Status.BLOCKED), status)
-    return jnp.where(outlook.stands, state.status, status)
-
-
-def _act(
-    state: NavigatorState, outlook: _Outlook, choice: policy.Decision, params: NavigatorParams
-) -> Action:
-    """Turn the choice into a step in the manner asked for: quickly, carefully.
-
-    Where it stands the waypoint is where the robot believes itself to be. The state is the new one.
-    """
-    mode = jnp.argmax(outlook.expected.mode)
-    speed, clearance = params.mode_speed[mode], params.mode_clearance[mode]
-    robot = jnp.stack([outlook.robot_x, outlook.robot_y])
-    waypoint = jnp.stack([choice.waypoint_x, choice.waypoint_y])
-    stands = outlook.stands | (state.is_done & ~choice.is_stop)
-    waypoint = jnp.where(stands, robot, waypoint)
-    travel = state.belief.terrain.travel
-    here, there = (outlook.robot_x, outlook.robot_y), tuple(waypoint)
-    next_x, next_y = travel.next_place(*here, *there)
-    left, distance = travel.metres(*here, *there), travel.metres(*here, next_x, next_y)
-    # A thing is gone up to, not into; anything else is a place to stand on.
-    spare = jnp.where(choice.kind == graph.OBJECT_NODE, _APPROACH * params.planner.reach, 0.0)
-    length = jnp.clip(left - spare, 0.0, params.map.motion.step_length * speed)
-    length = jnp.where(choice.is_stop, 0.0, jnp.minimum(length, distance))
-    is_idle = state.instruction.num_clauses == 0
-    step_x, step_y = next_x - here[0], next_y - here[1]
-    drift = mean_drift(state.belief)
-    if drift is not None:
-        step_x, step_y = rotated(step_x, step_y, -drift)
-    status = jnp.where(is_idle, int(Status.IDLE), state.status)
-    return Action(
-        waypoint=waypoint,
-        step=jnp.stack([step_x, step_y]) / distance * length,
-        is_stop=state.is_done & ~state.is_halted & (outlook.fault == 0),
-        status=jnp.where(state.is_halted, int(Status.HALTED), status),
-        speed=speed,
-        clearance=clearance,
-    )
-
-
-def _carry_on(
-    state: NavigatorState,
-    outlook: _Outlook,
-    choice: policy.Decision,
-    params: NavigatorParams,
-    config: NavigatorConfig,
-) -> NavigatorState:
-    """Remember what the next decision needs.
-
-    A command carried out makes way for the next one, if the instruction has one.
-    """
-    is_last = _is_last_clause(state)
-    # Of the objects that would do, the last command ended at the one gone up to.
-    goals, robot_x, robot_y = outlook.goals, outlook.robot_x, outlook.robot_y
-    travel = state.belief.terrain.travel
-    away = travel.metres(robot_x, robot_y, goals.object_x, goals.object_y)[:-1]
-    will_do = goals.object_accepted[:-1] * params.planner.discount**away
-    goal_slot = jnp.argmax(will_do).astype(jnp.int32)
-    moves_on = choice.is_stop & ~is_last
-    return replace(
-        state,
-        clause=state.clause + moves_on.astype(jnp.int32),
-        previous_goal=jnp.where(choice.is_stop, goal_slot, state.previous_goal),
-        status=_status(state, outlook, choice, config),
-        talk=_recall(state.talk, goals, choice, goal_slot, moves_on),
-        way=replace(state.way, num_closed=jnp.where(moves_on, 0, state.way.num_closed)),
-    )
-
-
-def _recall(
-    talk: Conversation, goals: Goals, choice: policy.Decision, goal_slot: Array, moves_on: Array
-) -> Conversation:
-    """Remember what the robot goes up to, for what may be said of it."""
-    away = jnp.hypot(goals.object_x - choice.waypoint_x, goals.object_y - choice.waypoint_y)
-    is_goal = goals.is_object & (goals.object_accepted >= policy.LEAST_GOAL)
-    aimed = jnp.argmin(jnp.where(is_goal, away, jnp.inf)[:-1]).astype(jnp.int32)
-    approached = jnp.where(choice.is_approach, aimed, talk.approached)
-    goal_slot = jnp.where(jnp.any(is_goal[:-1]), goal_slot, talk.approached)
-    return replace(
-        talk,
-        approached=jnp.where(choice.is_stop, goal_slot, approached),
-        ruled_out=jnp.where(moves_on, 0, talk.ruled_out),
-        closeness=jnp.where(moves_on, 1.0, talk.closeness),
-        candidate=jnp.where(goals.is_object, goals.object_mass, 0.0)[:-1],
-    )
