@@ -12,8 +12,9 @@ import jax
 import numpy as np
 
 from jaxlangnav import recorder
+from jaxlangnav.agent import Navigator
 from jaxlangnav.episode import MAX_STEPS
-from jaxlangnav.experiments.policies import navigator_config
+from jaxlangnav.experiments.policies import navigator_config, without_compass
 from jaxlangnav.grounding import GroundingModel, load_shipped, understand
 from jaxlangnav.grounding.instruction import Instruction, Understanding
 from jaxlangnav.kept import kept
@@ -30,7 +31,9 @@ from jaxlangnav.task.opening import (
     nothing_there,
     open_task,
     refuse_what_it_lacks,
+    slots_of,
 )
+from jaxlangnav.world.scenario import NUM_SLOTS
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 
 
@@ -71,7 +74,10 @@ def follow(
     if sensing_range is not None and not sensing_range > 0.0:
         raise ValueError(f"sensing_range is {sensing_range:g}, but must be positive, in metres")
     refuse_what_it_lacks(str(world), understood)
+    usual, config = usual_engine(str(world), policy, particles)
+    params = usual if params is None else params
     prepared = open_task(str(world), understood, sensing_range=sensing_range, seed=seed)
+    motion = prepared.task.motion
     if prepared.is_drawn and not prepared.is_meant:
         counts = count_types(prepared.task.scenario, understood.type_names)
         raise ValueError(nothing_there(prepared.world, counts, ()))
@@ -79,8 +85,8 @@ def follow(
         understood,
         prepared,
         text=text,
-        params=navigator_params() if params is None else params,
-        config=navigator_config(policy, particles),
+        params=replace(params, map=replace(params.map, motion=motion)),
+        config=without_compass(config, motion),
         max_steps=max_steps,
     )
 
@@ -90,6 +96,30 @@ def follow(
 def navigator_params() -> NavigatorParams:
     """Build the default parameters: compiled, as one by one their operations take seconds."""
     return default_params()
+
+
+def usual_engine(
+    world: str, policy: AnyPolicy, particles: int
+) -> tuple[NavigatorParams, NavigatorConfig]:
+    """Choose the navigator's numbers and sizes by what it has to hold.
+
+    Args:
+        world: a template, a shipped world or a file.
+        policy: "informed", "faithful", or a policy of somebody's own.
+        particles: P.
+
+    Returns:
+        Those of the paper's tables where no more things stand than there, and those of
+        ``Navigator.pretrained``, for places as they are, where more do.
+
+    Raises:
+        ValueError: no such world or policy, or a bad file.
+    """
+    if slots_of(world) <= NUM_SLOTS:
+        return navigator_params(), navigator_config(policy, particles)
+    anywhere = Navigator.pretrained(policy)
+    sizes = dataclasses.replace(anywhere.config.map, num_particles=particles)
+    return anywhere.params, dataclasses.replace(anywhere.config, map=sizes)
 
 
 def alone(understood: Understanding) -> Instruction:
