@@ -346,4 +346,6 @@ def test_crowded_worlds_get_the_sizes_for_places_as_they_are(
     assert slots_of(world) == slots
     assert config.map.num_particles == 32
     assert config.map.has_doubts == (slots > 8)
-    assert (float(params.planner.prior_share) == 0.0) == (slots > 8)
+    # The search prior is of the worlds of the templates: nowhere else is it of use.
+    assert float(params.planner.prior_share) == 0.0
+    assert float(usual_engine("1H1C", "informed", 32)[0].planner.prior_share) > 0.0

@@ -31,10 +31,11 @@ from jaxlangnav.task.opening import (
     nothing_there,
     open_task,
     refuse_what_it_lacks,
-    slots_of,
 )
+from jaxlangnav.world.files import open_world
 from jaxlangnav.world.scenario import NUM_SLOTS
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
+from jaxlangnav.world.templates import Template
 
 
 def follow(
@@ -109,15 +110,19 @@ def usual_engine(
         particles: P.
 
     Returns:
-        Those of the paper's tables where no more things stand than there, and those of
-        ``Navigator.pretrained``, for places as they are, where more do.
+        Those of the paper's tables in worlds drawn from their templates, and the numbers of
+        ``Navigator.pretrained``, for places as they are, in any other; its sizes too where more
+        things stand than the tables' hold.
 
     Raises:
         ValueError: no such world or policy, or a bad file.
     """
-    if slots_of(world) <= NUM_SLOTS:
+    place = open_world(world)
+    if isinstance(place, Template):
         return navigator_params(), navigator_config(policy, particles)
     anywhere = Navigator.pretrained(policy)
+    if place.scenario.is_object.size <= NUM_SLOTS:
+        return anywhere.params, navigator_config(policy, particles)
     sizes = dataclasses.replace(anywhere.config.map, num_particles=particles)
     return anywhere.params, dataclasses.replace(anywhere.config, map=sizes)
 
