@@ -14,7 +14,7 @@ from jaxlangnav.kinds import attributes
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.messages import NONE, default_motion, default_sensor
 from jaxlangnav.world.files import (
-    World,
+    WorldFile,
     WorldFileError,
     load_world,
     open_world,
@@ -97,7 +97,7 @@ def test_defaults(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", shipped_worlds())
 def test_round_trip_of_shipped_worlds(tmp_path: Path, name: str, kind: str) -> None:
     world = open_world(name)
-    assert isinstance(world, World)
+    assert isinstance(world, WorldFile)
     save_world(world, tmp_path / f"copy.{kind}")
     again = load_world(tmp_path / f"copy.{kind}")
     chex.assert_trees_all_equal(again.scenario, world.scenario)
@@ -112,7 +112,7 @@ def test_round_trip_of_sampled_worlds_is_exact(tmp_path: Path, seed: int) -> Non
     scenario = sample_scenario(key, template="2H2C", relation="nearest")
     turned = np.asarray(scenario.start) + np.float32([0, 0, jax.random.normal(key)])
     scenario = type(scenario)(**{**vars(scenario), "start": turned})
-    world = World(
+    world = WorldFile(
         name='it"s a \\ world', scenario=scenario, sensor=default_sensor(), motion=default_motion()
     )
     save_world(world, tmp_path / "sampled.toml")
@@ -127,7 +127,7 @@ def test_shipped_worlds_show_what_they_promise() -> None:
     kinds = set()
     for name in shipped_worlds():
         world = open_world(name)
-        assert isinstance(world, World)
+        assert isinstance(world, WorldFile)
         assert world.name == name
         assert world.instruction
         kinds |= set(np.asarray(world.scenario.object_type)[np.asarray(world.scenario.is_object)])
@@ -136,7 +136,7 @@ def test_shipped_worlds_show_what_they_promise() -> None:
 
 def test_open_world_tells_templates_shipped_worlds_and_files_apart(tmp_path: Path) -> None:
     assert open_world("2H1C") == Template(name="2H1C", num_hydrants=2, num_cones=1)
-    assert isinstance(open_world(str(write(tmp_path, YARD))), World)
+    assert isinstance(open_world(str(write(tmp_path, YARD))), WorldFile)
     for text in ("yrad", "", "nonsense"):
         with pytest.raises(ValueError, match=r"unknown world.*1H1C.*yard.*toml") as caught:
             open_world(text)
@@ -347,7 +347,7 @@ def test_deep_and_large_files_are_refused(tmp_path: Path, kind: str) -> None:
 
 def test_files_that_cannot_be_written(tmp_path: Path) -> None:
     world = open_world("yard")
-    assert isinstance(world, World)
+    assert isinstance(world, WorldFile)
     with pytest.raises(WorldFileError, match=r"must end in \.toml or .json"):
         save_world(world, tmp_path / "yard.txt")
     (tmp_path / "file").write_text("no folder")
@@ -357,7 +357,7 @@ def test_files_that_cannot_be_written(tmp_path: Path) -> None:
 
 def test_tables_are_plain_data() -> None:
     world = open_world("street")
-    assert isinstance(world, World)
+    assert isinstance(world, WorldFile)
     table = world_to_dict(world)
     assert json.loads(json.dumps(table)) == table
     assert table["start"]["heading"] == 90.0

@@ -14,7 +14,7 @@ from jaxlangnav.cli.metavars import ByStep, File, Folder, Metres
 from jaxlangnav.cli.output import Document, Output
 from jaxlangnav.cli.runtime import keep_compiled_programs, waiting
 from jaxlangnav.cli.sentence import is_template, parse_text
-from jaxlangnav.cli.settings import Place, apply, read_settings
+from jaxlangnav.cli.settings import SettingPath, apply, read_settings
 
 if TYPE_CHECKING:
     from jaxlangnav.cli.speech import Speech
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from jaxlangnav.grounding import Grounder
     from jaxlangnav.grounding.instruction import Understanding
     from jaxlangnav.language.phrase import Parse
-    from jaxlangnav.recording import Frame, Recording, Remark, Scene
+    from jaxlangnav.recording import Frame, Recording, Remark, StaticScene
     from jaxlangnav.task.opening import Prepared
     from jaxlangnav.task.talk import Earshot
 
@@ -155,7 +155,7 @@ class Follow:
             max_steps=self.max_steps,
         )
 
-    def _check_settings(self, values: "dict[Place, Any]") -> None:
+    def _check_settings(self, values: "dict[SettingPath, Any]") -> None:
         """Refuse numbers and sizes that do not go together, or that no memory holds."""
         from jaxlangnav.experiments.sizes import check_recording
         from jaxlangnav.navigator import check
@@ -188,15 +188,15 @@ class Follow:
     def _open(self, understood: "Understanding", output: Output) -> "Prepared":
         """Open a world in which the sentence can be followed."""
         from jaxlangnav.task.opening import (
+            absent_types,
             count_types,
-            missing_types,
             nothing_there,
             open_task,
         )
 
         prepared = open_task(self.world, understood, sensing_range=self.range, seed=self.seed)
         scenario, names = prepared.task.scenario, understood.type_names
-        missing = missing_types(scenario, understood.annotations, names)
+        missing = absent_types(scenario, understood.annotations, names)
         if not prepared.is_meant and prepared.is_drawn:
             raise UsageError(nothing_there(prepared.world, count_types(scenario, names), ()))
         for name in missing:
@@ -205,7 +205,7 @@ class Follow:
             output.note("note: nothing there fits the sentence, so success cannot be judged")
         return prepared
 
-    def _sizes(self, values: "dict[Place, Any]") -> dict[str, Any]:
+    def _sizes(self, values: "dict[SettingPath, Any]") -> dict[str, Any]:
         """Build the engine's numbers and sizes."""
         from jaxlangnav.task.follow import usual_engine
 
@@ -240,14 +240,14 @@ class Follow:
 
     def _told(
         self,
-        scene: "Scene",
+        scene: "StaticScene",
         steps: "Iterable[tuple[Frame, EpisodeResult]]",
         ear: "Earshot | None",
         prepared: "Prepared",
         output: Output,
     ) -> "Recording":
         """Run the rest of an episode, judge it and tell it."""
-        from jaxlangnav.recording import gather
+        from jaxlangnav.recording import stack_frames
         from jaxlangnav.task.follow import judged
         from jaxlangnav.task.talk import with_talk
         from jaxlangnav.viz.narrative import closing, narrate, opening, tell_on
@@ -260,7 +260,7 @@ class Follow:
                 output.tell(opening(scene))
                 steps = tell_on(scene, steps, said, output.tell)
             frames, results = zip(*steps, strict=True)
-            recording = gather(scene, list(frames), results[-1])
+            recording = stack_frames(scene, list(frames), results[-1])
         recording = judged(recording, prepared)
         recording = recording if ear is None else with_talk(recording, ear)
         if self.live or self.talk:
@@ -272,7 +272,7 @@ class Follow:
 
     def _watch(
         self,
-        scene: "Scene",
+        scene: "StaticScene",
         steps: "Iterable[tuple[Frame, EpisodeResult]]",
         said: "list[Remark]",
     ) -> "Recording":

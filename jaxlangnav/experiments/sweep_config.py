@@ -44,7 +44,7 @@ from jaxlangnav.experiments.tasks import SEED_LIMIT
 from jaxlangnav.files.documents import DocumentError, parse_toml, read_text
 from jaxlangnav.files.regular import read_file
 from jaxlangnav.plain_text import cut, fault_of_name, shown
-from jaxlangnav.world.files import LARGEST_FILE, World, open_world
+from jaxlangnav.world.files import LARGEST_WORLD_FILE, WorldFile, open_world
 from jaxlangnav.world.scenario import NUM_SLOTS, scenario_law
 from jaxlangnav.world.templates import Template, check_relation
 
@@ -90,7 +90,7 @@ class SweepConfig:
     particles: tuple[int, ...]
     params: dict[str, Choices]
     """By table (sensor, motion, map, planner), then by key."""
-    own_worlds: dict[str, World]
+    own_worlds: dict[str, WorldFile]
     """Worlds that are no template, by their entry in ``worlds``."""
     world_hashes: dict[str, str]
     """SHA-256 of the world files, by their entry in ``worlds``."""
@@ -289,9 +289,11 @@ def _command(value: Any) -> Command:
     )
 
 
-def _open_worlds(worlds: tuple[str, ...], folder: Path) -> tuple[dict[str, World], dict[str, str]]:
+def _open_worlds(
+    worlds: tuple[str, ...], folder: Path
+) -> tuple[dict[str, WorldFile], dict[str, str]]:
     """Open the worlds that are no template, and hash their files."""
-    own: dict[str, World] = {}
+    own: dict[str, WorldFile] = {}
     hashes: dict[str, str] = {}
     for entry in worlds:
         beside = folder / entry
@@ -311,7 +313,9 @@ def _open_worlds(worlds: tuple[str, ...], folder: Path) -> tuple[dict[str, World
             )
         own[entry] = found
         if is_beside:
-            hashes[entry] = hashlib.sha256(read_file(beside, at_most=LARGEST_FILE)).hexdigest()
+            hashes[entry] = hashlib.sha256(
+                read_file(beside, at_most=LARGEST_WORLD_FILE)
+            ).hexdigest()
     return own, hashes
 
 

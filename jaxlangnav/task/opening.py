@@ -18,13 +18,13 @@ from jaxlangnav.grounding.instruction import Understanding
 from jaxlangnav.pytree import replace
 from jaxlangnav.task.meant import is_among, meant_goals, with_goal
 from jaxlangnav.world.files import open_world, shipped_worlds
-from jaxlangnav.world.reading import World
+from jaxlangnav.world.reading import WorldFile
 from jaxlangnav.world.scenario import NUM_SLOTS
 from jaxlangnav.world.state import Scenario
 from jaxlangnav.world.templates import Template
 
-T = TypeVar("T")
-Said = Mapping[str, Any]
+_T = TypeVar("_T")
+AnnotationDocument = Mapping[str, Any]
 """An annotation: ``figure``, ``relation``, ``landmark``, ``superlative``, ``probability``."""
 _NUM_TRIES = 64
 """Worlds drawn in search of one in which the sentence is true."""
@@ -45,7 +45,7 @@ class Prepared:
     """Whether the world has been drawn from a template."""
 
 
-def relation_said(annotations: Iterable[Said]) -> str:
+def relation_said(annotations: Iterable[AnnotationDocument]) -> str:
     """Tell for which of Table 2's commands to draw a world, so that the sentence is true in it.
 
     Args:
@@ -81,7 +81,7 @@ def open_task(
         ValueError: no such world, a bad file, or a template that has nothing of what is asked.
     """
     place = open_world(world)
-    if isinstance(place, World):
+    if isinstance(place, WorldFile):
         task = _task_in(place, sensing_range, seed)
         is_own = _is_its_own(place, understood)
         return _judge(
@@ -101,7 +101,7 @@ def refuse_what_it_lacks(world: str, understood: Understanding) -> None:
         ValueError: one line that says what there is.
     """
     place = open_world(world)
-    if isinstance(place, World):
+    if isinstance(place, WorldFile):
         return
     counts = [("hydrant", place.num_hydrants), ("cone", place.num_cones)]
     there = [(name, number) for name, number in counts if number]
@@ -125,7 +125,7 @@ def detector_of(world: str, type_names: Sequence[str]) -> Detector:
         ValueError: no such world, or a bad file.
     """
     place = open_world(world)
-    if isinstance(place, World):
+    if isinstance(place, WorldFile):
         return Detector(place.type_names, place.attribute_groups)
     return Detector(type_names)
 
@@ -143,7 +143,7 @@ def slots_of(world: str) -> int:
         ValueError: no such world, or a bad file.
     """
     place = open_world(world)
-    return place.scenario.is_object.size if isinstance(place, World) else NUM_SLOTS
+    return place.scenario.is_object.size if isinstance(place, WorldFile) else NUM_SLOTS
 
 
 def nothing_there(world: str, counts: Sequence[tuple[str, int]], missing: Sequence[str]) -> str:
@@ -165,8 +165,8 @@ def nothing_there(world: str, counts: Sequence[tuple[str, int]], missing: Sequen
     )
 
 
-def missing_types(
-    scenario: Scenario, annotations: Iterable[Said], names: Sequence[str]
+def absent_types(
+    scenario: Scenario, annotations: Iterable[AnnotationDocument], names: Sequence[str]
 ) -> list[str]:
     """List what the sentence speaks of and the world does not have.
 
@@ -181,7 +181,9 @@ def missing_types(
     return _lacking({name for name, _ in count_types(scenario, names)}, annotations, names)
 
 
-def _lacking(there: Set[str], annotations: Iterable[Said], names: Sequence[str]) -> list[str]:
+def _lacking(
+    there: Set[str], annotations: Iterable[AnnotationDocument], names: Sequence[str]
+) -> list[str]:
     """List what the sentence speaks of and is not among what is there."""
     likely = [said for said in annotations if said["probability"] >= 0.5]
     spoken = dict.fromkeys(said[role] for said in likely for role in ("figure", "landmark"))
@@ -203,7 +205,7 @@ def count_types(scenario: Scenario, names: Sequence[str]) -> list[tuple[str, int
     return [(names[kind], types.count(kind)) for kind in dict.fromkeys(types)]
 
 
-def _task_in(world: World, sensing_range: float | None, seed: int) -> Task:
+def _task_in(world: WorldFile, sensing_range: float | None, seed: int) -> Task:
     """Prepare an episode in a world that somebody has written down."""
     sensor = world.sensor
     if sensing_range is not None:
@@ -217,7 +219,7 @@ def _task_in(world: World, sensing_range: float | None, seed: int) -> Task:
     )
 
 
-def _is_its_own(world: World, understood: Understanding) -> bool:
+def _is_its_own(world: WorldFile, understood: Understanding) -> bool:
     """Tell whether a sentence is the one that a world's goal has been written for."""
     if not world.has_goal:
         return False
@@ -252,7 +254,7 @@ def _draw(
     relation = relation_said(understood.annotations) if template.num_cones else "null"
     tasks = _tasks_of(template, relation, sensing_range, seed, 1)
     prepared = _judge(template.name, tasks[0], understood, is_own=False, is_drawn=True)
-    absent = missing_types(tasks[0].scenario, understood.annotations, understood.type_names)
+    absent = absent_types(tasks[0].scenario, understood.annotations, understood.type_names)
     if prepared.is_meant or absent:
         return prepared
     # Here each cone stands anywhere around its hydrant: the sentence may be true in some of them.
@@ -285,6 +287,6 @@ def _tasks_of(
     ]
 
 
-def _at(record: T, index: int) -> T:
+def _at(record: _T, index: int) -> _T:
     """Take one of the records out of a batch."""
     return jax.tree.map(lambda leaf: leaf[index], record)

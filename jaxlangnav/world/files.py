@@ -50,18 +50,25 @@ from typing import Any
 
 from jaxlangnav.files.documents import DocumentError, parse_json, parse_toml, read_text
 from jaxlangnav.plain_text import cut, shown
-from jaxlangnav.world.fields import WorldFileError, did_you_mean
-from jaxlangnav.world.reading import MOST_OBJECTS, World, world_from_dict
+from jaxlangnav.world.fields import WorldFileError, closest_choice
+from jaxlangnav.world.reading import MOST_OBJECTS, WorldFile, world_from_dict
 from jaxlangnav.world.templates import TEMPLATE_NAMES, Template, parse_template
 from jaxlangnav.world.writing import save_world
 
-__all__ = ["World", "WorldFileError", "load_world", "open_world", "save_world", "shipped_worlds"]
+__all__ = [
+    "WorldFile",
+    "WorldFileError",
+    "load_world",
+    "open_world",
+    "save_world",
+    "shipped_worlds",
+]
 
-LARGEST_FILE = 256 * 1024
+LARGEST_WORLD_FILE = 256 * 1024
 """Bytes of a world file; one of sixty-four objects takes eight thousand."""
 
 
-def load_world(path: str | Path, *, num_slots: int | None = None) -> World:
+def load_world(path: str | Path, *, num_slots: int | None = None) -> WorldFile:
     """Read and check a world file.
 
     Args:
@@ -86,7 +93,7 @@ def shipped_worlds() -> tuple[str, ...]:
     return tuple(sorted(Path(entry.name).stem for entry in data.iterdir()))
 
 
-def open_world(text: str, *, num_slots: int | None = None) -> Template | World:
+def open_world(text: str, *, num_slots: int | None = None) -> Template | WorldFile:
     """Find what a person means by a world: a template, a shipped world, or a file.
 
     Args:
@@ -110,7 +117,7 @@ def open_world(text: str, *, num_slots: int | None = None) -> Template | World:
     if text.strip()[:1].isdigit():
         return parse_template(text)
     shipped = ", ".join(shipped_worlds())
-    hint = did_you_mean(cut(text), (*shipped_worlds(), *TEMPLATE_NAMES))
+    hint = closest_choice(cut(text), (*shipped_worlds(), *TEMPLATE_NAMES))
     raise ValueError(
         f"unknown world {shown(text)}: give a template ({', '.join(TEMPLATE_NAMES)}), a shipped "
         f"world ({shipped}), or a .toml or .json file{hint}"
@@ -123,7 +130,7 @@ def _read(path: Path, most: int) -> Any:
     if kind not in (".toml", ".json"):
         raise WorldFileError(f"{path}: a world file's name must end in .toml or .json")
     try:
-        text = read_text(path, at_most=LARGEST_FILE)
+        text = read_text(path, at_most=LARGEST_WORLD_FILE)
         _check_objects(text, path, most)
         return parse_toml(text) if kind == ".toml" else parse_json(text)
     except FileNotFoundError:

@@ -26,7 +26,7 @@ from jaxlangnav.sensing import SLOTS
 from jaxlangnav.world.fields import Fields
 from jaxlangnav.world.state import Scenario
 
-Place = tuple[float, float]
+Point = tuple[float, float]
 Bounds = tuple[float, float, float, float]
 """x_min, x_max, y_min, y_max, metres."""
 _NARROWEST = 0.1
@@ -40,7 +40,7 @@ _LONGEST_INSTRUCTION = 1000
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class World:
+class WorldFile:
     """What a world file holds, ready for the simulator."""
 
     name: str
@@ -60,7 +60,7 @@ class World:
     """What the detector reports of things besides their type: groups of ``kinds.ATTRIBUTES``."""
 
 
-def world_from_dict(table: Any, *, file: str, num_slots: int | None = None) -> World:
+def world_from_dict(table: Any, *, file: str, num_slots: int | None = None) -> WorldFile:
     """Check tables of the world format and build the world.
 
     Args:
@@ -94,7 +94,7 @@ def world_from_dict(table: Any, *, file: str, num_slots: int | None = None) -> W
     goal, goal_index = (
         _read_goal(top.table("goal"), area, names, things.places) if has_goal else (start[:2], NONE)
     )
-    world = World(
+    world = WorldFile(
         name=top.text("name", default=Path(file).stem),
         instruction=_read_instruction(top),
         scenario=_to_scenario(things, goal, goal_index, start, area, num_slots),
@@ -127,7 +127,7 @@ def _read_area(fields: Fields) -> Bounds:
     return x_min, x_max, y_min, y_max
 
 
-def _read_place(fields: Fields, area: Bounds, *, default: float | None = None) -> Place:
+def _read_place(fields: Fields, area: Bounds, *, default: float | None = None) -> Point:
     """Read x and y and require them to lie in the area."""
     place = fields.number("x", default=default), fields.number("y", default=default)
     for name, value, low, high in zip("xy", place, area[::2], area[1::2], strict=True):
@@ -147,7 +147,7 @@ class _Things:
     type_names: list[str]
     types: list[int] = dataclasses.field(default_factory=list)
     names: list[str] = dataclasses.field(default_factory=list)
-    places: list[Place] = dataclasses.field(default_factory=list)
+    places: list[Point] = dataclasses.field(default_factory=list)
     looks: list[dict[str, str]] = dataclasses.field(default_factory=list)
 
 
@@ -190,8 +190,8 @@ def _read_goal(
     fields: Fields,
     area: Bounds,
     names: list[str],
-    places: list[Place],
-) -> tuple[Place, int]:
+    places: list[Point],
+) -> tuple[Point, int]:
     """Read the goal: its place, and the slot of its object or NONE."""
     if fields.has("object"):
         known = [name for name in names if name]
@@ -239,7 +239,7 @@ def _read_motion(fields: Fields) -> MotionParams:
 
 def _to_scenario(
     things: _Things,
-    goal: Place,
+    goal: Point,
     goal_index: int,
     start: tuple[float, float, float],
     area: Bounds,
