@@ -97,7 +97,7 @@ class Follow:
         values = read_settings(self.settings, self.SETTINGS)
         self._check_settings(values)
         understood, grounder = self._understand(parsed, output)
-        from jaxlangnav.task.opening import refuse_what_it_lacks
+        from jaxlangnav.task.opening import refuse_what_it_lacks, slots_of
 
         refuse_what_it_lacks(self.world, understood)
         from jaxlangnav.cli.engine import rehearse
@@ -111,7 +111,7 @@ class Follow:
             speech.check_words(grounder, understood)
             understood = roomy(understood)
         sizes = self._sizes(values)
-        rehearse(alone(understood), **sizes)
+        rehearse(alone(understood), slots_of(self.world), **sizes)
         prepared = self._open(understood, output)
         task = prepared.task
         sensor = apply(task.sensor, values, "sensor")
@@ -157,15 +157,13 @@ class Follow:
 
     def _check_settings(self, values: "dict[SettingPath, Any]") -> None:
         """Refuse numbers and sizes that do not go together, or that no memory holds."""
-        from jaxlangnav.experiments.policies import navigator_config
         from jaxlangnav.experiments.sizes import check_recording
         from jaxlangnav.navigator import check
-        from jaxlangnav.task.follow import navigator_params
 
+        sizes = self._sizes(values)
         if values:
-            check(apply(navigator_params(), values, "params"))
-        config = apply(navigator_config(self.policy, self.particles), values, "config")
-        check_recording(config, self.max_steps)
+            check(sizes["params"])
+        check_recording(sizes["config"], self.max_steps)
 
     def _understand(
         self, parsed: "Parse | None", output: Output
@@ -209,12 +207,11 @@ class Follow:
 
     def _sizes(self, values: "dict[SettingPath, Any]") -> dict[str, Any]:
         """Build the engine's numbers and sizes."""
-        from jaxlangnav.experiments.policies import navigator_config
-        from jaxlangnav.task.follow import navigator_params
+        from jaxlangnav.task.follow import usual_engine
 
-        params = self._speech.allow_questions(apply(navigator_params(), values, "params"))
-        config = apply(navigator_config(self.policy, self.particles), values, "config")
-        return {"params": params, "config": config}
+        params, config = usual_engine(self.world, self.policy, self.particles)
+        params = self._speech.allow_questions(apply(params, values, "params"))
+        return {"params": params, "config": apply(config, values, "config")}
 
     def _record(
         self,

@@ -45,7 +45,7 @@ from jaxlangnav.files.documents import DocumentError, parse_toml, read_text
 from jaxlangnav.files.regular import read_file
 from jaxlangnav.plain_text import cut, fault_of_name, shown
 from jaxlangnav.world.files import LARGEST_WORLD_FILE, WorldFile, open_world
-from jaxlangnav.world.scenario import scenario_law
+from jaxlangnav.world.scenario import NUM_SLOTS, scenario_law
 from jaxlangnav.world.templates import Template, check_relation
 
 _KEYS = (
@@ -301,6 +301,16 @@ def _open_worlds(
         found = open_world(str(beside) if is_beside else entry)
         if isinstance(found, Template):
             continue
+        number, slots = int(found.scenario.is_object.sum()), found.scenario.is_object.size
+        if slots > NUM_SLOTS:
+            raise ValueError(
+                f"world {cut(entry)} has {number} objects, but a sweep's worlds have at most "
+                f"{NUM_SLOTS}: remove some, or run it alone with jaxlangnav follow --world"
+            )
+        if not found.has_goal:
+            raise ValueError(
+                f"world {cut(entry)} has no [goal], by which a sweep tells success: add it"
+            )
         own[entry] = found
         if is_beside:
             hashes[entry] = hashlib.sha256(

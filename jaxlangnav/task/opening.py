@@ -19,6 +19,7 @@ from jaxlangnav.pytree import replace
 from jaxlangnav.task.meant import is_among, meant_goals, with_goal
 from jaxlangnav.world.files import open_world, shipped_worlds
 from jaxlangnav.world.reading import WorldFile
+from jaxlangnav.world.scenario import NUM_SLOTS
 from jaxlangnav.world.state import Scenario
 from jaxlangnav.world.templates import Template
 
@@ -83,7 +84,9 @@ def open_task(
     if isinstance(place, WorldFile):
         task = _task_in(place, sensing_range, seed)
         is_own = _is_its_own(place, understood)
-        return _judge(place.name, task, understood, is_own=is_own, is_drawn=False)
+        return _judge(
+            place.name, task, understood, is_own=is_own, is_drawn=False, has_goal=place.has_goal
+        )
     return _draw(place, understood, sensing_range or 3.0, seed)
 
 
@@ -125,6 +128,22 @@ def detector_of(world: str, type_names: Sequence[str]) -> Detector:
     if isinstance(place, WorldFile):
         return Detector(place.type_names, place.attribute_groups)
     return Detector(type_names)
+
+
+def slots_of(world: str) -> int:
+    """Tell how many things a world has room for: what its compiled programs go by.
+
+    Args:
+        world: a template, a shipped world or a file.
+
+    Returns:
+        Object slots of its scenario.
+
+    Raises:
+        ValueError: no such world, or a bad file.
+    """
+    place = open_world(world)
+    return place.scenario.is_object.size if isinstance(place, WorldFile) else NUM_SLOTS
 
 
 def nothing_there(world: str, counts: Sequence[tuple[str, int]], missing: Sequence[str]) -> str:
@@ -201,17 +220,25 @@ def _task_in(world: WorldFile, sensing_range: float | None, seed: int) -> Task:
 
 
 def _is_its_own(world: WorldFile, understood: Understanding) -> bool:
-    """Tell whether a sentence is the one that a world has been written for."""
+    """Tell whether a sentence is the one that a world's goal has been written for."""
+    if not world.has_goal:
+        return False
     own = " ".join((world.instruction or "").lower().split()).rstrip(".!")
     return own == " ".join(understood.parse.instruction.lower().split()).rstrip(".!")
 
 
 def _judge(
-    name: str, task: Task, understood: Understanding, *, is_own: bool, is_drawn: bool
+    name: str,
+    task: Task,
+    understood: Understanding,
+    *,
+    is_own: bool,
+    is_drawn: bool,
+    has_goal: bool = True,
 ) -> Prepared:
     """Set the goal that the sentence means; that of the world where it is as good as any."""
     goals, is_find = meant_goals(understood, task.scenario)
-    if goals and not is_own and not is_among(task.scenario, goals):
+    if goals and not is_own and not (has_goal and is_among(task.scenario, goals)):
         task = replace(task, scenario=with_goal(task.scenario, goals[0]))
     is_meant = is_own or bool(goals)
     return Prepared(world=name, task=task, is_find=is_find, is_meant=is_meant, is_drawn=is_drawn)

@@ -22,8 +22,8 @@ from jaxlangnav.messages import (
     default_sensor,
 )
 from jaxlangnav.plain_text import LONGEST_NAME, cut, printable, shown
+from jaxlangnav.sensing import SLOTS
 from jaxlangnav.world.fields import Fields
-from jaxlangnav.world.scenario import NUM_SLOTS
 from jaxlangnav.world.state import Scenario
 
 Point = tuple[float, float]
@@ -33,6 +33,8 @@ _NARROWEST = 0.1
 """Metres that an area measures at least, each way."""
 _LEAST_VIEW = 0.1
 """Degrees of the narrowest field of view."""
+MOST_OBJECTS = SLOTS[-1]
+"""Objects of a world file: as many as may be in view."""
 _LONGEST_INSTRUCTION = 1000
 """Characters of a sentence in a world file."""
 
@@ -46,6 +48,8 @@ class WorldFile:
     sensor: SensorParams
     motion: MotionParams
     instruction: str | None = None
+    has_goal: bool = True
+    """Whether it says what counts as success; else the scenario's goal is its start."""
     object_names: tuple[str, ...] = ()
     """One per slot, empty where the object has no name."""
     type_names: tuple[str, ...] = dataclasses.field(
@@ -56,13 +60,14 @@ class WorldFile:
     """What the detector reports of things besides their type: groups of ``kinds.ATTRIBUTES``."""
 
 
-def world_from_dict(table: Any, *, file: str, num_slots: int = NUM_SLOTS) -> WorldFile:
+def world_from_dict(table: Any, *, file: str, num_slots: int | None = None) -> WorldFile:
     """Check tables of the world format and build the world.
 
     Args:
         table: the tables, as read.
         file: the file's name, for messages.
-        num_slots: O, object slots of the scenario.
+        num_slots: O, object slots of the scenario; if None the least of ``sensing.SLOTS`` that
+            holds its objects, so that worlds of like sizes share their compiled programs.
 
     Returns:
         The world.
@@ -81,22 +86,28 @@ def world_from_dict(table: Any, *, file: str, num_slots: int = NUM_SLOTS) -> Wor
         fields.close()
     elif not (area[0] <= 0.0 <= area[1] and area[2] <= 0.0 <= area[3]):
         raise top.fail("start", "is missing, and its default 0, 0 lies outside the area: add it")
-    things = _read_objects(top, area, num_slots)
+    things = _read_objects(top, area, num_slots or MOST_OBJECTS)
     names = things.names
-    goal, goal_index = _read_goal(top.table("goal"), area, names, things.places)
+    if num_slots is None:
+        num_slots = next(size for size in SLOTS if size >= len(names))
+    has_goal = top.has("goal")
+    goal, goal_index = (
+        _read_goal(top.table("goal"), area, names, things.places) if has_goal else (start[:2], NONE)
+    )
     world = WorldFile(
         name=top.text("name", default=Path(file).stem),
         instruction=_read_instruction(top),
         scenario=_to_scenario(things, goal, goal_index, start, area, num_slots),
         sensor=_read_sensor(top.table("sensor")) if top.has("sensor") else default_sensor(),
         motion=_read_motion(top.table("motion")) if top.has("motion") else default_motion(),
+        has_goal=has_goal,
         object_names=(*names, *[""] * (num_slots - len(names))),
         type_names=tuple(things.type_names),
         attribute_groups=tuple(
             group for group in ATTRIBUTES if any(group in looks for looks in things.looks)
         ),
     )
-    top.close("start", "sensor", "motion", "name", "instruction")
+    top.close("start", "goal", "sensor", "motion", "name", "instruction")
     return world
 
 
@@ -140,10 +151,10 @@ class _Things:
     looks: list[dict[str, str]] = dataclasses.field(default_factory=list)
 
 
-def _read_objects(top: Fields, area: Bounds, num_slots: int) -> _Things:
+def _read_objects(top: Fields, area: Bounds, most: int) -> _Things:
     """Read the objects: types, names (empty where there is none), places and attributes."""
     things = _Things(list(load_lexicon().type_names))
-    for fields in top.tables("objects", least=1, most=num_slots):
+    for fields in top.tables("objects", least=1, most=most):
         things.types.append(_read_type(fields, things.type_names))
         name = fields.text("name") if fields.has("name") else ""
         if name and name in things.names:

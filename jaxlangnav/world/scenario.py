@@ -105,9 +105,8 @@ def sample_scenario(
     return draw_scenario(key, scenario_law(template=record, relation=relation), num_slots=num_slots)
 
 
-def empty_scenario() -> Scenario:
-    """Build a place without objects, on the host; of the shapes of a drawn one."""
-    number = NUM_SLOTS
+def empty_scenario(number: int = NUM_SLOTS) -> Scenario:
+    """Build a place without objects, on the host; of the shapes of one with so many slots."""
     fields: dict[str, Any] = {
         "object_type": np.full(number, NONE, np.int32),
         "object_x": np.zeros(number, np.float32),

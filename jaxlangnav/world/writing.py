@@ -75,7 +75,7 @@ def world_to_dict(world: WorldFile) -> dict[str, Any]:
             "y": _length(scenario.start[1]),
             "heading": _degrees(scenario.start[2]),
         },
-        "goal": goal,
+        **({"goal": goal} if world.has_goal else {}),
         "sensor": {
             "range": _length(world.sensor.range_max),
             "field_of_view": _degrees(world.sensor.field_of_view),
