@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxlangnav.messages import default_sensor
 from jaxlangnav.planner import policy
 from jaxlangnav.planner.blocked import start_of_way
 from jaxlangnav.planner.goals import Goals
@@ -67,7 +68,7 @@ def situation(
         is_relevant=jnp.ones_like(belief.particles.is_mentioned),
         robot_x=x,
         robot_y=y,
-        range_max=reach,
+        sensor=default_sensor(RANGE),
         way=start_of_way(jnp.zeros(3)),
         may_ask=jnp.asarray(True),
         has_chosen=jnp.asarray(False),

@@ -8,7 +8,7 @@ import readings as by_hand
 from situations import nodes_at, seen_goal, situation
 from test_planner_policy import CONFIG, P, believe, random_places
 
-from jaxlangnav.messages import NONE
+from jaxlangnav.messages import NONE, default_sensor
 from jaxlangnav.planner import prior, tours
 from jaxlangnav.planner.endings import Chances
 from jaxlangnav.planner.graph import OBJECT_NODE
@@ -17,9 +17,11 @@ from jaxlangnav.planner.policy import Decision
 from jaxlangnav.planner.search import CELLS, SearchMap, search_map
 from jaxlangnav.pytree import replace
 from jaxlangnav.studies.learn_prior import learn, training_worlds
+from jaxlangnav.terrain.view import GLANCE
 
 AREA = jnp.array([0.0, 10.0, -5.0, 5.0])
 K, RANGE = tours.NUM_STOPS, 3.0
+SENSOR = default_sensor(RANGE)
 SEARCH_MAP, PLAN = jax.jit(search_map), jax.jit(tours.plan)
 NOT = jnp.float32(0.0)
 
@@ -42,14 +44,21 @@ def search_of(free, hung=None) -> SearchMap:
     return SearchMap(x=x, y=y, free=free, hung=hung, partner_x=x, partner_y=y, unseen=one)
 
 
-def brute_force(tour_x, tour_y, x: float, y: float, radius: float) -> float:
-    """Walk a tour from (1, 0) by millimetres until (x, y) is within the radius."""
+def brute_force(tour_x, tour_y, x: float, y: float, radius: float, opening=2 * np.pi) -> float:
+    """Walk a tour from (1, 0) by millimetres until (x, y) is within the radius and in view.
+
+    In a narrow view it has to stay for another ``GLANCE`` metres of the line.
+    """
     walked, at = 0.0, np.array([1.0, 0.0])
     for stop in zip(np.asarray(tour_x, float), np.asarray(tour_y, float), strict=True):
         length = np.hypot(*(np.array(stop) - at))
         steps = np.linspace(0.0, 1.0, max(2, int(length / 0.001)))[:, None]
         way = at + steps * (np.array(stop) - at)
         near = np.hypot(*(way - [x, y]).T) <= radius
+        if opening < 2 * np.pi:
+            ahead = (np.array(stop) - at) / max(length, 1e-6)
+            later = [x, y] - way - GLANCE * ahead
+            near &= later @ ahead >= np.hypot(*later.T) * np.cos(0.5 * opening)
         if near.any():
             return walked + float(steps[near.argmax(), 0]) * length
         walked, at = walked + length, np.array(stop)
@@ -75,6 +84,46 @@ def test_first_sight_against_brute_force() -> None:
     np.testing.assert_allclose(length, np.hypot(*np.diff(stops, axis=1).T).sum(0), rtol=1e-4)
 
 
+@pytest.mark.parametrize("opening", [0.6, 1.5, 2.5, 4.0, 2 * np.pi])
+def test_first_sight_of_a_view_ahead_against_brute_force(opening: float) -> None:
+    lines = random_tours(4, seed=3)
+    x, y = np.random.default_rng(4).uniform([0, -5], [10, 5], (25, 2)).T
+    first, _ = tours.first_sight(
+        lines, jnp.asarray(x), jnp.asarray(y), *jnp.array([1.0, 0.0, 2.0, opening])
+    )
+    first = np.where(np.asarray(first) >= 1e8, np.inf, first)
+    for index in range(4):
+        expected = [
+            brute_force(lines.x[index], lines.y[index], *p, 2.0, opening)
+            for p in zip(x, y, strict=True)
+        ]
+        np.testing.assert_allclose(first[index], expected, atol=0.01)
+    if opening < 3.0:
+        all_round, _ = tours.first_sight(
+            lines, jnp.asarray(x), jnp.asarray(y), *jnp.array([1.0, 0.0, 2.0])
+        )
+        assert np.isinf(first).sum() > (np.asarray(all_round) >= 1e8).sum() + 5
+
+
+def test_what_a_narrow_view_passes_by_is_driven_up_to() -> None:
+    """A camera that looks ahead: the thing beside the way is in no view along it."""
+    mass = np.zeros((CELLS, CELLS))
+    mass[CELLS // 2 + 1, 2] = 1.0  # at (2.1, 1.25)
+    search, narrow = (
+        search_of(np.zeros(CELLS**2), mass.reshape(-1)),
+        default_sensor(RANGE, field_of_view=1.4),
+    )
+    past = tours.Tour(x=jnp.full((1, K), 9.0), y=jnp.zeros((1, K)))
+    up_to = tours.Tour(x=jnp.full((1, K), 1.7), y=jnp.full((1, K), 0.8))
+    here = jnp.float32(1.4), jnp.float32(0.0)
+    by, at = (float(tours.latency(one, search, *here, narrow, AREA)[0]) for one in (past, up_to))
+    assert at == pytest.approx(0.0, abs=1e-3)
+    assert by > 9.0
+    assert float(tours.latency(past, search, *here, SENSOR, AREA)[0]) == pytest.approx(
+        0.0, abs=1e-3
+    )
+
+
 def test_latency_is_the_mean_way_until_found() -> None:
     """Masses on cells that the tour sees: the mean of first sights; the rest lies beyond."""
     search = search_of(np.random.default_rng(2).dirichlet(np.ones(CELLS**2)))
@@ -88,13 +137,13 @@ def test_latency_is_the_mean_way_until_found() -> None:
     away = np.hypot(np.asarray(search.x) - 6.0, np.asarray(search.y))
     sweep = (~is_seen & (mass > 0.1 * mass.mean())).sum() * 100.0 / CELLS**2 / (4 * RANGE)
     expected = (mass * np.where(is_seen, first, 6.0 + sweep + away)).sum()
-    found = tours.latency(line, search, zero, zero, jnp.float32(RANGE), AREA)
+    found = tours.latency(line, search, zero, zero, SENSOR, AREA)
     np.testing.assert_allclose(found, [expected], rtol=1e-4)
     # It may be nowhere: the way until all has been looked at counts as much as that is likely.
     is_missed = ~is_seen & (mass > 0.1 * mass.mean())
     whole = 6.0 + away[is_missed].mean() + is_missed.sum() * 100.0 / CELLS**2 / (2 * RANGE)
     search = replace(search, nowhere=jnp.float32(0.3))
-    found = tours.latency(line, search, zero, zero, jnp.float32(RANGE), AREA)
+    found = tours.latency(line, search, zero, zero, SENSOR, AREA)
     np.testing.assert_allclose(found, [0.7 * expected + 0.3 * whole], rtol=1e-4)
 
 
@@ -102,9 +151,9 @@ def test_either_of_a_pair_will_do() -> None:
     search = search_of(np.eye(1, CELLS**2, 6 * CELLS + 11)[0])  # at about (9.6, 0.4)
     beside = replace(search, partner_x=search.x - 4.0)
     line = tours.Tour(x=jnp.full((1, K), 8.0), y=jnp.zeros((1, K)))
-    zero, reach = jnp.float32(0.0), jnp.float32(RANGE)
-    alone = tours.latency(line, search, zero, zero, reach, AREA)
-    paired = tours.latency(line, beside, zero, zero, reach, AREA)
+    zero = jnp.float32(0.0)
+    alone = tours.latency(line, search, zero, zero, SENSOR, AREA)
+    paired = tours.latency(line, beside, zero, zero, SENSOR, AREA)
     np.testing.assert_allclose(alone - paired, [4.0], atol=1e-3)
 
 
@@ -132,7 +181,7 @@ def test_partner_is_where_the_relation_has_it() -> None:
 
 def plan(search: SearchMap, tour: tours.Tour, seed: int = 0, x: float = 1.0) -> tours.Plan:
     zero = jnp.float32(0.0)
-    return PLAN(jax.random.key(seed), tour, search, jnp.float32(x), zero, jnp.float32(RANGE), AREA)
+    return PLAN(jax.random.key(seed), tour, search, jnp.float32(x), zero, SENSOR, AREA)
 
 
 def test_a_plan_is_never_worse_than_the_tour_under_way() -> None:
@@ -145,9 +194,7 @@ def test_a_plan_is_never_worse_than_the_tour_under_way() -> None:
         assert costs[-1] <= last + 1e-4
         tour, last = tours.best_tour(now, -now.latency), costs[-1]
     greedy = tours.greedy(search, jnp.float32(1.0), jnp.float32(0.0), jnp.float32(RANGE), AREA)
-    drafted = tours.latency(
-        greedy, search, jnp.float32(1.0), jnp.float32(0.0), jnp.float32(RANGE), AREA
-    )
+    drafted = tours.latency(greedy, search, jnp.float32(1.0), jnp.float32(0.0), SENSOR, AREA)
     assert costs[0] <= float(jnp.min(drafted)) + 1e-4
     assert costs[-1] < 0.97 * float(jnp.min(drafted))
 

@@ -21,6 +21,7 @@ from jaxlangnav.messages import (
     Behavior,
     Fault,
     Observation,
+    SensorParams,
     Status,
     assert_observation,
     default_sensor,
@@ -137,9 +138,14 @@ def step(
     state, filter_info = _observe(key, state, observation, params, config)
     is_asked = (state.instruction.num_clauses > 0) | (state.status == Status.IDLE)
     fault = filter_info.fault + jnp.where(is_asked, 0, int(Fault.COMMAND))
-    range_max = jnp.where(fault == 0, observation.sensor.range_max, default_sensor().range_max)
+    told, usual = observation.sensor, default_sensor()
+    sensor = replace(
+        usual,
+        range_max=jnp.where(fault == 0, told.range_max, usual.range_max),
+        field_of_view=jnp.where(fault == 0, told.field_of_view, usual.field_of_view),
+    )
     outlook = _infer(state, fault, params)
-    state, choice = _decide(key, state, outlook, range_max, filter_info.is_news, params, config)
+    state, choice = _decide(key, state, outlook, sensor, filter_info.is_news, params, config)
     after = carry_on(state, outlook, choice, params=params, config=config)
     action = act(after, outlook, choice, params=params)
     info = NavigatorInfo(
@@ -250,7 +256,7 @@ def _decide(
     key: Array,
     state: NavigatorState,
     outlook: Outlook,
-    range_max: Array,
+    sensor: SensorParams,
     is_news: Array,
     params: NavigatorParams,
     config: NavigatorConfig,
@@ -261,7 +267,7 @@ def _decide(
     visited = graph.visit(state.visited, robot_x, robot_y, planner.visit_spacing)
     is_find = outlook.expected.action[ACTIONS.index("find")]
     view = outlook.belief.terrain.view
-    eye = Eye(robot_x, robot_y, range_max)
+    eye = Eye(robot_x, robot_y, sensor.range_max)
     may_stop = policy.may_stop(goals, eye, is_find, params=planner, view=view)
     situation = policy.Situation(
         belief=outlook.belief,
@@ -271,7 +277,7 @@ def _decide(
         is_relevant=outlook.is_relevant,
         robot_x=robot_x,
         robot_y=robot_y,
-        range_max=range_max,
+        sensor=sensor,
         way=state.way,
         may_ask=state.talk.may_ask,
         has_chosen=state.talk.approached != NONE,

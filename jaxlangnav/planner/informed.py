@@ -71,7 +71,7 @@ class Informed(Policy):
             replace(unseen, nowhere=chance.nowhere),
             situation.robot_x,
             situation.robot_y,
-            situation.range_max,
+            situation.sensor,
             belief.coverage.area,
         )
         decision = decide_on(situation, plan, chance)

@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxlangnav.messages import SensorParams
 from jaxlangnav.planner import graph
 from jaxlangnav.planner.asking import Doubt, doubt_of
 from jaxlangnav.planner.blocked import Way, open_nodes
@@ -48,7 +49,7 @@ class Situation:
     is_relevant: Array  # bool[M, P] mentions that bear on the present goal (``relevance``)
     robot_x: Array  # f32[] believed position
     robot_y: Array  # f32[]
-    range_max: Array  # f32[] sensing range
+    sensor: SensorParams  # how far and how wide it sees
     way: Way  # waypoints that have been given up as out of reach
     may_ask: Array  # bool[] it has not been told to choose by itself
     has_chosen: Array  # bool[] it has gone up to something for this task, or is on its way
@@ -59,6 +60,11 @@ class Situation:
     params: PlannerParams
     map_params: MapParams
     num_blocks: int = static()  # blocks a side that frontiers are gathered in
+
+    @property
+    def range_max(self) -> Array:
+        """Sensing range, f32[] metres."""
+        return self.sensor.range_max
 
     @property
     def wanted(self) -> ParticleBelief:

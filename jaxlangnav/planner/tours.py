@@ -7,7 +7,8 @@ for comes into view:
 
 m_c is the mass of cell c, t_c the length of the way at which the line of stops first comes within
 sensing range of it (of a free pair: of either), T the whole length, q_K the last stop and B the
-area that the tour has missed, so that B / 4R is about half of a sweep of it.
+area that the tour has missed, so that B / 4R is about half of a sweep of it (R sin h of a view of
+half-angle h below a right angle, which shows less abreast).
 
 What is looked for may be nowhere, with probability q (``endings``): then all of the area is looked
 at before that is known, in whatever order, and the way until then is what counts:
@@ -26,6 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxlangnav.messages import SensorParams
 from jaxlangnav.numerics import batching
 from jaxlangnav.numerics.batching import once
 from jaxlangnav.planner.search import SearchMap, viewpoints, visibility
@@ -117,6 +119,7 @@ def first_sight(
     robot_x: Array,
     robot_y: Array,
     radius: Array,
+    opening: Array | None = None,
     *,
     terrain: Terrain = OPEN,
 ) -> tuple[Array, Array]:
@@ -131,6 +134,7 @@ def first_sight(
         robot_x: f32[], where the tours start.
         robot_y: f32[].
         radius: f32[], metres, how far one sees.
+        opening: f32[], radians, how wide one sees about the way ahead; None: all round.
         terrain: what can be seen, and how far it is to walk.
 
     Returns:
@@ -143,7 +147,7 @@ def first_sight(
     walked = jnp.cumsum(length, axis=1)
     # All stretches of all tours against all places, [T, K, C].
     stretch = Stretch(from_x, from_y, tours.x, tours.y)
-    enter = terrain.travel.first_sight(terrain.view, stretch, x, y, radius)
+    enter = terrain.travel.first_sight(terrain.view, stretch, x, y, radius, opening)
     met = (walked - length)[:, :, None] + enter
     first = met[:, 0]
     for stop in range(1, met.shape[1]):  # a reduction over a middle axis is not vectorised
@@ -152,28 +156,36 @@ def first_sight(
 
 
 def latency(
-    tours: Tour, search: SearchMap, robot_x: Array, robot_y: Array, range_max: Array, area: Array
+    tours: Tour,
+    search: SearchMap,
+    robot_x: Array,
+    robot_y: Array,
+    sensor: SensorParams,
+    area: Array,
 ) -> Array:
     """Compute the expected way until what is looked for comes into view, times its mass.
 
-    Limits: at q = 0 the way until all has been looked at does not count.
+    Limits: at q = 0 the way until all has been looked at does not count; a view of half a circle
+    or more sweeps 2 R abreast.
 
     Args:
         tours: leaves [T, K].
         search: where looking is worth while.
         robot_x: f32[], metres, map frame.
         robot_y: f32[], metres.
-        range_max: f32[], sensing range, metres.
+        sensor: how far and how wide one sees.
         area: f32[4], operating area, metres.
 
     Returns:
         f32[T] metres; large for a tour that starts underfoot.
     """
-    radius = jnp.maximum(range_max - SIGHT_MARGIN, 0.5 * range_max)
+    radius = jnp.maximum(sensor.range_max - SIGHT_MARGIN, 0.5 * sensor.range_max)
+    opening = sensor.field_of_view
+    abreast = sensor.range_max * jnp.sin(jnp.minimum(0.5 * opening, 0.5 * jnp.pi))
     places_x = jnp.concatenate([search.x, search.partner_x])
     places_y = jnp.concatenate([search.y, search.partner_y])
     sight, walked = first_sight(
-        tours, places_x, places_y, robot_x, robot_y, radius, terrain=search.terrain
+        tours, places_x, places_y, robot_x, robot_y, radius, opening, terrain=search.terrain
     )
     hung, partner = jnp.split(sight, 2, axis=1)
     free = jnp.minimum(hung, partner)
@@ -184,7 +196,7 @@ def latency(
     counts = (mass > 0.1 * jnp.mean(mass))[None, :]
     is_left = (free >= NEVER) & counts
     cell = (area[1] - area[0]) * (area[3] - area[2]) / mass.shape[0]
-    sweep = jnp.sum(is_left, axis=1) * cell / (4.0 * range_max)
+    sweep = jnp.sum(is_left, axis=1) * cell / (4.0 * abreast)
     rest = (walked + sweep)[:, None] + away
     total = jnp.sum(
         search.free[None, :] * jnp.where(free < NEVER, free, rest)
@@ -194,7 +206,7 @@ def latency(
     is_missed = (hung >= NEVER) & counts
     number = jnp.sum(is_missed, axis=1)
     back = jnp.sum(jnp.where(is_missed, away, 0.0), axis=1) / jnp.maximum(number, 1)
-    whole = walked + back + number * cell / (2.0 * range_max)
+    whole = walked + back + number * cell / (2.0 * abreast)
     total = (1.0 - search.nowhere) * total + search.nowhere * jnp.sum(mass) * whole
     return total + jnp.where(
         _is_underfoot(tours.x[:, 0], tours.y[:, 0], robot_x, robot_y), NEVER, 0.0
@@ -290,7 +302,7 @@ def plan(
     search: SearchMap,
     robot_x: Array,
     robot_y: Array,
-    range_max: Array,
+    sensor: SensorParams,
     area: Array,
 ) -> Plan:
     """Improve the tour under way, or leave it for a better one.
@@ -301,7 +313,7 @@ def plan(
         search: where looking is worth while.
         robot_x: f32[], metres, map frame.
         robot_y: f32[], metres.
-        range_max: f32[], sensing range, metres.
+        sensor: how far and how wide one sees.
         area: f32[4], operating area, metres.
 
     Returns:
@@ -309,11 +321,12 @@ def plan(
     """
     chex.assert_shape([tour.x, tour.y, area], [(NUM_STOPS,), (NUM_STOPS,), (4,)])
     chex.assert_equal_shape([search.x, search.y, search.free, search.hung, search.partner_x])
-    chex.assert_rank([robot_x, robot_y, range_max], 0)
+    chex.assert_rank([robot_x, robot_y, sensor.range_max, sensor.field_of_view], 0)
     chex.assert_type([tour.x, search.free, area], float)
     here = drop_reached(drop_reached(tour, robot_x, robot_y), robot_x, robot_y)
     drafts = _join(
-        Tour(x=here.x[None], y=here.y[None]), greedy(search, robot_x, robot_y, range_max, area)
+        Tour(x=here.x[None], y=here.y[None]),
+        greedy(search, robot_x, robot_y, sensor.range_max, area),
     )
     keys = jax.random.split(key, NUM_ROUNDS)
     # As many drafts as changes: one program weighs them all.
@@ -327,7 +340,7 @@ def plan(
         best = Tour(x=tours.x[least], y=tours.y[least])
         changed = change(keys[index - 1], best, search, area)
         tried = jax.tree.map(lambda one, other: jnp.where(index == 0, one, other), drafts, changed)
-        weighed = latency(tried, search, robot_x, robot_y, range_max, area)
+        weighed = latency(tried, search, robot_x, robot_y, sensor, area)
         kept = Tour(x=best.x[None], y=best.y[None])
         return _join(kept, tried), jnp.append(cost[least], weighed)
 

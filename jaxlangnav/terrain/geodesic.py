@@ -79,7 +79,15 @@ class Geodesic:
         turns = is_shut & (total[best] < NEVER)
         return jnp.where(turns, self.turn_x[best], to_x), jnp.where(turns, self.turn_y[best], to_y)
 
-    def first_sight(self, view: View, stretch: Stretch, x: Array, y: Array, radius: Array) -> Array:
+    def first_sight(
+        self,
+        view: View,
+        stretch: Stretch,
+        x: Array,
+        y: Array,
+        radius: Array,
+        opening: Array | None = None,
+    ) -> Array:
         """Look about along a straight way; of one around walls count what its end shows alone."""
         line = StraightLines().metres(*stretch)[..., None]
         way = self.metres(*stretch)[..., None]
@@ -87,7 +95,9 @@ class Geodesic:
         axes = (1,) * (way.ndim - 1)
         at_end = view.sees(eye, x.reshape(*axes, -1), y.reshape(*axes, -1))
         late = jnp.where(at_end, way, NEVER)
-        return jnp.where(way > line + _DETOUR, late, view.first_sight(stretch, x, y, radius))
+        return jnp.where(
+            way > line + _DETOUR, late, view.first_sight(stretch, x, y, radius, opening)
+        )
 
     def _to_turns(self, x: Array, y: Array) -> Array:
         """Compute the straight ways to all turns, f32[..., K]; ``NEVER`` to those out of sight."""

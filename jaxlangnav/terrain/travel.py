@@ -25,7 +25,15 @@ class Travel(Protocol):
         """Find where to make for in a straight line on that way, f32[] x and y of one robot."""
         ...
 
-    def first_sight(self, view: View, stretch: Stretch, x: Array, y: Array, radius: Array) -> Array:
+    def first_sight(
+        self,
+        view: View,
+        stretch: Stretch,
+        x: Array,
+        y: Array,
+        radius: Array,
+        opening: Array | None = None,
+    ) -> Array:
         """Compute after how many metres of ways [...] points [C] come into view, f32[..., C]."""
         ...
 
@@ -46,6 +54,14 @@ class StraightLines:
         del from_x, from_y
         return to_x, to_y
 
-    def first_sight(self, view: View, stretch: Stretch, x: Array, y: Array, radius: Array) -> Array:
+    def first_sight(
+        self,
+        view: View,
+        stretch: Stretch,
+        x: Array,
+        y: Array,
+        radius: Array,
+        opening: Array | None = None,
+    ) -> Array:
         """Look about all along the line."""
-        return view.first_sight(stretch, x, y, radius)
+        return view.first_sight(stretch, x, y, radius, opening)

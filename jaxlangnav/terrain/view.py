@@ -14,6 +14,8 @@ from jaxlangnav.pytree import pytree
 
 NEVER = 1e9
 """Metres after which comes into view what does not."""
+GLANCE = 0.5
+"""Metres of way from which a narrow view has to hold a thing to count on a look at it."""
 
 
 class Eye(NamedTuple):
@@ -64,9 +66,12 @@ class View(Protocol):
         """Tell whether a point is in view, bounds inclusive, bool[...]."""
         ...
 
-    def first_sight(self, stretch: Stretch, x: Array, y: Array, radius: Array) -> Array:
+    def first_sight(
+        self, stretch: Stretch, x: Array, y: Array, radius: Array, opening: Array | None = None
+    ) -> Array:
         """Compute after how many metres of straight stretches [...] points [C] come into view.
 
+        Who drives looks ahead, as wide as ``opening``, f32[] radians, or all round where None.
         f32[..., C] metres; ``NEVER`` where they do not.
         """
         ...
@@ -114,16 +119,23 @@ class OpenField:
         # A microradian of slack: an all-round view must include what is exactly behind.
         return beyond(distance, bearing, eye.range_max, eye.field_of_view) <= 1e-6 * distance
 
-    def first_sight(self, stretch: Stretch, x: Array, y: Array, radius: Array) -> Array:
-        """Compute after how many metres of stretches points come within a radius.
+    def first_sight(
+        self, stretch: Stretch, x: Array, y: Array, radius: Array, opening: Array | None = None
+    ) -> Array:
+        """Compute after how many metres of stretches points come within a radius and into view.
 
-        Limits: 0 where one already is; ``NEVER`` where it never does.
+        A point ``aside`` of the way leaves a view of half-angle h at ``aside / tan h`` before it
+        is passed. It counts where it stays in view for ``GLANCE`` metres: looks are a step apart.
+
+        Limits: 0 where one already is; ``NEVER`` where it never does; an all-round view is that
+        of the radius alone.
 
         Args:
             stretch: straight stretches, f32[...].
             x: f32[C], points, metres, map frame.
             y: f32[C], metres.
             radius: f32[], metres.
+            opening: f32[], radians, full opening angle about the way ahead; None: all round.
 
         Returns:
             f32[..., C], metres.
@@ -139,6 +151,11 @@ class OpenField:
         half = jnp.sqrt(jnp.maximum(radius * radius - aside, 0.0))
         enter = jnp.maximum(along - half, 0.0)
         is_seen = (aside < radius * radius) & (along + half > 0.0) & (enter < length[..., None])
+        if opening is not None:
+            angle = 0.5 * opening
+            cotangent = jnp.cos(angle) / jnp.maximum(jnp.sin(angle), 1e-6)
+            leave = along - jnp.sqrt(jnp.maximum(aside, 0.0)) * cotangent
+            is_seen &= (enter + GLANCE <= leave) | (angle >= jnp.pi - 1e-3)
         return jnp.where(is_seen, enter, NEVER)
 
 

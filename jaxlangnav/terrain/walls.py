@@ -46,7 +46,9 @@ class Walls:
         """Tell whether a point is within the eye's view and behind no wall, bool[...]."""
         return OpenField().sees(eye, x, y) & (self._past_shadows(eye, x, y) >= 0.0)
 
-    def first_sight(self, stretch: Stretch, x: Array, y: Array, radius: Array) -> Array:
+    def first_sight(
+        self, stretch: Stretch, x: Array, y: Array, radius: Array, opening: Array | None = None
+    ) -> Array:
         """Compute after how many metres of stretches points come into view past the walls.
 
         It is looked for from ``NUM_GLANCES`` places along the stretch, so what shows only in
@@ -57,19 +59,21 @@ class Walls:
             x: f32[C], metres, map frame.
             y: f32[C], metres.
             radius: f32[], metres.
+            opening: f32[], radians, full opening angle about the way ahead; None: all round.
 
         Returns:
             f32[..., C], metres; ``NEVER`` where they do not.
         """
-        first = OpenField().first_sight(stretch, x, y, radius)
+        first = OpenField().first_sight(stretch, x, y, radius, opening)
         stretch = Stretch(*(end[..., None] for end in stretch))
         axes = (1,) * (first.ndim - 1)
         x, y = x.reshape(*axes, -1), y.reshape(*axes, -1)
         span_x, span_y = stretch.to_x - stretch.from_x, stretch.to_y - stretch.from_y
         length = jnp.sqrt(span_x * span_x + span_y * span_y + 1e-12)
         found = jnp.full_like(first, NEVER)
+        gaze = (None, None) if opening is None else (jnp.arctan2(span_y, span_x), opening)
         for part in np.linspace(1.0, 0.0, NUM_GLANCES):
-            eye = Eye(stretch.from_x + part * span_x, stretch.from_y + part * span_y, radius)
+            eye = Eye(stretch.from_x + part * span_x, stretch.from_y + part * span_y, radius, *gaze)
             found = jnp.where(self.sees(eye, x, y), part * length, found)
         # Where nothing hides it from the place at which it comes into range, that place counts.
         share = first / length
