@@ -98,7 +98,7 @@ def test_first_sight_of_a_view_ahead_against_brute_force(opening: float) -> None
             for p in zip(x, y, strict=True)
         ]
         np.testing.assert_allclose(first[index], expected, atol=0.01)
-    if opening < 3.0:
+    if opening < 2.0:
         all_round, _ = tours.first_sight(
             lines, jnp.asarray(x), jnp.asarray(y), *jnp.array([1.0, 0.0, 2.0])
         )
