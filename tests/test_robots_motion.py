@@ -7,10 +7,12 @@ import pytest
 
 from jaxlangnav.pytree import replace
 from jaxlangnav.robots.kinematic import KinematicRobot, Slip
+from jaxlangnav.robots.motion.mover import TICK, Mover
 from jaxlangnav.robots.motion.path import find_path, inflate, is_clear
 from jaxlangnav.robots.motion.pursuit import Pursuit
 from jaxlangnav.robots.motion.scan import gaps, to_discs
 from jaxlangnav.robots.motion.window import Window
+from jaxlangnav.robots.physics.machines import MACHINES
 from jaxlangnav.robots.robot import Progress, Robot
 from jaxlangnav.world.scenario import empty_scenario
 
@@ -188,3 +190,28 @@ def test_hits_of_one_thing_are_one_disc() -> None:
 def test_waypoints_that_cannot_be_are_refused() -> None:
     with pytest.raises(ValueError, match="waypoints"):
         put(Pursuit()).go_to(np.array([[np.nan, 0.0]]), speed=1.0, clearance=0.0)
+
+
+@pytest.mark.parametrize("name", sorted(MACHINES))
+@pytest.mark.parametrize("gap", [-0.05, 0.0, 0.02])
+def test_a_thing_that_is_all_but_touched_holds_nobody(name: str, gap: float) -> None:
+    """It stands so near that its circle touches: beside and behind it can be gone to all the same.
+
+    The circle is wider than the body, so a few centimetres of it are no collision.
+    """
+    machine = MACHINES[name]
+    for heading, bearing in itertools.product((-1.5, 0.0, 0.75, 3.0), (0.3, 1.9, 3.4, 5.0)):
+        away = machine.body.radius + 0.25 + gap
+        disc = np.array([[away, 0.0, 0.25]])
+        goal = np.array([away + 2.2 * np.cos(bearing), 2.2 * np.sin(bearing)])
+        mover = Mover(machine.body, machine.steering)
+        mover.go_to(goal[None], speed=1.0, clearance=0.3)
+        pose, least = np.array([0.0, 0.0, heading]), np.inf
+        for _ in range(round(60.0 / TICK)):
+            speed, turn = mover.tick(pose, disc)
+            if mover.progress is not Progress.UNDER_WAY:
+                break
+            pose = pose + TICK * np.array([speed * np.cos(pose[2]), speed * np.sin(pose[2]), turn])
+            least = min(least, np.hypot(pose[0] - away, pose[1]) - 0.25 - machine.body.radius)
+        assert mover.progress is Progress.THERE, (heading, bearing)
+        assert least > min(gap, 0.0) - 0.1

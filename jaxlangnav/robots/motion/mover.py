@@ -35,6 +35,10 @@ _TREMBLE = np.array([0.0, 0.0, 0.06])
 """Metres by which discs may grow or stir before a way is not free any more."""
 _PLAN_EVERY = 0.3
 """Seconds after which a way is looked for again, or a free one shortened."""
+_BEFORE = 0.5
+"""Cosine of the angle off the way ahead from which on a thing so near is before the body."""
+GRAZE = 0.03
+"""Metres that a way round something that is touched, or all but, may come nearer to it."""
 _TRIES = 10
 """Ways looked for in vain, one after the other, after which there is none."""
 
@@ -281,12 +285,27 @@ def room_ahead(pose: np.ndarray, discs: np.ndarray, body: BodyLimits) -> float:
     cosine, sine = math.cos(pose[2]), math.sin(pose[2])
     dx, dy = discs[:, 0] - pose[0], discs[:, 1] - pose[1]
     ahead, side = cosine * dx + sine * dy, cosine * dy - sine * dx
-    reach = discs[:, 2] + body.radius
-    is_ahead = (ahead > 0.0) & (np.abs(side) < reach)
+    reach, away = discs[:, 2] + body.radius, np.hypot(dx, dy)
+    # What it all but touches holds it only where it is before it, not beside it.
+    least = np.where(away < reach + 2.0 * GRAZE, _BEFORE * away, 0.0)
+    is_ahead = (ahead > least) & (np.abs(side) < reach)
     if not is_ahead.any():
         return math.inf
     depth = np.sqrt(reach[is_ahead] ** 2 - side[is_ahead] ** 2)
     return float(max((ahead[is_ahead] - depth).min(), 0.0))
+
+
+def let_go(reach: np.ndarray, away: np.ndarray) -> np.ndarray:
+    """Shrink inflated discs that hold the body, so that it may go round them and out.
+
+    Args:
+        reach: f64[K], radii that the middle of the body is to stay out of, metres.
+        away: f64[K], metres from there to the middles of the discs.
+
+    Returns:
+        f64[K], radii within which it is not.
+    """
+    return np.minimum(reach, np.maximum(away - GRAZE, 0.0))
 
 
 def _limited(wanted: WheelCommand, moving: WheelCommand, body: BodyLimits) -> WheelCommand:

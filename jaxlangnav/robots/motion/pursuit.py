@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from jaxlangnav.robots.motion.body import BodyLimits
-from jaxlangnav.robots.motion.mover import WheelCommand, braked, room_ahead, turn_by, wrap
+from jaxlangnav.robots.motion.mover import WheelCommand, braked, let_go, room_ahead, turn_by, wrap
 from jaxlangnav.robots.motion.path import is_clear
 
 _SPARE = 0.02
@@ -74,8 +74,7 @@ def pursued(
     kept = body.radius + _SPARE
     away = np.hypot(*(discs[:, :2] - pose[:2]).T) if len(discs) else np.zeros(0)
     # What it touches already must not hold it.
-    grown = np.minimum(discs[:, 2] + kept, np.maximum(away - 1e-3, 0.0))
-    inflated = np.column_stack([discs[:, :2], grown])
+    inflated = np.column_stack([discs[:, :2], let_go(discs[:, 2] + kept, away)])
     while ahead > _LEAST and not is_clear(pose[:2], target, inflated):
         ahead *= 0.6
         target = along(pose[:2], way, ahead)

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from jaxlangnav.robots.motion.body import BodyLimits
-from jaxlangnav.robots.motion.mover import WheelCommand, braked, turn_by, wrap
+from jaxlangnav.robots.motion.mover import GRAZE, WheelCommand, braked, turn_by, wrap
 from jaxlangnav.robots.motion.pursuit import pursued
 from jaxlangnav.robots.motion.scan import gaps
 
@@ -63,7 +63,9 @@ class Window:
         x, y = _arcs(pose, speed, turn, self.horizon)
         gap = gaps(x, y, discs) - body.radius
         here = float(gaps(pose[None, 0], pose[None, 1], discs)[0]) - body.radius
-        is_free = gap.min(axis=1) >= min(self.spare, here - 1e-3)
+        is_free = gap.min(axis=1) >= self.spare
+        if here < self.spare + GRAZE:  # it all but touches something: round it and out
+            is_free |= (gap.min(axis=1) >= here - GRAZE) & (gap[:, -1] >= here - 1e-3)
         if not is_free.any():
             return turn_by(off, body) if abs(off) > 0.05 else WheelCommand(0.0, 0.0)
         miss = np.hypot(x - target[0], y - target[1]).min(axis=1)
