@@ -440,24 +440,18 @@ def _assert_arrays(belief: ParticleBelief, readings: Readings, observation: Obse
     chex.assert_type([belief.log_weight, readings.mention_type], [float, int])
 
 
-class _Draws(NamedTuple):
-    """Uniform numbers of a step."""
+def _draw(keys: Array, num_detections: int, number: int) -> tuple[Array, Array, Array]:
+    """Draw the uniform numbers of a step in one go, given key[4].
 
-    associate: Array  # f32[D, P] what each detection is taken for
-    keep: Array  # f32[2, P] who is kept, and whose map the others take
-    resample: Array  # f32[] where the comb of the resampling begins
-
-
-def _draw(keys: Array, num_detections: int, number: int) -> _Draws:
-    """Draw what a step needs in one go, given key[4]."""
+    Returns:
+        f32[D, P], what each detection is taken for; f32[2, P], who is kept and whose map the
+        others take; f32[], where the comb of the resampling begins.
+    """
     associate, keep, resample = batching.uniforms(
         keys[np.array([0, 2, 3])], max(num_detections, 2) * number
     )
-    return _Draws(
-        associate=associate[: num_detections * number].reshape(num_detections, number),
-        keep=keep[: 2 * number].reshape(2, number),
-        resample=resample[0],
-    )
+    associate = associate[: num_detections * number].reshape(num_detections, number)
+    return associate, keep[: 2 * number].reshape(2, number), resample[0]
 
 
 def _resampled(
@@ -510,7 +504,7 @@ def step(
     _assert_arrays(belief, readings, observation)
     number, was_told = belief.log_weight.shape[0], belief.must_ground
     keys = jax.random.split(key, 4)
-    draws = _draw(keys, observation.detection_type.shape[0], number)
+    associate, keep, resample = _draw(keys, observation.detection_type.shape[0], number)
     sound = sound_look(belief, observation, farthest)
     is_alive = jnp.all(belief.log_weight < jnp.inf) & jnp.any(belief.log_weight > -jnp.inf)
     belief = replace(
@@ -520,11 +514,11 @@ def step(
     )
     belief, seen, others = _part(belief, sound.observation, spoken)
     noise = _drift_noise(keys[0], belief)
-    belief, weighed = observe(draws.associate, belief, seen, sound.is_jump, noise, params=params)
+    belief, weighed = observe(associate, belief, seen, sound.is_jump, noise, params=params)
     belief, num_forgotten = _remember(belief, others)
     found = reground(
         keys[1],
-        draws.keep,
+        keep,
         belief,
         readings,
         weighed,
@@ -534,7 +528,7 @@ def step(
     )
     size = effective_sample_size(found.weight)
     is_resampled = size < params.resample_threshold * number
-    belief = _resampled(draws.resample, belief, found, is_resampled)
+    belief = _resampled(resample, belief, found, is_resampled)
     return belief, FilterInfo(
         effective_sample_size=size,
         is_resampled=is_resampled,
