@@ -1,6 +1,7 @@
 """What a stream of utterances leaves behind: words joined, things ruled out, what is spoken of."""
 
-from jaxlangnav.conversation.join import Joined, first_words, join
+from jaxlangnav.conversation.history import Joined, first_words
+from jaxlangnav.conversation.join import join
 from jaxlangnav.conversation.memory import (
     AVOID_ALL,
     AVOID_IT,

@@ -41,7 +41,7 @@ from jaxlangnav.plain_text import cut, fault_of_name, printable, shown
 SPLITS = ("train", "test")
 LARGEST_CORPUS = 64 << 20
 """Bytes of a corpus; the one of the package has about a million."""
-MOST_OBJECTS = 32
+_MOST_OBJECTS = 32
 """Objects of one world of a corpus."""
 _LONGEST_LINE = 1200
 """Characters of a complaint; one that lists the phrases of the longest sentence needs as many."""
@@ -175,7 +175,7 @@ def _read_world(record: dict[str, Any], found: Parse) -> WorldLabels:
 
 def _read_objects(records: list[Any]) -> tuple[tuple[str, float, float], ...]:
     """Read and check the objects of one world: type, x, y."""
-    _check(len(records) <= MOST_OBJECTS, f"{len(records)} objects: at most {MOST_OBJECTS}")
+    _check(len(records) <= _MOST_OBJECTS, f"{len(records)} objects: at most {_MOST_OBJECTS}")
     types = load_lexicon().type_names
     for record in records:
         _check(isinstance(record, list) and len(record) == 3, "an object must be [type, x, y]")

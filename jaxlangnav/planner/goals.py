@@ -105,6 +105,32 @@ def claim(mass: Array, particles: SemanticMap) -> Array:
     return mass - claimed + jnp.where(first, jnp.sum(claimed, axis=0)[None, :], 0.0)
 
 
+def _fits(behavior: Behavior, particles: SemanticMap, weight: Array) -> Array:
+    """Weigh how well each slot fits the sentence as its goal, f32[N + 1, P]."""
+    fits = jnp.sum(behavior.goal, axis=0) * weight[None, :]
+    if not particles.existence.shape[0]:
+        return fits
+    # The words say that what they refer to exists.
+    real = jnp.where(particles.is_meant, 1.0, particles.existence)
+    return fits * jnp.concatenate([real, jnp.ones_like(fits[real.shape[0] :])])
+
+
+def _goal_places(
+    belief: ParticleBelief, behavior: Behavior, relations: RelationModel, metres: Array
+) -> tuple[Array, Array]:
+    """Find where the likeliest region of each slot is entered, f32[N + 1, P] metres; x, y."""
+    particles = belief.particles
+    num_objects, number = particles.object_type.shape[0], belief.log_weight.shape[0]
+    viewer_x = jnp.broadcast_to(belief.viewer[0], (1, number))
+    viewer_y = jnp.broadcast_to(belief.viewer[1], (1, number))
+    x = jnp.concatenate([particles.mean_x[:num_objects], particles.hypothesis_x, viewer_x])
+    y = jnp.concatenate([particles.mean_y[:num_objects], particles.hypothesis_y, viewer_y])
+    region = jnp.argmax(behavior.goal, axis=0)
+    is_robot = (jnp.arange(x.shape[0]) == x.shape[0] - 1)[:, None]
+    offset_x, offset_y = region_offset(relations, region, x, y, belief.viewer, is_robot, metres)
+    return x + offset_x, y + offset_y
+
+
 def gather(
     belief: ParticleBelief,
     behavior: Behavior,
@@ -126,21 +152,9 @@ def gather(
     """
     particles, weight = belief.particles, jnp.exp(belief.log_weight)
     num_objects = particles.object_type.shape[0]
-    number = weight.shape[0]
-    viewer_x = jnp.broadcast_to(belief.viewer[0], (1, number))
-    viewer_y = jnp.broadcast_to(belief.viewer[1], (1, number))
-    x = jnp.concatenate([particles.mean_x[:num_objects], particles.hypothesis_x, viewer_x])
-    y = jnp.concatenate([particles.mean_y[:num_objects], particles.hypothesis_y, viewer_y])
-    fits = jnp.sum(behavior.goal, axis=0) * weight[None, :]  # [N + 1, P]
-    if particles.existence.shape[0]:
-        # The words say that what they refer to exists.
-        real = jnp.where(particles.is_meant, 1.0, particles.existence)
-        fits = fits * jnp.concatenate([real, jnp.ones_like(fits[num_objects:])])
+    fits = _fits(behavior, particles, weight)
     mass = claim(fits, particles)
-    region = jnp.argmax(behavior.goal, axis=0)  # [N + 1, P]
-    is_robot = (jnp.arange(x.shape[0]) == x.shape[0] - 1)[:, None]
-    offset_x, offset_y = region_offset(relations, region, x, y, belief.viewer, is_robot, metres)
-    x, y = x + offset_x, y + offset_y
+    x, y = _goal_places(belief, behavior, relations, metres)
     known = jnp.append(jnp.arange(num_objects), x.shape[0] - 1)
     on_known, on_hypotheses = mass[known], mass[num_objects:-1]
     known_x, known_y = x[known], y[known]

@@ -266,6 +266,41 @@ def _require_one_a_node(situation: Situation, valuation: Valuation) -> None:
             )
 
 
+def _own_doubt(situation: Situation) -> Doubt:
+    """Doubt as one who does not know when all has been looked at."""
+    return doubt_of(
+        situation.goals,
+        _metres_left(situation),
+        params=situation.params,
+        has_looked=situation.has_chosen,
+        may_ask=situation.may_ask,
+    )
+
+
+def _is_worth_going(situation: Situation, doubt: Doubt) -> Array:
+    """Tell to which nodes the robot may go, bool[A]."""
+    nodes = situation.nodes
+    is_object = nodes.kind == OBJECT_NODE
+    # Standing still teaches nothing: the node underfoot is a_stop's business.
+    is_away = situation.distance > jnp.where(is_object, situation.params.reach, UNDERFOOT)
+    # While there is more to be seen first, nothing is gone up to.
+    return open_nodes(nodes, situation.way).is_node & (~doubt.looks_on | ~is_object) & is_away
+
+
+def _pick(situation: Situation, value: Array, kept: Waypoint | None) -> Waypoint:
+    """Go to the node that is worth most, or on as before: active is what was under way already."""
+    nodes, best = situation.nodes, jnp.argmax(value)
+    is_nowhere = jnp.all(value == -jnp.inf)
+    x = jnp.where(is_nowhere, situation.robot_x, nodes.x[best])
+    y = jnp.where(is_nowhere, situation.robot_y, nodes.y[best])
+    kind, is_kept = nodes.kind[best], jnp.asarray(False)
+    if kept is not None:
+        is_kept = kept.is_active
+        x, y = jnp.where(is_kept, kept.x, x), jnp.where(is_kept, kept.y, y)
+        kind = jnp.where(is_kept, kept.kind, kind)
+    return Waypoint(x=x, y=y, kind=kind, is_active=is_kept)
+
+
 def decide(
     situation: Situation,
     valuation: Valuation,
@@ -293,47 +328,26 @@ def decide(
     _require_one_a_node(situation, valuation)
     nodes, goals, params = situation.nodes, situation.goals, situation.params
     robot_x, robot_y = situation.robot_x, situation.robot_y
-    view = situation.belief.terrain.view
     cost = constraint_cost(
         situation.belief, situation.constraint, nodes, robot_x, robot_y, params.constraint_cost
     )
     value = valuation.goal_value + valuation.information_value - cost
-    # Standing still teaches nothing: the node underfoot is a_stop's business.
-    is_away = situation.distance > jnp.where(nodes.kind == OBJECT_NODE, params.reach, UNDERFOOT)
-    if doubt is None:
-        doubt = doubt_of(
-            goals,
-            _metres_left(situation),
-            params=params,
-            has_looked=situation.has_chosen,
-            may_ask=situation.may_ask,
-        )
-    # While there is more to be seen first, nothing is gone up to.
-    is_open = open_nodes(nodes, situation.way).is_node & (
-        ~doubt.looks_on | (nodes.kind != OBJECT_NODE)
-    )
-    value = jnp.where(is_open & is_away & ~jnp.isnan(value), value, -jnp.inf)
-    best = jnp.argmax(value)
-    is_nowhere = jnp.all(value == -jnp.inf)
-    x = jnp.where(is_nowhere, robot_x, nodes.x[best])
-    y = jnp.where(is_nowhere, robot_y, nodes.y[best])
-    kind, is_kept = nodes.kind[best], jnp.asarray(False)
-    if kept is not None:
-        is_kept = kept.is_active
-        x, y = jnp.where(is_kept, kept.x, x), jnp.where(is_kept, kept.y, y)
-        kind = jnp.where(is_kept, kept.kind, kind)
+    doubt = _own_doubt(situation) if doubt is None else doubt
+    value = jnp.where(_is_worth_going(situation, doubt) & ~jnp.isnan(value), value, -jnp.inf)
+    to = _pick(situation, value, kept)
     mass = valuation.stop_mass
     is_sure = (mass >= params.stop_probability) & jnp.isfinite(mass)
     doubt = replace(doubt, asks=doubt.asks & ~situation.stands)
     may_stop = situation.may_stop & ~doubt.looks_on & ~doubt.asks
+    is_goal = has_goal(goals, to.x, to.y, params.reach, situation.belief.terrain.view)
     return Decision(
-        waypoint_x=x,
-        waypoint_y=y,
-        kind=kind,
+        waypoint_x=to.x,
+        waypoint_y=to.y,
+        kind=to.kind,
         is_stop=is_sure & may_stop,
-        is_approach=(kind == OBJECT_NODE) & has_goal(goals, x, y, params.reach, view),
+        is_approach=(to.kind == OBJECT_NODE) & is_goal,
         is_not_found=jnp.asarray(False),
-        is_kept=is_kept,
+        is_kept=to.is_active,
         nodes=nodes,
         value=value,
         goal_value=valuation.goal_value,

@@ -156,17 +156,9 @@ def promote(
         slot: Array, both: tuple[SemanticMap, Bystanders]
     ) -> tuple[SemanticMap, Bystanders]:
         held, known = both
-        kind, x, y, spread = (
-            row_of(leaf, slot)[likeliest]
-            for leaf in (
-                held.object_type,
-                held.mean_x,
-                held.mean_y,
-                jnp.diagonal(held.covariance).T,
-            )
-        )
-        is_there = (kind != NONE) & ~is_spoken_of(kind, spoken)
-        known, _ = _enter(known, Sighting(kind, x, y, spread, is_there))
+        thing = _sighting(held, slot, likeliest)
+        is_there = thing.is_there & ~is_spoken_of(thing.object_type, spoken)
+        known, _ = _enter(known, thing._replace(is_there=is_there))
         return held, known
 
     def put_away(held: SemanticMap) -> SemanticMap:
@@ -177,15 +169,9 @@ def promote(
         is_meant = is_spoken_of(known.object_type, spoken)
         chosen = jnp.argmax(is_meant)
         is_there = jnp.any(is_meant) & jnp.any(held.object_type == NONE)
-        return (
-            _hold(held, row_of(known, chosen), is_there),
-            replace(
-                known,
-                object_type=jnp.where(
-                    (jnp.arange(known.x.shape[0]) == chosen) & is_there, NONE, known.object_type
-                ),
-            ),
-        )
+        is_taken = (jnp.arange(known.x.shape[0]) == chosen) & is_there
+        left = replace(known, object_type=jnp.where(is_taken, NONE, known.object_type))
+        return _hold(held, row_of(known, chosen), is_there), left
 
     # Nearly always no round of either loop.
     rounds = jnp.where(is_told, num_objects, 0)
@@ -195,6 +181,13 @@ def promote(
     )
     rounds = jnp.where(is_told, jnp.sum(is_spoken_of(known.object_type, spoken)), 0)
     return jax.lax.fori_loop(0, rounds, bring_in, both)
+
+
+def _sighting(particles: SemanticMap, slot: Array, which: Array) -> Sighting:
+    """Tell what one particle holds in a slot."""
+    leaves = particles.mean_x, particles.mean_y, jnp.diagonal(particles.covariance).T
+    kind, x, y, spread = (row_of(leaf, slot)[which] for leaf in (particles.object_type, *leaves))
+    return Sighting(kind, x, y, spread, kind != NONE)
 
 
 def _hold(particles: SemanticMap, thing: Bystanders, is_there: Array) -> SemanticMap:

@@ -431,6 +431,46 @@ def _remember(
     return replace(belief, bystanders=known), num_forgotten
 
 
+def _assert_arrays(belief: ParticleBelief, readings: Readings, observation: Observation) -> None:
+    """Refuse other shapes and dtypes than ``step``'s (when the program is traced)."""
+    assert_observation(observation)
+    chex.assert_rank([belief.log_weight, readings.log_probability], 1)
+    chex.assert_shape([belief.last_pose, belief.viewer], (3,))
+    chex.assert_equal_shape([readings.figure, readings.relation, readings.landmark, readings.rank])
+    chex.assert_type([belief.log_weight, readings.mention_type], [float, int])
+
+
+def _draw(keys: Array, num_detections: int, number: int) -> tuple[Array, Array, Array]:
+    """Draw the uniform numbers of a step in one go, given key[4].
+
+    Returns:
+        f32[D, P], what each detection is taken for; f32[2, P], who is kept and whose map the
+        others take; f32[], where the comb of the resampling begins.
+    """
+    associate, keep, resample = batching.uniforms(
+        keys[np.array([0, 2, 3])], max(num_detections, 2) * number
+    )
+    associate = associate[: num_detections * number].reshape(num_detections, number)
+    return associate, keep[: 2 * number].reshape(2, number), resample[0]
+
+
+def _resampled(
+    uniform: Array, belief: ParticleBelief, found: Regrounded, is_resampled: Array
+) -> ParticleBelief:
+    """Take over the particles with their weights, or resample them to equal ones."""
+    number = belief.log_weight.shape[0]
+    ancestors = systematic(found.weight, uniform)
+    ancestors = jnp.where(is_resampled, ancestors, jnp.arange(number))
+    log_weight = jnp.log(jnp.maximum(found.weight, 1e-30))
+    return replace(
+        belief,
+        particles=take(found.particles, ancestors),
+        log_weight=jnp.where(is_resampled, -jnp.log(float(number)), log_weight),
+        must_ground=jnp.asarray(False),
+        log_evidence=belief.log_evidence + found.log_total,
+    )
+
+
 def step(
     key: Array,
     belief: ParticleBelief,
@@ -461,31 +501,21 @@ def step(
     Returns:
         The belief now, and information on the step.
     """
-    assert_observation(observation)
-    chex.assert_rank([belief.log_weight, readings.log_probability], 1)
-    chex.assert_shape([belief.last_pose, belief.viewer], (3,))
-    chex.assert_equal_shape([readings.figure, readings.relation, readings.landmark, readings.rank])
-    chex.assert_type([belief.log_weight, readings.mention_type], [float, int])
+    _assert_arrays(belief, readings, observation)
     number, was_told = belief.log_weight.shape[0], belief.must_ground
-    num_detections = observation.detection_type.shape[0]
     keys = jax.random.split(key, 4)
-    associate, keep, resample = batching.uniforms(
-        keys[np.array([0, 2, 3])], max(num_detections, 2) * number
-    )
-    associate = associate[: num_detections * number].reshape(num_detections, number)
+    associate, keep, resample = _draw(keys, observation.detection_type.shape[0], number)
     sound = sound_look(belief, observation, farthest)
     is_alive = jnp.all(belief.log_weight < jnp.inf) & jnp.any(belief.log_weight > -jnp.inf)
-    equal = -jnp.log(float(number))
     belief = replace(
         belief,
-        log_weight=jnp.where(is_alive, belief.log_weight, equal),
+        log_weight=jnp.where(is_alive, belief.log_weight, -jnp.log(float(number))),
         doubted_pose=sound.doubted_pose,
     )
     belief, seen, others = _part(belief, sound.observation, spoken)
     noise = _drift_noise(keys[0], belief)
     belief, weighed = observe(associate, belief, seen, sound.is_jump, noise, params=params)
     belief, num_forgotten = _remember(belief, others)
-    keep = keep[: 2 * number].reshape(2, number)
     found = reground(
         keys[1],
         keep,
@@ -496,19 +526,9 @@ def step(
         told=told,
         is_sparse=is_sparse,
     )
-
     size = effective_sample_size(found.weight)
     is_resampled = size < params.resample_threshold * number
-    ancestors = systematic(found.weight, resample[0])
-    ancestors = jnp.where(is_resampled, ancestors, jnp.arange(number))
-    log_weight = jnp.log(jnp.maximum(found.weight, 1e-30))
-    belief = replace(
-        belief,
-        particles=take(found.particles, ancestors),
-        log_weight=jnp.where(is_resampled, equal, log_weight),
-        must_ground=jnp.asarray(False),
-        log_evidence=belief.log_evidence + found.log_total,
-    )
+    belief = _resampled(resample, belief, found, is_resampled)
     return belief, FilterInfo(
         effective_sample_size=size,
         is_resampled=is_resampled,

@@ -1,0 +1,328 @@
+"""All that has been said, as records of the host: the history A^t of section 3.2.
+
+They are read from the arrays that the engine holds, and written into such arrays. One ``Joined``
+serves a whole batch that has heard the same: it says where in the old arrays each entry came from.
+"""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxlangnav.conversation.memory import AVOID_ALL, AVOID_IT, Words
+from jaxlangnav.grounding.instruction import Instruction
+from jaxlangnav.grounding.program import BehaviorProgram
+from jaxlangnav.grounding.spoken import Spoken
+from jaxlangnav.kinds import label_of
+from jaxlangnav.messages import NONE, ROBOT, Readings
+from jaxlangnav.pytree import pytree
+
+
+@pytree
+class Joined:
+    """What has been said with what is said now; C commands of the new utterance lead."""
+
+    readings: Readings
+    words: Words  # with the goals of the old commands
+    new_goal: jax.Array  # i32[K, C] mention that each new command is about
+    new_pinned: jax.Array  # bool[K, C] earlier utterances say which one that is
+    from_relation: jax.Array  # i32[K, J] where it was among the old ones, k J + j; NONE: it is new
+    from_mention: jax.Array  # i32[K, M] likewise, k M + m
+    program: BehaviorProgram  # of the new utterance, leaves [C, ...]
+    num_clauses: jax.Array  # i32[] of the new utterance
+    metres: jax.Array  # f32[C] as ``Instruction`` has it
+    frame: jax.Array  # f32[C, 3] likewise
+
+
+@dataclasses.dataclass(frozen=True)
+class Edge:
+    """One relation, and who said it."""
+
+    figure: int
+    relation: int
+    landmark: int
+    rank: int
+    heard: int
+    source: int = NONE
+
+    def moved(self, place: Sequence[int]) -> "Edge":
+        """Renumber its mentions."""
+        landmark = NONE if self.landmark == NONE else place[self.landmark]
+        return dataclasses.replace(self, figure=place[self.figure], landmark=landmark)
+
+
+@dataclasses.dataclass
+class Mention:
+    """One thing spoken of."""
+
+    kind: int
+    is_asked: bool
+    avoid: int = 0
+    source: int = NONE
+
+    @property
+    def label(self) -> int:
+        """Its type, whatever it looks like."""
+        return int(label_of(self.kind))
+
+
+@dataclasses.dataclass
+class Account:
+    """One reading of all that has been said."""
+
+    mentions: list[Mention]
+    edges: list[Edge]
+    goals: list[int]  # of the old commands
+    pinned: list[bool]  # likewise
+    new_goals: list[int]
+    log_probability: float
+    num_dropped: int = 0
+
+    def is_told(self, goal: int, heard: int, *, is_now: bool) -> bool:
+        """Tell whether the utterance now, or those before, say where the thing of a goal is."""
+        return goal != NONE and any(
+            goal in (one.figure, one.landmark) and (one.heard == heard) == is_now
+            for one in self.edges
+            if one.relation != NONE
+        )
+
+    def pinned_with(self, heard: int) -> list[bool]:
+        """Tell of each old command whether this utterance, or another, says which one is meant."""
+        told = (self.is_told(goal, heard, is_now=True) for goal in self.goals)
+        return [one or was for one, was in zip(told, self.pinned, strict=True)]
+
+    def new_pinned(self, heard: int) -> list[bool]:
+        """Tell of each new command whether earlier utterances say which one is meant."""
+        return [self.is_told(goal, heard, is_now=False) for goal in self.new_goals]
+
+    def description(self, mention: int) -> frozenset[tuple[int, ...]]:
+        """List what is said of a thing; what is said of the robot is so where it was said."""
+        return frozenset(
+            (one.relation, kind, one.rank, one.heard if kind == ROBOT else NONE)
+            for one in self.edges
+            if one.figure == mention and one.relation != NONE
+            for kind in (self.mentions[one.landmark].kind,)
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class _About:
+    """What readings are about, on the host; as ``Words``."""
+
+    is_asked: np.ndarray
+    avoid: np.ndarray
+    goal: np.ndarray
+    is_pinned: np.ndarray
+    heard: np.ndarray
+
+    @classmethod
+    def of(cls, words: Words) -> "_About":
+        """Fetch it from the device."""
+        names = [field.name for field in dataclasses.fields(cls)]
+        return cls(*jax.device_get([getattr(words, name) for name in names]))
+
+
+def _accounts(readings: Readings, about: _About) -> list[Account]:
+    """Read arrays into records, the likeliest first."""
+    table = jax.device_get(readings)
+    num_mentions, num_relations = table.mention_type.shape[1], table.relation.shape[1]
+    found = []
+    for k in np.argsort(-table.log_probability, kind="stable"):
+        if table.log_probability[k] == -np.inf:
+            continue
+        mentions = [
+            Mention(int(kind), bool(about.is_asked[k, m]), int(about.avoid[k, m]),
+                     int(k) * num_mentions + m)
+            for m, kind in enumerate(table.mention_type[k]) if kind != NONE
+        ]  # fmt: skip
+        edges = [
+            Edge(*(int(leaf[k, j]) for leaf in (table.figure, table.relation, table.landmark,
+                    table.rank, about.heard)), source=int(k) * num_relations + j)
+            for j in range(num_relations) if table.figure[k, j] != NONE
+        ]  # fmt: skip
+        goals = [int(goal) for goal in about.goal[k]]
+        pinned = [bool(one) for one in about.is_pinned[k]]
+        log_probability = float(table.log_probability[k])
+        found.append(Account(mentions, edges, goals, pinned, [], log_probability))
+    return found
+
+
+def accounts_of(readings: Readings, words: Words) -> list[Account]:
+    """Read what has been said into records, the likeliest first.
+
+    Args:
+        readings: of all that has been said, leaves [K, ...], of one robot.
+        words: what they are about.
+
+    Returns:
+        One for each reading that has a probability.
+    """
+    return _accounts(readings, _About.of(words))
+
+
+def _goals(reading: Account, spoken: Spoken | None, num_clauses: int) -> list[int]:
+    """Find the mention that each command of a sentence is about."""
+    kinds = spoken.goals if spoken is not None else ()
+    landmarks = {one.landmark for one in reading.edges}
+    goals: list[int] = []
+    for index in range(num_clauses):
+        kind = kinds[index] if index < len(kinds) else None
+        if kind is None:
+            alike = [m for m, one in enumerate(reading.mentions) if one.kind != ROBOT]
+        else:
+            alike = [m for m, one in enumerate(reading.mentions) if one.label == kind]
+        alike = [m for m in alike if m not in landmarks] or alike
+        before = sum(one == kind for one in kinds[:index])
+        goals.append(alike[min(before, len(alike) - 1)] if alike and kind != NONE else NONE)
+    return goals
+
+
+def new_accounts(
+    instruction: Instruction, spoken: Spoken | None, heard: int, *, is_asked: bool
+) -> list[Account]:
+    """Read a new utterance into records, the likeliest first.
+
+    Args:
+        instruction: grounded.
+        spoken: what it speaks of; None: as its readings show.
+        heard: number of the utterance.
+        is_asked: it asks for what it speaks of.
+
+    Returns:
+        One for each reading that has a probability.
+    """
+    readings, number = instruction.readings, int(instruction.num_clauses)
+    shape, size = readings.mention_type.shape, instruction.program.num_phrases.shape[-1]
+    about = _About(
+        is_asked=np.full(shape, is_asked),
+        avoid=np.zeros(shape, np.int32),
+        goal=np.full((shape[0], size), NONE),
+        is_pinned=np.zeros((shape[0], size), bool),
+        heard=np.full(readings.relation.shape, heard),
+    )
+    found = _accounts(readings, about)
+    for reading in found:
+        reading.new_goals = _goals(reading, spoken, number)
+        reading.edges = [dataclasses.replace(one, source=NONE) for one in reading.edges]
+        landmarks = {one.landmark for one in reading.edges}
+        for index, one in enumerate(reading.mentions):
+            one.source = NONE
+            for kind, is_all in spoken.avoided if spoken is not None else ():
+                if one.label == kind and index not in landmarks:
+                    one.avoid = AVOID_ALL if is_all else AVOID_IT
+    return found
+
+
+_NO_MENTION = {"kind": NONE, "is_asked": False, "avoid": 0, "source": NONE}
+_NO_EDGE = dict.fromkeys(("figure", "relation", "landmark", "source"), NONE) | {
+    "rank": 0,
+    "heard": 0,
+}
+"""What is written where there is none."""
+
+
+def _rows(rows: Sequence[Sequence[Any]], shape: tuple[int, int], empty: Any) -> np.ndarray:
+    """Write rows of different lengths into one array; what they leave free is empty."""
+    found = np.full(shape, empty, bool if isinstance(empty, bool) else np.int32)
+    for place, row in enumerate(rows):
+        found[place, : len(row)] = row
+    return found
+
+
+def _columns(
+    rows: Sequence[Sequence[Any]], shape: tuple[int, int], empty: Mapping[str, Any]
+) -> dict[str, np.ndarray]:
+    """Write rows of records into an array for each of their fields."""
+    return {
+        name: _rows([[getattr(one, name) for one in row] for row in rows], shape, value)
+        for name, value in empty.items()
+    }
+
+
+def written(
+    ranked: Sequence[Account],
+    sizes: tuple[int, int, int, int],
+    instruction: Instruction,
+    heard: int,
+) -> Joined:
+    """Write accounts into padded arrays.
+
+    Args:
+        ranked: at most K of them, the likeliest first.
+        sizes: K, M, J and C.
+        instruction: what has been said last.
+        heard: number of that utterance.
+
+    Returns:
+        The arrays; the probabilities of the readings sum to one.
+    """
+    number, num_mentions, num_edges, num_commands = sizes
+    mention = _columns([one.mentions for one in ranked], (number, num_mentions), _NO_MENTION)
+    edge = _columns([one.edges for one in ranked], (number, num_edges), _NO_EDGE)
+    log_probability = np.full(number, -np.inf, np.float32)
+    log_all = [one.log_probability for one in ranked]
+    log_probability[: len(ranked)] = np.array(log_all) - np.logaddexp.reduce(log_all)
+
+    def of_commands(rows: list[list[Any]], empty: Any) -> np.ndarray:
+        return _rows(rows, (number, num_commands), empty)
+
+    readings = {
+        "mention_type": mention["kind"],
+        **{name: edge[name] for name in ("figure", "relation", "landmark", "rank")},
+        "log_probability": log_probability,
+    }
+    words = {
+        "is_asked": mention["is_asked"],
+        "avoid": mention["avoid"],
+        "goal": of_commands([one.goals for one in ranked], NONE),
+        "is_pinned": of_commands([one.pinned_with(heard) for one in ranked], False),
+        "heard": edge["heard"],
+        "num_heard": np.int32(heard + 1),
+        "num_dropped": np.int32(ranked[0].num_dropped),
+    }
+    sources = {
+        "new_goal": of_commands([one.new_goals for one in ranked], NONE),
+        "new_pinned": of_commands([one.new_pinned(heard) for one in ranked], False),
+        "from_relation": edge["source"],
+        "from_mention": mention["source"],
+    }
+    return Joined(
+        readings=Readings(**jax.device_put(readings)),
+        words=Words(**jax.device_put(words)),
+        program=instruction.program,
+        num_clauses=instruction.num_clauses,
+        metres=instruction.metres,
+        frame=instruction.frame,
+        **jax.device_put(sources),
+    )
+
+
+def first_words(instruction: Instruction, spoken: Spoken | None) -> Words:
+    """Tell what the first sentence is about.
+
+    Args:
+        instruction: grounded, padded to the arrays of the conversation.
+        spoken: what it speaks of; None: as its readings show.
+
+    Returns:
+        What its readings are about.
+    """
+    readings = instruction.readings
+    k_size, m_size = readings.mention_type.shape
+    size = instruction.program.num_phrases.shape[-1]
+    goal = np.full((k_size, size), NONE, np.int32)
+    order = np.argsort(-np.asarray(readings.log_probability), kind="stable")
+    for k, one in zip(order, new_accounts(instruction, spoken, 0, is_asked=True), strict=False):
+        goal[k, : len(one.new_goals)] = one.new_goals
+    fields = {
+        "is_asked": np.ones((k_size, m_size), bool),
+        "avoid": np.zeros((k_size, m_size), np.int32),
+        "goal": goal,
+        "is_pinned": np.zeros(goal.shape, bool),
+        "heard": np.zeros(readings.relation.shape, np.int32),
+        "num_heard": np.int32(1),
+        "num_dropped": np.int32(0),
+    }
+    return Words(**jax.device_put(fields))
