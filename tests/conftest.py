@@ -9,13 +9,20 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 import jax
 import pytest
 
+BRIEFLY = "--xla_backend_optimization_level=0"
+"""Half the time to compile a decision cycle; what it computes is the same, only slower."""
+
 
 def pytest_configure(config: pytest.Config) -> None:
     """Set JAX up before any test module is imported."""
+    # The quick tier compiles much and runs it briefly. The slow tests run what users run.
+    if config.option.markexpr == "not slow":
+        os.environ["XLA_FLAGS"] = f"{BRIEFLY} {os.environ.get('XLA_FLAGS', '')}".strip()
     jax.config.update("jax_numpy_rank_promotion", "raise")
     cache = Path(config.rootpath) / ".pytest_cache" / "jax"
     jax.config.update("jax_compilation_cache_dir", str(cache))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+    # Small programs too: there are thousands, and workers share them.
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
