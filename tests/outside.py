@@ -145,7 +145,8 @@ def stepper(config: Any) -> Any:
         state, action, info = navigator.step(key, state, seen, params=params, config=config)
         return state, (action.step, action.is_stop, action.status, info.filter.overflow)
 
-    return jax.jit(jax.vmap(one, in_axes=(0, 0, 0, None)))
+    many = jax.vmap(one, in_axes=(0, 0, 0, None))
+    return jax.jit(many, compiler_options={"xla_backend_optimization_level": 3})
 
 
 def observation(poses: np.ndarray, found: list[Any], sensor: Any) -> messages.Observation:
