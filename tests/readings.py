@@ -27,8 +27,8 @@ STEPS = 8
 """Steps of one call of the shared programs."""
 HYDRANT, CONE, CAR = 0, 1, 2
 AREA = (0.0, 10.0, -5.0, 5.0)
-OFTEN = {"xla_backend_optimization_level": 3}
-"""For programs that run long: the quick tier compiles briefly (``conftest``), a fifth as fast."""
+OFTEN = {"xla_backend_optimization_level": 3, "xla_llvm_disable_expensive_passes": False}
+"""For programs that run long: as users compile, where others are compiled briefly (conftest)."""
 
 Relation = tuple[int, int, int, bool]
 """Figure mention, relation, landmark mention, superlative."""

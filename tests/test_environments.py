@@ -12,10 +12,10 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from jaxlangnav.environments import functional
-from jaxlangnav.environments.actions import ACTIONS, STOP_ABOVE
+from jaxlangnav.environments.actions import DISCRETE_ACTIONS, STOP_ABOVE
 from jaxlangnav.environments.gymnasium_env import ID, FollowEnv, FollowVectorEnv
-from jaxlangnav.environments.observation import COMMANDS, OBSERVATION_SIZE
-from jaxlangnav.environments.pool import draw_pool, pick
+from jaxlangnav.environments.observation import OBSERVATION_SIZE
+from jaxlangnav.environments.pool import draw_pool, pick_world
 from jaxlangnav.environments.spaces import action_space, to_functional
 from jaxlangnav.experiments.sentences import SENTENCES
 from jaxlangnav.pytree import replace
@@ -25,7 +25,7 @@ STOP = jnp.array([0.0, 0.0, 1.0])
 RESET, STEP = jax.jit(functional.reset), jax.jit(functional.step)
 STEP_AND_RESET = jax.jit(functional.step_and_reset)
 RESET_MANY = jax.jit(jax.vmap(functional.reset, in_axes=(0, None, None)))
-PICK_MANY = jax.jit(jax.vmap(pick, in_axes=(0, None)))
+PICK_MANY = jax.jit(jax.vmap(pick_world, in_axes=(0, None)))
 
 
 @pytest.fixture(scope="module")
@@ -34,8 +34,7 @@ def pool() -> Any:
 
 
 def test_commands_are_those_of_the_tables() -> None:
-    assert tuple(COMMANDS) == RELATION_NAMES
-    assert dict(SENTENCES) == COMMANDS
+    assert tuple(SENTENCES) == RELATION_NAMES
 
 
 def test_the_observation_says_what_is_sensed() -> None:
@@ -153,7 +152,10 @@ def test_a_world_that_does_not_meet_the_law_is_replaced() -> None:
 
 
 def test_a_random_agent_lives_longer_than_two_steps() -> None:
-    for actions, share in (("continuous", (1.0 - STOP_ABOVE) / 2), ("discrete", 1 / len(ACTIONS))):
+    for actions, share in (
+        ("continuous", (1.0 - STOP_ABOVE) / 2),
+        ("discrete", 1 / len(DISCRETE_ACTIONS)),
+    ):
         space = action_space(actions)
         space.seed(0)
         tried = to_functional(np.array([space.sample() for _ in range(2000)]), space)
@@ -164,9 +166,9 @@ def test_a_random_agent_lives_longer_than_two_steps() -> None:
 
 
 def test_discrete_actions_are_stop_and_whole_steps() -> None:
-    assert (ACTIONS[:, 2] > STOP_ABOVE).tolist() == [True, *[False] * 16]
-    np.testing.assert_allclose(np.hypot(*ACTIONS[1:, :2].T), 1.0, atol=1e-6)
-    np.testing.assert_allclose(ACTIONS[[1, 5], :2], [[1.0, 0.0], [0.0, 1.0]], atol=1e-6)
+    assert (DISCRETE_ACTIONS[:, 2] > STOP_ABOVE).tolist() == [True, *[False] * 16]
+    np.testing.assert_allclose(np.hypot(*DISCRETE_ACTIONS[1:, :2].T), 1.0, atol=1e-6)
+    np.testing.assert_allclose(DISCRETE_ACTIONS[[1, 5], :2], [[1.0, 0.0], [0.0, 1.0]], atol=1e-6)
 
 
 @pytest.mark.parametrize(
