@@ -10,7 +10,7 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 import jax
 import pytest
 
-RUN_LONG = ("test_experiments_", "test_language_", "test_semantic_map_soundness")
+RUN_LONG = ("test_experiments_", "test_language_")
 """Files whose programs run longer than they compile; single programs elsewhere: readings.OFTEN."""
 
 
