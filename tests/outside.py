@@ -23,6 +23,8 @@ import jaxlangnav
 from jaxlangnav import messages, navigator
 
 AREA = (-2.0, 12.0, -9.0, 9.0)
+_OFTEN = {"xla_backend_optimization_level": 3, "xla_llvm_disable_expensive_passes": False}
+"""As users compile, also where tests are compiled briefly: it runs long."""
 LANES, STEPS, DETECTIONS = 20, 110, 16
 REACH = 1.5
 """Metres from the goal at which a stop is right."""
@@ -145,7 +147,8 @@ def stepper(config: Any) -> Any:
         state, action, info = navigator.step(key, state, seen, params=params, config=config)
         return state, (action.step, action.is_stop, action.status, info.filter.overflow)
 
-    return jax.jit(jax.vmap(one, in_axes=(0, 0, 0, None)))
+    many = jax.vmap(one, in_axes=(0, 0, 0, None))
+    return jax.jit(many, compiler_options=_OFTEN)
 
 
 def observation(poses: np.ndarray, found: list[Any], sensor: Any) -> messages.Observation:

@@ -4,6 +4,8 @@ Every compiled program takes seconds to build, so all tests of the filter share 
 and the programs below: S seeds or worlds at once, T steps.
 """
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -25,8 +27,8 @@ STEPS = 8
 """Steps of one call of the shared programs."""
 HYDRANT, CONE, CAR = 0, 1, 2
 AREA = (0.0, 10.0, -5.0, 5.0)
-BRIEFLY = {"xla_backend_optimization_level": 0}
-"""For programs that are long to compile and short to run: a third of the time to compile."""
+OFTEN = {"xla_backend_optimization_level": 3, "xla_llvm_disable_expensive_passes": False}
+"""For programs that run long: as users compile, where others are compiled briefly (conftest)."""
 
 Relation = tuple[int, int, int, bool]
 """Figure mention, relation, landmark mention, superlative."""
@@ -171,7 +173,7 @@ def with_coverage(belief: ParticleBelief, log_miss: np.ndarray) -> ParticleBelie
     return replace(belief, coverage=coverage)
 
 
-@jax.jit
+@functools.partial(jax.jit, compiler_options=OFTEN)
 def ground_many(
     keys: jax.Array, belief: ParticleBelief, sentence: Readings, numbers: MapParams
 ) -> tuple[object, jax.Array]:
@@ -181,7 +183,7 @@ def ground_many(
     )(keys)
 
 
-@jax.jit
+@functools.partial(jax.jit, compiler_options=OFTEN)
 def run_many(
     keys: jax.Array,
     beliefs: ParticleBelief,

@@ -318,7 +318,6 @@ def test_a_correction_leads_to_the_other_one() -> None:
     step = jax.jit(
         jax.vmap(lambda key, state, look: STEP.__wrapped__(
             key, state, look, params=one.params, config=one.config)),
-        compiler_options=by_hand.BRIEFLY,
     )  # fmt: skip
     correct = jax.jit(jax.vmap(hearing.correct))
     choose = jax.jit(

@@ -77,7 +77,7 @@ def looking():
         return semantic_filter.step(key, belief, readings, look, params=numbers, told=told)[0]
 
     many = jax.vmap(step, in_axes=(0, 0, None, None, None, None))
-    return jax.jit(many, compiler_options=by_hand.BRIEFLY)
+    return jax.jit(many)
 
 
 def see(pose):

@@ -22,6 +22,10 @@ from jaxlangnav.pytree import replace
 from jaxlangnav.world.templates import RELATION_NAMES
 
 STOP = jnp.array([0.0, 0.0, 1.0])
+RESET, STEP = jax.jit(functional.reset), jax.jit(functional.step)
+STEP_AND_RESET = jax.jit(functional.step_and_reset)
+RESET_MANY = jax.jit(jax.vmap(functional.reset, in_axes=(0, None, None)))
+PICK_MANY = jax.jit(jax.vmap(pick_world, in_axes=(0, None)))
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +42,7 @@ def test_the_observation_says_what_is_sensed() -> None:
     noiseless = replace(
         params.sensor, detection_probability=jnp.float32(1.0), noise=jnp.float32(0.0)
     )
-    observation, state = functional.reset(jax.random.key(3), replace(params, sensor=noiseless))
+    observation, state = RESET(jax.random.key(3), replace(params, sensor=noiseless))
     assert observation.shape == (OBSERVATION_SIZE,)
     assert observation[:4].tolist() == [0.0, 0.0, 1.0, 0.0]
     np.testing.assert_allclose(observation[4:8], state.scenario.area)
@@ -54,14 +58,14 @@ def test_the_observation_says_what_is_sensed() -> None:
 
 def test_going_to_the_goal_and_stopping_is_rewarded() -> None:
     params = functional.default_params(metre_cost=0.01)
-    _, state = functional.reset(jax.random.key(0), params)
+    _, state = RESET(jax.random.key(0), params)
     total, keys = 0.0, jax.random.split(jax.random.key(1), 40)
     for key in keys:
         way = state.scenario.goal - state.world.position
         action = jnp.append(jnp.clip(way, -1.0, 1.0), -1.0)
         if jnp.hypot(way[0], way[1]) < 1.0:
             action = STOP
-        _, state, reward, is_over, info = functional.step(key, state, action, params)
+        _, state, reward, is_over, info = STEP(key, state, action, params)
         total += float(reward)
         if is_over:
             break
@@ -71,45 +75,43 @@ def test_going_to_the_goal_and_stopping_is_rewarded() -> None:
 
 def test_stopping_elsewhere_earns_nothing_and_time_runs_out() -> None:
     params = functional.default_params(max_steps=2)
-    _, state = functional.reset(jax.random.key(0), params)
-    _, _, reward, is_over, info = functional.step(jax.random.key(1), state, STOP, params)
+    _, state = RESET(jax.random.key(0), params)
+    _, _, reward, is_over, info = STEP(jax.random.key(1), state, STOP, params)
     assert (float(reward), bool(is_over), bool(info.is_success)) == (0.0, True, False)
     still = jnp.array([0.0, 0.0, -1.0])
     for expected in (False, True):
-        _, state, _, is_over, info = functional.step(jax.random.key(1), state, still, params)
+        _, state, _, is_over, info = STEP(jax.random.key(1), state, still, params)
         assert (bool(is_over), bool(info.is_cut_off)) == (expected, expected)
         assert float(info.distance) == 0.0
 
 
 def test_a_long_step_is_shortened() -> None:
     params = functional.default_params()
-    _, state = functional.reset(jax.random.key(0), params)
+    _, state = RESET(jax.random.key(0), params)
     action = jnp.array([1.0, 1.0, -1.0])
-    observation, _, _, _, _ = functional.step(jax.random.key(1), state, action, params)
+    observation, _, _, _, _ = STEP(jax.random.key(1), state, action, params)
     assert float(jnp.hypot(observation[0], observation[1])) == pytest.approx(1.0, abs=1e-5)
 
 
 def test_lanes_are_alike_alone_and_together(pool: Any) -> None:
     params = functional.default_params()
     keys = jax.random.split(jax.random.key(7), 5)
-    together, _ = jax.vmap(functional.reset, in_axes=(0, None, None))(keys, params, pool)
-    alone = [functional.reset(key, params, pool)[0] for key in keys]
+    together, _ = RESET_MANY(keys, params, pool)
+    alone = [RESET(key, params, pool)[0] for key in keys]
     np.testing.assert_allclose(together, np.stack(alone), atol=1e-5)
     assert len({tuple(row) for row in np.asarray(together[:, 4:8]).tolist()}) == 1
 
 
 def test_step_and_reset_begins_anew(pool: Any) -> None:
     params = functional.default_params()
-    _, state = functional.reset(jax.random.key(0), params)
-    observation, after, _, is_over, _ = functional.step_and_reset(
-        jax.random.key(1), state, STOP, params, pool
-    )
+    _, state = RESET(jax.random.key(0), params)
+    observation, after, _, is_over, _ = STEP_AND_RESET(jax.random.key(1), state, STOP, params, pool)
     assert bool(is_over)
     assert int(after.steps) == 0
     goals = np.asarray(pool.goal)
     assert (goals == np.asarray(after.scenario.goal)).all(axis=1).sum() == 1
     assert observation[:4].tolist() == [0.0, 0.0, 1.0, 0.0]
-    _, after, _, is_over, info = functional.step_and_reset(
+    _, after, _, is_over, info = STEP_AND_RESET(
         jax.random.key(1), state, jnp.array([1.0, 0.0, -1.0]), params, pool
     )
     assert not bool(is_over)
@@ -120,8 +122,8 @@ def test_step_and_reset_begins_anew(pool: Any) -> None:
 
 def test_without_a_pool_a_world_is_drawn() -> None:
     params = functional.default_params()
-    _, state = functional.reset(jax.random.key(0), params)
-    _, after, _, is_over, _ = functional.step_and_reset(jax.random.key(1), state, STOP, params)
+    _, state = RESET(jax.random.key(0), params)
+    _, after, _, is_over, _ = STEP_AND_RESET(jax.random.key(1), state, STOP, params)
     assert bool(is_over)
     assert not np.allclose(after.scenario.goal, state.scenario.goal)
 
@@ -131,7 +133,7 @@ def test_a_pool_holds_the_worlds_of_the_law_and_hands_them_out_evenly(pool: Any)
     goals = np.asarray(pool.goal)
     assert len({tuple(goal) for goal in goals.tolist()}) == 64
     keys = jax.random.split(jax.random.key(2), 6400)
-    drawn = np.asarray(jax.vmap(pick_world, in_axes=(0, None))(keys, pool).goal)
+    drawn = np.asarray(PICK_MANY(keys, pool).goal)
     times = (drawn[:, None] == goals).all(axis=-1).sum(axis=0)
     assert times.sum() == 6400
     # Each is handed out a hundred times, with a standard deviation of ten.

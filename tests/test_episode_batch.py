@@ -4,7 +4,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import readings as by_hand
 
 from jaxlangnav import episode, navigator
 from jaxlangnav.episode import EpisodeResult, Task, run
@@ -19,12 +18,6 @@ from jaxlangnav.world.scenario import draw_scenario, scenario_law
 
 SENTENCES = ("go to the hydrant behind the cone", "go to the hydrant", "find the cone")
 EPISODES, MAX_STEPS = 24, 40
-quick_batch = jax.jit(
-    run_batch,
-    static_argnames=("config", "num_lanes", "max_steps"),
-    compiler_options=by_hand.BRIEFLY,
-)
-quick_run = jax.jit(run, static_argnames=("config", "max_steps"), compiler_options=by_hand.BRIEFLY)
 
 
 def config(policy: str = "informed") -> NavigatorConfig:
@@ -68,7 +61,7 @@ def tasks() -> Task:
 
 
 def batch(tasks: Task, instructions, lanes: int, policy: str = "informed", **kwargs):
-    result = quick_batch(
+    result = run_batch(
         tasks,
         instructions,
         params=navigator.default_params(),
@@ -113,14 +106,15 @@ def test_episodes_end_with_a_result(in_lanes: EpisodeResult) -> None:
     assert in_lanes.is_success[::3].mean() > 0.7
 
 
+@pytest.mark.slow  # another program; one by one against the batch is also test_recording
 def test_one_by_one_equals_the_batch(in_lanes: EpisodeResult, tasks, instructions) -> None:
     """``run`` in a Python loop against refilled lanes; one compilation for all of it."""
     results = []
-    before = quick_run._cache_size()
+    before = run._cache_size()
     for index in range(EPISODES):
         task = jax.tree.map(lambda leaf, index=index: leaf[index] if leaf.ndim else leaf, tasks)
         results.append(
-            quick_run(
+            run(
                 task,
                 instructions,
                 params=navigator.default_params(),
@@ -129,14 +123,14 @@ def test_one_by_one_equals_the_batch(in_lanes: EpisodeResult, tasks, instruction
             )
         )
     # Sentences, worlds, ranges and noises are data.
-    assert quick_run._cache_size() == before + 1
+    assert run._cache_size() == before + 1
     stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *results)
     assert_same(stacked, in_lanes)
 
 
 def test_any_numbers_are_data(in_lanes: EpisodeResult, tasks, instructions) -> None:
     """Sentences, worlds, ranges, noises and parameters do not compile again."""
-    before = quick_batch._cache_size()
+    before = episode._run_batch._cache_size()
     changed = navigator.default_params()
     changed = replace(
         changed,
@@ -160,7 +154,7 @@ def test_any_numbers_are_data(in_lanes: EpisodeResult, tasks, instructions) -> N
     sentences = jax.tree.map(
         lambda leaf, first: leaf.at[0].set(first), instructions, grounded.instruction
     )
-    result = quick_batch(
+    result = run_batch(
         others,
         sentences,
         params=changed,
@@ -169,7 +163,7 @@ def test_any_numbers_are_data(in_lanes: EpisodeResult, tasks, instructions) -> N
         max_steps=MAX_STEPS,
     )
     assert (np.asarray(result.steps) >= 1).all()
-    assert quick_batch._cache_size() == before
+    assert episode._run_batch._cache_size() == before
 
 
 def test_order_of_tasks_does_not_matter(in_lanes: EpisodeResult, tasks, instructions) -> None:
@@ -213,7 +207,7 @@ def test_both_policies_run_everywhere(tasks, instructions) -> None:
 def test_refilled_lanes_equal_a_vmapped_loop(in_lanes: EpisodeResult, tasks, instructions) -> None:
     """``vmap`` of ``run`` waits for its slowest lane and finds the same episodes."""
     results = jax.vmap(
-        lambda task: quick_run(
+        lambda task: run(
             task,
             instructions,
             params=navigator.default_params(),
@@ -249,12 +243,12 @@ def test_without_weights_behind_is_not_found(in_lanes: EpisodeResult, tasks, ins
             range_max=jnp.full_like(tasks.sensor.range_max, 5.0),
         ),
     )
-    before = quick_batch._cache_size()
+    before = episode._run_batch._cache_size()
     trained = batch(told, instructions, lanes=7)
     zeroed = understand(SENTENCES[0], load_shipped().zeroed()).instruction
     unlearned = jax.tree.map(lambda leaf, one: leaf.at[0].set(one), instructions, zeroed)
     without = batch(told, unlearned, lanes=7)
-    assert quick_batch._cache_size() == before
+    assert episode._run_batch._cache_size() == before
     assert trained.is_success.mean() > 0.8
     # Not even the half that a robot finds which merely stops at the first hydrant.
     assert without.is_success.mean() < 0.3

@@ -5,12 +5,14 @@ must differ is where the robot ends, how long it takes, or what it keeps away fr
 lanes of one compiled program.
 """
 
+import functools
 from collections.abc import Mapping
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import readings as by_hand
 
 from jaxlangnav import episode
 from jaxlangnav.episode import Task
@@ -163,7 +165,7 @@ def followed() -> Mapping[str, Followed]:
         after, info = episode.advance(progress, params=params, config=config)
         return after, (after.world.position, after.navigator.is_done, info.behavior.mode)
 
-    @jax.jit
+    @functools.partial(jax.jit, compiler_options=by_hand.OFTEN)
     def run(lanes: jax.Array) -> tuple:
         def one(index: jax.Array) -> tuple:
             return jax.lax.scan(body, begin(index), None, length=STEPS)[1]

@@ -2,7 +2,7 @@
 
 import dataclasses
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -24,16 +24,13 @@ WORLD = [(CONE, 4.0, 0.5), (HYDRANT, 6.4, 0.8), (CONE, 2.5, -3.5)]
 RANGE = 3.0
 
 
-STEP = jax.jit(navigator.step, static_argnames="config", compiler_options=by_hand.BRIEFLY)
+STEP = agent._step
 """Compiled once for all files that drive the robot."""
 
 
 @pytest.fixture(scope="module")
-def robot() -> Iterator[agent.Navigator]:
-    compiled = agent._step
-    agent._step = STEP
-    yield agent.Navigator.pretrained()
-    agent._step = compiled
+def robot() -> agent.Navigator:
+    return agent.Navigator.pretrained()
 
 
 @dataclasses.dataclass

@@ -22,7 +22,9 @@ from jaxlangnav.terrain.view import GLANCE
 AREA = jnp.array([0.0, 10.0, -5.0, 5.0])
 K, RANGE = tours.NUM_STOPS, 3.0
 SENSOR = default_sensor(RANGE)
-SEARCH_MAP, PLAN = jax.jit(search_map), jax.jit(tours.plan)
+SEARCH_MAP, PLAN, CHANGE = jax.jit(search_map), jax.jit(tours.plan), jax.jit(tours.change)
+FIRST_SIGHT, LATENCY = jax.jit(tours.first_sight), jax.jit(tours.latency)
+DENSITY = jax.jit(prior.relative_density)
 NOT = jnp.float32(0.0)
 
 
@@ -70,9 +72,7 @@ def test_first_sight_against_brute_force() -> None:
     # A stop twice over is a stretch of no length: it must see nothing new.
     lines = tours.Tour(x=lines.x.at[0, 2:].set(9.0), y=lines.y.at[0, 2:].set(4.0))
     x, y = np.random.default_rng(1).uniform([0, -5], [10, 5], (12, 2)).T
-    first, length = tours.first_sight(
-        lines, jnp.asarray(x), jnp.asarray(y), *jnp.array([1.0, 0.0, 1.5])
-    )
+    first, length = FIRST_SIGHT(lines, jnp.asarray(x), jnp.asarray(y), *jnp.array([1.0, 0.0, 1.5]))
     first = np.where(np.asarray(first) >= 1e8, np.inf, first)
     for index in range(6):
         expected = [
@@ -116,12 +116,10 @@ def test_what_a_narrow_view_passes_by_is_driven_up_to() -> None:
     past = tours.Tour(x=jnp.full((1, K), 9.0), y=jnp.zeros((1, K)))
     up_to = tours.Tour(x=jnp.full((1, K), 1.7), y=jnp.full((1, K), 0.8))
     here = jnp.float32(1.4), jnp.float32(0.0)
-    by, at = (float(tours.latency(one, search, *here, narrow, AREA)[0]) for one in (past, up_to))
+    by, at = (float(LATENCY(one, search, *here, narrow, AREA)[0]) for one in (past, up_to))
     assert at == pytest.approx(0.0, abs=1e-3)
     assert by > 9.0
-    assert float(tours.latency(past, search, *here, SENSOR, AREA)[0]) == pytest.approx(
-        0.0, abs=1e-3
-    )
+    assert float(LATENCY(past, search, *here, SENSOR, AREA)[0]) == pytest.approx(0.0, abs=1e-3)
 
 
 def test_latency_is_the_mean_way_until_found() -> None:
@@ -129,7 +127,7 @@ def test_latency_is_the_mean_way_until_found() -> None:
     search = search_of(np.random.default_rng(2).dirichlet(np.ones(CELLS**2)))
     line = tours.Tour(x=jnp.full((1, K), 6.0), y=jnp.zeros((1, K)))
     zero = jnp.float32(0.0)
-    first, _ = tours.first_sight(
+    first, _ = FIRST_SIGHT(
         line, search.x, search.y, zero, zero, jnp.float32(RANGE) - tours.SIGHT_MARGIN
     )
     first, mass = np.asarray(first)[0], np.asarray(search.mass)
@@ -137,13 +135,13 @@ def test_latency_is_the_mean_way_until_found() -> None:
     away = np.hypot(np.asarray(search.x) - 6.0, np.asarray(search.y))
     sweep = (~is_seen & (mass > 0.1 * mass.mean())).sum() * 100.0 / CELLS**2 / (4 * RANGE)
     expected = (mass * np.where(is_seen, first, 6.0 + sweep + away)).sum()
-    found = tours.latency(line, search, zero, zero, SENSOR, AREA)
+    found = LATENCY(line, search, zero, zero, SENSOR, AREA)
     np.testing.assert_allclose(found, [expected], rtol=1e-4)
     # It may be nowhere: the way until all has been looked at counts as much as that is likely.
     is_missed = ~is_seen & (mass > 0.1 * mass.mean())
     whole = 6.0 + away[is_missed].mean() + is_missed.sum() * 100.0 / CELLS**2 / (2 * RANGE)
     search = replace(search, nowhere=jnp.float32(0.3))
-    found = tours.latency(line, search, zero, zero, SENSOR, AREA)
+    found = LATENCY(line, search, zero, zero, SENSOR, AREA)
     np.testing.assert_allclose(found, [0.7 * expected + 0.3 * whole], rtol=1e-4)
 
 
@@ -152,8 +150,8 @@ def test_either_of_a_pair_will_do() -> None:
     beside = replace(search, partner_x=search.x - 4.0)
     line = tours.Tour(x=jnp.full((1, K), 8.0), y=jnp.zeros((1, K)))
     zero = jnp.float32(0.0)
-    alone = tours.latency(line, search, zero, zero, SENSOR, AREA)
-    paired = tours.latency(line, beside, zero, zero, SENSOR, AREA)
+    alone = LATENCY(line, search, zero, zero, SENSOR, AREA)
+    paired = LATENCY(line, beside, zero, zero, SENSOR, AREA)
     np.testing.assert_allclose(alone - paired, [4.0], atol=1e-3)
 
 
@@ -193,8 +191,10 @@ def test_a_plan_is_never_worse_than_the_tour_under_way() -> None:
         costs.append(float(jnp.min(now.latency)))
         assert costs[-1] <= last + 1e-4
         tour, last = tours.best_tour(now, -now.latency), costs[-1]
-    greedy = tours.greedy(search, jnp.float32(1.0), jnp.float32(0.0), jnp.float32(RANGE), AREA)
-    drafted = tours.latency(greedy, search, jnp.float32(1.0), jnp.float32(0.0), SENSOR, AREA)
+    greedy = jax.jit(tours.greedy)(
+        search, jnp.float32(1.0), jnp.float32(0.0), jnp.float32(RANGE), AREA
+    )
+    drafted = LATENCY(greedy, search, jnp.float32(1.0), jnp.float32(0.0), SENSOR, AREA)
     assert costs[0] <= float(jnp.min(drafted)) + 1e-4
     assert costs[-1] < 0.97 * float(jnp.min(drafted))
 
@@ -204,7 +204,7 @@ def test_mass_in_one_corner_is_gone_to() -> None:
     mass[-2:, -2:] = 0.25
     now = plan(search_of(np.zeros(CELLS**2), mass.reshape(-1)), tours.no_tour(*jnp.zeros(2)))
     best = tours.best_tour(now, -now.latency)
-    first, _ = tours.first_sight(
+    first, _ = FIRST_SIGHT(
         tours.Tour(x=best.x[None], y=best.y[None]),
         jnp.array([9.2]), jnp.array([4.2]), jnp.float32(1.0), jnp.float32(0.0), jnp.float32(RANGE),
     )  # fmt: skip
@@ -215,7 +215,7 @@ def test_changes_stay_in_the_area_and_are_changes() -> None:
     search = search_of(np.full(CELLS**2, CELLS**-2.0))
     one = jax.tree.map(lambda leaf: leaf[0], random_tours(1))
     for seed in range(20):
-        new = tours.change(jax.random.key(seed), one, search, AREA)
+        new = CHANGE(jax.random.key(seed), one, search, AREA)
         x, y = np.asarray(new.x), np.asarray(new.y)
         assert x.shape == (tours.NUM_CHANGES, K)
         for low, value, high in ((0, x, 10), (-5, y, 5)):
@@ -277,16 +277,14 @@ def test_prior_is_relative_to_uniform_and_can_be_left_out() -> None:
 
     def density(share: float, ahead: float = 0.0):
         numbers = jnp.float32(share), jnp.float32(ahead)
-        return np.asarray(prior.relative_density(belief.coverage, viewer, x, y, *numbers))
+        return np.asarray(DENSITY(belief.coverage, viewer, x, y, *numbers))
 
     np.testing.assert_array_equal(density(0.0), 1.0)
     trusted = density(1.0)
     assert trusted.max() > 2.0
     np.testing.assert_allclose(density(0.5), 0.5 * trusted + 0.5, rtol=1e-5)
     # Behind the viewer nothing was ever learned.
-    turned = prior.relative_density(
-        belief.coverage, jnp.array([0.0, 0.0, np.pi]), x, y, jnp.float32(1.0), NOT
-    )
+    turned = DENSITY(belief.coverage, jnp.array([0.0, 0.0, np.pi]), x, y, jnp.float32(1.0), NOT)
     assert float(jnp.max(turned)) == 0.0
     # Of a robot that takes things to lie ahead, exp κ (cos b − 1), at any range.
     np.testing.assert_allclose(
@@ -305,9 +303,7 @@ def test_free_hypotheses_follow_the_prior() -> None:
     belief = believe(random_places(), is_hung=False)
     search = SEARCH_MAP(belief, jnp.float32(1.0), NOT)
     expected = np.asarray(
-        prior.relative_density(
-            belief.coverage, belief.viewer, search.x, search.y, jnp.float32(1.0), NOT
-        )
+        DENSITY(belief.coverage, belief.viewer, search.x, search.y, jnp.float32(1.0), NOT)
     )
     # The map is tilted by 0.2 % from one end to the other.
     np.testing.assert_allclose(search.free, expected / expected.sum(), rtol=2e-3)

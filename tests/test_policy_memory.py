@@ -100,6 +100,7 @@ def test_lanes_of_a_batch_decide_as_they_would_alone() -> None:
             np.testing.assert_allclose(a, b[lane], rtol=1e-5, atol=1e-5)
 
 
+@pytest.mark.slow  # a program of its own; that memory is carried on shows in every other drive
 def test_it_drives_a_batch_of_robots_to_the_goal() -> None:
     """Three robots in one compiled program, told the same in the same world, each its own way."""
     config = NavigatorConfig(
@@ -110,10 +111,7 @@ def test_it_drives_a_batch_of_robots_to_the_goal() -> None:
     told, params = understand(text, load_shipped()).instruction, navigator.default_params()
     begun = navigator.start(told, jnp.zeros(3), jnp.asarray(AREA), config=config)
     state = jax.tree.map(lambda leaf: jnp.stack([leaf] * lanes), begun)
-    step = jax.jit(
-        jax.vmap(lambda *one: navigator.step(*one, params=params, config=config)),
-        compiler_options=by_hand.BRIEFLY,
-    )
+    step = jax.jit(jax.vmap(lambda *one: navigator.step(*one, params=params, config=config)))
     places, waypoints = np.zeros((lanes, 2)), [set() for _ in range(lanes)]
     for cycle in range(80):
         looks = [see(place, 0.0) for place in places]

@@ -22,6 +22,12 @@ from jaxlangnav.relations import (
     to_map,
     viewer_frame,
 )
+from jaxlangnav.relations.density import (
+    SIDE_CONCENTRATION,
+    anywhere,
+    law_of,
+    log_density_in_frame,
+)
 
 ALL = range(len(RELATIONS))
 VIEWER, LANDMARK = (1.0, -2.0), (4.0, 2.0)
@@ -95,6 +101,25 @@ def test_sampler_matches_the_density(relation: int) -> None:
         assert abs(((turn >= low) & (turn < high)).mean() - share) < 5 * error + 2e-5, (low, high)
     # Distance and direction are independent.
     assert abs(np.corrcoef(log_r, turn)[0, 1]) < 5 / np.sqrt(number)
+
+
+@pytest.mark.parametrize(("is_side", "is_order"), [(True, False), (False, True), (False, False)])
+def test_a_side_says_where_but_not_how_far(is_side: bool, is_order: bool) -> None:
+    """Over all directions it is 1 / A on average, at any range; what is neither stays as it was."""
+    law = law_of(prepare(default_params()), jnp.int32(LEFT))
+    found = anywhere(law, jnp.asarray(is_side), jnp.asarray(is_order), jnp.log(jnp.float32(50.0)))
+    if not (is_side or is_order):
+        jax.tree.map(np.testing.assert_array_equal, found, law)
+        return
+    turn = np.linspace(-np.pi, np.pi, 3600, endpoint=False)
+    for metres in (0.5, 9.0):
+        value = log_density_in_frame(found, metres * jnp.cos(turn), metres * jnp.sin(turn))
+        density = np.exp(np.asarray(value, float))
+        assert density.mean() == pytest.approx(1 / 50.0, rel=1e-3)
+        # Left of the way is where it is likeliest; an order alone says nothing of the side.
+        ratio = density[np.argmin(np.abs(turn - np.pi / 2))] / density.min()
+        expected = np.exp(2 * SIDE_CONCENTRATION) if is_side else 1.0
+        assert ratio == pytest.approx(expected, rel=1e-2)
 
 
 def bits_gained(relation: int, radius: float = 8.75) -> float:

@@ -23,7 +23,8 @@ TRUE = {
     NEAR: {"median": 3.0, "spread": 0.5, "axis": 0.0, "concentration": 0.0},
 }
 SHARES = {BEHIND: (0.6, 0.25, 0.15), LEFT: (0.2, 0.7, 0.1), NEAR: (1.0, 0.0, 0.0)}
-NUMBER = 1500
+NUMBER, FEW = 1500, 300
+"""Pairs of a word, and of all words of a small fit: a fit of as many pairs compiles nothing."""
 
 
 def direction(pose: np.ndarray, landmark: np.ndarray, own: np.ndarray) -> np.ndarray:
@@ -108,7 +109,7 @@ def test_standard_errors_are_those_of_repetition() -> None:
     """Pulls (found − true) / error of 30 repetitions have a deviation of one."""
     truth, pulls = true_params(), []
     for seed in range(30):
-        fit = fitting.fit_relations(synthesise(100 + seed, (BEHIND,), 250)[0])
+        fit = fitting.fit_relations(synthesise(100 + seed, (BEHIND,), FEW)[0])
         for name in ("log_distance", "log_distance_sd", "axis", "concentration"):
             gap = getattr(fit.params, name)[BEHIND] - getattr(truth, name)[BEHIND]
             pulls.append(float(gap / getattr(fit.standard_error, name)[BEHIND]))
@@ -174,19 +175,19 @@ def test_gradient_equals_finite_differences() -> None:
 
 
 def test_words_without_pairs_keep_their_parameters() -> None:
-    pairs, _ = synthesise(1, (BEHIND,), 200)
+    pairs, _ = synthesise(1, (BEHIND,), FEW)
     fit = fitting.fit_relations(pairs)
     for name in ("log_distance", "log_distance_sd", "axis", "concentration"):
         before, after = getattr(default_params(), name), getattr(fit.params, name)
         np.testing.assert_allclose(after[FRONT], before[FRONT], atol=2e-3, rtol=1e-3)
         assert float(getattr(fit.standard_error, name)[FRONT]) == 0.0
-    assert fit.num_pairs.tolist() == [0, 200, 0, 0, 0, 0]
+    assert fit.num_pairs.tolist() == [0, FEW, 0, 0, 0, 0]
     assert [row["relation"] for row in fitting.describe(fit)] == [RELATIONS[BEHIND]]
 
 
 def test_order_and_repetition_of_the_pairs_do_not_matter() -> None:
-    pairs, _ = synthesise(2, (BEHIND, LEFT), 150)
-    order = np.random.default_rng(0).permutation(300)
+    pairs, _ = synthesise(2, (BEHIND, LEFT), FEW // 2)
+    order = np.random.default_rng(0).permutation(FEW)
     shuffled = jax.tree.map(lambda leaf: leaf[order], pairs)
     one, other = fitting.fit_relations(pairs), fitting.fit_relations(shuffled)
     for left, right in zip(jax.tree.leaves(one.params), jax.tree.leaves(other.params), strict=True):
@@ -240,7 +241,7 @@ def test_bad_pairs_are_refused(changes: dict, message: str) -> None:
 
 def test_a_fit_changes_what_the_filter_believes() -> None:
     """A cone is seen, "the hydrant behind the cone" is not: where is it sought?"""
-    pairs, _ = synthesise(4, (BEHIND,), 400)
+    pairs, _ = synthesise(4, (BEHIND,), FEW)
     fit = fitting.fit_relations(pairs)
     sentence = by_hand.readings([[by_hand.HYDRANT, by_hand.CONE]], [[(0, BEHIND, 1, False)]])
     belief = by_hand.begin((0.0, 0.0, 0.0), area=(0.0, 30.0, -15.0, 15.0))

@@ -44,9 +44,7 @@ def lanes():
     return keys, by_hand.stack(beliefs), by_hand.stack(SENTENCES), jnp.asarray(asked)
 
 
-@functools.partial(
-    jax.jit, static_argnames=("is_sparse", "params_axis"), compiler_options=by_hand.BRIEFLY
-)
+@functools.partial(jax.jit, static_argnames=("is_sparse", "params_axis"))
 def ground_lanes(keys, beliefs, sentences, asked, params, *, is_sparse, params_axis=None):
     def one(key, belief, sentence, is_asked, numbers):
         return ground_words(

@@ -70,6 +70,7 @@ def test_words_evidence_equals_enumeration(name: str, objects: list) -> None:
     assert found == pytest.approx(np.log(total.sum()), abs=3e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["behind", "near", "nearest"])
 def test_words_evidence_gradient_is_exact_in_a_small_area(name: str) -> None:
     """Where samples would cross cells and edges (finding F13), the grid does not."""
@@ -139,6 +140,7 @@ def map_value_and_slope(values, tangent, observations):
     return jax.jvp(value, (values,), (tangent,))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "step"), [("noise", 2e-3), ("detection_probability", 5e-3), ("odometry_noise", 2e-3)]
 )
@@ -154,6 +156,7 @@ def test_map_evidence_gradient_equals_finite_differences(name: str, step: float)
     assert abs(difference - slope) < error, (difference, slope, error)
 
 
+@pytest.mark.slow
 def test_map_evidence_has_its_maximum_at_the_true_sensor() -> None:
     """The slope at the truth, over 24 drives, is within 4 standard errors of zero."""
     truth = jnp.array([0.15, 0.9, 0.02])

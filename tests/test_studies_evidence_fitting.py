@@ -122,6 +122,7 @@ def scores(episodes: WordsEvidence, law) -> jax.Array:
     return jax.lax.map(slope, episodes, batch_size=16)
 
 
+@pytest.mark.slow
 def test_the_evidence_has_its_maximum_at_the_truth() -> None:
     """The score of a likelihood has mean zero at the truth: 1000 episodes, 4 standard errors."""
     episodes = explored_worlds(1, 1000)
@@ -133,6 +134,7 @@ def test_the_evidence_has_its_maximum_at_the_truth() -> None:
     assert blind.mean() < -10 * blind.std(ddof=1) / np.sqrt(len(blind))
 
 
+@pytest.mark.slow
 def test_nothing_is_learned_where_nothing_was_seen() -> None:
     one = jax.tree.map(lambda leaf: leaf[0], explored_worlds(0, 1))
     blank = replace(
@@ -145,6 +147,7 @@ def test_nothing_is_learned_where_nothing_was_seen() -> None:
     assert float(fit_and_slope(true_relations(), in_vain)[0]) < 0.0
 
 
+@pytest.mark.slow
 def test_groups_of_a_setting_sum_to_their_episodes() -> None:
     """Three viewers, of 3, 1 and 2 episodes: values and slopes as one episode at a time."""
     episodes = explored_worlds(3, 6)
@@ -172,6 +175,7 @@ def values_of(fit: EpisodeFit) -> np.ndarray:
     return np.array([float(getattr(fit.params, name)[BEHIND]) for name in FIELDS])
 
 
+@pytest.mark.slow
 def test_relation_is_recovered_from_episodes() -> None:
     fit = fit_to_episodes(
         explored_worlds(0), BEHIND, default_params(), params=params(), num_iterations=12

@@ -52,6 +52,7 @@ def test_log_density_of_places_equals_dense_algebra() -> None:
     assert float(found) == pytest.approx(expected, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_joint_form_knows_the_places_better_under_odometry_noise() -> None:
     """Paired: the interval of the difference lies above zero, and the errors are smaller."""
     found = compare_forms(episodes=64, seed=0, odometry_noise=0.1)
@@ -62,12 +63,14 @@ def test_joint_form_knows_the_places_better_under_odometry_noise() -> None:
     assert np.isfinite(np.asarray(found.scores.nll)[:, :, -1]).all()
 
 
+@pytest.mark.slow
 def test_without_odometry_noise_there_is_little_to_gain() -> None:
     noisy = compare_forms(episodes=64, seed=0, odometry_noise=0.1)
     exact = compare_forms(episodes=64, seed=0, odometry_noise=1e-4)
     assert abs(exact.nll_difference) < 0.1 * noisy.nll_difference
 
 
+@pytest.mark.slow
 def test_drives_are_twice_round_and_repeat_by_seed() -> None:
     sensor = replace(default_sensor(), detection_probability=jnp.float32(1.0))
     one = compare_forms(episodes=2, seed=4, sensor=sensor)

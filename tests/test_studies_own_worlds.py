@@ -52,6 +52,7 @@ def landmark_of(worlds: Scenario, kind: int) -> np.ndarray:
     return np.stack([worlds.object_x[rows, slot], worlds.object_y[rows, slot]], axis=1)
 
 
+@pytest.mark.slow
 def test_behind_follows_the_density_of_the_relation() -> None:
     sentence = by_hand.readings([[HYDRANT, CONE]], [[(0, BEHIND, 1, False)]])
     worlds = draw(sentence, WIDE, misleading=0.0)
@@ -73,6 +74,7 @@ def test_behind_follows_the_density_of_the_relation() -> None:
     assert abs(np.sin(turn).mean()) < 5 * np.sin(turn).std() / np.sqrt(NUMBER)
 
 
+@pytest.mark.slow
 def test_objects_stand_inside_and_bystanders_are_poisson() -> None:
     sentence = by_hand.readings([[HYDRANT, CONE]], [[(0, BEHIND, 1, False)]])
     worlds = draw(sentence, concentration=0.5)
@@ -90,6 +92,7 @@ def test_objects_stand_inside_and_bystanders_are_poisson() -> None:
     np.testing.assert_array_equal(worlds.object_x[rows, worlds.goal_index], worlds.goal[:, 0])
 
 
+@pytest.mark.slow
 def test_a_misleading_relation_says_nothing() -> None:
     sentence = by_hand.readings([[HYDRANT, CONE]], [[(0, BEHIND, 1, False)]])
     worlds = draw(sentence, misleading=1.0)
@@ -100,6 +103,7 @@ def test_a_misleading_relation_says_nothing() -> None:
     assert abs(np.corrcoef(worlds.goal[:, 1], cone[:, 1])[0, 1]) < 5 / np.sqrt(NUMBER)
 
 
+@pytest.mark.slow
 def test_nearest_has_hardly_a_nearer_rival() -> None:
     sentence = by_hand.readings([[HYDRANT, CONE]], [[(0, NEAR, 1, True)]])
     worlds = draw(sentence, concentration=2.0, misleading=0.0)
@@ -115,6 +119,7 @@ def test_nearest_has_hardly_a_nearer_rival() -> None:
     assert (excess > 0.0).any()
 
 
+@pytest.mark.slow
 def test_relation_to_the_robot_and_a_chain() -> None:
     sentence = by_hand.readings(
         [[HYDRANT, CONE, ROBOT]], [[(0, BEHIND, 1, False), (1, LEFT, 2, False)]]

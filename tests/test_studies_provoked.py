@@ -45,6 +45,7 @@ def provoked() -> dict[int, ProvokedResult]:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", range(len(FAULTS)), ids=FAULTS)
 def test_episodes_go_on_or_end_with_a_reason(
     provoked: dict[int, ProvokedResult], fault: int
@@ -62,6 +63,7 @@ def test_episodes_go_on_or_end_with_a_reason(
         assert found.result.is_success.mean() >= 0.8
 
 
+@pytest.mark.slow
 def test_what_is_provoked_is_counted_when_it_happens(provoked: dict[int, ProvokedResult]) -> None:
     counts = {fault: provoked[fault].statuses for fault in provoked}
     assert (counts[UNPROVOKED] == 0).all()
@@ -81,6 +83,7 @@ def test_what_is_provoked_is_counted_when_it_happens(provoked: dict[int, Provoke
     assert provoked[OVERFLOW].result.overflow[running].min() > 0
 
 
+@pytest.mark.slow
 def test_sums_in_the_results_are_those_of_the_cycles(provoked: dict[int, ProvokedResult]) -> None:
     for found in provoked.values():
         np.testing.assert_array_equal((found.statuses & 1).sum(1), found.result.degenerate)

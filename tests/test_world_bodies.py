@@ -4,8 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from readings import BRIEFLY
-from test_navigator_step import STEP, WORLD
+from test_navigator_step import WORLD
 from test_world_motion import KEY, action, motion, robot
 
 from jaxlangnav import agent, episode
@@ -85,9 +84,8 @@ def place(things: list[tuple[int, float, float]], **more) -> Scenario:
     )
 
 
-def test_a_robot_on_two_wheels_follows_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_robot_on_two_wheels_follows_a_sentence() -> None:
     """The belief knows nothing of the body; it turns no faster than it can, and arrives."""
-    monkeypatch.setattr(agent, "_step", STEP)
     driver = agent.Navigator.pretrained()
     scene, body, sensor = place(WORLD), wheels(0.8), default_sensor()
     world = simulator.reset(scene)
@@ -120,10 +118,7 @@ def test_an_episode_among_walls_on_two_wheels() -> None:
         map=MapConfig(num_particles=32, num_objects=4, num_cells=24),
         planner=PlannerConfig(policy="informed", num_visited=8),
     )
-    cycle = jax.jit(
-        lambda one: episode.cycle(one, params=default_params(), config=config),
-        compiler_options=BRIEFLY,
-    )
+    cycle = jax.jit(lambda one: episode.cycle(one, params=default_params(), config=config))
     one = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], instruction)
     arrived, ways = 0, []
     for seed in range(6):
