@@ -17,34 +17,34 @@ import numpy as np
 from jaxlangnav.grounding.graph import FactorGraph, build
 from jaxlangnav.grounding.model import CorrespondenceModel
 from jaxlangnav.grounding.search import BEAM_WIDTH
-from jaxlangnav.grounding.space import KIND, BlockSpace, SymbolSpace, World, in_blocks
+from jaxlangnav.grounding.space import KIND, AnyWorld, BlockSpace, SymbolSpace, in_blocks
 from jaxlangnav.grounding.weighed import PhraseBelief, WeighedTree, weigh_phrases
 from jaxlangnav.language.phrase import Phrase, Word
 
 __all__ = [
     "KIND",
     "CorrespondenceGraph",
-    "Grounding",
     "Labelled",
     "PhraseBelief",
+    "SymbolSet",
     "SymbolSpace",
     "read_tree",
 ]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Labelled(Generic[World]):
+class Labelled(Generic[AnyWorld]):
     """A tree in a world, with the symbols that each phrase expresses."""
 
     root: Phrase
-    world: World
+    world: AnyWorld
     expressed: Sequence[frozenset[Any]]  # per phrase of ``root.walk()``, children before parents
     ranks: Sequence[int] = ()  # that they give, 0 for none; only where the space has ranks
     clause: int = 0  # which of its sentence
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Grounding:
+class SymbolSet:
     """What a sentence may mean."""
 
     symbols: tuple[Any, ...]  # expressed at the root, as the space has them: names, by default
@@ -52,10 +52,10 @@ class Grounding:
 
 
 @dataclasses.dataclass(frozen=True)
-class CorrespondenceGraph(Generic[World]):
+class CorrespondenceGraph(Generic[AnyWorld]):
     """A symbol space with a trained model."""
 
-    space: SymbolSpace[World] | BlockSpace[World]
+    space: SymbolSpace[AnyWorld] | BlockSpace[AnyWorld]
     model: CorrespondenceModel
 
     @property
@@ -76,8 +76,8 @@ class CorrespondenceGraph(Generic[World]):
         ]
 
     def ground(
-        self, root: Phrase, world: World, width: int = BEAM_WIDTH, clause: int = 0
-    ) -> list[Grounding]:
+        self, root: Phrase, world: AnyWorld, width: int = BEAM_WIDTH, clause: int = 0
+    ) -> list[SymbolSet]:
         """Infer what a sentence means in a world.
 
         Args:
@@ -91,25 +91,25 @@ class CorrespondenceGraph(Generic[World]):
         """
         symbols = in_blocks(self.space).symbols_in(world)
         return [
-            Grounding(
+            SymbolSet(
                 symbols=symbols.members(one.expressed),
                 probability=float(np.exp(one.log_probability)),
             )
             for one in self.weigh(root, world, clause).search(width)
         ]
 
-    def beliefs(self, root: Phrase, world: World) -> list[PhraseBelief]:
+    def beliefs(self, root: Phrase, world: AnyWorld) -> list[PhraseBelief]:
         """Compute for every phrase how probable each symbol is, parents first.
 
         Each phrase is given what its children express in the likeliest reading.
         """
         return self.weigh(root, world).beliefs()
 
-    def factor_graph(self, root: Phrase, world: World) -> FactorGraph:
+    def factor_graph(self, root: Phrase, world: AnyWorld) -> FactorGraph:
         """Construct the factor graph of a sentence in a world."""
         return build([root], in_blocks(self.space).symbols_in(world))
 
-    def accuracy(self, labelled: Sequence[Labelled[World]]) -> float:
+    def accuracy(self, labelled: Sequence[Labelled[AnyWorld]]) -> float:
         """Compute the share of trees whose likeliest set at the root is exactly the gold one."""
         right = [
             frozenset(self.ground(one.root, one.world, clause=one.clause)[0].symbols)
@@ -118,7 +118,7 @@ class CorrespondenceGraph(Generic[World]):
         ]
         return float(np.mean(right))
 
-    def weigh(self, root: Phrase, world: World, clause: int = 0) -> WeighedTree:
+    def weigh(self, root: Phrase, world: AnyWorld, clause: int = 0) -> WeighedTree:
         """Let the words of a clause meet the weights; see ``weigh_phrases``."""
         space = in_blocks(self.space)
         phrases = weigh_phrases(space, self.model.coefficients, root, world, clause)

@@ -34,7 +34,7 @@ from jaxlangnav.language.phrase import Phrase
 
 def _annotation_table(
     space: AnnotationSpace, senses: Senses, groundings: Sequence[np.ndarray]
-) -> af.Table:
+) -> af.PropertyTable:
     """Describe every annotation symbol of a phrase, given bool[S] of each child, f32[S, F]."""
     child = af.child_sets(space, groundings)
     expressed = np.zeros(space.size, bool)
@@ -132,8 +132,8 @@ def _behavior_tables(
             "mode": bf.mode_properties(senses),
         }
     return {
-        "object": bf.object_properties(world, senses, child),
-        "region": bf.region_properties(world, senses, child),
+        "object": bf.placed_object_properties(world, senses, child),
+        "region": bf.placed_region_properties(world, senses, child),
     }
 
 

@@ -18,7 +18,7 @@ from jaxlangnav.language.phrase import Phrase
 
 KIND, RANK = "symbol", "rank"
 """Names of blocks of weights: of symbols that are all of one kind, and of ranks."""
-World = TypeVar("World")
+AnyWorld = TypeVar("AnyWorld")
 World_contra = TypeVar("World_contra", contravariant=True)
 
 
@@ -93,21 +93,21 @@ class BlockSpace(Protocol[World_contra]):
 
 
 @dataclasses.dataclass(frozen=True)
-class _OneBlock(Generic[World]):
+class _OneBlock(Generic[AnyWorld]):
     """A space whose symbols are all of one kind."""
 
-    space: SymbolSpace[World]
+    space: SymbolSpace[AnyWorld]
 
     @property
     def columns(self) -> Mapping[str, Sequence[str]]:
         """The names of its properties."""
         return {KIND: self.space.property_names}
 
-    def symbols_in(self, world: World) -> Symbols:
+    def symbols_in(self, world: AnyWorld) -> Symbols:
         """List its symbols by name."""
         return NamedSymbols(self.space.symbols(world))
 
-    def describe(self, phrase: Phrase, path: Path, world: World) -> Described:
+    def describe(self, phrase: Phrase, path: Path, world: AnyWorld) -> Described:
         """Put all of its symbols into one block."""
 
         def given(children: Sequence[np.ndarray]) -> Mapping[str, Block]:
@@ -116,6 +116,6 @@ class _OneBlock(Generic[World]):
         return Described(given)
 
 
-def in_blocks(space: SymbolSpace[World] | BlockSpace[World]) -> BlockSpace[World]:
+def in_blocks(space: SymbolSpace[AnyWorld] | BlockSpace[AnyWorld]) -> BlockSpace[AnyWorld]:
     """Take any space as one in blocks."""
     return space if isinstance(space, BlockSpace) else _OneBlock(space)

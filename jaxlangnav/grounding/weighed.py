@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxlangnav.grounding.graph import Path, bottom_up
 from jaxlangnav.grounding.search import BEAM_WIDTH, Hypothesis, search
-from jaxlangnav.grounding.space import RANK, BlockSpace, Described, World
+from jaxlangnav.grounding.space import RANK, AnyWorld, BlockSpace, Described
 from jaxlangnav.language.phrase import Phrase
 
 
@@ -38,10 +38,10 @@ class WeighedPhrase(NamedTuple):
 
 
 def weigh_phrases(
-    space: BlockSpace[World],
+    space: BlockSpace[AnyWorld],
     coefficients: Callable[[Phrase], Mapping[str, np.ndarray]],
     root: Phrase,
-    world: World,
+    world: AnyWorld,
     clause: int,
 ) -> dict[Path, WeighedPhrase]:
     """Let the words of a tree meet the weights: once, not at every combination below.

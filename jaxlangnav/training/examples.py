@@ -14,7 +14,7 @@ from jaxlangnav.grounding import behavior_features as bf
 from jaxlangnav.grounding.correspondence import Labelled
 from jaxlangnav.grounding.graph import Path, bottom_up
 from jaxlangnav.grounding.properties import Annotations, Behaviors
-from jaxlangnav.grounding.space import RANK, BlockSpace, World
+from jaxlangnav.grounding.space import RANK, AnyWorld, BlockSpace
 from jaxlangnav.grounding.symbols import Annotation, BehaviorSymbol, Symbols
 from jaxlangnav.language.phrase import Parse, Phrase
 
@@ -58,7 +58,7 @@ class Rows(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True)
-class Example:
+class PhraseExample:
     """One phrase with the factors of its symbols."""
 
     phrase: Phrase
@@ -67,8 +67,8 @@ class Example:
 
 
 def tree_examples(
-    space: BlockSpace[World], one: Labelled[World], instruction: int
-) -> Iterator[Example]:
+    space: BlockSpace[AnyWorld], one: Labelled[AnyWorld], instruction: int
+) -> Iterator[PhraseExample]:
     """Build the examples of one tree, given the gold groundings of child phrases.
 
     Args:
@@ -104,7 +104,7 @@ def tree_examples(
                 raise ValueError(
                     f"tree {instruction}: properties are {properties.shape}, but must be {wanted}"
                 )
-        yield Example(node.phrase, rows, instruction)
+        yield PhraseExample(node.phrase, rows, instruction)
 
 
 def _check_labels(one: Labelled, num_phrases: int, symbols: Symbols, instruction: int) -> None:
@@ -123,7 +123,7 @@ def _check_labels(one: Labelled, num_phrases: int, symbols: Symbols, instruction
 
 def annotation_examples(
     instructions: Sequence[LabelledInstruction], type_names: tuple[str, ...]
-) -> list[Example]:
+) -> list[PhraseExample]:
     """Build the examples of the annotation model.
 
     Args:
@@ -144,7 +144,7 @@ def annotation_examples(
 
 def behavior_examples(
     instructions: Sequence[LabelledInstruction], type_names: tuple[str, ...]
-) -> list[Example]:
+) -> list[PhraseExample]:
     """Build the examples of the behavior model; arguments as ``annotation_examples``.
 
     Returns:

@@ -4,14 +4,14 @@ from collections.abc import Sequence
 
 from jaxlangnav.grounding.correspondence import CorrespondenceGraph, Labelled
 from jaxlangnav.grounding.features import FEATURE_GROUPS
-from jaxlangnav.grounding.space import BlockSpace, SymbolSpace, World, in_blocks
-from jaxlangnav.training.examples import Example, tree_examples
+from jaxlangnav.grounding.space import AnyWorld, BlockSpace, SymbolSpace, in_blocks
+from jaxlangnav.training.examples import PhraseExample, tree_examples
 from jaxlangnav.training.fit import Fit, TrainingConfig, train
 
 
 def examples_of(
-    space: SymbolSpace[World] | BlockSpace[World], labelled: Sequence[Labelled[World]]
-) -> list[Example]:
+    space: SymbolSpace[AnyWorld] | BlockSpace[AnyWorld], labelled: Sequence[Labelled[AnyWorld]]
+) -> list[PhraseExample]:
     """Build training examples: of every phrase, given the gold groundings of its children.
 
     Args:
@@ -33,12 +33,12 @@ def examples_of(
 
 
 def train_graph(
-    space: SymbolSpace[World] | BlockSpace[World],
-    labelled: Sequence[Labelled[World]],
+    space: SymbolSpace[AnyWorld] | BlockSpace[AnyWorld],
+    labelled: Sequence[Labelled[AnyWorld]],
     *,
     config: TrainingConfig | None = None,
     without: frozenset[str] = frozenset(),
-) -> tuple[CorrespondenceGraph[World], Fit]:
+) -> tuple[CorrespondenceGraph[AnyWorld], Fit]:
     """Train a model on labelled trees.
 
     Args:
