@@ -24,7 +24,7 @@ from jaxlangnav.grounding.symbols import (
     AnnotationSpace,
     region_symbol,
 )
-from jaxlangnav.language.phrase import Parse, Phrase
+from jaxlangnav.language.phrase import Parse
 from jaxlangnav.messages import BETWEEN, NONE, ROBOT, relation_name
 
 RankedAnnotations = tuple[tuple[Annotation, int], ...]
@@ -126,32 +126,6 @@ def _silent(hypothesis: Hypothesis, path: Path) -> Iterator[Path]:
         yield from _silent(child, (*path, i))
 
 
-def infer_clause(
-    root: Phrase,
-    clause: int,
-    model: CorrespondenceModel,
-    type_names: tuple[str, ...],
-    width: int = BEAM_WIDTH,
-) -> Belief:
-    """Infer the distribution over annotations of one clause.
-
-    Args:
-        root: the clause.
-        clause: its position in the sentence.
-        model: annotation model.
-        type_names: object types.
-        width: beam width.
-
-    Returns:
-        Up to ``width`` sets and their probabilities (not renormalised over the beam).
-    """
-    space = Annotations(type_names)
-    tree = CorrespondenceGraph(space, model).weigh(root, None, clause)
-    between = frozenset(one.path for one in bottom_up(root, clause) if one.phrase.says("between"))
-    symbols, beam = space.symbols_in(None), tree.search(width)
-    return clause_belief(symbols, beam, clause, tree.log_ranks(), width, between)
-
-
 def clause_belief(
     space: AnnotationSpace,
     beam: Sequence[Hypothesis],
@@ -205,13 +179,15 @@ def infer_annotations(
     Returns:
         Up to ``width`` sets of annotations, best first.
     """
-    return join_clauses(
-        [
-            infer_clause(root, clause, model, type_names, width)
-            for clause, root in enumerate(parse.clauses)
-        ],
-        width,
-    )
+    space, beliefs = Annotations(type_names), []
+    graph, symbols = CorrespondenceGraph(space, model), space.symbols_in(None)
+    for clause, root in enumerate(parse.clauses):
+        tree = graph.weigh(root, None, clause)
+        nodes = bottom_up(root, clause)
+        between = frozenset(node.path for node in nodes if node.phrase.says("between"))
+        beam, rank = tree.search(width), tree.log_ranks()
+        beliefs.append(clause_belief(symbols, beam, clause, rank, width, between))
+    return join_clauses(beliefs, width)
 
 
 def join_clauses(beliefs: Sequence[Belief], width: int) -> Belief:

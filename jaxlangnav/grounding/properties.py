@@ -74,6 +74,11 @@ class Annotations:
 
     def symbols_in(self, world: None) -> AnnotationSpace:
         """List the symbols over the object types."""
+        return self._symbols
+
+    @functools.cached_property
+    def _symbols(self) -> AnnotationSpace:
+        """The same for every phrase, as they are indexed once."""
         return AnnotationSpace(len(self.type_names))
 
     def describe(self, phrase: Phrase, path: Path, world: None) -> Described:

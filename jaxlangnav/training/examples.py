@@ -116,7 +116,7 @@ def _check_labels(one: Labelled, num_phrases: int, symbols: Symbols, instruction
                 f"tree {instruction}: {len(given)} labels, but {one.root} has {num_phrases} phrases"
             )
     for expressed in one.expressed:
-        unknown = sorted(expressed - symbols.index.keys())
+        unknown = sorted(symbol for symbol in expressed if symbol not in symbols.index)
         if unknown:
             raise ValueError(f"tree {instruction}: {unknown[0]} is no symbol of its world")
 
