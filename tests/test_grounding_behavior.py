@@ -12,8 +12,9 @@ from oracles.dcg import BehaviorOracle
 
 from jaxlangnav.grounding import infer_behavior, infer_behaviors, load_shipped, understand
 from jaxlangnav.grounding.behavior_features import World
-from jaxlangnav.grounding.behavior_search import infer_behavior_sets
+from jaxlangnav.grounding.correspondence import CorrespondenceGraph
 from jaxlangnav.grounding.program import BehaviorProgram
+from jaxlangnav.grounding.properties import Behaviors
 from jaxlangnav.grounding.symbols import CONSTRAINT, GOAL, BehaviorSpace
 from jaxlangnav.grounding.worlds import place, to_device
 from jaxlangnav.language.labels import PlacedWorld
@@ -138,9 +139,8 @@ def test_kernel_agrees_with_the_host_search(model, text):
     program = program_of(text, model)
     for _ in range(4):
         world = random_topology(rng)
-        beam = infer_behavior_sets(
-            understood.parse.clauses[0], 0, world, model.behavior, understood.belief.rank, TYPES, 16
-        )
+        graph = CorrespondenceGraph(Behaviors(TYPES, understood.belief.rank), model.behavior)
+        beam = graph.weigh(understood.parse.clauses[0], world).search(16)
         goal, constraint = np.zeros((7, 9)), np.zeros((7, 9))
         for hypothesis in beam:
             chance = np.exp(hypothesis.log_probability)

@@ -1,20 +1,32 @@
-"""The correspondence graph with someone else's symbols, and trees written as text."""
+"""The correspondence graph with someone else's symbols and the engine's, and trees as text."""
+
+import dataclasses
+from types import MappingProxyType
 
 import numpy as np
 import pytest
+from grounding_fixture import TYPES, corpus
 from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.patches import Wedge
 from oracles.dcg import root_distribution
 
+from jaxlangnav.grounding import load_shipped
 from jaxlangnav.grounding.correspondence import (
     KIND,
+    CorrespondenceGraph,
     Labelled,
     read_tree,
 )
+from jaxlangnav.grounding.model import CorrespondenceModel, build_vocabulary
+from jaxlangnav.grounding.properties import Annotations, Behaviors
+from jaxlangnav.grounding.search import Hypothesis
+from jaxlangnav.grounding.space import RANK, Block, Described
+from jaxlangnav.grounding.symbols import NamedSymbols
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import Phrase, Word
 from jaxlangnav.training import train_graph
+from jaxlangnav.training.examples import annotation_examples
 from jaxlangnav.training.fit import TrainingConfig
 from jaxlangnav.training.graph import examples_of
 from jaxlangnav.viz.graph import beliefs_figure
@@ -133,6 +145,125 @@ def test_bad_corpora_are_refused():
 
     with pytest.raises(ValueError, match=r"properties are \(3, 7\), but must be \(3, 1\)"):
         examples_of(Short(), [good])
+
+
+def test_factors_of_own_symbols_are_counted(graph):
+    root = read_tree("VP[take]{PP[left of]{NP[the red one]}}")
+    sizes = {"phrases": 3, "factors": 3 * 4, "variables": 3 + 2 * 3 * 4}
+    assert graph.factor_graph(root, WORLDS[2]).count() == sizes
+
+
+# ---------------------------------------------------------------- symbols of several kinds
+
+
+COLUMNS = {"thing": ("bias", *COLOURS, "meant"), "side": ("bias", "meant"), RANK: ("bias", "is")}
+
+
+class Yard:
+    """Things and their left sides, ranks too; a noun phrase expresses things alone."""
+
+    columns = MappingProxyType(COLUMNS)
+
+    def symbols_in(self, world):
+        return NamedSymbols(
+            [f"{what} {i}" for what in ("at", "left of") for i in range(len(world))]
+        )
+
+    def describe(self, phrase, path, world):
+        own = [[colour == one for one in COLOURS] for colour in world]
+        size = len(world)
+
+        def given(children):
+            meant = np.any([child[:size] for child in children] or [np.zeros(size)], axis=0)
+            things = Block(slice(0, size), np.column_stack([np.ones(size), own, meant]))
+            if phrase.label == "NP":
+                return {"thing": things}
+            sides = Block(size + np.arange(size), np.column_stack([np.ones(size), meant]))
+            return {"thing": things, "side": sides}
+
+        said = "second" in {word.text for word in phrase.words}
+        return Described(given, np.array([[1.0, not said], [1.0, said]]))
+
+
+SECOND = read_tree("VP[go left of]{NP[the second red one]}")
+
+
+@pytest.fixture(scope="module")
+def yard():
+    """Log-odds of a few, so that nothing is certain."""
+    vocabulary = build_vocabulary(list(SECOND.walk()))
+    rng = np.random.default_rng(0)
+    weights = {
+        kind: rng.normal(size=(len(vocabulary.names), len(names))).astype(np.float32)
+        for kind, names in COLUMNS.items()
+    }
+    return CorrespondenceGraph(Yard(), CorrespondenceModel(vocabulary, weights))
+
+
+def test_symbols_of_several_kinds_are_searched_as_enumerated(yard):
+    world = ("red", "blue")
+    tree = yard.weigh(SECOND, world, clause=1)
+
+    def log_odds(phrase, path, children):
+        return tree.log_odds(phrase, path, [Hypothesis(child, 0.0) for child in children])
+
+    exact = root_distribution(SECOND, log_odds, (1,))
+    found = {one.expressed.tobytes(): one.log_probability for one in tree.search(64)}
+    assert len(found) == 16
+    for key, probability in exact.items():
+        assert found.get(key, -np.inf) == pytest.approx(np.log(probability), abs=1e-6)
+    noun = tree.log_odds(SECOND.children[0], (1, 0), ())
+    assert np.isfinite(noun).tolist() == [True, True, False, False]
+
+
+def test_ranks_are_a_choice_by_the_words_alone(yard):
+    (noun,) = SECOND.children
+    chance = yard.weigh(SECOND, WORLDS[0]).log_ranks()[(0, 0)]
+    coefficients = yard.model.coefficients(noun)[RANK]
+    scores = np.exp([0.0, coefficients[0], coefficients.sum()])
+    np.testing.assert_allclose(np.exp(chance), scores / scores.sum(), rtol=1e-6)
+    beliefs = {one.path: one.rank for one in yard.beliefs(SECOND, WORLDS[0])}
+    assert beliefs[(0, 0)] == np.argmax(chance)
+
+
+def test_examples_of_several_kinds():
+    both = [frozenset({"at 0"}), frozenset({"left of 0"})]
+    one = Labelled(root=SECOND, world=("red", "blue"), expressed=both, ranks=[2, 0])
+    noun, verb = examples_of(Yard(), [one])
+    assert noun.rows["thing"].labels.tolist() == [True, False]
+    assert noun.rows[RANK].labels.tolist() == [False, True]
+    assert set(noun.rows) == {"thing", RANK}
+    assert verb.rows["side"].labels.tolist() == [True, False]
+    assert verb.rows["side"].properties.tolist() == [[1, 1], [1, 0]]
+    assert not verb.rows[RANK].labels.any()
+    with pytest.raises(ValueError, match=r"tree 0: 1 labels, but .* has 2 phrases"):
+        examples_of(Yard(), [dataclasses.replace(one, ranks=[2])])
+
+
+def test_the_engine_s_symbols_are_two_more_spaces():
+    """One graph grounds and one function labels: annotations, and behaviors in worlds."""
+    model = load_shipped()
+    sentences = ("find the second car", "go to the tree then go to the bench behind the car")
+    instructions = corpus(num_worlds=1, sentences=sentences)
+    graph = CorrespondenceGraph(Annotations(TYPES), model.annotation)
+    trees = [tree for one in instructions for tree in one.annotated()]
+    assert [tree.clause for tree in trees] == [0, 0, 1]
+    assert graph.accuracy(trees) == 1.0
+    asked = [
+        (CorrespondenceGraph(Behaviors(TYPES, one.rank), model.behavior), list(one.behaving()))
+        for one in instructions
+    ]
+    assert [behavior.accuracy(those) for behavior, those in asked] == [1.0, 1.0]
+    made = annotation_examples(instructions, TYPES)
+    for mine, own in zip(examples_of(graph.space, trees), made, strict=True):
+        assert mine.phrase == own.phrase
+        for kind in (KIND, RANK):
+            for one, other in zip(mine.rows[kind], own.rows[kind], strict=True):
+                np.testing.assert_array_equal(one, other)
+    word, seen, weight = asked[0][0].strongest(1)[0]
+    assert word in model.behavior.vocabulary.names
+    assert any(seen in names for names in asked[0][0].space.columns.values())
+    assert abs(weight) == max(np.abs(one).max() for one in model.behavior.weights.values())
 
 
 # ---------------------------------------------------------------- trees as text

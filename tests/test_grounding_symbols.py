@@ -38,7 +38,7 @@ def test_behavior_space_has_the_papers_size():
 
 
 def test_graphs_of_the_six_phrase_sentence():
-    tree = parse(SENTENCE)
+    tree = parse(SENTENCE).clauses
     annotation, behavior = build(tree, AnnotationSpace(8)), build(tree, BehaviorSpace(7))
     assert annotation.count() == {"phrases": 6, "factors": 2964, "variables": 5934}
     assert behavior.count() == {"phrases": 6, "factors": 383, "variables": 772}
@@ -47,13 +47,13 @@ def test_graphs_of_the_six_phrase_sentence():
 @pytest.mark.parametrize(("text", "phrases"), [("go to the hydrant", 3), (SENTENCE, 6)])
 @pytest.mark.parametrize("objects", [0, 1, 9])
 def test_counts_follow_the_formula(text, phrases, objects):
-    graph = build(parse(text), BehaviorSpace(objects))
+    graph = build(parse(text).clauses, BehaviorSpace(objects))
     assert graph.num_factors == (phrases - 1) * 8 * objects + 5 + 14 * objects
     assert graph.num_variables == phrases + 2 * graph.num_factors
 
 
 def test_clauses_share_no_factor():
-    tree = parse("go to the cone then go to the hydrant")
+    tree = parse("go to the cone then go to the hydrant").clauses
     graph = build(tree, AnnotationSpace(8))
     assert graph.count()["factors"] == 6 * 494
     for factor in graph.factors:

@@ -8,7 +8,8 @@ from grounding_fixture import TYPES, corpus
 
 from jaxlangnav.grounding import load_shipped
 from jaxlangnav.grounding.annotation import infer_annotations
-from jaxlangnav.grounding.behavior_search import infer_behavior_sets
+from jaxlangnav.grounding.correspondence import CorrespondenceGraph
+from jaxlangnav.grounding.properties import Behaviors
 from jaxlangnav.grounding.symbols import BehaviorSpace
 from jaxlangnav.training.scoring import (
     Models,
@@ -60,10 +61,11 @@ def alone_annotation(model, labelled, width):
 def alone_behaviors(annotation, model, labelled, width):
     """The same, a row for each world."""
     rank = infer_annotations(labelled.parse, annotation, TYPES).rank
+    graph = CorrespondenceGraph(Behaviors(TYPES, rank), model)
     for world, gold in zip(labelled.worlds, labelled.behavior, strict=True):
         space, right, confidence = BehaviorSpace(len(world.object_type)), True, 1.0
         for clause, root in enumerate(labelled.parse.clauses):
-            beam = infer_behavior_sets(root, clause, world, model, rank, TYPES, width)
+            beam = graph.weigh(root, world, clause).search(width)
             right &= bool((beam[0].expressed == space.mask(gold[(clause,)])).all())
             confidence *= np.exp(beam[0].log_probability)
         yield right, confidence

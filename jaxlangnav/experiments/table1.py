@@ -19,7 +19,7 @@ from jaxlangnav.experiments.sizes import check_count, readable_count
 from jaxlangnav.experiments.splits import draw_splits, mark_new_words
 from jaxlangnav.experiments.table import Table
 from jaxlangnav.grounding.annotation import infer_annotations
-from jaxlangnav.grounding.behavior_search import infer_behavior_sets
+from jaxlangnav.grounding.correspondence import CorrespondenceGraph
 from jaxlangnav.grounding.features import FEATURE_GROUPS
 from jaxlangnav.grounding.model import (
     ANNOTATION_KINDS,
@@ -27,6 +27,7 @@ from jaxlangnav.grounding.model import (
     CorrespondenceModel,
     Vocabulary,
 )
+from jaxlangnav.grounding.properties import Behaviors
 from jaxlangnav.grounding.search import BEAM_WIDTH
 from jaxlangnav.language.corpus import load_corpus
 from jaxlangnav.language.lexicon import load_lexicon
@@ -176,13 +177,12 @@ def _seconds(
         count += name == "annotation"
         if name == "annotation":
             continue
+        graph = CorrespondenceGraph(Behaviors(type_names, belief.rank), behavior)
         for world, gold in zip(labelled.worlds, labelled.behavior, strict=True):
             count += 1
             for clause, root in enumerate(labelled.parse.clauses):
                 if (clause,) in gold:
-                    infer_behavior_sets(
-                        root, clause, world, behavior, belief.rank, type_names, width
-                    )
+                    graph.weigh(root, world, clause).search(width)
     return (time.perf_counter() - begin) / count
 
 

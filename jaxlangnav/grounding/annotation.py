@@ -13,18 +13,18 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from jaxlangnav.grounding.annotation_features import rank_properties
-from jaxlangnav.grounding.features import senses_of
+from jaxlangnav.grounding.correspondence import CorrespondenceGraph
+from jaxlangnav.grounding.graph import Path, bottom_up
 from jaxlangnav.grounding.model import CorrespondenceModel
-from jaxlangnav.grounding.properties import Path, annotation_properties
-from jaxlangnav.grounding.search import BEAM_WIDTH, Hypothesis, LogOdds, search
+from jaxlangnav.grounding.properties import Annotations
+from jaxlangnav.grounding.search import BEAM_WIDTH, Hypothesis
 from jaxlangnav.grounding.symbols import (
     OBJECT,
     Annotation,
     AnnotationSpace,
     region_symbol,
 )
-from jaxlangnav.language.phrase import Parse, Phrase
+from jaxlangnav.language.phrase import Parse
 from jaxlangnav.messages import BETWEEN, NONE, ROBOT, relation_name
 
 RankedAnnotations = tuple[tuple[Annotation, int], ...]
@@ -83,50 +83,6 @@ def describe_annotation(
     return document | ({"rank": rank} if rank > 1 else {})
 
 
-def annotation_log_odds(
-    root: Phrase, clause: int, model: CorrespondenceModel, type_names: tuple[str, ...]
-) -> tuple[LogOdds, dict[Path, np.ndarray]]:
-    """Build the log-odds of the annotation symbols for ``search``.
-
-    Args:
-        root: the clause.
-        clause: its position in the sentence.
-        model: annotation model.
-        type_names: object types.
-
-    Returns:
-        The log-odds, and for each phrase f64[5], log-probabilities of the ranks 0 to 4.
-    """
-    space = AnnotationSpace(len(type_names))
-    prepared = {
-        path: (model.coefficients(phrase), senses_of(phrase, type_names))
-        for phrase, path in walk(root, (clause,))
-    }
-
-    def log_odds(_: Phrase, path: Path, children: Sequence[Hypothesis]) -> np.ndarray:
-        coefficients, senses = prepared[path]
-        tables = annotation_properties(space, senses, [child.expressed for child in children])
-        return (tables["symbol"] @ coefficients["symbol"]).astype(np.float64)
-
-    rank = {
-        path: log_softmax(np.append(0.0, rank_properties(senses).values @ coefficients["rank"]))
-        for path, (coefficients, senses) in prepared.items()
-    }
-    return log_odds, rank
-
-
-def log_softmax(scores: np.ndarray) -> np.ndarray:
-    """Normalise scores to log-probabilities."""
-    return scores - np.logaddexp.reduce(scores)
-
-
-def walk(phrase: Phrase, path: Path) -> Iterator[tuple[Phrase, Path]]:
-    """Yield every phrase of a clause with its path, parents first."""
-    yield phrase, path
-    for i, child in enumerate(phrase.children):
-        yield from walk(child, (*path, i))
-
-
 def _origins(hypothesis: Hypothesis, path: Path, wanted: Sequence[int]) -> Iterator[Path]:
     """Find the phrases that first express one of the symbols, by their places in the space."""
     below = False
@@ -168,31 +124,6 @@ def _silent(hypothesis: Hypothesis, path: Path) -> Iterator[Path]:
         yield path
     for i, child in enumerate(hypothesis.children):
         yield from _silent(child, (*path, i))
-
-
-def infer_clause(
-    root: Phrase,
-    clause: int,
-    model: CorrespondenceModel,
-    type_names: tuple[str, ...],
-    width: int = BEAM_WIDTH,
-) -> Belief:
-    """Infer the distribution over annotations of one clause.
-
-    Args:
-        root: the clause.
-        clause: its position in the sentence.
-        model: annotation model.
-        type_names: object types.
-        width: beam width.
-
-    Returns:
-        Up to ``width`` sets and their probabilities (not renormalised over the beam).
-    """
-    log_odds, rank = annotation_log_odds(root, clause, model, type_names)
-    beam = search(root, log_odds, width=width, path=(clause,))
-    between = frozenset(path for one, path in walk(root, (clause,)) if one.says("between"))
-    return clause_belief(AnnotationSpace(len(type_names)), beam, clause, rank, width, between)
 
 
 def clause_belief(
@@ -248,13 +179,15 @@ def infer_annotations(
     Returns:
         Up to ``width`` sets of annotations, best first.
     """
-    return join_clauses(
-        [
-            infer_clause(root, clause, model, type_names, width)
-            for clause, root in enumerate(parse.clauses)
-        ],
-        width,
-    )
+    space, beliefs = Annotations(type_names), []
+    graph, symbols = CorrespondenceGraph(space, model), space.symbols_in(None)
+    for clause, root in enumerate(parse.clauses):
+        tree = graph.weigh(root, None, clause)
+        nodes = bottom_up(root, clause)
+        between = frozenset(node.path for node in nodes if node.phrase.says("between"))
+        beam, rank = tree.search(width), tree.log_ranks()
+        beliefs.append(clause_belief(symbols, beam, clause, rank, width, between))
+    return join_clauses(beliefs, width)
 
 
 def join_clauses(beliefs: Sequence[Belief], width: int) -> Belief:

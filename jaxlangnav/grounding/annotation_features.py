@@ -1,7 +1,7 @@
 """Properties of annotation symbols: the grounding side of the bilinear score (section 3.1)."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -37,7 +37,7 @@ class ChildSets:
     has_children: bool
 
 
-def child_sets(space: AnnotationSpace, groundings: list[np.ndarray]) -> ChildSets:
+def child_sets(space: AnnotationSpace, groundings: Sequence[np.ndarray]) -> ChildSets:
     """Join the groundings of the child phrases.
 
     The head of a phrase that expresses relations is the figure that is no landmark of another

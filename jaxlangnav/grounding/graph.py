@@ -6,12 +6,13 @@ factors, S groundings, S correspondences and itself: 2 S + 1 random variables.
 """
 
 import dataclasses
+from collections.abc import Sequence
 
-from jaxlangnav.grounding.symbols import AnnotationSpace, BehaviorSpace
-from jaxlangnav.language.phrase import Parse, Phrase
+from jaxlangnav.grounding.symbols import VERB_LABELS, Symbols
+from jaxlangnav.language.phrase import Phrase
 
-VERB_LABELS = ("VP", "S")
-"""Labels of phrases that ground to actions, modes, goals and constraints."""
+Path = tuple[int, ...]
+"""Clause index, then child indices from the root of the clause."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -19,7 +20,7 @@ class Node:
     """A phrase in the graph."""
 
     phrase: Phrase
-    path: tuple[int, ...]  # clause, then child indices from its root
+    path: Path
     children: tuple[int, ...]  # indices of earlier nodes
 
     @property
@@ -76,7 +77,7 @@ def bottom_up(root: Phrase, clause: int = 0) -> tuple[Node, ...]:
     """
     nodes: list[Node] = []
 
-    def visit(phrase: Phrase, path: tuple[int, ...]) -> int:
+    def visit(phrase: Phrase, path: Path) -> int:
         children = tuple(visit(child, (*path, i)) for i, child in enumerate(phrase.children))
         nodes.append(Node(phrase, path, children))
         return len(nodes) - 1
@@ -85,21 +86,12 @@ def bottom_up(root: Phrase, clause: int = 0) -> tuple[Node, ...]:
     return tuple(nodes)
 
 
-def _symbols(node: Node, space: AnnotationSpace | BehaviorSpace) -> range:
-    """Which symbols of the space a phrase may express."""
-    if isinstance(space, AnnotationSpace):
-        return range(space.size)
-    if node.is_verb:
-        return range(space.num_noun, space.size)
-    return range(space.num_noun)
-
-
-def build(parse: Parse, space: AnnotationSpace | BehaviorSpace) -> FactorGraph:
+def build(clauses: Sequence[Phrase], symbols: Symbols) -> FactorGraph:
     """Construct the factor graph of a sentence.
 
     Args:
-        parse: the sentence; its clauses share no factor.
-        space: annotation or behavior symbols.
+        clauses: roots of the sentence; its clauses share no factor.
+        symbols: what its phrases may express.
 
     Returns:
         The graph; the six-phrase sentence of the paper has 2,964 factors and 5,934 variables
@@ -107,12 +99,13 @@ def build(parse: Parse, space: AnnotationSpace | BehaviorSpace) -> FactorGraph:
     """
     nodes: list[Node] = []
     factors: list[Factor] = []
-    for clause, root in enumerate(parse.clauses):
+    for clause, root in enumerate(clauses):
         offset = len(nodes)
         for node in bottom_up(root, clause):
             children = tuple(offset + child for child in node.children)
             nodes.append(Node(node.phrase, node.path, children))
             factors.extend(
-                Factor(len(nodes) - 1, symbol, children) for symbol in _symbols(node, space)
+                Factor(len(nodes) - 1, symbol, children)
+                for symbol in symbols.expressible(node.phrase)
             )
     return FactorGraph(tuple(nodes), tuple(factors))

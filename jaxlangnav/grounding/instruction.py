@@ -12,9 +12,9 @@ import jax
 import numpy as np
 from jax import Array
 
-from jaxlangnav.grounding.annotation import Belief, describe_annotation, infer_annotations, walk
+from jaxlangnav.grounding.annotation import Belief, describe_annotation, infer_annotations
 from jaxlangnav.grounding.binding import Detector, UnknownObjectError, bind
-from jaxlangnav.grounding.graph import build
+from jaxlangnav.grounding.graph import bottom_up, build
 from jaxlangnav.grounding.model import CorrespondenceModel
 from jaxlangnav.grounding.program import BehaviorProgram, compile_clause, empty_program, to_program
 from jaxlangnav.grounding.readings import to_readings
@@ -144,8 +144,8 @@ class Understanding:
         Returns:
             Sizes by model.
         """
-        annotation = build(self.parse, AnnotationSpace(len(self.names))).count()
-        behavior = build(self.parse, BehaviorSpace(num_objects)).count()
+        annotation = build(self.parse.clauses, AnnotationSpace(len(self.names))).count()
+        behavior = build(self.parse.clauses, BehaviorSpace(num_objects)).count()
         return {"annotation": annotation, "behavior": {**behavior, "objects": num_objects}}
 
 
@@ -179,10 +179,10 @@ def _check_nouns(tree: Parse, belief: Belief, type_names: tuple[str, ...]) -> No
     """Refuse a sentence about something unknown, rather than drop what it says of it."""
     unknown = set(tree.unknown_words)
     for clause, root in enumerate(tree.clauses):
-        for phrase, path in walk(root, (clause,)):
-            if phrase.label != "NP" or path not in belief.silent:
+        for node in sorted(bottom_up(root, clause), key=lambda node: node.path):
+            if node.phrase.label != "NP" or node.path not in belief.silent:
                 continue
-            for word in phrase.words:
+            for word in node.phrase.words:
                 if word.tag.startswith("NN") and (word.text, word.position) in unknown:
                     raise UnknownObjectError(
                         f"'{word.text[:30]}' (word {word.position}): not an object I know; "

@@ -1,8 +1,10 @@
-"""What is seen of every symbol that a phrase may express, given what its children do (eq. 4).
+"""The engine's two symbol spaces: what is seen of annotations and of behaviors (eq. 4).
 
-The device form of the behavior part is ``behavior_odds``, with the words contracted in before.
+Both are spaces of the correspondence graph as anyone's (``space``). The device form of the behavior
+part is ``behavior_odds``, with the words contracted in before.
 """
 
+import dataclasses
 import functools
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
@@ -13,27 +15,27 @@ from jaxlangnav.grounding import annotation_features as af
 from jaxlangnav.grounding import behavior_features as bf
 from jaxlangnav.grounding.behavior_properties import PROPERTY_NAMES
 from jaxlangnav.grounding.features import RESTRICTORS, Senses, senses_of
+from jaxlangnav.grounding.graph import Path
+from jaxlangnav.grounding.model import ANNOTATION_KINDS, BEHAVIOR_KINDS
+from jaxlangnav.grounding.space import KIND, RANK, Block, Described
 from jaxlangnav.grounding.symbols import (
-    ACTION,
     CONSTRAINT,
     GOAL,
-    MODE,
+    KINDS,
     NUM_REGIONS,
     OBJECT,
     REGION,
+    VERB_LABELS,
     AnnotationSpace,
     BehaviorSpace,
 )
 from jaxlangnav.language.phrase import Phrase
 
-Path = tuple[int, ...]
-"""Clause index, then child indices from the root of the clause."""
 
-
-def _annotation_tables(
-    space: AnnotationSpace, senses: Senses, groundings: list[np.ndarray]
-) -> dict[str, af.PropertyTable]:
-    """Describe every annotation symbol of a phrase; arguments as ``annotation_properties``."""
+def _annotation_table(
+    space: AnnotationSpace, senses: Senses, groundings: Sequence[np.ndarray]
+) -> af.PropertyTable:
+    """Describe every annotation symbol of a phrase, given bool[S] of each child, f32[S, F]."""
     child = af.child_sets(space, groundings)
     expressed = np.zeros(space.size, bool)
     for grounding in groundings:
@@ -43,25 +45,7 @@ def _annotation_tables(
         "region": af.region_properties(space, senses, child),
         "relation": af.relation_properties(space, senses, child),
     }
-    shared = af.shared_properties(senses, expressed, len(groundings))
-    return {"symbol": af.join_kinds(tables, shared), "rank": af.rank_properties(senses)}
-
-
-def annotation_properties(
-    space: AnnotationSpace, senses: Senses, groundings: list[np.ndarray]
-) -> dict[str, np.ndarray]:
-    """Describe every annotation symbol of a phrase.
-
-    Args:
-        space: annotation symbols.
-        senses: of the phrase's words.
-        groundings: bool[S] of each child phrase.
-
-    Returns:
-        "symbol" → f32[S, F], and "rank" → f32[4, F].
-    """
-    tables = _annotation_tables(space, senses, groundings)
-    return {kind: table.values for kind, table in tables.items()}
+    return af.join_kinds(tables, af.shared_properties(senses, expressed, len(groundings)))
 
 
 @functools.cache
@@ -72,22 +56,54 @@ def property_names() -> Mapping[str, tuple[str, ...]]:
         Kind, of either model, → F names.
     """
     nothing = Senses(*[frozenset()] * 5, is_robot=False)
-    tables = _annotation_tables(AnnotationSpace(1), nothing, [])
-    own = {kind: table.names for kind, table in tables.items()}
+    table = _annotation_table(AnnotationSpace(1), nothing, [])
+    own = {KIND: table.names, RANK: af.rank_properties(nothing).names}
     return MappingProxyType(own | PROPERTY_NAMES)
 
 
-def child_groundings(
+@dataclasses.dataclass(frozen=True)
+class Annotations:
+    """The annotation symbols as a space; there is no world yet."""
+
+    type_names: tuple[str, ...]  # object types in the order of their indices
+
+    @property
+    def columns(self) -> Mapping[str, Sequence[str]]:
+        """Names of the properties of symbols and ranks."""
+        return {kind: property_names()[kind] for kind in ANNOTATION_KINDS}
+
+    def symbols_in(self, world: None) -> AnnotationSpace:
+        """List the symbols over the object types."""
+        return self._symbols
+
+    @functools.cached_property
+    def _symbols(self) -> AnnotationSpace:
+        """The same for every phrase, as they are indexed once."""
+        return AnnotationSpace(len(self.type_names))
+
+    def describe(self, phrase: Phrase, path: Path, world: None) -> Described:
+        """Describe the symbols of a phrase, and the ranks that its words may give a region."""
+        space, senses = self.symbols_in(world), senses_of(phrase, self.type_names)
+
+        def given(children: Sequence[np.ndarray]) -> Mapping[str, Block]:
+            return {KIND: Block(slice(None), _annotation_table(space, senses, children).values)}
+
+        return Described(given, af.rank_properties(senses).values)
+
+
+def _child_groundings(
     world: bf.World,
     space: BehaviorSpace,
-    children: Sequence[tuple[Phrase, np.ndarray, np.ndarray]],
+    below: Sequence[tuple[Phrase, np.ndarray]],
+    children: Sequence[np.ndarray],
 ) -> bf.ChildGroundings:
     """Join what the child phrases express in a world.
 
     Args:
         world: the world.
         space: its symbols.
-        children: (phrase, bool[S] expressed, i[7] rank meant for each relation) each.
+        below: (phrase, i[7] rank meant for each relation) of each child.
+        children: bool[S] that each expresses.
 
     Returns:
         Their groundings, as the properties need them.
@@ -98,7 +114,7 @@ def child_groundings(
     constraints = np.zeros((NUM_REGIONS, num_objects), bool)
     lies = world.is_object.copy()
     is_restricted = False
-    for phrase, expressed, rank in children:
+    for (phrase, rank), expressed in zip(below, children, strict=True):
         places = space.part(expressed, REGION) | space.part(expressed, GOAL)
         objects |= space.part(expressed, OBJECT)
         regions |= places
@@ -109,20 +125,10 @@ def child_groundings(
     return bf.ChildGroundings(objects, regions, constraints, lies, is_restricted, bool(children))
 
 
-def behavior_properties(
+def _behavior_tables(
     world: bf.World, is_verb: bool, senses: Senses, child: bf.ChildGroundings
 ) -> dict[str, np.ndarray]:
-    """Describe every behavior symbol of a phrase.
-
-    Args:
-        world: the world.
-        is_verb: whether the phrase grounds to actions, modes, goals and constraints.
-        senses: of the phrase's words.
-        child: groundings of its children.
-
-    Returns:
-        Kind → f32[symbols of the kind, F].
-    """
+    """Describe every behavior symbol of a phrase: kind → f32[symbols of the kind, F]."""
     if is_verb:
         return {
             "goal": bf.goal_properties(world, senses, child),
@@ -136,15 +142,46 @@ def behavior_properties(
     }
 
 
-KIND_OF = {
-    "object": OBJECT,
-    "region": REGION,
-    "goal": GOAL,
-    "constraint": CONSTRAINT,
-    "action": ACTION,
-    "mode": MODE,
-}
-"""Names of the weight blocks of the behavior model → kinds of symbol."""
+def _block(world: bf.World, space: BehaviorSpace, kind: str, table: np.ndarray) -> Block:
+    """Say where the symbols of a kind stand; those of empty object slots are left out."""
+    begin, end = space.span(KINDS.index(kind))
+    if kind in ("action", "mode") or world.is_object.all():
+        return Block(slice(begin, end), table)
+    real = np.flatnonzero(np.resize(world.is_object, end - begin))
+    return Block(begin + real, table[real])
+
+
+@dataclasses.dataclass(frozen=True)
+class Behaviors:
+    """The behavior symbols of placed objects as a space."""
+
+    type_names: tuple[str, ...]  # object types in the order of their indices
+    rank: Mapping[Path, int]  # that each phrase gives its region: 0, 1 nearest, 2 second, ...
+
+    @property
+    def columns(self) -> Mapping[str, Sequence[str]]:
+        """Names of the properties of every kind of symbol."""
+        return {kind: property_names()[kind] for kind in BEHAVIOR_KINDS}
+
+    def symbols_in(self, world: bf.World) -> BehaviorSpace:
+        """List the symbols of the objects of a world, the robot last."""
+        return BehaviorSpace(world.object_type.shape[0])
+
+    def describe(self, phrase: Phrase, path: Path, world: bf.World) -> Described:
+        """Describe the symbols of a phrase."""
+        space, senses = self.symbols_in(world), senses_of(phrase, self.type_names)
+        below = [
+            (child, ranks_meant(child, (*path, i), self.rank, self.type_names))
+            for i, child in enumerate(phrase.children)
+        ]
+
+        def given(children: Sequence[np.ndarray]) -> Mapping[str, Block]:
+            joined = _child_groundings(world, space, below, children)
+            is_verb = phrase.label in VERB_LABELS
+            tables = _behavior_tables(world, is_verb, senses, joined)
+            return {kind: _block(world, space, kind, one) for kind, one in tables.items()}
+
+        return Described(given)
 
 
 def ranks_meant(

@@ -10,18 +10,64 @@ A set of symbols is a boolean vector over a space: one correspondence variable p
 """
 
 import dataclasses
-from collections.abc import Iterable
+import itertools
+from collections.abc import Hashable, Iterable, Sequence
 from functools import cached_property
-from typing import NamedTuple
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
+from jaxlangnav.language.phrase import Phrase
 from jaxlangnav.messages import ACTIONS, MODES, NONE, REGIONS, RELATIONS, ROBOT
 
 OBJECT, REGION, RELATION, ACTION, MODE, GOAL, CONSTRAINT = range(7)
 KINDS = ("object", "region", "relation", "action", "mode", "goal", "constraint")
 NUM_RELATIONS = len(RELATIONS)
 NUM_REGIONS = len(REGIONS)
+VERB_LABELS = ("VP", "S")
+"""Labels of phrases that ground to actions, modes, goals and constraints."""
+Symbol = TypeVar("Symbol", bound=Hashable)
+
+
+class Symbols(Generic[Symbol]):
+    """Symbols in the order of their correspondence variables, all different."""
+
+    @cached_property
+    def symbols(self) -> Sequence[Symbol]:
+        """Every symbol in that order."""
+        raise NotImplementedError
+
+    @property
+    def size(self) -> int:
+        """S, how many symbols there are."""
+        return len(self.symbols)
+
+    @cached_property
+    def index(self) -> dict[Symbol, int]:
+        """Where each symbol stands."""
+        return {symbol: i for i, symbol in enumerate(self.symbols)}
+
+    def expressible(self, phrase: Phrase) -> range:
+        """Find which symbols a phrase may express: each has a factor there."""
+        return range(self.size)
+
+    def mask(self, symbols: Iterable[Symbol]) -> np.ndarray:
+        """Turn symbols into a set over the space.
+
+        Args:
+            symbols: members; each must belong to the space.
+
+        Returns:
+            bool[S].
+        """
+        expressed = np.zeros(self.size, bool)
+        for symbol in symbols:
+            expressed[self.index[symbol]] = True
+        return expressed
+
+    def members(self, expressed: np.ndarray) -> tuple[Symbol, ...]:
+        """List the symbols of a set, in the order of the space."""
+        return tuple(itertools.compress(self.symbols, expressed))
 
 
 class Annotation(NamedTuple):
@@ -57,7 +103,19 @@ def relation_symbol(figure: int, relation: int, landmark: int) -> Annotation:
 
 
 @dataclasses.dataclass(frozen=True)
-class AnnotationSpace:
+class NamedSymbols(Symbols[str]):
+    """Anyone's symbols, by their names."""
+
+    names: Sequence[str]
+
+    @cached_property
+    def symbols(self) -> Sequence[str]:
+        """The names."""
+        return self.names
+
+
+@dataclasses.dataclass(frozen=True)
+class AnnotationSpace(Symbols[Annotation]):
     """All annotation symbols over ``num_types`` object types, objects first, relations last."""
 
     num_types: int
@@ -88,29 +146,6 @@ class AnnotationSpace:
             *(relation_symbol(f, r, m) for f in range(self.num_types) for r, m in regions),
         )
 
-    @cached_property
-    def index(self) -> dict[Annotation, int]:
-        """Where each symbol stands."""
-        return {symbol: i for i, symbol in enumerate(self.symbols)}
-
-    def mask(self, symbols: Iterable[Annotation]) -> np.ndarray:
-        """Turn symbols into a set over the space.
-
-        Args:
-            symbols: members; each must belong to the space.
-
-        Returns:
-            bool[S].
-        """
-        expressed = np.zeros(self.size, bool)
-        for symbol in symbols:
-            expressed[self.index[symbol]] = True
-        return expressed
-
-    def members(self, expressed: np.ndarray) -> tuple[Annotation, ...]:
-        """List the symbols of a set, in the order of the space."""
-        return tuple(self.symbols[i] for i in np.flatnonzero(expressed))
-
     def parts(self, expressed: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """View a set as objects bool[T], regions bool[6, L] and relations bool[T, 6, L]."""
         first, second = self.num_types, self.num_types + self.num_regions
@@ -123,7 +158,7 @@ class AnnotationSpace:
 
 
 @dataclasses.dataclass(frozen=True)
-class BehaviorSpace:
+class BehaviorSpace(Symbols[BehaviorSymbol]):
     """All behavior symbols of a world of ``num_objects`` object slots.
 
     Objects and regions come first (those of noun and preposition phrases), then actions, modes,
@@ -165,17 +200,10 @@ class BehaviorSpace:
             *(BehaviorSymbol(CONSTRAINT, r, i) for r, i in places),
         )
 
-    @cached_property
-    def index(self) -> dict[BehaviorSymbol, int]:
-        """Where each symbol stands."""
-        return {symbol: i for i, symbol in enumerate(self.symbols)}
-
-    def mask(self, symbols: Iterable[BehaviorSymbol]) -> np.ndarray:
-        """Turn symbols into a set over the space, bool[S]."""
-        expressed = np.zeros(self.size, bool)
-        for symbol in symbols:
-            expressed[self.index[symbol]] = True
-        return expressed
+    def expressible(self, phrase: Phrase) -> range:
+        """Find which symbols a phrase may express: those of verb phrases, or of others."""
+        is_verb = phrase.label in VERB_LABELS
+        return range(self.num_noun, self.size) if is_verb else range(self.num_noun)
 
     def part(self, expressed: np.ndarray, kind: int) -> np.ndarray:
         """View one kind of symbol of a set.

@@ -72,7 +72,7 @@ class Design:
 
 _ROWS = 1 << 16
 """Rows that are hashed at a time."""
-_MANY = 64
+MANY = 64
 """Symbols of a phrase from which on equal ones are joined at once."""
 
 
@@ -195,7 +195,7 @@ def flatten(
 
 def _distinct(rows: Rows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Join equal factors of one phrase where there are many: properties, labels, how often."""
-    if len(rows.labels) < _MANY:
+    if len(rows.labels) < MANY:
         return rows.properties, rows.labels, np.ones(len(rows.labels))
     first, which = identify(rows.properties)
     pair, times = np.unique(2 * which + rows.labels, return_counts=True)

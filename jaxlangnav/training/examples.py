@@ -5,29 +5,18 @@ paper is one factor, (phrase, symbol); one of ours is a phrase with the factors 
 """
 
 import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from jaxlangnav.grounding import behavior_features as bf
-from jaxlangnav.grounding.features import senses_of
-from jaxlangnav.grounding.graph import Node, bottom_up
-from jaxlangnav.grounding.properties import (
-    KIND_OF,
-    Path,
-    annotation_properties,
-    behavior_properties,
-    child_groundings,
-    ranks_meant,
-)
-from jaxlangnav.grounding.symbols import (
-    Annotation,
-    AnnotationSpace,
-    BehaviorSpace,
-    BehaviorSymbol,
-)
+from jaxlangnav.grounding.correspondence import Labelled
+from jaxlangnav.grounding.graph import Path, bottom_up
+from jaxlangnav.grounding.properties import Annotations, Behaviors
+from jaxlangnav.grounding.space import RANK, AnyWorld, BlockSpace
+from jaxlangnav.grounding.symbols import Annotation, BehaviorSymbol, Symbols
 from jaxlangnav.language.phrase import Parse, Phrase
-from jaxlangnav.relations.table import NUM_RANKS
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,9 +29,28 @@ class LabelledInstruction:
     worlds: tuple[bf.World, ...] = ()
     behavior: tuple[Mapping[Path, frozenset[BehaviorSymbol]], ...] = ()  # one per world
 
+    def annotated(self) -> Iterator[Labelled[None]]:
+        """Yield the trees of its clauses with their annotations."""
+        for clause, root in enumerate(self.parse.clauses):
+            paths = [node.path for node in bottom_up(root, clause)]
+            yield Labelled(
+                root=root,
+                world=None,
+                expressed=[self.annotation[path] for path in paths],
+                ranks=[self.rank.get(path, 0) for path in paths],
+                clause=clause,
+            )
 
-@dataclasses.dataclass(frozen=True)
-class Rows:
+    def behaving(self) -> Iterator[Labelled[bf.World]]:
+        """Yield the trees of its commands in every world."""
+        for world, gold in zip(self.worlds, self.behavior, strict=True):
+            for clause, root in enumerate(self.parse.clauses):
+                if (clause,) in gold:
+                    expressed = [gold[node.path] for node in bottom_up(root, clause)]
+                    yield Labelled(root=root, world=world, expressed=expressed, clause=clause)
+
+
+class Rows(NamedTuple):
     """Factors of one kind of symbol of one phrase."""
 
     properties: np.ndarray  # f32[S, F]
@@ -58,6 +66,61 @@ class PhraseExample:
     instruction: int  # which instruction it comes from
 
 
+def tree_examples(
+    space: BlockSpace[AnyWorld], one: Labelled[AnyWorld], instruction: int
+) -> Iterator[PhraseExample]:
+    """Build the examples of one tree, given the gold groundings of child phrases.
+
+    Args:
+        space: the symbols.
+        one: the tree with its labels.
+        instruction: which instruction it belongs to.
+
+    Yields:
+        One example per phrase.
+
+    Raises:
+        ValueError: a label is no symbol of its world, or the numbers of labels or properties are
+            wrong.
+    """
+    nodes = bottom_up(one.root, one.clause)
+    symbols, columns = space.symbols_in(one.world), space.columns
+    _check_labels(one, len(nodes), symbols, instruction)
+    gold = [symbols.mask(expressed) for expressed in one.expressed]
+    for place, node in enumerate(nodes):
+        described = space.describe(node.phrase, node.path, one.world)
+        blocks = described.given([gold[child] for child in node.children])
+        rows = {
+            kind: Rows(np.asarray(block.properties, np.float32), gold[place][block.places])
+            for kind, block in blocks.items()
+        }
+        if described.ranks is not None:
+            ranks = np.arange(1, len(described.ranks) + 1)
+            own = one.ranks[place] if one.ranks else 0
+            rows[RANK] = Rows(np.asarray(described.ranks, np.float32), ranks == own)
+        for kind, (properties, labels) in rows.items():
+            wanted = len(labels), len(columns[kind])
+            if properties.shape != wanted:
+                raise ValueError(
+                    f"tree {instruction}: properties are {properties.shape}, but must be {wanted}"
+                )
+        yield PhraseExample(node.phrase, rows, instruction)
+
+
+def _check_labels(one: Labelled, num_phrases: int, symbols: Symbols, instruction: int) -> None:
+    """Refuse labels that do not fit their tree or their world."""
+    labels = [one.expressed, one.ranks] if one.ranks else [one.expressed]
+    for given in labels:
+        if len(given) != num_phrases:
+            raise ValueError(
+                f"tree {instruction}: {len(given)} labels, but {one.root} has {num_phrases} phrases"
+            )
+    for expressed in one.expressed:
+        unknown = sorted(symbol for symbol in expressed if symbol not in symbols.index)
+        if unknown:
+            raise ValueError(f"tree {instruction}: {unknown[0]} is no symbol of its world")
+
+
 def annotation_examples(
     instructions: Sequence[LabelledInstruction], type_names: tuple[str, ...]
 ) -> list[PhraseExample]:
@@ -70,39 +133,13 @@ def annotation_examples(
     Returns:
         One example per phrase.
     """
-    space = AnnotationSpace(len(type_names))
+    space = Annotations(type_names)
     return [
-        _annotation_example(index, labelled, nodes, node, space, type_names)
+        example
         for index, labelled in enumerate(instructions)
-        for nodes in _clauses(labelled.parse)
-        for node in nodes
+        for tree in labelled.annotated()
+        for example in tree_examples(space, tree, index)
     ]
-
-
-def _clauses(parse: Parse) -> Iterable[tuple[Node, ...]]:
-    """Order the phrases of each clause bottom-up."""
-    return (bottom_up(root, clause) for clause, root in enumerate(parse.clauses))
-
-
-def _annotation_example(
-    index: int,
-    labelled: LabelledInstruction,
-    nodes: tuple[Node, ...],
-    node: Node,
-    space: AnnotationSpace,
-    type_names: tuple[str, ...],
-) -> PhraseExample:
-    """Build the example of one phrase."""
-    gold = space.mask(labelled.annotation[node.path])
-    children = [space.mask(labelled.annotation[nodes[child].path]) for child in node.children]
-    senses = senses_of(node.phrase, type_names)
-    labels = {
-        "symbol": gold,
-        "rank": np.arange(1, NUM_RANKS + 1) == labelled.rank.get(node.path, 0),
-    }
-    properties = annotation_properties(space, senses, children)
-    rows = {kind: Rows(properties[kind], labels[kind]) for kind in properties}
-    return PhraseExample(node.phrase, rows, index)
 
 
 def behavior_examples(
@@ -114,47 +151,8 @@ def behavior_examples(
         One example per phrase and world; symbols of empty object slots are left out.
     """
     return [
-        _behavior_example(index, labelled, which, nodes, node, type_names)
+        example
         for index, labelled in enumerate(instructions)
-        for which in range(len(labelled.worlds))
-        for nodes in _clauses(labelled.parse)
-        if nodes[-1].path in labelled.behavior[which]
-        for node in nodes
+        for tree in labelled.behaving()
+        for example in tree_examples(Behaviors(type_names, labelled.rank), tree, index)
     ]
-
-
-def _behavior_example(
-    index: int,
-    labelled: LabelledInstruction,
-    which: int,
-    nodes: tuple[Node, ...],
-    node: Node,
-    type_names: tuple[str, ...],
-) -> PhraseExample:
-    """Build the example of one phrase in one world."""
-    world, gold = labelled.worlds[which], labelled.behavior[which]
-    space = BehaviorSpace(world.object_type.shape[0])
-
-    children = [
-        (
-            nodes[i].phrase,
-            space.mask(gold[nodes[i].path]),
-            ranks_meant(nodes[i].phrase, nodes[i].path, labelled.rank, type_names),
-        )
-        for i in node.children
-    ]
-    properties = behavior_properties(
-        world,
-        node.is_verb,
-        senses_of(node.phrase, type_names),
-        child_groundings(world, space, children),
-    )
-    expressed = space.mask(gold[node.path])
-    rows = {}
-    for kind, table in properties.items():
-        labels = space.part(expressed, KIND_OF[kind])
-        real = np.ones(labels.shape, bool)
-        if kind not in ("action", "mode"):
-            real = np.broadcast_to(world.is_object, labels.shape)
-        rows[kind] = Rows(table[real.ravel()], labels[real])
-    return PhraseExample(node.phrase, rows, index)

@@ -1,23 +1,16 @@
 """Training of a correspondence graph with anyone's symbols (section 3.1, eq. 4)."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
-import numpy as np
-
-from jaxlangnav.grounding.correspondence import (
-    KIND,
-    AnyWorld,
-    CorrespondenceGraph,
-    Labelled,
-    SymbolSpace,
-)
+from jaxlangnav.grounding.correspondence import CorrespondenceGraph, Labelled
 from jaxlangnav.grounding.features import FEATURE_GROUPS
-from jaxlangnav.training.examples import PhraseExample, Rows
+from jaxlangnav.grounding.space import AnyWorld, BlockSpace, SymbolSpace, in_blocks
+from jaxlangnav.training.examples import PhraseExample, tree_examples
 from jaxlangnav.training.fit import Fit, TrainingConfig, train
 
 
 def examples_of(
-    space: SymbolSpace[AnyWorld], labelled: Sequence[Labelled[AnyWorld]]
+    space: SymbolSpace[AnyWorld] | BlockSpace[AnyWorld], labelled: Sequence[Labelled[AnyWorld]]
 ) -> list[PhraseExample]:
     """Build training examples: of every phrase, given the gold groundings of its children.
 
@@ -33,37 +26,14 @@ def examples_of(
             wrong; the message says in which tree.
     """
     return [
-        example for index, one in enumerate(labelled) for example in _examples(space, one, index)
+        example
+        for index, one in enumerate(labelled)
+        for example in tree_examples(in_blocks(space), one, index)
     ]
 
 
-def _examples(
-    space: SymbolSpace[AnyWorld], one: Labelled[AnyWorld], index: int
-) -> Iterator[PhraseExample]:
-    """Build the examples of one tree."""
-    phrases = list(one.root.walk())
-    if len(phrases) != len(one.expressed):
-        raise ValueError(
-            f"tree {index}: {len(one.expressed)} labels, but {one.root} has {len(phrases)} phrases"
-        )
-    names = list(space.symbols(one.world))
-    stack: list[np.ndarray] = []
-    for phrase, expressed in zip(phrases, one.expressed, strict=True):
-        unknown = sorted(expressed - set(names))
-        if unknown:
-            raise ValueError(f"tree {index}: {unknown[0]} is no symbol of its world")
-        label = np.array([name in expressed for name in names])
-        first = len(stack) - len(phrase.children)
-        seen = np.asarray(space.properties(phrase, stack[first:], one.world), np.float32)
-        wanted = len(names), len(space.property_names)
-        if seen.shape != wanted:
-            raise ValueError(f"tree {index}: properties are {seen.shape}, but must be {wanted}")
-        yield PhraseExample(phrase, {KIND: Rows(seen, label)}, index)
-        stack[first:] = [label]
-
-
 def train_graph(
-    space: SymbolSpace[AnyWorld],
+    space: SymbolSpace[AnyWorld] | BlockSpace[AnyWorld],
     labelled: Sequence[Labelled[AnyWorld]],
     *,
     config: TrainingConfig | None = None,
@@ -88,5 +58,6 @@ def train_graph(
     if without - set(FEATURE_GROUPS):
         raise ValueError(f"groups of features are {', '.join(FEATURE_GROUPS)}, not {set(without)}")
     examples = examples_of(space, labelled)
-    model, measured = train(examples, (KIND,), len(labelled), config=config, without=without)
+    kinds = tuple(in_blocks(space).columns)
+    model, measured = train(examples, kinds, len(labelled), config=config, without=without)
     return CorrespondenceGraph(space, model), measured

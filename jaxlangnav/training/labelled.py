@@ -2,8 +2,7 @@
 
 from collections.abc import Sequence
 
-from jaxlangnav.grounding.graph import bottom_up
-from jaxlangnav.grounding.properties import Path
+from jaxlangnav.grounding.graph import Path, bottom_up
 from jaxlangnav.grounding.symbols import (
     KINDS,
     OBJECT,

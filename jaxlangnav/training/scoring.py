@@ -5,41 +5,21 @@ searched by all models that have not seen it together (``search_many``).
 """
 
 import dataclasses
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import chex
 import numpy as np
 
-from jaxlangnav.grounding.annotation import (
-    Belief,
-    clause_belief,
-    join_clauses,
-    log_softmax,
-    walk,
-)
-from jaxlangnav.grounding.annotation_features import rank_properties
-from jaxlangnav.grounding.behavior_features import World
-from jaxlangnav.grounding.features import senses_of
-from jaxlangnav.grounding.graph import VERB_LABELS
+from jaxlangnav.grounding.annotation import Belief, clause_belief, join_clauses
+from jaxlangnav.grounding.graph import Path
 from jaxlangnav.grounding.model import CorrespondenceModel, Vocabulary
-from jaxlangnav.grounding.properties import (
-    KIND_OF,
-    Path,
-    annotation_properties,
-    behavior_properties,
-    child_groundings,
-    ranks_meant,
-)
-from jaxlangnav.grounding.symbols import (
-    ACTION,
-    MODE,
-    Annotation,
-    AnnotationSpace,
-    BehaviorSpace,
-)
+from jaxlangnav.grounding.properties import Annotations, Behaviors
+from jaxlangnav.grounding.space import RANK
+from jaxlangnav.grounding.symbols import Annotation
+from jaxlangnav.grounding.weighed import WeighedPhrase, log_softmax, weigh_phrases
 from jaxlangnav.language.phrase import Phrase
-from jaxlangnav.training.blocks import identify
+from jaxlangnav.training.blocks import MANY, identify
 from jaxlangnav.training.examples import LabelledInstruction
 from jaxlangnav.training.search_many import (
     Beams,
@@ -135,84 +115,41 @@ def _compare(belief: Belief, gold: frozenset[Annotation]) -> tuple[bool, float, 
     return best == gold, chance[best], log_gold
 
 
-def _ranks(
-    root: Phrase, clause: int, models: Models, type_names: tuple[str, ...]
-) -> list[dict[Path, np.ndarray]]:
+def _ranks(phrases: dict[Path, WeighedPhrase], num_models: int) -> list[dict[Path, np.ndarray]]:
     """Compute the log-probabilities of the ranks of every phrase by each model, f64[5] each."""
-    found: list[dict[Path, np.ndarray]] = [{} for _ in models.temperature]
-    for phrase, path in walk(root, (clause,)):
-        properties = rank_properties(senses_of(phrase, type_names)).values
-        odds = models.coefficients(phrase)["rank"] @ properties.T
+    found: list[dict[Path, np.ndarray]] = [{} for _ in range(num_models)]
+    for path, (coefficients, described) in phrases.items():
+        assert described.ranks is not None
+        odds = coefficients[RANK] @ described.ranks.T
         for own, row in zip(found, odds, strict=True):
             own[path] = log_softmax(np.append(0.0, row))
     return found
 
 
-def _annotation_odds(
-    root: Phrase, clause: int, models: Models, type_names: tuple[str, ...]
-) -> ManyLogOdds:
-    """Build the log-odds of the annotation symbols; what is seen of them is kept for all models."""
-    space, tables = AnnotationSpace(len(type_names)), {}
-    prepared = {
-        path: (models.coefficients(phrase)["symbol"], senses_of(phrase, type_names))
-        for phrase, path in walk(root, (clause,))
-    }
+def _many_log_odds(size: int, phrases: dict[Path, WeighedPhrase]) -> ManyLogOdds:
+    """Build the log-odds of S symbols; what is seen of them is kept for all models."""
+    tables = {}
 
     def log_odds(_: Phrase, path: Path, children: Children, which: np.ndarray) -> np.ndarray:
-        coefficients, senses = prepared[path]
+        coefficients, described = phrases[path]
         key = path, *(child.tobytes() for child in children)
         if key not in tables:
-            table = annotation_properties(space, senses, list(children))["symbol"]
-            first, alike = identify(table)
-            tables[key] = table[first], alike
-        distinct, alike = tables[key]
-        return (coefficients[which] @ distinct.T).astype(np.float64)[:, alike]
-
-    return log_odds
-
-
-def _behavior_odds(
-    root: Phrase,
-    clause: int,
-    world: World,
-    models: Models,
-    rank: Mapping[Path, int],
-    type_names: tuple[str, ...],
-) -> ManyLogOdds:
-    """Build the log-odds of the behavior symbols; ranks are those of all of the models."""
-    space, tables = BehaviorSpace(world.object_type.shape[0]), {}
-    prepared = {
-        path: (
-            models.coefficients(phrase),
-            senses_of(phrase, type_names),
-            ranks_meant(phrase, path, rank, type_names),
-        )
-        for phrase, path in walk(root, (clause,))
-    }
-
-    def describe(phrase: Phrase, path: Path, children: Children) -> dict[str, np.ndarray]:
-        below = [
-            (phrase.children[i], expressed, prepared[(*path, i)][2])
-            for i, expressed in enumerate(children)
-        ]
-        is_verb = phrase.label in VERB_LABELS
-        joined = child_groundings(world, space, below)
-        return behavior_properties(world, is_verb, prepared[path][1], joined)
-
-    def log_odds(phrase: Phrase, path: Path, children: Children, which: np.ndarray) -> np.ndarray:
-        key = path, *(child.tobytes() for child in children)
-        if key not in tables:
-            tables[key] = describe(phrase, path, children)
-        odds = np.full((len(which), space.size), -np.inf)
-        for kind, table in tables[key].items():
-            values = space.part(odds, KIND_OF[kind])
-            found = (prepared[path][0][kind][which] @ table.T).reshape(values.shape)
-            if KIND_OF[kind] not in (ACTION, MODE):
-                found = np.where(world.is_object, found, -np.inf)
-            values[...] = found
+            blocks = described.given(children).items()
+            tables[key] = [(kind, one.places, *_alike(one.properties)) for kind, one in blocks]
+        odds = np.full((len(which), size), -np.inf)
+        for kind, places, distinct, alike in tables[key]:
+            odds[:, places] = (coefficients[kind][which] @ distinct.T)[:, alike]
         return odds
 
     return log_odds
+
+
+def _alike(properties: np.ndarray) -> tuple[np.ndarray, slice | np.ndarray]:
+    """Join equal symbols where there are many: f32[D, F] distinct ones, and which each is."""
+    if len(properties) < MANY:
+        return properties, slice(None)
+    first, which = identify(properties)
+    return properties[first], which
 
 
 def _kept(
@@ -302,12 +239,14 @@ def _count_sentence(
     type_names: tuple[str, ...],
 ) -> None:
     """Compare what models i[M] infer of one sentence with its gold annotations."""
-    space, gold = AnnotationSpace(len(type_names)), gold_annotations(labelled)
+    annotations, gold = Annotations(type_names), gold_annotations(labelled)
+    space = annotations.symbols_in(None)
     everyone, searched, ranks = np.arange(len(which)), [], []
     for clause, root in enumerate(labelled.parse.clauses):
-        odds = _annotation_odds(root, clause, models, type_names)
+        phrases = weigh_phrases(annotations, models.coefficients, root, None, clause)
+        odds = _many_log_odds(space.size, phrases)
         searched.append(_kept(root, clause, odds, len(which)))
-        ranks.append(_ranks(root, clause, models, type_names))
+        ranks.append(_ranks(phrases, len(which)))
     for width, rows in tally.rows.items():
         beams = [beams_of(width, everyone) for beams_of in searched]
         for place, model in enumerate(which):
@@ -331,8 +270,10 @@ def _by_rank(
     """Group models by the ranks they infer: i[M] models, and rank by phrase."""
     groups: dict[tuple, list[int]] = {}
     ranks: list[dict[Path, int]] = [{} for _ in annotation.temperature]
+    space = Annotations(type_names)
     for clause, root in enumerate(labelled.parse.clauses):
-        for own, chances in zip(ranks, _ranks(root, clause, annotation, type_names), strict=True):
+        phrases = weigh_phrases(space, annotation.coefficients, root, None, clause)
+        for own, chances in zip(ranks, _ranks(phrases, len(ranks)), strict=True):
             own |= {path: int(np.argmax(chance)) for path, chance in chances.items()}
     for model, own in enumerate(ranks):
         groups.setdefault(tuple(own.items()), []).append(model)
@@ -374,15 +315,15 @@ def score_behaviors(
         which = np.flatnonzero(tested)
         groups = _by_rank(labelled, annotation.take(which), type_names) if len(which) else ()
         for group, rank in groups:
-            own = behavior.take(which[group])
+            own, space = behavior.take(which[group]), Behaviors(type_names, rank)
             for world, gold in zip(labelled.worlds, labelled.behavior, strict=True):
-                space = BehaviorSpace(world.object_type.shape[0])
-                clauses = []
+                symbols, clauses = space.symbols_in(world), []
                 for clause, root in enumerate(labelled.parse.clauses):
                     if (clause,) in gold:
-                        odds = _behavior_odds(root, clause, world, own, rank, type_names)
+                        phrases = weigh_phrases(space, own.coefficients, root, world, clause)
+                        odds = _many_log_odds(symbols.size, phrases)
                         beams_of = _kept(root, clause, odds, len(group))
-                        clauses.append((beams_of, space.mask(gold[(clause,)])))
+                        clauses.append((beams_of, symbols.mask(gold[(clause,)])))
                 _count_world(tally, which[group], clauses)
         on_sentence()
     return tally.results()

@@ -7,18 +7,15 @@ given what its child phrases express in the likeliest reading.
 """
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxlangnav.grounding.annotation import infer_annotations, walk
-from jaxlangnav.grounding.correspondence import PhraseBelief, beliefs_below
-from jaxlangnav.grounding.features import senses_of
+from jaxlangnav.grounding.correspondence import CorrespondenceGraph, PhraseBelief
 from jaxlangnav.grounding.instruction import GroundingModel
-from jaxlangnav.grounding.properties import annotation_properties
-from jaxlangnav.grounding.search import search
+from jaxlangnav.grounding.properties import Annotations
 from jaxlangnav.grounding.symbols import Annotation, AnnotationSpace
-from jaxlangnav.language.phrase import Parse, Phrase
+from jaxlangnav.language.phrase import Parse
 from jaxlangnav.messages import NONE, RELATIONS, ROBOT
 from jaxlangnav.viz import style
 from jaxlangnav.viz.words import RELATION_WORDS, percent
@@ -41,24 +38,9 @@ def phrase_beliefs(parse: Parse, model: GroundingModel) -> list[PhraseBelief]:
     Returns:
         Phrases of all clauses, parents first, each given its children's likeliest groundings.
     """
-    space, found = AnnotationSpace(len(model.type_names)), []
-    ranks = infer_annotations(parse, model.annotation, model.type_names).rank
-    for clause, root in enumerate(parse.clauses):
-        prepared = {
-            path: (model.annotation.coefficients(phrase), senses_of(phrase, model.type_names))
-            for phrase, path in walk(root, (clause,))
-        }
-
-        def log_odds(
-            _: Phrase, path: tuple[int, ...], children: Any, prepared: dict = prepared
-        ) -> np.ndarray:
-            coefficients, senses = prepared[path]
-            tables = annotation_properties(space, senses, [one.expressed for one in children])
-            return (tables["symbol"] @ coefficients["symbol"]).astype(np.float64)
-
-        best = search(root, log_odds, path=(clause,))[0]
-        found.extend(beliefs_below(root, (clause,), best, log_odds, ranks))
-    return found
+    graph = CorrespondenceGraph(Annotations(model.type_names), model.annotation)
+    trees = (graph.weigh(root, None, clause) for clause, root in enumerate(parse.clauses))
+    return [belief for tree in trees for belief in tree.beliefs()]
 
 
 def symbol_name(symbol: Annotation, type_names: tuple[str, ...]) -> str:
