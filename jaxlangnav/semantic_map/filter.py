@@ -26,7 +26,7 @@ from jaxlangnav.numerics.resampling import effective_sample_size, independent, s
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map import association, bystanders, motion, particle
 from jaxlangnav.semantic_map.belief import ParticleBelief, mean_drift, robot_position
-from jaxlangnav.semantic_map.counts import log_expected, log_exposure, share_unseen
+from jaxlangnav.semantic_map.counts import exposed, log_expected, log_exposure, share_unseen
 from jaxlangnav.semantic_map.coverage import area_size, log_miss_at, look, unexplored
 from jaxlangnav.semantic_map.params import MapConfig, MapParams
 from jaxlangnav.semantic_map.particle import SemanticMap
@@ -267,13 +267,16 @@ def observe(
     exposure = log_exposure(share_unseen(coverage), params=params)
     exposure = exposure - log_exposure(share_unseen(before), params=params)
     is_meant, is_lost = believed.is_meant, None
-    log_map = grounded.log_weight + log_objects - exposure * jnp.sum(particles.is_observed, axis=0)
     log_meant = exposure * jnp.sum(is_meant, axis=0)  # … of which these are no bystanders
-    if has_doubts:
+    if not has_doubts:
+        log_exposed = -exposure * jnp.sum(particles.is_observed, axis=0)
+    else:
+        log_exposed, existence = exposed(existence, exposure)
         log_kept = jnp.log(jnp.maximum(existence, 1e-9) / jnp.maximum(believed.existence, 1e-9))
         log_meant = log_meant + jnp.sum(jnp.where(is_meant, log_kept, 0.0), axis=0)
         particles, is_lost = _forget(replace(particles, existence=existence))
         belief = replace(belief, particles=particles)
+    log_map = grounded.log_weight + log_objects + log_exposed
     log_new = jnp.log(params.concentration) - jnp.log(area_size(coverage))
     return replace(belief, coverage=coverage), Weighed(
         log_map=log_map,
