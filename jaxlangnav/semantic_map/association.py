@@ -15,7 +15,7 @@ from jax import Array
 from jaxlangnav.kinds import joined, label_of
 from jaxlangnav.messages import NONE, SensorParams
 from jaxlangnav.numerics import categorical, gaussian
-from jaxlangnav.numerics.batching import column, pick
+from jaxlangnav.numerics.batching import column, lead, pick
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.counts import made_likelier
 from jaxlangnav.semantic_map.particle import SemanticMap, positions
@@ -31,7 +31,8 @@ class Detections(NamedTuple):
     object_type: Array  # i32[D] kinds
     offset_x: Array  # f32[D] metres, map axes; f32[D, 1, ...] where headings differ
     offset_y: Array  # see ``offset_x``
-    log_new: Array  # f32[D] log density of a not yet seen object there, 1/m²
+    log_new: Array  # f32[D] log density of a not yet seen object there, 1/m²; f32[D, ...] where
+    # headings differ
     is_detection: Array  # bool[D]
 
 
@@ -185,7 +186,7 @@ def _weigh(
     Args:
         kind: of the detection.
         log_existing: f32[O, ...], log N of each slot.
-        log_new: f32[], log λ m where nothing of its type is held.
+        log_new: f32[] or f32[...], log λ m where nothing of its type is held.
         so_far: of the detections before it.
         growth: see ``associate``.
         doubt: see ``associate``.
@@ -199,7 +200,7 @@ def _weigh(
     held = jnp.where(is_alike, so_far.existence, 0.0)
     log_more = (log_new + jnp.log1p(growth * jnp.sum(held, axis=0)))[None]
     is_other = ~is_alike & (so_far.object_type != NONE)
-    log_confused = log_new + doubt.log_confused
+    log_confused = lead(log_new + doubt.log_confused, log_more.ndim)
     log_held, log_any, if_held = _doubted(
         log_existing, log_more, log_confused, so_far.existence, is_other, doubt
     )
@@ -231,7 +232,7 @@ def _doubted(
     Args:
         log_existing: f32[O, ...], log N of each slot.
         log_new: f32[1, ...], log λ m.
-        log_confused: f32[], log λ₀ m k.
+        log_confused: as ``log_new``, log λ₀ m k.
         existence: f32[O, ...], r.
         is_other: bool[O, ...], slots that hold something of another type.
         doubt: of the detector.
