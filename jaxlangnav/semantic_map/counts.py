@@ -12,10 +12,11 @@ and all has been looked at, it is the one that is meant. The joint probability o
 is the product of these, one for each thing in any order, and of ((1 + κ s) / (1 + κ s'))ⁿ for each
 look that takes s to s' (what all particles have in common is left out).
 
-What was detected may not exist (``association.Doubt``): of things that exist with probabilities r
-independently of each other, n is their sum wherever it is expected, and what tells of their number
-tells of each of them (``made_likelier``, ``exposed``). They do hang together, for the number is
-what is not known; each r is what it is by itself, and by how much two go together is not kept.
+What was detected may not exist (``association.ClutterOdds``): of things that exist with
+probabilities r independently of each other, n is their sum wherever it is expected, and what tells
+of their number tells of each of them (``made_likelier``, ``exposed``). They do hang together, for
+the number is what is not known; each r is what it is by itself, and by how much two go together is
+not kept.
 
 Limits: κ → 0 leaves the fixed expectation α; r = 1 for all is as without doubt.
 """
