@@ -122,9 +122,10 @@ def associate(
         wants_new = choice == num_objects
         slot = jnp.where(wants_new, free, choice)
         entry = (slots == slot[None]) & present
-        if options.if_held is not None:
-            of_others = jnp.where(wants_new & present, options.others_if_new, existence)
-            existence = jnp.where(entry, options.if_held, of_others)
+        if options.existence is not None:
+            if_held, others_if_new = options.existence
+            of_others = jnp.where(wants_new & present, others_if_new, existence)
+            existence = jnp.where(entry, if_held, of_others)
         return Association(
             object_type=jnp.where(
                 entry, jnp.where(wants_new, z_type, joined(object_type, z_type)), object_type
@@ -169,8 +170,8 @@ class _Options(NamedTuple):
     """What one detection may be, and what exists then; None where all that is detected does."""
 
     log_weight: Array  # f32[O + 1, ...] each slot; something new last
-    if_held: Array | None = None  # f32[O, ...] r of the slot that it falls to
-    others_if_new: Array | None = None  # f32[O, ...] r of the others if it is something new
+    existence: tuple[Array, Array] | None = None  # f32[O, ...] r of the slot that it falls to, and
+    # of the others if it is something new
 
 
 def _weigh(
@@ -207,8 +208,7 @@ def _weigh(
     likelier = made_likelier(held, growth, jnp.exp(log_more - log_any)[0])
     return _Options(
         jnp.concatenate([jnp.where(may_be, log_held, -jnp.inf), log_any]),
-        if_held=if_held,
-        others_if_new=jnp.where(is_alike, likelier, so_far.existence),
+        existence=(if_held, jnp.where(is_alike, likelier, so_far.existence)),
     )
 
 

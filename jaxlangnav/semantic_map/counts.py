@@ -56,7 +56,7 @@ def log_exposure(unseen: Array, *, params: MapParams) -> Array:
     return jnp.log1p(params.clumping * (1.0 - unseen))
 
 
-def made_likelier(existence: Array, growth: Array, is_real: Array | float) -> Array:
+def made_likelier(existence: Array, growth: Array | float, is_real: Array | float) -> Array:
     """Raise the probabilities of things of a type to exist by one more of them that is detected.
 
         r_i' = r_i (1 + ρ g (1 − r_i) / (1 + g Σ_j r_j)),   g = κ / α
