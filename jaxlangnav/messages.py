@@ -168,7 +168,7 @@ class MotionParams:
         "standard deviation per axis as a share of the way (0.02: 2 %)"
     )
     heading_bias: Array = field(  # f32[]
-        "radians a metre by which the heading drifts steadily; of unknown sign to the belief",
+        "radians a metre by which the heading drifts steadily; the belief knows all but its sign",
         default_factory=_none,
     )
     heading_noise: Array = field(  # f32[]

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import readings as by_hand
 
 from jaxlangnav.experiments.calibration import (
     NUM_BINS,
@@ -13,6 +14,8 @@ from jaxlangnav.experiments.calibration import (
     Reliability,
     Tally,
     draw_unseen,
+    is_held_as,
+    is_it,
     reliability,
     run_judged,
     scores,
@@ -94,6 +97,27 @@ def test_events_go_into_the_bin_of_their_probability() -> None:
     np.testing.assert_allclose(found.probability[5], 1.13, rtol=1e-6)
     expected = 0.05**2 + 0.45**2 + 0.58**2
     np.testing.assert_allclose(found.squared_error, expected, rtol=1e-6)
+
+
+def test_one_object_at_most_is_the_goal() -> None:
+    """A false detection near the goal is not the goal, nor is anything of another type."""
+    is_event = jnp.array([True, True, False, True])
+    beside, alone, far = jnp.array(
+        [[0.1, 0.4, 0.05, 3.0], [2.0, 0.7, 0.1, 0.8], [0.8, 0.9, 0.1, 3.0]]
+    )
+    np.testing.assert_array_equal(is_it(beside, is_event), [True, False, False, False])
+    np.testing.assert_array_equal(is_it(alone, is_event), [False, True, False, False])
+    assert not is_it(far, is_event).any()
+
+
+def test_object_is_of_the_type_that_most_of_the_belief_has_it_of() -> None:
+    """One particle that took the hydrant for a new cone does not make a cone of it."""
+    belief = by_hand.with_objects(by_hand.begin(), [(by_hand.CONE, 2.0, 0.0)])
+    kinds = np.asarray(belief.particles.object_type).copy()
+    kinds[1], kinds[1, 0], kinds[2, :20] = by_hand.HYDRANT, by_hand.CONE, by_hand.HYDRANT
+    particles = replace(belief.particles, object_type=jnp.asarray(kinds))
+    is_event = is_held_as(replace(belief, particles=particles), jnp.int32(by_hand.HYDRANT))
+    np.testing.assert_array_equal(is_event[:3], [False, True, False])
 
 
 def density(**changes: Any) -> GoalDensity:

@@ -19,6 +19,7 @@ RIGHT = {
     "labels": 0.96,
     "bad_detector": 0.95,
     "drift": 0.95,
+    "steady_drift": 0.95,
     "nowhere": 0.99,
 }
 """Share of episodes that must end at the goal."""

@@ -7,7 +7,7 @@ import readings as by_hand
 
 from jaxlangnav.messages import NONE
 from jaxlangnav.pytree import replace
-from jaxlangnav.semantic_map import association, particle
+from jaxlangnav.semantic_map import association, counts, particle
 from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.terrain import OPEN
 
@@ -25,23 +25,24 @@ def sensor(**values: float):
 
 
 @jax.jit
-def look(one, kind, x, is_detection, specification):
+def look(one, kind, x, is_detection, specification, growth, exposure):
     """One look of one particle at one place: the particle, and log p(look)."""
     doubt = association.clutter_odds(specification, jnp.int32(TYPES))
     seen = association.Detections(
         kind[None], x[None], jnp.zeros(1), jnp.full(1, LOG_THING), is_detection[None]
     )
-    grounded = association.associate(one, seen, jnp.full(1, 0.5), NOISE, 0.0, doubt)
+    grounded = association.associate(one, seen, jnp.full(1, 0.5), NOISE, growth, doubt)
     after = association.condition(one, grounded, NOISE)
     log_missed, _, existence = association.log_absence(
         after, grounded.is_hit, jnp.float32(0.0), jnp.float32(0.1), specification, OPEN.view
     )
-    return replace(after, existence=existence), grounded.log_weight + log_missed
+    log_exposed, existence = counts.exposed(existence, exposure)
+    return replace(after, existence=existence), grounded.log_weight + log_missed + log_exposed
 
 
-def see(one, specification, kind: int | None, x: float = 1.0):
-    is_detection = jnp.asarray(kind is not None)
-    return look(one, jnp.int32(kind or 0), jnp.float32(x), is_detection, specification)
+def see(one, specification, kind: int | None, x: float = 1.0, *, growth=0.0, exposure: float = 0.0):
+    told = jnp.int32(kind or 0), jnp.float32(x), jnp.asarray(kind is not None)
+    return look(one, *told, specification, jnp.float32(growth), jnp.float32(exposure))
 
 
 def nothing():
@@ -74,6 +75,53 @@ def test_existence_equals_a_sum_over_what_can_have_been() -> None:
     # False detections are scattered, so what is seen twice in one place is there.
     one, _ = see(one, specification, HYDRANT)
     assert one.existence[0] == 1.0
+
+
+def enumerated(looks: list[tuple[int | None, float, float]], growth: float):
+    """Sum over which of the places where something was detected hold things of the one type.
+
+    Returns the probability density of all looks, and how probable each thing is to exist.
+    """
+    false = RATE / (np.pi * 9.0) / DETECTION
+    places = sorted({x for kind, x, _ in looks if kind is not None})
+    weights = np.zeros((2,) * len(places))
+    for there in np.ndindex(weights.shape):
+        exists, weight = dict(zip(places, there, strict=True)), 1.0
+        entered: list[float] = []
+        for kind, x, exposure in looks:
+            if kind is not None:
+                number = sum(exists[one] for one in entered)
+                weight *= np.exp(LOG_THING) * (1.0 + growth * number) if exists[x] else false
+                entered.append(x)
+            missed = sum(exists[one] for one in entered if kind is None or one != x)
+            number = sum(exists[one] for one in entered)
+            weight *= (1.0 - DETECTION) ** missed * np.exp(-exposure * number)
+        weights[there] = weight
+    total = weights.sum()
+    marginal = [np.take(weights, 1, axis).sum() / total for axis in range(len(places))]
+    return total, np.array(marginal)
+
+
+def test_what_may_not_exist_counts_by_how_probable_it_is() -> None:
+    """A false hydrant is no sign of many hydrants: against all ways in which both may be false."""
+    specification, growth = sensor(false_detections=RATE), 10.0 / 3.0
+    looks = [(HYDRANT, 1.0, 0.2), (None, 0.0, 0.4), (HYDRANT, 2.5, 0.0)]
+    one, total = nothing(), 0.0
+    for number, (kind, x, exposure) in enumerate(looks, start=1):
+        one, log_weight = see(one, specification, kind, x, growth=growth, exposure=exposure)
+        total += float(log_weight)
+        exact, existence = enumerated(looks[:number], growth)
+        np.testing.assert_allclose(np.exp(total), exact, rtol=1e-4)
+        np.testing.assert_allclose(one.existence[0], existence[0], rtol=1e-4)
+    # That the other one was missed tells a little of this one, too, which is let go: 0.54 for 0.49.
+    np.testing.assert_allclose(one.existence[1], existence[1], rtol=0.12)
+    # What is surely there is a whole sign of more.
+    sure, _ = see(nothing(), specification, HYDRANT, 1.0, growth=growth)
+    sure, _ = see(sure, specification, HYDRANT, 1.0, growth=growth)
+    sure, _ = see(sure, specification, HYDRANT, 2.5, growth=growth)
+    assert sure.existence[0] == 1.0
+    more, false = np.exp(LOG_THING) * (1.0 + growth), RATE / (np.pi * 9.0) / DETECTION
+    np.testing.assert_allclose(sure.existence[1], more / (more + false), rtol=1e-4)
 
 
 def test_mislabelled_thing_is_told_by_its_other_labels() -> None:

@@ -1,7 +1,7 @@
 """Is what the robot believes as probable as it says? Closed-loop calibration, step by step.
 
 At every decision the belief is held against the truth, which only this module may do:
-- events "this observed object is the goal", one for each object of the goal's type, with the
+- events "this observed object is the goal", one for each of the goal's type in most maps, with the
   probability the planner works with, and with that of the map (the share of particles in which the
   words refer to it): Brier score and expected calibration error (ECE);
 - the density of the goal's place, from all particles: negative log-likelihood at the true place,
@@ -44,7 +44,7 @@ NUM_BINS = 10
 EPISODES_AT_ONCE = 64
 """Episodes of one call; all wait for the slowest."""
 SAME_DISTANCE = 0.75
-"""Metres within which an observed object is the true one."""
+"""Metres within which an observed object is the true one, if none of its type is nearer."""
 STAGES = (0, 5, 10, 15, 20, 30)
 """First decision cycle of each stage that scores are kept for."""
 _JUDGING = 78
@@ -187,6 +187,32 @@ def referent_mass(progress: EpisodeState) -> Array:
     return jnp.sum(jnp.where(is_slot, jnp.exp(belief.log_weight)[None, :], 0.0), axis=1)
 
 
+def is_held_as(belief: ParticleBelief, kind: Array) -> Array:
+    """Tell which slots hold a thing of a type, i32[], in most of the belief: bool[O].
+
+    Particles that took a detection for something else may hold another thing in a slot, or the
+    same thing in another slot.
+    """
+    is_kind = belief.particles.object_type == kind
+    return jnp.sum(jnp.where(is_kind, jnp.exp(belief.log_weight), 0.0), axis=1) > 0.5
+
+
+def is_it(apart: Array, is_event: Array) -> Array:
+    """Tell which of the objects observed is the true one: one of them at most.
+
+    What a detector invents beside the goal, or what the map holds twice of it, is not the goal.
+
+    Args:
+        apart: f32[O] metres from the true one.
+        is_event: bool[O], objects that may be it.
+
+    Returns:
+        bool[O].
+    """
+    metres = jnp.where(is_event, apart, jnp.inf)
+    return (jnp.arange(metres.shape[0]) == jnp.argmin(metres)) & (metres < SAME_DISTANCE)
+
+
 def tally_step(progress: EpisodeState, info: NavigatorInfo, after: EpisodeState) -> Tally:
     """Hold the belief of one step against the truth.
 
@@ -207,10 +233,9 @@ def tally_step(progress: EpisodeState, info: NavigatorInfo, after: EpisodeState)
     below, _ = goal_region(_density(drawn, variance), true_x, true_y)
     _, log_density = goal_region(_density(goals, variance), true_x, true_y)
     # Events: observed objects of the goal's type. The robot's entry is last and no object.
-    types = jnp.max(belief.particles.object_type, axis=1)
-    is_event = goals.is_object[:-1] & (types == scenario.object_type[scenario.goal_index])
+    is_event = is_held_as(belief, scenario.object_type[scenario.goal_index])
     apart = jnp.hypot(goals.object_x[:-1] - true_x, goals.object_y[:-1] - true_y)
-    outcome = (apart < SAME_DISTANCE).astype(jnp.float32)
+    outcome = is_it(apart, is_event).astype(jnp.float32)
     decile = jnp.arange(NUM_BINS)
     one = Tally(
         steps=jnp.float32(1.0),

@@ -15,8 +15,9 @@ from jax import Array
 from jaxlangnav.kinds import joined, label_of
 from jaxlangnav.messages import NONE, SensorParams
 from jaxlangnav.numerics import categorical, gaussian
-from jaxlangnav.numerics.batching import column, pick
+from jaxlangnav.numerics.batching import column, lead, pick
 from jaxlangnav.pytree import replace
+from jaxlangnav.semantic_map.counts import made_likelier
 from jaxlangnav.semantic_map.particle import SemanticMap, positions
 from jaxlangnav.terrain.view import View, eye_of
 
@@ -30,7 +31,8 @@ class Detections(NamedTuple):
     object_type: Array  # i32[D] kinds
     offset_x: Array  # f32[D] metres, map axes; f32[D, 1, ...] where headings differ
     offset_y: Array  # see ``offset_x``
-    log_new: Array  # f32[D] log density of a not yet seen object there, 1/m²
+    log_new: Array  # f32[D] log density of a not yet seen object there, 1/m²; f32[D, ...] where
+    # headings differ
     is_detection: Array  # bool[D]
 
 
@@ -106,12 +108,7 @@ def associate(
         The grounding and its weight.
     """
     num_objects = particle.object_type.shape[0]
-    own = jnp.stack([particle.covariance[slot, slot] for slot in range(num_objects)])
-    robot = particle.covariance[num_objects]
-    spread = own + robot[num_objects:] - 2.0 * robot[:num_objects]
-    spread = jnp.maximum(spread, 0.0) + noise_variance
-    predicted_x = particle.mean_x[:num_objects] - particle.mean_x[num_objects:]
-    predicted_y = particle.mean_y[:num_objects] - particle.mean_y[num_objects:]
+    predicted_x, predicted_y, spread = _predicted(particle, noise_variance)
     slots = column(jnp.arange(num_objects), particle.object_type.ndim)
 
     def ground(so_far: Association, one: tuple[Detections, Array]) -> tuple[Association, None]:
@@ -119,22 +116,16 @@ def associate(
         (z_type, z_x, z_y, log_new, present), chance = one
         object_type, is_hit, is_new, offset_x, offset_y, log_weight, overflow, existence = so_far
         log_existing = gaussian.log_normal_isotropic(z_x - predicted_x, z_y - predicted_y, spread)
-        # Attributes decide nothing here: a detector that wavers must not make two of one thing.
-        is_alike = label_of(object_type) == label_of(z_type)
-        may_be = is_alike & ~is_hit
-        log_new = (log_new + jnp.log1p(growth * jnp.sum(is_alike, axis=0)))[None]
-        is_real = existence
-        if doubt is not None:
-            is_other = ~is_alike & (object_type != NONE)
-            log_existing, log_new, is_real = _doubted(
-                log_existing, log_new, existence, is_other, doubt
-            )
-        choices = jnp.concatenate([jnp.where(may_be, log_existing, -jnp.inf), log_new])
-        choice, log_total = categorical.draw(choices, chance)
+        options = _weigh(z_type, log_existing, log_new, so_far, growth, doubt)
+        choice, log_total = categorical.draw(options.log_weight, chance)
         free = jnp.min(jnp.where(object_type == NONE, slots, num_objects), axis=0)
         wants_new = choice == num_objects
         slot = jnp.where(wants_new, free, choice)
         entry = (slots == slot[None]) & present
+        if options.existence is not None:
+            if_held, others_if_new = options.existence
+            of_others = jnp.where(wants_new & present, others_if_new, existence)
+            existence = jnp.where(entry, if_held, of_others)
         return Association(
             object_type=jnp.where(
                 entry, jnp.where(wants_new, z_type, joined(object_type, z_type)), object_type
@@ -145,7 +136,7 @@ def associate(
             offset_y=jnp.where(entry, z_y, offset_y),
             log_weight=log_weight + jnp.where(present, log_total, 0.0),
             overflow=overflow + (present & (slot == num_objects)).astype(jnp.int32),
-            existence=existence if doubt is None else jnp.where(entry, is_real, existence),
+            existence=existence,
         ), None
 
     nobody, nowhere = jnp.zeros(predicted_x.shape, bool), jnp.zeros_like(predicted_x)
@@ -162,20 +153,86 @@ def associate(
     return jax.lax.scan(ground, before, (detections, uniform))[0]
 
 
+def _predicted(particle: SemanticMap, noise_variance: Array) -> tuple[Array, Array, Array]:
+    """Predict where things would be detected: f32[O, ...] x, y from the robot, and variance S."""
+    num_objects = particle.object_type.shape[0]
+    own = jnp.stack([particle.covariance[slot, slot] for slot in range(num_objects)])
+    robot = particle.covariance[num_objects]
+    spread = own + robot[num_objects:] - 2.0 * robot[:num_objects]
+    return (
+        particle.mean_x[:num_objects] - particle.mean_x[num_objects:],
+        particle.mean_y[:num_objects] - particle.mean_y[num_objects:],
+        jnp.maximum(spread, 0.0) + noise_variance,
+    )
+
+
+class _Options(NamedTuple):
+    """What one detection may be, and what exists then; None where all that is detected does."""
+
+    log_weight: Array  # f32[O + 1, ...] each slot; something new last
+    existence: tuple[Array, Array] | None = None  # f32[O, ...] r of the slot that it falls to, and
+    # of the others if it is something new
+
+
+def _weigh(
+    kind: Array,
+    log_existing: Array,
+    log_new: Array,
+    so_far: Association,
+    growth: Array | float,
+    doubt: ClutterOdds | None,
+) -> _Options:
+    """Weigh what a detection of a kind, i32[], may be, given how those before it are grounded.
+
+    Args:
+        kind: of the detection.
+        log_existing: f32[O, ...], log N of each slot.
+        log_new: f32[] or f32[...], log λ m where nothing of its type is held.
+        so_far: of the detections before it.
+        growth: see ``associate``.
+        doubt: see ``associate``.
+    """
+    # Attributes decide nothing here: a detector that wavers must not make two of one thing.
+    is_alike = label_of(so_far.object_type) == label_of(kind)
+    may_be = is_alike & ~so_far.is_hit
+    if doubt is None:
+        log_more = (log_new + jnp.log1p(growth * jnp.sum(is_alike, axis=0)))[None]
+        return _Options(jnp.concatenate([jnp.where(may_be, log_existing, -jnp.inf), log_more]))
+    held = jnp.where(is_alike, so_far.existence, 0.0)
+    log_more = (log_new + jnp.log1p(growth * jnp.sum(held, axis=0)))[None]
+    is_other = ~is_alike & (so_far.object_type != NONE)
+    log_confused = lead(log_new + doubt.log_confused, log_more.ndim)
+    log_held, log_any, if_held = _doubted(
+        log_existing, log_more, log_confused, so_far.existence, is_other, doubt
+    )
+    likelier = made_likelier(held, growth, jnp.exp(log_more - log_any)[0])
+    return _Options(
+        jnp.concatenate([jnp.where(may_be, log_held, -jnp.inf), log_any]),
+        existence=(if_held, jnp.where(is_alike, likelier, so_far.existence)),
+    )
+
+
 def _doubted(
-    log_existing: Array, log_new: Array, existence: Array, is_other: Array, doubt: ClutterOdds
+    log_existing: Array,
+    log_new: Array,
+    log_confused: Array,
+    existence: Array,
+    is_other: Array,
+    doubt: ClutterOdds,
 ) -> tuple[Array, Array, Array]:
     """Weigh a detection that may be false: of something that is held, and of something new.
 
-        p(z is o) ∝ (r + (1 − r) h) N,   p(z is new) ∝ λ m + c,   c = c₀ + λ m k + h Σ_other r N
+        p(z is o) ∝ (r + (1 − r) h) N,   p(z is new) ∝ λ m + c,   c = c₀ + λ₀ m k + h Σ_other r N
 
     with r the probability that o exists, c₀ the density of false detections, k the odds that a
-    label is wrong and h those of a certain wrong one. What does not exist as what it was entered as
-    is a thing of another type, mislabelled each time: so it may be detected again, but rarely.
+    label is wrong and h those of a certain wrong one; λ₀ is λ of a type of which nothing is held.
+    What does not exist as what it was entered as is a thing of another type, mislabelled each time:
+    so it may be detected again, but rarely.
 
     Args:
         log_existing: f32[O, ...], log N of each slot.
         log_new: f32[1, ...], log λ m.
+        log_confused: as ``log_new``, log λ₀ m k.
         existence: f32[O, ...], r.
         is_other: bool[O, ...], slots that hold something of another type.
         doubt: of the detector.
@@ -188,7 +245,7 @@ def _doubted(
     log_own = jnp.logaddexp(log_real, log_mislabelled)
     of_others = jnp.where(is_other, log_existing + log_real + doubt.log_as, -jnp.inf)
     of_others = jax.scipy.special.logsumexp(of_others, axis=0, keepdims=True)
-    log_false = jnp.logaddexp(doubt.log_false, log_new + doubt.log_confused)
+    log_false = jnp.logaddexp(doubt.log_false, log_confused)
     log_any = jnp.logaddexp(log_new, jnp.logaddexp(log_false, of_others))
     is_held = existence > 0.0
     is_real = jnp.where(is_held, jnp.exp(log_real - log_own), jnp.exp(log_new - log_any))

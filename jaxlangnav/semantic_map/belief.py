@@ -1,5 +1,7 @@
 """What the robot believes: weighted particles and what they share (section 3.2)."""
 
+from typing import NamedTuple
+
 import jax.numpy as jnp
 from jax import Array
 
@@ -17,7 +19,9 @@ class ParticleBelief:
 
     particles: SemanticMap  # leaves [..., P]
     log_weight: Array  # f32[P] normalised
-    coverage: Coverage  # where the robot has looked
+    coverage: Coverage  # where the robot has looked, by the drift that it goes by
+    other_miss: Array  # f32[G, G] … by a steady drift of the other sign; f32[0, 0]: a compass
+    led_sign: Array  # f32[] sign of the steady drift that the robot goes by
     terrain: Terrain  # how far one sees and walks there, as the robot takes it to be
     bystanders: Bystanders  # things of types that the task does not speak of; B may be 0
     last_pose: Array  # f32[3] dead-reckoned pose at the last observation that was believed
@@ -30,8 +34,36 @@ class ParticleBelief:
     # far, relative to a constant per detection; what new groundings of the words add is left out
 
 
+class Fix(NamedTuple):
+    """Where particles have the robot on average."""
+
+    x: Array  # f32[] metres, map frame
+    y: Array  # f32[] metres
+    drift: Array  # f32[] radians by which the true heading exceeds odometry's
+
+
+def is_led(belief: ParticleBelief) -> Array:
+    """Tell which particles drift as the robot goes by, bool[P]: all where nothing is steady."""
+    return belief.particles.drift[1] * belief.led_sign >= 0.0
+
+
+def fix(belief: ParticleBelief, is_chosen: Array) -> Fix:
+    """Compute where some particles, bool[P], have the robot; meaningless of none."""
+    weight = jnp.where(is_chosen, jnp.exp(belief.log_weight), 0.0)
+    weight = weight / jnp.maximum(jnp.sum(weight), 1e-30)
+    held = belief.particles
+    return Fix(
+        *(jnp.sum(weight * one) for one in (held.mean_x[-1], held.mean_y[-1], held.drift[0]))
+    )
+
+
 def robot_position(belief: ParticleBelief) -> tuple[Array, Array]:
-    """Compute the mean position of the robot over the particles, f32[] x and y, metres."""
+    """Compute the mean position of the robot over the particles, f32[] x and y, metres.
+
+    Of particles of either steady drift, over those of the one that the robot goes by.
+    """
+    if belief.particles.drift.shape[0]:
+        return fix(belief, is_led(belief))[:2]
     weight = jnp.exp(belief.log_weight)
     robot = belief.particles.object_type.shape[0]
     return (
@@ -44,7 +76,7 @@ def mean_drift(belief: ParticleBelief) -> Array | None:
     """Compute by how much the true heading exceeds odometry's, f32[] radians; None: a compass."""
     if belief.particles.drift.shape[0] == 0:
         return None
-    return jnp.sum(jnp.exp(belief.log_weight) * belief.particles.drift[0])
+    return fix(belief, is_led(belief)).drift
 
 
 def in_map(belief: ParticleBelief, pose: Array) -> Array:

@@ -12,7 +12,13 @@ and all has been looked at, it is the one that is meant. The joint probability o
 is the product of these, one for each thing in any order, and of ((1 + κ s) / (1 + κ s'))ⁿ for each
 look that takes s to s' (what all particles have in common is left out).
 
-Limits: κ → 0 leaves the fixed expectation α.
+What was detected may not exist (``association.ClutterOdds``): of things that exist with
+probabilities r independently of each other, n is their sum wherever it is expected, and what tells
+of their number tells of each of them (``made_likelier``, ``exposed``). They do hang together, for
+the number is what is not known; each r is what it is by itself, and by how much two go together is
+not kept.
+
+Limits: κ → 0 leaves the fixed expectation α; r = 1 for all is as without doubt.
 """
 
 import jax.numpy as jnp
@@ -48,3 +54,40 @@ def log_expected(number: Array, unseen: Array, *, params: MapParams) -> Array:
 def log_exposure(unseen: Array, *, params: MapParams) -> Array:
     """Compute log (1 + κ s) of the share s = 1 − u that has been looked at, f32[...]."""
     return jnp.log1p(params.clumping * (1.0 - unseen))
+
+
+def made_likelier(existence: Array, growth: Array | float, is_real: Array | float) -> Array:
+    """Raise the probabilities of things of a type to exist by one more of them that is detected.
+
+        r_i' = r_i (1 + ρ g (1 − r_i) / (1 + g Σ_j r_j)),   g = κ / α
+
+    Limits: no growth, nothing real (ρ = 0) and what is sure (r = 1) stay as they are.
+
+    Args:
+        existence: f32[O, ...], r; 0 of other types and in empty slots.
+        growth: f32[], g.
+        is_real: f32[...], ρ, probability that the new one is itself real.
+
+    Returns:
+        f32[O, ...].
+    """
+    gain = is_real * growth / (1.0 + growth * jnp.sum(existence, axis=0))
+    return existence * (1.0 + gain * (1.0 - existence))
+
+
+def exposed(existence: Array, log_exposure: Array) -> tuple[Array, Array]:
+    """Hold against things that may not exist that more of the area shows no more of them.
+
+        log Π_i (1 − r_i + r_i q),   r_i' = r_i q / (1 − r_i + r_i q),   q = (1 + κ s) / (1 + κ s')
+
+    Args:
+        existence: f32[O, ...], r; 0 in empty slots.
+        log_exposure: f32[], −log q ≥ 0.
+
+    Returns:
+        f32[...], log-likelihood, and f32[O, ...], r'.
+    """
+    # Over q, so that what is sure stays so to the last bit.
+    lost = jnp.log1p((1.0 - existence) * jnp.expm1(log_exposure))
+    log_likelihood = jnp.where(existence > 0.0, lost - log_exposure, 0.0)
+    return jnp.sum(log_likelihood, axis=0), existence * jnp.exp(-lost)

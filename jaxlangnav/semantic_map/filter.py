@@ -25,9 +25,10 @@ from jaxlangnav.numerics.batching import column, take
 from jaxlangnav.numerics.resampling import effective_sample_size, independent, systematic
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map import association, bystanders, motion, particle
-from jaxlangnav.semantic_map.belief import ParticleBelief, mean_drift, robot_position
-from jaxlangnav.semantic_map.counts import log_expected, log_exposure, share_unseen
-from jaxlangnav.semantic_map.coverage import area_size, log_miss_at, look, unexplored
+from jaxlangnav.semantic_map.belief import ParticleBelief, is_led, mean_drift, robot_position
+from jaxlangnav.semantic_map.counts import exposed, log_expected, log_exposure, share_unseen
+from jaxlangnav.semantic_map.coverage import area_size, unexplored
+from jaxlangnav.semantic_map.looking import go_by_the_likelier, log_missed, look_around
 from jaxlangnav.semantic_map.params import MapConfig, MapParams
 from jaxlangnav.semantic_map.particle import SemanticMap
 from jaxlangnav.semantic_map.regrounding import ground_words
@@ -35,7 +36,6 @@ from jaxlangnav.semantic_map.soundness import sound_look, sound_place
 from jaxlangnav.semantic_map.surprise import LOG_CONTRADICTION, surprise
 from jaxlangnav.sensing import MIN_NOISE
 from jaxlangnav.terrain import OPEN, Terrain
-from jaxlangnav.terrain.view import eye_of
 
 _ASKED = 16
 """Particles that ground the words at every step, whatever happens: enough to tell the mean of the
@@ -106,13 +106,15 @@ def start(
         lambda leaf: jnp.broadcast_to(leaf[..., None], (*leaf.shape, number)), one
     )
     if config.has_drift:
-        # Spread evenly over the law of the steady drift.
-        spread = batching.normal((jnp.arange(number, dtype=jnp.float32) + 0.5) / number)
-        particles = replace(particles, drift=particles.drift.at[1].set(spread))
+        sign = jnp.where(jnp.arange(number) % 2 == 0, 1.0, -1.0)
+        particles = replace(particles, drift=particles.drift.at[1].set(sign))
+    coverage = unexplored(area, config.num_cells)
     return ParticleBelief(
         particles=particles,
         log_weight=jnp.full(number, -jnp.log(float(number)), jnp.float32),
-        coverage=unexplored(area, config.num_cells),
+        coverage=coverage,
+        other_miss=coverage.log_miss if config.has_drift else jnp.zeros((0, 0), jnp.float32),
+        led_sign=jnp.float32(1.0),
         terrain=terrain,
         bystanders=bystanders.nobody(config.num_bystanders),
         last_pose=pose,
@@ -139,7 +141,7 @@ def predict(
         belief: before the motion.
         pose: f32[3], dead-reckoned pose now.
         is_jump: bool[], motion does not explain it: the robot may be there or where it was.
-        noise: f32[2, P], standard normal, of particles that hold a ``drift``.
+        noise: f32[P], standard normal, of particles that hold a ``drift``.
         params: odometry noise.
 
     Returns:
@@ -173,8 +175,6 @@ def _detections(
     bearing = observation.pose[2] + observation.detection_bearing
     offset_x = observation.detection_range * jnp.cos(bearing)
     offset_y = observation.detection_range * jnp.sin(bearing)
-    robot_x, robot_y = robot_position(belief)
-    log_missed = log_miss_at(belief.coverage, robot_x + offset_x, robot_y + offset_y)
     log_density = log_expected(jnp.float32(0.0), share_unseen(belief.coverage), params=params)
     log_density = log_density - jnp.log(area_size(belief.coverage))
     drift = mean_drift(belief)
@@ -182,11 +182,12 @@ def _detections(
         own = (belief.particles.drift[:1] - drift)[None]
         offset_x, offset_y = (column(offset, 3) for offset in (offset_x, offset_y))
         offset_x, offset_y = motion.rotated(offset_x, offset_y, own)
+    log_unseen = log_missed(belief, offset_x, offset_y)
     return association.Detections(
         object_type=kinds_seen(observation),
         offset_x=offset_x,
         offset_y=offset_y,
-        log_new=log_density + jnp.maximum(log_missed, association.LOG_SURPRISE),
+        log_new=log_density + jnp.maximum(log_unseen, association.LOG_SURPRISE),
         is_detection=observation.is_detection,
     )
 
@@ -255,35 +256,52 @@ def observe(
     )
     particles = association.condition(belief.particles, grounded, noise_variance)
     believed, belief = belief.particles, replace(belief, particles=particles)
-    robot_x, robot_y = robot_position(belief)
     view, softness = belief.terrain.view, 2.5 * params.kernel + 1e-3
-    eye = eye_of(robot_x, robot_y, heading, sensor)
     before = belief.coverage
-    coverage = look(before, eye, sensor.detection_probability, view)
+    coverage, other_miss = look_around(belief, observation, sensor)
     log_objects, log_hypotheses, existence = association.log_absence(
         particles, grounded.is_hit, _headings(belief, heading), softness, sensor, view
     )
     # What is looked at and shows no more of a type tells against there being many.
     exposure = log_exposure(share_unseen(coverage), params=params)
     exposure = exposure - log_exposure(share_unseen(before), params=params)
-    is_meant, is_lost = believed.is_meant, None
-    log_map = grounded.log_weight + log_objects - exposure * jnp.sum(particles.is_observed, axis=0)
-    log_meant = exposure * jnp.sum(is_meant, axis=0)  # … of which these are no bystanders
+    is_lost = None
     if has_doubts:
-        log_kept = jnp.log(jnp.maximum(existence, 1e-9) / jnp.maximum(believed.existence, 1e-9))
-        log_meant = log_meant + jnp.sum(jnp.where(is_meant, log_kept, 0.0), axis=0)
+        log_exposed, existence = exposed(existence, exposure)
         particles, is_lost = _forget(replace(particles, existence=existence))
         belief = replace(belief, particles=particles)
+    else:
+        log_exposed = -exposure * jnp.sum(particles.is_observed, axis=0)
+    log_map = grounded.log_weight + log_objects + log_exposed
     log_new = jnp.log(params.concentration) - jnp.log(area_size(coverage))
-    return replace(belief, coverage=coverage), Weighed(
+    return replace(belief, coverage=coverage, other_miss=other_miss), Weighed(
         log_map=log_map,
-        log_hypotheses=jnp.sum(log_hypotheses, axis=0) + log_meant,
+        log_hypotheses=jnp.sum(log_hypotheses, axis=0) + _log_meant(believed, existence, exposure),
         is_new=grounded.is_new,
         is_other=grounded.object_type != believed.object_type,
         is_lost=is_lost,
         overflow=grounded.overflow,
         surprise=surprise(belief.log_weight, grounded, log_map, log_new, noise_variance),
     )
+
+
+def _log_meant(believed: SemanticMap, existence: Array, exposure: Array) -> Array:
+    """Weigh what the words refer to above what its map weighs: it is no bystander, and exists.
+
+    Args:
+        believed: particles before the look.
+        existence: as in the particle, after the look.
+        exposure: f32[], by which a bystander has grown less probable.
+
+    Returns:
+        f32[P].
+    """
+    is_meant = believed.is_meant
+    log_meant = exposure * jnp.sum(is_meant, axis=0)
+    if existence.shape[0] == 0:
+        return log_meant
+    log_kept = jnp.log(jnp.maximum(existence, 1e-9) / jnp.maximum(believed.existence, 1e-9))
+    return log_meant + jnp.sum(jnp.where(is_meant, log_kept, 0.0), axis=0)
 
 
 def _forget(particles: SemanticMap) -> tuple[SemanticMap, Array]:
@@ -393,10 +411,10 @@ def reground(
 
 
 def _drift_noise(key: Array, belief: ParticleBelief) -> Array | None:
-    """Draw by what the headings drift, f32[2, P]; None where a compass gives them."""
+    """Draw by what the headings drift, f32[P]; None where a compass gives them."""
     if belief.particles.drift.shape[0] == 0:
         return None
-    return jax.random.normal(jax.random.fold_in(key, _DRIFT), belief.particles.drift.shape)
+    return jax.random.normal(jax.random.fold_in(key, _DRIFT), belief.log_weight.shape)
 
 
 def _part(
@@ -423,6 +441,8 @@ def _remember(
     weight, particles = jnp.exp(belief.log_weight), belief.particles
     here, spread = robot_position(belief), particles.covariance[-1, -1]
     if mean_drift(belief) is not None:
+        weight = jnp.where(is_led(belief), weight, 0.0)
+        weight = weight / jnp.maximum(jnp.sum(weight), 1e-30)
         apart = (particles.mean_x[-1] - here[0]) ** 2 + (particles.mean_y[-1] - here[1]) ** 2
         spread = spread + 0.5 * apart
     robot = *here, jnp.sum(weight * spread)
@@ -529,7 +549,7 @@ def step(
     size = effective_sample_size(found.weight)
     is_resampled = size < params.resample_threshold * number
     belief = _resampled(resample, belief, found, is_resampled)
-    return belief, FilterInfo(
+    return go_by_the_likelier(belief), FilterInfo(
         effective_sample_size=size,
         is_resampled=is_resampled,
         num_regrounded=jnp.sum(found.is_fresh),

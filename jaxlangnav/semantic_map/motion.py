@@ -14,10 +14,6 @@ from jaxlangnav.numerics.batching import column
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.particle import SemanticMap
 
-STEADY = 50.0
-"""Metres over which a steady drift is forgotten: it wanders as that of a gyro does, so that
-particles which share an ancestor do not keep its drift for ever."""
-
 
 def wrapped(angle: Array) -> Array:
     """Bring an angle to within half a turn, radians."""
@@ -33,26 +29,26 @@ def rotated(x: Array, y: Array, angle: Array) -> tuple[Array, Array]:
 def drifted(drift: Array, way: Array, turn: Array, noise: Array, *, motion: MotionParams) -> Array:
     """Let the heading drift as the robot turns and drives.
 
-        e' = e + b ζ s + √(σ² s + τ² |φ|) ε₁,   ζ' = ρ ζ + √(1 − ρ²) ε₂,   ρ = e^(−s / S)
+        e' = e + b ζ s + √(σ² s + τ² |φ|) ε
 
     with e by how much the true heading exceeds that of odometry, s the way, φ the turn, ε standard
-    normal, and b ζ the steady drift, of which only the magnitude b is known.
-    Limits: b = σ = τ = 0 leaves e as it is.
+    normal, and b ζ the steady drift, of which only the magnitude b is known: ζ is 1 or −1, the same
+    all the way.
+    Limits: b = σ = τ = 0 leaves e as it is; where b = 0, so is ζ.
 
     Args:
         drift: f32[2, ...], e and ζ.
         way: f32[], s, metres.
         turn: f32[], φ, radians.
-        noise: f32[2, ...], ε.
+        noise: f32[...], ε.
         motion: heading_bias b, heading_noise σ, turn_noise τ.
 
     Returns:
-        f32[2, ...], e' and ζ'.
+        f32[2, ...], e' and ζ.
     """
     variance = motion.heading_noise**2 * way + motion.turn_noise**2 * jnp.abs(turn)
-    error = drift[0] + motion.heading_bias * drift[1] * way + jnp.sqrt(variance) * noise[0]
-    kept = jnp.exp(-way / STEADY)
-    return jnp.stack([error, kept * drift[1] + jnp.sqrt(1.0 - kept * kept) * noise[1]])
+    error = drift[0] + motion.heading_bias * drift[1] * way + jnp.sqrt(variance) * noise
+    return jnp.stack([error, jnp.where(motion.heading_bias > 0.0, drift[1], 0.0)])
 
 
 def move(particle: SemanticMap, step_x: Array, step_y: Array, variance: Array) -> SemanticMap:

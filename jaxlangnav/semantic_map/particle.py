@@ -41,8 +41,8 @@ class SemanticMap:
     hypothesis_y: Array  # f32[M]
     is_mentioned: Array  # bool[M] the particle's reading has this mention, and it is an object
     existence: Array  # f32[O] probability that it exists, whatever the words mean; f32[0]: all do
-    drift: Array  # f32[2] radians by which the true heading exceeds odometry's, and its steady
-    # part in units of ``heading_bias``; f32[0]: a compass gives the heading
+    drift: Array  # f32[2] radians by which the true heading exceeds odometry's, and the sign of
+    # its steady part, 0 where there is none; f32[0]: a compass gives the heading
 
     @property
     def is_observed(self) -> Array:

@@ -20,7 +20,7 @@ from jaxlangnav.messages import NONE, Readings, Told
 from jaxlangnav.numerics import batching
 from jaxlangnav.numerics.batching import pack, row_of, take, unpack
 from jaxlangnav.pytree import replace
-from jaxlangnav.semantic_map.belief import ParticleBelief
+from jaxlangnav.semantic_map.belief import ParticleBelief, is_led, mean_drift
 from jaxlangnav.semantic_map.candidates import (
     NUM_UNSEEN,
     Draws,
@@ -31,6 +31,7 @@ from jaxlangnav.semantic_map.candidates import (
 )
 from jaxlangnav.semantic_map.choose import ground_relation
 from jaxlangnav.semantic_map.coverage import Coverage, area_size, sample_unseen
+from jaxlangnav.semantic_map.looking import both_ways
 from jaxlangnav.semantic_map.params import MapParams
 from jaxlangnav.semantic_map.particle import SemanticMap
 from jaxlangnav.semantic_map.said import FIGURE, Said, hear, listen, told_now
@@ -75,13 +76,12 @@ def ground_words(
     """
     number = belief.log_weight.shape[0]
     asked = jnp.ones(number, bool) if is_asked is None else is_asked
-    uniform, draws, log_unseen = _draw(key, belief, readings.figure.shape[1])
+    uniform, draws, scene = _draw(key, belief, readings.figure.shape[1])
     share = jnp.cumsum(jnp.exp(readings.log_probability))
     point = uniform * share[-1]
     reading = jnp.sum(share[:-1, None] <= point[None, :], axis=0).astype(jnp.int32)
     particles = belief.particles
     num_objects = particles.object_type.shape[0]
-    log_area = jnp.log(area_size(belief.coverage))
     seen = Seen(
         particles.object_type,
         particles.mean_x[:num_objects],
@@ -90,8 +90,7 @@ def ground_words(
     )
     own = seen, draws, reading
     how = told_now(readings, belief.viewer) if told is None else told
-    said = listen(readings, how, params.relations, log_area)
-    scene = Scene(belief.coverage, jnp.int32(0), log_area, log_unseen)
+    said = listen(readings, how, params.relations, scene.log_area)
     num_mentions = readings.mention_type.shape[1]
     if is_sparse:
         grounding = _sparse(num_mentions)(asked, own, said, scene, params)
@@ -110,7 +109,32 @@ def ground_words(
     return fresh, jnp.where(asked, grounding.log_weight, -jnp.inf)
 
 
-def _draw(key: Array, belief: ParticleBelief, num_relations: int) -> tuple[Array, Draws, Array]:
+def _unseen(belief: ParticleBelief, uniform: Array, jitter: Array) -> tuple[Scene, Array]:
+    """Draw places that are unseen.
+
+    Args:
+        belief: where the robot has looked.
+        uniform: f32[], see ``sample_unseen``.
+        jitter: f32[2, n], see ``sample_unseen``.
+
+    Returns:
+        The scene, and places f32[2, n], metres. With a steady drift, f32[2, n, P]: each particle's
+        by its own sign.
+    """
+    coverage, log_area = belief.coverage, jnp.log(area_size(belief.coverage))
+    x, y, log_unseen = sample_unseen(coverage, uniform, jitter)
+    places = jnp.stack([x, y])
+    if mean_drift(belief) is None:
+        return Scene(coverage, jnp.int32(0), log_area, log_unseen), places
+    looked, is_ours = both_ways(belief), is_led(belief)
+    other = replace(coverage, log_miss=belief.other_miss)
+    x, y, log_other = sample_unseen(other, uniform, jitter)
+    places = jnp.where(is_ours, places[..., None], jnp.stack([x, y])[..., None])
+    log_unseen = jnp.where(is_ours, log_unseen, log_other)
+    return Scene(looked.coverage, looked.first_row, log_area, log_unseen), places
+
+
+def _draw(key: Array, belief: ParticleBelief, num_relations: int) -> tuple[Array, Draws, Scene]:
     """Draw the random numbers of all particles and relations.
 
     Args:
@@ -119,7 +143,7 @@ def _draw(key: Array, belief: ParticleBelief, num_relations: int) -> tuple[Array
         num_relations: J.
 
     Returns:
-        f32[P] that decides which reading a particle takes; leaves [J, ...]; f32[], the log of u.
+        f32[P] that decides which reading a particle takes; leaves [J, ...]; the scene.
     """
     number = belief.log_weight.shape[0]
     pool = NUM_UNSEEN * number
@@ -130,8 +154,11 @@ def _draw(key: Array, belief: ParticleBelief, num_relations: int) -> tuple[Array
     keys_of_all = jnp.concatenate([jnp.stack([reading_key, pool_key]), keys[:, 0]])
     uniforms = batching.uniforms(keys_of_all, max(2 * NUM_UNSEEN, 5) * number)
     comb = uniforms[1, : 2 * pool].reshape(2, pool)
-    pool_x, pool_y, log_unseen = sample_unseen(belief.coverage, comb[0, 0], comb)
+    scene, places = _unseen(belief, comb[0, 0], comb)
     stride = next(step for step in range(int(0.618 * number), 0, -1) if math.gcd(step, number) == 1)
+
+    def of_particles(values: Array, chosen: Array) -> Array:
+        return values[chosen] if values.ndim == 1 else values[chosen, jnp.arange(number)]
 
     def of_relation(uniform: Array, shuffle_key: Array, step: Array) -> Draws:
         # Which place of the comb goes to which particle is random: a fixed assignment would tie
@@ -149,14 +176,14 @@ def _draw(key: Array, belief: ParticleBelief, num_relations: int) -> tuple[Array
             # it the error of independent draws. Each relation has a step of its own, or what a
             # particle chooses for one would tell what it chooses for the next.
             choice=(unit[4, 0] + step * jnp.arange(number)) % 1.0,
-            unseen_x=pool_x[chosen],
-            unseen_y=pool_y[chosen],
+            unseen_x=of_particles(places[0], chosen),
+            unseen_y=of_particles(places[1], chosen),
         )
 
     draws = jax.vmap(of_relation)(
         uniforms[2:], keys[:, 1], jnp.asarray(_STEPS[index % len(_STEPS)])
     )
-    return uniforms[0, :number], draws, log_unseen
+    return uniforms[0, :number], draws, scene
 
 
 def _ground_all(
@@ -243,14 +270,17 @@ def _ground_gathered(
     table, num_readings = pack(side_by_side), told.relation.shape[-1]
     maps, num_cells = scene.coverage.log_miss, scene.coverage.log_miss.shape[-1]
 
-    def scene_of(lane: Array) -> Scene:
+    def scene_of(chosen: Array, lane: Array) -> Scene:
+        def own(values: Array) -> Array:
+            return values[lane] if values.ndim == 1 else values.reshape(-1)[chosen]
+
         return Scene(
             coverage=Coverage(
                 log_miss=maps.reshape(-1, num_cells), area=scene.coverage.area[lane].T
             ),
-            first_row=lane * num_cells,
+            first_row=lane * maps.shape[1] + own(scene.first_row),
             log_area=scene.log_area[lane],
-            log_unseen=scene.log_unseen[lane],
+            log_unseen=own(scene.log_unseen),
         )
 
     def is_left(carry: tuple[Array, Array]) -> Array:
@@ -262,7 +292,7 @@ def _ground_gathered(
         seen, draws, reading = unpack(table[:, chosen], side_by_side)
         lane = chosen // number
         said = take(all_told, lane * num_readings + reading)
-        grounding = _ground(num_mentions, seen, said, draws, scene_of(lane), params)
+        grounding = _ground(num_mentions, seen, said, draws, scene_of(chosen, lane), params)
         found = jax.lax.dynamic_update_slice_in_dim(found, pack(grounding), start, axis=1)
         return start + piece, found
 
