@@ -18,9 +18,9 @@ import numpy as np
 from corpus_words import WORDS, Slots
 
 import jaxlangnav.language
+from jaxlangnav.language.corpus import parse_labelled
 from jaxlangnav.language.labels import annotate, behave, rank
 from jaxlangnav.language.lexicon import load_lexicon
-from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import Parse
 from jaxlangnav.language.placed import Geometry, PlacedWorld
 
@@ -172,7 +172,7 @@ def worlds_for(found: Parse, types: list[str], rng: random.Random, count: int) -
 
 def record(text: str, template: str, split: str, want: list[frozenset[str]], seed: str) -> dict:
     """Make the JSON document of one sentence, checked against what its template states."""
-    found = parse(text)
+    found = parse_labelled(text)
     rng = random.Random(seed + text)
     clauses = []
     if found.unknown_words:

@@ -21,6 +21,10 @@ _UNSAID = frozenset(
 )
 """What a remark holds nothing of: it could change or add to what is to be done."""
 
+_ADDRESS = 3
+"""Words of a part that only calls somebody."""
+_VERBS = ("v_to", "v_at", "v_obj", "v_for", "v_turn", "avoid", "g_to", "g_at", "g_obj")
+
 
 @cache
 def _words() -> dict[str, frozenset[str]]:
@@ -70,7 +74,9 @@ def leave_out(tokens: Sequence[Spoken]) -> tuple[list[Spoken], list[str]]:
     return (kept, dropped) if kept else (list(tokens), [])
 
 
-def leave_out_remarks(tokens: Sequence[Spoken]) -> tuple[list[Spoken], list[str]]:
+def leave_out_remarks(
+    tokens: Sequence[Spoken], names: Collection[str] = ()
+) -> tuple[list[Spoken], list[str]]:
     """Leave out of a refused sentence remarks on what nothing else in it speaks of.
 
     "The inspection is at noon. Go to the hydrant." A remark says that something is so; it can
@@ -78,6 +84,7 @@ def leave_out_remarks(tokens: Sequence[Spoken]) -> tuple[list[Spoken], list[str]
 
     Args:
         tokens: words and marks.
+        names: of things that the detector tells apart.
 
     Returns:
         What is left to be read, all of it where nothing would be; and what has been left out.
@@ -88,7 +95,8 @@ def leave_out_remarks(tokens: Sequence[Spoken]) -> tuple[list[Spoken], list[str]
     for index, (part, mark) in enumerate(parts):
         later = {token.text for other, _ in parts[index + 1 :] for token in other}
         others = {token.text for other, _ in parts if other is not part for token in other}
-        if _is_remark(part, others) and not later & _words()["referring"]:
+        is_idle = _is_remark(part, others) or _is_address(part, parts[index + 1 : index + 2], names)
+        if is_idle and not later & _words()["referring"]:
             dropped.append(_text(part))
             continue
         kept += part if mark is None else [*part, mark]
@@ -99,16 +107,46 @@ def leave_out_remarks(tokens: Sequence[Spoken]) -> tuple[list[Spoken], list[str]
 
 def _is_remark(part: Part, others: Collection[str]) -> bool:
     """Tell whether a part says that something is so of which the others do not speak."""
-    words, lists = [token.text for token in part], _words()
-    if len(words) < 2 or words[0] not in lists["remarking"] | lists["ourselves"] or _tells(words):
+    lists = _words()
+    first = next((i for i, one in enumerate(part) if one.text not in lists["leading"]), len(part))
+    words = [token.text for token in part[first:]]
+    if len(words) < 2 or _tells(words):
+        return False
+    is_doing = words[1] == "'s" and words[-1].endswith("ing")  # "driver's waiting"
+    is_about_you = words[0] == "you're" and lists["wishing"].isdisjoint(words[1:])
+    is_ours = words[0] in lists["ourselves"] or is_about_you  # and what we do is no order
+    if words[0] not in lists["remarking"] and not (is_ours or is_doing):
         return False
     refused = load_lexicon().refused
-    is_ours = words[0] in lists["ourselves"]  # and what we do is no order
     unsaid = _UNSAID - {REASONS["such an action"]} if is_ours else _UNSAID
-    if any(refused.get(word) in unsaid for word in words) or lists["pointing"] & set(words):
+    pointing = lists["pointing"] - ({"you"} if is_about_you else set())
+    if any(refused.get(word) in unsaid for word in words) or pointing & set(words):
         return False
     is_told = is_ours or words[0] in lists["exclaiming"] or lists["being"].intersection(words[1:5])
     return bool(is_told) and not (set(words) - lists["empty"]) & set(others)
+
+
+def _is_address(
+    part: Part, later: Sequence[tuple[Part, Spoken | None]], names: Collection[str]
+) -> bool:
+    """Tell whether a part only calls somebody to what follows: "team", "unit four", "new plan"."""
+    words, lexicon = [token.text for token in part], load_lexicon()
+    senses = {w for name in ("adv", "det", "conn") for key in lexicon.entries[name] for w in key}
+    named = {name.split()[-1] for name in names} | senses
+    return (
+        0 < len(words) <= _ADDRESS
+        and bool(later and later[0][0])
+        and _is_verb(later[0][0][0].text)
+        and not _tells(words)
+        and not named.intersection(words)
+        and not any(lexicon.refused.get(word) in _UNSAID or _is_verb(word) for word in words)
+    )
+
+
+def _is_verb(word: str) -> bool:
+    """Tell whether a command may begin with a word."""
+    entries = load_lexicon().entries
+    return any((word,) in entries[name] for name in _VERBS)
 
 
 def _parted_at_so(tokens: Sequence[Spoken]) -> list[Spoken]:
