@@ -2,6 +2,7 @@
 
     python scripts/make_corpus.py            # corpus.jsonl from corpus_templates.txt
     python scripts/make_corpus.py --only-39  # corpus39.jsonl from corpus39.txt
+    python scripts/make_corpus.py --only-spoken  # corpus_spoken.jsonl from corpus_spoken.txt
 
 Each template states what its sentence must mean; a sentence whose composed labels say anything
 else stops the script, so a fault of parser or rules cannot slip into the labels unseen.
@@ -34,6 +35,11 @@ EVALUATED = {
     "go to the hydrant nearest to the cone",
 }
 WORLDS_PER_SENTENCE = 2
+FILES = {
+    "corpus39": "corpus39.txt",
+    "corpus": "corpus_templates.txt",
+    "corpus_spoken": "corpus_spoken.txt",
+}
 
 
 def expand(pattern: str, slots: Slots) -> str:
@@ -235,9 +241,9 @@ def write(path: Path, records: list[dict]) -> None:
 
 def main() -> None:
     """Write the corpora asked for."""
-    write(DATA / "corpus39.jsonl", from_templates(HERE / "corpus39.txt"))
-    if "--only-39" not in sys.argv:
-        write(DATA / "corpus.jsonl", from_templates(HERE / "corpus_templates.txt"))
+    only = [name for name in FILES if f"--only-{name[6:].strip('_')}" in sys.argv]
+    for name in only or FILES:
+        write(DATA / f"{name}.jsonl", from_templates(HERE / FILES[name]))
 
 
 if __name__ == "__main__":

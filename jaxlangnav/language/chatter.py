@@ -21,6 +21,7 @@ _UNSAID = frozenset(
 )
 """What a remark holds nothing of: it could change or add to what is to be done."""
 
+ARTICLES = frozenset({"the", "a", "an", "that", "this"})
 _ADDRESS = 3
 """Words of a part that only calls somebody."""
 _VERBS = ("v_to", "v_at", "v_obj", "v_for", "v_turn", "avoid", "g_to", "g_at", "g_obj")
@@ -114,7 +115,8 @@ def _is_remark(part: Part, others: Collection[str]) -> bool:
         return False
     is_doing = words[1] == "'s" and words[-1].endswith("ing")  # "driver's waiting"
     is_about_you = words[0] == "you're" and lists["wishing"].isdisjoint(words[1:])
-    is_ours = words[0] in lists["ourselves"] or is_about_you  # and what we do is no order
+    is_state = words[0] in lists["stating"] and not lists["wishing"].union(ARTICLES) & set(words)
+    is_ours = words[0] in lists["ourselves"] or is_about_you or is_state  # what we do is no order
     if words[0] not in lists["remarking"] and not (is_ours or is_doing):
         return False
     refused = load_lexicon().refused
@@ -135,6 +137,7 @@ def _is_address(
     named = {name.split()[-1] for name in names} | senses
     return (
         0 < len(words) <= _ADDRESS
+        and all(word[0].isalpha() for word in words)
         and bool(later and later[0][0])
         and _is_verb(later[0][0][0].text)
         and not _tells(words)

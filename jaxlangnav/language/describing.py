@@ -25,6 +25,7 @@ _PLACED = frozenset(
 """Words that could say where a thing is, or which one by its place."""
 _NO_NAMES = frozenset({"the", "a", "an", "to", "of", "one"})
 """Words that name no thing by themselves: "the one that is red" is not "the one"."""
+_TIMES = frozenset({"week", "night", "year", "month", "time", "summer", "winter"})
 _MOST = 8
 """Words of a description."""
 _WORD = "[a-z][a-z'-]*"
@@ -51,6 +52,8 @@ def _named() -> frozenset[str]:
 def _says_where(words: Sequence[str], labels: Collection[str]) -> bool:
     """Tell whether words could say where a thing is, or name another."""
     refused = load_lexicon().refused
+    pairs = zip(words, [*words[1:], ""], strict=True)
+    words = [word for word, after in pairs if word != "last" or after not in _TIMES]
     known = _named() | {label.split()[-1] for label in labels}
     return any(
         word in _PLACED

@@ -50,7 +50,7 @@ _IGNORED = set("\"'[]*`“”")
 _COMMAS = {",", ":", "-", "–", "—", "(", ")"}
 _LONGEST_LINE = 199
 """Characters of a refusal with the sentence that it offers."""
-_SIGNS = {"&": "and"}
+_SIGNS = {"&": "and", "@": "at", ">": "then", "→": "then"}
 _DRAWN = re.compile(r"([a-z])\1{2,}")
 """A letter that is drawn out: "pleeease"."""
 
