@@ -35,8 +35,8 @@ _OPENINGS = re.compile(
     rf"(?:that|which|who)(?: is| are| was|'s| 's)? (?:{_HAD})"
     rf"|{_HAD}"
     r"|(?:with|that has|which has|who has|that's got|having) (?:its|his|her|their)"
-    r"|(?:with|that has|which has|who has|that's got|having)(?: (?:the|a|an|some|two|all the))?"
-    r"(?= [a-z]+ [a-z])"
+    r"|(?:with|that has|which has|who has|that's got|having)"
+    r"(?: (?:the|a|an|some|two|all the)(?= [a-z]+ [a-z])|(?= (?!the |a |an |some |two )[a-z]+ [a-z]))"
     r"|(?:that|which|who)(?: is| are| was| were|'s| 's)?(?: (?:all|just|currently|still|been|really|very|so))*"
     r"(?= [a-z]+)"
     r")(?= )"
@@ -56,10 +56,7 @@ def _says_where(words: Sequence[str], labels: Collection[str]) -> bool:
     words = [word for word, after in pairs if word != "last" or after not in _TIMES]
     known = _named() | {label.split()[-1] for label in labels}
     return any(
-        word in _PLACED
-        or refused.get(word) in _RELATED
-        or word in known
-        or singular(word) in known
+        word in _PLACED or refused.get(word) in _RELATED or word in known or singular(word) in known
         for word in words
     )
 
@@ -87,7 +84,11 @@ def leave_out_descriptions(
         words = [token.text for token in left[first:last]]
         inner = words[size:]
         begin = match.end()
-        if not inner or len(words) > _MOST or not _is_described(left, first, inner, match[0], labels):
+        if (
+            not inner
+            or len(words) > _MOST
+            or not _is_described(left, first, inner, match[0], labels)
+        ):
             continue
         dropped.append(" ".join(words))
         left[first:last] = []
@@ -96,7 +97,11 @@ def leave_out_descriptions(
 
 
 def _is_described(
-    tokens: Sequence[Spoken], first: int, inner: Sequence[str], opening: str, labels: Collection[str]
+    tokens: Sequence[Spoken],
+    first: int,
+    inner: Sequence[str],
+    opening: str,
+    labels: Collection[str],
 ) -> bool:
     """Tell whether a part only describes the thing that is named before it."""
     if _says_where(inner, labels) or tokens[first - 1].text in _NO_NAMES:
