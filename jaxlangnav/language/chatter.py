@@ -22,14 +22,15 @@ _UNSAID = frozenset(
 """What a remark holds nothing of: it could change or add to what is to be done."""
 
 ARTICLES = frozenset({"the", "a", "an", "that", "this"})
+"""Words that begin the name of a thing."""
 _ADDRESS = 3
 """Words of a part that only calls somebody."""
 _VERBS = ("v_to", "v_at", "v_obj", "v_for", "v_turn", "avoid", "g_to", "g_at", "g_obj")
 
 
 @cache
-def _words() -> dict[str, frozenset[str]]:
-    """Read the lists of words."""
+def chatter_words() -> dict[str, frozenset[str]]:
+    """Read the lists of words, by their names in ``chatter.toml``."""
     text = resources.files("jaxlangnav.language").joinpath("data/chatter.toml").read_text("utf-8")
     return {name: frozenset(words) for name, words in tomllib.loads(text).items()}
 
@@ -60,7 +61,7 @@ def leave_out(tokens: Sequence[Spoken]) -> tuple[list[Spoken], list[str]]:
     for index, (part, mark) in enumerate(parts):
         later = {token.text for other, _ in parts[index + 1 :] for token in other}
         rest, reason = _without_reason(part)
-        if _is_small_talk(part) and not later & _words()["referring"]:
+        if _is_small_talk(part) and not later & chatter_words()["referring"]:
             dropped.append(_text(part))
             if kept and kept[-1].text == "," and mark is not None:
                 kept[-1] = mark
@@ -97,7 +98,7 @@ def leave_out_remarks(
         later = {token.text for other, _ in parts[index + 1 :] for token in other}
         others = {token.text for other, _ in parts if other is not part for token in other}
         is_idle = _is_remark(part, others) or _is_address(part, parts[index + 1 : index + 2], names)
-        if is_idle and not later & _words()["referring"]:
+        if is_idle and not later & chatter_words()["referring"]:
             dropped.append(_text(part))
             continue
         kept += part if mark is None else [*part, mark]
@@ -108,7 +109,7 @@ def leave_out_remarks(
 
 def _is_remark(part: Part, others: Collection[str]) -> bool:
     """Tell whether a part says that something is so of which the others do not speak."""
-    lists = _words()
+    lists = chatter_words()
     first = next((i for i, one in enumerate(part) if one.text not in lists["leading"]), len(part))
     words = [token.text for token in part[first:]]
     if len(words) < 2 or _tells(words):
@@ -181,11 +182,12 @@ def _parts(tokens: Sequence[Spoken]) -> list[tuple[Part, Spoken | None]]:
 
 def _tells(words: Sequence[str]) -> bool:
     """Tell whether words could say what to do or which thing is meant."""
-    if _names_thing(words) or _words()["telling"].intersection(words):
+    if _names_thing(words) or chatter_words()["telling"].intersection(words):
         return True
     # "I left my keys": a verb there, and a side nearly everywhere else.
     return any(
-        word in ("left", "right") and (index == 0 or words[index - 1] not in _words()["people"])
+        word in ("left", "right")
+        and (index == 0 or words[index - 1] not in chatter_words()["people"])
         for index, word in enumerate(words)
     )
 
@@ -197,7 +199,7 @@ def _is_of_grammar(words: Sequence[str]) -> bool:
 
 def _is_small_talk(part: Part) -> bool:
     """Tell whether a part of a sentence is about something else."""
-    words, lists = [token.text for token in part], _words()
+    words, lists = [token.text for token in part], chatter_words()
     if not words or _tells(words) or _is_of_grammar(words):
         return False
     if lists["praise"].issuperset(words) and lists["praising"].intersection(words):
@@ -215,7 +217,7 @@ def _is_small_talk(part: Part) -> bool:
 
 def _without_reason(part: Part) -> tuple[Part, Part]:
     """Part a command from the reason that follows it: "because it's shady", "so I can rest"."""
-    words, lists = [token.text for token in part], _words()
+    words, lists = [token.text for token in part], chatter_words()
     for index in range(2, len(words) - 1):
         is_because = words[index] in lists["because"]
         is_so = words[index] == "so" and words[index + 1] in (*lists["people"], "that")

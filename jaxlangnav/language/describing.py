@@ -10,35 +10,32 @@ import re
 from collections.abc import Collection, Sequence
 from functools import cache
 
+from jaxlangnav.language.chatter import ARTICLES, chatter_words
 from jaxlangnav.language.lexicon import REASONS, TYPE_CLASS, load_lexicon
 from jaxlangnav.language.nouns import singular
 from jaxlangnav.language.tokens import MARKS, Spoken
 
 _JOINTS = frozenset({*MARKS, "and", "then", "but", "so", "please", "now", "thanks"})
 _RELATED = frozenset({REASONS[name] for name in ("negation", "condition", "two sides", "between")})
-_PLACED = frozenset(
-    "behind front near beside besides next nearest closest nearer closer close farthest furthest far left "
-    "right ahead alongside beyond between past by opposite across facing touching blocking overlooking "
-    "leaving passing pointing looking containing holding-up guarding watching following where you your "
-    "me us it there here second third first last other".split()
-)
-"""Words that could say where a thing is, or which one by its place."""
 _NO_NAMES = frozenset({"the", "a", "an", "to", "of", "one"})
 """Words that name no thing by themselves: "the one that is red" is not "the one"."""
 _TIMES = frozenset({"week", "night", "year", "month", "time", "summer", "winter"})
 _MOST = 8
 """Words of a description."""
-_WORD = "[a-z][a-z'-]*"
-_HAD = "whose|wearing|carrying|holding|made of|made out of|covered (?:in|with)|full of|filled with|painted"
+_HAD = (
+    "whose|wearing|carrying|holding|made of|made out of|covered (?:in|with)|full of|filled with"
+    "|painted"
+)
+_WITH = "with|that has|which has|who has|that's got|having"
+_BEING = "(?:that|which|who)(?: is| are| was| were|'s| 's)?"
+_DEGREES = "all|just|currently|still|been|really|very|so"
 _OPENINGS = re.compile(
     r"(?<= )(?:"
-    rf"(?:that|which|who)(?: is| are| was|'s| 's)? (?:{_HAD})"
-    rf"|{_HAD}"
-    r"|(?:with|that has|which has|who has|that's got|having) (?:its|his|her|their)"
-    r"|(?:with|that has|which has|who has|that's got|having)"
-    r"(?: (?:the|a|an|some|two|all the)(?= [a-z]+ [a-z])|(?= (?!the |a |an |some |two )[a-z]+ [a-z]))"
-    r"|(?:that|which|who)(?: is| are| was| were|'s| 's)?(?: (?:all|just|currently|still|been|really|very|so))*"
-    r"(?= [a-z]+)"
+    rf"{_BEING} (?:{_HAD})|{_HAD}"
+    rf"|(?:{_WITH}) (?:its|his|her|their)"
+    rf"|(?:{_WITH})(?: (?:the|a|an|some|two|all the)(?= [a-z]+ [a-z])"
+    r"|(?= (?!the |a |an |some |two )[a-z]+ [a-z]))"
+    rf"|{_BEING}(?: (?:{_DEGREES}))*(?= [a-z]+)"
     r")(?= )"
 )
 
@@ -51,12 +48,12 @@ def _named() -> frozenset[str]:
 
 def _says_where(words: Sequence[str], labels: Collection[str]) -> bool:
     """Tell whether words could say where a thing is, or name another."""
-    refused = load_lexicon().refused
+    refused, placing = load_lexicon().refused, chatter_words()["placing"]
     pairs = zip(words, [*words[1:], ""], strict=True)
     words = [word for word, after in pairs if word != "last" or after not in _TIMES]
     known = _named() | {label.split()[-1] for label in labels}
     return any(
-        word in _PLACED or refused.get(word) in _RELATED or word in known or singular(word) in known
+        word in placing or refused.get(word) in _RELATED or word in known or singular(word) in known
         for word in words
     )
 
@@ -104,14 +101,16 @@ def _is_described(
     labels: Collection[str],
 ) -> bool:
     """Tell whether a part only describes the thing that is named before it."""
-    if _says_where(inner, labels) or tokens[first - 1].text in _NO_NAMES:
-        return False
     before = [token.text for token in tokens[max(first - 4, 0) : first]]
-    if not {"the", "a", "an", "that", "this"} & set(before):
+    is_named = before[-1] not in _NO_NAMES and bool(ARTICLES.intersection(before))
+    if not is_named or _says_where(inner, labels):
         return False
     if opening.startswith(("that", "which", "who")) and not opening.endswith(("has", "got")):
         # What it does to another thing may say where it is: "that guards the gate".
-        return not {"the", "a", "an"} & set(inner) or bool(re.search(_HAD, opening))
-    return not opening.startswith(("with", "having")) or len(inner) > 1 or opening.split()[-1] in (
-        "its", "his", "her", "their",
-    )  # fmt: skip
+        return not ARTICLES.intersection(inner) or bool(re.search(_HAD, opening))
+    return len(inner) > 1 or not opening.startswith(("with", "having")) or _is_its(opening)
+
+
+def _is_its(opening: str) -> bool:
+    """Tell whether a description is of a part of the thing: "with its boot open"."""
+    return opening.split()[-1] in ("its", "his", "her", "their")
