@@ -144,6 +144,13 @@ def test_plainer_words_are_told_and_never_offered():
         "take the box to the tree",
         "go to the tree that guards the gate",
         "drive into the tree",
+        "if i am there go to the tree",
+        "if you have it, go to the tree",
+        "i will go to the tree",
+        "should you go to the tree",
+        "wait until it can go to the tree",
+        "go with the man",
+        "the elevator is fine",
     ],
 )
 def test_plainer_words_leave_out_nothing_that_tells(text):
