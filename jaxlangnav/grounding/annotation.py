@@ -27,7 +27,7 @@ from jaxlangnav.grounding.symbols import (
 from jaxlangnav.language.phrase import Parse, Phrase
 from jaxlangnav.messages import BETWEEN, NONE, ROBOT, relation_name
 
-Said = tuple[tuple[Annotation, int], ...]
+RankedAnnotations = tuple[tuple[Annotation, int], ...]
 """A set of annotations, each with its rank (0: no superlative); in the order of the space."""
 _MAX_SYMBOLS = 12
 """Annotations of one clause beyond which further ones are not read (untrained weights)."""
@@ -37,8 +37,8 @@ _MAX_SYMBOLS = 12
 class Belief:
     """Distribution over what a sentence says."""
 
-    sets: tuple[tuple[Said, float], ...]  # (annotations, log-probability), best first
-    clauses: tuple[tuple[tuple[Said, ...], float], ...]  # the same, apart by clause
+    sets: tuple[tuple[RankedAnnotations, float], ...]  # (annotations, log-probability), best first
+    clauses: tuple[tuple[tuple[RankedAnnotations, ...], float], ...]  # the same, apart by clause
     rank: dict[Path, int]  # phrase → likeliest rank
     silent: frozenset[Path]  # phrases that express nothing in the likeliest reading
 
@@ -52,7 +52,7 @@ class Belief:
         return [(symbol, rank, min(p, 1.0)) for (symbol, rank), p in ranked]
 
 
-def describe(
+def describe_annotation(
     symbol: Annotation, rank: int, probability: float, type_names: Sequence[str]
 ) -> dict[str, object]:
     """Name an annotation for people and for ``ground --json``.
@@ -216,7 +216,7 @@ def clause_belief(
     Returns:
         Up to ``width`` sets and their probabilities.
     """
-    found: list[tuple[Said, float]] = []
+    found: list[tuple[RankedAnnotations, float]] = []
     for hypothesis in beam:
         symbols = space.members(hypothesis.expressed)[:_MAX_SYMBOLS]
         chances = [_rank_chances(space, hypothesis, clause, s, rank, between) for s in symbols]
@@ -267,7 +267,7 @@ def join_clauses(beliefs: Sequence[Belief], width: int) -> Belief:
     Returns:
         Up to ``width`` sets of annotations, best first.
     """
-    joint: list[tuple[tuple[Said, ...], float]] = [((), 0.0)]
+    joint: list[tuple[tuple[RankedAnnotations, ...], float]] = [((), 0.0)]
     rank: dict[Path, int] = {}
     silent: frozenset[Path] = frozenset()
     for belief in beliefs:
@@ -276,7 +276,7 @@ def join_clauses(beliefs: Sequence[Belief], width: int) -> Belief:
         pairs = itertools.product(joint, belief.sets)
         both = [((*said, more), score + own) for (said, score), (more, own) in pairs]
         joint = sorted(both, key=lambda pair: -pair[1])[:width]
-    totals: dict[Said, float] = {}
+    totals: dict[RankedAnnotations, float] = {}
     for said, score in joint:
         union = tuple(dict.fromkeys(itertools.chain(*said)))
         totals[union] = float(np.logaddexp(totals.get(union, -np.inf), score))

@@ -13,7 +13,7 @@ from functools import cache
 from jaxlangnav.language.chatter import ARTICLES, chatter_words
 from jaxlangnav.language.lexicon import REASONS, TYPE_CLASS, load_lexicon
 from jaxlangnav.language.nouns import singular
-from jaxlangnav.language.tokens import MARKS, Spoken
+from jaxlangnav.language.tokens import MARKS, SpokenToken
 
 _JOINTS = frozenset({*MARKS, "and", "then", "but", "so", "please", "now", "thanks"})
 _RELATED = frozenset({REASONS[name] for name in ("negation", "condition", "two sides", "between")})
@@ -59,8 +59,8 @@ def _says_where(words: Sequence[str], labels: Collection[str]) -> bool:
 
 
 def leave_out_descriptions(
-    tokens: Sequence[Spoken], labels: Collection[str]
-) -> tuple[list[Spoken], list[str]]:
+    tokens: Sequence[SpokenToken], labels: Collection[str]
+) -> tuple[list[SpokenToken], list[str]]:
     """Leave out of a refused sentence how a thing looks and what it does.
 
     Args:
@@ -94,7 +94,7 @@ def leave_out_descriptions(
 
 
 def _is_described(
-    tokens: Sequence[Spoken],
+    tokens: Sequence[SpokenToken],
     first: int,
     inner: Sequence[str],
     opening: str,

@@ -14,7 +14,7 @@ from importlib import resources
 from jaxlangnav.language.chatter import leave_out_remarks
 from jaxlangnav.language.describing import leave_out_descriptions
 from jaxlangnav.language.rewriting import Rewrites, apply_rules, load_rewrites, read_rewrites
-from jaxlangnav.language.tokens import Spoken
+from jaxlangnav.language.tokens import SpokenToken
 
 
 @cache
@@ -25,8 +25,8 @@ def load_loose() -> Rewrites:
 
 
 def loosen(
-    tokens: Sequence[Spoken], labels: Collection[str] = ()
-) -> tuple[list[Spoken], list[str], list[tuple[str, str]]]:
+    tokens: Sequence[SpokenToken], labels: Collection[str] = ()
+) -> tuple[list[SpokenToken], list[str], list[tuple[str, str]]]:
     """Put a refused sentence into plainer words.
 
     Args:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from jaxlangnav.files.whole import replacing
-from jaxlangnav.recording import Frame, Recording, Scene
+from jaxlangnav.recording import Frame, Recording, StaticScene
 from jaxlangnav.viz import narrative, style, summary
 
 _APPLICATION = "jaxlangnav"
@@ -69,7 +69,7 @@ def _rgba(color: str, strength: Any = 1.0) -> np.ndarray:
     return colors
 
 
-def _log_scene(rerun: Any, stream: Any, scene: Scene) -> None:
+def _log_scene(rerun: Any, stream: Any, scene: StaticScene) -> None:
     """Log what stays the same: the area and where things truly stand."""
     x_min, x_max, y_min, y_max = scene.area
     world = scene.scenario

@@ -82,8 +82,9 @@ def type_color(object_type: int) -> str:
 
 
 def type_marker(object_type: int) -> str:
-    """Give an object type its marker."""
-    return TYPE_MARKERS[object_type % len(TYPE_MARKERS)] if object_type >= 0 else "x"
+    """Give an object type its marker; of the first sixty-four no two share it and the colour."""
+    turn = object_type // len(TYPE_COLORS)
+    return TYPE_MARKERS[(object_type + turn) % len(TYPE_MARKERS)] if object_type >= 0 else "x"
 
 
 def value_colormap() -> "LinearSegmentedColormap":
