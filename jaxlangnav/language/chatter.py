@@ -140,11 +140,16 @@ def _is_address(
         0 < len(words) <= _ADDRESS
         and all(word[0].isalpha() for word in words)
         and bool(later and later[0][0])
-        and _is_verb(later[0][0][0].text)
+        and _is_order(later[0][0][0].text)
         and not _tells(words)
         and not named.intersection(words)
         and not any(lexicon.refused.get(word) in _UNSAID or _is_verb(word) for word in words)
     )
+
+
+def _is_order(word: str) -> bool:
+    """Tell whether a word begins what somebody is to do: "go", "check"."""
+    return _is_verb(word) or load_lexicon().refused.get(word) == REASONS["such an action"]
 
 
 def _is_verb(word: str) -> bool:
