@@ -2,6 +2,7 @@
 
     python scripts/make_corpus.py            # corpus.jsonl from corpus_templates.txt
     python scripts/make_corpus.py --only-39  # corpus39.jsonl from corpus39.txt
+    python scripts/make_corpus.py --only-spoken  # corpus_spoken.jsonl from corpus_spoken.txt
 
 Each template states what its sentence must mean; a sentence whose composed labels say anything
 else stops the script, so a fault of parser or rules cannot slip into the labels unseen.
@@ -18,9 +19,9 @@ import numpy as np
 from corpus_words import WORDS, Slots
 
 import jaxlangnav.language
+from jaxlangnav.language.corpus import parse_labelled
 from jaxlangnav.language.labels import annotate, behave, rank
 from jaxlangnav.language.lexicon import load_lexicon
-from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import Parse
 from jaxlangnav.language.placed import Geometry, PlacedWorld
 
@@ -34,6 +35,11 @@ EVALUATED = {
     "go to the hydrant nearest to the cone",
 }
 WORLDS_PER_SENTENCE = 2
+FILES = {
+    "corpus39": "corpus39.txt",
+    "corpus": "corpus_templates.txt",
+    "corpus_spoken": "corpus_spoken.txt",
+}
 
 
 def expand(pattern: str, slots: Slots) -> str:
@@ -172,7 +178,7 @@ def worlds_for(found: Parse, types: list[str], rng: random.Random, count: int) -
 
 def record(text: str, template: str, split: str, want: list[frozenset[str]], seed: str) -> dict:
     """Make the JSON document of one sentence, checked against what its template states."""
-    found = parse(text)
+    found = parse_labelled(text)
     rng = random.Random(seed + text)
     clauses = []
     if found.unknown_words:
@@ -235,9 +241,9 @@ def write(path: Path, records: list[dict]) -> None:
 
 def main() -> None:
     """Write the corpora asked for."""
-    write(DATA / "corpus39.jsonl", from_templates(HERE / "corpus39.txt"))
-    if "--only-39" not in sys.argv:
-        write(DATA / "corpus.jsonl", from_templates(HERE / "corpus_templates.txt"))
+    only = [name for name in FILES if f"--only-{name[6:].strip('_')}" in sys.argv]
+    for name in only or FILES:
+        write(DATA / f"{name}.jsonl", from_templates(HERE / FILES[name]))
 
 
 if __name__ == "__main__":

@@ -6,7 +6,13 @@ from collections import Counter
 import pytest
 
 from jaxlangnav.language import corpus
-from jaxlangnav.language.corpus import CorpusError, load_corpus, read_corpus, read_example
+from jaxlangnav.language.corpus import (
+    CorpusError,
+    load_corpus,
+    parse_labelled,
+    read_corpus,
+    read_example,
+)
 from jaxlangnav.language.labels import annotate, behave, rank
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.language.parser import parse
@@ -131,7 +137,12 @@ def test_the_other_is_not_the_previous_goal():
 
 @pytest.mark.parametrize(
     ("name", "every"),
-    [("corpus39", 1), ("corpus", 5), pytest.param("corpus", 1, marks=pytest.mark.slow)],
+    [
+        ("corpus39", 1),
+        ("corpus_spoken", 1),
+        ("corpus", 5),
+        pytest.param("corpus", 1, marks=pytest.mark.slow),
+    ],
 )
 def test_labels_agree_with_the_rules_in_every_world(name, every):
     """The files hold explicit labels; here they are composed anew."""
@@ -185,6 +196,25 @@ def test_the_large_corpus_is_split_by_template():
         assert {"constraint", "superlative", "other", "mode:quickly", "action:find"} <= senses
         assert {kind for e in part for kind in e.parse.kinds} == {"command", "statement"}
         assert any(len(e.clauses) > 1 for e in part)
+
+
+def test_what_is_spoken_is_held_out_and_read_through_rewriting():
+    examples = load_corpus("corpus_spoken")
+    assert {e.split for e in examples} == {"test"}
+    assert not {e.template for e in examples} & {e.template for e in load_corpus("corpus")}
+    assert not {e.text for e in examples} & {e.text for e in load_corpus("corpus")}
+    through = [e for e in examples if e.parse.rewrites or e.parse.unread or any(
+        one.metres for one in e.parse.measures
+    )]  # fmt: skip
+    assert len(through) / len(examples) > 0.8
+
+
+def test_a_corpus_is_read_by_the_grammar_where_it_can_be():
+    assert str(parse_labelled("head toward the cone").clauses[0]) == (
+        "VP[head]{PP[toward]{NP[the cone]}}"
+    )
+    assert str(parse("head toward the cone").clauses[0]) == "VP[head]{PP[to]{NP[the cone]}}"
+    assert parse_labelled("keep going until you reach the cone").rewrites
 
 
 def test_relations_matter_in_the_worlds():

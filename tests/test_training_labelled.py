@@ -19,10 +19,16 @@ from jaxlangnav.grounding.symbols import (
     region_symbol,
     relation_symbol,
 )
+from jaxlangnav.language.corpus import load_corpus
 from jaxlangnav.messages import AT, BEHIND, LEFT, NEAR, NONE, ROBOT
 from jaxlangnav.training.evaluation import evaluate_annotations, evaluate_behaviors
 from jaxlangnav.training.examples import annotation_examples, behavior_examples
-from jaxlangnav.training.labelled import labelled_instruction, read_annotation, read_behavior
+from jaxlangnav.training.labelled import (
+    labelled_instruction,
+    read_annotation,
+    read_behavior,
+    read_examples,
+)
 from jaxlangnav.training.scoring import gold_annotations
 
 
@@ -100,6 +106,16 @@ def test_scores_of_the_shipped_models():
     # Ranks are summed out and gold may be the answer given, so log_gold ≤ log confidence there.
     right = annotation.is_right
     np.testing.assert_allclose(annotation.log_gold[right], np.log(annotation.confidence[right]))
+
+
+@pytest.mark.parametrize("every", [5, pytest.param(1, marks=pytest.mark.slow)])
+def test_what_is_spoken_and_held_out_is_read_right(every):
+    model = load_shipped()
+    instructions = read_examples(load_corpus("corpus_spoken")[::every], TYPES)
+    annotation = evaluate_annotations(instructions, model.annotation, TYPES)
+    behavior = evaluate_behaviors(instructions, model.annotation, model.behavior, TYPES)
+    assert annotation.accuracy > 0.995
+    assert behavior.accuracy > 0.995
 
 
 def test_more_types_than_a_program_holds_are_refused():

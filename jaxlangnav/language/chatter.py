@@ -21,10 +21,16 @@ _UNSAID = frozenset(
 )
 """What a remark holds nothing of: it could change or add to what is to be done."""
 
+ARTICLES = frozenset({"the", "a", "an", "that", "this"})
+"""Words that begin the name of a thing."""
+_ADDRESS = 3
+"""Words of a part that only calls somebody."""
+_VERBS = ("v_to", "v_at", "v_obj", "v_for", "v_turn", "avoid", "g_to", "g_at", "g_obj")
+
 
 @cache
-def _words() -> dict[str, frozenset[str]]:
-    """Read the lists of words."""
+def chatter_words() -> dict[str, frozenset[str]]:
+    """Read the lists of words, by their names in ``chatter.toml``."""
     text = resources.files("jaxlangnav.language").joinpath("data/chatter.toml").read_text("utf-8")
     return {name: frozenset(words) for name, words in tomllib.loads(text).items()}
 
@@ -55,7 +61,7 @@ def leave_out(tokens: Sequence[SpokenToken]) -> tuple[list[SpokenToken], list[st
     for index, (part, mark) in enumerate(parts):
         later = {token.text for other, _ in parts[index + 1 :] for token in other}
         rest, reason = _without_reason(part)
-        if _is_small_talk(part) and not later & _words()["referring"]:
+        if _is_small_talk(part) and not later & chatter_words()["referring"]:
             dropped.append(_text(part))
             if kept and kept[-1].text == "," and mark is not None:
                 kept[-1] = mark
@@ -70,7 +76,9 @@ def leave_out(tokens: Sequence[SpokenToken]) -> tuple[list[SpokenToken], list[st
     return (kept, dropped) if kept else (list(tokens), [])
 
 
-def leave_out_remarks(tokens: Sequence[SpokenToken]) -> tuple[list[SpokenToken], list[str]]:
+def leave_out_remarks(
+    tokens: Sequence[SpokenToken], names: Collection[str] = ()
+) -> tuple[list[SpokenToken], list[str]]:
     """Leave out of a refused sentence remarks on what nothing else in it speaks of.
 
     "The inspection is at noon. Go to the hydrant." A remark says that something is so; it can
@@ -78,6 +86,7 @@ def leave_out_remarks(tokens: Sequence[SpokenToken]) -> tuple[list[SpokenToken],
 
     Args:
         tokens: words and marks.
+        names: of things that the detector tells apart.
 
     Returns:
         What is left to be read, all of it where nothing would be; and what has been left out.
@@ -88,7 +97,8 @@ def leave_out_remarks(tokens: Sequence[SpokenToken]) -> tuple[list[SpokenToken],
     for index, (part, mark) in enumerate(parts):
         later = {token.text for other, _ in parts[index + 1 :] for token in other}
         others = {token.text for other, _ in parts if other is not part for token in other}
-        if _is_remark(part, others) and not later & _words()["referring"]:
+        is_idle = _is_remark(part, others) or _is_address(part, parts[index + 1 : index + 2], names)
+        if is_idle and not later & chatter_words()["referring"]:
             dropped.append(_text(part))
             continue
         kept += part if mark is None else [*part, mark]
@@ -99,16 +109,53 @@ def leave_out_remarks(tokens: Sequence[SpokenToken]) -> tuple[list[SpokenToken],
 
 def _is_remark(part: _Part, others: Collection[str]) -> bool:
     """Tell whether a part says that something is so of which the others do not speak."""
-    words, lists = [token.text for token in part], _words()
-    if len(words) < 2 or words[0] not in lists["remarking"] | lists["ourselves"] or _tells(words):
+    lists = chatter_words()
+    first = next((i for i, one in enumerate(part) if one.text not in lists["leading"]), len(part))
+    words = [token.text for token in part[first:]]
+    if len(words) < 2 or _tells(words):
+        return False
+    is_doing = words[1] == "'s" and words[-1].endswith("ing")  # "driver's waiting"
+    is_about_you = words[0] == "you're" and lists["wishing"].isdisjoint(words[1:])
+    is_state = words[0] in lists["stating"] and not lists["wishing"].union(ARTICLES) & set(words)
+    is_ours = words[0] in lists["ourselves"] or is_about_you or is_state  # what we do is no order
+    if words[0] not in lists["remarking"] and not (is_ours or is_doing):
         return False
     refused = load_lexicon().refused
-    is_ours = words[0] in lists["ourselves"]  # and what we do is no order
     unsaid = _UNSAID - {REASONS["such an action"]} if is_ours else _UNSAID
-    if any(refused.get(word) in unsaid for word in words) or lists["pointing"] & set(words):
+    pointing = lists["pointing"] - ({"you"} if is_about_you else set())
+    if any(refused.get(word) in unsaid for word in words) or pointing & set(words):
         return False
     is_told = is_ours or words[0] in lists["exclaiming"] or lists["being"].intersection(words[1:5])
     return bool(is_told) and not (set(words) - lists["empty"]) & set(others)
+
+
+def _is_address(
+    part: _Part, later: Sequence[tuple[_Part, SpokenToken | None]], names: Collection[str]
+) -> bool:
+    """Tell whether a part only calls somebody to what follows: "team", "unit four", "new plan"."""
+    words, lexicon = [token.text for token in part], load_lexicon()
+    senses = {w for name in ("adv", "det", "conn") for key in lexicon.entries[name] for w in key}
+    named = {name.split()[-1] for name in names} | senses
+    return (
+        0 < len(words) <= _ADDRESS
+        and all(word[0].isalpha() for word in words)
+        and bool(later and later[0][0])
+        and _is_order(later[0][0][0].text)
+        and not _tells(words)
+        and not named.intersection(words)
+        and not any(lexicon.refused.get(word) in _UNSAID or _is_verb(word) for word in words)
+    )
+
+
+def _is_order(word: str) -> bool:
+    """Tell whether a word begins what somebody is to do: "go", "check"."""
+    return _is_verb(word) or load_lexicon().refused.get(word) == REASONS["such an action"]
+
+
+def _is_verb(word: str) -> bool:
+    """Tell whether a command may begin with a word."""
+    entries = load_lexicon().entries
+    return any((word,) in entries[name] for name in _VERBS)
 
 
 def _parted_at_so(tokens: Sequence[SpokenToken]) -> list[SpokenToken]:
@@ -140,11 +187,12 @@ def _parts(tokens: Sequence[SpokenToken]) -> list[tuple[_Part, SpokenToken | Non
 
 def _tells(words: Sequence[str]) -> bool:
     """Tell whether words could say what to do or which thing is meant."""
-    if _names_thing(words) or _words()["telling"].intersection(words):
+    if _names_thing(words) or chatter_words()["telling"].intersection(words):
         return True
     # "I left my keys": a verb there, and a side nearly everywhere else.
     return any(
-        word in ("left", "right") and (index == 0 or words[index - 1] not in _words()["people"])
+        word in ("left", "right")
+        and (index == 0 or words[index - 1] not in chatter_words()["people"])
         for index, word in enumerate(words)
     )
 
@@ -156,7 +204,7 @@ def _is_of_grammar(words: Sequence[str]) -> bool:
 
 def _is_small_talk(part: _Part) -> bool:
     """Tell whether a part of a sentence is about something else."""
-    words, lists = [token.text for token in part], _words()
+    words, lists = [token.text for token in part], chatter_words()
     if not words or _tells(words) or _is_of_grammar(words):
         return False
     if lists["praise"].issuperset(words) and lists["praising"].intersection(words):
@@ -173,8 +221,8 @@ def _is_small_talk(part: _Part) -> bool:
 
 
 def _without_reason(part: _Part) -> tuple[_Part, _Part]:
-    """Part a command from the reason that follows it: "because it's shady", "so I can rest"."""
-    words, lists = [token.text for token in part], _words()
+    """_Part a command from the reason that follows it: "because it's shady", "so I can rest"."""
+    words, lists = [token.text for token in part], chatter_words()
     for index in range(2, len(words) - 1):
         is_because = words[index] in lists["because"]
         is_so = words[index] == "so" and words[index + 1] in (*lists["people"], "that")

@@ -16,6 +16,8 @@ each clause of ``behavior`` have one list of symbols (one number) per phrase. Sy
 ``labels.py``. ``rank`` is 1 where a phrase says "nearest" (or "first", "farthest"), 2 for "second".
 Objects have type, x and y (metres, map frame); ``robot`` is x, y and heading; ``previous`` is the
 object that the command before this one led to, or null. ``split`` is "train" or "test".
+A sentence is read by the grammar as it stands, and in other wordings only where that fails: what a
+corpus teaches the graph of a word ("toward") is not what a rewriting makes of it.
 ``python -m jaxlangnav.language.corpus FILE`` checks a file.
 """
 
@@ -200,6 +202,24 @@ def _check_texts(record: Any) -> None:
     _check(fault is None, f"template {fault}")
 
 
+def parse_labelled(text: str) -> Parse:
+    """Read a sentence of a corpus: as it stands, or else in other wordings.
+
+    Args:
+        text: the sentence.
+
+    Returns:
+        Its trees.
+
+    Raises:
+        LanguageError: it is refused.
+    """
+    try:
+        return parse(text, is_rewritten=False)
+    except LanguageError:
+        return parse(text)
+
+
 def read_example(line: str) -> Example:
     """Read and check one line of a corpus.
 
@@ -215,7 +235,7 @@ def read_example(line: str) -> Example:
     try:
         record = parse_json(line)
         _check_texts(record)
-        found = parse(record["text"])
+        found = parse_labelled(record["text"])
         _check(
             record["split"] in SPLITS, f"split must be train or test, not {shown(record['split'])}"
         )

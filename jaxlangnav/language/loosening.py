@@ -7,11 +7,12 @@ class to one, and the sentence is read once more; what they change is reported. 
 broader than the others, and cannot turn what is read into something else.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from functools import cache
 from importlib import resources
 
 from jaxlangnav.language.chatter import leave_out_remarks
+from jaxlangnav.language.describing import leave_out_descriptions
 from jaxlangnav.language.rewriting import Rewrites, apply_rules, load_rewrites, read_rewrites
 from jaxlangnav.language.tokens import SpokenToken
 
@@ -24,17 +25,20 @@ def load_loose() -> Rewrites:
 
 
 def loosen(
-    tokens: Sequence[SpokenToken],
+    tokens: Sequence[SpokenToken], labels: Collection[str] = ()
 ) -> tuple[list[SpokenToken], list[str], list[tuple[str, str]]]:
     """Put a refused sentence into plainer words.
 
     Args:
         tokens: words and marks, typing errors repaired.
+        labels: names of things that the detector tells apart.
 
     Returns:
         The words and marks that are to be read instead, remarks that are left out, and what has
         been read as what; the latter two empty where there are no plainer words.
     """
-    kept, remarks = leave_out_remarks(tokens)
+    kept, remarks = leave_out_remarks(tokens, labels)
     left, changes = apply_rules(load_loose().rules, kept)
-    return left, remarks, changes
+    left, described = leave_out_descriptions(left, labels)
+    left, later = leave_out_remarks(left, labels)  # what is a verb now may be called to
+    return left, [*remarks, *described, *later], changes

@@ -50,7 +50,7 @@ _IGNORED = set("\"'[]*`“”")
 _COMMAS = {",", ":", "-", "–", "—", "(", ")"}
 _LONGEST_LINE = 199
 """Characters of a refusal with the sentence that it offers."""
-_SIGNS = {"&": "and"}
+_SIGNS = {"&": "and", "@": "at", ">": "then", "→": "then"}
 _DRAWN = re.compile(r"([a-z])\1{2,}")
 """A letter that is drawn out: "pleeease"."""
 
@@ -196,6 +196,7 @@ def parse(
     earlier: Antecedent | None = None,
     *,
     is_nearest_offered: bool = True,
+    is_rewritten: bool = True,
 ) -> Parse:
     """Parse an instruction of one or more clauses.
 
@@ -205,6 +206,7 @@ def parse(
             detector tells apart.
         earlier: what earlier utterances have been about, for "it" and "the one on the left".
         is_nearest_offered: whether a refusal names the nearest sentence that can be read.
+        is_rewritten: whether other wordings are read; without, as the grammar alone reads it.
 
     Returns:
         The most probable phrase trees, what was unknown and what was repaired.
@@ -221,6 +223,8 @@ def parse(
     reader.read(text)
     if not reader.tokens:
         raise LanguageError("the instruction is empty")
+    if not is_rewritten:
+        return _read_plain(text, reader, reader.tokens, earlier)
     try:
         return _read(text, reader, reader.tokens, earlier)
     except LanguageError as error:
@@ -234,7 +238,7 @@ def parse(
 
 def _read_loosely(text: str, reader: _Reader, earlier: Antecedent | None) -> Parse | None:
     """Read a sentence that is refused as it stands in plainer words; None where that fails too."""
-    tokens, remarks, changes = loosen(reader.tokens)
+    tokens, remarks, changes = loosen(reader.tokens, reader.labels)
     if not (remarks or changes):
         return None
     try:
@@ -256,6 +260,24 @@ def _read(
     heard, unread = leave_out(said)
     plain, measured = take_out(heard)
     spoken, rewrites = rewrite(plain)
+    found = _read_plain(text, reader, spoken, earlier, is_blame_sought=is_blame_sought)
+    return replace(
+        found,
+        rewrites=tuple(rewrites),
+        unread=tuple(unread),
+        measures=of_clauses(found.clauses, measured),
+    )
+
+
+def _read_plain(
+    text: str,
+    reader: _Reader,
+    spoken: list[SpokenToken],
+    earlier: Antecedent | None,
+    *,
+    is_blame_sought: bool = True,
+) -> Parse:
+    """Read words of the controlled language."""
     _check_symbols(spoken)
     tokens = _to_tokens(spoken, reader.labels)
     unknown = [one for one in tokens if one.terminal.startswith("?") and one.terminal != NOUN]
@@ -281,9 +303,7 @@ def _read(
         unknown_words=tuple(builder.unknown),
         repairs=tuple(reader.repairs),
         probability=probability,
-        rewrites=tuple(rewrites),
-        unread=tuple(unread),
-        measures=of_clauses(clauses, measured),
+        measures=of_clauses(clauses, []),
     )
 
 

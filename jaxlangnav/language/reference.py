@@ -49,7 +49,9 @@ def head_of(phrase: Phrase) -> Phrase | None:
 
 
 def _refuse(word: Word, reason: str) -> LanguageError:
-    return LanguageError(f"'{word.text}' (word {word.position}): {reason}; name the object")
+    return LanguageError(
+        f"'{word.text}' (word {word.position}): {reason}; name the object", position=word.position
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

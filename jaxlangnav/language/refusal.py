@@ -11,6 +11,7 @@ _STRONG = (REASONS["negation"], REASONS["condition"])
 # Refused words that also begin supported expressions: blamed only just before the place.
 _SMALL = frozenset({"in", "of", "on", "by", "with", "from", "me", "my", "and", "off", "like"})
 _SMALL |= frozenset({"up", "down", "over", "back", "side", "straight", "forward", "away", "about"})
+_ARTICLES = frozenset({"the", "a", "an", "that", "this", "your"})
 _SILENT = frozenset({"to", "for", "at", "is", "are", "i", "get", "move", "keep", "make", "take"})
 _SILENT |= frozenset({"there", "use", "let", "while", "as", "rather", "instead", "place", "see"})
 _SILENT |= frozenset({"only", "exactly", "close", "as"})
@@ -52,7 +53,8 @@ def explain(tokens: list[Token], index: int) -> LanguageError:
         first = denied[0]
         reasons[first.position] = REASONS["negation"]
     stuck = None if at_end or not tokens[index].text else read[-1]
-    nearest = [t for t in reversed(read) if _is_telling(t) or t.terminal.startswith("?")]
+    unread = [t for t in read if t.terminal.startswith("?") and not _is_read(t, tokens, index)]
+    nearest = [t for t in reversed(read) if _is_telling(t) or t in unread]
     near = [t for t in read[-4:] if t.text in _SMALL and reasons[t.position]]
     if first is None and stuck is not None and stuck.text not in _SMALL and _is_telling(stuck):
         first = stuck
@@ -97,6 +99,16 @@ def _refused_expression(tokens: list[Token], last: int) -> LanguageError | None:
                     f"'{named}' (word {token.position}): {reason}", position=token.position
                 )
     return None
+
+
+def _is_read(token: Token, tokens: list[Token], index: int) -> bool:
+    """Tell whether an unknown word was read as a noun: "the pillar", with more words after it."""
+    place = tokens.index(token)
+    if place + 1 >= min(index + 1, len(tokens)):
+        return False
+    before, after = tokens[max(place - 2, 0) : place], tokens[place + 1]
+    is_named = any(one.text in _ARTICLES for one in before)
+    return is_named and not after.terminal.startswith("?")
 
 
 def _is_telling(token: Token) -> bool:
