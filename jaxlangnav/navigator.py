@@ -17,7 +17,7 @@ from jax import Array
 from jaxlangnav import conversation
 from jaxlangnav.conversation import Conversation, Words
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.kinds import MOST_LABELS, label_of
+from jaxlangnav.kinds import MOST_LABELS, is_anything, label_of
 from jaxlangnav.messages import (
     ACTIONS,
     NONE,
@@ -333,7 +333,8 @@ def _spoken(state: NavigatorState) -> Array:
     named = label_of(jnp.concatenate([*words, jnp.stack(gone_to)]))
     # What is negative, such as NONE, falls out of the table.
     index = jnp.where(named < 0, MOST_LABELS, named)
-    return jnp.zeros(MOST_LABELS, bool).at[index].set(True, mode="drop")
+    spoken = jnp.zeros(MOST_LABELS, bool).at[index].set(True, mode="drop")
+    return spoken | jnp.any(is_anything(named))
 
 
 def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> _Outlook:
