@@ -18,7 +18,7 @@ import numpy as np
 from jaxlangnav.conversation.memory import AVOID_ALL, AVOID_IT, Words
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.grounding.program import BehaviorProgram
-from jaxlangnav.grounding.readings import in_order
+from jaxlangnav.grounding.readings import in_order, things_last
 from jaxlangnav.grounding.spoken import Spoken
 from jaxlangnav.kinds import label_of
 from jaxlangnav.messages import BETWEEN, NONE, ROBOT, Readings
@@ -308,10 +308,14 @@ def _fitted(reading: _Reading, num_mentions: int, num_relations: int) -> _Readin
     def at(goals: list[int]) -> list[int]:
         return [NONE if goal == NONE else place[goal] for goal in goals]
 
-    moved = [one.moved(place) for one in reading.edges]
+    def ends(one: _Edge) -> tuple[int, int]:
+        return one.figure, one.landmark
+
+    mentions = [reading.mentions[m] for m in kept]
+    moved = in_order([one.moved(place) for one in reading.edges], ends)
     return _Reading(
-        [reading.mentions[m] for m in kept],
-        in_order(moved, lambda one: (one.figure, one.landmark)),
+        mentions,
+        things_last(moved, ends, [one.kind for one in mentions]),
         at(reading.goals),
         reading.pinned,
         at(reading.new_goals),

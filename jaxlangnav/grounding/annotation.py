@@ -4,7 +4,8 @@ The annotations are the symbols expressed at the root of the tree. The search ke
 over sets of them. Whether a region is meant as an extreme ("nearest to": rank 1; "the second": 2)
 is inferred by factors of its own at each phrase, outside the paper's 494 symbols, and belongs to
 the symbols whose region that phrase expressed first. So is "between": a region near each of two
-things, which the phrase that says so makes ``BETWEEN``.
+things, which the phrase that says so makes ``BETWEEN``. And so is what lies in a region and is
+called by no type: a region that was first expressed of "the thing" is the place of ``ANYTHING``.
 """
 
 import dataclasses
@@ -20,11 +21,15 @@ from jaxlangnav.grounding.properties import Path, annotation_properties
 from jaxlangnav.grounding.search import BEAM_WIDTH, Hypothesis, LogOdds, search
 from jaxlangnav.grounding.symbols import (
     OBJECT,
+    REGION,
     Annotation,
     AnnotationSpace,
     region_symbol,
+    relation_symbol,
 )
+from jaxlangnav.kinds import ANYTHING
 from jaxlangnav.language.phrase import Parse, Phrase
+from jaxlangnav.language.reference import is_thing
 from jaxlangnav.messages import BETWEEN, NONE, ROBOT, relation_name
 
 Said = tuple[tuple[Annotation, int], ...]
@@ -38,7 +43,8 @@ class Belief:
     """Distribution over what a sentence says."""
 
     sets: tuple[tuple[Said, float], ...]  # (annotations, log-probability), best first
-    clauses: tuple[tuple[tuple[Said, ...], float], ...]  # the same, apart by clause
+    clauses: tuple[tuple[tuple[Said, ...], float], ...]  # the same, apart by clause; and a region
+    # that is said of "the thing" is a relation whose figure is ``ANYTHING``
     rank: dict[Path, int]  # phrase → likeliest rank
     silent: frozenset[Path]  # phrases that express nothing in the likeliest reading
 
@@ -138,20 +144,21 @@ def _origins(hypothesis: Hypothesis, path: Path, wanted: Sequence[int]) -> Itera
         yield path
 
 
-def _rank_chances(
-    space: AnnotationSpace,
-    hypothesis: Hypothesis,
-    clause: int,
-    symbol: Annotation,
-    rank: dict[Path, np.ndarray],
-    between: frozenset[Path],
-) -> list[tuple[int, float]]:
-    """List the two likeliest ranks of a symbol with their log-probabilities."""
+def _paths_of(
+    space: AnnotationSpace, hypothesis: Hypothesis, clause: int, symbol: Annotation
+) -> list[Path]:
+    """List the phrases that first express a symbol or its region; none for an object."""
     if symbol.kind == OBJECT:
-        return [(0, 0.0)]
+        return []
     region = region_symbol(symbol.relation, symbol.landmark)
     wanted = [space.index[symbol], space.index[region]]
-    paths = list(_origins(hypothesis, (clause,), wanted))
+    return list(_origins(hypothesis, (clause,), wanted))
+
+
+def _rank_chances(
+    paths: list[Path], rank: dict[Path, np.ndarray], between: frozenset[Path]
+) -> list[tuple[int, float]]:
+    """List the two likeliest ranks of a symbol with their log-probabilities."""
     if any(path in between for path in paths):
         return [(BETWEEN, 0.0)]
     origins = [rank[path] for path in paths]
@@ -192,7 +199,19 @@ def infer_clause(
     log_odds, rank = annotation_log_odds(root, clause, model, type_names)
     beam = search(root, log_odds, width=width, path=(clause,))
     between = frozenset(path for one, path in walk(root, (clause,)) if one.says("between"))
-    return clause_belief(AnnotationSpace(len(type_names)), beam, clause, rank, width, between)
+    things = frozenset(_said_of_things(root, (clause,), is_of_thing=False))
+    space = AnnotationSpace(len(type_names))
+    return clause_belief(space, beam, clause, rank, width, between, things)
+
+
+def _said_of_things(phrase: Phrase, path: Path, *, is_of_thing: bool) -> Iterator[Path]:
+    """Yield the phrases that say where "the thing" is."""
+    if is_of_thing:
+        yield path
+    is_new = phrase.label == "NP" and bool(phrase.children)
+    for i, child in enumerate(phrase.children):
+        of_thing = is_thing(phrase.children[0]) and i > 0 if is_new else is_of_thing
+        yield from _said_of_things(child, (*path, i), is_of_thing=of_thing)
 
 
 def clause_belief(
@@ -202,6 +221,7 @@ def clause_belief(
     rank: dict[Path, np.ndarray],
     width: int,
     between: frozenset[Path] = frozenset(),
+    things: frozenset[Path] = frozenset(),
 ) -> Belief:
     """Read a beam as annotations, each with its rank.
 
@@ -212,23 +232,44 @@ def clause_belief(
         rank: for each phrase f64[5], log-probabilities of the ranks 0 to 4.
         width: how many sets to keep.
         between: the phrases that say "between".
+        things: the phrases that say where a thing called by no type is.
 
     Returns:
         Up to ``width`` sets and their probabilities.
     """
-    found: list[tuple[Said, float]] = []
+    found: list[tuple[Said, Said, float]] = []
     for hypothesis in beam:
         symbols = space.members(hypothesis.expressed)[:_MAX_SYMBOLS]
-        chances = [_rank_chances(space, hypothesis, clause, s, rank, between) for s in symbols]
+        paths = [_paths_of(space, hypothesis, clause, s) for s in symbols]
+        chances = [_rank_chances(own, rank, between) for own in paths]
+        meant = [
+            _of_thing(s) if s.kind == REGION and things.intersection(own) else s
+            for s, own in zip(symbols, paths, strict=True)
+        ]
         for choice in itertools.product(*chances):
-            said = tuple((s, r) for s, (r, _) in zip(symbols, choice, strict=True))
+            said, plain = (
+                tuple((s, r) for s, (r, _) in zip(some, choice, strict=True))
+                for some in (meant, symbols)
+            )
             score = hypothesis.log_probability + sum(log_chance for _, log_chance in choice)
-            found.append((said, score))
-    found.sort(key=lambda pair: -pair[1])
+            found.append((said, plain, score))
+    found = sorted(found, key=lambda one: -one[2])[:width]
     likeliest = {path: int(np.argmax(chances)) for path, chances in rank.items()}
-    sets = tuple(found[:width])
-    clauses = tuple(((said,), score) for said, score in sets)
+    sets = tuple((plain, score) for _, plain, score in found)
+    clauses = tuple(((said,), score) for said, _, score in found)
     return Belief(sets, clauses, likeliest, frozenset(_silent(beam[0], (clause,))))
+
+
+def _of_thing(region: Annotation) -> Annotation:
+    """Say that a thing called by no type lies in a region."""
+    return relation_symbol(ANYTHING, region.relation, region.landmark)
+
+
+def _plain(symbol: Annotation) -> Annotation:
+    """Undo ``_of_thing``: a symbol as the space has it."""
+    if symbol.figure != ANYTHING:
+        return symbol
+    return region_symbol(symbol.relation, symbol.landmark)
 
 
 def infer_annotations(
@@ -273,12 +314,13 @@ def join_clauses(beliefs: Sequence[Belief], width: int) -> Belief:
     for belief in beliefs:
         rank |= belief.rank
         silent |= belief.silent
-        pairs = itertools.product(joint, belief.sets)
-        both = [((*said, more), score + own) for (said, score), (more, own) in pairs]
+        pairs = itertools.product(joint, belief.clauses)
+        both = [((*said, *more), score + own) for (said, score), (more, own) in pairs]
         joint = sorted(both, key=lambda pair: -pair[1])[:width]
     totals: dict[Said, float] = {}
     for said, score in joint:
-        union = tuple(dict.fromkeys(itertools.chain(*said)))
+        entries = itertools.chain(*said)
+        union = tuple(dict.fromkeys((_plain(symbol), rank) for symbol, rank in entries))
         totals[union] = float(np.logaddexp(totals.get(union, -np.inf), score))
     sets = sorted(totals.items(), key=lambda pair: -pair[1])
     return Belief(tuple(sets), tuple(joint), rank, silent)

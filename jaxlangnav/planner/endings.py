@@ -29,7 +29,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.kinds import fits
+from jaxlangnav.kinds import fits, is_anything
 from jaxlangnav.messages import Readings
 from jaxlangnav.semantic_map.params import MapParams
 
@@ -95,9 +95,13 @@ def missing_types(readings: Readings, object_type: np.ndarray) -> list[int]:
         object_type: i32[...], kinds of all objects observed, in any of the maps; NONE in between.
 
     Returns:
-        Kinds, in the order of the mentions.
+        Kinds, in the order of the mentions; ``ANYTHING`` where all that has been seen is called by
+        its type.
     """
     best = int(np.argmax(np.asarray(readings.log_probability)))
     spoken = dict.fromkeys(int(kind) for kind in np.asarray(readings.mention_type)[best])
-    seen = np.unique(object_type)
-    return [kind for kind in spoken if kind >= 0 and not np.any(fits(seen, kind))]
+    seen, kinds = np.unique(object_type), [kind for kind in spoken if kind >= 0]
+    # What is called by its own name is not "the thing" too.
+    named = np.array([kind for kind in kinds if not is_anything(kind)], int)
+    others = np.array([one for one in seen if not np.any(fits(one, named))], int)
+    return [k for k in kinds if not np.any(fits(others if is_anything(k) else seen, k))]

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jaxlangnav.files.whole import replacing
+from jaxlangnav.kinds import ANYTHING
 from jaxlangnav.plain_text import printable
 
 if TYPE_CHECKING:
@@ -78,12 +79,12 @@ def require(module: str, *, extra: str = "viz") -> None:
 
 def type_color(object_type: int) -> str:
     """Give an object type its colour; types beyond the eight share them in turn."""
-    return TYPE_COLORS[object_type % len(TYPE_COLORS)] if object_type >= 0 else MUTED
+    return TYPE_COLORS[object_type % len(TYPE_COLORS)] if 0 <= object_type < ANYTHING else MUTED
 
 
 def type_marker(object_type: int) -> str:
     """Give an object type its marker."""
-    return TYPE_MARKERS[object_type % len(TYPE_MARKERS)] if object_type >= 0 else "x"
+    return TYPE_MARKERS[object_type % len(TYPE_MARKERS)] if 0 <= object_type < ANYTHING else "x"
 
 
 def value_colormap() -> "LinearSegmentedColormap":
