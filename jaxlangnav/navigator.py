@@ -48,6 +48,7 @@ from jaxlangnav.semantic_map.belief import (
 from jaxlangnav.semantic_map.filter import FilterInfo
 from jaxlangnav.semantic_map.motion import rotated
 from jaxlangnav.semantic_map.params import MapConfig, MapParams, default_map_params
+from jaxlangnav.semantic_map.things import placed
 from jaxlangnav.sensing import DEVIATIONS
 from jaxlangnav.terrain import OPEN, Eye, Terrain
 
@@ -344,6 +345,7 @@ def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> _Out
         belief.particles, state.instruction, state.clause, state.previous_goal
     )
     readings, talk = state.instruction.readings, state.talk
+    behavior = placed(behavior, belief.particles, readings, talk.told, params.map.relations)
     behavior = conversation.without(behavior, talk.ruled_out)
     behavior = conversation.pinned(
         behavior, belief.particles, readings.mention_type, talk.words, state.clause

@@ -84,7 +84,7 @@ def type_color(object_type: int) -> str:
 
 def type_marker(object_type: int) -> str:
     """Give an object type its marker."""
-    return TYPE_MARKERS[object_type % len(TYPE_MARKERS)] if 0 <= object_type < ANYTHING else "x"
+    return TYPE_MARKERS[object_type % len(TYPE_MARKERS)] if 0 <= object_type < ANYTHING else "*"
 
 
 def value_colormap() -> "LinearSegmentedColormap":
