@@ -49,10 +49,13 @@ class Belief:
     silent: frozenset[Path]  # phrases that express nothing in the likeliest reading
 
     def marginals(self) -> list[tuple[Annotation, int, float]]:
-        """Add up the probability of each annotation over the sets, likeliest first."""
+        """Add up the probability of each annotation over the sets, likeliest first.
+
+        What lies in a region and is called by no type is told as a relation of ``ANYTHING``.
+        """
         total: dict[tuple[Annotation, int], float] = {}
-        for said, log_probability in self.sets:
-            for entry in said:
+        for said, log_probability in self.clauses:
+            for entry in dict.fromkeys(itertools.chain(*said)):
                 total[entry] = total.get(entry, 0.0) + float(np.exp(log_probability))
         ranked = sorted(total.items(), key=lambda item: -item[1])
         return [(symbol, rank, min(p, 1.0)) for (symbol, rank), p in ranked]
@@ -70,13 +73,13 @@ def describe(
         type_names: object types.
 
     Returns:
-        figure, relation, landmark (None where it has none), superlative, probability; and rank
-        where it is 2 or more.
+        figure ("thing" of any type), relation, landmark (None where it has none), superlative,
+        probability; and rank where it is 2 or more.
     """
 
     def name(index: int) -> str | None:
-        if index == ROBOT:
-            return "robot"
+        if index in (ROBOT, ANYTHING):
+            return "robot" if index == ROBOT else "thing"
         return None if index == NONE else type_names[index]
 
     document: dict[str, object] = {

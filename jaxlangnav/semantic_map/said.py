@@ -113,7 +113,7 @@ class Said(NamedTuple):
         """Tell whether anybody would say it of figures at places, where it says where they are.
 
         It is within 60 degrees of its axis and 2.5 standard deviations of how far it is. Limits:
-        what merely exists, or has a rank that says nothing of how far, may hold anywhere.
+        what merely exists, or has a rank, may hold anywhere.
 
         Args:
             x: f32[n, ...] metres, map frame, of the figures.
@@ -137,7 +137,7 @@ class Said(NamedTuple):
         of_one = is_toward & ((law.has_range == 0.0) | (spread <= _DEVIATIONS))
         other = self.viewer[0][None], self.viewer[1][None]
         of_two = between.is_within((x, y), (landmark_x, landmark_y), other, _DEVIATIONS)
-        says_where = (self.relation != NONE) & ~self.is_order
+        says_where = (self.relation != NONE) & (self.rank <= 0)
         return jnp.where(self.is_between[None], of_two, of_one) | ~says_where[None]
 
     def draw(
