@@ -23,10 +23,14 @@ PROJECT := pyproject.toml constraints.txt
 INSTRUCTION ?= go to the hydrant behind the cone
 OUT ?= demo
 ARGS ?=
+# The wheels of ROS 2 bring a lark of their own, so they get an environment of their own. Robots in
+# physics are driven there too with ROS2_EXTRAS=ros2,robot.
+ROS2 := .venv-ros2
+ROS2_EXTRAS ?= ros2
 # Test processes. One holds up to 5 GB, so this is not the number of cores.
 WORKERS ?= 2
 
-.PHONY: help demo test test-all fuzz lint format types check bench build docs notebooks frozen clean
+.PHONY: help demo test test-all test-ros2 fuzz lint format types check bench build docs notebooks frozen clean
 
 help: ## this list
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -39,6 +43,9 @@ test: $(STAMPS)/dev ## the quick tier of tests, WORKERS=2 at a time
 
 test-all: $(STAMPS)/dev ## every test, the slow ones too
 	@$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadfile --no-loadscope-reorder -m "" $(ARGS)
+
+test-ros2: $(ROS2)/stamps/ros2 ## bags and the node live on loopback, in an environment of its own (Python 3.11)
+	@$(ROS2)/bin/python -m pytest -m "" tests/test_robots_ros2_bags.py tests/test_robots_ros2_live.py $(ARGS)
 
 fuzz: $(STAMPS)/dev ## damaged input at every door; ARGS="--minutes 60 --seed 7 --target world"
 	@$(BIN)/python scripts/fuzz.py $(ARGS)
@@ -119,4 +126,11 @@ $(STAMPS)/docs: $(STAMPS)/dev
 $(STAMPS)/notebook: $(STAMPS)/dev
 	@echo "Installing Jupyter's parts that run notebooks into $(VENV)"
 	$(INSTALL) --editable '.[viz,dev,notebook]'
+	touch $@
+
+$(ROS2)/stamps/ros2: $(PROJECT)
+	@$(MAKE) --no-print-directory VENV=$(ROS2) $(ROS2)/stamps/python
+	echo "Installing jaxlangnav with the wheels of ROS 2 into $(ROS2) (about a minute, once)"
+	$(ROS2)/bin/python -m pip --disable-pip-version-check install --quiet --constraint constraints.txt \
+	  --editable '.[$(ROS2_EXTRAS)]' pytest
 	touch $@

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 import record
 
-from jaxlangnav.speed.measuring import Entry, entry, measure
+from jaxlangnav.speed.measuring import Measurement, entry, measure
 from jaxlangnav.numerics import batching, gaussian
 from jaxlangnav.semantic_map import particle
 
@@ -45,7 +45,9 @@ def batch_axes_last() -> Trick:
     def update(moments: gaussian.Moments) -> gaussian.Moments:
         shape = (OBJECTS, *moments.mean_x.shape[1:])
         offset, used = jnp.ones(shape), jnp.ones(shape, bool)
-        return gaussian.condition(moments, edges, used, offset, offset, jnp.full(shape, 0.01))
+        return gaussian.condition_offsets(
+            moments, edges, used, offset, offset, jnp.full(shape, 0.01)
+        )
 
     return update, jax.vmap(update, in_axes=-1, out_axes=-1), moments
 
@@ -153,7 +155,7 @@ def repeated(program: Program, given: Any) -> list[Any]:
     return [program(given) for _ in range(CALLS)]
 
 
-def entries(*, is_quick: bool = False) -> list[Entry]:
+def entries(*, is_quick: bool = False) -> list[Measurement]:
     """Measure every trick, with it and without it in turn."""
     repetitions, found = 5 if is_quick else 25, []
     for trick in TRICKS:

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 import record
 
-from jaxlangnav.speed.measuring import Entry, entry, measure
+from jaxlangnav.speed.measuring import Measurement, entry, measure
 from jaxlangnav.experiments.table1 import TABLE_1
 from jaxlangnav.grounding import infer_behaviors, load_shipped, understand
 from jaxlangnav.grounding.program import BehaviorProgram
@@ -66,7 +66,7 @@ def draw(random: np.random.Generator, number: int, num_types: int) -> behavior_t
     )
 
 
-def entries(*, is_quick: bool) -> list[Entry]:
+def entries(*, is_quick: bool) -> list[Measurement]:
     """Measure everything.
 
     Args:
@@ -116,7 +116,7 @@ def entries(*, is_quick: bool) -> list[Entry]:
     constraints = np.moveaxis(np.asarray(found.constraint), -1, 1) - [own for _, own in theirs]
     gap = np.maximum(np.abs(goals).max(axis=(2, 3)), np.abs(constraints).max(axis=(2, 3)))
 
-    def row(title: str, baseline: float, target: float | None) -> Entry:
+    def row(title: str, baseline: float, target: float | None) -> Measurement:
         name = f"behavior inference, a world, {PARTICLES} particles × {episodes} episodes: {title}"
         return entry(name, ours, "µs CPU", baseline=baseline, ratio=baseline / ours, target=target)
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxlangnav.grounding.behavior import BEAM
-from jaxlangnav.grounding.program import AT_TABLE, NEVER, NUM_SLOTS
+from jaxlangnav.grounding.program import AT_TABLE, LOG_NEVER, NUM_REGION_SLOTS
 from jaxlangnav.grounding.symbols import NUM_REGIONS, NUM_RELATIONS
 from jaxlangnav.kinds import fits
 from jaxlangnav.messages import NONE, ROBOT
@@ -76,7 +76,7 @@ def _join(program: Program, row: int, children: list[Sets], like: np.ndarray) ->
     nothing = np.zeros((worlds, 1, size), bool)
     joined = Joined(
         objects=nothing,
-        same=np.zeros((worlds, 1, NUM_SLOTS, size), bool),
+        same=np.zeros((worlds, 1, NUM_REGION_SLOTS, size), bool),
         touched=nothing,
         near=nothing,
         kept=nothing,
@@ -131,7 +131,7 @@ def _object_odds(
     base = np.where(own, program.object_named[row], program.object_unnamed[row])
     base = base + weight[0] * (own & previous) + weight[1] * previous + weight[2] * alike
     base += weight[3] * (has & world.is_object & ~previous & ~alike) + weight[4] * ~has
-    base = np.where(world.is_object, base, NEVER)[:, None]
+    base = np.where(world.is_object, base, LOG_NEVER)[:, None]
     there = np.where(joined.lies, program.object_lies[row], program.object_outside[row])
     inside = np.where(
         joined.objects, program.object_inside[row] + there, program.object_absent[row]
@@ -145,10 +145,10 @@ def _region_odds(
     """Evaluate the log-odds of the regions, f[P, B, L, N]."""
     robot = world.object_type == ROBOT
     odds = []
-    for s in range(NUM_SLOTS):
+    for s in range(NUM_REGION_SLOTS):
         same, inside = joined.same[:, :, s], joined.objects
         base = program.region_base[row, s] + program.region_own[row, s] * own
-        base = np.where(world.is_object, base + program.region_robot[row, s] * robot, NEVER)
+        base = np.where(world.is_object, base + program.region_robot[row, s] * robot, LOG_NEVER)
         odds.append(
             base[:, None]
             + program.region_inside[row, s] * inside
@@ -161,7 +161,7 @@ def _region_odds(
 def _constraint_odds(program: Program, world: Worlds, joined: Joined, row: int) -> np.ndarray:
     """Evaluate the log-odds of the constraints, f[P, B, N]."""
     touched, kept = joined.touched, joined.kept
-    base = np.where(world.is_object, program.constraint_base[row], NEVER)[:, None]
+    base = np.where(world.is_object, program.constraint_base[row], LOG_NEVER)[:, None]
     odds = base + program.constraint_same[row] * joined.near
     odds = odds + program.constraint_inside[row] * joined.objects
     odds += np.where(touched, program.constraint_touched[row], program.constraint_untouched[row])

@@ -19,7 +19,7 @@ import record
 
 from jaxlangnav.environments import functional
 from jaxlangnav.environments.pool import draw_pool
-from jaxlangnav.speed.measuring import Entry, entry
+from jaxlangnav.speed.measuring import Measurement, entry
 
 MANY, FEW = 200, 10
 """Steps of a turn: few where each of them takes a hundred times as long."""
@@ -41,7 +41,7 @@ def scanned(step: Callable[..., Any], num_steps: int) -> Callable[..., Any]:
     return jax.jit(run)
 
 
-def entries(*, is_quick: bool) -> list[Entry]:
+def entries(*, is_quick: bool) -> list[Measurement]:
     """Measure the three programs in turns.
 
     Args:

@@ -22,7 +22,7 @@ import slam_scenario
 from jax import Array
 from slam_scenario import LANDMARKS, ODOMETRY_NOISE, SENSOR_NOISE, STEP, Drive
 
-from jaxlangnav.speed.measuring import Entry, against, entry, measure
+from jaxlangnav.speed.measuring import Measurement, against, entry, measure
 from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
 from jaxlangnav.messages import MotionParams, Observation, Readings, SensorParams
 from jaxlangnav.numerics import categorical
@@ -197,7 +197,7 @@ def dynamax(drives: list[Drive], repetitions: int) -> tuple[float, float]:
     return 1e6 * cost / len(drives[0].truth) / NUM_PARTICLES, statistics.median(errors)
 
 
-def entries(*, is_quick: bool) -> list[Entry]:
+def entries(*, is_quick: bool) -> list[Measurement]:
     """Measure everything.
 
     Args:

@@ -21,7 +21,7 @@ import numpy as np
 import record
 from jax import Array
 
-from jaxlangnav.speed.measuring import Entry, against, entry, measure
+from jaxlangnav.speed.measuring import Measurement, against, entry, measure
 from jaxlangnav.numerics import gaussian
 
 NUM_OBJECTS = 8
@@ -81,7 +81,7 @@ def solve_all(maps: Maps) -> tuple[Array, Array]:
     further = [(int(of), int(origin)) for of, origin in EDGES[NUM_OBJECTS:]]
     rest = slice(NUM_OBJECTS, None)
     is_used = jnp.ones((len(further), number), bool)
-    found = gaussian.condition(
+    found = gaussian.condition_offsets(
         entered, further, is_used, offset[rest, 0], offset[rest, 1], variance[rest]
     )
     return jnp.stack([found.mean_x, found.mean_y]), found.covariance
@@ -106,7 +106,7 @@ def graphs(maps: Maps) -> list[gtsam.GaussianFactorGraph]:
     return built
 
 
-def entries(*, is_quick: bool) -> list[Entry]:
+def entries(*, is_quick: bool) -> list[Measurement]:
     """Measure everything.
 
     Args:

@@ -33,7 +33,7 @@ import record
 from scipy import sparse
 from sklearn.linear_model import LogisticRegression
 
-from jaxlangnav.speed.measuring import Entry, against, entry
+from jaxlangnav.speed.measuring import Measurement, against, entry
 from jaxlangnav.training.blocks import Factors, pool
 from jaxlangnav.training.fit import TrainingConfig, fit
 
@@ -149,7 +149,7 @@ def objective(data: Data, weights: np.ndarray, l2: float) -> float:
     return float(loss + 0.5 * l2 * weights.astype(np.float64) @ weights)
 
 
-def compare(name: str, data: Data, config: TrainingConfig, repetitions: int) -> list[Entry]:
+def compare(name: str, data: Data, config: TrainingConfig, repetitions: int) -> list[Measurement]:
     """Train both on one data set."""
     l2 = config.l2
     found, _, _, compiling = train_ours(data.factors, config)
@@ -218,7 +218,7 @@ LogisticRegression(
 """What the two processes run."""
 
 
-def compare_cold(data: Data, l2: float) -> Entry:
+def compare_cold(data: Data, l2: float) -> Measurement:
     """Train both in processes of their own."""
     with tempfile.TemporaryDirectory() as folder:
         ours, theirs = Path(folder) / "ours.npz", Path(folder) / "theirs.npz"
@@ -235,7 +235,7 @@ def compare_cold(data: Data, l2: float) -> Entry:
         return entry(name, seconds, "s CPU") | against(seconds, cold("theirs", theirs, l2), 1.0)
 
 
-def entries(*, is_quick: bool) -> list[Entry]:
+def entries(*, is_quick: bool) -> list[Measurement]:
     """Measure everything.
 
     Args:

@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 from rich.console import Console
 
-from jaxlangnav.speed.measuring import Entry, describe_machine, render
+from jaxlangnav.speed.measuring import Measurement, describe_machine, render
 
 
-def main(entries: Callable[..., list[Entry]], about: str | None, core: int | None) -> None:
+def main(entries: Callable[..., list[Measurement]], about: str | None, core: int | None) -> None:
     """Run one comparison as a script.
 
     Args:

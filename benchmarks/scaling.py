@@ -19,7 +19,7 @@ import record
 
 from jaxlangnav.episode import advance, begin
 from jaxlangnav.speed.bench import Workbench, set_up
-from jaxlangnav.speed.measuring import POLICY, Entry, entry, measure
+from jaxlangnav.speed.measuring import POLICY, Measurement, entry, measure
 from jaxlangnav.experiments.devices import LANES
 from jaxlangnav.experiments.monte_carlo import run_tasks
 from jaxlangnav.experiments.tasks import take_tasks
@@ -62,7 +62,7 @@ def cycle(bench: Workbench, sizes: NavigatorConfig, repetitions: int) -> tuple[f
     return 1e6 * cost, taken / LANES
 
 
-def grown(name: str, sizes: list[int], costs: list[float], unit: str) -> list[Entry]:
+def grown(name: str, sizes: list[int], costs: list[float], unit: str) -> list[Measurement]:
     """Say how a cost grows from one size to the next."""
     entries = [entry(f"{name} {size}", cost, unit) for size, cost in zip(sizes, costs, strict=True)]
     power = math.log(costs[-1] / costs[-2]) / math.log(sizes[-1] / sizes[-2])
@@ -72,7 +72,7 @@ def grown(name: str, sizes: list[int], costs: list[float], unit: str) -> list[En
     return [*entries, entry(label, power, "", target=target, is_limit=True)]
 
 
-def entries(*, is_quick: bool) -> list[Entry]:
+def entries(*, is_quick: bool) -> list[Measurement]:
     """Measure everything.
 
     Args:

@@ -17,10 +17,10 @@ from collections.abc import Callable
 import numpy as np
 import record
 
-from jaxlangnav.speed.measuring import Entry, entry
+from jaxlangnav.speed.measuring import Measurement, entry
 from jaxlangnav.experiments.splits import draw_splits
 from jaxlangnav.experiments.table1 import CORPUS, MODELS
-from jaxlangnav.training.examples import Example, annotation_examples, behavior_examples
+from jaxlangnav.training.examples import PhraseExample, annotation_examples, behavior_examples
 from jaxlangnav.training.labelled import read_examples
 from jaxlangnav.grounding.model import ANNOTATION_KINDS, BEHAVIOR_KINDS
 from jaxlangnav.training.fit import build_design, fit
@@ -40,7 +40,7 @@ def seconds(work: Callable[[], object], repetitions: int) -> float:
     return statistics.median(found)
 
 
-def compare(name: str, repetitions: int) -> list[Entry]:
+def compare(name: str, repetitions: int) -> list[Measurement]:
     """Train one split and eight of one model."""
     types = load_lexicon().type_names
     instructions = read_examples(load_corpus(CORPUS), types)
@@ -48,7 +48,7 @@ def compare(name: str, repetitions: int) -> list[Entry]:
     build = annotation_examples if name == "annotation" else behavior_examples
     kinds = ANNOTATION_KINDS if name == "annotation" else BEHAVIOR_KINDS
 
-    def prepare() -> list[Example]:
+    def prepare() -> list[PhraseExample]:
         return build(instructions, types)
 
     _, design = build_design(prepare(), kinds, len(instructions))
@@ -62,7 +62,7 @@ def compare(name: str, repetitions: int) -> list[Entry]:
         times.append(statistics.median(runs))
     one, eight = times
 
-    def over(title: str, more: float) -> list[Entry]:
+    def over(title: str, more: float) -> list[Measurement]:
         cost = (eight + more) / (one + more)
         name_of = f"training {name}, 8 splits at once, {title}"
         return [
@@ -73,7 +73,7 @@ def compare(name: str, repetitions: int) -> list[Entry]:
     return [*over("the fit", 0.0), *over("from instructions", preparing)]
 
 
-def entries(*, is_quick: bool) -> list[Entry]:
+def entries(*, is_quick: bool) -> list[Measurement]:
     """Measure both models.
 
     Args:

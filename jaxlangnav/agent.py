@@ -24,7 +24,7 @@ from jax import Array
 from jax.core import Tracer
 
 from jaxlangnav import navigator, sensing
-from jaxlangnav.conversation import words_of
+from jaxlangnav.conversation import first_words
 from jaxlangnav.grounding import Context, GraphGrounder, Grounded, Grounder, load_shipped
 from jaxlangnav.grounding.annotated import returning
 from jaxlangnav.grounding.grounder import names_of
@@ -226,7 +226,7 @@ class Navigator:
             config=self.config,
             num_types=len(self.type_names),
             terrain=terrain,
-            words=words_of(instruction, grounded.spoken),
+            words=first_words(instruction, grounded.spoken),
         )
 
     def step(

@@ -62,7 +62,7 @@ class EpisodeResult:
 
 
 @pytree
-class Progress:
+class EpisodeState:
     """An episode under way."""
 
     task: Task
@@ -76,7 +76,7 @@ class Progress:
     sum_effective_sample_size: Array  # f32[]
 
 
-def begin(task: Task, instructions: Instruction, *, config: NavigatorConfig) -> Progress:
+def begin(task: Task, instructions: Instruction, *, config: NavigatorConfig) -> EpisodeState:
     """Put robot and navigator at the start of a task.
 
     Args:
@@ -93,7 +93,7 @@ def begin(task: Task, instructions: Instruction, *, config: NavigatorConfig) -> 
     chex.assert_equal_shape([scenario.object_x, scenario.object_y, scenario.is_object])
     chex.assert_type([scenario.object_type, scenario.is_object], [int, bool])
     instruction = row_of(instructions, task.instruction_index)
-    return Progress(
+    return EpisodeState(
         task=task,
         navigator=navigator.start(
             instruction,
@@ -112,24 +112,24 @@ def begin(task: Task, instructions: Instruction, *, config: NavigatorConfig) -> 
     )
 
 
-def _step_keys(progress: Progress) -> Array:
+def _step_keys(progress: EpisodeState) -> Array:
     """Derive the next step's keys, key[3]: to sense, to decide, to move."""
     return jax.random.split(jax.random.fold_in(progress.task.key, progress.steps), 3)
 
 
-def observe(progress: Progress) -> Observation:
+def observe(progress: EpisodeState) -> Observation:
     """Sense what the next step is decided by; the same however often it is asked for."""
     return _sense(_step_keys(progress)[0], progress)
 
 
-def _sense(key: Array, progress: Progress) -> Observation:
+def _sense(key: Array, progress: EpisodeState) -> Observation:
     task = progress.task
     return sense(key, progress.world, task.scenario, task.sensor, task.told)
 
 
 def advance(
-    progress: Progress, *, params: NavigatorParams, config: NavigatorConfig
-) -> tuple[Progress, NavigatorInfo]:
+    progress: EpisodeState, *, params: NavigatorParams, config: NavigatorConfig
+) -> tuple[EpisodeState, NavigatorInfo]:
     """Run one cycle: sense, decide, move.
 
     Args:
@@ -144,8 +144,8 @@ def advance(
 
 
 def cycle(
-    progress: Progress, *, params: NavigatorParams, config: NavigatorConfig
-) -> tuple[Progress, NavigatorInfo, Observation]:
+    progress: EpisodeState, *, params: NavigatorParams, config: NavigatorConfig
+) -> tuple[EpisodeState, NavigatorInfo, Observation]:
     """Run one cycle as ``advance`` does, and return what was sensed in it, too."""
     task = progress.task
     sense_key, decide_key, move_key = _step_keys(progress)
@@ -164,7 +164,7 @@ def cycle(
     return after, info, observation
 
 
-def count(progress: Progress, info: NavigatorInfo) -> dict[str, Array]:
+def count(progress: EpisodeState, info: NavigatorInfo) -> dict[str, Array]:
     """Add what one cycle has to say of itself to the sums of an episode.
 
     Args:
@@ -185,7 +185,7 @@ def count(progress: Progress, info: NavigatorInfo) -> dict[str, Array]:
     }
 
 
-def finish(progress: Progress) -> EpisodeResult:
+def finish(progress: EpisodeState) -> EpisodeResult:
     """Judge an episode."""
     status = progress.navigator.status
     scenario = progress.task.scenario
@@ -214,13 +214,13 @@ def complete(
     params: NavigatorParams,
     config: NavigatorConfig,
     max_steps: int,
-) -> Progress:
+) -> EpisodeState:
     """Run an episode until it stops or its time is out; arguments as ``run``'s."""
 
-    def is_running(progress: Progress) -> Array:
+    def is_running(progress: EpisodeState) -> Array:
         return ~progress.navigator.is_done & (progress.steps < max_steps)
 
-    def body(progress: Progress) -> Progress:
+    def body(progress: EpisodeState) -> EpisodeState:
         return advance(progress, params=params, config=config)[0]
 
     return jax.lax.while_loop(is_running, body, begin(task, instructions, config=config))
@@ -259,11 +259,11 @@ class Course(NamedTuple):
     """As ``advance``: the next state, and something that is not used."""
     finish: Callable[[Any], Any]
     """As ``finish``: the result of a state."""
-    progress: Callable[[Any], Progress]
+    progress: Callable[[Any], EpisodeState]
     """Takes the episode out of a state."""
 
 
-def _itself(progress: Progress) -> Progress:
+def _itself(progress: EpisodeState) -> EpisodeState:
     return progress
 
 

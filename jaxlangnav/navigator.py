@@ -35,10 +35,10 @@ from jaxlangnav.planner.blocked import Way, keep_watch, start_of_way
 from jaxlangnav.planner.config import PlannerConfig
 from jaxlangnav.planner.goals import Goals, gather
 from jaxlangnav.planner.params import PlannerParams, default_planner_params
-from jaxlangnav.planner.relevance import bears_on_goal, group_of, has_open_partner
+from jaxlangnav.planner.relevance import bears_on_goal, believed_groups, has_open_partner
 from jaxlangnav.pytree import field, pytree, replace, strong
 from jaxlangnav.semantic_map import filter as semantic_filter
-from jaxlangnav.semantic_map.behaviors import infer_behaviors
+from jaxlangnav.semantic_map.behaviors import infer_clause_behaviors
 from jaxlangnav.semantic_map.belief import (
     ParticleBelief,
     about_robot,
@@ -216,7 +216,9 @@ def start(
         memory=strong(config.planner.chosen.init(belief)),
         status=jnp.int32(Status.SEARCHING),
         is_halted=jnp.asarray(False),
-        talk=conversation.begin(instruction, belief.last_pose, config.map.num_objects, words),
+        talk=conversation.begin_conversation(
+            instruction, belief.last_pose, config.map.num_objects, words
+        ),
         way=start_of_way(belief.last_pose),
     )
 
@@ -341,7 +343,7 @@ def _spoken(state: NavigatorState) -> Array:
 def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> _Outlook:
     """Infer the behavior of the present clause, and where its goal may be (section 3.3)."""
     belief = state.belief
-    behavior = infer_behaviors(
+    behavior = infer_clause_behaviors(
         belief.particles, state.instruction, state.clause, state.previous_goal
     )
     readings, talk = state.instruction.readings, state.talk
@@ -353,7 +355,7 @@ def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> _Out
     behavior = conversation.avoided(behavior, belief.particles, readings.mention_type, talk.words)
     belief = replace(belief, particles=conversation.focus(belief.particles, talk.words))
     belief = about_robot(belief)
-    group = group_of(readings, belief.particles)
+    group = believed_groups(readings, belief.particles)
     weight = jnp.exp(belief.log_weight)
     robot_x, robot_y = robot_position(belief)
     return _Outlook(
@@ -460,7 +462,7 @@ def _act(
     next_x, next_y = travel.next_place(*here, *there)
     left, distance = travel.metres(*here, *there), travel.metres(*here, next_x, next_y)
     # A thing is gone up to, not into; anything else is a place to stand on.
-    spare = jnp.where(choice.kind == graph.OBJECT, _APPROACH * params.planner.reach, 0.0)
+    spare = jnp.where(choice.kind == graph.OBJECT_NODE, _APPROACH * params.planner.reach, 0.0)
     length = jnp.clip(left - spare, 0.0, params.map.motion.step_length * speed)
     length = jnp.where(choice.is_stop, 0.0, jnp.minimum(length, distance))
     is_idle = state.instruction.num_clauses == 0

@@ -11,7 +11,7 @@ from typing import Any, TypeVar, dataclass_transform
 import jax
 import jax.numpy as jnp
 
-T = TypeVar("T")
+_T = TypeVar("_T")
 RECORDS: dict[str, type] = {}
 """Every record whose fields are all leaves, by its module and name: what a file may name."""
 
@@ -37,7 +37,7 @@ def field(help: str, **kwargs: Any) -> Any:
 @dataclass_transform(
     kw_only_default=True, frozen_default=True, field_specifiers=(static, field, dataclasses.field)
 )
-def pytree(cls: type[T]) -> type[T]:
+def pytree(cls: type[_T]) -> type[_T]:
     """Turn a class of annotated fields into a frozen, keyword-only, JAX-registered dataclass.
 
     Args:
@@ -56,13 +56,13 @@ def pytree(cls: type[T]) -> type[T]:
     return record
 
 
-def replace(record: T, **changes: Any) -> T:
+def replace(record: _T, **changes: Any) -> _T:
     """Copy a record with some fields changed (a typed ``dataclasses.replace``)."""
     source: Any = record  # a record is a dataclass, which the type T cannot say
     return dataclasses.replace(source, **changes)
 
 
-def strong(tree: T) -> T:
+def strong(tree: _T) -> _T:
     """Give every leaf a type of its own: arrays made of Python's numbers have a weak one.
 
     JAX compiles a function anew for weakly typed arrays (``jnp.full(8, 2.0)``), though they hold

@@ -13,7 +13,7 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav import episode
-from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Progress, Task
+from jaxlangnav.episode import MAX_STEPS, EpisodeResult, EpisodeState, Task
 from jaxlangnav.grounding.asked import asked
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.kept import kept
@@ -22,7 +22,7 @@ from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.messages import NONE, Observation, Readings, SensorParams, Status
 from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams, NavigatorState
 from jaxlangnav.pytree import replace
-from jaxlangnav.recording import Frame, Recording, Scene, gather
+from jaxlangnav.recording import Frame, Recording, StaticScene, stack_frames
 from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.world.known import known_distance
 from jaxlangnav.world.state import Scenario, WorldState
@@ -31,15 +31,15 @@ from jaxlangnav.world.state import Scenario, WorldState
 class Ear(Protocol):
     """What a robot hears while an episode runs."""
 
-    def begin(self, progress: Progress) -> Progress:
+    def begin(self, progress: EpisodeState) -> EpisodeState:
         """Prepare the state, before the first step, for what may be said."""
         ...
 
-    def hear(self, step: int, progress: Progress) -> Progress:
+    def hear(self, step: int, progress: EpisodeState) -> EpisodeState:
         """Take in what is said before the decision of a step."""
         ...
 
-    def expects(self, progress: Progress) -> bool:
+    def expects(self, progress: EpisodeState) -> bool:
         """Tell whether more may be said to a robot that stands still until it hears something."""
         ...
 
@@ -52,7 +52,7 @@ def set_scene(
     params: NavigatorParams,
     config: NavigatorConfig,
     type_names: tuple[str, ...] | None = None,
-) -> Scene:
+) -> StaticScene:
     """Gather what stays the same over an episode.
 
     Args:
@@ -88,7 +88,7 @@ def scene_of(
     params: NavigatorParams,
     config: NavigatorConfig,
     type_names: tuple[str, ...] | None = None,
-) -> Scene:
+) -> StaticScene:
     """Gather what stays the same, whoever moves the robot.
 
     Args:
@@ -106,7 +106,7 @@ def scene_of(
     instruction, scenario, sensor, planner = jax.device_get(
         (instruction, scenario, sensor, params.planner)
     )
-    return Scene(
+    return StaticScene(
         text=text,
         type_names=load_lexicon().type_names if type_names is None else type_names,
         policy=config.planner.chosen.name,
@@ -192,19 +192,19 @@ def record(
         task, instructions, text=text, params=params, config=config, type_names=type_names
     )
     steps = list(play(task, instructions, params=params, config=config, max_steps=max_steps))
-    return gather(scene, [frame for frame, _ in steps], steps[-1][1])
+    return stack_frames(scene, [frame for frame, _ in steps], steps[-1][1])
 
 
 @kept(static_argnames=("config",))
-def _begin(task: Task, instructions: Instruction, *, config: NavigatorConfig) -> Progress:
+def _begin(task: Task, instructions: Instruction, *, config: NavigatorConfig) -> EpisodeState:
     """Compile ``episode.begin``: eager, its many small operations would take seconds."""
     return episode.begin(task, instructions, config=config)
 
 
 @kept(static_argnames=("config",))
 def _advance(
-    progress: Progress, *, params: NavigatorParams, config: NavigatorConfig
-) -> tuple[Progress, Frame, EpisodeResult]:
+    progress: EpisodeState, *, params: NavigatorParams, config: NavigatorConfig
+) -> tuple[EpisodeState, Frame, EpisodeResult]:
     """Run one cycle and gather what it looked like."""
     after, info, observation = episode.cycle(progress, params=params, config=config)
     frame = frame_of(progress.world, progress.navigator, after.navigator, info, observation)

@@ -97,7 +97,7 @@ class Frame:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Scene:
+class StaticScene:
     """What stays the same over an episode; leaves are NumPy arrays."""
 
     text: str
@@ -142,14 +142,14 @@ class Remark:
     ruled_out: tuple[Candidate, ...] = ()  # things that it says are not meant
     notes: tuple[str, ...] = ()  # what else people should know, a line each
     refusal: str = ""  # why the robot kept to its task, where it did
-    scene: Scene | None = None  # what is understood from then on; None: as before
+    scene: StaticScene | None = None  # what is understood from then on; None: as before
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Recording:
     """A whole episode; leaves are NumPy arrays."""
 
-    scene: Scene
+    scene: StaticScene
     frames: Frame  # leaves [T, …]
     result: EpisodeResult
     said: tuple[Remark, ...] = ()  # under way, in order
@@ -172,7 +172,7 @@ class Recording:
         """Types that the sentence speaks of and no look has shown by the end."""
         return missing_names(self.last_scene, self.at(-1))
 
-    def scene_at(self, step: int) -> Scene:
+    def scene_at(self, step: int) -> StaticScene:
         """Take the scene with what was understood by a step, not negative."""
         heard = [one.scene for one in self.said if one.step <= step and one.scene is not None]
         if not heard:
@@ -181,7 +181,7 @@ class Recording:
         return dataclasses.replace(heard[-1], **own)
 
     @property
-    def last_scene(self) -> Scene:
+    def last_scene(self) -> StaticScene:
         """The scene with what was understood in the end."""
         return self.scene_at(self.num_steps - 1)
 
@@ -201,7 +201,7 @@ class Recording:
         return jax.tree.map(lambda leaf: leaf[step], self.frames)
 
 
-def missing_names(scene: Scene, frame: Frame) -> list[str]:
+def missing_names(scene: StaticScene, frame: Frame) -> list[str]:
     """Name what bears on the goal of the present command and no look has shown by a step.
 
     Args:
@@ -222,7 +222,7 @@ def missing_names(scene: Scene, frame: Frame) -> list[str]:
     return [scene.type_name(kind) for kind in missing]
 
 
-def gather(scene: Scene, frames: list[Frame], result: EpisodeResult) -> Recording:
+def stack_frames(scene: StaticScene, frames: list[Frame], result: EpisodeResult) -> Recording:
     """Stack the steps of an episode.
 
     Args:

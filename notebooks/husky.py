@@ -27,15 +27,16 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from jaxlangnav import keep_compiled_programs
+from jaxlangnav.experiments.sentences import SENTENCES
 from jaxlangnav.robots.libraries import check_libraries
 from jaxlangnav.robots.recorded import record_drive
-from jaxlangnav.robots.table3 import COMMANDS, TABLE3, make_robot, navigator_of
+from jaxlangnav.robots.table3 import TABLE3, make_robot, navigator_of
 from jaxlangnav.viz.belief import belief_figure
 
 check_libraries()  # says in one line what to install
 keep_compiled_programs()
 row = next(one for one in TABLE3 if one.robot == "husky")
-text = COMMANDS[row.relation]
+text = SENTENCES[row.relation]
 robot, navigator = make_robot(row, seed=0, trial=0), navigator_of(row.robot)
 noise = float(navigator.params.map.motion.odometry_noise)
 view = np.rad2deg(float(robot.sensor.field_of_view))

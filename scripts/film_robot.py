@@ -14,11 +14,12 @@ from pathlib import Path
 import jax
 
 from jaxlangnav import keep_compiled_programs
+from jaxlangnav.experiments.sentences import SENTENCES
 from jaxlangnav.robots.film import check_format, film
 from jaxlangnav.robots.libraries import check_libraries
 from jaxlangnav.robots.physics.machines import MACHINES
 from jaxlangnav.robots.recorded import record_drive
-from jaxlangnav.robots.table3 import COMMANDS, TABLE3, make_robot, navigator_of
+from jaxlangnav.robots.table3 import TABLE3, make_robot, navigator_of
 from jaxlangnav.viz.html import write_html
 
 _PAGE = ".html"
@@ -48,7 +49,7 @@ def _run(out: Path, name: str, trial: int) -> str:
     """Drive once; say in one line what came of it."""
     keep_compiled_programs()
     row = next(one for one in TABLE3 if one.robot == name and one.relation == "behind")
-    robot, text, key = make_robot(row, 0, trial), COMMANDS[row.relation], jax.random.key(trial)
+    robot, text, key = make_robot(row, 0, trial), SENTENCES[row.relation], jax.random.key(trial)
     navigator = navigator_of(name)
     if out.suffix == _PAGE:
         ended, recording = record_drive(robot, text, navigator=navigator, key=key)

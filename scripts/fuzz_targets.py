@@ -23,7 +23,7 @@ from jaxlangnav.experiments.summary_tables import render, summary_markdown
 from jaxlangnav.experiments.sweep_config import read_config
 from jaxlangnav.experiments.sweep_folder import MANIFEST, identity, read_manifest
 from jaxlangnav.grounding import AnnotationGrounder, Context
-from jaxlangnav.grounding.weights import SHIPPED, load
+from jaxlangnav.grounding.weights import SHIPPED_WEIGHTS, load
 from jaxlangnav.language.corpus import CorpusError, read_corpus
 from jaxlangnav.language.grammar import Grammar
 from jaxlangnav.language.lexicon import read_lexicon
@@ -77,13 +77,13 @@ def _worlds() -> list[bytes]:
 
 def _json_worlds() -> list[bytes]:
     """Take the worlds of the package, as JSON."""
-    from jaxlangnav.world.files import World, open_world
+    from jaxlangnav.world.files import WorldFile, open_world
 
     opened = [open_world(name) for name in shipped_worlds()]
     return [
         json.dumps(world_to_dict(one), indent=1).encode()
         for one in opened
-        if isinstance(one, World)
+        if isinstance(one, WorldFile)
     ]
 
 
@@ -323,7 +323,7 @@ TARGETS = (
     Target(
         name="weights",
         seeds=lambda: [
-            resources.files("jaxlangnav.grounding").joinpath(f"data/{SHIPPED}").read_bytes()
+            resources.files("jaxlangnav.grounding").joinpath(f"data/{SHIPPED_WEIGHTS}").read_bytes()
         ],
         call=_weights,
         refusals=(ValueError,),

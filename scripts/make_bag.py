@@ -12,8 +12,8 @@ from pathlib import Path
 import jax
 
 from jaxlangnav import Navigator, keep_compiled_programs
-from jaxlangnav.robots.ros2.recording import record_drive
-from jaxlangnav.robots.ros2.simulation import RobotOptions, draw_place, switched_on
+from jaxlangnav.robots.ros2.recording import write_bag
+from jaxlangnav.robots.ros2.simulation import RobotOptions, draw_start, switched_on
 
 TEXT = "go to the hydrant behind the cone"
 
@@ -23,9 +23,9 @@ def main() -> None:
     path = Path(sys.argv[1])
     options = RobotOptions(robot="husky")
     keep_compiled_programs()
-    with switched_on(options, draw_place(options)) as robot:
+    with switched_on(options, draw_start(options)) as robot:
         key = jax.random.key(options.seed)
-        ended = record_drive(path, robot, TEXT, navigator=Navigator.pretrained(), key=key)
+        ended = write_bag(path, robot, TEXT, navigator=Navigator.pretrained(), key=key)
         size = sum(one.stat().st_size for one in path.iterdir())
         way = f"{robot.travelled:.1f} m in {robot.seconds:.0f} s, {size / 1000:.0f} kB"
     print(f"{path}: {ended.ending.value}, {len(ended.steps)} decisions, {way}")

@@ -27,7 +27,7 @@ def main() -> int:
     except ValueError as error:
         print(error, file=sys.stderr)
         return 2
-    print(markdown_table(*figures.table(found)))
+    print(markdown_table(*figures.tabulate(found)))
     near = [one for one in found if one.picture == "as told" and one.range <= 4.0]
     rate = np.mean([one.rate for one in near])
     error = np.sqrt(np.nanmean([one.error**2 for one in near]))

@@ -20,10 +20,16 @@ def defined(source: str) -> set[str]:
         if isinstance(node, ast.FunctionDef | ast.ClassDef):
             found.add(node.name)
         elif isinstance(node, ast.Assign):
-            found |= {one.id for one in node.targets if isinstance(one, ast.Name)}
+            found |= {name for target in node.targets for name in _bound(target)}
         elif isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
             found.add(node.target.id)
     return {name for name in found if not name.startswith("_")}
+
+
+def _bound(target: ast.expr) -> set[str]:
+    """List the names that the target of an assignment binds: one, or a row of them."""
+    parts = (one for one in ast.walk(target) if isinstance(one, ast.Name))
+    return {one.id for one in parts if isinstance(one.ctx, ast.Store)}
 
 
 def twice(package: Path = PACKAGE) -> dict[str, list[str]]:

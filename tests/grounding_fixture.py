@@ -9,7 +9,7 @@ from jaxlangnav.language.labels import Geometry, PlacedWorld, annotate, behave
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.language.parser import parse
 from jaxlangnav.messages import ROBOT
-from jaxlangnav.training.labelled import read_example
+from jaxlangnav.training.labelled import labelled_instruction
 
 TYPES = load_lexicon().type_names
 
@@ -103,7 +103,7 @@ def example(text, rng, num_worlds=3, split="train"):
 def corpus(num_worlds=3, seed=0, sentences=SENTENCES):
     """Label all sentences."""
     rng = np.random.default_rng(seed)
-    return [read_example(example(text, rng, num_worlds), TYPES) for text in sentences]
+    return [labelled_instruction(example(text, rng, num_worlds), TYPES) for text in sentences]
 
 
 __all__ = ["SENTENCES", "TYPES", "corpus", "example", "place", "random_placed", "random_topology"]

@@ -5,9 +5,9 @@ import numpy as np
 from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.messages import AT, BEHIND, NONE, Readings, SensorParams, Status
 from jaxlangnav.planner.config import as_policy
-from jaxlangnav.planner.graph import FRONTIER, OBJECT, VISITED
+from jaxlangnav.planner.graph import FRONTIER, OBJECT_NODE, VISITED
 from jaxlangnav.planner.params import default_planner_params
-from jaxlangnav.recording import Frame, Recording, Scene, gather
+from jaxlangnav.recording import Frame, Recording, StaticScene, stack_frames
 from jaxlangnav.world.state import CONE, HYDRANT, Scenario
 
 TYPES = ("hydrant", "cone", "car", "building", "tree", "bench", "barrel", "box")
@@ -28,7 +28,7 @@ def make_readings() -> Readings:
     )
 
 
-def make_scene(*, policy: str = "faithful", text: str = TEXT) -> Scene:
+def make_scene(*, policy: str = "faithful", text: str = TEXT) -> StaticScene:
     """A hydrant at (9, 1) behind a cone at (6, 1)."""
     scenario = Scenario(
         object_type=np.array([HYDRANT, CONE, NONE], np.int32),
@@ -47,7 +47,7 @@ def make_scene(*, policy: str = "faithful", text: str = TEXT) -> Scene:
         detection_probability=np.float32(0.95),
         noise=np.float32(0.1),
     )
-    return Scene(
+    return StaticScene(
         text=text,
         type_names=TYPES,
         policy=policy,
@@ -84,7 +84,7 @@ def make_frame(step: int, num_steps: int, num_particles: int, rng: np.random.Gen
     value[1] = -np.inf
     value[NODES - SLOTS + 1] = 0.9 if sees_hydrant else -np.inf
     best = int(np.argmax(value))
-    kind = np.array([FRONTIER] * 5 + [VISITED] * 3 + [OBJECT] * 4, np.int32)
+    kind = np.array([FRONTIER] * 5 + [VISITED] * 3 + [OBJECT_NODE] * 4, np.int32)
     node_y = np.where(np.arange(NODES) == NODES - SLOTS + 1, 1.0, -2.0).astype(np.float32)
     node_x[NODES - SLOTS + 1] = 9.0
     looked = np.hypot(
@@ -181,4 +181,4 @@ def make_recording(
         mean_effective_sample_size=np.float32(18.0),
         is_valid=np.array(True),
     )
-    return gather(make_scene(policy=policy, text=text), frames, result)
+    return stack_frames(make_scene(policy=policy, text=text), frames, result)

@@ -15,7 +15,8 @@ from jaxlangnav.cli import main as cli
 from jaxlangnav.experiments.tasks import cell, make_tasks
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.task import meant
-from jaxlangnav.task.opening import Prepared, open_task
+from jaxlangnav.task.follow import usual_engine
+from jaxlangnav.task.opening import Prepared, detector_of, open_task, slots_of
 
 COMMAND = "go to the hydrant behind the cone"
 KEYS = {
@@ -308,3 +309,43 @@ def test_a_world_of_own_nouns_needs_no_lexicon(
     assert cli.main(["follow", "go to the kiosk", "--world", str(path)]) == 2
     line = capsys.readouterr().err.strip().splitlines()[-1]
     assert "'kiosk' (word 4): my detector has no label for it" in line
+
+
+def bare(path: Path, number: int) -> str:
+    """Write a world without a goal: a car, statues behind it, one of them on the left."""
+    area = "[area]\nx_min = 0.0\nx_max = 20.0\ny_min = -10.0\ny_max = 10.0\n"
+    things = [("car", 6.0, 0.0), ("statue", 9.0, 0.0), ("statue", 5.0, 8.0)]
+    things += [("bench", 18.0, -9.0 + 1.5 * i) for i in range(number - len(things))]
+    objects = [f'[[objects]]\ntype = "{kind}"\nx = {x}\ny = {y}\n' for kind, x, y in things]
+    path.write_text("\n".join([area, *objects]))
+    return str(path)
+
+
+def prepare_own(text: str, world: str) -> Prepared:
+    return open_task(
+        world, understand(text, load_shipped(), detector_of(world, ())), sensing_range=None, seed=0
+    )
+
+
+def test_a_world_without_a_goal_is_judged_by_what_is_said(tmp_path: Path) -> None:
+    world = bare(tmp_path / "bare.toml", 4)
+    prepared = prepare_own("go to the statue behind the car", world)
+    assert prepared.is_meant
+    assert int(prepared.task.scenario.goal_index) == 1
+    # Its start stands in for a goal, and is none: here nothing fits.
+    nothing = prepare_own("go to the bench behind the statue in front of the car", world)
+    assert not nothing.is_meant
+
+
+@pytest.mark.parametrize(("number", "slots"), [(4, 8), (12, 16)])
+def test_crowded_worlds_get_the_sizes_for_places_as_they_are(
+    number: int, slots: int, tmp_path: Path
+) -> None:
+    world = bare(tmp_path / "bare.toml", number)
+    params, config = usual_engine(world, "informed", 32)
+    assert slots_of(world) == slots
+    assert config.map.num_particles == 32
+    assert config.map.has_doubts == (slots > 8)
+    # The search prior is of the worlds of the templates: nowhere else is it of use.
+    assert float(params.planner.prior_share) == 0.0
+    assert float(usual_engine("1H1C", "informed", 32)[0].planner.prior_share) > 0.0

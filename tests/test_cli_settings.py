@@ -19,7 +19,7 @@ from jaxlangnav.task.follow import navigator_params
 TEXT = "go to the hydrant"
 
 
-def typed(*words: str) -> dict[settings.Place, Any]:
+def typed(*words: str) -> dict[settings.SettingPath, Any]:
     command: Any = parse_arguments(["follow", TEXT, *words])
     return settings.read_settings(command.settings, Follow.SETTINGS)
 

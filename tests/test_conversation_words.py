@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import readings as by_hand
 
-from jaxlangnav.conversation import AVOID_ALL, AVOID_IT, join, words_of
+from jaxlangnav.conversation import AVOID_ALL, AVOID_IT, first_words, join
 from jaxlangnav.grounding import Context, GraphGrounder, Grounded, load_shipped
 from jaxlangnav.grounding.readings import Capacity, widen
 from jaxlangnav.language.utterance import Kind, Wording, classify
@@ -76,7 +76,7 @@ class Talk:
         grounded = self.ground(text)
         told = grounded.instruction
         wide = replace(told, readings=widen(told.readings, Capacity()))
-        self.readings, self.words = wide.readings, words_of(wide, grounded.spoken)
+        self.readings, self.words = wide.readings, first_words(wide, grounded.spoken)
         self.joined = None
 
     def ground(self, text: str) -> Grounded:
@@ -208,7 +208,7 @@ def test_doubts_multiply() -> None:
     grounded = Talk("go to the car")
     told = replace(grounded.ground("go to the car").instruction, readings=readings)
     joined = join(
-        widen(readings, Capacity()), words_of(told, None),
+        widen(readings, Capacity()), first_words(told, None),
         replace(told, readings=by_hand.readings(
             [[CAR], [HYDRANT]], [[(0, NONE, NONE, False)]] * 2, [0.6, 0.4], sizes=(4, 6, 4)
         )),

@@ -12,10 +12,10 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from jaxlangnav.environments import functional
-from jaxlangnav.environments.actions import ACTIONS, STOP_ABOVE
+from jaxlangnav.environments.actions import DISCRETE_ACTIONS, STOP_ABOVE
 from jaxlangnav.environments.gymnasium_env import ID, FollowEnv, FollowVectorEnv
-from jaxlangnav.environments.observation import COMMANDS, OBSERVATION_SIZE
-from jaxlangnav.environments.pool import draw_pool, pick
+from jaxlangnav.environments.observation import OBSERVATION_SIZE
+from jaxlangnav.environments.pool import draw_pool, pick_world
 from jaxlangnav.environments.spaces import action_space, to_functional
 from jaxlangnav.experiments.sentences import SENTENCES
 from jaxlangnav.pytree import replace
@@ -30,8 +30,7 @@ def pool() -> Any:
 
 
 def test_commands_are_those_of_the_tables() -> None:
-    assert tuple(COMMANDS) == RELATION_NAMES
-    assert dict(SENTENCES) == COMMANDS
+    assert tuple(SENTENCES) == RELATION_NAMES
 
 
 def test_the_observation_says_what_is_sensed() -> None:
@@ -132,7 +131,7 @@ def test_a_pool_holds_the_worlds_of_the_law_and_hands_them_out_evenly(pool: Any)
     goals = np.asarray(pool.goal)
     assert len({tuple(goal) for goal in goals.tolist()}) == 64
     keys = jax.random.split(jax.random.key(2), 6400)
-    drawn = np.asarray(jax.vmap(pick, in_axes=(0, None))(keys, pool).goal)
+    drawn = np.asarray(jax.vmap(pick_world, in_axes=(0, None))(keys, pool).goal)
     times = (drawn[:, None] == goals).all(axis=-1).sum(axis=0)
     assert times.sum() == 6400
     # Each is handed out a hundred times, with a standard deviation of ten.
@@ -151,7 +150,10 @@ def test_a_world_that_does_not_meet_the_law_is_replaced() -> None:
 
 
 def test_a_random_agent_lives_longer_than_two_steps() -> None:
-    for actions, share in (("continuous", (1.0 - STOP_ABOVE) / 2), ("discrete", 1 / len(ACTIONS))):
+    for actions, share in (
+        ("continuous", (1.0 - STOP_ABOVE) / 2),
+        ("discrete", 1 / len(DISCRETE_ACTIONS)),
+    ):
         space = action_space(actions)
         space.seed(0)
         tried = to_functional(np.array([space.sample() for _ in range(2000)]), space)
@@ -162,9 +164,9 @@ def test_a_random_agent_lives_longer_than_two_steps() -> None:
 
 
 def test_discrete_actions_are_stop_and_whole_steps() -> None:
-    assert (ACTIONS[:, 2] > STOP_ABOVE).tolist() == [True, *[False] * 16]
-    np.testing.assert_allclose(np.hypot(*ACTIONS[1:, :2].T), 1.0, atol=1e-6)
-    np.testing.assert_allclose(ACTIONS[[1, 5], :2], [[1.0, 0.0], [0.0, 1.0]], atol=1e-6)
+    assert (DISCRETE_ACTIONS[:, 2] > STOP_ABOVE).tolist() == [True, *[False] * 16]
+    np.testing.assert_allclose(np.hypot(*DISCRETE_ACTIONS[1:, :2].T), 1.0, atol=1e-6)
+    np.testing.assert_allclose(DISCRETE_ACTIONS[[1, 5], :2], [[1.0, 0.0], [0.0, 1.0]], atol=1e-6)
 
 
 @pytest.mark.parametrize(

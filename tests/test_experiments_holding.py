@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from jaxlangnav.experiments.holding import Part, held
+from jaxlangnav.experiments.holding import PartOf, held
 
 HOLDER = """
 import sys
@@ -31,7 +31,7 @@ def ignore(line: str) -> None:
 
 
 @contextlib.contextmanager
-def holder(folder: Path, part: Part) -> Iterator[subprocess.Popen[str]]:
+def holder(folder: Path, part: PartOf) -> Iterator[subprocess.Popen[str]]:
     """Hold a part in a process of its own."""
     process = subprocess.Popen(
         [sys.executable, "-c", HOLDER, str(folder), *map(str, part)],
@@ -100,7 +100,7 @@ def test_a_dead_holder_s_lock_is_taken_over(tmp_path: Path) -> None:
     ],
 )
 def test_parts_that_share_files_exclude_each_other(
-    first: Part, second: Part, is_shared: bool, tmp_path: Path
+    first: PartOf, second: PartOf, is_shared: bool, tmp_path: Path
 ) -> None:
     files = [set(range(place - 1, 60, number)) for place, number in (first, second)]
     assert bool(files[0] & files[1]) == is_shared

@@ -21,7 +21,7 @@ from jaxlangnav.experiments.tasks import (
     known_distances,
     make_tasks,
 )
-from jaxlangnav.world.files import World, open_world
+from jaxlangnav.world.files import WorldFile, open_world
 
 INSTRUCTIONS = ground_sentences(list(SENTENCES.values())).instructions
 
@@ -79,7 +79,7 @@ def test_environments_are_taken_in_turn() -> None:
 
 def test_a_world_of_ones_own_stands_as_it_is() -> None:
     own = open_world("yard")
-    assert isinstance(own, World)
+    assert isinstance(own, WorldFile)
     one = dataclasses.replace(cell("yard", "null", 0, 3.0, 5, 0), scenario=own.scenario)
     tasks = make_tasks(one)
     np.testing.assert_array_equal(tasks.scenario.goal, np.tile(own.scenario.goal, (5, 1)))

@@ -95,6 +95,22 @@ def test_missing_keys_and_files(tmp_path: Path) -> None:
         read_config(broken)
 
 
+@pytest.mark.parametrize(
+    ("goal", "number", "said"),
+    [
+        ("", 3, r"world own.toml has no \[goal\], by which a sweep tells success: add it"),
+        ("[goal]\nx = 1.0\ny = 1.0\n", 9, "world own.toml has 9 objects, but .* at most 8: remove"),
+    ],
+)
+def test_worlds_that_no_sweep_holds_are_refused(goal, number, said, tmp_path) -> None:
+    area = "[area]\nx_min = 0.0\nx_max = 9.0\ny_min = -9.0\ny_max = 9.0\n"
+    things = [f'[[objects]]\ntype = "box"\nx = {i / 2}\ny = 0.0\n' for i in range(number)]
+    (tmp_path / "own.toml").write_text(area + goal + "".join(things))
+    (tmp_path / "grid.toml").write_text('worlds = ["own.toml"]\ncommands = ["null"]\n')
+    with pytest.raises(ValueError, match=said):
+        read_config(tmp_path / "grid.toml")
+
+
 def test_a_navigator_that_could_never_stop_is_refused() -> None:
     config = config_from_dict(
         SMALL | {"planner": {"stop_probability": 0.9}, "map": {"concentration": 3}}

@@ -9,9 +9,9 @@ from jaxlangnav.experiments.table1 import evaluate, summarise, table_1
 from jaxlangnav.grounding import load_shipped
 from jaxlangnav.training.evaluation import (
     Scores,
-    score_annotations,
+    evaluate_annotations,
+    evaluate_behaviors,
     score_annotations_exactly,
-    score_behaviors,
     score_behaviors_exactly,
 )
 
@@ -61,12 +61,12 @@ def test_exact_scores_are_those_of_the_beam_where_both_are_sure():
         num_worlds=2,
         sentences=("go to the box near the tree", "find the car", "go to the other box"),
     )
-    beam = score_annotations(instructions, model.annotation, TYPES)
+    beam = evaluate_annotations(instructions, model.annotation, TYPES)
     exact = score_annotations_exactly(instructions, model.annotation, TYPES)
     assert exact.is_proven.all()
     np.testing.assert_array_equal(exact.is_right, beam.is_right)
     both = model.annotation, model.behavior
-    beam = score_behaviors(instructions, *both, TYPES)
+    beam = evaluate_behaviors(instructions, *both, TYPES)
     exact = score_behaviors_exactly(instructions, *both, TYPES)
     assert exact.is_right.shape == (6,)
     np.testing.assert_array_equal(exact.is_right, beam.is_right)

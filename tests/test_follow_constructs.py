@@ -156,10 +156,10 @@ def followed() -> Mapping[str, Followed]:
             motion=default_motion(),
         )
 
-    def begin(index: jax.Array) -> episode.Progress:
+    def begin(index: jax.Array) -> episode.EpisodeState:
         return episode.begin(task(index), instructions, config=config)
 
-    def body(progress: episode.Progress, _: None) -> tuple:
+    def body(progress: episode.EpisodeState, _: None) -> tuple:
         after, info = episode.advance(progress, params=params, config=config)
         return after, (after.world.position, after.navigator.is_done, info.behavior.mode)
 

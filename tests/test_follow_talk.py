@@ -28,7 +28,7 @@ OTHER = Candidate(slot=1, type_name="hydrant", x=9.0, y=1.0, probability=0.5)
 
 @dataclasses.dataclass
 class Episode:
-    """As much of ``episode.Progress`` as an ear reads."""
+    """As much of ``episode.EpisodeState`` as an ear reads."""
 
     navigator: object
 
@@ -147,7 +147,7 @@ def test_story_page_and_document_tell_what_was_said() -> None:
     story = "\n".join(narrate(recording))
     assert "Hears “the other one”, and keeps to its task: nothing is being approached" in story
     assert "Hears “no, the other one”, a correction. Rules out the hydrant" in story
-    page = html.pack(recording)
+    page = html.page_data(recording)
     assert "Rules out the hydrant" in " ".join(page["story"][5])
     document = speech.describe_talk(recording)
     assert [one["kind"] for one in document["utterances"]] == [None, "correction"]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxlangnav.grounding import load_shipped, understand, understand_parse
-from jaxlangnav.grounding.annotation import describe, infer_annotations
+from jaxlangnav.grounding.annotation import describe_annotation, infer_annotations
 from jaxlangnav.grounding.readings import CapacityError, read, to_readings
 from jaxlangnav.grounding.symbols import object_symbol, region_symbol, relation_symbol
 from jaxlangnav.language.parser import parse
@@ -232,7 +232,7 @@ def test_what_lies_between_has_two_relations(clause, mentions, relations):
 def test_between_is_read_as_its_two_relations(model, text, landmarks):
     """The trained graph has six relations: "between" is near either, and a pair."""
     understood = understand(text, model)
-    told = [describe(*one, understood.names) for one in understood.belief.marginals()]
+    told = [describe_annotation(*one, understood.names) for one in understood.belief.marginals()]
     between = [one for one in told if one["relation"] == "between" and one["probability"] > 0.05]
     assert {one["landmark"] for one in between if one["probability"] > 0.95} == landmarks
     assert {one["figure"] for one in between} == {"hydrant"}

@@ -21,7 +21,7 @@ from jaxlangnav.grounding import (
     RewriteGrounder,
     default_rewrite_params,
 )
-from jaxlangnav.grounding.readings import Reading, pack, unpack
+from jaxlangnav.grounding.readings import Reading, pad_readings, unpad_readings
 from jaxlangnav.grounding.rewrites import MOST_REWRITES
 from jaxlangnav.grounding.weights import load_shipped
 from jaxlangnav.messages import BEHIND, FRONT, NONE
@@ -50,7 +50,7 @@ def rewriting(graph, *rewrites, temperature=1.0):
 def relations(grounded) -> dict[int, float]:
     """Probability of each first relation over the readings."""
     found: dict[int, float] = {}
-    for reading, score in unpack(grounded.instruction.readings):
+    for reading, score in unpad_readings(grounded.instruction.readings):
         relation = reading.relations[0][1] if reading.relations else NONE
         found[relation] = found.get(relation, 0.0) + math.exp(score)
     return found
@@ -66,7 +66,9 @@ def test_packing_is_undone() -> None:
         (Reading((3, 1), ((0, BEHIND, 1, 2),)), math.log(0.75)),
         (Reading((2,), ((0, NONE, NONE, 0),)), math.log(0.25)),
     ]
-    for (reading, score), (again, same) in zip(ranked, unpack(pack(ranked)), strict=True):
+    for (reading, score), (again, same) in zip(
+        ranked, unpad_readings(pad_readings(ranked)), strict=True
+    ):
         assert reading == again
         assert same == pytest.approx(score, rel=1e-6)
 
@@ -104,7 +106,7 @@ def test_the_weightiest_meaning_commands_not_the_likeliest_wording(graph) -> Non
     assert [one.says for one in grounded.alternatives] == [BEHIND_CAR, "go to the car"]
     assert [one.probability for one in grounded.alternatives] == pytest.approx([0.6, 0.4])
     assert goals_of(grounded) == (TYPES.index("cone"),)
-    best = unpack(grounded.instruction.readings)[0][0]
+    best = unpad_readings(grounded.instruction.readings)[0][0]
     assert set(best.mentions) == {TYPES.index("cone"), TYPES.index("car")}
 
 
@@ -191,7 +193,7 @@ def test_a_person_picks_among_readings() -> None:
 
     grounded = ChoosingGrounder(signs, pick).ground("go to the sign", START)
     assert [one.says for one in ways] == ["there is a stop sign", "there is a yield sign"]
-    (reading, score), *others = unpack(grounded.instruction.readings)
+    (reading, score), *others = unpad_readings(grounded.instruction.readings)
     assert reading.mentions == (1,)
     assert score == 0.0
     assert not others

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from jaxlangnav.language.labels import rank, sense
+from jaxlangnav.language.labels import rank, sense_of
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import LanguageError, Phrase
 
@@ -26,20 +26,22 @@ def thing(phrase: Phrase) -> str:
         base, *others = phrase.children
         said = "".join(f"[{place(other)}]" for other in others)
         return "@" + said[1:-1] if thing(base) == "place" else thing(base) + said
-    marks = [mark for mark in ("other", "same") if sense(phrase, mark)]
-    is_one = "one" if sense(phrase, "anaphor") else "place" if sense(phrase, "place") else None
-    return " ".join([*marks, sense(phrase, "type") or is_one or "?"])
+    marks = [mark for mark in ("other", "same") if sense_of(phrase, mark)]
+    is_one = (
+        "one" if sense_of(phrase, "anaphor") else "place" if sense_of(phrase, "place") else None
+    )
+    return " ".join([*marks, sense_of(phrase, "type") or is_one or "?"])
 
 
 def place(phrase: Phrase) -> str:
     """Write a preposition phrase, an adjective or a relative clause."""
     if phrase.label == "SBAR":
         return "+".join(place(child) for child in phrase.children)
-    relation = sense(phrase, "relation")
+    relation = sense_of(phrase, "relation")
     if relation is None:
         inner = phrase.children[0]
         return thing(inner) if inner.label == "NP" else "@" + place(inner)
-    if sense(phrase, "between"):
+    if sense_of(phrase, "between"):
         return "between " + " and ".join(thing(child) for child in phrase.children)
     ranked = f"{relation}{rank(phrase) or ''}"
     return f"{ranked} {thing(phrase.children[0]) if phrase.children else 'robot'}"
@@ -55,16 +57,16 @@ def clause(root: Phrase) -> str:
     for child in root.children:
         if child.label == "VP":
             continue
-        is_region = child.label != "NP" and sense(child, "relation") is not None
+        is_region = child.label != "NP" and sense_of(child, "relation") is not None
         written = thing(child) if child.label == "NP" else place(child)
         goals.append("@" + written if is_region else written)
     kept = [
         thing(leaf) for child in root.children if child.label == "VP" for leaf in child.children
     ]
-    if sense(root, "constraint"):
+    if sense_of(root, "constraint"):
         return "avoid " + ",".join(goals + kept)
-    mode = sense(root, "mode")
-    verb = ("find" if sense(root, "action") == "find" else "nav") + (f":{mode}" if mode else "")
+    mode = sense_of(root, "mode")
+    verb = ("find" if sense_of(root, "action") == "find" else "nav") + (f":{mode}" if mode else "")
     return " ".join([verb, ",".join(goals), *(f"avoid {name}" for name in kept)])
 
 

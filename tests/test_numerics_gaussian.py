@@ -11,7 +11,7 @@ from jaxlangnav.numerics.resampling import effective_sample_size, independent, s
 
 EDGES = [(0, 5), (1, 5), (3, 5), (2, 4), (0, 1)]
 EPS = float(np.finfo(np.float32).eps)
-CONDITION = jax.jit(lambda moments, *rest: gaussian.condition(moments, EDGES, *rest))
+CONDITION = jax.jit(lambda moments, *rest: gaussian.condition_offsets(moments, EDGES, *rest))
 NORMALIZE = jax.jit(categorical.log_normalize)
 DRAW = jax.jit(jax.vmap(categorical.draw))
 SYSTEMATIC = jax.jit(jax.vmap(systematic))
@@ -71,10 +71,10 @@ def test_measurement_of_no_worth_and_of_one_coordinate_by_hand() -> None:
     """R → ∞ changes nothing; two variances of 1 and R = 2 share an innovation of 4 alike."""
     eye = gaussian.Moments(jnp.eye(2), jnp.zeros(2), jnp.zeros(2))
     used, four = jnp.array([True]), jnp.array([4.0])
-    vague = gaussian.condition(eye, [(0, 1)], used, four, four, jnp.array([1e20]))
+    vague = gaussian.condition_offsets(eye, [(0, 1)], used, four, four, jnp.array([1e20]))
     for ours, before in zip(vague, eye, strict=True):
         np.testing.assert_allclose(ours, before, atol=1e-9)
-    found = gaussian.condition(eye, [(0, 1)], used, four, -four, jnp.array([2.0]))
+    found = gaussian.condition_offsets(eye, [(0, 1)], used, four, -four, jnp.array([2.0]))
     np.testing.assert_allclose(found.covariance, [[0.75, 0.25], [0.25, 0.75]], rtol=1e-6)
     np.testing.assert_allclose(found.mean_x, [1.0, -1.0], rtol=1e-6)
     np.testing.assert_allclose(found.mean_y, [-1.0, 1.0], rtol=1e-6)

@@ -14,7 +14,7 @@ from jaxlangnav.planner.constraints import constraint_cost, squared_distance_to_
 from jaxlangnav.planner.endings import Chances, chance_left, chances
 from jaxlangnav.planner.faithful import no_waypoint
 from jaxlangnav.planner.goals import Goals
-from jaxlangnav.planner.graph import FRONTIER, OBJECT, VISITED, Nodes
+from jaxlangnav.planner.graph import FRONTIER, OBJECT_NODE, VISITED, Nodes
 from jaxlangnav.planner.informed import decide_on
 from jaxlangnav.planner.params import default_planner_params
 from jaxlangnav.planner.policy import Decision, Waypoint
@@ -66,7 +66,7 @@ def test_ways_past_what_is_to_be_avoided_cost_and_no_others() -> None:
     forbidden = np.zeros((7, SLOTS + by_hand.M + 1, P), np.float32)
     forbidden[6, 0, : P // 4] = 1.0
     zero = jnp.float32(0.0)
-    all_three = nodes_at([4.0, 1.0, 6.0], [3.0, 0.0, 0.0], [FRONTIER, VISITED, OBJECT])
+    all_three = nodes_at([4.0, 1.0, 6.0], [3.0, 0.0, 0.0], [FRONTIER, VISITED, OBJECT_NODE])
     cost = constraint_cost(belief, jnp.asarray(forbidden), all_three, zero, zero, jnp.float32(2.0))
     # Of the nodes at (4, 3), (1, 0) and (6, 0) the second is just out of its berth of 2 m.
     away = replace(all_three, x=jnp.array([4.0, 0.9, 6.0]), y=jnp.array([4.0, 0.0, 0.0]))
@@ -123,7 +123,7 @@ FRONT = (9.5 * CELL, 19.5 * CELL - 5.0)
 
 def nodes() -> Nodes:
     """What every policy is shown; the paper's puts its frontier before."""
-    return nodes_at([1.0, 6.0], [0.0, 0.0], [VISITED, OBJECT])
+    return nodes_at([1.0, 6.0], [0.0, 0.0], [VISITED, OBJECT_NODE])
 
 
 def goals(mass: float, x: float = 6.0, y: float = 0.0, hypothesis: float = 0.0) -> Goals:
@@ -156,7 +156,7 @@ def test_faithful_takes_the_node_of_highest_value() -> None:
     x, y = [FRONT[0], 1.0, 6.0], [FRONT[1], 0.0, 0.0]
     way = np.hypot(np.subtract.outer(x, [6.0, 4.0]), np.subtract.outer(y, [0.0, 3.5]))
     np.testing.assert_allclose(choice.goal_value, (gamma**way) @ [0.6, 0.3], rtol=1e-4)
-    assert int(choice.kind) == OBJECT
+    assert int(choice.kind) == OBJECT_NODE
     assert not bool(choice.is_stop)
     choice = choose(goals(0.1, hypothesis=0.8))
     assert int(choice.kind) == FRONTIER
@@ -167,8 +167,8 @@ def test_a_cost_turns_it_away() -> None:
     aims, cone = goals(0.6, hypothesis=0.3), [(by_hand.CONE, 5.0, -1.0)]
     doubted = choose(aims, places=cone, forbidden=0.125)
     np.testing.assert_allclose(doubted.cost, [0.0, 0.0, 0.125], atol=1e-6)
-    assert int(doubted.kind) == OBJECT
-    assert int(choose(aims, places=cone, forbidden=1.0).kind) != OBJECT
+    assert int(doubted.kind) == OBJECT_NODE
+    assert int(choose(aims, places=cone, forbidden=1.0).kind) != OBJECT_NODE
 
 
 @pytest.mark.parametrize(
@@ -312,7 +312,7 @@ def test_informed_ends_once_the_rest_has_been_looked_at(mass, robot, chance, sto
     choice = DECIDE_ON(shown, plan, both(chance))
     assert (bool(choice.is_stop), bool(choice.is_not_found)) == (stops, ends)
     if mass == 0.4 and chance < 0.1 and not stops:
-        assert int(choice.kind) == OBJECT
+        assert int(choice.kind) == OBJECT_NODE
         assert bool(choice.is_approach)
     # That it is nowhere ends a search that has shown nothing, and nothing is taken for it.
     choice = DECIDE_ON(shown, plan, Chances(jnp.float32(0.5), jnp.float32(chance), jnp.float32(0)))
@@ -351,7 +351,7 @@ def test_what_hangs_on_the_unseen_and_is_likelier_is_not_passed_over(likelier, s
         hypothesis_y=jnp.zeros(1),
         hypothesis_mass=jnp.full(1, 0.01),
     )
-    around = nodes_at([5.0, 6.0, 0.0], [0.0] * 3, [VISITED, OBJECT, OBJECT])
+    around = nodes_at([5.0, 6.0, 0.0], [0.0] * 3, [VISITED, OBJECT_NODE, OBJECT_NODE])
     shown = situation(by_hand.begin(config=CONFIG), around, aims)
     choice = DECIDE_ON(shown, plan, both(0.5))
     assert bool(choice.is_stop) is stops
@@ -372,7 +372,7 @@ def test_who_looks_on_is_not_drawn_back_to_what_has_been_seen() -> None:
         for name in ("object_x", "object_y", "object_mass", "object_accepted", "is_object")
     }
     aims = replace(aims, **with_robot, object_confirmed=with_robot["object_accepted"])
-    around = nodes_at([5.0, 6.0, 0.0], [0.0] * 3, [VISITED, OBJECT, OBJECT])
+    around = nodes_at([5.0, 6.0, 0.0], [0.0] * 3, [VISITED, OBJECT_NODE, OBJECT_NODE])
     around = replace(around, is_node=jnp.array([True, True, False]))
     shown = situation(by_hand.begin(config=CONFIG), around, aims, (2.0, 0.0))
     asking = replace(shown.params, question_cost=jnp.float32(0.1), look_cost=jnp.float32(5e-4))

@@ -6,7 +6,7 @@ import numpy as np
 import readings as by_hand
 
 from jaxlangnav.messages import BEHIND, LEFT, NEAR, NONE, ROBOT, Behavior, Readings
-from jaxlangnav.planner.relevance import bears_on_goal, group_of, groups, has_open_partner
+from jaxlangnav.planner.relevance import bears_on_goal, believed_groups, groups, has_open_partner
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map import particle
 
@@ -65,16 +65,16 @@ TOLD = reading_of([HYDRANT, CONE, CAR, BENCH], [(0, BEHIND, 1), (2, NONE, NONE),
 def test_what_was_said_of_other_things_keeps_no_goal_from_being_confirmed() -> None:
     """The hydrant and its cone are seen; the car to avoid and the next command's bench are not."""
     belief = map_with({0: 0, 1: 1})
-    group = group_of(TOLD, belief)
+    group = believed_groups(TOLD, belief)
     assert np.asarray(has_open_partner(group, belief))[:4, 0].tolist() == [False, False, True, True]
     half = map_with({0: 0})
-    group = group_of(TOLD, half)
+    group = believed_groups(TOLD, half)
     assert np.asarray(has_open_partner(group, half))[:2, 0].tolist() == [True, True]
 
 
 def test_only_what_the_goal_is_placed_against_is_looked_for() -> None:
     belief = map_with({0: 0})
-    group = group_of(TOLD, belief)
+    group = believed_groups(TOLD, belief)
     seen = np.asarray(bears_on_goal(group, belief, goal_at(0)))[:4, 0]
     assert seen.tolist() == [True, True, False, False]
     hypothesised = np.asarray(bears_on_goal(group, belief, goal_at(3 + 3)))[:4, 0]
@@ -84,5 +84,5 @@ def test_only_what_the_goal_is_placed_against_is_looked_for() -> None:
 def test_where_no_mention_is_the_goal_all_of_them_count() -> None:
     """ "The other cone" is none that has been named."""
     belief = map_with({0: 0})
-    group = group_of(TOLD, belief)
+    group = believed_groups(TOLD, belief)
     assert np.asarray(bears_on_goal(group, belief, goal_at(2)))[:4, 0].all()

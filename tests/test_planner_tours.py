@@ -11,7 +11,7 @@ from test_planner_policy import CONFIG, P, believe, random_places
 from jaxlangnav.messages import NONE
 from jaxlangnav.planner import prior, tours
 from jaxlangnav.planner.endings import Chances
-from jaxlangnav.planner.graph import OBJECT
+from jaxlangnav.planner.graph import OBJECT_NODE
 from jaxlangnav.planner.informed import decide_on
 from jaxlangnav.planner.policy import Decision
 from jaxlangnav.planner.search import CELLS, SearchMap, search_map
@@ -81,7 +81,7 @@ def test_latency_is_the_mean_way_until_found() -> None:
     line = tours.Tour(x=jnp.full((1, K), 6.0), y=jnp.zeros((1, K)))
     zero = jnp.float32(0.0)
     first, _ = tours.first_sight(
-        line, search.x, search.y, zero, zero, jnp.float32(RANGE) - tours.MARGIN
+        line, search.x, search.y, zero, zero, jnp.float32(RANGE) - tours.SIGHT_MARGIN
     )
     first, mass = np.asarray(first)[0], np.asarray(search.mass)
     is_seen = first < 1e8
@@ -143,7 +143,7 @@ def test_a_plan_is_never_worse_than_the_tour_under_way() -> None:
         now = plan(search, tour, seed)
         costs.append(float(jnp.min(now.latency)))
         assert costs[-1] <= last + 1e-4
-        tour, last = tours.take(now, -now.latency), costs[-1]
+        tour, last = tours.best_tour(now, -now.latency), costs[-1]
     greedy = tours.greedy(search, jnp.float32(1.0), jnp.float32(0.0), jnp.float32(RANGE), AREA)
     drafted = tours.latency(
         greedy, search, jnp.float32(1.0), jnp.float32(0.0), jnp.float32(RANGE), AREA
@@ -156,7 +156,7 @@ def test_mass_in_one_corner_is_gone_to() -> None:
     mass = np.zeros((CELLS, CELLS))
     mass[-2:, -2:] = 0.25
     now = plan(search_of(np.zeros(CELLS**2), mass.reshape(-1)), tours.no_tour(*jnp.zeros(2)))
-    best = tours.take(now, -now.latency)
+    best = tours.best_tour(now, -now.latency)
     first, _ = tours.first_sight(
         tours.Tour(x=best.x[None], y=best.y[None]),
         jnp.array([9.2]), jnp.array([4.2]), jnp.float32(1.0), jnp.float32(0.0), jnp.float32(RANGE),
@@ -216,7 +216,7 @@ DECIDE_ON = jax.jit(decide_on)
 def decide(now: tours.Plan, goal: float) -> Decision:
     """Let the informed policy choose half a metre from an object, the goal with a probability."""
     shown = situation(
-        by_hand.begin(config=CONFIG), nodes_at([1.5], [0.0], [OBJECT]), seen_goal(goal, 1.5),
+        by_hand.begin(config=CONFIG), nodes_at([1.5], [0.0], [OBJECT_NODE]), seen_goal(goal, 1.5),
         (1.0, 0.0),
     )  # fmt: skip
     return DECIDE_ON(shown, now, Chances(jnp.float32(1.0), jnp.float32(1.0), NOT))

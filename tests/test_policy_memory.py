@@ -17,7 +17,7 @@ from jaxlangnav.messages import Status
 from jaxlangnav.navigator import NavigatorConfig
 from jaxlangnav.planner import qmdp
 from jaxlangnav.planner.config import PlannerConfig, as_policy
-from jaxlangnav.planner.graph import FRONTIER, OBJECT
+from jaxlangnav.planner.graph import FRONTIER, OBJECT_NODE
 from jaxlangnav.planner.policy import Policy, Situation, Valuation, Waypoint, ahead, decide
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.coverage import log_miss_at
@@ -61,7 +61,7 @@ def shown(robot=(0.0, 0.0), **kwargs) -> Situation:
     belief = by_hand.with_coverage(by_hand.begin(config=CONFIG), log_miss)
     goals = seen_goal(0.9, 2.0, 3.0)
     goals = jax.tree.map(lambda leaf: jnp.pad(leaf, (0, CONFIG.num_objects)), goals)
-    nodes = nodes_at(goals.object_x, goals.object_y, [OBJECT] * (CONFIG.num_objects + 1))
+    nodes = nodes_at(goals.object_x, goals.object_y, [OBJECT_NODE] * (CONFIG.num_objects + 1))
     return situation(belief, replace(nodes, is_node=goals.is_object), goals, robot, **kwargs)
 
 
@@ -77,7 +77,7 @@ def test_it_goes_to_a_place_of_its_own_and_keeps_it_until_it_is_there() -> None:
         assert (float(second.waypoint_x), float(second.waypoint_y)) == place
         memory, third = CHOOSE(policy, jax.random.key(seed + 200), memory, shown(place))
         # Met three times by now: that is worth more than another place.
-        assert int(third.kind) == OBJECT
+        assert int(third.kind) == OBJECT_NODE
         np.testing.assert_allclose(memory["met"], [3.0, *[0.0] * CONFIG.num_objects])
         assert (float(memory["x"]), float(memory["y"])) != place
     assert len(set(drawn)) == 5

@@ -18,7 +18,7 @@ from jaxlangnav.robots.motion.window import Window
 from jaxlangnav.robots.record import Drive, Ending, observe
 from jaxlangnav.robots.recorded import record_drive
 from jaxlangnav.robots.robot import Detection, Progress
-from jaxlangnav.viz.html import pack, render_html
+from jaxlangnav.viz.html import page_data, render_html
 from jaxlangnav.viz.panels import outcome
 from jaxlangnav.world.scenario import empty_scenario
 from jaxlangnav.world.state import CONE, HYDRANT
@@ -213,7 +213,7 @@ def test_a_recording_tells_endings_that_only_robots_have(navigator) -> None:
     assert outcome(kept) == "blind"
     assert not kept.frames.is_detection[-1].any()
     np.testing.assert_allclose(kept.frames.position[-1], robot.true_pose[:2], atol=1e-5)
-    closing = pack(kept)["closing"]
+    closing = page_data(kept)["closing"]
     assert "picture" in closing[0]
     assert not any("out of time" in line for line in closing)
 

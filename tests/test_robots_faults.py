@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 from test_navigator_step import robot as navigator
 
+from jaxlangnav.experiments.sentences import SENTENCES
 from jaxlangnav.robots import libraries
 from jaxlangnav.robots.driver import drive
 from jaxlangnav.robots.film import film
 from jaxlangnav.robots.physics.robot import PhysicsRobot
 from jaxlangnav.robots.record import Ending
 from jaxlangnav.robots.recorded import record_drive
-from jaxlangnav.robots.table3 import COMMANDS, TABLE3, make_robot
+from jaxlangnav.robots.table3 import TABLE3, make_robot
 from jaxlangnav.viz.html import render_html
 
 __all__ = ["navigator"]
@@ -73,7 +74,7 @@ def test_what_goes_wrong_has_its_ending(navigator, row, fault, endings) -> None:
     fault(robot)
     try:
         ended = drive(
-            navigator, robot, COMMANDS[row.relation], key=jax.random.key(3), max_seconds=240.0
+            navigator, robot, SENTENCES[row.relation], key=jax.random.key(3), max_seconds=240.0
         )
         away = np.hypot(*(robot.true_pose[:2] - np.asarray(robot.scenario.goal)))
     finally:
@@ -87,7 +88,7 @@ def test_what_goes_wrong_has_its_ending(navigator, row, fault, endings) -> None:
 def test_a_motion_planner_that_gives_up_leaves_it_blocked(navigator, row, monkeypatch) -> None:
     monkeypatch.setattr("jaxlangnav.robots.motion.mover.find_path", lambda *given: None)
     robot = make_robot(row, 0, 0)
-    ended = drive(navigator, robot, COMMANDS["behind"], key=jax.random.key(0), max_seconds=60.0)
+    ended = drive(navigator, robot, SENTENCES["behind"], key=jax.random.key(0), max_seconds=60.0)
     robot.close()
     assert ended.ending is Ending.BLOCKED, ended.why
     assert robot.travelled < 0.1
@@ -96,7 +97,7 @@ def test_a_motion_planner_that_gives_up_leaves_it_blocked(navigator, row, monkey
 def test_a_run_is_filmed(navigator, tmp_path) -> None:
     robot, path = make_robot(CHAIR, 0, 0), tmp_path / "run.gif"
     key = jax.random.key(0)
-    written, why = film(path, robot, COMMANDS["behind"], navigator=navigator, key=key)
+    written, why = film(path, robot, SENTENCES["behind"], navigator=navigator, key=key)
     robot.close()
     assert written == path
     assert why == "arrived"
@@ -110,7 +111,7 @@ def test_a_run_is_filmed(navigator, tmp_path) -> None:
 
 def test_a_run_is_recorded_with_what_is_seen_of_it(navigator) -> None:
     robot, key = make_robot(HUSKY, 0, 0), jax.random.key(0)
-    ended, kept = record_drive(robot, COMMANDS["behind"], navigator=navigator, key=key)
+    ended, kept = record_drive(robot, SENTENCES["behind"], navigator=navigator, key=key)
     robot.close()
     assert kept.num_steps == len(ended.steps) == len(kept.pictures)
     read = libraries.opencv().imdecode

@@ -177,7 +177,7 @@ def test_the_detector_is_as_good_as_the_belief_is_told() -> None:
     assert rate > figures.RATE - 5 * np.sqrt(figures.RATE * (1 - figures.RATE) / looks)
     assert np.nanmax([one.error for one in found]) < figures.NOISE
     assert sum(one.false for one in found) == 0
-    headings, rows = figures.table(found)
+    headings, rows = figures.tabulate(found)
     assert len(rows) == 3
     assert len(rows[0]) == len(headings)
 

@@ -17,10 +17,10 @@ from jaxlangnav.robots.record import Ending
 from jaxlangnav.robots.robot import Detection
 from jaxlangnav.robots.ros2 import conversions
 from jaxlangnav.robots.ros2.bags import ReplayBus
-from jaxlangnav.robots.ros2.recording import RecordedLoopback, Scribe, record_drive
+from jaxlangnav.robots.ros2.recording import RecordedLoopback, Scribe, write_bag
 from jaxlangnav.robots.ros2.robot import RosRobot
 from jaxlangnav.robots.ros2.session import Session
-from jaxlangnav.robots.ros2.simulation import RobotOptions, draw_place
+from jaxlangnav.robots.ros2.simulation import RobotOptions, draw_start
 
 __all__ = ["navigator"]
 pytest.importorskip("rosbags")
@@ -134,7 +134,7 @@ def test_the_bag_that_ships_replays_to_the_same_decisions(navigator) -> None:
     """Where decisions have changed since, ``python scripts/make_bag.py`` makes it anew."""
     options = RobotOptions(robot="husky")
     gates = Gates(range=options.range, field_of_view=math.radians(options.field_of_view))
-    area = np.asarray(draw_place(options).area).tolist()
+    area = np.asarray(draw_start(options).area).tolist()
     told = replay(navigator, BAG, sensor=as_told(gates), area=area, key=jax.random.key(0))
     assert told[-1]["ending"] == "arrived"
     assert len(told) > 8
@@ -143,13 +143,13 @@ def test_the_bag_that_ships_replays_to_the_same_decisions(navigator) -> None:
 
 def test_a_drive_that_is_recorded_replays_to_the_same_decisions(navigator, tmp_path) -> None:
     simulated, path, key = put(), tmp_path / "drive", jax.random.key(1)
-    first = record_drive(path, simulated, TEXT, navigator=navigator, key=key)
+    first = write_bag(path, simulated, TEXT, navigator=navigator, key=key)
     assert first.ending is Ending.ARRIVED, first.why
     assert goal_distance(simulated) < 1.5
     told = replay(navigator, path, sensor=simulated.sensor, area=simulated.area, key=key)
     assert len(told) == len(first.steps) + 2
     with pytest.raises(ValueError, match="is there already"):
-        record_drive(path, put(), TEXT, navigator=navigator, key=key)
+        write_bag(path, put(), TEXT, navigator=navigator, key=key)
 
 
 def test_a_bag_without_odometry_and_what_is_no_bag_are_refused(tmp_path) -> None:

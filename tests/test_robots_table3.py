@@ -12,7 +12,7 @@ import pytest
 from jaxlangnav.cli.main import main
 from jaxlangnav.robots import trials
 from jaxlangnav.robots.table3 import HALT, TABLE3, environment
-from jaxlangnav.robots.trials import KNOWN, Plan
+from jaxlangnav.robots.trials import KNOWN, TrialPlan
 
 SCRIPTS = Path(__file__).parent.parent / "scripts"
 
@@ -46,7 +46,7 @@ def ran(monkeypatch) -> list:
 
 
 def test_what_has_been_kept_is_not_run_again(ran: list, tmp_path) -> None:
-    plan, done = Plan(trials=2, out=tmp_path), []
+    plan, done = TrialPlan(trials=2, out=tmp_path), []
     first = trials.reproduce_table3(plan, rows=TABLE3[:2], on_progress=done.append)
     assert len(ran) == sum(done) == 6
     assert first["resumed"] == 0
@@ -57,13 +57,13 @@ def test_what_has_been_kept_is_not_run_again(ran: list, tmp_path) -> None:
     other = plan.path(TABLE3[1], 0)
     assert other is not None
     other.write_text(json.dumps({**json.loads(other.read_text()), "made": {"version": "0"}}))
-    again = trials.reproduce_table3(Plan(trials=3, out=tmp_path), rows=TABLE3[:2])
+    again = trials.reproduce_table3(TrialPlan(trials=3, out=tmp_path), rows=TABLE3[:2])
     assert set(ran) == {
         (TABLE3[0].name, 1), (TABLE3[1].name, 0), (TABLE3[0].name, 2), (TABLE3[1].name, 2)
     }  # fmt: skip
     assert again["resumed"] == 4
     ran.clear()
-    trials.reproduce_table3(Plan(trials=1, out=tmp_path, seed=1), rows=TABLE3[:1])
+    trials.reproduce_table3(TrialPlan(trials=1, out=tmp_path, seed=1), rows=TABLE3[:1])
     assert ran == [(TABLE3[0].name, KNOWN), (TABLE3[0].name, 0)]
 
 
@@ -76,18 +76,18 @@ def test_first_trials_and_failures_are_recorded(monkeypatch, tmp_path) -> None:
 
     monkeypatch.setattr(trials, "run_trial", run)
     monkeypatch.setattr(trials, "_navigator_of", lambda robot, policy: None)
-    plan = Plan(trials=3, out=tmp_path)
+    plan = TrialPlan(trials=3, out=tmp_path)
     for trial in range(3):
         trials._one(TABLE3[6], trial, plan)
     stem = "recordings/husky-1H1C-3-behind-informed-seed0"
     assert pages == [(0, f"{stem}-0.html"), (1, None), (2, None), (2, f"{stem}-2.html")]
     pages.clear()
-    trials._one(TABLE3[6], 2, Plan(trials=3))
+    trials._one(TABLE3[6], 2, TrialPlan(trials=3))
     assert pages == [(2, None)]
 
 
 def test_the_table_stands_beside_the_papers(ran: list) -> None:
-    document = trials.reproduce_table3(Plan(trials=3))
+    document = trials.reproduce_table3(TrialPlan(trials=3))
     assert document["success"] == pytest.approx(2 / 3)
     rows = trials.table_rows(document)
     assert len(rows) == 7
@@ -179,6 +179,6 @@ def test_scripts_refuse_in_one_line(monkeypatch, capsys, name, words, says, tmp_
 
 def test_plans_that_cannot_be_are_refused() -> None:
     with pytest.raises(ValueError, match="trials is 0"):
-        Plan(trials=0)
+        TrialPlan(trials=0)
     with pytest.raises(ValueError, match="processes is 0"):
-        Plan(trials=1, processes=0)
+        TrialPlan(trials=1, processes=0)

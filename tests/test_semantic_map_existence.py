@@ -27,7 +27,7 @@ def sensor(**values: float):
 @jax.jit
 def look(one, kind, x, is_detection, specification):
     """One look of one particle at one place: the particle, and log p(look)."""
-    doubt = association.doubt_of(specification, jnp.int32(TYPES))
+    doubt = association.clutter_odds(specification, jnp.int32(TYPES))
     seen = association.Detections(
         kind[None], x[None], jnp.zeros(1), jnp.full(1, LOG_THING), is_detection[None]
     )

@@ -7,7 +7,7 @@ import pytest
 import readings as by_hand
 
 from jaxlangnav.semantic_map import association
-from jaxlangnav.semantic_map.surprise import CONTRADICTION, surprise
+from jaxlangnav.semantic_map.surprise import LOG_CONTRADICTION, surprise
 from jaxlangnav.terrain import OPEN
 
 CONE, CAR, HYDRANT = by_hand.CONE, by_hand.CAR, by_hand.HYDRANT
@@ -83,7 +83,7 @@ def test_a_thing_off_its_place_surprises_by_the_square() -> None:
 def test_false_things_contradict_and_many_true_ones_do_not_hide_it() -> None:
     false = (CAR, 1.0, -1.0, 7 * MISS)
     assert surprise_of(SEEN, false) > surprise_of(false) - MISS - 1.1
-    assert surprise_of(false) > CONTRADICTION
+    assert surprise_of(false) > LOG_CONTRADICTION
     new = [(CONE, 2.0 * np.cos(turn), 2.0 * np.sin(turn), 0.0) for turn in range(3)]
     assert surprise_of(SEEN, false, *new) == pytest.approx(surprise_of(SEEN, false), abs=0.05)
 

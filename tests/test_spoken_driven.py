@@ -28,7 +28,7 @@ from hand_geometry import (
 from readings import repeat, stack
 
 from jaxlangnav import Navigator, episode
-from jaxlangnav.episode import Progress, Task
+from jaxlangnav.episode import EpisodeState, Task
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.grounding.binding import Detector
 from jaxlangnav.grounding.instruction import Instruction
@@ -135,7 +135,7 @@ def scenario_of(world: Place, names: tuple[str, ...]) -> Scenario:
 class Way(NamedTuple):
     """An episode that keeps where it has been."""
 
-    progress: Progress
+    progress: EpisodeState
     at: jax.Array  # f32[STEPS + 1, 2] metres; NaN where it has not come to
 
 

@@ -10,14 +10,14 @@ from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
 from jaxlangnav.experiments.tasks import cell, make_tasks
 from jaxlangnav.navigator import default_params
 from jaxlangnav.studies.provoked import (
-    CONTRADICTION,
+    CONTRADICTORY,
     FAULTS,
     FIRST,
     LAST,
-    MAX_STEPS,
-    NONE,
     NOT_A_NUMBER,
     OVERFLOW,
+    PROVOKED_STEPS,
+    UNPROVOKED,
     ZERO_WEIGHTS,
     ProvokedResult,
     run_provoked,
@@ -52,19 +52,19 @@ def test_episodes_go_on_or_end_with_a_reason(
     """All finite; every episode goes on, and stops by itself or runs out of time."""
     found = provoked[fault]
     assert found.is_sound.all()
-    ended = found.result.is_stopped | (found.result.steps == MAX_STEPS)
+    ended = found.result.is_stopped | (found.result.steps == PROVOKED_STEPS)
     assert ended.all()
     assert (found.result.steps > FIRST).all()
     assert np.isfinite(found.result.distance).all()
     # Lost weights and broken numbers are recovered from. False objects are not: detections are
     # taken never to be false (docs/limits.md), and the robot goes to what it was shown.
-    if fault in (NONE, ZERO_WEIGHTS, NOT_A_NUMBER):
+    if fault in (UNPROVOKED, ZERO_WEIGHTS, NOT_A_NUMBER):
         assert found.result.is_success.mean() >= 0.8
 
 
 def test_what_is_provoked_is_counted_when_it_happens(provoked: dict[int, ProvokedResult]) -> None:
     counts = {fault: provoked[fault].statuses for fault in provoked}
-    assert (counts[NONE] == 0).all()
+    assert (counts[UNPROVOKED] == 0).all()
     running = provoked[ZERO_WEIGHTS].result.steps > FIRST
     assert (counts[ZERO_WEIGHTS][running, FIRST] & 1).all()
     assert (np.delete(counts[ZERO_WEIGHTS], FIRST, axis=1) & 1).sum() == 0
@@ -72,8 +72,8 @@ def test_what_is_provoked_is_counted_when_it_happens(provoked: dict[int, Provoke
     running = provoked[NOT_A_NUMBER].result.steps > LAST
     assert broken[running].all()
     assert (counts[NOT_A_NUMBER][:, LAST + 1 :] & 8).sum() == 0
-    running = provoked[CONTRADICTION].result.steps > LAST
-    surprised = counts[CONTRADICTION][running, FIRST : LAST + 1] & 4
+    running = provoked[CONTRADICTORY].result.steps > LAST
+    surprised = counts[CONTRADICTORY][running, FIRST : LAST + 1] & 4
     assert (surprised.any(axis=1)).all()
     # Eight false objects a cycle, eight slots: full from the second on.
     running = provoked[OVERFLOW].result.steps > LAST

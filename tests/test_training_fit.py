@@ -11,7 +11,7 @@ import pytest
 from grounding_fixture import TYPES, corpus
 from oracles.dcg import objective
 
-from jaxlangnav.grounding.features import FEATURE_GROUPS, group_of, word_features
+from jaxlangnav.grounding.features import FEATURE_GROUPS, feature_group, word_features
 from jaxlangnav.grounding.model import (
     ANNOTATION_KINDS,
     BEHAVIOR_KINDS,
@@ -296,7 +296,7 @@ def test_derivative_by_every_strength_is_that_of_the_minimum():
     found = np.asarray(jax.jit(jax.grad(held_out_loss))(jnp.asarray(at, jnp.float32)))
     forwards = jax.jit(jax.jacfwd(held_out_loss))(jnp.asarray(at, jnp.float32))
 
-    which = np.array([groups.index(group_of(name)) for name in vocabulary.names])
+    which = np.array([groups.index(feature_group(name)) for name in vocabulary.names])
     *data, new = (
         np.asarray(part, np.float64) for part in (problem.words, problem.properties, times, held)
     )

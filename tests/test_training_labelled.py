@@ -20,9 +20,9 @@ from jaxlangnav.grounding.symbols import (
     relation_symbol,
 )
 from jaxlangnav.messages import AT, BEHIND, LEFT, NEAR, NONE, ROBOT
-from jaxlangnav.training.evaluation import score_annotations, score_behaviors
+from jaxlangnav.training.evaluation import evaluate_annotations, evaluate_behaviors
 from jaxlangnav.training.examples import annotation_examples, behavior_examples
-from jaxlangnav.training.labelled import read_annotation, read_behavior, read_example
+from jaxlangnav.training.labelled import labelled_instruction, read_annotation, read_behavior
 from jaxlangnav.training.scoring import gold_annotations
 
 
@@ -39,7 +39,7 @@ def test_symbols_are_read_by_name():
 
 
 def test_labels_stand_at_their_phrases():
-    labelled = read_example(
+    labelled = labelled_instruction(
         example("go to the car behind the tree", np.random.default_rng(0)), TYPES
     )
     car, tree = TYPES.index("car"), TYPES.index("tree")
@@ -92,8 +92,8 @@ def test_each_factor_is_an_example():
 def test_scores_of_the_shipped_models():
     model = load_shipped()
     instructions = corpus(num_worlds=1)
-    annotation = score_annotations(instructions, model.annotation, TYPES)
-    behavior = score_behaviors(instructions, model.annotation, model.behavior, TYPES)
+    annotation = evaluate_annotations(instructions, model.annotation, TYPES)
+    behavior = evaluate_behaviors(instructions, model.annotation, model.behavior, TYPES)
     assert annotation.accuracy > 0.95
     assert behavior.accuracy > 0.95
     assert ((annotation.confidence > 0) & (annotation.confidence <= 1 + 1e-9)).all()

@@ -221,6 +221,8 @@ def test_colours_of_neighbouring_types_differ_in_grey():
         return 0.2126 * red**2.2 + 0.7152 * green**2.2 + 0.0722 * blue**2.2
 
     assert len(set(style.TYPE_MARKERS)) == len(style.TYPE_COLORS) == 8
+    looks = {(style.type_color(kind), style.type_marker(kind)) for kind in range(64)}
+    assert len(looks) == 64
     assert abs(lightness(style.TYPE_COLORS[0]) - lightness(style.TYPE_COLORS[1])) > 0.05
     stops = [lightness(stop) for stop in style.VALUE_STOPS]
     assert stops == sorted(stops, reverse=True)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from recording_fixture import make_recording
 
-from jaxlangnav.viz.html import pack, render_html, write_html
+from jaxlangnav.viz.html import page_data, render_html, write_html
 
 HOSTILE = "</script><script>alert(1)</script> __DATA__ __TITLE__ \x1b[31m \u202e <b> & \"'"
 KINDS = {"f4": "<f4", "u2": "<u2", "u1": "u1"}
@@ -112,7 +112,7 @@ def test_a_sentence_cannot_break_out_of_the_page():
 
 def test_pictures_of_a_robot_go_with_their_steps():
     one = make_recording(3, 5)
-    assert pack(one)["pictures"] == []
+    assert page_data(one)["pictures"] == []
     pictures = tuple({"From outside": b"\xff\xd8" + bytes([step])} for step in range(3))
     page, data = read(dataclasses.replace(one, pictures=pictures, ended="blocked: <no way>"))
     assert "views" in page.ids
@@ -126,7 +126,7 @@ def test_no_hypotheses_at_all():
     one = make_recording(3, 5)
     frames = one.frames
     object.__setattr__(frames, "is_hypothesised", np.zeros_like(frames.is_hypothesised))
-    assert pack(one)["num_mentions"] == 0
+    assert page_data(one)["num_mentions"] == 0
 
 
 def test_200_steps_of_256_particles_are_small(tmp_path):

@@ -14,7 +14,7 @@ from jaxlangnav.kinds import attributes
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.messages import NONE, default_motion, default_sensor
 from jaxlangnav.world.files import (
-    World,
+    WorldFile,
     WorldFileError,
     load_world,
     open_world,
@@ -97,7 +97,7 @@ def test_defaults(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", shipped_worlds())
 def test_round_trip_of_shipped_worlds(tmp_path: Path, name: str, kind: str) -> None:
     world = open_world(name)
-    assert isinstance(world, World)
+    assert isinstance(world, WorldFile)
     save_world(world, tmp_path / f"copy.{kind}")
     again = load_world(tmp_path / f"copy.{kind}")
     chex.assert_trees_all_equal(again.scenario, world.scenario)
@@ -112,7 +112,7 @@ def test_round_trip_of_sampled_worlds_is_exact(tmp_path: Path, seed: int) -> Non
     scenario = sample_scenario(key, template="2H2C", relation="nearest")
     turned = np.asarray(scenario.start) + np.float32([0, 0, jax.random.normal(key)])
     scenario = type(scenario)(**{**vars(scenario), "start": turned})
-    world = World(
+    world = WorldFile(
         name='it"s a \\ world', scenario=scenario, sensor=default_sensor(), motion=default_motion()
     )
     save_world(world, tmp_path / "sampled.toml")
@@ -127,7 +127,7 @@ def test_shipped_worlds_show_what_they_promise() -> None:
     kinds = set()
     for name in shipped_worlds():
         world = open_world(name)
-        assert isinstance(world, World)
+        assert isinstance(world, WorldFile)
         assert world.name == name
         assert world.instruction
         kinds |= set(np.asarray(world.scenario.object_type)[np.asarray(world.scenario.is_object)])
@@ -136,7 +136,7 @@ def test_shipped_worlds_show_what_they_promise() -> None:
 
 def test_open_world_tells_templates_shipped_worlds_and_files_apart(tmp_path: Path) -> None:
     assert open_world("2H1C") == Template(name="2H1C", num_hydrants=2, num_cones=1)
-    assert isinstance(open_world(str(write(tmp_path, YARD))), World)
+    assert isinstance(open_world(str(write(tmp_path, YARD))), WorldFile)
     for text in ("yrad", "", "nonsense"):
         with pytest.raises(ValueError, match=r"unknown world.*1H1C.*yard.*toml") as caught:
             open_world(text)
@@ -176,7 +176,6 @@ COMPLAINTS = [
     ("start.x", 14.0, r"start.x is 14.0 but the area reaches from 0 to 13: move it or enlarge"),
     ("start.heading", 400, "start.heading is 400 but must be -360 or more and 360 or less"),
     ("start.headng", 4, "start.headng is unknown: known keys.*Did you mean 'heading'"),
-    ("goal", ..., "goal is missing: add it"),
     (
         "goal.object",
         "hydrant",
@@ -187,7 +186,7 @@ COMPLAINTS = [
     ("goal", {"x": 1.0}, "goal.y is missing"),
     ("goal", {"x": 1.0, "y": 99.0}, "goal.y is 99.0 but the area reaches from -9 to 9"),
     ("goal.x", 1.0, "goal.x is unknown: known keys are object"),
-    ("objects", [], "objects has 0 entries but must have 1 to 8"),
+    ("objects", [], "objects has 0 entries but must have 1 to 64"),
     ("objects", {}, r"objects is \{\} but must be a list of tables: write \[\[objects\]\]"),
     ("objects", ..., "objects is missing"),
     ("objects.0", 5, r"objects\[0\] is 5 but must be a table"),
@@ -246,10 +245,32 @@ def test_complaints_name_file_key_value_limit_and_remedy(where, value, message) 
 
 def test_too_many_objects() -> None:
     table = tomllib.loads(YARD)
-    table["objects"] += [{"type": "box", "x": 1.0, "y": 1.0}] * 7
-    with pytest.raises(WorldFileError, match="objects has 9 entries but must have 1 to 8"):
+    table["objects"] += [{"type": "box", "x": 1.0, "y": 1.0}] * 63
+    with pytest.raises(WorldFileError, match="objects has 65 entries but must have 1 to 64"):
         world_from_dict(table, file="yard.toml")
-    assert int(world_from_dict(table, file="y", num_slots=9).scenario.is_object.sum()) == 9
+    with pytest.raises(WorldFileError, match="objects has 65 entries but must have 1 to 9"):
+        world_from_dict(table, file="yard.toml", num_slots=9)
+
+
+@pytest.mark.parametrize(("number", "slots"), [(8, 8), (9, 16), (17, 32), (64, 64)])
+def test_a_world_has_the_least_slots_that_hold_its_objects(number, slots) -> None:
+    table = tomllib.loads(YARD)
+    table["objects"] += [{"type": "box", "x": 1.0, "y": 1.0}] * (number - len(table["objects"]))
+    world = world_from_dict(table, file="yard.toml")
+    assert world.scenario.is_object.size == slots == len(world.object_names)
+    assert int(world.scenario.is_object.sum()) == number
+    assert world_to_dict(world)["objects"][-1] == {"type": "box", "x": 1.0, "y": 1.0}
+
+
+def test_a_goal_may_be_left_out_and_stays_out(tmp_path) -> None:
+    table = tomllib.loads(YARD)
+    world = world_from_dict(change(table, "goal", ...), file="yard.toml")
+    assert not world.has_goal
+    assert int(world.scenario.goal_index) == NONE
+    save_world(world, tmp_path / "yard.toml")
+    again = load_world(tmp_path / "yard.toml")
+    assert not again.has_goal
+    assert world_from_dict(table, file="yard.toml").has_goal
 
 
 def test_a_start_left_out_must_lie_in_the_area() -> None:
@@ -326,7 +347,7 @@ def test_deep_and_large_files_are_refused(tmp_path: Path, kind: str) -> None:
 
 def test_files_that_cannot_be_written(tmp_path: Path) -> None:
     world = open_world("yard")
-    assert isinstance(world, World)
+    assert isinstance(world, WorldFile)
     with pytest.raises(WorldFileError, match=r"must end in \.toml or .json"):
         save_world(world, tmp_path / "yard.txt")
     (tmp_path / "file").write_text("no folder")
@@ -336,7 +357,7 @@ def test_files_that_cannot_be_written(tmp_path: Path) -> None:
 
 def test_tables_are_plain_data() -> None:
     world = open_world("street")
-    assert isinstance(world, World)
+    assert isinstance(world, WorldFile)
     table = world_to_dict(world)
     assert json.loads(json.dumps(table)) == table
     assert table["start"]["heading"] == 90.0

@@ -16,7 +16,7 @@ from jaxlangnav.messages import (
 )
 from jaxlangnav.pytree import replace
 from jaxlangnav.world import simulator
-from jaxlangnav.world.motion import move as move_eagerly
+from jaxlangnav.world.motion import carry_out as move_eagerly
 from jaxlangnav.world.scenario import draw_scenario, sample_scenario, scenario_law
 from jaxlangnav.world.sensor import sense
 from jaxlangnav.world.state import Scenario, WorldState

@@ -8,15 +8,17 @@ from recording_fixture import make_scene
 
 from jaxlangnav.messages import NONE
 from jaxlangnav.pytree import replace
-from jaxlangnav.world.person import PERSONS, Person, Says, Seen, params_of, say, unspoken
+from jaxlangnav.world.person import PERSONS, Person, RobotView, Says, params_of, say, unspoken
 
 SCENARIO = jax.tree.map(jnp.asarray, make_scene().scenario)  # the goal at (9, 1), a cone at (6, 1)
 GOAL, WRONG = 0, 1
 speak = jax.jit(say)
 
 
-def seen(step: int = 0, aimed: int = NONE, asking: bool = False, candidates=(True, True)) -> Seen:
-    return Seen(
+def seen(
+    step: int = 0, aimed: int = NONE, asking: bool = False, candidates=(True, True)
+) -> RobotView:
+    return RobotView(
         step=jnp.int32(step),
         aimed=jnp.int32(aimed),
         is_asking=jnp.asarray(asking),
@@ -26,7 +28,7 @@ def seen(step: int = 0, aimed: int = NONE, asking: bool = False, candidates=(Tru
     )
 
 
-def watch(params, *sights: Seen, seed: int = 0) -> tuple[list[Says], Person]:
+def watch(params, *sights: RobotView, seed: int = 0) -> tuple[list[Says], Person]:
     person, told = unspoken(), []
     for sight in sights:
         person, said, _ = speak(jax.random.key(seed), person, sight, SCENARIO, params=params)

@@ -8,7 +8,7 @@ import pytest
 from jaxlangnav.experiments.tasks import Cell, draw_tasks
 from jaxlangnav.messages import NONE, default_motion, default_sensor
 from jaxlangnav.world.places import (
-    MARGIN,
+    BORDER_MARGIN,
     NUM_HAUNTED,
     OWN_GAP,
     PAIR_GAP,
@@ -62,7 +62,7 @@ def test_things_stand_by_the_law(drawn: dict, name: str) -> None:
         kind = places.object_type[lane]
         low, high = np.asarray(law.area)[0::2], np.asarray(law.area)[1::2]
         border = np.minimum(at[:, used].T - low, high - at[:, used].T)
-        assert border.min() >= MARGIN - 1e-4
+        assert border.min() >= BORDER_MARGIN - 1e-4
         apart = np.hypot(*(at[:, :, None] - at[:, None, :])) + 99.0 * np.eye(len(kind))
         assert apart[np.ix_(used, used)].min() >= float(law.gap) - 1e-4
         own = [one for one in (0, 1) if one in used]

@@ -123,6 +123,10 @@ def test_more_or_fewer_detections_than_objects() -> None:
     places = [(5.0, 0.0), (1.0, 0.0), (3.0, 0.0)]
     few = sense(KEY, robot(), world(places), sensor(), num_detections=2)
     assert [kind for kind, *_ in seen(few)] == [1, 2]  # the nearest two
+    # What is left out must not count as looked for: the look ends where the third would be.
+    assert float(few.sensor.range_max) == pytest.approx(5.0, abs=1e-5)
+    all_three = sense(KEY, robot(), world(places), sensor(), num_detections=3)
+    assert float(all_three.sensor.range_max) == float(sensor().range_max)
     many = sense(KEY, robot(), world(places, num_slots=3), sensor(), num_detections=6)
     assert many.is_detection.shape == (6,)
     assert [kind for kind, *_ in seen(many)] == [1, 2, 0]

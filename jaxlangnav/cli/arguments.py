@@ -85,7 +85,7 @@ def _read(kind: type[Any], options: Sequence[str], *, program: str) -> Any:
             return tyro.cli(
                 kind,
                 prog=program,
-                description=describe(kind),
+                description=lay_out_help(kind),
                 args=list(options),
                 config=(tyro.conf.FlagCreatePairsOff, tyro.conf.PositionalMetavarFromFieldName),
             )
@@ -96,7 +96,7 @@ def _read(kind: type[Any], options: Sequence[str], *, program: str) -> Any:
         raise UsageError(f"{message} (see {program} --help)") from None
 
 
-def describe(kind: type[Any]) -> str:
+def lay_out_help(kind: type[Any]) -> str:
     """Lay out a command's docstring for its help, as wide as the terminal but for comfort.
 
     Args:

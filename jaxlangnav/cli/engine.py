@@ -33,15 +33,20 @@ def load_models(path: Path | None) -> GroundingModel:
 
 
 def rehearse(
-    instructions: Instruction, *, params: NavigatorParams, config: NavigatorConfig
+    instructions: Instruction,
+    num_slots: int,
+    *,
+    params: NavigatorParams,
+    config: NavigatorConfig,
 ) -> None:
     """Load or compile the decision cycle in a thread, while other things are done.
 
-    A step of an episode in an empty world asks for it: shapes are the same in every world. Where
-    no programs are kept nothing is done, as two threads would compile the same.
+    A step of an episode in an empty world asks for it: shapes are the same in every world with as
+    many slots. Where no programs are kept nothing is done, as two threads would compile the same.
 
     Args:
         instructions: leaves [1, …].
+        num_slots: O, object slots of the world.
         params: the navigator's numbers.
         config: sizes and policy.
     """
@@ -49,7 +54,7 @@ def rehearse(
         return
     task = Task(
         key=jax.random.key(0),
-        scenario=empty_scenario(),
+        scenario=empty_scenario(num_slots),
         instruction_index=jax.device_put(np.int32(0)),
         sensor=default_sensor(),
         motion=default_motion(),

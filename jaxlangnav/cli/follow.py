@@ -14,7 +14,7 @@ from jaxlangnav.cli.metavars import ByStep, File, Folder, Metres
 from jaxlangnav.cli.output import Document, Output
 from jaxlangnav.cli.runtime import keep_compiled_programs, waiting
 from jaxlangnav.cli.sentence import is_template, parse_text
-from jaxlangnav.cli.settings import Place, apply, read_settings
+from jaxlangnav.cli.settings import SettingPath, apply, read_settings
 
 if TYPE_CHECKING:
     from jaxlangnav.cli.speech import Speech
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from jaxlangnav.grounding import Grounder
     from jaxlangnav.grounding.instruction import Understanding
     from jaxlangnav.language.phrase import Parse
-    from jaxlangnav.recording import Frame, Recording, Remark, Scene
+    from jaxlangnav.recording import Frame, Recording, Remark, StaticScene
     from jaxlangnav.task.opening import Prepared
     from jaxlangnav.task.talk import Earshot
 
@@ -97,7 +97,7 @@ class Follow:
         values = read_settings(self.settings, self.SETTINGS)
         self._check_settings(values)
         understood, grounder = self._understand(parsed, output)
-        from jaxlangnav.task.opening import refuse_what_it_lacks
+        from jaxlangnav.task.opening import refuse_what_it_lacks, slots_of
 
         refuse_what_it_lacks(self.world, understood)
         from jaxlangnav.cli.engine import rehearse
@@ -111,7 +111,7 @@ class Follow:
             speech.check_words(grounder, understood)
             understood = roomy(understood)
         sizes = self._sizes(values)
-        rehearse(alone(understood), **sizes)
+        rehearse(alone(understood), slots_of(self.world), **sizes)
         prepared = self._open(understood, output)
         task = prepared.task
         sensor = apply(task.sensor, values, "sensor")
@@ -155,17 +155,15 @@ class Follow:
             max_steps=self.max_steps,
         )
 
-    def _check_settings(self, values: "dict[Place, Any]") -> None:
+    def _check_settings(self, values: "dict[SettingPath, Any]") -> None:
         """Refuse numbers and sizes that do not go together, or that no memory holds."""
-        from jaxlangnav.experiments.policies import navigator_config
         from jaxlangnav.experiments.sizes import check_recording
         from jaxlangnav.navigator import check
-        from jaxlangnav.task.follow import navigator_params
 
+        sizes = self._sizes(values)
         if values:
-            check(apply(navigator_params(), values, "params"))
-        config = apply(navigator_config(self.policy, self.particles), values, "config")
-        check_recording(config, self.max_steps)
+            check(sizes["params"])
+        check_recording(sizes["config"], self.max_steps)
 
     def _understand(
         self, parsed: "Parse | None", output: Output
@@ -190,15 +188,15 @@ class Follow:
     def _open(self, understood: "Understanding", output: Output) -> "Prepared":
         """Open a world in which the sentence can be followed."""
         from jaxlangnav.task.opening import (
+            absent_types,
             count_types,
-            missing_types,
             nothing_there,
             open_task,
         )
 
         prepared = open_task(self.world, understood, sensing_range=self.range, seed=self.seed)
         scenario, names = prepared.task.scenario, understood.type_names
-        missing = missing_types(scenario, understood.annotations, names)
+        missing = absent_types(scenario, understood.annotations, names)
         if not prepared.is_meant and prepared.is_drawn:
             raise UsageError(nothing_there(prepared.world, count_types(scenario, names), ()))
         for name in missing:
@@ -207,14 +205,13 @@ class Follow:
             output.note("note: nothing there fits the sentence, so success cannot be judged")
         return prepared
 
-    def _sizes(self, values: "dict[Place, Any]") -> dict[str, Any]:
+    def _sizes(self, values: "dict[SettingPath, Any]") -> dict[str, Any]:
         """Build the engine's numbers and sizes."""
-        from jaxlangnav.experiments.policies import navigator_config
-        from jaxlangnav.task.follow import navigator_params
+        from jaxlangnav.task.follow import usual_engine
 
-        params = self._speech.allow_questions(apply(navigator_params(), values, "params"))
-        config = apply(navigator_config(self.policy, self.particles), values, "config")
-        return {"params": params, "config": config}
+        params, config = usual_engine(self.world, self.policy, self.particles)
+        params = self._speech.allow_questions(apply(params, values, "params"))
+        return {"params": params, "config": apply(config, values, "config")}
 
     def _record(
         self,
@@ -243,14 +240,14 @@ class Follow:
 
     def _told(
         self,
-        scene: "Scene",
+        scene: "StaticScene",
         steps: "Iterable[tuple[Frame, EpisodeResult]]",
         ear: "Earshot | None",
         prepared: "Prepared",
         output: Output,
     ) -> "Recording":
         """Run the rest of an episode, judge it and tell it."""
-        from jaxlangnav.recording import gather
+        from jaxlangnav.recording import stack_frames
         from jaxlangnav.task.follow import judged
         from jaxlangnav.task.talk import with_talk
         from jaxlangnav.viz.narrative import closing, narrate, opening, tell_on
@@ -263,7 +260,7 @@ class Follow:
                 output.tell(opening(scene))
                 steps = tell_on(scene, steps, said, output.tell)
             frames, results = zip(*steps, strict=True)
-            recording = gather(scene, list(frames), results[-1])
+            recording = stack_frames(scene, list(frames), results[-1])
         recording = judged(recording, prepared)
         recording = recording if ear is None else with_talk(recording, ear)
         if self.live or self.talk:
@@ -275,7 +272,7 @@ class Follow:
 
     def _watch(
         self,
-        scene: "Scene",
+        scene: "StaticScene",
         steps: "Iterable[tuple[Frame, EpisodeResult]]",
         said: "list[Remark]",
     ) -> "Recording":

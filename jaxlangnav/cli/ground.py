@@ -8,7 +8,7 @@ import tyro
 
 from jaxlangnav.cli.checks import check_folder, check_seed
 from jaxlangnav.cli.errors import UsageError
-from jaxlangnav.cli.metavars import File, Folder, World
+from jaxlangnav.cli.metavars import File, Folder, WorldName
 from jaxlangnav.cli.output import Document, Output
 from jaxlangnav.cli.runtime import keep_compiled_programs
 from jaxlangnav.cli.sentence import is_template, parse_text
@@ -37,7 +37,7 @@ class Ground:
 
     text: tyro.conf.Positional[str]
     """The sentence, in quotes."""
-    world: World = None
+    world: WorldName = None
     """A template, a shipped world or a file: ground the behavior in it too."""
     seed: int = 0
     """Of the world drawn from a template."""

@@ -9,4 +9,4 @@ Folder = Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint=
 File = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")]
 Metres = Annotated[float | None, tyro.conf.arg(metavar="METRES", help_behavior_hint="")]
 ByStep = Annotated[str, tyro.conf.arg(metavar="STEP:TEXT")]
-World = Annotated[str | None, tyro.conf.arg(metavar="WORLD", help_behavior_hint="")]
+WorldName = Annotated[str | None, tyro.conf.arg(metavar="WORLD", help_behavior_hint="")]

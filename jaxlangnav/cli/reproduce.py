@@ -11,7 +11,7 @@ from jaxlangnav.cli.errors import UsageError
 from jaxlangnav.cli.metavars import Folder
 from jaxlangnav.cli.output import Document, Output
 from jaxlangnav.cli.runtime import keep_compiled_programs
-from jaxlangnav.cli.settings import Place, apply, read_settings
+from jaxlangnav.cli.settings import SettingPath, apply, read_settings
 
 _EPISODES, _EPISODES_ROBUSTNESS = 100, 500
 _PARTICLES, _PARTICLES_DRAWN = 64, 256
@@ -176,7 +176,7 @@ class Reproduce:
         if self.what == "all":
             raise UsageError('all draws pictures and needs: pip install "jaxlangnav[viz]"')
 
-    def _check_settings(self, values: dict[Place, Any]) -> None:
+    def _check_settings(self, values: dict[SettingPath, Any]) -> None:
         """Refuse numbers that the experiment would never read."""
         taken = _TAKES.get(self.what, self.SETTINGS)
         for place in values:

@@ -39,9 +39,15 @@ def table3(
     check_libraries()
     from rich.table import Table
 
-    from jaxlangnav.robots.trials import TABLE3, TRIAL_HEADINGS, Plan, reproduce_table3, table_rows
+    from jaxlangnav.robots.trials import (
+        TABLE3,
+        TRIAL_HEADINGS,
+        TrialPlan,
+        reproduce_table3,
+        table_rows,
+    )
 
-    plan = Plan(trials=trials, seed=seed, policy=policy, out=out)
+    plan = TrialPlan(trials=trials, seed=seed, policy=policy, out=out)
     total = len(TABLE3) * (trials + 1)
     output.note(f"{total} runs of two robots, two at a time")
     with progress_bar("runs", total) as advance:

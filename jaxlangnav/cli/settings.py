@@ -16,7 +16,7 @@ from typing import Annotated, Any, TypeVar
 from jaxlangnav.cli.errors import UsageError
 
 _T = TypeVar("_T")
-Place = tuple[str, ...]
+SettingPath = tuple[str, ...]
 """Where a value stands: ("params", "planner", "discount")."""
 GROUPS = ("params", "config", "sensor", "motion")
 HELP_ALL = "--help-params"
@@ -39,7 +39,7 @@ _GREEK = {"alpha": "α", "gamma": "γ", "kappa": "κ", "mu": "μ", "sigma": "σ"
 class Option:
     """One value that can be set."""
 
-    path: Place
+    path: SettingPath
     default: Any
     """A number, or a tuple of them."""
     help: str
@@ -142,7 +142,7 @@ def with_settings(kind: type[Any]) -> type[Any]:
     return wider
 
 
-def read_settings(settings: Any, groups: Sequence[str]) -> dict[Place, Any]:
+def read_settings(settings: Any, groups: Sequence[str]) -> dict[SettingPath, Any]:
     """Read what was typed.
 
     Args:
@@ -161,7 +161,7 @@ def read_settings(settings: Any, groups: Sequence[str]) -> dict[Place, Any]:
     return {one.path: one.read(text) for one, text in typed if text != _UNSET}
 
 
-def apply(record: _T, values: Mapping[Place, Any], root: str) -> _T:
+def apply(record: _T, values: Mapping[SettingPath, Any], root: str) -> _T:
     """Set values in a record.
 
     Args:
@@ -202,7 +202,7 @@ def suggestion(flag: str, groups: Sequence[str], plain: Iterable[str]) -> str:
     return f'; did you mean "{near[0].flag}"?' if near else f"; see {HELP_ALL}"
 
 
-def _walk(record: Any, path: Place) -> list[Option]:
+def _walk(record: Any, path: SettingPath) -> list[Option]:
     """List the options of a record and of those in it."""
     record = _as_typed(record)
     found: list[Option] = []
@@ -241,7 +241,7 @@ def _numbers(value: Any) -> float | int | tuple[float, ...] | None:
     return rounded if array.ndim else rounded[0]
 
 
-def _quantity(path: Place) -> Any:
+def _quantity(path: SettingPath) -> Any:
     """Find kind and limits of a number; the limits are those of a sweep's configuration."""
     from jaxlangnav.experiments.quantities import FIELDS, Quantity
 
@@ -283,14 +283,14 @@ def _listed(value: Any) -> tuple[Any, ...]:
     return value if isinstance(value, tuple) else (value,)
 
 
-def _at(settings: Any, path: Place) -> str:
+def _at(settings: Any, path: SettingPath) -> str:
     """Look up what was typed."""
     for name in path:
         settings = getattr(settings, name)
     return settings
 
 
-def _applied(record: Any, values: Mapping[Place, Any]) -> Any:
+def _applied(record: Any, values: Mapping[SettingPath, Any]) -> Any:
     """Set values in a record and in those in it."""
     import jax.numpy as jnp
 

@@ -14,12 +14,12 @@ from jaxlangnav.cli.output import Output
 from jaxlangnav.plain_text import cut, printable
 
 if TYPE_CHECKING:
-    from jaxlangnav.episode import Progress
+    from jaxlangnav.episode import EpisodeState
     from jaxlangnav.grounding import Grounder
     from jaxlangnav.grounding.instruction import Understanding
     from jaxlangnav.listening import Candidate
     from jaxlangnav.navigator import NavigatorParams
-    from jaxlangnav.recording import Recording, Remark, Scene
+    from jaxlangnav.recording import Recording, Remark, StaticScene
     from jaxlangnav.task.talk import Earshot
 
 QUESTION_COST = 0.1
@@ -130,7 +130,7 @@ class Speech:
         return replace(params, planner=replace(params.planner, question_cost=cost))
 
     def ear(
-        self, grounder: "Grounder", first: "Understanding", scene: "Scene", output: Output
+        self, grounder: "Grounder", first: "Understanding", scene: "StaticScene", output: Output
     ) -> "Earshot":
         """Build what hears for the robot.
 
@@ -193,14 +193,14 @@ class Typist:
             self._typed.put(line)
         self._typed.put(None)
 
-    def is_there(self, progress: "Progress") -> bool:
+    def is_there(self, progress: "EpisodeState") -> bool:
         """Tell whether somebody may yet speak to a robot that stands still."""
         from jaxlangnav.messages import Status
 
         is_asked = int(progress.navigator.status) == Status.WHICH_ONE
         return not self._has_left and (self._is_talking or is_asked)
 
-    def say(self, step: int, progress: "Progress", doubt: "Sequence[Candidate]") -> str | None:
+    def say(self, step: int, progress: "EpisodeState", doubt: "Sequence[Candidate]") -> str | None:
         """Wait for an answer to a question, or for a moment for anything else."""
         is_waiting = bool(doubt) or (self._is_talking and bool(progress.navigator.is_resting))
         if self._has_left or not (is_waiting or self._is_talking):

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jaxlangnav.cli.output import Output
-from jaxlangnav.cli.settings import Place, apply
+from jaxlangnav.cli.settings import SettingPath, apply
 from jaxlangnav.experiments.experiment import Options
 from jaxlangnav.experiments.report import Section
 from jaxlangnav.experiments.table import Table
@@ -35,7 +35,7 @@ class Settings:
     particles_drawn: int
     """P of the episodes that are drawn."""
     params: NavigatorParams
-    values: Mapping[Place, Any]
+    values: Mapping[SettingPath, Any]
     """Numbers of engine, detector and motion that are not the defaults."""
     out: Path | None
     command: Callable[[str], str]

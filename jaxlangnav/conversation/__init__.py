@@ -1,13 +1,13 @@
 """What a stream of utterances leaves behind: words joined, things ruled out, what is spoken of."""
 
-from jaxlangnav.conversation.join import Joined, join, words_of
+from jaxlangnav.conversation.join import Joined, first_words, join
 from jaxlangnav.conversation.memory import (
     AVOID_ALL,
     AVOID_IT,
     Conversation,
     Words,
     avoided,
-    begin,
+    begin_conversation,
     excluding,
     focus,
     pinned,
@@ -22,12 +22,12 @@ __all__ = [
     "Joined",
     "Words",
     "avoided",
-    "begin",
+    "begin_conversation",
     "excluding",
+    "first_words",
     "focus",
     "join",
     "pinned",
     "seen_from",
     "without",
-    "words_of",
 ]

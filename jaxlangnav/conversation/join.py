@@ -434,7 +434,7 @@ def join(
     return _write(ranked, sizes, instruction, heard)
 
 
-def words_of(instruction: Instruction, spoken: Spoken | None) -> Words:
+def first_words(instruction: Instruction, spoken: Spoken | None) -> Words:
     """Tell what the first sentence is about.
 
     Args:

@@ -49,7 +49,7 @@ class Conversation:
     may_ask: Array  # bool[] it has not been told to choose by itself
 
 
-def begin(
+def begin_conversation(
     instruction: Instruction, pose: Array, num_objects: int, words: Words | None = None
 ) -> Conversation:
     """Build the memory of a robot that has just been told what to do.

@@ -17,5 +17,5 @@ def _all_around() -> np.ndarray:
     return np.concatenate([[[0.0, 0.0, 1.0]], steps]).astype(np.float32)
 
 
-ACTIONS = _all_around()
+DISCRETE_ACTIONS = _all_around()
 """f32[17, 3], the discrete actions: stop, then the greatest step in 16 directions, +x to +y."""

@@ -24,7 +24,8 @@ from jax import Array
 
 from jaxlangnav.environments.actions import STOP_ABOVE
 from jaxlangnav.environments.observation import to_vector
-from jaxlangnav.environments.pool import pick
+from jaxlangnav.environments.pool import pick_world
+from jaxlangnav.episode import MAX_STEPS
 from jaxlangnav.messages import (
     Action,
     MotionParams,
@@ -35,13 +36,12 @@ from jaxlangnav.messages import (
 )
 from jaxlangnav.pytree import pytree
 from jaxlangnav.world import simulator
-from jaxlangnav.world.motion import move
+from jaxlangnav.world.motion import carry_out
 from jaxlangnav.world.scenario import ScenarioLaw, draw_scenario, scenario_law
 from jaxlangnav.world.sensor import sense
 from jaxlangnav.world.state import Scenario, WorldState
 
-MAX_STEPS = 120
-RELATION = "behind"
+DEFAULT_RELATION = "behind"
 _Tree = TypeVar("_Tree")
 
 
@@ -79,7 +79,7 @@ class EnvironmentInfo:
 def default_params(
     *,
     world: str = "1H1C",
-    relation: str = RELATION,
+    relation: str = DEFAULT_RELATION,
     sensing_range: float = 3.0,
     max_steps: int = MAX_STEPS,
     metre_cost: float = 0.01,
@@ -143,7 +143,7 @@ def step(
         state: the episode.
         action: f32[3], in [−1, 1]: the step along the map's x and y in units of the greatest step
             (1 m), and stop where above ``actions.STOP_ABOVE``. A step longer than the greatest
-            one is shortened. ``actions.ACTIONS`` lists some.
+            one is shortened. ``actions.DISCRETE_ACTIONS`` lists some.
         params: the environment.
 
     Returns:
@@ -211,7 +211,7 @@ def step_or_reset(
 
 def _draw(key: Array, params: EnvironmentParams, pool: Scenario | None) -> Scenario:
     """Take a world from the pool, or draw one."""
-    return draw_scenario(key, params.law) if pool is None else pick(key, pool)
+    return draw_scenario(key, params.law) if pool is None else pick_world(key, pool)
 
 
 def _begin(scenario: Scenario) -> EnvironmentState:
@@ -235,7 +235,7 @@ def _advance(
         speed=jnp.float32(1.0),
         clearance=jnp.float32(0.0),
     )
-    world = move(key, state.world, order, params.motion)
+    world = carry_out(key, state.world, order, params.motion)
     after = EnvironmentState(scenario=state.scenario, world=world, steps=state.steps + 1)
     is_success = simulator.is_success(world, state.scenario, is_stopped)
     info = EnvironmentInfo(

@@ -19,15 +19,15 @@ from gymnasium.vector.utils import batch_space
 
 from jaxlangnav.environments import functional
 from jaxlangnav.environments.functional import EnvironmentInfo
-from jaxlangnav.environments.observation import COMMANDS
 from jaxlangnav.environments.pool import NUM_WORLDS, draw_pool
-from jaxlangnav.environments.rendering import METADATA, Camera, RenderMode
+from jaxlangnav.environments.rendering import METADATA, Renderer, RenderMode
 from jaxlangnav.environments.spaces import (
     Actions,
     action_space,
     observation_space,
     to_functional,
 )
+from jaxlangnav.experiments.sentences import SENTENCES
 from jaxlangnav.world.state import Scenario
 
 ID = "jaxlangnav/Follow-v1"
@@ -50,7 +50,7 @@ class FollowEnv(gymnasium.Env[np.ndarray, Any]):
 
         Args:
             actions: "continuous", f32[3] as of ``functional.step``, or "discrete", an index into
-                ``actions.ACTIONS``.
+                ``actions.DISCRETE_ACTIONS``.
             render_mode: "rgb_array" for pictures, or None.
             law: world, relation, sensing_range, max_steps, metre_cost, as of
                 ``functional.default_params``.
@@ -63,7 +63,7 @@ class FollowEnv(gymnasium.Env[np.ndarray, Any]):
         self.action_space = action_space(actions)
         self.instruction = _instruction(law)
         self.render_mode = render_mode
-        self._camera = Camera(render_mode, self.instruction)
+        self._camera = Renderer(render_mode, self.instruction)
         self._params = functional.default_params(**law)
         self._state: functional.EnvironmentState | None = None
 
@@ -164,7 +164,7 @@ class FollowVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.render_mode = render_mode
-        self._camera = Camera(render_mode, _instruction(law))
+        self._camera = Renderer(render_mode, _instruction(law))
         self._params = functional.default_params(**law)
         self._state: functional.EnvironmentState | None = None
         self._pool: Scenario | None = None
@@ -235,7 +235,7 @@ class FollowVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
 
 def _instruction(law: dict[str, Any]) -> str:
     """Say the command of a law; ``default_params`` refuses a relation that is unknown."""
-    return COMMANDS.get(law.get("relation", functional.RELATION), "")
+    return SENTENCES.get(law.get("relation", functional.DEFAULT_RELATION), "")
 
 
 def _fields(info: EnvironmentInfo) -> dict[str, jax.Array]:

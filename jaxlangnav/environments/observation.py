@@ -3,16 +3,11 @@
 import jax.numpy as jnp
 from jax import Array
 
+from jaxlangnav.experiments.sentences import SENTENCES
 from jaxlangnav.messages import Observation
 from jaxlangnav.world.sensor import NUM_DETECTIONS
 from jaxlangnav.world.state import CONE, HYDRANT
 
-COMMANDS = {
-    "null": "go to the hydrant",
-    "behind": "go to the hydrant behind the cone",
-    "nearest": "go to the hydrant nearest to the cone",
-}
-"""What the agent is told, by relation, in the order of its one-hot in the observation."""
 BOUND = 100.0
 """Entries of an observation are clipped to plus and minus this."""
 OBSERVATION_SIZE = 12 + 5 * NUM_DETECTIONS
@@ -32,7 +27,7 @@ def to_vector(seen: Observation, *, area: Array, relation: Array) -> Array:
         whether there is one, metres ahead, metres to the left, is hydrant, is cone.
     """
     x, y, heading = seen.pose[0], seen.pose[1], seen.pose[2]
-    told = (jnp.arange(len(COMMANDS)) == relation).astype(jnp.float32)
+    told = (jnp.arange(len(SENTENCES)) == relation).astype(jnp.float32)
     is_there = seen.is_detection.astype(jnp.float32)
     detections = jnp.stack(
         [

@@ -55,7 +55,7 @@ def draw_pool(key: Array, law: ScenarioLaw, *, num_worlds: int = NUM_WORLDS) -> 
     return jax.tree.map(lambda leaf: leaf[best[jnp.arange(num_worlds) % number]], drawn)
 
 
-def pick(key: Array, pool: Scenario) -> Scenario:
+def pick_world(key: Array, pool: Scenario) -> Scenario:
     """Take one world out of a pool by lot.
 
     Args:

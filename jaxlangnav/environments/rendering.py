@@ -17,7 +17,7 @@ RenderMode = Literal["rgb_array"]
 METADATA: dict[str, Any] = {"render_modes": list(get_args(RenderMode)), "render_fps": 4}
 
 
-class Camera:
+class Renderer:
     """What an environment needs to draw; lanes of a batch alike."""
 
     def __init__(self, render_mode: str | None, text: str) -> None:

@@ -5,7 +5,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from gymnasium import spaces
 
-from jaxlangnav.environments.actions import ACTION_SIZE, ACTIONS
+from jaxlangnav.environments.actions import ACTION_SIZE, DISCRETE_ACTIONS
 from jaxlangnav.environments.observation import BOUND, OBSERVATION_SIZE
 
 Actions = Literal["continuous", "discrete"]
@@ -32,12 +32,12 @@ def action_space(actions: str) -> spaces.Box | spaces.Discrete[np.int64]:
     if actions not in known:
         raise ValueError(f'actions is "{actions}", but must be one of {", ".join(known)}')
     if actions == "discrete":
-        return spaces.Discrete(len(ACTIONS))
+        return spaces.Discrete(len(DISCRETE_ACTIONS))
     return spaces.Box(-1.0, 1.0, (ACTION_SIZE,), np.float32)
 
 
 def to_functional(actions: Any, space: spaces.Space[Any]) -> np.ndarray:
     """Turn actions of a space, one or many, into those of ``functional``: f32[..., 3]."""
     if isinstance(space, spaces.Discrete):
-        return ACTIONS[np.asarray(actions)]
+        return DISCRETE_ACTIONS[np.asarray(actions)]
     return np.asarray(actions, np.float32)

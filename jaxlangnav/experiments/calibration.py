@@ -24,7 +24,7 @@ from jaxlangnav.episode import (
     MAX_STEPS,
     Course,
     EpisodeResult,
-    Progress,
+    EpisodeState,
     Task,
     advance,
     begin,
@@ -41,9 +41,9 @@ from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.coverage import Coverage, cell_size
 
 NUM_BINS = 10
-LANES = 64
+EPISODES_AT_ONCE = 64
 """Episodes of one call; all wait for the slowest."""
-SAME = 0.75
+SAME_DISTANCE = 0.75
 """Metres within which an observed object is the true one."""
 STAGES = (0, 5, 10, 15, 20, 30)
 """First decision cycle of each stage that scores are kept for."""
@@ -172,7 +172,7 @@ def reliability(probability: Array, outcome: Array, is_event: Array) -> Reliabil
     )
 
 
-def referent_mass(progress: Progress) -> Array:
+def referent_mass(progress: EpisodeState) -> Array:
     """Compute the share of particles in which the sentence's figure is each object, f32[O].
 
     The figure of a reading is that of its first relation.
@@ -187,7 +187,7 @@ def referent_mass(progress: Progress) -> Array:
     return jnp.sum(jnp.where(is_slot, jnp.exp(belief.log_weight)[None, :], 0.0), axis=1)
 
 
-def tally_step(progress: Progress, info: NavigatorInfo, after: Progress) -> Tally:
+def tally_step(progress: EpisodeState, info: NavigatorInfo, after: EpisodeState) -> Tally:
     """Hold the belief of one step against the truth.
 
     Args:
@@ -210,7 +210,7 @@ def tally_step(progress: Progress, info: NavigatorInfo, after: Progress) -> Tall
     types = jnp.max(belief.particles.object_type, axis=1)
     is_event = goals.is_object[:-1] & (types == scenario.object_type[scenario.goal_index])
     apart = jnp.hypot(goals.object_x[:-1] - true_x, goals.object_y[:-1] - true_y)
-    outcome = (apart < SAME).astype(jnp.float32)
+    outcome = (apart < SAME_DISTANCE).astype(jnp.float32)
     decile = jnp.arange(NUM_BINS)
     one = Tally(
         steps=jnp.float32(1.0),
@@ -238,10 +238,10 @@ def _run_judged(
 ) -> Tally:
     """Run episodes and judge every step."""
 
-    def is_running(carry: tuple[Progress, Tally]) -> Array:
+    def is_running(carry: tuple[EpisodeState, Tally]) -> Array:
         return ~carry[0].navigator.is_done & (carry[0].steps < max_steps)
 
-    def body(carry: tuple[Progress, Tally]) -> tuple[Progress, Tally]:
+    def body(carry: tuple[EpisodeState, Tally]) -> tuple[EpisodeState, Tally]:
         progress, tally = carry
         after, info = advance(progress, params=params, config=config)
         return after, jax.tree.map(jnp.add, tally, tally_step(progress, info, after))
@@ -280,7 +280,7 @@ def tally_tasks(
             piece, instructions, params=params, config=config, max_steps=max_steps
         ),
         tasks,
-        capacity=LANES,
+        capacity=EPISODES_AT_ONCE,
         on_progress=on_progress,
     )
 
@@ -289,7 +289,7 @@ def tally_tasks(
 class _Judged:
     """An episode under way, and what its steps have come to."""
 
-    progress: Progress
+    progress: EpisodeState
     tally: Tally
 
 
@@ -309,7 +309,7 @@ def _finish_judged(state: _Judged) -> tuple[EpisodeResult, Tally]:
     return finish(state.progress), state.tally
 
 
-def _progress_of(state: _Judged) -> Progress:
+def _progress_of(state: _Judged) -> EpisodeState:
     return state.progress
 
 

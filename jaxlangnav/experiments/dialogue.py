@@ -15,8 +15,8 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav import episode, hearing
-from jaxlangnav.conversation import Joined, Words, join, words_of
-from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Progress, Task
+from jaxlangnav.conversation import Joined, Words, first_words, join
+from jaxlangnav.episode import MAX_STEPS, EpisodeResult, EpisodeState, Task
 from jaxlangnav.experiments.monte_carlo import OnProgress
 from jaxlangnav.experiments.tasks import take_tasks
 from jaxlangnav.experiments.watched import has_seen_goal, seen_of
@@ -58,7 +58,7 @@ class Exchange:
 
 @pytree
 class _Lane:
-    progress: Progress
+    progress: EpisodeState
     person: Person
     said_at: Array  # f32[] metres walked at the first correction; NaN before it
     straight: Array  # f32[] metres straight from there to where it may stop
@@ -82,7 +82,7 @@ def sentence_with(text: str, truth: str, falsehood: str) -> Sentence:
     model = load_shipped()
     first = understand(text, model)
     told = replace(first.instruction, readings=widen(first.instruction.readings, Capacity()))
-    words = words_of(told, first.spoken)
+    words = first_words(told, first.spoken)
 
     def joined(statement: str) -> Joined:
         said = understand(statement, model)
@@ -150,7 +150,7 @@ def _advanced(
     progress, scenario = lane.progress, lane.progress.task.scenario
     key = jax.random.fold_in(jax.random.fold_in(progress.task.key, _SPEECH), _SPEECH)
 
-    def watched(progress: Progress, person: Person) -> tuple[Person, Array, Array]:
+    def watched(progress: EpisodeState, person: Person) -> tuple[Person, Array, Array]:
         seen = seen_of(progress.navigator, progress.steps)
         return say(key, person, seen, scenario, params=person_params)
 

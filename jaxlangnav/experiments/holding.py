@@ -27,14 +27,14 @@ from jaxlangnav.files.whole import make_folder
 
 Note = Callable[[str], None]
 """Called with a line for people."""
-Part = tuple[int, int]
+PartOf = tuple[int, int]
 """i and n, 1 ≤ i ≤ n: the files i, i + n, i + 2n, …"""
 _NAME = re.compile(r"\.held-(\d+)-of-(\d+)\.json")
 _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP)
 
 
 @contextlib.contextmanager
-def held(folder: Path, part: Part, *, on_note: Note) -> Iterator[bool]:
+def held(folder: Path, part: PartOf, *, on_note: Note) -> Iterator[bool]:
     """Hold a part of a folder, so that no second process works on the same files.
 
     Args:
@@ -100,7 +100,7 @@ def _take(handle: int, path: Path) -> None:
         ) from None
 
 
-def _refuse_overlaps(folder: Path, part: Part, on_note: Note) -> None:
+def _refuse_overlaps(folder: Path, part: PartOf, on_note: Note) -> None:
     """Refuse where a living process holds files of this part; clear away what dead ones left."""
     for path in folder.iterdir():
         if _NAME.fullmatch(path.name) is None:

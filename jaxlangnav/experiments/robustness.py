@@ -24,7 +24,7 @@ from jaxlangnav.messages import Status
 from jaxlangnav.navigator import NavigatorParams
 from jaxlangnav.planner.config import POLICIES
 
-MAX_STEPS = 400
+_MAX_STEPS = 400
 """Decision cycles until a time-out: an area of 60 × 60 m takes more than the paper's worlds."""
 ECE_TARGET = 0.05
 """Of "this is the goal", where the belief was told the truth of its sensors and by the sentence."""
@@ -116,7 +116,7 @@ def _arm(policy: str, options: Options) -> Arm:
     """Build the arm of a policy; all policies may take as long as they like, within reason."""
     told = {"policy": policy}
     if policy not in POLICIES:
-        return Arm(policy=policy, told=told, max_steps=MAX_STEPS)
+        return Arm(policy=policy, told=told, max_steps=_MAX_STEPS)
     usual = Navigator.pretrained(policy)
     sizes = dataclasses.replace(usual.config.map, num_particles=options.num_particles)
     return Arm(
@@ -124,7 +124,7 @@ def _arm(policy: str, options: Options) -> Arm:
         told=told,
         config=dataclasses.replace(usual.config, map=sizes),
         params=usual.params if options.params is None else options.params,
-        max_steps=MAX_STEPS,
+        max_steps=_MAX_STEPS,
         is_judged=True,
     )
 
@@ -210,7 +210,7 @@ def _caption(document: Mapping[str, Any]) -> list[str]:
     invalid = sum(row["invalid_worlds"] for row in document["rows"])
     return [
         f"{document['episodes']} episodes a row, a fresh place each, seed {document['seed']}, "
-        f"{document['num_particles']} particles, at most {MAX_STEPS} decisions; every policy has "
+        f"{document['num_particles']} particles, at most {_MAX_STEPS} decisions; every policy has "
         "the same places and noise.",
         "ECE of “this is the goal” over every step; in brackets what a perfect belief would show "
         "by chance in so few episodes. Targets are of informed; ECE has one only where the belief "

@@ -14,7 +14,7 @@ from jaxlangnav.world.templates import TABLE_2, TableRow
 
 PAPER_RUNS = 100
 """Simulations behind a printed figure: "approximately 100" (section 4.2)."""
-NEAR = 2.0
+AGREEMENT = 2.0
 """Standard errors within which two figures agree."""
 
 

@@ -18,7 +18,7 @@ from jaxlangnav.episode import Task, begin, finish
 from jaxlangnav.experiments.devices import LANES, mesh, num_calls
 from jaxlangnav.grounding.instruction import NUM_CLAUSES, Instruction
 from jaxlangnav.grounding.program import empty_program, to_program
-from jaxlangnav.grounding.readings import pack
+from jaxlangnav.grounding.readings import pad_readings
 from jaxlangnav.messages import default_motion, default_sensor
 from jaxlangnav.navigator import NavigatorConfig
 from jaxlangnav.world.scenario import empty_scenario
@@ -91,7 +91,7 @@ def result_bytes() -> int:
     return bytes_of(jax.eval_shape(finish, _progress(NavigatorConfig())))
 
 
-def counted(number: int) -> str:
+def readable_count(number: int) -> str:
     """Write a number for people, however large it is.
 
     Args:
@@ -124,8 +124,8 @@ def check_count(name: str, count: int, *, each: int, fixed: int = 0, beside: str
     remedy = f"at most {fit:,} fit" if fit else "lower the other sizes: not even one fits"
     with_it = f" with {beside}" if beside else ""
     raise ValueError(
-        f"{name} is {counted(count)}{with_it}, which takes {_said(need)} of memory, but there are "
-        f"{_said(limit)}: {remedy}"
+        f"{name} is {readable_count(count)}{with_it}, which takes {_said(need)} of memory, but "
+        f"there are {_said(limit)}: {remedy}"
     )
 
 
@@ -163,7 +163,8 @@ def check_recording(config: NavigatorConfig, max_steps: int) -> None:
 def _check_lanes(config: NavigatorConfig, lanes: int) -> None:
     """Refuse sizes with which some episodes under way at once do not fit."""
     sizes = config.map
-    beside = f"{counted(sizes.num_objects)} objects and {counted(sizes.num_cells)} cells a side"
+    objects, cells = readable_count(sizes.num_objects), readable_count(sizes.num_cells)
+    beside = f"{objects} objects and {cells} cells a side"
     if max(sizes.num_objects, sizes.num_cells, config.planner.num_visited) >= _INDEX_LIMIT:
         raise ValueError(f"the sizes are too large for any memory: {beside}")
     fixed, each = (int(SCRATCH * lanes * one) for one in episode_bytes(config))
@@ -204,7 +205,7 @@ def _any_instructions() -> Any:
     clauses = [empty_program()] * NUM_CLAUSES
     program = jax.tree.map(lambda *leaves: np.stack(leaves), *clauses)
     one = Instruction(
-        readings=pack(()),
+        readings=pad_readings(()),
         program=to_program(program),
         num_clauses=jnp.zeros((), jnp.int32),
         metres=jnp.zeros(NUM_CLAUSES, jnp.float32),

@@ -44,8 +44,8 @@ from jaxlangnav.experiments.tasks import SEED_LIMIT
 from jaxlangnav.files.documents import DocumentError, parse_toml, read_text
 from jaxlangnav.files.regular import read_file
 from jaxlangnav.plain_text import cut, fault_of_name, shown
-from jaxlangnav.world.files import LARGEST_FILE, World, open_world
-from jaxlangnav.world.scenario import scenario_law
+from jaxlangnav.world.files import LARGEST_WORLD_FILE, WorldFile, open_world
+from jaxlangnav.world.scenario import NUM_SLOTS, scenario_law
 from jaxlangnav.world.templates import Template, check_relation
 
 _KEYS = (
@@ -90,7 +90,7 @@ class SweepConfig:
     particles: tuple[int, ...]
     params: dict[str, Choices]
     """By table (sensor, motion, map, planner), then by key."""
-    own_worlds: dict[str, World]
+    own_worlds: dict[str, WorldFile]
     """Worlds that are no template, by their entry in ``worlds``."""
     world_hashes: dict[str, str]
     """SHA-256 of the world files, by their entry in ``worlds``."""
@@ -289,9 +289,11 @@ def _command(value: Any) -> Command:
     )
 
 
-def _open_worlds(worlds: tuple[str, ...], folder: Path) -> tuple[dict[str, World], dict[str, str]]:
+def _open_worlds(
+    worlds: tuple[str, ...], folder: Path
+) -> tuple[dict[str, WorldFile], dict[str, str]]:
     """Open the worlds that are no template, and hash their files."""
-    own: dict[str, World] = {}
+    own: dict[str, WorldFile] = {}
     hashes: dict[str, str] = {}
     for entry in worlds:
         beside = folder / entry
@@ -299,9 +301,21 @@ def _open_worlds(worlds: tuple[str, ...], folder: Path) -> tuple[dict[str, World
         found = open_world(str(beside) if is_beside else entry)
         if isinstance(found, Template):
             continue
+        number, slots = int(found.scenario.is_object.sum()), found.scenario.is_object.size
+        if slots > NUM_SLOTS:
+            raise ValueError(
+                f"world {cut(entry)} has {number} objects, but a sweep's worlds have at most "
+                f"{NUM_SLOTS}: remove some, or run it alone with jaxlangnav follow --world"
+            )
+        if not found.has_goal:
+            raise ValueError(
+                f"world {cut(entry)} has no [goal], by which a sweep tells success: add it"
+            )
         own[entry] = found
         if is_beside:
-            hashes[entry] = hashlib.sha256(read_file(beside, at_most=LARGEST_FILE)).hexdigest()
+            hashes[entry] = hashlib.sha256(
+                read_file(beside, at_most=LARGEST_WORLD_FILE)
+            ).hexdigest()
     return own, hashes
 
 

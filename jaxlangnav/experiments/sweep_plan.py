@@ -24,7 +24,7 @@ import numpy as np
 from jaxlangnav.experiments.devices import CHUNK
 from jaxlangnav.experiments.grid import Arm, Grid, Setting, policy_arm
 from jaxlangnav.experiments.policies import navigator_config
-from jaxlangnav.experiments.sizes import check_engine, counted
+from jaxlangnav.experiments.sizes import check_engine, readable_count
 from jaxlangnav.experiments.sweep_config import Choices, SweepConfig
 from jaxlangnav.experiments.tasks import Cell
 from jaxlangnav.messages import default_motion, default_sensor
@@ -167,9 +167,10 @@ def _check_files(plan: SweepPlan) -> None:
     cells = plan.num_arms * plan.num_settings
     remedy = f"at most {fit:,} episodes a cell fit" if fit else "not even one a cell fits"
     raise ValueError(
-        f"the sweep has {counted(cells)} cells times {counted(plan.config.episodes)} episodes, "
-        f"which make {counted(plan.num_files)} files, but a folder holds {MOST_FILES:,}: {remedy}; "
-        "or divide the lists (seeds, worlds, ...) among several sweeps"
+        f"the sweep has {readable_count(cells)} cells times "
+        f"{readable_count(plan.config.episodes)} episodes, "
+        f"which make {readable_count(plan.num_files)} files, but a folder holds {MOST_FILES:,}: "
+        f"{remedy}; or divide the lists (seeds, worlds, ...) among several sweeps"
     )
 
 

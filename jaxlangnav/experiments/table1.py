@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from jaxlangnav.experiments.monte_carlo import OnProgress
-from jaxlangnav.experiments.sizes import check_count, counted
+from jaxlangnav.experiments.sizes import check_count, readable_count
 from jaxlangnav.experiments.splits import draw_splits, mark_new_words
 from jaxlangnav.experiments.table import Table
 from jaxlangnav.grounding.annotation import infer_annotations
@@ -223,7 +223,9 @@ def evaluate(
         raise ValueError(f"unknown features {unknown}; known are {', '.join(FEATURE_GROUPS)}")
     type_names = load_lexicon().type_names
     if max(beams) > _WIDEST:
-        raise ValueError(f"beam width is {counted(max(beams))}, but must be {_WIDEST} or less")
+        raise ValueError(
+            f"beam width is {readable_count(max(beams))}, but must be {_WIDEST} or less"
+        )
     corpus = load_corpus(CORPUS)
     check_count("splits", splits, each=_MASKS * len(corpus))
     instructions = read_examples(corpus, type_names)

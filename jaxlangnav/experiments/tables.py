@@ -8,7 +8,7 @@ from typing import Any
 from jaxlangnav.experiments.grid import Row
 from jaxlangnav.experiments.metrics import timeouts_text
 from jaxlangnav.experiments.policies import KNOWLEDGE
-from jaxlangnav.experiments.rows import NEAR, deviations, row_key
+from jaxlangnav.experiments.rows import AGREEMENT, deviations, row_key
 from jaxlangnav.experiments.table import Table
 from jaxlangnav.planner.config import POLICIES
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
@@ -276,7 +276,7 @@ def deviations_table(document: Mapping[str, Any], policy: str = "faithful") -> T
                     f"{far['success']:+.1f}",
                     f"{row['distance_mean'] - paper['distance_mean']:+.2f}",
                     f"{far['distance']:+.1f}",
-                    "yes" if max(abs(one) for one in far.values()) <= NEAR else "no",
+                    "yes" if max(abs(one) for one in far.values()) <= AGREEMENT else "no",
                 ]
             )
     return Table(headings=headings, rows=lines)

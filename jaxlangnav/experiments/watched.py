@@ -8,7 +8,7 @@ from jax import Array
 
 from jaxlangnav.messages import NONE, Status
 from jaxlangnav.navigator import NavigatorState
-from jaxlangnav.world.person import Seen
+from jaxlangnav.world.person import RobotView
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 from jaxlangnav.world.state import Scenario
 
@@ -16,7 +16,7 @@ LEAST_SHARE = 0.01
 """Goal probability below which a thing is no candidate of a question."""
 
 
-def has_seen_goal(seen: Seen, state: NavigatorState, scenario: Scenario) -> Array:
+def has_seen_goal(seen: RobotView, state: NavigatorState, scenario: Scenario) -> Array:
     """Tell whether the robot takes a thing for being where the goal truly is, bool[].
 
     Args:
@@ -33,7 +33,7 @@ def has_seen_goal(seen: Seen, state: NavigatorState, scenario: Scenario) -> Arra
     return jnp.any(is_held & (away <= SUCCESS_RADIUS))
 
 
-def seen_of(state: NavigatorState, step: Array) -> Seen:
+def seen_of(state: NavigatorState, step: Array) -> RobotView:
     """Gather what the robot says of itself.
 
     A robot at an end without a goal goes up to nothing, whatever it went up to before.
@@ -54,7 +54,7 @@ def seen_of(state: NavigatorState, step: Array) -> Seen:
         return jnp.sum(weight * values[:num_slots], axis=1) / total
 
     is_at = (state.status == Status.APPROACHING) | (state.status == Status.ARRIVED)
-    return Seen(
+    return RobotView(
         step=step,
         aimed=jnp.where(is_at, state.talk.approached, NONE),
         is_asking=state.status == Status.WHICH_ONE,

@@ -46,7 +46,7 @@ def open_arrays(content: bytes) -> zipfile.ZipFile:
         content: the whole file.
 
     Returns:
-        The archive, for ``read_floats`` and ``read_text``.
+        The archive, for ``read_floats`` and ``read_text_entry``.
 
     Raises:
         ValueError: it is no archive, or holds a name twice.
@@ -80,7 +80,7 @@ def read_floats(archive: zipfile.ZipFile, name: str, shape: tuple[int, ...]) -> 
         return array
 
 
-def read_text(archive: zipfile.ZipFile, name: str, *, at_most: int) -> str:
+def read_text_entry(archive: zipfile.ZipFile, name: str, *, at_most: int) -> str:
     """Read a text of an archive, an array of no axes.
 
     Args:

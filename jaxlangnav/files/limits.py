@@ -1,7 +1,7 @@
 """What numbers from outside may be: single precision computes with them and with their squares."""
 
 FARTHEST = 1e5
-"""Metres that a place or a length may have: single precision tells centimetres apart up to here."""
+"""Metres that a place or a length may have: float32 is 8 mm coarse there."""
 SHORTEST = 1e-3
 """Metres that a sensing range or a step has at least."""
 LARGEST = 1e15

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxlangnav.grounding.annotation import describe
+from jaxlangnav.grounding.annotation import describe_annotation
 from jaxlangnav.grounding.form import Form, FormCommand, FormReading, read_form
 from jaxlangnav.grounding.form_program import clause_of_form
 from jaxlangnav.grounding.grounder import Context, Grounded
@@ -21,7 +21,7 @@ from jaxlangnav.grounding.readings import (
     CapacityError,
     Reading,
     in_order,
-    pack,
+    pad_readings,
 )
 from jaxlangnav.grounding.spoken import Spoken
 from jaxlangnav.grounding.symbols import Annotation, object_symbol, relation_symbol
@@ -94,7 +94,7 @@ def to_instruction(form: Form) -> Instruction:
     commands = len(form.readings[0].commands)
     measures = [Measure(metres=one.metres) for one in form.readings[0].commands]
     programs = [clause_of_form(form, i) for i in range(commands)]
-    return pack_instruction(pack(readings), programs, measures)
+    return pack_instruction(pad_readings(readings), programs, measures)
 
 
 def returning() -> Instruction:
@@ -138,7 +138,7 @@ def _annotations(form: Form, type_names: tuple[str, ...]) -> Iterator[Mapping[st
         for entry in dict.fromkeys(_said(reading)):
             total[entry] = total.get(entry, 0.0) + reading.probability
     for (symbol, rank), probability in sorted(total.items(), key=lambda item: -item[1]):
-        yield describe(symbol, rank, min(probability, 1.0), type_names)
+        yield describe_annotation(symbol, rank, min(probability, 1.0), type_names)
 
 
 def _said(reading: FormReading) -> Iterator[tuple[Annotation, int]]:

@@ -32,7 +32,7 @@ from jaxlangnav.language.phrase import Parse, Phrase
 from jaxlangnav.language.reference import is_thing
 from jaxlangnav.messages import BETWEEN, NONE, ROBOT, relation_name
 
-Said = tuple[tuple[Annotation, int], ...]
+RankedAnnotations = tuple[tuple[Annotation, int], ...]
 """A set of annotations, each with its rank (0: no superlative); in the order of the space."""
 _MAX_SYMBOLS = 12
 """Annotations of one clause beyond which further ones are not read (untrained weights)."""
@@ -42,8 +42,10 @@ _MAX_SYMBOLS = 12
 class Belief:
     """Distribution over what a sentence says."""
 
-    sets: tuple[tuple[Said, float], ...]  # (annotations, log-probability), best first
-    clauses: tuple[tuple[tuple[Said, ...], float], ...]  # the same, apart by clause; and a region
+    sets: tuple[tuple[RankedAnnotations, float], ...]  # (annotations, log-probability), best first
+    clauses: tuple[
+        tuple[tuple[RankedAnnotations, ...], float], ...
+    ]  # the same, apart by clause; and a region
     # that is said of "the thing" is a relation whose figure is ``ANYTHING``
     rank: dict[Path, int]  # phrase → likeliest rank
     silent: frozenset[Path]  # phrases that express nothing in the likeliest reading
@@ -61,7 +63,7 @@ class Belief:
         return [(symbol, rank, min(p, 1.0)) for (symbol, rank), p in ranked]
 
 
-def describe(
+def describe_annotation(
     symbol: Annotation, rank: int, probability: float, type_names: Sequence[str]
 ) -> dict[str, object]:
     """Name an annotation for people and for ``ground --json``.
@@ -240,7 +242,7 @@ def clause_belief(
     Returns:
         Up to ``width`` sets and their probabilities.
     """
-    found: list[tuple[Said, Said, float]] = []
+    found: list[tuple[RankedAnnotations, RankedAnnotations, float]] = []
     for hypothesis in beam:
         symbols = space.members(hypothesis.expressed)[:_MAX_SYMBOLS]
         paths = [_paths_of(space, hypothesis, clause, s) for s in symbols]
@@ -311,7 +313,7 @@ def join_clauses(beliefs: Sequence[Belief], width: int) -> Belief:
     Returns:
         Up to ``width`` sets of annotations, best first.
     """
-    joint: list[tuple[tuple[Said, ...], float]] = [((), 0.0)]
+    joint: list[tuple[tuple[RankedAnnotations, ...], float]] = [((), 0.0)]
     rank: dict[Path, int] = {}
     silent: frozenset[Path] = frozenset()
     for belief in beliefs:
@@ -320,7 +322,7 @@ def join_clauses(beliefs: Sequence[Belief], width: int) -> Belief:
         pairs = itertools.product(joint, belief.clauses)
         both = [((*said, *more), score + own) for (said, score), (more, own) in pairs]
         joint = sorted(both, key=lambda pair: -pair[1])[:width]
-    totals: dict[Said, float] = {}
+    totals: dict[RankedAnnotations, float] = {}
     for said, score in joint:
         entries = itertools.chain(*said)
         union = tuple(dict.fromkeys((_plain(symbol), rank) for symbol, rank in entries))

@@ -19,7 +19,7 @@ _IS_RELATION = tuple(f"is {name}" for name in RELATIONS)
 _IS_RANK = tuple(f"is {rank}" for rank in range(1, NUM_RANKS + 1))
 
 
-class Table(NamedTuple):
+class PropertyTable(NamedTuple):
     """Properties of the symbols of one kind, each declared once: its name and what it says."""
 
     names: tuple[str, ...]  # of the F columns, and so of those of the weights
@@ -76,12 +76,12 @@ def _members(indices: frozenset[int], size: int) -> np.ndarray:
     return mask
 
 
-def _table(shape: tuple[int, ...], columns: Mapping[str, np.ndarray | bool]) -> Table:
+def _table(shape: tuple[int, ...], columns: Mapping[str, np.ndarray | bool]) -> PropertyTable:
     """Stack broadcast properties by name."""
     values = np.empty((*shape, len(columns)), np.float32)
     for i, column in enumerate(columns.values()):
         values[..., i] = column
-    return Table(tuple(columns), values.reshape(-1, len(columns)))
+    return PropertyTable(tuple(columns), values.reshape(-1, len(columns)))
 
 
 def _identities(names: tuple[str, ...], rows: np.ndarray) -> dict[str, np.ndarray]:
@@ -102,7 +102,7 @@ def _landmark_identity(num_types: int) -> np.ndarray:
     return identity
 
 
-def object_properties(space: AnnotationSpace, senses: Senses, child: ChildSets) -> Table:
+def object_properties(space: AnnotationSpace, senses: Senses, child: ChildSets) -> PropertyTable:
     """Describe the object symbols of a phrase, given what its children express.
 
     Args:
@@ -131,7 +131,7 @@ def object_properties(space: AnnotationSpace, senses: Senses, child: ChildSets) 
     )
 
 
-def region_properties(space: AnnotationSpace, senses: Senses, child: ChildSets) -> Table:
+def region_properties(space: AnnotationSpace, senses: Senses, child: ChildSets) -> PropertyTable:
     """Describe the region symbols of a phrase; arguments as ``object_properties``, f32[6 L, F]."""
     size = space.num_landmarks
     relation = _members(senses.relations, NUM_RELATIONS)[:, None]
@@ -163,7 +163,7 @@ def region_properties(space: AnnotationSpace, senses: Senses, child: ChildSets) 
     )
 
 
-def relation_properties(space: AnnotationSpace, senses: Senses, child: ChildSets) -> Table:
+def relation_properties(space: AnnotationSpace, senses: Senses, child: ChildSets) -> PropertyTable:
     """Describe the relation symbols; arguments as ``object_properties``, f32[6 T L, F]."""
     size = space.num_landmarks
     own_type = _members(senses.types, space.num_types)[:, None, None]
@@ -188,7 +188,7 @@ def relation_properties(space: AnnotationSpace, senses: Senses, child: ChildSets
     )
 
 
-def rank_properties(senses: Senses) -> Table:
+def rank_properties(senses: Senses) -> PropertyTable:
     """Describe the ranks 1 to 4 that a phrase may give its region, f32[4, 7]."""
     ranks = np.arange(1, NUM_RANKS + 1)
     own = np.isin(ranks, sorted(senses.ranks))
@@ -198,7 +198,7 @@ def rank_properties(senses: Senses) -> Table:
     return _table((NUM_RANKS,), said | is_rank)
 
 
-def shared_properties(senses: Senses, expressed: np.ndarray, num_children: int) -> Table:
+def shared_properties(senses: Senses, expressed: np.ndarray, num_children: int) -> PropertyTable:
     """Describe symbols by what holds for every kind alike, so that kinds learn from each other.
 
     Args:
@@ -224,7 +224,7 @@ def shared_properties(senses: Senses, expressed: np.ndarray, num_children: int) 
     )
 
 
-def join_kinds(tables: Mapping[str, Table], shared: Table) -> Table:
+def join_kinds(tables: Mapping[str, PropertyTable], shared: PropertyTable) -> PropertyTable:
     """Put the properties of several kinds of symbol side by side, and shared ones after them.
 
     Args:
@@ -243,4 +243,4 @@ def join_kinds(tables: Mapping[str, Table], shared: Table) -> Table:
         joined[row : row + height, column : column + depth] = table.values
         row, column = row + height, column + depth
     joined[:, width:] = shared.values
-    return Table((*names, *(f"any: {name}" for name in shared.names)), joined)
+    return PropertyTable((*names, *(f"any: {name}" for name in shared.names)), joined)

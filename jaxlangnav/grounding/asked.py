@@ -31,7 +31,7 @@ from jaxlangnav.messages import (
 )
 from jaxlangnav.relations.table import NUM_RANKS
 
-LEAST_GOAL = 0.05
+LEAST_PREVIOUS_GOAL = 0.05
 """A goal less probable than this is none: the command after it has no previous goal."""
 _LEAST_KEPT = 0.5
 """What is to be kept away from with less probability than this is not told."""
@@ -179,7 +179,7 @@ def _told(behavior: Behavior, slots: list[int]) -> Asked:
     region, slot = np.unravel_index(int(goal.argmax()), goal.shape)
     action, mode = int(behavior.action.argmax()), int(behavior.mode.argmax())
     share = float(goal[region, slot])
-    has_goal = share >= LEAST_GOAL
+    has_goal = share >= LEAST_PREVIOUS_GOAL
     return Asked(
         action=ACTIONS[action],
         mode=MODES[mode],

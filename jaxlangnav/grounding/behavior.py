@@ -22,20 +22,20 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.grounding.behavior_odds import (
-    Joined,
-    Scene,
-    build_scene,
+    Combinations,
+    ObjectSets,
+    build_object_sets,
     constraint_odds,
     lying_in,
     object_odds,
     region_odds,
 )
-from jaxlangnav.grounding.bits import iota, pick, smallest, to_mask
+from jaxlangnav.grounding.bits import iota, pick_of_four, smallest, to_mask
 from jaxlangnav.grounding.program import (
     MAX_DEPTH,
     NUM_CHILDREN,
     NUM_PHRASES,
-    NUM_SLOTS,
+    NUM_REGION_SLOTS,
     OF_THE_CLAUSE,
     BehaviorProgram,
 )
@@ -53,7 +53,12 @@ MAX_SLOTS = 31
 """Object slots, the robot's included: a bit mask and a sorted list of factors hold them."""
 ROOT = -1
 """Row of the root in a program: the last one, however many phrases there are."""
-OBJECTS, REGIONS, CONSTRAINTS, LIES = 0, 1, 1 + NUM_SLOTS, 2 + NUM_SLOTS
+OBJECTS_ROW, REGIONS_ROW, CONSTRAINTS_ROW, LIES_ROW = (
+    0,
+    1,
+    1 + NUM_REGION_SLOTS,
+    2 + NUM_REGION_SLOTS,
+)
 """Rows of ``Stack.sets``."""
 
 
@@ -71,41 +76,42 @@ class Expressed(NamedTuple):
     cost: Array  # f32[4, E, P] of the combinations
 
 
-def _child(row: BehaviorProgram, stack: Stack, k: Array | int) -> Joined:
+def _child(row: BehaviorProgram, stack: Stack, k: Array | int) -> Combinations:
     """Read the hypotheses of a phrase's k-th child from the top as if it were the only one."""
     exists = row.num_children > k
     sets = jnp.where(exists, stack.sets[k], 0)
-    objects, regions = sets[OBJECTS], sets[REGIONS : REGIONS + NUM_SLOTS]
+    objects, regions = sets[OBJECTS_ROW], sets[REGIONS_ROW : REGIONS_ROW + NUM_REGION_SLOTS]
     slots = jnp.append(row.region_from[k], row.constraint_region[k][None], axis=0)
     by_slot = jnp.zeros((1, 1, 1, 1), jnp.int32)
-    for slot in range(NUM_SLOTS):
+    for slot in range(NUM_REGION_SLOTS):
         by_slot = by_slot | jnp.where(slots == slot, regions[slot][:, None], 0)
     touched = functools.reduce(jnp.bitwise_or, [objects, *regions])
-    kept = jnp.where(row.constraint_from[k] == NONE, 0, sets[CONSTRAINTS])
-    outside = jnp.where(row.is_restrictor[k] & exists, ~sets[LIES], 0)
+    kept = jnp.where(row.constraint_from[k] == NONE, 0, sets[CONSTRAINTS_ROW])
+    outside = jnp.where(row.is_restrictor[k] & exists, ~sets[LIES_ROW], 0)
     first = jnp.where(iota(BEAM, 3) == 0, 0.0, _DEAD).astype(jnp.float32)
-    return Joined(
+    return Combinations(
         sets=jnp.concatenate([jnp.stack([objects, touched, kept, outside], axis=1), by_slot], 1),
         cost=jnp.where(exists, stack.cost[k], first),
     )
 
 
-def _combine(left: Joined, right: Joined) -> Joined:
+def _combine(left: Combinations, right: Combinations) -> Combinations:
     """Keep the four best combinations of two sorted lists of hypotheses, exactly."""
     cost = jnp.stack([left.cost[i] + right.cost[j] for i, j in _PAIRS])
     values, places = smallest(cost, BEAM)
     place = jnp.stack(places)
     i = jnp.where(place < 4, 0, jnp.where(place < 6, 1, place - 4))
     j = jnp.where(place < 4, place, jnp.where(place == 5, 1, 0))
-    return Joined(
-        sets=pick(left.sets, i[:, None]) | pick(right.sets, j[:, None]), cost=jnp.stack(values)
+    return Combinations(
+        sets=pick_of_four(left.sets, i[:, None]) | pick_of_four(right.sets, j[:, None]),
+        cost=jnp.stack(values),
     )
 
 
-def _join(row: BehaviorProgram, stack: Stack) -> Joined:
+def _join(row: BehaviorProgram, stack: Stack) -> Combinations:
     """Combine the hypotheses of all children of a phrase."""
 
-    def add(k: Array, left: Joined) -> Joined:
+    def add(k: Array, left: Combinations) -> Combinations:
         return _combine(left, _child(row, stack, k))
 
     # As many times as some lane has children; the loop also keeps the compiler from computing
@@ -133,15 +139,15 @@ def _best_sets(odds: Array, cost: Array, size: int) -> tuple[Array, Array]:
     values, places = smallest(costs, BEAM)
     place = jnp.stack(places)
     kind, combination = place >> 2, place & 3
-    pair = (kind == 3) & (pick(is_pair, combination) == 1)
+    pair = (kind == 3) & (pick_of_four(is_pair, combination) == 1)
     flips = (
-        jnp.where((kind == 1) | pair, pick(f1, combination), NONE),
-        jnp.where((kind == 2) | pair, pick(f2, combination), NONE),
-        jnp.where((kind == 3) & ~pair, pick(f3, combination), NONE),
+        jnp.where((kind == 1) | pair, pick_of_four(f1, combination), NONE),
+        jnp.where((kind == 2) | pair, pick_of_four(f2, combination), NONE),
+        jnp.where((kind == 3) & ~pair, pick_of_four(f3, combination), NONE),
     )
     masks = to_mask(odds.reshape(BEAM, -1, size, *odds.shape[-2:]) > 0)  # [4, 1 + L, E, P]
     first = size * jnp.arange(masks.shape[1], dtype=jnp.int32)[:, None, None]
-    chosen = pick(masks, combination[:, None])
+    chosen = pick_of_four(masks, combination[:, None])
     for flip in flips:
         bit = flip[:, None] - first
         is_here = (bit >= 0) & (bit < size)
@@ -168,7 +174,7 @@ def _row(program: BehaviorProgram, phrase: Array) -> BehaviorProgram:
     return replace(program, **row_of({name: getattr(program, name) for name in names}, phrase))
 
 
-def _advance(row: BehaviorProgram, scene: Scene, stack: Stack) -> tuple[Stack, Expressed]:
+def _advance(row: BehaviorProgram, scene: ObjectSets, stack: Stack) -> tuple[Stack, Expressed]:
     """Infer one phrase from its children."""
     size = scene.lies.shape[1]
     joined = _join(row, stack)
@@ -202,7 +208,7 @@ def _by_relation(values: Array, relation: Array) -> Array:
 
 def _along_slots(values: Array) -> list[Array]:
     """Part f32[4, L, N, E, P] into its slots."""
-    return [values[:, s] for s in range(NUM_SLOTS)]
+    return [values[:, s] for s in range(NUM_REGION_SLOTS)]
 
 
 def _conclude(program: BehaviorProgram, root: Expressed, size: int) -> Behavior:
@@ -215,7 +221,7 @@ def _conclude(program: BehaviorProgram, root: Expressed, size: int) -> Behavior:
     # Written out: XLA's logistic, and its sums over a short leading axis, are scalar on CPU.
     probability = once(1.0 / (1.0 + jnp.exp(-root.odds)))
     constraint, goal = probability[:, :size], probability[:, size:]
-    goal = goal.reshape(BEAM, NUM_SLOTS, size, *lanes)
+    goal = goal.reshape(BEAM, NUM_REGION_SLOTS, size, *lanes)
     is_none = jnp.prod(functools.reduce(jnp.multiply, _along_slots(1.0 - goal)), axis=1)
     total = jnp.sum(functools.reduce(jnp.add, _along_slots(goal)), axis=1)
     exists = jnp.where(program.num_phrases == 0, 0.0, 1.0)
@@ -244,14 +250,15 @@ def _infer_lanes(program: BehaviorProgram, worlds: BehaviorWorld, num_phrases: A
 
 def _infer_aligned(program: BehaviorProgram, worlds: BehaviorWorld, num_phrases: Array) -> Behavior:
     """Run the phrases bottom-up; shapes as ``_infer_lanes``."""
-    scene = build_scene(program, worlds)
+    scene = build_object_sets(program, worlds)
     size, *lanes = scene.lies.shape[1:]
     stack = Stack(
-        sets=jnp.zeros((MAX_DEPTH, 3 + NUM_SLOTS, BEAM, *lanes), jnp.int32),
+        sets=jnp.zeros((MAX_DEPTH, 3 + NUM_REGION_SLOTS, BEAM, *lanes), jnp.int32),
         cost=jnp.zeros((MAX_DEPTH, BEAM, *lanes), jnp.float32),
     )
     nothing = Expressed(
-        odds=jnp.zeros((BEAM, (1 + NUM_SLOTS) * size, *lanes), jnp.float32), cost=stack.cost[0]
+        odds=jnp.zeros((BEAM, (1 + NUM_REGION_SLOTS) * size, *lanes), jnp.float32),
+        cost=stack.cost[0],
     )
 
     def infer(index: Array, carry: tuple[Stack, Expressed]) -> tuple[Stack, Expressed]:
@@ -330,7 +337,7 @@ def infer_behaviors(
     chex.assert_shape(edges, (NUM_RELATIONS, size, size, None))
     chex.assert_type([worlds.object_type, worlds.is_object, worlds.is_previous], [int, bool, bool])
     chex.assert_type(edges, bool)
-    chex.assert_shape(program.region_base, (NUM_PHRASES, NUM_SLOTS))
+    chex.assert_shape(program.region_base, (NUM_PHRASES, NUM_REGION_SLOTS))
     chex.assert_type([program.object_named, program.region_base], jnp.float32)
     return _infer(program, worlds, jnp.asarray(num_phrases, jnp.int32))
 

@@ -14,8 +14,8 @@ from jaxlangnav.grounding.behavior_properties import (
     GOAL_PROPERTIES,
     OBJECT_PROPERTIES,
     REGION_PROPERTIES,
-    Words,
-    describe,
+    PhraseWords,
+    evaluate_properties,
 )
 from jaxlangnav.grounding.features import Senses
 from jaxlangnav.grounding.symbols import NUM_REGIONS, NUM_RELATIONS
@@ -77,12 +77,12 @@ def agrees(world: World, senses: Senses) -> np.ndarray:
     return (is_type | ((world.object_type == ROBOT) & senses.is_robot)) & world.is_object
 
 
-def _words(senses: Senses, child: ChildGroundings) -> Words:
+def _words(senses: Senses, child: ChildGroundings) -> PhraseWords:
     """Read what the gates need."""
-    return Words.of(senses, child.has_children, child.is_restricted)
+    return PhraseWords.of(senses, child.has_children, child.is_restricted)
 
 
-def object_properties(world: World, senses: Senses, child: ChildGroundings) -> np.ndarray:
+def placed_object_properties(world: World, senses: Senses, child: ChildGroundings) -> np.ndarray:
     """Describe the object symbols of a noun or preposition phrase (``OBJECT_PROPERTIES``).
 
     Args:
@@ -114,7 +114,9 @@ def object_properties(world: World, senses: Senses, child: ChildGroundings) -> n
         "unlike": ~alike & has_previous,
         "no_previous": not has_previous,
     }
-    return _stack(own.shape, describe(OBJECT_PROPERTIES, _words(senses, child), conditions))
+    return _stack(
+        own.shape, evaluate_properties(OBJECT_PROPERTIES, _words(senses, child), conditions)
+    )
 
 
 def _regions(world: World, senses: Senses, child: ChildGroundings) -> dict[str, np.ndarray | bool]:
@@ -130,17 +132,17 @@ def _regions(world: World, senses: Senses, child: ChildGroundings) -> dict[str, 
     }
 
 
-def region_properties(world: World, senses: Senses, child: ChildGroundings) -> np.ndarray:
+def placed_region_properties(world: World, senses: Senses, child: ChildGroundings) -> np.ndarray:
     """Describe the region symbols (``REGION_PROPERTIES``); arguments as above, f32[7 N, 25]."""
     conditions = _regions(world, senses, child)
-    columns = describe(REGION_PROPERTIES, _words(senses, child), conditions)
+    columns = evaluate_properties(REGION_PROPERTIES, _words(senses, child), conditions)
     return _stack(child.regions.shape, columns)
 
 
 def goal_properties(world: World, senses: Senses, child: ChildGroundings) -> np.ndarray:
     """Describe the goal symbols (``GOAL_PROPERTIES``); arguments as above, f32[7 N, 23]."""
     conditions = _regions(world, senses, child)
-    columns = describe(GOAL_PROPERTIES, _words(senses, child), conditions)
+    columns = evaluate_properties(GOAL_PROPERTIES, _words(senses, child), conditions)
     return _stack(child.regions.shape, columns)
 
 
@@ -157,7 +159,7 @@ def constraint_properties(world: World, senses: Senses, child: ChildGroundings) 
         "kept": child.constraints,
         "new": touched & ~child.constraints,
     }
-    columns = describe(CONSTRAINT_PROPERTIES, _words(senses, child), conditions)
+    columns = evaluate_properties(CONSTRAINT_PROPERTIES, _words(senses, child), conditions)
     return _stack((NUM_REGIONS, world.object_type.shape[0]), columns)
 
 

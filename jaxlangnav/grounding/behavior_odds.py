@@ -14,7 +14,7 @@ from jax import Array
 
 from jaxlangnav.grounding.bits import iota, is_in, to_mask
 from jaxlangnav.grounding.program import (
-    NEVER,
+    LOG_NEVER,
     BehaviorProgram,
 )
 from jaxlangnav.kinds import fits, label_of
@@ -22,7 +22,7 @@ from jaxlangnav.messages import NONE, ROBOT, BehaviorWorld
 from jaxlangnav.numerics.batching import pick
 
 
-class Scene(NamedTuple):
+class ObjectSets(NamedTuple):
     """The particles' objects as bits."""
 
     kind: Array  # i32[N, E, P] kinds of the objects
@@ -32,7 +32,7 @@ class Scene(NamedTuple):
     lies: Array  # i32[T, N, E, P] per table of the program and landmark, the objects there
 
 
-class Joined(NamedTuple):
+class Combinations(NamedTuple):
     """Four best combinations of the child hypotheses of a phrase."""
 
     sets: Array  # i32[4, 5 + L, E, P], named below; united where children are combined
@@ -69,7 +69,7 @@ class Joined(NamedTuple):
         return self.sets[:, -1]
 
 
-def build_scene(program: BehaviorProgram, world: BehaviorWorld) -> Scene:
+def build_object_sets(program: BehaviorProgram, world: BehaviorWorld) -> ObjectSets:
     """Turn worlds into bits; leaves of the world are [..., E, P]."""
     is_object = world.is_object
     kind = world.object_type
@@ -85,7 +85,7 @@ def build_scene(program: BehaviorProgram, world: BehaviorWorld) -> Scene:
     is_robot = (kind == ROBOT) & is_object
     goal, others, robot = to_mask(jnp.stack([previous, alike & ~previous, is_robot]))
     rest = jnp.where(goal != 0, everything & ~(goal | others), 0)
-    return Scene(
+    return ObjectSets(
         kind=kind,
         previous=jnp.stack([goal, others, rest]),
         robot=robot,
@@ -99,13 +99,13 @@ def _each(index: Array, objects: Array) -> Array:
     return jnp.broadcast_to(index[:, None], (index.shape[0], *objects.shape))
 
 
-def _own(row: BehaviorProgram, scene: Scene) -> Array:
+def _own(row: BehaviorProgram, scene: ObjectSets) -> Array:
     """Find the objects of the kinds that the words name, i32[E, P]."""
     named = fits(scene.kind[None], row.own[:, None])  # [W, N, E, P]
     return to_mask(functools.reduce(jnp.logical_or, named)) & scene.everything
 
 
-def object_odds(row: BehaviorProgram, scene: Scene, joined: Joined, size: int) -> Array:
+def object_odds(row: BehaviorProgram, scene: ObjectSets, joined: Combinations, size: int) -> Array:
     """Evaluate the log-odds of the objects, f32[4, N, E, P]."""
     own_mask = _own(row, scene)
     own = is_in(own_mask, size)
@@ -115,21 +115,21 @@ def object_odds(row: BehaviorProgram, scene: Scene, joined: Joined, size: int) -
     for n in range(3):
         base = base + jnp.where(is_in(scene.previous[n], size), weight[1 + n], 0.0)
     base = base + jnp.where(scene.previous[0] == 0, weight[4], 0.0)[None]
-    base = jnp.where(is_in(scene.everything, size), base, NEVER)
+    base = jnp.where(is_in(scene.everything, size), base, LOG_NEVER)
     inside, lies = is_in(joined.objects, size), ~is_in(joined.outside, size)
     there = row.object_inside + jnp.where(lies, row.object_lies, row.object_outside)
     named = jnp.where(own[None] & lies, row.object_own_lies, 0.0)
     return base[None] + named + jnp.where(inside, there, row.object_absent)
 
 
-def region_odds(row: BehaviorProgram, scene: Scene, joined: Joined, size: int) -> Array:
+def region_odds(row: BehaviorProgram, scene: ObjectSets, joined: Combinations, size: int) -> Array:
     """Evaluate the log-odds of the regions (goals of a verb phrase), f32[4, L, N, E, P]."""
     inside = is_in(joined.objects, size)[:, None]
     same = is_in(joined.same, size)
     base = row.region_base[:, None]
     base = base + jnp.where(is_in(_own(row, scene), size), row.region_own[:, None], 0.0)
     base = base + jnp.where(is_in(scene.robot, size), row.region_robot[:, None], 0.0)
-    base = jnp.where(is_in(scene.everything, size), base, NEVER)
+    base = jnp.where(is_in(scene.everything, size), base, LOG_NEVER)
     return (
         base[None]
         + jnp.where(inside, row.region_inside[:, None], 0.0)
@@ -138,9 +138,11 @@ def region_odds(row: BehaviorProgram, scene: Scene, joined: Joined, size: int) -
     )
 
 
-def constraint_odds(row: BehaviorProgram, scene: Scene, joined: Joined, size: int) -> Array:
+def constraint_odds(
+    row: BehaviorProgram, scene: ObjectSets, joined: Combinations, size: int
+) -> Array:
     """Evaluate the log-odds of the constraints in their slot, f32[4, N, E, P]."""
-    base = jnp.where(is_in(scene.everything, size), row.constraint_base, NEVER)
+    base = jnp.where(is_in(scene.everything, size), row.constraint_base, LOG_NEVER)
     kept, touched = is_in(joined.kept, size), is_in(joined.touched, size)
     new = jnp.where(kept, 0.0, row.constraint_new)
     return (
@@ -152,7 +154,7 @@ def constraint_odds(row: BehaviorProgram, scene: Scene, joined: Joined, size: in
     )
 
 
-def lying_in(row: BehaviorProgram, scene: Scene, regions: Array) -> Array:
+def lying_in(row: BehaviorProgram, scene: ObjectSets, regions: Array) -> Array:
     """Find the objects that lie in the expressed regions, i32[4, L, E, P] to i32[4, E, P]."""
     table = pick(scene.lies, _each(row.region_table, scene.lies[0]))
     there = jnp.where(is_in(regions, scene.lies.shape[1]), table[None], 0)  # [4, L, N, E, P]

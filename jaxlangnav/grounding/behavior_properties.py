@@ -24,7 +24,7 @@ _AT = (np.arange(NUM_REGIONS) == AT).astype(np.float32)
 _NEAR = (np.arange(NUM_REGIONS) == NEAR).astype(np.float32)
 
 
-class Words(NamedTuple):
+class PhraseWords(NamedTuple):
     """What gates read of a phrase."""
 
     named: np.ndarray  # f32[7] one for the regions that the words name
@@ -35,7 +35,7 @@ class Words(NamedTuple):
     is_restricted: bool  # by a child that says where it is
 
     @classmethod
-    def of(cls, senses: Senses, has_children: bool, is_restricted: bool) -> "Words":
+    def of(cls, senses: Senses, has_children: bool, is_restricted: bool) -> "PhraseWords":
         """Read a phrase.
 
         Args:
@@ -57,7 +57,7 @@ class Words(NamedTuple):
         )
 
 
-Gate = Callable[[Words], np.ndarray | float]
+Gate = Callable[[PhraseWords], np.ndarray | float]
 """f32[7] by relation, or one number for all."""
 
 
@@ -165,8 +165,8 @@ PROPERTY_NAMES: dict[str, tuple[str, ...]] = {
 """Kind of symbol → names of the columns of its weights, which files of weights hold too."""
 
 
-def describe(
-    properties: Sequence[Property], words: Words, conditions: Mapping[str, np.ndarray | bool]
+def evaluate_properties(
+    properties: Sequence[Property], words: PhraseWords, conditions: Mapping[str, np.ndarray | bool]
 ) -> list[np.ndarray]:
     """Evaluate properties on the host.
 
@@ -186,7 +186,7 @@ def describe(
 
 
 def contract(
-    properties: Sequence[Property], words: Words, coefficients: np.ndarray
+    properties: Sequence[Property], words: PhraseWords, coefficients: np.ndarray
 ) -> dict[str, np.ndarray]:
     """Add up the coefficients f32[F] of the properties that hold under one condition.
 

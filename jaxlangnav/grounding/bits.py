@@ -43,7 +43,7 @@ def smallest(cost: Array, count: int) -> tuple[list[Array], list[Array]]:
     return values, [each & low for each in found]
 
 
-def pick(values: Array, index: Array) -> Array:
+def pick_of_four(values: Array, index: Array) -> Array:
     """Read one of four: values i32[4, ..., E, P], index i32[m, ..., E, P] → i32[m, ..., E, P]."""
     high = index >= 2
     odd = (index & 1) == 1

@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxlangnav import pytree
 from jaxlangnav.grounding.grounder import Alternative, Context, Grounded, Grounder, names_of
-from jaxlangnav.grounding.readings import Reading, pack, unpack
+from jaxlangnav.grounding.readings import Reading, pad_readings, unpad_readings
 from jaxlangnav.kinds import name_of
 from jaxlangnav.messages import NONE, ROBOT, relation_name
 
@@ -106,9 +106,9 @@ class ChoosingGrounder:
 
 def _by_reading(grounded: Grounded, names: Sequence[str]) -> Iterator[Alternative]:
     """Take each reading for a way; the commands are those of the sentence."""
-    ranked = sorted(unpack(grounded.instruction.readings), key=lambda item: -item[1])
+    ranked = sorted(unpad_readings(grounded.instruction.readings), key=lambda item: -item[1])
     for reading, score in ranked:
-        alone = pytree.replace(grounded.instruction, readings=pack([(reading, 0.0)]))
+        alone = pytree.replace(grounded.instruction, readings=pad_readings([(reading, 0.0)]))
         told = list(_annotations(reading, names))
         yield Alternative(
             says="; ".join(_worded(one) for one in told),

@@ -11,7 +11,7 @@ from jaxlangnav.grounding.behavior_properties import (
     GOAL_PROPERTIES,
     OBJECT_PROPERTIES,
     REGION_PROPERTIES,
-    Words,
+    PhraseWords,
     contract,
 )
 from jaxlangnav.grounding.features import Senses
@@ -45,7 +45,7 @@ def object_fields(
     """
     named = [*sorted(senses.types), *([ROBOT] if senses.is_robot else [])][:NUM_OWN]
     own = np.array(named + [NONE] * (NUM_OWN - len(named)), np.int32)
-    words = Words.of(senses, bool(node.children), is_restricted)
+    words = PhraseWords.of(senses, bool(node.children), is_restricted)
     terms = contract(OBJECT_PROPERTIES, words, coefficients)
     previous = ("own_previous", "previous", "alike", "unlike", "no_previous")
     if senses.is_thing:  # whatever the goal before was, to it there is none
@@ -75,18 +75,18 @@ def _by_relation(terms: dict[str, np.ndarray], names: tuple[str, ...]) -> dict[s
 
 def region_terms(coefficients: np.ndarray, senses: Senses, node: Node) -> dict[str, np.ndarray]:
     """Contract the region properties of a noun or preposition phrase, f32[7] each."""
-    words = Words.of(senses, bool(node.children), False)
+    words = PhraseWords.of(senses, bool(node.children), False)
     return _by_relation(contract(REGION_PROPERTIES, words, coefficients), _REGION_TERMS)
 
 
 def goal_terms(coefficients: np.ndarray, senses: Senses, node: Node) -> dict[str, np.ndarray]:
     """Contract the goal properties of a verb phrase, f32[7] each."""
-    words = Words.of(senses, bool(node.children), False)
+    words = PhraseWords.of(senses, bool(node.children), False)
     return _by_relation(contract(GOAL_PROPERTIES, words, coefficients), _REGION_TERMS)
 
 
 def constraint_terms(coefficients: np.ndarray, senses: Senses, node: Node) -> dict[str, np.ndarray]:
     """Contract the constraint properties of a verb phrase, f32[7] each."""
-    words = Words.of(senses, bool(node.children), False)
+    words = PhraseWords.of(senses, bool(node.children), False)
     terms = contract(CONSTRAINT_PROPERTIES, words, coefficients)
     return _by_relation(terms, tuple(terms))

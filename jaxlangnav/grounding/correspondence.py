@@ -20,7 +20,7 @@ from jaxlangnav.language.phrase import Phrase, Word
 
 KIND = "symbol"
 """Name of the one block of weights."""
-World = TypeVar("World")
+AnyWorld = TypeVar("AnyWorld")
 World_contra = TypeVar("World_contra", contravariant=True)
 
 
@@ -53,16 +53,16 @@ class SymbolSpace(Protocol[World_contra]):
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Labelled(Generic[World]):
+class Labelled(Generic[AnyWorld]):
     """A tree in a world, with the symbols that each phrase expresses."""
 
     root: Phrase
-    world: World
+    world: AnyWorld
     expressed: Sequence[frozenset[str]]  # per phrase of ``root.walk()``, children before parents
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Grounding:
+class SymbolSet:
     """What a sentence may mean."""
 
     symbols: tuple[str, ...]  # expressed at the root
@@ -85,10 +85,10 @@ class PhraseBelief:
 
 
 @dataclasses.dataclass(frozen=True)
-class CorrespondenceGraph(Generic[World]):
+class CorrespondenceGraph(Generic[AnyWorld]):
     """A symbol space with a trained model."""
 
-    space: SymbolSpace[World]
+    space: SymbolSpace[AnyWorld]
     model: CorrespondenceModel
 
     @property
@@ -107,7 +107,7 @@ class CorrespondenceGraph(Generic[World]):
             for w, f in zip(rows, columns, strict=True)
         ]
 
-    def ground(self, root: Phrase, world: World, width: int = BEAM_WIDTH) -> list[Grounding]:
+    def ground(self, root: Phrase, world: AnyWorld, width: int = BEAM_WIDTH) -> list[SymbolSet]:
         """Infer what a sentence means in a world.
 
         Args:
@@ -120,14 +120,14 @@ class CorrespondenceGraph(Generic[World]):
         """
         names = self.space.symbols(world)
         return [
-            Grounding(
+            SymbolSet(
                 symbols=tuple(itertools.compress(names, one.expressed)),
                 probability=float(np.exp(one.log_probability)),
             )
             for one in search(root, self._log_odds(world), width=width)
         ]
 
-    def beliefs(self, root: Phrase, world: World) -> list[PhraseBelief]:
+    def beliefs(self, root: Phrase, world: AnyWorld) -> list[PhraseBelief]:
         """Compute for every phrase how probable each symbol is, parents first.
 
         Each phrase is given what its children express in the likeliest reading.
@@ -136,7 +136,7 @@ class CorrespondenceGraph(Generic[World]):
         best = search(root, log_odds, path=(0,))[0]
         return list(beliefs_below(root, (0,), best, log_odds))
 
-    def accuracy(self, labelled: Sequence[Labelled[World]]) -> float:
+    def accuracy(self, labelled: Sequence[Labelled[AnyWorld]]) -> float:
         """Compute the share of trees whose likeliest set at the root is exactly the gold one."""
         right = [
             frozenset(self.ground(one.root, one.world)[0].symbols) == one.expressed[-1]
@@ -144,7 +144,7 @@ class CorrespondenceGraph(Generic[World]):
         ]
         return float(np.mean(right))
 
-    def _log_odds(self, world: World) -> LogOdds:
+    def _log_odds(self, world: AnyWorld) -> LogOdds:
         known: dict[tuple[int, ...], np.ndarray] = {}
 
         def log_odds(

@@ -8,7 +8,7 @@ import dataclasses
 
 from jaxlangnav.grounding.form import Form, FormReading
 
-Place = tuple[int, int, "Description"]
+Place = tuple[int, int, "ThingDescription"]
 """Relation, rank, and what the landmark is."""
 ANY, AGAIN, OTHER = range(3)
 """How a goal bears on that of the command before: not at all; the same thing; another of its type
@@ -16,7 +16,7 @@ ANY, AGAIN, OTHER = range(3)
 
 
 @dataclasses.dataclass(frozen=True)
-class Description:
+class ThingDescription:
     """What is said of a thing; two things of one description are not told apart."""
 
     kind: int  # object type; ROBOT
@@ -27,12 +27,14 @@ class Description:
 class Destination:
     """Where a command ends."""
 
-    thing: Description
+    thing: ThingDescription
     region: int
     before: int = ANY
 
 
-def description_of(reading: FormReading, thing: int, behind: tuple[int, ...] = ()) -> Description:
+def description_of(
+    reading: FormReading, thing: int, behind: tuple[int, ...] = ()
+) -> ThingDescription:
     """Describe a thing by its relations, and its landmarks by theirs.
 
     Args:
@@ -51,7 +53,7 @@ def description_of(reading: FormReading, thing: int, behind: tuple[int, ...] = (
         for one in reading.relations
         if one.figure == thing and one.landmark not in path
     }
-    return Description(reading.type_of(thing), frozenset(places))
+    return ThingDescription(reading.type_of(thing), frozenset(places))
 
 
 def destination_of(reading: FormReading, index: int) -> Destination:
@@ -67,7 +69,7 @@ def destination_of(reading: FormReading, index: int) -> Destination:
     return dataclasses.replace(goal, before=OTHER if is_alike else ANY)
 
 
-def may_fit(thing: Description, reading: FormReading) -> bool:
+def may_fit(thing: ThingDescription, reading: FormReading) -> bool:
     """Tell whether something may be so described in a particle that believes a reading.
 
     Of what nothing is said but its type there may always be one more; relations are only those
@@ -78,11 +80,11 @@ def may_fit(thing: Description, reading: FormReading) -> bool:
     )
 
 
-def _fits(thing: Description, reading: FormReading, index: int) -> bool:
+def _fits(thing: ThingDescription, reading: FormReading, index: int) -> bool:
     """Tell whether a thing of a reading has a description, and maybe more."""
     told = [one for one in reading.relations if one.figure == index]
 
-    def is_told(relation: int, rank: int, landmark: Description) -> bool:
+    def is_told(relation: int, rank: int, landmark: ThingDescription) -> bool:
         # The nearest is near, too; of later ranks, a particle does not know which.
         return any(
             one.relation == relation
@@ -115,7 +117,7 @@ def destinations(form: Form, index: int) -> dict[Destination, float]:
     return found
 
 
-def avoided(form: Form, index: int) -> dict[Description, float]:
+def avoidances(form: Form, index: int) -> dict[ThingDescription, float]:
     """Find what is to be kept away from on the way of a command.
 
     Args:
@@ -129,7 +131,7 @@ def avoided(form: Form, index: int) -> dict[Description, float]:
         [description_of(reading, thing) for thing in reading.commands[index].avoid]
         for reading in form.readings
     ]
-    found: dict[Description, float] = {}
+    found: dict[ThingDescription, float] = {}
     for thing in dict.fromkeys(one for names in named for one in names):
         pairs = list(zip(form.readings, named, strict=True))
         share = sum(reading.probability for reading, names in pairs if thing in names)

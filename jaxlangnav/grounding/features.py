@@ -93,7 +93,7 @@ def _grams(text: str) -> set[int]:
     return {zlib.crc32(gram.encode()) % NUM_GRAMS for gram in grams}
 
 
-def group_of(name: str) -> str:
+def feature_group(name: str) -> str:
     """Find the group of a word-side feature: one of ``FEATURE_GROUPS``, or "bias"."""
     return name if name == "bias" else _GROUP_OF[name.partition("=")[0]]
 
@@ -129,4 +129,4 @@ def word_features(phrase: Phrase, without: frozenset[str] = frozenset()) -> dict
     features[f"children={min(len(phrase.children), 3)}"] = 0.5
     if not without:
         return features
-    return {name: value for name, value in features.items() if group_of(name) not in without}
+    return {name: value for name, value in features.items() if feature_group(name) not in without}

@@ -26,7 +26,7 @@ from jaxlangnav.messages import (
 )
 from jaxlangnav.relations.table import ORDERS
 
-MAX_CHARACTERS = 65_536
+MAX_FORM_CHARACTERS = 65_536
 """Longer texts are no forms: the largest that the arrays hold has a tenth of it."""
 ROBOT_ID = "robot"
 _TOLERANCE = 0.01
@@ -129,9 +129,10 @@ def read_form(text: str, type_names: Sequence[str]) -> Form:
 
 def _load(text: str) -> Any:
     """Read JSON strictly: no field twice, no NaN, not too long, not too deep."""
-    if len(text) > MAX_CHARACTERS:
+    if len(text) > MAX_FORM_CHARACTERS:
         raise ValueError(
-            f"the annotations have {len(text):,} characters; at most {MAX_CHARACTERS:,} are read"
+            f"the annotations have {len(text):,} characters; at most {MAX_FORM_CHARACTERS:,} are "
+            "read"
         )
     try:
         return json.loads(

@@ -13,15 +13,22 @@ from typing import Any
 
 import numpy as np
 
-from jaxlangnav.grounding.described import AGAIN, ANY, OTHER, Description, avoided, destinations
+from jaxlangnav.grounding.described import (
+    AGAIN,
+    ANY,
+    OTHER,
+    ThingDescription,
+    avoidances,
+    destinations,
+)
 from jaxlangnav.grounding.form import Form
 from jaxlangnav.grounding.program import (
+    LOG_NEVER,
     MAX_DEPTH,
-    NEVER,
     NUM_CHILDREN,
     NUM_OWN,
     NUM_PHRASES,
-    NUM_SLOTS,
+    NUM_REGION_SLOTS,
     NUM_TABLES,
     empty_program,
 )
@@ -63,17 +70,17 @@ def clause_of_form(form: Form, index: int) -> dict[str, np.ndarray]:
     """
     wanted = destinations(form, index)
     regions = sorted({end.region for end in wanted})
-    if len(regions) > NUM_SLOTS:
+    if len(regions) > NUM_REGION_SLOTS:
         names = ", ".join(REGIONS[region] for region in regions)
         raise CapacityError(
             f"command {index + 1} may end in {len(regions)} different regions ({names}); at most "
-            f"{NUM_SLOTS} are held: leave the least likely reading out"
+            f"{NUM_REGION_SLOTS} are held: leave the least likely reading out"
         )
     phrases = [
         _at_goal(_thing(end.thing, CERTAIN, end.before), end.region, regions, share)
         for end, share in wanted.items()
     ]
-    phrases += [_thing(thing, _log_odds(share)) for thing, share in avoided(form, index).items()]
+    phrases += [_thing(thing, _log_odds(share)) for thing, share in avoidances(form, index).items()]
     root = _Phrase(_root_row(regions), tuple(_gathered(phrases, regions)))
     fields = _lay_out(root, index)
     for reading in form.readings:
@@ -90,7 +97,7 @@ def _log_odds(probability: float) -> float:
     return min(CERTAIN, math.log(probability / (1.0 - probability)))
 
 
-def _thing(thing: Description, peak: float, before: int = ANY) -> _Phrase:
+def _thing(thing: ThingDescription, peak: float, before: int = ANY) -> _Phrase:
     """Express the objects of a description: "the hydrant behind the cone".
 
     Args:
@@ -104,9 +111,9 @@ def _thing(thing: Description, peak: float, before: int = ANY) -> _Phrase:
     row = {
         "own": np.array([thing.kind] + [NONE] * (NUM_OWN - 1), np.int32),
         "object_named": -CERTAIN,
-        "object_unnamed": NEVER,
+        "object_unnamed": LOG_NEVER,
         "object_own_lies": CERTAIN + (CERTAIN if rest else peak),
-        "object_previous": np.where(np.isin(np.arange(5), previous), NEVER, 0.0),
+        "object_previous": np.where(np.isin(np.arange(5), previous), LOG_NEVER, 0.0),
     }
     phrase = _Phrase(row, tuple(first))
     while rest:  # more places than a phrase has children: a phrase of the same objects above it
@@ -119,12 +126,12 @@ def _thing(thing: Description, peak: float, before: int = ANY) -> _Phrase:
     return phrase
 
 
-def _sorted_by(place: tuple[int, int, Description]) -> tuple[int, int, str]:
+def _sorted_by(place: tuple[int, int, ThingDescription]) -> tuple[int, int, str]:
     """Order places, so that equal forms make equal programs."""
     return (place[0], place[1], repr(place[2]))
 
 
-def _place(relation: int, rank: int, landmark: Description) -> _Phrase:
+def _place(relation: int, rank: int, landmark: ThingDescription) -> _Phrase:
     """Express a region of a landmark, to say where a figure is: "behind the cone"."""
     row = _in_slot(0, relation=relation, base=-CERTAIN, inside=2.0 * CERTAIN)
     table = relation + NUM_RELATIONS * min(rank, 2)
@@ -140,19 +147,19 @@ def _at_goal(thing: _Phrase, region: int, regions: Sequence[int], share: float) 
 
 def _in_slot(slot: int, *, relation: int, **terms: float) -> dict[str, np.ndarray]:
     """Build the fields of one region slot; the others stay empty."""
-    is_here = np.arange(NUM_SLOTS) == slot
+    is_here = np.arange(NUM_REGION_SLOTS) == slot
     row = {"region_relation": np.where(is_here, relation, NONE)}
-    empty = {"base": NEVER} | dict.fromkeys(set(terms) - {"base"}, 0.0)
+    empty = {"base": LOG_NEVER} | dict.fromkeys(set(terms) - {"base"}, 0.0)
     return row | {f"region_{name}": np.where(is_here, terms[name], empty[name]) for name in empty}
 
 
 def _passing_on(regions: Sequence[int]) -> dict[str, np.ndarray]:
     """Build the region fields of a phrase that expresses the goal regions of its children."""
-    is_used = np.arange(NUM_SLOTS) < len(regions)
-    slots = np.where(is_used, np.arange(NUM_SLOTS), NONE)
+    is_used = np.arange(NUM_REGION_SLOTS) < len(regions)
+    slots = np.where(is_used, np.arange(NUM_REGION_SLOTS), NONE)
     return {
-        "region_relation": np.append(regions, [NONE] * (NUM_SLOTS - len(regions))),
-        "region_base": np.where(is_used, -CERTAIN, NEVER),
+        "region_relation": np.append(regions, [NONE] * (NUM_REGION_SLOTS - len(regions))),
+        "region_base": np.where(is_used, -CERTAIN, LOG_NEVER),
         "region_same": np.where(is_used, 2.0 * CERTAIN, 0.0),
         "region_from": np.tile(slots, (NUM_CHILDREN, 1)),
     }

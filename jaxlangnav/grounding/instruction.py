@@ -12,7 +12,7 @@ import jax
 import numpy as np
 from jax import Array
 
-from jaxlangnav.grounding.annotation import Belief, describe, infer_annotations, walk
+from jaxlangnav.grounding.annotation import Belief, describe_annotation, infer_annotations, walk
 from jaxlangnav.grounding.binding import Detector, UnknownObjectError, bind
 from jaxlangnav.grounding.graph import build
 from jaxlangnav.grounding.model import CorrespondenceModel
@@ -72,7 +72,7 @@ class Understanding:
     def annotations(self) -> list[dict[str, Any]]:
         """Annotations with probabilities, likeliest first, as ``ground --json`` prints them."""
         return [
-            describe(symbol, rank, probability, self.names)
+            describe_annotation(symbol, rank, probability, self.names)
             for symbol, rank, probability in self.belief.marginals()
             if probability >= _MIN_PROBABILITY
         ]

@@ -5,8 +5,8 @@ coefficients per phrase; everything that is inferred per particle and step reads
 sentences have the same shapes, so a new sentence is new data and never a new program.
 
 A phrase rarely expresses more than one relation, so of the seven regions each object has, only
-the ``NUM_SLOTS`` whose log-odds can become largest are kept (for constraints: one). What is left
-out is bounded when the program is built (``slack``).
+the ``NUM_REGION_SLOTS`` whose log-odds can become largest are kept (for constraints: one). What is
+left out is bounded when the program is built (``slack``).
 """
 
 import dataclasses
@@ -34,12 +34,12 @@ from jaxlangnav.language.phrase import Phrase
 from jaxlangnav.messages import AT, NONE
 from jaxlangnav.pytree import pytree
 
-NUM_PHRASES, NUM_CHILDREN, NUM_SLOTS = 24, 3, 2
+NUM_PHRASES, NUM_CHILDREN, NUM_REGION_SLOTS = 24, 3, 2
 NUM_TABLES = 5
 """Different relations in which a sentence may place figures."""
 MAX_DEPTH = 6
 """Phrases that may wait for their parent at the same time."""
-NEVER = -1e4
+LOG_NEVER = -1e4
 """Log-odds of a symbol that a phrase cannot express."""
 NOTHING = -1
 """Children of a padded row: it leaves the stack as it is."""
@@ -99,15 +99,15 @@ OF_THE_CLAUSE = ("num_phrases", "table", "action", "mode")
 
 def empty_program() -> dict[str, np.ndarray]:
     """Build the fields of a program that expresses nothing."""
-    h, k, s = NUM_PHRASES, NUM_CHILDREN, NUM_SLOTS
+    h, k, s = NUM_PHRASES, NUM_CHILDREN, NUM_REGION_SLOTS
     f32, i32 = np.float32, np.int32
     fields: dict[str, np.ndarray] = {
         "num_phrases": np.zeros((), i32),
         "num_children": np.full(h, NOTHING, i32),
         "is_restrictor": np.zeros((h, k), bool),
         "is_verb": np.zeros(h, bool),
-        "object_named": np.full(h, NEVER, f32),
-        "object_unnamed": np.full(h, NEVER, f32),
+        "object_named": np.full(h, LOG_NEVER, f32),
+        "object_unnamed": np.full(h, LOG_NEVER, f32),
         "own": np.full((h, NUM_OWN), NONE, i32),
         "table": np.full(NUM_TABLES, NONE, i32),
         "region_relation": np.full((h, s), NONE, i32),
@@ -124,8 +124,8 @@ def empty_program() -> dict[str, np.ndarray]:
             shape = (h, s) if field.name.startswith("region") else (h,)
             shape = (h, 5) if field.name == "object_previous" else shape
             fields[field.name] = np.zeros(shape, f32)
-    fields["region_base"] += NEVER
-    fields["constraint_base"] += NEVER
+    fields["region_base"] += LOG_NEVER
+    fields["constraint_base"] += LOG_NEVER
     return fields
 
 
@@ -178,8 +178,8 @@ def _fill_regions(fields: dict[str, np.ndarray], at: _Row, terms: dict, meant: n
     """
     row, reach = at.row, _reach(terms, _held(fields, at))
     order = np.argsort(-reach, kind="stable")
-    wanted = {(row, -1): (float(reach[order[NUM_SLOTS]]), NONE)}
-    for slot, relation in enumerate(order[:NUM_SLOTS]):
+    wanted = {(row, -1): (float(reach[order[NUM_REGION_SLOTS]]), NONE)}
+    for slot, relation in enumerate(order[:NUM_REGION_SLOTS]):
         fields["region_relation"][row, slot] = relation
         table = relation + NUM_RELATIONS * min(meant[relation], 2)
         table = AT_TABLE if relation == AT else int(table)
@@ -196,7 +196,7 @@ def _fill_regions(fields: dict[str, np.ndarray], at: _Row, terms: dict, meant: n
 def _fill_tables(fields: dict[str, np.ndarray], wanted: dict) -> float:
     """Give the likeliest slots of restricting phrases a table; returns the bound of the rest."""
     tables: list[int] = []
-    left_out = NEVER
+    left_out = LOG_NEVER
     for (row, slot), (bound, table) in sorted(wanted.items(), key=lambda item: -item[1][0]):
         if table not in tables and len(tables) == NUM_TABLES:
             left_out = max(left_out, bound)
@@ -271,7 +271,7 @@ def compile_clause(
     _check_sizes(nodes)
     fields = empty_program()
     fields["num_phrases"] = np.asarray(len(nodes), np.int32)
-    slack, wanted = NEVER, {}
+    slack, wanted = LOG_NEVER, {}
     for index, node in enumerate(nodes):
         row = NUM_PHRASES - 1 if index == len(nodes) - 1 else index
         at = _Row(row, node, node.children[::-1])

@@ -32,7 +32,7 @@ Path = tuple[int, ...]
 
 def _annotation_tables(
     space: AnnotationSpace, senses: Senses, groundings: list[np.ndarray]
-) -> dict[str, af.Table]:
+) -> dict[str, af.PropertyTable]:
     """Describe every annotation symbol of a phrase; arguments as ``annotation_properties``."""
     child = af.child_sets(space, groundings)
     expressed = np.zeros(space.size, bool)
@@ -131,8 +131,8 @@ def behavior_properties(
             "mode": bf.mode_properties(senses),
         }
     return {
-        "object": bf.object_properties(world, senses, child),
-        "region": bf.region_properties(world, senses, child),
+        "object": bf.placed_object_properties(world, senses, child),
+        "region": bf.placed_region_properties(world, senses, child),
     }
 
 

@@ -14,7 +14,7 @@ import jax
 import numpy as np
 from jax import Array
 
-from jaxlangnav.grounding.annotation import Belief, Said
+from jaxlangnav.grounding.annotation import Belief, RankedAnnotations
 from jaxlangnav.grounding.symbols import OBJECT, REGION, Annotation
 from jaxlangnav.kinds import is_anything
 from jaxlangnav.messages import BETWEEN, NONE, ROBOT, Readings
@@ -77,7 +77,7 @@ def in_order(relations: Iterable[Entry], ends: Callable[[Entry], tuple[int, int]
     return ordered
 
 
-def _ordered(said: Said) -> list[tuple[Annotation, int]]:
+def _ordered(said: RankedAnnotations) -> list[tuple[Annotation, int]]:
     """Put relations in order, and plain objects last."""
     relations = [entry for entry in said if entry[0].kind not in (OBJECT, REGION)]
     others = [entry for entry in said if entry[0].kind in (OBJECT, REGION)]
@@ -115,7 +115,7 @@ class _Reader:
         self.described: list[Description] = []
         self.relations: list[tuple[int, int, int, int]] = []
 
-    def read(self, said: Said) -> None:
+    def read(self, said: RankedAnnotations) -> None:
         """Read one clause."""
         told: dict[int, set[tuple[int, int, int]]] = {}
         for symbol, rank in said:
@@ -202,7 +202,7 @@ class _Reader:
                 self.relations.append((index, NONE, NONE, 0))
 
 
-def read(*clauses: Said) -> Reading:
+def read(*clauses: RankedAnnotations) -> Reading:
     """Turn sets of annotations into mentions and relations.
 
     Things of one type in a clause are one thing, unless a relation needs two or they have different
@@ -259,7 +259,7 @@ def to_readings(belief: Belief, kinds_of: Callable[[int], tuple[int, ...]] = _it
             f"{NUM_RELATIONS_SAID} are held: say less at once"
         )
     fitting = [item for item in ranked if _fits(item[0])][:NUM_READINGS]
-    return pack(list(_of_kinds(fitting, kinds_of))[:NUM_READINGS])
+    return pad_readings(list(_of_kinds(fitting, kinds_of))[:NUM_READINGS])
 
 
 def _of_kinds(
@@ -301,7 +301,7 @@ def widen(readings: Readings, capacity: Capacity) -> Readings:
     return replace(readings, **jax.device_put(wide))
 
 
-def pack(ranked: Sequence[tuple[Reading, float]]) -> Readings:
+def pad_readings(ranked: Sequence[tuple[Reading, float]]) -> Readings:
     """Write readings into padded arrays.
 
     Args:
@@ -332,8 +332,8 @@ def pack(ranked: Sequence[tuple[Reading, float]]) -> Readings:
     return Readings(**jax.device_put(fields))
 
 
-def unpack(readings: Readings) -> list[tuple[Reading, float]]:
-    """Undo ``pack``.
+def unpad_readings(readings: Readings) -> list[tuple[Reading, float]]:
+    """Undo ``pad_readings``.
 
     Args:
         readings: of one sentence, padded.

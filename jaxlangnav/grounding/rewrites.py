@@ -21,7 +21,7 @@ from jax import Array
 from jaxlangnav.grounding.asked import Asked, asked
 from jaxlangnav.grounding.grounder import Alternative, Context, Grounded, Grounder, names_of
 from jaxlangnav.grounding.json_schema import quote
-from jaxlangnav.grounding.readings import NUM_READINGS, Reading, pack, unpack
+from jaxlangnav.grounding.readings import NUM_READINGS, Reading, pad_readings, unpad_readings
 from jaxlangnav.messages import ROBOT
 from jaxlangnav.pytree import pytree, replace
 
@@ -191,7 +191,7 @@ def _mixed(found: Sequence[Read], log_weights: np.ndarray, notes: tuple[str, ...
     if left_out >= _LEAST_TOLD:
         chosen.append(f"readings of {left_out:.0%} of the weight are more than are held")
     return Grounded(
-        instruction=replace(first.grounded.instruction, readings=pack(readings)),
+        instruction=replace(first.grounded.instruction, readings=pad_readings(readings)),
         annotations=_mixed_annotations(found, weight),
         notes=(*notes, *chosen, *first.grounded.notes),
         spoken=first.grounded.spoken,
@@ -213,7 +213,7 @@ def _mixed_readings(
     first: dict[Any, Reading] = {}
     total: dict[Any, float] = {}
     for index in order:
-        for reading, score in unpack(found[index].grounded.instruction.readings):
+        for reading, score in unpad_readings(found[index].grounded.instruction.readings):
             key = _said(reading)
             first.setdefault(key, reading)
             share = score + float(log_weights[index])
@@ -236,7 +236,7 @@ def _said(reading: Reading) -> tuple[Any, ...]:
 
 def _meaning(grounded: Grounded) -> tuple[Any, ...]:
     """Tell what a sentence says and asks for, so that wordings of one meaning compare equal."""
-    reading, _ = unpack(grounded.instruction.readings)[0]
+    reading, _ = unpad_readings(grounded.instruction.readings)[0]
 
     def thing(mention: int) -> tuple[Any, ...]:
         if mention < 0:

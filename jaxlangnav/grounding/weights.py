@@ -15,7 +15,7 @@ from zipfile import ZipFile
 
 import numpy as np
 
-from jaxlangnav.files.arrays import faults_as_values, open_arrays, read_floats, read_text
+from jaxlangnav.files.arrays import faults_as_values, open_arrays, read_floats, read_text_entry
 from jaxlangnav.files.regular import read_file
 from jaxlangnav.files.whole import replacing
 from jaxlangnav.grounding.instruction import GroundingModel
@@ -28,7 +28,7 @@ from jaxlangnav.grounding.model import (
 from jaxlangnav.grounding.properties import property_names
 from jaxlangnav.language.lexicon import load_lexicon
 
-SHIPPED = "weights.npz"
+SHIPPED_WEIGHTS = "weights.npz"
 _MAX_BYTES = 1 << 22
 """Of a file; the shipped one has 118 kB."""
 _MAX_TEXT = 1 << 19
@@ -89,7 +89,7 @@ def _document(
     archive: ZipFile, name: str, keys: set[str], *, optional: Set[str] = frozenset()
 ) -> dict[str, Any]:
     """Read a JSON document that must have these keys, and may have the optional ones."""
-    text = read_text(archive, name, at_most=_MAX_TEXT)
+    text = read_text_entry(archive, name, at_most=_MAX_TEXT)
     with faults_as_values():
         document = json.loads(text)
     if type(document) is not dict or set(document) - optional != keys:
@@ -183,7 +183,7 @@ def _refusal(path: Path, error: Exception) -> ValueError:
 
 def shipped_path() -> Path:
     """Find the weights of the package."""
-    return Path(str(resources.files("jaxlangnav.grounding"))) / "data" / SHIPPED
+    return Path(str(resources.files("jaxlangnav.grounding"))) / "data" / SHIPPED_WEIGHTS
 
 
 @cache

@@ -13,9 +13,9 @@ from functools import cache
 from importlib import resources
 
 from jaxlangnav.language.lexicon import REASONS, TYPE_CLASS, load_lexicon
-from jaxlangnav.language.tokens import MARKS, Spoken
+from jaxlangnav.language.tokens import MARKS, SpokenToken
 
-Part = list[Spoken]
+_Part = list[SpokenToken]
 _UNSAID = frozenset(
     {REASONS[name] for name in ("negation", "condition", "such an action", "amends", "a turn")}
 )
@@ -40,7 +40,7 @@ def _names_thing(words: Sequence[str]) -> bool:
     )
 
 
-def leave_out(tokens: Sequence[Spoken]) -> tuple[list[Spoken], list[str]]:
+def leave_out(tokens: Sequence[SpokenToken]) -> tuple[list[SpokenToken], list[str]]:
     """Leave small talk and reasons out of a sentence.
 
     Args:
@@ -50,7 +50,7 @@ def leave_out(tokens: Sequence[Spoken]) -> tuple[list[Spoken], list[str]]:
         What is left to be read, all of it where nothing would be; and what has been left out.
     """
     parts = _parts(_parted_at_so(tokens))
-    kept: list[Spoken] = []
+    kept: list[SpokenToken] = []
     dropped: list[str] = []
     for index, (part, mark) in enumerate(parts):
         later = {token.text for other, _ in parts[index + 1 :] for token in other}
@@ -70,7 +70,7 @@ def leave_out(tokens: Sequence[Spoken]) -> tuple[list[Spoken], list[str]]:
     return (kept, dropped) if kept else (list(tokens), [])
 
 
-def leave_out_remarks(tokens: Sequence[Spoken]) -> tuple[list[Spoken], list[str]]:
+def leave_out_remarks(tokens: Sequence[SpokenToken]) -> tuple[list[SpokenToken], list[str]]:
     """Leave out of a refused sentence remarks on what nothing else in it speaks of.
 
     "The inspection is at noon. Go to the hydrant." A remark says that something is so; it can
@@ -83,7 +83,7 @@ def leave_out_remarks(tokens: Sequence[Spoken]) -> tuple[list[Spoken], list[str]
         What is left to be read, all of it where nothing would be; and what has been left out.
     """
     parts = _parts(tokens)
-    kept: list[Spoken] = []
+    kept: list[SpokenToken] = []
     dropped: list[str] = []
     for index, (part, mark) in enumerate(parts):
         later = {token.text for other, _ in parts[index + 1 :] for token in other}
@@ -97,7 +97,7 @@ def leave_out_remarks(tokens: Sequence[Spoken]) -> tuple[list[Spoken], list[str]
     return (kept, dropped) if kept else (list(tokens), [])
 
 
-def _is_remark(part: Part, others: Collection[str]) -> bool:
+def _is_remark(part: _Part, others: Collection[str]) -> bool:
     """Tell whether a part says that something is so of which the others do not speak."""
     words, lists = [token.text for token in part], _words()
     if len(words) < 2 or words[0] not in lists["remarking"] | lists["ourselves"] or _tells(words):
@@ -111,7 +111,7 @@ def _is_remark(part: Part, others: Collection[str]) -> bool:
     return bool(is_told) and not (set(words) - lists["empty"]) & set(others)
 
 
-def _parted_at_so(tokens: Sequence[Spoken]) -> list[Spoken]:
+def _parted_at_so(tokens: Sequence[SpokenToken]) -> list[SpokenToken]:
     """Put a mark in the place of "so" after small talk: "my friend is waiting so go to the car"."""
     parted = list(tokens)
     for index, token in enumerate(tokens):
@@ -121,14 +121,14 @@ def _parted_at_so(tokens: Sequence[Spoken]) -> list[Spoken]:
     return parted
 
 
-def _text(part: Part) -> str:
+def _text(part: _Part) -> str:
     return " ".join(token.text for token in part)
 
 
-def _parts(tokens: Sequence[Spoken]) -> list[tuple[Part, Spoken | None]]:
+def _parts(tokens: Sequence[SpokenToken]) -> list[tuple[_Part, SpokenToken | None]]:
     """Split a sentence at its marks; each part with the mark behind it."""
-    parts: list[tuple[Part, Spoken | None]] = []
-    part: Part = []
+    parts: list[tuple[_Part, SpokenToken | None]] = []
+    part: _Part = []
     for token in tokens:
         if token.text in MARKS:
             parts.append((part, token))
@@ -154,7 +154,7 @@ def _is_of_grammar(words: Sequence[str]) -> bool:
     return tuple(words) in load_lexicon().entries["closer"]
 
 
-def _is_small_talk(part: Part) -> bool:
+def _is_small_talk(part: _Part) -> bool:
     """Tell whether a part of a sentence is about something else."""
     words, lists = [token.text for token in part], _words()
     if not words or _tells(words) or _is_of_grammar(words):
@@ -172,7 +172,7 @@ def _is_small_talk(part: Part) -> bool:
     return words[0] in lists["openings"] and not lists["wishing"].intersection(words)
 
 
-def _without_reason(part: Part) -> tuple[Part, Part]:
+def _without_reason(part: _Part) -> tuple[_Part, _Part]:
     """Part a command from the reason that follows it: "because it's shady", "so I can rest"."""
     words, lists = [token.text for token in part], _words()
     for index in range(2, len(words) - 1):

@@ -125,7 +125,7 @@ def _check_start(clause: Phrase, unknown: set[int]) -> None:
         )
 
 
-def check(clauses: list[Phrase], unknown: set[int]) -> None:
+def refuse_guesses(clauses: list[Phrase], unknown: set[int]) -> None:
     """Refuse what would be a guess.
 
     Args:

@@ -30,7 +30,7 @@ from typing import Any
 
 from jaxlangnav.files.documents import DocumentError, parse_json, read_text
 from jaxlangnav.files.limits import FARTHEST
-from jaxlangnav.language.labels import ROBOT, Labels
+from jaxlangnav.language.labels import ROBOT_LABEL, Labels
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import COMMAND, STATEMENT, LanguageError, Parse
@@ -39,7 +39,7 @@ from jaxlangnav.messages import ACTIONS, MODES, REGIONS, RELATIONS
 from jaxlangnav.plain_text import cut, fault_of_name, printable, shown
 
 SPLITS = ("train", "test")
-LARGEST_FILE = 64 << 20
+LARGEST_CORPUS = 64 << 20
 """Bytes of a corpus; the one of the package has about a million."""
 MOST_OBJECTS = 32
 """Objects of one world of a corpus."""
@@ -91,7 +91,7 @@ def _check_annotation(symbol: str, types: tuple[str, ...]) -> None:
     _check(match is not None, f"'{symbol}' is no symbol; expected kind(argument,...)")
     kind, _, rest = symbol[:-1].partition("(")
     arguments = rest.split(",")
-    landmarks = (*types, ROBOT)
+    landmarks = (*types, ROBOT_LABEL)
     legal = {
         "object": (types,),
         "region": (RELATIONS, landmarks),
@@ -107,7 +107,7 @@ def _check_behavior(symbol: str, num_objects: int) -> None:
     _check(match is not None, f"'{symbol}' is no symbol; expected kind(argument,...)")
     kind, _, rest = symbol[:-1].partition("(")
     objects = tuple(str(index) for index in range(num_objects))
-    places = (REGIONS, (*objects, ROBOT))
+    places = (REGIONS, (*objects, ROBOT_LABEL))
     legal = {
         "object": (objects,), "region": places, "goal": places, "constraint": places,
         "action": (ACTIONS,), "mode": (MODES,),
@@ -251,7 +251,7 @@ def read_corpus(path: str | Path) -> tuple[Example, ...]:
     """
     path = Path(path)
     try:
-        lines = read_text(path, at_most=LARGEST_FILE).splitlines()
+        lines = read_text(path, at_most=LARGEST_CORPUS).splitlines()
     except OSError as error:
         raise CorpusError(f"cannot read {path}: {error.strerror}") from None
     except ValueError as error:

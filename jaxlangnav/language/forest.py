@@ -10,7 +10,7 @@ from typing import Any
 
 from lark.parsers.earley_forest import PackedNode, SymbolNode
 
-from jaxlangnav.language.lexicon import Entry
+from jaxlangnav.language.lexicon import LexicalEntry
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class Production:
     left: str
     right: tuple[str, ...]  # nonterminals, or terminals (quoted words, unknown marks)
     log_probability: float
-    entry: Entry | None = None  # lexical: the expression
+    entry: LexicalEntry | None = None  # lexical: the expression
 
 
 @dataclass(frozen=True)

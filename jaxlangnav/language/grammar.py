@@ -18,7 +18,7 @@ from lark.exceptions import UnexpectedEOF, UnexpectedToken
 from lark.lexer import Lexer
 
 from jaxlangnav.language.forest import Derivation, ForestReader, Production
-from jaxlangnav.language.lexicon import Entry, Lexicon, load_lexicon
+from jaxlangnav.language.lexicon import LexicalEntry, Lexicon, load_lexicon
 from jaxlangnav.language.nouns import NOUN
 
 P_OPTIONAL = 0.2
@@ -115,9 +115,11 @@ def _free_words(lexicon: Lexicon) -> list[str]:
     return sorted(word for word in lexicon.vocabulary - closed if word.isalpha())
 
 
-def _lexical_rules(lexicon: Lexicon) -> list[tuple[str, tuple[str, ...], float, Entry | None]]:
+def _lexical_rules(
+    lexicon: Lexicon,
+) -> list[tuple[str, tuple[str, ...], float, LexicalEntry | None]]:
     """Make a rule for every expression of the lexicon and for unknown words."""
-    rules: list[tuple[str, tuple[str, ...], float, Entry | None]] = []
+    rules: list[tuple[str, tuple[str, ...], float, LexicalEntry | None]] = []
     for name, entries in lexicon.entries.items():
         rules += [(name, tuple(f'"{w}"' for w in key), 1.0, e) for key, e in entries.items()]
     for name, marks in UNKNOWN_CLASSES.items():

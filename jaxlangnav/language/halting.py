@@ -13,7 +13,7 @@ import unicodedata
 from functools import cache
 from importlib import resources
 
-MAX_CHARACTERS = 400
+MAX_HALTING_CHARACTERS = 400
 """Longer utterances are never mere halting words."""
 _BREAK = re.compile(r"[^\w\s]+")
 
@@ -55,7 +55,7 @@ def begins_with_halt(text: str) -> bool:
     Returns:
         True if the first part, up to punctuation, is a word to halt.
     """
-    parts = _parts(text[:MAX_CHARACTERS]) if isinstance(text, str) else []
+    parts = _parts(text[:MAX_HALTING_CHARACTERS]) if isinstance(text, str) else []
     return bool(parts) and Act.HALT in (_act_of_part(parts[0]) or ())
 
 
@@ -64,7 +64,7 @@ _URGENCY = (Act.HALT, Act.CANCEL, Act.RESUME)
 
 def _parts(text: str) -> list[list[str]]:
     """Split an utterance at punctuation into words without apostrophes; none if it is too long."""
-    if len(text) > MAX_CHARACTERS:
+    if len(text) > MAX_HALTING_CHARACTERS:
         return []
     plain = unicodedata.normalize("NFKC", text).lower()
     plain = "".join(letter for letter in plain if unicodedata.category(letter) != "Cf")

@@ -16,11 +16,11 @@ from jaxlangnav.language.phrase import Phrase
 from jaxlangnav.language.placed import Geometry, PlacedWorld
 from jaxlangnav.messages import RELATIONS
 
-ROBOT = "robot"
+ROBOT_LABEL = "robot"
 Labels = tuple[frozenset[str], ...]
 
 
-def sense(phrase: Phrase, kind: str) -> str | None:
+def sense_of(phrase: Phrase, kind: str) -> str | None:
     """Find the value of a sense such as ``relation`` among a phrase's own words."""
     for word in phrase.words:
         for text in word.senses:
@@ -32,9 +32,9 @@ def sense(phrase: Phrase, kind: str) -> str | None:
 
 def rank(phrase: Phrase) -> int:
     """Read whether a PP or ADJP is superlative: 0 no, 1 nearest or first, 2 second, ..."""
-    if sense(phrase, "superlative") is None or sense(phrase, "relation") is None:
+    if sense_of(phrase, "superlative") is None or sense_of(phrase, "relation") is None:
         return 0
-    return int(sense(phrase, "rank") or 1)
+    return int(sense_of(phrase, "rank") or 1)
 
 
 # ---------------------------------------------------------------- annotation
@@ -73,12 +73,12 @@ def _annotate(phrase: Phrase, children: list[_Meaning]) -> _Meaning:
     """Compose the annotation of one phrase from those of its children."""
     passed = frozenset().union(*(child.symbols for child in children))
     if phrase.label == "NP" and not children:
-        type_name = sense(phrase, "type")
+        type_name = sense_of(phrase, "type")
         types = () if type_name is None else (type_name,)
         return _Meaning(frozenset(f"object({t})" for t in types), types)
-    relation = sense(phrase, "relation")
+    relation = sense_of(phrase, "relation")
     if phrase.label in ("PP", "ADJP") and relation is not None:
-        landmarks = [t for child in children for t in child.types] or [ROBOT]
+        landmarks = [t for child in children for t in child.types] or [ROBOT_LABEL]
         stated = frozenset(s for s in passed if s.startswith("relation"))
         regions = tuple((relation, landmark) for landmark in landmarks)
         opened = frozenset(f"region({r},{landmark})" for r, landmark in regions)
@@ -143,10 +143,10 @@ def _behave(phrase: Phrase, children: list[_Sense], geometry: Geometry) -> _Sens
     if phrase.label == "S":
         return _Sense(frozenset())
     if phrase.label == "NP" and not children:
-        return _objects(_named(phrase, geometry.world)) if not sense(phrase, "place") else (
+        return _objects(_named(phrase, geometry.world)) if not sense_of(phrase, "place") else (
             _Sense(frozenset())
         )  # fmt: skip
-    relation = sense(phrase, "relation")
+    relation = sense_of(phrase, "relation")
     if phrase.label in ("PP", "ADJP") and relation is not None:
         robot = (geometry.num_objects,)
         landmarks = (children[0].objects or ()) if children else robot
@@ -161,14 +161,14 @@ def _behave(phrase: Phrase, children: list[_Sense], geometry: Geometry) -> _Sens
 
 def _named(phrase: Phrase, world: PlacedWorld) -> tuple[int, ...]:
     """List the objects a noun phrase can name by itself."""
-    type_name = sense(phrase, "type")
-    is_other = sense(phrase, "other") is not None
-    if sense(phrase, "same") is not None and world.previous is not None:
+    type_name = sense_of(phrase, "type")
+    is_other = sense_of(phrase, "other") is not None
+    if sense_of(phrase, "same") is not None and world.previous is not None:
         is_alike = world.objects[world.previous][0] == type_name
         return (world.previous,) if is_alike else ()
     if type_name is None and is_other and world.previous is not None:
         type_name = world.objects[world.previous][0]
-    if type_name is None and sense(phrase, "anaphor") is None:
+    if type_name is None and sense_of(phrase, "anaphor") is None:
         return ()
     return tuple(
         index
@@ -183,7 +183,7 @@ def _objects(indices: tuple[int, ...]) -> _Sense:
 
 def _regions(regions: tuple[tuple[str, int, int], ...], geometry: Geometry) -> _Sense:
     def name(index: int) -> str:
-        return ROBOT if index == geometry.num_objects else str(index)
+        return ROBOT_LABEL if index == geometry.num_objects else str(index)
 
     symbols = frozenset(f"region({relation},{name(i)})" for relation, i, _ in regions)
     return _Sense(symbols, regions=regions)
@@ -222,11 +222,11 @@ def _verb(phrase: Phrase, children: list[_Sense]) -> _Sense:
     """Compose action, mode, goal regions and constraint regions."""
     constraints = frozenset().union(*(child.constraints for child in children))
     goals = [child for child in children if child.objects is not None or child.regions is not None]
-    if sense(phrase, "constraint"):
+    if sense_of(phrase, "constraint"):
         own = frozenset(f"constraint(near,{i})" for g in goals for i in g.objects or ())
         return _Sense(own | constraints, constraints=own | constraints)
-    symbols = {f"action({sense(phrase, 'action') or 'navigate'})"}
-    symbols.add(f"mode({sense(phrase, 'mode') or 'normal'})")
+    symbols = {f"action({sense_of(phrase, 'action') or 'navigate'})"}
+    symbols.add(f"mode({sense_of(phrase, 'mode') or 'normal'})")
     for goal in goals:
         symbols |= {f"goal(at,{i})" for i in goal.objects or ()}
         symbols |= {s.replace("region", "goal") for s in goal.symbols if s.startswith("region")}

@@ -51,7 +51,7 @@ REASONS = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Entry:
+class LexicalEntry:
     """An expression of one or more words in one class."""
 
     words: tuple[str, ...]
@@ -65,7 +65,7 @@ class Lexicon:
     """All expressions by class, and what is refused."""
 
     type_names: tuple[str, ...]  # object types; position is the type index
-    entries: dict[str, dict[tuple[str, ...], Entry]]  # class → words → entry
+    entries: dict[str, dict[tuple[str, ...], LexicalEntry]]  # class → words → entry
     refused: dict[str, str]  # word → why
     refused_expressions: dict[tuple[str, ...], str] = field(default_factory=dict)  # words → why
     tags: dict[str, str] = field(default_factory=dict)  # word → Penn tag in expressions
@@ -109,14 +109,14 @@ def ing_form(verb: str) -> str:
     return verb + verb[-1] + "ing" if doubles and closed and verb != "get up" else verb + "ing"
 
 
-def _entry(text: str, tag: str, senses: tuple[str, ...], tags: dict[str, str]) -> Entry:
+def _entry(text: str, tag: str, senses: tuple[str, ...], tags: dict[str, str]) -> LexicalEntry:
     """Read one expression; ``*`` marks the word that carries the senses."""
     marked = text.split()
     words = tuple(word.lstrip("*") for word in marked)
     starred = [index for index, word in enumerate(marked) if word.startswith("*")]
     head = starred[0] if starred else len(words) - 1
     is_single = len(words) == 1
-    return Entry(
+    return LexicalEntry(
         words=words,
         tags=tuple(tag if is_single else tags.get(word, tag) for word in words),
         lemmas=words,
@@ -124,13 +124,13 @@ def _entry(text: str, tag: str, senses: tuple[str, ...], tags: dict[str, str]) -
     )
 
 
-def _derived(entry: Entry, index: int, form: str, tag: str) -> Entry:
+def _derived(entry: LexicalEntry, index: int, form: str, tag: str) -> LexicalEntry:
     """Copy an entry with one word put in another form; its lemma stays."""
 
     def put(values: tuple[str, ...], value: str) -> tuple[str, ...]:
         return (*values[:index], value, *values[index + 1 :])
 
-    return Entry(
+    return LexicalEntry(
         words=put(entry.words, form),
         tags=put(entry.tags, tag),
         lemmas=entry.lemmas,
@@ -143,9 +143,9 @@ class _Builder:
 
     def __init__(self, tags: dict[str, str]) -> None:
         self.tags = tags
-        self.entries: dict[str, dict[tuple[str, ...], Entry]] = {}
+        self.entries: dict[str, dict[tuple[str, ...], LexicalEntry]] = {}
 
-    def add(self, name: str, entry: Entry) -> None:
+    def add(self, name: str, entry: LexicalEntry) -> None:
         """Put an entry in a class unless the class has the expression already."""
         self.entries.setdefault(name, {}).setdefault(entry.words, entry)
 
@@ -156,7 +156,7 @@ class _Builder:
                 entry = _entry(name, "NN", (f"type:{type_name}",), self.tags)
                 last = len(entry.words) - 1
                 tags = ("NN",) * (last + 1)
-                entry = Entry(
+                entry = LexicalEntry(
                     words=entry.words, tags=tags, lemmas=entry.lemmas, senses=entry.senses
                 )
                 self.add(TYPE_CLASS, entry)

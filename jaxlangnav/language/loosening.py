@@ -13,7 +13,7 @@ from importlib import resources
 
 from jaxlangnav.language.chatter import leave_out_remarks
 from jaxlangnav.language.rewriting import Rewrites, apply_rules, load_rewrites, read_rewrites
-from jaxlangnav.language.tokens import Spoken
+from jaxlangnav.language.tokens import SpokenToken
 
 
 @cache
@@ -24,8 +24,8 @@ def load_loose() -> Rewrites:
 
 
 def loosen(
-    tokens: Sequence[Spoken],
-) -> tuple[list[Spoken], list[str], list[tuple[str, str]]]:
+    tokens: Sequence[SpokenToken],
+) -> tuple[list[SpokenToken], list[str], list[tuple[str, str]]]:
     """Put a refused sentence into plainer words.
 
     Args:

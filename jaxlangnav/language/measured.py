@@ -20,11 +20,11 @@ from itertools import pairwise
 
 from jaxlangnav.language.lexicon import REASONS, load_lexicon
 from jaxlangnav.language.phrase import LanguageError, Measure, Phrase
-from jaxlangnav.language.tokens import MARKS, Spoken
+from jaxlangnav.language.tokens import MARKS, SpokenToken
 
 TURNED = 0.5
 """Metres that a robot goes to have turned: twice what counts as standing on a place."""
-NEAREST, FARTHEST = 0.3, 200.0
+MEASURE_MIN, MEASURE_MAX = 0.3, 200.0
 """Metres that can be asked for: less than the first counts as being there already."""
 _HELD = re.compile(r"#(\d+)")
 _SET = re.compile(r"<([A-Z]+)>")
@@ -66,7 +66,7 @@ class _Held:
 
 
 @dataclass(frozen=True)
-class Said:
+class PlacedMeasure:
     """A measure, and the word of the sentence from which its command is known."""
 
     measure: Measure
@@ -130,7 +130,7 @@ def _number(text: str) -> float:
     return float(sum(_words().numbers[word] for word in re.split("[ -]", text)))
 
 
-def _text(tokens: Sequence[Spoken]) -> str:
+def _text(tokens: Sequence[SpokenToken]) -> str:
     return " ".join(token.text for token in tokens)
 
 
@@ -140,7 +140,7 @@ def _span(text: str, match: re.Match[str], group: int = 0) -> tuple[int, int]:
     return first, first + len(match[group].split())
 
 
-def take_out(tokens: Sequence[Spoken]) -> tuple[list[Spoken], list[Said]]:
+def take_out(tokens: Sequence[SpokenToken]) -> tuple[list[SpokenToken], list[PlacedMeasure]]:
     """Take turns and distances out of a sentence.
 
     Args:
@@ -154,7 +154,7 @@ def take_out(tokens: Sequence[Spoken]) -> tuple[list[Spoken], list[Said]]:
             cannot be measured.
     """
     left, held = _hold(list(tokens))
-    said: list[Said] = []
+    said: list[PlacedMeasure] = []
     left = _from_things(left, held, said)
     left = _own_motions(left, held, said)
     for token in left:
@@ -167,7 +167,7 @@ def _refuse(what: _Held, reason: str) -> LanguageError:
     return LanguageError(f"'{what.words}' (word {what.position}): {reason}", position=what.position)
 
 
-def _hold(tokens: list[Spoken]) -> tuple[list[Spoken], list[_Held]]:
+def _hold(tokens: list[SpokenToken]) -> tuple[list[SpokenToken], list[_Held]]:
     """Put one token in the place of each distance."""
     held: list[_Held] = []
     while (match := _words().distance.search(text := _text(tokens))) is not None:
@@ -180,18 +180,20 @@ def _hold(tokens: list[Spoken]) -> tuple[list[Spoken], list[_Held]]:
             )
         metres = number * _words().units[match["unit"]]
         one = _Held(metres, match[0], tokens[first].position)
-        if not NEAREST <= metres <= FARTHEST:
+        if not MEASURE_MIN <= metres <= MEASURE_MAX:
             raise _refuse(
                 one,
-                f"{metres:.3g} m: distances of {NEAREST:g} m to {FARTHEST:g} m are measured; "
-                "say one of them",
+                f"{metres:.3g} m: distances of {MEASURE_MIN:g} m to {MEASURE_MAX:g} m are "
+                "measured; say one of them",
             )
         tokens[first:last] = [replace(tokens[first], text=f"#{len(held)}")]
         held.append(one)
     return tokens, held
 
 
-def _from_things(tokens: list[Spoken], held: list[_Held], said: list[Said]) -> list[Spoken]:
+def _from_things(
+    tokens: list[SpokenToken], held: list[_Held], said: list[PlacedMeasure]
+) -> list[SpokenToken]:
     """Take out distances from things: "10 feet past the cone"."""
     while (match := _words().places.search(text := _text(tokens))) is not None:
         first, last = _span(text, match)
@@ -201,15 +203,15 @@ def _from_things(tokens: list[Spoken], held: list[_Held], said: list[Said]) -> l
         place = _span(text, match, 2)[0]
         words = _words().instead[match[2]].split()
         one = held[int(match[1])]
-        said.append(Said(Measure(metres=one.metres), tokens[place].position, one.words))
+        said.append(PlacedMeasure(Measure(metres=one.metres), tokens[place].position, one.words))
         tokens[first:last] = _placed(words, tokens[place:last])
     return tokens
 
 
-def _placed(words: Sequence[str], over: Sequence[Spoken]) -> list[Spoken]:
+def _placed(words: Sequence[str], over: Sequence[SpokenToken]) -> list[SpokenToken]:
     """Write words in the places of others, in order."""
     return [
-        Spoken(text=word, position=over[min(index, len(over) - 1)].position)
+        SpokenToken(text=word, position=over[min(index, len(over) - 1)].position)
         for index, word in enumerate(words)
     ]
 
@@ -253,7 +255,7 @@ def _motion_of(words: Sequence[str]) -> _Motion | None:
     return next(found, None) if len(_HELD.findall(text)) < 2 else None
 
 
-def _parts(tokens: Sequence[Spoken]) -> list[_Part]:
+def _parts(tokens: Sequence[SpokenToken]) -> list[_Part]:
     """Split a sentence at its joints."""
     ends = [i for i, token in enumerate(tokens) if token.text in _JOINTS]
     parts = []
@@ -268,7 +270,9 @@ def _parts(tokens: Sequence[Spoken]) -> list[_Part]:
     return parts
 
 
-def _own_motions(tokens: list[Spoken], held: list[_Held], said: list[Said]) -> list[Spoken]:
+def _own_motions(
+    tokens: list[SpokenToken], held: list[_Held], said: list[PlacedMeasure]
+) -> list[SpokenToken]:
     """Take out how the robot is to move from where it stands."""
     parts = [one for one in _parts(tokens) if not one.is_idle]
     motions = [one for one in parts if one.motion is not None]
@@ -289,20 +293,20 @@ def _own_motions(tokens: list[Spoken], held: list[_Held], said: list[Said]) -> l
         over = tokens[place.first : place.last]
         manner = [token for token in over if (token.text,) in load_lexicon().entries["adv"]]
         left[place.first : place.last] = [*_placed(words, over), *manner]
-        said.append(Said(place.measure, over[0].position))
+        said.append(PlacedMeasure(place.measure, over[0].position))
         joint = [i for i in range(place.since, place.first) if tokens[i].text in _JOINTS]
         if joint and place.since:
             left[joint[0] : joint[-1] + 1] = [replace(tokens[joint[0]], text="then")]
     return left
 
 
-def _held_in(tokens: Sequence[Spoken], part: _Part) -> int | None:
+def _held_in(tokens: Sequence[SpokenToken], part: _Part) -> int | None:
     """Find the distance that a part holds."""
     match = _HELD.search(_text(tokens[part.first : part.last]))
     return None if match is None else int(match[1])
 
 
-def _stuck(tokens: Sequence[Spoken], held: Sequence[_Held], reason: str) -> LanguageError:
+def _stuck(tokens: Sequence[SpokenToken], held: Sequence[_Held], reason: str) -> LanguageError:
     """Refuse a part of the sentence."""
     words = [
         held[int(match[1])].words if (match := _HELD.fullmatch(token.text)) else token.text
@@ -325,7 +329,7 @@ class _Place:
 class _Walk:
     """Follows motions one after the other from where the robot stands."""
 
-    def __init__(self, tokens: Sequence[Spoken], held: Sequence[_Held]) -> None:
+    def __init__(self, tokens: Sequence[SpokenToken], held: Sequence[_Held]) -> None:
         self.tokens, self.held = tokens, held
         self.x = self.y = 0.0  # metres, robot's frame
         self.heading = self.turned = 0  # degrees to the left; not yet gone that way
@@ -395,7 +399,7 @@ class _Walk:
 # ---------------------------------------------------------------- which command is measured
 
 
-def of_clauses(clauses: Sequence[Phrase], said: Sequence[Said]) -> tuple[Measure, ...]:
+def of_clauses(clauses: Sequence[Phrase], said: Sequence[PlacedMeasure]) -> tuple[Measure, ...]:
     """Find the command of each measure.
 
     Args:

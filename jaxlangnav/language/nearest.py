@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 from jaxlangnav.language.lexicon import TYPE_CLASS, load_lexicon
-from jaxlangnav.language.tokens import MARKS, Spoken
+from jaxlangnav.language.tokens import MARKS, SpokenToken
 
 LONGEST = 24
 """Words of a sentence that is tried: longer ones take too long for a refusal."""
@@ -25,7 +25,11 @@ _LOOSE |= frozenset({"back", "near", "next", "closest", "nearest", "farthest", "
 
 
 def offer(
-    tokens: Sequence[Spoken], position: int, *, is_contrary: bool, can_read: Callable[[str], bool]
+    tokens: Sequence[SpokenToken],
+    position: int,
+    *,
+    is_contrary: bool,
+    can_read: Callable[[str], bool],
 ) -> str | None:
     """Find a sentence near to one that is refused.
 
@@ -53,7 +57,9 @@ def offer(
     return None
 
 
-def _candidates(tokens: list[Spoken], index: int, is_contrary: bool) -> Iterator[list[Spoken]]:
+def _candidates(
+    tokens: list[SpokenToken], index: int, is_contrary: bool
+) -> Iterator[list[SpokenToken]]:
     """List what could be read, the nearest first."""
     before, after = tokens[:index], tokens[index:]
     if not is_contrary:
@@ -71,7 +77,7 @@ def _candidates(tokens: list[Spoken], index: int, is_contrary: bool) -> Iterator
     yield apart if len(apart) > _SHORTEST else []
 
 
-def _trimmed(tokens: list[Spoken]) -> list[Spoken]:
+def _trimmed(tokens: list[SpokenToken]) -> list[SpokenToken]:
     """Leave out joints at both ends, and words that end no sentence."""
     first, last = 0, len(tokens)
     while first < last and tokens[first].text in _JOINTS:
@@ -81,11 +87,11 @@ def _trimmed(tokens: list[Spoken]) -> list[Spoken]:
     return tokens[first:last]
 
 
-def _is_name(token: Spoken) -> bool:
+def _is_name(token: SpokenToken) -> bool:
     return (token.text,) in load_lexicon().entries[TYPE_CLASS]
 
 
-def _written(tokens: Sequence[Spoken]) -> str:
+def _written(tokens: Sequence[SpokenToken]) -> str:
     """Write words and marks as a sentence."""
     text = " ".join(token.text for token in tokens)
     return text.replace(" ,", ",").replace(" .", ".").replace(" 's", "'s")

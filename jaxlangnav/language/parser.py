@@ -12,7 +12,7 @@ from dataclasses import replace
 from functools import cache
 
 from jaxlangnav.language.chatter import leave_out
-from jaxlangnav.language.check import check
+from jaxlangnav.language.check import refuse_guesses
 from jaxlangnav.language.constraint import join_constraints
 from jaxlangnav.language.grammar import (
     COMMA,
@@ -38,7 +38,7 @@ from jaxlangnav.language.tokens import (
     FULLSTOP_MARK,
     MARKS,
     TOKEN,
-    Spoken,
+    SpokenToken,
     plainly,
 )
 from jaxlangnav.language.tree import TreeBuilder
@@ -61,7 +61,7 @@ class _Reader:
     def __init__(self, labels: Collection[str]) -> None:
         self.labels = labels
         self.vocabulary = _vocabulary()
-        self.tokens: list[Spoken] = []
+        self.tokens: list[SpokenToken] = []
         self.repairs: list[tuple[str, str]] = []
         self.num_words = 0
 
@@ -102,7 +102,7 @@ class _Reader:
         if self.tokens and self.tokens[-1].text in MARKS:
             self.tokens.pop()
         if self.tokens:
-            self.tokens.append(Spoken(text=mark, position=self.num_words))
+            self.tokens.append(SpokenToken(text=mark, position=self.num_words))
 
     def _split(self, piece: str) -> list[str]:
         """Part "cone's" and hyphened words of which the lexicon knows the parts."""
@@ -126,10 +126,10 @@ class _Reader:
         self.num_words += 1
         if self.num_words > MAX_WORDS:
             raise LanguageError(f"the instruction has more than {MAX_WORDS} words; shorten it")
-        self.tokens.append(Spoken(text=word, position=self.num_words))
+        self.tokens.append(SpokenToken(text=word, position=self.num_words))
 
 
-def _to_token(spoken: Spoken) -> Token:
+def _to_token(spoken: SpokenToken) -> Token:
     """Say what a word or a mark can be to the grammar."""
     terminal = {COMMA_MARK: COMMA, FULLSTOP_MARK: FULLSTOP}.get(spoken.text, spoken.text)
     if spoken.text not in MARKS and spoken.text not in _vocabulary():
@@ -141,7 +141,7 @@ def _to_token(spoken: Spoken) -> Token:
     )
 
 
-def _to_tokens(spoken: list[Spoken], labels: Collection[str]) -> list[Token]:
+def _to_tokens(spoken: list[SpokenToken], labels: Collection[str]) -> list[Token]:
     """Say what words and marks can be, names of several words as one."""
     tokens = join_nouns([_to_token(one) for one in spoken], labels)
     return [
@@ -164,7 +164,7 @@ def _vocabulary() -> frozenset[str]:
     return load_lexicon().vocabulary
 
 
-def _check_symbols(spoken: list[Spoken]) -> None:
+def _check_symbols(spoken: list[SpokenToken]) -> None:
     """Refuse numbers and signs."""
     for index, one in enumerate(spoken):
         if one.text in MARKS or one.text[0].isalpha() or one.text in _vocabulary():
@@ -247,7 +247,7 @@ def _read_loosely(text: str, reader: _Reader, earlier: Antecedent | None) -> Par
 def _read(
     text: str,
     reader: _Reader,
-    said: list[Spoken],
+    said: list[SpokenToken],
     earlier: Antecedent | None,
     *,
     is_blame_sought: bool = True,
@@ -272,7 +272,7 @@ def _read(
         raise explain(tokens, error.index) from None
     builder = TreeBuilder([t.text for t in tokens], [t.position for t in tokens])
     clauses = resolve(name_nouns(builder.build(derivation)), earlier)
-    check(clauses, {position for _, position in builder.unknown})
+    refuse_guesses(clauses, {position for _, position in builder.unknown})
     clauses = join_constraints(clauses)
     return Parse(
         instruction=text,

@@ -13,7 +13,7 @@ from functools import cache
 from importlib import resources
 from itertools import zip_longest
 
-from jaxlangnav.language.tokens import MARKS, Spoken
+from jaxlangnav.language.tokens import MARKS, SpokenToken
 
 _MOST_TIMES = 6
 """How often one rule applies to one sentence; a rule that feeds itself stops there."""
@@ -87,7 +87,7 @@ def join_contractions(text: str) -> str:
     return _SPLIT_NEGATION.sub(r"\1\2", _SPLIT_CONTRACTION.sub(r"\1\2", text))
 
 
-def rewrite(tokens: Sequence[Spoken]) -> tuple[list[Spoken], list[tuple[str, str]]]:
+def rewrite(tokens: Sequence[SpokenToken]) -> tuple[list[SpokenToken], list[tuple[str, str]]]:
     """Put a sentence into wordings that the grammar reads.
 
     Args:
@@ -102,8 +102,8 @@ def rewrite(tokens: Sequence[Spoken]) -> tuple[list[Spoken], list[tuple[str, str
 
 
 def apply_rules(
-    rules: Sequence[Rule], tokens: Sequence[Spoken]
-) -> tuple[list[Spoken], list[tuple[str, str]]]:
+    rules: Sequence[Rule], tokens: Sequence[SpokenToken]
+) -> tuple[list[SpokenToken], list[tuple[str, str]]]:
     """Apply rules to a sentence, one after the other.
 
     Args:
@@ -130,7 +130,7 @@ def apply_rules(
     return left, changes
 
 
-def _without_idle_marks(tokens: list[Spoken]) -> list[Spoken]:
+def _without_idle_marks(tokens: list[SpokenToken]) -> list[SpokenToken]:
     """Leave out marks at both ends, and all but the last of a run of them."""
     kept = [
         token
@@ -147,10 +147,10 @@ def _indices(text: str, begin: int, end: int) -> tuple[int, int]:
 
 
 def _filled(
-    rule: Rule, match: re.Match[str], text: str, tokens: list[Spoken], first: int, last: int
-) -> list[Spoken]:
+    rule: Rule, match: re.Match[str], text: str, tokens: list[SpokenToken], first: int, last: int
+) -> list[SpokenToken]:
     """Build what a rule puts in the place of what it matched."""
-    put: list[Spoken] = []
+    put: list[SpokenToken] = []
     for word in rule.read:
         if word.startswith("\\"):
             number = int(word[1:])
@@ -162,5 +162,5 @@ def _filled(
         position = tokens[first].position if first < len(tokens) else tokens[-1].position
         if put:
             position = min(put[-1].position + 1, tokens[last - 1].position)
-        put.append(Spoken(text=word, position=position))
+        put.append(SpokenToken(text=word, position=position))
     return put

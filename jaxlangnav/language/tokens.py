@@ -14,7 +14,7 @@ MARKS = (COMMA_MARK, FULLSTOP_MARK) = (",", ".")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Spoken:
+class SpokenToken:
     """One word or mark of a sentence, before it is known what it can be."""
 
     text: str  # small letters, typing errors repaired; or one of ``MARKS``

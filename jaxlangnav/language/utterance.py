@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 
-from jaxlangnav.language.halting import MAX_CHARACTERS, Act, act_of
+from jaxlangnav.language.halting import MAX_HALTING_CHARACTERS, Act, act_of
 
 _WORD = re.compile(r"[^\W_]+(?:['\u2019`][^\W_]+)*")
 _LEFT_OVER = " \t\r\n,.;:!?-\u2013\u2014\u2026"
@@ -87,7 +87,7 @@ def classify(text: str, *, is_asked: bool = False) -> Utterance:
         Its kind, and what is left to be understood. What is no text is left to the parser.
     """
     act = act_of(text)
-    if not isinstance(text, str) or len(text) > MAX_CHARACTERS:
+    if not isinstance(text, str) or len(text) > MAX_HALTING_CHARACTERS:
         return Utterance(kind=None, rest=text)
     words = _words(text)
     wording = _whole(tuple(word for word, _ in words), is_asked=is_asked)

@@ -85,7 +85,7 @@ def enter(
     )
 
 
-def condition(
+def condition_offsets(
     moments: Moments,
     edges: Sequence[tuple[int, int]],
     is_used: Array,

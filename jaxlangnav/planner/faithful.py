@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.planner import graph, qmdp
-from jaxlangnav.planner.graph import FRONTIER, OBJECT
+from jaxlangnav.planner.graph import FRONTIER, OBJECT_NODE
 from jaxlangnav.planner.policy import (
     UNDERFOOT,
     Decision,
@@ -43,7 +43,7 @@ def with_frontiers(situation: Situation) -> Situation:
     places = graph.frontiers(
         situation.belief.coverage, situation.num_blocks, situation.params.frontier_miss
     )
-    return replace(situation, nodes=graph.lead(*places, situation.nodes))
+    return replace(situation, nodes=graph.put_first(*places, situation.nodes))
 
 
 def qmdp_value(situation: Situation) -> Valuation:
@@ -143,7 +143,7 @@ def _is_worth_keeping(waypoint: Waypoint, situation: Situation) -> Array:
     )
     return (
         waypoint.is_active
-        & (remaining > jnp.where(waypoint.kind == OBJECT, params.reach, UNDERFOOT))
+        & (remaining > jnp.where(waypoint.kind == OBJECT_NODE, params.reach, UNDERFOOT))
         & (
             (waypoint.kind != FRONTIER)
             | _is_still_frontier(situation.belief, waypoint.x, waypoint.y, params.frontier_miss)

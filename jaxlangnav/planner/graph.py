@@ -14,7 +14,7 @@ from jax import Array
 from jaxlangnav.pytree import pytree
 from jaxlangnav.semantic_map.coverage import Coverage, cell_centres
 
-FRONTIER, VISITED, OBJECT = range(3)
+FRONTIER, VISITED, OBJECT_NODE = range(3)
 """Kinds of nodes; the first is that of any place that a policy has thought of."""
 
 
@@ -125,11 +125,11 @@ def known_nodes(visited: Visited, x: Array, y: Array, is_object: Array) -> Nodes
         x=jnp.concatenate([visited.x, x]),
         y=jnp.concatenate([visited.y, y]),
         is_node=jnp.concatenate([visited.is_node, is_object]),
-        kind=jnp.asarray(np.repeat(np.array([VISITED, OBJECT], np.int32), sizes)),
+        kind=jnp.asarray(np.repeat(np.array([VISITED, OBJECT_NODE], np.int32), sizes)),
     )
 
 
-def lead(x: Array, y: Array, is_node: Array, nodes: Nodes) -> Nodes:
+def put_first(x: Array, y: Array, is_node: Array, nodes: Nodes) -> Nodes:
     """Put frontiers, or what a policy has in their place, before other nodes (eq. 9).
 
     Args:

@@ -75,7 +75,7 @@ class Informed(Policy):
             belief.coverage.area,
         )
         decision = decide_on(situation, plan, chance)
-        return tours.take(plan, decision.value), decision
+        return tours.best_tour(plan, decision.value), decision
 
 
 def decide_on(situation: Situation, plan: tours.Plan, chance: Chances) -> Decision:
@@ -90,7 +90,7 @@ def decide_on(situation: Situation, plan: tours.Plan, chance: Chances) -> Decisi
         The decision.
     """
     stop_x, stop_y = plan.tours.x[:, 0], plan.tours.y[:, 0]
-    nodes = graph.lead(stop_x, stop_y, jnp.ones(stop_x.shape, bool), situation.nodes)
+    nodes = graph.put_first(stop_x, stop_y, jnp.ones(stop_x.shape, bool), situation.nodes)
     situation = replace(situation, nodes=nodes)
     params = situation.params
     doubt = doubt_of(

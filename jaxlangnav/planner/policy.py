@@ -24,7 +24,7 @@ from jaxlangnav.planner.asking import Doubt, doubt_of
 from jaxlangnav.planner.blocked import Way, open_nodes
 from jaxlangnav.planner.constraints import constraint_cost
 from jaxlangnav.planner.goals import Goals
-from jaxlangnav.planner.graph import OBJECT, Nodes
+from jaxlangnav.planner.graph import OBJECT_NODE, Nodes
 from jaxlangnav.planner.params import PlannerParams
 from jaxlangnav.pytree import pytree, replace, static, strong
 from jaxlangnav.semantic_map.belief import ParticleBelief
@@ -236,7 +236,7 @@ def ahead(situation: Situation, x: Array, y: Array, is_node: Array | None = None
     """
     is_place = jnp.isfinite(x) & jnp.isfinite(y)
     is_node = is_place if is_node is None else is_node & is_place
-    return replace(situation, nodes=graph.lead(x, y, is_node, situation.nodes))
+    return replace(situation, nodes=graph.put_first(x, y, is_node, situation.nodes))
 
 
 def _metres_left(situation: Situation) -> Array:
@@ -293,7 +293,7 @@ def decide(
     )
     value = valuation.goal_value + valuation.information_value - cost
     # Standing still teaches nothing: the node underfoot is a_stop's business.
-    is_away = situation.distance > jnp.where(nodes.kind == OBJECT, params.reach, UNDERFOOT)
+    is_away = situation.distance > jnp.where(nodes.kind == OBJECT_NODE, params.reach, UNDERFOOT)
     if doubt is None:
         doubt = doubt_of(
             goals,
@@ -303,7 +303,9 @@ def decide(
             may_ask=situation.may_ask,
         )
     # While there is more to be seen first, nothing is gone up to.
-    is_open = open_nodes(nodes, situation.way).is_node & (~doubt.looks_on | (nodes.kind != OBJECT))
+    is_open = open_nodes(nodes, situation.way).is_node & (
+        ~doubt.looks_on | (nodes.kind != OBJECT_NODE)
+    )
     value = jnp.where(is_open & is_away & ~jnp.isnan(value), value, -jnp.inf)
     best = jnp.argmax(value)
     is_nowhere = jnp.all(value == -jnp.inf)
@@ -323,7 +325,7 @@ def decide(
         waypoint_y=y,
         kind=kind,
         is_stop=is_sure & may_stop,
-        is_approach=(kind == OBJECT) & has_goal(goals, x, y, params.reach, view),
+        is_approach=(kind == OBJECT_NODE) & has_goal(goals, x, y, params.reach, view),
         is_not_found=jnp.asarray(False),
         is_kept=is_kept,
         nodes=nodes,

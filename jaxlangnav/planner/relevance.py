@@ -17,7 +17,7 @@ from jaxlangnav.messages import NONE, ROBOT, Behavior, Readings
 from jaxlangnav.numerics.batching import pick
 from jaxlangnav.semantic_map.particle import SemanticMap
 
-LEAST_GOAL = 1e-3
+LEAST_GOAL_MENTION = 1e-3
 """Goal probability below which a mention is no goal of a particle's."""
 
 
@@ -49,7 +49,7 @@ def _set_of(is_in: Array) -> Array:
     return jnp.sum(jnp.where(is_in, place, 0), axis=0, dtype=jnp.int32)
 
 
-def group_of(readings: Readings, particles: SemanticMap) -> Array:
+def believed_groups(readings: Readings, particles: SemanticMap) -> Array:
     """Look up the groups of the reading that each particle believes.
 
     Args:
@@ -76,7 +76,7 @@ def bears_on_goal(group: Array, particles: SemanticMap, behavior: Behavior) -> A
     Limits: in a particle whose goal is none of the mentions, such as "the other cone", all do.
 
     Args:
-        group: of ``group_of``.
+        group: of ``believed_groups``.
         particles: leaves [..., P].
         behavior: of the present command in every particle, leaves [..., P].
 
@@ -92,5 +92,5 @@ def bears_on_goal(group: Array, particles: SemanticMap, behavior: Behavior) -> A
         for m in range(num_mentions)
     ]
     on_mention = jnp.stack(seen) + goal[num_objects : num_objects + num_mentions]
-    goals = _set_of((on_mention > LEAST_GOAL) & particles.is_mentioned)
+    goals = _set_of((on_mention > LEAST_GOAL_MENTION) & particles.is_mentioned)
     return ((group & goals[None]) != 0) | (goals == 0)[None]

@@ -41,7 +41,7 @@ NUM_CHANGES = 8
 """Changes tried in a round."""
 NUM_ROUNDS = 3
 """Rounds of changes at each decision."""
-MARGIN = 0.5
+SIGHT_MARGIN = 0.5
 """Metres by which a thing must be inside the sensing range to count on seeing it: cells have width,
 looks are a step apart, and a look may miss."""
 _ARRIVAL = 0.5
@@ -67,7 +67,7 @@ class Plan:
     hung: Array  # f32[] of them, those that hang on an observed object
 
 
-def take(plan: Plan, value: Array) -> Tour:
+def best_tour(plan: Plan, value: Array) -> Tour:
     """Take the tour whose first stop is valued most.
 
     Args:
@@ -92,7 +92,7 @@ def _is_underfoot(x: Array, y: Array, robot_x: Array, robot_y: Array) -> Array:
     return (x - robot_x) ** 2 + (y - robot_y) ** 2 < _ARRIVAL * _ARRIVAL
 
 
-def advance(tour: Tour, robot_x: Array, robot_y: Array) -> Tour:
+def drop_reached(tour: Tour, robot_x: Array, robot_y: Array) -> Tour:
     """Drop the first stop once the robot is there; the last one is repeated.
 
     Args:
@@ -169,7 +169,7 @@ def latency(
     Returns:
         f32[T] metres; large for a tour that starts underfoot.
     """
-    radius = jnp.maximum(range_max - MARGIN, 0.5 * range_max)
+    radius = jnp.maximum(range_max - SIGHT_MARGIN, 0.5 * range_max)
     places_x = jnp.concatenate([search.x, search.partner_x])
     places_y = jnp.concatenate([search.y, search.partner_y])
     sight, walked = first_sight(
@@ -311,7 +311,7 @@ def plan(
     chex.assert_equal_shape([search.x, search.y, search.free, search.hung, search.partner_x])
     chex.assert_rank([robot_x, robot_y, range_max], 0)
     chex.assert_type([tour.x, search.free, area], float)
-    here = advance(advance(tour, robot_x, robot_y), robot_x, robot_y)
+    here = drop_reached(drop_reached(tour, robot_x, robot_y), robot_x, robot_y)
     drafts = _join(
         Tour(x=here.x[None], y=here.y[None]), greedy(search, robot_x, robot_y, range_max, area)
     )

@@ -19,7 +19,7 @@ from jaxlangnav.relations.density import (
     sample_law,
     sample_polar,
 )
-from jaxlangnav.relations.frames import Frame, robot_frame, to_map, viewer_frame
+from jaxlangnav.relations.frames import ReferenceFrame, robot_frame, to_map, viewer_frame
 from jaxlangnav.relations.strength import degree, holds, is_on_side
 from jaxlangnav.relations.table import SIDES, RelationParams, default_params
 
@@ -28,8 +28,8 @@ __all__ = [
     "NUM_QUANTILES",
     "SIDES",
     "SIDE_CONCENTRATION",
-    "Frame",
     "Law",
+    "ReferenceFrame",
     "RelationModel",
     "RelationParams",
     "anywhere",

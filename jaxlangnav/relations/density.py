@@ -19,7 +19,7 @@ from jax.typing import ArrayLike
 
 from jaxlangnav.numerics.batching import lead
 from jaxlangnav.pytree import pytree, replace
-from jaxlangnav.relations.frames import Frame
+from jaxlangnav.relations.frames import ReferenceFrame
 from jaxlangnav.relations.table import RelationParams
 
 NUM_QUANTILES = 256
@@ -137,13 +137,17 @@ def anywhere(law: Law, is_side: Array, is_order: Array, log_area: Array) -> Law:
 
 
 def log_density(
-    model: RelationModel, relation: ArrayLike, offset_x: Array, offset_y: Array, frame: Frame
+    model: RelationModel,
+    relation: ArrayLike,
+    offset_x: Array,
+    offset_y: Array,
+    frame: ReferenceFrame,
 ) -> Array:
     """Evaluate ``log_density_of`` for a relation by its index in [0, 6), i32[]."""
     return log_density_of(law_of(model, relation), offset_x, offset_y, frame)
 
 
-def log_density_of(law: Law, offset_x: Array, offset_y: Array, frame: Frame) -> Array:
+def log_density_of(law: Law, offset_x: Array, offset_y: Array, frame: ReferenceFrame) -> Array:
     """Evaluate how likely a relation places its figure at an offset from the landmark.
 
         log f = c − 2 log r − (log r − μ)² / 2σ² + κ (cos Δ − 1)

@@ -14,7 +14,7 @@ from jaxlangnav.pytree import pytree
 
 
 @pytree
-class Frame:
+class ReferenceFrame:
     """Orthonormal directions in which a relation is understood, map frame."""
 
     along_x: Array  # f32[...]
@@ -25,7 +25,7 @@ class Frame:
 
 def viewer_frame(
     viewer_x: ArrayLike, viewer_y: ArrayLike, landmark_x: ArrayLike, landmark_y: ArrayLike
-) -> Frame:
+) -> ReferenceFrame:
     """Build the frame of somebody who looks at the landmark.
 
     Args:
@@ -40,10 +40,10 @@ def viewer_frame(
     dx, dy = jnp.subtract(landmark_x, viewer_x), jnp.subtract(landmark_y, viewer_y)
     scale = jax.lax.rsqrt(dx * dx + dy * dy + 1e-12)
     ux, uy = dx * scale, dy * scale
-    return Frame(along_x=ux, along_y=uy, lateral_x=-uy, lateral_y=ux)
+    return ReferenceFrame(along_x=ux, along_y=uy, lateral_x=-uy, lateral_y=ux)
 
 
-def robot_frame(heading: Array) -> Frame:
+def robot_frame(heading: Array) -> ReferenceFrame:
     """Build the frame of the robot as its own landmark: "in front of you" is where it heads.
 
     Args:
@@ -53,10 +53,10 @@ def robot_frame(heading: Array) -> Frame:
         ``along`` points backwards (for "behind"), ``lateral`` to the robot's left.
     """
     cosine, sine = jnp.cos(heading), jnp.sin(heading)
-    return Frame(along_x=-cosine, along_y=-sine, lateral_x=-sine, lateral_y=cosine)
+    return ReferenceFrame(along_x=-cosine, along_y=-sine, lateral_x=-sine, lateral_y=cosine)
 
 
-def to_map(frame: Frame, along: Array, lateral: Array) -> tuple[Array, Array]:
+def to_map(frame: ReferenceFrame, along: Array, lateral: Array) -> tuple[Array, Array]:
     """Turn frame coordinates into map axes.
 
     Args:

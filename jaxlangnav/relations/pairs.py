@@ -12,7 +12,7 @@ from jax import Array
 from jaxlangnav.messages import RELATIONS
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.relations import (
-    Frame,
+    ReferenceFrame,
     RelationParams,
     law_of,
     log_density_of,
@@ -99,7 +99,7 @@ def make_pairs(
     )
 
 
-def _in_frame(pairs: RelationPairs, pose: Array) -> tuple[Array, Array, Frame]:
+def _in_frame(pairs: RelationPairs, pose: Array) -> tuple[Array, Array, ReferenceFrame]:
     """Compute offsets and directions of the pairs as seen from a pose f32[N, 3]."""
     x = jnp.where(pairs.is_robot, pose[:, 0], pairs.landmark_x)
     y = jnp.where(pairs.is_robot, pose[:, 1], pairs.landmark_y)

@@ -9,7 +9,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from jaxlangnav.messages import FAR, LEFT, NEAR, RIGHT
-from jaxlangnav.relations.frames import Frame, robot_frame, viewer_frame
+from jaxlangnav.relations.frames import ReferenceFrame, robot_frame, viewer_frame
 from jaxlangnav.relations.table import AXIS, NUM_RANKS, ORDERS, SIDES
 
 Values = TypeVar("Values", Array, np.ndarray)
@@ -86,7 +86,7 @@ def value_of_rank(rank: Array, values: Array, *, tie: float) -> Array:
     return jnp.where(rank > NUM_RANKS, jnp.inf, found)
 
 
-def is_on_side(relation: Array, offset_x: Array, offset_y: Array, robot: Frame) -> Array:
+def is_on_side(relation: Array, offset_x: Array, offset_y: Array, robot: ReferenceFrame) -> Array:
     """Tell on which side of the robot something is, to compare things there: half-planes.
 
     Args:

@@ -15,11 +15,11 @@ from jaxlangnav.robots.robot import Detection
 
 SAME_THING = 0.8
 """Metres within which a detection is of the goal that is believed to be there."""
-Goal = tuple[int, float, float]
+GoalPoint = tuple[int, float, float]
 """Index of an object type, and x and y in the map frame, metres."""
 
 
-def goal_object(state: NavigatorState, info: NavigatorInfo) -> Goal | None:
+def goal_object(state: NavigatorState, info: NavigatorInfo) -> GoalPoint | None:
     """Find the thing that a robot has arrived at.
 
     Args:
@@ -43,7 +43,7 @@ def goal_object(state: NavigatorState, info: NavigatorInfo) -> Goal | None:
 
 
 def is_seen(
-    goal: Goal,
+    goal: GoalPoint,
     info: NavigatorInfo,
     found: Sequence[Detection],
     pose: np.ndarray,

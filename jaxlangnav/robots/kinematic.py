@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxlangnav.messages import SensorParams, default_sensor
 from jaxlangnav.pytree import replace
-from jaxlangnav.robots.motion.body import Body
+from jaxlangnav.robots.motion.body import BodyLimits
 from jaxlangnav.robots.motion.mover import TICK, Mover, Steering, WheelCommand
 from jaxlangnav.robots.motion.pursuit import Pursuit
 from jaxlangnav.robots.robot import Detection
@@ -22,7 +22,7 @@ from jaxlangnav.world.state import Scenario, WorldState
 
 OBJECT_RADIUS = 0.28
 """Metres, of the disc that a thing is to a scanner: a cube of 0.4 m and its corners."""
-BODY = Body(
+BODY = BodyLimits(
     name="cart",
     radius=0.4,
     speed=0.6,
@@ -56,7 +56,7 @@ class KinematicRobot(SimulatedRobot):
         *,
         seed: int,
         sensor: SensorParams | None = None,
-        body: Body = BODY,
+        body: BodyLimits = BODY,
         steering: Steering | None = None,
         slip: Slip | None = None,
     ) -> None:

@@ -10,9 +10,7 @@ import numpy as np
 from jaxlangnav.messages import NONE, Fault, Observation, SensorParams, Status
 from jaxlangnav.navigator import NavigatorInfo, NavigatorState
 from jaxlangnav.robots.robot import Detection, Progress
-
-NUM_DETECTIONS = 8
-"""Detections that a look can hold; of more the nearest are kept."""
+from jaxlangnav.world.sensor import NUM_DETECTIONS
 
 
 class Ending(enum.Enum):

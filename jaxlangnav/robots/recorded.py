@@ -19,7 +19,7 @@ from jaxlangnav.messages import Fault, Status
 from jaxlangnav.navigator import NavigatorInfo, NavigatorState
 from jaxlangnav.pytree import replace
 from jaxlangnav.recorder import frame_of, scene_of
-from jaxlangnav.recording import Frame, Recording, gather
+from jaxlangnav.recording import Frame, Recording, stack_frames
 from jaxlangnav.robots.driver import drive
 from jaxlangnav.robots.kinematic import KinematicRobot
 from jaxlangnav.robots.physics.robot import PhysicsRobot
@@ -135,7 +135,7 @@ class DriveRecorder:
             config=navigator.config,
             type_names=navigator.type_names,
         )
-        told = gather(scene, self._frames, self._result(ended))
+        told = stack_frames(scene, self._frames, self._result(ended))
         why = "" if ended.ending is Ending.ARRIVED else f"{ended.ending.value}: {ended.why}"
         pictures = tuple(self._pictures) if self._portray is not None else ()
         return dataclasses.replace(told, pictures=pictures, ended=why)

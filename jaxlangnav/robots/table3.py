@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxlangnav.agent import Navigator
+from jaxlangnav.experiments.sentences import SENTENCES
 from jaxlangnav.navigator import NavigatorInfo, NavigatorState
 from jaxlangnav.pytree import replace
 from jaxlangnav.robots.driver import drive
@@ -32,11 +33,6 @@ from jaxlangnav.world.scenario import draw_scenario, scenario_law
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 from jaxlangnav.world.state import Scenario
 
-COMMANDS = {
-    "null": "go to the hydrant",
-    "behind": "go to the hydrant behind the cone",
-    "nearest": "go to the hydrant nearest to the cone",
-}
 HALT = 1.1
 """Metres from the middle of its goal at which the robot of the known map stops."""
 MAX_SECONDS = 400.0
@@ -191,7 +187,7 @@ def run_trial(
     begin = time.perf_counter()
     robot = make_robot(row, seed, trial)
     truth: list[list[float]] = []
-    text = COMMANDS[row.relation]
+    text = SENTENCES[row.relation]
     kept = None if page is None else DriveRecorder(robot, navigator, text)
 
     def keep(step: Step, state: NavigatorState, info: NavigatorInfo | None) -> None:

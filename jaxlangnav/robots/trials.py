@@ -32,7 +32,7 @@ _CACHE = "jax_compilation_cache_dir"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Plan:
+class TrialPlan:
     """What is run."""
 
     trials: int
@@ -74,7 +74,7 @@ class Plan:
 
 
 def reproduce_table3(
-    plan: Plan,
+    plan: TrialPlan,
     *,
     rows: Sequence[TrialRow] = TABLE3,
     on_progress: Callable[[int], None] = lambda done: None,
@@ -128,7 +128,7 @@ def reproduce_table3(
     }
 
 
-def _read(plan: Plan, row: TrialRow, trial: int | str) -> dict[str, Any] | None:
+def _read(plan: TrialPlan, row: TrialRow, trial: int | str) -> dict[str, Any] | None:
     """Read a trial that has been kept; None if there is none that is whole and made alike."""
     path = plan.path(row, trial)
     if path is None or not path.is_file():
@@ -141,7 +141,7 @@ def _read(plan: Plan, row: TrialRow, trial: int | str) -> dict[str, Any] | None:
 
 
 def _run(
-    plan: Plan, missing: Sequence[tuple[TrialRow, int | str]]
+    plan: TrialPlan, missing: Sequence[tuple[TrialRow, int | str]]
 ) -> Iterator[tuple[TrialRow, int | str, dict[str, Any]]]:
     """Run trials, and yield each as it ends."""
     if not missing:
@@ -172,7 +172,7 @@ def _begin(cache: str | None) -> None:
 _navigator_of = functools.cache(navigator_of)
 
 
-def _one(row: TrialRow, trial: int | str, plan: Plan) -> dict[str, Any]:
+def _one(row: TrialRow, trial: int | str, plan: TrialPlan) -> dict[str, Any]:
     """Run one trial in its process; whatever goes wrong in it is a result, too."""
     seed = plan.seed
     try:

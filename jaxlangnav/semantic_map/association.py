@@ -34,7 +34,7 @@ class Detections(NamedTuple):
     is_detection: Array  # bool[D]
 
 
-class Doubt(NamedTuple):
+class ClutterOdds(NamedTuple):
     """How often a detector reports what is not there, against true detections."""
 
     log_false: Array  # f32[] false detections of a type, 1/m²
@@ -42,7 +42,7 @@ class Doubt(NamedTuple):
     log_as: Array  # f32[] … that it is given a certain one
 
 
-def doubt_of(sensor: SensorParams, num_types: Array) -> Doubt:
+def clutter_odds(sensor: SensorParams, num_types: Array) -> ClutterOdds:
     """Work out how far detections are to be doubted; −∞ where not at all.
 
     Args:
@@ -59,7 +59,7 @@ def doubt_of(sensor: SensorParams, num_types: Array) -> Doubt:
     in_view = 0.5 * sensor.field_of_view * sensor.range_max**2
     rate = sensor.false_detections / jnp.maximum(sensor.detection_probability, 1e-3)
     odds = sensor.mislabelled / (1.0 - sensor.mislabelled)
-    return Doubt(
+    return ClutterOdds(
         log_false=log_of(rate / in_view),
         log_confused=log_of(odds),
         log_as=log_of(odds / jnp.maximum(num_types - 1, 1)),
@@ -85,7 +85,7 @@ def associate(
     uniform: Array,
     noise_variance: Array,
     growth: Array | float = 0.0,
-    doubt: Doubt | None = None,
+    doubt: ClutterOdds | None = None,
 ) -> Association:
     """Ground each detection in an existing object or in a new one (eq. 7b).
 
@@ -163,7 +163,7 @@ def associate(
 
 
 def _doubted(
-    log_existing: Array, log_new: Array, existence: Array, is_other: Array, doubt: Doubt
+    log_existing: Array, log_new: Array, existence: Array, is_other: Array, doubt: ClutterOdds
 ) -> tuple[Array, Array, Array]:
     """Weigh a detection that may be false: of something that is held, and of something new.
 
@@ -222,7 +222,7 @@ def condition(
     joint = gaussian.enter(
         joint, num_objects, is_new, _with_robot(offset_x), _with_robot(offset_y), variance
     )
-    joint = gaussian.condition(
+    joint = gaussian.condition_offsets(
         joint,
         [(slot, num_objects) for slot in range(num_objects)],
         association.is_hit & ~association.is_new,

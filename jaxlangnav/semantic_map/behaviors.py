@@ -13,17 +13,17 @@ from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map import summary
 from jaxlangnav.semantic_map.particle import SemanticMap
 
-BLOCK = 8
+_BLOCK = 8
 """Topologies whose behavior is inferred at a time."""
 
 
-def infer_behaviors(
+def infer_clause_behaviors(
     particles: SemanticMap, instruction: Instruction, clause: Array, previous_goal: Array
 ) -> Behavior:
     """Infer the behavior of one clause in every particle.
 
     The behavior model sees a particle's topology only, so each distinct topology is inferred
-    once, ``BLOCK`` of them at a time, and handed to all particles that share it.
+    once, ``_BLOCK`` of them at a time, and handed to all particles that share it.
 
     Args:
         particles: leaves [..., P].
@@ -36,7 +36,7 @@ def infer_behaviors(
     """
     program = row_of(instruction.program, clause)
     number = particles.reading.shape[-1]
-    block = min(BLOCK, number)
+    block = min(_BLOCK, number)
     topology, representative, count = summary.distinct_topologies(particles)
     padding = jnp.full((-number) % block, number, representative.dtype)
     representative = jnp.append(representative, padding)

@@ -32,7 +32,7 @@ from jaxlangnav.semantic_map.params import MapConfig, MapParams
 from jaxlangnav.semantic_map.particle import SemanticMap
 from jaxlangnav.semantic_map.regrounding import ground_words
 from jaxlangnav.semantic_map.soundness import sound_look, sound_place
-from jaxlangnav.semantic_map.surprise import CONTRADICTION, surprise
+from jaxlangnav.semantic_map.surprise import LOG_CONTRADICTION, surprise
 from jaxlangnav.sensing import MIN_NOISE
 from jaxlangnav.terrain import OPEN, Terrain
 from jaxlangnav.terrain.view import eye_of
@@ -249,7 +249,7 @@ def observe(
     if has_doubts:
         right = sensor.detection_probability * (1.0 - sensor.mislabelled)
         sensor = replace(sensor, detection_probability=right)
-        doubt = association.doubt_of(sensor, belief.num_types)
+        doubt = association.clutter_odds(sensor, belief.num_types)
     grounded = association.associate(
         belief.particles, detections, uniform, noise_variance, growth, doubt
     )
@@ -519,5 +519,5 @@ def step(
         fault=sound.fault + jnp.where(is_alive & ~found.is_dead, 0, int(Fault.WEIGHTS)),
         is_news=was_told | jnp.any(weighed.is_new),
         surprise=weighed.surprise,
-        is_contradiction=weighed.surprise > CONTRADICTION,
+        is_contradiction=weighed.surprise > LOG_CONTRADICTION,
     )

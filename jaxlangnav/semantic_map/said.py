@@ -19,8 +19,8 @@ from jaxlangnav.numerics.batching import lead, pack, pick, rarely, unpack
 from jaxlangnav.pytree import replace
 from jaxlangnav.relations import (
     SIDES,
-    Frame,
     Law,
+    ReferenceFrame,
     RelationModel,
     anywhere,
     between,
@@ -68,7 +68,7 @@ class Said(NamedTuple):
         """Whether the landmark is an object, bool[...]."""
         return (self.mention[LANDMARK] != NONE) & ~self.is_by_robot
 
-    def frame(self, x: Array, y: Array) -> Frame:
+    def frame(self, x: Array, y: Array) -> ReferenceFrame:
         """Build the frame in which the relation is meant.
 
         Args:

@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxlangnav.files.limits import FARTHEST
 from jaxlangnav.kinds import ATTRIBUTE_BITS
 from jaxlangnav.messages import NONE, Fault, Observation, SensorParams, default_sensor
 from jaxlangnav.pytree import replace
@@ -27,10 +28,8 @@ from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.sensing import DEVIATIONS, MIN_NOISE, MOST_FALSE, MOST_WRONG, RANGES, TURNS, VIEWS
 from jaxlangnav.terrain.view import beyond
 
-SIDES = (0.1, 1e4)
+AREA_SIDES = (0.1, 1e4)
 """Metres, shortest and longest side of an operating area."""
-FARTHEST = 1e5
-"""Metres from the origin of the map frame to the edges of an area: float32 is 8 mm coarse there."""
 MOST_TURNED = 1e4
 """Radians of a heading, either way: float32 is a milliradian coarse there."""
 
@@ -44,7 +43,7 @@ def is_area(area: Array) -> Array:
     """Tell whether an operating area f32[4] is one, bool[]."""
     low, high = area[::2], area[1::2]
     is_near = _is_between(area, -FARTHEST, FARTHEST)
-    return jnp.all(is_near) & jnp.all(_is_between(high - low, *SIDES))
+    return jnp.all(is_near) & jnp.all(_is_between(high - low, *AREA_SIDES))
 
 
 def is_pose(pose: Array, area: Array) -> Array:
@@ -72,8 +71,8 @@ def check_place(pose: Sequence[float], area: Sequence[float]) -> None:
     if is_posed and (bounds.shape != (4,) or not is_area(bounds)):
         raise ValueError(
             f"area is {tuple(area)}, but must be (x_min, x_max, y_min, y_max) with x_min < x_max "
-            f"and y_min < y_max, in metres, sides of {SIDES[0]:g} to {SIDES[1]:g} m, all within "
-            f"{FARTHEST:g} m of the map's origin"
+            f"and y_min < y_max, in metres, sides of {AREA_SIDES[0]:g} to {AREA_SIDES[1]:g} m, "
+            f"all within {FARTHEST:g} m of the map's origin"
         )
     if not is_posed or not is_pose(start, bounds):
         raise ValueError(

@@ -10,7 +10,7 @@ from jax import Array
 from jaxlangnav.numerics import categorical
 from jaxlangnav.semantic_map.association import Association
 
-CONTRADICTION = 15.0
+LOG_CONTRADICTION = 15.0
 """Nats; an observation e¹⁵ times less probable than those the map leads one to expect contradicts
 it. Of 78 000 looks in Table 2's worlds one is beyond; two false things in view four looks long are
 18 to 41 nats at the worst of them."""

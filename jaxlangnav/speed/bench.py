@@ -31,7 +31,7 @@ from jaxlangnav.pytree import replace
 from jaxlangnav.speed import breakdown, numpy_twin, roofline
 from jaxlangnav.speed.measuring import (
     POLICY,
-    Entry,
+    Measurement,
     against,
     describe_machine,
     entry,
@@ -48,7 +48,7 @@ MONTE_CARLO = len(TEMPLATE_NAMES) * len(SENTENCES) * len(SENSING_RANGES) * 100
 _PATIENCE = 10.0
 """Seconds after which a measurement is not repeated."""
 Tell = Callable[[str, int], None]
-Stage = tuple[str, Callable[[], list[Entry]]]
+Stage = tuple[str, Callable[[], list[Measurement]]]
 """What is measured, in words, and how."""
 
 
@@ -76,7 +76,7 @@ def run_bench(bench: Workbench, *, on_progress: Tell | None = None) -> dict[str,
         ``ratio``, ``target`` and ``holds``; None where there is no such thing.
     """
     machine = describe_machine()
-    entries: list[Entry] = []
+    entries: list[Measurement] = []
     for index, (name, work) in enumerate(stages(bench)):
         if on_progress is not None:
             on_progress(name, min(index, 1))
@@ -133,10 +133,10 @@ def set_up(*, is_quick: bool = False) -> Workbench:
     )
 
 
-def _full_loop(bench: Workbench, particles: int) -> list[Entry]:
+def _full_loop(bench: Workbench, particles: int) -> list[Measurement]:
     """Measure whole episodes by batch, and one cycle against the NumPy twin."""
     largest = bench.tasks.instruction_index.shape[0]
-    entries: list[Entry] = []
+    entries: list[Measurement] = []
     _measure_batch(bench, particles, 1, repetitions=1)  # compiles the program of all batches
     batch = _Batch(size=0, steps=1, cpu=0.0, wall=1.0)
     for size in (largest,) if bench.is_quick else (1, 64, largest):
@@ -186,7 +186,7 @@ def _measure_batch(
     return _Batch(size=size, steps=int(np.sum(found[0].steps)), cpu=cost.cpu, wall=cost.wall)
 
 
-def _monte_carlo(batch: _Batch) -> list[Entry]:
+def _monte_carlo(batch: _Batch) -> list[Measurement]:
     """Say how long the paper's whole Monte Carlo takes at the rate of a batch."""
     name = f"the paper's {MONTE_CARLO} simulations"
     wall = MONTE_CARLO * batch.wall / batch.size
@@ -198,7 +198,7 @@ def _monte_carlo(batch: _Batch) -> list[Entry]:
     ]
 
 
-def _against_twin(ours: float, particles: int) -> list[Entry]:
+def _against_twin(ours: float, particles: int) -> list[Measurement]:
     """Set a cycle, ms CPU, against the NumPy twin's."""
     looping, vectorised = (
         1e3 * _twin_seconds(particles, is_looping=is_looping) for is_looping in (True, False)
@@ -233,7 +233,7 @@ def _twin_seconds(particles: int, *, is_looping: bool, steps: int = 12) -> float
     return statistics.median(costs)
 
 
-def _refilling(bench: Workbench) -> Entry:
+def _refilling(bench: Workbench) -> Measurement:
     """Set refilled lanes against ``vmap`` of the loop over cycles, which waits for the slowest."""
     number = bench.tasks.instruction_index.shape[0]
     config = navigator_config(POLICY)
@@ -254,7 +254,7 @@ def _refilling(bench: Workbench) -> Entry:
     return entry(name, ours, "ms CPU an episode") | against(ours, theirs, 4.0)
 
 
-def _limits(bench: Workbench) -> list[Entry]:
+def _limits(bench: Workbench) -> list[Measurement]:
     """Measure where a cycle's time goes, and how far it is from this machine's limits."""
     parts = breakdown.measure_parts(
         bench.tasks, bench.instructions, params=bench.params, repetitions=bench.repetitions
@@ -263,7 +263,7 @@ def _limits(bench: Workbench) -> list[Entry]:
     return breakdown.share_entries(parts) + roofline.distances(parts, peaks)
 
 
-def _compilation(bench: Workbench) -> list[Entry]:
+def _compilation(bench: Workbench) -> list[Measurement]:
     """Measure compilation without the persistent cache, and count recompilations."""
     config = navigator_config(POLICY)
     was_kept = is_cache_on()

@@ -6,14 +6,14 @@ from typing import Any
 
 import jax
 
-from jaxlangnav.episode import Progress, Task, advance, begin, observe
+from jaxlangnav.episode import EpisodeState, Task, advance, begin, observe
 from jaxlangnav.experiments.devices import LANES
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.navigator import NavigatorParams
 from jaxlangnav.semantic_map import filter as semantic_filter
-from jaxlangnav.semantic_map.behaviors import infer_behaviors
-from jaxlangnav.speed.measuring import POLICY, Entry, entry, measure
+from jaxlangnav.semantic_map.behaviors import infer_clause_behaviors
+from jaxlangnav.speed.measuring import POLICY, Measurement, entry, measure
 
 _STEPS = 5
 """Cycles run before the parts are timed: some things are seen, some words are refuted."""
@@ -77,7 +77,7 @@ def measure_parts(
     return [whole, sensor, filtered, inferred]
 
 
-def share_entries(parts: list[Part]) -> list[Entry]:
+def share_entries(parts: list[Part]) -> list[Measurement]:
     """Turn measured parts into entries.
 
     Args:
@@ -97,7 +97,7 @@ def share_entries(parts: list[Part]) -> list[Entry]:
     return [*entries, entry(name, 100.0 * rest / whole.seconds, "%")]
 
 
-def _filter(progress: Progress, params: NavigatorParams) -> Any:
+def _filter(progress: EpisodeState, params: NavigatorParams) -> Any:
     """Sense and run the filter as a cycle does."""
     state = progress.navigator
     key = jax.random.fold_in(progress.task.key, progress.steps)
@@ -111,20 +111,20 @@ def _filter(progress: Progress, params: NavigatorParams) -> Any:
     )
 
 
-def _infer(progress: Progress) -> Any:
+def _infer(progress: EpisodeState) -> Any:
     """Infer behaviors as a cycle does."""
     state = progress.navigator
-    return infer_behaviors(
+    return infer_clause_behaviors(
         state.belief.particles, state.instruction, state.clause, state.previous_goal
     )
 
 
-def _compile(part: Callable[[Progress], Any], progress: Progress) -> Any:
+def _compile(part: Callable[[EpisodeState], Any], progress: EpisodeState) -> Any:
     """Compile a part for all lanes."""
     return jax.jit(jax.vmap(part)).lower(progress).compile()
 
 
-def _part(name: str, part: Any, progress: Progress, repetitions: int) -> Part:
+def _part(name: str, part: Any, progress: EpisodeState, repetitions: int) -> Part:
     """Time one call of a part on all lanes, and ask XLA what it has to do."""
     jax.block_until_ready(part(progress))
 

@@ -17,7 +17,7 @@ from jaxlangnav.experiments.table import Table
 
 POLICY = "informed"
 """The policy that is measured."""
-Entry = dict[str, Any]
+Measurement = dict[str, Any]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -58,7 +58,7 @@ def entry(
     ratio: float | None = None,
     target: float | None = None,
     is_limit: bool = False,
-) -> Entry:
+) -> Measurement:
     """Build an entry.
 
     Args:
@@ -86,7 +86,7 @@ def entry(
     }
 
 
-def against(ours: float, theirs: float, target: float) -> Entry:
+def against(ours: float, theirs: float, target: float) -> Measurement:
     """Fill in a comparison of costs."""
     ratio = theirs / ours
     return {"baseline": theirs, "ratio": ratio, "target": target, "holds": ratio >= target}

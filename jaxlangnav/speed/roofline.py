@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.speed.breakdown import Part
-from jaxlangnav.speed.measuring import Entry, entry, measure
+from jaxlangnav.speed.measuring import Measurement, entry, measure
 
 _SIDE = 768
 """Rows of the matrices whose product is timed."""
@@ -79,7 +79,7 @@ def _best(work: Callable[[Array], Array], values: Array, calls: int, repetitions
     return min(costs) / calls
 
 
-def distances(parts: list[Part], peaks: Peaks) -> list[Entry]:
+def distances(parts: list[Part], peaks: Peaks) -> list[Measurement]:
     """Say how far each part is from the limit.
 
     Args:

@@ -22,6 +22,7 @@ import scipy.optimize
 from jax import Array
 
 from jaxlangnav.episode import EpisodeResult, Task, complete, finish
+from jaxlangnav.experiments.calibration import EPISODES_AT_ONCE
 from jaxlangnav.experiments.monte_carlo import map_pieces
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams
@@ -36,9 +37,7 @@ from jaxlangnav.studies.episode_evidence import (
     remember,
 )
 
-LANES = 64
-"""Episodes of one call; all wait for the slowest."""
-NUM_READINGS = 1
+READINGS_HELD = 1
 """Readings of a sentence that are held against an episode: the likeliest."""
 FLAT = 1e-3
 """Slope of the mean evidence, nats, that counts as the top. The information of an episode on the
@@ -74,7 +73,7 @@ def _run(
     def one(task: Task) -> tuple[EpisodeResult, WordsEvidence]:
         last = complete(task, instructions, params=params, config=config, max_steps=max_steps)
         readings = last.navigator.instruction.readings
-        kept = remember(last.navigator.belief, readings, num_readings=NUM_READINGS)
+        kept = remember(last.navigator.belief, readings, num_readings=READINGS_HELD)
         return finish(last), kept
 
     return jax.vmap(one)(tasks)
@@ -105,7 +104,7 @@ def run_and_remember(
             piece, instructions, params=params, config=config, max_steps=max_steps
         ),
         tasks,
-        capacity=LANES,
+        capacity=EPISODES_AT_ONCE,
     )
 
 

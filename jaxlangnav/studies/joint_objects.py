@@ -31,7 +31,7 @@ from jaxlangnav.semantic_map import association, motion, particle
 from jaxlangnav.semantic_map.particle import SemanticMap
 from jaxlangnav.sensing import MIN_NOISE
 from jaxlangnav.world import simulator
-from jaxlangnav.world.motion import move
+from jaxlangnav.world.motion import carry_out
 from jaxlangnav.world.sensor import sense
 from jaxlangnav.world.state import Scenario, WorldState
 
@@ -181,7 +181,7 @@ def drive_joint(key: Array, sensor: SensorParams, odometry: MotionParams) -> For
         state, joint, independent = carry
         move_key, sense_key, draw_key = jax.random.split(jax.random.fold_in(drive_key, step), 3)
         command = _command(step)
-        after = move(move_key, state, command, odometry)
+        after = carry_out(move_key, state, command, odometry)
         way = jnp.hypot(command.step[0], command.step[1])
         observation = sense(sense_key, after, scenario, sensor)
         bearing = after.heading + observation.detection_bearing

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav import navigator
-from jaxlangnav.episode import EpisodeResult, Progress, Task, begin, count, finish
+from jaxlangnav.episode import EpisodeResult, EpisodeState, Task, begin, count, finish
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.messages import Observation
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, NavigatorState
@@ -21,10 +21,10 @@ from jaxlangnav.world.sensor import sense
 
 FAULTS = ("none", "zero weights", "NaN", "contradiction", "more objects than slots")
 """What is provoked; an index into this tuple is a fault."""
-NONE, ZERO_WEIGHTS, NOT_A_NUMBER, CONTRADICTION, OVERFLOW = range(len(FAULTS))
+UNPROVOKED, ZERO_WEIGHTS, NOT_A_NUMBER, CONTRADICTORY, OVERFLOW = range(len(FAULTS))
 FIRST, LAST = 2, 5
 """Decision cycles in which the fault lasts, both included."""
-MAX_STEPS = 60
+PROVOKED_STEPS = 60
 
 
 @pytree
@@ -55,7 +55,7 @@ def corrupt(fault: Array, key: Array, step: Array, observation: Observation) -> 
     turn = jax.random.uniform(turn_key, (number,), minval=-jnp.pi, maxval=jnp.pi)
     kind = jax.random.randint(type_key, (number,), 0, 2)
     # Contradiction: two things that are elsewhere at every look. Overflow: all detections new.
-    is_false = (fault == OVERFLOW) | ((fault == CONTRADICTION) & (jnp.arange(number) < 2))
+    is_false = (fault == OVERFLOW) | ((fault == CONTRADICTORY) & (jnp.arange(number) < 2))
     is_false = is_false & is_on
     is_broken = (fault == NOT_A_NUMBER) & is_on
     pose = jnp.where(is_broken & (step == LAST), jnp.nan, observation.pose)
@@ -86,7 +86,7 @@ def run_provoked(
     *,
     params: NavigatorParams,
     config: NavigatorConfig,
-    max_steps: int = MAX_STEPS,
+    max_steps: int = PROVOKED_STEPS,
 ) -> ProvokedResult:
     """Run episodes in which a fault is provoked.
 
@@ -102,7 +102,7 @@ def run_provoked(
         Results and statuses, leaves [E, …].
     """
 
-    def cycle(progress: Progress) -> tuple[Progress, Array, Array]:
+    def cycle(progress: EpisodeState) -> tuple[EpisodeState, Array, Array]:
         task, step = progress.task, progress.steps
         keys = jax.random.split(jax.random.fold_in(task.key, step), 4)
         observation = sense(keys[0], progress.world, task.scenario, task.sensor)
@@ -129,7 +129,7 @@ def run_provoked(
         is_sound = jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in floats]))
         return after, status.astype(jnp.int32), is_sound
 
-    def body(progress: Progress, _: None) -> tuple[Progress, tuple[Array, Array]]:
+    def body(progress: EpisodeState, _: None) -> tuple[EpisodeState, tuple[Array, Array]]:
         is_over = progress.navigator.is_done
         after, status, is_sound = cycle(progress)
         # The task holds a key, which is never chosen between: it stays the same.

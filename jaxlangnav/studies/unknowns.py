@@ -23,13 +23,13 @@ from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task
 from jaxlangnav.experiments.experiment import Experiment, Options
 from jaxlangnav.experiments.grid import Arm, Played, Row, policy_arm
 from jaxlangnav.experiments.paired import compare
-from jaxlangnav.experiments.rows import NEAR, PRINTED, deviations, distance_error, rate_error
+from jaxlangnav.experiments.rows import AGREEMENT, PRINTED, deviations, distance_error, rate_error
 from jaxlangnav.experiments.table import Table
 from jaxlangnav.navigator import default_params
 from jaxlangnav.planner.config import PlannerConfig
 from jaxlangnav.pytree import replace
 from jaxlangnav.studies import unknowns_tables
-from jaxlangnav.world.placement import BEARING_MAX
+from jaxlangnav.world.placement import OBJECT_BEARING_MAX
 
 _POLICY = "faithful"
 OURS = "as in all our tables"
@@ -231,9 +231,9 @@ def _against_paper(row: Row, paper: Row) -> Row:
         "paper_distance_mean": paper["distance_mean"],
         "z_success": far["success"],
         "z_distance": far["distance"],
-        "is_success_near": abs(far["success"]) <= NEAR,
-        "is_distance_near": abs(far["distance"]) <= NEAR,
-        "is_near": max(abs(z) for z in far.values()) <= NEAR,
+        "is_success_near": abs(far["success"]) <= AGREEMENT,
+        "is_distance_near": abs(far["distance"]) <= AGREEMENT,
+        "is_near": max(abs(z) for z in far.values()) <= AGREEMENT,
     }
 
 
@@ -296,7 +296,7 @@ def _settings(options: Options) -> dict[str, float]:
     return {name: round(float(value), 6) for name, value in traced.items()} | {
         "num_blocks": PlannerConfig().num_blocks,
         "max_steps": MAX_STEPS,
-        "bearing_max": BEARING_MAX,
+        "bearing_max": OBJECT_BEARING_MAX,
     }
 
 

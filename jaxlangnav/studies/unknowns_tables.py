@@ -7,7 +7,7 @@ from typing import Any
 
 from jaxlangnav.experiments.grid import Row
 from jaxlangnav.experiments.metrics import timeouts_text
-from jaxlangnav.experiments.rows import NEAR, PAPER_RUNS
+from jaxlangnav.experiments.rows import AGREEMENT, PAPER_RUNS
 from jaxlangnav.experiments.table import Document, Table
 
 TITLE = "What the paper leaves open, one thing at a time"
@@ -154,7 +154,7 @@ def conditions(document: Document) -> str:
     left_out = sum(row["invalid_worlds"] for row in document["rows"])
     return "\n".join(
         [
-            f"Success (%) and distance (m); set off, or with a star: within {NEAR:g} standard "
+            f"Success (%) and distance (m); set off, or with a star: within {AGREEMENT:g} standard "
             f"errors of the printed figure, by z in standard errors of both (the paper's rest on "
             f"about {PAPER_RUNS} runs). A row is explained where both figures are near.",
             f"{document['episodes']} episodes a row and variation, a fresh world each, seed "

@@ -12,8 +12,9 @@ import jax
 import numpy as np
 
 from jaxlangnav import recorder
+from jaxlangnav.agent import Navigator
 from jaxlangnav.episode import MAX_STEPS
-from jaxlangnav.experiments.policies import navigator_config
+from jaxlangnav.experiments.policies import navigator_config, without_compass
 from jaxlangnav.grounding import GroundingModel, load_shipped, understand
 from jaxlangnav.grounding.instruction import Instruction, Understanding
 from jaxlangnav.kept import kept
@@ -31,7 +32,10 @@ from jaxlangnav.task.opening import (
     open_task,
     refuse_what_it_lacks,
 )
+from jaxlangnav.world.files import open_world
+from jaxlangnav.world.scenario import NUM_SLOTS
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
+from jaxlangnav.world.templates import Template
 
 
 def follow(
@@ -71,7 +75,10 @@ def follow(
     if sensing_range is not None and not sensing_range > 0.0:
         raise ValueError(f"sensing_range is {sensing_range:g}, but must be positive, in metres")
     refuse_what_it_lacks(str(world), understood)
+    usual, config = usual_engine(str(world), policy, particles)
+    params = usual if params is None else params
     prepared = open_task(str(world), understood, sensing_range=sensing_range, seed=seed)
+    motion = prepared.task.motion
     if prepared.is_drawn and not prepared.is_meant:
         counts = count_types(prepared.task.scenario, understood.type_names)
         raise ValueError(nothing_there(prepared.world, counts, ()))
@@ -79,8 +86,8 @@ def follow(
         understood,
         prepared,
         text=text,
-        params=navigator_params() if params is None else params,
-        config=navigator_config(policy, particles),
+        params=replace(params, map=replace(params.map, motion=motion)),
+        config=without_compass(config, motion),
         max_steps=max_steps,
     )
 
@@ -90,6 +97,34 @@ def follow(
 def navigator_params() -> NavigatorParams:
     """Build the default parameters: compiled, as one by one their operations take seconds."""
     return default_params()
+
+
+def usual_engine(
+    world: str, policy: AnyPolicy, particles: int
+) -> tuple[NavigatorParams, NavigatorConfig]:
+    """Choose the navigator's numbers and sizes by what it has to hold.
+
+    Args:
+        world: a template, a shipped world or a file.
+        policy: "informed", "faithful", or a policy of somebody's own.
+        particles: P.
+
+    Returns:
+        Those of the paper's tables in worlds drawn from their templates, and the numbers of
+        ``Navigator.pretrained``, for places as they are, in any other; its sizes too where more
+        things stand than the tables' hold.
+
+    Raises:
+        ValueError: no such world or policy, or a bad file.
+    """
+    place = open_world(world)
+    if isinstance(place, Template):
+        return navigator_params(), navigator_config(policy, particles)
+    anywhere = Navigator.pretrained(policy)
+    if place.scenario.is_object.size <= NUM_SLOTS:
+        return anywhere.params, navigator_config(policy, particles)
+    sizes = dataclasses.replace(anywhere.config.map, num_particles=particles)
+    return anywhere.params, dataclasses.replace(anywhere.config, map=sizes)
 
 
 def alone(understood: Understanding) -> Instruction:

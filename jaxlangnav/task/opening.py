@@ -18,12 +18,13 @@ from jaxlangnav.grounding.instruction import Understanding
 from jaxlangnav.pytree import replace
 from jaxlangnav.task.meant import is_among, meant_goals, with_goal
 from jaxlangnav.world.files import open_world, shipped_worlds
-from jaxlangnav.world.reading import World
+from jaxlangnav.world.reading import WorldFile
+from jaxlangnav.world.scenario import NUM_SLOTS
 from jaxlangnav.world.state import Scenario
 from jaxlangnav.world.templates import Template
 
-T = TypeVar("T")
-Said = Mapping[str, Any]
+_T = TypeVar("_T")
+AnnotationDocument = Mapping[str, Any]
 """An annotation: ``figure``, ``relation``, ``landmark``, ``superlative``, ``probability``."""
 _NUM_TRIES = 64
 """Worlds drawn in search of one in which the sentence is true."""
@@ -44,7 +45,7 @@ class Prepared:
     """Whether the world has been drawn from a template."""
 
 
-def relation_said(annotations: Iterable[Said]) -> str:
+def relation_said(annotations: Iterable[AnnotationDocument]) -> str:
     """Tell for which of Table 2's commands to draw a world, so that the sentence is true in it.
 
     Args:
@@ -80,10 +81,12 @@ def open_task(
         ValueError: no such world, a bad file, or a template that has nothing of what is asked.
     """
     place = open_world(world)
-    if isinstance(place, World):
+    if isinstance(place, WorldFile):
         task = _task_in(place, sensing_range, seed)
         is_own = _is_its_own(place, understood)
-        return _judge(place.name, task, understood, is_own=is_own, is_drawn=False)
+        return _judge(
+            place.name, task, understood, is_own=is_own, is_drawn=False, has_goal=place.has_goal
+        )
     return _draw(place, understood, sensing_range or 3.0, seed)
 
 
@@ -98,7 +101,7 @@ def refuse_what_it_lacks(world: str, understood: Understanding) -> None:
         ValueError: one line that says what there is.
     """
     place = open_world(world)
-    if isinstance(place, World):
+    if isinstance(place, WorldFile):
         return
     counts = [("hydrant", place.num_hydrants), ("cone", place.num_cones)]
     there = [(name, number) for name, number in counts if number]
@@ -122,9 +125,25 @@ def detector_of(world: str, type_names: Sequence[str]) -> Detector:
         ValueError: no such world, or a bad file.
     """
     place = open_world(world)
-    if isinstance(place, World):
+    if isinstance(place, WorldFile):
         return Detector(place.type_names, place.attribute_groups)
     return Detector(type_names)
+
+
+def slots_of(world: str) -> int:
+    """Tell how many things a world has room for: what its compiled programs go by.
+
+    Args:
+        world: a template, a shipped world or a file.
+
+    Returns:
+        Object slots of its scenario.
+
+    Raises:
+        ValueError: no such world, or a bad file.
+    """
+    place = open_world(world)
+    return place.scenario.is_object.size if isinstance(place, WorldFile) else NUM_SLOTS
 
 
 def nothing_there(world: str, counts: Sequence[tuple[str, int]], missing: Sequence[str]) -> str:
@@ -146,8 +165,8 @@ def nothing_there(world: str, counts: Sequence[tuple[str, int]], missing: Sequen
     )
 
 
-def missing_types(
-    scenario: Scenario, annotations: Iterable[Said], names: Sequence[str]
+def absent_types(
+    scenario: Scenario, annotations: Iterable[AnnotationDocument], names: Sequence[str]
 ) -> list[str]:
     """List what the sentence speaks of and the world does not have.
 
@@ -162,7 +181,9 @@ def missing_types(
     return _lacking({name for name, _ in count_types(scenario, names)}, annotations, names)
 
 
-def _lacking(there: Set[str], annotations: Iterable[Said], names: Sequence[str]) -> list[str]:
+def _lacking(
+    there: Set[str], annotations: Iterable[AnnotationDocument], names: Sequence[str]
+) -> list[str]:
     """List what the sentence speaks of and is not among what is there."""
     likely = [said for said in annotations if said["probability"] >= 0.5]
     spoken = dict.fromkeys(said[role] for said in likely for role in ("figure", "landmark"))
@@ -184,7 +205,7 @@ def count_types(scenario: Scenario, names: Sequence[str]) -> list[tuple[str, int
     return [(names[kind], types.count(kind)) for kind in dict.fromkeys(types)]
 
 
-def _task_in(world: World, sensing_range: float | None, seed: int) -> Task:
+def _task_in(world: WorldFile, sensing_range: float | None, seed: int) -> Task:
     """Prepare an episode in a world that somebody has written down."""
     sensor = world.sensor
     if sensing_range is not None:
@@ -198,18 +219,26 @@ def _task_in(world: World, sensing_range: float | None, seed: int) -> Task:
     )
 
 
-def _is_its_own(world: World, understood: Understanding) -> bool:
-    """Tell whether a sentence is the one that a world has been written for."""
+def _is_its_own(world: WorldFile, understood: Understanding) -> bool:
+    """Tell whether a sentence is the one that a world's goal has been written for."""
+    if not world.has_goal:
+        return False
     own = " ".join((world.instruction or "").lower().split()).rstrip(".!")
     return own == " ".join(understood.parse.instruction.lower().split()).rstrip(".!")
 
 
 def _judge(
-    name: str, task: Task, understood: Understanding, *, is_own: bool, is_drawn: bool
+    name: str,
+    task: Task,
+    understood: Understanding,
+    *,
+    is_own: bool,
+    is_drawn: bool,
+    has_goal: bool = True,
 ) -> Prepared:
     """Set the goal that the sentence means; that of the world where it is as good as any."""
     goals, is_find = meant_goals(understood, task.scenario)
-    if goals and not is_own and not is_among(task.scenario, goals):
+    if goals and not is_own and not (has_goal and is_among(task.scenario, goals)):
         task = replace(task, scenario=with_goal(task.scenario, goals[0]))
     is_meant = is_own or bool(goals)
     return Prepared(world=name, task=task, is_find=is_find, is_meant=is_meant, is_drawn=is_drawn)
@@ -225,7 +254,7 @@ def _draw(
     relation = relation_said(understood.annotations) if template.num_cones else "null"
     tasks = _tasks_of(template, relation, sensing_range, seed, 1)
     prepared = _judge(template.name, tasks[0], understood, is_own=False, is_drawn=True)
-    absent = missing_types(tasks[0].scenario, understood.annotations, understood.type_names)
+    absent = absent_types(tasks[0].scenario, understood.annotations, understood.type_names)
     if prepared.is_meant or absent:
         return prepared
     # Here each cone stands anywhere around its hydrant: the sentence may be true in some of them.
@@ -258,6 +287,6 @@ def _tasks_of(
     ]
 
 
-def _at(record: T, index: int) -> T:
+def _at(record: _T, index: int) -> _T:
     """Take one of the records out of a batch."""
     return jax.tree.map(lambda leaf: leaf[index], record)

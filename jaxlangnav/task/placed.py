@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxlangnav.grounding.asked import LEAST_GOAL, infer_once
+from jaxlangnav.grounding.asked import LEAST_PREVIOUS_GOAL, infer_once
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.grounding.worlds import place_for, to_device
 from jaxlangnav.language.labels import PlacedWorld
@@ -75,7 +75,7 @@ def infer_in(
         )
         found.append(behavior)
         best = behavior.goal.max(axis=0)
-        previous = int(best.argmax()) if best.max() >= LEAST_GOAL else number
+        previous = int(best.argmax()) if best.max() >= LEAST_PREVIOUS_GOAL else number
         placed = dataclasses.replace(placed, previous=previous if previous < number else None)
     return found
 

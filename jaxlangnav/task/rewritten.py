@@ -14,8 +14,8 @@ from jaxlangnav.grounding.rewrites import RewriteGrounder, default_rewrite_param
 from jaxlangnav.task.compared import difference
 from jaxlangnav.task.labelled import LabelledSentence
 from jaxlangnav.task.scored import (
+    CORRECT,
     OUTCOMES,
-    RIGHT,
     WRONG,
     ReadAs,
     Score,
@@ -155,7 +155,7 @@ def render_arms(document: dict[str, Any], fit: TemperatureFit | None) -> tuple[T
         table.add_column(name, justify="right" if name else "left")
     for name, row in document["arms"].items():
         meant = [str(row["meant"][one]) for one in OUTCOMES]
-        others = [str(row["to_refuse"][one]) for one in (RIGHT, WRONG)]
+        others = [str(row["to_refuse"][one]) for one in (CORRECT, WRONG)]
         table.add_row(name, *meant, *others, f"{row['right_share']:.1f}")
     lines = [f"temperature {document['temperature']:.3g}"]
     if fit is not None:

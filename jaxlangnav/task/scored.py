@@ -13,7 +13,7 @@ from jaxlangnav.grounding.instruction import GroundingModel, Instruction
 from jaxlangnav.task.compared import difference
 from jaxlangnav.task.labelled import LabelledSentence
 
-RIGHT, REFUSED, WRONG = OUTCOMES = ("right", "refused", "wrong")
+CORRECT, REFUSED, WRONG = OUTCOMES = ("right", "refused", "wrong")
 WORST_SHOWN = 40
 """Sentences listed below the table; the document has all that are not right."""
 Wrapping = Callable[[GraphGrounder], Grounder]
@@ -68,7 +68,7 @@ def summarize_scores(scores: Sequence[Score]) -> dict[str, Any]:
     """
     names = dict.fromkeys(score.sentence.construction for score in scores)
     by_name = {n: [one for one in scores if one.sentence.construction == n] for n in names}
-    missed = [score for score in scores if score.outcome != RIGHT]
+    missed = [score for score in scores if score.outcome != CORRECT]
     missed.sort(key=lambda one: (one.outcome != WRONG, -one.confidence, one.sentence.line))
     return {
         **count_scores(scores),
@@ -124,7 +124,7 @@ def count_scores(scores: Sequence[Score]) -> dict[str, Any]:
         A JSON document: the count of sentences, of each outcome, and the percentage right.
     """
     counts = Counter(score.outcome for score in scores)
-    share = 100.0 * counts[RIGHT] / max(len(scores), 1)
+    share = 100.0 * counts[CORRECT] / max(len(scores), 1)
     return {
         "sentences": len(scores),
         **{outcome: counts[outcome] for outcome in OUTCOMES},
@@ -159,10 +159,10 @@ def _score(sentence: LabelledSentence, graph: GraphGrounder, arm: Wrapping) -> S
     try:
         grounded = arm(graph).ground(sentence.text, context_of(sentence))
     except ValueError as error:
-        outcome = RIGHT if meaning is None else REFUSED
+        outcome = CORRECT if meaning is None else REFUSED
         return Score(sentence, outcome, "" if meaning is None else str(error), 0.0)
     confidence = float(np.exp(grounded.instruction.readings.log_probability[0]))
     if meaning is None:
         return Score(sentence, WRONG, "was read, but must be refused", confidence)
     why = difference(meaning, ReadAs(grounded.instruction, graph.names))
-    return Score(sentence, WRONG if why else RIGHT, why, confidence)
+    return Score(sentence, WRONG if why else CORRECT, why, confidence)

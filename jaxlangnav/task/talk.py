@@ -11,8 +11,8 @@ from collections.abc import Callable, Mapping, Sequence
 import jax
 import numpy as np
 
-from jaxlangnav.conversation import words_of
-from jaxlangnav.episode import Progress
+from jaxlangnav.conversation import first_words
+from jaxlangnav.episode import EpisodeState
 from jaxlangnav.grounding import Context, Grounder
 from jaxlangnav.grounding.asked import asked
 from jaxlangnav.grounding.instruction import Instruction, Understanding
@@ -25,7 +25,7 @@ from jaxlangnav.messages import NONE, Status
 from jaxlangnav.navigator import NavigatorState
 from jaxlangnav.plain_text import cut
 from jaxlangnav.pytree import replace
-from jaxlangnav.recording import Recording, Remark, Scene
+from jaxlangnav.recording import Recording, Remark, StaticScene
 
 CHANGE_WHAT_IS_MEANT = frozenset(
     {Kind.COMMAND, Kind.ADDITION, Kind.RETURN, Kind.CANCEL, Kind.CORRECTION, Kind.ANSWER}
@@ -33,7 +33,7 @@ CHANGE_WHAT_IS_MEANT = frozenset(
 """Kinds of utterances after which the goal that a world was opened for need not be meant."""
 YOU = "you"
 
-Voice = Callable[[int, Progress, Sequence[Candidate]], str | None]
+Voice = Callable[[int, EpisodeState, Sequence[Candidate]], str | None]
 """Says something before a step, or nothing more: given the step, the episode, what may be meant."""
 _MOST = 8
 """Utterances of one speaker that are heard before a step."""
@@ -83,12 +83,12 @@ class Earshot:
 
     grounder: Grounder
     first: Understanding
-    scene: Scene
+    scene: StaticScene
     script: Mapping[int, Sequence[str]] = dataclasses.field(default_factory=dict)
     """What is said before which step."""
     voices: Mapping[str, Voice] = dataclasses.field(default_factory=dict)
     """Who else may speak, by name."""
-    is_awaited: Callable[[Progress], bool] = lambda progress: False
+    is_awaited: Callable[[EpisodeState], bool] = lambda progress: False
     """Whether somebody is there who may yet speak to a robot that stands still."""
     on_said: Callable[[Remark], object] = lambda said: None
     """Told of every utterance as it is heard."""
@@ -97,14 +97,14 @@ class Earshot:
     """What may be meant, after the last step that asked."""
     _step: int = 0
 
-    def begin(self, progress: Progress) -> Progress:
+    def begin(self, progress: EpisodeState) -> EpisodeState:
         """Note what the first sentence speaks of, as later ones may refer to it."""
-        words = words_of(self.first.instruction, self.first.spoken)
+        words = first_words(self.first.instruction, self.first.spoken)
         navigator = progress.navigator
         talk = replace(navigator.talk, words=words)
         return replace(progress, navigator=replace(navigator, talk=talk))
 
-    def hear(self, step: int, progress: Progress) -> Progress:
+    def hear(self, step: int, progress: EpisodeState) -> EpisodeState:
         """Take in what is said before the decision of a step."""
         self._step = step
         for text in self.script.get(step, ()):
@@ -117,20 +117,20 @@ class Earshot:
                 progress = self._take(step, progress, name, text)
         return progress
 
-    def expects(self, progress: Progress) -> bool:
+    def expects(self, progress: EpisodeState) -> bool:
         """Tell whether more may be said to a robot that stands still."""
         self.candidates = tuple(self._doubt(progress))
         is_scripted = any(step > self._step for step in self.script)
         return is_scripted or self.is_awaited(progress)
 
-    def _doubt(self, progress: Progress) -> list[Candidate]:
+    def _doubt(self, progress: EpisodeState) -> list[Candidate]:
         """List what may be meant, where the robot asks."""
         state = progress.navigator
         if int(state.status) != Status.WHICH_ONE:
             return []
         return Listener(self.grounder).candidates(state)
 
-    def _take(self, step: int, progress: Progress, speaker: str, text: str) -> Progress:
+    def _take(self, step: int, progress: EpisodeState, speaker: str, text: str) -> EpisodeState:
         """Take in an utterance, or keep to the task where the state refuses it."""
         listener, before = Listener(self.grounder), progress.navigator
         try:
@@ -158,7 +158,7 @@ class Earshot:
         self.said.append(said)
         self.on_said(said)
 
-    def _scene_of(self, before: NavigatorState, after: NavigatorState) -> Scene | None:
+    def _scene_of(self, before: NavigatorState, after: NavigatorState) -> StaticScene | None:
         """Set the scene anew where words have been joined with those before."""
         if after.instruction is before.instruction:
             return None

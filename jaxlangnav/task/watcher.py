@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import jax
 from jax import Array
 
-from jaxlangnav.episode import Progress
+from jaxlangnav.episode import EpisodeState
 from jaxlangnav.experiments.watched import seen_of
 from jaxlangnav.kept import kept
 from jaxlangnav.listening import Candidate
@@ -26,7 +26,9 @@ _PLACES = ("the first", "the second", "the third")
 
 
 @kept()
-def _say(progress: Progress, person: Person, params: PersonParams) -> tuple[Person, Array, Array]:
+def _say(
+    progress: EpisodeState, person: Person, params: PersonParams
+) -> tuple[Person, Array, Array]:
     """Decide what to say, compiled."""
     key = jax.random.fold_in(jax.random.fold_in(progress.task.key, _SPEECH), _SPEECH)
     seen = seen_of(progress.navigator, progress.steps)
@@ -46,11 +48,11 @@ class Watcher:
         """Call one of ``PERSONS``."""
         return cls(jax.device_put(params_of(**PERSONS[name])))
 
-    def is_there(self, progress: Progress) -> bool:
+    def is_there(self, progress: EpisodeState) -> bool:
         """Tell whether the person will yet speak, if things stay as they are."""
         return bool(_say(progress, self.person, self.params)[0].intends)
 
-    def speak(self, step: int, progress: Progress, doubt: Sequence[Candidate]) -> str | None:
+    def speak(self, step: int, progress: EpisodeState, doubt: Sequence[Candidate]) -> str | None:
         """Say what the law has the person say, once before each decision."""
         if step == self._step:
             return None

@@ -15,13 +15,13 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxlangnav.grounding.model import Vocabulary
-from jaxlangnav.training.examples import Example, Rows
+from jaxlangnav.training.examples import PhraseExample, Rows
 
 
 class Factors(NamedTuple):
     """Factors of any source before equal ones are joined: one row of words each.
 
-    The least that training needs, for data that come from no ``Example``.
+    The least that training needs, for data that come from no ``PhraseExample``.
     """
 
     words: np.ndarray  # f32[H, W] word features of a phrase
@@ -140,7 +140,7 @@ def pool(factors: Factors, columns: dict[str, slice], num_instructions: int) -> 
 
 
 def flatten(
-    examples: Sequence[Example], kinds: Sequence[str], vocabulary: Vocabulary
+    examples: Sequence[PhraseExample], kinds: Sequence[str], vocabulary: Vocabulary
 ) -> tuple[Factors, dict[str, slice]]:
     """Write the factors of all kinds of symbol one under the other.
 

@@ -20,7 +20,7 @@ def _on_all(instructions: Sequence[LabelledInstruction]) -> np.ndarray:
     return np.ones((1, len(instructions)), bool)
 
 
-def score_annotations(
+def evaluate_annotations(
     instructions: Sequence[LabelledInstruction],
     model: CorrespondenceModel,
     type_names: tuple[str, ...],
@@ -43,7 +43,7 @@ def score_annotations(
     return found.by_width[width][0]
 
 
-def score_behaviors(
+def evaluate_behaviors(
     instructions: Sequence[LabelledInstruction],
     annotation: CorrespondenceModel,
     behavior: CorrespondenceModel,
@@ -74,7 +74,7 @@ def score_annotations_exactly(
     model: CorrespondenceModel,
     type_names: tuple[str, ...],
 ) -> ExactScores:
-    """Compare the likeliest annotations of all with the gold ones; as ``score_annotations``."""
+    """Compare the likeliest annotations of all with the gold ones; as ``evaluate_annotations``."""
     models, tested = Models.of([model]), _on_all(instructions)
     return scoring.score_annotations(
         instructions, models, tested, type_names, widths=(), is_exact=True
@@ -87,7 +87,7 @@ def score_behaviors_exactly(
     behavior: CorrespondenceModel,
     type_names: tuple[str, ...],
 ) -> ExactScores:
-    """Compare the likeliest behaviors of all with the gold ones; as ``score_behaviors``."""
+    """Compare the likeliest behaviors of all with the gold ones; as ``evaluate_behaviors``."""
     models, tested = (Models.of([annotation]), Models.of([behavior])), _on_all(instructions)
     return scoring.score_behaviors(
         instructions, *models, tested, type_names, widths=(), is_exact=True

@@ -50,7 +50,7 @@ class Rows:
 
 
 @dataclasses.dataclass(frozen=True)
-class Example:
+class PhraseExample:
     """One phrase with the factors of its symbols."""
 
     phrase: Phrase
@@ -60,7 +60,7 @@ class Example:
 
 def annotation_examples(
     instructions: Sequence[LabelledInstruction], type_names: tuple[str, ...]
-) -> list[Example]:
+) -> list[PhraseExample]:
     """Build the examples of the annotation model.
 
     Args:
@@ -91,7 +91,7 @@ def _annotation_example(
     node: Node,
     space: AnnotationSpace,
     type_names: tuple[str, ...],
-) -> Example:
+) -> PhraseExample:
     """Build the example of one phrase."""
     gold = space.mask(labelled.annotation[node.path])
     children = [space.mask(labelled.annotation[nodes[child].path]) for child in node.children]
@@ -102,12 +102,12 @@ def _annotation_example(
     }
     properties = annotation_properties(space, senses, children)
     rows = {kind: Rows(properties[kind], labels[kind]) for kind in properties}
-    return Example(node.phrase, rows, index)
+    return PhraseExample(node.phrase, rows, index)
 
 
 def behavior_examples(
     instructions: Sequence[LabelledInstruction], type_names: tuple[str, ...]
-) -> list[Example]:
+) -> list[PhraseExample]:
     """Build the examples of the behavior model; arguments as ``annotation_examples``.
 
     Returns:
@@ -130,7 +130,7 @@ def _behavior_example(
     nodes: tuple[Node, ...],
     node: Node,
     type_names: tuple[str, ...],
-) -> Example:
+) -> PhraseExample:
     """Build the example of one phrase in one world."""
     world, gold = labelled.worlds[which], labelled.behavior[which]
     space = BehaviorSpace(world.object_type.shape[0])
@@ -157,4 +157,4 @@ def _behavior_example(
         if kind not in ("action", "mode"):
             real = np.broadcast_to(world.is_object, labels.shape)
         rows[kind] = Rows(table[real.ravel()], labels[real])
-    return Example(node.phrase, rows, index)
+    return PhraseExample(node.phrase, rows, index)

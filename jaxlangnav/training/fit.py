@@ -23,13 +23,13 @@ import numpy as np
 from jax import Array
 from jax.scipy.linalg import solve_triangular
 
-from jaxlangnav.grounding.features import group_of
+from jaxlangnav.grounding.features import feature_group
 from jaxlangnav.grounding.model import CorrespondenceModel, Vocabulary, build_vocabulary
 from jaxlangnav.training.blocks import Design, flatten, pool
-from jaxlangnav.training.examples import Example
+from jaxlangnav.training.examples import PhraseExample
 from jaxlangnav.training.optimum import Problem, Search, data_loss, minimise
 
-LANES = 8
+SPLITS_AT_ONCE = 8
 """Splits that are fitted side by side; all of them wait for the slowest."""
 
 
@@ -92,7 +92,7 @@ def strengths(vocabulary: Vocabulary, by_group: Mapping[str, Array | float]) -> 
         f32[W], λ of each word feature; differentiable by every λ.
     """
     groups = tuple(by_group)
-    which = np.array([groups.index(group_of(name)) for name in vocabulary.names])
+    which = np.array([groups.index(feature_group(name)) for name in vocabulary.names])
     return jnp.stack([jnp.asarray(by_group[group], jnp.float32) for group in groups])[which]
 
 
@@ -128,7 +128,7 @@ def _fit_splits(
     factored: Factored, counts: Array, l2: Array, config: TrainingConfig
 ) -> tuple[Array, Search]:
     """Fit K sets of counts f32[K, U, G, 2] to the same words and properties."""
-    lanes = min(LANES, counts.shape[0])
+    lanes = min(SPLITS_AT_ONCE, counts.shape[0])
     return jax.lax.map(
         lambda one: train_weights(factored, one, l2, config=config),
         counts,
@@ -167,7 +167,7 @@ def loss(weights: Mapping[str, Array], design: Design, counts: Array, l2: Array 
 
 
 def build_design(
-    examples: Sequence[Example],
+    examples: Sequence[PhraseExample],
     kinds: Sequence[str],
     num_instructions: int,
     without: frozenset[str] = frozenset(),
@@ -269,7 +269,7 @@ def fit(
 
 
 def train(
-    examples: Sequence[Example],
+    examples: Sequence[PhraseExample],
     kinds: Sequence[str],
     num_instructions: int,
     *,

@@ -6,17 +6,19 @@ import numpy as np
 
 from jaxlangnav.grounding.correspondence import (
     KIND,
+    AnyWorld,
     CorrespondenceGraph,
     Labelled,
     SymbolSpace,
-    World,
 )
 from jaxlangnav.grounding.features import FEATURE_GROUPS
-from jaxlangnav.training.examples import Example, Rows
+from jaxlangnav.training.examples import PhraseExample, Rows
 from jaxlangnav.training.fit import Fit, TrainingConfig, train
 
 
-def examples_of(space: SymbolSpace[World], labelled: Sequence[Labelled[World]]) -> list[Example]:
+def examples_of(
+    space: SymbolSpace[AnyWorld], labelled: Sequence[Labelled[AnyWorld]]
+) -> list[PhraseExample]:
     """Build training examples: of every phrase, given the gold groundings of its children.
 
     Args:
@@ -35,7 +37,9 @@ def examples_of(space: SymbolSpace[World], labelled: Sequence[Labelled[World]]) 
     ]
 
 
-def _examples(space: SymbolSpace[World], one: Labelled[World], index: int) -> Iterator[Example]:
+def _examples(
+    space: SymbolSpace[AnyWorld], one: Labelled[AnyWorld], index: int
+) -> Iterator[PhraseExample]:
     """Build the examples of one tree."""
     phrases = list(one.root.walk())
     if len(phrases) != len(one.expressed):
@@ -54,17 +58,17 @@ def _examples(space: SymbolSpace[World], one: Labelled[World], index: int) -> It
         wanted = len(names), len(space.property_names)
         if seen.shape != wanted:
             raise ValueError(f"tree {index}: properties are {seen.shape}, but must be {wanted}")
-        yield Example(phrase, {KIND: Rows(seen, label)}, index)
+        yield PhraseExample(phrase, {KIND: Rows(seen, label)}, index)
         stack[first:] = [label]
 
 
 def train_graph(
-    space: SymbolSpace[World],
-    labelled: Sequence[Labelled[World]],
+    space: SymbolSpace[AnyWorld],
+    labelled: Sequence[Labelled[AnyWorld]],
     *,
     config: TrainingConfig | None = None,
     without: frozenset[str] = frozenset(),
-) -> tuple[CorrespondenceGraph[World], Fit]:
+) -> tuple[CorrespondenceGraph[AnyWorld], Fit]:
     """Train a model on labelled trees.
 
     Args:

@@ -75,7 +75,7 @@ def _paths(parse: Parse) -> list[list[Path]]:
     return [[n.path for n in bottom_up(root, c)] for c, root in enumerate(parse.clauses)]
 
 
-def read_example(example: Example, type_names: tuple[str, ...]) -> LabelledInstruction:
+def labelled_instruction(example: Example, type_names: tuple[str, ...]) -> LabelledInstruction:
     """Turn one labelled instruction into training data.
 
     Args:
@@ -111,5 +111,5 @@ def read_example(example: Example, type_names: tuple[str, ...]) -> LabelledInstr
 def read_examples(
     examples: Sequence[Example], type_names: tuple[str, ...]
 ) -> list[LabelledInstruction]:
-    """Turn a corpus into training data; see ``read_example``."""
-    return [read_example(example, type_names) for example in examples]
+    """Turn a corpus into training data; see ``labelled_instruction``."""
+    return [labelled_instruction(example, type_names) for example in examples]

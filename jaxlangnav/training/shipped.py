@@ -21,9 +21,9 @@ from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.training.evaluation import (
     Scores,
     calibration_error,
+    evaluate_annotations,
+    evaluate_behaviors,
     fit_temperature,
-    score_annotations,
-    score_behaviors,
 )
 from jaxlangnav.training.examples import LabelledInstruction, annotation_examples, behavior_examples
 from jaxlangnav.training.fit import Fit, TrainingConfig, build_design, fit
@@ -157,10 +157,10 @@ def _train_one(
 
     def score(model: CorrespondenceModel, which: Sequence[LabelledInstruction]) -> Scores:
         if name == "annotation":
-            return score_annotations(which, model, data.type_names)
+            return evaluate_annotations(which, model, data.type_names)
         if "annotation" not in models:
             raise ValueError("the behavior model needs an annotation model: give weights as base")
-        return score_behaviors(which, models["annotation"], model, data.type_names)
+        return evaluate_behaviors(which, models["annotation"], model, data.type_names)
 
     def warm(temperature: float, model: CorrespondenceModel) -> CorrespondenceModel:
         return dataclasses.replace(model, temperature=temperature)

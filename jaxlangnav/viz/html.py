@@ -18,7 +18,7 @@ import numpy as np
 from jaxlangnav.files.whole import write_text
 from jaxlangnav.messages import NONE
 from jaxlangnav.plain_text import printable
-from jaxlangnav.planner.graph import FRONTIER, OBJECT, VISITED
+from jaxlangnav.planner.graph import FRONTIER, OBJECT_NODE, VISITED
 from jaxlangnav.recording import Recording
 from jaxlangnav.viz import narrative, panels, sentences, style, summary
 from jaxlangnav.viz.words import describe_readings, percent
@@ -54,7 +54,9 @@ def render_html(recording: Recording) -> str:
         The page.
     """
     template = resources.files("jaxlangnav.viz") / "recording.html"
-    data = json.dumps(pack(recording), separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+    data = json.dumps(
+        page_data(recording), separators=(",", ":"), ensure_ascii=False, allow_nan=False
+    )
     title = html.escape(printable(recording.scene.text or "Episode"))
     # Inside a script element only "</" and "<!--" could end the data early. In one pass, as the
     # sentence itself may hold the name of a place to be filled.
@@ -63,7 +65,7 @@ def render_html(recording: Recording) -> str:
     return re.sub("|".join(parts), lambda found: parts[found[0]], page)
 
 
-def pack(recording: Recording) -> dict[str, Any]:
+def page_data(recording: Recording) -> dict[str, Any]:
     """Gather everything the page shows, in JSON's own types.
 
     Args:
@@ -207,7 +209,7 @@ def _arrays(recording: Recording) -> dict[str, Any]:
 
 def _node_kinds() -> list[str]:
     """Name the kinds of nodes by index."""
-    names = {FRONTIER: "frontier", VISITED: "visited place", OBJECT: "object"}
+    names = {FRONTIER: "frontier", VISITED: "visited place", OBJECT_NODE: "object"}
     return [names[kind] for kind in sorted(names)]
 
 

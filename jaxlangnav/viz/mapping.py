@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from jaxlangnav.messages import NONE, SensorParams
-from jaxlangnav.recording import Frame, Recording, Scene
+from jaxlangnav.recording import Frame, Recording, StaticScene
 from jaxlangnav.viz import style
 from jaxlangnav.viz.summary import seen_objects
 from jaxlangnav.world.state import Scenario
@@ -58,7 +58,7 @@ class HasPlace(Protocol):
         ...
 
 
-def draw_ground(axes: "Axes", scene: Scene, frame: Frame) -> "AxesImage":
+def draw_ground(axes: "Axes", scene: StaticScene, frame: Frame) -> "AxesImage":
     """Shade the ground by the probability that an object there would have been missed so far.
 
     Args:

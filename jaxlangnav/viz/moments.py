@@ -16,7 +16,7 @@ from jaxlangnav.viz.summary import expected_goal, explored_share
 from jaxlangnav.viz.words import percent
 
 
-def change(recording: Recording) -> np.ndarray:
+def step_changes(recording: Recording) -> np.ndarray:
     """Measure how much each step changed what is believed and planned.
 
     Args:
@@ -54,7 +54,7 @@ def pick_moments(recording: Recording, number: int = 6) -> list[int]:
         raise ValueError(f"number of panels is {number}, but must be at least 1")
     last = recording.num_steps - 1
     chosen = {0, last} if number > 1 else {last}
-    score = change(recording)
+    score = step_changes(recording)
     # Everything else being equal the panels spread over the episode.
     for _ in range(min(number, recording.num_steps) - len(chosen)):
         steps = np.arange(recording.num_steps)

@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 
 from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.messages import Status
-from jaxlangnav.planner.graph import OBJECT
-from jaxlangnav.recording import Frame, Recording, Remark, Scene
+from jaxlangnav.planner.graph import OBJECT_NODE
+from jaxlangnav.recording import Frame, Recording, Remark, StaticScene
 from jaxlangnav.viz import sentences, summary
 from jaxlangnav.viz.words import counted, describe_asked, describe_readings, percent
 
@@ -25,7 +25,7 @@ _SHIFT = 0.1
 """A change of an object's probability of being the goal that is worth a line."""
 
 
-def opening(scene: Scene) -> list[str]:
+def opening(scene: StaticScene) -> list[str]:
     """Tell what was said and how it was understood.
 
     Returns:
@@ -50,7 +50,7 @@ def opening(scene: Scene) -> list[str]:
 
 
 def tell_step(
-    scene: Scene, frame: Frame, before: Frame | None, said: Sequence[Remark] = ()
+    scene: StaticScene, frame: Frame, before: Frame | None, said: Sequence[Remark] = ()
 ) -> list[str]:
     """Tell one step: what is heard and seen, what is believed, what it does and why.
 
@@ -81,7 +81,9 @@ def tell_step(
     return [sentence for sentence in told if sentence]
 
 
-def headline(scene: Scene, frame: Frame, before: Frame | None, said: Sequence[Remark] = ()) -> str:
+def headline(
+    scene: StaticScene, frame: Frame, before: Frame | None, said: Sequence[Remark] = ()
+) -> str:
     """Say a step in a few words, for the head of a panel.
 
     Returns:
@@ -110,7 +112,7 @@ def headline(scene: Scene, frame: Frame, before: Frame | None, said: Sequence[Re
     return "keeps on" if frame.is_kept else "new waypoint"
 
 
-def closing(scene: Scene, frame: Frame, result: EpisodeResult) -> list[str]:
+def closing(scene: StaticScene, frame: Frame, result: EpisodeResult) -> list[str]:
     """Tell how it ended; the truth is revealed only here.
 
     Args:
@@ -194,7 +196,7 @@ def narrate(recording: Recording) -> list[str]:
 
 
 def tell_on(
-    scene: Scene,
+    scene: StaticScene,
     steps: Iterable[tuple[Frame, EpisodeResult]],
     said: Sequence[Remark],
     tell: Callable[[list[str]], object],
@@ -257,7 +259,7 @@ def _drawn_together(steps: list[int], recording: Recording) -> list[str]:
     head = _head(number, float(last.distance))
     if bool(last.is_done) or int(last.status) in (Status.HALTED, Status.IDLE):
         return [f"{head} {sentences.rests(last)}"]
-    if int(last.waypoint_kind) == OBJECT:
+    if int(last.waypoint_kind) == OBJECT_NODE:
         gone = float(last.distance) - float(recording.frames.distance[max(steps[0] - 1, 0)])
         if len(steps) > 2 and gone < 0.5:
             return [

@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxlangnav.files.whole import replacing
 from jaxlangnav.kinds import ANYTHING
-from jaxlangnav.recording import Frame, Recording, Scene
+from jaxlangnav.recording import Frame, Recording, StaticScene
 from jaxlangnav.viz import narrative, style, summary
 
 _APPLICATION = "jaxlangnav"
@@ -70,7 +70,7 @@ def _rgba(color: str, strength: Any = 1.0) -> np.ndarray:
     return colors
 
 
-def _log_scene(rerun: Any, stream: Any, scene: Scene) -> None:
+def _log_scene(rerun: Any, stream: Any, scene: StaticScene) -> None:
     """Log what stays the same: the area and where things truly stand."""
     x_min, x_max, y_min, y_max = scene.area
     world = scene.scenario

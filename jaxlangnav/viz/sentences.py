@@ -8,8 +8,8 @@ import numpy as np
 
 from jaxlangnav.language.lexicon import plural
 from jaxlangnav.messages import AT, NONE, REGIONS, Status
-from jaxlangnav.planner.graph import OBJECT
-from jaxlangnav.recording import Frame, Remark, Scene, missing_names
+from jaxlangnav.planner.graph import OBJECT_NODE
+from jaxlangnav.recording import Frame, Remark, StaticScene, missing_names
 from jaxlangnav.viz import summary
 from jaxlangnav.viz.words import (
     RELATION_WORDS,
@@ -66,7 +66,7 @@ def rests(frame: Frame) -> str:
     return f"Stands still{', as it was told' if is_halted else ' until it hears more'}."
 
 
-def commanded(scene: Scene, frame: Frame, before: Frame | None) -> str:
+def commanded(scene: StaticScene, frame: Frame, before: Frame | None) -> str:
     """Tell when the next command of the sentence begins.
 
     Returns:
@@ -77,7 +77,7 @@ def commanded(scene: Scene, frame: Frame, before: Frame | None) -> str:
     return f"Turns to command {int(frame.clause) + 1} of {scene.num_clauses}."
 
 
-def seen(scene: Scene, frame: Frame, before: Frame | None) -> str:
+def seen(scene: StaticScene, frame: Frame, before: Frame | None) -> str:
     """Tell the detections of a step, discoveries first."""
     new = new_objects(frame, before)
     if new:
@@ -115,7 +115,7 @@ def is_open(frame: Frame) -> bool:
     return float((frame.weight * frame.is_hypothesised.any(axis=0)).sum()) >= 0.1
 
 
-def reread(scene: Scene, frame: Frame, before: Frame | None) -> str:
+def reread(scene: StaticScene, frame: Frame, before: Frame | None) -> str:
     """Tell how what has been seen changes what the words are taken to mean.
 
     Returns:
@@ -130,7 +130,7 @@ def reread(scene: Scene, frame: Frame, before: Frame | None) -> str:
     return f"It now reads the words as: {claim} ({percent(now[claim])})."
 
 
-def claim_shares(scene: Scene, frame: Frame) -> dict[str, float]:
+def claim_shares(scene: StaticScene, frame: Frame) -> dict[str, float]:
     """Sum up which readings the particles believe in.
 
     Returns:
@@ -146,7 +146,7 @@ def claim_shares(scene: Scene, frame: Frame) -> dict[str, float]:
     return shares
 
 
-def goal_name(scene: Scene, frame: Frame, slot: int) -> str:
+def goal_name(scene: StaticScene, frame: Frame, slot: int) -> str:
     """Name the goal place at an observed object: "the hydrant", "the place behind the cone".
 
     Args:
@@ -167,7 +167,7 @@ def goal_name(scene: Scene, frame: Frame, slot: int) -> str:
     return f"the place {RELATION_WORDS[REGIONS[region]]} {thing}"
 
 
-def believed(scene: Scene, frame: Frame) -> str:
+def believed(scene: StaticScene, frame: Frame) -> str:
     """Tell where the goal is believed to be."""
     order = np.argsort(-frame.goal_mass)
     fitting = [int(slot) for slot in order if frame.goal_mass[slot] >= 0.05]
@@ -203,7 +203,7 @@ def stands(frame: Frame) -> str:
     return f"Stands still: {listed(fault_words(int(frame.fault)))}."
 
 
-def decided(scene: Scene, frame: Frame) -> str:
+def decided(scene: StaticScene, frame: Frame) -> str:
     """Tell what the robot does next, and why."""
     if bool(frame.is_stop):
         return _stopped(scene, frame)
@@ -220,27 +220,27 @@ def decided(scene: Scene, frame: Frame) -> str:
     return f"Heads for {target}{_reason(scene, frame)}."
 
 
-def goes_on(scene: Scene, frame: Frame) -> str:
+def goes_on(scene: StaticScene, frame: Frame) -> str:
     """Tell that the robot goes where it was going."""
     place = _place(frame, float(frame.waypoint[0]), float(frame.waypoint[1]))
     return f"Goes on to {_target(scene, frame)} {place}."
 
 
-def _target(scene: Scene, frame: Frame) -> str:
+def _target(scene: StaticScene, frame: Frame) -> str:
     """Name the waypoint."""
-    if int(frame.waypoint_kind) != OBJECT:
+    if int(frame.waypoint_kind) != OBJECT_NODE:
         return node_words(int(frame.waypoint_kind), scene.portrayal.place)
     x, y = frame.goal_x - frame.waypoint[0], frame.goal_y - frame.waypoint[1]
     return goal_name(scene, frame, int(np.argmin(np.where(frame.is_goal, x * x + y * y, np.inf))))
 
 
-def _reason(scene: Scene, frame: Frame) -> str:
+def _reason(scene: StaticScene, frame: Frame) -> str:
     """Tell why the chosen node is the best."""
     node = summary.chosen_node(frame)
     if node is None:
         return ""
     reason, of_object = scene.portrayal.reason, scene.portrayal.reason_object
-    if of_object is not None and int(frame.node_kind[node]) == OBJECT:
+    if of_object is not None and int(frame.node_kind[node]) == OBJECT_NODE:
         reason = of_object
     told = reason.format(
         number=len(summary.distinct_nodes(frame)),
@@ -250,7 +250,7 @@ def _reason(scene: Scene, frame: Frame) -> str:
     return f": {told}"
 
 
-def unseen(scene: Scene, frame: Frame) -> str:
+def unseen(scene: StaticScene, frame: Frame) -> str:
     """Name what the sentence speaks of and no look has shown.
 
     Returns:
@@ -260,7 +260,7 @@ def unseen(scene: Scene, frame: Frame) -> str:
     return " and ".join(f"no {name}" for name in missing)
 
 
-def _gives_up(scene: Scene, frame: Frame) -> str:
+def _gives_up(scene: StaticScene, frame: Frame) -> str:
     """Tell that the search has ended without a goal."""
     lack = unseen(scene, frame) or "nothing that fits the command"
     share = percent(summary.explored_share(frame))
@@ -270,7 +270,7 @@ def _gives_up(scene: Scene, frame: Frame) -> str:
     )
 
 
-def _stopped(scene: Scene, frame: Frame) -> str:
+def _stopped(scene: StaticScene, frame: Frame) -> str:
     """Tell why it stops."""
     is_find = float(frame.action[1]) > 0.5
     where = "in view" if is_find else f"within {float(scene.planner.reach):g} m"

@@ -10,7 +10,7 @@ import dataclasses
 import numpy as np
 
 from jaxlangnav.messages import NONE
-from jaxlangnav.recording import Frame, Scene
+from jaxlangnav.recording import Frame, StaticScene
 
 _LEAST_SHARE = 0.02
 """Objects that fewer particles believe in than this are left out of pictures."""
@@ -185,7 +185,7 @@ def distinct_nodes(frame: Frame) -> np.ndarray:
     return np.array(kept, int)
 
 
-def tested_share(scene: Scene, frame: Frame) -> float:
+def tested_share(scene: StaticScene, frame: Frame) -> float:
     """Compute how much belief the way to the waypoint puts to the test.
 
     Returns:
@@ -201,7 +201,7 @@ def tested_share(scene: Scene, frame: Frame) -> float:
     return float(frame.weight[is_seen.any(axis=0)].sum())
 
 
-def goal_field(scene: Scene, frame: Frame, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def goal_field(scene: StaticScene, frame: Frame, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Compute the QMDP value of standing anywhere (eq. 11, 12), not only on the nodes.
 
     Args:

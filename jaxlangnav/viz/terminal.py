@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.plain_text import Plain
-from jaxlangnav.recording import Frame, Recording, Remark, Scene, gather
+from jaxlangnav.recording import Frame, Recording, Remark, StaticScene, stack_frames
 from jaxlangnav.viz import narrative, style, summary
 from jaxlangnav.viz.words import percent
 
@@ -26,7 +26,7 @@ _CELL_SHAPE = 2.0
 """Height of a character over its width."""
 
 
-def letters(scene: Scene) -> dict[int, str]:
+def letters(scene: StaticScene) -> dict[int, str]:
     """Give each object type a letter of its own: the first of its name that is still free.
 
     Args:
@@ -42,7 +42,7 @@ def letters(scene: Scene) -> dict[int, str]:
     return taken
 
 
-def draw_map(scene: Scene, frame: Frame, *, width: int = 48) -> "Text":
+def draw_map(scene: StaticScene, frame: Frame, *, width: int = 48) -> "Text":
     """Draw a step as characters.
 
     Letters are observed objects (H a hydrant), shades where hypotheses lie, × the waypoint, an
@@ -86,7 +86,7 @@ def draw_map(scene: Scene, frame: Frame, *, width: int = 48) -> "Text":
 
 
 def _draw_frame(
-    scene: Scene,
+    scene: StaticScene,
     frame: Frame,
     before: Frame | None,
     step: int,
@@ -129,7 +129,7 @@ def _draw_frame(
 
 
 def watch(
-    scene: Scene,
+    scene: StaticScene,
     steps: Iterable[tuple[Frame, EpisodeResult]],
     *,
     said: Sequence[Remark] = (),
@@ -174,7 +174,7 @@ def watch(
                 time.sleep(seconds_per_step)
     if not results:
         raise ValueError("an episode needs at least one step")
-    return gather(first, frames, results[-1])
+    return stack_frames(first, frames, results[-1])
 
 
 def _ground(frame: Frame, width: int, height: int) -> tuple[list[list[str]], list[list[str]]]:
@@ -187,7 +187,9 @@ def _ground(frame: Frame, width: int, height: int) -> tuple[list[list[str]], lis
     return cells, [["grey78"] * width for _ in cells]
 
 
-def _shade(scene: Scene, frame: Frame, cells: list[list[str]], looks: list[list[str]]) -> None:
+def _shade(
+    scene: StaticScene, frame: Frame, cells: list[list[str]], looks: list[list[str]]
+) -> None:
     """Shade the cells in which hypotheses lie, in the colour of the type that weighs most."""
     x_min, x_max, y_min, y_max = scene.area
     height, width = len(cells), len(cells[0])

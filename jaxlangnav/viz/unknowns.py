@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from jaxlangnav.experiments.grid import Row
-from jaxlangnav.experiments.rows import NEAR, PAPER_RUNS, rate_error
+from jaxlangnav.experiments.rows import AGREEMENT, PAPER_RUNS, rate_error
 from jaxlangnav.studies.unknowns_tables import TITLE, row_name
 from jaxlangnav.viz import style
 
@@ -58,8 +58,8 @@ def unknowns_figure(document: Mapping[str, Any]) -> "Figure":
         style.title(
             figure,
             TITLE,
-            f"{document['policy']}, {document['episodes']} episodes a point, bars ± {NEAR:g} "
-            f"standard errors. Band: the paper's figure ± {NEAR:g} standard errors of "
+            f"{document['policy']}, {document['episodes']} episodes a point, bars ± {AGREEMENT:g} "
+            f"standard errors. Band: the paper's figure ± {AGREEMENT:g} standard errors of "
             f"{PAPER_RUNS} runs. Filled green: they agree.",
         )
     return figure
@@ -72,11 +72,11 @@ def _draw_panel(axes: "Axes", rows: Sequence[Row], printed: Row, key: str, name:
     else:
         error = printed["distance_sd"] / math.sqrt(PAPER_RUNS)
     value = printed[key]
-    axes.axvspan(value - NEAR * error, value + NEAR * error, color="#e6ecf1", zorder=0)
+    axes.axvspan(value - AGREEMENT * error, value + AGREEMENT * error, color="#e6ecf1", zorder=0)
     axes.axvline(value, color=style.INK, linewidth=0.9, linestyle=":", zorder=1)
     for place, row in enumerate(rows):
         is_near = row[f"is_{name}_near"]
-        half = NEAR * row[f"{name}_se"]
+        half = AGREEMENT * row[f"{name}_se"]
         # No rate is above 100 %.
         upper = min(half, 100.0 - row[key]) if name == "success" else half
         axes.errorbar(

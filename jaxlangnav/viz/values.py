@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxlangnav.messages import Status
-from jaxlangnav.recording import Frame, Recording, Scene
+from jaxlangnav.recording import Frame, Recording, StaticScene
 from jaxlangnav.viz import mapping, panels, style
 from jaxlangnav.viz.summary import SAME_PLACE, distinct_nodes, goal_field
 from jaxlangnav.viz.words import percent
@@ -210,7 +210,7 @@ def _norm(values: np.ndarray) -> "Normalize":
     return PowerNorm(0.7, vmin=low, vmax=max(high, low + 1e-6))
 
 
-def _draw_contours(axes: "Axes", scene: Scene, frame: Frame) -> "Normalize":
+def _draw_contours(axes: "Axes", scene: StaticScene, frame: Frame) -> "Normalize":
     """Draw lines of equal value over the whole area; return the scale of their colours."""
     x_min, x_max, y_min, y_max = scene.area
     x, y = np.meshgrid(np.linspace(x_min, x_max, 60), np.linspace(y_min, y_max, 80))

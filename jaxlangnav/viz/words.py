@@ -6,8 +6,8 @@ from collections.abc import Callable
 from jaxlangnav.grounding.asked import Asked
 from jaxlangnav.language.lexicon import plural
 from jaxlangnav.messages import AT, NONE, REGIONS, ROBOT, Fault, relation_name
-from jaxlangnav.planner.graph import OBJECT, VISITED
-from jaxlangnav.recording import Scene
+from jaxlangnav.planner.graph import OBJECT_NODE, VISITED
+from jaxlangnav.recording import StaticScene
 
 RELATION_WORDS = {
     "front": "in front of",
@@ -84,7 +84,7 @@ def node_words(kind: int, place: str) -> str:
     Returns:
         A noun with its article.
     """
-    if kind == OBJECT:
+    if kind == OBJECT_NODE:
         return "an object"
     if kind == VISITED:
         return "a place it has been"
@@ -155,7 +155,7 @@ def listed(parts: list[str]) -> str:
     return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
 
 
-def describe_reading(scene: Scene, index: int) -> str:
+def describe_reading(scene: StaticScene, index: int) -> str:
     """Say what a reading of the sentence claims of the world.
 
     Args:
@@ -175,7 +175,7 @@ def describe_reading(scene: Scene, index: int) -> str:
     return listed([_thing_words(scene, index, one) for one in heads]) if heads else "nothing"
 
 
-def _thing_words(scene: Scene, index: int, mention: int) -> str:
+def _thing_words(scene: StaticScene, index: int, mention: int) -> str:
     """Describe a thing that a reading mentions by its relations: "a hydrant behind a cone"."""
     readings = scene.readings
     types, relations = readings.mention_type[index], readings.relation[index]
@@ -205,7 +205,7 @@ def _thing_words(scene: Scene, index: int, mention: int) -> str:
     return thing(mention, ())
 
 
-def describe_asked(scene: Scene) -> list[str]:
+def describe_asked(scene: StaticScene) -> list[str]:
     """Say what each command asks for, by the likeliest reading.
 
     Args:
@@ -218,12 +218,12 @@ def describe_asked(scene: Scene) -> list[str]:
     return [_asked_words(scene, best, one) for one in scene.asks]
 
 
-def _score(scene: Scene) -> Callable[[int], float]:
+def _score(scene: StaticScene) -> Callable[[int], float]:
     """Rank readings by probability."""
     return lambda index: float(scene.readings.log_probability[index])
 
 
-def _asked_words(scene: Scene, best: int, one: Asked) -> str:
+def _asked_words(scene: StaticScene, best: int, one: Asked) -> str:
     """Say what one command asks for."""
 
     def place(region: int, mention: int) -> str:
@@ -247,7 +247,7 @@ def _definite(thing: str) -> str:
     return f"the {rest}" if first in ("a", "an") else thing
 
 
-def describe_readings(scene: Scene, *, least: float = 0.01) -> list[tuple[str, float]]:
+def describe_readings(scene: StaticScene, *, least: float = 0.01) -> list[tuple[str, float]]:
     """Say what the sentence may mean, readings of the same words added up.
 
     Args:

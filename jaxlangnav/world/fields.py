@@ -139,7 +139,8 @@ class Fields:
         if value not in choices:
             known = ", ".join(choices) or "none so far"
             raise self.fail(
-                name, f"is {shown(value)} but must be {what}: {known}{did_you_mean(value, choices)}"
+                name,
+                f"is {shown(value)} but must be {what}: {known}{closest_choice(value, choices)}",
             )
         return value
 
@@ -187,11 +188,11 @@ class Fields:
         allowed = sorted(self._read | set(known))
         for name in self._table:
             if name not in allowed:
-                hint = did_you_mean(cut(name), allowed)
+                hint = closest_choice(cut(name), allowed)
                 raise self.fail(name, f"is unknown: known keys are {', '.join(allowed)}{hint}")
 
 
-def did_you_mean(value: str, choices: Sequence[str]) -> str:
+def closest_choice(value: str, choices: Sequence[str]) -> str:
     """Suggest the closest choice, or nothing.
 
     Args:

@@ -17,10 +17,11 @@ clockwise from +x); the map frame is the file's own.
     y = 0.0
     heading = 0.0
 
-    [goal]                             # the intended goal: an object by its name, or x and y
+    [goal]                             # optional; an object by its name, or x and y: what counts
+                                       # as success of the instruction above
     object = "far hydrant"
 
-    [[objects]]                        # one to eight, within the area
+    [[objects]]                        # one to sixty-four, within the area
     type = "hydrant"                   # any noun
     name = "far hydrant"               # optional, unique
     x = 9.0
@@ -49,24 +50,30 @@ from typing import Any
 
 from jaxlangnav.files.documents import DocumentError, parse_json, parse_toml, read_text
 from jaxlangnav.plain_text import cut, shown
-from jaxlangnav.world.fields import WorldFileError, did_you_mean
-from jaxlangnav.world.reading import World, world_from_dict
-from jaxlangnav.world.scenario import NUM_SLOTS
+from jaxlangnav.world.fields import WorldFileError, closest_choice
+from jaxlangnav.world.reading import MOST_OBJECTS, WorldFile, world_from_dict
 from jaxlangnav.world.templates import TEMPLATE_NAMES, Template, parse_template
 from jaxlangnav.world.writing import save_world
 
-__all__ = ["World", "WorldFileError", "load_world", "open_world", "save_world", "shipped_worlds"]
+__all__ = [
+    "WorldFile",
+    "WorldFileError",
+    "load_world",
+    "open_world",
+    "save_world",
+    "shipped_worlds",
+]
 
-LARGEST_FILE = 256 * 1024
-"""Bytes of a world file; one of eight objects takes a thousand."""
+LARGEST_WORLD_FILE = 256 * 1024
+"""Bytes of a world file; one of sixty-four objects takes eight thousand."""
 
 
-def load_world(path: str | Path, *, num_slots: int = NUM_SLOTS) -> World:
+def load_world(path: str | Path, *, num_slots: int | None = None) -> WorldFile:
     """Read and check a world file.
 
     Args:
         path: a .toml or .json file.
-        num_slots: O, object slots of the scenario.
+        num_slots: O, object slots of the scenario; as many as its objects need if None.
 
     Returns:
         The world.
@@ -75,7 +82,9 @@ def load_world(path: str | Path, *, num_slots: int = NUM_SLOTS) -> World:
         WorldFileError: unreadable, or anything in it is wrong; one line that says what to do.
     """
     path = Path(path)
-    return world_from_dict(_read(path, num_slots), file=path.name, num_slots=num_slots)
+    return world_from_dict(
+        _read(path, num_slots or MOST_OBJECTS), file=path.name, num_slots=num_slots
+    )
 
 
 def shipped_worlds() -> tuple[str, ...]:
@@ -84,12 +93,12 @@ def shipped_worlds() -> tuple[str, ...]:
     return tuple(sorted(Path(entry.name).stem for entry in data.iterdir()))
 
 
-def open_world(text: str, *, num_slots: int = NUM_SLOTS) -> Template | World:
+def open_world(text: str, *, num_slots: int | None = None) -> Template | WorldFile:
     """Find what a person means by a world: a template, a shipped world, or a file.
 
     Args:
         text: "2H1C", the name of a shipped world, or the path of a .toml or .json file.
-        num_slots: O, object slots of a scenario read from a file.
+        num_slots: O, object slots of a scenario read from a file; as needed if None.
 
     Returns:
         A template to sample from, or a world.
@@ -108,21 +117,21 @@ def open_world(text: str, *, num_slots: int = NUM_SLOTS) -> Template | World:
     if text.strip()[:1].isdigit():
         return parse_template(text)
     shipped = ", ".join(shipped_worlds())
-    hint = did_you_mean(cut(text), (*shipped_worlds(), *TEMPLATE_NAMES))
+    hint = closest_choice(cut(text), (*shipped_worlds(), *TEMPLATE_NAMES))
     raise ValueError(
         f"unknown world {shown(text)}: give a template ({', '.join(TEMPLATE_NAMES)}), a shipped "
         f"world ({shipped}), or a .toml or .json file{hint}"
     )
 
 
-def _read(path: Path, num_slots: int) -> Any:
+def _read(path: Path, most: int) -> Any:
     """Read a file into tables, or say why not."""
     kind = path.suffix.lower()
     if kind not in (".toml", ".json"):
         raise WorldFileError(f"{path}: a world file's name must end in .toml or .json")
     try:
-        text = read_text(path, at_most=LARGEST_FILE)
-        _check_objects(text, path, num_slots)
+        text = read_text(path, at_most=LARGEST_WORLD_FILE)
+        _check_objects(text, path, most)
         return parse_toml(text) if kind == ".toml" else parse_json(text)
     except FileNotFoundError:
         raise WorldFileError(
@@ -136,10 +145,10 @@ def _read(path: Path, num_slots: int) -> Any:
         raise WorldFileError(str(error)) from None
 
 
-def _check_objects(text: str, path: Path, num_slots: int) -> None:
+def _check_objects(text: str, path: Path, most: int) -> None:
     """Refuse a world of too many objects before it is parsed: of a million that takes long."""
     number = f"\n{text}".count("\n[[objects]]")
-    if number > num_slots:
+    if number > most:
         raise WorldFileError(
-            f"{path.name}: objects has {number:,} entries but must have 1 to {num_slots}: remove"
+            f"{path.name}: objects has {number:,} entries but must have 1 to {most}: remove"
         )

@@ -11,12 +11,12 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.messages import Action, MotionParams, Status
-from jaxlangnav.world.motion import move
+from jaxlangnav.world.motion import carry_out
 from jaxlangnav.world.simulator import goal_distance, is_success, reset
 from jaxlangnav.world.state import Scenario, WorldState
 
 ARRIVAL = 0.05  # metres from the goal that count as being there
-MAX_STEPS = 200
+_MAX_STEPS = 200
 
 
 class _Drive(NamedTuple):
@@ -57,7 +57,7 @@ def drive_known_map(
 
     def is_under_way(drive: _Drive) -> Array:
         far = goal_distance(drive.state, scenario) > ARRIVAL
-        return far & (drive.num_steps < MAX_STEPS)
+        return far & (drive.num_steps < _MAX_STEPS)
 
     def advance(drive: _Drive) -> _Drive:
         # It is localised in its map, so it steers by the true offset.
@@ -71,7 +71,7 @@ def drive_known_map(
             clearance=jnp.float32(0.0),
         )
         key_step = jax.random.fold_in(key, drive.num_steps)
-        state = move(key_step, drive.state, action, motion)
+        state = carry_out(key_step, drive.state, action, motion)
         return _Drive(state=state, num_steps=drive.num_steps + 1)
 
     start = _Drive(state=reset(scenario), num_steps=jnp.int32(0))

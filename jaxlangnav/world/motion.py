@@ -26,7 +26,7 @@ class Body(Protocol):
     def move(
         self, key: Array, state: WorldState, action: Action, motion: MotionParams
     ) -> WorldState:
-        """Carry out one decision cycle's step; see ``motion.move`` for the holonomic one."""
+        """Carry out one decision cycle's step; see ``carry_out`` for the holonomic one."""
         ...
 
 
@@ -37,14 +37,14 @@ class Holonomic:
     def move(
         self, key: Array, state: WorldState, action: Action, motion: MotionParams
     ) -> WorldState:
-        """Carry out one decision cycle's step, see ``move``."""
-        return move(key, state, action, motion)
+        """Carry out one decision cycle's step, see ``carry_out``."""
+        return carry_out(key, state, action, motion)
 
 
 HOLONOMIC = Holonomic()
 
 
-def move(key: Array, state: WorldState, action: Action, motion: MotionParams) -> WorldState:
+def carry_out(key: Array, state: WorldState, action: Action, motion: MotionParams) -> WorldState:
     """Carry out one decision cycle's step.
 
         x' = x + R(e) u + N(0, (ε |u|)²) per axis,   odometry' = odometry + u

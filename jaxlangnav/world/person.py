@@ -50,7 +50,7 @@ class PersonParams:
 
 
 @pytree
-class Seen:
+class RobotView:
     """What the person is shown of the robot; O slots of things that it speaks of."""
 
     step: Array  # i32[] decision
@@ -120,7 +120,7 @@ def unspoken() -> Person:
     )
 
 
-def _is_goal(seen: Seen, scenario: Scenario) -> Array:
+def _is_goal(seen: RobotView, scenario: Scenario) -> Array:
     """Take each place for the true object nearest to it: is that the goal, bool[O]?"""
     away = jnp.hypot(
         seen.x[:, None] - scenario.object_x[None], seen.y[:, None] - scenario.object_y[None]
@@ -130,7 +130,7 @@ def _is_goal(seen: Seen, scenario: Scenario) -> Array:
 
 
 def say(
-    key: Array, person: Person, seen: Seen, scenario: Scenario, *, params: PersonParams
+    key: Array, person: Person, seen: RobotView, scenario: Scenario, *, params: PersonParams
 ) -> tuple[Person, Array, Array]:
     """Decide what to say before the robot's next decision.
 
@@ -173,7 +173,7 @@ def say(
 
 def _answer(
     keys: tuple[Array, Array],
-    seen: Seen,
+    seen: RobotView,
     is_right: Array,
     scenario: Scenario,
     error_rate: Array,

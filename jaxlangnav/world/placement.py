@@ -17,7 +17,7 @@ from jaxlangnav.relations import to_map, viewer_frame
 from jaxlangnav.world.templates import MAX_CONES, MAX_HYDRANTS, RELATION_NAMES
 
 AREA_SIGMAS = 2.5
-BEARING_MAX = math.pi / 4
+OBJECT_BEARING_MAX = math.pi / 4
 SEPARATION = 4.0  # metres between objects that do not belong together
 CONE_DISTANCE_MIN = 1.5  # metres from the cone to its hydrant
 CONE_DISTANCE_MAX = 3.5
@@ -25,7 +25,7 @@ NEAREST_DISTANCE_MAX = 3.0
 LATERAL_SD = 0.4
 WEDGE_COSINE = math.cos(math.pi / 4)
 NUM_FREE = MAX_CONES - 1
-NULL, BEHIND, NEAREST = range(len(RELATION_NAMES))
+NULL, _BEHIND, _NEAREST = range(len(RELATION_NAMES))
 
 
 @pytree
@@ -69,7 +69,7 @@ def area_depth(law: ScenarioLaw) -> Array:
     return law.range_mean + AREA_SIGMAS * law.range_sd
 
 
-def place(key: Array, law: ScenarioLaw, num_candidates: int) -> Placement:
+def try_placement(key: Array, law: ScenarioLaw, num_candidates: int) -> Placement:
     """Try once to build a world.
 
     Args:
@@ -106,7 +106,7 @@ def _place_anchor_cones(
         candidate = _beside(own, draws.offset[:, index])
         is_only = is_behind(own, candidate) & ~_has_behind(candidate, hydrant, rest)
         is_fit = _is_inside(candidate, area_depth(law)) & _is_clear(candidate, hydrant, rest)
-        is_fit &= is_only | (law.relation == NEAREST)
+        is_fit &= is_only | (law.relation == _NEAREST)
         is_met &= jnp.any(is_fit) | ~is_hydrant[index] | (law.num_cones == 0)
         cones.append(candidate[:, jnp.argmax(is_fit)])
     return jnp.stack(cones, axis=1), is_met
@@ -123,7 +123,7 @@ def _place_free_cones(
     for index in range(NUM_FREE):
         point = draws.point[:, MAX_HYDRANTS + index]
         candidate = _beside(point, draws.offset[:, MAX_HYDRANTS + index])
-        is_stray = _has_behind(candidate, hydrant, is_hydrant) & (law.relation != NEAREST)
+        is_stray = _has_behind(candidate, hydrant, is_hydrant) & (law.relation != _NEAREST)
         is_fit = _is_inside(point, depth) & _is_inside(candidate, depth) & ~is_stray
         is_fit &= _is_clear(candidate, placed, is_placed)
         is_used = index < law.num_cones - 1
@@ -138,10 +138,10 @@ def _draw(key: Array, law: ScenarioLaw, num_candidates: int) -> _Draws:
     shape = (MAX_HYDRANTS + NUM_FREE, num_candidates)
     drawn = batching.uniforms(jax.random.split(key, 5), math.prod(shape)).reshape(5, *shape)
     distance = law.range_mean + law.range_sd * batching.normal(drawn[0])
-    bearing = batching.between(drawn[1], -BEARING_MAX, BEARING_MAX)
+    bearing = batching.between(drawn[1], -OBJECT_BEARING_MAX, OBJECT_BEARING_MAX)
     point = jnp.stack([distance * jnp.cos(bearing), distance * jnp.sin(bearing)])
 
-    is_nearest = law.relation == NEAREST
+    is_nearest = law.relation == _NEAREST
     gap_max = jnp.where(is_nearest, NEAREST_DISTANCE_MAX, CONE_DISTANCE_MAX)
     gap = CONE_DISTANCE_MIN + (gap_max - CONE_DISTANCE_MIN) * drawn[2]
     direction = batching.between(drawn[3], -math.pi, math.pi)

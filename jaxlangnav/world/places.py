@@ -28,12 +28,12 @@ NUM_HAUNTED = 4
 """G, places at which a detector may be apt to see what is not there."""
 NUM_TYPES = 8
 """T, types of the shipped lexicon, that a detector tells apart; bystanders are of all but two."""
-NUM_CANDIDATES = 32
+_NUM_CANDIDATES = 32
 """Places tried at once for each thing."""
 OWN_GAP = 0.9  # metres from goal and cone to anything else
 PAIR_GAP = (1.2, 2.8)  # metres from the cone to the goal
 TURN_SD = 0.25  # radians
-MARGIN = 0.5  # metres from the border, of all things
+BORDER_MARGIN = 0.5  # metres from the border, of all things
 PASSING_DISTANCE, PASSING_COSINE = 5.0, 0.3
 _NEAREST = 1.5
 
@@ -73,7 +73,7 @@ def draw_place(key: Array, law: PlaceLaw, *, num_slots: int = NUM_THINGS) -> Sce
     kind, is_object = _kinds(kind_key, law, num_slots)
     first = jnp.stack([goal, cone], axis=1)
     placed = jnp.pad(first, ((0, 0), (0, num_slots - 2)))
-    tried = _anywhere(thing_key, law.area, (num_slots, NUM_CANDIDATES))
+    tried = _anywhere(thing_key, law.area, (num_slots, _NUM_CANDIDATES))
 
     def put(index: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
         placed, is_met = carry
@@ -119,7 +119,7 @@ def passes_for(figure: Array, cone: Array, side: Array) -> Array:
 def _draw_pair(key: Array, law: PlaceLaw) -> tuple[Array, Array, Array]:
     """Place the goal and its cone: f32[2] each, and whether a place was found, bool[]."""
     place_key, gap_key, turn_key = jax.random.split(key, 3)
-    cone = _anywhere(place_key, law.area, (8 * NUM_CANDIDATES,))
+    cone = _anywhere(place_key, law.area, (8 * _NUM_CANDIDATES,))
     uniform = jax.random.uniform(gap_key, cone.shape[1:])
     gap = PAIR_GAP[0] + (PAIR_GAP[1] - PAIR_GAP[0]) * uniform
     bearing = jnp.arctan2(cone[1], cone[0])
@@ -178,15 +178,15 @@ def _errors(key: Array, law: PlaceLaw) -> Errors:
 
 def _anywhere(key: Array, area: Array, shape: tuple[int, ...]) -> Array:
     """Draw places evenly from the area but for its border, f32[2, *shape] metres."""
-    low = area[0::2].reshape(2, *(1,) * len(shape)) + MARGIN
-    high = area[1::2].reshape(2, *(1,) * len(shape)) - MARGIN
+    low = area[0::2].reshape(2, *(1,) * len(shape)) + BORDER_MARGIN
+    high = area[1::2].reshape(2, *(1,) * len(shape)) - BORDER_MARGIN
     return low + (high - low) * jax.random.uniform(key, (2, *shape))
 
 
 def _is_inside(point: Array, area: Array) -> Array:
     """Tell which places f32[2, K] are in the area and not on its border."""
-    is_in = (point[0] >= area[0] + MARGIN) & (point[0] <= area[1] - MARGIN)
-    return is_in & (point[1] >= area[2] + MARGIN) & (point[1] <= area[3] - MARGIN)
+    is_in = (point[0] >= area[0] + BORDER_MARGIN) & (point[0] <= area[1] - BORDER_MARGIN)
+    return is_in & (point[1] >= area[2] + BORDER_MARGIN) & (point[1] <= area[3] - BORDER_MARGIN)
 
 
 def place_law(

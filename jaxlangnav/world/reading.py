@@ -22,23 +22,25 @@ from jaxlangnav.messages import (
     default_sensor,
 )
 from jaxlangnav.plain_text import LONGEST_NAME, cut, printable, shown
+from jaxlangnav.sensing import SLOTS
 from jaxlangnav.world.fields import Fields
-from jaxlangnav.world.scenario import NUM_SLOTS
 from jaxlangnav.world.state import Scenario
 
-Place = tuple[float, float]
+Point = tuple[float, float]
 Bounds = tuple[float, float, float, float]
 """x_min, x_max, y_min, y_max, metres."""
 _NARROWEST = 0.1
 """Metres that an area measures at least, each way."""
 _LEAST_VIEW = 0.1
 """Degrees of the narrowest field of view."""
+MOST_OBJECTS = SLOTS[-1]
+"""Objects of a world file: as many as may be in view."""
 _LONGEST_INSTRUCTION = 1000
 """Characters of a sentence in a world file."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class World:
+class WorldFile:
     """What a world file holds, ready for the simulator."""
 
     name: str
@@ -46,6 +48,8 @@ class World:
     sensor: SensorParams
     motion: MotionParams
     instruction: str | None = None
+    has_goal: bool = True
+    """Whether it says what counts as success; else the scenario's goal is its start."""
     object_names: tuple[str, ...] = ()
     """One per slot, empty where the object has no name."""
     type_names: tuple[str, ...] = dataclasses.field(
@@ -56,13 +60,14 @@ class World:
     """What the detector reports of things besides their type: groups of ``kinds.ATTRIBUTES``."""
 
 
-def world_from_dict(table: Any, *, file: str, num_slots: int = NUM_SLOTS) -> World:
+def world_from_dict(table: Any, *, file: str, num_slots: int | None = None) -> WorldFile:
     """Check tables of the world format and build the world.
 
     Args:
         table: the tables, as read.
         file: the file's name, for messages.
-        num_slots: O, object slots of the scenario.
+        num_slots: O, object slots of the scenario; if None the least of ``sensing.SLOTS`` that
+            holds its objects, so that worlds of like sizes share their compiled programs.
 
     Returns:
         The world.
@@ -81,22 +86,28 @@ def world_from_dict(table: Any, *, file: str, num_slots: int = NUM_SLOTS) -> Wor
         fields.close()
     elif not (area[0] <= 0.0 <= area[1] and area[2] <= 0.0 <= area[3]):
         raise top.fail("start", "is missing, and its default 0, 0 lies outside the area: add it")
-    things = _read_objects(top, area, num_slots)
+    things = _read_objects(top, area, num_slots or MOST_OBJECTS)
     names = things.names
-    goal, goal_index = _read_goal(top.table("goal"), area, names, things.places)
-    world = World(
+    if num_slots is None:
+        num_slots = next(size for size in SLOTS if size >= len(names))
+    has_goal = top.has("goal")
+    goal, goal_index = (
+        _read_goal(top.table("goal"), area, names, things.places) if has_goal else (start[:2], NONE)
+    )
+    world = WorldFile(
         name=top.text("name", default=Path(file).stem),
         instruction=_read_instruction(top),
         scenario=_to_scenario(things, goal, goal_index, start, area, num_slots),
         sensor=_read_sensor(top.table("sensor")) if top.has("sensor") else default_sensor(),
         motion=_read_motion(top.table("motion")) if top.has("motion") else default_motion(),
+        has_goal=has_goal,
         object_names=(*names, *[""] * (num_slots - len(names))),
         type_names=tuple(things.type_names),
         attribute_groups=tuple(
             group for group in ATTRIBUTES if any(group in looks for looks in things.looks)
         ),
     )
-    top.close("start", "sensor", "motion", "name", "instruction")
+    top.close("start", "goal", "sensor", "motion", "name", "instruction")
     return world
 
 
@@ -116,7 +127,7 @@ def _read_area(fields: Fields) -> Bounds:
     return x_min, x_max, y_min, y_max
 
 
-def _read_place(fields: Fields, area: Bounds, *, default: float | None = None) -> Place:
+def _read_place(fields: Fields, area: Bounds, *, default: float | None = None) -> Point:
     """Read x and y and require them to lie in the area."""
     place = fields.number("x", default=default), fields.number("y", default=default)
     for name, value, low, high in zip("xy", place, area[::2], area[1::2], strict=True):
@@ -136,14 +147,14 @@ class _Things:
     type_names: list[str]
     types: list[int] = dataclasses.field(default_factory=list)
     names: list[str] = dataclasses.field(default_factory=list)
-    places: list[Place] = dataclasses.field(default_factory=list)
+    places: list[Point] = dataclasses.field(default_factory=list)
     looks: list[dict[str, str]] = dataclasses.field(default_factory=list)
 
 
-def _read_objects(top: Fields, area: Bounds, num_slots: int) -> _Things:
+def _read_objects(top: Fields, area: Bounds, most: int) -> _Things:
     """Read the objects: types, names (empty where there is none), places and attributes."""
     things = _Things(list(load_lexicon().type_names))
-    for fields in top.tables("objects", least=1, most=num_slots):
+    for fields in top.tables("objects", least=1, most=most):
         things.types.append(_read_type(fields, things.type_names))
         name = fields.text("name") if fields.has("name") else ""
         if name and name in things.names:
@@ -179,8 +190,8 @@ def _read_goal(
     fields: Fields,
     area: Bounds,
     names: list[str],
-    places: list[Place],
-) -> tuple[Place, int]:
+    places: list[Point],
+) -> tuple[Point, int]:
     """Read the goal: its place, and the slot of its object or NONE."""
     if fields.has("object"):
         known = [name for name in names if name]
@@ -228,7 +239,7 @@ def _read_motion(fields: Fields) -> MotionParams:
 
 def _to_scenario(
     things: _Things,
-    goal: Place,
+    goal: Point,
     goal_index: int,
     start: tuple[float, float, float],
     area: Bounds,

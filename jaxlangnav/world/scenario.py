@@ -28,7 +28,7 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.messages import NONE
-from jaxlangnav.world.placement import NULL, Placement, ScenarioLaw, area_depth, place
+from jaxlangnav.world.placement import NULL, Placement, ScenarioLaw, area_depth, try_placement
 from jaxlangnav.world.state import CONE, HYDRANT, Scenario
 from jaxlangnav.world.templates import (
     MAX_CONES,
@@ -105,9 +105,8 @@ def sample_scenario(
     return draw_scenario(key, scenario_law(template=record, relation=relation), num_slots=num_slots)
 
 
-def empty_scenario() -> Scenario:
-    """Build a place without objects, on the host; of the shapes of a drawn one."""
-    number = NUM_SLOTS
+def empty_scenario(number: int = NUM_SLOTS) -> Scenario:
+    """Build a place without objects, on the host; of the shapes of one with so many slots."""
     fields: dict[str, Any] = {
         "object_type": np.full(number, NONE, np.int32),
         "object_x": np.zeros(number, np.float32),
@@ -145,7 +144,7 @@ def draw_scenario(
     """
     key_place, key_lot = jax.random.split(key)
     keys = jax.random.split(key_place, num_attempts)
-    attempts = jax.vmap(place, in_axes=(0, None, None))(keys, law, num_candidates)
+    attempts = jax.vmap(try_placement, in_axes=(0, None, None))(keys, law, num_candidates)
     chosen = jax.tree.map(lambda leaf: leaf[jnp.argmax(attempts.is_met)], attempts)
     lots = (jax.random.uniform(key_lot, (2,)) * law.num_hydrants).astype(jnp.int32)
     anchor, other = jnp.minimum(lots, law.num_hydrants - 1)

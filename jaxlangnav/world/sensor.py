@@ -14,6 +14,7 @@ from jax import Array
 
 from jaxlangnav.messages import NONE, Observation, SensorParams
 from jaxlangnav.numerics import batching
+from jaxlangnav.pytree import replace
 from jaxlangnav.world.errors import fresh_ghosts, haunting_ghosts, labels_read, located
 from jaxlangnav.world.state import Scenario, WorldState
 
@@ -36,7 +37,8 @@ def sense(
 
     Limits: no noise and probability 1 report exactly what ``visible`` shows; probability 0
     reports nothing but what is invented. The order is that of the reported ranges, so that slots
-    of the true world do not show through; of more objects than D the nearest are kept.
+    of the true world do not show through; of more objects than D the nearest are kept, and the
+    observation says that it reaches no farther than they do: what is left out is not absent.
 
     Args:
         key: random key.
@@ -72,13 +74,18 @@ def sense(
     nearest = jnp.argsort(distance)
     order = jnp.pad(nearest, (0, max(0, num_detections - nearest.size)))[:num_detections]
     is_detection = is_found[order] & (jnp.arange(num_detections) < nearest.size)
+    told = sensor if told is None else told
+    if nearest.size > num_detections:
+        # Infinite where nothing has been left out.
+        reach = jnp.minimum(told.range_max, distance[nearest[num_detections]])
+        told = replace(told, range_max=reach)
     return Observation(
         pose=state.odometry,
         detection_type=jnp.where(is_detection, kind[order], NONE),
         detection_range=jnp.where(is_detection, distance[order], 0.0),
         detection_bearing=jnp.where(is_detection, jnp.arctan2(y, x)[order], 0.0),
         is_detection=is_detection,
-        sensor=sensor if told is None else told,
+        sensor=told,
         detection_attribute=_attributes_seen(scenario, order, is_detection),
     )
 

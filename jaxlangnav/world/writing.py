@@ -12,11 +12,11 @@ from jaxlangnav.files.whole import write_text
 from jaxlangnav.kinds import group_of, words_of
 from jaxlangnav.messages import DRIFTS
 from jaxlangnav.world.fields import WorldFileError
-from jaxlangnav.world.reading import World
+from jaxlangnav.world.reading import WorldFile
 from jaxlangnav.world.state import Scenario
 
 
-def save_world(world: World, path: str | Path) -> None:
+def save_world(world: WorldFile, path: str | Path) -> None:
     """Write a world file; a sampled scenario becomes a file that people can edit.
 
     Args:
@@ -38,7 +38,7 @@ def save_world(world: World, path: str | Path) -> None:
         raise WorldFileError(f"{path}: cannot be written: {error.strerror}") from None
 
 
-def world_to_dict(world: World) -> dict[str, Any]:
+def world_to_dict(world: WorldFile) -> dict[str, Any]:
     """Turn a world into tables of the world format.
 
     Args:
@@ -75,7 +75,7 @@ def world_to_dict(world: World) -> dict[str, Any]:
             "y": _length(scenario.start[1]),
             "heading": _degrees(scenario.start[2]),
         },
-        "goal": goal,
+        **({"goal": goal} if world.has_goal else {}),
         "sensor": {
             "range": _length(world.sensor.range_max),
             "field_of_view": _degrees(world.sensor.field_of_view),
@@ -103,7 +103,7 @@ def _looks(scenario: Scenario, slot: int) -> dict[str, str]:
     return {str(group_of(word)): word for word in words}
 
 
-def _object_names(world: World) -> list[str]:
+def _object_names(world: WorldFile) -> list[str]:
     """List the names per slot; the goal object is given one if it has none."""
     names = [*world.object_names, *[""] * (world.scenario.is_object.size)]
     goal_index = int(world.scenario.goal_index)

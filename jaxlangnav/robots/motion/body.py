@@ -4,7 +4,7 @@ import dataclasses
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Body:
+class BodyLimits:
     """A body that drives ahead and turns about its middle."""
 
     name: str

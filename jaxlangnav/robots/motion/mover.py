@@ -10,7 +10,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from jaxlangnav.robots.motion.body import Body
+from jaxlangnav.robots.motion.body import BodyLimits
 from jaxlangnav.robots.motion.path import find_path, inflate, is_clear
 from jaxlangnav.robots.motion.scan import NO_DISCS
 from jaxlangnav.robots.robot import Progress
@@ -60,7 +60,7 @@ class Steering(Protocol):
         discs: np.ndarray,
         *,
         top_speed: float,
-        body: Body,
+        body: BodyLimits,
     ) -> WheelCommand:
         """Choose a command.
 
@@ -81,7 +81,7 @@ class Steering(Protocol):
 class Mover:
     """A motion planner: A* on inflated discs before a way of steering."""
 
-    def __init__(self, body: Body, steering: Steering) -> None:
+    def __init__(self, body: BodyLimits, steering: Steering) -> None:
         """Build one that stands still.
 
         Args:
@@ -237,7 +237,7 @@ def wrap(angle: float) -> float:
     return math.remainder(angle, 2.0 * math.pi)
 
 
-def turn_by(angle: float, body: Body) -> WheelCommand:
+def turn_by(angle: float, body: BodyLimits) -> WheelCommand:
     """Turn on the spot, slowing down in time.
 
     Args:
@@ -251,7 +251,7 @@ def turn_by(angle: float, body: Body) -> WheelCommand:
     return WheelCommand(0.0, math.copysign(rate, angle))
 
 
-def braked(speed: float, room: float, body: Body) -> float:
+def braked(speed: float, room: float, body: BodyLimits) -> float:
     """Limit a speed so that the body can stop within a room.
 
     Args:
@@ -265,7 +265,7 @@ def braked(speed: float, room: float, body: Body) -> float:
     return min(speed, math.sqrt(1.6 * body.acceleration * max(room, 0.0)))
 
 
-def room_ahead(pose: np.ndarray, discs: np.ndarray, body: Body) -> float:
+def room_ahead(pose: np.ndarray, discs: np.ndarray, body: BodyLimits) -> float:
     """Measure how far the body can go straight ahead before it touches a thing.
 
     Args:
@@ -289,7 +289,7 @@ def room_ahead(pose: np.ndarray, discs: np.ndarray, body: Body) -> float:
     return float(max((ahead[is_ahead] - depth).min(), 0.0))
 
 
-def _limited(wanted: WheelCommand, moving: WheelCommand, body: Body) -> WheelCommand:
+def _limited(wanted: WheelCommand, moving: WheelCommand, body: BodyLimits) -> WheelCommand:
     """Keep a command within the body's speed and acceleration."""
     speed = min(max(wanted.speed, -body.top_speed), body.top_speed)
     turn = min(max(wanted.turn, -body.turn_rate), body.turn_rate)

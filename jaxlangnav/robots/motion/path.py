@@ -12,7 +12,7 @@ import numpy as np
 
 CELL = 0.15
 """Metres, side of a grid cell."""
-MARGIN = 3.0
+DETOUR_MARGIN = 3.0
 """Metres of room that a way may take beyond the box of start and goal."""
 _STEPS = [(dx, dy, math.hypot(dx, dy)) for dx in (-1, 0, 1) for dy in (-1, 0, 1) if dx or dy]
 _ALIVE = 0.08
@@ -83,8 +83,8 @@ def find_path(start: np.ndarray, goal: np.ndarray, discs: np.ndarray) -> np.ndar
     """
     if is_clear(start, goal, discs):
         return goal[None]
-    low = np.minimum(start, goal) - MARGIN
-    shape = np.ceil((np.maximum(start, goal) + MARGIN - low) / CELL).astype(int)
+    low = np.minimum(start, goal) - DETOUR_MARGIN
+    shape = np.ceil((np.maximum(start, goal) + DETOUR_MARGIN - low) / CELL).astype(int)
     x = low[0] + CELL * (np.arange(shape[0]) + 0.5)
     y = low[1] + CELL * (np.arange(shape[1]) + 0.5)
     is_free = np.ones(shape, bool)

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from jaxlangnav.robots.motion.body import Body
+from jaxlangnav.robots.motion.body import BodyLimits
 from jaxlangnav.robots.motion.mover import WheelCommand, braked, room_ahead, turn_by, wrap
 from jaxlangnav.robots.motion.path import is_clear
 
@@ -35,7 +35,7 @@ class Pursuit:
         discs: np.ndarray,
         *,
         top_speed: float,
-        body: Body,
+        body: BodyLimits,
     ) -> WheelCommand:
         """Choose a command, see ``Steering``."""
         target = pursued(pose, way, self.ahead, discs, body)
@@ -56,7 +56,7 @@ class Pursuit:
 
 
 def pursued(
-    pose: np.ndarray, way: np.ndarray, ahead: float, discs: np.ndarray, body: Body
+    pose: np.ndarray, way: np.ndarray, ahead: float, discs: np.ndarray, body: BodyLimits
 ) -> np.ndarray:
     """Choose the point of a way to head for: so far ahead, or nearer where a thing is in between.
 

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from jaxlangnav.robots.motion.body import Body
+from jaxlangnav.robots.motion.body import BodyLimits
 from jaxlangnav.robots.motion.mover import WheelCommand, braked, turn_by, wrap
 from jaxlangnav.robots.motion.pursuit import pursued
 from jaxlangnav.robots.motion.scan import gaps
@@ -43,7 +43,7 @@ class Window:
         discs: np.ndarray,
         *,
         top_speed: float,
-        body: Body,
+        body: BodyLimits,
     ) -> WheelCommand:
         """Choose a command, see ``Steering``."""
         target = pursued(pose, way, self.ahead, discs, body)

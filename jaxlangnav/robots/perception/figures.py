@@ -23,9 +23,9 @@ from jaxlangnav.world.state import HYDRANT
 RATE, NOISE = 0.95, 0.05
 """Detection rate within the gates, and standard deviation of a thing's place, metres each axis:
 ``measure_detector`` at ranges of 1.25 to 4 m, rounded to the cautious side."""
-RANGES = (1.25, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0)
+MEASURED_RANGES = (1.25, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0)
 """Metres."""
-TURNS = (0.0, 15.0, 30.0, 45.0)
+MEASURED_TURNS = (0.0, 15.0, 30.0, 45.0)
 """Degrees between the line of sight and the nearest side's normal; 45 is a cube's corner."""
 PICTURES = {"clean": (0.0, 0.0), "as told": (Wear().grain, Wear().blur), "bad": (12.0, 1.6)}
 """Grain, grey levels, and blur, pixels."""
@@ -66,8 +66,8 @@ def as_told(gates: Gates) -> SensorParams:
 def measure_detector(
     *,
     looks: int = 6,
-    ranges: Sequence[float] = RANGES,
-    turns: Sequence[float] = TURNS,
+    ranges: Sequence[float] = MEASURED_RANGES,
+    turns: Sequence[float] = MEASURED_TURNS,
     pictures: Sequence[str] = tuple(PICTURES),
     seed: int = 0,
     on_progress: Callable[[int], None] = lambda done: None,
@@ -155,7 +155,7 @@ def _look(
     )
 
 
-def table(figures: Sequence[Figure]) -> tuple[list[str], list[list[str]]]:
+def tabulate(figures: Sequence[Figure]) -> tuple[list[str], list[list[str]]]:
     """Lay figures out for people: a row for each picture and range, a column for each turn.
 
     Args:

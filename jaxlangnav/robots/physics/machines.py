@@ -8,7 +8,7 @@ import dataclasses
 
 import numpy as np
 
-from jaxlangnav.robots.motion.body import Body
+from jaxlangnav.robots.motion.body import BodyLimits
 from jaxlangnav.robots.motion.mover import Steering
 from jaxlangnav.robots.motion.pursuit import Pursuit
 from jaxlangnav.robots.motion.window import Window
@@ -18,7 +18,7 @@ from jaxlangnav.robots.motion.window import Window
 class Machine:
     """A robot: its body, its wheels, and how it steers."""
 
-    body: Body
+    body: BodyLimits
     steering: Steering
     wheel_radius: float
     """Metres, as the loaded wheel rolls: the Husky's soft tyres sink in a little."""
@@ -51,7 +51,7 @@ class Wear:
 
 MACHINES = {
     "husky": Machine(
-        body=Body(
+        body=BodyLimits(
             name="husky",
             radius=0.5 * float(np.hypot(0.99, 0.67)),
             speed=0.6,
@@ -67,7 +67,7 @@ MACHINES = {
         camera_ahead=0.05,
     ),
     "wheelchair": Machine(
-        body=Body(
+        body=BodyLimits(
             name="wheelchair",
             radius=0.59,
             speed=0.5,

@@ -13,7 +13,7 @@ from jaxlangnav.robots import libraries
 from jaxlangnav.robots.motion.mover import TICK, Mover, Steering, WheelCommand
 from jaxlangnav.robots.perception.tags import Camera, Gates, Tag, degrade, find_tags, to_detections
 from jaxlangnav.robots.physics.machines import MACHINES, Wear
-from jaxlangnav.robots.physics.scene import OUT_OF_SIGHT, TIMESTEP, build
+from jaxlangnav.robots.physics.scene import OUT_OF_SIGHT, TIMESTEP, compile_scene
 from jaxlangnav.robots.robot import Detection
 from jaxlangnav.robots.simulated import BEAMS, SCAN_RANGE, SimulatedRobot
 from jaxlangnav.world.state import Scenario
@@ -76,7 +76,7 @@ class PhysicsRobot(SimulatedRobot):
         self._random = np.random.default_rng(seed)
         self._scale = 1.0 + self._wear.wheel_scale * self._random.standard_normal()
         self._bias = self._wear.gyro_bias * self._random.standard_normal()
-        self.scene = build(machine, scenario, seed=seed)
+        self.scene = compile_scene(machine, scenario, seed=seed)
         model = self.scene.model
         names = [model.actuator(index).name for index in range(model.nu)]
         self._side = np.array([1.0 if name.startswith("left") else -1.0 for name in names])

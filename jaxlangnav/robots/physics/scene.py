@@ -27,7 +27,7 @@ _SIDES = ("front", "left", "back", "right")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Scene:
+class PhysicsScene:
     """A compiled place."""
 
     model: Any
@@ -76,7 +76,7 @@ class Scene:
             self.model.geom_rgba[geom] = _COVERED
 
 
-def build(robot: str, scenario: Scenario, *, seed: int) -> Scene:
+def compile_scene(robot: str, scenario: Scenario, *, seed: int) -> PhysicsScene:
     """Build a place with a robot in it.
 
     Args:
@@ -107,7 +107,7 @@ def build(robot: str, scenario: Scenario, *, seed: int) -> Scene:
     data.qpos[:2] = x, y
     data.qpos[3:7] = np.cos(0.5 * heading), 0.0, 0.0, np.sin(0.5 * heading)
     mujoco.mj_forward(model, data)
-    return Scene(model=model, data=data, slots=slots)
+    return PhysicsScene(model=model, data=data, slots=slots)
 
 
 def _set_up(spec: Any, mujoco: Any) -> None:

@@ -32,7 +32,7 @@ from jaxlangnav.robots.ros2.conversions import (
 )
 from jaxlangnav.robots.ros2.inbox import Inbox
 from jaxlangnav.robots.ros2.libraries import ros
-from jaxlangnav.robots.ros2.tags import Look, TagLooks, TagSetup
+from jaxlangnav.robots.ros2.tags import StampedDetections, TagLooks, TagSetup
 
 _TURN = 0.05
 """Seconds that are waited for a message at most, before it is asked what the time is."""
@@ -197,7 +197,7 @@ class RosBus:
         )
         self.inbox.add_odometry(seconds_of(stamp), pose)
 
-    def _taking(self, read: Callable[[Any], Look | None]) -> Callable[[Any], None]:
+    def _taking(self, read: Callable[[Any], StampedDetections | None]) -> Callable[[Any], None]:
         """Hand what is read of a message to the inbox."""
 
         def take(message: Any) -> None:
@@ -216,10 +216,10 @@ class RosBus:
             )
         return seconds_of(header.stamp)
 
-    def _of_cloud(self, message: Any) -> Look:
+    def _of_cloud(self, message: Any) -> StampedDetections:
         return self._in_base(message.header), detections_of_cloud(message, len(self._names))
 
-    def _of_boxes(self, message: Any) -> Look:
+    def _of_boxes(self, message: Any) -> StampedDetections:
         results = [guess.hypothesis for one in message.detections for guess in one.results]
         strangers = {guess.class_id for guess in results} - set(self._names)
         if strangers:

@@ -154,7 +154,7 @@ class RecordedLoopback(Loopback):
                 writer.write(lines[topic], round(1e9 * seconds), raw)
 
 
-def record_drive(
+def write_bag(
     path: Path, simulated: SimulatedRobot, text: str, *, navigator: Navigator, key: Array
 ) -> Drive:
     """Let a robot follow a sentence and write what is said either way into a bag.

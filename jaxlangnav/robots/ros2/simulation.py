@@ -59,7 +59,7 @@ def simulate(options: RobotOptions) -> None:
         MissingExtraError: a library of the extra ``robot`` is not installed.
         MissingSystemLibraryError: rendering off screen does not work.
     """
-    scenario = draw_place(options)
+    scenario = draw_start(options)
     with switched_on(options, scenario) as robot, contextlib.ExitStack() as stack:
         server = RobotServer(robot, share=options.faults, seed=options.seed)
         stack.callback(server.close)
@@ -75,7 +75,7 @@ def simulate(options: RobotOptions) -> None:
             )
 
 
-def draw_place(options: RobotOptions) -> Scenario:
+def draw_start(options: RobotOptions) -> Scenario:
     """Draw the place, and where in it the robot is switched on.
 
     Args:

@@ -11,7 +11,7 @@ from typing import Any
 from jaxlangnav.robots.robot import Detection
 from jaxlangnav.robots.ros2.conversions import detections_of_tags, seconds_of
 
-Look = tuple[float, list[Detection]]
+StampedDetections = tuple[float, list[Detection]]
 """When it was taken, seconds of the robot's clock, and what was seen from the base frame."""
 
 
@@ -70,7 +70,7 @@ class TagLooks:
         self._setup = setup
         self._picture: tuple[str, float] | None = None
 
-    def of_transforms(self, message: Any) -> Look | None:
+    def of_transforms(self, message: Any) -> StampedDetections | None:
         """Read a tf2_msgs/TFMessage.
 
         Args:
@@ -94,7 +94,7 @@ class TagLooks:
         ]
         return seconds_of(ours[0].header.stamp), used
 
-    def of_found(self, message: Any) -> Look | None:
+    def of_found(self, message: Any) -> StampedDetections | None:
         """Read an apriltag_msgs/AprilTagDetectionArray.
 
         Args:
