@@ -25,6 +25,8 @@ SENTENCES = {
     "go to the item to the right of the bench": "nav one[right bench]",
     "go to the cone, then to the thing behind it": "nav cone ; nav one[behind same cone]",
     "go to the thing behind the cone near the car": "nav one[behind cone[near car]]",
+    "go to the object closest to the hydrant": "nav one[near1 hydrant]",
+    "go to whatever is next to the bench": "nav one[near bench]",
 }
 TYPES = ("barrel", "bench", "box", "tree", "car", "cone", "hydrant")
 
