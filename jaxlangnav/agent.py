@@ -29,7 +29,7 @@ from jaxlangnav.grounding import Context, GraphGrounder, Grounded, Grounder, loa
 from jaxlangnav.grounding.annotated import returning
 from jaxlangnav.grounding.grounder import names_of
 from jaxlangnav.grounding.readings import Capacity, widen
-from jaxlangnav.kinds import name_of
+from jaxlangnav.kinds import is_anything, name_of
 from jaxlangnav.language.halting import act_of
 from jaxlangnav.listening import Candidate, Heard, Listener, check_measures
 from jaxlangnav.messages import (
@@ -329,9 +329,12 @@ class Navigator:
             state: of any robot.
 
         Returns:
-            Names of object types, in the order of the sentence; those of all its readings.
+            Names of object types, in the order of the sentence; those of all its readings. All
+            that there are where it speaks of "the thing".
         """
         kinds = np.asarray(state.instruction.readings.mention_type).reshape(-1).tolist()
+        if any(is_anything(kind) for kind in kinds):
+            return list(self.type_names)
         return [
             name_of(kind, names_of(self.grounder)) for kind in dict.fromkeys(kinds) if kind >= 0
         ]

@@ -4,7 +4,8 @@ The low ``LABEL_BITS`` hold the index of the detector's label, the bits above th
 each group of attributes: colour, material, size, height; 0 where it is not known. Both together
 take 24 bits, as float32 holds them exactly: tables of particles are such numbers. The map keeps
 the kind of what was seen, a sentence says the kind of what it means, and ``fits`` compares them. A
-kind without attributes is the bare index of its label.
+kind without attributes is the bare index of its label. ``ANYTHING`` is the label of what is called
+"the thing": nothing seen has it, and everything seen fits it.
 
 Everything takes NumPy arrays, JAX arrays and plain integers; ``NONE`` and ``ROBOT`` are kinds that
 only fit themselves.
@@ -14,7 +15,9 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 LABEL_BITS = 13
-MOST_LABELS = 2**LABEL_BITS
+ANYTHING = 2**LABEL_BITS - 1
+"""Label of a thing that a sentence calls by no type: "the one on your left"."""
+MOST_LABELS = ANYTHING
 """Labels that are told apart: those of the detector, and nouns that it has no label for."""
 ATTRIBUTES = {
     "colour": (
@@ -90,7 +93,12 @@ def kind_of(label: Any, code: Any) -> Any:
 def label_of(kind: Any) -> Any:
     """Take the label of a kind; ``NONE`` and ``ROBOT`` stay what they are."""
     # Of a negative number all bits are kept: its low ones alone would be a label.
-    return kind & (MOST_LABELS - 1 | (kind >> 31))
+    return kind & (ANYTHING | (kind >> 31))
+
+
+def is_anything(kind: Any) -> Any:
+    """Tell which kinds are of no type: things of every label fit them."""
+    return label_of(kind) == ANYTHING
 
 
 def code_of(kind: int) -> int:
@@ -121,7 +129,7 @@ def fits(thing: Any, kind: Any) -> Any:
     """Tell whether a thing may be of a kind: the same label, and no attribute speaks against it.
 
     Limits: without attributes on one side it is equality of labels; what is not known of a thing
-    does not speak against it.
+    does not speak against it; of ``ANYTHING`` the attributes alone count.
 
     Args:
         thing: i32[...], kinds of things seen or supposed.
@@ -130,7 +138,7 @@ def fits(thing: Any, kind: Any) -> Any:
     Returns:
         bool[...].
     """
-    may_be = label_of(thing) == label_of(kind)
+    may_be = (label_of(thing) == label_of(kind)) | (is_anything(kind) & (thing >= 0))
     for mask in _MASKS:
         own, asked = thing & mask, kind & mask
         may_be = may_be & ((own == asked) | (own == 0) | (asked == 0))

@@ -19,7 +19,7 @@ from jaxlangnav.grounding.annotated import returning
 from jaxlangnav.grounding.grounder import names_of
 from jaxlangnav.grounding.spoken import Spoken
 from jaxlangnav.hearing import How
-from jaxlangnav.kinds import label_of, name_of, noun_of
+from jaxlangnav.kinds import is_anything, label_of, name_of, noun_of
 from jaxlangnav.language.halting import Act, begins_with_halt
 from jaxlangnav.language.utterance import Kind, Utterance, Wording, classify
 from jaxlangnav.messages import NONE, Status
@@ -129,7 +129,8 @@ class Listener:
     ) -> tuple[NavigatorState, Heard]:
         """Take in what has to be understood."""
         about, is_at = self._about(state)
-        context = Context(is_under_way=True, about=about, is_at=is_at)
+        known = NONE if is_anything(about) else about
+        context = Context(is_under_way=True, about=known, is_at=is_at)
         grounded = self.grounder.ground(said.rest, context)
         spoken = grounded.spoken or Spoken()
         pose, notes = state.belief.last_pose, grounded.notes
@@ -187,7 +188,10 @@ class Listener:
         )
 
     def _about(self, state: NavigatorState) -> tuple[int, bool]:
-        """Find the type of what has been spoken of, and whether the robot is at one of them."""
+        """Find the type of what has been spoken of, and whether the robot is at one of them.
+
+        It is ``ANYTHING`` where the task calls it by no type, and none has been approached.
+        """
         at = int(state.talk.approached)
         if at != NONE:
             return self._type_at(state, at), True

@@ -7,6 +7,7 @@ import pytest
 import readings as by_hand
 from oracles import enumeration as exact
 
+from jaxlangnav.kinds import ANYTHING
 from jaxlangnav.messages import BEHIND, BETWEEN, FAR, FRONT, LEFT, NEAR, NONE, RIGHT, ROBOT
 from jaxlangnav.pytree import replace
 from jaxlangnav.relations import default_params
@@ -46,6 +47,14 @@ CASES = {
     "behind the cone, left of the car": (
         [HYDRANT, CONE, CAR],
         [(0, BEHIND, 1, False), (0, LEFT, 2, False)],
+    ),
+    # A thing called by no type is any of those seen but the others that are spoken of.
+    "the thing behind the cone": ([ANYTHING, CONE], [(0, BEHIND, 1, False)]),
+    "the thing nearest to the hydrant": ([ANYTHING, HYDRANT], [(0, NEAR, 1, True)]),
+    "the thing on your left": ([ANYTHING, ROBOT], [(0, LEFT, 1, False)]),
+    "the thing behind the cone near the car": (
+        [ANYTHING, CONE, CAR],
+        [(1, NEAR, 2, False), (0, BEHIND, 1, False)],
     ),
     # … and in any other order, less efficiently.
     "figure first: behind the cone near the car": (
@@ -187,7 +196,9 @@ def test_posterior_over_readings() -> None:
         compare((weight * (particles.reading == index)).mean(1), share[index] * truth.sum())
 
 
-@pytest.mark.parametrize("name", ["null", "behind", "cone near another cone"])
+@pytest.mark.parametrize(
+    "name", ["null", "behind", "cone near another cone", "the thing behind the cone"]
+)
 def test_number_of_things_is_inferred_as_by_enumeration(name: str) -> None:
     """Of two cones or hydrants seen either may be the only one, or both may be of many."""
     kinds, edges = CASES[name]

@@ -20,7 +20,7 @@ from jaxlangnav.conversation.history import (
 )
 from jaxlangnav.conversation.memory import Words
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.grounding.readings import in_order
+from jaxlangnav.grounding.readings import in_order, things_last
 from jaxlangnav.grounding.spoken import Spoken
 from jaxlangnav.messages import BETWEEN, NONE, ROBOT, Readings
 
@@ -145,10 +145,14 @@ def _fitted(reading: Account, num_mentions: int, num_relations: int) -> Account:
     def at(goals: list[int]) -> list[int]:
         return [NONE if goal == NONE else place[goal] for goal in goals]
 
-    moved = [one.moved(place) for one in reading.edges]
+    def ends(one: Edge) -> tuple[int, int]:
+        return one.figure, one.landmark
+
+    mentions = [reading.mentions[m] for m in kept]
+    moved = in_order([one.moved(place) for one in reading.edges], ends)
     return Account(
-        [reading.mentions[m] for m in kept],
-        in_order(moved, lambda one: (one.figure, one.landmark)),
+        mentions,
+        things_last(moved, ends, [one.kind for one in mentions]),
         at(reading.goals),
         reading.pinned,
         at(reading.new_goals),

@@ -4,7 +4,8 @@ The annotations are the symbols expressed at the root of the tree. The search ke
 over sets of them. Whether a region is meant as an extreme ("nearest to": rank 1; "the second": 2)
 is inferred by factors of its own at each phrase, outside the paper's 494 symbols, and belongs to
 the symbols whose region that phrase expressed first. So is "between": a region near each of two
-things, which the phrase that says so makes ``BETWEEN``.
+things, which the phrase that says so makes ``BETWEEN``. And so is what lies in a region and is
+called by no type: a region that was first expressed of "the thing" is the place of ``ANYTHING``.
 """
 
 import dataclasses
@@ -20,11 +21,15 @@ from jaxlangnav.grounding.properties import Annotations
 from jaxlangnav.grounding.search import BEAM_WIDTH, Hypothesis
 from jaxlangnav.grounding.symbols import (
     OBJECT,
+    REGION,
     Annotation,
     AnnotationSpace,
     region_symbol,
+    relation_symbol,
 )
-from jaxlangnav.language.phrase import Parse
+from jaxlangnav.kinds import ANYTHING
+from jaxlangnav.language.phrase import Parse, Phrase
+from jaxlangnav.language.reference import is_thing
 from jaxlangnav.messages import BETWEEN, NONE, ROBOT, relation_name
 
 RankedAnnotations = tuple[tuple[Annotation, int], ...]
@@ -38,15 +43,21 @@ class Belief:
     """Distribution over what a sentence says."""
 
     sets: tuple[tuple[RankedAnnotations, float], ...]  # (annotations, log-probability), best first
-    clauses: tuple[tuple[tuple[RankedAnnotations, ...], float], ...]  # the same, apart by clause
+    clauses: tuple[
+        tuple[tuple[RankedAnnotations, ...], float], ...
+    ]  # the same, apart by clause; and a region
+    # that is said of "the thing" is a relation whose figure is ``ANYTHING``
     rank: dict[Path, int]  # phrase → likeliest rank
     silent: frozenset[Path]  # phrases that express nothing in the likeliest reading
 
     def marginals(self) -> list[tuple[Annotation, int, float]]:
-        """Add up the probability of each annotation over the sets, likeliest first."""
+        """Add up the probability of each annotation over the sets, likeliest first.
+
+        What lies in a region and is called by no type is told as a relation of ``ANYTHING``.
+        """
         total: dict[tuple[Annotation, int], float] = {}
-        for said, log_probability in self.sets:
-            for entry in said:
+        for said, log_probability in self.clauses:
+            for entry in dict.fromkeys(itertools.chain(*said)):
                 total[entry] = total.get(entry, 0.0) + float(np.exp(log_probability))
         ranked = sorted(total.items(), key=lambda item: -item[1])
         return [(symbol, rank, min(p, 1.0)) for (symbol, rank), p in ranked]
@@ -64,13 +75,13 @@ def describe_annotation(
         type_names: object types.
 
     Returns:
-        figure, relation, landmark (None where it has none), superlative, probability; and rank
-        where it is 2 or more.
+        figure ("thing" of any type), relation, landmark (None where it has none), superlative,
+        probability; and rank where it is 2 or more.
     """
 
     def name(index: int) -> str | None:
-        if index == ROBOT:
-            return "robot"
+        if index in (ROBOT, ANYTHING):
+            return "robot" if index == ROBOT else "thing"
         return None if index == NONE else type_names[index]
 
     document: dict[str, object] = {
@@ -94,20 +105,21 @@ def _origins(hypothesis: Hypothesis, path: Path, wanted: Sequence[int]) -> Itera
         yield path
 
 
-def _rank_chances(
-    space: AnnotationSpace,
-    hypothesis: Hypothesis,
-    clause: int,
-    symbol: Annotation,
-    rank: dict[Path, np.ndarray],
-    between: frozenset[Path],
-) -> list[tuple[int, float]]:
-    """List the two likeliest ranks of a symbol with their log-probabilities."""
+def _paths_of(
+    space: AnnotationSpace, hypothesis: Hypothesis, clause: int, symbol: Annotation
+) -> list[Path]:
+    """List the phrases that first express a symbol or its region; none for an object."""
     if symbol.kind == OBJECT:
-        return [(0, 0.0)]
+        return []
     region = region_symbol(symbol.relation, symbol.landmark)
     wanted = [space.index[symbol], space.index[region]]
-    paths = list(_origins(hypothesis, (clause,), wanted))
+    return list(_origins(hypothesis, (clause,), wanted))
+
+
+def _rank_chances(
+    paths: list[Path], rank: dict[Path, np.ndarray], between: frozenset[Path]
+) -> list[tuple[int, float]]:
+    """List the two likeliest ranks of a symbol with their log-probabilities."""
     if any(path in between for path in paths):
         return [(BETWEEN, 0.0)]
     origins = [rank[path] for path in paths]
@@ -126,6 +138,16 @@ def _silent(hypothesis: Hypothesis, path: Path) -> Iterator[Path]:
         yield from _silent(child, (*path, i))
 
 
+def _said_of_things(phrase: Phrase, path: Path, *, is_of_thing: bool) -> Iterator[Path]:
+    """Yield the phrases that say where "the thing" is."""
+    if is_of_thing:
+        yield path
+    is_new = phrase.label == "NP" and bool(phrase.children)
+    for i, child in enumerate(phrase.children):
+        of_thing = is_thing(phrase.children[0]) and i > 0 if is_new else is_of_thing
+        yield from _said_of_things(child, (*path, i), is_of_thing=of_thing)
+
+
 def clause_belief(
     space: AnnotationSpace,
     beam: Sequence[Hypothesis],
@@ -133,6 +155,7 @@ def clause_belief(
     rank: dict[Path, np.ndarray],
     width: int,
     between: frozenset[Path] = frozenset(),
+    things: frozenset[Path] = frozenset(),
 ) -> Belief:
     """Read a beam as annotations, each with its rank.
 
@@ -143,23 +166,44 @@ def clause_belief(
         rank: for each phrase f64[5], log-probabilities of the ranks 0 to 4.
         width: how many sets to keep.
         between: the phrases that say "between".
+        things: the phrases that say where a thing called by no type is.
 
     Returns:
         Up to ``width`` sets and their probabilities.
     """
-    found: list[tuple[RankedAnnotations, float]] = []
+    found: list[tuple[RankedAnnotations, RankedAnnotations, float]] = []
     for hypothesis in beam:
         symbols = space.members(hypothesis.expressed)[:_MAX_SYMBOLS]
-        chances = [_rank_chances(space, hypothesis, clause, s, rank, between) for s in symbols]
+        paths = [_paths_of(space, hypothesis, clause, s) for s in symbols]
+        chances = [_rank_chances(own, rank, between) for own in paths]
+        meant = [
+            _of_thing(s) if s.kind == REGION and things.intersection(own) else s
+            for s, own in zip(symbols, paths, strict=True)
+        ]
         for choice in itertools.product(*chances):
-            said = tuple((s, r) for s, (r, _) in zip(symbols, choice, strict=True))
+            said, plain = (
+                tuple((s, r) for s, (r, _) in zip(some, choice, strict=True))
+                for some in (meant, symbols)
+            )
             score = hypothesis.log_probability + sum(log_chance for _, log_chance in choice)
-            found.append((said, score))
-    found.sort(key=lambda pair: -pair[1])
+            found.append((said, plain, score))
+    found = sorted(found, key=lambda one: -one[2])[:width]
     likeliest = {path: int(np.argmax(chances)) for path, chances in rank.items()}
-    sets = tuple(found[:width])
-    clauses = tuple(((said,), score) for said, score in sets)
+    sets = tuple((plain, score) for _, plain, score in found)
+    clauses = tuple(((said,), score) for said, _, score in found)
     return Belief(sets, clauses, likeliest, frozenset(_silent(beam[0], (clause,))))
+
+
+def _of_thing(region: Annotation) -> Annotation:
+    """Say that a thing called by no type lies in a region."""
+    return relation_symbol(ANYTHING, region.relation, region.landmark)
+
+
+def _plain(symbol: Annotation) -> Annotation:
+    """Undo ``_of_thing``: a symbol as the space has it."""
+    if symbol.figure != ANYTHING:
+        return symbol
+    return region_symbol(symbol.relation, symbol.landmark)
 
 
 def infer_annotations(
@@ -185,8 +229,9 @@ def infer_annotations(
         tree = graph.weigh(root, None, clause)
         nodes = bottom_up(root, clause)
         between = frozenset(node.path for node in nodes if node.phrase.says("between"))
+        things = frozenset(_said_of_things(root, (clause,), is_of_thing=False))
         beam, rank = tree.search(width), tree.log_ranks()
-        beliefs.append(clause_belief(symbols, beam, clause, rank, width, between))
+        beliefs.append(clause_belief(symbols, beam, clause, rank, width, between, things))
     return join_clauses(beliefs, width)
 
 
@@ -206,12 +251,13 @@ def join_clauses(beliefs: Sequence[Belief], width: int) -> Belief:
     for belief in beliefs:
         rank |= belief.rank
         silent |= belief.silent
-        pairs = itertools.product(joint, belief.sets)
-        both = [((*said, more), score + own) for (said, score), (more, own) in pairs]
+        pairs = itertools.product(joint, belief.clauses)
+        both = [((*said, *more), score + own) for (said, score), (more, own) in pairs]
         joint = sorted(both, key=lambda pair: -pair[1])[:width]
     totals: dict[RankedAnnotations, float] = {}
     for said, score in joint:
-        union = tuple(dict.fromkeys(itertools.chain(*said)))
+        entries = itertools.chain(*said)
+        union = tuple(dict.fromkeys((_plain(symbol), rank) for symbol, rank in entries))
         totals[union] = float(np.logaddexp(totals.get(union, -np.inf), score))
     sets = sorted(totals.items(), key=lambda pair: -pair[1])
     return Belief(tuple(sets), tuple(joint), rank, silent)

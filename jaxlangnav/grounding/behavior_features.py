@@ -94,8 +94,10 @@ def placed_object_properties(world: World, senses: Senses, child: ChildGrounding
         f32[N, 13].
     """
     own = agrees(world, senses)
-    has_previous = bool(world.is_previous.any())
-    alike = np.isin(world.object_type, world.object_type[world.is_previous])
+    # What is called by no type may be anything, whatever the goal before was.
+    is_previous = world.is_previous & (not senses.is_thing)
+    has_previous = bool(is_previous.any())
+    alike = np.isin(world.object_type, world.object_type[is_previous])
     inside, lies = child.objects, child.lies
     conditions = {
         "always": True,
@@ -106,9 +108,9 @@ def placed_object_properties(world: World, senses: Senses, child: ChildGrounding
         "inside_elsewhere": inside & ~lies,
         "outside": ~inside,
         "own_lies": own & lies,
-        "own_previous": own & world.is_previous,
-        "previous": world.is_previous,
-        "alike": alike & ~world.is_previous,
+        "own_previous": own & is_previous,
+        "previous": is_previous,
+        "alike": alike & ~is_previous,
         "unlike": ~alike & has_previous,
         "no_previous": not has_previous,
     }

@@ -13,11 +13,19 @@ from functools import cache
 import numpy as np
 
 from jaxlangnav.grounding.contraction import NUM_OWN
-from jaxlangnav.kinds import ATTRIBUTES, MOST_LABELS, attributes, group_of, kind_of, words_of
+from jaxlangnav.kinds import (
+    ANYTHING,
+    ATTRIBUTES,
+    MOST_LABELS,
+    attributes,
+    group_of,
+    kind_of,
+    words_of,
+)
 from jaxlangnav.language.lexicon import TYPE_CLASS, load_lexicon
 from jaxlangnav.language.nouns import attributes_of, compared, load_nouns, singular
 from jaxlangnav.language.phrase import LanguageError, Parse, Phrase, Word
-from jaxlangnav.language.reference import SAME, head_of
+from jaxlangnav.language.reference import SAME, head_of, is_thing
 from jaxlangnav.language.tokens import plainly
 from jaxlangnav.messages import NONE, ROBOT
 
@@ -154,6 +162,7 @@ class Bound:
     tree: Parse  # every noun has the sense ``type:NAME`` of one of the names
     names: tuple[str, ...]  # the sentence's types, those of the lexicon first
     kinds: tuple[tuple[int, ...], ...]  # of each, the kinds that it may be
+    thing: int  # the kind of what is called by no type
     notes: tuple[str, ...]
 
     def rewrite(self, own: np.ndarray) -> np.ndarray:
@@ -165,8 +174,9 @@ class Bound:
         return rewritten
 
     def kinds_of(self, mention: int) -> tuple[int, ...]:
-        """List the kinds that a type may be; the robot is of its own."""
-        return (ROBOT,) if mention == ROBOT else self.kinds[mention]
+        """List the kinds that a type may be; the robot and any thing are of their own."""
+        own = {ROBOT: ROBOT, ANYTHING: self.thing}
+        return (own[mention],) if mention in own else self.kinds[mention]
 
 
 class _Binder:
@@ -177,6 +187,7 @@ class _Binder:
         self.names = list(type_names)
         self.kinds: list[tuple[int, ...]] = [() for _ in type_names]
         self.notes: dict[str, None] = {}
+        self.thing = ANYTHING
         self._latest: dict[str, int] = {}  # noun → code of its last mention's attributes
 
     def bind(self, phrase: Phrase, goal: Phrase | None) -> Phrase:
@@ -184,6 +195,8 @@ class _Binder:
         children = tuple(self.bind(child, goal) for child in phrase.children)
         phrase_now = dataclasses.replace(phrase, children=children)
         head = next((w for w in phrase.words if _type_of(w)), None)
+        if is_thing(phrase):
+            self.thing = kind_of(ANYTHING, self._code(phrase, phrase.words[-1], ""))
         if phrase.label != "NP" or head is None:
             return phrase_now
         noun = _type_of(head) or ""
@@ -314,5 +327,6 @@ def bind(tree: Parse, type_names: Sequence[str], detector: Detector) -> Bound:
         tree=dataclasses.replace(tree, clauses=tuple(clauses)),
         names=tuple(binder.names),
         kinds=tuple(kinds),
+        thing=binder.thing,
         notes=tuple(binder.notes),
     )

@@ -48,6 +48,9 @@ def object_fields(
     words = PhraseWords.of(senses, bool(node.children), is_restricted)
     terms = contract(OBJECT_PROPERTIES, words, coefficients)
     previous = ("own_previous", "previous", "alike", "unlike", "no_previous")
+    if senses.is_thing:  # whatever the goal before was, to it there is none
+        terms["always"] = terms["always"] + terms["no_previous"]
+        terms |= dict.fromkeys(previous, np.zeros((), np.float32))
     return {
         "object_named": terms["always"] + terms["own"],
         "object_unnamed": terms["always"] + terms["other"],

@@ -53,6 +53,7 @@ class Senses:
     modes: frozenset[int]
     ranks: frozenset[int]  # 1 for a plain superlative, n for the n-th
     is_robot: bool
+    is_thing: bool = False  # "the thing", "the one": a thing of any type, and not "the other one"
 
 
 def _indices(senses: set[str], prefix: str, names: tuple[str, ...]) -> frozenset[int]:
@@ -79,6 +80,9 @@ def senses_of(phrase: Phrase, type_names: tuple[str, ...]) -> Senses:
         modes=_indices(senses, "mode", MODES),
         ranks=frozenset(numbers or ({1} if "superlative" in senses else set())),
         is_robot="robot" in senses or "type:robot" in senses,
+        is_thing="anaphor" in senses
+        and "other" not in senses
+        and not any(sense.startswith("type:") for sense in senses),
     )
 
 

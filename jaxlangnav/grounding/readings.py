@@ -16,6 +16,7 @@ from jax import Array
 
 from jaxlangnav.grounding.annotation import Belief, RankedAnnotations
 from jaxlangnav.grounding.symbols import OBJECT, REGION, Annotation
+from jaxlangnav.kinds import is_anything
 from jaxlangnav.messages import BETWEEN, NONE, ROBOT, Readings
 from jaxlangnav.pytree import replace
 
@@ -46,7 +47,7 @@ class Capacity:
 class Reading:
     """One reading: mentions and relations between them."""
 
-    mentions: tuple[int, ...]  # type index or ROBOT
+    mentions: tuple[int, ...]  # type index, ANYTHING or ROBOT
     relations: tuple[tuple[int, int, int, int], ...]  # figure, relation, landmark, rank
 
 
@@ -81,6 +82,25 @@ def _ordered(said: RankedAnnotations) -> list[tuple[Annotation, int]]:
     relations = [entry for entry in said if entry[0].kind not in (OBJECT, REGION)]
     others = [entry for entry in said if entry[0].kind in (OBJECT, REGION)]
     return in_order(relations, lambda entry: (entry[0].figure, entry[0].landmark)) + others
+
+
+def things_last(
+    relations: Sequence[Entry], ends: Callable[[Entry], tuple[int, int]], kinds: Sequence[int]
+) -> list[Entry]:
+    """Put what is said of things called by no type last: they are none of the others.
+
+    Args:
+        relations: entries of any kind, in order.
+        ends: figure and landmark of an entry.
+        kinds: of all mentions.
+
+    Returns:
+        The entries; where such a thing is a landmark, as they are.
+    """
+    things = {index for index, kind in enumerate(kinds) if is_anything(kind)}
+    if things & {ends(entry)[1] for entry in relations}:
+        return list(relations)
+    return sorted(relations, key=lambda entry: ends(entry)[0] in things)
 
 
 Description = frozenset[tuple[int, int, int]]
@@ -199,7 +219,8 @@ def read(*clauses: RankedAnnotations) -> Reading:
     reader = _Reader()
     for said in clauses:
         reader.read(said)
-    return Reading(tuple(reader.mentions), tuple(reader.relations))
+    relations = things_last(reader.relations, lambda one: (one[0], one[2]), reader.mentions)
+    return Reading(tuple(reader.mentions), tuple(relations))
 
 
 def _fits(reading: Reading) -> bool:

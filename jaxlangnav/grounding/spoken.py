@@ -7,9 +7,10 @@ of the hydrant that the task speaks of), which are another one, and which are on
 
 from dataclasses import dataclass
 
+from jaxlangnav.kinds import ANYTHING
 from jaxlangnav.language.constraint import is_constraint
 from jaxlangnav.language.phrase import COMMAND, Parse, Phrase
-from jaxlangnav.language.reference import head_of, leaves, type_sense
+from jaxlangnav.language.reference import head_of, is_thing, leaves, type_sense
 from jaxlangnav.messages import NONE
 
 _SENSE = len("type:")
@@ -19,7 +20,8 @@ _SENSE = len("type:")
 class Spoken:
     """What a sentence speaks of; object types by their index."""
 
-    goals: tuple[int, ...] = ()  # of each command: type of what it is about; NONE: not known
+    goals: tuple[int, ...] = ()  # of each command: type of what it is about; ANYTHING; NONE: not
+    # known
     known: frozenset[int] = frozenset()  # a statement says of the one spoken of before
     others: frozenset[int] = frozenset()  # another one is meant: "the other hydrant"
     avoided: tuple[tuple[int, bool], ...] = ()  # to keep away from, and whether from all of a type
@@ -64,6 +66,8 @@ def spoken_of(tree: Parse, type_names: tuple[str, ...]) -> Spoken:
 def _type_of(phrase: Phrase, type_names: tuple[str, ...]) -> int:
     """Look up the type of the thing that a phrase is about; NONE where it names none."""
     leaf = head_of(phrase)
+    if leaf is not None and is_thing(leaf):
+        return ANYTHING
     sense = None if leaf is None else type_sense(leaf)
     name = "" if sense is None else sense[_SENSE:]
     return type_names.index(name) if name in type_names else NONE

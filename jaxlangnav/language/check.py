@@ -8,6 +8,7 @@ with nothing known to hold on to.
 from itertools import pairwise
 
 from jaxlangnav.language.phrase import LanguageError, Phrase, Word
+from jaxlangnav.language.reference import is_thing
 
 
 def _type_of(word: Word) -> str | None:
@@ -63,15 +64,30 @@ def _check_unknown(clause: Phrase, unknown: set[int]) -> None:
 
 
 def _check_one(phrase: Phrase) -> None:
-    """Refuse "the nearest one" and "the red one" where nothing says one of what."""
+    """Refuse "the nearest one" and "the red one" where nothing says one of what.
+
+    "The one nearest to the cone" is of any kind.
+    """
     leaf, *others = phrase.children if phrase.label == "NP" else (phrase.children[0],)
     if leaf.label != "NP" or leaf.children:
         return
     is_one = any("anaphor" in word.senses for word in leaf.words)
     is_known = any(_type_of(word) or "other" in word.senses for word in leaf.words)
-    ranked = any("superlative" in w.senses for other in others for w in other.all_words())
-    if is_one and not is_known and (ranked or not others):
+    words = [word for other in others for word in other.all_words()]
+    is_ranked = any("superlative" in word.senses for word in words)
+    is_told = bool(others) and (not is_ranked or any(_type_of(word) for word in words))
+    if is_one and not is_known and not is_told:
         raise _refuse(list(leaf.words[-1:]), "of what kind? name the object")
+
+
+def _check_landmark(phrase: Phrase) -> None:
+    """Refuse "the hydrant behind the thing on your left": a landmark has a type."""
+    figure, *others = phrase.children
+    if phrase.label != "NP" or is_thing(figure):
+        return
+    for one in (inner for other in others for inner in other.walk()):
+        if one.label == "NP" and one.children and is_thing(one.children[0]):
+            raise _refuse(list(one.children[0].words[-1:]), "of what kind? name the object")
 
 
 def _check_between(phrase: Phrase) -> None:
@@ -127,6 +143,7 @@ def refuse_guesses(clauses: list[Phrase], unknown: set[int]) -> None:
                 _check_compound(phrase)
             if phrase.children:
                 _check_one(phrase)
+                _check_landmark(phrase)
                 _check_between(phrase)
         _check_unknown(clause, unknown)
         if clause.label == "VP":

@@ -23,6 +23,12 @@ def type_sense(phrase: Phrase) -> str | None:
     return next((sense for sense in senses if sense.startswith("type:")), None)
 
 
+def is_thing(phrase: Phrase) -> bool:
+    """Tell whether a noun phrase names a thing by no type: "the thing", "the one"."""
+    is_bare = phrase.label == "NP" and not phrase.children and type_sense(phrase) is None
+    return is_bare and phrase.says("anaphor") and not phrase.says("other")
+
+
 def leaves(phrase: Phrase) -> list[Phrase]:
     """List the noun phrases that name a thing, constraints left out."""
     if phrase.label == "NP" and not phrase.children:

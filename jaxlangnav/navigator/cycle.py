@@ -13,7 +13,7 @@ from jax import Array
 from jaxlangnav import conversation
 from jaxlangnav.conversation import Words
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.kinds import MOST_LABELS, label_of
+from jaxlangnav.kinds import MOST_LABELS, is_anything, label_of
 from jaxlangnav.messages import (
     ACTIONS,
     NONE,
@@ -38,6 +38,7 @@ from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.semantic_map.behaviors import infer_clause_behaviors
 from jaxlangnav.semantic_map.belief import about_robot, robot_position
 from jaxlangnav.semantic_map.filter import FilterInfo
+from jaxlangnav.semantic_map.things import placed
 from jaxlangnav.sensing import DEVIATIONS
 from jaxlangnav.terrain import OPEN, Eye, Terrain
 
@@ -211,7 +212,8 @@ def _spoken(state: NavigatorState) -> Array:
     named = label_of(jnp.concatenate([*words, jnp.stack(gone_to)]))
     # What is negative, such as NONE, falls out of the table.
     index = jnp.where(named < 0, MOST_LABELS, named)
-    return jnp.zeros(MOST_LABELS, bool).at[index].set(True, mode="drop")
+    spoken = jnp.zeros(MOST_LABELS, bool).at[index].set(True, mode="drop")
+    return spoken | jnp.any(is_anything(named))
 
 
 def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> Outlook:
@@ -221,6 +223,7 @@ def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> Outl
         belief.particles, state.instruction, state.clause, state.previous_goal
     )
     readings, talk = state.instruction.readings, state.talk
+    behavior = placed(behavior, belief.particles, readings, talk.told, params.map.relations)
     behavior = conversation.without(behavior, talk.ruled_out)
     behavior = conversation.pinned(
         behavior, belief.particles, readings.mention_type, talk.words, state.clause

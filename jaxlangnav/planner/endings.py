@@ -29,7 +29,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.kinds import fits
+from jaxlangnav.kinds import fits, is_anything
 from jaxlangnav.messages import Readings
 from jaxlangnav.semantic_map.params import MapParams
 
@@ -92,12 +92,18 @@ def missing_types(readings: Readings, object_type: np.ndarray) -> list[int]:
 
     Args:
         readings: the sentence, of one robot; the likeliest reading is taken.
-        object_type: i32[...], kinds of all objects observed, in any of the maps; NONE in between.
+        object_type: i32[O, ...], kinds of all objects observed, in any of the maps; NONE
+            in between.
 
     Returns:
-        Kinds, in the order of the mentions.
+        Kinds, in the order of the mentions; ``ANYTHING`` where no more has been seen than what is
+        called by its type.
     """
     best = int(np.argmax(np.asarray(readings.log_probability)))
     spoken = dict.fromkeys(int(kind) for kind in np.asarray(readings.mention_type)[best])
-    seen = np.unique(object_type)
-    return [kind for kind in spoken if kind >= 0 and not np.any(fits(seen, kind))]
+    seen, kinds = np.unique(object_type), [kind for kind in spoken if kind >= 0]
+    missing = [kind for kind in kinds if not np.any(fits(seen, kind))]
+    # What is called by its own name is not "the thing" too.
+    num_named = sum(not is_anything(kind) for kind in kinds if kind not in missing)
+    num_seen = np.any(np.reshape(object_type, (len(object_type), -1)) >= 0, axis=1).sum()
+    return [k for k in kinds if k in missing or (is_anything(k) and num_seen <= num_named)]

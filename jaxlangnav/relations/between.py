@@ -41,14 +41,43 @@ def log_density(
     Returns:
         f32[...], log of the density per square metre.
     """
+    u, v, squared = _deviations(figure, landmark, other)
+    log_constant = math.log(2.0 * math.pi * SPREAD[0] * SPREAD[1])
+    return -0.5 * (u * u + v * v) - log_constant - jnp.log(squared)
+
+
+def is_within(
+    figure: tuple[Array, Array],
+    landmark: tuple[Array, Array],
+    other: tuple[Array, Array],
+    deviations: float,
+) -> Array:
+    """Tell whether a thing is within some standard deviations of the middle of the way.
+
+    Args:
+        figure: f32[...] x and y, metres, map frame.
+        landmark: f32[...], likewise, one of the two.
+        other: f32[...], the other.
+        deviations: how many, along the way and across it.
+
+    Returns:
+        bool[...].
+    """
+    u, v, _ = _deviations(figure, landmark, other)
+    return jnp.maximum(jnp.abs(u), jnp.abs(v)) <= deviations
+
+
+def _deviations(
+    figure: tuple[Array, Array], landmark: tuple[Array, Array], other: tuple[Array, Array]
+) -> tuple[Array, Array, Array]:
+    """Measure a place in standard deviations along and across the way, and the way squared."""
     along, across = SPREAD
     way_x, way_y = landmark[0] - other[0], landmark[1] - other[1]
     x, y = figure[0] - other[0], figure[1] - other[1]
     squared = way_x * way_x + way_y * way_y + 1e-6
     u = ((x * way_x + y * way_y) / squared - 0.5) / along
     v = ((y * way_x - x * way_y) / squared) / across
-    log_constant = math.log(2.0 * math.pi * along * across)
-    return -0.5 * (u * u + v * v) - log_constant - jnp.log(squared)
+    return u, v, squared
 
 
 def sample(along_normal: Array, across_normal: Array) -> tuple[Array, Array, Array]:

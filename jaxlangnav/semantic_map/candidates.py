@@ -19,9 +19,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.kinds import fits, label_of
+from jaxlangnav.kinds import fits, is_anything, label_of
 from jaxlangnav.messages import NONE
-from jaxlangnav.numerics.batching import column, lead, pick
+from jaxlangnav.numerics.batching import column, lead, pick, rarely
 from jaxlangnav.relations import RelationModel
 from jaxlangnav.semantic_map.counts import log_expected
 from jaxlangnav.semantic_map.coverage import Coverage
@@ -89,7 +89,8 @@ class Candidates(NamedTuple):
     x: Array  # f32[2, O + 1, ...] metres; the last entry is the place already decided
     y: Array  # f32[2, O + 1, ...]
     log_prior: Array  # f32[2, O + 1, ...] −∞ where it is no candidate
-    log_alike: Array  # f32[...] what two observed ends of one type weigh more than each by itself
+    log_alike: Array  # f32[O, O, ...] what observed figures and landmarks of one type weigh more
+    # than each by itself
     is_open: Array  # bool[2, ...] nothing decided: may also be a new object
     earlier: Grounding  # what they refer to already, leaves [2, ...]
 
@@ -218,7 +219,15 @@ def list_candidates(
         log_others = log_expected(others, unseen[:, None], params=params)
         log_bystander = lead(scene.log_area, may_be.ndim) - log_others
         log_bystander = log_bystander + jnp.log(jnp.maximum(seen.existence, 1e-9))[None]
-    is_alike = label_of(said.kind[FIGURE]) == label_of(said.kind[LANDMARK])
+    is_any, label = is_anything(said.kind), label_of(seen.object_type)
+    is_alike = label[:, None] == label[None]
+    records = (jnp.concatenate([seen.x, seen.x]), is_alike, seen, scene.log_area, scene.log_unseen)
+    found = rarely(
+        jnp.any(is_any, axis=0), lambda given: _of_any_type(*given[1:], params=params), records
+    )
+    log_of_any, log_gain_of_any = jnp.split(found, 2)
+    log_bystander = jnp.where(is_any[:, None], log_of_any[None], log_bystander)
+    log_gain = jnp.where(jnp.any(is_any, axis=0), log_gain_of_any, (log_one - log_two)[FIGURE])
 
     def append(objects: Array, place: Array) -> Array:
         objects = jnp.broadcast_to(objects, may_be.shape)
@@ -232,10 +241,44 @@ def list_candidates(
             jnp.where(may_be, log_bystander, -jnp.inf),
             jnp.where(is_open, -jnp.inf, 0.0),
         ),
-        log_alike=jnp.where(is_alike, (log_one - log_two)[FIGURE], 0.0),
+        log_alike=jnp.where(is_alike, log_gain[:, None], 0.0),
         is_open=is_open,
         earlier=earlier,
     )
+
+
+def _of_any_type(
+    is_alike: Array, seen: Seen, log_area: Array, log_unseen: Array, *, params: MapParams
+) -> Array:
+    """Weigh what has been seen as a thing that a sentence calls by no type.
+
+    Its type is one of the k that have been seen or one that has not, each as probable. So a thing
+    of a type weighs 1 / (k + 1) of what it would as one called by that type.
+
+    Args:
+        is_alike: bool[O, O, ...], slots that hold things of one type, or nothing.
+        seen: objects.
+        log_area: f32[...], log A.
+        log_unseen: f32[...], log u.
+        params: concentration, clumping.
+
+    Returns:
+        f32[2 O, ...]: what each weighs, and how much more as one of two.
+    """
+    is_there = seen.object_type != NONE
+    unseen = lead(jnp.exp(log_unseen), is_there.ndim)
+    is_earlier = column(jnp.asarray(np.tri(is_there.shape[0], k=-1, dtype=bool)), is_alike.ndim)
+    is_new_type = is_there & ~jnp.any(is_alike & is_earlier, axis=1)
+    real = is_there.astype(jnp.float32) if seen.existence is None else seen.existence
+    number = jnp.sum(jnp.where(is_alike, real[None], 0.0), axis=1)
+    others = jnp.maximum(number - real, 0.0)
+    log_one = log_expected(others, unseen, params=params)
+    log_two = log_expected(jnp.maximum(others - 1.0, 0.0), unseen, params=params)
+    log_share = -jnp.log1p(jnp.sum(is_new_type, axis=0).astype(jnp.float32))
+    log_weight = lead(log_area, log_one.ndim) - log_one + log_share[None]
+    if seen.existence is not None:
+        log_weight = log_weight + jnp.log(jnp.maximum(seen.existence, 1e-9))
+    return jnp.concatenate([log_weight, log_one - log_two])
 
 
 def propose(said: Said, ends: Candidates, draws: Draws, model: RelationModel) -> Ways:

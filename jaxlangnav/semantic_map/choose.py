@@ -27,6 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxlangnav.kinds import is_anything
 from jaxlangnav.messages import NONE
 from jaxlangnav.numerics import categorical
 from jaxlangnav.numerics.batching import column, lead, once, pick
@@ -65,7 +66,7 @@ def ground_relation(
         The carry with figure and landmark decided; unchanged where the reading has no such
         relation.
     """
-    said = once(_from_other(said, grounding))
+    said = once(_from_other(_apart(said, grounding), grounding))
     ends = candidates.list_candidates(seen, said, grounding, scene, params=params)
     ways = once(candidates.propose(said, ends, draws, params.relations))
     num_known = ends.x.shape[1]
@@ -77,6 +78,13 @@ def ground_relation(
     # hypothesis somewhere unexplored, of hardly any weight, that the next looks can refute.
     choice = jnp.where(log_total <= _LOG_FLOOR, log_weight.shape[0] - 1, choice)
     return _enter(grounding, said, ends, ways, choice, log_total)
+
+
+def _apart(said: Said, grounding: Grounding) -> Said:
+    """Take what other mentions refer to already for nothing that is called by no type."""
+    bits = jnp.where(grounding.slot == NONE, 0, jnp.left_shift(1, jnp.maximum(grounding.slot, 0)))
+    taken = jax.lax.reduce_or(bits, axes=(0,))[None]
+    return said._replace(excluded=said.excluded | jnp.where(is_anything(said.kind), taken, 0))
 
 
 def _from_other(said: Said, grounding: Grounding) -> Said:
@@ -98,7 +106,8 @@ def _log_prior_known(ends: Candidates) -> Array:
     log_prior = ends.log_prior[FIGURE][:, None] + ends.log_prior[LANDMARK][None]
     is_both = np.arange(size) < size - 1
     is_both = column(jnp.asarray(is_both[:, None] & is_both[None]), log_prior.ndim)
-    log_prior = log_prior + jnp.where(is_both, lead(ends.log_alike, log_prior.ndim), 0.0)
+    room = ((0, 1), (0, 1), *((0, 0),) * (log_prior.ndim - 2))
+    log_prior = log_prior + jnp.where(is_both, jnp.pad(ends.log_alike, room), 0.0)
     # The last candidates are places decided earlier, not objects.
     is_same = jnp.asarray(np.diag(np.arange(size) < size - 1))
     log_prior = jnp.where(column(is_same, log_prior.ndim), -jnp.inf, log_prior)

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.kinds import MOST_LABELS, kind_of, label_of
+from jaxlangnav.kinds import MOST_LABELS, is_anything, kind_of, label_of
 from jaxlangnav.messages import Fault, Observation, Readings, Told, assert_observation
 from jaxlangnav.numerics import batching, categorical
 from jaxlangnav.numerics.batching import column, take
@@ -372,8 +372,9 @@ def reground(
     # A new object of a type the particle's words speak of reopens what they refer to, and so does
     # a new attribute of one.
     new_type = jnp.where(weighed.is_other, label_of(particles.object_type), -3)
-    mentioned = label_of(readings.mention_type.reshape(-1))
-    mentioned = jnp.any(mentioned[:, None, None] == new_type[None], axis=(0, 1))
+    kinds = readings.mention_type.reshape(-1)
+    mentioned = jnp.any(label_of(kinds)[:, None, None] == new_type[None], axis=(0, 1))
+    mentioned = mentioned | (jnp.any(is_anything(kinds)) & jnp.any(new_type >= 0, axis=0))
     must_ground = belief.must_ground | mentioned
     keep_uniform, ancestor_uniform = uniform
     is_fresh = must_ground | (keep_uniform > kept_weight * number)

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.kinds import fits
+from jaxlangnav.kinds import fits, is_anything
 from jaxlangnav.numerics.batching import apart, lead, rarely
 from jaxlangnav.relations import degree, is_on_side, robot_frame
 from jaxlangnav.relations.strength import sign_of_distance, value_of_rank
@@ -85,8 +85,12 @@ def _excess(said: Said, pairs: Pairs, seen: Seen, num_known: int) -> Array:
     at_x, at_y = (leaf[num_known * num_known :] for leaf in (pairs.landmark_x, pairs.landmark_y))
     x, y = apart(seen.x, own.ndim + 1), apart(seen.y, own.ndim + 1)
     is_rival = apart(_is_rival(seen, said), own.ndim + 1)
-    rival = merit(x - at_x[None], y - at_y[None])  # [O, landmarks, ...]
-    best = jnp.min(jnp.where(is_rival, rival, jnp.inf), axis=0)
+    away_x, away_y = x - at_x[None], y - at_y[None]
+    rival = merit(away_x, away_y)  # [O, landmarks, ...]
+    # The thing nearest to the cone is not the cone.
+    is_any = lead(is_anything(said.kind[FIGURE]), rival.ndim)
+    is_landmark = is_any & (away_x * away_x + away_y * away_y < _TIE**2)
+    best = jnp.min(jnp.where(is_rival & ~is_landmark, rival, jnp.inf), axis=0)
     best = jnp.minimum(own, jnp.concatenate([*[best[:num_known]] * num_known, best]))
     return sign * (jnp.sqrt(jnp.abs(own)) - jnp.sqrt(jnp.abs(best)))
 

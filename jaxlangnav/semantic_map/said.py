@@ -34,6 +34,8 @@ from jaxlangnav.relations import (
 )
 
 FIGURE, LANDMARK = 0, 1
+_LEAST_COSINE, _DEVIATIONS = 0.5, 2.5
+"""How far off its axis and its distance a relation may still be said (``Said.may_hold``)."""
 
 
 class Said(NamedTuple):
@@ -106,6 +108,37 @@ class Said(NamedTuple):
 
         log_two = rarely(self.is_between, of_two, (x, y, landmark_x, landmark_y))
         return jnp.where(self.is_between[None], log_two, log_one)
+
+    def may_hold(self, x: Array, y: Array, landmark_x: Array, landmark_y: Array) -> Array:
+        """Tell whether anybody would say it of figures at places, where it says where they are.
+
+        It is within 60 degrees of its axis and 2.5 standard deviations of how far it is. Limits:
+        what merely exists, or has a rank, may hold anywhere.
+
+        Args:
+            x: f32[n, ...] metres, map frame, of the figures.
+            y: f32[n, ...]
+            landmark_x: f32[n, ...]
+            landmark_y: f32[n, ...]
+
+        Returns:
+            bool[n, ...].
+        """
+        frame, law = (
+            self.frame(landmark_x, landmark_y),
+            jax.tree.map(lambda one: one[None], self.law),
+        )
+        dx, dy = x - landmark_x, y - landmark_y
+        distance = jnp.sqrt(dx * dx + dy * dy + 1e-6)
+        toward = law.axis_along * (dx * frame.along_x + dy * frame.along_y)
+        toward = toward + law.axis_lateral * (dx * frame.lateral_x + dy * frame.lateral_y)
+        is_toward = (law.concentration <= 0.0) | (toward >= _LEAST_COSINE * distance)
+        spread = jnp.abs(jnp.log(distance) - law.log_distance) / law.log_distance_sd
+        of_one = is_toward & ((law.has_range == 0.0) | (spread <= _DEVIATIONS))
+        other = self.viewer[0][None], self.viewer[1][None]
+        of_two = between.is_within((x, y), (landmark_x, landmark_y), other, _DEVIATIONS)
+        says_where = (self.relation != NONE) & (self.rank <= 0)
+        return jnp.where(self.is_between[None], of_two, of_one) | ~says_where[None]
 
     def draw(
         self, distance: Array, angle: Array, model: RelationModel

@@ -19,6 +19,7 @@ from jaxlangnav.grounding.form import FormRelation
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.grounding.symbols import NUM_RELATIONS
 from jaxlangnav.grounding.worlds import to_device
+from jaxlangnav.kinds import noun_of
 from jaxlangnav.messages import (
     ACTIONS,
     MODES,
@@ -127,7 +128,8 @@ def _said(understood: Understood) -> tuple[set[str], set[Relation]]:
     kinds = np.asarray(fields.mention_type[0])
 
     def name(mention: int) -> str:
-        return "robot" if kinds[mention] == ROBOT else understood.type_names[kinds[mention]]
+        kind = kinds[mention]
+        return "robot" if kind == ROBOT else noun_of(kind, understood.type_names)
 
     columns = (fields.figure, fields.relation, fields.landmark, fields.rank)
     edges = np.stack([np.asarray(column[0]) for column in columns], axis=1)
@@ -136,7 +138,7 @@ def _said(understood: Understood) -> tuple[set[str], set[Relation]]:
         for figure, relation, landmark, rank in edges
         if relation != NONE
     }
-    return {understood.type_names[kind] for kind in kinds if kind >= 0}, relations
+    return {noun_of(kind, understood.type_names) for kind in kinds if kind >= 0}, relations
 
 
 def _worded(relation: Relation) -> str:

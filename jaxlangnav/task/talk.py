@@ -17,6 +17,7 @@ from jaxlangnav.grounding import Context, Grounder
 from jaxlangnav.grounding.asked import asked
 from jaxlangnav.grounding.instruction import Instruction, Understanding
 from jaxlangnav.grounding.readings import Capacity, widen
+from jaxlangnav.kinds import ANYTHING
 from jaxlangnav.language.halting import begins_with_halt
 from jaxlangnav.language.utterance import Kind, classify
 from jaxlangnav.listening import Candidate, Heard, Listener
@@ -70,7 +71,8 @@ def check_words(grounder: Grounder, first: Understanding, text: str) -> None:
         return
     if begins_with_halt(text):
         return
-    about = next((kind for kind in first.spoken.goals if kind != NONE), NONE)
+    named = (kind for kind in first.spoken.goals if kind not in (NONE, ANYTHING))
+    about = next(named, NONE)
     is_at = about != NONE
     grounder.ground(said.rest, Context(is_under_way=True, about=about, is_at=is_at))
 

@@ -25,6 +25,8 @@ from jaxlangnav.viz.words import describe_readings, percent
 
 _ABSENT = 65535
 """Grid coordinate of a hypothesis that is none."""
+_UNNAMED, _NO_TYPE = 254, 255
+"""Types of a hypothesis in one byte: what has no name of its own, and none at all."""
 
 
 def write_html(recording: Recording, path: Path | str) -> Path:
@@ -169,7 +171,7 @@ def _arrays(recording: Recording) -> dict[str, Any]:
     used = np.flatnonzero(frames.is_hypothesised.any(axis=(0, 2)))
     is_in = frames.is_hypothesised[:, used]
     x, y = frames.hypothesis_x[:, used], frames.hypothesis_y[:, used]
-    kinds = np.where(is_in, frames.mention_type[:, used], 255)
+    kinds = np.where(is_in, np.minimum(frames.mention_type[:, used], _UNNAMED), _NO_TYPE)
     heaviest = frames.weight.max(axis=1)
     grid_x, x_low, x_high = _on_grid(x, is_in)
     grid_y, y_low, y_high = _on_grid(y, is_in)

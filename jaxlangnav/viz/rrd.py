@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from jaxlangnav.files.whole import replacing
+from jaxlangnav.kinds import ANYTHING
 from jaxlangnav.recording import Frame, Recording, StaticScene
 from jaxlangnav.viz import narrative, style, summary
 
@@ -105,7 +106,7 @@ def _log_belief(rerun: Any, stream: Any, recording: Recording, step: int) -> Non
     y = y_min + (rows + 0.5) / size * (y_max - y_min)
     unseen = rerun.Points3D(_flat(x, y, -0.02), radii=0.05, colors=_rgba(style.LINE))
     stream.log("world/not_looked_at", unseen)
-    for kind, name in enumerate(scene.type_names):
+    for kind, name in (*enumerate(scene.type_names), (ANYTHING, "thing")):
         chosen = frame.is_hypothesised & (frame.mention_type == kind)
         if not (recording.frames.is_hypothesised & (recording.frames.mention_type == kind)).any():
             continue

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jaxlangnav.files.whole import replacing
+from jaxlangnav.kinds import is_anything
 from jaxlangnav.plain_text import printable
 
 if TYPE_CHECKING:
@@ -78,11 +79,14 @@ def require(module: str, *, extra: str = "viz") -> None:
 
 def type_color(object_type: int) -> str:
     """Give an object type its colour; types beyond the eight share them in turn."""
-    return TYPE_COLORS[object_type % len(TYPE_COLORS)] if object_type >= 0 else MUTED
+    is_typed = object_type >= 0 and not is_anything(object_type)
+    return TYPE_COLORS[object_type % len(TYPE_COLORS)] if is_typed else MUTED
 
 
 def type_marker(object_type: int) -> str:
     """Give an object type its marker; of the first sixty-four no two share it and the colour."""
+    if is_anything(object_type):
+        return "*"
     turn = object_type // len(TYPE_COLORS)
     return TYPE_MARKERS[(object_type + turn) % len(TYPE_MARKERS)] if object_type >= 0 else "x"
 

@@ -14,16 +14,22 @@ Where the number of things of a type is itself not known, but Gamma-Poisson with
 of the rate α κ, ∏ 1/λ over k observed things of a type of which n have been seen is the ratio of
 how probable n − k and n bystanders in the share s of the area that has been looked at are.
 
+A thing that is called by no type ("the thing behind the cone") is of one of the k types that have
+been seen or of one that has not, each as probable, and is none of the other things mentioned. So a
+seen thing of any type weighs 1 / (k + 1) of what it would as a thing called by that type.
+
 This module sums over all assignments, and over a fine grid of places for what is unseen. NumPy,
 float64; nothing is shared with the package.
 """
 
 import dataclasses
+import itertools
 import math
 
 import numpy as np
 
 ROBOT, NONE, FAR = -2, -1, 5
+ANYTHING = 8191
 SIDES, SIDE_KAPPA = range(4), 4.0
 FRONT, BEHIND, LEFT, RIGHT, NEAR = range(5)
 
@@ -47,6 +53,17 @@ class World:
     @property
     def size(self) -> float:
         return (self.area[1] - self.area[0]) * (self.area[3] - self.area[2])
+
+
+def may_be(kind: int, name: int) -> bool:
+    return kind in (ANYTHING, name)
+
+
+def seen_odds(world: World, kind: int, name: int) -> float:
+    """Weigh a seen thing of type ``name`` as what is called ``kind``, as a density over places."""
+    types = {one for one, _, _ in world.objects}
+    share = 1.0 / (len(types) + 1) if kind == ANYTHING else 1.0
+    return share * bystander_odds(world, name, 1)
 
 
 def bystander_odds(world: World, kind: int, meant: int) -> float:
@@ -98,8 +115,10 @@ def superlative(world: World, kind: int, relation: int, figure: np.ndarray, land
     gap = sign * np.hypot(*np.moveaxis(figure - landmark, -1, 0))
     best = gap
     for name, x, y in world.objects:
-        if name == kind:
-            best = np.minimum(best, sign * np.hypot(x - landmark[..., 0], y - landmark[..., 1]))
+        if may_be(kind, name):
+            away = np.hypot(x - landmark[..., 0], y - landmark[..., 1])
+            away = np.where((away == 0.0) & (kind == ANYTHING), sign * np.inf, away)
+            best = np.minimum(best, sign * away)
     return np.exp(-(gap - best) / world.softness)
 
 
@@ -110,7 +129,7 @@ def candidates(world: World, kind: int):
     """
     if kind == ROBOT:
         return np.array([world.viewer[:2]]), np.ones(1), np.zeros(1, int)
-    seen = [(index, x, y) for index, (name, x, y) in enumerate(world.objects) if name == kind]
+    seen = [(index, x, y) for index, (name, x, y) in enumerate(world.objects) if may_be(kind, name)]
     cells = world.miss.shape[0]
     number = cells * world.fineness
     x_min, x_max, y_min, y_max = world.area
@@ -127,7 +146,7 @@ def candidates(world: World, kind: int):
     )
     weight = np.concatenate(
         [
-            np.full(len(seen), bystander_odds(world, kind, 1) if seen else 0.0),
+            np.array([seen_odds(world, kind, world.objects[index][0]) for index, _, _ in seen]),
             miss.ravel() * step_x * step_y,
         ]
     )
@@ -145,7 +164,16 @@ def potential(world: World, kinds: list[int], edge: tuple[int, int, int, bool], 
     if is_extreme:
         table = table * superlative(world, kinds[figure], relation, rows, columns)
     table = (1.0 - world.misleading) * table + world.misleading / world.size
-    if kinds[figure] == kinds[landmark]:
+    if ANYTHING in (kinds[figure], kinds[landmark]):
+        own, mark = ([name for name, _, _ in world.objects if may_be(kind, name)]
+                     for kind in (kinds[figure], kinds[landmark]))  # fmt: skip
+        for i, j in np.ndindex(len(own), len(mark)):
+            if (places[figure][i] == places[landmark][j]).all():
+                table[i, j] = 0.0
+            elif own[i] == mark[j]:
+                both = bystander_odds(world, own[i], 2)
+                table[i, j] *= both / bystander_odds(world, own[i], 1) ** 2
+    elif kinds[figure] == kinds[landmark]:
         table = np.where((rows == columns).all(-1), 0.0, table)
         known = sum(name == kinds[figure] for name, _, _ in world.objects)
         both = bystander_odds(world, kinds[figure], 2) if known > 1 else 0.0
@@ -184,6 +212,11 @@ def groundings(world: World, kinds: list[int], edges: list[tuple[int, int, int, 
         result = result / (1.0 if ROBOT in kinds else world.size)
     else:
         result = chain(world, kinds, edges, places, first, sorting)
+    for one, other in itertools.combinations(range(len(kinds)), 2):
+        if ANYTHING in (kinds[one], kinds[other]) and ROBOT not in (kinds[one], kinds[other]):
+            axes = np.moveaxis(result, (1 + one, 1 + other), (0, 1))
+            for index in range(number - 1):
+                axes[index, index] = 0.0
     return result[0], result[1:]
 
 
