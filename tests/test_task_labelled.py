@@ -125,6 +125,7 @@ def test_the_detector_knows_the_types_that_labels_name(tmp_path):
         ("sentences_fifth", 186, 5),
         ("sentences_sixth", 96, 0),
         ("sentences_seventh", 80, 1),
+        ("sentences_eighth", 123, 3),
     ],
 )
 def test_shipped_sentences_stay_as_well_read(name, least, most_wrong):
