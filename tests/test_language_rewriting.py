@@ -146,7 +146,7 @@ def test_a_name_of_the_detector_is_a_thing_whatever_else_it_says():
 
 def test_a_refusal_blames_no_noun_that_was_read():
     for text in ("go to the box on the workbench", "go to the box in the pen"):
-        with pytest.raises(LanguageError, match="'(on|in)' \\(word 5\\)"):
+        with pytest.raises(LanguageError, match=r"'(on|in)' \(word 5\)"):
             parse(text, ["workbench"])
 
 
