@@ -72,7 +72,7 @@ def made_likelier(existence: Array, growth: Array | float, is_real: Array | floa
         f32[O, ...].
     """
     gain = is_real * growth / (1.0 + growth * jnp.sum(existence, axis=0))
-    return existence * (1.0 + gain * (1.0 - existence))
+    return existence * (1.0 + jnp.asarray(gain)[None] * (1.0 - existence))
 
 
 def exposed(existence: Array, log_exposure: Array) -> tuple[Array, Array]:
