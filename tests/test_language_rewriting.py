@@ -4,6 +4,7 @@ import pytest
 
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import LanguageError
+from jaxlangnav.language.reference import Antecedent
 from jaxlangnav.language.rewriting import load_rewrites, read_rewrites
 
 
@@ -109,10 +110,51 @@ def test_what_would_be_a_guess_is_refused(text):
         ("you've got a cone behind you, go to it", "there is a cone behind you. go to it"),
         ("make the closest cone your next stop", "go to the closest cone"),
         ("go to the cone, it might fall", "go to the cone"),
+        ("stop by the cone, i'll be out in a minute", "stop by the cone"),
+        ("go to the bench, they close at five", "go to the bench"),
+        ("i must buy medicine, so go to the bench", "go to the bench"),
+        ("take this one to the building", "go to the building"),
+        ("take it slow over to the tree", "carefully go to the tree"),
+        ("search behind the tree, er, look for a box", "find a box that is behind the tree"),
+        ("the bench, ah no, excuse me, i mean the tree", "the tree"),
+        ("barrel, no, hang on, the box", "the box"),
+        ("not that cone, the other one, the one by the car", "the cone by the car"),
+        ("go to the red box, not the green one", "go to the red box"),
+        ("straight on till you hit the barrel", "go to the barrel"),
+        ("to the car when you've been to the tree", "go to the tree then to the car"),
+        ("once you're past the car, head for the tree", "stop behind the car then go to the tree"),
+        ("wait near the tree until i've signed for it", "wait near the tree"),
+        ("rusty barrel by the tree. go.", "the rusty barrel by the tree"),
+        ("run over to the bench", "quickly go to the bench"),
+        ("go to the car, then the tree. mind the cone",
+         "go to the car but mind the cone then go to the tree but mind the cone"),
     ],
 )  # fmt: skip
 def test_what_is_refused_as_it_stands_is_read_in_plainer_words(said, plain):
     assert tree(said) == tree(plain)
+
+
+def test_a_name_of_the_detector_is_a_thing_whatever_else_it_says():
+    told = parse("shelter next to the car. move it", ["shelter"]).clauses
+    assert [str(one) for one in told] == [
+        str(one) for one in parse("the shelter next to the car quickly", ["shelter"]).clauses
+    ]
+    assert tree("well, saunter to the bench") == [
+        str(one) for one in parse("well, saunter to the bench", ["well"]).clauses
+    ]
+
+
+def test_a_refusal_blames_no_noun_that_was_read():
+    for text in ("go to the box on the workbench", "go to the box in the pen"):
+        with pytest.raises(LanguageError, match=r"'(on|in)' \(word 5\)"):
+            parse(text, ["workbench"])
+
+
+def test_who_asks_to_bring_what_was_found_is_refused():
+    earlier = Antecedent(kind="barrel", is_at=True)
+    assert tree("bring it to the tree") == tree("go to the tree")
+    with pytest.raises(LanguageError, match="'it'"):
+        parse("bring it to the tree", earlier=earlier)
 
 
 def test_plainer_words_are_told_and_never_offered():
@@ -135,6 +177,11 @@ def test_plainer_words_are_told_and_never_offered():
         "throw yourself at the tree",
         "the bench is broken, it's the bench. repair it",
         "hide the box behind the car",
+        "find the barrel and bring it to the tree",
+        "go to the tree, he went behind the car",
+        "go to the tree, they left it at the bench",
+        "go past the cone to the tree",
+        "turn left at the cone and go to the tree",
         "go to the bench where i am sitting",  # tells which one
         "i am by the tree, come get the box",
         "go to the cone. the box is ready for the car",  # speaks of known things

@@ -97,7 +97,11 @@ def leave_out_remarks(
     for index, (part, mark) in enumerate(parts):
         later = {token.text for other, _ in parts[index + 1 :] for token in other}
         others = {token.text for other, _ in parts if other is not part for token in other}
-        is_idle = _is_remark(part, others) or _is_address(part, parts[index + 1 : index + 2], names)
+        is_idle = (
+            _is_remark(part, others)
+            or _is_aside(part, others, names)
+            or _is_address(part, parts[index + 1 : index + 2], names)
+        )
         if is_idle and not later & chatter_words()["referring"]:
             dropped.append(_text(part))
             continue
@@ -127,6 +131,38 @@ def _is_remark(part: _Part, others: Collection[str]) -> bool:
         return False
     is_told = is_ours or words[0] in lists["exclaiming"] or lists["being"].intersection(words[1:5])
     return bool(is_told) and not (set(words) - lists["empty"]) & set(others)
+
+
+def _is_aside(part: _Part, others: Collection[str], names: Collection[str]) -> bool:
+    """Tell whether a part says what people do or need: "I'll be out soon", "they close at five".
+
+    What they do is no order, so that it may hold a verb that would begin one; but nothing may
+    stand in it that says where, or that names a thing the detector tells apart.
+    """
+    lists = chatter_words()
+    first = next((i for i, one in enumerate(part) if one.text not in lists["leading"]), len(part))
+    words = [token.text for token in part[first:]]
+    telling = [w for i, w in enumerate(words) if i != 1 or w != "close" or "to" in words]
+    if len(words) < 3 or _tells(telling) or (set(words) - lists["empty"]).intersection(others):
+        return False
+    need = next((i for i, word in enumerate(words[1:4], 1) if word in lists["needing"]), 0)
+    named = {name.split()[-1] for name in names}
+    refused = load_lexicon().refused
+    unsaid = _UNSAID - {REASONS["such an action"]}
+    if any(
+        word in lists["aside_no"] or word in named or refused.get(word) in unsaid
+        for word in words[need:]
+    ):
+        return False
+    if need:
+        return ARTICLES.isdisjoint(words[need + 1 :])
+    if words[0] in lists["intending"]:
+        return True
+    if words[0] not in ("i", "we"):
+        return False
+    wished = next((w for w in lists["intentions"] if words[1:3][: len(w.split())] == w.split()), "")
+    doing = words[1 + len(wished.split()) :]
+    return bool(wished and doing) and not _is_verb(doing[0])
 
 
 def _is_address(

@@ -53,7 +53,9 @@ def _check_unknown(clause: Phrase, unknown: set[int]) -> None:
     "Smash the box" is not "go to the box"; only "to" makes a verb of motion. An unknown verb
     before an unknown adjective, or three unknown words on one noun, is another language.
     """
-    verbs = [w for w in clause.words if w.position in unknown and w.tag.startswith("VB")]
+    # What a rule has put in stands where another word stood, and is known by its senses.
+    guesses = [w for w in clause.words if w.position in unknown and not w.senses]
+    verbs = [w for w in guesses if w.tag.startswith("VB")]
     is_motion = any(w.text in ("to", "toward", "towards") for c in clause.children for w in c.words)
     for phrase in clause.walk():
         guessed = [w for w in phrase.words if w.position in unknown and phrase is not clause]

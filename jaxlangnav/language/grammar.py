@@ -19,7 +19,7 @@ from lark.lexer import Lexer
 
 from jaxlangnav.language.forest import Derivation, ForestReader, Production
 from jaxlangnav.language.lexicon import LexicalEntry, Lexicon, load_lexicon
-from jaxlangnav.language.nouns import NOUN
+from jaxlangnav.language.refusal import NOUN
 
 P_OPTIONAL = 0.2
 W_EXPRESSION = 0.005  # of a word of fixed expressions to be a noun, beside an unknown word

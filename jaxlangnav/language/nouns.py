@@ -13,10 +13,8 @@ from importlib import resources
 from jaxlangnav.files.documents import parse_toml
 from jaxlangnav.language.lexicon import REASONS, SINGULARS, TYPE_CLASS, load_lexicon, plural
 from jaxlangnav.language.phrase import Phrase, Word
-from jaxlangnav.language.refusal import Token
+from jaxlangnav.language.refusal import NOUN, Token
 
-NOUN = "?noun"
-"""Terminal of what can only be a noun."""
 _VERBAL = frozenset({REASONS[name] for name in ("such an action", "containment", "path")})
 """Reasons for which words are refused that may be the first half of a name: "the exit sign"."""
 _BEFORE_NOUNS = frozenset(
@@ -85,25 +83,26 @@ def _plural_of(noun: str) -> str:
 
 
 @cache
-def _words_of(*classes: str) -> frozenset[str]:
+def words_of(*classes: str) -> frozenset[str]:
     """Collect the words that begin an expression of one of the classes."""
     entries = load_lexicon().entries
     return frozenset(key[0] for name in classes for key in entries.get(name, {}))
 
 
 @cache
+def command_verbs() -> frozenset[str]:
+    """Collect the verbs of one word."""
+    entries = load_lexicon().entries
+    names = [name for name in entries if name.startswith("v_")]
+    return frozenset(key[0] for name in names for key in entries[name] if len(key) == 1)
+
+
+@cache
 def _single_verbs() -> frozenset[str]:
     """Collect the verbs of one word, and other words that no noun phrase can begin with."""
     lexicon = load_lexicon()
-    verbs = {
-        key[0]
-        for name, entries in lexicon.entries.items()
-        if name.startswith("v_")
-        for key in entries
-        if len(key) == 1
-    }
     refused = {word for word, reason in lexicon.refused.items() if reason in _VERBAL}
-    return frozenset((verbs | refused) - _words_of(*_BEFORE_NOUNS) - set(lexicon.tags))
+    return frozenset((command_verbs() | refused) - words_of(*_BEFORE_NOUNS) - set(lexicon.tags))
 
 
 def join_nouns(tokens: list[Token], labels: Collection[str] = ()) -> list[Token]:
@@ -157,17 +156,17 @@ def _size_of_name(
 
 def _is_after_determiner(tokens: list[Token], index: int) -> bool:
     """Tell whether only a determiner, or one and adjectives, stands before a token."""
-    before, qualifying = index - 1, _words_of("adj", "sup_adj") - {""}
+    before, qualifying = index - 1, words_of("adj", "sup_adj") - {""}
     while before >= 0 and tokens[before].text in qualifying:
         before -= 1
-    return before >= 0 and tokens[before].text in _words_of("det")
+    return before >= 0 and tokens[before].text in words_of("det")
 
 
 def _is_head(tokens: list[Token], index: int) -> bool:
     """Tell whether a word that is no side is the noun of its phrase: "close to the _"."""
     after = [token.text for token in tokens[index + 1 : index + 3]]
-    is_last = not after or after[0] not in _words_of(*_BEFORE_NOUNS) | {"of"}
-    is_before_place = len(after) > 1 and after[1] in _words_of("det")  # "near the"
+    is_last = not after or after[0] not in words_of(*_BEFORE_NOUNS) | {"of"}
+    is_before_place = len(after) > 1 and after[1] in words_of("det")  # "near the"
     is_unknown = bool(after) and tokens[index + 1].terminal.startswith("?")
     return (is_last or is_before_place) and not is_unknown and _is_after_determiner(tokens, index)
 
@@ -190,7 +189,7 @@ def is_noun_place(tokens: list[Token], index: int) -> bool:
         return False
     after = tokens[index + 1] if index + 1 < len(tokens) else None
     if after is not None and (
-        after.terminal.startswith("?") or after.text in _words_of(*_BEFORE_NOUNS)
+        after.terminal.startswith("?") or after.text in words_of(*_BEFORE_NOUNS)
     ):
         return False
     return _is_after_determiner(tokens, index)
@@ -198,7 +197,7 @@ def is_noun_place(tokens: list[Token], index: int) -> bool:
 
 def _has_noun(tokens: Iterable[Token]) -> bool:
     """Tell whether some noun phrase has begun."""
-    return any(token.text in _words_of("det") for token in tokens)
+    return any(token.text in words_of("det") for token in tokens)
 
 
 def name_nouns(clauses: Iterable[Phrase]) -> list[Phrase]:

@@ -27,10 +27,10 @@ from jaxlangnav.language.lexicon import REASONS, TYPE_CLASS, load_lexicon
 from jaxlangnav.language.loosening import loosen
 from jaxlangnav.language.measured import of_clauses, take_out
 from jaxlangnav.language.nearest import offer
-from jaxlangnav.language.nouns import NOUN, is_noun_place, join_nouns, name_nouns
+from jaxlangnav.language.nouns import is_noun_place, join_nouns, name_nouns
 from jaxlangnav.language.phrase import COMMAND, STATEMENT, LanguageError, Parse
 from jaxlangnav.language.reference import Antecedent, resolve
-from jaxlangnav.language.refusal import Token, explain, is_contrary
+from jaxlangnav.language.refusal import NOUN, Token, explain, is_contrary
 from jaxlangnav.language.rewriting import join_contractions, rewrite
 from jaxlangnav.language.spelling import repair
 from jaxlangnav.language.tokens import (
@@ -53,6 +53,12 @@ _LONGEST_LINE = 199
 _SIGNS = {"&": "and", "@": "at", ">": "then", "→": "then"}
 _DRAWN = re.compile(r"([a-z])\1{2,}")
 """A letter that is drawn out: "pleeease"."""
+
+_CARRIED = re.compile(
+    r"(?:deliver|take|bring|carry|get|run|haul|ferry|transport) "
+    r"(?:it|that|them|those|these)\b.* to$"
+)
+"""Who has spoken of a thing before asks to bring that thing, which no robot here can do."""
 
 
 class _Reader:
@@ -240,6 +246,8 @@ def _read_loosely(text: str, reader: _Reader, earlier: Antecedent | None) -> Par
     """Read a sentence that is refused as it stands in plainer words; None where that fails too."""
     tokens, remarks, changes = loosen(reader.tokens, reader.labels)
     if not (remarks or changes):
+        return None
+    if earlier is not None and any(_CARRIED.search(was) for was, _ in changes):
         return None
     try:
         found = _read(text, reader, tokens, earlier, is_blame_sought=False)

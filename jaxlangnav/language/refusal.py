@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from jaxlangnav.language.lexicon import REASONS, load_lexicon
 from jaxlangnav.language.phrase import LanguageError
 
+NOUN = "?noun"
+"""Terminal of what can only be a noun."""
 UNKNOWN_HERE = "unknown word, and no reading fits it; say it in other words"
 _NO_PLACE = "cannot be read here; say it in plainer words, or in commands joined by 'then'"
 _STRONG = (REASONS["negation"], REASONS["condition"])
@@ -53,7 +55,7 @@ def explain(tokens: list[Token], index: int) -> LanguageError:
         first = denied[0]
         reasons[first.position] = REASONS["negation"]
     stuck = None if at_end or not tokens[index].text else read[-1]
-    unread = [t for t in read if t.terminal.startswith("?") and not _is_read(t, tokens, index)]
+    unread = [t for t in read if _is_unknown(t) and not _is_read(t, tokens, index)]
     nearest = [t for t in reversed(read) if _is_telling(t) or t in unread]
     near = [t for t in read[-4:] if t.text in _SMALL and reasons[t.position]]
     if first is None and stuck is not None and stuck.text not in _SMALL and _is_telling(stuck):
@@ -65,7 +67,7 @@ def explain(tokens: list[Token], index: int) -> LanguageError:
             if refused.get(after) == REASONS["a distance"]:  # "two metres"
                 reason = refused[after]
             return _refusal(token, reason)
-    later = [t for t in tokens[index + 1 : index + 3] if t.terminal.startswith("?")]
+    later = [t for t in tokens[index + 1 : index + 3] if _is_unknown(t)]
     if stuck is not None and later:
         return _refusal(later[0], UNKNOWN_HERE)
     if stuck is None:
@@ -101,13 +103,21 @@ def _refused_expression(tokens: list[Token], last: int) -> LanguageError | None:
     return None
 
 
+def _is_unknown(token: Token) -> bool:
+    """Tell whether a word is neither of the lexicon nor a name that the detector knows."""
+    return token.terminal.startswith("?") and token.terminal != NOUN
+
+
 def _is_read(token: Token, tokens: list[Token], index: int) -> bool:
     """Tell whether an unknown word was read as a noun: "the pillar", with more words after it."""
     place = tokens.index(token)
-    if place + 1 >= min(index + 1, len(tokens)):
-        return False
-    before, after = tokens[max(place - 2, 0) : place], tokens[place + 1]
+    before = tokens[max(place - 2, 0) : place]
     is_named = any(one.text in _ARTICLES for one in before)
+    if place + 1 == len(tokens):  # "the box on the workbench": what stands before is to blame
+        return bool(before) and before[-1].text in _ARTICLES
+    if place + 1 >= index + 1:
+        return False
+    after = tokens[place + 1]
     return is_named and not after.terminal.startswith("?")
 
 

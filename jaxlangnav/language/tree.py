@@ -8,8 +8,8 @@ tree: NP[] over NP[the cone] and PP[nearest to] over NP[the tree].
 from jaxlangnav.language.forest import Derivation
 from jaxlangnav.language.grammar import UNKNOWN_TAGS
 from jaxlangnav.language.lexicon import plural
-from jaxlangnav.language.nouns import NOUN
 from jaxlangnav.language.phrase import Phrase, Word
+from jaxlangnav.language.refusal import NOUN
 
 PUNCTUATION = {"comma", "fullstop"}
 PARTED = "NPX"
