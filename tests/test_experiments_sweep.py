@@ -111,7 +111,8 @@ def test_kill_and_resume(
     left = run_and_kill(BASELINES, tmp_path, out, pytestconfig)
     assert 2 <= left < len(list(whole.glob("episodes-*.parquet")))
     # What a kill in the middle of a write may leave.
-    (out / ".episodes-000015.partial-77-abc.parquet").write_bytes(b"torn")
+    last = max(one.stem for one in whole.glob("episodes-*.parquet"))
+    (out / f".{last}.partial-77-abc.parquet").write_bytes(b"torn")
     told: list[str] = []
     with pytest.raises(ValueError, match="already holds episodes of this sweep: add --resume"):
         sweep.run_sweep(config, out, on_note=told.append)
