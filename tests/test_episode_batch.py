@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxlangnav import episode, navigator
+from jaxlangnav import episode, lanes, navigator
 from jaxlangnav.episode import EpisodeResult, Task, run
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.lanes import run_batch
@@ -130,7 +130,7 @@ def test_one_by_one_equals_the_batch(in_lanes: EpisodeResult, tasks, instruction
 
 def test_any_numbers_are_data(in_lanes: EpisodeResult, tasks, instructions) -> None:
     """Sentences, worlds, ranges, noises and parameters do not compile again."""
-    before = episode._run_batch._cache_size()
+    before = lanes._run_batch._cache_size()
     changed = navigator.default_params()
     changed = replace(
         changed,
@@ -163,7 +163,7 @@ def test_any_numbers_are_data(in_lanes: EpisodeResult, tasks, instructions) -> N
         max_steps=MAX_STEPS,
     )
     assert (np.asarray(result.steps) >= 1).all()
-    assert episode._run_batch._cache_size() == before
+    assert lanes._run_batch._cache_size() == before
 
 
 def test_order_of_tasks_does_not_matter(in_lanes: EpisodeResult, tasks, instructions) -> None:
@@ -243,12 +243,12 @@ def test_without_weights_behind_is_not_found(in_lanes: EpisodeResult, tasks, ins
             range_max=jnp.full_like(tasks.sensor.range_max, 5.0),
         ),
     )
-    before = episode._run_batch._cache_size()
+    before = lanes._run_batch._cache_size()
     trained = batch(told, instructions, lanes=7)
     zeroed = understand(SENTENCES[0], load_shipped().zeroed()).instruction
     unlearned = jax.tree.map(lambda leaf, one: leaf.at[0].set(one), instructions, zeroed)
     without = batch(told, unlearned, lanes=7)
-    assert episode._run_batch._cache_size() == before
+    assert lanes._run_batch._cache_size() == before
     assert trained.is_success.mean() > 0.8
     # Not even the half that a robot finds which merely stops at the first hydrant.
     assert without.is_success.mean() < 0.3
