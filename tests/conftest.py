@@ -11,8 +11,9 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 import jax
 import pytest
 
-RUN_LONG = ("test_experiments_", "test_language_")
-"""Files whose programs run longer than they compile; single programs elsewhere: readings.OFTEN."""
+RUN_LONG = ("test_experiments_", "test_language_", "test_training_")
+"""Files whose programs run longer than they compile, or are held to the last digits of float32; single
+programs elsewhere: readings.OFTEN."""
 LONGEST = (
     "test_notebooks",
     "test_follow_constructs",
@@ -52,9 +53,11 @@ def _compile_briefly(request: pytest.FixtureRequest) -> Iterator[None]:
     """
     is_quick = request.config.option.markexpr == "not slow"
     is_brief = is_quick and not request.path.name.startswith(RUN_LONG)
+    if is_brief != jax.config.read("jax_disable_most_optimizations"):
+        # A worker would go on with the other kind of program: it rounds otherwise.
+        jax.clear_caches()
     jax.config.update("jax_disable_most_optimizations", is_brief)
     yield
-    jax.config.update("jax_disable_most_optimizations", False)
     _give_back_memory()
 
 

@@ -456,7 +456,7 @@ def test_a_robot_that_starts_anew_in_the_middle_is_driven_on(navigator) -> None:
 def test_a_robot_that_is_away_for_a_while_is_waited_for_and_told_of_once(navigator) -> None:
     simulated, silences = put(), []
     bus = Loop(simulated)
-    simulated.at(4.0, lambda one: bus.vanish(20.0))
+    simulated.at(8.0, lambda one: bus.vanish(20.0))
     talk, _ = session(navigator, bus)
     robot = talk._robot
     robot._patience, robot._on_silence = 60.0, lambda: silences.append(bus.now())

@@ -191,7 +191,7 @@ def test_maps_are_laid_over_each_other_at_the_robot() -> None:
     np.testing.assert_allclose(pose[2], beliefs.mean_drift(belief), atol=1e-6)
 
 
-@functools.partial(jax.jit, static_argnames="is_sparse", compiler_options=by_hand.BRIEFLY)
+@functools.partial(jax.jit, static_argnames="is_sparse")
 def ground_lanes(keys, beliefs, sentence, *, is_sparse):
     def one(key, belief):
         return ground_words(key, belief, sentence, params=by_hand.params(), is_sparse=is_sparse)
