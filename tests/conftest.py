@@ -12,8 +12,8 @@ import jax
 import pytest
 
 RUN_LONG = ("test_experiments_", "test_language_", "test_training_")
-"""Files whose programs run longer than they compile, or are held to the last digits of float32; single
-programs elsewhere: readings.OFTEN."""
+"""Files whose programs run longer than they compile, or are held to the last digits of float32;
+single programs elsewhere: readings.OFTEN."""
 LONGEST = (
     "test_notebooks",
     "test_follow_constructs",

@@ -8,9 +8,9 @@ from types import SimpleNamespace as Message
 import jax
 import numpy as np
 import pytest
-from test_navigator_step import robot as navigator
 from test_robots_drive import TEXT, goal_distance, put
 
+from jaxlangnav.agent import Navigator
 from jaxlangnav.robots.record import Ending
 from jaxlangnav.robots.robot import Detection, Progress
 from jaxlangnav.robots.ros2 import conversions, tags
@@ -23,8 +23,6 @@ from jaxlangnav.robots.ros2.loopback import Loopback
 from jaxlangnav.robots.ros2.robot import RosRobot
 from jaxlangnav.robots.ros2.session import Session
 from jaxlangnav.robots.ros2.simulation import RobotOptions, simulate
-
-__all__ = ["navigator"]
 
 
 def quaternion(x: float, y: float, z: float, w: float) -> Message:
@@ -358,14 +356,21 @@ class Loop(Loopback):
             super().send_goal(goal, speed=speed, clearance=clearance)
 
     def vanish(self, seconds: float) -> None:
-        """It is switched off and on again."""
+        """It is switched off and on again, when it has come to rest."""
         self.away_until = self.simulated.seconds + seconds
-        self.restart()
+        self.simulated.stop()
+        self.simulated.at(self.away_until - 0.2, lambda one: self.restart())
 
     def restart(self) -> None:
         """Odometry begins anew where the robot is, and the goal is forgotten."""
         self.origin = self.simulated.pose()
         self.simulated.stop()
+
+
+@pytest.fixture(scope="module")
+def navigator() -> Navigator:
+    """That of ``Navigator.pretrained``; what it is told of is there."""
+    return Navigator.pretrained(absent=0.0)
 
 
 def session(navigator, bus: Loopback, **options) -> tuple[Session, list]:
