@@ -175,6 +175,7 @@ def _setting() -> tuple[Any, ...]:
     return (
         *_machine(),
         *(getattr(jax.config, name) for name in _SETTINGS),
+        jax.config.read("jax_disable_most_optimizations"),
         os.environ.get("XLA_FLAGS", ""),
     )
 

@@ -2,6 +2,7 @@
 
 import ctypes
 import os
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,9 +12,9 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 import jax
 import pytest
 
-RUN_LONG = ("test_experiments_", "test_language_", "test_training_")
-"""Files whose programs run longer than they compile, or are held to the last digits of float32;
-single programs elsewhere: readings.OFTEN."""
+RUN_LONG = ("test_experiments_", "test_kept", "test_language_", "test_training_")
+"""Files whose programs run longer than they compile, or are held to the last digits of float32 or
+to other processes; single programs elsewhere: readings.OFTEN."""
 LONGEST = (
     "test_notebooks",
     "test_follow_constructs",
@@ -54,8 +55,10 @@ def _compile_briefly(request: pytest.FixtureRequest) -> Iterator[None]:
     is_quick = request.config.option.markexpr == "not slow"
     is_brief = is_quick and not request.path.name.startswith(RUN_LONG)
     if is_brief != jax.config.read("jax_disable_most_optimizations"):
-        # A worker would go on with the other kind of program: it rounds otherwise.
+        # A worker would go on with the other kind of program, which rounds otherwise.
         jax.clear_caches()
+        if "jaxlangnav.experiments.devices" in sys.modules:
+            sys.modules["jaxlangnav.experiments.devices"]._programs.clear()
     jax.config.update("jax_disable_most_optimizations", is_brief)
     yield
     _give_back_memory()

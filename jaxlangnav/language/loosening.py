@@ -15,7 +15,7 @@ from importlib import resources
 from jaxlangnav.language.chatter import leave_out_remarks
 from jaxlangnav.language.describing import leave_out_descriptions
 from jaxlangnav.language.lexicon import TYPE_CLASS, load_lexicon
-from jaxlangnav.language.nouns import command_verbs, singular, words_of
+from jaxlangnav.language.nouns import command_verbs, singular, words_in_classes
 from jaxlangnav.language.rewriting import Rewrites, apply_rules, load_rewrites, read_rewrites
 from jaxlangnav.language.tokens import MARKS, SpokenToken
 
@@ -76,8 +76,8 @@ def _bare_name(
 ) -> tuple[str, ...]:
     """Find the name that begins at a word, adjectives before it; empty for none."""
     words = [token.text for token in tokens[index : index + 6]]
-    first = next((i for i, w in enumerate(words) if w not in words_of("adj")), 0)
-    if first == 0 and words[0] in command_verbs() | words_of(*_NO_NAMES):
+    first = next((i for i, w in enumerate(words) if w not in words_in_classes("adj")), 0)
+    if first == 0 and words[0] in command_verbs() | words_in_classes(*_NO_NAMES):
         return ()
     for size in range(min(len(words) - first, 4), 0, -1):
         name = tuple(words[first : first + size])

@@ -83,7 +83,7 @@ def _plural_of(noun: str) -> str:
 
 
 @cache
-def words_of(*classes: str) -> frozenset[str]:
+def words_in_classes(*classes: str) -> frozenset[str]:
     """Collect the words that begin an expression of one of the classes."""
     entries = load_lexicon().entries
     return frozenset(key[0] for name in classes for key in entries.get(name, {}))
@@ -102,7 +102,9 @@ def _single_verbs() -> frozenset[str]:
     """Collect the verbs of one word, and other words that no noun phrase can begin with."""
     lexicon = load_lexicon()
     refused = {word for word, reason in lexicon.refused.items() if reason in _VERBAL}
-    return frozenset((command_verbs() | refused) - words_of(*_BEFORE_NOUNS) - set(lexicon.tags))
+    return frozenset(
+        (command_verbs() | refused) - words_in_classes(*_BEFORE_NOUNS) - set(lexicon.tags)
+    )
 
 
 def join_nouns(tokens: list[Token], labels: Collection[str] = ()) -> list[Token]:
@@ -156,17 +158,17 @@ def _size_of_name(
 
 def _is_after_determiner(tokens: list[Token], index: int) -> bool:
     """Tell whether only a determiner, or one and adjectives, stands before a token."""
-    before, qualifying = index - 1, words_of("adj", "sup_adj") - {""}
+    before, qualifying = index - 1, words_in_classes("adj", "sup_adj") - {""}
     while before >= 0 and tokens[before].text in qualifying:
         before -= 1
-    return before >= 0 and tokens[before].text in words_of("det")
+    return before >= 0 and tokens[before].text in words_in_classes("det")
 
 
 def _is_head(tokens: list[Token], index: int) -> bool:
     """Tell whether a word that is no side is the noun of its phrase: "close to the _"."""
     after = [token.text for token in tokens[index + 1 : index + 3]]
-    is_last = not after or after[0] not in words_of(*_BEFORE_NOUNS) | {"of"}
-    is_before_place = len(after) > 1 and after[1] in words_of("det")  # "near the"
+    is_last = not after or after[0] not in words_in_classes(*_BEFORE_NOUNS) | {"of"}
+    is_before_place = len(after) > 1 and after[1] in words_in_classes("det")  # "near the"
     is_unknown = bool(after) and tokens[index + 1].terminal.startswith("?")
     return (is_last or is_before_place) and not is_unknown and _is_after_determiner(tokens, index)
 
@@ -189,7 +191,7 @@ def is_noun_place(tokens: list[Token], index: int) -> bool:
         return False
     after = tokens[index + 1] if index + 1 < len(tokens) else None
     if after is not None and (
-        after.terminal.startswith("?") or after.text in words_of(*_BEFORE_NOUNS)
+        after.terminal.startswith("?") or after.text in words_in_classes(*_BEFORE_NOUNS)
     ):
         return False
     return _is_after_determiner(tokens, index)
@@ -197,7 +199,7 @@ def is_noun_place(tokens: list[Token], index: int) -> bool:
 
 def _has_noun(tokens: Iterable[Token]) -> bool:
     """Tell whether some noun phrase has begun."""
-    return any(token.text in words_of("det") for token in tokens)
+    return any(token.text in words_in_classes("det") for token in tokens)
 
 
 def name_nouns(clauses: Iterable[Phrase]) -> list[Phrase]:
