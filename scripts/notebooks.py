@@ -146,6 +146,7 @@ def draw(path: Path, folder: Path) -> list[Path]:
     from matplotlib.figure import Figure
 
     folder.mkdir(parents=True, exist_ok=True)
+    sys.path.insert(0, str(path.parent))  # as in Jupyter: notebooks/studies
     names: dict[str, Any] = {"__name__": "__main__", "__file__": str(path)}
     pictures: list[Path] = []
     for index, (kind, text) in enumerate(cells(path)):

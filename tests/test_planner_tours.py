@@ -1,5 +1,8 @@
 """Tours: first sight against brute force, latency by hand, improvement, the learned prior."""
 
+import importlib.util
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,7 +21,6 @@ from jaxlangnav.planner.latency import NUM_STOPS, SIGHT_MARGIN, Tour, first_sigh
 from jaxlangnav.planner.policy import Decision
 from jaxlangnav.planner.search import CELLS, SearchMap, search_map
 from jaxlangnav.pytree import replace
-from jaxlangnav.studies.learn_prior import learn, training_worlds
 from jaxlangnav.terrain.view import GLANCE
 
 AREA = jnp.array([0.0, 10.0, -5.0, 5.0])
@@ -293,7 +295,13 @@ def test_prior_is_relative_to_uniform_and_can_be_left_out() -> None:
 
 
 def test_the_shipped_table_is_what_training_worlds_teach() -> None:
-    learned = learn(training_worlds(60))
+    script = Path(__file__).parent.parent / "scripts" / "learn_prior.py"
+    spec = importlib.util.spec_from_file_location("learn_prior", script)
+    assert spec is not None
+    assert spec.loader is not None
+    training = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(training)
+    learned = training.learn(training.training_worlds(60))
     shipped = prior.table()
     assert learned.shape == shipped.shape
     assert np.corrcoef(learned.ravel(), shipped.ravel())[0, 1] > 0.97
