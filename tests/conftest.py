@@ -28,6 +28,7 @@ TOGETHER = {
     ),
     "follow": ("test_cli_experiments", "test_cli_follow", "test_task.py"),
     "batches": ("test_episode_batch", "test_recording"),
+    "corpora": ("test_language_corpus", "test_training_labelled"),
 }  # fmt: skip
 """Files that run the same programs, by the beginnings of their names: the worker that has compiled
 them runs them all."""
