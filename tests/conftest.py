@@ -28,6 +28,7 @@ TOGETHER = {
     ),
     "follow": ("test_cli_experiments", "test_cli_follow", "test_task.py"),
     "batches": ("test_episode_batch", "test_recording"),
+    "corpora": ("test_language_corpus", "test_training_labelled"),
 }  # fmt: skip
 """Files that run the same programs, by the beginnings of their names: the worker that has compiled
 them runs them all."""
@@ -66,14 +67,18 @@ def pytest_collection_finish() -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """Send files that share programs to one worker, where ``--dist loadfile`` sends each alone."""
+    """Send files that share programs to one worker, where ``--dist loadfile`` sends each alone.
+
+    With the slow tests such a group would be the whole work of a worker, and compiles little of it.
+    """
     from xdist.scheduler import LoadFileScheduling
 
     class Groups(LoadFileScheduling):
         def _split_scope(self, nodeid: str) -> str:
             return _group(Path(super()._split_scope(nodeid)).name)
 
-    return Groups(config, log) if config.getvalue("dist") == "loadfile" else None
+    is_wanted = _is_quick(config) and config.getvalue("dist") == "loadfile"
+    return Groups(config, log) if is_wanted else None
 
 
 def _is_quick(config: pytest.Config) -> bool:

@@ -12,6 +12,7 @@ from oracles.dcg import BehaviorOracle
 
 from jaxlangnav.grounding import infer_behavior, infer_behaviors, load_shipped, understand
 from jaxlangnav.grounding.behavior_features import World
+from jaxlangnav.grounding.contraction import softmax
 from jaxlangnav.grounding.correspondence import CorrespondenceGraph
 from jaxlangnav.grounding.program import BehaviorProgram
 from jaxlangnav.grounding.properties import Behaviors
@@ -120,6 +121,12 @@ def test_find_and_modes(model):
     assert behavior_of("look for the cone", model, world).action[1] > 0.9
     assert behavior_of("quickly go to the cone", model, world).mode[1] > 0.9
     assert behavior_of("go slowly to the cone", model, world).mode[2] > 0.9
+
+
+def test_one_of_several_is_expressed_by_its_odds():
+    """Actions and modes: odds of 1, 2 and 5 to one another, however large they are."""
+    for shift in (-500.0, 0.0, 500.0):
+        np.testing.assert_allclose(softmax(np.log([1.0, 2.0, 5.0]) + shift), [0.125, 0.25, 0.625])
 
 
 def test_a_model_that_knows_nothing_prefers_no_goal(model):
