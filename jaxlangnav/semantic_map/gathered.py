@@ -33,7 +33,7 @@ reading that it believes, i32[P]."""
 
 
 def ground_all(
-    num_mentions: int, own: Own, told: Said, scene: Scene, params: MapParams
+    num_mentions: int, own: Own, told: Said, scene: Scene, *, params: MapParams
 ) -> Grounding:
     """Ground the words of all particles of one lane: leaves [..., P]."""
     seen, draws, reading = own
@@ -57,7 +57,9 @@ def _ground(
 @functools.cache
 def ground_sparse(num_mentions: int) -> Callable[..., Grounding]:
     """Build ``ground_all`` with a rule of its own for ``vmap`` over lanes."""
-    dense = functools.partial(ground_all, num_mentions)
+
+    def dense(own: Own, told: Said, scene: Scene, params: MapParams) -> Grounding:
+        return ground_all(num_mentions, own, told, scene, params=params)
 
     @custom_vmap
     def ground(is_asked: Array, *arguments: Any) -> Grounding:

@@ -50,7 +50,7 @@ def ground_words(
     if is_sparse:
         grounding = ground_sparse(num_mentions)(asked, own, said, scene, params)
     else:
-        grounding = ground_all(num_mentions, own, said, scene, params)
+        grounding = ground_all(num_mentions, own, said, scene, params=params)
     fresh = replace(
         particles,
         reading=reading,
