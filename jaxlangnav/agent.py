@@ -52,6 +52,8 @@ MOST_BITS = 31
 """Slots and mentions of which sets are held, a bit each."""
 DEFAULT_EXTENT = 15.0
 """Metres to each side of the robot that are its operating area unless it is told otherwise."""
+_LEAST_TOLD = 1e-3
+"""Types that only readings less probable than this speak of are not told."""
 _log = logging.getLogger(__name__)
 
 _step = jax.jit(navigator.step, static_argnames="config")
@@ -329,15 +331,16 @@ class Navigator:
             state: of any robot.
 
         Returns:
-            Names of object types, in the order of the sentence; those of all its readings. All
-            that there are where it speaks of "the thing".
+            Names of object types, in the order of the sentence; those of all its readings but
+            the least likely. All that there are where it speaks of "the thing".
         """
-        kinds = np.asarray(state.instruction.readings.mention_type).reshape(-1).tolist()
+        readings = state.instruction.readings
+        is_told = np.asarray(readings.log_probability) >= np.log(_LEAST_TOLD)
+        kinds = np.asarray(readings.mention_type)[is_told].reshape(-1).tolist()
         if any(is_anything(kind) for kind in kinds):
             return list(self.type_names)
-        return [
-            name_of(kind, names_of(self.grounder)) for kind in dict.fromkeys(kinds) if kind >= 0
-        ]
+        names = names_of(self.grounder)
+        return [name_of(kind, names) for kind in dict.fromkeys(kinds) if kind >= 0]
 
     def missing(self, state: NavigatorState) -> list[str]:
         """Name what the task speaks of and the robot has not seen, such as its goal's landmark.

@@ -150,13 +150,14 @@ class Listener:
                 )
         area = state.belief.coverage.area
         check_measures(spoken, np.asarray(pose).tolist(), np.asarray(area).tolist())
-        is_again = said.kind == Kind.CORRECTION or (is_asked and spoken.goals == (about,))
+        kind = label_of(about)
+        is_answer = is_asked and len(spoken.goals) == 1 and kind in spoken.may_be(spoken.goals[0])
+        is_again = said.kind == Kind.CORRECTION or is_answer
         out = self._ruled_out(state, said, grounded, text) if how is How.REPLACE else NONE
         joined = self._join(state, grounded, how=how, is_loose=is_again or how is How.APPEND)
         after = hearing.tell(state, joined, pose, how=how)
         if out != NONE:
             after = hearing.rule_out(after, hearing.slot_bit(jnp.int32(out)))
-        is_answer = is_asked and spoken.goals == (about,)
         if is_answer:  # one question is enough: what still fits best will do
             after = hearing.choose_freely(after)
         kind = said.kind or (Kind.ANSWER if is_answer else Kind.COMMAND)
@@ -230,7 +231,7 @@ class Listener:
         slots = [
             slot
             for slot in (at, last)
-            if slot != NONE and label_of(self._type_at(state, slot)) == kind
+            if slot != NONE and label_of(self._type_at(state, slot)) in spoken.may_be(kind)
         ]
         if len(spoken.goals) == 1 and kind in spoken.others:
             if not slots:

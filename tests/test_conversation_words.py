@@ -1,5 +1,7 @@
 """What an utterance is taken for by its wording, and how words are joined; nothing is compiled."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 import readings as by_hand
@@ -71,8 +73,8 @@ def test_halting_wins_over_a_question() -> None:
 class Talk:
     """Utterances joined one after the other, by the trained graph."""
 
-    def __init__(self, text: str) -> None:
-        self.grounder = GraphGrounder(load_shipped())
+    def __init__(self, text: str, labels: Sequence[str] | None = None) -> None:
+        self.grounder = GraphGrounder(load_shipped(), labels)
         grounded = self.ground(text)
         told = grounded.instruction
         wide = replace(told, readings=widen(told.readings, Capacity()))

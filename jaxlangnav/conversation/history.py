@@ -164,7 +164,8 @@ def accounts_of(readings: Readings, words: Words) -> list[Account]:
 
 def _goals(reading: Account, spoken: Spoken | None, num_clauses: int) -> list[int]:
     """Find the mention that each command of a sentence is about."""
-    kinds = spoken.goals if spoken is not None else ()
+    told = spoken or Spoken()
+    kinds, may_be = told.goals, told.may_be
     landmarks = {one.landmark for one in reading.edges}
     goals: list[int] = []
     for index in range(num_clauses):
@@ -172,7 +173,7 @@ def _goals(reading: Account, spoken: Spoken | None, num_clauses: int) -> list[in
         if kind is None:
             alike = [m for m, one in enumerate(reading.mentions) if one.kind != ROBOT]
         else:
-            alike = [m for m, one in enumerate(reading.mentions) if one.label == kind]
+            alike = [m for m, one in enumerate(reading.mentions) if one.label in may_be(kind)]
         alike = [m for m in alike if m not in landmarks] or alike
         before = sum(one == kind for one in kinds[:index])
         goals.append(alike[min(before, len(alike) - 1)] if alike and kind != NONE else NONE)

@@ -98,6 +98,19 @@ def _product(
     return Account(mentions, edges, old.goals, old.pinned, goals, total, old.num_dropped)
 
 
+def _is_apart(old: Account, new: Account, spoken: Spoken | None) -> bool:
+    """Tell whether what is spoken of as known is of one type before, and of another one now.
+
+    Of a noun that may be either of two labels each is a reading of its own.
+    """
+    told = spoken or Spoken()
+    before, now = ({one.label for one in said.mentions} for said in (old, new))
+    return any(
+        told.known >= set(way) and bool(before & set(way)) and not before & now & set(way)
+        for way in told.ways
+    )
+
+
 def _tidied(reading: Account) -> Account:
     """Leave out that a thing exists where more is said of it; ask for what the goals hang on."""
     ends = [{one.figure, one.landmark} for one in reading.edges if one.relation != NONE]
@@ -190,9 +203,10 @@ def join(
     old = accounts_of(readings, words) or [Account([], [], [], [], [], 0.0)]
     new = new_accounts(instruction, spoken, heard, is_asked=is_asked)
     new = new or [Account([], [], [], [], [NONE] * int(instruction.num_clauses), 0.0)]
+    pairs = list(itertools.product(old, new))
     both = [
         _product(one, other, spoken, is_new_task=is_new_task, is_loose=is_loose)
-        for one, other in itertools.product(old, new)
+        for one, other in [pair for pair in pairs if not _is_apart(*pair, spoken)] or pairs
     ]
     both.sort(key=lambda one: -one.log_probability)
     (k_size, m_size), j_size = readings.mention_type.shape, readings.relation.shape[1]

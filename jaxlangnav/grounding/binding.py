@@ -20,6 +20,7 @@ from jaxlangnav.kinds import (
     attributes,
     group_of,
     kind_of,
+    label_of,
     words_of,
 )
 from jaxlangnav.language.lexicon import TYPE_CLASS, load_lexicon
@@ -178,6 +179,12 @@ class Bound:
         own = {ROBOT: ROBOT, ANYTHING: self.thing}
         return (own[mention],) if mention in own else self.kinds[mention]
 
+    def labels_of(self, name: str) -> tuple[int, ...]:
+        """List the labels that one of the sentence's types may have, whatever it looks like."""
+        if name not in self.names:
+            return ()
+        return tuple(dict.fromkeys(label_of(k) for k in self.kinds[self.names.index(name)]))
+
 
 class _Binder:
     """Binds the noun phrases of one sentence, in order."""
@@ -230,7 +237,7 @@ class _Binder:
 
     def _name(self, noun: str, code: int, phrase: Phrase, *, is_goal: bool) -> str:
         """Name the type of the sentence that a noun with its attributes is."""
-        said = _said(phrase) or noun
+        said = said_noun(phrase) or noun
         labels, is_itself = self.detector.find(said)
         if not labels or not is_itself:
             by_type, is_type = self.detector.find(noun)
@@ -282,7 +289,7 @@ def _type_of(word: Word) -> str | None:
     return next((s.removeprefix(_TYPE) for s in word.senses if s.startswith(_TYPE)), None)
 
 
-def _said(phrase: Phrase) -> str:
+def said_noun(phrase: Phrase) -> str:
     """Write the noun of a phrase as it was said, in the singular: "traffic cone"."""
     nouns = [word.text for word in phrase.words if word.tag in ("NN", "NNS") and word.text != "one"]
     return singular(" ".join(nouns)) if nouns else ""

@@ -13,7 +13,7 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.grounding.annotation import Belief, describe_annotation, infer_annotations
-from jaxlangnav.grounding.binding import Detector, UnknownObjectError, bind
+from jaxlangnav.grounding.binding import Detector, UnknownObjectError, bind, said_noun
 from jaxlangnav.grounding.graph import bottom_up, build
 from jaxlangnav.grounding.model import CorrespondenceModel
 from jaxlangnav.grounding.program import BehaviorProgram, compile_clause, empty_program, to_program
@@ -66,6 +66,7 @@ class Understanding:
     names: tuple[str, ...]  # types of the sentence, which ``belief`` speaks of
     type_names: tuple[str, ...]  # what the detector tells apart, which ``instruction`` speaks of
     notes: tuple[str, ...]  # what of the words is not used, a line each
+    spoken: Spoken  # what the sentence speaks of
     slack: float  # bound on the log-odds of any region left out of the program
 
     @property
@@ -117,18 +118,14 @@ class Understanding:
             things = [one for one in clause.walk() if one.label == "NP" and not one.children]
             others = [one for one in things if any("other" in word.senses for word in one.words)]
             named |= {type_sense(one) or "" for one in things if one not in others} - {""}
-            for kind in (type_sense(one) for one in others):
+            for one in others:
+                kind = type_sense(one)
                 if kind not in named and (kind is not None or not named):
-                    noun = "thing" if kind is None else kind.partition(":")[2]
+                    noun = "thing" if kind is None else said_noun(one) or kind.partition(":")[2]
                     raise ValueError(
                         f"'{self.parse.instruction}': no {noun} has been spoken of yet, so there "
                         "is no other: say which, as in 'the hydrant by the cone'"
                     )
-
-    @property
-    def spoken(self) -> Spoken:
-        """What the sentence speaks of."""
-        return spoken_of(self.parse, self.type_names)
 
     @property
     def unknown_words(self) -> list[str]:
@@ -223,6 +220,7 @@ def understand_parse(
         names=names,
         type_names=detector.names,
         notes=bound.notes,
+        spoken=spoken_of(tree, bound.labels_of),
         slack=slack,
     )
 

@@ -5,6 +5,7 @@ which of them a command is about, which are named as known ("the hydrant is behi
 of the hydrant that the task speaks of), which are another one, and which are only to be avoided.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from jaxlangnav.kinds import ANYTHING
@@ -27,14 +28,20 @@ class Spoken:
     avoided: tuple[tuple[int, bool], ...] = ()  # to keep away from, and whether from all of a type
     steps: tuple[tuple[float, float], ...] = ()
     """Where commands end that are told from the robot as it hears them: metres, its frame."""
+    ways: tuple[tuple[int, ...], ...] = ()
+    """Types that one noun may be any of; the first of them stands for the noun in ``goals``."""
+
+    def may_be(self, kind: int) -> tuple[int, ...]:
+        """List the types that the noun of a goal may be, ``kind`` first."""
+        return next((way for way in self.ways if way[0] == kind), (kind,))
 
 
-def spoken_of(tree: Parse, type_names: tuple[str, ...]) -> Spoken:
+def spoken_of(tree: Parse, types_of: Callable[[str], tuple[int, ...]]) -> Spoken:
     """Find what a sentence speaks of.
 
     Args:
         tree: the sentence.
-        type_names: object types.
+        types_of: the object types that a noun of the sentence may be, one or more.
 
     Returns:
         What it speaks of.
@@ -43,34 +50,42 @@ def spoken_of(tree: Parse, type_names: tuple[str, ...]) -> Spoken:
     known: set[int] = set()
     others: set[int] = set()
     avoided: list[tuple[int, bool]] = []
+    ways: dict[tuple[int, ...], None] = {}
+
+    def told(phrase: Phrase) -> tuple[int, ...]:
+        types = _types_of(phrase, types_of)
+        if len(types) > 1:
+            ways.setdefault(types)
+        return types
+
     for clause, kind in zip(tree.clauses, tree.kinds, strict=True):
         for leaf in leaves(clause):
             if any("other" in word.senses for word in leaf.words):
-                others.add(_type_of(leaf, type_names))
+                others.update(told(leaf))
         if is_constraint(clause):
             phrases = [child for child in clause.children if child.label == "NP"]
-            avoided += [(_type_of(one, type_names), not one.children) for one in phrases]
+            avoided += [(type_, not one.children) for one in phrases for type_ in told(one)]
         elif kind == COMMAND:
-            goals.append(_type_of(clause, type_names))
+            goals.append(next(iter(told(clause)), NONE))
         else:
-            known |= {_type_of(c, type_names) for c in clause.children if _is_bare(c)}
+            known.update(*(told(child) for child in clause.children if _is_bare(child)))
     return Spoken(
         goals=tuple(goals),
-        known=frozenset(known - {NONE}),
-        others=frozenset(others - {NONE}),
-        avoided=tuple(one for one in avoided if one[0] != NONE),
+        known=frozenset(known),
+        others=frozenset(others),
+        avoided=tuple(avoided),
         steps=tuple(one.end for one in tree.measures if one.end is not None),
+        ways=tuple(ways),
     )
 
 
-def _type_of(phrase: Phrase, type_names: tuple[str, ...]) -> int:
-    """Look up the type of the thing that a phrase is about; NONE where it names none."""
+def _types_of(phrase: Phrase, types_of: Callable[[str], tuple[int, ...]]) -> tuple[int, ...]:
+    """List the types that the thing may be which a phrase is about; none where it names none."""
     leaf = head_of(phrase)
     if leaf is not None and is_thing(leaf):
-        return ANYTHING
+        return (ANYTHING,)
     sense = None if leaf is None else type_sense(leaf)
-    name = "" if sense is None else sense[_SENSE:]
-    return type_names.index(name) if name in type_names else NONE
+    return () if sense is None else types_of(sense[_SENSE:])
 
 
 def _is_bare(phrase: Phrase) -> bool:

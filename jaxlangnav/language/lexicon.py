@@ -178,6 +178,20 @@ class _Builder:
                     self.add(str(ing), first)
 
 
+def type_called(name: str) -> str | None:
+    """Find the lexicon's type of a name: a house is a building; None where it has none.
+
+    Args:
+        name: small letters, one blank between words.
+
+    Returns:
+        The type.
+    """
+    entry = load_lexicon().entries[TYPE_CLASS].get(tuple(name.split()))
+    senses = () if entry is None else (one for senses in entry.senses for one in senses)
+    return next((one.removeprefix("type:") for one in senses if one.startswith("type:")), None)
+
+
 @cache
 def load_lexicon() -> Lexicon:
     """Read the lexicon of the package, and a file of one's own that ``OWN_LEXICON`` names.

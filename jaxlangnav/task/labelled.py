@@ -18,7 +18,7 @@ from typing import Any
 from jaxlangnav.files.documents import DocumentError, parse_json, read_text
 from jaxlangnav.grounding.form import FormReading, read_meaning
 from jaxlangnav.grounding.json_schema import quote
-from jaxlangnav.language.lexicon import TYPE_CLASS, load_lexicon
+from jaxlangnav.language.lexicon import type_called
 
 REFUSE = "refuse"
 MOST_SENTENCES = 20_000
@@ -120,11 +120,4 @@ def _read_label(label: Any) -> Meaning | None:
     if isinstance(label, str):
         raise ValueError(f"label is {quote(label)}, but must be 'refuse' or an object")
     reading, names = read_meaning(label, path="label")
-    return Meaning(reading, tuple(_canonical(name) for name in names))
-
-
-def _canonical(name: str) -> str:
-    """Name an object type as the lexicon does: a house is a building there."""
-    entry = load_lexicon().entries[TYPE_CLASS].get(tuple(name.lower().split()))
-    senses = [] if entry is None else [one for word in entry.senses for one in word]
-    return next((one.removeprefix("type:") for one in senses if one.startswith("type:")), name)
+    return Meaning(reading, tuple(type_called(name.lower()) or name for name in names))

@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxlangnav.files.limits import SHORTEST
 from jaxlangnav.kinds import ATTRIBUTES, attributes
-from jaxlangnav.language.lexicon import load_lexicon
+from jaxlangnav.language.lexicon import load_lexicon, type_called
 from jaxlangnav.language.spelling import repair
 from jaxlangnav.language.tokens import is_word, plainly
 from jaxlangnav.messages import (
@@ -174,8 +174,9 @@ def _read_objects(top: Fields, area: Bounds, most: int) -> _Things:
 
 
 def _read_type(fields: Fields, type_names: list[str]) -> int:
-    """Read a type: one of those known, or any noun, which is known from then on."""
+    """Read a type: by any of its names, or any noun, which is known from then on."""
     name = " ".join(plainly(fields.text("type")).split())
+    name = type_called(name) or name
     if name not in type_names:
         slip = repair(name, is_noun=True)
         if slip is not None:
