@@ -289,10 +289,10 @@ class Navigator:
         Words to halt, to go on or to cancel work by themselves, before any model and whatever the
         state is. A halted robot goes on when it is told to, or given a command, a correction or an
         answer, and not for a statement, an addition or a constraint. Cancelled it is idle: it has
-        no task any more. What begins with a sentence to halt ("Stop! There is a child …") halts
-        the robot, too, where the whole is no command that it understands. As the robot must not
-        lose its halt to a refusal, nothing is raised then: why the rest was left out is logged as
-        a warning.
+        no task any more. What begins with words to halt or to cancel ("Stop! There is a child …",
+        "never mind, come back") does so, too, and what follows is taken in as if it were said
+        next. As the robot must not lose its halt to a refusal, nothing is raised then: why the
+        rest was left out is logged as a warning.
 
         Nothing is compiled for it, whatever is said.
 

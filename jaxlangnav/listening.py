@@ -20,7 +20,7 @@ from jaxlangnav.grounding.grounder import names_of
 from jaxlangnav.grounding.spoken import Spoken
 from jaxlangnav.hearing import How
 from jaxlangnav.kinds import is_anything, label_of, name_of, noun_of
-from jaxlangnav.language.halting import Act, begins_with_halt
+from jaxlangnav.language.halting import Act, opening_of
 from jaxlangnav.language.utterance import Kind, Utterance, Wording, classify
 from jaxlangnav.messages import NONE, Status
 from jaxlangnav.navigator import NavigatorState
@@ -28,6 +28,10 @@ from jaxlangnav.plain_text import cut
 from jaxlangnav.semantic_map.belief import in_map
 
 _ACTS = {Kind.HALT: Act.HALT, Kind.RESUME: Act.RESUME, Kind.CANCEL: Act.CANCEL}
+_BY_ACT = {act: kind for kind, act in _ACTS.items()}
+_INFORMING = {Kind.STATEMENT, Kind.CONSTRAINT}
+_NO_COMMAND = {Act.HALT: _INFORMING | {Kind.CORRECTION, Kind.ANSWER}, Act.CANCEL: _INFORMING}
+"""What words to halt or to cancel hold for, said before it: "Stop! That is the wrong one"."""
 _ORDINALS = ("FIRST", "SECOND", "THIRD", "FOURTH", "FIFTH", "SIXTH")
 _PLACES = {Wording[name]: place for place, name in enumerate(_ORDINALS)}
 _LEAST = 0.01
@@ -71,17 +75,29 @@ class Listener:
             return hearing.obey(state, _ACTS[said.kind]), Heard(text=text, kind=said.kind)
         if said.wording is not None:
             return self._by_wording(state, text, said)
+        opening = opening_of(text)
         try:
             after, heard = self._by_sentence(state, text, said, is_asked=is_asked)
-        except ValueError as refusal:
-            if not begins_with_halt(text):
+        except ValueError:
+            if opening is None:
                 raise
-            _log.warning("halted; the rest of what was said is left out: %s", refusal)
-            return hearing.obey(state, Act.HALT), Heard(text=text, kind=Kind.HALT)
-        if heard.kind in (Kind.STATEMENT, Kind.CONSTRAINT) and begins_with_halt(text):
-            after = hearing.obey(after, Act.HALT)
-            heard = dataclasses.replace(heard, kind=Kind.HALT)
+            return self._opened(state, text, *opening)
+        if opening is not None and heard.kind in _INFORMING:
+            return _acted(after, heard, opening[0])
         return after, heard
+
+    def _opened(
+        self, state: NavigatorState, text: str, act: Act, rest: str
+    ) -> tuple[NavigatorState, Heard]:
+        """Halt, or drop the task, and then take in the rest of what was said."""
+        try:
+            after, heard = self.take(state, rest)
+        except ValueError as refusal:
+            done = "halted" if act == Act.HALT else "the task is dropped"
+            _log.warning("%s; the rest of what was said is left out: %s", done, refusal)
+            return hearing.obey(state, act), Heard(text=text, kind=_BY_ACT[act])
+        heard = dataclasses.replace(heard, text=text)
+        return _acted(after, heard, act) if heard.kind in _NO_COMMAND[act] else (after, heard)
 
     def _by_wording(
         self, state: NavigatorState, text: str, said: Utterance
@@ -278,6 +294,11 @@ class Listener:
             y=float((own * np.asarray(particles.mean_y[slot])).sum() / total),
             probability=float(state.talk.candidate[slot]),
         )
+
+
+def _acted(state: NavigatorState, heard: Heard, act: Act) -> tuple[NavigatorState, Heard]:
+    """Halt, or drop the task, as an utterance began that goes on without a command."""
+    return hearing.obey(state, act), dataclasses.replace(heard, kind=_BY_ACT[act])
 
 
 def check_measures(spoken: Spoken | None, pose: Sequence[float], area: Sequence[float]) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from jaxlangnav.language.halting import Act, act_of, begins_with_halt
+from jaxlangnav.language.halting import Act, act_of, opening_of
 
 TABLE = tomllib.loads(
     resources.files("jaxlangnav.language").joinpath("data/halting.toml").read_text("utf-8")
@@ -51,6 +51,16 @@ def test_each_wording_however_said(act: Act, form: str) -> None:
         ("you can go on now", Act.RESUME),
         ("never mind, thanks", Act.CANCEL),
         ("forget it. stop.", Act.HALT),
+        ("stpo", Act.HALT),
+        ("Sotp!", Act.HALT),
+        ("stooop", Act.HALT),
+        ("STOOOOOP!!!", Act.HALT),
+        ("robot, stpo now please", Act.HALT),
+        ("hlat", Act.HALT),
+        ("freeeze", Act.HALT),
+        ("hold on a second", Act.HALT),
+        ("hang on a minute, please", Act.HALT),
+        ("back off!", Act.HALT),
     ],
 )
 def test_as_people_say_it(text: str, act: Act) -> None:
@@ -78,6 +88,9 @@ def test_as_people_say_it(text: str, act: Act) -> None:
         "go",
         "no",
         "the other one",
+        "stpo behind the cone",
+        "a second",
+        "soap",
     ],
 )
 def test_anything_else_is_left_to_the_parser(text: str) -> None:
@@ -95,20 +108,43 @@ def test_no_command_with_an_object_is_taken_for_a_word_to_halt() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "begins"),
+    ("text", "act", "rest"),
     [
-        ("Stop! The car is on fire", True),
-        ("halt, there is a child", True),
-        ("stop behind the cone", False),
-        ("go to the cone and stop", False),
-        ("", False),
+        ("Stop! The car is on fire", Act.HALT, "The car is on fire"),
+        ("halt, there is a child", Act.HALT, "there is a child"),
+        ("Stpo! There is a child", Act.HALT, "There is a child"),
+        ("stop and come back", Act.HALT, "come back"),
+        ("please stop now, and then go to the bench", Act.HALT, "go to the bench"),
+        ("Never mind, come back.", Act.CANCEL, "come back."),
+        ("don't bother, go to the bench", Act.CANCEL, "go to the bench"),
+        ("cancel that and then come back", Act.CANCEL, "come back"),
+        ("nevermind come back", Act.CANCEL, "come back"),
+        ("forget it. Stop. Come back", Act.HALT, "Come back"),
     ],
 )
-def test_a_sentence_of_its_own_at_the_beginning(text: str, begins: bool) -> None:
-    assert begins_with_halt(text) is begins
+def test_a_beginning_that_acts_by_itself(text: str, act: Act, rest: str) -> None:
+    assert opening_of(text) == (act, rest)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "stop behind the cone",
+        "go to the cone and stop",
+        "never mind the gazebo",
+        "forget the cone, go to the car",
+        "stop",
+        "go on, the hydrant is red",
+        "please, go to the cone",
+        "",
+        "stop, " * 200,
+    ],
+)
+def test_other_beginnings(text: str) -> None:
+    assert opening_of(text) is None
 
 
 @pytest.mark.parametrize("other", [None, 5, b"stop", ["stop"]])
 def test_what_is_no_text_is_left_to_the_parser_too(other: object) -> None:
     assert act_of(other) is None
-    assert begins_with_halt(other) is False
+    assert opening_of(other) is None

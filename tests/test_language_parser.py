@@ -307,3 +307,9 @@ def test_grammar_is_built_once():
 def test_what_is_no_text_is_refused(text):
     with pytest.raises(LanguageError, match="the instruction is of type"):
         parse(text)
+
+
+@pytest.mark.parametrize(("text", "blamed"), [("go home", "home"), ("go frobnicate", "frobnicate")])
+def test_a_refusal_blames_the_word_that_is_not_known(text: str, blamed: str) -> None:
+    with pytest.raises(LanguageError, match=rf"^'{blamed}' \(word 2\): neither a verb nor"):
+        parse(text)

@@ -9,6 +9,7 @@ from test_navigator_step import AREA, CONE, HYDRANT, RANGE, WORLD, distance, go,
 
 from jaxlangnav import agent, hearing
 from jaxlangnav.language.halting import Act
+from jaxlangnav.language.utterance import Kind
 from jaxlangnav.messages import Fault, Status
 from jaxlangnav.planner import policy
 from jaxlangnav.pytree import replace
@@ -105,14 +106,36 @@ def test_an_arrival_is_remembered_through_a_halt(robot) -> None:
 
 def test_a_halt_with_more_that_is_not_understood_is_not_lost(robot, caplog) -> None:
     run = go(robot, robot.start(TEXT, area=AREA), max_steps=1)
-    for said in ("Stop! There is a wombat", "Stop! Go to the cone"):
+    for said in ("Stop! There is a wombat", "stop and gather the wombats", "Stop! Wrong one!"):
         with caplog.at_level(logging.WARNING):
             state = robot.hear(run.state, said)
         assert bool(state.is_halted), said
-        assert "halted" in caplog.text
+        assert ("halted" in caplog.text) == ("There" not in said)
         caplog.clear()
     with pytest.raises(ValueError, match="breaks off after 'stop'"):
         robot.hear(run.state, "there is a wombat, stop")
+
+
+@pytest.mark.parametrize(
+    ("said", "kind"),
+    [
+        ("Stop! Go to the cone", Kind.COMMAND),
+        ("stop and come back", Kind.RETURN),
+        ("never mind, come back", Kind.RETURN),
+        ("forget it and come back", Kind.RETURN),
+        ("Never mind, go to the cone", Kind.COMMAND),
+        ("cancel, the cone is behind the hydrant", Kind.CANCEL),
+        ("Never mind, there is a wombat", Kind.CANCEL),
+    ],
+)
+def test_what_begins_with_halting_or_cancelling_goes_on_from_there(robot, said, kind) -> None:
+    """As if one were said after the other."""
+    run = go(robot, robot.start(TEXT, area=AREA), max_steps=1)
+    state, heard = robot.take(run.state, said)
+    assert heard.kind == kind
+    assert heard.text == said
+    assert not bool(state.is_halted)
+    assert int(state.instruction.num_clauses) == (kind != Kind.CANCEL)
 
 
 @pytest.mark.parametrize("said", ["stop", "carry on", "never mind"])

@@ -42,7 +42,8 @@ def _check_verb(clause: Phrase, guessed: set[int]) -> None:
     anaphors = [w for w in clause.all_words() if set(w.senses) & {"anaphor", "place"}]
     if has_action or types or anaphors:
         return
-    words = verbs or clause.all_words()
+    said = clause.all_words()
+    words = [one for one in (*verbs, *said) if one.position in guessed] or verbs or said
     reason = "neither a verb nor an object that I know; say for example 'go to the cone'"
     raise _refuse(words[:1], reason)
 

@@ -3,7 +3,7 @@
 A robot that is told to stop must stop, whatever else it understands. So the few utterances that
 mean nothing but that are known as whole wordings (``data/halting.toml``): politeness, vocatives,
 punctuation and repetition are taken off, and what is left is looked up. "Stop behind the cone" is
-no such wording and stays a command.
+no such wording and stays a command. Words to halt are known mistyped too, as people in haste type.
 """
 
 import enum
@@ -16,6 +16,11 @@ from importlib import resources
 MAX_HALTING_CHARACTERS = 400
 """Longer utterances are never mere halting words."""
 _BREAK = re.compile(r"[^\w\s]+")
+_WORD = re.compile(r"[^\W_]+(?:['\u2018\u2019`][^\W_]+)*")
+_APOSTROPHES = re.compile(r"['\u2018\u2019`]")
+_RUN = re.compile(r"(.)\1+")
+_LEAST_MISTYPED = 4
+"""Letters of the shortest word to halt that is known mistyped."""
 
 
 class Act(enum.StrEnum):
@@ -46,29 +51,47 @@ def act_of(text: str) -> Act | None:
     return min(acts, key=_URGENCY.index, default=None)
 
 
-def begins_with_halt(text: str) -> bool:
-    """Tell whether an utterance begins with a whole sentence that means halt ("Stop! The car…").
+def opening_of(text: str) -> tuple[Act, str] | None:
+    """Tell what an utterance begins with that acts by itself: "Stop! The car…", "cancel and …".
 
     Args:
         text: what the person said.
 
     Returns:
-        True if the first part, up to punctuation, is a word to halt.
+        To halt or to cancel, and what follows, as it was said; None where it begins with neither,
+        or nothing follows. What follows is parted off by punctuation, by "and" or "then", or is a
+        command: "never mind the cone" begins with nothing of the kind.
     """
-    parts = _parts(text[:MAX_HALTING_CHARACTERS]) if isinstance(text, str) else []
-    return bool(parts) and Act.HALT in (_act_of_part(parts[0]) or ())
+    if not isinstance(text, str) or len(text) > MAX_HALTING_CHARACTERS:
+        return None
+    found = list(_WORD.finditer(text))
+    words = [_APOSTROPHES.sub("", _plain(match.group())) for match in found]
+    for size in range(len(words) - 1, 0, -1):
+        between = text[found[size - 1].end() : found[size].start()]
+        is_parted = words[size - 1] in _PARTING or words[size] in _table()["onward"]
+        if not (is_parted or _BREAK.search(between.replace("-", ""))):
+            continue
+        act = min(_act_of_part(words[:size]) or (), key=_URGENCY.index, default=Act.RESUME)
+        if act != Act.RESUME:
+            return act, text[found[size].start() :]
+    return None
 
 
 _URGENCY = (Act.HALT, Act.CANCEL, Act.RESUME)
+_PARTING = frozenset({"and", "then"})
+
+
+def _plain(text: str) -> str:
+    """Write small letters, none of them marks that are not seen."""
+    plain = unicodedata.normalize("NFKC", text).lower()
+    return "".join(letter for letter in plain if unicodedata.category(letter) != "Cf")
 
 
 def _parts(text: str) -> list[list[str]]:
     """Split an utterance at punctuation into words without apostrophes; none if it is too long."""
     if len(text) > MAX_HALTING_CHARACTERS:
         return []
-    plain = unicodedata.normalize("NFKC", text).lower()
-    plain = "".join(letter for letter in plain if unicodedata.category(letter) != "Cf")
-    plain = re.sub(r"['\u2018\u2019`]", "", plain).replace("-", " ").replace("_", " ")
+    plain = _APOSTROPHES.sub("", _plain(text)).replace("-", " ").replace("_", " ")
     return [part.split() for part in _BREAK.split(plain) if part.strip()]
 
 
@@ -80,6 +103,7 @@ def _act_of_part(words: list[str]) -> frozenset[Act] | None:
         None where there is no such reading.
     """
     wordings, around, longest = _wordings()
+    words = [_repaired(word) for word in words]
     best: list[frozenset[Act] | None] = [frozenset()] + [None] * len(words)
     for end in range(1, len(words) + 1):
         for start in range(max(0, end - longest), end):
@@ -96,11 +120,42 @@ def _urgency(acts: frozenset[Act]) -> tuple[int, ...]:
     return tuple(sorted(_URGENCY.index(act) for act in acts)) or (len(_URGENCY),)
 
 
+def _repaired(word: str) -> str:
+    """Undo a slip in a word to halt: two letters exchanged, or one of them held down.
+
+    The least is lost by standing still, so that "stoop" too is taken for "stop".
+    """
+    known, slips = _mistyped()
+    return word if word in known else slips.get(word) or slips.get(_RUN.sub(r"\1", word), word)
+
+
+@cache
+def _mistyped() -> tuple[frozenset[str], dict[str, str]]:
+    """Collect the words of all wordings, and those to halt by how they may be mistyped."""
+    wordings, around, _ = _wordings()
+    known = frozenset(word for words in (*wordings, *around) for word in words)
+    slips: dict[str, str] = {}
+    for words, act in wordings.items():
+        if act != Act.HALT or len(words) != 1 or len(words[0]) < _LEAST_MISTYPED:
+            continue
+        word = words[0]
+        slips[_RUN.sub(r"\1", word)] = word
+        for place in range(len(word) - 1):
+            slips[word[:place] + word[place + 1] + word[place] + word[place + 2 :]] = word
+    return known, slips
+
+
+@cache
+def _table() -> dict[str, list[str]]:
+    """Read the file of wordings."""
+    text = resources.files("jaxlangnav.language").joinpath("data/halting.toml").read_text("utf-8")
+    return tomllib.loads(text)
+
+
 @cache
 def _wordings() -> tuple[dict[tuple[str, ...], Act], frozenset[tuple[str, ...]], int]:
     """Read the wordings, what is said around them, and the length of the longest in words."""
-    text = resources.files("jaxlangnav.language").joinpath("data/halting.toml").read_text("utf-8")
-    table = tomllib.loads(text)
+    table = _table()
     wordings = {tuple(wording.split()): act for act in Act for wording in table[act]}
     around = frozenset(tuple(wording.split()) for wording in table["around"])
     return wordings, around, max(len(words) for words in (*wordings, *around))
