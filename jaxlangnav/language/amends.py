@@ -85,7 +85,7 @@ def _find_cue(words: list[str], begin: int) -> tuple[int, int] | None:
             continue
         is_marked = words[index - 1] in MARKS
         is_sure = is_marked or words[index] not in ("no", "well", "not")
-        if is_sure:
+        if is_sure and words[index - 1] not in gist_words().words["joints"]:
             return index - is_marked, last
     return None
 

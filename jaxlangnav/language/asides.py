@@ -9,9 +9,11 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 from jaxlangnav.language.clauses import (
+    DETERMINERS,
     ORDERS,
     Clause,
     Things,
+    begins_order,
     begins_place,
     gist_words,
     is_order,
@@ -19,6 +21,7 @@ from jaxlangnav.language.clauses import (
     phrase_at,
     relation_at,
     says_something,
+    verb_at,
 )
 from jaxlangnav.language.lexicon import REASONS, load_lexicon
 from jaxlangnav.language.measured import take_out
@@ -29,6 +32,7 @@ _WISHES = frozenset({"want", "need", "like", "wish", "looking", "prefer", "wante
 _SEEKING = frozenset({"look", "search", "head", "make", "hunt", "aim", "go"})
 _POINTING = frozenset({"it", "its", "he", "she", "they", "that", "this", "there"})
 """What a clause begins with that says where a thing is which was named before."""
+_DENIALS = frozenset({"no", "nope", "nah", "not", "never"})
 _PERSONS = frozenset({"me", "us", "him", "her", "them", "it", "you"})
 _SOUGHT = frozenset({"for", "find", "get", "see", "locate", "spot", "bring", "take", "grab"})
 """Words before "it" that ask for what was spoken of, wherever one goes before."""
@@ -122,9 +126,7 @@ def _is_measured(clause: Clause) -> bool:
         return True
 
 
-def is_talk(
-    clause: Clause, others: Sequence[Clause], things: Things, *, is_before: bool
-) -> bool:
+def is_talk(clause: Clause, others: Sequence[Clause], things: Things, *, is_before: bool) -> bool:
     """Tell whether a clause says something that bears on no other one.
 
     Args:
@@ -138,18 +140,47 @@ def is_talk(
     if _is_politeness(words, things) or (phrase_at("talk", words, 0) and not is_named):
         return True
     lists = gist_words().words
-    if not lists["terms"].isdisjoint(words) or (not is_before and words[0] in ("not", "no")):
+    if not lists["terms"].isdisjoint(words) or (
+        not is_before and words[0] in ("not", "no", "once")
+    ):
+        return False
+    if not _may_end(clause, others):
         return False
     if is_before and len(words) <= _SHORT and not is_named:
         return not is_order(words, things) and _exclaims(words)
-    is_frame = is_before and words[0] in leading() and not is_named and len(words) > _SHORT
+    bare = [word for word in words if word not in leading()]
+    is_frame = is_before and len(words) > max(len(bare), _SHORT) and not is_named
+    is_frame = is_frame and bool(bare) and not begins_order(bare)
     if not (is_frame or says_something(words, things)) or _orders(words, things):
         return False
     if not is_before and not (lists["turning"] | lists["choosing"]).isdisjoint(words):
         return False
     if is_before and is_named and not lists["choosing"].isdisjoint(words):
         return False
+    if is_named and not (_informs(words) and _is_shared(words, others, things)):
+        return False
     return not (_picks(words) or _speaks_of(words, others, things))
+
+
+def _may_end(clause: Clause, others: Sequence[Clause]) -> bool:
+    """Tell whether what a clause sets an end to may end: who waits does, who goes does not."""
+    joints = {token.text for token in clause.joint}
+    waits = {"stop", *gist_words().verbs["rest"]}
+    return joints.isdisjoint(("until", "till")) or any(o.words[0] in waits for o in others)
+
+
+def _is_shared(words: Sequence[str], others: Sequence[Clause], things: Things) -> bool:
+    """Tell whether all things that a clause names are named by others, too."""
+    rest = {singular(word) for one in others for word in one.words}
+    named = [singular(word) for word in words if things.has(word)]
+    return all(load_nouns().alike(word) & rest for word in named)
+
+
+def _informs(words: Sequence[str]) -> bool:
+    """Tell whether a clause that names a thing says that something is so, and wishes nothing."""
+    lists = gist_words().words
+    is_begun = words[0] in lists["subjects"] or words[0] in DETERMINERS or words[1:2] == ["'s"]
+    return is_begun and not lists["auxiliary"].isdisjoint(words[:6])
 
 
 def _picks(words: Sequence[str]) -> bool:
@@ -164,7 +195,9 @@ def _picks(words: Sequence[str]) -> bool:
 def _exclaims(words: Sequence[str]) -> bool:
     """Tell whether a few words ask for nothing that a robot could do: "roger", "whoa"."""
     refused, lists = load_lexicon().refused, gist_words().words
-    if not (lists["ways"] | lists["placing"]).isdisjoint(words):
+    if not (lists["ways"] | lists["placing"] | _DENIALS).isdisjoint(words):
+        return False
+    if not all(word[0].isalpha() for word in words):
         return False
     is_action = any(refused.get(word) == REASONS["such an action"] for word in words)
     manner = load_lexicon().entries["adv"].values()
@@ -177,7 +210,9 @@ def _is_politeness(words: Sequence[str], things: Things) -> bool:
     lists = gist_words().words
     if not lists["request"].issuperset(words) or any(map(things.has, words)):
         return False
-    if is_order(words, things) or list(words) in (["go"], ["right"]):
+    if is_order(words, things) or verb_at(words, 0) or list(words) in (["go"], ["right"]):
+        return False
+    if words[0] in ("don't", "dont"):  # "don't hurry" asks for something
         return False
     is_mild = not lists["mild"].isdisjoint(words) or phrase_at("asking", words, 0) > 0
     return lists["denials"].isdisjoint(words) or is_mild
@@ -204,6 +239,8 @@ def _speaks_of(words: Sequence[str], others: Sequence[Clause], things: Things) -
     is_denied = any(load_lexicon().refused.get(w) == REASONS["negation"] for w in words)
     if words[0].split("'")[0] in _POINTING and is_placed and any(map(things.has, words)):
         return True  # "it's by the mailbox"
+    if is_placed and not (_PERSONS - {"me", "us", "you"}).isdisjoint(words[1:]):
+        return True  # "the cone is near it"
     looks = set(load_nouns().attributes) | words_in_classes("adj")
     if any(map(things.has, alike)):
         return is_placed or is_denied or not looks.isdisjoint(words)

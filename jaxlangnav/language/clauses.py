@@ -228,7 +228,7 @@ def _parted(clause: Clause, things: Things) -> list[Clause]:
 def says_something(words: Sequence[str], things: Things) -> bool:
     """Tell whether words say that something is so, or ask it, and begin no order."""
     lists = gist_words()
-    if not words or _begins_order(words):
+    if not words or begins_order(words):
         return False
     if words[0] in lists.words["subjects"] and words[0] not in DETERMINERS:
         return len(words) > 1
@@ -245,10 +245,13 @@ def _is_finite(word: str, things: Things) -> bool:
     return (word in gist_words().words["finite"] or is_past or is_third) and not things.has(word)
 
 
-def _begins_order(words: Sequence[str]) -> bool:
+def begins_order(words: Sequence[str]) -> bool:
     """Tell whether words begin as an order does, of whatever kind: with a bare verb."""
     lists, refused = gist_words(), load_lexicon().refused
     first, following = words[0], words[1] if len(words) > 1 else ""
+    is_asked = first in lists.words["modals"] and "you" in words[1:3]
+    if is_asked or first in ("let's", "lets", "let", "please"):
+        return True
     if first in lists.words["subjects"] or following in lists.words["auxiliary"]:
         return False
     is_action = refused.get(first) in _ACTIONS and first not in lists.words["opening"]

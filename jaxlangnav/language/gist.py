@@ -12,8 +12,16 @@ from collections.abc import Collection, Sequence
 
 from jaxlangnav.language.amends import say_once
 from jaxlangnav.language.asides import tail_of, without_talk
-from jaxlangnav.language.clauses import DETERMINERS, Clause, Things, clauses_of, gist_words, says_something
-from jaxlangnav.language.orders import plain_verb, size_of_request, standing_spans
+from jaxlangnav.language.clauses import (
+    DETERMINERS,
+    Clause,
+    Things,
+    clauses_of,
+    gist_words,
+    phrase_at,
+    says_something,
+)
+from jaxlangnav.language.orders import plain_verb, size_of_request, standing_spans, with_bases
 from jaxlangnav.language.tokens import MARKS, SpokenToken
 
 
@@ -31,8 +39,8 @@ def find_gist(
         as what; the latter two empty where there is nothing to leave out.
     """
     things = Things(frozenset(labels))
-    left_out = [token.text for token in tokens if _is_idle(token.text, things)]
-    told, changes = say_once([token for token in tokens if not _is_idle(token.text, things)])
+    told, left_out = _without_idle(tokens, things)
+    told, changes = say_once(told)
     clauses = clauses_of(told, things)
     if any(_excepts(clause, things) for clause in clauses):
         return list(tokens), [], []
@@ -55,6 +63,22 @@ def _excepts(clause: Clause, things: Things) -> bool:
     return is_but and clause.words[0] in DETERMINERS and not says_something(clause.words, things)
 
 
+def _without_idle(
+    tokens: Sequence[SpokenToken], things: Things
+) -> tuple[list[SpokenToken], list[str]]:
+    """Leave out words and phrases that say nothing of what is to be done."""
+    words = [token.text for token in tokens]
+    left, left_out, index = [], [], 0
+    while index < len(words):
+        size = phrase_at("idle", words, index) or int(_is_idle(words[index], things))
+        if size:
+            left_out.append(" ".join(words[index : index + size]))
+        else:
+            left.append(tokens[index])
+        index += max(size, 1)
+    return left, left_out
+
+
 def _is_idle(word: str, things: Things) -> bool:
     """Tell whether a word says nothing of what is to be done, wherever it stands."""
     words = gist_words().words
@@ -71,16 +95,16 @@ def _shorten(clause: Clause, things: Things, left_out: list[str]) -> None:
 
     size = size_of_request(clause.words, things)
     if size:
+        plain = with_bases(clause.words)[size]
         leave(0, size)
+        clause.put(0, 1, plain)
     for first, last in standing_spans(clause.words, things):
         leave(first, last)
     while (begin := tail_of(clause.words, things)) is not None:
         leave(begin, len(clause.said))
 
 
-def _put(
-    clause: Clause, first: int, last: int, plain: str, changes: list[tuple[str, str]]
-) -> None:
+def _put(clause: Clause, first: int, last: int, plain: str, changes: list[tuple[str, str]]) -> None:
     """Put a verb in the place of another one."""
     was = " ".join(clause.words[first:last])
     if was != plain:

@@ -7,6 +7,7 @@ or how exactly does not tell where.
 """
 
 from collections.abc import Sequence
+from functools import cache
 
 from jaxlangnav.language.clauses import (
     DETERMINERS,
@@ -17,7 +18,8 @@ from jaxlangnav.language.clauses import (
     relation_at,
     verb_at,
 )
-from jaxlangnav.language.lexicon import load_lexicon
+from jaxlangnav.language.lexicon import ing_form, load_lexicon
+from jaxlangnav.language.nouns import command_verbs
 
 _LONGEST_REQUEST = 18
 _TOWARDS = ("to", "toward", "towards")
@@ -28,8 +30,14 @@ _WEAK = frozenset({"be", "get", "have", "like", "do", "let"})
 """Verbs that may belong to the request: "could you be so kind"."""
 _NAMING = DETERMINERS | {"one", "in", "at", "of", "is"}
 """Words after which a verb is a noun: "the stop"."""
+_ASKED = frozenset({"you", "possible", "somebody", "someone", "anyone", "anybody"})
+"""Whom a request sets its polite condition: "if you could"."""
+_SPEAKERS = frozenset({"i", "we", "im", "ive"})
+_LOADS = DETERMINERS - {"a", "an", "any"}
 _QUESTIONS = frozenset({"did", "does", "has", "have", "had", "are", "is", "were", "was"})
-_CONDITIONS = frozenset({"if", "when", "whether"})
+_CONDITIONS = frozenset({"if", "when", "whenever", "whether", "once"})
+_MIGHT = frozenset({"could", "would", "can", "might", "may", "to", "please", "possibly"})
+"""What a polite condition ends with: "if you could"; "if you" is one."""
 
 
 def size_of_request(words: Sequence[str], things: Things) -> int:
@@ -42,16 +50,40 @@ def size_of_request(words: Sequence[str], things: Things) -> int:
     Returns:
         The count; 0 where nothing asks, or what asks could deny or set a condition.
     """
-    request = gist_words().words["request"]
+    lists = gist_words().words
+    words, request = with_bases(words), lists["request"]
     limit = next((i for i, word in enumerate(words) if word not in request), len(words))
     for index in range(1, min(limit, _LONGEST_REQUEST, len(words) - 1) + 1):
-        if order_at(words, index, things) and _asks(words, index):
+        is_mind = words[index] == "mind" and words[index + 1] in _bases().values()
+        if order_at(words, index, things) and not is_mind and _asks(words, index, things):
             return index
     return 0
 
 
-def _asks(words: Sequence[str], index: int) -> bool:
+@cache
+def _bases() -> dict[str, str]:
+    """List the verbs by their forms in -ing."""
+    return {ing_form(verb): verb for verb in gist_words().all_verbs}
+
+
+def with_bases(words: Sequence[str]) -> list[str]:
+    """Put verbs in -ing that an order may stand in into their plain form: "mind bringing"."""
+    gerunds, plain = gist_words().words["gerunds"], list(words)
+    for index in range(1, len(plain)):
+        if plain[index - 1] in gerunds:
+            plain[index] = _bases().get(plain[index], plain[index])
+    return plain
+
+
+def _asks(words: Sequence[str], index: int, things: Things) -> bool:
     """Tell whether words before an order only ask for it."""
+    if words[0].split("'")[0] in _SPEAKERS and _ASKED.isdisjoint(words[:index]):
+        # What "I" want to do is asked of the robot only where it names a place.
+        after = words[index:]
+        verbs = gist_words().verbs
+        is_going = after[0] in verbs["motion"] | verbs["rest"] | command_verbs()
+        if not is_going or not any(map(things.has, after)):
+            return False
     before = _without_phrases(list(words[:index]), "asking")
     if (words[index] in _WEAK and index < 2) or before[-1] in _NAMING:
         return False
@@ -59,7 +91,8 @@ def _asks(words: Sequence[str], index: int) -> bool:
         return False  # "did you", "i put": who does it, or has done it
     if not gist_words().words["denials"].isdisjoint(before):
         return False
-    return _CONDITIONS.isdisjoint(before) or "you" in before or "possible" in before
+    is_polite = not _ASKED.isdisjoint(before) and before[-1] in _MIGHT
+    return _CONDITIONS.isdisjoint(before) or is_polite
 
 
 def _without_phrases(words: list[str], name: str) -> list[str]:
@@ -185,7 +218,7 @@ def _end_of_load(words: Sequence[str], index: int, things: Things) -> int:
         return 0
     if words[index] in lists["objects"] | lists["cargo"]:
         return index + 1
-    if words[index] not in DETERMINERS:
+    if words[index] not in _LOADS:
         return 0
     for end in range(index + 2, min(index + 5, len(words))):
         after = _goes_on(words, end)
