@@ -111,6 +111,11 @@ def test_what_tells_how_or_which_stays(said, kept):
         "did you mosey to the tree",
         "i moseyed to the tree",
         "be at the tree in five minutes",
+        "go forward and turn left",
+        "ok now please turn and mosey to the tree",
+        "find the barn and bring it to the tree",
+        "i will mosey to the tree",
+        "if you have it, mosey to the tree",
     ],
 )  # fmt: skip
 def test_what_could_choose_or_turn_round_is_never_left_out(text):

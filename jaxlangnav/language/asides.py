@@ -32,6 +32,9 @@ _WISHES = frozenset({"want", "need", "like", "wish", "looking", "prefer", "wante
 _SEEKING = frozenset({"look", "search", "head", "make", "hunt", "aim", "go"})
 _POINTING = frozenset({"it", "its", "he", "she", "they", "that", "this", "there"})
 """What a clause begins with that says where a thing is which was named before."""
+_CONDITIONS = frozenset({"if", "when", "whenever", "whether"})
+_FINDING = frozenset({"see", "know", "go", "there", "find", "come", "get", "need", "think", "i"})
+"""What no polite condition holds: "if you can see it" is one."""
 _DENIALS = frozenset({"no", "nope", "nah", "not", "never"})
 _PERSONS = frozenset({"me", "us", "him", "her", "them", "it", "you"})
 _SOUGHT = frozenset({"for", "find", "get", "see", "locate", "spot", "bring", "take", "grab"})
@@ -76,7 +79,7 @@ def _is_tail(words: Sequence[str], index: int, things: Things) -> bool:
         return words[index - 1] not in _SEEKING
     if opening in ("until", "till"):
         return words[0] in lists.verbs["rest"] and begins and "you" not in inner
-    if opening in lists.words["clauses"] | {"so", "that", "where"}:
+    if opening in lists.words["clauses"] | {"so"}:
         return begins and inner[0] not in ("that", "you") and "you" not in inner[:2]
     return True
 
@@ -144,7 +147,7 @@ def is_talk(clause: Clause, others: Sequence[Clause], things: Things, *, is_befo
         not is_before and words[0] in ("not", "no", "once")
     ):
         return False
-    if not _may_end(clause, others):
+    if begins_order(words) or not _may_end(clause, others):
         return False
     if is_before and len(words) <= _SHORT and not is_named:
         return not is_order(words, things) and _exclaims(words)
@@ -214,6 +217,8 @@ def _is_politeness(words: Sequence[str], things: Things) -> bool:
         return False
     if words[0] in ("don't", "dont"):  # "don't hurry" asks for something
         return False
+    if not _CONDITIONS.isdisjoint(words):
+        return not lists["courtesies"].isdisjoint(words) and _FINDING.isdisjoint(words)
     is_mild = not lists["mild"].isdisjoint(words) or phrase_at("asking", words, 0) > 0
     return lists["denials"].isdisjoint(words) or is_mild
 

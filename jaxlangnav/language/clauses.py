@@ -20,6 +20,8 @@ ORDERS = ("v_to", "v_at", "v_obj", "v_for", "v_turn", "avoid")
 _ACTIONS = frozenset({REASONS[one] for one in ("such an action", "path", "containment")})
 """Reasons for which words are refused that may begin an order: "pass the", "enter"."""
 _LONGEST_VERB, _LONGEST_RELATION = 5, 6
+_CALLS = frozenset({"ok", "okay", "well", "now", "so", "yes", "yeah", "right", "alright", "robot"})
+"""Words before an order that only call to it."""
 _AHEAD = 9
 """Words after a verb within which its place has begun."""
 
@@ -248,11 +250,12 @@ def _is_finite(word: str, things: Things) -> bool:
 def begins_order(words: Sequence[str]) -> bool:
     """Tell whether words begin as an order does, of whatever kind: with a bare verb."""
     lists, refused = gist_words(), load_lexicon().refused
-    first, following = words[0], words[1] if len(words) > 1 else ""
-    is_asked = first in lists.words["modals"] and "you" in words[1:3]
+    begin = next((i for i, word in enumerate(words) if word not in _CALLS), 0)
+    first, following = words[begin], words[begin + 1] if len(words) > begin + 1 else ""
+    is_asked = first in lists.words["modals"] and "you" in words[begin + 1 : begin + 3]
     if is_asked or first in ("let's", "lets", "let", "please"):
         return True
     if first in lists.words["subjects"] or following in lists.words["auxiliary"]:
         return False
     is_action = refused.get(first) in _ACTIONS and first not in lists.words["opening"]
-    return verb_at(words, 0) > 0 or is_action or first in ("don't", "dont", "never")
+    return verb_at(words, begin) > 0 or is_action or first in ("don't", "dont", "never")

@@ -44,9 +44,11 @@ def find_gist(
     clauses = clauses_of(told, things)
     if any(_excepts(clause, things) for clause in clauses):
         return list(tokens), [], []
+    is_spoken_of = False
     for clause in clauses:
         _shorten(clause, things, left_out)
-        found = plain_verb(clause.words, things)
+        found = plain_verb(clause.words, things, is_spoken_of=is_spoken_of)
+        is_spoken_of = is_spoken_of or any(map(things.has, clause.words))
         if found is not None:
             _put(clause, *found, changes)
     kept, talk = without_talk(clauses, things)

@@ -33,6 +33,8 @@ _NAMING = DETERMINERS | {"one", "in", "at", "of", "is"}
 _ASKED = frozenset({"you", "possible", "somebody", "someone", "anyone", "anybody"})
 """Whom a request sets its polite condition: "if you could"."""
 _SPEAKERS = frozenset({"i", "we", "im", "ive"})
+_WISHES = frozenset({"want", "wanna", "need", "like", "love", "gotta", "must", "should", "wish"})
+"""What "I" may say of going somewhere and ask for it: "I will" only tells."""
 _LOADS = DETERMINERS - {"a", "an", "any"}
 _QUESTIONS = frozenset({"did", "does", "has", "have", "had", "are", "is", "were", "was"})
 _CONDITIONS = frozenset({"if", "when", "whenever", "whether", "once"})
@@ -82,12 +84,14 @@ def _asks(words: Sequence[str], index: int, things: Things) -> bool:
         after = words[index:]
         verbs = gist_words().verbs
         is_going = after[0] in verbs["motion"] | verbs["rest"] | command_verbs()
-        if not is_going or not any(map(things.has, after)):
+        is_wish = not _WISHES.isdisjoint(words[:index])
+        if not (is_going and is_wish) or not any(map(things.has, after)):
             return False
     before = _without_phrases(list(words[:index]), "asking")
     if (words[index] in _WEAK and index < 2) or before[-1] in _NAMING:
         return False
-    if before[0] in _QUESTIONS or before[-1] in gist_words().words["doers"]:
+    is_question = before[0] in ("should", "must", "do") and before[1:2] in (["i"], ["we"], ["you"])
+    if is_question or before[0] in _QUESTIONS or before[-1] in gist_words().words["doers"]:
         return False  # "did you", "i put": who does it, or has done it
     if not gist_words().words["denials"].isdisjoint(before):
         return False
@@ -105,18 +109,23 @@ def _without_phrases(words: list[str], name: str) -> list[str]:
     return words
 
 
-def plain_verb(words: Sequence[str], things: Things) -> tuple[int, int, str] | None:
+def plain_verb(
+    words: Sequence[str], things: Things, *, is_spoken_of: bool = False
+) -> tuple[int, int, str] | None:
     """Find the verb of an order that the grammar need not have, and what it is read as.
 
     Args:
         words: of a clause, a request before it left out.
         things: what the detector tells apart.
+        is_spoken_of: a thing has been named before, so that "it" is no load of the robot's.
 
     Returns:
         Its first word, one after its last, and the words to put there; None for none.
     """
     first = next((i for i, word in enumerate(words) if word not in leading()), len(words))
     if first >= len(words) or _avoids(words, first):
+        return None
+    if is_spoken_of and gist_words().words["cargo"].intersection(words[first + 1 : first + 2]):
         return None
     for read in (_carried, _taken, _moved, _sought, _onward):
         found = read(words, first, things)

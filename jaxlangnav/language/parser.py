@@ -253,6 +253,8 @@ def _read_loosely(text: str, reader: _Reader, earlier: Antecedent | None) -> Par
     mended, amends = take_back(tokens)
     gist, left_out, put = find_gist(mended, reader.labels)
     plain, later, again = loosen(gist, reader.labels)  # what stood between may have hidden more
+    if [token.text for token in plain] == [token.text for token in tokens]:
+        return None
     remarks += [*left_out, *later]
     return _read_instead(text, reader, plain, earlier, remarks, [*changes, *amends, *put, *again])
 
