@@ -68,6 +68,9 @@ def goals(text: str) -> list[str]:
         ("could you zip to the barn, oops, my mistake, to the silo", "go to the silo"),
         ("stop behind the barn, hang on, sorry, in front of the barn", "stop in front of the barn"),
         ("euh, how do you say, go to the, the kiosk, voilà, the kiosk", "go to the kiosk"),
+        ("mosey to the kiosk beside the tree, i mean the tree that is left of the barn",
+         "go to the kiosk beside the tree that is left of the barn"),
+        ("mosey to the bench more far of the barn", "go to the bench farthest from the barn"),
         ("can you go look for it, the statue", "look for the statue"),
     ],
 )  # fmt: skip
