@@ -1,9 +1,15 @@
 """The gist of a refused sentence: what is left out by class of word, and what never is."""
 
+import random
+
 import pytest
 
+from jaxlangnav.language.amends import take_back
+from jaxlangnav.language.clauses import gist_words
+from jaxlangnav.language.gist import find_gist
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import LanguageError
+from jaxlangnav.language.tokens import SpokenToken
 
 LABELS = (
     "bench",
@@ -62,6 +68,9 @@ def goals(text: str) -> list[str]:
         ("could you zip to the barn, oops, my mistake, to the silo", "go to the silo"),
         ("stop behind the barn, hang on, sorry, in front of the barn", "stop in front of the barn"),
         ("euh, how do you say, go to the, the kiosk, voilà, the kiosk", "go to the kiosk"),
+        ("mosey to the kiosk beside the tree, i mean the tree that is left of the barn",
+         "go to the kiosk beside the tree that is left of the barn"),
+        ("mosey to the bench more far of the barn", "go to the bench farthest from the barn"),
         ("can you go look for it, the statue", "look for the statue"),
     ],
 )  # fmt: skip
@@ -139,3 +148,16 @@ def test_what_can_be_read_is_not_changed():
 def test_a_turn_before_a_goal_is_kept():
     found = parse("uh so like turn around and um go to the gate", LABELS)
     assert len(found.clauses) == 2
+
+
+def test_any_words_at_all_have_a_gist_or_none():
+    lists = gist_words()
+    listed = [*lists.words.values(), *lists.verbs.values()]
+    words = sorted({",", ".", "barn", "gate", *frozenset().union(*listed)})
+    rng = random.Random(5)
+    for _ in range(300):
+        said = [SpokenToken(text=rng.choice(words), position=i) for i in range(rng.randint(1, 16))]
+        mended, _ = take_back(said)
+        left, left_out, _ = find_gist(mended, LABELS)
+        assert len(left) <= 2 * len(said)
+        assert all(left_out)

@@ -51,7 +51,7 @@ def find_gist(
         is_spoken_of = is_spoken_of or any(map(things.has, clause.words))
         if found is not None:
             _put(clause, *found, changes)
-    kept, talk = without_talk(clauses, things)
+    kept, talk = without_talk([clause for clause in clauses if clause.said], things)
     joints = gist_words().words["joints"] | set(MARKS)
     left = [token for clause in kept for token in (*clause.joint, *clause.said)]
     while left and left[0].text in joints:

@@ -54,9 +54,11 @@ def size_of_request(words: Sequence[str], things: Things) -> int:
     """
     lists = gist_words().words
     words, request = with_bases(words), lists["request"]
+    all_verbs = gist_words().all_verbs
     limit = next((i for i, word in enumerate(words) if word not in request), len(words))
     for index in range(1, min(limit, _LONGEST_REQUEST, len(words) - 1) + 1):
-        is_mind = words[index] == "mind" and words[index + 1] in _bases().values()
+        following = words[index + 1] if index + 1 < len(words) else ""
+        is_mind = words[index] == "mind" and following in all_verbs
         if order_at(words, index, things) and not is_mind and _asks(words, index, things):
             return index
     return 0
