@@ -15,6 +15,7 @@ from jaxlangnav.planner.blocked import Way
 from jaxlangnav.planner.config import PlannerConfig
 from jaxlangnav.planner.goals import Goals
 from jaxlangnav.planner.params import PlannerParams, default_planner_params
+from jaxlangnav.planner.policy import Policy
 from jaxlangnav.pytree import field, pytree
 from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.params import MapConfig, MapParams, default_map_params
@@ -93,14 +94,16 @@ def default_params() -> NavigatorParams:
     )
 
 
-def check(params: NavigatorParams) -> None:
+def check(params: NavigatorParams, *, policy: Policy) -> None:
     """Refuse parameters with which the robot could never stop (host only).
 
     With one candidate seen and nothing else explored, its posterior is 1 / (1 + α): a τ above
-    that sends the robot through the whole area first.
+    that sends a robot that waits for it through the whole area first.
 
     Args:
         params: concrete parameters.
+        policy: which decides by them. One that takes the likeliest thing in the end may be told
+            that there are as many of a type as there are.
 
     Raises:
         ValueError: names the value, the limit and the remedy.
@@ -115,11 +118,11 @@ def check(params: NavigatorParams) -> None:
         raise ValueError(f"stop_probability is {tau:g}, but must lie between 0 and 1")
     if alpha <= 0.0:
         raise ValueError(f"concentration is {alpha:g}, but must be positive")
-    if tau >= limit:
+    if tau >= limit and not policy.takes_likeliest:
         raise ValueError(
             f"stop_probability is {tau:g}, but with concentration {alpha:g} the first candidate "
             f"seen has probability {limit:.2f}: lower stop_probability below it or lower "
-            "concentration"
+            f"concentration, or take another policy than {policy.name}"
         )
 
 
