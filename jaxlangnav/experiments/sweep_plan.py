@@ -154,8 +154,10 @@ def make_plan(config: SweepConfig) -> SweepPlan:
         if policy in POLICIES:
             check_engine(navigator_config(policy, max(config.particles)))
             # A limit of ``check`` is passed upwards or downwards: the ends stand for all arms.
-            check(_end(config, policy, -1), policy=SHIPPED[policy])
-            check(_end(config, policy, 0), policy=SHIPPED[policy])
+            most, least = _end(config, policy, -1), _end(config, policy, 0)
+            check(least, policy=SHIPPED[policy])
+            unclumped = replace(most.map, clumping=least.map.clumping)
+            check(replace(most, map=unclumped), policy=SHIPPED[policy])
     return plan
 
 

@@ -20,6 +20,9 @@ from jaxlangnav.pytree import field, pytree
 from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.params import MapConfig, MapParams, default_map_params
 
+_MOST_LOOKED = 0.75
+"""Share of the area beyond which a robot that waits to be sure as good as never stops."""
+
 
 @pytree
 class NavigatorParams:
@@ -97,8 +100,9 @@ def default_params() -> NavigatorParams:
 def check(params: NavigatorParams, *, policy: Policy) -> None:
     """Refuse parameters with which the robot could never stop (host only).
 
-    With one candidate seen and nothing else explored, its posterior is 1 / (1 + α): a τ above
-    that sends a robot that waits for it through the whole area first.
+    The first candidate seen, by a sentence that says nothing of where, is what is meant with
+    probability 1 / (1 + α (1 − s) / (1 + κ s)) once a share s of the area has been looked at. A
+    robot that waits for τ looks at most of the area first where that comes late.
 
     Args:
         params: concrete parameters.
@@ -108,21 +112,23 @@ def check(params: NavigatorParams, *, policy: Policy) -> None:
     Raises:
         ValueError: names the value, the limit and the remedy.
     """
-    alpha = float(jnp.max(params.map.concentration))
+    alpha, kappa = float(jnp.max(params.map.concentration)), float(jnp.min(params.map.clumping))
     tau = float(jnp.max(params.planner.stop_probability))
     gamma = float(jnp.max(params.planner.discount))
-    limit = 1.0 / (1.0 + alpha)
     if not 0.0 < gamma < 1.0:
         raise ValueError(f"discount is {gamma:g}, but must lie between 0 and 1")
     if not 0.0 < tau < 1.0:
         raise ValueError(f"stop_probability is {tau:g}, but must lie between 0 and 1")
     if alpha <= 0.0:
         raise ValueError(f"concentration is {alpha:g}, but must be positive")
-    if tau >= limit and not policy.takes_likeliest:
+    odds = 1.0 / tau - 1.0
+    share = (alpha - odds) / (alpha + odds * kappa)
+    if share > _MOST_LOOKED and not policy.takes_likeliest:
         raise ValueError(
             f"stop_probability is {tau:g}, but with concentration {alpha:g} the first candidate "
-            f"seen has probability {limit:.2f}: lower stop_probability below it or lower "
-            f"concentration, or take another policy than {policy.name}"
+            f"seen reaches it after {100.0 * share:.0f} % of the area, and at most "
+            f"{100.0 * _MOST_LOOKED:g} % can be asked of {policy.name}: lower stop_probability or "
+            "concentration"
         )
 
 

@@ -88,6 +88,8 @@ def associate(
     noise_variance: Array,
     growth: Array | float = 0.0,
     doubt: ClutterOdds | None = None,
+    *,
+    is_pooled: bool = False,
 ) -> Association:
     """Ground each detection in an existing object or in a new one (eq. 7b).
 
@@ -103,6 +105,7 @@ def associate(
         noise_variance: f32[], R, square metres per axis.
         growth: f32[], by how much more of λ each thing of the type that is held makes it (κ / α).
         doubt: how far detections are to be doubted, of particles that hold ``existence``.
+        is_pooled: whether things of any type make it more.
 
     Returns:
         The grounding and its weight.
@@ -116,7 +119,7 @@ def associate(
         (z_type, z_x, z_y, log_new, present), chance = one
         object_type, is_hit, is_new, offset_x, offset_y, log_weight, overflow, existence = so_far
         log_existing = gaussian.log_normal_isotropic(z_x - predicted_x, z_y - predicted_y, spread)
-        options = _weigh(z_type, log_existing, log_new, so_far, growth, doubt)
+        options = _weigh(z_type, log_existing, log_new, so_far, growth, doubt, is_pooled)
         choice, log_total = categorical.draw(options.log_weight, chance)
         free = jnp.min(jnp.where(object_type == NONE, slots, num_objects), axis=0)
         wants_new = choice == num_objects
@@ -181,6 +184,7 @@ def _weigh(
     so_far: Association,
     growth: Array | float,
     doubt: ClutterOdds | None,
+    is_pooled: bool,
 ) -> _Options:
     """Weigh what a detection of a kind, i32[], may be, given how those before it are grounded.
 
@@ -191,14 +195,16 @@ def _weigh(
         so_far: of the detections before it.
         growth: see ``associate``.
         doubt: see ``associate``.
+        is_pooled: see ``associate``.
     """
     # Attributes decide nothing here: a detector that wavers must not make two of one thing.
     is_alike = label_of(so_far.object_type) == label_of(kind)
     may_be = is_alike & ~so_far.is_hit
+    is_counted = so_far.object_type != NONE if is_pooled else is_alike
     if doubt is None:
-        log_more = (log_new + jnp.log1p(growth * jnp.sum(is_alike, axis=0)))[None]
+        log_more = (log_new + jnp.log1p(growth * jnp.sum(is_counted, axis=0)))[None]
         return _Options(jnp.concatenate([jnp.where(may_be, log_existing, -jnp.inf), log_more]))
-    held = jnp.where(is_alike, so_far.existence, 0.0)
+    held = jnp.where(is_counted, so_far.existence, 0.0)
     log_more = (log_new + jnp.log1p(growth * jnp.sum(held, axis=0)))[None]
     is_other = ~is_alike & (so_far.object_type != NONE)
     log_confused = lead(log_new + doubt.log_confused, log_more.ndim)
@@ -208,7 +214,7 @@ def _weigh(
     likelier = made_likelier(held, growth, jnp.exp(log_more - log_any)[0])
     return _Options(
         jnp.concatenate([jnp.where(may_be, log_held, -jnp.inf), log_any]),
-        existence=(if_held, jnp.where(is_alike, likelier, so_far.existence)),
+        existence=(if_held, jnp.where(is_counted, likelier, so_far.existence)),
     )
 
 

@@ -62,6 +62,7 @@ class Scene(NamedTuple):
     first_row: Array  # i32[] where in ``coverage`` the episode's map begins
     log_area: Array  # f32[] log A, square metres
     log_unseen: Array  # f32[] log u
+    num_pooled: Array | None = None  # f32[] T, types that have one rate (``counts``); None: none
 
 
 class Grounding(NamedTuple):
@@ -207,27 +208,17 @@ def list_candidates(
     is_kind = fits(seen.object_type[None], said.kind[:, None])
     slots = column(jnp.arange(seen.x.shape[0]), is_kind.ndim - 1)[None]
     may_be = is_kind & is_open[:, None] & ((said.excluded[:, None] >> slots) & 1 == 0)
-    # Of those of its type that have been seen all but one are bystanders; of a pair all but two.
-    number, unseen = jnp.sum(is_kind, axis=1), jnp.exp(lead(scene.log_unseen, is_open.ndim))
-    log_one, log_two = (
-        log_expected(jnp.maximum(number - but, 0), unseen, params=params) for but in (1, 2)
-    )
-    log_bystander = (lead(scene.log_area, is_open.ndim) - log_one)[:, None]  # 1/λ
-    if seen.existence is not None:
-        real = jnp.where(is_kind, seen.existence[None], 0.0)
-        others = jnp.maximum(jnp.sum(real, axis=1, keepdims=True) - real, 0.0)
-        log_others = log_expected(others, unseen[:, None], params=params)
-        log_bystander = lead(scene.log_area, may_be.ndim) - log_others
-        log_bystander = log_bystander + jnp.log(jnp.maximum(seen.existence, 1e-9))[None]
+    log_bystander, log_gain = _log_bystanders(seen, is_kind, grounding, scene, params=params)
     is_any, label = is_anything(said.kind), label_of(seen.object_type)
     is_alike = label[:, None] == label[None]
-    records = (jnp.concatenate([seen.x, seen.x]), is_alike, seen, scene.log_area, scene.log_unseen)
+    places = scene.log_area, scene.log_unseen, scene.num_pooled
+    records = (jnp.concatenate([seen.x, seen.x]), is_alike, seen, *places)
     found = rarely(
         jnp.any(is_any, axis=0), lambda given: _of_any_type(*given[1:], params=params), records
     )
     log_of_any, log_gain_of_any = jnp.split(found, 2)
     log_bystander = jnp.where(is_any[:, None], log_of_any[None], log_bystander)
-    log_gain = jnp.where(jnp.any(is_any, axis=0), log_gain_of_any, (log_one - log_two)[FIGURE])
+    log_gain = jnp.where(jnp.any(is_any, axis=0), log_gain_of_any, log_gain[FIGURE])
 
     def append(objects: Array, place: Array) -> Array:
         objects = jnp.broadcast_to(objects, may_be.shape)
@@ -241,14 +232,63 @@ def list_candidates(
             jnp.where(may_be, log_bystander, -jnp.inf),
             jnp.where(is_open, -jnp.inf, 0.0),
         ),
-        log_alike=jnp.where(is_alike, log_gain[:, None], 0.0),
+        log_alike=jnp.where(is_alike | (scene.num_pooled is not None), log_gain[:, None], 0.0),
         is_open=is_open,
         earlier=earlier,
     )
 
 
+def _log_bystanders(
+    seen: Seen, is_kind: Array, grounding: Grounding, scene: Scene, *, params: MapParams
+) -> tuple[Array, Array]:
+    """Weigh what has been seen as what is meant rather than as one of the bystanders.
+
+    Args:
+        seen: objects.
+        is_kind: bool[2, O, ...], of the type of each end.
+        grounding: what earlier relations have decided.
+        scene: area, and how much of it is unseen.
+        params: concentration, clumping.
+
+    Returns:
+        f32[2, O, ...], log 1/λ, and f32[2, ...], by how much more two of them weigh.
+    """
+    ndim, num_pooled, is_counted = is_kind.ndim - 1, None, is_kind
+    num_meant = jnp.zeros((), jnp.int32)
+    if scene.num_pooled is not None:
+        is_counted = jnp.broadcast_to((seen.object_type != NONE)[None], is_kind.shape)
+        num_pooled = lead(scene.num_pooled, ndim)
+        # What earlier relations have taken is no bystander of any type.
+        num_meant = jnp.sum(grounding.slot != NONE, axis=0)[None]
+    # Of those of its type that have been seen all but one are bystanders; of a pair all but two.
+    number, unseen = jnp.sum(is_counted, axis=1), jnp.exp(lead(scene.log_unseen, ndim))
+    if num_pooled is not None:
+        number = number - num_meant
+    log_one, log_two = (
+        log_expected(jnp.maximum(number - but, 0), unseen, params=params, num_pooled=num_pooled)
+        for but in (1, 2)
+    )
+    log_bystander = (lead(scene.log_area, ndim) - log_one)[:, None]
+    if seen.existence is not None:
+        real = jnp.where(is_counted, seen.existence[None], 0.0)
+        others = jnp.sum(real, axis=1, keepdims=True) - real
+        if num_pooled is not None:
+            others, num_pooled = others - num_meant[:, None], num_pooled[:, None]
+        others = jnp.maximum(others, 0.0)
+        log_others = log_expected(others, unseen[:, None], params=params, num_pooled=num_pooled)
+        log_bystander = lead(scene.log_area, is_kind.ndim) - log_others
+        log_bystander = log_bystander + jnp.log(jnp.maximum(seen.existence, 1e-9))[None]
+    return log_bystander, log_one - log_two
+
+
 def _of_any_type(
-    is_alike: Array, seen: Seen, log_area: Array, log_unseen: Array, *, params: MapParams
+    is_alike: Array,
+    seen: Seen,
+    log_area: Array,
+    log_unseen: Array,
+    num_pooled: Array | None,
+    *,
+    params: MapParams,
 ) -> Array:
     """Weigh what has been seen as a thing that a sentence calls by no type.
 
@@ -260,6 +300,7 @@ def _of_any_type(
         seen: objects.
         log_area: f32[...], log A.
         log_unseen: f32[...], log u.
+        num_pooled: see ``Scene``.
         params: concentration, clumping.
 
     Returns:
@@ -270,10 +311,14 @@ def _of_any_type(
     is_earlier = column(jnp.asarray(np.tri(is_there.shape[0], k=-1, dtype=bool)), is_alike.ndim)
     is_new_type = is_there & ~jnp.any(is_alike & is_earlier, axis=1)
     real = is_there.astype(jnp.float32) if seen.existence is None else seen.existence
+    if num_pooled is not None:
+        is_alike, num_pooled = is_there[None], lead(num_pooled, is_there.ndim)
     number = jnp.sum(jnp.where(is_alike, real[None], 0.0), axis=1)
     others = jnp.maximum(number - real, 0.0)
-    log_one = log_expected(others, unseen, params=params)
-    log_two = log_expected(jnp.maximum(others - 1.0, 0.0), unseen, params=params)
+    log_one, log_two = (
+        log_expected(one, unseen, params=params, num_pooled=num_pooled)
+        for one in (others, jnp.maximum(others - 1.0, 0.0))
+    )
     log_share = -jnp.log1p(jnp.sum(is_new_type, axis=0).astype(jnp.float32))
     log_weight = lead(log_area, log_one.ndim) - log_one + log_share[None]
     if seen.existence is not None:

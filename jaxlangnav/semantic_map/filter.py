@@ -169,13 +169,14 @@ def _with_drift(belief: ParticleBelief, observation: Observation) -> Observation
 
 
 def _detections(
-    belief: ParticleBelief, observation: Observation, params: MapParams
+    belief: ParticleBelief, observation: Observation, params: MapParams, num_pooled: Array | None
 ) -> association.Detections:
     """Turn detections into map axes and look up how likely something new is there."""
     bearing = observation.pose[2] + observation.detection_bearing
     offset_x = observation.detection_range * jnp.cos(bearing)
     offset_y = observation.detection_range * jnp.sin(bearing)
-    log_density = log_expected(jnp.float32(0.0), share_unseen(belief.coverage), params=params)
+    unseen, nobody = share_unseen(belief.coverage), jnp.float32(0.0)
+    log_density = log_expected(nobody, unseen, params=params, num_pooled=num_pooled)
     log_density = log_density - jnp.log(area_size(belief.coverage))
     drift = mean_drift(belief)
     if drift is not None:
@@ -226,6 +227,7 @@ def observe(
     noise: Array | None = None,
     *,
     params: MapParams,
+    num_pooled: Array | None = None,
 ) -> tuple[ParticleBelief, Weighed]:
     """Move, ground the detections, condition, and weigh what was and what was not seen.
 
@@ -236,13 +238,14 @@ def observe(
         is_jump: bool[], motion does not explain the pose.
         noise: see ``predict``.
         params: traced numbers.
+        num_pooled: see ``ground_words``.
 
     Returns:
         The belief with its weights as they were, and the likelihoods.
     """
     belief = predict(belief, observation.pose, is_jump, noise, params=params)
     observation = _with_drift(belief, observation)
-    detections = _detections(belief, observation, params)
+    detections = _detections(belief, observation, params, num_pooled)
     heading, sensor = observation.pose[2], observation.sensor
     noise_variance = jnp.maximum(sensor.noise, MIN_NOISE) ** 2
     growth = params.clumping / params.concentration
@@ -252,7 +255,13 @@ def observe(
         sensor = replace(sensor, detection_probability=right)
         doubt = association.clutter_odds(sensor, belief.num_types)
     grounded = association.associate(
-        belief.particles, detections, uniform, noise_variance, growth, doubt
+        belief.particles,
+        detections,
+        uniform,
+        noise_variance,
+        growth,
+        doubt,
+        is_pooled=num_pooled is not None,
     )
     particles = association.condition(belief.particles, grounded, noise_variance)
     believed, belief = belief.particles, replace(belief, particles=particles)
@@ -263,8 +272,11 @@ def observe(
         particles, grounded.is_hit, _headings(belief, heading), softness, sensor, view
     )
     # What is looked at and shows no more of a type tells against there being many.
-    exposure = log_exposure(share_unseen(coverage), params=params)
-    exposure = exposure - log_exposure(share_unseen(before), params=params)
+    now, earlier = (
+        log_exposure(share_unseen(one), params=params, num_pooled=num_pooled)
+        for one in (coverage, before)
+    )
+    exposure = now - earlier
     is_lost = None
     if has_doubts:
         log_exposed, existence = exposed(existence, exposure)
@@ -347,6 +359,7 @@ def reground(
     params: MapParams,
     told: Told | None,
     is_sparse: bool,
+    num_pooled: Array | None,
 ) -> Regrounded:
     """Ground the words anew where the old hypothesis was refuted or a new object calls for it.
 
@@ -359,6 +372,7 @@ def reground(
         params: traced numbers.
         told: see ``step``.
         is_sparse: see ``step``.
+        num_pooled: see ``ground_words``.
 
     Returns:
         The particles, properly weighted.
@@ -393,6 +407,7 @@ def reground(
         told=told,
         is_asked=is_asked,
         is_sparse=is_sparse,
+        num_pooled=num_pooled,
     )
     num_asked = jnp.sum(is_asked).astype(jnp.float32)
     language, log_language_total, _ = categorical.log_normalize(log_language)
@@ -431,6 +446,14 @@ def _part(
         replace(belief, particles=particles, bystanders=known),
         *bystanders.part(observation, spoken),
     )
+
+
+def _num_pooled(belief: ParticleBelief, spoken: Array | None) -> Array:
+    """Count the types of which things take slots, f32[]: those that the task speaks of."""
+    if spoken is None:
+        return belief.num_types.astype(jnp.float32)
+    is_type = jnp.arange(spoken.shape[0]) < belief.num_types
+    return jnp.maximum(jnp.sum(spoken & is_type), 1).astype(jnp.float32)
 
 
 def _remember(
@@ -503,6 +526,7 @@ def step(
     is_sparse: bool = False,
     farthest: Array | None = None,
     spoken: Array | None = None,
+    pools_counts: bool = False,
 ) -> tuple[ParticleBelief, FilterInfo]:
     """Run one step of the filter (eq. 6-8).
 
@@ -518,6 +542,7 @@ def step(
         farthest: f32[], metres that the robot can have gone since the last step; None: anywhere.
         spoken: bool[T], types that the task speaks of; where the belief has room for bystanders,
             things of other types are remembered as such. None: it speaks of all.
+        pools_counts: whether the types that it speaks of have one rate of how many there are.
 
     Returns:
         The belief now, and information on the step.
@@ -534,8 +559,12 @@ def step(
         doubted_pose=sound.doubted_pose,
     )
     belief, seen, others = _part(belief, sound.observation, spoken)
-    noise = _drift_noise(keys[0], belief)
-    belief, weighed = observe(associate, belief, seen, sound.is_jump, noise, params=params)
+    noise, pooled = _drift_noise(keys[0], belief), None
+    if pools_counts:
+        pooled = _num_pooled(belief, spoken)
+    belief, weighed = observe(
+        associate, belief, seen, sound.is_jump, noise, params=params, num_pooled=pooled
+    )
     belief, num_forgotten = _remember(belief, others)
     found = reground(
         keys[1],
@@ -546,6 +575,7 @@ def step(
         params=params,
         told=told,
         is_sparse=is_sparse,
+        num_pooled=pooled,
     )
     size = effective_sample_size(found.weight)
     is_resampled = size < params.resample_threshold * number

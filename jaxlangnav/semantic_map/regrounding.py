@@ -58,6 +58,7 @@ def ground_words(
     told: Told | None = None,
     is_asked: Array | None = None,
     is_sparse: bool = False,
+    num_pooled: Array | None = None,
 ) -> tuple[SemanticMap, Array]:
     """Draw for particles a reading and what its words refer to (eq. 7a).
 
@@ -69,6 +70,7 @@ def ground_words(
         told: how it was said; all of it to the belief's viewer by default.
         is_asked: bool[P], the particles whose words are grounded; all by default.
         is_sparse: under ``vmap``, compute only those; no gradient in reverse mode.
+        num_pooled: f32[], types that have one rate of how many there are; None: each its own.
 
     Returns:
         Particles with fresh groundings, and f32[P], log of the evidence estimated by each. Of
@@ -77,6 +79,7 @@ def ground_words(
     number = belief.log_weight.shape[0]
     asked = jnp.ones(number, bool) if is_asked is None else is_asked
     uniform, draws, scene = _draw(key, belief, readings.figure.shape[1])
+    scene = scene._replace(num_pooled=num_pooled)
     share = jnp.cumsum(jnp.exp(readings.log_probability))
     point = uniform * share[-1]
     reading = jnp.sum(share[:-1, None] <= point[None, :], axis=0).astype(jnp.int32)
@@ -281,6 +284,7 @@ def _ground_gathered(
             first_row=lane * maps.shape[1] + own(scene.first_row),
             log_area=scene.log_area[lane],
             log_unseen=own(scene.log_unseen),
+            num_pooled=None if scene.num_pooled is None else scene.num_pooled[lane],
         )
 
     def is_left(carry: tuple[Array, Array]) -> Array:
