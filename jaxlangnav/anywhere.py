@@ -16,12 +16,13 @@ from jaxlangnav.semantic_map.params import MapConfig
 
 OBJECTS, BYSTANDERS = 12, 64
 """Things that a sentence may mean, and others, that are remembered: for places as they are."""
-CONCENTRATION, CLUMPING, MISLEADING = 1.5, 2.0, 0.07
+CONCENTRATION, CLUMPING = 1.35, 2.0
 """How many things there are is hardly known, and is taken to be alike for all types spoken of: one
 hydrant and one cone that do not stand as is said are rather two of several than a false sentence,
-until enough has been looked at to tell that there are no more."""
-ABSENT = 0.01
-"""How often what is spoken of is nowhere."""
+until enough has been looked at to tell that there are no more. With two further pairs 198 of 200
+arrive, and a false sentence costs 42 m (191 and 39 m with 0.3 and 1, each type by itself)."""
+ABSENT, GIVE_UP = 0.01, 0.1
+"""How often what is spoken of is nowhere, and how improbable what is missing must be to give up."""
 
 
 def params_anywhere() -> NavigatorParams:
@@ -31,9 +32,13 @@ def params_anywhere() -> NavigatorParams:
         params.map,
         concentration=jnp.float32(CONCENTRATION),
         clumping=jnp.float32(CLUMPING),
-        misleading=jnp.float32(MISLEADING),
     )
-    planner = replace(params.planner, prior_share=jnp.float32(0.0), absent=jnp.float32(ABSENT))
+    planner = replace(
+        params.planner,
+        prior_share=jnp.float32(0.0),
+        absent=jnp.float32(ABSENT),
+        give_up=jnp.float32(GIVE_UP),
+    )
     return replace(params, map=believed, planner=planner)
 
 

@@ -208,7 +208,9 @@ def list_candidates(
     is_kind = fits(seen.object_type[None], said.kind[:, None])
     slots = column(jnp.arange(seen.x.shape[0]), is_kind.ndim - 1)[None]
     may_be = is_kind & is_open[:, None] & ((said.excluded[:, None] >> slots) & 1 == 0)
-    log_bystander, log_gain = _log_bystanders(seen, is_kind, grounding, scene, params=params)
+    log_bystander, log_one, log_two = _log_bystanders(
+        seen, is_kind, grounding, scene, params=params
+    )
     is_any, label = is_anything(said.kind), label_of(seen.object_type)
     is_alike = label[:, None] == label[None]
     places = scene.log_area, scene.log_unseen, scene.num_pooled
@@ -218,7 +220,9 @@ def list_candidates(
     )
     log_of_any, log_gain_of_any = jnp.split(found, 2)
     log_bystander = jnp.where(is_any[:, None], log_of_any[None], log_bystander)
-    log_gain = jnp.where(jnp.any(is_any, axis=0), log_gain_of_any, log_gain[FIGURE])
+    log_gain = jnp.where(jnp.any(is_any, axis=0), log_gain_of_any, (log_one - log_two)[FIGURE])
+    # Of one rate things of two types hang together as those of one type do.
+    hang_together = is_alike if scene.num_pooled is None else jnp.ones_like(is_alike)
 
     def append(objects: Array, place: Array) -> Array:
         objects = jnp.broadcast_to(objects, may_be.shape)
@@ -232,7 +236,7 @@ def list_candidates(
             jnp.where(may_be, log_bystander, -jnp.inf),
             jnp.where(is_open, -jnp.inf, 0.0),
         ),
-        log_alike=jnp.where(is_alike | (scene.num_pooled is not None), log_gain[:, None], 0.0),
+        log_alike=jnp.where(hang_together, log_gain[:, None], 0.0),
         is_open=is_open,
         earlier=earlier,
     )
@@ -240,7 +244,7 @@ def list_candidates(
 
 def _log_bystanders(
     seen: Seen, is_kind: Array, grounding: Grounding, scene: Scene, *, params: MapParams
-) -> tuple[Array, Array]:
+) -> tuple[Array, Array, Array]:
     """Weigh what has been seen as what is meant rather than as one of the bystanders.
 
     Args:
@@ -251,7 +255,7 @@ def _log_bystanders(
         params: concentration, clumping.
 
     Returns:
-        f32[2, O, ...], log 1/λ, and f32[2, ...], by how much more two of them weigh.
+        f32[2, O, ...], log 1/λ; f32[2, ...], log λ A with one of them meant, and with two.
     """
     ndim, num_pooled, is_counted = is_kind.ndim - 1, None, is_kind
     num_meant = jnp.zeros((), jnp.int32)
@@ -278,7 +282,7 @@ def _log_bystanders(
         log_others = log_expected(others, unseen[:, None], params=params, num_pooled=num_pooled)
         log_bystander = lead(scene.log_area, is_kind.ndim) - log_others
         log_bystander = log_bystander + jnp.log(jnp.maximum(seen.existence, 1e-9))[None]
-    return log_bystander, log_one - log_two
+    return log_bystander, log_one, log_two
 
 
 def _of_any_type(
@@ -315,10 +319,9 @@ def _of_any_type(
         is_alike, num_pooled = is_there[None], lead(num_pooled, is_there.ndim)
     number = jnp.sum(jnp.where(is_alike, real[None], 0.0), axis=1)
     others = jnp.maximum(number - real, 0.0)
-    log_one, log_two = (
-        log_expected(one, unseen, params=params, num_pooled=num_pooled)
-        for one in (others, jnp.maximum(others - 1.0, 0.0))
-    )
+    expected = functools.partial(log_expected, unseen=unseen, params=params, num_pooled=num_pooled)
+    log_one = expected(others)
+    log_two = expected(jnp.maximum(others - 1.0, 0.0))
     log_share = -jnp.log1p(jnp.sum(is_new_type, axis=0).astype(jnp.float32))
     log_weight = lead(log_area, log_one.ndim) - log_one + log_share[None]
     if seen.existence is not None:
