@@ -146,7 +146,7 @@ def test_tables_say_what_was_told_and_what_was_true() -> None:
     assert listed["2 more pairs"][4:] == ["nothing of how many there are", ""]
     assert listed["2 more pairs, told"][4:] == [
         "no",
-        "concentration 2, clumping 0, misleading 0.001",
+        "concentration 2, clumping 0, misleading 0.01",
     ]
     cells = robustness_table(document([row("false sentence")])).rows[0]
     assert "≥ 99, ≤ 45 m" in cells

@@ -159,11 +159,11 @@ _FALSE: dict[str, Any] = {"side": -1.0}
 
 
 def _further(expected: float) -> _Numbers:
-    """Tell how many more of each type there are, and that people do not err."""
-    return {"concentration": expected, "clumping": 0.0, "misleading": 0.001}
+    """Tell how many more of each type there are, and that people hardly err."""
+    return {"concentration": expected, "clumping": 0.0, "misleading": 0.01}
 
 
-_ONLY = {**_further(0.02), "absent": 0.0}
+_ONLY = {**_further(0.02), "misleading": 0.001, "absent": 0.0}
 """There is no other one, and it is there."""
 _CROWD = {"num_bystanders": 56, "num_pairs": 1}
 _ALL: dict[str, Any] = {
