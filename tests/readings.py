@@ -17,6 +17,7 @@ from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.coverage import Coverage
 from jaxlangnav.semantic_map.filter import FilterInfo
 from jaxlangnav.semantic_map.params import MapConfig, MapParams, default_map_params
+from jaxlangnav.semantic_map.words import ground_words
 
 K, M, J, D = 2, 3, 2, 6
 """Readings, mentions, relations, detections."""
@@ -183,9 +184,7 @@ def ground_many(
 ) -> tuple[object, jax.Array]:
     """Ground the words of one belief under S keys: particles [S, ..., P], log-weights [S, P]."""
     return jax.vmap(
-        lambda key: semantic_filter.ground_words(
-            key, belief, sentence, params=numbers, num_pooled=num_pooled
-        )
+        lambda key: ground_words(key, belief, sentence, params=numbers, num_pooled=num_pooled)
     )(keys)
 
 

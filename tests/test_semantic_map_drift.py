@@ -12,9 +12,10 @@ import readings as by_hand
 from jaxlangnav.messages import NONE
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map import belief as beliefs
-from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.semantic_map import looking, motion
-from jaxlangnav.semantic_map.regrounding import ground_words
+from jaxlangnav.semantic_map.observe import observe
+from jaxlangnav.semantic_map.predict import predict
+from jaxlangnav.semantic_map.words import ground_words
 
 NUMBER = 4096
 FIRST, SECOND = np.array([2.5, 0.5]), np.array([1.3, 0.9])
@@ -41,9 +42,8 @@ def look(key, belief, observation, params):
     number = belief.log_weight.shape[0]
     drawn = jax.random.normal(noise, (number,)) if belief.particles.drift.shape[0] else None
     uniform = jax.random.uniform(uniform, (by_hand.D, number))
-    belief, weighed = semantic_filter.observe(
-        uniform, belief, observation, jnp.asarray(False), drawn, params=params
-    )
+    belief = predict(belief, observation.pose, jnp.asarray(False), drawn, params=params)
+    belief, weighed = observe(uniform, belief, observation, params=params)
     return belief, weighed.log_map
 
 

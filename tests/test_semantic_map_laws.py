@@ -11,9 +11,9 @@ from test_semantic_map_enumeration import CASES, OBJECTS, VIEWER, by_category
 from jaxlangnav.messages import BEHIND, NEAR, NONE
 from jaxlangnav.pytree import replace
 from jaxlangnav.relations import RelationParams, default_params, prepare
-from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.semantic_map import particle as particle_module
 from jaxlangnav.semantic_map.params import MapConfig
+from jaxlangnav.semantic_map.words import ground_words
 
 HYDRANT, CONE, CAR = by_hand.HYDRANT, by_hand.CONE, by_hand.CAR
 KINDS, EDGES = [HYDRANT, CONE], [(0, BEHIND, 1, False)]
@@ -215,7 +215,7 @@ def test_step_is_compiled_once_for_any_numbers() -> None:
 
 def log_evidence(params: RelationParams, key: jax.Array, belief, sentence) -> jax.Array:
     numbers = replace(by_hand.params(concentration=3.0), relations=prepare(params))
-    _, log_weight = semantic_filter.ground_words(key, belief, sentence, params=numbers)
+    _, log_weight = ground_words(key, belief, sentence, params=numbers)
     return jax.nn.logsumexp(log_weight) - jnp.log(log_weight.shape[0])
 
 

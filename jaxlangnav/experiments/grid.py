@@ -17,7 +17,8 @@ import pyarrow as pa
 
 from jaxlangnav.anywhere import with_numbers
 from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task
-from jaxlangnav.experiments.calibration import Tally, run_judged
+from jaxlangnav.experiments.calibration import Tally
+from jaxlangnav.experiments.judging import run_judged
 from jaxlangnav.experiments.metrics import summarize
 from jaxlangnav.experiments.monte_carlo import OnProgress, run_tasks
 from jaxlangnav.experiments.policies import navigator_config, run_policy, without_compass

@@ -35,11 +35,8 @@ from jaxlangnav.training.blocks import Design
 from jaxlangnav.training.examples import LabelledInstruction, annotation_examples, behavior_examples
 from jaxlangnav.training.fit import Fit, build_design, fit
 from jaxlangnav.training.labelled import read_examples
+from jaxlangnav.training.scores import ExactScores, Models, Results, Scores
 from jaxlangnav.training.scoring import (
-    ExactScores,
-    Models,
-    Results,
-    Scores,
     score_annotations,
     score_behaviors,
 )

@@ -112,8 +112,8 @@ def pick(values: Array, index: Array) -> Array:
         [...], ``values[index]``; 0 where the index is out of bounds.
     """
     size = values.shape[0]
-    nothing = jnp.zeros(values.shape[1:], values.dtype)
-    rows = [jnp.broadcast_to(row, index.shape) for row in (*jnp.unstack(values), nothing)]
+    table = jnp.broadcast_to(apart(values, index.ndim + 1), (size, *index.shape))
+    rows = *jnp.unstack(table), jnp.zeros(index.shape, values.dtype)
     within = jnp.minimum(index.astype(jnp.uint32), size).astype(jnp.int32)  # −1 is very large
     # One operation to trace; it becomes a tree of selects.
     return jax.lax.select_n(within, *rows)

@@ -31,7 +31,6 @@ from jaxlangnav.kinds import is_anything
 from jaxlangnav.messages import NONE
 from jaxlangnav.numerics import categorical
 from jaxlangnav.numerics.batching import column, lead, once, pick
-from jaxlangnav.semantic_map import candidates
 from jaxlangnav.semantic_map.candidates import (
     NUM_UNSEEN,
     Candidates,
@@ -39,12 +38,13 @@ from jaxlangnav.semantic_map.candidates import (
     Grounding,
     Scene,
     Seen,
-    Ways,
+    list_candidates,
 )
 from jaxlangnav.semantic_map.coverage import log_miss_at
 from jaxlangnav.semantic_map.order import PLURAL, log_rank
 from jaxlangnav.semantic_map.params import MapParams
 from jaxlangnav.semantic_map.said import FIGURE, LANDMARK, Said
+from jaxlangnav.semantic_map.ways import Ways, meaning, propose
 
 _LOG_FLOOR = -60.0
 
@@ -67,8 +67,8 @@ def ground_relation(
         relation.
     """
     said = once(_from_other(_apart(said, grounding), grounding))
-    ends = candidates.list_candidates(seen, said, grounding, scene, params=params)
-    ways = once(candidates.propose(said, ends, draws, params.relations))
+    ends = list_candidates(seen, said, grounding, scene, params=params)
+    ways = once(propose(said, ends, draws, params.relations))
     num_known = ends.x.shape[1]
     rank = log_rank(said, ways.told, seen, draws, scene, params=params, num_known=num_known)
     log_weight = _weigh(said, ends, ways, rank, scene, params.misleading)
@@ -182,7 +182,7 @@ def _enter(
 ) -> Grounding:
     """Enter the chosen figure and landmark; ends decided earlier stay."""
     num_objects = ends.x.shape[1] - 1
-    slots, hangs = candidates.meaning(num_objects)
+    slots, hangs = meaning(num_objects)
     slot = jnp.where(ends.is_open, jnp.asarray(slots)[:, choice], ends.earlier.slot)
     inherited = jnp.where(ends.is_open, NONE, ends.earlier.root)
     root = jnp.where(slot == NONE, inherited, slot)
