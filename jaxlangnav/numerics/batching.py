@@ -142,10 +142,12 @@ def rarely(is_meant: Array, weigh: Callable[[T], Array], records: T) -> Array:
     Returns:
         f32[n, ...]; 0 where it is not asked for.
     """
+    kinds = dict.fromkeys(leaf.dtype for leaf in jax.tree.leaves(records))
 
     # The index, always 0, enters all that is read, or XLA would hoist what it can.
     def body(index: Array, _: Array) -> Array:
-        return weigh(jax.tree.map(lambda leaf: leaf + index.astype(leaf.dtype), records))
+        zero = {kind: index.astype(kind) for kind in kinds}
+        return weigh(jax.tree.map(lambda leaf: leaf + zero[leaf.dtype], records))
 
     rounds = jnp.any(is_meant).astype(jnp.int32)
     nothing = jnp.zeros_like(jax.tree.leaves(records)[0])

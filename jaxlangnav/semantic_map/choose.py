@@ -200,12 +200,7 @@ def _enter(
         jnp.ones_like(ends.is_open),
     )
     is_valid = said.mention[FIGURE] != NONE
-    is_set = ends.is_open & (said.kind >= 0) & is_valid[None]
-    mentions = column(jnp.arange(grounding.slot.shape[0]), grounding.slot.ndim)
-    entered_by = jnp.where(is_set, said.mention, NONE)
-    is_figure, is_landmark = (mentions == entered_by[end][None] for end in (FIGURE, LANDMARK))
-    # One who is both is entered as the figure.
-    source = jnp.where(is_figure, 2, is_landmark.astype(jnp.int32))
+    source = _source(said, ends.is_open & is_valid[None], grounding.slot.shape[0])
 
     def put(old: Array, new: Array) -> Array:
         of_end = (jnp.broadcast_to(new[end : end + 1], old.shape) for end in (LANDMARK, FIGURE))
@@ -214,3 +209,14 @@ def _enter(
     log_weight = grounding.log_weight + jnp.where(is_valid, log_total, 0.0)
     entered = [put(old, new) for old, new in zip(grounding[:-1], after, strict=True)]
     return Grounding(*entered, log_weight=log_weight)
+
+
+def _source(said: Said, is_decided: Array, num_mentions: int) -> Array:
+    """Tell which mentions are decided now, i32[M, ...]: 2 as the figure, 1 as the landmark, or 0.
+
+    One who is both is entered as the figure.
+    """
+    entered_by = jnp.where(is_decided & (said.kind >= 0), said.mention, NONE)
+    mentions = column(jnp.arange(num_mentions), said.mention.ndim)
+    is_figure, is_landmark = (mentions == entered_by[end][None] for end in (FIGURE, LANDMARK))
+    return jnp.where(is_figure, 2, is_landmark.astype(jnp.int32))

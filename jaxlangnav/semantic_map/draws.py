@@ -67,32 +67,41 @@ def draw_places(
     uniforms = batching.uniforms(keys_of_all, max(2 * NUM_UNSEEN, 5) * number)
     comb = uniforms[1, : 2 * pool].reshape(2, pool)
     scene, places = _unseen(belief, comb[0, 0], comb)
+    steps = jnp.asarray(_STEPS[index % len(_STEPS)])
+    of_all = jax.vmap(_of_relation, in_axes=(0, 0, 0, None))
+    return uniforms[0, :number], of_all(uniforms[2:], keys[:, 1], steps, places), scene
+
+
+def _of_relation(uniform: Array, shuffle_key: Array, step: Array, places: Array) -> Draws:
+    """Draw the random numbers of one relation, for all particles.
+
+    Args:
+        uniform: f32[≥ 5 P], in [0, 1).
+        shuffle_key: random key, consumed.
+        step: f32[], by which the choices of the particles are apart.
+        places: f32[2, n] or f32[2, n, P], of ``_unseen``.
+
+    Returns:
+        Leaves [..., P].
+    """
+    pool = places.shape[1]
+    number = pool // NUM_UNSEEN
     stride = next(step for step in range(int(0.618 * number), 0, -1) if math.gcd(step, number) == 1)
-
-    def of_particles(values: Array, chosen: Array) -> Array:
-        return values[chosen] if values.ndim == 1 else values[chosen, jnp.arange(number)]
-
-    def of_relation(uniform: Array, shuffle_key: Array, step: Array) -> Draws:
-        # Which place of the comb goes to which particle is random: a fixed assignment would tie
-        # particles to regions. Each row is dealt over the whole comb.
-        start = jax.random.randint(shuffle_key, (), 0, pool)
-        row = jnp.arange(NUM_UNSEEN)[:, None]
-        dealt = NUM_UNSEEN * (stride * jnp.arange(number) % number)
-        chosen = (start + dealt[None, :] + row) % pool
-        unit = batching.between(uniform[: 5 * number], 1e-6, 1.0 - 1e-6).reshape(5, number)
-        normal = jax.scipy.special.ndtri(unit[:4])
-        return Draws(
-            distance=normal[:2],
-            angle=normal[2:],
-            # Evenly spread over the particles: what they choose stays for the episode, and with
-            # it the error of independent draws. Each relation has a step of its own, or what a
-            # particle chooses for one would tell what it chooses for the next.
-            choice=(unit[4, 0] + step * jnp.arange(number)) % 1.0,
-            unseen_x=of_particles(places[0], chosen),
-            unseen_y=of_particles(places[1], chosen),
-        )
-
-    draws = jax.vmap(of_relation)(
-        uniforms[2:], keys[:, 1], jnp.asarray(_STEPS[index % len(_STEPS)])
+    # Which place of the comb goes to which particle is random: a fixed assignment would tie
+    # particles to regions. Each row is dealt over the whole comb.
+    dealt = NUM_UNSEEN * (stride * np.arange(number) % number) + np.arange(NUM_UNSEEN)[:, None]
+    start = jax.random.randint(shuffle_key, (), 0, pool)
+    chosen = jax.lax.rem(start + dealt.astype(np.int32), pool)
+    unit = batching.between(uniform[: 5 * number], 1e-6, 1.0 - 1e-6).reshape(5, number)
+    normal = jax.scipy.special.ndtri(unit[:4])
+    own = chosen if places.ndim == 2 else (chosen, np.arange(number))
+    return Draws(
+        distance=normal[:2],
+        angle=normal[2:],
+        # Evenly spread over the particles: what they choose stays for the episode, and with it the
+        # error of independent draws. Each relation has a step of its own, or what a particle
+        # chooses for one would tell what it chooses for the next.
+        choice=jax.lax.rem(unit[4, 0] + step * np.arange(number, dtype=np.float32), 1.0),
+        unseen_x=places[0][own],
+        unseen_y=places[1][own],
     )
-    return uniforms[0, :number], draws, scene
