@@ -196,6 +196,7 @@ def _observe(
         is_sparse=True,
         farthest=farthest,
         spoken=_spoken(state) if config.map.num_bystanders else None,
+        pools_counts=config.map.pools_counts,
     )
     return replace(state, belief=belief), info
 

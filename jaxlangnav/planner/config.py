@@ -16,7 +16,7 @@ POLICIES = tuple(SHIPPED)
 AnyPolicy: TypeAlias = str | Policy | Callable[[Situation], Valuation]
 """A name, a policy of one's own, or a function that values nodes and needs no memory."""
 _NAMES = ", ".join(POLICIES)
-_MEMBERS = ("check", "init", "map_params", "name", "portrayal", "step")
+_MEMBERS = ("check", "init", "map_params", "name", "portrayal", "step", "takes_likeliest")
 
 
 def as_policy(given: AnyPolicy) -> Policy:

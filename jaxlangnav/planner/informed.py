@@ -47,6 +47,11 @@ class Informed(Policy):
             reason_object="nothing is left to find out that would matter more",
         )
 
+    @property
+    def takes_likeliest(self) -> bool:
+        """It does, however many there may be."""
+        return True
+
     def check(self, sizes: MapConfig) -> None:
         """Refuse a map that cannot be folded into the search map."""
         if sizes.num_cells % search.CELLS:

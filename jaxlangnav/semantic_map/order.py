@@ -15,6 +15,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.kinds import fits, is_anything
+from jaxlangnav.messages import NONE
 from jaxlangnav.numerics.batching import apart, lead, rarely
 from jaxlangnav.relations import degree, is_on_side, robot_frame
 from jaxlangnav.relations.strength import sign_of_distance, value_of_rank
@@ -117,8 +118,11 @@ def _log_order(
     before = jnp.sum(is_rival & (rival < own[None] - _TIE), axis=0)
     is_alone = ~jnp.any(is_rival & (jnp.abs(rival - own[None]) > _TIE), axis=0) & (rank == 1)
     lacking = jnp.maximum(rank - 1 - before, 0)
-    others = jnp.maximum(jnp.sum(is_kind, axis=0) - 1, 0)
-    log_more = log_expected(others, jnp.exp(lead(scene.log_unseen, others.ndim)), params=params)
+    is_counted = is_kind if scene.num_pooled is None else seen.object_type != NONE
+    others = jnp.maximum(jnp.sum(is_counted, axis=0) - 1, 0)
+    num_pooled = None if scene.num_pooled is None else lead(scene.num_pooled, others.ndim)
+    unseen_share = jnp.exp(lead(scene.log_unseen, others.ndim))
+    log_more = log_expected(others, unseen_share, params=params, num_pooled=num_pooled)
     log_new = lead(jnp.log(PLURAL) + log_more, own.ndim) + lead(scene.log_unseen, own.ndim)
 
     def log_there(is_there: Array) -> Array:
