@@ -39,7 +39,8 @@ def config_anywhere(policy: AnyPolicy, *, params: NavigatorParams) -> NavigatorC
 
     Args:
         policy: of the planner.
-        params: concrete numbers: a heading that drifts takes a program of its own.
+        params: concrete numbers: a heading that drifts takes a program of its own, and so does a
+            search for what may be nowhere.
 
     Returns:
         Sizes and policy.
@@ -51,7 +52,7 @@ def config_anywhere(policy: AnyPolicy, *, params: NavigatorParams) -> NavigatorC
             has_doubts=True,
             has_drift=is_drifting(params.map.motion),
         ),
-        planner=PlannerConfig(policy=policy),
+        planner=PlannerConfig(policy=policy, is_thorough=bool(params.planner.absent > 0.0)),
     )
 
 

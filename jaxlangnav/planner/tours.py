@@ -13,12 +13,16 @@ half-angle h below a right angle, which shows less abreast).
 What is looked for may be nowhere, with probability q (``endings``): then all of the area is looked
 at before that is known, in whatever order, and the way until then is what counts:
 
-    L' = (1 − q) L + q M (T + mean_{c missed} |c − q_K| + B / 2R),   M = Σ_c m_c
+    L' = (1 − q) L + q M (T + mean_{c missed} |c − q_K| + B / 2R + G),   M = Σ_c m_c
+
+In a *thorough* search, which may have to look at all of the area, G is the way between the patches
+that the tour would leave (0 otherwise), and sweeps in lanes (``sweeps``) are drafted too.
 
 Each decision starts from the tour under way and from greedy tours over a lattice of viewpoints, and
 improves the best of them by a few rounds of random changes: move a stop, put one in, take one out,
 turn a stretch round. The tour is kept from step to step, so the search goes on while the robot is
-on its way; and as the tour under way is among the candidates, it is left only for a shorter one.
+on its way; and as the tour under way is among the candidates, it is left only for a shorter one: of
+a thorough search for a much shorter one, as what seems so on a grid of cells leaves corners behind.
 """
 
 import chex
@@ -31,6 +35,7 @@ from jaxlangnav.messages import SensorParams
 from jaxlangnav.numerics import batching
 from jaxlangnav.numerics.batching import once
 from jaxlangnav.planner.search import SearchMap, viewpoints, visibility
+from jaxlangnav.planner.sweeps import NUM_SWEEPS, eyesight, gaps, is_worth_a_look, sweeps
 from jaxlangnav.pytree import pytree
 from jaxlangnav.terrain import OPEN, Terrain
 from jaxlangnav.terrain.view import NEVER, Stretch
@@ -43,12 +48,14 @@ NUM_CHANGES = 8
 """Changes tried in a round."""
 NUM_ROUNDS = 3
 """Rounds of changes at each decision."""
-SIGHT_MARGIN = 0.5
-"""Metres by which a thing must be inside the sensing range to count on seeing it: cells have width,
-looks are a step apart, and a look may miss."""
 _ARRIVAL = 0.5
 """Metres from a stop that count as having been there."""
 _MOVE, _MOVE_FAR, _INSERT, _REVERSE, _REMOVE = range(5)
+_LESS, _LESS_SWEPT = 0.3, 0.05
+"""By what share the tour under way of a thorough search must be longer than another one, and than a
+sweep, to be left for it."""
+_HANDICAPS = np.repeat([1.0, 1.0 + _LESS, 1.0 + _LESS_SWEPT], [1, NUM_GREEDY, NUM_SWEEPS])
+"""Of the drafts: the tour under way, greedy tours, sweeps."""
 
 
 @pytree
@@ -179,9 +186,8 @@ def latency(
     Returns:
         f32[T] metres; large for a tour that starts underfoot.
     """
-    radius = jnp.maximum(sensor.range_max - SIGHT_MARGIN, 0.5 * sensor.range_max)
+    radius, abreast = eyesight(sensor)
     opening = sensor.field_of_view
-    abreast = sensor.range_max * jnp.sin(jnp.minimum(0.5 * opening, 0.5 * jnp.pi))
     places_x = jnp.concatenate([search.x, search.partner_x])
     places_y = jnp.concatenate([search.y, search.partner_y])
     sight, walked = first_sight(
@@ -193,7 +199,7 @@ def latency(
         tours.x[:, -1:], tours.y[:, -1:], search.x[None], search.y[None]
     )
     mass = search.mass
-    counts = (mass > 0.1 * jnp.mean(mass))[None, :]
+    counts = is_worth_a_look(mass)[None, :]
     is_left = (free >= NEVER) & counts
     cell = (area[1] - area[0]) * (area[3] - area[2]) / mass.shape[0]
     sweep = jnp.sum(is_left, axis=1) * cell / (4.0 * abreast)
@@ -207,6 +213,8 @@ def latency(
     number = jnp.sum(is_missed, axis=1)
     back = jnp.sum(jnp.where(is_missed, away, 0.0), axis=1) / jnp.maximum(number, 1)
     whole = walked + back + number * cell / (2.0 * abreast)
+    if search.is_thorough:
+        whole = whole + gaps(is_missed, area)
     total = (1.0 - search.nowhere) * total + search.nowhere * jnp.sum(mass) * whole
     return total + jnp.where(
         _is_underfoot(tours.x[:, 0], tours.y[:, 0], robot_x, robot_y), NEVER, 0.0
@@ -332,6 +340,11 @@ def plan(
     # As many drafts as changes: one program weighs them all.
     drawn = np.minimum(np.arange(NUM_CHANGES), NUM_GREEDY)
     drafts = Tour(x=drafts.x[drawn], y=drafts.y[drawn])
+    if search.is_thorough:
+        here_x, here_y = jnp.asarray(robot_x), jnp.asarray(robot_y)
+        swept = sweeps(search, jnp.stack([here_x, here_y]), sensor, area, num_stops=NUM_STOPS)
+        first = Tour(x=drafts.x[: 1 + NUM_GREEDY], y=drafts.y[: 1 + NUM_GREEDY])
+        drafts = _join(first, Tour(x=swept[:, 0], y=swept[:, 1]))
 
     def improve(index: Array, carry: tuple[Tour, Array]) -> tuple[Tour, Array]:
         """Keep the best tour and weigh changes of it; at first, the drafts."""
@@ -341,6 +354,8 @@ def plan(
         changed = change(keys[index - 1], best, search, area)
         tried = jax.tree.map(lambda one, other: jnp.where(index == 0, one, other), drafts, changed)
         weighed = latency(tried, search, robot_x, robot_y, sensor, area)
+        if search.is_thorough:
+            weighed = weighed * jnp.where(index == 0, _HANDICAPS.astype(np.float32), 1.0 + _LESS)
         kept = Tour(x=best.x[None], y=best.y[None])
         return _join(kept, tried), jnp.append(cost[least], weighed)
 
