@@ -319,7 +319,7 @@ def test_informed_ends_once_the_rest_has_been_looked_at(mass, robot, chance, sto
     assert (bool(choice.is_stop), bool(choice.is_not_found)) == (False, ends)
 
 
-@pytest.mark.parametrize(("unlooked", "ends"), [(0.03, False), (0.01, True)])
+@pytest.mark.parametrize(("unlooked", "ends"), [(0.02, False), (0.005, True)])
 def test_a_thorough_search_ends_when_hardly_anything_is_unlooked(unlooked, ends) -> None:
     """However likely it is thought that what is spoken of is nowhere."""
     one = jnp.zeros(1)

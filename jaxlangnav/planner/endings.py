@@ -37,7 +37,7 @@ from jaxlangnav.kinds import fits, is_anything
 from jaxlangnav.messages import Readings
 from jaxlangnav.semantic_map.params import MapParams
 
-MOST_UNLOOKED = 0.02
+MOST_UNLOOKED = 0.01
 """u above which nothing is given up as nowhere in a thorough search."""
 
 

@@ -20,7 +20,7 @@ SIGHT_MARGIN = 0.5
 looks are a step apart, and a look may miss."""
 _LANE_END = 0.5
 """How far at least from the edge of what is to be swept a lane ends, as a share of the range."""
-_SPARE_LANE = 0.1
+_SPARE_LANE = 0.02
 """Share of a lane by which a side may exceed whole lanes: sides of areas are not exact."""
 
 
@@ -50,7 +50,7 @@ def is_worth_a_look(mass: Array) -> Array:
     return mass > 0.1 * jnp.mean(mass)
 
 
-def gaps(is_missed: Array, area: Array) -> Array:
+def between_patches(is_missed: Array, area: Array) -> Array:
     """Measure the way between the patches that tours leave, from patch to patch in lanes.
 
     Limits: one patch, or none, has no gaps.

@@ -35,7 +35,7 @@ from jaxlangnav.messages import SensorParams
 from jaxlangnav.numerics import batching
 from jaxlangnav.numerics.batching import once
 from jaxlangnav.planner.search import SearchMap, viewpoints, visibility
-from jaxlangnav.planner.sweeps import NUM_SWEEPS, eyesight, gaps, is_worth_a_look, sweeps
+from jaxlangnav.planner.sweeps import NUM_SWEEPS, between_patches, eyesight, is_worth_a_look, sweeps
 from jaxlangnav.pytree import pytree
 from jaxlangnav.terrain import OPEN, Terrain
 from jaxlangnav.terrain.view import NEVER, Stretch
@@ -214,7 +214,7 @@ def latency(
     back = jnp.sum(jnp.where(is_missed, away, 0.0), axis=1) / jnp.maximum(number, 1)
     whole = walked + back + number * cell / (2.0 * abreast)
     if search.is_thorough:
-        whole = whole + gaps(is_missed, area)
+        whole = whole + between_patches(is_missed, area)
     total = (1.0 - search.nowhere) * total + search.nowhere * jnp.sum(mass) * whole
     return total + jnp.where(
         _is_underfoot(tours.x[:, 0], tours.y[:, 0], robot_x, robot_y), NEVER, 0.0

@@ -126,8 +126,7 @@ def _log_order(
         share = jnp.mean(counts[num_seen:num_others] & is_there, axis=0)
         return log_new + jnp.log(jnp.maximum(share, least))
 
-    log_before = log_there(unseen < own[None], _LEAST_BEFORE)
-    price = jnp.where(lacking > 0, lacking * log_before, 0.0)
+    price = jnp.where(lacking > 0, lacking * log_there(unseen < own[None], _LEAST_BEFORE), 0.0)
     price = price + jnp.where(is_alone, log_there(unseen > own[None], _LEAST_AFTER), 0.0)
     price = price + jnp.where(is_where_said[num_others:], 0.0, jnp.log(_OFF_SIDE))
     return price - excess / params.superlative_softness
