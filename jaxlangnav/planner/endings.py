@@ -20,7 +20,7 @@ error ends the search, so it ends sooner, by ε + (1 − ε) ν; and with the pr
 
     q = (1 − ε) ν / [(1 − ε) (1 − ν) (e^{α u} − 1) + ε + (1 − ε) ν]
 
-all is to be looked at whatever the order, so that the whole way counts (``tours``).
+all is to be looked at whatever the order, so that the whole way counts (``latency``).
 
 Where ν decides the end, a goal that stands where nobody has looked yet is given up as nowhere the
 more often the larger ν is. So a thorough search goes on until no more than ``MOST_UNLOOKED`` of
