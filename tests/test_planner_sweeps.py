@@ -138,7 +138,7 @@ def search_through(key: jax.Array, area: jax.Array) -> tuple[jax.Array, jax.Arra
         way = jnp.hypot(best.x[0] - x, best.y[0] - y)
         share = jnp.minimum(1.0 / jnp.maximum(way, 1e-6), 1.0)
         x, y = x + share * (best.x[0] - x), y + share * (best.y[0] - y)
-        return (belief, best, x, y, walked + share * way), (walked, chance.unlooked)
+        return (belief, best, x, y, walked + share * way), (walked, jnp.asarray(chance.unlooked))
 
     zero = jnp.float32(0.0)
     start = belief, tours.no_tour(zero, zero), zero, zero, zero

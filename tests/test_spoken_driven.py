@@ -260,6 +260,8 @@ KNOWN = {
         "drive to the barrel furthest away from the car", "second tree from the left",
         "go to the bench that is the closest to the cone", "go to the cone nearest to the car",
         "go to the second nearest car to the building", "park in front of the nearest building",
+        "the nearest fire hydrant to the warehouse", "go to the cone nearest the car",
+        "go to the hydrant that is nearest the bench",
     ),
     "stops at the first with the second out of view": (
         "go to the second bench on the left side", "go to the second cone on your left",
