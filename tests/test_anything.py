@@ -128,7 +128,7 @@ def test_which_one_is_asked_of_things_of_two_types(robot, answer: str) -> None:
     assert Status(int(run.actions[-1].status)) == Status.WHICH_ONE
     found = asking.candidates(run.state)
     assert {one.type_name for one in found} == {asking.type_names[one] for one in (BARREL, TREE)}
-    assert sum(one.probability for one in found) > 0.9
+    assert sum(one.probability for one in found) > 0.8
     x, y, turn = np.asarray(run.state.belief.last_pose)
     leftward = [(b - y) * np.cos(turn) - (a - x) * np.sin(turn) for _, a, b in places[1:]]
     meant = 1 + int(np.argmax(leftward) if answer == "the left one" else np.argmin(leftward))
