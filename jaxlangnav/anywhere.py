@@ -47,7 +47,8 @@ def config_anywhere(policy: AnyPolicy, *, params: NavigatorParams) -> NavigatorC
 
     Args:
         policy: of the planner.
-        params: concrete numbers: a heading that drifts takes a program of its own.
+        params: concrete numbers: a heading that drifts takes a program of its own, and so does a
+            search for what may be nowhere.
 
     Returns:
         Sizes and policy.
@@ -60,7 +61,7 @@ def config_anywhere(policy: AnyPolicy, *, params: NavigatorParams) -> NavigatorC
             has_drift=is_drifting(params.map.motion),
             pools_counts=True,
         ),
-        planner=PlannerConfig(policy=policy),
+        planner=PlannerConfig(policy=policy, is_thorough=bool(params.planner.absent > 0.0)),
     )
 
 
