@@ -27,7 +27,7 @@ ARGS ?=
 # physics are driven there too with ROS2_EXTRAS=ros2,robot.
 ROS2 := .venv-ros2
 ROS2_EXTRAS ?= ros2
-# Test processes. One holds up to 5 GB, so this is not the number of cores.
+# Test processes. One holds up to 3 GB, so this is not the number of cores.
 WORKERS ?= 2
 
 .PHONY: help demo test test-all test-ros2 fuzz lint format types check bench build docs notebooks frozen clean

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxlangnav.grounding.behavior import BEAM
+from jaxlangnav.grounding.beam import BEAM
 from jaxlangnav.grounding.program import AT_TABLE, LOG_NEVER, NUM_REGION_SLOTS
 from jaxlangnav.grounding.symbols import NUM_REGIONS, NUM_RELATIONS
 from jaxlangnav.kinds import fits

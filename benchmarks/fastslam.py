@@ -29,7 +29,7 @@ from jaxlangnav.numerics import categorical
 from jaxlangnav.numerics.batching import take
 from jaxlangnav.numerics.resampling import effective_sample_size, systematic
 from jaxlangnav.pytree import replace
-from jaxlangnav.semantic_map import association, motion, particle
+from jaxlangnav.semantic_map import association, motion, particle, update
 from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.semantic_map.params import MapConfig, default_map_params
 from jaxlangnav.semantic_map.particle import SemanticMap
@@ -65,7 +65,7 @@ def core_step(
     )
     uniform = jax.random.uniform(associate_key, (NUM_LANDMARKS, number))
     grounded = association.associate(particles, detections, uniform, noise)
-    particles = association.condition(particles, grounded, noise)
+    particles = update.condition(particles, grounded, noise)
     weight, _, _ = categorical.log_normalize(log_weight + grounded.log_weight)
     is_resampled = effective_sample_size(weight) < 0.5 * number
     ancestors = systematic(weight, jax.random.uniform(resample_key))

@@ -375,8 +375,9 @@ def _uniform(observation: Observation) -> Observation:
     def pad(leaf: Any, dtype: Any, filler: int) -> np.ndarray:
         return np.pad(cast(leaf, dtype), (0, spare), constant_values=filler)
 
+    # A detector that reports no attributes is one to which none are known: one program serves both.
     code = observation.detection_attribute
-
+    code = np.zeros(slots, np.int32) if code is None else code
     return replace(
         observation,
         pose=cast(observation.pose, np.float32),
@@ -384,6 +385,6 @@ def _uniform(observation: Observation) -> Observation:
         detection_range=pad(observation.detection_range, np.float32, 0),
         detection_bearing=pad(observation.detection_bearing, np.float32, 0),
         is_detection=pad(observation.is_detection, bool, 0),
-        detection_attribute=None if code is None else pad(code, np.int32, 0),
+        detection_attribute=pad(code, np.int32, 0),
         sensor=jax.tree.map(lambda leaf: cast(leaf, np.float32), observation.sensor),
     )

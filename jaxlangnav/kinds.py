@@ -43,6 +43,10 @@ def _places() -> Iterator[tuple[str, int, int]]:
 
 _PLACES = {group: (first, mask) for group, first, mask in _places()}
 _MASKS = tuple(mask << LABEL_BITS for _, mask in _PLACES.values())
+_TOPS = sum((mask + (mask & -mask)) >> 1 for mask in _MASKS)
+"""The highest bit of each group."""
+_LOWER = sum(_MASKS) - _TOPS
+_SIGN = -(2**31)
 
 
 def group_of(word: str) -> str | None:
@@ -98,7 +102,7 @@ def label_of(kind: Any) -> Any:
 
 def is_anything(kind: Any) -> Any:
     """Tell which kinds are of no type: things of every label fit them."""
-    return label_of(kind) == ANYTHING
+    return (kind & (_SIGN | ANYTHING)) == ANYTHING
 
 
 def code_of(kind: int) -> int:
@@ -138,11 +142,18 @@ def fits(thing: Any, kind: Any) -> Any:
     Returns:
         bool[...].
     """
-    may_be = (label_of(thing) == label_of(kind)) | (is_anything(kind) & (thing >= 0))
-    for mask in _MASKS:
-        own, asked = thing & mask, kind & mask
-        may_be = may_be & ((own == asked) | (own == 0) | (asked == 0))
-    return may_be
+    other = thing ^ kind
+    # Negative kinds differ from the others in the sign, and from each other in the low bits.
+    may_be = ((other & (_SIGN | ANYTHING)) == 0) | (is_anything(kind) & (thing >= 0))
+    return may_be & ((_told(thing) & _told(kind) & _told(other)) == 0)
+
+
+def _told(kind: Any) -> Any:
+    """Mark the groups of attributes that a kind has a value of: the top bit of each, no other.
+
+    Adding all lower bits of a group to them carries into its top bit unless they are all 0.
+    """
+    return (((kind & _LOWER) + _LOWER) | kind) & _TOPS
 
 
 def joined(known: Any, seen: Any) -> Any:

@@ -23,6 +23,9 @@ import jax.numpy as jnp
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
+from studies import joint_objects, provoked
+from studies.episode_evidence import figure_posterior, remember
+from studies.own_worlds import judge_own_worlds
 
 import jaxlangnav
 from jaxlangnav.experiments import calibration
@@ -34,9 +37,6 @@ from jaxlangnav.messages import Observation
 from jaxlangnav.navigator import default_params
 from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.semantic_map.params import MapConfig
-from jaxlangnav.studies import joint_objects, provoked
-from jaxlangnav.studies.episode_evidence import figure_posterior, remember
-from jaxlangnav.studies.own_worlds import judge_own_worlds
 from jaxlangnav.viz import style
 from jaxlangnav.viz.measures import reliability_figure
 

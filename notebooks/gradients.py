@@ -24,6 +24,9 @@ import matplotlib as mpl
 import numpy as np
 import optax
 from matplotlib.figure import Figure
+from studies.evidence_fitting import fit_to_episodes, run_and_remember
+from studies.map_evidence import log_map
+from studies.own_worlds import OWN_AREA, own_tasks
 
 import jaxlangnav
 from jaxlangnav.experiments.policies import navigator_config
@@ -46,9 +49,6 @@ from jaxlangnav.relations import log_density, prepare, viewer_frame
 from jaxlangnav.relations.pairs import FRAMES, make_pairs
 from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.semantic_map.params import MapConfig
-from jaxlangnav.studies.evidence_fitting import fit_to_episodes, run_and_remember
-from jaxlangnav.studies.map_evidence import log_map
-from jaxlangnav.studies.own_worlds import OWN_AREA, own_tasks
 from jaxlangnav.training import TrainingConfig, scoring
 from jaxlangnav.training.examples import annotation_examples
 from jaxlangnav.training.fit import build_design, by_kind, factorise, loss, strengths, train_weights

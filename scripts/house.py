@@ -2,11 +2,13 @@
 
     python scripts/house.py
 
-Lines are those of Python files, docstrings and blank lines included. Records are the classes of
-this package of which an instance is made while ``navigator.step`` is traced once. Operations are
-the equations of that trace, nested programs included.
+Lines are those of Python files: all of them; of code, imports counted by themselves; and of
+docstrings. Records are the classes of this package of which an instance is made while
+``navigator.step`` is traced once. Operations are the equations of that trace, nested programs
+included, and stand by the file that wrote them.
 """
 
+import ast
 import inspect
 import sys
 from collections import Counter
@@ -30,14 +32,38 @@ ENGINE = (
 )  # fmt: skip
 """From messages to episode; ``grounding`` is read after lunch."""
 NUM_DETECTIONS = 8
+MOST_FILES = 20
+"""Files that are listed, of those that write the most operations."""
 
 
-def lines_by_floor() -> Counter[str]:
-    """Count the lines of every top-level module and package."""
-    found: Counter[str] = Counter()
+KINDS = ("lines", "code", "imports", "docstrings")
+
+
+def _span(node: ast.AST) -> range:
+    """List the lines that a part of a file takes."""
+    return range(getattr(node, "lineno", 0), getattr(node, "end_lineno", 0) + 1)
+
+
+def lines_of(source: str) -> Counter[str]:
+    """Count the lines of a file by ``KINDS``; what is left over is blank or a comment."""
+    docstrings, imports = set[int](), set[int]()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+            docstrings.update(_span(node))
+        elif isinstance(node, ast.Import | ast.ImportFrom):
+            imports.update(_span(node))
+    lines = source.splitlines()
+    written = {n for n, line in enumerate(lines, 1) if line.strip() and line.strip()[0] != "#"}
+    numbers = len(lines), len(written - docstrings - imports), len(imports), len(docstrings)
+    return Counter(dict(zip(KINDS, numbers, strict=True)))
+
+
+def lines_by_floor() -> dict[str, Counter[str]]:
+    """Count the lines of every top-level module and package by ``KINDS``."""
+    found: dict[str, Counter[str]] = {}
     for path in PACKAGE.rglob("*.py"):
         floor = path.relative_to(PACKAGE).with_suffix("").parts[0]
-        found[floor] += path.read_text("utf-8").count("\n")
+        found.setdefault(floor, Counter()).update(lines_of(path.read_text("utf-8")))
     return found
 
 
@@ -58,15 +84,31 @@ def arguments() -> tuple[Any, ...]:
     return jax.random.key(0), state, observation
 
 
-def count_operations(jaxpr: Any) -> int:
-    """Count the equations of a trace, those of nested programs included."""
-    inner = 0
+def written_in(equation: Any) -> str | None:
+    """Tell which file of the package wrote an equation; None: none did."""
+    trace = equation.source_info.traceback
+    names = () if trace is None else (Path(frame.file_name) for frame in trace.frames)
+    own = (name for name in names if name.is_relative_to(PACKAGE))
+    return next((str(name.relative_to(PACKAGE)) for name in own), None)
+
+
+def count_operations(jaxpr: Any, caller: str | None = None) -> Counter[str]:
+    """Count the equations of a trace by file, those of nested programs included.
+
+    What stands inside a function of JAX's own, which is traced once for all who call it, counts for
+    the caller.
+    """
+    found: Counter[str] = Counter()
     for equation in jaxpr.eqns:
+        file = caller or written_in(equation) or "JAX"
+        found[file] += 1
+        is_shared = equation.primitive.name in ("jit", "pjit", "custom_jvp_call")
         for value in equation.params.values():
             for one in value if isinstance(value, tuple | list) else (value,):
                 one = getattr(one, "jaxpr", one)
-                inner += count_operations(one) if hasattr(one, "eqns") else 0
-    return len(jaxpr.eqns) + inner
+                if hasattr(one, "eqns"):
+                    found += count_operations(one, file if is_shared else caller)
+    return found
 
 
 def traced() -> tuple[Any, set[str]]:
@@ -98,13 +140,18 @@ def traced() -> tuple[Any, set[str]]:
 def main() -> None:
     """Print the measures."""
     floors = lines_by_floor()
-    for floor, number in sorted(floors.items(), key=lambda item: -item[1]):
-        print(f"{number:6}  {floor}")
-    print(f"{floors.total():6}  package")
-    print(f"{sum(floors[floor] for floor in ENGINE):6}  engine: {', '.join(ENGINE)}")
+    print(*(f"{kind:>10}" for kind in KINDS))
+    rows = sorted(floors.items(), key=lambda item: -item[1]["lines"])
+    engine = sum((floors[floor] for floor in ENGINE), Counter())
+    rows += [("package", sum(floors.values(), Counter())), (f"engine: {', '.join(ENGINE)}", engine)]
+    for name, number in rows:
+        print(*(f"{number[kind]:>10}" for kind in KINDS), name)
     jaxpr, records = traced()
     print(f"{len(records):6}  records inside one navigator.step: {', '.join(sorted(records))}")
-    print(f"{count_operations(jaxpr.jaxpr):6}  traced operations of one navigator.step")
+    operations = count_operations(jaxpr.jaxpr)
+    print(f"{operations.total():6}  traced operations of one navigator.step")
+    for file, number in operations.most_common(MOST_FILES):
+        print(f"{number:6}  {file}")
 
 
 if __name__ == "__main__":

@@ -81,12 +81,19 @@ def tidy(notebook: Any) -> None:
     }
     for index, cell in enumerate(notebook.cells):
         cell["id"], cell["metadata"] = f"cell-{index:02d}", {}
+        if "outputs" in cell:
+            cell["outputs"] = [one for one in cell["outputs"] if not _is_alarm(one)]
         for output in cell.get("outputs", ()):
             data = output.get("data", {})
             if "image/png" in data:
                 data["image/png"] = reduce_picture(data["image/png"])
                 data.pop("text/plain", None)
                 output["metadata"] = {}
+
+
+def _is_alarm(output: Any) -> bool:
+    """Tell whether XLA complains of a slow compilation, as it does on a busy machine."""
+    return output.get("name") == "stderr" and "slow_operation_alarm" in output["text"]
 
 
 def build(path: Path) -> Path:
@@ -139,6 +146,7 @@ def draw(path: Path, folder: Path) -> list[Path]:
     from matplotlib.figure import Figure
 
     folder.mkdir(parents=True, exist_ok=True)
+    sys.path.insert(0, str(path.parent))  # as in Jupyter: notebooks/studies
     names: dict[str, Any] = {"__name__": "__main__", "__file__": str(path)}
     pictures: list[Path] = []
     for index, (kind, text) in enumerate(cells(path)):

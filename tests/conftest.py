@@ -1,10 +1,12 @@
 """What every test runs under: no silent broadcasting, programs compiled briefly and kept."""
 
 import ctypes
+import gc
 import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 # Tests take the CPU unless told otherwise: their tolerances are derived for it.
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
@@ -15,18 +17,23 @@ import pytest
 RUN_LONG = ("test_experiments_", "test_kept", "test_language_", "test_training_")
 """Files whose programs run longer than they compile, or are held to the last digits of float32 or
 to other processes; single programs elsewhere: readings.OFTEN."""
-LONGEST = (
-    "test_notebooks",
-    "test_follow_constructs",
-    "test_cli_experiments",
-    "test_episode_batch",
-    "test_outside",
-    "test_experiments_sweep",
-    "test_semantic_map_laws",
-    "test_grounding_behavior",
-    "test_any_noun",
-)
-"""Files to begin with, so that no worker waits for one at the end."""
+TOGETHER = {
+    "the filter": (
+        "test_semantic_map_", "test_conversation_enumeration", "test_relations_fit",
+        "test_studies_episode_evidence",
+    ),
+    "robots": (
+        "test_any_noun", "test_outside", "test_conversation", "test_anything", "test_navigator_",
+        "test_robots_", "test_measured", "test_follow_talk",
+    ),
+    "follow": ("test_cli_experiments", "test_cli_follow", "test_task.py"),
+    "batches": ("test_episode_batch", "test_recording"),
+    "corpora": ("test_language_corpus", "test_training_labelled"),
+}  # fmt: skip
+"""Files that run the same programs, by the beginnings of their names: the worker that has compiled
+them runs them all."""
+FIRST = ("test_notebooks.py", *TOGETHER, "test_follow_constructs.py", "test_experiments_sweep.py")
+"""What to begin with, so that no worker waits for it at the end."""
 FULL = 2e9
 """Bytes of a worker from which on it lets compiled programs go; a decision cycle's is 0.4e9."""
 
@@ -40,10 +47,47 @@ def pytest_configure(config: pytest.Config) -> None:
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with the longest files."""
-    order = {name: place for place, name in enumerate(LONGEST)}
-    items.sort(key=lambda item: order.get(item.path.stem, len(order)))
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Put files together that share programs, and those last that are compiled in full."""
+    order = {name: place for place, name in enumerate(FIRST)}
+
+    def turn(item: pytest.Item) -> tuple[bool, int]:
+        # Each worker changes once from programs compiled briefly to others.
+        is_last = _is_quick(config) and item.path.name.startswith(RUN_LONG)
+        return is_last, order.get(_group(item.path.name), len(order))
+
+    items.sort(key=turn)
+
+
+def pytest_collection_finish() -> None:
+    """Collect garbage seldom: searching a heap of that many objects is a sixth of all tracing."""
+    gc.freeze()
+    gc.set_threshold(50_000, 20, 20)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Send files that share programs to one worker, where ``--dist loadfile`` sends each alone.
+
+    With the slow tests such a group would be the whole work of a worker, and compiles little of it.
+    """
+    from xdist.scheduler import LoadFileScheduling
+
+    class Groups(LoadFileScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            return _group(Path(super()._split_scope(nodeid)).name)
+
+    is_wanted = _is_quick(config) and config.getvalue("dist") == "loadfile"
+    return Groups(config, log) if is_wanted else None
+
+
+def _is_quick(config: pytest.Config) -> bool:
+    return config.option.markexpr == "not slow"
+
+
+def _group(file: str) -> str:
+    """Name what a file goes to one worker with; itself by default."""
+    return next((group for group, files in TOGETHER.items() if file.startswith(files)), file)
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -52,8 +96,7 @@ def _compile_briefly(request: pytest.FixtureRequest) -> Iterator[None]:
 
     With the slow tests everything is compiled as users compile it.
     """
-    is_quick = request.config.option.markexpr == "not slow"
-    is_brief = is_quick and not request.path.name.startswith(RUN_LONG)
+    is_brief = _is_quick(request.config) and not request.path.name.startswith(RUN_LONG)
     if is_brief != jax.config.read("jax_disable_most_optimizations"):
         # A worker would go on with the other kind of program, which rounds otherwise.
         jax.clear_caches()
@@ -66,6 +109,7 @@ def _compile_briefly(request: pytest.FixtureRequest) -> Iterator[None]:
 
 def _give_back_memory() -> None:
     """Return what the compiler has freed: half of what a worker seems to hold, with glibc."""
+    gc.collect()
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
     if trim is None:
         return

@@ -13,7 +13,8 @@ import argparse
 import dataclasses
 import functools
 import time
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -26,6 +27,8 @@ AREA = (-2.0, 12.0, -9.0, 9.0)
 _OFTEN = {"xla_backend_optimization_level": 3, "xla_llvm_disable_expensive_passes": False}
 """As users compile, also where tests are compiled briefly: it runs long."""
 LANES, STEPS, DETECTIONS = 20, 110, 16
+FEW = 8
+"""Detections that the program holds which ``Navigator.step`` compiles first."""
 REACH = 1.5
 """Metres from the goal at which a stop is right."""
 SENTENCE = "go to the hydrant behind the cone"
@@ -151,6 +154,43 @@ def stepper(config: Any) -> Any:
     return jax.jit(many, compiler_options=_OFTEN)
 
 
+class Robots(NamedTuple):
+    """LANES robots that are told the same."""
+
+    begin: Callable[[Any], Any]  # the state of one → those of all
+    step: Callable[..., Any]  # as ``stepper`` gives
+
+
+def together(robot: jaxlangnav.Navigator) -> Robots:
+    """Step all robots in one program of their own."""
+
+    def begin(first: Any) -> Any:
+        return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (LANES, *leaf.shape)), first)
+
+    return Robots(begin, stepper(robot.config))
+
+
+def one_by_one(robot: jaxlangnav.Navigator) -> Robots:
+    """Step one robot after the other through ``Navigator.step``, whose program others share.
+
+    In a look there must not be more than FEW detections.
+    """
+
+    def step(keys: Any, states: list[Any], seen: Any, _: Any) -> Any:
+        after, told = [], []
+        looks, own = jax.device_get(seen), list(keys)
+        for lane, state in enumerate(states):
+            look = jax.tree.map(
+                lambda leaf, n=lane: leaf[n][:FEW] if leaf.ndim > 1 else leaf[n], looks
+            )
+            state, action, info = robot.step(own[lane], state, look)
+            after.append(state)
+            told.append((action.step, action.is_stop, action.status, info.filter.overflow))
+        return after, [np.stack(leaves) for leaves in zip(*jax.device_get(told), strict=True)]
+
+    return Robots(lambda first: [first] * LANES, step)
+
+
 def observation(poses: np.ndarray, found: list[Any], sensor: Any) -> messages.Observation:
     """Lay out what LANES robots see as one batch."""
     kind = np.full((LANES, DETECTIONS), messages.NONE, np.int32)
@@ -207,7 +247,12 @@ def robot_of(steady_drift: float, drift: float) -> jaxlangnav.Navigator:
 
 
 def drive(
-    robot: jaxlangnav.Navigator, scenario: Scenario, episodes: int, *, seed: int = 0
+    robot: jaxlangnav.Navigator,
+    scenario: Scenario,
+    episodes: int,
+    *,
+    seed: int = 0,
+    robots: Callable[[jaxlangnav.Navigator], Robots] = together,
 ) -> Outcome:
     """Drive episodes of a scenario, LANES at a time.
 
@@ -216,11 +261,13 @@ def drive(
         scenario: the kind of place.
         episodes: how many; a multiple of LANES.
         seed: of the worlds and of the robot.
+        robots: whether they decide together or one by one.
 
     Returns:
         How they ended.
     """
-    parts = [_drive_lanes(robot, scenario, seed + index) for index in range(episodes // LANES)]
+    many, rounds = robots(robot), range(episodes // LANES)
+    parts = [_drive_lanes(robot, many, scenario, seed + index) for index in rounds]
     return Outcome(*(np.concatenate(leaves) for leaves in zip(*parts, strict=True)))
 
 
@@ -235,19 +282,18 @@ def _turned_back(
 
 
 def _drive_lanes(
-    robot: jaxlangnav.Navigator, scenario: Scenario, seed: int
+    robot: jaxlangnav.Navigator, robots: Robots, scenario: Scenario, seed: int
 ) -> tuple[np.ndarray, ...]:
     random = np.random.default_rng([seed, 77])
     types = robot.type_names
     places = [furnish(random, scenario, types) for _ in range(LANES)]
-    first = robot.start(scenario.sentence, area=AREA)
-    state = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (LANES, *leaf.shape)), first)
+    state = robots.begin(robot.start(scenario.sentence, area=AREA))
     position, odometry = np.zeros((2, LANES, 2))
     # By how much the true heading exceeds that of odometry, which is all that the robot knows.
     turned, drifting = np.zeros(LANES), np.random.default_rng([seed, 78])
     steady = scenario.steady_drift * drifting.choice([-1.0, 1.0], LANES)
     metres, is_done, overflow = np.zeros(LANES), np.zeros(LANES, bool), np.zeros(LANES, int)
-    step, sensor = stepper(robot.config), sensor_of(scenario)
+    sensor = sensor_of(scenario)
     for number in range(STEPS):
         found = [
             _turned_back(look(random, scenario, place, position[lane], types), turned[lane])
@@ -255,7 +301,7 @@ def _drive_lanes(
         ]
         poses = np.concatenate([odometry, np.zeros((LANES, 1))], axis=1)
         keys = jax.random.split(jax.random.key(1000 * seed + number), LANES)
-        state, told = step(keys, state, observation(poses, found, sensor), robot.params)
+        state, told = robots.step(keys, state, observation(poses, found, sensor), robot.params)
         move, is_stop, status, lost = (np.asarray(leaf) for leaf in told)
         is_done |= is_stop
         overflow += np.where(is_done, 0, lost)

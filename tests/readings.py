@@ -17,6 +17,7 @@ from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.coverage import Coverage
 from jaxlangnav.semantic_map.filter import FilterInfo
 from jaxlangnav.semantic_map.params import MapConfig, MapParams, default_map_params
+from jaxlangnav.semantic_map.words import ground_words
 
 K, M, J, D = 2, 3, 2, 6
 """Readings, mentions, relations, detections."""
@@ -27,8 +28,9 @@ STEPS = 8
 """Steps of one call of the shared programs."""
 HYDRANT, CONE, CAR = 0, 1, 2
 AREA = (0.0, 10.0, -5.0, 5.0)
-OFTEN = {"xla_backend_optimization_level": 3, "xla_llvm_disable_expensive_passes": False}
-"""For programs that run long: as users compile, where others are compiled briefly (conftest)."""
+OFTEN = {"xla_backend_optimization_level": 1, "xla_llvm_disable_expensive_passes": False}
+"""For programs that run long, where others are compiled briefly (conftest). They run as fast as
+those of users, at the third level, and take a sixth less to compile."""
 
 Relation = tuple[int, int, int, bool]
 """Figure mention, relation, landmark mention, superlative."""
@@ -178,9 +180,7 @@ def ground_many(
     keys: jax.Array, belief: ParticleBelief, sentence: Readings, numbers: MapParams
 ) -> tuple[object, jax.Array]:
     """Ground the words of one belief under S keys: particles [S, ..., P], log-weights [S, P]."""
-    return jax.vmap(
-        lambda key: semantic_filter.ground_words(key, belief, sentence, params=numbers)
-    )(keys)
+    return jax.vmap(lambda key: ground_words(key, belief, sentence, params=numbers))(keys)
 
 
 @functools.partial(jax.jit, compiler_options=OFTEN)

@@ -17,11 +17,10 @@ from jaxlangnav.experiments.calibration import (
     is_held_as,
     is_it,
     reliability,
-    run_judged,
     scores,
-    tally_tasks,
 )
 from jaxlangnav.experiments.goal_region import BANDWIDTH, GoalDensity, goal_region
+from jaxlangnav.experiments.judging import run_judged, tally_tasks
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
 from jaxlangnav.experiments.tasks import cell, make_tasks

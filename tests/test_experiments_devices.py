@@ -52,7 +52,13 @@ def start(
     cache = str(Path(pytestconfig.rootpath) / ".pytest_cache" / "jax")
     return subprocess.Popen(
         [sys.executable, *arguments],
-        env=os.environ | {"JAX_PLATFORMS": "cpu", "JAX_COMPILATION_CACHE_DIR": cache} | environment,
+        env=os.environ
+        | {
+            "JAX_PLATFORMS": "cpu",
+            "JAX_COMPILATION_CACHE_DIR": cache,
+            "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+        }
+        | environment,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -97,7 +103,9 @@ def slurm(place: int, job: int) -> dict[str, str]:
     }
 
 
-@pytest.mark.parametrize("launcher", [pytest.param("options", marks=pytest.mark.slow), "slurm"])
+# Quick are its parts: test_a_launcher_tells_where_to_meet, and test_shards_in_any_order.
+@pytest.mark.slow
+@pytest.mark.parametrize("launcher", ["options", "slurm"])
 def test_two_processes_divide_a_sweep(
     launcher: str, tmp_path: Path, pytestconfig: pytest.Config
 ) -> None:
@@ -119,6 +127,13 @@ def test_two_processes_divide_a_sweep(
         assert f'"shard": "{place + 1}/2"' in text
     assert len(episodes(out)) == 4
     assert episodes(out) == episodes(tmp_path / "alone")
+
+
+def test_a_launcher_tells_where_to_meet(pytestconfig: pytest.Config) -> None:
+    code = "from jaxlangnav.experiments import devices; print(*devices.join_devices())"
+    job = int(free_address().split(":")[1])
+    peers = [start(["-c", code], pytestconfig, **slurm(place, job)) for place in (0, 1)]
+    assert [peer.communicate(timeout=60)[0] for peer in peers] == ["0 2\n", "1 2\n"]
 
 
 def test_a_dead_process_does_not_take_its_peer_along(pytestconfig: pytest.Config) -> None:

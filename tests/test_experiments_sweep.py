@@ -46,7 +46,7 @@ discount = [0.7, 0.8, 0.9]
 SCRIPT = """
 import sys, jax
 jax.config.update("jax_compilation_cache_dir", sys.argv[3])
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 from jaxlangnav.experiments import sweep
 from jaxlangnav.experiments.sweep_config import read_config
 sweep.run_sweep(read_config(sys.argv[1]), sys.argv[2], num_threads=1)

@@ -196,7 +196,7 @@ PIECES = [
 ]  # fmt: skip
 
 
-@settings(PROPERTY, max_examples=400)
+@settings(PROPERTY, max_examples=150)
 @given(st.lists(st.sampled_from(PIECES), min_size=1, max_size=12))
 def test_trees_hold_every_word_of_the_sentence(pieces):
     text = " ".join(pieces)

@@ -111,7 +111,7 @@ def test_the_other_hydrant_is_not_taken(robot) -> None:
 
 
 def test_no_form_of_a_look_compiles_anew(robot) -> None:
-    """Fewer slots, Python's numbers, and ``Observation.of`` all take the one program."""
+    """Fewer slots, Python's numbers, attributes and ``Observation.of`` all take the one program."""
     state = robot.start("go to the cone", area=AREA)
     look = see((0.0, 0.0), 0.0)
     key = jax.random.key(0)
@@ -134,7 +134,8 @@ def test_no_form_of_a_look_compiles_anew(robot) -> None:
         ],
         look.sensor,
     )
-    for one in (short, loose, named):
+    plain = dataclasses.replace(short, detection_attribute=np.zeros(4, np.int32))
+    for one in (short, loose, named, plain):
         _, action, _ = robot.step(key, state, one)
         assert np.array_equal(action.waypoint, expected.waypoint)
     assert robot.warm_up() >= 0.0

@@ -16,6 +16,7 @@ from jaxlangnav.planner.faithful import no_waypoint
 from jaxlangnav.planner.goals import Goals
 from jaxlangnav.planner.graph import FRONTIER, OBJECT_NODE, VISITED, Nodes
 from jaxlangnav.planner.informed import decide_on
+from jaxlangnav.planner.latency import Tour
 from jaxlangnav.planner.params import default_planner_params
 from jaxlangnav.planner.policy import Decision, Waypoint
 from jaxlangnav.planner.search import CELLS, LATTICE, search_map, viewpoints, visibility
@@ -306,7 +307,7 @@ def test_what_is_unseen_by_hand() -> None:
 def test_informed_ends_once_the_rest_has_been_looked_at(mass, robot, chance, stops, ends) -> None:
     unconfirmed = replace(goals(mass, hypothesis=0.6), object_confirmed=jnp.zeros(1))
     one = jnp.zeros(1)
-    tour = tours.Tour(x=one[None] + 4.0, y=one[None] + 3.0)
+    tour = Tour(x=one[None] + 4.0, y=one[None] + 3.0)
     plan = tours.Plan(tours=tour, latency=one + 9.0, mass=jnp.float32(0.6), hung=jnp.float32(0.6))
     shown = situation(by_hand.begin(config=CONFIG), nodes(), unconfirmed, robot)
     choice = DECIDE_ON(shown, plan, both(chance))
@@ -322,7 +323,7 @@ def test_informed_ends_once_the_rest_has_been_looked_at(mass, robot, chance, sto
 def test_nowhere_ends_no_search_that_has_shown_something() -> None:
     """What does not fit now may have to do: the sentence is rather false than of nothing there."""
     one = jnp.zeros(1)
-    tour = tours.Tour(x=one[None] + 4.0, y=one[None] + 3.0)
+    tour = Tour(x=one[None] + 4.0, y=one[None] + 3.0)
     plan = tours.Plan(tours=tour, latency=one + 9.0, mass=jnp.float32(0.6), hung=jnp.float32(0.6))
     for is_seen in (True, False):
         # The robot's own entry comes last, and is nothing that has been seen.
@@ -337,7 +338,7 @@ def test_nowhere_ends_no_search_that_has_shown_something() -> None:
 def test_what_hangs_on_the_unseen_and_is_likelier_is_not_passed_over(likelier, stops) -> None:
     """The robot stands at what alone can be confirmed; another thing is likelier, or is not."""
     one = jnp.ones(1)
-    tour = tours.Tour(x=one[None] - 4.0, y=one[None] + 3.0)
+    tour = Tour(x=one[None] - 4.0, y=one[None] + 3.0)
     plan = tours.Plan(tours=tour, latency=2.0 * one, mass=0.6 * one[0], hung=0.6 * one[0])
     accepted = jnp.array([likelier, 0.16], jnp.float32)
     aims = Goals(
@@ -364,7 +365,7 @@ def test_what_hangs_on_the_unseen_and_is_likelier_is_not_passed_over(likelier, s
 def test_who_looks_on_is_not_drawn_back_to_what_has_been_seen() -> None:
     """What is left to be found is little and far, what has been seen is near and likely."""
     one = jnp.ones(1)
-    tour = tours.Tour(x=one[None] - 4.0, y=one[None] + 3.0)
+    tour = Tour(x=one[None] - 4.0, y=one[None] + 3.0)
     plan = tours.Plan(tours=tour, latency=2.0 * one, mass=0.1 * one[0], hung=0.0 * one[0])
     aims = goals(0.9, hypothesis=0.1)
     with_robot = {

@@ -1,5 +1,8 @@
 """Tours: first sight against brute force, latency by hand, improvement, the learned prior."""
 
+import importlib.util
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,28 +12,29 @@ from situations import nodes_at, seen_goal, situation
 from test_planner_policy import CONFIG, P, believe, random_places
 
 from jaxlangnav.messages import NONE, default_sensor
-from jaxlangnav.planner import prior, tours
+from jaxlangnav.planner import drafts, prior, tours
+from jaxlangnav.planner.drafts import NUM_CHANGES
 from jaxlangnav.planner.endings import Chances
 from jaxlangnav.planner.graph import OBJECT_NODE
 from jaxlangnav.planner.informed import decide_on
+from jaxlangnav.planner.latency import NUM_STOPS, SIGHT_MARGIN, Tour, first_sight, latency
 from jaxlangnav.planner.policy import Decision
 from jaxlangnav.planner.search import CELLS, SearchMap, search_map
 from jaxlangnav.pytree import replace
-from jaxlangnav.studies.learn_prior import learn, training_worlds
 from jaxlangnav.terrain.view import GLANCE
 
 AREA = jnp.array([0.0, 10.0, -5.0, 5.0])
-K, RANGE = tours.NUM_STOPS, 3.0
+K, RANGE = NUM_STOPS, 3.0
 SENSOR = default_sensor(RANGE)
-SEARCH_MAP, PLAN, CHANGE = jax.jit(search_map), jax.jit(tours.plan), jax.jit(tours.change)
-FIRST_SIGHT, LATENCY = jax.jit(tours.first_sight), jax.jit(tours.latency)
+SEARCH_MAP, PLAN, CHANGE = jax.jit(search_map), jax.jit(tours.plan), jax.jit(drafts.change)
+FIRST_SIGHT, LATENCY = jax.jit(first_sight), jax.jit(latency)
 DENSITY = jax.jit(prior.relative_density)
 NOT = jnp.float32(0.0)
 
 
-def random_tours(number: int, seed: int = 0) -> tours.Tour:
+def random_tours(number: int, seed: int = 0) -> Tour:
     random = np.random.default_rng(seed)
-    return tours.Tour(
+    return Tour(
         x=jnp.asarray(random.uniform(0.0, 10.0, (number, K)), jnp.float32),
         y=jnp.asarray(random.uniform(-5.0, 5.0, (number, K)), jnp.float32),
     )
@@ -70,7 +74,7 @@ def brute_force(tour_x, tour_y, x: float, y: float, radius: float, opening=2 * n
 def test_first_sight_against_brute_force() -> None:
     lines = random_tours(6)
     # A stop twice over is a stretch of no length: it must see nothing new.
-    lines = tours.Tour(x=lines.x.at[0, 2:].set(9.0), y=lines.y.at[0, 2:].set(4.0))
+    lines = Tour(x=lines.x.at[0, 2:].set(9.0), y=lines.y.at[0, 2:].set(4.0))
     x, y = np.random.default_rng(1).uniform([0, -5], [10, 5], (12, 2)).T
     first, length = FIRST_SIGHT(lines, jnp.asarray(x), jnp.asarray(y), *jnp.array([1.0, 0.0, 1.5]))
     first = np.where(np.asarray(first) >= 1e8, np.inf, first)
@@ -88,7 +92,7 @@ def test_first_sight_against_brute_force() -> None:
 def test_first_sight_of_a_view_ahead_against_brute_force(opening: float) -> None:
     lines = random_tours(4, seed=3)
     x, y = np.random.default_rng(4).uniform([0, -5], [10, 5], (25, 2)).T
-    first, _ = tours.first_sight(
+    first, _ = first_sight(
         lines, jnp.asarray(x), jnp.asarray(y), *jnp.array([1.0, 0.0, 2.0, opening])
     )
     first = np.where(np.asarray(first) >= 1e8, np.inf, first)
@@ -99,7 +103,7 @@ def test_first_sight_of_a_view_ahead_against_brute_force(opening: float) -> None
         ]
         np.testing.assert_allclose(first[index], expected, atol=0.01)
     if opening < 2.0:
-        all_round, _ = tours.first_sight(
+        all_round, _ = first_sight(
             lines, jnp.asarray(x), jnp.asarray(y), *jnp.array([1.0, 0.0, 2.0])
         )
         assert np.isinf(first).sum() > (np.asarray(all_round) >= 1e8).sum() + 5
@@ -113,8 +117,8 @@ def test_what_a_narrow_view_passes_by_is_driven_up_to() -> None:
         search_of(np.zeros(CELLS**2), mass.reshape(-1)),
         default_sensor(RANGE, field_of_view=1.4),
     )
-    past = tours.Tour(x=jnp.full((1, K), 9.0), y=jnp.zeros((1, K)))
-    up_to = tours.Tour(x=jnp.full((1, K), 1.7), y=jnp.full((1, K), 0.8))
+    past = Tour(x=jnp.full((1, K), 9.0), y=jnp.zeros((1, K)))
+    up_to = Tour(x=jnp.full((1, K), 1.7), y=jnp.full((1, K), 0.8))
     here = jnp.float32(1.4), jnp.float32(0.0)
     by, at = (float(LATENCY(one, search, *here, narrow, AREA)[0]) for one in (past, up_to))
     assert at == pytest.approx(0.0, abs=1e-3)
@@ -125,11 +129,9 @@ def test_what_a_narrow_view_passes_by_is_driven_up_to() -> None:
 def test_latency_is_the_mean_way_until_found() -> None:
     """Masses on cells that the tour sees: the mean of first sights; the rest lies beyond."""
     search = search_of(np.random.default_rng(2).dirichlet(np.ones(CELLS**2)))
-    line = tours.Tour(x=jnp.full((1, K), 6.0), y=jnp.zeros((1, K)))
+    line = Tour(x=jnp.full((1, K), 6.0), y=jnp.zeros((1, K)))
     zero = jnp.float32(0.0)
-    first, _ = FIRST_SIGHT(
-        line, search.x, search.y, zero, zero, jnp.float32(RANGE) - tours.SIGHT_MARGIN
-    )
+    first, _ = FIRST_SIGHT(line, search.x, search.y, zero, zero, jnp.float32(RANGE) - SIGHT_MARGIN)
     first, mass = np.asarray(first)[0], np.asarray(search.mass)
     is_seen = first < 1e8
     away = np.hypot(np.asarray(search.x) - 6.0, np.asarray(search.y))
@@ -148,7 +150,7 @@ def test_latency_is_the_mean_way_until_found() -> None:
 def test_either_of_a_pair_will_do() -> None:
     search = search_of(np.eye(1, CELLS**2, 6 * CELLS + 11)[0])  # at about (9.6, 0.4)
     beside = replace(search, partner_x=search.x - 4.0)
-    line = tours.Tour(x=jnp.full((1, K), 8.0), y=jnp.zeros((1, K)))
+    line = Tour(x=jnp.full((1, K), 8.0), y=jnp.zeros((1, K)))
     zero = jnp.float32(0.0)
     alone = LATENCY(line, search, zero, zero, SENSOR, AREA)
     paired = LATENCY(line, beside, zero, zero, SENSOR, AREA)
@@ -177,7 +179,7 @@ def test_partner_is_where_the_relation_has_it() -> None:
     np.testing.assert_allclose(alone.partner_x, alone.x, atol=1e-5)
 
 
-def plan(search: SearchMap, tour: tours.Tour, seed: int = 0, x: float = 1.0) -> tours.Plan:
+def plan(search: SearchMap, tour: Tour, seed: int = 0, x: float = 1.0) -> tours.Plan:
     zero = jnp.float32(0.0)
     return PLAN(jax.random.key(seed), tour, search, jnp.float32(x), zero, SENSOR, AREA)
 
@@ -191,7 +193,7 @@ def test_a_plan_is_never_worse_than_the_tour_under_way() -> None:
         costs.append(float(jnp.min(now.latency)))
         assert costs[-1] <= last + 1e-4
         tour, last = tours.best_tour(now, -now.latency), costs[-1]
-    greedy = jax.jit(tours.greedy)(
+    greedy = jax.jit(drafts.greedy)(
         search, jnp.float32(1.0), jnp.float32(0.0), jnp.float32(RANGE), AREA
     )
     drafted = LATENCY(greedy, search, jnp.float32(1.0), jnp.float32(0.0), SENSOR, AREA)
@@ -205,7 +207,7 @@ def test_mass_in_one_corner_is_gone_to() -> None:
     now = plan(search_of(np.zeros(CELLS**2), mass.reshape(-1)), tours.no_tour(*jnp.zeros(2)))
     best = tours.best_tour(now, -now.latency)
     first, _ = FIRST_SIGHT(
-        tours.Tour(x=best.x[None], y=best.y[None]),
+        Tour(x=best.x[None], y=best.y[None]),
         jnp.array([9.2]), jnp.array([4.2]), jnp.float32(1.0), jnp.float32(0.0), jnp.float32(RANGE),
     )  # fmt: skip
     assert float(first[0, 0]) < np.hypot(8.2, 4.2) - RANGE + 1.0
@@ -217,7 +219,7 @@ def test_changes_stay_in_the_area_and_are_changes() -> None:
     for seed in range(20):
         new = CHANGE(jax.random.key(seed), one, search, AREA)
         x, y = np.asarray(new.x), np.asarray(new.y)
-        assert x.shape == (tours.NUM_CHANGES, K)
+        assert x.shape == (NUM_CHANGES, K)
         for low, value, high in ((0, x, 10), (-5, y, 5)):
             assert ((value >= low) & (value <= high)).all()
         # Moves touch one stop; a reversal keeps them all.
@@ -293,7 +295,13 @@ def test_prior_is_relative_to_uniform_and_can_be_left_out() -> None:
 
 
 def test_the_shipped_table_is_what_training_worlds_teach() -> None:
-    learned = learn(training_worlds(60))
+    script = Path(__file__).parent.parent / "scripts" / "learn_prior.py"
+    spec = importlib.util.spec_from_file_location("learn_prior", script)
+    assert spec is not None
+    assert spec.loader is not None
+    training = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(training)
+    learned = training.learn(training.training_worlds(60))
     shipped = prior.table()
     assert learned.shape == shipped.shape
     assert np.corrcoef(learned.ravel(), shipped.ravel())[0, 1] > 0.97

@@ -12,9 +12,10 @@ import readings as by_hand
 from jaxlangnav.messages import NONE
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map import belief as beliefs
-from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.semantic_map import looking, motion
-from jaxlangnav.semantic_map.regrounding import ground_words
+from jaxlangnav.semantic_map.observe import observe
+from jaxlangnav.semantic_map.predict import predict
+from jaxlangnav.semantic_map.words import ground_words
 
 NUMBER = 4096
 FIRST, SECOND = np.array([2.5, 0.5]), np.array([1.3, 0.9])
@@ -41,9 +42,8 @@ def look(key, belief, observation, params):
     number = belief.log_weight.shape[0]
     drawn = jax.random.normal(noise, (number,)) if belief.particles.drift.shape[0] else None
     uniform = jax.random.uniform(uniform, (by_hand.D, number))
-    belief, weighed = semantic_filter.observe(
-        uniform, belief, observation, jnp.asarray(False), drawn, params=params
-    )
+    belief = predict(belief, observation.pose, jnp.asarray(False), drawn, params=params)
+    belief, weighed = observe(uniform, belief, observation, params=params)
     return belief, weighed.log_map
 
 
@@ -199,7 +199,9 @@ def ground_lanes(keys, beliefs, sentence, *, is_sparse):
     return jax.vmap(one)(keys, beliefs)
 
 
-def test_words_are_grounded_by_where_each_drift_has_looked() -> None:
+# The dense way is another program; that both give the same is test_semantic_map_words.
+@pytest.mark.parametrize("is_sparse", [True, pytest.param(False, marks=pytest.mark.slow)])
+def test_words_are_grounded_by_where_each_drift_has_looked(is_sparse: bool) -> None:
     """By the drift that it goes by the robot has looked on the near side, by the other beyond."""
     near = np.where(np.arange(32)[None] < 16, -20.0, 0.0).astype(np.float32)
     far = np.where(np.arange(32)[None] < 24, 0.0, -20.0).astype(np.float32)
@@ -211,11 +213,9 @@ def test_words_are_grounded_by_where_each_drift_has_looked() -> None:
     ]
     keys = jax.random.split(jax.random.key(2), 2)
     sentence = by_hand.readings([[by_hand.HYDRANT]], [[(0, NONE, NONE, False)]])
-    given = (keys, by_hand.stack(lanes), sentence)
-    sparse, dense = (ground_lanes(*given, is_sparse=kind) for kind in (True, False))
-    jax.tree.map(np.testing.assert_array_equal, sparse, dense)
+    particles, found = ground_lanes(keys, by_hand.stack(lanes), sentence, is_sparse=is_sparse)
     led = np.asarray(beliefs.is_led(belief))
-    x, log_weight = np.asarray(dense[0].hypothesis_x[:, 0]), np.asarray(dense[1])
+    x, log_weight = np.asarray(particles.hypothesis_x[:, 0]), np.asarray(found)
     for lane, is_near_seen in enumerate((led, ~led)):
         assert (x[lane, is_near_seen] >= 5.0).all()
         assert (x[lane, ~is_near_seen] <= 7.5).all()

@@ -7,8 +7,8 @@ import readings as by_hand
 
 from jaxlangnav.messages import NONE
 from jaxlangnav.pytree import replace
-from jaxlangnav.semantic_map import association, counts, particle
-from jaxlangnav.semantic_map import filter as semantic_filter
+from jaxlangnav.semantic_map import association, counts, particle, update
+from jaxlangnav.semantic_map.forgetting import forget
 from jaxlangnav.terrain import OPEN
 
 HYDRANT, CONE = by_hand.HYDRANT, by_hand.CONE
@@ -32,8 +32,8 @@ def look(one, kind, x, is_detection, specification, growth, exposure):
         kind[None], x[None], jnp.zeros(1), jnp.full(1, LOG_THING), is_detection[None]
     )
     grounded = association.associate(one, seen, jnp.full(1, 0.5), NOISE, growth, doubt)
-    after = association.condition(one, grounded, NOISE)
-    log_missed, _, existence = association.log_absence(
+    after = update.condition(one, grounded, NOISE)
+    log_missed, _, existence = update.log_absence(
         after, grounded.is_hit, jnp.float32(0.0), jnp.float32(0.1), specification, OPEN.view
     )
     log_exposed, existence = counts.exposed(existence, exposure)
@@ -165,7 +165,7 @@ def test_what_hardly_exists_is_forgotten_and_its_words_are_lost() -> None:
         referent=jnp.asarray(referent),
         is_mentioned=jnp.asarray(np.arange(by_hand.M)[:, None] < np.full(number, 1)),
     )
-    after, is_lost = jax.jit(semantic_filter._forget)(particles)
+    after, is_lost = jax.jit(forget)(particles)
     np.testing.assert_array_equal(after.object_type[:3, 0], [NONE, CONE, CONE])
     np.testing.assert_array_equal(is_lost, np.arange(number) < 10)
     assert float(jnp.abs(after.covariance[0]).max()) == 0.0

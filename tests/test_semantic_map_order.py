@@ -16,11 +16,12 @@ from jaxlangnav.relations import (
     prepare,
     robot_frame,
 )
-from jaxlangnav.semantic_map.candidates import Draws, Pairs, Scene, Seen
+from jaxlangnav.semantic_map.candidates import Draws, Scene, Seen
 from jaxlangnav.semantic_map.coverage import unexplored
 from jaxlangnav.semantic_map.order import PLURAL, log_rank
 from jaxlangnav.semantic_map.params import default_map_params
 from jaxlangnav.semantic_map.said import Said
+from jaxlangnav.semantic_map.ways import Pairs
 
 CONES = np.array([[4.0, 3.0], [7.0, -3.0], [10.0, 4.0], [0.0, 0.0]], np.float32)
 """Ranges 5, 7.6, 10.8; the third is the leftmost, the second the rightmost; an empty slot."""

@@ -10,8 +10,8 @@ from test_semantic_map_robustness import assert_sound
 
 from jaxlangnav.messages import BEHIND, NONE, Fault
 from jaxlangnav.pytree import replace
-from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.semantic_map import soundness
+from jaxlangnav.semantic_map.predict import predict
 
 HYDRANT, CONE = by_hand.HYDRANT, by_hand.CONE
 POSE = np.array([5.0, 0.0, 0.0])
@@ -119,7 +119,7 @@ def test_a_jump_taken_over_becomes_doubt_of_where_the_robot_is() -> None:
     belief = by_hand.with_objects(by_hand.begin((5.0, 0.0, 0.0)), [(CONE, 6.0, 0.0)])
     robot = by_hand.CONFIG.num_objects
     away = jnp.array([1.0, 0.0, 0.0])
-    after = semantic_filter.predict(belief, away, jnp.asarray(True), params=by_hand.params())
+    after = predict(belief, away, jnp.asarray(True), params=by_hand.params())
     np.testing.assert_allclose(after.particles.mean_x[robot], 1.0)
     # Four metres that nothing explains: the standard deviation of its place.
     np.testing.assert_allclose(np.sqrt(after.particles.covariance[robot, robot]), 4.0, rtol=1e-3)

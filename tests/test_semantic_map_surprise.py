@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import readings as by_hand
 
-from jaxlangnav.semantic_map import association
+from jaxlangnav.semantic_map import association, update
 from jaxlangnav.semantic_map.surprise import LOG_CONTRADICTION, surprise
 from jaxlangnav.terrain import OPEN
 
@@ -30,8 +30,8 @@ def look(types, x, y, log_missed, is_detection):
         jnp.full((D, P), 0.5),
         jnp.float32(VARIANCE),
     )
-    particles = association.condition(BELIEF.particles, grounded, jnp.float32(VARIANCE))
-    log_objects, _, _ = association.log_absence(
+    particles = update.condition(BELIEF.particles, grounded, jnp.float32(VARIANCE))
+    log_objects, _, _ = update.log_absence(
         particles, grounded.is_hit, jnp.float32(0.0), jnp.float32(0.25), by_hand.sensor(), OPEN.view
     )
     log_map = grounded.log_weight + log_objects

@@ -10,7 +10,7 @@ import readings as by_hand
 
 from jaxlangnav.messages import BEHIND, LEFT, NEAR, NONE
 from jaxlangnav.pytree import replace
-from jaxlangnav.semantic_map.regrounding import ground_words
+from jaxlangnav.semantic_map.words import ground_words
 
 HYDRANT, CONE, CAR = by_hand.HYDRANT, by_hand.CONE, by_hand.CAR
 NUMBER = by_hand.CONFIG.num_particles
@@ -89,7 +89,8 @@ def test_lanes_with_numbers_of_their_own() -> None:
     _, apart = ground_lanes(*given, params, is_sparse=True, params_axis=0)
     _, shared = ground_lanes(*given, by_hand.params(concentration=0.3), is_sparse=True)
     np.testing.assert_allclose(apart, shared, rtol=1e-4, atol=1e-4)
-    params = replace(params, concentration=0.3 + 0.5 * jnp.arange(len(SENTENCES)))
+    rising = 0.3 + 0.5 * np.arange(len(SENTENCES), dtype=np.float32)
+    params = replace(params, concentration=rising)
     _, moved = ground_lanes(*given, params, is_sparse=True, params_axis=0)
     differs = (np.abs(np.asarray(moved - apart)) > 1e-3).any(1)
     # Without anything seen there is nothing that a density of bystanders could weigh against.

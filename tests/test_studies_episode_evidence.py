@@ -9,14 +9,14 @@ import pytest
 import readings as by_hand
 from differences import central
 from oracles import enumeration
+from studies.episode_evidence import WordsEvidence, log_words, remember
+from studies.map_evidence import log_map
 from test_semantic_map_enumeration import small_world
 
 from jaxlangnav.messages import BEHIND, NEAR, NONE, Readings
 from jaxlangnav.pytree import replace
 from jaxlangnav.relations import RelationParams, default_params, prepare
 from jaxlangnav.semantic_map.params import MapParams
-from jaxlangnav.studies.episode_evidence import WordsEvidence, log_words, remember
-from jaxlangnav.studies.map_evidence import log_map
 
 HYDRANT, CONE = by_hand.HYDRANT, by_hand.CONE
 SEEN = [(HYDRANT, 6.4, 1.3), (CONE, 4.2, 0.6), (HYDRANT, 3.4, -2.6)]

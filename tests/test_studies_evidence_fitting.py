@@ -7,19 +7,19 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import readings as by_hand
-
-from jaxlangnav.messages import BEHIND, NEAR, NONE
-from jaxlangnav.pytree import replace
-from jaxlangnav.relations import RelationParams, default_params, prepare
-from jaxlangnav.semantic_map.params import MapParams
-from jaxlangnav.studies.episode_evidence import (
+from studies.episode_evidence import (
     WordsEvidence,
     by_setting,
     log_fit,
     log_fit_of,
     log_words,
 )
-from jaxlangnav.studies.evidence_fitting import EpisodeFit, fit_to_episodes
+from studies.evidence_fitting import EpisodeFit, fit_to_episodes
+
+from jaxlangnav.messages import BEHIND, NEAR, NONE
+from jaxlangnav.pytree import replace
+from jaxlangnav.relations import RelationParams, default_params, prepare
+from jaxlangnav.semantic_map.params import MapParams
 
 HYDRANT, CONE = by_hand.HYDRANT, by_hand.CONE
 MEDIAN, SPREAD, AXIS, KAPPA = 3.6, 0.25, 0.4, 6.0

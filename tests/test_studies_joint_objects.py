@@ -5,15 +5,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import readings as by_hand
-
-from jaxlangnav.messages import default_sensor
-from jaxlangnav.pytree import replace
-from jaxlangnav.studies.joint_objects import (
+from studies.joint_objects import (
     STEPS,
     compare_forms,
     drop_covariances,
     log_places,
 )
+
+from jaxlangnav.messages import default_sensor
+from jaxlangnav.pytree import replace
 
 
 def random_map(seed: int):

@@ -5,6 +5,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import readings as by_hand
+from studies.own_worlds import (
+    OWN_AREA,
+    check_readings,
+    draw_own_world,
+    judge_own_worlds,
+)
 
 from jaxlangnav.experiments.calibration import scores
 from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
@@ -13,12 +19,6 @@ from jaxlangnav.navigator import default_params as default_navigator_params
 from jaxlangnav.pytree import replace
 from jaxlangnav.relations import default_params
 from jaxlangnav.semantic_map.params import default_map_params
-from jaxlangnav.studies.own_worlds import (
-    OWN_AREA,
-    check_readings,
-    draw_own_world,
-    judge_own_worlds,
-)
 from jaxlangnav.world.state import Scenario
 
 HYDRANT, CONE, CAR = by_hand.HYDRANT, by_hand.CONE, by_hand.CAR

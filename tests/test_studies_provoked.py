@@ -4,12 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-
-from jaxlangnav.experiments.policies import navigator_config
-from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
-from jaxlangnav.experiments.tasks import cell, make_tasks
-from jaxlangnav.navigator import default_params
-from jaxlangnav.studies.provoked import (
+from studies.provoked import (
     CONTRADICTORY,
     FAULTS,
     FIRST,
@@ -22,6 +17,11 @@ from jaxlangnav.studies.provoked import (
     ProvokedResult,
     run_provoked,
 )
+
+from jaxlangnav.experiments.policies import navigator_config
+from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
+from jaxlangnav.experiments.tasks import cell, make_tasks
+from jaxlangnav.navigator import default_params
 
 EPISODES = 16
 

@@ -1,11 +1,13 @@
 """One episode in one call: what it refuses, and that it is the episode of the command line."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import jaxlangnav
+from jaxlangnav import kept
 
 WORLD = """
 [area]
@@ -42,6 +44,15 @@ def test_refusals_are_one_line(text: str, options: dict, message: str) -> None:
     assert "\n" not in str(caught.value)
 
 
+@pytest.fixture
+def as_commands_do(tmp_path: Path) -> Iterator[None]:
+    """Keep programs, as commands do: the episode's is then the one that their tests compile."""
+    kept.keep_in(tmp_path / "programs")
+    yield
+    kept.keep_in(None)
+
+
+@pytest.mark.usefixtures("as_commands_do")
 def test_a_world_file_is_followed_and_judged(tmp_path: Path) -> None:
     path = tmp_path / "world.toml"
     path.write_text(WORLD, encoding="utf-8")

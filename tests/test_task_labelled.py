@@ -130,8 +130,12 @@ def test_the_detector_knows_the_types_that_labels_name(tmp_path):
         ("sentences_ninth_test", 107, 4),
     ],
 )
-def test_shipped_sentences_stay_as_well_read(name, least, most_wrong):
+@pytest.mark.parametrize("every", [pytest.param(1, marks=pytest.mark.slow), 4])
+def test_shipped_sentences_stay_as_well_read(name, least, most_wrong, every):
+    """All of them, or one in four, of which two may be read worse than their share."""
     sentences = read_sentences(HERE / f"{name}.jsonl")
-    counts = Counter(one.outcome for one in score_sentences(sentences, load_shipped()))
-    assert counts["right"] >= least
+    some = sentences[::every]
+    counts = Counter(one.outcome for one in score_sentences(some, load_shipped()))
+    slack = 0 if every == 1 else 2
+    assert counts["right"] >= least * len(some) / len(sentences) - slack
     assert counts["wrong"] <= most_wrong

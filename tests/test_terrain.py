@@ -7,10 +7,11 @@ import pytest
 import readings as by_hand
 
 from jaxlangnav.messages import NONE
-from jaxlangnav.planner import qmdp, tours
+from jaxlangnav.planner import qmdp
 from jaxlangnav.planner.goals import Goals
+from jaxlangnav.planner.latency import Tour, first_sight
 from jaxlangnav.pytree import replace
-from jaxlangnav.semantic_map import association
+from jaxlangnav.semantic_map import update
 from jaxlangnav.semantic_map.coverage import cell_centres, look, unexplored
 from jaxlangnav.terrain import OPEN, Eye, OpenField, StraightLines, Terrain
 from jaxlangnav.terrain.geodesic import CLEARANCE, Geodesic, geodesic
@@ -28,7 +29,7 @@ SEES = jax.jit(lambda view, eye, x, y: view.sees(eye, x, y))
 SHARE = jax.jit(lambda view, eye, x, y, softness: view.share(eye, x, y, softness))
 METRES = jax.jit(lambda ways, *places: ways.metres(*places))
 VALUES, WITHIN = jax.jit(qmdp.values), jax.jit(qmdp.mass_within)
-FIRST_SIGHT, ABSENCE = jax.jit(tours.first_sight), jax.jit(association.log_absence)
+FIRST_SIGHT, ABSENCE = jax.jit(first_sight), jax.jit(update.log_absence)
 LOOK, NEXT_PLACE = jax.jit(look), jax.jit(lambda ways, *places: ways.next_place(*places))
 ALONG = jax.jit(lambda view, *stretch: view.first_sight(*stretch))
 
@@ -234,7 +235,7 @@ def test_values_discount_by_what_there_is_to_walk(ways: Geodesic) -> None:
 
 def test_a_tour_sees_behind_a_wall_once_it_is_past_its_end(ways: Geodesic) -> None:
     """Two stops, beside the wall's end and behind it; what is looked for lies behind the middle."""
-    tour = tours.Tour(x=jnp.array([[4.0, 6.0]]), y=jnp.array([[3.0, 2.0]]))
+    tour = Tour(x=jnp.array([[4.0, 6.0]]), y=jnp.array([[3.0, 2.0]]))
     place, radius = (jnp.array([5.0]), jnp.array([0.0])), jnp.float32(6.0)
     free, length = FIRST_SIGHT(tour, *place, HERE, HERE, radius)
     assert float(free[0, 0]) == 0.0
@@ -242,7 +243,7 @@ def test_a_tour_sees_behind_a_wall_once_it_is_past_its_end(ways: Geodesic) -> No
     hidden, same = FIRST_SIGHT(tour, *place, HERE, HERE, radius, terrain=there)
     np.testing.assert_allclose(same, length, rtol=1e-6)
     assert 4.9 < float(hidden[0, 0]) < float(length[0])
-    straight_through = tours.Tour(x=jnp.array([[8.0]]), y=jnp.array([[0.0]]))
+    straight_through = Tour(x=jnp.array([[8.0]]), y=jnp.array([[0.0]]))
     late, way = FIRST_SIGHT(straight_through, *place, HERE, HERE, radius, terrain=there)
     np.testing.assert_allclose(late[0], way)  # around the wall: what its end shows counts alone
     assert float(way[0]) > 8.5

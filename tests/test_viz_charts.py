@@ -149,6 +149,8 @@ def test_reliability_panels_share_names_and_scale():
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["behind", "null"]
     assert lines_of(above)["behind"] == pytest.approx(np.array([[0.2, 0.1], [0.8, 0.9]]))
     assert below.get_ylim()[1] > 40
+    figure.draw_without_rendering()
+    assert [tick.get_text() for tick in below.get_yticklabels()] == ["0", "1", "10"]
     with pytest.raises(ValueError, match="no predictions"):
         measures.reliability_figure({"informed": {}}, title="T")
 

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import readings as by_hand
 
 from jaxlangnav.messages import BEHIND, NONE, default_motion
 from jaxlangnav.relations import holds
@@ -16,16 +17,17 @@ from jaxlangnav.world.scenario import Scenario, draw_scenario, sample_scenario, 
 from jaxlangnav.world.state import CONE, HYDRANT
 from jaxlangnav.world.templates import RELATION_NAMES, TABLE_2, known_range, parse_template
 
-NUM_WORLDS = 2500
+NUM_WORLDS = 1500
+"""Of each kind: a guess that is right 6.5 points oftener than by chance is found out."""
 TEMPLATES = ("1H1C", "1H2C", "2H1C", "2H2C", "3H3C")
 GRID = [(template, relation) for template in TEMPLATES for relation in RELATION_NAMES]
-draw_many = jax.jit(jax.vmap(draw_scenario, in_axes=(0, None)))
+draw_many = jax.jit(jax.vmap(draw_scenario, in_axes=(0, None)), compiler_options=by_hand.OFTEN)
 
 
 @functools.cache
-def draw(template: str, relation: str, seed: int = 0) -> Scenario:
+def draw(template: str, relation: str) -> Scenario:
     """Draw many worlds as NumPy arrays."""
-    keys = jax.random.split(jax.random.key(seed), NUM_WORLDS)
+    keys = jax.random.split(jax.random.key(0), NUM_WORLDS)
     worlds = draw_many(keys, scenario_law(template=template, relation=relation))
     return jax.tree.map(np.asarray, worlds)
 
@@ -148,7 +150,7 @@ def test_a_robot_that_knows_the_map_drives_straight_and_succeeds(noise: float) -
 @pytest.mark.parametrize("relation", RELATION_NAMES)
 @pytest.mark.parametrize("template", ["2H1C", "2H2C", "3H1C"])
 def test_hydrants_alone_do_not_tell_which_is_meant(template: str, relation: str) -> None:
-    worlds = draw(template, relation, seed=7)
+    worlds = draw(template, relation)
     num_hydrants = parse_template(template).num_hydrants
     x, y = worlds.object_x[:, :num_hydrants], worlds.object_y[:, :num_hydrants]
     guesses = {
@@ -165,7 +167,7 @@ def test_hydrants_alone_do_not_tell_which_is_meant(template: str, relation: str)
 
 
 def test_without_a_relation_the_cone_does_not_tell_either() -> None:
-    worlds = draw("2H1C", "null", seed=3)
+    worlds = draw("2H1C", "null")
     nearer_to_cone = np.argmin(distances(worlds)[:, 2, :2], 1)
     assert abs(np.mean(nearer_to_cone == worlds.goal_index) - 0.5) < 5 * 0.5 / np.sqrt(NUM_WORLDS)
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import importlib.util
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import tyro
@@ -15,7 +16,7 @@ from jaxlangnav.cli.sentence import is_template, parse_text
 from jaxlangnav.experiments.table import Table
 
 if TYPE_CHECKING:
-    from jaxlangnav.grounding.instruction import Understanding
+    from jaxlangnav.grounding.instruction import GroundingModel, Understanding
 
 PAPER_NUM_OBJECTS = 7
 """Objects of the behavior graph that is counted where no world is given: the paper's number."""
@@ -87,11 +88,8 @@ class Ground:
         document["graph"] = understood.graph(num_objects)
         _show_graph(document["graph"], output)
         if self.out is not None:
-            from jaxlangnav.viz.pictures import write_graph
-
             model = dataclasses.replace(model, type_names=understood.names)
-            pictures = write_graph(understood.parse, model, self.out)
-            document["pictures"] = [str(path) for path in pictures]
+            document["pictures"] = _draw_graph(understood, model, self.out)
             output.say(f"Wrote {', '.join(document['pictures'])}")
         return document
 
@@ -107,6 +105,13 @@ class Ground:
             "objects": [{"type": kind, "position": [x, y]} for kind, x, y in placed.objects],
             "behaviors": list_behaviors(understood.instruction, placed, understood.type_names),
         }
+
+
+def _draw_graph(understood: "Understanding", model: "GroundingModel", out: Path) -> list[str]:
+    """Draw the graph of the sentence into files."""
+    from jaxlangnav.viz.pictures import write_graph
+
+    return [str(path) for path in write_graph(understood.parse, model, out)]
 
 
 def _show_annotations(annotations: list[dict[str, Any]], output: Output) -> None:

@@ -90,18 +90,7 @@ def illustrate(name: str, settings: Settings, output: Output) -> Study:
     steps = pick_moments(recording, figure.num_panels)
     moments = describe_moments(recording, steps)
     output.tell(narrate(recording))
-    document: dict[str, Any] = {
-        "experiment": figure.name,
-        "instruction": TEXT,
-        "world": figure.name,
-        "policy": policy,
-        "seed": settings.seed,
-        "num_particles": settings.particles_drawn,
-        "range": float(recording.scene.sensor.range_max),
-        "success": bool(recording.result.is_success),
-        "distance": float(recording.result.distance),
-        "known_distance": recording.scene.known_distance,
-        "steps": int(recording.result.steps),
+    document = _told_of(figure, policy, settings, recording) | {
         "moments": moments,
         "paper": figure.paper,
         "wall_s": time.perf_counter() - begin,
@@ -129,6 +118,25 @@ def illustrate(name: str, settings: Settings, output: Output) -> Study:
             f"{document['num_particles']} particles, sensing range {document['range']:g} m",
         },
     )
+
+
+def _told_of(
+    figure: Episode, policy: str, settings: Settings, recording: Recording
+) -> dict[str, Any]:
+    """Say what was run, and how it ended."""
+    return {
+        "experiment": figure.name,
+        "instruction": TEXT,
+        "world": figure.name,
+        "policy": policy,
+        "seed": settings.seed,
+        "num_particles": settings.particles_drawn,
+        "range": float(recording.scene.sensor.range_max),
+        "success": bool(recording.result.is_success),
+        "distance": float(recording.result.distance),
+        "known_distance": recording.scene.known_distance,
+        "steps": int(recording.result.steps),
+    }
 
 
 def factor_graph(settings: Settings, output: Output) -> Study:

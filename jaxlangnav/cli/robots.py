@@ -57,16 +57,7 @@ def table3(
     for row in rows:
         drawn.add_row(*row)
     output.say(drawn)
-    for row in document["rows"]:
-        for one in row["failures"]:
-            name = f"{row['robot']} {row['world']} {row['range']:g} m {row['relation'] or 'null'}"
-            output.say(f"{name}, trial {one['trial']}: {one['ending']}: {one['why']}")
-    low, high = (100 * one for one in document["success_interval"])
-    output.say(
-        f"Over all: {100 * document['success']:.1f} % [{low:.1f}, {high:.1f}]; "
-        f"{total - document['resumed']} runs in {document['wall_s']:.0f} s, "
-        f"{document['resumed']} kept from before."
-    )
+    _tell(document, total, output)
     document["files"] = []
     if out is not None:
         text = f"# {_TITLE}\n\n{_CAPTION}\n\n{markdown_table(list(TRIAL_HEADINGS), rows)}"
@@ -78,3 +69,17 @@ def table3(
         for path in written:
             output.say(f"Wrote {path}")
     return document
+
+
+def _tell(document: dict[str, Any], total: int, output: Output) -> None:
+    """Say which of all runs failed, and how many did not."""
+    for row in document["rows"]:
+        for one in row["failures"]:
+            name = f"{row['robot']} {row['world']} {row['range']:g} m {row['relation'] or 'null'}"
+            output.say(f"{name}, trial {one['trial']}: {one['ending']}: {one['why']}")
+    low, high = (100 * one for one in document["success_interval"])
+    output.say(
+        f"Over all: {100 * document['success']:.1f} % [{low:.1f}, {high:.1f}]; "
+        f"{total - document['resumed']} runs in {document['wall_s']:.0f} s, "
+        f"{document['resumed']} kept from before."
+    )

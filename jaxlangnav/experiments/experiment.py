@@ -11,9 +11,10 @@ import numpy as np
 import pyarrow as pa
 
 from jaxlangnav.experiments.archive import pytree_hash, write_experiment
-from jaxlangnav.experiments.calibration import Tally, scores, tally_tasks
+from jaxlangnav.experiments.calibration import Tally, scores
 from jaxlangnav.experiments.compilation import CompileClock
 from jaxlangnav.experiments.grid import Arm, Grid, Played, Row, policy_arm, run_grid
+from jaxlangnav.experiments.judging import tally_tasks
 from jaxlangnav.experiments.monte_carlo import OnProgress
 from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, POLICY_NAMES, check_policies
 from jaxlangnav.experiments.reliability import bin_sums

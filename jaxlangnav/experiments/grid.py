@@ -16,7 +16,8 @@ import numpy as np
 import pyarrow as pa
 
 from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task
-from jaxlangnav.experiments.calibration import Tally, run_judged
+from jaxlangnav.experiments.calibration import Tally
+from jaxlangnav.experiments.judging import run_judged
 from jaxlangnav.experiments.metrics import summarize
 from jaxlangnav.experiments.monte_carlo import OnProgress, run_tasks
 from jaxlangnav.experiments.policies import navigator_config, run_policy, without_compass

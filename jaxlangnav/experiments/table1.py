@@ -35,11 +35,8 @@ from jaxlangnav.training.blocks import Design
 from jaxlangnav.training.examples import LabelledInstruction, annotation_examples, behavior_examples
 from jaxlangnav.training.fit import Fit, build_design, fit
 from jaxlangnav.training.labelled import read_examples
+from jaxlangnav.training.scores import ExactScores, Models, Results, Scores
 from jaxlangnav.training.scoring import (
-    ExactScores,
-    Models,
-    Results,
-    Scores,
     score_annotations,
     score_behaviors,
 )
@@ -214,19 +211,8 @@ def evaluate(
         ValueError: fewer than two splits, a beam below one, more of either than memory holds, or
             an unknown group of features.
     """
-    if splits < 2:
-        raise ValueError(f"splits is {splits}, but at least 2 are needed for an interval")
-    if not beams or min(beams) < 1:
-        raise ValueError(f"beam widths must be 1 or more, not {list(beams)}")
-    unknown = sorted(set(without) - set(FEATURE_GROUPS))
-    if unknown:
-        raise ValueError(f"unknown features {unknown}; known are {', '.join(FEATURE_GROUPS)}")
-    type_names = load_lexicon().type_names
-    if max(beams) > _WIDEST:
-        raise ValueError(
-            f"beam width is {readable_count(max(beams))}, but must be {_WIDEST} or less"
-        )
-    corpus = load_corpus(CORPUS)
+    _check(splits, beams, without)
+    type_names, corpus = load_lexicon().type_names, load_corpus(CORPUS)
     check_count("splits", splits, each=_MASKS * len(corpus))
     instructions = read_examples(corpus, type_names)
     prepared = {
@@ -240,29 +226,50 @@ def evaluate(
         instructions, fitted, held_out, type_names, on_progress, widths=beams, is_exact=is_exact
     )
     tested = [instructions[i] for i in np.flatnonzero(held_out[0])]
-    new_words = [mark_new_words(instructions, held_out[split]) for split in range(splits)]
-    worlds = np.array([len(labelled.worlds) for labelled in instructions])
-    document: dict[str, Any] = {
-        name: _row(
-            fitted[name], results[name], _seconds(name, fitted, tested, type_names, beams[0])
-        )
-        for name in MODELS
-    }
+    document: dict[str, Any] = {}
     for name in MODELS:
+        seconds = _seconds(name, fitted, tested, type_names, beams[0])
         of_first = results[name].by_width[beams[0]]
-        document[name]["new_words"] = _on_new_words(
-            [
-                (score.is_right, new if name == "annotation" else np.repeat(new, worlds[held]))
-                for score, new, held in zip(of_first, new_words, held_out, strict=True)
-            ]
-        )
+        on_new = _on_new_words(name, instructions, of_first, held_out)
+        document[name] = _row(fitted[name], results[name], seconds) | {"new_words": on_new}
     return document | {"paper": TABLE_1, "corpus": CORPUS, "without": list(without), "seed": seed}
 
 
+def _check(splits: int, beams: Sequence[int], without: Sequence[str]) -> None:
+    """Refuse what cannot be evaluated; see ``evaluate``."""
+    if splits < 2:
+        raise ValueError(f"splits is {splits}, but at least 2 are needed for an interval")
+    if not beams or min(beams) < 1:
+        raise ValueError(f"beam widths must be 1 or more, not {list(beams)}")
+    unknown = sorted(set(without) - set(FEATURE_GROUPS))
+    if unknown:
+        raise ValueError(f"unknown features {unknown}; known are {', '.join(FEATURE_GROUPS)}")
+    if max(beams) > _WIDEST:
+        raise ValueError(
+            f"beam width is {readable_count(max(beams))}, but must be {_WIDEST} or less"
+        )
+
+
 def _on_new_words(
-    rows: Sequence[tuple[np.ndarray, np.ndarray]],
+    name: str,
+    instructions: Sequence[LabelledInstruction],
+    scores: Sequence[Scores],
+    held_out: np.ndarray,
 ) -> dict[str, float | None]:
-    """Write down the accuracy on what has a word never seen: bool[E] right, bool[E] has one."""
+    """Write down the accuracy of a model on held-out sentences with a word never seen.
+
+    Args:
+        name: of the model: of sentences, or of each with its worlds.
+        instructions: I.
+        scores: of each split.
+        held_out: bool[K, I].
+    """
+    worlds = np.array([len(labelled.worlds) for labelled in instructions])
+    rows = []
+    for score, held in zip(scores, held_out, strict=True):
+        is_new = mark_new_words(instructions, held)
+        is_new = is_new if name == "annotation" else np.repeat(is_new, worlds[held])
+        rows.append((score.is_right, is_new))
     right = np.concatenate([is_right[is_new] for is_right, is_new in rows])
     share = float(np.concatenate([is_new for _, is_new in rows]).mean())
     accuracy = round(100.0 * float(right.mean()), 2) if len(right) else None

@@ -234,7 +234,13 @@ def caption(document: Mapping[str, Any]) -> str:
             "90 % region holds the goal."
         )
     lines += [f"{name}: {KNOWLEDGE[name]}." for name in document["policies"]]
-    if document.get("bounds"):
+    return "\n".join([*lines, *_of_limits(document.get("bounds", []))])
+
+
+def _of_limits(bounds: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Say what the limits of the table are of; nothing where it has none."""
+    lines = []
+    if bounds:
         lines.append(
             "limit: with the map unknown, the highest success rate and the least mean way of a "
             "policy that reaches it: straight to within 1.5 m of the goal; without a relation, a "
@@ -242,7 +248,7 @@ def caption(document: Mapping[str, Any]) -> str:
         )
     searches = [
         f"{bound['search_uniform']:.1f} m ({bound['world']}, {bound['range']:g} m)"
-        for bound in document.get("bounds", [])
+        for bound in bounds
         if bound["search_uniform"] is not None
     ]
     if searches:
@@ -250,7 +256,7 @@ def caption(document: Mapping[str, Any]) -> str:
             "A search for a goal that may be anywhere in the area, whatever the path, walks on "
             f"average at least: {', '.join(searches)}."
         )
-    return "\n".join(lines)
+    return lines
 
 
 def deviations_table(document: Mapping[str, Any], policy: str = "faithful") -> Table:

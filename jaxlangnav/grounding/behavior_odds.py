@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.grounding.bits import iota, is_in, to_mask
+from jaxlangnav.grounding.bits import bit_of_each, is_in, to_mask
 from jaxlangnav.grounding.program import (
     LOG_NEVER,
     BehaviorProgram,
@@ -73,7 +73,7 @@ def build_object_sets(program: BehaviorProgram, world: BehaviorWorld) -> ObjectS
     """Turn worlds into bits; leaves of the world are [..., E, P]."""
     is_object = world.is_object
     kind = world.object_type
-    itself = jnp.where(is_object, jnp.left_shift(jnp.int32(1), iota(kind.shape[0], 3)), 0)
+    itself = jnp.where(is_object, bit_of_each(kind.shape[0], 3), 0)
     everything = jnp.sum(itself, axis=0)
     edges = jnp.concatenate([world.is_related, world.is_superlative, world.is_later])
     figures = jnp.sum(jnp.where(edges, itself[None, :, None], 0), axis=1)

@@ -5,23 +5,28 @@ Two lane axes stand last, episodes E and particles P; N is the axis before them.
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 
-def iota(size: int, ndim: int) -> Array:
-    """Count along the axis before the two lane axes, i32[1, ..., size, 1, 1]."""
-    return jnp.arange(size, dtype=jnp.int32).reshape(*(1,) * (ndim - 3), size, 1, 1)
+def iota(size: int, ndim: int) -> np.ndarray:
+    """Count along the axis before the two lane axes, i32[1, ..., size, 1, 1], known when traced."""
+    return np.arange(size, dtype=np.int32).reshape(*(1,) * (ndim - 3), size, 1, 1)
+
+
+def bit_of_each(size: int, ndim: int) -> np.ndarray:
+    """List the bit of each object along that axis, i32[1, ..., size ≤ 31, 1, 1]."""
+    return np.left_shift(np.int32(1), iota(size, ndim))
 
 
 def is_in(mask: Array, size: int) -> Array:
     """Spread bit masks i32[..., E, P] to bool[..., size, E, P]."""
-    return ((mask[..., None, :, :] >> iota(size, mask.ndim + 1)) & 1) == 1
+    return (mask[..., None, :, :] & bit_of_each(size, mask.ndim + 1)) != 0
 
 
 def to_mask(flags: Array) -> Array:
     """Gather bool[..., N, E, P] to bit masks i32[..., E, P]."""
-    weight = jnp.left_shift(jnp.int32(1), iota(flags.shape[-3], flags.ndim))
-    return jnp.sum(jnp.where(flags, weight, 0), axis=-3)
+    return jnp.sum(jnp.where(flags, bit_of_each(flags.shape[-3], flags.ndim), 0), axis=-3)
 
 
 def smallest(cost: Array, count: int) -> tuple[list[Array], list[Array]]:

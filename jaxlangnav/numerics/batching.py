@@ -112,8 +112,8 @@ def pick(values: Array, index: Array) -> Array:
         [...], ``values[index]``; 0 where the index is out of bounds.
     """
     size = values.shape[0]
-    nothing = jnp.zeros(values.shape[1:], values.dtype)
-    rows = [jnp.broadcast_to(row, index.shape) for row in (*jnp.unstack(values), nothing)]
+    table = jnp.broadcast_to(apart(values, index.ndim + 1), (size, *index.shape))
+    rows = *jnp.unstack(table), jnp.zeros(index.shape, values.dtype)
     within = jnp.minimum(index.astype(jnp.uint32), size).astype(jnp.int32)  # −1 is very large
     # One operation to trace; it becomes a tree of selects.
     return jax.lax.select_n(within, *rows)
@@ -142,10 +142,12 @@ def rarely(is_meant: Array, weigh: Callable[[T], Array], records: T) -> Array:
     Returns:
         f32[n, ...]; 0 where it is not asked for.
     """
+    kinds = dict.fromkeys(leaf.dtype for leaf in jax.tree.leaves(records))
 
     # The index, always 0, enters all that is read, or XLA would hoist what it can.
     def body(index: Array, _: Array) -> Array:
-        return weigh(jax.tree.map(lambda leaf: leaf + index.astype(leaf.dtype), records))
+        zero = {kind: index.astype(kind) for kind in kinds}
+        return weigh(jax.tree.map(lambda leaf: leaf + zero[leaf.dtype], records))
 
     rounds = jnp.any(is_meant).astype(jnp.int32)
     nothing = jnp.zeros_like(jax.tree.leaves(records)[0])

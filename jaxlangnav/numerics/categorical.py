@@ -3,7 +3,6 @@
 import itertools
 import math
 
-import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -51,8 +50,7 @@ def draw(log_weight: Array, uniform: Array) -> tuple[Array, Array]:
 
 def _running_sum(values: Array) -> Array:
     """Sum up a few values along the first axis one by one: fuses into one loop over a batch."""
-    rows = (jax.lax.slice_in_dim(values, i, i + 1) for i in range(values.shape[0]))
-    return jnp.concatenate(list(itertools.accumulate(rows)))
+    return jnp.stack(list(itertools.accumulate(jnp.unstack(values))))
 
 
 def log_normalize(log_weight: Array) -> tuple[Array, Array, Array]:

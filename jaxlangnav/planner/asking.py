@@ -21,8 +21,6 @@ The robot does what is worth most. On small worlds it asks where the exact value
 (``tests/test_planner_asking.py``). c = ∞, the default, never asks.
 """
 
-from typing import NamedTuple
-
 import jax.numpy as jnp
 from jax import Array
 
@@ -42,13 +40,7 @@ class Doubt:
     asks: Array  # bool[] several things may be meant, and a question is worth it
 
 
-class _Values(NamedTuple):
-    guess: Array  # f32[] expected success, less what it costs
-    ask: Array
-    look: Array
-
-
-def _values(mass: Array, walk: Array, cost: Array) -> _Values:
+def _values(mass: Array, walk: Array, cost: Array) -> tuple[Array, Array, Array]:
     """Compute what guessing, asking and looking on are worth.
 
     Args:
@@ -58,7 +50,7 @@ def _values(mass: Array, walk: Array, cost: Array) -> _Values:
         cost: f32[], c.
 
     Returns:
-        The three values.
+        f32[] each: expected success, less what it costs, of a guess, a question and looking on.
     """
     seen, best, unseen = mass
     number, others = seen / jnp.maximum(best, 1e-9), unseen / jnp.maximum(best, 1e-9)
@@ -71,11 +63,9 @@ def _values(mass: Array, walk: Array, cost: Array) -> _Values:
         return jnp.minimum(guess, cost + walk * rest / (number + rest))
 
     alone = (1.0 - exists) * lost(number, jnp.zeros_like(rest))
-    return _Values(
-        guess=best,
-        ask=1.0 - cost - unseen * jnp.minimum(walk + after_none, 1.0),
-        look=1.0 - alone - exists * lost(number + 1.0, rest) - walk * (2.0 - exists),
-    )
+    ask = 1.0 - cost - unseen * jnp.minimum(walk + after_none, 1.0)
+    look = 1.0 - alone - exists * lost(number + 1.0, rest) - walk * (2.0 - exists)
+    return best, ask, look
 
 
 def doubt_of(
@@ -114,11 +104,11 @@ def doubt_of(
     best = jnp.max(seen, initial=0.0)
     unseen = jnp.where(has_looked, 0.0, jnp.sum(goals.hypothesis_mass))
     total = jnp.maximum(jnp.sum(seen) + unseen, 1e-9)
-    value = _values(jnp.stack([jnp.sum(seen), best, unseen]) / total, walk, cost)
+    guess, ask, look = _values(jnp.stack([jnp.sum(seen), best, unseen]) / total, walk, cost)
     is_open = jnp.sum(confirmed) < _OPEN * jnp.sum(fits)
     waits = is_open & (walk < cost) & ~jnp.asarray(has_looked)
     is_allowed = may_ask & jnp.isfinite(cost) & (best > 0.0)
-    is_worth = value.ask > value.guess
-    asks = is_worth & (value.ask >= value.look) & ~waits
-    looks_on = (unseen > 0.0) & (value.look > value.guess) & ~asks
+    is_worth = ask > guess
+    asks = is_worth & (ask >= look) & ~waits
+    looks_on = (unseen > 0.0) & (look > guess) & ~asks
     return Doubt(looks_on=is_allowed & (looks_on | (is_worth & waits)), asks=is_allowed & asks)

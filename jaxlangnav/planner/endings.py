@@ -20,7 +20,7 @@ error ends the search, so it ends sooner, by ε + (1 − ε) ν; and with the pr
 
     q = (1 − ε) ν / [(1 − ε) (1 − ν) (e^{α u} − 1) + ε + (1 − ε) ν]
 
-all is to be looked at whatever the order, so that the whole way counts (``tours``).
+all is to be looked at whatever the order, so that the whole way counts (``latency``).
 """
 
 from typing import NamedTuple

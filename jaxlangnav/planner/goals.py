@@ -131,6 +131,18 @@ def _goal_places(
     return x + offset_x, y + offset_y
 
 
+def _accepted(behavior: Behavior, fits: Array, weight: Array) -> Array:
+    """Weigh what will do as the goal, f32[O + 1, P].
+
+    An object will do if, in its particle, it fits the sentence as well as any other; with nothing
+    to tell two hydrants apart, either is "the hydrant".
+    """
+    best_fit = jnp.max(behavior.goal, axis=(0, 1))
+    fit = fits / jnp.maximum(weight * best_fit, 1e-9)[None, :]
+    total_goal = jnp.minimum(jnp.sum(behavior.goal, axis=(0, 1)), 1.0)
+    return fit * (weight * total_goal)[None, :]
+
+
 def gather(
     belief: ParticleBelief,
     behavior: Behavior,
@@ -157,24 +169,18 @@ def gather(
     x, y = _goal_places(belief, behavior, relations, metres)
     known = jnp.append(jnp.arange(num_objects), x.shape[0] - 1)
     on_known, on_hypotheses = mass[known], mass[num_objects:-1]
-    known_x, known_y = x[known], y[known]
     total = jnp.sum(on_known, axis=1)
     # Objects without goal mass keep their plain weighted mean as a place to go to.
     share = jnp.where(total[:, None] > 1e-6, on_known, weight[None, :])
     share = share / jnp.sum(share, axis=1, keepdims=True)
-    # An object will do if, in its particle, it fits the sentence as well as any other; with
-    # nothing to tell two hydrants apart, either is "the hydrant".
-    best_fit = jnp.max(behavior.goal, axis=(0, 1))
-    fit = fits[known] / jnp.maximum(weight * best_fit, 1e-9)[None, :]
-    total_goal = jnp.minimum(jnp.sum(behavior.goal, axis=(0, 1)), 1.0)
-    accepted = fit * (weight * total_goal)[None, :]
+    accepted = _accepted(behavior, fits[known], weight)
     # It is confirmed unless it is meant in relation to something not seen.
     slots = jnp.arange(num_objects + 1)[:, None, None]
     is_confirmed = ~jnp.any((particles.referent[None] == slots) & has_open[None], axis=1)
     best = jnp.argmax(on_hypotheses, axis=0)[None, :] == jnp.arange(on_hypotheses.shape[0])[:, None]
     return Goals(
-        object_x=jnp.sum(share * known_x, axis=1),
-        object_y=jnp.sum(share * known_y, axis=1),
+        object_x=jnp.sum(share * x[known], axis=1),
+        object_y=jnp.sum(share * y[known], axis=1),
         object_mass=total,
         object_accepted=jnp.sum(accepted, axis=1),
         object_confirmed=jnp.sum(accepted * is_confirmed, axis=1),

@@ -15,6 +15,7 @@ from jax import Array
 from jaxlangnav.planner import graph, qmdp, search, tours
 from jaxlangnav.planner.asking import doubt_of
 from jaxlangnav.planner.endings import Chances, chances
+from jaxlangnav.planner.latency import Tour
 from jaxlangnav.planner.policy import (
     LEAST_GOAL,
     Decision,
@@ -54,13 +55,11 @@ class Informed(Policy):
                 "for the informed policy's search map"
             )
 
-    def init(self, belief: ParticleBelief) -> tours.Tour:
+    def init(self, belief: ParticleBelief) -> Tour:
         """Begin with no tour."""
         return tours.no_tour(belief.last_pose[0], belief.last_pose[1])
 
-    def step(
-        self, key: Array, memory: tours.Tour, situation: Situation
-    ) -> tuple[tours.Tour, Decision]:
+    def step(self, key: Array, memory: Tour, situation: Situation) -> tuple[Tour, Decision]:
         """Improve the tour under way, go to its first stop or to the goal."""
         belief, params, maps = situation.belief, situation.params, situation.map_params
         unseen = search.search_map(situation.wanted, params.prior_share, params.ahead)

@@ -1,7 +1,7 @@
 """Where the things that people speak of tend to stand: learned from training worlds.
 
 A robot that knows nothing of its worlds searches its whole area alike. This one has been through
-other worlds before: a table, learned by ``jaxlangnav.studies.learn_prior`` from worlds whose
+other worlds before: a table, learned by ``scripts/learn_prior.py`` from worlds whose
 seeds are in no results table, says how much likelier than elsewhere a thing is found at a range and
 bearing from where the robot was told. Only the order of search hangs on it; the belief itself stays
 uniform over what is unexplored, and ``PlannerParams.prior_share`` = 0 takes it out.

@@ -86,11 +86,8 @@ def bears_on_goal(group: Array, particles: SemanticMap, behavior: Behavior) -> A
     num_objects = particles.object_type.shape[0]
     num_mentions = particles.referent.shape[0]
     goal = jnp.sum(behavior.goal, axis=0)  # [N + 1, P]
-    slots = np.arange(num_objects)[:, None]
-    seen = [
-        jnp.sum(jnp.where(slots == particles.referent[m][None], goal[:num_objects], 0.0), axis=0)
-        for m in range(num_mentions)
-    ]
-    on_mention = jnp.stack(seen) + goal[num_objects : num_objects + num_mentions]
+    is_referent = np.arange(num_objects)[:, None, None] == particles.referent[None]  # [O, M, P]
+    seen = jnp.sum(jnp.where(is_referent, goal[:num_objects, None], 0.0), axis=0)
+    on_mention = seen + goal[num_objects : num_objects + num_mentions]
     goals = _set_of((on_mention > LEAST_GOAL_MENTION) & particles.is_mentioned)
     return ((group & goals[None]) != 0) | (goals == 0)[None]

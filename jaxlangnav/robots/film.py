@@ -4,6 +4,7 @@ The belief is drawn from above, straight ahead of the start upwards: dark ground
 dots are hypotheses, squares things seen, a ring the place it is sent to, a cross where it is.
 """
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -88,6 +89,24 @@ class Film:
         def at(x: float, y: float) -> tuple[int, int]:
             return int(scale * (y_max - y)), int(scale * (x_max - x))
 
+        self._draw_things(map_, state, at)
+        here = np.asarray(step.pose[:2]) if info is None else np.asarray(info.robot)
+        cv2.drawMarker(map_, at(*here), (0, 0, 0), cv2.MARKER_CROSS, 14, 2)
+        ahead = here + 0.6 * np.array([np.cos(step.pose[2]), np.sin(step.pose[2])])
+        cv2.line(map_, at(*here), at(*ahead), (0, 0, 0), 2)
+        if step.target is not None:
+            offset = np.asarray(step.target) - np.asarray(step.pose[:2])
+            cv2.circle(map_, at(*(here + offset)), 8, _LIGHT, 2)
+        panel = np.full((*PANEL[::-1], 3), 255, np.uint8)
+        top, left = (PANEL[1] - size[1]) // 2, (PANEL[0] - size[0]) // 2
+        panel[top : top + size[1], left : left + size[0]] = map_
+        return panel
+
+    def _draw_things(
+        self, map_: np.ndarray, state: NavigatorState, at: Callable[[float, float], tuple[int, int]]
+    ) -> None:
+        """Draw hypotheses of all particles, and what the likeliest one has seen."""
+        cv2, belief = self._cv2, state.belief
         particles = belief.particles
         mention = np.asarray(state.instruction.readings.mention_type)[
             np.asarray(particles.reading)
@@ -108,17 +127,6 @@ class Film:
             corners = (column - 7, row - 7), (column + 7, row + 7)
             cv2.rectangle(map_, *corners, _COLOURS[min(int(types[slot]), 3)], -1)
             cv2.rectangle(map_, *corners, (0, 0, 0), 1)
-        here = np.asarray(step.pose[:2]) if info is None else np.asarray(info.robot)
-        cv2.drawMarker(map_, at(*here), (0, 0, 0), cv2.MARKER_CROSS, 14, 2)
-        ahead = here + 0.6 * np.array([np.cos(step.pose[2]), np.sin(step.pose[2])])
-        cv2.line(map_, at(*here), at(*ahead), (0, 0, 0), 2)
-        if step.target is not None:
-            offset = np.asarray(step.target) - np.asarray(step.pose[:2])
-            cv2.circle(map_, at(*(here + offset)), 8, _LIGHT, 2)
-        panel = np.full((*PANEL[::-1], 3), 255, np.uint8)
-        top, left = (PANEL[1] - size[1]) // 2, (PANEL[0] - size[0]) // 2
-        panel[top : top + size[1], left : left + size[0]] = map_
-        return panel
 
     def write(self, path: Path) -> Path:
         """Write the film, all or nothing.

@@ -15,11 +15,9 @@ from jax import Array
 from jaxlangnav.kinds import joined, label_of
 from jaxlangnav.messages import NONE, SensorParams
 from jaxlangnav.numerics import categorical, gaussian
-from jaxlangnav.numerics.batching import column, lead, pick
-from jaxlangnav.pytree import replace
+from jaxlangnav.numerics.batching import column, lead
 from jaxlangnav.semantic_map.counts import made_likelier
-from jaxlangnav.semantic_map.particle import SemanticMap, positions
-from jaxlangnav.terrain.view import View, eye_of
+from jaxlangnav.semantic_map.particle import SemanticMap
 
 LOG_SURPRISE = -30.0
 """Least log-weight of a detection where nothing can be: surprised, never dead."""
@@ -107,39 +105,12 @@ def associate(
     Returns:
         The grounding and its weight.
     """
-    num_objects = particle.object_type.shape[0]
-    predicted_x, predicted_y, spread = _predicted(particle, noise_variance)
-    slots = column(jnp.arange(num_objects), particle.object_type.ndim)
+    predicted = _predicted(particle, noise_variance)
 
     def ground(so_far: Association, one: tuple[Detections, Array]) -> tuple[Association, None]:
-        """Ground one detection, given how those before it are grounded."""
-        (z_type, z_x, z_y, log_new, present), chance = one
-        object_type, is_hit, is_new, offset_x, offset_y, log_weight, overflow, existence = so_far
-        log_existing = gaussian.log_normal_isotropic(z_x - predicted_x, z_y - predicted_y, spread)
-        options = _weigh(z_type, log_existing, log_new, so_far, growth, doubt)
-        choice, log_total = categorical.draw(options.log_weight, chance)
-        free = jnp.min(jnp.where(object_type == NONE, slots, num_objects), axis=0)
-        wants_new = choice == num_objects
-        slot = jnp.where(wants_new, free, choice)
-        entry = (slots == slot[None]) & present
-        if options.existence is not None:
-            if_held, others_if_new = options.existence
-            of_others = jnp.where(wants_new & present, others_if_new, existence)
-            existence = jnp.where(entry, if_held, of_others)
-        return Association(
-            object_type=jnp.where(
-                entry, jnp.where(wants_new, z_type, joined(object_type, z_type)), object_type
-            ),
-            is_hit=is_hit | entry,
-            is_new=is_new | (entry & wants_new[None]),
-            offset_x=jnp.where(entry, z_x, offset_x),
-            offset_y=jnp.where(entry, z_y, offset_y),
-            log_weight=log_weight + jnp.where(present, log_total, 0.0),
-            overflow=overflow + (present & (slot == num_objects)).astype(jnp.int32),
-            existence=existence,
-        ), None
+        return _ground(so_far, *one, predicted, growth, doubt), None
 
-    nobody, nowhere = jnp.zeros(predicted_x.shape, bool), jnp.zeros_like(predicted_x)
+    nobody, nowhere = jnp.zeros(predicted[0].shape, bool), jnp.zeros_like(predicted[0])
     before = Association(
         object_type=particle.object_type,
         is_hit=nobody,
@@ -151,6 +122,42 @@ def associate(
         existence=particle.existence,
     )
     return jax.lax.scan(ground, before, (detections, uniform))[0]
+
+
+def _ground(
+    so_far: Association,
+    seen: Detections,
+    chance: Array,
+    predicted: tuple[Array, Array, Array],
+    growth: Array | float,
+    doubt: ClutterOdds | None,
+) -> Association:
+    """Ground one detection, leaves [], given how those before it are grounded."""
+    num_objects, kind, is_there = so_far.object_type.shape[0], seen.object_type, seen.is_detection
+    x, y, spread = predicted
+    log_existing = gaussian.log_normal_isotropic(seen.offset_x - x, seen.offset_y - y, spread)
+    log_weight, doubted = _weigh(kind, log_existing, seen.log_new, so_far, growth, doubt)
+    choice, log_total = categorical.draw(log_weight, chance)
+    slots = column(jnp.arange(num_objects), so_far.object_type.ndim)
+    free = jnp.min(jnp.where(so_far.object_type == NONE, slots, num_objects), axis=0)
+    is_new = choice == num_objects
+    slot = jnp.where(is_new, free, choice)
+    entry, existence = (slots == slot[None]) & is_there, so_far.existence
+    if doubted is not None:
+        if_held, others_if_new = doubted
+        existence = jnp.where(is_new & is_there, others_if_new, existence)
+        existence = jnp.where(entry, if_held, existence)
+    entered = jnp.where(is_new, kind, joined(so_far.object_type, kind))
+    return Association(
+        object_type=jnp.where(entry, entered, so_far.object_type),
+        is_hit=so_far.is_hit | entry,
+        is_new=so_far.is_new | (entry & is_new[None]),
+        offset_x=jnp.where(entry, seen.offset_x, so_far.offset_x),
+        offset_y=jnp.where(entry, seen.offset_y, so_far.offset_y),
+        log_weight=so_far.log_weight + jnp.where(is_there, log_total, 0.0),
+        overflow=so_far.overflow + (is_there & (slot == num_objects)).astype(jnp.int32),
+        existence=existence,
+    )
 
 
 def _predicted(particle: SemanticMap, noise_variance: Array) -> tuple[Array, Array, Array]:
@@ -166,14 +173,6 @@ def _predicted(particle: SemanticMap, noise_variance: Array) -> tuple[Array, Arr
     )
 
 
-class _Options(NamedTuple):
-    """What one detection may be, and what exists then; None where all that is detected does."""
-
-    log_weight: Array  # f32[O + 1, ...] each slot; something new last
-    existence: tuple[Array, Array] | None = None  # f32[O, ...] r of the slot that it falls to, and
-    # of the others if it is something new
-
-
 def _weigh(
     kind: Array,
     log_existing: Array,
@@ -181,7 +180,7 @@ def _weigh(
     so_far: Association,
     growth: Array | float,
     doubt: ClutterOdds | None,
-) -> _Options:
+) -> tuple[Array, tuple[Array, Array] | None]:
     """Weigh what a detection of a kind, i32[], may be, given how those before it are grounded.
 
     Args:
@@ -191,13 +190,18 @@ def _weigh(
         so_far: of the detections before it.
         growth: see ``associate``.
         doubt: see ``associate``.
+
+    Returns:
+        f32[O + 1, ...], log-weight of each slot, something new last; and f32[O, ...] twice, how
+        probable things are then to exist: of the slot that it falls to, and of the others if it is
+        something new. None where all that is detected exists.
     """
     # Attributes decide nothing here: a detector that wavers must not make two of one thing.
     is_alike = label_of(so_far.object_type) == label_of(kind)
     may_be = is_alike & ~so_far.is_hit
     if doubt is None:
         log_more = (log_new + jnp.log1p(growth * jnp.sum(is_alike, axis=0)))[None]
-        return _Options(jnp.concatenate([jnp.where(may_be, log_existing, -jnp.inf), log_more]))
+        return jnp.concatenate([jnp.where(may_be, log_existing, -jnp.inf), log_more]), None
     held = jnp.where(is_alike, so_far.existence, 0.0)
     log_more = (log_new + jnp.log1p(growth * jnp.sum(held, axis=0)))[None]
     is_other = ~is_alike & (so_far.object_type != NONE)
@@ -206,10 +210,8 @@ def _weigh(
         log_existing, log_more, log_confused, so_far.existence, is_other, doubt
     )
     likelier = made_likelier(held, growth, jnp.exp(log_more - log_any)[0])
-    return _Options(
-        jnp.concatenate([jnp.where(may_be, log_held, -jnp.inf), log_any]),
-        existence=(if_held, jnp.where(is_alike, likelier, so_far.existence)),
-    )
+    log_weight = jnp.concatenate([jnp.where(may_be, log_held, -jnp.inf), log_any])
+    return log_weight, (if_held, jnp.where(is_alike, likelier, so_far.existence))
 
 
 def _doubted(
@@ -250,103 +252,3 @@ def _doubted(
     is_held = existence > 0.0
     is_real = jnp.where(is_held, jnp.exp(log_real - log_own), jnp.exp(log_new - log_any))
     return log_existing + log_own, log_any, is_real
-
-
-def condition(
-    particle: SemanticMap, association: Association, noise_variance: Array
-) -> SemanticMap:
-    """Condition the Gaussian on the grounded detections: exact, one scalar update for each.
-
-        x_o = x_robot + z_o + N(0, R)   for a new object o, which has a flat prior,
-        z_o = x_o − x_robot + N(0, R)   for one that is known
-
-    Limits: R → ∞ leaves known objects unchanged; a first detection places the object at
-    robot + offset.
-
-    Args:
-        particle: one particle.
-        association: from ``associate``.
-        noise_variance: f32[], R, square metres per axis.
-
-    Returns:
-        The particle with new objects entered and the rest corrected.
-    """
-    num_objects, ndim = particle.object_type.shape[0], particle.object_type.ndim
-    is_new = _with_robot(association.is_new)
-    offset_x, offset_y = association.offset_x, association.offset_y
-    variance = column(jnp.broadcast_to(noise_variance, (num_objects + 1,)), ndim)
-    joint = gaussian.Moments(particle.covariance, particle.mean_x, particle.mean_y)
-    joint = gaussian.enter(
-        joint, num_objects, is_new, _with_robot(offset_x), _with_robot(offset_y), variance
-    )
-    joint = gaussian.condition_offsets(
-        joint,
-        [(slot, num_objects) for slot in range(num_objects)],
-        association.is_hit & ~association.is_new,
-        offset_x,
-        offset_y,
-        variance,
-    )
-    # A root of NONE is no slot: a hypothesis on the ground does not move.
-    moved_x, moved_y = (
-        pick((after - before)[:num_objects], particle.root)
-        for after, before in ((joint.mean_x, particle.mean_x), (joint.mean_y, particle.mean_y))
-    )
-    return replace(
-        particle,
-        object_type=association.object_type,
-        covariance=joint.covariance,
-        mean_x=joint.mean_x,
-        mean_y=joint.mean_y,
-        existence=association.existence,
-        hypothesis_x=particle.hypothesis_x + moved_x,
-        hypothesis_y=particle.hypothesis_y + moved_y,
-    )
-
-
-def _with_robot(values: Array) -> Array:
-    """Append a zero, or false, for the robot to what is known of the objects."""
-    return jnp.concatenate([values, jnp.zeros_like(values[:1])])
-
-
-def log_absence(
-    particle: SemanticMap,
-    is_hit: Array,
-    heading: Array,
-    softness: Array,
-    sensor: SensorParams,
-    view: View,
-) -> tuple[Array, Array, Array]:
-    """Weigh what was not seen: negative observations (eq. 8).
-
-        Σ_o log(1 − p_d v_o r_o),   r' = r (1 − p_d v) / (1 − p_d v r)
-
-    over the objects not detected, v the share in view and r the probability that they exist, 1
-    where particles do not doubt it.
-
-    Args:
-        particle: one particle, after conditioning.
-        is_hit: bool[O, ...], detected objects.
-        heading: f32[] or f32[1, ...], radians.
-        softness: f32[], metres over which an object's position is uncertain.
-        sensor: range, field of view, detection probability.
-        view: what can be seen in this place.
-
-    Returns:
-        f32[...] for observed objects, and f32[M, ...] for each hypothesis (0 where there is none);
-        and how probable the observed objects are now to exist, as in the particle.
-    """
-    num_objects = particle.object_type.shape[0]
-    x, y = positions(particle)
-    robot_x, robot_y = particle.mean_x[num_objects:], particle.mean_y[num_objects:]
-    in_view = view.share(eye_of(robot_x, robot_y, heading, sensor), x, y, softness)
-    probability = jnp.minimum(sensor.detection_probability, 0.999)
-    is_missed = jnp.concatenate([particle.is_observed & ~is_hit, particle.is_hypothesised])
-    likely, existence = probability * in_view, particle.existence
-    if existence.shape[0]:
-        own = likely[:num_objects]
-        left = existence * (1.0 - own) / (1.0 - own * existence)
-        likely = jnp.concatenate([own * existence, likely[num_objects:]])
-        existence = jnp.where(is_missed[:num_objects], left, existence)
-    log_missed = jnp.where(is_missed, jnp.log1p(-likely), 0.0)
-    return jnp.sum(log_missed[:num_objects], axis=0), log_missed[num_objects:], existence

@@ -1,20 +1,12 @@
-"""Ways to ground one relation: candidates for its ends, and places drawn (section 3.2, eq. 7a).
+"""What words may refer to: candidates for the ends of one relation (section 3.2, eq. 7a).
 
-Each end is an observed object, the place that an earlier relation decided, or new. The ways to
-ground the relation are counted through, and both what a way *is* and what it *means* are laid out
-by the same two functions, ``_of_figures`` and ``_of_landmarks``:
-
-    the relation holds     both ends known · figure new, at each landmark · landmark new, at each
-                           figure · both new
-    it says nothing        figure new, anywhere · landmark new, anywhere · both new, anywhere
+Each end is an observed object, the place that an earlier relation decided, or new.
 
 Shapes are those of one particle; with many, the particle axis is last ("...").
 """
 
-import functools
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -22,11 +14,10 @@ from jax import Array
 from jaxlangnav.kinds import fits, is_anything, label_of
 from jaxlangnav.messages import NONE
 from jaxlangnav.numerics.batching import column, lead, pick, rarely
-from jaxlangnav.relations import RelationModel
 from jaxlangnav.semantic_map.counts import log_expected
 from jaxlangnav.semantic_map.coverage import Coverage
 from jaxlangnav.semantic_map.params import MapParams
-from jaxlangnav.semantic_map.said import FIGURE, LANDMARK, Said
+from jaxlangnav.semantic_map.said import FIGURE, Said
 
 NUM_UNSEEN = 2
 """Places drawn from the unexplored area for each particle and relation."""
@@ -95,95 +86,6 @@ class Candidates(NamedTuple):
     earlier: Grounding  # what they refer to already, leaves [2, ...]
 
 
-class Pairs(NamedTuple):
-    """Places of figures and of their landmarks, metres, map frame."""
-
-    x: Array  # f32[W, ...]
-    y: Array  # f32[W, ...]
-    landmark_x: Array  # f32[W, ...]
-    landmark_y: Array  # f32[W, ...]
-
-
-class Ways(NamedTuple):
-    """The W ways to ground a relation, and how what is new in them was drawn."""
-
-    pairs: Pairs
-    new_x: Array  # f32[2 (O + 1) + NUM_UNSEEN, ...] metres, what was drawn for the relation
-    new_y: Array  # f32[2 (O + 1) + NUM_UNSEEN, ...]
-    log_drawn: Array  # f32[O + 1, ...] log-density with which a new landmark was drawn, 1/m²
-
-    @property
-    def told(self) -> Pairs:
-        """The pairs of the ways in which the relation holds."""
-        size = (self.new_x.shape[0] - NUM_UNSEEN) // 2
-        return Pairs(*(leaf[: size * size + self.new_x.shape[0]] for leaf in self.pairs))
-
-
-def _of_figures(known: Array, new: Array, unseen: Array) -> Array:
-    """Lay out the figures of all ways, [W, ...].
-
-    Args:
-        known: [O + 1, ...], candidates.
-        new: [2 (O + 1) + NUM_UNSEEN, ...], see ``_of_new``.
-        unseen: [NUM_UNSEEN, ...], anywhere.
-    """
-    size, rest = known.shape[0], known.shape[1:]
-    each = jnp.broadcast_to(known[:, None], (size, size, *rest)).reshape(-1, *rest)
-    free = jnp.broadcast_to(unseen[:1], known.shape)
-    return jnp.concatenate([each, new[:size], known, new[2 * size :], free, known, unseen[:1]])
-
-
-def _of_landmarks(known: Array, new: Array, unseen: Array) -> Array:
-    """Lay out the landmarks of all ways, [W, ...]; arguments as for ``_of_figures``."""
-    size, rest = known.shape[0], known.shape[1:]
-    each = jnp.broadcast_to(known[None], (size, size, *rest)).reshape(-1, *rest)
-    free = jnp.broadcast_to(unseen[1:2], known.shape)
-    return jnp.concatenate([each, known, new[size : 2 * size], unseen, known, free, unseen[1:2]])
-
-
-def _of_new(figure: Array, landmark: Array, figure_of_pair: Array, size: int) -> Array:
-    """Lay out what is new in the ways told: figures, landmarks, the figures of new pairs.
-
-    Args:
-        figure: [1, ...] or [O + 1, ...], at each known landmark.
-        landmark: [1, ...] or [O + 1, ...], at each known figure.
-        figure_of_pair: [1, ...] or [NUM_UNSEEN, ...], at each new landmark.
-        size: O + 1.
-    """
-    numbers = (size, size, NUM_UNSEEN)
-    return jnp.concatenate(
-        [
-            jnp.broadcast_to(part, (number, *part.shape[1:]))
-            for part, number in zip((figure, landmark, figure_of_pair), numbers, strict=True)
-        ]
-    )
-
-
-@functools.cache
-def meaning(num_objects: int) -> tuple[np.ndarray, np.ndarray]:
-    """Tell what each way stands for.
-
-    Args:
-        num_objects: O.
-
-    Returns:
-        i32[2, W], the observed slot that each end is; NONE where it is new or decided already; and
-        bool[2, W], whether the end hangs on the other, having been drawn there or being said of it.
-    """
-    with jax.ensure_compile_time_eval():
-        slots = jnp.append(jnp.arange(num_objects), NONE)
-        new = jnp.full(2 * slots.size + NUM_UNSEEN, NONE)
-        figure = _of_figures(slots, new, new[:NUM_UNSEEN])
-        landmark = _of_landmarks(slots, new, new[:NUM_UNSEEN])
-        is_told = jnp.arange(figure.size) < slots.size**2 + new.size
-        no = jnp.zeros(slots.size, bool)
-        is_drawn = _of_landmarks(no, new == NONE, no[:NUM_UNSEEN])
-        return (
-            np.stack([np.asarray(figure, np.int32), np.asarray(landmark, np.int32)]),
-            np.stack([np.asarray(is_told), np.asarray(is_drawn)]),
-        )
-
-
 def list_candidates(
     seen: Seen, said: Said, grounding: Grounding, scene: Scene, *, params: MapParams
 ) -> Candidates:
@@ -207,27 +109,7 @@ def list_candidates(
     is_kind = fits(seen.object_type[None], said.kind[:, None])
     slots = column(jnp.arange(seen.x.shape[0]), is_kind.ndim - 1)[None]
     may_be = is_kind & is_open[:, None] & ((said.excluded[:, None] >> slots) & 1 == 0)
-    # Of those of its type that have been seen all but one are bystanders; of a pair all but two.
-    number, unseen = jnp.sum(is_kind, axis=1), jnp.exp(lead(scene.log_unseen, is_open.ndim))
-    log_one, log_two = (
-        log_expected(jnp.maximum(number - but, 0), unseen, params=params) for but in (1, 2)
-    )
-    log_bystander = (lead(scene.log_area, is_open.ndim) - log_one)[:, None]  # 1/λ
-    if seen.existence is not None:
-        real = jnp.where(is_kind, seen.existence[None], 0.0)
-        others = jnp.maximum(jnp.sum(real, axis=1, keepdims=True) - real, 0.0)
-        log_others = log_expected(others, unseen[:, None], params=params)
-        log_bystander = lead(scene.log_area, may_be.ndim) - log_others
-        log_bystander = log_bystander + jnp.log(jnp.maximum(seen.existence, 1e-9))[None]
-    is_any, label = is_anything(said.kind), label_of(seen.object_type)
-    is_alike = label[:, None] == label[None]
-    records = (jnp.concatenate([seen.x, seen.x]), is_alike, seen, scene.log_area, scene.log_unseen)
-    found = rarely(
-        jnp.any(is_any, axis=0), lambda given: _of_any_type(*given[1:], params=params), records
-    )
-    log_of_any, log_gain_of_any = jnp.split(found, 2)
-    log_bystander = jnp.where(is_any[:, None], log_of_any[None], log_bystander)
-    log_gain = jnp.where(jnp.any(is_any, axis=0), log_gain_of_any, (log_one - log_two)[FIGURE])
+    log_bystander, log_alike = _log_bystanders(seen, said, is_kind, scene, params)
 
     def append(objects: Array, place: Array) -> Array:
         objects = jnp.broadcast_to(objects, may_be.shape)
@@ -238,13 +120,50 @@ def list_candidates(
         x=append(seen.x[None], jnp.where(is_viewer, viewer_x, earlier.x)),
         y=append(seen.y[None], jnp.where(is_viewer, viewer_y, earlier.y)),
         log_prior=append(
-            jnp.where(may_be, log_bystander, -jnp.inf),
-            jnp.where(is_open, -jnp.inf, 0.0),
+            jnp.where(may_be, log_bystander, -jnp.inf), jnp.where(is_open, -jnp.inf, 0.0)
         ),
-        log_alike=jnp.where(is_alike, log_gain[:, None], 0.0),
+        log_alike=log_alike,
         is_open=is_open,
         earlier=earlier,
     )
+
+
+def _log_bystanders(
+    seen: Seen, said: Said, is_kind: Array, scene: Scene, params: MapParams
+) -> tuple[Array, Array]:
+    """Weigh what has been seen against being a bystander, 1/λ: of its type all but one are.
+
+    Args:
+        seen: objects.
+        said: the relation.
+        is_kind: bool[2, O, ...], which of them are of the types of its ends.
+        scene: area.
+        params: concentration, clumping.
+
+    Returns:
+        f32[2, 1, ...] or f32[2, O, ...]; and ``Candidates.log_alike``: of a pair all but two are.
+    """
+    ndim, number = is_kind.ndim - 1, jnp.sum(is_kind, axis=1)
+    unseen, log_area = jnp.exp(lead(scene.log_unseen, ndim)), lead(scene.log_area, ndim)
+    log_one, log_two = (
+        log_expected(jnp.maximum(number - but, 0), unseen, params=params) for but in (1, 2)
+    )
+    log_bystander = (log_area - log_one)[:, None]
+    if seen.existence is not None:
+        real = jnp.where(is_kind, seen.existence[None], 0.0)
+        others = jnp.maximum(jnp.sum(real, axis=1, keepdims=True) - real, 0.0)
+        log_bystander = log_area[:, None] - log_expected(others, unseen[:, None], params=params)
+        log_bystander = log_bystander + jnp.log(jnp.maximum(seen.existence, 1e-9))[None]
+    is_any, label = is_anything(said.kind), label_of(seen.object_type)
+    is_alike = label[:, None] == label[None]
+    records = (jnp.concatenate([seen.x, seen.x]), is_alike, seen, scene.log_area, scene.log_unseen)
+    found = rarely(
+        jnp.any(is_any, axis=0), lambda given: _of_any_type(*given[1:], params=params), records
+    )
+    log_of_any, log_gain_of_any = jnp.split(found, 2)
+    log_gain = jnp.where(jnp.any(is_any, axis=0), log_gain_of_any, (log_one - log_two)[FIGURE])
+    log_alike = jnp.where(is_alike, log_gain[:, None], 0.0)
+    return jnp.where(is_any[:, None], log_of_any[None], log_bystander), log_alike
 
 
 def _of_any_type(
@@ -279,46 +198,3 @@ def _of_any_type(
     if seen.existence is not None:
         log_weight = log_weight + jnp.log(jnp.maximum(seen.existence, 1e-9))
     return jnp.concatenate([log_weight, log_one - log_two])
-
-
-def propose(said: Said, ends: Candidates, draws: Draws, model: RelationModel) -> Ways:
-    """Pair what is known, and draw what is new: from the relation, and anywhere unseen.
-
-    Args:
-        said: the relation.
-        ends: what its ends may be.
-        draws: random numbers.
-        model: prepared relations, for drawing.
-
-    Returns:
-        The places of all ways.
-    """
-    size = ends.x.shape[1]
-    along, lateral, log_drawn = said.draw(draws.distance, draws.angle, model)
-    at_x = _of_new(ends.x[LANDMARK], ends.x[FIGURE], draws.unseen_x, size)
-    at_y = _of_new(ends.y[LANDMARK], ends.y[FIGURE], draws.unseen_y, size)
-
-    def of_ends(values: Array) -> Array:
-        # A landmark is drawn backwards from its figure, in a frame that is not its own: the weight
-        # makes up for it.
-        return _of_new(values[:1], -values[1:], values[:1], size)
-
-    def instead(unseen: Array, told: Array) -> Array:
-        # Of an order or a side, the figure of a new landmark takes the next place's draw.
-        anywhere = _of_new(unseen[:1], unseen[1:2], unseen[::-1], size)
-        return jnp.where(said.is_anywhere[None], anywhere, told)
-
-    offset_x, offset_y, log_unit = said.offset(at_x, at_y, of_ends(along), of_ends(lateral))
-    new_x = instead(draws.unseen_x, at_x + offset_x)
-    new_y = instead(draws.unseen_y, at_y + offset_y)
-    return Ways(
-        pairs=Pairs(
-            x=_of_figures(ends.x[FIGURE], new_x, draws.unseen_x),
-            y=_of_figures(ends.y[FIGURE], new_y, draws.unseen_y),
-            landmark_x=_of_landmarks(ends.x[LANDMARK], new_x, draws.unseen_x),
-            landmark_y=_of_landmarks(ends.y[LANDMARK], new_y, draws.unseen_y),
-        ),
-        new_x=new_x,
-        new_y=new_y,
-        log_drawn=log_drawn - log_unit[size : 2 * size],
-    )

@@ -31,7 +31,6 @@ from jaxlangnav.kinds import is_anything
 from jaxlangnav.messages import NONE
 from jaxlangnav.numerics import categorical
 from jaxlangnav.numerics.batching import column, lead, once, pick
-from jaxlangnav.semantic_map import candidates
 from jaxlangnav.semantic_map.candidates import (
     NUM_UNSEEN,
     Candidates,
@@ -39,12 +38,13 @@ from jaxlangnav.semantic_map.candidates import (
     Grounding,
     Scene,
     Seen,
-    Ways,
+    list_candidates,
 )
 from jaxlangnav.semantic_map.coverage import log_miss_at
 from jaxlangnav.semantic_map.order import PLURAL, log_rank
 from jaxlangnav.semantic_map.params import MapParams
 from jaxlangnav.semantic_map.said import FIGURE, LANDMARK, Said
+from jaxlangnav.semantic_map.ways import Ways, meaning, propose
 
 _LOG_FLOOR = -60.0
 
@@ -67,8 +67,8 @@ def ground_relation(
         relation.
     """
     said = once(_from_other(_apart(said, grounding), grounding))
-    ends = candidates.list_candidates(seen, said, grounding, scene, params=params)
-    ways = once(candidates.propose(said, ends, draws, params.relations))
+    ends = list_candidates(seen, said, grounding, scene, params=params)
+    ways = once(propose(said, ends, draws, params.relations))
     num_known = ends.x.shape[1]
     rank = log_rank(said, ways.told, seen, draws, scene, params=params, num_known=num_known)
     log_weight = _weigh(said, ends, ways, rank, scene, params.misleading)
@@ -182,7 +182,7 @@ def _enter(
 ) -> Grounding:
     """Enter the chosen figure and landmark; ends decided earlier stay."""
     num_objects = ends.x.shape[1] - 1
-    slots, hangs = candidates.meaning(num_objects)
+    slots, hangs = meaning(num_objects)
     slot = jnp.where(ends.is_open, jnp.asarray(slots)[:, choice], ends.earlier.slot)
     inherited = jnp.where(ends.is_open, NONE, ends.earlier.root)
     root = jnp.where(slot == NONE, inherited, slot)
@@ -200,12 +200,7 @@ def _enter(
         jnp.ones_like(ends.is_open),
     )
     is_valid = said.mention[FIGURE] != NONE
-    is_set = ends.is_open & (said.kind >= 0) & is_valid[None]
-    mentions = column(jnp.arange(grounding.slot.shape[0]), grounding.slot.ndim)
-    entered_by = jnp.where(is_set, said.mention, NONE)
-    is_figure, is_landmark = (mentions == entered_by[end][None] for end in (FIGURE, LANDMARK))
-    # One who is both is entered as the figure.
-    source = jnp.where(is_figure, 2, is_landmark.astype(jnp.int32))
+    source = _source(said, ends.is_open & is_valid[None], grounding.slot.shape[0])
 
     def put(old: Array, new: Array) -> Array:
         of_end = (jnp.broadcast_to(new[end : end + 1], old.shape) for end in (LANDMARK, FIGURE))
@@ -214,3 +209,14 @@ def _enter(
     log_weight = grounding.log_weight + jnp.where(is_valid, log_total, 0.0)
     entered = [put(old, new) for old, new in zip(grounding[:-1], after, strict=True)]
     return Grounding(*entered, log_weight=log_weight)
+
+
+def _source(said: Said, is_decided: Array, num_mentions: int) -> Array:
+    """Tell which mentions are decided now, i32[M, ...]: 2 as the figure, 1 as the landmark, or 0.
+
+    One who is both is entered as the figure.
+    """
+    entered_by = jnp.where(is_decided & (said.kind >= 0), said.mention, NONE)
+    mentions = column(jnp.arange(num_mentions), said.mention.ndim)
+    is_figure, is_landmark = (mentions == entered_by[end][None] for end in (FIGURE, LANDMARK))
+    return jnp.where(is_figure, 2, is_landmark.astype(jnp.int32))

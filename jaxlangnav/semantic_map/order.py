@@ -18,10 +18,11 @@ from jaxlangnav.kinds import fits, is_anything
 from jaxlangnav.numerics.batching import apart, lead, rarely
 from jaxlangnav.relations import degree, is_on_side, robot_frame
 from jaxlangnav.relations.strength import sign_of_distance, value_of_rank
-from jaxlangnav.semantic_map.candidates import Draws, Pairs, Scene, Seen
+from jaxlangnav.semantic_map.candidates import Draws, Scene, Seen
 from jaxlangnav.semantic_map.counts import log_expected
 from jaxlangnav.semantic_map.params import MapParams
 from jaxlangnav.semantic_map.said import FIGURE, Said
+from jaxlangnav.semantic_map.ways import Pairs
 
 _TIE = 1e-3
 """Metres within which a seen thing is the figure itself."""

@@ -1,308 +1,138 @@
-"""Grounding the words of an instruction in the particles that need it (section 3.2, eq. 7a).
+"""Grounding the words anew where need is, by *rejection control* (section 3.2, eq. 7a and 8).
 
-At most steps few hypotheses are refuted, but which and how many differs from episode to episode,
-so plain ``vmap`` would ground the words in every particle of every lane. Here the particles that
-need it are gathered from all lanes, grounded in pieces of one size, and put back.
+A particle of weight w below the mean c survives with probability w / c and then weighs c; otherwise
+the map of an ancestor drawn by weight and a fresh draw from the posterior of the sentence given
+that map take its place, with weight c. Both kinds are properly weighted for the same target, so the
+mixture is too; and when every hypothesis is refuted all are replaced, which is how the filter
+revives.
 """
 
-import functools
-import math
-from collections.abc import Callable
-from typing import Any
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
-from jax.custom_batching import custom_vmap
 
-from jaxlangnav.messages import NONE, Readings, Told
-from jaxlangnav.numerics import batching
-from jaxlangnav.numerics.batching import pack, row_of, take, unpack
+from jaxlangnav.kinds import is_anything, label_of
+from jaxlangnav.messages import Readings, Told
+from jaxlangnav.numerics import categorical
+from jaxlangnav.numerics.batching import take
+from jaxlangnav.numerics.resampling import independent
 from jaxlangnav.pytree import replace
-from jaxlangnav.semantic_map.belief import ParticleBelief, is_led, mean_drift
-from jaxlangnav.semantic_map.candidates import (
-    NUM_UNSEEN,
-    Draws,
-    Grounding,
-    Scene,
-    Seen,
-    nothing_grounded,
-)
-from jaxlangnav.semantic_map.choose import ground_relation
-from jaxlangnav.semantic_map.coverage import Coverage, area_size, sample_unseen
-from jaxlangnav.semantic_map.looking import both_ways
+from jaxlangnav.semantic_map.belief import ParticleBelief
+from jaxlangnav.semantic_map.observe import Weighed
 from jaxlangnav.semantic_map.params import MapParams
 from jaxlangnav.semantic_map.particle import SemanticMap
-from jaxlangnav.semantic_map.said import FIGURE, Said, hear, listen, told_now
+from jaxlangnav.semantic_map.words import ground_words
 
-_STEPS = np.array([0.61803399, 0.41421356, 0.73205081, 0.64575131], np.float32)
-"""Steps of additive recurrences, fractions of roots of 5, 2, 3 and 7: each fills the unit interval
-evenly, the first most evenly of all, and several together the cube."""
-_PIECES, _LEAST_PIECE = 8, 256
-"""Pieces in which the particles of all lanes are grounded, and the least size of one: more pieces
-would waste less of the last one, but leave a wide device idle."""
+_ASKED = 16
+"""Particles that ground the words at every step, whatever happens: enough to tell the mean of the
+evidence, against which fresh groundings are weighed."""
 
 
-Own = tuple[Seen, Draws, Array]
-"""What is each particle's own: what it has seen, leaves [J, ..., P] of what is drawn, and the
-reading that it believes, i32[P]."""
+class Regrounded(NamedTuple):
+    """Particles with words grounded anew where need was, and their weights."""
+
+    particles: SemanticMap  # leaves [..., P]
+    weight: Array  # f32[P] normalised
+    is_fresh: Array  # bool[P] drew a new grounding
+    log_total: Array  # f32[] log-likelihood of the observation
+    log_language: Array  # f32[] log p(words | observed map), estimated
+    is_dead: Array  # bool[] all weights had died and were made uniform
 
 
-def ground_words(
+def reground(
     key: Array,
+    uniform: Array,
     belief: ParticleBelief,
     readings: Readings,
+    weighed: Weighed,
     *,
     params: MapParams,
-    told: Told | None = None,
-    is_asked: Array | None = None,
-    is_sparse: bool = False,
-) -> tuple[SemanticMap, Array]:
-    """Draw for particles a reading and what its words refer to (eq. 7a).
+    told: Told | None,
+    is_sparse: bool,
+) -> Regrounded:
+    """Ground the words anew where the old hypothesis was refuted or a new object calls for it.
 
     Args:
-        key: random key.
-        belief: the observed map and where the robot has looked.
-        readings: the sentence.
-        params: relations, concentration.
-        told: how it was said; all of it to the belief's viewer by default.
-        is_asked: bool[P], the particles whose words are grounded; all by default.
-        is_sparse: under ``vmap``, compute only those; no gradient in reverse mode.
+        key: random key of the groundings, consumed.
+        uniform: f32[2, P], which decides who is kept, and whose map the others take.
+        belief: of ``observe``.
+        readings: what the instruction says.
+        weighed: of ``observe``.
+        params: traced numbers.
+        told: see ``step``.
+        is_sparse: see ``step``.
 
     Returns:
-        Particles with fresh groundings, and f32[P], log of the evidence estimated by each. Of
-        particles that were not asked the groundings mean nothing and the evidence is −∞.
+        The particles, properly weighted.
     """
-    number = belief.log_weight.shape[0]
-    asked = jnp.ones(number, bool) if is_asked is None else is_asked
-    uniform, draws, scene = _draw(key, belief, readings.figure.shape[1])
-    share = jnp.cumsum(jnp.exp(readings.log_probability))
-    point = uniform * share[-1]
-    reading = jnp.sum(share[:-1, None] <= point[None, :], axis=0).astype(jnp.int32)
-    particles = belief.particles
-    num_objects = particles.object_type.shape[0]
-    seen = Seen(
-        particles.object_type,
-        particles.mean_x[:num_objects],
-        particles.mean_y[:num_objects],
-        particles.existence if particles.existence.shape[0] else None,
+    number, particles = belief.log_weight.shape[0], belief.particles
+    # What a particle's own map weighs, apart from its hypotheses, goes with a forced draw.
+    log_map = belief.log_weight + weighed.log_map
+    (kept_weight, map_weight), log_totals, are_dead = categorical.log_normalize(
+        jnp.stack([log_map + weighed.log_hypotheses, log_map])
     )
-    own = seen, draws, reading
-    how = told_now(readings, belief.viewer) if told is None else told
-    said = listen(readings, how, params.relations, scene.log_area)
-    num_mentions = readings.mention_type.shape[1]
-    if is_sparse:
-        grounding = _sparse(num_mentions)(asked, own, said, scene, params)
-    else:
-        grounding = _ground_all(num_mentions, own, said, scene, params)
-    fresh = replace(
-        particles,
-        reading=reading,
-        referent=grounding.slot,
-        anchor=grounding.anchor,
-        root=grounding.root,
-        hypothesis_x=grounding.x,
-        hypothesis_y=grounding.y,
-        is_mentioned=grounding.is_grounded,
+    must_ground = belief.must_ground | _is_reopened(particles, readings, weighed.is_other)
+    keep_uniform, ancestor_uniform = uniform
+    is_fresh = must_ground | (keep_uniform > kept_weight * number)
+    is_fresh = is_fresh if weighed.is_lost is None else is_fresh | weighed.is_lost
+    # A refuted particle is replaced as a whole: it takes over the map of a particle drawn by
+    # weight, so that a wrong map dies out, and then grounds the words in it.
+    ancestors = independent(kept_weight, ancestor_uniform)
+    ancestors = jnp.where(is_fresh & ~must_ground, ancestors, jnp.arange(number))
+    is_asked = is_fresh | (jnp.arange(number) % max(1, number // _ASKED) == 0)
+    belief = replace(belief, particles=take(particles, ancestors))
+    fresh, log_language = ground_words(
+        key, belief, readings, params=params, told=told, is_asked=is_asked, is_sparse=is_sparse
     )
-    return fresh, jnp.where(asked, grounding.log_weight, -jnp.inf)
+    language, log_evidence = _language(log_language, is_asked)
+    fresh_weight = jnp.where(must_ground, map_weight, 1.0 / number) * language
+    weight = jnp.where(is_fresh, fresh_weight, jnp.maximum(kept_weight, 1.0 / number))
+    return Regrounded(
+        particles=_either(is_fresh, fresh, belief.particles),
+        weight=weight / jnp.sum(weight),
+        is_fresh=is_fresh,
+        log_total=log_totals[0],
+        log_language=log_evidence,
+        is_dead=are_dead[0],
+    )
 
 
-def _unseen(belief: ParticleBelief, uniform: Array, jitter: Array) -> tuple[Scene, Array]:
-    """Draw places that are unseen.
+def _is_reopened(particles: SemanticMap, readings: Readings, is_other: Array) -> Array:
+    """Tell in which particles what the words refer to is open again, bool[P].
+
+    A new object of a type that a particle's words speak of reopens it, and so does a new attribute
+    of one.
 
     Args:
-        belief: where the robot has looked.
-        uniform: f32[], see ``sample_unseen``.
-        jitter: f32[2, n], see ``sample_unseen``.
-
-    Returns:
-        The scene, and places f32[2, n], metres. With a steady drift, f32[2, n, P]: each particle's
-        by its own sign.
+        particles: leaves [..., P], after the look.
+        readings: what the instruction says.
+        is_other: bool[O, P], slots of another kind than before.
     """
-    coverage, log_area = belief.coverage, jnp.log(area_size(belief.coverage))
-    x, y, log_unseen = sample_unseen(coverage, uniform, jitter)
-    places = jnp.stack([x, y])
-    if mean_drift(belief) is None:
-        return Scene(coverage, jnp.int32(0), log_area, log_unseen), places
-    looked, is_ours = both_ways(belief), is_led(belief)
-    other = replace(coverage, log_miss=belief.other_miss)
-    x, y, log_other = sample_unseen(other, uniform, jitter)
-    places = jnp.where(is_ours, places[..., None], jnp.stack([x, y])[..., None])
-    log_unseen = jnp.where(is_ours, log_unseen, log_other)
-    return Scene(looked.coverage, looked.first_row, log_area, log_unseen), places
+    new_type = jnp.where(is_other, label_of(particles.object_type), -3)
+    kinds = readings.mention_type.reshape(-1)
+    is_named = jnp.any(label_of(kinds)[:, None, None] == new_type[None], axis=(0, 1))
+    return is_named | (jnp.any(is_anything(kinds)) & jnp.any(new_type >= 0, axis=0))
 
 
-def _draw(key: Array, belief: ParticleBelief, num_relations: int) -> tuple[Array, Draws, Scene]:
-    """Draw the random numbers of all particles and relations.
+def _language(log_language: Array, is_asked: Array) -> tuple[Array, Array]:
+    """Weigh fresh groundings by the evidence of the words in their maps, against its mean.
 
     Args:
-        key: random key, consumed.
-        belief: where the robot has looked.
-        num_relations: J.
+        log_language: f32[P], log of the evidence; −∞ in particles that were not asked.
+        is_asked: bool[P].
 
     Returns:
-        f32[P] that decides which reading a particle takes; leaves [J, ...]; the scene.
+        f32[P], and f32[], log of the mean evidence.
     """
-    number = belief.log_weight.shape[0]
-    pool = NUM_UNSEEN * number
-    reading_key, draws_key = jax.random.split(key)
-    pool_key, loop_key = jax.random.split(draws_key)
-    index = np.arange(num_relations)
-    keys = jax.vmap(lambda one: jax.random.split(jax.random.fold_in(loop_key, one)))(index)
-    keys_of_all = jnp.concatenate([jnp.stack([reading_key, pool_key]), keys[:, 0]])
-    uniforms = batching.uniforms(keys_of_all, max(2 * NUM_UNSEEN, 5) * number)
-    comb = uniforms[1, : 2 * pool].reshape(2, pool)
-    scene, places = _unseen(belief, comb[0, 0], comb)
-    stride = next(step for step in range(int(0.618 * number), 0, -1) if math.gcd(step, number) == 1)
-
-    def of_particles(values: Array, chosen: Array) -> Array:
-        return values[chosen] if values.ndim == 1 else values[chosen, jnp.arange(number)]
-
-    def of_relation(uniform: Array, shuffle_key: Array, step: Array) -> Draws:
-        # Which place of the comb goes to which particle is random: a fixed assignment would tie
-        # particles to regions. Each row is dealt over the whole comb.
-        start = jax.random.randint(shuffle_key, (), 0, pool)
-        row = jnp.arange(NUM_UNSEEN)[:, None]
-        dealt = NUM_UNSEEN * (stride * jnp.arange(number) % number)
-        chosen = (start + dealt[None, :] + row) % pool
-        unit = batching.between(uniform[: 5 * number], 1e-6, 1.0 - 1e-6).reshape(5, number)
-        normal = jax.scipy.special.ndtri(unit[:4])
-        return Draws(
-            distance=normal[:2],
-            angle=normal[2:],
-            # Evenly spread over the particles: what they choose stays for the episode, and with
-            # it the error of independent draws. Each relation has a step of its own, or what a
-            # particle chooses for one would tell what it chooses for the next.
-            choice=(unit[4, 0] + step * jnp.arange(number)) % 1.0,
-            unseen_x=of_particles(places[0], chosen),
-            unseen_y=of_particles(places[1], chosen),
-        )
-
-    draws = jax.vmap(of_relation)(
-        uniforms[2:], keys[:, 1], jnp.asarray(_STEPS[index % len(_STEPS)])
-    )
-    return uniforms[0, :number], draws, scene
+    num_asked = jnp.sum(is_asked).astype(jnp.float32)
+    share, log_total, _ = categorical.log_normalize(log_language)
+    return jnp.clip(share * num_asked, 1e-6, 50.0), log_total - jnp.log(num_asked)
 
 
-def _ground_all(
-    num_mentions: int, own: Own, told: Said, scene: Scene, params: MapParams
-) -> Grounding:
-    """Ground the words of all particles of one lane: leaves [..., P]."""
-    seen, draws, reading = own
-    return _ground(num_mentions, seen, hear(told, reading), draws, scene, params)
-
-
-def _ground(
-    num_mentions: int, seen: Seen, said: Said, draws: Draws, scene: Scene, params: MapParams
-) -> Grounding:
-    """Ground the words of particles, relation by relation; of what is said leaves [J, ..., P]."""
-    num_relations = jnp.max(jnp.sum(said.mention[:, FIGURE] != NONE, axis=0))
-
-    def body(index: Array, grounding: Grounding) -> Grounding:
-        one, drawn = row_of((said, draws), index)
-        return ground_relation(seen, one, grounding, drawn, scene, params=params)
-
-    nothing = nothing_grounded(num_mentions, *said.relation.shape[1:])
-    return jax.lax.fori_loop(0, num_relations, body, nothing)
-
-
-@functools.cache
-def _sparse(num_mentions: int) -> Callable[..., Grounding]:
-    """Build ``_ground_all`` with a rule of its own for ``vmap`` over lanes."""
-    dense = functools.partial(_ground_all, num_mentions)
-
-    @custom_vmap
-    def ground(is_asked: Array, *arguments: Any) -> Grounding:
-        del is_asked  # of one lane all are grounded
-        return dense(*arguments)
-
-    def rule(num_lanes: int, is_batched: Any, *arguments: Any) -> tuple[Grounding, Grounding]:
-        if any(jax.tree.leaves(is_batched[-1])):
-            # Each lane with numbers of its own: rare, and not worth gathering them too.
-            axes = jax.tree.map(lambda has_lanes: 0 if has_lanes else None, tuple(is_batched[1:]))
-            grounding = jax.vmap(dense, in_axes=axes, axis_size=num_lanes)(*arguments[1:])
-        else:
-
-            def spread(leaf: Array, has_lanes: bool) -> Array:
-                return leaf if has_lanes else jnp.broadcast_to(leaf, (num_lanes, *leaf.shape))
-
-            of_lanes = jax.tree.map(spread, arguments[:-1], tuple(is_batched[:-1]))
-            asked, own, told, scene = of_lanes
-            grounding = _ground_gathered(num_mentions, asked, own, told, scene, arguments[-1])
-        return grounding, jax.tree.map(lambda _: True, grounding)
-
-    ground.def_vmap(rule)
-    return ground
-
-
-def _ground_gathered(
-    num_mentions: int,
-    is_asked: Array,
-    own: Own,
-    told: Said,
-    scene: Scene,
-    params: MapParams,
-) -> Grounding:
-    """Gather the particles that are asked from all lanes, ground them piece by piece, put back.
-
-    Args:
-        num_mentions: M.
-        is_asked: bool[L, P].
-        own: leaves [L, ..., P].
-        told: all readings of each lane, leaves [L, J, ..., K].
-        scene: leaves [L, ...].
-        params: of all lanes.
-
-    Returns:
-        Leaves [L, ..., P]; meaningless where nothing was asked.
-    """
-    num_lanes, number = is_asked.shape
-    size = num_lanes * number
-    piece = min(max(_LEAST_PIECE, -(-size // _PIECES)), size)
-    room = -(-size // piece) * piece
-    asked = is_asked.reshape(size)
-    order = jnp.nonzero(asked, size=room, fill_value=0)[0]
-    side_by_side, all_told = jax.tree.map(
-        lambda leaf: jnp.moveaxis(leaf, 0, -2).reshape(*leaf.shape[1:-1], -1), (own, told)
-    )
-    table, num_readings = pack(side_by_side), told.relation.shape[-1]
-    maps, num_cells = scene.coverage.log_miss, scene.coverage.log_miss.shape[-1]
-
-    def scene_of(chosen: Array, lane: Array) -> Scene:
-        def own(values: Array) -> Array:
-            return values[lane] if values.ndim == 1 else values.reshape(-1)[chosen]
-
-        return Scene(
-            coverage=Coverage(
-                log_miss=maps.reshape(-1, num_cells), area=scene.coverage.area[lane].T
-            ),
-            first_row=lane * maps.shape[1] + own(scene.first_row),
-            log_area=scene.log_area[lane],
-            log_unseen=own(scene.log_unseen),
-        )
-
-    def is_left(carry: tuple[Array, Array]) -> Array:
-        return carry[0] < jnp.sum(asked)
-
-    def body(carry: tuple[Array, Array]) -> tuple[Array, Array]:
-        start, found = carry
-        chosen = jax.lax.dynamic_slice_in_dim(order, start, piece)
-        seen, draws, reading = unpack(table[:, chosen], side_by_side)
-        lane = chosen // number
-        said = take(all_told, lane * num_readings + reading)
-        grounding = _ground(num_mentions, seen, said, draws, scene_of(chosen, lane), params)
-        found = jax.lax.dynamic_update_slice_in_dim(found, pack(grounding), start, axis=1)
-        return start + piece, found
-
-    form = jax.eval_shape(lambda: nothing_grounded(num_mentions, size))
-    rows = sum(math.prod(leaf.shape[:-1]) for leaf in jax.tree.leaves(form))
-    nothing = jnp.zeros((rows, room), jnp.float32)
-    _, found = jax.lax.while_loop(is_left, body, (jnp.int32(0), nothing))
-    place = jnp.maximum(jnp.cumsum(asked) - 1, 0)
-    grounding = unpack(found[:, place], form)
+def _either(is_fresh: Array, fresh: SemanticMap, kept: SemanticMap) -> SemanticMap:
+    """Take fresh groundings where they were drawn; what is not grounded is the same in both."""
     return jax.tree.map(
-        lambda leaf: jnp.moveaxis(leaf.reshape(*leaf.shape[:-1], num_lanes, number), -2, 0),
-        grounding,
+        lambda new, old: old if new is old else jnp.where(is_fresh, new, old), fresh, kept
     )

@@ -128,16 +128,8 @@ def _filter(
     hit = np.zeros((num_objects, number), bool)
     lanes = np.arange(number)
     for kind, x, y in detections:
-        offset = own["mean"][:, :-1] - own["mean"][:, -1:]
-        squared = (x - offset[0]) ** 2 + (y - offset[1]) ** 2
-        log_old = -0.5 * squared / spread - np.log(2.0 * math.pi * spread)
-        log_old = np.where((own["type"] == kind) & ~hit, log_old, -np.inf)
-        log_new = np.full((1, number), math.log(_ALPHA / 240.0))
-        choices = np.concatenate([log_old, log_new])
-        top = choices.max(axis=0)
-        share = np.cumsum(np.exp(choices - top), axis=0)
-        gain += top + np.log(share[-1])
-        choice = np.sum(share < twin.random.random(number) * share[-1], axis=0)
+        choice, log_total = _choose(twin, own, (own["type"] == kind) & ~hit, (x, y), spread)
+        gain += log_total
         free = np.argmax(own["type"] == -1, axis=0)
         slot = np.where(choice == num_objects, free, choice)
         is_new = choice == num_objects
@@ -158,6 +150,23 @@ def _filter(
     gain += _absence(own["mean"][:, :-1], own, (own["type"] != -1) & ~hit, sensing_range)
     gain += _absence(own["hypothesis"], own, own["referent"] == -1, sensing_range)
     return own, gain
+
+
+def _choose(
+    twin: Twin, own: Arrays, may_be: np.ndarray, place: tuple[float, float], spread: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Draw what a detection at a place is taken for: i[P] a slot, or O; f[P] the log of all."""
+    offset = own["mean"][:, :-1] - own["mean"][:, -1:]
+    squared = (place[0] - offset[0]) ** 2 + (place[1] - offset[1]) ** 2
+    log_old = -0.5 * squared / spread - np.log(2.0 * math.pi * spread)
+    log_old = np.where(may_be, log_old, -np.inf)
+    number = may_be.shape[1]
+    log_new = np.full((1, number), math.log(_ALPHA / 240.0))
+    choices = np.concatenate([log_old, log_new])
+    top = choices.max(axis=0)
+    share = np.cumsum(np.exp(choices - top), axis=0)
+    choice = np.sum(share < twin.random.random(number) * share[-1], axis=0)
+    return choice, top + np.log(share[-1])
 
 
 def _move(own: Arrays, move: np.ndarray) -> None:

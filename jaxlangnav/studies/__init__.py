@@ -1,1 +1,1 @@
-"""Studies: one file per question that a notebook or a page of results asks."""
+"""Studies: one file per question that a page of results asks."""

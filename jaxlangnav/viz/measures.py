@@ -100,13 +100,16 @@ def _draw_reliability(
     for name, (mean, rate, low, high, number) in curves.items():
         index = names.index(name)
         color, marker = style.SERIES[index % len(style.SERIES)], "os^vDP"[index % 6]
+        # What is drawn first is larger, so that it shows behind a curve that equals it.
+        size = 4 + 3 / (1 + index)
         above.errorbar(
             mean, rate, yerr=(rate - low, high - rate), color=color, marker=marker,
-            markersize=5, capsize=2, linewidth=1.3, label=name,
+            markersize=size, capsize=2, linewidth=1.3, label=name,
         )  # fmt: skip
-        below.plot(mean, number, color=color, marker=marker, markersize=4, linewidth=1.0)
+        below.plot(mean, number, color=color, marker=marker, markersize=size - 1, linewidth=1.0)
     above.set(xlim=(-0.02, 1.02), ylim=(-0.02, 1.02))
     below.set_yscale("symlog", linthresh=1)
+    below.yaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")
     below.set_xlabel("predicted probability")
     for axes in (above, below):
         axes.grid()

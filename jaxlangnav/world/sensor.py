@@ -62,14 +62,7 @@ def sense(
     is_found = is_visible & (miss[: x.size] < sensor.detection_probability)
     noise_x, noise_y = sensor.noise * batching.normal(noise).reshape(2, *x.shape)
     x, y, kind = x + noise_x, y + noise_y, scenario.object_type
-    if scenario.errors is not None:
-        keys = jax.random.split(jax.random.fold_in(key, _ERRING), 3)
-        kind = labels_read(keys[0], kind, scenario.errors, sensor)
-        ghosts = [fresh_ghosts(keys[1], state, scenario, scenario.errors, sensor)]
-        ghosts += [haunting_ghosts(keys[2], state, scenario, scenario.errors, sensor)]
-        kind, x, y, is_found = (
-            jnp.concatenate(parts) for parts in zip((kind, x, y, is_found), *ghosts, strict=True)
-        )
+    kind, x, y, is_found = _in_error(key, (kind, x, y, is_found), state, scenario, sensor)
     distance = jnp.where(is_found, jnp.hypot(x, y), jnp.inf)
     nearest = jnp.argsort(distance)
     order = jnp.pad(nearest, (0, max(0, num_detections - nearest.size)))[:num_detections]
@@ -88,6 +81,37 @@ def sense(
         sensor=told,
         detection_attribute=_attributes_seen(scenario, order, is_detection),
     )
+
+
+def _in_error(
+    key: Array,
+    seen: tuple[Array, Array, Array, Array],
+    state: WorldState,
+    scenario: Scenario,
+    sensor: SensorParams,
+) -> tuple[Array, Array, Array, Array]:
+    """Err as detectors do, where the world has it so: wrong labels, and what is not there.
+
+    Args:
+        key: of the look.
+        seen: of n things, [n] each: type, x and y in the robot's frame, metres, and whether it is
+            detected.
+        state: the robot.
+        scenario: the world.
+        sensor: the specification.
+
+    Returns:
+        The same of the things and, behind them, of what is invented.
+    """
+    if scenario.errors is None:
+        return seen
+    keys = jax.random.split(jax.random.fold_in(key, _ERRING), 3)
+    kind = labels_read(keys[0], seen[0], scenario.errors, sensor)
+    fresh = fresh_ghosts(keys[1], state, scenario, scenario.errors, sensor)
+    haunting = haunting_ghosts(keys[2], state, scenario, scenario.errors, sensor)
+    parts = zip((kind, *seen[1:]), fresh, haunting, strict=True)
+    kind, x, y, is_found = (jnp.concatenate(part) for part in parts)
+    return kind, x, y, is_found
 
 
 def _attributes_seen(scenario: Scenario, order: Array, is_detection: Array) -> Array | None:

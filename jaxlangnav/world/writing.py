@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -47,24 +48,7 @@ def world_to_dict(world: WorldFile) -> dict[str, Any]:
     Returns:
         Tables that ``reading.world_from_dict`` reads back to the same world.
     """
-    scenario = world.scenario
-    names, type_names = _object_names(world), world.type_names
-    goal_index = int(scenario.goal_index)
-    goal = (
-        {"object": names[goal_index]}
-        if goal_index >= 0
-        else {"x": _length(scenario.goal[0]), "y": _length(scenario.goal[1])}
-    )
-    objects = [
-        {
-            "type": type_names[int(scenario.object_type[slot])],
-            **({"name": names[slot]} if names[slot] else {}),
-            "x": _length(scenario.object_x[slot]),
-            "y": _length(scenario.object_y[slot]),
-            **_looks(scenario, int(slot)),
-        }
-        for slot in np.flatnonzero(np.asarray(scenario.is_object))
-    ]
+    scenario, names = world.scenario, _object_names(world)
     area = ("x_min", "x_max", "y_min", "y_max")
     return {
         "name": world.name,
@@ -75,7 +59,7 @@ def world_to_dict(world: WorldFile) -> dict[str, Any]:
             "y": _length(scenario.start[1]),
             "heading": _degrees(scenario.start[2]),
         },
-        **({"goal": goal} if world.has_goal else {}),
+        **({"goal": _goal(scenario, names)} if world.has_goal else {}),
         "sensor": {
             "range": _length(world.sensor.range_max),
             "field_of_view": _degrees(world.sensor.field_of_view),
@@ -91,8 +75,32 @@ def world_to_dict(world: WorldFile) -> dict[str, Any]:
                 if (value := getattr(world.motion, name)) > 0.0
             },
         },
-        "objects": objects,
+        "objects": _objects(scenario, names, world.type_names),
     }
+
+
+def _goal(scenario: Scenario, names: list[str]) -> dict[str, Any]:
+    """Say which object is the goal, or where it is."""
+    goal_index = int(scenario.goal_index)
+    if goal_index >= 0:
+        return {"object": names[goal_index]}
+    return {"x": _length(scenario.goal[0]), "y": _length(scenario.goal[1])}
+
+
+def _objects(
+    scenario: Scenario, names: list[str], type_names: Sequence[str]
+) -> list[dict[str, Any]]:
+    """List the objects."""
+    return [
+        {
+            "type": type_names[int(scenario.object_type[slot])],
+            **({"name": names[slot]} if names[slot] else {}),
+            "x": _length(scenario.object_x[slot]),
+            "y": _length(scenario.object_y[slot]),
+            **_looks(scenario, int(slot)),
+        }
+        for slot in np.flatnonzero(np.asarray(scenario.is_object))
+    ]
 
 
 def _looks(scenario: Scenario, slot: int) -> dict[str, str]:

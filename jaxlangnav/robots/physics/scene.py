@@ -21,6 +21,8 @@ PERSON_RADIUS, PERSON_HEIGHT = 0.25, 1.7
 TIMESTEP = 0.002
 """Seconds; skid-steering on soft contacts needs it."""
 OUT_OF_SIGHT = (500.0, 500.0)
+_LOOKS = {"contype": 0, "conaffinity": 0, "group": 2}
+"""Of what is seen and touches nothing."""
 _COLOURS = {HYDRANT: (0.75, 0.1, 0.1, 1.0), CONE: (0.95, 0.45, 0.05, 1.0)}
 _COVERED = (0.45, 0.45, 0.45, 1.0)
 _SIDES = ("front", "left", "back", "right")
@@ -111,7 +113,7 @@ def compile_scene(robot: str, scenario: Scenario, *, seed: int) -> PhysicsScene:
 
 
 def _set_up(spec: Any, mujoco: Any) -> None:
-    """Set the solver, the light and the floor."""
+    """Set the solver, the light, the sky and the floor."""
     spec.option.timestep = TIMESTEP
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
@@ -126,6 +128,11 @@ def _set_up(spec: Any, mujoco: Any) -> None:
     spec.visual.headlight.diffuse = [0.4, 0.4, 0.4]
     spec.visual.headlight.specular = [0.0, 0.0, 0.0]
     spec.worldbody.add_light(pos=[0, 0, 20], dir=[0.3, 0.2, -1], diffuse=[0.3, 0.3, 0.3])
+    _add_ground(spec, mujoco)
+
+
+def _add_ground(spec: Any, mujoco: Any) -> None:
+    """Add the sky and the floor."""
     spec.add_texture(
         name="sky",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
@@ -176,16 +183,20 @@ def _add_thing(
     )
     cylinder, box = mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_BOX
     solid = {"contype": 1, "conaffinity": 2, "group": 1}
-    looks = {"contype": 0, "conaffinity": 0, "group": 2}
     body.add_geom(type=box, size=[half - 0.004] * 3, rgba=[0.9, 0.9, 0.9, 1], **solid)
     foot = 0.5 * (MIDDLE_HEIGHT - half)
     body.add_geom(
         type=cylinder, size=[0.1, foot, 0], pos=[0, 0, -half - foot], rgba=colour, **solid
     )
     body.add_geom(
-        type=cylinder, size=[0.14, 0.05, 0], pos=[0, 0, half + 0.05], rgba=colour, **looks
+        type=cylinder, size=[0.14, 0.05, 0], pos=[0, 0, half + 0.05], rgba=colour, **_LOOKS
     )
-    name = f"tag{slot}"
+    _add_tags(spec, mujoco, body, f"tag{slot}", number)
+
+
+def _add_tags(spec: Any, mujoco: Any, body: Any, name: str, number: int) -> None:
+    """Add a tag on each upright side of a cube."""
+    half = 0.5 * CUBE_SIDE
     png = libraries.opencv().imencode(".png", draw_tag(number))[1].tobytes()
     spec.assets = {**spec.assets, f"{name}.png": png}
     spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, file=f"{name}.png")
@@ -200,7 +211,7 @@ def _add_thing(
             pos=[half * cosine, half * sine, 0.0],
             quat=_upright(mujoco, cosine, sine),
             material=name,
-            **looks,
+            **_LOOKS,
         )
 
 

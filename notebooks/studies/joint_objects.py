@@ -27,7 +27,7 @@ from jaxlangnav.messages import (
     default_sensor,
 )
 from jaxlangnav.pytree import pytree, replace
-from jaxlangnav.semantic_map import association, motion, particle
+from jaxlangnav.semantic_map import association, motion, particle, update
 from jaxlangnav.semantic_map.particle import SemanticMap
 from jaxlangnav.sensing import MIN_NOISE
 from jaxlangnav.world import simulator
@@ -143,7 +143,7 @@ def _update(
 ) -> SemanticMap:
     """Condition a map on detections."""
     grounded = association.associate(one, detections, draws, noise)
-    return association.condition(one, grounded, noise)
+    return update.condition(one, grounded, noise)
 
 
 def _score(one: SemanticMap, scenario: Scenario) -> tuple[Array, Array, Array]:

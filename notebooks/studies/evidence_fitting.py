@@ -22,14 +22,14 @@ import scipy.optimize
 from jax import Array
 
 from jaxlangnav.episode import EpisodeResult, Task, complete, finish
-from jaxlangnav.experiments.calibration import EPISODES_AT_ONCE
+from jaxlangnav.experiments.judging import EPISODES_AT_ONCE
 from jaxlangnav.experiments.monte_carlo import map_pieces
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams
 from jaxlangnav.pytree import pytree
 from jaxlangnav.relations import RelationParams
 from jaxlangnav.semantic_map.params import MapParams
-from jaxlangnav.studies.episode_evidence import (
+from studies.episode_evidence import (
     EpisodeGroup,
     WordsEvidence,
     by_setting,

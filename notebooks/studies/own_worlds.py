@@ -21,7 +21,8 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.episode import Task
-from jaxlangnav.experiments.calibration import Tally, tally_tasks
+from jaxlangnav.experiments.calibration import Tally
+from jaxlangnav.experiments.judging import tally_tasks
 from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, navigator_config
 from jaxlangnav.experiments.sentences import SENTENCES, GroundedSentences
 from jaxlangnav.experiments.tasks import Cell, cell, concatenate

@@ -1,6 +1,6 @@
 """Learning where things tend to stand, for the order of search: ``planner.prior``'s table.
 
-    python -m jaxlangnav.studies.learn_prior
+    python scripts/learn_prior.py
 
 Training worlds have seed 2000, the first 1,000 of each row of Table 2; results tables use other
 seeds. Counted are all objects, not the goals alone, by range and bearing from the start.

@@ -1,0 +1,183 @@
+"""From what waypoints are worth to a decision: rules that are the same for all policies (eq. 10).
+
+A way past what is to be kept away from costs, nobody goes where he stands, a value that is no
+number closes its node, and nobody stops unless something that has been seen and may be the goal is
+within reach.
+"""
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxlangnav.planner import graph
+from jaxlangnav.planner.asking import Doubt, doubt_of
+from jaxlangnav.planner.blocked import open_nodes
+from jaxlangnav.planner.constraints import constraint_cost
+from jaxlangnav.planner.goals import Goals
+from jaxlangnav.planner.graph import OBJECT_NODE
+from jaxlangnav.planner.params import PlannerParams
+from jaxlangnav.planner.situation import Decision, Situation, Valuation, Waypoint
+from jaxlangnav.pytree import replace
+from jaxlangnav.terrain import OPEN, Eye, View
+
+LEAST_GOAL = 0.01
+"""Probability below which an object is no goal: nothing is settled and nothing stops for it."""
+UNDERFOOT = 0.25
+"""Metres from a place that count as standing on it; an object is reached from further off."""
+
+
+def has_goal(goals: Goals, x: Array, y: Array, radius: Array, view: View) -> Array:
+    """Tell whether something seen that may be the goal is in sight of a place and near, bool[]."""
+    is_near = view.sees(Eye(x, y, radius), goals.object_x, goals.object_y)
+    share = jnp.where(is_near, goals.object_accepted, 0.0)
+    return jnp.any(goals.is_object & jnp.isfinite(share) & (share >= LEAST_GOAL))
+
+
+def may_stop(
+    goals: Goals, eye: Eye, is_find: Array, *, params: PlannerParams, view: View = OPEN.view
+) -> Array:
+    """Tell whether there is anything to stop for: whatever a policy says, otherwise there is none.
+
+    Args:
+        goals: weighed goals.
+        eye: where the robot is, and how far it sees.
+        is_find: f32[], probability that "find" is asked for: to have it in view is then enough.
+        params: reach.
+        view: what can be seen; a thing behind a wall is not within reach.
+
+    Returns:
+        bool[], whether something that has been seen and may be the goal is within reach.
+    """
+    radius = jnp.where(is_find > 0.5, jnp.maximum(params.reach, eye.range_max), params.reach)
+    return has_goal(goals, eye.x, eye.y, radius, view)
+
+
+def ahead(situation: Situation, x: Array, y: Array, is_node: Array | None = None) -> Situation:
+    """Put waypoints of a policy's own before those that every policy is shown.
+
+    Limits: a place that is no number is no waypoint.
+
+    Args:
+        situation: as shown to the policy.
+        x: f32[K], metres, map frame.
+        y: f32[K], metres.
+        is_node: bool[K], which of them are waypoints; all of them by default.
+
+    Returns:
+        The situation with K more nodes, which lead.
+    """
+    is_place = jnp.isfinite(x) & jnp.isfinite(y)
+    is_node = is_place if is_node is None else is_node & is_place
+    return replace(situation, nodes=graph.put_first(x, y, is_node, situation.nodes))
+
+
+def _metres_left(situation: Situation) -> Array:
+    """Estimate the way to what has not been seen where no tour is planned: to where it may be."""
+    goals, travel = situation.goals, situation.belief.terrain.travel
+    here = situation.robot_x, situation.robot_y
+    away = travel.metres(*here, goals.hypothesis_x, goals.hypothesis_y)
+    mass = goals.hypothesis_mass
+    return jnp.sum(mass * away) / jnp.maximum(jnp.sum(mass), 1e-9)
+
+
+def _require_one_a_node(situation: Situation, valuation: Valuation) -> None:
+    """Refuse values that are not one for each node (when the program is traced)."""
+    shape = situation.nodes.x.shape
+    for name in ("goal_value", "information_value"):
+        found = jnp.shape(getattr(valuation, name))
+        if found != shape:
+            raise ValueError(
+                f"{name} has shape {found}, but must have {shape}: one value for each of "
+                "situation.nodes"
+            )
+
+
+def _own_doubt(situation: Situation) -> Doubt:
+    """Doubt as one who does not know when all has been looked at."""
+    return doubt_of(
+        situation.goals,
+        _metres_left(situation),
+        params=situation.params,
+        has_looked=situation.has_chosen,
+        may_ask=situation.may_ask,
+    )
+
+
+def _is_worth_going(situation: Situation, doubt: Doubt) -> Array:
+    """Tell to which nodes the robot may go, bool[A]."""
+    nodes = situation.nodes
+    is_object = nodes.kind == OBJECT_NODE
+    # Standing still teaches nothing: the node underfoot is a_stop's business.
+    is_away = situation.distance > jnp.where(is_object, situation.params.reach, UNDERFOOT)
+    # While there is more to be seen first, nothing is gone up to.
+    return open_nodes(nodes, situation.way).is_node & (~doubt.looks_on | ~is_object) & is_away
+
+
+def _pick(situation: Situation, value: Array, kept: Waypoint | None) -> Waypoint:
+    """Go to the node that is worth most, or on as before: active is what was under way already."""
+    nodes, best = situation.nodes, jnp.argmax(value)
+    is_nowhere = jnp.all(value == -jnp.inf)
+    x = jnp.where(is_nowhere, situation.robot_x, nodes.x[best])
+    y = jnp.where(is_nowhere, situation.robot_y, nodes.y[best])
+    kind, is_kept = nodes.kind[best], jnp.asarray(False)
+    if kept is not None:
+        is_kept = kept.is_active
+        x, y = jnp.where(is_kept, kept.x, x), jnp.where(is_kept, kept.y, y)
+        kind = jnp.where(is_kept, kept.kind, kind)
+    return Waypoint(x=x, y=y, kind=kind, is_active=is_kept)
+
+
+def decide(
+    situation: Situation,
+    valuation: Valuation,
+    kept: Waypoint | None = None,
+    doubt: Doubt | None = None,
+) -> Decision:
+    """Pick the waypoint of highest value, or stop (eq. 10).
+
+    Limits: no stop without a goal that has been seen and is within reach; a value that is no
+    number closes its node, and with all of them closed the waypoint is where the robot stands.
+
+    Args:
+        situation: nodes, goals, where the robot is.
+        valuation: what its nodes are worth, and whether to stop.
+        kept: a waypoint that is gone on to, if it is active, whatever the nodes are worth.
+        doubt: whether to ask which one is meant (``asking``); by default as one who does not know
+            when all has been looked at.
+
+    Returns:
+        The decision; of itself it gives up nothing as not to be found.
+
+    Raises:
+        ValueError: the values are not one for each node.
+    """
+    _require_one_a_node(situation, valuation)
+    nodes, goals, params = situation.nodes, situation.goals, situation.params
+    robot_x, robot_y = situation.robot_x, situation.robot_y
+    cost = constraint_cost(
+        situation.belief, situation.constraint, nodes, robot_x, robot_y, params.constraint_cost
+    )
+    value = valuation.goal_value + valuation.information_value - cost
+    doubt = _own_doubt(situation) if doubt is None else doubt
+    value = jnp.where(_is_worth_going(situation, doubt) & ~jnp.isnan(value), value, -jnp.inf)
+    to = _pick(situation, value, kept)
+    mass = valuation.stop_mass
+    is_sure = (mass >= params.stop_probability) & jnp.isfinite(mass)
+    doubt = replace(doubt, asks=doubt.asks & ~situation.stands)
+    may_stop = situation.may_stop & ~doubt.looks_on & ~doubt.asks
+    is_goal = has_goal(goals, to.x, to.y, params.reach, situation.belief.terrain.view)
+    return Decision(
+        waypoint_x=to.x,
+        waypoint_y=to.y,
+        kind=to.kind,
+        is_stop=is_sure & may_stop,
+        is_approach=(to.kind == OBJECT_NODE) & is_goal,
+        is_not_found=jnp.asarray(False),
+        is_kept=to.is_active,
+        nodes=nodes,
+        value=value,
+        goal_value=valuation.goal_value,
+        information_value=valuation.information_value,
+        cost=cost,
+        stop_mass=mass,
+        doubt=doubt,
+    )

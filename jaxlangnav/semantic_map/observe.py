@@ -1,0 +1,163 @@
+"""The second half of a step: ground what is seen, and weigh what is and is not (eq. 7b, 8)."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxlangnav.kinds import kind_of
+from jaxlangnav.messages import Observation, SensorParams
+from jaxlangnav.numerics.batching import column
+from jaxlangnav.pytree import replace
+from jaxlangnav.semantic_map import association, motion
+from jaxlangnav.semantic_map.belief import ParticleBelief, mean_drift
+from jaxlangnav.semantic_map.counts import exposed, log_expected, log_exposure, share_unseen
+from jaxlangnav.semantic_map.coverage import area_size
+from jaxlangnav.semantic_map.forgetting import forget
+from jaxlangnav.semantic_map.looking import log_missed, look_around
+from jaxlangnav.semantic_map.params import MapParams
+from jaxlangnav.semantic_map.particle import SemanticMap
+from jaxlangnav.semantic_map.predict import headings, with_drift
+from jaxlangnav.semantic_map.surprise import surprise
+from jaxlangnav.semantic_map.update import condition, log_absence
+from jaxlangnav.sensing import MIN_NOISE
+
+
+class Weighed(NamedTuple):
+    """What one observation did to the particles, before any words are grounded anew."""
+
+    log_map: Array  # f32[P] log-likelihood of the observation, hypotheses left out
+    log_hypotheses: Array  # f32[P] what that of a particle with its words is above it: absence of
+    # what is hypothesised, and bystanders that are none
+    is_new: Array  # bool[O, P] slots that were entered
+    is_other: Array  # bool[O, P] slots of another kind than before: entered, or better known
+    is_lost: Array | None  # bool[P] what its words refer to does not exist; None: all of it does
+    overflow: Array  # i32[P] detections that found no free slot
+    surprise: Array  # f32[] nats by which the observation is less probable than one that fits
+
+
+def observe(
+    uniform: Array, belief: ParticleBelief, observation: Observation, *, params: MapParams
+) -> tuple[ParticleBelief, Weighed]:
+    """Ground the detections, condition, and weigh what was and what was not seen.
+
+    Args:
+        uniform: f32[D, P], which decides what each detection is taken for.
+        belief: after the motion.
+        observation: pose and detections now, all of them sound.
+        params: traced numbers.
+
+    Returns:
+        The belief with its weights as they were, and the likelihoods.
+    """
+    believed, observation = belief.particles, with_drift(belief, observation)
+    sensor, doubt = _doubted(belief, observation.sensor)
+    noise_variance = jnp.maximum(sensor.noise, MIN_NOISE) ** 2
+    seen, growth = _detections(belief, observation, params), params.clumping / params.concentration
+    grounded = association.associate(believed, seen, uniform, noise_variance, growth, doubt)
+    belief = replace(belief, particles=condition(believed, grounded, noise_variance))
+    belief, exposure = _looked(belief, observation, sensor, params)
+    log_objects, log_hypotheses, existence = log_absence(
+        belief.particles,
+        grounded.is_hit,
+        headings(belief, observation.pose[2]),
+        2.5 * params.kernel + 1e-3,
+        sensor,
+        belief.terrain.view,
+    )
+    belief, log_exposed, log_meant, is_lost = _counted(belief, believed, existence, exposure)
+    log_map = grounded.log_weight + log_objects + log_exposed
+    log_new = jnp.log(params.concentration) - jnp.log(area_size(belief.coverage))
+    return belief, Weighed(
+        log_map=log_map,
+        log_hypotheses=jnp.sum(log_hypotheses, axis=0) + log_meant,
+        is_new=grounded.is_new,
+        is_other=grounded.object_type != believed.object_type,
+        is_lost=is_lost,
+        overflow=grounded.overflow,
+        surprise=surprise(belief.log_weight, grounded, log_map, log_new, noise_variance),
+    )
+
+
+def _doubted(
+    belief: ParticleBelief, sensor: SensorParams
+) -> tuple[SensorParams, association.ClutterOdds | None]:
+    """Tell how often what is there is rightly detected, and how far detections are doubted."""
+    if belief.particles.existence.shape[0] == 0:
+        return sensor, None
+    right = sensor.detection_probability * (1.0 - sensor.mislabelled)
+    sensor = replace(sensor, detection_probability=right)
+    return sensor, association.clutter_odds(sensor, belief.num_types)
+
+
+def _detections(
+    belief: ParticleBelief, observation: Observation, params: MapParams
+) -> association.Detections:
+    """Turn detections into map axes and look up how likely something new is there."""
+    bearing = observation.pose[2] + observation.detection_bearing
+    offset_x = observation.detection_range * jnp.cos(bearing)
+    offset_y = observation.detection_range * jnp.sin(bearing)
+    log_density = log_expected(jnp.float32(0.0), share_unseen(belief.coverage), params=params)
+    log_density = log_density - jnp.log(area_size(belief.coverage))
+    drift = mean_drift(belief)
+    if drift is not None:
+        own = (belief.particles.drift[:1] - drift)[None]
+        offset_x, offset_y = (column(offset, 3) for offset in (offset_x, offset_y))
+        offset_x, offset_y = motion.rotated(offset_x, offset_y, own)
+    log_unseen = log_missed(belief, offset_x, offset_y)
+    return association.Detections(
+        object_type=kinds_seen(observation),
+        offset_x=offset_x,
+        offset_y=offset_y,
+        log_new=log_density + jnp.maximum(log_unseen, association.LOG_SURPRISE),
+        is_detection=observation.is_detection,
+    )
+
+
+def kinds_seen(observation: Observation) -> Array:
+    """Put the types and the attributes of detections together, i32[D] kinds."""
+    if observation.detection_attribute is None:
+        return observation.detection_type
+    return kind_of(observation.detection_type, observation.detection_attribute)
+
+
+def _looked(
+    belief: ParticleBelief, observation: Observation, sensor: SensorParams, params: MapParams
+) -> tuple[ParticleBelief, Array]:
+    """Enter the look, which tells against there being many of what it does not show.
+
+    Returns:
+        The belief, and f32[], by how much less probable one more of a type has become, log.
+    """
+    before = log_exposure(share_unseen(belief.coverage), params=params)
+    coverage, other_miss = look_around(belief, observation, sensor)
+    exposure = log_exposure(share_unseen(coverage), params=params) - before
+    return replace(belief, coverage=coverage, other_miss=other_miss), exposure
+
+
+def _counted(
+    belief: ParticleBelief, believed: SemanticMap, existence: Array, exposure: Array
+) -> tuple[ParticleBelief, Array, Array, Array | None]:
+    """Hold against what has been seen that more of the area shows no more of its type.
+
+    What the words refer to weighs above what its map weighs: it is no bystander, and exists.
+
+    Args:
+        belief: after the look.
+        believed: particles before it.
+        existence: f32[O, P], as in the particle, after the look.
+        exposure: f32[], by which a bystander has grown less probable.
+
+    Returns:
+        The belief, with what hardly exists forgotten; f32[P], log-likelihood of the maps; f32[P],
+        what that of a particle with its words is above it; and ``Weighed.is_lost``.
+    """
+    particles, is_meant = belief.particles, believed.is_meant
+    log_meant = exposure * jnp.sum(is_meant, axis=0)
+    if existence.shape[0] == 0:
+        return belief, -exposure * jnp.sum(particles.is_observed, axis=0), log_meant, None
+    log_exposed, existence = exposed(existence, exposure)
+    log_kept = jnp.log(jnp.maximum(existence, 1e-9) / jnp.maximum(believed.existence, 1e-9))
+    log_meant = log_meant + jnp.sum(jnp.where(is_meant, log_kept, 0.0), axis=0)
+    particles, is_lost = forget(replace(particles, existence=existence))
+    return replace(belief, particles=particles), log_exposed, log_meant, is_lost

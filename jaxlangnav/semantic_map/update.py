@@ -1,0 +1,115 @@
+"""Update for detections: condition on what was seen, and weigh what was not (section 3.2, eq. 8).
+
+Everything takes one particle, or all of them with the particle axis last ("…" in shapes).
+"""
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxlangnav.messages import SensorParams
+from jaxlangnav.numerics import gaussian
+from jaxlangnav.numerics.batching import column, pick
+from jaxlangnav.pytree import replace
+from jaxlangnav.semantic_map.association import Association
+from jaxlangnav.semantic_map.particle import SemanticMap, positions
+from jaxlangnav.terrain.view import View, eye_of
+
+
+def condition(
+    particle: SemanticMap, association: Association, noise_variance: Array
+) -> SemanticMap:
+    """Condition the Gaussian on the grounded detections: exact, one scalar update for each.
+
+        x_o = x_robot + z_o + N(0, R)   for a new object o, which has a flat prior,
+        z_o = x_o − x_robot + N(0, R)   for one that is known
+
+    Limits: R → ∞ leaves known objects unchanged; a first detection places the object at
+    robot + offset.
+
+    Args:
+        particle: one particle.
+        association: from ``associate``.
+        noise_variance: f32[], R, square metres per axis.
+
+    Returns:
+        The particle with new objects entered and the rest corrected.
+    """
+    num_objects, ndim = particle.object_type.shape[0], particle.object_type.ndim
+    is_new = _with_robot(association.is_new)
+    offset_x, offset_y = association.offset_x, association.offset_y
+    variance = column(jnp.broadcast_to(noise_variance, (num_objects + 1,)), ndim)
+    joint = gaussian.Moments(particle.covariance, particle.mean_x, particle.mean_y)
+    joint = gaussian.enter(
+        joint, num_objects, is_new, _with_robot(offset_x), _with_robot(offset_y), variance
+    )
+    joint = gaussian.condition_offsets(
+        joint,
+        [(slot, num_objects) for slot in range(num_objects)],
+        association.is_hit & ~association.is_new,
+        offset_x,
+        offset_y,
+        variance,
+    )
+    # A root of NONE is no slot: a hypothesis on the ground does not move.
+    moved_x, moved_y = (
+        pick((after - before)[:num_objects], particle.root)
+        for after, before in ((joint.mean_x, particle.mean_x), (joint.mean_y, particle.mean_y))
+    )
+    return replace(
+        particle,
+        object_type=association.object_type,
+        covariance=joint.covariance,
+        mean_x=joint.mean_x,
+        mean_y=joint.mean_y,
+        existence=association.existence,
+        hypothesis_x=particle.hypothesis_x + moved_x,
+        hypothesis_y=particle.hypothesis_y + moved_y,
+    )
+
+
+def _with_robot(values: Array) -> Array:
+    """Append a zero, or false, for the robot to what is known of the objects."""
+    return jnp.concatenate([values, jnp.zeros_like(values[:1])])
+
+
+def log_absence(
+    particle: SemanticMap,
+    is_hit: Array,
+    heading: Array,
+    softness: Array,
+    sensor: SensorParams,
+    view: View,
+) -> tuple[Array, Array, Array]:
+    """Weigh what was not seen: negative observations (eq. 8).
+
+        Σ_o log(1 − p_d v_o r_o),   r' = r (1 − p_d v) / (1 − p_d v r)
+
+    over the objects not detected, v the share in view and r the probability that they exist, 1
+    where particles do not doubt it.
+
+    Args:
+        particle: one particle, after conditioning.
+        is_hit: bool[O, ...], detected objects.
+        heading: f32[] or f32[1, ...], radians.
+        softness: f32[], metres over which an object's position is uncertain.
+        sensor: range, field of view, detection probability.
+        view: what can be seen in this place.
+
+    Returns:
+        f32[...] for observed objects, and f32[M, ...] for each hypothesis (0 where there is none);
+        and how probable the observed objects are now to exist, as in the particle.
+    """
+    num_objects = particle.object_type.shape[0]
+    x, y = positions(particle)
+    robot_x, robot_y = particle.mean_x[num_objects:], particle.mean_y[num_objects:]
+    in_view = view.share(eye_of(robot_x, robot_y, heading, sensor), x, y, softness)
+    probability = jnp.minimum(sensor.detection_probability, 0.999)
+    is_missed = jnp.concatenate([particle.is_observed & ~is_hit, particle.is_hypothesised])
+    likely, existence = probability * in_view, particle.existence
+    if existence.shape[0]:
+        own = likely[:num_objects]
+        left = existence * (1.0 - own) / (1.0 - own * existence)
+        likely = jnp.concatenate([own * existence, likely[num_objects:]])
+        existence = jnp.where(is_missed[:num_objects], left, existence)
+    log_missed = jnp.where(is_missed, jnp.log1p(-likely), 0.0)
+    return jnp.sum(log_missed[:num_objects], axis=0), log_missed[num_objects:], existence

@@ -1,0 +1,1 @@
+"""What the notebooks ask of the belief: one file per question, held by the tests."""
