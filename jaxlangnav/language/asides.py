@@ -10,7 +10,7 @@ from itertools import pairwise
 
 from jaxlangnav.language.clauses import (
     DETERMINERS,
-    ORDERS,
+    VERBS,
     Clause,
     Things,
     begins_order,
@@ -69,7 +69,7 @@ def _is_tail(words: Sequence[str], index: int, things: Things) -> bool:
         return False
     begins = inner[0] in lists.words["subjects"] | {"my", "our", "the", "a"}
     if opening == "to":
-        is_order = any((inner[0],) in load_lexicon().entries[name] for name in ORDERS)
+        is_order = any((inner[0],) in load_lexicon().entries[name] for name in VERBS)
         is_side = inner[0] in ("you", "left", "right", "where")
         is_near = words[index - 1] in gist_words().words["placing"] or inner[0] in _PERSONS
         return not (is_order or is_side or is_near or begins_place(inner, 0, things))

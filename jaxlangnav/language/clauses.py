@@ -15,7 +15,7 @@ from jaxlangnav.language.nouns import singular
 from jaxlangnav.language.tokens import COMMA_MARK, MARKS, SpokenToken
 
 DETERMINERS = frozenset({"the", "a", "an", "that", "this", "any", "some", "my", "our", "your"})
-ORDERS = ("v_to", "v_at", "v_obj", "v_for", "v_turn", "avoid")
+VERBS = ("v_to", "v_at", "v_obj", "v_for", "v_turn", "avoid")
 """Classes of the lexicon of which an order begins with a word."""
 _ACTIONS = frozenset({REASONS[one] for one in ("such an action", "path", "containment")})
 """Reasons for which words are refused that may begin an order: "pass the", "enter"."""
@@ -113,7 +113,7 @@ def verb_at(words: Sequence[str], index: int) -> int:
     """Count the words of a verb of going, being, finding or avoiding at a place; 0 for none."""
     entries = load_lexicon().entries
     for size in range(min(_LONGEST_VERB, len(words) - index), 0, -1):
-        if any(tuple(words[index : index + size]) in entries[name] for name in ORDERS):
+        if any(tuple(words[index : index + size]) in entries[name] for name in VERBS):
             return size
     lists = gist_words().verbs
     is_listed = index < len(words) and any(words[index] in lists[n] for n in lists if n != "light")
