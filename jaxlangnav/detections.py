@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxlangnav.kinds import ATTRIBUTES, attributes, group_of
-from jaxlangnav.sensing import DEVIATIONS, MIN_NOISE, between, number, said
+from jaxlangnav.sensing import DEVIATIONS, MIN_NOISE, bounded, number, said
 
 SLOTS = (8, 16, 32, 64)
 """Sizes to which detections are padded: each has a compiled program of its own."""
@@ -58,9 +58,9 @@ def _polar(
     """Hold one detection's range and bearing against its sensor."""
     reach = range_max + DEVIATIONS * noise + MIN_NOISE
     remedy = "give metres from the robot, as far as the sensor's range_max sees"
-    away = between(metres, 0.0, reach, f"{what}'s range", remedy)
+    away = bounded(metres, 0.0, reach, f"{what}'s range", remedy)
     turned = "give radians in the robot's frame (degrees? use math.radians)"
-    angle = between(bearing, -math.tau, math.tau, f"{what}'s bearing", turned)
+    angle = bounded(bearing, -math.tau, math.tau, f"{what}'s bearing", turned)
     beyond = abs(math.remainder(angle, math.tau)) - 0.5 * field_of_view
     if away * math.sin(min(max(beyond, 0.0), 0.5 * math.pi)) > DEVIATIONS * noise + MIN_NOISE:
         raise ValueError(

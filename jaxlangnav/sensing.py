@@ -63,7 +63,7 @@ def number(value: Any, what: str) -> float:
     return read
 
 
-def between(value: Any, low: float, high: float, what: str, remedy: str) -> float:
+def bounded(value: Any, low: float, high: float, what: str, remedy: str) -> float:
     """Read a number between two bounds.
 
     Args:
@@ -109,21 +109,21 @@ def sensor_numbers(
     Raises:
         ValueError: names the value, the limits and the remedy.
     """
-    reach = between(range_max, *RANGES, "range_max", "give metres")
+    reach = bounded(range_max, *RANGES, "range_max", "give metres")
     degrees = "give radians, math.radians(90) for 90 degrees"
-    view = between(field_of_view, *VIEWS, "field_of_view", degrees)
+    view = bounded(field_of_view, *VIEWS, "field_of_view", degrees)
     share = "give a share, 0.95 for 95 percent"
-    seen = between(detection_probability, 0.0, 1.0, "detection_probability", share)
+    seen = bounded(detection_probability, 0.0, 1.0, "detection_probability", share)
     if seen == 0.0:
         raise ValueError(
             "detection_probability is 0, but must be above 0: a detector that never sees anything "
             "tells nothing"
         )
-    errs = between(noise, 0.0, reach, "noise", "give metres, less than the range")
+    errs = bounded(noise, 0.0, reach, "noise", "give metres, less than the range")
     most = "give how many to expect in one look"
-    false = between(false_detections, 0.0, MOST_FALSE, "false_detections", most)
+    false = bounded(false_detections, 0.0, MOST_FALSE, "false_detections", most)
     rate = "give a share, 0.1 for 10 percent"
-    wrong = between(mislabelled, 0.0, MOST_WRONG, "mislabelled", rate)
+    wrong = bounded(mislabelled, 0.0, MOST_WRONG, "mislabelled", rate)
     return tuple(np.float32(one) for one in (reach, view, seen, errs, false, wrong))
 
 
@@ -153,10 +153,10 @@ def pose_numbers(pose: Sequence[Any]) -> np.ndarray:
     """
     x, y, turned = _parts(pose, 3, "pose", "(x, y, heading), in metres and radians")
     near = "give metres from the map's origin"
-    x = between(x, -FARTHEST, FARTHEST, "pose's x", near)
-    y = between(y, -FARTHEST, FARTHEST, "pose's y", near)
+    x = bounded(x, -FARTHEST, FARTHEST, "pose's x", near)
+    y = bounded(y, -FARTHEST, FARTHEST, "pose's y", near)
     wrap = "give radians, wrapped to one turn (degrees? use math.radians)"
-    heading = between(turned, -TURNS, TURNS, "pose's heading", wrap)
+    heading = bounded(turned, -TURNS, TURNS, "pose's heading", wrap)
     return np.array([x, y, heading], np.float32)
 
 
@@ -176,7 +176,7 @@ def area_numbers(area: Sequence[Any]) -> np.ndarray:
     parts = _parts(area, 4, "area", f"({', '.join(names)}), in metres")
     near = "give metres from the map's origin"
     bounds = [
-        between(one, -FARTHEST, FARTHEST, f"area's {name}", near)
+        bounded(one, -FARTHEST, FARTHEST, f"area's {name}", near)
         for name, one in zip(names, parts, strict=True)
     ]
     return np.array(bounds, np.float32)
