@@ -67,7 +67,7 @@ class Detector:
         if fault:
             raise ValueError(
                 f"the detector's labels have {fault}: give 1 to {MOST_LABELS - 1} names, none "
-                "empty, each once"
+                "empty or a word like 'the' and 'behind', each once"
             )
         unknown = sorted(self.attribute_groups - set(ATTRIBUTES))
         if unknown:
