@@ -20,9 +20,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.core import Tracer
 
-from jaxlangnav import navigator, sensing
+from jaxlangnav import navigator
 from jaxlangnav.anywhere import config_anywhere, params_anywhere, with_numbers
 from jaxlangnav.conversation import first_words
 from jaxlangnav.grounding import Context, GraphGrounder, Grounded, Grounder, load_shipped
@@ -46,7 +45,9 @@ from jaxlangnav.planner.config import AnyPolicy
 from jaxlangnav.planner.endings import missing_types
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.soundness import check_place
+from jaxlangnav.sensing import area_numbers, pose_numbers, said
 from jaxlangnav.terrain import OPEN, Terrain
+from jaxlangnav.uniform import uniform
 
 MOST_BITS = 31
 """Slots and mentions of which sets are held, a bit each."""
@@ -77,7 +78,7 @@ class Navigator:
         *,
         labels: Sequence[str] | None = None,
         attributes: Sequence[str] = (),
-        **numbers: float,
+        **numbers: float | str,
     ) -> Self:
         """Build a navigator from the weights that ship with the package.
 
@@ -88,9 +89,9 @@ class Navigator:
                 trained graph; the lexicon's types by default.
             attributes: groups of ``kinds.ATTRIBUTES`` that the detector reports.
             **numbers: any single number of ``MapParams``, ``MotionParams`` or ``PlannerParams`` by
-                its name, such as ``odometry_noise=0.05`` or ``step_length=0.5``; new values never
-                recompile. A heading that drifts (``heading_noise`` and the like) is believed so by
-                a program of its own.
+                its name, such as ``odometry_noise=0.05`` or ``step_length="50 cm"``, within the
+                limits of the command line; new values never recompile. A heading that drifts
+                (``heading_noise`` and the like) is believed so by a program of its own.
 
         Returns:
             The navigator, with parameters and sizes for places as they are: without the search
@@ -193,14 +194,15 @@ class Navigator:
         terrain: Terrain = OPEN,
     ) -> NavigatorState:
         """Begin with what has been understood, in arrays that hold a conversation."""
-        bounds = _around(pose) if area is None else area
-        check_place(pose, bounds)
-        check_measures(grounded.spoken, pose, bounds)
+        place = pose_numbers(pose).tolist()
+        bounds = _around(place) if area is None else area_numbers(area).tolist()
+        check_place(place, bounds)
+        check_measures(grounded.spoken, place, bounds)
         told = grounded.instruction
         instruction = replace(told, readings=widen(told.readings, self.capacity))
         return navigator.start(
             instruction,
-            jnp.asarray(pose, jnp.float32),
+            jnp.asarray(place, jnp.float32),
             jnp.asarray(bounds, jnp.float32),
             config=self.config,
             num_types=len(self.type_names),
@@ -224,9 +226,13 @@ class Navigator:
 
         Returns:
             The new state, what the robot is to do, and why.
+
+        Raises:
+            ValueError: a state or an observation that is none, or whose parts are of shapes that
+                cannot be; one line.
         """
-        uniform = _uniform(observation)
-        return _step(key, state, uniform, params=self.params, config=self.config)
+        state, look = _checked(state), uniform(observation)
+        return _step(key, state, look, params=self.params, config=self.config)
 
     def observation(
         self,
@@ -238,7 +244,8 @@ class Navigator:
 
         Args:
             pose: x, y, heading, metres and radians, map frame.
-            detections: (type, range, bearing) each, as ``Observation.of`` takes them.
+            detections: (type, range, bearing) each, or with how it looks (type, range, bearing,
+                {"colour": "red"}), as ``Observation.of`` takes them.
             sensor: specification of the detector; ``default_sensor()`` if None.
 
         Returns:
@@ -307,7 +314,7 @@ class Navigator:
             ValueError: the words are not understood, or refer to what is not there, as "the other
                 one" where nothing has been approached: the robot then keeps to its state.
         """
-        return self._listener.take(state, text)
+        return self._listener.take(_checked(state), text)
 
     def candidates(self, state: NavigatorState) -> list[Candidate]:
         """List the things that may be meant, the nearest first: what a question is about.
@@ -318,7 +325,7 @@ class Navigator:
         Returns:
             Things seen that may be the goal, with where they are believed to be.
         """
-        return self._listener.candidates(state)
+        return self._listener.candidates(_checked(state))
 
     @property
     def _listener(self) -> Listener:
@@ -334,7 +341,7 @@ class Navigator:
             Names of object types, in the order of the sentence; those of all its readings but
             the least likely. All that there are where it speaks of "the thing".
         """
-        readings = state.instruction.readings
+        readings = _checked(state).instruction.readings
         is_told = np.asarray(readings.log_probability) >= np.log(_LEAST_TOLD)
         kinds = np.asarray(readings.mention_type)[is_told].reshape(-1).tolist()
         if any(is_anything(kind) for kind in kinds):
@@ -351,7 +358,7 @@ class Navigator:
         Returns:
             Names of things, in the order of the sentence; none where all has been seen.
         """
-        types = np.asarray(state.belief.particles.object_type)
+        types = np.asarray(_checked(state).belief.particles.object_type)
         readings, is_asked = state.instruction.readings, state.talk.words.is_asked
         spoken = np.where(np.asarray(is_asked), np.asarray(readings.mention_type), NONE)
         missing = missing_types(replace(readings, mention_type=spoken), types)
@@ -360,34 +367,14 @@ class Navigator:
 
 def _around(pose: Sequence[float]) -> tuple[float, ...]:
     """Lay the operating area about a start pose."""
-    x, y = (*map(float, pose), 0.0, 0.0)[:2]
+    x, y, _ = pose
     return (x - DEFAULT_EXTENT, x + DEFAULT_EXTENT, y - DEFAULT_EXTENT, y + DEFAULT_EXTENT)
 
 
-def _uniform(observation: Observation) -> Observation:
-    """Give an observation of the host the shapes and dtypes that have been compiled already."""
-    leaves = jax.tree.leaves(observation)
-    slots = np.shape(observation.detection_type)
-    if any(isinstance(leaf, Tracer) for leaf in leaves) or len(slots) != 1:
-        return observation
-    spare = sensing.padded(slots[0]) - slots[0]
-
-    def cast(leaf: Any, dtype: Any) -> np.ndarray:
-        return np.asarray(leaf, dtype)
-
-    def pad(leaf: Any, dtype: Any, filler: int) -> np.ndarray:
-        return np.pad(cast(leaf, dtype), (0, spare), constant_values=filler)
-
-    # A detector that reports no attributes is one to which none are known: one program serves both.
-    code = observation.detection_attribute
-    code = np.zeros(slots, np.int32) if code is None else code
-    return replace(
-        observation,
-        pose=cast(observation.pose, np.float32),
-        detection_type=pad(observation.detection_type, np.int32, NONE),
-        detection_range=pad(observation.detection_range, np.float32, 0),
-        detection_bearing=pad(observation.detection_bearing, np.float32, 0),
-        is_detection=pad(observation.is_detection, bool, 0),
-        detection_attribute=pad(code, np.int32, 0),
-        sensor=jax.tree.map(lambda leaf: cast(leaf, np.float32), observation.sensor),
-    )
+def _checked(state: NavigatorState) -> NavigatorState:
+    """Refuse what is no state."""
+    if not isinstance(state, NavigatorState):
+        raise ValueError(
+            f"state is {said(state)}, but must be what navigator.start, wait, step or hear gave"
+        )
+    return state

@@ -12,6 +12,7 @@ from jaxlangnav.messages import is_drifting
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams
 from jaxlangnav.planner.config import AnyPolicy, PlannerConfig
 from jaxlangnav.pytree import replace
+from jaxlangnav.quantities import FIELDS
 from jaxlangnav.semantic_map.params import MapConfig
 
 OBJECTS, BYSTANDERS = 12, 64
@@ -65,11 +66,12 @@ def config_anywhere(policy: AnyPolicy, *, params: NavigatorParams) -> NavigatorC
     )
 
 
-def with_numbers(numbers: Mapping[str, float], *, params: NavigatorParams) -> NavigatorParams:
+def with_numbers(numbers: Mapping[str, float | str], *, params: NavigatorParams) -> NavigatorParams:
     """Set single numbers by their names, wherever among the records they stand (host only).
 
     Args:
-        numbers: by the names of fields of ``MapParams``, ``MotionParams`` or ``PlannerParams``.
+        numbers: by the names of fields of ``MapParams``, ``MotionParams`` or ``PlannerParams``; a
+            number, or a text with a unit as on the command line ("50 cm").
         params: of a navigator.
 
     Returns:
@@ -90,10 +92,9 @@ def with_numbers(numbers: Mapping[str, float], *, params: NavigatorParams) -> Na
             near = difflib.get_close_matches(name, home, 1)
             hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(sorted(home))}"
             raise ValueError(f"{name[:40]} is no number of the navigator: {hint}")
-        read = sensing.number(value, name)
-        if read < 0.0:
-            raise ValueError(f"{name} is {read:g}, but must not be negative")
         place = home[name]
+        given = value if isinstance(value, str) else sensing.number(value, name)
+        read = FIELDS[place][name].read(given, name)
         records[place] = replace(records[place], **{name: jnp.float32(read)})
     with_motion = replace(records["map"], motion=records["motion"])
     return replace(params, map=with_motion, planner=records["planner"])

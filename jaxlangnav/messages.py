@@ -12,6 +12,7 @@ Axis letters, for the whole package: **E** episodes, **P** particles, **N** obje
 
 import dataclasses
 import enum
+import logging
 from collections.abc import Iterable, Sequence
 from typing import Any, Self
 
@@ -21,6 +22,7 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav import sensing
+from jaxlangnav.detections import detected
 from jaxlangnav.pytree import field, pytree
 
 RELATIONS = ("front", "behind", "left", "right", "near", "far")
@@ -35,6 +37,9 @@ NONE = -1
 """Sentinel: no relation, no mention, no slot."""
 ROBOT = -2
 """Sentinel type of the robot itself, where it is the landmark ("on your left")."""
+FAR_SIGHTED = 1000.0
+"""Metres of a sensing range beyond which it is rather in millimetres."""
+_log = logging.getLogger(__name__)
 BETWEEN = -1
 """Sentinel rank: the figure is near the landmark in that it lies between it and another one, which
 it has another relation of this rank with ("between the cone and the car")."""
@@ -218,7 +223,9 @@ class Observation:
         Args:
             pose: x, y, heading, metres and radians, map frame.
             detections: (type, range, bearing) each: a type by name or index, metres, radians in
-                the robot's frame, counter-clockwise from the heading.
+                the robot's frame, counter-clockwise from the heading. A fourth entry says how it
+                looks, by groups of ``kinds.ATTRIBUTES``: ``{"colour": "red"}``; what is left out
+                is not known.
             sensor: specification of the detector; ``default_sensor()`` if None.
             types: what a type index is an index into: ``navigator.type_names`` where the navigator
                 knows other types than the shipped ones.
@@ -233,13 +240,13 @@ class Observation:
         given = default_sensor() if sensor is None else sensor
         if not isinstance(given, SensorParams):
             raise ValueError(
-                f"sensor is {str(given)[:40]!r}, but must be SensorParams, "
+                f"sensor is {sensing.said(given)}, but must be SensorParams, "
                 "as of default_sensor(range_max)"
             )
         numbers = sensing.sensor_numbers(
             *(getattr(given, one.name) for one in dataclasses.fields(given))
         )
-        found = sensing.detected(detections, numbers, types)
+        found = detected(detections, numbers, types)
         return cls(
             pose=_on_host(sensing.pose_numbers(pose)),
             detection_type=_on_host(found.kind),
@@ -247,6 +254,7 @@ class Observation:
             detection_bearing=_on_host(found.bearing),
             is_detection=_on_host(found.is_detection),
             sensor=_sensor(numbers),
+            detection_attribute=_on_host(found.attribute),
         )
 
 
@@ -304,9 +312,10 @@ def default_sensor(
     seen is as good as the detector is said to be.
 
     Args:
-        range_max: sensing range, metres.
+        range_max: sensing range, metres; beyond a kilometre a warning is logged, as for
+            millimetres.
         field_of_view: full opening angle centred on the heading, radians.
-        detection_probability: of a thing in view in one look, from 0 to 1.
+        detection_probability: of a thing in view in one look, above 0 and at most 1.
         noise: metres, standard deviation of a relative position on each axis.
         false_detections: expected in one look, of each type, anywhere in view.
         mislabelled: share of detections that name another type than the thing's.
@@ -317,11 +326,16 @@ def default_sensor(
     Raises:
         ValueError: degrees, percent, or what cannot be; one line.
     """
-    return _sensor(
-        sensing.sensor_numbers(
-            range_max, field_of_view, detection_probability, noise, false_detections, mislabelled
-        )
+    numbers = sensing.sensor_numbers(
+        range_max, field_of_view, detection_probability, noise, false_detections, mislabelled
     )
+    if numbers[0] > FAR_SIGHTED:
+        _log.warning(
+            "range_max is %g m: one look shows all that is there in the operating area, and what "
+            "it does not show counts as not there; give metres, if these are millimetres",
+            float(numbers[0]),
+        )
+    return _sensor(numbers)
 
 
 def default_motion() -> MotionParams:

@@ -222,13 +222,27 @@ def test_a_noun_of_too_many_labels_is_asked_back(model) -> None:
     [
         ((), (), "0 names"),
         (("box", "Box"), (), "'box' twice"),
-        (("box", " "), (), "none empty"),
+        (("box", " "), (), "have an empty name at place 2"),
+        ("crate", (), "labels is 'crate', but must be a list of names"),
+        (None, (), "labels is None, but must be a list of names"),
+        (("box", 3), (), r"labels\[1\] is 3, but must be a name"),
+        (("cr\x1bate",), (), r"labels\[0\].*control character U\+001B"),
+        (("the",), (), "'the', which has a meaning of its own"),
+        (("Go",), (), "'go', which has a meaning of its own"),
+        (("box", "behind"), (), "'behind', which has a meaning of its own"),
+        (("box",), "colour", "attributes is 'colour', but must be a list of names"),
         (("box",), ("smell",), "cannot report 'smell'"),
     ],
 )
 def test_labels_that_cannot_be_are_refused(labels, groups, why) -> None:
     with pytest.raises(ValueError, match=why):
         Detector(labels, groups)
+
+
+def test_labels_that_detectors_have_are_taken() -> None:
+    """Words of the grammar too, where they name a class of things."""
+    labels = ("object", "exit", "stop sign", "parking meter", "path", "light", "orange", "step")
+    assert Detector(labels).labels == labels
 
 
 def test_spelling_leaves_nouns_alone_and_mends_slips() -> None:

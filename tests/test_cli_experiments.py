@@ -226,7 +226,7 @@ def test_a_sweep_runs_and_is_summarised(tmp_path: Path, capsys: pytest.CaptureFi
         (["reproduce", "table2", "--policy", "infromed"], "informed"),
         (["reproduce", "table2", "--out", __file__], "is a file"),
         (["reproduce", "table2", "--params.planner.discont", "1"], "params.planner.discount"),
-        (["reproduce", "table2", "--params.planner.discount", "1"], "must lie between 0 and 1"),
+        (["reproduce", "table2", "--params.planner.discount", "1"], "must be above 0 and below 1"),
         (["reproduce", "table2", "--sensor.nose", "1"], 'did you mean "--sensor.noise"'),
         (
             ["reproduce", "table1", "--sensor.noise", "1"],

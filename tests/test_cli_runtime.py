@@ -1,12 +1,16 @@
 """Where the command line keeps what is compiled, and that nobody else can write there."""
 
+import os
 import stat
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import jax
 import pytest
 
+from jaxlangnav.cli.main import DEBUG, XLA_LOG_LEVEL, main
 from jaxlangnav.cli.runtime import cache_directory, keep_compiled_programs
 from jaxlangnav.kept import keep_in, kept_in
 
@@ -111,3 +115,23 @@ def test_who_wants_no_cache_has_none(home: Path) -> None:
         jax.config.update("jax_enable_compilation_cache", True)
     assert (jax_folder(), kept_in()) == (None, None)
     assert not home.exists()
+
+
+@pytest.mark.parametrize(
+    ("own", "debug", "level"), [(None, None, "3"), ("0", None, "0"), (None, "1", None)]
+)
+def test_the_compilers_log_stays_off_the_terminal(
+    own: str | None, debug: str | None, level: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its note of a slow compilation is not ours; whoever asks for its log has it."""
+    for name, value in ((XLA_LOG_LEVEL, own), (DEBUG, debug)):
+        monkeypatch.setenv(name, value or "")
+        if value is None:
+            monkeypatch.delenv(name)
+    assert main(["--version"]) == 0
+    assert os.environ.get(XLA_LOG_LEVEL) == level
+
+
+def test_nothing_has_loaded_the_compiler_before_its_log_is_off() -> None:
+    code = "import sys, jaxlangnav.cli.main; sys.exit('jax' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -119,6 +119,7 @@ def test_who_talks_is_heard_at_any_step_and_may_leave(robot) -> None:
         (["--hear", "x: stop"], "must name a step"),
         (["--hear", "5:"], "must name a step"),
         (["--hear", "120: stop"], "the last one is 119"),
+        (["--hear", "9999999999999: stop"], "is for step 9999999999999, but the last one is 119"),
         (["--hear", "-1: stop"], "must name a step"),
         (["--hear", "5: frobnicate the zorp"], '--hear "5: frobnicate the zorp"'),
         (["--person", "atentive"], 'did you mean "attentive"'),

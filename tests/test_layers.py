@@ -16,9 +16,10 @@ LAYERS = (
     "files",
     "compiled_program",
     "kept",
-    "sensing",
-    "messages",
     "kinds",
+    "sensing",
+    "detections",
+    "messages",
     "numerics",
     "terrain",
     "relations",
@@ -31,7 +32,9 @@ LAYERS = (
     "navigator",
     "hearing",
     "listening",
+    "quantities",
     "anywhere",
+    "uniform",
     "agent",
     "world",
     "episode",
@@ -52,7 +55,7 @@ LAYERS = (
 
 BELIEF = (
     "grounding", "training", "semantic_map", "planner", "conversation", "navigator", "hearing",
-    "listening", "anywhere", "agent",
+    "listening", "quantities", "anywhere", "uniform", "agent",
 )  # fmt: skip
 TRUTH = "world"
 PACKAGE = Path(__file__).parent.parent / "jaxlangnav"

@@ -148,7 +148,7 @@ def test_the_types_of_a_task_are_named(robot) -> None:
 
 
 def test_numbers_are_set_by_name(robot) -> None:
-    own = agent.Navigator.pretrained(odometry_noise=0.05, misleading=0.1, reach=1.0)
+    own = agent.Navigator.pretrained(odometry_noise=np.float32(0.05), misleading="10 %", reach=1)
     assert float(own.params.map.motion.odometry_noise) == pytest.approx(0.05)
     assert float(own.params.map.misleading) == pytest.approx(0.1)
     assert float(own.params.planner.reach) == 1.0
@@ -163,9 +163,14 @@ def test_numbers_are_set_by_name(robot) -> None:
     [
         ({"misleadin": 0.1}, "did you mean misleading"),
         ({"relations": 0.1}, "no number of the navigator"),
-        ({"reach": -1.0}, "must not be negative"),
+        ({"reach": -1.0}, "must be above 0 m"),
+        ({"reach": 0}, "must be above 0 m"),
+        ({"step_length": 0}, "must be above 0 m"),
+        ({"step_length": "50 s"}, "unknown unit"),
+        ({"absent": 2.0}, "at most 1"),
         ({"reach": float("nan")}, "finite"),
-        ({"stop_probability": 2.0}, "between 0 and 1"),
+        ({"stop_probability": 2.0}, "at most 1"),
+        ({"stop_probability": 1.0}, "stop_probability is 1, but must be above 0 and below 1"),
     ],
 )
 def test_numbers_that_cannot_be_are_refused(numbers: dict[str, float], words: str) -> None:

@@ -13,6 +13,7 @@ from jaxlangnav.robots.motion.pursuit import Pursuit
 from jaxlangnav.robots.motion.scan import gaps, to_discs
 from jaxlangnav.robots.motion.window import Window
 from jaxlangnav.robots.physics.machines import MACHINES
+from jaxlangnav.robots.record import start_pose
 from jaxlangnav.robots.robot import Progress, Robot
 from jaxlangnav.world.scenario import empty_scenario
 
@@ -215,3 +216,10 @@ def test_a_thing_that_is_all_but_touched_holds_nobody(name: str, gap: float) -> 
             least = min(least, np.hypot(pose[0] - away, pose[1]) - 0.25 - machine.body.radius)
         assert mover.progress is Progress.THERE, (heading, bearing)
         assert least > min(gap, 0.0) - 0.1
+
+
+def test_a_robot_that_has_turned_round_often_starts_within_a_turn() -> None:
+    """A navigator takes a heading beyond two turns for degrees."""
+    x, y, heading = start_pose(np.array([1.0, -2.0, 0.5 + 6.0 * np.pi]))
+    assert (x, y) == (1.0, -2.0)
+    assert heading == pytest.approx(0.5)

@@ -1,13 +1,20 @@
 """What a robot reports: padded, cast, and refused in one line (the front door)."""
 
 import math
+from collections.abc import Callable
+from typing import Any
 
+import jax
 import numpy as np
 import pytest
 
-from jaxlangnav import sensing
+from jaxlangnav import Navigator, sensing
+from jaxlangnav.grounding import AnnotationGrounder
+from jaxlangnav.kinds import attributes
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.messages import NONE, Observation, default_sensor
+from jaxlangnav.pytree import replace
+from jaxlangnav.uniform import uniform
 
 SENSOR = default_sensor(4.0, field_of_view=math.pi / 2, noise=0.05)
 HERE = (0.0, 0.0, 0.0)
@@ -54,6 +61,16 @@ def test_types_of_ones_own_are_indexed_by_their_names() -> None:
         (("cone", 3.0, 1.5), "field of view"),
         (("cone", 3.0), "(type, range, bearing)"),
         (7, "(type, range, bearing)"),
+        ("con", "(type, range, bearing)"),
+        ({"type": "cone", "range": 3.0, "bearing": 0.0}, "(type, range, bearing)"),
+        ((b"cone", 3.0, 0.0), "must be a name (a text) or the index of one"),
+        (("co\x1bne", 3.0, 0.0), "'co\\x1bne'"),
+        (("cone", 3.0, 0.0, "red"), '{"colour": "red"}'),
+        (("cone", 3.0, 0.0, 5), '{"colour": "red"}'),
+        (("cone", 3.0, 0.0, {"color": "red"}), "colour, material, size, height"),
+        (("cone", 3.0, 0.0, {"colour": "tall"}), "one of red, orange"),
+        (("cone", 3.0, 0.0, {"colour": 1}), "one of red, orange"),
+        (("cone", 3.0, 0.0, {"colour": "red"}, 1), "(type, range, bearing)"),
     ],
 )
 def test_a_detection_that_cannot_be_is_refused(detection: object, words: str) -> None:
@@ -63,10 +80,40 @@ def test_a_detection_that_cannot_be_is_refused(detection: object, words: str) ->
     assert "\n" not in str(refusal.value)
 
 
-@pytest.mark.parametrize("pose", [(0.0, 0.0), (0.0, 0.0, 90.0), (math.inf, 0.0, 0.0), None])
+def test_how_a_thing_looks_is_a_fourth_entry() -> None:
+    rows = [("cone", 3.0, 0.5, {"colour": "red", "height": "tall"}), ("tree", 1.0, 0.0)]
+    look = Observation.of(HERE, [*rows, ("car", 1.0, 0.5, {}), ("car", 2.0, 0.5, None)], SENSOR)
+    code = np.asarray(look.detection_attribute)
+    assert code.tolist() == [attributes("red", "tall")] + [0] * 7
+    assert code.dtype == np.int32
+
+
+def test_a_row_of_numbers_is_a_detection() -> None:
+    rows = np.array([[1.0, 3.2, 0.4], [0.0, 1.0, 0.0]])
+    look = Observation.of(HERE, rows, SENSOR)
+    assert np.asarray(look.detection_type)[:2].tolist() == [1, 0]
+
+
+POSES = (
+    (0.0, 0.0), (0.0, 0.0, 90.0), (math.inf, 0.0, 0.0), None, 3, "abc", "abcd", (1e39, 0.0, 0.0),
+    (np.zeros(2), 0.0, 0.0), ("a", 0.0, 0.0), np.zeros((3, 3)), np.float32(2.0),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("pose", POSES)
 def test_a_pose_that_cannot_be_is_refused(pose: object) -> None:
-    with pytest.raises(ValueError, match="pose"):
+    with pytest.raises(ValueError, match=r"^pose") as refusal:
         Observation.of(pose, [], SENSOR)  # pyright: ignore[reportArgumentType]
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    "area", ["abcd", 4.0, (0.0, 1.0, 2.0), (0.0, 1.0, "a", 2.0), (0, 1, [], 2)]
+)
+def test_an_area_that_cannot_be_is_refused(area: object) -> None:
+    with pytest.raises(ValueError, match=r"^area") as refusal:
+        sensing.area_numbers(area)  # pyright: ignore[reportArgumentType]
+    assert "\n" not in str(refusal.value)
 
 
 def test_too_many_detections_are_refused() -> None:
@@ -80,6 +127,7 @@ def test_too_many_detections_are_refused() -> None:
         ({"range_max": -1.0}, "metres"),
         ({"field_of_view": 90.0}, "math.radians"),
         ({"detection_probability": 95.0}, "0.95 for 95 percent"),
+        ({"detection_probability": 0.0}, "above 0"),
         ({"noise": -0.1}, "metres"),
         ({"noise": math.nan}, "finite"),
     ],
@@ -87,6 +135,84 @@ def test_too_many_detections_are_refused() -> None:
 def test_a_sensor_that_cannot_be_is_refused(numbers: dict[str, float], words: str) -> None:
     with pytest.raises(ValueError, match=words):
         default_sensor(**numbers)
+
+
+def test_a_range_in_millimetres_is_taken_and_said(caplog: pytest.LogCaptureFixture) -> None:
+    default_sensor(1000.0)
+    assert not caplog.records
+    assert float(default_sensor(4000).range_max) == 4000.0
+    assert "range_max is 4000 m" in caplog.text
+    assert "counts as not there" in caplog.text
+
+
+STATE = "state is None, but must be what navigator.start, wait, step or hear gave"
+
+
+def test_what_is_no_state_is_refused() -> None:
+    """In one line, by whatever takes one, before anything is compiled."""
+    navigator = Navigator.pretrained(grounder=AnnotationGrounder(["cone"]))
+    look = navigator.observation(HERE)
+    calls: list[Callable[[Any], object]] = [
+        lambda state: navigator.step(jax.random.key(0), state, look),
+        lambda state: navigator.hear(state, "stop"),
+        navigator.candidates,
+        navigator.spoken,
+        navigator.missing,
+    ]
+    for call in calls:
+        with pytest.raises(ValueError, match="state is") as refusal:
+            call(None)
+        assert str(refusal.value) == STATE
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"pose": np.zeros(2)}, r"pose has the shape \(2,\), but must have \(3,\)"),
+        ({"pose": None}, r"pose has the shape \(\)"),
+        ({"pose": "abc"}, "pose is 'abc', but must be numbers"),
+        ({"detection_range": np.zeros(3)}, r"detection_range has the shape \(3,\)"),
+        ({"is_detection": np.zeros((8, 1), bool)}, "is_detection has the shape"),
+        ({"detection_attribute": np.zeros(2, np.int32)}, "detection_attribute has the shape"),
+        ({"detection_type": np.int32(3)}, "detection_type has the shape"),
+        ({"sensor": None}, "observation's sensor is None"),
+        ({"sensor": replace(SENSOR, noise=np.zeros(2))}, r"sensor.noise has the shape \(2,\)"),
+    ],
+)
+def test_an_observation_whose_parts_do_not_fit_is_refused(change: Any, words: str) -> None:
+    look = replace(Observation.of(HERE, [("cone", 1.0, 0.0)], SENSOR), **change)
+    with pytest.raises(ValueError, match=f"observation's .*{words}|^{words}") as refusal:
+        uniform(look)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("look", [None, (0.0, 0.0, 0.0), "look"])
+def test_what_is_no_observation_is_refused(look: Any) -> None:
+    with pytest.raises(ValueError, match=r"must be made by navigator\.observation"):
+        uniform(look)
+
+
+def test_a_start_in_degrees_is_refused() -> None:
+    navigator = Navigator.pretrained(grounder=AnnotationGrounder(["cone"]))
+    for pose, words in (((0, 0, 90), "math.radians"), (None, "pose is None")):
+        with pytest.raises(ValueError, match=words):
+            navigator.wait(pose)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ValueError, match="area is 'abcd'"):
+        navigator.wait(area="abcd")  # pyright: ignore[reportArgumentType]
+
+
+def test_warming_up_covers_looks_with_attributes() -> None:
+    """With them or without, or given by hand: one structure, one set of shapes and dtypes."""
+
+    def form(look: Observation) -> object:
+        given = uniform(look)
+        return jax.tree.structure(given), [(np.shape(x), x.dtype) for x in jax.tree.leaves(given)]
+
+    plain = Observation.of(HERE, [(1, 1.0, 0.0)], SENSOR)
+    coloured = Observation.of(HERE, [(1, 1.0, 0.0, {"colour": "red"})], SENSOR)
+    by_hand = replace(plain, detection_attribute=[attributes("red")] + [0] * 7)
+    for look in (coloured, by_hand, replace(plain, detection_attribute=None)):
+        assert form(look) == form(plain)
 
 
 def test_what_is_sound_at_the_door_is_sound_to_the_belief() -> None:

@@ -71,6 +71,11 @@ def close(count: float, share: float, trials: int) -> bool:
     return abs(count - share * trials) <= 5.0 * math.sqrt(trials * share * (1.0 - share)) + 1e-9
 
 
+def blind(sensor: SensorParams) -> SensorParams:
+    """See nothing that is there, which no detector is specified to."""
+    return replace(sensor, detection_probability=jnp.float32(0.0))
+
+
 def test_a_detector_without_errors_is_the_papers_to_the_bit() -> None:
     sensor = default_sensor(3.0)
     plain, none = looks(place(None), sensor), looks(place(errors((0, 1))), sensor)
@@ -79,8 +84,7 @@ def test_a_detector_without_errors_is_the_papers_to_the_bit() -> None:
 
 
 def test_fresh_ghosts_are_poisson_of_each_type_and_even_over_the_view() -> None:
-    sensor = default_sensor(3.0, field_of_view=2.0, detection_probability=0.0,
-                            false_detections=0.3)  # fmt: skip
+    sensor = blind(default_sensor(3.0, field_of_view=2.0, false_detections=0.3))
     seen = looks(place(errors((0, 4))), sensor)
     number = seen.is_detection.sum(axis=1)
     for count in range(4):
@@ -97,7 +101,7 @@ def test_fresh_ghosts_are_poisson_of_each_type_and_even_over_the_view() -> None:
 
 
 def test_a_haunted_place_is_seen_again_and_again() -> None:
-    sensor = default_sensor(3.0, detection_probability=0.0)
+    sensor = blind(default_sensor(3.0))
     seen = looks(place(errors(haunted=0.2)), sensor)
     assert close(seen.is_detection.sum(), 0.2, NUMBER)
     assert set(seen.detection_type[seen.is_detection]) == {1}

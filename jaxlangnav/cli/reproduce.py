@@ -189,7 +189,7 @@ class Reproduce:
 
     def _ranges(self) -> tuple[float, ...]:
         """Read the ranges, metres; none if none is given."""
-        from jaxlangnav.experiments.quantities import LENGTH
+        from jaxlangnav.quantities import LENGTH
 
         if self.ranges is None:
             return ()

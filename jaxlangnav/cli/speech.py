@@ -47,11 +47,12 @@ def parse_hear(text: str, max_steps: int) -> tuple[int, str]:
             f'--hear is "{cut(text)}", but must name a step and what is said: '
             '--hear "5: go to the other hydrant"'
         )
-    step = int(head.strip()[:9])
+    digits = head.strip().lstrip("0") or "0"
+    step = int(digits[:18])
     if step >= max_steps:
         raise UsageError(
-            f"--hear is for step {step}, but the last one is {max_steps - 1}: name an earlier "
-            "step, or raise --max-steps"
+            f"--hear is for step {cut(digits)}, but the last one is {max_steps - 1}: name an "
+            "earlier step, or raise --max-steps"
         )
     return step, words.strip()
 

@@ -7,6 +7,7 @@ lexicon first, and what it says is put into kinds (``kinds``) afterwards.
 """
 
 import dataclasses
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
 
@@ -25,10 +26,12 @@ from jaxlangnav.kinds import (
 )
 from jaxlangnav.language.lexicon import TYPE_CLASS, load_lexicon
 from jaxlangnav.language.nouns import attributes_of, compared, load_nouns, singular
+from jaxlangnav.language.own_words import is_of_grammar
 from jaxlangnav.language.phrase import LanguageError, Parse, Phrase, Word
 from jaxlangnav.language.reference import SAME, head_of, is_thing
 from jaxlangnav.language.tokens import plainly
 from jaxlangnav.messages import NONE, ROBOT
+from jaxlangnav.plain_text import fault_of_name, printable, shown
 
 _TYPE = "type:"
 _MOST_TOLD = 12
@@ -54,18 +57,18 @@ class Detector:
             attribute_groups: groups of ``kinds.ATTRIBUTES`` that it reports.
 
         Raises:
-            ValueError: no label, too many, one twice or empty, or no such group; one line.
+            ValueError: no label, too many, one that is no name, twice, empty or a word of the
+                grammar, or no such group; one line.
         """
-        self.labels = tuple(labels)
-        self.attribute_groups = frozenset(attribute_groups)
+        self.labels = _names_in(labels, "labels")
+        self.attribute_groups = frozenset(_names_in(attribute_groups, "attributes"))
         self._names = [_plain(label) for label in self.labels]
         self._beyond: list[str] = []
-        twice = [name for name in self._names if self._names.count(name) > 1]
-        if not 0 < len(self.labels) < MOST_LABELS or "" in self._names or twice:
-            fault = f"{twice[0]!r} twice" if twice else f"{len(self.labels)} names"
+        fault = _fault_of(self.labels, self._names)
+        if fault:
             raise ValueError(
                 f"the detector's labels have {fault}: give 1 to {MOST_LABELS - 1} names, none "
-                "empty, each once"
+                "empty or a word like 'the' and 'behind', each once"
             )
         unknown = sorted(self.attribute_groups - set(ATTRIBUTES))
         if unknown:
@@ -131,6 +134,32 @@ class Detector:
                 raise ValueError(f"more than {MOST_LABELS} nouns and labels: start a new navigator")
             self._beyond.append(noun)
         return len(self.labels) + self._beyond.index(noun)
+
+
+def _names_in(names: Iterable[str], what: str) -> tuple[str, ...]:
+    """Take names one by one, and refuse what is none."""
+    if isinstance(names, str | bytes) or not isinstance(names, Iterable):
+        raise ValueError(f"{what} is {shown(names)}, but must be a list of names")
+    found = tuple(names)
+    for place, name in enumerate(found):
+        if not isinstance(name, str):
+            raise ValueError(f"{what}[{place}] is {shown(name)}, but must be a name (a text)")
+        if fault := fault_of_name(name):
+            raise ValueError(f"{what}[{place}], {shown(printable(name))}, {fault}")
+    return found
+
+
+def _fault_of(labels: Sequence[str], names: Sequence[str]) -> str:
+    """Say what is wrong with labels, given as sentences say them too; empty: nothing."""
+    if not 0 < len(labels) < MOST_LABELS:
+        return f"{len(labels)} names"
+    if "" in names:
+        return f"an empty name at place {names.index('') + 1}"
+    twice = next((name for name, number in Counter(names).items() if number > 1), None)
+    if twice is not None:
+        return f"{twice!r} twice"
+    taken = next((name for name in names if is_of_grammar(name)), None)
+    return "" if taken is None else f"{taken!r}, which has a meaning of its own in every sentence"
 
 
 def _plain(label: str) -> str:

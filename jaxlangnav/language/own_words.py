@@ -10,6 +10,7 @@ from functools import cache
 from importlib import resources
 from typing import Any
 
+from jaxlangnav.files.documents import parse_toml
 from jaxlangnav.language.tokens import is_word, plainly
 from jaxlangnav.plain_text import cut, fault_of_name, printable, shown
 
@@ -106,6 +107,28 @@ def _expression(text: str, where: str) -> str:
     return " ".join(words)
 
 
+def is_of_grammar(name: str) -> bool:
+    """Tell whether a detector's label is a word that has a meaning in every sentence.
+
+    Labels are what a detector tells apart, whatever it calls them. So fewer are refused than names
+    in a lexicon: what classes of things may be called ("object", "exit", "parking meter") is not.
+
+    Args:
+        name: as sentences say it: "stop sign".
+
+    Returns:
+        True of "the", "behind", "go", "left"; such a label would make other sentences unreadable.
+    """
+    return _of_package().is_word_of_grammar(name)
+
+
+@cache
+def _of_package() -> "_Known":
+    """Index the words of the package."""
+    text = resources.files("jaxlangnav.language").joinpath("data/lexicon.toml").read_text("utf-8")
+    return _Known(parse_toml(text))
+
+
 class _Known:
     """What the words of the package mean already."""
 
@@ -182,6 +205,11 @@ class _Known:
         is_closed = " " not in bare and self._is_closed(bare)
         if is_other or is_closed or self._refused.get(bare, "path") not in _MEANT:
             raise ValueError(f"{where}: '{bare}' has another meaning already: choose another")
+
+    def is_word_of_grammar(self, name: str) -> bool:
+        """Tell whether a name is a word of the grammar; "thing" and "one" name any class."""
+        uses = {one for one, _ in self._senses.get(name, ())} - _OPEN - {"one"}
+        return self._is_closed(name) or any(not one.startswith("v_") for one in uses)
 
     def _is_of_grammar(self, word: str, is_alone: bool) -> bool:
         """Tell whether a word may not be a name, or may not be at the end of one."""

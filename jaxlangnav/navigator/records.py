@@ -116,9 +116,9 @@ def check(params: NavigatorParams, *, policy: Policy) -> None:
     tau = float(jnp.max(params.planner.stop_probability))
     gamma = float(jnp.max(params.planner.discount))
     if not 0.0 < gamma < 1.0:
-        raise ValueError(f"discount is {gamma:g}, but must lie between 0 and 1")
+        raise ValueError(f"discount is {gamma:g}, but must be above 0 and below 1")
     if not 0.0 < tau < 1.0:
-        raise ValueError(f"stop_probability is {tau:g}, but must lie between 0 and 1")
+        raise ValueError(f"stop_probability is {tau:g}, but must be above 0 and below 1")
     if alpha <= 0.0:
         raise ValueError(f"concentration is {alpha:g}, but must be positive")
     odds = 1.0 / tau - 1.0

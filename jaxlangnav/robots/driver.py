@@ -18,7 +18,7 @@ from jaxlangnav.navigator import NavigatorInfo, NavigatorState
 from jaxlangnav.pytree import replace
 from jaxlangnav.robots.arrival import goal_object, is_seen
 from jaxlangnav.robots.motion.mover import wrap
-from jaxlangnav.robots.record import Drive, Ending, OnStep, Step, observe
+from jaxlangnav.robots.record import Drive, Ending, OnStep, Step, observe, start_pose
 from jaxlangnav.robots.robot import Detection, Progress, Robot
 
 CYCLE = 1.5
@@ -82,7 +82,7 @@ def drive(
         ValueError: the sentence is not understood, or asks for nothing.
     """
     if state is None:
-        state = navigator.start(text, pose=robot.pose().tolist(), area=robot.area)
+        state = navigator.start(text, pose=start_pose(robot.pose()), area=robot.area)
     else:
         state = navigator.hear(state, text)
     journey = _Journey(navigator, robot, key, on_step)

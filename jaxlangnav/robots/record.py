@@ -2,6 +2,7 @@
 
 import dataclasses
 import enum
+import math
 from collections.abc import Callable, Sequence
 
 import jax.numpy as jnp
@@ -61,6 +62,19 @@ class Drive:
 
 OnStep = Callable[[Step, NavigatorState, NavigatorInfo | None], None]
 """Is told each decision; the info is None where there was no picture to decide by."""
+
+
+def start_pose(pose: np.ndarray) -> tuple[float, float, float]:
+    """Tell where a robot starts: its heading within a turn, as a navigator takes it.
+
+    Args:
+        pose: f64[3], x, y, heading by dead reckoning, which may have turned round often.
+
+    Returns:
+        x, y, metres, and the heading in [−π, π].
+    """
+    x, y, heading = pose.tolist()
+    return x, y, math.remainder(heading, math.tau)
 
 
 def observe(

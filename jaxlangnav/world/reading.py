@@ -8,6 +8,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from jaxlangnav.detections import SLOTS
 from jaxlangnav.files.limits import SHORTEST
 from jaxlangnav.kinds import ATTRIBUTES, attributes
 from jaxlangnav.language.lexicon import load_lexicon, type_called
@@ -22,7 +23,6 @@ from jaxlangnav.messages import (
     default_sensor,
 )
 from jaxlangnav.plain_text import LONGEST_NAME, cut, printable, shown
-from jaxlangnav.sensing import SLOTS
 from jaxlangnav.world.fields import Fields
 from jaxlangnav.world.state import Scenario
 
@@ -66,7 +66,7 @@ def world_from_dict(table: Any, *, file: str, num_slots: int | None = None) -> W
     Args:
         table: the tables, as read.
         file: the file's name, for messages.
-        num_slots: O, object slots of the scenario; if None the least of ``sensing.SLOTS`` that
+        num_slots: O, object slots of the scenario; if None the least of ``detections.SLOTS`` that
             holds its objects, so that worlds of like sizes share their compiled programs.
 
     Returns:

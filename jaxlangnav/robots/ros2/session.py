@@ -18,7 +18,7 @@ from jaxlangnav.agent import Navigator
 from jaxlangnav.files.whole import write_text
 from jaxlangnav.navigator import NavigatorInfo, NavigatorState
 from jaxlangnav.robots.driver import drive
-from jaxlangnav.robots.record import Drive, Step
+from jaxlangnav.robots.record import Drive, Step, start_pose
 from jaxlangnav.robots.robot import Robot
 
 DOUBLED = 1.0
@@ -119,7 +119,7 @@ class Session:
         """Say what the state is once words have been heard."""
         robot = self._robot
         if self._state is None:
-            return self._navigator.start(text, pose=robot.pose().tolist(), area=robot.area)
+            return self._navigator.start(text, pose=start_pose(robot.pose()), area=robot.area)
         return self._navigator.hear(self._state, text)
 
     def _is_task(self, text: str) -> bool:
