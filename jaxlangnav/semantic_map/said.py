@@ -46,7 +46,7 @@ class Said(NamedTuple):
     relation: Array  # i32[...] relation index; NONE where the figure merely exists
     rank: Array  # i32[...] 1 "nearest", 2 "the second", ...; BETWEEN; 0 where none is meant
     other: Array  # i32[...] mention of the other landmark of "between", grounded by then; NONE
-    is_order: Array  # bool[...] "the second", "leftmost": a rank that says nothing of how far
+    is_order: Array  # bool[...] "the second", "farthest": a rank that says nothing of how far
     is_anywhere: Array  # bool[...] an order or "on your left": however far
     sides: Array  # i32[J, ...] of an order: where else its figure is said to be; NONE
     law: Law  # leaves f32[...]
