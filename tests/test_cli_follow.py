@@ -1,5 +1,6 @@
 """``follow``: the document scripts read, the goal that is meant, pictures, live view, refusals."""
 
+import dataclasses
 import importlib.util
 import json
 import math
@@ -8,15 +9,19 @@ from typing import Any
 
 import numpy as np
 import pytest
+from recording_fixture import make_recording
 from test_frozen import frozen
 
 from jaxlangnav import kept
 from jaxlangnav.cli import main as cli
 from jaxlangnav.experiments.tasks import cell, make_tasks
 from jaxlangnav.grounding import load_shipped, understand
+from jaxlangnav.messages import Status
+from jaxlangnav.pytree import replace
 from jaxlangnav.task import meant
-from jaxlangnav.task.follow import usual_engine
+from jaxlangnav.task.follow import judged, usual_engine
 from jaxlangnav.task.opening import Prepared, detector_of, open_task, slots_of
+from jaxlangnav.viz.narrative import closing
 
 COMMAND = "go to the hydrant behind the cone"
 KEYS = {
@@ -335,6 +340,24 @@ def test_a_world_without_a_goal_is_judged_by_what_is_said(tmp_path: Path) -> Non
     # Its start stands in for a goal, and is none: here nothing fits.
     nothing = prepare_own("go to the bench behind the statue in front of the car", world)
     assert not nothing.is_meant
+    assert nothing.unjudged == "nothing there fits the sentence"
+
+
+def test_a_world_without_a_goal_is_not_judged_where_several_fit_alike(tmp_path: Path) -> None:
+    """Two statues and no word of which: whoever stands at one of them has not failed."""
+    world = bare(tmp_path / "bare.toml", 4)
+    assert not prepare_own("go to the statue behind the car", world).unjudged
+    either = prepare_own("go to the statue", world)
+    assert either.unjudged == "2 places fit the sentence alike, and nothing says which is meant"
+    recording = make_recording(3, 5)
+    end = replace(recording.result, ending=np.int32(Status.ARRIVED), goal_distance=np.float32(8.3))
+    recording = dataclasses.replace(recording, result=end)
+    found = judged(recording, either)
+    assert "Cannot be judged: 2 places" in " ".join(
+        closing(found.last_scene, found.at(-1), found.result)
+    )
+    # A simulated person has one of them in mind.
+    assert judged(recording, either, has_person=True).scene.is_judged
 
 
 @pytest.mark.parametrize(("number", "slots"), [(4, 8), (12, 16)])

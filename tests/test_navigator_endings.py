@@ -196,6 +196,20 @@ def test_a_landmark_that_is_nowhere_hides_no_goal(robot) -> None:
     assert robot.missing(run.state) == ["cone"]
 
 
+@pytest.mark.parametrize(("looks", "arrives"), [((0,), False), ((0, 1), True)])
+def test_nothing_arrives_at_what_the_last_looks_should_have_shown(robot, looks, arrives) -> None:
+    """Detected at 2.9 m and missed in plain view, twice at least; one miss is the detector's."""
+    state, position, hydrant = robot.start("go to the hydrant", area=AREA), np.zeros(2), (2.9, 0.2)
+    for step in range(4):
+        look = see(position, 0.0, [(HYDRANT, *hydrant)] if step in looks else [])
+        state, action, _ = robot.step(jax.random.key(step), state, look)
+        if bool(action.is_stop):
+            break
+        position = position + np.asarray(action.step)
+    assert (Status(int(action.status)) == Status.ARRIVED) == arrives
+    assert float(look.sensor.false_detections) == 0.0
+
+
 SAID = (
     "go to the hydrant",
     "find the cone left of the hydrant",

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import readings as by_hand
 
-from jaxlangnav.messages import BEHIND, LEFT, NEAR, NONE
+from jaxlangnav.messages import BEHIND, FAR, LEFT, NEAR, NONE
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.words import ground_words
 
@@ -135,3 +135,20 @@ def test_misleading_words_are_never_certain() -> None:
     hung = np.asarray(particles.anchor[:, 0] != NONE) | np.asarray(particles.referent[:, 0] == 0)
     weight = np.exp(np.asarray(log_weight, float))
     assert (weight * hung).sum() == pytest.approx(weight.sum(), rel=1e-5)
+
+
+@pytest.mark.parametrize(("objects", "low", "high"), [(1, 0.0, 0.3), (2, 0.3, 1.0)])
+def test_the_farthest_is_not_the_only_one_beside_its_landmark(objects, low, high) -> None:
+    """Hardly anything seen but a car, a hydrant beside it, and one that stands far off or not."""
+    things = [(HYDRANT, 6.0, 0.0), (HYDRANT, 1.0, -4.0)][:objects]
+    belief = by_hand.with_objects(by_hand.begin(), [*things, (CAR, 5.0, 0.5)])
+    sentence = by_hand.readings([[HYDRANT, CAR]], [[(0, FAR, 1, True)]])
+    keys = jax.random.split(jax.random.key(7), by_hand.SEEDS)
+    particles, log_weight = by_hand.ground_many(keys, belief, sentence, by_hand.params())
+    weight = np.exp(np.asarray(log_weight, float))
+    referent = np.asarray(particles.referent[:, 0])
+    shares = [((referent == slot) * weight).sum() / weight.sum() for slot in range(objects)]
+    assert low < shares[-1] < high, shares
+    assert sum(shares[:-1]) < 0.1, shares
+    # One that is unseen is anywhere, and not looked for beside the car alone.
+    assert (np.asarray(particles.anchor[:, 0]) == NONE).all()

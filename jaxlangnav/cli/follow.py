@@ -201,8 +201,8 @@ class Follow:
             raise UsageError(nothing_there(prepared.world, count_types(scenario, names), ()))
         for name in missing:
             output.note(f"note: world {prepared.world} has no {name}")
-        if not prepared.is_meant:
-            output.note("note: nothing there fits the sentence, so success cannot be judged")
+        if prepared.unjudged and not (prepared.is_meant and self.person):
+            output.note(f"note: {prepared.unjudged}, so success cannot be judged")
         return prepared
 
     def _sizes(self, values: "dict[SettingPath, Any]") -> dict[str, Any]:
@@ -261,7 +261,7 @@ class Follow:
                 steps = tell_on(scene, steps, said, output.tell)
             frames, results = zip(*steps, strict=True)
             recording = stack_frames(scene, list(frames), results[-1])
-        recording = judged(recording, prepared)
+        recording = judged(recording, prepared, has_person=self.person is not None)
         recording = recording if ear is None else with_talk(recording, ear)
         if self.live or self.talk:
             output.say("")

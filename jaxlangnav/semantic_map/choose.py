@@ -158,7 +158,10 @@ def _log_new(said: Said, ways: Ways, log_density: Array, scene: Scene) -> Array:
     )
     # Drawn from all that is unseen, q is m / u A.
     log_anywhere = log_density + lead(scene.log_unseen + scene.log_area, log_miss.ndim)
-    log_anywhere = log_anywhere + jnp.where(said.is_order[None], jnp.log(PLURAL), 0.0)
+    # There are several of the figures, not of what they are placed against.
+    row = column(jnp.arange(log_miss.shape[0]), log_miss.ndim)
+    is_plural = said.is_order[None] & ((row < size) | (row >= 2 * size))
+    log_anywhere = log_anywhere + jnp.where(is_plural, jnp.log(PLURAL), 0.0)
     return jnp.where(said.is_anywhere[None], log_anywhere, log_drawn)
 
 
@@ -187,7 +190,8 @@ def _enter(
     inherited = jnp.where(ends.is_open, NONE, ends.earlier.root)
     root = jnp.where(slot == NONE, inherited, slot)
     place = jnp.where(slot == NONE, num_objects + said.mention, slot)
-    is_hung = jnp.asarray(hangs)[:, choice] & said.is_by_object[None]
+    # What an order is about may be anywhere unseen: it lies at its landmark no more than elsewhere.
+    is_hung = jnp.asarray(hangs)[:, choice] & (said.is_by_object & ~said.is_order)[None]
     x, y, landmark_x, landmark_y = (
         jnp.take_along_axis(leaf, choice[None], axis=0)[0] for leaf in ways.pairs
     )

@@ -23,6 +23,10 @@ from jaxlangnav.semantic_map.surprise import surprise
 from jaxlangnav.semantic_map.update import condition, log_absence
 from jaxlangnav.sensing import MIN_NOISE
 
+LEAST_DOUBT = 1e-2
+"""Probability that what has been detected is not there, however often it was: no detector never
+errs, and things are taken away. So looks that should show it and do not are held against it."""
+
 
 class Weighed(NamedTuple):
     """What one observation did to the particles, before any words are grounded anew."""
@@ -66,6 +70,7 @@ def observe(
         believed, seen, uniform, noise_variance, growth, doubt, is_pooled=is_pooled
     )
     belief = replace(belief, particles=condition(believed, grounded, noise_variance))
+    belief = _never_sure(belief)
     belief, exposure = _looked(belief, observation, sensor, params, num_pooled)
     log_objects, log_hypotheses, existence = log_absence(
         belief.particles,
@@ -87,6 +92,14 @@ def observe(
         overflow=grounded.overflow,
         surprise=surprise(belief.log_weight, grounded, log_map, log_new, noise_variance),
     )
+
+
+def _never_sure(belief: ParticleBelief) -> ParticleBelief:
+    """Leave some doubt of all that is held, where particles doubt at all."""
+    if belief.particles.existence.shape[0] == 0:
+        return belief
+    existence = jnp.minimum(belief.particles.existence, 1.0 - LEAST_DOUBT)
+    return replace(belief, particles=replace(belief.particles, existence=existence))
 
 
 def _doubted(

@@ -1,11 +1,11 @@
 """Ranks: "nearest", "the second", "leftmost" (section 3.2, beyond the paper).
 
 "Nearest to the car" says where its figure is, and that no other seen thing of its type is nearer.
-"The second", "the leftmost" and, of the robot, "the nearest" are orders, which say nothing of how
-far: only which of their type come before. What comes before may be unseen, so a figure with too few
-seen things before it is worth as much as unseen ones there are probable: λ A u = α u for each, of
-which the share that would come before counts. "The second" needs one before it; "the nearest" needs
-another one after it, or nobody would say so.
+"The second", "the leftmost", "the farthest" and, of the robot, "the nearest" are orders, which say
+nothing of how far: only which of their type come before. What comes before may be unseen, so a
+figure with too few seen things before it is worth as much as unseen ones there are probable:
+λ A u = α u for each, of which the share that would come before counts. "The second" needs one
+before it; "the nearest" needs another one after it, or nobody would say so.
 """
 
 import functools

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.messages import BETWEEN, NONE, ROBOT, Readings, Told
+from jaxlangnav.messages import BETWEEN, FAR, NONE, ROBOT, Readings, Told
 from jaxlangnav.numerics.batching import lead, pack, pick, rarely, unpack
 from jaxlangnav.pytree import replace
 from jaxlangnav.relations import (
@@ -46,7 +46,7 @@ class Said(NamedTuple):
     relation: Array  # i32[...] relation index; NONE where the figure merely exists
     rank: Array  # i32[...] 1 "nearest", 2 "the second", ...; BETWEEN; 0 where none is meant
     other: Array  # i32[...] mention of the other landmark of "between", grounded by then; NONE
-    is_order: Array  # bool[...] "the second", "leftmost": a rank that says nothing of how far
+    is_order: Array  # bool[...] "the second", "farthest": a rank that says nothing of how far
     is_anywhere: Array  # bool[...] an order or "on your left": however far
     sides: Array  # i32[J, ...] of an order: where else its figure is said to be; NONE
     law: Law  # leaves f32[...]
@@ -259,7 +259,8 @@ def _say(one: Readings, told: Told, model: RelationModel, log_area: Array) -> Sa
     kind = jnp.where(mention == NONE, NONE, one.mention_type[mention])
     is_told, is_by_robot = one.relation != NONE, kind[:, LANDMARK] == ROBOT
     rank = jnp.where(is_told, one.rank, 0)
-    is_order = (rank > 1) | ((rank == 1) & is_by_robot)
+    # Who says "farthest" speaks of several, and not of one that is merely far.
+    is_order = (rank > 1) | ((rank == 1) & (is_by_robot | (one.relation == FAR)))
     side = jnp.where(is_by_robot & (rank == 0), one.relation, NONE)
     is_side = jnp.any(side[:, None] == jnp.asarray(SIDES)[None], axis=1)
     # One figure's sides come from all the relations it has with the robot.

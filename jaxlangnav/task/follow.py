@@ -166,15 +166,17 @@ def record_episode(
     return judged(recording, prepared)
 
 
-def judged(recording: Recording, prepared: Prepared) -> Recording:
+def judged(recording: Recording, prepared: Prepared, *, has_person: bool = False) -> Recording:
     """Judge an episode by what its command asks for.
 
     To navigate is to stop within 1.5 m of the goal, which the episode has judged itself; to find
-    is to stop with the goal in view. Where nothing fits, there is nothing to judge: no success.
+    is to stop with the goal in view. Where nothing fits, or several places do and nothing says
+    which is meant, there is nothing to judge: no success.
 
     Args:
         recording: the episode.
         prepared: what was asked for.
+        has_person: whether a simulated person speaks, who has one of several places in mind.
 
     Returns:
         The recording, its result judged, and where it may have stopped.
@@ -183,10 +185,16 @@ def judged(recording: Recording, prepared: Prepared) -> Recording:
     radius = SUCCESS_RADIUS
     if prepared.is_find:
         radius = max(float(scene.sensor.range_max), SUCCESS_RADIUS)
-    is_arrived = (result.ending == Status.ARRIVED) & prepared.is_meant
+    is_judged = prepared.is_meant and (has_person or not prepared.unjudged)
+    is_arrived = (result.ending == Status.ARRIVED) & is_judged
     is_success = np.asarray(is_arrived & (result.goal_distance <= radius))
     return dataclasses.replace(
         recording,
-        scene=dataclasses.replace(scene, stop_radius=radius, is_judged=prepared.is_meant),
+        scene=dataclasses.replace(
+            scene,
+            stop_radius=radius,
+            is_judged=is_judged,
+            unjudged=prepared.unjudged or scene.unjudged,
+        ),
         result=replace(result, is_success=is_success),
     )

@@ -43,6 +43,17 @@ class Prepared:
     """Whether anything there fits the sentence."""
     is_drawn: bool
     """Whether the world has been drawn from a template."""
+    num_alike: int = 1
+    """Places there that fit the sentence alike, where nothing says which of them is meant."""
+
+    @property
+    def unjudged(self) -> str:
+        """Why success cannot be told; empty where it can."""
+        if not self.is_meant:
+            return "nothing there fits the sentence"
+        if self.num_alike == 1:
+            return ""
+        return f"{self.num_alike} places fit the sentence alike, and nothing says which is meant"
 
 
 def relation_said(annotations: Iterable[AnnotationDocument]) -> str:
@@ -238,10 +249,17 @@ def _judge(
 ) -> Prepared:
     """Set the goal that the sentence means; that of the world where it is as good as any."""
     goals, is_find = meant_goals(understood, task.scenario)
-    if goals and not is_own and not (has_goal and is_among(task.scenario, goals)):
+    is_given = is_own or (has_goal and is_among(task.scenario, goals))
+    if goals and not is_given:
         task = replace(task, scenario=with_goal(task.scenario, goals[0]))
-    is_meant = is_own or bool(goals)
-    return Prepared(world=name, task=task, is_find=is_find, is_meant=is_meant, is_drawn=is_drawn)
+    return Prepared(
+        world=name,
+        task=task,
+        is_find=is_find,
+        is_meant=is_own or bool(goals),
+        is_drawn=is_drawn,
+        num_alike=1 if is_given else max(len(goals), 1),
+    )
 
 
 def _draw(

@@ -142,10 +142,10 @@ def closing(scene: StaticScene, frame: Frame, result: EpisodeResult) -> list[str
     elif int(result.ending) == Status.NOT_FOUND:
         lack = sentences.unseen(scene, frame) or "nothing that fits the command"
         verdict = f"Not found: it says that there is {lack}."
-    elif not scene.is_judged:
-        verdict = f"Cannot be judged: {scene.unjudged}."
     elif int(result.ending) == Status.WHICH_ONE:
         verdict = "Asked: it stands still until it is told which one is meant."
+    elif not scene.is_judged:
+        verdict = f"Cannot be judged: {scene.unjudged}."
     elif int(result.ending) == Status.BLOCKED:
         verdict = "Blocked: it made no way, and tried other waypoints before it said so."
     elif bool(result.is_success):

@@ -32,6 +32,7 @@ import numpy as np
 ROBOT, NONE, FAR = -2, -1, 5
 ANYTHING = 8191
 SIDES, SIDE_KAPPA = range(4), 4.0
+PLURAL = 10.0  # so much likelier are unseen figures of an order; two are seen here, at least
 FRONT, BEHIND, LEFT, RIGHT, NEAR = range(5)
 
 
@@ -163,6 +164,10 @@ def potential(world: World, kinds: list[int], edge: tuple[int, int, int, bool], 
     shape = (rows.shape[0], columns.shape[1], 2)
     rows, columns = np.broadcast_to(rows, shape), np.broadcast_to(columns, shape)
     table = density(world, relation, rows, columns, kinds[landmark] == ROBOT)
+    if is_extreme and relation == FAR:  # an order, which says nothing of how far
+        known = sum(may_be(kinds[figure], name) for name, _, _ in world.objects)
+        is_unseen = (np.arange(len(rows)) >= known)[:, None]
+        table = np.where(is_unseen, PLURAL, 1.0) / world.size * np.ones_like(table)
     if is_extreme:
         table = table * superlative(world, kinds[figure], relation, rows, columns)
     table = (1.0 - world.misleading) * table + world.misleading / world.size
