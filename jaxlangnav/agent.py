@@ -108,7 +108,7 @@ class Navigator:
 
     def __post_init__(self) -> None:
         """Refuse parameters with which the robot could never stop, and sizes that do not fit."""
-        navigator.check(self.params)
+        navigator.check(self.params, policy=self.config.planner.chosen)
         sizes = {
             "num_objects": self.config.map.num_objects,
             "num_mentions": self.capacity.num_mentions,

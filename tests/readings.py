@@ -177,19 +177,28 @@ def with_coverage(belief: ParticleBelief, log_miss: np.ndarray) -> ParticleBelie
 
 @functools.partial(jax.jit, compiler_options=OFTEN)
 def ground_many(
-    keys: jax.Array, belief: ParticleBelief, sentence: Readings, numbers: MapParams
+    keys: jax.Array,
+    belief: ParticleBelief,
+    sentence: Readings,
+    numbers: MapParams,
+    num_pooled: jax.Array | None = None,
 ) -> tuple[object, jax.Array]:
     """Ground the words of one belief under S keys: particles [S, ..., P], log-weights [S, P]."""
-    return jax.vmap(lambda key: ground_words(key, belief, sentence, params=numbers))(keys)
+    return jax.vmap(
+        lambda key: ground_words(key, belief, sentence, params=numbers, num_pooled=num_pooled)
+    )(keys)
 
 
-@functools.partial(jax.jit, compiler_options=OFTEN)
+@functools.partial(jax.jit, compiler_options=OFTEN, static_argnames=("pools_counts",))
 def run_many(
     keys: jax.Array,
     beliefs: ParticleBelief,
     sentences: Readings,
     observations: Observation,
     numbers: MapParams,
+    *,
+    spoken: jax.Array | None = None,
+    pools_counts: bool = False,
 ) -> tuple[ParticleBelief, FilterInfo]:
     """Run STEPS filter steps in S lanes: leaves [S, ...], observations [S, STEPS, ...]."""
 
@@ -200,7 +209,15 @@ def run_many(
             carry: ParticleBelief, step: tuple[jax.Array, Observation]
         ) -> tuple[ParticleBelief, FilterInfo]:
             step_key, look = step
-            return semantic_filter.step(step_key, carry, sentence, look, params=numbers)
+            return semantic_filter.step(
+                step_key,
+                carry,
+                sentence,
+                look,
+                params=numbers,
+                spoken=spoken,
+                pools_counts=pools_counts,
+            )
 
         return jax.lax.scan(body, belief, (jax.random.split(key, STEPS), seen))
 

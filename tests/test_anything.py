@@ -3,6 +3,7 @@
 import jax
 import numpy as np
 import pytest
+from test_conversation import curious
 from test_navigator_step import AREA, CONE, HYDRANT, STEP, distance, go, robot
 
 from jaxlangnav import kinds
@@ -116,6 +117,24 @@ def test_what_nobody_spoke_of_may_be_the_thing(robot) -> None:
     assert Status(int(after.actions[-1].status)) == Status.ARRIVED
     assert distance(after, 2, places) < 1.5
     assert len(after.actions) < 8
+
+
+@pytest.mark.parametrize("answer", ["the left one", "the right one"])
+def test_which_one_is_asked_of_things_of_two_types(robot, answer: str) -> None:
+    """A barrel and a tree stand behind the cone; the answer tells which of them is gone to."""
+    places = [(CONE, 4.0, 0.0), (BARREL, 6.3, 0.7), (TREE, 6.3, -0.7)]
+    asking = curious(robot)
+    run = go(asking, asking.start(BEHIND_IT, area=AREA), places)
+    assert Status(int(run.actions[-1].status)) == Status.WHICH_ONE
+    found = asking.candidates(run.state)
+    assert {one.type_name for one in found} == {asking.type_names[one] for one in (BARREL, TREE)}
+    assert sum(one.probability for one in found) > 0.8
+    x, y, turn = np.asarray(run.state.belief.last_pose)
+    leftward = [(b - y) * np.cos(turn) - (a - x) * np.sin(turn) for _, a, b in places[1:]]
+    meant = 1 + int(np.argmax(leftward) if answer == "the left one" else np.argmin(leftward))
+    after = go(asking, asking.hear(run.state, answer), places, start=tuple(run.end))
+    assert Status(int(after.actions[-1].status)) == Status.ARRIVED
+    assert distance(after, meant, places) < 1.5
 
 
 def test_the_padding_of_a_sentence_is_as_before(robot) -> None:

@@ -89,7 +89,10 @@ def test_values_are_read_with_units_and_set() -> None:
         (["--params.planner.reach", "-1"], "--params.planner.reach is -1"),
         (["--params.planner.reach", "90 deg"], "is an angle, but a length is needed"),
         (["--params.planner.discount", "80"], 'write "80 %" if percent is meant'),
-        (["--params.planner.stop-probability", "0.99"], "lower stop_probability"),
+        (
+            ["--policy", "faithful", "--params.planner.stop-probability", "0.99"],
+            "lower stop_probability",
+        ),
         (["--params.mode-speed", "1,2"], "needs 3 numbers"),
         (["--config.map.num-objects", "many"], "must be a whole number"),
         (["--config.map.num-objects", "0"], "num_objects is 0, but must be at least 1"),

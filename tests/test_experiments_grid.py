@@ -1,7 +1,11 @@
 """The one engine of tables, studies and sweeps: the presets are grids of the same episodes."""
 
-import numpy as np
+import dataclasses
 
+import numpy as np
+import pytest
+
+from jaxlangnav.episode import Task
 from jaxlangnav.experiments.grid import Arm, Grid, policy_arm, run_grid, typed
 from jaxlangnav.experiments.rows import RowSpec
 from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
@@ -63,3 +67,31 @@ def test_a_grid_is_run_arm_by_arm_and_summed_up_by_setting() -> None:
 def test_labels_have_one_type_in_every_file() -> None:
     found = typed({"particles": [None], "map.kernel": [None], "world": ["1H1C"], "seed": [1]})
     assert [str(one.type) for one in found.values()] == ["int64", "double", "string", "int64"]
+
+
+def test_a_setting_may_have_numbers_of_its_own_to_believe(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Those of one set of numbers are run together, and each ends where its setting stands."""
+    believed = ({}, {"concentration": 2.0}, {})
+    settings = [dataclasses.replace(GRID.settings[0], believed=numbers) for numbers in believed]
+    arm = policy_arm("informed", num_particles=64)
+    calls: list[tuple[float, int]] = []
+
+    def judge(self: Arm, tasks: Task, *_: object, **__: object) -> tuple[np.ndarray, None]:
+        assert self.params is not None
+        assert self.config is arm.config
+        calls.append((float(self.params.map.concentration), tasks.key.shape[0]))
+        return np.asarray(tasks.scenario.object_x) + 100.0 * calls[-1][0], None
+
+    monkeypatch.setattr(Arm, "judge", judge)
+    grid = dataclasses.replace(GRID, settings=settings, arms=[arm])
+    (played,) = run_grid(grid, None)  # pyright: ignore
+    usual = float(np.float32(0.3))
+    assert calls == [(usual, 2 * EPISODES), (2.0, EPISODES)]
+    added = np.repeat([usual, 2.0, usual], EPISODES)[:, None]
+    drawn = np.asarray(grid.draw(np.arange(3 * EPISODES)).scenario.object_x)
+    np.testing.assert_allclose(np.asarray(played.results), drawn + 100.0 * added, rtol=1e-6)
+    # A baseline believes nothing.
+    known = policy_arm("known", num_particles=64)
+    assert known.believing({"concentration": 2.0}) is known

@@ -18,6 +18,8 @@ from jaxlangnav.experiments.robustness import (
     scenarios_table,
 )
 from jaxlangnav.experiments.scenarios import SAID, SCENARIOS, PlaceSpec
+from jaxlangnav.navigator import check
+from jaxlangnav.planner.config import SHIPPED
 from jaxlangnav.viz.robustness import robustness_figure
 
 BY_NAME = {one.name: one for one in SCENARIOS}
@@ -59,8 +61,26 @@ def test_truth_and_what_is_told_differ_only_where_it_says_so(name: str) -> None:
     haunted = spec.place.get("num_haunted", 0)
     is_so = spec.relation == "null" or ("false" not in name and not name.startswith("no "))
     is_so = is_so or name.startswith("noise")
-    assert spec.is_told == (is_same and odometry and not haunted and is_so)
+    is_one = not (spec.place.get("num_pairs") or spec.relation == "null")
+    is_counted = is_one or name.endswith(", told")
+    assert spec.is_told == (is_same and odometry and not haunted and is_so and is_counted)
     assert bool(spec.described()["told"]) != spec.is_told
+
+
+@pytest.mark.parametrize("name", [one.name for one in SCENARIOS if one.numbers])
+def test_how_many_there_are_may_be_told_to_one_who_takes_the_likeliest(name: str) -> None:
+    setting = BY_NAME[name].setting(seed=0)
+    (informed,) = ROBUSTNESS.arms(Options(policies=("informed",)))
+    assert informed.params is not None
+    told = informed.believing(setting.believed).params
+    assert told is not None
+    assert told.map.concentration == np.float32(BY_NAME[name].numbers["concentration"])
+    assert told.map.relations is informed.params.map.relations
+    check(told, policy=SHIPPED["informed"])
+    if float(told.map.concentration) > 1.5:
+        # The paper's robot waits for a probability that the first one seen cannot have.
+        with pytest.raises(ValueError, match="lower stop_probability"):
+            check(told, policy=SHIPPED["faithful"])
 
 
 def test_where_there_is_no_goal_it_is_right_to_say_so() -> None:
@@ -91,14 +111,16 @@ def test_a_target_is_met_with_success_and_way_and_by_informed_alone() -> None:
 
 def test_calibration_has_a_target_where_the_belief_was_told_the_truth() -> None:
     verdicts = {}
-    for name, ece in (("plain", 0.06), ("pairs", 0.04), ("untold", 0.4)):
-        of = {"pairs": "2 more pairs", "untold": "ghosts 10 %, not told"}.get(name, name)
+    named = {"pairs": "2 more pairs, told", "untold": "ghosts 10 %, not told"}
+    named["uncounted"] = "2 more pairs"
+    for name, ece in (("plain", 0.06), ("pairs", 0.04), ("untold", 0.4), ("uncounted", 0.4)):
+        of = named.get(name, name)
         suite = dataclasses.replace(ROBUSTNESS, specs=(BY_NAME[of],))
         played = _Played(BY_NAME[of], ending=[2, 2], is_success=[True, True])
         scored = {"ece": ece, "ece_floor": 0.01}
         (found,) = suite.rows(played, played, [scored])  # pyright: ignore
         verdicts[name] = found["is_calibrated"]
-    assert verdicts == {"plain": False, "pairs": True, "untold": None}
+    assert verdicts == {"plain": False, "pairs": True, "untold": None, "uncounted": None}
 
 
 def test_what_is_missed_is_said() -> None:
@@ -119,6 +141,12 @@ def test_tables_say_what_was_told_and_what_was_true() -> None:
     assert listed["labels 10 %, not told"][3:] == [
         "range 3 m, wrong labels 10 %",
         "wrong labels 0 %",
+        "",
+    ]
+    assert listed["2 more pairs"][4:] == ["nothing of how many there are", ""]
+    assert listed["2 more pairs, told"][4:] == [
+        "no",
+        "concentration 2, clumping 0, misleading 0.01",
     ]
     cells = robustness_table(document([row("false sentence")])).rows[0]
     assert "≥ 99, ≤ 45 m" in cells

@@ -113,7 +113,9 @@ def test_worlds_that_no_sweep_holds_are_refused(goal, number, said, tmp_path) ->
 
 def test_a_navigator_that_could_never_stop_is_refused() -> None:
     config = config_from_dict(
-        SMALL | {"planner": {"stop_probability": 0.9}, "map": {"concentration": 3}}
+        SMALL
+        | {"policies": ["faithful"]}
+        | {"planner": {"stop_probability": 0.9}, "map": {"concentration": 3}}
     )
     with pytest.raises(ValueError, match=r"stop_probability is 0.9, but with concentration 3"):
         make_plan(config)

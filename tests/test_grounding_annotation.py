@@ -7,7 +7,7 @@ import pytest
 
 from jaxlangnav.grounding import load_shipped, understand, understand_parse
 from jaxlangnav.grounding.annotation import describe_annotation, infer_annotations
-from jaxlangnav.grounding.readings import CapacityError, read, to_readings
+from jaxlangnav.grounding.readings import CapacityError, read, to_readings, unpad_readings
 from jaxlangnav.grounding.symbols import object_symbol, region_symbol, relation_symbol
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import Phrase
@@ -45,6 +45,21 @@ def test_likeliest_annotation(model, text, said):
     found, probability = best(text, model)
     assert found == said
     assert probability > 0.9
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "stay away from the nearest cone and go to the second cone",
+        "go to the second cone but avoid the nearest cone",
+    ],
+)
+def test_two_ranks_of_one_type_speak_of_two_things(model, text):
+    """They were one thing, to be gone to and kept away from: the robot never got on."""
+    found, score = unpad_readings(understand(text, model).instruction.readings)[0]
+    assert found.mentions == (ROBOT, CONE, CONE)
+    assert set(found.relations) == {(1, NEAR, 0, 1), (2, NEAR, 0, 2)}
+    assert np.exp(score) > 0.9
 
 
 def test_nested_relations_attach_to_the_inner_noun(model):

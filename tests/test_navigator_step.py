@@ -14,7 +14,7 @@ from jaxlangnav import agent, navigator
 from jaxlangnav.grounding import AnnotationGrounder
 from jaxlangnav.messages import NONE
 from jaxlangnav.navigator import NavigatorConfig
-from jaxlangnav.planner.config import PlannerConfig
+from jaxlangnav.planner.config import SHIPPED, PlannerConfig
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.params import MapConfig
 
@@ -328,7 +328,8 @@ def test_one_step_by_hand_leaves_a_readable_record(robot) -> None:
 
 def test_parameters_that_could_never_stop_are_refused() -> None:
     good = navigator.default_params()
-    navigator.check(good)
+    faithful, informed = SHIPPED["faithful"], SHIPPED["informed"]
+    navigator.check(good, policy=faithful)
     for change, name in (
         ({"planner": replace(good.planner, discount=jnp.float32(1.0))}, "discount"),
         ({"planner": replace(good.planner, stop_probability=jnp.float32(0.0))}, "stop_prob"),
@@ -336,7 +337,15 @@ def test_parameters_that_could_never_stop_are_refused() -> None:
         ({"map": replace(good.map, concentration=jnp.float32(0.0))}, "concentration"),
     ):
         with pytest.raises(ValueError, match=name):
-            navigator.check(replace(good, **change))
+            navigator.check(replace(good, **change), policy=faithful)
+    # One that takes the likeliest in the end may be told of many.
+    many = replace(good, map=replace(good.map, concentration=jnp.float32(4.0)))
+    navigator.check(many, policy=informed)
+    with pytest.raises(ValueError, match=r"concentration 4 .* 89 % of the area"):
+        navigator.check(many, policy=faithful)
+    # Where it is not known how many there are, seeing no more tells that there are not.
+    unknown = replace(many, map=replace(many.map, clumping=jnp.float32(8.0)))
+    navigator.check(unknown, policy=faithful)
 
 
 def test_sizes_that_do_not_fit_are_refused() -> None:

@@ -18,7 +18,7 @@ from jaxlangnav.planner import qmdp
 from jaxlangnav.planner.config import PlannerConfig, as_policy
 from jaxlangnav.planner.faithful import no_waypoint
 from jaxlangnav.planner.graph import VISITED
-from jaxlangnav.planner.policy import Decision, Situation, Valuation
+from jaxlangnav.planner.policy import Decision, Policy, Situation, Valuation
 
 
 def twin(situation: Situation) -> Valuation:
@@ -52,11 +52,13 @@ def choose(own, *, stop_mass: float | None = None, goal: float = 0.5) -> Decisio
             return valuation
         return dataclasses.replace(valuation, stop_mass=jnp.float32(stop_mass))
 
+    return CHOOSE(as_policy(decide), jax.random.key(0), no_waypoint(), show(goal))[1]
+
+
+def show(goal: float) -> Situation:
     belief = by_hand.with_objects(by_hand.begin(config=CONFIG), [(by_hand.CONE, 5.0, 0.0)])
     nodes = nodes_at([1.0, 4.0, 2.0], [0.0, 0.0, 3.0], [VISITED] * 3)
-    shown = situation(belief, nodes, seen_goal(goal), is_news=True, forbidden=0.5)
-    key = jax.random.key(0)
-    return CHOOSE(as_policy(decide), key, no_waypoint(), shown)[1]
+    return situation(belief, nodes, seen_goal(goal), is_news=True, forbidden=0.5)
 
 
 def test_the_most_valuable_waypoint_is_taken_and_costs_count() -> None:
@@ -76,6 +78,24 @@ def test_it_stops_from_tau_on(mass: float, stops: bool) -> None:
 @pytest.mark.parametrize(("mass", "goal"), [(1.0, 0.0), (np.inf, 0.5), (np.nan, 0.5)])
 def test_whatever_it_says_there_is_no_stop_without_a_goal(mass: float, goal: float) -> None:
     assert not bool(choose(nearest, stop_mass=mass, goal=goal).is_stop)
+
+
+@dataclasses.dataclass(frozen=True)
+class Hasty(Policy):
+    """Makes its decision without ``decide``: stops wherever it is."""
+
+    def init(self, belief):
+        return no_waypoint()
+
+    def step(self, key, memory, situation):
+        memory, decision = as_policy(nearest).step(key, memory, situation)
+        return memory, dataclasses.replace(decision, is_stop=jnp.asarray(True))
+
+
+@pytest.mark.parametrize(("goal", "stops"), [(0.0, False), (0.5, True)])
+def test_a_decision_of_its_own_stops_only_where_a_stop_is_heard(goal: float, stops: bool) -> None:
+    _, decision = CHOOSE(Hasty(), jax.random.key(0), no_waypoint(), show(goal))
+    assert bool(decision.is_stop) is stops
 
 
 def nothing(situation: Situation) -> Valuation:

@@ -275,7 +275,7 @@ def test_what_is_nowhere_ends_a_search_sooner_by_hand() -> None:
         np.testing.assert_allclose([found.any, found.nowhere], share[[0, 2]], rtol=1e-4)
         assert float(found.fitting) > float(found.any)
         none = chances(jnp.float32(unseen), jnp.float32(0.0), maps)
-        assert [float(one) for one in none] == [float(found.fitting)] * 2 + [0.0]
+        assert [float(one) for one in none[:3]] == [float(found.fitting)] * 2 + [0.0]
 
 
 def test_what_is_unseen_by_hand() -> None:
@@ -318,6 +318,18 @@ def test_informed_ends_once_the_rest_has_been_looked_at(mass, robot, chance, sto
     # That it is nowhere ends a search that has shown nothing, and nothing is taken for it.
     choice = DECIDE_ON(shown, plan, Chances(jnp.float32(0.5), jnp.float32(chance), jnp.float32(0)))
     assert (bool(choice.is_stop), bool(choice.is_not_found)) == (False, ends)
+
+
+@pytest.mark.parametrize(("unlooked", "ends"), [(0.02, False), (0.005, True)])
+def test_a_thorough_search_ends_when_hardly_anything_is_unlooked(unlooked, ends) -> None:
+    """However likely it is thought that what is spoken of is nowhere."""
+    one = jnp.zeros(1)
+    tour = tours.Tour(x=one[None] + 4.0, y=one[None] + 3.0)
+    plan = tours.Plan(tours=tour, latency=one + 9.0, mass=jnp.float32(0.6), hung=jnp.float32(0.0))
+    shown = situation(by_hand.begin(config=CONFIG), nodes(), goals(0.0), (5.5, 0.0))
+    low = Chances(*(jnp.float32(share) for share in (0.01, 0.01, 0.4, unlooked)))
+    assert bool(DECIDE_ON(replace(shown, is_thorough=True), plan, low).is_not_found) is ends
+    assert bool(DECIDE_ON(shown, plan, low).is_not_found)
 
 
 def test_nowhere_ends_no_search_that_has_shown_something() -> None:

@@ -17,9 +17,10 @@ from jaxlangnav.planner.drafts import NUM_CHANGES
 from jaxlangnav.planner.endings import Chances
 from jaxlangnav.planner.graph import OBJECT_NODE
 from jaxlangnav.planner.informed import decide_on
-from jaxlangnav.planner.latency import NUM_STOPS, SIGHT_MARGIN, Tour, first_sight, latency
+from jaxlangnav.planner.latency import NUM_STOPS, Tour, first_sight, latency
 from jaxlangnav.planner.policy import Decision
 from jaxlangnav.planner.search import CELLS, SearchMap, search_map
+from jaxlangnav.planner.sweeps import SIGHT_MARGIN
 from jaxlangnav.pytree import replace
 from jaxlangnav.terrain.view import GLANCE
 

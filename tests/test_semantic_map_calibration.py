@@ -8,12 +8,15 @@ worlds are made by NumPy from the equations; only the filter is the package's.
 """
 
 import dataclasses
+from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import readings as by_hand
 
+from jaxlangnav.kinds import MOST_LABELS
 from jaxlangnav.messages import BEHIND, NEAR, NONE
 from jaxlangnav.relations import default_params
 
@@ -43,7 +46,9 @@ def draw_offset(random: np.random.Generator, relation: int, landmark: np.ndarray
     return distance * np.array([np.cos(angle), np.sin(angle)])
 
 
-def draw_world(random: np.random.Generator, relation: int, clumping: float) -> Truth:
+def draw_world(
+    random: np.random.Generator, relation: int, clumping: float, is_pooled: bool
+) -> Truth:
     """Draw a world; figure and landmark both lie in the area, or it is drawn again."""
     while True:
         landmark, figure = random.uniform([X_MIN, Y_MIN], [X_MAX, Y_MAX], (2, 2))
@@ -51,7 +56,8 @@ def draw_world(random: np.random.Generator, relation: int, clumping: float) -> T
             figure = landmark + draw_offset(random, relation, landmark)
         if not (X_MIN < figure[0] < X_MAX and Y_MIN < figure[1] < Y_MAX):
             continue
-        rates = random.gamma(ALPHA / clumping, clumping, 2) if clumping else ALPHA
+        num_rates = 1 if is_pooled else 2
+        rates = random.gamma(ALPHA / clumping, clumping, num_rates) if clumping else ALPHA
         counts = random.poisson(rates, 2)
         if counts.sum() > by_hand.CONFIG.num_objects - 2:
             continue
@@ -94,6 +100,7 @@ def simulate(
     reach: float = 3.0,
     view: float = 2 * np.pi,
     clumping: float = 0.0,
+    is_pooled: bool = False,
 ):
     """Run rounds × SEEDS episodes.
 
@@ -103,15 +110,18 @@ def simulate(
     random = np.random.default_rng(seed)
     sentence = by_hand.readings([[HYDRANT, CONE]], [[(0, relation, 1, False)]])
     numbers = by_hand.params(concentration=ALPHA, odometry_noise=ODOMETRY, clumping=clumping)
+    spoken = jnp.arange(MOST_LABELS) < 2
+    pooled = {"spoken": spoken, "pools_counts": True} if is_pooled else {}
     truths, draws, believed, happened, start = [], [], [], [], 0
     for index in range(rounds):
-        worlds = [draw_world(random, relation, clumping) for _ in range(by_hand.SEEDS)]
+        worlds = [draw_world(random, relation, clumping, is_pooled) for _ in range(by_hand.SEEDS)]
         beliefs, _ = by_hand.run_many(
             jax.random.split(jax.random.key(seed + index), by_hand.SEEDS),
             by_hand.repeat(by_hand.begin(), by_hand.SEEDS),
             by_hand.repeat(sentence, by_hand.SEEDS),
             by_hand.stack([drive(random, world, reach, view) for world in worlds]),
             numbers,
+            **pooled,
         )
         weight = np.exp(np.asarray(beliefs.log_weight, float))
         particles = jax.tree.map(np.asarray, beliefs.particles)
@@ -167,7 +177,7 @@ def check_events(believed: np.ndarray, happened: np.ndarray) -> None:
     assert abs(error) < 0.03
 
 
-def check(relation: int, rounds: int, seed: int, level: float, **sensor: float) -> None:
+def check(relation: int, rounds: int, seed: int, level: float, **sensor: Any) -> None:
     truths, draws, believed, happened = simulate(relation, rounds, seed, **sensor)
     assert happened.mean() > 0.1
     for axis in (0, 1):
@@ -183,6 +193,11 @@ def test_calibrated_on_its_own_worlds() -> None:
 
 def test_calibrated_where_the_number_of_things_is_not_known() -> None:
     check(BEHIND, rounds=4, seed=23, level=0.001, clumping=1.0)
+
+
+@pytest.mark.slow
+def test_calibrated_where_the_number_of_things_is_one_rate_for_all_types() -> None:
+    check(BEHIND, rounds=8, seed=29, level=0.001, clumping=2.0, is_pooled=True)
 
 
 @pytest.mark.slow

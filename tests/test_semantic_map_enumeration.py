@@ -79,7 +79,7 @@ def miss_map(seed: int = 3) -> np.ndarray:
 
 
 def small_world(
-    objects=OBJECTS, miss=None, fineness: int = 2, clumping: float = 0.0
+    objects=OBJECTS, miss=None, fineness: int = 2, clumping: float = 0.0, pooled: int = 0
 ) -> exact.World:
     free = default_params()
     return exact.World(
@@ -96,16 +96,21 @@ def small_world(
         concentration=np.asarray(free.concentration, float),
         fineness=fineness,
         clumping=clumping,
+        pooled=pooled,
     )
 
 
-def estimate(sentence, seed: int = 0, objects=OBJECTS, clumping: float = 0.0):
+def estimate(sentence, seed: int = 0, objects=OBJECTS, clumping: float = 0.0, pooled: int = 0):
     """Ground the sentence SEEDS times: referents [S, M, P], weights [S, P], places."""
     belief = by_hand.with_objects(by_hand.begin(VIEWER), objects)
     belief = by_hand.with_coverage(belief, np.log(miss_map()))
     keys = jax.random.split(jax.random.key(seed), by_hand.SEEDS)
     particles, log_weight = by_hand.ground_many(
-        keys, belief, sentence, by_hand.params(concentration=ALPHA, clumping=clumping)
+        keys,
+        belief,
+        sentence,
+        by_hand.params(concentration=ALPHA, clumping=clumping),
+        jnp.float32(pooled) if pooled else None,
     )
     weight = np.exp(np.asarray(log_weight, float))
     return jax.tree.map(np.asarray, particles), weight
@@ -220,6 +225,34 @@ def test_number_of_things_is_inferred_as_by_enumeration(name: str) -> None:
     compare(weight.mean(1), truth.sum())
     assert abs(np.log(truth.sum() / fixed.sum())) > 0.05
     samples = by_category(particles, weight, len(OBJECTS) + 1, len(kinds))
+    is_common = truth.ravel() > 0.02 * truth.sum()
+    compare(samples[:, is_common], truth.ravel()[is_common])
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "null",
+        "behind",
+        "cone near another cone",
+        "behind the cone near the car",
+        "behind the cone on your right",
+        "the thing behind the cone",
+    ],
+)
+def test_number_of_things_of_all_types_is_inferred_as_by_enumeration(name: str) -> None:
+    """Nine types of one rate: each thing seen, of any type, tells how many there are of all."""
+    kinds, edges = CASES[name]
+    truth, _ = exact.groundings(small_world(clumping=2.0, pooled=9), kinds, edges)
+    apart, _ = exact.groundings(small_world(clumping=2.0), kinds, edges)
+    if ROBOT in kinds:
+        truth, apart = truth.sum(-1), apart.sum(-1)
+    sentence = by_hand.readings([kinds], [edges])
+    rounds = [estimate(sentence, one, clumping=2.0, pooled=9) for one in range(len(edges) ** 2)]
+    particles, weight = jax.tree.map(lambda *parts: np.concatenate(parts), *rounds)
+    compare(weight.mean(1), truth.sum())
+    assert abs(np.log(truth.sum() / apart.sum())) > 0.05
+    samples = by_category(particles, weight, len(OBJECTS) + 1, truth.ndim)
     is_common = truth.ravel() > 0.02 * truth.sum()
     compare(samples[:, is_common], truth.ravel()[is_common])
 

@@ -114,6 +114,18 @@ def test_what_comes_before_may_be_unseen():
     np.testing.assert_allclose(weigh(third)[0], 2 * LOG_NEW, rtol=1e-5)
 
 
+def test_where_nothing_unseen_comes_before_it_the_first_is_no_third():
+    """Much is unseen, but all of it beyond the cones in view: none of them may be before the first.
+
+    The scene expects as many unseen cones as there are: what keeps the first from being the third
+    is where they may be.
+    """
+    said, seen, draws, scene = order(NEAR, 3, unseen=((20.0, 0.0),) * 2)
+    scene = scene._replace(log_unseen=-jnp.log(PLURAL * PARAMS.concentration))
+    first, second, third, _ = weigh((said, seen, draws, scene))
+    np.testing.assert_allclose([first, second, third], np.log([1e-4, 1e-2, 1.0]), atol=1e-5)
+
+
 def test_a_superlative_speaks_of_several():
     """One cone seen: it is the nearest of several only if another one is farther."""
     farther, nearer = ((20.0, 0.0),) * 2, ((2.0, 0.0),) * 2

@@ -36,9 +36,11 @@ def test_each_variation_sets_one_thing_and_the_first_one_none() -> None:
             and getattr(one, field.name) != getattr(blank, field.name)
         ]
         assert len(changed) == min(place, 1), one
-        params = one.arm(OPTIONS).params
+        arm = one.arm(OPTIONS)
+        params = arm.params
         assert params is not None
-        check(params)
+        assert arm.config is not None
+        check(params, policy=arm.config.planner.chosen)
     assert len({(one.unknown, one.value) for one in VARIATIONS}) == len(VARIATIONS)
     assert unknowns.UNKNOWNS.total_episodes(Options(episodes=10)) == 70 * len(VARIATIONS)
 

@@ -162,7 +162,7 @@ class Follow:
 
         sizes = self._sizes(values)
         if values:
-            check(sizes["params"])
+            check(sizes["params"], policy=sizes["config"].planner.chosen)
         check_recording(sizes["config"], self.max_steps)
 
     def _understand(

@@ -102,6 +102,7 @@ class Reproduce:
         from jaxlangnav.cli.study import Settings
         from jaxlangnav.experiments.policies import POLICY_NAMES, check_policies
         from jaxlangnav.navigator import check
+        from jaxlangnav.planner.config import SHIPPED
         from jaxlangnav.task.follow import navigator_params
 
         ranges = self._ranges()
@@ -109,10 +110,12 @@ class Reproduce:
         values = read_settings(self.settings, self.SETTINGS)
         self._check_settings(values)
         params = apply(navigator_params(), values, "params")
-        check(params)
+        policies = check_policies(list(POLICY_NAMES) if named == ["all"] else named)
+        for policy in sorted(SHIPPED.keys() & set(policies)):
+            check(params, policy=SHIPPED[policy])
         settings = Settings(
             episodes=self._episodes,
-            policies=check_policies(list(POLICY_NAMES) if named == ["all"] else named),
+            policies=policies,
             seed=_SEED if self.seed is None else self.seed,
             seed_unknowns=_SEED_UNKNOWNS if self.seed is None else self.seed,
             extra=self.extra,

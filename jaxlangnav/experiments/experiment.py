@@ -126,7 +126,7 @@ class Experiment:
         for arm in arms:
             if arm.config is not None and arm.params is not None:
                 check_engine(arm.config)
-                check(arm.params)
+                check(arm.params, policy=arm.config.planner.chosen)
         return arms
 
     def run(

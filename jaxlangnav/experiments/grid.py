@@ -15,13 +15,14 @@ import jax.numpy as jnp
 import numpy as np
 import pyarrow as pa
 
+from jaxlangnav.anywhere import with_numbers
 from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task
 from jaxlangnav.experiments.calibration import Tally
 from jaxlangnav.experiments.judging import run_judged
 from jaxlangnav.experiments.metrics import summarize
 from jaxlangnav.experiments.monte_carlo import OnProgress, run_tasks
 from jaxlangnav.experiments.policies import navigator_config, run_policy, without_compass
-from jaxlangnav.experiments.tasks import Cell, draw_tasks, known_distances
+from jaxlangnav.experiments.tasks import Cell, draw_tasks, known_distances, take_tasks
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.messages import MotionParams
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, default_params
@@ -41,6 +42,8 @@ class Setting:
     cell: Cell
     told: Mapping[str, Any]
     """What the columns say of it, by name."""
+    believed: Numbers = dataclasses.field(default_factory=dict)
+    """Single numbers of the navigator that are other there than its arm's (``with_numbers``)."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -79,6 +82,23 @@ class Arm:
             spread = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (number,)), self.motion)
             tasks = replace(tasks, motion=spread)
         return tasks if self.worlds is None else self.worlds(tasks)
+
+    def believing(self, numbers: Numbers) -> "Arm":
+        """Set single numbers of the navigator; a baseline has none, and stays as it is.
+
+        Args:
+            numbers: by the names of their fields.
+
+        Returns:
+            The arm; of the same compiled program.
+
+        Raises:
+            ValueError: no such number, or one that cannot be.
+        """
+        if self.config is None or not numbers:
+            return self
+        params = default_params() if self.params is None else self.params
+        return dataclasses.replace(self, params=with_numbers(numbers, params=params))
 
     def run(
         self,
@@ -259,9 +279,29 @@ def run_grid(
     drawn = grid.draw(np.arange(len(grid.settings) * grid.episodes))
     for arm in grid.arms:
         tasks = arm.tasks(drawn)
-        results, tally = arm.judge(tasks, instructions, on_progress=on_progress)
+        results, tally = _judge(grid, arm, tasks, instructions, on_progress)
         known = known_distances(tasks)
         yield Played(grid=grid, arm=arm, tasks=tasks, results=results, known=known, tally=tally)
+
+
+def _judge(
+    grid: Grid, arm: Arm, tasks: Task, instructions: Instruction, on_progress: OnProgress | None
+) -> tuple[EpisodeResult, Tally | None]:
+    """Run an arm in all settings: at once, those in which it believes the same numbers."""
+    groups: dict[tuple[tuple[str, float], ...], list[int]] = {}
+    for place, setting in enumerate(grid.settings):
+        groups.setdefault(tuple(sorted(setting.believed.items())), []).append(place)
+    if list(groups) == [()] or arm.config is None:
+        return arm.judge(tasks, instructions, on_progress=on_progress)
+    places, parts = [], []
+    for numbers, listed in groups.items():
+        starts = grid.episodes * np.array(listed)
+        mine = (starts[:, None] + np.arange(grid.episodes)).ravel()
+        told = arm.believing(dict(numbers))
+        parts.append(told.judge(take_tasks(tasks, mine), instructions, on_progress=on_progress))
+        places.append(mine)
+    order = np.argsort(np.concatenate(places))
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[order], *parts)
 
 
 def result_columns(results: EpisodeResult, known: np.ndarray) -> dict[str, Any]:

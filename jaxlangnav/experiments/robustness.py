@@ -271,9 +271,23 @@ def scenarios_table(document: Mapping[str, Any]) -> Table:
         The table.
     """
     return Table(
-        headings=["Scenario", "What it is", "Said", "Sensors in truth", "Belief is told otherwise"],
+        headings=[
+            "Scenario",
+            "What it is",
+            "Said",
+            "Sensors in truth",
+            "Belief is told otherwise",
+            "Numbers of things told",
+        ],
         rows=[
-            [one["scenario"], one["what"], one["said"], one["truth"], one["told"] or "no"]
+            [
+                one["scenario"],
+                one["what"],
+                one["said"],
+                one["truth"],
+                one["told"] or "no",
+                one["numbers"],
+            ]
             for one in document["scenarios"]
         ],
         fold="What each scenario is",

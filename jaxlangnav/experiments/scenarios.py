@@ -45,6 +45,8 @@ class PlaceSpec(RowSpec):
     """Numbers of the detector, of ``default_sensor``."""
     told: _Numbers = dataclasses.field(default_factory=dict)
     """Those of them that the belief is told otherwise."""
+    numbers: _Numbers = dataclasses.field(default_factory=dict)
+    """Numbers of the navigator by which the belief is told how many things there are."""
     motion: _Numbers = dataclasses.field(default_factory=dict)
     """Numbers of odometry; the belief always takes it for the default one."""
     target: float | None = None
@@ -56,8 +58,17 @@ class PlaceSpec(RowSpec):
 
     @property
     def is_told(self) -> bool:
-        """Whether the belief was told the truth: of its sensors, and by the sentence."""
-        return self._is_true and not (self.told or self.motion or self.place.get("num_haunted"))
+        """Whether the belief was told the truth: of its sensors, by the sentence, and of numbers.
+
+        Of how many things there are where more than one may be meant for all that is said.
+        """
+        is_exact = not (self.told or self.motion or self.place.get("num_haunted"))
+        return self._is_true and is_exact and self._is_counted
+
+    @property
+    def _is_counted(self) -> bool:
+        """Whether it is told how many there are, or the sentence alone tells which is meant."""
+        return bool(self.numbers) or not (self.place.get("num_pairs") or self.relation == "null")
 
     @property
     def _is_true(self) -> bool:
@@ -79,12 +90,14 @@ class PlaceSpec(RowSpec):
         told += ["odometry 2 %"] if self.motion else []
         told += ["nothing of the four places"] if haunted else []
         told += [] if self._is_true else ["a sentence that is not so"]
+        told += [] if self._is_counted else ["nothing of how many there are"]
         return {
             "scenario": self.name,
             "what": self.what,
             "said": SAID[self.relation],
             "truth": ", ".join([f"range {self.range:g} m", *true]),
             "told": ", ".join(told),
+            "numbers": ", ".join(f"{name} {value:g}" for name, value in self.numbers.items()),
             "is_told": self.is_told,
         }
 
@@ -117,7 +130,8 @@ class PlaceSpec(RowSpec):
             place=place_law(**given),
             told=default_sensor(self.range, **{**self.truth, **self.told}),
         )
-        return Setting(cell=mine, told=self.heading() | {"relation": self.relation})
+        named = self.heading() | {"relation": self.relation}
+        return Setting(cell=mine, told=named, believed=self.numbers)
 
 
 def _said(name: str, value: float) -> str:
@@ -143,6 +157,21 @@ _GHOSTS_2, _GHOSTS_10 = {"false_detections": 0.01}, {"false_detections": 0.05}
 """Of each of two types, hydrants and cones: one false detection in 50 looks, and in 10."""
 _FALSE: dict[str, Any] = {"side": -1.0}
 
+
+def _further(expected: float) -> _Numbers:
+    """Tell how many more of each type there are, and that people hardly err."""
+    return {"concentration": expected, "clumping": 0.0, "misleading": 0.01}
+
+
+_ONLY = {**_further(0.02), "misleading": 0.001, "absent": 0.0}
+"""There is no other one, and it is there."""
+_CROWD = {"num_bystanders": 56, "num_pairs": 1}
+_ALL: dict[str, Any] = {
+    "what": "14 bystanders and one more pair",
+    "place": {"num_bystanders": 14, "num_pairs": 1},
+    "truth": {"detection_probability": 0.8, "mislabelled": 0.05, **_GHOSTS_2},
+}
+
 SCENARIOS = (
     PlaceSpec(name="plain", what="one pair, ahead and beside, 14 × 18 m"),
     PlaceSpec(
@@ -151,6 +180,10 @@ SCENARIOS = (
     PlaceSpec(
         name="in front", what="the goal is before its cone", relation="front",
         place={"side": -1.0, "said": -1.0},
+    ),
+    PlaceSpec(
+        name="in front, told", what="that there is no other is told", relation="front",
+        place={"side": -1.0, "said": -1.0}, numbers=_further(0.02),
     ),
     PlaceSpec(name="far sight", what="a detector of 7 m", range=7.0),
     PlaceSpec(
@@ -162,6 +195,18 @@ SCENARIOS = (
     ),
     PlaceSpec(name="4 more pairs", what="four more hydrants and cones", place={"num_pairs": 4}),
     PlaceSpec(
+        name="2 more pairs, told", what="how many is told", place={"num_pairs": 2},
+        numbers=_further(2.0),
+    ),
+    PlaceSpec(
+        name="2 more pairs, 5 m, told", what="how many is told", range=5.0,
+        place={"num_pairs": 2}, numbers=_further(2.0),
+    ),
+    PlaceSpec(
+        name="4 more pairs, told", what="how many is told", place={"num_pairs": 4},
+        numbers=_further(4.0),
+    ),
+    PlaceSpec(
         name="false sentence", what="the hydrant is in front of the cone", place=_FALSE,
         target=99.0, longest=45.0,
     ),
@@ -170,6 +215,10 @@ SCENARIOS = (
         place=_FALSE, target=99.0, longest=45.0,
     ),
     PlaceSpec(name="empty sentence", what="nothing is said of where", relation="null"),
+    PlaceSpec(
+        name="empty sentence, told", what="that there is one, and no other, is told",
+        relation="null", numbers=_ONLY,
+    ),
     PlaceSpec(name="no cone", what="the landmark is not there", place={"has_cone": False}),
     PlaceSpec(
         name="no hydrant", what="there is no goal: to be told so is right", ending="not_found",
@@ -181,8 +230,10 @@ SCENARIOS = (
     ),
     PlaceSpec(name="30 bystanders", what="things of other types", place={"num_bystanders": 30}),
     PlaceSpec(
-        name="crowd of 60", what="56 bystanders and one more pair",
-        place={"num_bystanders": 56, "num_pairs": 1},
+        name="crowd of 60", what="56 bystanders and one more pair", place=_CROWD,
+    ),
+    PlaceSpec(
+        name="crowd of 60, told", what="how many is told", place=_CROWD, numbers=_further(1.0)
     ),
     PlaceSpec(name="ghosts 2 %", what="false detections, anew each look", truth=_GHOSTS_2,
               target=99.0),
@@ -228,10 +279,7 @@ SCENARIOS = (
     ),
     PlaceSpec(name="60 × 60 m, 5 m", what="the start in the middle", range=5.0,
               place=_square(30.0)),
-    PlaceSpec(
-        name="all at once", what="14 bystanders and one more pair",
-        place={"num_bystanders": 14, "num_pairs": 1},
-        truth={"detection_probability": 0.8, "mislabelled": 0.05, **_GHOSTS_2},
-    ),
+    PlaceSpec(name="all at once", **_ALL),
+    PlaceSpec(name="all at once, told", numbers=_further(1.0), **_ALL),
 )  # fmt: skip
 """Some with the targets that they are to meet."""

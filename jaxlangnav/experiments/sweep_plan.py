@@ -29,7 +29,7 @@ from jaxlangnav.experiments.sweep_config import Choices, SweepConfig
 from jaxlangnav.experiments.tasks import Cell
 from jaxlangnav.messages import default_motion, default_sensor
 from jaxlangnav.navigator import NavigatorParams, check, default_params
-from jaxlangnav.planner.config import POLICIES
+from jaxlangnav.planner.config import POLICIES, SHIPPED
 from jaxlangnav.pytree import replace
 
 MOST_FILES = 1_000_000
@@ -154,8 +154,10 @@ def make_plan(config: SweepConfig) -> SweepPlan:
         if policy in POLICIES:
             check_engine(navigator_config(policy, max(config.particles)))
             # A limit of ``check`` is passed upwards or downwards: the ends stand for all arms.
-            check(_end(config, policy, -1))
-            check(_end(config, policy, 0))
+            most, least = _end(config, policy, -1), _end(config, policy, 0)
+            check(least, policy=SHIPPED[policy])
+            unclumped = replace(most.map, clumping=least.map.clumping)
+            check(replace(most, map=unclumped), policy=SHIPPED[policy])
     return plan
 
 

@@ -130,6 +130,20 @@ def _rank_chances(
     return [(int(i), float(chances[i])) for i in order]
 
 
+def _by_rank(
+    paths: list[Path], rank: dict[Path, np.ndarray], between: frozenset[Path]
+) -> list[list[Path]]:
+    """Part the phrases of a symbol that say different ranks: they speak of different things.
+
+    "Avoid the nearest cone and go to the second cone" says "near the robot" of two cones.
+    """
+    likeliest = {path: int(np.argmax(rank[path])) for path in paths}
+    ranks = sorted({one for one in likeliest.values() if one > 0})
+    if len(ranks) < 2 or any(path in between for path in paths):
+        return [paths]
+    return [[path for path in paths if likeliest[path] == one] for one in ranks]
+
+
 def _silent(hypothesis: Hypothesis, path: Path) -> Iterator[Path]:
     """Yield the phrases that express nothing."""
     if not hypothesis.expressed.any():
@@ -173,8 +187,12 @@ def clause_belief(
     """
     found: list[tuple[RankedAnnotations, RankedAnnotations, float]] = []
     for hypothesis in beam:
-        symbols = space.members(hypothesis.expressed)[:_MAX_SYMBOLS]
-        paths = [_paths_of(space, hypothesis, clause, s) for s in symbols]
+        parted = [
+            (symbol, own)
+            for symbol in space.members(hypothesis.expressed)[:_MAX_SYMBOLS]
+            for own in _by_rank(_paths_of(space, hypothesis, clause, symbol), rank, between)
+        ]
+        symbols, paths = [symbol for symbol, _ in parted], [own for _, own in parted]
         chances = [_rank_chances(own, rank, between) for own in paths]
         meant = [
             _of_thing(s) if s.kind == REGION and things.intersection(own) else s

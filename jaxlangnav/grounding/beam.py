@@ -70,7 +70,8 @@ def _child(row: BehaviorProgram, stack: Stack, k: Array | int) -> Combinations:
 
 def _combine(left: Combinations, right: Combinations) -> Combinations:
     """Keep the four best combinations of two sorted lists of hypotheses, exactly."""
-    cost = jnp.stack([left.cost[i] + right.cost[j] for i, j in _PAIRS])
+    left_cost, right_cost = jnp.unstack(left.cost), jnp.unstack(right.cost)
+    cost = jnp.stack([left_cost[i] + right_cost[j] for i, j in _PAIRS])
     values, places = smallest(cost, BEAM)
     place = jnp.stack(places)
     i = jnp.where(place < 4, 0, jnp.where(place < 6, 1, place - 4))

@@ -95,6 +95,11 @@ def _along_slots(values: Array) -> list[Array]:
     return [values[:, s] for s in range(NUM_REGION_SLOTS)]
 
 
+def _mean(values: Array, weight: Array) -> Array:
+    """Add up values f[4, ...] of the combinations by their weights, one by one."""
+    return functools.reduce(jnp.add, jnp.unstack(values * weight))
+
+
 def _conclude(program: BehaviorProgram, root: Expressed, size: int) -> Behavior:
     """Read the behavior off the root, averaged over the combinations of its children.
 
@@ -111,12 +116,7 @@ def _conclude(program: BehaviorProgram, root: Expressed, size: int) -> Behavior:
     exists = jnp.where(program.num_phrases == 0, 0.0, 1.0)
     weight = exists * jax.nn.softmax(-root.cost, axis=0)
     share = weight * (1.0 - is_none) / jnp.maximum(total, 1e-9)
-    by_slot = once(
-        (
-            functools.reduce(jnp.add, [goal[i] * share[i][None, None] for i in range(BEAM)]),
-            functools.reduce(jnp.add, [constraint[i] * weight[i][None] for i in range(BEAM)]),
-        )
-    )
+    by_slot = once((_mean(goal, share[:, None, None]), _mean(constraint, weight[:, None])))
     return Behavior(
         action=jnp.broadcast_to(program.action, (program.action.shape[0], *lanes)),
         mode=jnp.broadcast_to(program.mode, (program.mode.shape[0], *lanes)),

@@ -11,9 +11,11 @@ from collections.abc import Collection
 from dataclasses import replace
 from functools import cache
 
+from jaxlangnav.language.amends import take_back
 from jaxlangnav.language.chatter import leave_out
 from jaxlangnav.language.check import refuse_guesses
 from jaxlangnav.language.constraint import join_constraints
+from jaxlangnav.language.gist import find_gist
 from jaxlangnav.language.grammar import (
     COMMA,
     FULLSTOP,
@@ -245,7 +247,28 @@ def parse(
 def _read_loosely(text: str, reader: _Reader, earlier: Antecedent | None) -> Parse | None:
     """Read a sentence that is refused as it stands in plainer words; None where that fails too."""
     tokens, remarks, changes = loosen(reader.tokens, reader.labels)
-    if not (remarks or changes):
+    found = _read_instead(text, reader, tokens, earlier, remarks, changes)
+    if found is not None:
+        return found
+    mended, amends = take_back(tokens)
+    gist, left_out, put = find_gist(mended, reader.labels)
+    plain, later, again = loosen(gist, reader.labels)  # what stood between may have hidden more
+    if [token.text for token in plain] == [token.text for token in tokens]:
+        return None
+    remarks += [*left_out, *later]
+    return _read_instead(text, reader, plain, earlier, remarks, [*changes, *amends, *put, *again])
+
+
+def _read_instead(
+    text: str,
+    reader: _Reader,
+    tokens: list[SpokenToken],
+    earlier: Antecedent | None,
+    left_out: list[str],
+    changes: list[tuple[str, str]],
+) -> Parse | None:
+    """Read other words in place of a sentence; None where there are none, or they are refused."""
+    if not tokens or not (left_out or changes):
         return None
     if earlier is not None and any(_CARRIED.search(was) for was, _ in changes):
         return None
@@ -253,7 +276,7 @@ def _read_loosely(text: str, reader: _Reader, earlier: Antecedent | None) -> Par
         found = _read(text, reader, tokens, earlier, is_blame_sought=False)
     except LanguageError:
         return None
-    return replace(found, rewrites=(*changes, *found.rewrites), unread=(*remarks, *found.unread))
+    return replace(found, rewrites=(*changes, *found.rewrites), unread=(*left_out, *found.unread))
 
 
 def _read(

@@ -196,6 +196,7 @@ def _observe(
         is_sparse=True,
         farthest=farthest,
         spoken=_spoken(state) if config.map.num_bystanders else None,
+        pools_counts=config.map.pools_counts,
     )
     return replace(state, belief=belief), info
 
@@ -291,6 +292,7 @@ def _decide(
         params=planner,
         map_params=params.map,
         num_blocks=config.planner.num_blocks,
+        is_thorough=config.planner.is_thorough,
     )
     memory, choice = policy.choose(
         config.planner.chosen, jax.random.fold_in(key, _PLANNING), state.memory, situation

@@ -15,9 +15,13 @@ from jaxlangnav.planner.blocked import Way
 from jaxlangnav.planner.config import PlannerConfig
 from jaxlangnav.planner.goals import Goals
 from jaxlangnav.planner.params import PlannerParams, default_planner_params
+from jaxlangnav.planner.policy import Policy
 from jaxlangnav.pytree import field, pytree
 from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.params import MapConfig, MapParams, default_map_params
+
+_MOST_LOOKED = 0.75
+"""Share of the area beyond which a robot that waits to be sure as good as never stops."""
 
 
 @pytree
@@ -93,32 +97,37 @@ def default_params() -> NavigatorParams:
     )
 
 
-def check(params: NavigatorParams) -> None:
+def check(params: NavigatorParams, *, policy: Policy) -> None:
     """Refuse parameters with which the robot could never stop (host only).
 
-    With one candidate seen and nothing else explored, its posterior is 1 / (1 + α): a τ above
-    that sends the robot through the whole area first.
+    The first candidate seen, by a sentence that says nothing of where, is what is meant with
+    probability 1 / (1 + α (1 − s) / (1 + κ s)) once a share s of the area has been looked at. A
+    robot that waits for τ looks at most of the area first where that comes late.
 
     Args:
         params: concrete parameters.
+        policy: which decides by them. One that takes the likeliest thing in the end may be told
+            that there are as many of a type as there are.
 
     Raises:
         ValueError: names the value, the limit and the remedy.
     """
-    alpha = float(jnp.max(params.map.concentration))
+    alpha, kappa = float(jnp.max(params.map.concentration)), float(jnp.min(params.map.clumping))
     tau = float(jnp.max(params.planner.stop_probability))
     gamma = float(jnp.max(params.planner.discount))
-    limit = 1.0 / (1.0 + alpha)
     if not 0.0 < gamma < 1.0:
         raise ValueError(f"discount is {gamma:g}, but must lie between 0 and 1")
     if not 0.0 < tau < 1.0:
         raise ValueError(f"stop_probability is {tau:g}, but must lie between 0 and 1")
     if alpha <= 0.0:
         raise ValueError(f"concentration is {alpha:g}, but must be positive")
-    if tau >= limit:
+    odds = 1.0 / tau - 1.0
+    share = (alpha - odds) / (alpha + odds * kappa)
+    if share > _MOST_LOOKED and not policy.takes_likeliest:
         raise ValueError(
             f"stop_probability is {tau:g}, but with concentration {alpha:g} the first candidate "
-            f"seen has probability {limit:.2f}: lower stop_probability below it or lower "
+            f"seen reaches it after {100.0 * share:.0f} % of the area, and at most "
+            f"{100.0 * _MOST_LOOKED:g} % can be asked of {policy.name}: lower stop_probability or "
             "concentration"
         )
 

@@ -16,7 +16,7 @@ POLICIES = tuple(SHIPPED)
 AnyPolicy: TypeAlias = str | Policy | Callable[[Situation], Valuation]
 """A name, a policy of one's own, or a function that values nodes and needs no memory."""
 _NAMES = ", ".join(POLICIES)
-_MEMBERS = ("check", "init", "map_params", "name", "portrayal", "step")
+_MEMBERS = ("check", "init", "map_params", "name", "portrayal", "step", "takes_likeliest")
 
 
 def as_policy(given: AnyPolicy) -> Policy:
@@ -73,6 +73,9 @@ class PlannerConfig:
     """One of ``POLICIES``, or a policy of one's own."""
     num_visited: int = 16
     num_blocks: int = 6
+    is_thorough: bool = False
+    """Whether ``informed`` plans to look at all of the area, as what is spoken of may be nowhere
+    (``PlannerParams.absent``); else it looks first where things are likeliest, and corners last."""
 
     def __post_init__(self) -> None:
         """Refuse what the planner cannot work with."""

@@ -21,6 +21,10 @@ error ends the search, so it ends sooner, by ε + (1 − ε) ν; and with the pr
     q = (1 − ε) ν / [(1 − ε) (1 − ν) (e^{α u} − 1) + ε + (1 − ε) ν]
 
 all is to be looked at whatever the order, so that the whole way counts (``latency``).
+
+Where ν decides the end, a goal that stands where nobody has looked yet is given up as nowhere the
+more often the larger ν is. So a thorough search goes on until no more than ``MOST_UNLOOKED`` of
+where it could stand is left, whatever is thought of it before.
 """
 
 from typing import NamedTuple
@@ -32,6 +36,9 @@ from jax import Array
 from jaxlangnav.kinds import fits, is_anything
 from jaxlangnav.messages import Readings
 from jaxlangnav.semantic_map.params import MapParams
+
+MOST_UNLOOKED = 0.01
+"""u above which nothing is given up as nowhere in a thorough search."""
 
 
 def chance_left(unseen: Array, concentration: Array, misleading: Array, clumping: Array) -> Array:
@@ -62,6 +69,7 @@ class Chances(NamedTuple):
     fitting: Array  # f32[] that there is one that fits, where something seen does not
     any: Array  # f32[] that there is one at all, where nothing spoken of has been seen
     nowhere: Array  # f32[] q, that there is none because what is spoken of is nowhere
+    unlooked: Array | float = 0.0  # f32[] u, where it could stand and nobody has looked
 
 
 def chances(unseen: Array, absent: Array, maps: MapParams) -> Chances:
@@ -84,7 +92,7 @@ def chances(unseen: Array, absent: Array, maps: MapParams) -> Chances:
         for doubt in (maps.misleading, wrong)
     )
     share = nowhere / jnp.maximum(wrong, 1e-12)
-    return Chances(fitting=fitting, any=either, nowhere=share * (1.0 - either))
+    return Chances(fitting=fitting, any=either, nowhere=share * (1.0 - either), unlooked=unseen)
 
 
 def missing_types(readings: Readings, object_type: np.ndarray) -> list[int]:

@@ -14,7 +14,7 @@ from jax import Array
 
 from jaxlangnav.planner import graph, qmdp, search, tours
 from jaxlangnav.planner.asking import doubt_of
-from jaxlangnav.planner.endings import Chances, chances
+from jaxlangnav.planner.endings import MOST_UNLOOKED, Chances, chances
 from jaxlangnav.planner.latency import Tour
 from jaxlangnav.planner.policy import (
     LEAST_GOAL,
@@ -47,6 +47,11 @@ class Informed(Policy):
             reason_object="nothing is left to find out that would matter more",
         )
 
+    @property
+    def takes_likeliest(self) -> bool:
+        """It does, however many there may be."""
+        return True
+
     def check(self, sizes: MapConfig) -> None:
         """Refuse a map that cannot be folded into the search map."""
         if sizes.num_cells % search.CELLS:
@@ -62,7 +67,9 @@ class Informed(Policy):
     def step(self, key: Array, memory: Tour, situation: Situation) -> tuple[Tour, Decision]:
         """Improve the tour under way, go to its first stop or to the goal."""
         belief, params, maps = situation.belief, situation.params, situation.map_params
-        unseen = search.search_map(situation.wanted, params.prior_share, params.ahead)
+        unseen = search.search_map(
+            situation.wanted, params.prior_share, params.ahead, situation.is_thorough
+        )
         chance = chances(unseen.unseen, params.absent, maps)
         plan = tours.plan(
             key,
@@ -142,6 +149,8 @@ def judge(situation: Situation, plan: tours.Plan, chance: Chances) -> Judgement:
     # Things seen that do not fit now may have to do in the end.
     has_seen = jnp.any(goals.is_object[:-1])
     is_over = jnp.where(has_seen, chance.fitting, chance.any) < params.give_up
+    if situation.is_thorough:
+        is_over = is_over & (chance.unlooked <= MOST_UNLOOKED)
     goals = replace(
         goals,
         object_confirmed=jnp.where(has_looked, goals.object_accepted, goals.object_confirmed),

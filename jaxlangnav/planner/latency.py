@@ -13,7 +13,10 @@ half-angle h below a right angle, which shows less abreast).
 What is looked for may be nowhere, with probability q (``endings``): then all of the area is looked
 at before that is known, in whatever order, and the way until then is what counts:
 
-    L' = (1 − q) L + q M (T + mean_{c missed} |c − q_K| + B / 2R),   M = Σ_c m_c
+    L' = (1 − q) L + q M (T + mean_{c missed} |c − q_K| + B / 2R + G),   M = Σ_c m_c
+
+In a *thorough* search, which may have to look at all of the area, G is the way between the patches
+that the tour would leave (``sweeps``); it is 0 otherwise.
 """
 
 import jax.numpy as jnp
@@ -22,15 +25,13 @@ from jax import Array
 from jaxlangnav.messages import SensorParams
 from jaxlangnav.numerics.batching import once
 from jaxlangnav.planner.search import SearchMap
+from jaxlangnav.planner.sweeps import between_patches, eyesight, is_worth_a_look
 from jaxlangnav.pytree import pytree
 from jaxlangnav.terrain import OPEN, Terrain
 from jaxlangnav.terrain.view import NEVER, Stretch
 
 NUM_STOPS = 6
 """K, stops of a tour."""
-SIGHT_MARGIN = 0.5
-"""Metres by which a thing must be inside the sensing range to count on seeing it: cells have width,
-looks are a step apart, and a look may miss."""
 _ARRIVAL = 0.5
 """Metres from a stop that count as having been there."""
 
@@ -115,9 +116,8 @@ def latency(
     Returns:
         f32[T] metres; large for a tour that starts underfoot.
     """
-    radius = jnp.maximum(sensor.range_max - SIGHT_MARGIN, 0.5 * sensor.range_max)
+    radius, abreast = eyesight(sensor)
     opening = sensor.field_of_view
-    abreast = sensor.range_max * jnp.sin(jnp.minimum(0.5 * opening, 0.5 * jnp.pi))
     places_x = jnp.concatenate([search.x, search.partner_x])
     places_y = jnp.concatenate([search.y, search.partner_y])
     sight, walked = first_sight(
@@ -129,7 +129,7 @@ def latency(
         tours.x[:, -1:], tours.y[:, -1:], search.x[None], search.y[None]
     )
     mass = search.mass
-    counts = (mass > 0.1 * jnp.mean(mass))[None, :]
+    counts = is_worth_a_look(mass)[None, :]
     is_left = (free >= NEVER) & counts
     cell = (area[1] - area[0]) * (area[3] - area[2]) / mass.shape[0]
     sweep = jnp.sum(is_left, axis=1) * cell / (4.0 * abreast)
@@ -143,6 +143,8 @@ def latency(
     number = jnp.sum(is_missed, axis=1)
     back = jnp.sum(jnp.where(is_missed, away, 0.0), axis=1) / jnp.maximum(number, 1)
     whole = walked + back + number * cell / (2.0 * abreast)
+    if search.is_thorough:
+        whole = whole + between_patches(is_missed, area)
     total = (1.0 - search.nowhere) * total + search.nowhere * jnp.sum(mass) * whole
     return total + jnp.where(
         is_underfoot(tours.x[:, 0], tours.y[:, 0], robot_x, robot_y), NEVER, 0.0

@@ -80,6 +80,11 @@ class Policy(Protocol):
         """How stories and pictures show its choices."""
         return Portrayal()
 
+    @property
+    def takes_likeliest(self) -> bool:
+        """Whether it takes the likeliest thing seen once there is little left to look for."""
+        return False
+
     @abstractmethod
     def init(self, belief: ParticleBelief, /) -> Any:
         """Build the memory of a robot that has not decided yet.

@@ -11,8 +11,9 @@ from jax import Array
 
 from jaxlangnav.numerics.batching import once
 from jaxlangnav.planner import prior
-from jaxlangnav.pytree import pytree
+from jaxlangnav.pytree import pytree, static
 from jaxlangnav.semantic_map.belief import ParticleBelief
+from jaxlangnav.semantic_map.coverage import Coverage, cell_size
 from jaxlangnav.terrain import OPEN, Eye, Terrain
 
 CELLS = 12
@@ -23,13 +24,16 @@ _TILT = 2e-3
 """Share by which a cell at one end of the area counts for more than one at the other. Where robot
 and area are mirror-symmetric, so is the map, and each tour would be as good as its mirror image:
 rounding, which differs between compiled programs, would choose."""
+_OFF_CENTRE = 1e-3
+"""Nats by which a part of a cell has to have been looked at less than one nearer its centre."""
 
 
 @pytree
 class SearchMap:
     """Where looking is worth while; C = CELLS² cells."""
 
-    x: Array  # f32[C] metres, map frame, cell centres
+    x: Array  # f32[C] metres, map frame, cell centres; of a thorough search what of each cell has
+    # been looked at least
     y: Array  # f32[C]
     free: Array  # f32[C] probability that what hangs on nothing observed lies there
     hung: Array  # f32[C] probability that what hangs on an observed object lies there
@@ -38,6 +42,7 @@ class SearchMap:
     unseen: Array  # f32[] probability that what is there to be found would still be unseen
     terrain: Terrain = OPEN  # how far one sees and walks there
     nowhere: Array | np.float32 = np.float32(0.0)  # f32[] q, that it is nowhere (``endings``)
+    is_thorough: bool = static(default=False)  # all of the area may have to be looked at
 
     @property
     def mass(self) -> Array:
@@ -104,7 +109,36 @@ def _unseen(belief: ParticleBelief, hung: Array, prior_share: Array, ahead: Arra
     return jnp.minimum(jnp.maximum(anywhere, jnp.sum(hung * missed)), 1.0)
 
 
-def search_map(belief: ParticleBelief, prior_share: Array, ahead: Array) -> SearchMap:
+def _least_looked_at(coverage: Coverage, x: Array, y: Array) -> tuple[Array, Array]:
+    """Find in each cell of the search map what of it has been looked at least.
+
+    In view of its centre much of a cell may be out of view, and a tour that has all centres in view
+    would never go there.
+
+    Limits: of a cell nobody has looked at, or all of it alike, it is what is nearest its centre.
+
+    Args:
+        coverage: where the robot has looked.
+        x: f32[C], centres of the cells, metres.
+        y: f32[C].
+
+    Returns:
+        f32[C] x and y, metres, map frame.
+    """
+    size = coverage.log_miss.shape[0] // CELLS
+    parts = coverage.log_miss.reshape(CELLS, size, CELLS, size)
+    parts = parts.transpose(0, 2, 1, 3).reshape(CELLS**2, size * size)
+    steps = np.arange(size, dtype=np.float32) - 0.5 * (size - 1)
+    along, across = np.tile(steps, size), np.repeat(steps, size)
+    off_centre = _OFF_CENTRE * (along**2 + across**2)
+    worst = jnp.argmax(parts - off_centre[None], axis=1)
+    width, depth = cell_size(coverage)
+    return x + width * jnp.asarray(along)[worst], y + depth * jnp.asarray(across)[worst]
+
+
+def search_map(
+    belief: ParticleBelief, prior_share: Array, ahead: Array, is_thorough: bool = False
+) -> SearchMap:
     """Fold the belief into a map of where to look.
 
     Hypotheses that hang on nothing observed may be anywhere unexplored, so their share is spread
@@ -115,6 +149,7 @@ def search_map(belief: ParticleBelief, prior_share: Array, ahead: Array) -> Sear
         belief: weighted particles and coverage.
         prior_share: f32[] in [0, 1], how far the learned prior is trusted; 0 leaves it out.
         ahead: f32[], κ, how far things are taken to lie ahead of the viewer; 0: all round alike.
+        is_thorough: whether all of the area may have to be looked at.
 
     Returns:
         The map; its mass sums to the expected number of things still to be found.
@@ -138,6 +173,8 @@ def search_map(belief: ParticleBelief, prior_share: Array, ahead: Array) -> Sear
     cell = jnp.where(is_in, row * CELLS + column, 0.0).astype(jnp.int32)
     hung = jnp.where(is_open & ~is_free & is_in, weight[None, :], 0.0)
     hung_at = jnp.zeros(CELLS**2, jnp.float32).at[cell.reshape(-1)].add(hung.reshape(-1))
+    if is_thorough:
+        x, y = _least_looked_at(belief.coverage, x, y)
     scale = _partner_scale(belief, is_free, x, y)
     return SearchMap(
         x=x,
@@ -148,6 +185,7 @@ def search_map(belief: ParticleBelief, prior_share: Array, ahead: Array) -> Sear
         partner_y=belief.viewer[1] + scale * (y - belief.viewer[1]),
         unseen=_unseen(belief, hung_at, prior_share, ahead),
         terrain=belief.terrain,
+        is_thorough=is_thorough,
     )
 
 

@@ -35,6 +35,7 @@ class Situation:
     params: PlannerParams
     map_params: MapParams
     num_blocks: int = static()  # blocks a side that frontiers are gathered in
+    is_thorough: bool = static(default=False)  # all of the area may have to be looked at
 
     @property
     def range_max(self) -> Array:

@@ -5,6 +5,10 @@ improves the best of them by a few rounds of random changes: move a stop, put on
 turn a stretch round. The best is that of least ``latency``. The tour is kept from step to step, so
 the search goes on while the robot is on its way; and as the tour under way is among the candidates,
 it is left only for a shorter one.
+
+Of a thorough search, which may have to look at all of the area, sweeps in lanes (``sweeps``) are
+drafted too, and a tour is left only for a much shorter one: what seems so on a grid of cells leaves
+corners behind.
 """
 
 import chex
@@ -17,10 +21,16 @@ from jaxlangnav.messages import SensorParams
 from jaxlangnav.planner.drafts import NUM_CHANGES, NUM_GREEDY, change, greedy
 from jaxlangnav.planner.latency import NUM_STOPS, Tour, is_underfoot, latency
 from jaxlangnav.planner.search import SearchMap
+from jaxlangnav.planner.sweeps import NUM_SWEEPS, sweeps
 from jaxlangnav.pytree import pytree
 
 NUM_ROUNDS = 3
 """Rounds of changes at each decision."""
+_LESS, _LESS_SWEPT = 0.3, 0.05
+"""By what share the tour under way of a thorough search must be longer than another one, and than a
+sweep, to be left for it."""
+_HANDICAPS = np.repeat([1.0, 1.0 + _LESS, 1.0 + _LESS_SWEPT], [1, NUM_GREEDY, NUM_SWEEPS])
+"""Of the drafts: the tour under way, greedy tours, sweeps."""
 
 
 @pytree
@@ -112,6 +122,11 @@ def plan(
     # As many drafts as changes: one program weighs them all.
     drawn = np.minimum(np.arange(NUM_CHANGES), NUM_GREEDY)
     drafts = Tour(x=drafts.x[drawn], y=drafts.y[drawn])
+    if search.is_thorough:
+        robot = jnp.stack([robot_x, robot_y])
+        swept = sweeps(search, robot, sensor, area, num_stops=NUM_STOPS)
+        drafts = jax.tree.map(lambda leaf: leaf[: 1 + NUM_GREEDY], drafts)
+        drafts = _join(drafts, Tour(x=swept[:, 0], y=swept[:, 1]))
 
     def improve(index: Array, carry: tuple[Tour, Array]) -> tuple[Tour, Array]:
         """Keep the best tour and weigh changes of it; at first, the drafts."""
@@ -121,6 +136,8 @@ def plan(
         changed = change(keys[index - 1], best, search, area)
         tried = jax.tree.map(lambda one, other: jnp.where(index == 0, one, other), drafts, changed)
         weighed = latency(tried, search, robot_x, robot_y, sensor, area)
+        if search.is_thorough:
+            weighed = weighed * jnp.where(index == 0, _HANDICAPS.astype(np.float32), 1.0 + _LESS)
         kept = Tour(x=best.x[None], y=best.y[None])
         return _join(kept, tried), jnp.append(cost[least], weighed)
 

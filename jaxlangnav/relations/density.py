@@ -105,7 +105,7 @@ def law_of(model: RelationModel, relation: ArrayLike) -> Law:
     names = [field.name for field in dataclasses.fields(Law) if field.name != "has_range"]
     # One gather for all, of which the slope is one scatter.
     numbers = jnp.stack([getattr(model, name) for name in names])[:, jnp.asarray(relation)]
-    values = dict(zip(names, numbers, strict=True))
+    values = dict(zip(names, jnp.unstack(numbers), strict=True))
     return Law(**values, has_range=jnp.ones_like(values["log_distance"]))
 
 

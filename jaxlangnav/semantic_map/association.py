@@ -6,6 +6,8 @@ conditional distribution, so that the weight is the predictive probability of th
 Everything takes one particle, or all of them with the particle axis last ("…" in shapes).
 """
 
+import functools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -79,6 +81,10 @@ class Association(NamedTuple):
     existence: Array  # f32[O, ...] as in the particle
 
 
+Weights = tuple[Array, tuple[Array, Array] | None]
+"""Of one detection, see ``_weigh``."""
+
+
 def associate(
     particle: SemanticMap,
     detections: Detections,
@@ -86,6 +92,8 @@ def associate(
     noise_variance: Array,
     growth: Array | float = 0.0,
     doubt: ClutterOdds | None = None,
+    *,
+    is_pooled: bool = False,
 ) -> Association:
     """Ground each detection in an existing object or in a new one (eq. 7b).
 
@@ -101,6 +109,7 @@ def associate(
         noise_variance: f32[], R, square metres per axis.
         growth: f32[], by how much more of λ each thing of the type that is held makes it (κ / α).
         doubt: how far detections are to be doubted, of particles that hold ``existence``.
+        is_pooled: whether things of any type that are held make it more.
 
     Returns:
         The grounding and its weight.
@@ -108,7 +117,11 @@ def associate(
     predicted = _predicted(particle, noise_variance)
 
     def ground(so_far: Association, one: tuple[Detections, Array]) -> tuple[Association, None]:
-        return _ground(so_far, *one, predicted, growth, doubt), None
+        seen, chance = one
+        weigh = functools.partial(
+            _weigh, seen.object_type, so_far=so_far, growth=growth, doubt=doubt, is_pooled=is_pooled
+        )
+        return _ground(so_far, seen, chance, predicted, weigh), None
 
     nobody, nowhere = jnp.zeros(predicted[0].shape, bool), jnp.zeros_like(predicted[0])
     before = Association(
@@ -129,14 +142,13 @@ def _ground(
     seen: Detections,
     chance: Array,
     predicted: tuple[Array, Array, Array],
-    growth: Array | float,
-    doubt: ClutterOdds | None,
+    weigh: Callable[[Array, Array], Weights],
 ) -> Association:
     """Ground one detection, leaves [], given how those before it are grounded."""
     num_objects, kind, is_there = so_far.object_type.shape[0], seen.object_type, seen.is_detection
     x, y, spread = predicted
     log_existing = gaussian.log_normal_isotropic(seen.offset_x - x, seen.offset_y - y, spread)
-    log_weight, doubted = _weigh(kind, log_existing, seen.log_new, so_far, growth, doubt)
+    log_weight, doubted = weigh(log_existing, seen.log_new)
     choice, log_total = categorical.draw(log_weight, chance)
     slots = column(jnp.arange(num_objects), so_far.object_type.ndim)
     free = jnp.min(jnp.where(so_far.object_type == NONE, slots, num_objects), axis=0)
@@ -180,7 +192,8 @@ def _weigh(
     so_far: Association,
     growth: Array | float,
     doubt: ClutterOdds | None,
-) -> tuple[Array, tuple[Array, Array] | None]:
+    is_pooled: bool,
+) -> Weights:
     """Weigh what a detection of a kind, i32[], may be, given how those before it are grounded.
 
     Args:
@@ -190,6 +203,7 @@ def _weigh(
         so_far: of the detections before it.
         growth: see ``associate``.
         doubt: see ``associate``.
+        is_pooled: see ``associate``.
 
     Returns:
         f32[O + 1, ...], log-weight of each slot, something new last; and f32[O, ...] twice, how
@@ -199,10 +213,11 @@ def _weigh(
     # Attributes decide nothing here: a detector that wavers must not make two of one thing.
     is_alike = label_of(so_far.object_type) == label_of(kind)
     may_be = is_alike & ~so_far.is_hit
+    is_counted = so_far.object_type != NONE if is_pooled else is_alike
     if doubt is None:
-        log_more = (log_new + jnp.log1p(growth * jnp.sum(is_alike, axis=0)))[None]
+        log_more = (log_new + jnp.log1p(growth * jnp.sum(is_counted, axis=0)))[None]
         return jnp.concatenate([jnp.where(may_be, log_existing, -jnp.inf), log_more]), None
-    held = jnp.where(is_alike, so_far.existence, 0.0)
+    held = jnp.where(is_counted, so_far.existence, 0.0)
     log_more = (log_new + jnp.log1p(growth * jnp.sum(held, axis=0)))[None]
     is_other = ~is_alike & (so_far.object_type != NONE)
     log_confused = lead(log_new + doubt.log_confused, log_more.ndim)
@@ -211,7 +226,7 @@ def _weigh(
     )
     likelier = made_likelier(held, growth, jnp.exp(log_more - log_any)[0])
     log_weight = jnp.concatenate([jnp.where(may_be, log_held, -jnp.inf), log_any])
-    return log_weight, (if_held, jnp.where(is_alike, likelier, so_far.existence))
+    return log_weight, (if_held, jnp.where(is_counted, likelier, so_far.existence))
 
 
 def _doubted(

@@ -5,6 +5,7 @@ Each end is an observed object, the place that an earlier relation decided, or n
 Shapes are those of one particle; with many, the particle axis is last ("...").
 """
 
+import functools
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -53,6 +54,7 @@ class Scene(NamedTuple):
     first_row: Array  # i32[] where in ``coverage`` the episode's map begins
     log_area: Array  # f32[] log A, square metres
     log_unseen: Array  # f32[] log u
+    num_pooled: Array | None = None  # f32[] T, types that have one rate (``counts``); None: none
 
 
 class Grounding(NamedTuple):
@@ -109,7 +111,7 @@ def list_candidates(
     is_kind = fits(seen.object_type[None], said.kind[:, None])
     slots = column(jnp.arange(seen.x.shape[0]), is_kind.ndim - 1)[None]
     may_be = is_kind & is_open[:, None] & ((said.excluded[:, None] >> slots) & 1 == 0)
-    log_bystander, log_alike = _log_bystanders(seen, said, is_kind, scene, params)
+    log_bystander, log_alike = _log_bystanders(seen, said, is_kind, grounding, scene, params=params)
 
     def append(objects: Array, place: Array) -> Array:
         objects = jnp.broadcast_to(objects, may_be.shape)
@@ -129,7 +131,13 @@ def list_candidates(
 
 
 def _log_bystanders(
-    seen: Seen, said: Said, is_kind: Array, scene: Scene, params: MapParams
+    seen: Seen,
+    said: Said,
+    is_kind: Array,
+    grounding: Grounding,
+    scene: Scene,
+    *,
+    params: MapParams,
 ) -> tuple[Array, Array]:
     """Weigh what has been seen against being a bystander, 1/λ: of its type all but one are.
 
@@ -137,37 +145,80 @@ def _log_bystanders(
         seen: objects.
         said: the relation.
         is_kind: bool[2, O, ...], which of them are of the types of its ends.
+        grounding: what earlier relations have decided.
         scene: area.
         params: concentration, clumping.
 
     Returns:
         f32[2, 1, ...] or f32[2, O, ...]; and ``Candidates.log_alike``: of a pair all but two are.
     """
-    ndim, number = is_kind.ndim - 1, jnp.sum(is_kind, axis=1)
-    unseen, log_area = jnp.exp(lead(scene.log_unseen, ndim)), lead(scene.log_area, ndim)
+    counted = _counted(seen, is_kind, grounding, scene)
+    number, unseen = counted.number, counted.unseen
+    expected = functools.partial(log_expected, params=params)
+    log_area = lead(scene.log_area, number.ndim)
     log_one, log_two = (
-        log_expected(jnp.maximum(number - but, 0), unseen, params=params) for but in (1, 2)
+        expected(jnp.maximum(number - but, 0), unseen, num_pooled=counted.num_pooled)
+        for but in (1, 2)
     )
     log_bystander = (log_area - log_one)[:, None]
     if seen.existence is not None:
-        real = jnp.where(is_kind, seen.existence[None], 0.0)
-        others = jnp.maximum(jnp.sum(real, axis=1, keepdims=True) - real, 0.0)
-        log_bystander = log_area[:, None] - log_expected(others, unseen[:, None], params=params)
+        real = jnp.where(counted.is_counted, seen.existence[None], 0.0)
+        others = jnp.sum(real, axis=1, keepdims=True) - real
+        pooled = counted.num_pooled
+        if pooled is not None:
+            others, pooled = others - counted.num_meant[:, None], pooled[:, None]
+        log_others = expected(jnp.maximum(others, 0.0), unseen[:, None], num_pooled=pooled)
+        log_bystander = log_area[:, None] - log_others
         log_bystander = log_bystander + jnp.log(jnp.maximum(seen.existence, 1e-9))[None]
     is_any, label = is_anything(said.kind), label_of(seen.object_type)
     is_alike = label[:, None] == label[None]
-    records = (jnp.concatenate([seen.x, seen.x]), is_alike, seen, scene.log_area, scene.log_unseen)
+    places = scene.log_area, scene.log_unseen, scene.num_pooled
+    records = (jnp.concatenate([seen.x, seen.x]), is_alike, seen, *places)
     found = rarely(
         jnp.any(is_any, axis=0), lambda given: _of_any_type(*given[1:], params=params), records
     )
     log_of_any, log_gain_of_any = jnp.split(found, 2)
     log_gain = jnp.where(jnp.any(is_any, axis=0), log_gain_of_any, (log_one - log_two)[FIGURE])
-    log_alike = jnp.where(is_alike, log_gain[:, None], 0.0)
+    # Of one rate things of two types hang together as those of one type do.
+    hang_together = is_alike if scene.num_pooled is None else jnp.ones_like(is_alike)
+    log_alike = jnp.where(hang_together, log_gain[:, None], 0.0)
     return jnp.where(is_any[:, None], log_of_any[None], log_bystander), log_alike
 
 
+class _Counted(NamedTuple):
+    """By what it is told how many bystanders there are."""
+
+    is_counted: Array  # bool[2, O, ...] things that tell of it
+    number: Array  # i32[2, ...] how many of them
+    unseen: Array  # f32[1, ...] u
+    num_meant: (
+        Array  # i32[1, ...] of them that earlier relations have taken, where types are pooled
+    )
+    num_pooled: Array | None  # f32[1, ...] as of ``Scene``
+
+
+def _counted(seen: Seen, is_kind: Array, grounding: Grounding, scene: Scene) -> _Counted:
+    """Count what tells of how many there are of the types of a relation's ends."""
+    ndim, is_counted, num_pooled = is_kind.ndim - 1, is_kind, None
+    num_meant = np.zeros(1, np.int32)
+    if scene.num_pooled is not None:
+        is_counted = jnp.broadcast_to((seen.object_type != NONE)[None], is_kind.shape)
+        num_pooled = lead(scene.num_pooled, ndim)
+        num_meant = jnp.sum(grounding.slot != NONE, axis=0)[None]
+    number, unseen = jnp.sum(is_counted, axis=1), jnp.exp(lead(scene.log_unseen, ndim))
+    if num_pooled is not None:
+        number = number - num_meant
+    return _Counted(is_counted, number, unseen, jnp.asarray(num_meant), num_pooled)
+
+
 def _of_any_type(
-    is_alike: Array, seen: Seen, log_area: Array, log_unseen: Array, *, params: MapParams
+    is_alike: Array,
+    seen: Seen,
+    log_area: Array,
+    log_unseen: Array,
+    num_pooled: Array | None,
+    *,
+    params: MapParams,
 ) -> Array:
     """Weigh what has been seen as a thing that a sentence calls by no type.
 
@@ -179,6 +230,7 @@ def _of_any_type(
         seen: objects.
         log_area: f32[...], log A.
         log_unseen: f32[...], log u.
+        num_pooled: see ``Scene``.
         params: concentration, clumping.
 
     Returns:
@@ -189,10 +241,13 @@ def _of_any_type(
     is_earlier = column(jnp.asarray(np.tri(is_there.shape[0], k=-1, dtype=bool)), is_alike.ndim)
     is_new_type = is_there & ~jnp.any(is_alike & is_earlier, axis=1)
     real = is_there.astype(jnp.float32) if seen.existence is None else seen.existence
+    if num_pooled is not None:
+        is_alike, num_pooled = is_there[None], lead(num_pooled, is_there.ndim)
     number = jnp.sum(jnp.where(is_alike, real[None], 0.0), axis=1)
     others = jnp.maximum(number - real, 0.0)
-    log_one = log_expected(others, unseen, params=params)
-    log_two = log_expected(jnp.maximum(others - 1.0, 0.0), unseen, params=params)
+    expected = functools.partial(log_expected, unseen=unseen, params=params, num_pooled=num_pooled)
+    log_one = expected(others)
+    log_two = expected(jnp.maximum(others - 1.0, 0.0))
     log_share = -jnp.log1p(jnp.sum(is_new_type, axis=0).astype(jnp.float32))
     log_weight = lead(log_area, log_one.ndim) - log_one + log_share[None]
     if seen.existence is not None:

@@ -12,6 +12,11 @@ and all has been looked at, it is the one that is meant. The joint probability o
 is the product of these, one for each thing in any order, and of ((1 + κ s) / (1 + κ s'))ⁿ for each
 look that takes s to s' (what all particles have in common is left out).
 
+Types may have a rate each, or one in common (``MapConfig.pools_counts``): who has put up many
+cones has put up many hydrants. Of T types that have one, n counts the things of all of them, seen
+in T times the area: s is T s. One hydrant and one cone then tell more of a second pair, and that
+nothing more comes into view tells twice against it.
+
 What was detected may not exist (``association.ClutterOdds``): of things that exist with
 probabilities r independently of each other, n is their sum wherever it is expected, and what tells
 of their number tells of each of them (``made_likelier``, ``exposed``). They do hang together, for
@@ -33,27 +38,32 @@ def share_unseen(coverage: Coverage) -> Array:
     return jnp.mean(jnp.exp(coverage.log_miss))
 
 
-def log_expected(number: Array, unseen: Array, *, params: MapParams) -> Array:
+def log_expected(
+    number: Array, unseen: Array, *, params: MapParams, num_pooled: Array | None = None
+) -> Array:
     """Compute how many more things of a type are expected in the whole area.
 
-        log (α + κ n) / (1 + κ (1 − u))
+        log (α + κ n) / (1 + T κ (1 − u))
 
     Args:
-        number: f32[...] or i32[...], n ≥ 0, things of the type seen that are not spoken of.
+        number: f32[...] or i32[...], n ≥ 0, things of the type, or of all that are pooled, seen
+            that are not spoken of.
         unseen: broadcastable to it, u, share of the area that no look has shown.
         params: concentration α and clumping κ.
+        num_pooled: broadcastable to it, T, types that have one rate; None: each has its own.
 
     Returns:
         f32[...].
     """
     return jnp.log(params.concentration + params.clumping * number) - log_exposure(
-        unseen, params=params
+        unseen, params=params, num_pooled=num_pooled
     )
 
 
-def log_exposure(unseen: Array, *, params: MapParams) -> Array:
-    """Compute log (1 + κ s) of the share s = 1 − u that has been looked at, f32[...]."""
-    return jnp.log1p(params.clumping * (1.0 - unseen))
+def log_exposure(unseen: Array, *, params: MapParams, num_pooled: Array | None = None) -> Array:
+    """Compute log (1 + T κ s) of the share s = 1 − u that has been looked at, f32[...]."""
+    clumping = params.clumping if num_pooled is None else params.clumping * num_pooled
+    return jnp.log1p(clumping * (1.0 - unseen))
 
 
 def made_likelier(existence: Array, growth: Array | float, is_real: Array | float) -> Array:
@@ -64,7 +74,7 @@ def made_likelier(existence: Array, growth: Array | float, is_real: Array | floa
     Limits: no growth, nothing real (ρ = 0) and what is sure (r = 1) stay as they are.
 
     Args:
-        existence: f32[O, ...], r; 0 of other types and in empty slots.
+        existence: f32[O, ...], r; 0 of types with another rate and in empty slots.
         growth: f32[], g.
         is_real: f32[...], ρ, probability that the new one is itself real.
 

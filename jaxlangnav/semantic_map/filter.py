@@ -124,6 +124,14 @@ def _part(
     )
 
 
+def _num_pooled(belief: ParticleBelief, spoken: Array | None) -> Array:
+    """Count the types of which things take slots, f32[]: those that the task speaks of."""
+    if spoken is None:
+        return belief.num_types.astype(jnp.float32)
+    is_type = jnp.arange(spoken.shape[0]) < belief.num_types
+    return jnp.maximum(jnp.sum(spoken & is_type), 1).astype(jnp.float32)
+
+
 def _remember(
     belief: ParticleBelief, others: Observation | None
 ) -> tuple[ParticleBelief, Array | int]:
@@ -194,6 +202,7 @@ def step(
     is_sparse: bool = False,
     farthest: Array | None = None,
     spoken: Array | None = None,
+    pools_counts: bool = False,
 ) -> tuple[ParticleBelief, FilterInfo]:
     """Run one step of the filter (eq. 6-8).
 
@@ -209,6 +218,7 @@ def step(
         farthest: f32[], metres that the robot can have gone since the last step; None: anywhere.
         spoken: bool[T], types that the task speaks of; where the belief has room for bystanders,
             things of other types are remembered as such. None: it speaks of all.
+        pools_counts: whether the types that it speaks of have one rate of how many there are.
 
     Returns:
         The belief now, and information on the step.
@@ -222,10 +232,19 @@ def step(
     belief, seen, others = _part(belief, sound.observation, spoken)
     noise = drift_noise(keys[0], belief)
     belief = predict(belief, seen.pose, sound.is_jump, noise, params=params)
-    belief, weighed = observe(associate, belief, seen, params=params)
+    pooled = _num_pooled(belief, spoken) if pools_counts else None
+    belief, weighed = observe(associate, belief, seen, params=params, num_pooled=pooled)
     belief, num_forgotten = _remember(belief, others)
     found = reground(
-        keys[1], keep, belief, readings, weighed, params=params, told=told, is_sparse=is_sparse
+        keys[1],
+        keep,
+        belief,
+        readings,
+        weighed,
+        params=params,
+        told=told,
+        is_sparse=is_sparse,
+        num_pooled=pooled,
     )
     size = effective_sample_size(found.weight)
     is_resampled = size < params.resample_threshold * number

@@ -152,6 +152,7 @@ def _scene_of(scene: Scene, chosen: Array, lane: Array) -> Scene:
         first_row=lane * maps.shape[1] + own(scene.first_row),
         log_area=scene.log_area[lane],
         log_unseen=own(scene.log_unseen),
+        num_pooled=None if scene.num_pooled is None else scene.num_pooled[lane],
     )
 
 

@@ -1,5 +1,6 @@
 """The second half of a step: ground what is seen, and weigh what is and is not (eq. 7b, 8)."""
 
+import functools
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -41,7 +42,12 @@ class Weighed(NamedTuple):
 
 
 def observe(
-    uniform: Array, belief: ParticleBelief, observation: Observation, *, params: MapParams
+    uniform: Array,
+    belief: ParticleBelief,
+    observation: Observation,
+    *,
+    params: MapParams,
+    num_pooled: Array | None = None,
 ) -> tuple[ParticleBelief, Weighed]:
     """Ground the detections, condition, and weigh what was and what was not seen.
 
@@ -50,6 +56,7 @@ def observe(
         belief: after the motion.
         observation: pose and detections now, all of them sound.
         params: traced numbers.
+        num_pooled: see ``ground_words``.
 
     Returns:
         The belief with its weights as they were, and the likelihoods.
@@ -57,11 +64,14 @@ def observe(
     believed, observation = belief.particles, with_drift(belief, observation)
     sensor, doubt = _doubted(belief, observation.sensor)
     noise_variance = jnp.maximum(sensor.noise, MIN_NOISE) ** 2
-    seen, growth = _detections(belief, observation, params), params.clumping / params.concentration
-    grounded = association.associate(believed, seen, uniform, noise_variance, growth, doubt)
+    seen = _detections(belief, observation, params, num_pooled)
+    growth, is_pooled = params.clumping / params.concentration, num_pooled is not None
+    grounded = association.associate(
+        believed, seen, uniform, noise_variance, growth, doubt, is_pooled=is_pooled
+    )
     belief = replace(belief, particles=condition(believed, grounded, noise_variance))
     belief = _never_sure(belief)
-    belief, exposure = _looked(belief, observation, sensor, params)
+    belief, exposure = _looked(belief, observation, sensor, params, num_pooled)
     log_objects, log_hypotheses, existence = log_absence(
         belief.particles,
         grounded.is_hit,
@@ -104,13 +114,14 @@ def _doubted(
 
 
 def _detections(
-    belief: ParticleBelief, observation: Observation, params: MapParams
+    belief: ParticleBelief, observation: Observation, params: MapParams, num_pooled: Array | None
 ) -> association.Detections:
     """Turn detections into map axes and look up how likely something new is there."""
     bearing = observation.pose[2] + observation.detection_bearing
     offset_x = observation.detection_range * jnp.cos(bearing)
     offset_y = observation.detection_range * jnp.sin(bearing)
-    log_density = log_expected(jnp.float32(0.0), share_unseen(belief.coverage), params=params)
+    unseen, nobody = share_unseen(belief.coverage), jnp.float32(0.0)
+    log_density = log_expected(nobody, unseen, params=params, num_pooled=num_pooled)
     log_density = log_density - jnp.log(area_size(belief.coverage))
     drift = mean_drift(belief)
     if drift is not None:
@@ -135,16 +146,21 @@ def kinds_seen(observation: Observation) -> Array:
 
 
 def _looked(
-    belief: ParticleBelief, observation: Observation, sensor: SensorParams, params: MapParams
+    belief: ParticleBelief,
+    observation: Observation,
+    sensor: SensorParams,
+    params: MapParams,
+    num_pooled: Array | None,
 ) -> tuple[ParticleBelief, Array]:
     """Enter the look, which tells against there being many of what it does not show.
 
     Returns:
         The belief, and f32[], by how much less probable one more of a type has become, log.
     """
-    before = log_exposure(share_unseen(belief.coverage), params=params)
+    exposed_by = functools.partial(log_exposure, params=params, num_pooled=num_pooled)
+    before = exposed_by(share_unseen(belief.coverage))
     coverage, other_miss = look_around(belief, observation, sensor)
-    exposure = log_exposure(share_unseen(coverage), params=params) - before
+    exposure = exposed_by(share_unseen(coverage)) - before
     return replace(belief, coverage=coverage, other_miss=other_miss), exposure
 
 

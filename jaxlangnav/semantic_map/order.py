@@ -15,6 +15,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.kinds import fits, is_anything
+from jaxlangnav.messages import NONE
 from jaxlangnav.numerics.batching import apart, lead, rarely
 from jaxlangnav.relations import degree, is_on_side, robot_frame
 from jaxlangnav.relations.strength import sign_of_distance, value_of_rank
@@ -26,8 +27,10 @@ from jaxlangnav.semantic_map.ways import Pairs
 
 _TIE = 1e-3
 """Metres within which a seen thing is the figure itself."""
-_LEAST_SHARE = 0.1
-"""Share of the unseen that may come before or after where neither of few draws does."""
+_LEAST_BEFORE, _LEAST_AFTER = 0.01, 0.1
+"""Share of the unseen that may come before, and after, where neither of few draws does. Much of a
+place is unseen where nothing can come before any more: "the third" of three in view was then as
+well the first of them, with two before it that nobody had seen."""
 _OFF_SIDE = 1e-3
 """Weight of a figure that is not on the side where it is said to be."""
 PLURAL = 10.0
@@ -117,16 +120,19 @@ def _log_order(
     before = jnp.sum(is_rival & (rival < own[None] - _TIE), axis=0)
     is_alone = ~jnp.any(is_rival & (jnp.abs(rival - own[None]) > _TIE), axis=0) & (rank == 1)
     lacking = jnp.maximum(rank - 1 - before, 0)
-    others = jnp.maximum(jnp.sum(is_kind, axis=0) - 1, 0)
-    log_more = log_expected(others, jnp.exp(lead(scene.log_unseen, others.ndim)), params=params)
+    is_counted = is_kind if scene.num_pooled is None else seen.object_type != NONE
+    others = jnp.maximum(jnp.sum(is_counted, axis=0) - 1, 0)
+    num_pooled = None if scene.num_pooled is None else lead(scene.num_pooled, others.ndim)
+    unseen_share = jnp.exp(lead(scene.log_unseen, others.ndim))
+    log_more = log_expected(others, unseen_share, params=params, num_pooled=num_pooled)
     log_new = lead(jnp.log(PLURAL) + log_more, own.ndim) + lead(scene.log_unseen, own.ndim)
 
-    def log_there(is_there: Array) -> Array:
+    def log_there(is_there: Array, least: float) -> Array:
         share = jnp.mean(counts[num_seen:num_others] & is_there, axis=0)
-        return log_new + jnp.log(jnp.maximum(share, _LEAST_SHARE))
+        return log_new + jnp.log(jnp.maximum(share, least))
 
-    price = jnp.where(lacking > 0, lacking * log_there(unseen < own[None]), 0.0)
-    price = price + jnp.where(is_alone, log_there(unseen > own[None]), 0.0)
+    price = jnp.where(lacking > 0, lacking * log_there(unseen < own[None], _LEAST_BEFORE), 0.0)
+    price = price + jnp.where(is_alone, log_there(unseen > own[None], _LEAST_AFTER), 0.0)
     price = price + jnp.where(is_where_said[num_others:], 0.0, jnp.log(_OFF_SIDE))
     return price - excess / params.superlative_softness
 

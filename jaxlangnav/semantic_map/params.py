@@ -47,6 +47,9 @@ class MapConfig:
     has_drift: bool = False
     """Whether the heading drifts, as ``MotionParams`` says; else a compass gives it."""
 
+    pools_counts: bool = False
+    """Whether types have one rate in common by which there are things of them (``counts``)."""
+
     def __post_init__(self) -> None:
         """Refuse sizes the filter cannot work with."""
         least_sizes = {"num_particles": 2, "num_objects": 1, "num_cells": 4, "num_bystanders": 0}

@@ -51,6 +51,7 @@ def reground(
     params: MapParams,
     told: Told | None,
     is_sparse: bool,
+    num_pooled: Array | None,
 ) -> Regrounded:
     """Ground the words anew where the old hypothesis was refuted or a new object calls for it.
 
@@ -63,6 +64,7 @@ def reground(
         params: traced numbers.
         told: see ``step``.
         is_sparse: see ``step``.
+        num_pooled: see ``ground_words``.
 
     Returns:
         The particles, properly weighted.
@@ -84,7 +86,14 @@ def reground(
     is_asked = is_fresh | (jnp.arange(number) % max(1, number // _ASKED) == 0)
     belief = replace(belief, particles=take(particles, ancestors))
     fresh, log_language = ground_words(
-        key, belief, readings, params=params, told=told, is_asked=is_asked, is_sparse=is_sparse
+        key,
+        belief,
+        readings,
+        params=params,
+        told=told,
+        is_asked=is_asked,
+        is_sparse=is_sparse,
+        num_pooled=num_pooled,
     )
     language, log_evidence = _language(log_language, is_asked)
     fresh_weight = jnp.where(must_ground, map_weight, 1.0 / number) * language

@@ -23,6 +23,7 @@ def ground_words(
     told: Told | None = None,
     is_asked: Array | None = None,
     is_sparse: bool = False,
+    num_pooled: Array | None = None,
 ) -> tuple[SemanticMap, Array]:
     """Draw for particles a reading and what its words refer to (eq. 7a).
 
@@ -34,6 +35,7 @@ def ground_words(
         told: how it was said; all of it to the belief's viewer by default.
         is_asked: bool[P], the particles whose words are grounded; all by default.
         is_sparse: under ``vmap``, compute only those; no gradient in reverse mode.
+        num_pooled: f32[], types that have one rate of how many there are; None: each its own.
 
     Returns:
         Particles with fresh groundings, and f32[P], log of the evidence estimated by each. Of
@@ -42,6 +44,7 @@ def ground_words(
     particles, number = belief.particles, belief.log_weight.shape[0]
     asked = jnp.ones(number, bool) if is_asked is None else is_asked
     uniform, draws, scene = draw_places(key, belief, readings.figure.shape[1])
+    scene = scene._replace(num_pooled=num_pooled)
     reading = _reading(readings, uniform)
     own = _seen(particles), draws, reading
     how = told_now(readings, belief.viewer) if told is None else told

@@ -12,7 +12,8 @@ what is meant",
 
 Where the number of things of a type is itself not known, but Gamma-Poisson with mean α and variance
 of the rate α κ, ∏ 1/λ over k observed things of a type of which n have been seen is the ratio of
-how probable n − k and n bystanders in the share s of the area that has been looked at are.
+how probable n − k and n bystanders in the share s of the area that has been looked at are. Where T
+types have one rate, k and n count things of any of them, and T s has been looked at.
 
 A thing that is called by no type ("the thing behind the cone") is of one of the k types that have
 been seen or of one that has not, each as probable, and is none of the other things mentioned. So a
@@ -49,6 +50,7 @@ class World:
     concentration: np.ndarray  # [6]
     misleading: float  # ε
     clumping: float = 0.0  # κ
+    pooled: int = 0  # T, types that have one rate; 0: each has its own
     fineness: int = 3  # grid points a side in each cell
 
     @property
@@ -70,8 +72,8 @@ def seen_odds(world: World, kind: int, name: int) -> float:
 def bystander_odds(world: World, kind: int, meant: int) -> float:
     """Compute p(n − meant) / p(n) of bystanders of a type, as a density over places: negative
     binomial by its definition, and Poisson where κ is 0."""
-    number = sum(name == kind for name, _, _ in world.objects)
-    looked = 1.0 - world.miss.mean()
+    number = sum(name == kind or world.pooled > 0 for name, _, _ in world.objects)
+    looked = max(1, world.pooled) * (1.0 - world.miss.mean())
 
     def log_density(count: int) -> float:
         if world.clumping == 0.0:
@@ -175,14 +177,15 @@ def potential(world: World, kinds: list[int], edge: tuple[int, int, int, bool], 
         for i, j in np.ndindex(len(own), len(mark)):
             if (places[figure][i] == places[landmark][j]).all():
                 table[i, j] = 0.0
-            elif own[i] == mark[j]:
+            elif own[i] == mark[j] and not world.pooled:
                 both = bystander_odds(world, own[i], 2)
                 table[i, j] *= both / bystander_odds(world, own[i], 1) ** 2
     elif kinds[figure] == kinds[landmark]:
         table = np.where((rows == columns).all(-1), 0.0, table)
         known = sum(name == kinds[figure] for name, _, _ in world.objects)
-        both = bystander_odds(world, kinds[figure], 2) if known > 1 else 0.0
-        table[:known, :known] *= both / bystander_odds(world, kinds[figure], 1) ** 2
+        if not world.pooled:
+            both = bystander_odds(world, kinds[figure], 2) if known > 1 else 0.0
+            table[:known, :known] *= both / bystander_odds(world, kinds[figure], 1) ** 2
     return table
 
 
@@ -222,7 +225,22 @@ def groundings(world: World, kinds: list[int], edges: list[tuple[int, int, int, 
             axes = np.moveaxis(result, (1 + one, 1 + other), (0, 1))
             for index in range(number - 1):
                 axes[index, index] = 0.0
+    result = result * _together(world, kinds, result.shape[1:])
     return result[0], result[1:]
+
+
+def _together(world: World, kinds: list[int], shape: tuple[int, ...]) -> np.ndarray:
+    """Weigh what k things are together above what each is by itself, where all types are pooled."""
+    is_seen = np.zeros(shape, int)
+    if world.pooled:
+        for mention, kind in enumerate(kinds[: len(shape)]):
+            axis = np.arange(shape[mention]) < len(world.objects)
+            is_seen += np.expand_dims(
+                axis & (kind != ROBOT), [one for one in range(len(shape)) if one != mention]
+            )
+    first = bystander_odds(world, NONE, 1) if is_seen.any() else 1.0
+    odds = [1.0, first, *(bystander_odds(world, NONE, k) for k in range(2, is_seen.max() + 1))]
+    return np.array([one / first**k for k, one in enumerate(odds)])[is_seen]
 
 
 def chain(world, kinds, edges, places, first, sorting):
