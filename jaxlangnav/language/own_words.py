@@ -207,8 +207,9 @@ class _Known:
             raise ValueError(f"{where}: '{bare}' has another meaning already: choose another")
 
     def is_word_of_grammar(self, name: str) -> bool:
-        """Tell whether a name is a word of the grammar; "thing" and "one" name any class."""
-        uses = {one for one, _ in self._senses.get(name, ())} - _OPEN - {"one"}
+        """Tell whether a name is a word of the grammar; "thing" and "one" name any class, a "well"
+        is a thing too."""
+        uses = {one for one, _ in self._senses.get(name, ())} - _OPEN - {"one", "opener"}
         return self._is_closed(name) or any(not one.startswith("v_") for one in uses)
 
     def _is_of_grammar(self, word: str, is_alone: bool) -> bool:
