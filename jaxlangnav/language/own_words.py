@@ -22,6 +22,8 @@ LONGEST_WORD = 30
 """Letters of one word."""
 _OPEN = frozenset({"adj", "nmod", "adv", "foreign", "place_noun"})
 """Classes whose words may be names of things as well: "the light", "the park"."""
+_TALK = frozenset({"opener", "note"})
+"""Classes of what is only said around a command: "well"."""
 _MEANT = frozenset(
     {"such an action", "such a relation", "path", "containment", "a turn", "the compass"}
     | {"two sides", "between"}
@@ -207,9 +209,8 @@ class _Known:
             raise ValueError(f"{where}: '{bare}' has another meaning already: choose another")
 
     def is_word_of_grammar(self, name: str) -> bool:
-        """Tell whether a name is a word of the grammar; "thing" and "one" name any class, a "well"
-        is a thing too."""
-        uses = {one for one, _ in self._senses.get(name, ())} - _OPEN - {"one", "opener"}
+        """Tell whether a name is a word of the grammar; "thing" names any class, a well is one."""
+        uses = {one for one, _ in self._senses.get(name, ())} - _OPEN - _TALK - {"one"}
         return self._is_closed(name) or any(not one.startswith("v_") for one in uses)
 
     def _is_of_grammar(self, word: str, is_alone: bool) -> bool:
