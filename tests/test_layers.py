@@ -53,7 +53,6 @@ LAYERS = (
     "experiments",
     "task",
     "studies",
-    "speed",
     "viz",
     "environments",
     "robots",
