@@ -22,12 +22,17 @@ from jax.experimental.compilation_cache import compilation_cache
 from record import Measurement, against, entry, render
 
 from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task, run
-from jaxlangnav.experiments.devices import LANES, usable_cores
-from jaxlangnav.experiments.figure5 import SENSING_RANGES
-from jaxlangnav.experiments.monte_carlo import run_tasks
+from jaxlangnav.experiments.monte_carlo import LANES, run_tasks, usable_cores
+from jaxlangnav.experiments.paper import SENSING_RANGES
 from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, navigator_config
-from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
-from jaxlangnav.experiments.tasks import cell, concatenate, make_tasks, take_tasks
+from jaxlangnav.experiments.tasks import (
+    SENTENCES,
+    cell,
+    concatenate,
+    ground_sentences,
+    make_tasks,
+    take_tasks,
+)
 from jaxlangnav.experiments.timing import (
     POLICY,
     Part,

@@ -19,7 +19,7 @@ import record
 from record import Measurement, entry
 
 from jaxlangnav.environments import functional
-from jaxlangnav.environments.pool import draw_pool
+from jaxlangnav.environments.functional import draw_pool
 
 MANY, FEW = 200, 10
 """Steps of a turn: few where each of them takes a hundred times as long."""

@@ -24,7 +24,7 @@ from jax import Array
 from slam_scenario import LANDMARKS, ODOMETRY_NOISE, SENSOR_NOISE, STEP, Drive
 
 from jaxlangnav.experiments.timing import measure
-from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
+from jaxlangnav.experiments.tasks import SENTENCES, ground_sentences
 from jaxlangnav.messages import MotionParams, Observation, Readings, SensorParams
 from jaxlangnav.numerics import categorical
 from jaxlangnav.numerics.batching import take

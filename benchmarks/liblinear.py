@@ -34,7 +34,7 @@ from record import Measurement, against, entry
 from scipy import sparse
 from sklearn.linear_model import LogisticRegression
 
-from jaxlangnav.training.blocks import Factors, pool
+from jaxlangnav.training.examples import Factors, pool
 from jaxlangnav.training.fit import TrainingConfig, fit
 
 NUM_EXAMPLES, NUM_SYMBOLS = 83_547, 494
@@ -192,7 +192,7 @@ COLD = {
     "ours": """
 import pinning, sys
 import numpy as np
-from jaxlangnav.training.blocks import Factors, pool
+from jaxlangnav.training.examples import Factors, pool
 from jaxlangnav.training.fit import TrainingConfig, fit
 with np.load(sys.argv[1]) as file:
     factors = Factors(**file)

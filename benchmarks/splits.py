@@ -18,7 +18,7 @@ import numpy as np
 import record
 from record import Measurement, entry
 
-from jaxlangnav.experiments.splits import draw_splits
+from jaxlangnav.experiments.table1 import draw_splits
 from jaxlangnav.experiments.table1 import CORPUS, MODELS
 from jaxlangnav.training.examples import PhraseExample, annotation_examples, behavior_examples
 from jaxlangnav.training.labelled import read_examples

@@ -7,6 +7,8 @@ help stay instant; JAX is imported only once something computes.
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from jaxlangnav.moved import know_old_names as _know_old_names
+
 if TYPE_CHECKING:
     from jaxlangnav.agent import Navigator as Navigator
     from jaxlangnav.cli.runtime import keep_compiled_programs as keep_compiled_programs
@@ -56,6 +58,9 @@ __all__ = [
     "keep_compiled_programs",
     "parse",
 ]
+
+
+_know_old_names()
 
 
 def __getattr__(name: str) -> Any:

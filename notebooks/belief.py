@@ -29,16 +29,15 @@ from studies.own_worlds import judge_own_worlds
 
 import jaxlangnav
 from jaxlangnav.experiments import calibration
+from jaxlangnav.experiments.judging import bin_sums, curve
 from jaxlangnav.experiments.policies import navigator_config
-from jaxlangnav.experiments.reliability import bin_sums, curve
-from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
-from jaxlangnav.experiments.tasks import cell, make_tasks
+from jaxlangnav.experiments.tasks import SENTENCES, cell, ground_sentences, make_tasks
 from jaxlangnav.messages import Observation
 from jaxlangnav.navigator import default_params
 from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.semantic_map.params import MapConfig
 from jaxlangnav.viz import style
-from jaxlangnav.viz.measures import reliability_figure
+from jaxlangnav.viz.rows import reliability_figure
 
 jaxlangnav.keep_compiled_programs()
 mpl.rcParams.update(style.rc())

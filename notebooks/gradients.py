@@ -30,10 +30,8 @@ from studies.own_worlds import OWN_AREA, own_tasks
 
 import jaxlangnav
 from jaxlangnav.experiments.policies import navigator_config
-from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
-from jaxlangnav.experiments.splits import draw_splits
-from jaxlangnav.experiments.table1 import CORPUS
-from jaxlangnav.experiments.tasks import cell
+from jaxlangnav.experiments.table1 import CORPUS, draw_splits
+from jaxlangnav.experiments.tasks import SENTENCES, cell, ground_sentences
 from jaxlangnav.grounding.features import FEATURE_GROUPS
 from jaxlangnav.grounding.model import ANNOTATION_KINDS, CorrespondenceModel
 from jaxlangnav.language.corpus import load_corpus

@@ -35,7 +35,7 @@ from jaxlangnav.grounding.correspondence import (
 )
 from jaxlangnav.training import train_graph
 from jaxlangnav.training.fit import TrainingConfig, build_design, loss
-from jaxlangnav.training.graph import examples_of
+from jaxlangnav.training.labelled import examples_of
 from jaxlangnav.viz.graph import beliefs_figure
 
 jaxlangnav.keep_compiled_programs()

@@ -27,11 +27,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from jaxlangnav import keep_compiled_programs
-from jaxlangnav.experiments.sentences import SENTENCES
+from jaxlangnav.experiments.tasks import SENTENCES
 from jaxlangnav.robots.libraries import check_libraries
 from jaxlangnav.robots.recorded import record_drive
 from jaxlangnav.robots.table3 import TABLE3, make_robot, navigator_of
-from jaxlangnav.viz.belief import belief_figure
+from jaxlangnav.viz.panels import belief_figure
 
 check_libraries()  # says in one line what to install
 keep_compiled_programs()

@@ -32,7 +32,7 @@ from matplotlib.figure import Figure
 import jaxlangnav
 from jaxlangnav.viz import mapping, style
 from jaxlangnav.viz.narrative import closing
-from jaxlangnav.viz.values import best_nodes, values_figure
+from jaxlangnav.viz.panels import best_nodes, values_figure
 
 jaxlangnav.keep_compiled_programs()
 mpl.rcParams.update(style.rc())

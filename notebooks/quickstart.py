@@ -19,7 +19,7 @@
 # %%
 # %matplotlib inline
 import jaxlangnav
-from jaxlangnav.viz.belief import belief_figure
+from jaxlangnav.viz.panels import belief_figure
 
 jaxlangnav.keep_compiled_programs()  # so that the next run starts in seconds
 recording = jaxlangnav.follow("go to the hydrant behind the cone", world="1H1C", seed=0)

@@ -34,10 +34,10 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 import jaxlangnav
-from jaxlangnav.experiments.sentences import SENTENCES
 from jaxlangnav.experiments.summary import render, summarize_directory
 from jaxlangnav.experiments.sweep import run_sweep, total_episodes
 from jaxlangnav.experiments.sweep_config import config_from_dict
+from jaxlangnav.experiments.tasks import SENTENCES
 from jaxlangnav.viz import style
 from jaxlangnav.viz.sweep import POLICY_LOOKS, range_figure
 

@@ -42,7 +42,7 @@ from matplotlib.figure import Figure
 import jaxlangnav
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.viz import mapping, style
-from jaxlangnav.viz.belief import belief_figure
+from jaxlangnav.viz.panels import belief_figure
 
 jaxlangnav.keep_compiled_programs()
 mpl.rcParams.update(style.rc())
@@ -230,11 +230,15 @@ figure
 # every policy with the same noise. `run_policy` takes the function as it takes a name.
 
 # %%
-from jaxlangnav.experiments.metrics import summarize
-from jaxlangnav.experiments.paired import compare
+from jaxlangnav.experiments.metrics import compare, summarize
 from jaxlangnav.experiments.policies import run_policy
-from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
-from jaxlangnav.experiments.tasks import cell, known_distances, make_tasks
+from jaxlangnav.experiments.tasks import (
+    SENTENCES,
+    cell,
+    ground_sentences,
+    known_distances,
+    make_tasks,
+)
 
 instructions = ground_sentences([SENTENCES["null"], SENTENCES["behind"]]).instructions
 tasks = make_tasks(cell("2H1C", "behind", 1, sensing_range=3.0, episodes=200, seed=0))

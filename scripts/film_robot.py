@@ -14,7 +14,7 @@ from pathlib import Path
 import jax
 
 from jaxlangnav import keep_compiled_programs
-from jaxlangnav.experiments.sentences import SENTENCES
+from jaxlangnav.experiments.tasks import SENTENCES
 from jaxlangnav.robots.film import check_format, film
 from jaxlangnav.robots.libraries import check_libraries
 from jaxlangnav.robots.physics.machines import MACHINES

@@ -18,8 +18,7 @@ from jaxlangnav.cli import main as cli
 from jaxlangnav.cli.arguments import Runnable
 from jaxlangnav.cli.output import Output, write_document
 from jaxlangnav.experiments.shards import Shard, ShardError, read_shard, write_shard
-from jaxlangnav.experiments.summary import summarize_directory
-from jaxlangnav.experiments.summary_tables import render, summary_markdown
+from jaxlangnav.experiments.summary import render, summarize_directory, summary_markdown
 from jaxlangnav.experiments.sweep_config import read_config
 from jaxlangnav.experiments.sweep_folder import MANIFEST, identity, read_manifest
 from jaxlangnav.grounding import AnnotationGrounder, Context

@@ -12,7 +12,7 @@ from typing import Any
 
 import ages
 
-from jaxlangnav.experiments.figure5 import describe_falls
+from jaxlangnav.experiments.paper import describe_falls
 from jaxlangnav.experiments.table import Table
 from jaxlangnav.experiments.tables import deviations_table
 from jaxlangnav.studies.unknowns_tables import conditions, explained_lines, matrix

@@ -100,8 +100,8 @@ def _compile_briefly(request: pytest.FixtureRequest) -> Iterator[None]:
     if is_brief != jax.config.read("jax_disable_most_optimizations"):
         # A worker would go on with the other kind of program, which rounds otherwise.
         jax.clear_caches()
-        if "jaxlangnav.experiments.devices" in sys.modules:
-            sys.modules["jaxlangnav.experiments.devices"]._programs.clear()
+        if "jaxlangnav.experiments.monte_carlo" in sys.modules:
+            sys.modules["jaxlangnav.experiments.monte_carlo"]._programs.clear()
     jax.config.update("jax_disable_most_optimizations", is_brief)
     yield
     _give_back_memory()

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from jaxlangnav.cli import main as cli
-from jaxlangnav.cli import reproduction, studies
+from jaxlangnav.cli import reproduction
 from jaxlangnav.grounding.weights import load, load_shipped
 
 CORPUS_39 = str(resources.files("jaxlangnav.language") / "data" / "corpus39.jsonl")
@@ -83,7 +83,7 @@ def test_reproduce_table2_judges_beliefs(capsys: pytest.CaptureFixture[str]) -> 
         assert 0 <= row["coverage90"] <= 100
         assert row["ece"] is None or 0 <= row["ece"] <= 1
         assert row["brier"] is None or 0 <= row["brier"] <= 1
-    panels = studies.reliability_panels(found)
+    panels = reproduction.reliability_panels(found)
     assert set(panels) == {"faithful"}
     assert "“… behind the cone”" in panels["faithful"]
     judged = sum(row["calibration_events"] for row in found["rows"])

@@ -18,8 +18,8 @@ from jaxlangnav.experiments.tasks import cell, make_tasks
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.messages import Status
 from jaxlangnav.pytree import replace
-from jaxlangnav.task import meant
 from jaxlangnav.task.follow import judged, usual_engine
+from jaxlangnav.task.labelled import meant_goals
 from jaxlangnav.task.opening import Prepared, detector_of, open_task, slots_of
 from jaxlangnav.viz.narrative import closing
 
@@ -245,7 +245,7 @@ def test_a_world_is_drawn_in_which_the_sentence_is_true() -> None:
 def test_a_model_that_knows_nothing_means_nothing() -> None:
     understood = understand(COMMAND, load_shipped().zeroed())
     scenario = prepare(COMMAND, "1H1C").task.scenario
-    goals, _ = meant.meant_goals(understood, scenario)
+    goals, _ = meant_goals(understood, scenario)
     assert len(goals) != 1
 
 

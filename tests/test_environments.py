@@ -10,14 +10,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from jaxlangnav.experiments.sentences import SENTENCES
 
 from jaxlangnav.environments import functional
-from jaxlangnav.environments.actions import DISCRETE_ACTIONS, STOP_ABOVE
+from jaxlangnav.environments.functional import (
+    DISCRETE_ACTIONS,
+    OBSERVATION_SIZE,
+    STOP_ABOVE,
+    draw_pool,
+    pick_world,
+)
 from jaxlangnav.environments.gymnasium_env import ID, FollowEnv, FollowVectorEnv
-from jaxlangnav.environments.observation import OBSERVATION_SIZE
-from jaxlangnav.environments.pool import draw_pool, pick_world
 from jaxlangnav.environments.spaces import action_space, to_functional
-from jaxlangnav.experiments.sentences import SENTENCES
 from jaxlangnav.pytree import replace
 from jaxlangnav.world.templates import RELATION_NAMES
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from test_experiments_sweep import write
 
-from jaxlangnav.experiments import devices, sweep
+from jaxlangnav.experiments import monte_carlo, sweep
 
 SMALL = """
 episodes = 300
@@ -31,8 +31,8 @@ discount = [0.7, 0.8, 0.9]
 """
 MEETING = """
 import sys, time
-from jaxlangnav.experiments import devices
-place, number = devices.join_devices(sys.argv[1], 2, int(sys.argv[2]))
+from jaxlangnav.experiments import monte_carlo
+place, number = monte_carlo.join_devices(sys.argv[1], 2, int(sys.argv[2]))
 print(place, number, flush=True)
 import jax.numpy as jnp
 time.sleep(30.0 if place == 0 else 3.0)
@@ -85,9 +85,9 @@ def test_rounds_by_hand() -> None:
 
 def test_mistakes_are_one_line() -> None:
     with pytest.raises(ValueError, match='coordinator is "here", but must be HOST:PORT'):
-        devices.join_devices("here", 2, 0)
+        monte_carlo.join_devices("here", 2, 0)
     with pytest.raises(ValueError, match="cannot join the other processes: ") as caught:
-        devices.join_devices("127.0.0.1:9", 2, 2)
+        monte_carlo.join_devices("127.0.0.1:9", 2, 2)
     assert "\n" not in str(caught.value)
 
 
@@ -130,7 +130,7 @@ def test_two_processes_divide_a_sweep(
 
 
 def test_a_launcher_tells_where_to_meet(pytestconfig: pytest.Config) -> None:
-    code = "from jaxlangnav.experiments import devices; print(*devices.join_devices())"
+    code = "from jaxlangnav.experiments import monte_carlo; print(*monte_carlo.join_devices())"
     job = int(free_address().split(":")[1])
     peers = [start(["-c", code], pytestconfig, **slurm(place, job)) for place in (0, 1)]
     assert [peer.communicate(timeout=60)[0] for peer in peers] == ["0 2\n", "1 2\n"]
@@ -157,7 +157,7 @@ def test_two_devices_give_the_bytes_of_one(tmp_path: Path, pytestconfig: pytest.
     # 3 arms of two chunks, so that the two devices are given different Params and an odd rest.
     document = sweep.run_sweep(config, tmp_path / "alone", shard="1/1")
     assert document["is_complete"]
-    assert devices.mesh().size == 1
+    assert monte_carlo.mesh().size == 1
     command = ["-m", "jaxlangnav", "sweep", str(tmp_path / "sweep.toml"), "--out"]
     begin = time.monotonic()
     both = start(

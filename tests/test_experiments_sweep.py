@@ -1,5 +1,6 @@
 """Sweeps: killed, resumed and split, they end with the bytes of an undisturbed run."""
 
+import math
 import os
 import shutil
 import signal
@@ -7,14 +8,229 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
+import jax
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 from jaxlangnav.cli import main as cli
-from jaxlangnav.experiments import summary, summary_tables, sweep, sweep_folder
-from jaxlangnav.experiments.sweep_config import SweepConfig, read_config
+from jaxlangnav.episode import begin
+from jaxlangnav.experiments import sizes, summary, sweep, sweep_folder
+from jaxlangnav.experiments.experiment import check_episodes
+from jaxlangnav.experiments.policies import navigator_config
+from jaxlangnav.experiments.rows import RowSpec
+from jaxlangnav.experiments.sweep_config import SweepConfig, config_from_dict, read_config
+from jaxlangnav.experiments.sweep_plan import (
+    make_plan,
+    parse_shard,
+    shard_episodes,
+    shard_files,
+)
+from jaxlangnav.experiments.tasks import draw_tasks, ground_sentences
+from jaxlangnav.navigator import NavigatorConfig
+from jaxlangnav.semantic_map.params import MapConfig
+
+SMALL: dict[str, Any] = {"worlds": ["1H1C"], "commands": ["behind"]}
+
+
+def test_defaults() -> None:
+    config = config_from_dict(SMALL)
+    assert config.ranges == (3.0,)
+    assert config.policies == ("informed",)
+    assert (config.episodes, config.seeds) == (100, (0,))
+    assert config.commands[0].text == "go to the hydrant behind the cone"
+
+
+def test_units() -> None:
+    table = SMALL | {
+        "ranges": [2, "500 cm", "0.01 km"],
+        "sensor": {"field_of_view": "180 deg", "noise": "5 cm", "detection_probability": "95 %"},
+        "motion": {"odometry_noise": ["2 %", 0.1]},
+    }
+    config = config_from_dict(table)
+    assert config.ranges == pytest.approx((2.0, 5.0, 10.0))
+    assert config.params["sensor"]["field_of_view"] == pytest.approx((math.pi,))
+    assert config.params["sensor"]["noise"] == pytest.approx((0.05,))
+    assert config.params["sensor"]["detection_probability"] == pytest.approx((0.95,))
+    assert config.params["motion"]["odometry_noise"] == pytest.approx((0.02, 0.1))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"wrolds": ["1H1C"]}, r'unknown key "wrolds"; did you mean "worlds"\?'),
+        ({"sensor": {"fov": 1.0}}, r'unknown key "sensor.fov"'),
+        ({"planner": {"discont": 0.5}}, r'"planner.discont"; did you mean "discount"\?'),
+        ({"worlds": []}, "worlds is empty: the grid would be empty"),
+        ({"ranges": []}, "ranges is empty: the grid would be empty"),
+        ({"map": {"kernel": []}}, "kernel is empty: the grid would be empty"),
+        ({"ranges": ["3 deg"]}, r'ranges = "3 deg" is an angle, but a length is needed \(m, cm'),
+        ({"ranges": ["3 kg"]}, r'ranges = "3 kg" has the unknown unit "kg", but a length'),
+        ({"ranges": [0]}, "ranges is 0, but must be above 0 m"),
+        ({"ranges": ["three"]}, "ranges is 'three', but must be a length"),
+        ({"ranges": [True]}, "ranges is True, but must be a length"),
+        ({"ranges": [3, "300 cm"]}, "ranges lists a value twice"),
+        ({"sensor": {"field_of_view": 360}}, 'at most 6.28319 rad; write "360 deg"'),
+        ({"motion": {"odometry_noise": 2}}, 'at most 1; write "2 %"'),
+        ({"sensor": {"noise": -0.1}}, "sensor.noise is -0.1, but must be at least 0 m"),
+        ({"sensor": 3}, r"sensor is 3, but must be a table: \[sensor\]"),
+        ({"episodes": 0}, "episodes is 0, but must be at least 1"),
+        ({"episodes": [1, 2]}, "episodes is a list, but must be one whole number"),
+        ({"episodes": 1.5}, "episodes is 1.5, but must be a whole number"),
+        ({"seeds": [-1]}, "seeds is -1, but must be at least 0"),
+        ({"seeds": [2**32]}, "seeds is 4294967296, but must be below 4294967296"),
+        ({"policies": ["infromed"]}, r'unknown policy "infromed".*did you mean "informed"'),
+        ({"worlds": ["1X"]}, "unknown world template '1X'"),
+        ({"worlds": ["yrad"]}, "unknown world 'yrad'"),
+        ({"worlds": ["1H0C"]}, "has no cone for the relation 'behind'"),
+        ({"commands": ["find the car"]}, r'command "find the car": say by which relation'),
+        ({"commands": [{"text": "find it", "relation": "behnd"}]}, "unknown relation 'behnd'"),
+        ({"commands": [{"txt": "find it"}]}, r'unknown key "commands.txt"; did you mean "text"'),
+        ({"commands": [""]}, "commands holds '', but must hold sentences"),
+    ],
+)
+def test_mistakes(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message) as error:
+        config_from_dict(SMALL | changes)
+    assert "\n" not in str(error.value)
+
+
+def test_missing_keys_and_files(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="commands is missing: the grid would be empty"):
+        config_from_dict({"worlds": ["1H1C"]})
+    with pytest.raises(ValueError, match="no such file"):
+        read_config(tmp_path / "none.toml")
+    broken = tmp_path / "broken.toml"
+    broken.write_text("worlds = [")
+    with pytest.raises(ValueError, match=r"broken.toml: is no valid TOML"):
+        read_config(broken)
+    broken.write_text('worlds = ["1H1C"]\ncommands = ["null"]\nrange = 3\n')
+    with pytest.raises(
+        ValueError, match=r'broken.toml: unknown key "range"; did you mean "ranges"'
+    ):
+        read_config(broken)
+
+
+@pytest.mark.parametrize(
+    ("goal", "number", "said"),
+    [
+        ("", 3, r"world own.toml has no \[goal\], by which a sweep tells success: add it"),
+        ("[goal]\nx = 1.0\ny = 1.0\n", 9, "world own.toml has 9 objects, but .* at most 8: remove"),
+    ],
+)
+def test_worlds_that_no_sweep_holds_are_refused(goal, number, said, tmp_path) -> None:
+    area = "[area]\nx_min = 0.0\nx_max = 9.0\ny_min = -9.0\ny_max = 9.0\n"
+    things = [f'[[objects]]\ntype = "box"\nx = {i / 2}\ny = 0.0\n' for i in range(number)]
+    (tmp_path / "own.toml").write_text(area + goal + "".join(things))
+    (tmp_path / "grid.toml").write_text('worlds = ["own.toml"]\ncommands = ["null"]\n')
+    with pytest.raises(ValueError, match=said):
+        read_config(tmp_path / "grid.toml")
+
+
+def test_a_navigator_that_could_never_stop_is_refused() -> None:
+    config = config_from_dict(
+        SMALL
+        | {"policies": ["faithful"]}
+        | {"planner": {"stop_probability": 0.9}, "map": {"concentration": 3}}
+    )
+    with pytest.raises(ValueError, match=r"stop_probability is 0.9, but with concentration 3"):
+        make_plan(config)
+
+
+def test_the_plan_holds_every_episode_once() -> None:
+    config = config_from_dict(
+        {
+            "episodes": 70,
+            "seeds": [0, 3],
+            "worlds": ["1H1C", "2H1C"],
+            "commands": ["null", "behind"],
+            "ranges": [2, 5],
+            "policies": ["informed", "frontier"],
+            "particles": [64, 128],
+            "sensor": {"noise": [0.1, 0.2]},
+            "planner": {"discount": [0.7, 0.8, 0.9]},
+        }
+    )
+    plan = make_plan(config)
+    # Settings 2·2·2·2·2 = 32 of 70 episodes; informed in 2·3 arms, the baseline in one.
+    assert plan.episodes() == 32 * 70 * 7
+    rows = set()
+    for index in range(plan.num_files):
+        chunk = plan.chunk(index)
+        columns = plan.grid.labels(chunk.arm, chunk.places)
+        assert {len(values) for values in columns.values()} == {chunk.size}
+        rows |= set(zip(*columns.values(), strict=True))
+    assert len(rows) == plan.episodes()
+
+
+def test_shards_split_the_plan() -> None:
+    plan = make_plan(config_from_dict(SMALL | {"episodes": 3000}))
+    parts = [shard_files(plan, f"{i}/5") for i in range(1, 6)]
+    assert sorted([index for part in parts for index in part]) == list(range(plan.num_files))
+    assert max(map(len, parts)) - min(map(len, parts)) <= 1
+
+
+def test_a_part_of_a_billion_episodes_is_a_part() -> None:
+    config = config_from_dict(SMALL | {"episodes": 10**8, "seeds": list(range(10))})
+    plan = make_plan(config)
+    assert plan.episodes() == 10**9 * plan.num_arms * plan.num_settings // 10
+    parts = [shard_episodes(plan, f"{i}/1000") for i in (1, 500, 1000)]
+    assert max(parts) - min(parts) <= 1024
+    last = plan.chunk(shard_files(plan, "7/1000")[-1])
+    columns = plan.grid.labels(last.arm, last.places)
+    assert columns["episode"][0] == last.first % 10**8
+    assert columns["seed"][0] == last.first // 10**8
+    assert sum(shard_episodes(plan, f"{i}/7") for i in range(1, 8)) == plan.episodes()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (
+            {"episodes": 10**12},
+            r"1 cells times 1,000,000,000,000 episodes, which make 976,562,500 files, but a folder "
+            r"holds 1,000,000: at most 1,024,000,000 episodes a cell fit",
+        ),
+        ({"episodes": 10**100}, r"times 1\.0·10\^100 episodes"),
+        (
+            {
+                "episodes": 1,
+                "seeds": list(range(2000)),
+                "ranges": [1 + i / 1000 for i in range(2000)],
+                "sensor": {"noise": [i / 1000 for i in range(1, 1001)]},
+            },
+            r"4,000,000,000 cells .* not even one a cell fits; or divide the lists",
+        ),
+        (
+            {"particles": [64, 10**12], "policies": ["informed"]},
+            r"particles is 1,000,000,000,000 with .*, which takes .* but there are .*: at most",
+        ),
+        ({"environments": 2**32}, "environments is 4294967296, but must be below"),
+    ],
+)
+def test_more_than_fits_is_refused(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message) as error:
+        make_plan(config_from_dict(SMALL | changes))
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("text", ["0/4", "5/4", "4", "a/b", "1/0", "-1/2"])
+def test_bad_shards(text: str) -> None:
+    with pytest.raises(ValueError, match="shard is"):
+        parse_shard(text)
+
+
+def test_the_example_is_a_sweep() -> None:
+    config = read_config(Path(__file__).parent.parent / "examples" / "grid.toml")
+    # 3 worlds, 2 commands, 2 ranges, 2 detectors, 50 episodes, 3 policies.
+    assert make_plan(config).episodes() == 24 * 50 * 3
+
+
+# Sweeps: killed, resumed and split, they end with the bytes of an undisturbed run.
+
 
 BASELINES = """
 name = "two robots"
@@ -204,10 +420,10 @@ def test_summary(undisturbed: tuple[SweepConfig, Path], tmp_path: Path) -> None:
     for one in document["comparisons"]:
         assert (one["first"]["policy"], one["second"]["policy"]) == ("known", "lawnmower")
         assert one["pairs"] == 140
-    text = summary_tables.summary_markdown(document)
+    text = summary.summary_markdown(document)
     assert "two robots" in text
     assert text.count("\n| 1H1C |") == 36
-    assert summary_tables.render(document) is not None
+    assert summary.render(document) is not None
     with pytest.raises(ValueError, match="holds no sweep"):
         summary.summarize_directory(tmp_path)
 
@@ -232,7 +448,7 @@ def test_damaged_files_are_named_and_made_again(
     assert document["missing"] == 5
     assert [line.split()[0] for line in document["damaged"]] == [str(out / one) for one in names]
     assert document["episodes"] < ROWS
-    assert "5 of them because they are damaged" in summary_tables.summary_markdown(document)
+    assert "5 of them because they are damaged" in summary.summary_markdown(document)
     assert cli.main(["summarize", str(out)]) == 0
     lines = capsys.readouterr().err.splitlines()
     assert [line.split()[1] for line in lines] == [str(out / one) for one in names]
@@ -304,3 +520,129 @@ def test_kill_and_resume_the_navigator(tmp_path: Path, pytestconfig: pytest.Conf
     assert contents(out) == contents(folder / "out")
     document = summary.summarize_directory(out)
     assert len(document["comparisons"]) == 4 * 3
+
+
+# Work is sized before it is begun: one line with size, limit and what would fit; nothing left.
+
+
+HUGE = "1000000000000"
+
+
+def test_the_account_is_that_of_the_real_records() -> None:
+    spec = RowSpec(world="1H1C", range=3.0, relation="null")
+    tasks = draw_tasks([spec.setting(seed=0).cell], np.zeros(2, int), np.arange(2))
+    assert 2 * sizes.task_bytes() == sizes.bytes_of(tasks)
+    instructions = ground_sentences(["go to the hydrant"]).instructions
+    task = jax.tree.map(lambda leaf: leaf[0], tasks)
+    for particles in (7, 64):
+        config = navigator_config("informed", particles)
+        progress = jax.jit(begin, static_argnames="config")(task, instructions, config=config)
+        fixed, each = sizes.episode_bytes(config)
+        assert fixed + particles * each == sizes.bytes_of(progress)
+
+
+def test_what_fits_fits_and_one_more_does_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sizes, "memory", lambda: 1000)
+    sizes.check_count("things", 90, each=10, fixed=100)
+    with pytest.raises(ValueError, match=r"things is 91 with wings, .* 1010 bytes .*: at most 90 "):
+        sizes.check_count("things", 91, each=10, fixed=100, beside="wings")
+    with pytest.raises(ValueError, match="not even one fits"):
+        sizes.check_count("things", 1, each=10, fixed=1000)
+    with pytest.raises(ValueError, match=r"things is 1\.0·10\^30, which takes .* EiB"):
+        sizes.check_count("things", 10**30, each=10**3)
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        navigator_config("informed", 10**12),
+        navigator_config("faithful", 10**30),
+        NavigatorConfig(map=MapConfig(num_cells=36 * 10**6)),
+        NavigatorConfig(map=MapConfig(num_objects=10**6)),
+        NavigatorConfig(map=MapConfig(num_objects=10**30)),
+    ],
+    ids=["particles", "endless particles", "cells", "objects", "endless objects"],
+)
+def test_an_engine_that_no_memory_holds_is_refused(config: NavigatorConfig) -> None:
+    for check in (sizes.check_engine, lambda one: sizes.check_recording(one, 120)):
+        with pytest.raises(ValueError, match="memory") as caught:
+            check(config)
+        assert "\n" not in str(caught.value)
+
+
+def test_an_engine_of_the_usual_size_is_not() -> None:
+    for particles in (2, 64, 1000):
+        sizes.check_engine(navigator_config("informed", particles))
+        sizes.check_recording(navigator_config("faithful", particles), 120)
+    assert check_episodes(1000, rows=7, kept=6) == 1000
+
+
+def test_the_memory_is_that_of_the_container_where_it_is_less(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert sizes.memory() > 1 << 28
+    limit = tmp_path / "memory.max"
+    for text, expected in ((f"{1 << 28}\n", 1 << 28), ("max\n", None), ("", None)):
+        limit.write_text(text)
+        monkeypatch.setattr(sizes, "_LIMITS", (limit, tmp_path / "none"))
+        sizes._host_memory.cache_clear()
+        found = sizes._host_memory()
+        assert found == expected if expected else found > 1 << 28
+    monkeypatch.undo()
+    sizes._host_memory.cache_clear()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["follow", "go to the cone", "--particles", HUGE], "particles is 1,000,000,000,000"),
+        (["follow", "go to the cone", "--max-steps", HUGE], "max steps is 1,000,000,000,000"),
+        (["follow", "go to the cone", "--config.map.num-cells", "360000"], "360,000 cells a side"),
+        (["reproduce", "table2", "--episodes", HUGE], "episodes is 1,000,000,000,000"),
+        (["reproduce", "all", "--episodes", HUGE], "episodes is 1,000,000,000,000"),
+        (["reproduce", "fig5", "--particles", HUGE], "particles is 1,000,000,000,000"),
+        (["reproduce", "fig4", "--particles", HUGE], "particles is 1,000,000,000,000"),
+        (["reproduce", "unknowns", "--episodes", HUGE], "episodes is 1,000,000,000,000"),
+        (["evaluate", "--splits", HUGE], "splits is 1,000,000,000,000"),
+        (["evaluate", "--splits", "10000000"], "splits is 10,000,000"),
+        (["evaluate", "--beams", HUGE], "beam width is 1,000,000,000,000, but must be 256 or less"),
+        (["sweep", "GRID", "episodes"], "episodes, which make 976,562,500 files"),
+        (["sweep", "GRID", "particles"], "particles is 1,000,000,000,000"),
+        (["follow", "go to the cone", "--world", "WORLD"], "has more than 262,144 bytes"),
+    ],
+)
+def test_every_command_says_what_would_fit_and_leaves_nothing(
+    words: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    words = [_written(word, words[-1], tmp_path) for word in words]
+    if words[0] == "sweep":
+        words.pop()
+    if words[0] != "evaluate":
+        words += ["--out", str(out)]
+    assert cli.main(words) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    (line,) = captured.err.splitlines()
+    assert message in line
+    assert any(remedy in line for remedy in (" fit", "or less", "shorten it"))
+    assert not out.exists()
+
+
+def _written(word: str, last: str, folder: Path) -> str:
+    """Write the file that a word stands for."""
+    if word == "GRID":
+        path = folder / "grid.toml"
+        path.write_text(f'worlds = ["1H1C"]\ncommands = ["null"]\n{last} = {HUGE}\n')
+        return str(path)
+    if word == "WORLD":
+        path = folder / "world.toml"
+        things = '\n[[objects]]\ntype = "cone"\nx = 0\ny = 0' * 1_000_000
+        path.write_text(f"[area]\nx_min = 0\n{things}\n")
+        return str(path)
+    return word
+
+
+def test_bytes_are_counted_without_wrapping() -> None:
+    leaf = jax.ShapeDtypeStruct((10**10, 10**10), np.dtype(np.float32))
+    assert sizes.bytes_of([leaf, np.zeros(3, bool)]) == 4 * 10**20 + 3

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from grounding_fixture import TYPES, corpus
 
-from jaxlangnav.experiments.splits import draw_splits, mark_new_words
-from jaxlangnav.experiments.table1 import evaluate, summarise, table_1
+from jaxlangnav.experiments.table1 import draw_splits, evaluate, mark_new_words, summarise, table_1
 from jaxlangnav.grounding import load_shipped
 from jaxlangnav.training.evaluation import (
     Scores,

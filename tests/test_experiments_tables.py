@@ -1,6 +1,9 @@
 """Tables for people: every figure where it belongs, ours beside the paper's."""
 
+import base64
 import io
+import re
+from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
@@ -8,12 +11,13 @@ import pyarrow.parquet as pq
 import pytest
 from rich.console import Console
 
-from jaxlangnav.experiments import figure5, table2, tables
+from jaxlangnav.experiments import paper, tables
 from jaxlangnav.experiments.experiment import Experiment, Options
 from jaxlangnav.experiments.rows import RowSpec, describe_noise, printed_rows
+from jaxlangnav.experiments.table import Section, Table, data_uri, render_report, write_report
 from jaxlangnav.world.templates import TABLE_2
 
-TABLE = table2.table_2()
+TABLE = paper.table_2()
 
 
 def row(**changes: Any) -> dict[str, Any]:
@@ -137,7 +141,7 @@ def test_falls_are_found() -> None:
         row(range=3.0, success_rate=78.0, success_ci=[73.0, 83.0]),
         row(range=5.0, success_rate=60.0, success_ci=[55.0, 65.0]),
     ]
-    found = figure5.falls({"rows": rows[::-1]})
+    found = paper.falls({"rows": rows[::-1]})
     assert [(one["range"], one["from"], one["to"]) for one in found] == [(5.0, 78.0, 60.0)]
 
 
@@ -146,15 +150,13 @@ def test_totals_and_refusals() -> None:
     assert TABLE.total_episodes(counted) == 1400
     # The bar counts the 32 episodes a row that are run once more to judge the belief.
     assert TABLE.total_work(counted) == 1400 + 7 * 32
-    assert (
-        figure5.figure_5().total_work(Options(episodes=10, policies=["faithful", "known"])) == 240
-    )
+    assert paper.figure_5().total_work(Options(episodes=10, policies=["faithful", "known"])) == 240
     with pytest.raises(ValueError, match="episodes is 0, but must be at least 1"):
         TABLE.run(Options(episodes=0))
     with pytest.raises(ValueError, match=r'unknown policy "faithfull".*did you mean "faithful"'):
         TABLE.run(Options(episodes=1, policies=["faithfull"]))
     with pytest.raises(ValueError, match="unknown world template"):
-        figure5.figure_5(["2X"])
+        paper.figure_5(["2X"])
 
 
 def test_an_experiment_and_its_files(tmp_path: Path) -> None:
@@ -204,3 +206,176 @@ def test_table2_with_the_navigator() -> None:
         is_blind = one["world"] == "2H1C" and one["relation"] is None
         assert one["success_rate"] >= (20.0 if is_blind else 90.0)
         assert one["spl"] <= 1.0
+
+
+# The one kind of table: the same cells in the terminal, in Markdown and on a page.
+
+
+TABLE_TABLE = Table(
+    title="Robots",
+    headings=["World", "Policy", "Success %", "paper", "empty"],
+    rows=[
+        ["1H1C", "ours", "93.9 (90-97)", "93.9", ""],
+        ["1H1C", "limit", "≤ 100", "", ""],
+        ["2H|1C", "ours", "4", "", ""],
+    ],
+    firsts=[True, False, True],
+    faint=[False, True, False],
+)
+
+
+def drawn(table: Table) -> str:
+    console = Console(width=90, record=True, file=io.StringIO(), markup=False)
+    console.print(table.text())
+    return console.export_text()
+
+
+def test_a_block_says_once_what_it_shares() -> None:
+    text = drawn(TABLE_TABLE)
+    assert "Robots" in text
+    assert text.count("1H1C") == 1
+    assert TABLE_TABLE.html().count("<td>1H1C</td>") == 1
+    assert TABLE_TABLE.html().count("class=first") == 2
+    # In Markdown a row is read alone.
+    assert TABLE_TABLE.markdown().count("1H1C") == 2
+    alone = Table(headings=TABLE_TABLE.headings, rows=TABLE_TABLE.rows)
+    assert drawn(alone).count("1H1C") == 2
+
+
+def test_numbers_are_aligned_and_empty_columns_go_from_a_page() -> None:
+    page = TABLE_TABLE.html()
+    assert "<th class=number>Success %</th>" in page
+    assert "<th>Policy</th>" in page
+    assert "empty" not in page
+    justified = [column.justify for column in TABLE_TABLE.text().columns]
+    assert justified == ["left", "left", "right", "right", "right"]
+
+
+def test_what_is_dim() -> None:
+    text = TABLE_TABLE.text()
+    assert [row.style for row in text.rows] == [None, "dim", None]
+    assert [column.header for column in text.columns if column.style == "dim"] == ["paper"]
+
+
+def test_cells_are_text_unless_they_are_marked() -> None:
+    assert "| 2H\\|1C |" in TABLE_TABLE.markdown()
+    bold = Table(headings=["a"], rows=[["**1**"]])
+    assert bold.markdown() == "| a |\n| --- |\n| \\*\\*1\\*\\* |\n"
+    assert bold.markdown(is_marked=True) == "| a |\n| --- |\n| **1** |\n"
+    assert "&lt;b&gt;" in Table(headings=["<b>"], rows=[["x"]]).html()
+
+
+# The page of results: one file, nothing from outside, everything escaped.
+
+
+SVG = '<svg xmlns="http://www.w3.org/2000/svg" width="3" height="2"></svg>'
+
+
+class Page(HTMLParser):
+    """Collects what the page refers to, its cells and its text."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.links: list[str] = []
+        self.ids: list[str] = []
+        self.cells: list[str] = []
+        self.text = ""
+        self._is_cell = False
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        names = dict(attrs)
+        self.links += [value for key in ("src", "href") if (value := names.get(key))]
+        self.ids += [value for key in ("id",) if (value := names.get(key))]
+        self._is_cell = tag in ("td", "th")
+        if self._is_cell:
+            self.cells.append("")
+
+    def handle_endtag(self, tag: str) -> None:
+        self._is_cell = False
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+        if self._is_cell:
+            self.cells[-1] += data
+
+
+@pytest.fixture
+def picture(tmp_path: Path) -> Path:
+    path = tmp_path / "figure.svg"
+    path.write_text(SVG, "utf-8")
+    return path
+
+
+def read(*sections: Section, title: str = "Ours & theirs", **made: str) -> Page:
+    page = Page()
+    page.feed(render_report(title, sections, made=made))
+    return page
+
+
+def test_pictures_stand_in_the_page_and_nothing_is_fetched(picture: Path) -> None:
+    page = read(
+        Section(title="One", pictures=[(picture, "a figure")]),
+        Section(title="Two", pictures=[(picture, 'a "second" figure')]),
+        seed="7",
+    )
+    outside = [link for link in page.links if not link.startswith(("#", "data:"))]
+    assert outside == []
+    assert [link for link in page.links if link.startswith("#")] == ["#part1", "#part2"]
+    assert {"part1", "part2"} <= set(page.ids)
+    images = [link for link in page.links if link.startswith("data:image/svg+xml;base64,")]
+    assert len(images) == 2
+    assert base64.b64decode(images[0].split(",")[1]).decode() == SVG
+    text = render_report("x", [Section(title="One", pictures=[(picture, "a")])], made={})
+    assert not re.search(r"https?://|@import|url\(|<script", text)
+
+
+def test_tables_and_how_they_were_made(picture: Path) -> None:
+    table = Table(
+        headings=["World", "paper"],
+        rows=[["1H1C", "93.9"], ["2H<1C", "54.4"]],
+        firsts=[True, False],
+    )
+    made = {"command": "jaxlangnav reproduce table2", "nothing": ""}
+    page = read(Section(title="T", lead="words", tables=[table], notes=["noise 2 %"], made=made))
+    assert page.cells == ["World", "paper", "1H1C", "93.9", "2H<1C", "54.4"]
+    for part in ("words", "noise 2 %", "jaxlangnav reproduce table2"):
+        assert part in page.text
+    # A term without a value is not listed.
+    assert "nothing" not in page.text
+
+
+def test_blocks_say_once_what_they_share_and_empty_columns_go() -> None:
+    rows = [["1H1C", "3", "informed", ""], ["1H1C", "3", "known", ""], ["2H1C", "3", "known", ""]]
+    headings = ["World", "m", "Policy", "ECE"]
+    page = read(Section(title="T", tables=[Table(headings=headings, rows=rows, firsts=[1, 0, 1])]))
+    told = [page.cells[at : at + 3] for at in range(0, 12, 3)]
+    assert told == [headings[:3], rows[0][:3], ["", "", "known"], rows[2][:3]]
+    plain = read(Section(title="T", tables=[Table(headings=headings, rows=rows, fold="More")]))
+    assert plain.cells[6:9] == rows[1][:3]
+    assert "More" in plain.text
+
+
+def test_what_is_written_cannot_break_the_page(tmp_path: Path) -> None:
+    evil = '</title><script>alert("x")</script>'
+    page = render_report(evil, [Section(title=evil, lead=evil, notes=[evil])], made={"a": evil})
+    assert "<script" not in page
+    path = write_report("t", [], tmp_path / "new" / "report.html", made={})
+    assert path.read_text("utf-8").startswith("<!doctype html>")
+
+
+def test_only_pictures_are_taken(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="is no picture"):
+        data_uri(tmp_path / "figure.pdf")
+
+
+def test_text_that_names_a_place_of_the_page_stays_text() -> None:
+    part = Section(title="__MADE__ <i>", lead="__CONTENTS__ \x1b[2J", notes=["__PARTS__"])
+    text = render_report("__PARTS__ <b>", [part], made={"command": "__TITLE__ \u202e"})
+    page = Page()
+    page.feed(text)
+    assert text.count("<section") == 1
+    assert "__PARTS__ <b>" in page.text
+    assert "__MADE__ <i>" in page.text
+    assert "<b>" not in text
+    assert "\x1b" not in text
+    assert "\u202e" not in text

@@ -28,7 +28,7 @@ from jaxlangnav.language.phrase import Phrase, Word
 from jaxlangnav.training import train_graph
 from jaxlangnav.training.examples import annotation_examples
 from jaxlangnav.training.fit import TrainingConfig
-from jaxlangnav.training.graph import examples_of
+from jaxlangnav.training.labelled import examples_of
 from jaxlangnav.viz.graph import beliefs_figure
 
 COLOURS = ("red", "blue", "green")

@@ -2,7 +2,7 @@
 
 import pytest
 
-from jaxlangnav.experiments.sentences import ground_sentences
+from jaxlangnav.experiments.tasks import ground_sentences
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.language.parser import parse
 

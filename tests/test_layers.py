@@ -20,6 +20,7 @@ import pytest
 import jaxlangnav
 
 LAYERS = (
+    "moved",
     "pytree",
     "plain_text",
     "files",

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 import jaxlangnav
+from jaxlangnav.moved import MOVED
 
 ROOT = Path(__file__).parent.parent
 
@@ -40,6 +41,15 @@ def test_unknown_name_is_an_attribute_error() -> None:
     name = "Navigater"
     with pytest.raises(AttributeError, match=f"no attribute '{name}'"):
         getattr(jaxlangnav, name)
+
+
+@pytest.mark.parametrize("old", MOVED)
+def test_a_module_that_has_moved_is_found_by_its_old_name(old: str) -> None:
+    with pytest.warns(DeprecationWarning, match=f"{old} is now jaxlangnav.{MOVED[old]}"):
+        found = importlib.import_module(f"jaxlangnav.{old}")
+    new = importlib.import_module(f"jaxlangnav.{MOVED[old]}")
+    assert all(getattr(found, name) is one for name, one in vars(new).items() if name[:2] != "__")
+    del sys.modules[f"jaxlangnav.{old}"]
 
 
 def test_typing_marker_is_shipped() -> None:

@@ -12,8 +12,7 @@ from test_planner_policy import CONFIG
 
 from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.experiments.policies import navigator_config, run_policy
-from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
-from jaxlangnav.experiments.tasks import cell, make_tasks
+from jaxlangnav.experiments.tasks import SENTENCES, cell, ground_sentences, make_tasks
 from jaxlangnav.planner import qmdp
 from jaxlangnav.planner.config import PlannerConfig, as_policy
 from jaxlangnav.planner.faithful import no_waypoint

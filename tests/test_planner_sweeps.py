@@ -11,7 +11,7 @@ from test_planner_policy import CONFIG, believe, random_places
 from test_planner_tours import AREA, RANGE, SENSOR, K, search_of
 
 from jaxlangnav.anywhere import config_anywhere, params_anywhere
-from jaxlangnav.experiments.patterns import lane_waypoint
+from jaxlangnav.experiments.baselines import lane_waypoint
 from jaxlangnav.messages import default_sensor
 from jaxlangnav.planner import tours
 from jaxlangnav.planner.endings import MOST_UNLOOKED, chances

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from test_navigator_step import robot as navigator
 
-from jaxlangnav.experiments.sentences import SENTENCES
+from jaxlangnav.experiments.tasks import SENTENCES
 from jaxlangnav.robots import libraries
 from jaxlangnav.robots.driver import drive
 from jaxlangnav.robots.film import film

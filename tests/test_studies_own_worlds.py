@@ -13,7 +13,7 @@ from studies.own_worlds import (
 )
 
 from jaxlangnav.experiments.calibration import scores
-from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
+from jaxlangnav.experiments.tasks import SENTENCES, ground_sentences
 from jaxlangnav.messages import BEHIND, LEFT, NEAR, NONE, ROBOT, Readings
 from jaxlangnav.navigator import default_params as default_navigator_params
 from jaxlangnav.pytree import replace

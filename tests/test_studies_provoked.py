@@ -19,8 +19,7 @@ from studies.provoked import (
 )
 
 from jaxlangnav.experiments.policies import navigator_config
-from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
-from jaxlangnav.experiments.tasks import cell, make_tasks
+from jaxlangnav.experiments.tasks import SENTENCES, cell, ground_sentences, make_tasks
 from jaxlangnav.navigator import default_params
 
 EPISODES = 16

@@ -14,7 +14,7 @@ from jaxlangnav.experiments.rows import RowSpec, printed_rows
 from jaxlangnav.navigator import check
 from jaxlangnav.studies import unknowns, unknowns_tables
 from jaxlangnav.studies.unknowns import VARIATIONS, Variation, turned
-from jaxlangnav.viz import unknowns as picture
+from jaxlangnav.viz import sweep as picture
 from jaxlangnav.world.templates import TABLE_2
 
 PRINTED = printed_rows(TABLE_2)

@@ -11,8 +11,8 @@ from jaxlangnav.grounding.annotation import infer_annotations
 from jaxlangnav.grounding.correspondence import CorrespondenceGraph
 from jaxlangnav.grounding.properties import Behaviors
 from jaxlangnav.grounding.symbols import BehaviorSpace
-from jaxlangnav.training.scores import Models
 from jaxlangnav.training.scoring import (
+    Models,
     gold_annotations,
     score_annotations,
     score_behaviors,

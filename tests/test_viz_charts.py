@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxlangnav.experiments.metrics import wilson_interval
-from jaxlangnav.viz import measures, rows, style, sweep
+from jaxlangnav.viz import rows, style, sweep
 
 RANGES = (2.0, 3.0, 5.0)
 
@@ -141,7 +141,7 @@ def test_the_paper_s_rates_have_the_interval_of_its_runs():
 def test_reliability_panels_share_names_and_scale():
     curve = (np.array([0.2, 0.8]), np.array([0.1, 0.9]), np.array([0.0, 0.7]),
              np.array([0.3, 1.0]), np.array([10.0, 40.0]))  # fmt: skip
-    figure = measures.reliability_figure(
+    figure = rows.reliability_figure(
         {"informed": {"behind": curve}, "faithful": {"behind": curve, "null": curve}}, title="T"
     )
     above, other, below, _ = figure.axes
@@ -152,13 +152,13 @@ def test_reliability_panels_share_names_and_scale():
     figure.draw_without_rendering()
     assert [tick.get_text() for tick in below.get_yticklabels()] == ["0", "1", "10"]
     with pytest.raises(ValueError, match="no predictions"):
-        measures.reliability_figure({"informed": {}}, title="T")
+        rows.reliability_figure({"informed": {}}, title="T")
 
 
 def test_calibration_bins_by_hand():
     predicted = np.array([0.05, 0.15, 0.15, 0.95, 1.0])
     outcome = np.array([False, True, False, True, True])
-    mean, rate, low, high, number = measures.calibration_bins(predicted, outcome, 10)
+    mean, rate, low, high, number = rows.calibration_bins(predicted, outcome, 10)
     assert mean == pytest.approx([0.05, 0.15, 0.975])
     assert rate == pytest.approx([0.0, 0.5, 1.0])
     assert number.tolist() == [1, 2, 2]
@@ -169,7 +169,7 @@ def test_calibrated_predictions_lie_on_the_line():
     rng = np.random.default_rng(0)
     predicted = rng.random(20000)
     outcome = rng.random(20000) < predicted
-    mean, rate, _, _, number = measures.calibration_bins(predicted, outcome, 10)
+    mean, rate, _, _, number = rows.calibration_bins(predicted, outcome, 10)
     # Five standard errors of a rate in each bin.
     assert (np.abs(rate - mean) < 5 * np.sqrt(0.25 / number)).all()
 
@@ -184,22 +184,22 @@ def test_calibrated_predictions_lie_on_the_line():
 )
 def test_bad_predictions_are_refused(predicted, outcome, bins, said):
     with pytest.raises(ValueError, match=said):
-        measures.calibration_bins(np.array(predicted), np.array(outcome), bins)
+        rows.calibration_bins(np.array(predicted), np.array(outcome), bins)
 
 
 def test_calibration_figure(tmp_path):
     curves = {"annotation": (np.array([0.1, 0.9]), np.array([False, True]))}
-    figure = measures.calibration_figure(curves)
+    figure = rows.calibration_figure(curves)
     assert all(path.exists() for path in style.save(figure, tmp_path / "calibration"))
     with pytest.raises(ValueError, match="no predictions"):
-        measures.calibration_figure({})
+        rows.calibration_figure({})
 
 
 def test_time_bars_are_ranked_with_shares():
-    figure = measures.time_figure({"small": 10.0, "large": 30.0})
+    figure = rows.time_figure({"small": 10.0, "large": 30.0})
     axes = figure.axes[0]
     assert [label.get_text() for label in axes.get_yticklabels()] == ["large", "small"]
     assert [bar.get_width() for bar in axes.patches] == [30.0, 10.0]
     assert {text.get_text() for text in axes.texts} == {"30 µs · 75 %", "10 µs · 25 %"}
     with pytest.raises(ValueError, match="no time"):
-        measures.time_figure({})
+        rows.time_figure({})

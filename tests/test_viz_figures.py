@@ -11,9 +11,8 @@ from PIL import Image
 from recording_fixture import make_recording
 
 from jaxlangnav.pytree import replace
-from jaxlangnav.viz import mapping, panels, pictures, style, values
-from jaxlangnav.viz.belief import belief_figure
-from jaxlangnav.viz.values import values_figure
+from jaxlangnav.viz import html, mapping, panels, style
+from jaxlangnav.viz.panels import belief_figure, values_figure
 
 
 def axes_of(recording):
@@ -75,7 +74,7 @@ def test_the_robot_points_where_it_heads(heading):
 def test_nodes_carry_their_values():
     one = make_recording(9, 20)
     frame = one.at(8)
-    nodes = values.draw_values(axes_of(one), one, 8)
+    nodes = panels.draw_values(axes_of(one), one, 8)
     assert np.sort(np.asarray(nodes.get_array())) == pytest.approx(
         np.sort(frame.value[np.isfinite(frame.value)])
     )
@@ -83,30 +82,30 @@ def test_nodes_carry_their_values():
 
 def test_the_best_nodes_are_in_order_and_open():
     frame = make_recording(9, 20).at(8)
-    best = values.best_nodes(frame, 5)
+    best = panels.best_nodes(frame, 5)
     assert frame.value[best[0]] == pytest.approx(0.9)
     assert (np.diff(frame.value[best]) <= 0).all()
-    assert len(values.best_nodes(frame, 50)) == np.isfinite(frame.value).sum()
+    assert len(panels.best_nodes(frame, 50)) == np.isfinite(frame.value).sum()
 
 
 def test_nodes_that_stand_together_are_one_place():
     frame = make_recording(9, 20).at(7)
     x, y, value = (np.array(leaf) for leaf in (frame.node_x, frame.node_y, frame.value))
-    best = values.best_nodes(frame, 50)
+    best = panels.best_nodes(frame, 50)
     # A copy beside the best place, worth a little less, is no other place; far off it is.
     x[0], y[0], value[0] = x[best[0]] + 0.1, y[best[0]], value[best[0]] - 0.01
     beside = replace(frame, node_x=x, node_y=y, value=value)
-    assert 0 not in values.best_nodes(beside, 50)
+    assert 0 not in panels.best_nodes(beside, 50)
     far = replace(beside, node_x=np.where(np.arange(len(x)) == 0, x + 2.0, x))
-    assert values.best_nodes(far, 50)[1] == 0
+    assert panels.best_nodes(far, 50)[1] == 0
 
 
 def test_bars_add_up_to_the_value():
     one = make_recording(9, 20)
     axes = axes_of(one)
     frame = one.at(7)
-    values.draw_parts(axes, frame)
-    best = values.best_nodes(frame)
+    panels.draw_parts(axes, frame)
+    best = panels.best_nodes(frame)
     widths = np.array([bar.get_width() for bar in axes.patches]).reshape(3, len(best))
     assert widths.sum(axis=0) == pytest.approx(frame.value[best], abs=1e-6)
 
@@ -114,18 +113,18 @@ def test_bars_add_up_to_the_value():
 def test_where_it_stops_the_reason_stands_in_place_of_the_bars():
     one = make_recording(9, 20)
     axes = axes_of(one)
-    values.draw_parts(axes, one.at(8))
+    panels.draw_parts(axes, one.at(8))
     assert not axes.patches
     assert "with probability 90 %" in axes.texts[0].get_text()
     axes = axes_of(one)
-    values.draw_values(axes, one, 8)
+    panels.draw_values(axes, one, 8)
     assert not axes.texts
 
 
 def test_numbers_of_waypoints_are_apart_and_inside():
     one = make_recording(9, 20)
     axes = axes_of(one)
-    values.draw_values(axes, one, 7)
+    panels.draw_values(axes, one, 7)
     spots = np.array([text.get_position() for text in axes.texts])
     assert [text.get_text() for text in axes.texts] == ["1", "2", "3", "4", "5"]
     apart = np.hypot(*(spots[:, None] - spots[None]).transpose(2, 0, 1))
@@ -176,7 +175,7 @@ def test_unknown_moments_are_refused(steps, said):
 
 def test_pictures_are_whole_files(tmp_path):
     one = make_recording(5, 12)
-    paths = pictures.write_pictures(one, tmp_path / "new" / "folder")
+    paths = html.write_pictures(one, tmp_path / "new" / "folder")
     assert [path.name for path in paths] == [
         "belief.png", "belief.svg", "values.png", "values.svg", "episode.html", "story.txt",
     ]  # fmt: skip

@@ -9,7 +9,7 @@ from jaxlangnav.grounding.symbols import AnnotationSpace, region_symbol, relatio
 from jaxlangnav.language.parser import parse
 from jaxlangnav.messages import BEHIND, NEAR, ROBOT
 from jaxlangnav.viz.graph import graph_figure, phrase_beliefs, symbol_name
-from jaxlangnav.viz.pictures import write_graph
+from jaxlangnav.viz.html import write_graph
 
 PAPER = "go to the hydrant behind the cone"
 

@@ -10,7 +10,7 @@ from recording_fixture import make_readings, make_recording, make_scene
 from jaxlangnav.grounding.asked import Asked
 from jaxlangnav.messages import AT, BEHIND, BETWEEN, LEFT, NEAR, NONE, REGIONS, ROBOT, Fault, Status
 from jaxlangnav.pytree import replace
-from jaxlangnav.viz import moments, narrative, sentences, summary, words
+from jaxlangnav.viz import narrative, sentences, summary, words
 from jaxlangnav.viz.panels import outcome, verdict
 from jaxlangnav.viz.words import FAULT_WORDS
 from jaxlangnav.world.state import CONE, HYDRANT
@@ -333,7 +333,7 @@ def test_the_goal_field_is_the_sum_of_equation_11():
 @pytest.mark.parametrize("number", [1, 2, 4, 6, 50])
 def test_moments_hold_first_and_last(number):
     one = make_recording(12, 10)
-    chosen = moments.pick_moments(one, number)
+    chosen = narrative.pick_moments(one, number)
     assert len(chosen) == min(number, 12)
     assert chosen == sorted(set(chosen))
     assert chosen[-1] == 11
@@ -343,9 +343,9 @@ def test_moments_hold_first_and_last(number):
 def test_moments_catch_the_discoveries():
     one = make_recording(13, 10)
     news = np.flatnonzero(one.frames.is_news)
-    assert set(news) <= set(moments.pick_moments(one, 6))
+    assert set(news) <= set(narrative.pick_moments(one, 6))
 
 
 def test_no_moments_are_refused():
     with pytest.raises(ValueError, match="number of panels is 0"):
-        moments.pick_moments(make_recording(3, 5), 0)
+        narrative.pick_moments(make_recording(3, 5), 0)

@@ -17,10 +17,9 @@ from jaxlangnav.terrain import Terrain
 from jaxlangnav.terrain.geodesic import geodesic
 from jaxlangnav.terrain.walls import walls
 from jaxlangnav.world import simulator
-from jaxlangnav.world.motion import HOLONOMIC
+from jaxlangnav.world.motion import HOLONOMIC, Unicycle
 from jaxlangnav.world.sensor import sense as sense_eagerly
 from jaxlangnav.world.state import Scenario
-from jaxlangnav.world.unicycle import Unicycle
 
 MOVE = jax.jit(lambda body, *rest: body.move(*rest))
 sense = jax.jit(sense_eagerly)

@@ -102,7 +102,7 @@ class Evaluate:
         from jaxlangnav.grounding.recorded import RecordedRewrites
         from jaxlangnav.grounding.rewrites import default_rewrite_params
         from jaxlangnav.grounding.weights import load_shipped
-        from jaxlangnav.task.rewritten import (
+        from jaxlangnav.task.scored import (
             ARMS,
             compare_arms,
             fit_recorded,

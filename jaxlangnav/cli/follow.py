@@ -324,7 +324,7 @@ class Follow:
 
         from jaxlangnav.cli.output import to_json
         from jaxlangnav.files.whole import write_text
-        from jaxlangnav.viz.pictures import write_pictures
+        from jaxlangnav.viz.html import write_pictures
 
         assert self.out is not None
         paths = write_pictures(recording, self.out)

@@ -95,8 +95,8 @@ class Ground:
 
     def _ground_in(self, world_name: str, understood: "Understanding") -> dict[str, Any]:
         """Infer the behavior in a world of which everything is known."""
+        from jaxlangnav.task.labelled import list_behaviors, place_scenario
         from jaxlangnav.task.opening import open_task
-        from jaxlangnav.task.placed import list_behaviors, place_scenario
 
         prepared = open_task(world_name, understood, sensing_range=None, seed=self.seed)
         placed = place_scenario(prepared.task.scenario, understood.type_names)
@@ -109,7 +109,7 @@ class Ground:
 
 def _draw_graph(understood: "Understanding", model: "GroundingModel", out: Path) -> list[str]:
     """Draw the graph of the sentence into files."""
-    from jaxlangnav.viz.pictures import write_graph
+    from jaxlangnav.viz.html import write_graph
 
     return [str(path) for path in write_graph(understood.parse, model, out)]
 

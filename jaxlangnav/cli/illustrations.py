@@ -10,11 +10,10 @@ from jaxlangnav.cli.output import Output
 from jaxlangnav.cli.runtime import waiting
 from jaxlangnav.cli.settings import apply
 from jaxlangnav.cli.study import Settings, Study, told
-from jaxlangnav.experiments.archive import manifest, write_manifest
-from jaxlangnav.experiments.compilation import CompileClock
+from jaxlangnav.experiments.archive import CompileClock, manifest, write_manifest
 from jaxlangnav.experiments.policies import navigator_config
-from jaxlangnav.experiments.sentences import SENTENCES
 from jaxlangnav.experiments.table import Table
+from jaxlangnav.experiments.tasks import SENTENCES
 from jaxlangnav.files.whole import write_text
 from jaxlangnav.grounding.instruction import understand_parse
 from jaxlangnav.language.parser import parse
@@ -23,7 +22,7 @@ from jaxlangnav.pytree import replace
 from jaxlangnav.recording import Recording
 from jaxlangnav.task.follow import record_episode
 from jaxlangnav.task.opening import open_task
-from jaxlangnav.viz.moments import describe_moments, moments_table, pick_moments
+from jaxlangnav.viz.narrative import describe_moments, moments_table, pick_moments
 
 TEXT = SENTENCES["behind"]
 """The sentence of all three figures."""
@@ -141,7 +140,7 @@ def _told_of(
 
 def factor_graph(settings: Settings, output: Output) -> Study:
     """Draw the factor graph of the sentence: Figure 3."""
-    from jaxlangnav.viz.pictures import write_graph
+    from jaxlangnav.viz.html import write_graph
 
     begin = time.perf_counter()
     model = load_models(None)
@@ -201,10 +200,9 @@ def _write(
     name: str, recording: Recording, steps: list[int], document: dict[str, Any], out: Path
 ) -> list[Path]:
     """Write figure, page, table and manifest of an episode; return the pictures."""
-    from jaxlangnav.viz.belief import belief_figure
     from jaxlangnav.viz.html import write_html
+    from jaxlangnav.viz.panels import belief_figure, values_figure
     from jaxlangnav.viz.style import save
-    from jaxlangnav.viz.values import values_figure
 
     figure = EPISODES[name]
     draw = belief_figure if name == "fig1" else values_figure

@@ -147,7 +147,7 @@ class Speech:
         from jaxlangnav.task.talk import YOU, Earshot
 
         if self.person is not None:
-            from jaxlangnav.task.watcher import Watcher
+            from jaxlangnav.task.talk import Watcher
 
             watcher = Watcher.named(self.person)
             return Earshot(

@@ -7,11 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jaxlangnav.cli.output import Output
-from jaxlangnav.cli.settings import SettingPath, apply
-from jaxlangnav.experiments.experiment import Options
-from jaxlangnav.experiments.report import Section
-from jaxlangnav.experiments.table import Table
-from jaxlangnav.messages import default_motion, default_sensor
+from jaxlangnav.cli.settings import SettingPath
+from jaxlangnav.experiments.table import Section, Table
 from jaxlangnav.navigator import NavigatorParams
 
 if TYPE_CHECKING:
@@ -40,25 +37,6 @@ class Settings:
     out: Path | None
     command: Callable[[str], str]
     """Writes the command that runs an experiment again."""
-
-    def options(self, *, seed: int) -> Options:
-        """Say what an experiment of episodes runs.
-
-        Args:
-            seed: root seed of worlds and noise.
-
-        Returns:
-            Its options; the sensing range is a matter of each row.
-        """
-        return Options(
-            episodes=self.episodes,
-            policies=self.policies,
-            seed=seed,
-            num_particles=self.particles,
-            params=self.params,
-            sensor=apply(default_sensor(), self.values, "sensor"),
-            motion=apply(default_motion(), self.values, "motion"),
-        )
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -87,7 +87,7 @@ class Sweep:
                 f"--shard is {self.shard}, but processes that are joined divide the work "
                 "themselves: leave one of them out"
             )
-        from jaxlangnav.experiments.devices import join_devices
+        from jaxlangnav.experiments.monte_carlo import join_devices
 
         place, number = join_devices(*told)
         return f"{place + 1}/{number}"

@@ -16,19 +16,21 @@ Everything is ``jit``- and ``vmap``-able; ``params`` are traced, so worlds, comm
 noise may differ from lane to lane of one compiled program.
 """
 
+import functools
+import math
 from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
-from jaxlangnav.environments.actions import STOP_ABOVE
-from jaxlangnav.environments.observation import to_vector
-from jaxlangnav.environments.pool import pick_world
 from jaxlangnav.episode import MAX_STEPS
+from jaxlangnav.experiments.sentences import SENTENCES
 from jaxlangnav.messages import (
     Action,
     MotionParams,
+    Observation,
     SensorParams,
     Status,
     default_motion,
@@ -38,8 +40,109 @@ from jaxlangnav.pytree import pytree
 from jaxlangnav.world import simulator
 from jaxlangnav.world.motion import carry_out
 from jaxlangnav.world.scenario import ScenarioLaw, draw_scenario, scenario_law
-from jaxlangnav.world.sensor import sense
-from jaxlangnav.world.state import Scenario, WorldState
+from jaxlangnav.world.sensor import NUM_DETECTIONS, sense
+from jaxlangnav.world.state import CONE, HYDRANT, Scenario, WorldState
+
+ACTION_SIZE = 3
+STOP_ABOVE = 0.9
+"""An action stops where its last entry is above this: one in twenty of uniformly random ones."""
+NUM_DIRECTIONS = 16
+
+
+def _all_around() -> np.ndarray:
+    """List stop and the steps all around."""
+    turns = np.arange(NUM_DIRECTIONS) * (2.0 * math.pi / NUM_DIRECTIONS)
+    steps = np.stack([np.cos(turns), np.sin(turns), np.full(NUM_DIRECTIONS, -1.0)], axis=1)
+    return np.concatenate([[[0.0, 0.0, 1.0]], steps]).astype(np.float32)
+
+
+DISCRETE_ACTIONS = _all_around()
+"""f32[17, 3], the discrete actions: stop, then the greatest step in 16 directions, +x to +y."""
+
+
+BOUND = 100.0
+"""Entries of an observation are clipped to plus and minus this."""
+OBSERVATION_SIZE = 12 + 5 * NUM_DETECTIONS
+
+
+def to_vector(seen: Observation, *, area: Array, relation: Array) -> Array:
+    """Lay out what the agent is given.
+
+    Args:
+        seen: what the robot senses.
+        area: f32[4], edges of the operating area, which are known to all; metres.
+        relation: i32[], index of the command.
+
+    Returns:
+        f32[52]: x, y, cosine and sine of the heading (odometry); the area's edges (4); the sensing
+        range; one-hot of the command (3); and for each of eight detections, nearest first,
+        whether there is one, metres ahead, metres to the left, is hydrant, is cone.
+    """
+    x, y, heading = seen.pose[0], seen.pose[1], seen.pose[2]
+    told = (jnp.arange(len(SENTENCES)) == relation).astype(jnp.float32)
+    is_there = seen.is_detection.astype(jnp.float32)
+    detections = jnp.stack(
+        [
+            is_there,
+            is_there * seen.detection_range * jnp.cos(seen.detection_bearing),
+            is_there * seen.detection_range * jnp.sin(seen.detection_bearing),
+            (seen.detection_type == HYDRANT).astype(jnp.float32),
+            (seen.detection_type == CONE).astype(jnp.float32),
+        ],
+        axis=1,
+    )
+    own = jnp.stack([x, y, jnp.cos(heading), jnp.sin(heading)])
+    parts = [own, area, seen.sensor.range_max[None], told, detections.reshape(-1)]
+    return jnp.clip(jnp.concatenate(parts), -BOUND, BOUND)
+
+
+NUM_WORLDS = 1024
+"""Worlds of a pool unless told otherwise: 150 kB, and an average's σ/√N is 3 % of σ."""
+_SLICE = 64
+"""Worlds drawn together; all at once would hold every place tried."""
+
+
+@functools.partial(jax.jit, static_argnames="num_worlds")
+def draw_pool(key: Array, law: ScenarioLaw, *, num_worlds: int = NUM_WORLDS) -> Scenario:
+    """Draw the worlds of a pool.
+
+    Limits: one world makes every episode the same place; a world that does not meet the law is
+    replaced by one of the pool that does (if there is one).
+
+    Args:
+        key: random key.
+        law: of the worlds; traced.
+        num_worlds: N; a change recompiles.
+
+    Returns:
+        The worlds, a leading axis N on every leaf.
+
+    Raises:
+        ValueError: fewer than one world.
+    """
+    if num_worlds < 1:
+        raise ValueError(f"num_worlds is {num_worlds}, but must be at least 1")
+    keys = jax.random.split(key, num_worlds)
+    drawn = jax.lax.map(lambda one: draw_scenario(one, law), keys, batch_size=_SLICE)
+    best = jnp.argsort(~drawn.is_valid, stable=True)
+    number = jnp.maximum(jnp.sum(drawn.is_valid), 1)
+    return jax.tree.map(lambda leaf: leaf[best[jnp.arange(num_worlds) % number]], drawn)
+
+
+def pick_world(key: Array, pool: Scenario) -> Scenario:
+    """Take one world out of a pool by lot.
+
+    Args:
+        key: random key.
+        pool: N worlds.
+
+    Returns:
+        One of them.
+    """
+    # One draw where randint takes four; 2³² is so large that its remainder favours nobody.
+    index = jax.random.bits(key) % jnp.uint32(pool.goal_index.shape[0])
+    return jax.tree.map(lambda leaf: leaf[index], pool)
+
 
 DEFAULT_RELATION = "behind"
 _Tree = TypeVar("_Tree")
@@ -142,8 +245,8 @@ def step(
         key: random key, consumed.
         state: the episode.
         action: f32[3], in [−1, 1]: the step along the map's x and y in units of the greatest step
-            (1 m), and stop where above ``actions.STOP_ABOVE``. A step longer than the greatest
-            one is shortened. ``actions.DISCRETE_ACTIONS`` lists some.
+            (1 m), and stop where above ``STOP_ABOVE``. A step longer than the greatest
+            one is shortened. ``DISCRETE_ACTIONS`` lists some.
         params: the environment.
 
     Returns:

@@ -18,8 +18,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from jaxlangnav.environments import functional
-from jaxlangnav.environments.functional import EnvironmentInfo
-from jaxlangnav.environments.pool import NUM_WORLDS, draw_pool
+from jaxlangnav.environments.functional import NUM_WORLDS, EnvironmentInfo, draw_pool
 from jaxlangnav.environments.rendering import METADATA, Renderer, RenderMode
 from jaxlangnav.environments.spaces import (
     Actions,
@@ -50,7 +49,7 @@ class FollowEnv(gymnasium.Env[np.ndarray, Any]):
 
         Args:
             actions: "continuous", f32[3] as of ``functional.step``, or "discrete", an index into
-                ``actions.DISCRETE_ACTIONS``.
+                ``DISCRETE_ACTIONS``.
             render_mode: "rgb_array" for pictures, or None.
             law: world, relation, sensing_range, max_steps, metre_cost, as of
                 ``functional.default_params``.

@@ -5,14 +5,18 @@ from typing import Any, Literal, get_args
 import numpy as np
 from gymnasium import spaces
 
-from jaxlangnav.environments.actions import ACTION_SIZE, DISCRETE_ACTIONS
-from jaxlangnav.environments.observation import BOUND, OBSERVATION_SIZE
+from jaxlangnav.environments.functional import (
+    ACTION_SIZE,
+    BOUND,
+    DISCRETE_ACTIONS,
+    OBSERVATION_SIZE,
+)
 
 Actions = Literal["continuous", "discrete"]
 
 
 def observation_space() -> spaces.Box:
-    """Describe observations: bounded as ``observation.to_vector`` clips them."""
+    """Describe observations: bounded as ``functional.to_vector`` clips them."""
     return spaces.Box(-BOUND, BOUND, (OBSERVATION_SIZE,), np.float32)
 
 

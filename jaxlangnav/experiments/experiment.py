@@ -10,16 +10,13 @@ import jax
 import numpy as np
 import pyarrow as pa
 
-from jaxlangnav.experiments.archive import pytree_hash, write_experiment
+from jaxlangnav.experiments.archive import CompileClock, pytree_hash, write_experiment
 from jaxlangnav.experiments.calibration import Tally, scores
-from jaxlangnav.experiments.compilation import CompileClock
 from jaxlangnav.experiments.grid import Arm, Grid, Played, Row, policy_arm, run_grid
-from jaxlangnav.experiments.judging import tally_tasks
+from jaxlangnav.experiments.judging import bin_sums, tally_tasks
 from jaxlangnav.experiments.monte_carlo import OnProgress
 from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, POLICY_NAMES, check_policies
-from jaxlangnav.experiments.reliability import bin_sums
 from jaxlangnav.experiments.rows import RowSpec, bound_rows, describe_noise, printed_rows
-from jaxlangnav.experiments.sentences import SENTENCES, GroundedSentences, ground_sentences
 from jaxlangnav.experiments.sizes import check_count, check_engine, result_bytes, task_bytes
 from jaxlangnav.experiments.table import Table
 from jaxlangnav.experiments.tables import (
@@ -28,7 +25,7 @@ from jaxlangnav.experiments.tables import (
     results_table,
     terminal_table,
 )
-from jaxlangnav.experiments.tasks import take_tasks
+from jaxlangnav.experiments.tasks import SENTENCES, GroundedSentences, ground_sentences, take_tasks
 from jaxlangnav.messages import MotionParams, SensorParams
 from jaxlangnav.navigator import NavigatorParams, check
 from jaxlangnav.world.templates import TABLE_2

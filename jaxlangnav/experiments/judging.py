@@ -1,10 +1,12 @@
 """Episodes that are judged step by step as they run (``calibration``)."""
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, TypeAlias
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from jaxlangnav.episode import (
@@ -16,7 +18,8 @@ from jaxlangnav.episode import (
     begin,
     finish,
 )
-from jaxlangnav.experiments.calibration import Tally, nothing, tally_step
+from jaxlangnav.experiments.calibration import Reliability, Tally, nothing, tally_step
+from jaxlangnav.experiments.metrics import wilson_interval
 from jaxlangnav.experiments.monte_carlo import map_pieces, run_tasks
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.lanes import Course
@@ -149,3 +152,85 @@ def run_judged(
         max_steps=max_steps,
         course=_JUDGED,
     )
+
+
+Bins: TypeAlias = Mapping[str, Sequence[float]]
+"""Sums by bin: ``events``, ``probability``, ``outcome``, ``episodes``; over episodes the squares of
+their events and outcomes, ``events2`` and ``outcome2``, and the product of both, ``cross``."""
+
+
+def bin_sums(tally: Tally) -> dict[str, dict[str, list[float]]]:
+    """Sum up the events of some episodes by their probability.
+
+    Args:
+        tally: sums of episodes, leaves [E, S, …].
+
+    Returns:
+        ``planner`` and ``map``, each ``Bins`` in JSON's own types.
+    """
+    return {"planner": _sums(tally.planner), "map": _sums(tally.map)}
+
+
+def _sums(found: Reliability) -> dict[str, list[float]]:
+    """Sum up over episodes, leaves [E, S, B]."""
+    events, probability, outcome = (
+        np.asarray(leaf, np.float64).sum(axis=1)
+        for leaf in (found.events, found.probability, found.outcome)
+    )
+    sums = {
+        "events": events,
+        "probability": probability,
+        "outcome": outcome,
+        "episodes": events > 0,
+        "events2": events**2,
+        "outcome2": outcome**2,
+        "cross": events * outcome,
+    }
+    return {name: [float(one) for one in values.sum(axis=0)] for name, values in sums.items()}
+
+
+def pooled(parts: Iterable[Bins]) -> dict[str, np.ndarray]:
+    """Add up the bins of several rows of a table.
+
+    Args:
+        parts: at least one.
+
+    Returns:
+        Arrays f64[B] by name.
+    """
+    listed = list(parts)
+    return {name: np.sum([part[name] for part in listed], axis=0) for name in listed[0]}
+
+
+def curve(bins: Mapping[str, Any]) -> tuple[np.ndarray, ...]:
+    """Turn sums into a reliability curve.
+
+    Args:
+        bins: sums by bin.
+
+    Returns:
+        Of each bin that is not empty: mean probability, share that came true, lower and upper end
+        of its 95 % interval, number of events. The interval is Wilson's, of as many independent
+        events as have the variance between episodes; of as many episodes where they all agree.
+    """
+    sums = {name: np.asarray(values, float) for name, values in bins.items()}
+    used = sums["events"] > 0
+    total = {name: values[used] for name, values in sums.items()}
+    rate = total["outcome"] / total["events"]
+    spread = total["outcome2"] - 2 * rate * total["cross"] + rate**2 * total["events2"]
+    variance = spread / total["events"] ** 2
+    trials = np.where(
+        variance > 1e-12, rate * (1 - rate) / np.maximum(variance, 1e-12), total["episodes"]
+    )
+    trials = np.clip(trials, 1.0, total["events"])
+    ends = np.array([_interval(*one) for one in zip(rate, trials, strict=True)]).reshape(-1, 2)
+    mean = total["probability"] / total["events"]
+    return mean, rate, ends[:, 0], ends[:, 1], total["events"]
+
+
+def _interval(rate: float, trials: float) -> tuple[float, float]:
+    """Compute Wilson's interval for a rate among independent trials, rounded down."""
+    number = max(1, int(trials))
+    low, high = wilson_interval(round(rate * number), number)
+    # Rounding the successes moves the middle by less than half a trial; the rate stays inside.
+    return min(low, rate), max(high, rate)

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 
 from jaxlangnav.experiments.bounds import limits
 from jaxlangnav.experiments.grid import Row, Setting
-from jaxlangnav.experiments.sentences import SENTENCES
-from jaxlangnav.experiments.tasks import cell
+from jaxlangnav.experiments.tasks import SENTENCES, cell
 from jaxlangnav.messages import MotionParams, SensorParams, default_motion, default_sensor
 from jaxlangnav.pytree import replace
 from jaxlangnav.world.templates import TABLE_2, TableRow

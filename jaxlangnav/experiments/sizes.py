@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxlangnav.episode import Task, begin, finish
-from jaxlangnav.experiments.devices import LANES, mesh, num_calls
+from jaxlangnav.experiments.monte_carlo import LANES, mesh, num_calls
 from jaxlangnav.grounding.instruction import NUM_CLAUSES, Instruction
 from jaxlangnav.grounding.program import empty_program, to_program
 from jaxlangnav.grounding.readings import pad_readings

@@ -15,12 +15,10 @@ from pathlib import Path
 from typing import Any
 
 from jaxlangnav.episode import EpisodeResult, Task
-from jaxlangnav.experiments.compilation import CompileClock
-from jaxlangnav.experiments.devices import Work, fill, mesh, num_calls, run_round
+from jaxlangnav.experiments.archive import CompileClock
 from jaxlangnav.experiments.grid import result_columns, typed
 from jaxlangnav.experiments.holding import Note, held
-from jaxlangnav.experiments.monte_carlo import OnProgress
-from jaxlangnav.experiments.sentences import GroundedSentences, ground_sentences
+from jaxlangnav.experiments.monte_carlo import OnProgress, Work, fill, mesh, num_calls, run_round
 from jaxlangnav.experiments.shards import Shard, write_shard
 from jaxlangnav.experiments.sweep_config import SweepConfig
 from jaxlangnav.experiments.sweep_folder import (
@@ -38,7 +36,7 @@ from jaxlangnav.experiments.sweep_plan import (
     shard_episodes,
     shard_files,
 )
-from jaxlangnav.experiments.tasks import known_distances
+from jaxlangnav.experiments.tasks import GroundedSentences, ground_sentences, known_distances
 from jaxlangnav.planner.config import POLICIES
 
 _AHEAD = 2

@@ -38,10 +38,9 @@ from pathlib import Path
 from typing import Any
 
 from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, check_policies
-from jaxlangnav.experiments.sentences import SENTENCES
-from jaxlangnav.experiments.tasks import SEED_LIMIT
+from jaxlangnav.experiments.tasks import SEED_LIMIT, SENTENCES
 from jaxlangnav.files.documents import DocumentError, parse_toml, read_text
-from jaxlangnav.files.regular import read_file
+from jaxlangnav.files.whole import read_file
 from jaxlangnav.plain_text import cut, fault_of_name, shown
 from jaxlangnav.quantities import FIELDS, LENGTH
 from jaxlangnav.world.files import LARGEST_WORLD_FILE, WorldFile, open_world

@@ -14,8 +14,8 @@ from typing import Any
 
 from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.experiments.archive import json_text, manifest
-from jaxlangnav.experiments.devices import CHUNK, LANES
 from jaxlangnav.experiments.holding import Note
+from jaxlangnav.experiments.monte_carlo import CHUNK, LANES
 from jaxlangnav.experiments.shards import Shard, ShardError, check_shard
 from jaxlangnav.experiments.sweep_plan import SweepPlan
 from jaxlangnav.files.documents import parse_json, read_text

@@ -21,8 +21,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxlangnav.experiments.devices import CHUNK
 from jaxlangnav.experiments.grid import Arm, Grid, Setting, policy_arm
+from jaxlangnav.experiments.monte_carlo import CHUNK
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.sizes import check_engine, readable_count
 from jaxlangnav.experiments.sweep_config import Choices, SweepConfig

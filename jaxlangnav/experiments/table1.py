@@ -16,7 +16,6 @@ import numpy as np
 
 from jaxlangnav.experiments.monte_carlo import OnProgress
 from jaxlangnav.experiments.sizes import check_count, readable_count
-from jaxlangnav.experiments.splits import draw_splits, mark_new_words
 from jaxlangnav.experiments.table import Table
 from jaxlangnav.grounding.annotation import infer_annotations
 from jaxlangnav.grounding.correspondence import CorrespondenceGraph
@@ -31,16 +30,68 @@ from jaxlangnav.grounding.properties import Behaviors
 from jaxlangnav.grounding.search import BEAM_WIDTH
 from jaxlangnav.language.corpus import load_corpus
 from jaxlangnav.language.lexicon import load_lexicon
-from jaxlangnav.training.blocks import Design
-from jaxlangnav.training.examples import LabelledInstruction, annotation_examples, behavior_examples
+from jaxlangnav.training.examples import (
+    Design,
+    LabelledInstruction,
+    annotation_examples,
+    behavior_examples,
+)
 from jaxlangnav.training.fit import Fit, build_design, fit
 from jaxlangnav.training.labelled import read_examples
-from jaxlangnav.training.scores import ExactScores, Models, Results, Scores
 from jaxlangnav.training.scoring import (
+    ExactScores,
+    Models,
+    Results,
+    Scores,
     score_annotations,
     score_behaviors,
 )
 from jaxlangnav.training.shipped import MODELS
+
+HOLD_OUT = 1 / 3
+
+
+def draw_splits(count: int, splits: int, seed: int) -> np.ndarray:
+    """Draw which instructions are held out.
+
+    Args:
+        count: instructions.
+        splits: K.
+        seed: of the draw.
+
+    Returns:
+        bool[K, count], a third of each row is held out.
+    """
+    generator = np.random.default_rng(seed)
+    held_out = np.zeros((splits, count), bool)
+    for row in held_out:
+        row[generator.permutation(count)[: round(count * HOLD_OUT)]] = True
+    return held_out
+
+
+def _has_new_word(labelled: LabelledInstruction, seen: set[str]) -> bool:
+    """Tell whether a sentence has a word that none of a training set has."""
+    words = (word for root in labelled.parse.clauses for word in root.all_words())
+    return any(word.lemma not in seen for word in words)
+
+
+def mark_new_words(
+    instructions: Sequence[LabelledInstruction], is_held_out: np.ndarray
+) -> np.ndarray:
+    """Find the held-out sentences with a word that training never saw.
+
+    Args:
+        instructions: the corpus.
+        is_held_out: bool[I].
+
+    Returns:
+        bool, one per held-out instruction, in order.
+    """
+    kept = [one for one, is_out in zip(instructions, is_held_out, strict=True) if not is_out]
+    seen = {w.lemma for one in kept for root in one.parse.clauses for w in root.all_words()}
+    held_out = [one for one, is_out in zip(instructions, is_held_out, strict=True) if is_out]
+    return np.array([_has_new_word(one, seen) for one in held_out], bool)
+
 
 TABLE_1: dict[str, dict[str, float]] = {
     "annotation": {

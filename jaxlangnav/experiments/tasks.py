@@ -17,12 +17,62 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from jaxlangnav.episode import Task
+from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.kept import kept
 from jaxlangnav.messages import MotionParams, SensorParams, default_motion, default_sensor
 from jaxlangnav.world.known import known_distance
 from jaxlangnav.world.places import PlaceLaw, draw_place
 from jaxlangnav.world.scenario import draw_scenario, empty_scenario, scenario_law
 from jaxlangnav.world.state import Scenario
+
+SENTENCES = {
+    "null": "go to the hydrant",
+    "behind": "go to the hydrant behind the cone",
+    "nearest": "go to the hydrant nearest to the cone",
+}
+"""The three commands of Table 2 by their relation; none of them is in a training corpus."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class GroundedSentences:
+    """Sentences as the engine takes them, and the models that read them."""
+
+    texts: tuple[str, ...]
+    instructions: Instruction
+    """Leaves [I, …], in the order of the texts."""
+    models: Any
+    """The trained weights, for a manifest's hash."""
+
+
+def ground_sentences(texts: Sequence[str]) -> GroundedSentences:
+    """Parse and ground sentences with the shipped models.
+
+    Args:
+        texts: one sentence each.
+
+    Returns:
+        The instructions, stacked.
+
+    Raises:
+        ValueError: a sentence is not understood or asks for nothing to be done, or there is none.
+    """
+    if not texts:
+        raise ValueError("no sentence given")
+    from jaxlangnav.grounding.instruction import understand
+    from jaxlangnav.grounding.weights import load_shipped
+
+    models = load_shipped()
+    understood = [understand(text, models) for text in texts]
+    for one in understood:
+        one.check_task()
+    return GroundedSentences(
+        texts=tuple(texts),
+        instructions=jax.tree.map(
+            lambda *leaves: jnp.stack(leaves), *(one.instruction for one in understood)
+        ),
+        models=models,
+    )
+
 
 SEED_LIMIT = 2**32
 """Seeds lie below it: they are the root of the keys, 32 bits."""

@@ -12,10 +12,16 @@ import jax
 import numpy as np
 
 from jaxlangnav.episode import EpisodeState, Task, advance, begin, observe
-from jaxlangnav.experiments.devices import CHUNK, LANES, usable_cores
+from jaxlangnav.experiments.monte_carlo import CHUNK, LANES, usable_cores
 from jaxlangnav.experiments.policies import navigator_config
-from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
-from jaxlangnav.experiments.tasks import cell, concatenate, make_tasks, take_tasks
+from jaxlangnav.experiments.tasks import (
+    SENTENCES,
+    cell,
+    concatenate,
+    ground_sentences,
+    make_tasks,
+    take_tasks,
+)
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.navigator import NavigatorParams
 from jaxlangnav.semantic_map import filter as semantic_filter

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from jaxlangnav.files.regular import read_file
+from jaxlangnav.files.whole import read_file
 from jaxlangnav.plain_text import cut
 
 DEEPEST = 32

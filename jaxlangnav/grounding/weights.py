@@ -16,8 +16,7 @@ from zipfile import ZipFile
 import numpy as np
 
 from jaxlangnav.files.arrays import faults_as_values, open_arrays, read_floats, read_text_entry
-from jaxlangnav.files.regular import read_file
-from jaxlangnav.files.whole import replacing
+from jaxlangnav.files.whole import read_file, replacing
 from jaxlangnav.grounding.instruction import GroundingModel
 from jaxlangnav.grounding.model import (
     ANNOTATION_KINDS,

@@ -19,7 +19,7 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.files.arrays import parse_floats
-from jaxlangnav.files.regular import read_file
+from jaxlangnav.files.whole import read_file
 from jaxlangnav.semantic_map.coverage import Coverage
 
 RANGE_MAX = 1.25

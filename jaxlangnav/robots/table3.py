@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxlangnav.agent import Navigator
-from jaxlangnav.experiments.sentences import SENTENCES
+from jaxlangnav.experiments.tasks import SENTENCES
 from jaxlangnav.navigator import NavigatorInfo, NavigatorState
 from jaxlangnav.pytree import replace
 from jaxlangnav.robots.driver import drive

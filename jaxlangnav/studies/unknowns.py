@@ -22,7 +22,7 @@ from jax import Array
 from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task
 from jaxlangnav.experiments.experiment import Experiment, Options
 from jaxlangnav.experiments.grid import Arm, Played, Row, policy_arm
-from jaxlangnav.experiments.paired import compare
+from jaxlangnav.experiments.metrics import compare
 from jaxlangnav.experiments.rows import AGREEMENT, PRINTED, deviations, distance_error, rate_error
 from jaxlangnav.experiments.table import Table
 from jaxlangnav.navigator import default_params

@@ -12,13 +12,134 @@ A file of JSON lines. Each line is an object with
 """
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxlangnav.conversation import seen_from
 from jaxlangnav.files.documents import DocumentError, parse_json, read_text
+from jaxlangnav.grounding.asked import LEAST_PREVIOUS_GOAL, infer_once
 from jaxlangnav.grounding.form import FormReading, read_meaning
+from jaxlangnav.grounding.instruction import Instruction, Understanding
 from jaxlangnav.grounding.json_schema import quote
+from jaxlangnav.grounding.worlds import place_for, to_device
+from jaxlangnav.language.labels import PlacedWorld
 from jaxlangnav.language.lexicon import type_called
+from jaxlangnav.messages import ACTIONS, AT, MODES, NONE, REGIONS, Behavior
+from jaxlangnav.planner.goals import region_offset
+from jaxlangnav.pytree import replace
+from jaxlangnav.relations import default_params, prepare
+from jaxlangnav.world.scenario import NUM_SLOTS
+from jaxlangnav.world.simulator import SUCCESS_RADIUS
+from jaxlangnav.world.state import Scenario
+
+_LEAST = 0.05
+"""Goals less probable than this are not meant."""
+_ALIKE = 0.8
+"""Goals of at least this share of the best one's probability fit as well."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Goal:
+    """A place that a sentence may mean."""
+
+    region: int  # index into messages.REGIONS
+    index: int  # slot of the scenario; NONE for the robot itself
+    position: tuple[float, float]  # metres, map frame: the typical place of the region
+
+
+def meant_goals(understood: Understanding, scenario: Scenario) -> tuple[list[Goal], bool]:
+    """List where the last command of a sentence may end, in a world of which all is known.
+
+    Args:
+        understood: the sentence.
+        scenario: ground truth.
+
+    Returns:
+        The goals that fit best, none where nothing fits; and whether finding is enough.
+    """
+    placed = place_scenario(scenario, understood.type_names)
+    behaviors = infer_in(understood.instruction, placed, understood.type_names)
+    if not behaviors:
+        return [], False
+    last, told = behaviors[-1], understood.instruction
+    metres, frame = (np.asarray(one)[len(behaviors) - 1] for one in (told.metres, told.frame))
+    viewer = np.asarray(seen_from(jnp.asarray(placed.robot, jnp.float32), frame[None]))[0]
+    best = float(last.goal.max())
+    if best < _LEAST:
+        return [], False
+    kept = np.flatnonzero(np.asarray(scenario.is_object))
+    goals = [
+        Goal(
+            region=int(region),
+            index=int(kept[slot]) if slot < len(kept) else NONE,
+            position=_position(placed, int(region), int(slot), viewer, metres),
+        )
+        for region, slot in zip(*np.nonzero(last.goal >= _ALIKE * best), strict=True)
+    ]
+    return goals, bool(last.action.argmax() == 1)
+
+
+def is_among(scenario: Scenario, goals: list[Goal]) -> bool:
+    """Tell whether a world's own goal is one of those that a sentence means.
+
+    Args:
+        scenario: with its goal: an object, or a mere place.
+        goals: of ``meant_goals``.
+
+    Returns:
+        True where the object is meant itself, or the place is within reach of one meant.
+    """
+    own = int(scenario.goal_index)
+    if own != NONE:
+        return any(goal.region == AT and goal.index == own for goal in goals)
+    x, y = np.asarray(scenario.goal).tolist()
+    return any(
+        np.hypot(x - goal.position[0], y - goal.position[1]) <= SUCCESS_RADIUS for goal in goals
+    )
+
+
+def with_goal(scenario: Scenario, goal: Goal) -> Scenario:
+    """Make a place the intended goal of a world.
+
+    Args:
+        scenario: ground truth.
+        goal: what is meant.
+
+    Returns:
+        The same world with another goal.
+    """
+    index = goal.index if goal.region == AT else NONE
+    return replace(
+        scenario, goal=jnp.asarray(goal.position, jnp.float32), goal_index=jnp.int32(index)
+    )
+
+
+def _position(
+    placed: PlacedWorld, region: int, slot: int, viewer: np.ndarray, metres: np.float32
+) -> tuple[float, float]:
+    """Compute the place that a region means."""
+    is_robot = slot == len(placed.objects)
+    x, y = viewer[:2].tolist() if is_robot else placed.objects[slot][1:]
+    if region == AT:
+        return x, y
+    place = np.int32(region), np.float32(x), np.float32(y), viewer, np.bool_(is_robot), metres
+    offset = _offset(*place)
+    return x + float(offset[0]), y + float(offset[1])
+
+
+@jax.jit
+def _offset(
+    region: Array, x: Array, y: Array, viewer: Array, is_robot: Array, metres: Array
+) -> tuple:
+    """Compute where in a region a robot goes, the way the planner does it."""
+    return region_offset(prepare(default_params()), region, x, y, viewer, is_robot, metres)
+
 
 REFUSE = "refuse"
 MOST_SENTENCES = 20_000
@@ -121,3 +242,123 @@ def _read_label(label: Any) -> Meaning | None:
         raise ValueError(f"label is {quote(label)}, but must be 'refuse' or an object")
     reading, names = read_meaning(label, path="label")
     return Meaning(reading, tuple(type_called(name.lower()) or name for name in names))
+
+
+_RAREST = 1e-3
+"""Behaviors less probable than this are not listed."""
+
+
+def place_scenario(scenario: Scenario, names: Sequence[str]) -> PlacedWorld:
+    """Reveal a scenario.
+
+    Args:
+        scenario: ground truth; the robot stands at its start.
+        names: object types by index.
+
+    Returns:
+        Its objects in the order of their slots, empty ones left out, and the robot.
+    """
+    kept = np.flatnonzero(np.asarray(scenario.is_object))
+    types, xs, ys = (
+        np.asarray(one)[kept]
+        for one in (scenario.object_type, scenario.object_x, scenario.object_y)
+    )
+    x, y, heading = (float(one) for one in np.asarray(scenario.start))
+    return PlacedWorld(
+        objects=tuple(
+            (names[int(kind)], float(x), float(y)) for kind, x, y in zip(types, xs, ys, strict=True)
+        ),
+        robot=(x, y, heading),
+        attributes=()
+        if scenario.object_attribute is None
+        else tuple(np.asarray(scenario.object_attribute)[kept].tolist()),
+    )
+
+
+def infer_in(
+    instruction: Instruction, placed: PlacedWorld, names: tuple[str, ...]
+) -> list[Behavior]:
+    """Infer what each command asks for in a world of which everything is known.
+
+    Args:
+        instruction: the grounded sentence.
+        placed: the world; of at most as many objects as a scenario has slots.
+        names: object types by index.
+
+    Returns:
+        One behavior a command, NumPy leaves; "the other one" is other than the likeliest goal
+        of the command before it.
+    """
+    number, found = len(placed.objects), []
+    # Padded like any other world, so that one compiled program serves them all.
+    num_slots = max(NUM_SLOTS, number) + 1
+    slots = np.append(np.arange(number), num_slots - 1)
+    for clause in range(int(instruction.num_clauses)):
+        program = jax.tree.map(
+            lambda leaf, index=clause: np.asarray(leaf)[index], instruction.program
+        )
+        world = to_device(place_for(placed, names, instruction.readings), num_slots)
+        behavior = jax.device_get(infer_once(program, world))
+        behavior = dataclasses.replace(
+            behavior, goal=behavior.goal[:, slots], constraint=behavior.constraint[:, slots]
+        )
+        found.append(behavior)
+        best = behavior.goal.max(axis=0)
+        previous = int(best.argmax()) if best.max() >= LEAST_PREVIOUS_GOAL else number
+        placed = dataclasses.replace(placed, previous=previous if previous < number else None)
+    return found
+
+
+def list_behaviors(
+    instruction: Instruction, placed: PlacedWorld, names: tuple[str, ...]
+) -> list[dict[str, Any]]:
+    """List what may be to be done in a world of which everything is known.
+
+    Action, mode and goal are independent given the sentence and the world, so the probability of
+    a behavior is the product of theirs. What is missing to 1 is the probability that nothing
+    there fits the command.
+
+    Args:
+        instruction: the grounded sentence.
+        placed: the world.
+        names: object types by index.
+
+    Returns:
+        Clause by clause, likeliest first: ``clause``, ``action``, ``mode``, ``goal``,
+        ``probability``.
+    """
+    found: list[dict[str, Any]] = []
+    for clause, behavior in enumerate(infer_in(instruction, placed, names)):
+        joint = (
+            behavior.action[:, None, None, None]
+            * behavior.mode[None, :, None, None]
+            * behavior.goal[None, None]
+        )
+        for index in zip(*np.nonzero(joint >= _RAREST), strict=True):
+            found.append(
+                {
+                    "clause": clause,
+                    "action": ACTIONS[index[0]],
+                    "mode": MODES[index[1]],
+                    "goal": describe_goal(placed, int(index[2]), int(index[3])),
+                    "probability": float(joint[index]),
+                }
+            )
+    return sorted(found, key=lambda one: (one["clause"], -one["probability"]))
+
+
+def describe_goal(placed: PlacedWorld, region: int, slot: int) -> dict[str, Any]:
+    """Name a goal region.
+
+    Args:
+        placed: the world.
+        region: index into ``messages.REGIONS``.
+        slot: of the object; the one after the last object is the robot.
+
+    Returns:
+        ``region`` ("at" or a relation), ``object`` (its type), ``index`` (its slot) and where
+        that object stands, ``position``.
+    """
+    is_robot = slot == len(placed.objects)
+    name, x, y = ("robot", *placed.robot[:2]) if is_robot else placed.objects[slot]
+    return {"region": REGIONS[region], "object": name, "index": slot, "position": [x, y]}

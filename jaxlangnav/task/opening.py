@@ -16,7 +16,7 @@ from jaxlangnav.experiments.tasks import cell, make_tasks
 from jaxlangnav.grounding.binding import Detector
 from jaxlangnav.grounding.instruction import Understanding
 from jaxlangnav.pytree import replace
-from jaxlangnav.task.meant import is_among, meant_goals, with_goal
+from jaxlangnav.task.labelled import is_among, meant_goals, with_goal
 from jaxlangnav.world.files import open_world, shipped_worlds
 from jaxlangnav.world.reading import WorldFile
 from jaxlangnav.world.scenario import NUM_SLOTS

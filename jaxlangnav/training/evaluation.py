@@ -12,7 +12,7 @@ from jaxlangnav.grounding.model import CorrespondenceModel
 from jaxlangnav.grounding.search import BEAM_WIDTH
 from jaxlangnav.training import scoring
 from jaxlangnav.training.examples import LabelledInstruction
-from jaxlangnav.training.scores import ExactScores, Models, Scores
+from jaxlangnav.training.scoring import ExactScores, Models, Scores
 
 
 def _on_all(instructions: Sequence[LabelledInstruction]) -> np.ndarray:

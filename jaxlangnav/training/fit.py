@@ -25,8 +25,7 @@ from jax.scipy.linalg import solve_triangular
 
 from jaxlangnav.grounding.features import feature_group
 from jaxlangnav.grounding.model import CorrespondenceModel, Vocabulary, build_vocabulary
-from jaxlangnav.training.blocks import Design, flatten, pool
-from jaxlangnav.training.examples import PhraseExample
+from jaxlangnav.training.examples import Design, PhraseExample, flatten, pool
 from jaxlangnav.training.optimum import Problem, Search, data_loss, minimise
 
 SPLITS_AT_ONCE = 8

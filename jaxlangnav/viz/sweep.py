@@ -1,5 +1,6 @@
-"""Results: distance and success against the sensing range (Figure 5)."""
+"""Success and distance as curves and as points with bars: Figure 5, the unknowns, robustness."""
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -8,7 +9,9 @@ import numpy as np
 
 from jaxlangnav.experiments.grid import Row
 from jaxlangnav.experiments.metrics import wilson_interval
-from jaxlangnav.experiments.rows import PAPER_RUNS
+from jaxlangnav.experiments.robustness import ECE_TARGET, ROBUSTNESS
+from jaxlangnav.experiments.rows import AGREEMENT, PAPER_RUNS, rate_error
+from jaxlangnav.studies.unknowns_tables import TITLE, row_name
 from jaxlangnav.viz import style
 
 if TYPE_CHECKING:
@@ -186,3 +189,196 @@ def legend_of(grid: Any) -> tuple[list[Any], list[str]]:
             for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
                 found.setdefault(label, handle)
     return list(found.values()), list(found)
+
+
+_WIDE, _LINE, _HEAD, _FOOT = 11.0, 0.27, 0.95, 0.95
+"""Inches: the figure, a scenario, what is above and below them."""
+_WITH_BELIEF = 0.4
+"""Largest ECE that the panel shows; beyond it a point stands at its border."""
+
+
+def robustness_figure(document: Mapping[str, Any]) -> "Figure":
+    """Draw success, distance and calibration of every scenario.
+
+    Args:
+        document: of ``experiments.robustness``.
+
+    Returns:
+        The figure: a line for each scenario. Its name is green where ``informed`` meets all of its
+        targets, red where it misses one, and black where it has none.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+        ValueError: the document has no rows.
+    """
+    rows: Sequence[Row] = document["rows"]
+    if not rows:
+        raise ValueError("the document has no rows, so there is nothing to draw")
+    names = list(dict.fromkeys(row["scenario"] for row in rows))
+    arms = list(dict.fromkeys(row["policy"] for row in rows))
+    looks = looks_of(arms)
+    with style.house_style():
+        from matplotlib.figure import Figure
+
+        tall = _HEAD + _FOOT + _LINE * len(names)
+        figure = Figure(figsize=(_WIDE, tall))
+        panels = figure.subplots(1, 3, sharey=True, width_ratios=(5, 4, 3))
+        figure.subplots_adjust(
+            left=0.185, right=0.985, top=1 - _HEAD / tall, bottom=_FOOT / tall, wspace=0.05
+        )
+        for place in range(0, len(names), 2):
+            for axes in panels:
+                axes.axhspan(place - 0.5, place + 0.5, color="#f4f5f7", zorder=0)
+        for row in rows:
+            shift = 0.66 * ((arms.index(row["policy"]) + 0.5) / len(arms) - 0.5)
+            place = names.index(row["scenario"])
+            _draw_scenario(panels, row, looks[row["policy"]], place, shift)
+        _label_panels(panels, names, rows)
+        style.title(
+            figure,
+            ROBUSTNESS.title,
+            f"{document['episodes']} episodes a row; bars: 95 % interval of the mean. Vertical "
+            "strokes: targets of informed.\nNames: green, all targets met; red, one is missed; "
+            "black, none is set. Empty points of ECE: the belief was not told the truth.",
+        )
+        handles, labels = legend_of([[panels[0]]])
+        figure.legend(handles, labels, loc="lower center", ncols=3)
+    return figure
+
+
+def _draw_scenario(
+    panels: "Sequence[Axes]", row: Row, looks: tuple[str, str, str], place: int, shift: float
+) -> None:
+    """Draw one row into the three panels."""
+    rates, ways, scores = panels
+    color, marker, name = looks
+    look: dict[str, Any] = {
+        "color": color, "marker": marker or "|", "markersize": 4.5, "linestyle": "none",
+        "linewidth": 1.0, "label": name,
+    }  # fmt: skip
+    at = [place + shift]
+    rates.errorbar([row["success_rate"]], at, xerr=success_bars([row]), **look)
+    ways.errorbar([row["distance_mean"]], at, xerr=[half_interval(row)], **look)
+    if row["ece"] is not None:
+        fill: dict[str, Any] = {} if row["is_told"] else {"markerfacecolor": style.PAPER}
+        scores.plot([min(row["ece"], _WITH_BELIEF)], at, **(look | fill))
+    mark: dict[str, Any] = {"color": style.INK, "linewidth": 1.4, "zorder": 4}
+    if row["target"] is not None:
+        rates.plot([row["target"]] * 2, [place - 0.42, place + 0.42], **mark)
+    if row.get("longest"):
+        ways.plot([row["longest"]] * 2, [place - 0.42, place + 0.42], **mark)
+
+
+def _label_panels(panels: "Sequence[Axes]", names: Sequence[str], rows: Sequence[Row]) -> None:
+    """Name axes and scenarios, and colour the names by their targets."""
+    rates, ways, scores = panels
+    rates.set_yticks(range(len(names)), names)
+    rates.set_ylim(len(names) - 0.5, -0.5)
+    for place, text in enumerate(rates.get_yticklabels()):
+        judged = [
+            one.get(key)
+            for one in rows
+            if one["scenario"] == names[place]
+            for key in ("is_met", "is_calibrated")
+        ]
+        set_ones = [one for one in judged if one is not None]
+        met = style.GOOD if all(set_ones) else style.BAD
+        text.set_color(met if set_ones else style.INK)
+    rates.set_xlim(0, 103)
+    ways.set_xlim(left=0)
+    scores.set_xlim(0, 1.02 * _WITH_BELIEF)
+    scores.axvline(ECE_TARGET, color=style.INK, linewidth=1.0, linestyle=":", zorder=1)
+    for axes, label in zip(panels, ("success (%)", "distance travelled (m)", "ECE"), strict=True):
+        axes.set_xlabel(label)
+        axes.grid(axis="x")
+        axes.tick_params(axis="y", length=0)
+
+
+_LEFT, _COLUMN, _STRIP = 2.05, 1.4, 0.155
+"""Inches: labels, a row of Table 2, a variation."""
+
+
+def unknowns_figure(document: Mapping[str, Any]) -> "Figure":
+    """Draw every variation beside the printed figures: success above, distance below.
+
+    Args:
+        document: of ``studies.unknowns``.
+
+    Returns:
+        The figure: a column for each row of Table 2, a line for each variation. A band spans two
+        standard errors of the printed figure, a bar two of ours; filled points agree with it.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+        ValueError: the document has no rows.
+    """
+    paper, fits = document["paper"], document["variations"]
+    if not document["rows"]:
+        raise ValueError("the document has no rows, so there is nothing to draw")
+    with style.house_style():
+        from matplotlib.figure import Figure
+
+        tall = _STRIP * len(fits)
+        width, height = _LEFT + _COLUMN * len(paper) + 0.1, 2 * tall + 1.95
+        figure = Figure(figsize=(width, height))
+        grid = figure.subplots(2, len(paper), squeeze=False, sharey=True)
+        figure.subplots_adjust(
+            left=_LEFT / width, right=1 - 0.1 / width, top=1 - 0.85 / height,
+            bottom=0.42 / height, wspace=0.1, hspace=0.62 / tall,
+        )  # fmt: skip
+        for index, printed in enumerate(paper):
+            mine = document["rows"][index :: len(paper)]
+            _draw_panel(grid[0][index], mine, printed, "success_rate", "success")
+            _draw_panel(grid[1][index], mine, printed, "distance_mean", "distance")
+            grid[0][index].set_title(row_name(printed))
+            grid[0][index].set_xlabel("success (%)")
+            grid[1][index].set_xlabel("distance (m)")
+        for line in grid:
+            _label(line[0], fits)
+        style.title(
+            figure,
+            TITLE,
+            f"{document['policy']}, {document['episodes']} episodes a point, bars ± {AGREEMENT:g} "
+            f"standard errors. Band: the paper's figure ± {AGREEMENT:g} standard errors of "
+            f"{PAPER_RUNS} runs. Filled green: they agree.",
+        )
+    return figure
+
+
+def _draw_panel(axes: "Axes", rows: Sequence[Row], printed: Row, key: str, name: str) -> None:
+    """Draw one figure of one row of Table 2 for all variations."""
+    if name == "success":
+        error = rate_error(printed[key], PAPER_RUNS)
+    else:
+        error = printed["distance_sd"] / math.sqrt(PAPER_RUNS)
+    value = printed[key]
+    axes.axvspan(value - AGREEMENT * error, value + AGREEMENT * error, color="#e6ecf1", zorder=0)
+    axes.axvline(value, color=style.INK, linewidth=0.9, linestyle=":", zorder=1)
+    for place, row in enumerate(rows):
+        is_near = row[f"is_{name}_near"]
+        half = AGREEMENT * row[f"{name}_se"]
+        # No rate is above 100 %.
+        upper = min(half, 100.0 - row[key]) if name == "success" else half
+        axes.errorbar(
+            [row[key]], [place], xerr=[[half], [upper]],
+            color=style.GOOD if is_near else style.MUTED, marker="o", markersize=4,
+            markerfacecolor=style.GOOD if is_near else style.PAPER, linewidth=1.0, capsize=0,
+        )  # fmt: skip
+    axes.grid(axis="x")
+    axes.tick_params(axis="y", length=0)
+
+
+def _label(axes: "Axes", fits: Sequence[Mapping[str, Any]]) -> None:
+    """Name the variations, each unknown once, with a line between unknowns."""
+    names = [f"{one['unknown']}  {one['value']}".strip() for one in fits]
+    axes.set_yticks(range(len(fits)), names)
+    axes.set_ylim(len(fits) - 0.4, -0.6)
+    figure = axes.get_figure()
+    row = axes.get_subplotspec()
+    for place, (before, after) in enumerate(itertools.pairwise(fits)):
+        if before["unknown"] == after["unknown"] or figure is None or row is None:
+            continue
+        for other in figure.axes:
+            spec = other.get_subplotspec()
+            if spec is not None and spec.rowspan == row.rowspan:
+                other.axhline(place + 0.5, color=style.LINE, linewidth=0.6, zorder=0)

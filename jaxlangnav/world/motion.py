@@ -108,3 +108,41 @@ def driven(
         odometry=jnp.stack([state.odometry[0] + step[0], state.odometry[1] + step[1], heading]),
         distance=state.distance + jnp.hypot(displacement[0], displacement[1]),
     )
+
+
+@pytree
+class Unicycle:
+    """Turns, then drives straight ahead; never sideways."""
+
+    turn_rate: Array  # f32[] radians turned in one decision cycle at most, > 0
+
+    def move(
+        self, key: Array, state: WorldState, action: Action, motion: MotionParams
+    ) -> WorldState:
+        """Carry out one decision cycle's step.
+
+            θ' = θ + clip(∠u − θ, ±ω),   s = min(|u|, L v (1 − |θ' − θ| / ω))
+            u' = s (cos θ', sin θ')
+
+        of odometry; where that leads see ``motion.driven``.
+        Limits: ω → ∞ goes where a holonomic body goes; a stop or a zero step changes nothing.
+
+        Args:
+            key: random key.
+            state: the robot.
+            action: ``step`` f32[2] metres, map axes; ``is_stop`` keeps the robot where it is.
+            motion: step length L, and what odometry is like.
+
+        Returns:
+            The robot after the step; odometry has the way without its noise.
+        """
+        step = jnp.where(action.is_stop, jnp.zeros_like(action.step), action.step)
+        asked = jnp.hypot(step[0], step[1])
+        wanted = jnp.arctan2(step[1], step[0]) - state.odometry[2]
+        wanted = wanted - 2.0 * jnp.pi * jnp.round(wanted / (2.0 * jnp.pi))
+        turn = jnp.where(asked > 0.0, jnp.clip(wanted, -self.turn_rate, self.turn_rate), 0.0)
+        heading = state.odometry[2] + turn
+        rest = 1.0 - jnp.abs(turn) / self.turn_rate
+        way = jnp.minimum(asked, motion.step_length * action.speed * rest)
+        step = way * jnp.stack([jnp.cos(heading), jnp.sin(heading)])
+        return driven(key, state, step, way, heading, motion)

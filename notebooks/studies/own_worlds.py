@@ -24,8 +24,7 @@ from jaxlangnav.episode import Task
 from jaxlangnav.experiments.calibration import Tally
 from jaxlangnav.experiments.judging import tally_tasks
 from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, navigator_config
-from jaxlangnav.experiments.sentences import SENTENCES, GroundedSentences
-from jaxlangnav.experiments.tasks import Cell, cell, concatenate
+from jaxlangnav.experiments.tasks import SENTENCES, Cell, GroundedSentences, cell, concatenate
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.messages import NONE, ROBOT, Readings
 from jaxlangnav.navigator import NavigatorParams, default_params

@@ -1,0 +1,43 @@
+"""Modules of the reference that stand elsewhere now: their old names work, and warn."""
+
+import importlib
+import importlib.abc
+import importlib.machinery
+import sys
+import warnings
+from collections.abc import Sequence
+from types import ModuleType
+
+MOVED = {
+    "experiments.table2": "experiments.paper",
+    "experiments.figure5": "experiments.paper",
+    "experiments.report": "experiments.table",
+    "experiments.reliability": "experiments.judging",
+    "experiments.goal_region": "experiments.calibration",
+}
+"""In the package: old names and new ones. An entry goes after one release."""
+
+
+class _Moved(importlib.abc.MetaPathFinder, importlib.abc.Loader):
+    """Finds a module of an old name as a copy of the names of the new one."""
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> importlib.machinery.ModuleSpec | None:
+        """Know the old names."""
+        del path, target
+        is_moved = fullname.removeprefix("jaxlangnav.") in MOVED
+        return importlib.machinery.ModuleSpec(fullname, self) if is_moved else None
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Take over what the new module defines."""
+        old = module.__name__
+        new = f"jaxlangnav.{MOVED[old.removeprefix('jaxlangnav.')]}"
+        warnings.warn(f"{old} is now {new}", DeprecationWarning, stacklevel=2)
+        names = vars(importlib.import_module(new))
+        vars(module).update({name: one for name, one in names.items() if name[:2] != "__"})
+
+
+def know_old_names() -> None:
+    """Let old names be imported; asked last, when nothing else has found a module."""
+    sys.meta_path.append(_Moved())

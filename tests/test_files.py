@@ -1,0 +1,399 @@
+"""Reading and writing files safely: whole, regular, of one's own, arrays without code."""
+
+import io
+import os
+import random
+import signal
+import socket
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jaxlangnav.files import own as own_files
+from jaxlangnav.files import whole as whole_files
+from jaxlangnav.files.arrays import faults_as_values, parse_floats
+from jaxlangnav.files.own import check_own_files, own_folder, read_own_file, write_own_file
+from jaxlangnav.files.whole import read_file
+from jaxlangnav.planner import prior
+
+WRITER = """
+import sys
+from pathlib import Path
+from jaxlangnav.files.whole import replacing
+with replacing(Path(sys.argv[1])) as temporary:
+    temporary.write_text("half")
+    print("writing", flush=True)
+    sys.stdin.read()
+"""
+
+
+def fail(path: Path) -> None:
+    with whole_files.replacing(path) as temporary:
+        temporary.write_text("half")
+        raise RuntimeError("the disk is full")
+
+
+def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
+    path = whole_files.write_text("old", tmp_path / "new" / "folder" / "table.md")
+    with pytest.raises(RuntimeError, match="full"):
+        fail(path)
+    assert path.read_text() == "old"
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_file_and_folder_are_forced_to_the_disk_before_the_rename_counts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    events: list[tuple[str, str]] = []
+    fsync, move = os.fsync, Path.replace
+
+    def forced(handle: int) -> None:
+        events.append(("force", Path(os.readlink(f"/proc/self/fd/{handle}")).name))
+        fsync(handle)
+
+    def moved(self: Path, target: Path) -> Path:
+        events.append(("move", self.name))
+        return move(self, target)
+
+    monkeypatch.setattr(whole_files.os, "fsync", forced)
+    monkeypatch.setattr(Path, "replace", moved)
+    whole_files.write_text("new", tmp_path / "out" / "table.md")
+    made, (first, temporary), (second, same), (third, folder) = events
+    assert made == ("force", tmp_path.name)
+    assert (first, second, third) == ("force", "move", "force")
+    assert temporary == same
+    assert temporary.startswith(".table.partial-")
+    assert folder == "out"
+
+
+def test_a_killed_writer_leaves_the_old_file_and_a_hidden_one(tmp_path: Path) -> None:
+    path = whole_files.write_text("old", tmp_path / "table.md")
+    writer = subprocess.Popen(
+        [sys.executable, "-c", WRITER, str(path)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert writer.stdout is not None
+    assert writer.stdout.readline() == "writing\n"
+    writer.send_signal(signal.SIGKILL)
+    writer.communicate()
+    assert path.read_text() == "old"
+    (left,) = whole_files.leftovers(path)
+    assert left.name.startswith(".")
+    assert left.read_text() == "half"
+    assert {one.name for one in tmp_path.iterdir()} == {path.name, left.name}
+
+
+def test_of_two_writers_one_wins(tmp_path: Path) -> None:
+    path = tmp_path / "manifest.json"
+    assert whole_files.write_once(b"mine", path)
+    assert not whole_files.write_once(b"theirs", path)
+    assert path.read_bytes() == b"mine"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_names_and_rights(tmp_path: Path) -> None:
+    path = tmp_path / f"{'n' * 240}.md"
+    before = os.umask(0o027)
+    try:
+        whole_files.write_text("long", path)
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE(path.stat().st_mode) == 0o640
+    assert list(tmp_path.iterdir()) == [path]
+    names = []
+    for _ in range(2):
+        with whole_files.replacing(path) as temporary:
+            names.append(temporary.name)
+    assert names[0] != names[1]
+
+
+# Only regular files of a bounded size are read, and nothing is waited for.
+
+
+@pytest.mark.parametrize("size", [0, 1, 99, 100])
+def test_a_file_within_the_limit_is_read_whole(tmp_path: Path, size: int) -> None:
+    content = bytes(range(size))
+    (tmp_path / "file").write_bytes(content)
+    (tmp_path / "link").symlink_to(tmp_path / "file")
+    assert read_file(tmp_path / "file", at_most=100) == content
+    assert read_file(str(tmp_path / "link"), at_most=100) == content
+
+
+def test_more_than_one_piece_is_read(tmp_path: Path) -> None:
+    content = os.urandom(3_000_000)
+    (tmp_path / "file").write_bytes(content)
+    assert read_file(tmp_path / "file", at_most=len(content)) == content
+
+
+def test_a_file_beyond_the_limit_is_refused_with_its_name(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"x" * 1001)
+    with pytest.raises(ValueError, match=r"file: has more than 1,000 bytes") as caught:
+        read_file(tmp_path / "file", at_most=1000)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_that_claims_a_terabyte_is_refused_unread(tmp_path: Path) -> None:
+    with (tmp_path / "sparse").open("wb") as file:
+        file.truncate(1 << 40)
+    with pytest.raises(ValueError, match="more than 10 bytes"):
+        read_file(tmp_path / "sparse", at_most=10)
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="no /proc")
+def test_the_size_that_a_file_claims_is_not_believed() -> None:
+    assert Path("/proc/self/status").stat().st_size == 0
+    assert read_file("/proc/self/status", at_most=1_000_000).startswith(b"Name:")
+    with pytest.raises(ValueError, match="more than 10 bytes"):
+        read_file("/proc/self/status", at_most=10)
+
+
+def test_what_is_no_regular_file_is_refused(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "link").symlink_to(tmp_path / "pipe")
+    kinds = {
+        tmp_path: "a folder",
+        tmp_path / "pipe": "a pipe",
+        tmp_path / "link": "a pipe",
+        Path("/dev/zero"): "a device",
+    }
+    for path, kind in kinds.items():
+        with pytest.raises(ValueError, match=f"{path}: is {kind}, not a regular file"):
+            read_file(path, at_most=10)
+
+
+def test_what_cannot_be_opened_is_an_os_error(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError):
+        read_file(tmp_path / "none", at_most=10)
+    with socket.socket(socket.AF_UNIX) as one:
+        one.bind(str(tmp_path / "socket"))
+        with pytest.raises(OSError, match="socket"):
+            read_file(tmp_path / "socket", at_most=10)
+
+
+# What runs as the user comes from folders and files that nobody else can have changed.
+
+
+def mode(path: Path) -> int:
+    return stat.S_IMODE(path.stat().st_mode)
+
+
+@pytest.mark.parametrize("umask", [0o000, 0o077, 0o777])
+def test_folders_and_files_are_made_for_the_user_alone(tmp_path: Path, umask: int) -> None:
+    before = os.umask(umask)
+    try:
+        folder = own_folder(tmp_path / "a" / "b")
+        write_own_file(folder / "file", b"content")
+    finally:
+        os.umask(before)
+    assert [mode(one) for one in (tmp_path / "a", folder)] == [0o700, 0o700]
+    assert mode(folder / "file") == 0o600
+    assert read_own_file(folder / "file", at_most=7) == b"content"
+    assert [one.name for one in folder.iterdir()] == ["file"]
+
+
+def test_a_folder_that_is_there_keeps_what_is_in_it(tmp_path: Path) -> None:
+    write_own_file(own_folder(tmp_path / "a") / "file", b"one")
+    write_own_file(own_folder(tmp_path / "a") / "file", b"two")
+    assert read_own_file(tmp_path / "a" / "file", at_most=9) == b"two"
+
+
+@pytest.mark.parametrize("bits", [0o710, 0o701, 0o720, 0o702, 0o755, 0o777, 0o1777])
+def test_a_folder_that_others_can_enter_is_refused(tmp_path: Path, bits: int) -> None:
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a").chmod(bits)
+    with pytest.raises(PermissionError, match=r"a: others can enter it; remedy: chmod 700"):
+        own_folder(tmp_path / "a")
+
+
+@pytest.mark.parametrize("bits", [0o720, 0o702, 0o777, 0o2775])
+def test_a_folder_that_others_can_exchange_is_refused(tmp_path: Path, bits: int) -> None:
+    own_folder(tmp_path / "a" / "b" / "c")
+    (tmp_path / "a").chmod(bits)
+    with pytest.raises(PermissionError, match=r"a: others can write in it; remedy: chmod go-w"):
+        own_folder(tmp_path / "a" / "b" / "c")
+    with pytest.raises(PermissionError, match="others can write in it"):
+        own_folder(tmp_path / "a" / "new" / "c")
+    assert not (tmp_path / "a" / "new").exists()
+
+
+@pytest.mark.parametrize("bits", [0o755, 0o711, 0o1777])
+def test_above_it_others_may_read_and_have_their_own(tmp_path: Path, bits: int) -> None:
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a").chmod(bits)
+    assert own_folder(tmp_path / "a" / "b") == tmp_path / "a" / "b"
+
+
+def test_links_are_followed_once_and_where_they_lead_is_judged(tmp_path: Path) -> None:
+    (tmp_path / "real").mkdir(mode=0o700)
+    (tmp_path / "link").symlink_to(tmp_path / "real")
+    assert own_folder(tmp_path / "link" / "a") == tmp_path / "real" / "a"
+    (tmp_path / "real").chmod(0o777)
+    with pytest.raises(PermissionError, match="real: others can write in it"):
+        own_folder(tmp_path / "link" / "a")
+    with pytest.raises(PermissionError, match="real: others can enter it"):
+        own_folder(tmp_path / "link")
+
+
+def test_what_is_another_users_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = own_folder(tmp_path / "a")
+    write_own_file(folder / "file", b"content")
+    stranger = os.geteuid() + 1
+    monkeypatch.setattr(own_files.os, "geteuid", lambda: stranger)
+    with pytest.raises(PermissionError, match="belongs to another user"):
+        own_folder(folder)
+    with pytest.raises(PermissionError, match="file: belongs to another user"):
+        read_own_file(folder / "file", at_most=9)
+
+
+@pytest.mark.parametrize("bits", [0o620, 0o602, 0o666])
+def test_a_file_that_others_can_write_is_refused(tmp_path: Path, bits: int) -> None:
+    write_own_file(tmp_path / "file", b"content")
+    (tmp_path / "file").chmod(bits)
+    with pytest.raises(PermissionError, match="file: others can write it"):
+        read_own_file(tmp_path / "file", at_most=9)
+
+
+def test_what_is_no_file_of_its_own_is_refused(tmp_path: Path) -> None:
+    write_own_file(tmp_path / "file", b"content")
+    (tmp_path / "link").symlink_to(tmp_path / "file")
+    os.mkfifo(tmp_path / "pipe", 0o600)
+    with pytest.raises(OSError, match="link"):
+        read_own_file(tmp_path / "link", at_most=9)
+    with pytest.raises(ValueError, match="pipe: is a pipe"):
+        read_own_file(tmp_path / "pipe", at_most=9)
+    with pytest.raises(ValueError, match="more than 6 bytes"):
+        read_own_file(tmp_path / "file", at_most=6)
+    for path in (tmp_path / "file", tmp_path / "file" / "below"):
+        with pytest.raises(NotADirectoryError, match="is no folder"):
+            own_folder(path)
+
+
+def test_a_file_that_cannot_be_written_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_own_file(tmp_path / "file", b"content")
+
+    def full(*_: object) -> None:
+        raise OSError("full")
+
+    monkeypatch.setattr(own_files.os, "replace", full)
+    with pytest.raises(OSError, match="full"):
+        write_own_file(tmp_path / "file", b"new")
+    assert [one.name for one in tmp_path.iterdir()] == ["file"]
+    assert (tmp_path / "file").read_bytes() == b"content"
+
+
+def test_a_folder_is_refused_for_a_file_of_another_user(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = own_folder(tmp_path / "own")
+    (folder / "one").write_bytes(b"1")
+    (folder / "one").chmod(0o664)
+    check_own_files(folder)
+    mine = os.geteuid()
+    monkeypatch.setattr(os, "geteuid", lambda: mine + 1)
+    with pytest.raises(PermissionError, match="one: belongs to another user"):
+        check_own_files(folder)
+
+
+# Arrays from files are numbers of the shape that belongs there, or one line of refusal.
+
+
+def as_npy(array: np.ndarray) -> bytes:
+    file = io.BytesIO()
+    np.save(file, array, allow_pickle=True)
+    return file.getvalue()
+
+
+@pytest.mark.parametrize("shape", [(), (3,), (2, 3), (0, 4)])
+def test_numbers_are_read_as_they_were_written(shape: tuple[int, ...]) -> None:
+    array = np.arange(np.prod(shape), dtype=np.float32).reshape(shape)
+    read = parse_floats(as_npy(array))
+    np.testing.assert_array_equal(read, array)
+    assert read.dtype == array.dtype
+    assert read.shape == shape
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"\x93NUMPY",
+        as_npy(np.zeros(3))[:-1],
+        as_npy(np.zeros(3, np.float32)) + b"\0",
+        as_npy(np.zeros(3)),
+        as_npy(np.array([None])),
+        as_npy(np.zeros(3, [("a", "f4")])),
+        as_npy(np.array(["text"])),
+        as_npy(np.array([""])),
+        as_npy(np.array([np.inf], np.float32)),
+        b"\x93NUMPY\1\0\x10\x27" + b"(" * 10_000,
+    ],
+)
+def test_anything_else_is_refused_in_one_line(content: bytes) -> None:
+    with pytest.raises(ValueError, match=r".") as caught:
+        parse_floats(content)
+    assert str(caught.value).isprintable()
+
+
+def test_what_a_library_raises_is_said_in_what_can_be_printed() -> None:
+    for error in (KeyError("\x1b[31m\n" * 99), RecursionError(), MemoryError()):
+        with pytest.raises(ValueError, match=r".") as caught, faults_as_values():
+            raise error
+        assert str(caught.value).isprintable()
+        assert len(str(caught.value)) <= 200
+
+
+def read_prior(monkeypatch: pytest.MonkeyPatch, file: Path) -> np.ndarray:
+    monkeypatch.setattr(prior, "TABLE_FILE", file)
+    return prior.table.__wrapped__()
+
+
+def test_a_damaged_prior_is_sound_or_refused_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shipped, draw, refused = prior.TABLE_FILE.read_bytes(), random.Random(0), 0
+    file = tmp_path / "prior.npy"
+    for _ in range(500):
+        changed = bytearray(shipped)
+        for _ in range(draw.choice((1, 3))):
+            changed[draw.randrange(len(changed))] ^= 1 << draw.randrange(8)
+        cut = draw.choice((None, None, draw.randrange(len(changed))))
+        file.write_bytes(changed[:cut])
+        said = ""
+        try:
+            table = read_prior(monkeypatch, file)
+            assert table.shape == (prior.RANGE_BINS, prior.BEARING_BINS)
+            assert np.isfinite(table).all()
+            assert (table >= 0.0).all()
+        except ValueError as error:
+            said, refused = str(error), refused + 1
+        assert not said or said.startswith(f"{file}: not a table of densities")
+        assert said.isprintable()
+    assert 50 < refused < 450
+
+
+@pytest.mark.parametrize(
+    "table",
+    [np.ones((9, 15)), np.ones((15, 8)), np.ones(135), -np.ones((15, 9)), np.full((15, 9), np.nan)],
+)
+def test_a_prior_that_is_no_table_of_densities_is_refused(
+    tmp_path: Path, table: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    np.save(tmp_path / "prior.npy", table.astype(np.float32))
+    with pytest.raises(ValueError, match="not a table of densities"):
+        read_prior(monkeypatch, tmp_path / "prior.npy")
+
+
+def test_a_prior_that_is_no_file_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for path in (tmp_path, tmp_path / "none", Path("/dev/zero")):
+        with pytest.raises(ValueError, match="not a table of densities"):
+            read_prior(monkeypatch, path)
