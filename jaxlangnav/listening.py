@@ -20,7 +20,8 @@ from jaxlangnav.grounding.grounder import names_of
 from jaxlangnav.grounding.spoken import Spoken
 from jaxlangnav.hearing import How
 from jaxlangnav.kinds import is_anything, label_of, name_of, noun_of
-from jaxlangnav.language.halting import Act, opening_of
+from jaxlangnav.language.halting import Act, alarm_in, opening_of
+from jaxlangnav.language.lexicon import type_called
 from jaxlangnav.language.utterance import Kind, Utterance, Wording, classify
 from jaxlangnav.messages import NONE, Status
 from jaxlangnav.navigator import NavigatorState
@@ -78,13 +79,30 @@ class Listener:
         opening = opening_of(text)
         try:
             after, heard = self._by_sentence(state, text, said, is_asked=is_asked)
-        except ValueError:
-            if opening is None:
-                raise
-            return self._opened(state, text, *opening)
+        except ValueError as refusal:
+            if opening is not None:
+                return self._opened(state, text, *opening)
+            return self._alarmed(state, text, refusal)
         if opening is not None and heard.kind in _INFORMING:
             return _acted(after, heard, opening[0])
         return after, heard
+
+    def _alarmed(
+        self, state: NavigatorState, text: str, refusal: ValueError
+    ) -> tuple[NavigatorState, Heard]:
+        """Halt a robot under way for words that alarm and were refused; else refuse them."""
+        taken = None if bool(state.is_resting) else alarm_in(text, self._is_object)
+        if taken is None:
+            raise refusal
+        note = (
+            f"halted, for it is not understood and {taken}: say 'go on', or what to do instead; "
+            f"{refusal}"
+        )
+        return hearing.obey(state, Act.HALT), Heard(text=text, kind=Kind.HALT, notes=(note,))
+
+    def _is_object(self, words: str) -> bool:
+        """Tell whether words name a thing that the robot may know."""
+        return type_called(words) is not None or words in names_of(self.grounder)
 
     def _opened(
         self, state: NavigatorState, text: str, act: Act, rest: str

@@ -18,7 +18,7 @@ from jaxlangnav.grounding.asked import asked
 from jaxlangnav.grounding.instruction import Instruction, Understanding
 from jaxlangnav.grounding.readings import Capacity, widen
 from jaxlangnav.kinds import ANYTHING
-from jaxlangnav.language.halting import opening_of
+from jaxlangnav.language.halting import alarm_in, opening_of
 from jaxlangnav.language.utterance import Kind, classify
 from jaxlangnav.listening import Candidate, Heard, Listener
 from jaxlangnav.messages import NONE, Status
@@ -69,7 +69,7 @@ def check_words(grounder: Grounder, first: Understanding, text: str) -> None:
         return
     if said.wording is not None or classify(text, is_asked=True).wording is not None:
         return
-    if opening_of(text) is not None:
+    if opening_of(text) is not None or alarm_in(text, lambda words: False) is not None:
         return
     named = (kind for kind in first.spoken.goals if kind not in (NONE, ANYTHING))
     about = next(named, NONE)
