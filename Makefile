@@ -30,7 +30,7 @@ ROS2_EXTRAS ?= ros2
 # Test processes. One holds up to 3 GB, so this is not the number of cores.
 WORKERS ?= 2
 
-.PHONY: help demo test test-all test-ros2 fuzz lint format types check bench build docs notebooks frozen clean
+.PHONY: help demo test test-all test-ros2 fuzz lint format types budget check bench build docs notebooks frozen clean
 
 help: ## this list
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -61,7 +61,10 @@ format: $(STAMPS)/dev ## mend what ruff can mend
 types: $(STAMPS)/dev ## pyright on the package
 	@$(BIN)/pyright --pythonpath $(BIN)/python
 
-check: lint types test ## what continuous integration runs
+budget: $(STAMPS)/dev ## lines and files beside what pyproject.toml allows
+	@$(BIN)/python scripts/house.py --budget
+
+check: lint types budget test ## what continuous integration runs
 
 bench: $(STAMPS)/bench ## speed against every baseline, as ratios; ARGS="--quick --json"
 	@$(BIN)/python benchmarks $(ARGS)

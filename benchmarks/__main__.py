@@ -14,9 +14,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from record import render
 from rich.console import Console
-
-from jaxlangnav.speed.measuring import render
 
 FOLDER = Path(__file__).parent
 BENCH = [sys.executable, "-m", "jaxlangnav", "bench"]

@@ -17,8 +17,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import record
+from record import Measurement, entry
 
-from jaxlangnav.speed.measuring import Measurement, entry, measure
+from jaxlangnav.experiments.timing import measure
 from jaxlangnav.numerics import batching, gaussian
 from jaxlangnav.semantic_map import particle
 

@@ -16,10 +16,10 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import record
+from record import Measurement, entry
 
 from jaxlangnav.environments import functional
 from jaxlangnav.environments.pool import draw_pool
-from jaxlangnav.speed.measuring import Measurement, entry
 
 MANY, FEW = 200, 10
 """Steps of a turn: few where each of them takes a hundred times as long."""

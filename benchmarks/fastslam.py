@@ -18,11 +18,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import record
+from record import Measurement, against, entry
 import slam_scenario
 from jax import Array
 from slam_scenario import LANDMARKS, ODOMETRY_NOISE, SENSOR_NOISE, STEP, Drive
 
-from jaxlangnav.speed.measuring import Measurement, against, entry, measure
+from jaxlangnav.experiments.timing import measure
 from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
 from jaxlangnav.messages import MotionParams, Observation, Readings, SensorParams
 from jaxlangnav.numerics import categorical

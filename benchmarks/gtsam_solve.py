@@ -19,9 +19,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import record
+from record import Measurement, against, entry
 from jax import Array
 
-from jaxlangnav.speed.measuring import Measurement, against, entry, measure
+from jaxlangnav.experiments.timing import measure
 from jaxlangnav.numerics import gaussian
 
 NUM_OBJECTS = 8

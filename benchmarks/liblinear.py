@@ -30,10 +30,10 @@ from typing import NamedTuple
 
 import numpy as np
 import record
+from record import Measurement, against, entry
 from scipy import sparse
 from sklearn.linear_model import LogisticRegression
 
-from jaxlangnav.speed.measuring import Measurement, against, entry
 from jaxlangnav.training.blocks import Factors, pool
 from jaxlangnav.training.fit import TrainingConfig, fit
 

@@ -1,12 +1,93 @@
-"""What every script here prints: the record of ``jaxlangnav bench --json``, or a table."""
+"""Entries of the bench's document, their table, and what every script here prints."""
 
 import argparse
 import json
 from collections.abc import Callable
+from typing import Any
 
 from rich.console import Console
 
-from jaxlangnav.speed.measuring import Measurement, describe_machine, render
+from jaxlangnav.episode import MAX_STEPS
+from jaxlangnav.experiments.table import Table
+from jaxlangnav.experiments.timing import describe_machine
+
+Measurement = dict[str, Any]
+
+
+def entry(
+    name: str,
+    value: float,
+    unit: str,
+    *,
+    baseline: float | None = None,
+    ratio: float | None = None,
+    target: float | None = None,
+    is_limit: bool = False,
+) -> Measurement:
+    """Build an entry.
+
+    Args:
+        name: what was measured.
+        value: ours.
+        unit: of value and baseline.
+        baseline: theirs, in the same run.
+        ratio: how many times better ours is.
+        target: of the ratio, or of the value where there is no ratio.
+        is_limit: the value is to stay below the target.
+
+    Returns:
+        The entry; ``holds`` says whether the target is reached, None without one.
+    """
+    judged = value if ratio is None else ratio
+    holds = None if target is None else bool(judged <= target if is_limit else judged >= target)
+    return {
+        "name": name,
+        "value": value,
+        "unit": unit,
+        "baseline": baseline,
+        "ratio": ratio,
+        "target": target,
+        "holds": holds,
+    }
+
+
+def against(ours: float, theirs: float, target: float) -> Measurement:
+    """Fill in a comparison of costs."""
+    ratio = theirs / ours
+    return {"baseline": theirs, "ratio": ratio, "target": target, "holds": ratio >= target}
+
+
+def render(document: dict[str, Any]) -> Any:
+    """Draw the figures for people.
+
+    Args:
+        document: of ``run_bench``.
+
+    Returns:
+        A rich table.
+    """
+    machine = document["machine"]
+    caption = (
+        f"{machine['device']}, {machine['threads']} threads, load {machine['load']} at the start; "
+        f"JAX {machine['jax']}; policy {machine['policy']}, at most {MAX_STEPS} cycles an episode; "
+        f"at most {machine['chunk']} episodes a call, in {machine['lanes']} lanes."
+    )
+    rows = [
+        [
+            one["name"],
+            f"{one['value']:.3g} {one['unit']}".strip(),
+            *(_number(one[name]) for name in ("baseline", "ratio", "target")),
+            {True: "yes", False: "no", None: ""}[one["holds"]],
+        ]
+        for one in document["entries"]
+    ]
+    headings = ["Measured", "Ours", "Baseline", "Ratio", "Target", "Holds"]
+    return Table(headings=headings, rows=rows, title="Speed", caption=caption).text()
+
+
+def _number(value: float | None) -> str:
+    """Write a number, or nothing."""
+    return "" if value is None else f"{value:.3g}"
 
 
 def main(entries: Callable[..., list[Measurement]], about: str | None, core: int | None) -> None:

@@ -16,10 +16,11 @@ from typing import Any
 import jax
 import numpy as np
 import record
+from record import Measurement, entry
 
 from jaxlangnav.episode import advance, begin
-from jaxlangnav.speed.bench import Workbench, set_up
-from jaxlangnav.speed.measuring import POLICY, Measurement, entry, measure
+from bench import Workbench, set_up
+from jaxlangnav.experiments.timing import POLICY, measure
 from jaxlangnav.experiments.devices import LANES
 from jaxlangnav.experiments.monte_carlo import run_tasks
 from jaxlangnav.experiments.tasks import take_tasks

@@ -16,8 +16,8 @@ from collections.abc import Callable
 
 import numpy as np
 import record
+from record import Measurement, entry
 
-from jaxlangnav.speed.measuring import Measurement, entry
 from jaxlangnav.experiments.splits import draw_splits
 from jaxlangnav.experiments.table1 import CORPUS, MODELS
 from jaxlangnav.training.examples import PhraseExample, annotation_examples, behavior_examples

@@ -1,17 +1,20 @@
 """Measure the house: lines by floor, records and traced operations inside one decision.
 
-    python scripts/house.py
+    python scripts/house.py           # everything
+    python scripts/house.py --budget  # lines and files beside what pyproject.toml allows
 
 Lines are those of Python files: all of them; of code, imports counted by themselves; and of
 docstrings. Records are the classes of this package of which an instance is made while
 ``navigator.step`` is traced once. Operations are the equations of that trace, nested programs
-included, and stand by the file that wrote them.
+included, and stand by the file that wrote them. Last come names that several modules define.
 """
 
 import ast
 import inspect
 import sys
-from collections import Counter
+import tomllib
+from collections import Counter, defaultdict
+from collections.abc import Iterable
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -26,6 +29,10 @@ from jaxlangnav.messages import Observation, default_sensor
 from jaxlangnav.navigator import NavigatorConfig
 
 PACKAGE = Path(jaxlangnav.__file__).parent
+ROOT = Path(__file__).resolve().parent.parent
+OTHER_PYTHON = ("scripts", "benchmarks", "notebooks", "examples")
+WORD_LISTS = ("lexicon.toml", "nouns.toml", "not_errors.txt")
+"""Data of the language that list words and give no rules."""
 ENGINE = (
     "messages", "pytree", "numerics", "relations", "semantic_map", "planner", "navigator",
     "anywhere", "agent", "episode", "lanes", "recording", "recorder",
@@ -65,6 +72,49 @@ def lines_by_floor() -> dict[str, Counter[str]]:
         floor = path.relative_to(PACKAGE).with_suffix("").parts[0]
         found.setdefault(floor, Counter()).update(lines_of(path.read_text("utf-8")))
     return found
+
+
+def budget() -> dict[str, tuple[int, int]]:
+    """Read what the repository may take, and measure what it takes, by name: lines or files."""
+    table = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["jaxlangnav"]
+    package = sum(lines_by_floor().values(), Counter())
+    data = [*PACKAGE.glob("language/data/*.toml"), *PACKAGE.glob("language/data/*.txt")]
+    taken = {
+        "package-lines": package["lines"],
+        "package-code": package["code"],
+        "package-files": len([*PACKAGE.rglob("*.py")]),
+        "other-python": _lines(path for of in OTHER_PYTHON for path in (ROOT / of).rglob("*.py")),
+        "tests": _lines((ROOT / "tests").rglob("*.py")),
+        "language-rules": _lines(path for path in data if path.name not in WORD_LISTS),
+    }
+    return {name: (taken[name], most) for name, most in table["budget"].items()}
+
+
+def _lines(paths: Iterable[Path]) -> int:
+    return sum(len(path.read_text("utf-8").splitlines()) for path in paths)
+
+
+def defined(source: str) -> set[str]:
+    """List the public names that a module defines at its top."""
+    found: set[str] = set()
+    for node in ast.parse(source).body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            found.add(node.name)
+        elif isinstance(node, ast.Assign | ast.AnnAssign):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            parts = (one for target in targets for one in ast.walk(target))
+            names = [one for one in parts if isinstance(one, ast.Name)]
+            found |= {one.id for one in names if isinstance(one.ctx, ast.Store)}
+    return {name for name in found if not name.startswith("_")}
+
+
+def defined_twice() -> dict[str, list[str]]:
+    """Find the names that several modules define, and which modules."""
+    places: defaultdict[str, list[str]] = defaultdict(list)
+    for path in sorted(PACKAGE.rglob("*.py")):
+        for name in defined(path.read_text("utf-8")):
+            places[name].append(str(path.relative_to(PACKAGE)))
+    return {name: of for name, of in sorted(places.items()) if len(of) > 1}
 
 
 def arguments() -> tuple[Any, ...]:
@@ -139,6 +189,10 @@ def traced() -> tuple[Any, set[str]]:
 
 def main() -> None:
     """Print the measures."""
+    if "--budget" in sys.argv:
+        for name, (taken, most) in budget().items():
+            print(f"{name:<16}{taken:>8} of {most}" + (" TOO MUCH" if taken > most else ""))
+        return
     floors = lines_by_floor()
     print(*(f"{kind:>10}" for kind in KINDS))
     rows = sorted(floors.items(), key=lambda item: -item[1]["lines"])
@@ -152,6 +206,8 @@ def main() -> None:
     print(f"{operations.total():6}  traced operations of one navigator.step")
     for file, number in operations.most_common(MOST_FILES):
         print(f"{number:6}  {file}")
+    shared = defined_twice()
+    print(f"{len(shared):6}  names that several modules define: {', '.join(shared)}")
 
 
 if __name__ == "__main__":

@@ -1,14 +1,23 @@
-"""Imports run downhill: each layer of the package imports only itself and the layers before it.
+"""The structure: layers, names, signatures, and how much there may be of everything.
 
-The belief and the ground truth do not import each other at all, so that what the robot believes
-cannot peek at what is true.
+Imports run downhill: each layer of the package imports only itself and the layers before it. The
+belief and the ground truth do not import each other at all, so that what the robot believes cannot
+peek at what is true. In public functions ``params`` and ``config`` are keyword-only, unless they
+stand first as what the function is about: ``check(params)``.
 """
 
 import ast
-from collections.abc import Iterator
+import importlib
+import inspect
+import pkgutil
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
+import house
 import pytest
+
+import jaxlangnav
 
 LAYERS = (
     "pytree",
@@ -44,7 +53,6 @@ LAYERS = (
     "experiments",
     "task",
     "studies",
-    "speed",
     "viz",
     "environments",
     "robots",
@@ -140,3 +148,82 @@ def test_an_uphill_import_is_found(layer: str, source: str) -> None:
 )
 def test_a_downhill_import_passes(layer: str, source: str) -> None:
     assert violations(layer, source) == []
+
+
+# ---------------------------------------------------------------- how much there is
+
+
+@pytest.mark.parametrize(
+    ("name", "taken", "most"), [(name, *of) for name, of in house.budget().items()]
+)
+def test_the_budget_holds(name: str, taken: int, most: int) -> None:
+    """If this fails: take something out; pyproject.toml's table only falls."""
+    assert taken <= most
+
+
+# ---------------------------------------------------------------- names
+
+MOST_SHARED = 11
+"""Names that several modules may define: those of doors that stand on several floors (``step``)."""
+
+
+def test_few_names_mean_two_things() -> None:
+    found = house.defined_twice()
+    assert len(found) <= MOST_SHARED, f"find one of its own for each new one: {sorted(found)}"
+
+
+def test_what_counts_as_a_name() -> None:
+    source = "A = 1\nB, _b = 2, 2\nC: int = 3\ndef d(): ...\nclass E: ...\nfrom x import f\n"
+    assert house.defined(source) == {"A", "B", "C", "d", "E"}
+
+
+# ---------------------------------------------------------------- signatures
+
+BY_NAME = ("params", "config")
+AS_GYMNAX = "jaxlangnav.environments.functional"
+"""``step(key, state, action, params)`` is the order of gymnax, whose users call it by place."""
+
+
+def by_place(function: Callable[..., Any]) -> list[str]:
+    """List the names that a function takes by place though they do not stand first."""
+    given = [one for one in inspect.signature(function).parameters.values() if one.name != "self"]
+    return [
+        one.name
+        for place, one in enumerate(given)
+        if place and one.name in BY_NAME and one.kind is not inspect.Parameter.KEYWORD_ONLY
+    ]
+
+
+def public_functions(module: Any) -> Iterator[tuple[str, Callable[..., Any]]]:
+    """Yield what a module defines for others: functions, and the methods of its classes."""
+    for name, one in vars(module).items():
+        if name.startswith("_") or getattr(one, "__module__", None) != module.__name__:
+            continue
+        if inspect.isclass(one):
+            for inner, method in vars(one).items():
+                if inspect.isfunction(method) and (inner == "__init__" or inner[0] != "_"):
+                    yield f"{name}.{inner}", method
+        elif callable(one):
+            yield name, one
+
+
+NAMES_OF_MODULES = [
+    one.name
+    for one in pkgutil.walk_packages(jaxlangnav.__path__, "jaxlangnav.")
+    if one.name not in (AS_GYMNAX, "jaxlangnav.__main__")
+]
+
+
+@pytest.mark.parametrize("name", NAMES_OF_MODULES)
+def test_params_and_config_go_by_name(name: str) -> None:
+    module = importlib.import_module(name)
+    found = {place: by_place(one) for place, one in public_functions(module)}
+    assert {place: names for place, names in found.items() if names} == {}
+
+
+def test_a_number_by_place_is_found() -> None:
+    def step(key: int, params: int) -> int: ...
+    def check(params: int, *, config: int) -> int: ...
+
+    assert by_place(step) == ["params"]
+    assert by_place(check) == []

@@ -1,9 +1,18 @@
 """``jaxlangnav bench``: speed, as ratios against baselines in the same run."""
 
 import dataclasses
+import importlib
+import sys
+from pathlib import Path
+from typing import Any
 
+import jaxlangnav
+from jaxlangnav.cli.errors import UsageError
 from jaxlangnav.cli.output import Document, Output
 from jaxlangnav.cli.runtime import keep_compiled_programs, progress_bar
+
+FOLDER = Path(jaxlangnav.__file__).resolve().parents[1] / "benchmarks"
+"""What measures speed stands beside the package in a checkout, and is not installed with it."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -24,16 +33,26 @@ class Bench:
 
     def run(self, output: Output) -> Document:
         """Run the benchmarks."""
+        speed = _benchmarks()
         keep_compiled_programs()
-        from jaxlangnav.speed.bench import render, run_bench, set_up, stages
-
-        bench = set_up(is_quick=self.quick)
-        with progress_bar("stages", len(stages(bench))) as advance:
+        bench = speed.set_up(is_quick=self.quick)
+        with progress_bar("stages", len(speed.stages(bench))) as advance:
 
             def tell(what: str, done: int) -> None:
                 output.note(f"measuring {what}")
                 advance(done)
 
-            document = run_bench(bench, on_progress=tell)
-        output.say(render(document))
+            document = speed.run_bench(bench, on_progress=tell)
+        output.say(speed.render(document))
         return document
+
+
+def _benchmarks() -> Any:
+    """Import ``benchmarks/bench.py``."""
+    if not (FOLDER / "numpy_twin.py").is_file():
+        raise UsageError(
+            f"bench measures from a checkout, but {FOLDER} is not there: "
+            "clone the repository and install it with pip install --editable"
+        )
+    sys.path.insert(0, str(FOLDER))
+    return importlib.import_module("bench")

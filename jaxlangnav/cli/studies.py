@@ -139,7 +139,7 @@ def seed_of(name: str, settings: Settings) -> int:
 def timing(settings: Settings, output: Output) -> Study:
     """Measure where a decision cycle's time goes, under the engine's numbers of the settings."""
     from jaxlangnav.experiments.archive import write_manifest
-    from jaxlangnav.speed.timing import cycle_parts
+    from jaxlangnav.experiments.timing import cycle_parts
 
     with waiting("timing the parts of a cycle", output):
         document: dict[str, Any] = cycle_parts(params=settings.params)

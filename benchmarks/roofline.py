@@ -13,9 +13,9 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 from jax import Array
+from record import Measurement, entry
 
-from jaxlangnav.speed.breakdown import Part
-from jaxlangnav.speed.measuring import Measurement, entry, measure
+from jaxlangnav.experiments.timing import Part, measure
 
 _SIDE = 768
 """Rows of the matrices whose product is timed."""
@@ -83,7 +83,7 @@ def distances(parts: list[Part], peaks: Peaks) -> list[Measurement]:
     """Say how far each part is from the limit.
 
     Args:
-        parts: of ``breakdown.measure_parts``, the whole cycle first.
+        parts: of ``measure_parts``, the whole cycle first.
         peaks: of this machine.
 
     Returns:

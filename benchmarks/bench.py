@@ -16,7 +16,10 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import numpy_twin
+import roofline
 from jax.experimental.compilation_cache import compilation_cache
+from record import Measurement, against, entry, render
 
 from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task, run
 from jaxlangnav.experiments.devices import LANES, usable_cores
@@ -25,21 +28,18 @@ from jaxlangnav.experiments.monte_carlo import run_tasks
 from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, navigator_config
 from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
 from jaxlangnav.experiments.tasks import cell, concatenate, make_tasks, take_tasks
+from jaxlangnav.experiments.timing import (
+    POLICY,
+    Part,
+    describe_machine,
+    measure,
+    measure_parts,
+    split,
+)
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.lanes import run_batch
 from jaxlangnav.navigator import NavigatorParams, default_params
 from jaxlangnav.pytree import replace
-from jaxlangnav.speed import breakdown, numpy_twin, roofline
-from jaxlangnav.speed.measuring import (
-    POLICY,
-    Measurement,
-    against,
-    describe_machine,
-    entry,
-    is_cache_on,
-    measure,
-    render,
-)
 from jaxlangnav.world.templates import TEMPLATE_NAMES
 
 __all__ = ["Workbench", "render", "run_bench", "set_up", "stages"]
@@ -257,17 +257,27 @@ def _refilling(bench: Workbench) -> Measurement:
 
 def _limits(bench: Workbench) -> list[Measurement]:
     """Measure where a cycle's time goes, and how far it is from this machine's limits."""
-    parts = breakdown.measure_parts(
+    parts = measure_parts(
         bench.tasks, bench.instructions, params=bench.params, repetitions=bench.repetitions
     )
     peaks = roofline.measure_peaks()
-    return breakdown.share_entries(parts) + roofline.distances(parts, peaks)
+    return share_entries(parts) + roofline.distances(parts, peaks)
+
+
+def share_entries(parts: list[Part]) -> list[Measurement]:
+    """Turn the measured parts of a cycle into entries: the whole, then each one's share of it."""
+    whole = parts[0].seconds
+    shares = {name: 100.0 * seconds / whole for name, seconds in split(parts).items()}
+    return [
+        entry("one cycle of one lane", 1e6 * whole, "µs CPU"),
+        *(entry(f"share of {name}", share, "%") for name, share in shares.items()),
+    ]
 
 
 def _compilation(bench: Workbench) -> list[Measurement]:
     """Measure compilation without the persistent cache, and count recompilations."""
     config = navigator_config(POLICY)
-    was_kept = is_cache_on()
+    was_kept = jax.config.jax_enable_compilation_cache
     try:
         jax.config.update("jax_enable_compilation_cache", False)
         compilation_cache.reset_cache()

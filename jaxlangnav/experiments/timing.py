@@ -1,24 +1,89 @@
 """Where a decision cycle's time goes: its parts compiled alone, on the same beliefs."""
 
 import dataclasses
+import os
+import platform
+import statistics
+import time
 from collections.abc import Callable
 from typing import Any
 
 import jax
+import numpy as np
 
 from jaxlangnav.episode import EpisodeState, Task, advance, begin, observe
-from jaxlangnav.experiments.devices import LANES
+from jaxlangnav.experiments.devices import CHUNK, LANES, usable_cores
 from jaxlangnav.experiments.policies import navigator_config
+from jaxlangnav.experiments.sentences import SENTENCES, ground_sentences
+from jaxlangnav.experiments.tasks import cell, concatenate, make_tasks, take_tasks
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.navigator import NavigatorParams
 from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.semantic_map.behaviors import infer_clause_behaviors
-from jaxlangnav.speed.measuring import POLICY, Measurement, entry, measure
+from jaxlangnav.world.templates import TABLE_2
 
+POLICY = "informed"
+"""The policy that is measured."""
 _STEPS = 5
 """Cycles run before the parts are timed: some things are seen, some words are refuted."""
 _CALLS = 20
 """Calls of a part in one measurement."""
+_SEED = 4242
+"""Of the worlds; none that a table uses by default."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Cost:
+    """What something took."""
+
+    cpu: float
+    """CPU seconds; seconds on the wall where the work is on another device."""
+    wall: float
+    """Seconds."""
+
+
+def describe_machine() -> dict[str, Any]:
+    """Say on what the figures were measured."""
+    device = jax.devices()[0]
+    return {
+        "platform": device.platform,
+        "device": device.device_kind,
+        "devices": jax.device_count(),
+        "cpu": platform.processor() or platform.machine(),
+        "cores": os.cpu_count(),
+        "threads": usable_cores(),
+        "load": round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else None,
+        "jax": jax.__version__,
+        "numpy": np.__version__,
+        "chunk": CHUNK,
+        "lanes": LANES,
+        "policy": POLICY,
+    }
+
+
+def measure(work: Callable[[], Any], repetitions: int, *, patience: float = float("inf")) -> Cost:
+    """Time some work, warmed up by the caller.
+
+    Args:
+        work: returns arrays, which are waited for.
+        repetitions: how often; the medians count.
+        patience: seconds after which it is not repeated any more.
+
+    Returns:
+        Its cost.
+    """
+    is_local = jax.default_backend() == "cpu"
+    costs = []
+    begin = time.perf_counter()
+    while not costs or (len(costs) < repetitions and time.perf_counter() - begin < patience):
+        cpu, wall = time.process_time(), time.perf_counter()
+        jax.block_until_ready(work())
+        cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
+        costs.append((cpu if is_local else wall, wall))
+    return Cost(
+        cpu=statistics.median(cost[0] for cost in costs),
+        wall=statistics.median(cost[1] for cost in costs),
+    )
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -77,24 +142,19 @@ def measure_parts(
     return [whole, sensor, filtered, inferred]
 
 
-def share_entries(parts: list[Part]) -> list[Measurement]:
-    """Turn measured parts into entries.
+def split(parts: list[Part]) -> dict[str, float]:
+    """Split a cycle into its parts, CPU seconds by name.
 
     Args:
         parts: of ``measure_parts``.
 
     Returns:
-        The whole cycle, then one entry per part, its share of the whole in percent; planner and
-        motion are what is left over. Compiled alone a part may be slower than within the whole.
+        The parts; planner and motion are what is left over. Compiled alone a part may be slower
+        than within the whole.
     """
     whole, *inner = parts
-    entries = [entry("one cycle of one lane", 1e6 * whole.seconds, "µs CPU")]
-    rest = whole.seconds
-    for part in inner:
-        rest -= part.seconds
-        entries.append(entry(f"share of {part.name}", 100.0 * part.seconds / whole.seconds, "%"))
-    name = "share of planner, motion and the rest"
-    return [*entries, entry(name, 100.0 * rest / whole.seconds, "%")]
+    left = whole.seconds - sum(part.seconds for part in inner)
+    return {part.name: part.seconds for part in inner} | {"planner, motion and the rest": left}
 
 
 def _filter(progress: EpisodeState, params: NavigatorParams) -> Any:
@@ -138,3 +198,39 @@ def _part(name: str, part: Any, progress: EpisodeState, repetitions: int) -> Par
         operations=float(analysis.get("flops", 0.0)) / LANES,
         memory=float(analysis.get("bytes accessed", 0.0)) / LANES,
     )
+
+
+def cycle_parts(*, params: NavigatorParams, repetitions: int = 3) -> dict[str, Any]:
+    """Measure the parts of a cycle, in a batch of episodes of all rows.
+
+    Args:
+        params: the navigator's numbers.
+        repetitions: how often; the medians count.
+
+    Returns:
+        ``cycle_us`` and ``parts_us`` by name, microseconds of one cycle of one episode;
+        ``machine``, ``wall_s``. A part that is left over may come out below zero by the noise of
+        the others; it is then counted as nothing.
+    """
+    start = time.perf_counter()
+    machine = describe_machine()
+    order = list(SENTENCES)
+    number = -(-LANES // len(TABLE_2))
+    cells = [
+        cell(row.world, row.relation, order.index(row.relation), row.range, number, _SEED)
+        for row in TABLE_2
+    ]
+    tasks = concatenate([make_tasks(one) for one in cells])
+    mixed = np.random.default_rng(0).permutation(number * len(TABLE_2))
+    instructions = ground_sentences(list(SENTENCES.values())).instructions
+    measured = measure_parts(
+        take_tasks(tasks, mixed), instructions, params=params, repetitions=repetitions
+    )
+    return {
+        "experiment": "time",
+        "cycle_us": 1e6 * measured[0].seconds,
+        "parts_us": {name: max(0.0, 1e6 * seconds) for name, seconds in split(measured).items()},
+        "machine": machine,
+        "wall_s": time.perf_counter() - start,
+        "files": [],
+    }

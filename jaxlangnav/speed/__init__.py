@@ -1,1 +1,0 @@
-"""Speed: what ``jaxlangnav bench`` measures, and the plain twins that it is compared with."""
