@@ -257,7 +257,7 @@ class Navigator:
         return Observation.of(pose, detections, sensor, types=self.type_names)
 
     def warm_up(self, detections: int = 0) -> float:
-        """Compile the decision cycle now, so that the first step of a task answers at once.
+        """Compile all that runs for a task now, so that its first words and steps answer at once.
 
         Args:
             detections: as many as a look may hold; up to eight by default.
@@ -267,6 +267,10 @@ class Navigator:
         """
         began = time.perf_counter()
         state = self.wait()
+        self._listener.warm_up(state)
+        bool(state.is_resting)
+        if isinstance(self.grounder, GraphGrounder):  # one's own may be slow, or cost something
+            self.grounder.ground("go forward one metre", Context(is_under_way=False))
         look = [(0, 1.0 + slot, 0.0) for slot in range(detections)]
         seen = self.observation((0.0, 0.0, 0.0), look, default_sensor(2.0 + detections))
         jax.block_until_ready(self.step(jax.random.key(0), state, seen))
@@ -301,7 +305,7 @@ class Navigator:
         next. As the robot must not lose its halt to a refusal, nothing is raised then: why the
         rest was left out is logged as a warning.
 
-        Nothing is compiled for it, whatever is said.
+        After ``warm_up`` nothing is compiled for it, whatever is said.
 
         Args:
             state: of a robot under way, halted, idle or at its end.
