@@ -160,9 +160,10 @@ class Earshot:
 
     def _scene_of(self, before: NavigatorState, after: NavigatorState) -> StaticScene | None:
         """Set the scene anew where words have been joined with those before."""
-        if after.instruction is before.instruction:
+        told: Instruction
+        told, earlier = jax.device_get((after.instruction, before.instruction))
+        if jax.tree.all(jax.tree.map(np.array_equal, told, earlier)):
             return None
-        told: Instruction = jax.device_get(after.instruction)
         names = getattr(self.grounder, "names", self.grounder.type_names)
         return dataclasses.replace(
             self.scene,
