@@ -13,6 +13,7 @@ Two functions over records are the whole engine, for any robot or simulator:
 import dataclasses
 import logging
 import time
+import zlib
 from collections.abc import Iterable, Sequence
 from typing import Any, Self
 
@@ -20,6 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.core import Tracer
 
 from jaxlangnav import navigator
 from jaxlangnav.anywhere import config_anywhere, params_anywhere, with_numbers
@@ -200,7 +202,7 @@ class Navigator:
         check_measures(grounded.spoken, place, bounds)
         told = grounded.instruction
         instruction = replace(told, readings=widen(told.readings, self.capacity))
-        return navigator.start(
+        state = navigator.start(
             instruction,
             jnp.asarray(place, jnp.float32),
             jnp.asarray(bounds, jnp.float32),
@@ -209,6 +211,30 @@ class Navigator:
             terrain=terrain,
             words=first_words(instruction, grounded.spoken),
         )
+        return self._checked(state)
+
+    def _checked(self, state: NavigatorState) -> NavigatorState:
+        """Refuse what is no state, and a state of a navigator with other labels or policy."""
+        if not isinstance(state, NavigatorState):
+            raise ValueError(
+                f"state is {said(state)}, but must be what navigator.start, wait, step or hear gave"
+            )
+        policy = self.config.planner.chosen.name
+        names = [repr(one).encode() for one in (tuple(self.type_names), policy)]
+        own = np.array([zlib.crc32(one) for one in names], np.uint32)
+        if state.signature is None:  # of the engine's own ``start``
+            return replace(state, signature=jax.device_put(own))
+        if isinstance(state.signature, Tracer):
+            return state
+        is_other = (np.asarray(state.signature) != own).reshape(-1, 2).any(axis=0)
+        if is_other.any():
+            labels = cut(", ".join(self.type_names))
+            what = f"other labels than {labels}" if is_other[0] else f"another policy than {policy}"
+            raise ValueError(
+                f"state is of a navigator with {what}: go on with the navigator that began it, or "
+                "start anew"
+            )
+        return state
 
     def step(
         self, key: Array, state: NavigatorState, observation: Observation
@@ -231,7 +257,7 @@ class Navigator:
             ValueError: a state or an observation that is none, or whose parts are of shapes that
                 cannot be; one line.
         """
-        state, look = _checked(state), uniform(observation)
+        state, look = self._checked(state), uniform(observation)
         return _step(key, state, look, params=self.params, config=self.config)
 
     def observation(
@@ -257,7 +283,7 @@ class Navigator:
         return Observation.of(pose, detections, sensor, types=self.type_names)
 
     def warm_up(self, detections: int = 0) -> float:
-        """Compile the decision cycle now, so that the first step of a task answers at once.
+        """Compile all that runs for a task now, so that its first words and steps answer at once.
 
         Args:
             detections: as many as a look may hold; up to eight by default.
@@ -267,6 +293,10 @@ class Navigator:
         """
         began = time.perf_counter()
         state = self.wait()
+        self._listener.warm_up(state)
+        bool(state.is_resting)
+        if isinstance(self.grounder, GraphGrounder):  # one's own may be slow, or cost something
+            self.grounder.ground("go forward one metre", Context(is_under_way=False))
         look = [(0, 1.0 + slot, 0.0) for slot in range(detections)]
         seen = self.observation((0.0, 0.0, 0.0), look, default_sensor(2.0 + detections))
         jax.block_until_ready(self.step(jax.random.key(0), state, seen))
@@ -301,7 +331,7 @@ class Navigator:
         next. As the robot must not lose its halt to a refusal, nothing is raised then: why the
         rest was left out is logged as a warning.
 
-        Nothing is compiled for it, whatever is said.
+        After ``warm_up`` nothing is compiled for it, whatever is said.
 
         Args:
             state: of a robot under way, halted, idle or at its end.
@@ -314,7 +344,7 @@ class Navigator:
             ValueError: the words are not understood, or refer to what is not there, as "the other
                 one" where nothing has been approached: the robot then keeps to its state.
         """
-        return self._listener.take(_checked(state), text)
+        return self._listener.take(self._checked(state), text)
 
     def candidates(self, state: NavigatorState) -> list[Candidate]:
         """List the things that may be meant, the nearest first: what a question is about.
@@ -325,7 +355,7 @@ class Navigator:
         Returns:
             Things seen that may be the goal, with where they are believed to be.
         """
-        return self._listener.candidates(_checked(state))
+        return self._listener.candidates(self._checked(state))
 
     @property
     def _listener(self) -> Listener:
@@ -341,7 +371,7 @@ class Navigator:
             Names of object types, in the order of the sentence; those of all its readings but
             the least likely. All that there are where it speaks of "the thing".
         """
-        readings = _checked(state).instruction.readings
+        readings = self._checked(state).instruction.readings
         is_told = np.asarray(readings.log_probability) >= np.log(_LEAST_TOLD)
         kinds = np.asarray(readings.mention_type)[is_told].reshape(-1).tolist()
         if any(is_anything(kind) for kind in kinds):
@@ -358,7 +388,7 @@ class Navigator:
         Returns:
             Names of things, in the order of the sentence; none where all has been seen.
         """
-        types = np.asarray(_checked(state).belief.particles.object_type)
+        types = np.asarray(self._checked(state).belief.particles.object_type)
         readings, is_asked = state.instruction.readings, state.talk.words.is_asked
         spoken = np.where(np.asarray(is_asked), np.asarray(readings.mention_type), NONE)
         missing = missing_types(replace(readings, mention_type=spoken), types)
@@ -369,12 +399,3 @@ def _around(pose: Sequence[float]) -> tuple[float, ...]:
     """Lay the operating area about a start pose."""
     x, y, _ = pose
     return (x - DEFAULT_EXTENT, x + DEFAULT_EXTENT, y - DEFAULT_EXTENT, y + DEFAULT_EXTENT)
-
-
-def _checked(state: NavigatorState) -> NavigatorState:
-    """Refuse what is no state."""
-    if not isinstance(state, NavigatorState):
-        raise ValueError(
-            f"state is {said(state)}, but must be what navigator.start, wait, step or hear gave"
-        )
-    return state

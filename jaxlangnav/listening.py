@@ -9,6 +9,7 @@ import dataclasses
 import logging
 from collections.abc import Sequence
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -20,7 +21,8 @@ from jaxlangnav.grounding.grounder import names_of
 from jaxlangnav.grounding.spoken import Spoken
 from jaxlangnav.hearing import How
 from jaxlangnav.kinds import is_anything, label_of, name_of, noun_of
-from jaxlangnav.language.halting import Act, opening_of
+from jaxlangnav.language.halting import Act, alarm_in, opening_of
+from jaxlangnav.language.lexicon import type_called
 from jaxlangnav.language.utterance import Kind, Utterance, Wording, classify
 from jaxlangnav.messages import NONE, Status
 from jaxlangnav.navigator import NavigatorState
@@ -38,6 +40,19 @@ _LEAST = 0.01
 """Goal probability below which a thing is no candidate for a question."""
 
 _log = logging.getLogger(__name__)
+
+_tell = jax.jit(hearing.tell, static_argnames="how")
+_come_back, _come_closer, _choose, _choose_freely, _rule_out = map(
+    jax.jit,
+    (
+        hearing.come_back,
+        hearing.come_closer,
+        hearing.choose,
+        hearing.choose_freely,
+        hearing.rule_out,
+    ),
+)
+_in_map = jax.jit(in_map)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -78,13 +93,30 @@ class Listener:
         opening = opening_of(text)
         try:
             after, heard = self._by_sentence(state, text, said, is_asked=is_asked)
-        except ValueError:
-            if opening is None:
-                raise
-            return self._opened(state, text, *opening)
+        except ValueError as refusal:
+            if opening is not None:
+                return self._opened(state, text, *opening)
+            return self._alarmed(state, text, refusal)
         if opening is not None and heard.kind in _INFORMING:
             return _acted(after, heard, opening[0])
         return after, heard
+
+    def _alarmed(
+        self, state: NavigatorState, text: str, refusal: ValueError
+    ) -> tuple[NavigatorState, Heard]:
+        """Halt a robot under way for words that alarm and were refused; else refuse them."""
+        taken = None if bool(state.is_resting) else alarm_in(text, self._is_object)
+        if taken is None:
+            raise refusal
+        note = (
+            f"halted, for it is not understood and {taken}: say 'go on', or what to do instead; "
+            f"{refusal}"
+        )
+        return hearing.obey(state, Act.HALT), Heard(text=text, kind=Kind.HALT, notes=(note,))
+
+    def _is_object(self, words: str) -> bool:
+        """Tell whether words name a thing that the robot may know."""
+        return type_called(words) is not None or words in names_of(self.grounder)
 
     def _opened(
         self, state: NavigatorState, text: str, act: Act, rest: str
@@ -106,7 +138,7 @@ class Listener:
         at, kind = int(state.talk.approached), said.kind or Kind.ANSWER
         if said.wording == Wording.RETURN:
             joined = self._join(state, Grounded(instruction=returning(), annotations=()))
-            return hearing.come_back(state, joined), Heard(text=text, kind=kind)
+            return _come_back(state, joined), Heard(text=text, kind=kind)
         if kind == Kind.ANSWER:
             return self._answered(state, text, said)
         if int(state.instruction.num_clauses) == 0 or at == NONE:
@@ -115,8 +147,8 @@ class Listener:
                 "the hydrant by the cone'"
             )
         if said.wording == Wording.CLOSER:
-            return hearing.come_closer(state), Heard(text=text, kind=kind)
-        return hearing.correct(state), Heard(text=text, kind=kind, ruled_out=(at,))
+            return _come_closer(state), Heard(text=text, kind=kind)
+        return _rule_out(state, jnp.int32(1 << at)), Heard(text=text, kind=kind, ruled_out=(at,))
 
     def _answered(
         self, state: NavigatorState, text: str, said: Utterance
@@ -124,12 +156,12 @@ class Listener:
         """Take in the answer to a question."""
         heard, found = Heard(text=text, kind=Kind.ANSWER), self.candidates(state)
         if said.wording == Wording.ANY:
-            return hearing.choose_freely(state), heard
+            return _choose_freely(state), heard
         slots = [one.slot for one in found]
         if said.wording == Wording.NO:
             none = sum(1 << slot for slot in slots)
             ruled = dataclasses.replace(heard, ruled_out=tuple(slots))
-            return hearing.rule_out(state, jnp.int32(none)), ruled
+            return _rule_out(state, jnp.int32(none)), ruled
         chosen = _chosen(found, said.wording, _pose(state))
         if chosen is None:
             raise ValueError(
@@ -137,7 +169,7 @@ class Listener:
                 "'the second'"
             )
         others = tuple(slot for slot in slots if slot != chosen.slot)
-        after = hearing.choose(state, jnp.int32(chosen.slot))
+        after = _choose(state, jnp.int32(chosen.slot))
         return after, dataclasses.replace(heard, ruled_out=others)
 
     def _by_sentence(
@@ -153,7 +185,7 @@ class Listener:
         if int(grounded.instruction.num_clauses) == 0:
             kind = Kind.CONSTRAINT if spoken.avoided else Kind.STATEMENT
             joined = self._join(state, grounded, how=How.INFORM)
-            after = hearing.tell(state, joined, pose, how=How.INFORM)
+            after = _tell(state, joined, pose, how=How.INFORM)
             return after, Heard(text=text, kind=kind, notes=notes + _dropped(state, after))
         how = How.REPLACE
         if said.kind == Kind.ADDITION and self._has_more(state):
@@ -171,11 +203,11 @@ class Listener:
         is_again = said.kind == Kind.CORRECTION or is_answer
         out = self._ruled_out(state, said, grounded, text) if how is How.REPLACE else NONE
         joined = self._join(state, grounded, how=how, is_loose=is_again or how is How.APPEND)
-        after = hearing.tell(state, joined, pose, how=how)
+        after = _tell(state, joined, pose, how=how)
         if out != NONE:
-            after = hearing.rule_out(after, hearing.slot_bit(jnp.int32(out)))
+            after = _rule_out(after, jnp.int32(1 << out))
         if is_answer:  # one question is enough: what still fits best will do
-            after = hearing.choose_freely(after)
+            after = _choose_freely(after)
         kind = said.kind or (Kind.ANSWER if is_answer else Kind.COMMAND)
         heard = Heard(
             text=text,
@@ -214,14 +246,14 @@ class Listener:
             return self._type_at(state, at), True
         readings = state.instruction.readings
         best = int(np.argmax(np.asarray(readings.log_probability)))
-        goal = int(state.talk.words.goal[best, int(state.clause)])
-        kind = NONE if goal == NONE else int(readings.mention_type[best, goal])
+        goal = int(np.asarray(state.talk.words.goal)[best, int(state.clause)])
+        kind = NONE if goal == NONE else int(np.asarray(readings.mention_type)[best, goal])
         return (kind if kind >= 0 else NONE), False
 
     def _type_at(self, state: NavigatorState, slot: int) -> int:
         """Look up the type of an observed slot, as the weightiest particle has it."""
         best = int(np.argmax(np.asarray(state.belief.log_weight)))
-        return int(state.belief.particles.object_type[slot, best])
+        return int(np.asarray(state.belief.particles.object_type)[slot, best])
 
     def _has_more(self, state: NavigatorState) -> bool:
         """Tell whether the robot has a task that is not at its end."""
@@ -259,6 +291,23 @@ class Listener:
             return slots[0]
         return at if said.is_not_that and at in slots else NONE
 
+    def warm_up(self, state: NavigatorState) -> None:
+        """Compile all that an utterance may do to a state, so that nobody waits for it.
+
+        Args:
+            state: of any robot; it is left as it is.
+        """
+        grounded = Grounded(instruction=returning(), annotations=())
+        joined, slot = self._join(state, grounded), jnp.int32(0)
+        for how in How:
+            _tell(state, joined, state.belief.last_pose, how=how)
+        _come_back(state, joined)
+        for change in (_choose, _rule_out):
+            change(state, slot)
+        for change in (_come_closer, _choose_freely):
+            change(state)
+        _pose(state)
+
     def candidates(self, state: NavigatorState) -> list[Candidate]:
         """List the things that may be meant, the nearest first: what a question is about.
 
@@ -285,14 +334,14 @@ class Listener:
         """
         particles = state.belief.particles
         weight = np.exp(np.asarray(state.belief.log_weight))
-        own = weight * (np.asarray(particles.object_type[slot]) != NONE)
+        own = weight * (np.asarray(particles.object_type)[slot] != NONE)
         total = max(float(own.sum()), 1e-9)
         return Candidate(
             slot=slot,
             type_name=name_of(self._type_at(state, slot), names_of(self.grounder)),
-            x=float((own * np.asarray(particles.mean_x[slot])).sum() / total),
-            y=float((own * np.asarray(particles.mean_y[slot])).sum() / total),
-            probability=float(state.talk.candidate[slot]),
+            x=float((own * np.asarray(particles.mean_x)[slot]).sum() / total),
+            y=float((own * np.asarray(particles.mean_y)[slot]).sum() / total),
+            probability=float(np.asarray(state.talk.candidate)[slot]),
         )
 
 
@@ -312,9 +361,8 @@ def check_measures(spoken: Spoken | None, pose: Sequence[float], area: Sequence[
     Raises:
         ValueError: names the place, the limits and the remedy.
     """
-    ends = () if spoken is None else spoken.steps
-    frame = jnp.array([[*end, 0.0] for end in ends], jnp.float32).reshape(-1, 3)
-    for x, y, _ in np.asarray(seen_from(jnp.asarray(pose, jnp.float32), frame)):
+    for end in () if spoken is None else spoken.steps:
+        x, y, _ = seen_from(np.array(pose), np.array([[*end, 0.0]]))[0]
         if not (area[0] <= x <= area[1] and area[2] <= y <= area[3]):
             limits = ", ".join(f"{float(one):g}" for one in area)
             raise ValueError(
@@ -346,7 +394,7 @@ def _chosen(
 
 def _pose(state: NavigatorState) -> np.ndarray:
     """Tell where the robot is, f32[3], map frame."""
-    return np.asarray(in_map(state.belief, state.belief.last_pose))
+    return np.asarray(_in_map(state.belief, state.belief.last_pose))
 
 
 def _dropped(before: NavigatorState, after: NavigatorState) -> tuple[str, ...]:

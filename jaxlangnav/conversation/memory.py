@@ -7,7 +7,10 @@ of which things the task speaks, which of them are to be kept away from, and wha
 All of it is arrays of fixed shapes. C commands, K readings, M mentions, J relations, O slots.
 """
 
+from typing import Any, TypeVar
+
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from jaxlangnav.grounding.instruction import Instruction
@@ -17,6 +20,7 @@ from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map.particle import SemanticMap
 from jaxlangnav.semantic_map.said import told_now
 
+_Numbers = TypeVar("_Numbers", Array, np.ndarray)
 AVOID_IT, AVOID_ALL = 1, 2
 """A mention is to be kept away from; all things of its type are."""
 
@@ -77,7 +81,7 @@ def begin_conversation(
     )
 
 
-def seen_from(pose: Array, frame: Array) -> Array:
+def seen_from(pose: _Numbers, frame: _Numbers) -> _Numbers:
     """Put poses that are told relative to the robot into the map.
 
     Limits: none told gives the robot's own pose.
@@ -89,10 +93,11 @@ def seen_from(pose: Array, frame: Array) -> Array:
     Returns:
         f32[C, 3], map frame.
     """
-    ahead, aside = jnp.cos(pose[2]), jnp.sin(pose[2])
+    xp: Any = np if isinstance(pose, np.ndarray) else jnp
+    ahead, aside = xp.cos(pose[2]), xp.sin(pose[2])
     x = pose[0] + ahead * frame[:, 0] - aside * frame[:, 1]
     y = pose[1] + aside * frame[:, 0] + ahead * frame[:, 1]
-    return jnp.stack([x, y, pose[2] + frame[:, 2]], axis=1)
+    return xp.stack([x, y, pose[2] + frame[:, 2]], axis=1)
 
 
 def _all_asked(instruction: Instruction) -> Words:

@@ -10,15 +10,21 @@ import enum
 import re
 import tomllib
 import unicodedata
+from collections.abc import Callable, Iterator
 from functools import cache
 from importlib import resources
+from typing import Any
 
 MAX_HALTING_CHARACTERS = 400
 """Longer utterances are never mere halting words."""
+_MAX_ALARM_CHARACTERS = 10_000
+"""Longer utterances are no sentences (``language.parser``)."""
+_KINDS = ("verb", "manner", "warning", "not", "denial", "place", "when", "and", "go")
 _BREAK = re.compile(r"[^\w\s]+")
 _WORD = re.compile(r"[^\W_]+(?:['\u2018\u2019`][^\W_]+)*")
 _APOSTROPHES = re.compile(r"['\u2018\u2019`]")
 _RUN = re.compile(r"(.)\1+")
+_VOWELS = "aeiou"
 _LEAST_MISTYPED = 4
 """Letters of the shortest word to halt that is known mistyped."""
 
@@ -77,6 +83,78 @@ def opening_of(text: str) -> tuple[Act, str] | None:
     return None
 
 
+def alarm_in(text: str, is_object: Callable[[str], bool]) -> str | None:
+    """Tell why an utterance that is not understood has to halt a robot under way.
+
+    It holds a word that halts, warns or tells of harm; or it begins as a denial or a correction
+    does; or it forbids something, and names nothing known that could be kept away from. A verb that
+    halts does not count where it is denied ("never stop"), or a command binds it to a known object
+    ("go to the cone and stop").
+
+    Args:
+        text: what was said, and refused.
+        is_object: whether one to three words name an object that is known.
+
+    Returns:
+        Why, to be told: "'careful' may ask to halt"; None where nothing in it is alarming.
+    """
+    parts = [[_repaired(word) for word in part] for part in _parts(text, _MAX_ALARM_CHARACTERS)]
+    line = " . ".join(" ".join(_marked(part, is_object)) for part in parts)
+    free = _BOUND.sub("", line)
+    is_command = -1 < _FORBIDDEN.sub("", line).find("go:") < line.rfind(" object:")
+    if is_command:
+        free = re.sub(r"manner:\S+", "", free)
+    if found := re.search(r"(?:verb|warning|manner):(\S+)", free):
+        return f"'{found[1].replace('_', ' ')}' may ask to halt"
+    table, longest = _alarms()
+    opening = (tuple(parts[0][:size]) for size in range(longest, 0, -1)) if parts else ()
+    if found := next((words for words in opening if words in table["denial"]), None):
+        return f"'{' '.join(found)}' may begin a correction"
+    if "object:" not in line and (found := re.search(r"not:(\S+)", free)):
+        return f"'{found[1].replace('_', ' ')}' may forbid what is being done"
+    return None
+
+
+_BOUND = re.compile(
+    r"not:(?!no )\S+ (?:verb|manner):\S+"  # never stop; but "no stop"
+    r"|verb:\S+ (?:place:\S+ )+object:\S+"  # stop next to the cone
+    r"|verb:\S+ (?::there )?when:\S+ (?:\w*:\S+ ){1,4}?(?:object:\S+|:there)"  # once you are there
+    r"|object:\S+(?: \.)?(?: and:\S+)+ verb:\S+(?: :there| :here)?(?= \.|$)"  # … and stop
+)
+"""Verbs that halt, but not now: each word of a line stands behind what it is and a colon."""
+
+
+_FORBIDDEN = re.compile(r"not:\S+ go:\S+")
+
+
+def _marked(words: list[str], is_object: Callable[[str], bool]) -> Iterator[str]:
+    """Write the longest expressions of a part behind what they are, as ``verb:hang_on``."""
+    table, longest = _alarms()
+    kinds = [kind for kind in table if kind != "denial"]
+    start = 0
+    while start < len(words):
+        for size in range(min(longest, len(words) - start), 0, -1):
+            piece = tuple(words[start : start + size])
+            is_thing = is_object(" ".join(piece))
+            kind = "object" if is_thing else next((k for k in kinds if piece in table[k]), "")
+            if kind or size == 1:
+                yield f"{kind}:{'_'.join(piece)}"
+                start += size
+                break
+
+
+def halts_alone(words: str) -> bool:
+    """Tell whether an expression would take its meaning from words to halt: "stop", "hold on".
+
+    Args:
+        words: an expression of a lexicon.
+
+    Returns:
+        True of each wording that halts, but of "park", which is a place too.
+    """
+    return act_of(words) is Act.HALT and words != "park"
+
+
 _URGENCY = (Act.HALT, Act.CANCEL, Act.RESUME)
 _PARTING = frozenset({"and", "then"})
 
@@ -87,9 +165,9 @@ def _plain(text: str) -> str:
     return "".join(letter for letter in plain if unicodedata.category(letter) != "Cf")
 
 
-def _parts(text: str) -> list[list[str]]:
+def _parts(text: str, most: int = MAX_HALTING_CHARACTERS) -> list[list[str]]:
     """Split an utterance at punctuation into words without apostrophes; none if it is too long."""
-    if len(text) > MAX_HALTING_CHARACTERS:
+    if len(text) > most:
         return []
     plain = _APOSTROPHES.sub("", _plain(text)).replace("-", " ").replace("_", " ")
     return [part.split() for part in _BREAK.split(plain) if part.strip()]
@@ -121,7 +199,7 @@ def _urgency(acts: frozenset[Act]) -> tuple[int, ...]:
 
 
 def _repaired(word: str) -> str:
-    """Undo a slip in a word to halt: two letters exchanged, or one of them held down.
+    """Undo a slip in a word to halt: two letters exchanged, one held down, a vowel left out.
 
     The least is lost by standing still, so that "stoop" too is taken for "stop".
     """
@@ -140,13 +218,31 @@ def _mistyped() -> tuple[frozenset[str], dict[str, str]]:
             continue
         word = words[0]
         slips[_RUN.sub(r"\1", word)] = word
+        for place in range(1, len(word)):
+            if word[place] in _VOWELS:
+                slips[word[:place] + word[place + 1 :]] = word
         for place in range(len(word) - 1):
             slips[word[:place] + word[place + 1] + word[place] + word[place + 2 :]] = word
     return known, slips
 
 
 @cache
-def _table() -> dict[str, list[str]]:
+def _alarms() -> tuple[dict[str, set[tuple[str, ...]]], int]:
+    """Read the words by which what is not understood halts, and the words of the longest.
+
+    Those that halt and warn are known in all forms of verbs: with s, ed and ing, the last letter
+    doubled or left out before them.
+    """
+    table = {kind: {tuple(one.split()) for one in _table()["alarm"][kind]} for kind in _KINDS}
+    for words in (table["verb"], table["manner"], table["warning"]):
+        for (word,) in [one for one in words if len(one) == 1]:
+            stems = (word, word + word[-1], word.removesuffix("e"))
+            words |= {(stem + end,) for stem in stems for end in ("s", "ed", "ing")}
+    return table, max(len(words) for one in table.values() for words in one)
+
+
+@cache
+def _table() -> dict[str, Any]:
     """Read the file of wordings."""
     text = resources.files("jaxlangnav.language").joinpath("data/halting.toml").read_text("utf-8")
     return tomllib.loads(text)

@@ -11,6 +11,7 @@ from importlib import resources
 from typing import Any
 
 from jaxlangnav.files.documents import parse_toml
+from jaxlangnav.language.halting import halts_alone
 from jaxlangnav.language.tokens import is_word, plainly
 from jaxlangnav.plain_text import cut, fault_of_name, printable, shown
 
@@ -121,7 +122,7 @@ def is_of_grammar(name: str) -> bool:
     Returns:
         True of "the", "behind", "go", "left"; such a label would make other sentences unreadable.
     """
-    return _of_package().is_word_of_grammar(name)
+    return halts_alone(name) or _of_package().is_word_of_grammar(name)
 
 
 @cache
@@ -173,6 +174,7 @@ class _Known:
         for form in (expression, _plural(expression)):
             if (owner := self._owners.get(form, kind)) != kind:
                 raise ValueError(f"{where}: '{form}' is a name of {owner} already")
+        _check_halting(expression, where)
         words = expression.split()
         ends = {words[0], words[-1]}
         wrong = next((word for word in ends if self._is_of_grammar(word, len(words) == 1)), None)
@@ -200,6 +202,7 @@ class _Known:
         if expression.count("*") > 1:
             raise ValueError(f"{where}: '{expression}' has more than one word marked with *")
         bare = expression.replace("*", "")
+        _check_halting(bare, where)
         uses = self._senses.get(bare, set())
         if (name, senses) in uses:
             return
@@ -226,6 +229,12 @@ class _Known:
         """Tell whether a word belongs to the grammar: articles, links, the rules' own words."""
         uses = {name for name, _ in self._senses.get(word, ())}
         return bool(uses & {"det", "rel", "be", "link", "conn", "beside"}) or word in _literals()
+
+
+def _check_halting(expression: str, where: str) -> None:
+    """Refuse to give words that halt the robot another meaning."""
+    if halts_alone(expression):
+        raise ValueError(f"{where}: '{expression}' halts the robot: choose another")
 
 
 @cache

@@ -71,6 +71,8 @@ class NavigatorState:
     is_halted: Array  # bool[] it was told to halt
     talk: Conversation  # what has been said besides, and ruled out
     way: Way  # whether it gets on, and the waypoints given up
+    signature: Array | None = None  # u32[2] checksums of the labels and of the policy's name; None:
+    # not checked
 
     @property
     def is_done(self) -> Array:

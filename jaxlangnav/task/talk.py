@@ -21,7 +21,7 @@ from jaxlangnav.grounding.instruction import Instruction, Understanding
 from jaxlangnav.grounding.readings import Capacity, widen
 from jaxlangnav.kept import kept
 from jaxlangnav.kinds import ANYTHING
-from jaxlangnav.language.halting import opening_of
+from jaxlangnav.language.halting import alarm_in, opening_of
 from jaxlangnav.language.utterance import Kind, classify
 from jaxlangnav.listening import Candidate, Heard, Listener
 from jaxlangnav.messages import NONE, Status
@@ -136,7 +136,7 @@ def check_words(grounder: Grounder, first: Understanding, text: str) -> None:
         return
     if said.wording is not None or classify(text, is_asked=True).wording is not None:
         return
-    if opening_of(text) is not None:
+    if opening_of(text) is not None or alarm_in(text, lambda words: False) is not None:
         return
     named = (kind for kind in first.spoken.goals if kind not in (NONE, ANYTHING))
     about = next(named, NONE)
@@ -227,9 +227,10 @@ class Earshot:
 
     def _scene_of(self, before: NavigatorState, after: NavigatorState) -> StaticScene | None:
         """Set the scene anew where words have been joined with those before."""
-        if after.instruction is before.instruction:
+        told: Instruction
+        told, earlier = jax.device_get((after.instruction, before.instruction))
+        if jax.tree.all(jax.tree.map(np.array_equal, told, earlier)):
             return None
-        told: Instruction = jax.device_get(after.instruction)
         names = getattr(self.grounder, "names", self.grounder.type_names)
         return dataclasses.replace(
             self.scene,
