@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from jaxlangnav.experiments.sentences import SENTENCES
 
 from jaxlangnav.environments import functional
 from jaxlangnav.environments.functional import (
@@ -22,6 +21,7 @@ from jaxlangnav.environments.functional import (
 )
 from jaxlangnav.environments.gymnasium_env import ID, FollowEnv, FollowVectorEnv
 from jaxlangnav.environments.spaces import action_space, to_functional
+from jaxlangnav.experiments.tasks import SENTENCES
 from jaxlangnav.pytree import replace
 from jaxlangnav.world.templates import RELATION_NAMES
 

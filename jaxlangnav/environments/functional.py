@@ -26,7 +26,7 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.episode import MAX_STEPS
-from jaxlangnav.experiments.sentences import SENTENCES
+from jaxlangnav.experiments.tasks import SENTENCES
 from jaxlangnav.messages import (
     Action,
     MotionParams,

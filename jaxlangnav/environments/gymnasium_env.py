@@ -26,7 +26,7 @@ from jaxlangnav.environments.spaces import (
     observation_space,
     to_functional,
 )
-from jaxlangnav.experiments.sentences import SENTENCES
+from jaxlangnav.experiments.tasks import SENTENCES
 from jaxlangnav.world.state import Scenario
 
 ID = "jaxlangnav/Follow-v1"

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 from jaxlangnav.environments.functional import EnvironmentParams, EnvironmentState
-from jaxlangnav.viz.drive import drive_picture
+from jaxlangnav.viz.panels import drive_picture
 from jaxlangnav.viz.style import require
 
 RenderMode = Literal["rgb_array"]
