@@ -102,6 +102,27 @@ def test_goes_to_the_hydrant_behind_the_cone_and_stops(robot) -> None:
     assert float(run.infos[-1].choice.stop_mass) >= float(robot.params.planner.stop_probability)
 
 
+@pytest.mark.parametrize(
+    ("said", "x", "y"),
+    [
+        ("hydrant on your left", 0.0, 6.0),
+        ("hydrant on your right", 0.0, -6.0),
+        ("hydrant in front of you", 6.0, 0.0),
+        ("hydrant behind you", -6.0, 0.0),
+        ("thing on your right", 1.5, -5.8),
+    ],
+)
+def test_what_stands_against_the_robot_is_looked_for_there(robot, said, x: float, y: float) -> None:
+    """Its mirror image is of the same type; half of all looks would go there first."""
+    places = [(HYDRANT, x, y), (HYDRANT, -x, -y)]
+    for seed in range(3):
+        state = robot.start(f"go to the {said}", area=(-10.0, 10.0, -10.0, 10.0))
+        run = go(robot, state, places, seed=seed)
+        assert bool(run.state.is_done)
+        assert distance(run, 0, places) < 1.5
+        assert len(run.places) < 12  # a metre each, 4.8 m straight on
+
+
 def test_the_other_hydrant_is_not_taken(robot) -> None:
     """A hydrant in front of the cone is seen first and is not meant."""
     places = [*WORLD[:2], (HYDRANT, 2.2, 0.1)]

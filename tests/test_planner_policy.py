@@ -7,7 +7,7 @@ import pytest
 import readings as by_hand
 from situations import CHOOSE, nodes_at, seen_goal, situation
 
-from jaxlangnav.messages import NONE
+from jaxlangnav.messages import NONE, RIGHT, ROBOT
 from jaxlangnav.planner import policy, tours
 from jaxlangnav.planner.config import SHIPPED
 from jaxlangnav.planner.constraints import constraint_cost, squared_distance_to_segment
@@ -21,7 +21,9 @@ from jaxlangnav.planner.params import default_planner_params
 from jaxlangnav.planner.policy import Decision, Waypoint
 from jaxlangnav.planner.search import CELLS, LATTICE, search_map, viewpoints, visibility
 from jaxlangnav.pytree import replace
+from jaxlangnav.relations.density import SIDE_CONCENTRATION
 from jaxlangnav.semantic_map.params import MapConfig, default_map_params
+from jaxlangnav.semantic_map.said import Spoken, told_now
 
 P, SLOTS, KEY = 16, 3, jax.random.key(0)
 CONFIG = MapConfig(num_particles=P, num_objects=SLOTS, num_cells=24)
@@ -92,6 +94,29 @@ def test_free_hypotheses_are_spread_over_what_is_unexplored() -> None:
     np.testing.assert_allclose(
         np.asarray(search.mass).reshape(CELLS, CELLS), blocks / blocks.sum(), rtol=2e-3
     )  # the map is tilted by 0.2 % from one end to the other
+
+
+def test_free_hypotheses_are_where_words_place_them_against_the_robot() -> None:
+    """Two readings, "on your right" in a quarter of the particles, and each word may mislead."""
+    log_miss = -np.random.default_rng(1).exponential(1.0, (24, 24))
+    belief = believe(random_places(), is_hung=False, log_miss=log_miss)
+    reading = jnp.asarray(np.arange(P) % 4 == 0, jnp.int32)
+    belief = replace(belief, particles=replace(belief.particles, reading=reading))
+    words = by_hand.readings(
+        [[by_hand.HYDRANT], [by_hand.HYDRANT, ROBOT]],
+        [[(0, NONE, NONE, False)], [(0, RIGHT, 1, False)]],
+    )
+    spoken = Spoken(
+        readings=words,
+        told=told_now(words, belief.viewer),
+        params=replace(default_map_params(), misleading=jnp.float32(0.2)),
+    )
+    found = search_map(belief, jnp.float32(0.0), jnp.float32(0.0), spoken=spoken)
+    blocks = np.exp(log_miss).reshape(CELLS, 2, CELLS, 2).sum((1, 3)).reshape(-1)
+    toward = -np.asarray(found.y) / np.hypot(found.x, found.y)
+    right = 0.8 * np.exp(SIDE_CONCENTRATION * toward) / np.i0(SIDE_CONCENTRATION) + 0.2
+    expected = 0.75 * blocks / blocks.sum() + 0.25 * blocks * right / (blocks * right).sum()
+    np.testing.assert_allclose(found.mass, expected, rtol=5e-3)
 
 
 def test_a_hypothesis_outside_the_area_is_nowhere() -> None:

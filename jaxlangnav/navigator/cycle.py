@@ -38,6 +38,7 @@ from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.semantic_map.behaviors import infer_clause_behaviors
 from jaxlangnav.semantic_map.belief import about_robot, robot_position
 from jaxlangnav.semantic_map.filter import FilterInfo
+from jaxlangnav.semantic_map.said import Spoken
 from jaxlangnav.semantic_map.things import placed
 from jaxlangnav.sensing import DEVIATIONS
 from jaxlangnav.terrain import OPEN, Eye, Terrain
@@ -291,6 +292,7 @@ def _decide(
         may_stop=may_stop & ~outlook.stands,
         params=planner,
         map_params=params.map,
+        spoken=Spoken(readings=state.instruction.readings, told=state.talk.told, params=params.map),
         num_blocks=config.planner.num_blocks,
         is_thorough=config.planner.is_thorough,
     )

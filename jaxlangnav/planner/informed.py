@@ -68,7 +68,11 @@ class Informed(Policy):
         """Improve the tour under way, go to its first stop or to the goal."""
         belief, params, maps = situation.belief, situation.params, situation.map_params
         unseen = search.search_map(
-            situation.wanted, params.prior_share, params.ahead, situation.is_thorough
+            situation.wanted,
+            params.prior_share,
+            params.ahead,
+            situation.is_thorough,
+            situation.spoken,
         )
         chance = chances(unseen.unseen, params.absent, maps)
         plan = tours.plan(

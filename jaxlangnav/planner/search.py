@@ -9,11 +9,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.numerics.batching import once
+from jaxlangnav.messages import ROBOT
+from jaxlangnav.numerics.batching import once, rarely
 from jaxlangnav.planner import prior
+from jaxlangnav.planner.relevance import groups
 from jaxlangnav.pytree import pytree, static
 from jaxlangnav.semantic_map.belief import ParticleBelief
-from jaxlangnav.semantic_map.coverage import Coverage, cell_size
+from jaxlangnav.semantic_map.coverage import Coverage, area_size, cell_size
+from jaxlangnav.semantic_map.said import Spoken, log_told_density
 from jaxlangnav.terrain import OPEN, Eye, Terrain
 
 CELLS = 12
@@ -83,28 +86,25 @@ def _partner_scale(belief: ParticleBelief, is_free: Array, x: Array, y: Array) -
     return 1.0 - nearer / jnp.sqrt((x - viewer_x) ** 2 + (y - viewer_y) ** 2 + 1e-9)
 
 
-def _unseen(belief: ParticleBelief, hung: Array, prior_share: Array, ahead: Array) -> Array:
+def _unseen(coverage: Coverage, hung: Array, density: Array) -> Array:
     """Compute the probability that what is there to be found would have escaped every look.
 
     Anywhere in the area, as the order of search weighs it; or, if that is more, at the places on
     observed objects where it is said to be, for they are little of the whole area.
 
     Args:
-        belief: weighted particles and coverage.
+        coverage: where the robot has looked.
         hung: f32[C], probability that what hangs on an observed object lies in each cell.
-        prior_share: f32[], as of ``search_map``.
-        ahead: f32[], as of ``search_map``.
+        density: f32[C], how likely anything else lies in each cell, relative to one another.
 
     Returns:
         f32[] in [0, 1].
     """
     # Of its own, so that the search map is computed to the bit as it would be without.
-    coverage, viewer, hung = once((belief.coverage, belief.viewer, hung))
+    coverage, hung, density = once((coverage, hung, density))
     size = coverage.log_miss.shape[0] // CELLS
     cells = jnp.exp(coverage.log_miss).reshape(CELLS, size, CELLS, size)
     missed = cells.mean(axis=(1, 3)).reshape(-1)
-    x, y = _grid(coverage.area, CELLS)
-    density = prior.relative_density(coverage, viewer, x, y, prior_share, ahead)
     anywhere = jnp.sum(missed * density) / jnp.maximum(jnp.sum(density), 1e-9)
     return jnp.minimum(jnp.maximum(anywhere, jnp.sum(hung * missed)), 1.0)
 
@@ -136,20 +136,61 @@ def _least_looked_at(coverage: Coverage, x: Array, y: Array) -> tuple[Array, Arr
     return x + width * jnp.asarray(along)[worst], y + depth * jnp.asarray(across)[worst]
 
 
+def _by_words(
+    belief: ParticleBelief, is_free: Array, x: Array, y: Array, density: Array, spoken: Spoken
+) -> Array:
+    """Spread what hangs on nothing observed as the words have it (``said.log_told_density``).
+
+    Args:
+        belief: weighted particles.
+        is_free: bool[M, P], mentions that hang on nothing observed.
+        x: f32[C], centres of the cells, metres.
+        y: f32[C].
+        density: f32[C], how likely a thing that no words place lies in each cell and is unseen.
+        spoken: what has been said.
+
+    Returns:
+        f32[C] > 0, by how much the words raise the density; 1 where they say nothing.
+    """
+    readings, mentions = spoken.readings, np.arange(spoken.readings.mention_type.shape[1])
+    log_area = jnp.log(area_size(belief.coverage))
+
+    def raised(places: tuple[Array, Array]) -> Array:
+        log_told = log_told_density(spoken, log_area, *places)
+        is_tied = (groups(readings)[:, None] >> mentions[None, :, None]) & 1  # [M, M, K]
+        log_told = jnp.sum(jnp.where(is_tied[None] > 0, log_told[:, None], 0.0), axis=2)
+        told = jnp.exp(log_told - jnp.max(log_told, axis=0, keepdims=True))  # [C, M, K]
+        told = told / jnp.maximum(jnp.tensordot(density, told, axes=1), 1e-9)[None]
+        # A figure and landmark that are both unseen come into view together: they count once.
+        share = jnp.exp(belief.log_weight) / jnp.maximum(jnp.sum(is_free, axis=0), 1)
+        is_read = belief.particles.reading[:, None] == np.arange(told.shape[2])[None]
+        share = jnp.where(is_free, share[None], 0.0) @ is_read.astype(jnp.float32)  # [M, K]
+        share = share / jnp.maximum(jnp.sum(share), 1e-9)
+        return jnp.sum(density) * jnp.sum(told * share[None], axis=(1, 2)) - 1.0
+
+    is_by_robot = jnp.any(readings.mention_type == ROBOT) & jnp.any(is_free)
+    return 1.0 + rarely(is_by_robot, raised, (x, y))
+
+
 def search_map(
-    belief: ParticleBelief, prior_share: Array, ahead: Array, is_thorough: bool = False
+    belief: ParticleBelief,
+    prior_share: Array,
+    ahead: Array,
+    is_thorough: bool = False,
+    spoken: Spoken | None = None,
 ) -> SearchMap:
     """Fold the belief into a map of where to look.
 
-    Hypotheses that hang on nothing observed may be anywhere unexplored, so their share is spread
-    by the coverage, weighed by what training worlds have taught (``prior``), rather than by the
-    few particles that sample it; hypotheses that hang on an observed object count where they are.
+    Hypotheses that hang on an observed object count where they are. Those that hang on nothing
+    observed are spread by the coverage, by what training worlds have taught (``prior``) and by
+    what the words say of them and the robot, rather than by the few particles that sample it.
 
     Args:
         belief: weighted particles and coverage.
         prior_share: f32[] in [0, 1], how far the learned prior is trusted; 0 leaves it out.
         ahead: f32[], κ, how far things are taken to lie ahead of the viewer; 0: all round alike.
         is_thorough: whether all of the area may have to be looked at.
+        spoken: what has been said; None: nothing that places a thing against the robot.
 
     Returns:
         The map; its mass sums to the expected number of things still to be found.
@@ -166,6 +207,9 @@ def search_map(
     unseen = miss.reshape(CELLS, size, CELLS, size).sum(axis=(1, 3)).reshape(-1)
     likelier = prior.relative_density(belief.coverage, belief.viewer, x, y, prior_share, ahead)
     unseen = unseen * likelier
+    if spoken is not None:
+        by_words = _by_words(belief, is_free, x, y, unseen, spoken)
+        likelier, unseen = likelier * by_words, unseen * by_words
     unseen = unseen * (1.0 + _TILT * jnp.linspace(-0.5, 0.5, CELLS**2))
     column = jnp.floor((particles.hypothesis_x - area[0]) / (area[1] - area[0]) * CELLS)
     row = jnp.floor((particles.hypothesis_y - area[2]) / (area[3] - area[2]) * CELLS)
@@ -183,7 +227,7 @@ def search_map(
         hung=hung_at,
         partner_x=belief.viewer[0] + scale * (x - belief.viewer[0]),
         partner_y=belief.viewer[1] + scale * (y - belief.viewer[1]),
-        unseen=_unseen(belief, hung_at, prior_share, ahead),
+        unseen=_unseen(belief.coverage, hung_at, likelier),
         terrain=belief.terrain,
         is_thorough=is_thorough,
     )

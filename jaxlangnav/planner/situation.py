@@ -11,6 +11,7 @@ from jaxlangnav.planner.params import PlannerParams
 from jaxlangnav.pytree import pytree, replace, static
 from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.params import MapParams
+from jaxlangnav.semantic_map.said import Spoken
 
 
 @pytree
@@ -34,7 +35,8 @@ class Situation:
     may_stop: Array  # bool[] something seen that may be the goal is within reach: a stop is heard
     params: PlannerParams
     map_params: MapParams
-    num_blocks: int = static()  # blocks a side that frontiers are gathered in
+    spoken: Spoken | None = None  # what has been said; None: nothing that bears on where to look
+    num_blocks: int = static(default=1)  # blocks a side that frontiers are gathered in
     is_thorough: bool = static(default=False)  # all of the area may have to be looked at
 
     @property

@@ -16,7 +16,7 @@ from jax import Array
 
 from jaxlangnav.messages import BETWEEN, FAR, NONE, ROBOT, Readings, Told
 from jaxlangnav.numerics.batching import lead, pack, pick, rarely, unpack
-from jaxlangnav.pytree import replace
+from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.relations import (
     SIDES,
     Law,
@@ -32,6 +32,7 @@ from jaxlangnav.relations import (
     to_map,
     viewer_frame,
 )
+from jaxlangnav.semantic_map.params import MapParams
 
 FIGURE, LANDMARK = 0, 1
 _LEAST_COSINE, _DEVIATIONS = 0.5, 2.5
@@ -218,6 +219,50 @@ def listen(readings: Readings, told: Told, model: RelationModel, log_area: Array
     """
     say = jax.vmap(_say, in_axes=(0, 0, None, None), out_axes=-1)
     return say(readings, told, model, log_area)
+
+
+@pytree
+class Spoken:
+    """What has been said, and by what it is understood."""
+
+    readings: Readings  # K readings of M mentions
+    told: Told  # how they were said
+    params: MapParams  # relations, ε
+
+
+def log_told_density(spoken: Spoken, log_area: Array, x: Array, y: Array) -> Array:
+    """Evaluate where relations to the robot put mentions, as eq. 7a weighs new places.
+
+    "The hydrant on your left" hangs on nothing observed, and yet is not anywhere alike. Of the
+    relations r that place a mention against the robot, with densities f_r,
+
+        log f(x) A = Σ_r log[(1 − ε) A f_r(x) + ε]
+
+    Limits: 0 of a mention that nothing places so, or by an order alone: as likely anywhere.
+
+    Args:
+        spoken: what has been said.
+        log_area: f32[], log A, square metres.
+        x: f32[C] metres, map frame.
+        y: f32[C]
+
+    Returns:
+        f32[C, M, K], log of the density times the area.
+    """
+    readings, misleading = spoken.readings, spoken.params.misleading
+    number, mentions = readings.figure.shape[0], np.arange(readings.mention_type.shape[1])
+    at = tuple(jnp.broadcast_to(one[:, None], (x.shape[0], number)) for one in (x, y))
+
+    def of_relation(one: Said) -> Array:
+        viewer = (jnp.broadcast_to(place[None], at[0].shape) for place in one.viewer[:2])
+        log_holds = one.log_density(*at, *viewer) + log_area
+        log_ratio = jnp.logaddexp(jnp.log1p(-misleading) + log_holds, jnp.log(misleading))
+        is_placed = one.is_by_robot & ~one.is_order & (one.relation != NONE)
+        is_figure = (one.mention[FIGURE][None] == mentions[:, None]) & is_placed[None]
+        return jnp.where(is_figure[None], log_ratio[:, None], 0.0)
+
+    said = listen(readings, spoken.told, spoken.params.relations, log_area)
+    return jnp.sum(jax.lax.map(of_relation, said), axis=0)
 
 
 def hear(told: Said, reading: Array) -> Said:
