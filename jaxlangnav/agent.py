@@ -26,6 +26,7 @@ from jax.core import Tracer
 from jaxlangnav import navigator
 from jaxlangnav.anywhere import config_anywhere, params_anywhere, with_numbers
 from jaxlangnav.conversation import first_words
+from jaxlangnav.detections import SLOTS
 from jaxlangnav.grounding import Context, GraphGrounder, Grounded, Grounder, load_shipped
 from jaxlangnav.grounding.annotated import returning
 from jaxlangnav.grounding.grounder import names_of
@@ -47,7 +48,7 @@ from jaxlangnav.planner.config import AnyPolicy
 from jaxlangnav.planner.endings import missing_types
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.soundness import check_place
-from jaxlangnav.sensing import area_numbers, pose_numbers, said
+from jaxlangnav.sensing import area_numbers, bounded, pose_numbers, said
 from jaxlangnav.terrain import OPEN, Terrain
 from jaxlangnav.uniform import uniform
 
@@ -121,7 +122,8 @@ class Navigator:
         for name, size in sizes.items():
             if size > MOST_BITS:
                 raise ValueError(
-                    f"{name} is {size}, but at most {MOST_BITS} are told apart in a conversation"
+                    f"{name} is {said(size)}, but at most {MOST_BITS} are told apart in a "
+                    "conversation"
                 )
 
     @property
@@ -290,15 +292,21 @@ class Navigator:
 
         Returns:
             Seconds that it took: most of a minute the first time, next to nothing once compiled.
+
+        Raises:
+            ValueError: more detections than are held, or no number.
         """
+        count = bounded(detections, 0, SLOTS[-1], "detections", "give as many as a look may hold")
+        if count != int(count):
+            raise ValueError(f"detections is {count:g}, but must be a whole number")
         began = time.perf_counter()
         state = self.wait()
         self._listener.warm_up(state)
         bool(state.is_resting)
         if isinstance(self.grounder, GraphGrounder):  # one's own may be slow, or cost something
             self.grounder.ground("go forward one metre", Context(is_under_way=False))
-        look = [(0, 1.0 + slot, 0.0) for slot in range(detections)]
-        seen = self.observation((0.0, 0.0, 0.0), look, default_sensor(2.0 + detections))
+        look = [(0, 1.0 + slot, 0.0) for slot in range(int(count))]
+        seen = self.observation((0.0, 0.0, 0.0), look, default_sensor(2.0 + count))
         jax.block_until_ready(self.step(jax.random.key(0), state, seen))
         return time.perf_counter() - began
 

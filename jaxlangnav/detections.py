@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxlangnav.kinds import ATTRIBUTES, attributes, group_of
-from jaxlangnav.sensing import DEVIATIONS, MIN_NOISE, bounded, number, said
+from jaxlangnav.sensing import DEVIATIONS, MIN_NOISE, bounded, first, number, said
 
 SLOTS = (8, 16, 32, 64)
 """Sizes to which detections are padded: each has a compiled program of its own."""
@@ -108,7 +108,7 @@ def padded(count: int) -> int:
         if count <= slots:
             return slots
     raise ValueError(
-        f"{count} detections in one look, but at most {SLOTS[-1]} are held: "
+        f"more than {SLOTS[-1]} detections in one look, but at most {SLOTS[-1]} are held: "
         "leave out those of types that the task does not speak of"
     )
 
@@ -134,11 +134,15 @@ def detected(
         ValueError: names the detection, the value, the limit and the remedy.
     """
     range_max, field_of_view, _, noise, *_ = (float(one) for one in sensor)
-    if isinstance(detections, str | bytes | Mapping) or not isinstance(detections, Iterable):
+    try:
+        is_list = not isinstance(detections, str | bytes | Mapping)
+        rows = first(detections, SLOTS[-1] + 1) if is_list else None
+    except TypeError:
+        rows = None
+    if rows is None:
         raise ValueError(
             f"detections is {said(detections)}, but must be a list of (type, range, bearing)"
         )
-    rows = list(detections)
     slots = padded(len(rows))
     found = Detected(
         np.full(slots, -1, np.int32),
@@ -162,7 +166,7 @@ def _entries(row: Any, what: str) -> list[Any]:
     """Take a detection apart: type, range, bearing, and how it looks or None."""
     is_array = isinstance(row, np.ndarray) and row.ndim == 1
     is_row = is_array or (isinstance(row, Sequence) and not isinstance(row, str | bytes))
-    entries = list(row) if is_row else []
+    entries = list(row) if is_row and len(row) in (3, 4) else []
     if len(entries) not in (3, 4):
         raise ValueError(
             f"{what} is {said(row, 60)}, but must be (type, range, bearing), or with how it looks "

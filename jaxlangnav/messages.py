@@ -243,9 +243,7 @@ class Observation:
                 f"sensor is {sensing.said(given)}, but must be SensorParams, "
                 "as of default_sensor(range_max)"
             )
-        numbers = sensing.sensor_numbers(
-            *(getattr(given, one.name) for one in dataclasses.fields(given))
-        )
+        numbers = check_sensor(given)
         found = detected(detections, numbers, types)
         return cls(
             pose=_on_host(sensing.pose_numbers(pose)),
@@ -295,6 +293,23 @@ def _sensor(numbers: Sequence[np.float32]) -> SensorParams:
     """Put the numbers of a specification in their places."""
     names = [one.name for one in dataclasses.fields(SensorParams)]
     return SensorParams(**dict(zip(names, map(jnp.asarray, numbers), strict=True)))
+
+
+def check_sensor(sensor: SensorParams) -> tuple[np.float32, ...]:
+    """Hold a detector's specification against what it can be (host only).
+
+    Args:
+        sensor: of one robot.
+
+    Returns:
+        Its numbers, in the order of the fields.
+
+    Raises:
+        ValueError: names the value, the limits and the remedy.
+    """
+    return sensing.sensor_numbers(
+        *(getattr(sensor, one.name) for one in dataclasses.fields(sensor))
+    )
 
 
 def default_sensor(

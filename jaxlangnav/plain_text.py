@@ -66,8 +66,12 @@ def shown(value: Any) -> str:
         return cut(f"[{', '.join(shown(one) for one in value)}]")
     if isinstance(value, int) and value.bit_length() > 128:
         return f"a whole number of {value.bit_length()} bits"
-    # Cut before it is quoted: a text may have millions of characters.
-    return cut(repr(cut(value)) if isinstance(value, str) else repr(value))
+    try:
+        # Cut before it is quoted: a text may have millions of characters.
+        written = repr(cut(value) if isinstance(value, str) else value)
+    except Exception:  # an object may fail to write itself, as numbers of 5,000 digits do
+        return f"a {type(value).__name__}"
+    return cut(" ".join(written.split()))
 
 
 def cut(text: str, most: int = _SHOWN) -> str:

@@ -16,6 +16,7 @@ from jaxlangnav.messages import MotionParams, SensorParams
 from jaxlangnav.plain_text import cut, shown
 from jaxlangnav.planner.params import PlannerParams
 from jaxlangnav.semantic_map.params import MapParams
+from jaxlangnav.sensing import MOST_FALSE, VIEWS
 
 _UNITS = {
     "length": {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0},
@@ -69,7 +70,11 @@ class Quantity:
     def _convert(self, value: Any, name: str) -> float:
         """Turn a number or a text with a unit into the key's own unit."""
         if isinstance(value, int | float) and not isinstance(value, bool):
-            return float(value)
+            try:
+                return float(value)
+            except OverflowError:
+                fault = f"{name} is {shown(value)}, but must be {self._limits()}"
+                raise ValueError(fault) from None
         match = _TEXT.match(value) if isinstance(value, str) else None
         if match is None:
             raise ValueError(
@@ -111,10 +116,10 @@ LENGTH = Quantity(kind="length", is_low_open=True)
 SHARE = Quantity(kind="share", high=1.0)
 _KNOWN: dict[str, dict[str, Quantity]] = {
     "sensor": {
-        "field_of_view": Quantity(kind="angle", high=2.0 * math.pi + 1e-6, is_low_open=True),
+        "field_of_view": Quantity(kind="angle", low=VIEWS[0], high=2.0 * math.pi + 1e-6),
         "detection_probability": Quantity(kind="share", high=1.0, is_low_open=True),
         "noise": Quantity(kind="length"),
-        "false_detections": Quantity(),
+        "false_detections": Quantity(high=MOST_FALSE),
         "mislabelled": Quantity(kind="share", high=0.99),
     },
     "motion": {

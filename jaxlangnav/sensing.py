@@ -5,19 +5,18 @@ The belief holds every look against the same limits in its compiled program
 compiled, a mistake is named: degrees for radians, millimetres for metres, percent for a share.
 """
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from jaxlangnav.files.limits import FARTHEST
-from jaxlangnav.plain_text import cut, printable
+from jaxlangnav.files.limits import FARTHEST, RANGES
+from jaxlangnav.plain_text import cut, printable, shown
 
 TYPES = ("hydrant", "cone", "car", "building", "tree", "bench", "barrel", "box")
 """The object types of the shipped lexicon, by type index."""
-RANGES = (0.01, 1e4)
-"""Metres, shortest and longest sensing range."""
 VIEWS = (1e-3, 2.0 * np.pi + 1e-3)
 """Radians, narrowest and widest field of view."""
 TURNS = 4.0 * np.pi
@@ -37,8 +36,18 @@ def said(value: Any, most: int = 40) -> str:
         value: anything.
         most: characters at most.
     """
-    text = cut(printable(" ".join(str(value).split())), most)
-    return f"'{text}'" if isinstance(value, str) else text
+    if isinstance(value, str):  # cut before it is looked through: it may be of any length
+        return f"'{cut(printable(' '.join(value[: 2 * most].split())), most)}'"
+    try:
+        text = str(value)
+    except Exception:  # an object may fail to write itself, as numbers of 5,000 digits do
+        text = shown(value)
+    return cut(printable(" ".join(text.split())), most)
+
+
+def is_complex(value: Any) -> bool:
+    """Tell whether an array is of complex numbers, which NumPy would cut to real ones."""
+    return np.issubdtype(getattr(value, "dtype", None), np.complexfloating)
 
 
 def number(value: Any, what: str) -> float:
@@ -55,8 +64,10 @@ def number(value: Any, what: str) -> float:
         ValueError: it is none, or not finite; one line.
     """
     try:
-        read = float(np.asarray(value).reshape(()))
-    except (TypeError, ValueError):
+        if isinstance(value, str | bytes) or is_complex(value):
+            raise TypeError
+        read = float(value.reshape(()) if hasattr(value, "reshape") else value)
+    except (TypeError, ValueError, OverflowError):
         raise ValueError(f"{what} is {said(value)}, but must be a number") from None
     if not math.isfinite(read):
         raise ValueError(f"{what} is {read}, but must be finite")
@@ -127,10 +138,26 @@ def sensor_numbers(
     return tuple(np.float32(one) for one in (reach, view, seen, errs, false, wrong))
 
 
+def first(values: Any, most: int) -> list[Any]:
+    """Read a row as far as it may go: it may have no end.
+
+    Args:
+        values: anything that can be gone through.
+        most: how many to read.
+
+    Returns:
+        The first of them.
+
+    Raises:
+        TypeError: it is no row.
+    """
+    return list(itertools.islice(iter(values), most))
+
+
 def _parts(values: Any, number_of: int, what: str, remedy: str) -> list[Any]:
     """Take apart what must be a row of so many."""
     try:
-        parts = [] if isinstance(values, str | bytes | Mapping) else list(values)
+        parts = [] if isinstance(values, str | bytes | Mapping) else first(values, number_of + 1)
     except TypeError:
         parts = []
     if len(parts) != number_of:

@@ -3,14 +3,13 @@
 import dataclasses
 from typing import Any
 
-import jax
 import numpy as np
 from jax.core import Tracer
 
-from jaxlangnav.detections import padded
+from jaxlangnav.detections import SLOTS, padded
 from jaxlangnav.messages import NONE, Observation, SensorParams
 from jaxlangnav.pytree import replace
-from jaxlangnav.sensing import said
+from jaxlangnav.sensing import is_complex, said
 
 _FILLERS: dict[str, tuple[Any, Any]] = {
     "detection_type": (np.int32, NONE),
@@ -42,9 +41,10 @@ def uniform(observation: Observation) -> Observation:
             f"{what} is {said(given)}, but must be made by navigator.observation(pose, "
             "detections, sensor)"
         )
-    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(observation)):
+    leaves = (*vars(observation).values(), *vars(observation.sensor).values())
+    if any(isinstance(leaf, Tracer) for leaf in leaves):
         return observation
-    slots = np.shape(observation.detection_type)
+    slots = np.shape(_array(observation.detection_type, "detection_type"))
     if len(slots) != 1:
         raise _odd("detection_type", slots, "(D,), a row of detections")
     if observation.detection_attribute is None:
@@ -74,13 +74,23 @@ def uniform(observation: Observation) -> Observation:
 
 def _cast(leaf: Any, name: str, dtype: Any, shape: tuple[int, ...]) -> np.ndarray:
     """Read a part of an observation as an array of a dtype and a shape."""
-    try:
-        array = np.asarray(leaf, dtype)
-    except (TypeError, ValueError):
-        raise ValueError(f"observation's {name} is {said(leaf)}, but must be numbers") from None
+    array = _array(leaf, name, dtype)
     if array.shape != shape:
         raise _odd(name, array.shape, str(shape))
     return array
+
+
+def _array(leaf: Any, name: str, dtype: Any = None) -> np.ndarray:
+    """Read numbers; what is longer than any look is not read at all."""
+    if not hasattr(leaf, "shape") and hasattr(leaf, "__len__") and len(leaf) > SLOTS[-1]:
+        raise _odd(name, (len(leaf),), f"at most {SLOTS[-1]} numbers")
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            if is_complex(leaf):
+                raise TypeError
+            return np.asarray(leaf, dtype)
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"observation's {name} is {said(leaf)}, but must be numbers") from None
 
 
 def _odd(name: str, shape: tuple[int, ...], wanted: str) -> ValueError:

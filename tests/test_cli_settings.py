@@ -127,3 +127,27 @@ def test_commands_without_settings_do_not_know_them(capsys: pytest.CaptureFixtur
     assert 'unknown option "--params.planner.discount"' in capsys.readouterr().err
     with pytest.raises(UsageError, match="unknown option"):
         parse_arguments(["parse", TEXT, settings.HELP_ALL])
+
+
+@pytest.mark.parametrize(
+    ("words", "refusal"),
+    [
+        (["follow", TEXT, "--sensor.noise", "5"], "noise is 5, but must lie between 0 and 3"),
+        (["follow", TEXT, "--sensor.noise", "1", "--range", "0.5"], "between 0 and 0.5"),
+        (["follow", TEXT, "--range", "0.005"], "--range is 0.005, but must be between 0.01 m"),
+        (["follow", TEXT, "--sensor.false-detections", "101"], "at most 100"),
+        (["follow", TEXT, "--sensor.field-of-view", "0.0001"], "at least 0.001 rad"),
+        (
+            ["reproduce", "table2", "--sensor.noise", "5"],
+            "noise is 5, but must lie between 0 and 3",
+        ),
+    ],
+)
+def test_a_detector_with_which_the_robot_would_stand_still_is_refused(
+    words: list[str], refusal: str, monkeypatch, capsys
+) -> None:
+    monkeypatch.setattr("jaxlangnav.cli.engine.rehearse", lambda *_, **__: pytest.fail("begun"))
+    assert cli.main(words) == 2
+    said = capsys.readouterr().err
+    assert refusal in said
+    assert said.count("\n") == 1

@@ -5,7 +5,7 @@ import os
 from pathlib import Path
 
 from jaxlangnav.cli.errors import UsageError
-from jaxlangnav.files.limits import FARTHEST, SHORTEST
+from jaxlangnav.files.limits import RANGES
 
 
 def check_at_least(option: str, value: int, least: int) -> None:
@@ -26,10 +26,9 @@ def check_range(value: float | None) -> None:
         return
     if not (math.isfinite(value) and value > 0):
         raise UsageError(f"--range is {value:g}, but must be a length above 0 m")
-    if not SHORTEST <= value <= FARTHEST:
-        raise UsageError(
-            f"--range is {value:g}, but must be between {SHORTEST:g} m and {FARTHEST:g} m"
-        )
+    low, high = RANGES
+    if not low <= value <= high:
+        raise UsageError(f"--range is {value:g}, but must be between {low:g} m and {high:g} m")
 
 
 def check_folder(option: str, path: Path | None) -> None:

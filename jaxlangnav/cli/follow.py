@@ -158,9 +158,12 @@ class Follow:
     def _check_settings(self, values: "dict[SettingPath, Any]") -> None:
         """Refuse numbers and sizes that do not go together, or that no memory holds."""
         from jaxlangnav.experiments.sizes import check_recording
+        from jaxlangnav.messages import check_sensor
         from jaxlangnav.navigator import check
+        from jaxlangnav.task.opening import sensor_of
 
         sizes = self._sizes(values)
+        check_sensor(apply(sensor_of(self.world, self.range), values, "sensor"))
         if values:
             check(sizes["params"], policy=sizes["config"].planner.chosen)
         check_recording(sizes["config"], self.max_steps)

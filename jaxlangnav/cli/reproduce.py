@@ -100,7 +100,9 @@ class Reproduce:
         keep_compiled_programs()
         from jaxlangnav.cli import reproduction
         from jaxlangnav.cli.study import Settings
+        from jaxlangnav.experiments.paper import SENSING_RANGES
         from jaxlangnav.experiments.policies import POLICY_NAMES, check_policies
+        from jaxlangnav.messages import check_sensor, default_sensor
         from jaxlangnav.navigator import check
         from jaxlangnav.planner.config import SHIPPED
         from jaxlangnav.task.follow import navigator_params
@@ -109,6 +111,8 @@ class Reproduce:
         named = [one.strip() for one in self.policy.split(",") if one.strip()]
         values = read_settings(self.settings, self.SETTINGS)
         self._check_settings(values)
+        least = min(SENSING_RANGES) if self.what in ("fig5", "all") else 3.0
+        check_sensor(apply(default_sensor(min(ranges, default=least)), values, "sensor"))
         params = apply(navigator_params(), values, "params")
         policies = check_policies(list(POLICY_NAMES) if named == ["all"] else named)
         for policy in sorted(SHIPPED.keys() & set(policies)):

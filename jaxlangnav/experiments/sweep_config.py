@@ -41,6 +41,7 @@ from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, check_policies
 from jaxlangnav.experiments.tasks import SEED_LIMIT, SENTENCES
 from jaxlangnav.files.documents import DocumentError, parse_toml, read_text
 from jaxlangnav.files.whole import read_file
+from jaxlangnav.messages import default_sensor
 from jaxlangnav.plain_text import cut, fault_of_name, shown
 from jaxlangnav.quantities import FIELDS, LENGTH
 from jaxlangnav.world.files import LARGEST_WORLD_FILE, WorldFile, open_world
@@ -187,6 +188,9 @@ def config_from_dict(table: Mapping[str, Any], *, folder: Path = Path()) -> Swee
         world_hashes=hashes,
     )
     _check_distinct(config)
+    for reach in config.ranges:
+        for noise in config.params["sensor"].get("noise", (0.1,)):
+            default_sensor(reach, noise=noise)
     for world in config.worlds:
         for command in config.commands:
             if world not in own:
@@ -255,9 +259,9 @@ def _integers(
         if not isinstance(one, int) or isinstance(one, bool):
             raise ValueError(f"{name} is {shown(one)}, but must be a whole number")
         if one < least:
-            raise ValueError(f"{name} is {one}, but must be at least {least}")
+            raise ValueError(f"{name} is {shown(one)}, but must be at least {least}")
         if limit is not None and one >= limit:
-            raise ValueError(f"{name} is {one}, but must be below {limit}")
+            raise ValueError(f"{name} is {shown(one)}, but must be below {limit}")
     return tuple(values)
 
 

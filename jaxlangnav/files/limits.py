@@ -3,7 +3,9 @@
 FARTHEST = 1e5
 """Metres that a place or a length may have: float32 is 8 mm coarse there."""
 SHORTEST = 1e-3
-"""Metres that a sensing range or a step has at least."""
+"""Metres that a step has at least."""
+RANGES = (0.01, 1e4)
+"""Metres, shortest and longest sensing range."""
 LARGEST = 1e15
 """Of a plain number."""
 SMALLEST = 1e-15

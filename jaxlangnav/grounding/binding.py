@@ -7,6 +7,7 @@ lexicon first, and what it says is put into kinds (``kinds``) afterwards.
 """
 
 import dataclasses
+import itertools
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
@@ -31,7 +32,8 @@ from jaxlangnav.language.phrase import LanguageError, Parse, Phrase, Word
 from jaxlangnav.language.reference import SAME, head_of, is_thing
 from jaxlangnav.language.tokens import plainly
 from jaxlangnav.messages import NONE, ROBOT
-from jaxlangnav.plain_text import fault_of_name, printable, shown
+from jaxlangnav.plain_text import fault_of_name
+from jaxlangnav.sensing import said
 
 _TYPE = "type:"
 _MOST_TOLD = 12
@@ -138,15 +140,20 @@ class Detector:
 
 def _names_in(names: Iterable[str], what: str) -> tuple[str, ...]:
     """Take names one by one, and refuse what is none."""
-    if isinstance(names, str | bytes) or not isinstance(names, Iterable):
-        raise ValueError(f"{what} is {shown(names)}, but must be a list of names")
-    found = tuple(names)
-    for place, name in enumerate(found):
+    try:
+        rows = None if isinstance(names, str | bytes) else iter(names)
+    except TypeError:
+        rows = None
+    if rows is None:
+        raise ValueError(f"{what} is {said(names)}, but must be a list of names")
+    found: list[str] = []
+    for place, name in enumerate(itertools.islice(rows, MOST_LABELS)):
         if not isinstance(name, str):
-            raise ValueError(f"{what}[{place}] is {shown(name)}, but must be a name (a text)")
+            raise ValueError(f"{what}[{place}] is {said(name)}, but must be a name (a text)")
         if fault := fault_of_name(name):
-            raise ValueError(f"{what}[{place}], {shown(printable(name))}, {fault}")
-    return found
+            raise ValueError(f"{what}[{place}], {said(name)}, {fault}")
+        found.append(name)
+    return tuple(found)
 
 
 def _fault_of(labels: Sequence[str], names: Sequence[str]) -> str:

@@ -18,6 +18,7 @@ from jaxlangnav.grounding.annotation import Belief, RankedAnnotations
 from jaxlangnav.grounding.symbols import OBJECT, REGION, Annotation
 from jaxlangnav.kinds import is_anything
 from jaxlangnav.messages import BETWEEN, NONE, ROBOT, Readings
+from jaxlangnav.plain_text import shown
 from jaxlangnav.pytree import replace
 
 NUM_READINGS, NUM_MENTIONS, NUM_RELATIONS_SAID = 4, 6, 4
@@ -37,9 +38,10 @@ class Capacity:
             ("num_relations", NUM_RELATIONS_SAID),
         ):
             value = getattr(self, name)
-            if value < least:
+            if not isinstance(value, int) or value < least:
                 raise ValueError(
-                    f"{name} is {value}, but must be at least {least}: what one sentence may say"
+                    f"{name} is {shown(value)}, but must be a whole number and at least {least}: "
+                    "what one sentence may say"
                 )
 
 

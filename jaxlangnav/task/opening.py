@@ -15,6 +15,7 @@ from jaxlangnav.episode import Task
 from jaxlangnav.experiments.tasks import cell, make_tasks
 from jaxlangnav.grounding.binding import Detector
 from jaxlangnav.grounding.instruction import Understanding
+from jaxlangnav.messages import SensorParams, default_sensor
 from jaxlangnav.pytree import replace
 from jaxlangnav.task.labelled import is_among, meant_goals, with_goal
 from jaxlangnav.world.files import open_world, shipped_worlds
@@ -157,6 +158,30 @@ def slots_of(world: str) -> int:
     return place.scenario.is_object.size if isinstance(place, WorldFile) else NUM_SLOTS
 
 
+def sensor_of(world: str, sensing_range: float | None) -> SensorParams:
+    """Tell what a world says of the robot's detector.
+
+    Args:
+        world: a template, a shipped world or a file.
+        sensing_range: metres, in place of the world's own.
+
+    Returns:
+        The specification.
+
+    Raises:
+        ValueError: no such world, or a bad file.
+    """
+    place = open_world(world)
+    return _seen(place.sensor if isinstance(place, WorldFile) else default_sensor(), sensing_range)
+
+
+def _seen(sensor: SensorParams, sensing_range: float | None) -> SensorParams:
+    """Put another range in place of a detector's own, if one is given."""
+    if sensing_range is None:
+        return sensor
+    return replace(sensor, range_max=jnp.float32(sensing_range))
+
+
 def nothing_there(world: str, counts: Sequence[tuple[str, int]], missing: Sequence[str]) -> str:
     """Say that a template has nothing of what is asked for.
 
@@ -218,14 +243,11 @@ def count_types(scenario: Scenario, names: Sequence[str]) -> list[tuple[str, int
 
 def _task_in(world: WorldFile, sensing_range: float | None, seed: int) -> Task:
     """Prepare an episode in a world that somebody has written down."""
-    sensor = world.sensor
-    if sensing_range is not None:
-        sensor = replace(sensor, range_max=jnp.float32(sensing_range))
     return Task(
         key=jax.random.key(seed),
         scenario=world.scenario,
         instruction_index=jax.device_put(np.int32(0)),
-        sensor=sensor,
+        sensor=_seen(world.sensor, sensing_range),
         motion=world.motion,
     )
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxlangnav.detections import SLOTS
-from jaxlangnav.files.limits import SHORTEST
+from jaxlangnav.files.limits import RANGES, SHORTEST, SMALLEST
 from jaxlangnav.kinds import ATTRIBUTES, attributes
 from jaxlangnav.language.lexicon import load_lexicon, type_called
 from jaxlangnav.language.spelling import repair
@@ -208,15 +208,16 @@ def _read_goal(
 
 def _read_sensor(fields: Fields) -> SensorParams:
     """Read the detector's specification."""
+    reach = fields.number("range", low=RANGES[0], high=RANGES[1], default=3.0)
     sensor = SensorParams(
-        range_max=jnp.float32(fields.number("range", low=SHORTEST, default=3.0)),
+        range_max=jnp.float32(reach),
         field_of_view=jnp.float32(
             math.radians(fields.number("field_of_view", low=_LEAST_VIEW, high=360.0, default=360.0))
         ),
         detection_probability=jnp.float32(
-            fields.number("detection_probability", low=0.0, high=1.0, default=0.95)
+            fields.number("detection_probability", low=SMALLEST, high=1.0, default=0.95)
         ),
-        noise=jnp.float32(fields.number("noise", low=0.0, default=0.1)),
+        noise=jnp.float32(fields.number("noise", low=0.0, high=reach, default=min(0.1, reach))),
     )
     fields.close("range", "field_of_view", "detection_probability", "noise")
     return sensor
