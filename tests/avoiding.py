@@ -9,6 +9,7 @@ line for each number of things avoided and each range of sight:
 
 import argparse
 import functools
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -63,23 +64,46 @@ def robot_of(policy: str = "informed") -> jaxlangnav.Navigator:
     return jaxlangnav.Navigator.pretrained(policy)
 
 
+def together(robot: jaxlangnav.Navigator) -> Callable[..., Any]:
+    """Step LANES robots in one program of their own."""
+    return functools.partial(_stepper(robot.config), robot.params)
+
+
 @functools.lru_cache
 def _stepper(config: Any) -> Any:
-    def one(key: Any, state: Any, seen: Any, params: Any) -> Any:
+    def one(params: Any, key: Any, state: Any, seen: Any) -> Any:
         state, action, _ = navigator.step(key, state, seen, params=params, config=config)
         return state, (action.step, action.status)
 
-    return jax.jit(jax.vmap(one, in_axes=(0, 0, 0, None)), compiler_options=_OFTEN)
+    return jax.jit(jax.vmap(one, in_axes=(None, 0, 0, 0)), compiler_options=_OFTEN)
+
+
+def one_by_one(robot: jaxlangnav.Navigator) -> Callable[..., Any]:
+    """Step one robot after the other through ``Navigator.step``, whose program others share."""
+
+    def step(keys: Any, states: Any, looks: Any) -> Any:
+        told = []
+        for lane in range(len(keys)):
+            state, look = jax.tree.map(lambda leaf, n=lane: leaf[n], (states, looks))
+            state, action, _ = robot.step(keys[lane], state, look)
+            told.append((state, (action.step, action.status)))
+        return jax.tree.map(lambda *leaves: jnp.stack(leaves), *told)
+
+    return step
 
 
 def _look(
-    random: np.random.Generator, place: np.ndarray, position: np.ndarray, sight: float
+    random: np.random.Generator,
+    place: np.ndarray,
+    position: np.ndarray,
+    sight: float,
+    misses: float,
 ) -> list[tuple[int, float, float]]:
     """Detect kind, range and bearing of what is in sight."""
     found = []
     for kind, at in enumerate(place):
         span = at - position
-        if np.hypot(*span) <= sight and random.uniform() >= MISSES:
+        if np.hypot(*span) <= sight and random.uniform() >= misses:
             x, y = span + random.normal(0.0, NOISE, 2)
             found.append((kind, float(np.hypot(x, y)), float(np.arctan2(y, x))))
     return found
@@ -87,8 +111,9 @@ def _look(
 
 def _observe(positions: np.ndarray, found: list[Any], sight: float) -> messages.Observation:
     names = robot_of().type_names
-    kind = np.full((LANES, DETECTIONS), messages.NONE, np.int32)
-    metres, bearing = np.zeros((2, LANES, DETECTIONS), np.float32)
+    number = len(found)
+    kind = np.full((number, DETECTIONS), messages.NONE, np.int32)
+    metres, bearing = np.zeros((2, number, DETECTIONS), np.float32)
     for lane, detections in enumerate(found):
         for slot, (index, far, turn) in enumerate(detections):
             kind[lane, slot] = names.index(KINDS[index])
@@ -103,12 +128,19 @@ def _observe(positions: np.ndarray, found: list[Any], sight: float) -> messages.
         detection_range=jnp.asarray(metres),
         detection_bearing=jnp.asarray(bearing),
         is_detection=jnp.asarray(kind != messages.NONE),
-        sensor=jax.tree.map(lambda leaf: jnp.full((LANES,), leaf, jnp.float32), sensor),
+        sensor=jax.tree.map(lambda leaf: jnp.full((number,), leaf, jnp.float32), sensor),
     )
 
 
 def drive(
-    places: list[np.ndarray], text: str, seeds: list[int], *, sight: float, policy: str = "informed"
+    places: list[np.ndarray],
+    text: str,
+    seeds: list[int],
+    *,
+    sight: float,
+    misses: float = MISSES,
+    policy: str = "informed",
+    stepping: Callable[..., Callable[..., Any]] = together,
 ) -> list[Ride]:
     """Drive one episode a place, LANES at a time.
 
@@ -117,25 +149,29 @@ def drive(
         text: what the robot is told.
         seeds: of each episode.
         sight: metres, all round.
+        misses: probability that a look does not show what is in sight.
         policy: of the robot.
+        stepping: whether they decide together or one by one.
 
     Returns:
         The episodes.
     """
     robot, rides = robot_of(policy), []
-    first = robot.start(text, area=AREA)
-    step = _stepper(robot.config)
-    for begin in range(0, len(places), LANES):
-        some = [(begin + lane) % len(places) for lane in range(LANES)]
+    first, step = robot.start(text, area=AREA), stepping(robot)
+    lanes = LANES if stepping is together else len(places)
+    for begin in range(0, len(places), lanes):
+        some = [(begin + lane) % len(places) for lane in range(lanes)]
         randoms = [np.random.default_rng([seeds[n], 7]) for n in some]
         root = jax.vmap(jax.random.key)(jnp.asarray([seeds[n] for n in some]))
-        state = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (LANES, *leaf.shape)), first)
-        position, ended = np.zeros((LANES, 2)), np.zeros(LANES, int)
+        state = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (lanes, *leaf.shape)), first)
+        position, ended = np.zeros((lanes, 2)), np.zeros(lanes, int)
         paths = [[np.zeros(2)] for _ in some]
         for number in range(STEPS):
-            found = [_look(randoms[k], places[n], position[k], sight) for k, n in enumerate(some)]
+            found = [
+                _look(randoms[k], places[n], position[k], sight, misses) for k, n in enumerate(some)
+            ]
             keys = jax.vmap(jax.random.fold_in, in_axes=(0, None))(root, number)
-            state, told = step(keys, state, _observe(position, found, sight), robot.params)
+            state, told = step(keys, state, _observe(position, found, sight))
             move, status = (np.asarray(leaf) for leaf in told)
             is_over = (ended > messages.Status.APPROACHING) | (status > messages.Status.APPROACHING)
             ended = np.where(ended > messages.Status.APPROACHING, ended, status)

@@ -3,10 +3,11 @@
 A metre of way within the ``BERTH`` B of things k, forbidden with probability p_k, costs as many
 metres more as it is deep in it:
 
-    c Σ_k p_k max(0, 1 − d_k² / B²)
+    c Σ_k p_k max(0, 1 − d_k / B)²
 
-so that inside the berth the way out is cheaper than the way through. ``detours`` finds the cheapest
-ways; stops of tours are put outside where one sees in from there (``keep_out``).
+so that inside the berth the way out is cheaper than the way through, and in a gap its midst.
+``detours`` finds the cheapest ways; stops of tours are put outside where one sees in from there
+(``keep_out``).
 """
 
 import jax
@@ -17,7 +18,7 @@ from jax import Array
 from jaxlangnav.pytree import pytree
 from jaxlangnav.semantic_map.belief import ParticleBelief
 
-BERTH = 2.15
+BERTH = 2.25
 """Metres around an object that a constraint forbids: two, and what its place may be out by."""
 MOST_FORBIDDEN = 6
 """Forbidden objects that count, the nearest ones."""
@@ -73,9 +74,9 @@ def forbidden_objects(
 def price_along(from_x: Array, from_y: Array, to_x: Array, to_y: Array, things: Forbidden) -> Array:
     """Integrate along straight ways what it costs to come near forbidden things.
 
-        c Σ_k p_k ∫ max(0, 1 − d_k(s)² / B²) ds
+        c Σ_k p_k ∫ max(0, 1 − d_k(s) / B)² ds
 
-    Limits: 0 outside all berths; 4 c p B / 3 from side to side through the midst of one.
+    Limits: 0 outside all berths; 2 c p B / 3 from side to side through the midst of one.
 
     Args:
         from_x: f32[...], metres, map frame; all four broadcast to the same shape.
@@ -95,12 +96,20 @@ def price_along(from_x: Array, from_y: Array, to_x: Array, to_y: Array, things: 
         offset_x, offset_y = x - from_x, y - from_y
         foot = offset_x * unit_x + offset_y * unit_y
         aside = offset_x * unit_y - offset_y * unit_x
-        left = jnp.maximum(BERTH**2 - aside * aside, 0.0)
-        half = jnp.sqrt(left)
-        enter, leave = jnp.clip(-foot, -half, half), jnp.clip(length - foot, -half, half)
-        area = left * (leave - enter) - (leave**3 - enter**3) / 3.0
-        total = total + price * area / BERTH**2
+        half = jnp.sqrt(jnp.maximum(BERTH**2 - aside * aside, 0.0))
+        ends = (jnp.clip(end, -half, half) for end in (-foot, length - foot))
+        before, until = (_antiderivative(end, aside) for end in ends)
+        total = total + price * (until - before)
     return total
+
+
+def _antiderivative(along: Array, aside: Array) -> Array:
+    """Evaluate ∫ (1 − d / B)² ds of d² = s² + a², metres; s from the foot of the perpendicular."""
+    least = jnp.maximum(jnp.abs(aside), 1e-4)
+    distance = jnp.sqrt(along * along + least * least)
+    of_distance = 0.5 * (along * distance + least * least * jnp.arcsinh(along / least))
+    of_square = along**3 / 3.0 + least * least * along
+    return along - 2.0 / BERTH * of_distance + of_square / BERTH**2
 
 
 def price_of_stop(x: Array, y: Array, things: Forbidden) -> Array:
@@ -118,9 +127,8 @@ def price_of_stop(x: Array, y: Array, things: Forbidden) -> Array:
     """
     total = jnp.zeros_like(x)
     for at_x, at_y, price in zip(things.x, things.y, things.price, strict=True):
-        away = jnp.sqrt(jnp.minimum((x - at_x) ** 2 + (y - at_y) ** 2, BERTH**2) + 1e-12)
-        into = (BERTH - away) - (BERTH**3 - away**3) / (3.0 * BERTH**2)
-        total = total + 2.0 * price * jnp.maximum(into, 0.0)
+        away = jnp.sqrt((x - at_x) ** 2 + (y - at_y) ** 2 + 1e-12)
+        total = total + price * 2.0 * BERTH / 3.0 * jnp.maximum(1.0 - away / BERTH, 0.0) ** 3
     return total
 
 

@@ -5,6 +5,7 @@ number closes its node, and nobody stops unless something that has been seen and
 within reach.
 """
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -14,7 +15,7 @@ from jaxlangnav.planner.asking import Doubt, doubt_of
 from jaxlangnav.planner.blocked import open_nodes
 from jaxlangnav.planner.detours import detours
 from jaxlangnav.planner.goals import Goals
-from jaxlangnav.planner.graph import FRONTIER, OBJECT_NODE, Nodes
+from jaxlangnav.planner.graph import FRONTIER, OBJECT_NODE
 from jaxlangnav.planner.params import PlannerParams
 from jaxlangnav.planner.situation import Decision, Situation, Valuation, Waypoint
 from jaxlangnav.pytree import replace
@@ -117,15 +118,6 @@ def _is_worth_going(situation: Situation, doubt: Doubt) -> Array:
     return open_nodes(nodes, situation.way).is_node & (~doubt.looks_on | ~is_object) & is_away
 
 
-def _places(situation: Situation, kept: Waypoint | None) -> Nodes:
-    """Put behind the nodes what was under way already, if it is active, or where the robot is."""
-    x, y, kind = situation.robot_x, situation.robot_y, jnp.int32(FRONTIER)
-    if kept is not None:
-        x, y = jnp.where(kept.is_active, kept.x, x), jnp.where(kept.is_active, kept.y, y)
-        kind = jnp.where(kept.is_active, kept.kind, kind)
-    return graph.put_last(x, y, kind, situation.nodes)
-
-
 def decide(
     situation: Situation,
     valuation: Valuation,
@@ -152,35 +144,44 @@ def decide(
     """
     _require_one_a_node(situation, valuation)
     nodes, goals, params = situation.nodes, situation.goals, situation.params
-    places = _places(situation, kept)
-    spare = jnp.where(places.kind == OBJECT_NODE, APPROACH * params.reach, 0.0)
-    way = detours(situation, places.x, places.y, spare)
+    here = Waypoint(
+        x=situation.robot_x,
+        y=situation.robot_y,
+        kind=jnp.int32(FRONTIER),
+        is_active=jnp.asarray(False),
+    )
+    kept = here if kept is None else kept
+    last = jax.tree.map(lambda one, other: jnp.where(kept.is_active, one, other), kept, here)
+    x, y, kind = (
+        jnp.append(getattr(nodes, name), getattr(last, name)) for name in ("x", "y", "kind")
+    )
+    way = detours(situation, x, y, jnp.where(kind == OBJECT_NODE, APPROACH * params.reach, 0.0))
     worth = valuation.goal_value + valuation.information_value
-    longer = way.metres[: nodes.x.shape[0]]
+    longer = way.metres[:-1]
     share = longer / (longer + _HALF_WORTH)
-    cost = jnp.where(longer > 0.0, share * jnp.maximum(worth, 0.0), 0.0)
+    cost = jnp.where(longer > 0.0, share * jnp.minimum(jnp.abs(worth), 1e9), 0.0)
     value = worth - cost
     doubt = _own_doubt(situation) if doubt is None else doubt
     value = jnp.where(_is_worth_going(situation, doubt) & ~jnp.isnan(value), value, -jnp.inf)
-    is_kept = jnp.asarray(False) if kept is None else kept.is_active
-    is_last = is_kept | jnp.all(value == -jnp.inf)
+    # The last place is what was under way already, or where the robot is.
+    is_last = kept.is_active | jnp.all(value == -jnp.inf)
     index = jnp.where(is_last, value.shape[0], jnp.argmax(value))
-    to, first = row_of(places, index), row_of(way, index)
+    (to_x, to_y, to_kind), first = row_of((x, y, kind), index), row_of(way, index)
     mass = valuation.stop_mass
     is_sure = (mass >= params.stop_probability) & jnp.isfinite(mass)
     doubt = replace(doubt, asks=doubt.asks & ~situation.stands)
     may_stop = situation.may_stop & ~doubt.looks_on & ~doubt.asks
-    is_goal = has_goal(goals, to.x, to.y, params.reach, situation.belief.terrain.view)
+    is_goal = has_goal(goals, to_x, to_y, params.reach, situation.belief.terrain.view)
     return Decision(
-        waypoint_x=to.x,
-        waypoint_y=to.y,
-        kind=to.kind,
+        waypoint_x=to_x,
+        waypoint_y=to_y,
+        kind=to_kind,
         is_stop=is_sure & may_stop,
         next_x=first.x,
         next_y=first.y,
-        is_approach=(to.kind == OBJECT_NODE) & is_goal,
+        is_approach=(to_kind == OBJECT_NODE) & is_goal,
         is_not_found=jnp.asarray(False),
-        is_kept=is_kept,
+        is_kept=kept.is_active,
         nodes=nodes,
         value=value,
         goal_value=valuation.goal_value,

@@ -147,13 +147,3 @@ def put_first(x: Array, y: Array, is_node: Array, nodes: Nodes) -> Nodes:
         is_node=jnp.concatenate([is_node, nodes.is_node]),
         kind=jnp.concatenate([jnp.full(x.shape, FRONTIER, jnp.int32), nodes.kind]),
     )
-
-
-def put_last(x: Array, y: Array, kind: Array, nodes: Nodes) -> Nodes:
-    """Put one more place behind nodes, leaves [A + 1]; f32[] metres, map frame, and i32[]."""
-    return Nodes(
-        x=jnp.append(nodes.x, x),
-        y=jnp.append(nodes.y, y),
-        is_node=jnp.append(nodes.is_node, True),
-        kind=jnp.append(nodes.kind, kind),
-    )

@@ -64,7 +64,7 @@ def default_planner_params() -> PlannerParams:
         ahead=jnp.float32(0.0),
         give_up=jnp.float32(0.15),
         absent=jnp.float32(0.0),
-        constraint_cost=jnp.float32(20.0),
+        constraint_cost=jnp.float32(100.0),
         question_cost=jnp.float32(jnp.inf),
         look_cost=jnp.float32(0.001),
     )
