@@ -136,7 +136,10 @@ def test_commands_without_settings_do_not_know_them(capsys: pytest.CaptureFixtur
         (["follow", TEXT, "--sensor.noise", "1", "--range", "0.5"], "between 0 and 0.5"),
         (["follow", TEXT, "--range", "0.005"], "--range is 0.005, but must be between 0.01 m"),
         (["follow", TEXT, "--sensor.false-detections", "101"], "at most 100"),
-        (["follow", TEXT, "--sensor.field-of-view", "0.0001"], "at least 0.001 and at most 6.28319 rad"),
+        (
+            ["follow", TEXT, "--sensor.field-of-view", "0.0001"],
+            "at least 0.001 and at most 6.28319 rad",
+        ),
         (
             ["reproduce", "table2", "--sensor.noise", "5"],
             "noise is 5, but must lie between 0 and 3",

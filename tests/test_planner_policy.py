@@ -10,7 +10,6 @@ from situations import CHOOSE, nodes_at, seen_goal, situation
 from jaxlangnav.messages import NONE, RIGHT, ROBOT
 from jaxlangnav.planner import policy, tours
 from jaxlangnav.planner.config import SHIPPED
-from jaxlangnav.planner.constraints import constraint_cost, squared_distance_to_segment
 from jaxlangnav.planner.endings import Chances, chance_left, chances
 from jaxlangnav.planner.faithful import no_waypoint
 from jaxlangnav.planner.goals import Goals
@@ -49,33 +48,6 @@ def believe(hypotheses, *, is_hung: bool, log_miss=None):
 
 def random_places(seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).uniform([0.0, -5.0], [10.0, 5.0], (P, 2))
-
-
-def test_distance_to_a_segment_by_hand() -> None:
-    for point, start, end, expected in (
-        ((0.0, 1.0), (0.0, 0.0), (2.0, 0.0), 1.0),
-        ((-3.0, 4.0), (0.0, 0.0), (2.0, 0.0), 25.0),
-        ((5.0, 0.0), (0.0, 0.0), (2.0, 0.0), 9.0),
-        ((1.0, 1.0), (0.0, 0.0), (2.0, 2.0), 0.0),
-        ((3.0, 4.0), (0.0, 0.0), (0.0, 0.0), 25.0),
-    ):
-        value = squared_distance_to_segment(*(jnp.float32(v) for v in (*point, *start, *end)))
-        assert abs(float(value) - expected) < 1e-4
-
-
-def test_ways_past_what_is_to_be_avoided_cost_and_no_others() -> None:
-    """A cone at (3, 0) that is forbidden in a quarter of the maps: only the ways past it cost."""
-    belief = by_hand.with_objects(by_hand.begin(config=CONFIG), [(by_hand.CONE, 3.0, 0.0)])
-    forbidden = np.zeros((7, SLOTS + by_hand.M + 1, P), np.float32)
-    forbidden[6, 0, : P // 4] = 1.0
-    zero = jnp.float32(0.0)
-    all_three = nodes_at([4.0, 1.0, 6.0], [3.0, 0.0, 0.0], [FRONTIER, VISITED, OBJECT_NODE])
-    cost = constraint_cost(belief, jnp.asarray(forbidden), all_three, zero, zero, jnp.float32(2.0))
-    # Of the nodes at (4, 3), (1, 0) and (6, 0) the second is just out of its berth of 2 m.
-    away = replace(all_three, x=jnp.array([4.0, 0.9, 6.0]), y=jnp.array([4.0, 0.0, 0.0]))
-    found = constraint_cost(belief, jnp.asarray(forbidden), away, zero, zero, jnp.float32(2.0))
-    np.testing.assert_allclose(found, [0.0, 0.0, 0.5], atol=1e-5)
-    assert float(cost[0]) == pytest.approx(0.5, abs=1e-5)
 
 
 def test_hung_hypotheses_count_where_they_are() -> None:
@@ -188,13 +160,17 @@ def test_faithful_takes_the_node_of_highest_value() -> None:
     assert int(choice.kind) == FRONTIER
 
 
-def test_a_cost_turns_it_away() -> None:
-    """A cone a metre beside the way to the object: in an eighth of the maps, and then in all."""
-    aims, cone = goals(0.6, hypothesis=0.3), [(by_hand.CONE, 5.0, -1.0)]
-    doubted = choose(aims, places=cone, forbidden=0.125)
-    np.testing.assert_allclose(doubted.cost, [0.0, 0.0, 0.125], atol=1e-6)
-    assert int(doubted.kind) == OBJECT_NODE
-    assert int(choose(aims, places=cone, forbidden=1.0).kind) != OBJECT_NODE
+def test_what_is_to_be_avoided_costs_and_is_gone_round() -> None:
+    """A cone beside the object, in a quarter of the maps and then in all."""
+    aims, cone = goals(0.4, hypothesis=0.3), [(by_hand.CONE, 5.0, -1.0)]
+    freely, doubted, surely = (
+        choose(aims, places=cone, forbidden=share) for share in (0.0, 0.25, 1.0)
+    )
+    np.testing.assert_array_equal(freely.cost, 0.0)
+    assert 0.0 == float(surely.cost[0]) < float(doubted.cost[2]) <= float(surely.cost[2])
+    assert int(freely.kind) == int(surely.kind) == OBJECT_NODE
+    assert float(freely.next_y) == 0.0
+    assert float(surely.next_y) > 0.5
 
 
 @pytest.mark.parametrize(

@@ -299,7 +299,7 @@ def _decide(
     memory, choice = policy.choose(
         config.planner.chosen, jax.random.fold_in(key, _PLANNING), state.memory, situation
     )
-    robot, waypoint = (robot_x, robot_y), (choice.waypoint_x, choice.waypoint_y)
+    robot, waypoint = (robot_x, robot_y), (choice.next_x, choice.next_y)
     is_under_way = ~outlook.stands & ~choice.is_stop & ~choice.is_not_found & ~choice.doubt.asks
     way = keep_watch(state.way, waypoint, robot, is_under_way, patience=config.patience)
     return replace(state, visited=visited, memory=memory, way=way), choice

@@ -12,9 +12,6 @@ from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.belief import mean_drift
 from jaxlangnav.semantic_map.motion import rotated
 
-_APPROACH = 0.9
-"""Share of ``reach`` at which the robot halts before an object that it goes to."""
-
 
 def _is_last_clause(state: NavigatorState) -> Array:
     """Tell whether nothing follows the present command, bool[]."""
@@ -54,7 +51,7 @@ def act(
     mode = jnp.argmax(outlook.expected.mode)
     speed, clearance = params.mode_speed[mode], params.mode_clearance[mode]
     robot = jnp.stack([outlook.robot_x, outlook.robot_y])
-    waypoint = jnp.stack([choice.waypoint_x, choice.waypoint_y])
+    waypoint = jnp.stack([choice.next_x, choice.next_y])
     stands = outlook.stands | (state.is_done & ~choice.is_stop)
     waypoint = jnp.where(stands, robot, waypoint)
     travel = state.belief.terrain.travel
@@ -62,7 +59,8 @@ def act(
     next_x, next_y = travel.next_place(*here, *there)
     left, distance = travel.metres(*here, *there), travel.metres(*here, next_x, next_y)
     # A thing is gone up to, not into; anything else is a place to stand on.
-    spare = jnp.where(choice.kind == graph.OBJECT_NODE, _APPROACH * params.planner.reach, 0.0)
+    is_thing = (choice.kind == graph.OBJECT_NODE) & ~choice.turns
+    spare = jnp.where(is_thing, policy.APPROACH * params.planner.reach, 0.0)
     length = jnp.clip(left - spare, 0.0, params.map.motion.step_length * speed)
     length = jnp.where(choice.is_stop, 0.0, jnp.minimum(length, distance))
     is_idle = state.instruction.num_clauses == 0

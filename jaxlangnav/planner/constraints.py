@@ -1,71 +1,163 @@
-"""What is to be kept away from: nodes whose way leads past it are charged (section 3.4; ours)."""
+"""What a constraint forbids, and what it costs to come near it (section 3.4; ours).
 
+A metre of way within the ``BERTH`` B of things k, forbidden with probability p_k, costs as many
+metres more as it is deep in it:
+
+    c Σ_k p_k max(0, 1 − d_k / B)²
+
+so that inside the berth the way out is cheaper than the way through, and in a gap its midst.
+``detours`` finds the cheapest ways; stops of tours are put outside where one sees in from there
+(``keep_out``).
+"""
+
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
-from jaxlangnav.planner.graph import Nodes
+from jaxlangnav.pytree import pytree
 from jaxlangnav.semantic_map.belief import ParticleBelief
 
-BERTH = 2.0
-"""Metres around an object that a constraint forbids."""
+BERTH = 2.25
+"""Metres around an object that a constraint forbids: two, and what its place may be out by."""
+MOST_FORBIDDEN = 6
+"""Forbidden objects that count, the nearest ones."""
+NUM_TURNS = 12
+"""Corners at which an object is gone round: their polygon just touches the berth."""
+RADIUS = float(BERTH / np.cos(np.pi / NUM_TURNS))
+"""Metres from an object to these corners."""
+_LEAST = 0.05
+"""Probability from which on an object counts as forbidden."""
 
 
-def squared_distance_to_segment(
-    x: Array, y: Array, from_x: Array, from_y: Array, to_x: Array, to_y: Array
-) -> Array:
-    """Compute squared distances of points to segments.
+@pytree
+class Forbidden:
+    """What is to be kept away from; K = MOST_FORBIDDEN."""
 
-    Limits: a segment of no length is a point.
-
-    Args:
-        x: f32[...], points, metres.
-        y: f32[...].
-        from_x: f32[...], segment ends, broadcastable to the points.
-        from_y: f32[...].
-        to_x: f32[...].
-        to_y: f32[...].
-
-    Returns:
-        f32[...], square metres.
-    """
-    span_x, span_y = to_x - from_x, to_y - from_y
-    length = span_x * span_x + span_y * span_y + 1e-9
-    along = jnp.clip(((x - from_x) * span_x + (y - from_y) * span_y) / length, 0.0, 1.0)
-    return (x - from_x - along * span_x) ** 2 + (y - from_y - along * span_y) ** 2
+    x: Array  # f32[K] metres, map frame
+    y: Array  # f32[K]
+    price: Array  # f32[K] c p, what a metre of way costs right beside it; 0 where there is none
 
 
-def constraint_cost(
-    belief: ParticleBelief,
-    constraint: Array,
-    nodes: Nodes,
-    robot_x: Array,
-    robot_y: Array,
-    cost: Array,
-) -> Array:
-    """Charge each node for the probability that the straight way to it passes a forbidden object.
-
-    Of several objects on the way the likeliest counts; hypotheses do not.
+def forbidden_objects(
+    belief: ParticleBelief, constraint: Array, robot_x: Array, robot_y: Array, cost: Array
+) -> Forbidden:
+    """Find the observed objects that are forbidden; hypotheses are not.
 
     Args:
         belief: weighted particles.
         constraint: f32[R, N + 1, P], probability that a region of a slot is forbidden.
-        nodes: candidate waypoints.
         robot_x: f32[], metres, map frame.
         robot_y: f32[], metres.
-        cost: f32[], value lost on a way that is surely forbidden.
+        cost: f32[], c, of what is surely forbidden.
 
     Returns:
-        f32[A].
+        The nearest of them, where they are in the particles that forbid them.
     """
     particles = belief.particles
-    weight = jnp.exp(belief.log_weight)
     num_objects = particles.object_type.shape[0]
-    forbidden = jnp.max(constraint, axis=0)[:num_objects]  # [O, P]
-    share = jnp.sum(forbidden * weight[None, :], axis=1)  # [O]
-    x = jnp.sum(particles.mean_x[:num_objects] * weight[None, :], axis=1)
-    y = jnp.sum(particles.mean_y[:num_objects] * weight[None, :], axis=1)
-    squared = squared_distance_to_segment(
-        x[None, :], y[None, :], robot_x, robot_y, nodes.x[:, None], nodes.y[:, None]
+    weight = jnp.max(constraint, axis=0)[:num_objects] * jnp.exp(belief.log_weight)[None, :]
+    share = jnp.sum(weight, axis=1)  # [O]
+    x, y = (
+        jnp.sum(mean[:num_objects] * weight, axis=1) / jnp.maximum(share, 1e-9)
+        for mean in (particles.mean_x, particles.mean_y)
     )
-    near = squared <= jnp.square(BERTH)
-    return cost * jnp.max(jnp.where(near, share[None, :], 0.0), axis=1)
+    share = jnp.where(share >= _LEAST, share, 0.0)
+    squared = jnp.where(share > 0.0, (x - robot_x) ** 2 + (y - robot_y) ** 2, jnp.inf)
+    spare = (0, max(MOST_FORBIDDEN - num_objects, 0))
+    squared = jnp.pad(squared, spare, constant_values=jnp.inf)
+    nearest = jax.lax.top_k(-squared, MOST_FORBIDDEN)[1]
+    x, y, price = (jnp.pad(leaf, spare)[nearest] for leaf in (x, y, cost * share))
+    return Forbidden(x=x, y=y, price=price)
+
+
+def price_along(from_x: Array, from_y: Array, to_x: Array, to_y: Array, things: Forbidden) -> Array:
+    """Integrate along straight ways what it costs to come near forbidden things.
+
+        c Σ_k p_k ∫ max(0, 1 − d_k(s) / B)² ds
+
+    Limits: 0 outside all berths; 2 c p B / 3 from side to side through the midst of one.
+
+    Args:
+        from_x: f32[...], metres, map frame; all four broadcast to the same shape.
+        from_y: f32[...].
+        to_x: f32[...].
+        to_y: f32[...].
+        things: leaves [K].
+
+    Returns:
+        f32[...], metres.
+    """
+    span_x, span_y = to_x - from_x, to_y - from_y
+    length = jnp.sqrt(span_x * span_x + span_y * span_y + 1e-12)
+    unit_x, unit_y = span_x / length, span_y / length
+    total = jnp.zeros_like(length)
+    for x, y, price in zip(things.x, things.y, things.price, strict=True):
+        offset_x, offset_y = x - from_x, y - from_y
+        foot = offset_x * unit_x + offset_y * unit_y
+        aside = offset_x * unit_y - offset_y * unit_x
+        half = jnp.sqrt(jnp.maximum(BERTH**2 - aside * aside, 0.0))
+        ends = (jnp.clip(end, -half, half) for end in (-foot, length - foot))
+        before, until = (_antiderivative(end, aside) for end in ends)
+        total = total + price * (until - before)
+    return total
+
+
+def _antiderivative(along: Array, aside: Array) -> Array:
+    """Evaluate ∫ (1 − d / B)² ds of d² = s² + a², metres; s from the foot of the perpendicular."""
+    least = jnp.maximum(jnp.abs(aside), 1e-4)
+    distance = jnp.sqrt(along * along + least * least)
+    of_distance = 0.5 * (along * distance + least * least * jnp.arcsinh(along / least))
+    of_square = along**3 / 3.0 + least * least * along
+    return along - 2.0 / BERTH * of_distance + of_square / BERTH**2
+
+
+def price_of_stop(x: Array, y: Array, things: Forbidden) -> Array:
+    """Compute what it costs to go straight into the berths as far as places, and out again.
+
+    Limits: 0 outside all berths; as much as a way through at a thing itself.
+
+    Args:
+        x: f32[...], metres, map frame.
+        y: f32[...], metres.
+        things: leaves [K].
+
+    Returns:
+        f32[...], metres.
+    """
+    total = jnp.zeros_like(x)
+    for at_x, at_y, price in zip(things.x, things.y, things.price, strict=True):
+        away = jnp.sqrt((x - at_x) ** 2 + (y - at_y) ** 2 + 1e-12)
+        total = total + price * 2.0 * BERTH / 3.0 * jnp.maximum(1.0 - away / BERTH, 0.0) ** 3
+    return total
+
+
+def keep_out(
+    x: Array, y: Array, things: Forbidden, range_max: Array, area: Array
+) -> tuple[Array, Array]:
+    """Move places out of the berths, where one sees the thing from outside.
+
+    Limits: places outside stay, as all do where nothing is forbidden; out of the area nothing is
+    moved, but to the other side of the thing.
+
+    Args:
+        x: f32[...], metres, map frame.
+        y: f32[...], metres.
+        things: leaves [K].
+        range_max: f32[], sensing range, metres.
+        area: f32[4], operating area, metres.
+
+    Returns:
+        f32[...] x and y, metres, map frame.
+    """
+    for at_x, at_y, price in zip(things.x, things.y, things.price, strict=True):
+        off_x, off_y = x - at_x, y - at_y
+        away = jnp.sqrt(off_x * off_x + off_y * off_y + 1e-12)
+        is_inside = (away < BERTH) & (price > 0.0) & (range_max > RADIUS)
+        out_x, out_y = RADIUS * off_x / away, RADIUS * off_y / away
+        is_in = (at_x + out_x >= area[0]) & (at_x + out_x <= area[1])
+        is_in &= (at_y + out_y >= area[2]) & (at_y + out_y <= area[3])
+        side = jnp.where(is_in, 1.0, -1.0)
+        x = jnp.where(is_inside, at_x + side * out_x, x)
+        y = jnp.where(is_inside, at_y + side * out_y, y)
+    return jnp.clip(x, area[0], area[1]), jnp.clip(y, area[2], area[3])

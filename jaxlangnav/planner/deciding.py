@@ -1,19 +1,21 @@
 """From what waypoints are worth to a decision: rules that are the same for all policies (eq. 10).
 
-A way past what is to be kept away from costs, nobody goes where he stands, a value that is no
+A way round what is to be kept away from costs, nobody goes where he stands, a value that is no
 number closes its node, and nobody stops unless something that has been seen and may be the goal is
 within reach.
 """
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxlangnav.numerics.batching import row_of
 from jaxlangnav.planner import graph
 from jaxlangnav.planner.asking import Doubt, doubt_of
 from jaxlangnav.planner.blocked import open_nodes
-from jaxlangnav.planner.constraints import constraint_cost
+from jaxlangnav.planner.detours import detours
 from jaxlangnav.planner.goals import Goals
-from jaxlangnav.planner.graph import OBJECT_NODE
+from jaxlangnav.planner.graph import FRONTIER, OBJECT_NODE
 from jaxlangnav.planner.params import PlannerParams
 from jaxlangnav.planner.situation import Decision, Situation, Valuation, Waypoint
 from jaxlangnav.pytree import replace
@@ -23,6 +25,10 @@ LEAST_GOAL = 0.01
 """Probability below which an object is no goal: nothing is settled and nothing stops for it."""
 UNDERFOOT = 0.25
 """Metres from a place that count as standing on it; an object is reached from further off."""
+APPROACH = 0.9
+"""Share of ``reach`` at which the robot halts before an object that it goes to."""
+_HALF_WORTH = 10.0
+"""Metres of detour for which a place is worth half as much."""
 
 
 def has_goal(goals: Goals, x: Array, y: Array, radius: Array, view: View) -> Array:
@@ -112,20 +118,6 @@ def _is_worth_going(situation: Situation, doubt: Doubt) -> Array:
     return open_nodes(nodes, situation.way).is_node & (~doubt.looks_on | ~is_object) & is_away
 
 
-def _pick(situation: Situation, value: Array, kept: Waypoint | None) -> Waypoint:
-    """Go to the node that is worth most, or on as before: active is what was under way already."""
-    nodes, best = situation.nodes, jnp.argmax(value)
-    is_nowhere = jnp.all(value == -jnp.inf)
-    x = jnp.where(is_nowhere, situation.robot_x, nodes.x[best])
-    y = jnp.where(is_nowhere, situation.robot_y, nodes.y[best])
-    kind, is_kept = nodes.kind[best], jnp.asarray(False)
-    if kept is not None:
-        is_kept = kept.is_active
-        x, y = jnp.where(is_kept, kept.x, x), jnp.where(is_kept, kept.y, y)
-        kind = jnp.where(is_kept, kept.kind, kind)
-    return Waypoint(x=x, y=y, kind=kind, is_active=is_kept)
-
-
 def decide(
     situation: Situation,
     valuation: Valuation,
@@ -152,27 +144,44 @@ def decide(
     """
     _require_one_a_node(situation, valuation)
     nodes, goals, params = situation.nodes, situation.goals, situation.params
-    robot_x, robot_y = situation.robot_x, situation.robot_y
-    cost = constraint_cost(
-        situation.belief, situation.constraint, nodes, robot_x, robot_y, params.constraint_cost
+    here = Waypoint(
+        x=situation.robot_x,
+        y=situation.robot_y,
+        kind=jnp.int32(FRONTIER),
+        is_active=jnp.asarray(False),
     )
-    value = valuation.goal_value + valuation.information_value - cost
+    kept = here if kept is None else kept
+    last = jax.tree.map(lambda one, other: jnp.where(kept.is_active, one, other), kept, here)
+    x, y, kind = (
+        jnp.append(getattr(nodes, name), getattr(last, name)) for name in ("x", "y", "kind")
+    )
+    way = detours(situation, x, y, jnp.where(kind == OBJECT_NODE, APPROACH * params.reach, 0.0))
+    worth = valuation.goal_value + valuation.information_value
+    longer = way.metres[:-1]
+    share = longer / (longer + _HALF_WORTH)
+    cost = jnp.where(longer > 0.0, share * jnp.minimum(jnp.abs(worth), 1e9), 0.0)
+    value = worth - cost
     doubt = _own_doubt(situation) if doubt is None else doubt
     value = jnp.where(_is_worth_going(situation, doubt) & ~jnp.isnan(value), value, -jnp.inf)
-    to = _pick(situation, value, kept)
+    # The last place is what was under way already, or where the robot is.
+    is_last = kept.is_active | jnp.all(value == -jnp.inf)
+    index = jnp.where(is_last, value.shape[0], jnp.argmax(value))
+    (to_x, to_y, to_kind), first = row_of((x, y, kind), index), row_of(way, index)
     mass = valuation.stop_mass
     is_sure = (mass >= params.stop_probability) & jnp.isfinite(mass)
     doubt = replace(doubt, asks=doubt.asks & ~situation.stands)
     may_stop = situation.may_stop & ~doubt.looks_on & ~doubt.asks
-    is_goal = has_goal(goals, to.x, to.y, params.reach, situation.belief.terrain.view)
+    is_goal = has_goal(goals, to_x, to_y, params.reach, situation.belief.terrain.view)
     return Decision(
-        waypoint_x=to.x,
-        waypoint_y=to.y,
-        kind=to.kind,
+        waypoint_x=to_x,
+        waypoint_y=to_y,
+        kind=to_kind,
         is_stop=is_sure & may_stop,
-        is_approach=(to.kind == OBJECT_NODE) & is_goal,
+        next_x=first.x,
+        next_y=first.y,
+        is_approach=(to_kind == OBJECT_NODE) & is_goal,
         is_not_found=jnp.asarray(False),
-        is_kept=to.is_active,
+        is_kept=kept.is_active,
         nodes=nodes,
         value=value,
         goal_value=valuation.goal_value,

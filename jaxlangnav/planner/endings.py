@@ -39,6 +39,8 @@ from jaxlangnav.semantic_map.params import MapParams
 
 MOST_UNLOOKED = 0.01
 """u above which nothing is given up as nowhere in a thorough search."""
+MOST_UNLOOKED_ROUND = 0.002
+"""The same where something forbidden is gone round: what it hides lies in one place."""
 
 
 def chance_left(unseen: Array, concentration: Array, misleading: Array, clumping: Array) -> Array:

@@ -14,7 +14,7 @@ from jax import Array
 
 from jaxlangnav.planner import graph, qmdp, search, tours
 from jaxlangnav.planner.asking import doubt_of
-from jaxlangnav.planner.endings import MOST_UNLOOKED, Chances, chances
+from jaxlangnav.planner.endings import MOST_UNLOOKED, MOST_UNLOOKED_ROUND, Chances, chances
 from jaxlangnav.planner.latency import Tour
 from jaxlangnav.planner.policy import (
     LEAST_GOAL,
@@ -78,7 +78,7 @@ class Informed(Policy):
         plan = tours.plan(
             key,
             memory,
-            replace(unseen, nowhere=chance.nowhere),
+            replace(unseen, nowhere=chance.nowhere, forbidden=situation.forbidden),
             situation.robot_x,
             situation.robot_y,
             situation.sensor,
@@ -154,7 +154,10 @@ def judge(situation: Situation, plan: tours.Plan, chance: Chances) -> Judgement:
     has_seen = jnp.any(goals.is_object[:-1])
     is_over = jnp.where(has_seen, chance.fitting, chance.any) < params.give_up
     if situation.is_thorough:
-        is_over = is_over & (chance.unlooked <= MOST_UNLOOKED)
+        # What is gone round hides more in one place than what is left over here and there.
+        is_round = jnp.any(situation.forbidden.price > 0.0)
+        most = jnp.where(is_round, MOST_UNLOOKED_ROUND, MOST_UNLOOKED)
+        is_over = is_over & (chance.unlooked <= most)
     goals = replace(
         goals,
         object_confirmed=jnp.where(has_looked, goals.object_accepted, goals.object_confirmed),

@@ -15,6 +15,9 @@ at before that is known, in whatever order, and the way until then is what count
 
     L' = (1 − q) L + q M (T + mean_{c missed} |c − q_K| + B / 2R + G),   M = Σ_c m_c
 
+Where something is forbidden, what is missed within its berth is as much farther away as it costs to
+go in (``constraints``): as a rule it is looked at from outside.
+
 In a *thorough* search, which may have to look at all of the area, G is the way between the patches
 that the tour would leave (``sweeps``); it is 0 otherwise.
 """
@@ -24,6 +27,7 @@ from jax import Array
 
 from jaxlangnav.messages import SensorParams
 from jaxlangnav.numerics.batching import once
+from jaxlangnav.planner.constraints import price_of_stop
 from jaxlangnav.planner.search import SearchMap
 from jaxlangnav.planner.sweeps import between_patches, eyesight, is_worth_a_look
 from jaxlangnav.pytree import pytree
@@ -128,6 +132,8 @@ def latency(
     away = search.terrain.travel.metres(
         tours.x[:, -1:], tours.y[:, -1:], search.x[None], search.y[None]
     )
+    if search.forbidden is not None:  # what a tour misses has to be gone in for
+        away = away + price_of_stop(search.x, search.y, search.forbidden)[None]
     mass = search.mass
     counts = is_worth_a_look(mass)[None, :]
     is_left = (free >= NEVER) & counts

@@ -40,7 +40,7 @@ class PlannerParams:
         "all of the area, and the sooner a search that shows nothing ends; of ``informed``"
     )
     constraint_cost: Array = field(  # f32[]
-        "value lost by a path through a region to be kept out of"
+        "metres of detour rather than a metre of way beside a thing to be kept away from"
     )
     question_cost: Array = field(  # f32[]
         "what a question costs, in probability of success; inf: never ask"
@@ -64,7 +64,7 @@ def default_planner_params() -> PlannerParams:
         ahead=jnp.float32(0.0),
         give_up=jnp.float32(0.15),
         absent=jnp.float32(0.0),
-        constraint_cost=jnp.float32(1.0),
+        constraint_cost=jnp.float32(100.0),
         question_cost=jnp.float32(jnp.inf),
         look_cost=jnp.float32(0.001),
     )

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.planner.deciding import (
+    APPROACH,
     LEAST_GOAL,
     UNDERFOOT,
     ahead,
@@ -31,6 +32,7 @@ from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.params import MapConfig, MapParams
 
 __all__ = [
+    "APPROACH",
     "LEAST_GOAL",
     "UNDERFOOT",
     "Decision",

@@ -12,6 +12,7 @@ from jax import Array
 from jaxlangnav.messages import ROBOT
 from jaxlangnav.numerics.batching import once, rarely
 from jaxlangnav.planner import prior
+from jaxlangnav.planner.constraints import Forbidden
 from jaxlangnav.planner.relevance import groups
 from jaxlangnav.pytree import pytree, static
 from jaxlangnav.semantic_map.belief import ParticleBelief
@@ -44,6 +45,7 @@ class SearchMap:
     partner_y: Array  # f32[C]
     unseen: Array  # f32[] probability that what is there to be found would still be unseen
     terrain: Terrain = OPEN  # how far one sees and walks there
+    forbidden: Forbidden | None = None  # what is to be kept away from
     nowhere: Array | np.float32 = np.float32(0.0)  # f32[] q, that it is nowhere (``endings``)
     is_thorough: bool = static(default=False)  # all of the area may have to be looked at
 

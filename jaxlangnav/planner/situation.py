@@ -5,6 +5,7 @@ from jax import Array
 from jaxlangnav.messages import SensorParams
 from jaxlangnav.planner.asking import Doubt
 from jaxlangnav.planner.blocked import Way
+from jaxlangnav.planner.constraints import Forbidden, forbidden_objects
 from jaxlangnav.planner.goals import Goals
 from jaxlangnav.planner.graph import Nodes
 from jaxlangnav.planner.params import PlannerParams
@@ -45,6 +46,12 @@ class Situation:
         return self.sensor.range_max
 
     @property
+    def forbidden(self) -> Forbidden:
+        """What is to be kept away from."""
+        here, cost = (self.robot_x, self.robot_y), self.params.constraint_cost
+        return forbidden_objects(self.belief, self.constraint, *here, cost)
+
+    @property
     def wanted(self) -> ParticleBelief:
         """The belief of what is worth looking for: of the present goal, and what it hangs on."""
         particles = self.belief.particles
@@ -81,8 +88,10 @@ class Waypoint:
 class Decision:
     """What a policy decided, and why; ``decide`` makes it."""
 
-    waypoint_x: Array  # f32[] metres, map frame
+    waypoint_x: Array  # f32[] metres, map frame: where it goes
     waypoint_y: Array  # f32[]
+    next_x: Array  # f32[] metres, map frame: where it turns first to go round what is forbidden
+    next_y: Array  # f32[]
     kind: Array  # i32[] kind of node it goes to
     is_stop: Array  # bool[] the goal is within reach
     is_approach: Array  # bool[] the waypoint is a thing seen that may be the goal
@@ -92,6 +101,11 @@ class Decision:
     value: Array  # f32[A] value of every node; −∞ where there is none
     goal_value: Array  # f32[A] part of it from goals
     information_value: Array  # f32[A] part of it from what the way would reveal
-    cost: Array  # f32[A] part of it lost to constraint regions
+    cost: Array  # f32[A] part of it lost to the way round what is forbidden
     stop_mass: Array  # f32[] goal probability within reach
     doubt: Doubt  # whether to ask which one is meant, or to look on before anything is accepted
+
+    @property
+    def turns(self) -> Array:
+        """Whether it turns before it comes to its waypoint, bool[]."""
+        return (self.next_x != self.waypoint_x) | (self.next_y != self.waypoint_y)

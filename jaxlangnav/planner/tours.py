@@ -6,6 +6,8 @@ turn a stretch round. The best is that of least ``latency``. The tour is kept fr
 the search goes on while the robot is on its way; and as the tour under way is among the candidates,
 it is left only for a shorter one.
 
+Stops near what is forbidden cost the way in and out (``constraints``).
+
 Of a thorough search, which may have to look at all of the area, sweeps in lanes (``sweeps``) are
 drafted too, and a tour is left only for a much shorter one: what seems so on a grid of cells leaves
 corners behind.
@@ -18,6 +20,7 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.messages import SensorParams
+from jaxlangnav.planner.constraints import keep_out, price_of_stop
 from jaxlangnav.planner.drafts import NUM_CHANGES, NUM_GREEDY, change, greedy
 from jaxlangnav.planner.latency import NUM_STOPS, Tour, is_underfoot, latency
 from jaxlangnav.planner.search import SearchMap
@@ -31,6 +34,9 @@ _LESS, _LESS_SWEPT = 0.3, 0.05
 sweep, to be left for it."""
 _HANDICAPS = np.repeat([1.0, 1.0 + _LESS, 1.0 + _LESS_SWEPT], [1, NUM_GREEDY, NUM_SWEEPS])
 """Of the drafts: the tour under way, greedy tours, sweeps."""
+_IS_OUT = np.arange(NUM_CHANGES) % 2 == 1
+"""Of the changes: those whose stops are put outside the berths of what is forbidden. A draft's are,
+unless it is under way."""
 
 
 @pytree
@@ -135,9 +141,16 @@ def plan(
         best = Tour(x=tours.x[least], y=tours.y[least])
         changed = change(keys[index - 1], best, search, area)
         tried = jax.tree.map(lambda one, other: jnp.where(index == 0, one, other), drafts, changed)
+        if search.forbidden is not None:
+            is_out = jnp.where(index == 0, np.arange(NUM_CHANGES) > 0, _IS_OUT)[:, None]
+            x, y = keep_out(tried.x, tried.y, search.forbidden, sensor.range_max, area)
+            tried = Tour(x=jnp.where(is_out, x, tried.x), y=jnp.where(is_out, y, tried.y))
         weighed = latency(tried, search, robot_x, robot_y, sensor, area)
         if search.is_thorough:
             weighed = weighed * jnp.where(index == 0, _HANDICAPS.astype(np.float32), 1.0 + _LESS)
+        if search.forbidden is not None:
+            stops = jnp.sum(price_of_stop(tried.x, tried.y, search.forbidden), axis=1)
+            weighed = weighed + jnp.sum(search.mass) * stops
         kept = Tour(x=best.x[None], y=best.y[None])
         return _join(kept, tried), jnp.append(cost[least], weighed)
 

@@ -1,0 +1,197 @@
+"""Cheapest ways round what is forbidden: by hand, against quadrature and a dense graph."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import readings as by_hand
+from oracles.detours import shortest_way
+from situations import CHOOSE, RANGE, nodes_at, seen_goal, situation
+
+from jaxlangnav.planner.config import SHIPPED
+from jaxlangnav.planner.constraints import (
+    BERTH,
+    MOST_FORBIDDEN,
+    RADIUS,
+    Forbidden,
+    keep_out,
+    price_along,
+)
+from jaxlangnav.planner.detours import Detours, detours
+from jaxlangnav.planner.faithful import no_waypoint
+from jaxlangnav.planner.graph import OBJECT_NODE, VISITED
+from jaxlangnav.planner.situation import Situation
+from jaxlangnav.pytree import replace
+from jaxlangnav.semantic_map.params import MapConfig
+
+P, COST, FAR = 16, 100.0, 30.0
+CONFIG = MapConfig(num_particles=P, num_objects=3, num_cells=24)
+AREA = (-FAR, FAR, -FAR, FAR)
+DETOURS = jax.jit(detours)
+
+
+def things_at(places, share: float = 1.0) -> Forbidden:
+    table = np.zeros((3, MOST_FORBIDDEN), np.float32)
+    for slot, place in enumerate(places):
+        table[:, slot] = *place, COST * share
+    return Forbidden(x=jnp.asarray(table[0]), y=jnp.asarray(table[1]), price=jnp.asarray(table[2]))
+
+
+def shown(things, robot, share: float = 1.0) -> Situation:
+    """A robot in a wide area that has seen things, all forbidden in a share of the maps."""
+    belief = by_hand.with_objects(
+        by_hand.begin(config=CONFIG), [(by_hand.CONE, *thing) for thing in things]
+    )
+    coverage = replace(belief.coverage, area=jnp.asarray(AREA))
+    forbidden = np.zeros((7, belief.particles.mean_x.shape[0], P), np.float32)
+    forbidden[6, : len(things), : round(share * P)] = 1.0
+    made = situation(
+        replace(belief, coverage=coverage), nodes_at([], [], []), seen_goal(0.0), robot
+    )
+    return replace(made, constraint=jnp.asarray(forbidden))
+
+
+def way_to(things, robot, places, spare: float = 0.0, share: float = 1.0) -> Detours:
+    x, y = jnp.asarray(places, jnp.float32).T
+    return DETOURS(shown(things, robot, share), x, y, jnp.full(x.shape, jnp.float32(spare)))
+
+
+def test_the_price_of_a_way_is_the_integral_of_nearness() -> None:
+    draw = np.random.default_rng(0)
+    things = draw.uniform(-3.0, 3.0, (2, 2))
+    ends = draw.uniform(-5.0, 5.0, (40, 4)).astype(np.float32)
+    found = price_along(*jnp.asarray(ends).T, things_at(things, 0.5))
+    share = (np.arange(4000) + 0.5)[:, None, None] / 4000
+    line = ends[:, :2] + share * (ends[:, 2:] - ends[:, :2])
+    squared = ((line[:, :, None] - things) ** 2).sum(-1)
+    deep = (np.maximum(1.0 - np.sqrt(squared) / BERTH, 0.0) ** 2).sum(-1).mean(axis=0)
+    expected = 0.5 * COST * deep * np.hypot(*(ends[:, 2:] - ends[:, :2]).T)
+    np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-3)
+    through = price_along(*jnp.array([[-9.0], [0.0], [9.0], [0.0]]), things_at([(0.0, 0.0)]))
+    np.testing.assert_allclose(through, COST * 2.0 * BERTH / 3.0, rtol=1e-5)
+
+
+def test_ways_are_the_shortest_that_keep_the_berth() -> None:
+    """Of places that allow it: at most 4 % and a few cm longer than with dense circles."""
+    draw, number = np.random.default_rng(1), 0
+    for _ in range(40):
+        things, robot, place = draw.uniform(-6.0, 6.0, (3, 2)), *draw.uniform(-8.0, 8.0, (2, 2))
+        ends = np.stack([robot, place])
+        if np.hypot(*(ends[:, None] - things[None]).T).min() < BERTH + 0.05:
+            continue
+        best = shortest_way(robot, place, things, AREA, berth=BERTH, reach=0.05)
+        length = np.hypot(*(place - robot))
+        found = length + float(way_to(things, robot, [place]).metres[0])
+        # A gap that is a little too narrow may be cheaper than the way round.
+        assert best > 0.95 * found - 0.1
+        assert found > min(best, 1.5 * length) - 0.3
+        number += 1
+    assert number > 15
+
+
+def test_with_nothing_forbidden_ways_are_straight() -> None:
+    for share in (0.0, 0.02):
+        way = way_to([(3.0, 0.0)], (0.0, 0.0), [(6.0, 0.0), (1.0, 2.0)], share=share)
+        np.testing.assert_array_equal(way.metres, 0.0)
+        np.testing.assert_array_equal([way.x, way.y], [[6.0, 1.0], [0.0, 2.0]])
+
+
+def test_from_within_the_berth_the_way_leads_out() -> None:
+    robot = np.array([-0.6, 0.1])
+    for _ in range(3):
+        way = way_to([(0.0, 0.0)], robot, [(6.0, 0.0)])
+        corner = np.array([way.x[0], way.y[0]])
+        assert np.hypot(*corner) > BERTH - 0.01
+        after = robot + 0.4 * (corner - robot) / np.hypot(*(corner - robot))
+        assert np.hypot(*after) > np.hypot(*robot) + 0.2
+        robot = after
+
+
+def test_a_goal_in_the_berth_is_reached_from_its_far_side() -> None:
+    way = way_to([(3.0, 0.0)], (0.0, 0.0), [(4.0, 0.0)], spare=1.08)
+    assert 0.0 < float(way.metres[0]) < 8.0
+    robot, path = np.zeros(2), [np.zeros(2)]
+    for _ in range(12):
+        way = way_to([(3.0, 0.0)], robot, [(4.0, 0.0)], spare=1.08)
+        span = np.array([way.x[0], way.y[0]]) - robot
+        short = 1.08 if abs(float(way.x[0]) - 4.0) < 1e-6 else 0.0
+        robot = robot + max(min(1.0, np.hypot(*span) - short), 0.0) * span / np.hypot(*span)
+        path.append(robot)
+    assert np.hypot(*(robot - [4.0, 0.0])) < 1.2
+    assert np.hypot(*(np.array(path) - [3.0, 0.0]).T).min() > 1.8
+
+
+def test_a_gap_is_taken_once_where_there_is_no_other_way() -> None:
+    made = shown([(3.0, y) for y in (-1.6, 1.6)], (0.0, 0.0))
+    coverage = replace(made.belief.coverage, area=jnp.array([0.0, 6.0, -2.0, 2.0]))
+    made = replace(made, belief=replace(made.belief, coverage=coverage))
+    x, y, met = 0.0, 0.0, [(0.0, 0.0)]
+    while x < 5.9 and len(met) < 20:
+        made = replace(made, robot_x=jnp.float32(x), robot_y=jnp.float32(y))
+        way = DETOURS(made, jnp.array([6.0]), jnp.array([-0.8]), jnp.zeros(1))
+        span = np.array([float(way.x[0]) - x, float(way.y[0]) - y])
+        x, y = np.array([x, y]) + span * min(1.0, 1.0 / np.hypot(*span))
+        met.append((x, y))
+    met = np.array(met)
+    assert (np.diff(met[:, 0]) > 0.0).all()
+    assert np.hypot(met[:, :1] - 3.0, met[:, 1:] - [[-1.6, 1.6]]).min() > 1.5
+
+
+def test_a_corner_that_was_given_up_is_gone_round_by_the_other_side() -> None:
+    made = shown([(3.0, 0.1)], (0.0, 0.0))
+    place = jnp.array([6.0]), jnp.array([0.0]), jnp.zeros(1)
+    way = DETOURS(made, *place)
+    assert float(way.y[0]) < 0.0
+    closed = [made.way.closed_x.at[0].set(way.x[0]), made.way.closed_y.at[0].set(way.y[0])]
+    blocked = replace(
+        made.way,
+        closed_x=closed[0],
+        closed_y=closed[1],
+        closed_for=made.way.closed_for.at[0].set(9),
+    )
+    other = DETOURS(replace(made, way=blocked), *place)
+    assert np.hypot(other.x[0] - way.x[0], other.y[0] - way.y[0]) > 0.7
+
+
+def test_stops_are_put_out_of_the_berth_where_one_sees_in() -> None:
+    area, things = jnp.asarray(AREA), things_at([(0.0, 0.0)])
+    x, y = jnp.array([1.0, 5.0, 0.0]), jnp.array([0.0, 0.0, -1.0])
+    out = keep_out(x, y, things, jnp.float32(4.0), area)
+    np.testing.assert_allclose(out, [[RADIUS, 5.0, 0.0], [0.0, 0.0, -RADIUS]], atol=1e-5)
+    for same in (
+        keep_out(x, y, things, jnp.float32(1.5), area),
+        keep_out(x, y, things_at([]), jnp.float32(4.0), area),
+    ):
+        np.testing.assert_array_equal(same, [x, y])
+    beside = keep_out(x, y, things, jnp.float32(4.0), area.at[1].set(1.5))
+    np.testing.assert_allclose(beside[0][0], -RADIUS, atol=1e-5)
+
+
+def test_a_batch_is_as_one_by_one() -> None:
+    worlds = [([(3.0, 0.0)], 1.0), ([(3.0, 0.0)], 0.0), ([(2.0, 1.0)], 0.5)]
+    made = [shown(things, (0.0, 0.0), share) for things, share in worlds]
+    places = jnp.array([6.0, 2.0]), jnp.array([0.5, -3.0]), jnp.zeros(2)
+    many = jax.tree.map(lambda *leaves: jnp.stack(leaves), *made)
+    found = jax.jit(jax.vmap(detours, in_axes=(0, None, None, None)))(many, *places)
+    for lane, one in enumerate(made):
+        for leaf, other in zip(
+            jax.tree.leaves(found), jax.tree.leaves(DETOURS(one, *places)), strict=True
+        ):
+            np.testing.assert_allclose(leaf[lane], other, atol=1e-4)
+
+
+def test_a_decision_goes_to_its_waypoint_by_the_first_corner() -> None:
+    """A goal at (6, 0) behind a cone at (3, 0): a corner is no arrival."""
+    aims = seen_goal(0.9, 6.0, 0.0)
+    belief = by_hand.with_objects(by_hand.begin(config=CONFIG), [(by_hand.CONE, 3.0, 0.0)])
+    nodes = nodes_at([1.0, 6.0], [0.0, 0.0], [VISITED, OBJECT_NODE])
+    for policy in ("faithful",):
+        for forbidden in (0.0, 1.0):
+            made = situation(belief, nodes, aims, (0.0, 0.0), forbidden=forbidden)
+            after, chosen = CHOOSE(SHIPPED[policy], jax.random.key(0), no_waypoint(), made)
+            assert (float(chosen.waypoint_x), float(chosen.waypoint_y)) == (6.0, 0.0)
+            assert (float(after.x), float(after.y)) == (6.0, 0.0)
+            assert bool(chosen.is_approach)
+            assert not bool(chosen.is_stop)
+            assert bool(chosen.turns) == bool(forbidden)
+            assert (np.hypot(chosen.next_x - 3.0, chosen.next_y) < RADIUS + 0.01) == bool(forbidden)
+    assert RANGE > RADIUS
