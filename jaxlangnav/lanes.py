@@ -6,6 +6,7 @@ never on its place in the batch.
 """
 
 import functools
+import operator
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -15,8 +16,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.episode import MAX_STEPS, EpisodeState, Task, advance, begin, finish
-from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.navigator import NavigatorConfig, NavigatorParams
+from jaxlangnav.navigator import NavigatorConfig
 from jaxlangnav.pytree import pytree, replace, strong
 
 
@@ -31,13 +31,17 @@ class Course(NamedTuple):
     """As ``finish``: the result of a state."""
     progress: Callable[[Any], EpisodeState]
     """Takes the episode out of a state."""
+    is_done: Callable[[Any], Array] = operator.attrgetter("progress.navigator.is_done")
+    """Takes out of a state whether it is over, even before time is."""
 
 
-def _itself(progress: EpisodeState) -> EpisodeState:
-    return progress
-
-
-EPISODE = Course(begin=begin, advance=advance, finish=finish, progress=_itself)
+EPISODE = Course(
+    begin=begin,
+    advance=advance,
+    finish=finish,
+    progress=lambda progress: progress,
+    is_done=operator.attrgetter("navigator.is_done"),
+)
 
 
 @pytree
@@ -60,9 +64,9 @@ def _where(mask: Array, new: Array, old: Array) -> Array:
 
 def run_batch(
     tasks: Task,
-    instructions: Instruction,
+    instructions: Any,
     *,
-    params: NavigatorParams,
+    params: Any,
     config: NavigatorConfig,
     num_lanes: int = 32,
     max_steps: int = MAX_STEPS,
@@ -73,8 +77,8 @@ def run_batch(
 
     Args:
         tasks: leaves [E, …]; a number of sensor or motion may be one for all.
-        instructions: leaves [I, …].
-        params: the navigator's numbers, shared; traced.
+        instructions: leaves [I, …], or what else the course begins with.
+        params: the navigator's numbers, or what else the course goes on by; shared, traced.
         config: sizes and policy.
         num_lanes: L, episodes under way at once.
         max_steps: cycles until a time-out.
@@ -113,9 +117,9 @@ def run_batch(
 @functools.partial(jax.jit, static_argnames=("config", "num_lanes", "max_steps", "course"))
 def _run_batch(
     tasks: Task,
-    instructions: Instruction,
+    instructions: Any,
     *,
-    params: NavigatorParams,
+    params: Any,
     count: Array,
     config: NavigatorConfig,
     num_lanes: int,
@@ -134,8 +138,7 @@ def _run_batch(
         state, _ = jax.vmap(lambda one: course.advance(one, params=params, config=config))(
             lanes.state
         )
-        progress = course.progress(state)
-        is_over = progress.navigator.is_done | (progress.steps >= max_steps)
+        is_over = course.is_done(state) | (course.progress(state).steps >= max_steps)
         is_over = is_over & (lanes.episode < number)
         return _refilled(lanes, state, is_over, number, course, load)
 
@@ -167,19 +170,7 @@ def _refilled(
     course: Course,
     load: Callable[[Array], Any],
 ) -> _Lanes:
-    """Store the results of the lanes that are over, and give these their next tasks.
-
-    Args:
-        lanes: before the cycle.
-        state: of the course after it, leaves [L, …].
-        is_over: bool[L].
-        number: i32[], tasks to run.
-        course: what lanes run.
-        load: begins a task, given its index.
-
-    Returns:
-        The lanes after the cycle.
-    """
+    """Store the results of the lanes that are over, bool[L], and give these their next tasks."""
     capacity = jax.tree.leaves(lanes.results)[0].shape[0]
     target = jnp.where(is_over, lanes.episode, capacity)  # an index of E is dropped
     results = jax.tree.map(

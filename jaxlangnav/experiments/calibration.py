@@ -337,11 +337,7 @@ def tally_step(progress: EpisodeState, info: NavigatorInfo, after: EpisodeState)
 
 
 def _error(events: Reliability) -> tuple[float | None, float | None, float | None]:
-    """Compute calibration error, its floor and Brier score; None where there was no event.
-
-    Args:
-        events: of several episodes, leaves [E, S, …].
-    """
+    """Compute calibration error, its floor and Brier score, events [E, S, …]; None without any."""
     number = float(np.sum(events.events))
     if not number:
         return None, None, None

@@ -1,28 +1,25 @@
 """Episodes in which a simulated person speaks, many at once: what a conversation is worth.
 
-Lanes as in ``lanes.run_batch``, but each with a person (``world.person``) who is shown what the
+A course of ``lanes.run_batch`` with a person (``world.person``) who is shown what the
 robot says of itself and speaks before its decisions. What is said is put into the state by the
 functions of ``hearing``, the words of a statement joined once for all lanes.
 """
 
-import dataclasses
-import functools
-from typing import Any
+import operator
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
 from jaxlangnav import episode, hearing
 from jaxlangnav.conversation import Joined, Words, first_words, join
-from jaxlangnav.episode import MAX_STEPS, EpisodeResult, EpisodeState, Task
-from jaxlangnav.experiments.monte_carlo import OnProgress
-from jaxlangnav.experiments.tasks import take_tasks
+from jaxlangnav.episode import EpisodeResult, EpisodeState, Task
+from jaxlangnav.experiments.monte_carlo import OnProgress, run_tasks
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.grounding.readings import Capacity, widen
 from jaxlangnav.hearing import How
+from jaxlangnav.lanes import Course
 from jaxlangnav.messages import NONE, Status
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, NavigatorState
 from jaxlangnav.pytree import pytree, replace, strong
@@ -30,7 +27,6 @@ from jaxlangnav.world.person import Person, PersonParams, RobotView, Says, say, 
 from jaxlangnav.world.simulator import SUCCESS_RADIUS, goal_distance
 from jaxlangnav.world.state import Scenario
 
-NUM_LANES = 32
 _SPEECH = 31
 """Folded twice into an episode's key for the person; its steps fold and split it otherwise."""
 
@@ -61,9 +57,19 @@ class Exchange:
 class _Lane:
     progress: EpisodeState
     person: Person
+    is_done: Array  # bool[] the robot is at an end, and the person has nothing more to say
     said_at: Array  # f32[] metres walked at the first correction; NaN before it
     straight: Array  # f32[] metres straight from there to where it may stop
     is_known: Array  # bool[] it had seen the goal by then
+
+
+@pytree
+class _Numbers:
+    """What the decisions of a conversation are taken by."""
+
+    navigator: NavigatorParams
+    person: PersonParams
+    sentence: Sentence
 
 
 def sentence_with(text: str, truth: str, falsehood: str) -> Sentence:
@@ -125,97 +131,69 @@ def _hear(state: NavigatorState, said: Array, slot: Array, sentence: Sentence) -
     return state
 
 
-def _loaded(task: Task, sentence: Sentence, config: NavigatorConfig) -> _Lane:
+def _begin(task: Task, sentence: Sentence, *, config: NavigatorConfig) -> _Lane:
     """Put an episode at its start."""
     progress = episode.begin(task, sentence.instruction, config=config)
     navigator = progress.navigator
     talk = replace(navigator.talk, words=sentence.words)
     nothing = jnp.float32(jnp.nan)
-    return _Lane(
+    lane = _Lane(
         progress=replace(progress, navigator=replace(navigator, talk=talk)),
         person=unspoken(),
+        is_done=jnp.asarray(False),
         said_at=nothing,
         straight=nothing,
         is_known=jnp.asarray(False),
     )
+    return strong(lane)
 
 
-def _advanced(
-    lane: _Lane,
-    sentence: Sentence,
-    person_params: PersonParams,
-    params: NavigatorParams,
-    config: NavigatorConfig,
-) -> tuple[_Lane, Array, Exchange]:
-    """Let the person speak, run one cycle, and tell whether the episode is over."""
+def _advance(lane: _Lane, *, params: _Numbers, config: NavigatorConfig) -> tuple[_Lane, None]:
+    """Let the person speak, run one cycle, and tell whether all is done and said."""
     progress, scenario = lane.progress, lane.progress.task.scenario
     key = jax.random.fold_in(jax.random.fold_in(progress.task.key, _SPEECH), _SPEECH)
 
     def watched(progress: EpisodeState, person: Person) -> tuple[Person, Array, Array]:
         seen = seen_of(progress.navigator, progress.steps)
-        return say(key, person, seen, scenario, params=person_params)
+        return say(key, person, seen, scenario, params=params.person)
 
     person, said, slot = watched(progress, lane.person)
     is_first = (said == Says.OTHER) & jnp.isnan(lane.said_at)
     left = jnp.maximum(goal_distance(progress.world, scenario) - SUCCESS_RADIUS, 0.0)
     at = progress.navigator
     is_known = has_seen_goal(seen_of(at, progress.steps), at, scenario)
-    heard = replace(progress, navigator=_hear(progress.navigator, said, slot, sentence))
-    after, _ = episode.advance(heard, params=params, config=config)
+    heard = replace(progress, navigator=_hear(progress.navigator, said, slot, params.sentence))
+    after, _ = episode.advance(heard, params=params.navigator, config=config)
+    is_waiting = watched(after, person)[0].intends
     lane = _Lane(
         progress=after,
         person=person,
+        is_done=after.navigator.is_done & ~is_waiting,
         said_at=jnp.where(is_first, progress.world.distance, lane.said_at),
         straight=jnp.where(is_first, left, lane.straight),
         is_known=jnp.where(is_first, is_known, lane.is_known),
     )
-    is_waiting = watched(after, person)[0].intends
-    is_over = (after.navigator.is_done & ~is_waiting) | (after.steps >= MAX_STEPS)
-    spoken = Exchange(
-        result=episode.finish(after),
-        num_questions=person.num_answers,
-        num_corrections=person.num_corrections,
-        walked=after.world.distance - lane.said_at,
+    return strong(lane), None
+
+
+def _finish(lane: _Lane) -> Exchange:
+    return Exchange(
+        result=episode.finish(lane.progress),
+        num_questions=lane.person.num_answers,
+        num_corrections=lane.person.num_corrections,
+        walked=lane.progress.world.distance - lane.said_at,
         straight=lane.straight,
         is_known=lane.is_known,
     )
-    return lane, is_over, spoken
 
 
-@functools.partial(jax.jit, static_argnames="config")
-def _load(tasks: Task, sentence: Sentence, *, config: NavigatorConfig) -> _Lane:
-    return jax.vmap(lambda task: strong(_loaded(task, sentence, config)))(tasks)
-
-
-@functools.partial(jax.jit, static_argnames="config")
-def _cycle(
-    lanes: _Lane,
-    sentence: Sentence,
-    person: PersonParams,
-    *,
-    params: NavigatorParams,
-    config: NavigatorConfig,
-) -> tuple[_Lane, Array, Exchange]:
-    return jax.vmap(lambda lane: strong(_advanced(lane, sentence, person, params, config)))(lanes)
-
-
-@jax.jit
-def _refilled(is_over: Array, fresh: _Lane, lanes: _Lane) -> _Lane:
-    def pick(new: Array, old: Array) -> Array:
-        return jnp.where(is_over.reshape(-1, *(1,) * (new.ndim - 1)), new, old)
-
-    return jax.tree.map(pick, fresh, lanes)
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class _Queue:
-    """Hands out tasks to lanes, and is filled up with the first where none are left."""
-
-    tasks: Task
-    number: int
-
-    def of(self, index: np.ndarray) -> Task:
-        return take_tasks(self.tasks, np.where(index < self.number, index, 0))
+_TALK = Course(
+    begin=_begin,
+    advance=_advance,
+    finish=_finish,
+    progress=operator.attrgetter("progress"),
+    is_done=operator.attrgetter("is_done"),
+)
 
 
 def converse(
@@ -240,25 +218,10 @@ def converse(
     Returns:
         NumPy arrays, leaves [E, …], in the order of the tasks.
     """
-    number = int(tasks.instruction_index.shape[0])
-    queue, index = _Queue(tasks=tasks, number=number), np.arange(NUM_LANES)
-    lanes, following = _load(queue.of(index), sentence, config=config), NUM_LANES
-    found: dict[int, Any] = {}
-    while len(found) < number:
-        lanes, over, spoken = _cycle(lanes, sentence, person, params=params, config=config)
-        is_over = np.asarray(over) & (index < number)
-        if not is_over.any():
-            continue
-        host = jax.device_get(spoken)
-        for lane in np.flatnonzero(is_over).tolist():
-            found[int(index[lane])] = jax.tree.map(lambda leaf, at=lane: leaf[at], host)
-            index[lane], following = following, following + 1
-        if on_progress is not None:
-            on_progress(int(is_over.sum()))
-        if (index[is_over] < number).any():
-            fresh = _load(queue.of(index), sentence, config=config)
-            lanes = _refilled(jnp.asarray(is_over), fresh, lanes)
-    return jax.tree.map(lambda *leaves: np.stack(leaves), *(found[at] for at in range(number)))
+    numbers = _Numbers(navigator=params, person=person, sentence=sentence)
+    return run_tasks(
+        tasks, sentence, params=numbers, config=config, on_progress=on_progress, course=_TALK
+    )
 
 
 LEAST_SHARE = 0.01

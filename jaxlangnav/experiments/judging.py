@@ -1,6 +1,7 @@
 """Episodes that are judged step by step as they run (``calibration``)."""
 
 import functools
+import operator
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, TypeAlias
 
@@ -96,10 +97,6 @@ class _Judged:
     tally: Tally
 
 
-def _begin_judged(task: Task, instructions: Instruction, *, config: NavigatorConfig) -> _Judged:
-    return _Judged(progress=begin(task, instructions, config=config), tally=nothing())
-
-
 def _advance_judged(
     state: _Judged, *, params: NavigatorParams, config: NavigatorConfig
 ) -> tuple[_Judged, None]:
@@ -108,16 +105,11 @@ def _advance_judged(
     return _Judged(progress=after, tally=jax.tree.map(jnp.add, state.tally, one)), None
 
 
-def _finish_judged(state: _Judged) -> tuple[EpisodeResult, Tally]:
-    return finish(state.progress), state.tally
-
-
-def _progress_of(state: _Judged) -> EpisodeState:
-    return state.progress
-
-
 _JUDGED = Course(
-    begin=_begin_judged, advance=_advance_judged, finish=_finish_judged, progress=_progress_of
+    begin=lambda *given, config: _Judged(progress=begin(*given, config=config), tally=nothing()),
+    advance=_advance_judged,
+    finish=lambda state: (finish(state.progress), state.tally),
+    progress=operator.attrgetter("progress"),
 )
 
 

@@ -21,9 +21,8 @@ from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 
 from jaxlangnav.episode import MAX_STEPS, Task
 from jaxlangnav.experiments.tasks import take_tasks
-from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.lanes import EPISODE, Course, run_batch
-from jaxlangnav.navigator import NavigatorConfig, NavigatorParams
+from jaxlangnav.navigator import NavigatorConfig
 from jaxlangnav.pytree import strong
 
 CHUNK = 1024
@@ -45,7 +44,8 @@ class Work:
     """Leaves [CHUNK, …], see ``fill``."""
     count: int
     """How many of them to run."""
-    params: NavigatorParams
+    params: Any
+    """Of the course."""
 
 
 def usable_cores() -> int:
@@ -122,7 +122,7 @@ def fill(tasks: Task, first: int, size: int) -> Task:
 
 def run_round(
     works: Sequence[Work],
-    instructions: Instruction,
+    instructions: Any,
     *,
     config: NavigatorConfig,
     max_steps: int = MAX_STEPS,
@@ -174,9 +174,7 @@ def _program(inputs: Any, config: NavigatorConfig, max_steps: int, course: Cours
 def _sharded(config: NavigatorConfig, max_steps: int, course: Course) -> Any:
     """Spread the batch of one device over all of them."""
 
-    def on_one_device(
-        tasks: Task, instructions: Instruction, params: NavigatorParams, count: jax.Array
-    ) -> Any:
+    def on_one_device(tasks: Task, instructions: Any, params: Any, count: jax.Array) -> Any:
         own_tasks, own_params, own_count = jax.tree.map(
             lambda leaf: leaf[0], (tasks, params, count)
         )
@@ -273,9 +271,9 @@ def map_pieces(
 
 def run_tasks(
     tasks: Task,
-    instructions: Instruction,
+    instructions: Any,
     *,
-    params: NavigatorParams,
+    params: Any,
     config: NavigatorConfig,
     on_progress: OnProgress | None = None,
     num_threads: int | None = None,
@@ -286,8 +284,8 @@ def run_tasks(
 
     Args:
         tasks: leaves [E, …].
-        instructions: leaves [I, …].
-        params: the navigator's numbers.
+        instructions: leaves [I, …], or what else the course begins with.
+        params: the navigator's numbers, or what else the course goes on by.
         config: sizes and policy.
         on_progress: called with the number of episodes just finished.
         num_threads: calls under way at once; as many as keep all cores busy by default.

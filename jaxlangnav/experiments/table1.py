@@ -307,14 +307,7 @@ def _on_new_words(
     scores: Sequence[Scores],
     held_out: np.ndarray,
 ) -> dict[str, float | None]:
-    """Write down the accuracy of a model on held-out sentences with a word never seen.
-
-    Args:
-        name: of the model: of sentences, or of each with its worlds.
-        instructions: I.
-        scores: of each split.
-        held_out: bool[K, I].
-    """
+    """Write down the accuracy on those of bool[K, I] held out that have a word never seen."""
     worlds = np.array([len(labelled.worlds) for labelled in instructions])
     rows = []
     for score, held in zip(scores, held_out, strict=True):

@@ -130,15 +130,7 @@ def empty_program() -> dict[str, np.ndarray]:
 
 
 def _reach(terms: dict[str, np.ndarray], held: np.ndarray) -> np.ndarray:
-    """Bound the log-odds of each relation from above, f32[7].
-
-    Args:
-        terms: coefficients by name.
-        held: bool[7], relations that some child may express.
-
-    Returns:
-        The largest log-odds any object can have.
-    """
+    """Bound the log-odds of each relation that some child may express from above, f32[7]."""
     bound = terms["base"].copy()
     for name in ("inside", "touched", "kept", "new", "own", "robot"):
         bound += np.maximum(terms.get(name, 0), 0)
@@ -171,11 +163,7 @@ class _Row:
 
 
 def _fill_regions(fields: dict[str, np.ndarray], at: _Row, terms: dict, meant: np.ndarray) -> dict:
-    """Choose the slots of a phrase and write their coefficients.
-
-    Returns:
-        (row, slot) → (bound, table) of the slots; under (row, −1) the bound of what is left out.
-    """
+    """Choose the slots of a phrase: (row, slot) → (bound, table); slot −1: bound of what is out."""
     row, reach = at.row, _reach(terms, _held(fields, at))
     order = np.argsort(-reach, kind="stable")
     wanted = {(row, -1): (float(reach[order[NUM_REGION_SLOTS]]), NONE)}

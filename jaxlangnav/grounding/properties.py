@@ -97,17 +97,7 @@ def _child_groundings(
     below: Sequence[tuple[Phrase, np.ndarray]],
     children: Sequence[np.ndarray],
 ) -> bf.ChildGroundings:
-    """Join what the child phrases express in a world.
-
-    Args:
-        world: the world.
-        space: its symbols.
-        below: (phrase, i[7] rank meant for each relation) of each child.
-        children: bool[S] that each expresses.
-
-    Returns:
-        Their groundings, as the properties need them.
-    """
+    """Join what child phrases, (phrase, i[7] rank for each relation), express of S in a world."""
     num_objects = world.object_type.shape[0]
     objects = np.zeros(num_objects, bool)
     regions = np.zeros((NUM_REGIONS, num_objects), bool)

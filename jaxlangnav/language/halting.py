@@ -174,12 +174,7 @@ def _parts(text: str, most: int = MAX_HALTING_CHARACTERS) -> list[list[str]]:
 
 
 def _act_of_part(words: list[str]) -> frozenset[Act] | None:
-    """Read a part as a row of wordings, with what is said around them in between.
-
-    Returns:
-        The acts of the reading that has the most urgent one, none where all of it is politeness;
-        None where there is no such reading.
-    """
+    """Read a part as a row of wordings: the acts of the most urgent reading; None without one."""
     wordings, around, longest = _wordings()
     words = [_repaired(word) for word in words]
     best: list[frozenset[Act] | None] = [frozenset()] + [None] * len(words)

@@ -89,19 +89,9 @@ def _partner_scale(belief: ParticleBelief, is_free: Array, x: Array, y: Array) -
 
 
 def _unseen(coverage: Coverage, hung: Array, density: Array) -> Array:
-    """Compute the probability that what is there to be found would have escaped every look.
-
-    Anywhere in the area, as the order of search weighs it; or, if that is more, at the places on
-    observed objects where it is said to be, for they are little of the whole area.
-
-    Args:
-        coverage: where the robot has looked.
-        hung: f32[C], probability that what hangs on an observed object lies in each cell.
-        density: f32[C], how likely anything else lies in each cell, relative to one another.
-
-    Returns:
-        f32[] in [0, 1].
-    """
+    """Compute the probability, f32[], that what is there would have escaped every look."""
+    # Anywhere in the area, as the order of search weighs it; or, if that is more, at the places on
+    # observed objects where it is said to be, for they are little of the whole area.
     # Of its own, so that the search map is computed to the bit as it would be without.
     coverage, hung, density = once((coverage, hung, density))
     size = coverage.log_miss.shape[0] // CELLS
@@ -112,21 +102,10 @@ def _unseen(coverage: Coverage, hung: Array, density: Array) -> Array:
 
 
 def _least_looked_at(coverage: Coverage, x: Array, y: Array) -> tuple[Array, Array]:
-    """Find in each cell of the search map what of it has been looked at least.
-
-    In view of its centre much of a cell may be out of view, and a tour that has all centres in view
-    would never go there.
-
-    Limits: of a cell nobody has looked at, or all of it alike, it is what is nearest its centre.
-
-    Args:
-        coverage: where the robot has looked.
-        x: f32[C], centres of the cells, metres.
-        y: f32[C].
-
-    Returns:
-        f32[C] x and y, metres, map frame.
-    """
+    """Find in each cell of the search map what of it has been looked at least, f32[C] x and y."""
+    # In view of its centre much of a cell may be out of view, and a tour that has all centres in
+    # view would never go there. Of a cell nobody has looked at, or all of it alike, it is what is
+    # nearest its centre.
     size = coverage.log_miss.shape[0] // CELLS
     parts = coverage.log_miss.reshape(CELLS, size, CELLS, size)
     parts = parts.transpose(0, 2, 1, 3).reshape(CELLS**2, size * size)
@@ -141,19 +120,7 @@ def _least_looked_at(coverage: Coverage, x: Array, y: Array) -> tuple[Array, Arr
 def _by_words(
     belief: ParticleBelief, is_free: Array, x: Array, y: Array, density: Array, spoken: Spoken
 ) -> Array:
-    """Spread what hangs on nothing observed as the words have it (``said.log_told_density``).
-
-    Args:
-        belief: weighted particles.
-        is_free: bool[M, P], mentions that hang on nothing observed.
-        x: f32[C], centres of the cells, metres.
-        y: f32[C].
-        density: f32[C], how likely a thing that no words place lies in each cell and is unseen.
-        spoken: what has been said.
-
-    Returns:
-        f32[C] > 0, by how much the words raise the density; 1 where they say nothing.
-    """
+    """Weigh the cells, f32[C] > 0, by what the words have of what hangs on nothing observed."""
     readings, mentions = spoken.readings, np.arange(spoken.readings.mention_type.shape[1])
     log_area = jnp.log(area_size(belief.coverage))
 

@@ -77,11 +77,7 @@ class SimulatedRobot(abc.ABC):
 
     @abc.abstractmethod
     def _move(self, command: WheelCommand) -> np.ndarray:
-        """Carry out a command for a tick.
-
-        Returns:
-            Metres gone ahead and radians turned, as wheels and gyro have it, f64[2].
-        """
+        """Carry out a command for a tick: f64[2], metres and radians as wheels and gyro have it."""
 
     @abc.abstractmethod
     def _look(self) -> list[Detection]:

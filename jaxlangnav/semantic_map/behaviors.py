@@ -68,19 +68,14 @@ def infer_clause_behaviors(
             table = jnp.where(place == own, inferred[:, own : own + 1], table)
         return table
 
-    nothing = _no_behavior(num_slots, number)
-    table = jax.lax.fori_loop(0, (count + block - 1) // block, infer, pack(nothing))
-    return unpack(table, nothing)
-
-
-def _no_behavior(num_slots: int, number: int) -> Behavior:
-    """Build what is filled in, leaves [..., P]."""
-    return Behavior(
+    nothing = Behavior(
         action=jnp.zeros((len(ACTIONS), number), jnp.float32),
         mode=jnp.zeros((len(MODES), number), jnp.float32),
         goal=jnp.zeros((len(REGIONS), num_slots, number), jnp.float32),
         constraint=jnp.zeros((len(REGIONS), num_slots, number), jnp.float32),
     )
+    table = jax.lax.fori_loop(0, (count + block - 1) // block, infer, pack(nothing))
+    return unpack(table, nothing)
 
 
 def likeliest_slots(world: BehaviorWorld, named: Array) -> tuple[BehaviorWorld, Array]:

@@ -220,22 +220,9 @@ def _of_any_type(
     *,
     params: MapParams,
 ) -> Array:
-    """Weigh what has been seen as a thing that a sentence calls by no type.
-
-    Its type is one of the k that have been seen or one that has not, each as probable. So a thing
-    of a type weighs 1 / (k + 1) of what it would as one called by that type.
-
-    Args:
-        is_alike: bool[O, O, ...], slots that hold things of one type, or nothing.
-        seen: objects.
-        log_area: f32[...], log A.
-        log_unseen: f32[...], log u.
-        num_pooled: see ``Scene``.
-        params: concentration, clumping.
-
-    Returns:
-        f32[2 O, ...]: what each weighs, and how much more as one of two.
-    """
+    """Weigh what has been seen, f32[2 O, ...], as a thing that a sentence calls by no type."""
+    # Its type is one of the k that have been seen or one that has not, each as probable. So a thing
+    # of a type weighs 1 / (k + 1) of what it would as one called by that type.
     is_there = seen.object_type != NONE
     unseen = lead(jnp.exp(log_unseen), is_there.ndim)
     is_earlier = column(jnp.asarray(np.tri(is_there.shape[0], k=-1, dtype=bool)), is_alike.ndim)

@@ -20,17 +20,7 @@ evenly, the first most evenly of all, and several together the cube."""
 
 
 def _unseen(belief: ParticleBelief, uniform: Array, jitter: Array) -> tuple[Scene, Array]:
-    """Draw places that are unseen.
-
-    Args:
-        belief: where the robot has looked.
-        uniform: f32[], see ``sample_unseen``.
-        jitter: f32[2, n], see ``sample_unseen``.
-
-    Returns:
-        The scene, and places f32[2, n], metres. With a steady drift, f32[2, n, P]: each particle's
-        by its own sign.
-    """
+    """Draw places that are unseen, f32[2, n]; with a steady drift f32[2, n, P], by its own sign."""
     coverage, log_area = belief.coverage, jnp.log(area_size(belief.coverage))
     x, y, log_unseen = sample_unseen(coverage, uniform, jitter)
     places = jnp.stack([x, y])
@@ -73,17 +63,7 @@ def draw_places(
 
 
 def _of_relation(uniform: Array, shuffle_key: Array, step: Array, places: Array) -> Draws:
-    """Draw the random numbers of one relation, for all particles.
-
-    Args:
-        uniform: f32[≥ 5 P], in [0, 1).
-        shuffle_key: random key, consumed.
-        step: f32[], by which the choices of the particles are apart.
-        places: f32[2, n] or f32[2, n, P], of ``_unseen``.
-
-    Returns:
-        Leaves [..., P].
-    """
+    """Draw the random numbers of one relation, for all particles; leaves [..., P]."""
     pool = places.shape[1]
     number = pool // NUM_UNSEEN
     stride = next(step for step in range(int(0.618 * number), 0, -1) if math.gcd(step, number) == 1)

@@ -161,12 +161,9 @@ def _assert_arrays(belief: ParticleBelief, readings: Readings, observation: Obse
 
 
 def _draw(keys: Array, num_detections: int, number: int) -> tuple[Array, Array, Array]:
-    """Draw the uniform numbers of a step in one go, given key[4].
-
-    Returns:
-        f32[D, P], what each detection is taken for; f32[2, P], who is kept and whose map the
-        others take; f32[], where the comb of the resampling begins.
-    """
+    """Draw the uniform numbers of a step in one go: f32[D, P], f32[2, P], f32[]."""
+    # What each detection is taken for; who is kept and whose map the others take; where the comb of
+    # the resampling begins.
     associate, keep, resample = batching.uniforms(
         keys[np.array([0, 2, 3])], max(num_detections, 2) * number
     )

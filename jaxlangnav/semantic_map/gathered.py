@@ -93,19 +93,7 @@ def _ground_gathered(
     scene: Scene,
     params: MapParams,
 ) -> Grounding:
-    """Gather the particles that are asked from all lanes, ground them piece by piece, put back.
-
-    Args:
-        num_mentions: M.
-        is_asked: bool[L, P].
-        own: leaves [L, ..., P].
-        told: all readings of each lane, leaves [L, J, ..., K].
-        scene: leaves [L, ...].
-        params: of all lanes.
-
-    Returns:
-        Leaves [L, ..., P]; meaningless where nothing was asked.
-    """
+    """Gather the particles asked, bool[L, P], ground them piece by piece, put back [L, ..., P]."""
     num_lanes, number = is_asked.shape
     size = num_lanes * number
     piece = min(max(_LEAST_PIECE, -(-size // _PIECES)), size)
@@ -135,13 +123,7 @@ def _ground_gathered(
 
 
 def _scene_of(scene: Scene, chosen: Array, lane: Array) -> Scene:
-    """Tell particles of several lanes in what scene each is.
-
-    Args:
-        scene: leaves [L, ...].
-        chosen: i32[n], the particles, counted through all lanes.
-        lane: i32[n], theirs.
-    """
+    """Tell particles of several lanes, i32[n] of all and i32[n] theirs, in what scene each is."""
     maps, num_cells = scene.coverage.log_miss, scene.coverage.log_miss.shape[-1]
 
     def own(values: Array) -> Array:
@@ -159,17 +141,7 @@ def _scene_of(scene: Scene, chosen: Array, lane: Array) -> Scene:
 def _piecewise(
     ground: Callable[[Array], Array], number: Array, piece: int, nothing: Array
 ) -> Array:
-    """Fill the first columns of a table piece by piece, as far as there is anything to fill.
-
-    Args:
-        ground: gives f32[rows, piece] of the column at which a piece begins, i32[].
-        number: i32[], how many columns there are to fill.
-        piece: how many are filled at a time.
-        nothing: f32[rows, room], the table before.
-
-    Returns:
-        The table; at most a piece more is filled.
-    """
+    """Fill the first columns of a table, f32[rows, room], by pieces; at most a piece too many."""
 
     def is_left(carry: tuple[Array, Array]) -> Array:
         return carry[0] < number

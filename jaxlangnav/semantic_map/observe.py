@@ -152,11 +152,7 @@ def _looked(
     params: MapParams,
     num_pooled: Array | None,
 ) -> tuple[ParticleBelief, Array]:
-    """Enter the look, which tells against there being many of what it does not show.
-
-    Returns:
-        The belief, and f32[], by how much less probable one more of a type has become, log.
-    """
+    """Enter the look; f32[], by how much less probable one more of a type has become, log."""
     exposed_by = functools.partial(log_exposure, params=params, num_pooled=num_pooled)
     before = exposed_by(share_unseen(belief.coverage))
     coverage, other_miss = look_around(belief, observation, sensor)

@@ -126,15 +126,7 @@ def _is_reopened(particles: SemanticMap, readings: Readings, is_other: Array) ->
 
 
 def _language(log_language: Array, is_asked: Array) -> tuple[Array, Array]:
-    """Weigh fresh groundings by the evidence of the words in their maps, against its mean.
-
-    Args:
-        log_language: f32[P], log of the evidence; −∞ in particles that were not asked.
-        is_asked: bool[P].
-
-    Returns:
-        f32[P], and f32[], log of the mean evidence.
-    """
+    """Weigh fresh groundings by the evidence of the words, f32[P]; and its mean, f32[], log."""
     num_asked = jnp.sum(is_asked).astype(jnp.float32)
     share, log_total, _ = categorical.log_normalize(log_language)
     return jnp.clip(share * num_asked, 1e-6, 50.0), log_total - jnp.log(num_asked)

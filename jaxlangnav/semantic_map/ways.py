@@ -49,13 +49,7 @@ class Ways(NamedTuple):
 
 
 def _of_figures(known: Array, new: Array, unseen: Array) -> Array:
-    """Lay out the figures of all ways, [W, ...].
-
-    Args:
-        known: [O + 1, ...], candidates.
-        new: [2 (O + 1) + NUM_UNSEEN, ...], see ``_of_new``.
-        unseen: [NUM_UNSEEN, ...], anywhere.
-    """
+    """Lay out the figures of all ways, [W, ...]: candidates, new ones, those anywhere."""
     size, rest = known.shape[0], known.shape[1:]
     each = jnp.broadcast_to(known[:, None], (size, size, *rest)).reshape(-1, *rest)
     free = jnp.broadcast_to(unseen[:1], known.shape)
@@ -71,14 +65,7 @@ def _of_landmarks(known: Array, new: Array, unseen: Array) -> Array:
 
 
 def _of_new(figure: Array, landmark: Array, figure_of_pair: Array, size: int) -> Array:
-    """Lay out what is new in the ways told: figures, landmarks, the figures of new pairs.
-
-    Args:
-        figure: [1, ...] or [O + 1, ...], at each known landmark.
-        landmark: [1, ...] or [O + 1, ...], at each known figure.
-        figure_of_pair: [1, ...] or [NUM_UNSEEN, ...], at each new landmark.
-        size: O + 1.
-    """
+    """Lay out what is new in the ways told: figures, landmarks, the figures of new pairs."""
     numbers = (size, size, NUM_UNSEEN)
     return jnp.concatenate(
         [

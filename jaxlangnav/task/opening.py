@@ -94,7 +94,13 @@ def open_task(
     """
     place = open_world(world)
     if isinstance(place, WorldFile):
-        task = _task_in(place, sensing_range, seed)
+        task = Task(
+            key=jax.random.key(seed),
+            scenario=place.scenario,
+            instruction_index=jax.device_put(np.int32(0)),
+            sensor=_seen(place.sensor, sensing_range),
+            motion=place.motion,
+        )
         is_own = _is_its_own(place, understood)
         return _judge(
             place.name, task, understood, is_own=is_own, is_drawn=False, has_goal=place.has_goal
@@ -239,17 +245,6 @@ def count_types(scenario: Scenario, names: Sequence[str]) -> list[tuple[str, int
     kinds = np.asarray(scenario.object_type)[np.asarray(scenario.is_object)]
     types = [int(kind) for kind in kinds]
     return [(names[kind], types.count(kind)) for kind in dict.fromkeys(types)]
-
-
-def _task_in(world: WorldFile, sensing_range: float | None, seed: int) -> Task:
-    """Prepare an episode in a world that somebody has written down."""
-    return Task(
-        key=jax.random.key(seed),
-        scenario=world.scenario,
-        instruction_index=jax.device_put(np.int32(0)),
-        sensor=_seen(world.sensor, sensing_range),
-        motion=world.motion,
-    )
 
 
 def _is_its_own(world: WorldFile, understood: Understanding) -> bool:

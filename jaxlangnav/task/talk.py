@@ -23,7 +23,7 @@ from jaxlangnav.kept import kept
 from jaxlangnav.kinds import ANYTHING
 from jaxlangnav.language.halting import alarm_in, opening_of
 from jaxlangnav.language.utterance import Kind, classify
-from jaxlangnav.listening import Candidate, Heard, Listener
+from jaxlangnav.listening import Candidate, Listener
 from jaxlangnav.messages import NONE, Status
 from jaxlangnav.navigator import NavigatorState
 from jaxlangnav.plain_text import cut
@@ -213,7 +213,7 @@ class Earshot:
                 text=text,
                 kind=str(heard.kind),
                 speaker=speaker,
-                ruled_out=_things(listener, before, heard),
+                ruled_out=tuple(listener.thing_at(before, slot) for slot in heard.ruled_out),
                 notes=heard.notes,
                 scene=self._scene_of(before, after),
             )
@@ -268,8 +268,3 @@ def with_talk(recording: Recording, ear: Earshot) -> Recording:
         said=tuple(ear.said),
         candidates=ear.candidates if is_asking else (),
     )
-
-
-def _things(listener: Listener, state: NavigatorState, heard: Heard) -> tuple[Candidate, ...]:
-    """Name the observed slots that an utterance has ruled out."""
-    return tuple(listener.thing_at(state, slot) for slot in heard.ruled_out)

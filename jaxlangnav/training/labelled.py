@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from jaxlangnav.grounding.correspondence import CorrespondenceGraph, Labelled
 from jaxlangnav.grounding.features import FEATURE_GROUPS
-from jaxlangnav.grounding.graph import Path, bottom_up
+from jaxlangnav.grounding.graph import bottom_up
 from jaxlangnav.grounding.space import AnyWorld, BlockSpace, SymbolSpace, in_blocks
 from jaxlangnav.grounding.symbols import (
     KINDS,
@@ -17,7 +17,7 @@ from jaxlangnav.grounding.symbols import (
 )
 from jaxlangnav.grounding.worlds import place
 from jaxlangnav.language.corpus import Example
-from jaxlangnav.language.phrase import COMMAND, Parse
+from jaxlangnav.language.phrase import COMMAND
 from jaxlangnav.messages import ACTIONS, MODES, NONE, REGIONS, RELATIONS, ROBOT
 from jaxlangnav.training.examples import LabelledInstruction, PhraseExample, tree_examples
 from jaxlangnav.training.fit import Fit, TrainingConfig, train
@@ -73,11 +73,6 @@ def read_behavior(text: str, num_objects: int) -> BehaviorSymbol:
     return BehaviorSymbol(kind, REGIONS.index(arguments[0]), int(last))
 
 
-def _paths(parse: Parse) -> list[list[Path]]:
-    """List the paths of the phrases of each clause, children before parents."""
-    return [[n.path for n in bottom_up(root, c)] for c, root in enumerate(parse.clauses)]
-
-
 def labelled_instruction(example: Example, type_names: tuple[str, ...]) -> LabelledInstruction:
     """Turn one labelled instruction into training data.
 
@@ -88,7 +83,7 @@ def labelled_instruction(example: Example, type_names: tuple[str, ...]) -> Label
     Returns:
         The instruction by symbol indices. Statements ask for nothing and have no behavior.
     """
-    paths = _paths(example.parse)
+    paths = [[n.path for n in bottom_up(root, c)] for c, root in enumerate(example.parse.clauses)]
     annotation, rank = {}, {}
     for clause, labels in zip(paths, example.clauses, strict=True):
         for path, symbols, own in zip(clause, labels.annotation, labels.rank, strict=True):

@@ -127,16 +127,7 @@ def _combinations(beams: Sequence[Beams], num_models: int, width: int) -> tuple:
 
 
 def _merge(score: np.ndarray, key: np.ndarray, width: int) -> tuple[np.ndarray, np.ndarray]:
-    """Add up equal sets of each model and keep the best; see ``search.merge``.
-
-    Args:
-        score: f64[K, N] log-probabilities, −inf where there is no candidate.
-        key: u64[K, N] of the sets.
-        width: how many to keep.
-
-    Returns:
-        f64[K, W] log-probabilities, and i[K, W] the likeliest candidate of each set.
-    """
+    """Add up equal sets of each model, keep the best: f64[K, W], and i[K, W] likeliest of each."""
     num_models, count = score.shape
     likeliest = np.argsort(-score, axis=1, kind="stable")
     by_score = np.take_along_axis(key, likeliest, 1)

@@ -196,7 +196,11 @@ def train_models(
     say = on_progress or (lambda line: None)
     config = config or TrainingConfig()
     say("reading the corpus")
-    examples = load_corpus() if corpus is None else read_corpus(_corpus_file(corpus))
+    examples = (
+        load_corpus()
+        if corpus is None
+        else read_corpus(corpus / "corpus.jsonl" if corpus.is_dir() else corpus)
+    )
     data = _Data.of(examples, load_lexicon().type_names)
     models = {} if base is None else {"annotation": base.annotation, "behavior": base.behavior}
     report: dict[str, Any] = {"corpus": corpus_hash(examples), "sentences": len(examples)}
@@ -256,30 +260,18 @@ def _train_one(
 
     temperature = fit_temperature(lambda t: score(warm(t, part), tuning)) if tuning else 1.0
     model = warm(temperature, full)
-    report = _report(measured, count, full, fitted, temperature)
-    if data.held_out:
-        report |= _held_out(score(full, data.held_out), score(model, data.held_out))
-    return model, report
-
-
-def _corpus_file(corpus: Path) -> Path:
-    """Find the corpus file in a directory."""
-    return corpus / "corpus.jsonl" if corpus.is_dir() else corpus
-
-
-def _report(
-    measured: Fit, count: int, model: CorrespondenceModel, seconds: float, temperature: float
-) -> dict[str, Any]:
-    """Write down what training took."""
-    return {
+    report = {
         "examples": count,
-        "features": model.num_features,
+        "features": full.num_features,
         "train_s": round(measured.seconds, 3),
         "train_compile_s": round(measured.compile_seconds, 3),
-        "total_s": round(seconds, 3),
+        "total_s": round(fitted, 3),
         "steps": int(measured.steps[0]),
         "temperature": temperature,
     }
+    if data.held_out:
+        report |= _held_out(score(full, data.held_out), score(model, data.held_out))
+    return model, report
 
 
 def _held_out(before: Scores, after: Scores) -> dict[str, Any]:

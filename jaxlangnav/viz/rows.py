@@ -95,20 +95,7 @@ def _rows_figure(
     subtitle: str,
     bounds: Mapping[str, Row],
 ) -> "Figure":
-    """Draw rows as points with bars.
-
-    Args:
-        lines: what the row is called, the arm, its results; "paper" is an arm.
-        title: the headline.
-        subtitle: how to read the figure.
-        bounds: limits by the row's name.
-
-    Returns:
-        The figure.
-
-    Raises:
-        ValueError: no lines.
-    """
+    """Draw rows (name, arm, results; "paper" is an arm) as points with bars, limits beside."""
     if not lines:
         raise ValueError("the document has no rows, so there is nothing to draw")
     names = list(dict.fromkeys(name for name, _, _ in lines))

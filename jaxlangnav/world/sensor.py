@@ -90,19 +90,7 @@ def _in_error(
     scenario: Scenario,
     sensor: SensorParams,
 ) -> tuple[Array, Array, Array, Array]:
-    """Err as detectors do, where the world has it so: wrong labels, and what is not there.
-
-    Args:
-        key: of the look.
-        seen: of n things, [n] each: type, x and y in the robot's frame, metres, and whether it is
-            detected.
-        state: the robot.
-        scenario: the world.
-        sensor: the specification.
-
-    Returns:
-        The same of the things and, behind them, of what is invented.
-    """
+    """Err as detectors do, where the world has it so: wrong labels; behind, what is not there."""
     if scenario.errors is None:
         return seen
     keys = jax.random.split(jax.random.fold_in(key, _ERRING), 3)

@@ -69,11 +69,7 @@ def measure_odometry(machine: str, *, drives: int = 30, seed: int = 0) -> Odomet
 
 
 def _drive(machine: str, seed: int) -> np.ndarray:
-    """Drive once.
-
-    Returns:
-        f64[T, 6], pose by odometry and true pose after each cycle.
-    """
+    """Drive once: f64[T, 6], pose by odometry and true pose after each cycle."""
     gates = Gates(range=1.0)
     robot = PhysicsRobot(
         machine,

@@ -149,11 +149,7 @@ def _tell_of_silence(bus: RosBus) -> None:
 
 
 def _wait_for_robot(bus: RosBus, patience: float) -> None:
-    """Wait until odometry comes in.
-
-    Raises:
-        ValueError: it does not; one line.
-    """
+    """Wait until odometry comes in, or raise a ValueError of one line."""
     bus.tell({"status": "waiting_for_odometry"})
     end = bus.now() + patience
     while bus.inbox.track.pose is None:

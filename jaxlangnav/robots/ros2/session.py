@@ -174,11 +174,7 @@ class Session:
 
 
 def _read(path: Path) -> list[str]:
-    """Read the words of a task.
-
-    Raises:
-        ValueError: they are none; one line.
-    """
+    """Read the words of a task, or raise a ValueError of one line."""
     if path.stat().st_size > _MOST_BYTES:
         raise ValueError(f"{path} is longer than {_MOST_BYTES} bytes: it is no list of words")
     try:
