@@ -197,18 +197,18 @@ def rule_out(state: NavigatorState, slots: Array) -> NavigatorState:
 
 def _forgetting(talk: Conversation) -> Conversation:
     """Forget what is being approached where it has been ruled out."""
-    is_out = (talk.ruled_out & slot_bit(talk.approached)) != 0
+    is_out = (talk.ruled_out & _slot_bit(talk.approached)) != 0
     return replace(talk, approached=jnp.where(is_out, NONE, talk.approached))
 
 
-def slot_bit(slot: Array) -> Array:
+def _slot_bit(slot: Array) -> Array:
     """Mark an observed slot, i32[]; no bit for ``NONE``."""
     return jnp.where(slot == NONE, 0, jnp.left_shift(1, jnp.maximum(slot, 0))).astype(jnp.int32)
 
 
 def correct(state: NavigatorState) -> NavigatorState:
     """Rule out what is being approached: "no, the other one"."""
-    return rule_out(state, slot_bit(state.talk.approached))
+    return rule_out(state, _slot_bit(state.talk.approached))
 
 
 def choose(state: NavigatorState, slot: Array) -> NavigatorState:

@@ -12,7 +12,7 @@ import pytest
 
 from jaxlangnav import lanes
 from jaxlangnav.experiments import archive
-from jaxlangnav.experiments.archive import CompileClock, union_length
+from jaxlangnav.experiments.archive import CompileClock, _union_length
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.tasks import SENTENCES, cell, ground_sentences, make_tasks
 from jaxlangnav.navigator import default_params
@@ -26,7 +26,7 @@ def test_a_table_comes_back_as_it_was_written(tmp_path: Path) -> None:
         "is_success": np.array([True, False, True]),
         "final": np.arange(6, dtype=np.float32).reshape(3, 2),
     }
-    path = archive.write_table(columns, tmp_path / "new" / "episodes.parquet")
+    path = archive._write_table(columns, tmp_path / "new" / "episodes.parquet")
     table = pq.read_table(path).to_pydict()
     assert table["world"] == columns["world"]
     assert table["distance"] == [8.5, 12.25, 3.0]
@@ -38,7 +38,7 @@ def test_a_table_comes_back_as_it_was_written(tmp_path: Path) -> None:
 def test_a_failed_write_leaves_the_old_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = archive.write_table({"a": [1]}, tmp_path / "episodes.parquet")
+    path = archive._write_table({"a": [1]}, tmp_path / "episodes.parquet")
     before = path.read_bytes()
 
     def full_disk(_table: object, where: Path, **_options: object) -> None:
@@ -47,14 +47,14 @@ def test_a_failed_write_leaves_the_old_file(
 
     monkeypatch.setattr(archive.pq, "write_table", full_disk)
     with pytest.raises(OSError, match="No space left"):
-        archive.write_table({"a": [2]}, path)
+        archive._write_table({"a": [2]}, path)
     assert path.read_bytes() == before
     assert [entry.name for entry in tmp_path.iterdir()] == ["episodes.parquet"]
 
 
 def test_columns_of_different_lengths_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="different lengths"):
-        archive.write_table({"a": [1, 2], "b": [1]}, tmp_path / "episodes.parquet")
+        archive._write_table({"a": [1, 2], "b": [1]}, tmp_path / "episodes.parquet")
 
 
 def test_the_hash_tells_weights_apart() -> None:
@@ -107,7 +107,7 @@ def test_a_manifest_says_how(tmp_path: Path) -> None:
     ],
 )
 def test_union_length(intervals: list[tuple[float, float]], expected: float) -> None:
-    assert union_length(intervals) == pytest.approx(expected)
+    assert _union_length(intervals) == pytest.approx(expected)
 
 
 def test_the_clock_counts_compilation_and_not_running() -> None:

@@ -36,14 +36,14 @@ def run(policy: str, tasks: Task, instructions: Any) -> EpisodeResult:
 
 
 def test_figure_types_are_those_of_the_sentences(instructions: Any) -> None:
-    np.testing.assert_array_equal(baselines.figure_types(instructions), [0, 0, 0])
+    np.testing.assert_array_equal(baselines._figure_types(instructions), [0, 0, 0])
     other = ground_sentences(["go to the cone near the tree"]).instructions
-    np.testing.assert_array_equal(baselines.figure_types(other), [1])
+    np.testing.assert_array_equal(baselines._figure_types(other), [1])
 
 
 def test_lanes_by_hand() -> None:
     area = jnp.array([0.0, 12.0, -6.0, 6.0])
-    first = [baselines.lane_waypoint(area, jnp.float32(3.0), jnp.int32(leg)) for leg in range(5)]
+    first = [baselines._lane_waypoint(area, jnp.float32(3.0), jnp.int32(leg)) for leg in range(5)]
     expected = [(3, -3), (3, 3), (9, 3), (9, -3)]
     np.testing.assert_allclose(np.array(first[:4]), expected, atol=1e-5)
     # The second pass comes closer to the edge: 6 - 0.3 · 3.
@@ -57,7 +57,9 @@ def test_two_passes_see_the_whole_area(reach: float) -> None:
     points = [np.zeros(2)]
     for leg in range(4 * num_lanes):
         points.append(
-            np.array(baselines.lane_waypoint(jnp.asarray(area), jnp.float32(reach), jnp.int32(leg)))
+            np.array(
+                baselines._lane_waypoint(jnp.asarray(area), jnp.float32(reach), jnp.int32(leg))
+            )
         )
     path = np.concatenate([np.linspace(a, b, 200) for a, b in itertools.pairwise(points)])
     x, y = np.meshgrid(np.linspace(0.01, 12.99, 40), np.linspace(-9.19, 9.19, 40))
@@ -72,7 +74,7 @@ def test_two_passes_see_the_whole_area(reach: float) -> None:
 def test_arcs_by_hand() -> None:
     area = jnp.array([0.0, 10.0, -7.0, 7.0])
     reach = jnp.float32(2.0)
-    points = np.array([baselines.arc_waypoint(area, reach, jnp.int32(leg)) for leg in range(24)])
+    points = np.array([baselines._arc_waypoint(area, reach, jnp.int32(leg)) for leg in range(24)])
     radius = np.hypot(points[:, 0], points[:, 1])
     np.testing.assert_allclose(radius, np.repeat([6.6, 9.5, 3.4], 8), rtol=1e-5)
     angle = np.arctan2(points[:, 1], points[:, 0])
@@ -81,8 +83,8 @@ def test_arcs_by_hand() -> None:
     # The next pass comes back the other way; after three it mows the lawn.
     assert angle[8] == pytest.approx(-angle[15], abs=1e-5)
     assert angle[8] > 0.0
-    after = baselines.arc_waypoint(area, reach, jnp.int32(24))
-    np.testing.assert_allclose(after, baselines.lane_waypoint(area, reach, jnp.int32(0)))
+    after = baselines._arc_waypoint(area, reach, jnp.int32(24))
+    np.testing.assert_allclose(after, baselines._lane_waypoint(area, reach, jnp.int32(0)))
 
 
 def test_knowing_the_law_is_worth_metres(instructions: Any) -> None:
@@ -182,7 +184,7 @@ def test_names_are_checked() -> None:
 
 def test_the_share_seen_by_hand() -> None:
     edges, area, mass = np.array([10.0, 11.0]), np.array([20.0]), np.array([1.0])
-    found = bounds.likeliest_share(edges, area, mass, 2.0, np.array([0.0, 8.0, 9.0, 13.0, 50.0]))
+    found = bounds._likeliest_share(edges, area, mass, 2.0, np.array([0.0, 8.0, 9.0, 13.0, 50.0]))
     # Nothing before the ring is in reach after 8 m; then 4 square metres of its 20 a metre.
     np.testing.assert_allclose(found, [0.0, 0.0, 0.2, 1.0, 1.0])
 
@@ -202,7 +204,7 @@ def test_no_set_within_the_bounds_on_nested_sets_is_likelier() -> None:
             tails @ first + 2 * reach * since,
             bounds=[(0, one) for one in area],
         )
-        found = bounds.likeliest_share(edges, area, mass, reach, np.array([way]))
+        found = bounds._likeliest_share(edges, area, mass, reach, np.array([way]))
         assert found[0] == pytest.approx(-best.fun, abs=1e-9)
 
 
@@ -230,7 +232,7 @@ def test_no_tour_of_a_small_area_beats_the_bound(num_goals: int) -> None:
         ways = [_ways(np.array(tour), goal, reach) for goal in goals]
         if np.isfinite(ways[0]).all():
             means.append(np.min(ways, axis=0).mean())
-    found = bounds.uniform_search_bound(depth, width, reach, num_goals)
+    found = bounds._uniform_search_bound(depth, width, reach, num_goals)
     assert (0.7 if num_goals == 1 else 0.5) * min(means) < found < min(means)
 
 
@@ -246,14 +248,14 @@ def test_no_sweep_along_the_best_arc_beats_the_bound() -> None:
         angle = np.linspace(-math.pi / 4, math.pi / 4, 9) * 0.9
         arc = np.stack([np.cos(angle), np.sin(angle)], axis=1)
         ways.append(_ways(np.concatenate([radius * arc, (radius + 5.0) * arc[::-1]]), goal, reach))
-    found = bounds.law_search_bound(mean, sd, reach)
+    found = bounds._law_search_bound(mean, sd, reach)
     # Those whom no arc finds are counted with the straight way to them: too little.
     means = [np.where(np.isfinite(one), one, distance - 1.5).mean() for one in ways]
     assert mean - 1.5 + 2.0 < found < min(means)
 
 
 def test_the_law_bound_falls_with_the_range_to_the_straight_way() -> None:
-    values = [bounds.law_search_bound(8.75, 1.69, reach) for reach in (0.5, 1.0, 3.0, 5.0, 30.0)]
+    values = [bounds._law_search_bound(8.75, 1.69, reach) for reach in (0.5, 1.0, 3.0, 5.0, 30.0)]
     assert values == sorted(values, reverse=True)
     assert values[-1] == pytest.approx(8.75 - 1.5, abs=0.1)
     assert values[-1] < 8.75 - 1.5
@@ -263,7 +265,7 @@ def test_the_law_bound_falls_with_the_range_to_the_straight_way() -> None:
 
 def test_a_small_range_sweeps_the_area() -> None:
     # As R falls the way nears that of a sweep without overlap, A / 4R.
-    assert bounds.uniform_search_bound(10.0, 14.0, 0.2) == pytest.approx(140.0 / 0.8, rel=0.05)
+    assert bounds._uniform_search_bound(10.0, 14.0, 0.2) == pytest.approx(140.0 / 0.8, rel=0.05)
 
 
 def test_limits_of_rows() -> None:
@@ -274,7 +276,7 @@ def test_limits_of_rows() -> None:
     assert law is not None
     assert uniform is not None
     # Either hydrant will do: the nearer one of two may stand nearer than one does on average.
-    assert 8.0 < law < bounds.law_search_bound(10.49, 1.81, 3.0)
+    assert 8.0 < law < bounds._law_search_bound(10.49, 1.81, 3.0)
     assert law < uniform
     behind = bounds.limits("2H1C", "behind", 3.0)
     assert behind["success"] == 100.0

@@ -15,12 +15,12 @@ from jaxlangnav.experiments.calibration import (
     GoalDensity,
     Reliability,
     Tally,
-    draw_unseen,
-    goal_region,
-    is_held_as,
+    _draw_unseen,
+    _goal_region,
+    _is_held_as,
+    _reliability,
     is_it,
     nothing,
-    reliability,
     scores,
 )
 from jaxlangnav.experiments.judging import bin_sums, curve, pooled, run_judged, tally_tasks
@@ -93,7 +93,7 @@ def test_nothing_seen_has_no_score() -> None:
 def test_events_go_into_the_bin_of_their_probability() -> None:
     probability = jnp.array([0.05, 0.55, 0.58, 1.0, 0.3])
     outcome = jnp.array([0.0, 1.0, 0.0, 1.0, 1.0])
-    found = reliability(probability, outcome, jnp.array([True, True, True, True, False]))
+    found = _reliability(probability, outcome, jnp.array([True, True, True, True, False]))
     assert found.events.tolist() == [1, 0, 0, 0, 0, 2, 0, 0, 0, 1]
     assert found.outcome.tolist() == [0, 0, 0, 0, 0, 1, 0, 0, 0, 1]
     np.testing.assert_allclose(found.probability[5], 1.13, rtol=1e-6)
@@ -118,7 +118,7 @@ def test_object_is_of_the_type_that_most_of_the_belief_has_it_of() -> None:
     kinds = np.asarray(belief.particles.object_type).copy()
     kinds[1], kinds[1, 0], kinds[2, :20] = by_hand.HYDRANT, by_hand.CONE, by_hand.HYDRANT
     particles = replace(belief.particles, object_type=jnp.asarray(kinds))
-    is_event = is_held_as(replace(belief, particles=particles), jnp.int32(by_hand.HYDRANT))
+    is_event = _is_held_as(replace(belief, particles=particles), jnp.int32(by_hand.HYDRANT))
     np.testing.assert_array_equal(is_event[:3], [False, True, False])
 
 
@@ -136,7 +136,7 @@ def density(**changes: Any) -> GoalDensity:
     return replace(GoalDensity(**leaves), **changes)
 
 
-RANK = jax.jit(goal_region)
+RANK = jax.jit(_goal_region)
 
 
 def test_rank_within_a_seen_object_is_that_of_its_gaussian() -> None:
@@ -179,7 +179,7 @@ def ranks(scale: float, seed: int) -> np.ndarray:
             hypothesis_y=places[:64, 1] * scale,
             hypothesis_mass=jnp.full(64, 0.5 / 64),
         )
-        return goal_region(belief, truth[0], truth[1])[0]
+        return _goal_region(belief, truth[0], truth[1])[0]
 
     return np.asarray(jax.jit(jax.vmap(one))(jax.random.split(jax.random.key(seed), 4000)))
 
@@ -211,17 +211,17 @@ def unseen_ranks(*, is_even: bool) -> np.ndarray:
 
     def one(key: jax.Array) -> jax.Array:
         truth_key, even_key, drawn_key = jax.random.split(key, 3)
-        true_x, true_y = draw_unseen(truth_key, coverage, 1)
+        true_x, true_y = _draw_unseen(truth_key, coverage, 1)
         comb = jax.random.uniform(even_key, (2, 64))
         even_x, even_y, _ = sample_unseen(coverage, comb[0, 0], comb)
-        x, y = (even_x, even_y) if is_even else draw_unseen(drawn_key, coverage, 64)
+        x, y = (even_x, even_y) if is_even else _draw_unseen(drawn_key, coverage, 64)
         belief = density(
             object_mass=jnp.zeros(2),
             hypothesis_x=x,
             hypothesis_y=y,
             hypothesis_mass=jnp.full(64, 1 / 64),
         )
-        return goal_region(belief, true_x[0], true_y[0])[0]
+        return _goal_region(belief, true_x[0], true_y[0])[0]
 
     return np.asarray(jax.jit(jax.vmap(one))(jax.random.split(jax.random.key(3), 2000)))
 
@@ -238,7 +238,7 @@ def test_hypotheses_drawn_independently_rank_a_truth_of_their_law_uniformly() ->
 def test_places_drawn_are_of_the_law_of_what_is_unseen() -> None:
     log_miss = -np.random.default_rng(4).exponential(1.0, (8, 8)).astype(np.float32)
     coverage = replace(unexplored(SQUARE, 8), log_miss=jnp.asarray(log_miss))
-    x, y = (np.asarray(one) for one in draw_unseen(jax.random.key(0), coverage, 40_000))
+    x, y = (np.asarray(one) for one in _draw_unseen(jax.random.key(0), coverage, 40_000))
     count = np.histogram2d(y, x, bins=8, range=[[0, 16], [0, 16]])[0]
     expected = np.exp(log_miss) / np.exp(log_miss).sum() * x.size
     assert count.sum() == x.size

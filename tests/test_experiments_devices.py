@@ -78,9 +78,9 @@ def test_rounds_by_hand() -> None:
         ("informed", 64),
         ("known", None),
     ]
-    found = list(sweep.rounds(range(6), kinds.__getitem__, 2))
+    found = list(sweep._rounds(range(6), kinds.__getitem__, 2))
     assert found == [[1], [0, 2], [5], [3], [4]]
-    assert [len(own) for own in sweep.rounds(range(6), kinds.__getitem__, 1)] == [1] * 6
+    assert [len(own) for own in sweep._rounds(range(6), kinds.__getitem__, 1)] == [1] * 6
 
 
 def test_mistakes_are_one_line() -> None:

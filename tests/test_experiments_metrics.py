@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from jaxlangnav.episode import EpisodeResult
-from jaxlangnav.experiments.metrics import compare, mcnemar, sign_flip, summarize, wilson_interval
+from jaxlangnav.experiments.metrics import _mcnemar, _sign_flip, compare, summarize, wilson_interval
 from jaxlangnav.messages import Status
 
 
@@ -81,29 +81,29 @@ def test_wilson_interval_by_hand() -> None:
     ],
 )
 def test_mcnemar_by_hand(first: int, second: int, expected: float) -> None:
-    assert mcnemar(first, second) == pytest.approx(expected)
+    assert _mcnemar(first, second) == pytest.approx(expected)
 
 
 def test_mcnemar_does_not_underflow() -> None:
     # 3,000 discordant episodes at 55 %: normal approximation, z = (1650 - 1350) / sqrt(3000).
     z = 300 / math.sqrt(3000)
     expected = math.erfc(z / math.sqrt(2))
-    assert mcnemar(1650, 1350) == pytest.approx(expected, rel=0.1)
-    assert 0.0 <= mcnemar(20_000, 0) < 1e-300
+    assert _mcnemar(1650, 1350) == pytest.approx(expected, rel=0.1)
+    assert 0.0 <= _mcnemar(20_000, 0) < 1e-300
 
 
 def test_sign_flip_limits() -> None:
-    assert sign_flip(np.zeros(9)) == 1.0
+    assert _sign_flip(np.zeros(9)) == 1.0
     # All of 30 differences alike: only flips of none or all reach the sum.
-    assert sign_flip(np.ones(30)) == pytest.approx(1 / 4001)
+    assert _sign_flip(np.ones(30)) == pytest.approx(1 / 4001)
     # Three equal differences: 2 of 8 sign patterns reach the sum.
-    assert sign_flip(np.full(3, 2.5)) == pytest.approx(0.25, abs=5 * math.sqrt(0.1875 / 4000))
+    assert _sign_flip(np.full(3, 2.5)) == pytest.approx(0.25, abs=5 * math.sqrt(0.1875 / 4000))
 
 
 def test_sign_flip_is_calibrated() -> None:
     random = np.random.default_rng(1)
     values = [
-        sign_flip(random.exponential(1.0, 40) - random.exponential(1.0, 40)) for _ in range(200)
+        _sign_flip(random.exponential(1.0, 40) - random.exponential(1.0, 40)) for _ in range(200)
     ]
     rejected = np.mean(np.array(values) < 0.1)
     assert abs(rejected - 0.1) < 5 * math.sqrt(0.09 / 200)

@@ -120,7 +120,7 @@ def test_bad_cells_are_refused() -> None:
     ],
 )
 def test_pieces_by_hand(number: int, threads: int, expected: list[tuple[int, int]]) -> None:
-    assert monte_carlo.pieces(number, 1024, threads) == expected
+    assert monte_carlo._pieces(number, 1024, threads) == expected
 
 
 def test_pieces_come_back_in_order_and_without_padding() -> None:

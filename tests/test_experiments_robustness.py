@@ -11,16 +11,16 @@ import pytest
 
 from jaxlangnav.cli import main as cli
 from jaxlangnav.experiments import conversation
-from jaxlangnav.experiments.conversation import ROWS, dialogue_table, run_row
+from jaxlangnav.experiments.conversation import ROWS, _run_row, dialogue_table
 from jaxlangnav.experiments.dialogue import sentence_with
 from jaxlangnav.experiments.experiment import Options
 from jaxlangnav.experiments.robustness import (
     ROBUSTNESS,
     Robustness,
-    describe_missed,
-    missed,
-    robustness_table,
-    scenarios_table,
+    _describe_missed,
+    _missed,
+    _robustness_table,
+    _scenarios_table,
 )
 from jaxlangnav.experiments.scenarios import SAID, SCENARIOS, PlaceSpec
 from jaxlangnav.navigator import check, default_params
@@ -45,7 +45,7 @@ def row(scenario: str, policy: str = "informed", **other: Any) -> dict[str, Any]
 def document(rows: list[dict[str, Any]]) -> dict[str, Any]:
     return {
         "rows": rows, "policies": ["informed"], "episodes": 100, "seed": 0, "num_particles": 64,
-        "missed": missed(rows),
+        "missed": _missed(rows),
         "scenarios": [one.described() for one in SCENARIOS],
     }  # fmt: skip
 
@@ -135,14 +135,14 @@ def test_what_is_missed_is_said() -> None:
         row("false sentence", is_met=False, distance_mean=51.2),
         row("14 bystanders", is_met=True),
     ]
-    lines = describe_missed(document(rows))
+    lines = _describe_missed(document(rows))
     assert "false sentence (99.0, target 99; 51.2 m, at most 45)" in lines[0]
     assert "bystanders" not in lines[0]
     assert "plain (0.071, target 0.05)" in lines[1]
 
 
 def test_tables_say_what_was_told_and_what_was_true() -> None:
-    listed = {line[0]: line for line in scenarios_table(document([row("plain")])).rows}
+    listed = {line[0]: line for line in _scenarios_table(document([row("plain")])).rows}
     assert listed["plain"][4] == "no"
     assert listed["labels 10 %, not told"][3:] == [
         "range 3 m, wrong labels 10 %",
@@ -154,7 +154,7 @@ def test_tables_say_what_was_told_and_what_was_true() -> None:
         "no",
         "concentration 2, clumping 0, misleading 0.01",
     ]
-    cells = robustness_table(document([row("false sentence")])).rows[0]
+    cells = _robustness_table(document([row("false sentence")])).rows[0]
     assert "≥ 99, ≤ 45 m" in cells
     assert "0.020 (0.030)" in cells
 
@@ -288,10 +288,10 @@ def test_a_correction_finds_the_other() -> None:
     """Paired episode by episode; the same seed gives the same row."""
     numbers = {"seed": 0, "particles": 64, "params": default_params()}
     silent, corrected = ROWS[0], ROWS[1]
-    alone = run_row(silent, episodes=20, **numbers)
-    told = run_row(corrected, episodes=20, **numbers)
+    alone = _run_row(silent, episodes=20, **numbers)
+    told = _run_row(corrected, episodes=20, **numbers)
     assert told["success"] > alone["success"]
     assert told["questions"] == 0.0
     assert told["corrections"] > 0.0
-    again = run_row(dataclasses.replace(corrected), episodes=20, **numbers)
+    again = _run_row(dataclasses.replace(corrected), episodes=20, **numbers)
     assert again == told

@@ -19,7 +19,7 @@ import pytest
 from jaxlangnav.cli import main as cli
 from jaxlangnav.episode import begin
 from jaxlangnav.experiments import sizes, summary, sweep, sweep_folder
-from jaxlangnav.experiments.experiment import check_episodes
+from jaxlangnav.experiments.experiment import _check_episodes
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.rows import RowSpec
 from jaxlangnav.experiments.sweep_config import SweepConfig, config_from_dict, read_config
@@ -531,18 +531,18 @@ HUGE = "1000000000000"
 def test_the_account_is_that_of_the_real_records() -> None:
     spec = RowSpec(world="1H1C", range=3.0, relation="null")
     tasks = draw_tasks([spec.setting(seed=0).cell], np.zeros(2, int), np.arange(2))
-    assert 2 * sizes.task_bytes() == sizes.bytes_of(tasks)
+    assert 2 * sizes.task_bytes() == sizes._bytes_of(tasks)
     instructions = ground_sentences(["go to the hydrant"]).instructions
     task = jax.tree.map(lambda leaf: leaf[0], tasks)
     for particles in (7, 64):
         config = navigator_config("informed", particles)
         progress = jax.jit(begin, static_argnames="config")(task, instructions, config=config)
-        fixed, each = sizes.episode_bytes(config)
-        assert fixed + particles * each == sizes.bytes_of(progress)
+        fixed, each = sizes._episode_bytes(config)
+        assert fixed + particles * each == sizes._bytes_of(progress)
 
 
 def test_what_fits_fits_and_one_more_does_not(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sizes, "memory", lambda: 1000)
+    monkeypatch.setattr(sizes, "_memory", lambda: 1000)
     sizes.check_count("things", 90, each=10, fixed=100)
     with pytest.raises(ValueError, match=r"things is 91 with wings, .* 1010 bytes .*: at most 90 "):
         sizes.check_count("things", 91, each=10, fixed=100, beside="wings")
@@ -574,13 +574,13 @@ def test_an_engine_of_the_usual_size_is_not() -> None:
     for particles in (2, 64, 1000):
         sizes.check_engine(navigator_config("informed", particles))
         sizes.check_recording(navigator_config("faithful", particles), 120)
-    assert check_episodes(1000, rows=7, kept=6) == 1000
+    assert _check_episodes(1000, rows=7, kept=6) == 1000
 
 
 def test_the_memory_is_that_of_the_container_where_it_is_less(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert sizes.memory() > 1 << 28
+    assert sizes._memory() > 1 << 28
     limit = tmp_path / "memory.max"
     for text, expected in ((f"{1 << 28}\n", 1 << 28), ("max\n", None), ("", None)):
         limit.write_text(text)
@@ -645,4 +645,4 @@ def _written(word: str, last: str, folder: Path) -> str:
 
 def test_bytes_are_counted_without_wrapping() -> None:
     leaf = jax.ShapeDtypeStruct((10**10, 10**10), np.dtype(np.float32))
-    assert sizes.bytes_of([leaf, np.zeros(3, bool)]) == 4 * 10**20 + 3
+    assert sizes._bytes_of([leaf, np.zeros(3, bool)]) == 4 * 10**20 + 3

@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 from grounding_fixture import TYPES, corpus
 
-from jaxlangnav.experiments.table1 import draw_splits, evaluate, mark_new_words, summarise, table_1
+from jaxlangnav.experiments.table1 import (
+    _mark_new_words,
+    _summarise,
+    draw_splits,
+    evaluate,
+    table_1,
+)
 from jaxlangnav.grounding import load_shipped
 from jaxlangnav.training.evaluation import (
     Scores,
@@ -28,15 +34,15 @@ def test_new_words_are_those_of_no_training_sentence():
         sentences=("go to the box", "find the box", "go to the cone", "find the boxes"),
     )
     # Without the first and the third nobody has said "go" or "cone"; "boxes" is the lemma "box".
-    marked = mark_new_words(instructions, np.array([True, False, True, False]))
+    marked = _mark_new_words(instructions, np.array([True, False, True, False]))
     assert marked.tolist() == [True, True]
-    marked = mark_new_words(instructions, np.array([True, False, False, True]))
+    marked = _mark_new_words(instructions, np.array([True, False, False, True]))
     assert marked.tolist() == [False, False]
 
 
 def test_interval_by_hand():
     scores = [Scores(np.array(right), np.ones(2), np.zeros(2)) for right in ([1, 1], [1, 0])]
-    mean, interval = summarise(scores)
+    mean, interval = _summarise(scores)
     assert mean == 75.0
     assert interval == pytest.approx(1.96 * np.std([100, 50], ddof=1) / np.sqrt(2))
 

@@ -14,7 +14,7 @@ from rich.console import Console
 from jaxlangnav.experiments import paper, tables
 from jaxlangnav.experiments.experiment import Experiment, Options
 from jaxlangnav.experiments.rows import RowSpec, describe_noise, printed_rows
-from jaxlangnav.experiments.table import Section, Table, data_uri, render_report, write_report
+from jaxlangnav.experiments.table import Section, Table, _data_uri, _render_report, write_report
 from jaxlangnav.world.templates import TABLE_2
 
 TABLE = paper.table_2()
@@ -78,7 +78,7 @@ def test_the_paper_stands_beside_what_it_ran() -> None:
     """Its method beside both of ours, its known map beside ours, nothing beside other robots."""
     paper = printed_rows(TABLE_2)[5]
     beside = {
-        name: tables.cells(row(policy=name), paper)[5:10:2]
+        name: tables._cells(row(policy=name), paper)[5:10:2]
         for name in ("informed", "faithful", "arc", "known")
     }
     known = "10.38 (1.86)"
@@ -94,7 +94,7 @@ def test_policies_of_a_row_stand_together() -> None:
         row(policy="known"),
         row(world="1H1C", relation=None, policy="known"),
     ]
-    order = [(one["world"], one["policy"]) for one, _ in tables.paired_rows(document(*rows))]
+    order = [(one["world"], one["policy"]) for one, _ in tables._paired_rows(document(*rows))]
     assert order == [
         ("2H1C", "faithful"),
         ("2H1C", "known"),
@@ -141,7 +141,7 @@ def test_falls_are_found() -> None:
         row(range=3.0, success_rate=78.0, success_ci=[73.0, 83.0]),
         row(range=5.0, success_rate=60.0, success_ci=[55.0, 65.0]),
     ]
-    found = paper.falls({"rows": rows[::-1]})
+    found = paper._falls({"rows": rows[::-1]})
     assert [(one["range"], one["from"], one["to"]) for one in found] == [(5.0, 78.0, 60.0)]
 
 
@@ -308,7 +308,7 @@ def picture(tmp_path: Path) -> Path:
 
 def read(*sections: Section, title: str = "Ours & theirs", **made: str) -> Page:
     page = Page()
-    page.feed(render_report(title, sections, made=made))
+    page.feed(_render_report(title, sections, made=made))
     return page
 
 
@@ -325,7 +325,7 @@ def test_pictures_stand_in_the_page_and_nothing_is_fetched(picture: Path) -> Non
     images = [link for link in page.links if link.startswith("data:image/svg+xml;base64,")]
     assert len(images) == 2
     assert base64.b64decode(images[0].split(",")[1]).decode() == SVG
-    text = render_report("x", [Section(title="One", pictures=[(picture, "a")])], made={})
+    text = _render_report("x", [Section(title="One", pictures=[(picture, "a")])], made={})
     assert not re.search(r"https?://|@import|url\(|<script", text)
 
 
@@ -357,7 +357,7 @@ def test_blocks_say_once_what_they_share_and_empty_columns_go() -> None:
 
 def test_what_is_written_cannot_break_the_page(tmp_path: Path) -> None:
     evil = '</title><script>alert("x")</script>'
-    page = render_report(evil, [Section(title=evil, lead=evil, notes=[evil])], made={"a": evil})
+    page = _render_report(evil, [Section(title=evil, lead=evil, notes=[evil])], made={"a": evil})
     assert "<script" not in page
     path = write_report("t", [], tmp_path / "new" / "report.html", made={})
     assert path.read_text("utf-8").startswith("<!doctype html>")
@@ -365,12 +365,12 @@ def test_what_is_written_cannot_break_the_page(tmp_path: Path) -> None:
 
 def test_only_pictures_are_taken(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="is no picture"):
-        data_uri(tmp_path / "figure.pdf")
+        _data_uri(tmp_path / "figure.pdf")
 
 
 def test_text_that_names_a_place_of_the_page_stays_text() -> None:
     part = Section(title="__MADE__ <i>", lead="__CONTENTS__ \x1b[2J", notes=["__PARTS__"])
-    text = render_report("__PARTS__ <b>", [part], made={"command": "__TITLE__ \u202e"})
+    text = _render_report("__PARTS__ <b>", [part], made={"command": "__TITLE__ \u202e"})
     page = Page()
     page.feed(text)
     assert text.count("<section") == 1

@@ -11,7 +11,7 @@ from test_planner_policy import CONFIG, believe, random_places
 from test_planner_tours import AREA, RANGE, SENSOR, K, search_of
 
 from jaxlangnav.anywhere import config_anywhere, params_anywhere
-from jaxlangnav.experiments.baselines import lane_waypoint
+from jaxlangnav.experiments.baselines import _lane_waypoint
 from jaxlangnav.messages import default_sensor
 from jaxlangnav.planner import tours
 from jaxlangnav.planner.endings import MOST_UNLOOKED, chances
@@ -111,7 +111,7 @@ def lawnmower(area: tuple[float, ...]) -> float:
     """Measure one sweep of the lawnmower's lanes from the origin, metres."""
     lanes = math.ceil((area[1] - area[0]) / (2.0 * RANGE))
     at = [np.zeros(2)] + [
-        np.array(lane_waypoint(jnp.array(area), jnp.float32(RANGE), jnp.int32(leg)))
+        np.array(_lane_waypoint(jnp.array(area), jnp.float32(RANGE), jnp.int32(leg)))
         for leg in range(2 * lanes)
     ]
     return float(np.hypot(*np.diff(at, axis=0).T).sum())

@@ -18,7 +18,7 @@ from jaxlangnav.robots.motion.window import Window
 from jaxlangnav.robots.record import Drive, Ending, observe
 from jaxlangnav.robots.recorded import record_drive
 from jaxlangnav.robots.robot import Detection, Progress
-from jaxlangnav.viz.html import page_data, render_html
+from jaxlangnav.viz.html import _page_data, _render_html
 from jaxlangnav.viz.panels import outcome
 from jaxlangnav.world.scenario import empty_scenario
 from jaxlangnav.world.state import CONE, HYDRANT
@@ -202,7 +202,7 @@ def test_a_drive_is_recorded_with_the_truth_of_each_look(navigator) -> None:
     assert kept.result.is_success == (ended.ending is Ending.ARRIVED)
     assert float(kept.result.goal_distance) == pytest.approx(goal_distance(robot))
     assert kept.pictures == ()
-    assert "Says stop" in render_html(kept)
+    assert "Says stop" in _render_html(kept)
 
 
 def test_a_recording_tells_endings_that_only_robots_have(navigator) -> None:
@@ -213,7 +213,7 @@ def test_a_recording_tells_endings_that_only_robots_have(navigator) -> None:
     assert outcome(kept) == "blind"
     assert not kept.frames.is_detection[-1].any()
     np.testing.assert_allclose(kept.frames.position[-1], robot.true_pose[:2], atol=1e-5)
-    closing = page_data(kept)["closing"]
+    closing = _page_data(kept)["closing"]
     assert "picture" in closing[0]
     assert not any("out of time" in line for line in closing)
 

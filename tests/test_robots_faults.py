@@ -15,7 +15,7 @@ from jaxlangnav.robots.physics.robot import PhysicsRobot
 from jaxlangnav.robots.record import Ending
 from jaxlangnav.robots.recorded import record_drive
 from jaxlangnav.robots.table3 import TABLE3, make_robot
-from jaxlangnav.viz.html import render_html
+from jaxlangnav.viz.html import _render_html
 
 __all__ = ["navigator"]
 pytestmark = pytest.mark.slow
@@ -124,4 +124,4 @@ def test_a_run_is_recorded_with_what_is_seen_of_it(navigator) -> None:
             assert picture.std() > 10.0
     first, last = kept.pictures[0], kept.pictures[-1]
     assert all(first[title] != last[title] for title in first)
-    assert len(render_html(kept)) < 5_000_000
+    assert len(_render_html(kept)) < 5_000_000

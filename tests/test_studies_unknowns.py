@@ -13,7 +13,7 @@ from jaxlangnav.experiments.rows import PRINTED as SPECS
 from jaxlangnav.experiments.rows import RowSpec, printed_rows
 from jaxlangnav.navigator import check
 from jaxlangnav.studies import unknowns, unknowns_tables
-from jaxlangnav.studies.unknowns import VARIATIONS, Variation, turned
+from jaxlangnav.studies.unknowns import VARIATIONS, Variation, _turned
 from jaxlangnav.viz import sweep as picture
 from jaxlangnav.world.templates import TABLE_2
 
@@ -58,7 +58,7 @@ def test_only_sizes_compile_anew() -> None:
 
 def test_worlds_are_turned_as_a_whole() -> None:
     tasks = drawn(RowSpec(world="2H2C", range=3.0, relation="behind"), episodes=64, seed=5)
-    after = turned(tasks, 5)
+    after = _turned(tasks, 5)
     old, new = tasks.scenario, after.scenario
     before = np.asarray(old.object_x) + 1j * np.asarray(old.object_y)
     now = np.asarray(new.object_x) + 1j * np.asarray(new.object_y)

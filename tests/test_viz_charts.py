@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxlangnav.experiments.metrics import wilson_interval
-from jaxlangnav.viz import rows, style, sweep
+from jaxlangnav.viz import rows, sweep
 
 RANGES = (2.0, 3.0, 5.0)
 
@@ -153,46 +153,6 @@ def test_reliability_panels_share_names_and_scale():
     assert [tick.get_text() for tick in below.get_yticklabels()] == ["0", "1", "10"]
     with pytest.raises(ValueError, match="no predictions"):
         rows.reliability_figure({"informed": {}}, title="T")
-
-
-def test_calibration_bins_by_hand():
-    predicted = np.array([0.05, 0.15, 0.15, 0.95, 1.0])
-    outcome = np.array([False, True, False, True, True])
-    mean, rate, low, high, number = rows.calibration_bins(predicted, outcome, 10)
-    assert mean == pytest.approx([0.05, 0.15, 0.975])
-    assert rate == pytest.approx([0.0, 0.5, 1.0])
-    assert number.tolist() == [1, 2, 2]
-    assert (low[1], high[1]) == pytest.approx(wilson_interval(1, 2))
-
-
-def test_calibrated_predictions_lie_on_the_line():
-    rng = np.random.default_rng(0)
-    predicted = rng.random(20000)
-    outcome = rng.random(20000) < predicted
-    mean, rate, _, _, number = rows.calibration_bins(predicted, outcome, 10)
-    # Five standard errors of a rate in each bin.
-    assert (np.abs(rate - mean) < 5 * np.sqrt(0.25 / number)).all()
-
-
-@pytest.mark.parametrize(
-    ("predicted", "outcome", "bins", "said"),
-    [
-        ([0.5], [True, False], 10, "do not fit"),
-        ([1.5], [True], 10, "outside"),
-        ([0.5], [True], 0, "do not fit"),
-    ],
-)
-def test_bad_predictions_are_refused(predicted, outcome, bins, said):
-    with pytest.raises(ValueError, match=said):
-        rows.calibration_bins(np.array(predicted), np.array(outcome), bins)
-
-
-def test_calibration_figure(tmp_path):
-    curves = {"annotation": (np.array([0.1, 0.9]), np.array([False, True]))}
-    figure = rows.calibration_figure(curves)
-    assert all(path.exists() for path in style.save(figure, tmp_path / "calibration"))
-    with pytest.raises(ValueError, match="no predictions"):
-        rows.calibration_figure({})
 
 
 def test_time_bars_are_ranked_with_shares():

@@ -74,7 +74,7 @@ def test_the_robot_points_where_it_heads(heading):
 def test_nodes_carry_their_values():
     one = make_recording(9, 20)
     frame = one.at(8)
-    nodes = panels.draw_values(axes_of(one), one, 8)
+    nodes = panels._draw_values(axes_of(one), one, 8)
     assert np.sort(np.asarray(nodes.get_array())) == pytest.approx(
         np.sort(frame.value[np.isfinite(frame.value)])
     )
@@ -104,7 +104,7 @@ def test_bars_add_up_to_the_value():
     one = make_recording(9, 20)
     axes = axes_of(one)
     frame = one.at(7)
-    panels.draw_parts(axes, frame)
+    panels._draw_parts(axes, frame)
     best = panels.best_nodes(frame)
     widths = np.array([bar.get_width() for bar in axes.patches]).reshape(3, len(best))
     assert widths.sum(axis=0) == pytest.approx(frame.value[best], abs=1e-6)
@@ -113,18 +113,18 @@ def test_bars_add_up_to_the_value():
 def test_where_it_stops_the_reason_stands_in_place_of_the_bars():
     one = make_recording(9, 20)
     axes = axes_of(one)
-    panels.draw_parts(axes, one.at(8))
+    panels._draw_parts(axes, one.at(8))
     assert not axes.patches
     assert "with probability 90 %" in axes.texts[0].get_text()
     axes = axes_of(one)
-    panels.draw_values(axes, one, 8)
+    panels._draw_values(axes, one, 8)
     assert not axes.texts
 
 
 def test_numbers_of_waypoints_are_apart_and_inside():
     one = make_recording(9, 20)
     axes = axes_of(one)
-    panels.draw_values(axes, one, 7)
+    panels._draw_values(axes, one, 7)
     spots = np.array([text.get_position() for text in axes.texts])
     assert [text.get_text() for text in axes.texts] == ["1", "2", "3", "4", "5"]
     apart = np.hypot(*(spots[:, None] - spots[None]).transpose(2, 0, 1))
@@ -170,7 +170,7 @@ def test_texts_stay_on_the_page(words):
 )
 def test_unknown_moments_are_refused(steps, said):
     with pytest.raises(ValueError, match=said):
-        panels.check_steps(make_recording(9, 5), steps)
+        panels._check_steps(make_recording(9, 5), steps)
 
 
 def test_pictures_are_whole_files(tmp_path):

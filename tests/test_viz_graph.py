@@ -8,7 +8,7 @@ from jaxlangnav.grounding import load_shipped, understand_parse
 from jaxlangnav.grounding.symbols import AnnotationSpace, region_symbol, relation_symbol
 from jaxlangnav.language.parser import parse
 from jaxlangnav.messages import BEHIND, NEAR, ROBOT
-from jaxlangnav.viz.graph import graph_figure, phrase_beliefs, symbol_name
+from jaxlangnav.viz.graph import _phrase_beliefs, _symbol_name, graph_figure
 from jaxlangnav.viz.html import write_graph
 
 PAPER = "go to the hydrant behind the cone"
@@ -28,7 +28,7 @@ def test_the_paper_s_sentence(model):
 
 
 def test_phrases_in_reading_order(model):
-    beliefs = phrase_beliefs(parse(PAPER), model)
+    beliefs = _phrase_beliefs(parse(PAPER), model)
     assert [one.phrase.label for one in beliefs] == ["VP", "PP", "NP", "NP", "PP", "NP"]
     assert [one.parent for one in beliefs[:3]] == [None, (0,), (0, 0)]
 
@@ -36,7 +36,7 @@ def test_phrases_in_reading_order(model):
 def test_probabilities_agree_with_annotation_inference(model):
     tree = parse(PAPER)
     space = AnnotationSpace(len(model.type_names))
-    root = phrase_beliefs(tree, model)[0].probability
+    root = _phrase_beliefs(tree, model)[0].probability
     said = understand_parse(tree, model).annotations[0]
     index = space.index[relation_symbol(0, BEHIND, 1)]
     assert said["relation"] == "behind"
@@ -47,13 +47,13 @@ def test_probabilities_agree_with_annotation_inference(model):
 
 
 def test_an_untrained_model_knows_nothing(model):
-    for one in phrase_beliefs(parse("go to the hydrant"), model.zeroed()):
+    for one in _phrase_beliefs(parse("go to the hydrant"), model.zeroed()):
         assert one.probability == pytest.approx(np.full(494, 0.5))
 
 
 def test_superlatives_are_marked(model):
     ranks = [
-        one.rank for one in phrase_beliefs(parse("go to the hydrant nearest to the cone"), model)
+        one.rank for one in _phrase_beliefs(parse("go to the hydrant nearest to the cone"), model)
     ]
     assert max(ranks) == 1
 
@@ -75,8 +75,8 @@ def test_no_symbols_are_refused(model):
 
 def test_symbol_names():
     types = load_shipped().type_names
-    assert symbol_name(relation_symbol(0, BEHIND, 1), types) == "hydrant behind cone"
-    assert symbol_name(region_symbol(NEAR, ROBOT), types) == "near robot"
+    assert _symbol_name(relation_symbol(0, BEHIND, 1), types) == "hydrant behind cone"
+    assert _symbol_name(region_symbol(NEAR, ROBOT), types) == "near robot"
 
 
 def test_it_is_written(model, tmp_path):

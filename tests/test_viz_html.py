@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from recording_fixture import make_recording
 
-from jaxlangnav.viz.html import page_data, render_html, write_html
+from jaxlangnav.viz.html import _page_data, _render_html, write_html
 
 HOSTILE = "</script><script>alert(1)</script> __DATA__ __TITLE__ \x1b[31m \u202e <b> & \"'"
 KINDS = {"f4": "<f4", "u2": "<u2", "u1": "u1"}
@@ -47,7 +47,7 @@ class Page(HTMLParser):
 
 def read(recording):
     page = Page()
-    page.feed(render_html(recording))
+    page.feed(_render_html(recording))
     return page, json.loads(page.data)
 
 
@@ -57,7 +57,7 @@ def array(data, name):
 
 
 def test_it_needs_nothing_from_outside():
-    text = render_html(make_recording(4, 10))
+    text = _render_html(make_recording(4, 10))
     page = Page()
     page.feed(text)
     assert page.links == []
@@ -106,13 +106,13 @@ def test_a_sentence_cannot_break_out_of_the_page():
     evil = '</script><script>alert("x")</script><!-- & "'
     page, data = read(make_recording(3, 5, text=evil))
     assert data["text"] == evil
-    assert "</script><script>alert" not in render_html(make_recording(3, 5, text=evil))
+    assert "</script><script>alert" not in _render_html(make_recording(3, 5, text=evil))
     assert page.ids >= {"data"}
 
 
 def test_pictures_of_a_robot_go_with_their_steps():
     one = make_recording(3, 5)
-    assert page_data(one)["pictures"] == []
+    assert _page_data(one)["pictures"] == []
     pictures = tuple({"From outside": b"\xff\xd8" + bytes([step])} for step in range(3))
     page, data = read(dataclasses.replace(one, pictures=pictures, ended="blocked: <no way>"))
     assert "views" in page.ids
@@ -126,7 +126,7 @@ def test_no_hypotheses_at_all():
     one = make_recording(3, 5)
     frames = one.frames
     object.__setattr__(frames, "is_hypothesised", np.zeros_like(frames.is_hypothesised))
-    assert page_data(one)["num_mentions"] == 0
+    assert _page_data(one)["num_mentions"] == 0
 
 
 def test_200_steps_of_256_particles_are_small(tmp_path):
@@ -156,7 +156,7 @@ def test_it_runs_in_a_browser(tmp_path):
 def test_a_hostile_sentence_is_only_text():
     recording = make_recording()
     scene = dataclasses.replace(recording.scene, text=HOSTILE)
-    text = render_html(dataclasses.replace(recording, scene=scene))
+    text = _render_html(dataclasses.replace(recording, scene=scene))
     page = Page()
     page.feed(text)
     assert "alert(1)</script>" not in text

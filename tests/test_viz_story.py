@@ -31,7 +31,7 @@ from jaxlangnav.world.state import CONE, HYDRANT
     ],
 )
 def test_directions(degrees, said):
-    assert words.direction(math.radians(degrees)) == said
+    assert words._direction(math.radians(degrees)) == said
 
 
 def test_whereabouts_are_seen_from_the_robot():
@@ -211,7 +211,7 @@ def test_an_ending_without_a_goal_is_told_and_named():
     told = narrative.tell_step(one.scene, ended, one.at(2))[-1]
     assert told.startswith("Says that there is no hydrant and no cone: ")
     assert narrative.headline(one.scene, ended, one.at(2)) == "gives up"
-    assert not narrative.is_quiet(ended, one.at(2))
+    assert not narrative._is_quiet(ended, one.at(2))
     result = replace(one.result, ending=np.int32(Status.NOT_FOUND), is_success=np.array(False))
     closing = narrative.closing(one.scene, ended, result)
     assert closing[0] == "Not found: it says that there is no hydrant and no cone."
@@ -237,7 +237,7 @@ def test_a_step_with_a_fault_says_why_it_stands(fault: Fault):
     (told,) = narrative.tell_step(one.scene, frame, one.at(2))
     assert told == f"Stands still: {FAULT_WORDS[fault]}."
     assert narrative.headline(one.scene, frame, one.at(2)) == "stands still"
-    assert not narrative.is_quiet(frame, one.at(2))
+    assert not narrative._is_quiet(frame, one.at(2))
 
 
 def test_several_faults_are_all_told():
@@ -264,11 +264,11 @@ def test_a_region_goal_is_named_as_a_place():
     one = make_recording(9, 20)
     frame = one.at(7)
     region = np.full(frame.goal_region.shape, REGIONS.index("behind"), np.int32)
-    assert sentences.goal_name(one.scene, frame, 1) == "the hydrant"
+    assert sentences._goal_name(one.scene, frame, 1) == "the hydrant"
     frame = replace(frame, goal_region=region)
-    assert sentences.goal_name(one.scene, frame, 1) == "the place behind the hydrant"
+    assert sentences._goal_name(one.scene, frame, 1) == "the place behind the hydrant"
     # Without goal probability a region says nothing: the object itself is meant.
-    assert sentences.goal_name(one.scene, frame, 0) == "the cone"
+    assert sentences._goal_name(one.scene, frame, 0) == "the cone"
 
 
 def test_the_next_command_is_told():
@@ -276,7 +276,7 @@ def test_the_next_command_is_told():
     before, frame = one.at(1), replace(one.at(2), clause=np.int32(1))
     assert narrative.headline(one.scene, frame, before) == "turns to the next command"
     assert narrative.tell_step(one.scene, frame, before)[0] == "Turns to command 2 of 1."
-    assert not narrative.is_quiet(frame, before)
+    assert not narrative._is_quiet(frame, before)
 
 
 def test_a_changed_reading_is_told():

@@ -19,7 +19,7 @@ def cell(x, y, width, height):
 
 def test_things_stand_where_they_are():
     one = make_recording(9, 20)
-    lines = terminal.draw_map(one.scene, one.at(6), width=52).plain.split("\n")
+    lines = terminal._draw_map(one.scene, one.at(6), width=52).plain.split("\n")
     height = len(lines)
     assert {len(line) for line in lines} == {52}
     assert height == round(52 * 18 / 13 / 2)
@@ -39,20 +39,20 @@ def test_things_stand_where_they_are():
 def test_the_arrow_turns_with_the_robot(heading, arrow):
     one = make_recording(3, 5)
     frame = replace(one.at(0), heading=np.float32(heading))
-    assert arrow in terminal.draw_map(one.scene, frame, width=30).plain
+    assert arrow in terminal._draw_map(one.scene, frame, width=30).plain
 
 
 def test_looked_at_ground_is_blank():
     one = make_recording(3, 5)
     nothing = np.zeros_like(one.at(0).is_hypothesised)
     frame = replace(one.at(0), is_hypothesised=nothing)
-    text = terminal.draw_map(one.scene, frame, width=40).plain
+    text = terminal._draw_map(one.scene, frame, width=40).plain
     share = text.count("·") / (text.count("·") + text.count(" "))
     assert share == pytest.approx(np.mean(frame.miss >= 0.5), abs=0.08)
 
 
 def test_letters_are_unique():
-    letters = terminal.letters(make_recording(2, 3).scene)
+    letters = terminal._letters(make_recording(2, 3).scene)
     assert len(set(letters.values())) == 8
     assert letters[0] == "H"
     assert letters[1] == "C"

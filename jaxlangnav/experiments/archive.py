@@ -27,19 +27,8 @@ _LIBRARIES = ("jax", "jaxlib", "numpy", "optax", "pyarrow")
 _RESULTS = ("rows", "paper", "bounds", "variations", "explained", "wall_s", "compile_s", "files")
 
 
-def write_table(columns: Columns, path: Path) -> Path:
-    """Write one row per episode as Parquet, all or nothing.
-
-    Args:
-        columns: one row per episode.
-        path: of the file; its folder is made.
-
-    Returns:
-        The path.
-
-    Raises:
-        ValueError: columns of different lengths.
-    """
+def _write_table(columns: Columns, path: Path) -> Path:
+    """Write one row per episode as Parquet, all or nothing."""
     table = to_table(columns)
     with replacing(path) as temporary:
         pq.write_table(table, temporary, compression="zstd", write_page_checksum=True)
@@ -153,7 +142,7 @@ def write_experiment(
     settings = {key: value for key, value in document.items() if key not in _RESULTS}
     results = {key: value for key, value in document.items() if key != "files"}
     return [
-        write_table(columns, folder / f"{name}_episodes.parquet"),
+        _write_table(columns, folder / f"{name}_episodes.parquet"),
         write_text(text, folder / f"{name}.md"),
         write_manifest(results, folder / f"{name}.json"),
         write_manifest(manifest(settings, models=models), folder / f"{name}_manifest.json"),
@@ -226,7 +215,7 @@ class CompileClock:
     ) -> None:
         """Stop the clock."""
         jax.monitoring.unregister_event_duration_listener(self._listen)
-        self.seconds = union_length(self._intervals)
+        self.seconds = _union_length(self._intervals)
 
     def _listen(self, event: str, duration_secs: float, **kwargs: str | int) -> None:
         """Note when a trace, a lowering or a compilation began and ended."""
@@ -236,15 +225,8 @@ class CompileClock:
             self._intervals.append((now - duration_secs, now))
 
 
-def union_length(intervals: list[tuple[float, float]]) -> float:
-    """Measure the union of intervals.
-
-    Args:
-        intervals: begin and end of each, in any order.
-
-    Returns:
-        Its length; overlaps count once.
-    """
+def _union_length(intervals: list[tuple[float, float]]) -> float:
+    """Measure the union of intervals."""
     total, reached = 0.0, float("-inf")
     for begin, end in sorted(intervals):
         total += max(0.0, end - max(begin, reached))

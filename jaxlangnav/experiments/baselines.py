@@ -47,17 +47,8 @@ _ARC_DEPTH, _ARC_MARGIN = 0.66, 0.8
 """Likeliest range as a share of the area's depth; how much of its range it stays from the edge."""
 
 
-def lane_waypoint(area: Array, range_max: Array, leg: Array) -> tuple[Array, Array]:
-    """Compute a waypoint of the sweep of an area; after the last it begins anew.
-
-    Args:
-        area: f32[4], x_min, x_max, y_min, y_max, metres.
-        range_max: f32[], sensing range, metres.
-        leg: i32[], waypoints reached so far.
-
-    Returns:
-        x and y, f32[] metres.
-    """
+def _lane_waypoint(area: Array, range_max: Array, leg: Array) -> tuple[Array, Array]:
+    """Compute a waypoint of the sweep of an area; after the last it begins anew."""
     depth, width = area[1] - area[0], area[3] - area[2]
     num_lanes = jnp.ceil(depth / (2.0 * range_max)).astype(jnp.int32)
     num_lanes = jnp.maximum(num_lanes, 1)
@@ -71,17 +62,8 @@ def lane_waypoint(area: Array, range_max: Array, leg: Array) -> tuple[Array, Arr
     return x, y
 
 
-def arc_waypoint(area: Array, range_max: Array, leg: Array) -> tuple[Array, Array]:
-    """Compute a waypoint of the sweep by the worlds' law; after three arcs it goes on in lanes.
-
-    Args:
-        area: f32[4], x_min, x_max, y_min, y_max, metres; the start is in the middle of x_min.
-        range_max: f32[], sensing range, metres.
-        leg: i32[], waypoints reached so far.
-
-    Returns:
-        x and y, f32[] metres.
-    """
+def _arc_waypoint(area: Array, range_max: Array, leg: Array) -> tuple[Array, Array]:
+    """Compute a waypoint of the sweep by the worlds' law; after three arcs it goes on in lanes."""
     depth = area[1] - area[0]
     sweep, point = leg // _ARC_POINTS, leg % _ARC_POINTS
     offset = jnp.asarray(_ARC_RADII)[jnp.minimum(sweep, len(_ARC_RADII) - 1)]
@@ -91,7 +73,7 @@ def arc_waypoint(area: Array, range_max: Array, leg: Array) -> tuple[Array, Arra
     )
     share = point.astype(jnp.float32) / (_ARC_POINTS - 1)
     angle = reach * (2.0 * share - 1.0) * jnp.where(sweep % 2 == 0, 1.0, -1.0)
-    lane_x, lane_y = lane_waypoint(area, range_max, leg - _ARC_POINTS * len(_ARC_RADII))
+    lane_x, lane_y = _lane_waypoint(area, range_max, leg - _ARC_POINTS * len(_ARC_RADII))
     is_arc = sweep < len(_ARC_RADII)
     x = area[0] + radius * jnp.cos(angle)
     y = 0.5 * (area[2] + area[3]) + radius * jnp.sin(angle)
@@ -128,15 +110,8 @@ class _Run:
     is_stopped: Array  # bool[]
 
 
-def figure_types(instructions: Instruction) -> Array:
-    """Read from the most probable reading which type of object each sentence asks for.
-
-    Args:
-        instructions: leaves [I, …].
-
-    Returns:
-        i32[I], type index of the first figure, or of the first thing mentioned if none is.
-    """
+def _figure_types(instructions: Instruction) -> Array:
+    """Read from the most probable reading which type of object each sentence asks for."""
 
     def one(instruction: Instruction) -> Array:
         readings = instruction.readings
@@ -146,20 +121,10 @@ def figure_types(instructions: Instruction) -> Array:
     return jax.vmap(one)(instructions)
 
 
-def notice(explorer: Explorer, observation: Observation, figure_type: Array) -> Explorer:
-    """Take in what is seen: coverage, and the object to make for.
-
-    The first object of the type becomes the target, of several the nearest; from then on the
-    target is put where the detection nearest to it says.
-
-    Args:
-        explorer: before the look.
-        observation: pose and detections.
-        figure_type: i32[], type to look for.
-
-    Returns:
-        The explorer after the look.
-    """
+def _notice(explorer: Explorer, observation: Observation, figure_type: Array) -> Explorer:
+    """Take in what is seen: coverage, and the object to make for."""
+    # The first object of the type becomes the target, of several the nearest; from then on the
+    # target is put where the detection nearest to it says.
     pose = observation.pose
     bearing = observation.detection_bearing + pose[2]
     x = pose[0] + observation.detection_range * jnp.cos(bearing)
@@ -275,8 +240,8 @@ def _explore(task: Task, figure_type: Array, *, policy: str, max_steps: int) -> 
     """Run one episode of ``frontier``, ``lawnmower`` or ``arc``."""
     explore_on = {
         "frontier": _explore_frontiers,
-        "lawnmower": functools.partial(_explore_sweep, waypoint=lane_waypoint),
-        "arc": functools.partial(_explore_sweep, waypoint=arc_waypoint),
+        "lawnmower": functools.partial(_explore_sweep, waypoint=_lane_waypoint),
+        "arc": functools.partial(_explore_sweep, waypoint=_arc_waypoint),
     }[policy]
 
     def is_running(run: _Run) -> Array:
@@ -286,7 +251,7 @@ def _explore(task: Task, figure_type: Array, *, policy: str, max_steps: int) -> 
         # The very keys of episode.advance: common random numbers for all policies.
         sense_key, _, move_key = jax.random.split(jax.random.fold_in(task.key, run.steps), 3)
         observation = sense(sense_key, run.world, task.scenario, task.sensor, task.told)
-        explorer = notice(run.explorer, observation, figure_type)
+        explorer = _notice(run.explorer, observation, figure_type)
         explorer = explore_on(explorer, observation.pose, task.sensor)
         action = _act(explorer, observation.pose)
         return _Run(
@@ -348,6 +313,6 @@ def run_baseline(
         raise ValueError(f"unknown baseline {policy!r}: choose one of {', '.join(BASELINES)}")
     if policy == "known":
         return jax.vmap(_drive_known)(tasks)
-    figures = figure_types(instructions)[tasks.instruction_index]
+    figures = _figure_types(instructions)[tasks.instruction_index]
     one = functools.partial(_explore, policy=policy, max_steps=max_steps)
     return jax.vmap(one)(tasks, figures)

@@ -45,36 +45,16 @@ _RINGS, _STEPS, _ANGLES = 200, 800, 720
 """Rings about the start, steps of the way, and directions in which a ring is held to the area."""
 
 
-def operating_depth(mean: float, sd: float) -> float:
-    """Compute D, how far the operating area of a template's worlds reaches ahead; it is √2 D wide.
-
-    Args:
-        mean: of a hydrant's range from the start, metres.
-        sd: of the same, metres.
-
-    Returns:
-        Metres: mean + 2.5 sigma.
-    """
+def _operating_depth(mean: float, sd: float) -> float:
+    """Compute D, how far the operating area reaches ahead, metres; it is √2 D wide."""
     return mean + AREA_SIGMAS * sd
 
 
-def likeliest_share(
+def _likeliest_share(
     edges: np.ndarray, area: np.ndarray, mass: np.ndarray, sensing_range: float, way: np.ndarray
 ) -> np.ndarray:
-    """Bound the probability that a goal has come into view, whatever the path.
-
-    Limits: the mass of the first look for no way at all; 1 for a long one.
-
-    Args:
-        edges: f64[N + 1], metres, growing: ranges between which rings about the start lie.
-        area: f64[N], square metres of each ring in which the goal may be.
-        mass: f64[N], probability that the goal is in each ring, even over it.
-        sensing_range: R, metres.
-        way: f64[X], L, metres walked.
-
-    Returns:
-        f64[X], F(L).
-    """
+    """Bound the probability that a goal has come into view, whatever the path."""
+    # Limits: the mass of the first look for no way at all; 1 for a long one.
     inner = edges[:-1]
     first = np.where(inner < sensing_range, area, 0.0)
     since = np.maximum(0.0, way[:, None] - np.maximum(0.0, inner - sensing_range))
@@ -87,7 +67,7 @@ def likeliest_share(
     return np.minimum(found, 1.0)
 
 
-def search_bound(
+def _search_bound(
     edges: np.ndarray,
     area: np.ndarray,
     mass: np.ndarray,
@@ -95,26 +75,13 @@ def search_bound(
     *,
     num_goals: int = 1,
 ) -> float:
-    """Bound the mean way of a search that ends within 1.5 m of a goal.
-
-        E[D] ≥ ∫ max(0, 1 − k F(max(0, x − max(0, R − s)))) dx
-
-    Limits: the mean straight way less 1.5 m for a large R and one goal.
-
-    Args:
-        edges: f64[N + 1], metres, growing: ranges between which rings about the start lie.
-        area: f64[N], square metres of each ring in which a goal may be.
-        mass: f64[N], probability that a goal is in each ring.
-        sensing_range: R, metres.
-        num_goals: k, goals of which any will do.
-
-    Returns:
-        Metres.
-    """
+    """Bound the mean way of a search that ends within 1.5 m of a goal."""
+    #     E[D] ≥ ∫ max(0, 1 − k F(max(0, x − max(0, R − s)))) dx
+    # Limits: the mean straight way less 1.5 m for a large R and one goal.
     longest = edges[-1] + float(area.sum()) / (2.0 * sensing_range)
     ends = np.linspace(0.0, longest, _STEPS + 1)[1:]
     way = np.maximum(0.0, ends - max(0.0, sensing_range - SUCCESS_RADIUS))
-    found = likeliest_share(edges, area, mass, sensing_range, way)
+    found = _likeliest_share(edges, area, mass, sensing_range, way)
     # What is in view from the start is not reached before it has been walked to.
     within = mass @ (edges[:-1, None] <= ends + SUCCESS_RADIUS)
     missed = np.maximum(0.0, 1.0 - num_goals * np.minimum(found, within))
@@ -122,22 +89,11 @@ def search_bound(
 
 
 @functools.cache
-def uniform_search_bound(
+def _uniform_search_bound(
     depth: float, width: float, sensing_range: float, num_goals: int = 1
 ) -> float:
-    """Bound the mean way to a goal that may be anywhere alike in the operating area.
-
-    Limits: near A / 4R for a small R.
-
-    Args:
-        depth: metres that the area reaches ahead of the start.
-        width: metres across; the start is in the middle of that side.
-        sensing_range: R, metres.
-        num_goals: goals of which any will do.
-
-    Returns:
-        Metres.
-    """
+    """Bound the mean way to a goal that may be anywhere alike in the operating area."""
+    # Limits: near A / 4R for a small R.
     edges = np.linspace(0.0, math.hypot(depth, 0.5 * width), _RINGS + 1)
     middle = 0.5 * (edges[1:] + edges[:-1])
     angle = (np.arange(_ANGLES) + 0.5) / _ANGLES * math.pi - 0.5 * math.pi
@@ -145,28 +101,17 @@ def uniform_search_bound(
         middle[:, None] * np.abs(np.sin(angle)) <= 0.5 * width
     )
     area = 0.5 * math.pi * is_in.mean(axis=1) * np.diff(edges**2)
-    return search_bound(edges, area, area / area.sum(), sensing_range, num_goals=num_goals)
+    return _search_bound(edges, area, area / area.sum(), sensing_range, num_goals=num_goals)
 
 
 @functools.cache
-def law_search_bound(mean: float, sd: float, sensing_range: float, num_goals: int = 1) -> float:
-    """Bound the mean way to a goal drawn by the worlds' law: range N(mean, sd), bearing ±45°.
-
-    Limits: mean − 1.5 m for a large R and one goal.
-
-    Args:
-        mean: of the goal's range from the start, metres.
-        sd: of the same, metres.
-        sensing_range: R, metres.
-        num_goals: goals of which any will do.
-
-    Returns:
-        Metres.
-    """
+def _law_search_bound(mean: float, sd: float, sensing_range: float, num_goals: int = 1) -> float:
+    """Bound the mean way to a goal drawn by the worlds' law: range N(mean, sd), bearing ±45°."""
+    # Limits: mean − 1.5 m for a large R and one goal.
     edges = np.linspace(max(0.0, mean - 5.0 * sd), mean + 5.0 * sd, _RINGS + 1)
     below = np.array([0.5 * math.erfc((mean - edge) / (sd * math.sqrt(2.0))) for edge in edges])
     mass = np.diff(below) / (below[-1] - below[0])
-    return search_bound(
+    return _search_bound(
         edges, 0.5 * _SECTOR * np.diff(edges**2), mass, sensing_range, num_goals=num_goals
     )
 
@@ -194,10 +139,10 @@ def limits(template: str, relation: str, sensing_range: float) -> dict[str, floa
     }
     if relation == "null":
         number = record.num_hydrants
-        depth = operating_depth(mean, sd)
-        found["search_uniform"] = uniform_search_bound(
+        depth = _operating_depth(mean, sd)
+        found["search_uniform"] = _uniform_search_bound(
             depth, math.sqrt(2.0) * depth, sensing_range, number
         )
-        found["search_law"] = law_search_bound(mean, sd, sensing_range, number)
+        found["search_law"] = _law_search_bound(mean, sd, sensing_range, number)
         found["success"] = 100.0 / number
     return found

@@ -52,25 +52,13 @@ def _normal(x: Array, y: Array, variance: Array | float) -> Array:
     return jnp.exp(gaussian.log_normal_isotropic(x, y, jnp.asarray(variance, jnp.float32)))
 
 
-def goal_region(density: GoalDensity, true_x: Array, true_y: Array) -> tuple[Array, Array]:
-    """Find the probability of all places that are likelier than the true one.
-
-        below = Σ_h m_h [f₋ₕ(x_h) > t] + Σ_o m_o (1 − (t − b_o) / p_o),    t = f(truth)
-
-    with f the mixture of Gaussians about seen objects (peak m_o / 2π s_o = p_o over the background
-    b_o) and of kernels about hypotheses. A hypothesis is one draw, and does not count in the
-    density at its own place (f₋ₕ), nor do its copies: so if the truth is one more draw of the same
-    law, ``below`` is uniform between 0 and 1.
-
-    Args:
-        density: the belief.
-        true_x: f32[], metres, map frame.
-        true_y: f32[], metres.
-
-    Returns:
-        f32[] in [0, 1]: the truth lies in the region of highest density that holds a share q if
-        this is at most q. And f32[], the log-density at the truth, per square metre.
-    """
+def _goal_region(density: GoalDensity, true_x: Array, true_y: Array) -> tuple[Array, Array]:
+    """Find the probability of all places that are likelier than the true one."""
+    #     below = Σ_h m_h [f₋ₕ(x_h) > t] + Σ_o m_o (1 − (t − b_o) / p_o),    t = f(truth)
+    # with f the mixture of Gaussians about seen objects (peak m_o / 2π s_o = p_o over the
+    # background b_o) and of kernels about hypotheses. A hypothesis is one draw, and does not count
+    # in the density at its own place (f₋ₕ), nor do its copies: so if the truth is one more draw of
+    # the same law, ``below`` is uniform between 0 and 1.
     total = jnp.sum(density.object_mass) + jnp.sum(density.hypothesis_mass)
     scale = 1.0 / jnp.maximum(total, 1e-9)
     seen, open_mass = density.object_mass * scale, density.hypothesis_mass * scale
@@ -108,16 +96,8 @@ def goal_region(density: GoalDensity, true_x: Array, true_y: Array) -> tuple[Arr
     return below, jnp.log(jnp.maximum(at_truth, _LOG_FLOOR))
 
 
-def relative_variance(particles: SemanticMap, weight: Array) -> Array:
-    """Compute how well objects are known relative to the robot: Σ_oo + Σ_rr − 2 Σ_or.
-
-    Args:
-        particles: leaves [..., P].
-        weight: f32[P], normalised.
-
-    Returns:
-        f32[O] square metres per axis, the mean over the particles.
-    """
+def _relative_variance(particles: SemanticMap, weight: Array) -> Array:
+    """Compute how well objects are known relative to the robot: Σ_oo + Σ_rr − 2 Σ_or."""
     num_objects = particles.object_type.shape[0]
     covariance = particles.covariance
     own = jnp.diagonal(covariance).T  # [O + 1, P]
@@ -191,17 +171,8 @@ def _density(goals: Goals, variance: Array) -> GoalDensity:
     )
 
 
-def draw_unseen(key: Array, coverage: Coverage, number: int) -> tuple[Array, Array]:
-    """Draw places independently, in proportion to the probability of being unseen.
-
-    Args:
-        key: random key.
-        coverage: where the robot has looked.
-        number: n.
-
-    Returns:
-        x and y, f32[n] metres, map frame.
-    """
+def _draw_unseen(key: Array, coverage: Coverage, number: int) -> tuple[Array, Array]:
+    """Draw places independently, in proportion to the probability of being unseen."""
     num_cells = coverage.log_miss.shape[-1]
     size_x, size_y = cell_size(coverage)
     uniform = jax.random.uniform(key, (3, number))
@@ -221,7 +192,7 @@ def _independent(key: Array, goals: Goals, belief: ParticleBelief, readings: Rea
     they keep away from each other: other places look denser than theirs, and regions of 90 % of a
     perfect belief would hold the truth in 94 % of cases. Their law is the coverage map's.
     """
-    drawn_x, drawn_y = draw_unseen(key, belief.coverage, goals.hypothesis_x.shape[0])
+    drawn_x, drawn_y = _draw_unseen(key, belief.coverage, goals.hypothesis_x.shape[0])
     reading = belief.particles.reading
     is_free = (readings.relation[:, 0] == NONE) & (readings.figure[:, 0] != NONE)
     is_free = is_free[reading] & (jnp.sum(readings.figure != NONE, axis=1) == 1)[reading]
@@ -232,17 +203,8 @@ def _independent(key: Array, goals: Goals, belief: ParticleBelief, readings: Rea
     )
 
 
-def reliability(probability: Array, outcome: Array, is_event: Array) -> Reliability:
-    """Sort events into bins of their probability.
-
-    Args:
-        probability: f32[n].
-        outcome: f32[n], 1 where it happened.
-        is_event: bool[n].
-
-    Returns:
-        The sums.
-    """
+def _reliability(probability: Array, outcome: Array, is_event: Array) -> Reliability:
+    """Sort events into bins of their probability."""
     probability = jnp.clip(probability, 0.0, 1.0)
     bins = jnp.minimum((probability * NUM_BINS).astype(jnp.int32), NUM_BINS - 1)
     member = (bins[:, None] == jnp.arange(NUM_BINS)[None, :]) & is_event[:, None]
@@ -256,11 +218,9 @@ def reliability(probability: Array, outcome: Array, is_event: Array) -> Reliabil
     )
 
 
-def referent_mass(progress: EpisodeState) -> Array:
-    """Compute the share of particles in which the sentence's figure is each object, f32[O].
-
-    The figure of a reading is that of its first relation.
-    """
+def _referent_mass(progress: EpisodeState) -> Array:
+    """Compute the share of particles in which the sentence's figure is each object, f32[O]."""
+    # The figure of a reading is that of its first relation.
     belief = progress.navigator.belief
     particles, readings = belief.particles, progress.navigator.instruction.readings
     mention = readings.figure[particles.reading, 0]
@@ -271,12 +231,10 @@ def referent_mass(progress: EpisodeState) -> Array:
     return jnp.sum(jnp.where(is_slot, jnp.exp(belief.log_weight)[None, :], 0.0), axis=1)
 
 
-def is_held_as(belief: ParticleBelief, kind: Array) -> Array:
-    """Tell which slots hold a thing of a type, i32[], in most of the belief: bool[O].
-
-    Particles that took a detection for something else may hold another thing in a slot, or the
-    same thing in another slot.
-    """
+def _is_held_as(belief: ParticleBelief, kind: Array) -> Array:
+    """Tell which slots hold a thing of a type, i32[], in most of the belief: bool[O]."""
+    # Particles that took a detection for something else may hold another thing in a slot, or the
+    # same thing in another slot.
     is_kind = belief.particles.object_type == kind
     return jnp.sum(jnp.where(is_kind, jnp.exp(belief.log_weight), 0.0), axis=1) > 0.5
 
@@ -311,13 +269,13 @@ def tally_step(progress: EpisodeState, info: NavigatorInfo, after: EpisodeState)
     scenario, belief = progress.task.scenario, after.navigator.belief
     true_x, true_y = scenario.goal - progress.world.position + info.robot
     goals = info.goals
-    variance = relative_variance(belief.particles, jnp.exp(belief.log_weight))
+    variance = _relative_variance(belief.particles, jnp.exp(belief.log_weight))
     key = jax.random.fold_in(jax.random.fold_in(progress.task.key, progress.steps), _JUDGING)
     drawn = _independent(key, goals, belief, progress.navigator.instruction.readings)
-    below, _ = goal_region(_density(drawn, variance), true_x, true_y)
-    _, log_density = goal_region(_density(goals, variance), true_x, true_y)
+    below, _ = _goal_region(_density(drawn, variance), true_x, true_y)
+    _, log_density = _goal_region(_density(goals, variance), true_x, true_y)
     # Events: observed objects of the goal's type. The robot's entry is last and no object.
-    is_event = is_held_as(belief, scenario.object_type[scenario.goal_index])
+    is_event = _is_held_as(belief, scenario.object_type[scenario.goal_index])
     apart = jnp.hypot(goals.object_x[:-1] - true_x, goals.object_y[:-1] - true_y)
     outcome = is_it(apart, is_event).astype(jnp.float32)
     decile = jnp.arange(NUM_BINS)
@@ -328,8 +286,8 @@ def tally_step(progress: EpisodeState, info: NavigatorInfo, after: EpisodeState)
             jnp.float32
         ),
         negative_log_likelihood=-log_density,
-        planner=reliability(goals.object_mass[:-1], outcome, is_event),
-        map=reliability(referent_mass(after), outcome, is_event),
+        planner=_reliability(goals.object_mass[:-1], outcome, is_event),
+        map=_reliability(_referent_mass(after), outcome, is_event),
     )
     stage = jnp.sum(progress.steps >= jnp.asarray(STAGES)) - 1
     is_stage = (jnp.arange(len(STAGES)) == stage).astype(jnp.float32)

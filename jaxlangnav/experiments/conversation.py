@@ -70,7 +70,7 @@ ROWS = (
 """All rows; those of a world and relation are run in the same worlds."""
 
 
-def run_row(
+def _run_row(
     row: Dialogue,
     *,
     episodes: int,
@@ -79,19 +79,7 @@ def run_row(
     params: NavigatorParams,
     on_progress: OnProgress | None = None,
 ) -> dict[str, Any]:
-    """Run a row.
-
-    Args:
-        row: which one.
-        episodes: E.
-        seed: of worlds and noise, as in Table 2.
-        particles: P.
-        params: the navigator's numbers, but for the cost of a question.
-        on_progress: called with the number of episodes just finished.
-
-    Returns:
-        Its entries in the document: shares in percent, distances in metres.
-    """
+    """Run a row."""
     tasks = make_tasks(cell(row.world, row.relation, 0, row.sees, episodes, seed))
     planner = replace(params.planner, question_cost=jnp.float32(row.cost))
     spoken = converse(
@@ -156,7 +144,7 @@ def run_rows(
     """Run all rows; arguments as ``run_row``'s, and the folder for the table and the document."""
     begin = time.perf_counter()
     numbers = {"episodes": episodes, "seed": seed, "particles": particles}
-    rows = [run_row(row, **numbers, params=params, on_progress=on_progress) for row in ROWS]
+    rows = [_run_row(row, **numbers, params=params, on_progress=on_progress) for row in ROWS]
     document = {
         "experiment": "conversation",
         "episodes": episodes,

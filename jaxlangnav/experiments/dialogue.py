@@ -161,7 +161,7 @@ def _advance(lane: _Lane, *, params: _Numbers, config: NavigatorConfig) -> tuple
     is_first = (said == Says.OTHER) & jnp.isnan(lane.said_at)
     left = jnp.maximum(goal_distance(progress.world, scenario) - SUCCESS_RADIUS, 0.0)
     at = progress.navigator
-    is_known = has_seen_goal(seen_of(at, progress.steps), at, scenario)
+    is_known = _has_seen_goal(seen_of(at, progress.steps), at, scenario)
     heard = replace(progress, navigator=_hear(progress.navigator, said, slot, params.sentence))
     after, _ = episode.advance(heard, params=params.navigator, config=config)
     is_waiting = watched(after, person)[0].intends
@@ -228,17 +228,8 @@ LEAST_SHARE = 0.01
 """Goal probability below which a thing is no candidate of a question."""
 
 
-def has_seen_goal(seen: RobotView, state: NavigatorState, scenario: Scenario) -> Array:
-    """Tell whether the robot takes a thing for being where the goal truly is, bool[].
-
-    Args:
-        seen: of the robot.
-        state: of the same robot.
-        scenario: the truth.
-
-    Returns:
-        Whether most of the weight has an observed thing within the success radius of the goal.
-    """
+def _has_seen_goal(seen: RobotView, state: NavigatorState, scenario: Scenario) -> Array:
+    """Tell whether the robot takes a thing for being where the goal truly is, bool[]."""
     weight = jnp.exp(state.belief.log_weight)[None]
     is_held = jnp.sum(weight * (state.belief.particles.object_type != NONE), axis=1) > 0.5
     away = jnp.hypot(seen.x - scenario.goal[0], seen.y - scenario.goal[1])

@@ -119,7 +119,7 @@ class Experiment:
                 numbers with which the robot could never stop.
         """
         arms = self.arms(options)
-        check_episodes(options.episodes, rows=len(self.specs), kept=len(arms))
+        _check_episodes(options.episodes, rows=len(self.specs), kept=len(arms))
         for arm in arms:
             if arm.config is not None and arm.params is not None:
                 check_engine(arm.config)
@@ -253,7 +253,7 @@ class Experiment:
         """Judge the belief in the first episodes of every row; no scores where none is judged."""
         arm, each = played.arm, played.grid.episodes
         if played.tally is not None:
-            return [scored_part(played.tally, at, each) for at in range(len(self.specs))]
+            return [_scored_part(played.tally, at, each) for at in range(len(self.specs))]
         judged = min(each, self.calibration_episodes)
         if not judged or arm.config is None or arm.params is None:
             nothing = {"ece": None, "brier": None, "coverage90": None, "reliability": None}
@@ -266,39 +266,18 @@ class Experiment:
             config=arm.config,
             on_progress=on_progress,
         )
-        return [scored_part(tally, at, judged) for at in range(len(self.specs))]
+        return [_scored_part(tally, at, judged) for at in range(len(self.specs))]
 
 
-def scored_part(tally: Tally, place: int, each: int) -> Row:
-    """Score the episodes of one row.
-
-    Args:
-        tally: of all rows, one after another, leaves [E, …].
-        place: which row.
-        each: episodes of a row.
-
-    Returns:
-        Scores, and the sums of a reliability curve.
-    """
+def _scored_part(tally: Tally, place: int, each: int) -> Row:
+    """Score the episodes of one row."""
     span = slice(place * each, (place + 1) * each)
     part = jax.tree.map(lambda leaf: leaf[span], tally)
     return scores(part) | {"reliability": bin_sums(part)}
 
 
-def check_episodes(episodes: int, *, rows: int, kept: int) -> int:
-    """Refuse a number of episodes that cannot be run, before any is.
-
-    Args:
-        episodes: runs a row.
-        rows: how many rows there are.
-        kept: how often the episodes of a row are run and their results kept, such as policies.
-
-    Returns:
-        The same.
-
-    Raises:
-        ValueError: fewer than one, or more than memory holds.
-    """
+def _check_episodes(episodes: int, *, rows: int, kept: int) -> int:
+    """Refuse a number of episodes that cannot be run, before any is."""
     if episodes < 1:
         raise ValueError(f"episodes is {episodes}, but must be at least 1")
     # Tasks and columns are laid out in parts and then put together: for a moment twice.

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from scipy import stats
 
 from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.messages import Status
@@ -54,14 +55,8 @@ def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
     """
     if trials == 0:
         return 0.0, 1.0
-    rate, z2 = successes / trials, _Z95**2
-    centre = (rate + z2 / (2 * trials)) / (1 + z2 / trials)
-    half = (
-        _Z95
-        / (1 + z2 / trials)
-        * math.sqrt(rate * (1 - rate) / trials + z2 / (4 * trials * trials))
-    )
-    return max(0.0, centre - half), min(1.0, centre + half)
+    low, high = stats.binomtest(successes, trials).proportion_ci(method="wilson")
+    return float(low), float(high)
 
 
 def timeouts_text(row: Mapping[str, Any]) -> str:
@@ -177,60 +172,32 @@ def compare(
         pairs=len(difference),
         success_only_first=only_first,
         success_only_second=only_second,
-        success_p=mcnemar(only_first, only_second),
+        success_p=_mcnemar(only_first, only_second),
         distance_difference=mean,
         distance_ci=(mean - half, mean + half),
-        distance_p=sign_flip(difference),
+        distance_p=_sign_flip(difference),
     )
 
 
-def mcnemar(only_first: int, only_second: int) -> float:
-    """Test whether two success rates differ, by the episodes that only one arm solved.
-
-    Under the null hypothesis each of them went to either arm like a coin: exact, two-sided.
-
-    Limits: no such episode gives 1.
-
-    Args:
-        only_first: episodes only the first arm solved.
-        only_second: episodes only the second arm solved.
-
-    Returns:
-        The p-value.
-    """
-    number, fewer = only_first + only_second, min(only_first, only_second)
-    if number == 0:
-        return 1.0
-    # In the log domain: 2^-n underflows from a thousand episodes on.
-    tail = np.array([_log_binomial(number, k) for k in range(fewer + 1)])
-    log_p = math.log(2.0) + float(np.logaddexp.reduce(tail)) - number * math.log(2.0)
-    return min(1.0, math.exp(log_p))
+def _mcnemar(only_first: int, only_second: int) -> float:
+    """Test whether two success rates differ, by the episodes that only one arm solved."""
+    # Under the null hypothesis each of them went to either arm like a coin: exact, two-sided.
+    # Limits: no such episode gives 1.
+    number = only_first + only_second
+    return float(stats.binomtest(only_first, number).pvalue) if number else 1.0
 
 
-def _log_binomial(number: int, k: int) -> float:
-    """Compute log C(number, k)."""
-    return math.lgamma(number + 1) - math.lgamma(k + 1) - math.lgamma(number - k + 1)
-
-
-def sign_flip(difference: np.ndarray) -> float:
-    """Test whether paired differences have a mean of zero, by flipping their signs at random.
-
-    Limits: all differences zero give 1. The flips have a fixed seed: the same data, the same p.
-
-    Args:
-        difference: f64[E].
-
-    Returns:
-        The p-value, at least 1 / 4001.
-    """
-    observed = abs(float(np.sum(difference)))
-    scale = float(np.sum(np.abs(difference)))
-    if scale == 0.0:
-        return 1.0
-    random = np.random.default_rng(0)
-    exceed = 0
-    for _ in range(_FLIPS // 100):
-        signs = random.integers(0, 2, (100, len(difference)), dtype=np.int8) * 2 - 1
-        # A hair of slack: the observed sum itself must count whatever the order of addition.
-        exceed += int(np.sum(np.abs(signs @ difference) >= observed - 1e-12 * scale))
-    return (exceed + 1) / (_FLIPS + 1)
+def _sign_flip(difference: np.ndarray) -> float:
+    """Test whether paired differences have a mean of zero, by flipping their signs at random."""
+    # Limits: all differences zero give 1. The flips have a fixed seed: the same data, the same p.
+    found = stats.permutation_test(
+        (difference,),
+        lambda values, axis: np.abs(np.sum(values, axis=axis)),
+        permutation_type="samples",
+        vectorized=True,
+        n_resamples=_FLIPS,
+        batch=100,
+        alternative="greater",
+        rng=0,
+    )
+    return float(found.pvalue)

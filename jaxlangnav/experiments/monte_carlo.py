@@ -212,17 +212,8 @@ OnProgress = Callable[[int], None]
 """Called with the number of episodes just finished."""
 
 
-def pieces(number: int, capacity: int, threads: int) -> list[tuple[int, int]]:
-    """Split episodes into pieces of about one size, so that all threads end together.
-
-    Args:
-        number: episodes.
-        capacity: most episodes of a piece.
-        threads: pieces under way at once.
-
-    Returns:
-        First episode and length of each piece.
-    """
+def _pieces(number: int, capacity: int, threads: int) -> list[tuple[int, int]]:
+    """Split episodes into pieces of about one size, so that all threads end together."""
     count = max(1, -(-number // capacity))
     if number >= 2 * LANES * threads:
         count = -(-count // threads) * threads
@@ -260,7 +251,7 @@ def map_pieces(
         return jax.tree.map(lambda leaf: np.asarray(leaf)[:size], run(chunk, size))
 
     results: list[Result] = []
-    parts = pieces(number, capacity, threads)
+    parts = _pieces(number, capacity, threads)
     with concurrent.futures.ThreadPoolExecutor(threads) as pool:
         for (_, size), result in zip(parts, pool.map(work, parts), strict=True):
             results.append(result)
@@ -298,7 +289,7 @@ def run_tasks(
     """
     number = tasks.instruction_index.shape[0]
     calls, devices = num_threads or num_calls(), mesh().size
-    parts = pieces(number, CHUNK, calls * devices)
+    parts = _pieces(number, CHUNK, calls * devices)
     rounds = [parts[at : at + devices] for at in range(0, len(parts), devices)]
 
     def work(places: list[tuple[int, int]]) -> list[Any]:

@@ -33,7 +33,7 @@ class Figure5(Experiment):
 
     def found(self, rows: Sequence[Row], options: Options) -> dict[str, Any]:
         """Add ``falls``: where success is lower than at the range before, intervals apart."""
-        return super().found(rows, options) | {"falls": falls({"rows": rows})}
+        return super().found(rows, options) | {"falls": _falls({"rows": rows})}
 
 
 def figure_5(worlds: Sequence[str] = _WORLDS, ranges: Sequence[float] = ()) -> Experiment:
@@ -67,15 +67,8 @@ def figure_5(worlds: Sequence[str] = _WORLDS, ranges: Sequence[float] = ()) -> E
     )
 
 
-def falls(document: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Find where success falls as the range grows: the intervals of neighbours do not meet.
-
-    Args:
-        document: with ``rows``.
-
-    Returns:
-        One entry per fall: ``world``, ``relation``, ``policy``, ``range``, ``from``, ``to``.
-    """
+def _falls(document: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Find where success falls as the range grows: the intervals of neighbours do not meet."""
     curves: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
     for row in document["rows"]:
         curves.setdefault((row["world"], row["relation"], row["policy"]), []).append(row)
@@ -109,7 +102,7 @@ def describe_falls(document: Mapping[str, Any]) -> str:
     lines = [
         f"{one['policy']}, {one['world']} {one['relation']}: success falls from "
         f"{one['from']:.1f} % to {one['to']:.1f} % at {one['range']:g} m."
-        for one in falls(document)
+        for one in _falls(document)
     ]
     return "\n".join(lines) or "Success nowhere falls beyond its intervals as the range grows."
 

@@ -85,15 +85,15 @@ class Robustness(Experiment):
     def found(self, rows: Sequence[Row], options: Options) -> dict[str, Any]:
         """Add what each scenario is, and how many targets are met."""
         del options
-        return {"scenarios": [one.described() for one in SCENARIOS], "missed": missed(rows)}
+        return {"scenarios": [one.described() for one in SCENARIOS], "missed": _missed(rows)}
 
     def tables(self, document: Mapping[str, Any]) -> list[Table]:
         """Lay out the results, and what each scenario is."""
-        return [robustness_table(document), scenarios_table(document)]
+        return [_robustness_table(document), _scenarios_table(document)]
 
     def notes(self, document: Mapping[str, Any]) -> list[str]:
         """Say what was missed and what was run."""
-        return [*describe_missed(document), *_caption(document)]
+        return [*_describe_missed(document), *_caption(document)]
 
     def markdown(self, document: Mapping[str, Any]) -> str:
         """Write the tables and what is beneath them in Markdown."""
@@ -102,12 +102,12 @@ class Robustness(Experiment):
 
     def render(self, document: Mapping[str, Any]) -> Any:
         """Draw the results for the terminal."""
-        wide = robustness_table(document)
+        wide = _robustness_table(document)
         return Table(
             headings=[wide.headings[at] for at in _TERMINAL],
             rows=[[row[at] for at in _TERMINAL] for row in wide.rows],
             title=self.title,
-            caption="\n".join(describe_missed(document)),
+            caption="\n".join(_describe_missed(document)),
             firsts=wide.firsts,
         ).text()
 
@@ -163,16 +163,8 @@ def _judged_by(spec: PlaceSpec, row: Row) -> Row:
     return mine
 
 
-def missed(rows: Sequence[Row]) -> list[Row]:
-    """List the targets that are missed.
-
-    Args:
-        rows: of all arms.
-
-    Returns:
-        ``scenario``, ``what`` ("success" or "ece"), ``is`` and ``target``; and the way, where it
-        has a target, too.
-    """
+def _missed(rows: Sequence[Row]) -> list[Row]:
+    """List the targets that are missed."""
     found: list[Row] = []
     for row in rows:
         name = {"scenario": row["scenario"]}
@@ -185,7 +177,7 @@ def missed(rows: Sequence[Row]) -> list[Row]:
     return found
 
 
-def describe_missed(document: Mapping[str, Any]) -> list[str]:
+def _describe_missed(document: Mapping[str, Any]) -> list[str]:
     """Say which targets of ``informed`` are missed, a line for successes and one for ECE."""
     if "informed" not in document["policies"]:
         return []
@@ -219,15 +211,8 @@ def _caption(document: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def robustness_table(document: Mapping[str, Any]) -> Table:
-    """Lay out the rows by scenario, then by policy.
-
-    Args:
-        document: of the experiment.
-
-    Returns:
-        The table, of ``SUITE_HEADINGS``.
-    """
+def _robustness_table(document: Mapping[str, Any]) -> Table:
+    """Lay out the rows by scenario, then by policy."""
     order = list(dict.fromkeys(row["scenario"] for row in document["rows"]))
     rows = sorted(document["rows"], key=lambda row: order.index(row["scenario"]))
     before = ["", *(row["scenario"] for row in rows[:-1])]
@@ -261,15 +246,8 @@ def _cells(row: Row) -> list[str]:
     ]
 
 
-def scenarios_table(document: Mapping[str, Any]) -> Table:
-    """Lay out what each scenario is, what is true of its sensors and what the belief is told.
-
-    Args:
-        document: of the experiment.
-
-    Returns:
-        The table.
-    """
+def _scenarios_table(document: Mapping[str, Any]) -> Table:
+    """Lay out what each scenario is, what is true of its sensors and what the belief is told."""
     return Table(
         headings=[
             "Scenario",

@@ -36,26 +36,15 @@ _LIMITS = (
 """Where Linux says what a container may use."""
 
 
-def memory() -> int:
-    """Find how much memory there is for arrays: the device's, or what this process may use.
-
-    Returns:
-        Bytes.
-    """
+def _memory() -> int:
+    """Find how much memory there is for arrays: the device's, or what this process may use."""
     if _is_on_host():
         return _host_memory()
     return int((jax.local_devices()[0].memory_stats() or {}).get("bytes_limit", _host_memory()))
 
 
-def bytes_of(tree: Any) -> int:
-    """Count the bytes of arrays, whether they are there or only their shapes.
-
-    Args:
-        tree: any pytree of arrays or ``jax.ShapeDtypeStruct``.
-
-    Returns:
-        Bytes.
-    """
+def _bytes_of(tree: Any) -> int:
+    """Count the bytes of arrays, whether they are there or only their shapes."""
     total = 0
     for leaf in jax.tree.leaves(tree):
         if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
@@ -66,29 +55,22 @@ def bytes_of(tree: Any) -> int:
     return total
 
 
-def episode_bytes(config: NavigatorConfig) -> tuple[int, int]:
-    """Count the records of an episode under way.
-
-    Args:
-        config: sizes.
-
-    Returns:
-        Bytes that do not depend on the particles, and bytes of each particle.
-    """
+def _episode_bytes(config: NavigatorConfig) -> tuple[int, int]:
+    """Count the records of an episode under way."""
     few = 2
-    small = bytes_of(_progress(_with_particles(config, few)))
-    double = bytes_of(_progress(_with_particles(config, 2 * few)))
+    small = _bytes_of(_progress(_with_particles(config, few)))
+    double = _bytes_of(_progress(_with_particles(config, 2 * few)))
     return 2 * small - double, (double - small) // few
 
 
 def task_bytes() -> int:
     """Count the bytes of one task."""
-    return bytes_of(jax.eval_shape(_any_task))
+    return _bytes_of(jax.eval_shape(_any_task))
 
 
 def result_bytes() -> int:
     """Count the bytes of one episode's result."""
-    return bytes_of(jax.eval_shape(finish, _progress(NavigatorConfig())))
+    return _bytes_of(jax.eval_shape(finish, _progress(NavigatorConfig())))
 
 
 def readable_count(number: int) -> str:
@@ -117,7 +99,7 @@ def check_count(name: str, count: int, *, each: int, fixed: int = 0, beside: str
     Raises:
         ValueError: says the size, the limit and how many would fit.
     """
-    limit, need = memory(), fixed + count * each
+    limit, need = _memory(), fixed + count * each
     if need <= limit:
         return
     fit = max(0, (limit - fixed) // each)
@@ -153,7 +135,7 @@ def check_recording(config: NavigatorConfig, max_steps: int) -> None:
         ValueError: says the size, the limit and what would fit.
     """
     _check_lanes(config, 1)
-    fixed, each = episode_bytes(config)
+    fixed, each = _episode_bytes(config)
     number = config.map.num_particles
     state = fixed + number * each
     beside = f"{number:,} particles"
@@ -167,7 +149,7 @@ def _check_lanes(config: NavigatorConfig, lanes: int) -> None:
     beside = f"{objects} objects and {cells} cells a side"
     if max(sizes.num_objects, sizes.num_cells, config.planner.num_visited) >= _INDEX_LIMIT:
         raise ValueError(f"the sizes are too large for any memory: {beside}")
-    fixed, each = (int(SCRATCH * lanes * one) for one in episode_bytes(config))
+    fixed, each = (int(SCRATCH * lanes * one) for one in _episode_bytes(config))
     check_count("particles", sizes.num_particles, each=each, fixed=fixed, beside=beside)
 
 

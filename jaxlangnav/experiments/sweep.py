@@ -146,7 +146,7 @@ def _run_files(
                 on_progress(one.result())
 
         try:
-            for files in rounds(todo, run.plan.kind, mesh().size):
+            for files in _rounds(todo, run.plan.kind, mesh().size):
                 running[pool.submit(_run_together, run, files)] = None
                 if len(running) >= _AHEAD * calls:
                     collect()
@@ -157,20 +157,10 @@ def _run_files(
             raise
 
 
-def rounds(
+def _rounds(
     files: Iterable[int], kind: Callable[[int], tuple[str, int | None]], devices: int
 ) -> Iterator[list[int]]:
-    """Gather files that one call can make, one on each device.
-
-    Args:
-        files: numbers of those to be made.
-        kind: policy and particles of a file.
-        devices: how many there are.
-
-    Yields:
-        Every file once; those of a round share policy and particles. A baseline's file, which
-        is computed in no time, is a round of its own.
-    """
+    """Gather files that one call can make, one on each device."""
     alike: dict[tuple[str, int | None], list[int]] = {}
     for index in files:
         policy, particles = kind(index)

@@ -71,16 +71,16 @@ class Table:
         places = range(len(self.headings))
         used = [place for place in places if any(row[place] for row in self.rows)]
         align = {place: " class=number" if self._is_numeric(place) else "" for place in used}
-        head = "".join(f"<th{align[at]}>{html_text(self.headings[at])}</th>" for at in used)
+        head = "".join(f"<th{align[at]}>{_html_text(self.headings[at])}</th>" for at in used)
         lines = []
         for place, row in enumerate(self._blocks()):
-            cells = "".join(f"<td{align[at]}>{html_text(row[at])}</td>" for at in used)
+            cells = "".join(f"<td{align[at]}>{_html_text(row[at])}</td>" for at in used)
             is_first = bool(self.firsts) and self.firsts[place]
             lines.append(f"<tr{' class=first' if is_first else ''}>{cells}</tr>")
         body = "\n".join(lines)
         whole = f"<table><thead><tr>{head}</tr></thead>\n<tbody>{body}</tbody></table>"
         whole = f'<div class="wide">{whole}</div>'
-        folded = f"<details><summary>{html_text(self.fold)}</summary>{whole}</details>"
+        folded = f"<details><summary>{_html_text(self.fold)}</summary>{whole}</details>"
         return folded if self.fold else whole
 
     def _is_numeric(self, place: int) -> bool:
@@ -100,7 +100,7 @@ class Table:
         return told
 
 
-def html_text(value: object) -> str:
+def _html_text(value: object) -> str:
     """Write plain text inside HTML; line breaks stay."""
     return html.escape(plain_text.printable(str(value), keep="\n"), quote=True)
 
@@ -123,28 +123,16 @@ class Section:
     """How it was made: command, episodes, seconds, files."""
 
 
-def render_report(title: str, sections: Sequence[Section], *, made: Mapping[str, str]) -> str:
-    """Write the page.
-
-    Args:
-        title: of the page.
-        sections: its parts, in order.
-        made: how all of it was made: command, seed, versions, machine, wall time.
-
-    Returns:
-        HTML.
-
-    Raises:
-        ValueError: a picture is neither SVG nor PNG.
-    """
+def _render_report(title: str, sections: Sequence[Section], *, made: Mapping[str, str]) -> str:
+    """Write the page."""
     contents = "\n".join(
-        f'<li><a href="#part{index}">{html_text(part.title)}</a></li>'
+        f'<li><a href="#part{index}">{_html_text(part.title)}</a></li>'
         for index, part in enumerate(sections, start=1)
     )
     parts = "\n".join(_section(index, part) for index, part in enumerate(sections, start=1))
     page = resources.files("jaxlangnav.experiments") / "report.html"
     places = {
-        "__TITLE__": html_text(title),
+        "__TITLE__": _html_text(title),
         "__MADE__": _facts(made),
         "__CONTENTS__": contents,
         "__PARTS__": parts,
@@ -171,22 +159,11 @@ def write_report(
     Raises:
         ValueError: a picture is neither SVG nor PNG.
     """
-    return write_text(render_report(title, sections, made=made), path)
+    return write_text(_render_report(title, sections, made=made), path)
 
 
-def data_uri(path: Path) -> str:
-    """Put a picture into a text.
-
-    Args:
-        path: an SVG or PNG file.
-
-    Returns:
-        A data URI in base64. Each picture stays a document of its own, so that names inside two
-        SVG files cannot clash.
-
-    Raises:
-        ValueError: neither SVG nor PNG.
-    """
+def _data_uri(path: Path) -> str:
+    """Put a picture into a text."""
     if path.suffix not in _MEDIA:
         raise ValueError(f"{path} is no picture: a report takes {' and '.join(_MEDIA)} files")
     return f"data:{_MEDIA[path.suffix]};base64,{base64.b64encode(path.read_bytes()).decode()}"
@@ -194,15 +171,15 @@ def data_uri(path: Path) -> str:
 
 def _section(index: int, part: Section) -> str:
     """Write one part of the page."""
-    pieces = [f'<section id="part{index}">', f"<h2>{html_text(part.title)}</h2>"]
-    pieces += [f"<p>{html_text(part.lead)}</p>"] if part.lead else []
+    pieces = [f'<section id="part{index}">', f"<h2>{_html_text(part.title)}</h2>"]
+    pieces += [f"<p>{_html_text(part.lead)}</p>"] if part.lead else []
     pieces += [
-        f'<figure><img src="{data_uri(path)}" alt="{html_text(words)}"></figure>'
+        f'<figure><img src="{_data_uri(path)}" alt="{_html_text(words)}"></figure>'
         for path, words in part.pictures
     ]
     pieces += [table.html() for table in part.tables]
     if part.notes:
-        notes = "".join(f"<li>{html_text(note)}</li>" for note in part.notes)
+        notes = "".join(f"<li>{_html_text(note)}</li>" for note in part.notes)
         pieces.append(f'<ul class="notes">{notes}</ul>')
     if part.made:
         pieces.append(
@@ -214,7 +191,7 @@ def _section(index: int, part: Section) -> str:
 def _facts(made: Mapping[str, str]) -> str:
     """Write how something was made as a list of terms."""
     rows = "".join(
-        f"<dt>{html_text(name)}</dt><dd>{html_text(value)}</dd>"
+        f"<dt>{_html_text(name)}</dt><dd>{_html_text(value)}</dd>"
         for name, value in made.items()
         if value
     )

@@ -75,18 +75,10 @@ def _has_new_word(labelled: LabelledInstruction, seen: set[str]) -> bool:
     return any(word.lemma not in seen for word in words)
 
 
-def mark_new_words(
+def _mark_new_words(
     instructions: Sequence[LabelledInstruction], is_held_out: np.ndarray
 ) -> np.ndarray:
-    """Find the held-out sentences with a word that training never saw.
-
-    Args:
-        instructions: the corpus.
-        is_held_out: bool[I].
-
-    Returns:
-        bool, one per held-out instruction, in order.
-    """
+    """Find the held-out sentences with a word that training never saw."""
     kept = [one for one, is_out in zip(instructions, is_held_out, strict=True) if not is_out]
     seen = {w.lemma for one in kept for root in one.parse.clauses for w in root.all_words()}
     held_out = [one for one, is_out in zip(instructions, is_held_out, strict=True) if is_out]
@@ -174,7 +166,7 @@ def _fit_splits(prepared: LaidOut, held_out: np.ndarray) -> Splits:
     return Splits(prepared.vocabulary, weights, alone, together, examples)
 
 
-def summarise(scores: Sequence[Scores | ExactScores]) -> tuple[float, float]:
+def _summarise(scores: Sequence[Scores | ExactScores]) -> tuple[float, float]:
     """Compute the mean accuracy over splits and half its 95 % interval, percent."""
     accuracy = np.array([100.0 * score.accuracy for score in scores])
     spread = accuracy.std(ddof=1) if len(accuracy) > 1 else float("nan")
@@ -311,7 +303,7 @@ def _on_new_words(
     worlds = np.array([len(labelled.worlds) for labelled in instructions])
     rows = []
     for score, held in zip(scores, held_out, strict=True):
-        is_new = mark_new_words(instructions, held)
+        is_new = _mark_new_words(instructions, held)
         is_new = is_new if name == "annotation" else np.repeat(is_new, worlds[held])
         rows.append((score.is_right, is_new))
     right = np.concatenate([is_right[is_new] for is_right, is_new in rows])
@@ -322,7 +314,7 @@ def _on_new_words(
 
 def _accuracy(scores: Sequence[Scores | ExactScores]) -> dict[str, float]:
     """Write down a mean and its interval."""
-    mean, interval = summarise(scores)
+    mean, interval = _summarise(scores)
     return {"accuracy_mean": round(mean, 2), "accuracy_ci95": round(interval, 2)}
 
 

@@ -46,17 +46,8 @@ TERMINAL_HEADINGS = (
 )
 
 
-def cells(row: Row, paper: Row | None) -> list[str]:
-    """Write one row's cells.
-
-    Args:
-        row: ours.
-        paper: the printed row beside it, if there is one.
-
-    Returns:
-        Texts in the order of ``HEADINGS``. The paper's method stands beside ours and beside our
-        reading of it, its known map beside ours; it ran no other.
-    """
+def _cells(row: Row, paper: Row | None) -> list[str]:
+    """Write one row's cells."""
     low, high = row["success_ci"]
     ours = _printed_of(row["policy"], paper)
     return [
@@ -126,8 +117,8 @@ def results_table(document: Mapping[str, Any], *, fold: str = "") -> Table:
     """
     limits = {row_key(bound): bound for bound in document.get("bounds", [])}
     firsts, lines = [], []
-    for key, pairs in itertools.groupby(paired_rows(document), key=lambda pair: row_key(pair[0])):
-        mine = [cells(*pair) for pair in pairs]
+    for key, pairs in itertools.groupby(_paired_rows(document), key=lambda pair: row_key(pair[0])):
+        mine = [_cells(*pair) for pair in pairs]
         if key in limits:
             mine.append(_limit_cells(limits[key]))
         firsts += [index == 0 for index in range(len(mine))]
@@ -167,15 +158,8 @@ def _with_sd(row: Row, name: str) -> str:
     return f"{row[f'{name}_mean']:.2f} ({row[f'{name}_sd']:.2f})"
 
 
-def paired_rows(document: Mapping[str, Any]) -> list[tuple[Row, Row | None]]:
-    """Set each of our rows beside the printed one; by row, then by policy.
-
-    Args:
-        document: with ``rows`` and perhaps ``paper``.
-
-    Returns:
-        Ours and the paper's, rows of the same worlds behind one another.
-    """
+def _paired_rows(document: Mapping[str, Any]) -> list[tuple[Row, Row | None]]:
+    """Set each of our rows beside the printed one; by row, then by policy."""
     printed = {row_key(row): row for row in document.get("paper", [])}
     order = list(dict.fromkeys(row_key(row) for row in document["rows"]))
     rows = sorted(document["rows"], key=lambda row: order.index(row_key(row)))
@@ -272,12 +256,12 @@ def deviations_table(document: Mapping[str, Any], policy: str = "faithful") -> T
     headings = ["World", "Range m", "Relation", f"{policy} − paper: success", "in s. e."]
     headings += ["distance m", "in s. e.", "within 2 s. e. of both"]
     lines = []
-    for row, paper in paired_rows(document):
+    for row, paper in _paired_rows(document):
         if row["policy"] == policy and paper is not None:
             far = deviations(row, paper)
             lines.append(
                 [
-                    *cells(row, paper)[:3],
+                    *_cells(row, paper)[:3],
                     f"{row['success_rate'] - paper['success_rate']:+.1f}",
                     f"{far['success']:+.1f}",
                     f"{row['distance_mean'] - paper['distance_mean']:+.2f}",

@@ -77,7 +77,7 @@ class Variation:
         assert arm.config is not None
         planner = dataclasses.replace(arm.config.planner, num_blocks=self.num_blocks)
         config = dataclasses.replace(arm.config, planner=planner)
-        worlds = functools.partial(turned, seed=options.seed) if self.is_turned else None
+        worlds = functools.partial(_turned, seed=options.seed) if self.is_turned else None
         return dataclasses.replace(
             arm, config=config, sensor=self.sensor, max_steps=self.max_steps, worlds=worlds
         )
@@ -114,20 +114,11 @@ VARIATIONS = (
 points of a line: what lies between them is for ``jaxlangnav sweep``."""
 
 
-def turned(tasks: Task, seed: int) -> Task:
-    """Turn each world about the start by an angle of its own, uniform over the circle.
-
-    Places relative to each other and to whoever looks from the start stay: what was behind a cone
-    still is. The operating area becomes the square [-D, D]² around the start. A world of which
-    something then stands outside the area counts as invalid.
-
-    Args:
-        tasks: leaves [E, …]; each starts at the origin.
-        seed: of the angles.
-
-    Returns:
-        Tasks, leaves [E, …].
-    """
+def _turned(tasks: Task, seed: int) -> Task:
+    """Turn each world about the start by an angle of its own, uniform over the circle."""
+    # Places relative to each other and to whoever looks from the start stay: what was behind a cone
+    # still is. The operating area becomes the square [-D, D]² around the start. A world of which
+    # something then stands outside the area counts as invalid.
     scenario = tasks.scenario
     number = tasks.instruction_index.shape[0]
     angle = jax.random.uniform(
@@ -268,7 +259,7 @@ def _explained(index: int, rows: Sequence[Row]) -> dict[str, Any]:
     mine = rows[index :: len(PRINTED)]
     first, *others = mine
     named = {
-        key: [variation_name(row) for row in others if row[f"is_{key}"]]
+        key: [_variation_name(row) for row in others if row[f"is_{key}"]]
         for key in ("near", "success_near", "distance_near")
     }
     nearest = min(mine, key=lambda row: max(abs(row["z_success"]), abs(row["z_distance"])))
@@ -279,7 +270,7 @@ def _explained(index: int, rows: Sequence[Row]) -> dict[str, Any]:
         "both": named["near"],
         "success": named["success_near"],
         "distance": named["distance_near"],
-        "nearest": variation_name(nearest),
+        "nearest": _variation_name(nearest),
         "nearest_z": [nearest["z_success"], nearest["z_distance"]],
     }
 
@@ -300,7 +291,7 @@ def _settings(options: Options) -> dict[str, float]:
     }
 
 
-def variation_name(row: Mapping[str, Any]) -> str:
+def _variation_name(row: Mapping[str, Any]) -> str:
     """Name a variation: "field of view 90°"."""
     return f"{row['unknown']} {row['value']}".strip()
 

@@ -64,7 +64,7 @@ def meant_goals(understood: Understanding, scenario: Scenario) -> tuple[list[Goa
         The goals that fit best, none where nothing fits; and whether finding is enough.
     """
     placed = place_scenario(scenario, understood.type_names)
-    behaviors = infer_in(understood.instruction, placed, understood.type_names)
+    behaviors = _infer_in(understood.instruction, placed, understood.type_names)
     if not behaviors:
         return [], False
     last, told = behaviors[-1], understood.instruction
@@ -275,20 +275,10 @@ def place_scenario(scenario: Scenario, names: Sequence[str]) -> PlacedWorld:
     )
 
 
-def infer_in(
+def _infer_in(
     instruction: Instruction, placed: PlacedWorld, names: tuple[str, ...]
 ) -> list[Behavior]:
-    """Infer what each command asks for in a world of which everything is known.
-
-    Args:
-        instruction: the grounded sentence.
-        placed: the world; of at most as many objects as a scenario has slots.
-        names: object types by index.
-
-    Returns:
-        One behavior a command, NumPy leaves; "the other one" is other than the likeliest goal
-        of the command before it.
-    """
+    """Infer what each command asks for in a world of which everything is known."""
     number, found = len(placed.objects), []
     # Padded like any other world, so that one compiled program serves them all.
     num_slots = max(NUM_SLOTS, number) + 1
@@ -328,7 +318,7 @@ def list_behaviors(
         ``probability``.
     """
     found: list[dict[str, Any]] = []
-    for clause, behavior in enumerate(infer_in(instruction, placed, names)):
+    for clause, behavior in enumerate(_infer_in(instruction, placed, names)):
         joint = (
             behavior.action[:, None, None, None]
             * behavior.mode[None, :, None, None]
@@ -340,25 +330,15 @@ def list_behaviors(
                     "clause": clause,
                     "action": ACTIONS[index[0]],
                     "mode": MODES[index[1]],
-                    "goal": describe_goal(placed, int(index[2]), int(index[3])),
+                    "goal": _describe_goal(placed, int(index[2]), int(index[3])),
                     "probability": float(joint[index]),
                 }
             )
     return sorted(found, key=lambda one: (one["clause"], -one["probability"]))
 
 
-def describe_goal(placed: PlacedWorld, region: int, slot: int) -> dict[str, Any]:
-    """Name a goal region.
-
-    Args:
-        placed: the world.
-        region: index into ``messages.REGIONS``.
-        slot: of the object; the one after the last object is the robot.
-
-    Returns:
-        ``region`` ("at" or a relation), ``object`` (its type), ``index`` (its slot) and where
-        that object stands, ``position``.
-    """
+def _describe_goal(placed: PlacedWorld, region: int, slot: int) -> dict[str, Any]:
+    """Name a goal region."""
     is_robot = slot == len(placed.objects)
     name, x, y = ("robot", *placed.robot[:2]) if is_robot else placed.objects[slot]
     return {"region": REGIONS[region], "object": name, "index": slot, "position": [x, y]}

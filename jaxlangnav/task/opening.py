@@ -57,15 +57,8 @@ class Prepared:
         return f"{self.num_alike} places fit the sentence alike, and nothing says which is meant"
 
 
-def relation_said(annotations: Iterable[AnnotationDocument]) -> str:
-    """Tell for which of Table 2's commands to draw a world, so that the sentence is true in it.
-
-    Args:
-        annotations: likeliest first.
-
-    Returns:
-        "behind", "nearest" or "null".
-    """
+def _relation_said(annotations: Iterable[AnnotationDocument]) -> str:
+    """Tell for which of Table 2's commands to draw a world, so that the sentence is true in it."""
     for said in annotations:
         if (said["figure"], said["landmark"]) == ("hydrant", "cone"):
             if said["relation"] == "behind":
@@ -286,7 +279,7 @@ def _draw(
 
     The first one tried is that of the first episode of the tables with this seed.
     """
-    relation = relation_said(understood.annotations) if template.num_cones else "null"
+    relation = _relation_said(understood.annotations) if template.num_cones else "null"
     tasks = _tasks_of(template, relation, sensing_range, seed, 1)
     prepared = _judge(template.name, tasks[0], understood, is_own=False, is_drawn=True)
     absent = absent_types(tasks[0].scenario, understood.annotations, understood.type_names)

@@ -52,7 +52,7 @@ def score_sentences(
     Returns:
         Their scores, in order.
     """
-    scores, labels = [], labels_of(sentences, model)
+    scores, labels = [], _labels_of(sentences, model)
     for sentence in sentences:
         scores.append(_score(sentence, GraphGrounder(model, labels), arm))
         if on_progress is not None:
@@ -75,8 +75,8 @@ def summarize_scores(scores: Sequence[Score]) -> dict[str, Any]:
     missed = [score for score in scores if score.outcome != CORRECT]
     missed.sort(key=lambda one: (one.outcome != WRONG, -one.confidence, one.sentence.line))
     return {
-        **count_scores(scores),
-        "by_construction": {name: count_scores(ones) for name, ones in by_name.items()},
+        **_count_scores(scores),
+        "by_construction": {name: _count_scores(ones) for name, ones in by_name.items()},
         "worst": [
             {
                 "line": one.sentence.line,
@@ -118,15 +118,8 @@ def render_scores(document: dict[str, Any]) -> tuple[Table, list[str]]:
     return table, lines
 
 
-def count_scores(scores: Sequence[Score]) -> dict[str, Any]:
-    """Count the outcomes of some sentences.
-
-    Args:
-        scores: of ``score_sentences``.
-
-    Returns:
-        A JSON document: the count of sentences, of each outcome, and the percentage right.
-    """
+def _count_scores(scores: Sequence[Score]) -> dict[str, Any]:
+    """Count the outcomes of some sentences."""
     counts = Counter(score.outcome for score in scores)
     share = 100.0 * counts[CORRECT] / max(len(scores), 1)
     return {
@@ -144,13 +137,13 @@ class ReadAs:
     type_names: tuple[str, ...]
 
 
-def context_of(sentence: LabelledSentence) -> Context:
+def _context_of(sentence: LabelledSentence) -> Context:
     """Tell what a grounder is told: only what is meant to inform may ask for nothing."""
     meaning = sentence.meaning
     return Context(is_under_way=meaning is not None and not meaning.reading.commands)
 
 
-def labels_of(sentences: Sequence[LabelledSentence], model: GroundingModel) -> tuple[str, ...]:
+def _labels_of(sentences: Sequence[LabelledSentence], model: GroundingModel) -> tuple[str, ...]:
     """List what a detector tells apart for whom the sentences are meant."""
     meanings = [one.meaning for one in sentences if one.meaning is not None]
     named = [name for one in meanings for name in one.type_names]
@@ -161,7 +154,7 @@ def _score(sentence: LabelledSentence, graph: GraphGrounder, arm: Wrapping) -> S
     """Score one sentence."""
     meaning = sentence.meaning
     try:
-        grounded = arm(graph).ground(sentence.text, context_of(sentence))
+        grounded = arm(graph).ground(sentence.text, _context_of(sentence))
     except ValueError as error:
         outcome = CORRECT if meaning is None else REFUSED
         return Score(sentence, outcome, "" if meaning is None else str(error), 0.0)
@@ -245,8 +238,8 @@ def _summary(scores: Sequence[Score]) -> dict[str, Any]:
     others = [one for one in scores if one.sentence.meaning is None]
     return {
         **summarize_scores(scores),
-        "meant": count_scores(meant),
-        "to_refuse": count_scores(others),
+        "meant": _count_scores(meant),
+        "to_refuse": _count_scores(others),
     }
 
 
@@ -266,7 +259,7 @@ def fit_recorded(
     Raises:
         ValueError: they say nothing about it; one line.
     """
-    labels = labels_of(sentences, model)
+    labels = _labels_of(sentences, model)
     return fit_source_temperature(
         [_judge(one, recorded, GraphGrounder(model, labels)) for one in sentences if one.meaning]
     )
@@ -274,7 +267,7 @@ def fit_recorded(
 
 def _judge(sentence: LabelledSentence, recorded: RecordedRewrites, graph: GraphGrounder) -> Judged:
     """Judge each rewriting that can be read by the label."""
-    found, _ = verify_rewrites(graph, recorded(sentence.text), context_of(sentence))
+    found, _ = verify_rewrites(graph, recorded(sentence.text), _context_of(sentence))
     is_right = [
         sentence.meaning is not None
         and not difference(sentence.meaning, ReadAs(one.grounded.instruction, graph.names))

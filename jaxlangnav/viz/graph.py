@@ -28,22 +28,14 @@ _COLUMN, _ROW = 2.0, 0.62
 """Inches a phrase and a symbol take."""
 
 
-def phrase_beliefs(parse: Parse, model: GroundingModel) -> list[PhraseBelief]:
-    """Compute for every phrase how probable each of its symbols is.
-
-    Args:
-        parse: the sentence.
-        model: trained models.
-
-    Returns:
-        Phrases of all clauses, parents first, each given its children's likeliest groundings.
-    """
+def _phrase_beliefs(parse: Parse, model: GroundingModel) -> list[PhraseBelief]:
+    """Compute for every phrase how probable each of its symbols is."""
     graph = CorrespondenceGraph(Annotations(model.type_names), model.annotation)
     trees = (graph.weigh(root, None, clause) for clause, root in enumerate(parse.clauses))
     return [belief for tree in trees for belief in tree.beliefs()]
 
 
-def symbol_name(symbol: Annotation, type_names: tuple[str, ...]) -> str:
+def _symbol_name(symbol: Annotation, type_names: tuple[str, ...]) -> str:
     """Name an annotation symbol: "hydrant behind cone", "behind cone", "hydrant"."""
 
     def thing(index: int) -> str:
@@ -71,8 +63,8 @@ def graph_figure(parse: Parse, model: GroundingModel, *, num_symbols: int = 3) -
         ValueError: ``num_symbols`` is less than 1.
     """
     space = AnnotationSpace(len(model.type_names))
-    names = [symbol_name(symbol, model.type_names) for symbol in space.symbols]
-    beliefs = phrase_beliefs(parse, model)
+    names = [_symbol_name(symbol, model.type_names) for symbol in space.symbols]
+    beliefs = _phrase_beliefs(parse, model)
     return beliefs_figure(beliefs, names, title=parse.instruction, num_symbols=num_symbols)
 
 

@@ -45,22 +45,15 @@ def write_html(recording: Recording, path: Path | str) -> Path:
         The path.
     """
     path = Path(path)
-    page = render_html(recording)
+    page = _render_html(recording)
     return write_text(page, path)
 
 
-def render_html(recording: Recording) -> str:
-    """Render an episode as a self-contained page.
-
-    Args:
-        recording: the episode.
-
-    Returns:
-        The page.
-    """
+def _render_html(recording: Recording) -> str:
+    """Render an episode as a self-contained page."""
     template = resources.files("jaxlangnav.viz") / "recording.html"
     data = json.dumps(
-        page_data(recording), separators=(",", ":"), ensure_ascii=False, allow_nan=False
+        _page_data(recording), separators=(",", ":"), ensure_ascii=False, allow_nan=False
     )
     title = html.escape(printable(recording.scene.text or "Episode"))
     # Inside a script element only "</" and "<!--" could end the data early. In one pass, as the
@@ -70,15 +63,8 @@ def render_html(recording: Recording) -> str:
     return re.sub("|".join(parts), lambda found: parts[found[0]], page)
 
 
-def page_data(recording: Recording) -> dict[str, Any]:
-    """Gather everything the page shows, in JSON's own types.
-
-    Args:
-        recording: the episode.
-
-    Returns:
-        Sizes, what stays the same, what changes by step, and ``arrays`` in base64.
-    """
+def _page_data(recording: Recording) -> dict[str, Any]:
+    """Gather everything the page shows, in JSON's own types."""
     scene, frames = recording.scene, recording.frames
     claims = describe_readings(scene, least=0.005)
     all_claims = _all_claims(recording)

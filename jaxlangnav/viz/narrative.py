@@ -20,16 +20,8 @@ from jaxlangnav.viz.summary import expected_goal, explored_share
 from jaxlangnav.viz.words import counted, describe_asked, describe_readings, percent
 
 
-def step_changes(recording: Recording) -> np.ndarray:
-    """Measure how much each step changed what is believed and planned.
-
-    Args:
-        recording: an episode.
-
-    Returns:
-        f64[T], arbitrary units: a new object counts most, then the share of hypotheses drawn
-        anew, the shift of the expected goal, and a new waypoint.
-    """
+def _step_changes(recording: Recording) -> np.ndarray:
+    """Measure how much each step changed what is believed and planned."""
     frames = recording.frames
     goal = expected_goal(frames)
     shift = np.zeros(recording.num_steps)
@@ -58,7 +50,7 @@ def pick_moments(recording: Recording, number: int = 6) -> list[int]:
         raise ValueError(f"number of panels is {number}, but must be at least 1")
     last = recording.num_steps - 1
     chosen = {0, last} if number > 1 else {last}
-    score = step_changes(recording)
+    score = _step_changes(recording)
     # Everything else being equal the panels spread over the episode.
     for _ in range(min(number, recording.num_steps) - len(chosen)):
         steps = np.arange(recording.num_steps)
@@ -309,7 +301,7 @@ def narrate(recording: Recording) -> list[str]:
     for step in range(recording.num_steps):
         scene, said = recording.scene_at(step), recording.said_at(step)
         frame = recording.at(step)
-        if not said and is_quiet(frame, before):
+        if not said and _is_quiet(frame, before):
             quiet.append(step)
         else:
             lines += _drawn_together(quiet, recording)
@@ -342,20 +334,15 @@ def tell_on(
     for step, (frame, result) in enumerate(steps):
         now = [one for one in said if one.step == step]
         scene = next((one.scene for one in reversed(now) if one.scene is not None), scene)
-        if now or not is_quiet(frame, before):
+        if now or not _is_quiet(frame, before):
             told = " ".join(tell_step(scene, frame, before, now))
             tell([f"{_head(str(step), float(frame.distance))} {told}"])
         before = frame
         yield frame, result
 
 
-def is_quiet(frame: Frame, before: Frame | None) -> bool:
-    """Tell whether nothing worth a line of its own happened in a step.
-
-    Returns:
-        True where the robot discovers nothing, is about as sure of the goal as it was, and goes
-        for the same kind of place.
-    """
+def _is_quiet(frame: Frame, before: Frame | None) -> bool:
+    """Tell whether nothing worth a line of its own happened in a step."""
     if before is None:
         return False
     if int(frame.status) in (Status.HALTED, Status.IDLE):

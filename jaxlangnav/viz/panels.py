@@ -33,21 +33,10 @@ def _num_columns(number: int, shape: float) -> int:
     return math.ceil(number / 2) if shape >= 0.5 else number
 
 
-def lay_out(
+def _lay_out(
     recording: Recording, number: int, *, text: str, foot: float, extra: float = 0.0
 ) -> "tuple[Figure, list[Axes], list[Axes]]":
-    """Lay out a figure of maps.
-
-    Args:
-        recording: the episode; its area gives the maps their shape.
-        number: maps.
-        text: line of explanation under the headline.
-        foot: inches left free at the bottom for the legend.
-        extra: inches beneath each map for a small chart; 0 for none.
-
-    Returns:
-        The figure, the axes of the maps, and those of the charts (none without ``extra``).
-    """
+    """Lay out a figure of maps."""
     from matplotlib.figure import Figure
 
     x_min, x_max, y_min, y_max = recording.scene.area
@@ -87,15 +76,8 @@ def lay_out(
     return figure, maps, charts
 
 
-def head_panel(axes: "Axes", recording: Recording, step: int, index: int) -> None:
-    """Head a panel: its letter, the step and the way so far; beneath, what happens.
-
-    Args:
-        axes: the panel.
-        recording: the episode.
-        step: shown in the panel.
-        index: of the panel.
-    """
+def _head_panel(axes: "Axes", recording: Recording, step: int, index: int) -> None:
+    """Head a panel: its letter, the step and the way so far; beneath, what happens."""
     frame = recording.at(step)
     before = recording.at(step - 1) if step else None
     letter = chr(ord("a") + index % 26)
@@ -141,37 +123,13 @@ def verdict(recording: Recording) -> str:
     )
 
 
-def choose_steps(recording: Recording, steps: Sequence[int] | None, number: int) -> list[int]:
-    """Choose the moments that a figure shows.
-
-    Args:
-        recording: the episode.
-        steps: moments to show, negative ones counted from the end; those that tell the most if
-            None.
-        number: how many, where ``steps`` are not given.
-
-    Returns:
-        The moments in [0, T).
-
-    Raises:
-        ValueError: a step is not in the recording, or the list is empty.
-    """
-    return check_steps(recording, steps) or pick_moments(recording, number)
+def _choose_steps(recording: Recording, steps: Sequence[int] | None, number: int) -> list[int]:
+    """Choose the moments that a figure shows."""
+    return _check_steps(recording, steps) or pick_moments(recording, number)
 
 
-def check_steps(recording: Recording, steps: Sequence[int] | None) -> list[int]:
-    """Check the moments a person asks for.
-
-    Args:
-        recording: the episode.
-        steps: moments, negative ones counted from the end; None for none.
-
-    Returns:
-        The moments in [0, T); empty for None.
-
-    Raises:
-        ValueError: a step is not in the recording, or the list is empty.
-    """
+def _check_steps(recording: Recording, steps: Sequence[int] | None) -> list[int]:
+    """Check the moments a person asks for."""
     if steps is None:
         return []
     number = recording.num_steps
@@ -183,13 +141,8 @@ def check_steps(recording: Recording, steps: Sequence[int] | None) -> list[int]:
     return [step % number for step in steps]
 
 
-def add_legend(figure: "Figure", handles: "Sequence[Line2D]") -> None:
-    """Put a legend along the bottom of a figure, in as many columns as fit.
-
-    Args:
-        figure: laid out with half an inch at the bottom.
-        handles: what to list.
-    """
+def _add_legend(figure: "Figure", handles: "Sequence[Line2D]") -> None:
+    """Put a legend along the bottom of a figure, in as many columns as fit."""
     columns = min(len(handles), max(3, int(figure.get_figwidth() / 1.55)))
     rows = math.ceil(len(handles) / columns)
     figure.legend(
@@ -219,13 +172,13 @@ def belief_figure(
         MissingExtraError: without matplotlib.
         ValueError: a step is not in the recording, or there are none.
     """
-    chosen = choose_steps(recording, steps, num_panels)
+    chosen = _choose_steps(recording, steps, num_panels)
     scene = recording.scene
     with style.house_style():
         text = (
             "Dots: hypotheses, one map per particle, stronger where heavier. Grey: not looked at."
         )
-        figure, maps, _ = lay_out(recording, len(chosen), text=text, foot=0.62)
+        figure, maps, _ = _lay_out(recording, len(chosen), text=text, foot=0.62)
         for index, (axes, step) in enumerate(zip(maps, chosen, strict=True)):
             frame = recording.at(step)
             mapping.draw_ground(axes, scene, frame)
@@ -236,8 +189,8 @@ def belief_figure(
             mapping.draw_view(axes, scene, frame)
             mapping.draw_waypoint(axes, frame)
             mapping.draw_robot(axes, frame)
-            head_panel(axes, recording, step, index)
-        add_legend(figure, mapping.legend_handles(recording))
+            _head_panel(axes, recording, step, index)
+        _add_legend(figure, mapping.legend_handles(recording))
     return figure
 
 
@@ -275,31 +228,22 @@ def values_figure(
         MissingExtraError: matplotlib is not installed.
         ValueError: a step is not in the recording, or there are none.
     """
-    chosen = choose_steps(recording, steps, num_panels)
+    chosen = _choose_steps(recording, steps, num_panels)
     with style.house_style():
         text = "Discs: waypoints it may choose, darker where more valuable at that step."
         if recording.scene.portrayal.is_field:
             text += " Lines: equal value."
-        figure, maps, charts = lay_out(recording, len(chosen), text=text, foot=0.62, extra=0.95)
+        figure, maps, charts = _lay_out(recording, len(chosen), text=text, foot=0.62, extra=0.95)
         for index, (axes, chart, step) in enumerate(zip(maps, charts, chosen, strict=True)):
-            draw_values(axes, recording, step)
-            draw_parts(chart, recording.at(step), with_label=axes.get_ylabel() != "")
-            head_panel(axes, recording, step, index)
-        add_legend(figure, _handles(recording))
+            _draw_values(axes, recording, step)
+            _draw_parts(chart, recording.at(step), with_label=axes.get_ylabel() != "")
+            _head_panel(axes, recording, step, index)
+        _add_legend(figure, _handles(recording))
     return figure
 
 
-def draw_values(axes: "Axes", recording: Recording, step: int) -> "PathCollection":
-    """Draw one map of Figure 4.
-
-    Args:
-        axes: to draw into.
-        recording: the episode.
-        step: shown.
-
-    Returns:
-        The nodes, one point for each open one, coloured by value.
-    """
+def _draw_values(axes: "Axes", recording: Recording, step: int) -> "PathCollection":
+    """Draw one map of Figure 4."""
     scene, frame = recording.scene, recording.at(step)
     mapping.draw_ground(axes, scene, frame)
     is_field = scene.portrayal.is_field
@@ -361,16 +305,9 @@ def _is_inside(axes: "Axes", spots: np.ndarray) -> np.ndarray:
     return (x > x_low) & (x < x_high) & (y > y_low) & (y < y_high)
 
 
-def draw_parts(axes: "Axes", frame: Frame, *, with_label: bool = True) -> None:
-    """Draw the parts of the value of the best waypoints as stacked bars.
-
-    Args:
-        axes: to draw into.
-        frame: one step.
-        with_label: whether to name the axis of waypoints.
-
-    Where the robot has stopped there is nothing to choose: its reason stands there instead.
-    """
+def _draw_parts(axes: "Axes", frame: Frame, *, with_label: bool = True) -> None:
+    """Draw the parts of the value of the best waypoints as stacked bars."""
+    # Where the robot has stopped there is nothing to choose: its reason stands there instead.
     if bool(frame.is_done):
         _say_why_stopped(axes, frame)
         return

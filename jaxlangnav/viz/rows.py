@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxlangnav.experiments.grid import Row
-from jaxlangnav.experiments.metrics import wilson_interval
 from jaxlangnav.experiments.tables import least_distance
 from jaxlangnav.viz import style
 from jaxlangnav.viz.sweep import (
@@ -205,30 +204,6 @@ Curve = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 """Of each bin: mean prediction, share that came true, ends of its 95 % interval, predictions."""
 
 
-def calibration_figure(
-    predictions: Mapping[str, tuple[np.ndarray, np.ndarray]], *, num_bins: int = 10
-) -> "Figure":
-    """Draw how often what was predicted with a probability came true.
-
-    Args:
-        predictions: name of a curve to predicted probabilities f[n] in [0, 1] and outcomes
-            bool[n], independent of each other.
-        num_bins: equal parts of [0, 1]; empty ones are left out.
-
-    Returns:
-        The figure: curves with 95 % Wilson intervals, and beneath how many predictions a bin has.
-
-    Raises:
-        MissingExtraError: matplotlib is not installed.
-        ValueError: no curve, or lengths that differ.
-    """
-    curves = {
-        f"{name} (n = {len(predicted)})": calibration_bins(predicted, outcome, num_bins)
-        for name, (predicted, outcome) in predictions.items()
-    }
-    return reliability_figure({"": curves}, title="Calibration")
-
-
 def reliability_figure(
     panels: Mapping[str, Mapping[str, Curve]], *, title: str, subtitle: str = ""
 ) -> "Figure":
@@ -308,40 +283,6 @@ def _merged_legend(row: "Sequence[Axes]", names: list[str]) -> tuple[list[Any], 
     for axes in row:
         found |= dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
     return [found[name] for name in names], names
-
-
-def calibration_bins(
-    predicted: np.ndarray, outcome: np.ndarray, num_bins: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Sort predictions into bins.
-
-    Args:
-        predicted: f[n] probabilities in [0, 1].
-        outcome: bool[n].
-        num_bins: equal parts of [0, 1], at least 1.
-
-    Returns:
-        Of each bin that is not empty: mean prediction, rate of success, lower and upper end of its
-        95 % Wilson interval, number of predictions.
-
-    Raises:
-        ValueError: lengths differ, a probability is outside [0, 1], or there are no bins.
-    """
-    predicted, outcome = np.asarray(predicted, float), np.asarray(outcome, bool)
-    if predicted.shape != outcome.shape or num_bins < 1:
-        raise ValueError(
-            f"{predicted.size} predictions, {outcome.size} outcomes and {num_bins} bins do not fit"
-        )
-    if predicted.size and not (predicted.min() >= 0.0 and predicted.max() <= 1.0):
-        raise ValueError("a predicted probability lies outside [0, 1]")
-    place = np.minimum((predicted * num_bins).astype(int), num_bins - 1)
-    number = np.bincount(place, minlength=num_bins)
-    used = number > 0
-    total = np.maximum(number, 1)
-    mean = np.bincount(place, weights=predicted, minlength=num_bins) / total
-    hits = np.bincount(place, weights=outcome, minlength=num_bins)
-    ends = np.array([wilson_interval(int(h), int(n)) for h, n in zip(hits, number, strict=True)])
-    return mean[used], (hits / total)[used], ends[used, 0], ends[used, 1], number[used]
 
 
 def time_figure(parts: Mapping[str, float], *, what: str = "one decision cycle") -> "Figure":

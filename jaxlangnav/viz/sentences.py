@@ -146,17 +146,8 @@ def claim_shares(scene: StaticScene, frame: Frame) -> dict[str, float]:
     return shares
 
 
-def goal_name(scene: StaticScene, frame: Frame, slot: int) -> str:
-    """Name the goal place at an observed object: "the hydrant", "the place behind the cone".
-
-    Args:
-        scene: of the episode.
-        frame: one step.
-        slot: in [0, O], O for the robot itself.
-
-    Returns:
-        A noun with its article.
-    """
+def _goal_name(scene: StaticScene, frame: Frame, slot: int) -> str:
+    """Name the goal place at an observed object: "the hydrant", "the place behind the cone"."""
     region = int(frame.goal_region[slot])
     is_robot = slot == len(frame.goal_mass) - 1
     kinds = {one.slot: one.object_type for one in summary.seen_objects(frame)}
@@ -172,7 +163,7 @@ def believed(scene: StaticScene, frame: Frame) -> str:
     order = np.argsort(-frame.goal_mass)
     fitting = [int(slot) for slot in order if frame.goal_mass[slot] >= 0.05]
     seen = [
-        f"{goal_name(scene, frame, slot)} "
+        f"{_goal_name(scene, frame, slot)} "
         f"{_place(frame, float(frame.goal_x[slot]), float(frame.goal_y[slot]))} "
         f"({percent(float(frame.goal_mass[slot]))})"
         for slot in fitting
@@ -231,7 +222,7 @@ def _target(scene: StaticScene, frame: Frame) -> str:
     if int(frame.waypoint_kind) != OBJECT_NODE:
         return node_words(int(frame.waypoint_kind), scene.portrayal.place)
     x, y = frame.goal_x - frame.waypoint[0], frame.goal_y - frame.waypoint[1]
-    return goal_name(scene, frame, int(np.argmin(np.where(frame.is_goal, x * x + y * y, np.inf))))
+    return _goal_name(scene, frame, int(np.argmin(np.where(frame.is_goal, x * x + y * y, np.inf))))
 
 
 def _reason(scene: StaticScene, frame: Frame) -> str:

@@ -72,7 +72,7 @@ def range_figure(document: Mapping[str, Any]) -> "Figure":
                 if (row["world"], row["relation"]) == (world, relation)
             ]
             _draw_column(above, below, mine, paper)
-            above.set_title(f"{world}, {sentence_of(document, relation)}")
+            above.set_title(f"{world}, {_sentence_of(document, relation)}")
             below.set_xlabel("sensing range (m, logarithmic)")
         grid[0][0].set_ylabel("distance travelled (m)")
         grid[1][0].set_ylabel("success (%)")
@@ -107,7 +107,7 @@ def looks_of(arms: Sequence[str]) -> dict[str, Mark]:
     }
 
 
-def sentence_of(document: Mapping[str, Any], relation: str | None) -> str:
+def _sentence_of(document: Mapping[str, Any], relation: str | None) -> str:
     """Look up the sentence behind a relation, in quotation marks."""
     said = document.get("sentences", {}).get(relation or "null")
     return f"“{said}”" if said else f"“{relation or 'no relation'}”"

@@ -26,15 +26,8 @@ _CELL_SHAPE = 2.0
 """Height of a character over its width."""
 
 
-def letters(scene: StaticScene) -> dict[int, str]:
-    """Give each object type a letter of its own: the first of its name that is still free.
-
-    Args:
-        scene: of the episode.
-
-    Returns:
-        Letters by type index; "?" where all letters of a name are taken.
-    """
+def _letters(scene: StaticScene) -> dict[int, str]:
+    """Give each object type a letter of its own: the first of its name that is still free."""
     taken: dict[int, str] = {}
     for kind, name in enumerate(scene.type_names):
         free = (one for one in name.upper() if one.isalpha() and one not in taken.values())
@@ -42,20 +35,10 @@ def letters(scene: StaticScene) -> dict[int, str]:
     return taken
 
 
-def draw_map(scene: StaticScene, frame: Frame, *, width: int = 48) -> "Text":
-    """Draw a step as characters.
-
-    Letters are observed objects (H a hydrant), shades where hypotheses lie, × the waypoint, an
-    arrow the robot; blank ground has been looked at, dots have not.
-
-    Args:
-        scene: of the episode.
-        frame: one step.
-        width: columns, at least 8.
-
-    Returns:
-        Rich text of as many lines as the shape of the area asks for.
-    """
+def _draw_map(scene: StaticScene, frame: Frame, *, width: int = 48) -> "Text":
+    """Draw a step as characters."""
+    # Letters are observed objects (H a hydrant), shades where hypotheses lie, × the waypoint, an
+    # arrow the robot; blank ground has been looked at, dots have not.
     from rich.text import Text
 
     x_min, x_max, y_min, y_max = scene.area
@@ -69,7 +52,7 @@ def draw_map(scene: StaticScene, frame: Frame, *, width: int = 48) -> "Text":
         cells[row][column], looks[row][column] = character, look
 
     _shade(scene, frame, cells, looks)
-    names = letters(scene)
+    names = _letters(scene)
     for one in summary.seen_objects(frame):
         letter = names.get(one.object_type, "?")
         put(one.x, one.y, letter, f"bold white on {style.type_color(one.object_type)}")
@@ -116,14 +99,14 @@ def _draw_frame(
         side.append("─" * (20 - full), style="grey70")
         side.append(f" {percent(share)}\n")
     side.append("\n")
-    names = letters(scene)
+    names = _letters(scene)
     for kind in sorted({one.object_type for one in summary.seen_objects(frame)}):
         side.append(f" {names.get(kind, '?')} ", style=f"bold white on {style.type_color(kind)}")
         side.append(f" {scene.type_name(kind)}  ")
     grid = Table.grid(padding=(0, 2))
     grid.add_column(width=max(width, 8))
     grid.add_column(ratio=1, min_width=30)
-    grid.add_row(draw_map(scene, frame, width=width), side)
+    grid.add_row(_draw_map(scene, frame, width=width), side)
     title = Text(f"“{scene.text}”" if scene.text else "Episode")
     return Plain(Panel(grid, title=title, title_align="left", border_style="grey50"))
 

@@ -50,15 +50,8 @@ _EIGHTHS = (
 )
 
 
-def direction(bearing: float) -> str:
-    """Say where a bearing points.
-
-    Args:
-        bearing: radians, robot frame, counter-clockwise from the heading.
-
-    Returns:
-        One of eight directions: "ahead", "ahead to the left", …
-    """
+def _direction(bearing: float) -> str:
+    """Say where a bearing points."""
     return _EIGHTHS[round(bearing / (math.pi / 4)) % 8]
 
 
@@ -108,7 +101,7 @@ def whereabouts(x: float, y: float, robot_x: float, robot_y: float, heading: flo
     if distance < 0.3:
         return "right here"
     bearing = math.atan2(y - robot_y, x - robot_x) - heading
-    return f"{distance:.1f} m {direction(bearing)}"
+    return f"{distance:.1f} m {_direction(bearing)}"
 
 
 def percent(probability: float) -> str:
