@@ -34,7 +34,7 @@ from record import Measurement, against, entry
 from scipy import sparse
 from sklearn.linear_model import LogisticRegression
 
-from jaxlangnav.training.examples import Factors, pool
+from jaxlangnav.training.design import Factors, pool
 from jaxlangnav.training.fit import TrainingConfig, fit
 
 NUM_EXAMPLES, NUM_SYMBOLS = 83_547, 494
@@ -104,8 +104,7 @@ def corpus() -> Data:
     from jaxlangnav.grounding.model import build_vocabulary
     from jaxlangnav.language.corpus import load_corpus
     from jaxlangnav.language.lexicon import load_lexicon
-    from jaxlangnav.training.examples import annotation_examples
-    from jaxlangnav.training.labelled import read_examples
+    from jaxlangnav.training.examples import annotation_examples, read_examples
 
     types = load_lexicon().type_names
     examples = annotation_examples(read_examples(load_corpus("corpus39"), types), types)
@@ -192,7 +191,7 @@ COLD = {
     "ours": """
 import pinning, sys
 import numpy as np
-from jaxlangnav.training.examples import Factors, pool
+from jaxlangnav.training.design import Factors, pool
 from jaxlangnav.training.fit import TrainingConfig, fit
 with np.load(sys.argv[1]) as file:
     factors = Factors(**file)

@@ -20,8 +20,12 @@ from record import Measurement, entry
 
 from jaxlangnav.experiments.table1 import draw_splits
 from jaxlangnav.experiments.table1 import CORPUS, MODELS
-from jaxlangnav.training.examples import PhraseExample, annotation_examples, behavior_examples
-from jaxlangnav.training.labelled import read_examples
+from jaxlangnav.training.examples import (
+    PhraseExample,
+    annotation_examples,
+    behavior_examples,
+    read_examples,
+)
 from jaxlangnav.grounding.model import ANNOTATION_KINDS, BEHAVIOR_KINDS
 from jaxlangnav.training.fit import build_design, fit
 from jaxlangnav.language.corpus import load_corpus

@@ -14,6 +14,12 @@ MOVED = {
     "experiments.report": "experiments.table",
     "experiments.reliability": "experiments.judging",
     "experiments.goal_region": "experiments.calibration",
+    "grounding.graph": "grounding.symbols",
+    "grounding.space": "grounding.correspondence",
+    "grounding.weighed": "grounding.correspondence",
+    "training.evaluation": "training.scoring",
+    "training.labelled": "training.examples",
+    "training.search_many": "grounding.search",
 }
 """In the package: old names and new ones. An entry goes after one release."""
 

@@ -48,9 +48,8 @@ from jaxlangnav.relations.pairs import FRAMES, make_pairs
 from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.semantic_map.params import MapConfig
 from jaxlangnav.training import TrainingConfig, scoring
-from jaxlangnav.training.examples import annotation_examples
+from jaxlangnav.training.examples import annotation_examples, read_examples
 from jaxlangnav.training.fit import build_design, by_kind, factorise, loss, strengths, train_weights
-from jaxlangnav.training.labelled import read_examples
 from jaxlangnav.viz import style
 
 jaxlangnav.keep_compiled_programs()

@@ -22,24 +22,22 @@
 # %%
 # %matplotlib inline
 import itertools
+from types import MappingProxyType
 from typing import NamedTuple
 
 import jax
 import numpy as np
 
 import jaxlangnav
-from jaxlangnav.grounding.correspondence import (
-    KIND,
-    Labelled,
-    read_tree,
-)
+from jaxlangnav.grounding import Block, Described, Labelled, Symbols, read_tree
 from jaxlangnav.training import train_graph
+from jaxlangnav.training.examples import examples_of
 from jaxlangnav.training.fit import TrainingConfig, build_design, loss
-from jaxlangnav.training.labelled import examples_of
 from jaxlangnav.viz.graph import beliefs_figure
 
 jaxlangnav.keep_compiled_programs()
 
+KIND = "symbol"  # all symbols have weights in common
 KINDS, COLOURS = ("mug", "plate", "bowl", "kettle"), ("red", "blue", "white")
 RELATIONS, ACTIONS = ("left of", "right of", "next to"), ("fetch", "wipe")
 
@@ -98,44 +96,49 @@ PROPERTIES = (
 class Kitchen:
     """Symbols of a counter; a world is a tuple of things."""
 
-    property_names = PROPERTIES
+    columns = MappingProxyType({KIND: PROPERTIES})
 
-    def symbols(self, world):
+    def symbols_in(self, world):
         """Name the things, their regions and the actions."""
         things = [f"{i}: {thing.colour} {thing.kind}" for i, thing in enumerate(world)]
         regions = [f"{relation} {thing}" for relation in RELATIONS for thing in things]
-        return [*things, *regions, *ACTIONS]
+        return Symbols([*things, *regions, *ACTIONS])
 
-    def properties(self, phrase, children, world):
+    def describe(self, phrase, path, world):
         """Describe each symbol, given bool[S] for each child."""
-        size = len(world)
-        meant = np.any([child[:size] for child in children] or [np.zeros(size)], axis=0)
-        regions = np.zeros((len(RELATIONS), size), bool)
-        for child in children:
-            regions |= child[size : size + regions.size].reshape(regions.shape)
-        inside = np.array(
-            [
-                any(holds(RELATIONS[r], one.place, world[i].place) for r, i in np.argwhere(regions))
-                for one in world
-            ]
-        )
-        limited = regions.any()
-        rows = [
-            dict.fromkeys(("is a thing", f"is a {one.kind}", f"is {one.colour}"), 1)
-            | {"thing that a child means": meant[i]}
-            | {"thing a child means, in its region": limited and meant[i] and inside[i]}
-            | {"thing a child means, outside": limited and meant[i] and not inside[i]}
-            for i, one in enumerate(world)
+        return Described(lambda children: {KIND: Block(slice(None), seen(children, world))})
+
+
+def seen(children, world):
+    """Describe each symbol, given bool[S] for each child."""
+    size = len(world)
+    meant = np.any([child[:size] for child in children] or [np.zeros(size)], axis=0)
+    regions = np.zeros((len(RELATIONS), size), bool)
+    for child in children:
+        regions |= child[size : size + regions.size].reshape(regions.shape)
+    inside = np.array(
+        [
+            any(holds(RELATIONS[r], one.place, world[i].place) for r, i in np.argwhere(regions))
+            for one in world
         ]
-        for relation, i in itertools.product(RELATIONS, range(size)):
-            where = f"is {relation} what a child means" if meant[i] else PROPERTIES[-3]
-            rows.append({"is a region": 1, where: 1})
-        rows += [{f"is the action {action}": 1} for action in ACTIONS]
-        return np.array([[row.get(name, 0) for name in PROPERTIES] for row in rows], np.float32)
+    )
+    limited = regions.any()
+    rows = [
+        dict.fromkeys(("is a thing", f"is a {one.kind}", f"is {one.colour}"), 1)
+        | {"thing that a child means": meant[i]}
+        | {"thing a child means, in its region": limited and meant[i] and inside[i]}
+        | {"thing a child means, outside": limited and meant[i] and not inside[i]}
+        for i, one in enumerate(world)
+    ]
+    for relation, i in itertools.product(RELATIONS, range(size)):
+        where = f"is {relation} what a child means" if meant[i] else PROPERTIES[-3]
+        rows.append({"is a region": 1, where: 1})
+    rows += [{f"is the action {action}": 1} for action in ACTIONS]
+    return np.array([[row.get(name, 0) for name in PROPERTIES] for row in rows], np.float32)
 
 
 space = Kitchen()
-print(len(space.symbols(COUNTER)), "symbols,", len(PROPERTIES), "properties")
+print(space.symbols_in(COUNTER).size, "symbols,", len(PROPERTIES), "properties")
 
 # %% [markdown]
 # ## The corpus
@@ -156,7 +159,7 @@ VERBS = {"fetch": ("fetch", "bring"), "wipe": ("wipe", "clean")}
 def label(phrase, world, means):
     """Label a phrase and all below it; returns what it expresses."""
     below = [label(child, world, means) for child in phrase.children]
-    names, said = space.symbols(world), {word.text for word in phrase.words}
+    names, said = space.symbols_in(world).symbols, {word.text for word in phrase.words}
     size, text = len(world), " ".join(word.text for word in phrase.words)
     if phrase.label == "PP":
         expressed = {f"{text} {thing}" for thing in below[0]}
@@ -225,11 +228,20 @@ for one in train[:4]:
 # %%
 config = TrainingConfig(l2=0.01)
 graph, measured = train_graph(space, train, config=config, without=frozenset({"gram"}))
+weights = graph.model.weights[KIND]
+
+
+def accuracy(labelled):
+    """Share of trees whose likeliest set at the root is exactly the labelled one."""
+    best = [graph.ground(one.root, one.world)[0].symbols for one in labelled]
+    return np.mean([set(b) == one.expressed[-1] for b, one in zip(best, labelled, strict=True)])
+
+
 print(
-    f"{graph.weights.size:,} weights, {measured.steps[0]} steps, {1e3 * measured.seconds:.0f} ms, "
+    f"{weights.size:,} weights, {measured.steps[0]} steps, {1e3 * measured.seconds:.0f} ms, "
     f"and {measured.compile_seconds:.1f} s to compile"
 )
-print(f"right: {graph.accuracy(train):.0%} of training, {graph.accuracy(test):.0%} held out")
+print(f"right: {accuracy(train):.0%} of training, {accuracy(test):.0%} held out")
 
 # %% [markdown]
 # ## What a sentence means
@@ -242,8 +254,8 @@ print(f"right: {graph.accuracy(train):.0%} of training, {graph.accuracy(test):.0
 for meaning in graph.ground(sentence, COUNTER)[:2]:
     print(f"{meaning.probability:.1%}", ", ".join(meaning.symbols))
 figure = beliefs_figure(
-    graph.beliefs(sentence, COUNTER),
-    space.symbols(COUNTER),
+    graph.weigh(sentence, COUNTER).beliefs(),
+    space.symbols_in(COUNTER).symbols,
     title="fetch the red mug left of the kettle",
 )
 figure
@@ -265,12 +277,14 @@ for text in (
 # The largest, and all weights of the words for things.
 
 # %%
-for word, seen, weight in graph.strongest(8):
-    print(f"{weight:+6.2f}  {word:22} × {seen}")
+for place in np.argsort(-np.abs(weights), axis=None, kind="stable")[:8]:
+    word, column = np.unravel_index(place, weights.shape)
+    name = graph.model.vocabulary.names[word]
+    print(f"{weights[word, column]:+6.2f}  {name:22} × {PROPERTIES[column]}")
 
 words = [name for name in graph.model.vocabulary.names if name.startswith("word=")]
 rows = [graph.model.vocabulary.names.index(name) for name in words]
-table = graph.weights[rows]
+table = weights[rows]
 limit = np.abs(table).max()
 
 import matplotlib.pyplot as plt
@@ -294,10 +308,10 @@ plt.show()
 _, design = build_design(examples_of(space, train), (KIND,), len(train), frozenset({"gram"}))
 counts = design.counts(np.ones((1, len(train)), np.float32))[0]
 gradient = jax.grad(loss)
-trained, zero = {KIND: graph.weights}, {KIND: np.zeros_like(graph.weights)}
-for name, weights in (("at zero", zero), ("trained", trained)):
-    value = float(loss(weights, design, counts, config.l2))
-    length = float(np.linalg.norm(gradient(weights, design, counts, config.l2)[KIND]))
+trained, zero = {KIND: weights}, {KIND: np.zeros_like(weights)}
+for name, at in (("at zero", zero), ("trained", trained)):
+    value = float(loss(at, design, counts, config.l2))
+    length = float(np.linalg.norm(gradient(at, design, counts, config.l2)[KIND]))
     print(f"{name}: loss {value:9.3f}, length of the gradient {length:9.4f}")
 
 slope = np.asarray(gradient(zero, design, counts, config.l2)[KIND])

@@ -9,7 +9,7 @@ from jaxlangnav.language.labels import Geometry, PlacedWorld, annotate, behave
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.language.parser import parse
 from jaxlangnav.messages import ROBOT
-from jaxlangnav.training.labelled import labelled_instruction
+from jaxlangnav.training.examples import labelled_instruction
 
 TYPES = load_lexicon().type_names
 

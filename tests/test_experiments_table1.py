@@ -12,13 +12,7 @@ from jaxlangnav.experiments.table1 import (
     table_1,
 )
 from jaxlangnav.grounding import load_shipped
-from jaxlangnav.training.evaluation import (
-    Scores,
-    evaluate_annotations,
-    evaluate_behaviors,
-    score_annotations_exactly,
-    score_behaviors_exactly,
-)
+from jaxlangnav.training.scoring import Models, Scores, score_annotations, score_behaviors
 
 
 def test_a_third_is_held_out_and_splits_differ():
@@ -66,13 +60,13 @@ def test_exact_scores_are_those_of_the_beam_where_both_are_sure():
         num_worlds=2,
         sentences=("go to the box near the tree", "find the car", "go to the other box"),
     )
-    beam = evaluate_annotations(instructions, model.annotation, TYPES)
-    exact = score_annotations_exactly(instructions, model.annotation, TYPES)
+    both = [Models.of([one]) for one in (model.annotation, model.behavior)]
+    found = score_annotations(instructions, both[0], None, TYPES, is_exact=True)
+    beam, exact = found.by_width[4][0], found.exact[0]
     assert exact.is_proven.all()
     np.testing.assert_array_equal(exact.is_right, beam.is_right)
-    both = model.annotation, model.behavior
-    beam = evaluate_behaviors(instructions, *both, TYPES)
-    exact = score_behaviors_exactly(instructions, *both, TYPES)
+    found = score_behaviors(instructions, *both, None, TYPES, is_exact=True)
+    beam, exact = found.by_width[4][0], found.exact[0]
     assert exact.is_right.shape == (6,)
     np.testing.assert_array_equal(exact.is_right, beam.is_right)
     # Half of the probability in one set proves it.

@@ -19,8 +19,8 @@ from jaxlangnav.grounding import load_shipped, understand, weights
 from jaxlangnav.grounding.instruction import GroundingModel
 from jaxlangnav.grounding.properties import property_names
 from jaxlangnav.grounding.weights import about, load, save, shipped_path
-from jaxlangnav.training.evaluation import Scores, calibration_error, fit_temperature
 from jaxlangnav.training.fit import TrainingConfig
+from jaxlangnav.training.scoring import Scores, calibration_error, fit_temperature
 from jaxlangnav.training.shipped import MODELS, train_models
 
 TABLE_2 = (
@@ -66,7 +66,7 @@ def test_every_property_has_a_name_and_a_column():
 
 def test_weights_say_where_they_come_from():
     record = about(shipped_path())
-    assert record["command"] == "python scripts/train_models.py"
+    assert record["command"] == "jaxlangnav train both"
     assert len(str(record["corpus"])) == 16
 
 

@@ -18,13 +18,8 @@ from jaxlangnav.grounding.model import (
     CorrespondenceModel,
     Vocabulary,
 )
-from jaxlangnav.training.examples import (
-    Design,
-    Factors,
-    annotation_examples,
-    behavior_examples,
-    pool,
-)
+from jaxlangnav.training.design import Design, Factors, pool
+from jaxlangnav.training.examples import annotation_examples, behavior_examples
 from jaxlangnav.training.fit import (
     TrainingConfig,
     build_design,

@@ -21,15 +21,20 @@ from jaxlangnav.grounding.symbols import (
 )
 from jaxlangnav.language.corpus import load_corpus
 from jaxlangnav.messages import AT, BEHIND, LEFT, NEAR, NONE, ROBOT
-from jaxlangnav.training.evaluation import evaluate_annotations, evaluate_behaviors
-from jaxlangnav.training.examples import annotation_examples, behavior_examples
-from jaxlangnav.training.labelled import (
+from jaxlangnav.training.examples import (
+    annotation_examples,
+    behavior_examples,
     labelled_instruction,
     read_annotation,
     read_behavior,
     read_examples,
 )
-from jaxlangnav.training.scoring import gold_annotations
+from jaxlangnav.training.scoring import (
+    Models,
+    gold_annotations,
+    score_annotations,
+    score_behaviors,
+)
 
 
 def test_symbols_are_read_by_name():
@@ -95,11 +100,17 @@ def test_each_factor_is_an_example():
     assert sizes == [8 * slots, 8 * slots, 5 + 14 * slots]
 
 
+def scores_of(model, instructions):
+    both = [Models.of([one]) for one in (model.annotation, model.behavior)]
+    annotation = score_annotations(instructions, both[0], None, TYPES)
+    behavior = score_behaviors(instructions, *both, None, TYPES)
+    return annotation.by_width[4][0], behavior.by_width[4][0]
+
+
 def test_scores_of_the_shipped_models():
     model = load_shipped()
     instructions = corpus(num_worlds=1)
-    annotation = evaluate_annotations(instructions, model.annotation, TYPES)
-    behavior = evaluate_behaviors(instructions, model.annotation, model.behavior, TYPES)
+    annotation, behavior = scores_of(model, instructions)
     assert annotation.accuracy > 0.95
     assert behavior.accuracy > 0.95
     assert ((annotation.confidence > 0) & (annotation.confidence <= 1 + 1e-9)).all()
@@ -112,8 +123,7 @@ def test_scores_of_the_shipped_models():
 def test_what_is_spoken_and_held_out_is_read_right(every):
     model = load_shipped()
     instructions = read_examples(load_corpus("corpus_spoken")[::every], TYPES)
-    annotation = evaluate_annotations(instructions, model.annotation, TYPES)
-    behavior = evaluate_behaviors(instructions, model.annotation, model.behavior, TYPES)
+    annotation, behavior = scores_of(model, instructions)
     assert annotation.accuracy > 0.995
     assert behavior.accuracy > 0.995
 

@@ -30,14 +30,14 @@ from jaxlangnav.grounding.properties import Behaviors
 from jaxlangnav.grounding.search import BEAM_WIDTH
 from jaxlangnav.language.corpus import load_corpus
 from jaxlangnav.language.lexicon import load_lexicon
+from jaxlangnav.training.design import Design
 from jaxlangnav.training.examples import (
-    Design,
     LabelledInstruction,
     annotation_examples,
     behavior_examples,
+    read_examples,
 )
 from jaxlangnav.training.fit import Fit, build_design, fit
-from jaxlangnav.training.labelled import read_examples
 from jaxlangnav.training.scoring import (
     ExactScores,
     Models,

@@ -4,7 +4,9 @@ from jaxlangnav.grounding.annotated import AnnotationGrounder
 from jaxlangnav.grounding.behavior import infer_behavior, infer_behaviors
 from jaxlangnav.grounding.choosing import ChoosingGrounder, FirstGrounder
 from jaxlangnav.grounding.correspondence import (
+    Block,
     CorrespondenceGraph,
+    Described,
     Labelled,
     SymbolSpace,
     read_tree,
@@ -20,15 +22,18 @@ from jaxlangnav.grounding.instruction import (
 from jaxlangnav.grounding.program import BehaviorProgram
 from jaxlangnav.grounding.recorded import RecordedRewrites
 from jaxlangnav.grounding.rewrites import RewriteGrounder, RewriteSource, default_rewrite_params
+from jaxlangnav.grounding.symbols import Symbols
 from jaxlangnav.grounding.weights import load_shipped
 
 __all__ = [
     "Alternative",
     "AnnotationGrounder",
     "BehaviorProgram",
+    "Block",
     "ChoosingGrounder",
     "Context",
     "CorrespondenceGraph",
+    "Described",
     "FirstGrounder",
     "GraphGrounder",
     "Grounded",
@@ -40,6 +45,7 @@ __all__ = [
     "RewriteGrounder",
     "RewriteSource",
     "SymbolSpace",
+    "Symbols",
     "Understanding",
     "default_rewrite_params",
     "infer_behavior",

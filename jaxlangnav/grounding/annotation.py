@@ -15,7 +15,6 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from jaxlangnav.grounding.correspondence import CorrespondenceGraph
-from jaxlangnav.grounding.graph import Path, bottom_up
 from jaxlangnav.grounding.model import CorrespondenceModel
 from jaxlangnav.grounding.properties import Annotations
 from jaxlangnav.grounding.search import BEAM_WIDTH, Hypothesis
@@ -24,6 +23,8 @@ from jaxlangnav.grounding.symbols import (
     REGION,
     Annotation,
     AnnotationSpace,
+    Path,
+    bottom_up,
     region_symbol,
     relation_symbol,
 )
@@ -248,7 +249,8 @@ def infer_annotations(
         nodes = bottom_up(root, clause)
         between = frozenset(node.path for node in nodes if node.phrase.says("between"))
         things = frozenset(_said_of_things(root, (clause,), is_of_thing=False))
-        beam, rank = tree.search(width), tree.log_ranks()
+        beam = tree.search(width)
+        rank = {path: chances[0] for path, chances in tree.log_ranks().items()}
         beliefs.append(clause_belief(symbols, beam, clause, rank, width, between, things))
     return join_clauses(beliefs, width)
 

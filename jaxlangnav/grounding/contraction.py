@@ -15,8 +15,7 @@ from jaxlangnav.grounding.behavior_properties import (
     contract,
 )
 from jaxlangnav.grounding.features import Senses
-from jaxlangnav.grounding.graph import Node
-from jaxlangnav.grounding.symbols import NUM_REGIONS
+from jaxlangnav.grounding.symbols import NUM_REGIONS, Node
 from jaxlangnav.messages import NONE, ROBOT
 
 NUM_OWN = 4

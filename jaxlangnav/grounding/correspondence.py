@@ -1,35 +1,80 @@
-"""The Distributed Correspondence Graph, with the engine's symbols or anyone's (section 3.1, eq. 4).
+"""The Distributed Correspondence Graph over any symbol space (section 3.1, eq. 4).
 
-What a robot's maker brings is a ``SymbolSpace``: which symbols a phrase may express in a world, and
-what is seen of each. Trees, labels and worlds are the maker's own too; ``read_tree`` writes trees
-without a parser. Everything else is what this package uses itself: its annotations and behaviors
-are two more spaces (``properties``), with the same model, training, and search that is exact but
-for the beam.
+A ``SymbolSpace`` says which symbols a phrase may express in a world, and what is seen of each. The
+engine's annotations and behaviors are two spaces (``properties``); whoever brings symbols, trees
+and worlds of their own writes another. Model, training and search are the same for all.
+
+Symbols are of one or several kinds, each with weights of its own, of which a phrase may lack some.
+A phrase may also give its region a rank by its words alone ("the second").
 """
 
 import dataclasses
 import re
-from collections.abc import Callable, Sequence
-from typing import Any, Generic
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
-from jaxlangnav.grounding.graph import FactorGraph, build
 from jaxlangnav.grounding.model import CorrespondenceModel
-from jaxlangnav.grounding.search import BEAM_WIDTH
-from jaxlangnav.grounding.space import KIND, AnyWorld, BlockSpace, SymbolSpace, in_blocks
-from jaxlangnav.grounding.weighed import PhraseBelief, WeighedTree, weigh_phrases
+from jaxlangnav.grounding.search import (
+    BEAM_WIDTH,
+    Beams,
+    Children,
+    Hypothesis,
+    identify,
+    search,
+    search_exactly,
+)
+from jaxlangnav.grounding.symbols import Path, Symbols, bottom_up
 from jaxlangnav.language.phrase import Phrase, Word
 
-__all__ = [
-    "KIND",
-    "CorrespondenceGraph",
-    "Labelled",
-    "PhraseBelief",
-    "SymbolSet",
-    "SymbolSpace",
-    "read_tree",
-]
+KIND, RANK = "symbol", "rank"
+"""Names of blocks of weights: of symbols that are all of one kind, and of ranks."""
+MANY = 64
+"""Symbols of a phrase from which on equal ones are joined at once."""
+AnyWorld = TypeVar("AnyWorld")
+World_contra = TypeVar("World_contra", contravariant=True)
+
+
+class Block(NamedTuple):
+    """Symbols of one kind, and what is seen of them."""
+
+    places: slice | np.ndarray  # of its n symbols among all S
+    properties: np.ndarray  # f[n, F]
+
+
+class Described(NamedTuple):
+    """What is seen of the symbols of a phrase."""
+
+    given: Callable[[Sequence[np.ndarray]], Mapping[str, Block]]
+    """bool[S] for each child phrase → blocks by kind; symbols in none are not expressed."""
+    ranks: np.ndarray | None = None  # f[R, F] of the ranks 1 to R, if it may give any
+
+
+class SymbolSpace(Protocol[World_contra]):
+    """Someone's symbols, and what is seen of them."""
+
+    @property
+    def columns(self) -> Mapping[str, Sequence[str]]:
+        """Kind of symbol → names of the F properties; ``RANK`` with them where there are ranks."""
+        ...
+
+    def symbols_in(self, world: World_contra) -> Symbols:
+        """List the symbols of a world."""
+        ...
+
+    def describe(self, phrase: Phrase, path: Path, world: World_contra) -> Described:
+        """Describe a phrase's symbols; what does not depend on its children is worked out once.
+
+        Args:
+            phrase: the phrase; the words below it count through the children alone.
+            path: where it stands.
+            world: the world.
+
+        Returns:
+            What is seen of them.
+        """
+        ...
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -47,131 +92,211 @@ class Labelled(Generic[AnyWorld]):
 class SymbolSet:
     """What a sentence may mean."""
 
-    symbols: tuple[Any, ...]  # expressed at the root, as the space has them: names, by default
+    symbols: tuple[Any, ...]  # expressed at the root, as the space has them
     probability: float  # of this set; what is missing to one was cut by the beam
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class PhraseBelief:
+    """What a phrase is taken to express."""
+
+    phrase: Phrase
+    path: Path
+    probability: np.ndarray  # f64[S] that each symbol is expressed
+    rank: int  # 1 where its region is meant as an extreme ("nearest"), 2 for the second; or 0
+
+    @property
+    def parent(self) -> Path | None:
+        """Path of the parent phrase; None at the root of a clause."""
+        return self.path[:-1] if len(self.path) > 1 else None
+
+
+class WeighedTree(Generic[AnyWorld]):
+    """A tree in a world, its words contracted with the weights of K models: once, for all below."""
+
+    def __init__(
+        self,
+        space: SymbolSpace[AnyWorld],
+        coefficients: Callable[[Phrase], Mapping[str, np.ndarray]],
+        root: Phrase,
+        world: AnyWorld,
+        clause: int = 0,
+    ) -> None:
+        """Let the words of a tree meet the weights.
+
+        Args:
+            space: the symbols.
+            coefficients: phrase → kind → f32[F] of a model, or f32[K, F] of K models.
+            root: the tree, one clause of a sentence.
+            world: the world.
+            clause: which clause it is.
+        """
+        self.root, self.path, self.symbols = root, (clause,), space.symbols_in(world)
+        self._phrases = {
+            node.path: (
+                {kind: np.atleast_2d(c) for kind, c in coefficients(node.phrase).items()},
+                space.describe(node.phrase, node.path, world),
+            )
+            for node in bottom_up(root, clause)
+        }
+        first, _ = self._phrases[self.path]
+        self.num_models = len(next(iter(first.values())))
+        self._tables: dict[tuple, list[tuple]] = {}
+        self._known: dict[int, Beams] = {}
+
+    def log_odds(self, path: Path, children: Children, models: np.ndarray) -> np.ndarray:
+        """Compute how likely a phrase expresses each symbol, given what its children express.
+
+        Args:
+            path: where the phrase stands.
+            children: bool[S] for each child phrase.
+            models: i[M] which of the models.
+
+        Returns:
+            f64[M, S]; −inf for symbols that it cannot express.
+        """
+        coefficients, described = self._phrases[path]
+        key = path, *(child.tobytes() for child in children)
+        if key not in self._tables:
+            blocks = described.given(children).items()
+            self._tables[key] = [(k, b.places, *self._alike(b.properties)) for k, b in blocks]
+        odds = np.full((len(models), self.symbols.size), -np.inf)
+        for kind, places, distinct, alike in self._tables[key]:
+            odds[:, places] = (coefficients[kind][models] @ distinct.T)[:, alike]
+        return odds
+
+    def _alike(self, properties: np.ndarray) -> tuple[np.ndarray, slice | np.ndarray]:
+        """Join equal symbols where it pays: f[D, F] distinct ones, and which each is."""
+        if self.num_models == 1 or len(properties) < MANY:
+            return properties, slice(None)
+        first, which = identify(properties)
+        return properties[first], which
+
+    def beams(self, width: int = BEAM_WIDTH, models: np.ndarray | None = None) -> Beams:
+        """Infer what the root expresses by each model, or by i[M] of them; see ``search``."""
+        if models is not None and len(models) < self.num_models:
+            return search(
+                self.root,
+                lambda path, children, rows: self.log_odds(path, children, models[rows]),
+                len(models),
+                width=width,
+                path=self.path,
+            )
+        if width not in self._known:
+            self._known[width] = search(
+                self.root, self.log_odds, self.num_models, width=width, path=self.path
+            )
+        return self._known[width]
+
+    def search(self, width: int = BEAM_WIDTH) -> list[Hypothesis]:
+        """Infer what the root expresses by the first model."""
+        return self.beams(width).of(0)
+
+    def search_exactly(self) -> tuple[np.ndarray, np.ndarray]:
+        """Find the likeliest of all sets by each model, bool[K, S], and what is proven, bool[K]."""
+        return search_exactly(self.beams, self.num_models)
+
+    def log_ranks(self) -> dict[Path, np.ndarray]:
+        """Infer the rank of each phrase that may give one: f64[K, 1 + R] log-probabilities."""
+        found = {}
+        for path, (coefficients, described) in self._phrases.items():
+            if described.ranks is not None:
+                odds = coefficients[RANK] @ described.ranks.T
+                scores = np.pad(odds.astype(float), ((0, 0), (1, 0)))
+                found[path] = scores - np.logaddexp.reduce(scores, axis=1, keepdims=True)
+        return found
+
+    def beliefs(self) -> list[PhraseBelief]:
+        """Compute for every phrase how probable each symbol is, parents first.
+
+        Each phrase is given what its children express in the likeliest reading of the first model.
+        """
+        ranks = {path: int(np.argmax(chances[0])) for path, chances in self.log_ranks().items()}
+
+        def below(phrase: Phrase, path: Path, best: Hypothesis) -> Iterator[PhraseBelief]:
+            children = tuple(child.expressed for child in best.children)
+            chance = np.exp(-np.logaddexp(0.0, -self.log_odds(path, children, np.array([0]))[0]))
+            yield PhraseBelief(
+                phrase=phrase, path=path, probability=chance, rank=ranks.get(path, 0)
+            )
+            for i, (child, own) in enumerate(zip(phrase.children, best.children, strict=True)):
+                yield from below(child, (*path, i), own)
+
+        return list(below(self.root, self.path, self.search()[0]))
 
 
 @dataclasses.dataclass(frozen=True)
 class CorrespondenceGraph(Generic[AnyWorld]):
     """A symbol space with a trained model."""
 
-    space: SymbolSpace[AnyWorld] | BlockSpace[AnyWorld]
+    space: SymbolSpace[AnyWorld]
     model: CorrespondenceModel
 
-    @property
-    def weights(self) -> np.ndarray:
-        """The weight of every word feature (row) by every property (column), f32[W, F]."""
-        return np.hstack([self.model.weights[kind] for kind in in_blocks(self.space).columns])
+    def weigh(self, root: Phrase, world: AnyWorld, clause: int = 0) -> WeighedTree[AnyWorld]:
+        """Let the words of a clause meet the weights."""
+        return WeighedTree(self.space, self.model.coefficients, root, world, clause)
 
-    def strongest(self, count: int = 10) -> list[tuple[str, str, float]]:
-        """List the weights that are largest in size: word feature, property, weight."""
-        weights, columns = self.weights, in_blocks(self.space).columns
-        properties = [name for names in columns.values() for name in names]
-        names = self.model.vocabulary.names
-        order = np.argsort(-np.abs(weights), axis=None, kind="stable")[:count]
-        rows, places = np.unravel_index(order, weights.shape)
-        return [
-            (names[int(w)], properties[int(f)], float(weights[w, f]))
-            for w, f in zip(rows, places, strict=True)
-        ]
-
-    def ground(
-        self, root: Phrase, world: AnyWorld, width: int = BEAM_WIDTH, clause: int = 0
-    ) -> list[SymbolSet]:
-        """Infer what a sentence means in a world.
+    def ground(self, root: Phrase, world: AnyWorld, width: int = BEAM_WIDTH) -> list[SymbolSet]:
+        """Infer what a tree means in a world.
 
         Args:
-            root: its tree.
+            root: the tree.
             world: the world.
             width: beam width.
-            clause: which of its clauses the tree is.
 
         Returns:
             Up to ``width`` sets of symbols, likeliest first.
         """
-        symbols = in_blocks(self.space).symbols_in(world)
+        tree = self.weigh(root, world)
         return [
             SymbolSet(
-                symbols=symbols.members(one.expressed),
+                symbols=tree.symbols.members(one.expressed),
                 probability=float(np.exp(one.log_probability)),
             )
-            for one in self.weigh(root, world, clause).search(width)
+            for one in tree.search(width)
         ]
-
-    def beliefs(self, root: Phrase, world: AnyWorld) -> list[PhraseBelief]:
-        """Compute for every phrase how probable each symbol is, parents first.
-
-        Each phrase is given what its children express in the likeliest reading.
-        """
-        return self.weigh(root, world).beliefs()
-
-    def factor_graph(self, root: Phrase, world: AnyWorld) -> FactorGraph:
-        """Construct the factor graph of a sentence in a world."""
-        return build([root], in_blocks(self.space).symbols_in(world))
-
-    def accuracy(self, labelled: Sequence[Labelled[AnyWorld]]) -> float:
-        """Compute the share of trees whose likeliest set at the root is exactly the gold one."""
-        right = [
-            frozenset(self.ground(one.root, one.world, clause=one.clause)[0].symbols)
-            == one.expressed[-1]
-            for one in labelled
-        ]
-        return float(np.mean(right))
-
-    def weigh(self, root: Phrase, world: AnyWorld, clause: int = 0) -> WeighedTree:
-        """Let the words of a clause meet the weights; see ``weigh_phrases``."""
-        space = in_blocks(self.space)
-        phrases = weigh_phrases(space, self.model.coefficients, root, world, clause)
-        return WeighedTree(root, (clause,), space.symbols_in(world).size, phrases)
 
 
 _TOKEN = re.compile(r"\s*(?:([A-Z]+)\[([^\]]*)\]|([{},]))")
 
 
-def read_tree(text: str, word_of: Callable[[str], Word] | None = None) -> Phrase:
+def read_tree(text: str) -> Phrase:
     """Read a tree as ``str(phrase)`` writes it: ``VP[go to]{NP[the cone], PP[behind]{NP[it]}}``.
 
     Args:
         text: the tree; labels are capitals, a phrase's own words stand in brackets, its children
             in braces.
-        word_of: makes a word, with tag and senses, of its text; by default a plain word.
 
     Returns:
-        The tree; words are counted in the order of the text.
+        The tree of plain words, counted in the order of the text.
 
     Raises:
         ValueError: the text is no tree; the message says where.
     """
-    make = word_of or (lambda word: Word(text=word, tag="", lemma=word))
     place = position = 0
-
-    def fail() -> ValueError:
-        return ValueError(f"no tree: cannot read '{text[place : place + 20]}' in '{text}'")
 
     def take(marks: str) -> re.Match[str]:
         """Take one of the marks, or the head of a phrase where there are none."""
         nonlocal place
         found = _TOKEN.match(text, place)
         if found is None or (found[3] not in marks if found[3] else marks != ""):
-            raise fail()
+            raise ValueError(f"no tree: cannot read '{text[place : place + 20]}' in '{text}'")
         place = found.end()
         return found
 
     def phrase() -> Phrase:
         nonlocal position
-        head, words = take(""), []
+        head, words, children = take(""), [], []
         for word in head[2].split():
             position += 1
-            words.append(dataclasses.replace(make(word), position=position))
-        children: list[Phrase] = []
-        if text[place:].lstrip().startswith("{"):
-            mark = take("{")[3]
-            while mark != "}":
-                children.append(phrase())
-                mark = take(",}")[3]
+            words.append(Word(text=word, tag="", lemma=word, position=position))
+        mark = take("{")[3] if text[place:].lstrip().startswith("{") else "}"
+        while mark != "}":
+            children.append(phrase())
+            mark = take(",}")[3]
         return Phrase(label=head[1], words=tuple(words), children=tuple(children))
 
     tree = phrase()
     if text[place:].strip():
-        raise fail()
+        take("\0")
     return tree

@@ -14,12 +14,16 @@ from jax import Array
 
 from jaxlangnav.grounding.annotation import Belief, describe_annotation, infer_annotations
 from jaxlangnav.grounding.binding import Detector, UnknownObjectError, bind, said_noun
-from jaxlangnav.grounding.graph import bottom_up, build
 from jaxlangnav.grounding.model import CorrespondenceModel
 from jaxlangnav.grounding.program import BehaviorProgram, compile_clause, empty_program, to_program
 from jaxlangnav.grounding.readings import to_readings
 from jaxlangnav.grounding.spoken import Spoken, spoken_of
-from jaxlangnav.grounding.symbols import AnnotationSpace, BehaviorSpace
+from jaxlangnav.grounding.symbols import (
+    AnnotationSpace,
+    BehaviorSpace,
+    bottom_up,
+    count_graph,
+)
 from jaxlangnav.language.constraint import is_constraint
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import COMMAND, Measure, Parse
@@ -133,7 +137,7 @@ class Understanding:
         return [word for word, _ in self.parse.unknown_words]
 
     def graph(self, num_objects: int) -> dict[str, dict[str, int]]:
-        """Construct both factor graphs and count them.
+        """Count both factor graphs.
 
         Args:
             num_objects: n of the behavior graph.
@@ -141,8 +145,8 @@ class Understanding:
         Returns:
             Sizes by model.
         """
-        annotation = build(self.parse.clauses, AnnotationSpace(len(self.names))).count()
-        behavior = build(self.parse.clauses, BehaviorSpace(num_objects)).count()
+        annotation = count_graph(self.parse.clauses, AnnotationSpace(len(self.names)))
+        behavior = count_graph(self.parse.clauses, BehaviorSpace(num_objects))
         return {"annotation": annotation, "behavior": {**behavior, "objects": num_objects}}
 
 

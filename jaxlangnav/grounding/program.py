@@ -26,10 +26,9 @@ from jaxlangnav.grounding.contraction import (
     softmax,
 )
 from jaxlangnav.grounding.features import RESTRICTORS, senses_of
-from jaxlangnav.grounding.graph import Node, Path, bottom_up
 from jaxlangnav.grounding.model import CorrespondenceModel
 from jaxlangnav.grounding.properties import ranks_meant
-from jaxlangnav.grounding.symbols import NUM_REGIONS, NUM_RELATIONS
+from jaxlangnav.grounding.symbols import NUM_REGIONS, NUM_RELATIONS, Node, Path, bottom_up
 from jaxlangnav.language.phrase import Phrase
 from jaxlangnav.messages import AT, NONE
 from jaxlangnav.pytree import pytree

@@ -14,10 +14,9 @@ import numpy as np
 from jaxlangnav.grounding import annotation_features as af
 from jaxlangnav.grounding import behavior_features as bf
 from jaxlangnav.grounding.behavior_properties import PROPERTY_NAMES
+from jaxlangnav.grounding.correspondence import KIND, RANK, Block, Described
 from jaxlangnav.grounding.features import RESTRICTORS, Senses, senses_of
-from jaxlangnav.grounding.graph import Path
 from jaxlangnav.grounding.model import ANNOTATION_KINDS, BEHAVIOR_KINDS
-from jaxlangnav.grounding.space import KIND, RANK, Block, Described
 from jaxlangnav.grounding.symbols import (
     CONSTRAINT,
     GOAL,
@@ -28,6 +27,7 @@ from jaxlangnav.grounding.symbols import (
     VERB_LABELS,
     AnnotationSpace,
     BehaviorSpace,
+    Path,
 )
 from jaxlangnav.language.phrase import Phrase
 
@@ -141,6 +141,9 @@ def _block(world: bf.World, space: BehaviorSpace, kind: str, table: np.ndarray) 
     return Block(begin + real, table[real])
 
 
+_behavior_space = functools.cache(BehaviorSpace)
+
+
 @dataclasses.dataclass(frozen=True)
 class Behaviors:
     """The behavior symbols of placed objects as a space."""
@@ -155,7 +158,7 @@ class Behaviors:
 
     def symbols_in(self, world: bf.World) -> BehaviorSpace:
         """List the symbols of the objects of a world, the robot last."""
-        return BehaviorSpace(world.object_type.shape[0])
+        return _behavior_space(world.object_type.shape[0])
 
     def describe(self, phrase: Phrase, path: Path, world: bf.World) -> Described:
         """Describe the symbols of a phrase."""

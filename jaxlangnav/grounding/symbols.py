@@ -11,6 +11,7 @@ A set of symbols is a boolean vector over a space: one correspondence variable p
 
 import dataclasses
 import itertools
+import math
 from collections.abc import Hashable, Iterable, Sequence
 from functools import cached_property
 from typing import Generic, NamedTuple, TypeVar
@@ -32,10 +33,9 @@ Symbol = TypeVar("Symbol", bound=Hashable)
 class Symbols(Generic[Symbol]):
     """Symbols in the order of their correspondence variables, all different."""
 
-    @cached_property
-    def symbols(self) -> Sequence[Symbol]:
-        """Every symbol in that order."""
-        raise NotImplementedError
+    def __init__(self, symbols: Sequence[Symbol]) -> None:
+        """Take S symbols."""
+        self.symbols = symbols
 
     @property
     def size(self) -> int:
@@ -47,22 +47,14 @@ class Symbols(Generic[Symbol]):
         """Where each symbol stands."""
         return {symbol: i for i, symbol in enumerate(self.symbols)}
 
-    def expressible(self, phrase: Phrase) -> range:
-        """Find which symbols a phrase may express: each has a factor there."""
-        return range(self.size)
+    def num_expressible(self, phrase: Phrase) -> int:
+        """Count the symbols that a phrase may express: each has a factor there."""
+        return self.size
 
     def mask(self, symbols: Iterable[Symbol]) -> np.ndarray:
-        """Turn symbols into a set over the space.
-
-        Args:
-            symbols: members; each must belong to the space.
-
-        Returns:
-            bool[S].
-        """
+        """Turn symbols, each of which belongs to the space, into a set over it, bool[S]."""
         expressed = np.zeros(self.size, bool)
-        for symbol in symbols:
-            expressed[self.index[symbol]] = True
+        expressed[[self.index[symbol] for symbol in symbols]] = True
         return expressed
 
     def members(self, expressed: np.ndarray) -> tuple[Symbol, ...]:
@@ -102,54 +94,26 @@ def relation_symbol(figure: int, relation: int, landmark: int) -> Annotation:
     return Annotation(RELATION, figure, relation, landmark)
 
 
-@dataclasses.dataclass(frozen=True)
-class NamedSymbols(Symbols[str]):
-    """Anyone's symbols, by their names."""
-
-    names: Sequence[str]
-
-    @cached_property
-    def symbols(self) -> Sequence[str]:
-        """The names."""
-        return self.names
-
-
-@dataclasses.dataclass(frozen=True)
 class AnnotationSpace(Symbols[Annotation]):
     """All annotation symbols over ``num_types`` object types, objects first, relations last."""
 
-    num_types: int
-
-    @property
-    def num_landmarks(self) -> int:
-        """Types and the robot; the robot has the last landmark index."""
-        return self.num_types + 1
-
-    @property
-    def num_regions(self) -> int:
-        """6 relations × landmarks."""
-        return NUM_RELATIONS * self.num_landmarks
-
-    @property
-    def size(self) -> int:
-        """S, symbols of a phrase."""
-        return self.num_types + self.num_regions * (1 + self.num_types)
-
-    @cached_property
-    def symbols(self) -> tuple[Annotation, ...]:
-        """Every symbol in the order of the correspondence variables."""
-        landmarks = (*range(self.num_types), ROBOT)
+    def __init__(self, num_types: int) -> None:
+        """List the symbols of T types; the robot has the last landmark index."""
+        self.num_types, self.num_landmarks = num_types, num_types + 1
+        landmarks = (*range(num_types), ROBOT)
         regions = [(r, m) for r in range(NUM_RELATIONS) for m in landmarks]
-        return (
-            *(object_symbol(t) for t in range(self.num_types)),
-            *(region_symbol(r, m) for r, m in regions),
-            *(relation_symbol(f, r, m) for f in range(self.num_types) for r, m in regions),
+        super().__init__(
+            [
+                *(object_symbol(t) for t in range(num_types)),
+                *(region_symbol(r, m) for r, m in regions),
+                *(relation_symbol(f, r, m) for f in range(num_types) for r, m in regions),
+            ]
         )
 
     def parts(self, expressed: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """View a set as objects bool[T], regions bool[6, L] and relations bool[T, 6, L]."""
-        first, second = self.num_types, self.num_types + self.num_regions
         shape = (NUM_RELATIONS, self.num_landmarks)
+        first, second = self.num_types, self.num_types + math.prod(shape)
         return (
             expressed[:first],
             expressed[first:second].reshape(shape),
@@ -157,7 +121,6 @@ class AnnotationSpace(Symbols[Annotation]):
         )
 
 
-@dataclasses.dataclass(frozen=True)
 class BehaviorSpace(Symbols[BehaviorSymbol]):
     """All behavior symbols of a world of ``num_objects`` object slots.
 
@@ -165,45 +128,28 @@ class BehaviorSpace(Symbols[BehaviorSymbol]):
     goals and constraints (those of verb phrases).
     """
 
-    num_objects: int
+    def __init__(self, num_objects: int) -> None:
+        """List the symbols of n object slots: 7 regions, goals and constraints each."""
+        self.num_objects = num_objects
+        places = [(r, i) for r in range(NUM_REGIONS) for i in range(num_objects)]
+        kinds = {
+            OBJECT: [(NONE, i) for i in range(num_objects)],
+            REGION: places,
+            ACTION: [(NONE, a) for a in range(len(ACTIONS))],
+            MODE: [(NONE, m) for m in range(len(MODES))],
+            GOAL: places,
+            CONSTRAINT: places,
+        }
+        super().__init__([BehaviorSymbol(kind, *of) for kind in kinds for of in kinds[kind]])
+        ends = itertools.accumulate(len(of) for of in kinds.values())
+        self._spans = {
+            kind: (end - len(kinds[kind]), end) for kind, end in zip(kinds, ends, strict=True)
+        }
 
-    @property
-    def num_regions(self) -> int:
-        """7 regions an object."""
-        return NUM_REGIONS * self.num_objects
-
-    @property
-    def num_noun(self) -> int:
-        """Symbols of a noun or preposition phrase."""
-        return self.num_objects + self.num_regions
-
-    @property
-    def num_verb(self) -> int:
-        """Symbols of a verb phrase."""
-        return len(ACTIONS) + len(MODES) + 2 * self.num_regions
-
-    @property
-    def size(self) -> int:
-        """Symbols of both kinds of phrase together."""
-        return self.num_noun + self.num_verb
-
-    @cached_property
-    def symbols(self) -> tuple[BehaviorSymbol, ...]:
-        """Every symbol in the order of the correspondence variables."""
-        places = [(r, i) for r in range(NUM_REGIONS) for i in range(self.num_objects)]
-        return (
-            *(BehaviorSymbol(OBJECT, NONE, i) for i in range(self.num_objects)),
-            *(BehaviorSymbol(REGION, r, i) for r, i in places),
-            *(BehaviorSymbol(ACTION, NONE, a) for a in range(len(ACTIONS))),
-            *(BehaviorSymbol(MODE, NONE, m) for m in range(len(MODES))),
-            *(BehaviorSymbol(GOAL, r, i) for r, i in places),
-            *(BehaviorSymbol(CONSTRAINT, r, i) for r, i in places),
-        )
-
-    def expressible(self, phrase: Phrase) -> range:
-        """Find which symbols a phrase may express: those of verb phrases, or of others."""
-        is_verb = phrase.label in VERB_LABELS
-        return range(self.num_noun, self.size) if is_verb else range(self.num_noun)
+    def num_expressible(self, phrase: Phrase) -> int:
+        """Count the symbols that a phrase may express: those of verb phrases, or of others."""
+        num_noun = self._spans[REGION][1]
+        return self.size - num_noun if phrase.label in VERB_LABELS else num_noun
 
     def part(self, expressed: np.ndarray, kind: int) -> np.ndarray:
         """View one kind of symbol of a set.
@@ -222,18 +168,70 @@ class BehaviorSpace(Symbols[BehaviorSymbol]):
         return values
 
     def span(self, kind: int) -> tuple[int, int]:
-        """Find where one kind of symbol begins and ends."""
-        sizes = (
-            (OBJECT, self.num_objects),
-            (REGION, self.num_regions),
-            (ACTION, len(ACTIONS)),
-            (MODE, len(MODES)),
-            (GOAL, self.num_regions),
-            (CONSTRAINT, self.num_regions),
-        )
-        begin = 0
-        for other, size in sizes:
-            if other == kind:
-                return begin, begin + size
-            begin += size
-        raise ValueError(f"{KINDS[kind]} is no behavior symbol")
+        """Find where one kind of behavior symbol begins and ends."""
+        return self._spans[kind]
+
+
+# ---------------------------------------------------------------- phrases as a graph
+
+Path = tuple[int, ...]
+"""Clause index, then child indices from the root of the clause."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Node:
+    """A phrase in the graph."""
+
+    phrase: Phrase
+    path: Path
+    children: tuple[int, ...]  # indices of earlier nodes
+
+    @property
+    def is_verb(self) -> bool:
+        """Whether it grounds to actions, modes, goals and constraints."""
+        return self.phrase.label in VERB_LABELS
+
+
+def bottom_up(root: Phrase, clause: int = 0) -> tuple[Node, ...]:
+    """Order the phrases of a clause so that children stand before their parents.
+
+    Args:
+        root: the clause.
+        clause: its position in the sentence.
+
+    Returns:
+        Nodes; the root is last.
+    """
+    nodes: list[Node] = []
+
+    def visit(phrase: Phrase, path: Path) -> int:
+        children = tuple(visit(child, (*path, i)) for i, child in enumerate(phrase.children))
+        nodes.append(Node(phrase, path, children))
+        return len(nodes) - 1
+
+    visit(root, (clause,))
+    return tuple(nodes)
+
+
+def count_graph(clauses: Sequence[Phrase], symbols: Symbols) -> dict[str, int]:
+    """Count the factor graph of a sentence (section 3.1, Figure 3).
+
+    Every phrase λ has one factor per symbol; a factor joins the phrase, the grounding γ, its
+    correspondence φ and the groundings of the child phrases. So a phrase with S symbols adds S
+    factors, S groundings, S correspondences and itself: 2 S + 1 random variables.
+
+    Args:
+        clauses: roots of the sentence; its clauses share no factor.
+        symbols: what its phrases may express.
+
+    Returns:
+        ``phrases``, ``factors`` and ``variables``; the six-phrase sentence of the paper has 2,964
+        factors and 5,934 variables for annotation, 383 and 772 for behavior with seven objects.
+    """
+    phrases = [phrase for root in clauses for phrase in root.walk()]
+    factors = sum(symbols.num_expressible(phrase) for phrase in phrases)
+    return {
+        "phrases": len(phrases),
+        "factors": factors,
+        "variables": len(phrases) + 2 * factors,
+    }

@@ -23,9 +23,16 @@ import numpy as np
 from jax import Array
 from jax.scipy.linalg import solve_triangular
 
-from jaxlangnav.grounding.features import feature_group
+from jaxlangnav.grounding.correspondence import (
+    AnyWorld,
+    CorrespondenceGraph,
+    Labelled,
+    SymbolSpace,
+)
+from jaxlangnav.grounding.features import FEATURE_GROUPS, feature_group
 from jaxlangnav.grounding.model import CorrespondenceModel, Vocabulary, build_vocabulary
-from jaxlangnav.training.examples import Design, PhraseExample, flatten, pool
+from jaxlangnav.training.design import Design, flatten, pool
+from jaxlangnav.training.examples import PhraseExample, examples_of
 from jaxlangnav.training.optimum import Problem, Search, data_loss, minimise
 
 SPLITS_AT_ONCE = 8
@@ -293,3 +300,34 @@ def train(
     vocabulary, design = build_design(examples, kinds, num_instructions, without)
     weights, measured = fit(design, np.ones((1, num_instructions), np.float32), config=config)
     return CorrespondenceModel(vocabulary, weights[0]), measured
+
+
+def train_graph(
+    space: SymbolSpace[AnyWorld],
+    labelled: Sequence[Labelled[AnyWorld]],
+    *,
+    config: TrainingConfig | None = None,
+    without: frozenset[str] = frozenset(),
+) -> tuple[CorrespondenceGraph[AnyWorld], Fit]:
+    """Train a model on labelled trees.
+
+    Args:
+        space: the symbols.
+        labelled: trees with labels.
+        config: regularisation and stopping.
+        without: groups of word features to leave out (``FEATURE_GROUPS``).
+
+    Returns:
+        The graph, and what was measured.
+
+    Raises:
+        ValueError: there is no tree, a label is wrong (``examples_of``), or a group is unknown.
+    """
+    if not labelled:
+        raise ValueError("there is no tree to train on")
+    if without - set(FEATURE_GROUPS):
+        raise ValueError(f"groups of features are {', '.join(FEATURE_GROUPS)}, not {set(without)}")
+    examples = examples_of(space, labelled)
+    kinds = tuple(space.columns)
+    model, measured = train(examples, kinds, len(labelled), config=config, without=without)
+    return CorrespondenceGraph(space, model), measured

@@ -1,7 +1,10 @@
 """How often each of many models is right on the sentences held out from it (section 4.1).
 
+A sentence counts as right when the likeliest set of symbols at the roots of its clauses is exactly
+the gold one. Confidence is the probability of that set.
+
 The splits of a hold-out differ in their weights alone. So a sentence is described once, and
-searched by all models that have not seen it together (``search_many``).
+searched by all models that have not seen it together (``search``).
 """
 
 import dataclasses
@@ -12,21 +15,16 @@ import chex
 import numpy as np
 
 from jaxlangnav.grounding.annotation import Belief, clause_belief, join_clauses
-from jaxlangnav.grounding.graph import Path
+from jaxlangnav.grounding.correspondence import WeighedTree
 from jaxlangnav.grounding.model import CorrespondenceModel, Vocabulary
 from jaxlangnav.grounding.properties import Annotations, Behaviors
-from jaxlangnav.grounding.space import RANK
-from jaxlangnav.grounding.symbols import Annotation
-from jaxlangnav.grounding.weighed import WeighedPhrase, log_softmax, weigh_phrases
+from jaxlangnav.grounding.search import BEAM_WIDTH
+from jaxlangnav.grounding.symbols import Annotation, BehaviorSymbol, Path
 from jaxlangnav.language.phrase import Phrase
-from jaxlangnav.training.examples import MANY, LabelledInstruction, identify
-from jaxlangnav.training.search_many import (
-    Beams,
-    Children,
-    ManyLogOdds,
-    search_exactly_many,
-    search_many,
-)
+from jaxlangnav.training.examples import LabelledInstruction
+
+LOG_FLOOR = -12.0
+"""Log-probability that a gold answer counts with where the beam has not got it."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,7 +46,7 @@ class ExactScores:
     """Results of the likeliest set of all, by enumeration as far as it is needed."""
 
     is_right: np.ndarray  # bool[E]
-    is_proven: np.ndarray  # bool[E] no other set can be likelier (``search_exactly``)
+    is_proven: np.ndarray  # bool[E] no other set can be likelier (``search.search_exactly``)
 
     @property
     def accuracy(self) -> float:
@@ -94,7 +92,7 @@ class Models:
         }
 
 
-class Tallied:
+class _Tally:
     """Results of K models as they come in."""
 
     def __init__(self, num_models: int, widths: Sequence[int], is_exact: bool) -> None:
@@ -115,10 +113,6 @@ class Tallied:
         )
 
 
-LOG_FLOOR = -12.0
-"""Log-probability that a gold answer counts with where the beam has not got it."""
-
-
 def gold_annotations(labelled: LabelledInstruction) -> frozenset[Annotation]:
     """Join the gold annotations at the roots of all clauses."""
     roots = (labelled.annotation[(i,)] for i in range(len(labelled.parse.clauses)))
@@ -136,73 +130,24 @@ def _compare(belief: Belief, gold: frozenset[Annotation]) -> tuple[bool, float, 
     return best == gold, chance[best], log_gold
 
 
-def _ranks(phrases: dict[Path, WeighedPhrase], num_models: int) -> list[dict[Path, np.ndarray]]:
-    """Compute the log-probabilities of the ranks of every phrase by each model, f64[5] each."""
-    found: list[dict[Path, np.ndarray]] = [{} for _ in range(num_models)]
-    for path, (coefficients, described) in phrases.items():
-        assert described.ranks is not None
-        odds = coefficients[RANK] @ described.ranks.T
-        for own, row in zip(found, odds, strict=True):
-            own[path] = log_softmax(np.append(0.0, row))
-    return found
-
-
-def _many_log_odds(size: int, phrases: dict[Path, WeighedPhrase]) -> ManyLogOdds:
-    """Build the log-odds of S symbols; what is seen of them is kept for all models."""
-    tables = {}
-
-    def log_odds(_: Phrase, path: Path, children: Children, which: np.ndarray) -> np.ndarray:
-        coefficients, described = phrases[path]
-        key = path, *(child.tobytes() for child in children)
-        if key not in tables:
-            blocks = described.given(children).items()
-            tables[key] = [(kind, one.places, *_alike(one.properties)) for kind, one in blocks]
-        odds = np.full((len(which), size), -np.inf)
-        for kind, places, distinct, alike in tables[key]:
-            odds[:, places] = (coefficients[kind][which] @ distinct.T)[:, alike]
-        return odds
-
-    return log_odds
-
-
-def _alike(properties: np.ndarray) -> tuple[np.ndarray, slice | np.ndarray]:
-    """Join equal symbols where there are many: f32[D, F] distinct ones, and which each is."""
-    if len(properties) < MANY:
-        return properties, slice(None)
-    first, which = identify(properties)
-    return properties[first], which
-
-
-def _kept(
-    root: Phrase, clause: int, log_odds: ManyLogOdds, num_models: int
-) -> Callable[[int, np.ndarray], Beams]:
-    """Search by some of the models; what all of them have been searched for is kept."""
-    known: dict[int, Beams] = {}
-
-    def beams_of(width: int, which: np.ndarray) -> Beams:
-        if len(which) == num_models:
-            if width not in known:
-                known[width] = search_many(root, log_odds, num_models, width=width, path=(clause,))
-            return known[width]
-        chosen = which
-
-        def of_chosen(
-            phrase: Phrase, path: Path, children: Children, rows: np.ndarray
-        ) -> np.ndarray:
-            return log_odds(phrase, path, children, chosen[rows])
-
-        return search_many(root, of_chosen, len(which), width=width, path=(clause,))
-
-    return beams_of
+def _check_tested(
+    is_tested: np.ndarray | None, models: Models, instructions: Sequence[LabelledInstruction]
+) -> np.ndarray:
+    """Check which sentences each model is tested on, bool[K, I]; by default all."""
+    shape = len(models.temperature), len(instructions)
+    is_tested = np.ones(shape, bool) if is_tested is None else is_tested
+    chex.assert_shape(is_tested, shape)
+    chex.assert_type(is_tested, bool)
+    return is_tested
 
 
 def score_annotations(
     instructions: Sequence[LabelledInstruction],
     models: Models,
-    is_tested: np.ndarray,
+    is_tested: np.ndarray | None,
     type_names: tuple[str, ...],
     *,
-    widths: Sequence[int],
+    widths: Sequence[int] = (BEAM_WIDTH,),
     is_exact: bool = False,
     on_sentence: Callable[[], None] = lambda: None,
 ) -> Results:
@@ -211,7 +156,7 @@ def score_annotations(
     Args:
         instructions: I labelled sentences.
         models: K annotation models.
-        is_tested: bool[K, I], which sentences each model is tested on.
+        is_tested: bool[K, I], which sentences each model is tested on; all by default.
         type_names: object types.
         widths: beam widths.
         is_exact: also find the likeliest of all sets.
@@ -220,9 +165,8 @@ def score_annotations(
     Returns:
         Results of each model in the order of its sentences.
     """
-    chex.assert_shape(is_tested, (len(models.temperature), len(instructions)))
-    chex.assert_type(is_tested, bool)
-    tally = Tallied(len(is_tested), widths, is_exact)
+    is_tested = _check_tested(is_tested, models, instructions)
+    tally = _Tally(len(is_tested), widths, is_exact)
     for labelled, tested in zip(instructions, is_tested.T, strict=True):
         which = np.flatnonzero(tested)
         if len(which):
@@ -232,35 +176,36 @@ def score_annotations(
 
 
 def _count_sentence(
-    tally: Tallied,
+    tally: _Tally,
     labelled: LabelledInstruction,
     which: np.ndarray,
     models: Models,
     type_names: tuple[str, ...],
 ) -> None:
     """Compare what models i[M] infer of one sentence with its gold annotations."""
-    annotations, gold = Annotations(type_names), gold_annotations(labelled)
-    space = annotations.symbols_in(None)
-    everyone, searched, ranks = np.arange(len(which)), [], []
-    for clause, root in enumerate(labelled.parse.clauses):
-        phrases = weigh_phrases(annotations, models.coefficients, root, None, clause)
-        odds = _many_log_odds(space.size, phrases)
-        searched.append(_kept(root, clause, odds, len(which)))
-        ranks.append(_ranks(phrases, len(which)))
+    gold, space = gold_annotations(labelled), Annotations(type_names)
+    trees = [
+        WeighedTree(space, models.coefficients, root, None, clause)
+        for clause, root in enumerate(labelled.parse.clauses)
+    ]
+    symbols, ranks = space.symbols_in(None), [tree.log_ranks() for tree in trees]
     for width, rows in tally.rows.items():
-        beams = [beams_of(width, everyone) for beams_of in searched]
         for place, model in enumerate(which):
             beliefs = [
-                clause_belief(space, of_clause.of(place), clause, rank[place], width)
-                for clause, (of_clause, rank) in enumerate(zip(beams, ranks, strict=True))
+                clause_belief(
+                    symbols,
+                    tree.beams(width).of(place),
+                    clause,
+                    {path: chances[place] for path, chances in rank.items()},
+                    width,
+                )
+                for clause, (tree, rank) in enumerate(zip(trees, ranks, strict=True))
             ]
             rows[model].append(_compare(join_clauses(beliefs, width), gold))
     if tally.exact:
-        found = [search_exactly_many(beams_of, len(which)) for beams_of in searched]
-        said = np.any([best for best, _ in found], axis=0)
-        is_right = (said == space.mask(gold)).all(1)
-        is_proven = np.all([proven for _, proven in found], axis=0)
-        for model, *row in zip(which, is_right, is_proven, strict=True):
+        best, is_proven = zip(*(tree.search_exactly() for tree in trees), strict=True)
+        is_right = (np.any(best, axis=0) == symbols.mask(gold)).all(1)
+        for model, *row in zip(which, is_right, np.all(is_proven, axis=0), strict=True):
             tally.exact[model].append(tuple(row))
 
 
@@ -268,27 +213,23 @@ def _by_rank(
     labelled: LabelledInstruction, annotation: Models, type_names: tuple[str, ...]
 ) -> Iterator[tuple[np.ndarray, dict[Path, int]]]:
     """Group models by the ranks they infer: i[M] models, and rank by phrase."""
-    groups: dict[tuple, list[int]] = {}
-    ranks: list[dict[Path, int]] = [{} for _ in annotation.temperature]
-    space = Annotations(type_names)
+    ranks: dict[Path, np.ndarray] = {}  # i[M] each
     for clause, root in enumerate(labelled.parse.clauses):
-        phrases = weigh_phrases(space, annotation.coefficients, root, None, clause)
-        for own, chances in zip(ranks, _ranks(phrases, len(ranks)), strict=True):
-            own |= {path: int(np.argmax(chance)) for path, chance in chances.items()}
-    for model, own in enumerate(ranks):
-        groups.setdefault(tuple(own.items()), []).append(model)
-    for own, which in groups.items():
-        yield np.array(which), dict(own)
+        tree = WeighedTree(Annotations(type_names), annotation.coefficients, root, None, clause)
+        ranks |= {path: chances.argmax(1) for path, chances in tree.log_ranks().items()}
+    rows, which = np.unique(np.stack([*ranks.values()], axis=1), axis=0, return_inverse=True)
+    for group, row in enumerate(rows.tolist()):
+        yield np.flatnonzero(which.ravel() == group), dict(zip(ranks, row, strict=True))
 
 
 def score_behaviors(
     instructions: Sequence[LabelledInstruction],
     annotation: Models,
     behavior: Models,
-    is_tested: np.ndarray,
+    is_tested: np.ndarray | None,
     type_names: tuple[str, ...],
     *,
-    widths: Sequence[int],
+    widths: Sequence[int] = (BEAM_WIDTH,),
     is_exact: bool = False,
     on_sentence: Callable[[], None] = lambda: None,
 ) -> Results:
@@ -298,7 +239,7 @@ def score_behaviors(
         instructions: I labelled sentences with worlds.
         annotation: K annotation models (for ranks: "the second").
         behavior: K behavior models.
-        is_tested: bool[K, I], which sentences each model is tested on.
+        is_tested: bool[K, I], which sentences each model is tested on; all by default.
         type_names: object types.
         widths: beam widths.
         is_exact: also find the likeliest of all sets.
@@ -307,40 +248,37 @@ def score_behaviors(
     Returns:
         Results of each model in the order of its sentences and their worlds.
     """
-    chex.assert_shape(is_tested, (len(behavior.temperature), len(instructions)))
-    chex.assert_type(is_tested, bool)
+    is_tested = _check_tested(is_tested, behavior, instructions)
     chex.assert_equal_shape([annotation.temperature, behavior.temperature])
-    tally = Tallied(len(is_tested), widths, is_exact)
+    tally = _Tally(len(is_tested), widths, is_exact)
     for labelled, tested in zip(instructions, is_tested.T, strict=True):
         which = np.flatnonzero(tested)
         groups = _by_rank(labelled, annotation.take(which), type_names) if len(which) else ()
         for group, rank in groups:
             own, space = behavior.take(which[group]), Behaviors(type_names, rank)
             for world, gold in zip(labelled.worlds, labelled.behavior, strict=True):
-                symbols, clauses = space.symbols_in(world), []
-                for clause, root in enumerate(labelled.parse.clauses):
-                    if (clause,) in gold:
-                        phrases = weigh_phrases(space, own.coefficients, root, world, clause)
-                        odds = _many_log_odds(symbols.size, phrases)
-                        beams_of = _kept(root, clause, odds, len(group))
-                        clauses.append((beams_of, symbols.mask(gold[(clause,)])))
-                _count_world(tally, which[group], clauses)
+                trees = [
+                    (WeighedTree(space, own.coefficients, root, world, clause), gold[(clause,)])
+                    for clause, root in enumerate(labelled.parse.clauses)
+                    if (clause,) in gold
+                ]
+                _count_world(tally, which[group], trees)
         on_sentence()
     return tally.results()
 
 
 def _count_world(
-    tally: Tallied,
+    tally: _Tally,
     models: np.ndarray,
-    clauses: Sequence[tuple[Callable[[int, np.ndarray], Beams], np.ndarray]],
+    clauses: Sequence[tuple[WeighedTree, frozenset[BehaviorSymbol]]],
 ) -> None:
     """Compare what models i[M] infer in one world with the gold sets of the clauses."""
-    everyone = np.arange(len(models))
+    trees = [(tree, tree.symbols.mask(gold)) for tree, gold in clauses]
     for width, rows in tally.rows.items():
         right, confidence = np.ones(len(models), bool), np.ones(len(models))
         log_gold = np.zeros(len(models))
-        for beams_of, gold in clauses:
-            beams = beams_of(width, everyone)
+        for tree, gold in trees:
+            beams = tree.beams(width)
             is_gold = (beams.sets == gold).all(1)[beams.index]
             is_gold &= np.isfinite(beams.log_probability)
             right &= is_gold[:, 0]
@@ -352,8 +290,41 @@ def _count_world(
             rows[model].append(tuple(row))
     if tally.exact:
         right = proven = np.ones(len(models), bool)
-        for beams_of, gold in clauses:
-            best, is_sure = search_exactly_many(beams_of, len(models))
+        for tree, gold in trees:
+            best, is_sure = tree.search_exactly()
             right, proven = right & (best == gold).all(1), proven & is_sure
         for model, *row in zip(models, right, proven, strict=True):
             tally.exact[model].append(tuple(row))
+
+
+def calibration_error(scores: Scores, num_bins: int = 10) -> float:
+    """Compute the expected calibration error.
+
+        ECE = Σ_b n_b / n · |accuracy_b − confidence_b|      over bins of equal width
+
+    Args:
+        scores: results.
+        num_bins: bins of [0, 1].
+
+    Returns:
+        In [0, 1]; 0 is perfectly calibrated.
+    """
+    bins = np.minimum((scores.confidence * num_bins).astype(int), num_bins - 1)
+    gap = scores.is_right.astype(float) - scores.confidence
+    total = np.bincount(bins, weights=gap, minlength=num_bins)
+    return float(np.abs(total).sum() / max(len(gap), 1))
+
+
+TEMPERATURES = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.15, 1.3, 1.5, 1.75, 2.0)
+
+
+def fit_temperature(score: Callable[[float], Scores]) -> float:
+    """Choose the temperature under which the gold answers are likeliest.
+
+    Args:
+        score: temperature → results on sentences held out from training.
+
+    Returns:
+        One of ``TEMPERATURES``.
+    """
+    return max(TEMPERATURES, key=lambda t: float(score(t).log_gold.mean()))

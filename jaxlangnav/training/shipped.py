@@ -19,18 +19,24 @@ from scipy.optimize import minimize
 
 from jaxlangnav.grounding.instruction import GroundingModel
 from jaxlangnav.grounding.model import ANNOTATION_KINDS, BEHAVIOR_KINDS, CorrespondenceModel
+from jaxlangnav.grounding.search import BEAM_WIDTH
 from jaxlangnav.language.corpus import Example, load_corpus, read_corpus
 from jaxlangnav.language.lexicon import load_lexicon
-from jaxlangnav.training.evaluation import (
+from jaxlangnav.training.examples import (
+    LabelledInstruction,
+    annotation_examples,
+    behavior_examples,
+    read_examples,
+)
+from jaxlangnav.training.fit import Fit, TrainingConfig, build_design, fit
+from jaxlangnav.training.scoring import (
+    Models,
     Scores,
     calibration_error,
-    evaluate_annotations,
-    evaluate_behaviors,
     fit_temperature,
+    score_annotations,
+    score_behaviors,
 )
-from jaxlangnav.training.examples import LabelledInstruction, annotation_examples, behavior_examples
-from jaxlangnav.training.fit import Fit, TrainingConfig, build_design, fit
-from jaxlangnav.training.labelled import read_examples
 
 COLDEST, HOTTEST = 0.05, 20.0
 """Temperatures beyond these are not looked for."""
@@ -249,11 +255,14 @@ def _train_one(
     tuning = [x for x, kept in zip(data.train, data.is_tuning, strict=True) if kept]
 
     def score(model: CorrespondenceModel, which: Sequence[LabelledInstruction]) -> Scores:
+        judged = Models.of([model])
         if name == "annotation":
-            return evaluate_annotations(which, model, data.type_names)
+            return score_annotations(which, judged, None, data.type_names).by_width[BEAM_WIDTH][0]
         if "annotation" not in models:
             raise ValueError("the behavior model needs an annotation model: give weights as base")
-        return evaluate_behaviors(which, models["annotation"], model, data.type_names)
+        ranks = Models.of([models["annotation"]])
+        found = score_behaviors(which, ranks, judged, None, data.type_names)
+        return found.by_width[BEAM_WIDTH][0]
 
     def warm(temperature: float, model: CorrespondenceModel) -> CorrespondenceModel:
         return dataclasses.replace(model, temperature=temperature)
