@@ -28,9 +28,7 @@ from jaxlangnav.language.grammar import Grammar
 from jaxlangnav.language.lexicon import read_lexicon
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import LanguageError
-from jaxlangnav.world.fields import WorldFileError
-from jaxlangnav.world.files import load_world, save_world, shipped_worlds
-from jaxlangnav.world.writing import world_to_dict
+from jaxlangnav.world.files import WorldFileError, load_world, save_world, shipped_worlds
 
 LANGUAGE = resources.files("jaxlangnav.language") / "data"
 GROUNDING = resources.files("jaxlangnav.grounding") / "data"
@@ -76,7 +74,7 @@ def _worlds() -> list[bytes]:
 
 def _json_worlds() -> list[bytes]:
     """Take the worlds of the package, as JSON."""
-    from jaxlangnav.world.files import WorldFile, open_world
+    from jaxlangnav.world.files import WorldFile, open_world, world_to_dict
 
     opened = [open_world(name) for name in shipped_worlds()]
     return [

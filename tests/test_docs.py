@@ -13,7 +13,7 @@ import pytest
 from jaxlangnav.cli.arguments import parse_arguments
 from jaxlangnav.experiments.sweep_config import config_from_dict
 from jaxlangnav.language.lexicon import read_lexicon
-from jaxlangnav.world.reading import world_from_dict
+from jaxlangnav.world.files import world_from_dict
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]

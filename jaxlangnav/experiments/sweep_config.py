@@ -30,40 +30,53 @@ follow. The grid is the product of everything that is listed.
 """
 
 import dataclasses
-import difflib
 import hashlib
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from msgspec import Meta, field
 
 from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, check_policies
 from jaxlangnav.experiments.tasks import SEED_LIMIT, SENTENCES
-from jaxlangnav.files.documents import DocumentError, parse_toml, read_text
+from jaxlangnav.files.documents import read_document
+from jaxlangnav.files.schema import Name, Sentence, Table, convert, unknown_key
 from jaxlangnav.files.whole import read_file
 from jaxlangnav.messages import default_sensor
-from jaxlangnav.plain_text import cut, fault_of_name, shown
+from jaxlangnav.plain_text import cut
 from jaxlangnav.quantities import FIELDS, LENGTH
 from jaxlangnav.world.files import LARGEST_WORLD_FILE, WorldFile, open_world
 from jaxlangnav.world.scenario import NUM_SLOTS, scenario_law
 from jaxlangnav.world.templates import Template, check_relation
 
-_KEYS = (
-    "name",
-    "episodes",
-    "environments",
-    "seeds",
-    "worlds",
-    "commands",
-    "ranges",
-    "policies",
-    "particles",
-)
-_LONGEST_TEXT = 1000
-"""Characters of a sentence, or of the path of a world."""
 _LARGEST_FILE = 1 << 20
 """Bytes of a configuration."""
+_ANY = Meta(min_length=1)
+_Seed = Annotated[int, Meta(ge=0, lt=SEED_LIMIT)]
+_Particles = Annotated[int, Meta(ge=2)]
 Choices = dict[str, tuple[float, ...]]
+
+
+class _Command(Table):
+    text: Sentence
+    relation: Name = "null"
+
+
+class _Sweep(Table):
+    worlds: Sentence | Annotated[list[Sentence], _ANY]
+    commands: Sentence | _Command | Annotated[list[Sentence | _Command], _ANY]
+    name: Name = "sweep"
+    episodes: Annotated[int, Meta(ge=1)] = 100
+    environments: _Seed = 0
+    seeds: _Seed | Annotated[list[_Seed], _ANY] = 0
+    ranges: float | int | str | Annotated[list[float | int | str], _ANY] = 3
+    policies: Sentence | Annotated[list[Sentence], _ANY] = "informed"
+    particles: _Particles | Annotated[list[_Particles], _ANY] = DEFAULT_PARTICLES
+    sensor: dict[str, Any] = field(default_factory=dict)
+    motion: dict[str, Any] = field(default_factory=dict)
+    map: dict[str, Any] = field(default_factory=dict)
+    planner: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -131,16 +144,7 @@ def read_config(
         ValueError: unreadable, or anything in it is wrong; one line.
     """
     path = Path(path)
-    try:
-        text = read_text(path, at_most=_LARGEST_FILE)
-    except FileNotFoundError:
-        raise ValueError(f"{path}: no such file") from None
-    except OSError as error:
-        raise ValueError(f"{path}: cannot be read: {error.strerror}") from None
-    try:
-        table = parse_toml(text)
-    except DocumentError as error:
-        raise ValueError(f"{path}: {error}") from None
+    table = read_document(path, at_most=_LARGEST_FILE)
     for name, keys in (overrides or {}).items():
         if isinstance(table.setdefault(name, {}), dict):
             table[name] |= keys
@@ -163,34 +167,27 @@ def config_from_dict(table: Mapping[str, Any], *, folder: Path = Path()) -> Swee
     Raises:
         ValueError: an unknown key, an empty list, a wrong value or unit; one line.
     """
-    _check_keys(table, (*_KEYS, *FIELDS), "")
-    for key in ("worlds", "commands"):
-        if key not in table:
-            raise ValueError(f"{key} is missing: the grid would be empty")
-    worlds = _texts(table, "worlds", ())
+    given = convert(table, _Sweep)
+    worlds = tuple(_listed(given.worlds))
     own, hashes = _open_worlds(worlds, folder)
     config = SweepConfig(
-        name=_name(table.get("name", "sweep")),
-        episodes=_integers(table, "episodes", (100,), least=1, is_list=False)[0],
-        environments=_integers(
-            table, "environments", (0,), least=0, limit=SEED_LIMIT, is_list=False
-        )[0],
-        seeds=_integers(table, "seeds", (0,), least=0, limit=SEED_LIMIT),
+        name=given.name,
+        episodes=given.episodes,
+        environments=given.environments,
+        seeds=tuple(_listed(given.seeds)),
         worlds=worlds,
-        commands=tuple(_command(one) for one in _listed(table["commands"], "commands")),
-        ranges=tuple(
-            LENGTH.read(one, "ranges") for one in _listed(table.get("ranges", 3), "ranges")
-        ),
-        policies=check_policies(_texts(table, "policies", ("informed",))),
-        particles=_integers(table, "particles", (DEFAULT_PARTICLES,), least=2),
-        params={name: _params(table.get(name, {}), name) for name in FIELDS},
+        commands=tuple(map(_command, _listed(given.commands))),
+        ranges=tuple(LENGTH.read(one, "ranges") for one in _listed(given.ranges)),
+        policies=check_policies(tuple(_listed(given.policies))),
+        particles=tuple(_listed(given.particles)),
+        params={name: _params(getattr(given, name), name) for name in FIELDS},
         own_worlds=own,
         world_hashes=hashes,
     )
     _check_distinct(config)
-    for reach in config.ranges:
-        for noise in config.params["sensor"].get("noise", (0.1,)):
-            default_sensor(reach, noise=noise)
+    # Noise is held against the range: where the largest fits the shortest, all do.
+    for reach in (min(config.ranges), max(config.ranges)):
+        default_sensor(reach, noise=max(config.params["sensor"].get("noise", (0.1,))))
     for world in config.worlds:
         for command in config.commands:
             if world not in own:
@@ -198,97 +195,22 @@ def config_from_dict(table: Mapping[str, Any], *, folder: Path = Path()) -> Swee
     return config
 
 
-def _check_keys(table: Mapping[str, Any], known: Iterable[str], where: str) -> None:
-    """Refuse keys nobody reads."""
-    names = list(known)
-    for key in table:
-        if key not in names:
-            near = difflib.get_close_matches(cut(key), names, n=1)
-            hint = f'; did you mean "{near[0]}"?' if near else f": choose from {', '.join(names)}"
-            raise ValueError(f'unknown key "{where}{cut(key)}"{hint}')
+def _listed(value: Any) -> list[Any]:
+    """Take one value or a list of them as a list."""
+    return value if isinstance(value, list) else [value]
 
 
-def _name(value: Any) -> str:
-    """Read the sweep's name, which heads its tables."""
-    if not isinstance(value, str) or not value.strip():
-        raise ValueError(f"name is {shown(value)}, but must be a text that is not empty")
-    if fault := fault_of_name(value):
-        raise ValueError(f"name {fault}")
-    return value
-
-
-def _listed(value: Any, name: str) -> list[Any]:
-    """Take one value or a list of them; refuse an empty list."""
-    values = value if isinstance(value, list) else [value]
-    if not values:
-        raise ValueError(f"{name} is empty: the grid would be empty")
-    return values
-
-
-def _texts(table: Mapping[str, Any], name: str, default: tuple[str, ...]) -> tuple[str, ...]:
-    """Read one text or a list of them."""
-    values = _listed(table.get(name, list(default)), name)
-    for value in values:
-        if not isinstance(value, str) or not value.strip():
-            raise ValueError(f"{name} holds {shown(value)}, but must hold texts")
-        _check_text(value, f"a text of {name}")
-    return tuple(values)
-
-
-def _check_text(value: str, what: str) -> None:
-    """Refuse a text that could not be shown to people."""
-    if fault := fault_of_name(value, longest=_LONGEST_TEXT):
-        raise ValueError(f"{what} {fault}")
-
-
-def _integers(
-    table: Mapping[str, Any],
-    name: str,
-    default: tuple[int, ...],
-    *,
-    least: int,
-    limit: int | None = None,
-    is_list: bool = True,
-) -> tuple[int, ...]:
-    """Read one whole number or a list of them."""
-    value = table.get(name, list(default))
-    if not is_list and name in table and isinstance(value, list):
-        raise ValueError(f"{name} is a list, but must be one whole number")
-    values = _listed(value, name)
-    for one in values:
-        if not isinstance(one, int) or isinstance(one, bool):
-            raise ValueError(f"{name} is {shown(one)}, but must be a whole number")
-        if one < least:
-            raise ValueError(f"{name} is {shown(one)}, but must be at least {least}")
-        if limit is not None and one >= limit:
-            raise ValueError(f"{name} is {shown(one)}, but must be below {limit}")
-    return tuple(values)
-
-
-def _command(value: Any) -> Command:
+def _command(given: str | _Command) -> Command:
     """Read a command: the name of one of Table 2's, a sentence, or a table with its relation."""
-    if isinstance(value, Mapping):
-        _check_keys(value, ("text", "relation"), "commands.")
-        if not isinstance(value.get("text"), str) or not value["text"].strip():
-            raise ValueError('a command\'s "text" is missing or empty')
-        _check_text(value["text"], "a command")
-        relation = value.get("relation", "null")
-        if not isinstance(relation, str):
-            raise ValueError(f"a command's relation is {shown(relation)}, but must be a text")
-        _check_text(relation, "a command's relation")
-        check_relation(relation)
-        return Command(text=value["text"], relation=relation)
-    if not isinstance(value, str) or not value.strip():
-        raise ValueError(f"commands holds {shown(value)}, but must hold sentences")
-    _check_text(value, "a command")
-    if value in SENTENCES:
-        return Command(text=SENTENCES[value], relation=value)
+    if isinstance(given, _Command):
+        check_relation(given.relation)
+        return Command(text=given.text, relation=given.relation)
     for relation, text in SENTENCES.items():
-        if value == text:
+        if given in (relation, text):
             return Command(text=text, relation=relation)
     raise ValueError(
-        f'command "{cut(value)}": say by which relation the worlds are drawn, '
-        f'{{ text = "{cut(value)}", relation = "behind" }} (null, behind or nearest)'
+        f'command "{cut(given)}": say by which relation the worlds are drawn, '
+        f'{{ text = "{cut(given)}", relation = "behind" }} (null, behind or nearest)'
     )
 
 
@@ -322,15 +244,17 @@ def _open_worlds(
     return own, hashes
 
 
-def _params(table: Any, name: str) -> Choices:
+def _params(table: Mapping[str, Any], name: str) -> Choices:
     """Read one of the tables of Params."""
-    if not isinstance(table, Mapping):
-        raise ValueError(f"{name} is {shown(table)}, but must be a table: [{name}]")
-    _check_keys(table, FIELDS[name], f"{name}.")
-    return {
-        key: tuple(FIELDS[name][key].read(one, f"{name}.{key}") for one in _listed(value, key))
-        for key, value in table.items()
-    }
+    found: Choices = {}
+    for key, value in table.items():
+        if key not in FIELDS[name]:
+            raise ValueError(f"{name}.{unknown_key(key, FIELDS[name])}")
+        values = _listed(value)
+        if not values:
+            raise ValueError(f"{name}.{key} is empty: the grid would be empty")
+        found[key] = tuple(FIELDS[name][key].read(one, f"{name}.{key}") for one in values)
+    return found
 
 
 def _check_distinct(config: SweepConfig) -> None:

@@ -62,6 +62,30 @@ def parse_json(text: str) -> Any:
     return _parse(json.loads, text, "JSON")
 
 
+def read_document(path: Path, *, at_most: int) -> Any:
+    """Read a file of JSON, or of TOML if its name does not end in .json.
+
+    Args:
+        path: of the file.
+        at_most: bytes, the limit.
+
+    Returns:
+        Its value, at most ``DEEPEST`` deep.
+
+    Raises:
+        ValueError: it cannot be read or is not valid; one line that names the file.
+    """
+    try:
+        text = read_text(path, at_most=at_most)
+        return parse_json(text) if path.suffix.lower() == ".json" else parse_toml(text)
+    except FileNotFoundError:
+        raise ValueError(f"{path}: no such file") from None
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be read: {error.strerror}") from None
+    except DocumentError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
 def read_text(path: str | Path, *, at_most: int) -> str:
     """Read a file of text.
 

@@ -18,8 +18,7 @@ from jaxlangnav.grounding.instruction import Understanding
 from jaxlangnav.messages import SensorParams, default_sensor
 from jaxlangnav.pytree import replace
 from jaxlangnav.task.labelled import is_among, meant_goals, with_goal
-from jaxlangnav.world.files import open_world, shipped_worlds
-from jaxlangnav.world.reading import WorldFile
+from jaxlangnav.world.files import WorldFile, open_world, shipped_worlds
 from jaxlangnav.world.scenario import NUM_SLOTS
 from jaxlangnav.world.state import Scenario
 from jaxlangnav.world.templates import Template

@@ -43,17 +43,24 @@ clockwise from +x); the map frame is the file's own.
     turn_noise = 0.0                   # degrees per root of a radian turned, likewise
 """
 
+import json
+import math
 import os
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from jaxlangnav.files.documents import DocumentError, parse_json, parse_toml, read_text
+import numpy as np
+from jax import Array
+
+from jaxlangnav.files.documents import parse_toml, read_document
+from jaxlangnav.files.schema import closest_choice
+from jaxlangnav.files.whole import write_text
+from jaxlangnav.kinds import group_of, words_of
+from jaxlangnav.messages import DRIFTS
 from jaxlangnav.plain_text import cut, shown
-from jaxlangnav.world.fields import WorldFileError, closest_choice
-from jaxlangnav.world.reading import MOST_OBJECTS, WorldFile, world_from_dict
+from jaxlangnav.world.reading import WorldFile, WorldFileError, world_from_dict
 from jaxlangnav.world.templates import TEMPLATE_NAMES, Template, parse_template
-from jaxlangnav.world.writing import save_world
 
 __all__ = [
     "WorldFile",
@@ -62,6 +69,8 @@ __all__ = [
     "open_world",
     "save_world",
     "shipped_worlds",
+    "world_from_dict",
+    "world_to_dict",
 ]
 
 LARGEST_WORLD_FILE = 256 * 1024
@@ -81,10 +90,15 @@ def load_world(path: str | Path, *, num_slots: int | None = None) -> WorldFile:
     Raises:
         WorldFileError: unreadable, or anything in it is wrong; one line that says what to do.
     """
-    path = Path(path)
-    return world_from_dict(
-        _read(path, num_slots or MOST_OBJECTS), file=path.name, num_slots=num_slots
-    )
+    path = _check_name(path)
+    if not os.path.lexists(path):
+        shipped = ", ".join(shipped_worlds())
+        raise WorldFileError(f"{path}: no such file; shipped worlds are {shipped}")
+    try:
+        table = read_document(path, at_most=LARGEST_WORLD_FILE)
+    except ValueError as error:
+        raise WorldFileError(str(error)) from None
+    return world_from_dict(table, file=path.name, num_slots=num_slots)
 
 
 def shipped_worlds() -> tuple[str, ...]:
@@ -124,31 +138,115 @@ def open_world(text: str, *, num_slots: int | None = None) -> Template | WorldFi
     )
 
 
-def _read(path: Path, most: int) -> Any:
-    """Read a file into tables, or say why not."""
-    kind = path.suffix.lower()
-    if kind not in (".toml", ".json"):
-        raise WorldFileError(f"{path}: a world file's name must end in .toml or .json")
+def save_world(world: WorldFile, path: str | Path) -> None:
+    """Write a world file; a sampled scenario becomes a file that people can edit.
+
+    It is read back exactly, to the last bit of float32.
+
+    Args:
+        world: what to write.
+        path: a .toml or .json file; overwritten.
+
+    Raises:
+        WorldFileError: the name ends in neither, or the file cannot be written.
+    """
+    path, table = _check_name(path), world_to_dict(world)
+    is_json = path.suffix.lower() == ".json"
     try:
-        text = read_text(path, at_most=LARGEST_WORLD_FILE)
-        _check_objects(text, path, most)
-        return parse_toml(text) if kind == ".toml" else parse_json(text)
-    except FileNotFoundError:
-        raise WorldFileError(
-            f"{path}: no such file; shipped worlds are {', '.join(shipped_worlds())}"
-        ) from None
+        write_text(json.dumps(table, indent=2) + "\n" if is_json else _to_toml(table), path)
     except OSError as error:
-        raise WorldFileError(f"{path}: cannot be read: {error.strerror}") from None
-    except DocumentError as error:
-        raise WorldFileError(f"{path}: {error}") from None
-    except ValueError as error:
-        raise WorldFileError(str(error)) from None
+        raise WorldFileError(f"{path}: cannot be written: {error.strerror}") from None
 
 
-def _check_objects(text: str, path: Path, most: int) -> None:
-    """Refuse a world of too many objects before it is parsed: of a million that takes long."""
-    number = f"\n{text}".count("\n[[objects]]")
-    if number > most:
-        raise WorldFileError(
-            f"{path.name}: objects has {number:,} entries but must have 1 to {most}: remove"
+def world_to_dict(world: WorldFile) -> dict[str, Any]:
+    """Turn a world into tables of the world format.
+
+    Args:
+        world: the world.
+
+    Returns:
+        Tables that ``world_from_dict`` reads back to the same world.
+    """
+    scenario, sensor, motion = world.scenario, world.sensor, world.motion
+    names = [*world.object_names, *[""] * scenario.is_object.size]
+    goal_index = int(scenario.goal_index)
+    if goal_index >= 0 and not names[goal_index]:
+        # A file calls the goal by its object's name.
+        names[goal_index] = next(
+            name for size in range(len(names)) if (name := "goal" + "'" * size) not in names
         )
+    area = zip(("x_min", "x_max", "y_min", "y_max"), scenario.area, strict=True)
+    x, y = map(_decimal, scenario.goal)
+    codes = scenario.object_attribute
+    tables = {
+        "name": world.name,
+        "instruction": world.instruction or None,
+        "area": {key: _decimal(value) for key, value in area},
+        "start": {
+            "x": _decimal(scenario.start[0]),
+            "y": _decimal(scenario.start[1]),
+            "heading": _degrees(scenario.start[2]),
+        },
+        "goal": ({"object": names[goal_index]} if goal_index >= 0 else {"x": x, "y": y})
+        if world.has_goal
+        else None,
+        "sensor": {
+            "range": _decimal(sensor.range_max),
+            "field_of_view": _degrees(sensor.field_of_view),
+            "detection_probability": _decimal(sensor.detection_probability),
+            "noise": _decimal(sensor.noise),
+        },
+        "motion": {
+            "step_length": _decimal(motion.step_length),
+            "odometry_noise": _decimal(motion.odometry_noise),
+            **{name: _degrees(getattr(motion, name)) for name in DRIFTS},
+        },
+        "objects": [
+            {
+                "type": world.type_names[int(scenario.object_type[slot])],
+                **({"name": names[slot]} if names[slot] else {}),
+                "x": _decimal(scenario.object_x[slot]),
+                "y": _decimal(scenario.object_y[slot]),
+                **{
+                    str(group_of(word)): word
+                    for word in words_of(0 if codes is None else int(codes[slot]))
+                },
+            }
+            for slot in np.flatnonzero(np.asarray(scenario.is_object))
+        ],
+    }
+    return {key: value for key, value in tables.items() if value is not None}
+
+
+def _check_name(path: str | Path) -> Path:
+    """Refuse a file of another format."""
+    if Path(path).suffix.lower() not in (".toml", ".json"):
+        raise WorldFileError(f"{path}: a world file's name must end in .toml or .json")
+    return Path(path)
+
+
+def _decimal(value: Array) -> float:
+    """Find the shortest decimal that reads back as the same float32."""
+    return float(str(np.float32(value)))
+
+
+def _degrees(value: Array) -> float:
+    """Find the shortest decimal of degrees that reads back as the same float32 of radians."""
+    radians = np.float32(value)
+    degrees = math.degrees(float(radians))
+    shorter = (round(degrees, digits) for digits in range(12))
+    return next((one for one in shorter if np.float32(math.radians(one)) == radians), degrees)
+
+
+def _to_toml(table: dict[str, Any]) -> str:
+    """Write keys, tables and lists of tables; JSON's texts and numbers are TOML's too."""
+    lines: list[str] = []
+    for key, value in table.items():
+        parts = value if isinstance(value, list) else [value]
+        for part in parts:
+            is_table = isinstance(part, dict)
+            if is_table:
+                lines += ["", f"[[{key}]]" if isinstance(value, list) else f"[{key}]"]
+            pairs = part if is_table else {key: part}
+            lines += [f"{name} = {json.dumps(one)}" for name, one in pairs.items()]
+    return "\n".join(lines) + "\n"

@@ -1,42 +1,153 @@
-"""Checking the tables of a world file and building its scenario; ``files`` tells the format."""
+"""The schema of a world file, and building its scenario; ``files`` tells the format."""
 
 import dataclasses
 import math
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import jax.numpy as jnp
 import numpy as np
+from msgspec import Meta, field, structs
 
 from jaxlangnav.detections import SLOTS
-from jaxlangnav.files.limits import RANGES, SHORTEST, SMALLEST
+from jaxlangnav.files.limits import FARTHEST, RANGES, SHORTEST, SMALLEST
+from jaxlangnav.files.schema import Name, Sentence, Table, convert, no_choice
 from jaxlangnav.kinds import ATTRIBUTES, attributes
 from jaxlangnav.language.lexicon import load_lexicon, type_called
 from jaxlangnav.language.spelling import repair
 from jaxlangnav.language.tokens import is_word, plainly
-from jaxlangnav.messages import (
-    DRIFTS,
-    NONE,
-    MotionParams,
-    SensorParams,
-    default_motion,
-    default_sensor,
-)
+from jaxlangnav.messages import NONE, MotionParams, SensorParams
 from jaxlangnav.plain_text import LONGEST_NAME, cut, printable, shown
-from jaxlangnav.world.fields import Fields
 from jaxlangnav.world.state import Scenario
 
-Point = tuple[float, float]
-Bounds = tuple[float, float, float, float]
-"""x_min, x_max, y_min, y_max, metres."""
-_NARROWEST = 0.1
-"""Metres that an area measures at least, each way."""
-_LEAST_VIEW = 0.1
-"""Degrees of the narrowest field of view."""
 MOST_OBJECTS = SLOTS[-1]
 """Objects of a world file: as many as may be in view."""
-_LONGEST_INSTRUCTION = 1000
-"""Characters of a sentence in a world file."""
+_NARROWEST = 0.1
+"""Metres that an area measures at least, each way."""
+_Place = Annotated[float, Meta(ge=-FARTHEST, le=FARTHEST)]
+_Share = Annotated[float, Meta(ge=0.0, le=1.0)]
+_Drift = Annotated[float, Meta(ge=0.0, le=180.0)]
+
+
+class WorldFileError(ValueError):
+    """A world file cannot be used; the message is one line for the person who wrote it."""
+
+
+class _Area(Table):
+    x_min: _Place
+    x_max: _Place
+    y_min: _Place
+    y_max: _Place
+
+    def __post_init__(self) -> None:
+        for axis, low, high in (("x", self.x_min, self.x_max), ("y", self.y_min, self.y_max)):
+            if high < low + _NARROWEST:
+                least = f"at least {low + _NARROWEST:g}: {_NARROWEST} m above {axis}_min"
+                raise ValueError(f"{axis}_max is {high}, but must be {least}")
+
+    def check(self, where: str, x: float, y: float) -> None:
+        """Refuse a place outside."""
+        for axis, value, low, high in (
+            ("x", x, self.x_min, self.x_max), ("y", y, self.y_min, self.y_max)
+        ):  # fmt: skip
+            if not low <= value <= high:
+                raise ValueError(
+                    f"{where}.{axis} is {value}, but the area reaches from {low:g} to {high:g}: "
+                    "move it or enlarge [area]"
+                )
+
+
+class _Start(Table):
+    x: _Place = 0.0
+    y: _Place = 0.0
+    heading: Annotated[float, Meta(ge=-360.0, le=360.0)] = 0.0
+
+
+class _Goal(Table):
+    object: Name | None = None
+    x: _Place | None = None
+    y: _Place | None = None
+
+    def __post_init__(self) -> None:
+        if self.object is None and (self.x is None or self.y is None):
+            raise ValueError("object is missing: name an object, or give x and y")
+        if self.object is not None and (self.x, self.y) != (None, None):
+            raise ValueError("object is given, and x or y as well: leave one out")
+        super().__post_init__()
+
+
+class _Object(Table, omit_defaults=True):
+    type: Name
+    x: _Place
+    y: _Place
+    name: Name | None = None
+    colour: Name | None = None
+    material: Name | None = None
+    size: Name | None = None
+    height: Name | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for group, word in self.looks.items():
+            if word not in ATTRIBUTES[group]:
+                raise ValueError(no_choice(group, word, ATTRIBUTES[group], f"a {group}"))
+
+    @property
+    def looks(self) -> dict[str, str]:
+        """List the attributes by their groups."""
+        found = {group: getattr(self, group) for group in ATTRIBUTES}
+        return {group: word for group, word in found.items() if word is not None}
+
+
+class _Sensor(Table):
+    range: Annotated[float, Meta(ge=RANGES[0], le=RANGES[1])] = 3.0
+    field_of_view: Annotated[float, Meta(ge=0.1, le=360.0)] = 360.0
+    detection_probability: Annotated[float, Meta(ge=SMALLEST, le=1.0)] = 0.95
+    noise: Annotated[float, Meta(ge=0.0)] | None = None
+
+    def __post_init__(self) -> None:
+        if self.noise is not None and self.noise > self.range:
+            most = f"at most {self.range:g}, the range"
+            raise ValueError(f"noise is {shown(self.noise)}, but must be {most}")
+
+    def to_params(self) -> SensorParams:
+        """Convert degrees, and numbers to arrays."""
+        noise = min(0.1, self.range) if self.noise is None else self.noise
+        return SensorParams(
+            range_max=jnp.float32(self.range),
+            field_of_view=jnp.float32(math.radians(self.field_of_view)),
+            detection_probability=jnp.float32(self.detection_probability),
+            noise=jnp.float32(noise),
+        )
+
+
+class _Motion(Table):
+    step_length: Annotated[float, Meta(ge=SHORTEST, le=FARTHEST)] = 1.0
+    odometry_noise: _Share = 0.02
+    heading_bias: _Drift = 0.0
+    heading_noise: _Drift = 0.0
+    turn_noise: _Drift = 0.0
+
+    def to_params(self) -> MotionParams:
+        """Convert degrees, and numbers to arrays."""
+        lengths = ("step_length", "odometry_noise")
+        return MotionParams(
+            **{
+                name: jnp.float32(value if name in lengths else math.radians(value))
+                for name, value in structs.asdict(self).items()
+            }
+        )
+
+
+class _World(Table):
+    area: _Area
+    objects: Annotated[list[_Object], Meta(min_length=1, max_length=MOST_OBJECTS)]
+    name: Name | None = None
+    instruction: Sentence | None = None
+    start: _Start | None = None
+    goal: _Goal | None = None
+    sensor: _Sensor = field(default_factory=_Sensor)
+    motion: _Motion = field(default_factory=_Motion)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -76,182 +187,94 @@ def world_from_dict(table: Any, *, file: str, num_slots: int | None = None) -> W
         WorldFileError: anything is missing, unknown or outside its limits.
     """
     file = cut(printable(file), LONGEST_NAME)
-    top = Fields(table, file=file, where="")
-    area = _read_area(top.table("area"))
-    start = (0.0, 0.0, 0.0)
-    if top.has("start"):
-        fields = top.table("start")
-        heading = math.radians(fields.number("heading", low=-360.0, high=360.0, default=0.0))
-        start = (*_read_place(fields, area, default=0.0), heading)
-        fields.close()
-    elif not (area[0] <= 0.0 <= area[1] and area[2] <= 0.0 <= area[3]):
-        raise top.fail("start", "is missing, and its default 0, 0 lies outside the area: add it")
-    things = _read_objects(top, area, num_slots or MOST_OBJECTS)
-    names = things.names
-    if num_slots is None:
-        num_slots = next(size for size in SLOTS if size >= len(names))
-    has_goal = top.has("goal")
-    goal, goal_index = (
-        _read_goal(top.table("goal"), area, names, things.places) if has_goal else (start[:2], NONE)
-    )
-    world = WorldFile(
-        name=top.text("name", default=Path(file).stem),
-        instruction=_read_instruction(top),
-        scenario=_to_scenario(things, goal, goal_index, start, area, num_slots),
-        sensor=_read_sensor(top.table("sensor")) if top.has("sensor") else default_sensor(),
-        motion=_read_motion(top.table("motion")) if top.has("motion") else default_motion(),
-        has_goal=has_goal,
-        object_names=(*names, *[""] * (num_slots - len(names))),
-        type_names=tuple(things.type_names),
+    try:
+        return _to_world(convert(table, _World), Path(file).stem, num_slots)
+    except ValueError as error:
+        raise WorldFileError(f"{file}: {error}") from None
+
+
+def _to_world(world: _World, stem: str, num_slots: int | None) -> WorldFile:
+    """Check what the parts of a world have to do with one another, and build it."""
+    number, start = len(world.objects), world.start or _Start()
+    if number > (num_slots or number):
+        raise ValueError(f"objects has {number} entries, but must have 1 to {num_slots}: remove")
+    num_slots = num_slots or next(size for size in SLOTS if size >= number)
+    if world.start is None and not (
+        world.area.x_min <= 0.0 <= world.area.x_max and world.area.y_min <= 0.0 <= world.area.y_max
+    ):
+        raise ValueError("start is missing, and its default 0, 0 lies outside the area: add it")
+    world.area.check("start", start.x, start.y)
+    names = [one.name or "" for one in world.objects]
+    type_names, types = list(load_lexicon().type_names), []
+    for index, one in enumerate(world.objects):
+        where = f"objects[{index}]"
+        world.area.check(where, one.x, one.y)
+        twin = names.index(names[index])
+        if one.name and twin < index:
+            raise ValueError(f"{where}.name is {one.name!r} as is objects[{twin}]: rename one")
+        types.append(_type_index(one.type, type_names, where))
+    (x, y), goal_index = _goal(world, start, names)
+    return WorldFile(
+        name=world.name or stem,
+        instruction=world.instruction,
+        scenario=_to_scenario(world, types, start, (x, y), goal_index, num_slots),
+        sensor=world.sensor.to_params(),
+        motion=world.motion.to_params(),
+        has_goal=world.goal is not None,
+        object_names=(*names, *[""] * (num_slots - number)),
+        type_names=tuple(type_names),
         attribute_groups=tuple(
-            group for group in ATTRIBUTES if any(group in looks for looks in things.looks)
+            group for group in ATTRIBUTES if any(group in one.looks for one in world.objects)
         ),
     )
-    top.close("start", "goal", "sensor", "motion", "name", "instruction")
-    return world
 
 
-def _read_instruction(top: Fields) -> str | None:
-    """Read what to ask in this world, if it says so."""
-    if not top.has("instruction"):
-        return None
-    return top.text("instruction", longest=_LONGEST_INSTRUCTION)
-
-
-def _read_area(fields: Fields) -> Bounds:
-    """Read the operating area: x_min, x_max, y_min, y_max."""
-    x_min, y_min = fields.number("x_min"), fields.number("y_min")
-    x_max = fields.number("x_max", low=x_min + _NARROWEST)
-    y_max = fields.number("y_max", low=y_min + _NARROWEST)
-    fields.close()
-    return x_min, x_max, y_min, y_max
-
-
-def _read_place(fields: Fields, area: Bounds, *, default: float | None = None) -> Point:
-    """Read x and y and require them to lie in the area."""
-    place = fields.number("x", default=default), fields.number("y", default=default)
-    for name, value, low, high in zip("xy", place, area[::2], area[1::2], strict=True):
-        if not low <= value <= high:
-            raise fields.fail(
-                name,
-                f"is {value!r} but the area reaches from {low:g} to {high:g}: "
-                "move it or enlarge [area]",
-            )
-    return place
-
-
-@dataclasses.dataclass
-class _Things:
-    """The objects of a file, each list by object but for the types."""
-
-    type_names: list[str]
-    types: list[int] = dataclasses.field(default_factory=list)
-    names: list[str] = dataclasses.field(default_factory=list)
-    places: list[Point] = dataclasses.field(default_factory=list)
-    looks: list[dict[str, str]] = dataclasses.field(default_factory=list)
-
-
-def _read_objects(top: Fields, area: Bounds, most: int) -> _Things:
-    """Read the objects: types, names (empty where there is none), places and attributes."""
-    things = _Things(list(load_lexicon().type_names))
-    for fields in top.tables("objects", least=1, most=most):
-        things.types.append(_read_type(fields, things.type_names))
-        name = fields.text("name") if fields.has("name") else ""
-        if name and name in things.names:
-            twin = things.names.index(name)
-            raise fields.fail("name", f"is {name!r} as is objects[{twin}]: rename one")
-        things.names.append(name)
-        things.places.append(_read_place(fields, area))
-        things.looks.append(
-            {
-                group: fields.choice(group, values, what=f"a {group}")
-                for group, values in ATTRIBUTES.items()
-                if fields.has(group)
-            }
-        )
-        fields.close("name", *ATTRIBUTES)
-    return things
-
-
-def _read_type(fields: Fields, type_names: list[str]) -> int:
-    """Read a type: by any of its names, or any noun, which is known from then on."""
-    name = " ".join(plainly(fields.text("type")).split())
+def _type_index(text: str, type_names: list[str], where: str) -> int:
+    """Find a type by any of its names, or any noun, which is known from then on."""
+    name = " ".join(plainly(text).split())
     name = type_called(name) or name
     if name not in type_names:
         slip = repair(name, is_noun=True)
         if slip is not None:
-            raise fields.fail("type", f"is {name!r}, which looks mistyped. Did you mean {slip!r}?")
+            hint = f"which looks mistyped. Did you mean {slip!r}?"
+            raise ValueError(f"{where}.type is {name!r}, {hint}")
         if not all(is_word(word) for word in name.split()):
-            raise fields.fail("type", f"is {shown(name)} but must be a noun, in plain letters")
+            raise ValueError(f"{where}.type is {shown(name)}, but must be a noun, in plain letters")
         type_names.append(name)
     return type_names.index(name)
 
 
-def _read_goal(
-    fields: Fields,
-    area: Bounds,
-    names: list[str],
-    places: list[Point],
-) -> tuple[Point, int]:
-    """Read the goal: its place, and the slot of its object or NONE."""
-    if fields.has("object"):
-        known = [name for name in names if name]
-        name = fields.choice("object", known, what="the name of an object of this file")
-        fields.close()
-        return places[names.index(name)], names.index(name)
-    if not (fields.has("x") or fields.has("y")):
-        raise fields.fail("object", "is missing: name an object, or give x and y")
-    place = _read_place(fields, area)
-    fields.close("object")
-    return place, NONE
-
-
-def _read_sensor(fields: Fields) -> SensorParams:
-    """Read the detector's specification."""
-    reach = fields.number("range", low=RANGES[0], high=RANGES[1], default=3.0)
-    sensor = SensorParams(
-        range_max=jnp.float32(reach),
-        field_of_view=jnp.float32(
-            math.radians(fields.number("field_of_view", low=_LEAST_VIEW, high=360.0, default=360.0))
-        ),
-        detection_probability=jnp.float32(
-            fields.number("detection_probability", low=SMALLEST, high=1.0, default=0.95)
-        ),
-        noise=jnp.float32(fields.number("noise", low=0.0, high=reach, default=min(0.1, reach))),
-    )
-    fields.close("range", "field_of_view", "detection_probability", "noise")
-    return sensor
-
-
-def _read_motion(fields: Fields) -> MotionParams:
-    """Read the specification of motion and odometry."""
-    motion = MotionParams(
-        step_length=jnp.float32(fields.number("step_length", low=SHORTEST, default=1.0)),
-        odometry_noise=jnp.float32(
-            fields.number("odometry_noise", low=0.0, high=1.0, default=0.02)
-        ),
-        **{
-            name: jnp.float32(math.radians(fields.number(name, low=0.0, high=180.0, default=0.0)))
-            for name in DRIFTS
-        },
-    )
-    fields.close("step_length", "odometry_noise", *DRIFTS)
-    return motion
+def _goal(world: _World, start: _Start, names: list[str]) -> tuple[tuple[float, float], int]:
+    """Find the goal: its place, and the slot of its object or NONE."""
+    goal = world.goal
+    if goal is None:
+        return (start.x, start.y), NONE
+    if goal.x is not None and goal.y is not None:
+        world.area.check("goal", goal.x, goal.y)
+        return (goal.x, goal.y), NONE
+    if goal.object not in names:
+        known = filter(None, names)
+        raise ValueError(
+            no_choice("goal.object", goal.object, known, "the name of an object of this file")
+        )
+    index = names.index(goal.object)
+    return (world.objects[index].x, world.objects[index].y), index
 
 
 def _to_scenario(
-    things: _Things,
-    goal: Point,
+    world: _World,
+    types: list[int],
+    start: _Start,
+    goal: tuple[float, float],
     goal_index: int,
-    start: tuple[float, float, float],
-    area: Bounds,
     num_slots: int,
 ) -> Scenario:
     """Pad the objects to slots."""
-    types = things.types
     num_empty = num_slots - len(types)
-    x, y = np.pad(np.array(things.places, np.float32), ((0, num_empty), (0, 0))).T
-    codes = [attributes(*look.values()) for look in things.looks]
+    places = [(one.x, one.y) for one in world.objects]
+    x, y = np.pad(np.array(places, np.float32), ((0, num_empty), (0, 0))).T
+    codes = [attributes(*one.looks.values()) for one in world.objects]
+    heading = math.radians(start.heading)
     return Scenario(
         object_type=jnp.array([*types, *[NONE] * num_empty], jnp.int32),
         object_x=jnp.asarray(x),
@@ -259,8 +282,8 @@ def _to_scenario(
         is_object=jnp.arange(num_slots) < len(types),
         goal=jnp.array(goal, jnp.float32),
         goal_index=jnp.int32(goal_index),
-        start=jnp.array(start, jnp.float32),
-        area=jnp.array(area, jnp.float32),
+        start=jnp.array([start.x, start.y, heading], jnp.float32),
+        area=jnp.array(structs.astuple(world.area), jnp.float32),
         is_valid=jnp.array(True),
         object_attribute=jnp.array(codes + [0] * num_empty, jnp.int32) if any(codes) else None,
     )

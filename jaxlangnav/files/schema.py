@@ -1,0 +1,161 @@
+"""Validation of documents by schemas: what msgspec complains of becomes one line for people.
+
+A schema is a ``Table``, or any type that msgspec knows. The line says which part does not fit, its
+value, the limit and the remedy: "area.x_max is 3, but must be a number, at least 4".
+"""
+
+import difflib
+import re
+from collections.abc import Iterable
+from typing import Annotated, Any, TypeVar
+
+import msgspec
+from msgspec import Meta, inspect
+
+from jaxlangnav.plain_text import LONGEST_NAME, cut, fault_of_name, printable, shown
+
+T = TypeVar("T")
+Name = Annotated[str, Meta(pattern=r"\S", max_length=LONGEST_NAME)]
+"""A text that stands in lines of ours: the name of a world, of an object in it, of a sweep."""
+Sentence = Annotated[str, Meta(pattern=r"\S", max_length=1000)]
+"""What is said to a robot, or the path of a file."""
+_PART = re.compile(r"\.(\w+)|\[(\d+)\]")
+_LIMITS = (("at least", "ge"), ("above", "gt"), ("at most", "le"), ("below", "lt"))
+_WORDS: dict[type, str] = {
+    inspect.StructType: "a table of keys and values",
+    inspect.DictType: "a table of keys and values",
+    inspect.ListType: "a list",
+    inspect.StrType: "a text that is not empty",
+    inspect.FloatType: "a number",
+    inspect.IntType: "a whole number",
+}
+
+
+class Table(msgspec.Struct, forbid_unknown_fields=True):
+    """A table of a document: of known keys, its texts such that a terminal can show them.
+
+    A subclass that checks more raises a ``ValueError`` whose message begins with the key.
+    """
+
+    def __post_init__(self) -> None:
+        """Refuse texts that would move a terminal's cursor or turn the direction of writing."""
+        for name in self.__struct_fields__:
+            value = getattr(self, name)
+            for text in value if isinstance(value, list) else [value]:
+                if isinstance(text, str) and (fault := fault_of_name(text, longest=len(text))):
+                    raise ValueError(f"{name} {fault}")
+
+
+def convert(document: Any, schema: type[T], *, where: str = "") -> T:
+    """Read a document by its schema.
+
+    Args:
+        document: of JSON's or TOML's types.
+        schema: what it must be.
+        where: the keys that lead to it, such as "sensor"; empty for a whole file.
+
+    Returns:
+        The document as the schema's type.
+
+    Raises:
+        ValueError: the first part that does not fit; one line.
+    """
+    try:
+        return msgspec.convert(document, schema)
+    except msgspec.ValidationError as error:
+        complaint = str(error)
+    try:
+        line = _explain(complaint, document, inspect.type_info(schema), where)
+    except (LookupError, TypeError):  # what looks like a path is a key of odd characters
+        line = complaint
+    raise ValueError(printable(cut(line, 500)))
+
+
+def _explain(complaint: str, value: Any, kind: inspect.Type, where: str) -> str:
+    """Write the line of a complaint about what its path leads to."""
+    problem, _, path = complaint.partition(" - at `$")
+    path = path[:-1]
+    kind = _meant(kind, value)
+    for name, index in _PART.findall(path):
+        value = value[name or int(index)]
+        if isinstance(kind, inspect.StructType):
+            below = next(one.type for one in kind.fields if one.name == name)
+        else:
+            below = kind.item_type if isinstance(kind, inspect.ListType) else inspect.AnyType()
+        kind = _meant(below, value)
+    place = f"{where}{path}".removeprefix(".")
+    inside = f"{place}." if place else ""
+    start, _, rest = problem.partition(" field `")
+    if start == "Object missing required":
+        return f"{inside}{rest[:-1]} is missing: add it"
+    if start == "Object contains unknown" and isinstance(kind, inspect.StructType):
+        return f"{inside}{unknown_key(rest[:-1], (one.name for one in kind.fields))}"
+    if not problem.startswith(("Expected", "Invalid enum", "Number out")):
+        return inside + problem  # of a ``__post_init__``
+    if isinstance(kind, inspect.LiteralType):
+        return no_choice(place, value, map(str, kind.values))
+    return f"{place or 'the file'} {_fault(value, kind)}"
+
+
+def _meant(kind: inspect.Type, value: Any) -> inspect.Type:
+    """Choose of several types the one that a value was meant to have."""
+    if isinstance(kind, inspect.Metadata):
+        kind = kind.type
+    if not isinstance(kind, inspect.UnionType):
+        return kind
+    if isinstance(value, list | dict):
+        wanted = inspect.ListType if isinstance(value, list) else inspect.StructType
+        return next((one for one in kind.types if isinstance(one, wanted)), kind.types[0])
+    return kind.types[0]
+
+
+def _fault(value: Any, kind: inspect.Type) -> str:
+    """Say what a value is and what it must be."""
+    most = getattr(kind, "max_length", None)
+    if isinstance(value, str) and most is not None and len(value) > most:
+        return f"has {len(value)} characters, but must have at most {most}: shorten it"
+    if isinstance(value, list) and isinstance(kind, inspect.ListType):
+        limits = f"{kind.min_length or 0} to {most}" if most else f"at least {kind.min_length}"
+        return f"has {len(value)} entries, but must have {limits}: add or remove"
+    found = ((words, getattr(kind, name, None)) for words, name in _LIMITS)
+    limits = " and ".join(f"{words} {limit:.10g}" for words, limit in found if limit is not None)
+    wanted = _WORDS.get(type(kind), "something else")
+    is_quoted = isinstance(value, str) and isinstance(kind, inspect.FloatType | inspect.IntType)
+    remedy = ": write it without quotes" if is_quoted else ""
+    return f"is {shown(value)}, but must be {wanted}{', ' if limits else ''}{limits}{remedy}"
+
+
+def unknown_key(name: str, known: Iterable[str]) -> str:
+    """Say that a key is unknown, which ones there are, and which may be meant.
+
+    Args:
+        name: the key.
+        known: all that there are.
+    """
+    names = sorted(known)
+    return f"{cut(name)} is unknown: known keys are {', '.join(names)}{closest_choice(name, names)}"
+
+
+def no_choice(name: str, value: Any, choices: Iterable[str], what: str = "one of") -> str:
+    """Say that a value is none of a few words, and which may be meant.
+
+    Args:
+        name: of its key.
+        value: what was written.
+        choices: the words.
+        what: they are.
+    """
+    words = list(choices)
+    known = ", ".join(words) or "none so far"
+    return f"{name} is {shown(value)}, but must be {what}: {known}{closest_choice(value, words)}"
+
+
+def closest_choice(value: Any, choices: Iterable[str]) -> str:
+    """Suggest the closest choice, as in ". Did you mean 'hydrant'?", or nothing.
+
+    Args:
+        value: what was written.
+        choices: what could have been meant.
+    """
+    close = difflib.get_close_matches(cut(str(value)), list(choices), n=1)
+    return f". Did you mean {close[0]!r}?" if close else ""
