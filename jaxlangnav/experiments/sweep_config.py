@@ -41,7 +41,7 @@ from msgspec import Meta, field
 from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, check_policies
 from jaxlangnav.experiments.tasks import SEED_LIMIT, SENTENCES
 from jaxlangnav.files.documents import read_document
-from jaxlangnav.files.schema import Name, Sentence, Table, convert, unknown_key
+from jaxlangnav.files.schema import Name, PlainText, Schema, convert, unknown_key
 from jaxlangnav.files.whole import read_file
 from jaxlangnav.messages import default_sensor
 from jaxlangnav.plain_text import cut
@@ -58,20 +58,20 @@ _Particles = Annotated[int, Meta(ge=2)]
 Choices = dict[str, tuple[float, ...]]
 
 
-class _Command(Table):
-    text: Sentence
+class _Command(Schema):
+    text: PlainText
     relation: Name = "null"
 
 
-class _Sweep(Table):
-    worlds: Sentence | Annotated[list[Sentence], _ANY]
-    commands: Sentence | _Command | Annotated[list[Sentence | _Command], _ANY]
+class _Sweep(Schema):
+    worlds: PlainText | Annotated[list[PlainText], _ANY]
+    commands: PlainText | _Command | Annotated[list[PlainText | _Command], _ANY]
     name: Name = "sweep"
     episodes: Annotated[int, Meta(ge=1)] = 100
     environments: _Seed = 0
     seeds: _Seed | Annotated[list[_Seed], _ANY] = 0
     ranges: float | int | str | Annotated[list[float | int | str], _ANY] = 3
-    policies: Sentence | Annotated[list[Sentence], _ANY] = "informed"
+    policies: PlainText | Annotated[list[PlainText], _ANY] = "informed"
     particles: _Particles | Annotated[list[_Particles], _ANY] = DEFAULT_PARTICLES
     sensor: dict[str, Any] = field(default_factory=dict)
     motion: dict[str, Any] = field(default_factory=dict)

@@ -1,6 +1,6 @@
 """Validation of documents by schemas: what msgspec complains of becomes one line for people.
 
-A schema is a ``Table``, or any type that msgspec knows. The line says which part does not fit, its
+What documents must be is a ``Schema``, or any type that msgspec knows. The line says which part does not fit, its
 value, the limit and the remedy: "area.x_max is 3, but must be a number, at least 4".
 """
 
@@ -14,10 +14,10 @@ from msgspec import Meta, inspect
 
 from jaxlangnav.plain_text import LONGEST_NAME, cut, fault_of_name, printable, shown
 
-T = TypeVar("T")
+_T = TypeVar("_T")
 Name = Annotated[str, Meta(pattern=r"\S", max_length=LONGEST_NAME)]
 """A text that stands in lines of ours: the name of a world, of an object in it, of a sweep."""
-Sentence = Annotated[str, Meta(pattern=r"\S", max_length=1000)]
+PlainText = Annotated[str, Meta(pattern=r"\S", max_length=1000)]
 """What is said to a robot, or the path of a file."""
 _PART = re.compile(r"\.(\w+)|\[(\d+)\]")
 _LIMITS = (("at least", "ge"), ("above", "gt"), ("at most", "le"), ("below", "lt"))
@@ -31,8 +31,8 @@ _WORDS: dict[type, str] = {
 }
 
 
-class Table(msgspec.Struct, forbid_unknown_fields=True):
-    """A table of a document: of known keys, its texts such that a terminal can show them.
+class Schema(msgspec.Struct, forbid_unknown_fields=True):
+    """A schema of a table: of known keys, its texts such that a terminal can show them.
 
     A subclass that checks more raises a ``ValueError`` whose message begins with the key.
     """
@@ -46,7 +46,7 @@ class Table(msgspec.Struct, forbid_unknown_fields=True):
                     raise ValueError(f"{name} {fault}")
 
 
-def convert(document: Any, schema: type[T], *, where: str = "") -> T:
+def convert(document: Any, schema: type[_T], *, where: str = "") -> _T:
     """Read a document by its schema.
 
     Args:

@@ -11,7 +11,7 @@ from msgspec import Meta, field, structs
 
 from jaxlangnav.detections import SLOTS
 from jaxlangnav.files.limits import FARTHEST, RANGES, SHORTEST, SMALLEST
-from jaxlangnav.files.schema import Name, Sentence, Table, convert, no_choice
+from jaxlangnav.files.schema import Name, PlainText, Schema, convert, no_choice
 from jaxlangnav.kinds import ATTRIBUTES, attributes
 from jaxlangnav.language.lexicon import load_lexicon, type_called
 from jaxlangnav.language.spelling import repair
@@ -33,7 +33,7 @@ class WorldFileError(ValueError):
     """A world file cannot be used; the message is one line for the person who wrote it."""
 
 
-class _Area(Table):
+class _Area(Schema):
     x_min: _Place
     x_max: _Place
     y_min: _Place
@@ -57,13 +57,13 @@ class _Area(Table):
                 )
 
 
-class _Start(Table):
+class _Start(Schema):
     x: _Place = 0.0
     y: _Place = 0.0
     heading: Annotated[float, Meta(ge=-360.0, le=360.0)] = 0.0
 
 
-class _Goal(Table):
+class _Goal(Schema):
     object: Name | None = None
     x: _Place | None = None
     y: _Place | None = None
@@ -76,7 +76,7 @@ class _Goal(Table):
         super().__post_init__()
 
 
-class _Object(Table, omit_defaults=True):
+class _Object(Schema, omit_defaults=True):
     type: Name
     x: _Place
     y: _Place
@@ -99,7 +99,7 @@ class _Object(Table, omit_defaults=True):
         return {group: word for group, word in found.items() if word is not None}
 
 
-class _Sensor(Table):
+class _Sensor(Schema):
     range: Annotated[float, Meta(ge=RANGES[0], le=RANGES[1])] = 3.0
     field_of_view: Annotated[float, Meta(ge=0.1, le=360.0)] = 360.0
     detection_probability: Annotated[float, Meta(ge=SMALLEST, le=1.0)] = 0.95
@@ -121,7 +121,7 @@ class _Sensor(Table):
         )
 
 
-class _Motion(Table):
+class _Motion(Schema):
     step_length: Annotated[float, Meta(ge=SHORTEST, le=FARTHEST)] = 1.0
     odometry_noise: _Share = 0.02
     heading_bias: _Drift = 0.0
@@ -139,11 +139,11 @@ class _Motion(Table):
         )
 
 
-class _World(Table):
+class _World(Schema):
     area: _Area
     objects: Annotated[list[_Object], Meta(min_length=1, max_length=MOST_OBJECTS)]
     name: Name | None = None
-    instruction: Sentence | None = None
+    instruction: PlainText | None = None
     start: _Start | None = None
     goal: _Goal | None = None
     sensor: _Sensor = field(default_factory=_Sensor)
