@@ -1,7 +1,8 @@
 """Validation of documents by schemas: what msgspec complains of becomes one line for people.
 
-What documents must be is a ``Schema``, or any type that msgspec knows. The line says which part does not fit, its
-value, the limit and the remedy: "area.x_max is 3, but must be a number, at least 4".
+What a document must be is a ``Schema`` or any other type that msgspec knows. The line says which
+part does not fit, its value, the limit and the remedy, as in "area.x_max is 3, but must be at
+least 4".
 """
 
 import difflib
