@@ -10,7 +10,6 @@ from types import ModuleType
 
 import bench
 import jax
-import jax.numpy as jnp
 import numpy as np
 import numpy_twin
 import pytest
@@ -86,24 +85,6 @@ def test_dynamax_is_near_the_exact_filter() -> None:
     np.testing.assert_allclose(landmarks, exact[:-1], atol=0.05)
 
 
-def test_the_map_solve_is_least_squares() -> None:
-    pytest.importorskip("gtsam")
-    solve = importlib.import_module("gtsam_solve")
-    maps = solve.draw(3)
-    ours = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), maps)
-    mean, covariance = solve.solve(ours)
-    number = solve.NUM_OBJECTS + 1
-    for index in range(3):
-        share = 1.0 / np.append(maps.noise[:, index], solve.PRIOR)
-        rows = np.zeros((len(solve.EDGES) + 1, number))
-        for row, (of, origin) in enumerate(solve.EDGES):
-            rows[row, of], rows[row, origin] = 1.0, -1.0
-        rows[-1, solve.ROBOT] = 1.0
-        values = np.concatenate([maps.offset[:, :, index], maps.robot[None, :, index]])
-        found = np.linalg.lstsq(share[:, None] * rows, share[:, None] * values, rcond=None)[0]
-        np.testing.assert_allclose(mean[:, :, index].T, found, atol=1e-3)
-        exact = np.linalg.inv((share[:, None] * rows).T @ (share[:, None] * rows))
-        np.testing.assert_allclose(covariance[:, :, index], exact, rtol=0.02, atol=1e-6)
 
 
 # ---------------------------------------------------------------- the bench
