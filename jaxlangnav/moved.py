@@ -13,6 +13,7 @@ MOVED = {
     "experiments.figure5": "experiments.paper",
     "experiments.report": "experiments.table",
     "experiments.reliability": "experiments.judging",
+    "studies.unknowns": "experiments.unknowns",
     "experiments.goal_region": "experiments.calibration",
     "grounding.graph": "grounding.symbols",
     "grounding.space": "grounding.correspondence",

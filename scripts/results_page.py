@@ -14,8 +14,7 @@ import ages
 
 from jaxlangnav.experiments.paper import describe_falls
 from jaxlangnav.experiments.table import Table
-from jaxlangnav.experiments.tables import deviations_table
-from jaxlangnav.studies.unknowns_tables import conditions, explained_lines, matrix
+from jaxlangnav.experiments.unknowns import UNKNOWNS
 
 ROOT = ages.ROOT
 PAGE = ROOT / "docs" / "results.md"
@@ -53,7 +52,10 @@ def time_line(document: dict[str, Any]) -> str:
 
 def unknowns_section(document: dict[str, Any]) -> str:
     """Write what the paper leaves open, and what of it explains its figures."""
-    lines = "\n".join(f"- {line}" for line in explained_lines(document))
+    notes = UNKNOWNS.notes(document)
+    rows = len(document["paper"])
+    lines = "\n".join(f"- {line}" for line in notes[:rows])
+    conditions = "\n".join(notes[rows:])
     return f"""## What would explain the paper's figures
 
 `jaxlangnav reproduce unknowns`: the rows of Table 2 for `faithful`, with one thing set otherwise at
@@ -62,9 +64,9 @@ a time that the paper does not print. All figures with their standard errors and
 
 ![Success and distance of every variation beside the paper's](unknowns.png)
 
-{matrix(document).markdown(is_marked=True).rstrip()}
+{UNKNOWNS.tables(document)[0].markdown().rstrip()}
 
-{conditions(document)}
+{conditions}
 
 What would explain each row by itself:
 
@@ -86,7 +88,6 @@ def page(folder: Path, commit: str, kept: str) -> str:
     unknowns = read(folder, "unknowns")
     body = (folder / "table2.md").read_text("utf-8").split("\n", 2)[2].strip()
     figure4 = (folder / "figure4.md").read_text("utf-8").strip().split("\n\n")[-1]
-    far = deviations_table(table2).markdown().rstrip()
     machine = read(folder, "time")["machine"]
     return f"""# Results
 
@@ -104,10 +105,6 @@ CPU threads: {machine["threads"]}. Table 2 took {table2["wall_s"]:.0f} s,
 ![Success and distance of all policies beside the paper's](table2.png)
 
 {body}
-
-How far `faithful` lies from the paper's own rows, in standard errors of both:
-
-{far}
 
 {unknowns_section(unknowns)}
 

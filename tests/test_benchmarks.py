@@ -85,8 +85,6 @@ def test_dynamax_is_near_the_exact_filter() -> None:
     np.testing.assert_allclose(landmarks, exact[:-1], atol=0.05)
 
 
-
-
 # ---------------------------------------------------------------- the bench
 
 

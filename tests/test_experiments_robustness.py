@@ -16,11 +16,8 @@ from jaxlangnav.experiments.dialogue import sentence_with
 from jaxlangnav.experiments.experiment import Options
 from jaxlangnav.experiments.robustness import (
     ROBUSTNESS,
-    Robustness,
     _describe_missed,
     _missed,
-    _robustness_table,
-    _scenarios_table,
 )
 from jaxlangnav.experiments.scenarios import SAID, SCENARIOS, PlaceSpec
 from jaxlangnav.navigator import check, default_params
@@ -142,7 +139,7 @@ def test_what_is_missed_is_said() -> None:
 
 
 def test_tables_say_what_was_told_and_what_was_true() -> None:
-    listed = {line[0]: line for line in _scenarios_table(document([row("plain")])).rows}
+    listed = {line[0]: line for line in ROBUSTNESS.tables(document([row("plain")]))[1].rows}
     assert listed["plain"][4] == "no"
     assert listed["labels 10 %, not told"][3:] == [
         "range 3 m, wrong labels 10 %",
@@ -154,7 +151,7 @@ def test_tables_say_what_was_told_and_what_was_true() -> None:
         "no",
         "concentration 2, clumping 0, misleading 0.01",
     ]
-    cells = _robustness_table(document([row("false sentence")])).rows[0]
+    cells = ROBUSTNESS.tables(document([row("false sentence")]))[0].rows[0]
     assert "≥ 99, ≤ 45 m" in cells
     assert "0.020 (0.030)" in cells
 
@@ -187,7 +184,6 @@ def test_the_sweep_that_knows_other_worlds_takes_no_part() -> None:
 def test_a_small_suite_from_end_to_end(tmp_path: Path) -> None:
     names = ("plain", "ghosts 10 %", "labels 10 %, not told", "no hydrant", "14 bystanders")
     suite = dataclasses.replace(ROBUSTNESS, specs=tuple(BY_NAME[name] for name in names))
-    assert isinstance(suite, Robustness)
     options = Options(episodes=12, policies=("informed", "frontier", "known"))
     done: list[int] = []
     found = suite.run(options, out=tmp_path, on_progress=done.append)

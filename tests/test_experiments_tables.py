@@ -1,6 +1,7 @@
 """Tables for people: every figure where it belongs, ours beside the paper's."""
 
 import base64
+import dataclasses
 import io
 import re
 from html.parser import HTMLParser
@@ -12,7 +13,7 @@ import pytest
 from rich.console import Console
 
 from jaxlangnav.experiments import paper, tables
-from jaxlangnav.experiments.experiment import Experiment, Options
+from jaxlangnav.experiments.experiment import Options
 from jaxlangnav.experiments.rows import RowSpec, describe_noise, printed_rows
 from jaxlangnav.experiments.table import Section, Table, _data_uri, _render_report, write_report
 from jaxlangnav.world.templates import TABLE_2
@@ -76,9 +77,8 @@ def test_cells_by_hand() -> None:
 
 def test_the_paper_stands_beside_what_it_ran() -> None:
     """Its method beside both of ours, its known map beside ours, nothing beside other robots."""
-    paper = printed_rows(TABLE_2)[5]
     beside = {
-        name: tables._cells(row(policy=name), paper)[5:10:2]
+        name: tables.results_table(document(row(policy=name))).rows[0][5:10:2]
         for name in ("informed", "faithful", "arc", "known")
     }
     known = "10.38 (1.86)"
@@ -94,7 +94,7 @@ def test_policies_of_a_row_stand_together() -> None:
         row(policy="known"),
         row(world="1H1C", relation=None, policy="known"),
     ]
-    order = [(one["world"], one["policy"]) for one, _ in tables._paired_rows(document(*rows))]
+    order = [(one["world"], one["policy"]) for one in tables.beside_paper(document(*rows))]
     assert order == [
         ("2H1C", "faithful"),
         ("2H1C", "known"),
@@ -130,7 +130,7 @@ def test_the_terminal_table_fits_and_says_the_noise() -> None:
 
 def test_the_caption_counts_each_way_to_go_wrong() -> None:
     one = row(overflows=3, degenerate=2, contradictions=5, faults=4, invalid_worlds=1)
-    text = " ".join(tables.caption(document(one, row(policy="informed", contradictions=2))).split())
+    text = " ".join(tables.caption(document(one, row(policy="informed", contradictions=2))))
     assert "left out: 1; detections without a slot: 3; steps with all weights dead: 2" in text
     assert "contradicts the map: 7, at which it stood still for what cannot be: 4." in text
 
@@ -141,7 +141,7 @@ def test_falls_are_found() -> None:
         row(range=3.0, success_rate=78.0, success_ci=[73.0, 83.0]),
         row(range=5.0, success_rate=60.0, success_ci=[55.0, 65.0]),
     ]
-    found = paper._falls({"rows": rows[::-1]})
+    found = paper._falls(rows[::-1])
     assert [(one["range"], one["from"], one["to"]) for one in found] == [(5.0, 78.0, 60.0)]
 
 
@@ -164,7 +164,7 @@ def test_an_experiment_and_its_files(tmp_path: Path) -> None:
         RowSpec(world="1H1C", range=3.0, relation="null"),
         RowSpec(world="2H1C", range=5.0, relation="nearest"),
     )
-    experiment = Experiment(name="small", title="Small", specs=specs)
+    experiment = dataclasses.replace(TABLE, name="small", specs=specs, calibration_episodes=0)
     done: list[int] = []
     options = Options(episodes=20, policies=["known", "frontier"], seed=3)
     found = experiment.run(options, out=tmp_path, on_progress=done.append)
@@ -261,7 +261,6 @@ def test_cells_are_text_unless_they_are_marked() -> None:
     assert "| 2H\\|1C |" in TABLE_TABLE.markdown()
     bold = Table(headings=["a"], rows=[["**1**"]])
     assert bold.markdown() == "| a |\n| --- |\n| \\*\\*1\\*\\* |\n"
-    assert bold.markdown(is_marked=True) == "| a |\n| --- |\n| **1** |\n"
     assert "&lt;b&gt;" in Table(headings=["<b>"], rows=[["x"]]).html()
 
 

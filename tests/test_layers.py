@@ -53,7 +53,6 @@ LAYERS = (
     "recorder",
     "experiments",
     "task",
-    "studies",
     "viz",
     "environments",
     "robots",

@@ -17,7 +17,7 @@ from jaxlangnav.cli.runtime import progress_bar, waiting
 from jaxlangnav.cli.settings import apply
 from jaxlangnav.cli.study import Settings, Study, draw_figures, told
 from jaxlangnav.episode import MAX_STEPS
-from jaxlangnav.experiments import paper, robustness
+from jaxlangnav.experiments import paper, robustness, unknowns
 from jaxlangnav.experiments.archive import manifest
 from jaxlangnav.experiments.experiment import Experiment, Options
 from jaxlangnav.experiments.policies import navigator_config
@@ -25,7 +25,6 @@ from jaxlangnav.experiments.sizes import check_recording
 from jaxlangnav.experiments.table import write_report
 from jaxlangnav.grounding.weights import load_shipped
 from jaxlangnav.messages import default_motion, default_sensor
-from jaxlangnav.studies import unknowns
 
 _SPLITS = 8
 """Random splits of Table 1, as in the paper; ``jaxlangnav evaluate`` takes any number."""

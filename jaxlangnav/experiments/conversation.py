@@ -7,6 +7,7 @@ Table 2, which the paper leaves to future work.
 import dataclasses
 import math
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from jaxlangnav.experiments.dialogue import Exchange, converse, sentence_with
 from jaxlangnav.experiments.metrics import wilson_interval
 from jaxlangnav.experiments.monte_carlo import OnProgress
 from jaxlangnav.experiments.policies import navigator_config
-from jaxlangnav.experiments.table import Table
+from jaxlangnav.experiments.table import Columns, Document, Table
 from jaxlangnav.experiments.tasks import cell, make_tasks
 from jaxlangnav.files.whole import write_text
 from jaxlangnav.navigator import NavigatorParams
@@ -168,41 +169,32 @@ NOTE = (
 )
 
 
-def _counted(ratio: float | None, number: int) -> str:
-    """Write a ratio with the number of episodes that it is of."""
-    return "" if ratio is None else f"{ratio:.2f} ({number})"
+def _counted(which: str) -> Callable[[dict[str, Any]], str]:
+    """Write a corrected way with the number of episodes that it is of."""
+
+    def cell(row: dict[str, Any]) -> str:
+        ratio = row[f"corrected_way_{which}"]
+        return "" if ratio is None else f"{ratio:.2f} ({row[f'corrected_{which}']})"
+
+    return cell
 
 
-def dialogue_table(document: dict[str, Any]) -> Table:
-    """Lay out the rows.
+_COLUMNS: Columns = (
+    ("world", "{world}"),
+    ("drawn for", "{relation}"),
+    ("said", "{said}"),
+    ("question costs",
+     lambda row: "" if row["question_cost"] is None else f"{row['question_cost']:g}"),
+    ("success %", "{success:.1f}"),
+    ("walked m", "{distance:.2f}"),
+    ("questions", "{questions:.2f}"),
+    ("corrections", "{corrections:.2f}"),
+    ("corrected way, seen", _counted("seen")),
+    ("unseen", _counted("unseen")),
+    ("weighted %", "{weighted:.1f}"),
+)  # fmt: skip
 
-    Args:
-        document: of ``run_rows``.
 
-    Returns:
-        The table.
-    """
-
-    def text(value: float | None, form: str) -> str:
-        return "" if value is None else format(value, form)
-
-    rows = [
-        [
-            row["world"],
-            row["relation"],
-            row["said"],
-            text(row["question_cost"], "g"),
-            f"{row['success']:.1f}",
-            f"{row['distance']:.2f}",
-            f"{row['questions']:.2f}",
-            f"{row['corrections']:.2f}",
-            _counted(row["corrected_way_seen"], row["corrected_seen"]),
-            _counted(row["corrected_way_unseen"], row["corrected_unseen"]),
-            f"{row['weighted']:.1f}",
-        ]
-        for row in document["rows"]
-    ]
-    headings = ["world", "drawn for", "said", "question costs", "success %", "walked m",
-                "questions", "corrections", "corrected way, seen", "unseen",
-                "weighted %"]  # fmt: skip
-    return Table(headings=headings, rows=rows, title=HEADING, caption=NOTE)
+def dialogue_table(document: Document) -> Table:
+    """Lay out the rows of ``run_rows``."""
+    return Table.of(document["rows"], _COLUMNS, title=HEADING, caption=NOTE)

@@ -1,4 +1,4 @@
-"""An experiment of the paper: rows for every arm, a document, its tables, its files (4.2)."""
+"""An experiment made of episodes, as one record: rows for every arm, tables, files (4.2)."""
 
 import dataclasses
 import time
@@ -10,21 +10,16 @@ import jax
 import numpy as np
 import pyarrow as pa
 
+from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.experiments.archive import CompileClock, pytree_hash, write_experiment
 from jaxlangnav.experiments.calibration import Tally, scores
 from jaxlangnav.experiments.grid import Arm, Grid, Played, Row, policy_arm, run_grid
 from jaxlangnav.experiments.judging import bin_sums, tally_tasks
 from jaxlangnav.experiments.monte_carlo import OnProgress
 from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, POLICY_NAMES, check_policies
-from jaxlangnav.experiments.rows import RowSpec, bound_rows, describe_noise, printed_rows
+from jaxlangnav.experiments.rows import RowSpec, describe_noise, printed_rows
 from jaxlangnav.experiments.sizes import check_count, check_engine, result_bytes, task_bytes
-from jaxlangnav.experiments.table import Table
-from jaxlangnav.experiments.tables import (
-    caption,
-    deviations_table,
-    results_table,
-    terminal_table,
-)
+from jaxlangnav.experiments.table import Document, Table
 from jaxlangnav.experiments.tasks import SENTENCES, GroundedSentences, ground_sentences, take_tasks
 from jaxlangnav.messages import MotionParams, SensorParams
 from jaxlangnav.navigator import NavigatorParams, check
@@ -55,45 +50,37 @@ class Options:
     """The odometry, of which the belief is told; the default one if None."""
 
 
+def _policy_arms(options: Options) -> list[Arm]:
+    """Build an arm for each policy, in the order of their names."""
+    numbers: dict[str, Any] = {
+        name: getattr(options, name) for name in ("num_particles", "params", "motion")
+    }
+    return [policy_arm(policy, **numbers) for policy in check_policies(options.policies)]
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Experiment:
-    """What is run, how it is told, and under which name it is written."""
+    """What is run, what is measured of it, how it is told, and under which name it is written."""
 
     name: str
     title: str
     specs: tuple[RowSpec, ...]
+    tables: Callable[[Document], list[Table]]
+    """Lays out a document; the terminal draws the first of them."""
+    notes: Callable[[Document], list[str]]
+    """What stands beneath: what the tables show, and what they were measured under."""
     lead: str = ""
     """What it is and what to see in it, for people."""
-    remark: Callable[[Mapping[str, Any]], str] | None = None
-    """Says beneath the table what its rows show."""
+    arms: Callable[[Options], list[Arm]] = _policy_arms
+    """What is compared: at least one arm; refuses an unknown policy."""
+    measure: Callable[[Row, RowSpec, EpisodeResult, EpisodeResult], Row] = lambda *_: {}
+    """What a row holds besides: from the row, which one it is, its episodes and the first arm's."""
+    found: Callable[[Sequence[Row], Options], Row] = lambda *_: {}
+    """What the document holds besides the rows."""
     calibration_episodes: int = 0
     """Episodes of a row in which every step's belief is held against the truth."""
     sentences: Mapping[str, str] = dataclasses.field(default_factory=lambda: SENTENCES)
     """What is said, by the name that a row has for it."""
-    fold: str = ""
-    """What to click on the page of results to see the table; it is open where empty."""
-
-    def arms(self, options: Options) -> list[Arm]:
-        """Build what is compared: the policies, in the order of their names.
-
-        Args:
-            options: of the run.
-
-        Returns:
-            At least one.
-
-        Raises:
-            ValueError: an unknown policy.
-        """
-        return [
-            policy_arm(
-                policy,
-                num_particles=options.num_particles,
-                params=options.params,
-                motion=options.motion,
-            )
-            for policy in check_policies(options.policies)
-        ]
 
     def total_episodes(self, options: Options) -> int:
         """Count the runs of all rows and arms."""
@@ -164,9 +151,18 @@ class Experiment:
                 first = first or played
                 rows += self.rows(played, first, self._judged(played, sentences, on_progress))
                 parts.append(pa.table(played.columns()))
-        document = self._settings(options, arms) | {
+        document = {
+            "experiment": self.name,
+            "episodes": options.episodes,
+            "environments": options.environments,
+            "policies": list(dict.fromkeys(arm.policy for arm in arms)),
+            "seed": options.seed,
+            "num_particles": options.num_particles,
+            "calibration_episodes": min(options.episodes, self.calibration_episodes),
+            "sentences": dict(self.sentences),
+            "noise": describe_noise(options.sensor, options.motion),
             "rows": rows,
-            "paper": self.printed(),
+            "paper": printed_rows([row for row in TABLE_2 if RowSpec.of(row) in self.specs]),
             **self.found(rows, options),
             "wall_s": time.perf_counter() - begin,
             "compile_s": clock.seconds,
@@ -182,7 +178,7 @@ class Experiment:
         return document
 
     def rows(self, played: Played, first: Played, judged: Sequence[Row]) -> list[Row]:
-        """Summarise what an arm did.
+        """Summarise what an arm did, one row a setting: its episodes, its scores, ``measure``.
 
         Args:
             played: the arm's episodes.
@@ -192,60 +188,24 @@ class Experiment:
         Returns:
             One per row.
         """
-        del first
+        rows = []
         listed = zip(played.rows(), self.specs, judged, strict=True)
-        return [row | spec.heading() | scored for row, spec, scored in listed]
+        for place, (row, spec, scored) in enumerate(listed):
+            row = row | spec.heading() | scored
+            episodes = (one.of_setting(place)[0] for one in (played, first))
+            rows.append(row | self.measure(row, spec, *episodes))
+        return rows
 
-    def printed(self) -> list[Row]:
-        """List those of the rows that the paper prints."""
-        return printed_rows([row for row in TABLE_2 if _spec(row) in self.specs])
+    def markdown(self, document: Document) -> str:
+        """Write heading, tables and notes in Markdown."""
+        tables = "\n".join(one.markdown() for one in self.tables(document))
+        return f"# {self.title}\n\n{tables}\n" + "\n".join(self.notes(document)) + "\n"
 
-    def found(self, rows: Sequence[Row], options: Options) -> dict[str, Any]:
-        """Work out what else stands in the document: the limits of every row.
-
-        Args:
-            rows: of all arms.
-            options: of the run.
-
-        Returns:
-            Entries of the document.
-        """
-        del rows, options
-        return {"bounds": bound_rows(self.specs)}
-
-    def tables(self, document: Mapping[str, Any]) -> list[Table]:
-        """Lay out the tables for the page of results, ours beside the paper's."""
-        compared = deviations_table(document)
-        return [results_table(document, fold=self.fold), *([compared] if compared.rows else [])]
-
-    def notes(self, document: Mapping[str, Any]) -> list[str]:
-        """Say beneath the tables what they show and what they were measured under."""
-        remark = [self.remark(document)] if self.remark else []
-        return [*remark, *caption(document).splitlines()]
-
-    def markdown(self, document: Mapping[str, Any]) -> str:
-        """Write heading, table, remark and conditions in Markdown."""
-        remark = f"{self.remark(document)}\n\n" if self.remark else ""
-        table = results_table(document).markdown()
-        return f"# {self.title}\n\n{table}\n{remark}{caption(document)}\n"
-
-    def render(self, document: Mapping[str, Any]) -> Any:
-        """Draw the table for the terminal, with rich."""
-        return terminal_table(document, title=self.title).text()
-
-    def _settings(self, options: Options, arms: Sequence[Arm]) -> dict[str, Any]:
-        """Say under what the rows ran."""
-        return {
-            "experiment": self.name,
-            "episodes": options.episodes,
-            "environments": options.environments,
-            "policies": list(dict.fromkeys(arm.policy for arm in arms)),
-            "seed": options.seed,
-            "num_particles": options.num_particles,
-            "calibration_episodes": min(options.episodes, self.calibration_episodes),
-            "sentences": dict(self.sentences),
-            "noise": describe_noise(options.sensor, options.motion),
-        }
+    def render(self, document: Document) -> Any:
+        """Draw the first table and the notes for the terminal, with rich."""
+        notes = "\n".join(self.notes(document))
+        first = self.tables(document)[0]
+        return dataclasses.replace(first, title=self.title, caption=notes).text()
 
     def _judged(
         self, played: Played, sentences: GroundedSentences, on_progress: OnProgress | None
@@ -284,8 +244,3 @@ def _check_episodes(episodes: int, *, rows: int, kept: int) -> int:
     each = 2 * (task_bytes() + kept * (result_bytes() + _NAMES))
     check_count("episodes", episodes, each=rows * each, beside=f"{rows} rows run {kept} times")
     return episodes
-
-
-def _spec(row: Any) -> RowSpec:
-    """Take from a printed row which one it is."""
-    return RowSpec(world=row.world, range=row.range, relation=row.relation)

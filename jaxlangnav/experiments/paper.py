@@ -8,12 +8,14 @@ numbers, so where Table 2 prints a row of the same world, relation and range, it
 """
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
-from jaxlangnav.experiments.experiment import Experiment, Options
+from jaxlangnav.experiments.experiment import Experiment
 from jaxlangnav.experiments.grid import Row
-from jaxlangnav.experiments.rows import PRINTED, RowSpec
+from jaxlangnav.experiments.rows import PRINTED, RowSpec, bound_rows
+from jaxlangnav.experiments.table import Document, Table
+from jaxlangnav.experiments.tables import caption, deviations_table, results_table
 from jaxlangnav.world.templates import parse_template
 
 SENSING_RANGES = (2.0, 3.0, 5.0, 10.0, 15.0, 20.0)
@@ -26,14 +28,6 @@ _LEAD_FIGURE5 = (
     "curves that use it end at the known map's (section 4.2). The printed figure states no "
     "numbers; where Table 2 prints a row of the same world, command and range, it is drawn."
 )
-
-
-class Figure5(Experiment):
-    """Both commands at every range; a world is the same at every range."""
-
-    def found(self, rows: Sequence[Row], options: Options) -> dict[str, Any]:
-        """Add ``falls``: where success is lower than at the range before, intervals apart."""
-        return super().found(rows, options) | {"falls": _falls({"rows": rows})}
 
 
 def figure_5(worlds: Sequence[str] = _WORLDS, ranges: Sequence[float] = ()) -> Experiment:
@@ -57,24 +51,31 @@ def figure_5(worlds: Sequence[str] = _WORLDS, ranges: Sequence[float] = ()) -> E
         for relation in _RELATIONS
         for sensing_range in sorted(set(ranges)) or SENSING_RANGES
     ]
-    return Figure5(
+    return Experiment(
         name="figure5",
         title="Figure 5: distance and success against the sensing range",
         lead=_LEAD_FIGURE5,
         specs=tuple(specs),
-        remark=describe_falls,
-        fold="All numbers",
+        found=lambda rows, _: {"bounds": bound_rows(specs), "falls": _falls(rows)},
+        tables=lambda document: _tables(document, fold="All numbers"),
+        notes=lambda document: [describe_falls(document), *caption(document)],
     )
 
 
-def _falls(document: Mapping[str, Any]) -> list[dict[str, Any]]:
+def _tables(document: Document, *, fold: str = "") -> list[Table]:
+    """Lay out the results, and how far our reading of the paper's method lies from its rows."""
+    compared = deviations_table(document)
+    return [results_table(document, fold=fold), *([compared] if compared.rows else [])]
+
+
+def _falls(rows: Sequence[Row]) -> list[Row]:
     """Find where success falls as the range grows: the intervals of neighbours do not meet."""
-    curves: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
-    for row in document["rows"]:
+    curves: dict[tuple[Any, ...], list[Row]] = {}
+    for row in rows:
         curves.setdefault((row["world"], row["relation"], row["policy"]), []).append(row)
     found = []
-    for (world, relation, policy), rows in curves.items():
-        ordered = sorted(rows, key=lambda row: row["range"])
+    for (world, relation, policy), curve in curves.items():
+        ordered = sorted(curve, key=lambda row: row["range"])
         for before, after in itertools.pairwise(ordered):
             if after["success_ci"][1] < before["success_ci"][0]:
                 found.append(
@@ -90,7 +91,7 @@ def _falls(document: Mapping[str, Any]) -> list[dict[str, Any]]:
     return found
 
 
-def describe_falls(document: Mapping[str, Any]) -> str:
+def describe_falls(document: Document) -> str:
     """Say in words where success falls.
 
     Args:
@@ -102,7 +103,7 @@ def describe_falls(document: Mapping[str, Any]) -> str:
     lines = [
         f"{one['policy']}, {one['world']} {one['relation']}: success falls from "
         f"{one['from']:.1f} % to {one['to']:.1f} % at {one['range']:g} m."
-        for one in _falls(document)
+        for one in _falls(document["rows"])
     ]
     return "\n".join(lines) or "Success nowhere falls beyond its intervals as the range grows."
 
@@ -138,15 +139,19 @@ def table_2(*, extra: bool = False, ranges: Sequence[float] = ()) -> Experiment:
     """
     printed = [(row.world, row.range, row.relation) for row in PRINTED]
     reaches = sorted(set(ranges))
+    specs = tuple(
+        RowSpec(world=world, range=reach, relation=relation)
+        for world, own, relation in [*printed, *(EXTRA if extra else ())]
+        for reach in reaches or [own]
+    )
+    remark = describe_falls if len(reaches) > 1 else None
     return Experiment(
         name="table2",
         title="Table 2: ours beside the paper's",
         lead=_LEAD,
-        specs=tuple(
-            RowSpec(world=world, range=reach, relation=relation)
-            for world, own, relation in [*printed, *(EXTRA if extra else ())]
-            for reach in reaches or [own]
-        ),
-        remark=describe_falls if len(reaches) > 1 else None,
+        specs=specs,
         calibration_episodes=CALIBRATION_EPISODES,
+        found=lambda *_: {"bounds": bound_rows(specs)},
+        tables=_tables,
+        notes=lambda document: [*([remark(document)] if remark else []), *caption(document)],
     )

@@ -26,6 +26,11 @@ class RowSpec:
     relation: str
     """A key of ``SENTENCES``."""
 
+    @classmethod
+    def of(cls, printed: TableRow) -> "RowSpec":
+        """Take from a printed row which one it is."""
+        return cls(world=printed.world, range=printed.range, relation=printed.relation)
+
     def heading(self) -> Row:
         """Say which row it is in a document; a command without a relation has None."""
         relation = None if self.relation == "null" else self.relation
@@ -56,7 +61,7 @@ class RowSpec:
         return Setting(cell=dataclasses.replace(mine, environments=environments), told=told)
 
 
-PRINTED = tuple(RowSpec(world=one.world, range=one.range, relation=one.relation) for one in TABLE_2)
+PRINTED = tuple(RowSpec.of(one) for one in TABLE_2)
 """The rows of Table 2, in the paper's order."""
 
 
@@ -70,7 +75,7 @@ def printed_rows(printed: Sequence[TableRow]) -> list[Row]:
         One per row.
     """
     return [
-        RowSpec(world=row.world, range=row.range, relation=row.relation).heading()
+        RowSpec.of(row).heading()
         | {
             "policy": "paper",
             "success_rate": row.success_ours,

@@ -2,7 +2,7 @@
 
 import dataclasses
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.experiments.metrics import compare, summarize, timeouts_text
 from jaxlangnav.experiments.shards import ShardError, read_shard
 from jaxlangnav.experiments.sweep_folder import files_there, identity, read_manifest
-from jaxlangnav.experiments.table import Document, Table
+from jaxlangnav.experiments.table import SUCCESS, Columns, Document, Table
 
 __all__ = ["render", "summarize_directory", "summary_markdown"]
 
@@ -93,17 +93,9 @@ def _is_of_arm(name: str) -> bool:
 
 def _group(table: pa.Table, names: Sequence[str]) -> list[tuple[dict[str, Any], pa.Table]]:
     """Split a table by the values of some columns, in the order in which they appear."""
-    codes = np.zeros(table.num_rows, np.int64)
-    for name in names:
-        column = table[name].combine_chunks().dictionary_encode(null_encoding="encode")
-        index = column.indices.to_numpy(zero_copy_only=False).astype(np.int64)
-        codes = np.unique(codes * (len(column.dictionary) + 1) + index, return_inverse=True)[1]
-    groups = []
-    _, firsts = np.unique(codes, return_index=True)
-    for first in sorted(firsts):
-        part = table.filter(pa.array(codes == codes[first]))
-        groups.append(({name: table[name][int(first)].as_py() for name in names}, part))
-    return groups
+    numbered = table.append_column("row", pa.array(range(table.num_rows)))
+    found = numbered.group_by(names, use_threads=False).aggregate([("row", "list")]).to_pylist()
+    return [({name: one[name] for name in names}, table.take(one["row_list"])) for one in found]
 
 
 def _metrics(table: pa.Table) -> dict[str, Any]:
@@ -119,78 +111,84 @@ def _metrics(table: pa.Table) -> dict[str, Any]:
 
 
 def _comparisons(arms: list[tuple[dict[str, Any], pa.Table]]) -> list[dict[str, Any]]:
-    """Compare the arms of one setting in pairs."""
+    """Compare the arms of one setting in pairs, over the valid episodes that both ran."""
     pairs = list(itertools.combinations(arms, 2))
     if len(arms) > _MOST_PAIRS:
         pairs = [(arms[0], other) for other in arms[1:]]
     found = []
-    for (first, first_table), (second, second_table) in pairs:
-        a, b = _common(first_table, second_table)
-        if not a.num_rows:
-            continue
-        comparison = compare(
-            a["is_success"].to_numpy(),
-            b["is_success"].to_numpy(),
-            a["distance"].to_numpy(),
-            b["distance"].to_numpy(),
+    for (first, *one), (second, *two) in pairs:
+        a, b = (
+            table.filter(table["is_valid"]).select([*_PAIR, "is_success", "distance"])
+            for table in (*one, *two)
         )
-        found.append({"first": first, "second": second, **dataclasses.asdict(comparison)})
+        both = a.join(b, keys=[*_PAIR], join_type="inner", right_suffix=" 2")
+        both = both.sort_by([(name, "ascending") for name in _PAIR])
+        if both.num_rows:
+            names = ("is_success", "is_success 2", "distance", "distance 2")
+            comparison = compare(*(both[name].to_numpy() for name in names))
+            found.append({"first": first, "second": second, **dataclasses.asdict(comparison)})
     return found
 
 
-def _common(first: pa.Table, second: pa.Table) -> tuple[pa.Table, pa.Table]:
-    """Keep the valid episodes that both tables hold, in the same order."""
-    parts = []
-    for table in (first, second):
-        table = table.filter(table["is_valid"])
-        keys = np.stack([table[name].to_numpy() for name in _PAIR], axis=1)
-        parts.append((table, {tuple(key): index for index, key in enumerate(keys.tolist())}))
-    (one, one_keys), (two, two_keys) = parts
-    shared = sorted(one_keys.keys() & two_keys.keys())
-    return (
-        one.take(pa.array([one_keys[key] for key in shared], pa.int64())),
-        two.take(pa.array([two_keys[key] for key in shared], pa.int64())),
-    )
-
-
 _ALWAYS = ("world", "relation", "range", "policy")
-_RESULTS = ("Episodes", "Success % (95 %)", "Distance m (σ)", "Known m", "SPL", "Time-outs")
-_TESTS = ("Pairs", "Only 1st, 2nd", "p", "Distance, 2nd − 1st m (95 %)", "p")
+_RESULTS: Columns = (
+    ("Episodes", "{episodes}"),
+    ("Success % (95 %)", SUCCESS),
+    ("Distance m (σ)", "{distance_mean:.2f} ({distance_sd:.2f})"),
+    ("Known m", "{known_distance_mean:.2f}"),
+    ("SPL", "{spl:.2f}"),
+    ("Time-outs", timeouts_text),
+)
+_TESTS: Columns = (
+    ("Pairs", "{pairs}"),
+    ("Only 1st, 2nd", "{success_only_first}, {success_only_second}"),
+    ("p", "{success_p:.3g}"),
+    ("Distance, 2nd − 1st m (95 %)",
+     "{distance_difference:+.2f} ({distance_ci[0]:+.2f} to {distance_ci[1]:+.2f})"),
+    ("p", "{distance_p:.3g}"),
+)  # fmt: skip
+_METHOD = (
+    "Pairs ran the same world with the same noise. Success: exact McNemar test. Distance: mean "
+    "difference, sign-flip permutation test."
+)
 
 
-def _rows_table(document: Document) -> Table:
-    """Lay out the rows of a summary."""
-    names = _names(document)
-    cells = [
-        [*(_text(row[name]) for name in names), *_result_cells(row)] for row in document["rows"]
-    ]
-    return Table(
-        headings=[*names, *_RESULTS], rows=cells, title=document["name"], caption=_state(document)
-    )
+def _tables(document: Document) -> list[Table]:
+    """Lay out the rows of a summary, and the paired tests if there are any."""
+    varied, row, tests = document["varied"], document["rows"][0], document["comparisons"]
+    shown = [name for name in row if name in _ALWAYS or (name in varied and name != "command")]
 
+    def text(value: Any) -> str:
+        if value is None:
+            return "-"
+        return f"{value:g}" if isinstance(value, float) else str(value)
 
-def _comparisons_table(document: Document) -> Table:
-    """Lay out the paired tests of a summary."""
-    comparisons = document["comparisons"]
-    names = [name for name in _names(document) if comparisons and name in comparisons[0]]
-    cells = []
-    for one in comparisons:
-        low, high = one["distance_ci"]
-        first, second = (_arm(one[side], document["varied"]) for side in ("first", "second"))
-        cells.append(
-            [
-                *(_text(one[name]) for name in names),
-                first,
-                second,
-                str(one["pairs"]),
-                f"{one['success_only_first']}, {one['success_only_second']}",
-                f"{one['success_p']:.3g}",
-                f"{one['distance_difference']:+.2f} ({low:+.2f} to {high:+.2f})",
-                f"{one['distance_p']:.3g}",
-            ]
-        )
-    headings = [*names, "1st", "2nd", *_TESTS]
-    return Table(headings=headings, rows=cells, title="Paired tests", caption=_METHOD)
+    def values(names: Iterable[str]) -> Columns:
+        return [(name, lambda row, name=name: text(row[name])) for name in names]
+
+    def arm(row: dict[str, Any]) -> str:
+        extra = [
+            f"{name.split('.')[-1]} {text(value)}"
+            for name, value in row.items()
+            if name != "policy" and name in varied and value is not None
+        ]
+        return " ".join([row["policy"], *extra])
+
+    missing = f"; {document['missing']} files are still missing" if document["missing"] else ""
+    if document["damaged"]:
+        missing += f", {len(document['damaged'])} of them because they are damaged"
+    state = f"{document['episodes']} episodes in {document['files']} files{missing}."
+    columns = [*values(shown), *_RESULTS]
+    tables = [Table.of(document["rows"], columns, title=document["name"], caption=state)]
+    if tests:
+        sides: Columns = [
+            (heading, lambda row, side=side: arm(row[side]))
+            for heading, side in (("1st", "first"), ("2nd", "second"))
+        ]
+        of_setting = values(name for name in shown if name in tests[0])
+        columns = [*of_setting, *sides, *_TESTS]
+        tables.append(Table.of(tests, columns, title="Paired tests", caption=_METHOD))
+    return tables
 
 
 def summary_markdown(document: Document) -> str:
@@ -202,18 +200,11 @@ def summary_markdown(document: Document) -> str:
     Returns:
         Heading, rows, paired tests.
     """
-    rows = _rows_table(document)
+    rows, *tests = _tables(document)
     parts = [f"# {plain_text.markdown(rows.title)}", rows.caption, rows.markdown().rstrip()]
-    if document["comparisons"]:
-        tests = _comparisons_table(document)
-        parts += [f"## {tests.title}", tests.markdown().rstrip(), tests.caption]
+    for one in tests:
+        parts += [f"## {one.title}", one.markdown().rstrip(), one.caption]
     return "\n\n".join(parts) + "\n"
-
-
-_METHOD = (
-    "Pairs ran the same world with the same noise. Success: exact McNemar test. Distance: mean "
-    "difference, sign-flip permutation test."
-)
 
 
 def render(document: Document) -> Any:
@@ -227,55 +218,4 @@ def render(document: Document) -> Any:
     """
     from rich.console import Group
 
-    tables = [_rows_table(document)]
-    if document["comparisons"]:
-        tables.append(_comparisons_table(document))
-    return Group(*(one.text() for one in tables))
-
-
-def _names(document: Document) -> list[str]:
-    """Choose the columns worth showing, in the order of the files."""
-    row = document["rows"][0]
-    return [
-        name
-        for name in row
-        if name in _ALWAYS or (name in document["varied"] and name != "command")
-    ]
-
-
-def _arm(arm: dict[str, Any], varied: Sequence[str]) -> str:
-    """Name an arm by its policy and whatever else varies."""
-    extra = [
-        f"{name.split('.')[-1]} {_text(value)}"
-        for name, value in arm.items()
-        if name != "policy" and name in varied and value is not None
-    ]
-    return " ".join([arm["policy"], *extra])
-
-
-def _result_cells(row: dict[str, Any]) -> list[str]:
-    """Write the results of one row."""
-    low, high = row["success_ci"]
-    return [
-        str(row["episodes"]),
-        f"{row['success_rate']:.1f} ({low:.1f}-{high:.1f})",
-        f"{row['distance_mean']:.2f} ({row['distance_sd']:.2f})",
-        f"{row['known_distance_mean']:.2f}",
-        f"{row['spl']:.2f}",
-        timeouts_text(row),
-    ]
-
-
-def _text(value: Any) -> str:
-    """Write a value of a column."""
-    if value is None:
-        return "-"
-    return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _state(document: Document) -> str:
-    """Say how much of the sweep is there."""
-    missing = f"; {document['missing']} files are still missing" if document["missing"] else ""
-    if document["damaged"]:
-        missing += f", {len(document['damaged'])} of them because they are damaged"
-    return f"{document['episodes']} episodes in {document['files']} files{missing}."
+    return Group(*(one.text() for one in _tables(document)))

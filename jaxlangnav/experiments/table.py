@@ -4,7 +4,7 @@ import base64
 import dataclasses
 import html
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,6 +17,10 @@ if TYPE_CHECKING:
 
 Document = Mapping[str, Any]
 """What a command or an experiment found, in JSON's own types."""
+Columns = Sequence[tuple[str, str | Callable[[Any], str]]]
+"""Headings of a table, each with what writes its cells; see ``Table.of``."""
+SUCCESS = "{success_rate:.1f} ({success_ci[0]:.1f}-{success_ci[1]:.1f})"
+"""Writes the success of a row with its 95 % interval, percent."""
 _NUMBER = re.compile(r"[≤≥<>+−-]? ?\d[\d.,]*([\s%*e-]|$)")
 
 
@@ -35,25 +39,41 @@ class Table:
     """Which rows the terminal draws dim; none by default. So are columns of the paper's."""
     fold: str = ""
     """What to click on a page to see it; it is open where empty."""
+    screen: "Table | None" = None
+    """What a terminal, which has less room, draws in its place: other headings and cells."""
 
-    def markdown(self, *, is_marked: bool = False) -> str:
-        """Write the table in Markdown, without title and caption.
+    @classmethod
+    def of(cls, rows: Iterable[Mapping[str, Any]], columns: "Columns", **rest: Any) -> "Table":
+        """Lay out records, a line each.
 
         Args:
-            is_marked: whether the cells are Markdown already.
+            rows: of a document.
+            columns: heading of each column, and what writes its cell: a format such as
+                "{distance_mean:.2f}", or a function of the row.
+            **rest: the table's other fields.
 
         Returns:
-            Lines, each ended.
+            The table.
         """
-        if not is_marked:
-            return plain_text.markdown_table(self.headings, self.rows)
-        lines = [self.headings, ["---"] * len(self.headings), *self.rows]
-        return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+        cells = [
+            [one.format_map(row) if isinstance(one, str) else one(row) for _, one in columns]
+            for row in rows
+        ]
+        return cls(headings=[heading for heading, _ in columns], rows=cells, **rest)
+
+    def markdown(self) -> str:
+        """Write the table in Markdown, without title and caption: lines, each ended."""
+        return plain_text.markdown_table(self.headings, self.rows)
 
     def text(self) -> "rich.table.Table":
         """Draw the table for the terminal."""
         from rich.table import Table as Drawn
 
+        if self.screen is not None:
+            small = self.screen
+            return dataclasses.replace(
+                self, headings=small.headings, rows=small.rows, screen=None
+            ).text()
         drawn = Drawn(title=self.title or None, caption=self.caption or None,
                       caption_justify="left")  # fmt: skip
         for place, heading in enumerate(self.headings):

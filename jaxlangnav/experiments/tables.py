@@ -1,82 +1,91 @@
-"""Tables of rows: ours beside the paper's and the limits (section 4.2)."""
+"""The tables of the paper's experiments: ours beside the printed rows and the limits (4.2)."""
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from jaxlangnav.experiments.grid import Row
 from jaxlangnav.experiments.metrics import timeouts_text
 from jaxlangnav.experiments.policies import KNOWLEDGE
 from jaxlangnav.experiments.rows import AGREEMENT, deviations, row_key
-from jaxlangnav.experiments.table import Table
+from jaxlangnav.experiments.table import SUCCESS, Columns, Document, Table
 from jaxlangnav.planner.config import POLICIES
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 
-HEADINGS = (
-    "World",
-    "Range m",
-    "Relation",
-    "Policy",
-    "Success % (95 %)",
-    "paper",
-    "Distance m (σ)",
-    "paper (σ)",
-    "Known m (σ)",
-    "paper (σ)",
-    "SPL",
-    "Time-outs",
-    "ECE",
-    "Brier",
-    "90 % region",
+
+def _beside(name: str, form: str) -> Callable[[Row], str]:
+    """Write a record that stands in a row, where there is one."""
+    return lambda row: form.format_map(row[name]) if row[name] else ""
+
+
+def _score(name: str, form: str) -> Callable[[Row], str]:
+    """Write a score of calibration; a policy without a belief has none."""
+    return lambda row: "" if row.get(name) is None else format(row[name], form)
+
+
+_WAY = "{distance_mean:.2f} ({distance_sd:.2f})"
+_KNOWN = "{known_distance_mean:.2f} ({known_distance_sd:.2f})"
+_ROW: Columns = (
+    ("World", "{world}"),
+    ("Range m", "{range:g}"),
+    ("Relation", lambda row: row["relation"] or "null"),
 )
-TERMINAL_HEADINGS = (
-    "\nWorld",
-    "\nm",
-    "\nRelation",
-    "\nPolicy",
-    "Success\n%",
-    "\n95 %",
-    "paper\n%",
-    "Distance\nm (σ)",
-    "paper\nm",
-    "Known\nm (σ)",
-    "\nSPL",
-    "Time-\nouts",
+_COLUMNS: Columns = (
+    *_ROW,
+    ("Policy", "{policy}"),
+    ("Success % (95 %)", SUCCESS),
+    ("paper", _beside("same", "{success_rate:.1f}")),
+    ("Distance m (σ)", _WAY),
+    ("paper (σ)", _beside("same", _WAY)),
+    ("Known m (σ)", _KNOWN),
+    ("paper (σ)", _beside("paper", _KNOWN)),
+    ("SPL", "{spl:.2f}"),
+    ("Time-outs", timeouts_text),
+    ("ECE", _score("ece", ".3f")),
+    ("Brier", _score("brier", ".3f")),
+    ("90 % region", _score("coverage90", ".0f")),
 )
+_SCREEN: Columns = (
+    ("\nWorld", "{world}"),
+    ("\nm", "{range:g}"),
+    ("\nRelation", lambda row: row["relation"] or "null"),
+    ("\nPolicy", "{policy}"),
+    ("Success\n%", "{success_rate:.1f}"),
+    ("\n95 %", "{success_ci[0]:.0f}-{success_ci[1]:.0f}"),
+    ("paper\n%", _beside("same", "{success_rate:.1f}")),
+    ("Distance\nm (σ)", _WAY),
+    ("paper\nm", _beside("same", "{distance_mean:.2f}")),
+    ("Known\nm (σ)", _KNOWN),
+    ("\nSPL", "{spl:.2f}"),
+    ("Time-\nouts", timeouts_text),
+)
+"""Narrow enough for a terminal of a hundred columns."""
 
 
-def _cells(row: Row, paper: Row | None) -> list[str]:
-    """Write one row's cells."""
-    low, high = row["success_ci"]
-    ours = _printed_of(row["policy"], paper)
-    return [
-        row["world"],
-        f"{row['range']:g}",
-        row["relation"] or "null",
-        row["policy"],
-        f"{row['success_rate']:.1f} ({low:.1f}-{high:.1f})",
-        f"{ours['success_rate']:.1f}" if ours else "",
-        _with_sd(row, "distance"),
-        _with_sd(ours, "distance") if ours else "",
-        _with_sd(row, "known_distance"),
-        _with_sd(paper, "known_distance") if paper else "",
-        f"{row['spl']:.2f}",
-        timeouts_text(row),
-        _score(row, "ece", ".3f"),
-        _score(row, "brier", ".3f"),
-        _score(row, "coverage90", ".0f"),
-    ]
+def beside_paper(document: Document) -> list[Row]:
+    """Set each of our rows beside the printed one; by row, then by policy.
 
+    Args:
+        document: with ``rows`` and perhaps ``paper``.
 
-def _printed_of(policy: str, paper: Row | None) -> Row | None:
-    """Take what the paper prints for a policy, success and distance; None where it has none."""
-    if paper is None or policy in POLICIES:
-        return paper
-    if policy != "known":
-        return None
-    names = ("success_rate", "distance_mean", "distance_sd")
-    return {name: paper[f"known_{name}"] for name in names}
+    Returns:
+        Our rows with ``paper``, the printed row, and ``same``, what it prints for the policy, None
+        where there is none. The paper's method stands beside ours and beside our reading of it, its
+        known map beside ours; it ran no other.
+    """
+    printed = {row_key(row): row for row in document.get("paper", [])}
+    order = list(dict.fromkeys(row_key(row) for row in document["rows"]))
+    found = []
+    for row in sorted(document["rows"], key=lambda row: order.index(row_key(row))):
+        paper, same = printed.get(row_key(row)), None
+        if paper is not None and row["policy"] in POLICIES:
+            same = paper
+        elif paper is not None and row["policy"] == "known":
+            names = ("success_rate", "distance_mean", "distance_sd")
+            same = {name: paper[f"known_{name}"] for name in names}
+        found.append(row | {"paper": paper, "same": same})
+    return found
 
 
 def least_distance(bound: Mapping[str, Any]) -> float:
@@ -91,21 +100,14 @@ def least_distance(bound: Mapping[str, Any]) -> float:
     return bound["search_law"] or max(0.0, bound["known"] - SUCCESS_RADIUS)
 
 
-def _limit_cells(bound: Row) -> list[str]:
-    """Write the limits of a row, which no policy can pass."""
-    texts = dict.fromkeys(range(len(HEADINGS)), "")
-    texts |= {
-        0: bound["world"],
-        1: f"{bound['range']:g}",
-        2: bound["relation"] or "null",
-        3: "limit",
-        4: f"≤ {bound['success']:.0f}",
-        6: f"≥ {least_distance(bound):.2f}",
-    }
-    return list(texts.values())
+def _limit_cells(bound: Row, columns: Columns, distance: int) -> list[str]:
+    """Write the limits of a row, which no policy can pass; the distance stands in its column."""
+    line = [*Table.of([bound], _ROW).rows[0], "limit", f"≤ {bound['success']:.0f}"]
+    texts = {distance: f"≥ {least_distance(bound):.2f}"}
+    return [*line, *(texts.get(place, "") for place in range(len(line), len(columns)))]
 
 
-def results_table(document: Mapping[str, Any], *, fold: str = "") -> Table:
+def results_table(document: Document, *, fold: str = "") -> Table:
     """Lay out all lines of a table: every row's policies, then its limits.
 
     Args:
@@ -113,83 +115,36 @@ def results_table(document: Mapping[str, Any], *, fold: str = "") -> Table:
         fold: what to click on a page to see it.
 
     Returns:
-        The table, of ``HEADINGS``; each row of the paper's is a block.
+        The table; each row of the paper's is a block.
     """
     limits = {row_key(bound): bound for bound in document.get("bounds", [])}
-    firsts, lines = [], []
-    for key, pairs in itertools.groupby(_paired_rows(document), key=lambda pair: row_key(pair[0])):
-        mine = [_cells(*pair) for pair in pairs]
-        if key in limits:
-            mine.append(_limit_cells(limits[key]))
-        firsts += [index == 0 for index in range(len(mine))]
-        lines += mine
-    return Table(headings=HEADINGS, rows=lines, firsts=firsts, fold=fold)
-
-
-def terminal_table(document: Mapping[str, Any], *, title: str) -> Table:
-    """Lay out a document's rows narrow enough for a terminal, conditions beneath.
-
-    Args:
-        document: with ``rows`` and perhaps ``paper`` and ``bounds``.
-        title: above the table.
-
-    Returns:
-        The table, of ``TERMINAL_HEADINGS``.
-    """
-    wide = results_table(document)
+    firsts: list[bool] = []
+    wide, small = Table.of([], _COLUMNS), Table.of([], _SCREEN)
+    lines: list[list[Sequence[str]]] = [[], []]
+    for key, mine in itertools.groupby(beside_paper(document), key=row_key):
+        rows, begun = list(mine), len(lines[0])
+        for into, columns, distance in zip(lines, (_COLUMNS, _SCREEN), (6, 7), strict=True):
+            into += Table.of(rows, columns).rows
+            into += [_limit_cells(limits[key], columns, distance)] if key in limits else []
+        firsts += [place == 0 for place in range(len(lines[0]) - begun)]
     return Table(
-        headings=TERMINAL_HEADINGS,
-        rows=[_terminal_cells(texts) for texts in wide.rows],
-        title=title,
-        caption=caption(document),
-        firsts=wide.firsts,
-        faint=[texts[3] == "limit" for texts in wide.rows],
+        headings=wide.headings,
+        rows=lines[0],
+        firsts=firsts,
+        faint=[line[3] == "limit" for line in lines[0]],
+        fold=fold,
+        screen=Table(headings=small.headings, rows=lines[1]),
     )
 
 
-def _score(row: Row, name: str, form: str) -> str:
-    """Write a score of calibration; a policy without a belief has none."""
-    value = row.get(name)
-    return "" if value is None else format(value, form)
-
-
-def _with_sd(row: Row, name: str) -> str:
-    """Write a mean with its standard deviation."""
-    return f"{row[f'{name}_mean']:.2f} ({row[f'{name}_sd']:.2f})"
-
-
-def _paired_rows(document: Mapping[str, Any]) -> list[tuple[Row, Row | None]]:
-    """Set each of our rows beside the printed one; by row, then by policy."""
-    printed = {row_key(row): row for row in document.get("paper", [])}
-    order = list(dict.fromkeys(row_key(row) for row in document["rows"]))
-    rows = sorted(document["rows"], key=lambda row: order.index(row_key(row)))
-    return [(row, printed.get(row_key(row))) for row in rows]
-
-
-def _terminal_cells(texts: Sequence[str]) -> list[str]:
-    """Write one row's cells for the terminal, narrow enough for a hundred columns."""
-    rate, _, interval = texts[4].partition(" (")
-    ends = [f"{float(end):.0f}" for end in interval.rstrip(")").split("-") if end]
-    return [
-        *texts[:4],
-        rate if ends else texts[4],
-        "-".join(ends),
-        texts[5],
-        texts[6],
-        texts[7].split(" ")[0],
-        texts[8],
-        *texts[10:12],
-    ]
-
-
-def caption(document: Mapping[str, Any]) -> str:
+def caption(document: Document) -> list[str]:
     """Say under what conditions a table was measured.
 
     Args:
         document: of an experiment.
 
     Returns:
-        Lines of plain text.
+        Lines of plain text, what the limits are of among them.
     """
     noise = document["noise"]
     worlds = document.get("environments", 0)
@@ -218,12 +173,7 @@ def caption(document: Mapping[str, Any]) -> str:
             "90 % region holds the goal."
         )
     lines += [f"{name}: {KNOWLEDGE[name]}." for name in document["policies"]]
-    return "\n".join([*lines, *_of_limits(document.get("bounds", []))])
-
-
-def _of_limits(bounds: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Say what the limits of the table are of; nothing where it has none."""
-    lines = []
+    bounds = document.get("bounds", [])
     if bounds:
         lines.append(
             "limit: with the map unknown, the highest success rate and the least mean way of a "
@@ -243,30 +193,34 @@ def _of_limits(bounds: Sequence[Mapping[str, Any]]) -> list[str]:
     return lines
 
 
-def deviations_table(document: Mapping[str, Any], policy: str = "faithful") -> Table:
-    """Say row by row how far a policy lies from the paper's own rows.
+_DEVIATIONS: Columns = (
+    *_ROW,
+    ("faithful − paper: success", "{success:+.1f}"),
+    ("in s. e.", "{far[success]:+.1f}"),
+    ("distance m", "{distance:+.2f}"),
+    ("in s. e.", "{far[distance]:+.1f}"),
+    ("within 2 s. e. of both",
+     lambda row: "yes" if max(abs(one) for one in row["far"].values()) <= AGREEMENT else "no"),
+)  # fmt: skip
+
+
+def deviations_table(document: Document) -> Table:
+    """Say row by row how far ``faithful`` lies from the paper's own rows.
 
     Args:
         document: with ``rows`` and ``paper``.
-        policy: the one that should agree with "Ours" of the paper.
 
     Returns:
         A line for each of its rows that the paper prints.
     """
-    headings = ["World", "Range m", "Relation", f"{policy} − paper: success", "in s. e."]
-    headings += ["distance m", "in s. e.", "within 2 s. e. of both"]
-    lines = []
-    for row, paper in _paired_rows(document):
-        if row["policy"] == policy and paper is not None:
-            far = deviations(row, paper)
-            lines.append(
-                [
-                    *_cells(row, paper)[:3],
-                    f"{row['success_rate'] - paper['success_rate']:+.1f}",
-                    f"{far['success']:+.1f}",
-                    f"{row['distance_mean'] - paper['distance_mean']:+.2f}",
-                    f"{far['distance']:+.1f}",
-                    "yes" if max(abs(one) for one in far.values()) <= AGREEMENT else "no",
-                ]
-            )
-    return Table(headings=headings, rows=lines)
+    rows = [
+        row
+        | {
+            "far": deviations(row, row["paper"]),
+            "success": row["success_rate"] - row["paper"]["success_rate"],
+            "distance": row["distance_mean"] - row["paper"]["distance_mean"],
+        }
+        for row in beside_paper(document)
+        if row["policy"] == "faithful" and row["paper"]
+    ]
+    return Table.of(rows, _DEVIATIONS)

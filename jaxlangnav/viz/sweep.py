@@ -11,7 +11,7 @@ from jaxlangnav.experiments.grid import Row
 from jaxlangnav.experiments.metrics import wilson_interval
 from jaxlangnav.experiments.robustness import ECE_TARGET, ROBUSTNESS
 from jaxlangnav.experiments.rows import AGREEMENT, PAPER_RUNS, rate_error
-from jaxlangnav.studies.unknowns_tables import TITLE, row_name
+from jaxlangnav.experiments.unknowns import UNKNOWNS, row_name
 from jaxlangnav.viz import style
 
 if TYPE_CHECKING:
@@ -302,7 +302,7 @@ def unknowns_figure(document: Mapping[str, Any]) -> "Figure":
     """Draw every variation beside the printed figures: success above, distance below.
 
     Args:
-        document: of ``studies.unknowns``.
+        document: of ``experiments.unknowns``.
 
     Returns:
         The figure: a column for each row of Table 2, a line for each variation. A band spans two
@@ -337,7 +337,7 @@ def unknowns_figure(document: Mapping[str, Any]) -> "Figure":
             _label(line[0], fits)
         style.title(
             figure,
-            TITLE,
+            UNKNOWNS.title,
             f"{document['policy']}, {document['episodes']} episodes a point, bars ± {AGREEMENT:g} "
             f"standard errors. Band: the paper's figure ± {AGREEMENT:g} standard errors of "
             f"{PAPER_RUNS} runs. Filled green: they agree.",

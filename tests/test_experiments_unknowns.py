@@ -1,19 +1,20 @@
 """The study of what the paper leaves open: what is varied, how it is judged, how it is told."""
 
 import dataclasses
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from jaxlangnav.episode import Task
+from jaxlangnav.experiments import unknowns
 from jaxlangnav.experiments.experiment import Options
 from jaxlangnav.experiments.grid import Grid
 from jaxlangnav.experiments.rows import PRINTED as SPECS
 from jaxlangnav.experiments.rows import RowSpec, printed_rows
+from jaxlangnav.experiments.unknowns import UNKNOWNS, VARIATIONS, Variation, _turned
 from jaxlangnav.navigator import check
-from jaxlangnav.studies import unknowns, unknowns_tables
-from jaxlangnav.studies.unknowns import VARIATIONS, Variation, _turned
 from jaxlangnav.viz import sweep as picture
 from jaxlangnav.world.templates import TABLE_2
 
@@ -42,7 +43,7 @@ def test_each_variation_sets_one_thing_and_the_first_one_none() -> None:
         assert arm.config is not None
         check(params, policy=arm.config.planner.chosen)
     assert len({(one.unknown, one.value) for one in VARIATIONS}) == len(VARIATIONS)
-    assert unknowns.UNKNOWNS.total_episodes(Options(episodes=10)) == 70 * len(VARIATIONS)
+    assert UNKNOWNS.total_episodes(Options(episodes=10)) == 70 * len(VARIATIONS)
 
 
 def test_only_sizes_compile_anew() -> None:
@@ -93,6 +94,7 @@ def test_variations_share_worlds_and_keys() -> None:
 def document() -> dict[str, Any]:
     """Two variations by hand: the second has the paper's own figures but for 1H1C null."""
     rows = []
+    episodes: Any = SimpleNamespace(is_valid=np.zeros(1, bool))
     for one in (VARIATIONS[0], VARIATIONS[2]):
         for index, paper in enumerate(PRINTED):
             is_off = one is VARIATIONS[0] or index == 0
@@ -102,15 +104,14 @@ def document() -> dict[str, Any]:
                 "distance_sd": 20.0,
                 "success_rate": paper["success_rate"],
                 "distance_mean": paper["distance_mean"] + 30.0 * is_off,
-                "paired": {"distance_difference": -30.0, "distance_ci": [-31.0, -29.0]},
             }  # fmt: skip
-            rows.append(row | unknowns._against_paper(row, paper))
+            measured = unknowns._measure(row, SPECS[index], episodes, episodes)
+            pair = {"distance_difference": -30.0, "distance_ci": [-31.0, -29.0]}
+            rows.append(row | measured | {"paired": pair})
     return {
-        "policy": "faithful", "episodes": 400, "seed": 3000, "num_particles": 64,
+        "episodes": 400, "seed": 3000, "num_particles": 64,
         "noise": {"field_of_view": 2 * np.pi, "detection_probability": 0.95, "step_length": 1.0},
-        "ours": unknowns._settings(OPTIONS), "paper": PRINTED, "rows": rows,
-        "variations": [unknowns._fit(one, rows) for one in (VARIATIONS[0], VARIATIONS[2])],
-        "explained": [unknowns._explained(index, rows) for index in range(7)],
+        "paper": PRINTED, "rows": rows, **UNKNOWNS.found(rows, OPTIONS),
     }  # fmt: skip
 
 
@@ -124,7 +125,7 @@ def test_what_explains_a_row_by_hand() -> None:
     assert found["explained"][0]["both"] == []
     assert found["explained"][0]["success"] == ["field of view 90°"]
     assert found["explained"][3]["both"] == ["field of view 90°"]
-    lines = unknowns_tables.explained_lines(found)
+    lines = UNKNOWNS.notes(found)
     assert lines[0].startswith("1H1C null: nothing explains both figures (success is near as it is")
     assert "distance by none" in lines[0]
     assert lines[3] == "1H2C behind: explained by field of view 90°."
@@ -132,20 +133,20 @@ def test_what_explains_a_row_by_hand() -> None:
 
 def test_tables_by_hand() -> None:
     found = document()
-    table = unknowns_tables.matrix(found)
+    table, whole = UNKNOWNS.tables(found)
     headings, lines = table.headings, table.rows
     assert headings[2:5] == ["1H1C null", "1H1C behind", "1H2C null"]
     assert lines[0][2:4] == ["93.9 · 16.8", "98.3 · 13.4"]
-    assert lines[2][:4] == ["field of view", "90°", "**93.9** · 46.8", "**98.3** · **13.4**"]
+    assert lines[2][:4] == ["field of view", "90°", "93.9* · 46.8", "98.3* · 13.4*"]
     assert lines[2][-2] == "6 of 7"
-    long = unknowns_tables.long_table(found).rows
+    long = whole.rows
     assert len(long) == 14
     assert long[1][:8] == [
         "1H1C", "3", "null", "field of view", "90°", "93.9 ± 1.2", "93.9", "+0.0",
     ]  # fmt: skip
     assert long[0][11] == ""
     assert long[1][11] == "-30.00 (-31.00 to -29.00)"
-    text = unknowns_tables.unknowns_markdown(found)
+    text = UNKNOWNS.markdown(found)
     assert "γ 0.8; 64 particles; τ 0.7; α 0.3; reach 1.2 m" in text
     assert "left out: 14" in text
 
@@ -166,7 +167,9 @@ def test_every_variation_is_a_point_of_every_panel() -> None:
 def test_the_study_runs_and_is_paired(tmp_path) -> None:
     done: list[int] = []
     chosen = [VARIATIONS[0], VARIATIONS[2], VARIATIONS[-1]]
-    experiment = dataclasses.replace(unknowns.UNKNOWNS, variations=chosen)
+    experiment = dataclasses.replace(
+        UNKNOWNS, arms=lambda options: [one.arm(options) for one in chosen]
+    )
     options = Options(episodes=6, seed=3000)
     found = experiment.run(options, out=tmp_path, on_progress=done.append)
     assert sum(done) == 3 * 7 * 6

@@ -1,1 +1,0 @@
-"""Studies: one file per question that a page of results asks."""
