@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.conversation import Conversation, Joined, excluding, seen_from
+from jaxlangnav.conversation import Joined, excluding, seen_from
 from jaxlangnav.language.halting import Act
 from jaxlangnav.messages import NONE, Status, Told
 from jaxlangnav.navigator import NavigatorState
@@ -96,7 +96,9 @@ def tell(state: NavigatorState, joined: Joined, pose: Array, *, how: How) -> Nav
     if how is How.APPEND:
         left = state.instruction.num_clauses - state.clause
         return _arranged(told, joined, pose, jnp.maximum(left, 0))
-    return _looking_again(told)
+    # There is news of the map: take up again a search that has ended without a goal.
+    lacks = (told.status == Status.NOT_FOUND) | (told.status == Status.WHICH_ONE)
+    return replace(told, status=jnp.where(lacks, int(Status.SEARCHING), told.status))
 
 
 def _told(told: Told, joined: Joined, pose: Array) -> Told:
@@ -172,12 +174,6 @@ def _under_way(state: NavigatorState) -> NavigatorState:
     )
 
 
-def _looking_again(state: NavigatorState) -> NavigatorState:
-    """Take up a search again that has ended without a goal: there is news of the map."""
-    lacks = (state.status == Status.NOT_FOUND) | (state.status == Status.WHICH_ONE)
-    return replace(state, status=jnp.where(lacks, int(Status.SEARCHING), state.status))
-
-
 def rule_out(state: NavigatorState, slots: Array) -> NavigatorState:
     """Take observed slots not to be what the present command is about, and go on.
 
@@ -192,13 +188,9 @@ def rule_out(state: NavigatorState, slots: Array) -> NavigatorState:
     """
     talk = excluding(state.talk, state.clause, slots)
     belief = replace(state.belief, must_ground=jnp.asarray(True))
-    return _under_way(replace(state, belief=belief, talk=_forgetting(talk)))
-
-
-def _forgetting(talk: Conversation) -> Conversation:
-    """Forget what is being approached where it has been ruled out."""
     is_out = (talk.ruled_out & _slot_bit(talk.approached)) != 0
-    return replace(talk, approached=jnp.where(is_out, NONE, talk.approached))
+    talk = replace(talk, approached=jnp.where(is_out, NONE, talk.approached))
+    return _under_way(replace(state, belief=belief, talk=talk))
 
 
 def _slot_bit(slot: Array) -> Array:

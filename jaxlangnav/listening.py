@@ -188,7 +188,8 @@ class Listener:
             after = _tell(state, joined, pose, how=How.INFORM)
             return after, Heard(text=text, kind=kind, notes=notes + _dropped(state, after))
         how = How.REPLACE
-        if said.kind == Kind.ADDITION and self._has_more(state):
+        has_more = int(state.instruction.num_clauses) > 0 and not bool(state.is_done)
+        if said.kind == Kind.ADDITION and has_more:
             how = How.APPEND
             self._check_room(state, grounded, text)
             if spoken.steps:
@@ -254,10 +255,6 @@ class Listener:
         """Look up the type of an observed slot, as the weightiest particle has it."""
         best = int(np.argmax(np.asarray(state.belief.log_weight)))
         return int(np.asarray(state.belief.particles.object_type)[slot, best])
-
-    def _has_more(self, state: NavigatorState) -> bool:
-        """Tell whether the robot has a task that is not at its end."""
-        return int(state.instruction.num_clauses) > 0 and not bool(state.is_done)
 
     def _check_room(self, state: NavigatorState, grounded: Grounded, text: str) -> None:
         """Refuse more commands than are held."""

@@ -33,12 +33,18 @@ class _Moved(importlib.abc.MetaPathFinder, importlib.abc.Loader):
     ) -> importlib.machinery.ModuleSpec | None:
         """Know the old names."""
         del path, target
-        is_moved = fullname.removeprefix("jaxlangnav.") in MOVED
-        return importlib.machinery.ModuleSpec(fullname, self) if is_moved else None
+        name = fullname.removeprefix("jaxlangnav.")
+        # A package of which all modules have moved is found too, empty.
+        is_parent = any(old.startswith(f"{name}.") for old in MOVED)
+        if name not in MOVED and not is_parent:
+            return None
+        return importlib.machinery.ModuleSpec(fullname, self, is_package=is_parent)
 
     def exec_module(self, module: ModuleType) -> None:
         """Take over what the new module defines."""
         old = module.__name__
+        if old.removeprefix("jaxlangnav.") not in MOVED:
+            return
         new = f"jaxlangnav.{MOVED[old.removeprefix('jaxlangnav.')]}"
         warnings.warn(f"{old} is now {new}", DeprecationWarning, stacklevel=2)
         names = vars(importlib.import_module(new))

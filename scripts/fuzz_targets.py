@@ -19,8 +19,8 @@ from jaxlangnav.cli.arguments import Runnable
 from jaxlangnav.cli.output import Output, write_document
 from jaxlangnav.experiments.shards import Shard, ShardError, read_shard, write_shard
 from jaxlangnav.experiments.summary import render, summarize_directory, summary_markdown
+from jaxlangnav.experiments.sweep import MANIFEST, identity, read_manifest
 from jaxlangnav.experiments.sweep_config import read_config
-from jaxlangnav.experiments.sweep_folder import MANIFEST, identity, read_manifest
 from jaxlangnav.grounding import AnnotationGrounder, Context
 from jaxlangnav.grounding.weights import SHIPPED_WEIGHTS, load
 from jaxlangnav.language.corpus import CorpusError, read_corpus

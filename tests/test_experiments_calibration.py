@@ -23,7 +23,7 @@ from jaxlangnav.experiments.calibration import (
     nothing,
     scores,
 )
-from jaxlangnav.experiments.judging import bin_sums, curve, pooled, run_judged, tally_tasks
+from jaxlangnav.experiments.judging import bin_sums, curve, pooled, run_judged
 from jaxlangnav.experiments.metrics import wilson_interval
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.tasks import SENTENCES, cell, ground_sentences, make_tasks
@@ -256,19 +256,12 @@ def test_kernel_bandwidth_is_that_of_the_density() -> None:
 
 
 @pytest.mark.slow
-def test_episodes_judged_as_they_run_are_those_judged_apart() -> None:
+def test_every_step_of_an_episode_is_judged_once() -> None:
     sentences = ground_sentences([SENTENCES["behind"]])
     tasks = make_tasks(cell("1H1C", "behind", 0, 3.0, 40, 5))
     given: Any = {"params": default_params(), "config": navigator_config("informed", 16)}
     results, found = run_judged(tasks, sentences.instructions, **given)
-    apart = tally_tasks(tasks, sentences.instructions, **given)
     np.testing.assert_array_equal(found.steps.sum(axis=1), results.steps)
-    # Two programs may round differently, and then an episode goes another way.
-    same = (found.steps == apart.steps).all(axis=1)
-    assert same.mean() > 0.8
-    np.testing.assert_allclose(
-        found.planner.probability[same], apart.planner.probability[same], atol=1e-2
-    )
     assert results.is_success.mean() > 0.8
 
 

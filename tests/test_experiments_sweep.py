@@ -18,7 +18,7 @@ import pytest
 
 from jaxlangnav.cli import main as cli
 from jaxlangnav.episode import begin
-from jaxlangnav.experiments import sizes, summary, sweep, sweep_folder
+from jaxlangnav.experiments import sizes, summary, sweep
 from jaxlangnav.experiments.experiment import _check_episodes
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.rows import RowSpec
@@ -468,20 +468,20 @@ def test_a_folder_of_nothing_sound_is_refused(
     undisturbed: tuple[SweepConfig, Path], tmp_path: Path
 ) -> None:
     _, whole = undisturbed
-    manifest = (whole / sweep_folder.MANIFEST).read_text()
-    (tmp_path / sweep_folder.MANIFEST).write_text(manifest)
+    manifest = (whole / sweep.MANIFEST).read_text()
+    (tmp_path / sweep.MANIFEST).write_text(manifest)
     with pytest.raises(ValueError, match="holds no episodes yet"):
         summary.summarize_directory(tmp_path)
     name = "episodes-000000.parquet"
     shutil.copy(whole / name, tmp_path)
     # A manifest that says otherwise is that of another sweep.
-    (tmp_path / sweep_folder.MANIFEST).write_text(manifest.replace('"rows": ', '"rows": 1'))
+    (tmp_path / sweep.MANIFEST).write_text(manifest.replace('"rows": ', '"rows": 1'))
     with pytest.raises(
         ValueError, match=f"no sound episodes: .*{name} is of another sweep, or of another version"
     ):
         summary.summarize_directory(tmp_path)
     for text in ("", "{", "[]", "{}", '{"settings": {"files": "x"}}', "[" * 100_000, manifest[:99]):
-        (tmp_path / sweep_folder.MANIFEST).write_text(text)
+        (tmp_path / sweep.MANIFEST).write_text(text)
         with pytest.raises(ValueError, match="is not the manifest of a sweep, or is damaged"):
             summary.summarize_directory(tmp_path)
 

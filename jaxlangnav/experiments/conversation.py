@@ -18,7 +18,7 @@ from jaxlangnav.experiments.dialogue import Exchange, converse, sentence_with
 from jaxlangnav.experiments.metrics import wilson_interval
 from jaxlangnav.experiments.monte_carlo import OnProgress
 from jaxlangnav.experiments.policies import navigator_config
-from jaxlangnav.experiments.table import Columns, Document, Table
+from jaxlangnav.experiments.table import Document, Table, TableColumns
 from jaxlangnav.experiments.tasks import cell, make_tasks
 from jaxlangnav.files.whole import write_text
 from jaxlangnav.navigator import NavigatorParams
@@ -179,7 +179,7 @@ def _counted(which: str) -> Callable[[dict[str, Any]], str]:
     return cell
 
 
-_COLUMNS: Columns = (
+_COLUMNS: TableColumns = (
     ("world", "{world}"),
     ("drawn for", "{relation}"),
     ("said", "{said}"),

@@ -14,7 +14,7 @@ from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.experiments.archive import CompileClock, pytree_hash, write_experiment
 from jaxlangnav.experiments.calibration import Tally, scores
 from jaxlangnav.experiments.grid import Arm, Grid, Played, Row, policy_arm, run_grid
-from jaxlangnav.experiments.judging import bin_sums, tally_tasks
+from jaxlangnav.experiments.judging import bin_sums, run_judged
 from jaxlangnav.experiments.monte_carlo import OnProgress
 from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, POLICY_NAMES, check_policies
 from jaxlangnav.experiments.rows import RowSpec, describe_noise, printed_rows
@@ -219,7 +219,7 @@ class Experiment:
             nothing = {"ece": None, "brier": None, "coverage90": None, "reliability": None}
             return [dict(nothing) for _ in self.specs]
         firsts = each * np.arange(len(self.specs))
-        tally = tally_tasks(
+        _, tally = run_judged(
             take_tasks(played.tasks, (firsts[:, None] + np.arange(judged)).ravel()),
             sentences.instructions,
             params=arm.params,

@@ -1,14 +1,11 @@
 """Episodes that are judged step by step as they run (``calibration``)."""
 
-import functools
 import operator
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, TypeAlias
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array
 
 from jaxlangnav.episode import (
     MAX_STEPS,
@@ -21,72 +18,11 @@ from jaxlangnav.episode import (
 )
 from jaxlangnav.experiments.calibration import Reliability, Tally, nothing, tally_step
 from jaxlangnav.experiments.metrics import wilson_interval
-from jaxlangnav.experiments.monte_carlo import map_pieces, run_tasks
+from jaxlangnav.experiments.monte_carlo import run_tasks
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.lanes import Course
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams
 from jaxlangnav.pytree import pytree
-
-EPISODES_AT_ONCE = 64
-"""Episodes of one call; all wait for the slowest."""
-
-
-@functools.partial(jax.jit, static_argnames=("config", "max_steps"))
-def _run_judged(
-    tasks: Task,
-    instructions: Instruction,
-    *,
-    params: NavigatorParams,
-    config: NavigatorConfig,
-    max_steps: int = MAX_STEPS,
-) -> Tally:
-    """Run episodes and judge every step."""
-
-    def is_running(carry: tuple[EpisodeState, Tally]) -> Array:
-        return ~carry[0].navigator.is_done & (carry[0].steps < max_steps)
-
-    def body(carry: tuple[EpisodeState, Tally]) -> tuple[EpisodeState, Tally]:
-        progress, tally = carry
-        after, info = advance(progress, params=params, config=config)
-        return after, jax.tree.map(jnp.add, tally, tally_step(progress, info, after))
-
-    def one(task: Task) -> Tally:
-        start = begin(task, instructions, config=config)
-        return jax.lax.while_loop(is_running, body, (start, nothing()))[1]
-
-    return jax.vmap(one)(tasks)
-
-
-def tally_tasks(
-    tasks: Task,
-    instructions: Instruction,
-    *,
-    params: NavigatorParams,
-    config: NavigatorConfig,
-    max_steps: int = MAX_STEPS,
-    on_progress: Callable[[int], None] | None = None,
-) -> Tally:
-    """Judge any number of episodes.
-
-    Args:
-        tasks: leaves [E, …].
-        instructions: leaves [I, …].
-        params: the navigator's numbers.
-        config: sizes and policy.
-        max_steps: cycles that are judged.
-        on_progress: called with the number of episodes just judged.
-
-    Returns:
-        Sums of each episode as NumPy arrays, leaves [E, …].
-    """
-    return map_pieces(
-        lambda piece, _: _run_judged(
-            piece, instructions, params=params, config=config, max_steps=max_steps
-        ),
-        tasks,
-        capacity=EPISODES_AT_ONCE,
-        on_progress=on_progress,
-    )
 
 
 @pytree
@@ -102,7 +38,7 @@ def _advance_judged(
 ) -> tuple[_Judged, None]:
     after, info = advance(state.progress, params=params, config=config)
     one = tally_step(state.progress, info, after)
-    return _Judged(progress=after, tally=jax.tree.map(jnp.add, state.tally, one)), None
+    return _Judged(progress=after, tally=jax.tree.map(operator.add, state.tally, one)), None
 
 
 _JUDGED = Course(

@@ -20,7 +20,7 @@ from jaxlangnav.experiments.metrics import wilson_interval
 from jaxlangnav.experiments.policies import POLICY_NAMES, check_policies
 from jaxlangnav.experiments.rows import RowSpec
 from jaxlangnav.experiments.scenarios import SAID, SCENARIOS, PlaceSpec
-from jaxlangnav.experiments.table import SUCCESS, Columns, Document, Table
+from jaxlangnav.experiments.table import SUCCESS, Document, Table, TableColumns
 from jaxlangnav.messages import Status
 from jaxlangnav.navigator import NavigatorParams
 from jaxlangnav.planner.config import POLICIES
@@ -160,7 +160,7 @@ def _score(row: Row) -> str:
     return "" if row["ece"] is None else f"{row['ece']:.3f} ({row['ece_floor']:.3f})"
 
 
-_COLUMNS: Columns = (
+_COLUMNS: TableColumns = (
     ("Scenario", "{scenario}"),
     ("Policy", "{policy}"),
     ("Success % (95 %)", SUCCESS),
@@ -176,8 +176,8 @@ _COLUMNS: Columns = (
     ("Overflow", "{overflow_episodes}"),
 )
 _SCREEN = [_COLUMNS[at] for at in (0, 1, 2, 3, 4, 6, 7, 10, 11)]
-"""Columns that a terminal has room for."""
-_SCENARIO: Columns = (
+"""TableColumns that a terminal has room for."""
+_SCENARIO: TableColumns = (
     ("Scenario", "{scenario}"),
     ("What it is", "{what}"),
     ("Said", "{said}"),

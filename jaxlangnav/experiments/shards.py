@@ -35,7 +35,7 @@ class Shard:
     """What a file of a sweep must be."""
 
     sweep: str
-    """SHA-256 of what all files of a sweep share, see ``sweep_folder.identity``."""
+    """SHA-256 of what all files of a sweep share, see ``sweep.identity``."""
     index: int
     rows: int
 

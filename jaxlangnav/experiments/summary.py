@@ -13,8 +13,8 @@ from jaxlangnav import plain_text
 from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.experiments.metrics import compare, summarize, timeouts_text
 from jaxlangnav.experiments.shards import ShardError, read_shard
-from jaxlangnav.experiments.sweep_folder import files_there, identity, read_manifest
-from jaxlangnav.experiments.table import SUCCESS, Columns, Document, Table
+from jaxlangnav.experiments.sweep import files_there, identity, read_manifest
+from jaxlangnav.experiments.table import SUCCESS, Document, Table, TableColumns
 
 __all__ = ["render", "summarize_directory", "summary_markdown"]
 
@@ -131,7 +131,7 @@ def _comparisons(arms: list[tuple[dict[str, Any], pa.Table]]) -> list[dict[str, 
 
 
 _ALWAYS = ("world", "relation", "range", "policy")
-_RESULTS: Columns = (
+_RESULTS: TableColumns = (
     ("Episodes", "{episodes}"),
     ("Success % (95 %)", SUCCESS),
     ("Distance m (σ)", "{distance_mean:.2f} ({distance_sd:.2f})"),
@@ -139,7 +139,7 @@ _RESULTS: Columns = (
     ("SPL", "{spl:.2f}"),
     ("Time-outs", timeouts_text),
 )
-_TESTS: Columns = (
+_TESTS: TableColumns = (
     ("Pairs", "{pairs}"),
     ("Only 1st, 2nd", "{success_only_first}, {success_only_second}"),
     ("p", "{success_p:.3g}"),
@@ -163,7 +163,7 @@ def _tables(document: Document) -> list[Table]:
             return "-"
         return f"{value:g}" if isinstance(value, float) else str(value)
 
-    def values(names: Iterable[str]) -> Columns:
+    def values(names: Iterable[str]) -> TableColumns:
         return [(name, lambda row, name=name: text(row[name])) for name in names]
 
     def arm(row: dict[str, Any]) -> str:
@@ -181,7 +181,7 @@ def _tables(document: Document) -> list[Table]:
     columns = [*values(shown), *_RESULTS]
     tables = [Table.of(document["rows"], columns, title=document["name"], caption=state)]
     if tests:
-        sides: Columns = [
+        sides: TableColumns = [
             (heading, lambda row, side=side: arm(row[side]))
             for heading, side in (("1st", "first"), ("2nd", "second"))
         ]

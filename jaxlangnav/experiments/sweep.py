@@ -1,35 +1,41 @@
 """Sweeps: any grid of episodes, resumable, split over any number of processes (section 4.2).
 
 Every file holds the episodes of one chunk of the plan, is written whole or not at all, and says
-of itself what its bytes must be: a killed process or a full disk loses the chunks under way and
-nothing else, and a damaged file is found and made again. Which episodes a file holds, and what
-they give, depends on the configuration alone, so a resumed or split sweep ends with the same
-bytes as an undisturbed one on the same kind of machine.
+of itself what its bytes must be (``shards``): a killed process or a full disk loses the chunks
+under way and nothing else, and a damaged file is found and made again. Which episodes a file
+holds, and what they give, depends on the configuration alone, so a resumed or split sweep ends
+with the same bytes as an undisturbed one on the same kind of machine. The manifest of the folder is
+written once and never changed; it says which sweep the folder holds.
 """
 
 import concurrent.futures
 import dataclasses
+import functools
+import hashlib
+import json
+import re
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from jaxlangnav.episode import EpisodeResult, Task
-from jaxlangnav.experiments.archive import CompileClock
+from jaxlangnav.episode import EpisodeResult
+from jaxlangnav.experiments.archive import CompileClock, json_text, manifest
 from jaxlangnav.experiments.grid import result_columns, typed
 from jaxlangnav.experiments.holding import Note, held
-from jaxlangnav.experiments.monte_carlo import OnProgress, Work, fill, mesh, num_calls, run_round
-from jaxlangnav.experiments.shards import Shard, write_shard
-from jaxlangnav.experiments.sweep_config import SweepConfig
-from jaxlangnav.experiments.sweep_folder import (
-    claim_folder,
-    file_path,
-    files_there,
-    sound_files,
-    sweep_up,
+from jaxlangnav.experiments.monte_carlo import (
+    CHUNK,
+    LANES,
+    OnProgress,
+    Work,
+    fill,
+    mesh,
+    num_calls,
+    run_round,
 )
+from jaxlangnav.experiments.shards import Shard, ShardError, check_shard, write_shard
+from jaxlangnav.experiments.sweep_config import SweepConfig
 from jaxlangnav.experiments.sweep_plan import (
-    Chunk,
     SweepPlan,
     make_plan,
     parse_shard,
@@ -37,21 +43,160 @@ from jaxlangnav.experiments.sweep_plan import (
     shard_files,
 )
 from jaxlangnav.experiments.tasks import GroundedSentences, ground_sentences, known_distances
+from jaxlangnav.files.documents import parse_json, read_text
+from jaxlangnav.files.whole import write_once
+from jaxlangnav.plain_text import fault_of_name
 from jaxlangnav.planner.config import POLICIES
+
+MANIFEST = "manifest.json"
+_IDENTITY = ("settings", "jaxlangnav", "libraries", "models_sha256", "device")
+"""What must be the same for files of one sweep to belong together; not how many devices."""
+_FILE = re.compile(r"episodes-(\d{6,})\.parquet")
+_LEFT = re.compile(r"\.episodes-(\d{6,})\..*")
+_LARGEST_MANIFEST = 16 << 20
+"""Bytes of a manifest; it holds the configuration, of a million bytes at most, written out."""
+_UNREADABLE = "restore it, or run the sweep in another folder"
+
+
+def _file_path(folder: Path, index: int) -> Path:
+    """Name a file of a sweep."""
+    return folder / f"episodes-{index:06d}.parquet"
+
+
+def files_there(folder: Path) -> Iterator[tuple[int, Path]]:
+    """Find the files of episodes that are there, sound or not.
+
+    Args:
+        folder: of the sweep.
+
+    Yields:
+        Number and path, in no order.
+    """
+    for path in folder.iterdir():
+        match = _FILE.fullmatch(path.name)
+        if match is not None:
+            yield int(match[1]), path
+
+
+def read_manifest(folder: Path) -> dict[str, Any]:
+    """Read which sweep a folder holds.
+
+    Args:
+        folder: of the sweep.
+
+    Returns:
+        The manifest.
+
+    Raises:
+        ValueError: none is there, or it is not one of a sweep.
+    """
+    path = folder / MANIFEST
+    if not path.exists():
+        raise ValueError(f"{folder} holds no sweep: there is no {MANIFEST}")
+    document: dict[str, Any] = {}
+    try:
+        document = parse_json(read_text(path, at_most=_LARGEST_MANIFEST))
+        name, files = document["settings"]["name"], document["settings"]["files"]
+        is_sound = isinstance(name, str) and fault_of_name(name) is None and type(files) is int
+    except (ValueError, KeyError, TypeError):
+        is_sound = False
+    if not is_sound:
+        raise ValueError(f"{path} is not the manifest of a sweep, or is damaged: {_UNREADABLE}")
+    return document
+
+
+def identity(document: dict[str, Any]) -> str:
+    """Hash what the files of a sweep share, and what this version measures of an episode.
+
+    Files of a version that measured something else are those of another sweep: they cannot stand
+    in one table with these.
+
+    Args:
+        document: the manifest.
+
+    Returns:
+        SHA-256 in hexadecimal.
+    """
+    shared = {key: _uncounted(document.get(key)) for key in _IDENTITY}
+    shared["measured"] = [field.name for field in dataclasses.fields(EpisodeResult)]
+    return hashlib.sha256(json.dumps(shared, sort_keys=True).encode()).hexdigest()
+
+
+def _claim_folder(
+    folder: Path, plan: SweepPlan, mine: Sequence[int], models: Any, *, is_resumed: bool
+) -> str:
+    """Write the manifest, or see that the one that is there is ours; the sweep's identity."""
+    settings = plan.config.document() | {
+        "chunk": CHUNK,
+        "lanes": LANES,
+        "files": plan.num_files,
+        "rows": plan.episodes(),
+    }
+    ours = json.loads(json.dumps(manifest(settings, models=models)))
+    path = folder / MANIFEST
+    # Looked at in this order because peers may be claiming the folder too: manifest first.
+    has_episodes = any(True for _ in files_there(folder))
+    if not path.exists():
+        if has_episodes:
+            raise ValueError(f"{folder} holds episodes without a manifest: choose another folder")
+        write_once(json_text(ours).encode(), path)
+    # Read back in any case: of several sweeps that begin at once here, one has written it.
+    theirs = read_manifest(folder)
+    for key in _IDENTITY:
+        there, here = _uncounted(theirs.get(key)), _uncounted(ours[key])
+        if there != here:
+            what = _difference(there, here, key)
+            raise ValueError(f"{folder} holds another sweep ({what}): choose another folder")
+    if not is_resumed and any(index in mine for index, _ in files_there(folder)):
+        raise ValueError(f"{folder} already holds episodes of this sweep: add --resume")
+    return identity(ours)
+
+
+def _sound_files(
+    folder: Path,
+    plan: SweepPlan,
+    mine: Sequence[int],
+    sweep: str,
+    *,
+    on_note: Note,
+    on_kept: Callable[[int], None],
+) -> set[int]:
+    """Find the numbers of those of our files that are there and are what was written."""
+    kept = set()
+    for index, path in sorted(files_there(folder)):
+        if index not in mine:
+            continue
+        try:
+            check_shard(path, Shard(sweep=sweep, index=index, rows=plan.size(index)))
+        except ShardError as fault:
+            if path.is_dir():
+                raise ValueError(f"{path}: is a folder where a file belongs: remove it") from None
+            on_note(f"note: {path} {fault}; it is made again")
+            continue
+        kept.add(index)
+        on_kept(plan.size(index))
+    return kept
+
+
+def _uncounted(value: Any) -> Any:
+    """Leave out how many devices there are: the results do not depend on it."""
+    if isinstance(value, dict):
+        return {key: one for key, one in value.items() if key != "count"}
+    return value
+
+
+def _difference(theirs: Any, ours: Any, name: str) -> str:
+    """Say in a few words in what two manifests differ first."""
+    if isinstance(theirs, dict) and isinstance(ours, dict):
+        for key in {**ours, **theirs}:
+            if theirs.get(key) != ours.get(key):
+                where = key if name == "settings" else f"{name}.{key}"
+                return _difference(theirs.get(key), ours.get(key), where)
+    return f"{name}: {theirs} there, {ours} here"
+
 
 _AHEAD = 2
 """Rounds handed out for each call under way: no core waits, and no plan is laid out whole."""
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class _Run:
-    """What all rounds of a run share."""
-
-    plan: SweepPlan
-    folder: Path
-    sweep: str
-    """Identity of the sweep."""
-    sentences: GroundedSentences
 
 
 def total_episodes(config: SweepConfig, *, shard: str = "1/1") -> int:
@@ -107,13 +252,17 @@ def run_sweep(
     with CompileClock() as clock:
         sentences = ground_sentences([one.text for one in config.commands])
         with held(folder, parse_shard(shard), on_note=note) as is_held:
-            sweep = claim_folder(folder, plan, mine, sentences.models, is_resumed=resume)
+            sweep = _claim_folder(folder, plan, mine, sentences.models, is_resumed=resume)
             if is_held:
-                sweep_up(folder, mine)
-            kept = sound_files(folder, plan, mine, sweep, on_note=note, on_kept=advance)
-            run = _Run(plan=plan, folder=folder, sweep=sweep, sentences=sentences)
-            todo = (index for index in mine if index not in kept)
-            _run_files(run, todo, advance, num_threads)
+                # What killed writers have left, of files that nobody else writes.
+                for path in folder.iterdir():
+                    match = _LEFT.fullmatch(path.name)
+                    if match is not None and int(match[1]) in mine:
+                        path.unlink(missing_ok=True)
+            kept = _sound_files(folder, plan, mine, sweep, on_note=note, on_kept=advance)
+            make = functools.partial(_make_files, plan, folder, sweep, sentences)
+            todo = _rounds((at for at in mine if at not in kept), plan.kind, mesh().size)
+            _run_rounds(make, todo, advance, num_threads or num_calls())
         num_kept = sum(plan.size(index) for index in kept)
         there = sum(index < plan.num_files for index, _ in files_there(folder))
     return {
@@ -129,11 +278,13 @@ def run_sweep(
     }
 
 
-def _run_files(
-    run: _Run, todo: Iterable[int], on_progress: OnProgress, num_threads: int | None
+def _run_rounds(
+    make: Callable[[list[int]], int],
+    todo: Iterable[list[int]],
+    on_progress: OnProgress,
+    calls: int,
 ) -> None:
     """Make files, several at once; the first failure ends the run and keeps what is written."""
-    calls = num_threads or num_calls()
     with concurrent.futures.ThreadPoolExecutor(calls) as pool:
         running: dict[concurrent.futures.Future[int], None] = {}
 
@@ -146,8 +297,8 @@ def _run_files(
                 on_progress(one.result())
 
         try:
-            for files in _rounds(todo, run.plan.kind, mesh().size):
-                running[pool.submit(_run_together, run, files)] = None
+            for files in todo:
+                running[pool.submit(make, files)] = None
                 if len(running) >= _AHEAD * calls:
                     collect()
             while running:
@@ -171,38 +322,34 @@ def _rounds(
     yield from alike.values()
 
 
-def _run_together(run: _Run, files: list[int]) -> int:
+def _make_files(
+    plan: SweepPlan, folder: Path, sweep: str, sentences: GroundedSentences, files: list[int]
+) -> int:
     """Run the episodes of a round and write its files; how many episodes they were."""
-    grid, chunks = run.plan.grid, [run.plan.chunk(index) for index in files]
+    grid, chunks = plan.grid, [plan.chunk(index) for index in files]
     tasks = [one.arm.tasks(grid.draw(one.places)) for one in chunks]
-    results = _results(chunks, tasks, run.sentences)
-    for chunk, own, result in zip(chunks, tasks, results, strict=True):
-        columns = typed(grid.labels(chunk.arm, chunk.places))
-        columns |= result_columns(result, known_distances(own))
-        path = file_path(run.folder, chunk.index)
-        shard = Shard(sweep=run.sweep, index=chunk.index, rows=chunk.size)
-        try:
-            write_shard(columns, path, shard)
-        except OSError as error:
-            raise OSError(
-                f"{path} cannot be written: {error}; the other files stay, go on with --resume"
-            ) from error
-    return sum(one.size for one in chunks)
-
-
-def _results(
-    chunks: list[Chunk], tasks: list[Task], sentences: GroundedSentences
-) -> list[EpisodeResult]:
-    """Run chunks of one policy and size, each with the Params of its own arm."""
-    arms = [one.arm for one in chunks]
+    config = chunks[0].arm.config
+    # Chunks of one policy and size run together, each with the Params of its own arm.
     works = [
         Work(tasks=fill(own, 0, one.size), count=one.size, params=one.arm.params)
         for one, own in zip(chunks, tasks, strict=True)
         if one.arm.params is not None
     ]
-    if arms[0].config is None or not works:
-        return [
-            arm.run(own, sentences.instructions, num_threads=1)
-            for arm, own in zip(arms, tasks, strict=True)
+    if config is None or not works:
+        results = [
+            one.arm.run(own, sentences.instructions, num_threads=1)
+            for one, own in zip(chunks, tasks, strict=True)
         ]
-    return run_round(works, sentences.instructions, config=arms[0].config)
+    else:
+        results = run_round(works, sentences.instructions, config=config)
+    for chunk, own, result in zip(chunks, tasks, results, strict=True):
+        columns = typed(grid.labels(chunk.arm, chunk.places))
+        columns |= result_columns(result, known_distances(own))
+        path = _file_path(folder, chunk.index)
+        try:
+            write_shard(columns, path, Shard(sweep=sweep, index=chunk.index, rows=chunk.size))
+        except OSError as error:
+            raise OSError(
+                f"{path} cannot be written: {error}; the other files stay, go on with --resume"
+            ) from error
+    return sum(one.size for one in chunks)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 Document = Mapping[str, Any]
 """What a command or an experiment found, in JSON's own types."""
-Columns = Sequence[tuple[str, str | Callable[[Any], str]]]
+TableColumns = Sequence[tuple[str, str | Callable[[Any], str]]]
 """Headings of a table, each with what writes its cells; see ``Table.of``."""
 SUCCESS = "{success_rate:.1f} ({success_ci[0]:.1f}-{success_ci[1]:.1f})"
 """Writes the success of a row with its 95 % interval, percent."""
@@ -43,7 +43,7 @@ class Table:
     """What a terminal, which has less room, draws in its place: other headings and cells."""
 
     @classmethod
-    def of(cls, rows: Iterable[Mapping[str, Any]], columns: "Columns", **rest: Any) -> "Table":
+    def of(cls, rows: Iterable[Mapping[str, Any]], columns: "TableColumns", **rest: Any) -> "Table":
         """Lay out records, a line each.
 
         Args:

@@ -9,7 +9,7 @@ from jaxlangnav.experiments.grid import Row
 from jaxlangnav.experiments.metrics import timeouts_text
 from jaxlangnav.experiments.policies import KNOWLEDGE
 from jaxlangnav.experiments.rows import AGREEMENT, deviations, row_key
-from jaxlangnav.experiments.table import SUCCESS, Columns, Document, Table
+from jaxlangnav.experiments.table import SUCCESS, Document, Table, TableColumns
 from jaxlangnav.planner.config import POLICIES
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 
@@ -26,12 +26,12 @@ def _score(name: str, form: str) -> Callable[[Row], str]:
 
 _WAY = "{distance_mean:.2f} ({distance_sd:.2f})"
 _KNOWN = "{known_distance_mean:.2f} ({known_distance_sd:.2f})"
-_ROW: Columns = (
+_ROW: TableColumns = (
     ("World", "{world}"),
     ("Range m", "{range:g}"),
     ("Relation", lambda row: row["relation"] or "null"),
 )
-_COLUMNS: Columns = (
+_COLUMNS: TableColumns = (
     *_ROW,
     ("Policy", "{policy}"),
     ("Success % (95 %)", SUCCESS),
@@ -46,7 +46,7 @@ _COLUMNS: Columns = (
     ("Brier", _score("brier", ".3f")),
     ("90 % region", _score("coverage90", ".0f")),
 )
-_SCREEN: Columns = (
+_SCREEN: TableColumns = (
     ("\nWorld", "{world}"),
     ("\nm", "{range:g}"),
     ("\nRelation", lambda row: row["relation"] or "null"),
@@ -100,7 +100,7 @@ def least_distance(bound: Mapping[str, Any]) -> float:
     return bound["search_law"] or max(0.0, bound["known"] - SUCCESS_RADIUS)
 
 
-def _limit_cells(bound: Row, columns: Columns, distance: int) -> list[str]:
+def _limit_cells(bound: Row, columns: TableColumns, distance: int) -> list[str]:
     """Write the limits of a row, which no policy can pass; the distance stands in its column."""
     line = [*Table.of([bound], _ROW).rows[0], "limit", f"≤ {bound['success']:.0f}"]
     texts = {distance: f"≥ {least_distance(bound):.2f}"}
@@ -193,7 +193,7 @@ def caption(document: Document) -> list[str]:
     return lines
 
 
-_DEVIATIONS: Columns = (
+_DEVIATIONS: TableColumns = (
     *_ROW,
     ("faithful − paper: success", "{success:+.1f}"),
     ("in s. e.", "{far[success]:+.1f}"),

@@ -34,7 +34,7 @@ from jaxlangnav.experiments.rows import (
     printed_rows,
     rate_error,
 )
-from jaxlangnav.experiments.table import Columns, Document, Table
+from jaxlangnav.experiments.table import Document, Table, TableColumns
 from jaxlangnav.navigator import default_params
 from jaxlangnav.planner.config import PlannerConfig
 from jaxlangnav.pytree import replace
@@ -292,7 +292,7 @@ def _against(row: Row) -> str:
     return f"{row['paired']['distance_difference']:+.2f} ({low:+.2f} to {high:+.2f})"
 
 
-_LONG: Columns = (
+_LONG: TableColumns = (
     ("World", "{world}"),
     ("Range m", "{range:g}"),
     ("Relation", lambda row: row["relation"] or "null"),

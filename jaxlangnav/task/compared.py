@@ -8,17 +8,14 @@ which is not.
 
 import dataclasses
 from collections.abc import Iterable, Sequence
-from typing import Any, Protocol
+from typing import Any
 
-import jax
 import numpy as np
 
-from jaxlangnav.grounding.asked import infer_once
 from jaxlangnav.grounding.behavior_features import World
 from jaxlangnav.grounding.form import FormRelation
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.grounding.symbols import NUM_RELATIONS
-from jaxlangnav.grounding.worlds import to_device
 from jaxlangnav.kinds import noun_of
 from jaxlangnav.messages import (
     ACTIONS,
@@ -30,31 +27,12 @@ from jaxlangnav.messages import (
     relation_name,
 )
 from jaxlangnav.relations.table import CONVERSE, NUM_RANKS
-from jaxlangnav.task.labelled import Meaning
-from jaxlangnav.world.scenario import NUM_SLOTS
+from jaxlangnav.task.labelled import ALIKE, LEAST, Meaning, infer_commands
 
-_LEAST = 0.05
-"""Goals less probable than this are not meant."""
-_ALIKE = 0.8
-"""Goals of at least this share of the best one's probability fit as well."""
 _EXACT = 0.01
 """Metres by which a distance may differ from the label's, which may leave it out."""
 Relation = tuple[str, str, str, int]
 """Types of figure and landmark around the relation's name, and the rank."""
-
-
-class Understood(Protocol):
-    """What was understood, and the object types that it speaks of."""
-
-    @property
-    def instruction(self) -> Instruction:
-        """For the navigator."""
-        ...
-
-    @property
-    def type_names(self) -> tuple[str, ...]:
-        """Object types by index."""
-        ...
 
 
 @dataclasses.dataclass(frozen=True)
@@ -69,35 +47,46 @@ class _Asked:
     frame: tuple[float, ...]  # from where it is meant, in the robot's frame
 
 
-def difference(meaning: Meaning, understood: Understood) -> str:
+def difference(meaning: Meaning, instruction: Instruction, names: tuple[str, ...]) -> str:
     """Say how a sentence differs from what it means.
 
     Args:
         meaning: of its label.
-        understood: what is made of it.
+        instruction: what is made of it.
+        names: object types by index, of which the instruction speaks.
 
     Returns:
         What differs first, in one line; empty where nothing does.
     """
-    meaning = _as_said(meaning, understood)
-    return _difference_in_world(meaning, understood) or _difference_in_commands(meaning, understood)
-
-
-def _as_said(meaning: Meaning, understood: Understood) -> Meaning:
-    """Turn round what is said the other way round: a tree behind a cone, a cone before a tree."""
-    _, said = _said(understood)
+    types, relations = _said(instruction, names)
 
     def turned(one: FormRelation) -> FormRelation:
+        """Turn round what is said the other way round: a tree behind a cone, a cone before it."""
         if one.rank or one.landmark == ROBOT:
             return one
         other = FormRelation(one.landmark, CONVERSE[one.relation], one.figure, 0)
         own, instead = (_named(meaning, it) for it in (one, other))
-        return other if instead in said and own not in said else one
+        return other if instead in relations and own not in relations else one
 
-    relations = tuple(turned(one) for one in meaning.reading.relations)
-    return dataclasses.replace(
-        meaning, reading=dataclasses.replace(meaning.reading, relations=relations)
-    )
+    reading = meaning.reading
+    reading = dataclasses.replace(reading, relations=tuple(map(turned, reading.relations)))
+    meaning = dataclasses.replace(meaning, reading=reading)
+    own_types = {meaning.type_of(thing) for thing in range(len(reading.types))}
+    if types != own_types:
+        return f"speaks of {_listed(types)}, not of {_listed(own_types)}"
+    meant = {_named(meaning, one) for one in reading.relations}
+    if relations != meant:
+        return f"says {_listed(map(_worded, relations))}, not {_listed(map(_worded, meant))}"
+    try:
+        kinds = [names.index(meaning.type_of(one)) for one in _slots(meaning)]
+    except ValueError:
+        return "speaks of other types"
+    world = _world(meaning, kinds)
+    asked = _asked(instruction, world)
+    if len(asked) != len(reading.commands):
+        return f"gives {len(asked)} commands, not {len(reading.commands)}"
+    whys = (_difference(meaning, index, one, world) for index, one in enumerate(asked))
+    return next((f"command {i} {why}" for i, why in enumerate(whys, start=1) if why), "")
 
 
 def _named(meaning: Meaning, one: FormRelation) -> Relation:
@@ -109,27 +98,14 @@ def _named(meaning: Meaning, one: FormRelation) -> Relation:
     return figure, relation_name(one.relation, one.rank), landmark, max(one.rank, 0)
 
 
-def _difference_in_world(meaning: Meaning, understood: Understood) -> str:
-    """Say how what is said of the world differs; empty where it does not."""
-    types, relations = _said(understood)
-    names = {meaning.type_of(thing) for thing in range(len(meaning.reading.types))}
-    if types != names:
-        return f"speaks of {_listed(types)}, not of {_listed(names)}"
-
-    meant = {_named(meaning, one) for one in meaning.reading.relations}
-    if relations != meant:
-        return f"says {_listed(map(_worded, relations))}, not {_listed(map(_worded, meant))}"
-    return ""
-
-
-def _said(understood: Understood) -> tuple[set[str], set[Relation]]:
+def _said(instruction: Instruction, names: tuple[str, ...]) -> tuple[set[str], set[Relation]]:
     """Collect the types and relations of the likeliest reading."""
-    fields = understood.instruction.readings
+    fields = instruction.readings
     kinds = np.asarray(fields.mention_type[0])
 
     def name(mention: int) -> str:
         kind = kinds[mention]
-        return "robot" if kind == ROBOT else noun_of(kind, understood.type_names)
+        return "robot" if kind == ROBOT else noun_of(kind, names)
 
     columns = (fields.figure, fields.relation, fields.landmark, fields.rank)
     edges = np.stack([np.asarray(column[0]) for column in columns], axis=1)
@@ -138,7 +114,7 @@ def _said(understood: Understood) -> tuple[set[str], set[Relation]]:
         for figure, relation, landmark, rank in edges
         if relation != NONE
     }
-    return {noun_of(kind, understood.type_names) for kind in kinds if kind >= 0}, relations
+    return {noun_of(kind, names) for kind in kinds if kind >= 0}, relations
 
 
 def _worded(relation: Relation) -> str:
@@ -152,45 +128,23 @@ def _listed(parts: Any) -> str:
     return "; ".join(sorted(parts)) or "nothing"
 
 
-def _difference_in_commands(meaning: Meaning, understood: Understood) -> str:
-    """Say how what is asked for differs; empty where it does not."""
-    try:
-        kinds = [understood.type_names.index(meaning.type_of(one)) for one in _slots(meaning)]
-    except ValueError:
-        return "speaks of other types"
-    world = _world(meaning, kinds)
-    asked = _asked(understood.instruction, world)
-    if len(asked) != len(meaning.reading.commands):
-        return f"gives {len(asked)} commands, not {len(meaning.reading.commands)}"
-    whys = (_difference(meaning, index, one, world) for index, one in enumerate(asked))
-    return next((f"command {i} {why}" for i, why in enumerate(whys, start=1) if why), "")
-
-
 def _asked(instruction: Instruction, world: World) -> list[_Asked]:
     """Infer what each command asks for; one that asks for what is done already is left out."""
     found: list[_Asked] = []
-    size = len(world.object_type)
-    num_slots = max(NUM_SLOTS + 1, size)
-    slots = np.append(np.arange(size - 1), num_slots - 1)
-    for clause in range(int(instruction.num_clauses)):
-        program = jax.tree.map(
-            lambda leaf, index=clause: np.asarray(leaf)[index], instruction.program
-        )
-        behavior = jax.device_get(infer_once(program, to_device(world, num_slots)))
-        goal, kept_out = behavior.goal[:, slots], behavior.constraint[:, slots]
-        least = max(_LEAST, _ALIKE * float(goal.max()))
+    for clause, behavior in enumerate(infer_commands(instruction, world)):
+        goal = behavior.goal
+        least = max(LEAST, ALIKE * float(goal.max()))
+        kept_out = behavior.constraint.max(axis=0) > 0.5
         asked = _Asked(
             action=int(behavior.action.argmax()),
             mode=int(behavior.mode.argmax()),
             ends=frozenset((int(r), int(slot)) for r, slot in np.argwhere(goal >= least)),
-            avoided=frozenset(int(slot) for slot in np.nonzero(kept_out.max(axis=0) > 0.5)[0]),
+            avoided=frozenset(int(slot) for slot in np.nonzero(kept_out)[0]),
             metres=float(instruction.metres[clause]),
             frame=tuple(np.asarray(instruction.frame)[clause].tolist()),
         )
         if not found or asked != found[-1]:
             found.append(asked)
-        previous = np.arange(size) == int(goal.max(axis=0).argmax())
-        world = dataclasses.replace(world, is_previous=previous)
     return found
 
 

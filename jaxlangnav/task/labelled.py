@@ -24,6 +24,7 @@ from jax import Array
 from jaxlangnav.conversation import seen_from
 from jaxlangnav.files.documents import DocumentError, parse_json, read_text
 from jaxlangnav.grounding.asked import LEAST_PREVIOUS_GOAL, infer_once
+from jaxlangnav.grounding.behavior_features import World
 from jaxlangnav.grounding.form import FormReading, read_meaning
 from jaxlangnav.grounding.instruction import Instruction, Understanding
 from jaxlangnav.grounding.json_schema import quote
@@ -38,9 +39,9 @@ from jaxlangnav.world.scenario import NUM_SLOTS
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 from jaxlangnav.world.state import Scenario
 
-_LEAST = 0.05
+LEAST = 0.05
 """Goals less probable than this are not meant."""
-_ALIKE = 0.8
+ALIKE = 0.8
 """Goals of at least this share of the best one's probability fit as well."""
 
 
@@ -71,7 +72,7 @@ def meant_goals(understood: Understanding, scenario: Scenario) -> tuple[list[Goa
     metres, frame = (np.asarray(one)[len(behaviors) - 1] for one in (told.metres, told.frame))
     viewer = np.asarray(seen_from(jnp.asarray(placed.robot, jnp.float32), frame[None]))[0]
     best = float(last.goal.max())
-    if best < _LEAST:
+    if best < LEAST:
         return [], False
     kept = np.flatnonzero(np.asarray(scenario.is_object))
     goals = [
@@ -80,7 +81,7 @@ def meant_goals(understood: Understanding, scenario: Scenario) -> tuple[list[Goa
             index=int(kept[slot]) if slot < len(kept) else NONE,
             position=_position(placed, int(region), int(slot), viewer, metres),
         )
-        for region, slot in zip(*np.nonzero(last.goal >= _ALIKE * best), strict=True)
+        for region, slot in zip(*np.nonzero(last.goal >= ALIKE * best), strict=True)
     ]
     return goals, bool(last.action.argmax() == 1)
 
@@ -199,9 +200,7 @@ def read_sentences(path: Path) -> list[LabelledSentence]:
     for number, line in lines:
         try:
             found.append(_read_line(number, parse_json(line)))
-        except DocumentError as error:
-            raise ValueError(f"{path}:{number}: {error}") from None
-        except ValueError as error:
+        except (DocumentError, ValueError) as error:
             raise ValueError(f"{path}:{number}: {error}") from None
     return found
 
@@ -275,28 +274,41 @@ def place_scenario(scenario: Scenario, names: Sequence[str]) -> PlacedWorld:
     )
 
 
-def _infer_in(
-    instruction: Instruction, placed: PlacedWorld, names: tuple[str, ...]
-) -> list[Behavior]:
-    """Infer what each command asks for in a world of which everything is known."""
-    number, found = len(placed.objects), []
+def infer_commands(instruction: Instruction, world: World) -> list[Behavior]:
+    """Infer what each command asks for in a world of which everything is known.
+
+    Args:
+        instruction: the grounded sentence.
+        world: of n + 1 slots, the robot's last; of at most as many objects as a scenario has slots.
+
+    Returns:
+        One behavior a command, NumPy leaves of n + 1 slots; "the other one" is other than the
+        likeliest goal of the command before it.
+    """
+    size, found = len(world.object_type), []
     # Padded like any other world, so that one compiled program serves them all.
-    num_slots = max(NUM_SLOTS, number) + 1
-    slots = np.append(np.arange(number), num_slots - 1)
+    num_slots = max(NUM_SLOTS + 1, size)
+    slots = np.append(np.arange(size - 1), num_slots - 1)
     for clause in range(int(instruction.num_clauses)):
         program = jax.tree.map(
             lambda leaf, index=clause: np.asarray(leaf)[index], instruction.program
         )
-        world = to_device(place_for(placed, names, instruction.readings), num_slots)
-        behavior = jax.device_get(infer_once(program, world))
+        behavior = jax.device_get(infer_once(program, to_device(world, num_slots)))
         behavior = dataclasses.replace(
             behavior, goal=behavior.goal[:, slots], constraint=behavior.constraint[:, slots]
         )
         found.append(behavior)
         best = behavior.goal.max(axis=0)
-        previous = int(best.argmax()) if best.max() >= LEAST_PREVIOUS_GOAL else number
-        placed = dataclasses.replace(placed, previous=previous if previous < number else None)
+        is_previous = (np.arange(size) == best.argmax()) & (best.max() >= LEAST_PREVIOUS_GOAL)
+        world = dataclasses.replace(world, is_previous=is_previous)
     return found
+
+
+def _infer_in(
+    instruction: Instruction, placed: PlacedWorld, names: tuple[str, ...]
+) -> list[Behavior]:
+    """Infer what each command asks for among placed objects."""
+    return infer_commands(instruction, place_for(placed, names, instruction.readings))
 
 
 def list_behaviors(

@@ -93,7 +93,10 @@ def open_task(
             sensor=_seen(place.sensor, sensing_range),
             motion=place.motion,
         )
-        is_own = _is_its_own(place, understood)
+        words = (place.instruction or "", understood.parse.instruction)
+        own, said = (" ".join(one.lower().split()).rstrip(".!") for one in words)
+        # Whether it is the sentence that the world's goal has been written for.
+        is_own = place.has_goal and own == said
         return _judge(
             place.name, task, understood, is_own=is_own, is_drawn=False, has_goal=place.has_goal
         )
@@ -237,14 +240,6 @@ def count_types(scenario: Scenario, names: Sequence[str]) -> list[tuple[str, int
     kinds = np.asarray(scenario.object_type)[np.asarray(scenario.is_object)]
     types = [int(kind) for kind in kinds]
     return [(names[kind], types.count(kind)) for kind in dict.fromkeys(types)]
-
-
-def _is_its_own(world: WorldFile, understood: Understanding) -> bool:
-    """Tell whether a sentence is the one that a world's goal has been written for."""
-    if not world.has_goal:
-        return False
-    own = " ".join((world.instruction or "").lower().split()).rstrip(".!")
-    return own == " ".join(understood.parse.instruction.lower().split()).rstrip(".!")
 
 
 def _judge(

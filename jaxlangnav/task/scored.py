@@ -6,11 +6,11 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from rich.table import Table
 
+from jaxlangnav.experiments.table import Table, TableColumns
 from jaxlangnav.grounding.choosing import FirstGrounder
 from jaxlangnav.grounding.grounder import Context, GraphGrounder, Grounder
-from jaxlangnav.grounding.instruction import GroundingModel, Instruction
+from jaxlangnav.grounding.instruction import GroundingModel
 from jaxlangnav.grounding.recorded import RecordedRewrites
 from jaxlangnav.grounding.rewrites import RewriteGrounder, default_rewrite_params, verify_rewrites
 from jaxlangnav.task.compared import difference
@@ -91,7 +91,7 @@ def summarize_scores(scores: Sequence[Score]) -> dict[str, Any]:
     }
 
 
-def render_scores(document: dict[str, Any]) -> tuple[Table, list[str]]:
+def render_scores(document: dict[str, Any]) -> tuple[Any, list[str]]:
     """Draw the table for people, and the lines below it.
 
     Args:
@@ -100,14 +100,14 @@ def render_scores(document: dict[str, Any]) -> tuple[Table, list[str]]:
     Returns:
         A rich table; a line for each of the worst sentences.
     """
-    table = Table(title="Sentences as labelled, right or rightly refused")
-    table.add_column("construction")
-    for name in ("sentences", *OUTCOMES, "right %"):
-        table.add_column(name, justify="right")
     rows = [*document["by_construction"].items(), ("all", document)]
-    for name, row in rows:
-        cells = [str(row[one]) for one in ("sentences", *OUTCOMES)]
-        table.add_row(name or "-", *cells, f"{row['right_share']:.1f}")
+    columns: TableColumns = [
+        ("construction", "{name}"),
+        *((name, f"{{{name}}}") for name in ("sentences", *OUTCOMES)),
+        ("right %", "{right_share:.1f}"),
+    ]
+    named = [{**row, "name": name or "-"} for name, row in rows]
+    table = Table.of(named, columns, title="Sentences as labelled, right or rightly refused")
     worst = document["worst"]
     lines = [
         f"{one['outcome']}, line {one['line']}: {one['text']}\n    {one['why']}"
@@ -115,7 +115,7 @@ def render_scores(document: dict[str, Any]) -> tuple[Table, list[str]]:
     ]
     if len(worst) > WORST_SHOWN:
         lines.append(f"and {len(worst) - WORST_SHOWN} more: --json lists them all")
-    return table, lines
+    return table.text(), lines
 
 
 def _count_scores(scores: Sequence[Score]) -> dict[str, Any]:
@@ -127,14 +127,6 @@ def _count_scores(scores: Sequence[Score]) -> dict[str, Any]:
         **{outcome: counts[outcome] for outcome in OUTCOMES},
         "right_share": round(share, 2),
     }
-
-
-@dataclasses.dataclass(frozen=True)
-class ReadAs:
-    """What a grounder makes of a sentence, and the object types that it speaks of."""
-
-    instruction: Instruction
-    type_names: tuple[str, ...]
 
 
 def _context_of(sentence: LabelledSentence) -> Context:
@@ -161,7 +153,7 @@ def _score(sentence: LabelledSentence, graph: GraphGrounder, arm: Wrapping) -> S
     confidence = float(np.exp(grounded.instruction.readings.log_probability[0]))
     if meaning is None:
         return Score(sentence, WRONG, "was read, but must be refused", confidence)
-    why = difference(meaning, ReadAs(grounded.instruction, graph.names))
+    why = difference(meaning, grounded.instruction, graph.names)
     return Score(sentence, WRONG if why else CORRECT, why, confidence)
 
 
@@ -270,13 +262,13 @@ def _judge(sentence: LabelledSentence, recorded: RecordedRewrites, graph: GraphG
     found, _ = verify_rewrites(graph, recorded(sentence.text), _context_of(sentence))
     is_right = [
         sentence.meaning is not None
-        and not difference(sentence.meaning, ReadAs(one.grounded.instruction, graph.names))
+        and not difference(sentence.meaning, one.grounded.instruction, graph.names)
         for one in found
     ]
     return Judged(tuple(one.log_probability for one in found), tuple(is_right))
 
 
-def render_arms(document: dict[str, Any], fit: TemperatureFit | None) -> tuple[Table, list[str]]:
+def render_arms(document: dict[str, Any], fit: TemperatureFit | None) -> tuple[Any, list[str]]:
     """Draw the table for people, and the lines below it.
 
     Args:
@@ -286,14 +278,15 @@ def render_arms(document: dict[str, Any], fit: TemperatureFit | None) -> tuple[T
     Returns:
         A rich table; lines.
     """
-    table = Table(title="Sentences as labelled, by what reads them")
-    headings = [f"meant: {name}" for name in OUTCOMES]
-    for name in ("", *headings, "to refuse: right", "wrong", "all right %"):
-        table.add_column(name, justify="right" if name else "left")
-    for name, row in document["arms"].items():
-        meant = [str(row["meant"][one]) for one in OUTCOMES]
-        others = [str(row["to_refuse"][one]) for one in (CORRECT, WRONG)]
-        table.add_row(name, *meant, *others, f"{row['right_share']:.1f}")
+    columns: TableColumns = [
+        ("", "{name}"),
+        *((f"meant: {name}", f"{{meant[{name}]}}") for name in OUTCOMES),
+        ("to refuse: right", f"{{to_refuse[{CORRECT}]}}"),
+        ("wrong", f"{{to_refuse[{WRONG}]}}"),
+        ("all right %", "{right_share:.1f}"),
+    ]
+    arms = [{**row, "name": name} for name, row in document["arms"].items()]
+    table = Table.of(arms, columns, title="Sentences as labelled, by what reads them")
     lines = [f"temperature {document['temperature']:.3g}"]
     if fit is not None:
         told = dataclasses.asdict(fit)
@@ -302,4 +295,4 @@ def render_arms(document: dict[str, Any], fit: TemperatureFit | None) -> tuple[T
             "1 {log_likelihood_at_one:.3f}; {left_out} say nothing about it".format(**told)
             + (" (at the bound of what is looked for)" if fit.is_at_bound else "")
         )
-    return table, lines
+    return table.text(), lines

@@ -30,6 +30,7 @@ from jaxlangnav.viz.words import describe_readings, percent
 
 _ABSENT = 65535
 """Grid coordinate of a hypothesis that is none."""
+_NODES = {FRONTIER: "frontier", VISITED: "visited place", OBJECT_NODE: "object"}
 _UNNAMED, _NO_TYPE = 254, 255
 """Types of a hypothesis in one byte: what has no name of its own, and none at all."""
 
@@ -44,9 +45,7 @@ def write_html(recording: Recording, path: Path | str) -> Path:
     Returns:
         The path.
     """
-    path = Path(path)
-    page = _render_html(recording)
-    return write_text(page, path)
+    return write_text(_render_html(recording), Path(path))
 
 
 def _render_html(recording: Recording) -> str:
@@ -65,9 +64,12 @@ def _render_html(recording: Recording) -> str:
 
 def _page_data(recording: Recording) -> dict[str, Any]:
     """Gather everything the page shows, in JSON's own types."""
-    scene, frames = recording.scene, recording.frames
+    scene, frames, world = recording.scene, recording.frames, recording.scene.scenario
     claims = describe_readings(scene, least=0.005)
-    all_claims = _all_claims(recording)
+    # What the words are taken to say, first and after each utterance under way.
+    scenes = [scene, *(one.scene for one in recording.said if one.scene is not None)]
+    told = (describe_readings(one, least=0.005) for one in scenes)
+    all_claims = list(dict.fromkeys(claim for listed in told for claim, _ in listed))
     first = [f"Taken to say that there is {claim} ({percent(p)})." for claim, p in claims[:1]]
     return {
         "text": printable(scene.text),
@@ -82,8 +84,17 @@ def _page_data(recording: Recording) -> dict[str, Any]:
         "field_of_view": float(scene.sensor.field_of_view),
         "goal": [float(one) for one in scene.scenario.goal],
         "success_radius": scene.stop_radius,
-        "truth": _truth(recording),
-        "value_stops": [_rgb(stop) for stop in style.VALUE_STOPS],
+        "truth": [
+            {
+                "type": int(world.object_type[slot]),
+                "x": float(world.object_x[slot]),
+                "y": float(world.object_y[slot]),
+            }
+            for slot in np.flatnonzero(world.is_object)
+        ],
+        "value_stops": [
+            [int(stop[place : place + 2], 16) for place in (1, 3, 5)] for stop in style.VALUE_STOPS
+        ],
         "types": [
             {"name": name, "color": style.type_color(kind), "shape": style.type_marker(kind)}
             for kind, name in enumerate(scene.type_names)
@@ -96,13 +107,6 @@ def _page_data(recording: Recording) -> dict[str, Any]:
         **_by_step(recording, all_claims),
         **_arrays(recording),
     }
-
-
-def _all_claims(recording: Recording) -> list[str]:
-    """List what the words are taken to say, first and after each utterance under way."""
-    scenes = [recording.scene, *(one.scene for one in recording.said if one.scene is not None)]
-    told = (describe_readings(scene, least=0.005) for scene in scenes)
-    return list(dict.fromkeys(claim for claims in told for claim, _ in claims))
 
 
 def _by_step(recording: Recording, claims: list[str]) -> dict[str, Any]:
@@ -193,15 +197,9 @@ def _arrays(recording: Recording) -> dict[str, Any]:
         "frame": [x_low, x_high, y_low, y_high],
         "thought_types": [int(one) for one in np.unique(kinds[is_in])],
         "seen_types": [int(one) for one in np.unique(seen)],
-        "node_kinds": _node_kinds(),
+        "node_kinds": [_NODES[kind] for kind in sorted(_NODES)],
         "arrays": {name: _encode(array) for name, array in arrays.items()},
     }
-
-
-def _node_kinds() -> list[str]:
-    """Name the kinds of nodes by index."""
-    names = {FRONTIER: "frontier", VISITED: "visited place", OBJECT_NODE: "object"}
-    return [names[kind] for kind in sorted(names)]
 
 
 def _on_grid(values: np.ndarray, is_in: np.ndarray) -> tuple[np.ndarray, float, float]:
@@ -222,27 +220,9 @@ def _encode(array: np.ndarray) -> dict[str, str]:
     return {"kind": kind, "data": base64.b64encode(data).decode("ascii")}
 
 
-def _truth(recording: Recording) -> list[dict[str, Any]]:
-    """List where things truly stand."""
-    world = recording.scene.scenario
-    return [
-        {
-            "type": int(world.object_type[slot]),
-            "x": float(world.object_x[slot]),
-            "y": float(world.object_y[slot]),
-        }
-        for slot in np.flatnonzero(world.is_object)
-    ]
-
-
 def _short(*values: float) -> list[float]:
     """Round to a millimetre or a tenth of a per cent: nobody reads more."""
     return [round(float(value), 3) for value in values]
-
-
-def _rgb(color: str) -> list[int]:
-    """Turn "#rrggbb" into three numbers."""
-    return [int(color[place : place + 2], 16) for place in (1, 3, 5)]
 
 
 def write_pictures(recording: Recording, folder: Path | str) -> list[Path]:

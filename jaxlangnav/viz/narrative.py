@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from jaxlangnav.episode import EpisodeResult
-from jaxlangnav.experiments.table import Table
+from jaxlangnav.experiments.table import Table, TableColumns
 from jaxlangnav.messages import Status
 from jaxlangnav.planner.graph import OBJECT_NODE
 from jaxlangnav.recording import Frame, Recording, Remark, StaticScene
@@ -98,6 +98,23 @@ def describe_moments(recording: Recording, steps: Sequence[int]) -> list[dict[st
     return found
 
 
+def _share(name: str) -> Callable[[dict[str, Any]], str]:
+    """Write a probability."""
+    return lambda one: percent(one[name])
+
+
+_MOMENTS: TableColumns = (
+    ("step", "{step}"),
+    ("walked m", "{distance:.1f}"),
+    ("what happens", "{event}"),
+    ("goal seen", _share("goal_seen")),
+    ("unseen, left", _share("unseen_left")),
+    ("unseen, right", _share("unseen_right")),
+    ("its spread m", lambda one: "" if one["spread"] is None else f"{one['spread']:.1f}"),
+    ("looked at", _share("explored")),
+)
+
+
 def moments_table(moments: Sequence[dict[str, Any]]) -> Table:
     """Lay out the moments of a figure.
 
@@ -107,20 +124,7 @@ def moments_table(moments: Sequence[dict[str, Any]]) -> Table:
     Returns:
         A line for each.
     """
-    headings = ["step", "walked m", "what happens", "goal seen", "unseen, left", "unseen, right",
-                "its spread m", "looked at"]  # fmt: skip
-    rows = [
-        [
-            str(one["step"]),
-            f"{one['distance']:.1f}",
-            one["event"],
-            *(percent(one[name]) for name in ("goal_seen", "unseen_left", "unseen_right")),
-            "" if one["spread"] is None else f"{one['spread']:.1f}",
-            percent(one["explored"]),
-        ]
-        for one in moments
-    ]
-    return Table(headings=headings, rows=rows)
+    return Table.of(moments, _MOMENTS)
 
 
 def _spread(x: np.ndarray, y: np.ndarray, mass: np.ndarray) -> float | None:
@@ -144,11 +148,7 @@ _SHIFT = 0.1
 
 
 def opening(scene: StaticScene) -> list[str]:
-    """Tell what was said and how it was understood.
-
-    Returns:
-        Lines.
-    """
+    """Tell what was said and how it was understood."""
     x_min, x_max, y_min, y_max = scene.area
     claims = describe_readings(scene)
     lines = [f"You said: “{scene.text}”."] if scene.text else []

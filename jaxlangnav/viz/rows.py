@@ -247,7 +247,7 @@ def reliability_figure(
         grid[1][0].set_ylim(0, 2 * most)
         grid[0][0].set_ylabel("share that came true")
         grid[1][0].set_ylabel("predictions")
-        handles, labels = _merged_legend(grid[0], names)
+        handles, labels = legend_of([grid[0]])
         figure.legend(handles, labels, loc="lower center", ncols=columns)
         text = "On the dotted line probabilities mean what they say; bars: 95 %."
         style.title(figure, title, f"{subtitle}\n{text}" if subtitle else text)
@@ -275,14 +275,6 @@ def _draw_reliability(
     below.set_xlabel("predicted probability")
     for axes in (above, below):
         axes.grid()
-
-
-def _merged_legend(row: "Sequence[Axes]", names: list[str]) -> tuple[list[Any], list[str]]:
-    """Gather the legend of several panels, each name once."""
-    found: dict[str, Any] = {}
-    for axes in row:
-        found |= dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
-    return [found[name] for name in names], names
 
 
 def time_figure(parts: Mapping[str, float], *, what: str = "one decision cycle") -> "Figure":

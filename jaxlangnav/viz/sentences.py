@@ -39,11 +39,7 @@ def _place(frame: Frame, x: float, y: float) -> str:
 
 
 def heard(frame: Frame, said: Remark) -> str:
-    """Tell an utterance: what it was taken for, and what it changed, or why nothing.
-
-    Returns:
-        Sentences.
-    """
+    """Tell an utterance: what it was taken for, and what it changed, or why nothing."""
     who = "Hears" if said.speaker == "you" else f"Hears {said.speaker}:"
     if said.refusal:
         return f"{who} “{said.text}”, and keeps to its task: {said.refusal}."
@@ -55,11 +51,7 @@ def heard(frame: Frame, said: Remark) -> str:
 
 
 def rests(frame: Frame) -> str:
-    """Tell that the robot stands still until it hears something.
-
-    Returns:
-        A sentence.
-    """
+    """Tell that the robot stands still until it hears something."""
     if int(frame.status) == Status.IDLE:
         return "Stands still: it has no task."
     is_halted = int(frame.status) == Status.HALTED

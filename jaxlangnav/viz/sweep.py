@@ -72,7 +72,8 @@ def range_figure(document: Mapping[str, Any]) -> "Figure":
                 if (row["world"], row["relation"]) == (world, relation)
             ]
             _draw_column(above, below, mine, paper)
-            above.set_title(f"{world}, {_sentence_of(document, relation)}")
+            said = document.get("sentences", {}).get(relation or "null")
+            above.set_title(f"{world}, “{said or relation or 'no relation'}”")
             below.set_xlabel("sensing range (m, logarithmic)")
         grid[0][0].set_ylabel("distance travelled (m)")
         grid[1][0].set_ylabel("success (%)")
@@ -105,12 +106,6 @@ def looks_of(arms: Sequence[str]) -> dict[str, Mark]:
         )
         for index, arm in enumerate(arms)
     }
-
-
-def _sentence_of(document: Mapping[str, Any], relation: str | None) -> str:
-    """Look up the sentence behind a relation, in quotation marks."""
-    said = document.get("sentences", {}).get(relation or "null")
-    return f"“{said}”" if said else f"“{relation or 'no relation'}”"
 
 
 def _draw_column(above: "Axes", below: "Axes", rows: list[Row], paper: list[Row]) -> None:

@@ -1,7 +1,8 @@
 """Words for numbers: directions, distances, probabilities and readings in plain English."""
 
 import math
-from collections.abc import Callable
+
+import numpy as np
 
 from jaxlangnav.grounding.asked import Asked
 from jaxlangnav.language.lexicon import plural
@@ -207,13 +208,8 @@ def describe_asked(scene: StaticScene) -> list[str]:
     Returns:
         "go to the hydrant behind a cone, keeping away from the car", one a command.
     """
-    best = max(range(len(scene.readings.log_probability)), key=_score(scene))
+    best = int(np.argmax(scene.readings.log_probability))
     return [_asked_words(scene, best, one) for one in scene.asks]
-
-
-def _score(scene: StaticScene) -> Callable[[int], float]:
-    """Rank readings by probability."""
-    return lambda index: float(scene.readings.log_probability[index])
 
 
 def _asked_words(scene: StaticScene, best: int, one: Asked) -> str:

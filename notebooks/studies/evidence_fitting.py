@@ -22,7 +22,6 @@ import scipy.optimize
 from jax import Array
 
 from jaxlangnav.episode import EpisodeResult, Task, complete, finish
-from jaxlangnav.experiments.judging import EPISODES_AT_ONCE
 from jaxlangnav.experiments.monte_carlo import map_pieces
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams
@@ -104,7 +103,7 @@ def run_and_remember(
             piece, instructions, params=params, config=config, max_steps=max_steps
         ),
         tasks,
-        capacity=EPISODES_AT_ONCE,
+        capacity=64,
     )
 
 

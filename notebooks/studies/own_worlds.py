@@ -22,7 +22,7 @@ from jax import Array
 
 from jaxlangnav.episode import Task
 from jaxlangnav.experiments.calibration import Tally
-from jaxlangnav.experiments.judging import tally_tasks
+from jaxlangnav.experiments.judging import run_judged
 from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, navigator_config
 from jaxlangnav.experiments.tasks import SENTENCES, Cell, GroundedSentences, cell, concatenate
 from jaxlangnav.grounding.instruction import Instruction
@@ -319,7 +319,7 @@ def judge_own_worlds(
         tasks = own_tasks(one, sentences.instructions, bounds, start, params=numbers.map)
         if not bool(np.all(np.asarray(tasks.scenario.is_valid))):
             raise ValueError(f'no world fits "{SENTENCES[name]}" in the area {area}: enlarge it')
-        found[name] = tally_tasks(
+        _, found[name] = run_judged(
             tasks,
             sentences.instructions,
             params=numbers,
