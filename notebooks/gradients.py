@@ -32,8 +32,7 @@ import jaxlangnav
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.table1 import CORPUS, draw_splits
 from jaxlangnav.experiments.tasks import SENTENCES, cell, ground_sentences
-from jaxlangnav.grounding.features import FEATURE_GROUPS
-from jaxlangnav.grounding.model import ANNOTATION_KINDS, CorrespondenceModel
+from jaxlangnav.grounding.model import ANNOTATION_KINDS, FEATURE_GROUPS, CorrespondenceModel
 from jaxlangnav.language.corpus import load_corpus
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.messages import BEHIND, Observation

@@ -4,7 +4,7 @@ import sys
 from typing import Any
 
 from jaxlangnav.experiments.table1 import MODELS, evaluate
-from jaxlangnav.grounding.features import FEATURE_GROUPS
+from jaxlangnav.grounding.model import FEATURE_GROUPS
 
 
 def ablate(*, splits: int = 40, seed: int = 0) -> list[dict[str, Any]]:

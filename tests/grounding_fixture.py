@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from jaxlangnav.grounding.behavior_features import World
-from jaxlangnav.grounding.worlds import place
+from jaxlangnav.grounding.worlds import World, place
 from jaxlangnav.language.corpus import ClauseLabels, Example, WorldLabels
 from jaxlangnav.language.labels import Geometry, PlacedWorld, annotate, behave
 from jaxlangnav.language.lexicon import load_lexicon

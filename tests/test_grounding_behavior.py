@@ -11,13 +11,11 @@ from grounding_fixture import TYPES, random_topology
 from oracles.dcg import BehaviorOracle
 
 from jaxlangnav.grounding import infer_behavior, infer_behaviors, load_shipped, understand
-from jaxlangnav.grounding.behavior_features import World
-from jaxlangnav.grounding.contraction import softmax
 from jaxlangnav.grounding.correspondence import CorrespondenceGraph
-from jaxlangnav.grounding.program import BehaviorProgram
+from jaxlangnav.grounding.program import BehaviorProgram, softmax
 from jaxlangnav.grounding.properties import Behaviors
 from jaxlangnav.grounding.symbols import CONSTRAINT, GOAL, BehaviorSpace
-from jaxlangnav.grounding.worlds import place, to_device
+from jaxlangnav.grounding.worlds import World, place, to_device
 from jaxlangnav.language.labels import PlacedWorld
 from jaxlangnav.messages import AT, BEHIND, NEAR, ROBOT
 

@@ -17,9 +17,8 @@ from jaxlangnav.grounding import (
     infer_behaviors,
     load_shipped,
 )
-from jaxlangnav.grounding.behavior_features import World
 from jaxlangnav.grounding.readings import CapacityError
-from jaxlangnav.grounding.worlds import place_for, to_device
+from jaxlangnav.grounding.worlds import World, place_for, to_device
 from jaxlangnav.messages import ACTIONS, AT, MODES, NEAR, REGIONS, RELATIONS, ROBOT
 
 START = Context(is_under_way=False)

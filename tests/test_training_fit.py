@@ -11,12 +11,14 @@ import pytest
 from grounding_fixture import TYPES, corpus
 from oracles.dcg import objective
 
-from jaxlangnav.grounding.features import FEATURE_GROUPS, feature_group, word_features
 from jaxlangnav.grounding.model import (
     ANNOTATION_KINDS,
     BEHAVIOR_KINDS,
+    FEATURE_GROUPS,
     CorrespondenceModel,
     Vocabulary,
+    feature_group,
+    word_features,
 )
 from jaxlangnav.training.design import Design, Factors, pool
 from jaxlangnav.training.examples import annotation_examples, behavior_examples

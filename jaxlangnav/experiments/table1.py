@@ -19,10 +19,10 @@ from jaxlangnav.experiments.sizes import check_count, readable_count
 from jaxlangnav.experiments.table import Table
 from jaxlangnav.grounding.annotation import infer_annotations
 from jaxlangnav.grounding.correspondence import CorrespondenceGraph
-from jaxlangnav.grounding.features import FEATURE_GROUPS
 from jaxlangnav.grounding.model import (
     ANNOTATION_KINDS,
     BEHAVIOR_KINDS,
+    FEATURE_GROUPS,
     CorrespondenceModel,
     Vocabulary,
 )

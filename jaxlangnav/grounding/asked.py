@@ -13,10 +13,9 @@ import jax
 import numpy as np
 
 from jaxlangnav.grounding.behavior import BehaviorProgram, infer_behavior
-from jaxlangnav.grounding.behavior_features import World
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.grounding.symbols import NUM_RELATIONS
-from jaxlangnav.grounding.worlds import to_device
+from jaxlangnav.grounding.worlds import World, to_device
 from jaxlangnav.kept import kept
 from jaxlangnav.kinds import name_of
 from jaxlangnav.messages import (

@@ -1,6 +1,6 @@
 """Log-odds of behavior symbols in the particles (eq. 4, section 3.3), given the children's sets.
 
-The device twin of ``behavior_features``: leaves of a program are [..., E, 1], those of worlds
+The device twin of ``behavior_properties``: leaves of a program are [..., E, 1], those of worlds
 [..., E, P]; episodes and particles are lanes. A ``row`` is a program of one phrase: its fields
 have lost their first axis.
 """

@@ -1,33 +1,37 @@
-"""Properties of behavior symbols, each declared once: the grounding side of the bilinear score.
+"""Properties of behavior symbols: the grounding side of the bilinear score (section 3.3).
 
 A property holds of a symbol where a condition on its object is met (in a world, given the
 children's sets), times a gate that the words of the phrase set, apart for each relation:
 
     property(symbol) = gate(words)[relation] · condition(object, relation)
 
-``behavior_features`` evaluates conditions on the host. On the device the coefficients of all
-properties with one condition are added up per phrase (``contraction``), and only conditions are
-evaluated in the particles. The order here is that of the columns of the weights (section 3.3).
+Each is declared once, for training and search on the host (``behavior_tables``) and for the
+particles: there only conditions are evaluated, and ``contract`` adds up the coefficients of all
+properties with one condition per phrase. The order of declaration is that of the weights' columns.
 """
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxlangnav.grounding.features import Senses
-from jaxlangnav.grounding.symbols import NUM_REGIONS
-from jaxlangnav.messages import ACTIONS, AT, MODES, NEAR, REGIONS
+from jaxlangnav.grounding.annotation_properties import Columns, tabulate
+from jaxlangnav.grounding.model import Senses
+from jaxlangnav.grounding.symbols import NUM_REGIONS, NUM_RELATIONS
+from jaxlangnav.grounding.worlds import World
+from jaxlangnav.messages import ACTIONS, AT, MODES, NEAR, REGIONS, ROBOT
 
-_AT = (np.arange(NUM_REGIONS) == AT).astype(np.float32)
-_NEAR = (np.arange(NUM_REGIONS) == NEAR).astype(np.float32)
+_AT = (np.arange(NUM_REGIONS) == AT).astype(np.float32)[:, None]
+_NEAR = (np.arange(NUM_REGIONS) == NEAR).astype(np.float32)[:, None]
+Conditions = Mapping[str, Any]
+"""Name of a condition → bool[7, n] where it is met, and what broadcasts to it."""
 
 
 class PhraseWords(NamedTuple):
     """What gates read of a phrase."""
 
-    named: np.ndarray  # f32[7] one for the regions that the words name
+    named: np.ndarray  # f32[7, 1] one for the regions that the words name
     has_relations: bool
     is_named: bool  # the words name a type, or the robot
     is_lone: bool  # neither children nor a type
@@ -36,19 +40,10 @@ class PhraseWords(NamedTuple):
 
     @classmethod
     def of(cls, senses: Senses, has_children: bool, is_restricted: bool) -> "PhraseWords":
-        """Read a phrase.
-
-        Args:
-            senses: of its own words.
-            has_children: whether it has child phrases.
-            is_restricted: whether some child says where its figure is.
-
-        Returns:
-            What the gates need.
-        """
+        """Read the senses of a phrase's own words."""
         named = np.isin(np.arange(NUM_REGIONS), sorted(senses.relations))
         return cls(
-            named=named.astype(np.float32),
+            named=named.astype(np.float32)[:, None],
             has_relations=bool(senses.relations),
             is_named=bool(senses.types) or senses.is_robot,
             is_lone=not has_children and not senses.types,
@@ -57,149 +52,249 @@ class PhraseWords(NamedTuple):
         )
 
 
-Gate = Callable[[PhraseWords], np.ndarray | float]
-"""f32[7] by relation, or one number for all."""
+def _each(prefix: str, condition: Any) -> dict[str, Any]:
+    """Give every relation a property of its own."""
+    rows = np.eye(NUM_REGIONS, dtype=np.float32)[:, :, None]
+    return {f"{prefix}{name}": row * condition for name, row in zip(REGIONS, rows, strict=True)}
+
+
+def _object_columns(words: PhraseWords, met: Conditions) -> Columns:
+    """Describe the objects of a noun or preposition phrase."""
+    return {
+        "bias": met["always"],
+        "named": met["own"],
+        "unnamed": words.is_named * met["other"],
+        "inside": met["inside"],
+        "inside and there": words.is_restricted * met["inside_lies"],
+        "inside, not there": words.is_restricted * met["inside_elsewhere"],
+        "not inside": words.has_children * met["outside"],
+        "named and there": words.is_restricted * met["own_lies"],
+        "named, the previous goal": met["own_previous"],
+        "previous goal": met["previous"],
+        "like the previous goal": met["alike"],
+        "unlike the previous goal": met["unlike"],
+        "no previous goal": met["no_previous"],
+    }
+
+
+def _region_columns(words: PhraseWords, met: Conditions) -> Columns:
+    """Describe the regions of a noun or preposition phrase."""
+    inside = met["inside"]
+    return {
+        "bias": met["base"],
+        "relation named": words.named * met["base"],
+        "inside": inside,
+        "inside, relation named": words.named * inside,
+        "inside, other relation named": (1.0 - words.named) * words.has_relations * inside,
+        "same": met["same"],
+        "neither": words.has_children * met["absent"],
+        "inside, at by default": _AT * (not words.has_relations) * inside,
+        "named, relation named": words.named * met["own"],
+        "lone relation to the robot": words.named * words.is_lone * met["robot"],
+        "robot": met["robot"],
+        **_each("is ", met["base"]),
+        **_each("inside, is ", inside),
+    }
+
+
+def _goal_columns(words: PhraseWords, met: Conditions) -> Columns:
+    """Describe the goals of a verb phrase."""
+    return {
+        "bias": met["base"],
+        "same": met["same"],
+        "inside": met["inside"],
+        "neither": met["absent"],
+        "at, inside": _AT * met["inside"],
+        "at, same": _AT * met["same"],
+        "inside, relation named": words.named * met["inside"],
+        "same, relation named": words.named * met["same"],
+        "relation to the robot named": words.named * met["robot"],
+        **_each("is ", met["base"]),
+        **_each("same, is ", met["same"]),
+    }
+
+
+def _constraint_columns(words: PhraseWords, met: Conditions) -> Columns:
+    """Describe the constraints of a verb phrase."""
+    del words
+    return {
+        "bias": met["base"],
+        "same": met["same"],
+        "inside": met["inside"],
+        "touched": met["touched"],
+        "near, touched": _NEAR * met["touched"],
+        "at, touched": _AT * met["touched"],
+        "untouched": met["untouched"],
+        "kept": met["kept"],
+        "touched, not kept": met["new"],
+        "near, inside": _NEAR * met["inside"],
+        "at, inside": _AT * met["inside"],
+        **_each("is ", met["base"]),
+    }
+
+
+PREVIOUS = ("own_previous", "previous", "alike", "unlike", "no_previous")
+_OBJECT = ("always", "own", "other", "inside", "inside_lies", "inside_elsewhere", "outside",
+           "own_lies", *PREVIOUS)  # fmt: skip
+_REGION = ("base", "inside", "same", "absent", "own", "robot")
+_CONSTRAINT = ("base", "same", "inside", "touched", "untouched", "kept", "new")
+_DECLARED = {
+    "object": (_object_columns, _OBJECT),
+    "region": (_region_columns, _REGION),
+    "goal": (_goal_columns, _REGION),
+    "constraint": (_constraint_columns, _CONSTRAINT),
+}
+"""Kind of symbol → its properties, and the conditions that they may be under."""
+
+
+def contract(kind: str, words: PhraseWords, coefficients: np.ndarray) -> dict[str, np.ndarray]:
+    """Add up the coefficients of the properties that hold under one condition.
+
+    Args:
+        kind: "object", "region", "goal" or "constraint".
+        words: of the phrase.
+        coefficients: f32[F], log-odds per property.
+
+    Returns:
+        Condition → f32[7] by relation; of objects all seven are the same.
+    """
+    columns, conditions = _DECLARED[kind]
+    # Of as many things each of which meets one condition alone.
+    met = dict(zip(conditions, np.eye(len(conditions), dtype=np.float32)[:, None], strict=True))
+    terms = np.zeros((NUM_REGIONS, len(conditions)), np.float32)
+    for coefficient, column in zip(coefficients, columns(words, met).values(), strict=True):
+        terms += coefficient * np.asarray(column, np.float32)
+    return dict(zip(conditions, terms.T, strict=True))
+
+
+def choice_columns(named: frozenset[int], names: Sequence[str]) -> Columns:
+    """Describe the symbols of actions or modes, of which the words name some, bool[n] each."""
+    own, is_named = np.isin(np.arange(len(names)), sorted(named)), bool(named)
+    given = {"bias": True, "named": own, "another named": ~own & is_named, "none named": not named}
+    is_each = np.eye(len(names), dtype=bool)
+    return given | {f"is {name}": row for name, row in zip(names, is_each, strict=True)}
+
+
+def choice_tables(senses: Senses) -> dict[str, np.ndarray]:
+    """Describe actions and modes, f32[2, 6] and f32[3, 7]: they depend on the words alone."""
+    return {
+        "action": tabulate((len(ACTIONS),), choice_columns(senses.actions, ACTIONS)),
+        "mode": tabulate((len(MODES),), choice_columns(senses.modes, MODES)),
+    }
+
+
+def behavior_names() -> dict[str, tuple[str, ...]]:
+    """Name the columns of the weights: kind of symbol → F names."""
+    words = PhraseWords(_AT, *[False] * 5)
+    choices = {"action": ACTIONS, "mode": MODES}
+    return {
+        kind: tuple(columns(words, dict.fromkeys(conditions, False)))
+        for kind, (columns, conditions) in _DECLARED.items()
+    } | {kind: tuple(choice_columns(frozenset(), names)) for kind, names in choices.items()}
+
+
+# ---------------------------------------------------------------- in a world, on the host
 
 
 @dataclasses.dataclass(frozen=True)
-class Property:
-    """One property: a column of the weights."""
+class ChildGroundings:
+    """What the child phrases express in one world."""
 
-    name: str
-    condition: str  # what must hold of the symbol's object
-    gate: Gate = lambda words: 1.0  # what the words must be like
-
-
-def _each(condition: str, prefix: str) -> tuple[Property, ...]:
-    """Give every relation a property of its own."""
-    rows = np.eye(NUM_REGIONS, dtype=np.float32)
-    return tuple(
-        Property(f"{prefix}{name}", condition, lambda words, row=row: row)
-        for name, row in zip(REGIONS, rows, strict=True)
-    )
+    objects: np.ndarray  # bool[N]
+    regions: np.ndarray  # bool[7, N] regions, and goals of child verb phrases
+    constraints: np.ndarray  # bool[7, N]
+    lies: np.ndarray  # bool[N] lies in a region of every restricting child; all if there is none
+    is_restricted: bool
+    has_children: bool
 
 
-OBJECT_PROPERTIES = (
-    Property("bias", "always"),
-    Property("named", "own"),
-    Property("unnamed", "other", lambda words: float(words.is_named)),
-    Property("inside", "inside"),
-    Property("inside and there", "inside_lies", lambda words: float(words.is_restricted)),
-    Property("inside, not there", "inside_elsewhere", lambda words: float(words.is_restricted)),
-    Property("not inside", "outside", lambda words: float(words.has_children)),
-    Property("named and there", "own_lies", lambda words: float(words.is_restricted)),
-    Property("named, the previous goal", "own_previous"),
-    Property("previous goal", "previous"),
-    Property("like the previous goal", "alike"),
-    Property("unlike the previous goal", "unlike"),
-    Property("no previous goal", "no_previous"),
-)
-"""Of the objects of a noun or preposition phrase."""
-REGION_PROPERTIES = (
-    Property("bias", "base"),
-    Property("relation named", "base", lambda words: words.named),
-    Property("inside", "inside"),
-    Property("inside, relation named", "inside", lambda words: words.named),
-    Property(
-        "inside, other relation named",
-        "inside",
-        lambda words: (1.0 - words.named) * words.has_relations,
-    ),
-    Property("same", "same"),
-    Property("neither", "absent", lambda words: float(words.has_children)),
-    Property("inside, at by default", "inside", lambda words: _AT * (not words.has_relations)),
-    Property("named, relation named", "own", lambda words: words.named),
-    Property(
-        "lone relation to the robot", "robot", lambda words: words.named * float(words.is_lone)
-    ),
-    Property("robot", "robot"),
-    *_each("base", "is "),
-    *_each("inside", "inside, is "),
-)
-"""Of the regions of a noun or preposition phrase."""
-GOAL_PROPERTIES = (
-    Property("bias", "base"),
-    Property("same", "same"),
-    Property("inside", "inside"),
-    Property("neither", "absent"),
-    Property("at, inside", "inside", lambda words: _AT),
-    Property("at, same", "same", lambda words: _AT),
-    Property("inside, relation named", "inside", lambda words: words.named),
-    Property("same, relation named", "same", lambda words: words.named),
-    Property("relation to the robot named", "robot", lambda words: words.named),
-    *_each("base", "is "),
-    *_each("same", "same, is "),
-)
-"""Of the goals of a verb phrase."""
-CONSTRAINT_PROPERTIES = (
-    Property("bias", "base"),
-    Property("same", "same"),
-    Property("inside", "inside"),
-    Property("touched", "touched"),
-    Property("near, touched", "touched", lambda words: _NEAR),
-    Property("at, touched", "touched", lambda words: _AT),
-    Property("untouched", "untouched"),
-    Property("kept", "kept"),
-    Property("touched, not kept", "new"),
-    Property("near, inside", "inside", lambda words: _NEAR),
-    Property("at, inside", "inside", lambda words: _AT),
-    *_each("base", "is "),
-)
-"""Of the constraints of a verb phrase."""
-_CHOICE = ("bias", "named", "another named", "none named")
-
-
-def _choices(names: Sequence[str]) -> tuple[str, ...]:
-    """Name the properties of a choice by words alone."""
-    return (*_CHOICE, *(f"is {name}" for name in names))
-
-
-PROPERTY_NAMES: dict[str, tuple[str, ...]] = {
-    "object": tuple(one.name for one in OBJECT_PROPERTIES),
-    "region": tuple(one.name for one in REGION_PROPERTIES),
-    "goal": tuple(one.name for one in GOAL_PROPERTIES),
-    "constraint": tuple(one.name for one in CONSTRAINT_PROPERTIES),
-    "action": _choices(ACTIONS),
-    "mode": _choices(MODES),
-}
-"""Kind of symbol → names of the columns of its weights, which files of weights hold too."""
-
-
-def evaluate_properties(
-    properties: Sequence[Property], words: PhraseWords, conditions: Mapping[str, np.ndarray | bool]
-) -> list[np.ndarray]:
-    """Evaluate properties on the host.
+def lies_in(world: World, regions: np.ndarray, rank: np.ndarray) -> np.ndarray:
+    """Find which objects lie in one of the regions.
 
     Args:
-        properties: of a kind of symbol.
-        words: of the phrase.
-        conditions: by name, bool[N] for objects, or bool[7, N] and what broadcasts to it.
+        world: the world.
+        regions: bool[7, N] regions.
+        rank: i[7], 0 where every object of the region is meant, 1 the extreme one, 2 the second.
 
     Returns:
-        One column for each, f32 that broadcasts to the symbols.
+        bool[N]; an object lies "at" itself.
     """
-    columns = []
-    for one in properties:
-        gate = np.asarray(one.gate(words), np.float32)
-        columns.append((gate[:, None] if gate.ndim else gate) * conditions[one.condition])
-    return columns
+    lies = regions[AT].copy()
+    for relation in range(NUM_RELATIONS):
+        table = world.is_ranked[rank[relation] - 1] if rank[relation] else world.is_related
+        lies |= (table[relation] & regions[relation]).any(1)
+    return lies & world.is_object
 
 
-def contract(
-    properties: Sequence[Property], words: PhraseWords, coefficients: np.ndarray
+def _conditions(world: World, senses: Senses, child: ChildGroundings) -> dict[str, Conditions]:
+    """Evaluate the conditions of every kind of symbol, bool[7, N] and what broadcasts to it."""
+    is_type = np.isin(world.object_type, sorted(senses.types))
+    is_robot = world.object_type == ROBOT
+    own = (is_type | (is_robot & senses.is_robot)) & world.is_object
+    # What is called by no type may be anything, whatever the goal before was.
+    is_previous = world.is_previous & (not senses.is_thing)
+    has_previous = bool(is_previous.any())
+    alike = np.isin(world.object_type, world.object_type[is_previous])
+    inside, same, lies = child.objects, child.regions, child.lies
+    touched = inside[None] | same.any(0, keepdims=True)
+    of_object = {
+        "always": True,
+        "own": own,
+        "other": ~own,
+        "inside": inside,
+        "inside_lies": inside & lies,
+        "inside_elsewhere": inside & ~lies,
+        "outside": ~inside,
+        "own_lies": own & lies,
+        "own_previous": own & is_previous,
+        "previous": is_previous,
+        "alike": alike & ~is_previous,
+        "unlike": ~alike & has_previous,
+        "no_previous": not has_previous,
+    }
+    of_region = {
+        "base": True,
+        "inside": inside[None],
+        "same": same,
+        "absent": ~inside[None] & ~same,
+        "own": own[None],
+        "robot": is_robot[None],
+    }
+    of_constraint = {
+        "base": True,
+        "same": same,
+        "inside": inside[None],
+        "touched": touched,
+        "untouched": ~touched,
+        "kept": child.constraints,
+        "new": touched & ~child.constraints,
+    }
+    return {
+        "object": of_object,
+        "region": of_region,
+        "goal": of_region,
+        "constraint": of_constraint,
+    }
+
+
+def behavior_tables(
+    world: World, is_verb: bool, senses: Senses, child: ChildGroundings
 ) -> dict[str, np.ndarray]:
-    """Add up the coefficients f32[F] of the properties that hold under one condition.
+    """Describe every behavior symbol of a phrase in one world.
 
     Args:
-        properties: of a kind of symbol.
-        words: of the phrase.
-        coefficients: log-odds per property.
+        world: the world.
+        is_verb: whether the phrase expresses goals and constraints, or objects and regions.
+        senses: of the phrase's own words.
+        child: groundings of its child phrases.
 
     Returns:
-        Condition → f32[7] by relation, or f32[] where no gate tells relations apart.
+        Kind → f32[symbols of the kind, F].
     """
-    terms: dict[str, np.ndarray] = {}
-    for one, coefficient in zip(properties, coefficients, strict=True):
-        term = coefficient * one.gate(words)
-        terms[one.condition] = terms[one.condition] + term if one.condition in terms else term
-    return terms
+    words = PhraseWords.of(senses, child.has_children, child.is_restricted)
+    met = _conditions(world, senses, child)
+    tables = {}
+    for kind in ("goal", "constraint") if is_verb else ("object", "region"):
+        shape = child.objects.shape if kind == "object" else child.regions.shape
+        tables[kind] = tabulate(shape, _DECLARED[kind][0](words, met[kind]))
+    return tables | (choice_tables(senses) if is_verb else {})

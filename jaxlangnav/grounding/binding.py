@@ -14,7 +14,7 @@ from functools import cache
 
 import numpy as np
 
-from jaxlangnav.grounding.contraction import NUM_OWN
+from jaxlangnav.grounding.program import NUM_OWN
 from jaxlangnav.kinds import (
     ANYTHING,
     ATTRIBUTES,

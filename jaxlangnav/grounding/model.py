@@ -2,20 +2,142 @@
 
     log p(φ = 1 | λ, γ, Γ) / p(φ = 0 | λ, γ, Γ) = words(λ)ᵀ W_kind properties(γ, Γ)
 
+A feature of the paper is a product of a correspondence value, a property of the words and a
+property of the grounding; the score is therefore bilinear. Here is the word side, names with
+values; the grounding side stands in ``annotation_properties`` and ``behavior_properties``.
 Contracting the words first leaves a few coefficients per phrase and kind of symbol; that is done
 once per sentence, and nothing downstream sees a word.
+
+A word carries its identity (lemma), part of speech and lexicon senses; a word without senses also
+its character n-grams, hashed. A phrase carries a bias, its label, shape and child labels. So a
+word never seen still has a part of speech, a shape and n-grams, and a synonym has the senses of
+what it stands for: properties of agreement ("the type that the words name") then carry it
+without retraining.
 """
 
 import dataclasses
+import zlib
 from functools import cached_property
 
 import numpy as np
 
-from jaxlangnav.grounding.features import word_features
 from jaxlangnav.language.phrase import Phrase
+from jaxlangnav.messages import ACTIONS, MODES, REGIONS
 
 ANNOTATION_KINDS = ("symbol", "rank")
 BEHAVIOR_KINDS = ("object", "region", "goal", "constraint", "action", "mode")
+NUM_GRAMS = 128
+"""Buckets of the hashed character n-grams."""
+RESTRICTORS = ("PP", "ADJP", "SBAR")
+"""Labels of child phrases that say where the figure of a noun phrase is."""
+IDENTITY_SCALE = 0.4
+WORD_SCALE = 0.2
+GRAM_SCALE = 0.3
+_GROUP_OF = {
+    "word": "word",
+    "tag": "tag",
+    "sense": "sense",
+    "class": "sense",
+    "below": "sense",
+    "gram": "gram",
+    "label": "shape",
+    "length": "shape",
+    "child": "shape",
+    "pair": "shape",
+    "children": "shape",
+}
+"""What a feature's name begins with → its group."""
+FEATURE_GROUPS = tuple(dict.fromkeys(_GROUP_OF.values()))
+"""Groups of word-side features that an ablation may leave out."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Senses:
+    """What the lexicon says of a phrase's own words."""
+
+    types: frozenset[int]
+    relations: frozenset[int]  # indices into REGIONS
+    actions: frozenset[int]
+    modes: frozenset[int]
+    ranks: frozenset[int]  # 1 for a plain superlative, n for the n-th
+    is_robot: bool
+    is_thing: bool = False  # "the thing", "the one": a thing of any type, and not "the other one"
+
+
+def _indices(senses: set[str], prefix: str, names: tuple[str, ...]) -> frozenset[int]:
+    """Find which of the names the senses hold."""
+    return frozenset(i for i, name in enumerate(names) if f"{prefix}:{name}" in senses)
+
+
+def senses_of(phrase: Phrase, type_names: tuple[str, ...]) -> Senses:
+    """Collect the senses of a phrase's own words.
+
+    Args:
+        phrase: the phrase.
+        type_names: object types in the order of their indices.
+
+    Returns:
+        Indices of types, regions, actions and modes named.
+    """
+    senses = {sense for word in phrase.words for sense in word.senses}
+    numbers = {int(sense[5:]) for sense in senses if sense.startswith("rank:")}
+    return Senses(
+        types=_indices(senses, "type", type_names),
+        relations=_indices(senses, "relation", REGIONS),
+        actions=_indices(senses, "action", ACTIONS),
+        modes=_indices(senses, "mode", MODES),
+        ranks=frozenset(numbers or ({1} if "superlative" in senses else set())),
+        is_robot="robot" in senses or "type:robot" in senses,
+        is_thing="anaphor" in senses
+        and "other" not in senses
+        and not any(sense.startswith("type:") for sense in senses),
+    )
+
+
+def _grams(text: str) -> set[int]:
+    """Hash the character trigrams of a word; stable between processes."""
+    padded = f"^{text}$"
+    grams = {padded[i : i + 3] for i in range(len(padded) - 2)}
+    return {zlib.crc32(gram.encode()) % NUM_GRAMS for gram in grams}
+
+
+def feature_group(name: str) -> str:
+    """Find the group of a word-side feature: one of ``FEATURE_GROUPS``, or "bias"."""
+    return name if name == "bias" else _GROUP_OF[name.partition("=")[0]]
+
+
+def word_features(phrase: Phrase, without: frozenset[str] = frozenset()) -> dict[str, float]:
+    """Describe the words and the shape of a phrase.
+
+    Args:
+        phrase: the phrase; its children count by label only.
+        without: groups of features to leave out (``FEATURE_GROUPS``), for ablations.
+
+    Returns:
+        Values of named features; any other is zero. The bias is always one.
+    """
+    features = {"bias": 1.0}
+    for word in phrase.words:
+        features[f"word={word.lemma}"] = WORD_SCALE
+        features[f"tag={word.tag}"] = 0.5
+        for sense in word.senses:
+            features[f"sense={sense}"] = IDENTITY_SCALE
+            features[f"class={sense.partition(':')[0]}"] = 1.0
+        if not word.senses:
+            for gram in _grams(word.text):
+                features[f"gram={gram}"] = GRAM_SCALE
+    features[f"label={phrase.label}"] = 1.0
+    features[f"length={min(len(phrase.words), 3)}"] = 0.5
+    for child in phrase.children:
+        features[f"child={child.label}"] = 1.0
+        features[f"pair={phrase.label}>{child.label}"] = 0.2
+        classes = {sense.partition(":")[0] for word in child.words for sense in word.senses}
+        for name in classes or {"none"}:
+            features[f"below={child.label}:{name}"] = 0.5
+    features[f"children={min(len(phrase.children), 3)}"] = 0.5
+    if not without:
+        return features
+    return {name: value for name, value in features.items() if feature_group(name) not in without}
 
 
 @dataclasses.dataclass(frozen=True)

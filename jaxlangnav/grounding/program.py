@@ -16,24 +16,22 @@ import jax
 import numpy as np
 from jax import Array
 
-from jaxlangnav.grounding.behavior_features import action_properties, mode_properties
-from jaxlangnav.grounding.contraction import (
-    NUM_OWN,
-    constraint_terms,
-    goal_terms,
-    object_fields,
-    region_terms,
-    softmax,
+from jaxlangnav.grounding.behavior_properties import (
+    PREVIOUS,
+    PhraseWords,
+    choice_tables,
+    contract,
 )
-from jaxlangnav.grounding.features import RESTRICTORS, senses_of
-from jaxlangnav.grounding.model import CorrespondenceModel
+from jaxlangnav.grounding.model import RESTRICTORS, CorrespondenceModel, Senses, senses_of
 from jaxlangnav.grounding.properties import ranks_meant
 from jaxlangnav.grounding.symbols import NUM_REGIONS, NUM_RELATIONS, Node, Path, bottom_up
 from jaxlangnav.language.phrase import Phrase
-from jaxlangnav.messages import AT, NONE
+from jaxlangnav.messages import AT, NONE, ROBOT
 from jaxlangnav.pytree import pytree
 
 NUM_PHRASES, NUM_CHILDREN, NUM_REGION_SLOTS = 24, 3, 2
+NUM_OWN = 4
+"""Kinds that the words of one phrase may name."""
 NUM_TABLES = 5
 """Different relations in which a sentence may place figures."""
 MAX_DEPTH = 6
@@ -161,6 +159,31 @@ class _Row:
     children: tuple[int, ...]  # rows, the last child first
 
 
+def softmax(log_odds: np.ndarray) -> np.ndarray:
+    """Turn log-odds into the distribution given that exactly one is expressed."""
+    weight = np.exp(log_odds - log_odds.max())
+    return (weight / weight.sum()).astype(np.float32)
+
+
+def _fill_objects(
+    fields: dict[str, np.ndarray], row: int, senses: Senses, terms: dict[str, np.float32]
+) -> None:
+    """Write the coefficients of a noun phrase's objects, and the kinds that its words name."""
+    named = [*sorted(senses.types), *([ROBOT] if senses.is_robot else [])][:NUM_OWN]
+    fields["own"][row] = named + [NONE] * (NUM_OWN - len(named))
+    if senses.is_thing:  # whatever the goal before was, to it there is none
+        terms["always"] += terms["no_previous"]
+        terms |= dict.fromkeys(PREVIOUS, np.float32(0.0))
+    fields["object_named"][row] = terms["always"] + terms["own"]
+    fields["object_unnamed"][row] = terms["always"] + terms["other"]
+    fields["object_inside"][row] = terms["inside"]
+    fields["object_lies"][row] = terms["inside_lies"]
+    fields["object_outside"][row] = terms["inside_elsewhere"]
+    fields["object_absent"][row] = terms["outside"]
+    fields["object_own_lies"][row] = terms["own_lies"]
+    fields["object_previous"][row] = [terms[condition] for condition in PREVIOUS]
+
+
 def _fill_regions(fields: dict[str, np.ndarray], at: _Row, terms: dict, meant: np.ndarray) -> dict:
     """Choose the slots of a phrase: (row, slot) → (bound, table); slot −1: bound of what is out."""
     row, reach = at.row, _reach(terms, _held(fields, at))
@@ -269,29 +292,23 @@ def compile_clause(
         fields["is_verb"][row] = node.is_verb
         fields["is_restrictor"][row, : len(labels)] = labels
         meant = ranks_meant(node.phrase, node.path, rank, type_names)
+        words = PhraseWords.of(senses, bool(node.children), any(labels))
         if node.is_verb:
-            terms = goal_terms(z["goal"], senses, node)
-            _fill_constraint(fields, at, constraint_terms(z["constraint"], senses, node))
+            terms = contract("goal", words, z["goal"])
+            _fill_constraint(fields, at, contract("constraint", words, z["constraint"]))
         else:
-            terms = region_terms(z["region"], senses, node)
-            for name, value in object_fields(z["object"], senses, node, any(labels)).items():
-                fields[name][row] = value
+            terms = contract("region", words, z["region"])
+            of_objects = contract("object", words, z["object"])
+            _fill_objects(fields, row, senses, {name: one[0] for name, one in of_objects.items()})
         slots = _fill_regions(fields, at, terms, meant)
         slack = max(slack, slots.pop((row, -1))[0])
         if node.phrase.label in RESTRICTORS:
             wanted |= slots
     slack = max(slack, _fill_tables(fields, wanted))
-    _fill_choices(fields, model, nodes[-1], type_names)
+    z = model.coefficients(root)
+    for name, table in choice_tables(senses_of(root, type_names)).items():
+        fields[name] = softmax(table @ z[name])
     return Compiled(fields, slack)
-
-
-def _fill_choices(
-    fields: dict, model: CorrespondenceModel, root: Node, type_names: tuple[str, ...]
-) -> None:
-    """Infer the action and the mode: they depend on the words alone."""
-    z, senses = model.coefficients(root.phrase), senses_of(root.phrase, type_names)
-    fields["action"] = softmax(action_properties(senses) @ z["action"])
-    fields["mode"] = softmax(mode_properties(senses) @ z["mode"])
 
 
 def to_program(fields: dict[str, np.ndarray]) -> BehaviorProgram:

@@ -5,7 +5,6 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 
-from jaxlangnav.grounding.behavior_features import World
 from jaxlangnav.grounding.symbols import NUM_RELATIONS
 from jaxlangnav.kinds import fits, kind_of, label_of
 from jaxlangnav.language.labels import Geometry, PlacedWorld
@@ -13,6 +12,17 @@ from jaxlangnav.messages import BETWEEN, NONE, ROBOT, BehaviorWorld, Readings
 from jaxlangnav.relations.between import lies_between
 from jaxlangnav.relations.strength import num_before
 from jaxlangnav.relations.table import NUM_RANKS
+
+
+@dataclasses.dataclass(frozen=True)
+class World:
+    """Placed objects of one world on the host; the last slot is the robot."""
+
+    object_type: np.ndarray  # i32[N] type index; ROBOT last
+    is_object: np.ndarray  # bool[N]
+    is_related: np.ndarray  # bool[6, N, N] relation, figure, landmark
+    is_ranked: np.ndarray  # bool[4, 6, N, N] the figure is the extreme of its type, the second, ...
+    is_previous: np.ndarray  # bool[N] goal of the command before
 
 
 def _ranks(geometry: Geometry, object_type: np.ndarray) -> np.ndarray:

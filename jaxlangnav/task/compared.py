@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from jaxlangnav.grounding.behavior_features import World
 from jaxlangnav.grounding.form import FormRelation
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.grounding.symbols import NUM_RELATIONS
+from jaxlangnav.grounding.worlds import World
 from jaxlangnav.kinds import noun_of
 from jaxlangnav.messages import (
     ACTIONS,

@@ -24,11 +24,10 @@ from jax import Array
 from jaxlangnav.conversation import seen_from
 from jaxlangnav.files.documents import DocumentError, parse_json, read_text
 from jaxlangnav.grounding.asked import LEAST_PREVIOUS_GOAL, infer_once
-from jaxlangnav.grounding.behavior_features import World
 from jaxlangnav.grounding.form import FormReading, read_meaning
 from jaxlangnav.grounding.instruction import Instruction, Understanding
 from jaxlangnav.grounding.json_schema import quote
-from jaxlangnav.grounding.worlds import place_for, to_device
+from jaxlangnav.grounding.worlds import World, place_for, to_device
 from jaxlangnav.language.labels import PlacedWorld
 from jaxlangnav.language.lexicon import type_called
 from jaxlangnav.messages import ACTIONS, AT, MODES, NONE, REGIONS, Behavior

@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxlangnav.grounding.behavior_features import World
 from jaxlangnav.grounding.correspondence import RANK, AnyWorld, Labelled, SymbolSpace
 from jaxlangnav.grounding.properties import Annotations, Behaviors
 from jaxlangnav.grounding.symbols import (
@@ -24,7 +23,7 @@ from jaxlangnav.grounding.symbols import (
     region_symbol,
     relation_symbol,
 )
-from jaxlangnav.grounding.worlds import place
+from jaxlangnav.grounding.worlds import World, place
 from jaxlangnav.language.corpus import Example
 from jaxlangnav.language.phrase import COMMAND, Parse, Phrase
 from jaxlangnav.messages import ACTIONS, MODES, NONE, REGIONS, RELATIONS, ROBOT

@@ -29,8 +29,13 @@ from jaxlangnav.grounding.correspondence import (
     Labelled,
     SymbolSpace,
 )
-from jaxlangnav.grounding.features import FEATURE_GROUPS, feature_group
-from jaxlangnav.grounding.model import CorrespondenceModel, Vocabulary, build_vocabulary
+from jaxlangnav.grounding.model import (
+    FEATURE_GROUPS,
+    CorrespondenceModel,
+    Vocabulary,
+    build_vocabulary,
+    feature_group,
+)
 from jaxlangnav.training.design import Design, flatten, pool
 from jaxlangnav.training.examples import PhraseExample, examples_of
 from jaxlangnav.training.optimum import Problem, Search, data_loss, minimise
