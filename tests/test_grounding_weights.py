@@ -66,7 +66,7 @@ def test_every_property_has_a_name_and_a_column():
 
 def test_weights_say_where_they_come_from():
     record = about(shipped_path())
-    assert record["command"] == "jaxlangnav train both"
+    assert record["command"] == "python scripts/train_models.py"
     assert len(str(record["corpus"])) == 16
 
 

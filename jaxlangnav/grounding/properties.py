@@ -41,7 +41,8 @@ from jaxlangnav.grounding.worlds import World
 from jaxlangnav.language.phrase import Phrase
 from jaxlangnav.relations.table import NUM_RANKS
 
-_annotation_space, _behavior_space = map(functools.cache, (AnnotationSpace, BehaviorSpace))
+_annotation_space = functools.cache(AnnotationSpace)
+_behavior_space = functools.cache(BehaviorSpace)
 
 
 @functools.cache
