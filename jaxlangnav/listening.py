@@ -18,7 +18,7 @@ from jaxlangnav.conversation import Joined, join, seen_from
 from jaxlangnav.grounding import Context, Grounded, Grounder
 from jaxlangnav.grounding.annotated import returning
 from jaxlangnav.grounding.grounder import names_of
-from jaxlangnav.grounding.spoken import Spoken
+from jaxlangnav.grounding.instruction import Spoken
 from jaxlangnav.hearing import How
 from jaxlangnav.kinds import is_anything, label_of, name_of, noun_of
 from jaxlangnav.language.halting import Act, alarm_in, opening_of

@@ -20,10 +20,9 @@ from corpus_words import WORDS, Slots
 
 import jaxlangnav.language
 from jaxlangnav.language.corpus import parse_labelled
-from jaxlangnav.language.labels import annotate, behave, rank
+from jaxlangnav.language.labels import Geometry, PlacedWorld, annotate, behave, rank
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.language.phrase import Parse
-from jaxlangnav.language.placed import Geometry, PlacedWorld
 
 HERE = Path(__file__).parent
 DATA = Path(jaxlangnav.language.__file__).parent / "data"

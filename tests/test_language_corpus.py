@@ -13,10 +13,9 @@ from jaxlangnav.language.corpus import (
     read_corpus,
     read_example,
 )
-from jaxlangnav.language.labels import annotate, behave, rank
+from jaxlangnav.language.labels import Geometry, PlacedWorld, annotate, behave, rank
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.language.parser import parse
-from jaxlangnav.language.placed import Geometry, PlacedWorld
 from jaxlangnav.messages import MODES, RELATIONS
 
 EVALUATED = {

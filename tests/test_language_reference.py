@@ -2,10 +2,9 @@
 
 import pytest
 
-from jaxlangnav.language.labels import Geometry, behave
+from jaxlangnav.language.labels import Geometry, PlacedWorld, behave
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import LanguageError, Phrase
-from jaxlangnav.language.placed import PlacedWorld
 
 SAME_CONE = ("type:cone", "same")
 CLEAR = {

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxlangnav.language.placed import Geometry, PlacedWorld
+from jaxlangnav.language.labels import Geometry, PlacedWorld
 from jaxlangnav.messages import BEHIND, FAR, FRONT, LEFT, NEAR, RELATIONS, RIGHT
 from jaxlangnav.relations.strength import degree, degree_of, num_before, value_of_rank
 from jaxlangnav.relations.table import NUM_RANKS, ORDERS

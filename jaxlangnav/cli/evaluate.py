@@ -99,8 +99,7 @@ class Evaluate:
 
         sentences = read_sentences(path)
         keep_compiled_programs()
-        from jaxlangnav.grounding.recorded import RecordedRewrites
-        from jaxlangnav.grounding.rewrites import default_rewrite_params
+        from jaxlangnav.grounding.rewrites import RecordedRewrites, default_rewrite_params
         from jaxlangnav.grounding.weights import load_shipped
         from jaxlangnav.task.scored import (
             ARMS,

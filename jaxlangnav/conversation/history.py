@@ -12,9 +12,8 @@ import jax
 import numpy as np
 
 from jaxlangnav.conversation.memory import AVOID_ALL, AVOID_IT, Words
-from jaxlangnav.grounding.instruction import Instruction
+from jaxlangnav.grounding.instruction import Instruction, Spoken
 from jaxlangnav.grounding.program import BehaviorProgram
-from jaxlangnav.grounding.spoken import Spoken
 from jaxlangnav.kinds import label_of
 from jaxlangnav.messages import NONE, ROBOT, Readings
 from jaxlangnav.pytree import pytree

@@ -19,9 +19,8 @@ from jaxlangnav.conversation.history import (
     written,
 )
 from jaxlangnav.conversation.memory import Words
-from jaxlangnav.grounding.instruction import Instruction
+from jaxlangnav.grounding.instruction import Instruction, Spoken
 from jaxlangnav.grounding.readings import in_order, things_last
-from jaxlangnav.grounding.spoken import Spoken
 from jaxlangnav.messages import BETWEEN, NONE, ROBOT, Readings
 
 

@@ -20,8 +20,12 @@ from jaxlangnav.grounding.instruction import (
     understand_parse,
 )
 from jaxlangnav.grounding.program import BehaviorProgram
-from jaxlangnav.grounding.recorded import RecordedRewrites
-from jaxlangnav.grounding.rewrites import RewriteGrounder, RewriteSource, default_rewrite_params
+from jaxlangnav.grounding.rewrites import (
+    RecordedRewrites,
+    RewriteGrounder,
+    RewriteSource,
+    default_rewrite_params,
+)
 from jaxlangnav.grounding.symbols import Symbols
 from jaxlangnav.grounding.weights import load_shipped
 

@@ -14,7 +14,7 @@ from jaxlangnav.grounding.annotation import describe_annotation
 from jaxlangnav.grounding.form import Form, FormCommand, FormReading, read_form
 from jaxlangnav.grounding.form_program import clause_of_form
 from jaxlangnav.grounding.grounder import Context, Grounded
-from jaxlangnav.grounding.instruction import Instruction, pack_instruction
+from jaxlangnav.grounding.instruction import Instruction, Spoken, pack_instruction
 from jaxlangnav.grounding.readings import (
     NUM_MENTIONS,
     NUM_RELATIONS_SAID,
@@ -23,7 +23,6 @@ from jaxlangnav.grounding.readings import (
     in_order,
     pad_readings,
 )
-from jaxlangnav.grounding.spoken import Spoken
 from jaxlangnav.grounding.symbols import Annotation, object_symbol, relation_symbol
 from jaxlangnav.kinds import MOST_LABELS
 from jaxlangnav.language.lexicon import load_lexicon

@@ -16,8 +16,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.grounding.behavior_odds import Combinations
-from jaxlangnav.grounding.bits import iota, pick_of_four, smallest, to_mask
+from jaxlangnav.grounding.behavior_odds import Combinations, iota, pick_of_four, smallest, to_mask
 from jaxlangnav.grounding.program import MAX_DEPTH, NUM_CHILDREN, NUM_REGION_SLOTS, BehaviorProgram
 from jaxlangnav.messages import NONE
 

@@ -29,11 +29,11 @@ from jaxlangnav.grounding.behavior_odds import (
     ObjectSets,
     build_object_sets,
     constraint_odds,
+    iota,
     lying_in,
     object_odds,
     region_odds,
 )
-from jaxlangnav.grounding.bits import iota
 from jaxlangnav.grounding.program import (
     MAX_DEPTH,
     NUM_PHRASES,

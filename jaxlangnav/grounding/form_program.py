@@ -4,6 +4,9 @@ The trained graph contracts the words of each phrase with its weights; a form ha
 itself what each phrase expresses. So the phrases are made up from what is described, "the hydrant"
 with "behind" over "the cone" below it, and their log-odds are ±``CERTAIN`` instead of learned:
 the doubt of a form is in its probabilities.
+
+Behavior is inferred in a particle from types and from the relations of its reading, so a form's
+things are described in the same terms first: by type and by where they are said to be.
 """
 
 import dataclasses
@@ -13,15 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxlangnav.grounding.described import (
-    AGAIN,
-    ANY,
-    OTHER,
-    ThingDescription,
-    avoidances,
-    destinations,
-)
-from jaxlangnav.grounding.form import Form
+from jaxlangnav.grounding.form import Form, FormReading
 from jaxlangnav.grounding.program import (
     LOG_NEVER,
     MAX_DEPTH,
@@ -35,6 +30,116 @@ from jaxlangnav.grounding.program import (
 from jaxlangnav.grounding.readings import CapacityError
 from jaxlangnav.grounding.symbols import NUM_RELATIONS
 from jaxlangnav.messages import NEAR, NONE, REGIONS
+
+Place = tuple[int, int, "ThingDescription"]
+"""Relation, rank, and what the landmark is."""
+ANY, AGAIN, OTHER = range(3)
+"""How a goal bears on that of the command before: not at all; the same thing; another of its type
+("the other cone")."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ThingDescription:
+    """What is said of a thing; two things of one description are not told apart."""
+
+    kind: int  # object type; ROBOT
+    places: frozenset[Place] = frozenset()
+
+
+@dataclasses.dataclass(frozen=True)
+class Destination:
+    """Where a command ends."""
+
+    thing: ThingDescription
+    region: int
+    before: int = ANY
+
+
+def _description_of(
+    reading: FormReading, thing: int, behind: tuple[int, ...] = ()
+) -> ThingDescription:
+    """Describe a thing by its relations, and its landmarks by theirs."""
+    # Of two that are said to be beside each other, one describes the other and not itself again:
+    # ``behind`` are the things whose description this one is part of.
+    path = (*behind, thing)
+    # Behavior knows what lies between two things as near each of them.
+    places = {
+        (one.relation, max(one.rank, 0), _description_of(reading, one.landmark, path))
+        for one in reading.relations
+        if one.figure == thing and one.landmark not in path
+    }
+    return ThingDescription(reading.type_of(thing), frozenset(places))
+
+
+def _destination_of(reading: FormReading, index: int) -> Destination:
+    """Describe the goal of one of a reading's commands."""
+    command = reading.commands[index]
+    goal = Destination(_description_of(reading, command.thing), command.region)
+    if index == 0:
+        return goal
+    last = reading.commands[index - 1].thing
+    if last == command.thing:
+        return dataclasses.replace(goal, before=AGAIN)
+    is_alike = reading.type_of(last) == goal.thing.kind
+    return dataclasses.replace(goal, before=OTHER if is_alike else ANY)
+
+
+def _may_fit(thing: ThingDescription, reading: FormReading) -> bool:
+    """Tell whether something may be so described in a particle that believes a reading."""
+    # Of what nothing is said but its type there may always be one more; relations are only those
+    # that the reading tells.
+    return not thing.places or any(
+        _fits(thing, reading, index) for index in range(len(reading.types))
+    )
+
+
+def _fits(thing: ThingDescription, reading: FormReading, index: int) -> bool:
+    """Tell whether a thing of a reading has a description, and maybe more."""
+    told = [one for one in reading.relations if one.figure == index]
+
+    def is_told(relation: int, rank: int, landmark: ThingDescription) -> bool:
+        # The nearest is near, too; of later ranks, a particle does not know which.
+        return any(
+            one.relation == relation
+            and (rank == 0 or min(rank, 2) == min(one.rank, 2))
+            and _fits(landmark, reading, one.landmark)
+            for one in told
+        )
+
+    return reading.type_of(index) == thing.kind and all(is_told(*place) for place in thing.places)
+
+
+def _destinations(form: Form, index: int) -> dict[Destination, float]:
+    """Find the goals of a command, each with its probability."""
+    # That is 1 of one that shows in no particle whose reading has another goal, for then the
+    # particles' weights say how probable it is.
+    meant = [_destination_of(reading, index) for reading in form.readings]
+    pairs = list(zip(form.readings, meant, strict=True))
+    found: dict[Destination, float] = {}
+    for end in dict.fromkeys(meant):
+        share = sum(reading.probability for reading, own in pairs if own == end)
+        is_sure = not any(own != end and _may_fit(end.thing, reading) for reading, own in pairs)
+        found[end] = 1.0 if is_sure else share
+    return found
+
+
+def _avoidances(form: Form, index: int) -> dict[ThingDescription, float]:
+    """Find what is to be kept away from on the way of a command, as ``_destinations``."""
+    named = [
+        [_description_of(reading, thing) for thing in reading.commands[index].avoid]
+        for reading in form.readings
+    ]
+    found: dict[ThingDescription, float] = {}
+    for thing in dict.fromkeys(one for names in named for one in names):
+        pairs = list(zip(form.readings, named, strict=True))
+        share = sum(reading.probability for reading, names in pairs if thing in names)
+        is_sure = not any(thing not in names and _may_fit(thing, one) for one, names in pairs)
+        found[thing] = 1.0 if is_sure else share
+    return found
+
+
+# ---------------------------------------------------------------- the program of a command
+
 
 CERTAIN = 16.0
 """Log-odds of what a form says; the probability of the contrary is 1e-7, lost in rounding."""
@@ -68,7 +173,7 @@ def clause_of_form(form: Form, index: int) -> dict[str, np.ndarray]:
     Raises:
         CapacityError: the program cannot hold as much; one line.
     """
-    wanted = destinations(form, index)
+    wanted = _destinations(form, index)
     regions = sorted({end.region for end in wanted})
     if len(regions) > NUM_REGION_SLOTS:
         names = ", ".join(REGIONS[region] for region in regions)
@@ -80,7 +185,9 @@ def clause_of_form(form: Form, index: int) -> dict[str, np.ndarray]:
         _at_goal(_thing(end.thing, CERTAIN, end.before), end.region, regions, share)
         for end, share in wanted.items()
     ]
-    phrases += [_thing(thing, _log_odds(share)) for thing, share in avoidances(form, index).items()]
+    phrases += [
+        _thing(thing, _log_odds(share)) for thing, share in _avoidances(form, index).items()
+    ]
     root = _Phrase(_root_row(regions), tuple(_gathered(phrases, regions)))
     fields = _lay_out(root, index)
     for reading in form.readings:
@@ -98,13 +205,7 @@ def _log_odds(probability: float) -> float:
 
 
 def _thing(thing: ThingDescription, peak: float, before: int = ANY) -> _Phrase:
-    """Express the objects of a description: "the hydrant behind the cone".
-
-    Args:
-        thing: what is said of it.
-        peak: log-odds of an object that it fits.
-        before: how it bears on the goal of the command before.
-    """
+    """Express the objects of a description, "the hydrant behind the cone", at log-odds ``peak``."""
     places = [_place(*place) for place in sorted(thing.places, key=_sorted_by)]
     first, rest = places[:NUM_CHILDREN], places[NUM_CHILDREN:]
     previous = {ANY: (), OTHER: (0,), AGAIN: (2,)}[before]

@@ -9,8 +9,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any, Protocol, Self
 
 from jaxlangnav.grounding.binding import Detector
-from jaxlangnav.grounding.instruction import GroundingModel, Instruction, understand
-from jaxlangnav.grounding.spoken import Spoken
+from jaxlangnav.grounding.instruction import GroundingModel, Instruction, Spoken, understand
 from jaxlangnav.kinds import noun_of
 from jaxlangnav.language.reference import Antecedent
 from jaxlangnav.messages import NONE

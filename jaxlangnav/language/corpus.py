@@ -32,11 +32,10 @@ from typing import Any
 
 from jaxlangnav.files.documents import DocumentError, parse_json, read_text
 from jaxlangnav.files.limits import FARTHEST
-from jaxlangnav.language.labels import ROBOT_LABEL, Labels
+from jaxlangnav.language.labels import ROBOT_LABEL, Labels, PlacedWorld
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import COMMAND, STATEMENT, LanguageError, Parse
-from jaxlangnav.language.placed import PlacedWorld
 from jaxlangnav.messages import ACTIONS, MODES, REGIONS, RELATIONS
 from jaxlangnav.plain_text import cut, fault_of_name, printable, shown
 

@@ -17,9 +17,9 @@ from lark import Lark, Token
 from lark.exceptions import UnexpectedEOF, UnexpectedToken
 from lark.lexer import Lexer
 
-from jaxlangnav.language.forest import Derivation, ForestReader, Production
 from jaxlangnav.language.lexicon import LexicalEntry, Lexicon, load_lexicon
 from jaxlangnav.language.refusal import NOUN
+from jaxlangnav.language.tree import Derivation, ForestReader, Production
 
 P_OPTIONAL = 0.2
 W_EXPRESSION = 0.005  # of a word of fixed expressions to be a noun, beside an unknown word
@@ -34,10 +34,6 @@ UNKNOWN_CLASSES = {
     "g_obj": {UNKNOWN_ING: 0.05},
     "adv": {UNKNOWN_ADVERB: 0.5},
 }
-UNKNOWN_TAGS = {
-    "unknown_noun": "NN", "adj": "JJ", "v_to": "VB", "v_obj": "VB",
-    "g_to": "VBG", "g_obj": "VBG", "adv": "RB",
-}  # fmt: skip
 
 
 class NoParseError(Exception):

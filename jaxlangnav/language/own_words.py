@@ -136,11 +136,7 @@ class _Known:
     """What the words of the package mean already."""
 
     def __init__(self, document: dict[str, Any]) -> None:
-        """Index the lexicon of the package.
-
-        Args:
-            document: its tables.
-        """
+        """Index the tables of the lexicon of the package."""
         self._senses: dict[str, set[tuple[str, str]]] = {}  # expression → class, senses
         for name, table in document["class"].items():
             for senses, texts in table.items():
@@ -159,16 +155,7 @@ class _Known:
         }
 
     def check_name(self, expression: str, kind: str, where: str) -> None:
-        """Refuse a name of a type that means something else.
-
-        Args:
-            expression: of one word or more.
-            kind: the type.
-            where: the line, for the message.
-
-        Raises:
-            ValueError: it belongs to another type, or to the grammar.
-        """
+        """Refuse a name of a type that belongs to another type, or to the grammar."""
         if "*" in expression:
             raise ValueError(f"{where}: '{expression}' could not be read as a word: leave out *")
         for form in (expression, _plural(expression)):
@@ -186,17 +173,7 @@ class _Known:
         self._owners |= {expression: kind, _plural(expression): kind}
 
     def check_sense(self, expression: str, name: str, senses: str, where: str) -> None:
-        """Refuse a word of a class that means something else.
-
-        Args:
-            expression: of one word or more, perhaps with * before one.
-            name: the class.
-            senses: the key of its list.
-            where: the line, for the message.
-
-        Raises:
-            ValueError: the senses do not exist, or the words have others already.
-        """
+        """Refuse senses that do not exist, or words of a class that have others already."""
         if senses not in self._all_senses:
             raise ValueError(f"{where}: no such sense; the lexicon of the package has them all")
         if expression.count("*") > 1:

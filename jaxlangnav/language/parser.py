@@ -14,7 +14,6 @@ from functools import cache
 from jaxlangnav.language.amends import take_back
 from jaxlangnav.language.chatter import leave_out
 from jaxlangnav.language.check import refuse_guesses
-from jaxlangnav.language.constraint import join_constraints
 from jaxlangnav.language.gist import find_gist
 from jaxlangnav.language.grammar import (
     COMMA,
@@ -28,11 +27,10 @@ from jaxlangnav.language.grammar import (
 from jaxlangnav.language.lexicon import REASONS, TYPE_CLASS, load_lexicon
 from jaxlangnav.language.loosening import loosen
 from jaxlangnav.language.measured import of_clauses, take_out
-from jaxlangnav.language.nearest import offer
 from jaxlangnav.language.nouns import is_noun_place, join_nouns, name_nouns
 from jaxlangnav.language.phrase import COMMAND, STATEMENT, LanguageError, Parse
-from jaxlangnav.language.reference import Antecedent, resolve
-from jaxlangnav.language.refusal import NOUN, Token, explain, is_contrary
+from jaxlangnav.language.reference import Antecedent, join_constraints, resolve
+from jaxlangnav.language.refusal import NOUN, Token, explain, is_contrary, offer
 from jaxlangnav.language.rewriting import join_contractions, rewrite
 from jaxlangnav.language.spelling import repair
 from jaxlangnav.language.tokens import (

@@ -6,6 +6,7 @@ of it. "The hydrant is behind the cone. Go to the hydrant": what a statement say
 for the same thing named again. Where more than one thing could be meant, the sentence is refused.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from jaxlangnav.language.phrase import LanguageError, Phrase, Word
@@ -222,3 +223,39 @@ def resolve(clauses: list[Phrase], earlier: Antecedent | None = None) -> list[Ph
                 clause = _inform(clause, statement, is_next=place == index + 1)
         resolved[index] = clause
     return resolved
+
+
+# ---------------------------------------------------- clauses that only say what to keep away from
+# "Go to the car. Then avoid the cone" constrains the way to the car; "avoid the cone" alone asks
+# for nothing to be done. Only a sentence of its own makes such a clause: within one the grammar
+# puts the constraint below its command.
+
+
+def is_constraint(clause: Phrase) -> bool:
+    """Tell whether a clause names nothing to do, only what to keep away from."""
+    senses = {sense.split(":")[0] for word in clause.words for sense in word.senses}
+    return clause.label == "VP" and "constraint" in senses and "action" not in senses
+
+
+def join_constraints(clauses: Sequence[Phrase]) -> list[Phrase]:
+    """Put constraints that stand alone below the commands they are said with.
+
+    Args:
+        clauses: roots, in order.
+
+    Returns:
+        The clauses, where each constraint has become a part of every command after it, or of the
+        last command before it if none follows. Without any command they stay as they are; so does
+        one on the very goal of the command before ("go to the car, then stay away from it").
+    """
+    commands = [i for i, one in enumerate(clauses) if one.label == "VP" and not is_constraint(one)]
+    joined, done = list(clauses), set()
+    for index, clause in enumerate(clauses):
+        senses = {sense for word in clause.all_words() for sense in word.senses}
+        if not commands or not is_constraint(clause) or SAME in senses:
+            continue
+        done.add(index)
+        for command in [i for i in commands if i > index] or commands[-1:]:
+            whole = joined[command]
+            joined[command] = replace(whole, children=(*whole.children, clause))
+    return [one for index, one in enumerate(joined) if index not in done]

@@ -11,8 +11,12 @@ from jaxlangnav.experiments.table import Table, TableColumns
 from jaxlangnav.grounding.choosing import FirstGrounder
 from jaxlangnav.grounding.grounder import Context, GraphGrounder, Grounder
 from jaxlangnav.grounding.instruction import GroundingModel
-from jaxlangnav.grounding.recorded import RecordedRewrites
-from jaxlangnav.grounding.rewrites import RewriteGrounder, default_rewrite_params, verify_rewrites
+from jaxlangnav.grounding.rewrites import (
+    RecordedRewrites,
+    RewriteGrounder,
+    default_rewrite_params,
+    verify_rewrites,
+)
 from jaxlangnav.task.compared import difference
 from jaxlangnav.task.labelled import LabelledSentence
 from jaxlangnav.training.shipped import Judged, TemperatureFit, fit_source_temperature
