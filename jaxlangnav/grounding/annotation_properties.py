@@ -14,7 +14,7 @@ from jaxlangnav.grounding.symbols import NUM_RELATIONS, AnnotationSpace
 from jaxlangnav.messages import RELATIONS
 from jaxlangnav.relations.table import NUM_RANKS
 
-Columns = Mapping[str, np.ndarray | bool]
+PropertyColumns = Mapping[str, np.ndarray | bool]
 """Name of a property → what it says of the symbols of one kind; arrays that broadcast to them."""
 NUM_IDENTITY = 8
 """Object types with a property of their own; further types are carried by agreement alone."""
@@ -24,7 +24,7 @@ _IS_RELATION = tuple(f"is {name}" for name in RELATIONS)
 _IS_RANK = tuple(f"is {rank}" for rank in range(1, NUM_RANKS + 1))
 
 
-def tabulate(shape: tuple[int, ...], columns: Columns) -> np.ndarray:
+def stack_columns(shape: tuple[int, ...], columns: PropertyColumns) -> np.ndarray:
     """Stack properties of the symbols of one kind, broadcast to their shape, f32[S, F]."""
     values = np.empty((*shape, len(columns)), np.float32)
     for i, column in enumerate(columns.values()):
@@ -71,7 +71,7 @@ def _identities(names: tuple[str, ...], rows: np.ndarray) -> dict[str, np.ndarra
     return dict(zip(names, rows, strict=True))
 
 
-def _object_columns(space: AnnotationSpace, senses: Senses, child: _ChildSets) -> Columns:
+def _object_columns(space: AnnotationSpace, senses: Senses, child: _ChildSets) -> PropertyColumns:
     """Describe the object symbols, bool[T] each."""
     own = _members(senses.types, space.num_types)
     has_region = bool(child.regions.any())
@@ -88,7 +88,7 @@ def _object_columns(space: AnnotationSpace, senses: Senses, child: _ChildSets) -
     }
 
 
-def _region_columns(space: AnnotationSpace, senses: Senses, child: _ChildSets) -> Columns:
+def _region_columns(space: AnnotationSpace, senses: Senses, child: _ChildSets) -> PropertyColumns:
     """Describe the region symbols, bool[6, L] each and what broadcasts to it."""
     types, has_children = space.num_types, bool(child.number)
     relation = _members(senses.relations, NUM_RELATIONS)[:, None]
@@ -120,7 +120,7 @@ def _region_columns(space: AnnotationSpace, senses: Senses, child: _ChildSets) -
     }
 
 
-def _relation_columns(space: AnnotationSpace, senses: Senses, child: _ChildSets) -> Columns:
+def _relation_columns(space: AnnotationSpace, senses: Senses, child: _ChildSets) -> PropertyColumns:
     """Describe the relation symbols, bool[T, 6, L] each and what broadcasts to it."""
     own_type = _members(senses.types, space.num_types)[:, None, None]
     head, region = child.heads[:, None, None], child.regions[None]
@@ -140,7 +140,7 @@ def _relation_columns(space: AnnotationSpace, senses: Senses, child: _ChildSets)
     }
 
 
-def _shared_columns(senses: Senses, child: _ChildSets) -> Columns:
+def _shared_columns(senses: Senses, child: _ChildSets) -> PropertyColumns:
     """Describe symbols by what holds for every kind alike, so that kinds learn from each other."""
     expressed = child.expressed
     return {
@@ -153,7 +153,7 @@ def _shared_columns(senses: Senses, child: _ChildSets) -> Columns:
     }
 
 
-def rank_columns(senses: Senses) -> Columns:
+def rank_columns(senses: Senses) -> PropertyColumns:
     """Describe the ranks 1 to 4 that a phrase may give its region, bool[4] each."""
     own = np.isin(np.arange(1, NUM_RANKS + 1), sorted(senses.ranks))
     said = {"bias": True, "named": own, "another named": ~own & bool(senses.ranks)}
@@ -182,12 +182,12 @@ def annotation_table(
     }
     names = [f"{kind}: {name}" for kind, of_kind in columns.items() for name in of_kind]
     in_common = _shared_columns(senses, child)
-    shared = tabulate((space.size,), in_common)
+    shared = stack_columns((space.size,), in_common)
     joined = np.zeros((space.size, len(names) + shared.shape[1]), np.float32)
     shapes = [part.shape for part in space.parts(child.expressed)]
     row = column = 0
     for shape, of_kind in zip(shapes, columns.values(), strict=True):
-        table = tabulate(shape, of_kind)
+        table = stack_columns(shape, of_kind)
         joined[row : row + table.shape[0], column : column + table.shape[1]] = table
         row, column = row + table.shape[0], column + table.shape[1]
     joined[:, column:] = shared

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxlangnav.grounding.annotation_properties import Columns, tabulate
+from jaxlangnav.grounding.annotation_properties import PropertyColumns, stack_columns
 from jaxlangnav.grounding.model import Senses
 from jaxlangnav.grounding.symbols import NUM_REGIONS, NUM_RELATIONS
 from jaxlangnav.grounding.worlds import World
@@ -58,7 +58,7 @@ def _each(prefix: str, condition: Any) -> dict[str, Any]:
     return {f"{prefix}{name}": row * condition for name, row in zip(REGIONS, rows, strict=True)}
 
 
-def _object_columns(words: PhraseWords, met: Conditions) -> Columns:
+def _object_columns(words: PhraseWords, met: Conditions) -> PropertyColumns:
     """Describe the objects of a noun or preposition phrase."""
     return {
         "bias": met["always"],
@@ -77,7 +77,7 @@ def _object_columns(words: PhraseWords, met: Conditions) -> Columns:
     }
 
 
-def _region_columns(words: PhraseWords, met: Conditions) -> Columns:
+def _region_columns(words: PhraseWords, met: Conditions) -> PropertyColumns:
     """Describe the regions of a noun or preposition phrase."""
     inside = met["inside"]
     return {
@@ -97,7 +97,7 @@ def _region_columns(words: PhraseWords, met: Conditions) -> Columns:
     }
 
 
-def _goal_columns(words: PhraseWords, met: Conditions) -> Columns:
+def _goal_columns(words: PhraseWords, met: Conditions) -> PropertyColumns:
     """Describe the goals of a verb phrase."""
     return {
         "bias": met["base"],
@@ -114,7 +114,7 @@ def _goal_columns(words: PhraseWords, met: Conditions) -> Columns:
     }
 
 
-def _constraint_columns(words: PhraseWords, met: Conditions) -> Columns:
+def _constraint_columns(words: PhraseWords, met: Conditions) -> PropertyColumns:
     """Describe the constraints of a verb phrase."""
     del words
     return {
@@ -167,7 +167,7 @@ def contract(kind: str, words: PhraseWords, coefficients: np.ndarray) -> dict[st
     return dict(zip(conditions, terms.T, strict=True))
 
 
-def choice_columns(named: frozenset[int], names: Sequence[str]) -> Columns:
+def choice_columns(named: frozenset[int], names: Sequence[str]) -> PropertyColumns:
     """Describe the symbols of actions or modes, of which the words name some, bool[n] each."""
     own, is_named = np.isin(np.arange(len(names)), sorted(named)), bool(named)
     given = {"bias": True, "named": own, "another named": ~own & is_named, "none named": not named}
@@ -178,8 +178,8 @@ def choice_columns(named: frozenset[int], names: Sequence[str]) -> Columns:
 def choice_tables(senses: Senses) -> dict[str, np.ndarray]:
     """Describe actions and modes, f32[2, 6] and f32[3, 7]: they depend on the words alone."""
     return {
-        "action": tabulate((len(ACTIONS),), choice_columns(senses.actions, ACTIONS)),
-        "mode": tabulate((len(MODES),), choice_columns(senses.modes, MODES)),
+        "action": stack_columns((len(ACTIONS),), choice_columns(senses.actions, ACTIONS)),
+        "mode": stack_columns((len(MODES),), choice_columns(senses.modes, MODES)),
     }
 
 
@@ -296,5 +296,5 @@ def behavior_tables(
     tables = {}
     for kind in ("goal", "constraint") if is_verb else ("object", "region"):
         shape = child.objects.shape if kind == "object" else child.regions.shape
-        tables[kind] = tabulate(shape, _DECLARED[kind][0](words, met[kind]))
+        tables[kind] = stack_columns(shape, _DECLARED[kind][0](words, met[kind]))
     return tables | (choice_tables(senses) if is_verb else {})

@@ -10,7 +10,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from jaxlangnav.grounding.annotation_properties import annotation_table, rank_columns, tabulate
+from jaxlangnav.grounding.annotation_properties import annotation_table, rank_columns, stack_columns
 from jaxlangnav.grounding.behavior_properties import (
     ChildGroundings,
     behavior_names,
@@ -80,7 +80,7 @@ class Annotations:
         def given(children: Sequence[np.ndarray]) -> Mapping[str, Block]:
             return {KIND: Block(slice(None), annotation_table(space, senses, children)[1])}
 
-        return Described(given, tabulate((NUM_RANKS,), rank_columns(senses)))
+        return Described(given, stack_columns((NUM_RANKS,), rank_columns(senses)))
 
 
 @dataclasses.dataclass(frozen=True)

@@ -275,7 +275,12 @@ _LARGEST_FILE = 32 * 1024 * 1024
 
 
 class RecordedRewrites:
-    """A source that answers from a file."""
+    """A source that answers from a file, so that nothing has to be asked again.
+
+    JSON lines, one sentence a line; the log-probabilities are natural logarithms:
+
+        {"text": "hang out near the bench", "rewrites": [["wait near the bench", -0.3]]}
+    """
 
     def __init__(self, path: Path) -> None:
         """Read a file.
