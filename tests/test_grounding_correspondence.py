@@ -6,7 +6,7 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 from grounding_fixture import TYPES, corpus
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from matplotlib.patches import Wedge
 from oracles.dcg import root_distribution
@@ -285,6 +285,7 @@ phrases = st.recursive(
 )
 
 
+@settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(phrases)
 def test_reading_a_tree_inverts_writing_it(phrase):
     found = read_tree(str(phrase))
