@@ -14,13 +14,15 @@ if TYPE_CHECKING:
     from jaxlangnav.cli.runtime import keep_compiled_programs as keep_compiled_programs
     from jaxlangnav.grounding.annotated import AnnotationGrounder as AnnotationGrounder
     from jaxlangnav.language.parser import parse as parse
-    from jaxlangnav.messages import Action as Action
-    from jaxlangnav.messages import Behavior as Behavior
-    from jaxlangnav.messages import Fault as Fault
-    from jaxlangnav.messages import Observation as Observation
-    from jaxlangnav.messages import SensorParams as SensorParams
-    from jaxlangnav.messages import Status as Status
-    from jaxlangnav.messages import default_sensor as default_sensor
+    from jaxlangnav.messages import (
+        Action as Action,
+        Behavior as Behavior,
+        Fault as Fault,
+        Observation as Observation,
+        SensorParams as SensorParams,
+        Status as Status,
+        default_sensor as default_sensor,
+    )
     from jaxlangnav.relations.fit import fit_relations as fit_relations
     from jaxlangnav.task.follow import follow as follow
 

@@ -199,7 +199,8 @@ class Navigator:
     ) -> NavigatorState:
         """Begin with what has been understood, in arrays that hold a conversation."""
         place = pose_numbers(pose).tolist()
-        bounds = _around(place) if area is None else area_numbers(area).tolist()
+        around = np.add(np.repeat(place[:2], 2), DEFAULT_EXTENT * np.array([-1, 1, -1, 1]))
+        bounds = around.tolist() if area is None else area_numbers(area).tolist()
         check_place(place, bounds)
         check_measures(grounded.spoken, place, bounds)
         told = grounded.instruction
@@ -401,9 +402,3 @@ class Navigator:
         spoken = np.where(np.asarray(is_asked), np.asarray(readings.mention_type), NONE)
         missing = missing_types(replace(readings, mention_type=spoken), types)
         return [name_of(kind, names_of(self.grounder)) for kind in missing]
-
-
-def _around(pose: Sequence[float]) -> tuple[float, ...]:
-    """Lay the operating area about a start pose."""
-    x, y, _ = pose
-    return (x - DEFAULT_EXTENT, x + DEFAULT_EXTENT, y - DEFAULT_EXTENT, y + DEFAULT_EXTENT)

@@ -13,8 +13,7 @@ import pytest
 import tyro
 
 from jaxlangnav import __version__
-from jaxlangnav.cli import SUMMARIES, arguments
-from jaxlangnav.cli import main as cli
+from jaxlangnav.cli import SUMMARIES, arguments, main as cli
 from jaxlangnav.cli.errors import UsageError, did_you_mean, is_refusal, one_line
 from jaxlangnav.cli.output import Output, to_json
 from jaxlangnav.world import files

@@ -7,8 +7,7 @@ from typing import Any
 
 import pytest
 
-from jaxlangnav.cli import main as cli
-from jaxlangnav.cli import reproduction
+from jaxlangnav.cli import main as cli, reproduction
 from jaxlangnav.grounding.weights import load, load_shipped
 
 CORPUS_39 = str(resources.files("jaxlangnav.language") / "data" / "corpus39.jsonl")

@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jaxlangnav.cli import main as cli
-from jaxlangnav.cli import settings
+from jaxlangnav.cli import main as cli, settings
 from jaxlangnav.cli.arguments import parse_arguments
 from jaxlangnav.cli.errors import UsageError
 from jaxlangnav.cli.follow import Follow

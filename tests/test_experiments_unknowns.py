@@ -11,8 +11,7 @@ from jaxlangnav.episode import Task
 from jaxlangnav.experiments import unknowns
 from jaxlangnav.experiments.experiment import Options
 from jaxlangnav.experiments.grid import Grid
-from jaxlangnav.experiments.rows import PRINTED as SPECS
-from jaxlangnav.experiments.rows import RowSpec, printed_rows
+from jaxlangnav.experiments.rows import PRINTED as SPECS, RowSpec, printed_rows
 from jaxlangnav.experiments.unknowns import UNKNOWNS, VARIATIONS, Variation, _turned
 from jaxlangnav.navigator import check
 from jaxlangnav.viz import sweep as picture

@@ -13,8 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jaxlangnav.files import own as own_files
-from jaxlangnav.files import whole as whole_files
+from jaxlangnav.files import own as own_files, whole as whole_files
 from jaxlangnav.files.arrays import faults_as_values, parse_floats
 from jaxlangnav.files.own import check_own_files, own_folder, read_own_file, write_own_file
 from jaxlangnav.files.whole import read_file

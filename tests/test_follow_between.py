@@ -48,7 +48,7 @@ def places_of(random: np.random.Generator, goal: str, landmarks: tuple, num_othe
             for other in range(len(kinds))
             if kinds[figure] == goal and (kinds[one], kinds[other]) == landmarks
             if len({figure, one, other}) == 3
-            if lies_between(places[figure], places[one], places[other])
+            if lies_between(*places[[figure, one, other]])
         ]
         if {figure for figure, _, _ in between} == {0}:
             return kinds, places

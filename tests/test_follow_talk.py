@@ -9,8 +9,7 @@ import pytest
 from recording_fixture import make_recording, make_scene
 from test_navigator_step import AREA, HYDRANT, robot
 
-from jaxlangnav.cli import main as cli
-from jaxlangnav.cli import speech
+from jaxlangnav.cli import main as cli, speech
 from jaxlangnav.cli.output import Output
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.listening import Candidate

@@ -6,8 +6,7 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 from grounding_fixture import TYPES, corpus
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 from matplotlib.patches import Wedge
 from oracles.dcg import root_distribution
 

@@ -5,8 +5,7 @@ import json
 import time
 
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 from jaxlangnav.language.grammar import load_grammar
 from jaxlangnav.language.lexicon import load_lexicon

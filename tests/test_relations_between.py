@@ -63,7 +63,8 @@ def test_lies_between_by_hand() -> None:
     told = {
         (2.0, 0.0): True,
         (2.0, 0.8): True,
-        (2.0, 0.85): False,  # the lines to the two turn by 46 degrees
+        (2.0, 1.4): True,  # 2.33 standard deviations aside
+        (2.0, 1.5): False,
         (0.3, 0.1): True,
         (-0.1, 0.0): False,
         (4.5, 0.0): False,
@@ -71,5 +72,5 @@ def test_lies_between_by_hand() -> None:
         (4.0, 0.0): False,
     }
     for place, is_so in told.items():
-        assert bool(lies_between(place, one, other)) is is_so, place
-        assert bool(lies_between(place, other, one)) is is_so, place
+        assert bool(lies_between(np.array(place), one, other)) is is_so, place
+        assert bool(lies_between(np.array(place), other, one)) is is_so, place

@@ -11,8 +11,7 @@ from oracles import relations as oracle
 
 from jaxlangnav.messages import BEHIND, FRONT, LEFT, NEAR, RELATIONS
 from jaxlangnav.pytree import replace
-from jaxlangnav.relations import RelationParams, default_params, prepare
-from jaxlangnav.relations import fit as fitting
+from jaxlangnav.relations import RelationParams, default_params, fit as fitting, prepare
 from jaxlangnav.relations.fit import RelationFit
 from jaxlangnav.relations.pairs import FRAMES, RelationPairs, make_pairs
 

@@ -11,8 +11,7 @@ import readings as by_hand
 
 from jaxlangnav.messages import NONE
 from jaxlangnav.pytree import replace
-from jaxlangnav.semantic_map import belief as beliefs
-from jaxlangnav.semantic_map import looking, motion
+from jaxlangnav.semantic_map import belief as beliefs, looking, motion
 from jaxlangnav.semantic_map.observe import observe
 from jaxlangnav.semantic_map.predict import predict
 from jaxlangnav.semantic_map.words import ground_words

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from jaxlangnav.messages import NONE, Observation, SensorParams
-from jaxlangnav.world.sensor import sense as sense_eagerly
-from jaxlangnav.world.sensor import visible
+from jaxlangnav.world.sensor import sense as sense_eagerly, visible
 from jaxlangnav.world.state import Scenario, WorldState
 
 PI = np.pi

@@ -83,7 +83,10 @@ class Ground:
         _show_annotations(document["annotations"], output)
         _show_commands(document["commands"], output)
         if grounded:
-            _show_behaviors(document["behaviors"], document["world"], output)
+            if document["behaviors"]:
+                _show_behaviors(document["behaviors"], document["world"], output)
+            else:
+                output.note(f"note: {document['unjudged']} in world {document['world']}")
             num_objects = len(document["objects"])
         document["graph"] = understood.graph(num_objects)
         _show_graph(document["graph"], output)
@@ -104,6 +107,7 @@ class Ground:
             "world": prepared.world,
             "objects": [{"type": kind, "position": [x, y]} for kind, x, y in placed.objects],
             "behaviors": list_behaviors(understood.instruction, placed, understood.type_names),
+            "unjudged": prepared.unjudged,
         }
 
 

@@ -6,12 +6,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxlangnav.grounding.symbols import NUM_RELATIONS
-from jaxlangnav.kinds import fits, kind_of, label_of
-from jaxlangnav.language.labels import Geometry, PlacedWorld
-from jaxlangnav.messages import BETWEEN, NONE, ROBOT, BehaviorWorld, Readings
+from jaxlangnav.kinds import fits, kind_of, label_of, name_of
+from jaxlangnav.language.labels import SIDE_RANGE, Geometry, PlacedWorld
+from jaxlangnav.messages import BETWEEN, NONE, RELATIONS, ROBOT, BehaviorWorld, Readings
 from jaxlangnav.relations.between import lies_between
 from jaxlangnav.relations.strength import num_before
-from jaxlangnav.relations.table import NUM_RANKS
+from jaxlangnav.relations.table import NUM_RANKS, RELATION_WORDS
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,12 +34,15 @@ def _ranks(geometry: Geometry, object_type: np.ndarray) -> np.ndarray:
     return num_before(geometry.strength.swapaxes(1, 2), is_rival).swapaxes(1, 2)
 
 
-def place(placed: PlacedWorld, type_names: tuple[str, ...]) -> World:
+def place(
+    placed: PlacedWorld, type_names: tuple[str, ...], *, side_range: float = SIDE_RANGE
+) -> World:
     """Describe placed objects to the behavior model; the robot has the last slot.
 
     Args:
         placed: objects whose places are known.
         type_names: object types.
+        side_range: metres up to which something is on a side of the robot; as in the corpus.
 
     Returns:
         A world of n + 1 slots.
@@ -55,7 +58,7 @@ def place(placed: PlacedWorld, type_names: tuple[str, ...]) -> World:
     is_related = np.zeros(shape, bool)
     is_ranked = np.zeros((NUM_RANKS, *shape), bool)
     if count:
-        geometry = Geometry(placed)
+        geometry = Geometry(placed, side_range=side_range)
         other = ~np.eye(count, count + 1, dtype=bool)
         is_related[:, :count] = geometry.holds & other
         ranks = _ranks(geometry, label_of(object_type))
@@ -82,7 +85,7 @@ def place_for(placed: PlacedWorld, type_names: tuple[str, ...], readings: Readin
     Returns:
         A world of n + 1 slots.
     """
-    world = place(placed, type_names)
+    world = place(placed, type_names, side_range=np.inf)
     if not placed.objects or not np.asarray(readings.rank[0]).any():
         return world
     strength = Geometry(placed).strength
@@ -110,19 +113,55 @@ def place_for(placed: PlacedWorld, type_names: tuple[str, ...], readings: Readin
     return dataclasses.replace(world, is_ranked=ranked)
 
 
+def why_nothing_fits(
+    placed: PlacedWorld, type_names: tuple[str, ...], readings: Readings
+) -> list[str]:
+    """Name what the likeliest reading says of types of things and no thing of them there is.
+
+    Args:
+        placed: objects whose places are known.
+        type_names: object types.
+        readings: of the sentence.
+
+    Returns:
+        A phrase each ("no hydrant is behind the robot"); empty where something is all that is said.
+    """
+    world, kinds = place_for(placed, type_names, readings), np.asarray(readings.mention_type[0])
+    names = ["robot" if kind == ROBOT else name_of(kind, type_names) for kind in kinds]
+    missing = [
+        f"there is no {name}"
+        for kind, name in zip(kinds, names, strict=True)
+        if kind >= 0 and not fits(world.object_type, kind).any()
+    ]
+    columns = (readings.figure, readings.relation, readings.landmark, readings.rank)
+    edges = np.stack([np.asarray(column[0]) for column in columns], axis=1)
+    for figure, relation, landmark, rank in edges:
+        if relation == NONE:
+            continue
+        table = world.is_ranked[min(rank, 2) - 1] if rank > 0 else world.is_related
+        ends = (fits(world.object_type, kinds[end]) for end in (figure, landmark))
+        if not missing and not table[relation][np.ix_(*ends)].any():
+            if rank == BETWEEN:
+                missing.append(f"no {names[figure]} is between two things as is said")
+                break
+            place = RELATION_WORDS[RELATIONS[relation]]
+            missing.append(f"no {names[figure]} is {place} the {names[landmark]}")
+    return missing
+
+
 def _with_between(
     world: World, placed: PlacedWorld, kinds: np.ndarray, edges: np.ndarray
 ) -> np.ndarray:
     """Put what lies between two things in place of what is near them, bool[6, n + 1, n + 1]."""
     told = edges[edges[:, 3] == BETWEEN]
     related = world.is_related.copy()
-    points = np.array([[x, y] for _, x, y in placed.objects])
-    lies = lies_between(points[:, None, None], points[None, :, None], points[None, None])
+    x, y = np.array([[x, y] for _, x, y in placed.objects]).T
+    lies = lies_between(*((x[ends], y[ends]) for ends in np.ix_(*[range(len(x))] * 3)))
     for figure, relation, landmark, _ in told:
         is_figure, is_landmark = (
             fits(world.object_type, kinds[one])[:-1] for one in (figure, landmark)
         )
-        is_other = np.zeros(len(points), bool)
+        is_other = np.zeros(len(x), bool)
         for other in told[(told[:, 0] == figure) & (told[:, 2] != landmark), 2]:
             is_other |= fits(world.object_type, kinds[other])[:-1]
         own = np.any(lies & is_other, axis=-1)

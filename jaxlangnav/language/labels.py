@@ -27,6 +27,10 @@ from jaxlangnav.language.phrase import Phrase
 from jaxlangnav.messages import RELATIONS
 from jaxlangnav.relations import holds
 from jaxlangnav.relations.strength import degree_of, num_before
+from jaxlangnav.relations.table import SIDES
+
+SIDE_RANGE = 5.0
+"""Metres: the corpus calls nothing "on your left" that is farther off."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,11 +59,14 @@ def _all_relations(places: Array, viewer: Array, heading: Array) -> Array:
 class Geometry:
     """Which relations hold between the objects of a world, and how strongly."""
 
-    def __init__(self, world: PlacedWorld, *, ranks_among_part: bool = True) -> None:
+    def __init__(
+        self, world: PlacedWorld, *, ranks_among_part: bool = True, side_range: float = SIDE_RANGE
+    ) -> None:
         """Evaluate all six relations over all pairs.
 
         Args:
             world: placed objects; index ``len(objects)`` stands for the robot.
+            side_range: metres up to which something is on a side of the robot.
             ranks_among_part: "the second cone on your left" is the second of those on the left;
                 otherwise the second of all, if it is on the left.
         """
@@ -71,10 +78,12 @@ class Geometry:
         viewer = np.array(world.robot[:2], np.float32)
         heading = world.robot[2]
         where = jax.device_put((places, viewer, np.float32(heading)))
-        self.holds = np.asarray(_all_relations(*where))
+        self.holds = np.array(_all_relations(*where))
         points = np.concatenate([places, viewer[None]], 0)
         self.offset = places[:, None] - points[None]
         self.distance = np.linalg.norm(self.offset, axis=-1)
+        sides = np.ix_(SIDES, range(self.num_objects), [self.num_objects])
+        self.holds[sides] &= self.distance[:, -1:] <= side_range
         sideways = self.offset @ np.array([-np.sin(heading), np.cos(heading)])
         # How much each relation holds, f64[6, N, N + 1], larger is more so.
         self.strength = np.stack(

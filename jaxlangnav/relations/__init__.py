@@ -5,46 +5,34 @@ likely they place a thing (eq. 7a), ``strength`` whether one holds, and which th
 """
 
 from jaxlangnav.relations.density import (
-    MAX_NORMAL,
-    NUM_QUANTILES,
-    SIDE_CONCENTRATION,
-    Law,
-    RelationModel,
-    anywhere,
-    law_of,
-    log_density,
-    log_density_in_frame,
-    log_density_of,
-    prepare,
-    sample_law,
-    sample_polar,
+    MAX_NORMAL as MAX_NORMAL,
+    NUM_QUANTILES as NUM_QUANTILES,
+    SIDE_CONCENTRATION as SIDE_CONCENTRATION,
+    Law as Law,
+    RelationModel as RelationModel,
+    anywhere as anywhere,
+    law_of as law_of,
+    log_density as log_density,
+    log_density_in_frame as log_density_in_frame,
+    log_density_of as log_density_of,
+    prepare as prepare,
+    sample_law as sample_law,
+    sample_polar as sample_polar,
 )
-from jaxlangnav.relations.frames import ReferenceFrame, robot_frame, to_map, viewer_frame
-from jaxlangnav.relations.strength import degree, holds, is_on_side
-from jaxlangnav.relations.table import SIDES, RelationParams, default_params
-
-__all__ = [
-    "MAX_NORMAL",
-    "NUM_QUANTILES",
-    "SIDES",
-    "SIDE_CONCENTRATION",
-    "Law",
-    "ReferenceFrame",
-    "RelationModel",
-    "RelationParams",
-    "anywhere",
-    "default_params",
-    "degree",
-    "holds",
-    "is_on_side",
-    "law_of",
-    "log_density",
-    "log_density_in_frame",
-    "log_density_of",
-    "prepare",
-    "robot_frame",
-    "sample_law",
-    "sample_polar",
-    "to_map",
-    "viewer_frame",
-]
+from jaxlangnav.relations.frames import (
+    ReferenceFrame as ReferenceFrame,
+    robot_frame as robot_frame,
+    to_map as to_map,
+    viewer_frame as viewer_frame,
+)
+from jaxlangnav.relations.strength import (
+    degree as degree,
+    holds as holds,
+    is_on_side as is_on_side,
+    is_so as is_so,
+)
+from jaxlangnav.relations.table import (
+    SIDES as SIDES,
+    RelationParams as RelationParams,
+    default_params as default_params,
+)

@@ -7,17 +7,19 @@ middle, spread by the way d from one to the other, so that it looks alike at any
 """
 
 import math
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from numpy.typing import ArrayLike
 
-from jaxlangnav.relations.strength import HOLDS_MIN_COSINE
+_Point = tuple[Array, Array] | tuple[np.ndarray, np.ndarray]
 
 SPREAD = (0.2, 0.15)
 """α and β (ours, not fitted): most of what lies between is in the middle four fifths of the way,
 and no farther from it than three tenths of its length."""
+_DEVIATIONS = 2.45
+"""Standard deviations from the middle: just short of the landmarks."""
 _BEYOND = (0.8, 0.6)
 """Standard deviations with which a landmark is drawn beyond its figure: of the log of how far,
 against the way to the other one, and in radians. What ``SPREAD`` comes to there is about as wide,
@@ -46,30 +48,25 @@ def log_density(
     return -0.5 * (u * u + v * v) - log_constant - jnp.log(squared)
 
 
-def is_within(
-    figure: tuple[Array, Array],
-    landmark: tuple[Array, Array],
-    other: tuple[Array, Array],
-    deviations: float,
-) -> Array:
-    """Tell whether a thing is within some standard deviations of the middle of the way.
+def lies_between(figure: _Point, landmark: _Point, other: _Point) -> Any:
+    """Decide whether people would say that a thing lies between two others, NumPy or JAX.
+
+    It does within ``_DEVIATIONS`` of the density: in an ellipse about the middle of the way
+    that ends at the landmarks, three quarters as wide as it is long.
 
     Args:
-        figure: f32[...] x and y, metres, map frame.
-        landmark: f32[...], likewise, one of the two.
-        other: f32[...], the other.
-        deviations: how many, along the way and across it.
+        figure: f[...] x and y, metres, map frame.
+        landmark: f[...], likewise, one of the two.
+        other: f[...], the other.
 
     Returns:
-        bool[...].
+        bool[...]; nothing lies between itself and something else.
     """
     u, v, _ = _deviations(figure, landmark, other)
-    return jnp.maximum(jnp.abs(u), jnp.abs(v)) <= deviations
+    return u * u + v * v < _DEVIATIONS**2
 
 
-def _deviations(
-    figure: tuple[Array, Array], landmark: tuple[Array, Array], other: tuple[Array, Array]
-) -> tuple[Array, Array, Array]:
+def _deviations(figure: _Point, landmark: _Point, other: _Point) -> tuple[Any, Any, Any]:
     """Measure a place in standard deviations along and across the way, and the way squared."""
     along, across = SPREAD
     way_x, way_y = landmark[0] - other[0], landmark[1] - other[1]
@@ -106,23 +103,3 @@ def sample(along_normal: Array, across_normal: Array) -> tuple[Array, Array, Arr
         jnp.concatenate([across * across_normal[:1], -distance * jnp.sin(angle)]),
         -0.5 * (beyond * beyond + aside * aside) - log_constant - 2.0 * log_range,
     )
-
-
-def lies_between(figure: ArrayLike, landmark: ArrayLike, other: ArrayLike) -> np.ndarray:
-    """Decide whether something lies between two others, as people would say it (host only).
-
-    It does where they stand on opposite sides of it, within 45 degrees: seen from it, no farther
-    from a straight line than directed relations may be from their axis. Like ``holds``, for worlds
-    whose truth is known.
-
-    Args:
-        figure: f[..., 2], metres, map frame.
-        landmark: f[..., 2]
-        other: f[..., 2]
-
-    Returns:
-        bool[...]; nothing lies between itself and something else.
-    """
-    to, away = np.subtract(landmark, figure), np.subtract(figure, other)
-    length = np.linalg.norm(to, axis=-1) * np.linalg.norm(away, axis=-1)
-    return ((to * away).sum(-1) >= HOLDS_MIN_COSINE * length) & (length > 0.0)

@@ -17,6 +17,10 @@ Values = TypeVar("Values", Array, np.ndarray)
 HOLDS_MIN_COSINE = 0.7071
 """Directed relations hold within 45 degrees of their axis."""
 _HOLDS_MAX_DISTANCE = 5.0  # metres; "far" begins where the others end
+_COSINE, _SINE = (
+    np.array([of(AXIS[one]) for one in range(len(AXIS))], np.float32) for of in (math.cos, math.sin)
+)
+_IS_RING = np.array([one not in SIDES for one in range(len(AXIS))])  # "near", "far"
 
 
 def degree_of(relation: int, distance: Values, sideways: Values) -> Values:
@@ -107,6 +111,29 @@ def is_on_side(relation: Array, offset_x: Array, offset_y: Array, robot: Referen
     return holds
 
 
+def is_so(relation: ArrayLike, along: Array, lateral: Array, *, has_range: ArrayLike) -> Array:
+    """Decide whether people would say a relation of a place: for map, judge, story and goals.
+
+    Directed relations hold within 45 degrees of their axis and 5 m of the landmark, "near"
+    within 5 m, "far" beyond. A side of the robot ("on your left") says in which direction and not
+    how far: there the density has no range (``density.anywhere``), and neither has this.
+
+    Args:
+        relation: i32[...], relation index in [0, 6).
+        along: f[...], metres from the landmark, in the relation's frame.
+        lateral: f[...], metres, likewise.
+        has_range: bool[...], whether the relation says how far.
+
+    Returns:
+        bool[...].
+    """
+    relation, distance = jnp.asarray(relation), jnp.sqrt(along * along + lateral * lateral)
+    cosine, sine, is_ring = (jnp.asarray(table)[relation] for table in (_COSINE, _SINE, _IS_RING))
+    is_toward = (along * cosine + lateral * sine >= HOLDS_MIN_COSINE * distance) | is_ring
+    in_range = (distance <= _HOLDS_MAX_DISTANCE) != (relation == FAR)
+    return is_toward & (in_range | ~jnp.asarray(has_range))
+
+
 def holds(
     relation: int,
     figure: ArrayLike,
@@ -114,11 +141,7 @@ def holds(
     viewer: ArrayLike,
     heading: float | None = None,
 ) -> Array:
-    """Decide whether a relation holds between known positions, as people would say it.
-
-    Directed relations hold within 45 degrees of their axis and 5 m of the landmark, "near"
-    within 5 m, "far" beyond. Used for worlds whose truth is known (labels, the known-map
-    baseline), never by the filter.
+    """Decide whether a relation holds between known positions: ``is_so`` in its frame.
 
     Args:
         relation: relation index in [0, 6).
@@ -136,12 +159,8 @@ def holds(
     else:
         frame = robot_frame(jnp.asarray(heading, jnp.float32))
     x, y = figure[..., 0] - landmark[..., 0], figure[..., 1] - landmark[..., 1]
-    distance = jnp.sqrt(x * x + y * y)
-    if relation == NEAR:
-        return distance <= _HOLDS_MAX_DISTANCE
-    if relation == FAR:
-        return distance > _HOLDS_MAX_DISTANCE
-    along = x * frame.along_x + y * frame.along_y
-    lateral = x * frame.lateral_x + y * frame.lateral_y
-    projection = along * math.cos(AXIS[relation]) + lateral * math.sin(AXIS[relation])
-    return (projection >= HOLDS_MIN_COSINE * distance) & (distance <= _HOLDS_MAX_DISTANCE)
+    along, lateral = (
+        x * frame.along_x + y * frame.along_y,
+        x * frame.lateral_x + y * frame.lateral_y,
+    )
+    return is_so(relation, along, lateral, has_range=heading is None or relation not in SIDES)

@@ -13,6 +13,15 @@ SIDES = (FRONT, BEHIND, LEFT, RIGHT)
 AXIS = {FRONT: math.pi, BEHIND: 0.0, LEFT: math.pi / 2, RIGHT: -math.pi / 2, NEAR: 0.0, FAR: 0.0}
 """Radians from the frame's ``along``, counter-clockwise: behind is further along the line of sight.
 "Near" and "far" lie all round, and have none."""
+RELATION_WORDS = {
+    "front": "in front of",
+    "behind": "behind",
+    "left": "to the left of",
+    "right": "to the right of",
+    "near": "near",
+    "far": "far from",
+}
+"""What people say for a relation, before its landmark."""
 CONVERSE = {FRONT: BEHIND, BEHIND: FRONT, LEFT: RIGHT, RIGHT: LEFT, NEAR: NEAR, FAR: FAR}
 """What a landmark is to its figure: "a cone with a tree behind it" is a cone in front of a tree."""
 ORDERS = (LEFT, RIGHT, NEAR, FAR)

@@ -194,21 +194,10 @@ def _weigh(
     doubt: ClutterOdds | None,
     is_pooled: bool,
 ) -> Weights:
-    """Weigh what a detection of a kind, i32[], may be, given how those before it are grounded.
+    """Weigh what a detection may be, f32[O + 1, ...], something new last; log N of each slot given.
 
-    Args:
-        kind: of the detection.
-        log_existing: f32[O, ...], log N of each slot.
-        log_new: f32[] or f32[...], log λ m where nothing of its type is held.
-        so_far: of the detections before it.
-        growth: see ``associate``.
-        doubt: see ``associate``.
-        is_pooled: see ``associate``.
-
-    Returns:
-        f32[O + 1, ...], log-weight of each slot, something new last; and f32[O, ...] twice, how
-        probable things are then to exist: of the slot that it falls to, and of the others if it is
-        something new. None where all that is detected exists.
+    And f32[O, ...] twice, how probable things are then to exist: of the slot that it falls to, and
+    of the others if it is something new. None where all that is detected exists.
     """
     # Attributes decide nothing here: a detector that wavers must not make two of one thing.
     is_alike = label_of(so_far.object_type) == label_of(kind)
@@ -246,16 +235,7 @@ def _doubted(
     What does not exist as what it was entered as is a thing of another type, mislabelled each time:
     so it may be detected again, but rarely.
 
-    Args:
-        log_existing: f32[O, ...], log N of each slot.
-        log_new: f32[1, ...], log λ m.
-        log_confused: as ``log_new``, log λ₀ m k.
-        existence: f32[O, ...], r.
-        is_other: bool[O, ...], slots that hold something of another type.
-        doubt: of the detector.
-
-    Returns:
-        Both log-weights, doubted, and f32[O, ...], r of each slot if the detection falls to it.
+    Returns both log-weights, doubted, and f32[O, ...], r of each slot if the detection falls to it.
     """
     log_real = jnp.log(jnp.maximum(existence, 1e-9))
     log_mislabelled = jnp.log(jnp.maximum(1.0 - existence, 1e-9)) + doubt.log_as

@@ -141,16 +141,7 @@ def _log_bystanders(
 ) -> tuple[Array, Array]:
     """Weigh what has been seen against being a bystander, 1/λ: of its type all but one are.
 
-    Args:
-        seen: objects.
-        said: the relation.
-        is_kind: bool[2, O, ...], which of them are of the types of its ends.
-        grounding: what earlier relations have decided.
-        scene: area.
-        params: concentration, clumping.
-
-    Returns:
-        f32[2, 1, ...] or f32[2, O, ...]; and ``Candidates.log_alike``: of a pair all but two are.
+    f32[2, 1, ...] or f32[2, O, ...]; and ``Candidates.log_alike``: of a pair all but two are.
     """
     counted = _counted(seen, is_kind, grounding, scene)
     number, unseen = counted.number, counted.unseen

@@ -166,16 +166,7 @@ def _counted(
     """Hold against what has been seen that more of the area shows no more of its type.
 
     What the words refer to weighs above what its map weighs: it is no bystander, and exists.
-
-    Args:
-        belief: after the look.
-        believed: particles before it.
-        existence: f32[O, P], as in the particle, after the look.
-        exposure: f32[], by which a bystander has grown less probable.
-
-    Returns:
-        The belief, with what hardly exists forgotten; f32[P], log-likelihood of the maps; f32[P],
-        what that of a particle with its words is above it; and ``Weighed.is_lost``.
+    f32[P], log-likelihood of the maps, what that of a particle with its words is above it, is lost.
     """
     particles, is_meant = belief.particles, believed.is_meant
     log_meant = exposure * jnp.sum(is_meant, axis=0)

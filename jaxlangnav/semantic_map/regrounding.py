@@ -99,7 +99,12 @@ def reground(
     fresh_weight = jnp.where(must_ground, map_weight, 1.0 / number) * language
     weight = jnp.where(is_fresh, fresh_weight, jnp.maximum(kept_weight, 1.0 / number))
     return Regrounded(
-        particles=_either(is_fresh, fresh, belief.particles),
+        # What is not grounded is the same in both.
+        particles=jax.tree.map(
+            lambda new, old: old if new is old else jnp.where(is_fresh, new, old),
+            fresh,
+            belief.particles,
+        ),
         weight=weight / jnp.sum(weight),
         is_fresh=is_fresh,
         log_total=log_totals[0],
@@ -109,16 +114,7 @@ def reground(
 
 
 def _is_reopened(particles: SemanticMap, readings: Readings, is_other: Array) -> Array:
-    """Tell in which particles what the words refer to is open again, bool[P].
-
-    A new object of a type that a particle's words speak of reopens it, and so does a new attribute
-    of one.
-
-    Args:
-        particles: leaves [..., P], after the look.
-        readings: what the instruction says.
-        is_other: bool[O, P], slots of another kind than before.
-    """
+    """Reopen particles, bool[P], whose words speak of a type or an attribute newly seen."""
     new_type = jnp.where(is_other, label_of(particles.object_type), -3)
     kinds = readings.mention_type.reshape(-1)
     is_named = jnp.any(label_of(kinds)[:, None, None] == new_type[None], axis=(0, 1))
@@ -130,10 +126,3 @@ def _language(log_language: Array, is_asked: Array) -> tuple[Array, Array]:
     num_asked = jnp.sum(is_asked).astype(jnp.float32)
     share, log_total, _ = categorical.log_normalize(log_language)
     return jnp.clip(share * num_asked, 1e-6, 50.0), log_total - jnp.log(num_asked)
-
-
-def _either(is_fresh: Array, fresh: SemanticMap, kept: SemanticMap) -> SemanticMap:
-    """Take fresh groundings where they were drawn; what is not grounded is the same in both."""
-    return jax.tree.map(
-        lambda new, old: old if new is old else jnp.where(is_fresh, new, old), fresh, kept
-    )

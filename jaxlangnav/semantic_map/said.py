@@ -24,6 +24,7 @@ from jaxlangnav.relations import (
     RelationModel,
     anywhere,
     between,
+    is_so,
     law_of,
     log_density_in_frame,
     log_density_of,
@@ -35,8 +36,6 @@ from jaxlangnav.relations import (
 from jaxlangnav.semantic_map.params import MapParams
 
 FIGURE, LANDMARK = 0, 1
-_LEAST_COSINE, _DEVIATIONS = 0.5, 2.5
-"""How far off its axis and its distance a relation may still be said (``Said.may_hold``)."""
 
 
 class Said(NamedTuple):
@@ -110,11 +109,10 @@ class Said(NamedTuple):
         log_two = rarely(self.is_between, of_two, (x, y, landmark_x, landmark_y))
         return jnp.where(self.is_between[None], log_two, log_one)
 
-    def may_hold(self, x: Array, y: Array, landmark_x: Array, landmark_y: Array) -> Array:
-        """Tell whether anybody would say it of figures at places, where it says where they are.
+    def holds(self, x: Array, y: Array, landmark_x: Array, landmark_y: Array) -> Array:
+        """Tell whether people would say it of figures at places, where it says where they are.
 
-        It is within 60 degrees of its axis and 2.5 standard deviations of how far it is. Limits:
-        what merely exists, or has a rank, may hold anywhere.
+        Limits: what merely exists, or has a rank, holds anywhere.
 
         Args:
             x: f32[n, ...] metres, map frame, of the figures.
@@ -125,19 +123,13 @@ class Said(NamedTuple):
         Returns:
             bool[n, ...].
         """
-        frame, law = (
-            self.frame(landmark_x, landmark_y),
-            jax.tree.map(lambda one: one[None], self.law),
-        )
-        dx, dy = x - landmark_x, y - landmark_y
-        distance = jnp.sqrt(dx * dx + dy * dy + 1e-6)
-        toward = law.axis_along * (dx * frame.along_x + dy * frame.along_y)
-        toward = toward + law.axis_lateral * (dx * frame.lateral_x + dy * frame.lateral_y)
-        is_toward = (law.concentration <= 0.0) | (toward >= _LEAST_COSINE * distance)
-        spread = jnp.abs(jnp.log(distance) - law.log_distance) / law.log_distance_sd
-        of_one = is_toward & ((law.has_range == 0.0) | (spread <= _DEVIATIONS))
+        frame, dx, dy = self.frame(landmark_x, landmark_y), x - landmark_x, y - landmark_y
+        along = dx * frame.along_x + dy * frame.along_y
+        lateral = dx * frame.lateral_x + dy * frame.lateral_y
+        relation, has_range = jnp.maximum(self.relation, 0)[None], self.law.has_range[None] > 0.0
+        of_one = is_so(relation, along, lateral, has_range=has_range)
         other = self.viewer[0][None], self.viewer[1][None]
-        of_two = between.is_within((x, y), (landmark_x, landmark_y), other, _DEVIATIONS)
+        of_two = between.lies_between((x, y), (landmark_x, landmark_y), other)
         says_where = (self.relation != NONE) & (self.rank <= 0)
         return jnp.where(self.is_between[None], of_two, of_one) | ~says_where[None]
 
@@ -275,10 +267,7 @@ def _paired(one: Readings) -> tuple[Readings, Array]:
     """Take the first relation of each "between" for the existence of its landmark.
 
     So the second, with which figure and landmark are grounded together, has the other landmark's
-    place to be understood by, and the evidence is unbiased whichever comes first.
-
-    Returns:
-        The reading, and i32[J], the other landmark of the second relation; NONE elsewhere.
+    place to be understood by, i32[J] (NONE elsewhere): the evidence is unbiased in either order.
     """
     is_between = one.rank == BETWEEN
     is_alike = (one.figure[:, None] == one.figure[None]) & is_between[:, None] & is_between[None]

@@ -150,11 +150,6 @@ def _is_within(pose: Array, other: Array, metres: Array) -> Array:
     return jnp.sum(span * span) <= metres * metres
 
 
-def _flags(raised: dict[Fault, Array]) -> Array:
-    """Gather flags into bits, i32[]."""
-    return sum((jnp.where(is_up, int(bit), 0) for bit, is_up in raised.items()), jnp.int32(0))
-
-
 def sound_look(belief: ParticleBelief, observation: Observation, farthest: Array | None) -> Look:
     """Hold every field of an observation against what it can be.
 
@@ -176,16 +171,15 @@ def sound_look(belief: ParticleBelief, observation: Observation, farthest: Array
     has_sensor, given = _is_sensor(observation.sensor), observation.is_detection
     # What a detector cannot detect is not known of one that cannot be.
     is_odd = given & has_sensor & ~_is_detectable(observation, belief.num_types)
-    fault = _flags(
-        {
-            Fault.PLACE: ~belief.is_placed,
-            Fault.POSE: ~has_pose,
-            Fault.JUMP: is_far,
-            Fault.SENSOR: ~has_sensor,
-            Fault.DETECTION: jnp.any(is_odd),
-            Fault.CONTRADICTION: _is_contradiction(observation, given & has_sensor & ~is_odd),
-        }
-    )
+    raised = {
+        Fault.PLACE: ~belief.is_placed,
+        Fault.POSE: ~has_pose,
+        Fault.JUMP: is_far,
+        Fault.SENSOR: ~has_sensor,
+        Fault.DETECTION: jnp.any(is_odd),
+        Fault.CONTRADICTION: _is_contradiction(observation, given & has_sensor & ~is_odd),
+    }
+    fault = sum((jnp.where(is_up, int(bit), 0) for bit, is_up in raised.items()), jnp.int32(0))
     is_sound = fault == 0
     is_jump = (fault == int(Fault.JUMP)) & is_steady
     is_seen = given & is_sound

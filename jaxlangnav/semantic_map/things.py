@@ -81,7 +81,7 @@ def _misplaced(particles: SemanticMap, heard: Said) -> Array:
         landmark_x = jnp.where(said.is_by_object, pick(x, landmark), viewer_x)
         landmark_y = jnp.where(said.is_by_object, pick(y, landmark), viewer_y)
         at = (one[None] for one in (pick(x, figure), pick(y, figure), landmark_x, landmark_y))
-        is_out = is_anything(said.kind[FIGURE]) & ~said.may_hold(*at)[0]
+        is_out = is_anything(said.kind[FIGURE]) & ~said.holds(*at)[0]
         return is_out[None] & (slots == pick(particles.referent, figure)[None])
 
     is_out = jax.lax.map(of_one, heard)

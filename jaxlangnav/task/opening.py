@@ -15,9 +15,10 @@ from jaxlangnav.episode import Task
 from jaxlangnav.experiments.tasks import cell, make_tasks
 from jaxlangnav.grounding.binding import Detector
 from jaxlangnav.grounding.instruction import Understanding
+from jaxlangnav.grounding.worlds import why_nothing_fits
 from jaxlangnav.messages import SensorParams, default_sensor
 from jaxlangnav.pytree import replace
-from jaxlangnav.task.labelled import is_among, meant_goals, with_goal
+from jaxlangnav.task.labelled import is_among, meant_goals, place_scenario, with_goal
 from jaxlangnav.world.files import WorldFile, open_world, shipped_worlds
 from jaxlangnav.world.scenario import NUM_SLOTS
 from jaxlangnav.world.state import Scenario
@@ -45,12 +46,15 @@ class Prepared:
     """Whether the world has been drawn from a template."""
     num_alike: int = 1
     """Places there that fit the sentence alike, where nothing says which of them is meant."""
+    missing: tuple[str, ...] = ()
+    """What the sentence speaks of and is not there, where nothing fits."""
 
     @property
     def unjudged(self) -> str:
         """Why success cannot be told; empty where it can."""
         if not self.is_meant:
-            return "nothing there fits the sentence"
+            why = f" ({'; '.join(self.missing)})" if self.missing else ""
+            return f"nothing there fits the sentence{why}"
         if self.num_alike == 1:
             return ""
         return f"{self.num_alike} places fit the sentence alike, and nothing says which is meant"
@@ -254,15 +258,25 @@ def _judge(
     """Set the goal that the sentence means; that of the world where it is as good as any."""
     goals, is_find = meant_goals(understood, task.scenario)
     is_given = is_own or (has_goal and is_among(task.scenario, goals))
+    is_meant = is_own or bool(goals)
     if goals and not is_given:
         task = replace(task, scenario=with_goal(task.scenario, goals[0]))
     return Prepared(
         world=name,
         task=task,
         is_find=is_find,
-        is_meant=is_own or bool(goals),
+        is_meant=is_meant,
         is_drawn=is_drawn,
         num_alike=1 if is_given else max(len(goals), 1),
+        missing=()
+        if is_meant
+        else tuple(
+            why_nothing_fits(
+                place_scenario(task.scenario, understood.type_names),
+                understood.type_names,
+                understood.instruction.readings,
+            )
+        ),
     )
 
 

@@ -17,8 +17,9 @@ from jaxlangnav.grounding.properties import Annotations
 from jaxlangnav.grounding.symbols import Annotation, AnnotationSpace
 from jaxlangnav.language.phrase import Parse
 from jaxlangnav.messages import NONE, RELATIONS, ROBOT
+from jaxlangnav.relations.table import RELATION_WORDS
 from jaxlangnav.viz import style
-from jaxlangnav.viz.words import RELATION_WORDS, percent
+from jaxlangnav.viz.words import percent
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

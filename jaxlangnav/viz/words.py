@@ -9,15 +9,8 @@ from jaxlangnav.language.lexicon import plural
 from jaxlangnav.messages import AT, NONE, REGIONS, ROBOT, Fault, relation_name
 from jaxlangnav.planner.graph import OBJECT_NODE, VISITED
 from jaxlangnav.recording import StaticScene
+from jaxlangnav.relations.table import RELATION_WORDS
 
-RELATION_WORDS = {
-    "front": "in front of",
-    "behind": "behind",
-    "left": "to the left of",
-    "right": "to the right of",
-    "near": "near",
-    "far": "far from",
-}
 SUPERLATIVE_WORDS = {
     "front": "most in front of",
     "behind": "most behind",
