@@ -26,7 +26,6 @@ from jax.core import Tracer
 from jaxlangnav import navigator
 from jaxlangnav.anywhere import config_anywhere, params_anywhere, with_numbers
 from jaxlangnav.conversation import first_words
-from jaxlangnav.detections import SLOTS
 from jaxlangnav.grounding import Context, GraphGrounder, Grounded, Grounder, load_shipped
 from jaxlangnav.grounding.annotated import returning
 from jaxlangnav.grounding.grounder import names_of
@@ -48,7 +47,7 @@ from jaxlangnav.planner.config import AnyPolicy
 from jaxlangnav.planner.endings import missing_types
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.soundness import check_place
-from jaxlangnav.sensing import area_numbers, bounded, pose_numbers, said
+from jaxlangnav.sensing import SLOTS, area_numbers, bounded, pose_numbers, said
 from jaxlangnav.terrain import OPEN, Terrain
 from jaxlangnav.uniform import uniform
 

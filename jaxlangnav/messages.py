@@ -22,8 +22,8 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav import sensing
-from jaxlangnav.detections import detected
 from jaxlangnav.pytree import field, pytree
+from jaxlangnav.sensing import detected
 
 RELATIONS = ("front", "behind", "left", "right", "near", "far")
 """The six relations of section 3.1; an index into this tuple is a relation index."""

@@ -6,10 +6,9 @@ from typing import Any
 import numpy as np
 from jax.core import Tracer
 
-from jaxlangnav.detections import SLOTS, padded
 from jaxlangnav.messages import NONE, Observation, SensorParams
 from jaxlangnav.pytree import replace
-from jaxlangnav.sensing import is_complex, said
+from jaxlangnav.sensing import SLOTS, is_complex, padded, said
 
 _FILLERS: dict[str, tuple[Any, Any]] = {
     "detection_type": (np.int32, NONE),

@@ -19,8 +19,13 @@ from jaxlangnav.environments.functional import (
     draw_pool,
     pick_world,
 )
-from jaxlangnav.environments.gymnasium_env import ID, FollowEnv, FollowVectorEnv
-from jaxlangnav.environments.spaces import action_space, to_functional
+from jaxlangnav.environments.gymnasium_env import (
+    ID,
+    FollowEnv,
+    FollowVectorEnv,
+    action_space,
+    to_functional,
+)
 from jaxlangnav.experiments.tasks import SENTENCES
 from jaxlangnav.pytree import replace
 from jaxlangnav.world.templates import RELATION_NAMES

@@ -82,8 +82,7 @@ def test_a_killed_writer_leaves_the_old_file_and_a_hidden_one(tmp_path: Path) ->
     writer.send_signal(signal.SIGKILL)
     writer.communicate()
     assert path.read_text() == "old"
-    (left,) = whole_files.leftovers(path)
-    assert left.name.startswith(".")
+    (left,) = tmp_path.glob(".table.partial-*.md")
     assert left.read_text() == "half"
     assert {one.name for one in tmp_path.iterdir()} == {path.name, left.name}
 

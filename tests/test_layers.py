@@ -28,7 +28,6 @@ LAYERS = (
     "kept",
     "kinds",
     "sensing",
-    "detections",
     "messages",
     "numerics",
     "terrain",

@@ -13,8 +13,7 @@ from jaxlangnav.pytree import replace
 from jaxlangnav.robots import driver
 from jaxlangnav.robots.driver import drive
 from jaxlangnav.robots.kinematic import KinematicRobot
-from jaxlangnav.robots.motion.pursuit import Pursuit
-from jaxlangnav.robots.motion.window import Window
+from jaxlangnav.robots.motion.steering import Pursuit, Window
 from jaxlangnav.robots.record import Drive, Ending, observe
 from jaxlangnav.robots.recorded import record_drive
 from jaxlangnav.robots.robot import Detection, Progress

@@ -8,10 +8,8 @@ import pytest
 from jaxlangnav.pytree import replace
 from jaxlangnav.robots.kinematic import KinematicRobot, Slip
 from jaxlangnav.robots.motion.mover import TICK, Mover
-from jaxlangnav.robots.motion.path import find_path, inflate, is_clear
-from jaxlangnav.robots.motion.pursuit import Pursuit
-from jaxlangnav.robots.motion.scan import gaps, to_discs
-from jaxlangnav.robots.motion.window import Window
+from jaxlangnav.robots.motion.path import find_path, gaps, inflate, is_clear, to_discs
+from jaxlangnav.robots.motion.steering import Pursuit, Window
 from jaxlangnav.robots.physics.machines import MACHINES
 from jaxlangnav.robots.record import start_pose
 from jaxlangnav.robots.robot import Progress, Robot

@@ -12,7 +12,7 @@ import pytest
 from jaxlangnav.messages import default_sensor
 from jaxlangnav.pytree import replace
 from jaxlangnav.robots import libraries
-from jaxlangnav.robots.motion.mover import WheelCommand, wrap
+from jaxlangnav.robots.motion.steering import WheelCommand, wrap
 from jaxlangnav.robots.perception import figures, tags
 from jaxlangnav.robots.physics import odometry
 from jaxlangnav.robots.physics.machines import MACHINES, Wear

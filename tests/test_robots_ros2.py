@@ -11,16 +11,15 @@ import pytest
 from test_robots_drive import TEXT, goal_distance, put
 
 from jaxlangnav.agent import Navigator
+from jaxlangnav.robots.libraries import ros
 from jaxlangnav.robots.record import Ending
 from jaxlangnav.robots.robot import Detection, Progress
 from jaxlangnav.robots.ros2 import conversions, tags
 from jaxlangnav.robots.ros2.__main__ import NavigatorOptions, navigate
-from jaxlangnav.robots.ros2.faults import UnrulyChannel
-from jaxlangnav.robots.ros2.headway import Headway
 from jaxlangnav.robots.ros2.inbox import Inbox
-from jaxlangnav.robots.ros2.libraries import ros
-from jaxlangnav.robots.ros2.loopback import Loopback
-from jaxlangnav.robots.ros2.robot import RosRobot
+from jaxlangnav.robots.ros2.recording import Loopback
+from jaxlangnav.robots.ros2.robot import Headway, RosRobot
+from jaxlangnav.robots.ros2.serve import UnrulyChannel
 from jaxlangnav.robots.ros2.session import Session
 from jaxlangnav.robots.ros2.simulation import RobotOptions, simulate
 

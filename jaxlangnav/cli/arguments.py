@@ -55,18 +55,11 @@ def parse_arguments(arguments: Sequence[str]) -> Runnable:
     if name not in SUMMARIES:
         hint = did_you_mean(name, SUMMARIES) or f"; choose from {', '.join(SUMMARIES)}"
         raise UsageError(f'unknown command "{name}"{hint}')
-    return _read(command_class(name), options, program=f"{PROGRAM} {name}")
+    return _read(_command_class(name), options, program=f"{PROGRAM} {name}")
 
 
-def command_class(name: str) -> type[Any]:
-    """Load a command's dataclass.
-
-    Args:
-        name: a key of ``SUMMARIES``.
-
-    Returns:
-        The class: "follow" is ``jaxlangnav.cli.follow.Follow``.
-    """
+def _command_class(name: str) -> type[Any]:
+    """Load a command's dataclass."""
     module = importlib.import_module(f"jaxlangnav.cli.{name}")
     return getattr(module, name.capitalize())
 
@@ -85,7 +78,7 @@ def _read(kind: type[Any], options: Sequence[str], *, program: str) -> Any:
             return tyro.cli(
                 kind,
                 prog=program,
-                description=lay_out_help(kind),
+                description=_lay_out_help(kind),
                 args=list(options),
                 config=(tyro.conf.FlagCreatePairsOff, tyro.conf.PositionalMetavarFromFieldName),
             )
@@ -96,16 +89,8 @@ def _read(kind: type[Any], options: Sequence[str], *, program: str) -> Any:
         raise UsageError(f"{message} (see {program} --help)") from None
 
 
-def lay_out_help(kind: type[Any]) -> str:
-    """Lay out a command's docstring for its help, as wide as the terminal but for comfort.
-
-    Args:
-        kind: a command.
-
-    Returns:
-        Its paragraphs, their lines hanging: indented ones tyro leaves as they are, others it joins
-        to one of any length. Lists, as of examples, stay line by line.
-    """
+def _lay_out_help(kind: type[Any]) -> str:
+    """Lay out a command's docstring for its help, as wide as the terminal but for comfort."""
     width = min(shutil.get_terminal_size().columns, _COMFORTABLE)
     first, *others = inspect.cleandoc(kind.__doc__ or "").split("\n\n")
     laid = [first]

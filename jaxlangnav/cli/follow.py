@@ -12,8 +12,8 @@ from jaxlangnav.cli.checks import check_at_least, check_folder, check_range, che
 from jaxlangnav.cli.errors import UsageError
 from jaxlangnav.cli.metavars import ByStep, File, Folder, Metres
 from jaxlangnav.cli.output import Document, Output
+from jaxlangnav.cli.parse import is_template, parse_text
 from jaxlangnav.cli.runtime import keep_compiled_programs, waiting
-from jaxlangnav.cli.sentence import is_template, parse_text
 from jaxlangnav.cli.settings import SettingPath, apply, read_settings
 
 if TYPE_CHECKING:

@@ -11,8 +11,8 @@ from jaxlangnav.cli.checks import check_folder, check_seed
 from jaxlangnav.cli.errors import UsageError
 from jaxlangnav.cli.metavars import File, Folder, WorldName
 from jaxlangnav.cli.output import Document, Output
+from jaxlangnav.cli.parse import is_template, parse_text
 from jaxlangnav.cli.runtime import keep_compiled_programs
-from jaxlangnav.cli.sentence import is_template, parse_text
 from jaxlangnav.experiments.table import Table
 
 if TYPE_CHECKING:

@@ -54,7 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # What the terminal's alphabet lacks is written as an escape, as on standard error.
         sys.stdout.reconfigure(errors="backslashreplace")
     if not words or words[0] in ("-h", "--help", "help"):
-        print(story(), file=sys.stdout if words else sys.stderr)
+        print(_story(), file=sys.stdout if words else sys.stderr)
         return 0 if words else 2
     if words[0] in ("-V", "--version"):
         print(f"{PROGRAM} {__version__}")
@@ -89,7 +89,7 @@ def _quieten_compiler() -> None:
         os.environ.setdefault(XLA_LOG_LEVEL, "3")
 
 
-def story() -> str:
+def _story() -> str:
     """Write the help of the whole program."""
     width = max(map(len, SUMMARIES))
     commands = "\n".join(f"  {name:<{width}}  {text}" for name, text in SUMMARIES.items())

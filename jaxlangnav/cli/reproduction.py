@@ -66,19 +66,12 @@ def table1(settings: Settings, output: Output) -> Study:
     )
 
 
-def episodes(name: str) -> Callable[[Settings, Output], Study]:
-    """Build the runner of an experiment made of episodes.
-
-    Args:
-        name: a key of ``GRIDS``.
-
-    Returns:
-        A function that runs it for every row and arm.
-    """
+def _episodes(name: str) -> Callable[[Settings, Output], Study]:
+    """Build the runner of an experiment made of episodes."""
 
     def run(settings: Settings, output: Output) -> Study:
         experiment = GRIDS[name](settings)
-        options = options_of(name, settings)
+        options = _options_of(name, settings)
         with progress_bar("episodes", experiment.total_work(options)) as advance:
             document = experiment.run(options, out=settings.out, on_progress=advance)
         output.say(experiment.render(document))
@@ -115,17 +108,8 @@ GRIDS: dict[str, Callable[[Settings], Experiment]] = {
 """The experiments made of episodes: from settings to rows."""
 
 
-def options_of(name: str, settings: Settings) -> Options:
-    """Say what an experiment of episodes runs.
-
-    Args:
-        name: a key of ``GRIDS``.
-        settings: from the command line.
-
-    Returns:
-        Its options; the numbers that the settings leave alone are the experiment's own, and the
-        study of unknowns has worlds of its own. The sensing range is a matter of each row.
-    """
+def _options_of(name: str, settings: Settings) -> Options:
+    """Say what an experiment of episodes runs."""
     is_robust = name == "robustness"
     return Options(
         episodes=settings.episodes,
@@ -252,10 +236,10 @@ STUDIES: dict[str, Callable[[Settings, Output], Study]] = {
     "fig1": functools.partial(illustrations.illustrate, "fig1"),
     "fig3": illustrations.factor_graph,
     "fig4": functools.partial(illustrations.illustrate, "fig4"),
-    **{name: episodes(name) for name in ("table2", "fig5", "unknowns")},
+    **{name: _episodes(name) for name in ("table2", "fig5", "unknowns")},
     "time": timing,
     "conversation": conversation,
-    "robustness": episodes("robustness"),
+    "robustness": _episodes("robustness"),
 }
 """Every experiment by its name on the command line, in the order of the report."""
 
@@ -277,7 +261,7 @@ def check_sizes(names: Sequence[str], settings: Settings) -> None:
     """
     for name in names:
         if name in GRIDS:
-            GRIDS[name](settings).check(options_of(name, settings))
+            GRIDS[name](settings).check(_options_of(name, settings))
         elif name in ("fig1", "fig4"):
             check_recording(navigator_config("faithful", settings.particles_drawn), MAX_STEPS)
 

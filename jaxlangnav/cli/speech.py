@@ -28,19 +28,8 @@ _PACE = 0.4
 """Seconds that a step takes at least while somebody may type."""
 
 
-def parse_hear(text: str, max_steps: int) -> tuple[int, str]:
-    """Read an utterance and its step: "5: go to the other hydrant".
-
-    Args:
-        text: as it stands on the command line.
-        max_steps: of the episode.
-
-    Returns:
-        The step, and what is said before its decision.
-
-    Raises:
-        UsageError: there is no step, or it is none of the episode's.
-    """
+def _parse_hear(text: str, max_steps: int) -> tuple[int, str]:
+    """Read an utterance and its step: "5: go to the other hydrant"."""
     head, colon, words = text.partition(":")
     if not colon or not (head.strip().isascii() and head.strip().isdigit()) or not words.strip():
         raise UsageError(
@@ -57,7 +46,7 @@ def parse_hear(text: str, max_steps: int) -> tuple[int, str]:
     return step, words.strip()
 
 
-def check_person(name: str | None) -> None:
+def _check_person(name: str | None) -> None:
     """Refuse a simulated person that there is not."""
     from jaxlangnav.world.person import PERSONS
 
@@ -90,9 +79,9 @@ class Speech:
         """
         script: dict[int, list[str]] = {}
         for one in hear:
-            step, text = parse_hear(one, max_steps)
+            step, text = _parse_hear(one, max_steps)
             script.setdefault(step, []).append(text)
-        check_person(person)
+        _check_person(person)
         if person is not None and talk:
             raise UsageError("--person speaks for you: leave out --talk")
         for option, is_given in (("--ask", ask and person is None), ("--talk", talk)):

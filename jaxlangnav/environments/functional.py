@@ -65,19 +65,8 @@ BOUND = 100.0
 OBSERVATION_SIZE = 12 + 5 * NUM_DETECTIONS
 
 
-def to_vector(seen: Observation, *, area: Array, relation: Array) -> Array:
-    """Lay out what the agent is given.
-
-    Args:
-        seen: what the robot senses.
-        area: f32[4], edges of the operating area, which are known to all; metres.
-        relation: i32[], index of the command.
-
-    Returns:
-        f32[52]: x, y, cosine and sine of the heading (odometry); the area's edges (4); the sensing
-        range; one-hot of the command (3); and for each of eight detections, nearest first,
-        whether there is one, metres ahead, metres to the left, is hydrant, is cone.
-    """
+def _to_vector(seen: Observation, *, area: Array, relation: Array) -> Array:
+    """Lay out what the agent is given."""
     x, y, heading = seen.pose[0], seen.pose[1], seen.pose[2]
     told = (jnp.arange(len(SENTENCES)) == relation).astype(jnp.float32)
     is_there = seen.is_detection.astype(jnp.float32)
@@ -355,7 +344,7 @@ def _advance(
 def _observe(key: Array, state: EnvironmentState, params: EnvironmentParams) -> Array:
     """Sense, and lay it out for the agent."""
     seen = sense(key, state.world, state.scenario, params.sensor)
-    return to_vector(seen, area=state.scenario.area, relation=params.law.relation)
+    return _to_vector(seen, area=state.scenario.area, relation=params.law.relation)
 
 
 def _where(is_first: Array, first: _Tree, second: _Tree) -> _Tree:

@@ -35,7 +35,7 @@ import math
 
 import numpy as np
 
-from jaxlangnav.world.placement import AREA_SIGMAS
+from jaxlangnav.world.scenario import AREA_SIGMAS
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 from jaxlangnav.world.templates import known_range, parse_template
 

@@ -109,7 +109,7 @@ def replacing(path: Path) -> Iterator[Path]:
         yield temporary
         _force(temporary)
         temporary.replace(path)
-    force_folder(path.parent)
+    _force_folder(path.parent)
 
 
 def write_bytes(content: bytes, path: Path) -> Path:
@@ -160,29 +160,12 @@ def write_once(content: bytes, path: Path) -> bool:
         except OSError:
             # No second names on this file system: the last writer wins.
             temporary.replace(path)
-    force_folder(path.parent)
+    _force_folder(path.parent)
     return True
 
 
-def leftovers(path: Path) -> list[Path]:
-    """List temporary files that killed writers of a file have left, or living ones write to.
-
-    Args:
-        path: of the file.
-
-    Returns:
-        Their paths.
-    """
-    head = _head(path)
-    return [one for one in path.parent.glob(f"{head}*") if one.suffix == path.suffix]
-
-
-def force_folder(folder: Path) -> None:
-    """Force to the disk which files a folder holds.
-
-    Args:
-        folder: the folder.
-    """
+def _force_folder(folder: Path) -> None:
+    """Force to the disk which files a folder holds."""
     handle = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -203,14 +186,14 @@ def make_folder(folder: Path) -> None:
         return
     make_folder(folder.parent)
     folder.mkdir(exist_ok=True)
-    force_folder(folder.parent)
+    _force_folder(folder.parent)
 
 
 @contextlib.contextmanager
 def _temporary(path: Path) -> Iterator[Path]:
     """Make an empty file beside a place, of a name that nobody else has; remove what is left."""
     make_folder(path.parent)
-    name = f"{_head(path)}{os.getpid()}-{secrets.token_hex(6)}{path.suffix}"
+    name = f".{path.stem[:_KEPT_OF_NAME]}.partial-{os.getpid()}-{secrets.token_hex(6)}{path.suffix}"
     temporary = path.with_name(name)
     # Made with the rights that any new file would get here.
     os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
@@ -218,11 +201,6 @@ def _temporary(path: Path) -> Iterator[Path]:
         yield temporary
     finally:
         temporary.unlink(missing_ok=True)
-
-
-def _head(path: Path) -> str:
-    """Begin the name of a file's temporary ones."""
-    return f".{path.stem[:_KEPT_OF_NAME]}.partial-"
 
 
 def _force(path: Path) -> None:

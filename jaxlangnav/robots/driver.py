@@ -13,13 +13,53 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.agent import Navigator
-from jaxlangnav.messages import Action, Fault, Status
+from jaxlangnav.messages import AT, Action, Fault, Status
 from jaxlangnav.navigator import NavigatorInfo, NavigatorState
 from jaxlangnav.pytree import replace
-from jaxlangnav.robots.arrival import goal_object, is_seen
-from jaxlangnav.robots.motion.mover import wrap
+from jaxlangnav.robots.motion.steering import wrap
 from jaxlangnav.robots.record import Drive, Ending, OnStep, Step, observe, start_pose
 from jaxlangnav.robots.robot import Detection, Progress, Robot
+
+SAME_THING = 0.8
+"""Metres within which a detection is of the goal that is believed to be there."""
+GoalPoint = tuple[int, float, float]
+"""Index of an object type, and x and y in the map frame, metres."""
+
+
+def _goal_object(state: NavigatorState, info: NavigatorInfo) -> GoalPoint | None:
+    """Find the thing that a robot has arrived at."""
+    goals = jax.device_get(info.goals)
+    mass = np.where(goals.is_object, goals.object_mass, 0.0)[:-1]
+    away = np.hypot(goals.object_x[:-1] - info.robot[0], goals.object_y[:-1] - info.robot[1])
+    slot = int(np.argmax(mass * np.exp(-away)))
+    region = int(np.argmax(np.asarray(info.behavior.goal)[:, slot]))
+    types = np.asarray(state.belief.particles.object_type)[slot]
+    types = types[types >= 0]
+    if region != AT or not len(types) or mass[slot] <= 0.0:
+        return None
+    kind = int(np.bincount(types).argmax())
+    return kind, float(goals.object_x[slot]), float(goals.object_y[slot])
+
+
+def _is_seen(
+    goal: GoalPoint,
+    info: NavigatorInfo,
+    found: Sequence[Detection],
+    pose: np.ndarray,
+) -> bool:
+    """Tell whether one of the detections of a look is of the goal."""
+    kind, x, y = goal
+    robot_x, robot_y = np.asarray(info.robot, float)
+    for one in found:
+        bearing = pose[2] + one.bearing
+        seen_x, seen_y = (
+            robot_x + one.range * np.cos(bearing),
+            robot_y + one.range * np.sin(bearing),
+        )
+        if one.object_type == kind and np.hypot(seen_x - x, seen_y - y) <= SAME_THING:
+            return True
+    return False
+
 
 CYCLE = 1.5
 """Seconds after which a robot under way looks and decides again."""
@@ -175,8 +215,8 @@ class _Journey:
         """Believe an arrival once the goal has been seen from there; look again if it has not."""
         self.robot.stop()
         self._note(pose, found, Status.ARRIVED, info, None, Progress.STANDING, after)
-        goal = goal_object(after, info)
-        if goal is None or is_seen(goal, info, found, pose):
+        goal = _goal_object(after, info)
+        if goal is None or _is_seen(goal, info, found, pose):
             return after, (Ending.ARRIVED, "arrived")
         self.unconfirmed += 1
         name = self.navigator.type_names[goal[0]]

@@ -12,9 +12,8 @@ import numpy as np
 
 from jaxlangnav.messages import SensorParams, default_sensor
 from jaxlangnav.pytree import replace
-from jaxlangnav.robots.motion.body import BodyLimits
-from jaxlangnav.robots.motion.mover import TICK, Mover, Steering, WheelCommand
-from jaxlangnav.robots.motion.pursuit import Pursuit
+from jaxlangnav.robots.motion.mover import TICK, Mover
+from jaxlangnav.robots.motion.steering import BodyLimits, Pursuit, Steering, WheelCommand
 from jaxlangnav.robots.robot import Detection
 from jaxlangnav.robots.simulated import BEAMS, SCAN_RANGE, SimulatedRobot
 from jaxlangnav.world.sensor import sense

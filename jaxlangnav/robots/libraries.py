@@ -4,11 +4,38 @@ Rendering off screen goes through EGL, which is the system's, not pip's.
 """
 
 import importlib
+import importlib.util
 import os
 import sys
 from typing import Any
 
-from jaxlangnav.viz.style import require
+from jaxlangnav.viz.style import MissingExtraError, require
+
+NO_WHEELS = ("apriltag_msgs", "tf2_msgs", "vision_msgs")
+"""Packages of messages that a ROS 2 installation has and PyPI has not."""
+
+
+def ros(module: str) -> Any:
+    """Load a module of ROS 2.
+
+    Args:
+        module: such as "rclpy" or "nav_msgs.msg".
+
+    Returns:
+        The module.
+
+    Raises:
+        MissingExtraError: it is not installed.
+    """
+    package = module.split(".")[0]
+    if package in NO_WHEELS and importlib.util.find_spec(package) is None:
+        raise MissingExtraError(
+            f"{package} is not installed, and no wheel: source a ROS 2 installation that has it "
+            f"(apt-get install ros-$ROS_DISTRO-{package.replace('_', '-')})"
+        )
+    require(package, extra="ros2")
+    return importlib.import_module(module)
+
 
 SYSTEM_PACKAGES = "libegl1 libegl-mesa0 libgl1-mesa-dri"
 """Debian and Ubuntu packages that rendering off screen needs."""

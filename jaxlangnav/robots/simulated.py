@@ -13,8 +13,9 @@ from typing import Self
 import numpy as np
 
 from jaxlangnav.messages import SensorParams
-from jaxlangnav.robots.motion.mover import TICK, Mover, WheelCommand
-from jaxlangnav.robots.motion.scan import to_discs
+from jaxlangnav.robots.motion.mover import TICK, Mover
+from jaxlangnav.robots.motion.path import to_discs
+from jaxlangnav.robots.motion.steering import WheelCommand
 from jaxlangnav.robots.robot import Detection, Progress
 
 BEAMS = np.linspace(-np.pi, np.pi, 181)[:-1]

@@ -20,7 +20,7 @@ from jaxlangnav.experiments.tasks import SENTENCES
 from jaxlangnav.navigator import NavigatorInfo, NavigatorState
 from jaxlangnav.pytree import replace
 from jaxlangnav.robots.driver import drive
-from jaxlangnav.robots.motion.mover import wrap
+from jaxlangnav.robots.motion.steering import wrap
 from jaxlangnav.robots.perception.figures import as_told
 from jaxlangnav.robots.perception.tags import Gates
 from jaxlangnav.robots.physics import odometry

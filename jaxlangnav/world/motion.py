@@ -49,7 +49,7 @@ def carry_out(key: Array, state: WorldState, action: Action, motion: MotionParam
 
         x' = x + R(e) u + N(0, (ε |u|)²) per axis,   odometry' = odometry + u
 
-    with e by how much the true heading exceeds odometry's (see ``driven``).
+    with e by how much the true heading exceeds odometry's (see ``_driven``).
     Limits: no noise keeps odometry and truth together; a stop or a zero step changes nothing. A
     robot goes no further in a cycle than ``step_length`` times the action's speed.
 
@@ -69,29 +69,15 @@ def carry_out(key: Array, state: WorldState, action: Action, motion: MotionParam
     step = jnp.where(is_long, step * (limit / jnp.where(is_long, asked, 1.0)), step)
     way = jnp.minimum(asked, limit)
     heading = jnp.where(way > 0.0, jnp.arctan2(step[1], step[0]), state.odometry[2])
-    return driven(key, state, step, way, heading, motion)
+    return _driven(key, state, step, way, heading, motion)
 
 
-def driven(
+def _driven(
     key: Array, state: WorldState, step: Array, way: Array, heading: Array, motion: MotionParams
 ) -> WorldState:
-    """Turn and drive as odometry has it, and end where noise and drift of the heading lead.
-
-        e' = e + b s + N(0, σ² s + τ² |φ|),   x' = x + R((e + e') / 2) u + N(0, (ε s)²) per axis
-
-    with φ the turn.
-
-    Args:
-        key: random key.
-        state: the robot.
-        step: f32[2], u, metres, axes of odometry.
-        way: f32[], s = |u|.
-        heading: f32[], radians, after the turn, as odometry has it.
-        motion: odometry_noise ε, heading_bias b, heading_noise σ, turn_noise τ.
-
-    Returns:
-        The robot there.
-    """
+    """Turn and drive as odometry has it, and end where noise and drift of the heading lead."""
+    # e' = e + b s + N(0, σ² s + τ² |φ|),   x' = x + R((e + e') / 2) u + N(0, (ε s)²) per axis
+    # with φ the turn.
     noise = jax.random.normal(key, (3,))
     turn = heading - state.odometry[2]
     turn = jnp.abs(turn - 2.0 * jnp.pi * jnp.round(turn / (2.0 * jnp.pi)))
@@ -145,4 +131,4 @@ class Unicycle:
         rest = 1.0 - jnp.abs(turn) / self.turn_rate
         way = jnp.minimum(asked, motion.step_length * action.speed * rest)
         step = way * jnp.stack([jnp.cos(heading), jnp.sin(heading)])
-        return driven(key, state, step, way, heading, motion)
+        return _driven(key, state, step, way, heading, motion)

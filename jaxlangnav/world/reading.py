@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 from msgspec import Meta, field, structs
 
-from jaxlangnav.detections import SLOTS
 from jaxlangnav.files.limits import FARTHEST, RANGES, SHORTEST, SMALLEST
 from jaxlangnav.files.schema import Name, PlainText, Schema, convert, no_choice
 from jaxlangnav.kinds import ATTRIBUTES, attributes
@@ -18,6 +17,7 @@ from jaxlangnav.language.spelling import repair
 from jaxlangnav.language.tokens import is_word, plainly
 from jaxlangnav.messages import NONE, MotionParams, SensorParams
 from jaxlangnav.plain_text import LONGEST_NAME, cut, printable, shown
+from jaxlangnav.sensing import SLOTS
 from jaxlangnav.world.state import Scenario
 
 MOST_OBJECTS = SLOTS[-1]

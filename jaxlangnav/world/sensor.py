@@ -2,9 +2,18 @@
 
 Each object within range and field of view is detected with a fixed probability. Its relative
 position in the robot's frame gets isotropic Gaussian noise and is reported as range and bearing.
-The paper's detector invents nothing and its types are always right (section 3.2). Elsewhere
-(``Scenario.errors``) it errs as ``errors`` says. What the place itself hides is the business of its
-``terrain``.
+What the place itself hides is the business of its ``terrain``.
+
+The paper's detector invents nothing and its types are always right (section 3.2). Real ones err,
+as ours do where ``Scenario.errors`` says so:
+
+- *fresh* ghosts: in each look, of each type that is invented, a Poisson number of false detections
+  with mean ``SensorParams.false_detections``, each anywhere in view, evenly by area, anew at every
+  look (of more than ``MOST_FRESH`` in one look the rest is dropped);
+- *haunted* places, drawn with the world: one in view is reported in a look with a probability of
+  its own, where it is, with the noise of any thing. Nothing tells the belief of these;
+- labels: a thing detected is called another type with probability ``SensorParams.mislabelled``,
+  each of the others equally likely, anew at every look.
 """
 
 import chex
@@ -15,8 +24,77 @@ from jax import Array
 from jaxlangnav.messages import NONE, Observation, SensorParams
 from jaxlangnav.numerics import batching
 from jaxlangnav.pytree import replace
-from jaxlangnav.world.errors import fresh_ghosts, haunting_ghosts, labels_read, located
-from jaxlangnav.world.state import Scenario, WorldState
+from jaxlangnav.terrain.view import eye_of
+from jaxlangnav.world.state import Errors, Scenario, WorldState
+
+MOST_FRESH = 4
+"""Fresh ghosts in one look; at a mean of 0.1 there are more in one look of ten million."""
+Ghosts = tuple[Array, Array, Array, Array]
+"""Type i32[n]; x ahead, y to the left, f32[n] metres, robot frame; whether reported, bool[n]."""
+
+
+def _located(
+    x: Array, y: Array, is_there: Array, state: WorldState, scenario: Scenario, sensor: SensorParams
+) -> tuple[Array, Array, Array]:
+    """Put places into the robot's frame and tell which are in view."""
+    dx, dy = x - state.position[0], y - state.position[1]
+    cosine, sine = jnp.cos(state.heading), jnp.sin(state.heading)
+    ahead, left = cosine * dx + sine * dy, cosine * dy - sine * dx
+    eye = eye_of(state.position[0], state.position[1], state.heading, sensor)
+    return ahead, left, is_there & scenario.terrain.view.sees(eye, x, y)
+
+
+def _labels_read(key: Array, kind: Array, errors: Errors, sensor: SensorParams) -> Array:
+    """Read the labels of things, some of them wrongly."""
+    # Limits: a rate of 0, or a single type told apart, reads every label as it is.
+    uniform = jax.random.uniform(key, (2, kind.size))
+    others = jnp.sum(errors.is_type) - 1
+    is_wrong = (uniform[0] < sensor.mislabelled) & (others > 0) & (kind != NONE)
+    rank = jnp.cumsum(errors.is_type) - 1
+    choice = jnp.minimum((uniform[1] * others).astype(jnp.int32), others - 1)
+    # The thing's own type is stepped over.
+    choice = choice + (choice >= rank[jnp.maximum(kind, 0)])
+    is_chosen = (rank[None, :] == choice[:, None]) & errors.is_type[None, :]
+    return jnp.where(is_wrong, jnp.argmax(is_chosen, axis=1), kind).astype(kind.dtype)
+
+
+def _fresh_ghosts(
+    key: Array, state: WorldState, scenario: Scenario, errors: Errors, sensor: SensorParams
+) -> Ghosts:
+    """Invent detections anew for one look."""
+    # number ~ Poisson(λ T),   λ = ``false_detections``, T types that are invented
+    # Limits: λ = 0 invents nothing.
+    number_key, place_key = jax.random.split(key)
+    mean = sensor.false_detections * jnp.sum(errors.is_invented)
+    terms = jnp.cumprod(jnp.concatenate([jnp.exp(-mean)[None], mean / jnp.arange(1, MOST_FRESH)]))
+    number = jnp.sum(jax.random.uniform(number_key) > jnp.cumsum(terms))
+    uniform = jax.random.uniform(place_key, (3, MOST_FRESH))
+    metres = sensor.range_max * jnp.sqrt(uniform[0])
+    bearing = sensor.field_of_view * (uniform[1] - 0.5)
+    turned = state.heading + bearing
+    x = state.position[0] + metres * jnp.cos(turned)
+    y = state.position[1] + metres * jnp.sin(turned)
+    is_there = jnp.arange(MOST_FRESH) < number
+    ahead, left, is_reported = _located(x, y, is_there, state, scenario, sensor)
+    types = jnp.sum(errors.is_invented)
+    choice = jnp.minimum((uniform[2] * types).astype(jnp.int32), types - 1)
+    is_chosen = (jnp.cumsum(errors.is_invented) - 1)[None, :] == choice[:, None]
+    kind = jnp.argmax(is_chosen & errors.is_invented[None, :], axis=1)
+    return kind.astype(jnp.int32), ahead, left, is_reported
+
+
+def _haunting_ghosts(
+    key: Array, state: WorldState, scenario: Scenario, errors: Errors, sensor: SensorParams
+) -> Ghosts:
+    """Report places that are mistaken for things again and again."""
+    chance_key, noise_key = jax.random.split(key)
+    place = errors.haunt_x, errors.haunt_y, errors.haunt_type != NONE
+    ahead, left, is_seen = _located(*place, state, scenario, sensor)
+    noise = sensor.noise * jax.random.normal(noise_key, (2, ahead.size))
+    chance = jax.random.uniform(chance_key, ahead.shape)
+    is_reported = is_seen & (chance < errors.haunt_probability)
+    return errors.haunt_type, ahead + noise[0], left + noise[1], is_reported
+
 
 NUM_DETECTIONS, NUM_DETECTIONS_CROWDED = 8, 16
 """Slots of an observation, in places of at most eight things and of more."""
@@ -94,9 +172,9 @@ def _in_error(
     if scenario.errors is None:
         return seen
     keys = jax.random.split(jax.random.fold_in(key, _ERRING), 3)
-    kind = labels_read(keys[0], seen[0], scenario.errors, sensor)
-    fresh = fresh_ghosts(keys[1], state, scenario, scenario.errors, sensor)
-    haunting = haunting_ghosts(keys[2], state, scenario, scenario.errors, sensor)
+    kind = _labels_read(keys[0], seen[0], scenario.errors, sensor)
+    fresh = _fresh_ghosts(keys[1], state, scenario, scenario.errors, sensor)
+    haunting = _haunting_ghosts(keys[2], state, scenario, scenario.errors, sensor)
     parts = zip((kind, *seen[1:]), fresh, haunting, strict=True)
     kind, x, y, is_found = (jnp.concatenate(part) for part in parts)
     return kind, x, y, is_found
@@ -125,6 +203,6 @@ def visible(
     Returns:
         f32[O] x ahead and f32[O] y to the left, metres, robot frame; bool[O] in view.
     """
-    return located(
+    return _located(
         scenario.object_x, scenario.object_y, scenario.is_object, state, scenario, sensor
     )

@@ -1,18 +1,23 @@
 """Following waypoints with a body: a way around things, found anew as it goes, and steering.
 
 ``Mover`` holds what both motion planners have in common; how to steer along the way is their own:
-``pursuit`` or ``window``. It gives up where there is no way, or where it no longer comes nearer.
+``steering``. It gives up where there is no way, or where it no longer comes nearer.
 """
 
 import itertools
 import math
-from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from jaxlangnav.robots.motion.body import BodyLimits
-from jaxlangnav.robots.motion.path import find_path, inflate, is_clear
-from jaxlangnav.robots.motion.scan import NO_DISCS
+from jaxlangnav.robots.motion.path import NO_DISCS, find_path, inflate, is_clear
+from jaxlangnav.robots.motion.steering import (
+    STILL,
+    BodyLimits,
+    Steering,
+    WheelCommand,
+    turn_by,
+    wrap,
+)
 from jaxlangnav.robots.robot import Progress
 
 TICK = 0.1
@@ -35,51 +40,8 @@ _TREMBLE = np.array([0.0, 0.0, 0.06])
 """Metres by which discs may grow or stir before a way is not free any more."""
 _PLAN_EVERY = 0.3
 """Seconds after which a way is looked for again, or a free one shortened."""
-_BEFORE = 0.5
-"""Cosine of the angle off the way ahead from which on a thing so near is before the body."""
-GRAZE = 0.03
-"""Metres that a way round something that is touched, or all but, may come nearer to it."""
 _TRIES = 10
 """Ways looked for in vain, one after the other, after which there is none."""
-
-
-class WheelCommand(NamedTuple):
-    """What the wheels are told."""
-
-    speed: float  # metres a second ahead
-    turn: float  # radians a second, counter-clockwise
-
-
-STILL = WheelCommand(0.0, 0.0)
-
-
-class Steering(Protocol):
-    """How to follow a way: chooses the next command."""
-
-    def steer(
-        self,
-        pose: np.ndarray,
-        moving: WheelCommand,
-        way: np.ndarray,
-        discs: np.ndarray,
-        *,
-        top_speed: float,
-        body: BodyLimits,
-    ) -> WheelCommand:
-        """Choose a command.
-
-        Args:
-            pose: f64[3], x, y, heading.
-            moving: the present one.
-            way: f64[V, 2], corners ahead, V ≥ 1, metres; its end is to be stopped at.
-            discs: f64[K, 3], things, metres, not inflated.
-            top_speed: metres a second wished for.
-            body: size and limits.
-
-        Returns:
-            The command; ``Mover`` keeps it within what the body can do in a tick.
-        """
-        ...
 
 
 class Mover:
@@ -234,78 +196,6 @@ class Mover:
         if moved or abs(pose[2] - self._last[2]) > 2.0 * _MOVED:
             self._last, self._still_for = pose.copy(), 0.0
         return self._still_for > _PATIENCE or self._left < 0.0
-
-
-def wrap(angle: float) -> float:
-    """Bring an angle, radians, into [−π, π]."""
-    return math.remainder(angle, 2.0 * math.pi)
-
-
-def turn_by(angle: float, body: BodyLimits) -> WheelCommand:
-    """Turn on the spot, slowing down in time.
-
-    Args:
-        angle: radians left to turn.
-        body: its limits.
-
-    Returns:
-        The command.
-    """
-    rate = min(body.turn_rate, math.sqrt(1.2 * body.turn_acceleration * abs(angle)))
-    return WheelCommand(0.0, math.copysign(rate, angle))
-
-
-def braked(speed: float, room: float, body: BodyLimits) -> float:
-    """Limit a speed so that the body can stop within a room.
-
-    Args:
-        speed: metres a second.
-        room: metres.
-        body: its limits.
-
-    Returns:
-        Metres a second.
-    """
-    return min(speed, math.sqrt(1.6 * body.acceleration * max(room, 0.0)))
-
-
-def room_ahead(pose: np.ndarray, discs: np.ndarray, body: BodyLimits) -> float:
-    """Measure how far the body can go straight ahead before it touches a thing.
-
-    Args:
-        pose: f64[3].
-        discs: f64[K, 3], things, not inflated.
-        body: its size.
-
-    Returns:
-        Metres; infinite where nothing is in the way.
-    """
-    if not len(discs):
-        return math.inf
-    cosine, sine = math.cos(pose[2]), math.sin(pose[2])
-    dx, dy = discs[:, 0] - pose[0], discs[:, 1] - pose[1]
-    ahead, side = cosine * dx + sine * dy, cosine * dy - sine * dx
-    reach, away = discs[:, 2] + body.radius, np.hypot(dx, dy)
-    # What it all but touches holds it only where it is before it, not beside it.
-    least = np.where(away < reach + 2.0 * GRAZE, _BEFORE * away, 0.0)
-    is_ahead = (ahead > least) & (np.abs(side) < reach)
-    if not is_ahead.any():
-        return math.inf
-    depth = np.sqrt(reach[is_ahead] ** 2 - side[is_ahead] ** 2)
-    return float(max((ahead[is_ahead] - depth).min(), 0.0))
-
-
-def let_go(reach: np.ndarray, away: np.ndarray) -> np.ndarray:
-    """Shrink inflated discs that hold the body, so that it may go round them and out.
-
-    Args:
-        reach: f64[K], radii that the middle of the body is to stay out of, metres.
-        away: f64[K], metres from there to the middles of the discs.
-
-    Returns:
-        f64[K], radii within which it is not.
-    """
-    return np.minimum(reach, np.maximum(away - GRAZE, 0.0))
 
 
 def _limited(wanted: WheelCommand, moving: WheelCommand, body: BodyLimits) -> WheelCommand:

@@ -8,10 +8,7 @@ import dataclasses
 
 import numpy as np
 
-from jaxlangnav.robots.motion.body import BodyLimits
-from jaxlangnav.robots.motion.mover import Steering
-from jaxlangnav.robots.motion.pursuit import Pursuit
-from jaxlangnav.robots.motion.window import Window
+from jaxlangnav.robots.motion.steering import BodyLimits, Pursuit, Steering, Window
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

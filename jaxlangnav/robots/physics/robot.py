@@ -10,7 +10,8 @@ import numpy as np
 
 from jaxlangnav.messages import SensorParams
 from jaxlangnav.robots import libraries
-from jaxlangnav.robots.motion.mover import TICK, Mover, Steering, WheelCommand
+from jaxlangnav.robots.motion.mover import TICK, Mover
+from jaxlangnav.robots.motion.steering import Steering, WheelCommand
 from jaxlangnav.robots.perception.tags import Camera, Gates, Tag, degrade, find_tags, to_detections
 from jaxlangnav.robots.physics.machines import MACHINES, Wear
 from jaxlangnav.robots.physics.scene import OUT_OF_SIGHT, TIMESTEP, compile_scene

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from jaxlangnav.robots.libraries import ros
 from jaxlangnav.robots.ros2.conversions import detections_of_cloud, pose_of, seconds_of
 from jaxlangnav.robots.ros2.inbox import Inbox
-from jaxlangnav.robots.ros2.libraries import ros
 
 TEXTS = {
     "vision_msgs/msg/ObjectHypothesis": "string class_id\nfloat64 score",

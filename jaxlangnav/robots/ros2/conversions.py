@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxlangnav.robots.motion.mover import wrap
+from jaxlangnav.robots.motion.steering import wrap
 from jaxlangnav.robots.robot import Detection
 
 _UNIT = 0.01
@@ -84,17 +84,8 @@ def pose_of(odometry: Any) -> np.ndarray:
     return np.array([*place, yaw_of(pose.orientation)])
 
 
-def detection_at(kind: int, x: float, y: float) -> Detection:
-    """Build the detection of a thing by where it is.
-
-    Args:
-        kind: index into the navigator's ``type_names``.
-        x: metres ahead, base frame.
-        y: metres to the left.
-
-    Returns:
-        The detection.
-    """
+def _detection_at(kind: int, x: float, y: float) -> Detection:
+    """Build the detection of a thing by where it is."""
     return Detection(object_type=kind, range=math.hypot(x, y), bearing=math.atan2(y, x))
 
 
@@ -148,7 +139,7 @@ def detections_of_cloud(cloud: Any, num_types: int) -> list[Detection]:
             f"the cloud has label {points['label'].max()}, but the last of the navigator's "
             f"type_names is {num_types - 1}"
         )
-    return [detection_at(int(one["label"]), float(one["x"]), float(one["y"])) for one in points]
+    return [_detection_at(int(one["label"]), float(one["x"]), float(one["y"])) for one in points]
 
 
 def to_cloud(found: Sequence[Detection]) -> bytes:
@@ -188,7 +179,7 @@ def detections_of_boxes(
         if best is None or best.score < least_score or best.class_id not in type_names:
             continue
         middle = one.bbox.center.position
-        found.append(detection_at(type_names.index(best.class_id), middle.x, middle.y))
+        found.append(_detection_at(type_names.index(best.class_id), middle.x, middle.y))
     return found
 
 
@@ -226,7 +217,7 @@ def detections_of_tags(
                 break
         else:
             things.append((kind, [place]))
-    return [detection_at(kind, *np.mean(sides, axis=0).tolist()) for kind, sides in things]
+    return [_detection_at(kind, *np.mean(sides, axis=0).tolist()) for kind, sides in things]
 
 
 def _place_of_tag(one: Any, mount: tuple[float, float, float], depth: float) -> np.ndarray:
@@ -282,7 +273,7 @@ def carried(found: Sequence[Detection], then: np.ndarray, now: np.ndarray) -> li
         bearing = moved[2] + one.bearing
         x = moved[0] + one.range * math.cos(bearing)
         y = moved[1] + one.range * math.sin(bearing)
-        there.append(detection_at(one.object_type, x, y))
+        there.append(_detection_at(one.object_type, x, y))
     return there
 
 

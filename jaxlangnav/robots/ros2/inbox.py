@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jaxlangnav.robots.motion.mover import wrap
+from jaxlangnav.robots.motion.steering import wrap
 from jaxlangnav.robots.robot import Detection
 from jaxlangnav.robots.ros2.conversions import carried, compose, inverse, pose_between
 

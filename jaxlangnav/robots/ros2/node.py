@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from jaxlangnav.plain_text import printable
+from jaxlangnav.robots.libraries import ros
 from jaxlangnav.robots.ros2.conversions import (
     detections_of_boxes,
     detections_of_cloud,
@@ -31,7 +32,6 @@ from jaxlangnav.robots.ros2.conversions import (
     seconds_of,
 )
 from jaxlangnav.robots.ros2.inbox import Inbox
-from jaxlangnav.robots.ros2.libraries import ros
 from jaxlangnav.robots.ros2.tags import StampedDetections, TagLooks, TagSetup
 
 _TURN = 0.05

@@ -5,13 +5,16 @@ is told where to go from elsewhere it halts by itself when no goal has come for 
 sends can be lost, doubled and late on purpose.
 """
 
+import heapq
+import itertools
 import math
 import time
 from array import array
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
+from jaxlangnav.robots.libraries import ros
 from jaxlangnav.robots.motion.mover import TICK
 from jaxlangnav.robots.ros2.conversions import (
     POINT,
@@ -21,9 +24,54 @@ from jaxlangnav.robots.ros2.conversions import (
     to_cloud,
     yaw_of,
 )
-from jaxlangnav.robots.ros2.faults import UnrulyChannel
-from jaxlangnav.robots.ros2.libraries import ros
 from jaxlangnav.robots.simulated import SimulatedRobot
+
+Message = TypeVar("Message")
+_LONGEST = 1.0
+"""Seconds by which a message may be late."""
+
+
+class UnrulyChannel(Generic[Message]):
+    """Hands on messages as a bad network does."""
+
+    def __init__(self, share: float, seed: int) -> None:
+        """Begin with nothing under way.
+
+        Args:
+            share: of messages that are lost, and of those doubled, and of those late; each.
+            seed: of what becomes of which.
+
+        Raises:
+            ValueError: no such share.
+        """
+        if not 0.0 <= share <= 0.3:
+            raise ValueError(f"a share of {share:g} of messages cannot be lost: give 0 to 0.3")
+        self._share = share
+        self._random = np.random.default_rng(seed)
+        self._count = itertools.count()
+        self._under_way: list[tuple[float, int, Message]] = []
+
+    def put(self, message: Message, now: float) -> None:
+        """Send a message.
+
+        Args:
+            message: anything.
+            now: seconds.
+        """
+        draw = self._random.uniform() / max(self._share, 1e-9)
+        if draw < 1.0:
+            return
+        late = self._random.uniform(0.0, _LONGEST) if draw > 2.0 and draw < 3.0 else 0.0
+        for delay in (0.0, 0.1) if draw < 2.0 else (late,):
+            heapq.heappush(self._under_way, (now + delay, next(self._count), message))
+
+    def take(self, now: float) -> list[Message]:
+        """Receive what has come by now, in the order in which it comes."""
+        come = []
+        while self._under_way and self._under_way[0][0] <= now:
+            come.append(heapq.heappop(self._under_way)[2])
+        return come
+
 
 LOOK_EVERY = 4
 """Ticks of 0.1 s from one look to the next."""
