@@ -38,7 +38,7 @@ from jaxlangnav.experiments.table import Document, Table, TableColumns
 from jaxlangnav.navigator import default_params
 from jaxlangnav.planner.config import PlannerConfig
 from jaxlangnav.pytree import replace
-from jaxlangnav.world.placement import OBJECT_BEARING_MAX
+from jaxlangnav.world.scenario import OBJECT_BEARING_MAX
 from jaxlangnav.world.templates import TABLE_2
 
 _POLICY = "faithful"
