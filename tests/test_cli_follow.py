@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from recording_fixture import make_recording
-from test_frozen import frozen
+from test_docs import frozen
 
 from jaxlangnav import kept
 from jaxlangnav.cli import main as cli

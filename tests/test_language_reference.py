@@ -2,6 +2,8 @@
 
 import pytest
 
+from jaxlangnav.experiments.tasks import ground_sentences
+from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.language.labels import Geometry, PlacedWorld, behave
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import LanguageError, Phrase
@@ -117,3 +119,40 @@ def test_a_rank_counts_among_those_meant():
     assert goal("go to the nearest cone on your left") == {"goal(at,1)"}
     assert goal("go to the second cone on your left") == {"goal(at,2)"}
     assert goal("go to the nearest cone") == {"goal(at,0)"}
+
+
+# ---------------------------------------------------------------- what only says what to avoid
+
+
+def test_a_constraint_after_a_command_is_part_of_it() -> None:
+    (clause,) = parse("go to the car. then avoid the cone").clauses
+    assert str(clause) == "VP[go]{PP[to]{NP[the car]}, VP[then avoid]{NP[the cone]}}"
+    assert len(parse("avoid the cone. then avoid the car").clauses) == 2
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("avoid the cone", "not where to go"),
+        ("stay away from the red car please", "not where to go"),
+        ("steer clear of the barrels", "not where to go"),
+        ("keep your distance from the building", "not where to go"),
+        ("watch out for the hydrant behind the cone", "not where to go"),
+        ("avoid the cone then stay away from the car", "not where to go"),
+        ("go to the car then stay away from it", "'then stay away from it' asks to keep away"),
+        ("the hydrant is behind the cone", "asks for nothing to be done"),
+    ],
+)
+def test_what_asks_for_nothing_is_no_task(text: str, why: str) -> None:
+    with pytest.raises(ValueError, match=why) as caught:
+        understand(text, load_shipped()).check_task()
+    assert "\n" not in str(caught.value)
+    with pytest.raises(ValueError, match=why):
+        ground_sentences(["go to the car", text])
+
+
+@pytest.mark.parametrize(
+    "text", ["go to the bench but avoid the cone", "avoid the car and find the cone"]
+)
+def test_a_constraint_with_a_command_is_a_task(text: str) -> None:
+    understand(text, load_shipped()).check_task()

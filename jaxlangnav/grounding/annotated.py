@@ -54,37 +54,22 @@ class AnnotationGrounder:
         A robot without a task takes no form that only informs.
         """
         form = read_form(text, self.type_names)
-        if not context.is_under_way and not form.readings[0].commands:
+        first = form.readings[0]
+        if not context.is_under_way and not first.commands:
             raise ValueError(
                 "$.readings[0].commands is missing: the annotations inform, but ask for nothing "
                 "to be done"
             )
         return Grounded(
-            instruction=to_instruction(form),
+            instruction=_to_instruction(form),
             annotations=tuple(_annotations(form, self.type_names)),
             notes=form.notes,
-            spoken=_spoken(form),
+            spoken=Spoken(goals=tuple(first.type_of(one.thing) for one in first.commands)),
         )
 
 
-def _spoken(form: Form) -> Spoken:
-    """Tell what the commands are about, as the first reading has it."""
-    first = form.readings[0]
-    return Spoken(goals=tuple(first.type_of(one.thing) for one in first.commands))
-
-
-def to_instruction(form: Form) -> Instruction:
-    """Turn a form into what the navigator takes.
-
-    Args:
-        form: as ``read_form`` reads it.
-
-    Returns:
-        Its readings, and a program for each command.
-
-    Raises:
-        CapacityError: it says more than the arrays hold; one line.
-    """
+def _to_instruction(form: Form) -> Instruction:
+    """Turn a form into what the navigator takes: its readings, and a program for each command."""
     ranked = sorted(form.readings, key=lambda one: -one.probability)
     readings = [
         (_reading(one, f"$.readings[{form.readings.index(one)}]"), float(np.log(one.probability)))
@@ -102,7 +87,7 @@ def returning() -> Instruction:
         action=ACTIONS.index("navigate"), mode=0, region=AT, thing=ROBOT, avoid=()
     )
     reading = FormReading(probability=1.0, types=(), relations=(), commands=(command,))
-    return to_instruction(Form(readings=(reading,), notes=()))
+    return _to_instruction(Form(readings=(reading,), notes=()))
 
 
 def _reading(form: FormReading, path: str) -> Reading:

@@ -77,6 +77,7 @@ def asked(instruction: Instruction) -> list[Asked]:
     readings = jax.tree.map(np.asarray, instruction.readings)
     best = int(np.argmax(readings.log_probability))
     slots, world = _as_said(readings, best)
+    size = max(_SLOTS, len(world.object_type))
     found, previous = [], NONE
     for clause in range(int(instruction.num_clauses)):
         program = jax.tree.map(
@@ -84,7 +85,7 @@ def asked(instruction: Instruction) -> list[Asked]:
         )
         is_previous = np.arange(len(world.object_type)) == previous
         told = dataclasses.replace(world, is_previous=is_previous & (previous != NONE))
-        behavior = jax.device_get(infer_once(program, to_device(told, _slots(world))))
+        behavior = jax.device_get(infer_once(program, to_device(told, size)))
         one = _told(behavior, slots)
         one = dataclasses.replace(one, against=_tied(readings, best, one.mention))
         found.append(one)
@@ -127,11 +128,6 @@ def list_commands(instruction: Instruction, names: Sequence[str]) -> list[dict[s
         }
         for one in asked(instruction)
     ]
-
-
-def _slots(world: World) -> int:
-    """Pad as far as any other world of a scene is padded."""
-    return max(_SLOTS, len(world.object_type))
 
 
 def _as_said(readings: Readings, best: int) -> tuple[list[int], World]:

@@ -263,7 +263,12 @@ class _Binder:
             else:
                 used[group] = value
         for word in idle:
-            _check_compared(word)
+            adjective = compared(word.text)
+            if adjective is not None:  # how much things look like something is not known
+                raise LanguageError(
+                    f"'{word.text}' (word {word.position}): how {adjective} things are is not "
+                    f"compared; say '{adjective}', or which one is the nearest"
+                )
             self._note(f"'{word.text}' is not used: it is no attribute that is compared")
         self._latest[noun] = attributes(*used.values())
         return self._latest[noun]
@@ -285,7 +290,13 @@ class _Binder:
                 "name one of them"
             )
         if not labels and is_goal:
-            raise UnknownObjectError(self._no_label(said, phrase))
+            position = next(w.position for w in phrase.words if _type_of(w))
+            known = self.detector.labels[:_MOST_TOLD]
+            more = ", ..." if len(self.detector.labels) > len(known) else ""
+            raise UnknownObjectError(
+                f"'{said[:30]}' (word {position}): my detector has no label for it; "
+                f"it knows {', '.join(known)}{more}"
+            )
         if not labels:
             labels = (self.detector.beyond(noun),)
             self._note(f"my detector has no label for '{said[:30]}': it is never seen")
@@ -293,16 +304,6 @@ class _Binder:
             taken = " or ".join(self.detector.labels[i] for i in labels)
             self._note(f"my detector has no label for '{said[:30]}': any {taken} may be meant")
         return self._enter(noun, code, labels)
-
-    def _no_label(self, noun: str, phrase: Phrase) -> str:
-        """Say that what is asked for can never be found."""
-        position = next(w.position for w in phrase.words if _type_of(w))
-        known = self.detector.labels[:_MOST_TOLD]
-        more = ", ..." if len(self.detector.labels) > len(known) else ""
-        return (
-            f"'{noun[:30]}' (word {position}): my detector has no label for it; "
-            f"it knows {', '.join(known)}{more}"
-        )
 
     def _enter(self, noun: str, code: int, labels: tuple[int, ...]) -> str:
         """Find the type with these kinds, or add it; the lexicon's types keep their places."""
@@ -329,16 +330,6 @@ def said_noun(phrase: Phrase) -> str:
     """Write the noun of a phrase as it was said, in the singular: "traffic cone"."""
     nouns = [word.text for word in phrase.words if word.tag in ("NN", "NNS") and word.text != "one"]
     return singular(" ".join(nouns)) if nouns else ""
-
-
-def _check_compared(word: Word) -> None:
-    """Refuse "the tallest tree": how much things look like something is not known."""
-    adjective = compared(word.text)
-    if adjective is not None:
-        raise LanguageError(
-            f"'{word.text}' (word {word.position}): how {adjective} things are is not compared; "
-            f"say '{adjective}', or which one is the nearest"
-        )
 
 
 def bind(tree: Parse, type_names: Sequence[str], detector: Detector) -> Bound:

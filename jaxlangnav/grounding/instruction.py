@@ -59,16 +59,8 @@ class Spoken:
         return next((way for way in self.ways if way[0] == kind), (kind,))
 
 
-def spoken_of(tree: Parse, types_of: Callable[[str], tuple[int, ...]]) -> Spoken:
-    """Find what a sentence speaks of.
-
-    Args:
-        tree: the sentence.
-        types_of: the object types that a noun of the sentence may be, one or more.
-
-    Returns:
-        What it speaks of.
-    """
+def _spoken_of(tree: Parse, types_of: Callable[[str], tuple[int, ...]]) -> Spoken:
+    """Find what a sentence speaks of; ``types_of`` lists the types that a noun of it may be."""
     goals: list[int] = []
     known: set[int] = set()
     others: set[int] = set()
@@ -313,7 +305,7 @@ def understand_parse(
         names=names,
         type_names=detector.names,
         notes=bound.notes,
-        spoken=spoken_of(tree, bound.labels_of),
+        spoken=_spoken_of(tree, bound.labels_of),
         slack=slack,
     )
 

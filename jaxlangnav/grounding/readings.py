@@ -79,13 +79,6 @@ def in_order(relations: Iterable[Entry], ends: Callable[[Entry], tuple[int, int]
     return ordered
 
 
-def _ordered(said: RankedAnnotations) -> list[tuple[Annotation, int]]:
-    """Put relations in order, and plain objects last."""
-    relations = [entry for entry in said if entry[0].kind not in (OBJECT, REGION)]
-    others = [entry for entry in said if entry[0].kind in (OBJECT, REGION)]
-    return in_order(relations, lambda entry: (entry[0].figure, entry[0].landmark)) + others
-
-
 def things_last(
     relations: Sequence[Entry], ends: Callable[[Entry], tuple[int, int]], kinds: Sequence[int]
 ) -> list[Entry]:
@@ -145,7 +138,10 @@ class _Reader:
             own.append((index, rank))
             return index
 
-        ordered = _ordered(said)
+        # Relations in order, and plain objects last.
+        related = [entry for entry in said if entry[0].kind not in (OBJECT, REGION)]
+        ordered = in_order(related, lambda entry: (entry[0].figure, entry[0].landmark))
+        ordered += [entry for entry in said if entry[0].kind in (OBJECT, REGION)]
         for place, (symbol, rank) in enumerate(ordered):
             if symbol.kind in (OBJECT, REGION):
                 self._exist([t for t in (symbol.landmark, symbol.figure) if t >= 0], mention)
@@ -230,12 +226,9 @@ def _fits(reading: Reading) -> bool:
     return len(reading.mentions) <= NUM_MENTIONS and len(reading.relations) <= NUM_RELATIONS_SAID
 
 
-def _itself(kind: int) -> tuple[int, ...]:
-    """Take a type for the kind of its own index."""
-    return (kind,)
-
-
-def to_readings(belief: Belief, kinds_of: Callable[[int], tuple[int, ...]] = _itself) -> Readings:
+def to_readings(
+    belief: Belief, kinds_of: Callable[[int], tuple[int, ...]] = lambda kind: (kind,)
+) -> Readings:
     """Pack the likeliest readings of a sentence.
 
     Args:

@@ -182,7 +182,12 @@ def _mixed(found: Sequence[Read], log_weights: np.ndarray, notes: tuple[str, ...
         groups.setdefault(_meaning(one.grounded), []).append(index)
     weight = np.exp(log_weights)
     ranked = sorted(groups.values(), key=lambda group: -weight[group].sum())
-    alternatives = tuple(_alternative(found, weight, group) for group in ranked)
+    # The weightiest of the rewritings that mean the same speaks for them.
+    best = [found[max(group, key=lambda index: weight[index])] for group in ranked]
+    alternatives = tuple(
+        Alternative(says=one.text, probability=float(weight[group].sum()), grounded=one.grounded)
+        for one, group in zip(best, ranked, strict=True)
+    )
     first = alternatives[0]
     told = [one for one in alternatives if one.probability >= _LEAST_TOLD]
     chosen = [f"read as '{first.says}', {first.probability:.0%} of the weight"]
@@ -199,13 +204,6 @@ def _mixed(found: Sequence[Read], log_weights: np.ndarray, notes: tuple[str, ...
         spoken=first.grounded.spoken,
         alternatives=alternatives,
     )
-
-
-def _alternative(found: Sequence[Read], weight: np.ndarray, group: list[int]) -> Alternative:
-    """Let the weightiest of the rewritings that mean the same speak for them."""
-    best = max(group, key=lambda index: weight[index])
-    share = float(weight[group].sum())
-    return Alternative(says=found[best].text, probability=share, grounded=found[best].grounded)
 
 
 def _mixed_readings(

@@ -66,11 +66,6 @@ _ROWS = 1 << 16
 """Rows that are hashed at a time."""
 
 
-def _bits(rows: np.ndarray) -> np.ndarray:
-    """Widen the bits of f32[N, F] to u64[N, F]."""
-    return np.ascontiguousarray(rows, np.float32).view(np.uint32).astype(np.uint64)
-
-
 def identify(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Find equal rows of f32[N, F].
 
@@ -80,11 +75,15 @@ def identify(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     Returns:
         i[D] where each distinct row first occurs, and i[N] which one each row is.
     """
+
+    def bits(part: np.ndarray) -> np.ndarray:
+        return np.ascontiguousarray(part, np.float32).view(np.uint32).astype(np.uint64)
+
     parts = np.array_split(rows, -(-len(rows) // _ROWS) or 1)  # so that copies stay small
     for seed in range(8):
         generator = np.random.default_rng(seed)
         factors = generator.integers(1, 2**64, rows.shape[1], np.uint64, endpoint=False)
-        keys = np.concatenate([_bits(part) @ factors for part in parts])
+        keys = np.concatenate([bits(part) @ factors for part in parts])
         _, first, which = np.unique(keys, return_index=True, return_inverse=True)
         which = which.ravel()
         alike = np.array_split(first[which], len(parts))

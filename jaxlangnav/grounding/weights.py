@@ -6,7 +6,8 @@ or is refused before anything large is made of it.
 """
 
 import json
-from collections.abc import Set
+from collections.abc import Iterator, Set
+from contextlib import contextmanager
 from functools import cache
 from importlib import resources
 from pathlib import Path
@@ -134,14 +135,14 @@ def load(path: Path) -> GroundingModel:
     Raises:
         ValueError: the file is not readable as weights, or its types disagree with the lexicon.
     """
-    try:
+    weights = [f"{name}/{kind}.npy" for name, kinds in _MODELS.items() for kind in kinds]
+    members = ["about.npy", *(f"{name}.json.npy" for name in _MODELS), *weights]
+    with _refusing(path):
         archive = open_arrays(read_file(path, at_most=_MAX_BYTES))
-        if sorted(archive.namelist()) != sorted(_members()):
+        if sorted(archive.namelist()) != sorted(members):
             raise ValueError("its arrays are not those of two models")
         trained = _texts(_document(archive, "about", _ABOUT), "types")
         annotation, behavior = (_unpack(name, archive) for name in _MODELS)
-    except (OSError, ValueError) as error:
-        raise _refusal(path, error) from error
     type_names = load_lexicon().type_names
     if type_names[: len(trained)] != trained:
         said = str(trained)[:200]
@@ -161,23 +162,19 @@ def about(path: Path) -> dict[str, object]:
     Raises:
         ValueError: the file is not readable as weights.
     """
+    with _refusing(path):
+        return _document(open_arrays(read_file(path, at_most=_MAX_BYTES)), "about", _ABOUT)
+
+
+@contextmanager
+def _refusing(path: Path) -> Iterator[None]:
+    """Say of what cannot be read that it holds no weights."""
     try:
-        archive = open_arrays(read_file(path, at_most=_MAX_BYTES))
-        return _document(archive, "about", _ABOUT)
+        yield
     except (OSError, ValueError) as error:
-        raise _refusal(path, error) from error
-
-
-def _members() -> list[str]:
-    """List the files of an archive of weights."""
-    weights = [f"{name}/{kind}.npy" for name, kinds in _MODELS.items() for kind in kinds]
-    return ["about.npy", *(f"{name}.json.npy" for name in _MODELS), *weights]
-
-
-def _refusal(path: Path, error: Exception) -> ValueError:
-    """Say that a file holds no weights."""
-    why = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-    return ValueError(f"{path}: not a file of weights ({why.removeprefix(f'{path}: ')})")
+        why = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+        why = why.removeprefix(f"{path}: ")
+        raise ValueError(f"{path}: not a file of weights ({why})") from error
 
 
 def shipped_path() -> Path:

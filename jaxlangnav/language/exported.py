@@ -42,10 +42,13 @@ def export_grammar(form: Notation, nouns: Iterable[str] = ()) -> str:
     """
     rules = exported_rules(load_grammar(), nouns)
     names = {left: _name(left, form) for left in rules}
-    write = {"lark": _lark_line, "gbnf": _gbnf_line}[form]
-    head = {"lark": "//", "gbnf": "#"}[form]
+    makes, part, head = {"lark": (": ", "\n  | ", "//"), "gbnf": (" ::= ", " | ", "#")}[form]
     note = f"{head} The controlled language of jaxlangnav. Every word has a space before it."
-    return "\n".join([note, *(write(names[left], rules[left], names) for left in rules)]) + "\n"
+    lines = [
+        names[left] + makes + part.join(_right_sides(rights, names))
+        for left, rights in rules.items()
+    ]
+    return "\n".join([note, *lines]) + "\n"
 
 
 def exported_rules(grammar: Grammar, nouns: Iterable[str] = ()) -> Rules:
@@ -69,7 +72,8 @@ def exported_rules(grammar: Grammar, nouns: Iterable[str] = ()) -> Rules:
         if not (is_guess or is_compound or one.left in _LEFT_OUT):
             ways.setdefault(one.left, []).append(one.right)
     # To the parser these are words that it does not know: one before a noun is read.
-    ways.setdefault(_ADJECTIVES, []).extend((f'"{one}"',) for one in _attributes())
+    attributes = sorted(one for one in load_nouns().attributes if one.isalpha())
+    ways.setdefault(_ADJECTIVES, []).extend((f'"{one}"',) for one in attributes)
     ways[_UNKNOWN_NOUN] = [tuple(f'"{word}"' for word in _words(noun)) for noun in nouns]
     ways = {left: list(dict.fromkeys(rights)) for left, rights in ways.items()}
     return _reached(_fillable(ways))
@@ -85,11 +89,6 @@ def spaced(text: str) -> str:
         The same words and marks, small.
     """
     return " " + " ".join(plainly(text).split())
-
-
-def _attributes() -> list[str]:
-    """List the adjectives of one word that say how a thing looks."""
-    return sorted(one for one in load_nouns().attributes if one.isalpha())
 
 
 def _words(noun: str) -> list[str]:
@@ -142,11 +141,3 @@ def _right_sides(rights: list[tuple[str, ...]], names: dict[str, str]) -> Iterat
     """Write the ways to make a symbol."""
     for right in rights:
         yield " ".join(_literal(one) if one[0] == '"' else names[one] for one in right)
-
-
-def _lark_line(name: str, rights: list[tuple[str, ...]], names: dict[str, str]) -> str:
-    return f"{name}: " + "\n  | ".join(_right_sides(rights, names))
-
-
-def _gbnf_line(name: str, rights: list[tuple[str, ...]], names: dict[str, str]) -> str:
-    return f"{name} ::= " + " | ".join(_right_sides(rights, names))

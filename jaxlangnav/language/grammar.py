@@ -199,16 +199,11 @@ class Grammar:
         return "\n".join(lines) + f"\n%declare {terminals}\n"
 
     def _predict_only(self, terminals: frozenset[str], is_whole: bool) -> None:
-        """Leave out of Earley's predictions all rules that the words of the sentence cannot fill.
-
-        Lark predicts the whole closure of a nonterminal at once, every expression of the lexicon
-        included; without them, and one rule at a time, a sentence takes a tenth of the time.
-
-        Args:
-            terminals: of the sentence.
-            is_whole: leave out rules of which any symbol cannot be made of them; otherwise rules
-                of which the first cannot, which changes nothing about where a parse ends.
-        """
+        """Leave rules that the words of the sentence cannot fill out of Earley's predictions."""
+        # Lark predicts the whole closure of a nonterminal at once, every expression of the lexicon
+        # included; without them, and one rule at a time, a sentence takes a tenth of the time.
+        # ``is_whole``: rules of which any symbol cannot be made of the terminals; otherwise those
+        # of which the first cannot, which changes nothing about where a parse ends.
         predictions: dict[Any, list[Any]] = {rule.origin: [] for rule, _ in self._rules}
         can_stand, left, num_left = set(terminals), self._rules, len(self._rules) + 1
         while len(left) < num_left:  # a rule can make another one's symbols

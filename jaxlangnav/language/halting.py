@@ -9,11 +9,12 @@ no such wording and stays a command. Words to halt are known mistyped too, as pe
 import enum
 import re
 import tomllib
-import unicodedata
 from collections.abc import Callable, Iterator
 from functools import cache
 from importlib import resources
 from typing import Any
+
+from jaxlangnav.language.tokens import plainly
 
 MAX_HALTING_CHARACTERS = 400
 """Longer utterances are never mere halting words."""
@@ -71,7 +72,7 @@ def opening_of(text: str) -> tuple[Act, str] | None:
     if not isinstance(text, str) or len(text) > MAX_HALTING_CHARACTERS:
         return None
     found = list(_WORD.finditer(text))
-    words = [_APOSTROPHES.sub("", _plain(match.group())) for match in found]
+    words = [_APOSTROPHES.sub("", plainly(match.group())) for match in found]
     for size in range(len(words) - 1, 0, -1):
         between = text[found[size - 1].end() : found[size].start()]
         is_parted = words[size - 1] in _PARTING or words[size] in _table()["onward"]
@@ -159,17 +160,11 @@ _URGENCY = (Act.HALT, Act.CANCEL, Act.RESUME)
 _PARTING = frozenset({"and", "then"})
 
 
-def _plain(text: str) -> str:
-    """Write small letters, none of them marks that are not seen."""
-    plain = unicodedata.normalize("NFKC", text).lower()
-    return "".join(letter for letter in plain if unicodedata.category(letter) != "Cf")
-
-
 def _parts(text: str, most: int = MAX_HALTING_CHARACTERS) -> list[list[str]]:
     """Split an utterance at punctuation into words without apostrophes; none if it is too long."""
     if len(text) > most:
         return []
-    plain = _APOSTROPHES.sub("", _plain(text)).replace("-", " ").replace("_", " ")
+    plain = _APOSTROPHES.sub("", plainly(text)).replace("-", " ").replace("_", " ")
     return [part.split() for part in _BREAK.split(plain) if part.strip()]
 
 

@@ -72,14 +72,11 @@ def singular(noun: str) -> str:
         return " ".join([*before, SINGULARS[last]])
     for ending, instead in (("ies", "y"), ("es", ""), ("s", "")):
         stem = noun.removesuffix(ending) + instead
-        if noun.endswith(ending) and len(stem) > 2 and _plural_of(stem) == noun:
-            return stem
+        if noun.endswith(ending) and len(stem) > 2:
+            *before, last = stem.split()
+            if " ".join([*before, plural(last)]) == noun:
+                return stem
     return noun
-
-
-def _plural_of(noun: str) -> str:
-    *before, last = noun.split()
-    return " ".join([*before, plural(last)])
 
 
 @cache
@@ -185,7 +182,9 @@ def is_noun_place(tokens: list[Token], index: int) -> bool:
         may be said: "on the _", "to the _ of the cone".
     """
     before, following = tokens[max(index - 2, 0) : index], tokens[index + 1 : index + 2]
-    is_relative = len(before) == 2 and before[0].text == "to" and _has_noun(tokens[: index - 2])
+    determiners = words_in_classes("det")
+    has_noun = any(token.text in determiners for token in tokens[: max(index - 2, 0)])
+    is_relative = len(before) == 2 and before[0].text == "to" and has_noun
     is_by_side = len(before) == 2 and before[0].text in ("on", "at", "in")
     if is_relative or is_by_side or (following and following[0].text == "of"):
         return False
@@ -195,11 +194,6 @@ def is_noun_place(tokens: list[Token], index: int) -> bool:
     ):
         return False
     return _is_after_determiner(tokens, index)
-
-
-def _has_noun(tokens: Iterable[Token]) -> bool:
-    """Tell whether some noun phrase has begun."""
-    return any(token.text in words_in_classes("det") for token in tokens)
 
 
 def name_nouns(clauses: Iterable[Phrase]) -> list[Phrase]:

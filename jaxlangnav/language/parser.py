@@ -139,7 +139,9 @@ def _to_token(spoken: SpokenToken) -> Token:
     """Say what a word or a mark can be to the grammar."""
     terminal = {COMMA_MARK: COMMA, FULLSTOP_MARK: FULLSTOP}.get(spoken.text, spoken.text)
     if spoken.text not in MARKS and spoken.text not in _vocabulary():
-        terminal = _unknown_mark(spoken.text)
+        is_adverb = spoken.text.endswith("ly") and len(spoken.text) > 4
+        is_verb = spoken.text.endswith("ing") and len(spoken.text) > 5
+        terminal = UNKNOWN_ADVERB if is_adverb else UNKNOWN_ING if is_verb else UNKNOWN
     return Token(
         text="" if spoken.text in MARKS else spoken.text,
         terminal=terminal,
@@ -185,15 +187,6 @@ def _check_symbols(spoken: list[SpokenToken]) -> None:
         raise LanguageError(
             f"'{one.text[:30]}' (word {one.position}): {what}", position=one.position
         )
-
-
-def _unknown_mark(word: str) -> str:
-    """Say what an unknown word can be, by its ending."""
-    if word.endswith("ly") and len(word) > 4:
-        return UNKNOWN_ADVERB
-    if word.endswith("ing") and len(word) > 5:
-        return UNKNOWN_ING
-    return UNKNOWN
 
 
 def parse(

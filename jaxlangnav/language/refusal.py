@@ -186,7 +186,8 @@ def _candidates(
     """List what could be read, the nearest first."""
     before, after = tokens[:index], tokens[index:]
     if not is_contrary:
-        named = next((i for i, token in enumerate(after) if _is_name(token)), None)
+        names = load_lexicon().entries[TYPE_CLASS]
+        named = next((i for i, token in enumerate(after) if (token.text,) in names), None)
         end = next((i for i, token in enumerate(after) if token.text in _JOINTS), len(after))
         if named is not None and named < end:
             yield _trimmed(before + after[named + 1 :])
@@ -208,10 +209,6 @@ def _trimmed(tokens: list[SpokenToken]) -> list[SpokenToken]:
     while last > first and tokens[last - 1].text in _JOINTS | _LOOSE:
         last -= 1
     return tokens[first:last]
-
-
-def _is_name(token: SpokenToken) -> bool:
-    return (token.text,) in load_lexicon().entries[TYPE_CLASS]
 
 
 def _written(tokens: Sequence[SpokenToken]) -> str:

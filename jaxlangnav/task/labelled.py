@@ -6,6 +6,7 @@ A file of JSON lines. Each line is an object with
 - ``label``: ``"refuse"``, or one reading of the published form (``grounding.form``) without its
   probability: ``things``, ``relations`` among them, and ``commands`` in order;
 - ``construction``: what the sentence is an example of; may be left out.
+- ``set``: by whom, or when, it was written down; may be left out.
 
     {"text": "stop behind the car", "label": {"things": [{"id": "c", "type": "car"}],
      "commands": [{"goal": {"region": "behind", "thing": "c"}}]}, "construction": "regions"}
@@ -169,6 +170,7 @@ class LabelledSentence:
     line: int  # 1-based
     text: str
     construction: str
+    set: str  # which part of its file it belongs to
     meaning: Meaning | None  # None where it must be refused
 
 
@@ -208,15 +210,16 @@ def _read_line(number: int, document: Any) -> LabelledSentence:
     """Read one line."""
     if not isinstance(document, dict):
         raise ValueError(f"is {quote(document)}, but must be an object with text and label")
-    unknown = set(document) - {"text", "label", "construction"}
+    unknown = document.keys() - {"text", "label", "construction", "set"}
     if unknown:
         names = ", ".join(sorted(quote(name) for name in unknown))
-        raise ValueError(f"has {names}, but only text, label and construction are known")
+        raise ValueError(f"has {names}, but only text, label, construction and set are known")
     for name in ("text", "label"):
         if name not in document:
             raise ValueError(f"{name} is missing: every line needs text and label")
-    construction = document.get("construction", "")
-    for name, value in (("text", document["text"]), ("construction", construction)):
+    construction, part = (document.get(name, "") for name in ("construction", "set"))
+    texts = {"text": document["text"], "construction": construction, "set": part}
+    for name, value in texts.items():
         if not isinstance(value, str):
             raise ValueError(f"{name} is {quote(value)}, but must be a string")
     if len(construction) > _LONGEST_NAME:
@@ -228,6 +231,7 @@ def _read_line(number: int, document: Any) -> LabelledSentence:
         line=number,
         text=document["text"],
         construction=construction,
+        set=part,
         meaning=_read_label(document["label"]),
     )
 

@@ -17,6 +17,7 @@ from jaxlangnav.grounding.rewrites import (
     default_rewrite_params,
     verify_rewrites,
 )
+from jaxlangnav.language.own_words import is_of_grammar
 from jaxlangnav.task.compared import difference
 from jaxlangnav.task.labelled import LabelledSentence
 from jaxlangnav.training.shipped import Judged, TemperatureFit, fit_source_temperature
@@ -142,7 +143,7 @@ def _context_of(sentence: LabelledSentence) -> Context:
 def _labels_of(sentences: Sequence[LabelledSentence], model: GroundingModel) -> tuple[str, ...]:
     """List what a detector tells apart for whom the sentences are meant."""
     meanings = [one.meaning for one in sentences if one.meaning is not None]
-    named = [name for one in meanings for name in one.type_names]
+    named = [n for one in meanings for n in one.type_names if not is_of_grammar(n.lower())]
     return tuple(dict.fromkeys([*model.type_names, *named]))
 
 

@@ -279,34 +279,6 @@ def fit(
     return models, measured
 
 
-def train(
-    examples: Sequence[PhraseExample],
-    kinds: Sequence[str],
-    num_instructions: int,
-    *,
-    config: TrainingConfig | None = None,
-    without: frozenset[str] = frozenset(),
-) -> tuple[CorrespondenceModel, Fit]:
-    """Train one model on all examples.
-
-    Args:
-        examples: one per phrase (and world).
-        kinds: kinds of symbol of the model.
-        num_instructions: how many instructions they come from.
-        config: regularisation and stopping.
-        without: groups of word features to leave out.
-
-    Returns:
-        The model, and what was measured.
-
-    Raises:
-        ValueError: a kind has no example.
-    """
-    vocabulary, design = build_design(examples, kinds, num_instructions, without)
-    weights, measured = fit(design, np.ones((1, num_instructions), np.float32), config=config)
-    return CorrespondenceModel(vocabulary, weights[0]), measured
-
-
 def train_graph(
     space: SymbolSpace[AnyWorld],
     labelled: Sequence[Labelled[AnyWorld]],
@@ -332,7 +304,9 @@ def train_graph(
         raise ValueError("there is no tree to train on")
     if without - set(FEATURE_GROUPS):
         raise ValueError(f"groups of features are {', '.join(FEATURE_GROUPS)}, not {set(without)}")
-    examples = examples_of(space, labelled)
-    kinds = tuple(space.columns)
-    model, measured = train(examples, kinds, len(labelled), config=config, without=without)
-    return CorrespondenceGraph(space, model), measured
+    number = len(labelled)
+    vocabulary, design = build_design(
+        examples_of(space, labelled), tuple(space.columns), number, without
+    )
+    (weights,), measured = fit(design, np.ones((1, number), np.float32), config=config)
+    return CorrespondenceGraph(space, CorrespondenceModel(vocabulary, weights)), measured

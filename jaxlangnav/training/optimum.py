@@ -65,11 +65,6 @@ def _softplus_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array,
     return _softplus(log_odds), _chance(log_odds) * change
 
 
-def log_odds_of(problem: Problem, weights: Array) -> Array:
-    """Evaluate x_uᵀ V y_ug, f32[U, G]; linear in the weights f32[A, B]."""
-    return jnp.einsum("ugf,uf->ug", problem.properties, problem.words @ weights)
-
-
 def data_loss(problem: Problem, weights: Array) -> Array:
     """Evaluate the negative log-likelihood of all factors, f32[].
 
@@ -77,7 +72,7 @@ def data_loss(problem: Problem, weights: Array) -> Array:
     the thousands of equal factors that a model is sure of leave the rounding of their count, and
     no search in float32 ends.
     """
-    log_odds = log_odds_of(problem, weights)
+    log_odds = jnp.einsum("ugf,uf->ug", problem.properties, problem.words @ weights)
     surprise = problem.times[..., 0] * _softplus(log_odds)
     return (surprise + problem.times[..., 1] * _softplus(-log_odds)).sum()
 

@@ -10,7 +10,6 @@ import json
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +27,7 @@ from jaxlangnav.training.examples import (
     behavior_examples,
     read_examples,
 )
-from jaxlangnav.training.fit import Fit, TrainingConfig, build_design, fit
+from jaxlangnav.training.fit import TrainingConfig, build_design, fit
 from jaxlangnav.training.scoring import (
     Models,
     Scores,
@@ -44,7 +43,7 @@ _GRID = 61
 """Temperatures at which the best is first looked for: the likelihood may have several peaks."""
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class Judged:
     """The rewritings of one labelled sentence that can be read."""
 
@@ -57,7 +56,7 @@ class Judged:
         return any(self.is_right) and not all(self.is_right)
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class TemperatureFit:
     """The likeliest temperature."""
 
@@ -146,36 +145,6 @@ def corpus_hash(examples: Sequence[Example]) -> str:
     return digest.hexdigest()[:16]
 
 
-def _fit_twice(
-    name: str,
-    instructions: Sequence[LabelledInstruction],
-    is_tuning: np.ndarray,
-    type_names: tuple[str, ...],
-    config: TrainingConfig,
-) -> tuple[CorrespondenceModel, CorrespondenceModel, Fit, int]:
-    """Fit on all sentences, and on those not kept for tuning, in one go."""
-    build = annotation_examples if name == "annotation" else behavior_examples
-    kinds = ANNOTATION_KINDS if name == "annotation" else BEHAVIOR_KINDS
-    examples = build(instructions, type_names)
-    vocabulary, design = build_design(examples, kinds, len(instructions))
-    shares = np.stack([np.ones(len(instructions)), ~is_tuning]).astype(np.float32)
-    (full, part), measured = fit(design, shares, config=config)
-    count = sum(len(rows.labels) for example in examples for rows in example.rows.values())
-    return (
-        CorrespondenceModel(vocabulary, full),
-        CorrespondenceModel(vocabulary, part),
-        measured,
-        count,
-    )
-
-
-def _tuning_split(examples: Sequence[Example]) -> np.ndarray:
-    """Keep every fifth template for tuning, bool[I]."""
-    templates = sorted({example.template for example in examples})
-    kept = set(templates[::5])
-    return np.array([example.template in kept for example in examples])
-
-
 def train_models(
     corpus: Path | None = None,
     *,
@@ -207,7 +176,19 @@ def train_models(
         if corpus is None
         else read_corpus(corpus / "corpus.jsonl" if corpus.is_dir() else corpus)
     )
-    data = _Data.of(examples, load_lexicon().type_names)
+    train = [example for example in examples if example.split == "train"]
+    test = [example for example in examples if example.split == "test"]
+    if not train:
+        raise ValueError("the corpus has no sentence marked 'train'")
+    templates = sorted({example.template for example in train})
+    kept = set(templates[::5])
+    type_names = load_lexicon().type_names
+    data = _Data(
+        type_names,
+        read_examples(train, type_names),
+        np.array([example.template in kept for example in train]),
+        read_examples(test, type_names),
+    )
     models = {} if base is None else {"annotation": base.annotation, "behavior": base.behavior}
     report: dict[str, Any] = {"corpus": corpus_hash(examples), "sentences": len(examples)}
     for name in [name for name in MODELS if name in kinds]:
@@ -228,29 +209,22 @@ class _Data:
     is_tuning: np.ndarray  # bool, of those trained on
     held_out: list[LabelledInstruction]
 
-    @classmethod
-    def of(cls, examples: Sequence[Example], type_names: tuple[str, ...]) -> "_Data":
-        """Part a corpus by its splits."""
-        train = [example for example in examples if example.split == "train"]
-        test = [example for example in examples if example.split == "test"]
-        if not train:
-            raise ValueError("the corpus has no sentence marked 'train'")
-        return cls(
-            type_names,
-            read_examples(train, type_names),
-            _tuning_split(train),
-            read_examples(test, type_names),
-        )
-
 
 def _train_one(
     name: str, data: _Data, models: dict[str, CorrespondenceModel], config: TrainingConfig
 ) -> tuple[CorrespondenceModel, dict[str, Any]]:
-    """Fit, tune and test one model; the behavior model is tested with the annotation model."""
-    begin = time.perf_counter()
-    full, part, measured, count = _fit_twice(
-        name, data.train, data.is_tuning, data.type_names, config
-    )
+    """Fit, tune and test one model; the behavior model is tested with the annotation model.
+
+    It is fitted on all sentences, and on those not kept for tuning, in one go.
+    """
+    begin, number = time.perf_counter(), len(data.train)
+    build = annotation_examples if name == "annotation" else behavior_examples
+    kinds = ANNOTATION_KINDS if name == "annotation" else BEHAVIOR_KINDS
+    examples = build(data.train, data.type_names)
+    vocabulary, design = build_design(examples, kinds, number)
+    shares = np.stack([np.ones(number), ~data.is_tuning]).astype(np.float32)
+    weights, measured = fit(design, shares, config=config)
+    full, part = (CorrespondenceModel(vocabulary, one) for one in weights)
     fitted = time.perf_counter() - begin
     tuning = [x for x, kept in zip(data.train, data.is_tuning, strict=True) if kept]
 
@@ -270,7 +244,7 @@ def _train_one(
     temperature = fit_temperature(lambda t: score(warm(t, part), tuning)) if tuning else 1.0
     model = warm(temperature, full)
     report = {
-        "examples": count,
+        "examples": sum(len(rows.labels) for one in examples for rows in one.rows.values()),
         "features": full.num_features,
         "train_s": round(measured.seconds, 3),
         "train_compile_s": round(measured.compile_seconds, 3),
@@ -279,15 +253,11 @@ def _train_one(
         "temperature": temperature,
     }
     if data.held_out:
-        report |= _held_out(score(full, data.held_out), score(model, data.held_out))
+        before, after = score(full, data.held_out), score(model, data.held_out)
+        report |= {
+            "held_out": len(after.is_right),
+            "accuracy": round(after.accuracy, 4),
+            "calibration_error_before": round(calibration_error(before), 4),
+            "calibration_error": round(calibration_error(after), 4),
+        }
     return model, report
-
-
-def _held_out(before: Scores, after: Scores) -> dict[str, Any]:
-    """Write down what the hold-out says."""
-    return {
-        "held_out": len(after.is_right),
-        "accuracy": round(after.accuracy, 4),
-        "calibration_error_before": round(calibration_error(before), 4),
-        "calibration_error": round(calibration_error(after), 4),
-    }
