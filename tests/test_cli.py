@@ -57,7 +57,7 @@ class Echo:
 @pytest.fixture
 def echo(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(SUMMARIES, "echo", "Say a sentence again.")
-    monkeypatch.setattr(arguments, "command_class", lambda name: {"echo": Echo}[name])
+    monkeypatch.setattr(arguments, "_command_class", lambda name: {"echo": Echo}[name])
 
 
 def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:

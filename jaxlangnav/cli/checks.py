@@ -1,5 +1,6 @@
 """Limits of options that several commands have; each says the value, the limit and the remedy."""
 
+import importlib.util
 import math
 import os
 from pathlib import Path
@@ -53,3 +54,9 @@ def check_file(option: str, path: Path | None, suffix: str) -> None:
     if path.is_dir():
         raise UsageError(f"{option} is {path}, but that is a folder: name a file")
     check_folder(option, path.parent)
+
+
+def check_extra(what: str, module: str, extra: str) -> None:
+    """Refuse what needs a library of an extra that is not installed."""
+    if importlib.util.find_spec(module) is None:
+        raise UsageError(f'{what}: pip install "jaxlangnav[{extra}]"')

@@ -1,14 +1,13 @@
 """``jaxlangnav follow``: one episode, told and drawn (the whole of section 3)."""
 
 import dataclasses
-import importlib.util
 import itertools
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import tyro
 
-from jaxlangnav.cli.checks import check_at_least, check_folder, check_range, check_seed
+from jaxlangnav.cli.checks import check_at_least, check_extra, check_folder, check_range, check_seed
 from jaxlangnav.cli.errors import UsageError
 from jaxlangnav.cli.metavars import ByStep, File, Folder, Metres
 from jaxlangnav.cli.output import Document, Output
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
     from jaxlangnav.grounding import Grounder
     from jaxlangnav.grounding.instruction import Understanding
     from jaxlangnav.language.phrase import Parse
-    from jaxlangnav.recording import Frame, Recording, Remark, StaticScene
+    from jaxlangnav.recording import Frame, Recording, StaticScene
     from jaxlangnav.task.opening import Prepared
     from jaxlangnav.task.talk import Earshot
 
@@ -135,12 +134,12 @@ class Follow:
         check_folder("--out", self.out)
         if self._speech.talks and self.live:
             raise UsageError("--talk tells the story as it goes: leave out --live")
-        if self.out is not None and importlib.util.find_spec("matplotlib") is None:
-            raise UsageError('--out draws pictures and needs: pip install "jaxlangnav[viz]"')
+        if self.out is not None:
+            check_extra("--out draws pictures and needs", "matplotlib", "viz")
         if self.rrd and self.out is None:
             raise UsageError("--rrd writes episode.rrd into the folder of --out: add --out DIR")
-        if self.rrd and importlib.util.find_spec("rerun") is None:
-            raise UsageError('--rrd needs the rerun viewer: pip install "jaxlangnav[rerun]"')
+        if self.rrd:
+            check_extra("--rrd needs the rerun viewer", "rerun", "rerun")
 
     @property
     def _speech(self) -> "Speech":
@@ -257,7 +256,12 @@ class Follow:
 
         said = [] if ear is None else ear.said
         if self.live:
-            recording = self._watch(scene, steps, said)
+            from rich.console import Console
+
+            from jaxlangnav.viz.terminal import watch
+
+            # Standard output is kept for the document where a script reads it.
+            recording = watch(scene, steps, said=said, console=Console(stderr=self.json))
         else:
             if self.talk:
                 output.tell(opening(scene))
@@ -272,20 +276,6 @@ class Follow:
         else:
             output.tell(narrate(recording))
         return recording
-
-    def _watch(
-        self,
-        scene: "StaticScene",
-        steps: "Iterable[tuple[Frame, EpisodeResult]]",
-        said: "list[Remark]",
-    ) -> "Recording":
-        """Draw the episode in the terminal while it runs."""
-        from rich.console import Console
-
-        from jaxlangnav.viz.terminal import watch
-
-        # Standard output is kept for the document where a script reads it.
-        return watch(scene, steps, said=said, console=Console(stderr=self.json))
 
     def _document(
         self, name: str, annotations: list[dict[str, Any]], recording: "Recording"

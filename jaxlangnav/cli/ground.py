@@ -1,14 +1,11 @@
 """``jaxlangnav ground``: what a sentence is taken to mean, with probabilities (3.1 and 3.3)."""
 
 import dataclasses
-import importlib.util
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import tyro
 
-from jaxlangnav.cli.checks import check_folder, check_seed
-from jaxlangnav.cli.errors import UsageError
+from jaxlangnav.cli.checks import check_extra, check_folder, check_seed
 from jaxlangnav.cli.metavars import File, Folder, WorldName
 from jaxlangnav.cli.output import Document, Output
 from jaxlangnav.cli.parse import is_template, parse_text
@@ -16,7 +13,7 @@ from jaxlangnav.cli.runtime import keep_compiled_programs
 from jaxlangnav.experiments.table import Table
 
 if TYPE_CHECKING:
-    from jaxlangnav.grounding.instruction import GroundingModel, Understanding
+    from jaxlangnav.grounding.instruction import Understanding
 
 PAPER_NUM_OBJECTS = 7
 """Objects of the behavior graph that is counted where no world is given: the paper's number."""
@@ -53,8 +50,8 @@ class Ground:
         """Ground the sentence and show the distributions."""
         check_seed(self.seed)
         check_folder("--out", self.out)
-        if self.out is not None and importlib.util.find_spec("matplotlib") is None:
-            raise UsageError('--out draws a picture and needs: pip install "jaxlangnav[viz]"')
+        if self.out is not None:
+            check_extra("--out draws a picture and needs", "matplotlib", "viz")
         is_own = self.world is not None and not is_template(self.world)
         parsed = None if is_own else parse_text(self.text, output)
         keep_compiled_programs()
@@ -91,8 +88,11 @@ class Ground:
         document["graph"] = understood.graph(num_objects)
         _show_graph(document["graph"], output)
         if self.out is not None:
+            from jaxlangnav.viz.html import write_graph
+
             model = dataclasses.replace(model, type_names=understood.names)
-            document["pictures"] = _draw_graph(understood, model, self.out)
+            pictures = write_graph(understood.parse, model, self.out)
+            document["pictures"] = [str(path) for path in pictures]
             output.say(f"Wrote {', '.join(document['pictures'])}")
         return document
 
@@ -109,13 +109,6 @@ class Ground:
             "behaviors": list_behaviors(understood.instruction, placed, understood.type_names),
             "unjudged": prepared.unjudged,
         }
-
-
-def _draw_graph(understood: "Understanding", model: "GroundingModel", out: Path) -> list[str]:
-    """Draw the graph of the sentence into files."""
-    from jaxlangnav.viz.html import write_graph
-
-    return [str(path) for path in write_graph(understood.parse, model, out)]
 
 
 def _show_annotations(annotations: list[dict[str, Any]], output: Output) -> None:

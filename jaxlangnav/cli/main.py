@@ -54,7 +54,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # What the terminal's alphabet lacks is written as an escape, as on standard error.
         sys.stdout.reconfigure(errors="backslashreplace")
     if not words or words[0] in ("-h", "--help", "help"):
-        print(_story(), file=sys.stdout if words else sys.stderr)
+        width = max(map(len, SUMMARIES))
+        commands = "\n".join(f"  {name:<{width}}  {text}" for name, text in SUMMARIES.items())
+        story = _STORY.format(program=PROGRAM, commands=commands)
+        print(story, file=sys.stdout if words else sys.stderr)
         return 0 if words else 2
     if words[0] in ("-V", "--version"):
         print(f"{PROGRAM} {__version__}")
@@ -70,7 +73,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except Exception as error:
-        _raise_if_debugging(error)
+        if os.environ.get(DEBUG) and not isinstance(error, UsageError):
+            raise
         if is_refusal(error):
             return _complain(one_line(error), code=2)
         if fault := platform_fault(error):
@@ -89,13 +93,6 @@ def _quieten_compiler() -> None:
         os.environ.setdefault(XLA_LOG_LEVEL, "3")
 
 
-def _story() -> str:
-    """Write the help of the whole program."""
-    width = max(map(len, SUMMARIES))
-    commands = "\n".join(f"  {name:<{width}}  {text}" for name, text in SUMMARIES.items())
-    return _STORY.format(program=PROGRAM, commands=commands)
-
-
 def _run(command: Runnable) -> int:
     """Run a command; under ``--json`` print its document, and only that, on standard output."""
     with standard_output_kept(for_json=command.json):
@@ -110,9 +107,3 @@ def _complain(message: str, *, code: int) -> int:
     """Print one line on standard error and return the exit code."""
     print(f"{PROGRAM}: {printable(message)}", file=sys.stderr)
     return code
-
-
-def _raise_if_debugging(error: Exception) -> None:
-    """Show the traceback of anything but a slip of the command line, where it was asked for."""
-    if os.environ.get(DEBUG) and not isinstance(error, UsageError):
-        raise error

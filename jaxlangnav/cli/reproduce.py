@@ -1,14 +1,13 @@
 """``jaxlangnav reproduce``: an experiment of the paper, beside its printed numbers (section 4)."""
 
 import dataclasses
-import importlib.util
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import tyro
 
-from jaxlangnav.cli.checks import check_at_least, check_folder, check_seed
+from jaxlangnav.cli.checks import check_at_least, check_extra, check_folder, check_seed
 from jaxlangnav.cli.errors import UsageError
-from jaxlangnav.cli.metavars import Folder
+from jaxlangnav.cli.metavars import Folder, Number, Ranges
 from jaxlangnav.cli.output import Document, Output
 from jaxlangnav.cli.runtime import keep_compiled_programs
 from jaxlangnav.cli.settings import SettingPath, apply, read_settings
@@ -72,19 +71,19 @@ class Reproduce:
         ]
     ]
     """Which experiment."""
-    episodes: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
+    episodes: Number = None
     """Runs a row; 100, and 500 in robustness, if not given."""
     policy: str = "all"
     """One policy, several with commas between, or all; fig1 and fig4 show faithful if not given."""
-    trials: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
+    trials: Number = None
     """In table3, trials of each row; 10 if not given. Those that DIR holds are not run again."""
     extra: bool = False
     """In table2, rows that the paper lacks as well: 2H2C, and three hydrants or three cones."""
-    ranges: Annotated[str | None, tyro.conf.arg(metavar="METRES", help_behavior_hint="")] = None
+    ranges: Ranges = None
     """Sensing ranges in place of those of table2's rows and of fig5, with commas between."""
-    seed: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
+    seed: Number = None
     """Root seed of worlds and noise; 0, and 3000 in unknowns, if not given."""
-    particles: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
+    particles: Number = None
     """Hypotheses of the map kept at once; 64, and 256 in fig1 and fig4, if not given."""
     out: Folder = None
     """Where to write episodes (Parquet), tables (Markdown), manifests, figures and the report."""
@@ -176,12 +175,10 @@ class Reproduce:
             raise UsageError(f"--extra adds rows to table2, but {self.what} is run")
         if self.ranges is not None and self.what not in ("table2", "fig5", "all"):
             raise UsageError(f"--ranges is for table2 and fig5, but {self.what} is run")
-        if importlib.util.find_spec("matplotlib") is not None:
-            return
         if self.what.startswith("fig") and self.what != "fig5":
-            raise UsageError(f'{self.what} is a picture and needs: pip install "jaxlangnav[viz]"')
+            check_extra(f"{self.what} is a picture and needs", "matplotlib", "viz")
         if self.what == "all":
-            raise UsageError('all draws pictures and needs: pip install "jaxlangnav[viz]"')
+            check_extra("all draws pictures and needs", "matplotlib", "viz")
 
     def _check_settings(self, values: dict[SettingPath, Any]) -> None:
         """Refuse numbers that the experiment would never read."""

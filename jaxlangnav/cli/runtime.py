@@ -1,7 +1,6 @@
 """What a command sets up before JAX computes: the kept programs, and progress on the terminal."""
 
 import contextlib
-import os
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -14,23 +13,14 @@ Advance = Callable[[int], None]
 """Called with the number of pieces of work just done."""
 
 
-def cache_directory() -> Path:
-    """Find the user's cache folder: XDG_CACHE_HOME, or .cache in the home folder.
+def _cache_folder(name: str) -> Path:
+    """Find a folder in the user's cache, which need not exist."""
+    from platformdirs import user_cache_path
 
-    A relative XDG_CACHE_HOME is ignored, as the XDG base directory specification says.
-
-    Returns:
-        An absolute path, which need not exist.
-
-    Raises:
-        OSError: there is no home folder either.
-    """
-    root = Path(os.environ.get("XDG_CACHE_HOME", ""))
-    if not root.is_absolute():
-        root = Path(os.path.expanduser("~")) / ".cache"
-    if not root.is_absolute():
+    path = user_cache_path("jaxlangnav") / name
+    if not path.is_absolute():
         raise FileNotFoundError("there is no home folder; XDG_CACHE_HOME can name another")
-    return root / "jaxlangnav"
+    return path
 
 
 def keep_compiled_programs() -> None:
@@ -53,7 +43,7 @@ def keep_compiled_programs() -> None:
     try:
         if named is None:
             # What JAX loads runs as the user, as ours does.
-            folder = own_folder(cache_directory() / "xla")
+            folder = own_folder(_cache_folder("xla"))
             check_own_files(folder)
             jax.config.update("jax_compilation_cache_dir", str(folder))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
@@ -69,7 +59,7 @@ def _folder_of_programs(named: str | None) -> Path:
     if named and "://" not in named:
         with contextlib.suppress(OSError):
             return own_folder(Path(named) / "programs")
-    return own_folder(cache_directory() / "programs")
+    return own_folder(_cache_folder("programs"))
 
 
 @contextlib.contextmanager

@@ -36,7 +36,7 @@ Actions = Literal["continuous", "discrete"]
 
 
 def observation_space() -> spaces.Box:
-    """Describe observations: bounded as ``functional.to_vector`` clips them."""
+    """Describe observations: bounded as ``functional`` clips them."""
     return spaces.Box(-BOUND, BOUND, (OBSERVATION_SIZE,), np.float32)
 
 

@@ -110,7 +110,7 @@ class Unicycle:
             θ' = θ + clip(∠u − θ, ±ω),   s = min(|u|, L v (1 − |θ' − θ| / ω))
             u' = s (cos θ', sin θ')
 
-        of odometry; where that leads see ``motion.driven``.
+        of odometry; where that leads see ``_driven``.
         Limits: ω → ∞ goes where a holonomic body goes; a stop or a zero step changes nothing.
 
         Args:

@@ -8,7 +8,9 @@ import dataclasses
 import difflib
 import math
 import re
+from typing import NamedTuple
 
+from jaxlangnav.files.schema import closest_choice
 from jaxlangnav.plain_text import cut, shown
 
 RELATION_NAMES = ("null", "behind", "nearest")
@@ -28,8 +30,7 @@ class Template:
     num_cones: int
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class TableRow:
+class TableRow(NamedTuple):
     """One printed row of Table 2; rates in percent, distances in metres, ``sd`` 1 sigma."""
 
     world: str
@@ -43,30 +44,14 @@ class TableRow:
     distance_ours_sd: float
 
 
-def _row(world: str, sensing_range: float, relation: str, *figures: float) -> TableRow:
-    """Build a row from the figures in the order in which the paper prints them."""
-    success_known, success_ours, known, known_sd, ours, ours_sd = figures
-    return TableRow(
-        world=world,
-        range=sensing_range,
-        relation=relation,
-        success_known=success_known,
-        success_ours=success_ours,
-        distance_known=known,
-        distance_known_sd=known_sd,
-        distance_ours=ours,
-        distance_ours_sd=ours_sd,
-    )
-
-
 TABLE_2 = (
-    _row("1H1C", 3.0, "null", 100.0, 93.9, 8.75, 1.69, 16.78, 7.90),
-    _row("1H1C", 3.0, "behind", 100.0, 98.3, 8.75, 1.69, 13.43, 7.02),
-    _row("1H2C", 3.0, "null", 100.0, 100.0, 11.18, 1.38, 32.54, 18.50),
-    _row("1H2C", 3.0, "behind", 100.0, 99.5, 11.18, 1.38, 40.02, 29.66),
-    _row("2H1C", 3.0, "null", 100.0, 54.4, 10.49, 1.81, 21.56, 10.32),
-    _row("2H1C", 3.0, "behind", 100.0, 67.4, 10.38, 1.86, 18.72, 10.23),
-    _row("2H1C", 5.0, "nearest", 100.0, 46.2, 9.19, 1.54, 12.05, 5.76),
+    TableRow("1H1C", 3.0, "null", 100.0, 93.9, 8.75, 1.69, 16.78, 7.90),
+    TableRow("1H1C", 3.0, "behind", 100.0, 98.3, 8.75, 1.69, 13.43, 7.02),
+    TableRow("1H2C", 3.0, "null", 100.0, 100.0, 11.18, 1.38, 32.54, 18.50),
+    TableRow("1H2C", 3.0, "behind", 100.0, 99.5, 11.18, 1.38, 40.02, 29.66),
+    TableRow("2H1C", 3.0, "null", 100.0, 54.4, 10.49, 1.81, 21.56, 10.32),
+    TableRow("2H1C", 3.0, "behind", 100.0, 67.4, 10.38, 1.86, 18.72, 10.23),
+    TableRow("2H1C", 5.0, "nearest", 100.0, 46.2, 9.19, 1.54, 12.05, 5.76),
 )
 """Table 2 as printed."""
 
@@ -121,11 +106,8 @@ def check_relation(relation: str) -> int:
         ValueError: no such relation.
     """
     if relation not in RELATION_NAMES:
-        close = difflib.get_close_matches(cut(relation), RELATION_NAMES, n=1)
-        hint = f". Did you mean {close[0]!r}?" if close else ""
-        raise ValueError(
-            f"unknown relation {shown(relation)}: choose one of {', '.join(RELATION_NAMES)}{hint}"
-        )
+        known = f"{', '.join(RELATION_NAMES)}{closest_choice(relation, RELATION_NAMES)}"
+        raise ValueError(f"unknown relation {shown(relation)}: choose one of {known}")
     return RELATION_NAMES.index(relation)
 
 
