@@ -24,6 +24,8 @@ MOVED = {
     "grounding.space": "grounding.correspondence",
     "grounding.spoken": "grounding.instruction",
     "grounding.weighed": "grounding.correspondence",
+    "semantic_map.gathered": "semantic_map.words",
+    "semantic_map.surprise": "semantic_map.observe",
     "training.evaluation": "training.scoring",
     "training.labelled": "training.examples",
     "training.search_many": "grounding.search",

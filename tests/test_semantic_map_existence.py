@@ -8,7 +8,7 @@ import readings as by_hand
 from jaxlangnav.messages import NONE
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map import association, counts, particle, update
-from jaxlangnav.semantic_map.forgetting import forget
+from jaxlangnav.semantic_map.observe import forget
 from jaxlangnav.terrain import OPEN
 
 HYDRANT, CONE = by_hand.HYDRANT, by_hand.CONE

@@ -7,7 +7,7 @@ import pytest
 import readings as by_hand
 
 from jaxlangnav.semantic_map import association, update
-from jaxlangnav.semantic_map.surprise import LOG_CONTRADICTION, surprise
+from jaxlangnav.semantic_map.observe import LOG_CONTRADICTION, surprise
 from jaxlangnav.terrain import OPEN
 
 CONE, CAR, HYDRANT = by_hand.CONE, by_hand.CAR, by_hand.HYDRANT

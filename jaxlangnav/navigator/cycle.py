@@ -35,11 +35,10 @@ from jaxlangnav.planner.goals import Goals, gather
 from jaxlangnav.planner.relevance import bears_on_goal, believed_groups, has_open_partner
 from jaxlangnav.pytree import pytree, replace, strong
 from jaxlangnav.semantic_map import filter as semantic_filter
-from jaxlangnav.semantic_map.behaviors import infer_clause_behaviors
+from jaxlangnav.semantic_map.behaviors import filter_untyped_goals, infer_clause_behaviors
 from jaxlangnav.semantic_map.belief import about_robot, robot_position
 from jaxlangnav.semantic_map.filter import FilterInfo
 from jaxlangnav.semantic_map.said import Spoken
-from jaxlangnav.semantic_map.things import placed
 from jaxlangnav.sensing import DEVIATIONS
 from jaxlangnav.terrain import OPEN, Eye, Terrain
 
@@ -225,7 +224,9 @@ def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> Outl
         belief.particles, state.instruction, state.clause, state.previous_goal
     )
     readings, talk = state.instruction.readings, state.talk
-    behavior = placed(behavior, belief.particles, readings, talk.told, params.map.relations)
+    behavior = filter_untyped_goals(
+        behavior, belief.particles, readings, talk.told, params.map.relations
+    )
     behavior = conversation.without(behavior, talk.ruled_out)
     behavior = conversation.pinned(
         behavior, belief.particles, readings.mention_type, talk.words, state.clause

@@ -21,13 +21,12 @@ from jaxlangnav.semantic_map import bystanders, particle
 from jaxlangnav.semantic_map.belief import ParticleBelief, is_led, mean_drift, robot_position
 from jaxlangnav.semantic_map.coverage import unexplored
 from jaxlangnav.semantic_map.looking import go_by_the_likelier
-from jaxlangnav.semantic_map.observe import observe
+from jaxlangnav.semantic_map.observe import LOG_CONTRADICTION, observe
 from jaxlangnav.semantic_map.params import MapConfig, MapParams
 from jaxlangnav.semantic_map.particle import SemanticMap
 from jaxlangnav.semantic_map.predict import drift_noise, predict, with_drift
 from jaxlangnav.semantic_map.regrounding import Regrounded, reground
 from jaxlangnav.semantic_map.soundness import sound_look, sound_place
-from jaxlangnav.semantic_map.surprise import LOG_CONTRADICTION
 from jaxlangnav.terrain import OPEN, Terrain
 
 
@@ -225,7 +224,11 @@ def step(
     keys = jax.random.split(key, 4)
     associate, keep, resample = _draw(keys, observation.detection_type.shape[0], number)
     sound = sound_look(belief, observation, farthest)
-    belief, is_alive = _alive(replace(belief, doubted_pose=sound.doubted_pose))
+    # Weights that are none become equal.
+    log_weight = belief.log_weight
+    is_alive = jnp.all(log_weight < jnp.inf) & jnp.any(log_weight > -jnp.inf)
+    log_weight = jnp.where(is_alive, log_weight, -jnp.log(float(number)))
+    belief = replace(belief, doubted_pose=sound.doubted_pose, log_weight=log_weight)
     belief, seen, others = _part(belief, sound.observation, spoken)
     noise = drift_noise(keys[0], belief)
     belief = predict(belief, seen.pose, sound.is_jump, noise, params=params)
@@ -257,11 +260,3 @@ def step(
         surprise=weighed.surprise,
         is_contradiction=weighed.surprise > LOG_CONTRADICTION,
     )
-
-
-def _alive(belief: ParticleBelief) -> tuple[ParticleBelief, Array]:
-    """Make weights that are none equal; bool[] tells whether they were any."""
-    log_weight = belief.log_weight
-    is_alive = jnp.all(log_weight < jnp.inf) & jnp.any(log_weight > -jnp.inf)
-    equal = -jnp.log(float(log_weight.shape[0]))
-    return replace(belief, log_weight=jnp.where(is_alive, log_weight, equal)), is_alive
