@@ -73,7 +73,12 @@ def ground_relation(
     rank = log_rank(said, ways.told, seen, draws, scene, params=params, num_known=num_known)
     log_weight = _weigh(said, ends, ways, rank, scene, params.misleading)
     choice, log_total = categorical.draw(log_weight, draws.choice)
-    log_total = jnp.maximum(log_total + _log_root(said, ends, scene), _LOG_FLOOR)
+    # One thing of each chain of relations has the uniform prior over the area: a figure grounded
+    # earlier that is now placed against the robot gives its share back.
+    is_placed = ~ends.is_open[FIGURE] & ~said.is_by_object
+    both_open = ends.is_open[FIGURE] & ends.is_open[LANDMARK]
+    log_root = jnp.where(both_open, -scene.log_area, jnp.where(is_placed, scene.log_area, 0.0))
+    log_total = jnp.maximum(log_total + log_root, _LOG_FLOOR)
     # Where no grounding is possible (a drawn figure fell outside the area), the words stay a
     # hypothesis somewhere unexplored, of hardly any weight, that the next looks can refute.
     choice = jnp.where(log_total <= _LOG_FLOOR, log_weight.shape[0] - 1, choice)
@@ -165,16 +170,6 @@ def _log_new(said: Said, ways: Ways, log_density: Array, scene: Scene) -> Array:
     return jnp.where(said.is_anywhere[None], log_anywhere, log_drawn)
 
 
-def _log_root(said: Said, ends: Candidates, scene: Scene) -> Array:
-    """Give the uniform prior over the area to one thing of each chain of relations.
-
-    A figure grounded earlier that is now placed against the robot gives its share back.
-    """
-    is_placed = ~ends.is_open[FIGURE] & ~said.is_by_object
-    both_open = ends.is_open[FIGURE] & ends.is_open[LANDMARK]
-    return jnp.where(both_open, -scene.log_area, jnp.where(is_placed, scene.log_area, 0.0))
-
-
 def _enter(
     grounding: Grounding,
     said: Said,
@@ -204,7 +199,12 @@ def _enter(
         jnp.ones_like(ends.is_open),
     )
     is_valid = said.mention[FIGURE] != NONE
-    source = _source(said, ends.is_open & is_valid[None], grounding.slot.shape[0])
+    is_decided = ends.is_open & is_valid[None]
+    entered_by = jnp.where(is_decided & (said.kind >= 0), said.mention, NONE)
+    mentions = column(jnp.arange(grounding.slot.shape[0]), said.mention.ndim)
+    is_figure, is_landmark = (mentions == entered_by[end][None] for end in (FIGURE, LANDMARK))
+    # Of each mention, i32[M, ...]: 2 decided now as the figure, 1 as the landmark, or 0.
+    source = jnp.where(is_figure, 2, is_landmark.astype(jnp.int32))
 
     def put(old: Array, new: Array) -> Array:
         of_end = (jnp.broadcast_to(new[end : end + 1], old.shape) for end in (LANDMARK, FIGURE))
@@ -213,14 +213,3 @@ def _enter(
     log_weight = grounding.log_weight + jnp.where(is_valid, log_total, 0.0)
     entered = [put(old, new) for old, new in zip(grounding[:-1], after, strict=True)]
     return Grounding(*entered, log_weight=log_weight)
-
-
-def _source(said: Said, is_decided: Array, num_mentions: int) -> Array:
-    """Tell which mentions are decided now, i32[M, ...]: 2 as the figure, 1 as the landmark, or 0.
-
-    One who is both is entered as the figure.
-    """
-    entered_by = jnp.where(is_decided & (said.kind >= 0), said.mention, NONE)
-    mentions = column(jnp.arange(num_mentions), said.mention.ndim)
-    is_figure, is_landmark = (mentions == entered_by[end][None] for end in (FIGURE, LANDMARK))
-    return jnp.where(is_figure, 2, is_landmark.astype(jnp.int32))

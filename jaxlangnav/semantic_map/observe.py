@@ -77,7 +77,9 @@ def observe(
         believed, seen, uniform, noise_variance, growth, doubt, is_pooled=is_pooled
     )
     belief = replace(belief, particles=condition(believed, grounded, noise_variance))
-    belief = _never_sure(belief)
+    if belief.particles.existence.shape[0] > 0:  # some doubt is left of all that is held
+        existence = jnp.minimum(belief.particles.existence, 1.0 - LEAST_DOUBT)
+        belief = replace(belief, particles=replace(belief.particles, existence=existence))
     belief, exposure = _looked(belief, observation, sensor, params, num_pooled)
     log_objects, log_hypotheses, existence = log_absence(
         belief.particles,
@@ -99,14 +101,6 @@ def observe(
         overflow=grounded.overflow,
         surprise=surprise(belief.log_weight, grounded, log_map, log_new, noise_variance),
     )
-
-
-def _never_sure(belief: ParticleBelief) -> ParticleBelief:
-    """Leave some doubt of all that is held, where particles doubt at all."""
-    if belief.particles.existence.shape[0] == 0:
-        return belief
-    existence = jnp.minimum(belief.particles.existence, 1.0 - LEAST_DOUBT)
-    return replace(belief, particles=replace(belief.particles, existence=existence))
 
 
 def _doubted(
