@@ -44,41 +44,6 @@ class Ear(Protocol):
         ...
 
 
-def set_scene(
-    task: Task,
-    instructions: Instruction,
-    *,
-    text: str,
-    params: NavigatorParams,
-    config: NavigatorConfig,
-    type_names: tuple[str, ...] | None = None,
-) -> StaticScene:
-    """Gather what stays the same over an episode.
-
-    Args:
-        task: one episode.
-        instructions: leaves [I, …]; the task names one of them.
-        text: the sentence, for people.
-        params: the navigator's numbers.
-        config: sizes and policy.
-        type_names: of the detector's labels; the lexicon's types by default.
-
-    Returns:
-        The scene.
-    """
-    index = int(task.instruction_index)
-    instruction = jax.tree.map(lambda leaf: leaf[index], jax.device_get(instructions))
-    return scene_of(
-        task.scenario,
-        task.sensor,
-        instruction,
-        text=text,
-        params=params,
-        config=config,
-        type_names=type_names,
-    )
-
-
 def scene_of(
     scenario: Scenario,
     sensor: SensorParams,
@@ -188,9 +153,10 @@ def record(
     Returns:
         The recording.
     """
-    scene = set_scene(
-        task, instructions, text=text, params=params, config=config, type_names=type_names
-    )
+    index = int(task.instruction_index)
+    instruction = jax.tree.map(lambda leaf: leaf[index], jax.device_get(instructions))
+    given = {"text": text, "type_names": type_names}
+    scene = scene_of(task.scenario, task.sensor, instruction, params=params, config=config, **given)
     steps = list(play(task, instructions, params=params, config=config, max_steps=max_steps))
     return stack_frames(scene, [frame for frame, _ in steps], steps[-1][1])
 

@@ -7,7 +7,8 @@ Further axis letter: **T** steps of the episode.
 """
 
 import dataclasses
-from collections.abc import Mapping
+import functools
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, TypeAlias
 
 import jax
@@ -145,6 +146,42 @@ class Remark:
     scene: StaticScene | None = None  # what is understood from then on; None: as before
 
 
+@dataclasses.dataclass(frozen=True)
+class Moment:
+    """A step as pictures and the story take it."""
+
+    step: int
+    scene: StaticScene  # with what was understood by then
+    frame: Frame
+    before: Frame | None  # the step before it; None at first
+    said: tuple[Remark, ...]  # heard just before its decision
+    result: EpisodeResult
+
+
+def moments(
+    scene: StaticScene, steps: Iterable[tuple[Frame, EpisodeResult]], said: Sequence[Remark]
+) -> Iterator[Moment]:
+    """Set each step of an episode beside what was said and seen before it.
+
+    Args:
+        scene: of the episode.
+        steps: as they happen, from ``recorder.play``, or as they were recorded.
+        said: utterances; a list that may grow as the episode runs.
+
+    Yields:
+        The moments.
+    """
+    own = {name: getattr(scene, name) for name in ("stop_radius", "is_judged", "unjudged")}
+    before = None
+    for step, (frame, result) in enumerate(steps):
+        now = tuple(one for one in said if one.step == step)
+        for one in now:
+            if one.scene is not None:
+                scene = dataclasses.replace(one.scene, **own)
+        yield Moment(step, scene, frame, before, now, result)
+        before = frame
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Recording:
     """A whole episode; leaves are NumPy arrays."""
@@ -172,22 +209,16 @@ class Recording:
         """Types that the sentence speaks of and no look has shown by the end."""
         return missing_names(self.last_scene, self.at(-1))
 
-    def scene_at(self, step: int) -> StaticScene:
-        """Take the scene with what was understood by a step, not negative."""
-        heard = [one.scene for one in self.said if one.step <= step and one.scene is not None]
-        if not heard:
-            return self.scene
-        own = {name: getattr(self.scene, name) for name in ("stop_radius", "is_judged", "unjudged")}
-        return dataclasses.replace(heard[-1], **own)
+    @functools.cached_property
+    def moments(self) -> list[Moment]:
+        """All steps, each with what is needed to tell it."""
+        steps = ((self.at(step), self.result) for step in range(self.num_steps))
+        return list(moments(self.scene, steps, self.said))
 
     @property
     def last_scene(self) -> StaticScene:
         """The scene with what was understood in the end."""
-        return self.scene_at(self.num_steps - 1)
-
-    def said_at(self, step: int) -> tuple[Remark, ...]:
-        """List what was heard just before the decision of a step."""
-        return tuple(one for one in self.said if one.step == step)
+        return self.moments[-1].scene
 
     def at(self, step: int) -> Frame:
         """Take one step out, leaves without the axis T.

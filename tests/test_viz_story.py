@@ -10,6 +10,7 @@ from recording_fixture import make_readings, make_recording, make_scene
 from jaxlangnav.grounding.asked import Asked
 from jaxlangnav.messages import AT, BEHIND, BETWEEN, LEFT, NEAR, NONE, REGIONS, ROBOT, Fault, Status
 from jaxlangnav.pytree import replace
+from jaxlangnav.recording import Frame, Moment, Recording
 from jaxlangnav.viz import narrative, sentences, summary, words
 from jaxlangnav.viz.panels import outcome, verdict
 from jaxlangnav.viz.words import FAULT_WORDS
@@ -200,6 +201,10 @@ def test_the_closing_tells_failures_apart():
     assert "In 5 steps it stood still, for what cannot be was reported to it." in said
 
 
+def moment(one: Recording, frame: Frame, before: Frame | None) -> Moment:
+    return Moment(3, one.scene, frame, before, (), one.result)
+
+
 def test_an_ending_without_a_goal_is_told_and_named():
     one = make_recording(4, 10)
     ended = replace(
@@ -208,10 +213,10 @@ def test_an_ending_without_a_goal_is_told_and_named():
         status=np.int32(Status.NOT_FOUND),
         is_stop=np.array(False),
     )
-    told = narrative.tell_step(one.scene, ended, one.at(2))[-1]
+    told = narrative.tell_step(moment(one, ended, one.at(2)))[-1]
     assert told.startswith("Says that there is no hydrant and no cone: ")
-    assert narrative.headline(one.scene, ended, one.at(2)) == "gives up"
-    assert not narrative._is_quiet(ended, one.at(2))
+    assert narrative.headline(moment(one, ended, one.at(2))) == "gives up"
+    assert not narrative._is_quiet(moment(one, ended, one.at(2)))
     result = replace(one.result, ending=np.int32(Status.NOT_FOUND), is_success=np.array(False))
     closing = narrative.closing(one.scene, ended, result)
     assert closing[0] == "Not found: it says that there is no hydrant and no cone."
@@ -223,7 +228,7 @@ def test_a_landmark_that_was_not_found_is_told():
     frame = one.at(-1)
     assert frame.object_type[0, 0] == CONE
     blind = replace(frame, object_type=np.where(frame.object_type == CONE, NONE, frame.object_type))
-    assert "no cone was to be found" in narrative.tell_step(one.scene, blind, one.at(2))[-1]
+    assert "no cone was to be found" in narrative.tell_step(moment(one, blind, one.at(2)))[-1]
     assert narrative.closing(one.scene, blind, one.result)[-1] == (
         "It has seen no cone, and took what fits best."
     )
@@ -234,25 +239,22 @@ def test_a_landmark_that_was_not_found_is_told():
 def test_a_step_with_a_fault_says_why_it_stands(fault: Fault):
     one = make_recording(9, 20)
     frame = replace(one.at(3), fault=np.int32(fault))
-    (told,) = narrative.tell_step(one.scene, frame, one.at(2))
+    (told,) = narrative.tell_step(moment(one, frame, one.at(2)))
     assert told == f"Stands still: {FAULT_WORDS[fault]}."
-    assert narrative.headline(one.scene, frame, one.at(2)) == "stands still"
-    assert not narrative._is_quiet(frame, one.at(2))
+    assert narrative.headline(moment(one, frame, one.at(2))) == "stands still"
+    assert not narrative._is_quiet(moment(one, frame, one.at(2)))
 
 
 def test_several_faults_are_all_told():
     one = make_recording(9, 20)
     frame = replace(one.at(3), fault=np.int32(Fault.POSE | Fault.SENSOR))
-    (told,) = narrative.tell_step(one.scene, frame, None)
+    (told,) = narrative.tell_step(moment(one, frame, None))
     assert told.count(FAULT_WORDS[Fault.POSE]) == told.count(FAULT_WORDS[Fault.SENSOR]) == 1
 
 
 def test_headlines_say_what_happened():
     one = make_recording(9, 20)
-    heads = [
-        narrative.headline(one.scene, one.at(step), one.at(step - 1) if step else None)
-        for step in range(9)
-    ]
+    heads = [narrative.headline(moment) for moment in one.moments]
     assert heads[0] == "hears the sentence, sees nothing"
     assert heads[4] == "discovers a cone"
     assert heads[6] == "discovers a hydrant"
@@ -274,16 +276,16 @@ def test_a_region_goal_is_named_as_a_place():
 def test_the_next_command_is_told():
     one = make_recording(6, 20)
     before, frame = one.at(1), replace(one.at(2), clause=np.int32(1))
-    assert narrative.headline(one.scene, frame, before) == "turns to the next command"
-    assert narrative.tell_step(one.scene, frame, before)[0] == "Turns to command 2 of 1."
-    assert not narrative._is_quiet(frame, before)
+    assert narrative.headline(moment(one, frame, before)) == "turns to the next command"
+    assert narrative.tell_step(moment(one, frame, before))[0] == "Turns to command 2 of 1."
+    assert not narrative._is_quiet(moment(one, frame, before))
 
 
 def test_a_changed_reading_is_told():
     one = make_recording(4, 20)
     before, frame = one.at(1), replace(one.at(2), reading=np.ones(20, np.int32))
-    assert "a hydrant (" in sentences.reread(one.scene, frame, before)
-    assert sentences.reread(one.scene, before, before) == ""
+    assert "a hydrant (" in sentences.reread(moment(one, frame, before))
+    assert sentences.reread(moment(one, before, before)) == ""
 
 
 def test_objects_are_summed_up_over_particles():

@@ -228,9 +228,9 @@ class Follow:
         from jaxlangnav.task.follow import alone
 
         instructions, task = alone(understood), prepared.task
-        scene = recorder.set_scene(
-            task, instructions, text=self.text, type_names=understood.type_names, **sizes
-        )
+        named = {"text": self.text, "type_names": understood.type_names}
+        given = task.scenario, task.sensor, understood.instruction
+        scene = recorder.scene_of(*given, **named, **sizes)
         speech = self._speech
         ear = None if speech.is_silent else speech.ear(grounder, understood, scene, output)
         steps = recorder.play(task, instructions, max_steps=self.max_steps, ear=ear, **sizes)

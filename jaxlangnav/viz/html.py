@@ -113,12 +113,10 @@ def _by_step(recording: Recording, claims: list[str]) -> dict[str, Any]:
     """Gather what is short enough to stand in the page as it is: the story, objects, events."""
     frames = recording.frames
     story, headlines, objects, detections, shares = [], [], [], [], []
-    before = None
-    for step in range(recording.num_steps):
-        frame = recording.at(step)
-        scene, said = recording.scene_at(step), recording.said_at(step)
-        story.append(narrative.tell_step(scene, frame, before, said))
-        headlines.append(narrative.headline(scene, frame, before, said))
+    for moment in recording.moments:
+        frame = moment.frame
+        story.append(narrative.tell_step(moment))
+        headlines.append(narrative.headline(moment))
         objects.append(
             [
                 [one.object_type, *_short(one.x, one.y, one.spread, one.probability, one.goal_mass)]
@@ -134,9 +132,8 @@ def _by_step(recording: Recording, claims: list[str]) -> dict[str, Any]:
                 for i in np.flatnonzero(frame.is_detection)
             ]
         )
-        now = sentences.claim_shares(scene, frame)
+        now = sentences.claim_shares(moment.scene, frame)
         shares.append(_short(*(now.get(claim, 0.0) for claim in claims)))
-        before = frame
     return {
         "story": [narrative.opening(recording.scene)[1:] + story[0], *story[1:]],
         "headlines": headlines,
@@ -172,7 +169,6 @@ def _arrays(recording: Recording) -> dict[str, Any]:
     grid_y, y_low, y_high = _on_grid(y, is_in)
     seen = frames.object_type[frames.object_type != NONE]
     relative = frames.weight / np.maximum(heaviest, 1e-12)[:, None]
-    steps = range(recording.num_steps)
     arrays = {
         "x": grid_x,
         "y": grid_y,
@@ -185,7 +181,7 @@ def _arrays(recording: Recording) -> dict[str, Any]:
         "ess": frames.effective_sample_size,
         "seen": frames.goal_mass.sum(axis=1),
         "unseen": frames.hypothesis_goal_mass.sum(axis=1),
-        "explored": np.array([summary.explored_share(recording.at(step)) for step in steps]),
+        "explored": np.array([summary.explored_share(one.frame) for one in recording.moments]),
     }
     for name in (
         "position", "robot", "heading", "distance", "waypoint", "node_x", "node_y", "value",

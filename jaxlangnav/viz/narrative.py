@@ -1,8 +1,7 @@
 """The story of an episode in plain words (what section 4 shows by way of Figures 1 and 4).
 
 What the sentence was taken to mean, what is seen, what is believed now, why this waypoint, why
-it stopped. Every number comes from the recording; nothing is made up for the occasion. ``frame``
-is a step of ``scene``, ``before`` the step before it, None at first.
+it stopped. Every number comes from the recording; nothing is made up for the occasion.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -14,7 +13,7 @@ from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.experiments.table import Table, TableColumns
 from jaxlangnav.messages import Status
 from jaxlangnav.planner.graph import OBJECT_NODE
-from jaxlangnav.recording import Frame, Recording, Remark, StaticScene
+from jaxlangnav.recording import Frame, Moment, Recording, Remark, StaticScene, moments
 from jaxlangnav.viz import sentences, summary
 from jaxlangnav.viz.summary import expected_goal, explored_share
 from jaxlangnav.viz.words import counted, describe_asked, describe_readings, percent
@@ -78,8 +77,7 @@ def describe_moments(recording: Recording, steps: Sequence[int]) -> list[dict[st
     x, y, heading = (float(one) for one in recording.scene.scenario.start)
     found = []
     for step in steps:
-        frame = recording.at(step)
-        before = recording.at(step - 1) if step else None
+        frame = recording.moments[step].frame
         mass = np.asarray(frame.hypothesis_goal_mass, float)
         gone_x, gone_y = frame.hypothesis_goal_x - x, frame.hypothesis_goal_y - y
         is_left = np.cos(heading) * gone_y - np.sin(heading) * gone_x > 0.0
@@ -87,7 +85,7 @@ def describe_moments(recording: Recording, steps: Sequence[int]) -> list[dict[st
             {
                 "step": step,
                 "distance": float(frame.distance),
-                "event": headline(recording.scene_at(step), frame, before, recording.said_at(step)),
+                "event": headline(recording.moments[step]),
                 "goal_seen": float(frame.goal_mass.sum()),
                 "unseen_left": float(mass[is_left].sum()),
                 "unseen_right": float(mass[~is_left].sum()),
@@ -167,48 +165,46 @@ def opening(scene: StaticScene) -> list[str]:
     return lines
 
 
-def tell_step(
-    scene: StaticScene, frame: Frame, before: Frame | None, said: Sequence[Remark] = ()
-) -> list[str]:
+def tell_step(moment: Moment) -> list[str]:
     """Tell one step: what is heard and seen, what is believed, what it does and why.
 
     Args:
-        scene: of the episode, with what is understood by then.
-        frame: the step.
-        before: the step before it; None at first.
-        said: what was heard just before its decision.
+        moment: the step.
 
     Returns:
         One sentence each.
     """
-    heard = [sentences.heard(frame, one) for one in said]
+    scene, frame = moment.scene, moment.frame
+    heard = [sentences.heard(frame, one) for one in moment.said]
     if int(frame.status) in (Status.HALTED, Status.IDLE):
         return [*heard, sentences.rests(frame)]
     if int(frame.fault):
         return [*heard, sentences.stands(frame)]
-    is_same = not said  # what was understood before is nothing to compare with
+    is_same = not moment.said  # what was understood before is nothing to compare with
     told = [
         *heard,
-        sentences.commanded(scene, frame, before) if is_same else "",
-        sentences.seen(scene, frame, before),
-        sentences.refuted(frame, before),
-        sentences.reread(scene, frame, before) if is_same else "",
+        sentences.commanded(moment) if is_same else "",
+        sentences.seen(moment),
+        sentences.refuted(moment),
+        sentences.reread(moment) if is_same else "",
         sentences.believed(scene, frame),
         sentences.decided(scene, frame),
     ]
     return [sentence for sentence in told if sentence]
 
 
-def headline(
-    scene: StaticScene, frame: Frame, before: Frame | None, said: Sequence[Remark] = ()
-) -> str:
-    """Say a step in a few words, for the head of a panel.
+def headline(moment: Moment) -> str:
+    """Say a step in a few words, for the head of a panel, such as "discovers a cone".
+
+    Args:
+        moment: the step.
 
     Returns:
-        "discovers a cone", "stops", …
+        The words.
     """
-    if said:
-        return f"hears “{said[-1].text}”"
+    scene, frame, before = moment.scene, moment.frame, moment.before
+    if moment.said:
+        return f"hears “{moment.said[-1].text}”"
     if int(frame.fault) and int(frame.status) not in _ENDED:
         return "stands still"
     if int(frame.status) in _ENDED:
@@ -219,7 +215,7 @@ def headline(
         return "first command done"
     if before is not None and int(frame.clause) != int(before.clause):
         return "turns to the next command"
-    new = sentences.new_objects(frame, before)
+    new = sentences.new_objects(moment)
     if new:
         return f"discovers {counted([scene.type_name(one.object_type) for one in new])}"
     if before is None:
@@ -293,22 +289,20 @@ def closing(scene: StaticScene, frame: Frame, result: EpisodeResult) -> list[str
 def narrate(recording: Recording) -> list[str]:
     """Tell a whole episode, steps without event drawn together.
 
+    Args:
+        recording: the episode.
+
     Returns:
         Lines, each to be printed on its own; steps begin with their number and the metres walked.
     """
-    before = None
-    lines, quiet = opening(recording.scene), []
-    for step in range(recording.num_steps):
-        scene, said = recording.scene_at(step), recording.said_at(step)
-        frame = recording.at(step)
-        if not said and _is_quiet(frame, before):
-            quiet.append(step)
+    lines, quiet = opening(recording.scene), list[Moment]()
+    for moment in recording.moments:
+        if not moment.said and _is_quiet(moment):
+            quiet.append(moment)
         else:
             lines += _drawn_together(quiet, recording)
             quiet = []
-            head = _head(str(step), float(frame.distance))
-            lines.append(f"{head} {' '.join(tell_step(scene, frame, before, said))}")
-        before = frame
+            lines.append(f"{_head(moment)} {' '.join(tell_step(moment))}")
     lines += _drawn_together(quiet, recording)
     return lines + closing(recording.last_scene, recording.at(-1), recording.result)
 
@@ -330,19 +324,15 @@ def tell_on(
     Yields:
         The steps.
     """
-    before = None
-    for step, (frame, result) in enumerate(steps):
-        now = [one for one in said if one.step == step]
-        scene = next((one.scene for one in reversed(now) if one.scene is not None), scene)
-        if now or not _is_quiet(frame, before):
-            told = " ".join(tell_step(scene, frame, before, now))
-            tell([f"{_head(str(step), float(frame.distance))} {told}"])
-        before = frame
-        yield frame, result
+    for moment in moments(scene, steps, said):
+        if moment.said or not _is_quiet(moment):
+            tell([f"{_head(moment)} {' '.join(tell_step(moment))}"])
+        yield moment.frame, moment.result
 
 
-def _is_quiet(frame: Frame, before: Frame | None) -> bool:
+def _is_quiet(moment: Moment) -> bool:
     """Tell whether nothing worth a line of its own happened in a step."""
+    frame, before = moment.frame, moment.before
     if before is None:
         return False
     if int(frame.status) in (Status.HALTED, Status.IDLE):
@@ -358,31 +348,29 @@ def _is_quiet(frame: Frame, before: Frame | None) -> bool:
     return float(shift) < _SHIFT
 
 
-def _head(steps: str, distance: float) -> str:
-    """Head a line of the story."""
-    return f"[{steps:>5} · {distance:4.1f} m]"
+def _head(moment: Moment, steps: str = "") -> str:
+    """Head a line of the story, of one step or of several that end with it."""
+    return f"[{steps or moment.step:>5} · {float(moment.frame.distance):4.1f} m]"
 
 
-def _drawn_together(steps: list[int], recording: Recording) -> list[str]:
+def _drawn_together(quiet: list[Moment], recording: Recording) -> list[str]:
     """Say several steps without event in one line."""
-    if not steps:
+    if not quiet:
         return []
-    last = recording.at(steps[-1])
-    number = str(steps[0]) if len(steps) == 1 else f"{steps[0]}-{steps[-1]}"
-    head = _head(number, float(last.distance))
+    first, moment = quiet[0].step, quiet[-1]
+    scene, last = moment.scene, moment.frame
+    head = _head(moment, f"{first}-{moment.step}" if len(quiet) > 1 else "")
     if bool(last.is_done) or int(last.status) in (Status.HALTED, Status.IDLE):
         return [f"{head} {sentences.rests(last)}"]
     if int(last.waypoint_kind) == OBJECT_NODE:
-        gone = float(last.distance) - float(recording.frames.distance[max(steps[0] - 1, 0)])
-        if len(steps) > 2 and gone < 0.5:
-            return [
-                f"{head} Stands still. {sentences.believed(recording.scene_at(steps[-1]), last)}"
-            ]
-        return [f"{head} {sentences.goes_on(recording.scene_at(steps[-1]), last)}"]
-    refuted = int(recording.frames.num_regrounded[steps].sum())
+        gone = float(last.distance) - float(recording.frames.distance[max(first - 1, 0)])
+        if len(quiet) > 2 and gone < 0.5:
+            return [f"{head} Stands still. {sentences.believed(scene, last)}"]
+        return [f"{head} {sentences.goes_on(scene, last)}"]
+    refuted = sum(int(one.frame.num_regrounded) for one in quiet)
     share = percent(summary.explored_share(last))
     seen = "Looks on" if last.is_detection.any() else "Searches, finds nothing"
     return [
         f"{head} {seen}: {refuted} hypotheses refuted by what was not there, {share} of the area "
-        f"looked at. {sentences.believed(recording.scene_at(steps[-1]), last)}"
+        f"looked at. {sentences.believed(scene, last)}"
     ]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxlangnav.messages import Status
-from jaxlangnav.recording import Frame, Recording, StaticScene
+from jaxlangnav.recording import Frame, Moment, Recording, StaticScene
 from jaxlangnav.viz import mapping, style
 from jaxlangnav.viz.narrative import headline, pick_moments
 from jaxlangnav.viz.summary import SAME_PLACE, distinct_nodes, goal_field
@@ -76,15 +76,13 @@ def _lay_out(
     return figure, maps, charts
 
 
-def _head_panel(axes: "Axes", recording: Recording, step: int, index: int) -> None:
+def _head_panel(axes: "Axes", moment: Moment, index: int) -> None:
     """Head a panel: its letter, the step and the way so far; beneath, what happens."""
-    frame = recording.at(step)
-    before = recording.at(step - 1) if step else None
     letter = chr(ord("a") + index % 26)
-    head = f"({letter}) step {step} · {float(frame.distance):.1f} m"
+    head = f"({letter}) step {moment.step} · {float(moment.frame.distance):.1f} m"
     axes.set_title(head, pad=16)
     axes.annotate(
-        headline(recording.scene_at(step), frame, before, recording.said_at(step)),
+        headline(moment),
         xy=(0, 1),
         xytext=(0, 5),
         xycoords="axes fraction",
@@ -189,7 +187,7 @@ def belief_figure(
             mapping.draw_view(axes, scene, frame)
             mapping.draw_waypoint(axes, frame)
             mapping.draw_robot(axes, frame)
-            _head_panel(axes, recording, step, index)
+            _head_panel(axes, recording.moments[step], index)
         _add_legend(figure, mapping.legend_handles(recording))
     return figure
 
@@ -237,7 +235,7 @@ def values_figure(
         for index, (axes, chart, step) in enumerate(zip(maps, charts, chosen, strict=True)):
             _draw_values(axes, recording, step)
             _draw_parts(chart, recording.at(step), with_label=axes.get_ylabel() != "")
-            _head_panel(axes, recording, step, index)
+            _head_panel(axes, recording.moments[step], index)
         _add_legend(figure, _handles(recording))
     return figure
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxlangnav.files.whole import replacing
 from jaxlangnav.kinds import ANYTHING
-from jaxlangnav.recording import Frame, Recording, StaticScene
+from jaxlangnav.recording import Recording, StaticScene
 from jaxlangnav.viz import narrative, style, summary
 
 _APPLICATION = "jaxlangnav"
@@ -37,17 +37,21 @@ def write_rrd(recording: Recording, path: Path | str) -> Path:
         stream = rerun.RecordingStream(_APPLICATION, recording_id=recording.scene.text or None)
         stream.save(str(temporary))
         _log_scene(rerun, stream, recording.scene)
-        before = None
-        for step in range(recording.num_steps):
-            frame = recording.at(step)
-            stream.set_time("step", sequence=step)
-            _log_belief(rerun, stream, recording, step)
-            _log_plan(rerun, stream, recording, step)
-            _log_numbers(rerun, stream, frame)
-            scene, said = recording.scene_at(step), recording.said_at(step)
-            told = narrative.tell_step(scene, frame, before, said)
-            stream.log("story", rerun.TextLog(" ".join(told)))
-            before = frame
+        for moment in recording.moments:
+            stream.set_time("step", sequence=moment.step)
+            _log_belief(rerun, stream, recording, moment.step)
+            _log_plan(rerun, stream, recording, moment.step)
+            frame = moment.frame
+            curves = {
+                "goal_seen": frame.goal_mass.sum(),
+                "goal_not_seen": frame.hypothesis_goal_mass.sum(),
+                "area_looked_at": summary.explored_share(frame),
+                "effective_sample_size": frame.effective_sample_size,
+                "drawn_anew": frame.num_regrounded,
+            }
+            for name, value in curves.items():
+                stream.log(f"numbers/{name}", rerun.Scalars(float(value)))
+            stream.log("story", rerun.TextLog(" ".join(narrative.tell_step(moment))))
         for line in narrative.closing(recording.last_scene, recording.at(-1), recording.result):
             stream.log("story", rerun.TextLog(line))
         stream.flush()
@@ -152,16 +156,3 @@ def _log_plan(rerun: Any, stream: Any, recording: Recording, step: int) -> None:
             nodes, radii=0.09, colors=_rgba(style.VIEW), labels=labels, show_labels=False
         ),
     )
-
-
-def _log_numbers(rerun: Any, stream: Any, frame: Frame) -> None:
-    """Log the curves of one step."""
-    curves = {
-        "goal_seen": float(frame.goal_mass.sum()),
-        "goal_not_seen": float(frame.hypothesis_goal_mass.sum()),
-        "area_looked_at": summary.explored_share(frame),
-        "effective_sample_size": float(frame.effective_sample_size),
-        "drawn_anew": float(frame.num_regrounded),
-    }
-    for name, value in curves.items():
-        stream.log(f"numbers/{name}", rerun.Scalars(value))

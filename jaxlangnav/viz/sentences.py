@@ -1,7 +1,6 @@
 """The sentences of the story, one function each: what is seen, believed and decided in a step.
 
-``scene`` is of the episode, ``frame`` the step, ``before`` the one before it, None at first. What
-has nothing to tell returns an empty text.
+``scene`` is of the episode, ``frame`` a step of it. What has nothing to tell returns an empty text.
 """
 
 import numpy as np
@@ -9,7 +8,7 @@ import numpy as np
 from jaxlangnav.language.lexicon import plural
 from jaxlangnav.messages import AT, NONE, REGIONS, Status
 from jaxlangnav.planner.graph import OBJECT_NODE
-from jaxlangnav.recording import Frame, Remark, StaticScene, missing_names
+from jaxlangnav.recording import Frame, Moment, Remark, StaticScene, missing_names
 from jaxlangnav.viz import summary
 from jaxlangnav.viz.words import (
     RELATION_WORDS,
@@ -23,14 +22,11 @@ from jaxlangnav.viz.words import (
 )
 
 
-def new_objects(frame: Frame, before: Frame | None) -> list[summary.SeenObject]:
-    """List what this step has discovered.
-
-    Returns:
-        Observed objects in slots that were empty before.
-    """
-    old = {one.slot for one in summary.seen_objects(before)} if before is not None else set()
-    return [one for one in summary.seen_objects(frame) if one.slot not in old]
+def new_objects(moment: Moment) -> list[summary.SeenObject]:
+    """List what a step has discovered: observed objects in slots that were empty before."""
+    before = () if moment.before is None else summary.seen_objects(moment.before)
+    old = {one.slot for one in before}
+    return [one for one in summary.seen_objects(moment.frame) if one.slot not in old]
 
 
 def _place(frame: Frame, x: float, y: float) -> str:
@@ -58,20 +54,17 @@ def rests(frame: Frame) -> str:
     return f"Stands still{', as it was told' if is_halted else ' until it hears more'}."
 
 
-def commanded(scene: StaticScene, frame: Frame, before: Frame | None) -> str:
-    """Tell when the next command of the sentence begins.
-
-    Returns:
-        A sentence, or nothing where the command is the same as before.
-    """
-    if before is None or int(frame.clause) == int(before.clause):
+def commanded(moment: Moment) -> str:
+    """Tell when the next command of the sentence begins; nothing where it is the same as before."""
+    clause = int(moment.frame.clause)
+    if moment.before is None or clause == int(moment.before.clause):
         return ""
-    return f"Turns to command {int(frame.clause) + 1} of {scene.num_clauses}."
+    return f"Turns to command {clause + 1} of {moment.scene.num_clauses}."
 
 
-def seen(scene: StaticScene, frame: Frame, before: Frame | None) -> str:
+def seen(moment: Moment) -> str:
     """Tell the detections of a step, discoveries first."""
-    new = new_objects(frame, before)
+    scene, frame, new = moment.scene, moment.frame, new_objects(moment)
     if new:
         parts = [
             f"{article(scene.type_name(one.object_type))} {_place(frame, one.x, one.y)}"
@@ -89,8 +82,9 @@ def seen(scene: StaticScene, frame: Frame, before: Frame | None) -> str:
     return f"Sees {listed(counted)} again."
 
 
-def refuted(frame: Frame, before: Frame | None) -> str:
+def refuted(moment: Moment) -> str:
     """Tell how many hypotheses what was not there has cost."""
+    frame, before = moment.frame, moment.before
     number, total = int(frame.num_regrounded), frame.weight.shape[0]
     if before is None or number < 2:
         return ""
@@ -107,15 +101,11 @@ def is_open(frame: Frame) -> bool:
     return float((frame.weight * frame.is_hypothesised.any(axis=0)).sum()) >= 0.1
 
 
-def reread(scene: StaticScene, frame: Frame, before: Frame | None) -> str:
-    """Tell how what has been seen changes what the words are taken to mean.
-
-    Returns:
-        A sentence, or nothing where no claim gained a tenth.
-    """
-    if before is None:
+def reread(moment: Moment) -> str:
+    """Tell how what was seen changes what the words mean; nothing if no claim gained a tenth."""
+    if moment.before is None:
         return ""
-    now, then = claim_shares(scene, frame), claim_shares(scene, before)
+    now, then = (claim_shares(moment.scene, one) for one in (moment.frame, moment.before))
     claim = max(now, key=lambda one: now[one] - then[one])
     if now[claim] - then[claim] < 0.1:
         return ""

@@ -11,7 +11,15 @@ import numpy as np
 
 from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.plain_text import Plain
-from jaxlangnav.recording import Frame, Recording, Remark, StaticScene, stack_frames
+from jaxlangnav.recording import (
+    Frame,
+    Moment,
+    Recording,
+    Remark,
+    StaticScene,
+    moments,
+    stack_frames,
+)
 from jaxlangnav.viz import narrative, style, summary
 from jaxlangnav.viz.words import percent
 
@@ -68,24 +76,16 @@ def _draw_map(scene: StaticScene, frame: Frame, *, width: int = 48) -> "Text":
     return text
 
 
-def _draw_frame(
-    scene: StaticScene,
-    frame: Frame,
-    before: Frame | None,
-    step: int,
-    *,
-    said: Sequence[Remark] = (),
-    width: int = 48,
-) -> "RenderableType":
+def _draw_moment(moment: Moment, *, width: int = 48) -> "RenderableType":
     """Draw a step: the map, and beside it what happens and how sure the robot is."""
     from rich.panel import Panel
     from rich.table import Table
     from rich.text import Text
 
-    side = Text()
-    side.append(f"step {step} · {float(frame.distance):.1f} m\n", style="bold")
-    side.append(f"{narrative.headline(scene, frame, before, said)}\n\n", style="italic")
-    for sentence in narrative.tell_step(scene, frame, before, said):
+    scene, frame, side = moment.scene, moment.frame, Text()
+    side.append(f"step {moment.step} · {float(frame.distance):.1f} m\n", style="bold")
+    side.append(f"{narrative.headline(moment)}\n\n", style="italic")
+    for sentence in narrative.tell_step(moment):
         side.append(f"{sentence}\n")
     side.append("\n")
     for name, share, look in (
@@ -122,7 +122,7 @@ def watch(
     """Draw an episode in the terminal while it runs.
 
     Args:
-        scene: from ``recorder.set_scene``.
+        scene: from ``recorder.scene_of``.
         steps: from ``recorder.play``, at least one.
         said: utterances; a list that grows as the episode runs.
         console: where to draw; standard output by default.
@@ -142,22 +142,16 @@ def watch(
     x_min, x_max, y_min, y_max = scene.area
     # The map must fit the screen, or a live display would scroll.
     width = min(width, int(height * _CELL_SHAPE * (x_max - x_min) / (y_max - y_min)))
-    first, frames = scene, list[Frame]()
-    results: list[EpisodeResult] = []
+    seen: list[Moment] = []
     with Live(console=console, auto_refresh=False, vertical_overflow="crop") as live:
-        for step, (frame, result) in enumerate(steps):
-            before = frames[-1] if frames else None
-            now = [one for one in said if one.step == step]
-            scene = next((one.scene for one in reversed(now) if one.scene is not None), scene)
-            drawn = _draw_frame(scene, frame, before, step, said=now, width=width)
-            live.update(drawn, refresh=True)
-            frames.append(frame)
-            results.append(result)
+        for moment in moments(scene, steps, said):
+            live.update(_draw_moment(moment, width=width), refresh=True)
+            seen.append(moment)
             if console.is_terminal:
                 time.sleep(seconds_per_step)
-    if not results:
+    if not seen:
         raise ValueError("an episode needs at least one step")
-    return stack_frames(first, frames, results[-1])
+    return stack_frames(scene, [one.frame for one in seen], seen[-1].result)
 
 
 def _ground(frame: Frame, width: int, height: int) -> tuple[list[list[str]], list[list[str]]]:
