@@ -343,17 +343,6 @@ def test_tables_and_how_they_were_made(picture: Path) -> None:
     assert "nothing" not in page.text
 
 
-def test_blocks_say_once_what_they_share_and_empty_columns_go() -> None:
-    rows = [["1H1C", "3", "informed", ""], ["1H1C", "3", "known", ""], ["2H1C", "3", "known", ""]]
-    headings = ["World", "m", "Policy", "ECE"]
-    page = read(Section(title="T", tables=[Table(headings=headings, rows=rows, firsts=[1, 0, 1])]))
-    told = [page.cells[at : at + 3] for at in range(0, 12, 3)]
-    assert told == [headings[:3], rows[0][:3], ["", "", "known"], rows[2][:3]]
-    plain = read(Section(title="T", tables=[Table(headings=headings, rows=rows, fold="More")]))
-    assert plain.cells[6:9] == rows[1][:3]
-    assert "More" in plain.text
-
-
 def test_what_is_written_cannot_break_the_page(tmp_path: Path) -> None:
     evil = '</title><script>alert("x")</script>'
     page = _render_report(evil, [Section(title=evil, lead=evil, notes=[evil])], made={"a": evil})

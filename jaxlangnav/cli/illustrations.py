@@ -1,15 +1,16 @@
 """The paper's illustrations, run anew: Figures 1, 3 and 4 (``jaxlangnav reproduce fig4``)."""
 
 import dataclasses
+import functools
 import time
 from pathlib import Path
 from typing import Any
 
 from jaxlangnav.cli.engine import load_models
-from jaxlangnav.cli.output import Output
+from jaxlangnav.cli.output import Document, Output
 from jaxlangnav.cli.runtime import waiting
 from jaxlangnav.cli.settings import apply
-from jaxlangnav.cli.study import Settings, Study, told
+from jaxlangnav.cli.study import Settings, Study
 from jaxlangnav.experiments.archive import CompileClock, manifest, write_manifest
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.table import Table
@@ -22,7 +23,10 @@ from jaxlangnav.pytree import replace
 from jaxlangnav.recording import Recording
 from jaxlangnav.task.follow import record_episode
 from jaxlangnav.task.opening import open_task
-from jaxlangnav.viz.narrative import describe_moments, moments_table, pick_moments
+from jaxlangnav.viz.html import write_graph, write_html
+from jaxlangnav.viz.narrative import describe_moments, moments_table, narrate, pick_moments
+from jaxlangnav.viz.panels import belief_figure, values_figure
+from jaxlangnav.viz.style import save
 
 TEXT = SENTENCES["behind"]
 """The sentence of all three figures."""
@@ -66,19 +70,35 @@ EPISODES = {
 }
 
 
-def illustrate(name: str, settings: Settings, output: Output) -> Study:
-    """Run the episode of a figure, tell it and draw it.
+def episode(name: str) -> Study:
+    """Build the study of a figure of one episode, "fig1" or "fig4".
 
     Args:
-        name: "fig1" or "fig4".
-        settings: policy, seed, particles, numbers, folder.
-        output: where it is told.
+        name: a key of ``EPISODES``.
 
     Returns:
         The study; its document has ``moments``, a line for each panel.
     """
-    from jaxlangnav.viz.narrative import narrate
+    figure = EPISODES[name]
+    return Study(
+        title=figure.title,
+        lead=f"{figure.paper} {figure.ours}",
+        run=functools.partial(_illustrate, name),
+        tables=lambda document: [moments_table(document["moments"])],
+        notes=lambda _: [
+            "Probabilities that the goal is an object seen, or unseen left or right of where "
+            "the robot faced at first; the spread of the unseen goal; the share of the area seen.",
+            "The paper prints no coordinates; the arrangement is ours, a world of the package.",
+        ],
+        made=lambda one: {
+            "episode": f"world {one['world']}, policy {one['policy']}, seed {one['seed']}, "
+            f"{one['num_particles']} particles, sensing range {one['range']:g} m",
+        },
+    )
 
+
+def _illustrate(name: str, settings: Settings, output: Output) -> dict[str, Any]:
+    """Run the episode of a figure, tell it and draw it."""
     figure = EPISODES[name]
     # All policies by default: then the paper's, whose figure it is.
     named = [one for one in settings.policies if one in POLICIES]
@@ -87,43 +107,8 @@ def illustrate(name: str, settings: Settings, output: Output) -> Study:
     with CompileClock() as clock, waiting(f"an episode in {figure.name}", output):
         recording = _record(figure, policy, settings)
     steps = pick_moments(recording, figure.num_panels)
-    moments = describe_moments(recording, steps)
     output.tell(narrate(recording))
-    document = _told_of(figure, policy, settings, recording) | {
-        "moments": moments,
-        "paper": figure.paper,
-        "wall_s": time.perf_counter() - begin,
-        "compile_s": clock.seconds,
-        "files": [],
-    }
-    pictures: list[Path] = []
-    if settings.out is not None:
-        pictures = _write(name, recording, steps, document, settings.out)
-    return told(
-        name,
-        document,
-        settings,
-        title=figure.title,
-        lead=f"{figure.paper} {figure.ours}",
-        pictures=[(path, figure.title) for path in pictures],
-        tables=[moments_table(moments)],
-        notes=[
-            "Probabilities that the goal is an object seen, or unseen left or right of where "
-            "the robot faced at first; the spread of the unseen goal; the share of the area seen.",
-            "The paper prints no coordinates; the arrangement is ours, a world of the package.",
-        ],
-        made={
-            "episode": f"world {document['world']}, policy {policy}, seed {document['seed']}, "
-            f"{document['num_particles']} particles, sensing range {document['range']:g} m",
-        },
-    )
-
-
-def _told_of(
-    figure: Episode, policy: str, settings: Settings, recording: Recording
-) -> dict[str, Any]:
-    """Say what was run, and how it ended."""
-    return {
+    document = {
         "experiment": figure.name,
         "instruction": TEXT,
         "world": figure.name,
@@ -135,48 +120,56 @@ def _told_of(
         "distance": float(recording.result.distance),
         "known_distance": recording.scene.known_distance,
         "steps": int(recording.result.steps),
+        "moments": describe_moments(recording, steps),
+        "paper": figure.paper,
+        "wall_s": time.perf_counter() - begin,
+        "compile_s": clock.seconds,
+        "files": [],
     }
+    if settings.out is not None:
+        document["files"] = _write(name, recording, steps, document, settings.out)
+    return document
 
 
-def factor_graph(settings: Settings, output: Output) -> Study:
-    """Draw the factor graph of the sentence: Figure 3."""
-    from jaxlangnav.viz.html import write_graph
-
+def _count_factors(settings: Settings, output: Output) -> dict[str, Any]:
+    """Build the factor graph of the sentence, count its parts, and draw it: Figure 3."""
     begin = time.perf_counter()
-    model = load_models(None)
-    parsed = parse(TEXT)
-    understood = understand_parse(parsed, model)
-    sizes = understood.graph(7)
+    model, parsed = load_models(None), parse(TEXT)
     document: dict[str, Any] = {
         "experiment": "figure3",
         "instruction": TEXT,
-        "graph": sizes,
+        "graph": understand_parse(parsed, model).graph(7),
         "paper": {"annotation": {"factors": 2964, "variables": 5934},
                   "behavior": {"factors": 383, "variables": 772}},
         "wall_s": time.perf_counter() - begin,
         "files": [],
     }  # fmt: skip
+    for row in _factors_table(document).rows:
+        output.say(f"{row[0]}: {row[1]} factors (paper {row[2]}), {row[3]} variables ({row[4]})")
+    if settings.out is not None:
+        pictures = write_graph(parsed, model, settings.out, name="figure3")
+        document["files"] = [str(path) for path in pictures]
+    return document
+
+
+def _factors_table(document: Document) -> Table:
+    """Lay out the sizes of the graph beside the paper's."""
     rows = [
         [kind, *(f"{document[who][kind][what]:,}" for what in ("factors", "variables")
                  for who in ("graph", "paper"))]
         for kind in ("annotation", "behavior")
     ]  # fmt: skip
-    for row in rows:
-        output.say(f"{row[0]}: {row[1]} factors (paper {row[2]}), {row[3]} variables ({row[4]})")
-    pictures: list[Path] = []
-    if settings.out is not None:
-        pictures = write_graph(parsed, model, settings.out, name="figure3")
-        document["files"] = [str(path) for path in pictures]
-    return told(
-        "fig3",
-        document,
-        settings,
-        title="Figure 3: the factor graph of a sentence",
-        lead="A Distributed Correspondence Graph of the sentence; the counts are of the graph that "
-        "is constructed, with seven objects for behaviors.",
-        pictures=[(path, "The factor graph") for path in pictures],
-        tables=[Table(headings=["", "factors", "paper", "random variables", "paper"], rows=rows)],
-    )
+    return Table(headings=["", "factors", "paper", "random variables", "paper"], rows=rows)
+
+
+FACTOR_GRAPH = Study(
+    title="Figure 3: the factor graph of a sentence",
+    lead="A Distributed Correspondence Graph of the sentence; the counts are of the graph that "
+    "is constructed, with seven objects for behaviors.",
+    run=_count_factors,
+    tables=lambda document: [_factors_table(document)],
+)
+"""Figure 3."""
 
 
 def _record(figure: Episode, policy: str, settings: Settings) -> Recording:
@@ -198,25 +191,18 @@ def _record(figure: Episode, policy: str, settings: Settings) -> Recording:
 
 def _write(
     name: str, recording: Recording, steps: list[int], document: dict[str, Any], out: Path
-) -> list[Path]:
-    """Write figure, page, table and manifest of an episode; return the pictures."""
-    from jaxlangnav.viz.html import write_html
-    from jaxlangnav.viz.panels import belief_figure, values_figure
-    from jaxlangnav.viz.style import save
-
+) -> list[str]:
+    """Write figure, page, table and manifest of an episode; return their paths."""
     figure = EPISODES[name]
     draw = belief_figure if name == "fig1" else values_figure
-    pictures = [*save(draw(recording, steps=steps), out / figure.name)]
-    page = write_html(recording, out / f"{figure.name}.html")
     table = moments_table(document["moments"]).markdown()
     text = f"# {figure.title}\n\n{figure.paper}\n\n{figure.ours}\n\n{table}"
     settings = {key: value for key, value in document.items() if key != "moments"}
-    written = [
-        page,
+    made = manifest(settings, models=load_models(None))
+    paths = [
+        *save(draw(recording, steps=steps), out / figure.name),
+        write_html(recording, out / f"{figure.name}.html"),
         write_text(text, out / f"{figure.name}.md"),
-        write_manifest(
-            manifest(settings, models=load_models(None)), out / f"{figure.name}_manifest.json"
-        ),
+        write_manifest(made, out / f"{figure.name}_manifest.json"),
     ]
-    document["files"] = [str(path) for path in (*pictures, *written)]
-    return pictures
+    return [str(path) for path in paths]

@@ -134,7 +134,7 @@ class Reproduce:
         reproduction.check_sizes(names, settings)
         if self.what == "all":
             return reproduction.run_all(settings, output)
-        return reproduction.run_one(self.what, settings, output).document
+        return reproduction.run_one(self.what, settings, output)[0]
 
     def _table3(self, output: Output) -> Document:
         """Run the robots with bodies."""

@@ -1,13 +1,12 @@
 """The experiments behind ``jaxlangnav reproduce``: run, printed, drawn and put into the report.
 
-``STUDIES`` is their registry, by name: from settings and an output to a document and its part of
-the report.
+``STUDIES`` is their registry: one record each, by name, from the settings of the command line.
 """
 
 import functools
 import json
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from jaxlangnav import __version__
@@ -15,14 +14,18 @@ from jaxlangnav.cli import illustrations
 from jaxlangnav.cli.output import Document, Output, to_json
 from jaxlangnav.cli.runtime import progress_bar, waiting
 from jaxlangnav.cli.settings import apply
-from jaxlangnav.cli.study import Settings, Study, draw_figures, told
+from jaxlangnav.cli.study import Settings, Study, draw_figures
 from jaxlangnav.episode import MAX_STEPS
+from jaxlangnav.experiments import conversation as spoken
 from jaxlangnav.experiments import paper, robustness, unknowns
-from jaxlangnav.experiments.archive import manifest
+from jaxlangnav.experiments.archive import manifest, write_manifest
 from jaxlangnav.experiments.experiment import Experiment, Options
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.sizes import check_recording
-from jaxlangnav.experiments.table import write_report
+from jaxlangnav.experiments.table import Section, write_report
+from jaxlangnav.experiments.table1 import evaluate, table_1
+from jaxlangnav.experiments.timing import cycle_parts
+from jaxlangnav.files.whole import write_text
 from jaxlangnav.grounding.weights import load_shipped
 from jaxlangnav.messages import default_motion, default_sensor
 
@@ -36,69 +39,6 @@ _CURVES = {
 }
 
 
-def table1(settings: Settings, output: Output) -> Study:
-    """Run the paper's protocol for understanding, Table 1; of the settings the seed is read."""
-    from jaxlangnav.experiments.table1 import evaluate, table_1
-    from jaxlangnav.files.whole import write_text
-
-    begin = time.perf_counter()
-    with progress_bar("splits", _SPLITS) as advance:
-        document = evaluate(splits=_SPLITS, seed=settings.seed, on_progress=advance)
-    laid = table_1(document)
-    output.say(laid.text())
-    document |= {"wall_s": time.perf_counter() - begin, "files": []}
-    if settings.out is not None:
-        text = f"# {laid.title}\n\n{laid.markdown()}"
-        document["files"].append(str(write_text(text, settings.out / "table1.md")))
-    return told(
-        "table1",
-        document,
-        settings,
-        title="Table 1: how often sentences are understood",
-        lead="Whole sentences whose annotation or behavior is exactly right among those held out, "
-        "mean and 95 % interval over random splits of 67 to 33 percent (section 4.1).",
-        tables=[laid],
-        notes=[
-            "The corpora differ: the paper's 39 instructions were never published, ours ship in "
-            "the package. The commands of Table 2 are in neither.",
-        ],
-        made={"seed": str(settings.seed)},
-    )
-
-
-def _episodes(name: str) -> Callable[[Settings, Output], Study]:
-    """Build the runner of an experiment made of episodes."""
-
-    def run(settings: Settings, output: Output) -> Study:
-        experiment = GRIDS[name](settings)
-        options = _options_of(name, settings)
-        with progress_bar("episodes", experiment.total_work(options)) as advance:
-            document = experiment.run(options, out=settings.out, on_progress=advance)
-        output.say(experiment.render(document))
-        wall, compiling = document["wall_s"], document["compile_s"]
-        total = experiment.total_episodes(options)
-        output.say(f"{total} episodes in {wall:.1f} s, {compiling:.1f} s of them compilation.")
-        pictures = draw_figures(settings.out, output, _figures(experiment.name, document))
-        document["files"] += [str(path) for path in pictures]
-        return told(
-            name,
-            document,
-            settings,
-            title=experiment.title,
-            lead=experiment.lead,
-            pictures=[(path, f"{experiment.title}: figure") for path in pictures],
-            tables=experiment.tables(document),
-            notes=experiment.notes(document),
-            made={
-                "episodes": f"{document['episodes']} a row and arm, seed {document['seed']}, "
-                f"{document['num_particles']} particles",
-                "models": f"SHA-256 {document['models_sha256']}",
-            },
-        )
-
-    return run
-
-
 GRIDS: dict[str, Callable[[Settings], Experiment]] = {
     "table2": lambda settings: paper.table_2(extra=settings.extra, ranges=settings.ranges),
     "fig5": lambda settings: paper.figure_5(ranges=settings.ranges),
@@ -108,8 +48,50 @@ GRIDS: dict[str, Callable[[Settings], Experiment]] = {
 """The experiments made of episodes: from settings to rows."""
 
 
+def _table1(settings: Settings, output: Output) -> dict[str, Any]:
+    """Run the paper's protocol for understanding; of the settings the seed is read."""
+    begin = time.perf_counter()
+    with progress_bar("splits", _SPLITS) as advance:
+        document = evaluate(splits=_SPLITS, seed=settings.seed, on_progress=advance)
+    laid = table_1(document)
+    output.say(laid.text())
+    document |= {"wall_s": time.perf_counter() - begin, "files": []}
+    if settings.out is not None:
+        text = f"# {laid.title}\n\n{laid.markdown()}"
+        document["files"].append(str(write_text(text, settings.out / "table1.md")))
+    return document
+
+
+def _episodes(name: str, settings: Settings) -> Study:
+    """Build the study of an experiment made of episodes: every row and arm."""
+    experiment, options = GRIDS[name](settings), _options_of(name, settings)
+
+    def run(settings: Settings, output: Output) -> dict[str, Any]:
+        with progress_bar("episodes", experiment.total_work(options)) as advance:
+            document = experiment.run(options, out=settings.out, on_progress=advance)
+        output.say(experiment.render(document))
+        wall, compiling = document["wall_s"], document["compile_s"]
+        total = experiment.total_episodes(options)
+        output.say(f"{total} episodes in {wall:.1f} s, {compiling:.1f} s of them compilation.")
+        return document
+
+    return Study(
+        title=experiment.title,
+        lead=experiment.lead,
+        run=run,
+        tables=experiment.tables,
+        notes=experiment.notes,
+        figures=functools.partial(_figures, experiment.name),
+        made=lambda document: {
+            "episodes": f"{document['episodes']} a row and arm, seed {document['seed']}, "
+            f"{document['num_particles']} particles",
+            "models": f"SHA-256 {document['models_sha256']}",
+        },
+    )
+
+
 def _options_of(name: str, settings: Settings) -> Options:
-    """Say what an experiment of episodes runs."""
+    """Say what an experiment of episodes runs; the sensing range is a matter of each row."""
     is_robust = name == "robustness"
     return Options(
         episodes=settings.episodes,
@@ -124,43 +106,31 @@ def _options_of(name: str, settings: Settings) -> Options:
     )
 
 
-def timing(settings: Settings, output: Output) -> Study:
+def _timing(settings: Settings, output: Output) -> dict[str, Any]:
     """Measure where a decision cycle's time goes, under the engine's numbers of the settings."""
-    from jaxlangnav.experiments.archive import write_manifest
-    from jaxlangnav.experiments.timing import cycle_parts
-
     with waiting("timing the parts of a cycle", output):
         document: dict[str, Any] = cycle_parts(params=settings.params)
     whole, parts = document["cycle_us"], document["parts_us"]
     for part, spent in sorted(parts.items(), key=lambda one: -one[1]):
         output.say(f"{part:<34} {spent:8.1f} µs {100 * spent / whole:5.1f} %")
-    pictures = draw_figures(settings.out, output, _figures("time", document))
     if settings.out is not None:
-        written = write_manifest(document, settings.out / "time.json")
-        document["files"] = [str(path) for path in (written, *pictures)]
+        document["files"] = [str(write_manifest(document, settings.out / "time.json"))]
+    return document
+
+
+def _on_machine(document: Document) -> list[str]:
+    """Say on what the time was measured."""
     machine = document["machine"]
-    return told(
-        "time",
-        document,
-        settings,
-        title="Where the time goes",
-        lead="The parts of one decision cycle of one episode, each compiled alone and timed on the "
-        "same beliefs in a batch; planner, motion and what else there are is what is left over.",
-        pictures=[(path, "Bars of the parts of a cycle") for path in pictures],
-        notes=[
-            f"{machine['device']}, {machine['threads']} threads, load {machine['load']} at the "
-            f"start; JAX {machine['jax']}; policy {machine['policy']}. CPU time of all threads.",
-        ],
-    )
+    return [
+        f"{machine['device']}, {machine['threads']} threads, load {machine['load']} at the "
+        f"start; JAX {machine['jax']}; policy {machine['policy']}. CPU time of all threads."
+    ]
 
 
-def conversation(settings: Settings, output: Output) -> Study:
+def _conversation(settings: Settings, output: Output) -> dict[str, Any]:
     """Run episodes in which a simulated person speaks; ``informed`` alone is told of it."""
-    from jaxlangnav.experiments import conversation as rows_of
-    from jaxlangnav.files.whole import write_text
-
-    with progress_bar("episodes", settings.episodes * len(rows_of.ROWS)) as advance:
-        document = rows_of.run_rows(
+    with progress_bar("episodes", settings.episodes * len(spoken.ROWS)) as advance:
+        document = spoken.run_rows(
             episodes=settings.episodes,
             seed=settings.seed,
             particles=settings.particles,
@@ -168,23 +138,14 @@ def conversation(settings: Settings, output: Output) -> Study:
             out=settings.out,
             on_progress=advance,
         )
-    table = rows_of.dialogue_table(document)
-    output.say(table.text())
+    output.say(spoken.dialogue_table(document).text())
     if settings.out is not None:
         written = json.dumps(to_json(document), indent=2) + "\n"
         document["files"].append(str(write_text(written, settings.out / "conversation.json")))
-    return told(
-        "conversation",
-        document,
-        settings,
-        title=rows_of.HEADING,
-        lead="A simulated person who knows the goal corrects, answers and states.",
-        tables=[table],
-        notes=[rows_of.NOTE],
-    )
+    return document
 
 
-def _figures(name: str, document: Mapping[str, Any]) -> dict[str, Callable[[], Any]]:
+def _figures(name: str, document: Document) -> dict[str, Callable[[], Any]]:
     """Name the figures of an experiment, and what draws them."""
     from jaxlangnav.viz.rows import reliability_figure, table_figure, time_figure
     from jaxlangnav.viz.sweep import range_figure, robustness_figure, unknowns_figure
@@ -206,7 +167,7 @@ def _figures(name: str, document: Mapping[str, Any]) -> dict[str, Callable[[], A
     return found
 
 
-def reliability_panels(document: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+def reliability_panels(document: Document) -> dict[str, dict[str, Any]]:
     """Gather the reliability curves of a table's rows.
 
     Args:
@@ -231,15 +192,50 @@ def reliability_panels(document: Mapping[str, Any]) -> dict[str, dict[str, Any]]
     }
 
 
-STUDIES: dict[str, Callable[[Settings, Output], Study]] = {
-    "table1": table1,
-    "fig1": functools.partial(illustrations.illustrate, "fig1"),
-    "fig3": illustrations.factor_graph,
-    "fig4": functools.partial(illustrations.illustrate, "fig4"),
-    **{name: _episodes(name) for name in ("table2", "fig5", "unknowns")},
-    "time": timing,
-    "conversation": conversation,
-    "robustness": _episodes("robustness"),
+def _built(study: Study) -> Callable[[Settings], Study]:
+    """Give a study that is the same under all settings."""
+    return lambda _: study
+
+
+STUDIES: dict[str, Callable[[Settings], Study]] = {
+    "table1": _built(
+        Study(
+            title="Table 1: how often sentences are understood",
+            lead="Whole sentences whose annotation or behavior is exactly right among those held "
+            "out, mean and 95 % interval over random splits of 67 to 33 percent (section 4.1).",
+            run=_table1,
+            tables=lambda document: [table_1(document)],
+            notes=lambda _: [
+                "The corpora differ: the paper's 39 instructions were never published, ours ship "
+                "in the package. The commands of Table 2 are in neither.",
+            ],
+            made=lambda document: {"seed": str(document["seed"])},
+        )
+    ),
+    "fig1": _built(illustrations.episode("fig1")),
+    "fig3": _built(illustrations.FACTOR_GRAPH),
+    "fig4": _built(illustrations.episode("fig4")),
+    **{name: functools.partial(_episodes, name) for name in ("table2", "fig5", "unknowns")},
+    "time": _built(
+        Study(
+            title="Where the time goes",
+            lead="The parts of one decision cycle of one episode, each compiled alone and timed on "
+            "the same beliefs in a batch; planner, motion and what else there are is left over.",
+            run=_timing,
+            notes=_on_machine,
+            figures=functools.partial(_figures, "time"),
+        )
+    ),
+    "conversation": _built(
+        Study(
+            title=spoken.HEADING,
+            lead="A simulated person who knows the goal corrects, answers and states.",
+            run=_conversation,
+            tables=lambda document: [spoken.dialogue_table(document)],
+            notes=lambda _: [spoken.NOTE],
+        )
+    ),
+    "robustness": functools.partial(_episodes, "robustness"),
 }
 """Every experiment by its name on the command line, in the order of the report."""
 
@@ -266,8 +262,8 @@ def check_sizes(names: Sequence[str], settings: Settings) -> None:
             check_recording(navigator_config("faithful", settings.particles_drawn), MAX_STEPS)
 
 
-def run_one(name: str, settings: Settings, output: Output) -> Study:
-    """Run one experiment, print what it found and write its files.
+def run_one(name: str, settings: Settings, output: Output) -> tuple[dict[str, Any], Section]:
+    """Run one experiment, print what it found, write its files and draw its figures.
 
     Args:
         name: a key of ``STUDIES``.
@@ -280,10 +276,12 @@ def run_one(name: str, settings: Settings, output: Output) -> Study:
     Raises:
         ValueError: an option is outside its limits.
     """
-    study = STUDIES[name](settings, output)
-    for path in study.document.get("files", ()):
+    study = STUDIES[name](settings)
+    document = study.run(settings, output)
+    document["files"] += draw_figures(settings.out, output, study.figures(document))
+    for path in document["files"]:
         output.say(f"Wrote {path}")
-    return study
+    return document, study.section(name, document, settings)
 
 
 def run_all(settings: Settings, output: Output) -> Document:
@@ -300,15 +298,15 @@ def run_all(settings: Settings, output: Output) -> Document:
         ValueError: an option is outside its limits.
     """
     begin = time.perf_counter()
-    found: dict[str, Study] = {}
+    found: dict[str, tuple[dict[str, Any], Section]] = {}
     for place, name in enumerate(reported(), start=1):
         output.note(f"{name} ({place} of {len(reported())})")
         found[name] = run_one(name, settings, output)
-    documents: dict[str, Any] = {name: study.document for name, study in found.items()}
+    documents: dict[str, Any] = {name: document for name, (document, _) in found.items()}
     documents["report"] = None
     if settings.out is not None:
         made = _made_by(settings, time.perf_counter() - begin)
-        sections = [study.section for study in found.values()]
+        sections = [section for _, section in found.values()]
         title = "Following commands in unknown places: ours beside the paper's"
         path = write_report(title, sections, settings.out / "report.html", made=made)
         documents["report"] = str(path)

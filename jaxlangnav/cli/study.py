@@ -1,12 +1,12 @@
-"""What the experiments behind ``jaxlangnav reproduce`` share: settings, and what they hand back."""
+"""What the experiments behind ``jaxlangnav reproduce`` share: settings, and one record each."""
 
 import dataclasses
 import importlib.util
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jaxlangnav.cli.output import Output
+from jaxlangnav.cli.output import Document, Output
 from jaxlangnav.cli.settings import SettingPath
 from jaxlangnav.experiments.table import Section, Table
 from jaxlangnav.navigator import NavigatorParams
@@ -41,64 +41,45 @@ class Settings:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Study:
-    """An experiment that has been run: what ``reproduce`` makes of settings and an output."""
+    """An experiment of ``reproduce``: how it is run, and what stands of it in the report."""
 
-    document: dict[str, Any]
-    section: Section
+    title: str
+    lead: str
+    """What it is, and what to see in it."""
+    run: Callable[[Settings, Output], dict[str, Any]]
+    """Runs it and tells it; the document has ``wall_s`` and the ``files`` that are written."""
+    tables: Callable[[Document], list[Table]] = lambda _: []
+    notes: Callable[[Document], list[str]] = lambda _: []
+    figures: "Callable[[Document], Mapping[str, Callable[[], Figure]]]" = lambda _: {}
+    """What draws its figures, by the name of their files."""
+    made: Callable[[Document], Mapping[str, str]] = lambda _: {}
+    """What else there is to say of how it was made."""
 
-
-def told(
-    name: str,
-    document: dict[str, Any],
-    settings: Settings,
-    *,
-    title: str,
-    lead: str,
-    pictures: Sequence[tuple[Path, str]] = (),
-    tables: Sequence[Table] = (),
-    notes: Sequence[str] = (),
-    made: Mapping[str, str] | None = None,
-) -> Study:
-    """Put what an experiment found into its part of the report.
-
-    Args:
-        name: on the command line.
-        document: what was found, with ``wall_s`` and perhaps ``compile_s`` and ``files``.
-        settings: what was run.
-        title: of the part.
-        lead: what it is, and what to see in it.
-        pictures: files, each with the words for those who cannot see it; SVG ones are shown, sharp
-            at any size.
-        tables: beneath them.
-        notes: beneath those.
-        made: what else there is to say of how it was made.
-
-    Returns:
-        The study.
-    """
-    took = f"{document['wall_s']:.{0 if document['wall_s'] > 10 else 1}f} s"
-    if "compile_s" in document:
-        took += f", {document['compile_s']:.0f} s of them compilation"
-    section = Section(
-        title=title,
-        lead=lead,
-        pictures=[(path, words) for path, words in pictures if path.suffix == ".svg"],
-        tables=tables,
-        notes=notes,
-        made={
-            "command": settings.command(name),
-            **(made or {}),
-            "wall time": took,
-            "files": ", ".join(Path(path).name for path in document.get("files", ())),
-        },
-    )
-    return Study(document=document, section=section)
+    def section(self, name: str, document: Document, settings: Settings) -> Section:
+        """Put what was found into the report; SVG pictures are shown, sharp at any size."""
+        wall, files = document["wall_s"], [Path(path) for path in document["files"]]
+        took = f"{wall:.{0 if wall > 10 else 1}f} s"
+        if "compile_s" in document:
+            took += f", {document['compile_s']:.0f} s of them compilation"
+        return Section(
+            title=self.title,
+            lead=self.lead,
+            pictures=[(path, f"{self.title}: figure") for path in files if path.suffix == ".svg"],
+            tables=self.tables(document),
+            notes=self.notes(document),
+            made={
+                "command": settings.command(name),
+                **self.made(document),
+                "wall time": took,
+                "files": ", ".join(path.name for path in files),
+            },
+        )
 
 
 def draw_figures(
     out: Path | None, output: Output, figures: "Mapping[str, Callable[[], Figure]]"
-) -> list[Path]:
-    """Draw figures, where there is a folder and something to draw with.
+) -> list[str]:
+    """Draw figures into a folder, if there is one, and say so where nothing draws them.
 
     Args:
         out: the folder; nothing is drawn if None.
@@ -106,13 +87,13 @@ def draw_figures(
         figures: by the name of their files, what draws them.
 
     Returns:
-        The files.
+        The paths of the files.
     """
-    if out is None:
+    if out is None or not figures:
         return []
     if importlib.util.find_spec("matplotlib") is None:
         output.note('note: no figure without matplotlib: pip install "jaxlangnav[viz]"')
         return []
     from jaxlangnav.viz.style import save
 
-    return [path for name, figure in figures.items() for path in save(figure(), out / name)]
+    return [str(path) for name, draw in figures.items() for path in save(draw(), out / name)]

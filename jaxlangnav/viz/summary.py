@@ -29,17 +29,6 @@ class SeenObject:
     goal_mass: float  # probability that it is the goal
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class GoalHypothesis:
-    """What is believed of a type that has been spoken of and not yet seen."""
-
-    object_type: int
-    probability: float  # weight of the particles for which it is still a hypothesis
-    x: float  # metres, map frame: weighted mean
-    y: float
-    spread: float  # metres, root mean square distance from the mean
-
-
 def seen_objects(frame: Frame) -> list[SeenObject]:
     """Sum up the observed objects of a frame.
 
@@ -70,26 +59,6 @@ def seen_objects(frame: Frame) -> list[SeenObject]:
             )
         )
     return found
-
-
-def hypotheses(frame: Frame) -> list[GoalHypothesis]:
-    """Sum up the hypotheses of a frame by type.
-
-    Returns:
-        One entry for each hypothesised type, the most probable first.
-    """
-    found = []
-    for kind in np.unique(frame.mention_type[np.asarray(frame.is_hypothesised)]):
-        is_of_type = frame.is_hypothesised & (frame.mention_type == kind)
-        share = np.where(is_of_type, frame.weight[None, :], 0.0)
-        particles = float(np.where(is_of_type.any(axis=0), frame.weight, 0.0).sum())
-        if particles < _LEAST_SHARE:
-            continue
-        x, y, spread = _moments(share, frame.hypothesis_x, frame.hypothesis_y)
-        found.append(
-            GoalHypothesis(object_type=int(kind), probability=particles, x=x, y=y, spread=spread)
-        )
-    return sorted(found, key=lambda one: -one.probability)
 
 
 def expected_goal(frames: Frame) -> np.ndarray:
