@@ -23,8 +23,9 @@ from jaxlangnav.experiments.calibration import (
     nothing,
     scores,
 )
-from jaxlangnav.experiments.judging import bin_sums, curve, pooled, run_judged
+from jaxlangnav.experiments.judging import JUDGED, bin_sums, curve, pooled
 from jaxlangnav.experiments.metrics import wilson_interval
+from jaxlangnav.experiments.monte_carlo import run_tasks
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.tasks import SENTENCES, cell, ground_sentences, make_tasks
 from jaxlangnav.navigator import default_params
@@ -260,7 +261,7 @@ def test_every_step_of_an_episode_is_judged_once() -> None:
     sentences = ground_sentences([SENTENCES["behind"]])
     tasks = make_tasks(cell("1H1C", "behind", 0, 3.0, 40, 5))
     given: Any = {"params": default_params(), "config": navigator_config("informed", 16)}
-    results, found = run_judged(tasks, sentences.instructions, **given)
+    results, found = run_tasks(tasks, sentences.instructions, course=JUDGED, **given)
     np.testing.assert_array_equal(found.steps.sum(axis=1), results.steps)
     assert results.is_success.mean() > 0.8
 

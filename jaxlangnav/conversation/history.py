@@ -106,26 +106,17 @@ class Account:
         )
 
 
-@dataclasses.dataclass(frozen=True)
-class _About:
-    """What readings are about, on the host; as ``Words``."""
+def accounts_of(readings: Readings, words: Words) -> list[Account]:
+    """Read arrays into records, the likeliest first.
 
-    is_asked: np.ndarray
-    avoid: np.ndarray
-    goal: np.ndarray
-    is_pinned: np.ndarray
-    heard: np.ndarray
+    Args:
+        readings: of all that has been said, leaves [K, ...], of one robot.
+        words: what they are about.
 
-    @classmethod
-    def of(cls, words: Words) -> "_About":
-        """Fetch it from the device."""
-        names = [field.name for field in dataclasses.fields(cls)]
-        return cls(*jax.device_get([getattr(words, name) for name in names]))
-
-
-def _accounts(readings: Readings, about: _About) -> list[Account]:
-    """Read arrays into records, the likeliest first."""
-    table = jax.device_get(readings)
+    Returns:
+        One for each reading that has a probability.
+    """
+    table, about = jax.device_get((readings, words))
     num_mentions, num_relations = table.mention_type.shape[1], table.relation.shape[1]
     found = []
     for k in np.argsort(-table.log_probability, kind="stable"):
@@ -148,19 +139,6 @@ def _accounts(readings: Readings, about: _About) -> list[Account]:
     return found
 
 
-def accounts_of(readings: Readings, words: Words) -> list[Account]:
-    """Read what has been said into records, the likeliest first.
-
-    Args:
-        readings: of all that has been said, leaves [K, ...], of one robot.
-        words: what they are about.
-
-    Returns:
-        One for each reading that has a probability.
-    """
-    return _accounts(readings, _About.of(words))
-
-
 def _goals(reading: Account, spoken: Spoken | None, num_clauses: int) -> list[int]:
     """Find the mention that each command of a sentence is about."""
     told = spoken or Spoken()
@@ -179,6 +157,22 @@ def _goals(reading: Account, spoken: Spoken | None, num_clauses: int) -> list[in
     return goals
 
 
+def _heard_now(instruction: Instruction, heard: int, *, is_asked: bool) -> Words:
+    """Take an utterance by itself; leaves are NumPy arrays, of goals nothing is known yet."""
+    readings, size = instruction.readings, instruction.program.num_phrases.shape[-1]
+    shape = readings.mention_type.shape
+    fields: dict[str, Any] = {
+        "is_asked": np.full(shape, is_asked),
+        "avoid": np.zeros(shape, np.int32),
+        "goal": np.full((shape[0], size), NONE, np.int32),
+        "is_pinned": np.zeros((shape[0], size), bool),
+        "heard": np.full(readings.relation.shape, heard, np.int32),
+        "num_heard": np.int32(heard + 1),
+        "num_dropped": np.int32(0),
+    }
+    return Words(**fields)
+
+
 def new_accounts(
     instruction: Instruction, spoken: Spoken | None, heard: int, *, is_asked: bool
 ) -> list[Account]:
@@ -193,16 +187,8 @@ def new_accounts(
     Returns:
         One for each reading that has a probability.
     """
-    readings, number = instruction.readings, int(instruction.num_clauses)
-    shape, size = readings.mention_type.shape, instruction.program.num_phrases.shape[-1]
-    about = _About(
-        is_asked=np.full(shape, is_asked),
-        avoid=np.zeros(shape, np.int32),
-        goal=np.full((shape[0], size), NONE),
-        is_pinned=np.zeros((shape[0], size), bool),
-        heard=np.full(readings.relation.shape, heard),
-    )
-    found = _accounts(readings, about)
+    number = int(instruction.num_clauses)
+    found = accounts_of(instruction.readings, _heard_now(instruction, heard, is_asked=is_asked))
     for reading in found:
         reading.new_goals = _goals(reading, spoken, number)
         reading.edges = [dataclasses.replace(one, source=NONE) for one in reading.edges]
@@ -309,20 +295,9 @@ def first_words(instruction: Instruction, spoken: Spoken | None) -> Words:
     Returns:
         What its readings are about.
     """
-    readings = instruction.readings
-    k_size, m_size = readings.mention_type.shape
-    size = instruction.program.num_phrases.shape[-1]
-    goal = np.full((k_size, size), NONE, np.int32)
-    order = np.argsort(-np.asarray(readings.log_probability), kind="stable")
+    words = _heard_now(instruction, 0, is_asked=True)
+    goal = np.array(words.goal)
+    order = np.argsort(-np.asarray(instruction.readings.log_probability), kind="stable")
     for k, one in zip(order, new_accounts(instruction, spoken, 0, is_asked=True), strict=False):
         goal[k, : len(one.new_goals)] = one.new_goals
-    fields = {
-        "is_asked": np.ones((k_size, m_size), bool),
-        "avoid": np.zeros((k_size, m_size), np.int32),
-        "goal": goal,
-        "is_pinned": np.zeros(goal.shape, bool),
-        "heard": np.zeros(readings.relation.shape, np.int32),
-        "num_heard": np.int32(1),
-        "num_dropped": np.int32(0),
-    }
-    return Words(**jax.device_put(fields))
+    return jax.device_put(dataclasses.replace(words, goal=goal))

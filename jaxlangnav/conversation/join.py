@@ -134,13 +134,6 @@ def _is_needed(reading: Account, edge: Edge) -> bool:
     return bool({edge.figure, edge.landmark} & needed - held)
 
 
-def _goes_with(edge: Edge, dropped: Edge) -> bool:
-    """Tell whether a relation goes where another one does: "between" says nothing by halves."""
-    return edge is dropped or (
-        edge.rank == dropped.rank == BETWEEN and edge.figure == dropped.figure
-    )
-
-
 def _fitted(reading: Account, num_mentions: int, num_relations: int) -> Account:
     """Drop the oldest relations, and what nothing speaks of any more, until the arrays hold it."""
     dropped = 0
@@ -150,7 +143,14 @@ def _fitted(reading: Account, num_mentions: int, num_relations: int) -> Account:
         if len(kept) <= num_mentions and len(reading.edges) <= num_relations:
             break
         oldest = min(reading.edges, key=lambda one: (_is_needed(reading, one), one.heard))
-        reading.edges = [one for one in reading.edges if not _goes_with(one, oldest)]
+        # "Between" says nothing by halves: a relation goes where its other one does.
+        is_half = oldest.rank == BETWEEN
+        reading.edges = [
+            one
+            for one in reading.edges
+            if one is not oldest
+            and not (is_half and one.rank == BETWEEN and one.figure == oldest.figure)
+        ]
         dropped += 1
     place = [kept.index(m) if m in touched else NONE for m in range(len(reading.mentions))]
 

@@ -45,11 +45,6 @@ _RINGS, _STEPS, _ANGLES = 200, 800, 720
 """Rings about the start, steps of the way, and directions in which a ring is held to the area."""
 
 
-def _operating_depth(mean: float, sd: float) -> float:
-    """Compute D, how far the operating area reaches ahead, metres; it is √2 D wide."""
-    return mean + AREA_SIGMAS * sd
-
-
 def _likeliest_share(
     edges: np.ndarray, area: np.ndarray, mass: np.ndarray, sensing_range: float, way: np.ndarray
 ) -> np.ndarray:
@@ -139,7 +134,7 @@ def limits(template: str, relation: str, sensing_range: float) -> dict[str, floa
     }
     if relation == "null":
         number = record.num_hydrants
-        depth = _operating_depth(mean, sd)
+        depth = mean + AREA_SIGMAS * sd  # how far the operating area reaches ahead; √2 D wide
         found["search_uniform"] = _uniform_search_bound(
             depth, math.sqrt(2.0) * depth, sensing_range, number
         )

@@ -14,8 +14,8 @@ from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.experiments.archive import CompileClock, pytree_hash, write_experiment
 from jaxlangnav.experiments.calibration import Tally, scores
 from jaxlangnav.experiments.grid import Arm, Grid, Played, Row, policy_arm, run_grid
-from jaxlangnav.experiments.judging import bin_sums, run_judged
-from jaxlangnav.experiments.monte_carlo import OnProgress
+from jaxlangnav.experiments.judging import JUDGED, bin_sums
+from jaxlangnav.experiments.monte_carlo import OnProgress, run_tasks
 from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, POLICY_NAMES, check_policies
 from jaxlangnav.experiments.rows import RowSpec, describe_noise, printed_rows
 from jaxlangnav.experiments.sizes import check_count, check_engine, result_bytes, task_bytes
@@ -219,12 +219,13 @@ class Experiment:
             nothing = {"ece": None, "brier": None, "coverage90": None, "reliability": None}
             return [dict(nothing) for _ in self.specs]
         firsts = each * np.arange(len(self.specs))
-        _, tally = run_judged(
+        _, tally = run_tasks(
             take_tasks(played.tasks, (firsts[:, None] + np.arange(judged)).ravel()),
             sentences.instructions,
             params=arm.params,
             config=arm.config,
             on_progress=on_progress,
+            course=JUDGED,
         )
         return [_scored_part(tally, at, judged) for at in range(len(self.specs))]
 

@@ -18,7 +18,7 @@ import pyarrow as pa
 from jaxlangnav.anywhere import with_numbers
 from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task
 from jaxlangnav.experiments.calibration import Tally
-from jaxlangnav.experiments.judging import run_judged
+from jaxlangnav.experiments.judging import JUDGED
 from jaxlangnav.experiments.metrics import summarize
 from jaxlangnav.experiments.monte_carlo import OnProgress, run_tasks
 from jaxlangnav.experiments.policies import navigator_config, run_policy, without_compass
@@ -107,8 +107,8 @@ class Arm:
         *,
         on_progress: OnProgress | None = None,
         num_threads: int | None = None,
-    ) -> EpisodeResult:
-        """Run any number of tasks.
+    ) -> tuple[EpisodeResult, Tally | None]:
+        """Run any number of tasks and, where ``is_judged``, hold the belief against the truth.
 
         Args:
             tasks: leaves [E, …].
@@ -117,44 +117,23 @@ class Arm:
             num_threads: calls under way at once; as many as keep all cores busy by default.
 
         Returns:
-            Results as NumPy arrays, leaves [E, …], in the order of the tasks.
+            Results as NumPy arrays, leaves [E, …], in the order of the tasks; and the sums of each
+            episode, leaves [E, …], None where nothing is judged.
         """
-        shared: dict[str, Any] = {"on_progress": on_progress, "num_threads": num_threads}
+        shared: dict[str, Any] = {
+            "on_progress": on_progress,
+            "num_threads": num_threads,
+            "max_steps": self.max_steps,
+        }
         if self.config is None:
-            return run_policy(self.policy, tasks, instructions, max_steps=self.max_steps, **shared)
-        params = default_params() if self.params is None else self.params
-        return run_tasks(
-            tasks,
-            instructions,
-            params=params,
-            config=self.config,
-            max_steps=self.max_steps,
-            **shared,
-        )
-
-    def judge(
-        self, tasks: Task, instructions: Instruction, *, on_progress: OnProgress | None = None
-    ) -> tuple[EpisodeResult, Tally | None]:
-        """Run any number of tasks and, where ``is_judged``, hold the belief against the truth.
-
-        Args:
-            tasks: leaves [E, …].
-            instructions: leaves [I, …].
-            on_progress: called with the number of episodes just finished.
-
-        Returns:
-            Results, and the sums of each episode, leaves [E, …]; None where nothing is judged.
-        """
-        if not self.is_judged or self.config is None:
-            return self.run(tasks, instructions, on_progress=on_progress), None
-        return run_judged(
-            tasks,
-            instructions,
-            params=default_params() if self.params is None else self.params,
-            config=self.config,
-            max_steps=self.max_steps,
-            on_progress=on_progress,
-        )
+            return run_policy(self.policy, tasks, instructions, **shared), None
+        shared |= {
+            "params": default_params() if self.params is None else self.params,
+            "config": self.config,
+        }
+        if self.is_judged:
+            return run_tasks(tasks, instructions, course=JUDGED, **shared)
+        return run_tasks(tasks, instructions, **shared), None
 
 
 def policy_arm(
@@ -292,13 +271,13 @@ def _judge(
     for place, setting in enumerate(grid.settings):
         groups.setdefault(tuple(sorted(setting.believed.items())), []).append(place)
     if list(groups) == [()] or arm.config is None:
-        return arm.judge(tasks, instructions, on_progress=on_progress)
+        return arm.run(tasks, instructions, on_progress=on_progress)
     places, parts = [], []
     for numbers, listed in groups.items():
         starts = grid.episodes * np.array(listed)
         mine = (starts[:, None] + np.arange(grid.episodes)).ravel()
         told = arm.believing(dict(numbers))
-        parts.append(told.judge(take_tasks(tasks, mine), instructions, on_progress=on_progress))
+        parts.append(told.run(take_tasks(tasks, mine), instructions, on_progress=on_progress))
         places.append(mine)
     order = np.argsort(np.concatenate(places))
     return jax.tree.map(lambda *leaves: np.concatenate(leaves)[order], *parts)

@@ -1,25 +1,20 @@
 """Episodes that are judged step by step as they run (``calibration``)."""
 
 import operator
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, TypeAlias
 
 import jax
 import numpy as np
 
 from jaxlangnav.episode import (
-    MAX_STEPS,
-    EpisodeResult,
     EpisodeState,
-    Task,
     advance,
     begin,
     finish,
 )
 from jaxlangnav.experiments.calibration import Reliability, Tally, nothing, tally_step
 from jaxlangnav.experiments.metrics import wilson_interval
-from jaxlangnav.experiments.monte_carlo import run_tasks
-from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.lanes import Course
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams
 from jaxlangnav.pytree import pytree
@@ -41,45 +36,13 @@ def _advance_judged(
     return _Judged(progress=after, tally=jax.tree.map(operator.add, state.tally, one)), None
 
 
-_JUDGED = Course(
+JUDGED = Course(
     begin=lambda *given, config: _Judged(progress=begin(*given, config=config), tally=nothing()),
     advance=_advance_judged,
     finish=lambda state: (finish(state.progress), state.tally),
     progress=operator.attrgetter("progress"),
 )
-
-
-def run_judged(
-    tasks: Task,
-    instructions: Instruction,
-    *,
-    params: NavigatorParams,
-    config: NavigatorConfig,
-    max_steps: int = MAX_STEPS,
-    on_progress: Callable[[int], None] | None = None,
-) -> tuple[EpisodeResult, Tally]:
-    """Run any number of episodes and judge every step of them, in refilled lanes.
-
-    Args:
-        tasks: leaves [E, …].
-        instructions: leaves [I, …].
-        params: the navigator's numbers.
-        config: sizes and policy.
-        max_steps: cycles until a time-out.
-        on_progress: called with the number of episodes just run.
-
-    Returns:
-        Results and sums of each episode as NumPy arrays, leaves [E, …].
-    """
-    return run_tasks(
-        tasks,
-        instructions,
-        params=params,
-        config=config,
-        on_progress=on_progress,
-        max_steps=max_steps,
-        course=_JUDGED,
-    )
+"""Of ``run_tasks``: runs episodes as usual, and gives results and ``Tally`` of each."""
 
 
 Bins: TypeAlias = Mapping[str, Sequence[float]]

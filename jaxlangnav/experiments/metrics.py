@@ -72,12 +72,6 @@ def timeouts_text(row: Mapping[str, Any]) -> str:
     return f"{row['timeouts']}{given_up}"
 
 
-def _efficiency(known: np.ndarray, distance: np.ndarray) -> np.ndarray:
-    """Compare the ways walked with the least that end within reach of the goal."""
-    straight = np.maximum(known - SUCCESS_RADIUS, 1e-9)
-    return straight / np.maximum(straight, distance)
-
-
 def summarize(results: EpisodeResult, known_distance: np.ndarray) -> RowMetrics:
     """Summarise episodes of one row.
 
@@ -96,6 +90,7 @@ def summarize(results: EpisodeResult, known_distance: np.ndarray) -> RowMetrics:
     success = np.asarray(results.is_success)[valid]
     distance = np.asarray(results.distance, np.float64)[valid]
     known = np.asarray(known_distance, np.float64)[valid]
+    straight = np.maximum(known - SUCCESS_RADIUS, 1e-9)  # the least way that may end in a success
     number = int(valid.sum())
     low, high = wilson_interval(int(success.sum()), number)
     spread = float(distance.std(ddof=1)) if number > 1 else 0.0
@@ -108,7 +103,7 @@ def summarize(results: EpisodeResult, known_distance: np.ndarray) -> RowMetrics:
         distance_sd=spread,
         known_distance_mean=float(known.mean()) if number else 0.0,
         known_distance_sd=known_spread,
-        spl=float((success * _efficiency(known, distance)).mean()) if number else 0.0,
+        spl=float((success * straight / np.maximum(straight, distance)).mean()) if number else 0.0,
         steps_mean=float(np.asarray(results.steps)[valid].mean()) if number else 0.0,
         overflows=int(np.asarray(results.overflow)[valid].sum()),
         degenerate=int(np.asarray(results.degenerate)[valid].sum()),

@@ -144,7 +144,11 @@ def run_round(
     padded = [*works, *[works[0]] * idle]
     split = NamedSharding(mesh(), PartitionSpec(_AXIS))
     everywhere = NamedSharding(mesh(), PartitionSpec())
-    stacked = strong(_stack([(one.tasks, one.params) for one in padded]))
+    stacked = strong(
+        jax.tree.map(
+            lambda *leaves: jnp.stack(leaves), *[(one.tasks, one.params) for one in padded]
+        )
+    )
     tasks, params = jax.device_put(stacked, split)
     counts = [*(one.count for one in works), *[0] * idle]
     count = jax.device_put(jnp.asarray(counts, jnp.int32), split)
@@ -154,11 +158,6 @@ def run_round(
         jax.tree.map(lambda leaf, at=at, size=one.count: leaf[at, :size], results)
         for at, one in enumerate(works)
     ]
-
-
-def _stack(records: Sequence[Any]) -> Any:
-    """Put the works of all devices behind one another, leaves [devices, …]."""
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *records)
 
 
 def _program(inputs: Any, config: NavigatorConfig, max_steps: int, course: Course) -> Any:

@@ -337,7 +337,7 @@ def _make_files(
     ]
     if config is None or not works:
         results = [
-            one.arm.run(own, sentences.instructions, num_threads=1)
+            one.arm.run(own, sentences.instructions, num_threads=1)[0]
             for one, own in zip(chunks, tasks, strict=True)
         ]
     else:

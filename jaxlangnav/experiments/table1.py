@@ -16,7 +16,7 @@ import numpy as np
 
 from jaxlangnav.experiments.monte_carlo import OnProgress
 from jaxlangnav.experiments.sizes import check_count, readable_count
-from jaxlangnav.experiments.table import Table
+from jaxlangnav.experiments.table import Document, Table
 from jaxlangnav.grounding.annotation import infer_annotations
 from jaxlangnav.grounding.correspondence import CorrespondenceGraph
 from jaxlangnav.grounding.model import (
@@ -344,7 +344,7 @@ def _cell(row: dict[str, float]) -> str:
     return f"{row['accuracy_mean']:.2f} ± {row['accuracy_ci95']:.2f}{proven}"
 
 
-def table_1(document: dict[str, Any]) -> Table:
+def table_1(document: Document) -> Table:
     """Lay out the table for people, ours beside the paper's.
 
     Args:

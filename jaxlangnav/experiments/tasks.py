@@ -181,7 +181,8 @@ def draw_tasks(cells: Sequence[Cell], index: np.ndarray, numbers: np.ndarray) ->
     """
     if len({one.place is None for one in cells}) > 1:
         raise ValueError("places and templates cannot be drawn at once: they differ in size")
-    stacked = _stack([_describe(one) for one in cells])
+    described = [_describe(one) for one in cells]
+    stacked = jax.tree.map(lambda *leaves: np.stack([*map(np.asarray, leaves)]), *described)
     seeds = np.array([one.seed for one in cells], np.uint32)
     names = np.array([zlib.crc32(one.world.encode()) for one in cells], np.uint32)
     cycle = np.array([one.environments for one in cells])[index]
@@ -227,11 +228,6 @@ def _describe(one: Cell) -> dict[str, Any]:
         "is_own": np.asarray(is_own),
         "scenario": one.scenario if is_own else empty_scenario(),
     }
-
-
-def _stack(records: Sequence[Any]) -> Any:
-    """Stack records leaf by leaf, on the host."""
-    return jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *records)
 
 
 def make_tasks(one: Cell) -> Task:

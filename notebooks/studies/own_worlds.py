@@ -22,7 +22,8 @@ from jax import Array
 
 from jaxlangnav.episode import Task
 from jaxlangnav.experiments.calibration import Tally
-from jaxlangnav.experiments.judging import run_judged
+from jaxlangnav.experiments.judging import JUDGED
+from jaxlangnav.experiments.monte_carlo import run_tasks
 from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, navigator_config
 from jaxlangnav.experiments.tasks import SENTENCES, Cell, GroundedSentences, cell, concatenate
 from jaxlangnav.grounding.instruction import Instruction
@@ -319,11 +320,12 @@ def judge_own_worlds(
         tasks = own_tasks(one, sentences.instructions, bounds, start, params=numbers.map)
         if not bool(np.all(np.asarray(tasks.scenario.is_valid))):
             raise ValueError(f'no world fits "{SENTENCES[name]}" in the area {area}: enlarge it')
-        _, found[name] = run_judged(
+        _, found[name] = run_tasks(
             tasks,
             sentences.instructions,
             params=numbers,
             config=navigator_config(policy, num_particles),
             max_steps=max_steps,
+            course=JUDGED,
         )
     return found
