@@ -21,8 +21,7 @@ from record import Measurement, entry
 from jaxlangnav.episode import advance, begin
 from bench import Workbench, set_up
 from jaxlangnav.experiments.timing import POLICY, measure
-from jaxlangnav.experiments.monte_carlo import LANES
-from jaxlangnav.experiments.monte_carlo import run_tasks
+from jaxlangnav.experiments.monte_carlo import LANES, run_tasks
 from jaxlangnav.experiments.tasks import take_tasks
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.navigator import NavigatorConfig

@@ -52,8 +52,7 @@ def time_line(document: dict[str, Any]) -> str:
 
 def unknowns_section(document: dict[str, Any]) -> str:
     """Write what the paper leaves open, and what of it explains its figures."""
-    notes = UNKNOWNS.notes(document)
-    rows = len(document["paper"])
+    notes, rows = UNKNOWNS.notes(document), len(document["paper"])
     lines = "\n".join(f"- {line}" for line in notes[:rows])
     conditions = "\n".join(notes[rows:])
     return f"""## What would explain the paper's figures
