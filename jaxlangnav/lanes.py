@@ -144,7 +144,10 @@ def _run_batch(
 
     first = jnp.arange(num_lanes, dtype=jnp.int32)
     state = jax.vmap(load)(first)
-    results = _no_results(state, capacity, course)
+    shape = jax.eval_shape(
+        lambda one: course.finish(one), jax.tree.map(lambda leaf: leaf[0], state)
+    )
+    results = jax.tree.map(lambda leaf: jnp.zeros((capacity, *leaf.shape), leaf.dtype), shape)
     lanes = _Lanes(
         state=state,
         episode=jnp.minimum(first, number),
@@ -152,14 +155,6 @@ def _run_batch(
         results=results,
     )
     return jax.lax.while_loop(lambda one: jnp.any(one.episode < number), body, lanes).results
-
-
-def _no_results(state: Any, capacity: int, course: Course) -> Any:
-    """Make room for the results of E episodes, leaves [E, …], given states of lanes."""
-    shape = jax.eval_shape(
-        lambda one: course.finish(one), jax.tree.map(lambda leaf: leaf[0], state)
-    )
-    return jax.tree.map(lambda leaf: jnp.zeros((capacity, *leaf.shape), leaf.dtype), shape)
 
 
 def _refilled(

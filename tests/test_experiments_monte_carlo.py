@@ -11,7 +11,7 @@ import pytest
 from jaxlangnav.episode import EpisodeResult, Task
 from jaxlangnav.experiments import monte_carlo
 from jaxlangnav.experiments.baselines import run_baseline
-from jaxlangnav.experiments.grid import Arm, Grid, policy_arm, run_grid, typed
+from jaxlangnav.experiments.grid import Arm, Grid, _kind, policy_arm, run_grid
 from jaxlangnav.experiments.policies import run_policy
 from jaxlangnav.experiments.rows import RowSpec
 from jaxlangnav.experiments.sweep_config import config_from_dict
@@ -179,8 +179,8 @@ def test_a_table_and_a_sweep_are_the_same_episodes() -> None:
     ours, theirs = GRID.draw(PLACES), swept.arms[0].tasks(swept.draw(PLACES))
     np.testing.assert_array_equal(ours.scenario.object_x, theirs.scenario.object_x)
     np.testing.assert_array_equal(ours.sensor.range_max, theirs.sensor.range_max)
-    labels = swept.labels(swept.arms[0], PLACES)
-    for name, values in GRID.labels(GRID.arms[0], PLACES).items():
+    labels = swept._labels(swept.arms[0], PLACES)
+    for name, values in GRID._labels(GRID.arms[0], PLACES).items():
         assert labels[name] == values
     # Any part of an arm's episodes is what it is in the whole.
     part = GRID.draw(PLACES[3:7])
@@ -215,8 +215,9 @@ def test_a_grid_is_run_arm_by_arm_and_summed_up_by_setting() -> None:
 
 
 def test_labels_have_one_type_in_every_file() -> None:
-    found = typed({"particles": [None], "map.kernel": [None], "world": ["1H1C"], "seed": [1]})
-    assert [str(one.type) for one in found.values()] == ["int64", "double", "string", "int64"]
+    labels = {"particles": [None], "map.kernel": [None], "world": ["1H1C"], "seed": [1]}
+    found = [str(_kind(*one)) for one in labels.items()]
+    assert found == ["int64", "double", "string", "int64"]
 
 
 def test_a_setting_may_have_numbers_of_its_own_to_believe(
@@ -234,7 +235,7 @@ def test_a_setting_may_have_numbers_of_its_own_to_believe(
         calls.append((float(self.params.map.concentration), tasks.key.shape[0]))
         return np.asarray(tasks.scenario.object_x) + 100.0 * calls[-1][0], None
 
-    monkeypatch.setattr(Arm, "judge", judge)
+    monkeypatch.setattr(Arm, "run", judge)
     grid = dataclasses.replace(GRID, settings=settings, arms=[arm])
     (played,) = run_grid(grid, None)  # pyright: ignore
     usual = float(np.float32(0.3))

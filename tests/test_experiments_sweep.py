@@ -26,8 +26,6 @@ from jaxlangnav.experiments.sweep_config import SweepConfig, config_from_dict, r
 from jaxlangnav.experiments.sweep_plan import (
     make_plan,
     parse_shard,
-    shard_episodes,
-    shard_files,
 )
 from jaxlangnav.experiments.tasks import draw_tasks, ground_sentences
 from jaxlangnav.navigator import NavigatorConfig
@@ -158,7 +156,7 @@ def test_the_plan_holds_every_episode_once() -> None:
     rows = set()
     for index in range(plan.num_files):
         chunk = plan.chunk(index)
-        columns = plan.grid.labels(chunk.arm, chunk.places)
+        columns = plan.grid._labels(chunk.arm, chunk.places)
         assert {len(values) for values in columns.values()} == {chunk.size}
         rows |= set(zip(*columns.values(), strict=True))
     assert len(rows) == plan.episodes()
@@ -166,7 +164,7 @@ def test_the_plan_holds_every_episode_once() -> None:
 
 def test_shards_split_the_plan() -> None:
     plan = make_plan(config_from_dict(SMALL | {"episodes": 3000}))
-    parts = [shard_files(plan, f"{i}/5") for i in range(1, 6)]
+    parts = [plan.files(f"{i}/5") for i in range(1, 6)]
     assert sorted([index for part in parts for index in part]) == list(range(plan.num_files))
     assert max(map(len, parts)) - min(map(len, parts)) <= 1
 
@@ -175,13 +173,13 @@ def test_a_part_of_a_billion_episodes_is_a_part() -> None:
     config = config_from_dict(SMALL | {"episodes": 10**8, "seeds": list(range(10))})
     plan = make_plan(config)
     assert plan.episodes() == 10**9 * plan.num_arms * plan.num_settings // 10
-    parts = [shard_episodes(plan, f"{i}/1000") for i in (1, 500, 1000)]
+    parts = [plan.episodes_of(f"{i}/1000") for i in (1, 500, 1000)]
     assert max(parts) - min(parts) <= 1024
-    last = plan.chunk(shard_files(plan, "7/1000")[-1])
-    columns = plan.grid.labels(last.arm, last.places)
+    last = plan.chunk(plan.files("7/1000")[-1])
+    columns = plan.grid._labels(last.arm, last.places)
     assert columns["episode"][0] == last.first % 10**8
     assert columns["seed"][0] == last.first // 10**8
-    assert sum(shard_episodes(plan, f"{i}/7") for i in range(1, 8)) == plan.episodes()
+    assert sum(plan.episodes_of(f"{i}/7") for i in range(1, 8)) == plan.episodes()
 
 
 @pytest.mark.parametrize(

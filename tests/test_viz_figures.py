@@ -170,7 +170,7 @@ def test_texts_stay_on_the_page(words):
 )
 def test_unknown_moments_are_refused(steps, said):
     with pytest.raises(ValueError, match=said):
-        panels._check_steps(make_recording(9, 5), steps)
+        panels._choose_steps(make_recording(9, 5), steps, 4)
 
 
 def test_pictures_are_whole_files(tmp_path):

@@ -178,16 +178,7 @@ class Experiment:
         return document
 
     def rows(self, played: Played, first: Played, judged: Sequence[Row]) -> list[Row]:
-        """Summarise what an arm did, one row a setting: its episodes, its scores, ``measure``.
-
-        Args:
-            played: the arm's episodes.
-            first: those of the first arm.
-            judged: scores of the arm's belief, by row.
-
-        Returns:
-            One per row.
-        """
+        """Summarise what an arm did, one row a setting: its episodes, its scores, ``measure``."""
         rows = []
         listed = zip(played.rows(), self.specs, judged, strict=True)
         for place, (row, spec, scored) in enumerate(listed):

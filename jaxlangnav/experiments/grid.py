@@ -189,16 +189,32 @@ class Grid:
         used, index, numbers = self._locate(places)
         return draw_tasks([one.cell for one in used], index, numbers)
 
-    def labels(self, arm: Arm, places: np.ndarray) -> dict[str, list[Any]]:
-        """Say of every episode which it is.
+    def columns(
+        self, arm: Arm, places: np.ndarray, results: EpisodeResult, known: np.ndarray
+    ) -> dict[str, Any]:
+        """Lay episodes out as tidy columns: which each is, and what came of it.
 
         Args:
-            arm: which runs them.
+            arm: which has run them.
             places: i[E], numbers among the arm's episodes.
+            results: leaves [E, …].
+            known: f32[E], the known map's distance, metres.
 
         Returns:
-            Lists of E by name; what an arm does not have is None.
+            Arrays [E] by name; the final position as ``final_x`` and ``final_y``.
         """
+        labels = self._labels(arm, places).items()
+        columns: dict[str, Any] = {name: pa.array(of, _kind(name, of)) for name, of in labels}
+        for field in dataclasses.fields(results):
+            values = np.asarray(getattr(results, field.name))
+            if values.ndim == 1:
+                columns[field.name] = values
+            else:
+                columns |= {f"{field.name}_x": values[:, 0], f"{field.name}_y": values[:, 1]}
+        return columns | {"known_distance": np.asarray(known)}
+
+    def _labels(self, arm: Arm, places: np.ndarray) -> dict[str, list[Any]]:
+        """Say of every episode which it is; what an arm does not have is None."""
         used, index, numbers = self._locate(places)
         told = [{**one.told, **arm.told, "seed": one.cell.seed} for one in used]
         columns = {name: [told[at][name] for at in index] for name in (*self.names, "seed")}
@@ -225,8 +241,8 @@ class Played:
 
     def columns(self) -> dict[str, Any]:
         """Lay labels and results out, a column each, E long."""
-        labels = self.grid.labels(self.arm, np.arange(len(self.known)))
-        return typed(labels) | result_columns(self.results, self.known)
+        places = np.arange(len(self.known))
+        return self.grid.columns(self.arm, places, self.results, self.known)
 
     def of_setting(self, place: int) -> tuple[EpisodeResult, np.ndarray]:
         """Take the results of one setting, and the known map's distances there."""
@@ -283,32 +299,8 @@ def _judge(
     return jax.tree.map(lambda *leaves: np.concatenate(leaves)[order], *parts)
 
 
-def result_columns(results: EpisodeResult, known: np.ndarray) -> dict[str, Any]:
-    """Lay results out as tidy columns of numbers.
-
-    Args:
-        results: leaves [E, …].
-        known: f32[E], the known map's distance, metres.
-
-    Returns:
-        Arrays [E] by name; the final position as ``final_x`` and ``final_y``.
-    """
-    columns: dict[str, Any] = {}
-    for field in dataclasses.fields(results):
-        values = np.asarray(getattr(results, field.name))
-        if values.ndim == 1:
-            columns[field.name] = values
-        else:
-            columns |= {f"{field.name}_x": values[:, 0], f"{field.name}_y": values[:, 1]}
-    return columns | {"known_distance": np.asarray(known)}
-
-
-def typed(labels: Mapping[str, list[Any]]) -> dict[str, pa.Array]:
-    """Give labels, which may be empty in one file, the type that they have in all others."""
-
-    def kind(name: str, values: list[Any]) -> pa.DataType:
-        if name in _WHOLE:
-            return pa.int64()
-        return pa.string() if isinstance(values[0], str) else pa.float64()
-
-    return {name: pa.array(values, kind(name, values)) for name, values in labels.items()}
+def _kind(name: str, values: list[Any]) -> pa.DataType:
+    """Choose the type of labels, which may be empty in one file, as they have it in all others."""
+    if name in _WHOLE:
+        return pa.int64()
+    return pa.string() if isinstance(values[0], str) else pa.float64()

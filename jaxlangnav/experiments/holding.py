@@ -61,8 +61,10 @@ def held(folder: Path, part: PartOf, *, on_note: Note) -> Iterator[bool]:
         )
         yield False
         return
+    now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+    name = {"host": socket.gethostname(), "pid": os.getpid(), "since": now}
     try:
-        os.truncate(handle, os.pwrite(handle, _own_name().encode(), 0))
+        os.truncate(handle, os.pwrite(handle, json.dumps(name).encode(), 0))
         _refuse_overlaps(folder, part, on_note)
         yield True
     finally:
@@ -132,12 +134,6 @@ def _is_at(handle: int, path: Path) -> bool:
         return os.path.samestat(os.fstat(handle), path.stat())
     except FileNotFoundError:
         return False
-
-
-def _own_name() -> str:
-    """Name this process, for the lock."""
-    now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-    return json.dumps({"host": socket.gethostname(), "pid": os.getpid(), "since": now})
 
 
 def _holder(path: Path) -> str:

@@ -104,16 +104,7 @@ class PlaceSpec(RowSpec):
     def setting(
         self, *, seed: int, environments: int = 0, sensor: SensorParams | None = None
     ) -> Setting:
-        """Build the setting of its episodes; the detector is its own, whatever ``sensor`` is.
-
-        Args:
-            seed: root seed of places and noise.
-            environments: places taken in turn; 0 for a fresh one per episode.
-            sensor: not read.
-
-        Returns:
-            The setting; sentences are numbered in the order of ``SAID``.
-        """
+        """Build the setting of its episodes; the detector is its own, whatever ``sensor`` is."""
         del sensor
         true = default_sensor(self.range, **self.truth)
         given: dict[str, Any] = {"area": AHEAD, **self.place}

@@ -21,7 +21,6 @@ from typing import Any
 
 from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.experiments.archive import CompileClock, json_text, manifest
-from jaxlangnav.experiments.grid import result_columns, typed
 from jaxlangnav.experiments.holding import Note, held
 from jaxlangnav.experiments.monte_carlo import (
     CHUNK,
@@ -39,8 +38,6 @@ from jaxlangnav.experiments.sweep_plan import (
     SweepPlan,
     make_plan,
     parse_shard,
-    shard_episodes,
-    shard_files,
 )
 from jaxlangnav.experiments.tasks import GroundedSentences, ground_sentences, known_distances
 from jaxlangnav.files.documents import parse_json, read_text
@@ -212,7 +209,7 @@ def total_episodes(config: SweepConfig, *, shard: str = "1/1") -> int:
     Raises:
         ValueError: the shard is not of this form, Params that cannot be, or more than fits.
     """
-    return shard_episodes(make_plan(config), shard)
+    return make_plan(config).episodes_of(shard)
 
 
 def run_sweep(
@@ -246,7 +243,7 @@ def run_sweep(
     """
     begin, folder = time.perf_counter(), Path(out)
     plan = make_plan(config)
-    mine = shard_files(plan, shard)
+    mine = plan.files(shard)
     advance: OnProgress = on_progress or (lambda _done: None)
     note: Note = on_note or (lambda _line: None)
     with CompileClock() as clock:
@@ -269,7 +266,7 @@ def run_sweep(
         "out": str(folder),
         "name": config.name,
         "shard": shard,
-        "episodes": shard_episodes(plan, shard) - num_kept,
+        "episodes": plan.episodes_of(shard) - num_kept,
         "kept": num_kept,
         "files": len(mine),
         "is_complete": there == plan.num_files,
@@ -343,8 +340,7 @@ def _make_files(
     else:
         results = run_round(works, sentences.instructions, config=config)
     for chunk, own, result in zip(chunks, tasks, results, strict=True):
-        columns = typed(grid.labels(chunk.arm, chunk.places))
-        columns |= result_columns(result, known_distances(own))
+        columns = grid.columns(chunk.arm, chunk.places, result, known_distances(own))
         path = _file_path(folder, chunk.index)
         try:
             write_shard(columns, path, Shard(sweep=sweep, index=chunk.index, rows=chunk.size))

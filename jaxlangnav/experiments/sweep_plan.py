@@ -118,6 +118,17 @@ class SweepPlan:
         """Count the rows of all files."""
         return self.num_arms * self.num_settings * self.config.episodes
 
+    def files(self, shard: str) -> range:
+        """List the files of a shard "i/n" by their numbers."""
+        part, parts = parse_shard(shard)
+        return range(part - 1, self.num_files, parts)
+
+    def episodes_of(self, shard: str) -> int:
+        """Count the rows of a shard's files: all are full but the last one of each arm."""
+        files, each = self.files(shard), self.files_of_arm
+        lasts = sum(last in files for last in range(each - 1, self.num_files, each))
+        return len(files) * CHUNK - lasts * (CHUNK - self.size(each - 1))
+
     def size(self, index: int) -> int:
         """Count the episodes of a file."""
         first = index % self.files_of_arm * CHUNK
@@ -310,39 +321,3 @@ def parse_shard(text: str) -> tuple[int, int]:
             f'shard is "{text}", but i must be from 1 to n: 1/{parts} to {parts}/{parts}'
         )
     return part, parts
-
-
-def shard_files(plan: SweepPlan, shard: str) -> range:
-    """Pick the files of a shard.
-
-    Args:
-        plan: of the sweep.
-        shard: "i/n".
-
-    Returns:
-        Their numbers.
-
-    Raises:
-        ValueError: the shard is not of this form.
-    """
-    part, parts = parse_shard(shard)
-    return range(part - 1, plan.num_files, parts)
-
-
-def shard_episodes(plan: SweepPlan, shard: str) -> int:
-    """Count the episodes of a shard.
-
-    Args:
-        plan: of the sweep.
-        shard: "i/n".
-
-    Returns:
-        Rows of its files.
-
-    Raises:
-        ValueError: the shard is not of this form.
-    """
-    files, each = shard_files(plan, shard), plan.files_of_arm
-    # All files are full but the last one of each arm.
-    lasts = sum(last in files for last in range(each - 1, plan.num_files, each))
-    return len(files) * CHUNK - lasts * (CHUNK - plan.size(each - 1))

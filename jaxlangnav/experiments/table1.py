@@ -69,20 +69,16 @@ def draw_splits(count: int, splits: int, seed: int) -> np.ndarray:
     return held_out
 
 
-def _has_new_word(labelled: LabelledInstruction, seen: set[str]) -> bool:
-    """Tell whether a sentence has a word that none of a training set has."""
-    words = (word for root in labelled.parse.clauses for word in root.all_words())
-    return any(word.lemma not in seen for word in words)
-
-
 def _mark_new_words(
     instructions: Sequence[LabelledInstruction], is_held_out: np.ndarray
 ) -> np.ndarray:
     """Find the held-out sentences with a word that training never saw."""
-    kept = [one for one, is_out in zip(instructions, is_held_out, strict=True) if not is_out]
-    seen = {w.lemma for one in kept for root in one.parse.clauses for w in root.all_words()}
-    held_out = [one for one, is_out in zip(instructions, is_held_out, strict=True) if is_out]
-    return np.array([_has_new_word(one, seen) for one in held_out], bool)
+    words = [
+        {word.lemma for root in one.parse.clauses for word in root.all_words()}
+        for one in instructions
+    ]
+    seen = set[str]().union(*(words[place] for place in np.flatnonzero(~is_held_out)))
+    return np.array([bool(words[place] - seen) for place in np.flatnonzero(is_held_out)], bool)
 
 
 TABLE_1: dict[str, dict[str, float]] = {

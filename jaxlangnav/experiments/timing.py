@@ -133,6 +133,21 @@ def measure_parts(
         The whole cycle, the sensor, the filter, behavior in every particle.
     """
     config = navigator_config(POLICY)
+
+    def sense_and_filter(progress: EpisodeState) -> Any:
+        state = progress.navigator
+        key = jax.random.fold_in(progress.task.key, progress.steps)
+        readings, seen = state.instruction.readings, observe(progress)
+        return semantic_filter.step(
+            key, state.belief, readings, seen, params=params.map, is_sparse=True
+        )
+
+    def infer(progress: EpisodeState) -> Any:
+        state = progress.navigator
+        return infer_clause_behaviors(
+            state.belief.particles, state.instruction, state.clause, state.previous_goal
+        )
+
     first = jax.tree.map(lambda leaf: leaf[:LANES], tasks)
     progress = jax.vmap(lambda task: begin(task, instructions, config=config))(first)
     cycle = _compile(lambda one: advance(one, params=params, config=config)[0], progress)
@@ -141,9 +156,9 @@ def measure_parts(
     whole = _part("the cycle", cycle, progress, repetitions)
     sensor = _part("the sensor", _compile(observe, progress), progress, repetitions)
     # The filter's part has to look as well; the sensor has been counted already.
-    filtering = _compile(lambda one: _filter(one, params), progress)
+    filtering = _compile(sense_and_filter, progress)
     filtered = _part("the filter", filtering, progress, repetitions).without(sensor)
-    inference = _compile(_infer, progress)
+    inference = _compile(infer, progress)
     inferred = _part("behavior in every particle", inference, progress, repetitions)
     return [whole, sensor, filtered, inferred]
 
@@ -161,28 +176,6 @@ def split(parts: list[Part]) -> dict[str, float]:
     whole, *inner = parts
     left = whole.seconds - sum(part.seconds for part in inner)
     return {part.name: part.seconds for part in inner} | {"planner, motion and the rest": left}
-
-
-def _filter(progress: EpisodeState, params: NavigatorParams) -> Any:
-    """Sense and run the filter as a cycle does."""
-    state = progress.navigator
-    key = jax.random.fold_in(progress.task.key, progress.steps)
-    return semantic_filter.step(
-        key,
-        state.belief,
-        state.instruction.readings,
-        observe(progress),
-        params=params.map,
-        is_sparse=True,
-    )
-
-
-def _infer(progress: EpisodeState) -> Any:
-    """Infer behaviors as a cycle does."""
-    state = progress.navigator
-    return infer_clause_behaviors(
-        state.belief.particles, state.instruction, state.clause, state.previous_goal
-    )
 
 
 def _compile(part: Callable[[EpisodeState], Any], progress: EpisodeState) -> Any:

@@ -340,20 +340,17 @@ def list_behaviors(
             * behavior.goal[None, None]
         )
         for index in zip(*np.nonzero(joint >= _RAREST), strict=True):
+            action, mode, region, slot = map(int, index)
+            is_robot = slot == len(placed.objects)
+            name, x, y = ("robot", *placed.robot[:2]) if is_robot else placed.objects[slot]
+            goal = {"region": REGIONS[region], "object": name, "index": slot, "position": [x, y]}
             found.append(
                 {
                     "clause": clause,
-                    "action": ACTIONS[index[0]],
-                    "mode": MODES[index[1]],
-                    "goal": _describe_goal(placed, int(index[2]), int(index[3])),
+                    "action": ACTIONS[action],
+                    "mode": MODES[mode],
+                    "goal": goal,
                     "probability": float(joint[index]),
                 }
             )
     return sorted(found, key=lambda one: (one["clause"], -one["probability"]))
-
-
-def _describe_goal(placed: PlacedWorld, region: int, slot: int) -> dict[str, Any]:
-    """Name a goal region."""
-    is_robot = slot == len(placed.objects)
-    name, x, y = ("robot", *placed.robot[:2]) if is_robot else placed.objects[slot]
-    return {"region": REGIONS[region], "object": name, "index": slot, "position": [x, y]}

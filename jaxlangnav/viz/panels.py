@@ -122,21 +122,16 @@ def verdict(recording: Recording) -> str:
 
 
 def _choose_steps(recording: Recording, steps: Sequence[int] | None, number: int) -> list[int]:
-    """Choose the moments that a figure shows."""
-    return _check_steps(recording, steps) or pick_moments(recording, number)
-
-
-def _check_steps(recording: Recording, steps: Sequence[int] | None) -> list[int]:
-    """Check the moments a person asks for."""
+    """Check the moments that are asked for; without any choose those that tell the most."""
     if steps is None:
-        return []
-    number = recording.num_steps
+        return pick_moments(recording, number)
     if not steps:
         raise ValueError("steps is empty, but a figure needs at least one moment")
+    most = recording.num_steps
     for step in steps:
-        if not -number <= step < number:
-            raise ValueError(f"step is {step}, but the recording has steps 0 to {number - 1}")
-    return [step % number for step in steps]
+        if not -most <= step < most:
+            raise ValueError(f"step is {step}, but the recording has steps 0 to {most - 1}")
+    return [step % most for step in steps]
 
 
 def _add_legend(figure: "Figure", handles: "Sequence[Line2D]") -> None:
@@ -160,7 +155,8 @@ def belief_figure(
 
     Args:
         recording: the episode.
-        steps: moments to show, see ``choose_steps``.
+        steps: moments to show, negative ones counted from the end; those that tell the most if
+            None.
         num_panels: how many, where no moments are given.
 
     Returns:
@@ -216,7 +212,7 @@ def values_figure(
 
     Args:
         recording: the episode.
-        steps: as ``choose_steps`` takes them.
+        steps: as ``belief_figure`` takes them.
         num_panels: the same.
 
     Returns:
