@@ -16,8 +16,7 @@ from jaxlangnav.cli.runtime import progress_bar, waiting
 from jaxlangnav.cli.settings import apply
 from jaxlangnav.cli.study import Settings, Study, draw_figures
 from jaxlangnav.episode import MAX_STEPS
-from jaxlangnav.experiments import conversation as spoken
-from jaxlangnav.experiments import paper, robustness, unknowns
+from jaxlangnav.experiments import conversation as spoken, paper, robustness, unknowns
 from jaxlangnav.experiments.archive import manifest, write_manifest
 from jaxlangnav.experiments.experiment import Experiment, Options
 from jaxlangnav.experiments.policies import navigator_config
