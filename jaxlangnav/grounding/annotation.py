@@ -85,10 +85,18 @@ def describe_annotation(
             return "robot" if index == ROBOT else "thing"
         return None if index == NONE else type_names[index]
 
+    ends = name(symbol.figure), name(symbol.landmark)
+    return annotation_document(*ends, symbol.relation, rank, probability)
+
+
+def annotation_document(
+    figure: str | None, landmark: str | None, relation: int, rank: int, probability: float
+) -> dict[str, object]:
+    """Write an annotation of things by their names; see ``describe_annotation``."""
     document: dict[str, object] = {
-        "figure": name(symbol.figure),
-        "relation": None if symbol.relation == NONE else relation_name(symbol.relation, rank),
-        "landmark": name(symbol.landmark),
+        "figure": figure,
+        "relation": None if relation == NONE else relation_name(relation, rank),
+        "landmark": landmark,
         "superlative": rank == 1,
         "probability": round(probability, 6),
     }

@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 
 from jaxlangnav import pytree
+from jaxlangnav.grounding.annotation import annotation_document
 from jaxlangnav.grounding.grounder import Alternative, Context, Grounded, Grounder, names_of
 from jaxlangnav.grounding.readings import Reading, pad_readings, unpad_readings
 from jaxlangnav.kinds import name_of
-from jaxlangnav.messages import NONE, ROBOT, relation_name
+from jaxlangnav.messages import NONE, ROBOT
 
 Chooser = Callable[[str, Sequence[Alternative]], int | None]
 """Told what was said and the ways to understand it, likeliest first; answers with the index of one,
@@ -127,14 +128,7 @@ def _annotations(reading: Reading, names: Sequence[str]) -> Iterator[Mapping[str
         return "robot" if kind == ROBOT else name_of(kind, names)
 
     for figure, relation, landmark, rank in reading.relations:
-        said = {
-            "figure": name(figure),
-            "relation": None if relation == NONE else relation_name(relation, rank),
-            "landmark": name(landmark),
-            "superlative": rank == 1,
-            "probability": 1.0,
-        }
-        yield said | ({"rank": rank} if rank > 1 else {})
+        yield annotation_document(name(figure), name(landmark), relation, rank, 1.0)
 
 
 def _worded(said: Mapping[str, Any]) -> str:

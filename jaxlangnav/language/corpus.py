@@ -21,25 +21,28 @@ corpus teaches the graph of a word ("toward") is not what a rewriting makes of i
 ``python -m jaxlangnav.language.corpus FILE`` checks a file.
 """
 
-import math
+import itertools
 import re
 import sys
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Literal
+
+from msgspec import Meta
 
 from jaxlangnav.files.documents import DocumentError, parse_json, read_text
 from jaxlangnav.files.limits import FARTHEST
+from jaxlangnav.files.schema import Name, Schema, convert
 from jaxlangnav.language.labels import ROBOT_LABEL, Labels, PlacedWorld
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import COMMAND, STATEMENT, LanguageError, Parse
 from jaxlangnav.messages import ACTIONS, MODES, REGIONS, RELATIONS
-from jaxlangnav.plain_text import cut, fault_of_name, printable, shown
+from jaxlangnav.plain_text import cut, printable, shown
 
-SPLITS = ("train", "test")
 LARGEST_CORPUS = 64 << 20
 """Bytes of a corpus; the one of the package has about a million."""
 _MOST_OBJECTS = 32
@@ -47,6 +50,32 @@ _MOST_OBJECTS = 32
 _LONGEST_LINE = 1200
 """Characters of a complaint; one that lists the phrases of the longest sentence needs as many."""
 _SYMBOL = re.compile(r"([a-z]+)\(([a-z0-9,_]*)\)")
+_Coordinate = Annotated[float, Meta(ge=-FARTHEST, le=FARTHEST)]
+
+
+class _Clause(Schema, forbid_unknown_fields=False):
+    kind: str
+    phrases: list[str]
+    annotation: list[list[str]]
+    rank: list[Annotated[int, Meta(ge=0)]]
+
+
+class _World(Schema, forbid_unknown_fields=False):
+    objects: Annotated[
+        list[Annotated[list[str | float], Meta(min_length=3, max_length=3)]],
+        Meta(max_length=_MOST_OBJECTS),
+    ]
+    robot: Annotated[list[_Coordinate], Meta(min_length=3, max_length=3)]
+    previous: Annotated[int, Meta(ge=0)] | None
+    behavior: list[list[list[str]]]
+
+
+class _Line(Schema, forbid_unknown_fields=False):
+    text: str
+    template: Name
+    split: Literal["train", "test"]
+    clauses: list[_Clause]
+    worlds: list[_World]
 
 
 class CorpusError(ValueError):
@@ -86,119 +115,81 @@ def _check(condition: bool, message: str) -> None:
         raise CorpusError(cut(printable(message), _LONGEST_LINE))
 
 
-def _check_annotation(symbol: str, types: tuple[str, ...]) -> None:
-    """Check one annotation symbol."""
-    match = _SYMBOL.fullmatch(symbol)
-    _check(match is not None, f"'{symbol}' is no symbol; expected kind(argument,...)")
-    kind, _, rest = symbol[:-1].partition("(")
-    arguments = rest.split(",")
+_Legal = Mapping[str, tuple[Sequence[str], ...]]
+"""Kind of symbol → what each of its arguments may be."""
+
+
+def _annotation_symbols(types: Sequence[str]) -> _Legal:
     landmarks = (*types, ROBOT_LABEL)
-    legal = {
-        "object": (types,),
-        "region": (RELATIONS, landmarks),
-        "relation": (types, RELATIONS, landmarks),
-    }
-    _check(kind in legal, f"'{symbol}': kind must be one of {', '.join(legal)}")
-    _check_arguments(symbol, arguments, legal[kind])
+    region = (RELATIONS, landmarks)
+    return {"object": (types,), "region": region, "relation": (types, *region)}
 
 
-def _check_behavior(symbol: str, num_objects: int) -> None:
-    """Check one behavior symbol against the number of objects of its world."""
-    match = _SYMBOL.fullmatch(symbol)
-    _check(match is not None, f"'{symbol}' is no symbol; expected kind(argument,...)")
-    kind, _, rest = symbol[:-1].partition("(")
+def _behavior_symbols(num_objects: int) -> _Legal:
     objects = tuple(str(index) for index in range(num_objects))
     places = (REGIONS, (*objects, ROBOT_LABEL))
-    legal = {
+    return {
         "object": (objects,), "region": places, "goal": places, "constraint": places,
         "action": (ACTIONS,), "mode": (MODES,),
     }  # fmt: skip
-    _check(kind in legal, f"'{symbol}': kind must be one of {', '.join(legal)}")
-    _check_arguments(symbol, rest.split(","), legal[kind])
 
 
-def _check_arguments(symbol: str, arguments: list[str], legal: tuple[tuple[str, ...], ...]) -> None:
-    count = len(legal)
-    _check(len(arguments) == count, f"'{symbol}': expected {count} argument(s)")
-    for argument, allowed in zip(arguments, legal, strict=True):
-        _check(argument in allowed, f"'{symbol}': '{argument}' is none of {', '.join(allowed)}")
+def _check_symbols(labels: Sequence[Sequence[str]], legal: _Legal) -> None:
+    """Check the symbols of phrases."""
+    for symbol in itertools.chain(*labels):
+        is_one = _SYMBOL.fullmatch(symbol) is not None
+        _check(is_one, f"'{symbol}' is no symbol; expected kind(argument,...)")
+        kind, _, rest = symbol[:-1].partition("(")
+        _check(kind in legal, f"'{symbol}': kind must be one of {', '.join(legal)}")
+        arguments, count = rest.split(","), len(legal[kind])
+        _check(len(arguments) == count, f"'{symbol}': expected {count} argument(s)")
+        for argument, allowed in zip(arguments, legal[kind], strict=True):
+            _check(argument in allowed, f"'{symbol}': '{argument}' is none of {', '.join(allowed)}")
 
 
-def _read_clause(record: dict[str, Any], found: Parse, index: int) -> ClauseLabels:
-    """Read and check one clause against the tree the parser makes."""
+def _read_clause(record: _Clause, found: Parse, index: int) -> ClauseLabels:
+    """Check one clause against the tree the parser makes."""
     root, kind = found.clauses[index], found.kinds[index]
     heads = [
         f"{phrase.label}[{' '.join(word.text for word in phrase.words)}]" for phrase in root.walk()
     ]
-    _check(record["kind"] == kind, f"clause {index}: kind is '{kind}', not '{record['kind']}'")
+    _check(record.kind == kind, f"clause {index}: kind is '{kind}', not '{record.kind}'")
     _check(
-        record["phrases"] == heads,
+        record.phrases == heads,
         f"clause {index}: the parser finds the phrases {' '.join(heads)}",
     )
-    for key in ("annotation", "rank"):
-        count = len(record[key])
+    for key, labels in (("annotation", record.annotation), ("rank", record.rank)):
+        count = len(labels)
         _check(count == len(heads), f"clause {index}: {count} {key} for {len(heads)} phrases")
-    types = load_lexicon().type_names
-    for symbols in record["annotation"]:
-        for symbol in symbols:
-            _check_annotation(symbol, types)
-    _check(all(type(r) is int and r >= 0 for r in record["rank"]), "rank must be 0, 1, 2, ...")
-    return ClauseLabels(
-        annotation=tuple(frozenset(symbols) for symbols in record["annotation"]),
-        rank=tuple(record["rank"]),
-    )
+    _check_symbols(record.annotation, _annotation_symbols(load_lexicon().type_names))
+    annotation = tuple(map(frozenset, record.annotation))
+    return ClauseLabels(annotation=annotation, rank=tuple(record.rank))
 
 
-def _read_world(record: dict[str, Any], found: Parse) -> WorldLabels:
-    """Read and check one world and its behavior labels."""
-    objects = _read_objects(record["objects"])
-    previous = record["previous"]
+def _read_world(record: _World, found: Parse) -> WorldLabels:
+    """Check one world and its behavior labels."""
+    types, objects = load_lexicon().type_names, []
+    for kind, *place in record.objects:
+        _check(kind in types, f"object type {shown(kind)} is none of {', '.join(types)}")
+        for at in place:
+            is_near = isinstance(at, float) and abs(at) <= FARTHEST
+            _check(is_near, f"{shown(at)} must lie between {-FARTHEST:g} and {FARTHEST:g}")
+        objects.append((kind, *place))
+    previous, count = record.previous, len(objects)
     _check(
-        previous is None or (type(previous) is int and 0 <= previous < len(objects)),
-        f"previous must be null or an object's index below {len(objects)}, not {shown(previous)}",
+        previous is None or previous < count,
+        f"previous must be null or an object's index below {count}, not {previous}",
     )
-    _check(len(record["robot"]) == 3, "robot must be [x, y, heading]")
-    _check(len(record["behavior"]) == len(found.clauses), "behavior needs one list per clause")
-    for root, labels in zip(found.clauses, record["behavior"], strict=True):
-        count = len(list(root.walk()))
-        _check(len(labels) == count, f"behavior: {len(labels)} labels for {count} phrases")
-        for symbols in labels:
-            for symbol in symbols:
-                _check_behavior(symbol, len(objects))
-    x, y, heading = (_number(value) for value in record["robot"])
+    _check(len(record.behavior) == len(found.clauses), "behavior needs one list per clause")
+    for root, labels in zip(found.clauses, record.behavior, strict=True):
+        phrases = len(list(root.walk()))
+        _check(len(labels) == phrases, f"behavior: {len(labels)} labels for {phrases} phrases")
+        _check_symbols(labels, _behavior_symbols(count))
+    x, y, heading = record.robot
     return WorldLabels(
-        world=PlacedWorld(objects=objects, robot=(x, y, heading), previous=previous),
-        behavior=tuple(
-            tuple(frozenset(symbols) for symbols in labels) for labels in record["behavior"]
-        ),
+        world=PlacedWorld(objects=tuple(objects), robot=(x, y, heading), previous=previous),
+        behavior=tuple(tuple(map(frozenset, labels)) for labels in record.behavior),
     )
-
-
-def _read_objects(records: list[Any]) -> tuple[tuple[str, float, float], ...]:
-    """Read and check the objects of one world: type, x, y."""
-    _check(len(records) <= _MOST_OBJECTS, f"{len(records)} objects: at most {_MOST_OBJECTS}")
-    types = load_lexicon().type_names
-    for record in records:
-        _check(isinstance(record, list) and len(record) == 3, "an object must be [type, x, y]")
-        _check(record[0] in types, f"object type {shown(record[0])} is none of {', '.join(types)}")
-    return tuple((kind, _number(x), _number(y)) for kind, x, y in records)
-
-
-def _number(value: Any) -> float:
-    """Read a coordinate or an angle."""
-    _check(type(value) in (int, float), f"{shown(value)} must be a number")
-    is_near = math.isfinite(value) and abs(value) <= FARTHEST
-    _check(is_near, f"{shown(value)} must lie between {-FARTHEST:g} and {FARTHEST:g}")
-    return float(value)
-
-
-def _check_texts(record: Any) -> None:
-    """Check that a line is a table whose texts are texts."""
-    _check(isinstance(record, dict), f"the line is {shown(record)}, but must be a table")
-    for key in ("text", "template", "split"):
-        _check(isinstance(record[key], str), f"{key} is {shown(record[key])}, but must be a text")
-    fault = fault_of_name(record["template"])
-    _check(fault is None, f"template {fault}")
 
 
 def parse_labelled(text: str) -> Parse:
@@ -232,28 +223,26 @@ def read_example(line: str) -> Example:
         CorpusError: what is wrong, in one line.
     """
     try:
-        record = parse_json(line)
-        _check_texts(record)
-        found = parse_labelled(record["text"])
-        _check(
-            record["split"] in SPLITS, f"split must be train or test, not {shown(record['split'])}"
-        )
-        count = len(record["clauses"])
-        _check(count == len(found.clauses), f"{count} clauses, parsed {len(found.clauses)}")
-        clauses = [_read_clause(c, found, index) for index, c in enumerate(record["clauses"])]
-        worlds = [_read_world(world, found) for world in record["worlds"]]
-        return Example(
-            text=record["text"], template=record["template"], split=record["split"],
-            parse=found, clauses=tuple(clauses), worlds=tuple(worlds),
-        )  # fmt: skip
+        document = parse_json(line)
+        _check(isinstance(document, dict), f"the line is {shown(document)}, but must be a table")
+        record = convert(document, _Line)
+        found = parse_labelled(record.text)
     except DocumentError as error:
         raise CorpusError(f"the line {error}") from None
-    except KeyError as error:
-        raise CorpusError(f"key {error} is missing") from None
     except LanguageError as error:
         raise CorpusError(f"the text is refused: {error}") from None
-    except (TypeError, AttributeError) as error:
-        raise CorpusError(f"a value has the wrong form ({cut(str(error))})") from None
+    except ValueError as error:
+        raise CorpusError(str(error)) from None
+    count = len(record.clauses)
+    _check(count == len(found.clauses), f"{count} clauses, parsed {len(found.clauses)}")
+    return Example(
+        text=record.text,
+        template=record.template,
+        split=record.split,
+        parse=found,
+        clauses=tuple(_read_clause(c, found, index) for index, c in enumerate(record.clauses)),
+        worlds=tuple(_read_world(world, found) for world in record.worlds),
+    )
 
 
 def read_corpus(path: str | Path) -> tuple[Example, ...]:
