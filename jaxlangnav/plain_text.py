@@ -44,7 +44,13 @@ def printable(text: str, *, keep: str = "") -> str:
     """
     if text.isprintable():
         return text
-    return "".join(one if is_plain(one) or one in keep else _escape(one) for one in text)
+    # As Python writes them; lone surrogates too.
+    return "".join(
+        one
+        if is_plain(one) or one in keep
+        else one.encode("unicode_escape", "surrogatepass").decode("ascii")
+        for one in text
+    )
 
 
 def shown(value: Any) -> str:
@@ -152,8 +158,3 @@ def markdown_table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> st
     lines = [[markdown(one) for one in line] for line in (headings, *rows)]
     lines.insert(1, ["---"] * len(headings))
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
-
-
-def _escape(character: str) -> str:
-    """Write one character as Python does; lone surrogates too."""
-    return character.encode("unicode_escape", "surrogatepass").decode("ascii")

@@ -49,7 +49,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit code.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
-    _quieten_compiler()
+    if not os.environ.get(DEBUG):
+        # That a compilation is slow is said in our words; what fails in it is raised all the same.
+        os.environ.setdefault(XLA_LOG_LEVEL, "3")
     if isinstance(sys.stdout, io.TextIOWrapper):
         # What the terminal's alphabet lacks is written as an escape, as on standard error.
         sys.stdout.reconfigure(errors="backslashreplace")
@@ -81,16 +83,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _complain(fault, code=2)
         fault = f"internal error: {type(error).__name__}: {one_line(error)}"
         return _complain(f"{fault} ({DEBUG}=1 shows the traceback)", code=1)
-
-
-def _quieten_compiler() -> None:
-    """Keep XLA's own log off standard error: that a compilation is slow is said in our words.
-
-    What fails in it is raised all the same. A level that is set already stays, and so does all of
-    the log where a fault is looked for.
-    """
-    if not os.environ.get(DEBUG):
-        os.environ.setdefault(XLA_LOG_LEVEL, "3")
 
 
 def _run(command: Runnable) -> int:

@@ -8,6 +8,7 @@ and instant.
 
 import dataclasses
 import difflib
+import functools
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -157,7 +158,7 @@ def read_settings(settings: Any, groups: Sequence[str]) -> dict[SettingPath, Any
     """
     if settings is None:
         return {}
-    typed = [(one, _at(settings, one.path)) for one in options(groups)]
+    typed = [(one, functools.reduce(getattr, one.path, settings)) for one in options(groups)]
     return {one.path: one.read(text) for one, text in typed if text != _UNSET}
 
 
@@ -265,7 +266,8 @@ def _record_of(name: str, found: Sequence[Option], *, depth: int) -> type[Any]:
         below = [one for one in found if one.path[depth] == key]
         if len(below[0].path) == depth + 1:
             (one,) = below
-            given = ",".join(f"{number:g}" for number in _listed(one.default))
+            numbers = one.default if isinstance(one.default, tuple) else (one.default,)
+            given = ",".join(f"{number:g}" for number in numbers)
             hint = tyro.conf.arg(
                 metavar=one.metavar(),
                 help=one.help or None,
@@ -276,18 +278,6 @@ def _record_of(name: str, found: Sequence[Option], *, depth: int) -> type[Any]:
             kind = _record_of(key.capitalize(), below, depth=depth + 1)
             fields.append((key, kind, dataclasses.field(default=kind())))
     return dataclasses.make_dataclass(name, fields, frozen=True, kw_only=True)
-
-
-def _listed(value: Any) -> tuple[Any, ...]:
-    """Take one value as a tuple."""
-    return value if isinstance(value, tuple) else (value,)
-
-
-def _at(settings: Any, path: SettingPath) -> str:
-    """Look up what was typed."""
-    for name in path:
-        settings = getattr(settings, name)
-    return settings
 
 
 def _applied(record: Any, values: Mapping[SettingPath, Any]) -> Any:

@@ -50,20 +50,16 @@ class Train:
             self.corpus, kinds=kinds, base=load_models(self.base), on_progress=output.note
         )
         if self.out is not None:
+            corpus = f" --corpus {shlex.quote(self.corpus.name)}" if self.corpus else ""
             save(
                 self.out,
                 trained.model,
-                command=self._command(),
+                command=f"jaxlangnav train {self.what}{corpus}",
                 corpus_hash=trained.report["corpus"],
             )
         document = {**trained.report, "file": self.out}
         _tell(document, kinds, output)
         return document
-
-    def _command(self) -> str:
-        """Write the command that makes these weights again."""
-        corpus = f" --corpus {shlex.quote(self.corpus.name)}" if self.corpus else ""
-        return f"jaxlangnav train {self.what}{corpus}"
 
 
 def _tell(document: dict[str, Any], kinds: tuple[str, ...], output: Output) -> None:

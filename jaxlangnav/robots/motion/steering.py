@@ -205,8 +205,9 @@ def _pursued(
     target = _along(pose[:2], way, ahead)
     kept = body.radius + _SPARE
     away = np.hypot(*(discs[:, :2] - pose[:2]).T) if len(discs) else np.zeros(0)
-    # What it touches already must not hold it.
-    inflated = np.column_stack([discs[:, :2], _let_go(discs[:, 2] + kept, away)])
+    # Discs that it touches already are shrunk, so that it may go round them and out.
+    reach = np.minimum(discs[:, 2] + kept, np.maximum(away - GRAZE, 0.0))
+    inflated = np.column_stack([discs[:, :2], reach])
     while ahead > _LEAST and not is_clear(pose[:2], target, inflated):
         ahead *= 0.6
         target = _along(pose[:2], way, ahead)
@@ -256,8 +257,3 @@ def _room_ahead(pose: np.ndarray, discs: np.ndarray, body: BodyLimits) -> float:
         return math.inf
     depth = np.sqrt(reach[is_ahead] ** 2 - side[is_ahead] ** 2)
     return float(max((ahead[is_ahead] - depth).min(), 0.0))
-
-
-def _let_go(reach: np.ndarray, away: np.ndarray) -> np.ndarray:
-    """Shrink inflated discs that hold the body, so that it may go round them and out."""
-    return np.minimum(reach, np.maximum(away - GRAZE, 0.0))
