@@ -17,6 +17,7 @@ MOVED = {
     "experiments.goal_region": "experiments.calibration",
     "robots.motion.pursuit": "robots.motion.steering",
     "robots.motion.window": "robots.motion.steering",
+    "robots.record": "robots.robot",
     "robots.ros2.headway": "robots.ros2.robot",
     "world.errors": "world.sensor",
     "grounding.graph": "grounding.symbols",

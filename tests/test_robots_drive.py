@@ -14,9 +14,8 @@ from jaxlangnav.robots import driver
 from jaxlangnav.robots.driver import drive
 from jaxlangnav.robots.kinematic import KinematicRobot
 from jaxlangnav.robots.motion.steering import Pursuit, Window
-from jaxlangnav.robots.record import Drive, Ending, observe
 from jaxlangnav.robots.recorded import record_drive
-from jaxlangnav.robots.robot import Detection, Progress
+from jaxlangnav.robots.robot import Detection, Drive, Ending, Progress, observe
 from jaxlangnav.viz.html import _page_data, _render_html
 from jaxlangnav.viz.panels import outcome
 from jaxlangnav.world.scenario import empty_scenario

@@ -12,8 +12,8 @@ from jaxlangnav.robots import libraries
 from jaxlangnav.robots.driver import drive
 from jaxlangnav.robots.film import film
 from jaxlangnav.robots.physics.robot import PhysicsRobot
-from jaxlangnav.robots.record import Ending
 from jaxlangnav.robots.recorded import record_drive
+from jaxlangnav.robots.robot import Ending
 from jaxlangnav.robots.table3 import TABLE3, make_robot
 from jaxlangnav.viz.html import _render_html
 

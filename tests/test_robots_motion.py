@@ -11,8 +11,7 @@ from jaxlangnav.robots.motion.mover import TICK, Mover
 from jaxlangnav.robots.motion.path import find_path, gaps, inflate, is_clear, to_discs
 from jaxlangnav.robots.motion.steering import Pursuit, Window
 from jaxlangnav.robots.physics.machines import MACHINES
-from jaxlangnav.robots.record import start_pose
-from jaxlangnav.robots.robot import Progress, Robot
+from jaxlangnav.robots.robot import Progress, Robot, start_pose
 from jaxlangnav.world.scenario import empty_scenario
 
 BOTH = pytest.mark.parametrize("steering", [Pursuit(), Window()], ids=["pursuit", "window"])

@@ -12,8 +12,7 @@ from test_robots_drive import TEXT, goal_distance, put
 
 from jaxlangnav.agent import Navigator
 from jaxlangnav.robots.libraries import ros
-from jaxlangnav.robots.record import Ending
-from jaxlangnav.robots.robot import Detection, Progress
+from jaxlangnav.robots.robot import Detection, Ending, Progress
 from jaxlangnav.robots.ros2 import conversions, tags
 from jaxlangnav.robots.ros2.__main__ import NavigatorOptions, navigate
 from jaxlangnav.robots.ros2.inbox import Inbox

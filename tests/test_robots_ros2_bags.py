@@ -13,8 +13,7 @@ from test_robots_drive import TEXT, goal_distance, put
 
 from jaxlangnav.robots.perception.figures import as_told
 from jaxlangnav.robots.perception.tags import Gates
-from jaxlangnav.robots.record import Ending
-from jaxlangnav.robots.robot import Detection
+from jaxlangnav.robots.robot import Detection, Ending
 from jaxlangnav.robots.ros2 import conversions
 from jaxlangnav.robots.ros2.bags import ReplayBus
 from jaxlangnav.robots.ros2.recording import RecordedLoopback, Scribe, write_bag

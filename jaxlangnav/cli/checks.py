@@ -4,9 +4,20 @@ import importlib.util
 import math
 import os
 from pathlib import Path
+from typing import Annotated
+
+import tyro
 
 from jaxlangnav.cli.errors import UsageError
 from jaxlangnav.files.limits import RANGES
+
+Folder = Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")]
+File = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")]
+Metres = Annotated[float | None, tyro.conf.arg(metavar="METRES", help_behavior_hint="")]
+ByStep = Annotated[str, tyro.conf.arg(metavar="STEP:TEXT")]
+WorldName = Annotated[str | None, tyro.conf.arg(metavar="WORLD", help_behavior_hint="")]
+Number = Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")]
+Ranges = Annotated[str | None, tyro.conf.arg(metavar="METRES", help_behavior_hint="")]
 
 
 def check_at_least(option: str, value: int, least: int) -> None:

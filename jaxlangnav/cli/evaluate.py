@@ -3,9 +3,8 @@
 import dataclasses
 from pathlib import Path
 
-from jaxlangnav.cli.checks import check_at_least, check_seed
+from jaxlangnav.cli.checks import File, check_at_least, check_seed
 from jaxlangnav.cli.errors import UsageError
-from jaxlangnav.cli.metavars import File
 from jaxlangnav.cli.output import Document, Output
 from jaxlangnav.cli.runtime import keep_compiled_programs, progress_bar
 

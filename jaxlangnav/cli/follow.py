@@ -7,9 +7,18 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import tyro
 
-from jaxlangnav.cli.checks import check_at_least, check_extra, check_folder, check_range, check_seed
+from jaxlangnav.cli.checks import (
+    ByStep,
+    File,
+    Folder,
+    Metres,
+    check_at_least,
+    check_extra,
+    check_folder,
+    check_range,
+    check_seed,
+)
 from jaxlangnav.cli.errors import UsageError
-from jaxlangnav.cli.metavars import ByStep, File, Folder, Metres
 from jaxlangnav.cli.output import Document, Output
 from jaxlangnav.cli.parse import is_template, parse_text
 from jaxlangnav.cli.runtime import keep_compiled_programs, waiting

@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import tyro
 
-from jaxlangnav.cli.checks import check_extra, check_folder, check_seed
-from jaxlangnav.cli.metavars import File, Folder, WorldName
+from jaxlangnav.cli.checks import File, Folder, WorldName, check_extra, check_folder, check_seed
 from jaxlangnav.cli.output import Document, Output
 from jaxlangnav.cli.parse import is_template, parse_text
 from jaxlangnav.cli.runtime import keep_compiled_programs

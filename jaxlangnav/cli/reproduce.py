@@ -5,9 +5,16 @@ from typing import Any, ClassVar, Literal
 
 import tyro
 
-from jaxlangnav.cli.checks import check_at_least, check_extra, check_folder, check_seed
+from jaxlangnav.cli.checks import (
+    Folder,
+    Number,
+    Ranges,
+    check_at_least,
+    check_extra,
+    check_folder,
+    check_seed,
+)
 from jaxlangnav.cli.errors import UsageError
-from jaxlangnav.cli.metavars import Folder, Number, Ranges
 from jaxlangnav.cli.output import Document, Output
 from jaxlangnav.cli.runtime import keep_compiled_programs
 from jaxlangnav.cli.settings import SettingPath, apply, read_settings

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import tyro
 
-from jaxlangnav.cli.checks import check_folder
-from jaxlangnav.cli.metavars import Folder
+from jaxlangnav.cli.checks import Folder, check_folder
 from jaxlangnav.cli.output import Document, Output
 
 

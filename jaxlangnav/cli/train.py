@@ -6,8 +6,7 @@ from typing import Any, Literal
 
 import tyro
 
-from jaxlangnav.cli.checks import check_file
-from jaxlangnav.cli.metavars import File
+from jaxlangnav.cli.checks import File, check_file
 from jaxlangnav.cli.output import Document, Output
 from jaxlangnav.cli.runtime import keep_compiled_programs
 

@@ -17,8 +17,17 @@ from jaxlangnav.messages import AT, Action, Fault, Status
 from jaxlangnav.navigator import NavigatorInfo, NavigatorState
 from jaxlangnav.pytree import replace
 from jaxlangnav.robots.motion.steering import wrap
-from jaxlangnav.robots.record import Drive, Ending, OnStep, Step, observe, start_pose
-from jaxlangnav.robots.robot import Detection, Progress, Robot
+from jaxlangnav.robots.robot import (
+    Detection,
+    Drive,
+    Ending,
+    OnStep,
+    Progress,
+    Robot,
+    Step,
+    observe,
+    start_pose,
+)
 
 SAME_THING = 0.8
 """Metres within which a detection is of the goal that is believed to be there."""

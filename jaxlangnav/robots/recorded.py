@@ -21,10 +21,10 @@ from jaxlangnav.pytree import replace
 from jaxlangnav.recorder import frame_of, scene_of
 from jaxlangnav.recording import Frame, Recording, stack_frames
 from jaxlangnav.robots.driver import drive
+from jaxlangnav.robots.film import Views
 from jaxlangnav.robots.kinematic import KinematicRobot
 from jaxlangnav.robots.physics.robot import PhysicsRobot
-from jaxlangnav.robots.record import Drive, Ending, Step, observe
-from jaxlangnav.robots.views import Views
+from jaxlangnav.robots.robot import Drive, Ending, Step, observe
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 from jaxlangnav.world.state import WorldState
 

@@ -25,9 +25,8 @@ from jaxlangnav.robots.perception.figures import as_told
 from jaxlangnav.robots.perception.tags import Gates
 from jaxlangnav.robots.physics import odometry
 from jaxlangnav.robots.physics.robot import PhysicsRobot
-from jaxlangnav.robots.record import Drive, Ending, Step
 from jaxlangnav.robots.recorded import DriveRecorder
-from jaxlangnav.robots.robot import Progress
+from jaxlangnav.robots.robot import Drive, Ending, Progress, Step
 from jaxlangnav.viz.html import write_html
 from jaxlangnav.world.scenario import draw_scenario, scenario_law
 from jaxlangnav.world.simulator import SUCCESS_RADIUS

@@ -15,7 +15,7 @@ from jaxlangnav.agent import Navigator
 from jaxlangnav.messages import SensorParams, default_sensor
 from jaxlangnav.plain_text import printable
 from jaxlangnav.robots.libraries import ros
-from jaxlangnav.robots.record import Ending
+from jaxlangnav.robots.robot import Ending
 from jaxlangnav.robots.ros2.node import RosBus
 from jaxlangnav.robots.ros2.robot import RosRobot
 from jaxlangnav.robots.ros2.session import Session

@@ -14,7 +14,7 @@ from jax import Array
 from jaxlangnav.agent import Navigator
 from jaxlangnav.robots.libraries import ros
 from jaxlangnav.robots.motion.mover import TICK
-from jaxlangnav.robots.record import Drive
+from jaxlangnav.robots.robot import Drive
 from jaxlangnav.robots.ros2.bags import typestore
 from jaxlangnav.robots.ros2.conversions import (
     POINT,

@@ -18,8 +18,7 @@ from jaxlangnav.agent import Navigator
 from jaxlangnav.files.whole import write_text
 from jaxlangnav.navigator import NavigatorInfo, NavigatorState
 from jaxlangnav.robots.driver import drive
-from jaxlangnav.robots.record import Drive, Step, start_pose
-from jaxlangnav.robots.robot import Robot
+from jaxlangnav.robots.robot import Drive, Robot, Step, start_pose
 
 DOUBLED = 1.0
 """Seconds within which the same words have been carried twice, not said twice."""
