@@ -24,8 +24,7 @@ until enough has been looked at to tell that there are no more. With two further
 arrive, and a false sentence costs 48 m (191 and 39 m with 0.3 and 1, each type by itself)."""
 ABSENT, GIVE_UP = 0.05, 0.1
 """How often what is spoken of is nowhere, and how improbable what is missing must be to give up.
-Of 32 goals in the corners of 20 × 20 m none is given up with 0.05, seven with 0.01: who expects to
-find nothing sooner sweeps the area sooner."""
+The more likely it is nowhere, the more the way counts until all has been looked at."""
 
 
 def params_anywhere() -> NavigatorParams:
@@ -50,8 +49,7 @@ def config_anywhere(policy: AnyPolicy, *, params: NavigatorParams) -> NavigatorC
 
     Args:
         policy: of the planner.
-        params: concrete numbers: a heading that drifts takes a program of its own, and so does a
-            search for what may be nowhere.
+        params: concrete numbers: a heading that drifts takes a program of its own.
 
     Returns:
         Sizes and policy.
@@ -64,7 +62,7 @@ def config_anywhere(policy: AnyPolicy, *, params: NavigatorParams) -> NavigatorC
             has_drift=is_drifting(params.map.motion),
             pools_counts=True,
         ),
-        planner=PlannerConfig(policy=policy, is_thorough=bool(params.planner.absent > 0.0)),
+        planner=PlannerConfig(policy=policy),
     )
 
 

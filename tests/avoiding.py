@@ -8,53 +8,46 @@ line for each number of things avoided and each range of sight:
 """
 
 import argparse
+import dataclasses
 import functools
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
+import outside
 from oracles.detours import shortest_way
+from stepping import Robots, together
 
 import jaxlangnav
-from jaxlangnav import messages, navigator
+from jaxlangnav import messages
 
 AREA = (0.0, 14.0, -9.0, 9.0)
 BERTH, REACH, KEPT = 2.0, 1.2, 1.8
 """Metres: from what is avoided, at which the goal is reached, and that are asked for."""
-LANES, STEPS, DETECTIONS = 20, 120, 4
-MISSES, NOISE = 0.05, 0.1
+STEPS = 120
+MISSES = 0.05
 KINDS = ("hydrant", "cone", "barrel")
 SENTENCES = (
     "go to the hydrant", "go to the hydrant but avoid the cone",
     "go to the hydrant but avoid the cone and avoid the barrel",
 )  # fmt: skip
 """By how many things are to be avoided."""
-_OFTEN = {"xla_backend_optimization_level": 3, "xla_llvm_disable_expensive_passes": False}
 
 
-class Ride(NamedTuple):
+class Ride(outside.Ride):
     """One episode."""
-
-    path: np.ndarray  # [T, 2] metres, true positions
-    status: messages.Status
-
-    @property
-    def metres(self) -> float:
-        """Length of the way."""
-        return float(np.hypot(*np.diff(self.path, axis=0).T).sum())
 
     def arrives(self, goal: np.ndarray) -> bool:
         """Tell whether it says that it has arrived, and has."""
-        is_there = np.hypot(*(self.path[-1] - goal)) <= REACH + 0.3
+        is_there = np.hypot(*(self.position - goal)) <= REACH + 0.3
         return bool(self.status == messages.Status.ARRIVED and is_there)
 
     def nearest(self, things: np.ndarray) -> float:
         """Compute the least distance to things [n, 2], of steps as well as of waypoints."""
         share = np.linspace(0.0, 1.0, 20)[:, None, None]
-        line = (1.0 - share) * self.path[None, :-1] + share * self.path[None, 1:]
-        line = np.concatenate([line.reshape(-1, 2), self.path])
+        path = np.array(self.path)
+        line = (1.0 - share) * path[None, :-1] + share * path[None, 1:]
+        line = np.concatenate([line.reshape(-1, 2), path])
         return float(np.hypot(*(line[:, None] - things[None]).T).min())
 
 
@@ -62,74 +55,6 @@ class Ride(NamedTuple):
 def robot_of(policy: str = "informed") -> jaxlangnav.Navigator:
     """Build the robot as it ships."""
     return jaxlangnav.Navigator.pretrained(policy)
-
-
-def together(robot: jaxlangnav.Navigator) -> Callable[..., Any]:
-    """Step LANES robots in one program of their own."""
-    return functools.partial(_stepper(robot.config), robot.params)
-
-
-@functools.lru_cache
-def _stepper(config: Any) -> Any:
-    def one(params: Any, key: Any, state: Any, seen: Any) -> Any:
-        state, action, _ = navigator.step(key, state, seen, params=params, config=config)
-        return state, (action.step, action.status)
-
-    return jax.jit(jax.vmap(one, in_axes=(None, 0, 0, 0)), compiler_options=_OFTEN)
-
-
-def one_by_one(robot: jaxlangnav.Navigator) -> Callable[..., Any]:
-    """Step one robot after the other through ``Navigator.step``, whose program others share."""
-
-    def step(keys: Any, states: Any, looks: Any) -> Any:
-        told = []
-        for lane in range(len(keys)):
-            state, look = jax.tree.map(lambda leaf, n=lane: leaf[n], (states, looks))
-            state, action, _ = robot.step(keys[lane], state, look)
-            told.append((state, (action.step, action.status)))
-        return jax.tree.map(lambda *leaves: jnp.stack(leaves), *told)
-
-    return step
-
-
-def _look(
-    random: np.random.Generator,
-    place: np.ndarray,
-    position: np.ndarray,
-    sight: float,
-    misses: float,
-) -> list[tuple[int, float, float]]:
-    """Detect kind, range and bearing of what is in sight."""
-    found = []
-    for kind, at in enumerate(place):
-        span = at - position
-        if np.hypot(*span) <= sight and random.uniform() >= misses:
-            x, y = span + random.normal(0.0, NOISE, 2)
-            found.append((kind, float(np.hypot(x, y)), float(np.arctan2(y, x))))
-    return found
-
-
-def _observe(positions: np.ndarray, found: list[Any], sight: float) -> messages.Observation:
-    names = robot_of().type_names
-    number = len(found)
-    kind = np.full((number, DETECTIONS), messages.NONE, np.int32)
-    metres, bearing = np.zeros((2, number, DETECTIONS), np.float32)
-    for lane, detections in enumerate(found):
-        for slot, (index, far, turn) in enumerate(detections):
-            kind[lane, slot] = names.index(KINDS[index])
-            metres[lane, slot], bearing[lane, slot] = far, turn
-    sensor = messages.SensorParams(
-        range_max=sight, field_of_view=2 * np.pi, detection_probability=1.0 - MISSES,
-        noise=NOISE, false_detections=0.0, mislabelled=0.0,
-    )  # fmt: skip
-    return messages.Observation(
-        pose=jnp.asarray(np.pad(positions, ((0, 0), (0, 1))), jnp.float32),
-        detection_type=jnp.asarray(kind),
-        detection_range=jnp.asarray(metres),
-        detection_bearing=jnp.asarray(bearing),
-        is_detection=jnp.asarray(kind != messages.NONE),
-        sensor=jax.tree.map(lambda leaf: jnp.full((number,), leaf, jnp.float32), sensor),
-    )
 
 
 def drive(
@@ -140,7 +65,7 @@ def drive(
     sight: float,
     misses: float = MISSES,
     policy: str = "informed",
-    stepping: Callable[..., Callable[..., Any]] = together,
+    stepping: Callable[[jaxlangnav.Navigator], Robots] = together,
 ) -> list[Ride]:
     """Drive one episode a place, LANES at a time.
 
@@ -156,35 +81,18 @@ def drive(
     Returns:
         The episodes.
     """
-    robot, rides = robot_of(policy), []
-    first, step = robot.start(text, area=AREA), stepping(robot)
-    lanes = LANES if stepping is together else len(places)
-    for begin in range(0, len(places), lanes):
-        some = [(begin + lane) % len(places) for lane in range(lanes)]
-        randoms = [np.random.default_rng([seeds[n], 7]) for n in some]
-        root = jax.vmap(jax.random.key)(jnp.asarray([seeds[n] for n in some]))
-        state = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (lanes, *leaf.shape)), first)
-        position, ended = np.zeros((lanes, 2)), np.zeros(lanes, int)
-        paths = [[np.zeros(2)] for _ in some]
-        for number in range(STEPS):
-            found = [
-                _look(randoms[k], places[n], position[k], sight, misses) for k, n in enumerate(some)
-            ]
-            keys = jax.vmap(jax.random.fold_in, in_axes=(0, None))(root, number)
-            state, told = step(keys, state, _observe(position, found, sight))
-            move, status = (np.asarray(leaf) for leaf in told)
-            is_over = (ended > messages.Status.APPROACHING) | (status > messages.Status.APPROACHING)
-            ended = np.where(ended > messages.Status.APPROACHING, ended, status)
-            if is_over.all():
-                break
-            position = position + np.where(is_over[:, None], 0.0, move)
-            for lane in np.nonzero(~is_over)[0]:
-                paths[lane].append(position[lane].copy())
-        rides += [
-            Ride(np.array(path), messages.Status(int(how)))
-            for path, how in zip(paths, ended, strict=True)
-        ]
-    return rides[: len(places)]
+    robot = robot_of(policy)
+    scenario = outside.Scenario(
+        sentence=text, area=AREA, reach=sight, misses=misses, slip=0.0, steps=STEPS
+    )
+    types = np.array([robot.type_names.index(name) for name in KINDS])
+    rides = [
+        Ride(scenario, seed, robot.type_names, outside.Place(types[: len(place)], place))
+        for place, seed in zip(places, seeds, strict=True)
+    ]
+    sensor = outside.sensor_of(dataclasses.replace(scenario, misses=MISSES))
+    outside.ride(robot, rides, sensor, stepping)
+    return rides
 
 
 def draw_places(number: int, num_avoided: int, seed: int = 0) -> list[np.ndarray]:

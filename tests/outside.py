@@ -13,22 +13,17 @@ import argparse
 import dataclasses
 import functools
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
+from stepping import DETECTIONS, LANES, Robots, keys_of, observation, together
 
 import jaxlangnav
-from jaxlangnav import messages, navigator
+from jaxlangnav import messages
 
 AREA = (-2.0, 12.0, -9.0, 9.0)
-_OFTEN = {"xla_backend_optimization_level": 3, "xla_llvm_disable_expensive_passes": False}
-"""As users compile, also where tests are compiled briefly: it runs long."""
-LANES, STEPS, DETECTIONS = 20, 110, 16
-FEW = 8
-"""Detections that the program holds which ``Navigator.step`` compiles first."""
 REACH = 1.5
 """Metres from the goal at which a stop is right."""
 SENTENCE = "go to the hydrant behind the cone"
@@ -49,6 +44,13 @@ class Scenario:
     sentence: str = SENTENCE
     steady_drift: float = 0.0  # radians a metre, of either sign: what the heading drifts by
     drift: float = 0.0  # radians per root of a metre, standard deviation
+    area: tuple[float, float, float, float] = AREA
+    steps: int = 110
+    slip: float = 0.02  # metres per metre of way, standard deviation of either axis
+
+    def furnish(self, random: np.random.Generator, types: tuple[str, ...]) -> "Place":
+        """Draw a place."""
+        return furnish(random, self, types)
 
 
 SCENARIOS = {
@@ -142,74 +144,7 @@ def look(
     return sorted(found, key=lambda one: one[1])[:DETECTIONS]
 
 
-@functools.lru_cache
-def stepper(config: Any) -> Any:
-    """Compile one cycle of LANES robots."""
-
-    def one(key: Any, state: Any, seen: Any, params: Any) -> Any:
-        state, action, info = navigator.step(key, state, seen, params=params, config=config)
-        return state, (action.step, action.is_stop, action.status, info.filter.overflow)
-
-    many = jax.vmap(one, in_axes=(0, 0, 0, None))
-    return jax.jit(many, compiler_options=_OFTEN)
-
-
-class Robots(NamedTuple):
-    """LANES robots that are told the same."""
-
-    begin: Callable[[Any], Any]  # the state of one → those of all
-    step: Callable[..., Any]  # as ``stepper`` gives
-
-
-def together(robot: jaxlangnav.Navigator) -> Robots:
-    """Step all robots in one program of their own."""
-
-    def begin(first: Any) -> Any:
-        return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (LANES, *leaf.shape)), first)
-
-    return Robots(begin, stepper(robot.config))
-
-
-def one_by_one(robot: jaxlangnav.Navigator) -> Robots:
-    """Step one robot after the other through ``Navigator.step``, whose program others share.
-
-    In a look there must not be more than FEW detections.
-    """
-
-    def step(keys: Any, states: list[Any], seen: Any, _: Any) -> Any:
-        after, told = [], []
-        looks, own = jax.device_get(seen), list(keys)
-        for lane, state in enumerate(states):
-            look = jax.tree.map(
-                lambda leaf, n=lane: leaf[n][:FEW] if leaf.ndim > 1 else leaf[n], looks
-            )
-            state, action, info = robot.step(own[lane], state, look)
-            after.append(state)
-            told.append((action.step, action.is_stop, action.status, info.filter.overflow))
-        return after, [np.stack(leaves) for leaves in zip(*jax.device_get(told), strict=True)]
-
-    return Robots(lambda first: [first] * LANES, step)
-
-
-def observation(poses: np.ndarray, found: list[Any], sensor: Any) -> messages.Observation:
-    """Lay out what LANES robots see as one batch."""
-    kind = np.full((LANES, DETECTIONS), messages.NONE, np.int32)
-    metres, bearing = np.zeros((2, LANES, DETECTIONS), np.float32)
-    for lane, detections in enumerate(found):
-        for slot, (name, far, turn) in enumerate(detections):
-            kind[lane, slot], metres[lane, slot], bearing[lane, slot] = name, far, turn
-    return messages.Observation(
-        pose=jnp.asarray(poses, jnp.float32),
-        detection_type=jnp.asarray(kind),
-        detection_range=jnp.asarray(metres),
-        detection_bearing=jnp.asarray(bearing),
-        is_detection=jnp.asarray(kind != messages.NONE),
-        sensor=jax.tree.map(lambda leaf: jnp.full((LANES,), leaf, jnp.float32), sensor),
-    )
-
-
-@dataclasses.dataclass
-class Outcome:
+class Outcome(NamedTuple):
     """How episodes of one scenario ended, one entry each."""
 
     is_right: np.ndarray
@@ -218,11 +153,11 @@ class Outcome:
     overflow: np.ndarray
 
     def line(self, name: str) -> str:
-        """Report on one line."""
+        """Report on one line; the mean way with its standard error."""
         right, number = int(self.is_right.sum()), len(self.is_right)
         return (
             f"{name:14s} {right}/{number} = {right / number:.3f}  "
-            f"path {self.metres.mean():5.1f} m  "
+            f"path {self.metres.mean():5.1f} ± {self.metres.std() / np.sqrt(number):.1f} m  "
             f"stopped elsewhere {int((self.is_stopped & ~self.is_right).sum())}  "
             f"never {int((~self.is_stopped).sum())}  overflow {int((self.overflow > 0).sum())}"
         )
@@ -241,9 +176,58 @@ def sensor_of(scenario: Scenario) -> Any:
 
 
 @functools.lru_cache
-def robot_of(steady_drift: float, drift: float) -> jaxlangnav.Navigator:
-    """Build a robot that has been told how its heading drifts."""
-    return jaxlangnav.Navigator.pretrained(heading_bias=steady_drift, heading_noise=drift)
+def robot_of(steady_drift: float, drift: float, **numbers: float) -> jaxlangnav.Navigator:
+    """Build a robot that has been told how its heading drifts, and single numbers."""
+    known = {"heading_bias": steady_drift, "heading_noise": drift}
+    return jaxlangnav.Navigator.pretrained("informed", None, **(known | numbers))
+
+
+class Ride:
+    """One robot in its place; both hang on its seed alone."""
+
+    def __init__(
+        self, scenario: Scenario, seed: int, types: tuple[str, ...], place: Place | None = None
+    ) -> None:
+        """Furnish the place, unless it is given, and stand at the origin."""
+        self.scenario, self.seed, self.types = scenario, seed, types
+        self.random = np.random.default_rng([seed, 29])
+        self.drifting = np.random.default_rng([seed, 78])
+        self.place = place or scenario.furnish(self.random, types)
+        self.position, self.odometry = np.zeros((2, 2))
+        # By how much the true heading exceeds that of odometry, which is all that the robot knows.
+        self.turned, self.steady = 0.0, scenario.steady_drift * self.drifting.choice([-1.0, 1.0])
+        self.path, self.metres, self.overflow = [self.position], 0.0, 0
+        self.is_stopped, self.status = False, messages.Status.SEARCHING
+
+    def detect(self) -> list[tuple[int, float, float]]:
+        """Look round; bearings are taken against a heading that is out by what it has drifted."""
+        found = look(self.random, self.scenario, self.place, self.position, self.types)
+        return [
+            (kind, metres, float(np.remainder(bearing - self.turned + np.pi, 2 * np.pi) - np.pi))
+            for kind, metres, bearing in found
+        ]
+
+    def move(self, step: np.ndarray) -> None:
+        """Go where odometry has it, but for drift and slip."""
+        length = float(np.hypot(*step))
+        self.metres += length
+        self.odometry = self.odometry + step
+        after = self.turned + self.steady * length
+        after += self.scenario.drift * np.sqrt(length) * self.drifting.normal()
+        cosine, sine = np.cos(0.5 * (self.turned + after)), np.sin(0.5 * (self.turned + after))
+        step = np.array([[cosine, -sine], [sine, cosine]]) @ step
+        self.position = (
+            self.position + step + self.random.normal(0.0, self.scenario.slip, 2) * length
+        )
+        self.path.append(self.position)
+        self.turned = after
+
+    @property
+    def is_right(self) -> bool:
+        """Whether it was right to end here, and so."""
+        if self.scenario.is_empty or not self.is_stopped:
+            return self.is_stopped and self.status == messages.Status.NOT_FOUND
+        return bool(np.hypot(*(self.position - self.place.at[0])) <= REACH)
 
 
 def drive(
@@ -254,89 +238,72 @@ def drive(
     seed: int = 0,
     robots: Callable[[jaxlangnav.Navigator], Robots] = together,
 ) -> Outcome:
-    """Drive episodes of a scenario, LANES at a time.
+    """Drive episodes of a scenario, LANES at a time; a lane that has ended takes the next one.
 
     Args:
         robot: what is tried.
         scenario: the kind of place.
-        episodes: how many; a multiple of LANES.
-        seed: of the worlds and of the robot.
+        episodes: how many.
+        seed: of the first episode.
         robots: whether they decide together or one by one.
 
     Returns:
-        How they ended.
+        How they ended, in the order of their seeds.
     """
-    many, rounds = robots(robot), range(episodes // LANES)
-    parts = [_drive_lanes(robot, many, scenario, seed + index) for index in rounds]
-    return Outcome(*(np.concatenate(leaves) for leaves in zip(*parts, strict=True)))
+    rides = [Ride(scenario, seed + index, robot.type_names) for index in range(episodes)]
+    ride(robot, rides, sensor_of(scenario), robots)
+    told = [(one.is_right, one.is_stopped, one.metres, one.overflow) for one in rides]
+    return Outcome(*(np.array(leaves) for leaves in zip(*told, strict=True)))
 
 
-def _turned_back(
-    found: list[tuple[int, float, float]], turned: float
-) -> list[tuple[int, float, float]]:
-    """Take bearings against a heading that is out by so much."""
-    return [
-        (kind, metres, float(np.remainder(bearing - turned + np.pi, 2 * np.pi) - np.pi))
-        for kind, metres, bearing in found
-    ]
-
-
-def _drive_lanes(
-    robot: jaxlangnav.Navigator, robots: Robots, scenario: Scenario, seed: int
-) -> tuple[np.ndarray, ...]:
-    random = np.random.default_rng([seed, 77])
-    types = robot.type_names
-    places = [furnish(random, scenario, types) for _ in range(LANES)]
-    state = robots.begin(robot.start(scenario.sentence, area=AREA))
-    position, odometry = np.zeros((2, LANES, 2))
-    # By how much the true heading exceeds that of odometry, which is all that the robot knows.
-    turned, drifting = np.zeros(LANES), np.random.default_rng([seed, 78])
-    steady = scenario.steady_drift * drifting.choice([-1.0, 1.0], LANES)
-    metres, is_done, overflow = np.zeros(LANES), np.zeros(LANES, bool), np.zeros(LANES, int)
-    sensor = sensor_of(scenario)
-    for number in range(STEPS):
-        found = [
-            _turned_back(look(random, scenario, place, position[lane], types), turned[lane])
-            for lane, place in enumerate(places)
-        ]
-        poses = np.concatenate([odometry, np.zeros((LANES, 1))], axis=1)
-        keys = jax.random.split(jax.random.key(1000 * seed + number), LANES)
-        state, told = robots.step(keys, state, observation(poses, found, sensor), robot.params)
+def ride(
+    robot: jaxlangnav.Navigator,
+    rides: Sequence[Ride],
+    sensor: Any,
+    robots: Callable[[jaxlangnav.Navigator], Robots] = together,
+) -> None:
+    """Ride to the end in places of one scenario; a lane that has ended takes the next one."""
+    many, waiting, scenario = robots(robot), iter(rides), rides[0].scenario
+    first = robot.start(scenario.sentence, area=scenario.area)
+    lanes: list[Ride] = [rides[0]] * (LANES if robots is together else len(rides))
+    states = many.begin(first, len(lanes))
+    is_new, is_idle = np.ones(len(lanes), bool), np.zeros(len(lanes), bool)
+    while True:
+        for lane in np.flatnonzero(is_new):
+            following = next(waiting, None)
+            is_idle[lane], lanes[lane] = following is None, following or lanes[lane]
+        if is_idle.all():
+            return
+        states = many.renew(states, first, is_new)
+        seen = observation([one.odometry for one in lanes], [one.detect() for one in lanes], sensor)
+        keys = keys_of(*np.array([(one.seed, len(one.path)) for one in lanes]).T)
+        states, told = many.step(keys, states, seen, robot.params)
         move, is_stop, status, lost = (np.asarray(leaf) for leaf in told)
-        is_done |= is_stop
-        overflow += np.where(is_done, 0, lost)
-        if is_done.all():
-            break
-        move = np.where(is_done[:, None], 0.0, move)
-        length = np.hypot(*move.T)
-        metres += length
-        odometry = odometry + move
-        after = turned + steady * length
-        after = after + scenario.drift * np.sqrt(length) * drifting.normal(0.0, 1.0, LANES)
-        cosine, sine = np.cos(0.5 * (turned + after)), np.sin(0.5 * (turned + after))
-        move = np.stack([[cosine, -sine], [sine, cosine]]).transpose(2, 0, 1) @ move[:, :, None]
-        position = position + move[:, :, 0]
-        position = position + random.normal(0.0, 0.02, (LANES, 2)) * length[:, None]
-        turned = after
-    goal = np.stack([place.at[0] for place in places])
-    is_right = is_done & (np.hypot(*(position - goal).T) <= REACH)
-    if scenario.is_empty:
-        is_right = is_done & (status == messages.Status.NOT_FOUND)
-    return is_right, is_done, metres, overflow
+        for lane, one in enumerate(lanes):
+            if is_idle[lane]:
+                continue
+            one.is_stopped, one.status = bool(is_stop[lane]), messages.Status(int(status[lane]))
+            is_new[lane] = one.is_stopped or len(one.path) >= scenario.steps
+            if not is_new[lane]:
+                one.overflow += int(lost[lane])
+                one.move(move[lane])
+        is_new &= ~is_idle
 
 
-def main() -> None:
+def main(scenarios: Mapping[str, Scenario] = SCENARIOS) -> None:
     """Print one line a scenario."""
     parser = argparse.ArgumentParser()
-    parser.add_argument("names", nargs="*", default=list(SCENARIOS))
+    parser.add_argument("names", nargs="*", default=list(scenarios))
     parser.add_argument("--episodes", type=int, default=100)
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seed", type=int, default=0, help="of the first episode")
     parser.add_argument("--as-by-compass", action="store_true", help="tell it of no drift")
+    parser.add_argument("--set", nargs="*", default=[], metavar="NUMBER=VALUE")
     given = parser.parse_args()
+    numbers = tuple(one.split("=") for one in given.set)
     for name in given.names:
-        begun, scenario = time.perf_counter(), SCENARIOS[name]
+        begun, scenario = time.perf_counter(), scenarios[name]
         told = (0.0, 0.0) if given.as_by_compass else (scenario.steady_drift, scenario.drift)
-        robot = robot_of(*told)
+        robot = robot_of(*told, **{name: float(value) for name, value in numbers})
         outcome = drive(robot, scenario, given.episodes, seed=given.seed)
         print(outcome.line(name), f" {time.perf_counter() - begun:.0f} s", flush=True)
 

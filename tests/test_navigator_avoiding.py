@@ -3,6 +3,7 @@
 import avoiding
 import numpy as np
 import pytest
+from stepping import one_by_one
 
 ROUND, AFTER = avoiding.SENTENCES[1], "stay away from the cone and go to the hydrant"
 
@@ -16,11 +17,11 @@ ROUND, AFTER = avoiding.SENTENCES[1], "stay away from the cone and go to the hyd
     ],
 )
 def test_named_places(text: str, hydrant: tuple[float, float], cone: tuple[float, float]) -> None:
-    """Every look detects all in sight: what is not seen at first cannot be gone round."""
+    """All is seen at once: what is not cannot be gone round, or has to be found first."""
     place = np.array([hydrant, cone])
     shortest = avoiding.shortest_way(np.zeros(2), place[0], place[1:], avoiding.AREA)
     for ride in avoiding.drive(
-        [place] * 6, text, list(range(6)), sight=4.0, misses=0.0, stepping=avoiding.one_by_one
+        [place] * 6, text, list(range(6)), sight=9.0, misses=0.0, stepping=one_by_one
     ):
         assert ride.arrives(place[0]), ride.status
         assert ride.nearest(place[1:]) >= avoiding.KEPT

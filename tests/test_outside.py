@@ -3,6 +3,7 @@
 import numpy as np
 import outside
 import pytest
+import stepping
 
 import jaxlangnav
 
@@ -57,8 +58,8 @@ def test_detector_reports_what_is_in_range() -> None:
 
 
 def test_goal_is_found_in_plain_places(robot: jaxlangnav.Navigator) -> None:
-    plain, one_by_one = outside.SCENARIOS["plain"], outside.one_by_one
-    outcome = outside.drive(robot, plain, outside.LANES, robots=one_by_one)
+    plain, one_by_one = outside.SCENARIOS["plain"], stepping.one_by_one
+    outcome = outside.drive(robot, plain, stepping.LANES, robots=one_by_one)
     assert outcome.is_right.all(), outcome.line("plain")
 
 

@@ -85,7 +85,9 @@ def test_free_hypotheses_are_where_words_place_them_against_the_robot() -> None:
     )
     found = search_map(belief, jnp.float32(0.0), jnp.float32(0.0), spoken=spoken)
     blocks = np.exp(log_miss).reshape(CELLS, 2, CELLS, 2).sum((1, 3)).reshape(-1)
-    toward = -np.asarray(found.y) / np.hypot(found.x, found.y)
+    steps = (np.arange(CELLS) + 0.5) / CELLS * 10.0
+    x, y = np.tile(steps, CELLS), np.repeat(steps - 5.0, CELLS)
+    toward = -y / np.hypot(x, y)
     right = 0.8 * np.exp(SIDE_CONCENTRATION * toward) / np.i0(SIDE_CONCENTRATION) + 0.2
     expected = 0.75 * blocks / blocks.sum() + 0.25 * blocks * right / (blocks * right).sum()
     np.testing.assert_allclose(found.mass, expected, rtol=5e-3)
@@ -329,7 +331,8 @@ def test_a_thorough_search_ends_when_hardly_anything_is_unlooked(unlooked, ends)
     plan = tours.Plan(tours=tour, latency=one + 9.0, mass=jnp.float32(0.6), hung=jnp.float32(0.0))
     shown = situation(by_hand.begin(config=CONFIG), nodes(), goals(0.0), (5.5, 0.0))
     low = Chances(*(jnp.float32(share) for share in (0.01, 0.01, 0.4, unlooked)))
-    assert bool(DECIDE_ON(replace(shown, is_thorough=True), plan, low).is_not_found) is ends
+    doubting = replace(shown.params, absent=jnp.float32(0.05))
+    assert bool(DECIDE_ON(replace(shown, params=doubting), plan, low).is_not_found) is ends
     assert bool(DECIDE_ON(shown, plan, low).is_not_found)
 
 

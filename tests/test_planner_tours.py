@@ -17,10 +17,16 @@ from jaxlangnav.planner.drafts import NUM_CHANGES
 from jaxlangnav.planner.endings import Chances
 from jaxlangnav.planner.graph import OBJECT_NODE
 from jaxlangnav.planner.informed import decide_on
-from jaxlangnav.planner.latency import NUM_STOPS, Tour, first_sight, latency
+from jaxlangnav.planner.latency import (
+    NUM_STOPS,
+    SIGHT_MARGIN,
+    Tour,
+    _between_patches,
+    first_sight,
+    latency,
+)
 from jaxlangnav.planner.policy import Decision
 from jaxlangnav.planner.search import CELLS, SearchMap, search_map
-from jaxlangnav.planner.sweeps import SIGHT_MARGIN
 from jaxlangnav.pytree import replace
 from jaxlangnav.terrain.view import GLANCE
 
@@ -143,6 +149,7 @@ def test_latency_is_the_mean_way_until_found() -> None:
     # It may be nowhere: the way until all has been looked at counts as much as that is likely.
     is_missed = ~is_seen & (mass > 0.1 * mass.mean())
     whole = 6.0 + away[is_missed].mean() + is_missed.sum() * 100.0 / CELLS**2 / (2 * RANGE)
+    whole += float(_between_patches(jnp.asarray(is_missed)[None], AREA)[0])
     search = replace(search, nowhere=jnp.float32(0.3))
     found = LATENCY(line, search, zero, zero, SENSOR, AREA)
     np.testing.assert_allclose(found, [0.7 * expected + 0.3 * whole], rtol=1e-4)
@@ -311,8 +318,9 @@ def test_the_shipped_table_is_what_training_worlds_teach() -> None:
 def test_free_hypotheses_follow_the_prior() -> None:
     belief = believe(random_places(), is_hung=False)
     search = SEARCH_MAP(belief, jnp.float32(1.0), NOT)
+    centres = search_of(np.zeros(CELLS**2))
     expected = np.asarray(
-        DENSITY(belief.coverage, belief.viewer, search.x, search.y, jnp.float32(1.0), NOT)
+        DENSITY(belief.coverage, belief.viewer, centres.x, centres.y, jnp.float32(1.0), NOT)
     )
     # The map is tilted by 0.2 % from one end to the other.
     np.testing.assert_allclose(search.free, expected / expected.sum(), rtol=2e-3)

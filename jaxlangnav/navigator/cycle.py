@@ -295,7 +295,6 @@ def _decide(
         map_params=params.map,
         spoken=Spoken(readings=state.instruction.readings, told=state.talk.told, params=params.map),
         num_blocks=config.planner.num_blocks,
-        is_thorough=config.planner.is_thorough,
     )
     memory, choice = policy.choose(
         config.planner.chosen, jax.random.fold_in(key, _PLANNING), state.memory, situation

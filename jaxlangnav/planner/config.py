@@ -73,9 +73,6 @@ class PlannerConfig:
     """One of ``POLICIES``, or a policy of one's own."""
     num_visited: int = 16
     num_blocks: int = 6
-    is_thorough: bool = False
-    """Whether ``informed`` plans to look at all of the area, as what is spoken of may be nowhere
-    (``PlannerParams.absent``); else it looks first where things are likeliest, and corners last."""
 
     def __post_init__(self) -> None:
         """Refuse what the planner cannot work with."""

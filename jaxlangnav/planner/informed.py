@@ -68,11 +68,7 @@ class Informed(Policy):
         """Improve the tour under way, go to its first stop or to the goal."""
         belief, params, maps = situation.belief, situation.params, situation.map_params
         unseen = search.search_map(
-            situation.wanted,
-            params.prior_share,
-            params.ahead,
-            situation.is_thorough,
-            situation.spoken,
+            situation.wanted, params.prior_share, params.ahead, situation.spoken
         )
         chance = chances(unseen.unseen, params.absent, maps)
         plan = tours.plan(
@@ -153,11 +149,10 @@ def judge(situation: Situation, plan: tours.Plan, chance: Chances) -> Judgement:
     # Things seen that do not fit now may have to do in the end.
     has_seen = jnp.any(goals.is_object[:-1])
     is_over = jnp.where(has_seen, chance.fitting, chance.any) < params.give_up
-    if situation.is_thorough:
-        # What is gone round hides more in one place than what is left over here and there.
-        is_round = jnp.any(situation.forbidden.price > 0.0)
-        most = jnp.where(is_round, MOST_UNLOOKED_ROUND, MOST_UNLOOKED)
-        is_over = is_over & (chance.unlooked <= most)
+    # What is gone round hides more in one place than what is left over here and there.
+    is_round = jnp.any(situation.forbidden.price > 0.0)
+    most = jnp.where(is_round, MOST_UNLOOKED_ROUND, MOST_UNLOOKED)
+    is_over = is_over & ((chance.unlooked <= most) | (params.absent <= 0.0))
     goals = replace(
         goals,
         object_confirmed=jnp.where(has_looked, goals.object_accepted, goals.object_confirmed),

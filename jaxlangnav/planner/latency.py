@@ -15,21 +15,21 @@ at before that is known, in whatever order, and the way until then is what count
 
     L' = (1 − q) L + q M (T + mean_{c missed} |c − q_K| + B / 2R + G),   M = Σ_c m_c
 
+G is the way between the patches that the tour would leave, from patch to patch in lanes.
+
 Where something is forbidden, what is missed within its berth is as much farther away as it costs to
 go in (``constraints``): as a rule it is looked at from outside.
-
-In a *thorough* search, which may have to look at all of the area, G is the way between the patches
-that the tour would leave (``sweeps``); it is 0 otherwise.
 """
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from jaxlangnav.messages import SensorParams
 from jaxlangnav.numerics.batching import once
 from jaxlangnav.planner.constraints import price_of_stop
 from jaxlangnav.planner.search import SearchMap
-from jaxlangnav.planner.sweeps import between_patches, eyesight, is_worth_a_look
 from jaxlangnav.pytree import pytree
 from jaxlangnav.terrain import OPEN, Terrain
 from jaxlangnav.terrain.view import NEVER, Stretch
@@ -38,6 +38,9 @@ NUM_STOPS = 6
 """K, stops of a tour."""
 _ARRIVAL = 0.5
 """Metres from a stop that count as having been there."""
+SIGHT_MARGIN = 0.5
+"""Metres by which a thing must be inside the sensing range to count on seeing it: cells have width,
+looks are a step apart, and a look may miss."""
 
 
 @pytree
@@ -96,6 +99,38 @@ def first_sight(
     return once(first), walked[:, -1]
 
 
+def _eyesight(sensor: SensorParams) -> tuple[Array, Array]:
+    """Tell how far one counts on seeing, and how far one sees abreast of the way; metres."""
+    radius = jnp.maximum(sensor.range_max - SIGHT_MARGIN, 0.5 * sensor.range_max)
+    half = jnp.minimum(0.5 * sensor.field_of_view, 0.5 * jnp.pi)
+    return radius, sensor.range_max * jnp.sin(half)
+
+
+def _is_worth_a_look(mass: Array) -> Array:
+    """Tell which cells are not as good as looked at, bool[C]."""
+    return mass > 0.1 * jnp.mean(mass)
+
+
+def _between_patches(is_missed: Array, area: Array) -> Array:
+    """Measure the way between the patches that tours leave, f32[T] metres."""
+    side = int(np.sqrt(is_missed.shape[1])) // 2
+    blocks = jnp.any(is_missed.reshape(-1, side, 2, side, 2), axis=(2, 4))  # [T, y, x]
+    size = jnp.stack([area[1] - area[0], area[3] - area[2]]) / side
+    row, column = np.divmod(np.arange(side * side), side)
+    column = np.where(row % 2 == 0, column, side - 1 - column)
+
+    def in_lanes(blocks: Array, step: Array, lane: Array) -> Array:
+        is_left = blocks.reshape(-1, side * side)[:, row * side + column]
+        own = jnp.where(is_left, np.arange(side * side)[None], -1)
+        last = jnp.pad(jax.lax.cummax(own, axis=1), ((0, 0), (1, 0)), constant_values=-1)[:, :-1]
+        x, y = step * column.astype(np.float32), lane * row.astype(np.float32)
+        from_last = jnp.hypot(x[None] - x[last], y[None] - y[last])
+        beyond = jnp.maximum(from_last - 1.5 * jnp.max(size), 0.0)
+        return jnp.sum(jnp.where(is_left & (last >= 0), beyond, 0.0), axis=1)
+
+    return jnp.minimum(in_lanes(blocks, *size), in_lanes(blocks.mT, *size[::-1]))
+
+
 def latency(
     tours: Tour,
     search: SearchMap,
@@ -120,7 +155,7 @@ def latency(
     Returns:
         f32[T] metres; large for a tour that starts underfoot.
     """
-    radius, abreast = eyesight(sensor)
+    radius, abreast = _eyesight(sensor)
     opening = sensor.field_of_view
     places_x = jnp.concatenate([search.x, search.partner_x])
     places_y = jnp.concatenate([search.y, search.partner_y])
@@ -135,7 +170,7 @@ def latency(
     if search.forbidden is not None:  # what a tour misses has to be gone in for
         away = away + price_of_stop(search.x, search.y, search.forbidden)[None]
     mass = search.mass
-    counts = is_worth_a_look(mass)[None, :]
+    counts = _is_worth_a_look(mass)[None, :]
     is_left = (free >= NEVER) & counts
     cell = (area[1] - area[0]) * (area[3] - area[2]) / mass.shape[0]
     sweep = jnp.sum(is_left, axis=1) * cell / (4.0 * abreast)
@@ -148,9 +183,7 @@ def latency(
     is_missed = (hung >= NEVER) & counts
     number = jnp.sum(is_missed, axis=1)
     back = jnp.sum(jnp.where(is_missed, away, 0.0), axis=1) / jnp.maximum(number, 1)
-    whole = walked + back + number * cell / (2.0 * abreast)
-    if search.is_thorough:
-        whole = whole + between_patches(is_missed, area)
+    whole = walked + back + number * cell / (2.0 * abreast) + _between_patches(is_missed, area)
     total = (1.0 - search.nowhere) * total + search.nowhere * jnp.sum(mass) * whole
     return total + jnp.where(
         is_underfoot(tours.x[:, 0], tours.y[:, 0], robot_x, robot_y), NEVER, 0.0

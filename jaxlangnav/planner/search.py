@@ -14,7 +14,7 @@ from jaxlangnav.numerics.batching import once, rarely
 from jaxlangnav.planner import prior
 from jaxlangnav.planner.constraints import Forbidden
 from jaxlangnav.planner.relevance import groups
-from jaxlangnav.pytree import pytree, static
+from jaxlangnav.pytree import pytree
 from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.coverage import Coverage, area_size, cell_size
 from jaxlangnav.semantic_map.said import Spoken, log_told_density
@@ -36,8 +36,7 @@ _OFF_CENTRE = 1e-3
 class SearchMap:
     """Where looking is worth while; C = CELLS² cells."""
 
-    x: Array  # f32[C] metres, map frame, cell centres; of a thorough search what of each cell has
-    # been looked at least
+    x: Array  # f32[C] metres, map frame: what of each cell has been looked at least
     y: Array  # f32[C]
     free: Array  # f32[C] probability that what hangs on nothing observed lies there
     hung: Array  # f32[C] probability that what hangs on an observed object lies there
@@ -47,7 +46,6 @@ class SearchMap:
     terrain: Terrain = OPEN  # how far one sees and walks there
     forbidden: Forbidden | None = None  # what is to be kept away from
     nowhere: Array | np.float32 = np.float32(0.0)  # f32[] q, that it is nowhere (``endings``)
-    is_thorough: bool = static(default=False)  # all of the area may have to be looked at
 
     @property
     def mass(self) -> Array:
@@ -145,7 +143,6 @@ def search_map(
     belief: ParticleBelief,
     prior_share: Array,
     ahead: Array,
-    is_thorough: bool = False,
     spoken: Spoken | None = None,
 ) -> SearchMap:
     """Fold the belief into a map of where to look.
@@ -158,7 +155,6 @@ def search_map(
         belief: weighted particles and coverage.
         prior_share: f32[] in [0, 1], how far the learned prior is trusted; 0 leaves it out.
         ahead: f32[], κ, how far things are taken to lie ahead of the viewer; 0: all round alike.
-        is_thorough: whether all of the area may have to be looked at.
         spoken: what has been said; None: nothing that places a thing against the robot.
 
     Returns:
@@ -186,8 +182,7 @@ def search_map(
     cell = jnp.where(is_in, row * CELLS + column, 0.0).astype(jnp.int32)
     hung = jnp.where(is_open & ~is_free & is_in, weight[None, :], 0.0)
     hung_at = jnp.zeros(CELLS**2, jnp.float32).at[cell.reshape(-1)].add(hung.reshape(-1))
-    if is_thorough:
-        x, y = _least_looked_at(belief.coverage, x, y)
+    x, y = _least_looked_at(belief.coverage, x, y)
     scale = _partner_scale(belief, is_free, x, y)
     return SearchMap(
         x=x,
@@ -198,7 +193,6 @@ def search_map(
         partner_y=belief.viewer[1] + scale * (y - belief.viewer[1]),
         unseen=_unseen(belief.coverage, hung_at, likelier),
         terrain=belief.terrain,
-        is_thorough=is_thorough,
     )
 
 

@@ -38,7 +38,6 @@ class Situation:
     map_params: MapParams
     spoken: Spoken | None = None  # what has been said; None: nothing that bears on where to look
     num_blocks: int = static(default=1)  # blocks a side that frontiers are gathered in
-    is_thorough: bool = static(default=False)  # all of the area may have to be looked at
 
     @property
     def range_max(self) -> Array:

@@ -7,10 +7,6 @@ the search goes on while the robot is on its way; and as the tour under way is a
 it is left only for a shorter one.
 
 Stops near what is forbidden cost the way in and out (``constraints``).
-
-Of a thorough search, which may have to look at all of the area, sweeps in lanes (``sweeps``) are
-drafted too, and a tour is left only for a much shorter one: what seems so on a grid of cells leaves
-corners behind.
 """
 
 import chex
@@ -24,16 +20,10 @@ from jaxlangnav.planner.constraints import keep_out, price_of_stop
 from jaxlangnav.planner.drafts import NUM_CHANGES, NUM_GREEDY, change, greedy
 from jaxlangnav.planner.latency import NUM_STOPS, Tour, is_underfoot, latency
 from jaxlangnav.planner.search import SearchMap
-from jaxlangnav.planner.sweeps import NUM_SWEEPS, sweeps
 from jaxlangnav.pytree import pytree
 
 NUM_ROUNDS = 3
 """Rounds of changes at each decision."""
-_LESS, _LESS_SWEPT = 0.3, 0.05
-"""By what share the tour under way of a thorough search must be longer than another one, and than a
-sweep, to be left for it."""
-_HANDICAPS = np.repeat([1.0, 1.0 + _LESS, 1.0 + _LESS_SWEPT], [1, NUM_GREEDY, NUM_SWEEPS])
-"""Of the drafts: the tour under way, greedy tours, sweeps."""
 _IS_OUT = np.arange(NUM_CHANGES) % 2 == 1
 """Of the changes: those whose stops are put outside the berths of what is forbidden. A draft's are,
 unless it is under way."""
@@ -128,11 +118,6 @@ def plan(
     # As many drafts as changes: one program weighs them all.
     drawn = np.minimum(np.arange(NUM_CHANGES), NUM_GREEDY)
     drafts = Tour(x=drafts.x[drawn], y=drafts.y[drawn])
-    if search.is_thorough:
-        robot = jnp.stack([robot_x, robot_y])
-        swept = sweeps(search, robot, sensor, area, num_stops=NUM_STOPS)
-        drafts = jax.tree.map(lambda leaf: leaf[: 1 + NUM_GREEDY], drafts)
-        drafts = _join(drafts, Tour(x=swept[:, 0], y=swept[:, 1]))
 
     def improve(index: Array, carry: tuple[Tour, Array]) -> tuple[Tour, Array]:
         """Keep the best tour and weigh changes of it; at first, the drafts."""
@@ -146,8 +131,6 @@ def plan(
             x, y = keep_out(tried.x, tried.y, search.forbidden, sensor.range_max, area)
             tried = Tour(x=jnp.where(is_out, x, tried.x), y=jnp.where(is_out, y, tried.y))
         weighed = latency(tried, search, robot_x, robot_y, sensor, area)
-        if search.is_thorough:
-            weighed = weighed * jnp.where(index == 0, _HANDICAPS.astype(np.float32), 1.0 + _LESS)
         if search.forbidden is not None:
             stops = jnp.sum(price_of_stop(tried.x, tried.y, search.forbidden), axis=1)
             weighed = weighed + jnp.sum(search.mass) * stops
