@@ -94,7 +94,7 @@ def test_policies_of_a_row_stand_together() -> None:
         row(policy="known"),
         row(world="1H1C", relation=None, policy="known"),
     ]
-    order = [(one["world"], one["policy"]) for one in tables.beside_paper(document(*rows))]
+    order = [(one["world"], one["policy"]) for one in tables._beside_paper(document(*rows))]
     assert order == [
         ("2H1C", "faithful"),
         ("2H1C", "known"),

@@ -151,20 +151,14 @@ def _begin(task: Task, sentence: Sentence, *, config: NavigatorConfig) -> _Lane:
 def _advance(lane: _Lane, *, params: _Numbers, config: NavigatorConfig) -> tuple[_Lane, None]:
     """Let the person speak, run one cycle, and tell whether all is done and said."""
     progress, scenario = lane.progress, lane.progress.task.scenario
-    key = jax.random.fold_in(jax.random.fold_in(progress.task.key, _SPEECH), _SPEECH)
-
-    def watched(progress: EpisodeState, person: Person) -> tuple[Person, Array, Array]:
-        seen = seen_of(progress.navigator, progress.steps)
-        return say(key, person, seen, scenario, params=params.person)
-
-    person, said, slot = watched(progress, lane.person)
+    person, said, slot = speak(progress, lane.person, params.person)
     is_first = (said == Says.OTHER) & jnp.isnan(lane.said_at)
     left = jnp.maximum(goal_distance(progress.world, scenario) - SUCCESS_RADIUS, 0.0)
     at = progress.navigator
-    is_known = _has_seen_goal(seen_of(at, progress.steps), at, scenario)
+    is_known = _has_seen_goal(_seen_of(at, progress.steps), at, scenario)
     heard = replace(progress, navigator=_hear(progress.navigator, said, slot, params.sentence))
     after, _ = episode.advance(heard, params=params.navigator, config=config)
-    is_waiting = watched(after, person)[0].intends
+    is_waiting = speak(after, person, params.person)[0].intends
     lane = _Lane(
         progress=after,
         person=person,
@@ -236,18 +230,27 @@ def _has_seen_goal(seen: RobotView, state: NavigatorState, scenario: Scenario) -
     return jnp.any(is_held & (away <= SUCCESS_RADIUS))
 
 
-def seen_of(state: NavigatorState, step: Array) -> RobotView:
-    """Gather what the robot says of itself.
-
-    A robot at an end without a goal goes up to nothing, whatever it went up to before.
+def speak(
+    progress: EpisodeState, person: Person, params: PersonParams
+) -> tuple[Person, Array, Array]:
+    """Let a person who watches the robot say something, or nothing, before a decision.
 
     Args:
-        state: after the last cycle.
-        step: i32[], the decision to come.
+        progress: of the episode.
+        person: what was said so far.
+        params: the numbers of the person.
 
     Returns:
-        What a person is shown.
+        The person after it; i32[], what is said, one of ``Says``; i32[], of which slot.
     """
+    key = jax.random.fold_in(jax.random.fold_in(progress.task.key, _SPEECH), _SPEECH)
+    seen = _seen_of(progress.navigator, progress.steps)
+    return say(key, person, seen, progress.task.scenario, params=params)
+
+
+def _seen_of(state: NavigatorState, step: Array) -> RobotView:
+    """Gather what the robot says of itself before a decision, i32[], to be shown to a person."""
+    # A robot at an end without a goal goes up to nothing, whatever it went up to before.
     particles = state.belief.particles
     num_slots = particles.object_type.shape[0]
     weight = jnp.exp(state.belief.log_weight)[None] * (particles.object_type != NONE)

@@ -63,17 +63,10 @@ _SCREEN: TableColumns = (
 """Narrow enough for a terminal of a hundred columns."""
 
 
-def beside_paper(document: Document) -> list[Row]:
-    """Set each of our rows beside the printed one; by row, then by policy.
-
-    Args:
-        document: with ``rows`` and perhaps ``paper``.
-
-    Returns:
-        Our rows with ``paper``, the printed row, and ``same``, what it prints for the policy, None
-        where there is none. The paper's method stands beside ours and beside our reading of it, its
-        known map beside ours; it ran no other.
-    """
+def _beside_paper(document: Document) -> list[Row]:
+    """Set each of our rows beside ``paper``, the printed one; by row, then by policy."""
+    # ``same`` is what it prints for the policy. The paper's method stands beside ours and beside
+    # our reading of it, its known map beside ours; it ran no other.
     printed = {row_key(row): row for row in document.get("paper", [])}
     order = list(dict.fromkeys(row_key(row) for row in document["rows"]))
     found = []
@@ -121,7 +114,7 @@ def results_table(document: Document, *, fold: str = "") -> Table:
     firsts: list[bool] = []
     wide, small = Table.of([], _COLUMNS), Table.of([], _SCREEN)
     lines: list[list[Sequence[str]]] = [[], []]
-    for key, mine in itertools.groupby(beside_paper(document), key=row_key):
+    for key, mine in itertools.groupby(_beside_paper(document), key=row_key):
         rows, begun = list(mine), len(lines[0])
         for into, columns, distance in zip(lines, (_COLUMNS, _SCREEN), (6, 7), strict=True):
             into += Table.of(rows, columns).rows
@@ -220,7 +213,7 @@ def deviations_table(document: Document) -> Table:
             "success": row["success_rate"] - row["paper"]["success_rate"],
             "distance": row["distance_mean"] - row["paper"]["distance_mean"],
         }
-        for row in beside_paper(document)
+        for row in _beside_paper(document)
         if row["policy"] == "faithful" and row["paper"]
     ]
     return Table.of(rows, _DEVIATIONS)

@@ -10,11 +10,10 @@ from collections.abc import Callable, Mapping, Sequence
 
 import jax
 import numpy as np
-from jax import Array
 
 from jaxlangnav.conversation import first_words
 from jaxlangnav.episode import EpisodeState
-from jaxlangnav.experiments.dialogue import seen_of
+from jaxlangnav.experiments.dialogue import speak
 from jaxlangnav.grounding import Context, Grounder
 from jaxlangnav.grounding.asked import asked
 from jaxlangnav.grounding.instruction import Instruction, Understanding
@@ -35,23 +34,13 @@ from jaxlangnav.world.person import (
     PersonParams,
     Says,
     params_of,
-    say,
     unspoken,
 )
 
-_SPEECH = 31
-"""Folded into the episode's key for the person; beyond the steps' own splits of it."""
 _PLACES = ("the first", "the second", "the third")
 
 
-@kept()
-def _say(
-    progress: EpisodeState, person: Person, params: PersonParams
-) -> tuple[Person, Array, Array]:
-    """Decide what to say, compiled."""
-    key = jax.random.fold_in(jax.random.fold_in(progress.task.key, _SPEECH), _SPEECH)
-    seen = seen_of(progress.navigator, progress.steps)
-    return say(key, person, seen, progress.task.scenario, params=params)
+_speak = kept()(speak)
 
 
 @dataclasses.dataclass
@@ -69,14 +58,14 @@ class Watcher:
 
     def is_there(self, progress: EpisodeState) -> bool:
         """Tell whether the person will yet speak, if things stay as they are."""
-        return bool(_say(progress, self.person, self.params)[0].intends)
+        return bool(_speak(progress, self.person, self.params)[0].intends)
 
     def speak(self, step: int, progress: EpisodeState, doubt: Sequence[Candidate]) -> str | None:
         """Say what the law has the person say, once before each decision."""
         if step == self._step:
             return None
         self._step = step
-        self.person, said, slot = _say(progress, self.person, self.params)
+        self.person, said, slot = _speak(progress, self.person, self.params)
         if int(said) == Says.OTHER:
             return "no, the other one"
         if int(said) == Says.NONE_OF_THEM:
