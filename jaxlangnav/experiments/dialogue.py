@@ -151,14 +151,14 @@ def _begin(task: Task, sentence: Sentence, *, config: NavigatorConfig) -> _Lane:
 def _advance(lane: _Lane, *, params: _Numbers, config: NavigatorConfig) -> tuple[_Lane, None]:
     """Let the person speak, run one cycle, and tell whether all is done and said."""
     progress, scenario = lane.progress, lane.progress.task.scenario
-    person, said, slot = speak(progress, lane.person, params.person)
+    person, said, slot = speak(progress, lane.person, params=params.person)
     is_first = (said == Says.OTHER) & jnp.isnan(lane.said_at)
     left = jnp.maximum(goal_distance(progress.world, scenario) - SUCCESS_RADIUS, 0.0)
     at = progress.navigator
     is_known = _has_seen_goal(_seen_of(at, progress.steps), at, scenario)
     heard = replace(progress, navigator=_hear(progress.navigator, said, slot, params.sentence))
     after, _ = episode.advance(heard, params=params.navigator, config=config)
-    is_waiting = speak(after, person, params.person)[0].intends
+    is_waiting = speak(after, person, params=params.person)[0].intends
     lane = _Lane(
         progress=after,
         person=person,
@@ -231,7 +231,7 @@ def _has_seen_goal(seen: RobotView, state: NavigatorState, scenario: Scenario) -
 
 
 def speak(
-    progress: EpisodeState, person: Person, params: PersonParams
+    progress: EpisodeState, person: Person, *, params: PersonParams
 ) -> tuple[Person, Array, Array]:
     """Let a person who watches the robot say something, or nothing, before a decision.
 

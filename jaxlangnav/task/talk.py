@@ -58,14 +58,14 @@ class Watcher:
 
     def is_there(self, progress: EpisodeState) -> bool:
         """Tell whether the person will yet speak, if things stay as they are."""
-        return bool(_speak(progress, self.person, self.params)[0].intends)
+        return bool(_speak(progress, self.person, params=self.params)[0].intends)
 
     def speak(self, step: int, progress: EpisodeState, doubt: Sequence[Candidate]) -> str | None:
         """Say what the law has the person say, once before each decision."""
         if step == self._step:
             return None
         self._step = step
-        self.person, said, slot = _speak(progress, self.person, self.params)
+        self.person, said, slot = _speak(progress, self.person, params=self.params)
         if int(said) == Says.OTHER:
             return "no, the other one"
         if int(said) == Says.NONE_OF_THEM:
