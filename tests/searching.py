@@ -43,6 +43,7 @@ def in_a_row(random: np.random.Generator) -> Things:
 
 
 _PAIR = functools.partial(pair, near=3.0, far=11.0)
+_TURNED = functools.partial(_PAIR, turned=np.pi)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -93,20 +94,13 @@ ROWS = {
     "behind": Row(),
     "none": Row(sentence=PLAIN),
     "pairs": Row(extra_pairs=2),
-    "front": Row(
-        sentence="go to the hydrant in front of the cone",
-        draw=functools.partial(_PAIR, turned=np.pi),
-    ),
+    "front": Row(sentence="go to the hydrant in front of the cone", draw=_TURNED),
     "false": Row(sentence="go to the hydrant left of the cone"),
     "large_behind": _LARGE(),
     "large_none": _LARGE(sentence=PLAIN),
     "empty": Row(draw=lambda _: [], is_empty=True),
     "no_landmark": Row(draw=lambda random: _PAIR(random)[:1]),
-    "right": Row(
-        sentence="go to the hydrant on your right",
-        draw=by_robot,
-        area=(-14.0, 14.0, -14.0, 14.0),
-    ),
+    "right": Row(sentence=f"{PLAIN} on your right", draw=by_robot, area=(-14, 14, -14, 14)),
     "second": Row(sentence="go to the second hydrant from the left", draw=in_a_row),
 } | {
     f"{name}_{side}": _of_side(float(side), sentence)

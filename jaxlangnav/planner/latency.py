@@ -15,7 +15,8 @@ at before that is known, in whatever order, and the way until then is what count
 
     L' = (1 − q) L + q M (T + mean_{c missed} |c − q_K| + B / 2R + G),   M = Σ_c m_c
 
-G is the way between the patches that the tour would leave, from patch to patch in lanes.
+G is the way between the patches that the tour would leave, from patch to patch in lanes. Where the
+tour leaves nothing, all has been looked at after max_c t_c metres, and L' is exact.
 
 Where something is forbidden, what is missed within its berth is as much farther away as it costs to
 go in (``constraints``): as a rule it is looked at from outside.
@@ -106,11 +107,6 @@ def _eyesight(sensor: SensorParams) -> tuple[Array, Array]:
     return radius, sensor.range_max * jnp.sin(half)
 
 
-def _is_worth_a_look(mass: Array) -> Array:
-    """Tell which cells are not as good as looked at, bool[C]."""
-    return mass > 0.1 * jnp.mean(mass)
-
-
 def _between_patches(is_missed: Array, area: Array) -> Array:
     """Measure the way between the patches that tours leave, f32[T] metres."""
     side = int(np.sqrt(is_missed.shape[1])) // 2
@@ -170,7 +166,8 @@ def latency(
     if search.forbidden is not None:  # what a tour misses has to be gone in for
         away = away + price_of_stop(search.x, search.y, search.forbidden)[None]
     mass = search.mass
-    counts = _is_worth_a_look(mass)[None, :]
+    # What is as good as looked at is not worth a way.
+    counts = (mass > 0.1 * jnp.mean(mass))[None, :]
     is_left = (free >= NEVER) & counts
     cell = (area[1] - area[0]) * (area[3] - area[2]) / mass.shape[0]
     sweep = jnp.sum(is_left, axis=1) * cell / (4.0 * abreast)
@@ -183,7 +180,8 @@ def latency(
     is_missed = (hung >= NEVER) & counts
     number = jnp.sum(is_missed, axis=1)
     back = jnp.sum(jnp.where(is_missed, away, 0.0), axis=1) / jnp.maximum(number, 1)
-    whole = walked + back + number * cell / (2.0 * abreast) + _between_patches(is_missed, area)
+    rest = walked + back + number * cell / (2.0 * abreast) + _between_patches(is_missed, area)
+    whole = jnp.where(number > 0, rest, jnp.max(jnp.where(counts, hung, 0.0), axis=1))
     total = (1.0 - search.nowhere) * total + search.nowhere * jnp.sum(mass) * whole
     return total + jnp.where(
         is_underfoot(tours.x[:, 0], tours.y[:, 0], robot_x, robot_y), NEVER, 0.0
