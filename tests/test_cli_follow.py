@@ -340,7 +340,7 @@ def test_a_world_without_a_goal_is_judged_by_what_is_said(tmp_path: Path) -> Non
     # Its start stands in for a goal, and is none: here nothing fits.
     nothing = prepare_own("go to the bench behind the statue in front of the car", world)
     assert not nothing.is_meant
-    assert nothing.unjudged == "nothing there fits the sentence (there is no bench)"
+    assert nothing.unjudged == "nothing there fits the sentence (no statue is in front of the car)"
 
 
 def test_a_world_without_a_goal_is_not_judged_where_several_fit_alike(tmp_path: Path) -> None:

@@ -120,7 +120,7 @@ def test_what_stands_against_the_robot_is_looked_for_there(robot, said, x: float
         run = go(robot, state, places, seed=seed)
         assert bool(run.state.is_done)
         assert distance(run, 0, places) < 1.5
-        assert len(run.places) < 12  # a metre each, 4.8 m straight on
+        assert len(run.places) < 14  # a metre each, 4.8 m straight on
 
 
 def test_the_other_hydrant_is_not_taken(robot) -> None:
