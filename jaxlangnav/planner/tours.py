@@ -62,17 +62,8 @@ def no_tour(x: Array, y: Array) -> Tour:
     return Tour(x=stay * x, y=stay * y)
 
 
-def drop_reached(tour: Tour, robot_x: Array, robot_y: Array) -> Tour:
-    """Drop the first stop once the robot is there; the last one is repeated.
-
-    Args:
-        tour: leaves [K].
-        robot_x: f32[], metres, map frame.
-        robot_y: f32[], metres.
-
-    Returns:
-        What is left of the tour.
-    """
+def _drop_reached(tour: Tour, robot_x: Array, robot_y: Array) -> Tour:
+    """Drop the first stop once the robot is there; the last one is repeated."""
     is_there = is_underfoot(tour.x[0], tour.y[0], robot_x, robot_y)
     return Tour(
         x=jnp.where(is_there, jnp.append(tour.x[1:], tour.x[-1]), tour.x),
@@ -112,7 +103,7 @@ def plan(
     chex.assert_equal_shape([search.x, search.y, search.free, search.hung, search.partner_x])
     chex.assert_rank([robot_x, robot_y, sensor.range_max, sensor.field_of_view], 0)
     chex.assert_type([tour.x, search.free, area], float)
-    here = drop_reached(drop_reached(tour, robot_x, robot_y), robot_x, robot_y)
+    here = _drop_reached(_drop_reached(tour, robot_x, robot_y), robot_x, robot_y)
     drafts = _join(
         Tour(x=here.x[None], y=here.y[None]),
         greedy(search, robot_x, robot_y, sensor.range_max, area),
