@@ -110,8 +110,7 @@ def plan(
     )
     keys = jax.random.split(key, NUM_ROUNDS)
     # As many drafts as changes: one program weighs them all.
-    drawn = np.minimum(np.arange(NUM_CHANGES), NUM_GREEDY)
-    drafts = Tour(x=drafts.x[drawn], y=drafts.y[drawn])
+    drafts = jax.tree.map(lambda leaf: leaf[np.minimum(np.arange(NUM_CHANGES), NUM_GREEDY)], drafts)
 
     def improve(index: Array, carry: tuple[Tour, Array]) -> tuple[Tour, Array]:
         """Keep the best tour and weigh changes of it; at first, the drafts."""
@@ -125,13 +124,11 @@ def plan(
             x, y = keep_out(tried.x, tried.y, search.forbidden, sensor.range_max, area)
             tried = Tour(x=jnp.where(is_out, x, tried.x), y=jnp.where(is_out, y, tried.y))
         weighed = latency(tried, search, robot_x, robot_y, sensor, area)
-        is_other = (index > 0) | (np.arange(NUM_CHANGES) > 0)
-        weighed = weighed * jnp.where(is_other, 1.0 + LESS, 1.0)
+        weighed = weighed * jnp.where((index > 0) | (np.arange(NUM_CHANGES) > 0), 1.0 + LESS, 1.0)
         if search.forbidden is not None:
             stops = jnp.sum(price_of_stop(tried.x, tried.y, search.forbidden), axis=1)
             weighed = weighed + jnp.sum(search.mass) * stops
-        kept = Tour(x=best.x[None], y=best.y[None])
-        return _join(kept, tried), jnp.append(cost[least], weighed)
+        return _join(Tour(x=best.x[None], y=best.y[None]), tried), jnp.append(cost[least], weighed)
 
     # Nothing has been weighed yet: the first best is any of those that cost too much to be kept.
     untried = jax.tree.map(lambda one: jnp.tile(one, (NUM_CHANGES + 1, 1)), here)
