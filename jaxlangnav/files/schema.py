@@ -5,6 +5,7 @@ part does not fit, its value, the limit and the remedy, as in "area.x_max is 3, 
 least 4".
 """
 
+import ctypes
 import difflib
 import re
 from collections.abc import Iterable
@@ -37,6 +38,11 @@ class Schema(msgspec.Struct, forbid_unknown_fields=True):
 
     A subclass that checks more raises a ``ValueError`` whose message begins with the key.
     """
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Keep the class for ever: msgspec 0.22 frees a nested one twice at exit (issue 717)."""
+        super().__init_subclass__(**options)
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(cls))
 
     def __post_init__(self) -> None:
         """Refuse texts that would move a terminal's cursor or turn the direction of writing."""

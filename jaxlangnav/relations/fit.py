@@ -20,14 +20,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.flatten_util import ravel_pytree
+from scipy.optimize.elementwise import find_root
 
 from jaxlangnav.messages import FAR, NEAR, RELATIONS
 from jaxlangnav.numerics.descent import Descent, descend
 from jaxlangnav.pytree import pytree, replace
-from jaxlangnav.relations import (
-    RelationParams,
-    default_params,
-)
+from jaxlangnav.relations import RelationParams, default_params
 from jaxlangnav.relations.pairs import FRAMES, RelationPairs, log_frame_densities
 
 _RINGS = (NEAR, FAR)
@@ -255,11 +253,8 @@ def in_viewer_frame(fit: RelationFit) -> RelationParams:
     kappa = np.asarray(fit.params.concentration, np.float64)
     target = np.asarray(fit.frame_share[:, 0], np.float64) * _resultant(kappa)
     low, high = np.zeros_like(kappa), np.maximum(kappa, _MIN_CONCENTRATION)
-    for _ in range(50):
-        middle = 0.5 * (low + high)
-        is_below = _resultant(middle) < target
-        low, high = np.where(is_below, middle, low), np.where(is_below, high, middle)
-    found = np.where(np.isin(np.arange(len(RELATIONS)), _RINGS), 0.0, 0.5 * (low + high))
+    root = find_root(lambda one, wanted: _resultant(one) - wanted, (low, high), args=(target,)).x
+    found = np.where(np.isin(np.arange(len(RELATIONS)), _RINGS), 0.0, root)
     return replace(fit.params, concentration=jnp.asarray(found, jnp.float32))
 
 

@@ -59,11 +59,6 @@ class Design:
         ]
         return np.stack(rows).astype(np.float32).reshape(-1, *shape)
 
-    @property
-    def num_distinct(self) -> int:
-        """Distinct pairs of words and properties."""
-        return len(np.unique(self.place // 2))
-
 
 def pool(factors: Factors, columns: dict[str, slice], num_instructions: int) -> Design:
     """Join equal factors and count them.
