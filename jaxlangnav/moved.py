@@ -19,6 +19,7 @@ MOVED = {
     "robots.motion.window": "robots.motion.steering",
     "robots.record": "robots.robot",
     "robots.ros2.headway": "robots.ros2.robot",
+    "robots.ros2.serve": "robots.ros2.simulation",
     "world.errors": "world.sensor",
     "grounding.graph": "grounding.symbols",
     "grounding.recorded": "grounding.rewrites",

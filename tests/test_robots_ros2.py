@@ -18,9 +18,8 @@ from jaxlangnav.robots.ros2.__main__ import NavigatorOptions, navigate
 from jaxlangnav.robots.ros2.inbox import Inbox
 from jaxlangnav.robots.ros2.recording import Loopback
 from jaxlangnav.robots.ros2.robot import Headway, RosRobot
-from jaxlangnav.robots.ros2.serve import UnrulyChannel
 from jaxlangnav.robots.ros2.session import Session
-from jaxlangnav.robots.ros2.simulation import RobotOptions, simulate
+from jaxlangnav.robots.ros2.simulation import RobotOptions, UnrulyChannel, simulate
 
 
 def quaternion(x: float, y: float, z: float, w: float) -> Message:

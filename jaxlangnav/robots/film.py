@@ -34,12 +34,7 @@ class Views:
     """Takes pictures of a robot; each is u8[H, W, 3], blue, green, red, as OpenCV has them."""
 
     def __init__(self, robot: PhysicsRobot, type_names: tuple[str, ...] = ()) -> None:
-        """Set up a camera that follows a robot.
-
-        Args:
-            robot: that is looked at.
-            type_names: by which its tags are named; not named where there is none.
-        """
+        """Set up a camera that follows a robot; tags of types without a name are not named."""
         self._robot, self._type_names = robot, type_names
         self._cv2 = libraries.opencv()
         self._view = libraries.mujoco().MjvCamera()
@@ -124,13 +119,7 @@ class Film:
     """Frames of a run, taken as it goes."""
 
     def __init__(self, robot: PhysicsRobot, text: str, type_names: tuple[str, ...] = ()) -> None:
-        """Begin a film; ``robot.on_tick`` and ``film.on_step`` take its frames.
-
-        Args:
-            robot: that is filmed.
-            text: what it has been told.
-            type_names: by which tags are named.
-        """
+        """Begin a film of what was told; ``robot.on_tick`` and ``film.on_step`` take its frames."""
         self.frames: list[np.ndarray] = []
         self._robot, self._text = robot, text
         self._cv2, self._views = libraries.opencv(), Views(robot, type_names)
@@ -219,13 +208,7 @@ class Film:
             cv2.rectangle(map_, *corners, (0, 0, 0), 1)
 
     def write(self, path: Path) -> Path:
-        """Write the film, all or nothing.
-
-        Args:
-            path: its ending says what it is: .gif or .mp4.
-
-        Returns:
-            The path.
+        """Write the film, all or nothing, as .gif or .mp4, and return its path.
 
         Raises:
             ValueError: another ending, or OpenCV cannot write it here.

@@ -101,13 +101,7 @@ class KinematicRobot(SimulatedRobot):
         return np.array(discs, float).reshape(-1, 3)
 
     def move_object(self, index: int, x: float, y: float) -> None:
-        """Put a thing elsewhere, or out of the world where a coordinate is not finite.
-
-        Args:
-            index: its slot in the scenario.
-            x: metres, map frame.
-            y: metres.
-        """
+        """Put the thing of a slot elsewhere, metres; out of the world where not finite."""
         scenario = self.scenario
         is_there = bool(np.isfinite([x, y]).all())
         self.scenario = replace(

@@ -16,17 +16,7 @@ NO_WHEELS = ("apriltag_msgs", "tf2_msgs", "vision_msgs")
 
 
 def ros(module: str) -> Any:
-    """Load a module of ROS 2.
-
-    Args:
-        module: such as "rclpy" or "nav_msgs.msg".
-
-    Returns:
-        The module.
-
-    Raises:
-        MissingExtraError: it is not installed.
-    """
+    """Load a module of ROS 2, such as "nav_msgs.msg", or raise a ``MissingExtraError``."""
     package = module.split(".")[0]
     if package in NO_WHEELS and importlib.util.find_spec(package) is None:
         raise MissingExtraError(
@@ -35,6 +25,12 @@ def ros(module: str) -> Any:
         )
     require(package, extra="ros2")
     return importlib.import_module(module)
+
+
+def ros_message(name: str) -> Any:
+    """Load the class of a message of ROS 2, such as "nav_msgs/msg/Odometry"."""
+    package, _, kind = name.partition("/msg/")
+    return getattr(ros(f"{package}.msg"), kind)
 
 
 SYSTEM_PACKAGES = "libegl1 libegl-mesa0 libgl1-mesa-dri"
@@ -49,9 +45,6 @@ class MissingSystemLibraryError(ValueError):
 
 def mujoco() -> Any:
     """Load MuJoCo, set up to render off screen.
-
-    Returns:
-        The module.
 
     Raises:
         MissingExtraError: it is not installed.
@@ -71,19 +64,7 @@ def mujoco() -> Any:
 
 
 def renderer(model: Any, height: int, width: int) -> Any:
-    """Open a renderer.
-
-    Args:
-        model: a ``mujoco.MjModel``.
-        height: pixels.
-        width: pixels.
-
-    Returns:
-        A ``mujoco.Renderer``.
-
-    Raises:
-        MissingSystemLibraryError: EGL or its driver is not there.
-    """
+    """Open a ``mujoco.Renderer``, sizes in pixels, or raise a ``MissingSystemLibraryError``."""
     try:
         return mujoco().Renderer(model, height, width)
     except Exception as error:  # PyOpenGL raises whatever it meets first
@@ -91,27 +72,13 @@ def renderer(model: Any, height: int, width: int) -> Any:
 
 
 def opencv() -> Any:
-    """Load OpenCV.
-
-    Returns:
-        The module ``cv2``.
-
-    Raises:
-        MissingExtraError: it is not installed.
-    """
+    """Load OpenCV, the module ``cv2``, or raise a ``MissingExtraError``."""
     require("cv2", extra="robot")
     return importlib.import_module("cv2")
 
 
 def apriltags() -> Any:
-    """Load the detector of AprilTags.
-
-    Returns:
-        The module ``pupil_apriltags``.
-
-    Raises:
-        MissingExtraError: it is not installed.
-    """
+    """Load the detector of AprilTags, or raise a ``MissingExtraError``."""
     require("pupil_apriltags", extra="robot")
     return importlib.import_module("pupil_apriltags")
 

@@ -48,13 +48,7 @@ class DriveRecorder:
         navigator: Navigator,
         text: str,
     ) -> None:
-        """Begin; ``robot.on_look`` is taken for it.
-
-        Args:
-            robot: at its start.
-            navigator: what decides.
-            text: the sentence, for people.
-        """
+        """Begin with a robot at its start; ``robot.on_look`` is taken for it."""
         self._robot, self._navigator, self._text = robot, navigator, text
         self._scenario = robot.scenario
         self._portray: Callable[[], Mapping[str, bytes]] | None = None
@@ -112,17 +106,7 @@ class DriveRecorder:
         )
 
     def recording(self, ended: Drive) -> Recording:
-        """Put the recording together.
-
-        Args:
-            ended: the drive that was kept.
-
-        Returns:
-            The recording.
-
-        Raises:
-            ValueError: not a single decision was kept.
-        """
+        """Put the recording of a drive together; a ValueError where no decision was kept."""
         if not self._frames:
             raise ValueError("nothing was recorded: give drive on_step=recorder.on_step")
         navigator = self._navigator

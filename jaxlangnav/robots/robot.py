@@ -152,14 +152,7 @@ OnStep = Callable[[Step, NavigatorState, NavigatorInfo | None], None]
 
 
 def start_pose(pose: np.ndarray) -> tuple[float, float, float]:
-    """Tell where a robot starts: its heading within a turn, as a navigator takes it.
-
-    Args:
-        pose: f64[3], x, y, heading by dead reckoning, which may have turned round often.
-
-    Returns:
-        x, y, metres, and the heading in [−π, π].
-    """
+    """Tell x, y, metres, and heading in [−π, π] of a pose f64[3] that may have turned often."""
     x, y, heading = pose.tolist()
     return x, y, math.remainder(heading, math.tau)
 

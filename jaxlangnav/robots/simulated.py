@@ -85,12 +85,7 @@ class SimulatedRobot(abc.ABC):
         """Find things in a picture taken now."""
 
     def at(self, seconds: float, event: Callable[[Self], None]) -> None:
-        """Let something happen at a time: a fault, a person who steps in the way.
-
-        Args:
-            seconds: on the robot's clock.
-            event: is given the robot.
-        """
+        """Let something happen to the robot, a fault or a person, at seconds of its clock."""
         heapq.heappush(self._events, (seconds, next(self._count), event))
 
     def pose(self) -> np.ndarray:

@@ -106,16 +106,7 @@ _draw_many = jax.jit(jax.vmap(draw_scenario, in_axes=(0, None)))
 
 
 def make_robot(row: TrialRow, seed: int, trial: int) -> PhysicsRobot:
-    """Put a row's robot at the start of its environment.
-
-    Args:
-        row: the row.
-        seed: root seed.
-        trial: which one; its noise follows from it.
-
-    Returns:
-        The robot; to be closed.
-    """
+    """Put a row's robot at the start of its environment; a trial's noise follows from the seed."""
     gates = Gates(range=row.range)
     noise = np.random.SeedSequence([seed, _TRIALS, TABLE3.index(row), trial + 1])
     return PhysicsRobot(
@@ -128,17 +119,10 @@ def make_robot(row: TrialRow, seed: int, trial: int) -> PhysicsRobot:
 
 
 def navigator_of(robot: str, policy: str = "informed") -> Navigator:
-    """Build the navigator of a robot, which is told how far its odometry may be out.
+    """Build the navigator of "husky" or "wheelchair", told how far its odometry may be out.
 
     As in the tables of simulated worlds it takes what it is told of to be there, as it always is:
     ``Navigator.pretrained`` alone leaves 5 % to its being nowhere, and ends its search for that.
-
-    Args:
-        robot: "husky" or "wheelchair".
-        policy: "informed" or "faithful".
-
-    Returns:
-        The navigator.
     """
     return Navigator.pretrained(policy, odometry_noise=odometry.TOLD[robot], absent=0.0)
 
@@ -196,12 +180,7 @@ def run_trial(
 def run_known(row: TrialRow, *, seed: int = 0) -> dict[str, Any]:
     """Run a row's robot with a completely known map: straight to the goal by its odometry.
 
-    Args:
-        row: the row.
-        seed: root seed.
-
-    Returns:
-        What came of it, as ``run_trial``'s, without steps.
+    Returns what came of it as ``run_trial`` does, without steps.
     """
     begin = time.perf_counter()
     robot = make_robot(row, seed, -1)

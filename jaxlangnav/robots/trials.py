@@ -247,14 +247,7 @@ TRIAL_HEADINGS = (
 
 
 def table_rows(document: dict[str, Any]) -> list[list[str]]:
-    """Write the table's cells, ours beside the paper's.
-
-    Args:
-        document: of ``reproduce_table3``.
-
-    Returns:
-        Rows under ``TRIAL_HEADINGS``; distances as mean (sd).
-    """
+    """Write the cells under ``TRIAL_HEADINGS``, ours beside the paper's; distances as mean (sd)."""
     return [_cells(row) for row in document["rows"]]
 
 

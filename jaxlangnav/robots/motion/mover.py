@@ -48,12 +48,7 @@ class Mover:
     """A motion planner: A* on inflated discs before a way of steering."""
 
     def __init__(self, body: BodyLimits, steering: Steering) -> None:
-        """Build one that stands still.
-
-        Args:
-            body: what it moves.
-            steering: how it follows a way.
-        """
+        """Build one that stands still."""
         self.body = body
         self.steering = steering
         self.moving = STILL

@@ -64,15 +64,9 @@ def _disc(x: np.ndarray, y: np.ndarray, pose: np.ndarray) -> tuple[float, float,
 
 
 def gaps(x: np.ndarray, y: np.ndarray, discs: np.ndarray) -> np.ndarray:
-    """Measure how far places are from the edge of the nearest disc.
+    """Measure how far places are from the edge of the nearest disc, all in metres.
 
-    Args:
-        x: f64[...], metres.
-        y: f64[...], metres.
-        discs: f64[K, 3].
-
-    Returns:
-        f64[...], metres; negative inside a disc, infinite where there are none.
+    f64[...] x and y, f64[K, 3] to f64[...]; negative inside a disc, infinite where there are none.
     """
     if not len(discs):
         return np.full(np.shape(x), np.inf)
@@ -116,16 +110,7 @@ def inflate(
 
 
 def is_clear(start: np.ndarray, end: np.ndarray, discs: np.ndarray) -> bool:
-    """Tell whether a straight way stays out of inflated discs.
-
-    Args:
-        start: f64[2], metres.
-        end: f64[2], metres.
-        discs: f64[K, 3], inflated.
-
-    Returns:
-        True where it does.
-    """
+    """Tell whether the straight way between two places f64[2] stays out of discs f64[K, 3]."""
     if not len(discs):
         return True
     way = end - start

@@ -47,14 +47,7 @@ class Figure:
 
 
 def as_told(gates: Gates) -> SensorParams:
-    """Tell the belief what the detector is good for.
-
-    Args:
-        gates: what is used of it.
-
-    Returns:
-        The specification.
-    """
+    """Tell the belief what the detector within some gates is good for."""
     return replace(
         default_sensor(gates.range),
         field_of_view=jnp.float32(gates.field_of_view),
@@ -156,14 +149,7 @@ def _look(
 
 
 def tabulate(figures: Sequence[Figure]) -> tuple[list[str], list[list[str]]]:
-    """Lay figures out for people: a row for each picture and range, a column for each turn.
-
-    Args:
-        figures: of ``measure_detector``.
-
-    Returns:
-        Headings and rows.
-    """
+    """Lay figures out for people: a row for each picture and range, a column for each turn."""
     turns = list(dict.fromkeys(one.turned for one in figures))
     headings = ["picture", "range (m)", *(f"{turn:g}°" for turn in turns)]
     rows: dict[tuple[str, float], list[str]] = {}

@@ -83,14 +83,7 @@ class Tag:
 
 
 def draw_tag(number: int) -> np.ndarray:
-    """Draw a tag with its white margin.
-
-    Args:
-        number: of the tag, 0 to 586.
-
-    Returns:
-        u8[160, 160].
-    """
+    """Draw a tag of a number from 0 to 586 with its white margin, u8[160, 160]."""
     cv2 = libraries.opencv()
     book = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
     picture = np.full((_CELLS * _CELL_PIXELS,) * 2, 255, np.uint8)
@@ -109,15 +102,7 @@ def _detector() -> Any:
 
 
 def find_tags(picture: np.ndarray, camera: Camera) -> list[Tag]:
-    """Find tags in a picture.
-
-    Args:
-        picture: u8[H, W], grey.
-        camera: that took it.
-
-    Returns:
-        Those of which every bit is right and stands out.
-    """
+    """Find the tags in a grey picture u8[H, W] of which every bit is right and stands out."""
     found = _detector().detect(np.ascontiguousarray(picture))
     return [
         _place(int(one.tag_id), np.asarray(one.corners, float), camera)

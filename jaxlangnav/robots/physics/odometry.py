@@ -109,14 +109,7 @@ def _share(logs: Sequence[np.ndarray], span: int) -> float:
 
 
 def odometry_table(figures: Sequence[OdometryFigures]) -> tuple[list[str], list[list[str]]]:
-    """Lay figures out for people.
-
-    Args:
-        figures: of ``measure_odometry``.
-
-    Returns:
-        Headings and rows.
-    """
+    """Lay figures of ``measure_odometry`` out for people: headings and rows."""
     spans = [f"{span} cycle" + ("s" if span > 1 else "") for span in SPANS]
     headings = ["robot", *spans, "told", "end, mean (most)", "heading"]
     rows = []

@@ -111,22 +111,11 @@ class PhysicsRobot(SimulatedRobot):
         self._mujoco.mj_forward(self.scene.model, self.scene.data)
 
     def put_person(self, x: float, y: float) -> None:
-        """Let a person stand somewhere.
-
-        Args:
-            x: metres, map frame.
-            y: metres.
-        """
+        """Let a person stand at a place, metres, map frame."""
         self.scene.put("person", x, y)
 
     def move_object(self, slot: int, x: float, y: float) -> None:
-        """Put a thing elsewhere, or out of sight where a coordinate is not finite.
-
-        Args:
-            slot: of the scenario.
-            x: metres, map frame.
-            y: metres.
-        """
+        """Put the thing of a slot elsewhere, metres; out of sight where x or y is not finite."""
         place = (x, y) if np.isfinite([x, y]).all() else OUT_OF_SIGHT
         self.scene.put(f"thing{slot}", *place)
 
@@ -135,14 +124,7 @@ class PhysicsRobot(SimulatedRobot):
         return self.render("front")
 
     def render(self, camera: str | object) -> np.ndarray:
-        """Render a picture.
-
-        Args:
-            camera: a camera's name, or a ``mujoco.MjvCamera``.
-
-        Returns:
-            u8[H, W, 3], red, green, blue.
-        """
+        """Render what a camera sees, by name or ``MjvCamera``: RGB, u8[H, W, 3]."""
         # Its own camera is mounted so that it does not see itself.
         option = None if camera == "front" else self._with_robot
         self._renderer.update_scene(self.scene.data, camera, option)

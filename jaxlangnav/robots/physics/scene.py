@@ -44,34 +44,18 @@ class PhysicsScene:
         return int(self.model.body(name).id)
 
     def put(self, name: str, x: float, y: float) -> None:
-        """Put a thing or the person somewhere.
-
-        Args:
-            name: "thing3" for the slot 3, or "person".
-            x: metres, map frame.
-            y: metres.
-        """
+        """Put a thing, "thing3" for the slot 3, or the "person" somewhere, metres, map frame."""
         index = int(self.model.body_mocapid[self.body(name)])
         self.data.mocap_pos[index, :2] = x, y
 
     def turn(self, name: str, heading: float) -> None:
-        """Turn a thing about its upright axis.
-
-        Args:
-            name: of its body.
-            heading: radians, map frame.
-        """
+        """Turn a thing about its upright axis to a heading, radians, map frame."""
         index = int(self.model.body_mocapid[self.body(name)])
         half = 0.5 * heading
         self.data.mocap_quat[index] = np.cos(half), 0.0, 0.0, np.sin(half)
 
     def cover(self, slot: int, sides: Sequence[str] = _SIDES) -> None:
-        """Hang something grey over tags of a thing.
-
-        Args:
-            slot: of the scenario.
-            sides: "front", "left", "back" or "right", as the thing was put.
-        """
+        """Hang something grey over tags of a thing, on sides as it was put."""
         for side in sides:
             geom = int(self.model.geom(f"tag{slot}_{side}").id)
             self.model.geom_matid[geom] = -1
@@ -79,15 +63,9 @@ class PhysicsScene:
 
 
 def compile_scene(robot: str, scenario: Scenario, *, seed: int) -> PhysicsScene:
-    """Build a place with a robot in it.
+    """Build a place with "husky" or "wheelchair" at its start.
 
-    Args:
-        robot: "husky" or "wheelchair".
-        scenario: what is where; the robot stands at its start.
-        seed: of how the cubes are turned.
-
-    Returns:
-        The scene at its beginning.
+    ``seed`` is of how the cubes are turned.
     """
     mujoco = libraries.mujoco()
     path = resources.files("jaxlangnav.robots.physics") / f"{robot}.xml"

@@ -57,11 +57,7 @@ class NavigatorOptions:
 
 
 def navigate(options: NavigatorOptions) -> None:
-    """Run the node until it is ended.
-
-    Args:
-        options: see ``NavigatorOptions``.
-    """
+    """Run the node until it is ended."""
     _check(options)
     navigator, said = Navigator.pretrained(), []
     tags = _tags(options, navigator.type_names)
@@ -159,11 +155,7 @@ def _wait_for_robot(bus: RosBus, patience: float) -> None:
 
 
 def main() -> int:
-    """Run one of the two.
-
-    Returns:
-        The exit code: 0 done or ended by a signal, 2 bad input, said in one line.
-    """
+    """Run one of the two; exit code 0: done or ended by a signal, 2: bad input."""
     choice = tyro.extras.subcommand_type_from_defaults(
         {"navigator": NavigatorOptions(), "robot": RobotOptions()}
     )

@@ -41,14 +41,7 @@ TEXTS = {
 
 
 def typestore() -> Any:
-    """Build the types of ROS 2 Kilted with ``TEXTS`` besides.
-
-    Returns:
-        A ``rosbags`` type store.
-
-    Raises:
-        MissingExtraError: rosbags is not installed.
-    """
+    """Build the types of ROS 2 Kilted with ``TEXTS`` besides; it needs ``rosbags``."""
     systems = ros("rosbags.typesys")
     store = systems.get_typestore(systems.Stores.ROS2_KILTED)
     types: dict[str, Any] = {}

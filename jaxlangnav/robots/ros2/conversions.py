@@ -6,7 +6,7 @@ alike. Frames are those of REP 103 and 105: the *odometry* frame is where the ro
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -27,13 +27,7 @@ POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("label", "<u4")])
 
 
 def yaw_of(quaternion: Any) -> float:
-    """Tell the heading of an orientation.
-
-    Args:
-        quaternion: a geometry_msgs/Quaternion.
-
-    Returns:
-        Radians about the vertical, in [-π, π]; roll and pitch are left out.
+    """Tell the heading of a geometry_msgs/Quaternion, radians in [-π, π], without roll and pitch.
 
     Raises:
         ValueError: it is no rotation, such as the (0, 0, 0, 0) of a message never filled in.
@@ -49,14 +43,7 @@ def yaw_of(quaternion: Any) -> float:
 
 
 def quaternion_of(yaw: float) -> tuple[float, float, float, float]:
-    """Build the orientation of a heading.
-
-    Args:
-        yaw: radians.
-
-    Returns:
-        x, y, z, w.
-    """
+    """Build the orientation x, y, z, w of a heading, radians."""
     return 0.0, 0.0, math.sin(0.5 * yaw), math.cos(0.5 * yaw)
 
 
@@ -66,13 +53,7 @@ def seconds_of(stamp: Any) -> float:
 
 
 def pose_of(odometry: Any) -> np.ndarray:
-    """Read a nav_msgs/Odometry.
-
-    Args:
-        odometry: the message.
-
-    Returns:
-        f64[3], x, y, heading, metres and radians, odometry frame.
+    """Read a nav_msgs/Odometry: f64[3], x, y, heading, metres and radians, odometry frame.
 
     Raises:
         ValueError: it is no pose.
@@ -143,20 +124,77 @@ def detections_of_cloud(cloud: Any, num_types: int) -> list[Detection]:
 
 
 def to_cloud(found: Sequence[Detection]) -> bytes:
-    """Pack detections as the data of a cloud of ``POINT``, base frame.
-
-    Args:
-        found: the detections.
-
-    Returns:
-        16 bytes a detection.
-    """
+    """Pack detections as the data of a cloud of ``POINT``, base frame, 16 bytes each."""
     points = np.zeros(len(found), POINT)
     for point, one in zip(points, found, strict=True):
         point["x"] = one.range * math.cos(one.bearing)
         point["y"] = one.range * math.sin(one.bearing)
         point["label"] = one.object_type
     return points.tobytes()
+
+
+class Scribe:
+    """Builds messages, of ``rclpy`` as of ``rosbags``."""
+
+    def __init__(self, find: Callable[[str], Any]) -> None:
+        """Begin; ``find`` gives the class of a name such as "nav_msgs/msg/Odometry"."""
+        self._find = find
+
+    def odometry(self, pose: np.ndarray, stamp: Any) -> Any:
+        """Build a nav_msgs/Odometry of a pose f64[3], odometry frame."""
+        find, unknown = self._find, np.zeros(36)
+        zero = find("geometry_msgs/msg/Vector3")(x=0.0, y=0.0, z=0.0)
+        twist = find("geometry_msgs/msg/Twist")(linear=zero, angular=zero)
+        there = find("geometry_msgs/msg/PoseWithCovariance")(
+            pose=self._pose(pose), covariance=unknown
+        )
+        return find("nav_msgs/msg/Odometry")(
+            header=self._header("odom", stamp),
+            child_frame_id="base_link",
+            pose=there,
+            twist=find("geometry_msgs/msg/TwistWithCovariance")(twist=twist, covariance=unknown),
+        )
+
+    def cloud(self, found: Sequence[Detection], stamp: Any) -> Any:
+        """Build a sensor_msgs/PointCloud2 of detections."""
+        field = self._find("sensor_msgs/msg/PointField")
+        return self._find("sensor_msgs/msg/PointCloud2")(
+            header=self._header("base_link", stamp),
+            height=1,
+            width=len(found),
+            fields=[
+                field(name=name, offset=4 * place, datatype=kind, count=1)
+                for place, (name, kind) in enumerate(_LABELLED)
+            ],
+            is_bigendian=False,
+            point_step=POINT.itemsize,
+            row_step=POINT.itemsize * len(found),
+            data=np.frombuffer(to_cloud(found), np.uint8),
+            is_dense=True,
+        )
+
+    def goal(self, goal: np.ndarray, frame: str, stamp: Any) -> Any:
+        """Build a geometry_msgs/PoseStamped of a pose f64[3], odometry frame."""
+        stamped = self._find("geometry_msgs/msg/PoseStamped")
+        return stamped(header=self._header(frame, stamp), pose=self._pose(goal))
+
+    def words(self, text: str) -> Any:
+        """Build a std_msgs/String."""
+        return self._find("std_msgs/msg/String")(data=text)
+
+    def time(self, seconds: float) -> Any:
+        """Build a builtin_interfaces/Time."""
+        whole, rest = divmod(round(1e9 * seconds), 10**9)
+        return self._find("builtin_interfaces/msg/Time")(sec=whole, nanosec=rest)
+
+    def _header(self, frame: str, stamp: Any) -> Any:
+        return self._find("std_msgs/msg/Header")(stamp=stamp, frame_id=frame)
+
+    def _pose(self, pose: np.ndarray) -> Any:
+        place = self._find("geometry_msgs/msg/Point")(x=float(pose[0]), y=float(pose[1]), z=0.0)
+        turn = dict(zip("xyzw", quaternion_of(float(pose[2])), strict=True))
+        turned = self._find("geometry_msgs/msg/Quaternion")(**turn)
+        return self._find("geometry_msgs/msg/Pose")(position=place, orientation=turned)
 
 
 def detections_of_boxes(
@@ -259,13 +297,7 @@ def inverse(frame: np.ndarray) -> np.ndarray:
 def carried(found: Sequence[Detection], then: np.ndarray, now: np.ndarray) -> list[Detection]:
     """Express what was seen from one pose as seen from another: a look is older than the pose.
 
-    Args:
-        found: detections from ``then``.
-        then: f64[3], pose at the look.
-        now: f64[3], pose now, in the same frame.
-
-    Returns:
-        The detections from ``now``.
+    ``then`` and ``now`` are f64[3], in one frame.
     """
     moved = compose(inverse(now), then)
     there = []

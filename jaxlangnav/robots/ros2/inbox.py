@@ -55,11 +55,7 @@ class Track:
     """
 
     def __init__(self, counts: Counts) -> None:
-        """Begin with none.
-
-        Args:
-            counts: are counted in.
-        """
+        """Begin with none; ``counts`` are counted in."""
         self._counts = counts
         self._stamps: list[float] = []
         self._poses: list[np.ndarray] = []
@@ -82,12 +78,7 @@ class Track:
         return self._map_odometry
 
     def add(self, stamp: float, pose: np.ndarray) -> None:
-        """Take in odometry.
-
-        Args:
-            stamp: seconds of the robot's clock.
-            pose: f64[3], odometry frame.
-        """
+        """Take in odometry: seconds of the robot's clock, and f64[3], odometry frame."""
         if self._stamps and stamp < self._stamps[-1] - _LATE:
             self._add_old(stamp, pose)
             return
@@ -104,11 +95,7 @@ class Track:
         del self._stamps[:first], self._poses[:first]
 
     def at(self, stamp: float) -> np.ndarray | None:
-        """Tell where the robot was, f64[3], map frame; None where no odometry is near.
-
-        Args:
-            stamp: seconds of the robot's clock.
-        """
+        """Tell where the robot was at a stamp, f64[3], map frame; None if no odometry is near."""
         if not self._stamps:
             return None
         after = bisect.bisect_left(self._stamps, stamp)

@@ -23,12 +23,12 @@ from typing import Any
 import numpy as np
 
 from jaxlangnav.plain_text import printable
-from jaxlangnav.robots.libraries import ros
+from jaxlangnav.robots.libraries import ros, ros_message
 from jaxlangnav.robots.ros2.conversions import (
+    Scribe,
     detections_of_boxes,
     detections_of_cloud,
     pose_of,
-    quaternion_of,
     seconds_of,
 )
 from jaxlangnav.robots.ros2.inbox import Inbox
@@ -80,11 +80,11 @@ class RosBus:
         self._node = ros("rclpy").create_node("jaxlangnav")
         self._executor = ros("rclpy.executors").SingleThreadedExecutor()
         self._executor.add_node(self._node)
-        self._string = string = ros("std_msgs.msg").String
-        self._pose_stamped = ros("geometry_msgs.msg").PoseStamped
+        self._scribe, string = Scribe(ros_message), ros_message("std_msgs/msg/String")
+        pose_stamped = ros_message("geometry_msgs/msg/PoseStamped")
         kept = ros("rclpy.qos").DurabilityPolicy.TRANSIENT_LOCAL
         profile = ros("rclpy.qos").QoSProfile(depth=1, durability=kept)
-        self._goals = self._node.create_publisher(self._pose_stamped, "goal_pose", 1)
+        self._goals = self._node.create_publisher(pose_stamped, "goal_pose", 1)
         self._told = self._node.create_publisher(string, "navigator_status", profile)
         for topic in ("instruction", "utterance"):
             on_words = self._minding(lambda message: self.say(message.data))
@@ -99,18 +99,18 @@ class RosBus:
         detections: list[tuple[str, Any, Callable[[Any], None]]]
         if tags is not None and look == "tf":
             looks = TagLooks(tags)
-            found = ros("apriltag_msgs.msg").AprilTagDetectionArray
+            found = ros_message("apriltag_msgs/msg/AprilTagDetectionArray")
             detections = [
-                ("/tf", ros("tf2_msgs.msg").TFMessage, self._taking(looks.of_transforms)),
+                ("/tf", ros_message("tf2_msgs/msg/TFMessage"), self._taking(looks.of_transforms)),
                 ("detections", found, self._taking(looks.of_found)),
             ]
         elif look == "boxes":
-            boxes = ros("vision_msgs.msg").Detection3DArray
+            boxes = ros_message("vision_msgs/msg/Detection3DArray")
             detections = [("detections", boxes, self._taking(self._of_boxes))]
         else:
-            cloud = ros("sensor_msgs.msg").PointCloud2
+            cloud = ros_message("sensor_msgs/msg/PointCloud2")
             detections = [("detections", cloud, self._taking(self._of_cloud))]
-        odometry = ros("nav_msgs.msg").Odometry
+        odometry = ros_message("nav_msgs/msg/Odometry")
         for topic, kind, take in [("odom", odometry, self._on_odometry), *detections]:
             self._node.create_subscription(kind, topic, self._minding(take), stream)
             self._kinds[topic] = f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}"
@@ -127,42 +127,24 @@ class RosBus:
 
     def send_goal(self, goal: np.ndarray, *, speed: float, clearance: float) -> None:
         """Send where to go, see ``Bus.send_goal``; speed and clearance go into the status."""
-        message = self._pose_stamped()
-        message.header.frame_id = self._frame
-        message.header.stamp = self._stamp
-        position, turn = message.pose.position, message.pose.orientation
-        position.x, position.y = float(goal[0]), float(goal[1])
-        turn.x, turn.y, turn.z, turn.w = quaternion_of(float(goal[2]))
-        self._goals.publish(message)
+        self._goals.publish(self._scribe.goal(goal, self._frame, self._stamp))
         self._pace = {"speed": round(speed, 3), "clearance": round(clearance, 3)}
 
     def tell(self, status: dict[str, Any]) -> None:
-        """Publish what the robot is doing.
-
-        Args:
-            status: a JSON object; the counts of messages and the last goal's pace are added.
-        """
+        """Publish what the robot is doing, a JSON object; counts and the last pace are added."""
         counts = dataclasses.asdict(self.inbox.counts)
         text = json.dumps({**status, **self._pace, "messages": counts}, ensure_ascii=False)
-        self._told.publish(self._string(data=text))
+        self._told.publish(self._scribe.words(text))
 
     def warn(self, text: str) -> None:
-        """Say on the console what a person should know; what begins alike, every few seconds only.
-
-        Args:
-            text: one line.
-        """
+        """Say a line on the console; what begins alike is said every few seconds only."""
         kind, now = text[:_ALIKE], self.now()
         if now - self._warned.get(kind, -math.inf) >= _QUIET:
             self._warned[kind] = now
             self._node.get_logger().warning(printable(text))
 
     def why_silent(self, topic: str) -> str:
-        """Tell why nothing may be coming on a topic, in one line.
-
-        Args:
-            topic: "odom" or "detections".
-        """
+        """Tell why nothing may be coming on "odom" or "detections", in one line."""
         wanted = self._kinds[topic]
         found = {one.topic_type for one in self._node.get_publishers_info_by_topic(topic)}
         if not found:
@@ -190,11 +172,8 @@ class RosBus:
 
     def _on_odometry(self, message: Any) -> None:
         pose, stamp = pose_of(message), message.header.stamp
-        self._frame, self._base, self._stamp = (
-            message.header.frame_id,
-            message.child_frame_id,
-            stamp,
-        )
+        self._frame, self._base = message.header.frame_id, message.child_frame_id
+        self._stamp = stamp
         self.inbox.add_odometry(seconds_of(stamp), pose)
 
     def _taking(self, read: Callable[[Any], StampedDetections | None]) -> Callable[[Any], None]:

@@ -32,26 +32,16 @@ class Headway:
         self._since = 0.0
 
     def set(self, goal: np.ndarray | None, now: float) -> None:
-        """Give a goal; one that is where the last was goes on being watched.
+        """Give a goal f64[3], map frame, at seconds; None: it is to stand.
 
-        Args:
-            goal: f64[3], x, y, heading, map frame; None: it is to stand.
-            now: seconds.
+        One that is where the last was goes on being watched.
         """
         former, self._goal = self._goal, goal
         if former is None or goal is None or np.hypot(*(goal - former)[:2]) > _REACHED:
             self._since = now
 
     def progress(self, pose: np.ndarray, now: float) -> Progress:
-        """Tell how far it has come.
-
-        Args:
-            pose: f64[3], x, y, heading, map frame.
-            now: seconds.
-
-        Returns:
-            The progress.
-        """
+        """Tell how far a robot has come that is at f64[3], map frame, at seconds."""
         turned = abs(wrap(float(pose[2] - self._last[2]))) if np.isfinite(self._last[2]) else np.inf
         if np.hypot(*(pose - self._last)[:2]) > _MOVED or turned > _TURNED:
             self._last, self._since = pose.copy(), now

@@ -63,23 +63,14 @@ class Session:
         self._words = [] if kept is None or not kept.exists() else _read(kept)
 
     def say(self, text: str, now: float) -> None:
-        """Take in words; the same words a moment later are the same message.
-
-        Args:
-            text: what the person said.
-            now: seconds.
-        """
+        """Take in words at a time, seconds; the same a moment later are one message."""
         if (text, True) == (self._last[0], now - self._last[1] < DOUBLED):
             return
         self._last = text, now
         self._waiting.append(text)
 
     def go(self) -> Drive | None:
-        """Drive to an ending if there is a task.
-
-        Returns:
-            The drive; None where nothing has been said, or nothing that is a task.
-        """
+        """Drive to an ending; None where nothing has been said, or nothing that is a task."""
         taken_up, self._words = self._words, []
         for text in taken_up[:-1]:
             self._take_up(text)

@@ -1,15 +1,21 @@
 """A robot in a place of its own, to try the node on: ``python -m jaxlangnav.robots.ros2 robot``.
 
 A cart without physics, or the paper's Husky and wheelchair in MuJoCo: wheels slip, a camera
-renders, tags are found in its pictures. Only what a real robot publishes leaves the process; where
-it truly is is said on standard output as it ends, for whoever judges the run.
+renders, tags are found in its pictures. It publishes ``odom`` and ``detections`` and takes
+``goal_pose``, in real time; only that leaves the process. Like any robot that is told where to go
+from elsewhere it halts by itself when no goal has come for a while. What it sends can be lost,
+doubled and late on purpose. Where it truly is is said on standard output as it ends, for whoever
+judges the run.
 """
 
 import contextlib
 import dataclasses
+import heapq
+import itertools
 import math
+import time
 from collections.abc import Iterator
-from typing import Literal
+from typing import Any, Generic, Literal, TypeVar
 
 import jax
 import numpy as np
@@ -17,14 +23,131 @@ import numpy as np
 from jaxlangnav.messages import default_sensor
 from jaxlangnav.pytree import replace
 from jaxlangnav.robots.kinematic import KinematicRobot
-from jaxlangnav.robots.libraries import check_libraries
+from jaxlangnav.robots.libraries import check_libraries, ros, ros_message
+from jaxlangnav.robots.motion.mover import TICK
 from jaxlangnav.robots.perception.figures import as_told
 from jaxlangnav.robots.perception.tags import Gates
 from jaxlangnav.robots.physics.robot import PhysicsRobot
-from jaxlangnav.robots.ros2.serve import RobotServer
+from jaxlangnav.robots.ros2.conversions import Scribe, compose, inverse, yaw_of
 from jaxlangnav.robots.simulated import SimulatedRobot
 from jaxlangnav.world.scenario import sample_scenario
 from jaxlangnav.world.state import Scenario
+
+Message = TypeVar("Message")
+_LONGEST = 1.0
+"""Seconds by which a message may be late."""
+
+
+class UnrulyChannel(Generic[Message]):
+    """Hands on messages as a bad network does."""
+
+    def __init__(self, share: float, seed: int) -> None:
+        """Begin with nothing under way.
+
+        Args:
+            share: of messages that are lost, and of those doubled, and of those late; each.
+            seed: of what becomes of which.
+
+        Raises:
+            ValueError: no such share.
+        """
+        if not 0.0 <= share <= 0.3:
+            raise ValueError(f"a share of {share:g} of messages cannot be lost: give 0 to 0.3")
+        self._share = share
+        self._random = np.random.default_rng(seed)
+        self._count = itertools.count()
+        self._under_way: list[tuple[float, int, Message]] = []
+
+    def put(self, message: Message, now: float) -> None:
+        """Send a message at seconds."""
+        draw = self._random.uniform() / max(self._share, 1e-9)
+        if draw < 1.0:
+            return
+        late = self._random.uniform(0.0, _LONGEST) if draw > 2.0 and draw < 3.0 else 0.0
+        for delay in (0.0, 0.1) if draw < 2.0 else (late,):
+            heapq.heappush(self._under_way, (now + delay, next(self._count), message))
+
+    def take(self, now: float) -> list[Message]:
+        """Receive what has come by now, in the order in which it comes."""
+        come = []
+        while self._under_way and self._under_way[0][0] <= now:
+            come.append(heapq.heappop(self._under_way)[2])
+        return come
+
+
+LOOK_EVERY = 4
+"""Ticks of 0.1 s from one look to the next."""
+_ALONE = 5.0
+"""Seconds without a goal after which the robot halts: whoever sent it may have ended."""
+_HERE, _CLEARANCE = 0.1, 0.3
+"""Metres within which a goal is where the robot is, which is to halt; and metres kept."""
+
+
+class RobotServer:
+    """Publishes what a simulated robot reports, and sends it where it is told."""
+
+    def __init__(self, robot: SimulatedRobot, *, share: float = 0.0, seed: int = 0) -> None:
+        """Open the topics; ``rclpy.init`` has been called.
+
+        The robot's odometry begins at zero where it stands; faults as ``UnrulyChannel`` has them.
+        """
+        self.robot, self._origin, self._ticks = robot, robot.pose(), 0
+        self._channel: UnrulyChannel[tuple[Any, Any]] = UnrulyChannel(share, seed)
+        self._last_goal = -math.inf
+        self._node = ros("rclpy").create_node("simulated_robot")
+        self._executor = ros("rclpy.executors").SingleThreadedExecutor()
+        self._executor.add_node(self._node)
+        self._scribe = Scribe(ros_message)
+        self._to_odometry, self._to_looks = (
+            self._node.create_publisher(ros_message(name), topic, 10)
+            for name, topic in (
+                ("nav_msgs/msg/Odometry", "odom"),
+                ("sensor_msgs/msg/PointCloud2", "detections"),
+            )
+        )
+        pose_stamped = ros_message("geometry_msgs/msg/PoseStamped")
+        self._node.create_subscription(pose_stamped, "goal_pose", self._on_goal, 1)
+
+    def run(self, seconds: float) -> None:
+        """Let real seconds pass; infinity: for as long as the process lives."""
+        began, before = time.monotonic(), self.robot.seconds
+        while (gone := self.robot.seconds - before) < seconds:
+            self._tick()
+            # A machine that is too slow for real time goes on as fast as it can.
+            end = began + gone + TICK
+            self._executor.spin_once(timeout_sec=0.0)
+            while (left := end - time.monotonic()) > 0.0:
+                self._executor.spin_once(timeout_sec=left)
+
+    def close(self) -> None:
+        """Close the topics."""
+        self._executor.shutdown()
+        self._node.destroy_node()
+
+    def _tick(self) -> None:
+        if self.robot.seconds - self._last_goal > _ALONE:
+            self.robot.stop()
+        self.robot.wait(TICK)
+        self._ticks += 1
+        now, stamp = self.robot.seconds, self._node.get_clock().now().to_msg()
+        pose = compose(inverse(self._origin), self.robot.pose())
+        self._channel.put((self._to_odometry, self._scribe.odometry(pose, stamp)), now)
+        found = self.robot.detections() if self._ticks % LOOK_EVERY == 0 else None
+        if found is not None:
+            self._channel.put((self._to_looks, self._scribe.cloud(found, stamp)), now)
+        for publisher, message in self._channel.take(now):
+            publisher.publish(message)
+
+    def _on_goal(self, message: Any) -> None:
+        pose = message.pose
+        turn = yaw_of(pose.orientation)
+        goal = compose(self._origin, np.array([pose.position.x, pose.position.y, turn]))
+        self._last_goal = self.robot.seconds
+        here = self.robot.pose()
+        if np.hypot(*(goal - here)[:2]) < _HERE and abs(goal[2] - here[2]) < _HERE:
+            self.robot.stop()
+            return
+        self.robot.go_to(goal[None, :2], speed=1.0, clearance=_CLEARANCE, facing=float(goal[2]))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -78,12 +201,6 @@ def simulate(options: RobotOptions) -> None:
 def draw_start(options: RobotOptions) -> Scenario:
     """Draw the place, and where in it the robot is switched on.
 
-    Args:
-        options: template, relation, seed and start.
-
-    Returns:
-        The place.
-
     Raises:
         ValueError: no such place, or the start is not in it; one line.
     """
@@ -106,14 +223,7 @@ def draw_start(options: RobotOptions) -> Scenario:
 
 @contextlib.contextmanager
 def switched_on(options: RobotOptions, scenario: Scenario) -> Iterator[SimulatedRobot]:
-    """Put the robot at the start of a place, and close it at last.
-
-    Args:
-        options: which robot, and what its detector sees.
-        scenario: the place.
-
-    Yields:
-        The robot.
+    """Yield the robot at the start of a place, and close it at last.
 
     Raises:
         MissingExtraError: a library of the extra ``robot`` is not installed.

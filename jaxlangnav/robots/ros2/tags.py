@@ -62,22 +62,12 @@ class TagLooks:
     """Makes looks out of two topics."""
 
     def __init__(self, setup: TagSetup) -> None:
-        """Begin with nothing.
-
-        Args:
-            setup: what tags mean.
-        """
+        """Begin with nothing."""
         self._setup = setup
         self._picture: tuple[str, float] | None = None
 
     def of_transforms(self, message: Any) -> StampedDetections | None:
-        """Read a tf2_msgs/TFMessage.
-
-        Args:
-            message: the message.
-
-        Returns:
-            The look; None where the transforms are of other things than tags.
+        """Read a tf2_msgs/TFMessage; None where its transforms are of other things than tags.
 
         Raises:
             ValueError: a tag is nowhere; one line.
@@ -97,11 +87,7 @@ class TagLooks:
     def of_found(self, message: Any) -> StampedDetections | None:
         """Read an apriltag_msgs/AprilTagDetectionArray.
 
-        Args:
-            message: the message.
-
-        Returns:
-            A look at nothing; None where tags were found: their places come as transforms.
+        A look at nothing; None where tags were found: their places come as transforms.
         """
         stamp = seconds_of(message.header.stamp)
         self._picture = message.header.frame_id, stamp
