@@ -107,15 +107,7 @@ class Account:
 
 
 def accounts_of(readings: Readings, words: Words) -> list[Account]:
-    """Read arrays into records, the likeliest first.
-
-    Args:
-        readings: of all that has been said, leaves [K, ...], of one robot.
-        words: what they are about.
-
-    Returns:
-        One for each reading that has a probability.
-    """
+    """Read readings of one robot, leaves [K, ...], into records, the likeliest first."""
     table, about = jax.device_get((readings, words))
     num_mentions, num_relations = table.mention_type.shape[1], table.relation.shape[1]
     found = []
@@ -176,16 +168,10 @@ def _heard_now(instruction: Instruction, heard: int, *, is_asked: bool) -> Words
 def new_accounts(
     instruction: Instruction, spoken: Spoken | None, heard: int, *, is_asked: bool
 ) -> list[Account]:
-    """Read a new utterance into records, the likeliest first.
+    """Read a new, grounded utterance into records, the likeliest first.
 
-    Args:
-        instruction: grounded.
-        spoken: what it speaks of; None: as its readings show.
-        heard: number of the utterance.
-        is_asked: it asks for what it speaks of.
-
-    Returns:
-        One for each reading that has a probability.
+    ``spoken`` is what it speaks of, None: as its readings show; ``heard`` its number; ``is_asked``
+    whether it asks for what it speaks of.
     """
     number = int(instruction.num_clauses)
     found = accounts_of(instruction.readings, _heard_now(instruction, heard, is_asked=is_asked))
@@ -233,16 +219,9 @@ def written(
     instruction: Instruction,
     heard: int,
 ) -> Joined:
-    """Write accounts into padded arrays.
+    """Write accounts, the likeliest first, into arrays of K, M, J and C.
 
-    Args:
-        ranked: at most K of them, the likeliest first.
-        sizes: K, M, J and C.
-        instruction: what has been said last.
-        heard: number of that utterance.
-
-    Returns:
-        The arrays; the probabilities of the readings sum to one.
+    ``instruction`` is what has been said last, ``heard`` its number; probabilities sum to one.
     """
     number, num_mentions, num_edges, num_commands = sizes
     mention = _columns([one.mentions for one in ranked], (number, num_mentions), _NO_MENTION)
@@ -286,15 +265,7 @@ def written(
 
 
 def first_words(instruction: Instruction, spoken: Spoken | None) -> Words:
-    """Tell what the first sentence is about.
-
-    Args:
-        instruction: grounded, padded to the arrays of the conversation.
-        spoken: what it speaks of; None: as its readings show.
-
-    Returns:
-        What its readings are about.
-    """
+    """Tell what the readings of the first sentence, padded, are about; ``spoken`` as elsewhere."""
     words = _heard_now(instruction, 0, is_asked=True)
     goal = np.array(words.goal)
     order = np.argsort(-np.asarray(instruction.readings.log_probability), kind="stable")

@@ -144,15 +144,7 @@ def focus(particles: SemanticMap, words: Words) -> SemanticMap:
 
 
 def without(behavior: Behavior, ruled_out: Array) -> Behavior:
-    """Take what has been ruled out from the goals.
-
-    Args:
-        behavior: of every particle, leaves [..., P].
-        ruled_out: i32[], observed slots, a bit each.
-
-    Returns:
-        The behavior, without goals there.
-    """
+    """Take what has been ruled out, i32[] observed slots, a bit each, from goals [..., P]."""
     slots = jnp.arange(behavior.goal.shape[1])
     is_out = (slots < 31) & ((ruled_out >> jnp.minimum(slots, 30)) & 1 == 1)
     return replace(behavior, goal=jnp.where(is_out[None, :, None], 0.0, behavior.goal))

@@ -119,15 +119,7 @@ def draw_pool(key: Array, law: ScenarioLaw, *, num_worlds: int = NUM_WORLDS) -> 
 
 
 def pick_world(key: Array, pool: Scenario) -> Scenario:
-    """Take one world out of a pool by lot.
-
-    Args:
-        key: random key.
-        pool: N worlds.
-
-    Returns:
-        One of them.
-    """
+    """Take one of the N worlds of a pool by lot."""
     # One draw where randint takes four; 2³² is so large that its remainder favours nobody.
     index = jax.random.bits(key) % jnp.uint32(pool.goal_index.shape[0])
     return jax.tree.map(lambda leaf: leaf[index], pool)

@@ -21,14 +21,7 @@ _COMPRESSIONS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 @contextlib.contextmanager
 def faults_as_values() -> Iterator[None]:
-    """Turn whatever a library raises over bytes that come from outside into a ``ValueError``.
-
-    Yields:
-        Nothing; parse inside.
-
-    Raises:
-        ValueError: something was wrong; its message is one line of what can be printed.
-    """
+    """Turn what a library raises over bytes from outside into a ``ValueError`` of one line."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
@@ -40,13 +33,7 @@ def faults_as_values() -> Iterator[None]:
 
 
 def open_arrays(content: bytes) -> zipfile.ZipFile:
-    """Open an archive of arrays (``.npz``); nothing is inflated.
-
-    Args:
-        content: the whole file.
-
-    Returns:
-        The archive, for ``read_floats`` and ``read_text_entry``.
+    """Open an archive of arrays (``.npz``), given whole; nothing is inflated.
 
     Raises:
         ValueError: it is no archive, or holds a name twice.
@@ -60,15 +47,7 @@ def open_arrays(content: bytes) -> zipfile.ZipFile:
 
 
 def read_floats(archive: zipfile.ZipFile, name: str, shape: tuple[int, ...]) -> np.ndarray:
-    """Read an array of an archive.
-
-    Args:
-        archive: from ``open_arrays``.
-        name: of the array.
-        shape: that it must have.
-
-    Returns:
-        f32[shape], finite; it cannot be written to.
+    """Read an array that must have a shape: f32, finite; it cannot be written to.
 
     Raises:
         ValueError: it is not there, or anything else.
@@ -81,15 +60,7 @@ def read_floats(archive: zipfile.ZipFile, name: str, shape: tuple[int, ...]) -> 
 
 
 def read_text_entry(archive: zipfile.ZipFile, name: str, *, at_most: int) -> str:
-    """Read a text of an archive, an array of no axes.
-
-    Args:
-        archive: from ``open_arrays``.
-        name: of the array.
-        at_most: characters.
-
-    Returns:
-        The text.
+    """Read a text of an archive, an array of no axes, of so many characters at most.
 
     Raises:
         ValueError: it is not there, or anything else.
@@ -102,13 +73,7 @@ def read_text_entry(archive: zipfile.ZipFile, name: str, *, at_most: int) -> str
 
 
 def parse_floats(content: bytes) -> np.ndarray:
-    """Read a file of one array (``.npy``).
-
-    Args:
-        content: the whole file.
-
-    Returns:
-        f32[...], finite; it cannot be written to.
+    """Read a file of one array (``.npy``), given whole: f32[...], finite; it cannot be written to.
 
     Raises:
         ValueError: it is no such file, or its numbers are of another type or not finite.

@@ -31,13 +31,7 @@ class DocumentError(ValueError):
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Read TOML.
-
-    Args:
-        text: the document.
-
-    Returns:
-        Its tables, at most ``DEEPEST`` deep.
+    """Read TOML: tables at most ``DEEPEST`` deep.
 
     Raises:
         DocumentError: no valid TOML, too deep, or with a number beyond 64 bits.
@@ -48,13 +42,7 @@ def parse_toml(text: str) -> dict[str, Any]:
 
 
 def parse_json(text: str) -> Any:
-    """Read JSON.
-
-    Args:
-        text: the document.
-
-    Returns:
-        Its value, at most ``DEEPEST`` deep.
+    """Read JSON: a value at most ``DEEPEST`` deep.
 
     Raises:
         DocumentError: no valid JSON, too deep, or with a number beyond 64 bits.
@@ -63,14 +51,7 @@ def parse_json(text: str) -> Any:
 
 
 def read_document(path: Path, *, at_most: int) -> Any:
-    """Read a file of JSON, or of TOML if its name does not end in .json.
-
-    Args:
-        path: of the file.
-        at_most: bytes, the limit.
-
-    Returns:
-        Its value, at most ``DEEPEST`` deep.
+    """Read a file of JSON, or of TOML if its name does not end in .json, of so many bytes at most.
 
     Raises:
         ValueError: it cannot be read or is not valid; one line that names the file.
@@ -87,14 +68,7 @@ def read_document(path: Path, *, at_most: int) -> Any:
 
 
 def read_text(path: str | Path, *, at_most: int) -> str:
-    """Read a file of text.
-
-    Args:
-        path: of the file.
-        at_most: bytes, the limit.
-
-    Returns:
-        Its text.
+    """Read a file of text of so many bytes at most.
 
     Raises:
         ValueError: no regular file, too large, or no UTF-8; one line that names the file.

@@ -58,11 +58,8 @@ def own_folder(path: Path) -> Path:
 def check_own_files(folder: Path) -> None:
     """Refuse a folder in which a file is another user's, however it came there.
 
-    Whoever made the files may have let others write them, as many do with those of their group:
-    nobody else can enter the folder.
-
-    Args:
-        folder: that ``own_folder`` has passed.
+    ``own_folder`` has passed it, so nobody else can enter. Whoever made the files may have let
+    others write them, as many do with those of their group.
 
     Raises:
         OSError: a file belongs to another user; the message says which.
@@ -99,11 +96,7 @@ def read_own_file(path: Path, *, at_most: int) -> bytes:
 
 
 def write_own_file(path: Path, content: bytes) -> None:
-    """Write a file whole or not at all, 0600 whatever the umask.
-
-    Args:
-        path: of the file; one that is there is replaced.
-        content: its bytes.
+    """Write a file whole or not at all, 0600 whatever the umask; one that is there is replaced.
 
     Raises:
         OSError: it cannot be written; nothing is left behind.

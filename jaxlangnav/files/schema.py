@@ -133,36 +133,19 @@ def _fault(value: Any, kind: inspect.Type) -> str:
 
 
 def unknown_key(name: str, known: Iterable[str]) -> str:
-    """Say that a key is unknown, which ones there are, and which may be meant.
-
-    Args:
-        name: the key.
-        known: all that there are.
-    """
+    """Say that a key is unknown, which ones there are, and which may be meant."""
     names = sorted(known)
     return f"{cut(name)} is unknown: known keys are {', '.join(names)}{closest_choice(name, names)}"
 
 
 def no_choice(name: str, value: Any, choices: Iterable[str], what: str = "one of") -> str:
-    """Say that a value is none of a few words, and which may be meant.
-
-    Args:
-        name: of its key.
-        value: what was written.
-        choices: the words.
-        what: they are.
-    """
+    """Say that the value of a key is none of some words, and which of them may be meant."""
     words = list(choices)
     known = ", ".join(words) or "none so far"
     return f"{name} is {shown(value)}, but must be {what}: {known}{closest_choice(value, words)}"
 
 
 def closest_choice(value: Any, choices: Iterable[str]) -> str:
-    """Suggest the closest choice, as in ". Did you mean 'hydrant'?", or nothing.
-
-    Args:
-        value: what was written.
-        choices: what could have been meant.
-    """
+    """Suggest the closest choice, as in ". Did you mean 'hydrant'?", or nothing."""
     close = difflib.get_close_matches(cut(str(value)), list(choices), n=1)
     return f". Did you mean {close[0]!r}?" if close else ""

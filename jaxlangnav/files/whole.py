@@ -56,20 +56,7 @@ def read_file(path: str | Path, *, at_most: int) -> bytes:
 
 
 def read_opened(descriptor: int, path: str | Path, *, at_most: int) -> bytes:
-    """Read what has been opened, as ``read_file`` does.
-
-    Args:
-        descriptor: opened for reading; it stays open.
-        path: what it is called in a refusal.
-        at_most: bytes, the limit.
-
-    Returns:
-        Its bytes.
-
-    Raises:
-        ValueError: as ``read_file``.
-        OSError: it cannot be read.
-    """
+    """Read what has been opened, as ``read_file`` does; the descriptor stays open."""
     status = os.fstat(descriptor)
     if not stat.S_ISREG(status.st_mode):
         kind = _KINDS.get(stat.S_IFMT(status.st_mode), "something else")
@@ -113,42 +100,21 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def write_bytes(content: bytes, path: Path) -> Path:
-    """Write a file, all or nothing.
-
-    Args:
-        content: what to write.
-        path: of the file; its folder is made.
-
-    Returns:
-        The path.
-    """
+    """Write a file, all or nothing, and return its path; its folder is made."""
     with replacing(path) as temporary:
         temporary.write_bytes(content)
     return path
 
 
 def write_text(text: str, path: Path) -> Path:
-    """Write a text file in UTF-8, all or nothing.
-
-    Args:
-        text: what to write.
-        path: of the file; its folder is made.
-
-    Returns:
-        The path.
-    """
+    """Write a text file in UTF-8, all or nothing, and return its path; its folder is made."""
     return write_bytes(text.encode(), path)
 
 
 def write_once(content: bytes, path: Path) -> bool:
     """Write a file, all or nothing, unless there is one: of several writers one wins.
 
-    Args:
-        content: what to write.
-        path: of the file; its folder is made.
-
-    Returns:
-        Whether this call has written it.
+    Returns whether this call has written it; the folder is made.
     """
     with _temporary(path) as temporary:
         temporary.write_bytes(content)
@@ -177,11 +143,7 @@ def _force_folder(folder: Path) -> None:
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder and those above it, and force to the disk that they are there.
-
-    Args:
-        folder: the folder; it may be there.
-    """
+    """Make a folder and those above it, and force to the disk that they are there."""
     if folder.is_dir():
         return
     make_folder(folder.parent)

@@ -239,16 +239,9 @@ def infer_annotations(
     type_names: tuple[str, ...],
     width: int = BEAM_WIDTH,
 ) -> Belief:
-    """Infer what a whole sentence says: the clauses are independent and add up (section 3.1).
+    """Infer what a sentence says: up to ``width`` sets of annotations, best first (section 3.1).
 
-    Args:
-        parse: the sentence.
-        model: annotation model.
-        type_names: object types.
-        width: beam width.
-
-    Returns:
-        Up to ``width`` sets of annotations, best first.
+    The clauses are independent and add up.
     """
     space, beliefs = Annotations(type_names), []
     graph, symbols = CorrespondenceGraph(space, model), space.symbols_in(None)
@@ -264,15 +257,7 @@ def infer_annotations(
 
 
 def join_clauses(beliefs: Sequence[Belief], width: int) -> Belief:
-    """Join what the clauses of a sentence say.
-
-    Args:
-        beliefs: one per clause.
-        width: how many sets to keep.
-
-    Returns:
-        Up to ``width`` sets of annotations, best first.
-    """
+    """Join what the clauses of a sentence say: up to ``width`` sets of annotations, best first."""
     joint: list[tuple[tuple[RankedAnnotations, ...], float]] = [((), 0.0)]
     rank: dict[Path, int] = {}
     silent: frozenset[Path] = frozenset()

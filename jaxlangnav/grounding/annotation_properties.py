@@ -163,16 +163,10 @@ def rank_columns(senses: Senses) -> PropertyColumns:
 def annotation_table(
     space: AnnotationSpace, senses: Senses, groundings: Sequence[np.ndarray]
 ) -> tuple[tuple[str, ...], np.ndarray]:
-    """Describe every annotation symbol of a phrase, given what its children express.
+    """Describe every annotation symbol of a phrase, given bool[S] that each child expresses.
 
-    Args:
-        space: annotation symbols.
-        senses: of the phrase's words.
-        groundings: bool[S] for each child.
-
-    Returns:
-        F names, and f32[S, F]: the properties of objects, regions and relations side by side, each
-        zero for symbols of another kind, and those that all kinds share.
+    F names, and f32[S, F]: the properties of objects, regions and relations side by side, each zero
+    for symbols of another kind, and those that all kinds share.
     """
     child = _child_sets(space, groundings)
     columns = {

@@ -53,27 +53,12 @@ class Asked:
 
 @kept()
 def infer_once(program: BehaviorProgram, world: BehaviorWorld) -> Behavior:
-    """Infer one command in one world, compiled.
-
-    Args:
-        program: of the command.
-        world: its objects.
-
-    Returns:
-        The behavior.
-    """
+    """Infer one command in one world, compiled."""
     return infer_behavior(program, world, num_phrases=program.num_phrases)
 
 
 def asked(instruction: Instruction) -> list[Asked]:
-    """Tell what each command asks for, where the world is as the likeliest reading says.
-
-    Args:
-        instruction: the grounded sentence.
-
-    Returns:
-        One entry a command, in order.
-    """
+    """Tell what each command asks for, in order, in a world as the likeliest reading says."""
     readings = jax.tree.map(np.asarray, instruction.readings)
     best = int(np.argmax(readings.log_probability))
     slots, world = _as_said(readings, best)

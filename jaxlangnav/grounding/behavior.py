@@ -229,16 +229,7 @@ def infer_behaviors(
 def infer_behavior(
     program: BehaviorProgram, world: BehaviorWorld, *, num_phrases: Array | int
 ) -> Behavior:
-    """Infer the distribution over behaviors in one world; see ``infer_behaviors``.
-
-    Args:
-        program: one clause.
-        world: its objects.
-        num_phrases: how many phrases to infer, at least those of the program.
-
-    Returns:
-        The behavior.
-    """
+    """Infer the distribution over behaviors in one world; see ``infer_behaviors``."""
     worlds = jax.tree.map(lambda leaf: leaf[..., None], world)
     behaviors = infer_behaviors(program, worlds, num_phrases=num_phrases)
     return jax.tree.map(lambda leaf: leaf[..., 0], behaviors)

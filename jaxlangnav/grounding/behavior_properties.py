@@ -209,15 +209,9 @@ class ChildGroundings:
 
 
 def lies_in(world: World, regions: np.ndarray, rank: np.ndarray) -> np.ndarray:
-    """Find which objects lie in one of the regions.
+    """Find which objects lie in one of the regions bool[7, N], bool[N]; one lies "at" itself.
 
-    Args:
-        world: the world.
-        regions: bool[7, N] regions.
-        rank: i[7], 0 where every object of the region is meant, 1 the extreme one, 2 the second.
-
-    Returns:
-        bool[N]; an object lies "at" itself.
+    ``rank`` is i[7], 0 where every object of the region is meant, 1 the extreme one, 2 the second.
     """
     lies = regions[AT].copy()
     for relation in range(NUM_RELATIONS):
@@ -280,16 +274,9 @@ def _conditions(world: World, senses: Senses, child: ChildGroundings) -> dict[st
 def behavior_tables(
     world: World, is_verb: bool, senses: Senses, child: ChildGroundings
 ) -> dict[str, np.ndarray]:
-    """Describe every behavior symbol of a phrase in one world.
+    """Describe every behavior symbol of a phrase in one world: kind → f32[symbols of the kind, F].
 
-    Args:
-        world: the world.
-        is_verb: whether the phrase expresses goals and constraints, or objects and regions.
-        senses: of the phrase's own words.
-        child: groundings of its child phrases.
-
-    Returns:
-        Kind → f32[symbols of the kind, F].
+    A verb phrase expresses goals and constraints, any other objects and regions.
     """
     words = PhraseWords.of(senses, child.has_children, child.is_restricted)
     met = _conditions(world, senses, child)

@@ -24,15 +24,7 @@ class FirstGrounder:
     """Asks one grounder, and another where the first refuses."""
 
     def __init__(self, first: Grounder, then: Grounder) -> None:
-        """Join two grounders of one detector.
-
-        Args:
-            first: asked first, and believed.
-            then: asked where ``first`` refuses.
-
-        Raises:
-            ValueError: they speak of different types.
-        """
+        """Join two grounders of one detector: where ``first`` refuses, ``then`` is asked."""
         if first.type_names != then.type_names:
             raise ValueError("the grounders have different type_names: give both one detector's")
         self.first = first

@@ -122,14 +122,9 @@ class WeighedTree(Generic[AnyWorld]):
         world: AnyWorld,
         clause: int = 0,
     ) -> None:
-        """Let the words of a tree meet the weights.
+        """Let the words of a clause meet the weights.
 
-        Args:
-            space: the symbols.
-            coefficients: phrase → kind → f32[F] of a model, or f32[K, F] of K models.
-            root: the tree, one clause of a sentence.
-            world: the world.
-            clause: which clause it is.
+        ``coefficients`` takes a phrase to kind → f32[F] of a model, or f32[K, F] of K models.
         """
         self.root, self.path, self.symbols = root, (clause,), space.symbols_in(world)
         self._phrases = {
@@ -145,15 +140,9 @@ class WeighedTree(Generic[AnyWorld]):
         self._known: dict[int, Beams] = {}
 
     def log_odds(self, path: Path, children: Children, models: np.ndarray) -> np.ndarray:
-        """Compute how likely a phrase expresses each symbol, given what its children express.
+        """Compute how likely a phrase expresses each symbol, given bool[S] that each child does.
 
-        Args:
-            path: where the phrase stands.
-            children: bool[S] for each child phrase.
-            models: i[M] which of the models.
-
-        Returns:
-            f64[M, S]; −inf for symbols that it cannot express.
+        f64[M, S] by models i[M]; −inf for symbols that it cannot express.
         """
         coefficients, described = self._phrases[path]
         key = path, *(child.tobytes() for child in children)
@@ -237,16 +226,7 @@ class CorrespondenceGraph(Generic[AnyWorld]):
         return WeighedTree(self.space, self.model.coefficients, root, world, clause)
 
     def ground(self, root: Phrase, world: AnyWorld, width: int = BEAM_WIDTH) -> list[SymbolSet]:
-        """Infer what a tree means in a world.
-
-        Args:
-            root: the tree.
-            world: the world.
-            width: beam width.
-
-        Returns:
-            Up to ``width`` sets of symbols, likeliest first.
-        """
+        """Infer what a tree means in a world: up to ``width`` sets of symbols, likeliest first."""
         tree = self.weigh(root, world)
         return [
             SymbolSet(

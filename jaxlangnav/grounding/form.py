@@ -292,15 +292,10 @@ def _read_command(document: Mapping[str, Any], index: Mapping[str, int], path: s
 def read_meaning(document: Any, *, path: str) -> tuple[FormReading, tuple[str, ...]]:
     """Read one reading by itself, without a probability: what a labelled sentence means.
 
-    Args:
-        document: as ``json`` has read it; a ``reading`` of the schema but for its probability.
-        path: JSON path of the document, for refusals.
-
-    Returns:
-        The reading, and the object types that it names, in the order of its indices.
+    Returned are the reading, and the object types that it names, in the order of its indices.
 
     Raises:
-        ValueError: a field cannot be; one line with its JSON path.
+        ValueError: a field cannot be; one line that begins with the JSON ``path`` of the document.
     """
     schema = annotation_schema()
     whole = schema["$defs"]["reading"]

@@ -161,14 +161,7 @@ class _Phrase:
 
 
 def clause_of_form(form: Form, index: int) -> dict[str, np.ndarray]:
-    """Build the fields of the program of one command.
-
-    Args:
-        form: readings with as many commands each.
-        index: which command.
-
-    Returns:
-        Fields of a ``BehaviorProgram``, host arrays.
+    """Build the fields of the ``BehaviorProgram`` of one command, host arrays.
 
     Raises:
         CapacityError: the program cannot hold as much; one line.

@@ -104,15 +104,7 @@ class GraphGrounder:
 
     @classmethod
     def of_detector(cls, model: GroundingModel, detector: Detector) -> Self:
-        """Bind the graph to a detector that knows nouns of sentences already.
-
-        Args:
-            model: trained models.
-            detector: as sentences were understood with before.
-
-        Returns:
-            The grounder, to which those nouns are what they were.
-        """
+        """Bind the graph to a detector to which nouns of earlier sentences are what they were."""
         bound = cls(model, detector.labels, detector.attribute_groups)
         bound.detector = detector
         return bound

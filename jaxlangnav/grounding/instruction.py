@@ -218,14 +218,7 @@ class Understanding:
         return [word for word, _ in self.parse.unknown_words]
 
     def graph(self, num_objects: int) -> dict[str, dict[str, int]]:
-        """Count both factor graphs.
-
-        Args:
-            num_objects: n of the behavior graph.
-
-        Returns:
-            Sizes by model.
-        """
+        """Count both factor graphs, by model; that of behavior over so many objects."""
         annotation = count_graph(self.parse.clauses, AnnotationSpace(len(self.names)))
         behavior = count_graph(self.parse.clauses, BehaviorSpace(num_objects))
         return {"annotation": annotation, "behavior": {**behavior, "objects": num_objects}}
@@ -315,15 +308,12 @@ def pack_instruction(
     commands: Sequence[dict[str, np.ndarray]],
     measures: Sequence[Measure] = (),
 ) -> Instruction:
-    """Put readings and the programs of commands together.
+    """Put readings and the programs of commands together, padded.
 
     Args:
         readings: what is said of the world.
         commands: fields of a program for each, in order, host arrays; at most ``NUM_CLAUSES``.
         measures: how far each goes; by default as far as its words suggest.
-
-    Returns:
-        The instruction, padded.
     """
     fields = [*commands, *[empty_program()] * (NUM_CLAUSES - len(commands))]
     stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *fields)

@@ -17,16 +17,12 @@ def quote(value: Any) -> str:
 
 
 def validate(value: Any, schema: Mapping[str, Any], *, root: Mapping[str, Any], path: str) -> None:
-    """Refuse a value that does not fit a schema.
+    """Refuse a value, as ``json`` has read it, that does not fit a schema.
 
-    Args:
-        value: as ``json`` has read it.
-        schema: what it must fit; ``$ref`` leads to definitions of ``root``.
-        root: the whole schema.
-        path: JSON path of the value.
+    Definitions are those of ``root``; ``path`` is the JSON path of the value.
 
     Raises:
-        ValueError: the first field that does not fit, in one line.
+        ValueError: the first field that does not fit, in one line with its JSON path.
     """
     from jsonschema import Draft202012Validator
 

@@ -70,15 +70,7 @@ def _indices(senses: set[str], prefix: str, names: tuple[str, ...]) -> frozenset
 
 
 def senses_of(phrase: Phrase, type_names: tuple[str, ...]) -> Senses:
-    """Collect the senses of a phrase's own words.
-
-    Args:
-        phrase: the phrase.
-        type_names: object types in the order of their indices.
-
-    Returns:
-        Indices of types, regions, actions and modes named.
-    """
+    """Collect the senses of a phrase's own words: indices of types, regions, actions and modes."""
     senses = {sense for word in phrase.words for sense in word.senses}
     numbers = {int(sense[5:]) for sense in senses if sense.startswith("rank:")}
     return Senses(
@@ -107,14 +99,9 @@ def feature_group(name: str) -> str:
 
 
 def word_features(phrase: Phrase, without: frozenset[str] = frozenset()) -> dict[str, float]:
-    """Describe the words and the shape of a phrase.
+    """Describe the words and the shape of a phrase: values of named features; any other is zero.
 
-    Args:
-        phrase: the phrase; its children count by label only.
-        without: groups of features to leave out (``FEATURE_GROUPS``), for ablations.
-
-    Returns:
-        Values of named features; any other is zero. The bias is always one.
+    Its children count by label only; groups of ``FEATURE_GROUPS`` may be left out, for ablations.
     """
     features = {"bias": 1.0}
     for word in phrase.words:
@@ -153,14 +140,7 @@ class Vocabulary:
         return {name: i for i, name in enumerate(self.names)}
 
     def vector(self, phrase: Phrase) -> np.ndarray:
-        """Describe a phrase; features never seen in training count nothing.
-
-        Args:
-            phrase: the phrase.
-
-        Returns:
-            f32[W].
-        """
+        """Describe a phrase, f32[W]; features never seen in training count nothing."""
         column = self._column
         vector = np.zeros(len(self.names), np.float32)
         for name, value in word_features(phrase, self.without).items():
@@ -178,14 +158,7 @@ class CorrespondenceModel:
     temperature: float = 1.0  # log-odds are divided by it; fitted on held-out data
 
     def coefficients(self, phrase: Phrase) -> dict[str, np.ndarray]:
-        """Contract the words of a phrase with the weights.
-
-        Args:
-            phrase: the phrase.
-
-        Returns:
-            For each kind of symbol, f32[F]: log-odds per property of the grounding.
-        """
+        """Contract a phrase's words: kind → f32[F], log-odds per property of the grounding."""
         vector = self.vocabulary.vector(phrase) / self.temperature
         return {kind: vector @ weight for kind, weight in self.weights.items()}
 
@@ -201,14 +174,6 @@ class CorrespondenceModel:
 
 
 def build_vocabulary(phrases: list[Phrase], without: frozenset[str] = frozenset()) -> Vocabulary:
-    """Collect the word-side features of a training set.
-
-    Args:
-        phrases: training phrases.
-        without: groups of features to leave out.
-
-    Returns:
-        The vocabulary, sorted, so that the order of the corpus does not matter.
-    """
+    """Collect the word-side features of phrases, sorted, so that their order does not matter."""
     names = {name for phrase in phrases for name in word_features(phrase, without)}
     return Vocabulary(tuple(sorted(names)), without)

@@ -47,11 +47,7 @@ _behavior_space = functools.cache(BehaviorSpace)
 
 @functools.cache
 def property_names() -> Mapping[str, tuple[str, ...]]:
-    """Name the columns of the weights of every kind of symbol; files of weights hold the names.
-
-    Returns:
-        Kind, of either model, → F names.
-    """
+    """Name the columns of the weights, F of every kind of symbol, as files of weights do."""
     nothing = Senses(*[frozenset()] * 5, is_robot=False)
     names, _ = annotation_table(_annotation_space(1), nothing, [])
     own = {KIND: names, RANK: tuple(rank_columns(nothing))}
@@ -151,18 +147,10 @@ def _block(world: World, space: BehaviorSpace, kind: str, table: np.ndarray) -> 
 def ranks_meant(
     phrase: Phrase, path: Path, rank: Mapping[Path, int], type_names: tuple[str, ...]
 ) -> np.ndarray:
-    """Find for which relations a phrase means the extreme object, or the second, ... only.
+    """Find for which relations a phrase means the extreme object, or the second, ... only, i[7].
 
-    A phrase that passes on the region of a child ("that is nearest to the cone") passes on this.
-
-    Args:
-        phrase: the phrase.
-        path: where it stands.
-        rank: of each phrase, gold or inferred; absent is 0.
-        type_names: object types.
-
-    Returns:
-        i[7], 0 where every object is meant.
+    A phrase that passes on the region of a child ("that is nearest to the cone") passes on this. 0
+    where every object is meant; ``rank`` is that of each phrase, gold or inferred, absent 0.
     """
     meant = np.zeros(NUM_REGIONS, int)
     relations = sorted(senses_of(phrase, type_names).relations)

@@ -61,14 +61,9 @@ Entry = TypeVar("Entry")
 
 
 def in_order(relations: Iterable[Entry], ends: Callable[[Entry], tuple[int, int]]) -> list[Entry]:
-    """Put a relation after those that place its landmark.
+    """Put a relation after those that place its landmark; ``ends`` tells its figure and landmark.
 
-    Args:
-        relations: entries of any kind.
-        ends: figure and landmark of an entry.
-
-    Returns:
-        The entries; where figures and landmarks go round in a circle, the first of them first.
+    Where figures and landmarks go round in a circle, the first of them comes first.
     """
     left, ordered = list(relations), []
     while left:
@@ -84,13 +79,8 @@ def things_last(
 ) -> list[Entry]:
     """Put what is said of things called by no type last: they are none of the others.
 
-    Args:
-        relations: entries of any kind, in order.
-        ends: figure and landmark of an entry.
-        kinds: of all mentions.
-
-    Returns:
-        The entries; where such a thing is a landmark, as they are.
+    Where such a thing is a landmark, the entries, in order, stay as they are. ``ends`` tells figure
+    and landmark of one, ``kinds`` are those of all mentions.
     """
     things = {index for index, kind in enumerate(kinds) if is_anything(kind)}
     if things & {ends(entry)[1] for entry in relations}:
@@ -271,15 +261,7 @@ def _of_kinds(
 
 
 def widen(readings: Readings, capacity: Capacity) -> Readings:
-    """Make room for what else may be said (host).
-
-    Args:
-        readings: of one sentence.
-        capacity: sizes wanted, no less than those of the readings.
-
-    Returns:
-        The same readings, padded.
-    """
+    """Pad the readings of one sentence with room for what else may be said (host)."""
 
     def pad(leaf: Array, size: int, fill: int) -> np.ndarray:
         room = ((0, 0), (0, size - leaf.shape[1]))
@@ -297,14 +279,7 @@ def widen(readings: Readings, capacity: Capacity) -> Readings:
 
 
 def pad_readings(ranked: Sequence[tuple[Reading, float]]) -> Readings:
-    """Write readings into padded arrays.
-
-    Args:
-        ranked: up to K (reading, log-probability), best first.
-
-    Returns:
-        Padded arrays, probabilities normalised.
-    """
+    """Write up to K (reading, log-probability), best first, into padded arrays, normalised."""
     mention_type = np.full((NUM_READINGS, NUM_MENTIONS), NONE, np.int32)
     table = np.full((3, NUM_READINGS, NUM_RELATIONS_SAID), NONE, np.int32)
     ranks = np.zeros((NUM_READINGS, NUM_RELATIONS_SAID), np.int32)
@@ -328,14 +303,7 @@ def pad_readings(ranked: Sequence[tuple[Reading, float]]) -> Readings:
 
 
 def unpad_readings(readings: Readings) -> list[tuple[Reading, float]]:
-    """Undo ``pad_readings``.
-
-    Args:
-        readings: of one sentence, padded.
-
-    Returns:
-        (reading, log-probability), in the order of the arrays; likeliest first if so packed.
-    """
+    """Undo ``pad_readings``: (reading, log-probability) in the order of the arrays."""
     fields = jax.device_get(readings)
     found = []
     for k in np.flatnonzero(np.isfinite(fields.log_probability)):

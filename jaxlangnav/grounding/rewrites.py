@@ -90,13 +90,7 @@ class RewriteGrounder:
     def __init__(
         self, graph: Grounder, source: RewriteSource, *, params: RewriteParams | None = None
     ) -> None:
-        """Join a source to what reads its rewritings.
-
-        Args:
-            graph: reads sentences of the controlled language.
-            source: puts sentences into it.
-            params: how far the source is believed; as it says by default.
-        """
+        """Join what puts sentences into the controlled language to what reads those."""
         self.graph = graph
         self.source = source
         self.params = default_rewrite_params() if params is None else params
@@ -156,16 +150,7 @@ class RewriteGrounder:
 def verify_rewrites(
     graph: Grounder, rewrites: Sequence[Rewrite], context: Context
 ) -> tuple[list[Read], dict[str, str]]:
-    """Verify rewritings: parse and ground each.
-
-    Args:
-        graph: reads sentences of the controlled language.
-        rewrites: each text once.
-        context: of the sentence.
-
-    Returns:
-        Those that can be read, in order; why each of the others cannot.
-    """
+    """Parse and ground rewritings, each once: those that can be read, why others cannot."""
     found, refusals = [], {}
     for text, score in rewrites:
         try:

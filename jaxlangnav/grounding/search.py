@@ -67,13 +67,10 @@ _ROWS = 1 << 16
 
 
 def identify(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Find equal rows of f32[N, F].
+    """Find equal rows of f32[N, F]: i[D] where each distinct row first is, i[N] which one each is.
 
     Rows are told apart by a random 64-bit hash of their bits, some hundred times faster than
     sorting whole rows; that no two different rows share one is checked.
-
-    Returns:
-        i[D] where each distinct row first occurs, and i[N] which one each row is.
     """
 
     def bits(part: np.ndarray) -> np.ndarray:

@@ -152,15 +152,7 @@ class BehaviorSpace(Symbols[BehaviorSymbol]):
         return self.size - num_noun if phrase.label in VERB_LABELS else num_noun
 
     def part(self, expressed: np.ndarray, kind: int) -> np.ndarray:
-        """View one kind of symbol of a set.
-
-        Args:
-            expressed: [..., S] over the space.
-            kind: OBJECT, REGION, ACTION, MODE, GOAL or CONSTRAINT.
-
-        Returns:
-            [..., n], [..., 7, n], [..., 2] or [..., 3].
-        """
+        """View one kind of symbol of [..., S] as [..., n], [..., 7, n], [..., 2] or [..., 3]."""
         begin, end = self.span(kind)
         values = expressed[..., begin:end]
         if kind in (REGION, GOAL, CONSTRAINT):
@@ -193,15 +185,7 @@ class Node:
 
 
 def bottom_up(root: Phrase, clause: int = 0) -> tuple[Node, ...]:
-    """Order the phrases of a clause so that children stand before their parents.
-
-    Args:
-        root: the clause.
-        clause: its position in the sentence.
-
-    Returns:
-        Nodes; the root is last.
-    """
+    """Order the phrases of a clause so that children stand before their parents, the root last."""
     nodes: list[Node] = []
 
     def visit(phrase: Phrase, path: Path) -> int:

@@ -106,14 +106,7 @@ def _texts(document: dict[str, Any], key: str) -> tuple[str, ...]:
 
 
 def save(path: Path, model: GroundingModel, *, command: str, corpus_hash: str) -> None:
-    """Write weights, all or nothing.
-
-    Args:
-        path: file to write, ``.npz``.
-        model: both models.
-        command: what made them, for whoever wants to make them again.
-        corpus_hash: of the corpus they were trained on.
-    """
+    """Write weights as ``.npz``, all or nothing, with the command that made them and its corpus."""
     about = {"command": command, "corpus": corpus_hash, "types": model.type_names}
     arrays = {"about": np.array(json.dumps(about))}
     arrays |= _pack("annotation", model.annotation) | _pack("behavior", model.behavior)
@@ -151,13 +144,7 @@ def load(path: Path) -> GroundingModel:
 
 
 def about(path: Path) -> dict[str, object]:
-    """Read where weights came from: command, corpus hash, types.
-
-    Args:
-        path: file written by ``save``.
-
-    Returns:
-        ``command``, ``corpus`` and ``types``.
+    """Read where weights of ``save`` came from: ``command``, ``corpus`` hash, ``types``.
 
     Raises:
         ValueError: the file is not readable as weights.

@@ -37,15 +37,9 @@ def _ranks(geometry: Geometry, object_type: np.ndarray) -> np.ndarray:
 def place(
     placed: PlacedWorld, type_names: tuple[str, ...], *, side_range: float = SIDE_RANGE
 ) -> World:
-    """Describe placed objects to the behavior model; the robot has the last slot.
+    """Describe placed objects to the behavior model: a world of n + 1 slots, the robot in the last.
 
-    Args:
-        placed: objects whose places are known.
-        type_names: object types.
-        side_range: metres up to which something is on a side of the robot; as in the corpus.
-
-    Returns:
-        A world of n + 1 slots.
+    ``side_range``: metres up to which something is on a side of the robot; as in the corpus.
     """
     count = len(placed.objects)
     codes = placed.attributes or [0] * count
@@ -118,13 +112,7 @@ def why_nothing_fits(
 ) -> list[str]:
     """Name what the likeliest reading says of types of things and no thing of them there is.
 
-    Args:
-        placed: objects whose places are known.
-        type_names: object types.
-        readings: of the sentence.
-
-    Returns:
-        A phrase each ("no hydrant is behind the robot"); empty where something is all that is said.
+    A phrase each ("no hydrant is behind the robot"); empty where something is all that is said.
     """
     world, kinds = place_for(placed, type_names, readings), np.asarray(readings.mention_type[0])
     names = ["robot" if kind == ROBOT else name_of(kind, type_names) for kind in kinds]
@@ -171,14 +159,7 @@ def _with_between(
 
 
 def to_device(world: World, num_slots: int | None = None) -> BehaviorWorld:
-    """Pad a world and put it on the device.
-
-    Args:
-        world: the world; its last slot, the robot, stays last.
-        num_slots: N + 1 of the result; as many as the world has by default.
-
-    Returns:
-        The same world for ``infer_behavior``.
+    """Pad a world to N + 1 slots for ``infer_behavior``; its last slot, the robot, stays last.
 
     Raises:
         ValueError: the world has more objects than there are slots.

@@ -93,15 +93,7 @@ def prepare(params: RelationParams) -> RelationModel:
 
 
 def law_of(model: RelationModel, relation: ArrayLike) -> Law:
-    """Look up the numbers of a relation.
-
-    Args:
-        model: prepared relations.
-        relation: i32[...], relation index in [0, 6).
-
-    Returns:
-        Its law, leaves f32[...].
-    """
+    """Look up the numbers f32[...] of relations by index, i32[...] in [0, 6)."""
     names = [field.name for field in dataclasses.fields(Law) if field.name != "has_range"]
     # One gather for all, of which the slope is one scatter.
     numbers = jnp.stack([getattr(model, name) for name in names])[:, jnp.asarray(relation)]
@@ -186,16 +178,9 @@ def _log_density(law: Law, along: Array, lateral: Array, squared: Array) -> Arra
 def sample_polar(
     model: RelationModel, relation: ArrayLike, distance_normal: Array, angle_normal: Array
 ) -> tuple[Array, Array]:
-    """Draw an offset from a relation in frame coordinates.
+    """Draw an offset from a relation in [0, 6), by standard normal draws f32[...].
 
-    Args:
-        model: prepared relations.
-        relation: i32[...] or i32[], relation index in [0, 6).
-        distance_normal: f32[...], standard normal draws.
-        angle_normal: f32[...], standard normal draws, turned into angles by their quantile.
-
-    Returns:
-        f32[...] along and f32[...] lateral, metres, in the frame of ``log_density``.
+    f32[...] along and f32[...] lateral, metres, in the frame of ``log_density``.
     """
     return sample_law(law_of(model, relation), model, relation, distance_normal, angle_normal)
 

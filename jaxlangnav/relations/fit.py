@@ -268,12 +268,8 @@ def _resultant(concentration: np.ndarray) -> np.ndarray:
 def describe(fit: RelationFit) -> list[dict[str, float | str]]:
     """List what has been fitted, a row for each word with pairs.
 
-    Args:
-        fit: of ``fit_relations``.
-
-    Returns:
-        ``relation``, ``pairs``, ``distance`` (median, metres), ``spread``, ``axis`` (degrees),
-        ``concentration``, each with its standard error ``…_se``, and the shares of the frames.
+    ``relation``, ``pairs``, ``distance`` (median, metres), ``spread``, ``axis`` (degrees),
+    ``concentration``, each with its standard error ``…_se``, and the shares of the frames.
     """
     rows: list[dict[str, float | str]] = []
     params, error = fit.params, fit.standard_error

@@ -26,16 +26,9 @@ class ReferenceFrame:
 def viewer_frame(
     viewer_x: ArrayLike, viewer_y: ArrayLike, landmark_x: ArrayLike, landmark_y: ArrayLike
 ) -> ReferenceFrame:
-    """Build the frame of somebody who looks at the landmark.
+    """Build the frame of somebody who looks at a landmark, both f32[...] x, y, map frame.
 
-    Args:
-        viewer_x: f32[...], metres, map frame: where the viewer stands.
-        viewer_y: f32[...], metres.
-        landmark_x: f32[...], metres, map frame.
-        landmark_y: f32[...], metres.
-
-    Returns:
-        ``along`` points from the viewer through the landmark, ``lateral`` to the viewer's left.
+    ``along`` points from the viewer through the landmark, ``lateral`` to the viewer's left.
     """
     dx, dy = jnp.subtract(landmark_x, viewer_x), jnp.subtract(landmark_y, viewer_y)
     scale = jax.lax.rsqrt(dx * dx + dy * dy + 1e-12)
@@ -46,27 +39,14 @@ def viewer_frame(
 def robot_frame(heading: Array) -> ReferenceFrame:
     """Build the frame of the robot as its own landmark: "in front of you" is where it heads.
 
-    Args:
-        heading: f32[...], radians, map frame.
-
-    Returns:
-        ``along`` points backwards (for "behind"), ``lateral`` to the robot's left.
+    Of headings f32[...], map frame, ``along`` points backwards (for "behind"), ``lateral`` left.
     """
     cosine, sine = jnp.cos(heading), jnp.sin(heading)
     return ReferenceFrame(along_x=-cosine, along_y=-sine, lateral_x=-sine, lateral_y=cosine)
 
 
 def to_map(frame: ReferenceFrame, along: Array, lateral: Array) -> tuple[Array, Array]:
-    """Turn frame coordinates into map axes.
-
-    Args:
-        frame: directions, broadcastable to the coordinates.
-        along: f32[...], metres.
-        lateral: f32[...], metres.
-
-    Returns:
-        f32[...] x and f32[...] y, metres, map axes.
-    """
+    """Turn frame coordinates f32[...], metres, into x and y in map axes."""
     return (
         along * frame.along_x + lateral * frame.lateral_x,
         along * frame.along_y + lateral * frame.lateral_y,

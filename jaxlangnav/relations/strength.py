@@ -58,14 +58,9 @@ def sign_of_distance(relation: Array) -> Array:
 
 
 def num_before(strength: np.ndarray, is_rival: np.ndarray) -> np.ndarray:
-    """Count who comes before each figure (host only): none before the first, one before the second.
+    """Count who comes before each figure, i[..., n] (host only): none before the first.
 
-    Args:
-        strength: f[..., n], of ``degree_of``, figures last.
-        is_rival: bool[..., n, n], figure and who is compared with it; broadcastable.
-
-    Returns:
-        i[..., n].
+    By f[..., n] of ``degree_of``, and bool[..., n, n], figure and who is compared with it.
     """
     beats = strength[..., None, :] > strength[..., :, None]
     return (beats & is_rival).sum(-1)

@@ -48,16 +48,7 @@ class _Asked:
 
 
 def difference(meaning: Meaning, instruction: Instruction, names: tuple[str, ...]) -> str:
-    """Say how a sentence differs from what it means.
-
-    Args:
-        meaning: of its label.
-        instruction: what is made of it.
-        names: object types by index, of which the instruction speaks.
-
-    Returns:
-        What differs first, in one line; empty where nothing does.
-    """
+    """Say how an instruction differs first from what its label means; empty where nothing does."""
     types, relations = _said(instruction, names)
 
     def turned(one: FormRelation) -> FormRelation:

@@ -141,19 +141,7 @@ def record_episode(
     config: NavigatorConfig,
     max_steps: int = MAX_STEPS,
 ) -> Recording:
-    """Run one episode, and judge it by what its command asks for.
-
-    Args:
-        understood: the sentence.
-        prepared: the episode.
-        text: the sentence, for people.
-        params: the navigator's numbers.
-        config: sizes and policy.
-        max_steps: decisions after which it ends as a time-out.
-
-    Returns:
-        The recording.
-    """
+    """Run one episode, and judge it by what its command asks for; ``text`` is for people."""
     recording = recorder.record(
         prepared.task,
         alone(understood),

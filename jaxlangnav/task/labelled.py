@@ -57,12 +57,7 @@ class Goal:
 def meant_goals(understood: Understanding, scenario: Scenario) -> tuple[list[Goal], bool]:
     """List where the last command of a sentence may end, in a world of which all is known.
 
-    Args:
-        understood: the sentence.
-        scenario: ground truth.
-
-    Returns:
-        The goals that fit best, none where nothing fits; and whether finding is enough.
+    The goals that fit best, none where nothing fits; and whether finding is enough.
     """
     placed = place_scenario(scenario, understood.type_names)
     behaviors = _infer_in(understood.instruction, placed, understood.type_names)
@@ -89,12 +84,7 @@ def meant_goals(understood: Understanding, scenario: Scenario) -> tuple[list[Goa
 def is_among(scenario: Scenario, goals: list[Goal]) -> bool:
     """Tell whether a world's own goal is one of those that a sentence means.
 
-    Args:
-        scenario: with its goal: an object, or a mere place.
-        goals: of ``meant_goals``.
-
-    Returns:
-        True where the object is meant itself, or the place is within reach of one meant.
+    It is where its object is meant itself, or where its mere place is within reach of one meant.
     """
     own = int(scenario.goal_index)
     if own != NONE:
@@ -106,15 +96,7 @@ def is_among(scenario: Scenario, goals: list[Goal]) -> bool:
 
 
 def with_goal(scenario: Scenario, goal: Goal) -> Scenario:
-    """Make a place the intended goal of a world.
-
-    Args:
-        scenario: ground truth.
-        goal: what is meant.
-
-    Returns:
-        The same world with another goal.
-    """
+    """Make a place that is meant the goal of a world."""
     index = goal.index if goal.region == AT else NONE
     return replace(
         scenario, goal=jnp.asarray(goal.position, jnp.float32), goal_index=jnp.int32(index)
@@ -251,15 +233,7 @@ _RAREST = 1e-3
 
 
 def place_scenario(scenario: Scenario, names: Sequence[str]) -> PlacedWorld:
-    """Reveal a scenario.
-
-    Args:
-        scenario: ground truth; the robot stands at its start.
-        names: object types by index.
-
-    Returns:
-        Its objects in the order of their slots, empty ones left out, and the robot.
-    """
+    """Reveal a scenario: its objects in the order of their slots, and the robot at its start."""
     kept = np.flatnonzero(np.asarray(scenario.is_object))
     types, xs, ys = (
         np.asarray(one)[kept]
@@ -280,13 +254,8 @@ def place_scenario(scenario: Scenario, names: Sequence[str]) -> PlacedWorld:
 def infer_commands(instruction: Instruction, world: World) -> list[Behavior]:
     """Infer what each command asks for in a world of which everything is known.
 
-    Args:
-        instruction: the grounded sentence.
-        world: of n + 1 slots, the robot's last; of at most as many objects as a scenario has slots.
-
-    Returns:
-        One behavior a command, NumPy leaves of n + 1 slots; "the other one" is other than the
-        likeliest goal of the command before it.
+    One behavior a command, NumPy leaves of n + 1 slots, the robot's last; "the other one" is other
+    than the likeliest goal of the command before it.
     """
     size, found = len(world.object_type), []
     # Padded like any other world, so that one compiled program serves them all.

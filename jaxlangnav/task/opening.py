@@ -110,10 +110,6 @@ def open_task(
 def refuse_what_it_lacks(world: str, understood: Understanding) -> None:
     """Refuse a template that has nothing of a type that is spoken of, before anything is drawn.
 
-    Args:
-        world: a template, a shipped world or a file; only a template is refused.
-        understood: the sentence.
-
     Raises:
         ValueError: one line that says what there is.
     """
@@ -131,13 +127,6 @@ def refuse_what_it_lacks(world: str, understood: Understanding) -> None:
 def detector_of(world: str, type_names: Sequence[str]) -> Detector:
     """Build the detector of a world: what it tells apart, and what it reports of things.
 
-    Args:
-        world: a template, a shipped world or a file.
-        type_names: types that are told apart in a template.
-
-    Returns:
-        The detector.
-
     Raises:
         ValueError: no such world, or a bad file.
     """
@@ -148,13 +137,7 @@ def detector_of(world: str, type_names: Sequence[str]) -> Detector:
 
 
 def slots_of(world: str) -> int:
-    """Tell how many things a world has room for: what its compiled programs go by.
-
-    Args:
-        world: a template, a shipped world or a file.
-
-    Returns:
-        Object slots of its scenario.
+    """Tell how many object slots a world has: what its compiled programs go by.
 
     Raises:
         ValueError: no such world, or a bad file.
@@ -164,14 +147,7 @@ def slots_of(world: str) -> int:
 
 
 def sensor_of(world: str, sensing_range: float | None) -> SensorParams:
-    """Tell what a world says of the robot's detector.
-
-    Args:
-        world: a template, a shipped world or a file.
-        sensing_range: metres, in place of the world's own.
-
-    Returns:
-        The specification.
+    """Tell what a world says of the robot's detector; another range, metres, in place of its own.
 
     Raises:
         ValueError: no such world, or a bad file.
@@ -188,16 +164,7 @@ def _seen(sensor: SensorParams, sensing_range: float | None) -> SensorParams:
 
 
 def nothing_there(world: str, counts: Sequence[tuple[str, int]], missing: Sequence[str]) -> str:
-    """Say that a template has nothing of what is asked for.
-
-    Args:
-        world: its name.
-        counts: each type that is there, and how many of it.
-        missing: types that the sentence speaks of and the world lacks.
-
-    Returns:
-        One line.
-    """
+    """Say in one line that a template has nothing of what is asked for, and how many of what."""
     there = " and ".join(f"{number} {name}{'s' * (number > 1)}" for name, number in counts)
     lack = f"no {missing[0]}" if missing else "nothing that fits the sentence"
     return (
@@ -209,16 +176,7 @@ def nothing_there(world: str, counts: Sequence[tuple[str, int]], missing: Sequen
 def absent_types(
     scenario: Scenario, annotations: Iterable[AnnotationDocument], names: Sequence[str]
 ) -> list[str]:
-    """List what the sentence speaks of and the world does not have.
-
-    Args:
-        scenario: the world.
-        annotations: what the sentence says.
-        names: object types by index.
-
-    Returns:
-        Names of types, in the order of the annotations.
-    """
+    """List the types that annotations speak of and a world lacks, in their order."""
     return _lacking({name for name, _ in count_types(scenario, names)}, annotations, names)
 
 
@@ -232,15 +190,7 @@ def _lacking(
 
 
 def count_types(scenario: Scenario, names: Sequence[str]) -> list[tuple[str, int]]:
-    """Count the objects of a world.
-
-    Args:
-        scenario: the world.
-        names: object types by index.
-
-    Returns:
-        Each type that is there, and how many of it.
-    """
+    """Count the objects of a world: each type that is there, and how many of it."""
     kinds = np.asarray(scenario.object_type)[np.asarray(scenario.is_object)]
     types = [int(kind) for kind in kinds]
     return [(names[kind], types.count(kind)) for kind in dict.fromkeys(types)]

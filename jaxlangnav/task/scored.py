@@ -97,14 +97,7 @@ def summarize_scores(scores: Sequence[Score]) -> dict[str, Any]:
 
 
 def render_scores(document: dict[str, Any]) -> tuple[Any, list[str]]:
-    """Draw the table for people, and the lines below it.
-
-    Args:
-        document: of ``summarize_scores``.
-
-    Returns:
-        A rich table; a line for each of the worst sentences.
-    """
+    """Draw a document of ``summarize_scores``: a rich table, and a line for each of the worst."""
     rows = [*document["by_construction"].items(), ("all", document)]
     columns: TableColumns = [
         ("construction", "{name}"),
@@ -171,13 +164,6 @@ def recorded_of(
 ) -> list[LabelledSentence]:
     """Keep the sentences that were recorded, so that all arms are scored on the same.
 
-    Args:
-        sentences: labelled.
-        recorded: answers of a source; a sentence may have been answered by none.
-
-    Returns:
-        Those recorded.
-
     Raises:
         ValueError: none of them was; one line.
     """
@@ -243,15 +229,7 @@ def _summary(scores: Sequence[Score]) -> dict[str, Any]:
 def fit_recorded(
     sentences: Sequence[LabelledSentence], recorded: RecordedRewrites, model: GroundingModel
 ) -> TemperatureFit:
-    """Fit the temperature to recorded rewritings of labelled sentences.
-
-    Args:
-        sentences: labelled; those that must be refused say nothing.
-        recorded: their rewritings.
-        model: the trained models.
-
-    Returns:
-        The likeliest temperature.
+    """Fit the temperature to recorded rewritings of sentences that are labelled with a meaning.
 
     Raises:
         ValueError: they say nothing about it; one line.
@@ -274,15 +252,7 @@ def _judge(sentence: LabelledSentence, recorded: RecordedRewrites, graph: GraphG
 
 
 def render_arms(document: dict[str, Any], fit: TemperatureFit | None) -> tuple[Any, list[str]]:
-    """Draw the table for people, and the lines below it.
-
-    Args:
-        document: of ``compare_arms``.
-        fit: of the temperature, if it was fitted.
-
-    Returns:
-        A rich table; lines.
-    """
+    """Draw a document of ``compare_arms``, and a fit if there was one: a rich table, and lines."""
     columns: TableColumns = [
         ("", "{name}"),
         *((f"meant: {name}", f"{{meant[{name}]}}") for name in OUTCOMES),

@@ -96,26 +96,14 @@ _MOST = 8
 
 
 def roomy(understood: Understanding) -> Understanding:
-    """Make room in the arrays of a sentence for what else may be said.
-
-    Args:
-        understood: a sentence.
-
-    Returns:
-        The same, in arrays that hold a conversation.
-    """
+    """Make room in the arrays of a sentence for what else may be said."""
     told = understood.instruction
     wide = replace(told, readings=jax.device_put(widen(told.readings, Capacity())))
     return dataclasses.replace(understood, instruction=wide)
 
 
 def check_words(grounder: Grounder, first: Understanding, text: str) -> None:
-    """Refuse an utterance that no state of the robot would make understood.
-
-    Args:
-        grounder: what understands utterances.
-        first: the sentence that the episode begins with.
-        text: the utterance.
+    """Refuse an utterance that no state of a robot would make understood that began with ``first``.
 
     Raises:
         ValueError: the words are not understood; one line.

@@ -44,14 +44,7 @@ class Design:
     num_instructions: int
 
     def counts(self, instruction_weights: np.ndarray) -> np.ndarray:
-        """Count the factors when instructions count more or less, or not at all.
-
-        Args:
-            instruction_weights: f32[K, I].
-
-        Returns:
-            f32[K, U, G, 2], how many factors have φ = 0, and φ = 1.
-        """
+        """Count factors with φ = 0 and 1 by weights f32[K, I] of instructions: f32[K, U, G, 2]."""
         shape = (*self.properties.shape[:2], 2)
         rows = [
             np.bincount(self.place, weights * self.times, minlength=math.prod(shape))
@@ -61,16 +54,7 @@ class Design:
 
 
 def pool(factors: Factors, columns: dict[str, slice], num_instructions: int) -> Design:
-    """Join equal factors and count them.
-
-    Args:
-        factors: N of them.
-        columns: kind of symbol → its columns of the properties.
-        num_instructions: I.
-
-    Returns:
-        The design.
-    """
+    """Join equal factors of I instructions and count them; ``columns`` are those of each kind."""
     first_words, words = identify(factors.words)
     first_rows, rows = identify(factors.properties)
     pair = words[factors.phrase] * len(first_rows) + rows
@@ -99,17 +83,9 @@ def pool(factors: Factors, columns: dict[str, slice], num_instructions: int) -> 
 def flatten(
     examples: Sequence[PhraseExample], kinds: Sequence[str], vocabulary: Vocabulary
 ) -> tuple[Factors, dict[str, slice]]:
-    """Write the factors of all kinds of symbol one under the other.
+    """Write the factors of all kinds of symbol one under the other, and the columns of each kind.
 
     A kind has columns of its own, so one weight matrix holds the weights of all.
-
-    Args:
-        examples: of one model.
-        kinds: kinds of symbol, each of which occurs.
-        vocabulary: word side.
-
-    Returns:
-        The factors, and the columns of each kind.
 
     Raises:
         ValueError: a kind has no example.

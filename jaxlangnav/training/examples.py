@@ -67,15 +67,7 @@ def _split(text: str) -> tuple[str, list[str]]:
 
 
 def read_annotation(text: str, type_names: tuple[str, ...]) -> Annotation:
-    """Read an annotation symbol.
-
-    Args:
-        text: for example ``relation(hydrant,behind,cone)``.
-        type_names: object types.
-
-    Returns:
-        The symbol.
-    """
+    """Read an annotation symbol such as ``relation(hydrant,behind,cone)``."""
 
     def landmark(name: str) -> int:
         return ROBOT if name == "robot" else type_names.index(name)
@@ -90,15 +82,7 @@ def read_annotation(text: str, type_names: tuple[str, ...]) -> Annotation:
 
 
 def read_behavior(text: str, num_objects: int) -> BehaviorSymbol:
-    """Read a behavior symbol.
-
-    Args:
-        text: for example ``goal(at,3)``.
-        num_objects: objects of the world; the robot's slot comes after them.
-
-    Returns:
-        The symbol.
-    """
+    """Read a behavior symbol such as ``goal(at,3)``; the robot's slot comes after the objects."""
     name, arguments = _split(text)
     kind = KINDS.index(name)
     last = num_objects if arguments[-1] == "robot" else arguments[-1]
@@ -111,15 +95,7 @@ def read_behavior(text: str, num_objects: int) -> BehaviorSymbol:
 
 
 def labelled_instruction(example: Example, type_names: tuple[str, ...]) -> LabelledInstruction:
-    """Turn one labelled instruction into training data.
-
-    Args:
-        example: as the corpus has it.
-        type_names: object types.
-
-    Returns:
-        The instruction by symbol indices. Statements ask for nothing and have no behavior.
-    """
+    """Turn an example of a corpus into training data; statements have no behavior."""
     paths = [[n.path for n in bottom_up(root, c)] for c, root in enumerate(example.parse.clauses)]
     annotation, rank = {}, {}
     for clause, labels in zip(paths, example.clauses, strict=True):
@@ -227,15 +203,7 @@ def _tree_examples(
 def annotation_examples(
     instructions: Sequence[LabelledInstruction], type_names: tuple[str, ...]
 ) -> list[PhraseExample]:
-    """Build the examples of the annotation model.
-
-    Args:
-        instructions: labelled instructions.
-        type_names: object types in the order of their indices.
-
-    Returns:
-        One example per phrase.
-    """
+    """Build the examples of the annotation model, one per phrase."""
     space = Annotations(type_names)
     return [
         example
@@ -248,11 +216,7 @@ def annotation_examples(
 def behavior_examples(
     instructions: Sequence[LabelledInstruction], type_names: tuple[str, ...]
 ) -> list[PhraseExample]:
-    """Build the examples of the behavior model; arguments as ``annotation_examples``.
-
-    Returns:
-        One example per phrase and world; symbols of empty object slots are left out.
-    """
+    """Build the examples of the behavior model, one per phrase and world, empty slots left out."""
     return [
         example
         for index, labelled in enumerate(instructions)

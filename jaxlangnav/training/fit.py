@@ -74,14 +74,7 @@ class Factored(NamedTuple):
 
 
 def factorise(design: Design) -> Factored:
-    """Write a design in bases of the words and properties that occur in it.
-
-    Args:
-        design: the factors.
-
-    Returns:
-        What ``train_weights`` needs of it.
-    """
+    """Write a design in bases of the words and properties that occur in it."""
     words = _basis(design.words)
     properties = _basis(design.properties.reshape(-1, design.properties.shape[2]))
     return Factored(
@@ -93,15 +86,7 @@ def factorise(design: Design) -> Factored:
 
 
 def strengths(vocabulary: Vocabulary, by_group: Mapping[str, Array | float]) -> Array:
-    """Spread the strength of regularisation of each group over its word features.
-
-    Args:
-        vocabulary: names of the word features.
-        by_group: λ above zero of "bias" and of each of ``FEATURE_GROUPS``.
-
-    Returns:
-        f32[W], λ of each word feature; differentiable by every λ.
-    """
+    """Spread λ of "bias" and each of ``FEATURE_GROUPS`` over its word features, f32[W]."""
     groups = tuple(by_group)
     which = np.array([groups.index(feature_group(name)) for name in vocabulary.names])
     return jnp.stack([jnp.asarray(by_group[group], jnp.float32) for group in groups])[which]
@@ -183,16 +168,9 @@ def build_design(
     num_instructions: int,
     without: frozenset[str] = frozenset(),
 ) -> tuple[Vocabulary, Design]:
-    """Prepare the examples of a model.
+    """Prepare the examples of a model, one per phrase (and world), of so many instructions.
 
-    Args:
-        examples: one per phrase (and world).
-        kinds: kinds of symbol of the model.
-        num_instructions: I.
-        without: groups of word features to leave out.
-
-    Returns:
-        The word side, and the distinct factors with their counts.
+    Returned are the word side, but for the groups left out, and the distinct factors, counted.
 
     Raises:
         ValueError: a kind has no example.

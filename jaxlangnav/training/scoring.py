@@ -319,12 +319,5 @@ TEMPERATURES = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.15, 1.3, 1.5, 1.75, 2.0)
 
 
 def fit_temperature(score: Callable[[float], Scores]) -> float:
-    """Choose the temperature under which the gold answers are likeliest.
-
-    Args:
-        score: temperature → results on sentences held out from training.
-
-    Returns:
-        One of ``TEMPERATURES``.
-    """
+    """Choose of ``TEMPERATURES`` the one under which gold answers held out are likeliest."""
     return max(TEMPERATURES, key=lambda t: float(score(t).log_gold.mean()))

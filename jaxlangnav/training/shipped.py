@@ -69,15 +69,7 @@ class TemperatureFit:
 
 
 def log_likelihood(sentences: Sequence[Judged], temperature: float) -> float:
-    """Compute the mean log-likelihood of labels.
-
-    Args:
-        sentences: each with a right rewriting.
-        temperature: above 0.
-
-    Returns:
-        The mean over the sentences, natural logarithm.
-    """
+    """Compute the mean log-likelihood of labels of sentences that each have a right rewriting."""
     total = 0.0
     for one in sentences:
         scores = np.array(one.log_probability) / temperature
@@ -86,13 +78,7 @@ def log_likelihood(sentences: Sequence[Judged], temperature: float) -> float:
 
 
 def fit_source_temperature(sentences: Sequence[Judged]) -> TemperatureFit:
-    """Find the likeliest temperature.
-
-    Args:
-        sentences: labelled, with the rewritings that can be read.
-
-    Returns:
-        The temperature, between ``COLDEST`` and ``HOTTEST``.
+    """Find the likeliest temperature between ``COLDEST`` and ``HOTTEST``.
 
     Raises:
         ValueError: no sentence tells anything about it; one line.

@@ -159,14 +159,7 @@ def save_world(world: WorldFile, path: str | Path) -> None:
 
 
 def world_to_dict(world: WorldFile) -> dict[str, Any]:
-    """Turn a world into tables of the world format.
-
-    Args:
-        world: the world.
-
-    Returns:
-        Tables that ``world_from_dict`` reads back to the same world.
-    """
+    """Turn a world into tables that ``world_from_dict`` reads back to the same world."""
     scenario, sensor, motion = world.scenario, world.sensor, world.motion
     names = [*world.object_names, *[""] * scenario.is_object.size]
     goal_index = int(scenario.goal_index)

@@ -99,15 +99,9 @@ def draw_place(key: Array, law: PlaceLaw, *, num_slots: int = NUM_THINGS) -> Sce
 
 
 def passes_for(figure: Array, cone: Array, side: Array) -> Array:
-    """Tell whether hydrants may pass for standing to cones as is said, seen from the start.
+    """Tell which hydrants f32[2, ...] may pass for standing to cones as said, seen from the start.
 
-    Args:
-        figure: f32[2, ...] metres.
-        cone: f32[2, ...] metres.
-        side: f32[], 1 behind, −1 in front; 0: nothing passes.
-
-    Returns:
-        bool[...].
+    ``side``, f32[]: 1 behind, −1 in front; 0: nothing passes.
     """
     span = figure - cone
     far = jnp.hypot(span[0], span[1])

@@ -199,16 +199,9 @@ def _has_behind(cone: Array, hydrant: Array, is_hydrant: Array) -> Array:
 
 
 def is_behind(figure: Array, landmark: Array) -> Array:
-    """Tell whether figures are behind landmarks, seen from the start: within 45°, any distance.
+    """Tell whether figures f32[2, ...] are behind landmarks, seen from the start: within 45°.
 
     The distance is left open so that what is drawn as "not behind" is so at every distance.
-
-    Args:
-        figure: f32[2, ...], x and y metres, map frame.
-        landmark: f32[2, ...], metres.
-
-    Returns:
-        bool[...].
     """
     frame = viewer_frame(0.0, 0.0, landmark[0], landmark[1])
     x, y = figure[0] - landmark[0], figure[1] - landmark[1]

@@ -195,13 +195,7 @@ def visible(
 ) -> tuple[Array, Array, Array]:
     """Find which objects are in view: in range, in the field of view, and not hidden.
 
-    Args:
-        state: the robot.
-        scenario: the world.
-        sensor: the specification.
-
-    Returns:
-        f32[O] x ahead and f32[O] y to the left, metres, robot frame; bool[O] in view.
+    f32[O] x ahead and f32[O] y to the left, metres, robot frame; bool[O] in view.
     """
     return _located(
         scenario.object_x, scenario.object_y, scenario.is_object, state, scenario, sensor

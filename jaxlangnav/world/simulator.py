@@ -10,14 +10,7 @@ SUCCESS_RADIUS = 1.5
 
 
 def reset(scenario: Scenario) -> WorldState:
-    """Put the robot at the start.
-
-    Args:
-        scenario: the world.
-
-    Returns:
-        The robot, nothing travelled; observe with ``sense``.
-    """
+    """Put the robot at the start, nothing travelled; observe with ``sense``."""
     return WorldState(
         position=scenario.start[:2],
         heading=scenario.start[2],
@@ -27,28 +20,11 @@ def reset(scenario: Scenario) -> WorldState:
 
 
 def goal_distance(state: WorldState, scenario: Scenario) -> Array:
-    """Measure how far the robot truly is from the intended goal.
-
-    Args:
-        state: the robot.
-        scenario: the world.
-
-    Returns:
-        f32[], metres.
-    """
+    """Measure how far the robot truly is from the intended goal, f32[] metres."""
     offset = scenario.goal - state.position
     return jnp.hypot(offset[0], offset[1])
 
 
 def is_success(state: WorldState, scenario: Scenario, is_arrived: Array) -> Array:
-    """Judge a run: the robot itself says that it has arrived, within 1.5 m of the intended goal.
-
-    Args:
-        state: the robot at the end.
-        scenario: the world.
-        is_arrived: bool[], the robot declared the command carried out.
-
-    Returns:
-        bool[].
-    """
+    """Judge a run: the robot itself says, bool[], that it has arrived, within 1.5 m of the goal."""
     return is_arrived & (goal_distance(state, scenario) <= SUCCESS_RADIUS)

@@ -94,17 +94,7 @@ def parse_template(name: str) -> Template:
 
 
 def check_relation(relation: str) -> int:
-    """Look up the index of a relation's name.
-
-    Args:
-        relation: one of ``RELATION_NAMES``.
-
-    Returns:
-        Its index.
-
-    Raises:
-        ValueError: no such relation.
-    """
+    """Look up the index of one of ``RELATION_NAMES``, or raise a ValueError of one line."""
     if relation not in RELATION_NAMES:
         known = f"{', '.join(RELATION_NAMES)}{closest_choice(relation, RELATION_NAMES)}"
         raise ValueError(f"unknown relation {shown(relation)}: choose one of {known}")
