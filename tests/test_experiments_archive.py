@@ -7,38 +7,23 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pyarrow.parquet as pq
+import pyarrow as pa
 import pytest
 
 from jaxlangnav import lanes
 from jaxlangnav.experiments import archive
-from jaxlangnav.experiments.archive import CompileClock, _union_length
+from jaxlangnav.experiments.archive import CompileClock
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.tasks import SENTENCES, cell, ground_sentences, make_tasks
 from jaxlangnav.navigator import default_params
 from jaxlangnav.pytree import replace, strong
 
 
-def test_a_table_comes_back_as_it_was_written(tmp_path: Path) -> None:
-    columns = {
-        "world": ["1H1C", "2H1C", "2H1C"],
-        "distance": np.array([8.5, 12.25, 3.0], np.float32),
-        "is_success": np.array([True, False, True]),
-        "final": np.arange(6, dtype=np.float32).reshape(3, 2),
-    }
-    path = archive._write_table(columns, tmp_path / "new" / "episodes.parquet")
-    table = pq.read_table(path).to_pydict()
-    assert table["world"] == columns["world"]
-    assert table["distance"] == [8.5, 12.25, 3.0]
-    assert table["is_success"] == [True, False, True]
-    assert table["final"] == [[0.0, 1.0], [2.0, 3.0], [4.0, 5.0]]
-    assert [entry.name for entry in path.parent.iterdir()] == ["episodes.parquet"]
-
-
 def test_a_failed_write_leaves_the_old_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = archive._write_table({"a": [1]}, tmp_path / "episodes.parquet")
+    given = {"a": [1]}, pa.table({"a": [1]}), "", jnp.ones(2)
+    (path, *_) = archive.write_experiment(tmp_path, "x", *given)
     before = path.read_bytes()
 
     def full_disk(_table: object, where: Path, **_options: object) -> None:
@@ -47,14 +32,9 @@ def test_a_failed_write_leaves_the_old_file(
 
     monkeypatch.setattr(archive.pq, "write_table", full_disk)
     with pytest.raises(OSError, match="No space left"):
-        archive._write_table({"a": [2]}, path)
+        archive.write_experiment(tmp_path, "x", *given)
     assert path.read_bytes() == before
-    assert [entry.name for entry in tmp_path.iterdir()] == ["episodes.parquet"]
-
-
-def test_columns_of_different_lengths_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="different lengths"):
-        archive._write_table({"a": [1, 2], "b": [1]}, tmp_path / "episodes.parquet")
+    assert len(list(tmp_path.iterdir())) == 4
 
 
 def test_the_hash_tells_weights_apart() -> None:
@@ -106,8 +86,12 @@ def test_a_manifest_says_how(tmp_path: Path) -> None:
         ([(0.0, 10.0), (2.0, 3.0), (4.0, 11.0)], 11.0),
     ],
 )
-def test_union_length(intervals: list[tuple[float, float]], expected: float) -> None:
-    assert _union_length(intervals) == pytest.approx(expected)
+def test_what_overlaps_is_counted_once(
+    intervals: list[tuple[float, float]], expected: float
+) -> None:
+    with CompileClock() as clock:
+        clock._intervals += intervals
+    assert clock.seconds == pytest.approx(expected)
 
 
 def test_the_clock_counts_compilation_and_not_running() -> None:

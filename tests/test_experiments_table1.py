@@ -5,8 +5,8 @@ import pytest
 from grounding_fixture import TYPES, corpus
 
 from jaxlangnav.experiments.table1 import (
-    _mark_new_words,
-    _summarise,
+    _accuracy,
+    _on_new_words,
     draw_splits,
     evaluate,
     table_1,
@@ -28,17 +28,16 @@ def test_new_words_are_those_of_no_training_sentence():
         sentences=("go to the box", "find the box", "go to the cone", "find the boxes"),
     )
     # Without the first and the third nobody has said "go" or "cone"; "boxes" is the lemma "box".
-    marked = _mark_new_words(instructions, np.array([True, False, True, False]))
-    assert marked.tolist() == [True, True]
-    marked = _mark_new_words(instructions, np.array([True, False, False, True]))
-    assert marked.tolist() == [False, False]
+    held_out = np.array([[True, False, True, False], [True, False, False, True]])
+    scores = [Scores(np.array(right), np.ones(2), np.zeros(2)) for right in ([1, 0], [1, 1])]
+    found = _on_new_words("annotation", instructions, scores, held_out)
+    assert found == {"accuracy_mean": 50.0, "share": 0.5}
 
 
 def test_interval_by_hand():
     scores = [Scores(np.array(right), np.ones(2), np.zeros(2)) for right in ([1, 1], [1, 0])]
-    mean, interval = _summarise(scores)
-    assert mean == 75.0
-    assert interval == pytest.approx(1.96 * np.std([100, 50], ddof=1) / np.sqrt(2))
+    interval = round(1.96 * np.std([100, 50], ddof=1) / np.sqrt(2), 2)
+    assert _accuracy(scores) == {"accuracy_mean": 75.0, "accuracy_ci95": interval}
 
 
 @pytest.mark.parametrize(

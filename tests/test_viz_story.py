@@ -31,13 +31,11 @@ from jaxlangnav.world.state import CONE, HYDRANT
         (-22, "ahead"),
     ],
 )
-def test_directions(degrees, said):
-    assert words._direction(math.radians(degrees)) == said
-
-
-def test_whereabouts_are_seen_from_the_robot():
-    # The robot at (1, 1) heads up: what lies at (0, 1) is 1 m to its left.
-    assert words.whereabouts(0.0, 1.0, 1.0, 1.0, math.pi / 2) == "1.0 m to the left"
+def test_whereabouts_are_seen_from_the_robot(degrees, said):
+    # The robot at (1, 1) heads up.
+    bearing = math.radians(degrees + 90)
+    x, y = 1.0 + 2.0 * math.cos(bearing), 1.0 + 2.0 * math.sin(bearing)
+    assert words.whereabouts(x, y, 1.0, 1.0, math.pi / 2) == f"2.0 m {said}"
     assert words.whereabouts(1.1, 1.0, 1.0, 1.0, 0.0) == "right here"
 
 

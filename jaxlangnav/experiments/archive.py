@@ -21,38 +21,8 @@ import pyarrow.parquet as pq
 from jaxlangnav import __version__
 from jaxlangnav.files.whole import replacing, write_text
 
-Columns = pa.Table | Mapping[str, Any]
-"""One entry per episode: by name arrays [E] or lists of E; [E, 2] becomes a column of lists."""
 _LIBRARIES = ("jax", "jaxlib", "numpy", "optax", "pyarrow")
 _RESULTS = ("rows", "paper", "bounds", "variations", "explained", "wall_s", "compile_s", "files")
-
-
-def _write_table(columns: Columns, path: Path) -> Path:
-    """Write one row per episode as Parquet, all or nothing."""
-    table = to_table(columns)
-    with replacing(path) as temporary:
-        pq.write_table(table, temporary, compression="zstd", write_page_checksum=True)
-    return path
-
-
-def to_table(columns: Columns) -> pa.Table:
-    """Lay columns out as a table.
-
-    Args:
-        columns: one row per episode.
-
-    Returns:
-        The table.
-
-    Raises:
-        ValueError: columns of different lengths.
-    """
-    if isinstance(columns, pa.Table):
-        return columns
-    lengths = {name: len(values) for name, values in columns.items()}
-    if len(set(lengths.values())) > 1:
-        raise ValueError(f"columns have different lengths: {lengths}")
-    return pa.table({name: _column(values) for name, values in columns.items()})
 
 
 _REPEATS = (
@@ -122,7 +92,7 @@ def write_experiment(
     folder: Path,
     name: str,
     document: Mapping[str, Any],
-    columns: Columns,
+    columns: pa.Table,
     text: str,
     models: Any,
 ) -> list[Path]:
@@ -132,7 +102,7 @@ def write_experiment(
         folder: where; made if it is not there.
         name: of the experiment; every file's name begins with it.
         document: what the experiment found; its settings go into the manifest.
-        columns: one entry per episode.
+        columns: one row per episode.
         text: the Markdown table.
         models: the trained weights, for their hash.
 
@@ -141,8 +111,11 @@ def write_experiment(
     """
     settings = {key: value for key, value in document.items() if key not in _RESULTS}
     results = {key: value for key, value in document.items() if key != "files"}
+    episodes = folder / f"{name}_episodes.parquet"
+    with replacing(episodes) as temporary:
+        pq.write_table(columns, temporary, compression="zstd", write_page_checksum=True)
     return [
-        _write_table(columns, folder / f"{name}_episodes.parquet"),
+        episodes,
         write_text(text, folder / f"{name}.md"),
         write_manifest(results, folder / f"{name}.json"),
         write_manifest(manifest(settings, models=models), folder / f"{name}_manifest.json"),
@@ -181,15 +154,6 @@ def pytree_hash(tree: Any) -> str:
     return digest.hexdigest()
 
 
-def _column(values: Any) -> pa.Array:
-    """Turn an array or a list into a Parquet column."""
-    if isinstance(values, pa.Array):
-        return values
-    if isinstance(values, np.ndarray) and values.ndim > 1:
-        return pa.array(list(values))
-    return pa.array(values)
-
-
 _COMPILE_EVENTS = "/jax/core/compile/"
 
 
@@ -215,7 +179,10 @@ class CompileClock:
     ) -> None:
         """Stop the clock."""
         jax.monitoring.unregister_event_duration_listener(self._listen)
-        self.seconds = _union_length(self._intervals)
+        reached = float("-inf")
+        for begin, end in sorted(self._intervals):
+            self.seconds += max(0.0, end - max(begin, reached))
+            reached = max(reached, end)
 
     def _listen(self, event: str, duration_secs: float, **kwargs: str | int) -> None:
         """Note when a trace, a lowering or a compilation began and ended."""
@@ -223,12 +190,3 @@ class CompileClock:
         if event.startswith(_COMPILE_EVENTS):
             now = time.perf_counter()
             self._intervals.append((now - duration_secs, now))
-
-
-def _union_length(intervals: list[tuple[float, float]]) -> float:
-    """Measure the union of intervals."""
-    total, reached = 0.0, float("-inf")
-    for begin, end in sorted(intervals):
-        total += max(0.0, end - max(begin, reached))
-        reached = max(reached, end)
-    return total

@@ -26,7 +26,7 @@ from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.messages import Action, Observation, SensorParams, Status
 from jaxlangnav.planner.graph import frontiers
 from jaxlangnav.planner.params import default_planner_params
-from jaxlangnav.pytree import pytree
+from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map.coverage import Coverage, log_miss_at, look, unexplored
 from jaxlangnav.terrain import OPEN
 from jaxlangnav.terrain.view import eye_of
@@ -138,14 +138,12 @@ def _notice(explorer: Explorer, observation: Observation, figure_type: Array) ->
     is_seen = jnp.any(is_target)
     sensor = observation.sensor
     eye = eye_of(pose[0], pose[1], pose[2], sensor)
-    return Explorer(
+    return replace(
+        explorer,
         coverage=look(explorer.coverage, eye, sensor.detection_probability, OPEN.view),
         target_x=jnp.where(is_seen, x[nearest], explorer.target_x),
         target_y=jnp.where(is_seen, y[nearest], explorer.target_y),
         has_target=explorer.has_target | is_seen,
-        waypoint_x=explorer.waypoint_x,
-        waypoint_y=explorer.waypoint_y,
-        leg=explorer.leg,
     )
 
 
@@ -158,7 +156,7 @@ def _explore_sweep(
     is_there = jnp.hypot(x - pose[0], y - pose[1]) < _ARRIVAL
     leg = explorer.leg + is_there.astype(jnp.int32)
     x, y = waypoint(area, sensor.range_max, leg)
-    return _towards(explorer, x, y, leg)
+    return replace(explorer, waypoint_x=x, waypoint_y=y, leg=leg)
 
 
 def _explore_frontiers(explorer: Explorer, pose: Array, sensor: SensorParams) -> Explorer:
@@ -174,24 +172,11 @@ def _explore_frontiers(explorer: Explorer, pose: Array, sensor: SensorParams) ->
     remaining = jnp.hypot(explorer.waypoint_x - pose[0], explorer.waypoint_y - pose[1])
     keeps = (explorer.leg > 0) & (remaining > _ARRIVAL)
     keeps = keeps & (there > worst + jnp.log(jnp.float32(_FRONTIER_MISS)))
-    return _towards(
+    return replace(
         explorer,
-        jnp.where(keeps, explorer.waypoint_x, x[nearest]),
-        jnp.where(keeps, explorer.waypoint_y, y[nearest]),
-        explorer.leg + (~keeps).astype(jnp.int32),
-    )
-
-
-def _towards(explorer: Explorer, x: Array, y: Array, leg: Array) -> Explorer:
-    """Set where to explore next."""
-    return Explorer(
-        coverage=explorer.coverage,
-        target_x=explorer.target_x,
-        target_y=explorer.target_y,
-        has_target=explorer.has_target,
-        waypoint_x=x,
-        waypoint_y=y,
-        leg=leg,
+        waypoint_x=jnp.where(keeps, explorer.waypoint_x, x[nearest]),
+        waypoint_y=jnp.where(keeps, explorer.waypoint_y, y[nearest]),
+        leg=explorer.leg + (~keeps).astype(jnp.int32),
     )
 
 
@@ -214,26 +199,6 @@ def _act(explorer: Explorer, pose: Array) -> Action:
 def _status(is_stop: Array) -> Array:
     """Tell how a baseline stands: it is at an object of the type, or looks for one; i32[]."""
     return jnp.where(is_stop, int(Status.ARRIVED), int(Status.SEARCHING))
-
-
-def _start(scenario: Scenario) -> _Run:
-    """Put a baseline at the start of a world; it is told the start and the operating area."""
-    zero = jnp.float32(0.0)
-    explorer = Explorer(
-        coverage=unexplored(scenario.area, _NUM_CELLS),
-        target_x=zero,
-        target_y=zero,
-        has_target=jnp.asarray(False),
-        waypoint_x=zero,
-        waypoint_y=zero,
-        leg=jnp.int32(0),
-    )
-    return _Run(
-        explorer=explorer,
-        world=simulator.reset(scenario),
-        steps=jnp.int32(0),
-        is_stopped=jnp.asarray(False),
-    )
 
 
 def _explore(task: Task, figure_type: Array, *, policy: str, max_steps: int) -> EpisodeResult:
@@ -261,7 +226,19 @@ def _explore(task: Task, figure_type: Array, *, policy: str, max_steps: int) -> 
             is_stopped=action.is_stop,
         )
 
-    end = jax.lax.while_loop(is_running, body, _start(task.scenario))
+    zero, no = jnp.float32(0.0), jnp.asarray(False)
+    explorer = Explorer(
+        coverage=unexplored(task.scenario.area, _NUM_CELLS),
+        target_x=zero,
+        target_y=zero,
+        has_target=no,
+        waypoint_x=zero,
+        waypoint_y=zero,
+        leg=jnp.int32(0),
+    )
+    world = simulator.reset(task.scenario)
+    start = _Run(explorer=explorer, world=world, steps=jnp.int32(0), is_stopped=no)
+    end = jax.lax.while_loop(is_running, body, start)
     return _judge(task.scenario, end.world, end.is_stopped, end.steps)
 
 

@@ -47,11 +47,6 @@ class GoalDensity:
     hypothesis_mass: Array  # f32[H]
 
 
-def _normal(x: Array, y: Array, variance: Array | float) -> Array:
-    """Evaluate an isotropic Gaussian density in the plane."""
-    return jnp.exp(gaussian.log_normal_isotropic(x, y, jnp.asarray(variance, jnp.float32)))
-
-
 def _goal_region(density: GoalDensity, true_x: Array, true_y: Array) -> tuple[Array, Array]:
     """Find the probability of all places that are likelier than the true one."""
     #     below = Σ_h m_h [f₋ₕ(x_h) > t] + Σ_o m_o (1 − (t − b_o) / p_o),    t = f(truth)
@@ -65,23 +60,15 @@ def _goal_region(density: GoalDensity, true_x: Array, true_y: Array) -> tuple[Ar
     variance = jnp.maximum(density.object_variance, _MIN_VARIANCE)
 
     def hypotheses(x: Array, y: Array) -> Array:
-        return _normal(
-            x[:, None] - density.hypothesis_x[None],
-            y[:, None] - density.hypothesis_y[None],
-            BANDWIDTH**2,
-        )
+        dx, dy = x[:, None] - density.hypothesis_x[None], y[:, None] - density.hypothesis_y[None]
+        return jnp.exp(gaussian.log_normal_isotropic(dx, dy, jnp.float32(BANDWIDTH**2)))
 
     def objects(x: Array, y: Array) -> Array:
-        return _normal(
-            x[:, None] - density.object_x[None],
-            y[:, None] - density.object_y[None],
-            variance[None],
-        )
+        dx, dy = x[:, None] - density.object_x[None], y[:, None] - density.object_y[None]
+        return jnp.exp(gaussian.log_normal_isotropic(dx, dy, variance[None]))
 
-    at_truth = (
-        hypotheses(true_x[None], true_y[None]) @ open_mass
-        + objects(true_x[None], true_y[None]) @ seen
-    )[0]
+    truth = true_x[None], true_y[None]
+    at_truth = (hypotheses(*truth) @ open_mass + objects(*truth) @ seen)[0]
     own = hypotheses(density.hypothesis_x, density.hypothesis_y)
     is_copy = own > (1.0 - 1e-6) / (2.0 * jnp.pi * BANDWIDTH**2)
     at_hypotheses = jnp.where(is_copy, 0.0, own) @ open_mass
@@ -145,12 +132,7 @@ def nothing() -> Tally:
     zero, bins = jnp.zeros(stages, jnp.float32), jnp.zeros((stages, NUM_BINS), jnp.float32)
     none = Reliability(events=bins, probability=bins, outcome=bins, squared_error=zero)
     return Tally(
-        steps=zero,
-        covered=zero,
-        rank=bins,
-        negative_log_likelihood=zero,
-        planner=none,
-        map=none,
+        steps=zero, covered=zero, rank=bins, negative_log_likelihood=zero, planner=none, map=none
     )
 
 
@@ -278,13 +260,11 @@ def tally_step(progress: EpisodeState, info: NavigatorInfo, after: EpisodeState)
     is_event = _is_held_as(belief, scenario.object_type[scenario.goal_index])
     apart = jnp.hypot(goals.object_x[:-1] - true_x, goals.object_y[:-1] - true_y)
     outcome = is_it(apart, is_event).astype(jnp.float32)
-    decile = jnp.arange(NUM_BINS)
+    decile = jnp.clip(below * NUM_BINS, 0, NUM_BINS - 1).astype(jnp.int32)
     one = Tally(
         steps=jnp.float32(1.0),
         covered=(below <= 0.9).astype(jnp.float32),
-        rank=(jnp.clip(below * NUM_BINS, 0, NUM_BINS - 1).astype(jnp.int32) == decile).astype(
-            jnp.float32
-        ),
+        rank=(decile == jnp.arange(NUM_BINS)).astype(jnp.float32),
         negative_log_likelihood=-log_density,
         planner=_reliability(goals.object_mass[:-1], outcome, is_event),
         map=_reliability(_referent_mass(after), outcome, is_event),

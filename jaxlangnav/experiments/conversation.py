@@ -14,7 +14,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from jaxlangnav.experiments.dialogue import Exchange, converse, sentence_with
+from jaxlangnav.experiments.dialogue import converse, sentence_with
 from jaxlangnav.experiments.metrics import wilson_interval
 from jaxlangnav.experiments.monte_carlo import OnProgress
 from jaxlangnav.experiments.policies import navigator_config
@@ -80,7 +80,7 @@ def _run_row(
     params: NavigatorParams,
     on_progress: OnProgress | None = None,
 ) -> dict[str, Any]:
-    """Run a row."""
+    """Run a row and summarise it."""
     tasks = make_tasks(cell(row.world, row.relation, 0, row.sees, episodes, seed))
     planner = replace(params.planner, question_cost=jnp.float32(row.cost))
     spoken = converse(
@@ -91,17 +91,15 @@ def _run_row(
         config=navigator_config("informed", particles),
         on_progress=on_progress,
     )
-    return _entries(row, spoken)
-
-
-def _entries(row: Dialogue, spoken: Exchange) -> dict[str, Any]:
-    """Summarise a row."""
     is_success = np.asarray(spoken.result.is_success)
     number, questions = len(is_success), float(np.mean(spoken.num_questions))
     low, high = wilson_interval(int(is_success.sum()), number)
     cost = row.cost if math.isfinite(row.cost) else None
     has_way = (np.asarray(spoken.num_corrections) > 0) & is_success
-    ways = [_way(spoken, has_way & (spoken.is_known == known)) for known in (True, False)]
+    ways: list[float | None] = []
+    for which in (has_way & spoken.is_known, has_way & ~spoken.is_known):
+        straight = float(np.sum(spoken.straight[which]))
+        ways.append(float(np.sum(spoken.walked[which])) / straight if straight else None)
     rate = 100.0 * float(np.mean(is_success))
     return {
         "world": row.world,
@@ -125,12 +123,6 @@ def _entries(row: Dialogue, spoken: Exchange) -> dict[str, Any]:
         "weighted": rate if cost is None else rate - 100.0 * cost * questions,
         "time_outs": int(np.sum(~np.asarray(spoken.result.is_stopped))),
     }
-
-
-def _way(spoken: Exchange, which: np.ndarray) -> float | None:
-    """Compute metres after the first correction over those straight, None where there are none."""
-    straight = float(np.sum(spoken.straight[which]))
-    return float(np.sum(spoken.walked[which])) / straight if straight else None
 
 
 def run_rows(

@@ -25,7 +25,6 @@ from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, NavigatorStat
 from jaxlangnav.pytree import pytree, replace, strong
 from jaxlangnav.world.person import Person, PersonParams, RobotView, Says, say, unspoken
 from jaxlangnav.world.simulator import SUCCESS_RADIUS, goal_distance
-from jaxlangnav.world.state import Scenario
 
 _SPEECH = 31
 """Folded twice into an episode's key for the person; its steps fold and split it otherwise."""
@@ -93,14 +92,8 @@ def sentence_with(text: str, truth: str, falsehood: str) -> Sentence:
 
     def joined(statement: str) -> Joined:
         said = understand(statement, model)
-        return join(
-            told.readings,
-            words,
-            said.instruction,
-            said.spoken,
-            is_new_task=False,
-            is_asked=False,
-        )
+        new = said.instruction, said.spoken
+        return join(told.readings, words, *new, is_new_task=False, is_asked=False)
 
     return Sentence(
         instruction=jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], told),
@@ -122,12 +115,11 @@ def _hear(state: NavigatorState, said: Array, slot: Array, sentence: Sentence) -
         Says.FALSEHOOD: hearing.tell(state, sentence.falsehood, pose, how=How.INFORM),
     }
     for kind, after in outcomes.items():
-        is_said = said == kind
-        state = jax.tree.map(
-            lambda old, new, is_said=is_said: jnp.where(is_said, new, old).astype(old.dtype),
-            state,
-            after,
-        )
+
+        def choose(old: Array, new: Array, kind: Says = kind) -> Array:
+            return jnp.where(said == kind, new, old).astype(old.dtype)
+
+        state = jax.tree.map(choose, state, after)
     return state
 
 
@@ -155,7 +147,11 @@ def _advance(lane: _Lane, *, params: _Numbers, config: NavigatorConfig) -> tuple
     is_first = (said == Says.OTHER) & jnp.isnan(lane.said_at)
     left = jnp.maximum(goal_distance(progress.world, scenario) - SUCCESS_RADIUS, 0.0)
     at = progress.navigator
-    is_known = _has_seen_goal(_seen_of(at, progress.steps), at, scenario)
+    # Whether the robot takes a thing for being where the goal truly is.
+    seen, weight = _seen_of(at, progress.steps), jnp.exp(at.belief.log_weight)[None]
+    is_held = jnp.sum(weight * (at.belief.particles.object_type != NONE), axis=1) > 0.5
+    away = jnp.hypot(seen.x - scenario.goal[0], seen.y - scenario.goal[1])
+    is_known = jnp.any(is_held & (away <= SUCCESS_RADIUS))
     heard = replace(progress, navigator=_hear(progress.navigator, said, slot, params.sentence))
     after, _ = episode.advance(heard, params=params.navigator, config=config)
     is_waiting = speak(after, person, params=params.person)[0].intends
@@ -220,14 +216,6 @@ def converse(
 
 LEAST_SHARE = 0.01
 """Goal probability below which a thing is no candidate of a question."""
-
-
-def _has_seen_goal(seen: RobotView, state: NavigatorState, scenario: Scenario) -> Array:
-    """Tell whether the robot takes a thing for being where the goal truly is, bool[]."""
-    weight = jnp.exp(state.belief.log_weight)[None]
-    is_held = jnp.sum(weight * (state.belief.particles.object_type != NONE), axis=1) > 0.5
-    away = jnp.hypot(seen.x - scenario.goal[0], seen.y - scenario.goal[1])
-    return jnp.any(is_held & (away <= SUCCESS_RADIUS))
 
 
 def speak(

@@ -7,12 +7,7 @@ from typing import Any, TypeAlias
 import jax
 import numpy as np
 
-from jaxlangnav.episode import (
-    EpisodeState,
-    advance,
-    begin,
-    finish,
-)
+from jaxlangnav.episode import EpisodeState, advance, begin, finish
 from jaxlangnav.experiments.calibration import Reliability, Tally, nothing, tally_step
 from jaxlangnav.experiments.metrics import wilson_interval
 from jaxlangnav.lanes import Course
@@ -59,25 +54,24 @@ def bin_sums(tally: Tally) -> dict[str, dict[str, list[float]]]:
     Returns:
         ``planner`` and ``map``, each ``Bins`` in JSON's own types.
     """
-    return {"planner": _sums(tally.planner), "map": _sums(tally.map)}
 
+    def sums(found: Reliability) -> dict[str, list[float]]:
+        events, probability, outcome = (
+            np.asarray(leaf, np.float64).sum(axis=1)
+            for leaf in (found.events, found.probability, found.outcome)
+        )
+        by_episode = {
+            "events": events,
+            "probability": probability,
+            "outcome": outcome,
+            "episodes": events > 0,
+            "events2": events**2,
+            "outcome2": outcome**2,
+            "cross": events * outcome,
+        }
+        return {name: of.sum(axis=0, dtype=float).tolist() for name, of in by_episode.items()}
 
-def _sums(found: Reliability) -> dict[str, list[float]]:
-    """Sum up over episodes, leaves [E, S, B]."""
-    events, probability, outcome = (
-        np.asarray(leaf, np.float64).sum(axis=1)
-        for leaf in (found.events, found.probability, found.outcome)
-    )
-    sums = {
-        "events": events,
-        "probability": probability,
-        "outcome": outcome,
-        "episodes": events > 0,
-        "events2": events**2,
-        "outcome2": outcome**2,
-        "cross": events * outcome,
-    }
-    return {name: [float(one) for one in values.sum(axis=0)] for name, values in sums.items()}
+    return {"planner": sums(tally.planner), "map": sums(tally.map)}
 
 
 def pooled(parts: Iterable[Bins]) -> dict[str, np.ndarray]:
@@ -114,14 +108,9 @@ def curve(bins: Mapping[str, Any]) -> tuple[np.ndarray, ...]:
         variance > 1e-12, rate * (1 - rate) / np.maximum(variance, 1e-12), total["episodes"]
     )
     trials = np.clip(trials, 1.0, total["events"])
-    ends = np.array([_interval(*one) for one in zip(rate, trials, strict=True)]).reshape(-1, 2)
+    numbers = np.maximum(1, trials.astype(int))
+    ends = [wilson_interval(round(one * n), int(n)) for one, n in zip(rate, numbers, strict=True)]
+    low, high = np.reshape(ends, (-1, 2)).T
     mean = total["probability"] / total["events"]
-    return mean, rate, ends[:, 0], ends[:, 1], total["events"]
-
-
-def _interval(rate: float, trials: float) -> tuple[float, float]:
-    """Compute Wilson's interval for a rate among independent trials, rounded down."""
-    number = max(1, int(trials))
-    low, high = wilson_interval(round(rate * number), number)
     # Rounding the successes moves the middle by less than half a trial; the rate stays inside.
-    return min(low, rate), max(high, rate)
+    return mean, rate, np.minimum(low, rate), np.maximum(high, rate), total["events"]

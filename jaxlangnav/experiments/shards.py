@@ -17,7 +17,6 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from jaxlangnav.experiments.archive import to_table
 from jaxlangnav.files.whole import write_bytes
 
 _KEY = "jaxlangnav.shard"
@@ -55,7 +54,7 @@ def write_shard(columns: Mapping[str, Any], path: Path, shard: Shard) -> Path:
         ValueError: columns of different lengths, or not of the shard's.
         OSError: the disk is full, or the folder cannot be written to.
     """
-    table = to_table(columns)
+    table = pa.table(dict(columns))
     if table.num_rows != shard.rows:
         raise ValueError(f"{path} would have {table.num_rows} rows, but must have {shard.rows}")
     record = json.dumps(dataclasses.asdict(shard) | {"sha256": _UNKNOWN})

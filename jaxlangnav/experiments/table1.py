@@ -69,27 +69,11 @@ def draw_splits(count: int, splits: int, seed: int) -> np.ndarray:
     return held_out
 
 
-def _mark_new_words(
-    instructions: Sequence[LabelledInstruction], is_held_out: np.ndarray
-) -> np.ndarray:
-    """Find the held-out sentences with a word that training never saw."""
-    words = [
-        {word.lemma for root in one.parse.clauses for word in root.all_words()}
-        for one in instructions
-    ]
-    seen = set[str]().union(*(words[place] for place in np.flatnonzero(~is_held_out)))
-    return np.array([bool(words[place] - seen) for place in np.flatnonzero(is_held_out)], bool)
-
-
 TABLE_1: dict[str, dict[str, float]] = {
-    "annotation": {
-        "accuracy_mean": 62.5,
-        "accuracy_ci95": 10.83,
-        "train_s": 145.11,
-        "infer_s": 0.44,
-    },
+    "annotation": {"accuracy_mean": 62.5, "accuracy_ci95": 10.83, "train_s": 145.11,
+                   "infer_s": 0.44},
     "behavior": {"accuracy_mean": 55.77, "accuracy_ci95": 6.83, "train_s": 18.3, "infer_s": 0.05},
-}
+}  # fmt: skip
 """Table 1 as printed."""
 CORPUS = "corpus39"
 _WIDEST = 256
@@ -102,19 +86,10 @@ _MASKS = 1 + 4
 class Splits:
     """Everything fitted for one model over all splits."""
 
-    vocabulary: Vocabulary
-    weights: list[dict[str, np.ndarray]]  # K times kind → f32[W, F]
+    models: list[CorrespondenceModel]  # K
     alone: Fit  # one split by itself
     together: Fit  # all splits in one vmap
     examples: int  # (phrase, symbol) factors, mean over the training parts
-
-    def model(self, split: int) -> CorrespondenceModel:
-        """Build the model of one split."""
-        return CorrespondenceModel(self.vocabulary, self.weights[split])
-
-    def models(self) -> Models:
-        """Put the models of all splits side by side."""
-        return Models.of([self.model(split) for split in range(len(self.weights))])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -142,15 +117,6 @@ def _prepare_model(
     return LaidOut(*build_design(examples, kinds, len(instructions), without), sizes)
 
 
-def _check_splits(prepared: LaidOut, splits: int) -> None:
-    """Refuse more splits than memory holds."""
-    design = prepared.design
-    counts = math.prod(design.properties.shape[:2]) * 2
-    weights = design.words.shape[1] * design.properties.shape[2]
-    # Counts and weights of all splits lie side by side, the weights in double precision too.
-    check_count("splits", splits, each=4 * counts + (4 + 8) * weights)
-
-
 def _fit_splits(prepared: LaidOut, held_out: np.ndarray) -> Splits:
     """Train one model on every split at once, and on the first one alone for its time."""
     design, shares = prepared.design, (~held_out).astype(np.float32)
@@ -159,14 +125,8 @@ def _fit_splits(prepared: LaidOut, held_out: np.ndarray) -> Splits:
     alone = dataclasses.replace(again, compile_seconds=first.compile_seconds)
     weights, together = fit(design, shares)
     examples = round(float((shares @ prepared.sizes).mean()))
-    return Splits(prepared.vocabulary, weights, alone, together, examples)
-
-
-def _summarise(scores: Sequence[Scores | ExactScores]) -> tuple[float, float]:
-    """Compute the mean accuracy over splits and half its 95 % interval, percent."""
-    accuracy = np.array([100.0 * score.accuracy for score in scores])
-    spread = accuracy.std(ddof=1) if len(accuracy) > 1 else float("nan")
-    return float(accuracy.mean()), float(1.96 * spread / np.sqrt(len(accuracy)))
+    models = [CorrespondenceModel(prepared.vocabulary, one) for one in weights]
+    return Splits(models, alone, together, examples)
 
 
 def _score_all(
@@ -178,7 +138,7 @@ def _score_all(
     **searched: Any,
 ) -> dict[str, Results]:
     """Measure both models of every split on its hold-out."""
-    annotation, behavior = (fitted[name].models() for name in MODELS)
+    annotation, behavior = (Models.of(fitted[name].models) for name in MODELS)
     splits, sentences = held_out.shape
     count = itertools.count(1)
 
@@ -206,7 +166,7 @@ def _seconds(
     width: int,
 ) -> float:
     """Measure the mean seconds that the first split's model takes for one sentence (and world)."""
-    annotation, behavior = (fitted[name].model(0) for name in MODELS)
+    annotation, behavior = (fitted[name].models[0] for name in MODELS)
     count, begin = 0, time.perf_counter()
     for labelled in tested:
         belief = infer_annotations(labelled.parse, annotation, type_names, width)
@@ -257,8 +217,11 @@ def evaluate(
     prepared = {
         name: _prepare_model(name, instructions, type_names, frozenset(without)) for name in MODELS
     }
-    for one in prepared.values():
-        _check_splits(one, splits)
+    for design in (one.design for one in prepared.values()):
+        counts = math.prod(design.properties.shape[:2]) * 2
+        weights = design.words.shape[1] * design.properties.shape[2]
+        # Counts and weights of all splits lie side by side, the weights in double precision too.
+        check_count("splits", splits, each=4 * counts + (4 + 8) * weights)
     held_out = draw_splits(len(instructions), splits, seed)
     fitted = {name: _fit_splits(one, held_out) for name, one in prepared.items()}
     results = _score_all(
@@ -296,12 +259,19 @@ def _on_new_words(
     held_out: np.ndarray,
 ) -> dict[str, float | None]:
     """Write down the accuracy on those of bool[K, I] held out that have a word never seen."""
-    worlds = np.array([len(labelled.worlds) for labelled in instructions])
+    words = [
+        {word.lemma for root in one.parse.clauses for word in root.all_words()}
+        for one in instructions
+    ]
     rows = []
     for score, held in zip(scores, held_out, strict=True):
-        is_new = _mark_new_words(instructions, held)
-        is_new = is_new if name == "annotation" else np.repeat(is_new, worlds[held])
-        rows.append((score.is_right, is_new))
+        seen = set[str]().union(*(words[place] for place in np.flatnonzero(~held)))
+        is_new = [
+            bool(own - seen)
+            for own, one, is_held in zip(words, instructions, held, strict=True)
+            for _ in range(is_held * (1 if name == "annotation" else len(one.worlds)))
+        ]
+        rows.append((score.is_right, np.array(is_new, bool)))
     right = np.concatenate([is_right[is_new] for is_right, is_new in rows])
     share = float(np.concatenate([is_new for _, is_new in rows]).mean())
     accuracy = round(100.0 * float(right.mean()), 2) if len(right) else None
@@ -309,9 +279,11 @@ def _on_new_words(
 
 
 def _accuracy(scores: Sequence[Scores | ExactScores]) -> dict[str, float]:
-    """Write down a mean and its interval."""
-    mean, interval = _summarise(scores)
-    return {"accuracy_mean": round(mean, 2), "accuracy_ci95": round(interval, 2)}
+    """Write down the mean accuracy over splits and half its 95 % interval, percent."""
+    accuracy = np.array([100.0 * score.accuracy for score in scores])
+    spread = accuracy.std(ddof=1) if len(accuracy) > 1 else float("nan")
+    interval = float(1.96 * spread / np.sqrt(len(accuracy)))
+    return {"accuracy_mean": round(float(accuracy.mean()), 2), "accuracy_ci95": round(interval, 2)}
 
 
 def _row(fitted: Splits, results: Results, seconds: float) -> dict[str, Any]:
@@ -322,14 +294,14 @@ def _row(fitted: Splits, results: Results, seconds: float) -> dict[str, Any]:
         proven = np.concatenate([score.is_proven for score in results.exact]).mean()
         beams["exact"] = _accuracy(results.exact) | {"proven": round(float(proven), 4)}
     return {
-        "splits": len(fitted.weights),
+        "splits": len(fitted.models),
         **first,
         "train_s": round(fitted.alone.seconds, 4),
         "train_compile_s": round(fitted.alone.compile_seconds, 3),
         "train_all_s": round(fitted.together.seconds, 4),
         "infer_s": round(seconds, 5),
         "examples": fitted.examples,
-        "features": fitted.model(0).num_features,
+        "features": fitted.models[0].num_features,
         "beams": beams,
     }
 
@@ -361,12 +333,11 @@ def table_1(document: Document) -> Table:
     for beam in document[MODELS[0]]["beams"]:
         title = "exact (proven)" if beam == "exact" else f"beam of {beam}"
         line(f"  {title}", lambda row, beam=beam: _cell(row["beams"][beam]))
-    line("Training s", lambda row: f"{row['train_s']:.3f}", is_printed=True)
-    line("  compile s", lambda row: f"{row['train_compile_s']:.2f}")
-    line("  all splits at once s", lambda row: f"{row['train_all_s']:.3f}")
-    line("Inference s", lambda row: f"{row['infer_s']:.4f}", is_printed=True)
-    line("Splits", lambda row: str(row["splits"]))
-    line("Examples", lambda row: str(row["examples"]))
-    line("Features", lambda row: str(row["features"]))
+    line("Training s", "{train_s:.3f}".format_map, is_printed=True)
+    line("  compile s", "{train_compile_s:.2f}".format_map)
+    line("  all splits at once s", "{train_all_s:.3f}".format_map)
+    line("Inference s", "{infer_s:.4f}".format_map, is_printed=True)
+    for name in ("splits", "examples", "features"):
+        line(name.capitalize(), f"{{{name}}}".format_map)
     headings = ["", *(heading for name in MODELS for heading in (name, "paper"))]
     return Table(headings=headings, rows=rows, title="Table 1: ours beside the paper's")

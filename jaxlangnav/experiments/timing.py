@@ -104,15 +104,6 @@ class Part:
     memory: float
     """Bytes that its operations read and write, by the same analysis."""
 
-    def without(self, other: "Part") -> "Part":
-        """Take off what belongs to another part."""
-        return Part(
-            name=self.name,
-            seconds=self.seconds - other.seconds,
-            operations=self.operations - other.operations,
-            memory=self.memory - other.memory,
-        )
-
 
 def measure_parts(
     tasks: Task,
@@ -154,13 +145,18 @@ def measure_parts(
     for _ in range(_STEPS):
         progress = cycle(progress)
     whole = _part("the cycle", cycle, progress, repetitions)
-    sensor = _part("the sensor", _compile(observe, progress), progress, repetitions)
+    sensor, both, inferred = (
+        _part(name, _compile(part, progress), progress, repetitions)
+        for name, part in (
+            ("the sensor", observe),
+            ("the filter", sense_and_filter),
+            ("behavior in every particle", infer),
+        )
+    )
     # The filter's part has to look as well; the sensor has been counted already.
-    filtering = _compile(sense_and_filter, progress)
-    filtered = _part("the filter", filtering, progress, repetitions).without(sensor)
-    inference = _compile(infer, progress)
-    inferred = _part("behavior in every particle", inference, progress, repetitions)
-    return [whole, sensor, filtered, inferred]
+    counts = ("seconds", "operations", "memory")
+    rest = {name: getattr(both, name) - getattr(sensor, name) for name in counts}
+    return [whole, sensor, dataclasses.replace(both, **rest), inferred]
 
 
 def split(parts: list[Part]) -> dict[str, float]:

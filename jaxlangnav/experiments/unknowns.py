@@ -174,44 +174,31 @@ def _found(rows: Sequence[Row], options: Options) -> Row:
     }
     ours = {name: round(float(value), 6) for name, value in traced.items()}
     ours |= {"num_blocks": PlannerConfig().num_blocks, "max_steps": MAX_STEPS}
-    runs = [rows[at : at + len(PRINTED)] for at in range(0, len(rows), len(PRINTED))]
+    fits = []
+    for at in range(0, len(rows), len(PRINTED)):
+        mine = rows[at : at + len(PRINTED)]
+        z = np.array([[row["z_success"], row["z_distance"]] for row in mine])
+        near = sum(row["is_near"] for row in mine)
+        named = {name: mine[0][name] for name in ("unknown", "value")}
+        fits.append(named | {"rows_near": near, "rms_z": float(np.sqrt((z**2).mean()))})
     return {
         "policy": _POLICY,
         "ours": ours | {"bearing_max": OBJECT_BEARING_MAX},
-        "variations": [_fit(mine) for mine in runs],
+        "variations": fits,
         "explained": [_explained(rows[at :: len(PRINTED)]) for at in range(len(PRINTED))],
-    }
-
-
-def _fit(mine: Sequence[Row]) -> Row:
-    """Say how near a variation comes to the paper over all rows."""
-    z = np.array([[row["z_success"], row["z_distance"]] for row in mine])
-    return {
-        "unknown": mine[0]["unknown"],
-        "value": mine[0]["value"],
-        "rows_near": sum(row["is_near"] for row in mine),
-        "rms_z": float(np.sqrt((z**2).mean())),
     }
 
 
 def _explained(mine: Sequence[Row]) -> Row:
     """List the variations that bring a row of Table 2 within two standard errors of the paper."""
     first, *others = mine
-    named = {
-        key: [_variation(row) for row in others if row[f"is_{key}"]]
-        for key in ("near", "success_near", "distance_near")
-    }
     nearest = min(mine, key=lambda row: max(abs(row["z_success"]), abs(row["z_distance"])))
-    return {name: first[name] for name in ("world", "range", "relation")} | {
-        "is_near": first["is_near"],
-        "is_success_near": first["is_success_near"],
-        "is_distance_near": first["is_distance_near"],
-        "both": named["near"],
-        "success": named["success_near"],
-        "distance": named["distance_near"],
-        "nearest": _variation(nearest),
-        "nearest_z": [nearest["z_success"], nearest["z_distance"]],
-    }
+    found = {name: first[name] for name in ("world", "range", "relation")}
+    for name, key in (("both", "is_near"), ("success", "is_success_near"),
+                      ("distance", "is_distance_near")):  # fmt: skip
+        found |= {key: first[key], name: [_variation(row) for row in others if row[key]]}
+    z = [nearest["z_success"], nearest["z_distance"]]
+    return found | {"nearest": _variation(nearest), "nearest_z": z}
 
 
 def _variation(row: Row) -> str:
@@ -229,10 +216,16 @@ def _matrix(document: Document) -> Table:
     paper, rows = document["paper"], document["rows"]
     printed = [f"{one['success_rate']:.1f} · {one['distance_mean']:.1f}" for one in paper]
     lines = [["the paper", "", *printed, "", ""]]
+
+    def figures(row: Row) -> str:
+        """Write success and distance of a row, each with a star where it is near the paper's."""
+        parts = ((row["success_rate"], "success"), (row["distance_mean"], "distance"))
+        return " · ".join(f"{value:.1f}{'*' * row[f'is_{name}_near']}" for value, name in parts)
+
     for place, fit in enumerate(document["variations"]):
         mine = rows[place * len(paper) : (place + 1) * len(paper)]
         near = f"{fit['rows_near']} of {len(paper)}", f"{fit['rms_z']:.1f}"
-        lines.append([fit["unknown"], fit["value"], *map(_figures, mine), *near])
+        lines.append([fit["unknown"], fit["value"], *map(figures, mine), *near])
     headings = ["unknown", "set to", *map(row_name, paper), "rows explained", "rms z"]
     # On a terminal both figures of a row stand one above the other.
     small = Table(
@@ -244,17 +237,6 @@ def _matrix(document: Document) -> Table:
     )
     faint = [place == 0 for place in range(len(lines))]
     return Table(headings=headings, rows=lines, faint=faint, screen=small)
-
-
-def _figures(row: Row) -> str:
-    """Write success and distance of a row, each with a star where it is near the paper's."""
-    parts = ((row["success_rate"], "success"), (row["distance_mean"], "distance"))
-    return " · ".join(f"{value:.1f}{'*' * row[f'is_{name}_near']}" for value, name in parts)
-
-
-def _explained_lines(document: Document) -> list[str]:
-    """Say row by row what explains it."""
-    return [f"{row_name(one)}: {_explain(one)}" for one in document["explained"]]
 
 
 def _explain(one: Mapping[str, Any]) -> str:
@@ -347,6 +329,9 @@ UNKNOWNS = Experiment(
     measure=_measure,
     found=_found,
     tables=_tables,
-    notes=lambda document: [*_explained_lines(document), *_conditions(document)],
+    notes=lambda document: [
+        *(f"{row_name(one)}: {_explain(one)}" for one in document["explained"]),
+        *_conditions(document),
+    ],
 )
 """The rows of Table 2 for every variation; the first is what the others are compared with."""

@@ -38,14 +38,11 @@ def _phrase_beliefs(parse: Parse, model: GroundingModel) -> list[PhraseBelief]:
 
 def _symbol_name(symbol: Annotation, type_names: tuple[str, ...]) -> str:
     """Name an annotation symbol: "hydrant behind cone", "behind cone", "hydrant"."""
-
-    def thing(index: int) -> str:
-        return "robot" if index == ROBOT else type_names[index]
-
-    parts = [thing(symbol.figure)] if symbol.figure != NONE else []
+    things = {NONE: "", ROBOT: "robot", **dict(enumerate(type_names))}
+    parts = [things[symbol.figure]]
     if symbol.relation != NONE:
-        parts += [RELATION_WORDS[RELATIONS[symbol.relation]], thing(symbol.landmark)]
-    return " ".join(parts)
+        parts += [RELATION_WORDS[RELATIONS[symbol.relation]], things[symbol.landmark]]
+    return " ".join(parts).strip()
 
 
 def graph_figure(parse: Parse, model: GroundingModel, *, num_symbols: int = 3) -> "Figure":
@@ -102,7 +99,6 @@ def beliefs_figure(
         places = {one.path: left + _COLUMN * i for i, one in enumerate(beliefs)}
         for one in beliefs:
             _draw_phrase(axes, one, places[one.path], names, num_symbols)
-        for one in beliefs:
             if one.parent is not None:
                 _draw_link(axes, one, places, num_symbols)
         _draw_key(axes)
@@ -123,11 +119,7 @@ def _height_of(rank: int) -> float:
 
 
 def _draw_phrase(
-    axes: "Axes",
-    one: PhraseBelief,
-    x: float,
-    names: Sequence[str],
-    num_symbols: int,
+    axes: "Axes", one: PhraseBelief, x: float, names: Sequence[str], num_symbols: int
 ) -> None:
     """Draw a phrase λ with the factors of its likeliest symbols above it."""
     order = np.argsort(-one.probability, kind="stable")[:num_symbols]
@@ -146,18 +138,12 @@ def _draw_phrase(
         axes.plot([x], [y], marker="s", markersize=7, color=style.INK, zorder=3)
         _circle(axes, x + 0.31, y, face=style.LINE)
         _circle(axes, x + 0.62, y, face=style.PAPER, share=share)
-        is_said = share >= 0.5
-        name = names[int(index)]
+        color, weight = (style.INK, "bold") if share >= 0.5 else (style.MUTED, "normal")
         axes.text(
-            x + 0.12, y + 0.15, name, fontsize=8, va="bottom", zorder=6,
-            bbox={"fc": style.PAPER, "ec": "none", "pad": 0.6},
-            fontweight="bold" if is_said else "normal",
-            color=style.INK if is_said else style.MUTED,
+            x + 0.12, y + 0.15, names[int(index)], fontsize=8, va="bottom", zorder=6,
+            bbox={"fc": style.PAPER, "ec": "none", "pad": 0.6}, fontweight=weight, color=color,
         )  # fmt: skip
-        axes.text(
-            x + 0.78, y, percent(share), fontsize=8, va="center",
-            color=style.INK if is_said else style.MUTED,
-        )  # fmt: skip
+        axes.text(x + 0.78, y, percent(share), fontsize=8, va="center", color=color)
     rest = len(names) - len(order)
     axes.text(x + 0.08, top + 0.36, f"{rest} more", fontsize=7.5, va="bottom", color=style.MUTED)
 
@@ -178,18 +164,9 @@ def _draw_link(
         return
     look = {"color": style.SERIES[0], "linewidth": 1.2, "zorder": 2}
     axes.plot([start, start], [_height_of(ranks[0]), _height_of(ranks[-1])], **look)
-    axes.add_patch(
-        FancyArrowPatch(
-            (start, _height_of(ranks[0])),
-            (end, 1.3),
-            arrowstyle="-|>",
-            mutation_scale=8,
-            shrinkA=5,
-            shrinkB=0,
-            connectionstyle=f"arc3,rad={bend:.3f}",
-            **look,
-        )
-    )
+    arrow = {"arrowstyle": "-|>", "mutation_scale": 8, "shrinkA": 5, "shrinkB": 0}
+    curve, ends = f"arc3,rad={bend:.3f}", ((start, _height_of(ranks[0])), (end, 1.3))
+    axes.add_patch(FancyArrowPatch(*ends, connectionstyle=curve, **arrow, **look))
 
 
 def _circle(axes: "Axes", x: float, y: float, *, face: str, share: float = 0.0) -> None:

@@ -51,9 +51,8 @@ def write_html(recording: Recording, path: Path | str) -> Path:
 def _render_html(recording: Recording) -> str:
     """Render an episode as a self-contained page."""
     template = resources.files("jaxlangnav.viz") / "recording.html"
-    data = json.dumps(
-        _page_data(recording), separators=(",", ":"), ensure_ascii=False, allow_nan=False
-    )
+    form: dict[str, Any] = {"separators": (",", ":"), "ensure_ascii": False, "allow_nan": False}
+    data = json.dumps(_page_data(recording), **form)
     title = html.escape(printable(recording.scene.text or "Episode"))
     # Inside a script element only "</" and "<!--" could end the data early. In one pass, as the
     # sentence itself may hold the name of a place to be filled.
@@ -134,27 +133,21 @@ def _by_step(recording: Recording, claims: list[str]) -> dict[str, Any]:
         )
         now = sentences.claim_shares(moment.scene, frame)
         shares.append(_short(*(now.get(claim, 0.0) for claim in claims)))
+    closing = narrative.closing(recording.last_scene, recording.at(-1), recording.result)
+    if recording.ended:
+        said = printable(recording.ended).replace("_", " ")
+        drove = f"It drove {float(recording.result.distance):.1f} m."
+        closing = [f"{said[:1].upper()}{said[1:]}.", drove]
     return {
         "story": [narrative.opening(recording.scene)[1:] + story[0], *story[1:]],
         "headlines": headlines,
-        "closing": _closing(recording),
+        "closing": closing,
         "objects": objects,
         "detections": detections,
         "claim_shares": shares,
         "news": [bool(one) for one in frames.is_news],
         "is_done": [bool(one) for one in frames.is_done],
     }
-
-
-def _closing(recording: Recording) -> list[str]:
-    """Tell how it ended."""
-    if recording.ended:
-        said = printable(recording.ended).replace("_", " ")
-        return [
-            f"{said[:1].upper()}{said[1:]}.",
-            f"It drove {float(recording.result.distance):.1f} m.",
-        ]
-    return narrative.closing(recording.last_scene, recording.at(-1), recording.result)
 
 
 def _arrays(recording: Recording) -> dict[str, Any]:

@@ -16,19 +16,14 @@ from jaxlangnav.planner.graph import OBJECT_NODE
 from jaxlangnav.recording import Frame, Moment, Recording, Remark, StaticScene, moments
 from jaxlangnav.viz import sentences, summary
 from jaxlangnav.viz.summary import expected_goal, explored_share
-from jaxlangnav.viz.words import counted, describe_asked, describe_readings, percent
-
-
-def _step_changes(recording: Recording) -> np.ndarray:
-    """Measure how much each step changed what is believed and planned."""
-    frames = recording.frames
-    goal = expected_goal(frames)
-    shift = np.zeros(recording.num_steps)
-    shift[1:] = np.hypot(*np.diff(goal, axis=0).T)
-    moved = np.zeros(recording.num_steps)
-    moved[1:] = np.any(np.diff(frames.waypoint, axis=0) != 0, axis=1)
-    share = frames.num_regrounded / recording.num_particles
-    return 2.0 * frames.is_news + share + 0.25 * np.nan_to_num(shift) + 0.2 * moved
+from jaxlangnav.viz.words import (
+    FAULT_WORDS,
+    counted,
+    describe_asked,
+    describe_readings,
+    listed,
+    percent,
+)
 
 
 def pick_moments(recording: Recording, number: int = 6) -> list[int]:
@@ -47,9 +42,14 @@ def pick_moments(recording: Recording, number: int = 6) -> list[int]:
     """
     if number < 1:
         raise ValueError(f"number of panels is {number}, but must be at least 1")
-    last = recording.num_steps - 1
+    last, frames = recording.num_steps - 1, recording.frames
     chosen = {0, last} if number > 1 else {last}
-    score = _step_changes(recording)
+    # How much each step changed what is believed and planned.
+    shift, moved = np.zeros((2, recording.num_steps))
+    shift[1:] = np.hypot(*np.diff(expected_goal(frames), axis=0).T)
+    moved[1:] = np.any(np.diff(frames.waypoint, axis=0) != 0, axis=1)
+    score = 2.0 * frames.is_news + frames.num_regrounded / recording.num_particles
+    score += 0.25 * np.nan_to_num(shift) + 0.2 * moved
     # Everything else being equal the panels spread over the episode.
     for _ in range(min(number, recording.num_steps) - len(chosen)):
         steps = np.arange(recording.num_steps)
@@ -81,6 +81,8 @@ def describe_moments(recording: Recording, steps: Sequence[int]) -> list[dict[st
         mass = np.asarray(frame.hypothesis_goal_mass, float)
         gone_x, gone_y = frame.hypothesis_goal_x - x, frame.hypothesis_goal_y - y
         is_left = np.cos(heading) * gone_y - np.sin(heading) * gone_x > 0.0
+        total = mass.sum()
+        square = sum((one - (one @ mass) / max(total, 1e-9)) ** 2 for one in (gone_x, gone_y))
         found.append(
             {
                 "step": step,
@@ -89,7 +91,7 @@ def describe_moments(recording: Recording, steps: Sequence[int]) -> list[dict[st
                 "goal_seen": float(frame.goal_mass.sum()),
                 "unseen_left": float(mass[is_left].sum()),
                 "unseen_right": float(mass[~is_left].sum()),
-                "spread": _spread(gone_x, gone_y, mass),
+                "spread": None if total < 0.05 else float(np.sqrt((square @ mass) / total)),
                 "explored": explored_share(frame),
             }
         )
@@ -123,15 +125,6 @@ def moments_table(moments: Sequence[dict[str, Any]]) -> Table:
         A line for each.
     """
     return Table.of(moments, _MOMENTS)
-
-
-def _spread(x: np.ndarray, y: np.ndarray, mass: np.ndarray) -> float | None:
-    """Compute the root mean square distance from the mean; None where there is hardly any mass."""
-    total = mass.sum()
-    if total < 0.05:
-        return None
-    square = (x - (x @ mass) / total) ** 2 + (y - (y @ mass) / total) ** 2
-    return float(np.sqrt((square @ mass) / total))
 
 
 _ENDED = {
@@ -179,11 +172,14 @@ def tell_step(moment: Moment) -> list[str]:
     if int(frame.status) in (Status.HALTED, Status.IDLE):
         return [*heard, sentences.rests(frame)]
     if int(frame.fault):
-        return [*heard, sentences.stands(frame)]
+        why = [words for bit, words in FAULT_WORDS.items() if int(frame.fault) & bit]
+        return [*heard, f"Stands still: {listed(why)}."]
     is_same = not moment.said  # what was understood before is nothing to compare with
+    turns = moment.before is not None and int(frame.clause) != int(moment.before.clause)
+    turned = f"Turns to command {int(frame.clause) + 1} of {scene.num_clauses}."
     told = [
         *heard,
-        sentences.commanded(moment) if is_same else "",
+        turned if is_same and turns else "",
         sentences.seen(moment),
         sentences.refuted(moment),
         sentences.reread(moment) if is_same else "",
@@ -237,53 +233,41 @@ def closing(scene: StaticScene, frame: Frame, result: EpisodeResult) -> list[str
     Returns:
         Lines.
     """
-    off, walked = float(result.goal_distance), float(result.distance)
-    way = f"It walked {walked:.1f} m."
+    ending, lack = int(result.ending), sentences.unseen(scene, frame)
+    off, radius = float(result.goal_distance), f"{scene.stop_radius:g} m"
+    way = f"It walked {float(result.distance):.1f} m."
     if scene.is_judged:
-        way = (
-            f"It walked {walked:.1f} m. With the map known, straight on until it may stop "
-            f"({scene.stop_radius:g} m from the goal) would have been "
-            f"{scene.straight_distance:.1f} m."
+        way += (
+            f" With the map known, straight on until it may stop ({radius} from the goal) would "
+            f"have been {scene.straight_distance:.1f} m."
         )
-    if int(result.ending) == Status.HALTED:
-        verdict = "Halted: it stands still as it was told, and keeps its task."
-    elif int(result.ending) == Status.IDLE:
-        verdict = "Cancelled: it has no task any more."
-    elif not bool(result.is_stopped):
-        verdict = (
-            f"Failure: it ran out of time after {int(result.steps)} steps and never said stop."
-        )
-    elif int(result.ending) == Status.NOT_FOUND:
-        lack = sentences.unseen(scene, frame) or "nothing that fits the command"
-        verdict = f"Not found: it says that there is {lack}."
-    elif int(result.ending) == Status.WHICH_ONE:
-        verdict = "Asked: it stands still until it is told which one is meant."
-    elif not scene.is_judged:
-        verdict = f"Cannot be judged: {scene.unjudged}."
-    elif int(result.ending) == Status.BLOCKED:
-        verdict = "Blocked: it made no way, and tried other waypoints before it said so."
-    elif bool(result.is_success):
-        verdict = f"Success: it stands {off:.1f} m from the goal that was meant."
-    else:
-        verdict = (
-            f"Failure: the goal that was meant is {off:.1f} m away "
-            f"(within {scene.stop_radius:g} m counts)."
-        )
-    notes = []
-    lack = sentences.unseen(scene, frame)
-    if lack and int(result.ending) == Status.ARRIVED:
-        notes.append(f"It has seen {lack}, and took what fits best.")
-    if int(result.overflow):
-        notes.append(f"{int(result.overflow)} detections found no free slot.")
-    if int(result.degenerate):
-        notes.append(f"In {int(result.degenerate)} steps all hypotheses had died.")
-    if int(result.contradictions):
-        notes.append(f"In {int(result.contradictions)} steps it saw what contradicts its map.")
-    if int(result.faults):
-        notes.append(
-            f"In {int(result.faults)} steps it stood still, for what cannot be was reported to it."
-        )
-    return [verdict, way, *notes]
+    # The first that holds.
+    verdicts = (
+        (ending == Status.HALTED, "Halted: it stands still as it was told, and keeps its task."),
+        (ending == Status.IDLE, "Cancelled: it has no task any more."),
+        (not bool(result.is_stopped),
+         f"Failure: it ran out of time after {int(result.steps)} steps and never said stop."),
+        (ending == Status.NOT_FOUND,
+         f"Not found: it says that there is {lack or 'nothing that fits the command'}."),
+        (ending == Status.WHICH_ONE,
+         "Asked: it stands still until it is told which one is meant."),
+        (not scene.is_judged, f"Cannot be judged: {scene.unjudged}."),
+        (ending == Status.BLOCKED,
+         "Blocked: it made no way, and tried other waypoints before it said so."),
+        (bool(result.is_success), f"Success: it stands {off:.1f} m from the goal that was meant."),
+        (True, f"Failure: the goal that was meant is {off:.1f} m away (within {radius} counts)."),
+    )  # fmt: skip
+    counts = (
+        (int(result.overflow), "{} detections found no free slot."),
+        (int(result.degenerate), "In {} steps all hypotheses had died."),
+        (int(result.contradictions), "In {} steps it saw what contradicts its map."),
+        (int(result.faults),
+         "In {} steps it stood still, for what cannot be was reported to it."),
+    )  # fmt: skip
+    lines = [next(text for holds, text in verdicts if holds), way]
+    if lack and ending == Status.ARRIVED:
+        lines.append(f"It has seen {lack}, and took what fits best.")
+    return lines + [text.format(number) for number, text in counts if number]
 
 
 def narrate(recording: Recording) -> list[str]:
@@ -302,7 +286,7 @@ def narrate(recording: Recording) -> list[str]:
         else:
             lines += _drawn_together(quiet, recording)
             quiet = []
-            lines.append(f"{_head(moment)} {' '.join(tell_step(moment))}")
+            lines.append(_line(moment))
     lines += _drawn_together(quiet, recording)
     return lines + closing(recording.last_scene, recording.at(-1), recording.result)
 
@@ -326,7 +310,7 @@ def tell_on(
     """
     for moment in moments(scene, steps, said):
         if moment.said or not _is_quiet(moment):
-            tell([f"{_head(moment)} {' '.join(tell_step(moment))}"])
+            tell([_line(moment)])
         yield moment.frame, moment.result
 
 
@@ -346,6 +330,11 @@ def _is_quiet(moment: Moment) -> bool:
         return False
     shift = abs(frame.goal_mass - before.goal_mass).max()
     return float(shift) < _SHIFT
+
+
+def _line(moment: Moment) -> str:
+    """Tell a step in a line of its own."""
+    return f"{_head(moment)} {' '.join(tell_step(moment))}"
 
 
 def _head(moment: Moment, steps: str = "") -> str:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxlangnav.messages import Status
-from jaxlangnav.recording import Frame, Moment, Recording, StaticScene
+from jaxlangnav.recording import Frame, Moment, Recording
 from jaxlangnav.viz import mapping, style
 from jaxlangnav.viz.narrative import headline, pick_moments
 from jaxlangnav.viz.summary import SAME_PLACE, distinct_nodes, goal_field
@@ -26,13 +26,6 @@ _WIDTH = 10.5
 """Width of a figure, inches: two columns of a journal, or a screen."""
 
 
-def _num_columns(number: int, shape: float) -> int:
-    """Choose the columns of a grid of maps."""
-    if number <= (4 if shape < 1.0 else 3):
-        return number
-    return math.ceil(number / 2) if shape >= 0.5 else number
-
-
 def _lay_out(
     recording: Recording, number: int, *, text: str, foot: float, extra: float = 0.0
 ) -> "tuple[Figure, list[Axes], list[Axes]]":
@@ -41,7 +34,8 @@ def _lay_out(
 
     x_min, x_max, y_min, y_max = recording.scene.area
     shape = (x_max - x_min) / (y_max - y_min)
-    columns = _num_columns(number, shape)
+    is_one_row = number <= (4 if shape < 1.0 else 3) or shape < 0.5
+    columns = number if is_one_row else math.ceil(number / 2)
     rows = math.ceil(number / columns)
     left, gap, right, head = 0.62, 0.16, 0.12, 0.66
     above, below = 0.42, 0.40
@@ -82,14 +76,9 @@ def _head_panel(axes: "Axes", moment: Moment, index: int) -> None:
     head = f"({letter}) step {moment.step} · {float(moment.frame.distance):.1f} m"
     axes.set_title(head, pad=16)
     axes.annotate(
-        headline(moment),
-        xy=(0, 1),
-        xytext=(0, 5),
-        xycoords="axes fraction",
-        textcoords="offset points",
-        fontsize=8,
-        color=style.MUTED,
-    )
+        headline(moment), (0, 1), xytext=(0, 5), xycoords="axes fraction",
+        textcoords="offset points", fontsize=8, color=style.MUTED,
+    )  # fmt: skip
 
 
 def outcome(recording: Recording) -> str:
@@ -240,8 +229,14 @@ def _draw_values(axes: "Axes", recording: Recording, step: int) -> "PathCollecti
     """Draw one map of Figure 4."""
     scene, frame = recording.scene, recording.at(step)
     mapping.draw_ground(axes, scene, frame)
-    is_field = scene.portrayal.is_field
-    norm = _draw_contours(axes, scene, frame) if is_field else _norm(frame.value)
+    norm, ramp = _norm(frame.value), style.value_colormap()
+    if scene.portrayal.is_field:
+        x_min, x_max, y_min, y_max = scene.area
+        x, y = np.meshgrid(np.linspace(x_min, x_max, 60), np.linspace(y_min, y_max, 80))
+        field = goal_field(scene, frame, x, y)
+        norm = _norm(np.concatenate([field.ravel(), frame.value]))
+        axes.contourf(x, y, field, levels=12, cmap=ramp, norm=norm, alpha=0.4, zorder=1)
+        axes.contour(x, y, field, levels=12, colors=style.MUTED, linewidths=0.35, zorder=1)
     mapping.draw_hypotheses(axes, frame, filled=False)
     is_open = np.isfinite(frame.value)
     order = np.argsort(frame.value[is_open])
@@ -249,7 +244,7 @@ def _draw_values(axes: "Axes", recording: Recording, step: int) -> "PathCollecti
         frame.node_x[is_open][order],
         frame.node_y[is_open][order],
         c=frame.value[is_open][order],
-        cmap=style.value_colormap(),
+        cmap=ramp,
         norm=norm,
         s=62,
         edgecolors=style.INK,
@@ -276,34 +271,27 @@ def _number_nodes(axes: "Axes", frame: Frame) -> None:
         others = np.array([one for one in taken if tuple(one) != (x, y)], float)
         spots = np.stack([x + scale * np.cos(turns), y + scale * np.sin(turns)], axis=1)
         room = np.hypot(*(spots[:, None, :] - others[None]).transpose(2, 0, 1)).min(axis=1)
-        inside = _is_inside(axes, spots)
+        (x_low, x_high), (y_low, y_high) = axes.get_xlim(), axes.get_ylim()
+        inside = ((spots > (x_low, y_low)) & (spots < (x_high, y_high))).all(axis=1)
         spot = spots[int(np.argmax(np.where(inside, room, -1.0)))]
         taken.append(tuple(spot))
         axes.text(
-            float(spot[0]),
-            float(spot[1]),
-            str(rank),
-            ha="center",
-            va="center",
-            fontsize=7.5,
-            fontweight="bold",
+            float(spot[0]), float(spot[1]), str(rank), ha="center", va="center", fontsize=7.5,
+            fontweight="bold", zorder=9,
             bbox={"boxstyle": "circle,pad=0.1", "fc": style.PAPER, "ec": "none", "alpha": 0.75},
-            zorder=9,
-        )
-
-
-def _is_inside(axes: "Axes", spots: np.ndarray) -> np.ndarray:
-    """Tell which places lie within the axes, bool[n]."""
-    (x_low, x_high), (y_low, y_high) = axes.get_xlim(), axes.get_ylim()
-    x, y = spots.T
-    return (x > x_low) & (x < x_high) & (y > y_low) & (y < y_high)
+        )  # fmt: skip
 
 
 def _draw_parts(axes: "Axes", frame: Frame, *, with_label: bool = True) -> None:
     """Draw the parts of the value of the best waypoints as stacked bars."""
     # Where the robot has stopped there is nothing to choose: its reason stands there instead.
     if bool(frame.is_done):
-        _say_why_stopped(axes, frame)
+        where = "in view" if float(frame.action[1]) > 0.5 else "within reach"
+        text = f"It stops: the goal is {where}\nwith probability {percent(float(frame.stop_mass))}."
+        if int(frame.status) == Status.NOT_FOUND:
+            text = "It gives up: what can be looked at\nhas been looked at."
+        axes.text(0.02, 0.94, text, va="top", fontsize=8.5, transform=axes.transAxes)
+        axes.axis("off")
         return
     nodes = best_nodes(frame)
     places = np.arange(len(nodes))
@@ -317,16 +305,11 @@ def _draw_parts(axes: "Axes", frame: Frame, *, with_label: bool = True) -> None:
     most = max(float((goal + information).max(initial=0.0)), 1e-3)
     for place, node in zip(places, nodes, strict=True):
         value = float(frame.value[node])
-        is_chosen = place == chosen
+        mark, color = (" ✓", style.WAYPOINT) if place == chosen else ("", style.MUTED)
         axes.annotate(
-            f"{value:.3g}" + (" ✓" if is_chosen else ""),
-            (max(value, 0.0), place),
-            xytext=(3, 0),
-            textcoords="offset points",
-            va="center",
-            fontsize=7,
-            color=style.WAYPOINT if is_chosen else style.MUTED,
-        )
+            f"{value:.3g}{mark}", (max(value, 0.0), place), xytext=(3, 0),
+            textcoords="offset points", va="center", fontsize=7, color=color,
+        )  # fmt: skip
     axes.set_yticks(places, [str(place + 1) for place in places])
     axes.set_ylim(NUM_BARS - 0.5, -0.5)
     axes.set_xlim(min(0.0, -float(frame.cost[nodes].max(initial=0.0))), 1.36 * most)
@@ -338,17 +321,6 @@ def _draw_parts(axes: "Axes", frame: Frame, *, with_label: bool = True) -> None:
         axes.set_ylabel("waypoint")
 
 
-def _say_why_stopped(axes: "Axes", frame: Frame) -> None:
-    """Write beneath the last map why the robot has stopped."""
-    is_find = float(frame.action[1]) > 0.5
-    where = "in view" if is_find else "within reach"
-    text = f"It stops: the goal is {where}\nwith probability {percent(float(frame.stop_mass))}."
-    if int(frame.status) == Status.NOT_FOUND:
-        text = "It gives up: what can be looked at\nhas been looked at."
-    axes.text(0.02, 0.94, text, va="top", fontsize=8.5, transform=axes.transAxes)
-    axes.axis("off")
-
-
 def _norm(values: np.ndarray) -> "Normalize":
     """Scale the values of one step to colours; the charts beneath give the numbers."""
     from matplotlib.colors import PowerNorm
@@ -356,18 +328,6 @@ def _norm(values: np.ndarray) -> "Normalize":
     finite = values[np.isfinite(values)]
     low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
     return PowerNorm(0.7, vmin=low, vmax=max(high, low + 1e-6))
-
-
-def _draw_contours(axes: "Axes", scene: StaticScene, frame: Frame) -> "Normalize":
-    """Draw lines of equal value over the whole area; return the scale of their colours."""
-    x_min, x_max, y_min, y_max = scene.area
-    x, y = np.meshgrid(np.linspace(x_min, x_max, 60), np.linspace(y_min, y_max, 80))
-    field = goal_field(scene, frame, x, y)
-    norm = _norm(np.concatenate([field.ravel(), frame.value]))
-    ramp = style.value_colormap()
-    axes.contourf(x, y, field, levels=12, cmap=ramp, norm=norm, alpha=0.4, zorder=1)
-    axes.contour(x, y, field, levels=12, colors=style.MUTED, linewidths=0.35, zorder=1)
-    return norm
 
 
 def _handles(recording: Recording) -> list:

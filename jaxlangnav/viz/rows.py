@@ -12,12 +12,12 @@ from jaxlangnav.viz import style
 from jaxlangnav.viz.sweep import (
     PAPER_BARS,
     Mark,
-    half_interval,
+    draw_line,
     legend_of,
+    line_panels,
     looks_of,
     paper_look,
     paper_success_bars,
-    success_bars,
 )
 from jaxlangnav.viz.words import percent
 
@@ -101,26 +101,23 @@ def _rows_figure(
     arms = list(dict.fromkeys(arm for _, arm, _ in lines))
     looks = looks_of(arms)
     with style.house_style():
-        from matplotlib.figure import Figure
-
         foot = 0.66 + 0.17 * math.ceil((len(arms) + bool(bounds)) / 3)
-        figure = Figure(figsize=(9.2, 0.92 + foot + (0.3 + 0.055 * len(arms)) * len(names)))
-        tall, longest = figure.get_figheight(), max(map(len, names))
-        rates, ways = figure.subplots(1, 2, sharey=True)
-        left = min(0.4, (0.3 + 0.06 * longest) / 9.2)
-        figure.subplots_adjust(
-            left=left, right=0.98, top=1 - 0.72 / tall, bottom=foot / tall, wspace=0.06
+        figure, (rates, ways) = line_panels(
+            names,
+            ("success (%)", "distance travelled (m)"),
+            size=(9.2, 0.92 + foot + (0.3 + 0.055 * len(arms)) * len(names)),
+            margins=(min(0.4, (0.3 + 0.06 * max(map(len, names))) / 9.2), 0.72, foot),
+            widths=(1, 1),
         )
-        for place in range(0, len(names), 2):
-            for axes in (rates, ways):
-                axes.axhspan(place - 0.5, place + 0.5, color="#f4f5f7", zorder=0)
         for name, arm, row in lines:
             shift = 0.72 * ((arms.index(arm) + 0.5) / len(arms) - 0.5)
             _draw_row(rates, ways, row, looks[arm], names.index(name) + shift)
         for name, bound in bounds.items():
-            _draw_limit(rates, bound["success"], names.index(name))
-            _draw_limit(ways, least_distance(bound), names.index(name))
-        _label_rows(rates, ways, names)
+            span = [names.index(name) - 0.46, names.index(name) + 0.46]
+            look = {"color": style.INK, "linewidth": 1.0, "linestyle": ":", "zorder": 1}
+            for axes, value in ((rates, bound["success"]), (ways, least_distance(bound))):
+                axes.plot([value, value], span, label=LIMIT_NAME, **look)
+        ways.set_xlim(left=0)
         style.title(figure, title, subtitle)
         handles, labels = legend_of([[rates]])
         figure.legend(handles, labels, loc="lower center", ncols=3)
@@ -163,27 +160,6 @@ def _row_name(row: Row) -> str:
     return f"{row['world']}, {row['range']:g} m, {relation}"
 
 
-def _label_rows(rates: "Axes", ways: "Axes", names: Sequence[str]) -> None:
-    """Name the rows and the axes of a table's figure."""
-    rates.set_yticks(range(len(names)), names)
-    rates.set_ylim(len(names) - 0.5, -0.5)
-    rates.set_xlim(right=103)
-    ways.set_xlim(left=0)
-    rates.set_xlabel("success (%)")
-    ways.set_xlabel("distance travelled (m)")
-    for axes in (rates, ways):
-        axes.grid(axis="x")
-        axes.tick_params(axis="y", length=0)
-
-
-def _draw_limit(axes: "Axes", value: float, place: int) -> None:
-    """Mark across a row what no policy can pass."""
-    axes.plot(
-        [value, value], [place - 0.46, place + 0.46], color=style.INK, linewidth=1.0,
-        linestyle=":", label=LIMIT_NAME, zorder=1,
-    )  # fmt: skip
-
-
 def _draw_row(rates: "Axes", ways: "Axes", row: Row, looks: Mark, place: float) -> None:
     """Draw one row of a table."""
     if row["policy"] == "paper":
@@ -196,8 +172,7 @@ def _draw_row(rates: "Axes", ways: "Axes", row: Row, looks: Mark, place: float) 
         "color": color, "marker": marker or "|", "markersize": 5.5, "capsize": 2,
         "linestyle": "none", "label": name,
     }  # fmt: skip
-    rates.errorbar([row["success_rate"]], [place], xerr=success_bars([row]), **look)
-    ways.errorbar([row["distance_mean"]], [place], xerr=[half_interval(row)], **look)
+    draw_line(rates, ways, row, look, place)
 
 
 Curve = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -239,8 +214,7 @@ def reliability_figure(
             left=0.66 / wide, right=1 - 0.14 / wide, top=1 - 1.0 / tall, bottom=foot / tall,
             hspace=0.08, wspace=0.07,
         )  # fmt: skip
-        for column, (heading, curves) in enumerate(panels.items()):
-            above, below = grid[0][column], grid[1][column]
+        for above, below, (heading, curves) in zip(*grid, panels.items(), strict=True):
             _draw_reliability(above, below, curves, names)
             above.set_title(heading)
         most = max(float(curve[4].max()) for curves in panels.values() for curve in curves.values())

@@ -42,14 +42,13 @@ def write_rrd(recording: Recording, path: Path | str) -> Path:
             _log_belief(rerun, stream, recording, moment.step)
             _log_plan(rerun, stream, recording, moment.step)
             frame = moment.frame
-            curves = {
-                "goal_seen": frame.goal_mass.sum(),
-                "goal_not_seen": frame.hypothesis_goal_mass.sum(),
-                "area_looked_at": summary.explored_share(frame),
-                "effective_sample_size": frame.effective_sample_size,
-                "drawn_anew": frame.num_regrounded,
-            }
-            for name, value in curves.items():
+            for name, value in (
+                ("goal_seen", frame.goal_mass.sum()),
+                ("goal_not_seen", frame.hypothesis_goal_mass.sum()),
+                ("area_looked_at", summary.explored_share(frame)),
+                ("effective_sample_size", frame.effective_sample_size),
+                ("drawn_anew", frame.num_regrounded),
+            ):
                 stream.log(f"numbers/{name}", rerun.Scalars(float(value)))
             stream.log("story", rerun.TextLog(" ".join(narrative.tell_step(moment))))
         for line in narrative.closing(recording.last_scene, recording.at(-1), recording.result):
@@ -81,23 +80,16 @@ def _log_scene(rerun: Any, stream: Any, scene: StaticScene) -> None:
     is_in = np.asarray(world.is_object)
     stream.log("world", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     corners = _flat([x_min, x_max, x_max, x_min, x_min], [y_min, y_min, y_max, y_max, y_min])
-    stream.log(
-        "world/area",
-        rerun.LineStrips3D([corners], colors=_rgba(style.MUTED), radii=0.02),
-        static=True,
+    edge = rerun.LineStrips3D([corners], colors=_rgba(style.MUTED), radii=0.02)
+    stream.log("world/area", edge, static=True)
+    kinds = [int(one) for one in world.object_type[is_in]]
+    truth = rerun.Points3D(
+        _flat(world.object_x[is_in], world.object_y[is_in]),
+        radii=0.22,
+        colors=np.concatenate([_rgba(style.type_color(one), 0.35) for one in kinds]),
+        labels=[f"{scene.type_name(one)} (truth)" for one in kinds],
     )
-    stream.log(
-        "world/truth",
-        rerun.Points3D(
-            _flat(world.object_x[is_in], world.object_y[is_in]),
-            radii=0.22,
-            colors=np.concatenate(
-                [_rgba(style.type_color(int(one)), 0.35) for one in world.object_type[is_in]]
-            ),
-            labels=[f"{scene.type_name(int(one))} (truth)" for one in world.object_type[is_in]],
-        ),
-        static=True,
-    )
+    stream.log("world/truth", truth, static=True)
 
 
 def _log_belief(rerun: Any, stream: Any, recording: Recording, step: int) -> None:
@@ -150,9 +142,5 @@ def _log_plan(rerun: Any, stream: Any, recording: Recording, step: int) -> None:
     open_nodes = np.isfinite(frame.value)
     nodes = _flat(frame.node_x[open_nodes], frame.node_y[open_nodes], 0.01)
     labels = [f"{value:.3g}" for value in frame.value[open_nodes]]
-    stream.log(
-        "world/nodes",
-        rerun.Points3D(
-            nodes, radii=0.09, colors=_rgba(style.VIEW), labels=labels, show_labels=False
-        ),
-    )
+    look = {"radii": 0.09, "colors": _rgba(style.VIEW), "labels": labels, "show_labels": False}
+    stream.log("world/nodes", rerun.Points3D(nodes, **look))

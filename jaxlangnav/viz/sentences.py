@@ -7,16 +7,14 @@ import numpy as np
 
 from jaxlangnav.language.lexicon import plural
 from jaxlangnav.messages import AT, NONE, REGIONS, Status
-from jaxlangnav.planner.graph import OBJECT_NODE
+from jaxlangnav.planner.graph import OBJECT_NODE, VISITED
 from jaxlangnav.recording import Frame, Moment, Remark, StaticScene, missing_names
 from jaxlangnav.viz import summary
 from jaxlangnav.viz.words import (
     RELATION_WORDS,
     article,
     describe_reading,
-    fault_words,
     listed,
-    node_words,
     percent,
     whereabouts,
 )
@@ -48,18 +46,8 @@ def heard(frame: Frame, said: Remark) -> str:
 
 def rests(frame: Frame) -> str:
     """Tell that the robot stands still until it hears something."""
-    if int(frame.status) == Status.IDLE:
-        return "Stands still: it has no task."
-    is_halted = int(frame.status) == Status.HALTED
-    return f"Stands still{', as it was told' if is_halted else ' until it hears more'}."
-
-
-def commanded(moment: Moment) -> str:
-    """Tell when the next command of the sentence begins; nothing where it is the same as before."""
-    clause = int(moment.frame.clause)
-    if moment.before is None or clause == int(moment.before.clause):
-        return ""
-    return f"Turns to command {clause + 1} of {moment.scene.num_clauses}."
+    why = {Status.IDLE: ": it has no task", Status.HALTED: ", as it was told"}
+    return f"Stands still{why.get(Status(int(frame.status)), ' until it hears more')}."
 
 
 def seen(moment: Moment) -> str:
@@ -94,10 +82,8 @@ def refuted(moment: Moment) -> str:
 
 
 def is_open(frame: Frame) -> bool:
-    """Tell whether much of the belief is still hypothetical.
-
-    With everything seen, what is drawn anew is only a better fit of the same objects.
-    """
+    """Tell whether much of the belief is still hypothetical."""
+    # With everything seen, what is drawn anew is only a better fit of the same objects.
     return float((frame.weight * frame.is_hypothesised.any(axis=0)).sum()) >= 0.1
 
 
@@ -171,47 +157,26 @@ def believed(scene: StaticScene, frame: Frame) -> str:
     return " ".join(told)
 
 
-def stands(frame: Frame) -> str:
-    """Tell that the robot stands still, and why."""
-    return f"Stands still: {listed(fault_words(int(frame.fault)))}."
-
-
 def decided(scene: StaticScene, frame: Frame) -> str:
     """Tell what the robot does next, and why."""
     if bool(frame.is_stop):
         return _stopped(scene, frame)
     if int(frame.status) == Status.NOT_FOUND:
-        return _gives_up(scene, frame)
+        lack = unseen(scene, frame) or "nothing that fits the command"
+        share = percent(summary.explored_share(frame))
+        return (
+            f"Says that there is {lack}: {share} of the area has been looked at, and that it has "
+            f"been missed is less likely than {percent(float(scene.planner.give_up))}."
+        )
     if int(frame.status) == Status.WHICH_ONE:
         return "Asks which one is meant: several fit, and nothing left to see would tell."
     if int(frame.status) == Status.BLOCKED:
         return "Says that it cannot get on: one waypoint after the other was given up."
-    place = _place(frame, float(frame.waypoint[0]), float(frame.waypoint[1]))
-    target = f"{_target(scene, frame)} {place}"
     if bool(frame.is_kept):
         return goes_on(scene, frame)
-    return f"Heads for {target}{_reason(scene, frame)}."
-
-
-def goes_on(scene: StaticScene, frame: Frame) -> str:
-    """Tell that the robot goes where it was going."""
-    place = _place(frame, float(frame.waypoint[0]), float(frame.waypoint[1]))
-    return f"Goes on to {_target(scene, frame)} {place}."
-
-
-def _target(scene: StaticScene, frame: Frame) -> str:
-    """Name the waypoint."""
-    if int(frame.waypoint_kind) != OBJECT_NODE:
-        return node_words(int(frame.waypoint_kind), scene.portrayal.place)
-    x, y = frame.goal_x - frame.waypoint[0], frame.goal_y - frame.waypoint[1]
-    return _goal_name(scene, frame, int(np.argmin(np.where(frame.is_goal, x * x + y * y, np.inf))))
-
-
-def _reason(scene: StaticScene, frame: Frame) -> str:
-    """Tell why the chosen node is the best."""
     node = summary.chosen_node(frame)
     if node is None:
-        return ""
+        return f"Heads for {_target(scene, frame)}."
     reason, of_object = scene.portrayal.reason, scene.portrayal.reason_object
     if of_object is not None and int(frame.node_kind[node]) == OBJECT_NODE:
         reason = of_object
@@ -220,7 +185,24 @@ def _reason(scene: StaticScene, frame: Frame) -> str:
         value=float(frame.value[node]),
         tested=percent(summary.tested_share(scene, frame)),
     )
-    return f": {told}"
+    return f"Heads for {_target(scene, frame)}: {told}."
+
+
+def goes_on(scene: StaticScene, frame: Frame) -> str:
+    """Tell that the robot goes where it was going."""
+    return f"Goes on to {_target(scene, frame)}."
+
+
+def _target(scene: StaticScene, frame: Frame) -> str:
+    """Name the waypoint, and say where it is."""
+    where = _place(frame, float(frame.waypoint[0]), float(frame.waypoint[1]))
+    if int(frame.waypoint_kind) == VISITED:
+        return f"a place it has been {where}"
+    if int(frame.waypoint_kind) != OBJECT_NODE:
+        return f"{scene.portrayal.place} {where}"
+    x, y = frame.goal_x - frame.waypoint[0], frame.goal_y - frame.waypoint[1]
+    slot = int(np.argmin(np.where(frame.is_goal, x * x + y * y, np.inf)))
+    return f"{_goal_name(scene, frame, slot)} {where}"
 
 
 def unseen(scene: StaticScene, frame: Frame) -> str:
@@ -229,18 +211,7 @@ def unseen(scene: StaticScene, frame: Frame) -> str:
     Returns:
         "no cone and no bench"; nothing where all has been seen.
     """
-    missing = missing_names(scene, frame)
-    return " and ".join(f"no {name}" for name in missing)
-
-
-def _gives_up(scene: StaticScene, frame: Frame) -> str:
-    """Tell that the search has ended without a goal."""
-    lack = unseen(scene, frame) or "nothing that fits the command"
-    share = percent(summary.explored_share(frame))
-    return (
-        f"Says that there is {lack}: {share} of the area has been looked at, and that it has been "
-        f"missed is less likely than {percent(float(scene.planner.give_up))}."
-    )
+    return " and ".join(f"no {name}" for name in missing_names(scene, frame))
 
 
 def _stopped(scene: StaticScene, frame: Frame) -> str:

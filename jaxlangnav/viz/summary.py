@@ -45,15 +45,17 @@ def seen_objects(frame: Frame) -> list[SeenObject]:
             continue
         kind = int(np.argmax(np.bincount(types[types != NONE], weights=share[types != NONE])))
         share = np.where(types == kind, share, 0.0)
-        x, y, apart = _moments(share, frame.object_x[slot], frame.object_y[slot])
-        within = float(np.average(np.square(frame.object_sd[slot], dtype=float), weights=share))
+        places = np.stack([frame.object_x[slot], frame.object_y[slot]]).astype(float)
+        mean = np.average(places, axis=1, weights=share)
+        apart = ((places - mean[:, None]) ** 2).sum(axis=0)
+        within = np.square(frame.object_sd[slot], dtype=float)
         found.append(
             SeenObject(
                 slot=slot,
                 object_type=kind,
-                x=x,
-                y=y,
-                spread=float(np.sqrt(within + 0.5 * apart * apart)),
+                x=float(mean[0]),
+                y=float(mean[1]),
+                spread=float(np.sqrt(np.average(within + 0.5 * apart, weights=share))),
                 probability=min(total, 1.0),
                 goal_mass=float(frame.goal_mass[slot]),
             )
@@ -70,12 +72,21 @@ def expected_goal(frames: Frame) -> np.ndarray:
     Returns:
         f64[..., 2], metres, map frame; NaN where no goal is believed anywhere.
     """
-    mass = np.concatenate([frames.goal_mass, frames.hypothesis_goal_mass], axis=-1).astype(float)
-    x = np.concatenate([frames.goal_x, frames.hypothesis_goal_x], axis=-1)
-    y = np.concatenate([frames.goal_y, frames.hypothesis_goal_y], axis=-1)
-    total = mass.sum(axis=-1)
+    x, y, mass = _goals(frames)
+    total = mass.sum(axis=-1, dtype=float)
     safe = np.where(total > 1e-6, total, np.nan)
-    return np.stack([(mass * x).sum(axis=-1) / safe, (mass * y).sum(axis=-1) / safe], axis=-1)
+    return np.stack([(mass * one).sum(axis=-1, dtype=float) / safe for one in (x, y)], axis=-1)
+
+
+def _goals(frames: Frame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Gather x, y and probability of all places of the goal, seen and unseen, f32[..., n]."""
+    pairs = (
+        (frames.goal_x, frames.hypothesis_goal_x),
+        (frames.goal_y, frames.hypothesis_goal_y),
+        (frames.goal_mass, frames.hypothesis_goal_mass),
+    )
+    x, y, mass = (np.concatenate(pair, axis=-1) for pair in pairs)
+    return x, y, mass
 
 
 def peaks(
@@ -109,14 +120,8 @@ def peaks(
         best = int(np.argmax(around))
         if around[best] < least:
             break
-        share = np.where(near[best], left, 0.0)
-        found.append(
-            (
-                float((share * x).sum() / share.sum()),
-                float((share * y).sum() / share.sum()),
-                float(around[best]),
-            )
-        )
+        share = np.where(near[best], left, 0.0) / around[best]
+        found.append((float(share @ x), float(share @ y), float(around[best])))
         left = np.where(squared[best] <= 4 * radius * radius, 0.0, left)
     return found
 
@@ -182,9 +187,7 @@ def goal_field(scene: StaticScene, frame: Frame, x: np.ndarray, y: np.ndarray) -
     Returns:
         f64[...].
     """
-    goal_x = np.concatenate([frame.goal_x, frame.hypothesis_goal_x])
-    goal_y = np.concatenate([frame.goal_y, frame.hypothesis_goal_y])
-    mass = np.concatenate([frame.goal_mass, frame.hypothesis_goal_mass])
+    goal_x, goal_y, mass = _goals(frame)
     distance = np.hypot(x[..., None] - goal_x, y[..., None] - goal_y)
     return (float(scene.planner.discount) ** distance) @ mass
 
@@ -192,12 +195,3 @@ def goal_field(scene: StaticScene, frame: Frame, x: np.ndarray, y: np.ndarray) -
 def explored_share(frame: Frame) -> float:
     """Compute which share of the area has been looked at (misses below one half)."""
     return float(np.mean(np.asarray(frame.miss) < 0.5))
-
-
-def _moments(share: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[float, float, float]:
-    """Compute mean and root mean square distance under unnormalised weights."""
-    share = np.asarray(share, float)
-    total = share.sum()
-    mean_x, mean_y = float((share * x).sum() / total), float((share * y).sum() / total)
-    variance = (share * ((x - mean_x) ** 2 + (y - mean_y) ** 2)).sum() / total
-    return mean_x, mean_y, float(np.sqrt(max(variance, 0.0)))

@@ -57,20 +57,17 @@ def range_figure(document: Mapping[str, Any]) -> "Figure":
     with style.house_style():
         from matplotlib.figure import Figure
 
-        width, height = 0.9 + 3.7 * len(columns), 6.4
-        figure = Figure(figsize=(max(width, 6.2), height))
+        figure = Figure(figsize=(max(0.9 + 3.7 * len(columns), 6.2), 6.4))
         grid = figure.subplots(2, len(columns), squeeze=False, sharex="col", sharey="row")
         figure.subplots_adjust(
             left=0.62 / figure.get_figwidth(), right=0.98, top=0.845, bottom=0.185,
             hspace=0.12, wspace=0.08,
         )  # fmt: skip
         for (world, relation), above, below in zip(columns, grid[0], grid[1], strict=True):
-            mine = [row for row in rows if (row["world"], row["relation"]) == (world, relation)]
-            paper = [
-                row
-                for row in document.get("paper", ())
-                if (row["world"], row["relation"]) == (world, relation)
-            ]
+            mine, paper = (
+                [row for row in of if (row["world"], row["relation"]) == (world, relation)]
+                for of in (rows, document.get("paper", ()))
+            )
             _draw_column(above, below, mine, paper)
             said = document.get("sentences", {}).get(relation or "null")
             above.set_title(f"{world}, “{said or relation or 'no relation'}”")
@@ -119,28 +116,20 @@ def _draw_column(above: "Axes", below: "Axes", rows: list[Row], paper: list[Row]
         apart = _APART ** (index - (len(policies) - 1) / 2)
         color, marker, name = POLICY_LOOKS.get(policy, (style.INK, "D", policy))
         reach = [row["range"] * (1.0 if policy == "known" else apart) for row in mine]
-        way = [row["distance_mean"] for row in mine]
-        look: dict[str, Any] = {"color": color, "marker": marker, "markersize": 5, "capsize": 2}
+        way, rate = ([row[key] for row in mine] for key in ("distance_mean", "success_rate"))
+        look: dict[str, Any] = {"color": color, "label": name}
         if policy == "known":
-            above.plot(reach, way, color=color, linestyle="--", linewidth=1.2, label=name)
-            below.plot(
-                reach, [row["success_rate"] for row in mine],
-                color=color, linestyle="--", linewidth=1.2, label=name,
-            )  # fmt: skip
+            look |= {"linestyle": "--", "linewidth": 1.2}
+            above.plot(reach, way, **look)
+            below.plot(reach, rate, **look)
             continue
-        above.errorbar(reach, way, yerr=[half_interval(row) for row in mine], label=name, **look)
-        below.errorbar(
-            reach,
-            [row["success_rate"] for row in mine],
-            yerr=success_bars(mine),
-            label=name,
-            **look,
-        )
+        look |= {"marker": marker, "markersize": 5, "capsize": 2}
+        above.errorbar(reach, way, yerr=[half_interval(row) for row in mine], **look)
+        below.errorbar(reach, rate, yerr=success_bars(mine), **look)
     for row in paper:
-        point: dict[str, Any] = paper_look()
-        above.errorbar([row["range"]], [row["distance_mean"]], yerr=[row["distance_sd"]], **point)
-        bars = paper_success_bars(row)
-        below.errorbar([row["range"]], [row["success_rate"]], yerr=bars, **point)
+        at, way, rate = [row["range"]], [row["distance_mean"]], [row["success_rate"]]
+        above.errorbar(at, way, yerr=[row["distance_sd"]], **paper_look())
+        below.errorbar(at, rate, yerr=paper_success_bars(row), **paper_look())
     for axes in (above, below):
         axes.grid()
         axes.set_xscale("log")
@@ -186,6 +175,51 @@ def legend_of(grid: Any) -> tuple[list[Any], list[str]]:
     return list(found.values()), list(found)
 
 
+def line_panels(
+    names: Sequence[str],
+    labels: Sequence[str],
+    *,
+    size: tuple[float, float],
+    margins: tuple[float, float, float],
+    widths: Sequence[float],
+) -> "tuple[Figure, list[Axes]]":
+    """Set up panels side by side that share their lines, every second one shaded.
+
+    Args:
+        names: of the lines, from the top.
+        labels: beneath the panels; the first one shows success in percent.
+        size: of the figure, inches.
+        margins: at its left as a share of the width, above and below the panels in inches.
+        widths: of the panels, relative to each other.
+
+    Returns:
+        The figure and its panels.
+    """
+    from matplotlib.figure import Figure
+
+    figure, tall, (left, head, foot) = Figure(figsize=size), size[1], margins
+    panels = list(figure.subplots(1, len(labels), sharey=True, width_ratios=widths))
+    figure.subplots_adjust(
+        left=left, right=0.983, top=1 - head / tall, bottom=foot / tall, wspace=0.055
+    )
+    for axes, label in zip(panels, labels, strict=True):
+        for place in range(0, len(names), 2):
+            axes.axhspan(place - 0.5, place + 0.5, color="#f4f5f7", zorder=0)
+        axes.set_xlabel(label)
+        axes.grid(axis="x")
+        axes.tick_params(axis="y", length=0)
+    panels[0].set_yticks(range(len(names)), names)
+    panels[0].set_ylim(len(names) - 0.5, -0.5)
+    panels[0].set_xlim(right=103)
+    return figure, panels
+
+
+def draw_line(rates: "Axes", ways: "Axes", row: Row, look: Mapping[str, Any], at: float) -> None:
+    """Draw success and distance of a row with their 95 % intervals at a height."""
+    rates.errorbar([row["success_rate"]], [at], xerr=success_bars([row]), **look)
+    ways.errorbar([row["distance_mean"]], [at], xerr=[half_interval(row)], **look)
+
+
 _WIDE, _LINE, _HEAD, _FOOT = 11.0, 0.27, 0.95, 0.95
 """Inches: the figure, a scenario, what is above and below them."""
 _WITH_BELIEF = 0.4
@@ -213,22 +247,22 @@ def robustness_figure(document: Mapping[str, Any]) -> "Figure":
     arms = list(dict.fromkeys(row["policy"] for row in rows))
     looks = looks_of(arms)
     with style.house_style():
-        from matplotlib.figure import Figure
-
-        tall = _HEAD + _FOOT + _LINE * len(names)
-        figure = Figure(figsize=(_WIDE, tall))
-        panels = figure.subplots(1, 3, sharey=True, width_ratios=(5, 4, 3))
-        figure.subplots_adjust(
-            left=0.185, right=0.985, top=1 - _HEAD / tall, bottom=_FOOT / tall, wspace=0.05
+        figure, panels = line_panels(
+            names,
+            ("success (%)", "distance travelled (m)", "ECE"),
+            size=(_WIDE, _HEAD + _FOOT + _LINE * len(names)),
+            margins=(0.185, _HEAD, _FOOT),
+            widths=(5, 4, 3),
         )
-        for place in range(0, len(names), 2):
-            for axes in panels:
-                axes.axhspan(place - 0.5, place + 0.5, color="#f4f5f7", zorder=0)
         for row in rows:
             shift = 0.66 * ((arms.index(row["policy"]) + 0.5) / len(arms) - 0.5)
             place = names.index(row["scenario"])
             _draw_scenario(panels, row, looks[row["policy"]], place, shift)
-        _label_panels(panels, names, rows)
+        _color_names(panels[0], names, rows)
+        panels[0].set_xlim(left=0)
+        panels[1].set_xlim(left=0)
+        panels[2].set_xlim(0, 1.02 * _WITH_BELIEF)
+        panels[2].axvline(ECE_TARGET, color=style.INK, linewidth=1.0, linestyle=":", zorder=1)
         style.title(
             figure,
             ROBUSTNESS.title,
@@ -251,12 +285,10 @@ def _draw_scenario(
         "color": color, "marker": marker or "|", "markersize": 4.5, "linestyle": "none",
         "linewidth": 1.0, "label": name,
     }  # fmt: skip
-    at = [place + shift]
-    rates.errorbar([row["success_rate"]], at, xerr=success_bars([row]), **look)
-    ways.errorbar([row["distance_mean"]], at, xerr=[half_interval(row)], **look)
+    draw_line(rates, ways, row, look, place + shift)
     if row["ece"] is not None:
         fill: dict[str, Any] = {} if row["is_told"] else {"markerfacecolor": style.PAPER}
-        scores.plot([min(row["ece"], _WITH_BELIEF)], at, **(look | fill))
+        scores.plot([min(row["ece"], _WITH_BELIEF)], [place + shift], **(look | fill))
     mark: dict[str, Any] = {"color": style.INK, "linewidth": 1.4, "zorder": 4}
     if row["target"] is not None:
         rates.plot([row["target"]] * 2, [place - 0.42, place + 0.42], **mark)
@@ -264,29 +296,14 @@ def _draw_scenario(
         ways.plot([row["longest"]] * 2, [place - 0.42, place + 0.42], **mark)
 
 
-def _label_panels(panels: "Sequence[Axes]", names: Sequence[str], rows: Sequence[Row]) -> None:
-    """Name axes and scenarios, and colour the names by their targets."""
-    rates, ways, scores = panels
-    rates.set_yticks(range(len(names)), names)
-    rates.set_ylim(len(names) - 0.5, -0.5)
-    for place, text in enumerate(rates.get_yticklabels()):
-        judged = [
-            one.get(key)
-            for one in rows
-            if one["scenario"] == names[place]
-            for key in ("is_met", "is_calibrated")
-        ]
+def _color_names(axes: "Axes", names: Sequence[str], rows: Sequence[Row]) -> None:
+    """Colour the names of scenarios by their targets."""
+    for name, text in zip(names, axes.get_yticklabels(), strict=True):
+        mine = [row for row in rows if row["scenario"] == name]
+        judged = [row.get(key) for row in mine for key in ("is_met", "is_calibrated")]
         set_ones = [one for one in judged if one is not None]
         met = style.GOOD if all(set_ones) else style.BAD
         text.set_color(met if set_ones else style.INK)
-    rates.set_xlim(0, 103)
-    ways.set_xlim(left=0)
-    scores.set_xlim(0, 1.02 * _WITH_BELIEF)
-    scores.axvline(ECE_TARGET, color=style.INK, linewidth=1.0, linestyle=":", zorder=1)
-    for axes, label in zip(panels, ("success (%)", "distance travelled (m)", "ECE"), strict=True):
-        axes.set_xlabel(label)
-        axes.grid(axis="x")
-        axes.tick_params(axis="y", length=0)
 
 
 _LEFT, _COLUMN, _STRIP = 2.05, 1.4, 0.155
@@ -342,11 +359,9 @@ def unknowns_figure(document: Mapping[str, Any]) -> "Figure":
 
 def _draw_panel(axes: "Axes", rows: Sequence[Row], printed: Row, key: str, name: str) -> None:
     """Draw one figure of one row of Table 2 for all variations."""
+    value, error = printed[key], printed["distance_sd"] / math.sqrt(PAPER_RUNS)
     if name == "success":
-        error = rate_error(printed[key], PAPER_RUNS)
-    else:
-        error = printed["distance_sd"] / math.sqrt(PAPER_RUNS)
-    value = printed[key]
+        error = rate_error(value, PAPER_RUNS)
     axes.axvspan(value - AGREEMENT * error, value + AGREEMENT * error, color="#e6ecf1", zorder=0)
     axes.axvline(value, color=style.INK, linewidth=0.9, linestyle=":", zorder=1)
     for place, row in enumerate(rows):

@@ -52,7 +52,11 @@ def _draw_map(scene: StaticScene, frame: Frame, *, width: int = 48) -> "Text":
     x_min, x_max, y_min, y_max = scene.area
     width = max(width, 8)
     height = max(4, round(width * (y_max - y_min) / (x_max - x_min) / _CELL_SHAPE))
-    cells, looks = _ground(frame, width, height)
+    size = frame.miss.shape[0]
+    line, column = (((np.arange(n) + 0.5) / n * size).astype(int) for n in (height, width))
+    unseen = frame.miss[::-1][line][:, column] >= 0.5
+    cells = [["·" if one else " " for one in line] for line in unseen]
+    looks = [["grey78"] * width for _ in cells]
 
     def put(x: float, y: float, character: str, look: str) -> None:
         column = int(np.clip((x - x_min) / (x_max - x_min) * width, 0, width - 1))
@@ -152,16 +156,6 @@ def watch(
     if not seen:
         raise ValueError("an episode needs at least one step")
     return stack_frames(scene, [one.frame for one in seen], seen[-1].result)
-
-
-def _ground(frame: Frame, width: int, height: int) -> tuple[list[list[str]], list[list[str]]]:
-    """Fill the cells with blanks where looked at, dots where not."""
-    size = frame.miss.shape[0]
-    rows = ((np.arange(height) + 0.5) / height * size).astype(int)
-    columns = ((np.arange(width) + 0.5) / width * size).astype(int)
-    unseen = frame.miss[::-1][rows][:, columns] >= 0.5
-    cells = [["·" if one else " " for one in line] for line in unseen]
-    return cells, [["grey78"] * width for _ in cells]
 
 
 def _shade(

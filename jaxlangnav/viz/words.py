@@ -7,7 +7,6 @@ import numpy as np
 from jaxlangnav.grounding.asked import Asked
 from jaxlangnav.language.lexicon import plural
 from jaxlangnav.messages import AT, NONE, REGIONS, ROBOT, Fault, relation_name
-from jaxlangnav.planner.graph import OBJECT_NODE, VISITED
 from jaxlangnav.recording import StaticScene
 from jaxlangnav.relations.table import RELATION_WORDS
 
@@ -44,40 +43,6 @@ _EIGHTHS = (
 )
 
 
-def _direction(bearing: float) -> str:
-    """Say where a bearing points."""
-    return _EIGHTHS[round(bearing / (math.pi / 4)) % 8]
-
-
-def fault_words(fault: int) -> list[str]:
-    """Say why a robot stands still.
-
-    Args:
-        fault: bits of ``Fault``.
-
-    Returns:
-        A clause for each.
-    """
-    return [words for bit, words in FAULT_WORDS.items() if fault & bit]
-
-
-def node_words(kind: int, place: str) -> str:
-    """Name a kind of waypoint.
-
-    Args:
-        kind: of ``planner.graph``.
-        place: what the policy's own waypoints are called.
-
-    Returns:
-        A noun with its article.
-    """
-    if kind == OBJECT_NODE:
-        return "an object"
-    if kind == VISITED:
-        return "a place it has been"
-    return place
-
-
 def whereabouts(x: float, y: float, robot_x: float, robot_y: float, heading: float) -> str:
     """Say where a place is as the robot would: "3.2 m ahead to the left".
 
@@ -95,7 +60,7 @@ def whereabouts(x: float, y: float, robot_x: float, robot_y: float, heading: flo
     if distance < 0.3:
         return "right here"
     bearing = math.atan2(y - robot_y, x - robot_x) - heading
-    return f"{distance:.1f} m {_direction(bearing)}"
+    return f"{distance:.1f} m {_EIGHTHS[round(bearing / (math.pi / 4)) % 8]}"
 
 
 def percent(probability: float) -> str:
@@ -153,13 +118,9 @@ def describe_reading(scene: StaticScene, index: int) -> str:
         "a hydrant behind a cone"; "nothing" where it claims nothing.
     """
     readings = scene.readings
-    types, relations = readings.mention_type[index], readings.relation[index]
-    landmarks = readings.landmark[index]
-    used = {int(landmarks[edge]) for edge in range(len(relations)) if relations[edge] != NONE}
-    heads = [
-        mention for mention in range(len(types)) if int(types[mention]) >= 0 and mention not in used
-    ]
-    return listed([_thing_words(scene, index, one) for one in heads]) if heads else "nothing"
+    used = readings.landmark[index][readings.relation[index] != NONE]
+    heads = np.setdiff1d(np.flatnonzero(readings.mention_type[index] >= 0), used)
+    return listed([_thing_words(scene, index, one) for one in heads]) if heads.size else "nothing"
 
 
 def _thing_words(scene: StaticScene, index: int, mention: int) -> str:
@@ -202,31 +163,24 @@ def describe_asked(scene: StaticScene) -> list[str]:
         "go to the hydrant behind a cone, keeping away from the car", one a command.
     """
     best = int(np.argmax(scene.readings.log_probability))
-    return [_asked_words(scene, best, one) for one in scene.asks]
 
+    def thing(mention: int) -> str:
+        words = _thing_words(scene, best, mention)
+        first, _, rest = words.partition(" ")
+        return f"the {rest}" if first in ("a", "an") else words
 
-def _asked_words(scene: StaticScene, best: int, one: Asked) -> str:
-    """Say what one command asks for."""
+    def asked(one: Asked) -> str:
+        goal = "another one than before" if one.mention == NONE else thing(one.mention)
+        if one.mention != NONE and one.region != AT:
+            goal = f"{RELATION_WORDS[REGIONS[one.region]]} {goal}"
+        verb = "find" if one.action == "find" else "go to" if one.region == AT else "go"
+        pace = "" if one.mode == "normal" else f" {one.mode}"
+        keep = [thing(mention) for _, mention, _ in one.avoid]
+        away = f", keeping away from {listed(keep)}" if keep else ""
+        doubt = "" if one.probability >= _SURE else f" ({percent(one.probability)})"
+        return f"{verb} {goal}{pace}{away}{doubt}"
 
-    def place(region: int, mention: int) -> str:
-        if mention == NONE:
-            return "another one than before"
-        thing = _definite(_thing_words(scene, best, mention))
-        return thing if region == AT else f"{RELATION_WORDS[REGIONS[region]]} {thing}"
-
-    goal = place(one.region, one.mention)
-    verb = "find" if one.action == "find" else "go to" if one.region == AT else "go"
-    pace = "" if one.mode == "normal" else f" {one.mode}"
-    keep = [_definite(_thing_words(scene, best, mention)) for _, mention, _ in one.avoid]
-    away = f", keeping away from {listed(keep)}" if keep else ""
-    doubt = "" if one.probability >= _SURE else f" ({percent(one.probability)})"
-    return f"{verb} {goal}{pace}{away}{doubt}"
-
-
-def _definite(thing: str) -> str:
-    """Speak of one thing that is meant: "the hydrant behind a cone"."""
-    first, _, rest = thing.partition(" ")
-    return f"the {rest}" if first in ("a", "an") else thing
+    return [asked(one) for one in scene.asks]
 
 
 def describe_readings(scene: StaticScene, *, least: float = 0.01) -> list[tuple[str, float]]:
