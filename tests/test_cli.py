@@ -79,9 +79,7 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(SUMMARIES))
-def test_every_command_has_help_with_examples(
-    name: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_command_has_help_with_examples(name, capsys):
     assert cli.main([name, "--help"]) == 0
     told = capsys.readouterr().out
     described = told.partition("╭")[0]
@@ -109,9 +107,7 @@ def test_every_command_has_help_with_examples(
     ],
 )
 @pytest.mark.usefixtures("echo")
-def test_bad_input_is_one_line_and_code_2(
-    words: list[str], expected: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_input_is_one_line_and_code_2(words, expected, capsys):
     assert cli.main(words) == 2
     captured = capsys.readouterr()
     assert captured.out == ""
@@ -121,9 +117,7 @@ def test_bad_input_is_one_line_and_code_2(
 
 
 @pytest.mark.usefixtures("echo")
-def test_a_fault_of_ours_is_one_line_and_code_1(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_fault_of_ours_is_one_line_and_code_1(capsys, monkeypatch):
     monkeypatch.delenv(cli.DEBUG, raising=False)
     assert cli.main(["echo", "bug"]) == 1
     captured = capsys.readouterr()
@@ -135,9 +129,7 @@ def test_a_fault_of_ours_is_one_line_and_code_1(
 
 
 @pytest.mark.usefixtures("echo")
-def test_a_value_error_of_a_library_is_a_fault_of_ours(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_value_error_of_a_library_is_a_fault_of_ours(capsys, monkeypatch):
     monkeypatch.delenv(cli.DEBUG, raising=False)
     assert cli.main(["echo", "numpy"]) == 1
     assert "internal error: ValueError: cannot reshape" in capsys.readouterr().err
@@ -168,9 +160,7 @@ def test_without_json_people_read_the_narrative(capsys: pytest.CaptureFixture[st
     assert capsys.readouterr().out == "a stray print\nhello\nhello\n"
 
 
-def test_a_story_hangs_under_its_heads_on_a_terminal(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_story_hangs_under_its_heads_on_a_terminal(capsys, monkeypatch):
     lines = ["You said: “go”.", f"[    0 ·  0.0 m] {'2.5 m word ' * 20}".rstrip()]
     Output(is_json=False).tell(lines)
     assert capsys.readouterr().out.splitlines() == lines

@@ -24,9 +24,7 @@ def document(words: list[str], capsys: pytest.CaptureFixture[str]) -> dict[str, 
 
 
 @pytest.mark.slow
-def test_train_writes_weights_that_other_commands_take(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_train_writes_weights_that_other_commands_take(tmp_path, capsys):
     file = tmp_path / "new" / "weights.npz"
     report = document(["train", "behavior", "--corpus", CORPUS_39, "--out", str(file)], capsys)
     assert report["file"] == str(file)
@@ -56,9 +54,7 @@ def test_evaluate_gives_table_1(capsys: pytest.CaptureFixture[str]) -> None:
 BASELINES = "frontier,lawnmower,arc,known"
 
 
-def test_reproduce_table2_gives_the_seven_rows_of_every_policy(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_reproduce_table2_gives_the_seven_rows_of_every_policy(tmp_path, capsys):
     words = ["reproduce", "table2", "--episodes", "3", "--policy", BASELINES, "--out"]
     found = document([*words, str(tmp_path)], capsys)
     assert len(found["rows"]) == 7 * 4
@@ -90,9 +86,7 @@ def test_reproduce_table2_judges_beliefs(capsys: pytest.CaptureFixture[str]) -> 
     assert drawn == pytest.approx(judged)
 
 
-def test_reproduce_table2_takes_the_detector_and_the_odometry(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_reproduce_table2_takes_the_detector_and_the_odometry(capsys):
     words = ["reproduce", "table2", "--episodes", "8", "--policy", "frontier,known"]
     usual = document(words, capsys)
     other = document(
@@ -114,9 +108,7 @@ def test_reproduce_table2_takes_the_detector_and_the_odometry(
         assert row["distance_mean"] != noisy["distance_mean"]
 
 
-def test_reproduce_table2_has_rows_and_ranges_that_the_paper_lacks(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_reproduce_table2_has_rows_and_ranges_that_the_paper_lacks(tmp_path, capsys):
     words = ["reproduce", "table2", "--episodes", "2", "--policy", "known", "--extra"]
     found = document([*words, "--ranges", "10, 200 cm", "--out", str(tmp_path)], capsys)
     rows = [(row["world"], row["relation"], row["range"]) for row in found["rows"]]
@@ -137,9 +129,7 @@ def test_reproduce_table2_has_rows_and_ranges_that_the_paper_lacks(
     assert manifest["settings"]["noise"]["step_length"] == 1.0
 
 
-def test_reproduce_fig5_without_the_navigator(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_reproduce_fig5_without_the_navigator(tmp_path, capsys):
     words = ["reproduce", "fig5", "--episodes", "2", "--policy", "known,frontier"]
     found = document([*words, "--out", str(tmp_path)], capsys)
     assert sorted({row["range"] for row in found["rows"]}) == [2, 3, 5, 10, 15, 20]
@@ -148,9 +138,7 @@ def test_reproduce_fig5_without_the_navigator(
     assert "falls" in found
 
 
-def test_reproduce_fig4_tells_where_the_goal_is_believed_to_be(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_reproduce_fig4_tells_where_the_goal_is_believed_to_be(tmp_path, capsys):
     # The policy and size whose program other tests compile too.
     words = ["reproduce", "fig4", "--policy", "informed", "--particles", "64"]
     found = document([*words, "--out", str(tmp_path)], capsys)
@@ -174,9 +162,7 @@ def test_reproduce_fig3_counts_the_paper_s_graph(capsys: pytest.CaptureFixture[s
         assert {name: found["graph"][kind][name] for name in printed} == printed
 
 
-def test_all_writes_one_page_of_its_parts(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_all_writes_one_page_of_its_parts(tmp_path, capsys, monkeypatch):
     """The parts that need no long run; the page joins whatever has been run."""
     few = {name: reproduction.STUDIES[name] for name in ("fig3", "table2")}
     monkeypatch.setattr(reproduction, "STUDIES", few)
@@ -250,9 +236,7 @@ def test_a_sweep_runs_and_is_summarised(tmp_path: Path, capsys: pytest.CaptureFi
         (["ground", "go to the cone", "--weights", "nowhere.npz"], "nowhere.npz"),
     ],
 )
-def test_bad_input_is_one_line(
-    words: list[str], expected: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_input_is_one_line(words, expected, capsys):
     assert cli.main(words) == 2
     captured = capsys.readouterr()
     assert captured.out == ""

@@ -49,9 +49,7 @@ def follow(words: list[str], capsys: pytest.CaptureFixture[str]) -> dict[str, An
 
 
 @pytest.mark.parametrize("world", ["2H1C", "yard"])
-def test_what_is_rehearsed_is_what_is_run(
-    world: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_rehearsed_is_what_is_run(world, capsys, monkeypatch):
     """The thread that compiles while the world is drawn compiles the program of the episode."""
     programs: list[tuple[str, str]] = []
     name_of = kept._name
@@ -134,9 +132,7 @@ def test_pictures_are_written_and_named(tmp_path: Path, capsys: pytest.CaptureFi
     assert kept == document
 
 
-def test_the_rerun_recording_stands_beside_the_pictures(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_rerun_recording_stands_beside_the_pictures(tmp_path, capsys):
     pytest.importorskip("matplotlib")
     pytest.importorskip("rerun")
     document = follow([COMMAND, "--out", str(tmp_path), "--rrd"], capsys)
@@ -144,9 +140,7 @@ def test_the_rerun_recording_stands_beside_the_pictures(
     assert (tmp_path / "episode.rrd").read_bytes()[:3] == b"RRF"
 
 
-def test_rrd_says_what_it_needs(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_rrd_says_what_it_needs(tmp_path, capsys, monkeypatch):
     assert cli.main(["follow", COMMAND, "--rrd"]) == 2
     assert "--rrd writes episode.rrd into the folder of --out" in capsys.readouterr().err
     found = importlib.util.find_spec
@@ -182,9 +176,7 @@ def test_numbers_on_the_command_line_reach_the_engine(capsys: pytest.CaptureFixt
         ("find the car", "street"),
     ],
 )
-def test_other_sentences_have_their_own_goal(
-    text: str, world: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_other_sentences_have_their_own_goal(text, world, capsys):
     document = follow([text, "--world", world], capsys)
     assert document["stopped"]
     assert document["success"], document["goal_distance"]
@@ -267,9 +259,7 @@ def test_a_model_that_knows_nothing_means_nothing() -> None:
         (["go past the cone"], "past"),
     ],
 )
-def test_bad_input_is_one_line(
-    words: list[str], expected: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_input_is_one_line(words, expected, capsys):
     assert cli.main(["follow", *words, "--json"]) == 2
     captured = capsys.readouterr()
     assert captured.out == ""
@@ -301,9 +291,7 @@ y = -4.0
 """
 
 
-def test_a_world_of_own_nouns_needs_no_lexicon(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_world_of_own_nouns_needs_no_lexicon(tmp_path, capsys):
     path = tmp_path / "park.toml"
     path.write_text(PARK, encoding="utf-8")
     words = ["go to the gazebo behind the easel", "--world", str(path), "--range", "4"]
@@ -361,9 +349,7 @@ def test_a_world_without_a_goal_is_not_judged_where_several_fit_alike(tmp_path: 
 
 
 @pytest.mark.parametrize(("number", "slots"), [(4, 8), (12, 16)])
-def test_crowded_worlds_get_the_sizes_for_places_as_they_are(
-    number: int, slots: int, tmp_path: Path
-) -> None:
+def test_crowded_worlds_get_the_sizes_for_places_as_they_are(number, slots, tmp_path):
     world = bare(tmp_path / "bare.toml", number)
     params, config = usual_engine(world, "informed", 32)
     assert slots_of(world) == slots

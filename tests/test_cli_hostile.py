@@ -5,7 +5,6 @@ import json
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -33,9 +32,7 @@ def refused(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
     return line
 
 
-def test_escape_sequences_of_a_sentence_are_shown_not_sent(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_escape_sequences_of_a_sentence_are_shown_not_sent(capsys):
     refused(["parse", f"go to the {ANSI}"], capsys)
     refused([ANSI], capsys)
     refused(["parse", "x", f"--{ANSI}"], capsys)
@@ -51,15 +48,11 @@ def test_a_value_of_any_length_is_cut(capsys: pytest.CaptureFixture[str]) -> Non
 
 
 @pytest.mark.parametrize("far", ["1e39", "1e400", "nan", "-1", "0", "1e-46"])
-def test_a_range_beyond_single_precision_is_refused(
-    far: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_range_beyond_single_precision_is_refused(far, capsys):
     assert "--range is" in refused(["follow", "go to the cone", "--range", far], capsys)
 
 
-def test_what_is_no_file_is_refused_and_not_waited_for(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_no_file_is_refused_and_not_waited_for(tmp_path, capsys):
     os.mkfifo(tmp_path / "pipe.toml")
     (tmp_path / "zero.toml").symlink_to("/dev/zero")
     for name in ("pipe.toml", "zero.toml"):
@@ -96,9 +89,7 @@ def test_markup_in_text_from_others_is_not_read(capsys: pytest.CaptureFixture[st
     assert capsys.readouterr().out.count(MARKUP) == 4
 
 
-def test_the_document_steers_no_terminal_and_loses_nothing(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_the_document_steers_no_terminal_and_loses_nothing(capsys):
     text = f"{ANSI} “é” 𝄞 \x7f\u2028 \U000e0041"
     write_document({"text": text})
     told = capsys.readouterr().out
@@ -134,9 +125,7 @@ def test_one_missing_platform_of_several_is_named(monkeypatch: pytest.MonkeyPatc
     assert platform_fault(RuntimeError("something else")) is None
 
 
-def test_a_bad_world_is_refused_before_anything_is_told(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_bad_world_is_refused_before_anything_is_told(tmp_path, capsys):
     (tmp_path / "bad.toml").write_text("nothing = 1")
     assert cli.main(["ground", "go to the hydrant", "--world", str(tmp_path / "bad.toml")]) == 2
     told = capsys.readouterr()

@@ -55,9 +55,7 @@ def test_repairs_and_unknown_words_are_noted(capsys: pytest.CaptureFixture[str])
 
 @pytest.mark.parametrize("command", ["parse", "ground", "follow"])
 @pytest.mark.parametrize("text", ["", "   ", "behind behind behind", "?!", "the of to"])
-def test_a_bad_sentence_is_one_line(
-    command: str, text: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_bad_sentence_is_one_line(command, text, capsys):
     assert cli.main([command, text, "--json"]) == 2
     captured = capsys.readouterr()
     assert captured.out == ""
@@ -98,9 +96,7 @@ def test_ground_gives_annotations_and_the_papers_graph(capsys: pytest.CaptureFix
         ("go to the cone on your left", ("cone", "left", "robot", False)),
     ],
 )
-def test_ground_tells_the_constructions_apart(
-    text: str, expected: tuple[Any, ...], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_ground_tells_the_constructions_apart(text, expected, capsys):
     best = document(["ground", text], capsys)["annotations"][0]
     assert (best["figure"], best["relation"], best["landmark"], best["superlative"]) == expected
 
@@ -137,9 +133,7 @@ def test_ground_draws_the_factor_graph(tmp_path: Path, capsys: pytest.CaptureFix
         (["--seed", "-1"], "--seed is -1"),
     ],
 )
-def test_a_bad_world_is_one_line(
-    options: list[str], expected: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_bad_world_is_one_line(options, expected, capsys):
     assert cli.main(["ground", COMMAND, *options]) == 2
     captured = capsys.readouterr()
     assert captured.err.count("\n") == 1

@@ -52,9 +52,7 @@ def test_a_folder_named_for_jax_is_taken_if_nobody_else_can_write_it(tmp_path: P
 
 
 @pytest.mark.parametrize("shared", ["folder", "address"])
-def test_a_shared_folder_named_for_jax_is_left_to_jax(
-    shared: str, home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_shared_folder_named_for_jax_is_left_to_jax(shared, home, tmp_path, capsys):
     (tmp_path / "jax").mkdir()
     (tmp_path / "jax").chmod(0o777)
     named = str(tmp_path / "jax") if shared == "folder" else "gs://bucket/jax"
@@ -84,9 +82,7 @@ def test_where_others_can_write_nothing_is_kept_and_that_is_said_once(
     assert not list((tmp_path / "shared").iterdir())
 
 
-def test_where_no_folder_can_be_made_nothing_is_kept(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_where_no_folder_can_be_made_nothing_is_kept(tmp_path, monkeypatch, capsys):
     (tmp_path / "file").write_text("in the way")
     monkeypatch.setenv("HOME", str(tmp_path / "file/cache"))
     keep_compiled_programs()
@@ -108,9 +104,7 @@ def test_who_wants_no_cache_has_none(home: Path) -> None:
 @pytest.mark.parametrize(
     ("own", "debug", "level"), [(None, None, "3"), ("0", None, "0"), (None, "1", None)]
 )
-def test_the_compilers_log_stays_off_the_terminal(
-    own: str | None, debug: str | None, level: str | None, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_compilers_log_stays_off_the_terminal(own, debug, level, monkeypatch):
     """Its note of a slow compilation is not ours; whoever asks for its log has it."""
     for name, value in ((XLA_LOG_LEVEL, own), (DEBUG, debug)):
         monkeypatch.setenv(name, value or "")

@@ -97,9 +97,7 @@ def test_values_are_read_with_units_and_set() -> None:
         (["--config.map.num-objects", "0"], "num_objects is 0, but must be at least 1"),
     ],
 )
-def test_a_slip_is_one_line_and_code_2(
-    words: list[str], expected: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_slip_is_one_line_and_code_2(words, expected, capsys):
     assert cli.main(["follow", TEXT, *words, "--json"]) == 2
     captured = capsys.readouterr()
     assert captured.out == ""
@@ -107,9 +105,7 @@ def test_a_slip_is_one_line_and_code_2(
     assert expected in captured.err
 
 
-def test_plain_help_is_short_and_the_long_one_has_everything(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_plain_help_is_short_and_the_long_one_has_everything(capsys):
     assert cli.main(["follow", "--help"]) == 0
     short = capsys.readouterr().out
     assert len(short.splitlines()) <= 70

@@ -19,9 +19,7 @@ from jaxlangnav.navigator import default_params
 from jaxlangnav.pytree import replace, strong
 
 
-def test_a_failed_write_leaves_the_old_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
     given = {"a": [1]}, pa.table({"a": [1]}), "", jnp.ones(2)
     (path, *_) = archive.write_experiment(tmp_path, "x", *given)
     before = path.read_bytes()
@@ -86,9 +84,7 @@ def test_a_manifest_says_how(tmp_path: Path) -> None:
         ([(0.0, 10.0), (2.0, 3.0), (4.0, 11.0)], 11.0),
     ],
 )
-def test_what_overlaps_is_counted_once(
-    intervals: list[tuple[float, float]], expected: float
-) -> None:
+def test_what_overlaps_is_counted_once(intervals, expected):
     with CompileClock() as clock:
         clock._intervals += intervals
     assert clock.seconds == pytest.approx(expected)

@@ -106,9 +106,7 @@ def slurm(place: int, job: int) -> dict[str, str]:
 # Quick are its parts: test_a_launcher_tells_where_to_meet, and test_shards_in_any_order.
 @pytest.mark.slow
 @pytest.mark.parametrize("launcher", ["options", "slurm"])
-def test_two_processes_divide_a_sweep(
-    launcher: str, tmp_path: Path, pytestconfig: pytest.Config
-) -> None:
+def test_two_processes_divide_a_sweep(launcher, tmp_path, pytestconfig):
     config = write(SMALL, tmp_path)
     sweep.run_sweep(config, tmp_path / "alone")
     address, out = free_address(), tmp_path / "out"

@@ -220,9 +220,7 @@ def test_labels_have_one_type_in_every_file() -> None:
     assert found == ["int64", "double", "string", "int64"]
 
 
-def test_a_setting_may_have_numbers_of_its_own_to_believe(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_setting_may_have_numbers_of_its_own_to_believe(monkeypatch):
     """Those of one set of numbers are run together, and each ends where its setting stands."""
     believed = ({}, {"concentration": 2.0}, {})
     settings = [dataclasses.replace(GRID.settings[0], believed=numbers) for numbers in believed]

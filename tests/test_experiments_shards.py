@@ -10,7 +10,7 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -129,9 +129,7 @@ def other_number(path: Path) -> None:
         (other_number, "has 2 rows, but must have 300"),
     ],
 )
-def test_another_file_is_told_from_this_one(
-    harm: Callable[[Path], None], message: str, path: Path
-) -> None:
+def test_another_file_is_told_from_this_one(harm, message, path):
     harm(path)
     with pytest.raises(ShardError, match=message):
         shards.check_shard(path, SHARD)
@@ -229,9 +227,7 @@ def test_a_dead_holder_s_lock_is_taken_over(tmp_path: Path) -> None:
         ((2, 4), (5, 6), False),
     ],
 )
-def test_parts_that_share_files_exclude_each_other(
-    first: PartOf, second: PartOf, is_shared: bool, tmp_path: Path
-) -> None:
+def test_parts_that_share_files_exclude_each_other(first, second, is_shared, tmp_path):
     files = [set(range(place - 1, 60, number)) for place, number in (first, second)]
     assert bool(files[0] & files[1]) == is_shared
     with held(tmp_path, first, on_note=ignore):

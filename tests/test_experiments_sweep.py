@@ -19,7 +19,8 @@ import pytest
 from jaxlangnav.cli import main as cli
 from jaxlangnav.episode import begin
 from jaxlangnav.experiments import sizes, summary, sweep
-from jaxlangnav.experiments.experiment import _check_episodes
+from jaxlangnav.experiments.experiment import Options
+from jaxlangnav.experiments.paper import table_2
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.rows import RowSpec
 from jaxlangnav.experiments.sweep_config import SweepConfig, config_from_dict, read_config
@@ -315,9 +316,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> tuple[SweepConfig, 
     return config, folder / "out"
 
 
-def test_kill_and_resume(
-    undisturbed: tuple[SweepConfig, Path], tmp_path: Path, pytestconfig: pytest.Config
-) -> None:
+def test_kill_and_resume(undisturbed, tmp_path, pytestconfig):
     config, whole = undisturbed
     out = tmp_path / "out"
     left = run_and_kill(BASELINES, tmp_path, out, pytestconfig)
@@ -346,9 +345,7 @@ def test_shards_in_any_order(undisturbed: tuple[SweepConfig, Path], tmp_path: Pa
     assert contents(tmp_path) == contents(whole)
 
 
-def test_another_sweep_is_not_mixed_in(
-    undisturbed: tuple[SweepConfig, Path], tmp_path: Path
-) -> None:
+def test_another_sweep_is_not_mixed_in(undisturbed, tmp_path):
     _, whole = undisturbed
     other = write(BASELINES.replace("episodes = 70", "episodes = 71"), tmp_path)
     with pytest.raises(ValueError, match=r"another sweep \(episodes: 70 there, 71 here\)"):
@@ -360,9 +357,7 @@ def test_another_sweep_is_not_mixed_in(
         sweep.run_sweep(other, stray)
 
 
-def test_a_full_disk_keeps_what_is_written(
-    undisturbed: tuple[SweepConfig, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_keeps_what_is_written(undisturbed, tmp_path, monkeypatch):
     config, whole = undisturbed
     write_bytes, written = Path.write_bytes, []
 
@@ -424,9 +419,7 @@ def test_summary(undisturbed: tuple[SweepConfig, Path], tmp_path: Path) -> None:
         summary.summarize_directory(tmp_path)
 
 
-def test_damaged_files_are_named_and_made_again(
-    undisturbed: tuple[SweepConfig, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_damaged_files_are_named_and_made_again(undisturbed, tmp_path, capsys):
     config, whole = undisturbed
     out = tmp_path / "out"
     shutil.copytree(whole, out)
@@ -462,9 +455,7 @@ def test_damaged_files_are_named_and_made_again(
     assert contents(out) == contents(whole)
 
 
-def test_a_folder_of_nothing_sound_is_refused(
-    undisturbed: tuple[SweepConfig, Path], tmp_path: Path
-) -> None:
+def test_a_folder_of_nothing_sound_is_refused(undisturbed, tmp_path):
     _, whole = undisturbed
     manifest = (whole / sweep.MANIFEST).read_text()
     (tmp_path / sweep.MANIFEST).write_text(manifest)
@@ -570,12 +561,10 @@ def test_an_engine_of_the_usual_size_is_not() -> None:
     for particles in (2, 64, 1000):
         sizes.check_engine(navigator_config("informed", particles))
         sizes.check_recording(navigator_config("faithful", particles), 120)
-    assert _check_episodes(1000, rows=7, kept=6) == 1000
+    assert len(table_2().check(Options(episodes=1000))) == 6
 
 
-def test_the_memory_is_that_of_the_container_where_it_is_less(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_memory_is_that_of_the_container_where_it_is_less(tmp_path, monkeypatch):
     assert sizes._memory() > 1 << 28
     limit = tmp_path / "memory.max"
     for text, expected in ((f"{1 << 28}\n", 1 << 28), ("max\n", None), ("", None)):
@@ -607,9 +596,7 @@ def test_the_memory_is_that_of_the_container_where_it_is_less(
         (["follow", "go to the cone", "--world", "WORLD"], "has more than 262,144 bytes"),
     ],
 )
-def test_every_command_says_what_would_fit_and_leaves_nothing(
-    words: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_command_says_what_would_fit_and_leaves_nothing(words, message, tmp_path, capsys):
     out = tmp_path / "out"
     words = [_written(word, words[-1], tmp_path) for word in words]
     if words[0] == "sweep":

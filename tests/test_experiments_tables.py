@@ -12,9 +12,9 @@ import pyarrow.parquet as pq
 import pytest
 from rich.console import Console
 
-from jaxlangnav.experiments import paper, tables
+from jaxlangnav.experiments import paper
 from jaxlangnav.experiments.experiment import Options
-from jaxlangnav.experiments.rows import RowSpec, describe_noise, printed_rows
+from jaxlangnav.experiments.rows import RowSpec, describe_noise, deviations, printed_rows
 from jaxlangnav.experiments.table import Section, Table, _data_uri, _render_report, write_report
 from jaxlangnav.world.templates import TABLE_2
 
@@ -67,7 +67,7 @@ def test_the_paper_is_printed_as_it_stands() -> None:
 
 
 def test_cells_by_hand() -> None:
-    text = tables.results_table(document(row(ece=0.0251, brier=None, coverage90=90.6))).markdown()
+    text = paper.results_table(document(row(ece=0.0251, brier=None, coverage90=90.6))).markdown()
     expected = (
         "| 2H1C | 3 | behind | faithful | 67.4 (62.0-72.0) | 67.4 | 18.72 (10.00) | 18.72 (10.23) "
         "| 10.30 (1.80) | 10.38 (1.86) | 0.50 | 3 | 0.025 |  | 91 |"
@@ -78,7 +78,7 @@ def test_cells_by_hand() -> None:
 def test_the_paper_stands_beside_what_it_ran() -> None:
     """Its method beside both of ours, its known map beside ours, nothing beside other robots."""
     beside = {
-        name: tables.results_table(document(row(policy=name))).rows[0][5:10:2]
+        name: paper.results_table(document(row(policy=name))).rows[0][5:10:2]
         for name in ("informed", "faithful", "arc", "known")
     }
     known = "10.38 (1.86)"
@@ -94,7 +94,7 @@ def test_policies_of_a_row_stand_together() -> None:
         row(policy="known"),
         row(world="1H1C", relation=None, policy="known"),
     ]
-    order = [(one["world"], one["policy"]) for one in tables._beside_paper(document(*rows))]
+    order = [(one["world"], one["policy"]) for one in paper._beside_paper(document(*rows))]
     assert order == [
         ("2H1C", "faithful"),
         ("2H1C", "known"),
@@ -104,14 +104,14 @@ def test_policies_of_a_row_stand_together() -> None:
 
 
 def test_a_row_the_paper_lacks_has_no_figure_beside_it() -> None:
-    text = tables.results_table(document(row(world="2H2C"))).markdown()
+    text = paper.results_table(document(row(world="2H2C"))).markdown()
     assert "| 2H2C | 3 | behind | faithful | 67.4 (62.0-72.0) |  | 18.72 (10.00) |  |" in text
 
 
 def test_deviations_by_hand() -> None:
-    paper = printed_rows(TABLE_2)[5]
-    assert tables.deviations(row(), paper)["distance"] == pytest.approx(0.0)
-    far = tables.deviations(row(distance_mean=20.72, success_rate=100.0), paper)
+    printed = printed_rows(TABLE_2)[5]
+    assert deviations(row(), printed)["distance"] == pytest.approx(0.0)
+    far = deviations(row(distance_mean=20.72, success_rate=100.0), printed)
     # Standard errors 10 / 20 and 10.23 / 10.
     assert far["distance"] == pytest.approx(2.0 / (0.5**2 + 1.023**2) ** 0.5)
     # 100 % of 400 counts as 399.5: error 0.1249 %; 67.4 % of 100: 4.687 %.
@@ -130,7 +130,7 @@ def test_the_terminal_table_fits_and_says_the_noise() -> None:
 
 def test_the_caption_counts_each_way_to_go_wrong() -> None:
     one = row(overflows=3, degenerate=2, contradictions=5, faults=4, invalid_worlds=1)
-    text = " ".join(tables.caption(document(one, row(policy="informed", contradictions=2))))
+    text = " ".join(paper.caption(document(one, row(policy="informed", contradictions=2))))
     assert "left out: 1; detections without a slot: 3; steps with all weights dead: 2" in text
     assert "contradicts the map: 7, at which it stood still for what cannot be: 4." in text
 

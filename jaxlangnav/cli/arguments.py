@@ -37,13 +37,7 @@ class Runnable(Protocol):
 
 
 def parse_arguments(arguments: Sequence[str]) -> Runnable:
-    """Read a command and its options.
-
-    Args:
-        arguments: the words after the program's name; the first one names the command.
-
-    Returns:
-        The command, ready to run.
+    """Read a command and its options, ready to run; the first word names the command.
 
     Raises:
         UsageError: the command or an option is unknown, missing or of the wrong kind.
@@ -55,17 +49,7 @@ def parse_arguments(arguments: Sequence[str]) -> Runnable:
     if name not in SUMMARIES:
         hint = did_you_mean(name, SUMMARIES) or f"; choose from {', '.join(SUMMARIES)}"
         raise UsageError(f'unknown command "{name}"{hint}')
-    return _read(_command_class(name), options, program=f"{PROGRAM} {name}")
-
-
-def _command_class(name: str) -> type[Any]:
-    """Load a command's dataclass."""
-    module = importlib.import_module(f"jaxlangnav.cli.{name}")
-    return getattr(module, name.capitalize())
-
-
-def _read(kind: type[Any], options: Sequence[str], *, program: str) -> Any:
-    """Let tyro fill the dataclass; fold what it complains of into one line."""
+    kind, program = _command_class(name), f"{PROGRAM} {name}"
     import tyro
 
     groups: tuple[str, ...] = getattr(kind, "SETTINGS", ())
@@ -87,6 +71,12 @@ def _read(kind: type[Any], options: Sequence[str], *, program: str) -> Any:
             raise
         message = _explain(complaint.getvalue(), kind, options)
         raise UsageError(f"{message} (see {program} --help)") from None
+
+
+def _command_class(name: str) -> type[Any]:
+    """Load a command's dataclass."""
+    module = importlib.import_module(f"jaxlangnav.cli.{name}")
+    return getattr(module, name.capitalize())
 
 
 def _lay_out_help(kind: type[Any]) -> str:

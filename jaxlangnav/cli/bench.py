@@ -33,7 +33,13 @@ class Bench:
 
     def run(self, output: Output) -> Document:
         """Run the benchmarks."""
-        speed = _benchmarks()
+        if not (FOLDER / "numpy_twin.py").is_file():
+            raise UsageError(
+                f"bench measures from a checkout, but {FOLDER} is not there: "
+                "clone the repository and install it with pip install --editable"
+            )
+        sys.path.insert(0, str(FOLDER))
+        speed: Any = importlib.import_module("bench")
         keep_compiled_programs()
         bench = speed.set_up(is_quick=self.quick)
         with progress_bar("stages", len(speed.stages(bench))) as advance:
@@ -45,14 +51,3 @@ class Bench:
             document = speed.run_bench(bench, on_progress=tell)
         output.say(speed.render(document))
         return document
-
-
-def _benchmarks() -> Any:
-    """Import ``benchmarks/bench.py``."""
-    if not (FOLDER / "numpy_twin.py").is_file():
-        raise UsageError(
-            f"bench measures from a checkout, but {FOLDER} is not there: "
-            "clone the repository and install it with pip install --editable"
-        )
-    sys.path.insert(0, str(FOLDER))
-    return importlib.import_module("bench")

@@ -18,17 +18,7 @@ from jaxlangnav.world.scenario import empty_scenario
 
 
 def load_models(path: Path | None) -> GroundingModel:
-    """Load trained models.
-
-    Args:
-        path: weights written by ``jaxlangnav train``; the shipped ones where None.
-
-    Returns:
-        Both models.
-
-    Raises:
-        ValueError: no such file, or one that holds no weights.
-    """
+    """Load models that ``jaxlangnav train`` wrote, or the shipped ones; refuses other files."""
     return load_shipped() if path is None else load(path)
 
 
@@ -41,14 +31,9 @@ def rehearse(
 ) -> None:
     """Load or compile the decision cycle in a thread, while other things are done.
 
-    A step of an episode in an empty world asks for it: shapes are the same in every world with as
-    many slots. Where no programs are kept nothing is done, as two threads would compile the same.
-
-    Args:
-        instructions: leaves [1, …].
-        num_slots: O, object slots of the world.
-        params: the navigator's numbers.
-        config: sizes and policy.
+    A step of an episode in an empty world asks for it: shapes are the same for every sentence,
+    leaves [1, …], in every world with as many slots. Where no programs are kept nothing is done, as
+    two threads would compile the same.
     """
     if kept_in() is None:
         return

@@ -21,15 +21,7 @@ class UsageError(ValueError):
 
 
 def one_line(error: BaseException) -> str:
-    """Say an error in one line.
-
-    Args:
-        error: any exception.
-
-    Returns:
-        Its message with line breaks folded, printable, cut in its middle where it is very long;
-        its type's name where it says nothing.
-    """
+    """Say an error in one printable line, cut in its middle; its type's name if it says nothing."""
     message = " ".join(str(error).split()) or type(error).__name__
     if isinstance(error, OSError) and error.strerror:
         where = f"{cut(str(error.filename), _LONGEST // 2)}: " if error.filename is not None else ""
@@ -46,12 +38,6 @@ def is_refusal(error: BaseException) -> bool:
 
     The package refuses bad input by raising a ``ValueError`` itself; one that comes out of the
     depth of a library is a fault. Files that cannot be read or written are the person's matter.
-
-    Args:
-        error: caught at the top.
-
-    Returns:
-        Whether it is to be said as bad input.
     """
     if isinstance(error, OSError):
         return True
@@ -64,14 +50,10 @@ def is_refusal(error: BaseException) -> bool:
 
 
 def platform_fault(failure: Exception) -> str | None:
-    """Find out whether JAX was told to compute on what is not here; asked after a failure.
+    """Find out after a failure whether JAX was told to compute on what is not here; else None.
 
-    Args:
-        failure: what went wrong. Of several platforms one may be here and another not: JAX then
-            fails the first time and goes on with what it has found when asked again.
-
-    Returns:
-        One line, or None where JAX has not been used or has found its devices.
+    Of several platforms one may be here and another not: JAX then fails the first time and goes on
+    with what it has found when asked again.
     """
     jax, named = sys.modules.get("jax"), os.environ.get(_PLATFORMS)
     if jax is None or not named:
@@ -89,15 +71,7 @@ def platform_fault(failure: Exception) -> str | None:
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """Suggest the nearest known name.
-
-    Args:
-        name: what was typed.
-        known: what would have been understood.
-
-    Returns:
-        '; did you mean "follow"?', or the empty string where nothing is near.
-    """
+    """Suggest the nearest known name, '; did you mean "follow"?'; nothing where none is near."""
     lower = {one.lower(): one for one in known}
     near = difflib.get_close_matches(name.lower(), lower, n=1, cutoff=0.6)
     return f'; did you mean "{lower[near[0]]}"?' if near else ""

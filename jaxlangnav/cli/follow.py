@@ -2,7 +2,6 @@
 
 import dataclasses
 import itertools
-from collections.abc import Iterable
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import tyro
@@ -26,13 +25,11 @@ from jaxlangnav.cli.settings import SettingPath, apply, read_settings
 
 if TYPE_CHECKING:
     from jaxlangnav.cli.speech import Speech
-    from jaxlangnav.episode import EpisodeResult
     from jaxlangnav.grounding import Grounder
     from jaxlangnav.grounding.instruction import Understanding
     from jaxlangnav.language.phrase import Parse
-    from jaxlangnav.recording import Frame, Recording, StaticScene
+    from jaxlangnav.recording import Recording
     from jaxlangnav.task.opening import Prepared
-    from jaxlangnav.task.talk import Earshot
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -155,13 +152,8 @@ class Follow:
         """What may be said under way."""
         from jaxlangnav.cli.speech import Speech
 
-        return Speech.of(
-            self.hear,
-            ask=self.ask,
-            talk=self.talk,
-            person=self.person,
-            max_steps=self.max_steps,
-        )
+        options: dict[str, Any] = {"ask": self.ask, "talk": self.talk, "person": self.person}
+        return Speech.of(self.hear, **options, max_steps=self.max_steps)
 
     def _check_settings(self, values: "dict[SettingPath, Any]") -> None:
         """Refuse numbers and sizes that do not go together, or that no memory holds."""
@@ -198,12 +190,7 @@ class Follow:
 
     def _open(self, understood: "Understanding", output: Output) -> "Prepared":
         """Open a world in which the sentence can be followed."""
-        from jaxlangnav.task.opening import (
-            absent_types,
-            count_types,
-            nothing_there,
-            open_task,
-        )
+        from jaxlangnav.task.opening import absent_types, count_types, nothing_there, open_task
 
         prepared = open_task(self.world, understood, sensing_range=self.range, seed=self.seed)
         scenario, names = prepared.task.scenario, understood.type_names
@@ -234,7 +221,10 @@ class Follow:
     ) -> "Recording":
         """Run the episode and tell it, as it happens or afterwards."""
         from jaxlangnav import recorder
-        from jaxlangnav.task.follow import alone
+        from jaxlangnav.recording import stack_frames
+        from jaxlangnav.task.follow import alone, judged
+        from jaxlangnav.task.talk import with_talk
+        from jaxlangnav.viz.narrative import closing, narrate, opening, tell_on
 
         instructions, task = alone(understood), prepared.task
         named = {"text": self.text, "type_names": understood.type_names}
@@ -243,27 +233,10 @@ class Follow:
         speech = self._speech
         ear = None if speech.is_silent else speech.ear(grounder, understood, scene, output)
         steps = recorder.play(task, instructions, max_steps=self.max_steps, ear=ear, **sizes)
-        with waiting(
-            "compiling the robot's mind; what is compiled is kept for the next run", output
-        ):
+        note = "compiling the robot's mind; what is compiled is kept for the next run"
+        with waiting(note, output):
             first = next(steps)
-        return self._told(scene, itertools.chain([first], steps), ear, prepared, output)
-
-    def _told(
-        self,
-        scene: "StaticScene",
-        steps: "Iterable[tuple[Frame, EpisodeResult]]",
-        ear: "Earshot | None",
-        prepared: "Prepared",
-        output: Output,
-    ) -> "Recording":
-        """Run the rest of an episode, judge it and tell it."""
-        from jaxlangnav.recording import stack_frames
-        from jaxlangnav.task.follow import judged
-        from jaxlangnav.task.talk import with_talk
-        from jaxlangnav.viz.narrative import closing, narrate, opening, tell_on
-
-        said = [] if ear is None else ear.said
+        steps, said = itertools.chain([first], steps), [] if ear is None else ear.said
         if self.live:
             from rich.console import Console
 

@@ -9,7 +9,7 @@ from jaxlangnav.cli.checks import File, Folder, WorldName, check_extra, check_fo
 from jaxlangnav.cli.output import Document, Output
 from jaxlangnav.cli.parse import is_template, parse_text
 from jaxlangnav.cli.runtime import keep_compiled_programs
-from jaxlangnav.experiments.table import Table
+from jaxlangnav.experiments.table import Table, TableColumns
 
 if TYPE_CHECKING:
     from jaxlangnav.grounding.instruction import Understanding
@@ -54,6 +54,8 @@ class Ground:
         is_own = self.world is not None and not is_template(self.world)
         parsed = None if is_own else parse_text(self.text, output)
         keep_compiled_programs()
+        from rich.text import Text
+
         from jaxlangnav.cli.engine import load_models
         from jaxlangnav.grounding.asked import list_commands
         from jaxlangnav.grounding.instruction import understand_parse
@@ -76,16 +78,24 @@ class Ground:
         grounded = {} if self.world is None else self._ground_in(self.world, understood)
         document |= grounded
         document["commands"] = list_commands(understood.instruction, understood.type_names)
-        _show_annotations(document["annotations"], output)
-        _show_commands(document["commands"], output)
+        said, asked = document["annotations"], document["commands"]
+        title = "Annotations: what it says of the world"
+        output.say(Table.of(said, _ANNOTATIONS, title=title).text())
+        if asked:
+            numbered = [one | {"number": number} for number, one in enumerate(asked, 1)]
+            output.say(Table.of(numbered, _COMMANDS, title="Commands: what it asks for").text())
         if grounded:
             if document["behaviors"]:
-                _show_behaviors(document["behaviors"], document["world"], output)
+                title = f"Behaviors in world {document['world']}"
+                output.say(Table.of(document["behaviors"], _BEHAVIORS, title=title).text())
             else:
                 output.note(f"note: {document['unjudged']} in world {document['world']}")
             num_objects = len(document["objects"])
         document["graph"] = understood.graph(num_objects)
-        _show_graph(document["graph"], output)
+        for kind, size in document["graph"].items():
+            objects = f", {size['objects']} objects" if "objects" in size else ""
+            told = "{phrases} phrases, {factors} factors, {variables} variables".format_map(size)
+            output.say(Text(f"{kind} graph: {told}{objects}", style="dim"))
         if self.out is not None:
             from jaxlangnav.viz.html import write_graph
 
@@ -110,66 +120,33 @@ class Ground:
         }
 
 
-def _show_annotations(annotations: list[dict[str, Any]], output: Output) -> None:
-    """Show what the sentence says of the world."""
-    rows = []
-    for said in annotations:
-        relation = said["relation"] or "-"
-        extreme = {"near": "nearest", "far": "farthest"}.get(relation, f"most {relation}")
-        rows.append(
-            [
-                said["figure"] or "(the robot itself)",
-                extreme if said["superlative"] else relation,
-                said["landmark"] or "-",
-                f"{said['probability']:.3f}",
-            ]
-        )
-    title = "Annotations: what it says of the world"
-    headings = ["Figure", "Relation", "Landmark", "Probability"]
-    output.say(Table(headings=headings, rows=rows, title=title).text())
+def _relation(said: dict[str, Any]) -> str:
+    """Name a relation, or its superlative."""
+    relation = said["relation"] or "-"
+    extreme = {"near": "nearest", "far": "farthest"}.get(relation, f"most {relation}")
+    return extreme if said["superlative"] else relation
 
 
-def _show_commands(commands: list[dict[str, Any]], output: Output) -> None:
-    """Show what is asked for, were the world as the sentence says."""
-    rows = []
-    for number, one in enumerate(commands, 1):
-        goal = one["goal"]
-        rows.append(
-            [
-                str(number),
-                one["action"],
-                one["mode"],
-                f"{goal['region']} the {goal['object']}" if goal else "another one than before",
-                ", ".join(f"the {kept['object']}" for kept in one["avoid"]) or "-",
-                f"{one['probability']:.3f}",
-            ]
-        )
-    headings = ["Command", "Action", "Mode", "Goal", "Keep away from", "Probability"]
-    if rows:
-        title = "Commands: what it asks for"
-        output.say(Table(headings=headings, rows=rows, title=title).text())
-
-
-def _show_behaviors(behaviors: list[dict[str, Any]], world: str, output: Output) -> None:
-    """Show what is to be done in a world."""
-    rows = []
-    for one in behaviors:
-        goal = one["goal"]
-        x, y = goal["position"]
-        where = f"{goal['region']} the {goal['object']} ({x:.1f}, {y:.1f})"
-        rows.append([one["action"], one["mode"], where, f"{one['probability']:.3f}"])
-    headings, title = ["Action", "Mode", "Goal", "Probability"], f"Behaviors in world {world}"
-    output.say(Table(headings=headings, rows=rows, title=title).text())
-
-
-def _show_graph(graph: dict[str, dict[str, int]], output: Output) -> None:
-    """Show the sizes of the constructed graphs."""
-    from rich.text import Text
-
-    for model, size in graph.items():
-        objects = f", {size['objects']} objects" if "objects" in size else ""
-        told = (
-            f"{model} graph: {size['phrases']} phrases, {size['factors']} factors, "
-            f"{size['variables']} variables{objects}"
-        )
-        output.say(Text(told, style="dim"))
+_ANNOTATIONS: TableColumns = (
+    ("Figure", lambda said: said["figure"] or "(the robot itself)"),
+    ("Relation", _relation),
+    ("Landmark", lambda said: said["landmark"] or "-"),
+    ("Probability", "{probability:.3f}"),
+)
+_COMMANDS: TableColumns = (
+    ("Command", "{number}"),
+    ("Action", "{action}"),
+    ("Mode", "{mode}"),
+    ("Goal", lambda one: "{region} the {object}".format_map(one["goal"])
+     if one["goal"] else "another one than before"),
+    ("Keep away from",
+     lambda one: ", ".join(f"the {kept['object']}" for kept in one["avoid"]) or "-"),
+    ("Probability", "{probability:.3f}"),
+)  # fmt: skip
+_BEHAVIORS: TableColumns = (
+    ("Action", "{action}"),
+    ("Mode", "{mode}"),
+    ("Goal", "{goal[region]} the {goal[object]} ({goal[position][0]:.1f}, "
+     "{goal[position][1]:.1f})"),
+    ("Probability", "{probability:.3f}"),
+)  # fmt: skip

@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 import time
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 from jaxlangnav.cli.engine import load_models
@@ -33,7 +33,7 @@ TEXT = SENTENCES["behind"]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Episode:
+class _Figure:
     """A figure of one episode."""
 
     title: str
@@ -44,46 +44,15 @@ class Episode:
     """What the printed figure shows, by its caption."""
     ours: str
     """What to see in ours."""
+    draw: Callable[..., Any]
 
 
-EPISODES = {
-    "fig1": Episode(
-        title="Figure 1: the belief over time",
-        name="figure1",
-        num_panels=6,
-        paper="In the paper the robot begins with the cone in its field of view and does not know "
-        "the hydrant's location; its belief gathers behind the cone and follows what it sees.",
-        ours="The same scene: hypotheses of the hydrant gather behind the cone; those that come "
-        "into view and are not there are refuted; then the hydrant is seen.",
-    ),
-    "fig4": Episode(
-        title="Figure 4: the value function over time",
-        name="figure4",
-        num_panels=4,
-        paper="In the paper the robot has observed two cones and hypothesises hydrants behind both "
-        "(a); it moves towards the left cluster first, does not find the hydrant there, and the "
-        "map's distribution peaks at the right cluster (b); it moves right and observes the "
-        "hydrant (c).",
-        ours="The same scene: values γ^d of every waypoint over the distribution of the goal "
-        "(equations 11 and 12); the table says where the unseen goal is believed to be.",
-    ),
-}
-
-
-def episode(name: str) -> Study:
-    """Build the study of a figure of one episode, "fig1" or "fig4".
-
-    Args:
-        name: a key of ``EPISODES``.
-
-    Returns:
-        The study; its document has ``moments``, a line for each panel.
-    """
-    figure = EPISODES[name]
+def _study(figure: _Figure) -> Study:
+    """Build the study of a figure of one episode."""
     return Study(
         title=figure.title,
         lead=f"{figure.paper} {figure.ours}",
-        run=functools.partial(_illustrate, name),
+        run=functools.partial(_illustrate, figure),
         tables=lambda document: [moments_table(document["moments"])],
         notes=lambda _: [
             "Probabilities that the goal is an object seen, or unseen left or right of where "
@@ -97,11 +66,10 @@ def episode(name: str) -> Study:
     )
 
 
-def _illustrate(name: str, settings: Settings, output: Output) -> dict[str, Any]:
+def _illustrate(figure: _Figure, settings: Settings, output: Output) -> dict[str, Any]:
     """Run the episode of a figure, tell it and draw it."""
-    figure = EPISODES[name]
     # All policies by default: then the paper's, whose figure it is.
-    named = [one for one in settings.policies if one in POLICIES]
+    named = [one for one in settings.options.policies if one in POLICIES]
     policy = named[0] if len(named) == 1 else "faithful"
     begin = time.perf_counter()
     with CompileClock() as clock, waiting(f"an episode in {figure.name}", output):
@@ -113,7 +81,7 @@ def _illustrate(name: str, settings: Settings, output: Output) -> dict[str, Any]
         "instruction": TEXT,
         "world": figure.name,
         "policy": policy,
-        "seed": settings.seed,
+        "seed": settings.options.seed,
         "num_particles": settings.particles_drawn,
         "range": float(recording.scene.sensor.range_max),
         "success": bool(recording.result.is_success),
@@ -127,8 +95,46 @@ def _illustrate(name: str, settings: Settings, output: Output) -> dict[str, Any]
         "files": [],
     }
     if settings.out is not None:
-        document["files"] = _write(name, recording, steps, document, settings.out)
+        table = moments_table(document["moments"]).markdown()
+        text = f"# {figure.title}\n\n{figure.paper}\n\n{figure.ours}\n\n{table}"
+        told = {key: value for key, value in document.items() if key != "moments"}
+        made, stem = manifest(told, models=load_models(None)), settings.out / figure.name
+        paths = [
+            *save(figure.draw(recording, steps=steps), stem),
+            write_html(recording, stem.with_suffix(".html")),
+            write_text(text, stem.with_suffix(".md")),
+            write_manifest(made, settings.out / f"{figure.name}_manifest.json"),
+        ]
+        document["files"] = [str(path) for path in paths]
     return document
+
+
+FIGURE_1 = _study(
+    _Figure(
+        title="Figure 1: the belief over time",
+        name="figure1",
+        num_panels=6,
+        paper="In the paper the robot begins with the cone in its field of view and does not know "
+        "the hydrant's location; its belief gathers behind the cone and follows what it sees.",
+        ours="The same scene: hypotheses of the hydrant gather behind the cone; those that come "
+        "into view and are not there are refuted; then the hydrant is seen.",
+        draw=belief_figure,
+    )
+)
+FIGURE_4 = _study(
+    _Figure(
+        title="Figure 4: the value function over time",
+        name="figure4",
+        num_panels=4,
+        paper="In the paper the robot has observed two cones and hypothesises hydrants behind both "
+        "(a); it moves towards the left cluster first, does not find the hydrant there, and the "
+        "map's distribution peaks at the right cluster (b); it moves right and observes the "
+        "hydrant (c).",
+        ours="The same scene: values γ^d of every waypoint over the distribution of the goal "
+        "(equations 11 and 12); the table says where the unseen goal is believed to be.",
+        draw=values_figure,
+    )
+)
 
 
 def _count_factors(settings: Settings, output: Output) -> dict[str, Any]:
@@ -172,10 +178,11 @@ FACTOR_GRAPH = Study(
 """Figure 3."""
 
 
-def _record(figure: Episode, policy: str, settings: Settings) -> Recording:
+def _record(figure: _Figure, policy: str, settings: Settings) -> Recording:
     """Run the episode of a figure."""
     understood = understand_parse(parse(TEXT), load_models(None))
-    prepared = open_task(figure.name, understood, sensing_range=None, seed=settings.seed)
+    seed = settings.options.seed
+    prepared = open_task(figure.name, understood, sensing_range=None, seed=seed)
     task = prepared.task
     sensor = apply(task.sensor, settings.values, "sensor")
     motion = apply(task.motion, settings.values, "motion")
@@ -187,22 +194,3 @@ def _record(figure: Episode, policy: str, settings: Settings) -> Recording:
         params=replace(settings.params, map=replace(settings.params.map, motion=motion)),
         config=navigator_config(policy, settings.particles_drawn),
     )
-
-
-def _write(
-    name: str, recording: Recording, steps: list[int], document: dict[str, Any], out: Path
-) -> list[str]:
-    """Write figure, page, table and manifest of an episode; return their paths."""
-    figure = EPISODES[name]
-    draw = belief_figure if name == "fig1" else values_figure
-    table = moments_table(document["moments"]).markdown()
-    text = f"# {figure.title}\n\n{figure.paper}\n\n{figure.ours}\n\n{table}"
-    settings = {key: value for key, value in document.items() if key != "moments"}
-    made = manifest(settings, models=load_models(None))
-    paths = [
-        *save(draw(recording, steps=steps), out / figure.name),
-        write_html(recording, out / f"{figure.name}.html"),
-        write_text(text, out / f"{figure.name}.md"),
-        write_manifest(made, out / f"{figure.name}_manifest.json"),
-    ]
-    return [str(path) for path in paths]

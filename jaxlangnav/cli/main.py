@@ -40,14 +40,7 @@ Each command explains itself: {program} follow --help
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command.
-
-    Args:
-        arguments: the words after the program's name; those of the process by default.
-
-    Returns:
-        The exit code.
-    """
+    """Run a command, that of the process by default; return the exit code."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     if not os.environ.get(DEBUG):
         # That a compilation is slow is said in our words; what fails in it is raised all the same.

@@ -24,20 +24,14 @@ class Output:
     """Tells people what happens; keeps silent on standard output where a script listens."""
 
     def __init__(self, *, is_json: bool) -> None:
-        """Bind to standard output, or to standard error where a script listens.
-
-        Args:
-            is_json: whether standard output is kept for the JSON document.
-        """
+        """Bind to standard output, or to standard error where a script listens."""
         self.is_json = is_json
 
     def say(self, *parts: Any) -> None:
         """Print a line of the narrative; nothing under ``--json``.
 
-        Text may come from others: no markup is read in it, and nothing of it moves the terminal.
-
-        Args:
-            *parts: texts, each within one line, and what rich draws: tables, trees, styled text.
+        The parts are texts, each within one line, and what rich draws: tables, trees, styled text.
+        They may come from others: no markup is read in them, and nothing moves the terminal.
         """
         if not self.is_json:
             from rich.console import Console
@@ -56,11 +50,7 @@ class Output:
             )
 
     def tell(self, lines: Sequence[str]) -> None:
-        """Print a story in plain text; on a terminal long lines hang under their heads.
-
-        Args:
-            lines: each to begin a line of its own; those of steps begin with "[ 3 · 2.0 m]".
-        """
+        """Print a story in plain text; on a terminal long lines hang under their "[ 3 · 2.0 m]"."""
         if self.is_json:
             return
         is_watched = sys.stdout.isatty()
@@ -79,11 +69,7 @@ class Output:
 
 
 def write_document(document: Document) -> None:
-    """Print a document as JSON on standard output.
-
-    Args:
-        document: what a command returned; numbers that JSON lacks (NaN, infinities) become null.
-    """
+    """Print a document as JSON on standard output; what JSON lacks (NaN, infinity) becomes null."""
     is_unicode = (sys.stdout.encoding or "").lower().startswith("utf")
     text = json.dumps(to_json(document), ensure_ascii=not is_unicode, indent=2)
     # JSON lets a text hold what would steer a terminal; written as an escape it is the same text.
@@ -94,14 +80,7 @@ def write_document(document: Document) -> None:
 
 
 def to_json(value: Any) -> Any:
-    """Turn NumPy and JAX values into JSON's own types.
-
-    Args:
-        value: nested mappings, sequences, paths, scalars and arrays.
-
-    Returns:
-        The same, of dict, list, str, int, float, bool and None only.
-    """
+    """Turn nested mappings, sequences, paths, scalars and arrays into JSON's own types."""
     if isinstance(value, Mapping):
         return {str(key): to_json(one) for key, one in value.items()}
     if isinstance(value, list | tuple | set | frozenset):
@@ -117,11 +96,7 @@ def to_json(value: Any) -> Any:
 
 @contextlib.contextmanager
 def standard_output_kept(*, for_json: bool) -> Iterator[None]:
-    """Send stray prints to standard error, so that a script reads one document and nothing else.
-
-    Args:
-        for_json: whether a script listens; otherwise nothing changes.
-    """
+    """Send stray prints to standard error where a script reads one document and nothing else."""
     if not for_json:
         yield
         return

@@ -10,25 +10,15 @@ from jaxlangnav.cli.errors import UsageError
 from jaxlangnav.cli.output import Document, Output
 
 if TYPE_CHECKING:
-    from rich.text import Text
+    from rich.tree import Tree
 
     from jaxlangnav.language.phrase import Parse as ParsedSentence
 
 
 def parse_text(text: str, output: Output, labels: Collection[str] = ()) -> "ParsedSentence":
-    """Parse a sentence and tell the person what was mended or not known.
+    """Parse a sentence and note what was mended or is not known; refuses one not understood.
 
-    Args:
-        text: what was typed.
-        output: where repairs and unknown words are noted.
-        labels: what the detector tells apart.
-
-    Returns:
-        The parse.
-
-    Raises:
-        UsageError: there is no text.
-        LanguageError: the text is not understood; one line that names the word.
+    ``labels`` are what the detector tells apart.
     """
     if not text.strip():
         raise UsageError('the sentence is empty; say for example "go to the hydrant"')
@@ -52,28 +42,18 @@ def is_template(world: str) -> bool:
     return world.strip()[:1].isdigit() and "/" not in world and "." not in world
 
 
-def _draw_tree(phrase: Mapping[str, Any]) -> Any:
-    """Draw a phrase and all below it."""
-    from rich.tree import Tree
-
-    root = Tree(_phrase_line(phrase))
-    _grow(root, phrase)
-    return root
-
-
-def _grow(branch: Any, phrase: Mapping[str, Any]) -> None:
-    """Add a phrase's children to its branch."""
-    for child in phrase["children"]:
-        _grow(branch.add(_phrase_line(child)), child)
-
-
-def _phrase_line(phrase: Mapping[str, Any]) -> "Text":
-    """Write a phrase's label and words."""
+def _draw_tree(phrase: Mapping[str, Any], branch: "Tree | None" = None) -> "Tree":
+    """Draw a phrase, its label and words, and all below it."""
     from rich.text import Text
+    from rich.tree import Tree
 
     words = [(word["text"], (f"/{word['tag']}", "dim")) for word in phrase["words"]]
     parts = [part for text, tag in words for part in (" ", text, tag)]
-    return Text.assemble((phrase["label"], "bold cyan"), *parts)
+    line = Text.assemble((phrase["label"], "bold cyan"), *parts)
+    root = Tree(line) if branch is None else branch.add(line)
+    for child in phrase["children"]:
+        _draw_tree(child, root)
+    return root
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

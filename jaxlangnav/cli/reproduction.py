@@ -3,7 +3,9 @@
 ``STUDIES`` is their registry: one record each, by name, from the settings of the command line.
 """
 
+import dataclasses
 import functools
+import importlib.util
 import json
 import time
 from collections.abc import Callable, Sequence
@@ -14,7 +16,7 @@ from jaxlangnav.cli import illustrations
 from jaxlangnav.cli.output import Document, Output, to_json
 from jaxlangnav.cli.runtime import progress_bar, waiting
 from jaxlangnav.cli.settings import apply
-from jaxlangnav.cli.study import Settings, Study, draw_figures
+from jaxlangnav.cli.study import Settings, Study
 from jaxlangnav.episode import MAX_STEPS
 from jaxlangnav.experiments import conversation as spoken, paper, robustness, unknowns
 from jaxlangnav.experiments.archive import manifest, write_manifest
@@ -26,7 +28,6 @@ from jaxlangnav.experiments.table1 import evaluate, table_1
 from jaxlangnav.experiments.timing import cycle_parts
 from jaxlangnav.files.whole import write_text
 from jaxlangnav.grounding.weights import load_shipped
-from jaxlangnav.messages import default_motion, default_sensor
 
 _SPLITS = 8
 """Random splits of Table 1, as in the paper; ``jaxlangnav evaluate`` takes any number."""
@@ -51,7 +52,7 @@ def _table1(settings: Settings, output: Output) -> dict[str, Any]:
     """Run the paper's protocol for understanding; of the settings the seed is read."""
     begin = time.perf_counter()
     with progress_bar("splits", _SPLITS) as advance:
-        document = evaluate(splits=_SPLITS, seed=settings.seed, on_progress=advance)
+        document = evaluate(splits=_SPLITS, seed=settings.options.seed, on_progress=advance)
     laid = table_1(document)
     output.say(laid.text())
     document |= {"wall_s": time.perf_counter() - begin, "files": []}
@@ -90,19 +91,13 @@ def _episodes(name: str, settings: Settings) -> Study:
 
 
 def _options_of(name: str, settings: Settings) -> Options:
-    """Say what an experiment of episodes runs; the sensing range is a matter of each row."""
-    is_robust = name == "robustness"
-    return Options(
-        episodes=settings.episodes,
-        policies=settings.policies,
-        seed=settings.seed_unknowns if name == "unknowns" else settings.seed,
-        num_particles=settings.particles,
-        params=apply(robustness.numbers(), settings.values, "params")
-        if is_robust
-        else settings.params,
-        sensor=apply(default_sensor(), settings.values, "sensor"),
-        motion=apply(default_motion(), settings.values, "motion"),
-    )
+    """Say what an experiment of episodes runs."""
+    changed: dict[str, Any] = {}
+    if name == "unknowns":
+        changed["seed"] = settings.seed_unknowns
+    if name == "robustness":
+        changed["params"] = apply(robustness.numbers(), settings.values, "params")
+    return dataclasses.replace(settings.options, **changed)
 
 
 def _timing(settings: Settings, output: Output) -> dict[str, Any]:
@@ -117,22 +112,14 @@ def _timing(settings: Settings, output: Output) -> dict[str, Any]:
     return document
 
 
-def _on_machine(document: Document) -> list[str]:
-    """Say on what the time was measured."""
-    machine = document["machine"]
-    return [
-        f"{machine['device']}, {machine['threads']} threads, load {machine['load']} at the "
-        f"start; JAX {machine['jax']}; policy {machine['policy']}. CPU time of all threads."
-    ]
-
-
 def _conversation(settings: Settings, output: Output) -> dict[str, Any]:
     """Run episodes in which a simulated person speaks; ``informed`` alone is told of it."""
-    with progress_bar("episodes", settings.episodes * len(spoken.ROWS)) as advance:
+    given = settings.options
+    with progress_bar("episodes", given.episodes * len(spoken.ROWS)) as advance:
         document = spoken.run_rows(
-            episodes=settings.episodes,
-            seed=settings.seed,
-            particles=settings.particles,
+            episodes=given.episodes,
+            seed=given.seed,
+            particles=given.num_particles,
             params=settings.params,
             out=settings.out,
             on_progress=advance,
@@ -167,21 +154,16 @@ def _figures(name: str, document: Document) -> dict[str, Callable[[], Any]]:
 
 
 def reliability_panels(document: Document) -> dict[str, dict[str, Any]]:
-    """Gather the reliability curves of a table's rows.
+    """Gather the reliability curves of Table 2's rows: by policy and command, over all worlds.
 
-    Args:
-        document: of ``paper.table_2``.
-
-    Returns:
-        For each policy that has a belief, the curve of each command over all worlds. Several
-        hydrants and no relation stand apart: there no belief can know which is meant.
+    Several hydrants and no relation stand apart: there no belief can know which is meant.
     """
     from jaxlangnav.experiments.judging import curve, pooled
 
     parts: dict[str, dict[str, list[Any]]] = {}
     for row in document["rows"]:
         found = row.get("reliability")
-        if found is not None and sum(found["planner"]["events"]) > 0:
+        if found is not None and any(found["planner"]["events"]):
             is_open = row["relation"] is None and not row["world"].startswith("1H")
             name = _AMBIGUOUS if is_open else _CURVES[row["relation"] or "null"]
             parts.setdefault(row["policy"], {}).setdefault(name, []).append(found["planner"])
@@ -191,52 +173,45 @@ def reliability_panels(document: Document) -> dict[str, dict[str, Any]]:
     }
 
 
-def _built(study: Study) -> Callable[[Settings], Study]:
-    """Give a study that is the same under all settings."""
-    return lambda _: study
-
-
-STUDIES: dict[str, Callable[[Settings], Study]] = {
-    "table1": _built(
-        Study(
-            title="Table 1: how often sentences are understood",
-            lead="Whole sentences whose annotation or behavior is exactly right among those held "
-            "out, mean and 95 % interval over random splits of 67 to 33 percent (section 4.1).",
-            run=_table1,
-            tables=lambda document: [table_1(document)],
-            notes=lambda _: [
-                "The corpora differ: the paper's 39 instructions were never published, ours ship "
-                "in the package. The commands of Table 2 are in neither.",
-            ],
-            made=lambda document: {"seed": str(document["seed"])},
-        )
+STUDIES: dict[str, Study | Callable[[Settings], Study]] = {
+    "table1": Study(
+        title="Table 1: how often sentences are understood",
+        lead="Whole sentences whose annotation or behavior is exactly right among those held "
+        "out, mean and 95 % interval over random splits of 67 to 33 percent (section 4.1).",
+        run=_table1,
+        tables=lambda document: [table_1(document)],
+        notes=lambda _: [
+            "The corpora differ: the paper's 39 instructions were never published, ours ship "
+            "in the package. The commands of Table 2 are in neither.",
+        ],
+        made=lambda document: {"seed": str(document["seed"])},
     ),
-    "fig1": _built(illustrations.episode("fig1")),
-    "fig3": _built(illustrations.FACTOR_GRAPH),
-    "fig4": _built(illustrations.episode("fig4")),
+    "fig1": illustrations.FIGURE_1,
+    "fig3": illustrations.FACTOR_GRAPH,
+    "fig4": illustrations.FIGURE_4,
     **{name: functools.partial(_episodes, name) for name in ("table2", "fig5", "unknowns")},
-    "time": _built(
-        Study(
-            title="Where the time goes",
-            lead="The parts of one decision cycle of one episode, each compiled alone and timed on "
-            "the same beliefs in a batch; planner, motion and what else there are is left over.",
-            run=_timing,
-            notes=_on_machine,
-            figures=functools.partial(_figures, "time"),
-        )
+    "time": Study(
+        title="Where the time goes",
+        lead="The parts of one decision cycle of one episode, each compiled alone and timed on "
+        "the same beliefs in a batch; planner, motion and what else there are is left over.",
+        run=_timing,
+        notes=lambda document: [
+            "{device}, {threads} threads, load {load} at the start; JAX {jax}; policy {policy}. "
+            "CPU time of all threads.".format_map(document["machine"])
+        ],
+        figures=functools.partial(_figures, "time"),
     ),
-    "conversation": _built(
-        Study(
-            title=spoken.HEADING,
-            lead="A simulated person who knows the goal corrects, answers and states.",
-            run=_conversation,
-            tables=lambda document: [spoken.dialogue_table(document)],
-            notes=lambda _: [spoken.NOTE],
-        )
+    "conversation": Study(
+        title=spoken.HEADING,
+        lead="A simulated person who knows the goal corrects, answers and states.",
+        run=_conversation,
+        tables=lambda document: [spoken.dialogue_table(document)],
+        notes=lambda _: [spoken.NOTE],
     ),
     "robustness": functools.partial(_episodes, "robustness"),
 }
-"""Every experiment by its name on the command line, in the order of the report."""
+"""Every experiment by its name on the command line, in the order of the report; those made of
+episodes are built from the settings."""
 
 
 def reported() -> list[str]:
@@ -245,15 +220,7 @@ def reported() -> list[str]:
 
 
 def check_sizes(names: Sequence[str], settings: Settings) -> None:
-    """Refuse, before the first of some experiments is run, what one of them could not do.
-
-    Args:
-        names: of the experiments.
-        settings: what is run.
-
-    Raises:
-        ValueError: more than memory holds; says the size, the limit and what would fit.
-    """
+    """Refuse, before the first of some experiments is run, what memory cannot hold."""
     for name in names:
         if name in GRIDS:
             GRIDS[name](settings).check(_options_of(name, settings))
@@ -262,40 +229,29 @@ def check_sizes(names: Sequence[str], settings: Settings) -> None:
 
 
 def run_one(name: str, settings: Settings, output: Output) -> tuple[dict[str, Any], Section]:
-    """Run one experiment, print what it found, write its files and draw its figures.
-
-    Args:
-        name: a key of ``STUDIES``.
-        settings: what is run, and where it is written.
-        output: where people read.
+    """Run one of ``STUDIES``, print what it found, write its files and draw its figures.
 
     Returns:
         The document and its part of the report.
-
-    Raises:
-        ValueError: an option is outside its limits.
     """
-    study = STUDIES[name](settings)
-    document = study.run(settings, output)
-    document["files"] += draw_figures(settings.out, output, study.figures(document))
+    study = STUDIES[name]
+    study = study if isinstance(study, Study) else study(settings)
+    document, out = study.run(settings, output), settings.out
+    if out is not None and (figures := study.figures(document)):
+        if importlib.util.find_spec("matplotlib") is None:
+            output.note('note: no figure without matplotlib: pip install "jaxlangnav[viz]"')
+        else:
+            from jaxlangnav.viz.style import save
+
+            drawn = [path for file, draw in figures.items() for path in save(draw(), out / file)]
+            document["files"] += map(str, drawn)
     for path in document["files"]:
         output.say(f"Wrote {path}")
     return document, study.section(name, document, settings)
 
 
 def run_all(settings: Settings, output: Output) -> Document:
-    """Run all experiments, and write one page about them where a folder is given.
-
-    Args:
-        settings: what is run, and where it is written.
-        output: where people read.
-
-    Returns:
-        Documents by name, and ``report``, the path of the page; None where nothing is written.
-
-    Raises:
-        ValueError: an option is outside its limits.
-    """
+    """Run all experiments, and write one page about them, ``report``, where a folder is given."""
     begin = time.perf_counter()
     found: dict[str, tuple[dict[str, Any], Section]] = {}
     for place, name in enumerate(reported(), start=1):
@@ -322,8 +278,9 @@ def _made_by(settings: Settings, seconds: float) -> dict[str, str]:
         "command": settings.command("all"),
         "versions": f"jaxlangnav {__version__}, Python {made['python']}, {libraries}",
         "models": f"as shipped, SHA-256 {made['models_sha256']}",
-        "seed": f"{settings.seed}; {settings.seed_unknowns} in the study of the paper's unknowns",
-        "episodes": f"{settings.episodes} a row and policy",
+        "seed": f"{settings.options.seed}; {settings.seed_unknowns} in the study of the paper's "
+        "unknowns",
+        "episodes": f"{settings.options.episodes} a row and policy",
         "changed numbers": ", ".join(
             f"{'.'.join(place)} = {one}" for place, one in settings.values.items()
         ),

@@ -47,33 +47,18 @@ def keep_compiled_programs() -> None:
             check_own_files(folder)
             jax.config.update("jax_compilation_cache_dir", str(folder))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
-        keep_in(_folder_of_programs(named), say=say)
+        programs = None
+        if named and "://" not in named:
+            with contextlib.suppress(OSError):
+                programs = own_folder(Path(named) / "programs")
+        keep_in(programs or own_folder(_cache_folder("programs")), say=say)
     except OSError as error:
         say(f"compiled programs are not kept: {one_line(error)}")
 
 
-def _folder_of_programs(named: str | None) -> Path:
-    """Choose where our programs lie: below the folder named for JAX's, or in the user's own."""
-    from jaxlangnav.files.own import own_folder
-
-    if named and "://" not in named:
-        with contextlib.suppress(OSError):
-            return own_folder(Path(named) / "programs")
-    return own_folder(_cache_folder("programs"))
-
-
 @contextlib.contextmanager
 def waiting(what: str, output: Output, *, seconds: float = 5.0) -> Iterator[None]:
-    """Show that something is under way that has no steps to count, and for how long.
-
-    Args:
-        what: is being done.
-        output: where a note goes if nobody watches a terminal.
-        seconds: after which it is noted.
-
-    Yields:
-        Nothing; do the work inside.
-    """
+    """Show that something without steps to count is under way; elsewhere a late note says it."""
     if sys.stderr.isatty():
         from rich.console import Console
         from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -94,15 +79,7 @@ def waiting(what: str, output: Output, *, seconds: float = 5.0) -> Iterator[None
 
 @contextlib.contextmanager
 def progress_bar(what: str, total: int) -> Iterator[Advance]:
-    """Show work done, rate and time left on standard error, where a person is watching.
-
-    Args:
-        what: is being done, for example "episodes".
-        total: pieces of work.
-
-    Yields:
-        A function to call with the number of pieces just done.
-    """
+    """Show work done, rate and time left where a person watches; yields what counts pieces done."""
     if not sys.stderr.isatty():
         yield lambda _done: None
         return

@@ -52,17 +52,7 @@ class Option:
         return "--" + ".".join(self.path).replace("_", "-")
 
     def read(self, text: str) -> Any:
-        """Read what was typed.
-
-        Args:
-            text: a number, perhaps with a unit; several with commas between for a tuple.
-
-        Returns:
-            A number, or a tuple of them.
-
-        Raises:
-            UsageError: no number, a wrong unit, out of limits, or too few.
-        """
+        """Read a number, perhaps with a unit, or several with commas between; refuses all else."""
         if not isinstance(self.default, tuple):
             return self._one(text)
         parts = [part.strip() for part in text.split(",")]
@@ -73,17 +63,14 @@ class Option:
 
     def _one(self, text: str) -> float | int:
         """Read one number."""
-        if self.is_whole:
-            try:
-                return int(text)
-            except ValueError:
-                raise UsageError(f'{self.flag} is "{text}", but must be a whole number') from None
-        quantity = _quantity(self.path)
+        given: str | float = text
         try:
-            number = float(text)
+            given = int(text) if self.is_whole else float(text)
         except ValueError:
-            return quantity.read(text, self.flag)
-        return quantity.read(number, self.flag)
+            if self.is_whole:
+                message = f'{self.flag} is "{text}", but must be a whole number'
+                raise UsageError(message) from None
+        return int(given) if self.is_whole else _quantity(self.path).read(given, self.flag)
 
     def metavar(self) -> str:
         """Name the kind of value, such as LENGTH; "3xLENGTH" for three with commas between."""
@@ -97,14 +84,7 @@ def is_setting(word: str) -> bool:
 
 
 def options(groups: Iterable[str]) -> list[Option]:
-    """List the options of some groups.
-
-    Args:
-        groups: of ``GROUPS``, or a record in one, such as "params.planner": its own numbers.
-
-    Returns:
-        In the order of the records.
-    """
+    """List the options of some of ``GROUPS``, or of one record in it, such as "params.planner"."""
     from jaxlangnav.messages import default_motion, default_sensor
     from jaxlangnav.navigator import NavigatorConfig
     from jaxlangnav.task.follow import navigator_params
@@ -124,14 +104,7 @@ def options(groups: Iterable[str]) -> list[Option]:
 
 
 def with_settings(kind: type[Any]) -> type[Any]:
-    """Add the options to a command.
-
-    Args:
-        kind: a command with a field ``settings`` and the groups it takes in ``SETTINGS``.
-
-    Returns:
-        The command whose ``settings`` are read from the command line.
-    """
+    """Add the options of its ``SETTINGS`` to a command that has a field ``settings``."""
     import tyro
 
     tree = _record_of("Settings", options(kind.SETTINGS), depth=0)
@@ -144,18 +117,7 @@ def with_settings(kind: type[Any]) -> type[Any]:
 
 
 def read_settings(settings: Any, groups: Sequence[str]) -> dict[SettingPath, Any]:
-    """Read what was typed.
-
-    Args:
-        settings: of a command; None where no such option was used.
-        groups: of the command.
-
-    Returns:
-        Values by path, only those that were typed.
-
-    Raises:
-        UsageError: a value is none, or out of its limits.
-    """
+    """Read what was typed, values by path; refuses those that are none or out of their limits."""
     if settings is None:
         return {}
     typed = [(one, functools.reduce(getattr, one.path, settings)) for one in options(groups)]
@@ -163,31 +125,13 @@ def read_settings(settings: Any, groups: Sequence[str]) -> dict[SettingPath, Any
 
 
 def apply(record: _T, values: Mapping[SettingPath, Any], root: str) -> _T:
-    """Set values in a record.
-
-    Args:
-        record: of Params or Config.
-        values: by path, of all groups.
-        root: the group of the record; others are left.
-
-    Returns:
-        The record; the very same where nothing is set.
-    """
+    """Set the values of one group in its record; the very same record where nothing is set."""
     mine = {path[1:]: value for path, value in values.items() if path[0] == root}
     return _applied(record, mine) if mine else record
 
 
 def suggestion(flag: str, groups: Sequence[str], plain: Iterable[str]) -> str:
-    """Suggest what may have been meant by an option with a dot in its name.
-
-    Args:
-        flag: what was typed.
-        groups: of the command.
-        plain: the command's options without a dot, such as "--range".
-
-    Returns:
-        '; did you mean "--params.planner.discount"?', or where all of them are listed.
-    """
+    """Suggest what may have been meant by an option with a dot in it, or where all are listed."""
     path = tuple(flag[2:].replace("-", "_").split("."))
     for elsewhere, option in _ELSEWHERE.items():
         if path[-1] == elsewhere[-1]:

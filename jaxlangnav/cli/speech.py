@@ -46,18 +46,6 @@ def _parse_hear(text: str, max_steps: int) -> tuple[int, str]:
     return step, words.strip()
 
 
-def _check_person(name: str | None) -> None:
-    """Refuse a simulated person that there is not."""
-    from jaxlangnav.world.person import PERSONS
-
-    if name is not None and name not in PERSONS:
-        near = difflib.get_close_matches(name, PERSONS, n=1)
-        hint = f'; did you mean "{near[0]}"?' if near else ""
-        raise UsageError(
-            f'--person is "{cut(name)}", but must be one of {", ".join(PERSONS)}{hint}'
-        )
-
-
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Speech:
     """What may be said in an episode."""
@@ -81,7 +69,14 @@ class Speech:
         for one in hear:
             step, text = _parse_hear(one, max_steps)
             script.setdefault(step, []).append(text)
-        _check_person(person)
+        from jaxlangnav.world.person import PERSONS
+
+        if person is not None and person not in PERSONS:
+            near = difflib.get_close_matches(person, PERSONS, n=1)
+            hint = f'; did you mean "{near[0]}"?' if near else ""
+            raise UsageError(
+                f'--person is "{cut(person)}", but must be one of {", ".join(PERSONS)}{hint}'
+            )
         if person is not None and talk:
             raise UsageError("--person speaks for you: leave out --talk")
         for option, is_given in (("--ask", ask and person is None), ("--talk", talk)):
@@ -122,54 +117,28 @@ class Speech:
     def ear(
         self, grounder: "Grounder", first: "Understanding", scene: "StaticScene", output: Output
     ) -> "Earshot":
-        """Build what hears for the robot.
+        """Build the ear of ``recorder.play``; ``first`` has room for more sentences."""
+        from jaxlangnav.task.talk import YOU, Earshot, Watcher
 
-        Args:
-            grounder: what understands utterances.
-            first: the sentence that the episode begins with, with room for more.
-            scene: of the episode.
-            output: where people read.
-
-        Returns:
-            The ear of ``recorder.play``.
-        """
-        from jaxlangnav.task.talk import YOU, Earshot
-
+        shared: dict[str, Any] = {
+            "grounder": grounder, "first": first, "scene": scene, "script": self.script
+        }  # fmt: skip
         if self.person is not None:
-            from jaxlangnav.task.talk import Watcher
-
             watcher = Watcher.named(self.person)
-            return Earshot(
-                grounder=grounder,
-                first=first,
-                scene=scene,
-                script=self.script,
-                voices={self.person: watcher.speak},
-                is_awaited=watcher.is_there,
-            )
-        typist = Typist(output, is_talking=self.talks) if self.asks or self.talks else None
-        return Earshot(
-            grounder=grounder,
-            first=first,
-            scene=scene,
-            script=self.script,
-            voices={} if typist is None else {YOU: typist.say},
-            is_awaited=lambda progress: typist is not None and typist.is_there(progress),
-            on_said=lambda one: None if typist is None else typist.reply(one),
-        )
+            voices = {self.person: watcher.speak}
+            return Earshot(**shared, voices=voices, is_awaited=watcher.is_there)
+        if not (self.asks or self.talks):
+            return Earshot(**shared, voices={}, is_awaited=lambda _: False)
+        typist = Typist(output, is_talking=self.talks)
+        voices = {YOU: typist.say}
+        return Earshot(**shared, voices=voices, is_awaited=typist.is_there, on_said=typist.reply)
 
 
 class Typist:
     """Who sits at the terminal: answers questions, and may type at any time where they talk."""
 
     def __init__(self, output: Output, *, is_talking: bool, lines: Iterable[str] | None = None):
-        """Listen to a stream of lines.
-
-        Args:
-            output: where questions are put.
-            is_talking: lines may come at any time; otherwise only as answers.
-            lines: what is typed; standard input by default.
-        """
+        """Listen to lines, standard input by default; only for answers if not ``is_talking``."""
         self._output, self._is_talking = output, is_talking
         self._lines = sys.stdin if lines is None else lines
         self._typed: queue.Queue[str | None] = queue.Queue()
@@ -226,14 +195,7 @@ class Typist:
 
 
 def describe_talk(recording: "Recording") -> dict[str, Any]:
-    """Gather what was said, and what may be meant, for documents.
-
-    Args:
-        recording: the episode.
-
-    Returns:
-        ``utterances`` and ``candidates``.
-    """
+    """Gather what was said, and what may be meant: ``utterances`` and ``candidates``."""
 
     def thing(one: "Candidate") -> dict[str, Any]:
         return {"slot": one.slot, "type": one.type_name, "x": one.x, "y": one.y}

@@ -1,13 +1,13 @@
 """What the experiments behind ``jaxlangnav reproduce`` share: settings, and one record each."""
 
 import dataclasses
-import importlib.util
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jaxlangnav.cli.output import Document, Output
 from jaxlangnav.cli.settings import SettingPath
+from jaxlangnav.experiments.experiment import Options
 from jaxlangnav.experiments.table import Section, Table
 from jaxlangnav.navigator import NavigatorParams
 
@@ -19,19 +19,17 @@ if TYPE_CHECKING:
 class Settings:
     """What is run, and where it is written."""
 
-    episodes: int
-    policies: tuple[str, ...]
-    seed: int
+    options: Options
+    """Of the experiments made of episodes; the sensing range is a matter of each row."""
+    params: NavigatorParams
     seed_unknowns: int
     """Of the study of the paper's unknowns."""
     extra: bool
     """Whether Table 2 has rows that the paper lacks."""
     ranges: tuple[float, ...]
     """Metres, in place of those of Table 2's rows and of Figure 5; none for their own."""
-    particles: int
     particles_drawn: int
     """P of the episodes that are drawn."""
-    params: NavigatorParams
     values: Mapping[SettingPath, Any]
     """Numbers of engine, detector and motion that are not the defaults."""
     out: Path | None
@@ -74,26 +72,3 @@ class Study:
                 "files": ", ".join(path.name for path in files),
             },
         )
-
-
-def draw_figures(
-    out: Path | None, output: Output, figures: "Mapping[str, Callable[[], Figure]]"
-) -> list[str]:
-    """Draw figures into a folder, if there is one, and say so where nothing draws them.
-
-    Args:
-        out: the folder; nothing is drawn if None.
-        output: told where there is no matplotlib.
-        figures: by the name of their files, what draws them.
-
-    Returns:
-        The paths of the files.
-    """
-    if out is None or not figures:
-        return []
-    if importlib.util.find_spec("matplotlib") is None:
-        output.note('note: no figure without matplotlib: pip install "jaxlangnav[viz]"')
-        return []
-    from jaxlangnav.viz.style import save
-
-    return [str(path) for name, draw in figures.items() for path in save(draw(), out / name)]

@@ -2,7 +2,7 @@
 
 import dataclasses
 import shlex
-from typing import Any, Literal
+from typing import Literal
 
 import tyro
 
@@ -57,27 +57,20 @@ class Train:
                 corpus_hash=trained.report["corpus"],
             )
         document = {**trained.report, "file": self.out}
-        _tell(document, kinds, output)
-        return document
-
-
-def _tell(document: dict[str, Any], kinds: tuple[str, ...], output: Output) -> None:
-    """Say what was trained, how long it took, and how good it is."""
-    output.say(f"{document['sentences']} sentences, corpus {document['corpus']}")
-    for kind in kinds:
-        report = document[kind]
-        output.say(
-            f"{kind}: {report['examples']} factors, {report['features']} features; "
-            f"{report['steps']} steps in {report['train_s']:.2f} s "
-            f"(compiled in {report['train_compile_s']:.1f} s)"
-        )
-        if "accuracy" in report:
+        output.say(f"{document['sentences']} sentences, corpus {document['corpus']}")
+        for kind in kinds:
+            report = document[kind]
             output.say(
-                f"  whole sentences right: {100 * report['accuracy']:.1f} % of the "
-                f"{report['held_out']} held out; calibration error "
-                f"{report['calibration_error']:.3f} at temperature {report['temperature']:.2f}"
+                f"{kind}: {report['examples']} factors, {report['features']} features; "
+                f"{report['steps']} steps in {report['train_s']:.2f} s "
+                f"(compiled in {report['train_compile_s']:.1f} s)"
             )
-    if document["file"] is not None:
-        output.say(f"Wrote {document['file']}. Use it: jaxlangnav follow ... --weights FILE")
-    else:
-        output.say("Nothing was written; --out FILE keeps the weights.")
+            if "accuracy" in report:
+                output.say(
+                    f"  whole sentences right: {100 * report['accuracy']:.1f} % of the "
+                    f"{report['held_out']} held out; calibration error "
+                    f"{report['calibration_error']:.3f} at temperature {report['temperature']:.2f}"
+                )
+        wrote = f"Wrote {self.out}. Use it: jaxlangnav follow ... --weights FILE"
+        output.say(wrote if self.out else "Nothing was written; --out FILE keeps the weights.")
+        return document

@@ -33,15 +33,7 @@ _REPEATS = (
 
 
 def manifest(settings: Mapping[str, Any], *, models: Any = None) -> dict[str, Any]:
-    """Say how results were made.
-
-    Args:
-        settings: configuration, seed and whatever else a repetition needs.
-        models: a pytree of arrays, the trained weights; None where none was used.
-
-    Returns:
-        Settings, versions, the models' hash, the device, and how far a repetition is the same.
-    """
+    """Say how results were made: settings, versions, device, and the hash of models used."""
     device = jax.devices()[0]
     return {
         "settings": dict(settings),
@@ -64,27 +56,12 @@ def manifest(settings: Mapping[str, Any], *, models: Any = None) -> dict[str, An
 
 
 def write_manifest(document: Mapping[str, Any], path: Path) -> Path:
-    """Write a manifest as JSON.
-
-    Args:
-        document: of JSON's own types.
-        path: of the file; its folder is made.
-
-    Returns:
-        The path.
-    """
+    """Write a manifest of JSON's own types; its folder is made."""
     return write_text(json_text(document), path)
 
 
 def json_text(document: Mapping[str, Any]) -> str:
-    """Write a document as JSON for people to read.
-
-    Args:
-        document: of JSON's own types.
-
-    Returns:
-        The text, indented.
-    """
+    """Write a document of JSON's own types for people to read, indented."""
     return json.dumps(document, indent=2, ensure_ascii=False) + "\n"
 
 
@@ -96,18 +73,10 @@ def write_experiment(
     text: str,
     models: Any,
 ) -> list[Path]:
-    """Write an experiment's files.
+    """Write an experiment's files, whose names begin with its own.
 
-    Args:
-        folder: where; made if it is not there.
-        name: of the experiment; every file's name begins with it.
-        document: what the experiment found; its settings go into the manifest.
-        columns: one row per episode.
-        text: the Markdown table.
-        models: the trained weights, for their hash.
-
-    Returns:
-        The files' paths.
+    ``columns`` has one row per episode, ``text`` is the Markdown table, ``models`` the trained
+    weights, for their hash; the document's settings go into the manifest.
     """
     settings = {key: value for key, value in document.items() if key not in _RESULTS}
     results = {key: value for key, value in document.items() if key != "files"}
@@ -123,17 +92,10 @@ def write_experiment(
 
 
 def pytree_hash(tree: Any) -> str:
-    """Hash the arrays of a pytree: names, shapes, types and bytes.
+    """Hash the arrays of a pytree: names, shapes, types and bytes; SHA-256 in hexadecimal.
 
-    Args:
-        tree: any pytree of arrays, numbers and texts; dataclasses count as trees whether JAX knows
-            them or not.
-
-    Returns:
-        SHA-256 in hexadecimal.
-
-    Raises:
-        ValueError: a leaf is none of these: its bytes would differ from run to run.
+    Dataclasses count as trees whether JAX knows them or not. Refuses a leaf whose bytes would
+    differ from run to run.
     """
     digest = hashlib.sha256()
     for path, leaf in jax.tree_util.tree_leaves_with_path(tree):

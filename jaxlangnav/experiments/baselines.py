@@ -272,16 +272,7 @@ def _judge(scenario: Scenario, world: WorldState, is_stopped: Array, steps: Arra
 def run_baseline(
     tasks: Task, instructions: Instruction, *, policy: str, max_steps: int = MAX_STEPS
 ) -> EpisodeResult:
-    """Run a baseline on many tasks.
-
-    Args:
-        tasks: leaves [E, …].
-        instructions: leaves [I, …]; only the type of the first figure is read.
-        policy: one of ``BASELINES``.
-        max_steps: cycles until a time-out.
-
-    Returns:
-        Results, leaves [E, …].
+    """Run one of ``BASELINES`` on tasks, leaves [E, …]; of a sentence only the first figure's type.
 
     Raises:
         ValueError: no such baseline.

@@ -112,12 +112,7 @@ def _law_search_bound(mean: float, sd: float, sensing_range: float, num_goals: i
 
 
 def limits(template: str, relation: str, sensing_range: float) -> dict[str, float | None]:
-    """Gather the limits of one row of a table.
-
-    Args:
-        template: such as "2H1C".
-        relation: "null", "behind" or "nearest".
-        sensing_range: R, metres.
+    """Gather the limits of one row of a table, such as "2H1C", "behind", 3 m.
 
     Returns:
         ``known``: mean straight way, metres; ``search_uniform``, ``search_law``: least mean

@@ -134,7 +134,7 @@ def run_rows(
     out: Path | None,
     on_progress: OnProgress | None = None,
 ) -> dict[str, Any]:
-    """Run all rows; arguments as ``run_row``'s, and the folder for the table and the document."""
+    """Run all rows, and write table and document where a folder is given."""
     begin = time.perf_counter()
     numbers = {"episodes": episodes, "seed": seed, "particles": particles}
     rows = [_run_row(row, **numbers, params=params, on_progress=on_progress) for row in ROWS]

@@ -72,19 +72,7 @@ class _Numbers:
 
 
 def sentence_with(text: str, truth: str, falsehood: str) -> Sentence:
-    """Ground what is said at first, and join to it what may be stated.
-
-    Args:
-        text: the command.
-        truth: a statement that holds in the worlds that are drawn.
-        falsehood: one that does not.
-
-    Returns:
-        All of it in arrays.
-
-    Raises:
-        ValueError: a sentence is refused.
-    """
+    """Ground a command, joined to a statement that holds in its worlds and one that does not."""
     model = load_shipped()
     first = understand(text, model)
     told = replace(first.instruction, readings=widen(first.instruction.readings, Capacity()))
@@ -195,19 +183,7 @@ def converse(
     config: NavigatorConfig,
     on_progress: OnProgress | None = None,
 ) -> Exchange:
-    """Run episodes in which a person speaks.
-
-    Args:
-        tasks: leaves [E, …].
-        sentence: what is said.
-        person: the numbers of the person.
-        params: the navigator's.
-        config: sizes and policy.
-        on_progress: called with the number of episodes just finished.
-
-    Returns:
-        NumPy arrays, leaves [E, …], in the order of the tasks.
-    """
+    """Run episodes, leaves [E, …], in which a person speaks; NumPy arrays in their order."""
     numbers = _Numbers(navigator=params, person=person, sentence=sentence)
     return run_tasks(
         tasks, sentence, params=numbers, config=config, on_progress=on_progress, course=_TALK
@@ -222,11 +198,6 @@ def speak(
     progress: EpisodeState, person: Person, *, params: PersonParams
 ) -> tuple[Person, Array, Array]:
     """Let a person who watches the robot say something, or nothing, before a decision.
-
-    Args:
-        progress: of the episode.
-        person: what was said so far.
-        params: the numbers of the person.
 
     Returns:
         The person after it; i32[], what is said, one of ``Says``; i32[], of which slot.

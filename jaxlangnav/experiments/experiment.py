@@ -105,8 +105,13 @@ class Experiment:
             ValueError: fewer than one episode, an unknown policy, more than memory holds, or
                 numbers with which the robot could never stop.
         """
-        arms = self.arms(options)
-        _check_episodes(options.episodes, rows=len(self.specs), kept=len(arms))
+        arms, rows = self.arms(options), len(self.specs)
+        if options.episodes < 1:
+            raise ValueError(f"episodes is {options.episodes}, but must be at least 1")
+        # Tasks and columns are laid out in parts and then put together: for a moment twice.
+        each = 2 * rows * (task_bytes() + len(arms) * (result_bytes() + _NAMES))
+        beside = f"{rows} rows run {len(arms)} times"
+        check_count("episodes", options.episodes, each=each, beside=beside)
         for arm in arms:
             if arm.config is not None and arm.params is not None:
                 check_engine(arm.config)
@@ -204,7 +209,7 @@ class Experiment:
         """Judge the belief in the first episodes of every row; no scores where none is judged."""
         arm, each = played.arm, played.grid.episodes
         if played.tally is not None:
-            return [_scored_part(played.tally, at, each) for at in range(len(self.specs))]
+            return _scored_parts(played.tally, len(self.specs), each)
         judged = min(each, self.calibration_episodes)
         if not judged or arm.config is None or arm.params is None:
             nothing = {"ece": None, "brier": None, "coverage90": None, "reliability": None}
@@ -218,21 +223,11 @@ class Experiment:
             on_progress=on_progress,
             course=JUDGED,
         )
-        return [_scored_part(tally, at, judged) for at in range(len(self.specs))]
+        return _scored_parts(tally, len(self.specs), judged)
 
 
-def _scored_part(tally: Tally, place: int, each: int) -> Row:
-    """Score the episodes of one row."""
-    span = slice(place * each, (place + 1) * each)
-    part = jax.tree.map(lambda leaf: leaf[span], tally)
-    return scores(part) | {"reliability": bin_sums(part)}
-
-
-def _check_episodes(episodes: int, *, rows: int, kept: int) -> int:
-    """Refuse a number of episodes that cannot be run, before any is."""
-    if episodes < 1:
-        raise ValueError(f"episodes is {episodes}, but must be at least 1")
-    # Tasks and columns are laid out in parts and then put together: for a moment twice.
-    each = 2 * (task_bytes() + kept * (result_bytes() + _NAMES))
-    check_count("episodes", episodes, each=rows * each, beside=f"{rows} rows run {kept} times")
-    return episodes
+def _scored_parts(tally: Tally, rows: int, each: int) -> list[Row]:
+    """Score the episodes of every row."""
+    parts = [jax.tree.map(lambda leaf, at=at: leaf[at * each : (at + 1) * each], tally)
+             for at in range(rows)]  # fmt: skip
+    return [scores(part) | {"reliability": bin_sums(part)} for part in parts]

@@ -127,10 +127,8 @@ class Arm:
         }
         if self.config is None:
             return run_policy(self.policy, tasks, instructions, **shared), None
-        shared |= {
-            "params": default_params() if self.params is None else self.params,
-            "config": self.config,
-        }
+        params = default_params() if self.params is None else self.params
+        shared |= {"params": params, "config": self.config}
         if self.is_judged:
             return run_tasks(tasks, instructions, course=JUDGED, **shared)
         return run_tasks(tasks, instructions, **shared), None
@@ -291,10 +289,9 @@ def _judge(
     places, parts = [], []
     for numbers, listed in groups.items():
         starts = grid.episodes * np.array(listed)
-        mine = (starts[:, None] + np.arange(grid.episodes)).ravel()
-        told = arm.believing(dict(numbers))
-        parts.append(told.run(take_tasks(tasks, mine), instructions, on_progress=on_progress))
-        places.append(mine)
+        places.append((starts[:, None] + np.arange(grid.episodes)).ravel())
+        mine, told = take_tasks(tasks, places[-1]), arm.believing(dict(numbers))
+        parts.append(told.run(mine, instructions, on_progress=on_progress))
     order = np.argsort(np.concatenate(places))
     return jax.tree.map(lambda *leaves: np.concatenate(leaves)[order], *parts)
 

@@ -78,8 +78,9 @@ def _lock(path: Path, on_note: Note) -> int:
         handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
         try:
             _take(handle, path)
-            if _is_at(handle, path):
-                break
+            with contextlib.suppress(FileNotFoundError):
+                if os.path.samestat(os.fstat(handle), path.stat()):
+                    break
         except BaseException:
             os.close(handle)
             raise
@@ -95,7 +96,7 @@ def _take(handle: int, path: Path) -> None:
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
-        part = "/".join(_part_of(path))
+        part = path.name.removeprefix(".held-").removesuffix(".json").replace("-of-", "/")
         raise ValueError(
             f"{path.parent}: {_holder(path)} is at work on part {part}: let it end, or end it; "
             "parts that share no files with it (--shard) can run beside it"
@@ -105,11 +106,11 @@ def _take(handle: int, path: Path) -> None:
 def _refuse_overlaps(folder: Path, part: PartOf, on_note: Note) -> None:
     """Refuse where a living process holds files of this part; clear away what dead ones left."""
     for path in folder.iterdir():
-        if _NAME.fullmatch(path.name) is None:
+        match = _NAME.fullmatch(path.name)
+        if match is None:
             continue
-        place, number = map(int, _part_of(path))
-        shared = math.gcd(part[1], number)
-        if (place, number) == part or (place - part[0]) % shared:
+        place, number = int(match[1]), int(match[2])
+        if (place, number) == part or (place - part[0]) % math.gcd(part[1], number):
             continue
         with contextlib.suppress(FileNotFoundError):
             handle = os.open(path, os.O_RDWR)
@@ -119,21 +120,6 @@ def _refuse_overlaps(folder: Path, part: PartOf, on_note: Note) -> None:
                 path.unlink()
             finally:
                 os.close(handle)
-
-
-def _part_of(path: Path) -> tuple[str, str]:
-    """Read from a lock's name which part it is of."""
-    match = _NAME.fullmatch(path.name)
-    assert match is not None
-    return match[1], match[2]
-
-
-def _is_at(handle: int, path: Path) -> bool:
-    """Tell whether an open file is still the one of that name."""
-    try:
-        return os.path.samestat(os.fstat(handle), path.stat())
-    except FileNotFoundError:
-        return False
 
 
 def _holder(path: Path) -> str:

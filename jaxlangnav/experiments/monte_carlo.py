@@ -105,18 +105,19 @@ def join_devices(
     return place
 
 
-def fill(tasks: Task, first: int, size: int) -> Task:
+def fill(tasks: Task, first: int, size: int, capacity: int = CHUNK) -> Task:
     """Cut tasks for one call, filled up to its shape.
 
     Args:
         tasks: leaves [E, …].
         first: place of the first.
-        size: how many, at most CHUNK.
+        size: how many, at most ``capacity``.
+        capacity: tasks in a call.
 
     Returns:
-        Tasks, leaves [CHUNK, …]; the first ``size`` count.
+        Tasks, leaves [capacity, …]; the first ``size`` count.
     """
-    place = np.arange(CHUNK)
+    place = np.arange(capacity)
     return take_tasks(tasks, first + np.where(place < size, place, 0))
 
 
@@ -245,8 +246,7 @@ def map_pieces(
 
     def work(piece: tuple[int, int]) -> Result:
         first, size = piece
-        place = np.arange(capacity)
-        chunk = take_tasks(tasks, first + np.where(place < size, place, 0))
+        chunk = fill(tasks, first, size, capacity)
         return jax.tree.map(lambda leaf: np.asarray(leaf)[:size], run(chunk, size))
 
     results: list[Result] = []

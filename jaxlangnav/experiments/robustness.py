@@ -47,24 +47,17 @@ def _arms(options: Options) -> list[Arm]:
             f'policy is "{_FOREIGN}", but it sweeps by the law of Table 2\'s worlds, which '
             f"these are not: choose from {rest}"
         )
-    return [_arm(name, options) for name in names]
-
-
-def _arm(policy: str, options: Options) -> Arm:
-    """Build the arm of a policy; all policies may take as long as they like, within reason."""
-    told = {"policy": policy}
-    if policy not in POLICIES:
-        return Arm(policy=policy, told=told, max_steps=_MAX_STEPS)
-    usual = Navigator.pretrained(policy)
-    sizes = dataclasses.replace(usual.config.map, num_particles=options.num_particles)
-    return Arm(
-        policy=policy,
-        told=told,
-        config=dataclasses.replace(usual.config, map=sizes),
-        params=usual.params if options.params is None else options.params,
-        max_steps=_MAX_STEPS,
-        is_judged=True,
-    )
+    arms = []
+    for policy in names:
+        arm = Arm(policy=policy, told={"policy": policy}, max_steps=_MAX_STEPS)
+        if policy in POLICIES:
+            usual = Navigator.pretrained(policy)
+            sizes = dataclasses.replace(usual.config.map, num_particles=options.num_particles)
+            config = dataclasses.replace(usual.config, map=sizes)
+            params = usual.params if options.params is None else options.params
+            arm = dataclasses.replace(arm, config=config, params=params, is_judged=True)
+        arms.append(arm)
+    return arms
 
 
 def _measure(row: Row, spec: RowSpec, results: EpisodeResult, _: EpisodeResult) -> Row:
@@ -155,11 +148,6 @@ def _target(row: Row) -> str:
     return f"{target}, ≤ {row['longest']:g} m" if row.get("longest") else target
 
 
-def _score(row: Row) -> str:
-    """Write a row's calibration beside what chance would show."""
-    return "" if row["ece"] is None else f"{row['ece']:.3f} ({row['ece_floor']:.3f})"
-
-
 _COLUMNS: TableColumns = (
     ("Scenario", "{scenario}"),
     ("Policy", "{policy}"),
@@ -172,9 +160,10 @@ _COLUMNS: TableColumns = (
     ("Asks", "{asks}"),
     ("Other ends", "{other_ends}"),
     ("Time-outs", "{timeouts}"),
-    ("ECE (chance)", _score),
+    ("ECE (chance)",
+     lambda row: "" if row["ece"] is None else f"{row['ece']:.3f} ({row['ece_floor']:.3f})"),
     ("Overflow", "{overflow_episodes}"),
-)
+)  # fmt: skip
 _SCREEN = [_COLUMNS[at] for at in (0, 1, 2, 3, 4, 6, 7, 10, 11)]
 """TableColumns that a terminal has room for."""
 _SCENARIO: TableColumns = (

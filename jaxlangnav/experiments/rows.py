@@ -39,18 +39,12 @@ class RowSpec:
     def setting(
         self, *, seed: int, environments: int = 0, sensor: SensorParams | None = None
     ) -> Setting:
-        """Build the setting of its episodes.
+        """Build the setting of its episodes; commands are numbered in the order of ``SENTENCES``.
 
         Args:
             seed: root seed of worlds and noise.
             environments: worlds of a template taken in turn; 0 for a fresh one per episode.
             sensor: the detector; its range is the row's. The default one if None.
-
-        Returns:
-            The setting; commands are numbered in the order of ``SENTENCES``.
-
-        Raises:
-            ValueError: an unknown world or relation.
         """
         command = list(SENTENCES).index(self.relation)
         mine = cell(self.world, self.relation, command, self.range, 1, seed)
@@ -66,14 +60,7 @@ PRINTED = tuple(RowSpec.of(one) for one in TABLE_2)
 
 
 def printed_rows(printed: Sequence[TableRow]) -> list[Row]:
-    """List rows as the paper prints them, rates in percent, distances in metres.
-
-    Args:
-        printed: of ``world.templates.TABLE_2``.
-
-    Returns:
-        One per row.
-    """
+    """List rows as the paper prints them, rates in percent, distances in metres."""
     return [
         RowSpec.of(row).heading()
         | {
@@ -90,29 +77,14 @@ def printed_rows(printed: Sequence[TableRow]) -> list[Row]:
 
 
 def bound_rows(specs: Sequence[RowSpec]) -> list[Row]:
-    """Compute the limits of every row.
-
-    Args:
-        specs: the rows.
-
-    Returns:
-        One per row; lengths in metres, ``success`` in percent.
-    """
+    """Compute the limits of every row: metres, and ``success`` in percent."""
     return [one.heading() | limits(one.world, one.relation, one.range) for one in specs]
 
 
 def describe_noise(
     sensor: SensorParams | None = None, motion: MotionParams | None = None
 ) -> dict[str, float]:
-    """Say the noise that rows run under.
-
-    Args:
-        sensor: the detector; the default one if None.
-        motion: the odometry; the default one if None.
-
-    Returns:
-        Metres, radians, shares.
-    """
+    """Say the noise that rows run under, the default one if None: metres, radians, shares."""
     sensor, motion = sensor or default_sensor(), motion or default_motion()
     said = {
         "detection_probability": sensor.detection_probability,
@@ -130,15 +102,9 @@ def row_key(row: Row) -> tuple[str, float, str | None]:
 
 
 def deviations(row: Row, paper: Row) -> dict[str, float]:
-    """Measure how far a row lies from the printed one, in standard errors of both.
+    """Measure how far a row lies above the printed one, in standard errors of both.
 
-    Args:
-        row: ours.
-        paper: the printed row.
-
-    Returns:
-        ``distance`` and ``success``: signed; ours above the paper's is positive. A rate of 0 or
-        100 % counts as half a run away from it, or it would have no error at all.
+    A rate of 0 or 100 % counts as half a run away from it, or it would have no error at all.
     """
     way_error = math.hypot(distance_error(row), paper["distance_sd"] / math.sqrt(PAPER_RUNS))
     success_error = math.hypot(
@@ -157,14 +123,6 @@ def distance_error(row: Row) -> float:
 
 
 def rate_error(percent: float, runs: int) -> float:
-    """Compute the standard error of a rate.
-
-    Args:
-        percent: the rate; 0 and 100 % count as half a run away from it.
-        runs: behind it.
-
-    Returns:
-        Percent.
-    """
+    """Compute the standard error of a rate, percent; 0 and 100 % count as half a run away."""
     rate = min(max(percent / 100.0, 0.5 / max(1, runs)), 1.0 - 0.5 / max(1, runs))
     return 100.0 * math.sqrt(rate * (1.0 - rate) / max(1, runs))

@@ -4,9 +4,9 @@ The sizes are the engine's own: the records of an episode under way, traced with
 (``jax.eval_shape``), and the arrays of its task and its result.
 """
 
-import dataclasses
 import functools
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -58,8 +58,10 @@ def _bytes_of(tree: Any) -> int:
 def _episode_bytes(config: NavigatorConfig) -> tuple[int, int]:
     """Count the records of an episode under way."""
     few = 2
-    small = _bytes_of(_progress(_with_particles(config, few)))
-    double = _bytes_of(_progress(_with_particles(config, 2 * few)))
+    small, double = (
+        _bytes_of(_progress(replace(config, map=replace(config.map, num_particles=number))))
+        for number in (few, 2 * few)
+    )
     return 2 * small - double, (double - small) // few
 
 
@@ -156,11 +158,6 @@ def _check_lanes(config: NavigatorConfig, lanes: int) -> None:
 def _is_on_host() -> bool:
     """Tell whether arrays lie in the memory of the host."""
     return jax.default_backend() == "cpu"
-
-
-def _with_particles(config: NavigatorConfig, number: int) -> NavigatorConfig:
-    """Set the number of particles."""
-    return dataclasses.replace(config, map=dataclasses.replace(config.map, num_particles=number))
 
 
 def _progress(config: NavigatorConfig) -> Any:

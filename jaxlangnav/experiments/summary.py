@@ -100,12 +100,9 @@ def _group(table: pa.Table, names: Sequence[str]) -> list[tuple[dict[str, Any], 
 
 def _metrics(table: pa.Table) -> dict[str, Any]:
     """Summarise the episodes of one arm in one setting."""
-    leaves: dict[str, Any] = {
-        field.name: table[field.name].to_numpy()
-        for field in dataclasses.fields(EpisodeResult)
-        if field.name != "final"
-    }
-    leaves["final"] = np.stack([table["final_x"].to_numpy(), table["final_y"].to_numpy()], axis=1)
+    names = [field.name for field in dataclasses.fields(EpisodeResult) if field.name != "final"]
+    leaves: dict[str, Any] = {name: table[name].to_numpy() for name in names}
+    leaves["final"] = np.stack([table[f"final_{axis}"].to_numpy() for axis in "xy"], axis=1)
     results = EpisodeResult(**leaves)
     return summarize(results, table["known_distance"].to_numpy()).row()
 

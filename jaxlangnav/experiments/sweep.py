@@ -20,25 +20,13 @@ from pathlib import Path
 from typing import Any
 
 from jaxlangnav.episode import EpisodeResult
+from jaxlangnav.experiments import monte_carlo
 from jaxlangnav.experiments.archive import CompileClock, json_text, manifest
 from jaxlangnav.experiments.holding import Note, held
-from jaxlangnav.experiments.monte_carlo import (
-    CHUNK,
-    LANES,
-    OnProgress,
-    Work,
-    fill,
-    mesh,
-    num_calls,
-    run_round,
-)
+from jaxlangnav.experiments.monte_carlo import CHUNK, LANES, OnProgress, Work, fill, run_round
 from jaxlangnav.experiments.shards import Shard, ShardError, check_shard, write_shard
 from jaxlangnav.experiments.sweep_config import SweepConfig
-from jaxlangnav.experiments.sweep_plan import (
-    SweepPlan,
-    make_plan,
-    parse_shard,
-)
+from jaxlangnav.experiments.sweep_plan import SweepPlan, make_plan, parse_shard
 from jaxlangnav.experiments.tasks import GroundedSentences, ground_sentences, known_distances
 from jaxlangnav.files.documents import parse_json, read_text
 from jaxlangnav.files.whole import write_once
@@ -53,11 +41,6 @@ _LEFT = re.compile(r"\.episodes-(\d{6,})\..*")
 _LARGEST_MANIFEST = 16 << 20
 """Bytes of a manifest; it holds the configuration, of a million bytes at most, written out."""
 _UNREADABLE = "restore it, or run the sweep in another folder"
-
-
-def _file_path(folder: Path, index: int) -> Path:
-    """Name a file of a sweep."""
-    return folder / f"episodes-{index:06d}.parquet"
 
 
 def files_there(folder: Path) -> Iterator[tuple[int, Path]]:
@@ -258,8 +241,9 @@ def run_sweep(
                         path.unlink(missing_ok=True)
             kept = _sound_files(folder, plan, mine, sweep, on_note=note, on_kept=advance)
             make = functools.partial(_make_files, plan, folder, sweep, sentences)
-            todo = _rounds((at for at in mine if at not in kept), plan.kind, mesh().size)
-            _run_rounds(make, todo, advance, num_threads or num_calls())
+            devices = monte_carlo.mesh().size
+            todo = _rounds((at for at in mine if at not in kept), plan.kind, devices)
+            _run_rounds(make, todo, advance, num_threads or monte_carlo.num_calls())
         num_kept = sum(plan.size(index) for index in kept)
         there = sum(index < plan.num_files for index, _ in files_there(folder))
     return {
@@ -311,11 +295,10 @@ def _rounds(
     """Gather files that one call can make, one on each device."""
     alike: dict[tuple[str, int | None], list[int]] = {}
     for index in files:
-        policy, particles = kind(index)
-        group = alike.setdefault((policy, particles), [])
+        group = alike.setdefault(of := kind(index), [])
         group.append(index)
-        if len(group) == (devices if policy in POLICIES else 1):
-            yield alike.pop((policy, particles))
+        if len(group) == (devices if of[0] in POLICIES else 1):
+            yield alike.pop(of)
     yield from alike.values()
 
 
@@ -327,21 +310,19 @@ def _make_files(
     tasks = [one.arm.tasks(grid.draw(one.places)) for one in chunks]
     config = chunks[0].arm.config
     # Chunks of one policy and size run together, each with the Params of its own arm.
-    works = [
-        Work(tasks=fill(own, 0, one.size), count=one.size, params=one.arm.params)
-        for one, own in zip(chunks, tasks, strict=True)
-        if one.arm.params is not None
-    ]
-    if config is None or not works:
-        results = [
-            one.arm.run(own, sentences.instructions, num_threads=1)[0]
-            for one, own in zip(chunks, tasks, strict=True)
-        ]
+    pairs = list(zip(chunks, tasks, strict=True))
+    if config is None:
+        given = sentences.instructions
+        results = [one.arm.run(own, given, num_threads=1)[0] for one, own in pairs]
     else:
+        works = [
+            Work(tasks=fill(own, 0, one.size), count=one.size, params=one.arm.params)
+            for one, own in pairs
+        ]
         results = run_round(works, sentences.instructions, config=config)
     for chunk, own, result in zip(chunks, tasks, results, strict=True):
         columns = grid.columns(chunk.arm, chunk.places, result, known_distances(own))
-        path = _file_path(folder, chunk.index)
+        path = folder / f"episodes-{chunk.index:06d}.parquet"
         try:
             write_shard(columns, path, Shard(sweep=sweep, index=chunk.index, rows=chunk.size))
         except OSError as error:

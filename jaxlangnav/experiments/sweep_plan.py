@@ -41,12 +41,7 @@ class Lazy(Sequence[_T]):
     """As many things as one likes, each made from its number when it is asked for."""
 
     def __init__(self, size: int, make: Callable[[int], _T]) -> None:
-        """Keep how to make them.
-
-        Args:
-            size: how many there are.
-            make: makes one; the last few are kept.
-        """
+        """Keep how to make them; of those that are made the last few are kept."""
         self._size, self._make = size, functools.lru_cache(maxsize=256)(make)
 
     def __len__(self) -> int:
@@ -87,9 +82,17 @@ class SweepPlan:
         arms = [(policy, _arm_sizes(config, policy)) for policy in config.policies]
         sizes, tables = _setting_sizes(config), ("sensor", "motion", "map", "planner")
         params = [f"{table}.{key}" for table in tables for key in config.params[table]]
+
+        def arm(place: int) -> Arm:
+            for policy, own in arms:
+                if place < math.prod(own):
+                    return _arm(config, policy, _digits(place, own))
+                place -= math.prod(own)
+            raise IndexError("no such arm")
+
         return Grid(
             settings=Lazy(self.num_settings, lambda at: _setting(config, _digits(at, sizes))),
-            arms=Lazy(self.num_arms, lambda at: _arm(config, *_place_of(at, arms))),
+            arms=Lazy(self.num_arms, arm),
             episodes=config.episodes,
             names=("world", "command", "relation", "range", "policy", "particles", *params),
         )
@@ -149,18 +152,21 @@ class SweepPlan:
 def make_plan(config: SweepConfig) -> SweepPlan:
     """Lay out a sweep.
 
-    Args:
-        config: the grid.
-
-    Returns:
-        The plan.
-
     Raises:
         ValueError: Params with which the robot could never stop, more particles than memory
             holds, or more files than a folder does.
     """
     plan = SweepPlan(config=config)
-    _check_files(plan)
+    if plan.num_files > MOST_FILES:
+        fit = MOST_FILES // plan.num_arms * CHUNK // plan.num_settings
+        remedy = f"at most {fit:,} episodes a cell fit" if fit else "not even one a cell fits"
+        raise ValueError(
+            f"the sweep has {readable_count(plan.num_arms * plan.num_settings)} cells times "
+            f"{readable_count(config.episodes)} episodes, "
+            f"which make {readable_count(plan.num_files)} files, but a folder holds "
+            f"{MOST_FILES:,}: {remedy}; or divide the lists (seeds, worlds, ...) among several "
+            "sweeps"
+        )
     for policy in config.policies:
         if policy in POLICIES:
             check_engine(navigator_config(policy, max(config.particles)))
@@ -172,42 +178,18 @@ def make_plan(config: SweepConfig) -> SweepPlan:
     return plan
 
 
-def _check_files(plan: SweepPlan) -> None:
-    """Refuse a sweep that no folder could hold, and say what one would."""
-    if plan.num_files <= MOST_FILES:
-        return
-    fit = MOST_FILES // plan.num_arms * CHUNK // plan.num_settings
-    cells = plan.num_arms * plan.num_settings
-    remedy = f"at most {fit:,} episodes a cell fit" if fit else "not even one a cell fits"
-    raise ValueError(
-        f"the sweep has {readable_count(cells)} cells times "
-        f"{readable_count(plan.config.episodes)} episodes, "
-        f"which make {readable_count(plan.num_files)} files, but a folder holds {MOST_FILES:,}: "
-        f"{remedy}; or divide the lists (seeds, worlds, ...) among several sweeps"
-    )
-
-
 def _setting_sizes(config: SweepConfig) -> list[int]:
     """Count the values of everything that makes up a setting, the slowest first."""
-    sensor = [len(values) for values in config.params["sensor"].values()]
-    return [
-        len(config.worlds),
-        len(config.commands),
-        len(config.ranges),
-        *sensor,
-        len(config.seeds),
-    ]
+    sensor = config.params["sensor"].values()
+    lists = (config.worlds, config.commands, config.ranges, *sensor, config.seeds)
+    return [len(values) for values in lists]
 
 
 def _arm_sizes(config: SweepConfig, policy: str) -> list[int]:
     """Count the values of everything that makes up a policy's arms, the slowest first."""
-    motion, *navigator = (
-        [len(values) for values in config.params[table].values()]
-        for table in ("motion", "map", "planner")
-    )
-    if policy not in POLICIES:
-        return motion
-    return [*motion, len(config.particles), *itertools.chain(*navigator)]
+    motion, *navigator = (config.params[table].values() for table in ("motion", "map", "planner"))
+    own = (config.particles, *itertools.chain(*navigator)) if policy in POLICIES else ()
+    return [len(values) for values in (*motion, *own)]
 
 
 def _setting(config: SweepConfig, digits: Sequence[int]) -> Setting:
@@ -227,22 +209,9 @@ def _setting(config: SweepConfig, digits: Sequence[int]) -> Setting:
         seed=config.seeds[seed],
         scenario=None if own is None else jax.tree.map(np.asarray, own.scenario),
     )
-    told: dict[str, Any] = {
-        "world": world,
-        "command": command.text,
-        "relation": command.relation,
-        "range": sensing_range,
-    }
-    return Setting(cell=cell, told=told | {f"sensor.{key}": sensor[key] for key in sensor})
-
-
-def _place_of(place: int, arms: Sequence[tuple[str, list[int]]]) -> tuple[str, list[int]]:
-    """Find the policy of an arm, and the places of the arm's values."""
-    for policy, sizes in arms:
-        if place < math.prod(sizes):
-            return policy, _digits(place, sizes)
-        place -= math.prod(sizes)
-    raise IndexError("no such arm")
+    told: dict[str, Any] = {f"sensor.{key}": value for key, value in sensor.items()}
+    told |= {"world": world, "command": command.text, "relation": command.relation}
+    return Setting(cell=cell, told=told | {"range": sensing_range})
 
 
 def _arm(config: SweepConfig, policy: str, digits: Sequence[int]) -> Arm:
@@ -283,11 +252,7 @@ def _end(config: SweepConfig, policy: str, which: Literal[0, -1]) -> NavigatorPa
 
 def _digits(place: int, sizes: Sequence[int]) -> list[int]:
     """Write a number in digits of the given bases, the fastest last."""
-    digits = []
-    for size in reversed(sizes):
-        place, digit = divmod(place, size)
-        digits.append(digit)
-    return digits[::-1]
+    return [int(digit) for digit in np.unravel_index(place, tuple(sizes))]
 
 
 def _picked(values: Choices, digits: Sequence[int]) -> dict[str, float]:
@@ -301,17 +266,7 @@ def _as_arrays(chosen: Mapping[str, float]) -> dict[str, Any]:
 
 
 def parse_shard(text: str) -> tuple[int, int]:
-    """Read which part of a sweep to do.
-
-    Args:
-        text: "i/n", 1 ≤ i ≤ n: the chunks i, i + n, i + 2n, …
-
-    Returns:
-        i and n.
-
-    Raises:
-        ValueError: not of this form or out of limits.
-    """
+    """Read which part of a sweep to do, "i/n": chunks i, i + n, i + 2n, …; refuses all else."""
     match = re.fullmatch(r"\s*(\d+)\s*/\s*(\d+)\s*", text)
     if match is None:
         raise ValueError(f'shard is "{text}", but must be i/n, such as 1/4')

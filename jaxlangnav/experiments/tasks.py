@@ -47,12 +47,6 @@ class GroundedSentences:
 def ground_sentences(texts: Sequence[str]) -> GroundedSentences:
     """Parse and ground sentences with the shipped models.
 
-    Args:
-        texts: one sentence each.
-
-    Returns:
-        The instructions, stacked.
-
     Raises:
         ValueError: a sentence is not understood or asks for nothing to be done, or there is none.
     """
@@ -166,15 +160,12 @@ def _first(tasks: Task, *, number: int) -> Task:
 
 
 def draw_tasks(cells: Sequence[Cell], index: np.ndarray, numbers: np.ndarray) -> Task:
-    """Draw the worlds and keys of any selection of episodes.
+    """Draw the worlds and keys of any selection of episodes, leaves [E, …].
 
     Args:
         cells: the cells they come from; ``episodes`` and ``first_episode`` are not read.
         index: i[E], which cell each episode is of.
-        numbers: i[E], its number within the cell's (seed, world).
-
-    Returns:
-        Tasks, leaves [E, …]; an episode's depends on its cell and number only.
+        numbers: i[E], its number within the cell's (seed, world); nothing else counts.
 
     Raises:
         ValueError: unknown world or relation, or places beside templates.
@@ -231,13 +222,7 @@ def _describe(one: Cell) -> dict[str, Any]:
 
 
 def make_tasks(one: Cell) -> Task:
-    """Draw the worlds and keys of a cell.
-
-    Args:
-        one: the cell.
-
-    Returns:
-        Tasks, leaves [E, …].
+    """Draw the worlds and keys of a cell, leaves [E, …].
 
     Raises:
         ValueError: unknown world or relation, or no episodes.
@@ -251,15 +236,7 @@ def make_tasks(one: Cell) -> Task:
 
 
 def take_tasks(tasks: Task, index: np.ndarray) -> Task:
-    """Pick tasks.
-
-    Args:
-        tasks: leaves [E, …].
-        index: i[n], which of them.
-
-    Returns:
-        Tasks, leaves [n, …].
-    """
+    """Pick tasks by their numbers, i[n]: leaves [n, …] of [E, …]."""
     at = jnp.asarray(index)
     return jax.tree.map(lambda leaf: leaf[at], tasks)
 

@@ -68,15 +68,9 @@ def describe_machine() -> dict[str, Any]:
 
 
 def measure(work: Callable[[], Any], repetitions: int, *, patience: float = float("inf")) -> Cost:
-    """Time some work, warmed up by the caller.
+    """Time work that returns arrays, warmed up by the caller: the medians of some repetitions.
 
-    Args:
-        work: returns arrays, which are waited for.
-        repetitions: how often; the medians count.
-        patience: seconds after which it is not repeated any more.
-
-    Returns:
-        Its cost.
+    After ``patience`` seconds it is not repeated any more.
     """
     is_local = jax.default_backend() == "cpu"
     costs = []
@@ -112,16 +106,9 @@ def measure_parts(
     params: NavigatorParams,
     repetitions: int,
 ) -> list[Part]:
-    """Measure a cycle and its parts in one batch of lanes.
+    """Measure a cycle in one batch of lanes, its sensor, its filter, behavior in every particle.
 
-    Args:
-        tasks: leaves [E, …], at least as many as lanes.
-        instructions: leaves [I, …].
-        params: the navigator's numbers.
-        repetitions: how often; the medians count.
-
-    Returns:
-        The whole cycle, the sensor, the filter, behavior in every particle.
+    ``tasks``, leaves [E, …], are at least as many as lanes.
     """
     config = navigator_config(POLICY)
 
@@ -160,14 +147,9 @@ def measure_parts(
 
 
 def split(parts: list[Part]) -> dict[str, float]:
-    """Split a cycle into its parts, CPU seconds by name.
+    """Split a cycle into CPU seconds by part; planner and motion are what is left over.
 
-    Args:
-        parts: of ``measure_parts``.
-
-    Returns:
-        The parts; planner and motion are what is left over. Compiled alone a part may be slower
-        than within the whole.
+    Compiled alone a part may be slower than within the whole.
     """
     whole, *inner = parts
     left = whole.seconds - sum(part.seconds for part in inner)
@@ -197,10 +179,6 @@ def _part(name: str, part: Any, progress: EpisodeState, repetitions: int) -> Par
 
 def cycle_parts(*, params: NavigatorParams, repetitions: int = 3) -> dict[str, Any]:
     """Measure the parts of a cycle, in a batch of episodes of all rows.
-
-    Args:
-        params: the navigator's numbers.
-        repetitions: how often; the medians count.
 
     Returns:
         ``cycle_us`` and ``parts_us`` by name, microseconds of one cycle of one episode;

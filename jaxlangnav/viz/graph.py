@@ -46,15 +46,7 @@ def _symbol_name(symbol: Annotation, type_names: tuple[str, ...]) -> str:
 
 
 def graph_figure(parse: Parse, model: GroundingModel, *, num_symbols: int = 3) -> "Figure":
-    """Draw the factor graph of a sentence.
-
-    Args:
-        parse: the sentence, from ``language.parser.parse`` or ``Understanding.parse``.
-        model: trained models.
-        num_symbols: how many of the likeliest symbols of each phrase to show, at least 1.
-
-    Returns:
-        The figure; phrases stand in reading order.
+    """Draw the factor graph of a sentence, its phrases in reading order with likeliest symbols.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
@@ -69,20 +61,10 @@ def graph_figure(parse: Parse, model: GroundingModel, *, num_symbols: int = 3) -
 def beliefs_figure(
     beliefs: Sequence[PhraseBelief], names: Sequence[str], *, title: str, num_symbols: int = 3
 ) -> "Figure":
-    """Draw the factor graph of any tree with any symbols (``grounding.correspondence``).
+    """Draw the factor graph of any tree with any S symbols (``grounding.correspondence``).
 
-    Args:
-        beliefs: of all phrases, parents first.
-        names: of the S symbols.
-        title: the sentence.
-        num_symbols: how many of the likeliest symbols of each phrase to show, at least 1.
-
-    Returns:
-        The figure.
-
-    Raises:
-        MissingExtraError: matplotlib is not installed.
-        ValueError: ``num_symbols`` is less than 1.
+    ``beliefs`` are of all phrases, parents first; of each at least one of the likeliest symbols is
+    shown. Refuses fewer, and where matplotlib is not installed.
     """
     if num_symbols < 1:
         raise ValueError(f"num_symbols is {num_symbols}, but must be at least 1")

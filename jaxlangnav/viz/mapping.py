@@ -61,13 +61,7 @@ class HasPlace(Protocol):
 def draw_ground(axes: "Axes", scene: StaticScene, frame: Frame) -> "AxesImage":
     """Shade the ground by the probability that an object there would have been missed so far.
 
-    Args:
-        axes: to draw into; its limits become those of the area.
-        scene: of the episode.
-        frame: one step.
-
-    Returns:
-        The image: white where looked at, grey where not.
+    White where looked at, grey where not; the limits of the axes become those of the area.
     """
     from matplotlib.colors import LinearSegmentedColormap
 
@@ -87,12 +81,7 @@ def draw_ground(axes: "Axes", scene: StaticScene, frame: Frame) -> "AxesImage":
 
 
 def frame_area(axes: "Axes", area: tuple[float, float, float, float]) -> None:
-    """Give axes the limits of the operating area, and few ticks.
-
-    Args:
-        axes: of a map.
-        area: x_min, x_max, y_min, y_max, metres.
-    """
+    """Give axes the limits of the operating area, metres, and few ticks."""
     x_min, x_max, y_min, y_max = area
     margin = 0.02 * (x_max - x_min)
     axes.set_xlim(x_min - margin, x_max + margin)
@@ -108,15 +97,7 @@ def frame_area(axes: "Axes", area: tuple[float, float, float, float]) -> None:
 
 
 def draw_truth(axes: "Axes", scene: HasScenario) -> "list[PathCollection]":
-    """Mark where things truly stand, faintly, and the goal that was meant by a dotted ring.
-
-    Args:
-        axes: to draw into.
-        scene: of the episode, or the state of an environment.
-
-    Returns:
-        One mark for each true object.
-    """
+    """Mark where things truly stand, faintly, and the goal that was meant by a dotted ring."""
     from matplotlib.patches import Circle
 
     world, marks = scene.scenario, []
@@ -147,14 +128,7 @@ def draw_hypotheses(
 ) -> "list[PathCollection]":
     """Draw every hypothesised object as a dot; the heavier its particle the stronger.
 
-    Args:
-        axes: to draw into.
-        frame: one step.
-        filled: dots (Figure 1) rather than empty marks (Figure 4).
-        scale: factor on the size of the marks.
-
-    Returns:
-        One collection for each type, of one point for each hypothesis.
+    Dots (Figure 1) where ``filled``, else empty marks (Figure 4): one collection for each type.
     """
     from matplotlib.colors import to_rgb
 
@@ -183,15 +157,7 @@ def draw_hypotheses(
 
 
 def draw_objects(axes: "Axes", frame: Frame) -> "list[PathCollection]":
-    """Draw what has been observed: filled marks with a dark rim.
-
-    Args:
-        axes: to draw into.
-        frame: one step.
-
-    Returns:
-        One mark for each observed object; fainter where few particles have it.
-    """
+    """Draw what has been observed: filled marks with a dark rim, faint if few particles agree."""
     return [
         axes.scatter(
             [one.x],
@@ -267,15 +233,7 @@ def draw_waypoint(axes: "Axes", frame: Frame) -> "Line2D":
 
 
 def legend_handles(recording: Recording, *, filled: bool = True) -> "list[Line2D]":
-    """Build the legend of the marks that occur in an episode.
-
-    Args:
-        recording: the episode.
-        filled: whether hypotheses are dots or empty marks.
-
-    Returns:
-        Handles with labels.
-    """
+    """Build the legend of the marks of an episode; hypotheses are dots where ``filled``."""
     from matplotlib.lines import Line2D
 
     def handle(label: str, **look: Any) -> Line2D:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxlangnav.experiments.grid import Row
-from jaxlangnav.experiments.tables import least_distance
+from jaxlangnav.experiments.paper import least_distance
 from jaxlangnav.viz import style
 from jaxlangnav.viz.sweep import (
     PAPER_BARS,

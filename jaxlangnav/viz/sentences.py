@@ -99,11 +99,7 @@ def reread(moment: Moment) -> str:
 
 
 def claim_shares(scene: StaticScene, frame: Frame) -> dict[str, float]:
-    """Sum up which readings the particles believe in.
-
-    Returns:
-        Probability of each claim; readings of the same words are one claim.
-    """
+    """Sum up how probable the particles hold each claim; readings of the same words are one."""
     number = len(scene.readings.log_probability)
     held = np.bincount(frame.reading, weights=frame.weight, minlength=number)
     shares: dict[str, float] = {}
@@ -206,11 +202,7 @@ def _target(scene: StaticScene, frame: Frame) -> str:
 
 
 def unseen(scene: StaticScene, frame: Frame) -> str:
-    """Name what the sentence speaks of and no look has shown.
-
-    Returns:
-        "no cone and no bench"; nothing where all has been seen.
-    """
+    """Name what the sentence speaks of and no look has shown, "no cone and no bench"; or ""."""
     return " and ".join(f"no {name}" for name in missing_names(scene, frame))
 
 

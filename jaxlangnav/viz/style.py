@@ -62,14 +62,10 @@ class MissingExtraError(ValueError):
 
 
 def require(module: str, *, extra: str = "viz") -> None:
-    """Make sure an optional library is there before anything is drawn.
-
-    Args:
-        module: name to import.
-        extra: the extra of this package that brings it.
+    """Make sure that a module is there before anything is drawn.
 
     Raises:
-        MissingExtraError: it is not installed; says what to install.
+        MissingExtraError: it is not installed; says which extra brings it.
     """
     if importlib.util.find_spec(module) is None:
         raise MissingExtraError(
@@ -153,12 +149,8 @@ def house_style() -> Iterator[None]:
 def title(figure: "Figure", text: str, subtitle: str = "") -> None:
     """Head a figure at its upper left: what it shows in bold, how to read it beneath.
 
-    Long headlines are set smaller, and cut where even that does not fit.
-
-    Args:
-        figure: the figure; its layout must leave half an inch at the top.
-        text: the headline.
-        subtitle: lines of explanation.
+    Long headlines are set smaller, and cut where even that does not fit. The figure's layout must
+    leave half an inch at the top.
     """
     text = printable(text)
     width, height = figure.get_figwidth(), figure.get_figheight()
@@ -181,15 +173,7 @@ def _fitted(text: str, width: float, most: float, least: float, share: float) ->
 
 
 def save(figure: "Figure", stem: Path | str) -> tuple[Path, Path]:
-    """Write a figure as PNG and SVG; a reader never meets half a file.
-
-    Args:
-        figure: what to write.
-        stem: path without ending; folders are made.
-
-    Returns:
-        The two paths, PNG first.
-    """
+    """Write a figure as PNG and SVG, all or nothing; folders are made, ``stem`` has no ending."""
     stem = Path(stem)
     paths = (stem.with_name(stem.name + ".png"), stem.with_name(stem.name + ".svg"))
     with house_style():

@@ -30,11 +30,7 @@ class SeenObject:
 
 
 def seen_objects(frame: Frame) -> list[SeenObject]:
-    """Sum up the observed objects of a frame.
-
-    Returns:
-        One object for each slot in use, by slot.
-    """
+    """Sum up the observed objects of a frame, by slot."""
     weight = np.asarray(frame.weight, float)
     found = []
     for slot in range(frame.object_type.shape[0]):
@@ -64,13 +60,9 @@ def seen_objects(frame: Frame) -> list[SeenObject]:
 
 
 def expected_goal(frames: Frame) -> np.ndarray:
-    """Compute the mean place of the goal.
+    """Compute the mean place of the goal in one step, or in steps with a leading axis.
 
-    Args:
-        frames: one step, or steps with a leading axis.
-
-    Returns:
-        f64[..., 2], metres, map frame; NaN where no goal is believed anywhere.
+    f64[..., 2], metres, map frame; NaN where no goal is believed anywhere.
     """
     x, y, mass = _goals(frames)
     total = mass.sum(axis=-1, dtype=float)
@@ -127,11 +119,7 @@ def peaks(
 
 
 def chosen_node(frame: Frame) -> int | None:
-    """Find the node the waypoint stands on.
-
-    Returns:
-        Its index, or None where a former waypoint is kept that is no node any more.
-    """
+    """Find the index of the node the waypoint stands on; None where a former waypoint is kept."""
     squared = (frame.node_x - frame.waypoint[0]) ** 2 + (frame.node_y - frame.waypoint[1]) ** 2
     squared = np.where(frame.is_node & (frame.node_kind == frame.waypoint_kind), squared, np.inf)
     best = int(np.argmin(squared))
@@ -143,11 +131,7 @@ SAME_PLACE = 0.25
 
 
 def distinct_nodes(frame: Frame) -> np.ndarray:
-    """Rank the places a robot may go to; of nodes that stand together the best counts.
-
-    Returns:
-        i64[≤ A] indices of open nodes, the most valuable first.
-    """
+    """Rank the open nodes by value, i64[≤ A]; of nodes that stand together the best counts."""
     order = np.argsort(-np.asarray(frame.value), kind="stable")
     kept: list[int] = []
     for node in order[np.isfinite(frame.value[order])]:
@@ -162,9 +146,7 @@ def distinct_nodes(frame: Frame) -> np.ndarray:
 def tested_share(scene: StaticScene, frame: Frame) -> float:
     """Compute how much belief the way to the waypoint puts to the test.
 
-    Returns:
-        Weight of the particles that have a hypothesised object within sensing range of the
-        straight way to the waypoint.
+    The weight of the particles that have a hypothesised object within sensing range of the way.
     """
     start, end = np.asarray(frame.robot, float), np.asarray(frame.waypoint, float)
     span = end - start
@@ -176,17 +158,7 @@ def tested_share(scene: StaticScene, frame: Frame) -> float:
 
 
 def goal_field(scene: StaticScene, frame: Frame, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Compute the QMDP value of standing anywhere (eq. 11, 12), not only on the nodes.
-
-    Args:
-        scene: of the episode, for the discount γ.
-        frame: one step.
-        x: f64[...], metres, map frame.
-        y: f64[...], metres.
-
-    Returns:
-        f64[...].
-    """
+    """Compute the QMDP value of standing at x, y f64[...], metres, map frame (eq. 11, 12)."""
     goal_x, goal_y, mass = _goals(frame)
     distance = np.hypot(x[..., None] - goal_x, y[..., None] - goal_y)
     return (float(scene.planner.discount) ** distance) @ mass

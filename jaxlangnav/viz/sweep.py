@@ -88,14 +88,7 @@ def range_figure(document: Mapping[str, Any]) -> "Figure":
 
 
 def looks_of(arms: Sequence[str]) -> dict[str, Mark]:
-    """Give each arm its colour, marker and name.
-
-    Args:
-        arms: policies, or names of somebody's own.
-
-    Returns:
-        Looks by arm; policies have their own, others take the colours of a chart in turn.
-    """
+    """Give each arm its colour, marker and name; what is no policy takes the next colour."""
     markers = "os^vDPXh"
     return {
         arm: POLICY_LOOKS.get(
@@ -185,15 +178,8 @@ def line_panels(
 ) -> "tuple[Figure, list[Axes]]":
     """Set up panels side by side that share their lines, every second one shaded.
 
-    Args:
-        names: of the lines, from the top.
-        labels: beneath the panels; the first one shows success in percent.
-        size: of the figure, inches.
-        margins: at its left as a share of the width, above and below the panels in inches.
-        widths: of the panels, relative to each other.
-
-    Returns:
-        The figure and its panels.
+    ``margins``: at the left as a share of the width, above and below in inches. The first panel
+    shows success in percent.
     """
     from matplotlib.figure import Figure
 

@@ -44,18 +44,7 @@ _EIGHTHS = (
 
 
 def whereabouts(x: float, y: float, robot_x: float, robot_y: float, heading: float) -> str:
-    """Say where a place is as the robot would: "3.2 m ahead to the left".
-
-    Args:
-        x: metres, map frame.
-        y: metres.
-        robot_x: metres, map frame.
-        robot_y: metres.
-        heading: radians.
-
-    Returns:
-        Distance and direction; "here" within 0.3 m.
-    """
+    """Say where a place is as the robot would: "3.2 m ahead to the left"; metres and radians."""
     distance = math.hypot(x - robot_x, y - robot_y)
     if distance < 0.3:
         return "right here"
@@ -64,14 +53,7 @@ def whereabouts(x: float, y: float, robot_x: float, robot_y: float, heading: flo
 
 
 def percent(probability: float) -> str:
-    """Say a probability in per cent, never a certainty it is not.
-
-    Args:
-        probability: in [0, 1], up to rounding.
-
-    Returns:
-        "37 %"; "< 1 %" and "> 99 %" near the ends.
-    """
+    """Say a probability in per cent, never a certainty it is not: "< 1 %", "> 99 %"."""
     if 0.0 < probability < 0.01:
         return "< 1 %"
     if 0.99 < probability < 1.0 - 1e-6:
@@ -85,14 +67,7 @@ def article(noun: str) -> str:
 
 
 def counted(nouns: list[str]) -> str:
-    """Count things of each kind: "a hydrant and two cones".
-
-    Args:
-        nouns: of each thing, in the singular.
-
-    Returns:
-        Kinds in the order of their first mention; figures from five on.
-    """
+    """Count things of each kind, in the order of their first mention: "a hydrant and two cones"."""
     words = ("", "", "two", "three", "four")
     parts = []
     for noun in dict.fromkeys(nouns):
@@ -108,15 +83,7 @@ def listed(parts: list[str]) -> str:
 
 
 def describe_reading(scene: StaticScene, index: int) -> str:
-    """Say what a reading of the sentence claims of the world.
-
-    Args:
-        scene: of the episode.
-        index: of the reading, in [0, K).
-
-    Returns:
-        "a hydrant behind a cone"; "nothing" where it claims nothing.
-    """
+    """Say what a reading claims of the world: "a hydrant behind a cone", or "nothing"."""
     readings = scene.readings
     used = readings.landmark[index][readings.relation[index] != NONE]
     heads = np.setdiff1d(np.flatnonzero(readings.mention_type[index] >= 0), used)
@@ -154,14 +121,7 @@ def _thing_words(scene: StaticScene, index: int, mention: int) -> str:
 
 
 def describe_asked(scene: StaticScene) -> list[str]:
-    """Say what each command asks for, by the likeliest reading.
-
-    Args:
-        scene: of the episode.
-
-    Returns:
-        "go to the hydrant behind a cone, keeping away from the car", one a command.
-    """
+    """Say what each command asks for, by the likeliest reading: "go to the hydrant"."""
     best = int(np.argmax(scene.readings.log_probability))
 
     def thing(mention: int) -> str:
@@ -184,15 +144,7 @@ def describe_asked(scene: StaticScene) -> list[str]:
 
 
 def describe_readings(scene: StaticScene, *, least: float = 0.01) -> list[tuple[str, float]]:
-    """Say what the sentence may mean, readings of the same words added up.
-
-    Args:
-        scene: of the episode.
-        least: readings less probable than this are left out.
-
-    Returns:
-        Claims with probabilities, the most probable first.
-    """
+    """Say what the sentence may mean with at least some probability, the likeliest claim first."""
     total: dict[str, float] = {}
     for index, log_probability in enumerate(scene.readings.log_probability):
         probability = math.exp(float(log_probability))
