@@ -109,6 +109,11 @@ class Readings:
     rank: Array  # i32[K, J] of the figure's type 1 is the extreme one, 2 the second; BETWEEN; or 0
     log_probability: Array  # f32[K] normalised; -inf in empty readings
 
+    def edges(self, reading: int = 0) -> np.ndarray:
+        """List figure, relation, landmark and rank of a reading's relations, i32[J, 4] (host)."""
+        columns = (self.figure, self.relation, self.landmark, self.rank)
+        return np.stack([np.asarray(column[reading]) for column in columns], axis=1)
+
 
 @pytree
 class Told:

@@ -10,9 +10,8 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from jaxlangnav.grounding import AnnotationGrounder, Context
-from jaxlangnav.grounding.form import annotation_schema, read_form
+from jaxlangnav.grounding.form import annotation_schema, read_form, validate
 from jaxlangnav.grounding.instruction import NUM_CLAUSES
-from jaxlangnav.grounding.json_schema import validate
 from jaxlangnav.grounding.readings import NUM_MENTIONS, NUM_READINGS, NUM_RELATIONS_SAID
 from jaxlangnav.messages import ACTIONS, BETWEEN, LEFT, MODES, NEAR, NONE, REGIONS, RELATIONS, ROBOT
 from jaxlangnav.relations.table import NUM_RANKS

@@ -225,7 +225,7 @@ def test_a_header_that_is_no_document_is_refused(tmp_path, text):
 
 
 def test_types_that_the_lexicon_does_not_have_are_refused_in_one_line(tmp_path):
-    about = {"command": "", "corpus": "", "types": ["\x1b[31mghost\n", *["x"] * 9999]}
+    about = {"command": "", "corpus": "", "types": ["ghost", *["x"] * 9999]}
     content = packed(shipped_members() | {"about.npy": as_npy(np.array(json.dumps(about)))})
     (tmp_path / "w.npz").write_bytes(content)
     with pytest.raises(ValueError, match="trained with types") as caught:

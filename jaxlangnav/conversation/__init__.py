@@ -1,34 +1,17 @@
 """What a stream of utterances leaves behind: words joined, things ruled out, what is spoken of."""
 
-from jaxlangnav.conversation.history import Joined, first_words
-from jaxlangnav.conversation.join import join
+from jaxlangnav.conversation.history import Joined as Joined, first_words as first_words
+from jaxlangnav.conversation.join import join as join
 from jaxlangnav.conversation.memory import (
-    AVOID_ALL,
-    AVOID_IT,
-    Conversation,
-    Words,
-    avoided,
-    begin_conversation,
-    excluding,
-    focus,
-    pinned,
-    seen_from,
-    without,
+    AVOID_ALL as AVOID_ALL,
+    AVOID_IT as AVOID_IT,
+    Conversation as Conversation,
+    Words as Words,
+    avoided as avoided,
+    begin_conversation as begin_conversation,
+    excluding as excluding,
+    focus as focus,
+    pinned as pinned,
+    seen_from as seen_from,
+    without as without,
 )
-
-__all__ = [
-    "AVOID_ALL",
-    "AVOID_IT",
-    "Conversation",
-    "Joined",
-    "Words",
-    "avoided",
-    "begin_conversation",
-    "excluding",
-    "first_words",
-    "focus",
-    "join",
-    "pinned",
-    "seen_from",
-    "without",
-]

@@ -11,7 +11,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxlangnav.conversation.memory import AVOID_ALL, AVOID_IT, Words
+from jaxlangnav.conversation.memory import AVOID_ALL, AVOID_IT, Words, heard_alone
 from jaxlangnav.grounding.instruction import Instruction, Spoken
 from jaxlangnav.grounding.program import BehaviorProgram
 from jaxlangnav.kinds import label_of
@@ -149,22 +149,6 @@ def _goals(reading: Account, spoken: Spoken | None, num_clauses: int) -> list[in
     return goals
 
 
-def _heard_now(instruction: Instruction, heard: int, *, is_asked: bool) -> Words:
-    """Take an utterance by itself; leaves are NumPy arrays, of goals nothing is known yet."""
-    readings, size = instruction.readings, instruction.program.num_phrases.shape[-1]
-    shape = readings.mention_type.shape
-    fields: dict[str, Any] = {
-        "is_asked": np.full(shape, is_asked),
-        "avoid": np.zeros(shape, np.int32),
-        "goal": np.full((shape[0], size), NONE, np.int32),
-        "is_pinned": np.zeros((shape[0], size), bool),
-        "heard": np.full(readings.relation.shape, heard, np.int32),
-        "num_heard": np.int32(heard + 1),
-        "num_dropped": np.int32(0),
-    }
-    return Words(**fields)
-
-
 def new_accounts(
     instruction: Instruction, spoken: Spoken | None, heard: int, *, is_asked: bool
 ) -> list[Account]:
@@ -174,7 +158,9 @@ def new_accounts(
     whether it asks for what it speaks of.
     """
     number = int(instruction.num_clauses)
-    found = accounts_of(instruction.readings, _heard_now(instruction, heard, is_asked=is_asked))
+    found = accounts_of(
+        instruction.readings, heard_alone(instruction, heard, is_asked=is_asked, xp=np)
+    )
     for reading in found:
         reading.new_goals = _goals(reading, spoken, number)
         reading.edges = [dataclasses.replace(one, source=NONE) for one in reading.edges]
@@ -266,7 +252,7 @@ def written(
 
 def first_words(instruction: Instruction, spoken: Spoken | None) -> Words:
     """Tell what the readings of the first sentence, padded, are about; ``spoken`` as elsewhere."""
-    words = _heard_now(instruction, 0, is_asked=True)
+    words = heard_alone(instruction, xp=np)
     goal = np.array(words.goal)
     order = np.argsort(-np.asarray(instruction.readings.log_probability), kind="stable")
     for k, one in zip(order, new_accounts(instruction, spoken, 0, is_asked=True), strict=False):

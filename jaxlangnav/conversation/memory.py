@@ -69,7 +69,7 @@ def begin_conversation(
     """
     readings = instruction.readings
     return Conversation(
-        words=_all_asked(instruction) if words is None else words,
+        words=heard_alone(instruction) if words is None else words,
         told=told_now(readings, pose),
         viewer=seen_from(pose, instruction.frame),
         home=pose,
@@ -100,18 +100,24 @@ def seen_from(pose: _Numbers, frame: _Numbers) -> _Numbers:
     return xp.stack([x, y, pose[2] + frame[:, 2]], axis=1)
 
 
-def _all_asked(instruction: Instruction) -> Words:
-    """Take a sentence to ask for all that it speaks of."""
+def heard_alone(
+    instruction: Instruction, heard: int = 0, *, is_asked: bool = True, xp: Any = jnp
+) -> Words:
+    """Take an utterance by itself, the ``heard``-th, which asks for all that it speaks of or none.
+
+    Of goals nothing is known yet. Leaves are arrays of ``xp``, NumPy or JAX.
+    """
     readings = instruction.readings
-    num_commands = instruction.program.num_phrases.shape[-1]
+    mentions, relations = readings.mention_type.shape, readings.relation.shape
+    commands = mentions[0], instruction.program.num_phrases.shape[-1]
     return Words(
-        is_asked=jnp.ones(readings.mention_type.shape, bool),
-        avoid=jnp.zeros_like(readings.mention_type),
-        goal=jnp.full((readings.mention_type.shape[0], num_commands), NONE, jnp.int32),
-        is_pinned=jnp.zeros((readings.mention_type.shape[0], num_commands), bool),
-        heard=jnp.zeros_like(readings.relation),
-        num_heard=jnp.int32(1),
-        num_dropped=jnp.int32(0),
+        is_asked=xp.full(mentions, is_asked),
+        avoid=xp.zeros(mentions, xp.int32),
+        goal=xp.full(commands, NONE, xp.int32),
+        is_pinned=xp.zeros(commands, bool),
+        heard=xp.full(relations, heard, xp.int32),
+        num_heard=xp.int32(heard + 1),
+        num_dropped=xp.int32(0),
     )
 
 

@@ -26,13 +26,26 @@ from jaxlangnav.environments.functional import (
     NUM_WORLDS,
     OBSERVATION_SIZE,
     EnvironmentInfo,
+    EnvironmentState,
     draw_pool,
 )
-from jaxlangnav.environments.rendering import METADATA, Renderer, RenderMode
 from jaxlangnav.experiments.tasks import SENTENCES
+from jaxlangnav.viz.panels import drive_picture
+from jaxlangnav.viz.style import require
 from jaxlangnav.world.state import Scenario
 
 Actions = Literal["continuous", "discrete"]
+RenderMode = Literal["rgb_array"]
+ID = "jaxlangnav/Follow-v1"
+METADATA: dict[str, Any] = {"render_modes": list(get_args(RenderMode)), "render_fps": 4}
+
+
+def _choice(name: str, value: str, kind: Any, more: str = "") -> str:
+    """Refuse a word that is none of a few."""
+    if value not in get_args(kind):
+        known = ", ".join(get_args(kind))
+        raise ValueError(f'{name} is "{value}", but must be one of {known}{more}')
+    return value
 
 
 def observation_space() -> spaces.Box:
@@ -43,19 +56,10 @@ def observation_space() -> spaces.Box:
 def action_space(actions: str) -> spaces.Box | spaces.Discrete[np.int64]:
     """Describe actions: a step along x and y, and stop; or one of few, the first of them stop.
 
-    Args:
-        actions: "continuous" or "discrete".
-
-    Returns:
-        The space.
-
     Raises:
-        ValueError: neither of these.
+        ValueError: neither "continuous" nor "discrete".
     """
-    known = get_args(Actions)
-    if actions not in known:
-        raise ValueError(f'actions is "{actions}", but must be one of {", ".join(known)}')
-    if actions == "discrete":
+    if _choice("actions", actions, Actions) == "discrete":
         return spaces.Discrete(len(DISCRETE_ACTIONS))
     return spaces.Box(-1.0, 1.0, (ACTION_SIZE,), np.float32)
 
@@ -67,12 +71,61 @@ def to_functional(actions: Any, space: spaces.Space[Any]) -> np.ndarray:
     return np.asarray(actions, np.float32)
 
 
-ID = "jaxlangnav/Follow-v1"
-
-
 def _key(generator: np.random.Generator) -> jax.Array:
     """Draw a random key from Gymnasium's generator."""
     return jax.random.key(generator.integers(2**32, dtype=np.uint32))
+
+
+class _Worlds:
+    """What both environments hold: parameters, the present state, and the way of every lane."""
+
+    def __init__(self, render_mode: str | None, law: dict[str, Any]) -> None:
+        """Set up, and refuse at once what could not be drawn later."""
+        if render_mode is not None:
+            _choice("render_mode", render_mode, RenderMode, ", or None")
+            require("matplotlib")
+        self.is_drawn = render_mode is not None
+        self.params = functional.default_params(**law)
+        # ``default_params`` refuses a relation that is unknown.
+        self.text = SENTENCES[law.get("relation", functional.DEFAULT_RELATION)]
+        self.state: EnvironmentState | None = None
+        self._ways: list[list[np.ndarray]] = []
+
+    def see(self, observation: jax.Array, state: EnvironmentState) -> np.ndarray:
+        """Take over a state; a lane whose episode has just begun begins its way anew."""
+        self.state = state
+        if self.is_drawn:
+            places = np.asarray(state.world.position).reshape(-1, 2)
+            begun = np.asarray(state.steps).reshape(-1) == 0
+            former = self._ways if len(self._ways) == len(places) else [[] for _ in places]
+            self._ways = [
+                [place] if is_begun else [*way, place]
+                for way, place, is_begun in zip(former, places, begun, strict=True)
+            ]
+        return np.asarray(observation)
+
+    def started(self, what: str) -> EnvironmentState:
+        """Give the present state, or say what comes too early."""
+        if self.state is None:
+            raise ValueError(f"{what} before reset: begin an episode first")
+        return self.state
+
+    def draw(self) -> tuple[np.ndarray, ...] | None:
+        """Draw every lane, u8[480, W, 3] each; None, with a warning, without a render mode."""
+        if not self.is_drawn:
+            gymnasium.logger.warn('nothing to render: make it with render_mode="rgb_array"')
+            return None
+        lanes: Any = jax.tree.map(np.asarray, self.started("render"))
+        if lanes.steps.ndim == 0:
+            lanes = jax.tree.map(lambda leaf: leaf[None], lanes)
+        pictures = []
+        for index, way in enumerate(self._ways):
+            lane: EnvironmentState = jax.tree.map(lambda leaf, at=index: leaf[at], lanes)
+            way = np.stack(way)
+            pictures.append(
+                drive_picture(lane, params=self.params, world=lane.world, way=way, text=self.text)
+            )
+        return tuple(pictures)
 
 
 class FollowEnv(gymnasium.Env[np.ndarray, Any]):
@@ -98,11 +151,9 @@ class FollowEnv(gymnasium.Env[np.ndarray, Any]):
         """
         self.observation_space = observation_space()
         self.action_space = action_space(actions)
-        self.instruction = _instruction(law)
         self.render_mode = render_mode
-        self._camera = Renderer(render_mode, self.instruction)
-        self._params = functional.default_params(**law)
-        self._state: functional.EnvironmentState | None = None
+        self._worlds = _Worlds(render_mode, law)
+        self.instruction = self._worlds.text
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -117,10 +168,8 @@ class FollowEnv(gymnasium.Env[np.ndarray, Any]):
             The first observation, and the command as text.
         """
         super().reset(seed=seed)
-        observation, state = _reset(_key(self.np_random), self._params)
-        self._state = state
-        self._camera.see(state)
-        return np.asarray(observation), {"instruction": self.instruction}
+        begun = _reset(_key(self.np_random), self._worlds.params)
+        return self._worlds.see(*begun), {"instruction": self.instruction}
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Carry out one action.
@@ -134,17 +183,14 @@ class FollowEnv(gymnasium.Env[np.ndarray, Any]):
         Raises:
             ValueError: before the first ``reset``.
         """
-        if self._state is None:
-            raise ValueError("step before reset: begin an episode first")
+        worlds, before = self._worlds, self._worlds.started("step")
         action = to_functional(action, self.action_space)
         observation, state, reward, _, info = _step(
-            _key(self.np_random), self._state, action, self._params
+            _key(self.np_random), before, action, worlds.params
         )
-        self._state = state
-        self._camera.see(state)
-        told = {name: np.asarray(value).item() for name, value in _fields(info).items()}
-        ended, late = bool(told["is_stopped"]), bool(told["is_cut_off"])
-        return np.asarray(observation), float(reward), ended, late, told
+        told = {name: value.item() for name, value in _told(info).items()}
+        ended, late = told["is_stopped"], told["is_cut_off"]
+        return worlds.see(observation, state), float(reward), ended, late, told
 
     def render(self) -> np.ndarray | None:
         """Draw the true world, the way gone and what is in view.
@@ -155,7 +201,7 @@ class FollowEnv(gymnasium.Env[np.ndarray, Any]):
         Raises:
             ValueError: before the first ``reset``.
         """
-        pictures = self._camera.draw(self._state, params=self._params)
+        pictures = self._worlds.draw()
         return pictures[0] if pictures else None
 
 
@@ -201,9 +247,7 @@ class FollowVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.render_mode = render_mode
-        self._camera = Renderer(render_mode, _instruction(law))
-        self._params = functional.default_params(**law)
-        self._state: functional.EnvironmentState | None = None
+        self._worlds = _Worlds(render_mode, law)
         self._pool: Scenario | None = None
         self._is_over = np.zeros(num_envs, bool)
 
@@ -222,13 +266,10 @@ class FollowVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
         super().reset(seed=seed)
         if self._num_worlds:
             key = _key(self.np_random)
-            self._pool = draw_pool(key, self._params.law, num_worlds=self._num_worlds)
+            self._pool = draw_pool(key, self._worlds.params.law, num_worlds=self._num_worlds)
         keys = jax.random.split(_key(self.np_random), self.num_envs)
-        observation, state = _reset_many(keys, self._params, self._pool)
         self._is_over = np.zeros(self.num_envs, bool)
-        self._state = state
-        self._camera.see(state)
-        return np.asarray(observation), {}
+        return self._worlds.see(*_reset_many(keys, self._worlds.params, self._pool)), {}
 
     def step(
         self, actions: Any
@@ -244,19 +285,16 @@ class FollowVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
         Raises:
             ValueError: before the first ``reset``.
         """
-        if self._state is None:
-            raise ValueError("step before reset: begin the episodes first")
+        worlds, before = self._worlds, self._worlds.started("step")
         keys = jax.random.split(_key(self.np_random), self.num_envs)
         actions = to_functional(actions, self.single_action_space)
         observation, state, reward, info = _step_many(
-            keys, self._state, actions, self._params, self._pool, self._is_over
+            keys, before, actions, worlds.params, self._pool, self._is_over
         )
-        self._state = state
-        self._camera.see(state)
-        told = {name: np.asarray(value) for name, value in _fields(info).items()}
+        told = _told(info)
         ended, late = told["is_stopped"], told["is_cut_off"]
         self._is_over = ended | late
-        return np.asarray(observation), np.asarray(reward), ended, late, told
+        return worlds.see(observation, state), np.asarray(reward), ended, late, told
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """Draw every lane.
@@ -267,17 +305,12 @@ class FollowVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
         Raises:
             ValueError: before the first ``reset``.
         """
-        return self._camera.draw(self._state, params=self._params)
+        return self._worlds.draw()
 
 
-def _instruction(law: dict[str, Any]) -> str:
-    """Say the command of a law; ``default_params`` refuses a relation that is unknown."""
-    return SENTENCES.get(law.get("relation", functional.DEFAULT_RELATION), "")
-
-
-def _fields(info: EnvironmentInfo) -> dict[str, jax.Array]:
+def _told(info: EnvironmentInfo) -> dict[str, np.ndarray]:
     """List the fields of an info by name."""
-    return vars(info)
+    return {name: np.asarray(value) for name, value in vars(info).items()}
 
 
 _reset = jax.jit(functional.reset)

@@ -1,61 +1,40 @@
 """The Distributed Correspondence Graph (sections 3.1 and 3.3): what words mean, as data."""
 
-from jaxlangnav.grounding.annotated import AnnotationGrounder
-from jaxlangnav.grounding.behavior import infer_behavior, infer_behaviors
-from jaxlangnav.grounding.choosing import ChoosingGrounder, FirstGrounder
+from jaxlangnav.grounding.annotated import AnnotationGrounder as AnnotationGrounder
+from jaxlangnav.grounding.behavior import (
+    infer_behavior as infer_behavior,
+    infer_behaviors as infer_behaviors,
+)
 from jaxlangnav.grounding.correspondence import (
-    Block,
-    CorrespondenceGraph,
-    Described,
-    Labelled,
-    SymbolSpace,
-    read_tree,
+    Block as Block,
+    CorrespondenceGraph as CorrespondenceGraph,
+    Described as Described,
+    Labelled as Labelled,
+    SymbolSpace as SymbolSpace,
+    read_tree as read_tree,
 )
-from jaxlangnav.grounding.grounder import Alternative, Context, GraphGrounder, Grounded, Grounder
+from jaxlangnav.grounding.grounder import (
+    Alternative as Alternative,
+    ChoosingGrounder as ChoosingGrounder,
+    Context as Context,
+    FirstGrounder as FirstGrounder,
+    GraphGrounder as GraphGrounder,
+    Grounded as Grounded,
+    Grounder as Grounder,
+)
 from jaxlangnav.grounding.instruction import (
-    GroundingModel,
-    Instruction,
-    Understanding,
-    understand,
-    understand_parse,
+    GroundingModel as GroundingModel,
+    Instruction as Instruction,
+    Understanding as Understanding,
+    understand as understand,
+    understand_parse as understand_parse,
 )
-from jaxlangnav.grounding.program import BehaviorProgram
+from jaxlangnav.grounding.program import BehaviorProgram as BehaviorProgram
 from jaxlangnav.grounding.rewrites import (
-    RecordedRewrites,
-    RewriteGrounder,
-    RewriteSource,
-    default_rewrite_params,
+    RecordedRewrites as RecordedRewrites,
+    RewriteGrounder as RewriteGrounder,
+    RewriteSource as RewriteSource,
+    default_rewrite_params as default_rewrite_params,
 )
-from jaxlangnav.grounding.symbols import Symbols
-from jaxlangnav.grounding.weights import load_shipped
-
-__all__ = [
-    "Alternative",
-    "AnnotationGrounder",
-    "BehaviorProgram",
-    "Block",
-    "ChoosingGrounder",
-    "Context",
-    "CorrespondenceGraph",
-    "Described",
-    "FirstGrounder",
-    "GraphGrounder",
-    "Grounded",
-    "Grounder",
-    "GroundingModel",
-    "Instruction",
-    "Labelled",
-    "RecordedRewrites",
-    "RewriteGrounder",
-    "RewriteSource",
-    "SymbolSpace",
-    "Symbols",
-    "Understanding",
-    "default_rewrite_params",
-    "infer_behavior",
-    "infer_behaviors",
-    "load_shipped",
-    "read_tree",
-    "understand",
-    "understand_parse",
-]
+from jaxlangnav.grounding.symbols import Symbols as Symbols
+from jaxlangnav.grounding.weights import load_shipped as load_shipped

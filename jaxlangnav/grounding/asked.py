@@ -30,7 +30,7 @@ from jaxlangnav.messages import (
 )
 from jaxlangnav.relations.table import NUM_RANKS
 
-LEAST_PREVIOUS_GOAL = 0.05
+_LEAST_PREVIOUS_GOAL = 0.05
 """A goal less probable than this is none: the command after it has no previous goal."""
 _LEAST_KEPT = 0.5
 """What is to be kept away from with less probability than this is not told."""
@@ -52,7 +52,7 @@ class Asked:
 
 
 @kept()
-def infer_once(program: BehaviorProgram, world: BehaviorWorld) -> Behavior:
+def _infer_once(program: BehaviorProgram, world: BehaviorWorld) -> Behavior:
     """Infer one command in one world, compiled."""
     return infer_behavior(program, world, num_phrases=program.num_phrases)
 
@@ -62,19 +62,32 @@ def asked(instruction: Instruction) -> list[Asked]:
     readings = jax.tree.map(np.asarray, instruction.readings)
     best = int(np.argmax(readings.log_probability))
     slots, world = _as_said(readings, best)
-    size = max(_SLOTS, len(world.object_type))
-    found, previous = [], NONE
+    told = [_told(behavior, slots) for behavior in infer_commands(instruction, world)]
+    return [dataclasses.replace(o, against=_tied(readings, best, o.mention)) for o in told]
+
+
+def infer_commands(instruction: Instruction, world: World) -> list[Behavior]:
+    """Infer what each command asks for in a world of which everything is known.
+
+    One behavior a command, NumPy leaves of n + 1 slots, the robot's last; "the other one" is other
+    than the likeliest goal of the command before it.
+    """
+    size, found = len(world.object_type), []
+    # Padded like any other world, so that one compiled program serves them all.
+    num_slots = max(_SLOTS, size)
+    slots = np.append(np.arange(size - 1), num_slots - 1)
     for clause in range(int(instruction.num_clauses)):
         program = jax.tree.map(
             lambda leaf, index=clause: np.asarray(leaf)[index], instruction.program
         )
-        is_previous = np.arange(len(world.object_type)) == previous
-        told = dataclasses.replace(world, is_previous=is_previous & (previous != NONE))
-        behavior = jax.device_get(infer_once(program, to_device(told, size)))
-        one = _told(behavior, slots)
-        one = dataclasses.replace(one, against=_tied(readings, best, one.mention))
-        found.append(one)
-        previous = slots.index(one.mention) if one.mention != NONE else NONE
+        behavior = jax.device_get(_infer_once(program, to_device(world, num_slots)))
+        behavior = dataclasses.replace(
+            behavior, goal=behavior.goal[:, slots], constraint=behavior.constraint[:, slots]
+        )
+        found.append(behavior)
+        best = behavior.goal.max(axis=0)
+        is_previous = (np.arange(size) == best.argmax()) & (best.max() >= _LEAST_PREVIOUS_GOAL)
+        world = dataclasses.replace(world, is_previous=is_previous)
     return found
 
 
@@ -125,14 +138,11 @@ def _as_said(readings: Readings, best: int) -> tuple[list[int], World]:
     size = len(things) + 1
     related = np.zeros((NUM_RELATIONS, size, size), bool)
     ranked = np.zeros((NUM_RANKS, NUM_RELATIONS, size, size), bool)
-    for edge in np.flatnonzero(readings.relation[best] != NONE):
-        place = (
-            int(readings.relation[best, edge]),
-            slot_of[int(readings.figure[best, edge])],
-            slot_of[int(readings.landmark[best, edge])],
-        )
+    for figure, relation, landmark, rank in readings.edges(best).tolist():
+        if relation == NONE:
+            continue
+        place = relation, slot_of[figure], slot_of[landmark]
         related[place] = True
-        rank = int(readings.rank[best, edge])
         if rank > 0:
             ranked[(min(rank, NUM_RANKS) - 1, *place)] = True
     types = np.array([*kinds[things], ROBOT], np.int32)
@@ -143,9 +153,9 @@ def _as_said(readings: Readings, best: int) -> tuple[list[int], World]:
 
 def _tied(readings: Readings, best: int, mention: int) -> tuple[int, ...]:
     """List the mentions that relations tie to one, through others too; the robot ties nothing."""
-    is_edge = readings.relation[best] != NONE
-    edges = np.stack([readings.figure[best], readings.landmark[best]], axis=1)[is_edge]
-    edges = [edge for edge in edges.tolist() if ROBOT not in readings.mention_type[best][edge]]
+    told = readings.edges(best)
+    edges = told[told[:, 1] != NONE][:, [0, 2]].tolist()
+    edges = [edge for edge in edges if ROBOT not in readings.mention_type[best][edge]]
     tied = {mention}
     for _ in edges:
         tied |= {end for edge in edges if tied & set(edge) for end in edge}
@@ -153,13 +163,12 @@ def _tied(readings: Readings, best: int, mention: int) -> tuple[int, ...]:
 
 
 def _told(behavior: Behavior, slots: list[int]) -> Asked:
-    """Read the likeliest of everything; padding lies between the things and the robot."""
-    held = np.append(np.arange(len(slots) - 1), behavior.goal.shape[1] - 1)
-    goal, constraint = behavior.goal[:, held], behavior.constraint[:, held]
+    """Read the likeliest of everything."""
+    goal, constraint = behavior.goal, behavior.constraint
     region, slot = np.unravel_index(int(goal.argmax()), goal.shape)
     action, mode = int(behavior.action.argmax()), int(behavior.mode.argmax())
     share = float(goal[region, slot])
-    has_goal = share >= LEAST_PREVIOUS_GOAL
+    has_goal = share >= _LEAST_PREVIOUS_GOAL
     return Asked(
         action=ACTIONS[action],
         mode=MODES[mode],

@@ -1,50 +1,161 @@
-"""Behavior inference in the particles (section 3.3): the device kernel of the DCG.
+"""Behavior inference in the particles (section 3.3): the DCG on the device, a beam four wide.
 
-Words are gone (``program``); what is left per particle is look-ups by type, adds and k-best
-(``beam``). Sets of objects are bit masks, so finding what lies in their regions is a few integer
-operations.
+Words are gone (``program``); what is left per particle is look-ups by type, adds and k-best. Sets
+of objects are bit masks, so joining children, and finding what lies in regions, is a few integer
+operations. The four best sets of independent factors have a closed form: none, the smallest margin
+flipped, the second smallest, and the cheaper of the third smallest and the two smallest together.
 
-Arrays carry two lane axes **last**, episodes E and particles P, so that every operation is a vector
-operation over lanes; ``vmap`` over episodes is told to put its axis there.
+Phrases come bottom-up, so the hypotheses of a phrase's children lie on top of a stack; the stack
+is a shift register, which needs no look-up. Equal sets that rest on different child hypotheses stay
+apart. Arrays carry two lane axes **last**, episodes E and particles P, so that every operation is a
+vector operation over lanes; ``vmap`` over episodes is told to put its axis there.
 """
 
 import dataclasses
 import functools
-from typing import Any
+from typing import Any, NamedTuple
 
 import chex
 import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.grounding.beam import (
-    BEAM,
-    Expressed,
-    Stack,
-    four_best_sets,
-    join_children,
-    push_phrase,
-)
 from jaxlangnav.grounding.behavior_odds import (
+    Combinations,
     ObjectSets,
     build_object_sets,
     constraint_odds,
     iota,
     lying_in,
     object_odds,
+    pick_of_four,
     region_odds,
+    smallest,
+    to_mask,
 )
 from jaxlangnav.grounding.program import (
     MAX_DEPTH,
+    NUM_CHILDREN,
     NUM_PHRASES,
     NUM_REGION_SLOTS,
     OF_THE_CLAUSE,
     BehaviorProgram,
 )
 from jaxlangnav.grounding.symbols import NUM_REGIONS, NUM_RELATIONS
-from jaxlangnav.messages import Behavior, BehaviorWorld
+from jaxlangnav.messages import NONE, Behavior, BehaviorWorld
 from jaxlangnav.numerics.batching import once, row_of
 from jaxlangnav.pytree import replace
+
+_BEAM = 4
+_DEAD = 1e6
+"""Cost of a hypothesis that does not exist."""
+_PAIRS = ((0, 0), (0, 1), (0, 2), (0, 3), (1, 0), (1, 1), (2, 0), (3, 0))
+"""Pairs of two sorted lists of four among which the four best sums are."""
+_OBJECTS, _REGIONS, _CONSTRAINTS, _LIES = 0, 1, 1 + NUM_REGION_SLOTS, 2 + NUM_REGION_SLOTS
+"""Rows of ``_Stack.sets``."""
+
+
+class _Stack(NamedTuple):
+    """Hypotheses of phrases whose parent is still to come; the last one first."""
+
+    sets: Array  # i32[D, 5, 4, E, P] objects, regions by slot, constraints, and what lies there
+    cost: Array  # f32[D, 4, E, P] −log-probability, ascending
+
+
+class _Expressed(NamedTuple):
+    """What a phrase may express, given each of the four best combinations of its children."""
+
+    odds: Array  # f32[4, 3 N, E, P] log-odds: objects (of a verb: constraints), regions by slot
+    cost: Array  # f32[4, E, P] of the combinations
+
+
+def _child(row: BehaviorProgram, stack: _Stack, k: Array | int) -> Combinations:
+    """Read the hypotheses of a phrase's k-th child from the top as if it were the only one."""
+    exists = row.num_children > k
+    sets = jnp.where(exists, stack.sets[k], 0)
+    objects, regions = sets[_OBJECTS], sets[_REGIONS : _REGIONS + NUM_REGION_SLOTS]
+    slots = jnp.append(row.region_from[k], row.constraint_region[k][None], axis=0)
+    by_slot = jnp.zeros((1, 1, 1, 1), jnp.int32)
+    for slot in range(NUM_REGION_SLOTS):
+        by_slot = by_slot | jnp.where(slots == slot, regions[slot][:, None], 0)
+    touched = functools.reduce(jnp.bitwise_or, [objects, *regions])
+    kept = jnp.where(row.constraint_from[k] == NONE, 0, sets[_CONSTRAINTS])
+    outside = jnp.where(row.is_restrictor[k] & exists, ~sets[_LIES], 0)
+    first = jnp.where(iota(_BEAM, 3) == 0, 0.0, _DEAD).astype(jnp.float32)
+    return Combinations(
+        sets=jnp.concatenate([jnp.stack([objects, touched, kept, outside], axis=1), by_slot], 1),
+        cost=jnp.where(exists, stack.cost[k], first),
+    )
+
+
+def _combine(left: Combinations, right: Combinations) -> Combinations:
+    """Keep the four best combinations of two sorted lists of hypotheses, exactly."""
+    left_cost, right_cost = jnp.unstack(left.cost), jnp.unstack(right.cost)
+    cost = jnp.stack([left_cost[i] + right_cost[j] for i, j in _PAIRS])
+    values, places = smallest(cost, _BEAM)
+    place = jnp.stack(places)
+    i = jnp.where(place < 4, 0, jnp.where(place < 6, 1, place - 4))
+    j = jnp.where(place < 4, place, jnp.where(place == 5, 1, 0))
+    return Combinations(
+        sets=pick_of_four(left.sets, i[:, None]) | pick_of_four(right.sets, j[:, None]),
+        cost=jnp.stack(values),
+    )
+
+
+def _join_children(row: BehaviorProgram, stack: _Stack) -> Combinations:
+    """Combine the hypotheses of all children of a phrase."""
+
+    def add(k: Array, left: Combinations) -> Combinations:
+        return _combine(left, _child(row, stack, k))
+
+    # As many times as some lane has children; the loop also keeps the compiler from computing
+    # the same values anew inside every later fusion.
+    return jax.lax.fori_loop(1, jnp.max(row.num_children), add, _child(row, stack, 0))
+
+
+def _four_best_sets(odds: Array, cost: Array, size: int) -> tuple[Array, Array]:
+    """Find the four best sets over the four combinations of the children.
+
+    By log-odds f32[4, (1 + L) N, E, P] of objects (or constraints) and regions by slot, and costs
+    f32[4, E, P] of the combinations: masks i32[4, 1 + L, E, P] and their costs, best first.
+    """
+    margin = jnp.abs(odds)
+    # Σ log(1 + e^−m) as one logarithm of a product: up to 2^60 fits float32.
+    base = cost + jnp.log(jnp.prod(1.0 + jnp.exp(-margin), axis=-3))
+    (m1, m2, m3), (f1, f2, f3) = smallest(margin, 3)
+    is_pair = (m1 + m2 < m3).astype(jnp.int32)
+    costs = jnp.concatenate([base, base + m1, base + m2, base + jnp.minimum(m3, m1 + m2)])
+    values, places = smallest(costs, _BEAM)
+    place = jnp.stack(places)
+    kind, combination = place >> 2, place & 3
+    pair = (kind == 3) & (pick_of_four(is_pair, combination) == 1)
+    flips = (
+        jnp.where((kind == 1) | pair, pick_of_four(f1, combination), NONE),
+        jnp.where((kind == 2) | pair, pick_of_four(f2, combination), NONE),
+        jnp.where((kind == 3) & ~pair, pick_of_four(f3, combination), NONE),
+    )
+    masks = to_mask(odds.reshape(_BEAM, -1, size, *odds.shape[-2:]) > 0)  # [4, 1 + L, E, P]
+    first = size * jnp.arange(masks.shape[1], dtype=jnp.int32)[:, None, None]
+    chosen = pick_of_four(masks, combination[:, None])
+    for flip in flips:
+        bit = flip[:, None] - first
+        is_here = (bit >= 0) & (bit < size)
+        chosen = chosen ^ jnp.where(is_here, jnp.left_shift(1, jnp.clip(bit, 0, size - 1)), 0)
+    return chosen, jnp.stack(values)
+
+
+def _push_phrase(stack: _Stack, top: _Stack, num_children: Array) -> _Stack:
+    """Put a phrase's hypotheses (depth 1) where its children's were."""
+
+    def shifted(old: Array, new: Array) -> Array:
+        rows = old  # of a padded row
+        for count in range(NUM_CHILDREN + 1):
+            left = [old[count:], *[old[-1:]] * count]
+            rows = jnp.where(num_children == count, jnp.concatenate([new, *left])[:MAX_DEPTH], rows)
+        return rows
+
+    return _Stack(shifted(stack.sets, top.sets), shifted(stack.cost, top.cost))
+
 
 MAX_SLOTS = 31
 """Object slots, the robot's included: a bit mask and a sorted list of factors hold them."""
@@ -58,10 +169,10 @@ def _row(program: BehaviorProgram, phrase: Array) -> BehaviorProgram:
     return replace(program, **row_of({name: getattr(program, name) for name in names}, phrase))
 
 
-def _advance(row: BehaviorProgram, scene: ObjectSets, stack: Stack) -> tuple[Stack, Expressed]:
+def _advance(row: BehaviorProgram, scene: ObjectSets, stack: _Stack) -> tuple[_Stack, _Expressed]:
     """Infer one phrase from its children."""
     size = scene.lies.shape[1]
-    joined = join_children(row, stack)
+    joined = _join_children(row, stack)
     # A phrase expresses objects or constraints, never both: they share the first N symbols.
     first = jax.lax.cond(
         jnp.any(row.is_verb),
@@ -71,14 +182,14 @@ def _advance(row: BehaviorProgram, scene: ObjectSets, stack: Stack) -> tuple[Sta
     )
     regions = region_odds(row, scene, joined, size)
     odds = jnp.concatenate([first[:, None], regions], axis=1)
-    odds = once(odds.reshape(BEAM, -1, *odds.shape[-2:]))
-    sets, cost = once(four_best_sets(odds, joined.cost, size))
+    odds = once(odds.reshape(_BEAM, -1, *odds.shape[-2:]))
+    sets, cost = once(_four_best_sets(odds, joined.cost, size))
     both, places = sets[:, 0], sets[:, 1:]
     objects, constraints = jnp.where(row.is_verb, 0, both), jnp.where(row.is_verb, both, 0)
     lies = lying_in(row, scene, places)
     found = jnp.stack([objects, *jnp.unstack(places, axis=1), constraints, lies])
-    top = once(Stack(found[None], cost[None]))
-    return push_phrase(stack, top, row.num_children), Expressed(odds, joined.cost)
+    top = once(_Stack(found[None], cost[None]))
+    return _push_phrase(stack, top, row.num_children), _Expressed(odds, joined.cost)
 
 
 def _by_relation(values: Array, relation: Array) -> Array:
@@ -90,17 +201,12 @@ def _by_relation(values: Array, relation: Array) -> Array:
     return spread
 
 
-def _along_slots(values: Array) -> list[Array]:
-    """Part f32[4, L, N, E, P] into its slots."""
-    return [values[:, s] for s in range(NUM_REGION_SLOTS)]
-
-
 def _mean(values: Array, weight: Array) -> Array:
     """Add up values f[4, ...] of the combinations by their weights, one by one."""
     return functools.reduce(jnp.add, jnp.unstack(values * weight))
 
 
-def _conclude(program: BehaviorProgram, root: Expressed, size: int) -> Behavior:
+def _conclude(program: BehaviorProgram, root: _Expressed, size: int) -> Behavior:
     """Read the behavior off the root, averaged over the combinations of its children.
 
     A behavior has one goal: the probability that any goal is expressed is shared in proportion
@@ -110,9 +216,9 @@ def _conclude(program: BehaviorProgram, root: Expressed, size: int) -> Behavior:
     # Written out: XLA's logistic, and its sums over a short leading axis, are scalar on CPU.
     probability = once(1.0 / (1.0 + jnp.exp(-root.odds)))
     constraint, goal = probability[:, :size], probability[:, size:]
-    goal = goal.reshape(BEAM, NUM_REGION_SLOTS, size, *lanes)
-    is_none = jnp.prod(functools.reduce(jnp.multiply, _along_slots(1.0 - goal)), axis=1)
-    total = jnp.sum(functools.reduce(jnp.add, _along_slots(goal)), axis=1)
+    goal = goal.reshape(_BEAM, NUM_REGION_SLOTS, size, *lanes)
+    is_none = jnp.prod(functools.reduce(jnp.multiply, jnp.unstack(1.0 - goal, axis=1)), axis=1)
+    total = jnp.sum(functools.reduce(jnp.add, jnp.unstack(goal, axis=1)), axis=1)
     exists = jnp.where(program.num_phrases == 0, 0.0, 1.0)
     weight = exists * jax.nn.softmax(-root.cost, axis=0)
     share = weight * (1.0 - is_none) / jnp.maximum(total, 1e-9)
@@ -136,16 +242,16 @@ def _infer_aligned(program: BehaviorProgram, worlds: BehaviorWorld, num_phrases:
     """Run the phrases bottom-up; shapes as ``_infer_lanes``."""
     scene = build_object_sets(program, worlds)
     size, *lanes = scene.lies.shape[1:]
-    stack = Stack(
-        sets=jnp.zeros((MAX_DEPTH, 3 + NUM_REGION_SLOTS, BEAM, *lanes), jnp.int32),
-        cost=jnp.zeros((MAX_DEPTH, BEAM, *lanes), jnp.float32),
+    stack = _Stack(
+        sets=jnp.zeros((MAX_DEPTH, 3 + NUM_REGION_SLOTS, _BEAM, *lanes), jnp.int32),
+        cost=jnp.zeros((MAX_DEPTH, _BEAM, *lanes), jnp.float32),
     )
-    nothing = Expressed(
-        odds=jnp.zeros((BEAM, (1 + NUM_REGION_SLOTS) * size, *lanes), jnp.float32),
+    nothing = _Expressed(
+        odds=jnp.zeros((_BEAM, (1 + NUM_REGION_SLOTS) * size, *lanes), jnp.float32),
         cost=stack.cost[0],
     )
 
-    def infer(index: Array, carry: tuple[Stack, Expressed]) -> tuple[Stack, Expressed]:
+    def infer(index: Array, carry: tuple[_Stack, _Expressed]) -> tuple[_Stack, _Expressed]:
         # The root comes last in every lane, however many phrases a lane has.
         phrase = jnp.where(index == num_phrases - 1, NUM_PHRASES - 1, index)
         return _advance(_row(program, phrase), scene, carry[0])

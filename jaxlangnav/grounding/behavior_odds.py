@@ -13,10 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.grounding.program import (
-    LOG_NEVER,
-    BehaviorProgram,
-)
+from jaxlangnav.grounding.program import LOG_NEVER, BehaviorProgram
 from jaxlangnav.kinds import fits, label_of
 from jaxlangnav.messages import NONE, ROBOT, BehaviorWorld
 from jaxlangnav.numerics.batching import pick
@@ -35,45 +32,22 @@ class ObjectSets(NamedTuple):
 class Combinations(NamedTuple):
     """Four best combinations of the child hypotheses of a phrase."""
 
-    sets: Array  # i32[4, 5 + L, E, P], named below; united where children are combined
+    sets: Array  # i32[4, 5 + L, E, P], united where children are combined: the children's objects;
+    # objects of any child symbol; the children's constraints; objects that are in no region of some
+    # restricting child; the children's regions in the phrase's own slots, and in the relation of
+    # the constraint slot
     cost: Array  # f32[4, E, P]
 
-    @property
-    def objects(self) -> Array:
-        """The children's objects, i32[4, E, P]."""
-        return self.sets[:, 0]
 
-    @property
-    def touched(self) -> Array:
-        """Objects of any child symbol, i32[4, E, P]."""
-        return self.sets[:, 1]
-
-    @property
-    def kept(self) -> Array:
-        """The children's constraints, i32[4, E, P]."""
-        return self.sets[:, 2]
-
-    @property
-    def outside(self) -> Array:
-        """Objects that are in no region of some restricting child, i32[4, E, P]."""
-        return self.sets[:, 3]
-
-    @property
-    def same(self) -> Array:
-        """The children's regions in the phrase's own slots, i32[4, L, E, P]."""
-        return self.sets[:, 4:-1]
-
-    @property
-    def near(self) -> Array:
-        """The children's regions in the relation of the constraint slot, i32[4, E, P]."""
-        return self.sets[:, -1]
+_OBJECTS, _TOUCHED, _KEPT, _OUTSIDE, _SLOTS, _NEAR = 0, 1, 2, 3, slice(4, -1), -1
+"""Of ``Combinations.sets``."""
 
 
 def build_object_sets(program: BehaviorProgram, world: BehaviorWorld) -> ObjectSets:
     """Turn worlds into bits; leaves of the world are [..., E, P]."""
     is_object = world.is_object
     kind = world.object_type
-    itself = jnp.where(is_object, bit_of_each(kind.shape[0], 3), 0)
+    itself = jnp.where(is_object, _bit_of_each(kind.shape[0], 3), 0)
     everything = jnp.sum(itself, axis=0)
     edges = jnp.concatenate([world.is_related, world.is_superlative, world.is_later])
     figures = jnp.sum(jnp.where(edges, itself[None, :, None], 0), axis=1)
@@ -108,15 +82,16 @@ def _own(row: BehaviorProgram, scene: ObjectSets) -> Array:
 def object_odds(row: BehaviorProgram, scene: ObjectSets, joined: Combinations, size: int) -> Array:
     """Evaluate the log-odds of the objects, f32[4, N, E, P]."""
     own_mask = _own(row, scene)
-    own = is_in(own_mask, size)
+    own = _is_in(own_mask, size)
     weight = row.object_previous
     base = jnp.where(own, row.object_named, row.object_unnamed)
-    base = base + jnp.where(is_in(own_mask & scene.previous[0], size), weight[0], 0.0)
+    base = base + jnp.where(_is_in(own_mask & scene.previous[0], size), weight[0], 0.0)
     for n in range(3):
-        base = base + jnp.where(is_in(scene.previous[n], size), weight[1 + n], 0.0)
+        base = base + jnp.where(_is_in(scene.previous[n], size), weight[1 + n], 0.0)
     base = base + jnp.where(scene.previous[0] == 0, weight[4], 0.0)[None]
-    base = jnp.where(is_in(scene.everything, size), base, LOG_NEVER)
-    inside, lies = is_in(joined.objects, size), ~is_in(joined.outside, size)
+    base = jnp.where(_is_in(scene.everything, size), base, LOG_NEVER)
+    objects, outside = joined.sets[:, _OBJECTS], joined.sets[:, _OUTSIDE]
+    inside, lies = _is_in(objects, size), ~_is_in(outside, size)
     there = row.object_inside + jnp.where(lies, row.object_lies, row.object_outside)
     named = jnp.where(own[None] & lies, row.object_own_lies, 0.0)
     return base[None] + named + jnp.where(inside, there, row.object_absent)
@@ -124,12 +99,12 @@ def object_odds(row: BehaviorProgram, scene: ObjectSets, joined: Combinations, s
 
 def region_odds(row: BehaviorProgram, scene: ObjectSets, joined: Combinations, size: int) -> Array:
     """Evaluate the log-odds of the regions (goals of a verb phrase), f32[4, L, N, E, P]."""
-    inside = is_in(joined.objects, size)[:, None]
-    same = is_in(joined.same, size)
+    inside = _is_in(joined.sets[:, _OBJECTS], size)[:, None]
+    same = _is_in(joined.sets[:, _SLOTS], size)
     base = row.region_base[:, None]
-    base = base + jnp.where(is_in(_own(row, scene), size), row.region_own[:, None], 0.0)
-    base = base + jnp.where(is_in(scene.robot, size), row.region_robot[:, None], 0.0)
-    base = jnp.where(is_in(scene.everything, size), base, LOG_NEVER)
+    base = base + jnp.where(_is_in(_own(row, scene), size), row.region_own[:, None], 0.0)
+    base = base + jnp.where(_is_in(scene.robot, size), row.region_robot[:, None], 0.0)
+    base = jnp.where(_is_in(scene.everything, size), base, LOG_NEVER)
     return (
         base[None]
         + jnp.where(inside, row.region_inside[:, None], 0.0)
@@ -142,13 +117,15 @@ def constraint_odds(
     row: BehaviorProgram, scene: ObjectSets, joined: Combinations, size: int
 ) -> Array:
     """Evaluate the log-odds of the constraints in their slot, f32[4, N, E, P]."""
-    base = jnp.where(is_in(scene.everything, size), row.constraint_base, LOG_NEVER)
-    kept, touched = is_in(joined.kept, size), is_in(joined.touched, size)
+    base = jnp.where(_is_in(scene.everything, size), row.constraint_base, LOG_NEVER)
+    objects, touched, kept, near = (
+        _is_in(joined.sets[:, row_of], size) for row_of in (_OBJECTS, _TOUCHED, _KEPT, _NEAR)
+    )
     new = jnp.where(kept, 0.0, row.constraint_new)
     return (
         base[None]
-        + jnp.where(is_in(joined.near, size), row.constraint_same, 0.0)
-        + jnp.where(is_in(joined.objects, size), row.constraint_inside, 0.0)
+        + jnp.where(near, row.constraint_same, 0.0)
+        + jnp.where(objects, row.constraint_inside, 0.0)
         + jnp.where(touched, row.constraint_touched + new, row.constraint_untouched)
         + jnp.where(kept, row.constraint_kept, 0.0)
     )
@@ -157,7 +134,7 @@ def constraint_odds(
 def lying_in(row: BehaviorProgram, scene: ObjectSets, regions: Array) -> Array:
     """Find the objects that lie in the expressed regions, i32[4, L, E, P] to i32[4, E, P]."""
     table = pick(scene.lies, _each(row.region_table, scene.lies[0]))
-    there = jnp.where(is_in(regions, scene.lies.shape[1]), table[None], 0)  # [4, L, N, E, P]
+    there = jnp.where(_is_in(regions, scene.lies.shape[1]), table[None], 0)  # [4, L, N, E, P]
     return jax.lax.reduce_or(there, axes=(1, 2))
 
 
@@ -170,19 +147,19 @@ def iota(size: int, ndim: int) -> np.ndarray:
     return np.arange(size, dtype=np.int32).reshape(*(1,) * (ndim - 3), size, 1, 1)
 
 
-def bit_of_each(size: int, ndim: int) -> np.ndarray:
+def _bit_of_each(size: int, ndim: int) -> np.ndarray:
     """List the bit of each object along that axis, i32[1, ..., size ≤ 31, 1, 1]."""
     return np.left_shift(np.int32(1), iota(size, ndim))
 
 
-def is_in(mask: Array, size: int) -> Array:
+def _is_in(mask: Array, size: int) -> Array:
     """Spread bit masks i32[..., E, P] to bool[..., size, E, P]."""
-    return (mask[..., None, :, :] & bit_of_each(size, mask.ndim + 1)) != 0
+    return (mask[..., None, :, :] & _bit_of_each(size, mask.ndim + 1)) != 0
 
 
 def to_mask(flags: Array) -> Array:
     """Gather bool[..., N, E, P] to bit masks i32[..., E, P]."""
-    return jnp.sum(jnp.where(flags, bit_of_each(flags.shape[-3], flags.ndim), 0), axis=-3)
+    return jnp.sum(jnp.where(flags, _bit_of_each(flags.shape[-3], flags.ndim), 0), axis=-3)
 
 
 def smallest(cost: Array, count: int) -> tuple[list[Array], list[Array]]:

@@ -307,8 +307,7 @@ def unpad_readings(readings: Readings) -> list[tuple[Reading, float]]:
     fields = jax.device_get(readings)
     found = []
     for k in np.flatnonzero(np.isfinite(fields.log_probability)):
-        columns = (fields.figure, fields.relation, fields.landmark, fields.rank)
-        edges = np.stack([column[k] for column in columns], axis=1)
+        edges = fields.edges(int(k))
         relations = tuple(tuple(edge) for edge in edges[fields.figure[k] != NONE].tolist())
         kinds = fields.mention_type[k]
         mentions = tuple(kinds[kinds != NONE].tolist())

@@ -6,17 +6,19 @@ or is refused before anything large is made of it.
 """
 
 import json
-from collections.abc import Iterator, Set
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Annotated, TypeVar
 from zipfile import ZipFile
 
 import numpy as np
+from msgspec import Meta, field, structs
 
 from jaxlangnav.files.arrays import faults_as_values, open_arrays, read_floats, read_text_entry
+from jaxlangnav.files.schema import Schema, convert
 from jaxlangnav.files.whole import read_file, replacing
 from jaxlangnav.grounding.instruction import GroundingModel
 from jaxlangnav.grounding.model import (
@@ -37,10 +39,23 @@ _MAX_NAMES = 1 << 14
 """Word-side features of a model; the shipped ones have 347 and 341."""
 _HEAVIEST = 1e6
 """Log-odds of one feature; the shipped ones reach 6.4. Far beyond, sums are no longer finite."""
-_TEMPERATURES = 0.01, 100.0
 _MODELS = {"annotation": ANNOTATION_KINDS, "behavior": BEHAVIOR_KINDS}
-_ABOUT = {"command", "corpus", "types"}
-_HEADER = {"names", "without", "temperature"}
+
+
+class _About(Schema):
+    command: str
+    corpus: str
+    types: list[str]
+
+
+class _Header(Schema):
+    names: Annotated[list[str], Meta(min_length=1, max_length=_MAX_NAMES)]
+    without: list[str]
+    temperature: Annotated[float, Meta(ge=0.01, le=100.0)]
+    properties: dict[str, list[str]] = field(default_factory=dict)
+
+
+_Document = TypeVar("_Document", bound=Schema)
 
 
 def _pack(name: str, model: CorrespondenceModel) -> dict[str, np.ndarray]:
@@ -57,52 +72,27 @@ def _pack(name: str, model: CorrespondenceModel) -> dict[str, np.ndarray]:
 
 def _unpack(name: str, archive: ZipFile) -> CorrespondenceModel:
     """Build a model from named arrays of an archive."""
-    header = _document(archive, f"{name}.json", _HEADER, optional={"properties"})
-    names, without = _texts(header, "names"), _texts(header, "without")
-    temperature = header["temperature"]
-    coldest, hottest = _TEMPERATURES
-    if type(temperature) not in (int, float) or not coldest <= temperature <= hottest:
-        raise ValueError(f"{name}: its temperature is not between {coldest} and {hottest}")
-    if not 0 < len(names) <= _MAX_NAMES or len(set(names)) < len(names):
-        raise ValueError(f"{name}: {len(names)} names of features, or one of them twice")
-    _check_properties(name, header.get("properties", {}))
+    header = _document(archive, f"{name}.json", _Header)
+    if len(set(header.names)) < len(header.names):
+        raise ValueError(f"{name}: one of {len(header.names)} names of features stands twice")
+    for kind, columns in header.properties.items():
+        if kind not in _MODELS[name] or tuple(columns) != property_names()[kind]:
+            raise ValueError(f"the properties of {kind!r} are others than this version's")
     weights = {}
     for kind in _MODELS[name]:
-        shape = len(names), len(property_names()[kind])
+        shape = len(header.names), len(property_names()[kind])
         weights[kind] = read_floats(archive, f"{name}/{kind}", shape)
         if np.abs(weights[kind]).max() > _HEAVIEST:
             raise ValueError(f"{name}/{kind}: a weight is beyond {_HEAVIEST:,.0f}")
-    vocabulary = Vocabulary(names, frozenset(without))
-    return CorrespondenceModel(vocabulary, weights, float(temperature))
+    vocabulary = Vocabulary(tuple(header.names), frozenset(header.without))
+    return CorrespondenceModel(vocabulary, weights, header.temperature)
 
 
-def _check_properties(name: str, properties: Any) -> None:
-    """Refuse weights whose columns stand for other properties than this version's."""
-    if type(properties) is not dict or set(properties) - set(_MODELS[name]):
-        raise ValueError(f"{name}: its properties are no table of names by kind")
-    for kind in properties:
-        if _texts(properties, kind) != property_names()[kind]:
-            raise ValueError(f"the properties of '{kind}' are others than this version's")
-
-
-def _document(
-    archive: ZipFile, name: str, keys: set[str], *, optional: Set[str] = frozenset()
-) -> dict[str, Any]:
-    """Read a JSON document that must have these keys, and may have the optional ones."""
+def _document(archive: ZipFile, name: str, schema: type[_Document]) -> _Document:
+    """Read a JSON document of the archive."""
     text = read_text_entry(archive, name, at_most=_MAX_TEXT)
     with faults_as_values():
-        document = json.loads(text)
-    if type(document) is not dict or set(document) - optional != keys:
-        raise ValueError(f"{name} does not hold {', '.join(sorted(keys))}")
-    return document
-
-
-def _texts(document: dict[str, Any], key: str) -> tuple[str, ...]:
-    """Read a list of texts."""
-    value = document[key]
-    if type(value) is not list or not all(type(one) is str for one in value):
-        raise ValueError(f"{key} is no list of texts")
-    return tuple(value)
+        return convert(json.loads(text), schema, where=name)
 
 
 def save(path: Path, model: GroundingModel, *, command: str, corpus_hash: str) -> None:
@@ -134,7 +124,7 @@ def load(path: Path) -> GroundingModel:
         archive = open_arrays(read_file(path, at_most=_MAX_BYTES))
         if sorted(archive.namelist()) != sorted(members):
             raise ValueError("its arrays are not those of two models")
-        trained = _texts(_document(archive, "about", _ABOUT), "types")
+        trained = tuple(_document(archive, "about", _About).types)
         annotation, behavior = (_unpack(name, archive) for name in _MODELS)
     type_names = load_lexicon().type_names
     if type_names[: len(trained)] != trained:
@@ -150,7 +140,8 @@ def about(path: Path) -> dict[str, object]:
         ValueError: the file is not readable as weights.
     """
     with _refusing(path):
-        return _document(open_arrays(read_file(path, at_most=_MAX_BYTES)), "about", _ABOUT)
+        archive = open_arrays(read_file(path, at_most=_MAX_BYTES))
+        return structs.asdict(_document(archive, "about", _About))
 
 
 @contextmanager

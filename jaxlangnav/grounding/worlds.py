@@ -84,8 +84,7 @@ def place_for(placed: PlacedWorld, type_names: tuple[str, ...], readings: Readin
         return world
     strength = Geometry(placed).strength
     kinds = np.asarray(readings.mention_type[0])
-    columns = (readings.figure, readings.relation, readings.landmark, readings.rank)
-    edges = np.stack([np.asarray(column[0]) for column in columns], axis=1)
+    edges = readings.edges()
     edges = edges[edges[:, 1] != NONE]
     related = _with_between(world, placed, kinds, edges)
     world = dataclasses.replace(world, is_related=related)
@@ -121,9 +120,7 @@ def why_nothing_fits(
         for kind, name in zip(kinds, names, strict=True)
         if kind >= 0 and not fits(world.object_type, kind).any()
     ]
-    columns = (readings.figure, readings.relation, readings.landmark, readings.rank)
-    edges = np.stack([np.asarray(column[0]) for column in columns], axis=1)
-    for figure, relation, landmark, rank in edges:
+    for figure, relation, landmark, rank in readings.edges():
         if relation == NONE:
             continue
         table = world.is_ranked[min(rank, 2) - 1] if rank > 0 else world.is_related

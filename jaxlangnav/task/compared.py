@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxlangnav.grounding.asked import infer_commands
 from jaxlangnav.grounding.form import FormRelation
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.grounding.symbols import NUM_RELATIONS
@@ -27,7 +28,7 @@ from jaxlangnav.messages import (
     relation_name,
 )
 from jaxlangnav.relations.table import CONVERSE, NUM_RANKS
-from jaxlangnav.task.labelled import ALIKE, LEAST, Meaning, infer_commands
+from jaxlangnav.task.labelled import ALIKE, LEAST, Meaning
 
 _EXACT = 0.01
 """Metres by which a distance may differ from the label's, which may leave it out."""
@@ -98,11 +99,9 @@ def _said(instruction: Instruction, names: tuple[str, ...]) -> tuple[set[str], s
         kind = kinds[mention]
         return "robot" if kind == ROBOT else noun_of(kind, names)
 
-    columns = (fields.figure, fields.relation, fields.landmark, fields.rank)
-    edges = np.stack([np.asarray(column[0]) for column in columns], axis=1)
     relations = {
         (name(figure), relation_name(relation, rank), name(landmark), max(int(rank), 0))
-        for figure, relation, landmark, rank in edges
+        for figure, relation, landmark, rank in fields.edges()
         if relation != NONE
     }
     return {noun_of(kind, names) for kind in kinds if kind >= 0}, relations

@@ -24,18 +24,16 @@ from jax import Array
 
 from jaxlangnav.conversation import seen_from
 from jaxlangnav.files.documents import DocumentError, parse_json, read_text
-from jaxlangnav.grounding.asked import LEAST_PREVIOUS_GOAL, infer_once
-from jaxlangnav.grounding.form import FormReading, read_meaning
+from jaxlangnav.grounding.asked import infer_commands
+from jaxlangnav.grounding.form import FormReading, quote, read_meaning
 from jaxlangnav.grounding.instruction import Instruction, Understanding
-from jaxlangnav.grounding.json_schema import quote
-from jaxlangnav.grounding.worlds import World, place_for, to_device
+from jaxlangnav.grounding.worlds import place_for
 from jaxlangnav.language.labels import PlacedWorld
 from jaxlangnav.language.lexicon import type_called
 from jaxlangnav.messages import ACTIONS, AT, MODES, NONE, REGIONS, Behavior
 from jaxlangnav.planner.goals import region_offset
 from jaxlangnav.pytree import replace
 from jaxlangnav.relations import default_params, prepare
-from jaxlangnav.world.scenario import NUM_SLOTS
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 from jaxlangnav.world.state import Scenario
 
@@ -249,31 +247,6 @@ def place_scenario(scenario: Scenario, names: Sequence[str]) -> PlacedWorld:
         if scenario.object_attribute is None
         else tuple(np.asarray(scenario.object_attribute)[kept].tolist()),
     )
-
-
-def infer_commands(instruction: Instruction, world: World) -> list[Behavior]:
-    """Infer what each command asks for in a world of which everything is known.
-
-    One behavior a command, NumPy leaves of n + 1 slots, the robot's last; "the other one" is other
-    than the likeliest goal of the command before it.
-    """
-    size, found = len(world.object_type), []
-    # Padded like any other world, so that one compiled program serves them all.
-    num_slots = max(NUM_SLOTS + 1, size)
-    slots = np.append(np.arange(size - 1), num_slots - 1)
-    for clause in range(int(instruction.num_clauses)):
-        program = jax.tree.map(
-            lambda leaf, index=clause: np.asarray(leaf)[index], instruction.program
-        )
-        behavior = jax.device_get(infer_once(program, to_device(world, num_slots)))
-        behavior = dataclasses.replace(
-            behavior, goal=behavior.goal[:, slots], constraint=behavior.constraint[:, slots]
-        )
-        found.append(behavior)
-        best = behavior.goal.max(axis=0)
-        is_previous = (np.arange(size) == best.argmax()) & (best.max() >= LEAST_PREVIOUS_GOAL)
-        world = dataclasses.replace(world, is_previous=is_previous)
-    return found
 
 
 def _infer_in(

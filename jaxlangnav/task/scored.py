@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from jaxlangnav.experiments.table import Table, TableColumns
-from jaxlangnav.grounding.choosing import FirstGrounder
-from jaxlangnav.grounding.grounder import Context, GraphGrounder, Grounder
+from jaxlangnav.grounding.grounder import Context, FirstGrounder, GraphGrounder, Grounder
 from jaxlangnav.grounding.instruction import GroundingModel
 from jaxlangnav.grounding.rewrites import (
     RecordedRewrites,
