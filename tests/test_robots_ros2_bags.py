@@ -15,8 +15,8 @@ from jaxlangnav.robots.perception.figures import as_told
 from jaxlangnav.robots.perception.tags import Gates
 from jaxlangnav.robots.robot import Detection, Ending
 from jaxlangnav.robots.ros2 import conversions
-from jaxlangnav.robots.ros2.bags import ReplayBus
-from jaxlangnav.robots.ros2.recording import RecordedLoopback, Scribe, write_bag
+from jaxlangnav.robots.ros2.bags import ReplayBus, typestore
+from jaxlangnav.robots.ros2.recording import RecordedLoopback, write_bag
 from jaxlangnav.robots.ros2.robot import RosRobot
 from jaxlangnav.robots.ros2.session import Session
 from jaxlangnav.robots.ros2.simulation import RobotOptions, draw_start
@@ -28,13 +28,13 @@ HERE = np.array([1.0, -2.0, 0.5])
 
 
 @pytest.fixture(scope="module")
-def scribe():
-    return Scribe()
+def store():
+    return typestore()
 
 
 @pytest.fixture(scope="module")
-def store(scribe):
-    return scribe.store
+def scribe(store):
+    return conversions.Scribe(store.types.__getitem__)
 
 
 def there_and_back(store, message):
@@ -43,19 +43,27 @@ def there_and_back(store, message):
 
 
 def test_odometry_and_looks_survive_their_bytes(scribe, store) -> None:
-    read = there_and_back(store, scribe.odometry(HERE, 12.25))
+    read = there_and_back(store, scribe.odometry(HERE, scribe.time(12.25)))
     np.testing.assert_allclose(conversions.pose_of(read), [1.0, -2.0, 0.5], atol=1e-12)
     assert conversions.seconds_of(read.header.stamp) == 12.25
     found = [Detection(object_type=3, range=2.0, bearing=-0.4)]
-    (one,) = conversions.detections_of_cloud(there_and_back(store, scribe.cloud(found, 0.0)), 4)
+    (one,) = conversions.detections_of_cloud(
+        there_and_back(store, scribe.cloud(found, scribe.time(0.0))), 4
+    )
     assert one.object_type == 3
     assert (one.range, one.bearing) == pytest.approx((2.0, -0.4), abs=1e-6)
-    assert conversions.detections_of_cloud(there_and_back(store, scribe.cloud([], 0.0)), 4) == []
+    assert (
+        conversions.detections_of_cloud(
+            there_and_back(store, scribe.cloud([], scribe.time(0.0))), 4
+        )
+        == []
+    )
 
 
 def test_boxes_tags_and_goals_of_registered_texts_survive_their_bytes(scribe, store) -> None:
     types = store.types
-    stamped = scribe.goal(np.array([3.0, 4.0, 0.0]), 0.0)
+    never = scribe.time(0.0)
+    stamped = scribe.goal(np.array([3.0, 4.0, 0.0]), "odom", never)
     middle = stamped.pose
     guess = types["vision_msgs/msg/ObjectHypothesisWithPose"](
         hypothesis=types["vision_msgs/msg/ObjectHypothesis"](class_id="cone", score=0.9),
@@ -63,11 +71,11 @@ def test_boxes_tags_and_goals_of_registered_texts_survive_their_bytes(scribe, st
     )
     size = types["geometry_msgs/msg/Vector3"](x=0.4, y=0.4, z=0.4)
     box = types["vision_msgs/msg/Detection3D"](
-        header=scribe.header("base_link", 0.0), results=[guess], id="7",
+        header=scribe.header("base_link", never), results=[guess], id="7",
         bbox=types["vision_msgs/msg/BoundingBox3D"](center=middle, size=size),
     )  # fmt: skip
     boxes = types["vision_msgs/msg/Detection3DArray"](
-        header=scribe.header("base_link", 0.0), detections=[box]
+        header=scribe.header("base_link", never), detections=[box]
     )
     (one,) = conversions.detections_of_boxes(there_and_back(store, boxes), ("hydrant", "cone"))
     assert (one.object_type, one.range) == (1, 5.0)
@@ -78,12 +86,12 @@ def test_boxes_tags_and_goals_of_registered_texts_survive_their_bytes(scribe, st
         corners=[corner] * 4, homography=np.eye(3).reshape(-1),
     )  # fmt: skip
     tags = types["apriltag_msgs/msg/AprilTagDetectionArray"](
-        header=scribe.header("camera", 0.0), detections=[tag]
+        header=scribe.header("camera", never), detections=[tag]
     )
     assert there_and_back(store, tags).detections[0].id == 7
 
     transform = types["geometry_msgs/msg/TransformStamped"](
-        header=scribe.header("camera", 0.0), child_frame_id="tag36h11:7",
+        header=scribe.header("camera", never), child_frame_id="tag36h11:7",
         transform=types["geometry_msgs/msg/Transform"](
             translation=types["geometry_msgs/msg/Vector3"](x=-1.0, y=0.0, z=2.0),
             rotation=middle.orientation,
@@ -102,7 +110,7 @@ def test_the_bytes_are_those_of_rclpy(scribe, store) -> None:
     from nav_msgs.msg import Odometry
     from rclpy.serialization import deserialize_message, serialize_message
 
-    ours = scribe.odometry(HERE, 12.25)
+    ours = scribe.odometry(HERE, scribe.time(12.25))
     theirs = deserialize_message(bytes(store.serialize_cdr(ours, ours.__msgtype__)), Odometry)
     np.testing.assert_allclose(conversions.pose_of(theirs), [1.0, -2.0, 0.5], atol=1e-12)
     back = store.deserialize_cdr(serialize_message(theirs), ours.__msgtype__)

@@ -149,7 +149,7 @@ class Scribe:
             pose=self._pose(pose), covariance=unknown
         )
         return find("nav_msgs/msg/Odometry")(
-            header=self._header("odom", stamp),
+            header=self.header("odom", stamp),
             child_frame_id="base_link",
             pose=there,
             twist=find("geometry_msgs/msg/TwistWithCovariance")(twist=twist, covariance=unknown),
@@ -159,7 +159,7 @@ class Scribe:
         """Build a sensor_msgs/PointCloud2 of detections."""
         field = self._find("sensor_msgs/msg/PointField")
         return self._find("sensor_msgs/msg/PointCloud2")(
-            header=self._header("base_link", stamp),
+            header=self.header("base_link", stamp),
             height=1,
             width=len(found),
             fields=[
@@ -176,7 +176,7 @@ class Scribe:
     def goal(self, goal: np.ndarray, frame: str, stamp: Any) -> Any:
         """Build a geometry_msgs/PoseStamped of a pose f64[3], odometry frame."""
         stamped = self._find("geometry_msgs/msg/PoseStamped")
-        return stamped(header=self._header(frame, stamp), pose=self._pose(goal))
+        return stamped(header=self.header(frame, stamp), pose=self._pose(goal))
 
     def words(self, text: str) -> Any:
         """Build a std_msgs/String."""
@@ -187,7 +187,8 @@ class Scribe:
         whole, rest = divmod(round(1e9 * seconds), 10**9)
         return self._find("builtin_interfaces/msg/Time")(sec=whole, nanosec=rest)
 
-    def _header(self, frame: str, stamp: Any) -> Any:
+    def header(self, frame: str, stamp: Any) -> Any:
+        """Build a std_msgs/Header."""
         return self._find("std_msgs/msg/Header")(stamp=stamp, frame_id=frame)
 
     def _pose(self, pose: np.ndarray) -> Any:
