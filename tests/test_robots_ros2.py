@@ -12,7 +12,7 @@ from test_robots_drive import TEXT, goal_distance, put
 
 from jaxlangnav.agent import Navigator
 from jaxlangnav.robots.libraries import ros
-from jaxlangnav.robots.robot import Detection, Ending, Progress
+from jaxlangnav.robots.robot import Detection, Drive, Ending, Progress
 from jaxlangnav.robots.ros2 import conversions, tags
 from jaxlangnav.robots.ros2.__main__ import NavigatorOptions, navigate
 from jaxlangnav.robots.ros2.inbox import Inbox
@@ -125,12 +125,6 @@ def test_a_tag_is_turned_from_the_optical_frame_to_the_base() -> None:
     np.testing.assert_allclose(place, [-0.5, 2.0], atol=1e-12)
 
 
-def quarter_turned() -> Message:
-    """A tag's frame that faces the camera: its z axis straight ahead, then turned by 30 degrees."""
-    half = math.radians(30.0) / 2.0
-    return quaternion(0.0, math.sin(half), 0.0, math.cos(half))
-
-
 def test_the_middle_of_a_thing_is_behind_its_tag_and_its_sides_are_one_thing() -> None:
     def tag(x: float, z: float, turn: Message, name: str = "tag36h11:7") -> Message:
         place = Message(x=x, y=0.2, z=z)
@@ -143,7 +137,9 @@ def test_the_middle_of_a_thing_is_behind_its_tag_and_its_sides_are_one_thing() -
     over = quaternion(0.0, 1.0, 0.0, 0.0)
     (one,) = conversions.detections_of_tags([tag(0.0, 2.0, over)], types, depth=0.2)
     assert (one.range, one.bearing) == pytest.approx((2.2, 0.0))
-    (one,) = conversions.detections_of_tags([tag(0.0, 2.0, quarter_turned())], types, depth=0.2)
+    half = math.radians(30.0) / 2.0
+    turned = quaternion(0.0, math.sin(half), 0.0, math.cos(half))
+    (one,) = conversions.detections_of_tags([tag(0.0, 2.0, turned)], types, depth=0.2)
     assert one.range * math.sin(one.bearing) == pytest.approx(-0.1)
     # Two sides of one thing, and another thing of the type.
     seen = [tag(0.0, 2.0, straight), tag(0.2, 2.2, straight, "tag36h11:8"), tag(-1.0, 2.0, over)]
@@ -377,6 +373,15 @@ def session(navigator, bus: Loopback, **options) -> tuple[Session, list]:
     return Session(navigator, robot, told.append, key=jax.random.key(1), **options), told
 
 
+def driven(talk: Session, simulated=None, *, ending: Ending = Ending.ARRIVED) -> Drive:
+    """Carry out what was said; the drive ends so, and beside the goal."""
+    ended = talk.go()
+    assert ended is not None
+    assert ended.ending is ending, ended.why
+    assert simulated is None or goal_distance(simulated) < 1.5
+    return ended
+
+
 @pytest.mark.parametrize("share", [0.0, 0.2])
 def test_a_sentence_is_carried_out_over_messages(navigator, share) -> None:
     simulated = put()
@@ -384,10 +389,7 @@ def test_a_sentence_is_carried_out_over_messages(navigator, share) -> None:
     talk, told = session(navigator, bus)
     for text in (TEXT, TEXT):
         talk.say(text, now=0.0)
-    ended = talk.go()
-    assert ended is not None
-    assert ended.ending is Ending.ARRIVED, ended.why
-    assert goal_distance(simulated) < 1.5
+    ended = driven(talk, simulated)
     # The words came twice and were heard once.
     assert [one["status"] for one in told].count("heard") == 1
     assert told[-1]["ending"] == "arrived"
@@ -421,10 +423,8 @@ class Tagged(Loopback):
         found = Message(header=header("camera", stamp), detections=places)
         moved = transforms(*places, seconds=stamp)
         own = transforms(("base_link", 1.0, 0.0), seconds=stamp, frame="odom")
-        looks = self.looks
-        for look in (
-            looks.of_found(found), looks.of_transforms(own), looks.of_transforms(moved)
-        ):  # fmt: skip
+        looks = [self.looks.of_found(found), *map(self.looks.of_transforms, (own, moved))]
+        for look in looks:
             if look is not None:
                 self.inbox.add_look(*look, stamp)
 
@@ -434,10 +434,7 @@ def test_a_sentence_is_carried_out_by_what_apriltag_ros_publishes(navigator) -> 
     bus = Tagged(simulated)
     talk, _ = session(navigator, bus)
     talk.say(TEXT, now=0.0)
-    ended = talk.go()
-    assert ended is not None
-    assert ended.ending is Ending.ARRIVED, ended.why
-    assert goal_distance(simulated) < 1.5
+    ended = driven(talk, simulated)
     assert bus.inbox.counts.used >= len(ended.steps) - 3
 
 
@@ -447,10 +444,7 @@ def test_a_robot_that_starts_anew_in_the_middle_is_driven_on(navigator) -> None:
     simulated.at(4.0, lambda one: bus.restart())
     talk, _ = session(navigator, bus)
     talk.say(TEXT, now=0.0)
-    ended = talk.go()
-    assert ended is not None
-    assert ended.ending is Ending.ARRIVED, ended.why
-    assert goal_distance(simulated) < 1.5
+    driven(talk, simulated)
     # Goals are sent in the frame that the robot has by then.
     assert np.hypot(*bus.origin[:2]) > 0.5
 
@@ -463,18 +457,13 @@ def test_a_robot_that_is_away_for_a_while_is_waited_for_and_told_of_once(navigat
     robot = talk._robot
     robot._patience, robot._on_silence = 60.0, lambda: silences.append(bus.now())
     talk.say(TEXT, now=0.0)
-    ended = talk.go()
-    assert ended is not None
-    assert ended.ending is Ending.ARRIVED, ended.why
-    assert goal_distance(simulated) < 1.5
+    driven(talk, simulated)
     assert bus.inbox.counts.restarts == 1
     assert len(silences) == 1
     # One that does not come back leaves it blind after its patience.
     bus.vanish(500.0)
     talk.say("go to the cone", now=100.0)
-    ended = talk.go()
-    assert ended is not None
-    assert ended.ending is Ending.BLIND, ended.why
+    driven(talk, ending=Ending.BLIND)
     assert bus.now() - silences[-1] < 90.0
 
 
@@ -499,16 +488,11 @@ def test_a_node_that_starts_anew_takes_up_its_task_and_a_silent_robot_makes_it_b
     assert [one["status"] for one in told[:2]] == ["refused", "heard"]
     assert json.loads(kept.read_text("utf-8")) == [TEXT]
     # Another node, while the camera still delivers nothing: told, and no crash.
-    ended = session(navigator, Loop(simulated), kept=kept)[0].go()
-    assert ended is not None
-    assert ended.ending is Ending.BLIND, ended.why
+    driven(session(navigator, Loop(simulated), kept=kept)[0], ending=Ending.BLIND)
     assert json.loads(kept.read_text("utf-8")) == []
     kept.write_text(json.dumps([TEXT]), "utf-8")
     simulated.camera_works = True
-    ended = session(navigator, Loop(simulated), kept=kept)[0].go()
-    assert ended is not None
-    assert ended.ending is Ending.ARRIVED, ended.why
-    assert goal_distance(simulated) < 1.5
+    driven(session(navigator, Loop(simulated), kept=kept)[0], simulated)
 
 
 def test_words_under_way_and_after_the_end(navigator) -> None:
@@ -520,15 +504,11 @@ def test_words_under_way_and_after_the_end(navigator) -> None:
     talk.say(TEXT, now=1.0)
     simulated.at(3.0, lambda one: talk.say("stop", now=3.0))
     simulated.at(8.0, lambda one: talk.say("go on", now=8.0))
-    ended = talk.go()
-    assert ended is not None
-    assert ended.ending is Ending.ARRIVED, ended.why
+    driven(talk)
     assert [one["text"] for one in told if one["status"] == "heard"] == [TEXT, "stop", "go on"]
     # The map is kept: the cone has been seen, and is gone to without a search.
     talk.say("go to the cone", now=100.0)
-    ended = talk.go()
-    assert ended is not None
-    assert ended.ending is Ending.ARRIVED, ended.why
+    driven(talk)
     assert goal_distance(simulated, (4.0, 0.5)) < 1.5
 
 

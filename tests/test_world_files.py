@@ -168,11 +168,7 @@ COMPLAINTS = [
     ("area", 3, "area is 3, but must be a table"),
     ("area.x_max", -1.0, "area.x_max is -1.0, but must be at least 0.1: 0.1 m above x_min"),
     ("area.y_max", "9", "area.y_max is '9', but must be a number, .*: write it without quotes"),
-    (
-        "area.x_max",
-        float("inf"),
-        "x_max is inf, but must be a number, at least -100000 and at most",
-    ),
+    ("area.x_max", float("inf"), "is inf, but must be a number, at least -100000 and at most"),
     ("area.x_max", True, "area.x_max is True, but must be a number"),
     ("start.x", 14.0, r"start.x is 14.0, but the area reaches from 0 to 13: move it or enlarge"),
     ("start.heading", 400, "start.heading is 400, but must be a number, .* at most 360"),
@@ -195,17 +191,32 @@ COMPLAINTS = [
     ("sensor.noise", 5.5, "sensor.noise is 5.5, but must be at most 5, the range"),
     ("instruction", " ", "instruction is ' ', but must be a text that is not empty"),
     ("robots", 1, "robots is unknown: known keys are area, goal, instruction"),
+    ("area.x_max", 1e39, "x_max is 1e.39, but must be a number, .* and at most 100000"),
+    ("area.x_max", 10**400, "x_max is a whole number of 1329 bits, but must be"),
+    ("objects.0.x", -(10**30), "x is -1000000000000000000000000000000, but must be"),
+    ("sensor.range", 1e-46, "range is 1e-46, but must be a number, at least 0.01"),
+    ("sensor.noise", 1e39, "noise is 1e.39, but must be at most 5, the range"),
+    ("name", "\x1b]0;title\x07", r"name has the control character U\+001B at place 1: remove"),
+    ("name", "\u202eright", r"name has the control character U\+202E"),
+    ("name", "a\nb", r"name has the control character U\+000A"),
+    ("name", "\ud800", r"name has the control character U\+D800"),
+    ("name", "x" * 5000, "name has 5000 characters, but must have at most 100: shorten it"),
+    ("instruction", "go\x00", r"instruction has the control character U\+0000"),
+    ("objects.1.name", "x" * 101, r"objects\[1\].name has 101 characters"),
+    ("\x1b[2J" * 50, 1, "is unknown: known keys are"),
+    ("objects", [[[[]]]] * 2, "must be a table"),
 ]
 
 
-@pytest.mark.parametrize(("where", "value", "message"), COMPLAINTS, ids=lambda part: str(part)[:30])
+@pytest.mark.parametrize(("where", "value", "message"), COMPLAINTS, ids=range(len(COMPLAINTS)))
 def test_complaints_name_file_key_value_limit_and_remedy(where, value, message) -> None:
     table = change(tomllib.loads(YARD), where, value)
     with pytest.raises(WorldFileError, match=message) as caught:
         world_from_dict(table, file="yard.toml")
     text = str(caught.value)
     assert text.startswith("yard.toml: ")
-    assert "\n" not in text
+    assert text.isprintable()
+    assert len(text) < 300
 
 
 def test_too_many_objects() -> None:
@@ -266,37 +277,6 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     (tmp_path / "folder.toml").mkdir()
     with pytest.raises(WorldFileError, match=r"folder\.toml: is a folder, not a regular file"):
         load_world(tmp_path / "folder.toml")
-
-
-@pytest.mark.parametrize(
-    ("where", "value", "message"),
-    [
-        (
-            "area.x_max",
-            1e39,
-            "x_max is 1e.39, but must be a number, at least -100000 and at most 100000",
-        ),
-        ("area.x_max", 10**400, "x_max is a whole number of 1329 bits, but must be"),
-        ("objects.0.x", -(10**30), "x is -1000000000000000000000000000000, but must be"),
-        ("sensor.range", 1e-46, "range is 1e-46, but must be a number, at least 0.01"),
-        ("sensor.noise", 1e39, "noise is 1e.39, but must be at most 5, the range"),
-        ("name", "\x1b]0;title\x07", r"name has the control character U\+001B at place 1: remove"),
-        ("name", "\u202eright", r"name has the control character U\+202E"),
-        ("name", "a\nb", r"name has the control character U\+000A"),
-        ("name", "\ud800", r"name has the control character U\+D800"),
-        ("name", "x" * 5000, "name has 5000 characters, but must have at most 100: shorten it"),
-        ("instruction", "go\x00", r"instruction has the control character U\+0000"),
-        ("objects.1.name", "x" * 101, r"objects\[1\].name has 101 characters"),
-        ("\x1b[2J" * 50, 1, "is unknown: known keys are"),
-        ("objects", [[[[]]]] * 2, "must be a table"),
-    ],
-    ids=range(14),
-)
-def test_hostile_values_are_refused_in_a_short_plain_line(where, value, message) -> None:
-    with pytest.raises(WorldFileError, match=message) as caught:
-        world_from_dict(change(tomllib.loads(YARD), where, value), file="yard.toml")
-    assert str(caught.value).isprintable()
-    assert len(str(caught.value)) < 300
 
 
 def test_a_name_that_comes_from_the_file_is_plain_and_short(tmp_path: Path) -> None:
