@@ -1,6 +1,7 @@
 """A recording made by hand: pictures are tested without running the engine."""
 
 import numpy as np
+from placed import placed
 
 from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.messages import AT, BEHIND, NONE, Readings, SensorParams, Status
@@ -8,7 +9,7 @@ from jaxlangnav.planner.config import as_policy
 from jaxlangnav.planner.graph import FRONTIER, OBJECT_NODE, VISITED
 from jaxlangnav.planner.params import default_planner_params
 from jaxlangnav.recording import Frame, Recording, StaticScene, stack_frames
-from jaxlangnav.world.state import CONE, HYDRANT, Scenario
+from jaxlangnav.world.state import CONE, HYDRANT
 
 TYPES = ("hydrant", "cone", "car", "building", "tree", "bench", "barrel", "box")
 TEXT = "go to the hydrant behind the cone"
@@ -30,17 +31,7 @@ def make_readings() -> Readings:
 
 def make_scene(*, policy: str = "faithful", text: str = TEXT) -> StaticScene:
     """A hydrant at (9, 1) behind a cone at (6, 1)."""
-    scenario = Scenario(
-        object_type=np.array([HYDRANT, CONE, NONE], np.int32),
-        object_x=np.array([9.0, 6.0, 0.0], np.float32),
-        object_y=np.array([1.0, 1.0, 0.0], np.float32),
-        is_object=np.array([True, True, False]),
-        goal=np.array([9.0, 1.0], np.float32),
-        goal_index=np.int32(0),
-        start=np.zeros(3, np.float32),
-        area=np.array(AREA, np.float32),
-        is_valid=np.array(True),
-    )
+    scenario = placed([(HYDRANT, 9.0, 1.0), (CONE, 6.0, 1.0)], slots=3, area=AREA, goal=0)
     sensor = SensorParams(
         range_max=np.float32(3.0),
         field_of_view=np.float32(2 * np.pi),

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import readings as by_hand
+from placed import placed
 from test_navigator_step import AREA, CONE, HYDRANT, distance, go, robot
 
 from jaxlangnav import agent, episode, kinds, lanes
@@ -388,20 +389,9 @@ def scene(draw: np.random.Generator, command: int) -> Scenario:
             places.append(place)
     looks = [kinds.attributes(*words) for words in LOOKS[command]]
     other = 1 + (command + 1) % 3
-    types = np.array([command + 1] * 3 + [other] + [NONE] * 4, np.int32)
-    spots = np.float32([*places, *np.zeros((4, 2))])
-    return Scenario(
-        object_type=types,
-        object_x=spots[:, 0],
-        object_y=spots[:, 1],
-        is_object=np.arange(8) < 4,
-        goal=spots[0],
-        goal_index=np.int32(0),
-        start=np.zeros(3, np.float32),
-        area=np.float32(area),
-        is_valid=np.bool_(True),
-        object_attribute=np.int32([*looks, looks[0], 0, 0, 0, 0]),
-    )
+    rows = [(kind, *at) for kind, at in zip([command + 1] * 3 + [other], places, strict=True)]
+    codes = np.int32([*looks, looks[0], 0, 0, 0, 0])
+    return placed(rows, area=area, goal=0, object_attribute=codes)
 
 
 @pytest.mark.slow

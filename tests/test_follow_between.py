@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from placed import placed
 
 from jaxlangnav import lanes
 from jaxlangnav.episode import Task
@@ -55,22 +56,8 @@ def places_of(random: np.random.Generator, goal: str, landmarks: tuple, num_othe
 
 
 def scenario_of(kinds: list[str], places: np.ndarray, names: tuple[str, ...]) -> Scenario:
-    number = len(kinds)
-    object_type, is_object = np.zeros(NUM_SLOTS, np.int32), np.zeros(NUM_SLOTS, bool)
-    at = np.zeros((2, NUM_SLOTS), np.float32)
-    object_type[:number] = [names.index(kind) for kind in kinds]
-    is_object[:number], at[:, :number] = True, places.T
-    return Scenario(
-        object_type=object_type,
-        object_x=at[0],
-        object_y=at[1],
-        is_object=is_object,
-        goal=np.array(places[0], np.float32),
-        goal_index=np.int32(0),
-        start=np.zeros(3, np.float32),
-        area=np.array([-HALF, HALF, -HALF, HALF], np.float32),
-        is_valid=np.bool_(True),
-    )
+    rows = [(names.index(kind), *at) for kind, at in zip(kinds, places, strict=True)]
+    return placed(rows, slots=NUM_SLOTS, area=(-HALF, HALF, -HALF, HALF), goal=0)
 
 
 @pytest.mark.slow

@@ -13,11 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import readings as by_hand
+from placed import placed
 
 from jaxlangnav import episode
 from jaxlangnav.episode import Task
 from jaxlangnav.grounding import load_shipped, understand
-from jaxlangnav.messages import NONE, default_motion, default_sensor
+from jaxlangnav.messages import default_motion, default_sensor
 from jaxlangnav.navigator import NavigatorConfig, default_params
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 from jaxlangnav.world.state import Scenario
@@ -106,18 +107,8 @@ OTHERS = (
 
 def make_scenario() -> Scenario:
     names = load_shipped().type_names
-    kinds, xs, ys = zip(*PLACES.values(), strict=True)
-    return Scenario(
-        object_type=np.array([names.index(kind) for kind in kinds], np.int32),
-        object_x=np.array(xs, np.float32),
-        object_y=np.array(ys, np.float32),
-        is_object=np.ones(len(kinds), bool),
-        goal=np.zeros(2, np.float32),
-        goal_index=np.int32(NONE),
-        start=np.zeros(3, np.float32),
-        area=np.array(AREA, np.float32),
-        is_valid=np.bool_(True),
-    )
+    things = [(names.index(kind), x, y) for kind, x, y in PLACES.values()]
+    return placed(things, slots=len(things), area=AREA)
 
 
 class Followed:

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from placed import placed
 from test_navigator_step import robot as navigator
 
 from jaxlangnav.messages import NONE, Fault, Status, default_sensor
@@ -18,7 +19,6 @@ from jaxlangnav.robots.recorded import record_drive
 from jaxlangnav.robots.robot import Detection, Drive, Ending, Progress, observe
 from jaxlangnav.viz.html import _page_data, _render_html
 from jaxlangnav.viz.panels import outcome
-from jaxlangnav.world.scenario import empty_scenario
 from jaxlangnav.world.state import CONE, HYDRANT
 
 __all__ = ["navigator"]
@@ -29,17 +29,8 @@ GOAL = (6.0, 0.8)
 def put(
     objects=((HYDRANT, *GOAL), (CONE, 4.0, 0.5)), *, steering=None, seed: int = 0
 ) -> KinematicRobot:
-    scenario = empty_scenario()
-    kind, x, y = (np.array(one) for one in zip(*objects, strict=True))
-    empty = len(scenario.object_x) - len(kind)
     scenario = replace(
-        scenario,
-        object_type=np.pad(kind, (0, empty), constant_values=NONE).astype(np.int32),
-        object_x=np.pad(x, (0, empty)).astype(np.float32),
-        object_y=np.pad(y, (0, empty)).astype(np.float32),
-        is_object=np.arange(len(kind) + empty) < len(kind),
-        goal=np.array([x[0], y[0]], np.float32),
-        area=np.array([0.0, 9.0, -4.5, 4.5], np.float32),
+        placed(objects, area=(0.0, 9.0, -4.5, 4.5), goal=0), goal_index=np.int32(NONE)
     )
     sensor = replace(default_sensor(3.0), field_of_view=jnp.float32(np.pi / 2))
     return KinematicRobot(scenario, seed=seed, sensor=sensor, steering=steering)

@@ -8,9 +8,9 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from placed import placed
 
 from jaxlangnav.messages import default_sensor
-from jaxlangnav.pytree import replace
 from jaxlangnav.robots import libraries
 from jaxlangnav.robots.motion.steering import WheelCommand, wrap
 from jaxlangnav.robots.perception import figures, tags
@@ -19,7 +19,6 @@ from jaxlangnav.robots.physics.machines import MACHINES, Wear
 from jaxlangnav.robots.physics.robot import PhysicsRobot, wheel_speeds
 from jaxlangnav.robots.robot import Progress, Robot
 from jaxlangnav.robots.table3 import navigator_of
-from jaxlangnav.world.scenario import empty_scenario
 from jaxlangnav.world.state import CONE, HYDRANT
 
 try:
@@ -33,18 +32,7 @@ OBJECTS = ((HYDRANT, 3.0, -0.4), (CONE, 2.2, 1.0))
 
 
 def put(machine: str = "husky", objects=OBJECTS, *, wear: Wear = SURE, seed: int = 0):
-    scenario = empty_scenario()
-    size, number = len(scenario.object_x), len(objects)
-    columns = np.zeros((3, size))
-    columns[:, :number] = np.array(objects).reshape(-1, 3).T
-    scenario = replace(
-        scenario,
-        object_type=columns[0].astype(int),
-        object_x=columns[1],
-        object_y=columns[2],
-        is_object=np.arange(size) < number,
-        area=np.array([-1.0, 8.0, -4.0, 4.0]),
-    )
+    scenario = placed(objects, area=(-1.0, 8.0, -4.0, 4.0))
     gates = tags.Gates(range=4.0)
     return PhysicsRobot(
         machine, scenario, seed=seed, gates=gates, sensor=default_sensor(4.0), wear=wear

@@ -25,6 +25,7 @@ from hand_geometry import (
     kinds_in,
     read_label,
 )
+from placed import placed
 from readings import repeat, stack
 
 from jaxlangnav import Navigator, episode, lanes
@@ -32,7 +33,7 @@ from jaxlangnav.episode import EpisodeState, Task
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.grounding.binding import Detector
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.messages import NONE, Status, default_motion, default_sensor
+from jaxlangnav.messages import Status, default_motion, default_sensor
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams
 from jaxlangnav.world.motion import HOLONOMIC
 from jaxlangnav.world.scenario import NUM_SLOTS
@@ -121,15 +122,8 @@ def draw_world(told: list[Command], seed: int) -> Place | None:
 
 
 def scenario_of(world: Place, names: tuple[str, ...]) -> Scenario:
-    number = len(world.kinds)
-    kinds, at = np.full(NUM_SLOTS, NONE, np.int32), np.zeros((NUM_SLOTS, 2), np.float32)
-    kinds[:number], at[:number] = [names.index(kind) for kind in world.kinds], world.at
-    return Scenario(
-        object_type=kinds, object_x=at[:, 0], object_y=at[:, 1],
-        is_object=np.arange(NUM_SLOTS) < number, goal=np.zeros(2, np.float32),
-        goal_index=np.int32(NONE), start=np.zeros(3, np.float32),
-        area=np.array([-EXTENT, EXTENT] * 2, np.float32), is_valid=np.bool_(True),
-    )  # fmt: skip
+    rows = [(names.index(kind), *at) for kind, at in zip(world.kinds, world.at, strict=True)]
+    return placed(rows, slots=NUM_SLOTS, area=[-EXTENT, EXTENT] * 2)
 
 
 class Way(NamedTuple):

@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import readings as by_hand
+from placed import placed
 
-from jaxlangnav.messages import NONE
 from jaxlangnav.planner import qmdp
 from jaxlangnav.planner.goals import Goals
 from jaxlangnav.planner.latency import Tour, first_sight
@@ -91,18 +91,9 @@ def test_a_shadow_has_a_soft_edge() -> None:
 
 
 def scenario(view: Walls | OpenField) -> Scenario:
-    return Scenario(
-        object_type=jnp.array([by_hand.HYDRANT, by_hand.CONE, NONE]),
-        object_x=jnp.array([6.0, 2.0, 0.0]),
-        object_y=jnp.array([0.0, 0.0, 0.0]),
-        is_object=jnp.array([True, True, False]),
-        goal=jnp.array([6.0, 0.0]),
-        goal_index=jnp.int32(0),
-        start=jnp.zeros(3),
-        area=AREA,
-        is_valid=jnp.array(True),
-        terrain=Terrain(view=view, travel=StraightLines()),
-    )
+    things = [(by_hand.HYDRANT, 6.0, 0.0), (by_hand.CONE, 2.0, 0.0)]
+    terrain = Terrain(view=view, travel=StraightLines())
+    return placed(things, slots=3, area=AREA, goal=0, terrain=terrain)
 
 
 def test_the_sensor_sees_in_front_of_a_wall_and_not_behind() -> None:

@@ -4,12 +4,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from placed import placed
 from test_navigator_step import WORLD
 from test_world_motion import KEY, action, motion, robot
 
 from jaxlangnav import agent, episode
 from jaxlangnav.grounding import load_shipped, understand
-from jaxlangnav.messages import NONE, Status, default_sensor
+from jaxlangnav.messages import Status, default_sensor
 from jaxlangnav.navigator import NavigatorConfig, default_params
 from jaxlangnav.planner.config import PlannerConfig
 from jaxlangnav.semantic_map.params import MapConfig
@@ -68,19 +69,7 @@ def test_who_turns_at_once_goes_where_a_holonomic_body_goes() -> None:
 
 
 def place(things: list[tuple[int, float, float]], **more) -> Scenario:
-    kinds, x, y = (jnp.asarray(one) for one in zip(*things, strict=True))
-    return Scenario(
-        object_type=kinds.astype(jnp.int32),
-        object_x=x.astype(jnp.float32),
-        object_y=y.astype(jnp.float32),
-        is_object=kinds != NONE,
-        goal=jnp.array([x[1], y[1]]),
-        goal_index=jnp.int32(1),
-        start=jnp.zeros(3),
-        area=jnp.array([0.0, 10.0, -5.0, 5.0]),
-        is_valid=jnp.array(True),
-        **more,
-    )
+    return placed(things, slots=len(things), area=(0.0, 10.0, -5.0, 5.0), goal=1, **more)
 
 
 def test_a_robot_on_two_wheels_follows_a_sentence() -> None:

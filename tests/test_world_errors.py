@@ -6,6 +6,7 @@ import math
 import jax
 import jax.numpy as jnp
 import numpy as np
+from placed import placed
 
 from jaxlangnav.messages import NONE, Observation, SensorParams, default_sensor
 from jaxlangnav.pytree import replace
@@ -24,22 +25,7 @@ ROBOT = WorldState(
 
 
 def place(errors: Errors | None) -> Scenario:
-    kind = np.full(8, NONE, np.int32)
-    at = np.zeros((2, 8), np.float32)
-    for slot, (of, x, y) in enumerate(THINGS):
-        kind[slot], at[:, slot] = of, (x, y)
-    return Scenario(
-        object_type=jnp.asarray(kind),
-        object_x=jnp.asarray(at[0]),
-        object_y=jnp.asarray(at[1]),
-        is_object=jnp.asarray(kind != NONE),
-        goal=jnp.zeros(2),
-        goal_index=jnp.int32(0),
-        start=jnp.zeros(3),
-        area=jnp.array([-9.0, 9.0, -9.0, 9.0]),
-        is_valid=jnp.asarray(True),
-        errors=errors,
-    )
+    return placed(THINGS, area=(-9.0, 9.0, -9.0, 9.0), goal=0, errors=errors)
 
 
 def errors(invented: tuple[int, ...] = (), haunted: float = 0.0) -> Errors:

@@ -5,8 +5,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from placed import placed
 
 from jaxlangnav.messages import NONE, Observation, SensorParams
+from jaxlangnav.pytree import replace
 from jaxlangnav.world.sensor import sense as sense_eagerly, visible
 from jaxlangnav.world.state import Scenario, WorldState
 
@@ -27,20 +29,13 @@ def sensor(
 
 def world(places: list[tuple[float, float]], num_slots: int = 8) -> Scenario:
     """Place objects of types 0, 1, 2, ...; empty slots hold garbage."""
-    x, y = np.full(num_slots, 0.5, np.float32), np.full(num_slots, 0.5, np.float32)
-    for slot, place in enumerate(places):
-        x[slot], y[slot] = place
-    return Scenario(
-        object_type=jnp.arange(num_slots, dtype=jnp.int32),
-        object_x=jnp.asarray(x),
-        object_y=jnp.asarray(y),
-        is_object=jnp.arange(num_slots) < len(places),
-        goal=jnp.zeros(2),
-        goal_index=jnp.int32(0),
-        start=jnp.zeros(3),
-        area=jnp.array([-20.0, 20.0, -20.0, 20.0]),
-        is_valid=jnp.array(True),
+    scenario = placed([(0, *place) for place in places], slots=num_slots)
+    x, y = (
+        np.where(scenario.is_object, at, np.float32(0.5))
+        for at in (scenario.object_x, scenario.object_y)
     )
+    types = np.arange(num_slots, dtype=np.int32)
+    return replace(scenario, object_type=types, object_x=x, object_y=y)
 
 
 def robot(x: float = 0.0, y: float = 0.0, heading: float = 0.0) -> WorldState:
