@@ -134,7 +134,7 @@ def test_a_file_within_the_limit_is_read_whole(tmp_path: Path, size: int, at_mos
         for path in (tmp_path / "file", str(tmp_path / "link")):
             assert read_file(path, at_most=at_most) == (tmp_path / "file").read_bytes()
     else:
-        with pytest.raises(ValueError, match=rf"file: has more than {at_most:,} bytes$"):
+        with pytest.raises(ValueError, match=rf"^.*file: has more than {at_most:,} bytes.*$"):
             read_file(tmp_path / "file", at_most=at_most)
 
 
