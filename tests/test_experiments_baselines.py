@@ -11,7 +11,7 @@ import pytest
 from scipy.optimize import linprog
 
 from jaxlangnav.episode import EpisodeResult, Task
-from jaxlangnav.experiments import baselines, bounds
+from jaxlangnav.experiments import baselines, rows as bounds
 from jaxlangnav.experiments.policies import POLICY_NAMES, check_policies, run_policy
 from jaxlangnav.experiments.tasks import BLOCK, SENTENCES, cell, ground_sentences, make_tasks
 from jaxlangnav.planner.params import default_planner_params

@@ -49,20 +49,14 @@ def free_address() -> str:
 def start(
     arguments: list[str], pytestconfig: pytest.Config, **environment: str
 ) -> subprocess.Popen[str]:
-    cache = str(Path(pytestconfig.rootpath) / ".pytest_cache" / "jax")
+    own = {
+        "JAX_PLATFORMS": "cpu", "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+        "JAX_COMPILATION_CACHE_DIR": f"{pytestconfig.rootpath}/.pytest_cache/jax",
+    }  # fmt: skip
     return subprocess.Popen(
-        [sys.executable, *arguments],
-        env=os.environ
-        | {
-            "JAX_PLATFORMS": "cpu",
-            "JAX_COMPILATION_CACHE_DIR": cache,
-            "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
-        }
-        | environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+        [sys.executable, *arguments], env=os.environ | own | environment,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
 
 
 def episodes(folder: Path) -> dict[str, bytes]:
@@ -70,14 +64,8 @@ def episodes(folder: Path) -> dict[str, bytes]:
 
 
 def test_rounds_by_hand() -> None:
-    kinds = [
-        ("informed", 64),
-        ("known", None),
-        ("informed", 64),
-        ("informed", 16),
-        ("informed", 64),
-        ("known", None),
-    ]
+    ours, known = ("informed", 64), ("known", None)
+    kinds = [ours, known, ours, ("informed", 16), ours, known]
     found = list(sweep._rounds(range(6), kinds.__getitem__, 2))
     assert found == [[1], [0, 2], [5], [3], [4]]
     assert [len(own) for own in sweep._rounds(range(6), kinds.__getitem__, 1)] == [1] * 6

@@ -44,14 +44,10 @@ def test_a_row_by_hand() -> None:
     assert row.contradictions == 3
     assert row.faults == 4
 
-
-def test_no_path_is_shorter_than_the_known_one() -> None:
     # A robot may stop short of the goal: its SPL is at most 1 all the same.
     row = summarize(results(distance=np.full(4, 2.0)), np.full(4, 10.0))
     assert row.spl == pytest.approx(2 / 3)
-
-
-def test_one_episode_has_no_spread() -> None:
+    # One episode has no spread.
     row = summarize(results(is_valid=np.array([True, False, False, False])), np.full(4, 10.0))
     assert (row.episodes, row.distance_sd) == (1, 0.0)
 
@@ -69,22 +65,10 @@ def test_wilson_interval_by_hand() -> None:
 # Paired tests by hand, and calibrated where nothing differs.
 
 
-@pytest.mark.parametrize(
-    ("first", "second", "expected"),
-    [
-        (0, 0, 1.0),
-        (5, 0, 2 / 32),
-        (0, 5, 2 / 32),
-        (3, 1, 2 * (1 + 4) / 16),
-        (2, 2, 1.0),
-        (10, 1, 2 * 12 / 2048),
-    ],
-)
-def test_mcnemar_by_hand(first: int, second: int, expected: float) -> None:
-    assert _mcnemar(first, second) == pytest.approx(expected)
-
-
-def test_mcnemar_does_not_underflow() -> None:
+def test_mcnemar_by_hand() -> None:
+    cases = (0, 0, 1.0), (5, 0, 2 / 32), (0, 5, 2 / 32), (3, 1, 2 * (1 + 4) / 16), (2, 2, 1.0)
+    for first, second, expected in (*cases, (10, 1, 2 * 12 / 2048)):
+        assert _mcnemar(first, second) == pytest.approx(expected)
     # 3,000 discordant episodes at 55 %: normal approximation, z = (1650 - 1350) / sqrt(3000).
     z = 300 / math.sqrt(3000)
     expected = math.erfc(z / math.sqrt(2))
@@ -121,9 +105,6 @@ def test_compare_by_hand() -> None:
     assert found.distance_difference == pytest.approx(1.0)
     half = 1.959964 * np.std([1, 0, 2, 1], ddof=1) / 2
     assert found.distance_ci == pytest.approx((1 - half, 1 + half))
-
-
-def test_nothing_to_compare_is_refused() -> None:
     empty = np.array([])
     with pytest.raises(ValueError, match="no episode"):
         compare(empty, empty, empty, empty)

@@ -11,7 +11,7 @@ import pytest
 from jaxlangnav.episode import EpisodeResult, Task
 from jaxlangnav.experiments import monte_carlo
 from jaxlangnav.experiments.baselines import run_baseline
-from jaxlangnav.experiments.grid import Arm, Grid, _kind, policy_arm, run_grid
+from jaxlangnav.experiments.grid import Arm, Grid, policy_arm, run_grid
 from jaxlangnav.experiments.policies import run_policy
 from jaxlangnav.experiments.rows import RowSpec
 from jaxlangnav.experiments.sweep_config import config_from_dict
@@ -212,12 +212,6 @@ def test_a_grid_is_run_arm_by_arm_and_summed_up_by_setting() -> None:
         np.mean(distance[EPISODES:], dtype=np.float64),
     ]
     assert list(columns)[:6] == ["world", "range", "relation", "policy", "seed", "episode"]
-
-
-def test_labels_have_one_type_in_every_file() -> None:
-    labels = {"particles": [None], "map.kernel": [None], "world": ["1H1C"], "seed": [1]}
-    found = [str(_kind(*one)) for one in labels.items()]
-    assert found == ["int64", "double", "string", "int64"]
 
 
 def test_a_setting_may_have_numbers_of_its_own_to_believe(monkeypatch):

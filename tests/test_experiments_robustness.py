@@ -4,6 +4,7 @@ import dataclasses
 import json
 import math
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -205,15 +206,6 @@ def test_a_small_suite_from_end_to_end(tmp_path: Path) -> None:
     robustness_figure(found)
 
 
-@dataclasses.dataclass
-class _Results:
-    ending: np.ndarray
-    is_success: np.ndarray
-    is_stopped: np.ndarray
-    is_valid: np.ndarray
-    overflow: np.ndarray
-
-
 class _Played:
     """An arm that has run in one scenario."""
 
@@ -223,7 +215,7 @@ class _Played:
     ) -> None:  # fmt: skip
         ends, number = np.array(ending), len(ending)
         right = np.array(is_success)
-        self._results = _Results(
+        self._results = SimpleNamespace(
             ending=ends, is_success=right, is_stopped=ends > 1, is_valid=np.ones(number, bool),
             overflow=np.zeros(number, int),
         )  # fmt: skip
@@ -233,7 +225,7 @@ class _Played:
             "timeouts": int((ends < 2).sum()),
         }  # fmt: skip
 
-    def of_setting(self, place: int) -> tuple[_Results, None]:
+    def of_setting(self, place: int) -> tuple[SimpleNamespace, None]:
         return self._results, None
 
     def rows(self) -> list[dict[str, Any]]:

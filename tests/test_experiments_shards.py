@@ -1,6 +1,7 @@
 """Shards: whatever happens to a file, no changed value passes for what was written."""
 
 import contextlib
+import dataclasses
 import errno
 import fcntl
 import json
@@ -10,8 +11,9 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -19,8 +21,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from jaxlangnav.experiments import shards
-from jaxlangnav.experiments.holding import PartOf, held
-from jaxlangnav.experiments.shards import Shard, ShardError
+from jaxlangnav.experiments.shards import PartOf, Shard, ShardError, held
 
 SWEEP, ROWS = "5e" * 32, 300
 SHARD = Shard(sweep=SWEEP, index=3, rows=ROWS)
@@ -93,42 +94,23 @@ def test_no_truncated_file_passes(tmp_path: Path) -> None:
             shards.check_shard(path, SMALL)
 
 
-def empty(path: Path) -> None:
-    path.write_bytes(b"")
-
-
-def foreign(path: Path) -> None:
-    pq.write_table(pa.table({"distance": [1.0]}), path)
-
-
-def folder(path: Path) -> None:
-    path.unlink()
-    path.mkdir()
-
-
-def other_place(path: Path) -> None:
-    shards.write_shard(columns(), path, Shard(sweep=SWEEP, index=4, rows=ROWS))
-
-
-def other_sweep(path: Path) -> None:
-    shards.write_shard(columns(), path, Shard(sweep="00" * 32, index=3, rows=ROWS))
-
-
-def other_number(path: Path) -> None:
-    shards.write_shard(columns(2), path, Shard(sweep=SWEEP, index=3, rows=2))
+def other(number: int = ROWS, **named: Any) -> Callable[[Path], object]:
+    shard = dataclasses.replace(SHARD, rows=number, **named)
+    return lambda path: shards.write_shard(columns(number), path, shard)
 
 
 @pytest.mark.parametrize(
     ("harm", "message"),
     [
-        (empty, "is empty"),
-        (foreign, "has no record of what was written"),
-        (folder, "is no file"),
-        (other_place, "stands in the place of another: it is file 4"),
-        (other_sweep, "is of another sweep, or of another version"),
-        (other_number, "has 2 rows, but must have 300"),
+        (lambda path: path.write_bytes(b""), "is empty"),
+        (lambda path: pq.write_table(pa.table({"distance": [1.0]}), path),
+         "has no record of what was written"),
+        (lambda path: (path.unlink(), path.mkdir()), "is no file"),
+        (other(index=4), "stands in the place of another: it is file 4"),
+        (other(sweep="00" * 32), "is of another sweep, or of another version"),
+        (other(2), "has 2 rows, but must have 300"),
     ],
-)
+)  # fmt: skip
 def test_another_file_is_told_from_this_one(harm, message, path):
     harm(path)
     with pytest.raises(ShardError, match=message):
@@ -147,7 +129,7 @@ def test_rows_must_be_as_many_as_said(tmp_path: Path) -> None:
 HOLDER = """
 import sys
 from pathlib import Path
-from jaxlangnav.experiments.holding import held
+from jaxlangnav.experiments.shards import held
 with held(Path(sys.argv[1]), (int(sys.argv[2]), int(sys.argv[3])), on_note=print):
     print("held", flush=True)
     sys.stdin.read()

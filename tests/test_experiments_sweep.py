@@ -138,22 +138,18 @@ def test_a_navigator_that_could_never_stop_is_refused() -> None:
 
 
 def test_the_plan_holds_every_episode_once() -> None:
-    config = config_from_dict(
-        {
-            "episodes": 70,
-            "seeds": [0, 3],
-            "worlds": ["1H1C", "2H1C"],
-            "commands": ["null", "behind"],
-            "ranges": [2, 5],
-            "policies": ["informed", "frontier"],
-            "particles": [64, 128],
-            "sensor": {"noise": [0.1, 0.2]},
-            "planner": {"discount": [0.7, 0.8, 0.9]},
-        }
-    )
-    plan = make_plan(config)
+    table = {
+        "episodes": 70, "seeds": [0, 3], "worlds": ["1H1C", "2H1C"],
+        "commands": ["null", "behind"], "ranges": [2, 5], "policies": ["informed", "frontier"],
+        "particles": [64, 128], "sensor": {"noise": [0.1, 0.2]},
+        "planner": {"discount": [0.7, 0.8, 0.9]},
+    }  # fmt: skip
+    plan = make_plan(config_from_dict(table))
     # Settings 2·2·2·2·2 = 32 of 70 episodes; informed in 2·3 arms, the baseline in one.
     assert plan.episodes() == 32 * 70 * 7
+    # The example: 3 worlds, 2 commands, 2 ranges, 2 detectors, 50 episodes, 3 policies.
+    example = read_config(Path(__file__).parent.parent / "examples" / "grid.toml")
+    assert make_plan(example).episodes() == 24 * 50 * 3
     rows = set()
     for index in range(plan.num_files):
         chunk = plan.chunk(index)
@@ -218,12 +214,6 @@ def test_more_than_fits_is_refused(changes: dict[str, Any], message: str) -> Non
 def test_bad_shards(text: str) -> None:
     with pytest.raises(ValueError, match="shard is"):
         parse_shard(text)
-
-
-def test_the_example_is_a_sweep() -> None:
-    config = read_config(Path(__file__).parent.parent / "examples" / "grid.toml")
-    # 3 worlds, 2 commands, 2 ranges, 2 detectors, 50 episodes, 3 policies.
-    assert make_plan(config).episodes() == 24 * 50 * 3
 
 
 # Sweeps: killed, resumed and split, they end with the bytes of an undisturbed run.
@@ -394,13 +384,8 @@ def test_summary(undisturbed: tuple[SweepConfig, Path], tmp_path: Path) -> None:
     document = summary.summarize_directory(whole)
     assert document["missing"] == 0
     assert document["episodes"] == ROWS
-    assert set(document["varied"]) == {
-        "world",
-        "command",
-        "relation",
-        "policy",
-        "motion.odometry_noise",
-    }
+    varied = {"world", "command", "relation", "policy", "motion.odometry_noise"}
+    assert set(document["varied"]) == varied
     # 2 worlds, 2 commands, 6 noises; both policies in each.
     assert len(document["rows"]) == 48
     assert len(document["comparisons"]) == 24
@@ -526,6 +511,9 @@ def test_the_account_is_that_of_the_real_records() -> None:
         progress = jax.jit(begin, static_argnames="config")(task, instructions, config=config)
         fixed, each = sizes._episode_bytes(config)
         assert fixed + particles * each == sizes._bytes_of(progress)
+    # Bytes are counted without wrapping.
+    leaf = jax.ShapeDtypeStruct((10**10, 10**10), np.dtype(np.float32))
+    assert sizes._bytes_of([leaf, np.zeros(3, bool)]) == 4 * 10**20 + 3
 
 
 def test_what_fits_fits_and_one_more_does_not(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -624,8 +612,3 @@ def _written(word: str, last: str, folder: Path) -> str:
         path.write_text(f"[area]\nx_min = 0\n{things}\n")
         return str(path)
     return word
-
-
-def test_bytes_are_counted_without_wrapping() -> None:
-    leaf = jax.ShapeDtypeStruct((10**10, 10**10), np.dtype(np.float32))
-    assert sizes._bytes_of([leaf, np.zeros(3, bool)]) == 4 * 10**20 + 3

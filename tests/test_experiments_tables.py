@@ -4,45 +4,31 @@ import base64
 import dataclasses
 import io
 import re
-from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
+from pages import Page
 from rich.console import Console
 
 from jaxlangnav.experiments import paper
 from jaxlangnav.experiments.experiment import Options
 from jaxlangnav.experiments.rows import RowSpec, describe_noise, deviations, printed_rows
-from jaxlangnav.experiments.table import Section, Table, _data_uri, _render_report, write_report
+from jaxlangnav.experiments.table import Section, Table, _render_report, write_report
 from jaxlangnav.world.templates import TABLE_2
 
 TABLE = paper.table_2()
 
 
 def row(**changes: Any) -> dict[str, Any]:
+    counts = ("overflows", "degenerate", "contradictions", "faults", "not_found", "invalid_worlds")
     return {
-        "world": "2H1C",
-        "range": 3.0,
-        "relation": "behind",
-        "policy": "faithful",
-        "episodes": 400,
-        "success_rate": 67.4,
-        "success_ci": [62.0, 72.0],
-        "distance_mean": 18.72,
-        "distance_sd": 10.0,
-        "known_distance_mean": 10.3,
-        "known_distance_sd": 1.8,
-        "spl": 0.5,
-        "overflows": 0,
-        "degenerate": 0,
-        "contradictions": 0,
-        "faults": 0,
-        "timeouts": 3,
-        "not_found": 0,
-        "invalid_worlds": 0,
-    } | changes
+        "world": "2H1C", "range": 3.0, "relation": "behind", "policy": "faithful",
+        "episodes": 400, "success_rate": 67.4, "success_ci": [62.0, 72.0],
+        "distance_mean": 18.72, "distance_sd": 10.0, "known_distance_mean": 10.3,
+        "known_distance_sd": 1.8, "spl": 0.5, "timeouts": 3, **dict.fromkeys(counts, 0),
+    } | changes  # fmt: skip
 
 
 def document(*rows: dict[str, Any]) -> dict[str, Any]:
@@ -95,12 +81,7 @@ def test_policies_of_a_row_stand_together() -> None:
         row(world="1H1C", relation=None, policy="known"),
     ]
     order = [(one["world"], one["policy"]) for one in paper._beside_paper(document(*rows))]
-    assert order == [
-        ("2H1C", "faithful"),
-        ("2H1C", "known"),
-        ("1H1C", "faithful"),
-        ("1H1C", "known"),
-    ]
+    assert order == [(world, of) for world in ("2H1C", "1H1C") for of in ("faithful", "known")]
 
 
 def test_a_row_the_paper_lacks_has_no_figure_beside_it() -> None:
@@ -169,12 +150,8 @@ def test_an_experiment_and_its_files(tmp_path: Path) -> None:
     options = Options(episodes=20, policies=["known", "frontier"], seed=3)
     found = experiment.run(options, out=tmp_path, on_progress=done.append)
     assert sum(done) == 80
-    assert [(one["world"], one["policy"]) for one in found["rows"]] == [
-        ("1H1C", "known"),
-        ("2H1C", "known"),
-        ("1H1C", "frontier"),
-        ("2H1C", "frontier"),
-    ]
+    order = [(one["world"], one["policy"]) for one in found["rows"]]
+    assert order == [(world, of) for of in ("known", "frontier") for world in ("1H1C", "2H1C")]
     keys = "world range relation policy episodes success_rate success_ci distance_mean distance_sd"
     keys += " ece brier coverage90 known_distance_mean known_distance_sd spl overflows"
     keys += " degenerate contradictions faults timeouts not_found"
@@ -182,13 +159,8 @@ def test_an_experiment_and_its_files(tmp_path: Path) -> None:
     assert found["rows"][0]["relation"] is None
     assert len(found["paper"]) == 2
     assert found["wall_s"] > 0.0
-    names = {path.name for path in tmp_path.iterdir()}
-    assert names == {
-        "small.md",
-        "small.json",
-        "small_manifest.json",
-        "small_episodes.parquet",
-    }
+    ends = (".md", ".json", "_manifest.json", "_episodes.parquet")
+    assert {path.name for path in tmp_path.iterdir()} == {f"small{end}" for end in ends}
     table = pq.read_table(tmp_path / "small_episodes.parquet")
     assert table.num_rows == 80
     mean = table["distance"].to_numpy()[20:40].mean()
@@ -270,34 +242,6 @@ def test_cells_are_text_unless_they_are_marked() -> None:
 SVG = '<svg xmlns="http://www.w3.org/2000/svg" width="3" height="2"></svg>'
 
 
-class Page(HTMLParser):
-    """Collects what the page refers to, its cells and its text."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.links: list[str] = []
-        self.ids: list[str] = []
-        self.cells: list[str] = []
-        self.text = ""
-        self._is_cell = False
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        names = dict(attrs)
-        self.links += [value for key in ("src", "href") if (value := names.get(key))]
-        self.ids += [value for key in ("id",) if (value := names.get(key))]
-        self._is_cell = tag in ("td", "th")
-        if self._is_cell:
-            self.cells.append("")
-
-    def handle_endtag(self, tag: str) -> None:
-        self._is_cell = False
-
-    def handle_data(self, data: str) -> None:
-        self.text += data
-        if self._is_cell:
-            self.cells[-1] += data
-
-
 @pytest.fixture
 def picture(tmp_path: Path) -> Path:
     path = tmp_path / "figure.svg"
@@ -306,9 +250,7 @@ def picture(tmp_path: Path) -> Path:
 
 
 def read(*sections: Section, title: str = "Ours & theirs", **made: str) -> Page:
-    page = Page()
-    page.feed(_render_report(title, sections, made=made))
-    return page
+    return Page(_render_report(title, sections, made=made))
 
 
 def test_pictures_stand_in_the_page_and_nothing_is_fetched(picture: Path) -> None:
@@ -349,18 +291,14 @@ def test_what_is_written_cannot_break_the_page(tmp_path: Path) -> None:
     assert "<script" not in page
     path = write_report("t", [], tmp_path / "new" / "report.html", made={})
     assert path.read_text("utf-8").startswith("<!doctype html>")
-
-
-def test_only_pictures_are_taken(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="is no picture"):
-        _data_uri(tmp_path / "figure.pdf")
+        write_report("t", [Section(title="", pictures=[(Path("a.pdf"), "")])], path, made={})
 
 
 def test_text_that_names_a_place_of_the_page_stays_text() -> None:
     part = Section(title="__MADE__ <i>", lead="__CONTENTS__ \x1b[2J", notes=["__PARTS__"])
     text = _render_report("__PARTS__ <b>", [part], made={"command": "__TITLE__ \u202e"})
-    page = Page()
-    page.feed(text)
+    page = Page(text)
     assert text.count("<section") == 1
     assert "__PARTS__ <b>" in page.text
     assert "__MADE__ <i>" in page.text

@@ -48,13 +48,13 @@ def test_every_row_is_a_point_of_figure_5():
     assert lines_of(behind_way)[sweep.PAPER_NAME] == pytest.approx(np.array([[3, 18.72]]))
     assert sweep.PAPER_NAME not in lines_of(nearest_way)
     assert behind_way.get_title(loc="left") == "2H1C, “go to the hydrant behind the cone”"
-
-
-def test_error_bars_are_intervals_of_the_mean():
+    # Bars are intervals of the mean; those of the paper's rates are of its hundred runs.
     assert sweep.half_interval(row("informed", None, 3.0)) == pytest.approx(1.96 * 5 / 10)
-    figure = sweep.range_figure(document())
-    bars = figure.axes[2].containers[0].lines[2][0].get_segments()
+    bars = behind_rate.containers[0].lines[2][0].get_segments()
     assert bars[0][:, 1] == pytest.approx([62, 76])
+    (point,) = [one for one in behind_rate.containers if one.get_label() == sweep.PAPER_NAME]
+    ends = np.multiply(100, wilson_interval(67, 100))
+    assert point.lines[2][0].get_segments()[0][:, 1] == pytest.approx(ends)
 
 
 def test_table_2_has_a_line_for_each_row():
@@ -128,14 +128,6 @@ def test_a_sweep_too_large_for_a_figure_is_refused():
     many = swept(**{"sensor.noise": np.linspace(0, 1, rows.MOST_LINES + 1).tolist()})
     with pytest.raises(ValueError, match="49 settings, but a figure can show 48"):
         rows.summary_figure(many)
-
-
-def test_the_paper_s_rates_have_the_interval_of_its_runs():
-    figure = sweep.range_figure(document())
-    below = figure.axes[2]
-    (point,) = [one for one in below.containers if one.get_label() == sweep.PAPER_NAME]
-    low, high = wilson_interval(67, 100)
-    assert point.lines[2][0].get_segments()[0][:, 1] == pytest.approx([100 * low, 100 * high])
 
 
 def test_reliability_panels_share_names_and_scale():

@@ -41,23 +41,16 @@ def test_a_heavier_particle_is_drawn_stronger():
     order = np.argsort(weight)
     assert (np.diff(drawn.get_facecolors()[order, 3]) >= -1e-9).all()
     assert (np.diff(drawn.get_sizes()[order]) >= -1e-9).all()
-
-
-def test_hypotheses_are_empty_in_the_value_figure():
-    one = make_recording(9, 20)
-    drawn = mapping.draw_hypotheses(axes_of(one), one.at(0), filled=False)[0]
+    # In the value figure hypotheses are empty.
+    drawn = mapping.draw_hypotheses(axes_of(one), frame, filled=False)[0]
     assert len(drawn.get_facecolors()) == 0
 
 
-def test_seen_objects_and_truth():
+def test_seen_objects_truth_and_a_path_that_ends_at_the_robot():
     one = make_recording(9, 20)
     assert len(mapping.draw_objects(axes_of(one), one.at(0))) == 0
     assert len(mapping.draw_objects(axes_of(one), one.at(-1))) == 2
     assert len(mapping.draw_truth(axes_of(one), one.scene)) == 2
-
-
-def test_the_path_ends_at_the_robot():
-    one = make_recording(9, 20)
     line = mapping.draw_path(axes_of(one), one, 5)
     assert line.get_xydata()[-1] == pytest.approx(one.frames.position[5])
     assert len(line.get_xydata()) == 6
@@ -71,17 +64,13 @@ def test_the_robot_points_where_it_heads(heading):
     assert np.arctan2(tip[1], tip[0]) == pytest.approx(heading, abs=1e-5)
 
 
-def test_nodes_carry_their_values():
+def test_nodes_carry_their_values_and_the_best_are_in_order_and_open():
     one = make_recording(9, 20)
     frame = one.at(8)
     nodes = panels._draw_values(axes_of(one), one, 8)
     assert np.sort(np.asarray(nodes.get_array())) == pytest.approx(
         np.sort(frame.value[np.isfinite(frame.value)])
     )
-
-
-def test_the_best_nodes_are_in_order_and_open():
-    frame = make_recording(9, 20).at(8)
     best = panels.best_nodes(frame, 5)
     assert frame.value[best[0]] == pytest.approx(0.9)
     assert (np.diff(frame.value[best]) <= 0).all()
@@ -100,18 +89,13 @@ def test_nodes_that_stand_together_are_one_place():
     assert panels.best_nodes(far, 50)[1] == 0
 
 
-def test_bars_add_up_to_the_value():
+def test_bars_add_up_to_the_value_and_where_it_stops_the_reason_stands_instead():
     one = make_recording(9, 20)
-    axes = axes_of(one)
-    frame = one.at(7)
+    axes, frame = axes_of(one), one.at(7)
     panels._draw_parts(axes, frame)
     best = panels.best_nodes(frame)
     widths = np.array([bar.get_width() for bar in axes.patches]).reshape(3, len(best))
     assert widths.sum(axis=0) == pytest.approx(frame.value[best], abs=1e-6)
-
-
-def test_where_it_stops_the_reason_stands_in_place_of_the_bars():
-    one = make_recording(9, 20)
     axes = axes_of(one)
     panels._draw_parts(axes, one.at(8))
     assert not axes.patches

@@ -22,12 +22,8 @@ def model():
 def test_the_paper_s_sentence(model):
     figure = graph_figure(parse(PAPER), model)
     said = " ".join(text.get_text() for text in figure.texts)
-    assert "2,964 factors" in said
-    assert "5,934 random variables" in said
-    assert PAPER in said
-
-
-def test_phrases_in_reading_order(model):
+    assert all(one in said for one in ("2,964 factors", "5,934 random variables", PAPER))
+    # Phrases in reading order.
     beliefs = _phrase_beliefs(parse(PAPER), model)
     assert [one.phrase.label for one in beliefs] == ["VP", "PP", "NP", "NP", "PP", "NP"]
     assert [one.parent for one in beliefs[:3]] == [None, (0,), (0, 0)]
@@ -46,16 +42,11 @@ def test_probabilities_agree_with_annotation_inference(model):
     assert ((root >= 0) & (root <= 1)).all()
 
 
-def test_an_untrained_model_knows_nothing(model):
-    for one in _phrase_beliefs(parse("go to the hydrant"), model.zeroed()):
+def test_an_untrained_model_knows_nothing_but_superlatives(model):
+    parsed = parse("go to the hydrant nearest to the cone")
+    for one in _phrase_beliefs(parsed, model.zeroed()):
         assert one.probability == pytest.approx(np.full(494, 0.5))
-
-
-def test_superlatives_are_marked(model):
-    ranks = [
-        one.rank for one in _phrase_beliefs(parse("go to the hydrant nearest to the cone"), model)
-    ]
-    assert max(ranks) == 1
+    assert max(one.rank for one in _phrase_beliefs(parsed, model)) == 1
 
 
 @pytest.mark.parametrize("number", [1, 3, 5])

@@ -6,15 +6,15 @@ import json
 import re
 import shutil
 import subprocess
-from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from pages import Page
 from recording_fixture import make_recording
 
 from jaxlangnav.viz.html import _page_data, _render_html, write_html
 
-HOSTILE = "</script><script>alert(1)</script> __DATA__ __TITLE__ \x1b[31m \u202e <b> & \"'"
+HOSTILE = "</script><script>alert(1)</script><!-- __DATA__ __TITLE__ \x1b[31m \u202e <b> & \"'"
 KINDS = {"f4": "<f4", "u2": "<u2", "u1": "u1"}
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 OFFLINE = (
@@ -24,30 +24,8 @@ OFFLINE = (
 )  # fmt: skip
 
 
-class Page(HTMLParser):
-    """Collects tags, attributes and the data."""
-
-    def __init__(self):
-        super().__init__()
-        self.links, self.data, self.ids, self._is_data = [], "", set(), False
-
-    def handle_starttag(self, tag, attrs):
-        names = dict(attrs)
-        self.links += [names[key] for key in ("src", "href") if key in names]
-        self.ids.add(names.get("id"))
-        self._is_data = tag == "script" and names.get("id") == "data"
-
-    def handle_endtag(self, tag):
-        self._is_data = False
-
-    def handle_data(self, data):
-        if self._is_data:
-            self.data += data
-
-
 def read(recording):
-    page = Page()
-    page.feed(_render_html(recording))
+    page = Page(_render_html(recording))
     return page, json.loads(page.data)
 
 
@@ -58,11 +36,10 @@ def array(data, name):
 
 def test_it_needs_nothing_from_outside():
     text = _render_html(make_recording(4, 10))
-    page = Page()
-    page.feed(text)
+    page = Page(text)
     assert page.links == []
     assert not re.search(r"https?://|@import|url\(", text)
-    assert {"map", "slider", "play", "story", "bars", "chart", "tip"} <= page.ids
+    assert {"map", "slider", "play", "story", "bars", "chart", "tip"} <= set(page.ids)
 
 
 def test_all_steps_are_in_it():
@@ -92,22 +69,7 @@ def test_hypotheses_survive_the_packing():
     assert np.array_equal(kinds[is_in], frames.mention_type[:, :mentions][is_in])
     weight = array(data, "weight").reshape(9, 20) / 65535 * array(data, "heaviest")[:, None]
     assert weight == pytest.approx(frames.weight, rel=1e-4)
-
-
-def test_values_survive_the_packing():
-    one = make_recording(9, 20)
-    _, data = read(one)
-    value = array(data, "value").reshape(9, -1)
-    assert np.array_equal(np.isfinite(value), np.isfinite(one.frames.value))
-    assert np.array_equal(value, one.frames.value)
-
-
-def test_a_sentence_cannot_break_out_of_the_page():
-    evil = '</script><script>alert("x")</script><!-- & "'
-    page, data = read(make_recording(3, 5, text=evil))
-    assert data["text"] == evil
-    assert "</script><script>alert" not in _render_html(make_recording(3, 5, text=evil))
-    assert page.ids >= {"data"}
+    assert np.array_equal(array(data, "value").reshape(9, -1), frames.value)
 
 
 def test_pictures_of_a_robot_go_with_their_steps():
@@ -157,8 +119,7 @@ def test_a_hostile_sentence_is_only_text():
     recording = make_recording()
     scene = dataclasses.replace(recording.scene, text=HOSTILE)
     text = _render_html(dataclasses.replace(recording, scene=scene))
-    page = Page()
-    page.feed(text)
+    page = Page(text)
     assert "alert(1)</script>" not in text
     assert not any(one in text for one in ("\x1b", "\u202e", "<b>"))
     assert json.loads(page.data)["text"] == HOSTILE.replace("\x1b", r"\x1b").replace(

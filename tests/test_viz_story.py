@@ -239,15 +239,11 @@ def test_a_step_with_a_fault_says_why_it_stands(fault: Fault):
     frame = replace(one.at(3), fault=np.int32(fault))
     (told,) = narrative.tell_step(moment(one, frame, one.at(2)))
     assert told == f"Stands still: {FAULT_WORDS[fault]}."
+    both = replace(frame, fault=np.int32(Fault.POSE | Fault.SENSOR))
+    (told,) = narrative.tell_step(moment(one, both, None))
+    assert told.count(FAULT_WORDS[Fault.POSE]) == told.count(FAULT_WORDS[Fault.SENSOR]) == 1
     assert narrative.headline(moment(one, frame, one.at(2))) == "stands still"
     assert not narrative._is_quiet(moment(one, frame, one.at(2)))
-
-
-def test_several_faults_are_all_told():
-    one = make_recording(9, 20)
-    frame = replace(one.at(3), fault=np.int32(Fault.POSE | Fault.SENSOR))
-    (told,) = narrative.tell_step(moment(one, frame, None))
-    assert told.count(FAULT_WORDS[Fault.POSE]) == told.count(FAULT_WORDS[Fault.SENSOR]) == 1
 
 
 def test_headlines_say_what_happened():
@@ -315,12 +311,9 @@ def test_peaks_find_two_clusters():
     first, second = summary.peaks(frame)
     assert first == pytest.approx((2.0, 0.0, 0.6), abs=1e-5)
     assert second == pytest.approx((10.0, 0.0, 0.4), abs=1e-5)
-
-
-def test_no_goal_has_no_peak():
-    frame = replace(make_recording(4, 20).at(0), hypothesis_goal_mass=np.zeros(20, np.float32))
-    assert summary.peaks(frame) == []
-    assert np.isnan(summary.expected_goal(frame)).all()
+    nothing = replace(frame, hypothesis_goal_mass=0 * mass)
+    assert summary.peaks(nothing) == []
+    assert np.isnan(summary.expected_goal(nothing)).all()
 
 
 def test_the_goal_field_is_the_sum_of_equation_11():
@@ -344,8 +337,5 @@ def test_moments_catch_the_discoveries():
     one = make_recording(13, 10)
     news = np.flatnonzero(one.frames.is_news)
     assert set(news) <= set(narrative.pick_moments(one, 6))
-
-
-def test_no_moments_are_refused():
     with pytest.raises(ValueError, match="number of panels is 0"):
         narrative.pick_moments(make_recording(3, 5), 0)

@@ -81,9 +81,5 @@ def test_it_fits_a_small_screen():
     lines = out.getvalue().rstrip("\n").split("\n")
     assert len(lines) <= 24
     assert max(len(line) for line in lines) <= 80
-
-
-def test_no_steps_are_refused():
-    one = make_recording(2, 3)
     with pytest.raises(ValueError, match="at least one step"):
-        terminal.watch(one.scene, [], console=Console(file=io.StringIO()))
+        terminal.watch(one.scene, [], console=console)

@@ -12,11 +12,10 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from jaxlangnav import __version__
-from jaxlangnav.cli import illustrations
 from jaxlangnav.cli.output import Document, Output, to_json
 from jaxlangnav.cli.runtime import progress_bar, waiting
 from jaxlangnav.cli.settings import apply
-from jaxlangnav.cli.study import Settings, Study
+from jaxlangnav.cli.study import FACTOR_GRAPH, FIGURE_1, FIGURE_4, Settings, Study
 from jaxlangnav.episode import MAX_STEPS
 from jaxlangnav.experiments import conversation as spoken, paper, robustness, unknowns
 from jaxlangnav.experiments.archive import manifest, write_manifest
@@ -186,9 +185,9 @@ STUDIES: dict[str, Study | Callable[[Settings], Study]] = {
         ],
         made=lambda document: {"seed": str(document["seed"])},
     ),
-    "fig1": illustrations.FIGURE_1,
-    "fig3": illustrations.FACTOR_GRAPH,
-    "fig4": illustrations.FIGURE_4,
+    "fig1": FIGURE_1,
+    "fig3": FACTOR_GRAPH,
+    "fig4": FIGURE_4,
     **{name: functools.partial(_episodes, name) for name in ("table2", "fig5", "unknowns")},
     "time": Study(
         title="Where the time goes",

@@ -201,8 +201,11 @@ class Grid:
         Returns:
             Arrays [E] by name; the final position as ``final_x`` and ``final_y``.
         """
-        labels = self._labels(arm, places).items()
-        columns: dict[str, Any] = {name: pa.array(of, _kind(name, of)) for name, of in labels}
+        columns: dict[str, Any] = {}
+        for name, labels in self._labels(arm, places).items():
+            # A column that is empty in one file has the type that it has in all others.
+            kind = pa.string() if isinstance(labels[0], str) else pa.float64()
+            columns[name] = pa.array(labels, pa.int64() if name in _WHOLE else kind)
         for field in dataclasses.fields(results):
             values = np.asarray(getattr(results, field.name))
             if values.ndim == 1:
@@ -294,10 +297,3 @@ def _judge(
         parts.append(told.run(mine, instructions, on_progress=on_progress))
     order = np.argsort(np.concatenate(places))
     return jax.tree.map(lambda *leaves: np.concatenate(leaves)[order], *parts)
-
-
-def _kind(name: str, values: list[Any]) -> pa.DataType:
-    """Choose the type of labels, which may be empty in one file, as they have it in all others."""
-    if name in _WHOLE:
-        return pa.int64()
-    return pa.string() if isinstance(values[0], str) else pa.float64()

@@ -22,9 +22,8 @@ from typing import Any
 from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.experiments import monte_carlo
 from jaxlangnav.experiments.archive import CompileClock, json_text, manifest
-from jaxlangnav.experiments.holding import Note, held
 from jaxlangnav.experiments.monte_carlo import CHUNK, LANES, OnProgress, Work, fill, run_round
-from jaxlangnav.experiments.shards import Shard, ShardError, check_shard, write_shard
+from jaxlangnav.experiments.shards import Note, Shard, ShardError, check_shard, held, write_shard
 from jaxlangnav.experiments.sweep_config import SweepConfig
 from jaxlangnav.experiments.sweep_plan import SweepPlan, make_plan, parse_shard
 from jaxlangnav.experiments.tasks import GroundedSentences, ground_sentences, known_distances

@@ -110,22 +110,10 @@ class SweepConfig:
 
     def document(self) -> dict[str, Any]:
         """Write the configuration out in full, for the manifest."""
-        return {
-            "name": self.name,
-            "episodes": self.episodes,
-            "environments": self.environments,
-            "seeds": list(self.seeds),
-            "worlds": list(self.worlds),
-            "commands": [dataclasses.asdict(one) for one in self.commands],
-            "ranges": list(self.ranges),
-            "policies": list(self.policies),
-            "particles": list(self.particles),
-            **{
-                table: {key: list(values) for key, values in keys.items()}
-                for table, keys in self.params.items()
-            },
-            "world_hashes": self.world_hashes,
-        }
+        found = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        del found["params"], found["own_worlds"], found["world_hashes"]
+        found["commands"] = [dataclasses.asdict(one) for one in self.commands]
+        return found | self.params | {"world_hashes": self.world_hashes}
 
 
 def read_config(

@@ -182,21 +182,15 @@ def write_report(
     return write_text(_render_report(title, sections, made=made), path)
 
 
-def _data_uri(path: Path) -> str:
-    """Put a picture into a text."""
-    if path.suffix not in _MEDIA:
-        raise ValueError(f"{path} is no picture: a report takes {' and '.join(_MEDIA)} files")
-    return f"data:{_MEDIA[path.suffix]};base64,{base64.b64encode(path.read_bytes()).decode()}"
-
-
 def _section(index: int, part: Section) -> str:
     """Write one part of the page."""
     pieces = [f'<section id="part{index}">', f"<h2>{_html_text(part.title)}</h2>"]
     pieces += [f"<p>{_html_text(part.lead)}</p>"] if part.lead else []
-    pieces += [
-        f'<figure><img src="{_data_uri(path)}" alt="{_html_text(words)}"></figure>'
-        for path, words in part.pictures
-    ]
+    for path, words in part.pictures:
+        if path.suffix not in _MEDIA:
+            raise ValueError(f"{path} is no picture: a report takes {' and '.join(_MEDIA)} files")
+        data = f"{_MEDIA[path.suffix]};base64,{base64.b64encode(path.read_bytes()).decode()}"
+        pieces.append(f'<figure><img src="data:{data}" alt="{_html_text(words)}"></figure>')
     pieces += [table.html() for table in part.tables]
     if part.notes:
         notes = "".join(f"<li>{_html_text(note)}</li>" for note in part.notes)
