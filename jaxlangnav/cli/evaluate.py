@@ -2,6 +2,7 @@
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 from jaxlangnav.cli.checks import File, check_at_least, check_seed
 from jaxlangnav.cli.errors import UsageError
@@ -57,8 +58,6 @@ class Evaluate:
             raise UsageError("--rewrites needs --sentences, the labelled sentences themselves")
         if self.rewrites is None and (self.fit_temperature or self.temperature != 1.0):
             raise UsageError("--temperature and --fit-temperature are of --rewrites: give a file")
-        if self.sentences is not None and self.rewrites is not None:
-            return self._compare(self.sentences, self.rewrites, output)
         if self.sentences is not None:
             return self._score(self.sentences, output)
         keep_compiled_programs()
@@ -76,51 +75,36 @@ class Evaluate:
         return document
 
     def _score(self, path: Path, output: Output) -> Document:
-        """Score a file of labelled sentences."""
-        from jaxlangnav.task.labelled import read_sentences
-
-        sentences = read_sentences(path)
-        keep_compiled_programs()
-        from jaxlangnav.grounding.weights import load_shipped
-        from jaxlangnav.task.scored import render_scores, score_sentences, summarize_scores
-
-        with progress_bar("sentences", len(sentences)) as advance:
-            document = summarize_scores(score_sentences(sentences, load_shipped(), advance))
-        table, lines = render_scores(document)
-        output.say(table)
-        for line in lines:
-            output.say(line)
-        return {"file": str(path), **document}
-
-    def _compare(self, path: Path, rewrites: Path, output: Output) -> Document:
-        """Score labelled sentences with and without recorded rewritings."""
+        """Score a file of labelled sentences, with and without recorded rewritings if given."""
         from jaxlangnav.task.labelled import read_sentences
 
         sentences = read_sentences(path)
         keep_compiled_programs()
         from jaxlangnav.grounding.rewrites import RecordedRewrites, default_rewrite_params
         from jaxlangnav.grounding.weights import load_shipped
-        from jaxlangnav.task.scored import (
-            ARMS,
-            compare_arms,
-            fit_recorded,
-            recorded_of,
-            render_arms,
-        )
+        from jaxlangnav.task import scored
 
-        default_rewrite_params(self.temperature)
-        recorded = RecordedRewrites(rewrites)
-        kept = recorded_of(sentences, recorded)
-        if len(kept) < len(sentences):
-            output.note(f"note: {len(sentences) - len(kept)} sentences were not recorded; left out")
+        document: dict[str, Any] = {"file": str(path)}
         model = load_shipped()
-        fit = fit_recorded(kept, recorded, model) if self.fit_temperature else None
-        temperature = self.temperature if fit is None else fit.temperature
-        with progress_bar("sentences", len(kept) * len(ARMS)) as advance:
-            document = compare_arms(kept, recorded, model, temperature, advance)
-        table, lines = render_arms(document, fit)
+        if self.rewrites is None:
+            with progress_bar("sentences", len(sentences)) as advance:
+                found = scored.score_sentences(sentences, model, advance)
+            document |= scored.summarize_scores(found)
+            table, lines = scored.render_scores(document)
+        else:
+            default_rewrite_params(self.temperature)
+            recorded = RecordedRewrites(self.rewrites)
+            kept = scored.recorded_of(sentences, recorded)
+            if left := len(sentences) - len(kept):
+                output.note(f"note: {left} sentences were not recorded; left out")
+            fit = scored.fit_recorded(kept, recorded, model) if self.fit_temperature else None
+            temperature = self.temperature if fit is None else fit.temperature
+            told = None if fit is None else dataclasses.asdict(fit)
+            document |= {"rewrites": str(self.rewrites), "fit": told}
+            with progress_bar("sentences", len(kept) * len(scored.ARMS)) as advance:
+                document |= scored.compare_arms(kept, recorded, model, temperature, advance)
+            table, lines = scored.render_arms(document, fit)
         output.say(table)
         for line in lines:
             output.say(line)
-        told = None if fit is None else dataclasses.asdict(fit)
-        return {"file": str(path), "rewrites": str(rewrites), "fit": told, **document}
+        return document

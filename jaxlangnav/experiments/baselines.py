@@ -272,7 +272,9 @@ def _judge(scenario: Scenario, world: WorldState, is_stopped: Array, steps: Arra
 def run_baseline(
     tasks: Task, instructions: Instruction, *, policy: str, max_steps: int = MAX_STEPS
 ) -> EpisodeResult:
-    """Run one of ``BASELINES`` on tasks, leaves [E, …]; of a sentence only the first figure's type.
+    """Run one of ``BASELINES`` on tasks, leaves [E, …], for at most ``max_steps`` cycles each.
+
+    Of ``instructions``, leaves [I, …], only the type of the first figure is read.
 
     Raises:
         ValueError: no such baseline.

@@ -183,7 +183,11 @@ def converse(
     config: NavigatorConfig,
     on_progress: OnProgress | None = None,
 ) -> Exchange:
-    """Run episodes, leaves [E, …], in which a person speaks; NumPy arrays in their order."""
+    """Run episodes, leaves [E, …], in which a person speaks.
+
+    NumPy arrays, leaves [E, …], in the order of the tasks; ``on_progress`` is told the number
+    of episodes just finished.
+    """
     numbers = _Numbers(navigator=params, person=person, sentence=sentence)
     return run_tasks(
         tasks, sentence, params=numbers, config=config, on_progress=on_progress, course=_TALK
@@ -197,7 +201,7 @@ LEAST_SHARE = 0.01
 def speak(
     progress: EpisodeState, person: Person, *, params: PersonParams
 ) -> tuple[Person, Array, Array]:
-    """Let a person who watches the robot say something, or nothing, before a decision.
+    """Let a person who watches an episode say something, or nothing, before a decision.
 
     Returns:
         The person after it; i32[], what is said, one of ``Says``; i32[], of which slot.

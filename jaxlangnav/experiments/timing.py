@@ -108,7 +108,7 @@ def measure_parts(
 ) -> list[Part]:
     """Measure a cycle in one batch of lanes, its sensor, its filter, behavior in every particle.
 
-    ``tasks``, leaves [E, …], are at least as many as lanes.
+    ``tasks``, leaves [E, …], are at least as many as lanes; ``instructions`` have leaves [I, …].
     """
     config = navigator_config(POLICY)
 

@@ -63,8 +63,15 @@ def beliefs_figure(
 ) -> "Figure":
     """Draw the factor graph of any tree with any S symbols (``grounding.correspondence``).
 
-    ``beliefs`` are of all phrases, parents first; of each at least one of the likeliest symbols is
-    shown. Refuses fewer, and where matplotlib is not installed.
+    Args:
+        beliefs: of all phrases, parents first.
+        names: of the S symbols.
+        title: the sentence.
+        num_symbols: how many of the likeliest symbols of each phrase to show, at least 1.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+        ValueError: ``num_symbols`` is less than 1.
     """
     if num_symbols < 1:
         raise ValueError(f"num_symbols is {num_symbols}, but must be at least 1")

@@ -100,22 +100,16 @@ def draw_truth(axes: "Axes", scene: HasScenario) -> "list[PathCollection]":
     """Mark where things truly stand, faintly, and the goal that was meant by a dotted ring."""
     from matplotlib.patches import Circle
 
-    world, marks = scene.scenario, []
-    for slot in np.flatnonzero(world.is_object):
-        kind = int(world.object_type[slot])
-        marks.append(
-            axes.scatter(
-                [world.object_x[slot]],
-                [world.object_y[slot]],
-                marker=style.type_marker(kind),
-                s=70,
-                facecolors="none",
-                edgecolors=style.type_color(kind),
-                linewidths=0.8,
-                alpha=0.45,
-                zorder=2,
-            )
+    world = scene.scenario
+    look = {"s": 70, "facecolors": "none", "linewidths": 0.8, "alpha": 0.45, "zorder": 2}
+    marks = [
+        axes.scatter(
+            [world.object_x[slot]], [world.object_y[slot]], marker=style.type_marker(kind),
+            edgecolors=style.type_color(kind), **look,
         )
+        for slot in np.flatnonzero(world.is_object)
+        for kind in (int(world.object_type[slot]),)
+    ]  # fmt: skip
     goal = (float(world.goal[0]), float(world.goal[1]))
     axes.add_patch(
         Circle(goal, 1.5, fill=False, linestyle=":", linewidth=1.0, color=style.MUTED, zorder=2)

@@ -155,10 +155,8 @@ def belief_figure(
     """
     chosen = _choose_steps(recording, steps, num_panels)
     scene = recording.scene
+    text = "Dots: hypotheses, one map per particle, stronger where heavier. Grey: not looked at."
     with style.house_style():
-        text = (
-            "Dots: hypotheses, one map per particle, stronger where heavier. Grey: not looked at."
-        )
         figure, maps, _ = _lay_out(recording, len(chosen), text=text, foot=0.62)
         for index, (axes, step) in enumerate(zip(maps, chosen, strict=True)):
             frame = recording.at(step)

@@ -133,24 +133,20 @@ def summary_lines(document: Mapping[str, Any]) -> list[tuple[str, str, Row]]:
     Returns:
         Setting, arm and row, in the document's order.
     """
-    varied = set(document["varied"])
+    varied = document["varied"]
     # Baselines have no particles: that alone does not tell two arms apart.
     sizes = {row["particles"] for row in document["rows"] if row.get("particles") is not None}
     lines = []
     for row in document["rows"]:
-        known = ("world", "range", "relation")
-        extra = [
-            f"{name.rpartition('.')[2].replace('_', ' ')} {row[name]:g}"
-            for name in row
-            if name in varied and isinstance(row[name], float) and name not in known
-        ]
-        is_arm = [name for name in row if name in varied and name.startswith(("map.", "planner."))]
-        of_arm = [f"{name.rpartition('.')[2].replace('_', ' ')} {row[name]:g}" for name in is_arm
-                  if row[name] is not None]  # fmt: skip
+        names = [name for name in varied if isinstance(row[name], float) and name != "range"]
+        told: dict[bool, list[str]] = {False: [], True: []}
+        for name in names:
+            text = f"{name.rpartition('.')[2].replace('_', ' ')} {row[name]:g}"
+            told[name.startswith(("map.", "planner."))].append(text)
         if len(sizes) > 1 and row["particles"] is not None:
-            of_arm.append(f"{row['particles']} particles")
-        setting = ", ".join([_row_name(row), *(one for one in extra if one not in of_arm)])
-        lines.append((setting, ", ".join([row["policy"], *of_arm]), row))
+            told[True].append(f"{row['particles']} particles")
+        setting = ", ".join([_row_name(row), *told[False]])
+        lines.append((setting, ", ".join([row["policy"], *told[True]]), row))
     return lines
 
 

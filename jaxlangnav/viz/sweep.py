@@ -332,7 +332,7 @@ def unknowns_figure(document: Mapping[str, Any]) -> "Figure":
             grid[0][index].set_xlabel("success (%)")
             grid[1][index].set_xlabel("distance (m)")
         for line in grid:
-            _label(line[0], fits)
+            _label(line, fits)
         style.title(
             figure,
             UNKNOWNS.title,
@@ -364,17 +364,12 @@ def _draw_panel(axes: "Axes", rows: Sequence[Row], printed: Row, key: str, name:
     axes.tick_params(axis="y", length=0)
 
 
-def _label(axes: "Axes", fits: Sequence[Mapping[str, Any]]) -> None:
-    """Name the variations, each unknown once, with a line between unknowns."""
+def _label(line: "Sequence[Axes]", fits: Sequence[Mapping[str, Any]]) -> None:
+    """Name the variations at the left of a row of panels, with a line between unknowns."""
     names = [f"{one['unknown']}  {one['value']}".strip() for one in fits]
-    axes.set_yticks(range(len(fits)), names)
-    axes.set_ylim(len(fits) - 0.4, -0.6)
-    figure = axes.get_figure()
-    row = axes.get_subplotspec()
+    line[0].set_yticks(range(len(fits)), names)
+    line[0].set_ylim(len(fits) - 0.4, -0.6)
     for place, (before, after) in enumerate(itertools.pairwise(fits)):
-        if before["unknown"] == after["unknown"] or figure is None or row is None:
-            continue
-        for other in figure.axes:
-            spec = other.get_subplotspec()
-            if spec is not None and spec.rowspan == row.rowspan:
-                other.axhline(place + 0.5, color=style.LINE, linewidth=0.6, zorder=0)
+        if before["unknown"] != after["unknown"]:
+            for axes in line:
+                axes.axhline(place + 0.5, color=style.LINE, linewidth=0.6, zorder=0)

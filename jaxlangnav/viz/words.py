@@ -44,7 +44,10 @@ _EIGHTHS = (
 
 
 def whereabouts(x: float, y: float, robot_x: float, robot_y: float, heading: float) -> str:
-    """Say where a place is as the robot would: "3.2 m ahead to the left"; metres and radians."""
+    """Say where a place is as the robot would: "3.2 m ahead to the left", or "right here".
+
+    Places are in metres, map frame, the heading in radians.
+    """
     distance = math.hypot(x - robot_x, y - robot_y)
     if distance < 0.3:
         return "right here"
