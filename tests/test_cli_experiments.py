@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from test_cli_hostile import refused
 
 from jaxlangnav.cli import main as cli, reproduction
 from jaxlangnav.grounding.weights import load, load_shipped
@@ -230,6 +231,7 @@ def test_a_sweep_runs_and_is_summarised(tmp_path: Path, capsys: pytest.CaptureFi
         (["sweep", "nowhere.toml"], "missing --out DIR: Folder for the shards"),
         (["sweep"], "missing CONFIG: What to run, TOML; --out DIR: Folder for the shards"),
         (["reproduce", "tabel2"], 'did you mean "table2"'),
+        (["reproduce", "conversation", "--policy", "faithful"], "in conversation it is informed"),
         (["sweep", "x.toml", "--out", "x", "--params.planner.reach", "1 s"], "unknown unit"),
         (["sweep", "nowhere.toml", "--out", __file__], "is a file"),
         (["summarize", "nowhere"], "nowhere holds no sweep"),
@@ -237,9 +239,4 @@ def test_a_sweep_runs_and_is_summarised(tmp_path: Path, capsys: pytest.CaptureFi
     ],
 )
 def test_bad_input_is_one_line(words, expected, capsys):
-    assert cli.main(words) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    lines = captured.err.splitlines()
-    assert len(lines) == 1 + (words[0] == "train" and "--corpus" in words)
-    assert expected in lines[-1]
+    assert expected in refused(words, capsys, lines=1 + ("--corpus" in words))

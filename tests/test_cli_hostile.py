@@ -18,13 +18,13 @@ ANSI = "\x1b[31mred\x1b]0;title\x07\u202e\x9b2J"
 MARKUP = "[red]x[/red] [link=https://example.org]y[/link] :skull:"
 
 
-def refused(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
-    """Run, and return the one line of the refusal."""
+def refused(words: list[str], capsys: pytest.CaptureFixture[str], *, lines: int = 1) -> str:
+    """Run, and return the one line of the refusal, the last where there are notes before it."""
     assert cli.main(words) == 2
     captured = capsys.readouterr()
     assert captured.out == ""
-    assert captured.err.count("\n") == 1
-    line = captured.err[:-1]
+    assert captured.err.count("\n") == lines
+    line = captured.err.splitlines()[-1]
     assert line.startswith("jaxlangnav: ")
     assert "internal" not in line
     assert line.isprintable()

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jaxlangnav.cli import main as cli
 from jaxlangnav.experiments import conversation
 from jaxlangnav.experiments.conversation import ROWS, _run_row, dialogue_table
 from jaxlangnav.experiments.dialogue import sentence_with
@@ -142,16 +141,11 @@ def test_what_is_missed_is_said() -> None:
 def test_tables_say_what_was_told_and_what_was_true() -> None:
     listed = {line[0]: line for line in ROBUSTNESS.tables(document([row("plain")]))[1].rows}
     assert listed["plain"][4] == "no"
-    assert listed["labels 10 %, not told"][3:] == [
-        "range 3 m, wrong labels 10 %",
-        "wrong labels 0 %",
-        "",
-    ]
+    labels = ["range 3 m, wrong labels 10 %", "wrong labels 0 %", ""]
+    assert listed["labels 10 %, not told"][3:] == labels
     assert listed["2 more pairs"][4:] == ["nothing of how many there are", ""]
-    assert listed["2 more pairs, told"][4:] == [
-        "no",
-        "concentration 2, clumping 0, misleading 0.01",
-    ]
+    numbers = "concentration 2, clumping 0, misleading 0.01"
+    assert listed["2 more pairs, told"][4:] == ["no", numbers]
     cells = ROBUSTNESS.tables(document([row("false sentence")]))[0].rows[0]
     assert "≥ 99, ≤ 45 m" in cells
     assert "0.020 (0.030)" in cells
@@ -264,11 +258,6 @@ def test_a_row_without_a_cost_weighs_no_questions() -> None:
     assert table.rows[0][3] == table.rows[0][9] == ""
     assert table.rows[0][8] == "1.05 (12)"
     assert "one correction" in table.markdown()
-
-
-def test_another_policy_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["reproduce", "conversation", "--policy", "faithful"]) == 2
-    assert "in conversation it is informed" in capsys.readouterr().err
 
 
 @pytest.mark.slow
