@@ -9,13 +9,11 @@ import numpy as np
 from jaxlangnav.experiments.grid import Row
 from jaxlangnav.experiments.paper import least_distance
 from jaxlangnav.viz import style
+from jaxlangnav.viz.style import Mark, legend_of, looks_of
 from jaxlangnav.viz.sweep import (
     PAPER_BARS,
-    Mark,
     draw_line,
-    legend_of,
     line_panels,
-    looks_of,
     paper_look,
     paper_success_bars,
 )

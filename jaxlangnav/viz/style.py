@@ -9,7 +9,7 @@ pyplot: no window, no global figure, no style left behind in somebody's notebook
 """
 
 import importlib.util
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -52,6 +52,16 @@ SPLIT = {"goal": "#d55e00", "information": "#0072b2", "cost": "#6b7280"}
 """Parts of a value."""
 VALUE_STOPS = ("#f2ead3", "#e3c878", "#7fb08a", "#2f7f8f", "#173f5f")
 """Sequential ramp of the value function, light to dark: monotone in lightness."""
+Mark = tuple[str, str, str]
+POLICY_LOOKS = {
+    "informed": (SERIES[0], "o", "informed (ours)"),
+    "faithful": (SERIES[1], "s", "faithful (the paper's method)"),
+    "frontier": (SERIES[2], "^", "nearest frontier, no language"),
+    "lawnmower": (SERIES[3], "v", "lawnmower, no language"),
+    "arc": (SERIES[4], "<", "sweep that knows the worlds' law"),
+    "known": (MUTED, "", "known map"),
+}
+"""Colour, marker and name of each policy."""
 _BOLD_WIDTH, _PLAIN_WIDTH = 0.69, 0.6
 """Mean width of a character over the size of its type, on the safe side."""
 _RAMP = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -85,6 +95,27 @@ def type_marker(object_type: int) -> str:
         return "*"
     turn = object_type // len(TYPE_COLORS)
     return TYPE_MARKERS[(object_type + turn) % len(TYPE_MARKERS)] if object_type >= 0 else "x"
+
+
+def looks_of(arms: Sequence[str]) -> dict[str, Mark]:
+    """Give each arm its colour, marker and name; what is no policy takes the next colour."""
+    markers = "os^vDPXh"
+    return {
+        arm: POLICY_LOOKS.get(
+            arm, (SERIES[index % len(SERIES)], markers[index % len(markers)], arm)
+        )
+        for index, arm in enumerate(arms)
+    }
+
+
+def legend_of(grid: Any) -> tuple[list[Any], list[str]]:
+    """Gather the legend over several axes, each label once."""
+    found: dict[str, Any] = {}
+    for line in grid:
+        for axes in line:
+            for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+                found.setdefault(label, handle)
+    return list(found.values()), list(found)
 
 
 def value_colormap() -> "LinearSegmentedColormap":

@@ -13,21 +13,12 @@ from jaxlangnav.experiments.robustness import ECE_TARGET, ROBUSTNESS
 from jaxlangnav.experiments.rows import AGREEMENT, PAPER_RUNS, rate_error
 from jaxlangnav.experiments.unknowns import UNKNOWNS, row_name
 from jaxlangnav.viz import style
+from jaxlangnav.viz.style import POLICY_LOOKS, legend_of, looks_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Mark = tuple[str, str, str]
-POLICY_LOOKS = {
-    "informed": (style.SERIES[0], "o", "informed (ours)"),
-    "faithful": (style.SERIES[1], "s", "faithful (the paper's method)"),
-    "frontier": (style.SERIES[2], "^", "nearest frontier, no language"),
-    "lawnmower": (style.SERIES[3], "v", "lawnmower, no language"),
-    "arc": (style.SERIES[4], "<", "sweep that knows the worlds' law"),
-    "known": (style.MUTED, "", "known map"),
-}
-"""Colour, marker and name of each policy."""
 PAPER_NAME = "paper, as printed"
 PAPER_BARS = f"paper: ± 1 σ of the distance, 95 % of a rate of {PAPER_RUNS} runs"
 _Z95 = 1.96
@@ -85,17 +76,6 @@ def range_figure(document: Mapping[str, Any]) -> "Figure":
         handles, labels = legend_of(grid)
         figure.legend(handles, labels, loc="lower center", ncols=min(len(labels), 3))
     return figure
-
-
-def looks_of(arms: Sequence[str]) -> dict[str, Mark]:
-    """Give each arm its colour, marker and name; what is no policy takes the next colour."""
-    markers = "os^vDPXh"
-    return {
-        arm: POLICY_LOOKS.get(
-            arm, (style.SERIES[index % len(style.SERIES)], markers[index % len(markers)], arm)
-        )
-        for index, arm in enumerate(arms)
-    }
 
 
 def _draw_column(above: "Axes", below: "Axes", rows: list[Row], paper: list[Row]) -> None:
@@ -156,16 +136,6 @@ def paper_look() -> dict[str, Any]:
         "color": style.INK, "marker": "D", "markersize": 6, "markerfacecolor": "none",
         "linestyle": "none", "capsize": 3, "linewidth": 1.0, "zorder": 5, "label": PAPER_NAME,
     }  # fmt: skip
-
-
-def legend_of(grid: Any) -> tuple[list[Any], list[str]]:
-    """Gather the legend over several axes, each label once."""
-    found: dict[str, Any] = {}
-    for line in grid:
-        for axes in line:
-            for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
-                found.setdefault(label, handle)
-    return list(found.values()), list(found)
 
 
 def line_panels(
