@@ -1,10 +1,12 @@
 """A conversation driven: what each kind of utterance does to where the robot ends."""
 
+import functools
+
 import jax
 import numpy as np
 import pytest
 import readings as by_hand
-from test_navigator_step import AREA, CONE, HYDRANT, STEP, go, robot, see
+from test_navigator_step import AREA, CONE, HYDRANT, STEP, assert_arrived, distance, go, robot, see
 
 from jaxlangnav import agent, hearing
 from jaxlangnav.grounding.readings import Capacity
@@ -18,6 +20,8 @@ CAR = 2
 WORLD = [(HYDRANT, 4.0, 2.5), (HYDRANT, 4.5, -2.5), (CONE, 2.0, -3.0), (CAR, 8.0, 3.0)]
 NEAR_HYDRANT, FAR_HYDRANT, ONE_CONE, ONE_CAR = range(4)
 NULL = "go to the hydrant"
+away = functools.partial(distance, places=WORLD)
+arrives = functools.partial(assert_arrived, places=WORLD)
 
 
 def set_out(robot, text: str = NULL, max_steps: int = 4, places=WORLD):
@@ -36,10 +40,6 @@ def ended(run) -> Status:
     return Status(int(run.actions[-1].status))
 
 
-def away(run, index: int, places=WORLD) -> float:
-    return float(np.hypot(*(run.end - places[index][1:])))
-
-
 @pytest.mark.parametrize(
     "text",
     ["no, the other one", "no", "not that one, the one by the cone", "go to the other hydrant"],
@@ -50,16 +50,14 @@ def test_another_one_is_found(robot, text: str) -> None:
     heard, after = tell(robot, run, text)
     assert heard.kind == (Kind.COMMAND if text.startswith("go") else Kind.CORRECTION)
     assert heard.ruled_out == (0,)
-    assert ended(after) == Status.ARRIVED
-    assert away(after, FAR_HYDRANT) < 1.5
+    arrives(after, FAR_HYDRANT)
 
 
 def test_an_arrival_is_corrected_until_there_is_no_other(robot) -> None:
     run = set_out(robot, max_steps=60)
     assert ended(run) == Status.ARRIVED
     _, other = tell(robot, run, "that's not it")
-    assert ended(other) == Status.ARRIVED
-    assert away(other, FAR_HYDRANT) < 1.5
+    arrives(other, FAR_HYDRANT)
     _, none = tell(robot, other, "wrong one")
     assert ended(none) == Status.NOT_FOUND
     mass = np.asarray([info.goals.object_mass for info in none.infos])
@@ -110,14 +108,12 @@ def test_a_statement_changes_no_task(robot) -> None:
     ):
         np.testing.assert_array_equal(before, after)
     _, after = tell(robot, run, "the hydrant is behind the car")
-    assert ended(after) == Status.ARRIVED
-    assert away(after, ONE_CAR) < 1.5
+    arrives(after, ONE_CAR)
 
 
 def test_a_statement_says_which_one_is_meant(robot) -> None:
     _, after = tell(robot, set_out(robot), "the hydrant is near the cone")
-    assert ended(after) == Status.ARRIVED
-    assert away(after, FAR_HYDRANT) < 1.5
+    arrives(after, FAR_HYDRANT)
 
 
 def test_an_ended_robot_that_is_informed_stays_where_it_is(robot) -> None:
@@ -135,8 +131,7 @@ def test_what_is_to_be_avoided_is_never_a_goal(robot) -> None:
     run = set_out(robot, "go to the car", max_steps=2)
     # Two things to keep away from: it goes to and fro before the gap between them.
     _, told = tell(robot, run, "avoid the cone", "avoid the hydrant", max_steps=120)
-    assert ended(told) == Status.ARRIVED
-    assert away(told, ONE_CAR) < 1.5
+    arrives(told, ONE_CAR)
     constraint = np.asarray([info.behavior.constraint for info in told.infos])
     assert constraint[-1].max() > 0.9
     goals = np.asarray([info.goals.object_mass for info in told.infos])
@@ -150,8 +145,7 @@ def test_what_is_to_be_avoided_is_never_a_goal(robot) -> None:
 def test_an_addition_comes_after_the_task(robot) -> None:
     heard, after = tell(robot, set_out(robot), "and after that go to the car")
     assert heard.kind == Kind.ADDITION
-    assert ended(after) == Status.ARRIVED
-    assert away(after, ONE_CAR) < 1.5
+    arrives(after, ONE_CAR)
     passed = np.hypot(*(np.asarray(after.places) - WORLD[NEAR_HYDRANT][1:]).T)
     assert passed.min() < 1.5
     # At its end, it begins at once.

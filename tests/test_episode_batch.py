@@ -16,6 +16,7 @@ from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.params import MapConfig
 from jaxlangnav.world.scenario import draw_scenario, scenario_law
 
+draw_worlds = jax.vmap(draw_scenario, in_axes=(0, None))
 SENTENCES = ("go to the hydrant behind the cone", "go to the hydrant", "find the cone")
 EPISODES, MAX_STEPS = 24, 40
 
@@ -37,13 +38,10 @@ def instructions():
 def tasks() -> Task:
     """Episodes that differ in world, sentence, range and noise, and so in length."""
     law = scenario_law(template="1H1C", relation="behind")
-    scenarios = jax.vmap(draw_scenario, in_axes=(0, None))(
-        jax.random.split(jax.random.key(7), EPISODES), law
-    )
     number = np.arange(EPISODES)
     return Task(
         key=jax.random.split(jax.random.key(1), EPISODES),
-        scenario=scenarios,
+        scenario=draw_worlds(jax.random.split(jax.random.key(7), EPISODES), law),
         instruction_index=jnp.asarray(number % len(SENTENCES), jnp.int32),
         sensor=SensorParams(
             range_max=jnp.asarray(np.choose(number % 4, [2.0, 3.0, 5.0, 20.0]), jnp.float32),
@@ -60,16 +58,20 @@ def tasks() -> Task:
     )
 
 
-def batch(tasks: Task, instructions, lanes: int, policy: str = "informed", **kwargs):
-    result = run_batch(
+def in_worlds(tasks: Task, seed: int, template: str, relation: str, reach: float) -> Task:
+    """Put the tasks into other worlds, with another range and without noise."""
+    law = scenario_law(template=template, relation=relation)
+    noise, reaches = (jnp.full(EPISODES, one, jnp.float32) for one in (0.0, reach))
+    return replace(
         tasks,
-        instructions,
-        params=navigator.default_params(),
-        config=config(policy),
-        num_lanes=lanes,
-        max_steps=MAX_STEPS,
-        **kwargs,
+        scenario=draw_worlds(jax.random.split(jax.random.key(seed), EPISODES), law),
+        sensor=replace(tasks.sensor, noise=noise, range_max=reaches),
     )
+
+
+def batch(tasks: Task, instructions, lanes: int, policy: str = "informed", **kwargs):
+    given = {"params": navigator.default_params(), "config": config(policy), **kwargs}
+    result = run_batch(tasks, instructions, num_lanes=lanes, max_steps=MAX_STEPS, **given)
     return jax.tree.map(np.asarray, result)
 
 
@@ -106,22 +108,20 @@ def test_episodes_end_with_a_result(in_lanes: EpisodeResult) -> None:
     assert in_lanes.is_success[::3].mean() > 0.7
 
 
+def run_alone(task: Task, instructions) -> EpisodeResult:
+    given = {"params": navigator.default_params(), "config": config(), "max_steps": MAX_STEPS}
+    return run(task, instructions, **given)
+
+
 @pytest.mark.slow  # another program; one by one against the batch is also test_recording
 def test_one_by_one_equals_the_batch(in_lanes: EpisodeResult, tasks, instructions) -> None:
     """``run`` in a Python loop against refilled lanes; one compilation for all of it."""
-    results = []
     before = run._cache_size()
-    for index in range(EPISODES):
-        task = jax.tree.map(lambda leaf, index=index: leaf[index] if leaf.ndim else leaf, tasks)
-        results.append(
-            run(
-                task,
-                instructions,
-                params=navigator.default_params(),
-                config=config(),
-                max_steps=MAX_STEPS,
-            )
-        )
+    each = (
+        jax.tree.map(lambda leaf, index=index: leaf[index] if leaf.ndim else leaf, tasks)
+        for index in range(EPISODES)
+    )
+    results = [run_alone(task, instructions) for task in each]
     # Sentences, worlds, ranges and noises are data.
     assert run._cache_size() == before + 1
     stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *results)
@@ -137,32 +137,12 @@ def test_any_numbers_are_data(in_lanes: EpisodeResult, tasks, instructions) -> N
         map=replace(changed.map, concentration=jnp.float32(0.1)),
         planner=replace(changed.planner, discount=jnp.float32(0.9)),
     )
-    law = scenario_law(template="2H2C", relation="nearest")
-    scenarios = jax.vmap(draw_scenario, in_axes=(0, None))(
-        jax.random.split(jax.random.key(8), EPISODES), law
-    )
-    others = replace(
-        tasks,
-        scenario=scenarios,
-        sensor=replace(
-            tasks.sensor,
-            noise=jnp.zeros_like(tasks.sensor.noise),
-            range_max=jnp.full_like(tasks.sensor.range_max, 4.0),
-        ),
-    )
+    others = in_worlds(tasks, 8, "2H2C", "nearest", 4.0)
     grounded = understand("carefully move to the hydrant nearest to the cone", load_shipped())
     sentences = jax.tree.map(
         lambda leaf, first: leaf.at[0].set(first), instructions, grounded.instruction
     )
-    result = run_batch(
-        others,
-        sentences,
-        params=changed,
-        config=config(),
-        num_lanes=7,
-        max_steps=MAX_STEPS,
-    )
-    assert (np.asarray(result.steps) >= 1).all()
+    assert (batch(others, sentences, lanes=7, params=changed).steps >= 1).all()
     assert lanes._run_batch._cache_size() == before
 
 
@@ -206,15 +186,7 @@ def test_both_policies_run_everywhere(tasks, instructions) -> None:
 @pytest.mark.slow
 def test_refilled_lanes_equal_a_vmapped_loop(in_lanes: EpisodeResult, tasks, instructions) -> None:
     """``vmap`` of ``run`` waits for its slowest lane and finds the same episodes."""
-    results = jax.vmap(
-        lambda task: run(
-            task,
-            instructions,
-            params=navigator.default_params(),
-            config=config(),
-            max_steps=MAX_STEPS,
-        )
-    )(tasks)
+    results = jax.vmap(lambda task: run_alone(task, instructions))(tasks)
     assert_same(jax.tree.map(np.asarray, results), in_lanes)
 
 
@@ -229,20 +201,8 @@ def test_keys_decide(tasks, instructions, in_lanes: EpisodeResult) -> None:
 def test_without_weights_behind_is_not_found(in_lanes: EpisodeResult, tasks, instructions) -> None:
     """The sentence reaches the robot through the trained model alone: zeroed, it says nothing."""
     del in_lanes  # compiles the program that this test runs again
-    law = scenario_law(template="2H1C", relation="behind")
-    scenarios = jax.vmap(draw_scenario, in_axes=(0, None))(
-        jax.random.split(jax.random.key(9), EPISODES), law
-    )
-    told = replace(
-        tasks,
-        scenario=scenarios,
-        instruction_index=jnp.zeros(EPISODES, jnp.int32),
-        sensor=replace(
-            tasks.sensor,
-            noise=jnp.zeros_like(tasks.sensor.noise),
-            range_max=jnp.full_like(tasks.sensor.range_max, 5.0),
-        ),
-    )
+    told = in_worlds(tasks, 9, "2H1C", "behind", 5.0)
+    told = replace(told, instruction_index=jnp.zeros(EPISODES, jnp.int32))
     before = lanes._run_batch._cache_size()
     trained = batch(told, instructions, lanes=7)
     zeroed = understand(SENTENCES[0], load_shipped().zeroed()).instruction

@@ -5,7 +5,7 @@ import logging
 import jax
 import numpy as np
 import pytest
-from test_navigator_step import AREA, CONE, HYDRANT, RANGE, WORLD, distance, go, robot, see
+from test_navigator_step import AREA, CONE, HYDRANT, RANGE, WORLD, assert_arrived, go, robot, see
 
 from jaxlangnav import agent, hearing
 from jaxlangnav.language.halting import Act
@@ -59,8 +59,7 @@ def test_halted_it_stands_and_looks_and_goes_on(robot) -> None:
         assert int(info.fault) == 0
     assert float(np.exp(after.belief.coverage.log_miss).mean()) < looked
     again = go(robot, robot.hear(after, "carry on"), start=tuple(run.end), seed=2)
-    assert Status(int(again.actions[-1].status)) == Status.ARRIVED
-    assert distance(again, 1) < 1.5
+    assert_arrived(again, 1)
 
 
 def test_another_command_ends_a_halt(robot) -> None:
@@ -68,8 +67,7 @@ def test_another_command_ends_a_halt(robot) -> None:
     state = robot.hear(robot.hear(run.state, "halt"), "go to the cone")
     assert not bool(state.is_halted)
     again = go(robot, state, start=tuple(run.end))
-    assert Status(int(again.actions[-1].status)) == Status.ARRIVED
-    assert min(distance(again, 0), distance(again, 2)) < 1.5
+    assert_arrived(again, 0, 2)
 
 
 def test_cancelled_it_is_idle_without_a_fault_until_it_is_told(robot) -> None:
@@ -190,8 +188,7 @@ def test_what_is_nowhere_is_not_found_and_named(robot) -> None:
 def test_a_landmark_that_is_nowhere_hides_no_goal(robot) -> None:
     places = [(HYDRANT, *WORLD[1][1:])]
     run = go(robot, robot.start(TEXT, area=AREA), places, max_steps=90)
-    assert Status(int(run.actions[-1].status)) == Status.ARRIVED
-    assert distance(run, 0, places) < 1.5
+    assert_arrived(run, 0, places=places)
     assert robot.missing(run.state) == ["cone"]
 
 

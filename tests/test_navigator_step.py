@@ -12,7 +12,7 @@ import readings as by_hand
 
 from jaxlangnav import agent, navigator
 from jaxlangnav.grounding import AnnotationGrounder
-from jaxlangnav.messages import NONE
+from jaxlangnav.messages import NONE, Status
 from jaxlangnav.navigator import NavigatorConfig
 from jaxlangnav.planner.config import SHIPPED, PlannerConfig
 from jaxlangnav.pytree import replace
@@ -90,10 +90,16 @@ def distance(run: Run, index: int, places=WORLD) -> float:
     return float(np.hypot(*(run.end - places[index][1:])))
 
 
+def assert_arrived(run: Run, *nearest: int, places=WORLD) -> None:
+    """It has ended its task within reach of one of these things."""
+    assert Status(int(run.actions[-1].status)) == Status.ARRIVED
+    assert bool(run.state.is_done)
+    assert min(distance(run, index, places) for index in nearest) < 1.5
+
+
 def test_goes_to_the_hydrant_behind_the_cone_and_stops(robot) -> None:
     run = go(robot, robot.start("go to the hydrant behind the cone", area=AREA))
-    assert bool(run.state.is_done)
-    assert distance(run, 1) < 1.5
+    assert_arrived(run, 1)
     for action in run.actions:
         length = float(np.hypot(*action.step))
         assert length <= 1.0 + 1e-5
@@ -118,8 +124,7 @@ def test_what_stands_against_the_robot_is_looked_for_there(robot, said, x: float
     for seed in range(3):
         state = robot.start(f"go to the {said}", area=(-10.0, 10.0, -10.0, 10.0))
         run = go(robot, state, places, seed=seed)
-        assert bool(run.state.is_done)
-        assert distance(run, 0, places) < 1.5
+        assert_arrived(run, 0, places=places)
         assert len(run.places) < 14  # a metre each, 4.8 m straight on
 
 
@@ -127,8 +132,7 @@ def test_the_other_hydrant_is_not_taken(robot) -> None:
     """A hydrant in front of the cone is seen first and is not meant."""
     places = [*WORLD[:2], (HYDRANT, 2.2, 0.1)]
     run = go(robot, robot.start("go to the hydrant behind the cone", area=AREA), places)
-    assert bool(run.state.is_done)
-    assert distance(run, 1, places) < 1.5
+    assert_arrived(run, 1, places=places)
 
 
 def test_no_form_of_a_look_compiles_anew(robot) -> None:
@@ -205,7 +209,7 @@ def test_find_stops_once_it_is_in_view(robot) -> None:
     near = min(distance(run, 0), distance(run, 2))
     assert near <= RANGE
     walked = go(robot, robot.start("go to the cone", area=AREA))
-    assert min(distance(walked, 0), distance(walked, 2)) < 1.5
+    assert_arrived(walked, 0, 2)
     assert len(run.actions) < len(walked.actions)
 
 
@@ -228,9 +232,8 @@ def test_place_behind_an_object(robot) -> None:
 
 def test_two_commands_in_order(robot) -> None:
     run = go(robot, robot.start("go to the cone then go to the hydrant", area=AREA))
-    assert bool(run.state.is_done)
+    assert_arrived(run, 1)
     assert int(run.state.clause) == 1
-    assert distance(run, 1) < 1.5
     way = np.array(run.places)
     cones = [np.hypot(*(way - WORLD[index][1:]).T).min() for index in (0, 2)]
     assert min(cones) < 1.5
@@ -245,8 +248,7 @@ def test_hears_another_command_and_keeps_its_map(robot) -> None:
     assert not bool(state.is_done)
     np.testing.assert_array_equal(state.belief.particles.object_type, types)
     again = go(robot, state, start=tuple(run.end), seed=1)
-    assert bool(again.state.is_done)
-    assert distance(again, 2 - first) < 1.5
+    assert_arrived(again, 2 - first)
 
 
 def form(*weighted: tuple[float, str], types: tuple[str, str] = ("hydrant", "cone")) -> str:
@@ -269,8 +271,7 @@ def test_annotations_drive_an_episode_as_the_sentence_does(robot) -> None:
     told = dataclasses.replace(robot, grounder=AnnotationGrounder(robot.type_names))
     mine = go(told, told.start(form((1.0, "behind")), area=AREA))
     theirs = go(robot, robot.start("go to the hydrant behind the cone", area=AREA))
-    assert bool(mine.state.is_done)
-    assert distance(mine, 1) < 1.5
+    assert_arrived(mine, 1)
     assert len(mine.actions) == len(theirs.actions) > 5
     np.testing.assert_allclose(mine.places, theirs.places, atol=1e-3)
     for own, other in zip(mine.actions, theirs.actions, strict=True):
@@ -283,8 +284,7 @@ def test_what_the_robot_sees_settles_which_reading_is_meant(robot) -> None:
     told = dataclasses.replace(robot, grounder=AnnotationGrounder(robot.type_names))
     state = told.start(form((0.6, "front"), (0.4, "behind")), area=AREA)
     run = go(told, state)
-    assert bool(run.state.is_done)
-    assert distance(run, 1) < 1.5
+    assert_arrived(run, 1)
     reading = np.asarray(run.state.belief.particles.reading)
     weight = np.exp(np.asarray(run.state.belief.log_weight))
     assert weight[reading == 1].sum() > 0.9
@@ -302,8 +302,7 @@ def test_where_the_likelier_thing_is_nowhere_the_other_will_do(robot) -> None:
         for kind, probability in (("car", 0.7), ("hydrant", 0.3))
     ]
     run = go(told, told.start(json.dumps({"readings": readings}), area=AREA))
-    assert bool(run.state.is_done)
-    assert distance(run, 1) < 1.5
+    assert_arrived(run, 1)
     sure = go(robot, robot.start("go to the hydrant", area=AREA))
     assert len(run.actions) > len(sure.actions)
 
@@ -321,7 +320,7 @@ def test_annotations_may_speak_of_any_types(robot) -> None:
     heard = {"probability": 1, "things": [{"id": "other", "type": "bridge"}], "commands": [command]}
     state = told.hear(run.state, json.dumps({"readings": [heard]}))
     again = go(told, state, start=tuple(run.end), seed=1)
-    assert min(distance(again, 0), distance(again, 2)) < 1.5
+    assert_arrived(again, 0, 2)
 
 
 def test_step_is_compiled_once_whatever_is_said(robot) -> None:

@@ -40,6 +40,13 @@ def go(navigator, robot, text: str = TEXT, **options) -> Drive:
     return drive(navigator, robot, text, key=jax.random.key(1), **options)
 
 
+def ends(ending: Ending, navigator, robot, **options) -> Drive:
+    drive = go(navigator, robot, **options)
+    assert drive.ending is ending, drive.why
+    assert ending is not Ending.ARRIVED or goal_distance(robot) < 1.5
+    return drive
+
+
 def goal_distance(robot: KinematicRobot, goal=GOAL) -> float:
     return float(np.hypot(*(robot.true_pose[:2] - goal)))
 
@@ -47,9 +54,9 @@ def goal_distance(robot: KinematicRobot, goal=GOAL) -> float:
 @pytest.mark.parametrize("steering", [Pursuit(), Window()], ids=["pursuit", "window"])
 def test_a_sentence_is_carried_out(navigator, steering) -> None:
     robot, told = put(steering=steering), []
-    drive = go(navigator, robot, on_step=lambda step, state, info: told.append(step))
-    assert drive.ending is Ending.ARRIVED, drive.why
-    assert goal_distance(robot) < 1.5
+    drive = ends(
+        Ending.ARRIVED, navigator, robot, on_step=lambda step, state, info: told.append(step)
+    )
     assert tuple(told) == drive.steps
     assert drive.steps[0].status == Status.SEARCHING
     assert drive.steps[-1].status == Status.ARRIVED
@@ -63,8 +70,7 @@ def test_a_sentence_is_carried_out(navigator, steering) -> None:
 def test_a_camera_that_stops_makes_it_blind_and_it_stands(navigator) -> None:
     robot = put()
     robot.at(3.0, lambda one: setattr(one, "camera_works", False))
-    drive = go(navigator, robot)
-    assert drive.ending is Ending.BLIND, drive.why
+    drive = ends(Ending.BLIND, navigator, robot)
     assert "picture" in drive.why
     assert robot.seconds < 15.0
 
@@ -73,15 +79,13 @@ def test_a_camera_that_comes_back_in_time_is_no_ending(navigator) -> None:
     robot = put()
     robot.at(3.0, lambda one: setattr(one, "camera_works", False))
     robot.at(6.0, lambda one: setattr(one, "camera_works", True))
-    assert go(navigator, robot).ending is Ending.ARRIVED
-    assert goal_distance(robot) < 1.5
+    ends(Ending.ARRIVED, navigator, robot)
 
 
 def test_a_goal_that_cannot_be_seen_is_not_found(navigator) -> None:
     robot = put([(CONE, 4.0, 0.5)])
     robot.obstacles.append((*GOAL, 0.28))
-    drive = go(navigator, robot)
-    assert drive.ending is Ending.NOT_FOUND, drive.why
+    drive = ends(Ending.NOT_FOUND, navigator, robot)
     assert "hydrant" in drive.why
 
 
@@ -93,8 +97,7 @@ def test_a_goal_that_is_taken_away_is_never_arrived_at(navigator) -> None:
         one.move_object(0, np.nan, np.nan) if near else one.at(one.seconds + 0.1, take_away)
 
     robot.at(0.0, take_away)
-    drive = go(navigator, robot)
-    assert drive.ending is Ending.NOT_FOUND, drive.why
+    ends(Ending.NOT_FOUND, navigator, robot)
 
 
 def test_slippery_ground_ends_at_the_goal_all_the_same(navigator) -> None:
@@ -114,16 +117,14 @@ def test_a_person_who_steps_in_the_way_is_gone_around(navigator) -> None:
         one.obstacles.append((x + 1.1 * np.cos(heading), y + 1.1 * np.sin(heading), 0.25))
 
     robot.at(2.5, step_in)
-    assert go(navigator, robot).ending is Ending.ARRIVED
-    assert goal_distance(robot) < 1.5
+    ends(Ending.ARRIVED, navigator, robot)
 
 
 def test_who_is_walled_in_is_blocked(navigator) -> None:
     robot = put()
     turns = np.linspace(0.0, 2.0 * np.pi, 30)[:-1]
     robot.obstacles += [(1.2 * np.cos(one), 1.2 * np.sin(one), 0.2) for one in turns]
-    drive = go(navigator, robot)
-    assert drive.ending is Ending.BLOCKED, drive.why
+    drive = ends(Ending.BLOCKED, navigator, robot)
     assert drive.steps[-1].progress is Progress.GAVE_UP
     assert robot.travelled < 1.0
 
@@ -131,8 +132,7 @@ def test_who_is_walled_in_is_blocked(navigator) -> None:
 def test_a_report_that_cannot_be_makes_it_lost(navigator) -> None:
     robot = put()
     robot._look = lambda: [Detection(object_type=CONE, range=50.0, bearing=0.0)]
-    drive = go(navigator, robot)
-    assert drive.ending is Ending.LOST
+    drive = ends(Ending.LOST, navigator, robot)
     assert "DETECTION" in drive.why
     assert drive.steps[-1].fault == Fault.DETECTION
     assert robot.travelled == 0.0
@@ -146,16 +146,14 @@ def test_it_halts_goes_on_and_drops_the_task(navigator) -> None:
         places.append(robot.pose())
         return said.pop(len(places), None)
 
-    drive = go(navigator, robot, listen=listen)
-    assert drive.ending is Ending.ARRIVED, drive.why
+    drive = ends(Ending.ARRIVED, navigator, robot, listen=listen)
     assert drive.steps[4].status == Status.HALTED
     np.testing.assert_array_equal(places[5], places[7])
     assert drive.steps[8].target is not None
     robot = put()
-    assert go(navigator, robot, listen=iter([None, "cancel"]).__next__).ending is Ending.IDLE
+    ends(Ending.IDLE, navigator, robot, listen=iter([None, "cancel"]).__next__)
     robot = put()
-    halted = go(navigator, robot, listen=lambda: "stop", max_seconds=4.0)
-    assert halted.ending is Ending.HALTED
+    ends(Ending.HALTED, navigator, robot, listen=lambda: "stop", max_seconds=4.0)
     assert robot.travelled == 0.0
 
 

@@ -5,9 +5,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import readings as by_hand
 from placed import placed
 
-from jaxlangnav.messages import NONE, Observation, SensorParams
+from jaxlangnav.messages import NONE, Observation
 from jaxlangnav.pytree import replace
 from jaxlangnav.world.sensor import sense as sense_eagerly, visible
 from jaxlangnav.world.state import Scenario, WorldState
@@ -16,15 +17,8 @@ PI = np.pi
 sense = jax.jit(sense_eagerly, static_argnames="num_detections")
 
 
-def sensor(
-    range_max: float = 10.0, view: float = 2 * PI, probability: float = 1.0, noise: float = 0.0
-) -> SensorParams:
-    return SensorParams(
-        range_max=jnp.float32(range_max),
-        field_of_view=jnp.float32(view),
-        detection_probability=jnp.float32(probability),
-        noise=jnp.float32(noise),
-    )
+def sensor(range_max: float = 10.0, *, probability: float = 1.0, noise: float = 0.0, **view: float):
+    return by_hand.sensor(range_max, probability=probability, noise=noise, **view)
 
 
 def world(places: list[tuple[float, float]], num_slots: int = 8) -> Scenario:

@@ -146,7 +146,7 @@ class KinematicRobot(SimulatedRobot):
             distance=jnp.float32(self.travelled),
         )
         key = jax.random.fold_in(self._key, self._looks)
-        seen = jax.device_get(_sense(key, state, self.scenario, self._sensor))
+        seen = jax.device_get(_sense(key, state, self.scenario, self.sensor))
         return [
             Detection(object_type=int(kind), range=float(away), bearing=float(bearing))
             for kind, away, bearing, is_one in zip(

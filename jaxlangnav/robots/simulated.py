@@ -50,22 +50,13 @@ class SimulatedRobot(abc.ABC):
         self.on_tick: Callable[[Self], None] | None = None
         self.on_look: Callable[[Self], None] | None = None
         """Is told each look just after it was taken, one without a picture too."""
-        self._sensor = sensor
+        self.sensor = sensor
+        """What the belief is told of the detector."""
         x_min, x_max, y_min, y_max = (float(edge) for edge in area)
-        self._area = (x_min, x_max, y_min, y_max)
+        self.area = (x_min, x_max, y_min, y_max)
         self._odometry = np.array(start, float)
         self._count = itertools.count()
         self._events: list[tuple[float, int, Callable[[Self], None]]] = []
-
-    @property
-    def sensor(self) -> SensorParams:
-        """What the belief is told of the detector."""
-        return self._sensor
-
-    @property
-    def area(self) -> tuple[float, float, float, float]:
-        """The operating area."""
-        return self._area
 
     @property
     @abc.abstractmethod

@@ -28,12 +28,8 @@ LOG_FLOOR = -12.0
 
 
 @dataclasses.dataclass(frozen=True)
-class Scores:
-    """Results on labelled sentences (and worlds)."""
-
+class _Judged:
     is_right: np.ndarray  # bool[E]
-    confidence: np.ndarray  # f64[E] probability of the answer given
-    log_gold: np.ndarray  # f64[E] log-probability of the gold answer, floored
 
     @property
     def accuracy(self) -> float:
@@ -42,16 +38,18 @@ class Scores:
 
 
 @dataclasses.dataclass(frozen=True)
-class ExactScores:
+class Scores(_Judged):
+    """Results on labelled sentences (and worlds)."""
+
+    confidence: np.ndarray  # f64[E] probability of the answer given
+    log_gold: np.ndarray  # f64[E] log-probability of the gold answer, floored
+
+
+@dataclasses.dataclass(frozen=True)
+class ExactScores(_Judged):
     """Results of the likeliest set of all, by enumeration as far as it is needed."""
 
-    is_right: np.ndarray  # bool[E]
     is_proven: np.ndarray  # bool[E] no other set can be likelier (``search.search_exactly``)
-
-    @property
-    def accuracy(self) -> float:
-        """Share that is right."""
-        return float(self.is_right.mean()) if len(self.is_right) else float("nan")
 
 
 class Results(NamedTuple):
@@ -130,15 +128,22 @@ def _compare(belief: Belief, gold: frozenset[Annotation]) -> tuple[bool, float, 
     return best == gold, chance[best], log_gold
 
 
-def _check_tested(
-    is_tested: np.ndarray | None, models: Models, instructions: Sequence[LabelledInstruction]
-) -> np.ndarray:
-    """Check which sentences each model is tested on, bool[K, I]; by default all."""
-    shape = len(models.temperature), len(instructions)
+def _tested(
+    instructions: Sequence[LabelledInstruction],
+    is_tested: np.ndarray | None,
+    num_models: int,
+    on_sentence: Callable[[], None],
+) -> Iterator[tuple[LabelledInstruction, np.ndarray]]:
+    """Yield sentences with the models i[M] that are tested on them, bool[K, I]; by default all."""
+    shape = num_models, len(instructions)
     is_tested = np.ones(shape, bool) if is_tested is None else is_tested
     chex.assert_shape(is_tested, shape)
     chex.assert_type(is_tested, bool)
-    return is_tested
+    for labelled, tested in zip(instructions, is_tested.T, strict=True):
+        which = np.flatnonzero(tested)
+        if len(which):
+            yield labelled, which
+        on_sentence()
 
 
 def score_annotations(
@@ -165,13 +170,9 @@ def score_annotations(
     Returns:
         Results of each model in the order of its sentences.
     """
-    is_tested = _check_tested(is_tested, models, instructions)
-    tally = _Tally(len(is_tested), widths, is_exact)
-    for labelled, tested in zip(instructions, is_tested.T, strict=True):
-        which = np.flatnonzero(tested)
-        if len(which):
-            _count_sentence(tally, labelled, which, models.take(which), type_names)
-        on_sentence()
+    tally = _Tally(num := len(models.temperature), widths, is_exact)
+    for labelled, which in _tested(instructions, is_tested, num, on_sentence):
+        _count_sentence(tally, labelled, which, models.take(which), type_names)
     return tally.results()
 
 
@@ -248,13 +249,10 @@ def score_behaviors(
     Returns:
         Results of each model in the order of its sentences and their worlds.
     """
-    is_tested = _check_tested(is_tested, behavior, instructions)
     chex.assert_equal_shape([annotation.temperature, behavior.temperature])
-    tally = _Tally(len(is_tested), widths, is_exact)
-    for labelled, tested in zip(instructions, is_tested.T, strict=True):
-        which = np.flatnonzero(tested)
-        groups = _by_rank(labelled, annotation.take(which), type_names) if len(which) else ()
-        for group, rank in groups:
+    tally = _Tally(num := len(behavior.temperature), widths, is_exact)
+    for labelled, which in _tested(instructions, is_tested, num, on_sentence):
+        for group, rank in _by_rank(labelled, annotation.take(which), type_names):
             own, space = behavior.take(which[group]), Behaviors(type_names, rank)
             for world, gold in zip(labelled.worlds, labelled.behavior, strict=True):
                 trees = [
@@ -263,7 +261,6 @@ def score_behaviors(
                     if (clause,) in gold
                 ]
                 _count_world(tally, which[group], trees)
-        on_sentence()
     return tally.results()
 
 

@@ -112,20 +112,10 @@ class RosRobot:
         """
         if bus.inbox.track.pose is None:
             raise ValueError("no odometry has come from the robot: wait for it first")
-        self._bus, self._sensor, self._area = bus, sensor, area
+        self._bus, self.sensor, self.area = bus, sensor, area
         self._headway = Headway()
         self._patience, self._on_silence = patience, on_silence
         self._newest, self._newest_at, self._is_away = bus.inbox.track.newest, bus.now(), False
-
-    @property
-    def sensor(self) -> SensorParams:
-        """What the belief is told of the detector."""
-        return self._sensor
-
-    @property
-    def area(self) -> tuple[float, float, float, float]:
-        """The operating area."""
-        return self._area
 
     def pose(self) -> np.ndarray:
         """Tell x, y, heading, see ``Robot.pose``; what was last known while it is silent."""
