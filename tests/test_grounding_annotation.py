@@ -74,19 +74,21 @@ def test_a_model_that_knows_nothing_finds_no_relation(model):
     assert (np.asarray(understood.instruction.readings.relation) == NONE).all()
 
 
-def rename(phrase, old, new):
-    """Copy a tree with another word of the same senses."""
-    words = tuple(
-        dataclasses.replace(w, text=new, lemma=new) if w.lemma == old else w for w in phrase.words
-    )
-    children = tuple(rename(child, old, new) for child in phrase.children)
-    return Phrase(label=phrase.label, words=words, children=children)
+def reworded(text, old, **new):
+    """Parse a sentence of one clause and put something else in place of a word."""
+    tree = parse(text)
+
+    def swap(phrase):
+        words = (dataclasses.replace(w, **new) if w.lemma == old else w for w in phrase.words)
+        children = tuple(map(swap, phrase.children))
+        return Phrase(label=phrase.label, words=tuple(words), children=children)
+
+    return dataclasses.replace(tree, clauses=(swap(tree.clauses[0]),))
 
 
 @pytest.mark.parametrize(("old", "new"), [("hydrant", "zorbel"), ("behind", "abaft")])
 def test_a_new_synonym_needs_no_retraining(model, old, new):
-    tree = parse("go to the hydrant behind the cone")
-    renamed = dataclasses.replace(tree, clauses=(rename(tree.clauses[0], old, new),))
+    renamed = reworded("go to the hydrant behind the cone", old, text=new, lemma=new)
     assert not any(new in name for name in model.annotation.vocabulary.names)
     (said, log_probability), *_ = infer_annotations(
         renamed, model.annotation, model.type_names
@@ -96,37 +98,18 @@ def test_a_new_synonym_needs_no_retraining(model, old, new):
 
 
 def test_a_new_object_type_needs_no_retraining(model):
-    tree = parse("go to the hydrant behind the cone")
-    hydrant = tree.clauses[0].children[0].children[0].children[0]
-    word = dataclasses.replace(
-        hydrant.words[-1], text="ladder", lemma="ladder", senses=("type:ladder",)
-    )
-
-    def swap(phrase):
-        words = tuple(word if w.lemma == "hydrant" else w for w in phrase.words)
-        return Phrase(label=phrase.label, words=words, children=tuple(map(swap, phrase.children)))
-
+    tree = reworded(
+        "go to the hydrant behind the cone", "hydrant",
+        text="ladder", lemma="ladder", senses=("type:ladder",),
+    )  # fmt: skip
     larger = dataclasses.replace(model, type_names=(*model.type_names, "ladder"))
-    understood = understand_parse(
-        dataclasses.replace(tree, clauses=(swap(tree.clauses[0]),)), larger
-    )
+    understood = understand_parse(tree, larger)
     assert understood.annotations[0]["figure"] == "ladder"
     assert understood.annotations[0]["probability"] > 0.9
 
 
 def test_a_word_without_senses_does_not_ground_everything(model):
-    tree = parse("go to the hydrant")
-
-    def blank(phrase):
-        words = tuple(
-            dataclasses.replace(w, text="zorbel", lemma="zorbel", senses=())
-            if w.lemma == "hydrant"
-            else w
-            for w in phrase.words
-        )
-        return Phrase(label=phrase.label, words=words, children=tuple(map(blank, phrase.children)))
-
-    changed = dataclasses.replace(tree, clauses=(blank(tree.clauses[0]),))
+    changed = reworded("go to the hydrant", "hydrant", text="zorbel", lemma="zorbel", senses=())
     belief = infer_annotations(changed, model.annotation, model.type_names)
     assert sum(p for _, _, p in belief.marginals()) < 0.5
 
