@@ -12,7 +12,7 @@ from pathlib import Path
 import jax
 
 from jaxlangnav import Navigator, keep_compiled_programs
-from jaxlangnav.robots.ros2.recording import write_bag
+from jaxlangnav.robots.ros2.bags import write_bag
 from jaxlangnav.robots.ros2.simulation import RobotOptions, draw_start, switched_on
 
 TEXT = "go to the hydrant behind the cone"

@@ -15,8 +15,8 @@ from jaxlangnav.robots.libraries import ros
 from jaxlangnav.robots.robot import Detection, Drive, Ending, Progress
 from jaxlangnav.robots.ros2 import conversions, tags
 from jaxlangnav.robots.ros2.__main__ import NavigatorOptions, navigate
+from jaxlangnav.robots.ros2.bags import Loopback
 from jaxlangnav.robots.ros2.inbox import Inbox
-from jaxlangnav.robots.ros2.recording import Loopback
 from jaxlangnav.robots.ros2.robot import Headway, RosRobot
 from jaxlangnav.robots.ros2.session import Session
 from jaxlangnav.robots.ros2.simulation import RobotOptions, UnrulyChannel, simulate

@@ -15,8 +15,7 @@ from jaxlangnav.robots.perception.figures import as_told
 from jaxlangnav.robots.perception.tags import Gates
 from jaxlangnav.robots.robot import Detection, Ending
 from jaxlangnav.robots.ros2 import conversions
-from jaxlangnav.robots.ros2.bags import ReplayBus, typestore
-from jaxlangnav.robots.ros2.recording import RecordedLoopback, write_bag
+from jaxlangnav.robots.ros2.bags import RecordedLoopback, ReplayBus, typestore, write_bag
 from jaxlangnav.robots.ros2.robot import RosRobot
 from jaxlangnav.robots.ros2.session import Session
 from jaxlangnav.robots.ros2.simulation import RobotOptions, draw_start

@@ -10,13 +10,13 @@ import numpy as np
 
 from jaxlangnav.messages import SensorParams
 from jaxlangnav.robots import libraries
+from jaxlangnav.robots.kinematic import BEAMS, SCAN_RANGE, SimulatedRobot
 from jaxlangnav.robots.motion.mover import TICK, Mover
 from jaxlangnav.robots.motion.steering import Steering, WheelCommand
 from jaxlangnav.robots.perception.tags import Camera, Gates, Tag, degrade, find_tags, to_detections
 from jaxlangnav.robots.physics.machines import MACHINES, Wear
 from jaxlangnav.robots.physics.scene import OUT_OF_SIGHT, TIMESTEP, compile_scene
 from jaxlangnav.robots.robot import Detection
-from jaxlangnav.robots.simulated import BEAMS, SCAN_RANGE, SimulatedRobot
 from jaxlangnav.world.state import Scenario
 
 _READINGS = 10
