@@ -24,7 +24,7 @@ from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams
 from jaxlangnav.pytree import replace
 from jaxlangnav.recording import Frame, Recording, StaticScene, stack_frames
 from jaxlangnav.semantic_map.belief import ParticleBelief
-from jaxlangnav.world.known import known_distance
+from jaxlangnav.world.simulator import known_distance
 from jaxlangnav.world.state import Scenario, WorldState
 
 

@@ -11,7 +11,6 @@ import readings as by_hand
 
 from jaxlangnav.messages import BEHIND, NONE, default_motion
 from jaxlangnav.relations import holds
-from jaxlangnav.world.known import drive_known_map, known_distance
 from jaxlangnav.world.scenario import (
     Scenario,
     draw_scenario,
@@ -19,6 +18,7 @@ from jaxlangnav.world.scenario import (
     sample_scenario,
     scenario_law,
 )
+from jaxlangnav.world.simulator import drive_known_map, known_distance
 from jaxlangnav.world.state import CONE, HYDRANT
 from jaxlangnav.world.templates import RELATION_NAMES, TABLE_2, known_range, parse_template
 

@@ -31,8 +31,8 @@ from jaxlangnav.semantic_map.coverage import Coverage, log_miss_at, look, unexpl
 from jaxlangnav.terrain import OPEN
 from jaxlangnav.terrain.view import eye_of
 from jaxlangnav.world import simulator
-from jaxlangnav.world.known import drive_known_map
 from jaxlangnav.world.sensor import sense
+from jaxlangnav.world.simulator import drive_known_map
 from jaxlangnav.world.state import Scenario, WorldState
 
 NextPlace = Callable[[Array, Array, Array], tuple[Array, Array]]

@@ -20,9 +20,9 @@ from jaxlangnav.episode import Task
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.kept import kept
 from jaxlangnav.messages import MotionParams, SensorParams, default_motion, default_sensor
-from jaxlangnav.world.known import known_distance
 from jaxlangnav.world.places import PlaceLaw, draw_place
 from jaxlangnav.world.scenario import draw_scenario, empty_scenario, scenario_law
+from jaxlangnav.world.simulator import known_distance
 from jaxlangnav.world.state import Scenario
 
 SENTENCES = {

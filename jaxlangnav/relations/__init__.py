@@ -19,12 +19,6 @@ from jaxlangnav.relations.density import (
     sample_law as sample_law,
     sample_polar as sample_polar,
 )
-from jaxlangnav.relations.frames import (
-    ReferenceFrame as ReferenceFrame,
-    robot_frame as robot_frame,
-    to_map as to_map,
-    viewer_frame as viewer_frame,
-)
 from jaxlangnav.relations.strength import (
     degree as degree,
     holds as holds,
@@ -33,6 +27,10 @@ from jaxlangnav.relations.strength import (
 )
 from jaxlangnav.relations.table import (
     SIDES as SIDES,
+    ReferenceFrame as ReferenceFrame,
     RelationParams as RelationParams,
     default_params as default_params,
+    robot_frame as robot_frame,
+    to_map as to_map,
+    viewer_frame as viewer_frame,
 )

@@ -19,8 +19,7 @@ from jax.typing import ArrayLike
 
 from jaxlangnav.numerics.batching import lead
 from jaxlangnav.pytree import pytree, replace
-from jaxlangnav.relations.frames import ReferenceFrame
-from jaxlangnav.relations.table import RelationParams
+from jaxlangnav.relations.table import ReferenceFrame, RelationParams
 
 NUM_QUANTILES = 256
 """Resolution of the tabulated von Mises quantile function used for sampling."""

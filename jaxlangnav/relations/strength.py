@@ -9,8 +9,15 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from jaxlangnav.messages import FAR, LEFT, NEAR, RIGHT
-from jaxlangnav.relations.frames import ReferenceFrame, robot_frame, viewer_frame
-from jaxlangnav.relations.table import AXIS, NUM_RANKS, ORDERS, SIDES
+from jaxlangnav.relations.table import (
+    AXIS,
+    NUM_RANKS,
+    ORDERS,
+    SIDES,
+    ReferenceFrame,
+    robot_frame,
+    viewer_frame,
+)
 
 Values = TypeVar("Values", Array, np.ndarray)
 

@@ -1,9 +1,16 @@
-"""The axes and the free parameters of the relations (section 3.2, eq. 7a): the only place."""
+"""The axes, free parameters and frames of the relations (section 3.2, eq. 7a): the only place.
+
+A relation is understood in the frame of the viewer at the moment of the utterance: "behind the
+cone" lies beyond the cone as seen from where the person spoke. Where the robot itself is the
+landmark ("on your left"), the frame is the robot's own at that moment.
+"""
 
 import math
 
+import jax
 import jax.numpy as jnp
 from jax import Array
+from jax.typing import ArrayLike
 
 from jaxlangnav.messages import BEHIND, FAR, FRONT, LEFT, NEAR, RELATIONS, RIGHT
 from jaxlangnav.pytree import field, pytree
@@ -47,4 +54,44 @@ def default_params() -> RelationParams:
         log_distance_sd=jnp.array([0.35, 0.35, 0.35, 0.35, 0.35, 0.4], jnp.float32),
         axis=jnp.array([AXIS[index] for index in range(len(RELATIONS))], jnp.float32),
         concentration=jnp.array([12.0, 12.0, 12.0, 12.0, 0.0, 0.0], jnp.float32),
+    )
+
+
+@pytree
+class ReferenceFrame:
+    """Orthonormal directions in which a relation is understood, map frame."""
+
+    along_x: Array  # f32[...]
+    along_y: Array  # f32[...]
+    lateral_x: Array  # f32[...]
+    lateral_y: Array  # f32[...]
+
+
+def viewer_frame(
+    viewer_x: ArrayLike, viewer_y: ArrayLike, landmark_x: ArrayLike, landmark_y: ArrayLike
+) -> ReferenceFrame:
+    """Build the frame of somebody who looks at a landmark, both f32[...] x, y, map frame.
+
+    ``along`` points from the viewer through the landmark, ``lateral`` to the viewer's left.
+    """
+    dx, dy = jnp.subtract(landmark_x, viewer_x), jnp.subtract(landmark_y, viewer_y)
+    scale = jax.lax.rsqrt(dx * dx + dy * dy + 1e-12)
+    ux, uy = dx * scale, dy * scale
+    return ReferenceFrame(along_x=ux, along_y=uy, lateral_x=-uy, lateral_y=ux)
+
+
+def robot_frame(heading: Array) -> ReferenceFrame:
+    """Build the frame of the robot as its own landmark: "in front of you" is where it heads.
+
+    Of headings f32[...], map frame, ``along`` points backwards (for "behind"), ``lateral`` left.
+    """
+    cosine, sine = jnp.cos(heading), jnp.sin(heading)
+    return ReferenceFrame(along_x=-cosine, along_y=-sine, lateral_x=-sine, lateral_y=cosine)
+
+
+def to_map(frame: ReferenceFrame, along: Array, lateral: Array) -> tuple[Array, Array]:
+    """Turn frame coordinates f32[...], metres, into x and y in map axes."""
+    return (
+        along * frame.along_x + lateral * frame.lateral_x,
+        along * frame.along_y + lateral * frame.lateral_y,
     )

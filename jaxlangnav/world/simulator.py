@@ -1,12 +1,25 @@
-"""Where an episode begins in a world and when it is a success (section 4.2)."""
+"""Where an episode begins in a world, when it is a success, and the known-map baseline (section 4.2).
 
+A robot that knows the map knows where everything is, itself included, drives straight to the goal
+and stops on it. Its distance is the column *Known* of Tables 2 and 3; divided by a run's distance it
+gives the run's path efficiency (SPL).
+"""
+
+from typing import NamedTuple
+
+import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxlangnav.messages import Action, MotionParams, Status
+from jaxlangnav.world.motion import carry_out
 from jaxlangnav.world.state import Scenario, WorldState
 
 SUCCESS_RADIUS = 1.5
 """Metres from the intended goal within which a stop is a success (section 4.2)."""
+ARRIVAL = 0.05
+"""Metres from the goal that count as being there for a robot that knows the map."""
+_MAX_STEPS = 200
 
 
 def reset(scenario: Scenario) -> WorldState:
@@ -28,3 +41,57 @@ def goal_distance(state: WorldState, scenario: Scenario) -> Array:
 def is_success(state: WorldState, scenario: Scenario, is_arrived: Array) -> Array:
     """Judge a run: the robot itself says, bool[], that it has arrived, within 1.5 m of the goal."""
     return is_arrived & (goal_distance(state, scenario) <= SUCCESS_RADIUS)
+
+
+class _Drive(NamedTuple):
+    """Carry of the drive's loop."""
+
+    state: WorldState
+    num_steps: Array  # i32[]
+
+
+def known_distance(scenario: Scenario) -> Array:
+    """Measure the straight way from start to goal, f32[] metres: the least any robot travels."""
+    offset = scenario.goal - scenario.start[:2]
+    return jnp.hypot(offset[0], offset[1])
+
+
+def drive_known_map(
+    key: Array, scenario: Scenario, motion: MotionParams
+) -> tuple[WorldState, Array]:
+    """Drive to the goal with full knowledge, by the same motion as any other robot.
+
+    Limits: without odometry noise the distance is ``known_distance`` to within ``ARRIVAL``.
+
+    Args:
+        key: random key.
+        scenario: the world.
+        motion: step length and odometry noise.
+
+    Returns:
+        The robot at the end, and bool[], whether the run is a success.
+    """
+
+    def is_under_way(drive: _Drive) -> Array:
+        far = goal_distance(drive.state, scenario) > ARRIVAL
+        return far & (drive.num_steps < _MAX_STEPS)
+
+    def advance(drive: _Drive) -> _Drive:
+        # It is localised in its map, so it steers by the true offset.
+        offset = scenario.goal - drive.state.position
+        action = Action(
+            waypoint=scenario.goal,
+            step=offset,
+            is_stop=jnp.array(False),
+            status=jnp.int32(Status.APPROACHING),
+            speed=jnp.float32(1.0),
+            clearance=jnp.float32(0.0),
+        )
+        key_step = jax.random.fold_in(key, drive.num_steps)
+        state = carry_out(key_step, drive.state, action, motion)
+        return _Drive(state=state, num_steps=drive.num_steps + 1)
+
+    start = _Drive(state=reset(scenario), num_steps=jnp.int32(0))
+    end = jax.lax.while_loop(is_under_way, advance, start)
+    is_there = goal_distance(end.state, scenario) <= ARRIVAL
+    return end.state, is_success(end.state, scenario, is_there)
