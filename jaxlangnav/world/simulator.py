@@ -1,8 +1,8 @@
-"""Where an episode begins in a world, when it is a success, and the known-map baseline (section 4.2).
+"""Where an episode begins in a world, when it is a success, and a robot that knows the map.
 
-A robot that knows the map knows where everything is, itself included, drives straight to the goal
-and stops on it. Its distance is the column *Known* of Tables 2 and 3; divided by a run's distance it
-gives the run's path efficiency (SPL).
+It knows where everything is, itself included, drives straight to the goal and stops on it: the
+baseline of section 4.2. Its distance is the column *Known* of Tables 2 and 3; divided by a run's
+distance it gives the run's path efficiency (SPL).
 """
 
 from typing import NamedTuple
