@@ -22,6 +22,7 @@ MOVED = {
     "robots.ros2.headway": "robots.ros2.robot",
     "robots.ros2.recording": "robots.ros2.bags",
     "robots.ros2.serve": "robots.ros2.simulation",
+    "navigator.outcome": "navigator.records",
     "relations.frames": "relations.table",
     "world.errors": "world.sensor",
     "world.known": "world.simulator",

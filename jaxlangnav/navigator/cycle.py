@@ -26,8 +26,14 @@ from jaxlangnav.messages import (
     assert_observation,
     default_sensor,
 )
-from jaxlangnav.navigator.outcome import act, carry_on
-from jaxlangnav.navigator.records import NavigatorConfig, NavigatorParams, NavigatorState, Outlook
+from jaxlangnav.navigator.records import (
+    NavigatorConfig,
+    NavigatorParams,
+    NavigatorState,
+    Outlook,
+    act,
+    carry_on,
+)
 from jaxlangnav.numerics.batching import row_of
 from jaxlangnav.planner import graph, policy
 from jaxlangnav.planner.blocked import keep_watch, start_of_way
