@@ -1,4 +1,4 @@
-"""What a decision cycle is given and keeps, and what comes of its decision: step, status, memory."""
+"""What a decision cycle is given and keeps, and what comes of it: step, status and memory."""
 
 import dataclasses
 import functools
