@@ -74,7 +74,7 @@ def test_a_model_that_knows_nothing_finds_no_relation(model):
     assert (np.asarray(understood.instruction.readings.relation) == NONE).all()
 
 
-def reworded(text, old, **new):
+def reworded(text, old, /, **new):
     """Parse a sentence of one clause and put something else in place of a word."""
     tree = parse(text)
 
