@@ -69,65 +69,11 @@ def test_what_would_be_a_guess_is_refused(text):
 @pytest.mark.parametrize(
     ("said", "plain"),
     [
-        ("head on over there to the bench", "go to the bench"),
-        ("go to the bench for a bit, please and thank you", "go to the bench"),
-        ("go to the tree right of the bench, which is itself right of the car",
-         "go to the tree right of the bench that is right of the car"),
-        ("i'd like to see you at the cone next to the tree", "be at the cone next to the tree"),
-        ("see if you can spot a hydrant", "spot a hydrant"),
-        ("do me a favor, stop behind the car", "stop behind the car"),
-        ("quick, behind the tree!", "quickly stop behind the tree"),
         ("in front of the cone is where you should be", "stop in front of the cone"),
-        ("tuck yourself in behind the cone", "stop behind the cone"),
-        ("saunter behind the tree", "go behind the tree"),
-        ("dock at the box", "stop at the box"),
         ("steer for the hydrant over by the tree", "go to the hydrant near the tree"),
-        ("go to a cone what is near a tree", "go to a cone that is near a tree"),
-        ("linger near the tree", "stop near the tree"),
-        ("go to the cone and give the car a wide berth", "go to the cone but avoid the car"),
-        ("stop at the tree. actually, make that the bench", "stop at the bench"),
-        ("i lost my box, it's somewhere near the bench. find the box",
-         "the box is near the bench. find the box"),
-        ("see that cone near the tree? that's where you're going",
-         "there is that cone near the tree. go there"),
-        ("one of the hydrants near the car", "a hydrants near the car"),
         ("the inspection is at noon. go to the cone", "go to the cone"),
-        ("go to the cone, we've got a fire to put out", "go to the cone"),
-        ("go to the bench pleeease", "go to the bench please"),
-        ("stop at the bench, no, the tree", "stop at the tree"),
-        ("go to the far cone", "go to the farthest cone"),
-        ("go to my car", "go to the car"),
-        ("stop when you see the car", "find the car"),
-        ("go into the building", "go to the building"),
-        ("go to the box that's taped shut", "go to the box"),
-        ("take us to the house with the porch light on", "take me to the house"),
         ("unit four, go to the cone", "go to the cone"),
-        ("team, check out the cone", "go to the cone"),
-        ("swing by the box on your way to the tree", "go to the box then go to the tree"),
-        ("on your way to the tree, stop at the box", "stop at the box then go to the tree"),
-        ("carry on until the cone is in sight", "find the cone"),
-        ("get round the left side of the car", "go to the left of the car"),
-        ("you've got a cone behind you, go to it", "there is a cone behind you. go to it"),
-        ("make the closest cone your next stop", "go to the closest cone"),
-        ("go to the cone, it might fall", "go to the cone"),
-        ("stop by the cone, i'll be out in a minute", "stop by the cone"),
-        ("go to the bench, they close at five", "go to the bench"),
         ("i must buy medicine, so go to the bench", "go to the bench"),
-        ("take this one to the building", "go to the building"),
-        ("take it slow over to the tree", "carefully go to the tree"),
-        ("search behind the tree, er, look for a box", "find a box that is behind the tree"),
-        ("the bench, ah no, excuse me, i mean the tree", "the tree"),
-        ("barrel, no, hang on, the box", "the box"),
-        ("not that cone, the other one, the one by the car", "the cone by the car"),
-        ("go to the red box, not the green one", "go to the red box"),
-        ("straight on till you hit the barrel", "go to the barrel"),
-        ("to the car when you've been to the tree", "go to the tree then to the car"),
-        ("once you're past the car, head for the tree", "stop behind the car then go to the tree"),
-        ("wait near the tree until i've signed for it", "wait near the tree"),
-        ("rusty barrel by the tree. go.", "the rusty barrel by the tree"),
-        ("run over to the bench", "quickly go to the bench"),
-        ("go to the car, then the tree. mind the cone",
-         "go to the car but mind the cone then go to the tree but mind the cone"),
     ],
 )  # fmt: skip
 def test_what_is_refused_as_it_stands_is_read_in_plainer_words(said, plain):
@@ -135,10 +81,6 @@ def test_what_is_refused_as_it_stands_is_read_in_plainer_words(said, plain):
 
 
 def test_a_name_of_the_detector_is_a_thing_whatever_else_it_says():
-    told = parse("shelter next to the car. move it", ["shelter"]).clauses
-    assert [str(one) for one in told] == [
-        str(one) for one in parse("the shelter next to the car quickly", ["shelter"]).clauses
-    ]
     assert tree("well, saunter to the bench") == [
         str(one) for one in parse("well, saunter to the bench", ["well"]).clauses
     ]
@@ -173,19 +115,15 @@ def test_plainer_words_are_told_and_never_offered():
         "tell me if you can find the tree",
         "that's not where you should go",
         "do not give the truck a wide berth",
-        "i was told not to go to the tree",
         "throw yourself at the tree",
         "the bench is broken, it's the bench. repair it",
         "hide the box behind the car",
         "find the barrel and bring it to the tree",
         "go to the tree, he went behind the car",
         "go to the tree, they left it at the bench",
-        "go past the cone to the tree",
-        "turn left at the cone and go to the tree",
         "go to the bench where i am sitting",  # tells which one
         "i am by the tree, come get the box",
         "go to the cone. the box is ready for the car",  # speaks of known things
-        "keep going straight",  # how far?
         "go to the cone with a flag",  # a thing of its own?
         "go to the bench facing the tree",
         "go to the cone that has no stripes",
@@ -193,11 +131,8 @@ def test_plainer_words_are_told_and_never_offered():
         "should i go to the tree",
         "take the box to the tree",
         "go to the tree that guards the gate",
-        "drive into the tree",
         "if i am there go to the tree",
-        "if you have it, go to the tree",
         "i will go to the tree",
-        "should you go to the tree",
         "wait until it can go to the tree",
         "go with the man",
         "the elevator is fine",

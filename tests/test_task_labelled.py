@@ -119,16 +119,16 @@ def test_the_detector_knows_the_types_that_labels_name(tmp_path):
 @pytest.mark.parametrize(
     ("part", "least", "most_wrong"),
     [
-        ("first", 323, 4),
-        ("second", 103, 3),
-        ("third", 280, 1),
-        ("fourth", 287, 2),
-        ("fifth", 188, 4),
-        ("sixth", 97, 0),
-        ("seventh", 87, 1),
-        ("eighth", 124, 3),
-        ("ninth dev", 139, 0),
-        ("ninth test", 107, 4),
+        ("first", 321, 5),
+        ("second", 99, 5),
+        ("third", 274, 2),
+        ("fourth", 269, 4),
+        ("fifth", 171, 6),
+        ("sixth", 84, 0),
+        ("seventh", 68, 1),
+        ("eighth", 97, 7),
+        ("ninth dev", 114, 1),
+        ("ninth test", 102, 3),
     ],
 )
 @pytest.mark.parametrize("every", [pytest.param(1, marks=pytest.mark.slow), 4])

@@ -11,10 +11,8 @@ from collections.abc import Collection
 from dataclasses import replace
 from functools import cache
 
-from jaxlangnav.language.amends import take_back
 from jaxlangnav.language.chatter import leave_out
 from jaxlangnav.language.check import refuse_guesses
-from jaxlangnav.language.gist import find_gist
 from jaxlangnav.language.grammar import (
     COMMA,
     FULLSTOP,
@@ -25,10 +23,10 @@ from jaxlangnav.language.grammar import (
     load_grammar,
 )
 from jaxlangnav.language.lexicon import REASONS, TYPE_CLASS, load_lexicon
-from jaxlangnav.language.loosening import loosen
 from jaxlangnav.language.measured import of_clauses, take_out
 from jaxlangnav.language.nouns import is_noun_place, join_nouns, name_nouns
 from jaxlangnav.language.phrase import COMMAND, STATEMENT, LanguageError, Parse
+from jaxlangnav.language.reader.proposals import propose_readings
 from jaxlangnav.language.reference import Antecedent, join_constraints, resolve
 from jaxlangnav.language.refusal import NOUN, Token, explain, is_contrary, offer
 from jaxlangnav.language.rewriting import join_contractions, rewrite
@@ -46,6 +44,8 @@ from jaxlangnav.language.tree import TreeBuilder
 MAX_CHARACTERS = 10_000
 MAX_WORDS = 64
 MAX_UNKNOWN = 8  # more guesses than this are no reading, and their trees are very many
+LEAST_PROBABILITY = 0.05
+"""Of what the trained reader makes of a sentence: at less it is refused."""
 _IGNORED = set("\"'[]*`“”")
 _COMMAS = {",", ":", "-", "–", "—", "(", ")"}
 _LONGEST_LINE = 199
@@ -56,7 +56,7 @@ _DRAWN = re.compile(r"([a-z])\1{2,}")
 
 _CARRIED = re.compile(
     r"(?:deliver|take|bring|carry|get|run|haul|ferry|transport) "
-    r"(?:it|that|them|those|these)\b.* to$"
+    r"(?:it|that|them|those|these)\b"
 )
 """Who has spoken of a thing before asks to bring that thing, which no robot here can do."""
 
@@ -189,6 +189,24 @@ def _check_symbols(spoken: list[SpokenToken]) -> None:
         )
 
 
+def split_text(text: str, labels: Collection[str] = ()) -> list[SpokenToken]:
+    """Split a text into words and marks, typing errors repaired.
+
+    Args:
+        text: at most ``MAX_CHARACTERS``.
+        labels: names of things that the detector tells apart.
+
+    Returns:
+        Words and marks.
+
+    Raises:
+        LanguageError: it has more words or characters than are read.
+    """
+    reader = _Reader(frozenset(labels))
+    reader.read(text)
+    return reader.tokens
+
+
 def parse(
     text: str,
     labels: Collection[str] = (),
@@ -229,45 +247,34 @@ def parse(
     except LanguageError as error:
         if error.position is None or not is_nearest_offered:
             raise
-        loosened = _read_loosely(text, reader, earlier)
-        if loosened is not None:
-            return loosened
+        found = _read_freely(text, reader, earlier)
+        if found is not None:
+            return found
         raise _with_nearest(error, reader, earlier) from None
 
 
-def _read_loosely(text: str, reader: _Reader, earlier: Antecedent | None) -> Parse | None:
-    """Read a sentence that is refused as it stands in plainer words; None where that fails too."""
-    tokens, remarks, changes = loosen(reader.tokens, reader.labels)
-    found = _read_instead(text, reader, tokens, earlier, remarks, changes)
-    if found is not None:
-        return found
-    mended, amends = take_back(tokens)
-    gist, left_out, put = find_gist(mended, reader.labels)
-    plain, later, again = loosen(gist, reader.labels)  # what stood between may have hidden more
-    if [token.text for token in plain] == [token.text for token in tokens]:
-        return None
-    remarks += [*left_out, *later]
-    return _read_instead(text, reader, plain, earlier, remarks, [*changes, *amends, *put, *again])
+def _read_freely(text: str, reader: _Reader, earlier: Antecedent | None) -> Parse | None:
+    """Read a sentence that is refused as it stands by the trained reader; None: nor does it.
 
-
-def _read_instead(
-    text: str,
-    reader: _Reader,
-    tokens: list[SpokenToken],
-    earlier: Antecedent | None,
-    left_out: list[str],
-    changes: list[tuple[str, str]],
-) -> Parse | None:
-    """Read other words in place of a sentence; None where there are none, or they are refused."""
-    if not tokens or not (left_out or changes):
-        return None
-    if earlier is not None and any(_CARRIED.search(was) for was, _ in changes):
-        return None
-    try:
-        found = _read(text, reader, tokens, earlier, is_blame_sought=False)
-    except LanguageError:
-        return None
-    return replace(found, rewrites=(*changes, *found.rewrites), unread=(*left_out, *found.unread))
+    Sentences of one meaning share their probabilities; below ``LEAST_PROBABILITY`` the likeliest
+    meaning is a guess.
+    """
+    found: dict[object, tuple[float, Parse]] = {}
+    for one in propose_readings(reader.tokens, reader.labels):
+        if earlier is not None and any(_CARRIED.search(was) for was, _ in one.changes):
+            continue
+        try:
+            read = _read(text, reader, list(one.tokens), earlier, is_blame_sought=False)
+        except LanguageError:
+            continue
+        meaning = (*map(str, read.clauses), read.kinds, read.measures)
+        share, first = found.get(meaning, (0.0, None))
+        if first is None:
+            rewrites, unread = (*one.changes, *read.rewrites), (*one.left_out, *read.unread)
+            first = replace(read, rewrites=rewrites, unread=unread)
+        found[meaning] = (share + one.probability, first)
+    probability, best = max(found.values(), key=lambda one: one[0], default=(0.0, None))
+    return best if probability >= LEAST_PROBABILITY else None
 
 
 def _read(

@@ -1,0 +1,264 @@
+"""What the reader sees of a sentence: classes of words, clauses and neighbours, by name (ours).
+
+Features are names such as ``word=until`` or ``class+1=N``; the model has a weight for each name and
+label. A name of a thing is written ``<N>`` whatever it is, so that what is learned of one thing
+holds for all that a detector may tell apart.
+"""
+
+import tomllib
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from functools import cache, cached_property, lru_cache
+from importlib import resources
+
+from jaxlangnav.language.lexicon import REASONS, TYPE_CLASS, load_lexicon
+from jaxlangnav.language.nouns import singular
+from jaxlangnav.language.tokens import MARKS
+
+NAME, _RELATION = "N", "rel"
+IMPOSSIBLE = frozenset({"refused:such an action", "refused:path"})
+"""Classes of words of what the robot cannot carry out."""
+CONTRARY = frozenset({"refused:negation", "refused:condition"})
+"""Classes of words that turn round what is said."""
+CHOOSING = frozenset({_RELATION, "ordinal", "side_adj", "sup_adj", "sup", "avoid", "manner"})
+"""Classes of words that choose a thing or a place, or say how to go there."""
+MOTION = "verb:"
+"""Begins the classes of verbs of ``verbs.toml``."""
+_LONGEST_NAME = 4
+_JOINTS = frozenset({"and", "then", "so", "but", "because", "since", "cause"})
+_SAME = {"mid": _RELATION, "sup_robot": "sup_adj"}
+"""Classes that differ for the grammar alone."""
+_LEFT_OUT = ("type", "foreign", "nmod", "pair", "stop_tail")
+"""Classes that tell nothing beside the others."""
+_ORDERS = frozenset({"v_to", "v_at", "v_obj", "v_for", "v_turn", "avoid"})
+_FINITE = frozenset({"is", "are", "was", "were", "'s", "has", "have", "had", "will", "am", "i'm"})
+_FINITE |= frozenset({"it's", "we're", "need", "want", "can", "could", "would"})
+_ENDINGS = ("ly", "ing", "ed", "s")
+_NOTHING = "#"
+
+
+@cache
+def load_verbs() -> dict[str, frozenset[str]]:
+    """Read the verbs of the package by class."""
+    text = resources.files("jaxlangnav.language").joinpath("data/verbs.toml").read_text("utf-8")
+    return {name: frozenset(verbs) for name, verbs in tomllib.loads(text).items()}
+
+
+@cache
+def _classes() -> dict[str, tuple[str, ...]]:
+    """Collect the classes of each word: of the lexicon, of verbs, of what is refused.
+
+    The first word of an expression of several has the class of the expression with ``..``.
+    """
+    found: dict[str, dict[str, None]] = {}
+    for name, entries in load_lexicon().entries.items():
+        if name in _LEFT_OUT or name.startswith("g_") or name.endswith("_ing"):
+            continue
+        for words, entry in entries.items():
+            is_manner = any(sense.startswith("mode") for of in entry.senses for sense in of)
+            one = "manner" if is_manner else _SAME.get(name, name)
+            begin, *rest = words
+            found.setdefault(begin, {})[f"{one}.." if rest else one] = None
+    names = {reason: name for name, reason in REASONS.items()}
+    for word, reason in load_lexicon().refused.items():
+        found.setdefault(word, {})[f"refused:{names.get(reason, 'other')}"] = None
+    for name, verbs in load_verbs().items():
+        for verb in sorted(verbs):
+            found.setdefault(verb, {})[MOTION + name] = None
+    return {word: tuple(classes) for word, classes in found.items()}
+
+
+@lru_cache(maxsize=8)
+def _known_names(labels: frozenset[str]) -> frozenset[tuple[str, ...]]:
+    """Collect the names of things, word by word."""
+    return frozenset(load_lexicon().entries[TYPE_CLASS]) | {tuple(one.split()) for one in labels}
+
+
+@dataclass(frozen=True)
+class ReaderSentence:
+    """The words and marks of a sentence, and what they may be."""
+
+    words: tuple[str, ...]
+    labels: frozenset[str]  # names of things that the detector tells apart
+
+    @cached_property
+    def is_name(self) -> tuple[bool, ...]:
+        """Which words belong to the name of a known thing."""
+        known = _known_names(self.labels)
+        found, index = [False] * len(self.words), 0
+        while index < len(self.words):
+            for size in range(min(_LONGEST_NAME, len(self.words) - index), 0, -1):
+                name = self.words[index : index + size]
+                if name in known or tuple(singular(" ".join(name)).split()) in known:
+                    found[index : index + size] = [True] * size
+                    break
+            else:
+                size = 1
+            index += size
+        return tuple(found)
+
+    @cached_property
+    def classes(self) -> tuple[tuple[str, ...], ...]:
+        """What each word may be; at least one class a word."""
+        return tuple(map(_classes_of, self.words, self.is_name))
+
+    @cached_property
+    def clause(self) -> tuple[int, ...]:
+        """Which clause each word is of; clauses begin behind marks and with joints."""
+        found, index = [], 0
+        for before, word in zip(("", *self.words), self.words, strict=False):
+            is_begun = word in _JOINTS and before not in ("", *MARKS)
+            index += word in MARKS or is_begun
+            found.append(index)
+        return tuple(found)
+
+    @cached_property
+    def clauses(self) -> tuple[tuple[int, ...], ...]:
+        """The words of each clause, without marks."""
+        count = max(self.clause, default=-1) + 1
+        return tuple(
+            tuple(i for i, of in enumerate(self.clause) if of == k and self.words[i] not in MARKS)
+            for k in range(count)
+        )
+
+    def is_verb(self, index: int) -> bool:
+        """Tell whether a word may be the verb of an order."""
+        return any(one in _ORDERS or one.startswith(MOTION) for one in self.classes[index])
+
+
+def _classes_of(word: str, is_name: bool) -> tuple[str, ...]:
+    if word in MARKS:
+        return ("mark",)
+    known = _classes().get(word, ())
+    if is_name:
+        return (NAME, *known)
+    if known:
+        return known
+    if not word[0].isalpha():
+        return ("sign",)
+    if "'" in word:
+        return ("?'",)
+    return ("?" + next((one for one in _ENDINGS if word.endswith(one)), ""),)
+
+
+def _describe_clauses(sentence: ReaderSentence) -> list[str]:
+    """Write of each clause what it has, and what stands before and behind it."""
+    found, clauses = [], sentence.clauses
+    has_name = [any(sentence.is_name[i] for i in clause) for clause in clauses]
+    is_order = [_lead(sentence, clause) is not None for clause in clauses]
+    named = [{singular(sentence.words[i]) for i in c if sentence.is_name[i]} for c in clauses]
+    for k, clause in enumerate(clauses):
+        others = [name for j, names in enumerate(named) if j != k for name in names]
+        is_goal = [a and b for a, b in zip(is_order, has_name, strict=True)]
+        marks = (
+            has_name[k],
+            is_order[k],
+            not named[k].isdisjoint(others),
+            not _FINITE.isdisjoint(sentence.words[i] for i in clause),
+            any(is_goal[:k]),
+            any(is_goal[k + 1 :]),
+            bool(others),
+        )
+        found.append("".join(str(int(mark)) for mark in marks))
+    return found
+
+
+def _lead(sentence: ReaderSentence, clause: Sequence[int]) -> int | None:
+    """Find the verb that a clause begins with, but for words before an order; None for none."""
+    for index in clause:
+        if sentence.words[index] in _JOINTS or sentence.classes[index][0] in ("opener", "conn"):
+            continue
+        return index if sentence.is_verb(index) else None
+    return None
+
+
+def featurize(words: Sequence[str], labels: Collection[str]) -> list[list[str]]:
+    """List the features of each word and mark of a sentence.
+
+    Args:
+        words: words and marks, small, typing errors repaired.
+        labels: names of things that the detector tells apart.
+
+    Returns:
+        Names of features, word by word.
+    """
+    sentence = ReaderSentence(tuple(words), frozenset(labels))
+    first = [classes[0] for classes in sentence.classes]
+    shown = [
+        "<N>" if is_name and len(classes) == 1 else word
+        for word, is_name, classes in zip(words, sentence.is_name, sentence.classes, strict=True)
+    ]
+    described, found = _describe_clauses(sentence), []
+    for index in range(len(words)):
+        named = _neighbours(shown, first, index)
+        named += [f"class={one}" for one in sentence.classes[index]]
+        named += [f"ending={words[index][-3:]}"]
+        named += _in_clause(sentence, described, first, index)
+        found.append(named)
+    return found
+
+
+def _neighbours(shown: Sequence[str], first: Sequence[str], index: int) -> list[str]:
+    """Name a word, its class, and those around it."""
+
+    def at(of: Sequence[str], offset: int) -> str:
+        place = index + offset
+        return of[place] if 0 <= place < len(of) else _NOTHING
+
+    word, kind = shown[index], first[index]
+    named = ["bias", f"word={word}", f"around={at(shown, -1)} {at(shown, 1)}"]
+    for offset in (-2, -1, 1, 2):
+        named += [f"word{offset:+}={at(shown, offset)}", f"class{offset:+}={at(first, offset)}"]
+    named += [f"words-={at(shown, -1)} {word}", f"words+={word} {at(shown, 1)}"]
+    named += [f"classes-={at(first, -1)} {kind}", f"classes+={kind} {at(first, 1)}"]
+    named += [f"classes={at(first, -1)} {kind} {at(first, 1)}"]
+    named += [f"word class-={at(first, -1)} {word}"]
+    named += [f"word class+={word} {at(first, 1)} {at(first, 2)}"]
+    again = next((k for k in range(1, 9) if at(shown, k) == word and word not in MARKS), 0)
+    return [*named, f"again={min(again, 4)} {kind == 'det'}"] if again else named
+
+
+def _in_clause(
+    sentence: ReaderSentence, described: Sequence[str], first: Sequence[str], index: int
+) -> list[str]:
+    """Name the clause of a word, and where in it the word stands."""
+    k, kind = sentence.clause[index], first[index]
+    clause = sentence.clauses[k]
+    named = [f"clause={described[k]}", f"clause class={described[k]} {kind}"]
+    if clause:
+        begin = [sentence.words[i] for i in clause[:2]]
+        lead = _lead(sentence, clause)
+        named += [
+            f"begins={begin[0]}",
+            f"begins={' '.join(begin)}",
+            f"begins class={begin[0]} {kind}",
+        ]
+        named += [f"leads={_NOTHING if lead is None else first[lead]}"]
+        place = 0 if index == clause[0] else 2 if index == clause[-1] else 1
+        named += [f"place={place}"]
+    before = [i for i in clause if i < index]
+    names = sum(sentence.is_name[i] and not sentence.is_name[i + 1] for i in before)
+    verbs = sum(map(sentence.is_verb, before))
+    ahead = range(index, len(first))
+    later = sum(
+        sentence.is_name[i] and not (i + 1 < len(first) and sentence.is_name[i + 1]) for i in ahead
+    )
+    counts = f"{min(names, 2)}{min(verbs, 2)}"
+    named += [f"counts={counts}{min(later, 2)}", f"counts class={counts} {kind}"]
+    distance = next((i - index for i in ahead if sentence.is_name[i]), 5)
+    named += [f"to name={min(distance, 5)} {kind}"]
+    stop = next((i for i in ahead[1:] if _ends_span(sentence, first, i)), None)
+    is_mark = stop is not None and sentence.words[stop] in MARKS
+    named += [f"next={_NOTHING if stop is None else sentence.words[stop] if is_mark else NAME}"]
+    count = len(described)
+    if k + 1 < count and sentence.clauses[k + 1]:
+        named += [f"next clause={described[k + 1]} {sentence.words[sentence.clauses[k + 1][0]]}"]
+    if k and sentence.clauses[k - 1]:
+        named += [f"last clause={described[k - 1]}"]
+    return [*named, f"clauses={min(k, 2)}{min(count - 1 - k, 2)}"]
+
+
+def _ends_span(sentence: ReaderSentence, first: Sequence[str], index: int) -> bool:
+    """Tell whether a word ends a stretch without a name, a relation, a verb or a mark."""
+    is_mark = sentence.words[index] in MARKS
+    return is_mark or sentence.is_name[index] or first[index].startswith((_RELATION, "v_"))

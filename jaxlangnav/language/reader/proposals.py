@@ -1,0 +1,279 @@
+"""What free speech may stand for in the controlled language, with probabilities (ours).
+
+The reader labels words; a labelling is a sentence of the controlled language, or none. Whatever the
+weights say, words go only where they can neither choose a thing nor turn the meaning round: that is
+checked for each labelling, and those that fail have no share in any reading.
+"""
+
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from jaxlangnav.language.lexicon import load_lexicon
+from jaxlangnav.language.nouns import singular
+from jaxlangnav.language.reader.features import (
+    CHOOSING,
+    CONTRARY,
+    IMPOSSIBLE,
+    MOTION,
+    NAME,
+    ReaderSentence,
+)
+from jaxlangnav.language.reader.model import (
+    KEPT,
+    LEFT_OUT,
+    UNREADABLE,
+    ReaderModel,
+    find_best,
+    load_reader,
+    log_partition,
+)
+from jaxlangnav.language.tokens import MARKS, SpokenToken
+
+_LABELLINGS = 30
+"""Labellings that are looked at."""
+_MOST_KEPT = 0.9
+"""Of the sentence as it stands: what it takes from the others by being none is bounded."""
+_MOST = 8
+"""Sentences that are proposed: each takes a parse."""
+_ORDERING = frozenset({"go", "go to", "stop", "stop at"})
+"""What a verb may be read as without having been met in training."""
+_DEFINITE = frozenset({"the", "my", "our", "your", "this", "that"})
+_DEGREES = frozenset({"most", "least", "more"})
+_UNDOING = frozenset(
+    {"no", "wait", "sorry", "mean", "meant", "actually", "scratch", "oops", "correction"}
+    | {"rather", "mistake", "instead"}
+)
+"""Words that take back what was said before them."""
+_CONDITIONS = frozenset({"if", "unless", "when", "whenever", "whether", "or", "otherwise", "till"})
+"""Words that set terms to other clauses."""
+_SUBJECTS = frozenset({"i", "we", "he", "she", "they", "it", "that", "this", "there"})
+_SUBJECTS |= frozenset({"the", "a", "my", "our", "somebody", "someone", "everybody", "everyone"})
+_CALLS = frozenset({"and", "so", "but", "because", "well", "oh", "ok", "okay", "yes", "yeah"})
+_POINTING = frozenset({"it", "them", "him", "her", "there"})
+_SOUGHT = frozenset({"for", "find", "get", "see", "locate", "bring", "take", "grab"})
+"""Words before "it" that ask for what was spoken of, wherever one goes before."""
+_TOLD = frozenset({"be", "be..", "exist", "exist..", "see", "see..", "link", "link.."})
+"""Classes of words that make a statement."""
+_IDLE = frozenset({"opener", "closer", "conn", "adv", "degree", "particle", "but"})
+"""Classes of words that say nothing of a goal without a verb."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Proposal:
+    """A sentence that may be meant."""
+
+    probability: float  # of its labellings among all
+    tokens: tuple[SpokenToken, ...]
+    left_out: tuple[str, ...]
+    changes: tuple[tuple[str, str], ...]  # (as said, as read)
+
+
+@dataclass(frozen=True)
+class _Labelled:
+    """A sentence with a label for each word."""
+
+    sentence: ReaderSentence
+    labels: tuple[str, ...]
+    seen: frozenset[str]  # telling words with what follows, left out in training
+
+    @cached_property
+    def kept(self) -> list[bool]:
+        return [label[0] == KEPT for label in self.labels]
+
+    @cached_property
+    def runs(self) -> list[range]:
+        """Stretches of words that are not kept."""
+        found, first = [], None
+        for index, kept in enumerate([*self.kept, True]):
+            if not kept and first is None:
+                first = index
+            elif kept and first is not None:
+                found.append(range(first, index))
+                first = None
+        return found
+
+    def is_gone(self, index: int) -> bool:
+        """Tell whether the whole clause of a word is left out, and names nothing."""
+        clause = self.sentence.clauses[self.sentence.clause[index]]
+        return all(self.labels[i] == LEFT_OUT and not self.sentence.is_name[i] for i in clause)
+
+    def _tells(self, index: int) -> bool:
+        """Tell whether the clause of a word says what somebody does, and asks for nothing."""
+        words = [self.sentence.words[i] for i in self.sentence.clauses[self.sentence.clause[index]]]
+        first = next((word for word in words if word not in _CALLS), "")
+        return first.split("'")[0] in _SUBJECTS and "you" not in words
+
+    def _points_back(self) -> bool:
+        """Tell whether a word that is kept may mean something of a clause that is left out."""
+        words, size = self.sentence.words, len(self.labels)
+        first = next((i for i in range(size) if not self.kept[i] and self.is_gone(i)), size)
+        for index in range(first + 1, size):
+            if self.kept[index] and words[index] in _POINTING:
+                before = range(index)
+                is_named = any(self.kept[i] and self.sentence.is_name[i] for i in before)
+                if not is_named or words[index - 1] in _SOUGHT:
+                    return True
+        return False
+
+    def is_sound(self) -> bool:
+        """Tell whether what is left out can neither choose a thing nor turn the meaning round."""
+        are_whole = all(map(self._is_whole, self.sentence.clauses))
+        return are_whole and all(map(self._may_go, self.runs)) and not self._points_back()
+
+    def _may_go(self, run: range) -> bool:
+        """Tell whether a stretch of words may go."""
+        words, is_name = self.sentence.words, self.sentence.is_name
+        named = [i for i in run if is_name[i]]
+        is_undone = bool(named) and any(words[i] in _UNDOING for i in run if i > named[0])
+        kept = {singular(words[i]) for i, kept in enumerate(self.kept) if kept and is_name[i]}
+        if named and not is_undone:
+            is_chosen = any(not CHOOSING.isdisjoint(self.sentence.classes[i]) for i in run)
+            if is_chosen or not kept.issuperset(singular(words[i]) for i in named):
+                return False
+        if run.start > 0 and run.stop < len(words) and not is_undone:
+            # What joins two names would make one of them.
+            is_joined = is_name[run.start - 1] and is_name[run.stop]
+            if is_joined and self.labels[run.start] == LEFT_OUT:
+                return False
+        if any(self._is_refused_at(i, run.stop) for i in run):
+            return False
+        return all(self._may_go_alone(i, is_undone=is_undone) for i in run)
+
+    def _is_refused_at(self, index: int, stop: int) -> bool:
+        """Tell whether an expression that is refused by name would go: "a bit"."""
+        words = self.sentence.words
+        return any(
+            words[index : index + len(one)] == one and index + len(one) <= stop
+            for one in load_lexicon().refused_expressions
+        ) and not self.is_gone(index)
+
+    def _may_go_alone(self, index: int, *, is_undone: bool) -> bool:
+        """Tell whether a word may go, whatever goes with it."""
+        classes, word = self.sentence.classes[index], self.sentence.words[index]
+        if " ".join(self.sentence.words[index : index + 3]) in self.seen:
+            return True
+        if not CONTRARY.isdisjoint(classes):
+            is_gone = word not in _CONDITIONS and self.is_gone(index)
+            return is_gone or (is_undone and word == "no")
+        if not IMPOSSIBLE.isdisjoint(classes) and _IDLE.isdisjoint(classes):
+            return self.labels[index] != LEFT_OUT or (self.is_gone(index) and self._tells(index))
+        if is_undone or self.labels[index] != LEFT_OUT:
+            return True
+        is_choosing = not CHOOSING.isdisjoint(classes) or word in _DEGREES
+        if index and classes[0][0] == "?" and self.sentence.words[index - 1] in _DEFINITE:
+            is_choosing = True  # it may be a thing that nobody knows
+        return not is_choosing or self.is_gone(index)
+
+    def _is_whole(self, clause: Sequence[int]) -> bool:
+        """Tell whether what is left of a clause is no mere name of something told of."""
+        sentence = self.sentence
+        if not any(self.kept[i] and sentence.is_name[i] for i in clause):
+            return True
+        is_order = any(self.labels[i] not in (KEPT, LEFT_OUT) for i in clause)
+        is_order |= any(
+            self.kept[i] and (sentence.is_verb(i) or not _TOLD.isdisjoint(sentence.classes[i]))
+            for i in clause
+            if not sentence.is_name[i]
+        )
+        return is_order or all(
+            self.kept[i] or not _IDLE.isdisjoint(sentence.classes[i]) for i in clause
+        )
+
+    def proposal(self, tokens: Sequence[SpokenToken], probability: float) -> Proposal:
+        """Write the sentence of the controlled language, and what became of each word."""
+        put: list[SpokenToken] = []
+        for token, label in zip(tokens, self.labels, strict=True):
+            before, _, rest = label.partition(">")
+            words = rest.split() if before == KEPT else label[1:].split()
+            words = [] if label == LEFT_OUT else words
+            put += [replace(token, text=word) for word in words]
+            put += [token] if label[0] == KEPT else []
+        left_out, changes = [], []
+        for run in self.runs:
+            said = " ".join(w for w in self.sentence.words[run.start : run.stop] if w not in MARKS)
+            read = " ".join(self.labels[i][1:] for i in run if self.labels[i] != LEFT_OUT)
+            if read:
+                changes.append((said, read))
+            elif said:
+                left_out.append(said)
+        return Proposal(
+            probability=probability,
+            tokens=tuple(_without_idle_marks(put)),
+            left_out=tuple(left_out),
+            changes=tuple(changes),
+        )
+
+
+def _without_idle_marks(tokens: Sequence[SpokenToken]) -> list[SpokenToken]:
+    """Leave out marks at both ends, and all but the last of a run of them."""
+    found: list[SpokenToken] = []
+    for token in tokens:
+        if token.text in MARKS and (not found or found[-1].text in MARKS):
+            found = [*found[:-1], token] if found else []
+        else:
+            found.append(token)
+    return found[:-1] if found and found[-1].text in MARKS else found
+
+
+def _bar(model: ReaderModel, sentence: ReaderSentence) -> np.ndarray:
+    """Bar words that a word was never read as: 0 or -∞, [T, L].
+
+    A verb of a class of its own may be read as going or stopping without having been met.
+    """
+    barred = np.zeros((len(sentence.words), len(model.labels)))
+    for column, label in enumerate(model.labels):
+        if label[0] != "=":
+            continue
+        for row, word in enumerate(sentence.words):
+            classes, is_order = sentence.classes[row], label[1:] in _ORDERING
+            is_verb = any(one.startswith(MOTION) for one in classes) and classes[0] != NAME
+            is_seen = (word, label) in model.seen and not (is_order and "rel.." in classes)
+            if not (is_seen or (is_verb and is_order)):
+                barred[row, column] = -np.inf
+    return barred
+
+
+def _score_kept(scores: np.ndarray, model: ReaderModel) -> float:
+    """Score the labelling that keeps every word."""
+    kept = model.labels.index(KEPT)
+    moves = (len(scores) - 1) * model.transition[kept, kept]
+    return float(scores[:, kept].sum() + moves)
+
+
+def propose_readings(tokens: Sequence[SpokenToken], labels: Collection[str] = ()) -> list[Proposal]:
+    """Propose sentences of the controlled language that free speech may stand for.
+
+    Args:
+        tokens: words and marks, typing errors repaired; one at least.
+        labels: names of things that the detector tells apart.
+
+    Returns:
+        The likeliest, best first, given that the sentence cannot be read as it stands. What is
+        missing to 1 is to be refused, or is no sentence, or none that is likely.
+    """
+    model = load_reader()
+    sentence = ReaderSentence(tuple(token.text for token in tokens), frozenset(labels))
+    scores = model.scores(sentence.words, sentence.labels)
+    # The sentence as it stands is known to be none of the controlled language.
+    as_it_stands = _score_kept(scores, model)
+    log_total = log_partition(scores, model.transition)
+    log_total += math.log1p(-min(math.exp(as_it_stands - log_total), _MOST_KEPT))
+    found: dict[tuple[str, ...], Proposal] = {}
+    best = find_best(scores + _bar(model, sentence), model.transition, _LABELLINGS)
+    for score, path in best:
+        labelled = _Labelled(sentence, tuple(model.labels[i] for i in path), model.left_out)
+        if labelled.labels[0] == UNREADABLE or not labelled.is_sound():
+            continue
+        one = labelled.proposal(tokens, math.exp(score - log_total))
+        words = tuple(token.text for token in one.tokens)
+        if not words or words == sentence.words:
+            continue
+        if words in found:
+            one = replace(found[words], probability=found[words].probability + one.probability)
+        if words in found or len(found) < _MOST:
+            found[words] = one
+    return sorted(found.values(), key=lambda one: -one.probability)

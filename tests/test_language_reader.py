@@ -1,0 +1,227 @@
+"""The trained reader: its mathematics against enumeration, what it reads, what never goes."""
+
+import itertools
+import json
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxlangnav.language.parser import parse, split_text
+from jaxlangnav.language.phrase import LanguageError
+from jaxlangnav.language.reader import model as crf
+from jaxlangnav.language.reader.proposals import propose_readings
+from jaxlangnav.training.reader import (
+    Batch,
+    ReaderConfig,
+    ReaderWeights,
+    align,
+    negative_log_likelihood,
+    read_reader_corpus,
+    train_reader,
+)
+
+NAMES = (
+    "post office",
+    *["bench", "tree", "statue", "barn", "silo", "kiosk", "taxi", "gate", "flower"],
+)
+
+
+def trees(text: str) -> list[str]:
+    return [str(clause) for clause in parse(text, NAMES).clauses]
+
+
+def goals(text: str) -> list[str]:
+    """Write what a sentence asks for without its verbs: they differ, and mean the same."""
+    return [", ".join(map(str, root.children)) for root in parse(text, NAMES).clauses]
+
+
+@pytest.mark.parametrize(
+    ("said", "plain"),
+    [
+        ("would it be at all possible for somebody to go to the barn", "go to the barn"),
+        ("my cousin from lyon has been so angry, go to the gate", "go to the gate"),
+        ("could you zip to the barn, oops, my mistake, to the silo", "go to the silo"),
+        ("can you go look for it, the statue", "look for the statue"),
+    ],
+)  # fmt: skip
+def test_words_are_left_out_by_their_class(said, plain):
+    assert goals(said) == goals(plain)
+
+
+@pytest.mark.parametrize(
+    ("said", "kept"),
+    [
+        ("honestly, zip to the barn and stay away from the gate", "avoid"),
+        ("ugh, zip quickly to the barn, mate", "quickly"),
+        ("my legs hurt, mosey over to the second statue on the left", "second"),
+    ],
+)
+def test_what_tells_how_or_which_stays(said, kept):
+    words = [word for root in parse(said, NAMES).clauses for word in root.all_words()]
+    senses = {sense for word in words for sense in word.senses}
+    assert kept in {word.text for word in words} or (kept == "avoid" and "constraint" in senses)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        # leaving it out would choose another thing
+        "the red statue is broken. go to the statue",
+        "my dog is under the bench. mosey to the bench",
+        "i lost my dog, mosey to the tree and look for it",
+        "mosey to the tree closest to me",
+        "mosey anywhere but the tree",
+        "mosey back to the place where we were this morning",
+        # or turn the meaning round
+        "i told him never to go to the tree",
+        "if you see a dog, mosey to the tree",
+        "unless it rains, mosey to the tree",
+        "mosey to the tree or the barn",
+        "mosey closer to the barn, but not too close",
+        # or leave out an order that the robot cannot follow
+        "grab my coat, then mosey to the tree",
+        "could you scan the code and mosey to the tree",
+        "let's do the statue first and after that the barn",
+        "turn left at the tree and mosey to the barn",
+        "take the first right after the tree, then mosey to the barn",
+        "ok now please turn and mosey to the tree",
+    ],
+)  # fmt: skip
+def test_what_could_choose_or_turn_round_is_never_left_out(text):
+    with pytest.raises(LanguageError):
+        parse(text, NAMES)
+
+
+def test_what_can_be_read_is_not_changed():
+    assert parse("zip over to the tree", NAMES).rewrites == ()
+    assert trees("go to the bench behind the tree") == [
+        "VP[go]{PP[to]{NP[]{NP[the bench], PP[behind]{NP[the tree]}}}}"
+    ]
+
+
+def test_a_turn_before_a_goal_is_kept():
+    found = parse("uh so like turn around and um go to the gate", NAMES)
+    assert len(found.clauses) == 2
+
+
+STEPS, SIZE, FEATURES = 4, 3, 5
+
+
+def chain(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    return rng.normal(size=(STEPS, SIZE)), rng.normal(size=(SIZE, SIZE))
+
+
+def enumerated(scores: np.ndarray, transition: np.ndarray) -> dict[tuple[int, ...], float]:
+    """Score every labelling."""
+    return {
+        path: sum(scores[t, y] for t, y in enumerate(path))
+        + sum(transition[a, b] for a, b in itertools.pairwise(path))
+        for path in itertools.product(range(SIZE), repeat=STEPS)
+    }
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_sums_and_best_labellings_are_those_of_enumeration(seed):
+    scores, transition = chain(seed)
+    every = enumerated(scores, transition)
+    total = np.logaddexp.reduce(list(every.values()))
+    assert crf.log_partition(scores, transition) == pytest.approx(total, abs=1e-9)
+    best = sorted(every.items(), key=lambda one: -one[1])[:7]
+    found = crf.find_best(scores, transition, 7)
+    assert [path for _, path in found] == [path for path, _ in best]
+    np.testing.assert_allclose([score for score, _ in found], [score for _, score in best])
+
+
+def test_the_likelihood_is_that_of_enumeration_and_has_its_gradient():
+    rng = np.random.default_rng(3)
+    weights = ReaderWeights(
+        emission=jnp.asarray(rng.normal(size=(FEATURES + 1, SIZE)), jnp.float32),
+        transition=jnp.asarray(rng.normal(size=(SIZE, SIZE)), jnp.float32),
+        begin=jnp.asarray(rng.normal(size=SIZE), jnp.float32),
+        end=jnp.asarray(rng.normal(size=SIZE), jnp.float32),
+    )
+    features = rng.integers(0, FEATURES + 1, size=(1, STEPS + 2, 2))
+    labels = rng.integers(0, SIZE, size=(1, STEPS + 2))
+    is_word = (np.arange(STEPS + 2) < STEPS)[None].astype(np.float32)
+    batch = Batch(features.astype(np.int32), labels.astype(np.int32), is_word, np.ones(1, "f4"))
+    emission = np.array(weights.emission)
+    emission[0] = 0.0
+    scores = emission[features[0, :STEPS]].sum(axis=1)
+    scores[0] += weights.begin
+    scores[-1] += weights.end
+    every = enumerated(scores, np.asarray(weights.transition))
+    own = every[tuple(labels[0, :STEPS].tolist())]
+    expected = np.logaddexp.reduce(list(every.values())) - own
+    assert float(negative_log_likelihood(weights, batch)) == pytest.approx(expected, abs=1e-4)
+    slope = jax.grad(negative_log_likelihood)(weights, batch)
+    step, at = 1e-2, (1, 2)
+    moved = [weights.transition.at[at].add(sign * step) for sign in (1, -1)]
+    high, low = (
+        float(negative_log_likelihood(weights._replace(transition=one), batch)) for one in moved
+    )
+    assert float(slope.transition[at]) == pytest.approx((high - low) / (2 * step), abs=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("said", "read", "labels"),
+    [
+        ("um go to the cone", "go to the cone", "D K K K K"),
+        ("mosey over to the cone", "go to the cone", "=go D K K K"),
+        ("go to cone", "go to the cone", None),
+        ("go to the cone", "go to the cone quickly", ""),
+    ],
+)
+def test_labels_come_from_aligning_words(said, read, labels):
+    found = align(said.split(), read.split())
+    if labels is None:
+        assert found is not None
+        assert any(label.startswith("K>") for label in found)
+    else:
+        assert found == (tuple(labels.split()) or None)
+
+
+def test_a_reader_learns_what_is_left_out_and_is_written_and_read(tmp_path: Path, monkeypatch):
+    names = ["cone", "tree", "car", "bench", "box", "barrel"]
+    rows = [
+        {"text": f"{verb} to the {name}, {talk} {other}", "read": f"{verb} to the {name}"}
+        for verb, name in itertools.product(["go", "drive"], names)
+        for talk in ("thanks dear", "thanks a", "much obliged dear")
+        for other in ("friend", "mate", "fellow", "soul")
+    ]
+    file = tmp_path / "own.jsonl"
+    file.write_text("\n".join(map(json.dumps, rows)))
+    config = ReaderConfig(epochs=20, batch=48, least_features=1)
+    model, report = train_reader(read_reader_corpus(file), config=config)
+    assert report["sentences"] >= len(rows)
+    again, _ = train_reader(read_reader_corpus(file), config=config)
+    np.testing.assert_array_equal(model.emission, again.emission)
+    path = tmp_path / "own.npz"
+    crf.save_reader(path, model, command="test")
+    monkeypatch.setenv(crf.OWN_READER, str(path))
+    crf.load_reader.cache_clear()
+    try:
+        assert crf.load_reader().labels == model.labels
+        first = propose_readings(split_text("walk to the tree, thanks dear friend"))[0]
+        assert [token.text for token in first.tokens] == ["walk", "to", "the", "tree"]
+        assert first.left_out == ("thanks dear friend",)
+        path.write_bytes(b"none")
+        crf.load_reader.cache_clear()
+        with pytest.raises(LanguageError, match="no reader can be read"):
+            crf.load_reader()
+    finally:
+        crf.load_reader.cache_clear()
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [('{"text": "go"}', "line 1 must have"), ('{"text": 3, "read": null}', "line 1: text and")],
+)
+def test_a_bad_line_of_the_corpus_is_named(tmp_path: Path, line: str, says: str) -> None:
+    file = tmp_path / "own.jsonl"
+    file.write_text(line)
+    with pytest.raises(ValueError, match=says):
+        read_reader_corpus(file)
