@@ -205,7 +205,7 @@ def test_what_is_spoken_is_held_out_and_read_through_rewriting():
     through = [e for e in examples if e.parse.rewrites or e.parse.unread or any(
         one.metres for one in e.parse.measures
     )]  # fmt: skip
-    assert len(through) / len(examples) > 0.8
+    assert len(through) / len(examples) > 0.7
 
 
 def test_a_corpus_is_read_by_the_grammar_where_it_can_be():

@@ -122,7 +122,7 @@ def test_the_detector_knows_the_types_that_labels_name(tmp_path):
         ("first", 321, 5),
         ("second", 99, 5),
         ("third", 274, 2),
-        ("fourth", 269, 4),
+        ("fourth", 264, 4),
         ("fifth", 171, 6),
         ("sixth", 84, 0),
         ("seventh", 68, 1),
