@@ -273,9 +273,11 @@ def test_what_is_nowhere_ends_a_search_sooner_by_hand() -> None:
     for unseen in (1.0, 0.1, 0.01):
         odds = np.expm1(float(maps.concentration) * unseen)
         cases = np.array([(1 - epsilon) * (1 - nu) * odds, epsilon, (1 - epsilon) * nu])
-        found = chances(jnp.float32(unseen), jnp.float32(nu), maps)
+        found = chances(jnp.float32(unseen), jnp.float32(nu), maps, jnp.float32(0.5))
         share = cases / cases.sum()
         np.testing.assert_allclose([found.any, found.nowhere], share[[0, 2]], rtol=1e-4)
+        there = cases * np.array([1.0, 0.5, 0.0])
+        np.testing.assert_allclose(found.elsewhere, there[1] / there.sum(), rtol=1e-4)
         assert float(found.fitting) > float(found.any)
         none = chances(jnp.float32(unseen), jnp.float32(0.0), maps)
         assert [float(one) for one in none[:3]] == [float(found.fitting)] * 2 + [0.0]
@@ -285,7 +287,12 @@ def test_what_is_unseen_by_hand() -> None:
     log_miss = -np.random.default_rng(1).exponential(1.0, (24, 24))
     missed = np.exp(log_miss)
     free = SEARCH_MAP(believe(random_places(), is_hung=False, log_miss=log_miss))
-    assert float(free.unseen) == pytest.approx(missed.mean(), rel=1e-4)
+    np.testing.assert_allclose([free.unseen, free.missed], missed.mean(), rtol=1e-4)
+    doubted, cells = free.doubted(0.4, 0.0), missed.reshape(12, 2, 12, 2).sum(axis=(1, 3)).ravel()
+    elsewhere = 0.4 * free.mass.sum() * cells / cells.sum()
+    np.testing.assert_allclose(doubted.hung, elsewhere, rtol=1e-2)
+    np.testing.assert_allclose(doubted.free, 0.6 * free.free, rtol=1e-5)
+    assert float(free.doubted(0.4, 1.5).mass.sum()) == pytest.approx(1.5, rel=1e-4)
     # Where it is said to be nobody has looked, however well the rest is known.
     log_miss = np.full((24, 24), -8.0)
     log_miss[12:14, 12:14] = 0.0
@@ -323,7 +330,7 @@ def test_informed_ends_once_the_rest_has_been_looked_at(mass, robot, chance, sto
     assert (bool(choice.is_stop), bool(choice.is_not_found)) == (False, ends)
 
 
-@pytest.mark.parametrize(("unlooked", "ends"), [(0.02, False), (0.005, True)])
+@pytest.mark.parametrize(("unlooked", "ends"), [(0.03, False), (0.015, True)])
 def test_a_thorough_search_ends_when_hardly_anything_is_unlooked(unlooked, ends) -> None:
     """However likely it is thought that what is spoken of is nowhere."""
     one = jnp.zeros(1)

@@ -22,6 +22,15 @@ error ends the search, so it ends sooner, by ε + (1 − ε) ν; and with the pr
 
 all is to be looked at whatever the order, so that the whole way counts (``latency``).
 
+What is said may be false of a thing that is there. Until one is seen it stands elsewhere, anywhere
+not looked at, with probability
+
+    s = ε v / [(1 − ε) (1 − ν) (e^{α u} − 1) + ε v]
+
+of what is there at all, where v is the probability that a thing anywhere would still be unseen: so
+much of the search map's mass lies there, and the search goes on elsewhere as what is said is looked
+at in vain.
+
 Where ν decides the end, a goal that stands where nobody has looked yet is given up as nowhere the
 more often the larger ν is. So a thorough search goes on until no more than ``MOST_UNLOOKED`` of
 where it could stand is left, whatever is thought of it before.
@@ -37,7 +46,7 @@ from jaxlangnav.kinds import fits, is_anything
 from jaxlangnav.messages import Readings
 from jaxlangnav.semantic_map.params import MapParams
 
-MOST_UNLOOKED = 0.01
+MOST_UNLOOKED = 0.02
 """u above which nothing is given up as nowhere in a thorough search."""
 MOST_UNLOOKED_ROUND = 0.002
 """The same where something forbidden is gone round: what it hides lies in one place."""
@@ -59,10 +68,15 @@ def chance_left(unseen: Array, concentration: Array, misleading: Array, clumping
     Returns:
         f32[] in [0, 1].
     """
+    there = (1.0 - misleading) * _odds_there(unseen, concentration, clumping)
+    return there / jnp.maximum(there + misleading, 1e-12)
+
+
+def _odds_there(unseen: Array, concentration: Array, clumping: Array) -> Array:
+    """Compute e^{α u} − 1, or what it is with a rate that is not known."""
     grown = jnp.log1p(clumping * unseen / (1.0 + clumping * (1.0 - unseen)))
     share = jnp.where(clumping > 0.0, grown / jnp.maximum(clumping, 1e-9), unseen)
-    there = (1.0 - misleading) * jnp.expm1(concentration * share)
-    return there / jnp.maximum(there + misleading, 1e-12)
+    return jnp.expm1(concentration * share)
 
 
 class Chances(NamedTuple):
@@ -72,9 +86,12 @@ class Chances(NamedTuple):
     any: Array  # f32[] that there is one at all, where nothing spoken of has been seen
     nowhere: Array  # f32[] q, that there is none because what is spoken of is nowhere
     unlooked: Array | float = 0.0  # f32[] u, where it could stand and nobody has looked
+    elsewhere: Array | float = 0.0  # f32[] s, that it is not as is said, if it is there
 
 
-def chances(unseen: Array, absent: Array, maps: MapParams) -> Chances:
+def chances(
+    unseen: Array, absent: Array, maps: MapParams, missed: Array | np.float32 = np.float32(0.0)
+) -> Chances:
     """Compute how likely it is that what has not been seen is there.
 
     Limits: at ν = 0 both are the same, and q is 0.
@@ -83,6 +100,7 @@ def chances(unseen: Array, absent: Array, maps: MapParams) -> Chances:
         unseen: f32[], u, as of ``chance_left``.
         absent: f32[], ν, probability that what is spoken of is nowhere in the area.
         maps: α, ε and κ.
+        missed: f32[], v, probability that a thing anywhere would have escaped every look.
 
     Returns:
         The probabilities, in [0, 1].
@@ -94,7 +112,15 @@ def chances(unseen: Array, absent: Array, maps: MapParams) -> Chances:
         for doubt in (maps.misleading, wrong)
     )
     share = nowhere / jnp.maximum(wrong, 1e-12)
-    return Chances(fitting=fitting, any=either, nowhere=share * (1.0 - either), unlooked=unseen)
+    as_said = (1.0 - wrong) * _odds_there(unseen, maps.concentration, maps.clumping)
+    other = maps.misleading * missed
+    return Chances(
+        fitting=fitting,
+        any=either,
+        nowhere=share * (1.0 - either),
+        unlooked=unseen,
+        elsewhere=other / jnp.maximum(as_said + other, 1e-12),
+    )
 
 
 def missing_types(readings: Readings, object_type: np.ndarray) -> list[int]:

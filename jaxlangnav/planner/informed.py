@@ -70,7 +70,13 @@ class Informed(Policy):
         unseen = search.search_map(
             situation.wanted, params.prior_share, params.ahead, situation.spoken
         )
-        chance = chances(unseen.unseen, params.absent, maps)
+        chance = chances(unseen.unseen, params.absent, maps, unseen.missed)
+        # If what is said is false, something seen that does not fit may be what is meant.
+        has_seen = jnp.any(situation.goals.is_object[:-1])
+        fits_nothing = jnp.max(situation.goals.object_accepted) < LEAST_GOAL
+        unseen = unseen.doubted(
+            jnp.where(has_seen, 0.0, chance.elsewhere), jnp.where(fits_nothing, chance.fitting, 0.0)
+        )
         plan = tours.plan(
             key,
             memory,

@@ -14,7 +14,7 @@ from jaxlangnav.numerics.batching import once, rarely
 from jaxlangnav.planner import prior
 from jaxlangnav.planner.constraints import Forbidden
 from jaxlangnav.planner.relevance import groups
-from jaxlangnav.pytree import pytree
+from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.coverage import Coverage, area_size, cell_size
 from jaxlangnav.semantic_map.said import Spoken, log_told_density
@@ -42,15 +42,29 @@ class SearchMap:
     hung: Array  # f32[C] probability that what hangs on an observed object lies there
     partner_x: Array  # f32[C] metres: where the other one of a free pair then is; else as x
     partner_y: Array  # f32[C]
-    unseen: Array  # f32[] probability that what is there to be found would still be unseen
+    unseen: Array  # f32[] probability that what is there as said would still be unseen
     terrain: Terrain = OPEN  # how far one sees and walks there
     forbidden: Forbidden | None = None  # what is to be kept away from
     nowhere: Array | np.float32 = np.float32(0.0)  # f32[] q, that it is nowhere (``endings``)
+    missed: Array | np.float32 = np.float32(0.0)  # f32[] that a thing anywhere would be unseen
+    elsewhere: Array | np.float32 = np.float32(0.0)  # f32[C] where it then is; sums to one
 
     @property
     def mass(self) -> Array:
         """Probability that an object not yet seen, but spoken of, lies in each cell, f32[C]."""
         return self.free + self.hung
+
+    def doubted(self, share: Array | float, least: Array | float) -> "SearchMap":
+        """Put what is not as is said anywhere that has not been looked at.
+
+        Args:
+            share: f32[] of the mass that lies there.
+            least: f32[], the mass there is at least, where few particles show none.
+        """
+        total, kept = jnp.sum(self.mass), 1.0 - share
+        moved = jnp.maximum(share * total, least - kept * total)
+        hung = kept * self.hung + jnp.multiply(moved, self.elsewhere)
+        return replace(self, free=kept * self.free, hung=hung)
 
 
 def _grid(area: Array, number: int) -> tuple[Array, Array]:
@@ -171,7 +185,8 @@ def search_map(
     size = miss.shape[0] // CELLS
     unseen = miss.reshape(CELLS, size, CELLS, size).sum(axis=(1, 3)).reshape(-1)
     likelier = prior.relative_density(belief.coverage, belief.viewer, x, y, prior_share, ahead)
-    unseen = unseen * likelier
+    anywhere = unseen * likelier
+    unseen = anywhere
     if spoken is not None:
         by_words = _by_words(belief, is_free, x, y, unseen, spoken)
         likelier, unseen = likelier * by_words, unseen * by_words
@@ -191,7 +206,9 @@ def search_map(
         hung=hung_at,
         partner_x=belief.viewer[0] + scale * (x - belief.viewer[0]),
         partner_y=belief.viewer[1] + scale * (y - belief.viewer[1]),
+        elsewhere=anywhere / jnp.maximum(jnp.sum(anywhere), 1e-9),
         unseen=_unseen(belief.coverage, hung_at, likelier),
+        missed=jnp.mean(miss),
         terrain=belief.terrain,
     )
 

@@ -4,7 +4,7 @@ Each decision starts from the tour under way and from greedy tours over a lattic
 improves the best of them by a few rounds of random changes: move a stop, put one in, take one out,
 turn a stretch round. The best is that of least ``latency``. The tour is kept from step to step, so
 the search goes on while the robot is on its way; and as the tour under way is among the candidates,
-it is left only for one that is shorter by ``LESS``.
+it is left only for one that costs less.
 
 Stops near what is forbidden cost the way in and out (``constraints``).
 """
@@ -24,9 +24,6 @@ from jaxlangnav.pytree import pytree
 
 NUM_ROUNDS = 3
 """Rounds of changes at each decision."""
-LESS = 0.05
-"""By what share a tour must be shorter to take the place of the one under way. Without it the robot
-may pace between two stops of nearly one cost for ever."""
 _IS_OUT = np.arange(NUM_CHANGES) % 2 == 1
 """Of the changes: those whose stops are put outside the berths of what is forbidden. A draft's are,
 unless it is under way."""
@@ -124,7 +121,6 @@ def plan(
             x, y = keep_out(tried.x, tried.y, search.forbidden, sensor.range_max, area)
             tried = Tour(x=jnp.where(is_out, x, tried.x), y=jnp.where(is_out, y, tried.y))
         weighed = latency(tried, search, robot_x, robot_y, sensor, area)
-        weighed = weighed * jnp.where((index > 0) | (np.arange(NUM_CHANGES) > 0), 1.0 + LESS, 1.0)
         if search.forbidden is not None:
             stops = jnp.sum(price_of_stop(tried.x, tried.y, search.forbidden), axis=1)
             weighed = weighed + jnp.sum(search.mass) * stops
