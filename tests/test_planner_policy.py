@@ -276,8 +276,7 @@ def test_what_is_nowhere_ends_a_search_sooner_by_hand() -> None:
         found = chances(jnp.float32(unseen), jnp.float32(nu), maps, jnp.float32(0.5))
         share = cases / cases.sum()
         np.testing.assert_allclose([found.any, found.nowhere], share[[0, 2]], rtol=1e-4)
-        there = cases * np.array([1.0, 0.5, 0.0])
-        np.testing.assert_allclose(found.elsewhere, there[1] / there.sum(), rtol=1e-4)
+        assert float(found.elsewhere) == pytest.approx(1 / (1 + (1 / 0.005 - 1) * odds), rel=1e-3)
         assert float(found.fitting) > float(found.any)
         none = chances(jnp.float32(unseen), jnp.float32(0.0), maps)
         assert [float(one) for one in none[:3]] == [float(found.fitting)] * 2 + [0.0]

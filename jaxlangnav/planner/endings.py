@@ -23,13 +23,9 @@ error ends the search, so it ends sooner, by ε + (1 − ε) ν; and with the pr
 all is to be looked at whatever the order, so that the whole way counts (``latency``).
 
 What is said may be false of a thing that is there. Until one is seen it stands elsewhere, anywhere
-not looked at, with probability
-
-    s = ε v / [(1 − ε) (1 − ν) (e^{α u} − 1) + ε v]
-
-of what is there at all, where v is the probability that a thing anywhere would still be unseen: so
-much of the search map's mass lies there, and the search goes on elsewhere as what is said is looked
-at in vain.
+not looked at, with probability 1 − p of what is there at all: p is ``chance_left`` with the doubt
+ε v, where v is the probability that a thing anywhere would still be unseen. So much of the search
+map's mass lies there, and the search goes on elsewhere as what is said is looked at in vain.
 
 Where ν decides the end, a goal that stands where nobody has looked yet is given up as nowhere the
 more often the larger ν is. So a thorough search goes on until no more than ``MOST_UNLOOKED`` of
@@ -48,6 +44,7 @@ from jaxlangnav.semantic_map.params import MapParams
 
 MOST_UNLOOKED = 0.02
 """u above which nothing is given up as nowhere in a thorough search."""
+_NONE = np.float32(0.0)
 MOST_UNLOOKED_ROUND = 0.002
 """The same where something forbidden is gone round: what it hides lies in one place."""
 
@@ -68,15 +65,10 @@ def chance_left(unseen: Array, concentration: Array, misleading: Array, clumping
     Returns:
         f32[] in [0, 1].
     """
-    there = (1.0 - misleading) * _odds_there(unseen, concentration, clumping)
-    return there / jnp.maximum(there + misleading, 1e-12)
-
-
-def _odds_there(unseen: Array, concentration: Array, clumping: Array) -> Array:
-    """Compute e^{α u} − 1, or what it is with a rate that is not known."""
     grown = jnp.log1p(clumping * unseen / (1.0 + clumping * (1.0 - unseen)))
     share = jnp.where(clumping > 0.0, grown / jnp.maximum(clumping, 1e-9), unseen)
-    return jnp.expm1(concentration * share)
+    there = (1.0 - misleading) * jnp.expm1(concentration * share)
+    return there / jnp.maximum(there + misleading, 1e-12)
 
 
 class Chances(NamedTuple):
@@ -90,7 +82,7 @@ class Chances(NamedTuple):
 
 
 def chances(
-    unseen: Array, absent: Array, maps: MapParams, missed: Array | np.float32 = np.float32(0.0)
+    unseen: Array, absent: Array, maps: MapParams, missed: Array | np.float32 = _NONE
 ) -> Chances:
     """Compute how likely it is that what has not been seen is there.
 
@@ -107,20 +99,12 @@ def chances(
     """
     nowhere = (1.0 - maps.misleading) * absent
     wrong = maps.misleading + nowhere
-    fitting, either = (
+    fitting, either, as_said = (
         chance_left(unseen, maps.concentration, doubt, maps.clumping)
-        for doubt in (maps.misleading, wrong)
+        for doubt in (maps.misleading, wrong, maps.misleading * missed)
     )
-    share = nowhere / jnp.maximum(wrong, 1e-12)
-    as_said = (1.0 - wrong) * _odds_there(unseen, maps.concentration, maps.clumping)
-    other = maps.misleading * missed
-    return Chances(
-        fitting=fitting,
-        any=either,
-        nowhere=share * (1.0 - either),
-        unlooked=unseen,
-        elsewhere=other / jnp.maximum(as_said + other, 1e-12),
-    )
+    nowhere = nowhere / jnp.maximum(wrong, 1e-12) * (1.0 - either)
+    return Chances(fitting, either, nowhere, unlooked=unseen, elsewhere=1.0 - as_said)
 
 
 def missing_types(readings: Readings, object_type: np.ndarray) -> list[int]:

@@ -13,7 +13,7 @@ from jaxlangnav.messages import NONE, SensorParams
 from jaxlangnav.recording import Frame, Recording, StaticScene
 from jaxlangnav.viz import style
 from jaxlangnav.viz.summary import seen_objects
-from jaxlangnav.world.state import Scenario
+from jaxlangnav.world.state import Scenario, WorldState
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,20 +41,6 @@ class HasSensor(Protocol):
     @property
     def sensor(self) -> SensorParams:
         """How far and how wide the robot sees."""
-        ...
-
-
-class HasPlace(Protocol):
-    """A recording's frame, or the state of a world."""
-
-    @property
-    def position(self) -> Any:
-        """f32[2], metres, map frame."""
-        ...
-
-    @property
-    def heading(self) -> Any:
-        """f32[], radians."""
         ...
 
 
@@ -175,7 +161,7 @@ def draw_path(axes: "Axes", recording: Recording, step: int) -> "Line2D":
     return line
 
 
-def draw_view(axes: "Axes", scene: HasSensor, frame: HasPlace) -> "Patch":
+def draw_view(axes: "Axes", scene: HasSensor, frame: Frame | WorldState) -> "Patch":
     """Draw the field of view: a circle, or a sector where it is limited."""
     from matplotlib.patches import Circle, Wedge
 
@@ -188,7 +174,7 @@ def draw_view(axes: "Axes", scene: HasSensor, frame: HasPlace) -> "Patch":
     return axes.add_patch(Wedge(place, reach, middle - half, middle + half, **look))
 
 
-def draw_robot(axes: "Axes", frame: HasPlace) -> "PathCollection":
+def draw_robot(axes: "Axes", frame: Frame | WorldState) -> "PathCollection":
     """Draw the robot as a notched triangle that points where it heads."""
     from matplotlib.markers import MarkerStyle
     from matplotlib.path import Path
@@ -268,7 +254,7 @@ _DOTS = 100
 
 
 def drive_picture(
-    state: HasScenario, *, params: HasSensor, world: HasPlace, way: np.ndarray, text: str
+    state: HasScenario, *, params: HasSensor, world: WorldState, way: np.ndarray, text: str
 ) -> np.ndarray:
     """Draw the true world with the robot in it.
 
