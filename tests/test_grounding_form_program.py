@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import test_grounding_behavior
 from grounding_fixture import TYPES, random_placed, random_topology
 
 from jaxlangnav.grounding import (
@@ -227,14 +228,8 @@ def test_any_form_asks_for_all_that_fits_it_and_nothing_else() -> None:
 
 def world_of(kinds: str, *edges: tuple[str, int, int], previous: int | None = None) -> World:
     """Build a world of objects, and of relations between them by their numbers; −1 is the robot."""
-    object_type = np.array([*(TYPES.index(kind) for kind in kinds.split()), ROBOT], np.int32)
-    size = len(object_type)
-    is_related = np.zeros((6, size, size), bool)
-    for relation, figure, landmark in edges:
-        is_related[RELATIONS.index(relation), figure, landmark] = True
-    is_previous = np.arange(size) == (size if previous is None else previous)
-    ranked = np.zeros((4, *is_related.shape), bool)
-    return World(object_type, np.ones(size, bool), is_related, ranked, is_previous)
+    edges_at = [(RELATIONS.index(relation), *ends) for relation, *ends in edges]
+    return test_grounding_behavior.world_of(kinds.split(), edges_at, previous)
 
 
 def test_relations_tell_which_reading_a_particle_believes() -> None:

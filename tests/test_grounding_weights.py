@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from test_files import as_npy
 
 from jaxlangnav.grounding import load_shipped, understand, weights
 from jaxlangnav.grounding.instruction import GroundingModel
@@ -84,12 +85,6 @@ def packed(members: dict[str, bytes]) -> bytes:
     return file.getvalue()
 
 
-def as_npy(array: np.ndarray, *, allow_pickle: bool = False) -> bytes:
-    file = io.BytesIO()
-    np.save(file, array, allow_pickle=allow_pickle)
-    return file.getvalue()
-
-
 def refused(path: Path, content: bytes | None, why: str = "") -> None:
     if content is not None:
         path.write_bytes(content)
@@ -152,7 +147,7 @@ def test_a_wrong_array_is_refused(tmp_path, array, why):
 
 
 def test_pickled_objects_are_not_read(tmp_path):
-    objects = as_npy(np.array([print], object), allow_pickle=True)
+    objects = as_npy(np.array([print], object))
     refused(tmp_path / "w.npz", packed(shipped_members() | {"about.npy": objects}), "holds object")
 
 

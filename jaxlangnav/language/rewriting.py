@@ -7,8 +7,8 @@ controlled language first. The rules stand in ``data/rewrites.toml``; what they 
 
 import re
 import tomllib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from itertools import zip_longest
@@ -36,21 +36,11 @@ class Rewrites:
 
     slips: dict[str, str]
     rules: tuple[Rule, ...]
-    sets: Mapping[str, str] = field(default_factory=dict)
 
 
-def read_rewrites(text: str, known: Mapping[str, str] | None = None) -> Rewrites:
-    """Read rules from TOML; the format is described at the head of ``rewrites.toml``.
-
-    Args:
-        text: contents of the file.
-        known: sets of another file that its rules may name.
-
-    Returns:
-        The rules, ready to match.
-    """
-    document = tomllib.loads(text)
-    sets = dict(known or {})
+def read_rewrites(text: str) -> Rewrites:
+    """Read rules from a text in TOML; the head of ``rewrites.toml`` describes the format."""
+    document, sets = tomllib.loads(text), {}
 
     def whole(pattern: str) -> str:
         return _SET.sub(lambda match: f"(?:{sets[match[1]]})", pattern)
@@ -65,7 +55,7 @@ def read_rewrites(text: str, known: Mapping[str, str] | None = None) -> Rewrites
         )
         for one in document["rules"]
     )
-    return Rewrites(slips=document.get("slips", {}), rules=rules, sets=sets)
+    return Rewrites(slips=document.get("slips", {}), rules=rules)
 
 
 @cache
