@@ -36,6 +36,7 @@ class Nouns:
 
     synonyms: tuple[frozenset[str], ...]
     compounds: frozenset[tuple[str, ...]]
+    rooms: frozenset[str]  # what one can drive into
     also: frozenset[str]  # words of other classes that may be nouns
     broader: Mapping[str, str]  # narrower → broader
     attributes: Mapping[str, str]  # adjective → value
@@ -59,6 +60,7 @@ def load_nouns() -> Nouns:
     return Nouns(
         synonyms=tuple(frozenset(group) for group in document["synonyms"]),
         compounds=frozenset(tuple(name.split()) for name in names | foreign if " " in name),
+        rooms=frozenset(document["rooms"]),
         also=frozenset(document["also_nouns"]),
         broader={one: kind for kind, narrow in document["broader"].items() for one in narrow},
         attributes=document["attributes"],

@@ -11,7 +11,6 @@ from collections.abc import Collection
 from dataclasses import replace
 from functools import cache
 
-from jaxlangnav.language.chatter import leave_out
 from jaxlangnav.language.check import refuse_guesses
 from jaxlangnav.language.grammar import (
     COMMA,
@@ -270,7 +269,7 @@ def _read_freely(text: str, reader: _Reader, earlier: Antecedent | None) -> Pars
         meaning = (*map(str, read.clauses), read.kinds, read.measures)
         share, first = found.get(meaning, (0.0, None))
         if first is None:
-            rewrites, unread = (*one.changes, *read.rewrites), (*one.left_out, *read.unread)
+            rewrites, unread = (*one.changes, *read.rewrites), one.left_out
             first = replace(read, rewrites=rewrites, unread=unread)
         found[meaning] = (share + one.probability, first)
     probability, best = max(found.values(), key=lambda one: one[0], default=(0.0, None))
@@ -286,14 +285,12 @@ def _read(
     is_blame_sought: bool = True,
 ) -> Parse:
     """Read the words of an instruction; a refusal names the true cause where that is sought."""
-    heard, unread = leave_out(said)
-    plain, measured = take_out(heard)
+    plain, measured = take_out(said)
     spoken, rewrites = rewrite(plain)
     found = _read_plain(text, reader, spoken, earlier, is_blame_sought=is_blame_sought)
     return replace(
         found,
         rewrites=tuple(rewrites),
-        unread=tuple(unread),
         measures=of_clauses(found.clauses, measured),
     )
 

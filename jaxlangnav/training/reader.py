@@ -51,10 +51,11 @@ _PADDING = 8
 class ReaderConfig:
     """How a reader is trained."""
 
-    epochs: int = 14
+    epochs: int = 5
     batch: int = 128  # sentences
     rate: float = 0.06  # of Adam, falling to 0 by a cosine
     l2: float = 6e-5
+    copies: int = 6  # of each sentence, as often as it is varied: another verb, or talk
     least_features: int = 3  # a feature that is met more rarely has no weight
     least_labels: int = 3  # sentences; a label that is met more rarely is not learned
     smallest: float = 0.03  # weights below are left out
@@ -151,12 +152,15 @@ def read_reader_corpus(path: Path | None = None) -> list[ReaderExample]:
     return found
 
 
-def vary_sentences(examples: Sequence[ReaderExample], seed: int) -> list[ReaderExample]:
+def vary_sentences(
+    examples: Sequence[ReaderExample], seed: int, copies: int = 1
+) -> list[ReaderExample]:
     """Make sentences as others would say them: another verb of the class, talk before or behind.
 
     Args:
         examples: labelled sentences.
         seed: of the choices.
+        copies: how often each sentence stands, and is varied.
 
     Returns:
         The sentences, and after them those that were made of them.
@@ -164,7 +168,7 @@ def vary_sentences(examples: Sequence[ReaderExample], seed: int) -> list[ReaderE
     rng, made = np.random.default_rng(seed), []
     talk = [one for example in examples for one in _talk(example)]
     classes = [sorted(verbs) for _, verbs in sorted(load_verbs().items())]
-    for one in examples:
+    for one in [*examples] * copies:
         verbs = [i for i, label in enumerate(one.labels) if label in _PLAIN]
         for index in verbs[:1]:
             alike = next((verbs for verbs in classes if one.words[index] in verbs), [])
@@ -180,7 +184,7 @@ def vary_sentences(examples: Sequence[ReaderExample], seed: int) -> list[ReaderE
                 made.append(ReaderExample((*said, *mark, *one.words), gone + one.labels, one.names))
             else:
                 made.append(ReaderExample((*one.words, *mark, *said), one.labels + gone, one.names))
-    return [*examples, *made]
+    return [*examples] * copies + made
 
 
 def _talk(example: ReaderExample) -> list[tuple[str, ...]]:
@@ -244,10 +248,11 @@ def train_reader(
     used = [one for one in examples if set(one.labels) <= set(labels)]
     if len(used) < config.batch:
         raise ValueError(f"{len(used)} sentences are too few to train on: {config.batch} at least")
-    used = vary_sentences(used, config.seed)
+    used = vary_sentences(used, config.seed, config.copies)
     named = [featurize(one.words, one.names) for one in used]
     met = Counter(name for sentence in named for word in sentence for name in set(word))
-    features = tuple(sorted(name for name, n in met.items() if n >= config.least_features))
+    least = config.least_features * config.copies
+    features = tuple(sorted(name for name, n in met.items() if n >= least))
     batches = _batches(used, named, features, labels, config)
     weights, loss = _fit(batches, len(features), labels, config)
     emission = np.where(np.abs(weights.emission[1:]) < config.smallest, 0.0, weights.emission[1:])

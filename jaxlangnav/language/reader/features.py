@@ -12,11 +12,13 @@ from functools import cache, cached_property, lru_cache
 from importlib import resources
 
 from jaxlangnav.language.lexicon import REASONS, TYPE_CLASS, load_lexicon
-from jaxlangnav.language.nouns import singular
+from jaxlangnav.language.nouns import load_nouns, singular
 from jaxlangnav.language.tokens import MARKS
 
 NAME, _RELATION = "N", "rel"
-IMPOSSIBLE = frozenset({"refused:such an action", "refused:path"})
+PREPOSITION, PATH_WORD = "refused:such a relation", "refused:path"
+SPEAKER = "refused:the speaker's own place"
+IMPOSSIBLE = frozenset({"refused:such an action", PATH_WORD})
 """Classes of words of what the robot cannot carry out."""
 CONTRARY = frozenset({"refused:negation", "refused:condition"})
 """Classes of words that turn round what is said."""
@@ -71,7 +73,8 @@ def _classes() -> dict[str, tuple[str, ...]]:
 @lru_cache(maxsize=8)
 def _known_names(labels: frozenset[str]) -> frozenset[tuple[str, ...]]:
     """Collect the names of things, word by word."""
-    return frozenset(load_lexicon().entries[TYPE_CLASS]) | {tuple(one.split()) for one in labels}
+    names = frozenset(tuple(one.split()) for one in labels | load_nouns().rooms)
+    return names.union(load_lexicon().entries[TYPE_CLASS])
 
 
 @dataclass(frozen=True)
@@ -120,6 +123,12 @@ class ReaderSentence:
             tuple(i for i, of in enumerate(self.clause) if of == k and self.words[i] not in MARKS)
             for k in range(count)
         )
+
+    def is_room(self, index: int) -> bool:
+        """Tell whether a name that begins at a word, or its last word, is of a room."""
+        stop = next((i for i in range(index, len(self.words)) if not self.is_name[i]), None)
+        name = self.words[index:stop]
+        return not load_nouns().rooms.isdisjoint({" ".join(name), name[-1]}) if name else False
 
     def is_verb(self, index: int) -> bool:
         """Tell whether a word may be the verb of an order."""
@@ -247,6 +256,8 @@ def _in_clause(
     named += [f"counts={counts}{min(later, 2)}", f"counts class={counts} {kind}"]
     distance = next((i - index for i in ahead if sentence.is_name[i]), 5)
     named += [f"to name={min(distance, 5)} {kind}"]
+    if index + distance < len(first):
+        named += [f"toward={sentence.words[index]} {sentence.is_room(index + distance)}"]
     stop = next((i for i in ahead[1:] if _ends_span(sentence, first, i)), None)
     is_mark = stop is not None and sentence.words[stop] in MARKS
     named += [f"next={_NOTHING if stop is None else sentence.words[stop] if is_mark else NAME}"]

@@ -20,6 +20,9 @@ from jaxlangnav.language.reader.features import (
     IMPOSSIBLE,
     MOTION,
     NAME,
+    PATH_WORD,
+    PREPOSITION,
+    SPEAKER,
     ReaderSentence,
 )
 from jaxlangnav.language.reader.model import (
@@ -58,6 +61,8 @@ _SOUGHT = frozenset({"for", "find", "get", "see", "locate", "bring", "take", "gr
 """Words before "it" that ask for what was spoken of, wherever one goes before."""
 _TOLD = frozenset({"be", "be..", "exist", "exist..", "see", "see..", "link", "link.."})
 """Classes of words that make a statement."""
+_OF_PLACE = frozenset({"rel", "rel..", "side"})
+"""Classes of words of relations."""
 _IDLE = frozenset({"opener", "closer", "conn", "adv", "degree", "particle", "but"})
 """Classes of words that say nothing of a goal without a verb."""
 
@@ -161,12 +166,42 @@ class _Labelled:
             return is_gone or (is_undone and word == "no")
         if not IMPOSSIBLE.isdisjoint(classes) and _IDLE.isdisjoint(classes):
             return self.labels[index] != LEFT_OUT or (self.is_gone(index) and self._tells(index))
-        if is_undone or self.labels[index] != LEFT_OUT:
+        if is_undone:
+            return True
+        if SPEAKER in classes and self.labels[index] != LEFT_OUT and index + 1 < len(self.labels):
+            # "my car" is a car; "my left", nothing.
+            return not self.kept[index + 1] or any(self.sentence.is_name[index + 1 : index + 3])
+        if PREPOSITION in classes and not self._has_relation(index):
+            return False
+        if {PREPOSITION, PATH_WORD} & set(classes) and self._governs_kept(index):
+            return PATH_WORD not in classes and self._is_replaced(index)
+        if self.labels[index] != LEFT_OUT:
             return True
         is_choosing = not CHOOSING.isdisjoint(classes) or word in _DEGREES
         if index and classes[0][0] == "?" and self.sentence.words[index - 1] in _DEFINITE:
             is_choosing = True  # it may be a thing that nobody knows
         return not is_choosing or self.is_gone(index)
+
+    def _has_relation(self, index: int) -> bool:
+        """Tell whether a relation put for a preposition is of a word: "with the truck in front"."""
+        put = ReaderSentence(tuple(self.labels[index][1:].split()), frozenset())
+        if not any(_OF_PLACE.intersection(classes) for classes in put.classes):
+            return True
+        clause = self.sentence.clauses[self.sentence.clause[index]]
+        gone = (self.sentence.classes[i] for i in clause if self.labels[i] == LEFT_OUT)
+        return any(_OF_PLACE.intersection(classes) for classes in gone)
+
+    def _governs_kept(self, index: int) -> bool:
+        """Tell whether the name that a preposition stands before is kept."""
+        ahead = range(index + 1, len(self.labels))
+        first = next((i for i in ahead if "det" not in self.sentence.classes[i]), index)
+        return self.kept[first] and self.sentence.is_name[first]
+
+    def _is_replaced(self, index: int) -> bool:
+        """Tell whether other words stand for an expression that a word is in: "one of the"."""
+        before = next((label for label in self.labels[index::-1] if label != LEFT_OUT), KEPT)
+        behind = next((label for label in self.labels[index:] if label != LEFT_OUT), KEPT)
+        return before[0] != KEPT or ">" in behind
 
     def _is_whole(self, clause: Sequence[int]) -> bool:
         """Tell whether what is left of a clause is no mere name of something told of."""
