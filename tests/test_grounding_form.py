@@ -2,6 +2,7 @@
 
 import copy
 import json
+import re
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -68,83 +69,48 @@ def between(landmarks: Iterable[str]) -> list[dict]:
     return [{"figure": "a", "relation": "between", "landmark": one} for one in landmarks]
 
 
-GOOD = [
-    FORM,
-    changed(*FIRST, "relations", to=between("bc")),
-    changed("notes"),
-    changed(*SECOND, "relations"),
-    changed(*COMMAND, "action"),
-    changed(*COMMAND, "goal", "region"),
-    changed("notes", to=[]),
-    changed(*FIRST, "probability", to=1),
-    changed(*RELATION, "rank", to=1.0),
-    changed(*FIRST, "things", 0, "id", to="A-long_name-1"),
-    changed(*FIRST, "things", 0, "id", to="robots"),
-    changed(*FIRST, "things", to=things(6)),
-    changed(*FIRST, "commands", to=[]),
-]
 IN_COMMAND, IN_RELATION = "$.readings[0].commands[0]", "$.readings[0].relations[0]"
-# Document → the field that a refusal names.
+# Document → the field that a refusal names: one for each way not to fit, at each depth.
 BAD: list[tuple[object, str]] = [
     ([], "$"),
-    ("go to the cone", "$"),
     ({}, "$.readings"),
     (changed("readings", to=[]), "$.readings"),
     (changed("readings", to=FORM["readings"] * 3), "$.readings"),
-    (changed("readings", to={}), "$.readings"),
     (changed("colour", to="red"), "$"),
     (changed("notes", to=["x" * 201]), "$.notes[0]"),
-    (changed("notes", to=[1]), "$.notes[0]"),
-    (changed("notes", to="none"), "$.notes"),
-    (changed("notes", to=["x"] * 9), "$.notes"),
     (changed(*FIRST, "probability", to=0), "$.readings[0].probability"),
     (changed(*FIRST, "probability", to=1.1), "$.readings[0].probability"),
-    (changed(*FIRST, "probability", to="80 %"), "$.readings[0].probability"),
     (changed(*FIRST, "probability", to=True), "$.readings[0].probability"),
-    (changed(*FIRST, "probability", to=None), "$.readings[0].probability"),
     (changed(*SECOND, "probability"), "$.readings[1].probability"),
-    (changed(*FIRST, "things"), "$.readings[0].things"),
     (changed(*FIRST, "things", to=things(7)), "$.readings[0].things"),
-    (changed(*FIRST, "things", 0, to="hydrant"), "$.readings[0].things[0]"),
-    (changed(*FIRST, "things", 1, "type"), "$.readings[0].things[1].type"),
-    (changed(*FIRST, "things", 1, "type", to=3), "$.readings[0].things[1].type"),
     (changed(*FIRST, "things", 0, "id", to="robot"), "$.readings[0].things[0].id"),
-    (changed(*FIRST, "things", 0, "id", to="the cone"), "$.readings[0].things[0].id"),
     (changed(*FIRST, "things", 0, "id", to="x" * 33), "$.readings[0].things[0].id"),
-    (changed(*FIRST, "things", 0, "id", to=""), "$.readings[0].things[0].id"),
     (changed(*FIRST, "relations", to=[{}]), f"{IN_RELATION}.figure"),
     (changed(*RELATION, "relation", to="above"), f"{IN_RELATION}.relation"),
     (changed(*RELATION, "rank", to=5), f"{IN_RELATION}.rank"),
-    (changed(*RELATION, "rank", to=-1), f"{IN_RELATION}.rank"),
     (changed(*RELATION, "rank", to=1.5), f"{IN_RELATION}.rank"),
-    (changed(*FIRST, "commands", to=[{}]), f"{IN_COMMAND}.goal"),
-    (changed(*COMMAND, "action", to="fetch"), f"{IN_COMMAND}.action"),
-    (changed(*COMMAND, "mode", to="fast"), f"{IN_COMMAND}.mode"),
     (changed(*COMMAND, "goal", "region", to="in"), f"{IN_COMMAND}.goal.region"),
-    (changed(*COMMAND, "goal", "thing", to="the a"), f"{IN_COMMAND}.goal.thing"),
     (changed(*COMMAND, "avoid", to=["b"] * 4), f"{IN_COMMAND}.avoid"),
 ]  # fmt: skip
 
 
-def test_the_schema_is_one() -> None:
-    Draft202012Validator.check_schema(annotation_schema())
-
-
-@pytest.mark.parametrize("document", GOOD)
-def test_what_the_schema_takes_is_taken(document: dict) -> None:
-    assert Draft202012Validator(annotation_schema()).is_valid(document)
-    validate(document, annotation_schema(), root=annotation_schema(), path="$")
+def refused(document: object) -> str:
+    """Hold a document against the schema: the refusal, one short line; nothing if it fits."""
+    said = ""
+    try:
+        validate(document)
+    except ValueError as error:
+        said = str(error)
+    assert not said or re.search("but (may|must|at most)|is missing", said)
+    assert "\n" not in said
+    assert len(said) < 300
+    return said
 
 
 @pytest.mark.parametrize(("document", "field"), BAD)
-def test_what_the_schema_refuses_is_refused_by_its_field(document: object, field: str) -> None:
-    assert not Draft202012Validator(annotation_schema()).is_valid(document)
-    with pytest.raises(ValueError, match=r"but (may|must|at most)|is missing") as refused:
-        validate(document, annotation_schema(), root=annotation_schema(), path="$")
-    message = str(refused.value)
-    assert message.startswith(f"{field} ")
-    assert "\n" not in message
-    assert len(message) < 300
+def test_what_does_not_fit_is_refused_by_its_field(document: object, field: str) -> None:
+    Draft202012Validator.check_schema(annotation_schema())
+    assert refused(document).startswith(f"{field} ")
 
 
 def paths(document: object, path: tuple = ()) -> Iterator[tuple]:
@@ -159,20 +125,9 @@ def paths(document: object, path: tuple = ()) -> Iterator[tuple]:
 ANYTHING = (None, True, -1, 0, 1, 2.0, 2.5, 1e9, "", "a", "robot", "near", [], ["a"], {}, {"a": 1})
 
 
-def test_any_value_in_any_place_is_judged_as_by_the_schema() -> None:
-    judge = Draft202012Validator(annotation_schema())
-    taken = 0
-    for path in paths(FORM):
-        for value in ANYTHING:
-            document = changed(*path, to=value)
-            try:
-                validate(document, annotation_schema(), root=annotation_schema(), path="$")
-                is_taken = True
-            except ValueError:
-                is_taken = False
-            assert is_taken == judge.is_valid(document), (path, value)
-            taken += is_taken
-    assert taken > 50
+def test_any_value_in_any_place_is_taken_or_refused_in_one_line() -> None:
+    found = [refused(changed(*path, to=value)) for path in paths(FORM) for value in ANYTHING]
+    assert 50 < found.count("") < len(found) / 2
 
 
 def test_the_schema_names_what_the_engine_knows() -> None:

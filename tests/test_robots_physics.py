@@ -16,7 +16,7 @@ from jaxlangnav.robots.motion.steering import WheelCommand, wrap
 from jaxlangnav.robots.perception import figures, tags
 from jaxlangnav.robots.physics import odometry
 from jaxlangnav.robots.physics.machines import MACHINES, Wear
-from jaxlangnav.robots.physics.robot import PhysicsRobot, wheel_speeds
+from jaxlangnav.robots.physics.robot import PhysicsRobot
 from jaxlangnav.robots.robot import Progress, Robot
 from jaxlangnav.robots.table3 import navigator_of
 from jaxlangnav.world.state import CONE, HYDRANT
@@ -52,10 +52,19 @@ def test_its_wheels_seem_as_far_apart_as_is_known(machine: str) -> None:
     ratios = []
     for turn in (0.5, -0.8):
         robot = put(machine, ())
-        left, right, rate = wheel_speeds(robot, WheelCommand(0.0, turn), 3.0)
+        data, command = robot.scene.data, WheelCommand(0.0, turn)
+        for _ in range(10):
+            robot._move(command)
+        before, headings = data.qpos[robot._wheels].copy(), [robot.true_pose[2]]
+        for _ in range(30):
+            robot._move(command)
+            headings.append(robot.true_pose[2])
         robot.close()
-        ratios.append((right - left) / rate / robot.machine.track)
-        assert rate == pytest.approx(turn, rel=0.15)
+        turned = np.ptp(np.unwrap(headings)) * np.sign(turn)
+        rolled = (data.qpos[robot._wheels] - before) * robot.machine.wheel_radius
+        apart = rolled[robot._side < 0].mean() - rolled[robot._side > 0].mean()
+        ratios.append(apart / turned / robot.machine.track)
+        assert turned / 3.0 == pytest.approx(turn, rel=0.15)
     low, high = (1.8, 2.1) if machine == "husky" else (0.95, 1.1)
     assert low < min(ratios) <= max(ratios) < high
 

@@ -149,19 +149,12 @@ class Reproduce:
 
     def _table3(self, output: Output) -> Document:
         """Run the robots with bodies; trials that the folder holds are not run again."""
-        from jaxlangnav.experiments.table import Table
         from jaxlangnav.files.whole import write_text
         from jaxlangnav.robots.libraries import check_libraries
 
         keep_compiled_programs()
         check_libraries()
-        from jaxlangnav.robots.trials import (
-            TABLE3,
-            TRIAL_HEADINGS,
-            TrialPlan,
-            reproduce_table3,
-            table_rows,
-        )
+        from jaxlangnav.robots.trials import TABLE3, TrialPlan, reproduce_table3, trials_table
 
         trials, seed = self.trials or _TRIALS, self.seed or _SEED
         policy = "informed" if self.policy == "all" else self.policy
@@ -170,9 +163,7 @@ class Reproduce:
         output.note(f"{total} runs of two robots, two at a time")
         with progress_bar("runs", total) as advance:
             document = reproduce_table3(plan, on_progress=advance)
-        table = Table(
-            headings=TRIAL_HEADINGS, rows=table_rows(document), title=_TITLE3, caption=_CAPTION3
-        )
+        table = trials_table(document, title=_TITLE3, caption=_CAPTION3)
         output.say(table.text())
         for row in document["rows"]:
             where = f"{row['robot']} {row['world']} {row['range']:g} m {row['relation'] or 'null'}"

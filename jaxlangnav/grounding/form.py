@@ -42,17 +42,17 @@ def quote(value: Any) -> str:
     return text if len(text) <= _SHOWN else f"{text[: _SHOWN - 1]}…"
 
 
-def validate(value: Any, schema: Mapping[str, Any], *, root: Mapping[str, Any], path: str) -> None:
-    """Refuse a value, as ``json`` has read it, that does not fit a schema.
+def validate(value: Any, schema: Mapping[str, Any] | None = None, *, path: str = "$") -> None:
+    """Refuse a value, as ``json`` has read it, that does not fit ``annotation_schema()``.
 
-    Definitions are those of ``root``; ``path`` is the JSON path of the value.
+    Or ``schema`` with its definitions; ``path`` is the JSON path of the value.
 
     Raises:
         ValueError: the first field that does not fit, in one line with its JSON path.
     """
     from jsonschema import Draft202012Validator
 
-    whole = {**schema, "$defs": root["$defs"]}
+    whole = {**annotation_schema(), **(schema or {})}
     error: Any = next(iter(Draft202012Validator(whole).iter_errors(value)), None)
     if error is None:
         return
@@ -141,7 +141,7 @@ def read_form(text: str, type_names: Sequence[str]) -> Form:
         ValueError: it is no JSON, or a field cannot be; one line with the field's JSON path.
     """
     document = _load(text)
-    validate(document, annotation_schema(), root=annotation_schema(), path="$")
+    validate(document)
     readings = [
         _read(one, type_names, f"$.readings[{i}]") for i, one in enumerate(document["readings"])
     ]
@@ -340,11 +340,8 @@ def read_meaning(document: Any, *, path: str) -> tuple[FormReading, tuple[str, .
     Raises:
         ValueError: a field cannot be; one line that begins with the JSON ``path`` of the document.
     """
-    schema = annotation_schema()
-    whole = schema["$defs"]["reading"]
+    whole = annotation_schema()["$defs"]["reading"]
     fields = {name: one for name, one in whole["properties"].items() if name != "probability"}
-    validate(
-        document, {**whole, "properties": fields, "required": ["things"]}, root=schema, path=path
-    )
+    validate(document, {**whole, "properties": fields, "required": ["things"]}, path=path)
     names = tuple(dict.fromkeys(thing["type"] for thing in document["things"]))
     return _read({**document, "probability": 1.0}, names, path), names

@@ -283,15 +283,11 @@ class _Journey:
         if self.faulty >= _FAULTY:
             names = Fault(int(info.fault)).name
             return Ending.LOST, f"what the robot reports cannot be: {names}"
-        if self.facing is not None:
-            is_over = self.seconds - self.turning_since > _TURN_SECONDS
+        if self.facing is not None or self.beyond is not None:
+            most = _BEYOND_SECONDS if self.facing is None else _TURN_SECONDS
+            is_over = self.seconds - self.turning_since > most
             if is_over or progress is not Progress.UNDER_WAY:
-                self.facing = None
-            return None
-        if self.beyond is not None:
-            is_over = self.seconds - self.turning_since > _BEYOND_SECONDS
-            if is_over or progress is not Progress.UNDER_WAY:
-                self.beyond = None
+                self.facing = self.beyond = None
             return None
         place = self.robot.pose()[:2]
         if np.hypot(*(place - self.last_place)) > _MOVED:

@@ -21,6 +21,7 @@ import numpy as np
 
 from jaxlangnav import __version__
 from jaxlangnav.experiments.metrics import wilson_interval
+from jaxlangnav.experiments.table import Table, TableColumns
 from jaxlangnav.files.whole import write_text
 from jaxlangnav.robots.libraries import check_libraries
 from jaxlangnav.robots.physics.odometry import TOLD
@@ -230,49 +231,46 @@ def _summary(
     }
 
 
-TRIAL_HEADINGS = (
-    "robot",
-    "world",
-    "range (m)",
-    "relation",
-    "success (%)",
-    "paper",
-    "distance (m)",
-    "paper",
-    "known (m)",
-    "paper",
-    "time (s)",
-    "endings",
-)
+def trials_table(document: dict[str, Any], **rest: Any) -> Table:
+    """Lay out the document, ours beside the paper's; distances as mean (sd), metres.
+
+    Args:
+        document: of ``reproduce_table3``.
+        **rest: the table's title and caption.
+
+    Returns:
+        A line for each row.
+    """
+    return Table.of(document["rows"], _COLUMNS, **rest)
 
 
-def table_rows(document: dict[str, Any]) -> list[list[str]]:
-    """Write the cells under ``TRIAL_HEADINGS``, ours beside the paper's; distances as mean (sd)."""
-    return [_cells(row) for row in document["rows"]]
-
-
-def _cells(row: dict[str, Any]) -> list[str]:
-    """Write one row."""
-    paper = row["paper"]
+def _success(row: dict[str, Any]) -> str:
+    """Write a share with its interval, percent."""
     low, high = (100 * one for one in row["success_interval"])
-    return [
-        row["robot"],
-        row["world"],
-        f"{row['range']:g}",
-        row["relation"] or "null",
-        f"{100 * row['success']:.0f} [{low:.0f}, {high:.0f}]",
-        f"{paper['success']:g}",
-        _metres(row["distance"], row["distance_sd"]),
-        _metres(paper["distance"], paper["distance_sd"]),
-        _metres(row["known_distance"], None) + ("" if row["known_success"] else " (failed)"),
-        _metres(paper["known_distance"], None),
-        "–" if row["seconds"] is None else f"{row['seconds']:.0f}",
-        ", ".join(f"{number} {name}" for name, number in row["endings"].items()),
-    ]
+    return f"{100 * row['success']:.0f} [{low:.0f}, {high:.0f}]"
 
 
-def _metres(mean: float | None, spread: float | None) -> str:
+def _metres(mean: float | None, spread: float | None = None) -> str:
     """Write a distance, or a dash where there is none."""
     if mean is None:
         return "–"
     return f"{mean:.2f}" + ("" if spread is None else f" ({spread:.2f})")
+
+
+_COLUMNS: TableColumns = (
+    ("robot", "{robot}"),
+    ("world", "{world}"),
+    ("range (m)", "{range:g}"),
+    ("relation", lambda row: row["relation"] or "null"),
+    ("success (%)", _success),
+    ("paper", "{paper[success]:g}"),
+    ("distance (m)", lambda row: _metres(row["distance"], row["distance_sd"])),
+    ("paper", lambda row: _metres(row["paper"]["distance"], row["paper"]["distance_sd"])),
+    (
+        "known (m)",
+        lambda row: _metres(row["known_distance"]) + ("" if row["known_success"] else " (failed)"),
+    ),
+    ("paper", lambda row: _metres(row["paper"]["known_distance"])),
+    ("time (s)", lambda row: "–" if row["seconds"] is None else f"{row['seconds']:.0f}"),
+    ("endings", lambda row: ", ".join(f"{n} {name}" for name, n in row["endings"].items())),
+)

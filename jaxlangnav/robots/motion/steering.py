@@ -9,9 +9,10 @@ it follows a way around things. Where no arc ahead is free it turns on the spot 
 where it cannot even go on it stands.
 """
 
+import abc
 import dataclasses
 import math
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -52,8 +53,26 @@ class WheelCommand(NamedTuple):
 STILL = WheelCommand(0.0, 0.0)
 
 
-class Steering(Protocol):
+class _Around(NamedTuple):
+    """What an arc is chosen by."""
+
+    pose: np.ndarray  # f64[3], x, y, heading
+    moving: WheelCommand  # the present command
+    target: np.ndarray  # f64[2], point of the way that is headed for, metres
+    off: float  # radians from the heading to the target
+    discs: np.ndarray  # f64[K, 3], things, metres, not inflated
+    top_speed: float  # metres a second wished for
+    body: BodyLimits
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Steering(abc.ABC):
     """How to follow a way: chooses the next command."""
+
+    ahead: float
+    """Metres along the way to the point headed for."""
+    widest: float
+    """Radians off the way beyond which it turns on the spot."""
 
     def steer(
         self,
@@ -65,7 +84,7 @@ class Steering(Protocol):
         top_speed: float,
         body: BodyLimits,
     ) -> WheelCommand:
-        """Choose a command.
+        """Choose a command: turn on the spot if the way is aside, else follow an arc.
 
         Args:
             pose: f64[3], x, y, heading.
@@ -78,7 +97,17 @@ class Steering(Protocol):
         Returns:
             The command; ``Mover`` keeps it within what the body can do in a tick.
         """
-        ...
+        target = _pursued(pose, way, self.ahead, discs, body)
+        off = wrap(math.atan2(*(target - pose[:2])[::-1]) - pose[2])
+        if abs(off) > self.widest:
+            return turn_by(off, body)
+        left = float(np.hypot(*np.diff(np.vstack([pose[:2], way]), axis=0).T).sum())
+        arc = self._arc(_Around(pose, moving, target, off, discs, top_speed, body), left)
+        return turn_by(off, body) if arc.speed < 0.02 and abs(off) > 0.05 else arc
+
+    @abc.abstractmethod
+    def _arc(self, around: _Around, left: float) -> WheelCommand:
+        """Choose an arc ahead, ``STILL`` if there is none; so many metres of the way are left."""
 
 
 _SPEEDS, _TURNS, _TIMES = 5, 15, 8
@@ -87,36 +116,20 @@ _REACTION = 0.5
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Window:
+class Window(Steering):
     """Steering by a dynamic window."""
 
     ahead: float = 0.9
-    """Metres along the way to the point headed for."""
+    widest: float = 1.0
     horizon: float = 1.6
     """Seconds for which an arc is followed."""
     spare: float = 0.02
     """Metres that an arc keeps from things."""
-    widest: float = 1.0
-    """Radians off the way beyond which it turns on the spot."""
     clearance_weight: float = 0.3
     speed_weight: float = 0.3
 
-    def steer(
-        self,
-        pose: np.ndarray,
-        moving: WheelCommand,
-        way: np.ndarray,
-        discs: np.ndarray,
-        *,
-        top_speed: float,
-        body: BodyLimits,
-    ) -> WheelCommand:
-        """Choose a command, see ``Steering``."""
-        target = _pursued(pose, way, self.ahead, discs, body)
-        off = wrap(math.atan2(*(target - pose[:2])[::-1]) - pose[2])
-        if abs(off) > self.widest:
-            return turn_by(off, body)
-        left = float(np.hypot(*np.diff(np.vstack([pose[:2], way]), axis=0).T).sum())
+    def _arc(self, around: _Around, left: float) -> WheelCommand:
+        pose, moving, target, _, discs, top_speed, body = around
         most = _braked(top_speed, left, body)
         low = max(moving.speed - body.acceleration * _REACTION, 0.0)
         high = min(moving.speed + body.acceleration * _REACTION, most)
@@ -133,13 +146,11 @@ class Window:
         if here < self.spare + GRAZE:  # it all but touches something: round it and out
             is_free |= (gap.min(axis=1) >= here - GRAZE) & (gap[:, -1] >= here - 1e-3)
         if not is_free.any():
-            return turn_by(off, body) if abs(off) > 0.05 else WheelCommand(0.0, 0.0)
+            return STILL
         miss = np.hypot(x - target[0], y - target[1]).min(axis=1)
         near = np.minimum(gap.min(axis=1), 0.5)
         worth = -miss + self.clearance_weight * near + self.speed_weight * speed
         best = int(np.argmax(np.where(is_free, worth, -np.inf)))
-        if speed[best] < 0.02 and abs(off) > 0.05:
-            return turn_by(off, body)
         return WheelCommand(float(speed[best]), float(turn[best]))
 
 
@@ -162,39 +173,20 @@ _LEAST = 0.15
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Pursuit:
+class Pursuit(Steering):
     """Steering by pure pursuit."""
 
     ahead: float = 0.6
-    """Metres along the way to the point pursued."""
     widest: float = 0.6
-    """Radians off the way beyond which it turns on the spot."""
 
-    def steer(
-        self,
-        pose: np.ndarray,
-        moving: WheelCommand,
-        way: np.ndarray,
-        discs: np.ndarray,
-        *,
-        top_speed: float,
-        body: BodyLimits,
-    ) -> WheelCommand:
-        """Choose a command, see ``Steering``."""
-        target = _pursued(pose, way, self.ahead, discs, body)
-        offset = target - pose[:2]
-        far = float(np.hypot(*offset))
-        off = wrap(math.atan2(offset[1], offset[0]) - pose[2])
-        if abs(off) > self.widest:
-            return turn_by(off, body)
-        left = float(np.hypot(*np.diff(np.vstack([pose[:2], way]), axis=0).T).sum())
+    def _arc(self, around: _Around, left: float) -> WheelCommand:
+        pose, _, target, off, discs, top_speed, body = around
+        far = float(np.hypot(*(target - pose[:2])))
         speed = _braked(top_speed * math.cos(off), left, body)
         speed = _braked(speed, _room_ahead(pose, discs, body) - 0.02, body)
         turn = 2.0 * math.sin(off) / max(far, 0.2) * max(speed, 0.1)
         if abs(turn) > body.turn_rate:
             speed *= body.turn_rate / abs(turn)
-        if speed < 0.02 and abs(off) > 0.05:
-            return turn_by(off, body)
         return WheelCommand(speed, turn)
 
 

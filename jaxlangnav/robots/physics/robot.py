@@ -4,8 +4,6 @@ Odometry: lengths from the wheels' encoders, turns from the gyro while the wheel
 bias are out, and what the tyres slip the wheels do not know.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from jaxlangnav.messages import SensorParams
@@ -188,28 +186,3 @@ class PhysicsRobot(SimulatedRobot):
         x, y, _ = self.true_pose
         is_on_ice = any(np.hypot(x - a, y - b) < radius for a, b, radius in self.slippery)
         self.scene.model.geom_friction[self._tyres, 0] = _ICE if is_on_ice else self._grip
-
-
-def wheel_speeds(robot: PhysicsRobot, command: WheelCommand, seconds: float) -> Sequence[float]:
-    """Drive by a command and measure what comes of it: to calibrate a body.
-
-    Args:
-        robot: that stands.
-        command: ahead and turn.
-        seconds: for how long.
-
-    Returns:
-        Metres a second of the left and of the right wheels' rims, and radians a second turned.
-    """
-    data, side = robot.scene.data, robot._side
-    for _ in range(round(1.0 / TICK)):
-        robot._move(command)
-    before, heading = data.qpos[robot._wheels].copy(), np.unwrap([robot.true_pose[2]])[0]
-    turned = 0.0
-    for _ in range(round(seconds / TICK)):
-        robot._move(command)
-        now = robot.true_pose[2]
-        turned += (now - heading + np.pi) % (2.0 * np.pi) - np.pi
-        heading = now
-    rolled = (data.qpos[robot._wheels] - before) * robot.machine.wheel_radius / seconds
-    return [rolled[side > 0].mean(), rolled[side < 0].mean(), turned / seconds]
