@@ -12,6 +12,7 @@ import pytest
 from recording_fixture import make_recording
 from test_cli_hostile import refused
 from test_docs import frozen
+from test_world_files import PARK
 
 from jaxlangnav import kept
 from jaxlangnav.cli import main as cli
@@ -246,30 +247,6 @@ def test_a_model_that_knows_nothing_means_nothing() -> None:
 )
 def test_bad_input_is_one_line(words, expected, capsys):
     assert expected.lower() in refused(["follow", *words, "--json"], capsys).lower()
-
-
-PARK = """
-[area]
-x_min = 0.0
-x_max = 10.0
-y_min = -5.0
-y_max = 5.0
-[goal]
-object = "here"
-[[objects]]
-type = "gazebo"
-name = "here"
-x = 7.0
-y = 0.6
-[[objects]]
-type = "easel"
-x = 4.5
-y = 0.5
-[[objects]]
-type = "gazebo"
-x = 3.0
-y = -4.0
-"""
 
 
 def test_a_world_of_own_nouns_needs_no_lexicon(tmp_path, capsys):

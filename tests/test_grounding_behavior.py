@@ -47,18 +47,10 @@ def program_of(text, model, clause=0) -> BehaviorProgram:
 
 def world_of(kinds, edges=(), previous=None, extremes=()):
     """A world of object types with directed edges (relation, figure, landmark)."""
-    size = len(kinds) + 1
-    is_related = np.zeros((6, size, size), bool)
-    for edge in edges:
-        is_related[edge] = True
-    ranked = np.zeros((4, 6, size, size), bool)
-    for edge in extremes:
-        ranked[0][edge] = True
-    is_previous = np.zeros(size, bool)
-    if previous is not None:
-        is_previous[previous] = True
-    object_type = np.array([*(TYPES.index(k) for k in kinds), ROBOT], np.int32)
-    return World(object_type, np.ones(size, bool), is_related, ranked, is_previous)
+    types = [*(TYPES.index(k) for k in kinds), ROBOT]
+    world = World.of_edges(types, edges, [(0, *edge) for edge in extremes])
+    is_previous = np.arange(len(types)) == (len(types) if previous is None else previous)
+    return dataclasses.replace(world, is_previous=is_previous)
 
 
 def behavior_of(text, model, world):
@@ -69,21 +61,31 @@ def behavior_of(text, model, world):
 # ---------------------------------------------------------------- what commands ask for
 
 
-def test_goal_is_the_hydrant_behind_the_cone(model):
-    world = world_of(["hydrant", "hydrant", "cone"], [(BEHIND, 1, 2)])
-    behavior = behavior_of(BEHIND_CONE, model, world)
-    assert behavior.goal[AT, 1] > 0.9
-    assert behavior.action[0] > 0.9
-    assert behavior.mode[0] > 0.9
+NEXT_TO = [(NEAR, 0, 2), (NEAR, 1, 2)]
 
 
-def test_goal_is_the_nearest_hydrant(model):
-    world = world_of(
-        ["hydrant", "hydrant", "cone"],
-        [(NEAR, 0, 2), (NEAR, 1, 2)],
-        extremes=[(NEAR, 0, 2)],
-    )
-    assert behavior_of(SENTENCES[2], model, world).goal[AT, 0] > 0.9
+@pytest.mark.parametrize(
+    ("text", "world", "asked"),
+    [
+        (BEHIND_CONE, (["hydrant", "hydrant", "cone"], [(BEHIND, 1, 2)]),
+         [("goal", (AT, 1)), ("action", 0), ("mode", 0)]),
+        (SENTENCES[2], (["hydrant", "hydrant", "cone"], NEXT_TO, None, [(NEAR, 0, 2)]),
+         [("goal", (AT, 0))]),
+        ("move behind the cone", (["hydrant", "cone"],), [("goal", (BEHIND, 1))]),
+        ("go to the hydrant but stay away from the car", (["hydrant", "car"],),
+         [("constraint", (NEAR, 1)), ("goal", (AT, 0))]),
+        ("go to the other cone", (["cone", "cone", "hydrant"], (), 0), [("goal", (AT, 1))]),
+        ("look for the cone", (["cone"],), [("action", 1)]),
+        ("quickly go to the cone", (["cone"],), [("mode", 1)]),
+        ("go slowly to the cone", (["cone"],), [("mode", 2)]),
+    ],
+)  # fmt: skip
+def test_what_is_asked_for_is_sure_and_nothing_else_is(model, text, world, asked):
+    behavior = behavior_of(text, model, world_of(*world))
+    for name, index in asked:
+        assert getattr(behavior, name)[index] > 0.9
+    assert behavior.constraint.sum() < (1.1 if "away" in text else 0.1)
+    assert behavior.goal.sum() < 1.1
 
 
 def test_alike_goals_share(model):
@@ -94,31 +96,6 @@ def test_alike_goals_share(model):
 @pytest.mark.parametrize("kinds", [["cone"], ["hydrant"], ["car", "tree"]])
 def test_no_goal_where_something_is_missing(model, kinds):
     assert behavior_of(BEHIND_CONE, model, world_of(kinds)).goal.sum() < 0.1
-
-
-def test_region_goal_without_a_figure(model):
-    behavior = behavior_of("move behind the cone", model, world_of(["hydrant", "cone"]))
-    assert behavior.goal[BEHIND, 1] > 0.9
-
-
-def test_constraint(model):
-    world = world_of(["hydrant", "car"])
-    behavior = behavior_of("go to the hydrant but stay away from the car", model, world)
-    assert behavior.constraint[NEAR, 1] > 0.9
-    assert behavior.constraint.sum() < 1.1
-    assert behavior.goal[AT, 0] > 0.9
-
-
-def test_the_other_one(model):
-    world = world_of(["cone", "cone", "hydrant"], previous=0)
-    assert behavior_of("go to the other cone", model, world).goal[AT, 1] > 0.9
-
-
-def test_find_and_modes(model):
-    world = world_of(["cone"])
-    assert behavior_of("look for the cone", model, world).action[1] > 0.9
-    assert behavior_of("quickly go to the cone", model, world).mode[1] > 0.9
-    assert behavior_of("go slowly to the cone", model, world).mode[2] > 0.9
 
 
 def test_one_of_several_is_expressed_by_its_odds():

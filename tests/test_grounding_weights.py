@@ -1,11 +1,11 @@
 """Shipped weights: where they come from, and that they can be made again."""
 
-import collections
 import io
 import json
 import os
 import random
 import struct
+import sys
 import tracemalloc
 import zipfile
 from collections.abc import Callable
@@ -23,6 +23,10 @@ from jaxlangnav.grounding.weights import about, load, save, shipped_path
 from jaxlangnav.training.fit import TrainingConfig
 from jaxlangnav.training.scoring import Scores, calibration_error, fit_temperature
 from jaxlangnav.training.shipped import MODELS, train_models
+
+sys.path.insert(0, str(Path(__file__).parent.parent / "scripts"))
+
+from fuzz import mutate
 
 TABLE_2 = (
     "go to the hydrant",
@@ -186,19 +190,14 @@ def test_a_bomb_is_not_inflated(tmp_path):
     ("key", "value"),
     [
         ("temperature", 0),
-        ("temperature", -1.0),
         ("temperature", 1e-30),
         ("temperature", float("nan")),
-        ("temperature", float("inf")),
         ("temperature", 10**400),
         ("temperature", True),
         ("temperature", "1"),
-        ("temperature", None),
         ("names", []),
         ("names", ["bias"] * 341),
-        ("names", "bias"),
         ("names", list(range(341))),
-        ("names", {"bias": 1}),
         ("without", None),
         ("without", [["word"]]),
         ("more", 1),
@@ -229,26 +228,6 @@ def test_types_that_the_lexicon_does_not_have_are_refused_in_one_line(tmp_path):
     assert len(str(caught.value)) < 1000
 
 
-def mutated(draw: random.Random, content: bytes) -> bytes:
-    """Damage some bytes: flip, cut, drop, repeat, overwrite."""
-    changed = bytearray(content)
-    for _ in range(draw.choice((1, 1, 1, 2, 5))):
-        at = draw.randrange(max(len(changed), 1))
-        size = draw.choice((1, 2, 4, 16, 300))
-        kind = draw.randrange(6)
-        if kind <= 1 and changed:
-            changed[at] ^= 1 << draw.randrange(8)
-        elif kind == 2:
-            del changed[at:]
-        elif kind == 3:
-            del changed[at : at + size]
-        elif kind == 4:
-            changed[at:at] = changed[at : at + size]
-        else:
-            changed[at : at + size] = draw.randbytes(size)
-    return bytes(changed)
-
-
 def is_sound(model: GroundingModel) -> bool:
     """Tell whether a model has the structure of the shipped one, and only sound numbers."""
     shipped = load_shipped()
@@ -263,28 +242,23 @@ def is_sound(model: GroundingModel) -> bool:
     return True
 
 
-@pytest.mark.parametrize("rounds", [300, pytest.param(10_000, marks=pytest.mark.slow)])
-def test_damaged_weights_are_sound_or_refused_in_one_line(tmp_path, rounds):
-    """Half are damaged as a file, half in a member behind a right checksum."""
-    draw, path = random.Random(0), tmp_path / "w.npz"
-    shipped, content = shipped_members(), shipped_path().read_bytes()
-    counts = collections.Counter()
-    for number in range(rounds):
-        if number % 2:
-            name = draw.choice(sorted(shipped))
-            start, rest = shipped[name][:400], shipped[name][400:]
-            path.write_bytes(packed(shipped | {name: mutated(draw, start) + rest}))
-        else:
-            path.write_bytes(mutated(draw, content))
+@pytest.mark.parametrize("rounds", [150, pytest.param(5000, marks=pytest.mark.slow)])
+def test_a_damaged_member_behind_a_right_checksum_is_sound_or_refused(tmp_path, rounds):
+    """Files that are damaged as a whole are thrown in test_fuzzing."""
+    draw, path, shipped = random.Random(0), tmp_path / "w.npz", shipped_members()
+    sound = 0
+    for _ in range(rounds):
+        name = draw.choice(sorted(shipped))
+        start, rest = shipped[name][:400], shipped[name][400:]
+        path.write_bytes(packed(shipped | {name: mutate(draw, [start]) + rest}))
         said = ""
         try:
-            counts["sound"] += is_sound(load(path))
+            sound += is_sound(load(path))
         except ValueError as error:
             said = str(error)
-            counts["refused"] += 1
         assert not said or said.startswith(f"{path}: ")
         assert said.isprintable()
-    assert min(counts["sound"], counts["refused"]) > rounds / 50
+    assert rounds / 50 < sound < rounds - rounds / 50
 
 
 def test_a_write_that_fails_leaves_what_was_there(tmp_path, monkeypatch):

@@ -348,7 +348,7 @@ object = "here"
 type = "gazebo"
 name = "here"
 x = 7.0
-y = 1.0
+y = 0.6
 colour = "white"
 height = "tall"
 [[objects]]

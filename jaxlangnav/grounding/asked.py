@@ -14,7 +14,6 @@ import numpy as np
 
 from jaxlangnav.grounding.behavior import BehaviorProgram, infer_behavior
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.grounding.symbols import NUM_RELATIONS
 from jaxlangnav.grounding.worlds import World, to_device
 from jaxlangnav.kept import kept
 from jaxlangnav.kinds import name_of
@@ -135,19 +134,13 @@ def _as_said(readings: Readings, best: int) -> tuple[list[int], World]:
     robots = [int(mention) for mention in np.flatnonzero(kinds == ROBOT)]
     slot_of = {mention: slot for slot, mention in enumerate(things)}
     slot_of |= dict.fromkeys(robots, len(things))
-    size = len(things) + 1
-    related = np.zeros((NUM_RELATIONS, size, size), bool)
-    ranked = np.zeros((NUM_RANKS, NUM_RELATIONS, size, size), bool)
-    for figure, relation, landmark, rank in readings.edges(best).tolist():
-        if relation == NONE:
-            continue
-        place = relation, slot_of[figure], slot_of[landmark]
-        related[place] = True
-        if rank > 0:
-            ranked[(min(rank, NUM_RANKS) - 1, *place)] = True
-    types = np.array([*kinds[things], ROBOT], np.int32)
-    nothing = np.zeros(size, bool)
-    world = World(types, np.ones(size, bool), related, ranked, nothing)
+    edges = [
+        (rank, relation, slot_of[figure], slot_of[landmark])
+        for figure, relation, landmark, rank in readings.edges(best).tolist()
+        if relation != NONE
+    ]
+    ranked = [(min(rank, NUM_RANKS) - 1, *edge) for rank, *edge in edges if rank > 0]
+    world = World.of_edges([*kinds[things], ROBOT], [edge for _, *edge in edges], ranked)
     return [*things, robots[0] if robots else ROBOT], world
 
 

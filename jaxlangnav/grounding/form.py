@@ -182,7 +182,8 @@ def _load(text: str) -> Any:
             text,
             object_pairs_hook=_once_each,
             parse_constant=_refuse_constant,
-            parse_int=_read_integer,
+            # Python refuses to read a whole number of thousands of digits: it is infinite.
+            parse_int=lambda digits: int(digits) if len(digits) < 20 else float(digits),
         )
     except json.JSONDecodeError as error:
         raise ValueError(
@@ -191,11 +192,6 @@ def _load(text: str) -> Any:
         ) from None
     except RecursionError:
         raise ValueError("the annotations nest too deeply for any form") from None
-
-
-def _read_integer(digits: str) -> int | float:
-    """Read a whole number; one of thousands of digits, which Python refuses, is infinite."""
-    return int(digits) if len(digits) < 20 else float(digits)
 
 
 def _refuse_constant(name: str) -> NoReturn:

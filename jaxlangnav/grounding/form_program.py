@@ -11,8 +11,8 @@ things are described in the same terms first: by type and by where they are said
 
 import dataclasses
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -109,32 +109,22 @@ def _fits(thing: ThingDescription, reading: FormReading, index: int) -> bool:
     return reading.type_of(index) == thing.kind and all(is_told(*place) for place in thing.places)
 
 
-def _destinations(form: Form, index: int) -> dict[Destination, float]:
-    """Find the goals of a command, each with its probability."""
-    # That is 1 of one that shows in no particle whose reading has another goal, for then the
+Meant = TypeVar("Meant", Destination, ThingDescription)
+
+
+def _shares(
+    form: Form, meant: Sequence[Sequence[Meant]], described: Callable[[Meant], ThingDescription]
+) -> dict[Meant, float]:
+    """Find how probable each of what the readings mean is."""
+    # That is 1 of one that shows in no particle whose reading does not mean it, for then the
     # particles' weights say how probable it is.
-    meant = [_destination_of(reading, index) for reading in form.readings]
     pairs = list(zip(form.readings, meant, strict=True))
-    found: dict[Destination, float] = {}
-    for end in dict.fromkeys(meant):
-        share = sum(reading.probability for reading, own in pairs if own == end)
-        is_sure = not any(own != end and _may_fit(end.thing, reading) for reading, own in pairs)
-        found[end] = 1.0 if is_sure else share
-    return found
-
-
-def _avoidances(form: Form, index: int) -> dict[ThingDescription, float]:
-    """Find what is to be kept away from on the way of a command, as ``_destinations``."""
-    named = [
-        [_description_of(reading, thing) for thing in reading.commands[index].avoid]
-        for reading in form.readings
-    ]
-    found: dict[ThingDescription, float] = {}
-    for thing in dict.fromkeys(one for names in named for one in names):
-        pairs = list(zip(form.readings, named, strict=True))
-        share = sum(reading.probability for reading, names in pairs if thing in names)
-        is_sure = not any(thing not in names and _may_fit(thing, one) for one, names in pairs)
-        found[thing] = 1.0 if is_sure else share
+    found: dict[Meant, float] = {}
+    for one in dict.fromkeys(own for named in meant for own in named):
+        share = sum(reading.probability for reading, named in pairs if one in named)
+        others = [reading for reading, named in pairs if one not in named]
+        is_sure = not any(_may_fit(described(one), reading) for reading in others)
+        found[one] = 1.0 if is_sure else share
     return found
 
 
@@ -166,7 +156,8 @@ def clause_of_form(form: Form, index: int) -> dict[str, np.ndarray]:
     Raises:
         CapacityError: the program cannot hold as much; one line.
     """
-    wanted = _destinations(form, index)
+    ends = [[_destination_of(reading, index)] for reading in form.readings]
+    wanted = _shares(form, ends, lambda end: end.thing)
     regions = sorted({end.region for end in wanted})
     if len(regions) > NUM_REGION_SLOTS:
         names = ", ".join(REGIONS[region] for region in regions)
@@ -178,9 +169,12 @@ def clause_of_form(form: Form, index: int) -> dict[str, np.ndarray]:
         _at_goal(_thing(end.thing, CERTAIN, end.before), end.region, regions, share)
         for end, share in wanted.items()
     ]
-    phrases += [
-        _thing(thing, _log_odds(share)) for thing, share in _avoidances(form, index).items()
+    avoided = [
+        [_description_of(reading, thing) for thing in reading.commands[index].avoid]
+        for reading in form.readings
     ]
+    shares = _shares(form, avoided, lambda thing: thing)
+    phrases += [_thing(thing, _log_odds(share)) for thing, share in shares.items()]
     root = _Phrase(_root_row(regions), tuple(_gathered(phrases, regions)))
     fields = _lay_out(root, index)
     for reading in form.readings:

@@ -1,6 +1,7 @@
 """Placed objects as the behavior model sees them (section 3.3), on the host and on the device."""
 
 import dataclasses
+from collections.abc import Iterable, Sequence
 
 import jax.numpy as jnp
 import numpy as np
@@ -23,6 +24,32 @@ class World:
     is_related: np.ndarray  # bool[6, N, N] relation, figure, landmark
     is_ranked: np.ndarray  # bool[4, 6, N, N] the figure is the extreme of its type, the second, ...
     is_previous: np.ndarray  # bool[N] goal of the command before
+
+    @classmethod
+    def of_edges(
+        cls,
+        object_type: Sequence[int],
+        related: Iterable[Sequence[int]],
+        ranked: Iterable[Sequence[int]] = (),
+    ) -> "World":
+        """Build a world in which these edges hold and no others.
+
+        Args:
+            object_type: types of the N slots, ``ROBOT`` last.
+            related: (relation, figure, landmark).
+            ranked: (rank, relation, figure, landmark), the extreme of its type is rank 0.
+
+        Returns:
+            The world; every slot is filled, none is the previous goal.
+        """
+        size = len(object_type)
+        is_related = np.zeros((NUM_RELATIONS, size, size), bool)
+        is_ranked = np.zeros((NUM_RANKS, *is_related.shape), bool)
+        for table, edges in ((is_related, related), (is_ranked, ranked)):
+            for edge in edges:
+                table[tuple(edge)] = True
+        types, nothing = np.array(object_type, np.int32), np.zeros(size, bool)
+        return cls(types, ~nothing, is_related, is_ranked, nothing)
 
 
 def _ranks(geometry: Geometry, object_type: np.ndarray) -> np.ndarray:

@@ -15,7 +15,6 @@ import numpy as np
 from jaxlangnav.grounding.asked import infer_commands
 from jaxlangnav.grounding.form import FormRelation
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.grounding.symbols import NUM_RELATIONS
 from jaxlangnav.grounding.worlds import World
 from jaxlangnav.kinds import noun_of
 from jaxlangnav.messages import (
@@ -27,7 +26,7 @@ from jaxlangnav.messages import (
     ROBOT,
     relation_name,
 )
-from jaxlangnav.relations.table import CONVERSE, NUM_RANKS
+from jaxlangnav.relations.table import CONVERSE
 from jaxlangnav.task.labelled import ALIKE, LEAST, Meaning
 
 _EXACT = 0.01
@@ -146,23 +145,15 @@ def _slots(meaning: Meaning) -> list[int]:
 
 def _world(meaning: Meaning, kinds: Sequence[int]) -> World:
     """Build a world in which exactly what the label says holds; the robot has the last slot."""
-    size = len(kinds) + 1
-    is_related = np.zeros((NUM_RELATIONS, size, size), bool)
-    is_ranked = np.zeros((NUM_RANKS, NUM_RELATIONS, size, size), bool)
-    for one in meaning.reading.relations:
-        landmark = size - 1 if one.landmark == ROBOT else one.landmark
-        if one.rank <= 0 or one.relation == NEAR:
-            is_related[one.relation, one.figure, landmark] = True
-        if one.rank > 0:
-            # The device has one table of later ranks: whichever the sentence means.
-            is_ranked[min(one.rank, 2) - 1, one.relation, one.figure, landmark] = True
-    return World(
-        object_type=np.array([*kinds, ROBOT], np.int32),
-        is_object=np.ones(size, bool),
-        is_related=is_related,
-        is_ranked=is_ranked,
-        is_previous=np.zeros(size, bool),
-    )
+    last = len(kinds)
+    edges = [
+        (one.rank, one.relation, one.figure, last if one.landmark == ROBOT else one.landmark)
+        for one in meaning.reading.relations
+    ]
+    related = [edge for rank, *edge in edges if rank <= 0 or edge[0] == NEAR]
+    # The device has one table of later ranks: whichever the sentence means.
+    ranked = [(min(rank, 2) - 1, *edge) for rank, *edge in edges if rank > 0]
+    return World.of_edges([*kinds, ROBOT], related, ranked)
 
 
 def _difference(meaning: Meaning, index: int, asked: _Asked, world: World) -> str:

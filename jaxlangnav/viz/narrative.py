@@ -222,6 +222,42 @@ def headline(moment: Moment) -> str:
     return "keeps on" if frame.is_kept else "new waypoint"
 
 
+def judge(scene: StaticScene, result: EpisodeResult, lack: str = "") -> tuple[str, str]:
+    """Say how an episode ended.
+
+    Args:
+        scene: of the episode.
+        result: how it is judged.
+        lack: what was not found, see ``sentences.unseen``.
+
+    Returns:
+        That in two or three words, and in a sentence.
+    """
+    ending, radius = int(result.ending), f"{scene.stop_radius:g} m"
+    off = f"{float(result.goal_distance):.1f} m"
+    judged = "success" if bool(result.is_success) else "failure"
+    judged = judged if scene.is_judged else "cannot be judged"
+    verdicts = (
+        (ending == Status.HALTED, "halted",
+         "Halted: it stands still as it was told, and keeps its task."),
+        (ending == Status.IDLE, "cancelled", "Cancelled: it has no task any more."),
+        (not bool(result.is_stopped), "failure: out of time",
+         f"Failure: it ran out of time after {int(result.steps)} steps and never said stop."),
+        (ending == Status.NOT_FOUND, "not found",
+         f"Not found: it says that there is {lack or 'nothing that fits the command'}."),
+        (ending == Status.WHICH_ONE, judged,
+         "Asked: it stands still until it is told which one is meant."),
+        (not scene.is_judged, judged, f"Cannot be judged: {scene.unjudged}."),
+        (ending == Status.BLOCKED, judged,
+         "Blocked: it made no way, and tried other waypoints before it said so."),
+        (bool(result.is_success), judged,
+         f"Success: it stands {off} from the goal that was meant."),
+        (True, judged,
+         f"Failure: the goal that was meant is {off} away (within {radius} counts)."),
+    )  # fmt: skip
+    return next((brief, told) for holds, brief, told in verdicts if holds)
+
+
 def closing(scene: StaticScene, frame: Frame, result: EpisodeResult) -> list[str]:
     """Tell how it ended; the truth is revealed only here.
 
@@ -233,30 +269,13 @@ def closing(scene: StaticScene, frame: Frame, result: EpisodeResult) -> list[str
     Returns:
         Lines.
     """
-    ending, lack = int(result.ending), sentences.unseen(scene, frame)
-    off, radius = float(result.goal_distance), f"{scene.stop_radius:g} m"
+    lack = sentences.unseen(scene, frame)
     way = f"It walked {float(result.distance):.1f} m."
     if scene.is_judged:
         way += (
-            f" With the map known, straight on until it may stop ({radius} from the goal) would "
-            f"have been {scene.straight_distance:.1f} m."
+            f" With the map known, straight on until it may stop ({scene.stop_radius:g} m from "
+            f"the goal) would have been {scene.straight_distance:.1f} m."
         )
-    # The first that holds.
-    verdicts = (
-        (ending == Status.HALTED, "Halted: it stands still as it was told, and keeps its task."),
-        (ending == Status.IDLE, "Cancelled: it has no task any more."),
-        (not bool(result.is_stopped),
-         f"Failure: it ran out of time after {int(result.steps)} steps and never said stop."),
-        (ending == Status.NOT_FOUND,
-         f"Not found: it says that there is {lack or 'nothing that fits the command'}."),
-        (ending == Status.WHICH_ONE,
-         "Asked: it stands still until it is told which one is meant."),
-        (not scene.is_judged, f"Cannot be judged: {scene.unjudged}."),
-        (ending == Status.BLOCKED,
-         "Blocked: it made no way, and tried other waypoints before it said so."),
-        (bool(result.is_success), f"Success: it stands {off:.1f} m from the goal that was meant."),
-        (True, f"Failure: the goal that was meant is {off:.1f} m away (within {radius} counts)."),
-    )  # fmt: skip
     counts = (
         (int(result.overflow), "{} detections found no free slot."),
         (int(result.degenerate), "In {} steps all hypotheses had died."),
@@ -264,8 +283,8 @@ def closing(scene: StaticScene, frame: Frame, result: EpisodeResult) -> list[str
         (int(result.faults),
          "In {} steps it stood still, for what cannot be was reported to it."),
     )  # fmt: skip
-    lines = [next(text for holds, text in verdicts if holds), way]
-    if lack and ending == Status.ARRIVED:
+    lines = [judge(scene, result, lack)[1], way]
+    if lack and int(result.ending) == Status.ARRIVED:
         lines.append(f"It has seen {lack}, and took what fits best.")
     return lines + [text.format(number) for number, text in counts if number]
 

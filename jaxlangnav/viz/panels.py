@@ -9,7 +9,7 @@ import numpy as np
 from jaxlangnav.messages import Status
 from jaxlangnav.recording import Frame, Moment, Recording
 from jaxlangnav.viz import mapping, style
-from jaxlangnav.viz.narrative import headline, pick_moments
+from jaxlangnav.viz.narrative import headline, judge, pick_moments
 from jaxlangnav.viz.summary import SAME_PLACE, distinct_nodes, goal_field
 from jaxlangnav.viz.words import percent
 
@@ -81,18 +81,9 @@ def _head_panel(axes: "Axes", moment: Moment, index: int) -> None:
 
 def outcome(recording: Recording) -> str:
     """Say in two or three words how the episode ended."""
-    result = recording.result
     if recording.ended:
         return recording.ended.partition(":")[0].replace("_", " ")
-    if int(result.ending) in (Status.HALTED, Status.IDLE):
-        return "halted" if int(result.ending) == Status.HALTED else "cancelled"
-    if not bool(result.is_stopped):
-        return "failure: out of time"
-    if int(result.ending) == Status.NOT_FOUND:
-        return "not found"
-    if not recording.scene.is_judged:
-        return "cannot be judged"
-    return "success" if bool(result.is_success) else "failure"
+    return judge(recording.scene, recording.result)[0]
 
 
 def verdict(recording: Recording) -> str:

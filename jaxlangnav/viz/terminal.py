@@ -169,20 +169,14 @@ def _shade(
         return
     x, y = frame.hypothesis_x[is_in], frame.hypothesis_y[is_in]
     weight = np.broadcast_to(frame.weight, is_in.shape)[is_in]
-    kind = frame.mention_type[is_in]
-    kinds = np.unique(kind)
-    mass = np.stack(
-        [
-            np.histogram2d(
-                y[kind == one],
-                x[kind == one],
-                bins=(height, width),
-                range=((y_min, y_max), (x_min, x_max)),
-                weights=weight[kind == one],
-            )[0][::-1]
-            for one in kinds
-        ]
+    kinds, kind = np.unique(frame.mention_type[is_in], return_inverse=True)
+    mass, _ = np.histogramdd(
+        (kind, y, x),
+        bins=(len(kinds), height, width),
+        range=((-0.5, len(kinds) - 0.5), (y_min, y_max), (x_min, x_max)),
+        weights=weight,
     )
+    mass = mass[:, ::-1]
     total = mass.sum(axis=0)
     # A tenth of all belief in one cell counts as dense.
     level = np.ceil(np.sqrt(np.clip(total / 0.1, 0.0, 1.0)) * len(_DENSITY)).astype(int)

@@ -73,11 +73,14 @@ class Session:
         """Drive to an ending; None where nothing has been said, or nothing that is a task."""
         taken_up, self._words = self._words, []
         for text in taken_up[:-1]:
-            self._take_up(text)
+            state = self._heard(text)
+            if state is not None:
+                self._state = state
+                self._words.append(text)
         text = taken_up[-1] if taken_up else self._listen()
         if text is None:
             return None
-        if self._state is None and not self._is_task(text):
+        if self._state is None and self._heard(text) is None:
             return None
         self._note(text)
         ended = drive(
@@ -96,36 +99,22 @@ class Session:
         self._tell({"status": "ended", "ending": ended.ending.value, "why": ended.why})
         return ended
 
-    def _take_up(self, text: str) -> None:
-        """Hear words of a task that was running when the node ended."""
-        try:
-            self._state = self._heard(text)
-        except ValueError as error:
-            self._refuse(text, error)
-        else:
-            self._words.append(text)
-
-    def _heard(self, text: str) -> NavigatorState:
-        """Say what the state is once words have been heard."""
+    def _heard(self, text: str) -> NavigatorState | None:
+        """Say what the state is once words have been heard; None if they are refused, and tell."""
         robot = self._robot
-        if self._state is None:
-            return self._navigator.start(text, pose=start_pose(robot.pose()), area=robot.area)
-        return self._navigator.hear(self._state, text)
-
-    def _is_task(self, text: str) -> bool:
-        """Tell of words that begin no task, and leave them."""
         try:
-            self._heard(text)
+            if self._state is None:
+                return self._navigator.start(text, pose=start_pose(robot.pose()), area=robot.area)
+            return self._navigator.hear(self._state, text)
         except ValueError as error:
-            self._refuse(text, error)
-            return False
-        return True
+            self._tell({"status": "refused", "text": text, "why": " ".join(str(error).split())})
+            return None
 
     def _listen(self) -> str | None:
         """Give the next words that are understood; None for none."""
         while self._waiting:
             text = self._waiting.popleft()
-            if self._is_task(text):
+            if self._heard(text) is not None:
                 return text
         return None
 
@@ -143,9 +132,6 @@ class Session:
     def _keep(self) -> None:
         if self._kept is not None:
             write_text(json.dumps(self._words, ensure_ascii=False), self._kept)
-
-    def _refuse(self, text: str, error: ValueError) -> None:
-        self._tell({"status": "refused", "text": text, "why": " ".join(str(error).split())})
 
     def _on_step(self, step: Step, state: NavigatorState, info: NavigatorInfo | None) -> None:
         self._state = state
