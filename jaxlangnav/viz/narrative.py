@@ -222,7 +222,7 @@ def headline(moment: Moment) -> str:
     return "keeps on" if frame.is_kept else "new waypoint"
 
 
-def judge(scene: StaticScene, result: EpisodeResult, lack: str = "") -> tuple[str, str]:
+def say_ending(scene: StaticScene, result: EpisodeResult, lack: str = "") -> tuple[str, str]:
     """Say how an episode ended.
 
     Args:
@@ -283,7 +283,7 @@ def closing(scene: StaticScene, frame: Frame, result: EpisodeResult) -> list[str
         (int(result.faults),
          "In {} steps it stood still, for what cannot be was reported to it."),
     )  # fmt: skip
-    lines = [judge(scene, result, lack)[1], way]
+    lines = [say_ending(scene, result, lack)[1], way]
     if lack and int(result.ending) == Status.ARRIVED:
         lines.append(f"It has seen {lack}, and took what fits best.")
     return lines + [text.format(number) for number, text in counts if number]

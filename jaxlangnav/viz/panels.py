@@ -9,7 +9,7 @@ import numpy as np
 from jaxlangnav.messages import Status
 from jaxlangnav.recording import Frame, Moment, Recording
 from jaxlangnav.viz import mapping, style
-from jaxlangnav.viz.narrative import headline, judge, pick_moments
+from jaxlangnav.viz.narrative import headline, pick_moments, say_ending
 from jaxlangnav.viz.summary import SAME_PLACE, distinct_nodes, goal_field
 from jaxlangnav.viz.words import percent
 
@@ -83,7 +83,7 @@ def outcome(recording: Recording) -> str:
     """Say in two or three words how the episode ended."""
     if recording.ended:
         return recording.ended.partition(":")[0].replace("_", " ")
-    return judge(recording.scene, recording.result)[0]
+    return say_ending(recording.scene, recording.result)[0]
 
 
 def verdict(recording: Recording) -> str:
