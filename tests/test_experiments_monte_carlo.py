@@ -127,10 +127,11 @@ def test_pieces_come_back_in_order_and_without_padding() -> None:
     tasks = make_tasks(cell("1H1C", "null", 0, 3.0, 2 * BLOCK + 3, 0))
     seen: list[int] = []
 
-    def one(piece: Task, count: int) -> EpisodeResult:
+    def one(pieces: list[tuple[Task, int]]) -> list[EpisodeResult]:
+        ((piece, count),) = pieces
         assert piece.instruction_index.shape == (BLOCK,)
         assert count <= BLOCK
-        return run_baseline(piece, INSTRUCTIONS, policy="known")
+        return [run_baseline(piece, INSTRUCTIONS, policy="known")]
 
     found = monte_carlo.map_pieces(
         one, tasks, capacity=BLOCK, on_progress=seen.append, num_threads=2

@@ -502,7 +502,7 @@ HUGE = "1000000000000"
 
 def test_the_account_is_that_of_the_real_records() -> None:
     spec = RowSpec(world="1H1C", range=3.0, relation="null")
-    tasks = draw_tasks([spec.setting(seed=0).cell], np.zeros(2, int), np.arange(2))
+    tasks = draw_tasks([spec.setting(seed=0)], np.zeros(2, int), np.arange(2))
     assert 2 * sizes.task_bytes() == sizes._bytes_of(tasks)
     instructions = ground_sentences(["go to the hydrant"]).instructions
     task = jax.tree.map(lambda leaf: leaf[0], tasks)

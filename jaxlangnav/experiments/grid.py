@@ -22,7 +22,7 @@ from jaxlangnav.experiments.judging import JUDGED
 from jaxlangnav.experiments.metrics import summarize
 from jaxlangnav.experiments.monte_carlo import OnProgress, run_tasks
 from jaxlangnav.experiments.policies import navigator_config, run_policy, without_compass
-from jaxlangnav.experiments.tasks import Cell, draw_tasks, known_distances, take_tasks
+from jaxlangnav.experiments.tasks import Cell, Numbers, draw_tasks, known_distances, take_tasks
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.messages import MotionParams
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, default_params
@@ -30,20 +30,7 @@ from jaxlangnav.planner.config import POLICIES
 from jaxlangnav.pytree import replace
 
 Row = dict[str, Any]
-Numbers = Mapping[str, float]
-"""Values of fields of a record of Params."""
 _WHOLE = ("particles", "seed", "episode")
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Setting:
-    """Where arms are compared: the same for all of them."""
-
-    cell: Cell
-    told: Mapping[str, Any]
-    """What the columns say of it, by name."""
-    believed: Numbers = dataclasses.field(default_factory=dict)
-    """Single numbers of the navigator that are other there than its arm's (``with_numbers``)."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -168,7 +155,7 @@ def policy_arm(
 class Grid:
     """Settings × arms × episodes; an arm's episodes are numbered setting by setting."""
 
-    settings: Sequence[Setting]
+    settings: Sequence[Cell]
     arms: Sequence[Arm]
     episodes: int
     """Of an arm in a setting."""
@@ -185,7 +172,7 @@ class Grid:
             Tasks, leaves [E, …]; an episode's depends on its setting and number only.
         """
         used, index, numbers = self._locate(places)
-        return draw_tasks([one.cell for one in used], index, numbers)
+        return draw_tasks(used, index, numbers)
 
     def columns(
         self, arm: Arm, places: np.ndarray, results: EpisodeResult, known: np.ndarray
@@ -217,11 +204,11 @@ class Grid:
     def _labels(self, arm: Arm, places: np.ndarray) -> dict[str, list[Any]]:
         """Say of every episode which it is; what an arm does not have is None."""
         used, index, numbers = self._locate(places)
-        told = [{**one.told, **arm.told, "seed": one.cell.seed} for one in used]
+        told = [{**one.labels, **arm.told, "seed": one.seed} for one in used]
         columns = {name: [told[at][name] for at in index] for name in (*self.names, "seed")}
         return columns | {"episode": [int(number) for number in numbers]}
 
-    def _locate(self, places: np.ndarray) -> tuple[list[Setting], np.ndarray, np.ndarray]:
+    def _locate(self, places: np.ndarray) -> tuple[list[Cell], np.ndarray, np.ndarray]:
         """Find the settings of episodes, which of them each is of, and its number in it."""
         where, index = np.unique(places // self.episodes, return_inverse=True)
         return [self.settings[int(at)] for at in where], index, places % self.episodes
@@ -254,7 +241,7 @@ class Played:
     def rows(self) -> list[Row]:
         """Summarise the episodes of each setting."""
         return [
-            dict(setting.told) | dict(self.arm.told) | summarize(*self.of_setting(place)).row()
+            dict(setting.labels) | dict(self.arm.told) | summarize(*self.of_setting(place)).row()
             for place, setting in enumerate(self.grid.settings)
         ]
 
@@ -266,7 +253,7 @@ def run_grid(
 
     Args:
         grid: settings and arms.
-        instructions: leaves [I, …], as the settings' cells number them.
+        instructions: leaves [I, …], as the settings number them.
         on_progress: called with the number of episodes just finished.
 
     Yields:

@@ -4,6 +4,7 @@ Every batch has the same shape, so one compiled program serves the whole grid, a
 not depend on how many episodes are asked for or how they are split.
 """
 
+import collections
 import concurrent.futures
 import dataclasses
 import functools
@@ -11,7 +12,7 @@ import itertools
 import os
 import re
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, TypeVar
 
 import jax
@@ -206,8 +207,13 @@ def _sharded(config: NavigatorConfig, max_steps: int, course: Course) -> Any:
     )
 
 
+_AHEAD = 2
+"""Jobs handed out for each thread: none waits for the one that yields."""
+Job, Done = TypeVar("Job"), TypeVar("Done")
 Result = TypeVar("Result")
 """Any record of arrays that lead with the episodes."""
+Piece = tuple[Task, int]
+"""Tasks filled up to one shape, and how many of them count."""
 OnProgress = Callable[[int], None]
 """Called with the number of episodes just finished."""
 
@@ -221,41 +227,69 @@ def _pieces(number: int, capacity: int, threads: int) -> list[tuple[int, int]]:
     return [(low, high - low) for low, high in itertools.pairwise(bounds)]
 
 
+def run_ahead(work: Callable[[Job], Done], jobs: Iterable[Job], threads: int) -> Iterator[Done]:
+    """Do jobs in threads, a few handed out ahead of need; the first failure ends the run.
+
+    Args:
+        work: does one job.
+        jobs: taken as threads come free, so that no plan is laid out whole.
+        threads: jobs under way at once.
+
+    Yields:
+        What each job gave, in their order.
+    """
+    running: collections.deque[concurrent.futures.Future[Done]] = collections.deque()
+    with concurrent.futures.ThreadPoolExecutor(threads) as pool:
+        try:
+            for job in jobs:
+                running.append(pool.submit(work, job))
+                if len(running) >= _AHEAD * threads:
+                    yield running.popleft().result()
+            while running:
+                yield running.popleft().result()
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
 def map_pieces(
-    run: Callable[[Task, int], Result],
+    run: Callable[[list[Piece]], list[Result]],
     tasks: Task,
     *,
     capacity: int,
+    abreast: int = 1,
     on_progress: OnProgress | None = None,
     num_threads: int | None = None,
 ) -> Result:
     """Cut tasks into pieces, filled up to one shape, and run them, several at once.
 
     Args:
-        run: runs one piece: tasks, leaves [capacity, …], and how many of them count.
+        run: runs ``abreast`` pieces at most and gives the results of each, those that count first.
         tasks: leaves [E, …].
-        capacity: tasks in the shape that ``run`` takes.
+        capacity: tasks in a piece, filled up.
+        abreast: pieces that one call of ``run`` takes.
         on_progress: called with the number of episodes just finished.
-        num_threads: pieces under way at once; the number of usable cores by default.
+        num_threads: calls under way at once; the number of usable cores by default.
 
     Returns:
         Results as NumPy arrays, leaves [E, …], in the order of the tasks.
     """
-    number = tasks.instruction_index.shape[0]
-    threads = num_threads or usable_cores()
+    number, threads = tasks.instruction_index.shape[0], num_threads or usable_cores()
+    parts = _pieces(number, capacity, threads * abreast)
+    rounds = [parts[at : at + abreast] for at in range(0, len(parts), abreast)]
 
-    def work(piece: tuple[int, int]) -> Result:
-        first, size = piece
-        chunk = fill(tasks, first, size, capacity)
-        return jax.tree.map(lambda leaf: np.asarray(leaf)[:size], run(chunk, size))
+    def work(places: list[tuple[int, int]]) -> list[Result]:
+        done = run([(fill(tasks, first, size, capacity), size) for first, size in places])
+        return [
+            jax.tree.map(lambda leaf, size=size: np.asarray(leaf)[:size], one)
+            for one, (_, size) in zip(done, places, strict=True)
+        ]
 
     results: list[Result] = []
-    parts = _pieces(number, capacity, threads)
-    with concurrent.futures.ThreadPoolExecutor(threads) as pool:
-        for (_, size), result in zip(parts, pool.map(work, parts), strict=True):
-            results.append(result)
-            if on_progress is not None:
-                on_progress(size)
+    for places, done in zip(rounds, run_ahead(work, rounds, threads), strict=True):
+        results += done
+        if on_progress is not None:
+            on_progress(sum(size for _, size in places))
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *results)
 
 
@@ -286,22 +320,16 @@ def run_tasks(
         Results as NumPy arrays, leaves [E, …], in the order of the tasks: an ``EpisodeResult``, or
         what the course finishes with.
     """
-    number = tasks.instruction_index.shape[0]
-    calls, devices = num_threads or num_calls(), mesh().size
-    parts = _pieces(number, CHUNK, calls * devices)
-    rounds = [parts[at : at + devices] for at in range(0, len(parts), devices)]
 
-    def work(places: list[tuple[int, int]]) -> list[Any]:
-        works = [
-            Work(tasks=fill(tasks, first, size), count=size, params=params)
-            for first, size in places
-        ]
+    def run(pieces: list[Piece]) -> list[Any]:
+        works = [Work(tasks=one, count=count, params=params) for one, count in pieces]
         return run_round(works, instructions, config=config, max_steps=max_steps, course=course)
 
-    results: list[Any] = []
-    with concurrent.futures.ThreadPoolExecutor(calls) as pool:
-        for places, done in zip(rounds, pool.map(work, rounds), strict=True):
-            results += done
-            if on_progress is not None:
-                on_progress(sum(size for _, size in places))
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *results)
+    return map_pieces(
+        run,
+        tasks,
+        capacity=CHUNK,
+        abreast=mesh().size,
+        on_progress=on_progress,
+        num_threads=num_threads or num_calls(),
+    )

@@ -6,6 +6,7 @@ them side by side, paired episode by episode.
 
 import dataclasses
 import difflib
+import functools
 from collections.abc import Sequence
 
 from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task
@@ -136,8 +137,9 @@ def run_policy(
             num_threads=num_threads,
             max_steps=max_steps,
         )
+    one = functools.partial(run_baseline, policy=policy, max_steps=max_steps)
     return map_pieces(
-        lambda block, _: run_baseline(block, instructions, policy=policy, max_steps=max_steps),
+        lambda pieces: [one(block, instructions) for block, _ in pieces],
         tasks,
         capacity=BLOCK,
         on_progress=on_progress,

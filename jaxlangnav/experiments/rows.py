@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jaxlangnav.experiments.grid import Row, Setting
-from jaxlangnav.experiments.tasks import SENTENCES, cell
+from jaxlangnav.experiments.grid import Row
+from jaxlangnav.experiments.tasks import SENTENCES, Cell
 from jaxlangnav.messages import MotionParams, SensorParams, default_motion, default_sensor
 from jaxlangnav.pytree import replace
 from jaxlangnav.world.scenario import AREA_SIGMAS
@@ -42,7 +42,7 @@ class RowSpec:
 
     def setting(
         self, *, seed: int, environments: int = 0, sensor: SensorParams | None = None
-    ) -> Setting:
+    ) -> Cell:
         """Build the setting of its episodes; commands are numbered in the order of ``SENTENCES``.
 
         Args:
@@ -50,13 +50,16 @@ class RowSpec:
             environments: worlds of a template taken in turn; 0 for a fresh one per episode.
             sensor: the detector; its range is the row's. The default one if None.
         """
-        command = list(SENTENCES).index(self.relation)
-        mine = cell(self.world, self.relation, command, self.range, 1, seed)
-        if sensor is not None:
-            sensor = replace(sensor, range_max=mine.sensor.range_max)
-            mine = dataclasses.replace(mine, sensor=sensor)
-        told = {"world": self.world, "range": self.range, "relation": self.relation}
-        return Setting(cell=dataclasses.replace(mine, environments=environments), told=told)
+        usual = default_sensor(self.range)
+        return Cell(
+            world=self.world,
+            relation=self.relation,
+            instruction_index=list(SENTENCES).index(self.relation),
+            sensor=usual if sensor is None else replace(sensor, range_max=usual.range_max),
+            seed=seed,
+            environments=environments,
+            labels={"world": self.world, "range": self.range, "relation": self.relation},
+        )
 
 
 PRINTED = tuple(RowSpec.of(one) for one in TABLE_2)

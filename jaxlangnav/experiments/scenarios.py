@@ -11,7 +11,7 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from jaxlangnav.experiments.grid import Row, Setting
+from jaxlangnav.experiments.grid import Row
 from jaxlangnav.experiments.rows import RowSpec
 from jaxlangnav.experiments.tasks import Cell
 from jaxlangnav.messages import SensorParams, default_motion, default_sensor
@@ -103,26 +103,23 @@ class PlaceSpec(RowSpec):
 
     def setting(
         self, *, seed: int, environments: int = 0, sensor: SensorParams | None = None
-    ) -> Setting:
+    ) -> Cell:
         """Build the setting of its episodes; the detector is its own, whatever ``sensor`` is."""
         del sensor
-        true = default_sensor(self.range, **self.truth)
-        given: dict[str, Any] = {"area": AHEAD, **self.place}
         moved = {name: jnp.float32(value) for name, value in self.motion.items()}
-        mine = Cell(
+        return Cell(
             world=self.world,
             relation=self.relation,
             instruction_index=list(SAID).index(self.relation),
-            sensor=true,
+            sensor=default_sensor(self.range, **self.truth),
             motion=replace(default_motion(), **moved),
-            episodes=1,
             seed=seed,
             environments=environments,
-            place=place_law(**given),
+            place=place_law(**({"area": AHEAD} | dict(self.place))),
             told=default_sensor(self.range, **{**self.truth, **self.told}),
+            labels=self.heading() | {"relation": self.relation},
+            believed=self.numbers,
         )
-        named = self.heading() | {"relation": self.relation}
-        return Setting(cell=mine, told=named, believed=self.numbers)
 
 
 def _said(name: str, value: float) -> str:

@@ -8,7 +8,6 @@ with the same bytes as an undisturbed one on the same kind of machine. The manif
 written once and never changed; it says which sweep the folder holds.
 """
 
-import concurrent.futures
 import dataclasses
 import functools
 import hashlib
@@ -20,9 +19,18 @@ from pathlib import Path
 from typing import Any
 
 from jaxlangnav.episode import EpisodeResult
-from jaxlangnav.experiments import monte_carlo
 from jaxlangnav.experiments.archive import CompileClock, json_text, manifest
-from jaxlangnav.experiments.monte_carlo import CHUNK, LANES, OnProgress, Work, fill, run_round
+from jaxlangnav.experiments.monte_carlo import (
+    CHUNK,
+    LANES,
+    OnProgress,
+    Work,
+    fill,
+    mesh,
+    num_calls,
+    run_ahead,
+    run_round,
+)
 from jaxlangnav.experiments.shards import Note, Shard, ShardError, check_shard, held, write_shard
 from jaxlangnav.experiments.sweep_config import SweepConfig
 from jaxlangnav.experiments.sweep_plan import SweepPlan, make_plan, parse_shard
@@ -174,10 +182,6 @@ def _difference(theirs: Any, ours: Any, name: str) -> str:
     return f"{name}: {theirs} there, {ours} here"
 
 
-_AHEAD = 2
-"""Rounds handed out for each call under way: no core waits, and no plan is laid out whole."""
-
-
 def total_episodes(config: SweepConfig, *, shard: str = "1/1") -> int:
     """Count the episodes of a shard, for a progress bar.
 
@@ -240,9 +244,9 @@ def run_sweep(
                         path.unlink(missing_ok=True)
             kept = _sound_files(folder, plan, mine, sweep, on_note=note, on_kept=advance)
             make = functools.partial(_make_files, plan, folder, sweep, sentences)
-            devices = monte_carlo.mesh().size
-            todo = _rounds((at for at in mine if at not in kept), plan.kind, devices)
-            _run_rounds(make, todo, advance, num_threads or monte_carlo.num_calls())
+            todo = _rounds((at for at in mine if at not in kept), plan.kind, mesh().size)
+            for done in run_ahead(make, todo, num_threads or num_calls()):
+                advance(done)
         num_kept = sum(plan.size(index) for index in kept)
         there = sum(index < plan.num_files for index, _ in files_there(folder))
     return {
@@ -256,36 +260,6 @@ def run_sweep(
         "wall_s": time.perf_counter() - begin,
         "compile_s": clock.seconds,
     }
-
-
-def _run_rounds(
-    make: Callable[[list[int]], int],
-    todo: Iterable[list[int]],
-    on_progress: OnProgress,
-    calls: int,
-) -> None:
-    """Make files, several at once; the first failure ends the run and keeps what is written."""
-    with concurrent.futures.ThreadPoolExecutor(calls) as pool:
-        running: dict[concurrent.futures.Future[int], None] = {}
-
-        def collect() -> None:
-            done, _ = concurrent.futures.wait(
-                running, return_when=concurrent.futures.FIRST_COMPLETED
-            )
-            for one in done:
-                del running[one]
-                on_progress(one.result())
-
-        try:
-            for files in todo:
-                running[pool.submit(make, files)] = None
-                if len(running) >= _AHEAD * calls:
-                    collect()
-            while running:
-                collect()
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
 
 
 def _rounds(

@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxlangnav.experiments.grid import Arm, Grid, Setting, policy_arm
+from jaxlangnav.experiments.grid import Arm, Grid, policy_arm
 from jaxlangnav.experiments.monte_carlo import CHUNK
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.sizes import check_engine, readable_count
@@ -192,26 +192,24 @@ def _arm_sizes(config: SweepConfig, policy: str) -> list[int]:
     return [len(values) for values in (*motion, *own)]
 
 
-def _setting(config: SweepConfig, digits: Sequence[int]) -> Setting:
+def _setting(config: SweepConfig, digits: Sequence[int]) -> Cell:
     """Build a setting from the places of its values."""
     place, number, reach, *chosen, seed = digits
     world, command = config.worlds[place], config.commands[number]
     sensing_range = config.ranges[reach]
     sensor, own = _picked(config.params["sensor"], chosen), config.own_worlds.get(world)
-    cell = Cell(
+    labels: dict[str, Any] = {f"sensor.{key}": value for key, value in sensor.items()}
+    labels |= {"world": world, "command": command.text, "relation": command.relation}
+    return Cell(
         world=world,
         relation=command.relation,
         instruction_index=number,
         sensor=replace(default_sensor(sensing_range), **_as_arrays(sensor)),
-        motion=default_motion(),
-        episodes=config.episodes,
-        environments=config.environments,
         seed=config.seeds[seed],
+        environments=config.environments,
         scenario=None if own is None else jax.tree.map(np.asarray, own.scenario),
+        labels=labels | {"range": sensing_range},
     )
-    told: dict[str, Any] = {f"sensor.{key}": value for key, value in sensor.items()}
-    told |= {"world": world, "command": command.text, "relation": command.relation}
-    return Setting(cell=cell, told=told | {"range": sensing_range})
 
 
 def _arm(config: SweepConfig, policy: str, digits: Sequence[int]) -> Arm:

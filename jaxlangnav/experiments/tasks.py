@@ -7,7 +7,7 @@ places, as in the paper.
 
 import dataclasses
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax
@@ -74,16 +74,24 @@ BLOCK = 256
 """Worlds drawn in one call."""
 
 
+Numbers = Mapping[str, float]
+"""Values of fields of a record of Params."""
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Cell:
-    """One cell of a grid: episodes that share everything but their keys."""
+    """One cell of a grid: episodes that share everything but their keys; arms are compared in it.
+
+    Detector and odometry are the default ones unless they are given.
+    """
 
     world: str
     relation: str
     instruction_index: int
-    sensor: SensorParams
-    motion: MotionParams
-    episodes: int
+    sensor: SensorParams = dataclasses.field(default_factory=default_sensor)
+    motion: MotionParams = dataclasses.field(default_factory=default_motion)
+    episodes: int = 1
+    """How many ``make_tasks`` draws; a grid has a number of its own."""
     seed: int
     first_episode: int = 0
     environments: int = 0
@@ -94,6 +102,10 @@ class Cell:
     """Places to draw in place of a template's; those of one name in ``world`` share their keys."""
     told: SensorParams | None = None
     """What the robot takes its detector for; the truth if None."""
+    labels: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    """What the columns of a table say of it, by name."""
+    believed: Numbers = dataclasses.field(default_factory=dict)
+    """Single numbers of the navigator that are other there than its arm's (``with_numbers``)."""
 
     def __post_init__(self) -> None:
         """Refuse a seed that another one would stand for."""
@@ -108,7 +120,6 @@ def cell(
     sensing_range: float,
     episodes: int,
     seed: int,
-    first_episode: int = 0,
 ) -> Cell:
     """Build a cell with the default noise."""
     return Cell(
@@ -116,10 +127,8 @@ def cell(
         relation=relation,
         instruction_index=instruction_index,
         sensor=default_sensor(sensing_range),
-        motion=default_motion(),
         episodes=episodes,
         seed=seed,
-        first_episode=first_episode,
     )
 
 

@@ -98,10 +98,9 @@ def run_and_remember(
     Returns:
         Results and evidence as NumPy arrays, leaves [E, …].
     """
+    given = {"params": params, "config": config, "max_steps": max_steps}
     return map_pieces(
-        lambda piece, _: _run(
-            piece, instructions, params=params, config=config, max_steps=max_steps
-        ),
+        lambda pieces: [_run(piece, instructions, **given) for piece, _ in pieces],
         tasks,
         capacity=64,
     )
