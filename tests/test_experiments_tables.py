@@ -136,8 +136,6 @@ def test_totals_and_refusals() -> None:
         TABLE.run(Options(episodes=0))
     with pytest.raises(ValueError, match=r'unknown policy "faithfull".*did you mean "faithful"'):
         TABLE.run(Options(episodes=1, policies=["faithfull"]))
-    with pytest.raises(ValueError, match="unknown world template"):
-        paper.figure_5(["2X"])
 
 
 def test_an_experiment_and_its_files(tmp_path: Path) -> None:

@@ -20,7 +20,6 @@ from jaxlangnav.experiments.rows import AGREEMENT, PRINTED, RowSpec, bound_rows,
 from jaxlangnav.experiments.table import SUCCESS, Document, Table, TableColumns
 from jaxlangnav.planner.config import POLICIES
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
-from jaxlangnav.world.templates import parse_template
 
 
 def _beside(name: str, form: str) -> Callable[[Row], str]:
@@ -204,8 +203,7 @@ def deviations_table(document: Document) -> Table:
 
 SENSING_RANGES = (2.0, 3.0, 5.0, 10.0, 15.0, 20.0)
 """Metres, as in the paper."""
-_RELATIONS = ("behind", "nearest")
-_WORLDS = ("2H1C",)
+_WORLD = "2H1C"
 """The template of which Table 2 prints both commands."""
 _LEAD_FIGURE5 = (
     "The farther the robot sees, the less it has to search, and the less the sentence matters: all "
@@ -214,25 +212,18 @@ _LEAD_FIGURE5 = (
 )
 
 
-def figure_5(worlds: Sequence[str] = _WORLDS, ranges: Sequence[float] = ()) -> Experiment:
-    """Build the experiment for some worlds.
+def figure_5(*, ranges: Sequence[float] = ()) -> Experiment:
+    """Build the experiment.
 
     Args:
-        worlds: templates, such as "2H1C".
         ranges: metres; those of the paper if there is none.
 
     Returns:
-        Rows by world and relation, ranges growing.
-
-    Raises:
-        ValueError: no world, or an unknown template.
+        Rows by relation, ranges growing.
     """
-    if not worlds:
-        raise ValueError("no world given: name a template such as 2H1C")
     specs = [
-        RowSpec(world=parse_template(world).name, range=sensing_range, relation=relation)
-        for world in worlds
-        for relation in _RELATIONS
+        RowSpec(world=_WORLD, range=sensing_range, relation=relation)
+        for relation in ("behind", "nearest")
         for sensing_range in sorted(set(ranges)) or SENSING_RANGES
     ]
     return Experiment(

@@ -37,9 +37,8 @@ SENTENCES = {
 class GroundedSentences:
     """Sentences as the engine takes them, and the models that read them."""
 
-    texts: tuple[str, ...]
     instructions: Instruction
-    """Leaves [I, …], in the order of the texts."""
+    """Leaves [I, …], in the order of the sentences."""
     models: Any
     """The trained weights, for a manifest's hash."""
 
@@ -60,7 +59,6 @@ def ground_sentences(texts: Sequence[str]) -> GroundedSentences:
     for one in understood:
         one.check_task()
     return GroundedSentences(
-        texts=tuple(texts),
         instructions=jax.tree.map(
             lambda *leaves: jnp.stack(leaves), *(one.instruction for one in understood)
         ),

@@ -61,7 +61,6 @@ class Fit:
     steps: np.ndarray  # i32[K]
     seconds: float  # counting, fitting and reading back, compilation left out
     compile_seconds: float  # next to none where a fit of this size has been compiled before
-    cpu_seconds: float  # as ``seconds``, CPU time of the process
 
 
 class Factored(NamedTuple):
@@ -212,7 +211,6 @@ def fit(
     instruction_weights: np.ndarray,
     *,
     config: TrainingConfig | None = None,
-    l2: np.ndarray | None = None,
 ) -> tuple[list[dict[str, np.ndarray]], Fit]:
     """Train one model per row of instruction weights, all at once.
 
@@ -220,7 +218,6 @@ def fit(
         design: the factors.
         instruction_weights: f32[K, I], how much each instruction counts in each of K fits.
         config: regularisation and stopping; the default is that of the shipped weights.
-        l2: f32[W], λ of each word feature (``strengths``); that of ``config`` by default.
 
     Returns:
         K times kind → f32[W, F], and what was measured.
@@ -230,18 +227,17 @@ def fit(
     """
     chex.assert_shape(instruction_weights, (None, design.num_instructions))
     config = config or TrainingConfig()
-    strength = np.broadcast_to(config.l2 if l2 is None else l2, design.words.shape[1:])
-    if not (strength > 0.0).all():
-        raise ValueError(f"l2 is {strength.min():g}, but must be above 0")
-    begin, begin_cpu = time.perf_counter(), time.process_time()
+    if not config.l2 > 0.0:
+        raise ValueError(f"l2 is {config.l2:g}, but must be above 0")
+    begin = time.perf_counter()
     factored, counts = factorise(design), jnp.asarray(design.counts(instruction_weights))
-    given = (factored, counts, jnp.asarray(strength, jnp.float32))
-    prepared, prepared_cpu = time.perf_counter() - begin, time.process_time() - begin_cpu
+    given = (factored, counts, jnp.full(design.words.shape[1:], config.l2, jnp.float32))
+    prepared = time.perf_counter() - begin
     begin = time.perf_counter()
     shapes = jax.tree.map(lambda one: jax.ShapeDtypeStruct(one.shape, one.dtype), given)
     compiled = _compile(shapes, config)
     compile_seconds = time.perf_counter() - begin
-    begin, begin_cpu = time.perf_counter(), time.process_time()
+    begin = time.perf_counter()
     found, search = jax.block_until_ready(compiled(*given))
     weights = np.array(found)
     # What never met has a weight of zero but for rounding; a zero takes no place in a file.
@@ -252,7 +248,6 @@ def fit(
         steps=np.asarray(search.num_steps, np.int32),
         seconds=prepared + time.perf_counter() - begin,
         compile_seconds=compile_seconds,
-        cpu_seconds=prepared_cpu + time.process_time() - begin_cpu,
     )
     return models, measured
 

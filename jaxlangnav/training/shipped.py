@@ -27,7 +27,7 @@ from jaxlangnav.training.examples import (
     behavior_examples,
     read_examples,
 )
-from jaxlangnav.training.fit import TrainingConfig, build_design, fit
+from jaxlangnav.training.fit import build_design, fit
 from jaxlangnav.training.scoring import (
     Models,
     Scores,
@@ -136,7 +136,6 @@ def train_models(
     *,
     kinds: Sequence[str] = MODELS,
     base: GroundingModel | None = None,
-    config: TrainingConfig | None = None,
     on_progress: Callable[[str], None] | None = None,
 ) -> Trained:
     """Train one or both models on a corpus and measure them on its hold-out.
@@ -145,7 +144,6 @@ def train_models(
         corpus: a corpus file, or a directory with ``corpus.jsonl``; the package's by default.
         kinds: "annotation", "behavior" or both.
         base: where a model that is not trained comes from.
-        config: regularisation and stopping.
         on_progress: called with a line about each stage.
 
     Returns:
@@ -155,7 +153,6 @@ def train_models(
         ValueError: the corpus is unsound, or has no sentence to train on.
     """
     say = on_progress or (lambda line: None)
-    config = config or TrainingConfig()
     say("reading the corpus")
     examples = (
         load_corpus()
@@ -179,7 +176,7 @@ def train_models(
     report: dict[str, Any] = {"corpus": corpus_hash(examples), "sentences": len(examples)}
     for name in [name for name in MODELS if name in kinds]:
         say(f"fitting the {name} model")
-        models[name], report[name] = _train_one(name, data, models, config)
+        models[name], report[name] = _train_one(name, data, models)
     if set(models) != set(MODELS):
         raise ValueError("to train one model alone, give the weights that the other comes from")
     model = GroundingModel(models["annotation"], models["behavior"], data.type_names)
@@ -197,7 +194,7 @@ class _Data:
 
 
 def _train_one(
-    name: str, data: _Data, models: dict[str, CorrespondenceModel], config: TrainingConfig
+    name: str, data: _Data, models: dict[str, CorrespondenceModel]
 ) -> tuple[CorrespondenceModel, dict[str, Any]]:
     """Fit, tune and test one model; the behavior model is tested with the annotation model.
 
@@ -209,7 +206,7 @@ def _train_one(
     examples = build(data.train, data.type_names)
     vocabulary, design = build_design(examples, kinds, number)
     shares = np.stack([np.ones(number), ~data.is_tuning]).astype(np.float32)
-    weights, measured = fit(design, shares, config=config)
+    weights, measured = fit(design, shares)
     full, part = (CorrespondenceModel(vocabulary, one) for one in weights)
     fitted = time.perf_counter() - begin
     tuning = [x for x, kept in zip(data.train, data.is_tuning, strict=True) if kept]
