@@ -3,10 +3,9 @@
 import json
 from importlib import resources
 from pathlib import Path
-from typing import Any
 
 import pytest
-from test_cli_hostile import refused
+from test_cli_hostile import document, refused
 
 from jaxlangnav.cli import main as cli, reproduction
 from jaxlangnav.grounding.weights import load, load_shipped
@@ -17,11 +16,6 @@ ROW_KEYS = {
     "distance_mean", "distance_sd", "known_distance_mean", "known_distance_sd", "spl",
     "overflows", "degenerate", "contradictions", "faults", "timeouts", "not_found",
 }  # fmt: skip
-
-
-def document(words: list[str], capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
-    assert cli.main([*words, "--json"]) == 0
-    return json.loads(capsys.readouterr().out)
 
 
 @pytest.mark.slow

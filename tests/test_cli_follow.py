@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from recording_fixture import make_recording
-from test_cli_hostile import refused
+from test_cli_hostile import document, refused
 from test_docs import frozen
 from test_world_files import PARK
 
@@ -38,8 +38,7 @@ KEYS = {
 
 
 def follow(words: list[str], capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
-    assert cli.main(["follow", *words, "--json"]) == 0
-    return json.loads(capsys.readouterr().out)
+    return document(["follow", *words], capsys)
 
 
 @pytest.mark.parametrize("world", ["2H1C", "yard"])

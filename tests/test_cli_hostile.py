@@ -5,6 +5,7 @@ import json
 import os
 import subprocess
 import sys
+from typing import Any
 
 import pytest
 
@@ -30,6 +31,12 @@ def refused(words: list[str], capsys: pytest.CaptureFixture[str], *, lines: int 
     assert line.isprintable()
     assert len(line) < 700
     return line
+
+
+def document(words: list[str], capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
+    """Run with ``--json``, and return the one document."""
+    assert cli.main([*words, "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
 
 
 def test_escape_sequences_of_a_sentence_are_shown_not_sent(capsys):

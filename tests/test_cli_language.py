@@ -6,16 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_cli_hostile import refused
+from test_cli_hostile import document, refused
 
 from jaxlangnav.cli import main as cli
 
 COMMAND = "go to the hydrant behind the cone"
-
-
-def document(words: list[str], capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
-    assert cli.main([*words, "--json"]) == 0
-    return json.loads(capsys.readouterr().out)
 
 
 def labels(tree: dict[str, Any]) -> list[tuple[str, str]]:

@@ -19,7 +19,7 @@ from jaxlangnav.experiments.robustness import (
     _describe_missed,
     _missed,
 )
-from jaxlangnav.experiments.scenarios import SAID, SCENARIOS, PlaceSpec
+from jaxlangnav.experiments.scenarios import SAID, SCENARIOS
 from jaxlangnav.navigator import check, default_params
 from jaxlangnav.planner.config import SHIPPED
 from jaxlangnav.viz.sweep import robustness_figure
@@ -86,44 +86,43 @@ def test_how_many_there_are_may_be_told_to_one_who_takes_the_likeliest(name: str
             check(told, policy=SHIPPED["faithful"])
 
 
+def judged(
+    name: str, ending: list[int], is_success: list[bool], *, policy: str = "informed", **rest: Any
+) -> dict[str, Any]:
+    """Judge the row of a scenario whose episodes have ended like that."""
+    ends, right = np.array(ending), np.array(is_success)
+    results: Any = SimpleNamespace(
+        ending=ends, is_success=right, is_stopped=ends > 1, is_valid=ends >= 0, overflow=0 * ends
+    )
+    given = row(name, policy, episodes=len(ends), not_found=int((ends == 3).sum()), **rest)
+    return given | ROBUSTNESS.measure(given, BY_NAME[name], results, results)
+
+
 def test_where_there_is_no_goal_it_is_right_to_say_so() -> None:
     (spec,) = (one for one in SCENARIOS if one.ending == "not_found")
-    suite = dataclasses.replace(ROBUSTNESS, specs=(spec,))
-    played = _Played(spec, ending=[3, 3, 2, 0], is_success=[False] * 4)
-    (found,) = suite.rows(played, played, [{"ece": None, "ece_floor": None}])  # pyright: ignore
+    found = judged(spec.name, [3, 3, 2, 0], [False] * 4, success_rate=0.0)
     assert found["success_rate"] == 50.0
-    assert (found["elsewhere"], found["timeouts"]) == (1, 1)
+    assert (found["elsewhere"], found["asks"], found["other_ends"]) == (1, 0, 0)
     assert found["success_ci"][0] < 50.0 < found["success_ci"][1]
 
 
-def test_a_target_is_met_with_success_and_way_and_by_informed_alone() -> None:
-    spec = BY_NAME["false sentence"]
-    suite = dataclasses.replace(ROBUSTNESS, specs=(spec,))
-    verdicts = {}
-    for way, policy in ((30.0, "informed"), (50.0, "informed"), (30.0, "frontier")):
-        played = _Played(spec, ending=[2, 2], is_success=[True, True], way=way, policy=policy)
-        scored = {"ece": 0.06, "ece_floor": 0.01}
-        (found,) = suite.rows(played, played, [scored])  # pyright: ignore
-        verdicts[way, policy] = found["is_met"], found["is_calibrated"]
-    assert verdicts == {
-        (30.0, "informed"): (True, None),
-        (50.0, "informed"): (False, None),
-        (30.0, "frontier"): (None, None),
-    }
-
-
-def test_calibration_has_a_target_where_the_belief_was_told_the_truth() -> None:
-    verdicts = {}
-    named = {"pairs": "2 more pairs, told", "untold": "ghosts 10 %, not told"}
-    named["uncounted"] = "2 more pairs"
-    for name, ece in (("plain", 0.06), ("pairs", 0.04), ("untold", 0.4), ("uncounted", 0.4)):
-        of = named.get(name, name)
-        suite = dataclasses.replace(ROBUSTNESS, specs=(BY_NAME[of],))
-        played = _Played(BY_NAME[of], ending=[2, 2], is_success=[True, True])
-        scored = {"ece": ece, "ece_floor": 0.01}
-        (found,) = suite.rows(played, played, [scored])  # pyright: ignore
-        verdicts[name] = found["is_calibrated"]
-    assert verdicts == {"plain": False, "pairs": True, "untold": None, "uncounted": None}
+@pytest.mark.parametrize(
+    ("name", "changes", "is_met", "is_calibrated"),
+    [
+        # A target is met with success and way, and by ``informed`` alone.
+        ("false sentence", {"distance_mean": 30.0, "ece": 0.06}, True, None),
+        ("false sentence", {"distance_mean": 50.0, "ece": 0.06}, False, None),
+        ("false sentence", {"distance_mean": 30.0, "policy": "frontier"}, None, None),
+        # Calibration has a target where the belief was told the truth.
+        ("plain", {"ece": 0.06}, None, False),
+        ("2 more pairs, told", {"ece": 0.04}, None, True),
+        ("ghosts 10 %, not told", {"ece": 0.4}, None, None),
+        ("2 more pairs", {"ece": 0.4}, True, None),
+    ],
+)
+def test_targets(name: str, changes: dict[str, Any], is_met: Any, is_calibrated: Any) -> None:
+    found = judged(name, [2, 2], [True, True], **changes)
+    assert (found["is_met"], found["is_calibrated"]) == (is_met, is_calibrated)
 
 
 def test_what_is_missed_is_said() -> None:
@@ -198,32 +197,6 @@ def test_a_small_suite_from_end_to_end(tmp_path: Path) -> None:
     assert [one["scenario"] for one in written["scenarios"]] == [one.name for one in SCENARIOS]
     assert "labels 10 %, not told" in (tmp_path / "robustness.md").read_text("utf-8")
     robustness_figure(found)
-
-
-class _Played:
-    """An arm that has run in one scenario."""
-
-    def __init__(
-        self, spec: PlaceSpec, *, ending: list[int], is_success: list[bool], way: float = 9.0,
-        policy: str = "informed",
-    ) -> None:  # fmt: skip
-        ends, number = np.array(ending), len(ending)
-        right = np.array(is_success)
-        self._results = SimpleNamespace(
-            ending=ends, is_success=right, is_stopped=ends > 1, is_valid=np.ones(number, bool),
-            overflow=np.zeros(number, int),
-        )  # fmt: skip
-        self._row = row(spec.name) | {
-            "policy": policy, "episodes": number, "success_rate": 100.0 * float(right.mean()),
-            "distance_mean": way, "not_found": int((ends == 3).sum()),
-            "timeouts": int((ends < 2).sum()),
-        }  # fmt: skip
-
-    def of_setting(self, place: int) -> tuple[SimpleNamespace, None]:
-        return self._results, None
-
-    def rows(self) -> list[dict[str, Any]]:
-        return [dict(self._row)]
 
 
 # The rows of ``reproduce conversation``, and their table.

@@ -23,6 +23,7 @@ from jaxlangnav.experiments.experiment import Options
 from jaxlangnav.experiments.paper import table_2
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.rows import RowSpec
+from jaxlangnav.experiments.shards import held
 from jaxlangnav.experiments.sweep_config import SweepConfig, config_from_dict, read_config
 from jaxlangnav.experiments.sweep_plan import (
     make_plan,
@@ -231,12 +232,6 @@ policies = ["known", "lawnmower"]
 odometry_noise = [0, "1 %", "2 %", "4 %", "8 %", "16 %"]
 """
 ROWS = 2 * 2 * 2 * 70 * 2 * 6
-FEW = """
-episodes = 700
-worlds = ["1H1C"]
-commands = ["null", "behind"]
-policies = ["known"]
-"""
 NAVIGATOR = """
 episodes = 300
 worlds = ["1H1C"]
@@ -266,28 +261,19 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
 
 
-def start(folder: Path, out: Path, pytestconfig: pytest.Config) -> subprocess.Popen[bytes]:
-    """Start a sweep in a process of its own."""
-    cache = str(Path(pytestconfig.rootpath) / ".pytest_cache" / "jax")
-    return subprocess.Popen(
-        [sys.executable, "-c", SCRIPT, str(folder / "sweep.toml"), str(out), cache],
-        env=os.environ | {"JAX_PLATFORMS": "cpu"},
-    )
-
-
-def wait_for_files(process: subprocess.Popen[bytes], out: Path, number: int) -> None:
-    deadline = time.monotonic() + 300
-    while len(list(out.glob("episodes-*.parquet"))) < number and process.poll() is None:
-        assert time.monotonic() < deadline
-        time.sleep(0.002)
-
-
 def run_and_kill(text: str, folder: Path, out: Path, pytestconfig: pytest.Config) -> int:
     """Start a sweep in a process of its own and kill it after its second file; files it left."""
     write(text, folder)
-    process = start(folder, out, pytestconfig)
+    cache = str(Path(pytestconfig.rootpath) / ".pytest_cache" / "jax")
+    process = subprocess.Popen(
+        [sys.executable, "-c", SCRIPT, str(folder / "sweep.toml"), str(out), cache],
+        env=os.environ | {"JAX_PLATFORMS": "cpu"},
+    )
+    deadline = time.monotonic() + 300
     try:
-        wait_for_files(process, out, 2)
+        while len(list(out.glob("episodes-*.parquet"))) < 2 and process.poll() is None:
+            assert time.monotonic() < deadline
+            time.sleep(0.002)
     finally:
         process.send_signal(signal.SIGKILL)
         process.wait()
@@ -460,23 +446,16 @@ def test_a_folder_of_nothing_sound_is_refused(undisturbed, tmp_path):
             summary.summarize_directory(tmp_path)
 
 
-def test_of_two_at_once_one_is_refused(tmp_path: Path, pytestconfig: pytest.Config) -> None:
-    config = write(FEW, tmp_path)
-    out = tmp_path / "out"
-    first = start(tmp_path, out, pytestconfig)
-    try:
-        wait_for_files(first, out, 1)
-        first.send_signal(signal.SIGSTOP)
-        for shard in ("1/1", "2/3"):
-            with pytest.raises(ValueError, match=f"process {first.pid} on .* part 1/1"):
-                sweep.run_sweep(config, out, resume=True, shard=shard)
-        first.send_signal(signal.SIGCONT)
-        assert first.wait(300) == 0
-    finally:
-        first.kill()
-        first.wait()
-    document = sweep.run_sweep(config, out, resume=True)
-    assert (document["episodes"], document["kept"]) == (0, sweep.total_episodes(config))
+def test_files_that_somebody_is_at_work_on_are_left_to_them(undisturbed, tmp_path):
+    """Of two processes: ``test_experiments_shards``."""
+    config, _ = undisturbed
+    for shard in ("1/1", "2/3"):
+        with (
+            held(tmp_path, (1, 1), on_note=print),
+            pytest.raises(ValueError, match=f"process {os.getpid()} on .* part 1/1"),
+        ):
+            sweep.run_sweep(config, tmp_path, resume=True, shard=shard)
+    assert not list(tmp_path.glob("*"))
 
 
 @pytest.mark.slow

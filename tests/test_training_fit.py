@@ -1,7 +1,6 @@
 """The objective, its gradient and its minimum."""
 
 import itertools
-from types import SimpleNamespace
 
 import chex
 import jax
@@ -9,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from grounding_fixture import TYPES, corpus
-from oracles.dcg import objective
 
 from jaxlangnav.grounding.model import (
     ANNOTATION_KINDS,
@@ -58,23 +56,6 @@ def random_weights(design: Design, scale=0.3):
     }
 
 
-def oracle(weights, design: Design, counts, l2):
-    """The objective by the explicit sum of products of features, float64."""
-    blocks = {
-        kind: SimpleNamespace(
-            words=design.words, properties=design.properties[:, :, part], count=counts
-        )
-        for kind, part in design.columns.items()
-    }
-    # Kinds share no column: the log-odds of a factor are those of its own kind, so the others'
-    # factors, which have no property here, are taken out again (each is worth log 2).
-    total = objective(weights, blocks, {kind: np.ones(len(design.words)) for kind in blocks}, l2)
-    foreign = sum(
-        counts[~block.properties.any(-1)].sum() * np.log(2.0) for block in blocks.values()
-    )
-    return total - foreign
-
-
 @pytest.mark.parametrize(
     ("build", "kinds"),
     [(behavior_examples, BEHAVIOR_KINDS), (annotation_examples, ANNOTATION_KINDS)],
@@ -94,7 +75,6 @@ def test_objective_is_the_sum_over_all_factors(build, kinds):
     total += 0.05 * sum((w.astype(np.float64) ** 2).sum() for w in weights.values())
     assert all_counts(design).sum() == sum(len(r.labels) for e in examples for r in e.rows.values())
     assert float(loss(weights, design, all_counts(design), 0.1)) == pytest.approx(total, rel=1e-5)
-    assert oracle(weights, design, all_counts(design), 0.1) == pytest.approx(total, rel=1e-5)
 
 
 def test_equal_factors_are_joined_and_split_by_instruction():

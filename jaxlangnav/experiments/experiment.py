@@ -143,9 +143,11 @@ class Experiment:
         """
         options = Options() if options is None else options
         arms, begin = self.check(options), time.perf_counter()
-        given = {"seed": options.seed, "environments": options.environments}
-        settings = [one.setting(**given, sensor=options.sensor) for one in self.specs]
-        names = (*settings[0].told, *arms[0].told)
+        seed, worlds, sensor = options.seed, options.environments, options.sensor
+        settings = [
+            one.setting(seed=seed, environments=worlds, sensor=sensor) for one in self.specs
+        ]
+        names = (*settings[0].labels, *arms[0].told)
         grid = Grid(settings=settings, arms=arms, episodes=options.episodes, names=names)
         rows: list[Row] = []
         parts: list[pa.Table] = []

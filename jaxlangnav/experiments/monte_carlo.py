@@ -209,7 +209,8 @@ def _sharded(config: NavigatorConfig, max_steps: int, course: Course) -> Any:
 
 _AHEAD = 2
 """Jobs handed out for each thread: none waits for the one that yields."""
-Job, Done = TypeVar("Job"), TypeVar("Done")
+Job = TypeVar("Job")
+Done = TypeVar("Done")
 Result = TypeVar("Result")
 """Any record of arrays that lead with the episodes."""
 Piece = tuple[Task, int]

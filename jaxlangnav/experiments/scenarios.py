@@ -106,6 +106,7 @@ class PlaceSpec(RowSpec):
     ) -> Cell:
         """Build the setting of its episodes; the detector is its own, whatever ``sensor`` is."""
         del sensor
+        given: dict[str, Any] = {"area": AHEAD, **self.place}
         moved = {name: jnp.float32(value) for name, value in self.motion.items()}
         return Cell(
             world=self.world,
@@ -115,7 +116,7 @@ class PlaceSpec(RowSpec):
             motion=replace(default_motion(), **moved),
             seed=seed,
             environments=environments,
-            place=place_law(**({"area": AHEAD} | dict(self.place))),
+            place=place_law(**given),
             told=default_sensor(self.range, **{**self.truth, **self.told}),
             labels=self.heading() | {"relation": self.relation},
             believed=self.numbers,

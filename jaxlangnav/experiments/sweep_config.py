@@ -37,7 +37,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from msgspec import Meta, field
-from msgspec.structs import asdict
 
 from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, check_policies
 from jaxlangnav.experiments.tasks import SEED_LIMIT, SENTENCES
@@ -59,16 +58,14 @@ _Particles = Annotated[int, Meta(ge=2)]
 Choices = dict[str, tuple[float, ...]]
 
 
-class Command(Schema, frozen=True):
-    """A sentence and the law by which a template's worlds are drawn for it."""
-
+class _Command(Schema):
     text: PlainText
     relation: Name = "null"
 
 
 class _Sweep(Schema):
     worlds: PlainText | Annotated[list[PlainText], _ANY]
-    commands: PlainText | Command | Annotated[list[PlainText | Command], _ANY]
+    commands: PlainText | _Command | Annotated[list[PlainText | _Command], _ANY]
     name: Name = "sweep"
     episodes: Annotated[int, Meta(ge=1)] = 100
     environments: _Seed = 0
@@ -80,6 +77,14 @@ class _Sweep(Schema):
     motion: dict[str, Any] = field(default_factory=dict)
     map: dict[str, Any] = field(default_factory=dict)
     planner: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Command:
+    """A sentence and the law by which a template's worlds are drawn for it."""
+
+    text: str
+    relation: str
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -107,7 +112,7 @@ class SweepConfig:
         """Write the configuration out in full, for the manifest."""
         found = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         del found["params"], found["own_worlds"], found["world_hashes"]
-        found["commands"] = [asdict(one) for one in self.commands]
+        found["commands"] = [dataclasses.asdict(one) for one in self.commands]
         return found | self.params | {"world_hashes": self.world_hashes}
 
 
@@ -183,11 +188,11 @@ def _listed(value: Any) -> list[Any]:
     return value if isinstance(value, list) else [value]
 
 
-def _command(given: str | Command) -> Command:
+def _command(given: str | _Command) -> Command:
     """Read a command: the name of one of Table 2's, a sentence, or a table with its relation."""
-    if isinstance(given, Command):
+    if isinstance(given, _Command):
         check_relation(given.relation)
-        return given
+        return Command(text=given.text, relation=given.relation)
     for relation, text in SENTENCES.items():
         if given in (relation, text):
             return Command(text=text, relation=relation)

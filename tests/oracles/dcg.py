@@ -35,24 +35,6 @@ def root_distribution(root, log_odds, path=()):
     return total
 
 
-def objective(weights, blocks, shares, l2):
-    """Regularised negative log-likelihood, one factor after the other, float64."""
-    total = 0.0
-    for kind, weight in weights.items():
-        block = blocks[kind]
-        for h in range(len(block.words)):
-            for g in range(block.properties.shape[1]):
-                odds = 0.0  # the explicit sum of products of features
-                for w in np.flatnonzero(block.words[h]):
-                    for f in np.flatnonzero(block.properties[h, g]):
-                        odds += block.words[h, w] * block.properties[h, g, f] * weight[w, f]
-                loss = block.count[h, g, 0] * softplus(odds)
-                loss += block.count[h, g, 1] * softplus(-odds)
-                total += shares[kind][h] * loss
-        total += 0.5 * l2 * float((weight.astype(np.float64) ** 2).sum())
-    return total
-
-
 class BehaviorOracle:
     """A behavior program in one small world, all sets of every phrase enumerated."""
 
