@@ -44,9 +44,9 @@ from jaxlangnav.messages import (
 from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams, NavigatorState
 from jaxlangnav.plain_text import cut
 from jaxlangnav.planner.config import AnyPolicy
-from jaxlangnav.planner.endings import missing_types
+from jaxlangnav.planner.termination import missing_types
 from jaxlangnav.pytree import replace
-from jaxlangnav.semantic_map.soundness import check_place
+from jaxlangnav.semantic_map.gating import check_place
 from jaxlangnav.sensing import SLOTS, area_numbers, bounded, pose_numbers, said
 from jaxlangnav.terrain import OPEN, Terrain
 from jaxlangnav.uniform import uniform

@@ -19,7 +19,7 @@ from jaxlangnav.navigator import NavigatorState
 from jaxlangnav.planner.blocked import start_of_way
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.belief import in_map
-from jaxlangnav.semantic_map.soundness import is_pose
+from jaxlangnav.semantic_map.gating import is_pose
 
 CLOSER, CLOSEST = 0.5, 0.25
 """Share of the reach by which "closer" shortens it, and the least of the usual one that is left."""

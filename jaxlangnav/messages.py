@@ -50,10 +50,6 @@ def relation_name(relation: int, rank: int) -> str:
     return "between" if rank == BETWEEN else RELATIONS[relation]
 
 
-def _none() -> Array:
-    return jnp.float32(0.0)
-
-
 class Fault(enum.IntFlag):
     """Why a look is left out and the robot stands still; ``Fault(int(info.fault))`` names them.
 
@@ -161,11 +157,11 @@ class SensorParams:
     noise: Array = field("metres, standard deviation of a relative position, each axis")  # f32[]
     false_detections: Array = field(  # f32[]
         "false detections expected in one look, of each type, anywhere in view",
-        default_factory=_none,
+        default=0.0,
     )
     mislabelled: Array = field(  # f32[]
         "in [0, 1), probability that a detection names another type than the thing's, any of them",
-        default_factory=_none,
+        default=0.0,
     )
 
 
@@ -173,20 +169,22 @@ class SensorParams:
 class MotionParams:
     """Specification of motion and odometry; traced."""
 
-    step_length: Array = field("metres travelled in one decision cycle at normal speed")  # f32[]
+    step_length: Array = field(  # f32[]
+        "metres travelled in one decision cycle at normal speed", default=1.0
+    )
     odometry_noise: Array = field(  # f32[]
-        "standard deviation per axis as a share of the way (0.02: 2 %)"
+        "standard deviation per axis as a share of the way (0.02: 2 %)", default=0.02
     )
     heading_bias: Array = field(  # f32[]
         "radians a metre by which the heading drifts steadily; the belief knows all but its sign",
-        default_factory=_none,
+        default=0.0,
     )
     heading_noise: Array = field(  # f32[]
-        "radians per √metre, standard deviation of the heading's drift", default_factory=_none
+        "radians per √metre, standard deviation of the heading's drift", default=0.0
     )
     turn_noise: Array = field(  # f32[]
         "radians per √radian, standard deviation of the heading's drift as the robot turns",
-        default_factory=_none,
+        default=0.0,
     )
 
 
@@ -360,4 +358,4 @@ def default_sensor(
 
 def default_motion() -> MotionParams:
     """Build the default odometry: 1 m a cycle, 2 % of the way."""
-    return MotionParams(step_length=jnp.float32(1.0), odometry_noise=jnp.float32(0.02))
+    return MotionParams()

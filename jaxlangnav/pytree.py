@@ -21,17 +21,20 @@ def static(**kwargs: Any) -> Any:
     return dataclasses.field(metadata={"static": True}, **kwargs)
 
 
-def field(help: str, **kwargs: Any) -> Any:
-    """Say of a field what it is and in which unit, for whoever sets it (the command line's help).
+def field(help: str, *, default: float | None = None) -> Any:
+    """Describe a parameter: what it is and in which unit (the command line's help), its default.
 
     Args:
         help: one sentence; units first where it is a quantity.
-        **kwargs: of ``dataclasses.field``.
+        default: of a scalar, f32[]; none by default.
 
     Returns:
         The field.
     """
-    return dataclasses.field(metadata={"help": help}, **kwargs)
+    if default is None:
+        return dataclasses.field(metadata={"help": help})
+    # Built when it is asked for: an import touches no device.
+    return dataclasses.field(metadata={"help": help}, default_factory=lambda: jnp.float32(default))
 
 
 @dataclass_transform(

@@ -19,9 +19,9 @@ from jaxlangnav.grounding.asked import Asked
 from jaxlangnav.kinds import name_of
 from jaxlangnav.listening import Candidate
 from jaxlangnav.messages import NONE, Readings, SensorParams
-from jaxlangnav.planner.endings import missing_types
 from jaxlangnav.planner.params import PlannerParams
 from jaxlangnav.planner.policy import Portrayal
+from jaxlangnav.planner.termination import missing_types
 from jaxlangnav.pytree import pytree
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 from jaxlangnav.world.state import Scenario

@@ -1,7 +1,7 @@
 """What a robot may report: the limits of poses, areas and sensors, held on the host.
 
 The belief holds every look against the same limits in its compiled program
-(``semantic_map.soundness``), where it can only leave the look out. Here, before anything is
+(``semantic_map.gating``), where it can only leave the look out. Here, before anything is
 compiled, a mistake is named: degrees for radians, millimetres for metres, percent for a share.
 """
 

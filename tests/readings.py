@@ -17,7 +17,7 @@ from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.coverage import Coverage
 from jaxlangnav.semantic_map.filter import FilterInfo
 from jaxlangnav.semantic_map.params import MapConfig, MapParams, default_map_params
-from jaxlangnav.semantic_map.words import ground_words
+from jaxlangnav.semantic_map.proposal.utterance import ground_words
 
 K, M, J, D = 2, 3, 2, 6
 """Readings, mentions, relations, detections."""

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from jaxlangnav.navigator import default_params
-from jaxlangnav.planner.asking import Doubt, doubt_of
 from jaxlangnav.planner.goals import Goals
+from jaxlangnav.planner.questions import AskDecision, value_of_asking
 from jaxlangnav.pytree import replace
 
 SEEN = [(1.0,), (1.0, 1.0), (1.0, 1.0, 1.0), (0.03, 1.0), (0.1, 1.0), (0.3, 1.0), (1.0, 3.0)]
@@ -81,18 +81,18 @@ def goals_of(seen: tuple[float, ...], unseen: float) -> Goals:
     )  # fmt: skip
 
 
-def decide(states: list[tuple[Goals, float, float, float]]) -> Doubt:
+def decide(states: list[tuple[Goals, float, float, float]]) -> AskDecision:
     """Weigh many states at once: goals, metres left, cost of a metre and of a question."""
     goals = jax.tree.map(lambda *leaves: np.stack(leaves), *(state[0] for state in states))
     numbers = np.array([state[1:] for state in states], np.float32)
 
     @jax.jit
     @jax.vmap
-    def weigh(goals: Goals, numbers: jax.Array) -> Doubt:
+    def weigh(goals: Goals, numbers: jax.Array) -> AskDecision:
         metres, look, question = numbers
         params = replace(PLANNER, look_cost=look, question_cost=question)
         free = jnp.asarray(True)
-        return doubt_of(goals, metres, params=params, has_looked=False, may_ask=free)
+        return value_of_asking(goals, metres, params=params, has_looked=False, may_ask=free)
 
     return jax.device_get(weigh(goals, numbers))
 
@@ -137,11 +137,11 @@ def test_where_many_others_are_expected_little_is_lost() -> None:
     assert lost.max() < 0.05
 
 
-def doubt(seen: tuple[float, ...], unseen: float, *, metres=10.0, question=0.1, **changes) -> Doubt:
+def doubt(seen, unseen, *, metres=10.0, question=0.1, **changes) -> AskDecision:
     goals = replace(goals_of(seen, unseen), **changes.pop("goals", {}))
     params = replace(PLANNER, question_cost=jnp.float32(question), look_cost=jnp.float32(0.002))
     given = {"has_looked": False, "may_ask": jnp.asarray(True)} | changes
-    return doubt_of(goals, jnp.float32(metres), params=params, **given)
+    return value_of_asking(goals, jnp.float32(metres), params=params, **given)
 
 
 def test_two_that_fit_alike_are_asked_about_at_once() -> None:

@@ -10,7 +10,6 @@ from situations import CHOOSE, nodes_at, seen_goal, situation
 from jaxlangnav.messages import NONE, RIGHT, ROBOT
 from jaxlangnav.planner import policy, tours
 from jaxlangnav.planner.config import SHIPPED
-from jaxlangnav.planner.endings import Chances, chance_left, chances
 from jaxlangnav.planner.faithful import no_waypoint
 from jaxlangnav.planner.goals import Goals
 from jaxlangnav.planner.graph import FRONTIER, OBJECT_NODE, VISITED, Nodes
@@ -19,10 +18,11 @@ from jaxlangnav.planner.latency import Tour
 from jaxlangnav.planner.params import default_planner_params
 from jaxlangnav.planner.policy import Decision, Waypoint
 from jaxlangnav.planner.search import CELLS, LATTICE, search_map, viewpoints, visibility
+from jaxlangnav.planner.termination import Chances, chance_left, chances
 from jaxlangnav.pytree import replace
 from jaxlangnav.relations.density import SIDE_CONCENTRATION
 from jaxlangnav.semantic_map.params import MapConfig, default_map_params
-from jaxlangnav.semantic_map.said import Spoken, told_now
+from jaxlangnav.semantic_map.proposal.relation_query import Spoken, told_now
 
 P, SLOTS, KEY = 16, 3, jax.random.key(0)
 CONFIG = MapConfig(num_particles=P, num_objects=SLOTS, num_cells=24)

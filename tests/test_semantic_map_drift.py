@@ -11,10 +11,10 @@ import readings as by_hand
 
 from jaxlangnav.messages import NONE
 from jaxlangnav.pytree import replace
-from jaxlangnav.semantic_map import belief as beliefs, looking, motion
+from jaxlangnav.semantic_map import belief as beliefs, heading_bias, motion
 from jaxlangnav.semantic_map.observe import observe
 from jaxlangnav.semantic_map.predict import predict
-from jaxlangnav.semantic_map.words import ground_words
+from jaxlangnav.semantic_map.proposal.utterance import ground_words
 
 NUMBER = 4096
 FIRST, SECOND = np.array([2.5, 0.5]), np.array([1.3, 0.9])
@@ -140,7 +140,7 @@ def test_robot_goes_by_one_drift_and_keeps_where_it_looked_by_either() -> None:
     # An arc of eight metres that turns by 0.1 rad each.
     np.testing.assert_allclose([x, y], [np.sin(0.8) / 0.1, (1 - np.cos(0.8)) / 0.1], atol=0.01)
     np.testing.assert_allclose(beliefs.mean_drift(belief), 0.8, rtol=1e-5)
-    ours, theirs = np.asarray(belief.coverage.log_miss), np.asarray(belief.other_miss)
+    ours, theirs = np.asarray(belief.coverage.log_miss), np.asarray(belief.alternate_miss)
     # The area lies as far to the left as to the right.
     np.testing.assert_allclose(theirs, ours[::-1], atol=1e-3)
     assert np.abs(ours - theirs).max() > 1.0
@@ -156,13 +156,13 @@ def test_robot_goes_by_the_other_drift_once_it_is_far_likelier() -> None:
     def led_with(share: float):
         weight = np.where(led, share / led.sum(), (1.0 - share) / (~led).sum())
         weighed = replace(belief, log_weight=jnp.log(jnp.asarray(weight, jnp.float32)))
-        return looking.go_by_the_likelier(weighed)
+        return heading_bias.switch_bias_hypothesis(weighed)
 
     kept, left = led_with(0.3), led_with(0.1)
-    assert float(kept.led_sign) == 1.0
-    assert float(left.led_sign) == -1.0
-    np.testing.assert_array_equal(left.coverage.log_miss, belief.other_miss)
-    np.testing.assert_array_equal(left.other_miss, belief.coverage.log_miss)
+    assert float(kept.bias_sign) == 1.0
+    assert float(left.bias_sign) == -1.0
+    np.testing.assert_array_equal(left.coverage.log_miss, belief.alternate_miss)
+    np.testing.assert_array_equal(left.alternate_miss, belief.coverage.log_miss)
     y = beliefs.robot_position(belief)[1]
     np.testing.assert_allclose(beliefs.robot_position(left)[1], -y, atol=0.01)
 
@@ -207,7 +207,7 @@ def test_words_are_grounded_by_where_each_drift_has_looked(is_sparse: bool) -> N
     maps = [np.broadcast_to(one, (32, 32)) for one in (near, far)]
     belief = begin(True, 64)
     lanes = [
-        replace(belief, coverage=replace(belief.coverage, log_miss=ours), other_miss=theirs)
+        replace(belief, coverage=replace(belief.coverage, log_miss=ours), alternate_miss=theirs)
         for ours, theirs in (maps, maps[::-1])
     ]
     keys = jax.random.split(jax.random.key(2), 2)

@@ -13,7 +13,7 @@ from jaxlangnav.pytree import replace
 from jaxlangnav.relations import RelationParams, default_params, prepare
 from jaxlangnav.semantic_map import particle as particle_module
 from jaxlangnav.semantic_map.params import MapConfig
-from jaxlangnav.semantic_map.words import ground_words
+from jaxlangnav.semantic_map.proposal.utterance import ground_words
 
 HYDRANT, CONE, CAR = by_hand.HYDRANT, by_hand.CONE, by_hand.CAR
 KINDS, EDGES = [HYDRANT, CONE], [(0, BEHIND, 1, False)]

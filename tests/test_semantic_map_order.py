@@ -16,12 +16,12 @@ from jaxlangnav.relations import (
     prepare,
     robot_frame,
 )
-from jaxlangnav.semantic_map.candidates import Draws, Scene, Seen
 from jaxlangnav.semantic_map.coverage import unexplored
-from jaxlangnav.semantic_map.order import PLURAL, log_rank
 from jaxlangnav.semantic_map.params import default_map_params
-from jaxlangnav.semantic_map.said import Said
-from jaxlangnav.semantic_map.ways import Pairs
+from jaxlangnav.semantic_map.proposal.candidates import Draws, Observed, Unexplored
+from jaxlangnav.semantic_map.proposal.enumerate import Pairs
+from jaxlangnav.semantic_map.proposal.ranks import PLURAL, log_rank
+from jaxlangnav.semantic_map.proposal.relation_query import Query
 
 CONES = np.array([[4.0, 3.0], [7.0, -3.0], [10.0, 4.0], [0.0, 0.0]], np.float32)
 """Ranges 5, 7.6, 10.8; the third is the leftmost, the second the rightmost; an empty slot."""
@@ -33,7 +33,7 @@ MODEL, PARAMS = prepare(default_params()), default_map_params()
 def order(relation: int, rank: int, *, known=(0, 1, 2), sides=(), unseen=((20.0, 0.0),) * 2):
     """Build the arguments of ``log_rank`` but for the places: an order among the known cones."""
     kind = jnp.array([CONE, ROBOT])
-    said = Said(
+    said = Query(
         mention=jnp.array([0, 1]),
         kind=kind,
         relation=jnp.int32(relation),
@@ -47,7 +47,7 @@ def order(relation: int, rank: int, *, known=(0, 1, 2), sides=(), unseen=((20.0,
         excluded=jnp.zeros(2, jnp.int32),
     )
     is_known = jnp.isin(jnp.arange(4), jnp.array(known))
-    seen = Seen(jnp.where(is_known, CONE, NONE), jnp.asarray(CONES[:, 0]), jnp.asarray(CONES[:, 1]))
+    seen = Observed(jnp.where(is_known, CONE, NONE), *jnp.asarray(CONES.T))
     draws = Draws(
         distance=jnp.zeros(2),
         angle=jnp.zeros(2),
@@ -55,7 +55,7 @@ def order(relation: int, rank: int, *, known=(0, 1, 2), sides=(), unseen=((20.0,
         unseen_x=jnp.array([x for x, _ in unseen], jnp.float32),
         unseen_y=jnp.array([y for _, y in unseen], jnp.float32),
     )
-    scene = Scene(
+    scene = Unexplored(
         coverage=unexplored(jnp.array([-20.0, 20.0, -20.0, 20.0]), 4),
         first_row=jnp.int32(0),
         log_area=jnp.log(1600.0),

@@ -10,18 +10,18 @@ from test_semantic_map_robustness import assert_sound
 
 from jaxlangnav.messages import BEHIND, NONE, Fault
 from jaxlangnav.pytree import replace
-from jaxlangnav.semantic_map import soundness
+from jaxlangnav.semantic_map import gating
 from jaxlangnav.semantic_map.predict import predict
 
 HYDRANT, CONE = by_hand.HYDRANT, by_hand.CONE
 POSE = np.array([5.0, 0.0, 0.0])
 GOOD = by_hand.observation(POSE, [(CONE, 1.0, 0.1), (HYDRANT, 2.4, 0.2)])
 BEHIND_CONE = by_hand.readings([[HYDRANT, CONE]], [[(0, BEHIND, 1, False)]])
-SOUND = jax.jit(soundness.sound_look)
+SOUND = jax.jit(gating.gate_observation)
 FAR = jnp.float32(1.5)
 
 
-def judge(look, belief=None, farthest=FAR) -> soundness.Look:
+def judge(look, belief=None, farthest=FAR) -> gating.Look:
     return SOUND(belief or by_hand.begin((5.0, 0.0, 0.0)), look, farthest)
 
 
@@ -139,14 +139,14 @@ BAD_POSES = [
 @pytest.mark.parametrize("area", BAD_AREAS)
 def test_an_area_that_cannot_be_is_refused_and_in_a_batch_flagged_for_good(area) -> None:
     with pytest.raises(ValueError, match=r"area is .* but must be \(x_min"):
-        soundness.check_place((0.0, 0.0, 0.0), area)
+        gating.check_place((0.0, 0.0, 0.0), area)
     assert_flagged_for_good(by_hand.begin(area=area))
 
 
 @pytest.mark.parametrize("pose", BAD_POSES)
 def test_a_start_that_cannot_be_is_refused_and_in_a_batch_flagged_for_good(pose) -> None:
     with pytest.raises(ValueError, match=r"pose is .* but must be \(x, y, heading\)"):
-        soundness.check_place(pose, by_hand.AREA)
+        gating.check_place(pose, by_hand.AREA)
     assert_flagged_for_good(by_hand.begin(pose))
 
 
@@ -159,12 +159,12 @@ def assert_flagged_for_good(belief) -> None:
 
 
 def test_places_of_the_wrong_shape_are_refused() -> None:
-    soundness.check_place((0.0, 0.0, 0.0), by_hand.AREA)
-    soundness.check_place((-3.0, 0.0, 100.0), by_hand.AREA)
+    gating.check_place((0.0, 0.0, 0.0), by_hand.AREA)
+    gating.check_place((-3.0, 0.0, 100.0), by_hand.AREA)
     with pytest.raises(ValueError, match="area is"):
-        soundness.check_place((0.0, 0.0, 0.0), (0.0, 1.0))
+        gating.check_place((0.0, 0.0, 0.0), (0.0, 1.0))
     with pytest.raises(ValueError, match="pose is"):
-        soundness.check_place((0.0, 0.0), by_hand.AREA)
+        gating.check_place((0.0, 0.0), by_hand.AREA)
 
 
 def test_ten_thousand_hostile_looks_leave_a_belief_that_heals() -> None:

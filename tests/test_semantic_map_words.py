@@ -10,7 +10,7 @@ import readings as by_hand
 
 from jaxlangnav.messages import BEHIND, FAR, LEFT, NEAR, NONE
 from jaxlangnav.pytree import replace
-from jaxlangnav.semantic_map.words import ground_words
+from jaxlangnav.semantic_map.proposal.utterance import ground_words
 
 HYDRANT, CONE, CAR = by_hand.HYDRANT, by_hand.CONE, by_hand.CAR
 NUMBER = by_hand.CONFIG.num_particles

@@ -217,7 +217,7 @@ def test_warming_up_covers_looks_with_attributes() -> None:
 
 def test_what_is_sound_at_the_door_is_sound_to_the_belief() -> None:
     """At the very limits of range and view neither of the two refuses what the other takes."""
-    from jaxlangnav.semantic_map.soundness import _is_detectable
+    from jaxlangnav.semantic_map.gating import _is_detectable
 
     slack = sensing.DEVIATIONS * 0.05
     limits = [(4.0 + slack, 0.0), (1.0, math.pi / 4 + 0.3), (4.0, math.pi / 4)]

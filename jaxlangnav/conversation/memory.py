@@ -18,7 +18,7 @@ from jaxlangnav.kinds import fits
 from jaxlangnav.messages import AT, NONE, Behavior, Told
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map.particle import SemanticMap
-from jaxlangnav.semantic_map.said import told_now
+from jaxlangnav.semantic_map.proposal.relation_query import told_now
 
 _Numbers = TypeVar("_Numbers", Array, np.ndarray)
 AVOID_IT, AVOID_ALL = 1, 2

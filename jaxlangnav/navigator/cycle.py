@@ -44,7 +44,7 @@ from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.semantic_map.behaviors import filter_untyped_goals, infer_clause_behaviors
 from jaxlangnav.semantic_map.belief import about_robot, robot_position
 from jaxlangnav.semantic_map.filter import FilterInfo
-from jaxlangnav.semantic_map.said import Spoken
+from jaxlangnav.semantic_map.proposal.relation_query import Spoken
 from jaxlangnav.sensing import DEVIATIONS
 from jaxlangnav.terrain import OPEN, Eye, Terrain
 
@@ -124,7 +124,7 @@ def step(
 ) -> tuple[NavigatorState, Action, NavigatorInfo]:
     """Run one decision cycle: from an observation to an action.
 
-    An observation that cannot be is left out as a whole (``semantic_map.soundness``): the robot
+    An observation that cannot be is left out as a whole (``semantic_map.gating``): the robot
     stands still, does not stop, and ``info.fault`` says why, until a sound one comes.
 
     Args:

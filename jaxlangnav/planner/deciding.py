@@ -11,12 +11,12 @@ from jax import Array
 
 from jaxlangnav.numerics.batching import row_of
 from jaxlangnav.planner import graph
-from jaxlangnav.planner.asking import Doubt, doubt_of
 from jaxlangnav.planner.blocked import open_nodes
 from jaxlangnav.planner.detours import detours
 from jaxlangnav.planner.goals import Goals
 from jaxlangnav.planner.graph import FRONTIER, OBJECT_NODE
 from jaxlangnav.planner.params import PlannerParams
+from jaxlangnav.planner.questions import AskDecision, value_of_asking
 from jaxlangnav.planner.situation import Decision, Situation, Valuation, Waypoint
 from jaxlangnav.pytree import replace
 from jaxlangnav.terrain import OPEN, Eye, View
@@ -97,9 +97,9 @@ def _require_one_a_node(situation: Situation, valuation: Valuation) -> None:
             )
 
 
-def _own_doubt(situation: Situation) -> Doubt:
+def _own_doubt(situation: Situation) -> AskDecision:
     """Doubt as one who does not know when all has been looked at."""
-    return doubt_of(
+    return value_of_asking(
         situation.goals,
         _metres_left(situation),
         params=situation.params,
@@ -108,7 +108,7 @@ def _own_doubt(situation: Situation) -> Doubt:
     )
 
 
-def _is_worth_going(situation: Situation, doubt: Doubt) -> Array:
+def _is_worth_going(situation: Situation, doubt: AskDecision) -> Array:
     """Tell to which nodes the robot may go, bool[A]."""
     nodes = situation.nodes
     is_object = nodes.kind == OBJECT_NODE
@@ -122,7 +122,7 @@ def decide(
     situation: Situation,
     valuation: Valuation,
     kept: Waypoint | None = None,
-    doubt: Doubt | None = None,
+    doubt: AskDecision | None = None,
 ) -> Decision:
     """Pick the waypoint of highest value, or stop (eq. 10).
 

@@ -13,8 +13,6 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.planner import graph, qmdp, search, tours
-from jaxlangnav.planner.asking import doubt_of
-from jaxlangnav.planner.endings import MOST_UNLOOKED, MOST_UNLOOKED_ROUND, Chances, chances
 from jaxlangnav.planner.latency import Tour
 from jaxlangnav.planner.policy import (
     LEAST_GOAL,
@@ -25,6 +23,8 @@ from jaxlangnav.planner.policy import (
     Valuation,
     decide,
 )
+from jaxlangnav.planner.questions import value_of_asking
+from jaxlangnav.planner.termination import MOST_UNLOOKED, MOST_UNLOOKED_ROUND, Chances, chances
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.params import MapConfig
@@ -105,7 +105,7 @@ def decide_on(situation: Situation, plan: tours.Plan, chance: Chances) -> Decisi
     nodes = graph.put_first(stop_x, stop_y, jnp.ones(stop_x.shape, bool), situation.nodes)
     situation = replace(situation, nodes=nodes)
     params = situation.params
-    doubt = doubt_of(
+    doubt = value_of_asking(
         situation.goals,
         jnp.min(plan.latency) / jnp.maximum(plan.mass, 1e-6),
         params=params,

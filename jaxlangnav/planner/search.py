@@ -17,7 +17,7 @@ from jaxlangnav.planner.relevance import groups
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.coverage import Coverage, area_size, cell_size
-from jaxlangnav.semantic_map.said import Spoken, log_told_density
+from jaxlangnav.semantic_map.proposal.relation_query import Spoken, log_told_density
 from jaxlangnav.terrain import OPEN, Eye, Terrain
 
 CELLS = 12

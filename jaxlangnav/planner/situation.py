@@ -3,16 +3,16 @@
 from jax import Array
 
 from jaxlangnav.messages import SensorParams
-from jaxlangnav.planner.asking import Doubt
 from jaxlangnav.planner.blocked import Way
 from jaxlangnav.planner.constraints import Forbidden, forbidden_objects
 from jaxlangnav.planner.goals import Goals
 from jaxlangnav.planner.graph import Nodes
 from jaxlangnav.planner.params import PlannerParams
+from jaxlangnav.planner.questions import AskDecision
 from jaxlangnav.pytree import pytree, replace, static
 from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.params import MapParams
-from jaxlangnav.semantic_map.said import Spoken
+from jaxlangnav.semantic_map.proposal.relation_query import Spoken
 
 
 @pytree
@@ -102,7 +102,7 @@ class Decision:
     information_value: Array  # f32[A] part of it from what the way would reveal
     cost: Array  # f32[A] part of it lost to the way round what is forbidden
     stop_mass: Array  # f32[] goal probability within reach
-    doubt: Doubt  # whether to ask which one is meant, or to look on before anything is accepted
+    doubt: AskDecision  # ask which one is meant, or look on before anything is accepted
 
     @property
     def turns(self) -> Array:

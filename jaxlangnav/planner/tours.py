@@ -17,9 +17,9 @@ from jax import Array
 
 from jaxlangnav.messages import SensorParams
 from jaxlangnav.planner.constraints import keep_out, price_of_stop
-from jaxlangnav.planner.drafts import NUM_CHANGES, NUM_GREEDY, change, greedy
 from jaxlangnav.planner.latency import NUM_STOPS, Tour, is_underfoot, latency
 from jaxlangnav.planner.search import SearchMap
+from jaxlangnav.planner.tour_proposals import NUM_CHANGES, NUM_GREEDY, change, greedy
 from jaxlangnav.pytree import pytree
 
 NUM_ROUNDS = 3

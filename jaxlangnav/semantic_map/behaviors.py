@@ -28,7 +28,7 @@ from jaxlangnav.pytree import replace
 from jaxlangnav.relations import RelationModel
 from jaxlangnav.semantic_map import summary
 from jaxlangnav.semantic_map.particle import SemanticMap
-from jaxlangnav.semantic_map.said import FIGURE, LANDMARK, Said, hear, listen
+from jaxlangnav.semantic_map.proposal.relation_query import FIGURE, LANDMARK, Query, hear, listen
 
 _BLOCK = 8
 """Topologies whose behavior is inferred at a time."""
@@ -177,7 +177,7 @@ def filter_untyped_goals(
     return replace(behavior, goal=jnp.where(is_out[None] > 0.0, 0.0, behavior.goal))
 
 
-def _misplaced(particles: SemanticMap, heard: Said) -> Array:
+def _misplaced(particles: SemanticMap, heard: Query) -> Array:
     """Mark the observed slots that are taken for a thing and stand elsewhere, f32[O, P] 1 or 0."""
     num_objects = particles.object_type.shape[0]
     slots = jnp.arange(num_objects)[:, None]
@@ -190,7 +190,7 @@ def _misplaced(particles: SemanticMap, heard: Said) -> Array:
         )
     )
 
-    def of_one(said: Said) -> Array:
+    def of_one(said: Query) -> Array:
         figure, landmark = said.mention[FIGURE], said.mention[LANDMARK]
         viewer_x, viewer_y, _ = jnp.unstack(said.viewer)
         # The second relation of "between" is seen from the other landmark.

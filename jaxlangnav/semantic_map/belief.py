@@ -6,10 +6,10 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.pytree import pytree, replace
-from jaxlangnav.semantic_map.bystanders import Bystanders
 from jaxlangnav.semantic_map.coverage import Coverage
 from jaxlangnav.semantic_map.motion import rotated
 from jaxlangnav.semantic_map.particle import SemanticMap
+from jaxlangnav.semantic_map.unreferenced_objects import Bystanders
 from jaxlangnav.terrain import Terrain
 
 
@@ -20,8 +20,8 @@ class ParticleBelief:
     particles: SemanticMap  # leaves [..., P]
     log_weight: Array  # f32[P] normalised
     coverage: Coverage  # where the robot has looked, by the drift that it goes by
-    other_miss: Array  # f32[G, G] … by a steady drift of the other sign; f32[0, 0]: a compass
-    led_sign: Array  # f32[] sign of the steady drift that the robot goes by
+    alternate_miss: Array  # f32[G, G] … by a steady drift of the other sign; f32[0, 0]: a compass
+    bias_sign: Array  # f32[] sign of the steady drift that the robot goes by
     terrain: Terrain  # how far one sees and walks there, as the robot takes it to be
     bystanders: Bystanders  # things of types that the task does not speak of; B may be 0
     last_pose: Array  # f32[3] dead-reckoned pose at the last observation that was believed
@@ -44,7 +44,7 @@ class Fix(NamedTuple):
 
 def is_led(belief: ParticleBelief) -> Array:
     """Tell which particles drift as the robot goes by, bool[P]: all where nothing is steady."""
-    return belief.particles.drift[1] * belief.led_sign >= 0.0
+    return belief.particles.drift[1] * belief.bias_sign >= 0.0
 
 
 def fix(belief: ParticleBelief, is_chosen: Array) -> Fix:

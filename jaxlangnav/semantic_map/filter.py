@@ -1,9 +1,11 @@
 """The Rao-Blackwellized particle filter over semantic maps (section 3.2, eq. 5-8).
 
-One step: move (``predict``), ground the detections, condition, weigh what was and was not seen
-(``observe``), ground the words anew where the old hypothesis has been refuted or a new object calls
-for it (``regrounding``), resample.
+One step: predict the robot's motion (``predict``), associate detections with objects and update by
+what was and was not detected (``observe``), re-ground the utterance in particles whose hypothesis
+was refuted (``proposal``), resample.
 """
+
+import functools
 
 import chex
 import jax
@@ -17,16 +19,23 @@ from jaxlangnav.numerics import batching
 from jaxlangnav.numerics.batching import take
 from jaxlangnav.numerics.resampling import effective_sample_size, systematic
 from jaxlangnav.pytree import pytree, replace
-from jaxlangnav.semantic_map import bystanders, particle
+from jaxlangnav.semantic_map import particle
 from jaxlangnav.semantic_map.belief import ParticleBelief, is_led, mean_drift, robot_position
 from jaxlangnav.semantic_map.coverage import unexplored
-from jaxlangnav.semantic_map.looking import go_by_the_likelier
+from jaxlangnav.semantic_map.gating import gate_observation, sound_place
+from jaxlangnav.semantic_map.heading_bias import switch_bias_hypothesis
 from jaxlangnav.semantic_map.observe import LOG_CONTRADICTION, observe
 from jaxlangnav.semantic_map.params import MapConfig, MapParams
 from jaxlangnav.semantic_map.particle import SemanticMap
 from jaxlangnav.semantic_map.predict import drift_noise, predict, with_drift
-from jaxlangnav.semantic_map.regrounding import Regrounded, reground
-from jaxlangnav.semantic_map.soundness import sound_look, sound_place
+from jaxlangnav.semantic_map.proposal.sparse_regrounding import Regrounded, reground
+from jaxlangnav.semantic_map.proposal.utterance import ground_words
+from jaxlangnav.semantic_map.unreferenced_objects import (
+    nobody,
+    part,
+    promote,
+    remember_bystanders,
+)
 from jaxlangnav.terrain import OPEN, Terrain
 
 
@@ -76,10 +85,10 @@ def start(
         particles=_no_objects(pose, num_mentions, config),
         log_weight=jnp.full(number, -jnp.log(float(number)), jnp.float32),
         coverage=coverage,
-        other_miss=coverage.log_miss if config.has_drift else jnp.zeros((0, 0), jnp.float32),
-        led_sign=jnp.float32(1.0),
+        alternate_miss=coverage.log_miss if config.has_drift else jnp.zeros((0, 0), jnp.float32),
+        bias_sign=jnp.float32(1.0),
         terrain=terrain,
-        bystanders=bystanders.nobody(config.num_bystanders),
+        bystanders=nobody(config.num_bystanders),
         last_pose=pose,
         doubted_pose=pose,
         is_placed=is_placed,
@@ -114,13 +123,10 @@ def _part(
     """Part what the particles hold from bystanders, in the map and in what is seen now."""
     if spoken is None or belief.bystanders.x.shape[0] == 0:
         return belief, observation, None
-    particles, known = bystanders.promote(
+    particles, known = promote(
         belief.particles, belief.bystanders, spoken, belief.log_weight, belief.must_ground
     )
-    return (
-        replace(belief, particles=particles, bystanders=known),
-        *bystanders.part(observation, spoken),
-    )
+    return replace(belief, particles=particles, bystanders=known), *part(observation, spoken)
 
 
 def _num_pooled(belief: ParticleBelief, spoken: Array | None) -> Array:
@@ -146,7 +152,7 @@ def _remember(
         spread = spread + 0.5 * apart
     robot = *here, jnp.sum(weight * spread)
     others = with_drift(belief, others)
-    known, num_forgotten = bystanders.remember_bystanders(belief.bystanders, others, robot)
+    known, num_forgotten = remember_bystanders(belief.bystanders, others, robot)
     return replace(belief, bystanders=known), num_forgotten
 
 
@@ -223,7 +229,7 @@ def step(
     number, was_told = belief.log_weight.shape[0], belief.must_ground
     keys = jax.random.split(key, 4)
     associate, keep, resample = _draw(keys, observation.detection_type.shape[0], number)
-    sound = sound_look(belief, observation, farthest)
+    sound = gate_observation(belief, observation, farthest)
     # Weights that are none become equal.
     log_weight = belief.log_weight
     is_alive = jnp.all(log_weight < jnp.inf) & jnp.any(log_weight > -jnp.inf)
@@ -235,21 +241,14 @@ def step(
     pooled = _num_pooled(belief, spoken) if pools_counts else None
     belief, weighed = observe(associate, belief, seen, params=params, num_pooled=pooled)
     belief, num_forgotten = _remember(belief, others)
-    found = reground(
-        keys[1],
-        keep,
-        belief,
-        readings,
-        weighed,
-        params=params,
-        told=told,
-        is_sparse=is_sparse,
-        num_pooled=pooled,
+    ground = functools.partial(
+        ground_words, params=params, told=told, is_sparse=is_sparse, num_pooled=pooled
     )
+    found = reground(keys[1], keep, belief, readings, weighed, ground)
     size = effective_sample_size(found.weight)
     is_resampled = size < params.resample_threshold * number
     belief = _resampled(resample, belief, found, is_resampled)
-    return go_by_the_likelier(belief), FilterInfo(
+    return switch_bias_hypothesis(belief), FilterInfo(
         effective_sample_size=size,
         is_resampled=is_resampled,
         num_regrounded=jnp.sum(found.is_fresh),

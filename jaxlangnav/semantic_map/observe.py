@@ -23,7 +23,7 @@ from jaxlangnav.semantic_map.association import Association
 from jaxlangnav.semantic_map.belief import ParticleBelief, mean_drift
 from jaxlangnav.semantic_map.counts import exposed, log_expected, log_exposure, share_unseen
 from jaxlangnav.semantic_map.coverage import area_size
-from jaxlangnav.semantic_map.looking import log_missed, look_around
+from jaxlangnav.semantic_map.heading_bias import log_missed, look_around
 from jaxlangnav.semantic_map.params import MapParams
 from jaxlangnav.semantic_map.particle import SemanticMap, clear
 from jaxlangnav.semantic_map.predict import headings, with_drift
@@ -35,7 +35,7 @@ LEAST_DOUBT = 1e-2
 errs, and things are taken away. So looks that should show it and do not are held against it."""
 
 
-class Weighed(NamedTuple):
+class MeasurementUpdate(NamedTuple):
     """What one observation did to the particles, before any words are grounded anew."""
 
     log_map: Array  # f32[P] log-likelihood of the observation, hypotheses left out
@@ -55,7 +55,7 @@ def observe(
     *,
     params: MapParams,
     num_pooled: Array | None = None,
-) -> tuple[ParticleBelief, Weighed]:
+) -> tuple[ParticleBelief, MeasurementUpdate]:
     """Ground the detections, condition, and weigh what was and what was not seen.
 
     Args:
@@ -92,7 +92,7 @@ def observe(
     belief, log_exposed, log_meant, is_lost = _counted(belief, believed, existence, exposure)
     log_map = grounded.log_weight + log_objects + log_exposed
     log_new = jnp.log(params.concentration) - jnp.log(area_size(belief.coverage))
-    return belief, Weighed(
+    return belief, MeasurementUpdate(
         log_map=log_map,
         log_hypotheses=jnp.sum(log_hypotheses, axis=0) + log_meant,
         is_new=grounded.is_new,
@@ -156,9 +156,9 @@ def _looked(
     """Enter the look; f32[], by how much less probable one more of a type has become, log."""
     exposed_by = functools.partial(log_exposure, params=params, num_pooled=num_pooled)
     before = exposed_by(share_unseen(belief.coverage))
-    coverage, other_miss = look_around(belief, observation, sensor)
+    coverage, alternate_miss = look_around(belief, observation, sensor)
     exposure = exposed_by(share_unseen(coverage)) - before
-    return replace(belief, coverage=coverage, other_miss=other_miss), exposure
+    return replace(belief, coverage=coverage, alternate_miss=alternate_miss), exposure
 
 
 def _counted(

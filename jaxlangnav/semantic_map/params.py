@@ -2,7 +2,6 @@
 
 import dataclasses
 
-import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.messages import MotionParams, default_motion
@@ -15,18 +14,25 @@ class MapParams:
     """Numbers of the filter; traced, so that new values never recompile."""
 
     concentration: Array = field(  # f32[]
-        "α, expected number of further objects of a type in the area"
+        "α, expected number of further objects of a type in the area", default=0.3
     )
     clumping: Array = field(  # f32[]
-        "κ, how much more of a type each one seen makes probable; 0: not at all"
+        "κ, how much more of a type each one seen makes probable; 0: not at all", default=0.0
     )
-    kernel: Array = field("metres, standard deviation of a sampled metric constraint")  # f32[]
-    superlative_softness: Array = field("metres within which two distances count as equal")  # f32[]
+    kernel: Array = field(  # f32[]
+        "metres, standard deviation of a sampled metric constraint", default=0.1
+    )
+    superlative_softness: Array = field(  # f32[]
+        "metres within which two distances count as equal", default=0.3
+    )
     misleading: Array = field(  # f32[]
         "ε, probability that a relation said does not hold at all; the policy "
-        "``faithful`` takes every word to be true"
+        "``faithful`` takes every word to be true",
+        default=0.05,
     )
-    resample_threshold: Array = field("resample where ESS / P falls below this")  # f32[]
+    resample_threshold: Array = field(  # f32[]
+        "resample where ESS / P falls below this", default=0.5
+    )
     relations: RelationModel  # densities of the six relations
     motion: MotionParams  # odometry as the belief assumes it
 
@@ -61,13 +67,4 @@ class MapConfig:
 
 def default_map_params() -> MapParams:
     """Build the parameters used in all tables unless they say otherwise."""
-    return MapParams(
-        concentration=jnp.float32(0.3),
-        clumping=jnp.float32(0.0),
-        kernel=jnp.float32(0.1),
-        superlative_softness=jnp.float32(0.3),
-        misleading=jnp.float32(0.05),
-        resample_threshold=jnp.float32(0.5),
-        relations=prepare(default_params()),
-        motion=default_motion(),
-    )
+    return MapParams(relations=prepare(default_params()), motion=default_motion())

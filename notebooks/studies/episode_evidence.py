@@ -217,7 +217,7 @@ def log_words(one: WordsEvidence, *, params: MapParams) -> Array:
         params: relations and concentration; differentiable in the relations.
 
     Returns:
-        f32[]. Relative to all observed objects being bystanders, as in ``semantic_map.choose``.
+        f32[]. Relative to all observed objects unreferenced: as ``semantic_map.proposal.sample``.
     """
     return _log_words(one, _between_cells(one, params), params)
 

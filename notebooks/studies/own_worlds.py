@@ -1,6 +1,6 @@
 """Worlds drawn from the belief's own prior: what the robot assumes before it has looked.
 
-The semantic map's model of a world (section 3.2, eq. 7a; spelled out in ``semantic_map.choose``):
+The semantic map's model of a world (section 3.2, eq. 7a; ``semantic_map.proposal.sample`` has it):
 the sentence has one reading, drawn by its probability; every thing it mentions exists once, one of
 them anywhere in the operating area and the others where the relations place them; further objects
 of each type mentioned are a Poisson process of α expected in the area; a relation misleads with

@@ -1,4 +1,4 @@
-"""Grounding the words anew where need is, by *rejection control* (section 3.2, eq. 7a and 8).
+"""Re-ground the utterance where a hypothesis was refuted: *rejection control* (eq. 7a and 8).
 
 A particle of weight w below the mean c survives with probability w / c and then weighs c; otherwise
 the map of an ancestor drawn by weight and a fresh draw from the posterior of the sentence given
@@ -7,6 +7,7 @@ mixture is too; and when every hypothesis is refuted all are replaced, which is 
 revives.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -14,20 +15,22 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.kinds import is_anything, label_of
-from jaxlangnav.messages import Readings, Told
+from jaxlangnav.messages import Readings
 from jaxlangnav.numerics import categorical
 from jaxlangnav.numerics.batching import take
 from jaxlangnav.numerics.resampling import independent
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.belief import ParticleBelief
-from jaxlangnav.semantic_map.observe import Weighed
-from jaxlangnav.semantic_map.params import MapParams
+from jaxlangnav.semantic_map.observe import MeasurementUpdate
 from jaxlangnav.semantic_map.particle import SemanticMap
-from jaxlangnav.semantic_map.words import ground_words
 
 _ASKED = 16
 """Particles that ground the words at every step, whatever happens: enough to tell the mean of the
 evidence, against which fresh groundings are weighed."""
+
+
+WordGrounding = Callable[..., tuple[SemanticMap, Array]]
+"""Draws groundings of the words, as ``ground_words`` does (eq. 7a)."""
 
 
 class Regrounded(NamedTuple):
@@ -46,12 +49,8 @@ def reground(
     uniform: Array,
     belief: ParticleBelief,
     readings: Readings,
-    weighed: Weighed,
-    *,
-    params: MapParams,
-    told: Told | None,
-    is_sparse: bool,
-    num_pooled: Array | None,
+    weighed: MeasurementUpdate,
+    ground: WordGrounding,
 ) -> Regrounded:
     """Ground the words anew where the old hypothesis was refuted or a new object calls for it.
 
@@ -61,10 +60,7 @@ def reground(
         belief: of ``observe``.
         readings: what the instruction says.
         weighed: of ``observe``.
-        params: traced numbers.
-        told: see ``step``.
-        is_sparse: see ``step``.
-        num_pooled: see ``ground_words``.
+        ground: ``ground_words`` with all that holds for every particle.
 
     Returns:
         The particles, properly weighted.
@@ -85,16 +81,7 @@ def reground(
     ancestors = jnp.where(is_fresh & ~must_ground, ancestors, jnp.arange(number))
     is_asked = is_fresh | (jnp.arange(number) % max(1, number // _ASKED) == 0)
     belief = replace(belief, particles=take(particles, ancestors))
-    fresh, log_language = ground_words(
-        key,
-        belief,
-        readings,
-        params=params,
-        told=told,
-        is_asked=is_asked,
-        is_sparse=is_sparse,
-        num_pooled=num_pooled,
-    )
+    fresh, log_language = ground(key, belief, readings, is_asked=is_asked)
     language, log_evidence = _language(log_language, is_asked)
     fresh_weight = jnp.where(must_ground, map_weight, 1.0 / number) * language
     weight = jnp.where(is_fresh, fresh_weight, jnp.maximum(kept_weight, 1.0 / number))

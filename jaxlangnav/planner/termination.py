@@ -1,4 +1,4 @@
-"""When there is nothing left to look for: the end of a search that finds nothing (ours).
+"""Termination of a search that finds nothing: P(the goal exists and is still unseen) (ours).
 
 The belief takes it for granted that what is spoken of exists, so a robot that goes by it alone
 searches for ever. Whether it exists is itself inferred. Before any look the number N of things of

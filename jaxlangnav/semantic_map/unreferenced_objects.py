@@ -1,4 +1,4 @@
-"""Things that nobody has spoken of: remembered, at little cost, until somebody does (ours).
+"""Unreferenced objects: one shared map of things that no utterance has mentioned yet (ours).
 
 A particle asks of every thing that it holds whether the words mean it, which is dear: the ways to
 ground a relation grow with the square of the things. Of a tree nobody spoke of there is nothing to

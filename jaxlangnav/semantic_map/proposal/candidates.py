@@ -1,4 +1,4 @@
-"""What words may refer to: candidates for the ends of one relation (section 3.2, eq. 7a).
+"""Candidate referents of the figure and landmarks of one relation (section 3.2, eq. 7a).
 
 Each end is an observed object, the place that an earlier relation decided, or new.
 
@@ -18,7 +18,7 @@ from jaxlangnav.numerics.batching import column, lead, pick, rarely
 from jaxlangnav.semantic_map.counts import log_expected
 from jaxlangnav.semantic_map.coverage import Coverage
 from jaxlangnav.semantic_map.params import MapParams
-from jaxlangnav.semantic_map.said import FIGURE, Said
+from jaxlangnav.semantic_map.proposal.relation_query import FIGURE, Query
 
 NUM_UNSEEN = 2
 """Places drawn from the unexplored area for each particle and relation."""
@@ -34,7 +34,7 @@ class Draws(NamedTuple):
     unseen_y: Array  # f32[NUM_UNSEEN, ...]
 
 
-class Seen(NamedTuple):
+class Observed(NamedTuple):
     """What a particle has seen, as far as words can refer to it."""
 
     object_type: Array  # i32[O, ...] kinds; NONE in empty slots
@@ -43,7 +43,7 @@ class Seen(NamedTuple):
     existence: Array | None = None  # f32[O, ...] probability that it exists; None: all of it does
 
 
-class Scene(NamedTuple):
+class Unexplored(NamedTuple):
     """What all particles of an episode share while words are grounded.
 
     With particles of several episodes, everything has the particle axis too, and the coverage
@@ -89,7 +89,7 @@ class Candidates(NamedTuple):
 
 
 def list_candidates(
-    seen: Seen, said: Said, grounding: Grounding, scene: Scene, *, params: MapParams
+    seen: Observed, said: Query, grounding: Grounding, scene: Unexplored, *, params: MapParams
 ) -> Candidates:
     """List what the ends may be: what has been decided, or each seen object of their types.
 
@@ -131,11 +131,11 @@ def list_candidates(
 
 
 def _log_bystanders(
-    seen: Seen,
-    said: Said,
+    seen: Observed,
+    said: Query,
     is_kind: Array,
     grounding: Grounding,
-    scene: Scene,
+    scene: Unexplored,
     *,
     params: MapParams,
 ) -> tuple[Array, Array]:
@@ -185,10 +185,10 @@ class _Counted(NamedTuple):
     num_meant: (
         Array  # i32[1, ...] of them that earlier relations have taken, where types are pooled
     )
-    num_pooled: Array | None  # f32[1, ...] as of ``Scene``
+    num_pooled: Array | None  # f32[1, ...] as of ``Unexplored``
 
 
-def _counted(seen: Seen, is_kind: Array, grounding: Grounding, scene: Scene) -> _Counted:
+def _counted(seen: Observed, is_kind: Array, grounding: Grounding, scene: Unexplored) -> _Counted:
     """Count what tells of how many there are of the types of a relation's ends."""
     ndim, is_counted, num_pooled = is_kind.ndim - 1, is_kind, None
     num_meant = np.zeros(1, np.int32)
@@ -204,7 +204,7 @@ def _counted(seen: Seen, is_kind: Array, grounding: Grounding, scene: Scene) -> 
 
 def _of_any_type(
     is_alike: Array,
-    seen: Seen,
+    seen: Observed,
     log_area: Array,
     log_unseen: Array,
     num_pooled: Array | None,

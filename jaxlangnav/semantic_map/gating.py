@@ -1,4 +1,4 @@
-"""What of a look is believed: all of it, or nothing (section 3.2; fail safe).
+"""Gating: an observation that cannot be is left out, whole or in part (section 3.2; fail safe).
 
 An observation comes from outside, and one number in it that cannot be would poison every particle
 for good. So every field is held against what it can be before anything is computed from it. Where
@@ -150,7 +150,9 @@ def _is_within(pose: Array, other: Array, metres: Array) -> Array:
     return jnp.sum(span * span) <= metres * metres
 
 
-def sound_look(belief: ParticleBelief, observation: Observation, farthest: Array | None) -> Look:
+def gate_observation(
+    belief: ParticleBelief, observation: Observation, farthest: Array | None
+) -> Look:
     """Hold every field of an observation against what it can be.
 
     Args:

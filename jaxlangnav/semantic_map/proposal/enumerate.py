@@ -1,4 +1,4 @@
-"""The ways to ground one relation: what is known paired, what is new drawn (section 3.2, eq. 7a).
+"""Enumerate groundings of a relation: observed objects paired, unseen ones sampled (eq. 7a).
 
 The ways are counted through, and both what a way *is* and what it *means* are laid out by the same
 two functions, ``_of_figures`` and ``_of_landmarks``:
@@ -20,8 +20,8 @@ from jax import Array
 
 from jaxlangnav.messages import NONE
 from jaxlangnav.relations import RelationModel
-from jaxlangnav.semantic_map.candidates import NUM_UNSEEN, Candidates, Draws
-from jaxlangnav.semantic_map.said import FIGURE, LANDMARK, Said
+from jaxlangnav.semantic_map.proposal.candidates import NUM_UNSEEN, Candidates, Draws
+from jaxlangnav.semantic_map.proposal.relation_query import FIGURE, LANDMARK, Query
 
 
 class Pairs(NamedTuple):
@@ -33,7 +33,7 @@ class Pairs(NamedTuple):
     landmark_y: Array  # f32[W, ...]
 
 
-class Ways(NamedTuple):
+class Proposals(NamedTuple):
     """The W ways to ground a relation, and how what is new in them was drawn."""
 
     pairs: Pairs
@@ -100,7 +100,7 @@ def meaning(num_objects: int) -> tuple[np.ndarray, np.ndarray]:
         )
 
 
-def propose(said: Said, ends: Candidates, draws: Draws, model: RelationModel) -> Ways:
+def propose(said: Query, ends: Candidates, draws: Draws, model: RelationModel) -> Proposals:
     """Pair what is known, and draw what is new: from the relation, and anywhere unseen.
 
     Args:
@@ -130,7 +130,7 @@ def propose(said: Said, ends: Candidates, draws: Draws, model: RelationModel) ->
     offset_x, offset_y, log_unit = said.offset(at_x, at_y, of_ends(along), of_ends(lateral))
     new_x = instead(draws.unseen_x, at_x + offset_x)
     new_y = instead(draws.unseen_y, at_y + offset_y)
-    return Ways(
+    return Proposals(
         pairs=Pairs(
             x=_of_figures(ends.x[FIGURE], new_x, draws.unseen_x),
             y=_of_figures(ends.y[FIGURE], new_y, draws.unseen_y),

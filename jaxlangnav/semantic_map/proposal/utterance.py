@@ -12,32 +12,109 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jax.custom_batching import custom_vmap
 
 from jaxlangnav.messages import NONE, Readings, Told
+from jaxlangnav.numerics import batching
 from jaxlangnav.numerics.batching import pack, row_of, take, unpack
 from jaxlangnav.pytree import replace
-from jaxlangnav.semantic_map.belief import ParticleBelief
-from jaxlangnav.semantic_map.candidates import Draws, Grounding, Scene, Seen, nothing_grounded
-from jaxlangnav.semantic_map.choose import ground_relation
-from jaxlangnav.semantic_map.coverage import Coverage
-from jaxlangnav.semantic_map.draws import draw_places
+from jaxlangnav.semantic_map.belief import ParticleBelief, is_led, mean_drift
+from jaxlangnav.semantic_map.coverage import Coverage, area_size, sample_unseen
+from jaxlangnav.semantic_map.heading_bias import both_ways
 from jaxlangnav.semantic_map.params import MapParams
 from jaxlangnav.semantic_map.particle import SemanticMap
-from jaxlangnav.semantic_map.said import FIGURE, Said, hear, listen, told_now
+from jaxlangnav.semantic_map.proposal.candidates import (
+    NUM_UNSEEN,
+    Draws,
+    Grounding,
+    Observed,
+    Unexplored,
+    nothing_grounded,
+)
+from jaxlangnav.semantic_map.proposal.relation_query import FIGURE, Query, hear, listen, told_now
+from jaxlangnav.semantic_map.proposal.sample import ground_relation
 
 _PIECES, _LEAST_PIECE = 8, 256
 """Pieces in which the particles of all lanes are grounded, and the least size of one: more pieces
 would waste less of the last one, but leave a wide device idle."""
 
-Own = tuple[Seen, Draws, Array]
+_STEPS = np.array([0.61803399, 0.41421356, 0.73205081, 0.64575131], np.float32)
+"""Steps of additive recurrences, fractions of roots of 5, 2, 3 and 7: each fills the unit interval
+evenly, the first most evenly of all, and several together the cube."""
+
+
+Own = tuple[Observed, Draws, Array]
 """What is each particle's own: what it has seen, leaves [J, ..., P] of what is drawn, and the
 reading that it believes, i32[P]."""
 
 
+def _unseen(belief: ParticleBelief, uniform: Array, jitter: Array) -> tuple[Unexplored, Array]:
+    """Draw places that are unseen, f32[2, n]; with a steady drift f32[2, n, P], by its own sign."""
+    coverage, log_area = belief.coverage, jnp.log(area_size(belief.coverage))
+    x, y, log_unseen = sample_unseen(coverage, uniform, jitter)
+    places = jnp.stack([x, y])
+    if mean_drift(belief) is None:
+        return Unexplored(coverage, jnp.int32(0), log_area, log_unseen), places
+    stacked, rows = both_ways(belief)
+    is_ours = is_led(belief)
+    other = replace(coverage, log_miss=belief.alternate_miss)
+    x, y, log_other = sample_unseen(other, uniform, jitter)
+    places = jnp.where(is_ours, places[..., None], jnp.stack([x, y])[..., None])
+    log_unseen = jnp.where(is_ours, log_unseen, log_other)
+    return Unexplored(stacked, rows, log_area, log_unseen), places
+
+
+def _draw_places(
+    key: Array, belief: ParticleBelief, num_relations: int
+) -> tuple[Array, Draws, Unexplored]:
+    """Draw the random numbers of all particles and relations.
+
+    f32[P] that decides which reading a particle takes; leaves [J, ...]; what is unexplored.
+    """
+    number = belief.log_weight.shape[0]
+    pool = NUM_UNSEEN * number
+    reading_key, draws_key = jax.random.split(key)
+    pool_key, loop_key = jax.random.split(draws_key)
+    index = np.arange(num_relations)
+    keys = jax.vmap(lambda one: jax.random.split(jax.random.fold_in(loop_key, one)))(index)
+    keys_of_all = jnp.concatenate([jnp.stack([reading_key, pool_key]), keys[:, 0]])
+    uniforms = batching.uniforms(keys_of_all, max(2 * NUM_UNSEEN, 5) * number)
+    comb = uniforms[1, : 2 * pool].reshape(2, pool)
+    scene, places = _unseen(belief, comb[0, 0], comb)
+    steps = jnp.asarray(_STEPS[index % len(_STEPS)])
+    of_all = jax.vmap(_of_relation, in_axes=(0, 0, 0, None))
+    return uniforms[0, :number], of_all(uniforms[2:], keys[:, 1], steps, places), scene
+
+
+def _of_relation(uniform: Array, shuffle_key: Array, step: Array, places: Array) -> Draws:
+    """Draw the random numbers of one relation, for all particles; leaves [..., P]."""
+    pool = places.shape[1]
+    number = pool // NUM_UNSEEN
+    stride = next(step for step in range(int(0.618 * number), 0, -1) if math.gcd(step, number) == 1)
+    # Which place of the comb goes to which particle is random: a fixed assignment would tie
+    # particles to regions. Each row is dealt over the whole comb.
+    dealt = NUM_UNSEEN * (stride * np.arange(number) % number) + np.arange(NUM_UNSEEN)[:, None]
+    start = jax.random.randint(shuffle_key, (), 0, pool)
+    chosen = jax.lax.rem(start + dealt.astype(np.int32), pool)
+    unit = batching.between(uniform[: 5 * number], 1e-6, 1.0 - 1e-6).reshape(5, number)
+    normal = jax.scipy.special.ndtri(unit[:4])
+    own = chosen if places.ndim == 2 else (chosen, np.arange(number))
+    return Draws(
+        distance=normal[:2],
+        angle=normal[2:],
+        # Evenly spread over the particles: what they choose stays for the episode, and with it the
+        # error of independent draws. Each relation has a step of its own, or what a particle
+        # chooses for one would tell what it chooses for the next.
+        choice=jax.lax.rem(unit[4, 0] + step * np.arange(number, dtype=np.float32), 1.0),
+        unseen_x=places[0][own],
+        unseen_y=places[1][own],
+    )
+
+
 def _ground_all(
-    num_mentions: int, own: Own, told: Said, scene: Scene, *, params: MapParams
+    num_mentions: int, own: Own, told: Query, scene: Unexplored, params: MapParams
 ) -> Grounding:
     """Ground the words of all particles of one lane: leaves [..., P]."""
     seen, draws, reading = own
@@ -45,7 +122,12 @@ def _ground_all(
 
 
 def _ground(
-    num_mentions: int, seen: Seen, said: Said, draws: Draws, scene: Scene, params: MapParams
+    num_mentions: int,
+    seen: Observed,
+    said: Query,
+    draws: Draws,
+    scene: Unexplored,
+    params: MapParams,
 ) -> Grounding:
     """Ground the words of particles, relation by relation; of what is said leaves [J, ..., P]."""
     num_relations = jnp.max(jnp.sum(said.mention[:, FIGURE] != NONE, axis=0))
@@ -61,9 +143,7 @@ def _ground(
 @functools.cache
 def _ground_sparse(num_mentions: int) -> Callable[..., Grounding]:
     """Build ``_ground_all`` with a rule of its own for ``vmap`` over lanes."""
-
-    def dense(own: Own, told: Said, scene: Scene, params: MapParams) -> Grounding:
-        return _ground_all(num_mentions, own, told, scene, params=params)
+    dense = functools.partial(_ground_all, num_mentions)
 
     @custom_vmap
     def ground(is_asked: Array, *arguments: Any) -> Grounding:
@@ -93,8 +173,8 @@ def _ground_gathered(
     num_mentions: int,
     is_asked: Array,
     own: Own,
-    told: Said,
-    scene: Scene,
+    told: Query,
+    scene: Unexplored,
     params: MapParams,
 ) -> Grounding:
     """Gather the particles asked, bool[L, P], ground them piece by piece, put back [L, ..., P]."""
@@ -126,14 +206,14 @@ def _ground_gathered(
     )
 
 
-def _scene_of(scene: Scene, chosen: Array, lane: Array) -> Scene:
+def _scene_of(scene: Unexplored, chosen: Array, lane: Array) -> Unexplored:
     """Tell particles of several lanes, i32[n] of all and i32[n] theirs, in what scene each is."""
     maps, num_cells = scene.coverage.log_miss, scene.coverage.log_miss.shape[-1]
 
     def own(values: Array) -> Array:
         return values[lane] if values.ndim == 1 else values.reshape(-1)[chosen]
 
-    return Scene(
+    return Unexplored(
         coverage=Coverage(log_miss=maps.reshape(-1, num_cells), area=scene.coverage.area[lane].T),
         first_row=lane * maps.shape[1] + own(scene.first_row),
         log_area=scene.log_area[lane],
@@ -187,7 +267,7 @@ def ground_words(
     """
     particles, number = belief.particles, belief.log_weight.shape[0]
     asked = jnp.ones(number, bool) if is_asked is None else is_asked
-    uniform, draws, scene = draw_places(key, belief, readings.figure.shape[1])
+    uniform, draws, scene = _draw_places(key, belief, readings.figure.shape[1])
     scene = scene._replace(num_pooled=num_pooled)
     reading = _reading(readings, uniform)
     own = _seen(particles), draws, reading
@@ -197,7 +277,7 @@ def ground_words(
     if is_sparse:
         grounding = _ground_sparse(num_mentions)(asked, own, said, scene, params)
     else:
-        grounding = _ground_all(num_mentions, own, said, scene, params=params)
+        grounding = _ground_all(num_mentions, own, said, scene, params)
     fresh = replace(
         particles,
         reading=reading,
@@ -218,10 +298,10 @@ def _reading(readings: Readings, uniform: Array) -> Array:
     return jnp.sum(share[:-1, None] <= point[None, :], axis=0).astype(jnp.int32)
 
 
-def _seen(particles: SemanticMap) -> Seen:
+def _seen(particles: SemanticMap) -> Observed:
     """Tell what particles have seen, leaves [..., P]."""
     num_objects = particles.object_type.shape[0]
-    return Seen(
+    return Observed(
         particles.object_type,
         particles.mean_x[:num_objects],
         particles.mean_y[:num_objects],

@@ -1,4 +1,4 @@
-"""When to ask which one is meant, in place of a guess (ours; the paper knows no questions).
+"""When to ask which object is meant: the value of asking against looking on and guessing (ours).
 
 Success is worth 1; a question costs c of it, a metre of looking on λ. With p_s the probability that
 the goal is the observed thing s, p the largest of them, u that the goal has not been seen, and L
@@ -33,7 +33,7 @@ _OPEN = 0.5
 
 
 @pytree
-class Doubt:
+class AskDecision:
     """What there is to be asked, or to be looked at before that."""
 
     looks_on: Array  # bool[] what has not been seen may still be the goal: nothing is accepted yet
@@ -68,14 +68,14 @@ def _values(mass: Array, walk: Array, cost: Array) -> tuple[Array, Array, Array]
     return best, ask, look
 
 
-def doubt_of(
+def value_of_asking(
     goals: Goals,
     metres: Array,
     *,
     params: PlannerParams,
     has_looked: Array | bool,
     may_ask: Array,
-) -> Doubt:
+) -> AskDecision:
     """Weigh a question against a guess, and against looking on.
 
     Where the candidates are meant in relation to something not seen, it is looked for first if that
@@ -111,4 +111,6 @@ def doubt_of(
     is_worth = ask > guess
     asks = is_worth & (ask >= look) & ~waits
     looks_on = (unseen > 0.0) & (look > guess) & ~asks
-    return Doubt(looks_on=is_allowed & (looks_on | (is_worth & waits)), asks=is_allowed & asks)
+    return AskDecision(
+        looks_on=is_allowed & (looks_on | (is_worth & waits)), asks=is_allowed & asks
+    )

@@ -1,4 +1,4 @@
-"""Where the robot has looked: by its drift, or by either sign of a steady one (ours).
+"""Coverage maps for both signs of a constant heading bias; the robot plans by the likelier (ours).
 
 Of a steady drift only the size is known. Until something is seen again nothing tells its sign, and
 after twenty metres at 3° each the two places where the robot may be are ten metres apart: what lies
@@ -8,8 +8,6 @@ where all that could be seen by the one has been looked at in vain, the robot go
 
 Limits: with a compass, and with no steady drift, there is one way, and nothing of this is computed.
 """
-
-from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
@@ -31,18 +29,15 @@ LEAST_LED = 0.2
 at every doubt would be to search by both at once, and to finish neither."""
 
 
-class Looked(NamedTuple):
-    """Where the robot has looked, by either sign of a steady drift."""
+def both_ways(belief: ParticleBelief) -> tuple[Coverage, Array]:
+    """Stack the coverage by the active sign of the bias, f32[G, G], on that by the other.
 
-    coverage: Coverage  # f32[2 G, G], that which the robot goes by above the other
-    first_row: Array  # i32[P] where in it the map begins that a particle goes by
-
-
-def both_ways(belief: ParticleBelief) -> Looked:
-    """Put where the robot has looked by either drift one below the other, for all particles."""
-    maps = belief.coverage.log_miss, belief.other_miss
-    rows = jnp.where(is_led(belief), 0, belief.other_miss.shape[0]).astype(jnp.int32)
-    return Looked(replace(belief.coverage, log_miss=jnp.concatenate(maps)), rows)
+    Returns:
+        Coverage f32[2 G, G]; i32[P] row at which the map of a particle's own sign begins.
+    """
+    maps = belief.coverage.log_miss, belief.alternate_miss
+    rows = jnp.where(is_led(belief), 0, belief.alternate_miss.shape[0]).astype(jnp.int32)
+    return replace(belief.coverage, log_miss=jnp.concatenate(maps)), rows
 
 
 def log_missed(belief: ParticleBelief, x: Array, y: Array) -> Array:
@@ -59,9 +54,9 @@ def log_missed(belief: ParticleBelief, x: Array, y: Array) -> Array:
     if mean_drift(belief) is None:
         robot_x, robot_y = robot_position(belief)
         return log_miss_at(belief.coverage, robot_x + x, robot_y + y)
-    held, looked = belief.particles, both_ways(belief)
+    held, (coverage, rows) = belief.particles, both_ways(belief)
     place = held.mean_x[-1:] + x[:, 0], held.mean_y[-1:] + y[:, 0]
-    return log_miss_at(looked.coverage, *place, looked.first_row)
+    return log_miss_at(coverage, *place, rows)
 
 
 def look_around(
@@ -77,23 +72,23 @@ def look_around(
     heading, drift = observation.pose[2], mean_drift(belief)
     ours = looked(belief.coverage.log_miss, robot_position(belief), heading)
     if drift is None:
-        return ours, belief.other_miss
+        return ours, belief.alternate_miss
     is_other = ~is_led(belief)
     other = fix(belief, is_other)
-    theirs = looked(belief.other_miss, other[:2], heading - drift + other.drift).log_miss
-    return ours, jnp.where(jnp.any(is_other), theirs, belief.other_miss)
+    theirs = looked(belief.alternate_miss, other[:2], heading - drift + other.drift).log_miss
+    return ours, jnp.where(jnp.any(is_other), theirs, belief.alternate_miss)
 
 
-def go_by_the_likelier(belief: ParticleBelief) -> ParticleBelief:
+def switch_bias_hypothesis(belief: ParticleBelief) -> ParticleBelief:
     """Let the robot go by the other sign of a steady drift where that is far the likelier."""
     if mean_drift(belief) is None:
         return belief
     share = jnp.sum(jnp.where(is_led(belief), jnp.exp(belief.log_weight), 0.0))
     turns = share < LEAST_LED
-    ours, theirs = belief.coverage.log_miss, belief.other_miss
+    ours, theirs = belief.coverage.log_miss, belief.alternate_miss
     return replace(
         belief,
         coverage=replace(belief.coverage, log_miss=jnp.where(turns, theirs, ours)),
-        other_miss=jnp.where(turns, ours, theirs),
-        led_sign=jnp.where(turns, -belief.led_sign, belief.led_sign),
+        alternate_miss=jnp.where(turns, ours, theirs),
+        bias_sign=jnp.where(turns, -belief.bias_sign, belief.bias_sign),
     )

@@ -1,4 +1,4 @@
-"""Tours to begin with, and tours changed at random (section 3.4; ours)."""
+"""Initial tours and random changes of tours, for local search (section 3.4; ours)."""
 
 import jax
 import jax.numpy as jnp

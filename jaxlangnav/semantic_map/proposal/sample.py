@@ -1,4 +1,4 @@
-"""Proposal for annotations: to what do the words refer? (section 3.2, eq. 7a).
+"""Sample the grounding of one relation from its exact proposal distribution (eq. 7a).
 
 Each annotated relation samples its figure and landmark jointly from the observed objects or from
 new ones under a Dirichlet-process prior, and the metric constraint of a new one from the
@@ -31,26 +31,32 @@ from jaxlangnav.kinds import is_anything
 from jaxlangnav.messages import NONE
 from jaxlangnav.numerics import categorical
 from jaxlangnav.numerics.batching import column, lead, once, pick
-from jaxlangnav.semantic_map.candidates import (
+from jaxlangnav.semantic_map.coverage import log_miss_at
+from jaxlangnav.semantic_map.params import MapParams
+from jaxlangnav.semantic_map.proposal.candidates import (
     NUM_UNSEEN,
     Candidates,
     Draws,
     Grounding,
-    Scene,
-    Seen,
+    Observed,
+    Unexplored,
     list_candidates,
 )
-from jaxlangnav.semantic_map.coverage import log_miss_at
-from jaxlangnav.semantic_map.order import PLURAL, log_rank
-from jaxlangnav.semantic_map.params import MapParams
-from jaxlangnav.semantic_map.said import FIGURE, LANDMARK, Said
-from jaxlangnav.semantic_map.ways import Ways, meaning, propose
+from jaxlangnav.semantic_map.proposal.enumerate import Proposals, meaning, propose
+from jaxlangnav.semantic_map.proposal.ranks import PLURAL, log_rank
+from jaxlangnav.semantic_map.proposal.relation_query import FIGURE, LANDMARK, Query
 
 _LOG_FLOOR = -60.0
 
 
 def ground_relation(
-    seen: Seen, said: Said, grounding: Grounding, draws: Draws, scene: Scene, *, params: MapParams
+    seen: Observed,
+    said: Query,
+    grounding: Grounding,
+    draws: Draws,
+    scene: Unexplored,
+    *,
+    params: MapParams,
 ) -> Grounding:
     """Ground one annotated relation of one particle's reading (eq. 7a).
 
@@ -85,14 +91,14 @@ def ground_relation(
     return _enter(grounding, said, ends, ways, choice, log_total)
 
 
-def _apart(said: Said, grounding: Grounding) -> Said:
+def _apart(said: Query, grounding: Grounding) -> Query:
     """Take what other mentions refer to already for nothing that is called by no type."""
     bits = jnp.where(grounding.slot == NONE, 0, jnp.left_shift(1, jnp.maximum(grounding.slot, 0)))
     taken = jax.lax.reduce_or(bits, axes=(0,))[None]
     return said._replace(excluded=said.excluded | jnp.where(is_anything(said.kind), taken, 0))
 
 
-def _from_other(said: Said, grounding: Grounding) -> Said:
+def _from_other(said: Query, grounding: Grounding) -> Query:
     """See what lies between two landmarks from the other one, which is neither of the ends."""
     table = jnp.stack([grounding.x, grounding.y, grounding.slot.astype(jnp.float32)], axis=1)
     other = pick(table, jnp.broadcast_to(said.other, table.shape[1:]))
@@ -120,7 +126,12 @@ def _log_prior_known(ends: Candidates) -> Array:
 
 
 def _weigh(
-    said: Said, ends: Candidates, ways: Ways, log_rank: Array, scene: Scene, misleading: Array
+    said: Query,
+    ends: Candidates,
+    ways: Proposals,
+    log_rank: Array,
+    scene: Unexplored,
+    misleading: Array,
 ) -> Array:
     """Weigh all ways to ground a relation: prior · f m / q, f32[W, ...] log-weights."""
     size, ndim = ends.x.shape[1], ways.new_x.ndim
@@ -152,7 +163,7 @@ def _weigh(
     )
 
 
-def _log_new(said: Said, ways: Ways, log_density: Array, scene: Scene) -> Array:
+def _log_new(said: Query, ways: Proposals, log_density: Array, scene: Unexplored) -> Array:
     """Compute log f m / q of what was drawn for the relation, f32[2 (O + 1) + NUM_UNSEEN, ...]."""
     log_miss = log_miss_at(scene.coverage, ways.new_x, ways.new_y, scene.first_row)
     # A new figure was drawn from f; a landmark from its figure's frame, not from its own.
@@ -172,9 +183,9 @@ def _log_new(said: Said, ways: Ways, log_density: Array, scene: Scene) -> Array:
 
 def _enter(
     grounding: Grounding,
-    said: Said,
+    said: Query,
     ends: Candidates,
-    ways: Ways,
+    ways: Proposals,
     choice: Array,
     log_total: Array,
 ) -> Grounding:

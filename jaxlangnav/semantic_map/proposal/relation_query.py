@@ -1,4 +1,4 @@
-"""What is said: one relation of a sentence, as a particle hears it (section 3.2, eq. 7a).
+"""One relation of an utterance in the reading that a particle believes (section 3.2, eq. 7a).
 
 A relation places a figure against a landmark. Both are its *ends*: of any leaf [2, ...] the first
 entry is the figure's, the second the landmark's. What lies between two landmarks has two relations:
@@ -38,7 +38,7 @@ from jaxlangnav.semantic_map.params import MapParams
 FIGURE, LANDMARK = 0, 1
 
 
-class Said(NamedTuple):
+class Query(NamedTuple):
     """One relation of the reading that a particle believes."""
 
     mention: Array  # i32[2, ...] the ends; NONE where the reading has no such relation or landmark
@@ -197,7 +197,7 @@ def told_now(readings: Readings, viewer: Array) -> Told:
     )
 
 
-def listen(readings: Readings, told: Told, model: RelationModel, log_area: Array) -> Said:
+def listen(readings: Readings, told: Told, model: RelationModel, log_area: Array) -> Query:
     """Look up all that the readings say.
 
     Args:
@@ -245,7 +245,7 @@ def log_told_density(spoken: Spoken, log_area: Array, x: Array, y: Array) -> Arr
     number, mentions = readings.figure.shape[0], np.arange(readings.mention_type.shape[1])
     at = tuple(jnp.broadcast_to(one[:, None], (x.shape[0], number)) for one in (x, y))
 
-    def of_relation(one: Said) -> Array:
+    def of_relation(one: Query) -> Array:
         viewer = (jnp.broadcast_to(place[None], at[0].shape) for place in one.viewer[:2])
         log_holds = one.log_density(*at, *viewer) + log_area
         log_ratio = jnp.logaddexp(jnp.log1p(-misleading) + log_holds, jnp.log(misleading))
@@ -257,7 +257,7 @@ def log_told_density(spoken: Spoken, log_area: Array, x: Array, y: Array) -> Arr
     return jnp.sum(jax.lax.map(of_relation, said), axis=0)
 
 
-def hear(told: Said, reading: Array) -> Said:
+def hear(told: Query, reading: Array) -> Query:
     """Look up what particles hear that believe the readings i32[P]: leaves [J, ..., P]."""
     rows = pack(told).T[..., None]
     return unpack(pick(rows, jnp.broadcast_to(reading, (rows.shape[1], *reading.shape))), told)
@@ -286,7 +286,7 @@ def _paired(one: Readings) -> tuple[Readings, Array]:
     ), other
 
 
-def _say(one: Readings, told: Told, model: RelationModel, log_area: Array) -> Said:
+def _say(one: Readings, told: Told, model: RelationModel, log_area: Array) -> Query:
     """Gather all that a reading says, leaves [J, ...]."""
     one, other = _paired(one)
     mention = jnp.stack([one.figure, one.landmark], axis=1)
@@ -300,7 +300,7 @@ def _say(one: Readings, told: Told, model: RelationModel, log_area: Array) -> Sa
     # One figure's sides come from all the relations it has with the robot.
     is_alike = (one.figure[:, None] == one.figure[None]) & is_order[:, None]
     law = law_of(model, jnp.maximum(one.relation, 0))
-    return Said(
+    return Query(
         mention=mention,
         kind=kind,
         relation=one.relation,

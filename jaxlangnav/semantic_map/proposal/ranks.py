@@ -19,11 +19,11 @@ from jaxlangnav.messages import NONE
 from jaxlangnav.numerics.batching import apart, lead, rarely
 from jaxlangnav.relations import degree, is_on_side, robot_frame
 from jaxlangnav.relations.strength import sign_of_distance, value_of_rank
-from jaxlangnav.semantic_map.candidates import Draws, Scene, Seen
 from jaxlangnav.semantic_map.counts import log_expected
 from jaxlangnav.semantic_map.params import MapParams
-from jaxlangnav.semantic_map.said import FIGURE, Said
-from jaxlangnav.semantic_map.ways import Pairs
+from jaxlangnav.semantic_map.proposal.candidates import Draws, Observed, Unexplored
+from jaxlangnav.semantic_map.proposal.enumerate import Pairs
+from jaxlangnav.semantic_map.proposal.relation_query import FIGURE, Query
 
 _TIE = 1e-3
 """Metres within which a seen thing is the figure itself."""
@@ -38,11 +38,11 @@ PLURAL = 10.0
 
 
 def log_rank(
-    said: Said,
+    said: Query,
     pairs: Pairs,
-    seen: Seen,
+    seen: Observed,
     draws: Draws,
-    scene: Scene,
+    scene: Unexplored,
     *,
     params: MapParams,
     num_known: int = 0,
@@ -78,7 +78,7 @@ def log_rank(
     return log_nearest + log_order
 
 
-def _excess(said: Said, pairs: Pairs, seen: Seen, num_known: int) -> Array:
+def _excess(said: Query, pairs: Pairs, seen: Observed, num_known: int) -> Array:
     """Measure by how many metres the figure is beaten by a seen thing of its type, f32[n, ...]."""
     sign = sign_of_distance(said.relation)[None]
 
@@ -100,7 +100,7 @@ def _excess(said: Said, pairs: Pairs, seen: Seen, num_known: int) -> Array:
 
 
 def _log_order(
-    said: Said, pairs: Pairs, seen: Seen, draws: Draws, scene: Scene, params: MapParams
+    said: Query, pairs: Pairs, seen: Observed, draws: Draws, scene: Unexplored, params: MapParams
 ) -> Array:
     """Weigh figures by an order, which counts what is unseen."""
     num_seen, num_others = seen.x.shape[0], seen.x.shape[0] + draws.unseen_x.shape[0]
@@ -137,13 +137,13 @@ def _log_order(
     return price - excess / params.superlative_softness
 
 
-def _is_rival(seen: Seen, said: Said) -> Array:
+def _is_rival(seen: Observed, said: Query) -> Array:
     """Tell what figures are compared with: of their type, and likelier there than not."""
     is_kind = fits(seen.object_type, said.kind[FIGURE][None])
     return is_kind if seen.existence is None else is_kind & (seen.existence > 0.5)
 
 
-def _merit(said: Said, pairs: Pairs, x: Array, y: Array) -> Array:
+def _merit(said: Query, pairs: Pairs, x: Array, y: Array) -> Array:
     """Measure places [k, n, ...] along the order of n landmarks, smaller is earlier."""
     dx, dy = x - pairs.landmark_x[None], y - pairs.landmark_y[None]
     robot = robot_frame(lead(said.viewer[2], dx.ndim))
@@ -152,7 +152,7 @@ def _merit(said: Said, pairs: Pairs, x: Array, y: Array) -> Array:
     return -degree(lead(said.relation, dx.ndim), distance, sideways)
 
 
-def _is_where_said(said: Said, x: Array, y: Array) -> Array:
+def _is_where_said(said: Query, x: Array, y: Array) -> Array:
     """Tell which places [n, ...] are on the sides of the robot where the figure is said to be."""
     viewer_x, viewer_y, heading = (lead(one, x.ndim) for one in jnp.unstack(said.viewer))
     robot = jax.tree.map(lambda leaf: leaf[None], robot_frame(heading))
