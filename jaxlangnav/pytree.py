@@ -26,15 +26,15 @@ def field(help: str, *, default: float | None = None) -> Any:
 
     Args:
         help: one sentence; units first where it is a quantity.
-        default: of a scalar, f32[]; none by default.
+        default: a float is that of a scalar f32[], an int stays one; None: there is no default.
 
     Returns:
         The field.
     """
-    if default is None:
-        return dataclasses.field(metadata={"help": help})
-    # Built when it is asked for: an import touches no device.
-    return dataclasses.field(metadata={"help": help}, default_factory=lambda: jnp.float32(default))
+    given: dict[str, Any] = {} if default is None else {"default": default}
+    if isinstance(default, float):  # built when it is asked for: an import touches no device
+        given = {"default_factory": lambda: jnp.float32(default)}
+    return dataclasses.field(metadata={"help": help}, **given)
 
 
 @dataclass_transform(
