@@ -18,7 +18,7 @@ from jaxlangnav.cli.checks import (
     check_seed,
 )
 from jaxlangnav.cli.errors import UsageError
-from jaxlangnav.cli.output import Document, Output
+from jaxlangnav.cli.output import Document, Output, document_text
 from jaxlangnav.cli.parse import is_template, parse_text
 from jaxlangnav.cli.runtime import keep_compiled_programs, waiting
 from jaxlangnav.cli.settings import SettingPath, apply, read_settings
@@ -295,9 +295,6 @@ class Follow:
 
     def _draw(self, recording: "Recording", document: dict[str, Any], output: Output) -> None:
         """Write pictures, recordings and document into the folder."""
-        import json
-
-        from jaxlangnav.cli.output import to_json
         from jaxlangnav.files.whole import write_text
         from jaxlangnav.viz.html import write_pictures
 
@@ -308,7 +305,7 @@ class Follow:
 
             paths.append(write_rrd(recording, self.out / "episode.rrd"))
         document["pictures"] = [str(path) for path in paths]
-        write_text(json.dumps(to_json(document), indent=2) + "\n", self.out / "episode.json")
+        write_text(document_text(document), self.out / "episode.json")
         names = ", ".join(path.name for path in paths)
         output.say("")
         output.say(f"Wrote {names} and episode.json into {self.out}")

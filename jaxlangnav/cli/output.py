@@ -13,7 +13,7 @@ from typing import Any
 from jaxlangnav.experiments.table import Document
 from jaxlangnav.plain_text import Plain, is_plain, printable
 
-__all__ = ["Document", "Output", "standard_output_kept", "to_json", "write_document"]
+__all__ = ["Document", "Output", "document_text", "standard_output_kept", "write_document"]
 _WIDEST = 240
 """Columns that a table may take."""
 _COMFORTABLE = 100
@@ -77,6 +77,11 @@ def write_document(document: Document) -> None:
     sys.stdout.write(text if text.isprintable() else "".join(escaped))
     sys.stdout.write("\n")
     sys.stdout.flush()
+
+
+def document_text(document: Document) -> str:
+    """Write a document for a file, in JSON's own types, indented."""
+    return json.dumps(to_json(document), indent=2) + "\n"
 
 
 def to_json(value: Any) -> Any:

@@ -1,7 +1,6 @@
 """``jaxlangnav reproduce``: an experiment of the paper, beside its printed numbers (section 4)."""
 
 import dataclasses
-import json
 from typing import Any, ClassVar, Literal
 
 import tyro
@@ -16,8 +15,8 @@ from jaxlangnav.cli.checks import (
     check_seed,
 )
 from jaxlangnav.cli.errors import UsageError
-from jaxlangnav.cli.output import Document, Output, to_json
-from jaxlangnav.cli.runtime import keep_compiled_programs, progress_bar
+from jaxlangnav.cli.output import Document, Output
+from jaxlangnav.cli.runtime import keep_compiled_programs
 from jaxlangnav.cli.settings import apply, read_settings
 
 _EPISODES, _EPISODES_ROBUSTNESS = 100, 500
@@ -26,12 +25,6 @@ _SEED, _SEED_UNKNOWNS = 0, 3000
 """The study of unknowns has worlds of its own, none that a table or a tuning has used."""
 _TRIALS = 10
 """Of each row of Table 3, as in the paper."""
-_TITLE3 = "Table 3 in simulation: ours beside the paper's"
-_CAPTION3 = (
-    "Physics-in-the-loop simulation with rendered-camera perception; the paper drove real robots. "
-    "Success: said to have arrived, within 1.5 m of the intended goal; 95 % interval. "
-    "Distance truly travelled, mean (sd)."
-)
 _TAKES = {"table1": (), "fig3": (), "time": ("params",), "conversation": ("params",)}
 _TAKES |= {"robustness": ("params",), "table3": ()}
 """Groups of settings that mean something to an experiment; the others take all of them."""
@@ -98,8 +91,6 @@ class Reproduce:
     def run(self, output: Output) -> Document:
         """Run the experiment, print its table and write the files."""
         self._check()
-        if self.what == "table3":
-            return self._table3(output)
         keep_compiled_programs()
         from jaxlangnav.cli import reproduction
         from jaxlangnav.cli.study import Settings
@@ -134,6 +125,7 @@ class Reproduce:
             ),
             params=params,
             seed_unknowns=_SEED_UNKNOWNS if self.seed is None else self.seed,
+            trials=self.trials or _TRIALS,
             extra=self.extra,
             ranges=ranges,
             particles_drawn=self.particles or _PARTICLES_DRAWN,
@@ -146,47 +138,6 @@ class Reproduce:
         if self.what == "all":
             return reproduction.run_all(settings, output)
         return reproduction.run_one(self.what, settings, output)[0]
-
-    def _table3(self, output: Output) -> Document:
-        """Run the robots with bodies; trials that the folder holds are not run again."""
-        from jaxlangnav.files.whole import write_text
-        from jaxlangnav.robots.libraries import check_libraries
-
-        keep_compiled_programs()
-        check_libraries()
-        from jaxlangnav.robots.trials import TABLE3, TrialPlan, reproduce_table3, trials_table
-
-        trials, seed = self.trials or _TRIALS, self.seed or _SEED
-        policy = "informed" if self.policy == "all" else self.policy
-        plan = TrialPlan(trials=trials, seed=seed, policy=policy, out=self.out)
-        total = len(TABLE3) * (trials + 1)
-        output.note(f"{total} runs of two robots, two at a time")
-        with progress_bar("runs", total) as advance:
-            document = reproduce_table3(plan, on_progress=advance)
-        table = trials_table(document, title=_TITLE3, caption=_CAPTION3)
-        output.say(table.text())
-        for row in document["rows"]:
-            where = f"{row['robot']} {row['world']} {row['range']:g} m {row['relation'] or 'null'}"
-            for one in row["failures"]:
-                output.say(f"{where}, trial {one['trial']}: {one['ending']}: {one['why']}")
-        low, high = (100 * one for one in document["success_interval"])
-        output.say(
-            f"Over all: {100 * document['success']:.1f} % [{low:.1f}, {high:.1f}]; "
-            f"{total - document['resumed']} runs in {document['wall_s']:.0f} s, "
-            f"{document['resumed']} kept from before."
-        )
-        document["files"] = []
-        if self.out is not None:
-            text = f"# {_TITLE3}\n\n{_CAPTION3}\n\n{table.markdown()}"
-            written = json.dumps(to_json(document), indent=2) + "\n"
-            paths = [
-                write_text(text, self.out / "table3.md"),
-                write_text(written, self.out / "table3.json"),
-            ]
-            document["files"] = [str(path) for path in paths]
-            for path in paths:
-                output.say(f"Wrote {path}")
-        return document
 
     def _check(self) -> None:
         """Refuse what can be refused before anything is loaded."""

@@ -6,9 +6,7 @@ Table 2, which the paper leaves to future work.
 
 import dataclasses
 import math
-import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
@@ -20,7 +18,6 @@ from jaxlangnav.experiments.monte_carlo import OnProgress
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.table import Document, Table, TableColumns
 from jaxlangnav.experiments.tasks import cell, make_tasks
-from jaxlangnav.files.whole import write_text
 from jaxlangnav.navigator import NavigatorParams
 from jaxlangnav.pytree import replace
 from jaxlangnav.world.person import params_of
@@ -131,26 +128,18 @@ def run_rows(
     seed: int,
     particles: int,
     params: NavigatorParams,
-    out: Path | None,
     on_progress: OnProgress | None = None,
 ) -> dict[str, Any]:
-    """Run all rows, and write table and document where a folder is given."""
-    begin = time.perf_counter()
+    """Run all rows."""
     numbers = {"episodes": episodes, "seed": seed, "particles": particles}
     rows = [_run_row(row, **numbers, params=params, on_progress=on_progress) for row in ROWS]
-    document = {
+    return {
         "experiment": "conversation",
         "episodes": episodes,
         "seed": seed,
         "num_particles": particles,
         "rows": rows,
-        "wall_s": time.perf_counter() - begin,
-        "files": [],
     }
-    if out is not None:
-        text = f"# {HEADING}\n\n{dialogue_table(document).markdown()}\n{NOTE}\n"
-        document["files"] = [str(write_text(text, out / "conversation.md"))]
-    return document
 
 
 NOTE = (
