@@ -8,9 +8,13 @@ meant in it is clear: the things in the outskirts are those in the core.
 
 import dataclasses
 import re
+from pathlib import Path
 
 import numpy as np
 
+_LINES = Path(__file__).with_name("spoken.txt").read_text("utf-8").splitlines()
+SPOKEN = [line.split(" => ") for line in _LINES if " => " in line]
+"""Sentences as people say them, and what each means in short, or ``REFUSED``."""
 ROBOT, ANY = "robot", "one"
 _TOKEN = re.compile(r"\[|\]|[^\[\]\s]+")
 

@@ -6,6 +6,7 @@ from importlib import resources
 from pathlib import Path
 
 import pytest
+from hand_geometry import SPOKEN
 
 from jaxlangnav import Navigator
 from jaxlangnav.language.halting import Act, act_of, alarm_in, halts_alone, opening_of
@@ -16,16 +17,10 @@ from jaxlangnav.navigator import NavigatorState
 TABLE = tomllib.loads(
     resources.files("jaxlangnav.language").joinpath("data/halting.toml").read_text("utf-8")
 )
-SPOKEN = Path(__file__).parent / "spoken.txt"
 
 
-def test_there_are_many_ways_to_say_halt() -> None:
+def test_there_are_many_ways_to_say_halt_and_none_has_two_meanings() -> None:
     assert len(TABLE["halt"]) >= 30
-    for act in Act:
-        assert len(TABLE[act]) == len(set(TABLE[act]))
-
-
-def test_no_wording_has_two_meanings() -> None:
     wordings = [wording for act in Act for wording in TABLE[act]]
     assert len(wordings) == len(set(wordings))
 
@@ -66,87 +61,67 @@ def test_each_wording_however_said(act: Act, form: str) -> None:
         ("hold on a second", Act.HALT),
         ("hang on a minute, please", Act.HALT),
         ("back off!", Act.HALT),
+        # Anything else is left to the parser.
+        ("", None),
+        ("please", None),
+        ("!!!", None),
+        ("stop behind the cone", None),
+        ("stop at the hydrant", None),
+        ("wait behind the barrel", None),
+        ("go on to the hydrant", None),
+        ("continue to the cone", None),
+        ("proceed to the bench", None),
+        ("hold the door", None),
+        ("forget the cone, go to the car", None),
+        ("stay away from the cone", None),
+        ("the robot stopped", None),
+        ("park to the right of the cone", None),
+        ("stop " * 200, None),
+        ("go", None),
+        ("no", None),
+        ("the other one", None),
+        ("stpo behind the cone", None),
+        ("a second", None),
+        ("soap", None),
     ],
 )
-def test_as_people_say_it(text: str, act: Act) -> None:
+def test_as_people_say_it(text: str, act: Act | None) -> None:
     assert act_of(text) is act
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "",
-        "please",
-        "!!!",
-        "stop behind the cone",
-        "stop at the hydrant",
-        "wait behind the barrel",
-        "go on to the hydrant",
-        "continue to the cone",
-        "proceed to the bench",
-        "hold the door",
-        "forget the cone, go to the car",
-        "stay away from the cone",
-        "the robot stopped",
-        "park to the right of the cone",
-        "stop " * 200,
-        "go",
-        "no",
-        "the other one",
-        "stpo behind the cone",
-        "a second",
-        "soap",
-    ],
-)
-def test_anything_else_is_left_to_the_parser(text: str) -> None:
-    assert act_of(text) is None
 
 
 def test_no_command_with_an_object_is_taken_for_a_word_to_halt() -> None:
     """Of the thousand labelled sentences, only those without any object."""
-    lines = [
-        line.split(" => ") for line in SPOKEN.read_text("utf-8").splitlines() if " => " in line
-    ]
-    assert len(lines) > 500
-    taken = {text for text, label in lines if act_of(text) is not None and label != "REFUSED"}
+    assert len(SPOKEN) > 500
+    taken = {text for text, label in SPOKEN if act_of(text) is not None and label != "REFUSED"}
     assert taken == set()
 
 
 @pytest.mark.parametrize(
-    ("text", "act", "rest"),
+    ("text", "opening"),
     [
-        ("Stop! The car is on fire", Act.HALT, "The car is on fire"),
-        ("halt, there is a child", Act.HALT, "there is a child"),
-        ("Stpo! There is a child", Act.HALT, "There is a child"),
-        ("stop and come back", Act.HALT, "come back"),
-        ("please stop now, and then go to the bench", Act.HALT, "go to the bench"),
-        ("Never mind, come back.", Act.CANCEL, "come back."),
-        ("don't bother, go to the bench", Act.CANCEL, "go to the bench"),
-        ("cancel that and then come back", Act.CANCEL, "come back"),
-        ("nevermind come back", Act.CANCEL, "come back"),
-        ("forget it. Stop. Come back", Act.HALT, "Come back"),
+        ("Stop! The car is on fire", (Act.HALT, "The car is on fire")),
+        ("halt, there is a child", (Act.HALT, "there is a child")),
+        ("Stpo! There is a child", (Act.HALT, "There is a child")),
+        ("stop and come back", (Act.HALT, "come back")),
+        ("please stop now, and then go to the bench", (Act.HALT, "go to the bench")),
+        ("Never mind, come back.", (Act.CANCEL, "come back.")),
+        ("don't bother, go to the bench", (Act.CANCEL, "go to the bench")),
+        ("cancel that and then come back", (Act.CANCEL, "come back")),
+        ("nevermind come back", (Act.CANCEL, "come back")),
+        ("forget it. Stop. Come back", (Act.HALT, "Come back")),
+        ("stop behind the cone", None),
+        ("go to the cone and stop", None),
+        ("never mind the gazebo", None),
+        ("forget the cone, go to the car", None),
+        ("stop", None),
+        ("go on, the hydrant is red", None),
+        ("please, go to the cone", None),
+        ("", None),
+        ("stop, " * 200, None),
     ],
 )
-def test_a_beginning_that_acts_by_itself(text: str, act: Act, rest: str) -> None:
-    assert opening_of(text) == (act, rest)
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "stop behind the cone",
-        "go to the cone and stop",
-        "never mind the gazebo",
-        "forget the cone, go to the car",
-        "stop",
-        "go on, the hydrant is red",
-        "please, go to the cone",
-        "",
-        "stop, " * 200,
-    ],
-)
-def test_other_beginnings(text: str) -> None:
-    assert opening_of(text) is None
+def test_a_beginning_that_acts_by_itself(text: str, opening: tuple[Act, str] | None) -> None:
+    assert opening_of(text) == opening
 
 
 @pytest.mark.parametrize("other", [None, 5, b"stop", ["stop"]])
@@ -239,26 +214,16 @@ def test_who_stands_refuses_as_ever(robot: Navigator, under_way: NavigatorState,
             robot.take(state, text)
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "never stop",
-        "don't stop until you reach the cone",
-        "keep going don't stop",
-        "go to the pond",
-        "stop next to the cone",
-        "do not approach the tree",
-        "drive slowly up to the cone",
-        "",
-    ],
-)
+ALARMING = ("no stop", "dont hit me", "careful, don't go into the car, stop")
+PART_OF_A_COMMAND = (
+    "never stop", "don't stop until you reach the cone", "keep going don't stop", "go to the pond",
+    "stop next to the cone", "do not approach the tree", "drive slowly up to the cone", "",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("text", ALARMING + PART_OF_A_COMMAND)
 def test_what_is_part_of_a_command_alarms_nobody(text: str) -> None:
-    assert alarm_in(text, _is_object) is None
-
-
-@pytest.mark.parametrize("text", ["no stop", "dont hit me", "careful, don't go into the car, stop"])
-def test_what_is_no_part_of_a_command_does(text: str) -> None:
-    assert alarm_in(text, _is_object) is not None
+    assert (alarm_in(text, _is_object) is None) == (text in PART_OF_A_COMMAND)
 
 
 def test_words_to_halt_have_no_other_meaning() -> None:

@@ -1,8 +1,7 @@
 """The parser's other promises: unknown words, repairs, senses, attachment, bounds, refusals."""
 
-import gc
+import cProfile
 import json
-import time
 
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
@@ -11,8 +10,6 @@ from jaxlangnav.language.grammar import load_grammar
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.language.parser import MAX_CHARACTERS, parse
 from jaxlangnav.language.phrase import LanguageError, Parse
-
-LIMIT_S = 1.0
 
 
 def senses(text: str) -> dict[str, tuple[str, ...]]:
@@ -125,33 +122,19 @@ def test_document_is_json_with_the_promised_keys():
 
 # ---------------------------------------------------------------- for any input
 
-
-def seconds_to_parse(text: str) -> tuple[float, Parse | str]:
-    """CPU time of one parse, and its tree or the line that refuses it.
-
-    Of this thread alone, and without collections of the garbage that other tests have left: one of
-    all that JAX holds takes a second.
-    """
-    gc.disable()
-    begin = time.thread_time()
-    try:
-        found: Parse | str = parse(text)
-    except LanguageError as error:
-        found = str(error)
-    finally:
-        passed = time.thread_time() - begin
-        gc.enable()
-    return passed, found
+MOST_CALLS = 3_000_000
+"""Calls of functions in one parse: a second's worth, and twice what any text here has taken."""
 
 
 def outcome(text: str) -> Parse | str:
-    """Parse within the time limit; a refusal is one line."""
-    passed, found = seconds_to_parse(text)
-    assert passed < LIMIT_S
-    if isinstance(found, str):
-        assert found
-        assert "\n" not in found
-        assert len(found) < 200
+    """Parse with no more work than that; a refusal is one line."""
+    with cProfile.Profile() as profile:
+        try:
+            found: Parse | str = parse(text)
+        except LanguageError as error:
+            found = str(error)
+    assert sum(entry.callcount for entry in profile.getstats()) < MOST_CALLS
+    assert isinstance(found, Parse) or (0 < len(found) < 200 and "\n" not in found)
     return found
 
 
@@ -170,22 +153,8 @@ def check_nothing_is_dropped(text: str, found: Parse) -> None:
             assert phrase.words or phrase.children
 
 
-PROPERTY = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
+PROPERTY = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow], max_examples=100)
 TOKENS = sorted(word for word in load_lexicon().vocabulary if word.isalpha())
-
-
-@settings(PROPERTY, max_examples=150)
-@given(st.text(max_size=300))
-def test_random_text_ends_in_a_tree_or_a_refusal(text):
-    outcome(text)
-
-
-@settings(PROPERTY, max_examples=200)
-@given(st.lists(st.sampled_from([*TOKENS, "zorbel", ",", "."]), max_size=70))
-def test_random_words_of_the_lexicon(tokens):
-    outcome(" ".join(tokens))
-
-
 PIECES = [
     "go to", "the cone", "the hydrant", "a big red car", "behind", "near", "next to",
     "on your left", "that is", "then", "and", "the nearest box", "please", "find", "stop",
@@ -195,7 +164,28 @@ PIECES = [
 ]  # fmt: skip
 
 
-@settings(PROPERTY, max_examples=150)
+RANDOM = {
+    "characters": st.text(max_size=300),
+    "words of the lexicon": st.lists(
+        st.sampled_from([*TOKENS, "zorbel", ",", "."]), max_size=70
+    ).map(" ".join),
+    "known phrases": st.lists(st.sampled_from(PIECES), min_size=10, max_size=64).map(" ".join),
+    "a text of any length": st.builds(
+        lambda length, unit: (unit * length)[:length],
+        st.integers(1, MAX_CHARACTERS),
+        st.text(min_size=1, max_size=40),
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", RANDOM)
+@settings(PROPERTY)
+@given(st.data())
+def test_any_text_ends_in_a_tree_or_a_refusal(kind, data):
+    outcome(data.draw(RANDOM[kind]))
+
+
+@settings(PROPERTY)
 @given(st.lists(st.sampled_from(PIECES), min_size=1, max_size=12))
 def test_trees_hold_every_word_of_the_sentence(pieces):
     text = " ".join(pieces)
@@ -210,13 +200,13 @@ def test_trees_hold_every_word_of_the_sentence(pieces):
     ["a", "go to the cone ", "near the cone and ", "zorbel ", "the ", ", ", "big red ", "please ",
      "hydrnat ", "'", "-", "é", "🤖", "go ", "1 "],
 )  # fmt: skip
-def test_ten_thousand_characters_within_a_second(unit):
+def test_ten_thousand_characters_take_no_more(unit):
     outcome((unit * MAX_CHARACTERS)[:MAX_CHARACTERS])
     outcome("go to the cone " + unit * 40)
     outcome("go to the " + unit * 12 + "cone")
 
 
-def test_longest_trees_within_a_second():
+def test_longest_trees_take_no_more():
     for text in (
         "go to the hydrant" + " near the cone" * 20,
         "go to the hydrant" + " near the cone and behind the car" * 8,
@@ -245,11 +235,7 @@ def test_longest_trees_within_a_second():
         "\x00\x01\x02 go\x07 to\x1b[31m the cone\x7f",
         "go\tto\r\nthe\u2028cone\u00a0now",
         "go to the co\u0301ne\u200b",
-        "\u202ego to the cone",
         "\ud800 go to the cone",
-        "\uff47\uff4f \uff54\uff4f \uff54\uff48\uff45 \uff43\uff4f\uff4e\uff45",
-        "go to the cone\ufeff",
-        "ﬁnd the cone",
         "\u0393\u039f \u03a4\u039f \u03a4\u0397\u0395 \u039a\u039f\u039d\u0395",
         "İ" * 3000,
         "ß" * 5000,
@@ -261,20 +247,8 @@ def test_longest_trees_within_a_second():
         "go to the cone" + "!" * 9000,
     ],
 )  # fmt: skip
-def test_nasty_text_ends_within_a_second(text):
+def test_nasty_text_takes_no_more(text):
     outcome(text)
-
-
-@settings(PROPERTY, max_examples=60)
-@given(st.integers(1, 10_000), st.text(min_size=1, max_size=40))
-def test_random_text_of_any_length_ends_within_a_second(length, unit):
-    outcome((unit * length)[:MAX_CHARACTERS])
-
-
-@settings(PROPERTY, max_examples=100)
-@given(st.lists(st.sampled_from(PIECES), min_size=10, max_size=64))
-def test_long_sentences_of_known_phrases_end_within_a_second(pieces):
-    outcome(" ".join(pieces))
 
 
 @pytest.mark.parametrize(
@@ -288,7 +262,9 @@ def test_long_sentences_of_known_phrases_end_within_a_second(pieces):
     ],
 )
 def test_unusual_letters_are_read(text):
-    assert parse(text).clauses[0].children[-1].all_words()[-1].text == "cone"
+    found = outcome(text)
+    assert isinstance(found, Parse)
+    assert found.clauses[0].children[-1].all_words()[-1].text == "cone"
 
 
 def test_longer_input_is_refused():

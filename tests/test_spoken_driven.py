@@ -7,7 +7,6 @@ by hand for each sentence. All sentences and worlds are lanes of one compiled pr
 import os
 import random
 import zlib
-from pathlib import Path
 from typing import NamedTuple
 
 import jax
@@ -16,6 +15,7 @@ import numpy as np
 import pytest
 from hand_geometry import (
     ROBOT,
+    SPOKEN,
     Command,
     Place,
     Thing,
@@ -40,8 +40,6 @@ from jaxlangnav.world.scenario import NUM_SLOTS
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
 from jaxlangnav.world.state import Scenario
 
-LINES = Path(__file__).with_name("spoken.txt").read_text("utf-8").splitlines()
-SPOKEN = [line.split(" => ") for line in LINES if line and not line.startswith("#")]
 NUM_WORLDS, ROUND, LANES, STEPS = 3, 256, 32, 120
 MOST_THINGS, RANGE, EXTENT = 6, 8.0, 10.0
 AVOIDED = 1.2
