@@ -4,13 +4,14 @@ A Python loop over one compiled cycle, ``episode.advance``: ``play`` yields each
 keeps them all as NumPy arrays.
 """
 
+import dataclasses
+from collections import ChainMap
 from collections.abc import Iterator
 from typing import Protocol
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
 
 from jaxlangnav import episode
 from jaxlangnav.episode import MAX_STEPS, EpisodeResult, EpisodeState, Task
@@ -19,11 +20,10 @@ from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.kept import kept
 from jaxlangnav.kinds import label_of
 from jaxlangnav.language.lexicon import load_lexicon
-from jaxlangnav.messages import NONE, Observation, Readings, SensorParams, Status
+from jaxlangnav.messages import NONE, Observation, SensorParams, Status
 from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams, NavigatorState
 from jaxlangnav.pytree import replace
 from jaxlangnav.recording import Frame, Recording, StaticScene, stack_frames
-from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.world.simulator import known_distance
 from jaxlangnav.world.state import Scenario, WorldState
 
@@ -196,87 +196,40 @@ def frame_of(
     Returns:
         The frame: the world before the motion, the belief after the step.
     """
-    belief = after.belief
-    return Frame(
-        position=world.position,
-        heading=world.heading,
-        odometry=world.odometry[:2],
-        robot=info.robot,
-        distance=world.distance,
-        clause=before.clause,
-        detection_type=observation.detection_type,
-        detection_range=observation.detection_range,
-        detection_bearing=observation.detection_bearing,
-        is_detection=observation.is_detection,
-        effective_sample_size=info.filter.effective_sample_size,
-        is_resampled=info.filter.is_resampled,
-        num_regrounded=info.filter.num_regrounded,
-        is_news=info.filter.is_news,
-        fault=info.fault,
-        overflow=info.filter.overflow,
-        goal_region=_goal_region(info),
-        action=info.behavior.action,
-        mode=info.behavior.mode,
-        status=after.status,
-        is_done=after.is_done,
-        **_belief_fields(belief, before.instruction.readings),
-        **_decision_fields(info),
-    )
-
-
-def _goal_region(info: NavigatorInfo) -> Array:
-    """Find the likeliest goal region of each observed object and of the robot, i32[O + 1]."""
-    num_objects = info.goals.object_x.shape[0] - 1
-    region = jnp.argmax(info.behavior.goal, axis=0).astype(jnp.int32)  # [N + 1]
-    return jnp.append(region[:num_objects], region[-1])
-
-
-def _belief_fields(belief: ParticleBelief, readings: Readings) -> dict[str, Array]:
-    """Gather what the particles hold."""
-    particles = belief.particles
+    belief, goals, choice = after.belief, info.goals, info.choice
+    particles, nodes = belief.particles, choice.nodes
     num_objects = particles.object_type.shape[0]
     variance = jnp.diagonal(particles.covariance, axis1=0, axis2=1).T  # [O + 1, P]
-    mention_type = readings.mention_type[particles.reading].T  # [M, P]
-    return {
+    mention_type = before.instruction.readings.mention_type[particles.reading].T  # [M, P]
+    region = jnp.argmax(info.behavior.goal, axis=0).astype(jnp.int32)  # [N + 1]
+    own = {
+        "odometry": world.odometry[:2],
+        "clause": before.clause,
         "weight": jnp.exp(belief.log_weight),
-        "reading": particles.reading,
         "object_type": label_of(particles.object_type),
         "object_x": particles.mean_x[:num_objects],
         "object_y": particles.mean_y[:num_objects],
         "object_sd": jnp.sqrt(jnp.maximum(variance[:num_objects], 0.0)),
         "mention_type": jnp.where(particles.is_mentioned, label_of(mention_type), NONE),
-        "referent": particles.referent,
         "is_hypothesised": particles.is_hypothesised,
-        "hypothesis_x": particles.hypothesis_x,
-        "hypothesis_y": particles.hypothesis_y,
         "miss": jnp.exp(belief.coverage.log_miss),
-    }
-
-
-def _decision_fields(info: NavigatorInfo) -> dict[str, Array]:
-    """Gather the goals, the nodes and the choice."""
-    goals, choice = info.goals, info.choice
-    nodes = choice.nodes
-    return {
-        "goal_x": goals.object_x,
-        "goal_y": goals.object_y,
-        "goal_mass": goals.object_mass,
-        "goal_confirmed": goals.object_confirmed,
         "is_goal": goals.is_object,
-        "hypothesis_goal_x": goals.hypothesis_x,
-        "hypothesis_goal_y": goals.hypothesis_y,
-        "hypothesis_goal_mass": goals.hypothesis_mass,
-        "node_x": nodes.x,
-        "node_y": nodes.y,
+        "goal_region": jnp.append(region[: goals.object_x.shape[0] - 1], region[-1]),
+        **{
+            f"goal_{name}": vars(goals)[f"object_{name}"]
+            for name in ("x", "y", "mass", "confirmed")
+        },
+        **{
+            f"hypothesis_goal_{name}": vars(goals)[f"hypothesis_{name}"]
+            for name in ("x", "y", "mass")
+        },
+        **{f"node_{name}": vars(nodes)[name] for name in ("x", "y", "kind")},
         "is_node": nodes.is_node,
-        "node_kind": nodes.kind,
-        "value": choice.value,
-        "goal_value": choice.goal_value,
-        "information_value": choice.information_value,
-        "cost": choice.cost,
         "waypoint": jnp.stack([choice.waypoint_x, choice.waypoint_y]),
         "waypoint_kind": choice.kind,
-        "is_kept": choice.is_kept,
-        "is_stop": choice.is_stop,
-        "stop_mass": choice.stop_mass,
+        "is_done": after.is_done,
     }
+    # What else a frame holds has the same name in one of these, the first of them that has it.
+    records = (info, choice, info.filter, info.behavior, observation, particles, after, world)
+    found = ChainMap(own, *map(vars, records))
+    return Frame(**{field.name: found[field.name] for field in dataclasses.fields(Frame)})
