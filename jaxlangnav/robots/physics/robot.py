@@ -13,7 +13,7 @@ from jaxlangnav.robots.motion.mover import TICK, Mover
 from jaxlangnav.robots.motion.steering import Steering, WheelCommand
 from jaxlangnav.robots.perception.tags import Camera, Gates, Tag, degrade, find_tags, to_detections
 from jaxlangnav.robots.physics.machines import MACHINES, Wear
-from jaxlangnav.robots.physics.scene import OUT_OF_SIGHT, TIMESTEP, compile_scene
+from jaxlangnav.robots.physics.scene import OUT_OF_SIGHT, compile_scene
 from jaxlangnav.robots.robot import Detection
 from jaxlangnav.world.state import Scenario
 
@@ -169,7 +169,7 @@ class PhysicsRobot(SimulatedRobot):
         data.ctrl[:] = (command.speed - self._side * spread) / machine.wheel_radius
         self._set_grip()
         before, turned = data.qpos[self._wheels].copy(), 0.0
-        steps = round(TICK / _READINGS / TIMESTEP)
+        steps = round(TICK / _READINGS / self.scene.model.opt.timestep)
         for _ in range(_READINGS):
             self._mujoco.mj_step(self.scene.model, data, nstep=steps)
             noise = self._wear.gyro_noise * self._random.standard_normal()

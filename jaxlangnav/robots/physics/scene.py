@@ -1,4 +1,4 @@
-"""The place in MuJoCo: floor, light, things with tags on four sides, a person who may step in.
+"""The place in MuJoCo: ``place.xml``, a robot, and things with tags on four sides.
 
 Things and the person are moved, not pushed: they stand where they are put. Geometry groups tell
 the scanner what to see: 1 things and people, 2 their looks, 3 the robot, 0 the floor.
@@ -17,9 +17,6 @@ from jaxlangnav.world.state import CONE, HYDRANT, Scenario
 
 MIDDLE_HEIGHT = 0.45
 """Metres from the floor to the middle of a cube."""
-PERSON_RADIUS, PERSON_HEIGHT = 0.25, 1.7
-TIMESTEP = 0.002
-"""Seconds; skid-steering on soft contacts needs it."""
 OUT_OF_SIGHT = (500.0, 500.0)
 _LOOKS = {"contype": 0, "conaffinity": 0, "group": 2}
 """Of what is seen and touches nothing."""
@@ -68,9 +65,11 @@ def compile_scene(robot: str, scenario: Scenario, *, seed: int) -> PhysicsScene:
     ``seed`` is of how the cubes are turned.
     """
     mujoco = libraries.mujoco()
-    path = resources.files("jaxlangnav.robots.physics") / f"{robot}.xml"
-    spec = mujoco.MjSpec.from_string(path.read_text(encoding="utf-8"))
-    _set_up(spec, mujoco)
+    folder = resources.files("jaxlangnav.robots.physics")
+    place, body = (folder / f"{name}.xml" for name in ("place", robot))
+    spec = mujoco.MjSpec.from_string(
+        place.read_text("utf-8"), include={"robot.xml": body.read_bytes()}
+    )
     random = np.random.default_rng(seed)
     slots = tuple(np.flatnonzero(np.asarray(scenario.is_object)).tolist())
     counts: dict[int, int] = {}
@@ -80,7 +79,6 @@ def compile_scene(robot: str, scenario: Scenario, *, seed: int) -> PhysicsScene:
         counts[kind] = counts.get(kind, 0) + 1
         place = float(scenario.object_x[slot]), float(scenario.object_y[slot])
         _add_thing(spec, mujoco, slot, number, kind, place, random.uniform(0.0, 0.5 * np.pi))
-    _add_person(spec, mujoco)
     model = spec.compile()
     data = mujoco.MjData(model)
     x, y, heading = (float(one) for one in np.asarray(scenario.start))
@@ -88,57 +86,6 @@ def compile_scene(robot: str, scenario: Scenario, *, seed: int) -> PhysicsScene:
     data.qpos[3:7] = np.cos(0.5 * heading), 0.0, 0.0, np.sin(0.5 * heading)
     mujoco.mj_forward(model, data)
     return PhysicsScene(model=model, data=data, slots=slots)
-
-
-def _set_up(spec: Any, mujoco: Any) -> None:
-    """Set the solver, the light, the sky and the floor."""
-    spec.option.timestep = TIMESTEP
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    spec.option.impratio = 1.0
-    spec.visual.global_.offwidth, spec.visual.global_.offheight = 1280, 720
-    # What is near and far does not follow from who stands out of sight.
-    spec.stat.extent = 10.0
-    spec.visual.map.znear, spec.visual.map.zfar = 0.005, 10.0
-    spec.visual.quality.shadowsize = 0
-    spec.visual.quality.offsamples = 0
-    spec.visual.headlight.ambient = [0.5, 0.5, 0.5]
-    spec.visual.headlight.diffuse = [0.4, 0.4, 0.4]
-    spec.visual.headlight.specular = [0.0, 0.0, 0.0]
-    spec.worldbody.add_light(pos=[0, 0, 20], dir=[0.3, 0.2, -1], diffuse=[0.3, 0.3, 0.3])
-    _add_ground(spec, mujoco)
-
-
-def _add_ground(spec: Any, mujoco: Any) -> None:
-    """Add the sky and the floor."""
-    spec.add_texture(
-        name="sky",
-        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        rgb1=[0.75, 0.83, 0.92],
-        rgb2=[0.93, 0.94, 0.95],
-        width=64,
-        height=64,
-    )
-    spec.add_texture(
-        name="ground",
-        type=mujoco.mjtTexture.mjTEXTURE_2D,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
-        rgb1=[0.42, 0.46, 0.40],
-        rgb2=[0.46, 0.50, 0.44],
-        width=128,
-        height=128,
-    )
-    ground = spec.add_material(name="ground", texrepeat=[0.5, 0.5], texuniform=True)
-    ground.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "ground"
-    spec.worldbody.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_PLANE,
-        size=[60, 60, 1],
-        material="ground",
-        group=0,
-        contype=1,
-        conaffinity=2,
-    )
 
 
 def _add_thing(
@@ -199,19 +146,3 @@ def _upright(mujoco: Any, cosine: float, sine: float) -> np.ndarray:
     turned = np.empty(4)
     mujoco.mju_mat2Quat(turned, columns.ravel())
     return turned
-
-
-def _add_person(spec: Any, mujoco: Any) -> None:
-    """Add a person, out of sight."""
-    straight = 0.5 * PERSON_HEIGHT - PERSON_RADIUS
-    body = spec.worldbody.add_body(
-        name="person", mocap=True, pos=[*OUT_OF_SIGHT, 0.5 * PERSON_HEIGHT]
-    )
-    body.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_CAPSULE,
-        size=[PERSON_RADIUS, straight, 0],
-        rgba=[0.2, 0.35, 0.6, 1],
-        contype=1,
-        conaffinity=2,
-        group=1,
-    )
