@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.episode import MAX_STEPS, EpisodeState, Task, advance, begin, finish
+from jaxlangnav.episode import MAX_STEPS, Task, advance, begin, finish
 from jaxlangnav.navigator import NavigatorConfig
 from jaxlangnav.pytree import pytree, replace, strong
 
@@ -29,8 +29,8 @@ class Course(NamedTuple):
     """As ``advance``: the next state, and something that is not used."""
     finish: Callable[[Any], Any]
     """As ``finish``: the result of a state."""
-    progress: Callable[[Any], EpisodeState]
-    """Takes the episode out of a state."""
+    progress: Callable[[Any], Any]
+    """Takes the episode out of a state, or what else counts its ``steps``."""
     is_done: Callable[[Any], Array] = operator.attrgetter("progress.navigator.is_done")
     """Takes out of a state whether it is over, even before time is."""
 

@@ -36,9 +36,10 @@ def run(policy: str, tasks: Task, instructions: Any) -> EpisodeResult:
 
 
 def test_figure_types_are_those_of_the_sentences(instructions: Any) -> None:
-    np.testing.assert_array_equal(baselines._figure_types(instructions), [0, 0, 0])
+    figure_types = jax.vmap(baselines._figure_type)
+    np.testing.assert_array_equal(figure_types(instructions), [0, 0, 0])
     other = ground_sentences(["go to the cone near the tree"]).instructions
-    np.testing.assert_array_equal(baselines._figure_types(other), [1])
+    np.testing.assert_array_equal(figure_types(other), [1])
 
 
 def test_lanes_by_hand() -> None:

@@ -8,11 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxlangnav.episode import EpisodeResult, Task
+from jaxlangnav.episode import Task
 from jaxlangnav.experiments import monte_carlo
-from jaxlangnav.experiments.baselines import run_baseline
-from jaxlangnav.experiments.grid import Arm, Grid, policy_arm, run_grid
-from jaxlangnav.experiments.policies import run_policy
+from jaxlangnav.experiments.grid import Grid, run_grid
+from jaxlangnav.experiments.policies import Arm, policy_arm, run_policy
 from jaxlangnav.experiments.rows import RowSpec
 from jaxlangnav.experiments.sweep_config import config_from_dict
 from jaxlangnav.experiments.sweep_plan import make_plan
@@ -124,21 +123,14 @@ def test_pieces_by_hand(number: int, threads: int, expected: list[tuple[int, int
 
 
 def test_pieces_come_back_in_order_and_without_padding() -> None:
-    tasks = make_tasks(cell("1H1C", "null", 0, 3.0, 2 * BLOCK + 3, 0))
+    number = 2 * monte_carlo.CHUNK + 3
+    tasks = make_tasks(cell("1H1C", "null", 0, 3.0, number, 0))
     seen: list[int] = []
-
-    def one(pieces: list[tuple[Task, int]]) -> list[EpisodeResult]:
-        ((piece, count),) = pieces
-        assert piece.instruction_index.shape == (BLOCK,)
-        assert count <= BLOCK
-        return [run_baseline(piece, INSTRUCTIONS, policy="known")]
-
-    found = monte_carlo.map_pieces(
-        one, tasks, capacity=BLOCK, on_progress=seen.append, num_threads=2
-    )
+    found = run_policy("known", tasks, INSTRUCTIONS, on_progress=seen.append, num_threads=2)
     np.testing.assert_allclose(found.distance, known_distances(tasks), atol=1.0)
-    assert len(found.distance) == sum(seen) == 2 * BLOCK + 3
-    alone = monte_carlo.map_pieces(one, take(tasks, slice(5)), capacity=BLOCK)
+    assert len(seen) > 2
+    assert len(found.distance) == sum(seen) == number
+    alone = run_policy("known", take(tasks, slice(5)), INSTRUCTIONS)
     np.testing.assert_array_equal(found.distance[:5], alone.distance)
 
 

@@ -153,9 +153,8 @@ def test_the_plan_holds_every_episode_once() -> None:
     assert make_plan(example).episodes() == 24 * 50 * 3
     rows = set()
     for index in range(plan.num_files):
-        chunk = plan.chunk(index)
-        columns = plan.grid._labels(chunk.arm, chunk.places)
-        assert {len(values) for values in columns.values()} == {chunk.size}
+        columns = plan.grid._labels(plan.arm(index), plan.places(index))
+        assert {len(values) for values in columns.values()} == {plan.size(index)}
         rows |= set(zip(*columns.values(), strict=True))
     assert len(rows) == plan.episodes()
 
@@ -170,13 +169,14 @@ def test_shards_split_the_plan() -> None:
 def test_a_part_of_a_billion_episodes_is_a_part() -> None:
     config = config_from_dict(SMALL | {"episodes": 10**8, "seeds": list(range(10))})
     plan = make_plan(config)
-    assert plan.episodes() == 10**9 * plan.num_arms * plan.num_settings // 10
+    assert plan.episodes() == 10**9 * len(plan.grid.arms) * len(plan.grid.settings) // 10
     parts = [plan.episodes_of(f"{i}/1000") for i in (1, 500, 1000)]
     assert max(parts) - min(parts) <= 1024
-    last = plan.chunk(plan.files("7/1000")[-1])
-    columns = plan.grid._labels(last.arm, last.places)
-    assert columns["episode"][0] == last.first % 10**8
-    assert columns["seed"][0] == last.first // 10**8
+    last = plan.files("7/1000")[-1]
+    first = plan.places(last)[0]
+    columns = plan.grid._labels(plan.arm(last), plan.places(last))
+    assert columns["episode"][0] == first % 10**8
+    assert columns["seed"][0] == first // 10**8
     assert sum(plan.episodes_of(f"{i}/7") for i in range(1, 8)) == plan.episodes()
 
 

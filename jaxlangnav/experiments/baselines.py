@@ -16,14 +16,17 @@ None of the last three reads the relation; of two hydrants they are right half o
 
 import functools
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task
+from jaxlangnav.episode import EpisodeResult, Task
 from jaxlangnav.grounding.instruction import Instruction
+from jaxlangnav.lanes import Course
 from jaxlangnav.messages import Action, Observation, SensorParams, Status
+from jaxlangnav.navigator import NavigatorConfig
 from jaxlangnav.planner.graph import frontiers
 from jaxlangnav.planner.params import default_planner_params
 from jaxlangnav.pytree import pytree, replace
@@ -33,7 +36,7 @@ from jaxlangnav.terrain.view import eye_of
 from jaxlangnav.world import simulator
 from jaxlangnav.world.sensor import sense
 from jaxlangnav.world.simulator import drive_known_map
-from jaxlangnav.world.state import Scenario, WorldState
+from jaxlangnav.world.state import WorldState
 
 NextPlace = Callable[[Array, Array, Array], tuple[Array, Array]]
 """From area, range and waypoints reached to the next waypoint."""
@@ -80,7 +83,6 @@ def _arc_waypoint(area: Array, range_max: Array, leg: Array) -> tuple[Array, Arr
     return jnp.where(is_arc, x, lane_x), jnp.where(is_arc, y, lane_y)
 
 
-BASELINES = ("frontier", "lawnmower", "arc", "known")
 _ARRIVAL = 0.5
 """Metres from a waypoint of the search at which it counts as reached."""
 _NUM_CELLS, _NUM_BLOCKS = 32, 8
@@ -102,23 +104,21 @@ class Explorer:
 
 @pytree
 class _Run:
-    """Carry of an episode's loop."""
+    """An episode under way."""
 
+    task: Task
+    figure_type: Array  # i32[] of the sentence
     explorer: Explorer
     world: WorldState
     steps: Array  # i32[]
     is_stopped: Array  # bool[]
 
 
-def _figure_types(instructions: Instruction) -> Array:
-    """Read from the most probable reading which type of object each sentence asks for."""
-
-    def one(instruction: Instruction) -> Array:
-        readings = instruction.readings
-        best = jnp.argmax(readings.log_probability)
-        return readings.mention_type[best, jnp.maximum(readings.figure[best, 0], 0)]
-
-    return jax.vmap(one)(instructions)
+def _figure_type(instruction: Instruction) -> Array:
+    """Read from the most probable reading which type of object a sentence asks for, i32[]."""
+    readings = instruction.readings
+    best = jnp.argmax(readings.log_probability)
+    return readings.mention_type[best, jnp.maximum(readings.figure[best, 0], 0)]
 
 
 def _notice(explorer: Explorer, observation: Observation, figure_type: Array) -> Explorer:
@@ -201,31 +201,9 @@ def _status(is_stop: Array) -> Array:
     return jnp.where(is_stop, int(Status.ARRIVED), int(Status.SEARCHING))
 
 
-def _explore(task: Task, figure_type: Array, *, policy: str, max_steps: int) -> EpisodeResult:
-    """Run one episode of ``frontier``, ``lawnmower`` or ``arc``."""
-    explore_on = {
-        "frontier": _explore_frontiers,
-        "lawnmower": functools.partial(_explore_sweep, waypoint=_lane_waypoint),
-        "arc": functools.partial(_explore_sweep, waypoint=_arc_waypoint),
-    }[policy]
-
-    def is_running(run: _Run) -> Array:
-        return ~run.is_stopped & (run.steps < max_steps)
-
-    def body(run: _Run) -> _Run:
-        # The very keys of episode.advance: common random numbers for all policies.
-        sense_key, _, move_key = jax.random.split(jax.random.fold_in(task.key, run.steps), 3)
-        observation = sense(sense_key, run.world, task.scenario, task.sensor, task.told)
-        explorer = _notice(run.explorer, observation, figure_type)
-        explorer = explore_on(explorer, observation.pose, task.sensor)
-        action = _act(explorer, observation.pose)
-        return _Run(
-            explorer=explorer,
-            world=task.body.move(move_key, run.world, action, task.motion),
-            steps=run.steps + 1,
-            is_stopped=action.is_stop,
-        )
-
+def _begin(task: Task, instructions: Instruction, *, config: NavigatorConfig) -> _Run:
+    """Put an episode at its start; of a sentence only the type of its first figure is read."""
+    del config
     zero, no = jnp.float32(0.0), jnp.asarray(False)
     explorer = Explorer(
         coverage=unexplored(task.scenario.area, _NUM_CELLS),
@@ -236,27 +214,52 @@ def _explore(task: Task, figure_type: Array, *, policy: str, max_steps: int) -> 
         waypoint_y=zero,
         leg=jnp.int32(0),
     )
-    world = simulator.reset(task.scenario)
-    start = _Run(explorer=explorer, world=world, steps=jnp.int32(0), is_stopped=no)
-    end = jax.lax.while_loop(is_running, body, start)
-    return _judge(task.scenario, end.world, end.is_stopped, end.steps)
+    return _Run(
+        task=task,
+        figure_type=jax.vmap(_figure_type)(instructions)[task.instruction_index],
+        explorer=explorer,
+        world=simulator.reset(task.scenario),
+        steps=jnp.int32(0),
+        is_stopped=no,
+    )
 
 
-def _drive_known(task: Task) -> EpisodeResult:
-    """Run one episode of a robot that knows the map."""
+def _advance(
+    run: _Run, *, params: object, config: NavigatorConfig, explore_on: Callable[..., Explorer]
+) -> tuple[_Run, None]:
+    """Run one cycle of a search."""
+    del params, config
+    task = run.task
+    # The very keys of episode.advance: common random numbers for all policies.
+    sense_key, _, move_key = jax.random.split(jax.random.fold_in(task.key, run.steps), 3)
+    observation = sense(sense_key, run.world, task.scenario, task.sensor, task.told)
+    explorer = _notice(run.explorer, observation, run.figure_type)
+    explorer = explore_on(explorer, observation.pose, task.sensor)
+    action = _act(explorer, observation.pose)
+    world = task.body.move(move_key, run.world, action, task.motion)
+    return replace(
+        run, explorer=explorer, world=world, steps=run.steps + 1, is_stopped=action.is_stop
+    ), None
+
+
+def _drive_known(run: _Run, *, params: object, config: NavigatorConfig) -> tuple[_Run, None]:
+    """Run a whole episode of a robot that knows the map."""
+    del params, config
+    task = run.task
     world, is_there = drive_known_map(task.key, task.scenario, task.motion)
     steps = jnp.ceil(world.distance / task.motion.step_length).astype(jnp.int32)
-    return _judge(task.scenario, world, is_there, steps)
+    return replace(run, world=world, steps=steps, is_stopped=is_there), None
 
 
-def _judge(scenario: Scenario, world: WorldState, is_stopped: Array, steps: Array) -> EpisodeResult:
+def _finish(run: _Run) -> EpisodeResult:
     """Judge an episode; a baseline has no particles to lose."""
+    world, scenario = run.world, run.task.scenario
     return EpisodeResult(
-        is_success=simulator.is_success(world, scenario, is_stopped),
-        is_stopped=is_stopped,
-        ending=_status(is_stopped),
+        is_success=simulator.is_success(world, scenario, run.is_stopped),
+        is_stopped=run.is_stopped,
+        ending=_status(run.is_stopped),
         distance=world.distance,
-        steps=steps,
+        steps=run.steps,
         final=world.position,
         goal_distance=simulator.goal_distance(world, scenario),
         overflow=jnp.int32(0),
@@ -268,21 +271,18 @@ def _judge(scenario: Scenario, world: WorldState, is_stopped: Array, steps: Arra
     )
 
 
-@functools.partial(jax.jit, static_argnames=("policy", "max_steps"))
-def run_baseline(
-    tasks: Task, instructions: Instruction, *, policy: str, max_steps: int = MAX_STEPS
-) -> EpisodeResult:
-    """Run one of ``BASELINES`` on tasks, leaves [E, …], for at most ``max_steps`` cycles each.
+def _course(advance: Callable[..., Any], is_done: Callable[[_Run], Array]) -> Course:
+    return Course(
+        begin=_begin, advance=advance, finish=_finish, progress=lambda run: run, is_done=is_done
+    )
 
-    Of ``instructions``, leaves [I, …], only the type of the first figure is read.
 
-    Raises:
-        ValueError: no such baseline.
-    """
-    if policy not in BASELINES:
-        raise ValueError(f"unknown baseline {policy!r}: choose one of {', '.join(BASELINES)}")
-    if policy == "known":
-        return jax.vmap(_drive_known)(tasks)
-    figures = _figure_types(instructions)[tasks.instruction_index]
-    one = functools.partial(_explore, policy=policy, max_steps=max_steps)
-    return jax.vmap(one)(tasks, figures)
+BASELINES = {
+    name: _course(functools.partial(_advance, explore_on=explore_on), lambda run: run.is_stopped)
+    for name, explore_on in (
+        ("frontier", _explore_frontiers),
+        ("lawnmower", functools.partial(_explore_sweep, waypoint=_lane_waypoint)),
+        ("arc", functools.partial(_explore_sweep, waypoint=_arc_waypoint)),
+    )
+} | {"known": _course(_drive_known, lambda run: jnp.ones_like(run.is_stopped))}
+"""Of ``run_tasks``, by name; they read neither params nor configuration."""

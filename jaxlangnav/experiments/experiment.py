@@ -13,10 +13,16 @@ import pyarrow as pa
 from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.experiments.archive import CompileClock, pytree_hash, write_experiment
 from jaxlangnav.experiments.calibration import Tally, scores
-from jaxlangnav.experiments.grid import Arm, Grid, Played, Row, policy_arm, run_grid
+from jaxlangnav.experiments.grid import Grid, Played, Row, run_grid
 from jaxlangnav.experiments.judging import JUDGED, bin_sums
 from jaxlangnav.experiments.monte_carlo import OnProgress, run_tasks
-from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, POLICY_NAMES, check_policies
+from jaxlangnav.experiments.policies import (
+    DEFAULT_PARTICLES,
+    POLICY_NAMES,
+    Arm,
+    check_policies,
+    policy_arm,
+)
 from jaxlangnav.experiments.rows import RowSpec, describe_noise, printed_rows
 from jaxlangnav.experiments.sizes import check_count, check_engine, result_bytes, task_bytes
 from jaxlangnav.experiments.table import Document, Table

@@ -7,148 +7,24 @@ a sweep lays out neither settings nor arms, but works each out from its number.
 """
 
 import dataclasses
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pyarrow as pa
 
-from jaxlangnav.anywhere import with_numbers
-from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task
+from jaxlangnav.episode import EpisodeResult, Task
 from jaxlangnav.experiments.calibration import Tally
-from jaxlangnav.experiments.judging import JUDGED
 from jaxlangnav.experiments.metrics import summarize
-from jaxlangnav.experiments.monte_carlo import OnProgress, run_tasks
-from jaxlangnav.experiments.policies import navigator_config, run_policy, without_compass
-from jaxlangnav.experiments.tasks import Cell, Numbers, draw_tasks, known_distances, take_tasks
+from jaxlangnav.experiments.monte_carlo import OnProgress
+from jaxlangnav.experiments.policies import Arm, policy_arm
+from jaxlangnav.experiments.tasks import Cell, draw_tasks, known_distances, take_tasks
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.messages import MotionParams
-from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, default_params
-from jaxlangnav.planner.config import POLICIES
-from jaxlangnav.pytree import replace
 
+__all__ = ["Arm", "Grid", "Played", "Row", "policy_arm", "run_grid"]
 Row = dict[str, Any]
 _WHOLE = ("particles", "seed", "episode")
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Arm:
-    """What is compared: a policy with its numbers and sizes."""
-
-    policy: str
-    told: Mapping[str, Any]
-    """What the columns say of it, by name."""
-    config: NavigatorConfig | None = None
-    """None for a baseline, which has none."""
-    params: NavigatorParams | None = None
-    motion: MotionParams | None = None
-    """Odometry of its worlds; that of the setting if None."""
-    sensor: Numbers = dataclasses.field(default_factory=dict)
-    """Numbers of the detector in place of the setting's."""
-    max_steps: int = MAX_STEPS
-    is_judged: bool = False
-    """Whether the belief of every step is held against the truth as the episodes run."""
-    worlds: Callable[[Task], Task] | None = None
-    """Sets its worlds otherwise."""
-
-    def tasks(self, tasks: Task) -> Task:
-        """Set odometry, detector and worlds; keys stay, so that all arms are paired.
-
-        Args:
-            tasks: as drawn for the settings, leaves [E, …].
-
-        Returns:
-            Tasks, leaves [E, …].
-        """
-        number = tasks.instruction_index.shape[0]
-        sensor = {name: jnp.full(number, one, jnp.float32) for name, one in self.sensor.items()}
-        tasks = replace(tasks, sensor=replace(tasks.sensor, **sensor))
-        if self.motion is not None:
-            spread = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (number,)), self.motion)
-            tasks = replace(tasks, motion=spread)
-        return tasks if self.worlds is None else self.worlds(tasks)
-
-    def believing(self, numbers: Numbers) -> "Arm":
-        """Set single numbers of the navigator; a baseline has none, and stays as it is.
-
-        Args:
-            numbers: by the names of their fields.
-
-        Returns:
-            The arm; of the same compiled program.
-
-        Raises:
-            ValueError: no such number, or one that cannot be.
-        """
-        if self.config is None or not numbers:
-            return self
-        params = default_params() if self.params is None else self.params
-        return dataclasses.replace(self, params=with_numbers(numbers, params=params))
-
-    def run(
-        self,
-        tasks: Task,
-        instructions: Instruction,
-        *,
-        on_progress: OnProgress | None = None,
-        num_threads: int | None = None,
-    ) -> tuple[EpisodeResult, Tally | None]:
-        """Run any number of tasks and, where ``is_judged``, hold the belief against the truth.
-
-        Args:
-            tasks: leaves [E, …].
-            instructions: leaves [I, …].
-            on_progress: called with the number of episodes just finished.
-            num_threads: calls under way at once; as many as keep all cores busy by default.
-
-        Returns:
-            Results as NumPy arrays, leaves [E, …], in the order of the tasks; and the sums of each
-            episode, leaves [E, …], None where nothing is judged.
-        """
-        shared: dict[str, Any] = {
-            "on_progress": on_progress,
-            "num_threads": num_threads,
-            "max_steps": self.max_steps,
-        }
-        if self.config is None:
-            return run_policy(self.policy, tasks, instructions, **shared), None
-        params = default_params() if self.params is None else self.params
-        shared |= {"params": params, "config": self.config}
-        if self.is_judged:
-            return run_tasks(tasks, instructions, course=JUDGED, **shared)
-        return run_tasks(tasks, instructions, **shared), None
-
-
-def policy_arm(
-    policy: str,
-    *,
-    num_particles: int,
-    params: NavigatorParams | None = None,
-    motion: MotionParams | None = None,
-    told: Mapping[str, Any] | None = None,
-) -> Arm:
-    """Build the arm of a policy.
-
-    Args:
-        policy: one of ``policies.POLICY_NAMES``.
-        num_particles: P, of the navigator's policies.
-        params: the navigator's numbers; its defaults if None.
-        motion: the odometry, of which the belief is told; that of the settings if None.
-        told: what the columns say of it; its name if None.
-
-    Returns:
-        The arm.
-    """
-    told = {"policy": policy} if told is None else told
-    if policy not in POLICIES:
-        return Arm(policy=policy, told=told, motion=motion)
-    params = default_params() if params is None else params
-    if motion is not None:
-        params = replace(params, map=replace(params.map, motion=motion))
-    config = without_compass(navigator_config(policy, num_particles), params.map.motion)
-    return Arm(policy=policy, told=told, config=config, params=params, motion=motion)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -106,19 +106,18 @@ def join_devices(
     return place
 
 
-def fill(tasks: Task, first: int, size: int, capacity: int = CHUNK) -> Task:
+def fill(tasks: Task, first: int, size: int) -> Task:
     """Cut tasks for one call, filled up to its shape.
 
     Args:
         tasks: leaves [E, …].
         first: place of the first.
-        size: how many, at most ``capacity``.
-        capacity: tasks in a call.
+        size: how many, at most ``CHUNK``.
 
     Returns:
-        Tasks, leaves [capacity, …]; the first ``size`` count.
+        Tasks, leaves [CHUNK, …]; the first ``size`` count.
     """
-    place = np.arange(capacity)
+    place = np.arange(CHUNK)
     return take_tasks(tasks, first + np.where(place < size, place, 0))
 
 
@@ -211,10 +210,6 @@ _AHEAD = 2
 """Jobs handed out for each thread: none waits for the one that yields."""
 Job = TypeVar("Job")
 Done = TypeVar("Done")
-Result = TypeVar("Result")
-"""Any record of arrays that lead with the episodes."""
-Piece = tuple[Task, int]
-"""Tasks filled up to one shape, and how many of them count."""
 OnProgress = Callable[[int], None]
 """Called with the number of episodes just finished."""
 
@@ -253,47 +248,6 @@ def run_ahead(work: Callable[[Job], Done], jobs: Iterable[Job], threads: int) ->
             raise
 
 
-def map_pieces(
-    run: Callable[[list[Piece]], list[Result]],
-    tasks: Task,
-    *,
-    capacity: int,
-    abreast: int = 1,
-    on_progress: OnProgress | None = None,
-    num_threads: int | None = None,
-) -> Result:
-    """Cut tasks into pieces, filled up to one shape, and run them, several at once.
-
-    Args:
-        run: runs ``abreast`` pieces at most and gives the results of each, those that count first.
-        tasks: leaves [E, …].
-        capacity: tasks in a piece, filled up.
-        abreast: pieces that one call of ``run`` takes.
-        on_progress: called with the number of episodes just finished.
-        num_threads: calls under way at once; the number of usable cores by default.
-
-    Returns:
-        Results as NumPy arrays, leaves [E, …], in the order of the tasks.
-    """
-    number, threads = tasks.instruction_index.shape[0], num_threads or usable_cores()
-    parts = _pieces(number, capacity, threads * abreast)
-    rounds = [parts[at : at + abreast] for at in range(0, len(parts), abreast)]
-
-    def work(places: list[tuple[int, int]]) -> list[Result]:
-        done = run([(fill(tasks, first, size, capacity), size) for first, size in places])
-        return [
-            jax.tree.map(lambda leaf, size=size: np.asarray(leaf)[:size], one)
-            for one, (_, size) in zip(done, places, strict=True)
-        ]
-
-    results: list[Result] = []
-    for places, done in zip(rounds, run_ahead(work, rounds, threads), strict=True):
-        results += done
-        if on_progress is not None:
-            on_progress(sum(size for _, size in places))
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *results)
-
-
 def run_tasks(
     tasks: Task,
     instructions: Any,
@@ -321,16 +275,21 @@ def run_tasks(
         Results as NumPy arrays, leaves [E, …], in the order of the tasks: an ``EpisodeResult``, or
         what the course finishes with.
     """
+    number, abreast = tasks.instruction_index.shape[0], mesh().size
+    threads = num_threads or num_calls()
+    parts = _pieces(number, CHUNK, threads * abreast)
+    rounds = [parts[at : at + abreast] for at in range(0, len(parts), abreast)]
 
-    def run(pieces: list[Piece]) -> list[Any]:
-        works = [Work(tasks=one, count=count, params=params) for one, count in pieces]
+    def work(places: list[tuple[int, int]]) -> list[Any]:
+        works = [
+            Work(tasks=fill(tasks, first, size), count=size, params=params)
+            for first, size in places
+        ]
         return run_round(works, instructions, config=config, max_steps=max_steps, course=course)
 
-    return map_pieces(
-        run,
-        tasks,
-        capacity=CHUNK,
-        abreast=mesh().size,
-        on_progress=on_progress,
-        num_threads=num_threads or num_calls(),
-    )
+    results: list[Any] = []
+    for places, done in zip(rounds, run_ahead(work, rounds, threads), strict=True):
+        results += done
+        if on_progress is not None:
+            on_progress(sum(size for _, size in places))
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *results)

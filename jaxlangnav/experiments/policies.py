@@ -6,18 +6,26 @@ them side by side, paired episode by episode.
 
 import dataclasses
 import difflib
-import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
+import jax
+import jax.numpy as jnp
+
+from jaxlangnav.anywhere import with_numbers
 from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task
-from jaxlangnav.experiments.baselines import BASELINES, run_baseline
-from jaxlangnav.experiments.monte_carlo import OnProgress, map_pieces, run_tasks
-from jaxlangnav.experiments.tasks import BLOCK
+from jaxlangnav.experiments.baselines import BASELINES
+from jaxlangnav.experiments.calibration import Tally
+from jaxlangnav.experiments.judging import JUDGED
+from jaxlangnav.experiments.monte_carlo import OnProgress, run_tasks
+from jaxlangnav.experiments.tasks import Numbers
 from jaxlangnav.grounding.instruction import Instruction
+from jaxlangnav.lanes import EPISODE, Course
 from jaxlangnav.messages import MotionParams, is_drifting
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, default_params
 from jaxlangnav.plain_text import cut
 from jaxlangnav.planner.config import POLICIES, AnyPolicy, PlannerConfig
+from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.params import MapConfig
 
 POLICY_NAMES = (*reversed(POLICIES), *BASELINES)
@@ -95,6 +103,132 @@ def without_compass(config: NavigatorConfig, motion: MotionParams) -> NavigatorC
     return dataclasses.replace(config, map=dataclasses.replace(config.map, has_drift=True))
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Arm:
+    """What is compared: a policy with its numbers and sizes."""
+
+    policy: str
+    told: Mapping[str, Any]
+    """What the columns say of it, by name."""
+    config: NavigatorConfig | None = None
+    """None for a baseline, which has none."""
+    params: NavigatorParams | None = None
+    """The navigator's numbers; a baseline has none of these either."""
+    motion: MotionParams | None = None
+    """Odometry of its worlds; that of the setting if None."""
+    sensor: Numbers = dataclasses.field(default_factory=dict)
+    """Numbers of the detector in place of the setting's."""
+    max_steps: int = MAX_STEPS
+    is_judged: bool = False
+    """Whether the belief of every step is held against the truth as the episodes run."""
+    worlds: Callable[[Task], Task] | None = None
+    """Sets its worlds otherwise."""
+
+    @property
+    def course(self) -> Course:
+        """What lanes run."""
+        return JUDGED if self.is_judged else BASELINES.get(self.policy, EPISODE)
+
+    def tasks(self, tasks: Task) -> Task:
+        """Set odometry, detector and worlds; keys stay, so that all arms are paired.
+
+        Args:
+            tasks: as drawn for the settings, leaves [E, …].
+
+        Returns:
+            Tasks, leaves [E, …].
+        """
+        number = tasks.instruction_index.shape[0]
+        sensor = {name: jnp.full(number, one, jnp.float32) for name, one in self.sensor.items()}
+        tasks = replace(tasks, sensor=replace(tasks.sensor, **sensor))
+        if self.motion is not None:
+            spread = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (number,)), self.motion)
+            tasks = replace(tasks, motion=spread)
+        return tasks if self.worlds is None else self.worlds(tasks)
+
+    def believing(self, numbers: Numbers) -> "Arm":
+        """Set single numbers of the navigator; a baseline has none, and stays as it is.
+
+        Args:
+            numbers: by the names of their fields.
+
+        Returns:
+            The arm; of the same compiled program.
+
+        Raises:
+            ValueError: no such number, or one that cannot be.
+        """
+        if self.params is None or not numbers:
+            return self
+        return dataclasses.replace(self, params=with_numbers(numbers, params=self.params))
+
+    def run(
+        self,
+        tasks: Task,
+        instructions: Instruction,
+        *,
+        on_progress: OnProgress | None = None,
+        num_threads: int | None = None,
+    ) -> tuple[EpisodeResult, Tally | None]:
+        """Run any number of tasks and, where ``is_judged``, hold the belief against the truth.
+
+        Args:
+            tasks: leaves [E, …].
+            instructions: leaves [I, …].
+            on_progress: called with the number of episodes just finished.
+            num_threads: calls under way at once; as many as keep all cores busy by default.
+
+        Returns:
+            Results as NumPy arrays, leaves [E, …], in the order of the tasks; and the sums of each
+            episode, leaves [E, …], None where nothing is judged.
+        """
+        found = run_tasks(
+            tasks,
+            instructions,
+            params=self.params,
+            config=self.config or NavigatorConfig(),
+            on_progress=on_progress,
+            num_threads=num_threads,
+            max_steps=self.max_steps,
+            course=self.course,
+        )
+        return found if self.is_judged else (found, None)
+
+
+def policy_arm(
+    policy: AnyPolicy,
+    *,
+    num_particles: int,
+    params: NavigatorParams | None = None,
+    motion: MotionParams | None = None,
+    told: Mapping[str, Any] | None = None,
+) -> Arm:
+    """Build the arm of a policy.
+
+    Args:
+        policy: one of ``POLICY_NAMES``, or a policy of somebody's own.
+        num_particles: P, of the navigator's policies.
+        params: the navigator's numbers; its defaults if None.
+        motion: the odometry, of which the belief is told; that of the settings if None.
+        told: what the columns say of it; its name if None.
+
+    Returns:
+        The arm.
+
+    Raises:
+        ValueError: no such policy.
+    """
+    name = check_policies([policy])[0] if isinstance(policy, str) else str(policy)
+    told = {"policy": name} if told is None else told
+    if name in BASELINES:
+        return Arm(policy=name, told=told, motion=motion)
+    params = default_params() if params is None else params
+    if motion is not None:
+        params = replace(params, map=replace(params.map, motion=motion))
+    config = without_compass(navigator_config(policy, num_particles), params.map.motion)
+    return Arm(policy=name, told=told, config=config, params=params, motion=motion)
+
+
 def run_policy(
     policy: AnyPolicy,
     tasks: Task,
@@ -124,24 +258,6 @@ def run_policy(
     Raises:
         ValueError: no such policy.
     """
-    if isinstance(policy, str):
-        check_policies([policy])
-    if not isinstance(policy, str) or policy in POLICIES:
-        params = default_params() if params is None else params
-        return run_tasks(
-            tasks,
-            instructions,
-            params=params,
-            config=without_compass(navigator_config(policy, num_particles), params.map.motion),
-            on_progress=on_progress,
-            num_threads=num_threads,
-            max_steps=max_steps,
-        )
-    one = functools.partial(run_baseline, policy=policy, max_steps=max_steps)
-    return map_pieces(
-        lambda pieces: [one(block, instructions) for block, _ in pieces],
-        tasks,
-        capacity=BLOCK,
-        on_progress=on_progress,
-        num_threads=num_threads,
-    )
+    arm = policy_arm(policy, num_particles=num_particles, params=params)
+    arm = dataclasses.replace(arm, max_steps=max_steps)
+    return arm.run(tasks, instructions, on_progress=on_progress, num_threads=num_threads)[0]

@@ -37,8 +37,8 @@ from jaxlangnav.experiments.sweep_plan import SweepPlan, make_plan, parse_shard
 from jaxlangnav.experiments.tasks import GroundedSentences, ground_sentences, known_distances
 from jaxlangnav.files.documents import parse_json, read_text
 from jaxlangnav.files.whole import write_once
+from jaxlangnav.navigator import NavigatorConfig
 from jaxlangnav.plain_text import fault_of_name
-from jaxlangnav.planner.config import POLICIES
 
 MANIFEST = "manifest.json"
 _IDENTITY = ("settings", "jaxlangnav", "libraries", "models_sha256", "device")
@@ -270,7 +270,7 @@ def _rounds(
     for index in files:
         group = alike.setdefault(of := kind(index), [])
         group.append(index)
-        if len(group) == (devices if of[0] in POLICIES else 1):
+        if len(group) == devices:
             yield alike.pop(of)
     yield from alike.values()
 
@@ -279,27 +279,23 @@ def _make_files(
     plan: SweepPlan, folder: Path, sweep: str, sentences: GroundedSentences, files: list[int]
 ) -> int:
     """Run the episodes of a round and write its files; how many episodes they were."""
-    grid, chunks = plan.grid, [plan.chunk(index) for index in files]
-    tasks = [one.arm.tasks(grid.draw(one.places)) for one in chunks]
-    config = chunks[0].arm.config
-    # Chunks of one policy and size run together, each with the Params of its own arm.
-    pairs = list(zip(chunks, tasks, strict=True))
-    if config is None:
-        given = sentences.instructions
-        results = [one.arm.run(own, given, num_threads=1)[0] for one, own in pairs]
-    else:
-        works = [
-            Work(tasks=fill(own, 0, one.size), count=one.size, params=one.arm.params)
-            for one, own in pairs
-        ]
-        results = run_round(works, sentences.instructions, config=config)
-    for chunk, own, result in zip(chunks, tasks, results, strict=True):
-        columns = grid.columns(chunk.arm, chunk.places, result, known_distances(own))
-        path = folder / f"episodes-{chunk.index:06d}.parquet"
+    grid, arms = plan.grid, [plan.arm(index) for index in files]
+    places = [plan.places(index) for index in files]
+    tasks = [arm.tasks(grid.draw(own)) for arm, own in zip(arms, places, strict=True)]
+    # Files of one policy and size run together, each with the Params of its own arm.
+    works = [
+        Work(tasks=fill(own, 0, size), count=size, params=arm.params)
+        for arm, own, size in zip(arms, tasks, map(plan.size, files), strict=True)
+    ]
+    config = arms[0].config or NavigatorConfig()
+    results = run_round(works, sentences.instructions, config=config, course=arms[0].course)
+    for index, arm, at, own, result in zip(files, arms, places, tasks, results, strict=True):
+        columns = grid.columns(arm, at, result, known_distances(own))
+        path = folder / f"episodes-{index:06d}.parquet"
         try:
-            write_shard(columns, path, Shard(sweep=sweep, index=chunk.index, rows=chunk.size))
+            write_shard(columns, path, Shard(sweep=sweep, index=index, rows=len(at)))
         except OSError as error:
             raise OSError(
                 f"{path} cannot be written: {error}; the other files stay, go on with --resume"
             ) from error
-    return sum(one.size for one in chunks)
+    return sum(map(plan.size, files))

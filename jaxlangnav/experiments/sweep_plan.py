@@ -11,21 +11,20 @@ their number, so that a part of a billion episodes costs what that part costs.
 
 import dataclasses
 import functools
-import itertools
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal, TypeVar
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxlangnav.experiments.grid import Arm, Grid, policy_arm
+from jaxlangnav.experiments.grid import Grid
 from jaxlangnav.experiments.monte_carlo import CHUNK
-from jaxlangnav.experiments.policies import navigator_config
+from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, Arm, navigator_config, policy_arm
 from jaxlangnav.experiments.sizes import check_engine, readable_count
-from jaxlangnav.experiments.sweep_config import Choices, SweepConfig
+from jaxlangnav.experiments.sweep_config import SweepConfig
 from jaxlangnav.experiments.tasks import Cell
 from jaxlangnav.messages import default_motion, default_sensor
 from jaxlangnav.navigator import NavigatorParams, check, default_params
@@ -54,22 +53,6 @@ class Lazy(Sequence[_T]):
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Chunk:
-    """The episodes of one file."""
-
-    index: int
-    arm: Arm
-    first: int
-    """Place of its first episode among the arm's."""
-    size: int
-
-    @property
-    def places(self) -> np.ndarray:
-        """Places of its episodes among the arm's."""
-        return self.first + np.arange(self.size)
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
 class SweepPlan:
     """All files of a sweep, by their number."""
 
@@ -79,47 +62,41 @@ class SweepPlan:
     def grid(self) -> Grid:
         """The grid of the sweep; settings and arms are worked out when they are asked for."""
         config = self.config
-        arms = [(policy, _arm_sizes(config, policy)) for policy in config.policies]
-        sizes, tables = _setting_sizes(config), ("sensor", "motion", "map", "planner")
-        params = [f"{table}.{key}" for table in tables for key in config.params[table]]
+        numbers = [_size(_arm_axes(config, policy)) for policy in config.policies]
 
         def arm(place: int) -> Arm:
-            for policy, own in arms:
-                if place < math.prod(own):
-                    return _arm(config, policy, _digits(place, own))
-                place -= math.prod(own)
+            for policy, number in zip(config.policies, numbers, strict=True):
+                if place < number:
+                    return _arm(config, policy, place)
+                place -= number
             raise IndexError("no such arm")
 
+        params = _params_axes(config, "sensor", "motion", "map", "planner")
         return Grid(
-            settings=Lazy(self.num_settings, lambda at: _setting(config, _digits(at, sizes))),
-            arms=Lazy(self.num_arms, arm),
+            settings=Lazy(_size(_setting_axes(config)), lambda at: _setting(config, at)),
+            arms=Lazy(sum(numbers), arm),
             episodes=config.episodes,
             names=("world", "command", "relation", "range", "policy", "particles", *params),
         )
 
-    @functools.cached_property
-    def num_settings(self) -> int:
-        """Count the settings."""
-        return math.prod(_setting_sizes(self.config))
-
-    @functools.cached_property
-    def num_arms(self) -> int:
-        """Count the arms."""
-        return sum(math.prod(_arm_sizes(self.config, one)) for one in self.config.policies)
+    @property
+    def episodes_of_arm(self) -> int:
+        """Count the rows of an arm."""
+        return len(self.grid.settings) * self.config.episodes
 
     @property
     def files_of_arm(self) -> int:
         """Count the files of an arm."""
-        return -(-self.num_settings * self.config.episodes // CHUNK)
+        return -(-self.episodes_of_arm // CHUNK)
 
     @property
     def num_files(self) -> int:
         """Count the files."""
-        return self.num_arms * self.files_of_arm
+        return len(self.grid.arms) * self.files_of_arm
 
     def episodes(self) -> int:
         """Count the rows of all files."""
-        return self.num_arms * self.num_settings * self.config.episodes
+        return len(self.grid.arms) * self.episodes_of_arm
 
     def files(self, shard: str) -> range:
         """List the files of a shard "i/n" by their numbers."""
@@ -134,18 +111,19 @@ class SweepPlan:
 
     def size(self, index: int) -> int:
         """Count the episodes of a file."""
-        first = index % self.files_of_arm * CHUNK
-        return min(CHUNK, self.num_settings * self.config.episodes - first)
+        return min(CHUNK, self.episodes_of_arm - index % self.files_of_arm * CHUNK)
 
-    def chunk(self, index: int) -> Chunk:
-        """Work out the episodes of a file."""
-        arm, place = divmod(index, self.files_of_arm)
-        own = self.grid.arms[arm]
-        return Chunk(index=index, arm=own, first=place * CHUNK, size=self.size(index))
+    def arm(self, index: int) -> Arm:
+        """Work out the arm of a file."""
+        return self.grid.arms[index // self.files_of_arm]
+
+    def places(self, index: int) -> np.ndarray:
+        """Number the episodes of a file among the arm's."""
+        return index % self.files_of_arm * CHUNK + np.arange(self.size(index))
 
     def kind(self, index: int) -> tuple[str, int | None]:
         """Work out which program runs a file: policy, and particles if it has any."""
-        arm = self.grid.arms[index // self.files_of_arm]
+        arm = self.arm(index)
         return arm.policy, arm.told["particles"]
 
 
@@ -157,11 +135,12 @@ def make_plan(config: SweepConfig) -> SweepPlan:
             holds, or more files than a folder does.
     """
     plan = SweepPlan(config=config)
+    arms, settings = len(plan.grid.arms), len(plan.grid.settings)
     if plan.num_files > MOST_FILES:
-        fit = MOST_FILES // plan.num_arms * CHUNK // plan.num_settings
+        fit = MOST_FILES // arms * CHUNK // settings
         remedy = f"at most {fit:,} episodes a cell fit" if fit else "not even one a cell fits"
         raise ValueError(
-            f"the sweep has {readable_count(plan.num_arms * plan.num_settings)} cells times "
+            f"the sweep has {readable_count(arms * settings)} cells times "
             f"{readable_count(config.episodes)} episodes, "
             f"which make {readable_count(plan.num_files)} files, but a folder holds "
             f"{MOST_FILES:,}: {remedy}; or divide the lists (seeds, worlds, ...) among several "
@@ -171,96 +150,96 @@ def make_plan(config: SweepConfig) -> SweepPlan:
         if policy in POLICIES:
             check_engine(navigator_config(policy, max(config.particles)))
             # A limit of ``check`` is passed upwards or downwards: the ends stand for all arms.
-            most, least = _end(config, policy, -1), _end(config, policy, 0)
+            axes = _params_axes(config, "motion", "map", "planner").items()
+            least, most = (
+                _params({name: sorted(values)[at] for name, values in axes}) for at in (0, -1)
+            )
             check(least, policy=SHIPPED[policy])
             unclumped = replace(most.map, clumping=least.map.clumping)
             check(replace(most, map=unclumped), policy=SHIPPED[policy])
     return plan
 
 
-def _setting_sizes(config: SweepConfig) -> list[int]:
-    """Count the values of everything that makes up a setting, the slowest first."""
-    sensor = config.params["sensor"].values()
-    lists = (config.worlds, config.commands, config.ranges, *sensor, config.seeds)
-    return [len(values) for values in lists]
+Axes = dict[str, Sequence[Any]]
+"""What is varied, the slowest first: the values that a column takes, by its name."""
 
 
-def _arm_sizes(config: SweepConfig, policy: str) -> list[int]:
-    """Count the values of everything that makes up a policy's arms, the slowest first."""
-    motion, *navigator = (config.params[table].values() for table in ("motion", "map", "planner"))
-    own = (config.particles, *itertools.chain(*navigator)) if policy in POLICIES else ()
-    return [len(values) for values in (*motion, *own)]
+def _params_axes(config: SweepConfig, *tables: str) -> Axes:
+    """List the values of Params."""
+    return {
+        f"{table}.{key}": values for table in tables for key, values in config.params[table].items()
+    }
 
 
-def _setting(config: SweepConfig, digits: Sequence[int]) -> Cell:
-    """Build a setting from the places of its values."""
-    place, number, reach, *chosen, seed = digits
-    world, command = config.worlds[place], config.commands[number]
-    sensing_range = config.ranges[reach]
-    sensor, own = _picked(config.params["sensor"], chosen), config.own_worlds.get(world)
-    labels: dict[str, Any] = {f"sensor.{key}": value for key, value in sensor.items()}
-    labels |= {"world": world, "command": command.text, "relation": command.relation}
+def _setting_axes(config: SweepConfig) -> Axes:
+    """List the values of everything that makes up a setting."""
+    where: Axes = {"world": config.worlds, "command": config.commands, "range": config.ranges}
+    return {**where, **_params_axes(config, "sensor"), "seed": config.seeds}
+
+
+def _arm_axes(config: SweepConfig, policy: str) -> Axes:
+    """List the values of everything that makes up a policy's arms; a baseline has few."""
+    motion = _params_axes(config, "motion")
+    if policy not in POLICIES:  # the navigator's numbers are none of its own
+        return motion
+    return {**motion, "particles": config.particles, **_params_axes(config, "map", "planner")}
+
+
+def _size(axes: Axes) -> int:
+    """Count the members of a grid."""
+    return math.prod(map(len, axes.values()))
+
+
+def _pick(axes: Axes, place: int) -> dict[str, Any]:
+    """Take a member of a grid by its number: a value for each name."""
+    digits = np.unravel_index(place, [len(values) for values in axes.values()])
+    return {name: of[int(at)] for (name, of), at in zip(axes.items(), digits, strict=True)}
+
+
+def _numbers(picked: Mapping[str, Any], table: str) -> dict[str, Any]:
+    """Turn the numbers of a table into the traced scalars of Params."""
+    own = ((name.partition("."), value) for name, value in picked.items())
+    return {key: jnp.float32(value) for (of, _, key), value in own if of == table}
+
+
+def _setting(config: SweepConfig, place: int) -> Cell:
+    """Build a setting."""
+    picked = _pick(_setting_axes(config), place)
+    command, own = picked["command"], config.own_worlds.get(picked["world"])
     return Cell(
-        world=world,
+        world=picked["world"],
         relation=command.relation,
-        instruction_index=number,
-        sensor=replace(default_sensor(sensing_range), **_as_arrays(sensor)),
-        seed=config.seeds[seed],
+        instruction_index=config.commands.index(command),
+        sensor=replace(default_sensor(picked["range"]), **_numbers(picked, "sensor")),
+        seed=picked["seed"],
         environments=config.environments,
         scenario=None if own is None else jax.tree.map(np.asarray, own.scenario),
-        labels=labels | {"range": sensing_range},
+        labels={**picked, "command": command.text, "relation": command.relation},
     )
 
 
-def _arm(config: SweepConfig, policy: str, digits: Sequence[int]) -> Arm:
-    """Build an arm; a baseline has few, as the navigator's numbers are none of its own."""
-    tables, rest = config.params, list(digits)
-    motion = _picked(tables["motion"], [rest.pop(0) for _ in tables["motion"]])
-    names = [f"{table}.{key}" for table in ("map", "planner") for key in tables[table]]
-    told: dict[str, Any] = {"policy": policy, "particles": None} | dict.fromkeys(names)
-    told |= {f"motion.{key}": value for key, value in motion.items()}
-    odometry = replace(default_motion(), **_as_arrays(motion))
-    if policy not in POLICIES:
-        return Arm(policy=policy, told=told, motion=odometry)
-    told["particles"] = particles = config.particles[rest.pop(0)]
-    own = {
-        table: _picked(tables[table], [rest.pop(0) for _ in tables[table]])
-        for table in ("map", "planner")
-    }
-    told |= {f"{table}.{key}": value for table, of in own.items() for key, value in of.items()}
-    params = default_params()
-    params = replace(
-        params,
-        map=replace(params.map, **_as_arrays(own["map"])),
-        planner=replace(params.planner, **_as_arrays(own["planner"])),
+def _arm(config: SweepConfig, policy: str, place: int) -> Arm:
+    """Build an arm of a policy."""
+    picked = _pick(_arm_axes(config, policy), place)
+    of_navigator = dict.fromkeys(("particles", *_params_axes(config, "map", "planner")))
+    params = _params(picked)
+    return policy_arm(
+        policy,
+        num_particles=picked.get("particles", DEFAULT_PARTICLES),
+        params=params,
+        motion=params.map.motion,
+        told={"policy": policy, **of_navigator, **picked},
     )
-    return policy_arm(policy, num_particles=particles, params=params, motion=odometry, told=told)
 
 
-def _end(config: SweepConfig, policy: str, which: Literal[0, -1]) -> NavigatorParams:
-    """Take a policy's numbers where each is the least (0) or the largest (-1) of all."""
-    ordered = {
-        table: {key: (sorted(values)[which],) for key, values in keys.items()}
-        for table, keys in config.params.items()
-    }
-    single = dataclasses.replace(config, params=ordered, particles=config.particles[:1])
-    params = _arm(single, policy, [0] * len(_arm_sizes(single, policy))).params
-    return default_params() if params is None else params
-
-
-def _digits(place: int, sizes: Sequence[int]) -> list[int]:
-    """Write a number in digits of the given bases, the fastest last."""
-    return [int(digit) for digit in np.unravel_index(place, tuple(sizes))]
-
-
-def _picked(values: Choices, digits: Sequence[int]) -> dict[str, float]:
-    """Pick one value for each key of a table."""
-    return {key: of[digit] for (key, of), digit in zip(values.items(), digits, strict=True)}
-
-
-def _as_arrays(chosen: Mapping[str, float]) -> dict[str, Any]:
-    """Turn numbers into the traced scalars of Params."""
-    return {key: jnp.float32(value) for key, value in chosen.items()}
+def _params(picked: Mapping[str, Any]) -> NavigatorParams:
+    """Build the navigator's numbers."""
+    usual, motion = default_params(), replace(default_motion(), **_numbers(picked, "motion"))
+    return replace(
+        usual,
+        map=replace(usual.map, motion=motion, **_numbers(picked, "map")),
+        planner=replace(usual.planner, **_numbers(picked, "planner")),
+    )
 
 
 def parse_shard(text: str) -> tuple[int, int]:

@@ -22,8 +22,9 @@ from jax import Array
 
 from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task
 from jaxlangnav.experiments.experiment import Experiment, Options
-from jaxlangnav.experiments.grid import Arm, Row, policy_arm
+from jaxlangnav.experiments.grid import Row
 from jaxlangnav.experiments.metrics import compare, timeouts_text
+from jaxlangnav.experiments.policies import Arm, policy_arm
 from jaxlangnav.experiments.rows import (
     AGREEMENT,
     PAPER_RUNS,

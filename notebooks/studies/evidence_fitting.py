@@ -13,17 +13,16 @@ How the robot chose its way does not enter: a policy that knows only what it has
 under whatever relations it assumes, has the same probability under every θ.
 """
 
-import functools
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.optimize
 from jax import Array
 
-from jaxlangnav.episode import EpisodeResult, Task, complete, finish
-from jaxlangnav.experiments.monte_carlo import map_pieces
+from jaxlangnav.episode import EpisodeResult, EpisodeState, Task, finish
+from jaxlangnav.experiments.monte_carlo import run_tasks
 from jaxlangnav.grounding.instruction import Instruction
+from jaxlangnav.lanes import EPISODE
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams
 from jaxlangnav.pytree import pytree
 from jaxlangnav.relations import RelationParams
@@ -58,24 +57,10 @@ class EpisodeFit:
     log_evidence: Array  # f32[J + 1] of all episodes, before and after each of J iterations
 
 
-@functools.partial(jax.jit, static_argnames=("config", "max_steps"))
-def _run(
-    tasks: Task,
-    instructions: Instruction,
-    *,
-    params: NavigatorParams,
-    config: NavigatorConfig,
-    max_steps: int,
-) -> tuple[EpisodeResult, WordsEvidence]:
-    """Run episodes to their ends, leaves [E, …]."""
-
-    def one(task: Task) -> tuple[EpisodeResult, WordsEvidence]:
-        last = complete(task, instructions, params=params, config=config, max_steps=max_steps)
-        readings = last.navigator.instruction.readings
-        kept = remember(last.navigator.belief, readings, num_readings=READINGS_HELD)
-        return finish(last), kept
-
-    return jax.vmap(one)(tasks)
+def _remembered(last: EpisodeState) -> tuple[EpisodeResult, WordsEvidence]:
+    """Keep of an episode at its end what its words can be held against."""
+    readings = last.navigator.instruction.readings
+    return finish(last), remember(last.navigator.belief, readings, num_readings=READINGS_HELD)
 
 
 def run_and_remember(
@@ -98,11 +83,9 @@ def run_and_remember(
     Returns:
         Results and evidence as NumPy arrays, leaves [E, …].
     """
-    given = {"params": params, "config": config, "max_steps": max_steps}
-    return map_pieces(
-        lambda pieces: [_run(piece, instructions, **given) for piece, _ in pieces],
-        tasks,
-        capacity=64,
+    course = EPISODE._replace(finish=_remembered)
+    return run_tasks(
+        tasks, instructions, params=params, config=config, max_steps=max_steps, course=course
     )
 
 
