@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from placed import placed
 
-from jaxlangnav.messages import default_sensor
 from jaxlangnav.robots import libraries
 from jaxlangnav.robots.motion.steering import WheelCommand, wrap
 from jaxlangnav.robots.perception import figures, tags
@@ -33,10 +32,7 @@ OBJECTS = ((HYDRANT, 3.0, -0.4), (CONE, 2.2, 1.0))
 
 def put(machine: str = "husky", objects=OBJECTS, *, wear: Wear = SURE, seed: int = 0):
     scenario = placed(objects, area=(-1.0, 8.0, -4.0, 4.0))
-    gates = tags.Gates(range=4.0)
-    return PhysicsRobot(
-        machine, scenario, seed=seed, gates=gates, sensor=default_sensor(4.0), wear=wear
-    )
+    return PhysicsRobot(machine, scenario, seed=seed, gates=tags.Gates(range=4.0), wear=wear)
 
 
 @pytest.fixture(scope="module")
@@ -171,8 +167,8 @@ def test_the_detector_is_as_good_as_the_belief_is_told() -> None:
     found = figures.measure_detector(looks=4, ranges=(1.25, 2.5, 4.0), pictures=("as told",))
     rate = np.mean([one.rate for one in found])
     looks = sum(one.looks for one in found)
-    assert rate > figures.RATE - 5 * np.sqrt(figures.RATE * (1 - figures.RATE) / looks)
-    assert np.nanmax([one.error for one in found]) < figures.NOISE
+    assert rate > tags.RATE - 5 * np.sqrt(tags.RATE * (1 - tags.RATE) / looks)
+    assert np.nanmax([one.error for one in found]) < tags.NOISE
     assert sum(one.false for one in found) == 0
     headings, rows = figures.tabulate(found)
     assert len(rows) == 3

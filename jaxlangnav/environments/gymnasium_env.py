@@ -30,6 +30,7 @@ from jaxlangnav.environments.functional import (
     draw_pool,
 )
 from jaxlangnav.experiments.tasks import SENTENCES
+from jaxlangnav.files.limits import check_at_least
 from jaxlangnav.viz.mapping import drive_picture
 from jaxlangnav.viz.style import require
 from jaxlangnav.world.state import Scenario
@@ -234,8 +235,7 @@ class FollowVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
             MissingExtraError: pictures are asked for without the extra ``viz``.
             ValueError: as ``FollowEnv``, fewer than one lane, or worlds below 0.
         """
-        if num_envs < 1:
-            raise ValueError(f"num_envs is {num_envs}, but must be at least 1")
+        check_at_least(1, num_envs=num_envs)
         if num_worlds < 0:
             raise ValueError(
                 f"num_worlds is {num_worlds}, but must be at least 0 (0: always fresh)"

@@ -1,5 +1,7 @@
 """What numbers from outside may be: single precision computes with them and with their squares."""
 
+from typing import Any
+
 FARTHEST = 1e5
 """Metres that a place or a length may have: float32 is 8 mm coarse there."""
 SHORTEST = 1e-3
@@ -10,3 +12,10 @@ LARGEST = 1e15
 """Of a plain number."""
 SMALLEST = 1e-15
 """Of a plain number other than zero."""
+
+
+def check_at_least(least: int, **counts: Any) -> None:
+    """Refuse a count that is too small, by its name, with a ValueError of one line."""
+    for name, value in counts.items():
+        if value < least:
+            raise ValueError(f"{name} is {value}, but must be at least {least}")

@@ -12,7 +12,7 @@ import abc
 import dataclasses
 import heapq
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Self
 
 import jax
@@ -40,20 +40,26 @@ class SimulatedRobot(abc.ABC):
     def __init__(
         self,
         mover: Mover,
+        scenario: Scenario,
         *,
         sensor: SensorParams,
-        area: Sequence[float],
-        start: Sequence[float] = (0.0, 0.0, 0.0),
+        seed: int,
+        scale: float,
+        bias: float,
     ) -> None:
-        """Put the robot at its start.
+        """Put the robot at the start of a place, which is known to it as the place's area is.
 
         Args:
             mover: its motion planner.
+            scenario: the truth.
             sensor: specification of its detector.
-            area: operating area x_min, x_max, y_min, y_max, metres, map frame.
-            start: x, y, heading, metres and radians; known to it.
+            seed: of all noise.
+            scale: standard deviation of the share by which all its lengths are out, drawn once.
+            bias: that of its gyro's bias, radians a second, drawn once.
         """
-        self.mover = mover
+        self.mover, self.scenario = mover, scenario
+        self.go_to, self.stop = mover.go_to, mover.stop
+        """See ``Robot.go_to`` and ``Robot.stop``."""
         self.seconds = 0.0
         self.travelled = 0.0
         self.camera_works = True
@@ -62,9 +68,14 @@ class SimulatedRobot(abc.ABC):
         """Is told each look just after it was taken, one without a picture too."""
         self.sensor = sensor
         """What the belief is told of the detector."""
-        x_min, x_max, y_min, y_max = (float(edge) for edge in area)
+        x_min, x_max, y_min, y_max = (float(edge) for edge in scenario.area)
         self.area = (x_min, x_max, y_min, y_max)
-        self._odometry = np.array(start, float)
+        self.slippery: list[tuple[float, float, float]] = []
+        """Discs x, y, radius, metres, on which wheels turn and the body hardly moves."""
+        self._odometry = np.array(scenario.start, float)
+        self._random = np.random.default_rng(seed)
+        self._scale = 1.0 + scale * self._random.standard_normal()
+        self._bias = bias * self._random.standard_normal()
         self._count = itertools.count()
         self._events: list[tuple[float, int, Callable[[Self], None]]] = []
 
@@ -89,6 +100,22 @@ class SimulatedRobot(abc.ABC):
         """Let something happen to the robot, a fault or a person, at seconds of its clock."""
         heapq.heappush(self._events, (seconds, next(self._count), event))
 
+    @property
+    def world_state(self) -> WorldState:
+        """Where it truly is, where its odometry has it, and how far it has driven."""
+        true = self.true_pose
+        return WorldState(
+            position=jnp.asarray(true[:2], jnp.float32),
+            heading=jnp.float32(true[2]),
+            odometry=jnp.asarray(self._odometry, jnp.float32),
+            distance=jnp.float32(self.travelled),
+        )
+
+    def _slips(self) -> bool:
+        """Tell whether it stands where it is slippery."""
+        x, y, _ = self.true_pose
+        return any(np.hypot(x - a, y - b) < radius for a, b, radius in self.slippery)
+
     def pose(self) -> np.ndarray:
         """Tell x, y, heading by dead reckoning, see ``Robot.pose``."""
         return self._odometry.copy()
@@ -99,21 +126,6 @@ class SimulatedRobot(abc.ABC):
         if self.on_look is not None:
             self.on_look(self)
         return found
-
-    def go_to(
-        self,
-        waypoints: np.ndarray,
-        *,
-        speed: float,
-        clearance: float,
-        facing: float | None = None,
-    ) -> None:
-        """Make for waypoints, see ``Robot.go_to``."""
-        self.mover.go_to(waypoints, speed=speed, clearance=clearance, facing=facing)
-
-    def stop(self) -> None:
-        """Stand still, see ``Robot.stop``."""
-        self.mover.stop()
 
     def wait(self, seconds: float) -> Progress:
         """Let time pass, see ``Robot.wait``."""
@@ -185,24 +197,20 @@ class KinematicRobot(SimulatedRobot):
             steering: how it follows a way; pure pursuit if None.
             slip: of its odometry; the default one if None.
         """
+        self._slip = Slip() if slip is None else slip
         super().__init__(
             Mover(body, Pursuit() if steering is None else steering),
+            scenario,
             sensor=default_sensor() if sensor is None else sensor,
-            area=np.asarray(scenario.area).tolist(),
-            start=np.asarray(scenario.start, float).tolist(),
+            seed=seed,
+            scale=self._slip.scale,
+            bias=self._slip.drift,
         )
-        self.scenario = scenario
         self.obstacles: list[tuple[float, float, float]] = []
         """Further discs x, y, radius that the detector knows nothing of: people, posts."""
-        self.slippery: list[tuple[float, float, float]] = []
-        """Discs on which the wheels turn and the body hardly moves."""
-        self._true = np.asarray(scenario.start, float).copy()
-        self._random = np.random.default_rng(seed)
+        self._true = self._odometry.copy()
         self._key = jax.random.key(seed)
         self._looks = 0
-        self._slip = Slip() if slip is None else slip
-        self._scale = 1.0 + self._slip.scale * self._random.standard_normal()
-        self._bias = self._slip.drift * self._random.standard_normal()
 
     @property
     def true_pose(self) -> np.ndarray:
@@ -241,9 +249,8 @@ class KinematicRobot(SimulatedRobot):
 
     def _move(self, command: WheelCommand) -> np.ndarray:
         ahead, turned = command.speed * TICK, command.turn * TICK
-        x, y, heading = self._true
-        grip = 0.2 if any(np.hypot(x - a, y - b) < r for a, b, r in self.slippery) else 1.0
-        middle = heading + 0.5 * turned
+        grip = 0.2 if self._slips() else 1.0
+        middle = self._true[2] + 0.5 * turned
         self._true += np.array(
             [grip * ahead * np.cos(middle), grip * ahead * np.sin(middle), turned]
         )
@@ -254,15 +261,8 @@ class KinematicRobot(SimulatedRobot):
 
     def _look(self) -> list[Detection]:
         self._looks += 1
-        x, y, heading = self._true.astype(np.float32)
-        state = WorldState(
-            position=jnp.array([x, y]),
-            heading=jnp.asarray(heading),
-            odometry=jnp.asarray(self._odometry, jnp.float32),
-            distance=jnp.float32(self.travelled),
-        )
         key = jax.random.fold_in(self._key, self._looks)
-        seen = jax.device_get(_sense(key, state, self.scenario, self.sensor))
+        seen = jax.device_get(_sense(key, self.world_state, self.scenario, self.sensor))
         return [
             Detection(object_type=int(kind), range=float(away), bearing=float(bearing))
             for kind, away, bearing, is_one in zip(

@@ -9,7 +9,6 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
@@ -26,7 +25,6 @@ from jaxlangnav.robots.kinematic import KinematicRobot
 from jaxlangnav.robots.physics.robot import PhysicsRobot
 from jaxlangnav.robots.robot import Drive, Ending, Step, observe
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
-from jaxlangnav.world.state import WorldState
 
 _STATUS = {
     Ending.ARRIVED: Status.ARRIVED,
@@ -54,7 +52,7 @@ class DriveRecorder:
         self._portray: Callable[[], Mapping[str, bytes]] | None = None
         if isinstance(robot, PhysicsRobot):
             self._portray = Views(robot, navigator.type_names).jpegs
-        self._world = self._where()
+        self._world = robot.world_state
         self._taken: Mapping[str, bytes] = {}
         self._frames: list[Frame] = []
         self._pictures: list[Mapping[str, bytes]] = []
@@ -62,19 +60,9 @@ class DriveRecorder:
         robot.on_look = lambda _: self._on_look()
 
     def _on_look(self) -> None:
-        self._world = self._where()
+        self._world = self._robot.world_state
         if self._portray is not None:
             self._taken = self._portray()
-
-    def _where(self) -> WorldState:
-        """Take down where the robot truly is."""
-        true, odometry = self._robot.true_pose, self._robot.pose()
-        return WorldState(
-            position=jnp.asarray(true[:2], jnp.float32),
-            heading=jnp.float32(true[2]),
-            odometry=jnp.asarray(odometry, jnp.float32),
-            distance=jnp.float32(self._robot.travelled),
-        )
 
     def on_step(self, step: Step, state: NavigatorState, info: NavigatorInfo | None) -> None:
         """Keep a decision; one without a picture shows the belief as it was."""

@@ -21,7 +21,6 @@ from jaxlangnav.navigator import NavigatorInfo, NavigatorState
 from jaxlangnav.pytree import replace
 from jaxlangnav.robots.driver import drive
 from jaxlangnav.robots.motion.steering import wrap
-from jaxlangnav.robots.perception.figures import as_told
 from jaxlangnav.robots.perception.tags import Gates
 from jaxlangnav.robots.physics import odometry
 from jaxlangnav.robots.physics.robot import PhysicsRobot
@@ -107,14 +106,12 @@ _draw_many = jax.jit(jax.vmap(draw_scenario, in_axes=(0, None)))
 
 def make_robot(row: TrialRow, seed: int, trial: int) -> PhysicsRobot:
     """Put a row's robot at the start of its environment; a trial's noise follows from the seed."""
-    gates = Gates(range=row.range)
     noise = np.random.SeedSequence([seed, _TRIALS, TABLE3.index(row), trial + 1])
     return PhysicsRobot(
         row.robot,
         environment(row, seed),
         seed=int(noise.generate_state(1)[0]),
-        gates=gates,
-        sensor=as_told(gates),
+        gates=Gates(range=row.range),
     )
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from jaxlangnav.files.limits import check_at_least
 from jaxlangnav.grounding.correspondence import CorrespondenceGraph, PhraseBelief
 from jaxlangnav.grounding.instruction import GroundingModel
 from jaxlangnav.grounding.properties import Annotations
@@ -73,8 +74,7 @@ def beliefs_figure(
         MissingExtraError: matplotlib is not installed.
         ValueError: ``num_symbols`` is less than 1.
     """
-    if num_symbols < 1:
-        raise ValueError(f"num_symbols is {num_symbols}, but must be at least 1")
+    check_at_least(1, num_symbols=num_symbols)
     with style.house_style():
         from matplotlib.figure import Figure
 

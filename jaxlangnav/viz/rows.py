@@ -9,14 +9,8 @@ import numpy as np
 from jaxlangnav.experiments.grid import Row
 from jaxlangnav.experiments.paper import least_distance
 from jaxlangnav.viz import style
-from jaxlangnav.viz.style import Mark, legend_of, looks_of
-from jaxlangnav.viz.sweep import (
-    PAPER_BARS,
-    draw_line,
-    line_panels,
-    paper_look,
-    paper_success_bars,
-)
+from jaxlangnav.viz.style import legend_of, looks_of
+from jaxlangnav.viz.sweep import PAPER_BARS, draw_line, line_panels
 from jaxlangnav.viz.words import percent
 
 if TYPE_CHECKING:
@@ -109,7 +103,8 @@ def _rows_figure(
         )
         for name, arm, row in lines:
             shift = 0.72 * ((arms.index(arm) + 0.5) / len(arms) - 0.5)
-            _draw_row(rates, ways, row, looks[arm], names.index(name) + shift)
+            place = names.index(name) + shift
+            draw_line((rates, ways), row, looks[arm], place, markersize=5.5, capsize=2)
         for name, bound in bounds.items():
             span = [names.index(name) - 0.46, names.index(name) + 0.46]
             look = {"color": style.INK, "linewidth": 1.0, "linestyle": ":", "zorder": 1}
@@ -152,21 +147,6 @@ def _row_name(row: Row) -> str:
     """Name a row of a table: "2H1C, 3 m, behind"."""
     relation = row["relation"] if row["relation"] not in (None, "null") else "no relation"
     return f"{row['world']}, {row['range']:g} m, {relation}"
-
-
-def _draw_row(rates: "Axes", ways: "Axes", row: Row, looks: Mark, place: float) -> None:
-    """Draw one row of a table."""
-    if row["policy"] == "paper":
-        bars = paper_success_bars(row)
-        rates.errorbar([row["success_rate"]], [place], xerr=bars, **paper_look())
-        ways.errorbar([row["distance_mean"]], [place], xerr=[row["distance_sd"]], **paper_look())
-        return
-    color, marker, name = looks
-    look: dict[str, Any] = {
-        "color": color, "marker": marker or "|", "markersize": 5.5, "capsize": 2,
-        "linestyle": "none", "label": name,
-    }  # fmt: skip
-    draw_line(rates, ways, row, look, place)
 
 
 Curve = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]

@@ -13,7 +13,7 @@ from jaxlangnav.experiments.robustness import ECE_TARGET, ROBUSTNESS
 from jaxlangnav.experiments.rows import AGREEMENT, PAPER_RUNS, rate_error
 from jaxlangnav.experiments.unknowns import UNKNOWNS, row_name
 from jaxlangnav.viz import style
-from jaxlangnav.viz.style import POLICY_LOOKS, legend_of, looks_of
+from jaxlangnav.viz.style import POLICY_LOOKS, Mark, legend_of, looks_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -170,10 +170,19 @@ def line_panels(
     return figure, panels
 
 
-def draw_line(rates: "Axes", ways: "Axes", row: Row, look: Mapping[str, Any], at: float) -> None:
-    """Draw success and distance of a row with their 95 % intervals at a height."""
-    rates.errorbar([row["success_rate"]], [at], xerr=success_bars([row]), **look)
-    ways.errorbar([row["distance_mean"]], [at], xerr=[half_interval(row)], **look)
+def draw_line(
+    panels: "Sequence[Axes]", row: Row, looks: Mark, at: float, **look: Any
+) -> dict[str, Any]:
+    """Draw success and distance of a row with their 95 % intervals at a height; its look."""
+    if row["policy"] == "paper":
+        look, bars, half = paper_look(), paper_success_bars(row), row["distance_sd"]
+    else:
+        color, marker, name = looks
+        look |= {"color": color, "marker": marker or "|", "linestyle": "none", "label": name}
+        bars, half = success_bars([row]), half_interval(row)
+    panels[0].errorbar([row["success_rate"]], [at], xerr=bars, **look)
+    panels[1].errorbar([row["distance_mean"]], [at], xerr=[half], **look)
+    return look
 
 
 _WIDE, _LINE, _HEAD, _FOOT = 11.0, 0.27, 0.95, 0.95
@@ -232,16 +241,11 @@ def robustness_figure(document: Mapping[str, Any]) -> "Figure":
 
 
 def _draw_scenario(
-    panels: "Sequence[Axes]", row: Row, looks: tuple[str, str, str], place: int, shift: float
+    panels: "Sequence[Axes]", row: Row, looks: Mark, place: int, shift: float
 ) -> None:
     """Draw one row into the three panels."""
     rates, ways, scores = panels
-    color, marker, name = looks
-    look: dict[str, Any] = {
-        "color": color, "marker": marker or "|", "markersize": 4.5, "linestyle": "none",
-        "linewidth": 1.0, "label": name,
-    }  # fmt: skip
-    draw_line(rates, ways, row, look, place + shift)
+    look = draw_line(panels, row, looks, place + shift, markersize=4.5, linewidth=1.0)
     if row["ece"] is not None:
         fill: dict[str, Any] = {} if row["is_told"] else {"markerfacecolor": style.PAPER}
         scores.plot([min(row["ece"], _WITH_BELIEF)], [place + shift], **(look | fill))

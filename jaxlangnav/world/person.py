@@ -22,8 +22,9 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxlangnav.files.limits import check_at_least
 from jaxlangnav.messages import NONE
-from jaxlangnav.pytree import field, pytree
+from jaxlangnav.pytree import field, pytree, strong
 from jaxlangnav.world.state import Scenario
 
 
@@ -42,11 +43,11 @@ class Says(enum.IntEnum):
 class PersonParams:
     """Numbers of the law; traced."""
 
-    error_rate: Array = field("probability that a judgement or a statement is wrong")  # f32[]
-    delay: Array = field("decision cycles until something wrong is spoken of")  # i32[]
-    num_corrections: Array = field("corrections that are made at most")  # i32[]
-    states_at: Array = field("decision before which a statement is made; negative: none")  # i32[]
-    answers: Array = field("whether questions are answered")  # bool[]
+    error_rate: Array = field("probability that a judgement or statement is wrong", default=0.0)
+    delay: Array = field("decision cycles until something wrong is spoken of", default=1)
+    num_corrections: Array = field("corrections that are made at most", default=1)
+    states_at: Array = field("decision before which a statement is made; NONE: none", default=NONE)
+    answers: Array = field("whether questions are answered", default=True)
 
 
 @pytree
@@ -65,38 +66,24 @@ class RobotView:
 class Person:
     """What the person remembers."""
 
-    aimed: Array  # i32[] slot that the robot went up to when last seen
-    since: Array  # i32[] cycles for which it has
-    num_corrections: Array  # i32[] made
-    num_answers: Array  # i32[] given
-    intends: Array  # bool[] will speak, if things stay as they are
+    aimed: Array = field("slot that the robot went up to when last seen", default=NONE)
+    since: Array = field("cycles for which it has", default=0)
+    num_corrections: Array = field("made", default=0)
+    num_answers: Array = field("given", default=0)
+    intends: Array = field("will speak, if things stay as they are", default=False)
 
 
-def params_of(
-    *,
-    error_rate: float = 0.0,
-    delay: int = 1,
-    num_corrections: int = 1,
-    states_at: int = NONE,
-    answers: bool = True,
-) -> PersonParams:
-    """Build the numbers of a person.
+def params_of(**numbers: Any) -> PersonParams:
+    """Build the numbers of a person, of fields of ``PersonParams``.
 
     Raises:
         ValueError: a rate that is none, or a negative delay or number.
     """
-    if not 0.0 <= error_rate <= 1.0:
-        raise ValueError(f"error_rate is {error_rate:g}, but must be between 0 and 1")
-    for name, value in (("delay", delay), ("num_corrections", num_corrections)):
-        if value < 0:
-            raise ValueError(f"{name} is {value}, but must be at least 0")
-    return PersonParams(
-        error_rate=jnp.float32(error_rate),
-        delay=jnp.int32(delay),
-        num_corrections=jnp.int32(num_corrections),
-        states_at=jnp.int32(states_at),
-        answers=jnp.asarray(answers),
-    )
+    params = PersonParams(**numbers)
+    if not 0.0 <= params.error_rate <= 1.0:
+        raise ValueError(f"error_rate is {params.error_rate:g}, but must be between 0 and 1")
+    check_at_least(0, delay=params.delay, num_corrections=params.num_corrections)
+    return strong(params)
 
 
 PERSONS: dict[str, dict[str, Any]] = {
@@ -110,14 +97,7 @@ PERSONS: dict[str, dict[str, Any]] = {
 
 def unspoken() -> Person:
     """Build a person who has seen and said nothing yet."""
-    zero = jnp.int32(0)
-    return Person(
-        aimed=jnp.int32(NONE),
-        since=zero,
-        num_corrections=zero,
-        num_answers=zero,
-        intends=jnp.asarray(False),
-    )
+    return strong(Person())
 
 
 def _is_goal(seen: RobotView, scenario: Scenario) -> Array:

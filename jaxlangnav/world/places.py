@@ -13,13 +13,14 @@ law, of which nothing is told to any policy:
 """
 
 import math
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.messages import NONE
-from jaxlangnav.pytree import pytree
+from jaxlangnav.pytree import field, pytree, replace, strong
 from jaxlangnav.world.state import CONE, HYDRANT, Errors, Scenario
 
 NUM_THINGS = 64
@@ -43,16 +44,20 @@ class PlaceLaw:
     """What fixes a random place; traced, so one program draws them all."""
 
     area: Array  # f32[4] x_min, x_max, y_min, y_max metres; the start, at the origin, is in it
-    bearing: Array  # f32[] radians: the goal's cone stands within ± of straight ahead; π: all round
-    side: Array  # f32[] 1: the goal is behind its cone, −1: in front of it
-    said: Array  # f32[] what no other pair may pass for: 1 behind, −1 in front; 0 anything may
-    has_goal: Array  # bool[]
-    has_cone: Array  # bool[] whether the goal's cone is there
-    num_pairs: Array  # i32[] further hydrants, and as many further cones
-    num_bystanders: Array  # i32[]
-    gap: Array  # f32[] metres between things
-    num_haunted: Array  # i32[] at most NUM_HAUNTED
-    haunt_probability: Array  # f32[] see ``Errors``
+    bearing: Array = field(
+        "radians: the goal's cone is within ± of straight ahead", default=math.pi
+    )
+    side: Array = field("1: the goal is behind its cone, −1: in front of it", default=1.0)
+    said: Array = field("no other pair passes for: 1 behind, −1 in front; 0 any may", default=1.0)
+    has_goal: Array = field("whether the goal is there", default=True)
+    has_cone: Array = field("whether the goal's cone is there", default=True)
+    num_pairs: Array = field("further hydrants, and as many further cones", default=0)
+    num_bystanders: Array = field("things of other types", default=0)
+    gap: Array = field("metres between things", default=OWN_GAP)
+    num_haunted: Array = field("fixed places of false detections, at most NUM_HAUNTED", default=0)
+    haunt_probability: Array = field(
+        "of such a place in view to be reported in a look", default=0.0
+    )
     is_invented: Array  # bool[T] types that false detections take
 
 
@@ -183,32 +188,12 @@ def _is_inside(point: Array, area: Array) -> Array:
     return is_in & (point[1] >= area[2] + BORDER_MARGIN) & (point[1] <= area[3] - BORDER_MARGIN)
 
 
-def place_law(
-    *,
-    area: tuple[float, float, float, float],
-    bearing: float = math.pi,
-    side: float = 1.0,
-    said: float = 1.0,
-    has_goal: bool = True,
-    has_cone: bool = True,
-    num_pairs: int = 0,
-    num_bystanders: int = 0,
-    num_haunted: int = 0,
-    haunt_probability: float = 0.0,
-) -> PlaceLaw:
+def place_law(*, area: tuple[float, float, float, float], **numbers: Any) -> PlaceLaw:
     """Build a law of places.
 
     Args:
         area: x_min, x_max, y_min, y_max, metres; the origin is in it.
-        bearing: half the angle ahead in which the goal's cone stands, radians.
-        side: 1: the goal is behind its cone, −1: in front of it.
-        said: what the sentence says, see ``PlaceLaw``.
-        has_goal: whether the goal is there.
-        has_cone: whether its cone is there.
-        num_pairs: further hydrants, and as many further cones.
-        num_bystanders: things of other types.
-        num_haunted: fixed places of false detections.
-        haunt_probability: of such a place in view to be reported in one look.
+        **numbers: other fields of ``PlaceLaw``.
 
     Returns:
         The law. Hydrants and cones are what is invented, the worst for a sentence about them.
@@ -216,25 +201,13 @@ def place_law(
     Raises:
         ValueError: more things than there are slots, or more haunted places.
     """
-    number = 2 + 2 * num_pairs + num_bystanders
-    if number > NUM_THINGS or num_haunted > NUM_HAUNTED:
-        raise ValueError(
-            f"a place of {number} things and {num_haunted} haunted places was asked for, but must "
-            f"have at most {NUM_THINGS} and {NUM_HAUNTED}: take fewer"
-        )
     invented = jnp.isin(jnp.arange(NUM_TYPES), jnp.array([HYDRANT, CONE]))
-    return PlaceLaw(
-        area=jnp.array(area, jnp.float32),
-        bearing=jnp.float32(bearing),
-        side=jnp.float32(side),
-        said=jnp.float32(said),
-        has_goal=jnp.asarray(has_goal),
-        has_cone=jnp.asarray(has_cone),
-        num_pairs=jnp.int32(num_pairs),
-        num_bystanders=jnp.int32(num_bystanders),
-        # So many things would find no room at a metre from each other.
-        gap=jnp.float32(0.5 if number > 30 else OWN_GAP),
-        num_haunted=jnp.int32(num_haunted),
-        haunt_probability=jnp.float32(haunt_probability),
-        is_invented=invented,
-    )
+    law = PlaceLaw(area=jnp.array(area, jnp.float32), is_invented=invented, **numbers)
+    number = 2 + 2 * int(law.num_pairs) + int(law.num_bystanders)
+    if number > NUM_THINGS or int(law.num_haunted) > NUM_HAUNTED:
+        raise ValueError(
+            f"a place of {number} things and {law.num_haunted} haunted places was asked for, but "
+            f"must have at most {NUM_THINGS} and {NUM_HAUNTED}: take fewer"
+        )
+    # So many things would find no room at a metre from each other.
+    return strong(replace(law, gap=0.5) if number > 30 else law)

@@ -8,21 +8,16 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
-from jaxlangnav.messages import SensorParams, default_sensor
 from jaxlangnav.pytree import replace
-from jaxlangnav.robots.perception.tags import TAGS_PER_TYPE, Gates
+from jaxlangnav.robots.perception.tags import TAGS_PER_TYPE, Gates, as_told as as_told
 from jaxlangnav.robots.physics.machines import Wear
 from jaxlangnav.robots.physics.robot import PhysicsRobot
 from jaxlangnav.robots.physics.scene import OUT_OF_SIGHT
 from jaxlangnav.world.scenario import empty_scenario
 from jaxlangnav.world.state import HYDRANT
 
-RATE, NOISE = 0.95, 0.05
-"""Detection rate within the gates, and standard deviation of a thing's place, metres each axis:
-``measure_detector`` at ranges of 1.25 to 4 m, rounded to the cautious side."""
 MEASURED_RANGES = (1.25, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0)
 """Metres."""
 MEASURED_TURNS = (0.0, 15.0, 30.0, 45.0)
@@ -44,16 +39,6 @@ class Figure:
     bias: float  # metres, mean of the range found less the true one; NaN where never found
     error: float  # metres, root mean square of a place's error, each axis
     false: int  # tags that are not there
-
-
-def as_told(gates: Gates) -> SensorParams:
-    """Tell the belief what the detector within some gates is good for."""
-    return replace(
-        default_sensor(gates.range),
-        field_of_view=jnp.float32(gates.field_of_view),
-        detection_probability=jnp.float32(RATE),
-        noise=jnp.float32(NOISE),
-    )
 
 
 def measure_detector(
@@ -89,13 +74,11 @@ def measure_detector(
     found = []
     for picture in pictures:
         grain, blur = PICTURES[picture]
-        gates = Gates(range=_FARTHEST)
         robot = PhysicsRobot(
             "husky",
             scenario,
             seed=seed,
-            gates=gates,
-            sensor=default_sensor(_FARTHEST),
+            gates=Gates(range=_FARTHEST),
             wear=Wear(grain=grain, blur=blur),
         )
         random = np.random.default_rng(seed)

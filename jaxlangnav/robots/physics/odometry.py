@@ -11,7 +11,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jaxlangnav.messages import default_sensor
 from jaxlangnav.pytree import replace
 from jaxlangnav.robots.driver import CYCLE
 from jaxlangnav.robots.perception.tags import Gates
@@ -70,14 +69,8 @@ def measure_odometry(machine: str, *, drives: int = 30, seed: int = 0) -> Odomet
 
 def _drive(machine: str, seed: int) -> np.ndarray:
     """Drive once: f64[T, 6], pose by odometry and true pose after each cycle."""
-    gates = Gates(range=1.0)
-    robot = PhysicsRobot(
-        machine,
-        replace(empty_scenario(), area=np.array([-_EDGE, _EDGE, -_EDGE, _EDGE])),
-        seed=seed,
-        gates=gates,
-        sensor=default_sensor(gates.range),
-    )
+    place = replace(empty_scenario(), area=np.array([-_EDGE, _EDGE, -_EDGE, _EDGE]))
+    robot = PhysicsRobot(machine, place, seed=seed, gates=Gates(range=1.0))
     random, place = np.random.default_rng(seed), np.zeros(2)
     log = [np.append(robot.pose(), robot.true_pose)]
     for _ in range(_LEGS):

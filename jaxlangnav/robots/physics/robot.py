@@ -11,7 +11,15 @@ from jaxlangnav.robots import libraries
 from jaxlangnav.robots.kinematic import BEAMS, SCAN_RANGE, SimulatedRobot
 from jaxlangnav.robots.motion.mover import TICK, Mover
 from jaxlangnav.robots.motion.steering import Steering, WheelCommand
-from jaxlangnav.robots.perception.tags import Camera, Gates, Tag, degrade, find_tags, to_detections
+from jaxlangnav.robots.perception.tags import (
+    Camera,
+    Gates,
+    Tag,
+    as_told,
+    degrade,
+    find_tags,
+    to_detections,
+)
 from jaxlangnav.robots.physics.machines import MACHINES, Wear
 from jaxlangnav.robots.physics.scene import OUT_OF_SIGHT, compile_scene
 from jaxlangnav.robots.robot import Detection
@@ -38,7 +46,7 @@ class PhysicsRobot(SimulatedRobot):
         *,
         seed: int,
         gates: Gates,
-        sensor: SensorParams,
+        sensor: SensorParams | None = None,
         num_types: int = 8,
         wear: Wear | None = None,
         steering: Steering | None = None,
@@ -50,31 +58,27 @@ class PhysicsRobot(SimulatedRobot):
             scenario: the truth.
             seed: of all noise.
             gates: which tags are used.
-            sensor: what the belief is told of that.
+            sensor: what the belief is told of that; ``as_told`` if None.
             num_types: object types of the navigator.
             wear: how its sensors err; the default if None.
             steering: how it follows a way; the machine's own if None.
         """
         self.machine = MACHINES[machine]
+        self._wear = Wear() if wear is None else wear
         super().__init__(
             Mover(self.machine.body, self.machine.steering if steering is None else steering),
-            sensor=sensor,
-            area=np.asarray(scenario.area).tolist(),
-            start=np.asarray(scenario.start, float).tolist(),
+            scenario,
+            sensor=as_told(gates) if sensor is None else sensor,
+            seed=seed,
+            scale=self._wear.wheel_scale,
+            bias=self._wear.gyro_bias,
         )
         self._mujoco = libraries.mujoco()
         self.camera = Camera(ahead=self.machine.camera_ahead)
-        self.slippery: list[tuple[float, float, float]] = []
-        """Discs x, y, radius, metres, on which the tyres hardly hold."""
         self.last_picture: np.ndarray | None = None
         """u8[H, W, 3] of the last look, red, green, blue, and its tags: to be shown."""
         self.last_tags: list[Tag] = []
-        self.scenario = scenario
         self._gates, self._num_types = gates, num_types
-        self._wear = Wear() if wear is None else wear
-        self._random = np.random.default_rng(seed)
-        self._scale = 1.0 + self._wear.wheel_scale * self._random.standard_normal()
-        self._bias = self._wear.gyro_bias * self._random.standard_normal()
         self.scene = compile_scene(machine, scenario, seed=seed)
         model = self.scene.model
         names = [model.actuator(index).name for index in range(model.nu)]
@@ -167,7 +171,9 @@ class PhysicsRobot(SimulatedRobot):
         machine, data = self.machine, self.scene.data
         spread = 0.5 * machine.track * machine.effective_track * command.turn
         data.ctrl[:] = (command.speed - self._side * spread) / machine.wheel_radius
-        self._set_grip()
+        if self.slippery:
+            grip = _ICE if self._slips() else self._grip
+            self.scene.model.geom_friction[self._tyres, 0] = grip
         before, turned = data.qpos[self._wheels].copy(), 0.0
         steps = round(TICK / _READINGS / self.scene.model.opt.timestep)
         for _ in range(_READINGS):
@@ -178,11 +184,3 @@ class PhysicsRobot(SimulatedRobot):
         is_still = bool((np.abs(rolled) < _STANDS).all())
         ahead = 0.5 * (rolled[self._side > 0].mean() + rolled[self._side < 0].mean())
         return np.array([self._scale * ahead, 0.0 if is_still else turned])
-
-    def _set_grip(self) -> None:
-        """Let the tyres slip where the ground is slippery."""
-        if not self.slippery:
-            return
-        x, y, _ = self.true_pose
-        is_on_ice = any(np.hypot(x - a, y - b) < radius for a, b, radius in self.slippery)
-        self.scene.model.geom_friction[self._tyres, 0] = _ICE if is_on_ice else self._grip

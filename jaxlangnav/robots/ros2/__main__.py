@@ -12,6 +12,7 @@ import jax
 import tyro
 
 from jaxlangnav.agent import Navigator
+from jaxlangnav.files.limits import check_at_least
 from jaxlangnav.messages import SensorParams, default_sensor
 from jaxlangnav.plain_text import printable
 from jaxlangnav.robots.libraries import ros
@@ -120,8 +121,8 @@ def _check(options: NavigatorOptions) -> None:
         value = getattr(options, name)
         if not value > 0.0:
             raise ValueError(f"{name.replace('_', '-')} is {value:g}, but must be more than 0 s")
-    if options.tasks is not None and options.tasks < 1:
-        raise ValueError(f"tasks is {options.tasks}, but must be at least 1")
+    if options.tasks is not None:
+        check_at_least(1, tasks=options.tasks)
 
 
 def _tags(options: NavigatorOptions, type_names: Sequence[str]) -> TagSetup | None:

@@ -25,7 +25,6 @@ from jaxlangnav.pytree import replace
 from jaxlangnav.robots.kinematic import KinematicRobot, SimulatedRobot
 from jaxlangnav.robots.libraries import check_libraries, ros, ros_message
 from jaxlangnav.robots.motion.mover import TICK
-from jaxlangnav.robots.perception.figures import as_told
 from jaxlangnav.robots.perception.tags import Gates
 from jaxlangnav.robots.physics.robot import PhysicsRobot
 from jaxlangnav.robots.ros2.conversions import Scribe, compose, inverse, yaw_of
@@ -235,8 +234,7 @@ def switched_on(options: RobotOptions, scenario: Scenario) -> Iterator[Simulated
         return
     check_libraries()
     gates = Gates(range=options.range, field_of_view=view)
-    told, seed = as_told(gates), options.seed
-    robot = PhysicsRobot(options.robot, scenario, seed=seed, gates=gates, sensor=told)
+    robot = PhysicsRobot(options.robot, scenario, seed=options.seed, gates=gates)
     try:
         yield robot
     finally:
