@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxlangnav import episode
 from jaxlangnav.episode import MAX_STEPS, EpisodeResult, EpisodeState, Task
-from jaxlangnav.files.limits import check_at_least
+from jaxlangnav.files.limits import refuse_below
 from jaxlangnav.grounding.asked import asked
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.kept import kept
@@ -112,7 +112,7 @@ def play(
     Raises:
         ValueError: ``max_steps`` is less than 1.
     """
-    check_at_least(1, max_steps=max_steps)
+    refuse_below(1, max_steps=max_steps)
     progress = _begin(task, instructions, config=config)
     if ear is not None:
         progress = ear.begin(progress)

@@ -27,7 +27,7 @@ from jax import Array
 
 from jaxlangnav.episode import MAX_STEPS
 from jaxlangnav.experiments.tasks import SENTENCES
-from jaxlangnav.files.limits import check_at_least
+from jaxlangnav.files.limits import refuse_below
 from jaxlangnav.messages import (
     Action,
     MotionParams,
@@ -110,7 +110,7 @@ def draw_pool(key: Array, law: ScenarioLaw, *, num_worlds: int = NUM_WORLDS) -> 
     Raises:
         ValueError: fewer than one world.
     """
-    check_at_least(1, num_worlds=num_worlds)
+    refuse_below(1, num_worlds=num_worlds)
     keys = jax.random.split(key, num_worlds)
     drawn = jax.lax.map(lambda one: draw_scenario(one, law), keys, batch_size=_SLICE)
     best = jnp.argsort(~drawn.is_valid, stable=True)
@@ -185,7 +185,7 @@ def default_params(
     """
     if not sensing_range > 0.0:
         raise ValueError(f"sensing_range is {sensing_range:g}, but must be above 0 m")
-    check_at_least(1, max_steps=max_steps)
+    refuse_below(1, max_steps=max_steps)
     return EnvironmentParams(
         law=scenario_law(template=world, relation=relation),
         sensor=default_sensor(sensing_range),

@@ -30,7 +30,7 @@ from jaxlangnav.environments.functional import (
     draw_pool,
 )
 from jaxlangnav.experiments.tasks import SENTENCES
-from jaxlangnav.files.limits import check_at_least
+from jaxlangnav.files.limits import refuse_below
 from jaxlangnav.viz.mapping import drive_picture
 from jaxlangnav.viz.style import require
 from jaxlangnav.world.state import Scenario
@@ -235,7 +235,7 @@ class FollowVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
             MissingExtraError: pictures are asked for without the extra ``viz``.
             ValueError: as ``FollowEnv``, fewer than one lane, or worlds below 0.
         """
-        check_at_least(1, num_envs=num_envs)
+        refuse_below(1, num_envs=num_envs)
         if num_worlds < 0:
             raise ValueError(
                 f"num_worlds is {num_worlds}, but must be at least 0 (0: always fresh)"

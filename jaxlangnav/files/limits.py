@@ -14,7 +14,7 @@ SMALLEST = 1e-15
 """Of a plain number other than zero."""
 
 
-def check_at_least(least: int, **counts: Any) -> None:
+def refuse_below(least: int, **counts: Any) -> None:
     """Refuse a count that is too small, by its name, with a ValueError of one line."""
     for name, value in counts.items():
         if value < least:

@@ -22,7 +22,7 @@ import numpy as np
 from jaxlangnav import __version__
 from jaxlangnav.experiments.metrics import wilson_interval
 from jaxlangnav.experiments.table import Table, TableColumns
-from jaxlangnav.files.limits import check_at_least
+from jaxlangnav.files.limits import refuse_below
 from jaxlangnav.files.whole import write_text
 from jaxlangnav.robots.libraries import check_libraries
 from jaxlangnav.robots.physics.odometry import TOLD
@@ -48,7 +48,7 @@ class TrialPlan:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be run."""
-        check_at_least(1, trials=self.trials, processes=self.processes)
+        refuse_below(1, trials=self.trials, processes=self.processes)
 
     def path(self, row: TrialRow, trial: int | str) -> Path | None:
         """Name the file of a trial."""

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxlangnav.files.limits import check_at_least
+from jaxlangnav.files.limits import refuse_below
 from jaxlangnav.grounding.correspondence import CorrespondenceGraph, PhraseBelief
 from jaxlangnav.grounding.instruction import GroundingModel
 from jaxlangnav.grounding.properties import Annotations
@@ -74,7 +74,7 @@ def beliefs_figure(
         MissingExtraError: matplotlib is not installed.
         ValueError: ``num_symbols`` is less than 1.
     """
-    check_at_least(1, num_symbols=num_symbols)
+    refuse_below(1, num_symbols=num_symbols)
     with style.house_style():
         from matplotlib.figure import Figure
 

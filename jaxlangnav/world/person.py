@@ -22,7 +22,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.files.limits import check_at_least
+from jaxlangnav.files.limits import refuse_below
 from jaxlangnav.messages import NONE
 from jaxlangnav.pytree import field, pytree, strong
 from jaxlangnav.world.state import Scenario
@@ -82,7 +82,7 @@ def params_of(**numbers: Any) -> PersonParams:
     params = PersonParams(**numbers)
     if not 0.0 <= params.error_rate <= 1.0:
         raise ValueError(f"error_rate is {params.error_rate:g}, but must be between 0 and 1")
-    check_at_least(0, delay=params.delay, num_corrections=params.num_corrections)
+    refuse_below(0, delay=params.delay, num_corrections=params.num_corrections)
     return strong(params)
 
 

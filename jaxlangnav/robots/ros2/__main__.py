@@ -12,7 +12,7 @@ import jax
 import tyro
 
 from jaxlangnav.agent import Navigator
-from jaxlangnav.files.limits import check_at_least
+from jaxlangnav.files.limits import refuse_below
 from jaxlangnav.messages import SensorParams, default_sensor
 from jaxlangnav.plain_text import printable
 from jaxlangnav.robots.libraries import ros
@@ -122,7 +122,7 @@ def _check(options: NavigatorOptions) -> None:
         if not value > 0.0:
             raise ValueError(f"{name.replace('_', '-')} is {value:g}, but must be more than 0 s")
     if options.tasks is not None:
-        check_at_least(1, tasks=options.tasks)
+        refuse_below(1, tasks=options.tasks)
 
 
 def _tags(options: NavigatorOptions, type_names: Sequence[str]) -> TagSetup | None:
