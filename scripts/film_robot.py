@@ -17,7 +17,7 @@ from jaxlangnav import keep_compiled_programs
 from jaxlangnav.experiments.tasks import SENTENCES
 from jaxlangnav.robots.film import check_format, film
 from jaxlangnav.robots.libraries import check_libraries
-from jaxlangnav.robots.physics.machines import MACHINES
+from jaxlangnav.robots.physics.robot import MACHINES
 from jaxlangnav.robots.recorded import record_drive
 from jaxlangnav.robots.table3 import TABLE3, make_robot, navigator_of
 from jaxlangnav.viz.html import write_html

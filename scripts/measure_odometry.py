@@ -11,7 +11,7 @@ import sys
 
 from jaxlangnav.plain_text import markdown_table
 from jaxlangnav.robots.physics import odometry
-from jaxlangnav.robots.physics.machines import MACHINES
+from jaxlangnav.robots.physics.robot import MACHINES
 
 
 def main() -> int:

@@ -10,7 +10,7 @@ from jaxlangnav.robots.kinematic import KinematicRobot, Slip
 from jaxlangnav.robots.motion.mover import TICK, Mover
 from jaxlangnav.robots.motion.path import find_path, gaps, inflate, is_clear, to_discs
 from jaxlangnav.robots.motion.steering import Pursuit, Window
-from jaxlangnav.robots.physics.machines import MACHINES
+from jaxlangnav.robots.physics.robot import MACHINES
 from jaxlangnav.robots.robot import Progress, Robot, start_pose
 from jaxlangnav.world.scenario import empty_scenario
 

@@ -14,8 +14,7 @@ from jaxlangnav.robots import libraries
 from jaxlangnav.robots.motion.steering import WheelCommand, wrap
 from jaxlangnav.robots.perception import figures, tags
 from jaxlangnav.robots.physics import odometry
-from jaxlangnav.robots.physics.machines import MACHINES, Wear
-from jaxlangnav.robots.physics.robot import PhysicsRobot
+from jaxlangnav.robots.physics.robot import MACHINES, PhysicsRobot, Wear
 from jaxlangnav.robots.robot import Progress, Robot
 from jaxlangnav.robots.table3 import navigator_of
 from jaxlangnav.world.state import CONE, HYDRANT

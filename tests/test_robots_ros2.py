@@ -13,7 +13,7 @@ from test_robots_drive import TEXT, goal_distance, put
 from jaxlangnav.agent import Navigator
 from jaxlangnav.robots.libraries import ros
 from jaxlangnav.robots.robot import Detection, Drive, Ending, Progress
-from jaxlangnav.robots.ros2 import conversions, tags
+from jaxlangnav.robots.ros2 import conversions, node
 from jaxlangnav.robots.ros2.__main__ import NavigatorOptions, navigate
 from jaxlangnav.robots.ros2.bags import Loopback
 from jaxlangnav.robots.ros2.inbox import Inbox
@@ -170,9 +170,9 @@ def transforms(*tags: tuple[str, float, float], seconds: float, frame: str = "ca
 
 
 def test_looks_by_tags_come_of_transforms_and_of_pictures_of_nothing() -> None:
-    types = tags.read_tag_types(["tag36h11:7=cone", "a=b=hydrant"], ("hydrant", "cone"))
+    types = node.read_tag_types(["tag36h11:7=cone", "a=b=hydrant"], ("hydrant", "cone"))
     assert types == {"tag36h11:7": 1, "a=b": 0}
-    looks = tags.TagLooks(tags.TagSetup(types=types, range=3.0, field_of_view=math.pi / 2))
+    looks = node.TagLooks(node.TagSetup(types=types, range=3.0, field_of_view=math.pi / 2))
     stamp, (one,) = looks.of_transforms(transforms(("tag36h11:7", 2.0, 0.5), seconds=4.5))
     assert (stamp, one.object_type) == (4.5, 1)
     assert one.bearing == pytest.approx(math.atan2(0.5, 2.0))
@@ -192,7 +192,7 @@ def test_looks_by_tags_come_of_transforms_and_of_pictures_of_nothing() -> None:
 @pytest.mark.parametrize("texts", [[], ["tag36h11:7"], ["=cone"], ["tag36h11:7=dragon"]])
 def test_tags_on_nothing_are_refused_in_one_line(texts) -> None:
     with pytest.raises(ValueError, match="tag36h11:7=hydrant") as refusal:
-        tags.read_tag_types(texts, ("hydrant", "cone"))
+        node.read_tag_types(texts, ("hydrant", "cone"))
     assert "\n" not in str(refusal.value)
 
 
@@ -407,8 +407,8 @@ class Tagged(Loopback):
     def __init__(self, simulated) -> None:
         super().__init__(simulated)
         types, view = {f"tag36h11:{kind}": kind for kind in range(15)}, math.pi / 2
-        setup = tags.TagSetup(types=types, range=3.0, field_of_view=view, mount=(0.2, 0.0, 0.0))
-        self.looks = tags.TagLooks(setup)
+        setup = node.TagSetup(types=types, range=3.0, field_of_view=view, mount=(0.2, 0.0, 0.0))
+        self.looks = node.TagLooks(setup)
         self.spin(0.3)
 
     def publish(self, topic: str, stamp: float, what) -> None:

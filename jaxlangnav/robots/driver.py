@@ -57,15 +57,12 @@ def _is_seen(
     pose: np.ndarray,
 ) -> bool:
     """Tell whether one of the detections of a look is of the goal."""
-    kind, x, y = goal
-    robot_x, robot_y = np.asarray(info.robot, float)
+    kind, *place = goal
     for one in found:
         bearing = pose[2] + one.bearing
-        seen_x, seen_y = (
-            robot_x + one.range * np.cos(bearing),
-            robot_y + one.range * np.sin(bearing),
-        )
-        if one.object_type == kind and np.hypot(seen_x - x, seen_y - y) <= SAME_THING:
+        ahead = one.range * np.array([np.cos(bearing), np.sin(bearing)])
+        off = np.asarray(info.robot, float) + ahead - place
+        if one.object_type == kind and np.hypot(*off) <= SAME_THING:
             return True
     return False
 

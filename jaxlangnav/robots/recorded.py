@@ -6,7 +6,6 @@ cameras its pictures go with each step.
 
 import dataclasses
 from collections.abc import Callable, Mapping
-from typing import Any
 
 import jax
 import numpy as np
@@ -135,8 +134,7 @@ class DriveRecorder:
             "mean_effective_sample_size": float(np.mean(samples)),
             "is_valid": bool(self._scenario.is_valid),
         }
-        leaves: dict[str, Any] = {name: np.asarray(one) for name, one in numbers.items()}
-        return EpisodeResult(**leaves)
+        return EpisodeResult(**jax.tree.map(np.asarray, numbers))
 
 
 def record_drive(

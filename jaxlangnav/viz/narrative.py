@@ -15,7 +15,7 @@ from jaxlangnav.messages import Status
 from jaxlangnav.planner.graph import OBJECT_NODE
 from jaxlangnav.recording import Frame, Moment, Recording, Remark, StaticScene, moments
 from jaxlangnav.viz import sentences, summary
-from jaxlangnav.viz.summary import expected_goal, explored_share
+from jaxlangnav.viz.summary import explored_share, pick_moments as pick_moments
 from jaxlangnav.viz.words import (
     FAULT_WORDS,
     counted,
@@ -24,40 +24,6 @@ from jaxlangnav.viz.words import (
     listed,
     percent,
 )
-
-
-def pick_moments(recording: Recording, number: int = 6) -> list[int]:
-    """Choose the steps to show.
-
-    Args:
-        recording: an episode of T steps.
-        number: panels wanted, at least 1.
-
-    Returns:
-        Steps in order, min(number, T) of them; the first and the last step among them if
-        number > 1, otherwise the last one.
-
-    Raises:
-        ValueError: ``number`` is less than 1.
-    """
-    if number < 1:
-        raise ValueError(f"number of panels is {number}, but must be at least 1")
-    last, frames = recording.num_steps - 1, recording.frames
-    chosen = {0, last} if number > 1 else {last}
-    # How much each step changed what is believed and planned.
-    shift, moved = np.zeros((2, recording.num_steps))
-    shift[1:] = np.hypot(*np.diff(expected_goal(frames), axis=0).T)
-    moved[1:] = np.any(np.diff(frames.waypoint, axis=0) != 0, axis=1)
-    score = 2.0 * frames.is_news + frames.num_regrounded / recording.num_particles
-    score += 0.25 * np.nan_to_num(shift) + 0.2 * moved
-    # Everything else being equal the panels spread over the episode.
-    for _ in range(min(number, recording.num_steps) - len(chosen)):
-        steps = np.arange(recording.num_steps)
-        gap = np.min(np.abs(steps[:, None] - np.array(sorted(chosen))[None, :]), axis=1)
-        spread = gap / max(1, last)
-        merit = np.where(gap == 0, -np.inf, score * np.minimum(gap / 2.0, 1.0) + 2.0 * spread)
-        chosen.add(int(np.argmax(merit)))
-    return sorted(chosen)
 
 
 def describe_moments(recording: Recording, steps: Sequence[int]) -> list[dict[str, Any]]:

@@ -9,8 +9,9 @@ import dataclasses
 
 import numpy as np
 
+from jaxlangnav.files.limits import refuse_below
 from jaxlangnav.messages import NONE
-from jaxlangnav.recording import Frame, StaticScene
+from jaxlangnav.recording import Frame, Recording, StaticScene
 
 _LEAST_SHARE = 0.02
 """Objects that fewer particles believe in than this are left out of pictures."""
@@ -167,3 +168,36 @@ def goal_field(scene: StaticScene, frame: Frame, x: np.ndarray, y: np.ndarray) -
 def explored_share(frame: Frame) -> float:
     """Compute which share of the area has been looked at (misses below one half)."""
     return float(np.mean(np.asarray(frame.miss) < 0.5))
+
+
+def pick_moments(recording: Recording, number: int = 6) -> list[int]:
+    """Choose the steps to show.
+
+    Args:
+        recording: an episode of T steps.
+        number: panels wanted, at least 1.
+
+    Returns:
+        Steps in order, min(number, T) of them; the first and the last step among them if
+        number > 1, otherwise the last one.
+
+    Raises:
+        ValueError: ``number`` is less than 1.
+    """
+    refuse_below(1, **{"number of panels": number})
+    last, frames = recording.num_steps - 1, recording.frames
+    chosen = {0, last} if number > 1 else {last}
+    # How much each step changed what is believed and planned.
+    shift, moved = np.zeros((2, recording.num_steps))
+    shift[1:] = np.hypot(*np.diff(expected_goal(frames), axis=0).T)
+    moved[1:] = np.any(np.diff(frames.waypoint, axis=0) != 0, axis=1)
+    score = 2.0 * frames.is_news + frames.num_regrounded / recording.num_particles
+    score += 0.25 * np.nan_to_num(shift) + 0.2 * moved
+    # Everything else being equal the panels spread over the episode.
+    for _ in range(min(number, recording.num_steps) - len(chosen)):
+        steps = np.arange(recording.num_steps)
+        gap = np.min(np.abs(steps[:, None] - np.array(sorted(chosen))[None, :]), axis=1)
+        spread = gap / max(1, last)
+        merit = np.where(gap == 0, -np.inf, score * np.minimum(gap / 2.0, 1.0) + 2.0 * spread)
+        chosen.add(int(np.argmax(merit)))
+    return sorted(chosen)

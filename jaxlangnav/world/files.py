@@ -59,19 +59,12 @@ from jaxlangnav.files.whole import write_text
 from jaxlangnav.kinds import group_of, words_of
 from jaxlangnav.messages import DRIFTS
 from jaxlangnav.plain_text import cut, shown
-from jaxlangnav.world.reading import WorldFile, WorldFileError, world_from_dict
+from jaxlangnav.world.reading import (
+    WorldFile as WorldFile,
+    WorldFileError as WorldFileError,
+    world_from_dict as world_from_dict,
+)
 from jaxlangnav.world.templates import TEMPLATE_NAMES, Template, parse_template
-
-__all__ = [
-    "WorldFile",
-    "WorldFileError",
-    "load_world",
-    "open_world",
-    "save_world",
-    "shipped_worlds",
-    "world_from_dict",
-    "world_to_dict",
-]
 
 LARGEST_WORLD_FILE = 256 * 1024
 """Bytes of a world file; one of sixty-four objects takes eight thousand."""

@@ -12,8 +12,7 @@ import numpy as np
 
 from jaxlangnav.pytree import replace
 from jaxlangnav.robots.perception.tags import TAGS_PER_TYPE, Gates, as_told as as_told
-from jaxlangnav.robots.physics.machines import Wear
-from jaxlangnav.robots.physics.robot import PhysicsRobot
+from jaxlangnav.robots.physics.robot import PhysicsRobot, Wear
 from jaxlangnav.robots.physics.scene import OUT_OF_SIGHT
 from jaxlangnav.world.scenario import empty_scenario
 from jaxlangnav.world.state import HYDRANT

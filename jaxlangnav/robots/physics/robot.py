@@ -1,8 +1,14 @@
 """A robot of MuJoCo: wheels turn, tyres slip, a camera renders, tags are found (section 4.3).
 
+Sizes and masses of the paper's two robots stand in ``husky.xml`` and ``wheelchair.xml``, with their
+sources. Speeds are those of the data sheets cut to what is fit among people; accelerations are
+guesses.
+
 Odometry: lengths from the wheels' encoders, turns from the gyro while the wheels turn; radius and
 bias are out, and what the tyres slip the wheels do not know.
 """
+
+import dataclasses
 
 import numpy as np
 
@@ -10,7 +16,7 @@ from jaxlangnav.messages import SensorParams
 from jaxlangnav.robots import libraries
 from jaxlangnav.robots.kinematic import BEAMS, SCAN_RANGE, SimulatedRobot
 from jaxlangnav.robots.motion.mover import TICK, Mover
-from jaxlangnav.robots.motion.steering import Steering, WheelCommand
+from jaxlangnav.robots.motion.steering import BodyLimits, Pursuit, Steering, WheelCommand, Window
 from jaxlangnav.robots.perception.tags import (
     Camera,
     Gates,
@@ -20,10 +26,81 @@ from jaxlangnav.robots.perception.tags import (
     find_tags,
     to_detections,
 )
-from jaxlangnav.robots.physics.machines import MACHINES, Wear
 from jaxlangnav.robots.physics.scene import OUT_OF_SIGHT, compile_scene
 from jaxlangnav.robots.robot import Detection
 from jaxlangnav.world.state import Scenario
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Machine:
+    """A robot: its body, its wheels, and how it steers."""
+
+    body: BodyLimits
+    steering: Steering
+    wheel_radius: float
+    """Metres, as the loaded wheel rolls: the Husky's soft tyres sink in a little."""
+    track: float
+    """Metres between the wheels of the two sides."""
+    effective_track: float
+    """Times ``track``: how far apart its wheels seem to be as it turns; a skid-steer's slip."""
+    camera_ahead: float
+    """Metres from the middle to the camera."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Wear:
+    """How wheels, gyro and camera err: standard deviations, drawn once where nothing else is said.
+
+    Guesses after data sheets of consumer sensors.
+    """
+
+    wheel_scale: float = 0.01
+    """Share by which the wheels' radius is out."""
+    gyro_bias: float = 0.0005
+    """Radians a second: 1.7 degrees a minute."""
+    gyro_noise: float = 0.002
+    """Radians a second, of each reading at 100 Hz."""
+    grain: float = 4.0
+    """Grey levels of 255, of each pixel."""
+    blur: float = 0.8
+    """Pixels; of every picture."""
+
+
+MACHINES = {
+    "husky": Machine(
+        body=BodyLimits(
+            name="husky",
+            radius=0.5 * float(np.hypot(0.99, 0.67)),
+            speed=0.6,
+            top_speed=1.0,
+            turn_rate=0.9,
+            acceleration=0.6,
+            turn_acceleration=1.5,
+        ),
+        steering=Pursuit(),
+        wheel_radius=0.1647,
+        track=0.555,
+        effective_track=1.92,
+        camera_ahead=0.05,
+    ),
+    "wheelchair": Machine(
+        body=BodyLimits(
+            name="wheelchair",
+            radius=0.59,
+            speed=0.5,
+            top_speed=0.8,
+            turn_rate=0.8,
+            acceleration=0.5,
+            turn_acceleration=1.2,
+        ),
+        steering=Window(),
+        wheel_radius=0.175,
+        track=0.56,
+        effective_track=1.0,
+        camera_ahead=0.36,
+    ),
+}
+"""By name."""
 
 _READINGS = 10
 """Readings of the gyro in a tick."""

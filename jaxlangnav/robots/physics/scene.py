@@ -33,8 +33,6 @@ class PhysicsScene:
     """A ``mujoco.MjModel``."""
     data: Any
     """A ``mujoco.MjData``."""
-    slots: tuple[int, ...]
-    """Slots of the scenario that have a body, in the order of the bodies."""
 
     def body(self, name: str) -> int:
         """Look up the number of a body."""
@@ -71,9 +69,8 @@ def compile_scene(robot: str, scenario: Scenario, *, seed: int) -> PhysicsScene:
         place.read_text("utf-8"), include={"robot.xml": body.read_bytes()}
     )
     random = np.random.default_rng(seed)
-    slots = tuple(np.flatnonzero(np.asarray(scenario.is_object)).tolist())
     counts: dict[int, int] = {}
-    for slot in slots:
+    for slot in np.flatnonzero(np.asarray(scenario.is_object)).tolist():
         kind = int(np.asarray(scenario.object_type)[slot])
         number = kind * TAGS_PER_TYPE + counts.get(kind, 0)
         counts[kind] = counts.get(kind, 0) + 1
@@ -85,7 +82,7 @@ def compile_scene(robot: str, scenario: Scenario, *, seed: int) -> PhysicsScene:
     data.qpos[:2] = x, y
     data.qpos[3:7] = np.cos(0.5 * heading), 0.0, 0.0, np.sin(0.5 * heading)
     mujoco.mj_forward(model, data)
-    return PhysicsScene(model=model, data=data, slots=slots)
+    return PhysicsScene(model=model, data=data)
 
 
 def _add_thing(

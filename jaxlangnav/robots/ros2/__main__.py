@@ -17,11 +17,10 @@ from jaxlangnav.messages import SensorParams, default_sensor
 from jaxlangnav.plain_text import printable
 from jaxlangnav.robots.libraries import ros
 from jaxlangnav.robots.robot import Ending
-from jaxlangnav.robots.ros2.node import RosBus
+from jaxlangnav.robots.ros2.node import RosBus, TagSetup, read_tag_types
 from jaxlangnav.robots.ros2.robot import RosRobot
 from jaxlangnav.robots.ros2.session import Session
 from jaxlangnav.robots.ros2.simulation import RobotOptions, simulate
-from jaxlangnav.robots.ros2.tags import TagSetup, read_tag_types
 
 _WAIT = 0.2
 """Seconds between two questions whether anything has been said."""
