@@ -4,17 +4,12 @@ import contextlib
 import threading
 from pathlib import Path
 
-import jax
-import numpy as np
-
 from jaxlangnav import recorder
-from jaxlangnav.episode import Task
+from jaxlangnav.experiments.sizes import any_task
 from jaxlangnav.grounding.instruction import GroundingModel, Instruction
 from jaxlangnav.grounding.weights import load, load_shipped
 from jaxlangnav.kept import kept_in
-from jaxlangnav.messages import default_motion, default_sensor
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams
-from jaxlangnav.world.scenario import empty_scenario
 
 
 def load_models(path: Path | None) -> GroundingModel:
@@ -37,13 +32,7 @@ def rehearse(
     """
     if kept_in() is None:
         return
-    task = Task(
-        key=jax.random.key(0),
-        scenario=empty_scenario(num_slots),
-        instruction_index=jax.device_put(np.int32(0)),
-        sensor=default_sensor(),
-        motion=default_motion(),
-    )
+    task = any_task(num_slots)
 
     def step() -> None:
         # What goes wrong here goes wrong again where it is asked for, and is told there.

@@ -44,13 +44,24 @@ _CURVES = {
 }
 
 
-GRIDS: dict[str, Callable[[Settings], Experiment]] = {
-    "table2": lambda settings: paper.table_2(extra=settings.extra, ranges=settings.ranges),
-    "fig5": lambda settings: paper.figure_5(ranges=settings.ranges),
-    "unknowns": lambda _: unknowns.UNKNOWNS,
-    "robustness": lambda _: robustness.ROBUSTNESS,
+GRIDS: dict[str, Callable[[Settings], tuple[Experiment, Options]]] = {
+    "table2": lambda settings: (
+        paper.table_2(extra=settings.extra, ranges=settings.ranges),
+        settings.options,
+    ),
+    "fig5": lambda settings: (paper.figure_5(ranges=settings.ranges), settings.options),
+    "unknowns": lambda settings: (
+        unknowns.UNKNOWNS,
+        dataclasses.replace(settings.options, seed=settings.seed_unknowns),
+    ),
+    "robustness": lambda settings: (
+        robustness.ROBUSTNESS,
+        dataclasses.replace(
+            settings.options, params=apply(robustness.numbers(), settings.values, "params")
+        ),
+    ),
 }
-"""The experiments made of episodes: from settings to rows."""
+"""The experiments made of episodes: from settings to rows, and to what is run of them."""
 
 
 def _table1(settings: Settings, output: Output) -> Found:
@@ -65,7 +76,7 @@ def _table1(settings: Settings, output: Output) -> Found:
 
 def _episodes(name: str, settings: Settings) -> Study:
     """Build the study of an experiment made of episodes: every row and arm."""
-    experiment, options = GRIDS[name](settings), _options_of(name, settings)
+    experiment, options = GRIDS[name](settings)
 
     def run(settings: Settings, output: Output) -> Found:
         with progress_bar("episodes", experiment.total_work(options)) as advance:
@@ -88,16 +99,6 @@ def _episodes(name: str, settings: Settings) -> Study:
             "models": f"SHA-256 {document['models_sha256']}",
         },
     )
-
-
-def _options_of(name: str, settings: Settings) -> Options:
-    """Say what an experiment of episodes runs."""
-    changed: dict[str, Any] = {}
-    if name == "unknowns":
-        changed["seed"] = settings.seed_unknowns
-    if name == "robustness":
-        changed["params"] = apply(robustness.numbers(), settings.values, "params")
-    return dataclasses.replace(settings.options, **changed)
 
 
 def _timing(settings: Settings, output: Output) -> Found:
@@ -267,7 +268,8 @@ def check_sizes(names: Sequence[str], settings: Settings) -> None:
     """Refuse, before the first of some experiments is run, what memory cannot hold."""
     for name in names:
         if name in GRIDS:
-            GRIDS[name](settings).check(_options_of(name, settings))
+            experiment, options = GRIDS[name](settings)
+            experiment.check(options)
         elif name in ("fig1", "fig4"):
             check_recording(navigator_config("faithful", settings.particles_drawn), MAX_STEPS)
 

@@ -59,50 +59,41 @@ def keep_compiled_programs() -> None:
 @contextlib.contextmanager
 def waiting(what: str, output: Output, *, seconds: float = 5.0) -> Iterator[None]:
     """Show that something without steps to count is under way; elsewhere a late note says it."""
-    if sys.stderr.isatty():
-        from rich.console import Console
-        from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-        columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-        with Progress(*columns, console=Console(file=sys.stderr), transient=True) as bar:
-            bar.add_task(what, total=None)
-            yield
-        return
     timer = threading.Timer(seconds, output.note, [what])
     timer.daemon = True
-    timer.start()
+    if not sys.stderr.isatty():
+        timer.start()
     try:
-        yield
+        with progress_bar(what, None):
+            yield
     finally:
         timer.cancel()
 
 
 @contextlib.contextmanager
-def progress_bar(what: str, total: int) -> Iterator[Advance]:
-    """Show work done, rate and time left where a person watches; yields what counts pieces done."""
+def progress_bar(what: str, total: int | None) -> Iterator[Advance]:
+    """Show work done, rate and time left where a person watches; yields what counts pieces done.
+
+    Without a total a spinner turns.
+    """
     if not sys.stderr.isatty():
         yield lambda _done: None
         return
+    from rich import progress as rich
     from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
 
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[rate]}"),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
+    text, elapsed = rich.TextColumn("{task.description}"), rich.TimeElapsedColumn()
+    counted = (
+        text,
+        rich.BarColumn(),
+        rich.MofNCompleteColumn(),
+        rich.TextColumn("{task.fields[rate]}"),
+        elapsed,
+        rich.TextColumn("left"),
+        rich.TimeRemainingColumn(),
     )
-    with Progress(*columns, console=Console(file=sys.stderr), transient=True) as bar:
+    columns = (rich.SpinnerColumn(), text, elapsed) if total is None else counted
+    with rich.Progress(*columns, console=Console(file=sys.stderr), transient=True) as bar:
         task = bar.add_task(what, total=total, rate="")
 
         def advance(done: int) -> None:

@@ -211,15 +211,22 @@ def held(folder: Path, part: PartOf, *, on_note: Note) -> Iterator[bool]:
         os.close(handle)
 
 
-def _lock(path: Path, on_note: Note) -> int:
-    """Take the lock of a file, as its only holder."""
+def _lock(path: Path, on_note: Note, *, flags: int = os.O_RDWR | os.O_CREAT) -> int:
+    """Take the lock of a file, as its only holder, or say who has it."""
     while True:
-        handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+        handle = os.open(path, flags, 0o666)
         try:
-            _take(handle, path)
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
             with contextlib.suppress(FileNotFoundError):
                 if os.path.samestat(os.fstat(handle), path.stat()):
                     break
+        except BlockingIOError:
+            os.close(handle)
+            part = path.name.removeprefix(".held-").removesuffix(".json").replace("-of-", "/")
+            raise ValueError(
+                f"{path.parent}: {_holder(path)} is at work on part {part}: let it end, or end "
+                "it; parts that share no files with it (--shard) can run beside it"
+            ) from None
         except BaseException:
             os.close(handle)
             raise
@@ -228,18 +235,6 @@ def _lock(path: Path, on_note: Note) -> int:
     if os.fstat(handle).st_size:
         on_note(f"note: {path.parent}: took over from {_holder(path)}, which is gone")
     return handle
-
-
-def _take(handle: int, path: Path) -> None:
-    """Lock an open file, or say who has it."""
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        part = path.name.removeprefix(".held-").removesuffix(".json").replace("-of-", "/")
-        raise ValueError(
-            f"{path.parent}: {_holder(path)} is at work on part {part}: let it end, or end it; "
-            "parts that share no files with it (--shard) can run beside it"
-        ) from None
 
 
 def _refuse_overlaps(folder: Path, part: PartOf, on_note: Note) -> None:
@@ -252,13 +247,9 @@ def _refuse_overlaps(folder: Path, part: PartOf, on_note: Note) -> None:
         if (place, number) == part or (place - part[0]) % math.gcd(part[1], number):
             continue
         with contextlib.suppress(FileNotFoundError):
-            handle = os.open(path, os.O_RDWR)
-            try:
-                _take(handle, path)
-                on_note(f"note: {folder}: took over from {_holder(path)}, which is gone")
-                path.unlink()
-            finally:
-                os.close(handle)
+            handle = _lock(path, on_note, flags=os.O_RDWR)
+            path.unlink()
+            os.close(handle)
 
 
 def _holder(path: Path) -> str:

@@ -21,7 +21,7 @@ from jaxlangnav.grounding.program import empty_program, to_program
 from jaxlangnav.grounding.readings import pad_readings
 from jaxlangnav.messages import default_motion, default_sensor
 from jaxlangnav.navigator import NavigatorConfig
-from jaxlangnav.world.scenario import empty_scenario
+from jaxlangnav.world.scenario import NUM_SLOTS, empty_scenario
 
 SCRATCH = 8.5
 """Bytes a compiled step works with for each byte of an episode's records: XLA's own count of a
@@ -67,7 +67,7 @@ def _episode_bytes(config: NavigatorConfig) -> tuple[int, int]:
 
 def task_bytes() -> int:
     """Count the bytes of one task."""
-    return _bytes_of(jax.eval_shape(_any_task))
+    return _bytes_of(jax.eval_shape(any_task))
 
 
 def result_bytes() -> int:
@@ -163,16 +163,16 @@ def _is_on_host() -> bool:
 def _progress(config: NavigatorConfig) -> Any:
     """Trace the records of an episode under way, without making them."""
     return jax.eval_shape(
-        functools.partial(begin, config=config), jax.eval_shape(_any_task), _any_instructions()
+        functools.partial(begin, config=config), jax.eval_shape(any_task), _any_instructions()
     )
 
 
-def _any_task() -> Task:
-    """Build a task: all have the same shapes."""
+def any_task(num_slots: int = NUM_SLOTS) -> Task:
+    """Build a task in an empty world: all of as many slots have the same shapes."""
     return Task(
         key=jax.random.key(0),
-        scenario=empty_scenario(),
-        instruction_index=jnp.int32(0),
+        scenario=empty_scenario(num_slots),
+        instruction_index=jax.device_put(np.int32(0)),
         sensor=default_sensor(),
         motion=default_motion(),
     )

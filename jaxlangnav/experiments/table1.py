@@ -19,25 +19,13 @@ from jaxlangnav.experiments.sizes import check_count, readable_count
 from jaxlangnav.experiments.table import Document, Table
 from jaxlangnav.grounding.annotation import infer_annotations
 from jaxlangnav.grounding.correspondence import CorrespondenceGraph
-from jaxlangnav.grounding.model import (
-    ANNOTATION_KINDS,
-    BEHAVIOR_KINDS,
-    FEATURE_GROUPS,
-    CorrespondenceModel,
-    Vocabulary,
-)
+from jaxlangnav.grounding.model import FEATURE_GROUPS, CorrespondenceModel
 from jaxlangnav.grounding.properties import Behaviors
 from jaxlangnav.grounding.search import BEAM_WIDTH
 from jaxlangnav.language.corpus import load_corpus
 from jaxlangnav.language.lexicon import load_lexicon
-from jaxlangnav.training.design import Design
-from jaxlangnav.training.examples import (
-    LabelledInstruction,
-    annotation_examples,
-    behavior_examples,
-    read_examples,
-)
-from jaxlangnav.training.fit import Fit, build_design, fit
+from jaxlangnav.training.examples import LabelledInstruction, read_examples
+from jaxlangnav.training.fit import Fit, fit
 from jaxlangnav.training.scoring import (
     ExactScores,
     Models,
@@ -46,7 +34,7 @@ from jaxlangnav.training.scoring import (
     score_annotations,
     score_behaviors,
 )
-from jaxlangnav.training.shipped import MODELS
+from jaxlangnav.training.shipped import MODELS, LaidOut, lay_out
 
 HOLD_OUT = 1 / 3
 
@@ -90,31 +78,6 @@ class Splits:
     alone: Fit  # one split by itself
     together: Fit  # all splits in one vmap
     examples: int  # (phrase, symbol) factors, mean over the training parts
-
-
-@dataclasses.dataclass(frozen=True)
-class LaidOut:
-    """What all splits of one model have in common."""
-
-    vocabulary: Vocabulary
-    design: Design
-    sizes: np.ndarray  # f[I] (phrase, symbol) factors of each instruction
-
-
-def _prepare_model(
-    name: str,
-    instructions: Sequence[LabelledInstruction],
-    type_names: tuple[str, ...],
-    without: frozenset[str] = frozenset(),
-) -> LaidOut:
-    """Lay out the factors of one model."""
-    build = annotation_examples if name == "annotation" else behavior_examples
-    examples = build(instructions, type_names)
-    kinds = ANNOTATION_KINDS if name == "annotation" else BEHAVIOR_KINDS
-    sizes = np.zeros(len(instructions))
-    for example in examples:
-        sizes[example.instruction] += sum(len(rows.labels) for rows in example.rows.values())
-    return LaidOut(*build_design(examples, kinds, len(instructions), without), sizes)
 
 
 def _fit_splits(prepared: LaidOut, held_out: np.ndarray) -> Splits:
@@ -215,7 +178,7 @@ def evaluate(
     check_count("splits", splits, each=_MASKS * len(corpus))
     instructions = read_examples(corpus, type_names)
     prepared = {
-        name: _prepare_model(name, instructions, type_names, frozenset(without)) for name in MODELS
+        name: lay_out(name, instructions, type_names, frozenset(without)) for name in MODELS
     }
     for design in (one.design for one in prepared.values()):
         counts = math.prod(design.properties.shape[:2]) * 2

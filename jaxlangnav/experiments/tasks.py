@@ -131,10 +131,15 @@ def cell(
 
 
 @kept()
-def _draw(roots: Array, described: dict[str, Any], numbers: ArrayLike, worlds: ArrayLike) -> Task:
-    """Draw each episode's key by its number and its world by the world's; leaves [BLOCK, …]."""
+def _draw(described: dict[str, Any], *of_episode: ArrayLike) -> Task:
+    """Draw each episode's key by its number and its world by the world's; leaves [BLOCK, …].
 
-    def one(root: Array, cell: dict[str, Any], number: Array, world: Array) -> Task:
+    ``of_episode``: seeds, names of worlds, numbers and worlds, u32[BLOCK] each.
+    """
+
+    def one(cell: dict[str, Any], seed: Array, name: Array, number: Array, world: Array) -> Task:
+        # Policies, commands, ranges and noise levels share a cell's key, to be paired.
+        root = jax.random.fold_in(jax.random.key(seed), name)
         of_number, of_world = jax.vmap(
             lambda index: jax.random.split(jax.random.fold_in(root, index))
         )(jnp.stack([number, world]))
@@ -147,7 +152,7 @@ def _draw(roots: Array, described: dict[str, Any], numbers: ArrayLike, worlds: A
             told=cell["told"],
         )
 
-    return jax.vmap(one)(roots, described, jnp.asarray(numbers), jnp.asarray(worlds))
+    return jax.vmap(one)(described, *map(jnp.asarray, of_episode))
 
 
 def _scenario(key: Array, cell: dict[str, Any]) -> Scenario:
@@ -192,18 +197,8 @@ def draw_tasks(cells: Sequence[Cell], index: np.ndarray, numbers: np.ndarray) ->
         at = np.where(at < len(index), at, start)
         mine = jax.tree.map(lambda leaf, at=at: leaf[index[at]], stacked)
         which = numbers[at].astype(np.uint32), worlds[at].astype(np.uint32)
-        parts.append(_draw(_roots(seeds[index[at]], names[index[at]]), mine, *which))
+        parts.append(_draw(mine, seeds[index[at]], names[index[at]], *which))
     return _first(concatenate(parts) if len(parts) > 1 else parts[0], number=len(index))
-
-
-@kept()
-def _roots(seeds: ArrayLike, names: ArrayLike) -> Array:
-    """Derive keys of cells: policies, commands, ranges, noise levels share one, to be paired."""
-
-    def one(seed: Array, name: Array) -> Array:
-        return jax.random.fold_in(jax.random.key(seed), name)
-
-    return jax.vmap(one)(jnp.asarray(seeds), jnp.asarray(names))
 
 
 def _describe(one: Cell) -> dict[str, Any]:

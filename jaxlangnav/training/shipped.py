@@ -17,10 +17,16 @@ import numpy as np
 from scipy.optimize import minimize
 
 from jaxlangnav.grounding.instruction import GroundingModel
-from jaxlangnav.grounding.model import ANNOTATION_KINDS, BEHAVIOR_KINDS, CorrespondenceModel
+from jaxlangnav.grounding.model import (
+    ANNOTATION_KINDS,
+    BEHAVIOR_KINDS,
+    CorrespondenceModel,
+    Vocabulary,
+)
 from jaxlangnav.grounding.search import BEAM_WIDTH
 from jaxlangnav.language.corpus import Example, load_corpus, read_corpus
 from jaxlangnav.language.lexicon import load_lexicon
+from jaxlangnav.training.design import Design
 from jaxlangnav.training.examples import (
     LabelledInstruction,
     annotation_examples,
@@ -113,6 +119,31 @@ MODELS = ("annotation", "behavior")
 
 
 @dataclasses.dataclass(frozen=True)
+class LaidOut:
+    """What all fits of one model to the same sentences have in common."""
+
+    vocabulary: Vocabulary
+    design: Design
+    sizes: np.ndarray  # f[I] (phrase, symbol) factors of each instruction
+
+
+def lay_out(
+    name: str,
+    instructions: Sequence[LabelledInstruction],
+    type_names: tuple[str, ...],
+    without: frozenset[str] = frozenset(),
+) -> LaidOut:
+    """Lay out the factors of one of ``MODELS``, without some groups of word features."""
+    build = annotation_examples if name == "annotation" else behavior_examples
+    examples = build(instructions, type_names)
+    kinds = ANNOTATION_KINDS if name == "annotation" else BEHAVIOR_KINDS
+    sizes = np.zeros(len(instructions))
+    for example in examples:
+        sizes[example.instruction] += sum(len(rows.labels) for rows in example.rows.values())
+    return LaidOut(*build_design(examples, kinds, len(instructions), without), sizes)
+
+
+@dataclasses.dataclass(frozen=True)
 class Trained:
     """A trained model and what was measured on the way."""
 
@@ -201,13 +232,10 @@ def _train_one(
     It is fitted on all sentences, and on those not kept for tuning, in one go.
     """
     begin, number = time.perf_counter(), len(data.train)
-    build = annotation_examples if name == "annotation" else behavior_examples
-    kinds = ANNOTATION_KINDS if name == "annotation" else BEHAVIOR_KINDS
-    examples = build(data.train, data.type_names)
-    vocabulary, design = build_design(examples, kinds, number)
+    laid_out = lay_out(name, data.train, data.type_names)
     shares = np.stack([np.ones(number), ~data.is_tuning]).astype(np.float32)
-    weights, measured = fit(design, shares)
-    full, part = (CorrespondenceModel(vocabulary, one) for one in weights)
+    weights, measured = fit(laid_out.design, shares)
+    full, part = (CorrespondenceModel(laid_out.vocabulary, one) for one in weights)
     fitted = time.perf_counter() - begin
     tuning = [x for x, kept in zip(data.train, data.is_tuning, strict=True) if kept]
 
@@ -227,7 +255,7 @@ def _train_one(
     temperature = fit_temperature(lambda t: score(warm(t, part), tuning)) if tuning else 1.0
     model = warm(temperature, full)
     report = {
-        "examples": sum(len(rows.labels) for one in examples for rows in one.rows.values()),
+        "examples": int(laid_out.sizes.sum()),
         "features": full.num_features,
         "train_s": round(measured.seconds, 3),
         "train_compile_s": round(measured.compile_seconds, 3),
