@@ -90,6 +90,22 @@ def _group(file: str) -> str:
     return next((group for group, files in TOGETHER.items() if file.startswith(files)), file)
 
 
+@pytest.fixture(scope="session")
+def robot() -> Any:
+    """The navigator as it ships."""
+    from jaxlangnav import Navigator
+
+    return Navigator.pretrained()
+
+
+@pytest.fixture(scope="session")
+def model() -> Any:
+    """The trained models as they ship."""
+    from jaxlangnav.grounding import load_shipped
+
+    return load_shipped()
+
+
 @pytest.fixture(autouse=True, scope="module")
 def _compile_briefly(request: pytest.FixtureRequest) -> Iterator[None]:
     """Compile without LLVM's optimisation, in half the time: the quick tier runs hardly anything.

@@ -108,15 +108,10 @@ MUTATIONS: dict[str, tuple[Mutation, Fault]] = {
 
 
 def looks(good: Observation, number: int, seed: int = 0) -> list[tuple[Observation, Fault]]:
-    """Draw hostile observations: each field by itself in turn, and two to four at once between.
+    """Draw hostile observations, each with a flag that has to be among those raised.
 
-    Args:
-        good: a sound observation with a free slot or two, NumPy leaves.
-        number: how many.
-        seed: of the draws.
-
-    Returns:
-        Each with a flag that has to be among those raised.
+    Each field by itself in turn, and two to four at once between, of a sound observation with a
+    free slot or two.
     """
     draw, names, found = np.random.default_rng(seed), list(MUTATIONS), []
     for index in range(number):

@@ -238,18 +238,7 @@ def drive(
     seed: int = 0,
     robots: Callable[[jaxlangnav.Navigator], Robots] = together,
 ) -> Outcome:
-    """Drive episodes of a scenario, LANES at a time; a lane that has ended takes the next one.
-
-    Args:
-        robot: what is tried.
-        scenario: the kind of place.
-        episodes: how many.
-        seed: of the first episode.
-        robots: whether they decide together or one by one.
-
-    Returns:
-        How they ended, in the order of their seeds.
-    """
+    """Drive episodes of a scenario, the first one's seed given: how they ended, in their order."""
     rides = [Ride(scenario, seed + index, robot.type_names) for index in range(episodes)]
     ride(robot, rides, sensor_of(scenario), robots)
     told = [(one.is_right, one.is_stopped, one.metres, one.overflow) for one in rides]

@@ -224,6 +224,20 @@ def run_many(
     return jax.vmap(one)(keys, beliefs, sentences, observations)
 
 
+def run_lanes(
+    looks: list[Observation],
+    sentence: Readings,
+    numbers: MapParams,
+    belief: ParticleBelief | None = None,
+    *,
+    seed: int = 0,
+) -> tuple[ParticleBelief, FilterInfo]:
+    """Give all lanes the same STEPS looks, each under a key of its own."""
+    keys, start = jax.random.split(jax.random.key(seed), SEEDS), belief or begin()
+    same = (repeat(one, SEEDS) for one in (start, sentence, stack(looks)))
+    return run_many(keys, *same, numbers)
+
+
 step_one = jax.jit(semantic_filter.step)
 """One filter step of one belief."""
 NULL = readings([[HYDRANT]], [[(0, NONE, NONE, False)]])

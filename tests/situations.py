@@ -28,21 +28,25 @@ def nodes_at(x, y, kind) -> Nodes:
     )
 
 
-def seen_goal(share, x: float = 0.0, y: float = 0.0, hypothesis=None) -> Goals:
-    """One thing that has been seen; a hypothesis is (mass, x, y)."""
-    one = jnp.full(1, share, jnp.float32)
-    mass, *place = hypothesis or (0.0, 0.0, 0.0)
+def goals_with(x, y, mass, *, confirmed=None, hypothesis=(0.0, 0.0, 0.0)) -> Goals:
+    """Things that have been seen; a hypothesis is (mass, x, y)."""
+    x, y, mass = (jnp.asarray(one, jnp.float32) for one in (x, y, mass))
+    hidden, *place = (jnp.full(1, one, jnp.float32) for one in hypothesis)
     return Goals(
-        object_x=jnp.full(1, x, jnp.float32),
-        object_y=jnp.full(1, y, jnp.float32),
-        object_mass=one,
-        object_accepted=one,
-        object_confirmed=one,
-        is_object=jnp.ones(1, bool),
-        hypothesis_x=jnp.full(1, place[0], jnp.float32),
-        hypothesis_y=jnp.full(1, place[1], jnp.float32),
-        hypothesis_mass=jnp.full(1, mass, jnp.float32),
+        object_x=x,
+        object_y=y,
+        object_mass=mass,
+        object_accepted=mass,
+        object_confirmed=mass if confirmed is None else jnp.asarray(confirmed, jnp.float32),
+        is_object=jnp.ones(x.shape, bool),
+        hypothesis_x=place[0],
+        hypothesis_y=place[1],
+        hypothesis_mass=hidden,
     )
+
+
+def seen_goal(share, x: float = 0.0, y: float = 0.0, hypothesis=(0.0, 0.0, 0.0)) -> Goals:
+    return goals_with([x], [y], [share], hypothesis=hypothesis)
 
 
 def forbid(belief, share: float):

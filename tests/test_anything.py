@@ -1,26 +1,19 @@
 """Goals of any type: what they are read as, what may be meant, and how the search for them ends."""
 
-import jax
 import numpy as np
 import pytest
 from test_conversation import curious
-from test_navigator_step import AREA, CONE, HYDRANT, STEP, distance, go, robot
+from test_navigator_step import AREA, CONE, HYDRANT, STEP, distance, go
 
 from jaxlangnav import kinds
-from jaxlangnav.grounding import load_shipped, understand
+from jaxlangnav.grounding import understand
 from jaxlangnav.grounding.binding import Detector
 from jaxlangnav.grounding.readings import unpad_readings
 from jaxlangnav.kinds import ANYTHING
 from jaxlangnav.messages import BEHIND, BETWEEN, LEFT, NEAR, NONE, ROBOT, Status
 
-__all__ = ["robot"]
 CAR, TREE, BENCH, BARREL = 2, 4, 5, 6
 BEHIND_IT = "go to the thing behind the cone"
-
-
-@pytest.fixture(scope="module")
-def model():
-    return load_shipped()
 
 
 def read(text, model, detector=None):
@@ -136,10 +129,3 @@ def test_which_one_is_asked_of_things_of_two_types(robot, answer: str) -> None:
     after = go(asking, asking.hear(run.state, answer), places, start=tuple(run.end))
     assert Status(int(after.actions[-1].status)) == Status.ARRIVED
     assert distance(after, meant, places) < 1.5
-
-
-def test_the_padding_of_a_sentence_is_as_before(robot) -> None:
-    """To the program the thing is data: the arrays have the shapes of any sentence."""
-    states = [robot.start(text, area=AREA) for text in (BEHIND_IT, "go to the cone")]
-    forms = [jax.tree.map(lambda leaf: (leaf.shape, leaf.dtype), state) for state in states]
-    assert forms[0] == forms[1]

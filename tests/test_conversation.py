@@ -6,7 +6,7 @@ import jax
 import numpy as np
 import pytest
 import readings as by_hand
-from test_navigator_step import AREA, CONE, HYDRANT, STEP, assert_arrived, distance, go, robot, see
+from test_navigator_step import AREA, CONE, HYDRANT, STEP, assert_arrived, distance, go, see
 
 from jaxlangnav import agent, hearing
 from jaxlangnav.grounding.readings import Capacity
@@ -15,7 +15,6 @@ from jaxlangnav.listening import Candidate, _chosen
 from jaxlangnav.messages import Status
 from jaxlangnav.pytree import replace
 
-__all__ = ["robot"]
 CAR = 2
 WORLD = [(HYDRANT, 4.0, 2.5), (HYDRANT, 4.5, -2.5), (CONE, 2.0, -3.0), (CAR, 8.0, 3.0)]
 NEAR_HYDRANT, FAR_HYDRANT, ONE_CONE, ONE_CAR = range(4)
@@ -100,13 +99,9 @@ def test_a_statement_changes_no_task(robot) -> None:
     run = set_out(robot, "go to the car")
     state, heard = robot.take(run.state, "the hydrant is behind the car")
     assert heard.kind == Kind.STATEMENT
-    told = state.instruction
-    for before, after in zip(
-        jax.tree.leaves((run.state.instruction.program, run.state.clause, run.state.status)),
-        jax.tree.leaves((told.program, state.clause, state.status)),
-        strict=True,
-    ):
-        np.testing.assert_array_equal(before, after)
+    before = run.state.instruction.program, run.state.clause, run.state.status
+    after = state.instruction.program, state.clause, state.status
+    jax.tree.map(np.testing.assert_array_equal, before, after)
     _, after = tell(robot, run, "the hydrant is behind the car")
     arrives(after, ONE_CAR)
 
@@ -260,6 +255,7 @@ STREAM = (
     "the cone is near the hydrant", "then go to the car", "no, the other one", "avoid the cone",
     "stop", "carry on", "go to the hydrant behind the car", "closer", "come back", "never mind",
     "the car is on your left", "find the other hydrant", "go to it", "not that one, the left one",
+    "wait",
 )  # fmt: skip
 
 
@@ -322,9 +318,7 @@ def test_a_correction_leads_to_the_other_one() -> None:
     )
     left = np.stack([draw.uniform(3.0, 9.0, number), draw.uniform(1.5, 4.5, number)], axis=1)
     right = np.stack([draw.uniform(3.0, 9.0, number), -draw.uniform(1.5, 4.5, number)], axis=1)
-    states = jax.tree.map(
-        lambda leaf: np.broadcast_to(leaf, (number, *leaf.shape)), one.start(NULL, area=AREA)
-    )
+    states = by_hand.repeat(one.start(NULL, area=AREA), number)
     position, first = np.zeros((number, 2)), np.full(number, -1)
     for index in range(90):
         looks = by_hand.stack(

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import jax.numpy as jnp
 import pytest
 from recording_fixture import make_recording, make_scene
-from test_navigator_step import AREA, HYDRANT, robot
+from test_navigator_step import AREA, HYDRANT
 
 from jaxlangnav.cli import main as cli, speech
 from jaxlangnav.cli.output import Output
@@ -20,7 +20,6 @@ from jaxlangnav.task import talk
 from jaxlangnav.viz import html
 from jaxlangnav.viz.narrative import narrate
 
-__all__ = ["robot"]
 NULL = "go to the hydrant"
 OTHER = Candidate(slot=1, type_name="hydrant", x=9.0, y=1.0, probability=0.5)
 

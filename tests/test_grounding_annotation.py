@@ -1,24 +1,20 @@
-"""What sentences say, by the shipped models."""
+"""What sentences say and ask for, by the shipped models."""
 
 import dataclasses
 
 import numpy as np
 import pytest
 
-from jaxlangnav.grounding import load_shipped, understand, understand_parse
+from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.grounding.annotation import describe_annotation, infer_annotations
+from jaxlangnav.grounding.asked import asked
 from jaxlangnav.grounding.readings import CapacityError, read, to_readings, unpad_readings
 from jaxlangnav.grounding.symbols import object_symbol, region_symbol, relation_symbol
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import Phrase
-from jaxlangnav.messages import BEHIND, BETWEEN, LEFT, NEAR, NONE, RIGHT, ROBOT
+from jaxlangnav.messages import AT, BEHIND, BETWEEN, LEFT, NEAR, NONE, RIGHT, ROBOT
 
 HYDRANT, CONE, CAR, TREE = 0, 1, 2, 4
-
-
-@pytest.fixture(scope="module")
-def model():
-    return load_shipped()
 
 
 def best(text, model):
@@ -95,17 +91,6 @@ def test_a_new_synonym_needs_no_retraining(model, old, new):
     ).sets
     assert said == ((relation_symbol(HYDRANT, BEHIND, CONE), 0),)
     assert np.exp(log_probability) > 0.9
-
-
-def test_a_new_object_type_needs_no_retraining(model):
-    tree = reworded(
-        "go to the hydrant behind the cone", "hydrant",
-        text="ladder", lemma="ladder", senses=("type:ladder",),
-    )  # fmt: skip
-    larger = dataclasses.replace(model, type_names=(*model.type_names, "ladder"))
-    understood = understand_parse(tree, larger)
-    assert understood.annotations[0]["figure"] == "ladder"
-    assert understood.annotations[0]["probability"] > 0.9
 
 
 def test_a_word_without_senses_does_not_ground_everything(model):
@@ -263,3 +248,43 @@ def test_several_commands_are_several_clauses(model):
 def test_a_statement_informs_and_asks_nothing(model):
     instruction = understand("the hydrant is behind the cone", model).instruction
     assert int(instruction.num_clauses) == 0
+
+
+# ---------------------------------------------------------------- what is asked for
+
+
+@pytest.fixture(scope="module")
+def ask():
+    model = load_shipped()
+
+    def of(text: str):
+        understood = understand(text, model)
+        kinds = understood.instruction.readings.mention_type[0].tolist()
+        names = (*understood.type_names, "nothing")
+        found = asked(understood.instruction)
+        return found, [names[kinds[one.mention] if one.mention >= 0 else NONE] for one in found]
+
+    return of
+
+
+def test_commands_and_what_to_keep_away_from(ask) -> None:
+    found, goals = ask("go to the hydrant behind the cone and avoid the car, then find the bench")
+    assert goals == ["hydrant", "bench"]
+    assert [one.action for one in found] == ["navigate", "find"]
+    assert [one.region for one in found] == [AT, AT]
+    assert [len(one.avoid) for one in found] == [1, 0]
+    assert found[0].avoid[0][0] == NEAR
+    # The hydrant is placed against the cone; the car and the bench are no business of its.
+    assert [len(one.against) for one in found] == [1, 0]
+
+
+def test_a_region_and_a_manner(ask) -> None:
+    found, goals = ask("carefully move behind the cone")
+    assert goals == ["cone"]
+    assert found[0].region == BEHIND
+    assert found[0].mode == "carefully"
+
+
+def test_the_other_one_is_none_that_was_named(ask) -> None:
+    _, goals = ask("go to the cone, then go to the other cone")
+    assert goals == ["cone", "nothing"]

@@ -1,4 +1,8 @@
-"""The device kernel against enumeration, padding and batch laws, and what commands ask for."""
+"""The device kernel against enumeration, padding and batch laws.
+
+What commands ask for is in test_grounding_form_program: there sentences are held against forms, in
+worlds full of what they speak of, and forms against enumeration.
+"""
 
 import dataclasses
 
@@ -10,7 +14,7 @@ import pytest
 from grounding_fixture import TYPES, random_topology
 from oracles.dcg import BehaviorOracle
 
-from jaxlangnav.grounding import infer_behavior, infer_behaviors, load_shipped, understand
+from jaxlangnav.grounding import infer_behavior, infer_behaviors, understand
 from jaxlangnav.grounding.correspondence import CorrespondenceGraph
 from jaxlangnav.grounding.program import BehaviorProgram, softmax
 from jaxlangnav.grounding.properties import Behaviors
@@ -32,12 +36,6 @@ SENTENCES = (
 SLOTS = 9
 """Of all worlds here, that they share one program; those of ``random_topology``, and the robot."""
 infer = jax.jit(infer_behavior)
-infer_all = jax.jit(infer_behaviors)
-
-
-@pytest.fixture(scope="module")
-def model():
-    return load_shipped()
 
 
 def program_of(text, model, clause=0) -> BehaviorProgram:
@@ -51,51 +49,6 @@ def world_of(kinds, edges=(), previous=None, extremes=()):
     world = World.of_edges(types, edges, [(0, *edge) for edge in extremes])
     is_previous = np.arange(len(types)) == (len(types) if previous is None else previous)
     return dataclasses.replace(world, is_previous=is_previous)
-
-
-def behavior_of(text, model, world):
-    program = program_of(text, model)
-    return infer(program, to_device(world, SLOTS), num_phrases=program.num_phrases)
-
-
-# ---------------------------------------------------------------- what commands ask for
-
-
-NEXT_TO = [(NEAR, 0, 2), (NEAR, 1, 2)]
-
-
-@pytest.mark.parametrize(
-    ("text", "world", "asked"),
-    [
-        (BEHIND_CONE, (["hydrant", "hydrant", "cone"], [(BEHIND, 1, 2)]),
-         [("goal", (AT, 1)), ("action", 0), ("mode", 0)]),
-        (SENTENCES[2], (["hydrant", "hydrant", "cone"], NEXT_TO, None, [(NEAR, 0, 2)]),
-         [("goal", (AT, 0))]),
-        ("move behind the cone", (["hydrant", "cone"],), [("goal", (BEHIND, 1))]),
-        ("go to the hydrant but stay away from the car", (["hydrant", "car"],),
-         [("constraint", (NEAR, 1)), ("goal", (AT, 0))]),
-        ("go to the other cone", (["cone", "cone", "hydrant"], (), 0), [("goal", (AT, 1))]),
-        ("look for the cone", (["cone"],), [("action", 1)]),
-        ("quickly go to the cone", (["cone"],), [("mode", 1)]),
-        ("go slowly to the cone", (["cone"],), [("mode", 2)]),
-    ],
-)  # fmt: skip
-def test_what_is_asked_for_is_sure_and_nothing_else_is(model, text, world, asked):
-    behavior = behavior_of(text, model, world_of(*world))
-    for name, index in asked:
-        assert getattr(behavior, name)[index] > 0.9
-    assert behavior.constraint.sum() < (1.1 if "away" in text else 0.1)
-    assert behavior.goal.sum() < 1.1
-
-
-def test_alike_goals_share(model):
-    goal = behavior_of("go to the hydrant", model, world_of(["hydrant", "cone", "hydrant"])).goal
-    np.testing.assert_allclose(goal[AT, jnp.array([0, 2])], 0.5, atol=0.05)
-
-
-@pytest.mark.parametrize("kinds", [["cone"], ["hydrant"], ["car", "tree"]])
-def test_no_goal_where_something_is_missing(model, kinds):
-    assert behavior_of(BEHIND_CONE, model, world_of(kinds)).goal.sum() < 0.1
 
 
 def test_one_of_several_is_expressed_by_its_odds():

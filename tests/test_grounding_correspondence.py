@@ -94,22 +94,6 @@ def test_own_symbols_are_learned(graph):
     assert best.probability > 0.5
 
 
-def test_beam_of_all_sets_is_the_enumeration(graph):
-    root, world = read_tree("VP[take]{PP[left of]{NP[the red one]}}"), ("blue", "red")
-
-    def log_odds(phrase, _, children):
-        seen = SPACE.properties(children, world)
-        return seen @ graph.model.coefficients(phrase)[KIND]
-
-    exact = root_distribution(root, log_odds)
-    names = SPACE.symbols_in(world).symbols
-    found = {one.symbols: one.probability for one in graph.ground(root, world, width=16)}
-    assert len(found) == 4
-    for key, probability in exact.items():
-        said = tuple(np.array(names)[np.frombuffer(key, bool)])
-        assert found[said] == pytest.approx(probability, abs=1e-6)
-
-
 def test_beliefs_are_those_of_the_likeliest_reading(graph):
     root, world = read_tree("VP[take]{NP[the blue one]}"), WORLDS[0]
     top, below = graph.weigh(root, world).beliefs()

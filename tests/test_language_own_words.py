@@ -106,12 +106,6 @@ def test_a_faulty_file_is_named(
     assert "\n" not in str(error.value)
 
 
-def test_a_missing_file_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv(OWN_LEXICON, str(tmp_path / "nowhere.toml"))
-    with pytest.raises(ValueError, match=r"nowhere\.toml"):
-        load_lexicon.__wrapped__()
-
-
 def test_own_lines_come_after_those_of_the_package() -> None:
     base = "[types]\ncone = ['cone']\n[class.adj]\ntag = 'JJ'\nplain = ['red']\n[tags]\n[refused]\n"
     lexicon = read_lexicon(
@@ -141,7 +135,7 @@ def test_honest_words_are_taken(text: str) -> None:
     assert read_lexicon(shipped.read_text("utf-8"), text).type_names[0] == "hydrant"
 
 
-def test_what_is_no_file_is_refused_and_not_waited_for(
+def test_what_is_no_file_is_refused_by_name_and_not_waited_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     os.mkfifo(tmp_path / "pipe")
@@ -150,6 +144,7 @@ def test_what_is_no_file_is_refused_and_not_waited_for(
         (tmp_path / "pipe", "is a pipe, not a regular file"),
         (tmp_path, "is a folder, not a regular file"),
         (tmp_path / "large", "more than 262,144 bytes"),
+        (tmp_path / "nowhere.toml", r"nowhere\.toml"),
     ):
         monkeypatch.setenv(OWN_LEXICON, str(path))
         with pytest.raises(ValueError, match=says):

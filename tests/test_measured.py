@@ -4,14 +4,13 @@ import math
 
 import numpy as np
 import pytest
-from test_navigator_step import AREA, CONE, go, robot
+from test_navigator_step import AREA, CONE, go
 
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import LanguageError
 from jaxlangnav.messages import Status
 from jaxlangnav.planner.policy import UNDERFOOT
 
-__all__ = ["robot"]
 FRONT, BACK, LEFT, RIGHT = "in front of you", "behind you", "to your left", "to your right"
 
 

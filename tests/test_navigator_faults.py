@@ -5,15 +5,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from hostile import MUTATIONS, looks
-from test_navigator_step import AREA, distance, go, robot, see
+from test_navigator_step import AREA, distance, go, see
 
-from jaxlangnav import hearing, navigator
+from jaxlangnav import agent, hearing, navigator
 from jaxlangnav.conversation import join
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.messages import Fault
 from jaxlangnav.pytree import replace
 
-__all__ = ["robot"]
 TEXT = "go to the hydrant behind the cone"
 START = (2.0, 0.0)
 GOOD = see(START, 0.0)
@@ -107,14 +106,6 @@ def test_a_quick_robot_is_not_taken_for_a_carried_one(robot) -> None:
     assert all(int(info.fault) == 0 for info in run.infos)
 
 
-def test_a_type_that_the_model_does_not_know_is_said(robot) -> None:
-    kinds = np.array(GOOD.detection_type)
-    kinds[0] = len(robot.type_names)
-    _, action, info = advance(robot, begin(robot), replace(GOOD, detection_type=kinds))
-    assert_stands(action, info)
-    assert int(info.fault) == Fault.DETECTION
-
-
 def test_dead_weights_are_said_and_healed(robot) -> None:
     run = go(robot, begin(robot), start=START, max_steps=2)
     for dead in (-np.inf, np.nan):
@@ -179,3 +170,65 @@ def test_a_command_heard_at_a_place_that_cannot_be_is_heard_where_it_was(robot) 
     told = hearing.tell(state, words, nowhere, how=hearing.How.REPLACE)
     np.testing.assert_array_equal(told.talk.viewer[0], state.belief.last_pose)
     assert bool(told.belief.must_ground)
+
+
+# ---------------------------------------------------------------- a state belongs to its navigator
+
+LABELS = ("hydrant", "cone")
+SAID = "go to the hydrant"
+
+
+@pytest.fixture(scope="module")
+def owner() -> agent.Navigator:
+    return agent.Navigator.pretrained(labels=LABELS)
+
+
+def doors(other: agent.Navigator):
+    yield lambda state: other.step(jax.random.key(0), state, other.observation((0.0, 0.0, 0.0)))
+    yield lambda state: other.hear(state, "go to the cone")
+    yield lambda state: other.take(state, "stop")
+    yield from (other.candidates, other.missing, other.spoken)
+
+
+@pytest.mark.parametrize(
+    ("policy", "labels", "why"),
+    [
+        ("informed", ("gazebo", "cone"), "other labels than gazebo"),
+        ("informed", ("cone", "hydrant"), "other labels than cone"),
+        ("informed", (*LABELS, "gazebo"), "other labels than hydrant"),
+        ("faithful", LABELS, "another policy than faithful"),
+    ],
+)
+def test_a_state_of_another_navigator_is_refused(owner, policy: str, labels, why: str) -> None:
+    other = agent.Navigator.pretrained(policy, labels=labels)
+    for state in (owner.start(SAID), owner.wait()):
+        for door in doors(other):
+            with pytest.raises(ValueError, match=why) as refusal:
+                door(state)
+            assert "\n" not in str(refusal.value)
+
+
+def test_a_state_is_taken_by_a_navigator_alike(owner) -> None:
+    """Other numbers are no other navigator, and a state may have been written to a file."""
+    like = agent.Navigator.pretrained(labels=list(LABELS), reach=2.0)
+    state = owner.start(SAID)
+    leaves, structure = jax.tree.flatten(state)
+    read = jax.tree.unflatten(structure, [np.array(leaf) for leaf in leaves])
+    for given in (state, owner.hear(state, "stop"), read):
+        assert like.spoken(given) == ["hydrant"]
+
+
+def test_a_state_of_the_engine_is_anybodys(owner) -> None:
+    state = owner.start(SAID)
+    bare = navigator.start(
+        state.instruction, jnp.zeros(3), jnp.array([-9.0, 9.0, -9.0, 9.0]), config=owner.config
+    )
+    assert owner.spoken(bare) == ["hydrant"]
+    assert owner.take(bare, "stop")[0].signature is not None
+
+
+def test_states_are_stacked_and_traced(owner) -> None:
+    states = jax.tree.map(lambda *leaves: jnp.stack(leaves), owner.start(SAID), owner.wait())
+    halted = jax.jit(jax.vmap(lambda state: replace(state, is_halted=jnp.asarray(True))))(states)
+    first = jax.tree.map(lambda leaf: leaf[0], halted)
+    assert owner.spoken(first) == ["hydrant"]

@@ -28,11 +28,6 @@ STEP = agent._step
 """Compiled once for all files that drive the robot."""
 
 
-@pytest.fixture(scope="module")
-def robot() -> agent.Navigator:
-    return agent.Navigator.pretrained()
-
-
 @dataclasses.dataclass
 class Run:
     state: navigator.NavigatorState
@@ -253,6 +248,12 @@ def test_hears_another_command_and_keeps_its_map(robot) -> None:
     assert_arrived(again, 2 - first)
 
 
+@pytest.fixture
+def told(robot) -> agent.Navigator:
+    """One that takes annotations in place of sentences."""
+    return dataclasses.replace(robot, grounder=AnnotationGrounder(robot.type_names))
+
+
 def form(*weighted: tuple[float, str], types: tuple[str, str] = ("hydrant", "cone")) -> str:
     """Write annotations of "go to the hydrant <relation> the cone", with probabilities."""
     things = [{"id": f"the-{kind}", "type": kind} for kind in types]
@@ -269,8 +270,7 @@ def form(*weighted: tuple[float, str], types: tuple[str, str] = ("hydrant", "con
     return json.dumps({"readings": readings})
 
 
-def test_annotations_drive_an_episode_as_the_sentence_does(robot) -> None:
-    told = dataclasses.replace(robot, grounder=AnnotationGrounder(robot.type_names))
+def test_annotations_drive_an_episode_as_the_sentence_does(robot, told) -> None:
     mine = go(told, told.start(form((1.0, "behind")), area=AREA))
     theirs = go(robot, robot.start("go to the hydrant behind the cone", area=AREA))
     assert_arrived(mine, 1)
@@ -281,9 +281,8 @@ def test_annotations_drive_an_episode_as_the_sentence_does(robot) -> None:
         assert bool(own.is_stop) == bool(other.is_stop)
 
 
-def test_what_the_robot_sees_settles_which_reading_is_meant(robot) -> None:
+def test_what_the_robot_sees_settles_which_reading_is_meant(told) -> None:
     """The likelier reading puts the hydrant where there is none."""
-    told = dataclasses.replace(robot, grounder=AnnotationGrounder(robot.type_names))
     state = told.start(form((0.6, "front"), (0.4, "behind")), area=AREA)
     run = go(told, state)
     assert_arrived(run, 1)
@@ -292,9 +291,8 @@ def test_what_the_robot_sees_settles_which_reading_is_meant(robot) -> None:
     assert weight[reading == 1].sum() > 0.9
 
 
-def test_where_the_likelier_thing_is_nowhere_the_other_will_do(robot) -> None:
+def test_where_the_likelier_thing_is_nowhere_the_other_will_do(robot, told) -> None:
     """Nothing said tells which thing is meant; there is no car, and the robot looks for it."""
-    told = dataclasses.replace(robot, grounder=AnnotationGrounder(robot.type_names))
     readings = [
         {
             "probability": probability,
@@ -378,6 +376,10 @@ def test_parameters_that_could_never_stop_are_refused() -> None:
 def test_sizes_that_do_not_fit_are_refused() -> None:
     for build in (
         lambda: NavigatorConfig(map=MapConfig(num_cells=25)),
+        # Not to be folded into the 12 cells of a search map.
+        lambda: NavigatorConfig(
+            map=MapConfig(num_cells=32), planner=PlannerConfig(policy="informed", num_blocks=8)
+        ),
         lambda: MapConfig(num_particles=1),
         lambda: MapConfig(num_objects=0),
         lambda: PlannerConfig(policy="greedy"),
@@ -386,11 +388,3 @@ def test_sizes_that_do_not_fit_are_refused() -> None:
         with pytest.raises(ValueError, match="must be"):
             build()
     assert hash(NavigatorConfig()) == hash(NavigatorConfig())
-
-
-def test_informed_search_map_needs_whole_blocks_of_cells() -> None:
-    """32 cells cannot be folded into 12: refused when the config is read, not in the kernel."""
-    with pytest.raises(ValueError, match="must be"):
-        NavigatorConfig(
-            map=MapConfig(num_cells=32), planner=PlannerConfig(policy="informed", num_blocks=8)
-        )

@@ -8,6 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from readings import stack
+from situations import goals_with
 
 from jaxlangnav.navigator import default_params
 from jaxlangnav.planner.goals import Goals
@@ -73,17 +75,13 @@ def goals_of(seen: tuple[float, ...], unseen: float) -> Goals:
     """Write a state as the goals that a robot would weigh, three slots and one hypothesis."""
     share = np.zeros(4, np.float32)
     share[: len(seen)] = (1.0 - unseen) * np.array(seen) / sum(seen)
-    zero = np.zeros(4, np.float32)
-    return Goals(
-        object_x=zero, object_y=zero, object_mass=share, object_accepted=share,
-        object_confirmed=share, is_object=share > 0.0, hypothesis_x=zero[:1],
-        hypothesis_y=zero[:1], hypothesis_mass=np.array([unseen], np.float32),
-    )  # fmt: skip
+    goals = goals_with(np.zeros(4), np.zeros(4), share, hypothesis=(unseen, 0.0, 0.0))
+    return replace(goals, is_object=jnp.asarray(share > 0.0))
 
 
 def decide(states: list[tuple[Goals, float, float, float]]) -> AskDecision:
     """Weigh many states at once: goals, metres left, cost of a metre and of a question."""
-    goals = jax.tree.map(lambda *leaves: np.stack(leaves), *(state[0] for state in states))
+    goals = stack([state[0] for state in states])
     numbers = np.array([state[1:] for state in states], np.float32)
 
     @jax.jit
@@ -144,37 +142,33 @@ def doubt(seen, unseen, *, metres=10.0, question=0.1, **changes) -> AskDecision:
     return value_of_asking(goals, jnp.float32(metres), params=params, **given)
 
 
-def test_two_that_fit_alike_are_asked_about_at_once() -> None:
-    """However much is unseen: "neither of them" sends the robot on as well later as now."""
-    for unseen in (0.0, 0.1, 0.2):
-        found = doubt((1.0, 1.0), unseen)
-        assert (bool(found.asks), bool(found.looks_on)) == (True, False)
-
-
-def test_of_one_it_looks_on_while_the_way_is_worth_it() -> None:
-    assert bool(doubt((1.0,), 0.2).looks_on)
-    assert not bool(doubt((1.0,), 0.2, metres=100.0).looks_on)
-    assert not bool(doubt((1.0,), 0.005).looks_on)
-    assert not bool(doubt((1.0,), 0.2, has_looked=True).looks_on)
-
-
-def test_of_one_it_asks_where_looking_costs_more_than_a_question() -> None:
-    assert bool(doubt((1.0,), 0.2, metres=60.0, question=0.05).asks)
-    assert not bool(doubt((1.0,), 0.2, metres=5.0, question=0.05).asks)
+ONE, TWO, FORBIDDEN = (1.0,), (1.0, 1.0), jnp.asarray(False)
+UNPLACED = {"object_confirmed": jnp.zeros(4)}
 
 
 @pytest.mark.parametrize(
-    "changes", [{"question": np.inf}, {"may_ask": jnp.asarray(False)}, {"unseen": 1.0}]
+    ("seen", "unseen", "given", "act"),
+    [
+        # However much is unseen: "neither of them" sends the robot on as well later as now.
+        *((TWO, unseen, {}, "ask") for unseen in (0.0, 0.1, 0.2)),
+        (ONE, 0.2, {}, "look"),
+        (ONE, 0.2, {"metres": 100.0}, "ask or guess"),
+        (ONE, 0.005, {}, "ask or guess"),
+        (ONE, 0.2, {"has_looked": True}, "ask or guess"),
+        # Of one it asks where looking costs more than a question.
+        (ONE, 0.2, {"metres": 60.0, "question": 0.05}, "ask"),
+        (ONE, 0.2, {"metres": 5.0, "question": 0.05}, "look or guess"),
+        # Who may not ask, or has seen nothing, has no doubt.
+        *((seen, 0.2, {"question": np.inf}, "guess") for seen in (ONE, TWO)),
+        *((seen, 0.2, {"may_ask": FORBIDDEN}, "guess") for seen in (ONE, TWO)),
+        *((seen, 1.0, {}, "guess") for seen in (ONE, TWO)),
+        # What they are placed against is looked for first if that is cheaper.
+        (TWO, 0.0, {"goals": UNPLACED}, "look"),
+        (TWO, 0.0, {"goals": UNPLACED, "metres": 80.0}, "ask"),
+        (TWO, 0.0, {"goals": UNPLACED, "has_looked": True}, "ask"),
+    ],
 )
-def test_who_may_not_ask_or_has_seen_nothing_has_no_doubt(changes: dict) -> None:
-    unseen = changes.pop("unseen", 0.2)
-    for seen in ((1.0,), (1.0, 1.0)):
-        found = doubt(seen, unseen, **changes)
-        assert not bool(found.asks | found.looks_on)
-
-
-def test_what_they_are_placed_against_is_looked_for_first_if_that_is_cheaper() -> None:
-    nothing = {"goals": {"object_confirmed": np.zeros(4, np.float32)}}
-    assert bool(doubt((1.0, 1.0), 0.0, **nothing).looks_on)
-    assert bool(doubt((1.0, 1.0), 0.0, metres=80.0, **nothing).asks)
-    assert bool(doubt((1.0, 1.0), 0.0, has_looked=True, **nothing).asks)
+def test_acts_by_hand(seen: tuple, unseen: float, given: dict, act: str) -> None:
+    found = doubt(seen, unseen, **given)
+    assert ("ask" if found.asks else "look" if found.looks_on else "guess") in act
+    assert not bool(found.asks & found.looks_on)

@@ -1,5 +1,6 @@
 """Cheapest ways round what is forbidden: by hand, against quadrature and a dense graph."""
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -141,12 +142,9 @@ def test_a_corner_that_was_given_up_is_gone_round_by_the_other_side() -> None:
     place = jnp.array([6.0]), jnp.array([0.0]), jnp.zeros(1)
     way = DETOURS(made, *place)
     assert float(way.y[0]) < 0.0
-    closed = [made.way.closed_x.at[0].set(way.x[0]), made.way.closed_y.at[0].set(way.y[0])]
+    given_up = {"closed_x": way.x[0], "closed_y": way.y[0], "closed_for": 9}
     blocked = replace(
-        made.way,
-        closed_x=closed[0],
-        closed_y=closed[1],
-        closed_for=made.way.closed_for.at[0].set(9),
+        made.way, **{name: getattr(made.way, name).at[0].set(at) for name, at in given_up.items()}
     )
     other = DETOURS(replace(made, way=blocked), *place)
     assert np.hypot(other.x[0] - way.x[0], other.y[0] - way.y[0]) > 0.7
@@ -173,10 +171,8 @@ def test_a_batch_is_as_one_by_one() -> None:
     many = jax.tree.map(lambda *leaves: jnp.stack(leaves), *made)
     found = jax.jit(jax.vmap(detours, in_axes=(0, None, None, None)))(many, *places)
     for lane, one in enumerate(made):
-        for leaf, other in zip(
-            jax.tree.leaves(found), jax.tree.leaves(DETOURS(one, *places)), strict=True
-        ):
-            np.testing.assert_allclose(leaf[lane], other, atol=1e-4)
+        own = jax.tree.map(lambda leaf, n=lane: leaf[n], found)
+        chex.assert_trees_all_close(own, DETOURS(one, *places), atol=1e-4)
 
 
 def test_a_decision_goes_to_its_waypoint_by_the_first_corner() -> None:
@@ -184,14 +180,13 @@ def test_a_decision_goes_to_its_waypoint_by_the_first_corner() -> None:
     aims = seen_goal(0.9, 6.0, 0.0)
     belief = by_hand.with_objects(by_hand.begin(config=CONFIG), [(by_hand.CONE, 3.0, 0.0)])
     nodes = nodes_at([1.0, 6.0], [0.0, 0.0], [VISITED, OBJECT_NODE])
-    for policy in ("faithful",):
-        for forbidden in (0.0, 1.0):
-            made = situation(belief, nodes, aims, (0.0, 0.0), forbidden=forbidden)
-            after, chosen = CHOOSE(SHIPPED[policy], jax.random.key(0), no_waypoint(), made)
-            assert (float(chosen.waypoint_x), float(chosen.waypoint_y)) == (6.0, 0.0)
-            assert (float(after.x), float(after.y)) == (6.0, 0.0)
-            assert bool(chosen.is_approach)
-            assert not bool(chosen.is_stop)
-            assert bool(chosen.turns) == bool(forbidden)
-            assert (np.hypot(chosen.next_x - 3.0, chosen.next_y) < RADIUS + 0.01) == bool(forbidden)
+    for forbidden in (0.0, 1.0):
+        made = situation(belief, nodes, aims, (0.0, 0.0), forbidden=forbidden)
+        after, chosen = CHOOSE(SHIPPED["faithful"], jax.random.key(0), no_waypoint(), made)
+        assert (float(chosen.waypoint_x), float(chosen.waypoint_y)) == (6.0, 0.0)
+        assert (float(after.x), float(after.y)) == (6.0, 0.0)
+        assert bool(chosen.is_approach)
+        assert not bool(chosen.is_stop)
+        assert bool(chosen.turns) == bool(forbidden)
+        assert (np.hypot(chosen.next_x - 3.0, chosen.next_y) < RADIUS + 0.01) == bool(forbidden)
     assert RANGE > RADIUS

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import readings as by_hand
-from situations import CHOOSE, nodes_at, seen_goal, situation
+from situations import CHOOSE, goals_with, nodes_at, seen_goal, situation
 
 from jaxlangnav.messages import NONE, RIGHT, ROBOT
 from jaxlangnav.planner import policy, tours
@@ -301,6 +301,13 @@ def test_what_is_unseen_by_hand() -> None:
     assert float(SEARCH_MAP(believe(there, is_hung=False, log_miss=log_miss)).unseen) < 0.02
 
 
+def plan_to(x: float, y: float, metres: float, mass: float, hung: float) -> tours.Plan:
+    """A plan of one stop."""
+    tour = Tour(x=jnp.full((1, 1), x), y=jnp.full((1, 1), y))
+    mass_left, hung_left = jnp.float32(mass), jnp.float32(hung)
+    return tours.Plan(tours=tour, latency=jnp.full(1, metres), mass=mass_left, hung=hung_left)
+
+
 @pytest.mark.parametrize(
     ("mass", "robot", "chance", "stops", "ends"),
     [
@@ -315,9 +322,7 @@ def test_what_is_unseen_by_hand() -> None:
 )
 def test_informed_ends_once_the_rest_has_been_looked_at(mass, robot, chance, stops, ends) -> None:
     unconfirmed = replace(goals(mass, hypothesis=0.6), object_confirmed=jnp.zeros(1))
-    one = jnp.zeros(1)
-    tour = Tour(x=one[None] + 4.0, y=one[None] + 3.0)
-    plan = tours.Plan(tours=tour, latency=one + 9.0, mass=jnp.float32(0.6), hung=jnp.float32(0.6))
+    plan = plan_to(4.0, 3.0, 9.0, 0.6, 0.6)
     shown = situation(by_hand.begin(config=CONFIG), nodes(), unconfirmed, robot)
     choice = DECIDE_ON(shown, plan, both(chance))
     assert (bool(choice.is_stop), bool(choice.is_not_found)) == (stops, ends)
@@ -332,9 +337,7 @@ def test_informed_ends_once_the_rest_has_been_looked_at(mass, robot, chance, sto
 @pytest.mark.parametrize(("unlooked", "ends"), [(0.03, False), (0.015, True)])
 def test_a_thorough_search_ends_when_hardly_anything_is_unlooked(unlooked, ends) -> None:
     """However likely it is thought that what is spoken of is nowhere."""
-    one = jnp.zeros(1)
-    tour = tours.Tour(x=one[None] + 4.0, y=one[None] + 3.0)
-    plan = tours.Plan(tours=tour, latency=one + 9.0, mass=jnp.float32(0.6), hung=jnp.float32(0.0))
+    plan = plan_to(4.0, 3.0, 9.0, 0.6, 0.0)
     shown = situation(by_hand.begin(config=CONFIG), nodes(), goals(0.0), (5.5, 0.0))
     low = Chances(*(jnp.float32(share) for share in (0.01, 0.01, 0.4, unlooked)))
     doubting = replace(shown.params, absent=jnp.float32(0.05))
@@ -344,9 +347,7 @@ def test_a_thorough_search_ends_when_hardly_anything_is_unlooked(unlooked, ends)
 
 def test_nowhere_ends_no_search_that_has_shown_something() -> None:
     """What does not fit now may have to do: the sentence is rather false than of nothing there."""
-    one = jnp.zeros(1)
-    tour = Tour(x=one[None] + 4.0, y=one[None] + 3.0)
-    plan = tours.Plan(tours=tour, latency=one + 9.0, mass=jnp.float32(0.6), hung=jnp.float32(0.6))
+    plan = plan_to(4.0, 3.0, 9.0, 0.6, 0.6)
     for is_seen in (True, False):
         # The robot's own entry comes last, and is nothing that has been seen.
         aims = replace(goals(0.0, hypothesis=0.6), is_object=jnp.array([is_seen, True]))
@@ -359,21 +360,11 @@ def test_nowhere_ends_no_search_that_has_shown_something() -> None:
 @pytest.mark.parametrize(("likelier", "stops"), [(0.8, False), (0.2, False), (0.15, True)])
 def test_what_hangs_on_the_unseen_and_is_likelier_is_not_passed_over(likelier, stops) -> None:
     """The robot stands at what alone can be confirmed; another thing is likelier, or is not."""
-    one = jnp.ones(1)
-    tour = Tour(x=one[None] - 4.0, y=one[None] + 3.0)
-    plan = tours.Plan(tours=tour, latency=2.0 * one, mass=0.6 * one[0], hung=0.6 * one[0])
-    accepted = jnp.array([likelier, 0.16], jnp.float32)
-    aims = Goals(
-        object_x=jnp.array([6.0, 0.0]),
-        object_y=jnp.zeros(2),
-        object_mass=accepted,
-        object_accepted=accepted,
-        object_confirmed=jnp.array([0.08, 0.16]),
-        is_object=jnp.ones(2, bool),
-        hypothesis_x=jnp.zeros(1),
-        hypothesis_y=jnp.zeros(1),
-        hypothesis_mass=jnp.full(1, 0.01),
-    )
+    plan = plan_to(-3.0, 4.0, 2.0, 0.6, 0.6)
+    aims = goals_with(
+        [6.0, 0.0], [0.0, 0.0], [likelier, 0.16], confirmed=[0.08, 0.16],
+        hypothesis=(0.01, 0.0, 0.0),
+    )  # fmt: skip
     around = nodes_at([5.0, 6.0, 0.0], [0.0] * 3, [VISITED, OBJECT_NODE, OBJECT_NODE])
     shown = situation(by_hand.begin(config=CONFIG), around, aims)
     choice = DECIDE_ON(shown, plan, both(0.5))
@@ -386,9 +377,7 @@ def test_what_hangs_on_the_unseen_and_is_likelier_is_not_passed_over(likelier, s
 
 def test_who_looks_on_is_not_drawn_back_to_what_has_been_seen() -> None:
     """What is left to be found is little and far, what has been seen is near and likely."""
-    one = jnp.ones(1)
-    tour = Tour(x=one[None] - 4.0, y=one[None] + 3.0)
-    plan = tours.Plan(tours=tour, latency=2.0 * one, mass=0.1 * one[0], hung=0.0 * one[0])
+    plan = plan_to(-3.0, 4.0, 2.0, 0.1, 0.0)
     aims = goals(0.9, hypothesis=0.1)
     with_robot = {
         name: jnp.append(getattr(aims, name), 0).astype(getattr(aims, name).dtype)

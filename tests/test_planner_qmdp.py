@@ -1,4 +1,4 @@
-"""Values of waypoints against the plain double sum (eq. 11-12)."""
+"""Candidate waypoints by hand (eq. 9), and their values against the double sum (eq. 11-12)."""
 
 import jax
 import jax.numpy as jnp
@@ -10,8 +10,10 @@ from oracles import qmdp as oracle
 from jaxlangnav.messages import AT, BEHIND, FAR, LEFT, NEAR, NONE, Behavior
 from jaxlangnav.planner import qmdp
 from jaxlangnav.planner.goals import claim, gather, region_offset
+from jaxlangnav.planner.graph import frontiers, nowhere, unexplored_cells, visit
 from jaxlangnav.pytree import replace
 from jaxlangnav.relations import default_params, prepare
+from jaxlangnav.semantic_map.coverage import Coverage, cell_centres
 
 OBJECTS = [(0, 6.0, 1.0), (1, 4.0, -2.0), (0, 3.0, 3.0)]
 VIEWER = (1.0, -1.0, 0.4)
@@ -214,3 +216,62 @@ def test_goal_regions_by_hand(is_robot: bool) -> None:
     # Ahead of the robot is +x; behind an object is further away.
     assert oracle.goal_place(BEHIND, place, np.zeros(3), DISTANCE, False)[0] > 0
     assert oracle.goal_place(FAR, np.array([4.0, 0.0]), np.zeros(3), DISTANCE, False)[0] < 4.0
+
+
+# ---------------------------------------------------------------- candidate waypoints (eq. 9)
+
+AREA = jnp.array([0.0, 8.0, -4.0, 4.0])
+CELLS, BLOCKS = 16, 4
+FRONTIERS = jax.jit(frontiers, static_argnames="num_blocks")
+
+
+def coverage(log_miss: np.ndarray) -> Coverage:
+    return Coverage(log_miss=jnp.asarray(log_miss, jnp.float32), area=AREA)
+
+
+def test_everything_seen_once_leaves_what_was_seen_least() -> None:
+    """Unexplored is relative: nothing is written off for good."""
+    log_miss = np.full((CELLS, CELLS), -6.0)
+    log_miss[4:8, 4:8] = -3.0
+    cells = np.asarray(unexplored_cells(coverage(log_miss), jnp.float32(0.5)))
+    assert cells[4:8, 4:8].all()
+    assert cells.sum() == 16
+    _, _, is_frontier = FRONTIERS(coverage(log_miss), BLOCKS, 0.5)
+    assert np.asarray(is_frontier).reshape(BLOCKS, BLOCKS)[1, 1]
+    assert is_frontier.sum() == 1
+
+
+LEFT_HALF = np.where(np.arange(CELLS) < 8, -3.0, 0.0)[None].repeat(CELLS, 0)
+RANDOM = np.where(np.random.default_rng(0).uniform(size=(CELLS, CELLS)) < 0.5, -3.0, 0.0)
+
+
+@pytest.mark.parametrize("log_miss", [0.0 * RANDOM, LEFT_HALF, RANDOM], ids=["no", "half", "some"])
+def test_every_frontier_node_is_a_mean_of_frontier_cells(log_miss: np.ndarray) -> None:
+    """Against a plain loop over cells."""
+    x, y, is_frontier = FRONTIERS(coverage(log_miss), BLOCKS, 0.5)
+    centre_x, centre_y = (np.asarray(axis) for axis in cell_centres(coverage(log_miss)))
+    places: dict[int, list] = {}
+    for row in range(CELLS):
+        for column in range(CELLS):
+            beside = [(row + 1, column), (row - 1, column), (row, column + 1), (row, column - 1)]
+            inside = [one for one in beside if min(one) >= 0 and max(one) < CELLS]
+            if log_miss[row, column] == 0.0 and any(log_miss[one] < 0.0 for one in inside):
+                block = (row // 4) * BLOCKS + column // 4
+                places.setdefault(block, []).append((centre_x[column], centre_y[row]))
+    for block in range(BLOCKS**2):
+        assert bool(is_frontier[block]) == (block in places)
+        if block in places:
+            np.testing.assert_allclose([x[block], y[block]], np.mean(places[block], 0), rtol=1e-5)
+    # Half of the area seen: the first unexplored column, in every row of blocks.
+    assert len(places) == {0.0: 0, 0.5: BLOCKS}.get((log_miss < 0.0).mean(), BLOCKS**2)
+
+
+def test_visited_places_are_kept_apart_and_the_oldest_goes() -> None:
+    step, visited = jax.jit(visit), nowhere(3)
+    for x in (0.0, 0.5, 1.2, 1.3, 2.4):
+        visited = step(visited, jnp.float32(x), jnp.float32(0.0), jnp.float32(1.0))
+    np.testing.assert_allclose(visited.x, [0.0, 1.2, 2.4])
+    assert visited.is_node.all()
+    assert int(visited.count) == 3
+    visited = step(visited, jnp.float32(9.0), jnp.float32(0.0), jnp.float32(1.0))
+    np.testing.assert_allclose(visited.x, [9.0, 1.2, 2.4])

@@ -79,42 +79,36 @@ def brute_force(tour_x, tour_y, x: float, y: float, radius: float, opening=2 * n
     return np.inf
 
 
+def check_first_sight(lines: Tour, places: np.ndarray, *numbers: float) -> tuple:
+    """Hold first sights, from (1, 0) within a radius and a view, against brute force."""
+    x, y = jnp.asarray(places.T)
+    first, length = first_sight(lines, x, y, *jnp.array([1.0, 0.0, *numbers]))
+    first = np.where(np.asarray(first) >= 1e8, np.inf, first)
+    for index, found in enumerate(first):
+        expected = [brute_force(lines.x[index], lines.y[index], *one, *numbers) for one in places]
+        np.testing.assert_allclose(found, expected, atol=0.01)
+    return first, length
+
+
 def test_first_sight_against_brute_force() -> None:
     lines = random_tours(6)
     # A stop twice over is a stretch of no length: it must see nothing new.
     lines = Tour(x=lines.x.at[0, 2:].set(9.0), y=lines.y.at[0, 2:].set(4.0))
-    x, y = np.random.default_rng(1).uniform([0, -5], [10, 5], (12, 2)).T
-    first, length = FIRST_SIGHT(lines, jnp.asarray(x), jnp.asarray(y), *jnp.array([1.0, 0.0, 1.5]))
-    first = np.where(np.asarray(first) >= 1e8, np.inf, first)
-    for index in range(6):
-        expected = [
-            brute_force(lines.x[index], lines.y[index], *p, 1.5) for p in zip(x, y, strict=True)
-        ]
-        np.testing.assert_allclose(first[index], expected, atol=0.01)
+    places = np.random.default_rng(1).uniform([0, -5], [10, 5], (12, 2))
+    _, length = check_first_sight(lines, places, 1.5)
     stops = np.stack([np.asarray(lines.x), np.asarray(lines.y)], axis=-1)
     stops = np.concatenate([np.broadcast_to([1.0, 0.0], (6, 1, 2)), stops], axis=1)
     np.testing.assert_allclose(length, np.hypot(*np.diff(stops, axis=1).T).sum(0), rtol=1e-4)
 
 
-@pytest.mark.parametrize("opening", [0.6, 1.5, 2.5, 4.0, 2 * np.pi])
-def test_first_sight_of_a_view_ahead_against_brute_force(opening: float) -> None:
+def test_first_sight_of_a_view_ahead_against_brute_force() -> None:
     lines = random_tours(4, seed=3)
-    x, y = np.random.default_rng(4).uniform([0, -5], [10, 5], (25, 2)).T
-    first, _ = first_sight(
-        lines, jnp.asarray(x), jnp.asarray(y), *jnp.array([1.0, 0.0, 2.0, opening])
-    )
-    first = np.where(np.asarray(first) >= 1e8, np.inf, first)
-    for index in range(4):
-        expected = [
-            brute_force(lines.x[index], lines.y[index], *p, 2.0, opening)
-            for p in zip(x, y, strict=True)
-        ]
-        np.testing.assert_allclose(first[index], expected, atol=0.01)
-    if opening < 2.0:
-        all_round, _ = first_sight(
-            lines, jnp.asarray(x), jnp.asarray(y), *jnp.array([1.0, 0.0, 2.0])
-        )
-        assert np.isinf(first).sum() > (np.asarray(all_round) >= 1e8).sum() + 5
+    places = np.random.default_rng(4).uniform([0, -5], [10, 5], (25, 2))
+    unseen = [
+        np.isinf(check_first_sight(lines, places, 2.0, opening)[0]).sum()
+        for opening in (0.6, 1.5, 2.5, 4.0, 2 * np.pi)
+    ]
+    assert min(unseen[:2]) > unseen[-1] + 5
 
 
 def test_what_a_narrow_view_passes_by_is_driven_up_to() -> None:
@@ -341,3 +335,30 @@ def test_free_hypotheses_follow_the_prior() -> None:
     # The map is tilted by 0.2 % from one end to the other.
     np.testing.assert_allclose(search.free, expected / expected.sum(), rtol=2e-3)
     assert float(jnp.sum(search.hung)) == 0.0
+
+
+# ---------------------------------------------------------------- looking at all of an area
+
+
+def test_ways_between_patches_by_hand() -> None:
+    """Blocks of two cells a side are 1.67 m wide; what lies no farther apart than 2.5 m is one."""
+
+    def metres(*cells: tuple[int, int]) -> float:
+        is_missed = np.zeros((1, CELLS, CELLS), bool)
+        for row, column in cells:
+            is_missed[0, row, column] = True
+        return float(_between_patches(jnp.asarray(is_missed.reshape(1, -1)), AREA)[0])
+
+    block = 10.0 / 6.0
+    assert metres() == metres((0, 0)) == metres((0, 0), (0, 3)) == 0.0
+    assert metres((0, 0), (0, 11)) == pytest.approx(5 * block - 1.5 * block, rel=1e-5)
+    expected = (5 * block - 1.5 * block) + (np.hypot(5, 5) * block - 1.5 * block)
+    assert metres((0, 0), (0, 11), (11, 0)) == pytest.approx(expected, rel=1e-5)
+
+
+def test_a_cell_stands_for_what_of_it_has_been_looked_at_least() -> None:
+    log_miss = np.full((24, 24), -3.0)
+    log_miss[1, 0] = 0.0
+    belief, part = believe(random_places(), is_hung=False, log_miss=log_miss), 10.0 / 24
+    found = search_map(belief, jnp.float32(0.0), jnp.float32(0.0))
+    np.testing.assert_allclose([found.x[0], found.y[0]], [0.5 * part, 1.5 * part - 5.0], atol=1e-5)

@@ -1,7 +1,8 @@
-"""A policy with a memory, randomness and waypoints of its own: written here, in no other file."""
+"""Policies of one's own: with a memory, randomness and waypoints, or a function alone."""
 
 import dataclasses
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,16 +10,27 @@ import pytest
 import readings as by_hand
 from situations import CHOOSE, nodes_at, seen_goal, situation
 from test_navigator_step import AREA, HYDRANT, WORLD, see
-from test_planner_policy import CONFIG
+from test_planner_policy import CONFIG, under_way
 
 from jaxlangnav import navigator
+from jaxlangnav.episode import EpisodeResult
+from jaxlangnav.experiments.policies import navigator_config, run_policy
+from jaxlangnav.experiments.tasks import SENTENCES, cell, ground_sentences, make_tasks
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.messages import Status
 from jaxlangnav.navigator import NavigatorConfig
 from jaxlangnav.planner import qmdp
 from jaxlangnav.planner.config import PlannerConfig, as_policy
-from jaxlangnav.planner.graph import FRONTIER, OBJECT_NODE
-from jaxlangnav.planner.policy import Policy, Situation, Valuation, Waypoint, ahead, decide
+from jaxlangnav.planner.faithful import no_waypoint
+from jaxlangnav.planner.graph import FRONTIER, OBJECT_NODE, VISITED
+from jaxlangnav.planner.policy import (
+    Decision,
+    Policy,
+    Situation,
+    Valuation,
+    ahead,
+    decide,
+)
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.coverage import log_miss_at
 from jaxlangnav.semantic_map.params import MapConfig
@@ -55,11 +67,11 @@ class Wanderer(Policy):
         return {"x": x, "y": y, "met": met}, decide(situation, valuation)
 
 
-def shown(robot=(0.0, 0.0), **kwargs) -> Situation:
+def shown(robot=(0.0, 0.0), goal: float = 0.9, **kwargs) -> Situation:
     log_miss = np.full((24, 24), -3.0)
     log_miss[:, 12:] = 0.0
     belief = by_hand.with_coverage(by_hand.begin(config=CONFIG), log_miss)
-    goals = seen_goal(0.9, 2.0, 3.0)
+    goals = seen_goal(goal, 2.0, 3.0)
     goals = jax.tree.map(lambda leaf: jnp.pad(leaf, (0, CONFIG.num_objects)), goals)
     nodes = nodes_at(goals.object_x, goals.object_y, [OBJECT_NODE] * (CONFIG.num_objects + 1))
     return situation(belief, replace(nodes, is_node=goals.is_object), goals, robot, **kwargs)
@@ -90,14 +102,12 @@ def test_lanes_of_a_batch_decide_as_they_would_alone() -> None:
     memories[1] = memories[1] | {"met": memories[1]["met"].at[0].set(2.0)}
     keys = jax.random.split(jax.random.key(5), 3)
     alone = [CHOOSE(policy, *one) for one in zip(keys, memories, situations, strict=True)]
-    stack = [
-        jax.tree.map(lambda *leaves: jnp.stack(leaves), *one) for one in (memories, situations)
-    ]
-    together = jax.vmap(lambda *one: CHOOSE(policy, *one))(keys, *stack)
+    many = map(by_hand.stack, (memories, situations))
+    together = jax.vmap(lambda *one: CHOOSE(policy, *one))(keys, *many)
     assert [bool(decision.is_stop) for _, decision in alone] == [False, True, False]
     for lane, one in enumerate(alone):
-        for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(together), strict=True):
-            np.testing.assert_allclose(a, b[lane], rtol=1e-5, atol=1e-5)
+        own = jax.tree.map(lambda leaf, n=lane: leaf[n], together)
+        chex.assert_trees_all_close(one, own, rtol=1e-5, atol=1e-5)
 
 
 @pytest.mark.slow  # a program of its own; that memory is carried on shows in every other drive
@@ -110,12 +120,11 @@ def test_it_drives_a_batch_of_robots_to_the_goal() -> None:
     text, lanes = "go to the hydrant behind the cone", 3
     told, params = understand(text, load_shipped()).instruction, navigator.default_params()
     begun = navigator.start(told, jnp.zeros(3), jnp.asarray(AREA), config=config)
-    state = jax.tree.map(lambda leaf: jnp.stack([leaf] * lanes), begun)
+    state = by_hand.repeat(begun, lanes)
     step = jax.jit(jax.vmap(lambda *one: navigator.step(*one, params=params, config=config)))
     places, waypoints = np.zeros((lanes, 2)), [set() for _ in range(lanes)]
     for cycle in range(80):
-        looks = [see(place, 0.0) for place in places]
-        look = jax.tree.map(lambda *leaves: jnp.stack(leaves), *looks)
+        look = by_hand.stack([see(place, 0.0) for place in places])
         keys = jax.random.split(jax.random.fold_in(jax.random.key(3), cycle), lanes)
         state, action, info = step(keys, state, look)
         is_own = np.asarray(info.choice.kind) == FRONTIER
@@ -219,12 +228,13 @@ def policy_step(policy: Policy, now: Situation):
 
 
 @pytest.mark.parametrize(
-    ("robot", "stands", "stops"),
-    [((0.0, 0.0), False, False), ((2.5, 3.0), False, True), ((2.5, 3.0), True, False)],
-)
-def test_it_stops_only_where_a_stop_is_heard(robot, stands: bool, stops: bool) -> None:
+    ("robot", "goal", "stands", "stops"),
+    [((0.0, 0.0), 0.9, False, False), ((2.5, 3.0), 0.9, False, True),
+     ((2.5, 3.0), 0.9, True, False), ((2.5, 3.0), 0.0, False, False)],
+)  # fmt: skip
+def test_it_stops_only_where_a_stop_is_heard(robot, goal, stands: bool, stops: bool) -> None:
     """A decision made without ``decide``: stop, and give up, at once and everywhere."""
-    _, decision = policy_step(Answers("stop"), shown(robot, stands=stands))
+    _, decision = policy_step(Answers("stop"), shown(robot, goal, stands=stands))
     assert bool(decision.is_stop) is stops
     assert bool(decision.is_not_found) is (not stops and not stands)
 
@@ -242,13 +252,104 @@ def test_an_active_waypoint_is_gone_on_to_whatever_else_is_worth() -> None:
     worth = jnp.ones(now.nodes.x.shape)
     valuation = Valuation(goal_value=worth, information_value=worth, stop_mass=jnp.float32(0.0))
     for is_active in (True, False):
-        kept = Waypoint(
-            x=jnp.float32(3.0),
-            y=jnp.float32(1.0),
-            kind=jnp.int32(FRONTIER),
-            is_active=jnp.asarray(is_active),
-        )
+        kept = replace(under_way(3.0, 1.0, FRONTIER), is_active=jnp.asarray(is_active))
         decision = decide(now, valuation, kept)
         assert bool(decision.is_kept) is is_active
         assert (float(decision.waypoint_x) == 3.0) is is_active
         assert bool(decision.is_approach) is not is_active
+
+
+# ---------------------------------------------------------------- a function alone
+
+
+def twin(situation: Situation) -> Valuation:
+    """The paper's policy (eq. 11, 12), written as somebody's own."""
+    nodes, goals, params = situation.nodes, situation.goals, situation.params
+    everything, _ = qmdp.mass_within(situation.robot_x, situation.robot_y, goals, params.reach)
+    value = qmdp.values(nodes.x, nodes.y, goals, params.discount)
+    return Valuation(
+        goal_value=value, information_value=jnp.zeros_like(value), stop_mass=everything
+    )
+
+
+def nearest(situation: Situation) -> Valuation:
+    nothing = jnp.zeros_like(situation.distance)
+    return Valuation(
+        goal_value=nothing, information_value=-situation.distance, stop_mass=jnp.float32(0.0)
+    )
+
+
+def far_away(situation: Situation) -> Valuation:
+    valuation = nearest(situation)
+    return dataclasses.replace(valuation, goal_value=3.0 * situation.distance)
+
+
+def choose(own, *, stop_mass: float | None = None, goal: float = 0.5) -> Decision:
+    """At (0, 0), all explored; the way to (4, 0) passes what half of the maps forbid."""
+
+    def decide(shown: Situation) -> Valuation:
+        valuation = own(shown)
+        if stop_mass is None:
+            return valuation
+        return dataclasses.replace(valuation, stop_mass=jnp.float32(stop_mass))
+
+    return CHOOSE(as_policy(decide), jax.random.key(0), no_waypoint(), show(goal))[1]
+
+
+def show(goal: float) -> Situation:
+    belief = by_hand.with_objects(by_hand.begin(config=CONFIG), [(by_hand.CONE, 5.0, 0.0)])
+    nodes = nodes_at([1.0, 4.0, 2.0], [0.0, 0.0, 3.0], [VISITED] * 3)
+    return situation(belief, nodes, seen_goal(goal), is_news=True, forbidden=0.5)
+
+
+def test_the_most_valuable_waypoint_is_taken_and_costs_count() -> None:
+    chosen = choose(nearest)
+    assert (float(chosen.waypoint_x), float(chosen.waypoint_y)) == (1.0, 0.0)
+    np.testing.assert_allclose(chosen.cost[1:] > 0.5, [False, True, False])
+    expected = np.array([-1.0, -4.0, -np.sqrt(13.0)]) - np.asarray(chosen.cost[1:])
+    np.testing.assert_allclose(chosen.value[1:], expected, atol=1e-5)
+    assert not bool(chosen.is_stop)
+    chosen = choose(far_away)  # (4, 0) is worth more, but for the way past the cone
+    assert (float(chosen.waypoint_x), float(chosen.waypoint_y)) == (2.0, 3.0)
+
+
+@pytest.mark.parametrize(
+    ("mass", "goal", "stops"),
+    [(0.69, 0.5, False), (0.71, 0.5, True), (1.0, 0.0, False), (np.inf, 0.5, False),
+     (np.nan, 0.5, False)],
+)  # fmt: skip
+def test_it_stops_from_tau_on_and_only_at_a_goal(mass: float, goal: float, stops: bool) -> None:
+    assert bool(choose(nearest, stop_mass=mass, goal=goal).is_stop) is stops
+
+
+def nothing(situation: Situation) -> Valuation:
+    valuation = nearest(situation)
+    return dataclasses.replace(valuation, goal_value=jnp.nan * situation.distance)
+
+
+def test_values_that_are_no_numbers_leave_it_where_it_is() -> None:
+    chosen = choose(nothing)
+    assert (float(chosen.waypoint_x), float(chosen.waypoint_y)) == (0.0, 0.0)
+    assert not bool(chosen.is_stop)
+
+
+def test_it_carries_its_function_s_name() -> None:
+    assert PlannerConfig(policy=nearest).chosen.name == "nearest"
+    assert navigator_config(nearest) == navigator_config(nearest)
+    assert navigator_config(nearest) != navigator_config(far_away)
+
+
+@pytest.mark.slow
+def test_the_paper_s_policy_as_one_s_own_behaves_like_the_shipped_one() -> None:
+    """Same worlds, same keys, episode by episode."""
+    instructions = ground_sentences([SENTENCES["behind"]]).instructions
+    tasks = make_tasks(cell("1H1C", "behind", 0, 3.0, 96, 5))
+
+    def run(one) -> EpisodeResult:
+        return run_policy(one, tasks, instructions)
+
+    own, shipped = run(twin), run("faithful")
+    # Two compiled programs may round differently; an episode or two then takes another way.
+    is_same = np.abs(np.asarray(own.distance) - np.asarray(shipped.distance)) < 1e-3
+    assert np.mean(is_same) > 0.9
+    assert np.mean(np.asarray(own.is_success) == np.asarray(shipped.is_success)) > 0.9

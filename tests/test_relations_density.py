@@ -1,4 +1,4 @@
-"""Relations: density, frames, information, gradients (section 3.2; design of the map)."""
+"""Relations: density, frames, information, gradients, order, and what lies between (sec. 3.2)."""
 
 import itertools
 
@@ -9,10 +9,12 @@ import pytest
 from differences import central
 from oracles import relations as oracle
 
+from jaxlangnav.language.labels import Geometry, PlacedWorld
 from jaxlangnav.messages import BEHIND, FAR, FRONT, LEFT, NEAR, RELATIONS, RIGHT
 from jaxlangnav.pytree import replace
 from jaxlangnav.relations import (
     RelationParams,
+    between,
     default_params,
     holds,
     log_density,
@@ -22,12 +24,9 @@ from jaxlangnav.relations import (
     to_map,
     viewer_frame,
 )
-from jaxlangnav.relations.density import (
-    SIDE_CONCENTRATION,
-    anywhere,
-    law_of,
-    log_density_in_frame,
-)
+from jaxlangnav.relations.between import SPREAD, lies_between
+from jaxlangnav.relations.strength import degree, degree_of, num_before, value_of_rank
+from jaxlangnav.relations.table import NUM_RANKS, ORDERS
 
 ALL = range(len(RELATIONS))
 VIEWER, LANDMARK = (1.0, -2.0), (4.0, 2.0)
@@ -101,25 +100,6 @@ def test_sampler_matches_the_density(relation: int) -> None:
         assert abs(((turn >= low) & (turn < high)).mean() - share) < 5 * error + 2e-5, (low, high)
     # Distance and direction are independent.
     assert abs(np.corrcoef(log_r, turn)[0, 1]) < 5 / np.sqrt(number)
-
-
-@pytest.mark.parametrize(("is_side", "is_order"), [(True, False), (False, True), (False, False)])
-def test_a_side_says_where_but_not_how_far(is_side: bool, is_order: bool) -> None:
-    """Over all directions it is 1 / A on average, at any range; what is neither stays as it was."""
-    law = law_of(prepare(default_params()), jnp.int32(LEFT))
-    found = anywhere(law, jnp.asarray(is_side), jnp.asarray(is_order), jnp.log(jnp.float32(50.0)))
-    if not (is_side or is_order):
-        jax.tree.map(np.testing.assert_array_equal, found, law)
-        return
-    turn = np.linspace(-np.pi, np.pi, 3600, endpoint=False)
-    for metres in (0.5, 9.0):
-        value = log_density_in_frame(found, metres * jnp.cos(turn), metres * jnp.sin(turn))
-        density = np.exp(np.asarray(value, float))
-        assert density.mean() == pytest.approx(1 / 50.0, rel=1e-3)
-        # Left of the way is where it is likeliest; an order alone says nothing of the side.
-        ratio = density[np.argmin(np.abs(turn - np.pi / 2))] / density.min()
-        expected = np.exp(2 * SIDE_CONCENTRATION) if is_side else 1.0
-        assert ratio == pytest.approx(expected, rel=1e-2)
 
 
 def bits_gained(relation: int, radius: float = 8.75) -> float:
@@ -248,3 +228,113 @@ def test_gradient_of_the_sampler_equals_finite_differences(field: str) -> None:
     )
     assert np.isfinite(gradient)
     assert abs(difference - gradient) < error
+
+
+# ---------------------------------------------------------------- how strongly it holds
+
+DEGREE = jax.jit(degree)
+NTH = jax.jit(value_of_rank, static_argnames="tie")
+
+
+def test_one_step_to_the_left_by_hand() -> None:
+    """3 m away and 2 m to the left: the far one by 3, the leftmost by 2, the nearest by -3."""
+    expected = {FRONT: -3.0, BEHIND: -3.0, LEFT: 2.0, RIGHT: -2.0, NEAR: -3.0, FAR: 3.0}
+    for relation, value in expected.items():
+        assert float(degree_of(relation, np.array(3.0), np.array(2.0))) == value
+
+
+def test_host_and_device_agree() -> None:
+    generator = np.random.default_rng(0)
+    distance, sideways = generator.uniform(-5, 5, (2, 100)).astype(np.float32)
+    for relation in range(len(RELATIONS)):
+        on_device = DEGREE(jnp.full(100, relation), jnp.asarray(distance), jnp.asarray(sideways))
+        np.testing.assert_array_equal(on_device, degree_of(relation, distance, sideways))
+
+
+@pytest.mark.parametrize("relation", ORDERS)
+def test_who_is_nth_on_the_host_is_nth_on_the_device(relation: int) -> None:
+    generator = np.random.default_rng(relation)
+    objects = tuple(("cone", *generator.uniform(-5, 5, 2)) for _ in range(6))
+    geometry = Geometry(PlacedWorld(objects=objects, robot=(0.3, -0.2, 0.9)))
+    strength = geometry.strength[relation, :, 6]
+    before = num_before(strength, ~np.eye(6, dtype=bool))
+    everything, merit = tuple(range(6)), jnp.asarray(-strength, jnp.float32)
+    for rank in range(1, NUM_RANKS + 1):
+        nth = int(np.flatnonzero(before == rank - 1)[0])
+        assert geometry.is_extreme(relation, nth, 6, rank, everything)
+        assert float(NTH(jnp.int32(rank), merit, tie=1e-6)) == float(merit[nth])
+    assert float(NTH(jnp.int32(5), merit, tie=1e-6)) == np.inf
+
+
+# ---------------------------------------------------------------- what lies between two landmarks
+
+NEARER, OTHER = (5.0, 1.0), (1.0, -2.0)
+"""Five metres apart: along is (0.8, 0.6)."""
+
+
+def at(x, y):
+    return jnp.asarray(x, jnp.float32), jnp.asarray(y, jnp.float32)
+
+
+def test_density_by_hand_and_normalised() -> None:
+    middle = float(between.log_density(at(3.0, -0.5), at(*NEARER), at(*OTHER)))
+    assert middle == pytest.approx(-np.log(2 * np.pi * SPREAD[0] * SPREAD[1] * 25.0), abs=1e-4)
+    # One standard deviation along, and two across.
+    aside = at(3.0 + 0.8 * 1.0 - 0.6 * 1.5, -0.5 + 0.6 * 1.0 + 0.8 * 1.5)
+    assert float(between.log_density(aside, at(*NEARER), at(*OTHER))) == pytest.approx(
+        middle - 0.5 - 2.0, abs=1e-4
+    )
+    step = np.arange(-10.0, 15.0, 0.05)
+    grid = at(*np.meshgrid(step, step))
+    total = (
+        np.exp(np.asarray(between.log_density(grid, at(*NEARER), at(*OTHER)), float)).sum()
+        * 0.05**2
+    )
+    assert total == pytest.approx(1.0, abs=1e-3)
+
+
+def test_neither_landmark_comes_first_and_no_place_is_infinite() -> None:
+    places = at(*np.random.default_rng(0).uniform(-8, 8, (2, 50)))
+    one, other = (
+        between.log_density(places, *pair)
+        for pair in ((at(*NEARER), at(*OTHER)), (at(*OTHER), at(*NEARER)))
+    )
+    np.testing.assert_allclose(one, other, rtol=1e-4, atol=1e-4)
+    assert np.isfinite(between.log_density(places, at(*OTHER), at(*OTHER))).all()
+
+
+def test_draws_have_the_densities_they_say() -> None:
+    normal = jax.random.normal(jax.random.key(1), (2, 2, 40_000))
+    along, lateral, log_drawn = between.sample(normal[0], normal[1])
+    # A figure, seen from one landmark towards the other one, in shares of the way.
+    places = np.asarray(along[0]) + 1.0, np.asarray(lateral[0])
+    for values, mean, spread in zip(places, (0.5, 0.0), SPREAD, strict=True):
+        error = spread / np.sqrt(values.size)
+        assert abs(values.mean() - mean) < 5 * error
+        assert abs(values.std() - spread) < 5 * error
+    # A landmark, seen from its figure: the mean of 1 / q over a piece of a sector is its area.
+    distance, turn = np.hypot(along[1], lateral[1]), np.arctan2(lateral[1], -along[1])
+    for radius in (0.5, 1.0, 2.0):
+        is_in = (distance > 0.2) & (distance < radius) & (np.abs(turn) < 1.2)
+        inside = np.where(is_in, np.exp(-np.asarray(log_drawn[0], float)), 0.0)
+        error = inside.std() / np.sqrt(inside.size)
+        assert error < 0.05
+        assert abs(inside.mean() - 1.2 * (radius**2 - 0.04)) < 5 * error
+
+
+def test_lies_between_by_hand() -> None:
+    one, other = (0.0, 0.0), (4.0, 0.0)
+    told = {
+        (2.0, 0.0): True,
+        (2.0, 0.8): True,
+        (2.0, 1.4): True,  # 2.33 standard deviations aside
+        (2.0, 1.5): False,
+        (0.3, 0.1): True,
+        (-0.1, 0.0): False,
+        (4.5, 0.0): False,
+        (0.0, 0.0): False,
+        (4.0, 0.0): False,
+    }
+    for place, is_so in told.items():
+        assert bool(lies_between(np.array(place), one, other)) is is_so, place
+        assert bool(lies_between(np.array(place), other, one)) is is_so, place

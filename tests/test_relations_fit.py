@@ -75,15 +75,17 @@ def true_params() -> RelationParams:
     return params
 
 
+Fitted = tuple[RelationPairs, np.ndarray, RelationFit]
+"""Pairs, the true frame of each, and what is learned of them."""
+
+
 @pytest.fixture(scope="module")
-def fitted() -> tuple[RelationPairs, np.ndarray, RelationFit]:
+def fitted() -> Fitted:
     pairs, frame = synthesise(0)
     return pairs, frame, fitting.fit_relations(pairs)
 
 
-def test_known_parameters_are_recovered_within_their_errors(
-    fitted: tuple[RelationPairs, np.ndarray, RelationFit],
-) -> None:
+def test_known_parameters_are_recovered_within_their_errors(fitted: Fitted) -> None:
     """4 standard errors, and the errors themselves are small."""
     _, _, fit = fitted
     assert bool(fit.is_converged)
@@ -117,9 +119,7 @@ def test_standard_errors_are_those_of_repetition() -> None:
     assert abs(np.mean(pulls)) < 4 / np.sqrt(64)
 
 
-def test_posterior_of_the_frame_equals_brute_force(
-    fitted: tuple[RelationPairs, np.ndarray, RelationFit],
-) -> None:
+def test_posterior_of_the_frame_equals_brute_force(fitted: Fitted) -> None:
     """Bayes' rule with the oracle's densities, every pair."""
     pairs, frame, fit = fitted
     flat = jax.tree.map(np.asarray, pairs)
@@ -196,9 +196,7 @@ def test_order_and_repetition_of_the_pairs_do_not_matter() -> None:
     )
 
 
-def test_the_viewers_frame_keeps_the_mean_direction(
-    fitted: tuple[RelationPairs, np.ndarray, RelationFit],
-) -> None:
+def test_the_viewers_frame_keeps_the_mean_direction(fitted: Fitted) -> None:
     fit = fitted[2]
     own = fitting.in_viewer_frame(fit)
     angle = np.linspace(-np.pi, np.pi, 20001)

@@ -187,26 +187,23 @@ def check(relation: int, rounds: int, seed: int, level: float, **sensor: Any) ->
     check_events(believed, happened)
 
 
-def test_calibrated_on_its_own_worlds() -> None:
-    check(BEHIND, rounds=2, seed=11, level=0.001)
+SLOW = pytest.mark.slow
+CASES = {
+    "its own worlds": ((2, 11, 0.001), {}, ()),
+    "how many there are not known": ((4, 23, 0.001), {"clumping": 1.0}, ()),
+    "one rate for all types": ((8, 29, 0.001), {"clumping": 2.0, "is_pooled": True}, SLOW),
+    "thousands of worlds": ((18, 100 + BEHIND, 0.01), {}, SLOW),
+    "thousands of worlds, near": ((18, 100 + NEAR, 0.01), {"relation": NEAR}, SLOW),
+    "a sensor of 1.5 m": ((16, 500, 0.001), {"reach": 1.5}, SLOW),
+    "a sensor of 6 m": ((16, 500, 0.001), {"reach": 6.0}, SLOW),
+    "a view of 90 degrees": ((16, 500, 0.001), {"view": np.pi / 2}, SLOW),
+}
 
 
-def test_calibrated_where_the_number_of_things_is_not_known() -> None:
-    check(BEHIND, rounds=4, seed=23, level=0.001, clumping=1.0)
-
-
-@pytest.mark.slow
-def test_calibrated_where_the_number_of_things_is_one_rate_for_all_types() -> None:
-    check(BEHIND, rounds=8, seed=29, level=0.001, clumping=2.0, is_pooled=True)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("relation", [BEHIND, NEAR], ids=["behind", "near"])
-def test_calibrated_on_thousands_of_its_own_worlds(relation: int) -> None:
-    check(relation, rounds=18, seed=100 + relation, level=0.01)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("reach", "degrees"), [(1.5, 360), (6.0, 360), (3.0, 90)])
-def test_calibrated_for_other_sensors(reach: float, degrees: float) -> None:
-    check(BEHIND, rounds=16, seed=500, level=0.001, reach=reach, view=np.deg2rad(degrees))
+@pytest.mark.parametrize(
+    ("rounds", "seed", "level", "more"),
+    [pytest.param(*drawn, more, marks=marks) for drawn, more, marks in CASES.values()],
+    ids=CASES,
+)
+def test_calibrated(rounds: int, seed: int, level: float, more: dict[str, Any]) -> None:
+    check(**({"relation": BEHIND} | more), rounds=rounds, seed=seed, level=level)

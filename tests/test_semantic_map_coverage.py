@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 import readings as by_hand
 
 from jaxlangnav.semantic_map.coverage import (
@@ -33,6 +34,11 @@ def share_in_view(x: float, y: float, heading: float, softness: float, sensor) -
     is_seen = bool(OPEN.view.sees(eye, jnp.float32(x), jnp.float32(y)))
     assert is_seen == (share > 0.5)  # one test, soft and hard
     return float(share)
+
+
+def polar(degrees: float) -> tuple[float, float]:
+    """A place two metres away."""
+    return 2 * np.cos(np.deg2rad(degrees)), 2 * np.sin(np.deg2rad(degrees))
 
 
 def fresh() -> Coverage:
@@ -74,33 +80,23 @@ def test_a_hundred_looks_keep_a_little_room() -> None:
     assert np.isfinite(np.asarray(coverage.log_miss)).all()
 
 
-def test_field_of_view() -> None:
-    """A quarter view heading north sees north only."""
-    specification = by_hand.sensor(range_max=3.0, view=np.pi / 2)
-    for x, y, expected in (
-        (0, 2, 1),
-        (0, -2, 0),
-        (2, 0, 0),
-        (-2, 0, 0),
-        (0, 3.5, 0),
-        (0.8, 1.6, 1),
-    ):
-        share = share_in_view(x, y, np.pi / 2, 0.1, specification)
-        assert float(share) == expected, (x, y)
-    for turn in np.linspace(0, 2 * np.pi, 7):
-        share = share_in_view(
-            2 * np.cos(turn), 2 * np.sin(turn), 0.3, 0.1, by_hand.sensor(range_max=3.0)
-        )
-        assert float(share) == 1.0
+AHEAD, NORTH = 0.0, np.pi / 2
 
 
-def test_view_wider_than_half_a_circle() -> None:
-    """300 degrees: only the 60 degrees behind are hidden."""
-    specification = by_hand.sensor(range_max=3.0, view=np.deg2rad(300.0))
-    for degrees, expected in ((0, 1), (100, 1), (140, 1), (160, 0), (180, 0), (-140, 1)):
-        turn = np.deg2rad(degrees)
-        share = share_in_view(2 * np.cos(turn), 2 * np.sin(turn), 0.0, 0.05, specification)
-        assert float(share) == expected, degrees
+@pytest.mark.parametrize(
+    ("degrees", "heading", "places", "shares"),
+    [
+        # A quarter view heading north sees north only.
+        (90, NORTH, [(0, 2), (0, -2), (2, 0), (-2, 0), (0, 3.5), (0.8, 1.6)], [1, 0, 0, 0, 0, 1]),
+        (360, 0.3, [polar(degrees) for degrees in range(0, 360, 51)], [1] * 8),
+        # Of 300 degrees only the 60 behind are hidden.
+        (300, AHEAD, [polar(one) for one in (0, 100, 140, 160, 180, -140)], [1, 1, 1, 0, 0, 1]),
+    ],
+)
+def test_field_of_view(degrees: int, heading: float, places: list, shares: list) -> None:
+    specification = by_hand.sensor(range_max=3.0, view=np.deg2rad(degrees))
+    found = [share_in_view(x, y, heading, 0.05, specification) for x, y in places]
+    assert found == shares
 
 
 def test_lookup_outside_the_area_is_impossible() -> None:

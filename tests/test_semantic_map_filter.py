@@ -24,7 +24,7 @@ WORDS = {
 }
 
 
-def drive(sentence, objects, seed: int = 0):
+def drive(sentence, objects):
     """Drive along PATH; everything within 2.8 m is detected at its true place.
 
     Returns the last beliefs, and the objects in the order of their slots.
@@ -36,14 +36,8 @@ def drive(sentence, objects, seed: int = 0):
         seen += [one for one in found if one not in seen]
         offsets = [(name, there_x - x, there_y - y) for name, there_x, there_y in found]
         looks.append(by_hand.observation(np.array([x, y, 0.0]), offsets, specification))
-    beliefs, _ = by_hand.run_many(
-        jax.random.split(jax.random.key(seed), by_hand.SEEDS),
-        by_hand.repeat(by_hand.begin(), by_hand.SEEDS),
-        by_hand.repeat(sentence, by_hand.SEEDS),
-        by_hand.repeat(by_hand.stack(looks), by_hand.SEEDS),
-        by_hand.params(concentration=ALPHA, odometry_noise=0.0),
-    )
-    return beliefs, seen
+    numbers = by_hand.params(concentration=ALPHA, odometry_noise=0.0)
+    return by_hand.run_lanes(looks, sentence, numbers)[0], seen
 
 
 @pytest.mark.parametrize("name", WORDS)
@@ -91,23 +85,23 @@ LOOKS = {
 }  # fmt: skip
 
 
+def looked(looks: list[list[tuple[float, float]]], specification, numbers):
+    """Stand at POSE and see hydrants, having heard of a car."""
+    seen = [
+        by_hand.observation(POSE, [(HYDRANT, *place) for place in look], specification)
+        for look in looks
+    ]
+    car = by_hand.readings([[CAR]], [[EMPTY]])
+    return by_hand.run_lanes(seen, car, numbers, by_hand.begin(tuple(POSE)))[0]
+
+
 @pytest.mark.parametrize("name", LOOKS)
 def test_number_of_objects_equals_enumeration(name: str) -> None:
     """P(how many objects there are): wrong associations must die out, not live on."""
     noise, probability, concentration = 0.3, 0.7, 20.0
     specification = by_hand.sensor(noise=noise, probability=probability)
-    looks = [
-        by_hand.observation(POSE, [(HYDRANT, *place) for place in look], specification)
-        for look in LOOKS[name]
-    ]
-    beliefs, _ = by_hand.run_many(
-        jax.random.split(jax.random.key(0), by_hand.SEEDS),
-        by_hand.repeat(by_hand.begin(tuple(POSE)), by_hand.SEEDS),
-        # The words speak of something else, so that they do not bear on the number.
-        by_hand.repeat(by_hand.readings([[CAR]], [[EMPTY]]), by_hand.SEEDS),
-        by_hand.repeat(by_hand.stack(looks), by_hand.SEEDS),
-        by_hand.params(concentration=concentration),
-    )
+    # The words speak of something else, so that they do not bear on the number.
+    beliefs = looked(LOOKS[name], specification, by_hand.params(concentration=concentration))
     expected, _ = associations.posterior(
         LOOKS[name],
         intensity=concentration / 100.0,
@@ -144,17 +138,8 @@ def test_evidence_of_detections_is_the_predictive_density(clumping: float) -> No
     places = [(1.0, 0.5), (1.1, 0.4), (0.9, 0.6)]
     looks = [[place] for place in places] + [[]] * (by_hand.STEPS - 3)
     specification = by_hand.sensor(noise=noise, probability=0.7)
-    observations = [
-        by_hand.observation(POSE, [(HYDRANT, *place) for place in look], specification)
-        for look in looks
-    ]
-    beliefs, _ = by_hand.run_many(
-        jax.random.split(jax.random.key(0), by_hand.SEEDS),
-        by_hand.repeat(by_hand.begin(tuple(POSE)), by_hand.SEEDS),
-        by_hand.repeat(by_hand.readings([[CAR]], [[EMPTY]]), by_hand.SEEDS),
-        by_hand.repeat(by_hand.stack(observations), by_hand.SEEDS),
-        by_hand.params(concentration=concentration, clumping=clumping),
-    )
+    numbers = by_hand.params(concentration=concentration, clumping=clumping)
+    beliefs = looked(looks, specification, numbers)
     _, expected = associations.posterior(
         looks, intensity=concentration / 100.0, detection_probability=0.7, variance=noise**2
     )
@@ -184,14 +169,8 @@ def test_weights_are_those_of_the_maps_whoever_draws_anew(must_ground: bool) -> 
         log_weight=np.log(weight).astype(np.float32),
         must_ground=np.array(must_ground),
     )
-    look = by_hand.observation(np.zeros(3), [])
-    _, infos = by_hand.run_many(
-        jax.random.split(jax.random.key(5), by_hand.SEEDS),
-        by_hand.repeat(belief, by_hand.SEEDS),
-        by_hand.repeat(by_hand.NULL, by_hand.SEEDS),
-        by_hand.repeat(by_hand.stack([look] * by_hand.STEPS), by_hand.SEEDS),
-        by_hand.params(),
-    )
+    looks = [by_hand.observation(np.zeros(3), [])] * by_hand.STEPS
+    _, infos = by_hand.run_lanes(looks, by_hand.NULL, by_hand.params(), belief, seed=5)
     after = weight if must_ground else np.maximum(weight, 1.0 / number)
     expected = after.sum() ** 2 / (after**2).sum()
     np.testing.assert_allclose(infos.effective_sample_size[:, 0], expected, rtol=1e-3)

@@ -35,14 +35,8 @@ def looks(places=PLACES, number: int = by_hand.STEPS, seed: int = 0, size: int =
 
 
 def run(beliefs, sentence, observations, seed: int = 0):
-    lanes = by_hand.SEEDS
-    return by_hand.run_many(
-        jax.random.split(jax.random.key(seed), lanes),
-        by_hand.repeat(beliefs, lanes),
-        by_hand.repeat(sentence, lanes),
-        by_hand.repeat(by_hand.stack(observations), lanes),
-        by_hand.params(concentration=1.0),
-    )[0]
+    numbers = by_hand.params(concentration=1.0)
+    return by_hand.run_lanes(observations, sentence, numbers, beliefs, seed=seed)[0]
 
 
 def in_a_loop(belief, sentence, observations, seed: int):

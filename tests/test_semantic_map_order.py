@@ -158,8 +158,12 @@ def test_a_side_is_normalised_over_directions():
             np.testing.assert_allclose(weight.mean(), 1.0, rtol=1e-3)
             ratio = weight[ahead] / weight[ahead + 360]
             np.testing.assert_allclose(np.log(ratio), 2 * SIDE_CONCENTRATION, rtol=1e-3)
-    law = anywhere(law_of(MODEL, NEAR), no, yes, jnp.log(50.0))
-    np.testing.assert_allclose(log_density_of(law, x, y, frame), -np.log(50.0), rtol=1e-5)
+    # An order alone says nothing of the side, and what is neither stays as it was.
+    for relation in (NEAR, LEFT):
+        law = anywhere(law_of(MODEL, relation), no, yes, jnp.log(50.0))
+        np.testing.assert_allclose(log_density_of(law, x, y, frame), -np.log(50.0), rtol=1e-5)
+        same = anywhere(law_of(MODEL, relation), no, no, jnp.log(50.0))
+        jax.tree.map(np.testing.assert_array_equal, same, law_of(MODEL, relation))
 
 
 @pytest.mark.parametrize("heading", [0.0, 2.0])

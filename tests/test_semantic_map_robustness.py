@@ -5,7 +5,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import readings as by_hand
-from test_semantic_map_enumeration import EMPTY
 
 from jaxlangnav.messages import BEHIND, FRONT, NONE, ROBOT, Fault
 from jaxlangnav.pytree import replace
@@ -159,25 +158,6 @@ def test_certain_detection_and_a_vanished_object() -> None:
     assert not info.fault.any()
 
 
-@pytest.mark.parametrize("field", ["detection_range", "detection_bearing", "pose"])
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_broken_observation_does_not_poison_the_belief(field: str, bad: float) -> None:
-    """NaN or ∞ from a sensor: said in that step's info, and the next good look is believed."""
-    pose = np.array([5.0, 0.0, 0.0])
-    good = by_hand.observation(pose, [(CONE, 1.0, 0.1), (HYDRANT, 2.4, 0.2)])
-    broken_field = np.array(getattr(good, field))
-    broken_field[0] = bad
-    broken = replace(good, **{field: broken_field})
-    beliefs, info = follow([good, broken, *[good] * 6])
-    assert_sound(beliefs)
-    assert np.isfinite(np.asarray(beliefs.last_pose)).all()
-    assert np.isfinite(np.asarray(beliefs.coverage.log_miss)).all()
-    assert info.fault[:, 1].all(), "a broken observation must be said"
-    assert not np.delete(info.fault, 1, axis=1).any()
-    weight = np.exp(np.asarray(beliefs.log_weight))
-    assert ((weight * (np.asarray(beliefs.particles.referent[:, 0]) >= 0)).sum(-1) > 0.5).all()
-
-
 def test_garbage_where_there_is_no_detection_changes_nothing() -> None:
     pose = np.array([5.0, 0.0, 0.0])
     good = by_hand.observation(pose, [(CONE, 1.0, 0.1), (HYDRANT, 2.4, 0.2)])
@@ -231,14 +211,3 @@ def test_no_words() -> None:
     assert_sound(beliefs)
     assert not np.asarray(beliefs.particles.is_mentioned).any()
     assert (np.asarray(beliefs.particles.object_type)[:, 0] == CONE).all()
-
-
-def test_null_words_on_a_seen_object() -> None:
-    """One hydrant in view from the start, α small: it is the one meant."""
-    looks = [by_hand.observation(np.array([5.0, 0.0, 0.0]), [(HYDRANT, 1.0, 0.1)])] * 8
-    beliefs, _ = follow(looks, by_hand.readings([[HYDRANT]], [[EMPTY]]))
-    weight = np.exp(np.asarray(beliefs.log_weight))
-    mass = (weight * (np.asarray(beliefs.particles.referent[:, 0]) == 0)).sum(-1)
-    unseen = np.exp(np.asarray(beliefs.coverage.log_miss[0], float)).mean()
-    expected = (1 / 0.3) / (1 / 0.3 + unseen)
-    assert abs(mass.mean() - expected) < 4 * mass.std() / np.sqrt(mass.size) + 0.005

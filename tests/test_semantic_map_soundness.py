@@ -126,31 +126,28 @@ def test_a_jump_taken_over_becomes_doubt_of_where_the_robot_is() -> None:
     np.testing.assert_allclose(after.particles.mean_x[0], 6.0)
 
 
-BAD_AREAS = [
-    (np.nan, 10.0, -5.0, 5.0), (0.0, np.inf, -5.0, 5.0), (10.0, 0.0, -5.0, 5.0),
-    (0.0, 10.0, 5.0, 5.0), (0.0, 1e20, -5.0, 5.0), (0.0, 1e-30, -5.0, 5.0), (1e7, 2e7, 0.0, 9.0),
+HERE, AREA = (0.0, 0.0, 0.0), by_hand.AREA
+BAD_PLACES = [
+    *(("area", HERE, one) for one in (
+        (np.nan, 10.0, -5.0, 5.0), (0.0, np.inf, -5.0, 5.0), (10.0, 0.0, -5.0, 5.0),
+        (0.0, 10.0, 5.0, 5.0), (0.0, 1e20, -5.0, 5.0), (0.0, 1e-30, -5.0, 5.0),
+        (1e7, 2e7, 0.0, 9.0),
+    )),
+    *(("pose", one, AREA) for one in (
+        (np.nan, 0.0, 0.0), (0.0, -np.inf, 0.0), (0.0, 0.0, np.nan), (1e20, 0.0, 0.0),
+        (0.0, 0.0, 1e9), (500.0, 0.0, 0.0),
+    )),
 ]  # fmt: skip
-BAD_POSES = [
-    (np.nan, 0.0, 0.0), (0.0, -np.inf, 0.0), (0.0, 0.0, np.nan), (1e20, 0.0, 0.0), (0.0, 0.0, 1e9),
-    (500.0, 0.0, 0.0),
-]  # fmt: skip
 
 
-@pytest.mark.parametrize("area", BAD_AREAS)
-def test_an_area_that_cannot_be_is_refused_and_in_a_batch_flagged_for_good(area) -> None:
-    with pytest.raises(ValueError, match=r"area is .* but must be \(x_min"):
-        gating.check_place((0.0, 0.0, 0.0), area)
-    assert_flagged_for_good(by_hand.begin(area=area))
-
-
-@pytest.mark.parametrize("pose", BAD_POSES)
-def test_a_start_that_cannot_be_is_refused_and_in_a_batch_flagged_for_good(pose) -> None:
-    with pytest.raises(ValueError, match=r"pose is .* but must be \(x, y, heading\)"):
-        gating.check_place(pose, by_hand.AREA)
-    assert_flagged_for_good(by_hand.begin(pose))
-
-
-def assert_flagged_for_good(belief) -> None:
+@pytest.mark.parametrize(("what", "pose", "area"), BAD_PLACES)
+def test_a_place_that_cannot_be_is_refused_and_in_a_batch_flagged_for_good(
+    what: str, pose: tuple, area: tuple
+) -> None:
+    meant = {"area": r"\(x_min", "pose": r"\(x, y, heading\)"}[what]
+    with pytest.raises(ValueError, match=f"{what} is .* but must be {meant}"):
+        gating.check_place(pose, area)
+    belief = by_hand.begin(pose, area=area)
     for leaf in jax.tree.leaves(replace(belief, log_weight=None)):
         assert np.isfinite(np.asarray(leaf, float)).all()
     for _ in range(2):

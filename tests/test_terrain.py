@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import readings as by_hand
 from placed import placed
+from situations import seen_goal
 
 from jaxlangnav.planner import qmdp
-from jaxlangnav.planner.goals import Goals
 from jaxlangnav.planner.latency import Tour, first_sight
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map import update
@@ -201,19 +201,10 @@ def test_who_follows_the_next_places_walks_round_the_wall(ways: Geodesic) -> Non
     assert 2 * np.hypot(4.0, 2.0) < walked < 2 * np.hypot(4.0, 2.0 + CLEARANCE) + 1e-3
 
 
-def goals_at(x: float, y: float) -> Goals:
-    one, none = jnp.array([1.0]), jnp.array([0.0])
-    return Goals(
-        object_x=jnp.array([x]), object_y=jnp.array([y]),
-        object_mass=one, object_accepted=one, object_confirmed=one, is_object=one > 0,
-        hypothesis_x=none, hypothesis_y=none, hypothesis_mass=none,
-    )  # fmt: skip
-
-
 def test_values_discount_by_what_there_is_to_walk(ways: Geodesic) -> None:
     """A goal behind the wall: the nearer node is worth less, if the way from it is longer."""
     node_x, node_y = jnp.array([3.0, 5.0]), jnp.array([0.0, 3.5])
-    goals, discount = goals_at(5.0, 0.0), jnp.float32(0.8)
+    goals, discount = seen_goal(1.0, 5.0, 0.0), jnp.float32(0.8)
     straight = VALUES(node_x, node_y, goals, discount)
     walked = VALUES(node_x, node_y, goals, discount, ways)
     assert straight[0] > straight[1]

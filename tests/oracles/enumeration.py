@@ -195,8 +195,7 @@ def groundings(world: World, kinds: list[int], edges: list[tuple[int, int, int, 
     Args:
         world: what has been seen.
         kinds: type of each mention.
-        edges: relations (figure, relation, landmark, superlative), at most two, the second
-            touching a mention of the first.
+        edges: relations (figure, relation, landmark, superlative) that form no circles.
 
     Returns:
         Weights f64[C, ...] over the categories of each mention, C = seen objects + 1, and the
@@ -204,22 +203,11 @@ def groundings(world: World, kinds: list[int], edges: list[tuple[int, int, int, 
     """
     number = len(world.objects) + 1
     places, weights, categories = zip(*[candidates(world, kind) for kind in kinds], strict=True)
-    sorting = [
-        weight[:, None] * (category[:, None] == np.arange(number))
-        for weight, category in zip(weights, categories, strict=True)
-    ]
+    weights, ties = tie(world, kinds, edges, [world.viewer] * len(edges), places, weights)
     # The first mention three times: plain, weighed with x, weighed with y.
-    first = np.stack([sorting[0], *(sorting[0] * places[0][:, axis, None] for axis in (0, 1))])
-    if edges[0][1] == NONE:
-        result = first.sum(1) / world.size
-    elif len(edges) == 1:
-        table = potential(world, kinds, edges[0], places)
-        if edges[0][0] == 1:
-            table = table.T
-        result = np.einsum("kac,ab,bd->kcd", first, table, sorting[1], optimize=True)
-        result = result / (1.0 if ROBOT in kinds else world.size)
-    else:
-        result = chain(world, kinds, edges, places, first, sorting)
+    first = [weights[0] * one for one in (1.0, *places[0].T)]
+    result = np.stack([contract([one, *weights[1:]], categories, ties, number) for one in first])
+    result = result / (1.0 if ROBOT in kinds else world.size)
     for one, other in itertools.combinations(range(len(kinds)), 2):
         if ANYTHING in (kinds[one], kinds[other]) and ROBOT not in (kinds[one], kinds[other]):
             axes = np.moveaxis(result, (1 + one, 1 + other), (0, 1))
@@ -243,32 +231,6 @@ def _together(world: World, kinds: list[int], shape: tuple[int, ...]) -> np.ndar
     return np.array([one / first**k for k, one in enumerate(odds)])[is_seen]
 
 
-def chain(world, kinds, edges, places, first, sorting):
-    """Contract two relations over three mentions; one mention belongs to both."""
-    tables = {}
-    for edge in edges:
-        table = potential(world, kinds, edge, places)
-        tables[edge[0], edge[2]] = table
-        tables[edge[2], edge[0]] = table.T
-    ends = [{edge[0], edge[2]} for edge in edges]
-    (middle,) = ends[0] & ends[1]
-    one, other = [mention for mention in range(3) if mention != middle]
-    scale = 1.0 if ROBOT in kinds else world.size
-
-    def toward(mention: int, side: np.ndarray) -> np.ndarray:
-        return tables[middle, mention] @ side
-
-    if middle == 0:
-        left, right = toward(one, sorting[one]), toward(other, sorting[other])
-        return np.einsum("kac,ad,ae->kcde", first, left, right, optimize=True) / scale
-    left = np.stack([toward(0, part) for part in first])  # [3, middle, C]
-    right = toward(other if one == 0 else one, sorting[other if one == 0 else one])
-    result = np.einsum("kmc,md,me->kcde", left, sorting[middle], right, optimize=True)
-    if middle == 2:
-        result = np.swapaxes(result, 2, 3)
-    return result / scale
-
-
 def stream(world: World, kinds: list[int], edges: list, viewers: list, excluded: dict):
     """Weigh all groundings of what several utterances have said together.
 
@@ -289,7 +251,19 @@ def stream(world: World, kinds: list[int], edges: list, viewers: list, excluded:
     )
     for mention, objects in excluded.items():
         weights[mention] = weights[mention] * ~np.isin(categories[mention], list(objects))
-    ties = {}
+    weights, ties = tie(world, kinds, edges, viewers, places, weights)
+    joint = contract(weights, categories, ties, number)
+    return joint / joint.sum()
+
+
+def tie(world: World, kinds: list[int], edges, viewers, places, weights):
+    """Tabulate relations, each as its viewer sees it: of two mentions, or of one and the robot.
+
+    Returns:
+        Weights of each mention's places, with those of its relations to the robot; and mention,
+        mention → f over the places of both.
+    """
+    weights, ties = list(weights), {}
     for edge, viewer in zip(edges, viewers, strict=True):
         figure, relation, landmark, extreme = edge
         seen_from = dataclasses.replace(world, viewer=viewer)
@@ -302,6 +276,11 @@ def stream(world: World, kinds: list[int], edges: list, viewers: list, excluded:
         elif relation != NONE:
             table = potential(seen_from, kinds, edge, places)
             ties[figure, landmark], ties[landmark, figure] = table, table.T
+    return weights, ties
+
+
+def contract(weights, categories, ties, number: int) -> np.ndarray:
+    """Sum over the places of all mentions, each along the tree of its relations: f64[C, ...]."""
     order: list[int] = []
 
     def below(mention: int, parent: int) -> np.ndarray:
@@ -314,11 +293,10 @@ def stream(world: World, kinds: list[int], edges: list, viewers: list, excluded:
         return hot
 
     joint = np.ones(1)
-    for mention in range(len(kinds)):
+    for mention in range(len(weights)):
         if mention not in order:
             joint = np.multiply.outer(joint, below(mention, NONE).sum(0)).ravel()
-    joint = joint.reshape((number,) * len(kinds))
-    return np.transpose(joint, np.argsort(order)) / joint.sum()
+    return np.transpose(joint.reshape((number,) * len(weights)), np.argsort(order))
 
 
 BETWEEN_ALONG, BETWEEN_ACROSS = 0.2, 0.15
