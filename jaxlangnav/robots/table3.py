@@ -163,15 +163,9 @@ def run_trial(
         found = _judged(row, seed, robot, ended.ending)
     finally:
         robot.close()
-    return {
-        "row": row.name,
-        "trial": trial,
-        "seed": seed,
-        "why": ended.why,
-        **found,
-        "wall_s": time.perf_counter() - begin,
-        "steps": _told(ended, truth),
-    }
+    wall = time.perf_counter() - begin
+    head = {"row": row.name, "trial": trial, "seed": seed, "why": ended.why}
+    return {**head, **found, "wall_s": wall, "steps": _told(ended, truth)}
 
 
 def run_known(row: TrialRow, *, seed: int = 0) -> dict[str, Any]:

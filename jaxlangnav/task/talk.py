@@ -38,6 +38,7 @@ from jaxlangnav.world.person import (
 )
 
 _PLACES = ("the first", "the second", "the third")
+_WORDS = {int(Says.OTHER): "no, the other one", int(Says.NONE_OF_THEM): "no"}
 
 
 _speak = kept()(speak)
@@ -66,21 +67,12 @@ class Watcher:
             return None
         self._step = step
         self.person, said, slot = _speak(progress, self.person, params=self.params)
-        if int(said) == Says.OTHER:
-            return "no, the other one"
-        if int(said) == Says.NONE_OF_THEM:
-            return "no"
-        if int(said) == Says.THIS:
-            return _pointing(int(slot), doubt)
-        return None
-
-
-def _pointing(slot: int, doubt: Sequence[Candidate]) -> str | None:
-    """Name a candidate by its place in the list, the nearest first; None beyond words for it."""
-    place = next((at for at, one in enumerate(doubt) if one.slot == slot), len(_PLACES))
-    if place < len(_PLACES):
-        return _PLACES[place]
-    return "the farthest" if doubt and doubt[-1].slot == slot else None
+        if int(said) != Says.THIS:
+            return _WORDS.get(int(said))
+        # A candidate is named by its place in the list, the nearest first, as far as words go.
+        slots = [one.slot for one in doubt]
+        named = dict.fromkeys(slots[-1:], "the farthest")
+        return (named | dict(zip(slots, _PLACES, strict=False))).get(int(slot))
 
 
 CHANGE_WHAT_IS_MEANT = frozenset(

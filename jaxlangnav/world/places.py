@@ -125,7 +125,9 @@ def _draw_pair(key: Array, law: PlaceLaw) -> tuple[Array, Array, Array]:
     turn = bearing + TURN_SD * jax.random.normal(turn_key, cone.shape[1:])
     goal = cone + law.side * jnp.stack([gap * jnp.cos(turn), gap * jnp.sin(turn)])
     is_fit = (jnp.hypot(cone[0], cone[1]) > _NEAREST) & (jnp.abs(bearing) <= law.bearing)
-    is_fit &= (jnp.hypot(goal[0], goal[1]) > _NEAREST) & _is_inside(goal, law.area)
+    is_fit &= jnp.hypot(goal[0], goal[1]) > _NEAREST
+    low, high = law.area[0::2, None] + BORDER_MARGIN, law.area[1::2, None] - BORDER_MARGIN
+    is_fit &= jnp.all((goal >= low) & (goal <= high), axis=0)
     at = jnp.argmax(is_fit)
     return goal[:, at], cone[:, at], jnp.any(is_fit)
 
@@ -180,12 +182,6 @@ def _anywhere(key: Array, area: Array, shape: tuple[int, ...]) -> Array:
     low = area[0::2].reshape(2, *(1,) * len(shape)) + BORDER_MARGIN
     high = area[1::2].reshape(2, *(1,) * len(shape)) - BORDER_MARGIN
     return low + (high - low) * jax.random.uniform(key, (2, *shape))
-
-
-def _is_inside(point: Array, area: Array) -> Array:
-    """Tell which places f32[2, K] are in the area and not on its border."""
-    is_in = (point[0] >= area[0] + BORDER_MARGIN) & (point[0] <= area[1] - BORDER_MARGIN)
-    return is_in & (point[1] >= area[2] + BORDER_MARGIN) & (point[1] <= area[3] - BORDER_MARGIN)
 
 
 def place_law(*, area: tuple[float, float, float, float], **numbers: Any) -> PlaceLaw:

@@ -18,6 +18,7 @@ from jaxlangnav.language.tokens import is_word, plainly
 from jaxlangnav.messages import NONE, MotionParams, SensorParams
 from jaxlangnav.plain_text import LONGEST_NAME, cut, printable, shown
 from jaxlangnav.sensing import SLOTS
+from jaxlangnav.world.scenario import placed
 from jaxlangnav.world.state import Scenario
 
 MOST_OBJECTS = SLOTS[-1]
@@ -213,11 +214,21 @@ def _to_world(world: _World, stem: str, num_slots: int | None) -> WorldFile:
         if one.name and twin < index:
             raise ValueError(f"{where}.name is {one.name!r} as is objects[{twin}]: rename one")
         types.append(_type_index(one.type, type_names, where))
-    (x, y), goal_index = _goal(world, start, names)
+    goal, goal_index = _goal(world, start, names)
+    codes = [attributes(*one.looks.values()) for one in world.objects]
+    codes += [0] * (num_slots - number)
     return WorldFile(
         name=world.name or stem,
         instruction=world.instruction,
-        scenario=_to_scenario(world, types, start, (x, y), goal_index, num_slots),
+        scenario=placed(
+            [(kind, one.x, one.y) for kind, one in zip(types, world.objects, strict=True)],
+            slots=num_slots,
+            area=structs.astuple(world.area),
+            goal=np.array(goal, np.float32),
+            goal_index=np.asarray(goal_index, np.int32),
+            start=np.array([start.x, start.y, math.radians(start.heading)], np.float32),
+            object_attribute=np.array(codes, np.int32) if any(codes) else None,
+        ),
         sensor=world.sensor.to_params(),
         motion=world.motion.to_params(),
         has_goal=world.goal is not None,
@@ -259,31 +270,3 @@ def _goal(world: _World, start: _Start, names: list[str]) -> tuple[tuple[float, 
         )
     index = names.index(goal.object)
     return (world.objects[index].x, world.objects[index].y), index
-
-
-def _to_scenario(
-    world: _World,
-    types: list[int],
-    start: _Start,
-    goal: tuple[float, float],
-    goal_index: int,
-    num_slots: int,
-) -> Scenario:
-    """Pad the objects to slots."""
-    num_empty = num_slots - len(types)
-    places = [(one.x, one.y) for one in world.objects]
-    x, y = np.pad(np.array(places, np.float32), ((0, num_empty), (0, 0))).T
-    codes = [attributes(*one.looks.values()) for one in world.objects]
-    heading = math.radians(start.heading)
-    return Scenario(
-        object_type=jnp.array([*types, *[NONE] * num_empty], jnp.int32),
-        object_x=jnp.asarray(x),
-        object_y=jnp.asarray(y),
-        is_object=jnp.arange(num_slots) < len(types),
-        goal=jnp.array(goal, jnp.float32),
-        goal_index=jnp.int32(goal_index),
-        start=jnp.array([start.x, start.y, heading], jnp.float32),
-        area=jnp.array(structs.astuple(world.area), jnp.float32),
-        is_valid=jnp.array(True),
-        object_attribute=jnp.array(codes + [0] * num_empty, jnp.int32) if any(codes) else None,
-    )

@@ -20,6 +20,7 @@ A null world has the geometry of "behind", as the paper issues both commands in 
 
 import functools
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -275,20 +276,43 @@ def sample_scenario(
     return draw_scenario(key, scenario_law(template=record, relation=relation), num_slots=num_slots)
 
 
-def empty_scenario(number: int = NUM_SLOTS) -> Scenario:
-    """Build a place without objects, on the host; of the shapes of one with so many slots."""
-    fields: dict[str, Any] = {
-        "object_type": np.full(number, NONE, np.int32),
-        "object_x": np.zeros(number, np.float32),
-        "object_y": np.zeros(number, np.float32),
-        "is_object": np.zeros(number, bool),
+def placed(
+    things: Sequence[Any] = (),
+    *,
+    slots: int = NUM_SLOTS,
+    area: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
+    **more: Any,
+) -> Scenario:
+    """Put things by hand, on the host.
+
+    Args:
+        things: type, x and y of each, metres, map frame: in the first slots.
+        slots: O, object slots.
+        area: x_min, x_max, y_min, y_max, metres.
+        **more: further fields of the scenario; by default it has no goal and starts at the origin.
+
+    Returns:
+        The place; one of no things is not valid.
+    """
+    rows = np.full((slots, 3), (NONE, 0.0, 0.0), np.float32)
+    rows[: len(things)] = np.reshape(things, (-1, 3))
+    fields = {
+        "object_type": rows[:, 0].astype(np.int32),
+        "object_x": rows[:, 1],
+        "object_y": rows[:, 2],
+        "is_object": np.arange(slots) < len(things),
         "goal": np.zeros(2, np.float32),
         "goal_index": np.asarray(NONE, np.int32),
         "start": np.zeros(3, np.float32),
-        "area": np.zeros(4, np.float32),
-        "is_valid": np.asarray(False),
+        "area": np.asarray(area, np.float32),
+        "is_valid": np.asarray(len(things) > 0),
     }
-    return Scenario(**fields)
+    return Scenario(**(fields | more))
+
+
+def empty_scenario(number: int = NUM_SLOTS) -> Scenario:
+    """Build a place without objects, on the host; of the shapes of one with so many slots."""
+    return placed(slots=number)
 
 
 @functools.partial(jax.jit, static_argnames=("num_slots", "num_attempts", "num_candidates"))

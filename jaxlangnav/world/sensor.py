@@ -145,6 +145,11 @@ def sense(
     nearest = jnp.argsort(distance)
     order = jnp.pad(nearest, (0, max(0, num_detections - nearest.size)))[:num_detections]
     is_detection = is_found[order] & (jnp.arange(num_detections) < nearest.size)
+    attribute = scenario.object_attribute
+    if attribute is not None:
+        # What is invented looks like nothing: it comes after the things.
+        seen = attribute[jnp.minimum(order, attribute.size - 1)]
+        attribute = jnp.where(is_detection & (order < attribute.size), seen, 0)
     told = sensor if told is None else told
     if nearest.size > num_detections:
         # Infinite where nothing has been left out.
@@ -157,7 +162,7 @@ def sense(
         detection_bearing=jnp.where(is_detection, jnp.arctan2(y, x)[order], 0.0),
         is_detection=is_detection,
         sensor=told,
-        detection_attribute=_attributes_seen(scenario, order, is_detection),
+        detection_attribute=attribute,
     )
 
 
@@ -178,16 +183,6 @@ def _in_error(
     parts = zip((kind, *seen[1:]), fresh, haunting, strict=True)
     kind, x, y, is_found = (jnp.concatenate(part) for part in parts)
     return kind, x, y, is_found
-
-
-def _attributes_seen(scenario: Scenario, order: Array, is_detection: Array) -> Array | None:
-    """Report what the things detected look like, where the world says it."""
-    if scenario.object_attribute is None:
-        return None
-    # What is invented looks like nothing: it comes after the things.
-    number = scenario.object_attribute.size
-    seen = scenario.object_attribute[jnp.minimum(order, number - 1)]
-    return jnp.where(is_detection & (order < number), seen, 0)
 
 
 def visible(

@@ -138,7 +138,10 @@ class Mover:
         self._age += TICK
         goal = self._waypoints[0]
         inflated = inflate(discs, pose[:2], goal, self.body.radius, self._clearance)
-        is_free = self._way is not None and self._is_free(pose[:2], self._way, inflated)
+        is_free = self._way is not None and all(
+            is_clear(*pair, inflated - _TREMBLE)
+            for pair in itertools.pairwise([pose[:2], *self._way])
+        )
         if self._age < _PLAN_EVERY and (is_free or self._way is None):
             return
         self._age = 0.0
@@ -158,11 +161,6 @@ class Mover:
                 break
             way = way[1:]
         return way
-
-    @staticmethod
-    def _is_free(start: np.ndarray, way: np.ndarray, inflated: np.ndarray) -> bool:
-        discs = inflated - _TREMBLE
-        return all(is_clear(*pair, discs) for pair in itertools.pairwise([start, *way]))
 
     def _arrive(self, pose: np.ndarray) -> WheelCommand:
         """Face what the last waypoint is on, and be there."""

@@ -6,15 +6,13 @@ counted is what the navigator gets: things, after all gates but that of range.
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 
-from jaxlangnav.pytree import replace
 from jaxlangnav.robots.perception.tags import TAGS_PER_TYPE, Gates, as_told as as_told
 from jaxlangnav.robots.physics.robot import PhysicsRobot, Wear
 from jaxlangnav.robots.physics.scene import OUT_OF_SIGHT
-from jaxlangnav.world.scenario import empty_scenario
+from jaxlangnav.world.scenario import placed
 from jaxlangnav.world.state import HYDRANT
 
 MEASURED_RANGES = (1.25, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0)
@@ -62,14 +60,7 @@ def measure_detector(
     Returns:
         One figure for each picture, range and turn.
     """
-    there: Any = np.arange(len(empty_scenario().object_x)) == 0
-    place: Any = np.where(there, OUT_OF_SIGHT[0], 0.0)
-    scenario = replace(
-        empty_scenario(),
-        object_type=np.where(there, HYDRANT, -1),
-        object_x=place,
-        is_object=there,
-    )
+    scenario = placed([(HYDRANT, OUT_OF_SIGHT[0], 0.0)])
     found = []
     for picture in pictures:
         grain, blur = PICTURES[picture]

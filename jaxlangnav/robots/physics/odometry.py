@@ -11,12 +11,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jaxlangnav.pytree import replace
 from jaxlangnav.robots.driver import CYCLE
 from jaxlangnav.robots.perception.tags import Gates
 from jaxlangnav.robots.physics.robot import PhysicsRobot
 from jaxlangnav.robots.robot import Progress
-from jaxlangnav.world.scenario import empty_scenario
+from jaxlangnav.world.scenario import placed
 
 TOLD = {"husky": 0.11, "wheelchair": 0.022}
 """Standard deviation of each axis as a share of a cycle's way: ``measure_odometry``'s largest over
@@ -69,7 +68,7 @@ def measure_odometry(machine: str, *, drives: int = 30, seed: int = 0) -> Odomet
 
 def _drive(machine: str, seed: int) -> np.ndarray:
     """Drive once: f64[T, 6], pose by odometry and true pose after each cycle."""
-    place = replace(empty_scenario(), area=np.array([-_EDGE, _EDGE, -_EDGE, _EDGE]))
+    place = placed(area=(-_EDGE, _EDGE, -_EDGE, _EDGE))
     robot = PhysicsRobot(machine, place, seed=seed, gates=Gates(range=1.0))
     random, place = np.random.default_rng(seed), np.zeros(2)
     log = [np.append(robot.pose(), robot.true_pose)]

@@ -126,20 +126,15 @@ def _add_tags(spec: Any, mujoco: Any, body: Any, name: str, number: int) -> None
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
     for side, angle in zip(_SIDES, 0.5 * np.pi * np.arange(4), strict=True):
         cosine, sine = np.cos(angle), np.sin(angle)
+        # It faces outwards, x to the viewer's right, y up.
+        columns = np.array([[-sine, 0.0, cosine], [cosine, 0.0, sine], [0.0, 1.0, 0.0]])
+        mujoco.mju_mat2Quat(turned := np.empty(4), columns.ravel())
         body.add_geom(
             name=f"{name}_{side}",
             type=mujoco.mjtGeom.mjGEOM_PLANE,
             size=[half, half, 0.1],
             pos=[half * cosine, half * sine, 0.0],
-            quat=_upright(mujoco, cosine, sine),
+            quat=turned,
             material=name,
             **_LOOKS,
         )
-
-
-def _upright(mujoco: Any, cosine: float, sine: float) -> np.ndarray:
-    """Turn a plane so that it faces outwards, x to the viewer's right, y up; a quaternion."""
-    columns = np.array([[-sine, 0.0, cosine], [cosine, 0.0, sine], [0.0, 1.0, 0.0]])
-    turned = np.empty(4)
-    mujoco.mju_mat2Quat(turned, columns.ravel())
-    return turned

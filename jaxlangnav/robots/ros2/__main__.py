@@ -65,7 +65,13 @@ def navigate(options: NavigatorOptions) -> None:
     try:
         bus.tell({"status": "warming_up"})
         navigator.warm_up()
-        _wait_for_robot(bus, options.patience)
+        bus.tell({"status": "waiting_for_odometry"})
+        end = bus.now() + options.patience
+        while bus.inbox.track.pose is None:
+            bus.spin(_WAIT)
+            if bus.now() >= end:
+                why = bus.why_silent("odom")
+                raise ValueError(f"no odometry within {options.patience:g} s: {why}")
         session = _begin(bus, navigator, options)
         bus.say = lambda text: session.say(text, bus.now())
         for text in said:
@@ -142,16 +148,6 @@ def _tell_of_silence(bus: RosBus) -> None:
     """Tell that the robot says nothing: it has not been started, or is starting anew."""
     bus.tell({"status": "waiting_for_odometry"})
     bus.warn(bus.why_silent("odom"))
-
-
-def _wait_for_robot(bus: RosBus, patience: float) -> None:
-    """Wait until odometry comes in, or raise a ValueError of one line."""
-    bus.tell({"status": "waiting_for_odometry"})
-    end = bus.now() + patience
-    while bus.inbox.track.pose is None:
-        bus.spin(_WAIT)
-        if bus.now() >= end:
-            raise ValueError(f"no odometry within {patience:g} s: {bus.why_silent('odom')}")
 
 
 def main() -> int:

@@ -88,7 +88,12 @@ class Track:
             self._counts.doubled += 1
             return
         if self._stamps and place == len(self._stamps):
-            self._mind_jump(stamp - self._stamps[-1], pose)
+            # It begins anew where the robot cannot have gone in the meantime.
+            seconds = stamp - self._stamps[-1]
+            gone = np.hypot(*(compose(self._map_odometry, pose) - self._poses[-1])[:2])
+            is_zero = seconds > _SILENCE and bool((np.abs(pose) < _ZERO).all())
+            if gone > _SPEED * seconds + _JUMP or (is_zero and self._is_elsewhere(pose)):
+                self._restart(pose)
         self._stamps.insert(place, stamp)
         self._poses.insert(place, compose(self._map_odometry, pose))
         first = bisect.bisect_left(self._stamps, self._stamps[-1] - _KEPT)
@@ -119,13 +124,6 @@ class Track:
         self._restart(fresh[0][1])
         for one in fresh:
             self.add(*one)
-
-    def _mind_jump(self, seconds: float, pose: np.ndarray) -> None:
-        """Begin anew where the robot cannot have gone in the meantime."""
-        gone = np.hypot(*(compose(self._map_odometry, pose) - self._poses[-1])[:2])
-        is_zero = seconds > _SILENCE and bool((np.abs(pose) < _ZERO).all())
-        if gone > _SPEED * seconds + _JUMP or (is_zero and self._is_elsewhere(pose)):
-            self._restart(pose)
 
     def _is_elsewhere(self, pose: np.ndarray) -> bool:
         """Tell whether a pose, odometry frame, is not where the robot last was."""
