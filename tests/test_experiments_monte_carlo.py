@@ -211,23 +211,26 @@ def test_a_setting_may_have_numbers_of_its_own_to_believe(monkeypatch):
     """Those of one set of numbers are run together, and each ends where its setting stands."""
     believed = ({}, {"concentration": 2.0}, {})
     settings = [dataclasses.replace(GRID.settings[0], believed=numbers) for numbers in believed]
-    arm = policy_arm("informed", num_particles=64)
+    arm = dataclasses.replace(policy_arm("informed", num_particles=64), judged=2)
     calls: list[tuple[float, int]] = []
 
-    def judge(self: Arm, tasks: Task, *_: object, **__: object) -> tuple[np.ndarray, None]:
+    def judge(self: Arm, tasks: Task, *_: object, is_judged: bool, **__: object) -> tuple[Any, Any]:
         assert self.params is not None
         assert self.config is arm.config
         calls.append((float(self.params.map.concentration), tasks.key.shape[0]))
-        return np.asarray(tasks.scenario.object_x) + 100.0 * calls[-1][0], None
+        x = np.asarray(tasks.scenario.object_x)
+        return x + 100.0 * calls[-1][0], x if is_judged else None
 
     monkeypatch.setattr(Arm, "run", judge)
     grid = dataclasses.replace(GRID, settings=settings, arms=[arm])
     (played,) = run_grid(grid, None)  # pyright: ignore
     usual = float(np.float32(0.3))
-    assert calls == [(usual, 2 * EPISODES), (2.0, EPISODES)]
+    assert calls == [(usual, 4), (usual, 2 * EPISODES - 4), (2.0, 2), (2.0, EPISODES - 2)]
     added = np.repeat([usual, 2.0, usual], EPISODES)[:, None]
     drawn = np.asarray(grid.draw(np.arange(3 * EPISODES)).scenario.object_x)
     np.testing.assert_allclose(np.asarray(played.results), drawn + 100.0 * added, rtol=1e-6)
+    firsts = drawn.reshape(3, EPISODES, -1)[:, :2].reshape(6, -1)
+    np.testing.assert_array_equal(np.asarray(played.tally), firsts)
     # A baseline believes nothing.
     known = policy_arm("known", num_particles=64)
     assert known.believing({"concentration": 2.0}) is known

@@ -181,7 +181,7 @@ def test_a_small_suite_from_end_to_end(tmp_path: Path) -> None:
     options = Options(episodes=12, policies=("informed", "frontier", "known"))
     done: list[int] = []
     found = suite.run(options, out=tmp_path, on_progress=done.append)
-    assert sum(done) == suite.total_work(options)
+    assert sum(done) == suite.total_episodes(options)
     rows = {(one["scenario"], one["policy"]): one for one in found["rows"]}
     assert len(rows) == 3 * len(names)
     assert all(one["invalid_worlds"] == 0 for one in rows.values())

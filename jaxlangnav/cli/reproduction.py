@@ -79,7 +79,7 @@ def _episodes(name: str, settings: Settings) -> Study:
     experiment, options = GRIDS[name](settings)
 
     def run(settings: Settings, output: Output) -> Found:
-        with progress_bar("episodes", experiment.total_work(options)) as advance:
+        with progress_bar("episodes", experiment.total_episodes(options)) as advance:
             document = experiment.run(options, out=settings.out, on_progress=advance)
         output.say(experiment.render(document))
         wall, compiling = document["wall_s"], document["compile_s"]

@@ -12,10 +12,10 @@ import pyarrow as pa
 
 from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.experiments.archive import CompileClock, pytree_hash, write_experiment
-from jaxlangnav.experiments.calibration import Tally, scores
+from jaxlangnav.experiments.calibration import scores
 from jaxlangnav.experiments.grid import Grid, Played, Row, run_grid
-from jaxlangnav.experiments.judging import JUDGED, bin_sums
-from jaxlangnav.experiments.monte_carlo import OnProgress, run_tasks
+from jaxlangnav.experiments.judging import bin_sums
+from jaxlangnav.experiments.monte_carlo import OnProgress
 from jaxlangnav.experiments.policies import (
     DEFAULT_PARTICLES,
     POLICY_NAMES,
@@ -26,7 +26,7 @@ from jaxlangnav.experiments.policies import (
 from jaxlangnav.experiments.rows import RowSpec, describe_noise, printed_rows
 from jaxlangnav.experiments.sizes import check_count, check_engine, result_bytes, task_bytes
 from jaxlangnav.experiments.table import Document, Table
-from jaxlangnav.experiments.tasks import SENTENCES, GroundedSentences, ground_sentences, take_tasks
+from jaxlangnav.experiments.tasks import SENTENCES, ground_sentences
 from jaxlangnav.messages import MotionParams, SensorParams
 from jaxlangnav.navigator import NavigatorParams, check
 from jaxlangnav.world.templates import TABLE_2
@@ -92,12 +92,6 @@ class Experiment:
         """Count the runs of all rows and arms."""
         return len(self.specs) * len(self.arms(options)) * options.episodes
 
-    def total_work(self, options: Options) -> int:
-        """Count the runs and those held against the truth once more, for a progress bar."""
-        believers = sum(arm.config is not None for arm in self.arms(options))
-        judged = min(options.episodes, self.calibration_episodes)
-        return self.total_episodes(options) + len(self.specs) * believers * judged
-
     def check(self, options: Options) -> list[Arm]:
         """Refuse, before anything is run, what cannot be.
 
@@ -111,7 +105,8 @@ class Experiment:
             ValueError: fewer than one episode, an unknown policy, more than memory holds, or
                 numbers with which the robot could never stop.
         """
-        arms, rows = self.arms(options), len(self.specs)
+        judged, rows = min(options.episodes, self.calibration_episodes), len(self.specs)
+        arms = [dataclasses.replace(one, judged=one.judged or judged) for one in self.arms(options)]
         if options.episodes < 1:
             raise ValueError(f"episodes is {options.episodes}, but must be at least 1")
         # Tasks and columns are laid out in parts and then put together: for a moment twice.
@@ -136,8 +131,7 @@ class Experiment:
         Args:
             options: what is run; 100 episodes of every policy if None.
             out: folder for Parquet, Markdown, JSON and manifest; nothing is written if None.
-            on_progress: called with the number of episodes just finished, those held against the
-                truth included: ``total_work`` in all.
+            on_progress: called with the number of episodes just finished: ``total_episodes``.
 
         Returns:
             The document: ``rows``, ``paper``, ``sentences``, ``noise``, ``wall_s`` with
@@ -162,7 +156,7 @@ class Experiment:
             sentences = ground_sentences(list(self.sentences.values()))
             for played in run_grid(grid, sentences.instructions, on_progress=on_progress):
                 first = first or played
-                rows += self.rows(played, first, self._judged(played, sentences, on_progress))
+                rows += self.rows(played, first, _scores(played))
                 parts.append(pa.table(played.columns()))
         document = {
             "experiment": self.name,
@@ -211,31 +205,14 @@ class Experiment:
         first = self.tables(document)[0]
         return dataclasses.replace(first, title=self.title, caption=notes).text()
 
-    def _judged(
-        self, played: Played, sentences: GroundedSentences, on_progress: OnProgress | None
-    ) -> list[Row]:
-        """Judge the belief in the first episodes of every row; no scores where none is judged."""
-        arm, each = played.arm, played.grid.episodes
-        if played.tally is not None:
-            return _scored_parts(played.tally, len(self.specs), each)
-        judged = min(each, self.calibration_episodes)
-        if not judged or arm.config is None or arm.params is None:
-            nothing = {"ece": None, "brier": None, "coverage90": None, "reliability": None}
-            return [dict(nothing) for _ in self.specs]
-        firsts = each * np.arange(len(self.specs))
-        _, tally = run_tasks(
-            take_tasks(played.tasks, (firsts[:, None] + np.arange(judged)).ravel()),
-            sentences.instructions,
-            params=arm.params,
-            config=arm.config,
-            on_progress=on_progress,
-            course=JUDGED,
-        )
-        return _scored_parts(tally, len(self.specs), judged)
 
-
-def _scored_parts(tally: Tally, rows: int, each: int) -> list[Row]:
-    """Score the episodes of every row."""
-    parts = [jax.tree.map(lambda leaf, at=at: leaf[at * each : (at + 1) * each], tally)
-             for at in range(rows)]  # fmt: skip
+def _scores(played: Played) -> list[Row]:
+    """Score the belief in the episodes of every row that were judged; None where none was."""
+    rows = len(played.grid.settings)
+    if played.tally is None:
+        return [dict.fromkeys(("ece", "brier", "coverage90", "reliability")) for _ in range(rows)]
+    parts = [
+        jax.tree.map(lambda leaf, at=at: np.split(leaf, rows)[at], played.tally)
+        for at in range(rows)
+    ]
     return [scores(part) | {"reliability": bin_sums(part)} for part in parts]

@@ -96,12 +96,11 @@ class Played:
 
     grid: Grid
     arm: Arm
-    tasks: Task
     results: EpisodeResult
     known: np.ndarray
     """f32[E], the known map's distance, metres."""
     tally: Tally | None = None
-    """Of an arm that is judged: its belief against the truth; leaves [E, …]."""
+    """Of the episodes that are judged: the belief against the truth; leaves [E, …]."""
 
     def columns(self) -> dict[str, Any]:
         """Lay labels and results out, a column each, E long."""
@@ -138,25 +137,34 @@ def run_grid(
     drawn = grid.draw(np.arange(len(grid.settings) * grid.episodes))
     for arm in grid.arms:
         tasks = arm.tasks(drawn)
-        results, tally = _judge(grid, arm, tasks, instructions, on_progress)
+        results, tally = _play(grid, arm, tasks, instructions, on_progress)
         known = known_distances(tasks)
-        yield Played(grid=grid, arm=arm, tasks=tasks, results=results, known=known, tally=tally)
+        yield Played(grid=grid, arm=arm, results=results, known=known, tally=tally)
 
 
-def _judge(
+def _play(
     grid: Grid, arm: Arm, tasks: Task, instructions: Instruction, on_progress: OnProgress | None
 ) -> tuple[EpisodeResult, Tally | None]:
-    """Run an arm in all settings: at once, those in which it believes the same numbers."""
-    groups: dict[tuple[tuple[str, float], ...], list[int]] = {}
+    """Run an arm in all settings: at once, what is judged alike and believes the same numbers."""
+    groups: dict[tuple[Any, ...], list[np.ndarray]] = {}
+    numbers, judged = np.arange(grid.episodes), arm.judged if arm.config is not None else 0
     for place, setting in enumerate(grid.settings):
-        groups.setdefault(tuple(sorted(setting.believed.items())), []).append(place)
-    if list(groups) == [()] or arm.config is None:
-        return arm.run(tasks, instructions, on_progress=on_progress)
-    places, parts = [], []
-    for numbers, listed in groups.items():
-        starts = grid.episodes * np.array(listed)
-        places.append((starts[:, None] + np.arange(grid.episodes)).ravel())
-        mine, told = take_tasks(tasks, places[-1]), arm.believing(dict(numbers))
-        parts.append(told.run(mine, instructions, on_progress=on_progress))
-    order = np.argsort(np.concatenate(places))
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[order], *parts)
+        believed = () if arm.config is None else tuple(sorted(setting.believed.items()))
+        for is_judged, mine in ((True, numbers[:judged]), (False, numbers[judged:])):
+            if len(mine):
+                groups.setdefault((is_judged, believed), []).append(place * len(numbers) + mine)
+    parts: list[tuple[np.ndarray, EpisodeResult, Tally | None]] = []
+    for (is_judged, believed), listed in groups.items():
+        places = np.concatenate(listed)
+        mine, told = take_tasks(tasks, places), arm.believing(dict(believed))
+        found = told.run(mine, instructions, is_judged=is_judged, on_progress=on_progress)
+        parts.append((places, *found))
+
+    def joined(pairs: list[tuple[np.ndarray, Any]]) -> Any:
+        order = np.argsort(np.concatenate([places for places, _ in pairs]))
+        together = [leaves for _, leaves in pairs]
+        return jax.tree.map(lambda *leaves: np.concatenate(leaves)[order], *together)
+
+    tallies = [(places, tally) for places, _, tally in parts if tally is not None]
+    results = joined([(places, found) for places, found, _ in parts])
+    return results, joined(tallies) if tallies else None

@@ -119,15 +119,16 @@ class Arm:
     sensor: Numbers = dataclasses.field(default_factory=dict)
     """Numbers of the detector in place of the setting's."""
     max_steps: int = MAX_STEPS
-    is_judged: bool = False
-    """Whether the belief of every step is held against the truth as the episodes run."""
+    judged: int = 0
+    """In how many of the first episodes of a setting every step's belief is held against the truth;
+    none of a baseline's."""
     worlds: Callable[[Task], Task] | None = None
     """Sets its worlds otherwise."""
 
     @property
     def course(self) -> Course:
-        """What lanes run."""
-        return JUDGED if self.is_judged else BASELINES.get(self.policy, EPISODE)
+        """What lanes run where nothing is judged."""
+        return BASELINES.get(self.policy, EPISODE)
 
     def tasks(self, tasks: Task) -> Task:
         """Set odometry, detector and worlds; keys stay, so that all arms are paired.
@@ -167,14 +168,16 @@ class Arm:
         tasks: Task,
         instructions: Instruction,
         *,
+        is_judged: bool = False,
         on_progress: OnProgress | None = None,
         num_threads: int | None = None,
     ) -> tuple[EpisodeResult, Tally | None]:
-        """Run any number of tasks and, where ``is_judged``, hold the belief against the truth.
+        """Run any number of tasks.
 
         Args:
             tasks: leaves [E, …].
             instructions: leaves [I, …].
+            is_judged: whether the belief of every step is held against the truth.
             on_progress: called with the number of episodes just finished.
             num_threads: calls under way at once; as many as keep all cores busy by default.
 
@@ -190,9 +193,9 @@ class Arm:
             on_progress=on_progress,
             num_threads=num_threads,
             max_steps=self.max_steps,
-            course=self.course,
+            course=JUDGED if is_judged else self.course,
         )
-        return found if self.is_judged else (found, None)
+        return found if is_judged else (found, None)
 
 
 def policy_arm(

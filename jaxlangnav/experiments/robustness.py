@@ -55,7 +55,7 @@ def _arms(options: Options) -> list[Arm]:
             sizes = dataclasses.replace(usual.config.map, num_particles=options.num_particles)
             config = dataclasses.replace(usual.config, map=sizes)
             params = usual.params if options.params is None else options.params
-            arm = dataclasses.replace(arm, config=config, params=params, is_judged=True)
+            arm = dataclasses.replace(arm, config=config, params=params, judged=options.episodes)
         arms.append(arm)
     return arms
 
