@@ -99,6 +99,12 @@ def robot() -> Any:
 
 
 @pytest.fixture(scope="session")
+def navigator(robot: Any) -> Any:
+    """That navigator, by the name it has where it drives a robot."""
+    return robot
+
+
+@pytest.fixture(scope="session")
 def model() -> Any:
     """The trained models as they ship."""
     from jaxlangnav.grounding import load_shipped

@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from placed import placed
-from test_navigator_step import robot as navigator
 
 from jaxlangnav.messages import NONE, Fault, Status, default_sensor
 from jaxlangnav.pytree import replace
@@ -21,7 +20,6 @@ from jaxlangnav.viz.html import _page_data, _render_html
 from jaxlangnav.viz.panels import outcome
 from jaxlangnav.world.state import CONE, HYDRANT
 
-__all__ = ["navigator"]
 TEXT = "go to the hydrant behind the cone"
 GOAL = (6.0, 0.8)
 

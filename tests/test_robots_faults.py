@@ -5,7 +5,6 @@ from collections.abc import Callable
 import jax
 import numpy as np
 import pytest
-from test_navigator_step import robot as navigator
 
 from jaxlangnav.experiments.tasks import SENTENCES
 from jaxlangnav.robots import libraries
@@ -17,7 +16,6 @@ from jaxlangnav.robots.robot import Ending
 from jaxlangnav.robots.table3 import TABLE3, make_robot
 from jaxlangnav.viz.html import _render_html
 
-__all__ = ["navigator"]
 pytestmark = pytest.mark.slow
 HUSKY, CHAIR = TABLE3[6], TABLE3[2]
 BOTH = pytest.mark.parametrize("row", [HUSKY, CHAIR], ids=["husky", "wheelchair"])

@@ -8,7 +8,6 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
-from test_navigator_step import robot as navigator
 from test_robots_drive import TEXT, goal_distance, put
 
 from jaxlangnav.robots.perception.figures import as_told
@@ -20,7 +19,6 @@ from jaxlangnav.robots.ros2.robot import RosRobot
 from jaxlangnav.robots.ros2.session import Session
 from jaxlangnav.robots.ros2.simulation import RobotOptions, draw_start
 
-__all__ = ["navigator"]
 pytest.importorskip("rosbags")
 BAG = Path(__file__).parent / "data" / "husky_bag"
 HERE = np.array([1.0, -2.0, 0.5])
