@@ -197,7 +197,7 @@ def test_the_large_corpus_is_split_by_template():
         assert any(len(e.clauses) > 1 for e in part)
 
 
-def test_what_is_spoken_is_held_out_and_read_through_rewriting():
+def test_what_is_spoken_is_held_out_and_read_by_the_reader():
     examples = load_corpus("corpus_spoken")
     assert {e.split for e in examples} == {"test"}
     assert not {e.template for e in examples} & {e.template for e in load_corpus("corpus")}
@@ -205,7 +205,7 @@ def test_what_is_spoken_is_held_out_and_read_through_rewriting():
     through = [e for e in examples if e.parse.rewrites or e.parse.unread or any(
         one.metres for one in e.parse.measures
     )]  # fmt: skip
-    assert len(through) / len(examples) > 0.7
+    assert len(through) / len(examples) > 0.65
 
 
 def test_a_corpus_is_read_by_the_grammar_where_it_can_be():

@@ -23,8 +23,8 @@ def senses(text: str) -> dict[str, tuple[str, ...]]:
         ("go to the zorbel", ("zorbel", 4), "NN", ("type:zorbel",)),
         ("go to the zorbels", ("zorbels", 4), "NNS", ("type:zorbel",)),
         ("go to the fuzzle cone", ("fuzzle", 4), "JJ", ()),
-        ("gallop to the cone", ("gallop", 1), "VB", ()),
-        ("would you mind galloping to the cone", ("galloping", 4), "VBG", ()),
+        ("zorble to the cone", ("zorble", 1), "VB", ()),
+        ("would you mind zorbling to the cone", ("zorbling", 4), "VBG", ()),
         ("go zestily to the cone", ("zestily", 2), "RB", ()),
     ],
 )

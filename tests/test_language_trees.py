@@ -261,7 +261,7 @@ def test_empty_text_is_refused(text):
 # number behind a relation its rank, ``avoid`` what to keep away from, ``say`` a statement, ``;`` a
 # new clause.
 
-NO_READING = "NO_READING"
+NO_READING = "REFUSED"
 
 
 def thing(phrase: Phrase) -> str:

@@ -69,6 +69,7 @@ class Lexicon:
     refused: dict[str, str]  # word → why
     refused_expressions: dict[tuple[str, ...], str] = field(default_factory=dict)  # words → why
     tags: dict[str, str] = field(default_factory=dict)  # word → Penn tag in expressions
+    slips: dict[str, str] = field(default_factory=dict)  # short word, mistyped → what is meant
 
     @property
     def vocabulary(self) -> frozenset[str]:
@@ -259,4 +260,5 @@ def read_lexicon(text: str, own: str | None = None) -> Lexicon:
         refused=refused,
         refused_expressions=expressions,
         tags=document["tags"],
+        slips=document.get("slips", {}),
     )

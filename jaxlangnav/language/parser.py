@@ -28,7 +28,6 @@ from jaxlangnav.language.phrase import COMMAND, STATEMENT, LanguageError, Parse
 from jaxlangnav.language.reader.proposals import propose_readings
 from jaxlangnav.language.reference import Antecedent, join_constraints, resolve
 from jaxlangnav.language.refusal import NOUN, Token, explain, is_contrary, offer
-from jaxlangnav.language.rewriting import join_contractions, rewrite
 from jaxlangnav.language.spelling import repair
 from jaxlangnav.language.tokens import (
     COMMA_MARK,
@@ -36,6 +35,7 @@ from jaxlangnav.language.tokens import (
     MARKS,
     TOKEN,
     SpokenToken,
+    join_contractions,
     plainly,
 )
 from jaxlangnav.language.tree import TreeBuilder
@@ -45,6 +45,8 @@ MAX_WORDS = 64
 MAX_UNKNOWN = 8  # more guesses than this are no reading, and their trees are very many
 LEAST_PROBABILITY = 0.05
 """Of what the trained reader makes of a sentence: at less it is refused."""
+LEAST_TO_OVERRULE = 0.7
+"""The same of a sentence that can be read as it stands: at less it is read so."""
 _IGNORED = set("\"'[]*`“”")
 _COMMAS = {",", ":", "-", "–", "—", "(", ")"}
 _LONGEST_LINE = 199
@@ -242,37 +244,44 @@ def parse(
     if not is_rewritten:
         return _read_plain(text, reader, reader.tokens, earlier)
     try:
-        return _read(text, reader, reader.tokens, earlier)
+        as_said = _read(text, reader, reader.tokens, earlier)
     except LanguageError as error:
         if error.position is None or not is_nearest_offered:
             raise
-        found = _read_freely(text, reader, earlier)
-        if found is not None:
-            return found
-        raise _with_nearest(error, reader, earlier) from None
+        found = _read_freely(text, reader, earlier, None)
+        if found is None:
+            raise _with_nearest(error, reader, earlier) from None
+        return found
+    return _read_freely(text, reader, earlier, as_said) or as_said
 
 
-def _read_freely(text: str, reader: _Reader, earlier: Antecedent | None) -> Parse | None:
-    """Read a sentence that is refused as it stands by the trained reader; None: nor does it.
+def _read_freely(
+    text: str, reader: _Reader, earlier: Antecedent | None, as_said: Parse | None
+) -> Parse | None:
+    """Read a sentence by the trained reader, or as it stands; None: it is refused.
 
-    Sentences of one meaning share their probabilities; below ``LEAST_PROBABILITY`` the likeliest
-    meaning is a guess.
+    Sentences of one meaning share their probabilities. What can be read as it stands is read so,
+    unless another meaning has ``LEAST_TO_OVERRULE``; what cannot, by its likeliest meaning, unless
+    that has less than ``LEAST_PROBABILITY``.
     """
     found: dict[object, tuple[float, Parse]] = {}
-    for one in propose_readings(reader.tokens, reader.labels):
+    for one in propose_readings(reader.tokens, reader.labels, is_readable=as_said is not None):
         if earlier is not None and any(_CARRIED.search(was) for was, _ in one.changes):
             continue
-        try:
-            read = _read(text, reader, list(one.tokens), earlier, is_blame_sought=False)
-        except LanguageError:
-            continue
+        if list(one.tokens) == reader.tokens and as_said is not None:
+            read = as_said
+        else:
+            try:
+                read = _read(text, reader, list(one.tokens), earlier, is_blame_sought=False)
+            except LanguageError:
+                continue
+            read = replace(read, rewrites=one.changes, unread=one.left_out)
         meaning = (*map(str, read.clauses), read.kinds, read.measures)
-        share, first = found.get(meaning, (0.0, None))
-        if first is None:
-            rewrites, unread = (*one.changes, *read.rewrites), one.left_out
-            first = replace(read, rewrites=rewrites, unread=unread)
+        share, first = found.get(meaning, (0.0, read))
         found[meaning] = (share + one.probability, first)
     probability, best = max(found.values(), key=lambda one: one[0], default=(0.0, None))
+    if as_said is not None:
+        return best if probability >= LEAST_TO_OVERRULE else as_said
     return best if probability >= LEAST_PROBABILITY else None
 
 
@@ -286,13 +295,8 @@ def _read(
 ) -> Parse:
     """Read the words of an instruction; a refusal names the true cause where that is sought."""
     plain, measured = take_out(said)
-    spoken, rewrites = rewrite(plain)
-    found = _read_plain(text, reader, spoken, earlier, is_blame_sought=is_blame_sought)
-    return replace(
-        found,
-        rewrites=tuple(rewrites),
-        measures=of_clauses(found.clauses, measured),
-    )
+    found = _read_plain(text, reader, plain, earlier, is_blame_sought=is_blame_sought)
+    return replace(found, measures=of_clauses(found.clauses, measured))
 
 
 def _read_plain(

@@ -9,7 +9,6 @@ from importlib import resources
 from string import ascii_lowercase
 
 from jaxlangnav.language.lexicon import TYPE_CLASS, Lexicon, load_lexicon
-from jaxlangnav.language.rewriting import load_rewrites
 
 MIN_LETTERS = 5
 # Small talk holds many words that say nothing of the task ("plan", "time"): no repairs to them,
@@ -94,8 +93,8 @@ def repair(word: str, *, is_noun: bool = False) -> str | None:
         several words of different meaning.
     """
     lexicon = load_lexicon()
-    if word in load_rewrites().slips:
-        return load_rewrites().slips[word]
+    if word in lexicon.slips:
+        return lexicon.slips[word]
     if len(word) < MIN_LETTERS or not word.isascii() or not word.isalpha() or word in not_errors():
         return None
     if len(word) > 20:

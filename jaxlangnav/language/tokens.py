@@ -11,6 +11,8 @@ TOKEN = re.compile(
 
 MARKS = (COMMA_MARK, FULLSTOP_MARK) = (",", ".")
 """How a pause and an end of a sentence are written among the words."""
+_SPLIT_CONTRACTION = re.compile(r"\b([^\W\d_]+) ('(?:s|d|m|ll|re|ve|t)\b)")
+_SPLIT_NEGATION = re.compile(r"\b(do|does|did|ca|wo|is|are|was|could|would|should|must) (n't\b)")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,6 +35,18 @@ def plainly(text: str) -> str:
     text = unicodedata.normalize("NFKC", text).lower()
     text = "".join(letter for letter in text if unicodedata.category(letter) != "Cf")
     return text.replace("\u2019", "'").replace("\u2018", "'")
+
+
+def join_contractions(text: str) -> str:
+    """Put contractions together that a tokenizer has parted: "let 's", "do n't".
+
+    Args:
+        text: in small letters, with plain apostrophes.
+
+    Returns:
+        The text.
+    """
+    return _SPLIT_NEGATION.sub(r"\1\2", _SPLIT_CONTRACTION.sub(r"\1\2", text))
 
 
 def is_word(text: str) -> bool:

@@ -25,6 +25,7 @@ from jax import Array
 from jaxlangnav.files.documents import parse_json, read_text
 from jaxlangnav.language.parser import split_text
 from jaxlangnav.language.reader.features import (
+    CHOOSING,
     CONTRARY,
     IMPOSSIBLE,
     ReaderSentence,
@@ -32,6 +33,7 @@ from jaxlangnav.language.reader.features import (
     load_verbs,
 )
 from jaxlangnav.language.reader.model import KEPT, LEFT_OUT, UNREADABLE, ReaderModel
+from jaxlangnav.language.reader.proposals import Labelling
 from jaxlangnav.language.tokens import MARKS
 
 _LARGEST = 1 << 24
@@ -244,7 +246,16 @@ def train_reader(
     """
     started = time.perf_counter()
     counted = Counter(label for one in examples for label in set(one.labels))
-    labels = tuple(sorted(one for one, n in counted.items() if n >= config.least_labels))
+    names = frozenset().union(*(one.names for one in examples))
+    labels = tuple(
+        sorted(
+            label
+            for label, n in counted.items()
+            # What names a thing would name it whatever was said.
+            if n >= config.least_labels
+            and not any(ReaderSentence(tuple(label.lstrip("K>=").split()), names).is_name)
+        )
+    )
     used = [one for one in examples if set(one.labels) <= set(labels)]
     if len(used) < config.batch:
         raise ValueError(f"{len(used)} sentences are too few to train on: {config.batch} at least")
@@ -262,6 +273,7 @@ def train_reader(
         labels=labels,
         seen=_seen(used),
         left_out=_left_out(used),
+        met=_met(used),
         emission=np.round(emission[is_used], 3),
         transition=np.asarray(weights.transition),
         begin=np.asarray(weights.begin),
@@ -281,6 +293,21 @@ def _seen(examples: Sequence[ReaderExample]) -> frozenset[tuple[str, str]]:
     """Collect which words were read as which."""
     pairs = (pair for one in examples for pair in zip(one.words, one.labels, strict=True))
     return frozenset((word, label) for word, label in pairs if label[0] == "=")
+
+
+def _met(examples: Sequence[ReaderExample]) -> frozenset[str]:
+    """Collect the stretches of words that are not kept, with what is read for them.
+
+    Not what only chooses, and for which nothing is read: "both" may go in one sentence alone.
+    """
+    labelled = [Labelling(ReaderSentence(one.words, one.names), one.labels) for one in examples]
+    return frozenset(
+        one.stretch(run)
+        for one in labelled
+        for run in one.runs
+        if any(one.labels[i] != LEFT_OUT for i in run)
+        or any(CHOOSING.isdisjoint(one.sentence.classes[i]) for i in run)
+    )
 
 
 def _left_out(examples: Sequence[ReaderExample]) -> frozenset[str]:

@@ -23,6 +23,7 @@ IMPOSSIBLE = frozenset({"refused:such an action", PATH_WORD})
 CONTRARY = frozenset({"refused:negation", "refused:condition"})
 """Classes of words that turn round what is said."""
 CHOOSING = frozenset({_RELATION, "ordinal", "side_adj", "sup_adj", "sup", "avoid", "manner"})
+CHOOSING |= frozenset({"refused:quantity"})
 """Classes of words that choose a thing or a place, or say how to go there."""
 MOTION = "verb:"
 """Begins the classes of verbs of ``verbs.toml``."""

@@ -38,6 +38,7 @@ class ReaderModel:
     labels: tuple[str, ...]
     seen: frozenset[tuple[str, str]]  # (word, label) of the training, where the label has words
     left_out: frozenset[str]  # three words that begin with a telling one, left out in training
+    met: frozenset[str]  # stretches that are not kept, with what is read for them, of the training
     emission: np.ndarray  # f32[F, L]
     transition: np.ndarray  # f32[L, L]
     begin: np.ndarray  # f32[L]
@@ -134,6 +135,7 @@ def save_reader(path: Path, model: ReaderModel, *, command: str) -> None:
         "labels": model.labels,
         "seen": sorted(model.seen),
         "left_out": sorted(model.left_out),
+        "met": sorted(model.met),
     }
     edges = np.stack([model.begin, model.end])
     with replacing(path) as temporary:
@@ -153,7 +155,9 @@ def _read(content: bytes) -> ReaderModel:
         features, labels = tuple(about["features"]), tuple(about["labels"])
         if not (0 < len(features) <= _MAX_FEATURES and 0 < len(labels) <= _MAX_LABELS):
             raise ValueError(f"{len(features)} features and {len(labels)} labels")
-        if not all(type(one) is str for one in (*features, *labels, *about["left_out"])):
+        if not all(
+            type(one) is str for one in (*features, *labels, *about["left_out"], *about["met"])
+        ):
             raise ValueError("a name is no text")
         edges = read_floats(archive, "transition", (len(labels) + 2, len(labels)))
         return ReaderModel(
@@ -161,6 +165,7 @@ def _read(content: bytes) -> ReaderModel:
             labels=labels,
             seen=frozenset((str(word), str(label)) for word, label in about["seen"]),
             left_out=frozenset(about["left_out"]),
+            met=frozenset(about["met"]),
             emission=read_floats(archive, "emission", (len(features), len(labels))),
             transition=edges[:-2],
             begin=edges[-2],

@@ -5,6 +5,7 @@ weights say, words go only where they can neither choose a thing nor turn the me
 checked for each labelling, and those that fail have no share in any reading.
 """
 
+import itertools
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
@@ -35,6 +36,8 @@ from jaxlangnav.language.reader.model import (
     log_partition,
 )
 from jaxlangnav.language.tokens import MARKS, SpokenToken
+from jaxlangnav.messages import RELATIONS
+from jaxlangnav.relations.table import CONVERSE
 
 _LABELLINGS = 30
 """Labellings that are looked at."""
@@ -44,7 +47,7 @@ _MOST = 8
 """Sentences that are proposed: each takes a parse."""
 _ORDERING = frozenset({"go", "go to", "stop", "stop at"})
 """What a verb may be read as without having been met in training."""
-_DEFINITE = frozenset({"the", "my", "our", "your", "this", "that"})
+_ARTICLES = frozenset({"the", "a", "an", "my", "our", "your", "this", "that"})
 _DEGREES = frozenset({"most", "least", "more"})
 _UNDOING = frozenset(
     {"no", "wait", "sorry", "mean", "meant", "actually", "scratch", "oops", "correction"}
@@ -61,8 +64,6 @@ _SOUGHT = frozenset({"for", "find", "get", "see", "locate", "bring", "take", "gr
 """Words before "it" that ask for what was spoken of, wherever one goes before."""
 _TOLD = frozenset({"be", "be..", "exist", "exist..", "see", "see..", "link", "link.."})
 """Classes of words that make a statement."""
-_OF_PLACE = frozenset({"rel", "rel..", "side"})
-"""Classes of words of relations."""
 _IDLE = frozenset({"opener", "closer", "conn", "adv", "degree", "particle", "but"})
 """Classes of words that say nothing of a goal without a verb."""
 
@@ -78,15 +79,17 @@ class Proposal:
 
 
 @dataclass(frozen=True)
-class _Labelled:
+class Labelling:
     """A sentence with a label for each word."""
 
     sentence: ReaderSentence
     labels: tuple[str, ...]
-    seen: frozenset[str]  # telling words with what follows, left out in training
+    seen: frozenset[str] = frozenset()  # telling words with what follows, left out in training
+    met: frozenset[str] = frozenset()  # ``stretches`` of the training
 
     @cached_property
     def kept(self) -> list[bool]:
+        """Which words are kept."""
         return [label[0] == KEPT for label in self.labels]
 
     @cached_property
@@ -100,6 +103,13 @@ class _Labelled:
                 found.append(range(first, index))
                 first = None
         return found
+
+    def stretch(self, run: range) -> str:
+        """Write a stretch of words that are not kept, names as one sign, and what is read."""
+        classes, words = self.sentence.classes, self.sentence.words
+        words = ["<N>" if classes[i][0][0] in "N?" else words[i] for i in run]
+        read = [self.labels[i][1:] for i in run if self.labels[i] != LEFT_OUT]
+        return " ".join([*words, "=", *read])
 
     def is_gone(self, index: int) -> bool:
         """Tell whether the whole clause of a word is left out, and names nothing."""
@@ -124,10 +134,24 @@ class _Labelled:
                     return True
         return False
 
+    def is_met(self) -> bool:
+        """Tell whether every stretch that is not kept was read so in training."""
+        return self.met.issuperset(map(self.stretch, self.runs))
+
     def is_sound(self) -> bool:
-        """Tell whether what is left out can neither choose a thing nor turn the meaning round."""
-        are_whole = all(map(self._is_whole, self.sentence.clauses))
-        return are_whole and all(map(self._may_go, self.runs)) and not self._points_back()
+        """Tell whether what is left out can neither choose a thing nor turn the meaning round.
+
+        A stretch that was met in training may go as it went there.
+        """
+        new = [run for run in self.runs if self.stretch(run) not in self.met]
+        touched = {self.sentence.clause[i] for run in new for i in run}
+        are_whole = all(self._is_whole(self.sentence.clauses[k]) for k in touched)
+        are_placed = all(
+            PREPOSITION not in classes or self._is_converse(index)
+            for index, classes in enumerate(self.sentence.classes)
+        )
+        may_go = are_whole and are_placed and all(map(self._may_go, new))
+        return may_go and not self._points_back()
 
     def _may_go(self, run: range) -> bool:
         """Tell whether a stretch of words may go."""
@@ -171,25 +195,25 @@ class _Labelled:
         if SPEAKER in classes and self.labels[index] != LEFT_OUT and index + 1 < len(self.labels):
             # "my car" is a car; "my left", nothing.
             return not self.kept[index + 1] or any(self.sentence.is_name[index + 1 : index + 3])
-        if PREPOSITION in classes and not self._has_relation(index):
-            return False
         if {PREPOSITION, PATH_WORD} & set(classes) and self._governs_kept(index):
             return PATH_WORD not in classes and self._is_replaced(index)
         if self.labels[index] != LEFT_OUT:
             return True
         is_choosing = not CHOOSING.isdisjoint(classes) or word in _DEGREES
-        if index and classes[0][0] == "?" and self.sentence.words[index - 1] in _DEFINITE:
+        if index and classes[0][0] == "?" and self.sentence.words[index - 1] in _ARTICLES:
             is_choosing = True  # it may be a thing that nobody knows
-        return not is_choosing or self.is_gone(index)
+        is_moved = any(label == f"{KEPT}>{word}" for label in self.labels)
+        return not is_choosing or is_moved or self.is_gone(index)
 
-    def _has_relation(self, index: int) -> bool:
-        """Tell whether a relation put for a preposition is of a word: "with the truck in front"."""
-        put = ReaderSentence(tuple(self.labels[index][1:].split()), frozenset())
-        if not any(_OF_PLACE.intersection(classes) for classes in put.classes):
-            return True
+    def _is_converse(self, index: int) -> bool:
+        """Tell whether a relation put for a preposition, if one is, is the converse of what goes.
+
+        "The house with the truck in front" is the house behind the truck.
+        """
+        put = _relations(self.labels[index][1:].split())
         clause = self.sentence.clauses[self.sentence.clause[index]]
-        gone = (self.sentence.classes[i] for i in clause if self.labels[i] == LEFT_OUT)
-        return any(_OF_PLACE.intersection(classes) for classes in gone)
+        gone = _relations([self.sentence.words[i] for i in clause if self.labels[i] == LEFT_OUT])
+        return put <= {CONVERSE[one] for one in gone}
 
     def _governs_kept(self, index: int) -> bool:
         """Tell whether the name that a preposition stands before is kept."""
@@ -221,11 +245,17 @@ class _Labelled:
     def proposal(self, tokens: Sequence[SpokenToken], probability: float) -> Proposal:
         """Write the sentence of the controlled language, and what became of each word."""
         put: list[SpokenToken] = []
-        for token, label in zip(tokens, self.labels, strict=True):
+        last = {i: tokens[run[-1]].position for run in self.runs for i in run}
+        for index, (token, label) in enumerate(zip(tokens, self.labels, strict=True)):
             before, _, rest = label.partition(">")
             words = rest.split() if before == KEPT else label[1:].split()
             words = [] if label == LEFT_OUT else words
-            put += [replace(token, text=word) for word in words]
+            # New words stand where the words were that they are read for, in order.
+            places = range(token.position, last.get(index, token.position) + 1)
+            put += [
+                SpokenToken(text=word, position=places[min(k, len(places) - 1)])
+                for k, word in enumerate(words)
+            ]
             put += [token] if label[0] == KEPT else []
         left_out, changes = [], []
         for run in self.runs:
@@ -241,6 +271,19 @@ class _Labelled:
             left_out=tuple(left_out),
             changes=tuple(changes),
         )
+
+
+def _relations(words: Sequence[str]) -> set[int]:
+    """Find the relations that expressions among words name, indices into ``RELATIONS``."""
+    text = f" {' '.join(words)} "
+    return {
+        RELATIONS.index(sense.removeprefix("relation:"))
+        for name in ("rel", "beside", "side", "rel_robot")
+        for key, entry in load_lexicon().entries[name].items()
+        if f" {' '.join(key)} " in text
+        for sense in itertools.chain(*entry.senses)
+        if sense.startswith("relation:")
+    }
 
 
 def _without_idle_marks(tokens: Sequence[SpokenToken]) -> list[SpokenToken]:
@@ -279,29 +322,40 @@ def _score_kept(scores: np.ndarray, model: ReaderModel) -> float:
     return float(scores[:, kept].sum() + moves)
 
 
-def propose_readings(tokens: Sequence[SpokenToken], labels: Collection[str] = ()) -> list[Proposal]:
+def propose_readings(
+    tokens: Sequence[SpokenToken], labels: Collection[str] = (), *, is_readable: bool = False
+) -> list[Proposal]:
     """Propose sentences of the controlled language that free speech may stand for.
 
     Args:
         tokens: words and marks, typing errors repaired; one at least.
         labels: names of things that the detector tells apart.
+        is_readable: the sentence is one of the controlled language as it stands, and is proposed
+            among the others; it alone where it is likelier than all of them.
 
     Returns:
-        The likeliest, best first, given that the sentence cannot be read as it stands. What is
-        missing to 1 is to be refused, or is no sentence, or none that is likely.
+        The likeliest, best first; of a sentence that is not readable, given that. What is missing
+        to 1 is to be refused, or is no sentence, or none that is likely.
     """
     model = load_reader()
     sentence = ReaderSentence(tuple(token.text for token in tokens), frozenset(labels))
     scores = model.scores(sentence.words, sentence.labels)
-    # The sentence as it stands is known to be none of the controlled language.
-    as_it_stands = _score_kept(scores, model)
     log_total = log_partition(scores, model.transition)
-    log_total += math.log1p(-min(math.exp(as_it_stands - log_total), _MOST_KEPT))
+    as_it_stands = math.exp(_score_kept(scores, model) - log_total)
     found: dict[tuple[str, ...], Proposal] = {}
+    if is_readable:
+        plain = Proposal(probability=as_it_stands, tokens=tuple(tokens), left_out=(), changes=())
+        found[sentence.words] = plain
+        if as_it_stands >= 0.5:
+            return [plain]
+    else:
+        log_total += math.log1p(-min(as_it_stands, _MOST_KEPT))
     best = find_best(scores + _bar(model, sentence), model.transition, _LABELLINGS)
     for score, path in best:
-        labelled = _Labelled(sentence, tuple(model.labels[i] for i in path), model.left_out)
-        if labelled.labels[0] == UNREADABLE or not labelled.is_sound():
+        names = tuple(model.labels[i] for i in path)
+        labelled = Labelling(sentence, names, model.left_out, model.met)
+        is_sound = labelled.is_met() if is_readable else labelled.is_sound()
+        if labelled.labels[0] == UNREADABLE or not is_sound:
             continue
         one = labelled.proposal(tokens, math.exp(score - log_total))
         words = tuple(token.text for token in one.tokens)
