@@ -7,7 +7,7 @@ help stay instant; JAX is imported only once something computes.
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from jaxlangnav.moved import know_old_names as _know_old_names
+from jaxlangnav.inputs.old_names import know_old_names as _know_old_names
 
 if TYPE_CHECKING:
     from jaxlangnav.agent import Navigator as Navigator

@@ -24,13 +24,15 @@ from jax import Array
 from jax.core import Tracer
 
 from jaxlangnav import navigator
-from jaxlangnav.anywhere import config_anywhere, params_anywhere, with_numbers
 from jaxlangnav.conversation import first_words
 from jaxlangnav.grounding import Context, GraphGrounder, Grounded, Grounder, load_shipped
 from jaxlangnav.grounding.annotated import returning
 from jaxlangnav.grounding.grounder import names_of
 from jaxlangnav.grounding.readings import Capacity, widen
-from jaxlangnav.kinds import is_anything, name_of
+from jaxlangnav.inputs.limits import bounded
+from jaxlangnav.inputs.object_types import is_anything, name_of
+from jaxlangnav.inputs.observations import SLOTS, area_numbers, pose_numbers
+from jaxlangnav.inputs.sanitize import cut, quoted
 from jaxlangnav.language.halting import act_of
 from jaxlangnav.listening import Candidate, Heard, Listener, check_measures
 from jaxlangnav.messages import (
@@ -42,12 +44,11 @@ from jaxlangnav.messages import (
     default_sensor,
 )
 from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams, NavigatorState
-from jaxlangnav.plain_text import cut
+from jaxlangnav.navigator.deployment import deployment_config, deployment_params, with_numbers
 from jaxlangnav.planner.config import AnyPolicy
 from jaxlangnav.planner.termination import missing_types
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.gating import check_place
-from jaxlangnav.sensing import SLOTS, area_numbers, bounded, pose_numbers, said
 from jaxlangnav.terrain import OPEN, Terrain
 from jaxlangnav.uniform import uniform
 
@@ -89,7 +90,7 @@ class Navigator:
             grounder: what understands instructions; the trained graph by default.
             labels: what the robot's detector tells apart, in the order of its indices, for the
                 trained graph; the lexicon's types by default.
-            attributes: groups of ``kinds.ATTRIBUTES`` that the detector reports.
+            attributes: groups of ``ATTRIBUTES`` that the detector reports.
             **numbers: any single number of ``MapParams``, ``MotionParams`` or ``PlannerParams`` by
                 its name, such as ``odometry_noise=0.05`` or ``step_length="50 cm"``, within the
                 limits of the command line; new values never recompile. A heading that drifts
@@ -108,8 +109,10 @@ class Navigator:
             raise ValueError("labels and attributes are of the trained graph: give no grounder too")
         if grounder is None:
             grounder = GraphGrounder(load_shipped(), labels, attributes)
-        params = with_numbers(numbers, params=params_anywhere())
-        return cls(grounder=grounder, params=params, config=config_anywhere(policy, params=params))
+        params = with_numbers(numbers, params=deployment_params())
+        return cls(
+            grounder=grounder, params=params, config=deployment_config(policy, params=params)
+        )
 
     def __post_init__(self) -> None:
         """Refuse parameters with which the robot could never stop, and sizes that do not fit."""
@@ -121,7 +124,7 @@ class Navigator:
         for name, size in sizes.items():
             if size > MOST_BITS:
                 raise ValueError(
-                    f"{name} is {said(size)}, but at most {MOST_BITS} are told apart in a "
+                    f"{name} is {quoted(size)}, but at most {MOST_BITS} are told apart in a "
                     "conversation"
                 )
 
@@ -219,7 +222,8 @@ class Navigator:
         """Refuse what is no state, and a state of a navigator with other labels or policy."""
         if not isinstance(state, NavigatorState):
             raise ValueError(
-                f"state is {said(state)}, but must be what navigator.start, wait, step or hear gave"
+                f"state is {quoted(state)}, but must be what navigator.start, wait, step or hear "
+                "gave"
             )
         policy = self.config.planner.chosen.name
         names = [repr(one).encode() for one in (tuple(self.type_names), policy)]

@@ -20,13 +20,13 @@ from jaxlangnav.grounding.annotated import returning
 from jaxlangnav.grounding.grounder import names_of
 from jaxlangnav.grounding.instruction import Spoken
 from jaxlangnav.hearing import How
-from jaxlangnav.kinds import is_anything, label_of, name_of, noun_of
+from jaxlangnav.inputs.object_types import is_anything, label_of, name_of, noun_of
+from jaxlangnav.inputs.sanitize import cut
 from jaxlangnav.language.halting import Act, alarm_in, opening_of
 from jaxlangnav.language.lexicon import type_called
 from jaxlangnav.language.utterance import Kind, Utterance, Wording, classify
 from jaxlangnav.messages import NONE, Status
 from jaxlangnav.navigator import NavigatorState
-from jaxlangnav.plain_text import cut
 from jaxlangnav.semantic_map.belief import in_map
 
 _ACTS = {Kind.HALT: Act.HALT, Kind.RESUME: Act.RESUME, Kind.CANCEL: Act.CANCEL}

@@ -21,9 +21,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav import sensing
+from jaxlangnav.inputs import observations
+from jaxlangnav.inputs.sanitize import quoted
 from jaxlangnav.pytree import field, pytree
-from jaxlangnav.sensing import detected
 
 RELATIONS = ("front", "behind", "left", "right", "near", "far")
 """The six relations of section 3.1; an index into this tuple is a relation index."""
@@ -207,7 +207,7 @@ class Observation:
     detection_bearing: Array  # f32[D] radians, robot frame, counter-clockwise from the heading
     is_detection: Array  # bool[D]
     sensor: SensorParams  # the specification in force (range, field of view)
-    detection_attribute: Array | None = None  # i32[D] codes of ``kinds.attributes``; 0 not known
+    detection_attribute: Array | None = None  # i32[D] codes of ``attributes``; 0 not known
 
     @classmethod
     def of(
@@ -216,7 +216,7 @@ class Observation:
         detections: Iterable[Sequence[Any]] = (),
         sensor: "SensorParams | None" = None,
         *,
-        types: Sequence[str] = sensing.TYPES,
+        types: Sequence[str] = observations.TYPES,
     ) -> Self:
         """Build the observation of one look, padded, cast and checked (host only).
 
@@ -227,7 +227,7 @@ class Observation:
             pose: x, y, heading, metres and radians, map frame.
             detections: (type, range, bearing) each: a type by name or index, metres, radians in
                 the robot's frame, counter-clockwise from the heading. A fourth entry says how it
-                looks, by groups of ``kinds.ATTRIBUTES``: ``{"colour": "red"}``; what is left out
+                looks, by groups of ``ATTRIBUTES``: ``{"colour": "red"}``; what is left out
                 is not known.
             sensor: specification of the detector; ``default_sensor()`` if None.
             types: what a type index is an index into: ``navigator.type_names`` where the navigator
@@ -243,13 +243,13 @@ class Observation:
         given = default_sensor() if sensor is None else sensor
         if not isinstance(given, SensorParams):
             raise ValueError(
-                f"sensor is {sensing.said(given)}, but must be SensorParams, "
+                f"sensor is {quoted(given)}, but must be SensorParams, "
                 "as of default_sensor(range_max)"
             )
         numbers = check_sensor(given)
-        found = detected(detections, numbers, types)
+        found = observations.detected(detections, numbers, types)
         return cls(
-            pose=_on_host(sensing.pose_numbers(pose)),
+            pose=_on_host(observations.pose_numbers(pose)),
             detection_type=_on_host(found.kind),
             detection_range=_on_host(found.range),
             detection_bearing=_on_host(found.bearing),
@@ -310,9 +310,7 @@ def check_sensor(sensor: SensorParams) -> tuple[np.float32, ...]:
     Raises:
         ValueError: names the value, the limits and the remedy.
     """
-    return sensing.sensor_numbers(
-        *(getattr(sensor, one.name) for one in dataclasses.fields(sensor))
-    )
+    return observations.sensor_numbers(*vars(sensor).values())
 
 
 def default_sensor(
@@ -344,7 +342,7 @@ def default_sensor(
     Raises:
         ValueError: degrees, percent, or what cannot be; one line.
     """
-    numbers = sensing.sensor_numbers(
+    numbers = observations.sensor_numbers(
         range_max, field_of_view, detection_probability, noise, false_detections, mislabelled
     )
     if numbers[0] > FAR_SIGHTED:

@@ -15,11 +15,11 @@ import numpy as np
 
 from jaxlangnav import episode
 from jaxlangnav.episode import MAX_STEPS, EpisodeResult, EpisodeState, Task
-from jaxlangnav.files.limits import refuse_below
 from jaxlangnav.grounding.asked import asked
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.kept import kept
-from jaxlangnav.kinds import label_of
+from jaxlangnav.inputs.limits import refuse_below
+from jaxlangnav.inputs.object_types import label_of
+from jaxlangnav.inputs.program_cache import kept
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.messages import NONE, Observation, SensorParams, Status
 from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams, NavigatorState

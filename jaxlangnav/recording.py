@@ -16,7 +16,7 @@ import numpy as np
 
 from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.grounding.asked import Asked
-from jaxlangnav.kinds import name_of
+from jaxlangnav.inputs.object_types import name_of
 from jaxlangnav.listening import Candidate
 from jaxlangnav.messages import NONE, Readings, SensorParams
 from jaxlangnav.planner.params import PlannerParams

@@ -6,9 +6,11 @@ from typing import Any
 import numpy as np
 from jax.core import Tracer
 
+from jaxlangnav.inputs.limits import is_complex
+from jaxlangnav.inputs.observations import SLOTS, padded
+from jaxlangnav.inputs.sanitize import quoted
 from jaxlangnav.messages import NONE, Observation, SensorParams
 from jaxlangnav.pytree import replace
-from jaxlangnav.sensing import SLOTS, is_complex, padded, said
 
 _FILLERS: dict[str, tuple[Any, Any]] = {
     "detection_type": (np.int32, NONE),
@@ -37,7 +39,7 @@ def uniform(observation: Observation) -> Observation:
         what = "observation's sensor" if isinstance(observation, Observation) else "observation"
         given = observation.sensor if isinstance(observation, Observation) else observation
         raise ValueError(
-            f"{what} is {said(given)}, but must be made by navigator.observation(pose, "
+            f"{what} is {quoted(given)}, but must be made by navigator.observation(pose, "
             "detections, sensor)"
         )
     leaves = (*vars(observation).values(), *vars(observation.sensor).values())
@@ -89,7 +91,7 @@ def _array(leaf: Any, name: str, dtype: Any = None) -> np.ndarray:
                 raise TypeError
             return np.asarray(leaf, dtype)
     except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"observation's {name} is {said(leaf)}, but must be numbers") from None
+        raise ValueError(f"observation's {name} is {quoted(leaf)}, but must be numbers") from None
 
 
 def _odd(name: str, shape: tuple[int, ...], wanted: str) -> ValueError:

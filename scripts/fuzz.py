@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxlangnav.cli.errors import is_refusal
-from jaxlangnav.plain_text import is_plain
+from jaxlangnav.inputs.sanitize import is_plain
 
 SECONDS_PER_TURN = 2.0
 """A target runs this long before the next has its turn."""

@@ -111,7 +111,7 @@ def _shipped_lexicon() -> str:
 
 def _lexicon(text: bytes, folder: Path) -> None:
     """Join somebody's words; now and then build the grammar of what is taken."""
-    from jaxlangnav.files.documents import read_text
+    from jaxlangnav.inputs.documents import read_text
 
     (folder / "words.toml").write_bytes(text)
     lexicon = read_lexicon(_shipped_lexicon(), read_text(folder / "words.toml", at_most=1 << 20))

@@ -9,7 +9,7 @@ seeds. Counted are all objects, not the goals alone, by range and bearing from t
 import numpy as np
 
 from jaxlangnav.experiments.tasks import cell, make_tasks
-from jaxlangnav.files.whole import replacing
+from jaxlangnav.inputs.whole_files import replacing
 from jaxlangnav.planner.prior import (
     BEARING_BINS,
     BEARING_MAX,

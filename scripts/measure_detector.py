@@ -11,7 +11,7 @@ import sys
 
 import numpy as np
 
-from jaxlangnav.plain_text import markdown_table
+from jaxlangnav.inputs.sanitize import markdown_table
 from jaxlangnav.robots.perception import figures
 
 

@@ -9,7 +9,7 @@ belief is told of it. Needs ``jaxlangnav[robot]`` and EGL.
 import argparse
 import sys
 
-from jaxlangnav.plain_text import markdown_table
+from jaxlangnav.inputs.sanitize import markdown_table
 from jaxlangnav.robots.physics import odometry
 from jaxlangnav.robots.physics.robot import MACHINES
 

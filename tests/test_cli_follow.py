@@ -14,10 +14,10 @@ from test_cli_hostile import document, refused
 from test_docs import frozen
 from test_world_files import PARK
 
-from jaxlangnav import kept
 from jaxlangnav.cli import main as cli
 from jaxlangnav.experiments.tasks import cell, make_tasks
 from jaxlangnav.grounding import load_shipped, understand
+from jaxlangnav.inputs import program_cache
 from jaxlangnav.messages import Status
 from jaxlangnav.pytree import replace
 from jaxlangnav.task.follow import judged, usual_engine
@@ -45,13 +45,13 @@ def follow(words: list[str], capsys: pytest.CaptureFixture[str]) -> dict[str, An
 def test_what_is_rehearsed_is_what_is_run(world, capsys, monkeypatch):
     """The thread that compiles while the world is drawn compiles the program of the episode."""
     programs: list[tuple[str, str]] = []
-    name_of = kept._name
+    name_of = program_cache._name
 
     def spy(function: Any, *rest: Any) -> str:
         programs.append((function.__name__, name_of(function, *rest)))
         return programs[-1][1]
 
-    monkeypatch.setattr(kept, "_name", spy)
+    monkeypatch.setattr(program_cache, "_name", spy)
     document = follow([COMMAND, "--world", world], capsys)
     for function, times in (("_begin", 2), ("_advance", document["steps"] + 1)):
         names = [name for one, name in programs if one == function]

@@ -12,7 +12,7 @@ import pytest
 
 from jaxlangnav.cli.main import DEBUG, XLA_LOG_LEVEL, main
 from jaxlangnav.cli.runtime import keep_compiled_programs
-from jaxlangnav.kept import keep_in, kept_in
+from jaxlangnav.inputs.program_cache import keep_in, kept_in
 
 SETTINGS = ("jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from jaxlangnav.files.documents import DEEPEST, DocumentError, parse_json, parse_toml, read_text
+from jaxlangnav.inputs.documents import DEEPEST, DocumentError, parse_json, parse_toml, read_text
 
 DEEP = 100_000
 

@@ -15,16 +15,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jaxlangnav.files import own as own_files, whole as whole_files
-from jaxlangnav.files.arrays import faults_as_values, parse_floats
-from jaxlangnav.files.own import check_own_files, own_folder, read_own_file, write_own_file
-from jaxlangnav.files.whole import read_file
+from jaxlangnav.inputs import own_files, whole_files
+from jaxlangnav.inputs.arrays import faults_as_values, parse_floats
+from jaxlangnav.inputs.own_files import check_own_files, own_folder, read_own_file, write_own_file
+from jaxlangnav.inputs.whole_files import read_file
 from jaxlangnav.planner import prior
 
 WRITER = """
 import sys
 from pathlib import Path
-from jaxlangnav.files.whole import replacing
+from jaxlangnav.inputs.whole_files import replacing
 with replacing(Path(sys.argv[1])) as temporary:
     temporary.write_text("half")
     print("writing", flush=True)

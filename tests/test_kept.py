@@ -18,9 +18,9 @@ import numpy as np
 import pytest
 from jax.experimental.compilation_cache import compilation_cache
 
-from jaxlangnav import kept as module
-from jaxlangnav.compiled_program import load_program
-from jaxlangnav.kept import keep_in, kept, kept_in
+from jaxlangnav.inputs import program_cache as module
+from jaxlangnav.inputs.program_cache import keep_in, kept, kept_in
+from jaxlangnav.inputs.program_serialization import load_program
 from jaxlangnav.messages import default_motion
 from jaxlangnav.navigator import NavigatorConfig
 from jaxlangnav.planner.config import PlannerConfig

@@ -20,14 +20,8 @@ import pytest
 import jaxlangnav
 
 LAYERS = (
-    "moved",
     "pytree",
-    "plain_text",
-    "files",
-    "compiled_program",
-    "kept",
-    "kinds",
-    "sensing",
+    "inputs",
     "messages",
     "numerics",
     "terrain",
@@ -41,8 +35,6 @@ LAYERS = (
     "navigator",
     "hearing",
     "listening",
-    "quantities",
-    "anywhere",
     "uniform",
     "agent",
     "world",
@@ -62,7 +54,7 @@ LAYERS = (
 
 BELIEF = (
     "grounding", "training", "semantic_map", "planner", "conversation", "navigator", "hearing",
-    "listening", "quantities", "anywhere", "uniform", "agent",
+    "listening", "uniform", "agent",
 )  # fmt: skip
 TRUTH = "world"
 PACKAGE = Path(__file__).parent.parent / "jaxlangnav"

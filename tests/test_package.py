@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import jaxlangnav
-from jaxlangnav.moved import MOVED
+from jaxlangnav.inputs.old_names import MOVED
 
 ROOT = Path(__file__).parent.parent
 

@@ -6,7 +6,7 @@ import unicodedata
 import pytest
 from hypothesis import given, strategies as st
 
-from jaxlangnav.plain_text import (
+from jaxlangnav.inputs.sanitize import (
     LONGEST_NAME,
     Plain,
     cut,

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import readings as by_hand
 
-from jaxlangnav.kinds import MOST_LABELS
+from jaxlangnav.inputs.object_types import MOST_LABELS
 from jaxlangnav.messages import BEHIND, NEAR, NONE
 from jaxlangnav.relations import default_params
 

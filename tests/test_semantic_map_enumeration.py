@@ -9,7 +9,7 @@ import pytest
 import readings as by_hand
 from oracles import enumeration as exact
 
-from jaxlangnav.kinds import ANYTHING
+from jaxlangnav.inputs.object_types import ANYTHING
 from jaxlangnav.messages import BEHIND, BETWEEN, FAR, FRONT, LEFT, NEAR, NONE, RIGHT, ROBOT
 from jaxlangnav.relations import default_params
 

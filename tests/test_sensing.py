@@ -12,15 +12,16 @@ import jax
 import numpy as np
 import pytest
 
-from jaxlangnav import Navigator, sensing
+from jaxlangnav import Navigator
 from jaxlangnav.experiments.sweep_config import config_from_dict
 from jaxlangnav.grounding import AnnotationGrounder
 from jaxlangnav.grounding.readings import Capacity
-from jaxlangnav.kinds import attributes
+from jaxlangnav.inputs import observations
+from jaxlangnav.inputs.object_types import attributes
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.messages import NONE, Observation, SensorParams, default_sensor
+from jaxlangnav.navigator.deployment import FIELDS
 from jaxlangnav.pytree import replace
-from jaxlangnav.quantities import FIELDS
 from jaxlangnav.uniform import uniform
 
 SENSOR = default_sensor(4.0, field_of_view=math.pi / 2, noise=0.05)
@@ -29,7 +30,7 @@ HERE = (0.0, 0.0, 0.0)
 
 def test_the_shipped_types_are_those_of_the_lexicon(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("JAXLANGNAV_LEXICON", raising=False)
-    assert load_lexicon().type_names[: len(sensing.TYPES)] == sensing.TYPES
+    assert load_lexicon().type_names[: len(observations.TYPES)] == observations.TYPES
 
 
 def test_an_observation_is_padded_and_cast() -> None:
@@ -115,7 +116,7 @@ AREAS = ("abcd", 4.0, (0.0, 1.0, 2.0), (0.0, 1.0, "a", 2.0), (0, 1, [], 2))
 )
 def test_a_pose_or_an_area_that_cannot_be_is_refused(what: str, given: Any) -> None:
     with pytest.raises(ValueError, match=rf"^{what}") as refusal:
-        Observation.of(given, [], SENSOR) if what == "pose" else sensing.area_numbers(given)
+        Observation.of(given, [], SENSOR) if what == "pose" else observations.area_numbers(given)
     assert "\n" not in str(refusal.value)
 
 
@@ -222,7 +223,7 @@ def test_what_is_sound_at_the_door_is_sound_to_the_belief() -> None:
     """At the very limits of range and view neither of the two refuses what the other takes."""
     from jaxlangnav.semantic_map.gating import _is_detectable
 
-    slack = sensing.DEVIATIONS * 0.05
+    slack = observations.DEVIATIONS * 0.05
     limits = [(4.0 + slack, 0.0), (1.0, math.pi / 4 + 0.3), (4.0, math.pi / 4)]
     look = Observation.of(HERE, [("cone", *one) for one in limits], SENSOR)
     assert np.asarray(_is_detectable(look, np.int32(8)))[:3].all()
@@ -276,7 +277,7 @@ def entrances(door: Navigator) -> Iterator[tuple[str, Callable[[Any], object]]]:
     yield "sensor", lambda one: door.observation(HERE, (), one)
     for place in range(4):
         yield "area's", lambda one, n=place: door.wait(HERE, at((-9.0, 9.0, -9.0, 9.0), n, one))
-    yield "area", lambda one: sensing.area_numbers(one)
+    yield "area", lambda one: observations.area_numbers(one)
     yield "warm_up", lambda one: refuse_only(door, one)
     yield "labels", lambda one: Navigator.pretrained(labels=one)
     yield "attributes", lambda one: Navigator.pretrained(attributes=one)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import jaxlangnav
-from jaxlangnav import kept
+from jaxlangnav.inputs import program_cache
 
 WORLD = """
 [area]
@@ -47,9 +47,9 @@ def test_refusals_are_one_line(text: str, options: dict, message: str) -> None:
 @pytest.fixture
 def as_commands_do(tmp_path: Path) -> Iterator[None]:
     """Keep programs, as commands do: the episode's is then the one that their tests compile."""
-    kept.keep_in(tmp_path / "programs")
+    program_cache.keep_in(tmp_path / "programs")
     yield
-    kept.keep_in(None)
+    program_cache.keep_in(None)
 
 
 @pytest.mark.usefixtures("as_commands_do")

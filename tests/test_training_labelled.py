@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from grounding_fixture import TYPES, corpus, example
 
-from jaxlangnav import kinds
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.grounding.properties import ranks_meant
 from jaxlangnav.grounding.symbols import (
@@ -19,6 +18,7 @@ from jaxlangnav.grounding.symbols import (
     region_symbol,
     relation_symbol,
 )
+from jaxlangnav.inputs import object_types
 from jaxlangnav.language.corpus import load_corpus
 from jaxlangnav.messages import AT, BEHIND, LEFT, NEAR, NONE, ROBOT
 from jaxlangnav.training.examples import (
@@ -130,7 +130,7 @@ def test_what_is_spoken_and_held_out_is_read_right(every):
 
 def test_more_types_than_a_program_holds_are_refused():
     model = load_shipped()
-    names = (*TYPES, *(f"kind{number}" for number in range(kinds.MOST_LABELS)))
+    names = (*TYPES, *(f"kind{number}" for number in range(object_types.MOST_LABELS)))
     crowded = dataclasses.replace(model, type_names=names)
-    with pytest.raises(ValueError, match=f"give 1 to {kinds.MOST_LABELS - 1} names"):
+    with pytest.raises(ValueError, match=f"give 1 to {object_types.MOST_LABELS - 1} names"):
         understand("go to the hydrant", crowded)

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 import pytest
 
-from jaxlangnav.kinds import attributes
+from jaxlangnav.inputs.object_types import attributes
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.messages import NONE, default_motion, default_sensor
 from jaxlangnav.world.files import (

@@ -9,7 +9,7 @@ from typing import Annotated
 import tyro
 
 from jaxlangnav.cli.errors import UsageError
-from jaxlangnav.files.limits import RANGES
+from jaxlangnav.inputs.limits import RANGES
 
 Folder = Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")]
 File = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")]

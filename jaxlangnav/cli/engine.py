@@ -8,7 +8,7 @@ from jaxlangnav import recorder
 from jaxlangnav.experiments.sizes import any_task
 from jaxlangnav.grounding.instruction import GroundingModel, Instruction
 from jaxlangnav.grounding.weights import load, load_shipped
-from jaxlangnav.kept import kept_in
+from jaxlangnav.inputs.program_cache import kept_in
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams
 
 

@@ -5,7 +5,7 @@ import os
 import sys
 from collections.abc import Iterable
 
-from jaxlangnav.plain_text import cut, printable
+from jaxlangnav.inputs.sanitize import cut, printable
 
 _PLATFORMS = "JAX_PLATFORMS"
 _ENDING = 200

@@ -295,7 +295,7 @@ class Follow:
 
     def _draw(self, recording: "Recording", document: dict[str, Any], output: Output) -> None:
         """Write pictures, recordings and document into the folder."""
-        from jaxlangnav.files.whole import write_text
+        from jaxlangnav.inputs.whole_files import write_text
         from jaxlangnav.viz.html import write_pictures
 
         assert self.out is not None

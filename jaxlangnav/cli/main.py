@@ -14,7 +14,7 @@ from jaxlangnav.cli import SUMMARIES
 from jaxlangnav.cli.arguments import PROGRAM, Runnable, parse_arguments
 from jaxlangnav.cli.errors import UsageError, is_refusal, one_line, platform_fault
 from jaxlangnav.cli.output import Output, standard_output_kept, write_document
-from jaxlangnav.plain_text import printable
+from jaxlangnav.inputs.sanitize import printable
 
 DEBUG = "JAXLANGNAV_DEBUG"
 XLA_LOG_LEVEL = "TF_CPP_MIN_LOG_LEVEL"

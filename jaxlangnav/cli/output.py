@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from jaxlangnav.experiments.table import Document
-from jaxlangnav.plain_text import Plain, is_plain, printable
+from jaxlangnav.inputs.sanitize import Plain, is_plain, printable
 
 __all__ = ["Document", "Output", "document_text", "standard_output_kept", "write_document"]
 _WIDEST = 240

@@ -97,10 +97,10 @@ class Reproduce:
         from jaxlangnav.experiments.experiment import Options
         from jaxlangnav.experiments.paper import SENSING_RANGES
         from jaxlangnav.experiments.policies import POLICY_NAMES, check_policies
+        from jaxlangnav.inputs.limits import LENGTH
         from jaxlangnav.messages import check_sensor, default_motion, default_sensor
         from jaxlangnav.navigator import check
         from jaxlangnav.planner.config import SHIPPED
-        from jaxlangnav.quantities import LENGTH
         from jaxlangnav.task.follow import navigator_params
 
         listed = [] if self.ranges is None else self.ranges.split(",")

@@ -25,8 +25,8 @@ from jaxlangnav.experiments.sizes import check_recording
 from jaxlangnav.experiments.table import write_report
 from jaxlangnav.experiments.table1 import evaluate, table_1
 from jaxlangnav.experiments.timing import cycle_parts
-from jaxlangnav.files.whole import write_text
 from jaxlangnav.grounding.weights import load_shipped
+from jaxlangnav.inputs.whole_files import write_text
 
 _SPLITS = 8
 """Random splits of Table 1, as in the paper; ``jaxlangnav evaluate`` takes any number."""

@@ -33,8 +33,8 @@ def keep_compiled_programs() -> None:
     """
     import jax
 
-    from jaxlangnav.files.own import check_own_files, own_folder
-    from jaxlangnav.kept import keep_in
+    from jaxlangnav.inputs.own_files import check_own_files, own_folder
+    from jaxlangnav.inputs.program_cache import keep_in
 
     if not getattr(jax.config, "jax_enable_compilation_cache", True):
         return

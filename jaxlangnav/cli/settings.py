@@ -188,7 +188,8 @@ def _numbers(value: Any) -> float | int | tuple[float, ...] | None:
 
 def _quantity(path: SettingPath) -> Any:
     """Find kind and limits of a number; the limits are those of a sweep's configuration."""
-    from jaxlangnav.quantities import FIELDS, Quantity
+    from jaxlangnav.inputs.limits import Quantity
+    from jaxlangnav.navigator.deployment import FIELDS
 
     own = {
         "mode_speed": Quantity(is_low_open=True),

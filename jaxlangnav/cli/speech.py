@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from jaxlangnav.cli.errors import UsageError
 from jaxlangnav.cli.output import Output
-from jaxlangnav.plain_text import cut, printable
+from jaxlangnav.inputs.sanitize import cut, printable
 
 if TYPE_CHECKING:
     from jaxlangnav.episode import EpisodeState

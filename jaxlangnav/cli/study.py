@@ -14,8 +14,8 @@ from jaxlangnav.experiments.experiment import Options
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.table import Section, Table
 from jaxlangnav.experiments.tasks import SENTENCES
-from jaxlangnav.files.whole import write_text
 from jaxlangnav.grounding.instruction import understand_parse
+from jaxlangnav.inputs.whole_files import write_text
 from jaxlangnav.language.parser import parse
 from jaxlangnav.navigator import NavigatorParams
 from jaxlangnav.planner.config import POLICIES

@@ -46,7 +46,7 @@ class Summarize:
     def _write(self, document: Document, out: Path, output: Output) -> list[Path]:
         """Write the tables, and the figure where there is something to draw with."""
         from jaxlangnav.experiments.summary import summary_markdown
-        from jaxlangnav.files.whole import write_text
+        from jaxlangnav.inputs.whole_files import write_text
 
         paths = [write_text(summary_markdown(dict(document)), out / "summary.md")]
         if importlib.util.find_spec("matplotlib") is None:

@@ -14,7 +14,7 @@ import numpy as np
 from jaxlangnav.conversation.memory import AVOID_ALL, AVOID_IT, Words, heard_alone
 from jaxlangnav.grounding.instruction import Instruction, Spoken
 from jaxlangnav.grounding.program import BehaviorProgram
-from jaxlangnav.kinds import label_of
+from jaxlangnav.inputs.object_types import label_of
 from jaxlangnav.messages import NONE, ROBOT, Readings
 from jaxlangnav.pytree import pytree
 

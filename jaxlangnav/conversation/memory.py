@@ -14,7 +14,7 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.kinds import fits
+from jaxlangnav.inputs.object_types import fits
 from jaxlangnav.messages import AT, NONE, Behavior, Told
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map.particle import SemanticMap

@@ -27,7 +27,7 @@ from jax import Array
 
 from jaxlangnav.episode import MAX_STEPS
 from jaxlangnav.experiments.tasks import SENTENCES
-from jaxlangnav.files.limits import refuse_below
+from jaxlangnav.inputs.limits import refuse_below
 from jaxlangnav.messages import (
     Action,
     MotionParams,

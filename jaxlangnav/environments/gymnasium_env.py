@@ -30,7 +30,7 @@ from jaxlangnav.environments.functional import (
     draw_pool,
 )
 from jaxlangnav.experiments.tasks import SENTENCES
-from jaxlangnav.files.limits import refuse_below
+from jaxlangnav.inputs.limits import refuse_below
 from jaxlangnav.viz.mapping import drive_picture
 from jaxlangnav.viz.style import require
 from jaxlangnav.world.state import Scenario

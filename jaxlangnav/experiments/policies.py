@@ -12,7 +12,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxlangnav.anywhere import with_numbers
 from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task
 from jaxlangnav.experiments.baselines import BASELINES
 from jaxlangnav.experiments.calibration import Tally
@@ -20,10 +19,11 @@ from jaxlangnav.experiments.judging import JUDGED
 from jaxlangnav.experiments.monte_carlo import OnProgress, run_tasks
 from jaxlangnav.experiments.tasks import Numbers
 from jaxlangnav.grounding.instruction import Instruction
+from jaxlangnav.inputs.sanitize import cut
 from jaxlangnav.lanes import EPISODE, Course
 from jaxlangnav.messages import MotionParams, is_drifting
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, default_params
-from jaxlangnav.plain_text import cut
+from jaxlangnav.navigator.deployment import with_numbers
 from jaxlangnav.planner.config import POLICIES, AnyPolicy, PlannerConfig
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.params import MapConfig

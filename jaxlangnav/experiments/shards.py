@@ -25,7 +25,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from jaxlangnav.files.whole import make_folder, write_bytes
+from jaxlangnav.inputs.whole_files import make_folder, write_bytes
 
 _KEY = "jaxlangnav.shard"
 _UNKNOWN = "0" * 64

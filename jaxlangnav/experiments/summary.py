@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from jaxlangnav import plain_text
 from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.experiments.metrics import compare, summarize, timeouts_text
 from jaxlangnav.experiments.shards import ShardError, read_shard
 from jaxlangnav.experiments.sweep import files_there, identity, read_manifest
 from jaxlangnav.experiments.table import SUCCESS, Document, Table, TableColumns
+from jaxlangnav.inputs import sanitize
 
 __all__ = ["render", "summarize_directory", "summary_markdown"]
 
@@ -198,7 +198,7 @@ def summary_markdown(document: Document) -> str:
         Heading, rows, paired tests.
     """
     rows, *tests = _tables(document)
-    parts = [f"# {plain_text.markdown(rows.title)}", rows.caption, rows.markdown().rstrip()]
+    parts = [f"# {sanitize.markdown(rows.title)}", rows.caption, rows.markdown().rstrip()]
     for one in tests:
         parts += [f"## {one.title}", one.markdown().rstrip(), one.caption]
     return "\n\n".join(parts) + "\n"

@@ -35,10 +35,10 @@ from jaxlangnav.experiments.shards import Note, Shard, ShardError, check_shard, 
 from jaxlangnav.experiments.sweep_config import SweepConfig
 from jaxlangnav.experiments.sweep_plan import SweepPlan, make_plan, parse_shard
 from jaxlangnav.experiments.tasks import GroundedSentences, ground_sentences, known_distances
-from jaxlangnav.files.documents import parse_json, read_text
-from jaxlangnav.files.whole import write_once
+from jaxlangnav.inputs.documents import parse_json, read_text
+from jaxlangnav.inputs.sanitize import fault_of_name
+from jaxlangnav.inputs.whole_files import write_once
 from jaxlangnav.navigator import NavigatorConfig
-from jaxlangnav.plain_text import fault_of_name
 
 MANIFEST = "manifest.json"
 _IDENTITY = ("settings", "jaxlangnav", "libraries", "models_sha256", "device")

@@ -40,12 +40,13 @@ from msgspec import Meta, field
 
 from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, check_policies
 from jaxlangnav.experiments.tasks import SEED_LIMIT, SENTENCES
-from jaxlangnav.files.documents import read_document
-from jaxlangnav.files.schema import Name, PlainText, Schema, convert, unknown_key
-from jaxlangnav.files.whole import read_file
+from jaxlangnav.inputs.documents import read_document
+from jaxlangnav.inputs.limits import LENGTH
+from jaxlangnav.inputs.sanitize import cut
+from jaxlangnav.inputs.schema import Name, PlainText, Schema, convert, unknown_key
+from jaxlangnav.inputs.whole_files import read_file
 from jaxlangnav.messages import default_sensor
-from jaxlangnav.plain_text import cut
-from jaxlangnav.quantities import FIELDS, LENGTH
+from jaxlangnav.navigator.deployment import FIELDS
 from jaxlangnav.world.files import LARGEST_WORLD_FILE, WorldFile, open_world
 from jaxlangnav.world.scenario import NUM_SLOTS, scenario_law
 from jaxlangnav.world.templates import Template, check_relation

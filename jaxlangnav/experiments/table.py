@@ -9,8 +9,8 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jaxlangnav import plain_text
-from jaxlangnav.files.whole import write_text
+from jaxlangnav.inputs import sanitize
+from jaxlangnav.inputs.whole_files import write_text
 
 if TYPE_CHECKING:
     import rich.table
@@ -63,7 +63,7 @@ class Table:
 
     def markdown(self) -> str:
         """Write the table in Markdown, without title and caption: lines, each ended."""
-        return plain_text.markdown_table(self.headings, self.rows)
+        return sanitize.markdown_table(self.headings, self.rows)
 
     def text(self) -> "rich.table.Table":
         """Draw the table for the terminal."""
@@ -122,7 +122,7 @@ class Table:
 
 def _html_text(value: object) -> str:
     """Write plain text inside HTML; line breaks stay."""
-    return html.escape(plain_text.printable(str(value), keep="\n"), quote=True)
+    return html.escape(sanitize.printable(str(value), keep="\n"), quote=True)
 
 
 _MEDIA = {".svg": "image/svg+xml", ".png": "image/png"}

@@ -18,7 +18,7 @@ from jax.typing import ArrayLike
 
 from jaxlangnav.episode import Task
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.kept import kept
+from jaxlangnav.inputs.program_cache import kept
 from jaxlangnav.messages import MotionParams, SensorParams, default_motion, default_sensor
 from jaxlangnav.world.places import PlaceLaw, draw_place
 from jaxlangnav.world.scenario import draw_scenario, empty_scenario, scenario_law

@@ -24,7 +24,7 @@ from jaxlangnav.grounding.readings import (
     pad_readings,
 )
 from jaxlangnav.grounding.symbols import Annotation, object_symbol, relation_symbol
-from jaxlangnav.kinds import MOST_LABELS
+from jaxlangnav.inputs.object_types import MOST_LABELS
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.language.phrase import Measure
 from jaxlangnav.messages import ACTIONS, AT, NONE, ROBOT

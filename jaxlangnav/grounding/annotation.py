@@ -28,7 +28,7 @@ from jaxlangnav.grounding.symbols import (
     region_symbol,
     relation_symbol,
 )
-from jaxlangnav.kinds import ANYTHING
+from jaxlangnav.inputs.object_types import ANYTHING
 from jaxlangnav.language.phrase import Parse, Phrase
 from jaxlangnav.language.reference import is_thing
 from jaxlangnav.messages import BETWEEN, NONE, ROBOT, relation_name

@@ -15,8 +15,8 @@ import numpy as np
 from jaxlangnav.grounding.behavior import BehaviorProgram, infer_behavior
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.grounding.worlds import World, to_device
-from jaxlangnav.kept import kept
-from jaxlangnav.kinds import name_of
+from jaxlangnav.inputs.object_types import name_of
+from jaxlangnav.inputs.program_cache import kept
 from jaxlangnav.messages import (
     ACTIONS,
     MODES,

@@ -14,7 +14,7 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.grounding.program import LOG_NEVER, BehaviorProgram
-from jaxlangnav.kinds import fits, label_of
+from jaxlangnav.inputs.object_types import fits, label_of
 from jaxlangnav.messages import NONE, ROBOT, BehaviorWorld
 from jaxlangnav.numerics.batching import pick
 

@@ -15,7 +15,7 @@ from functools import cache
 import numpy as np
 
 from jaxlangnav.grounding.program import NUM_OWN
-from jaxlangnav.kinds import (
+from jaxlangnav.inputs.object_types import (
     ANYTHING,
     ATTRIBUTES,
     MOST_LABELS,
@@ -25,6 +25,7 @@ from jaxlangnav.kinds import (
     label_of,
     words_of,
 )
+from jaxlangnav.inputs.sanitize import fault_of_name, quoted
 from jaxlangnav.language.lexicon import TYPE_CLASS, load_lexicon
 from jaxlangnav.language.nouns import attributes_of, compared, load_nouns, singular
 from jaxlangnav.language.own_words import is_of_grammar
@@ -32,8 +33,6 @@ from jaxlangnav.language.phrase import LanguageError, Parse, Phrase, Word
 from jaxlangnav.language.reference import SAME, head_of, is_thing
 from jaxlangnav.language.tokens import plainly
 from jaxlangnav.messages import NONE, ROBOT
-from jaxlangnav.plain_text import fault_of_name
-from jaxlangnav.sensing import said
 
 _TYPE = "type:"
 _MOST_TOLD = 12
@@ -56,7 +55,7 @@ class Detector:
 
         Args:
             labels: names of what it tells apart, in the order of its indices.
-            attribute_groups: groups of ``kinds.ATTRIBUTES`` that it reports.
+            attribute_groups: groups of ``ATTRIBUTES`` that it reports.
 
         Raises:
             ValueError: no label, too many, one that is no name, twice, empty or a word of the
@@ -145,13 +144,13 @@ def _names_in(names: Iterable[str], what: str) -> tuple[str, ...]:
     except TypeError:
         rows = None
     if rows is None:
-        raise ValueError(f"{what} is {said(names)}, but must be a list of names")
+        raise ValueError(f"{what} is {quoted(names)}, but must be a list of names")
     found: list[str] = []
     for place, name in enumerate(itertools.islice(rows, MOST_LABELS)):
         if not isinstance(name, str):
-            raise ValueError(f"{what}[{place}] is {said(name)}, but must be a name (a text)")
+            raise ValueError(f"{what}[{place}] is {quoted(name)}, but must be a name (a text)")
         if fault := fault_of_name(name):
-            raise ValueError(f"{what}[{place}], {said(name)}, {fault}")
+            raise ValueError(f"{what}[{place}], {quoted(name)}, {fault}")
         found.append(name)
     return tuple(found)
 

@@ -15,7 +15,7 @@ from jaxlangnav.grounding.annotation import annotation_document
 from jaxlangnav.grounding.binding import Detector
 from jaxlangnav.grounding.instruction import GroundingModel, Instruction, Spoken, understand
 from jaxlangnav.grounding.readings import Reading, pad_readings, unpad_readings
-from jaxlangnav.kinds import name_of, noun_of
+from jaxlangnav.inputs.object_types import name_of, noun_of
 from jaxlangnav.language.reference import Antecedent
 from jaxlangnav.messages import NONE, ROBOT
 from jaxlangnav.pytree import replace
@@ -100,7 +100,7 @@ class GraphGrounder:
             model: trained models.
             labels: what the detector tells apart, in the order of its indices; the types of the
                 models by default.
-            attributes: groups of ``kinds.ATTRIBUTES`` that it reports.
+            attributes: groups of ``ATTRIBUTES`` that it reports.
 
         Raises:
             ValueError: labels or groups are refused; one line.

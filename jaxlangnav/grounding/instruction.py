@@ -23,7 +23,7 @@ from jaxlangnav.grounding.symbols import (
     bottom_up,
     count_graph,
 )
-from jaxlangnav.kinds import ANYTHING
+from jaxlangnav.inputs.object_types import ANYTHING
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import COMMAND, Measure, Parse, Phrase
 from jaxlangnav.language.reference import (

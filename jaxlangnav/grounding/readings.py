@@ -16,9 +16,9 @@ from jax import Array
 
 from jaxlangnav.grounding.annotation import Belief, RankedAnnotations
 from jaxlangnav.grounding.symbols import OBJECT, REGION, Annotation
-from jaxlangnav.kinds import is_anything
+from jaxlangnav.inputs.object_types import is_anything
+from jaxlangnav.inputs.sanitize import shown
 from jaxlangnav.messages import BETWEEN, NONE, ROBOT, Readings
-from jaxlangnav.plain_text import shown
 from jaxlangnav.pytree import replace
 
 NUM_READINGS, NUM_MENTIONS, NUM_RELATIONS_SAID = 4, 6, 4

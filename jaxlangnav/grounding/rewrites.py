@@ -19,11 +19,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.files.documents import parse_json, read_text
 from jaxlangnav.grounding.asked import Asked, asked
 from jaxlangnav.grounding.form import quote
 from jaxlangnav.grounding.grounder import Alternative, Context, Grounded, Grounder, names_of
 from jaxlangnav.grounding.readings import NUM_READINGS, Reading, pad_readings, unpad_readings
+from jaxlangnav.inputs.documents import parse_json, read_text
 from jaxlangnav.messages import ROBOT
 from jaxlangnav.pytree import pytree, replace
 

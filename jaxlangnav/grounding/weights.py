@@ -17,9 +17,6 @@ from zipfile import ZipFile
 import numpy as np
 from msgspec import Meta, field, structs
 
-from jaxlangnav.files.arrays import faults_as_values, open_arrays, read_floats, read_text_entry
-from jaxlangnav.files.schema import Schema, convert
-from jaxlangnav.files.whole import read_file, replacing
 from jaxlangnav.grounding.instruction import GroundingModel
 from jaxlangnav.grounding.model import (
     ANNOTATION_KINDS,
@@ -28,6 +25,9 @@ from jaxlangnav.grounding.model import (
     Vocabulary,
 )
 from jaxlangnav.grounding.properties import property_names
+from jaxlangnav.inputs.arrays import faults_as_values, open_arrays, read_floats, read_text_entry
+from jaxlangnav.inputs.schema import Schema, convert
+from jaxlangnav.inputs.whole_files import read_file, replacing
 from jaxlangnav.language.lexicon import load_lexicon
 
 SHIPPED_WEIGHTS = "weights.npz"

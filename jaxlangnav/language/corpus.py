@@ -33,15 +33,15 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from jaxlangnav.files.documents import DocumentError, parse_json, read_text
-from jaxlangnav.files.limits import FARTHEST
-from jaxlangnav.files.schema import Name, Schema, convert
+from jaxlangnav.inputs.documents import DocumentError, parse_json, read_text
+from jaxlangnav.inputs.limits import FARTHEST
+from jaxlangnav.inputs.sanitize import cut, printable, shown
+from jaxlangnav.inputs.schema import Name, Schema, convert
 from jaxlangnav.language.labels import ROBOT_LABEL, Labels, PlacedWorld
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import COMMAND, STATEMENT, LanguageError, Parse
 from jaxlangnav.messages import ACTIONS, MODES, REGIONS, RELATIONS
-from jaxlangnav.plain_text import cut, printable, shown
 
 LARGEST_CORPUS = 64 << 20
 """Bytes of a corpus; the one of the package has about a million."""

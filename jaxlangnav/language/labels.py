@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.kept import kept
+from jaxlangnav.inputs.program_cache import kept
 from jaxlangnav.language.phrase import Phrase
 from jaxlangnav.messages import RELATIONS
 from jaxlangnav.relations import holds
@@ -40,7 +40,7 @@ class PlacedWorld:
     objects: tuple[tuple[str, float, float], ...]  # type, x, y; map frame, metres
     robot: tuple[float, float, float]  # x, y, heading; metres, radians
     previous: int | None = None  # the goal of the command before this one
-    attributes: tuple[int, ...] = ()  # of each object, codes of ``kinds.attributes``; or of none
+    attributes: tuple[int, ...] = ()  # of each object, codes of ``attributes``; or of none
 
 
 @kept()

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from importlib import resources
 
-from jaxlangnav.files.documents import parse_toml, read_text
+from jaxlangnav.inputs.documents import parse_toml, read_text
 from jaxlangnav.language.own_words import extend
 
 OWN_LEXICON = "JAXLANGNAV_LEXICON"

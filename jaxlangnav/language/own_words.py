@@ -10,10 +10,10 @@ from functools import cache
 from importlib import resources
 from typing import Any
 
-from jaxlangnav.files.documents import parse_toml
+from jaxlangnav.inputs.documents import parse_toml
+from jaxlangnav.inputs.sanitize import cut, fault_of_name, printable, shown
 from jaxlangnav.language.halting import halts_alone
 from jaxlangnav.language.tokens import is_word, plainly
-from jaxlangnav.plain_text import cut, fault_of_name, printable, shown
 
 MOST_EXPRESSIONS = 1000
 """Expressions that may be added."""

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from jaxlangnav.plain_text import printable
+from jaxlangnav.inputs.sanitize import printable
 
 COMMAND = "command"
 STATEMENT = "statement"

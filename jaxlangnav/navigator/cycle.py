@@ -13,7 +13,8 @@ from jax import Array
 from jaxlangnav import conversation
 from jaxlangnav.conversation import Words
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.kinds import MOST_LABELS, is_anything, label_of
+from jaxlangnav.inputs.object_types import MOST_LABELS, is_anything, label_of
+from jaxlangnav.inputs.observations import DEVIATIONS
 from jaxlangnav.messages import (
     ACTIONS,
     NONE,
@@ -45,7 +46,6 @@ from jaxlangnav.semantic_map.behaviors import filter_untyped_goals, infer_clause
 from jaxlangnav.semantic_map.belief import about_robot, robot_position
 from jaxlangnav.semantic_map.filter import FilterInfo
 from jaxlangnav.semantic_map.proposal.relation_query import Spoken
-from jaxlangnav.sensing import DEVIATIONS
 from jaxlangnav.terrain import OPEN, Eye, Terrain
 
 _PLANNING = 77

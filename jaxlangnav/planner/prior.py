@@ -18,8 +18,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.files.arrays import parse_floats
-from jaxlangnav.files.whole import read_file
+from jaxlangnav.inputs.arrays import parse_floats
+from jaxlangnav.inputs.whole_files import read_file
 from jaxlangnav.semantic_map.coverage import Coverage
 
 RANGE_MAX = 1.25

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from jaxlangnav.agent import Navigator
-from jaxlangnav.files.whole import replacing
+from jaxlangnav.inputs.whole_files import replacing
 from jaxlangnav.messages import Status
 from jaxlangnav.navigator import NavigatorInfo, NavigatorState
 from jaxlangnav.robots import libraries

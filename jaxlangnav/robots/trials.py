@@ -22,8 +22,8 @@ import numpy as np
 from jaxlangnav import __version__
 from jaxlangnav.experiments.metrics import wilson_interval
 from jaxlangnav.experiments.table import Table, TableColumns
-from jaxlangnav.files.limits import refuse_below
-from jaxlangnav.files.whole import write_text
+from jaxlangnav.inputs.limits import refuse_below
+from jaxlangnav.inputs.whole_files import write_text
 from jaxlangnav.robots.libraries import check_libraries
 from jaxlangnav.robots.physics.odometry import TOLD
 from jaxlangnav.robots.table3 import TABLE3, TrialRow, navigator_of, run_known, run_trial

@@ -12,7 +12,7 @@ from jax import Array
 
 from jaxlangnav.grounding import behavior as grounding
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.kinds import is_anything, label_of
+from jaxlangnav.inputs.object_types import is_anything, label_of
 from jaxlangnav.messages import (
     ACTIONS,
     MODES,

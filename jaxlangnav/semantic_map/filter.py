@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.kinds import MOST_LABELS
+from jaxlangnav.inputs.object_types import MOST_LABELS
 from jaxlangnav.messages import Fault, Observation, Readings, Told, assert_observation
 from jaxlangnav.numerics import batching
 from jaxlangnav.numerics.batching import take

@@ -20,12 +20,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.files.limits import FARTHEST, RANGES
-from jaxlangnav.kinds import ATTRIBUTE_BITS
+from jaxlangnav.inputs.limits import FARTHEST, MOST_FALSE, MOST_WRONG, RANGES, VIEWS
+from jaxlangnav.inputs.object_types import ATTRIBUTE_BITS
+from jaxlangnav.inputs.observations import DEVIATIONS, MIN_NOISE, TURNS
 from jaxlangnav.messages import NONE, Fault, Observation, SensorParams, default_sensor
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.belief import ParticleBelief
-from jaxlangnav.sensing import DEVIATIONS, MIN_NOISE, MOST_FALSE, MOST_WRONG, TURNS, VIEWS
 from jaxlangnav.terrain.view import beyond
 
 AREA_SIDES = (0.1, 1e4)

@@ -13,7 +13,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.kinds import kind_of
+from jaxlangnav.inputs.object_types import kind_of
+from jaxlangnav.inputs.observations import MIN_NOISE
 from jaxlangnav.messages import Observation, SensorParams
 from jaxlangnav.numerics import categorical
 from jaxlangnav.numerics.batching import column
@@ -28,7 +29,6 @@ from jaxlangnav.semantic_map.params import MapParams
 from jaxlangnav.semantic_map.particle import SemanticMap, clear
 from jaxlangnav.semantic_map.predict import headings, with_drift
 from jaxlangnav.semantic_map.update import condition, log_absence
-from jaxlangnav.sensing import MIN_NOISE
 
 LEAST_DOUBT = 1e-2
 """Probability that what has been detected is not there, however often it was: no detector never

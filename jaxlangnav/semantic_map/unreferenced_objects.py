@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.kinds import label_of
+from jaxlangnav.inputs.object_types import label_of
 from jaxlangnav.messages import NONE, Observation
 from jaxlangnav.numerics.batching import column, row_of
 from jaxlangnav.pytree import pytree, replace

@@ -16,7 +16,7 @@ from jaxlangnav.grounding.asked import infer_commands
 from jaxlangnav.grounding.form import FormRelation
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.grounding.worlds import World
-from jaxlangnav.kinds import noun_of
+from jaxlangnav.inputs.object_types import noun_of
 from jaxlangnav.messages import (
     ACTIONS,
     MODES,

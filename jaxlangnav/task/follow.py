@@ -17,7 +17,7 @@ from jaxlangnav.episode import MAX_STEPS
 from jaxlangnav.experiments.policies import navigator_config, without_compass
 from jaxlangnav.grounding import GroundingModel, load_shipped, understand
 from jaxlangnav.grounding.instruction import Instruction, Understanding
-from jaxlangnav.kept import kept
+from jaxlangnav.inputs.program_cache import kept
 from jaxlangnav.messages import Status
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, default_params
 from jaxlangnav.planner.config import AnyPolicy

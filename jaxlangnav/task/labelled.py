@@ -23,11 +23,11 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.conversation import seen_from
-from jaxlangnav.files.documents import DocumentError, parse_json, read_text
 from jaxlangnav.grounding.asked import infer_commands
 from jaxlangnav.grounding.form import FormReading, quote, read_meaning
 from jaxlangnav.grounding.instruction import Instruction, Understanding
 from jaxlangnav.grounding.worlds import place_for
+from jaxlangnav.inputs.documents import DocumentError, parse_json, read_text
 from jaxlangnav.language.labels import PlacedWorld
 from jaxlangnav.language.lexicon import type_called
 from jaxlangnav.messages import ACTIONS, AT, MODES, NONE, REGIONS, Behavior

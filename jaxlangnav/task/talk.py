@@ -18,14 +18,14 @@ from jaxlangnav.grounding import Context, Grounder
 from jaxlangnav.grounding.asked import asked
 from jaxlangnav.grounding.instruction import Instruction, Understanding
 from jaxlangnav.grounding.readings import Capacity, widen
-from jaxlangnav.kept import kept
-from jaxlangnav.kinds import ANYTHING
+from jaxlangnav.inputs.object_types import ANYTHING
+from jaxlangnav.inputs.program_cache import kept
+from jaxlangnav.inputs.sanitize import cut
 from jaxlangnav.language.halting import alarm_in, opening_of
 from jaxlangnav.language.utterance import Kind, classify
 from jaxlangnav.listening import Candidate, Listener
 from jaxlangnav.messages import NONE, Status
 from jaxlangnav.navigator import NavigatorState
-from jaxlangnav.plain_text import cut
 from jaxlangnav.pytree import replace
 from jaxlangnav.recording import Recording, Remark, StaticScene
 from jaxlangnav.world.person import (

@@ -22,7 +22,7 @@ import numpy as np
 import optax
 from jax import Array
 
-from jaxlangnav.files.documents import parse_json, read_text
+from jaxlangnav.inputs.documents import parse_json, read_text
 from jaxlangnav.language.parser import split_text
 from jaxlangnav.language.reader.features import (
     CHOOSING,

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxlangnav.files.limits import refuse_below
 from jaxlangnav.grounding.correspondence import CorrespondenceGraph, PhraseBelief
 from jaxlangnav.grounding.instruction import GroundingModel
 from jaxlangnav.grounding.properties import Annotations
 from jaxlangnav.grounding.symbols import Annotation, AnnotationSpace
+from jaxlangnav.inputs.limits import refuse_below
 from jaxlangnav.language.phrase import Parse
 from jaxlangnav.messages import NONE, RELATIONS, ROBOT
 from jaxlangnav.relations.table import RELATION_WORDS

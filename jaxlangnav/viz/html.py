@@ -15,11 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from jaxlangnav.files.whole import write_text
 from jaxlangnav.grounding.instruction import GroundingModel
+from jaxlangnav.inputs.sanitize import printable
+from jaxlangnav.inputs.whole_files import write_text
 from jaxlangnav.language.phrase import Parse
 from jaxlangnav.messages import NONE
-from jaxlangnav.plain_text import printable
 from jaxlangnav.planner.graph import FRONTIER, OBJECT_NODE, VISITED
 from jaxlangnav.recording import Recording
 from jaxlangnav.viz import narrative, panels, sentences, style, summary

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from jaxlangnav.files.whole import replacing
-from jaxlangnav.kinds import ANYTHING
+from jaxlangnav.inputs.object_types import ANYTHING
+from jaxlangnav.inputs.whole_files import replacing
 from jaxlangnav.recording import Recording, StaticScene
 from jaxlangnav.viz import narrative, style, summary
 

@@ -14,9 +14,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jaxlangnav.files.whole import replacing
-from jaxlangnav.kinds import is_anything
-from jaxlangnav.plain_text import printable
+from jaxlangnav.inputs.object_types import is_anything
+from jaxlangnav.inputs.sanitize import printable
+from jaxlangnav.inputs.whole_files import replacing
 
 if TYPE_CHECKING:
     from matplotlib.colors import LinearSegmentedColormap

@@ -9,7 +9,7 @@ import dataclasses
 
 import numpy as np
 
-from jaxlangnav.files.limits import refuse_below
+from jaxlangnav.inputs.limits import refuse_below
 from jaxlangnav.messages import NONE
 from jaxlangnav.recording import Frame, Recording, StaticScene
 

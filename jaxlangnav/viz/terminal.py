@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxlangnav.episode import EpisodeResult
-from jaxlangnav.plain_text import Plain
+from jaxlangnav.inputs.sanitize import Plain
 from jaxlangnav.recording import (
     Frame,
     Moment,

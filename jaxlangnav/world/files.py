@@ -27,7 +27,7 @@ clockwise from +x); the map frame is the file's own.
     x = 9.0
     y = 1.5
     colour = "red"                     # optional, as are material, size and height:
-                                       # what the detector reports of it (``kinds.ATTRIBUTES``)
+                                       # what the detector reports of it (``ATTRIBUTES``)
 
     [sensor]                           # optional, each key too
     range = 3.0
@@ -53,12 +53,12 @@ from typing import Any
 import numpy as np
 from jax import Array
 
-from jaxlangnav.files.documents import parse_toml, read_document
-from jaxlangnav.files.schema import closest_choice
-from jaxlangnav.files.whole import write_text
-from jaxlangnav.kinds import group_of, words_of
+from jaxlangnav.inputs.documents import parse_toml, read_document
+from jaxlangnav.inputs.object_types import group_of, words_of
+from jaxlangnav.inputs.sanitize import cut, shown
+from jaxlangnav.inputs.schema import closest_choice
+from jaxlangnav.inputs.whole_files import write_text
 from jaxlangnav.messages import DRIFTS
-from jaxlangnav.plain_text import cut, shown
 from jaxlangnav.world.reading import (
     WorldFile as WorldFile,
     WorldFileError as WorldFileError,

@@ -22,7 +22,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.files.limits import refuse_below
+from jaxlangnav.inputs.limits import refuse_below
 from jaxlangnav.messages import NONE
 from jaxlangnav.pytree import field, pytree, strong
 from jaxlangnav.world.state import Scenario

@@ -9,15 +9,15 @@ import jax.numpy as jnp
 import numpy as np
 from msgspec import Meta, field, structs
 
-from jaxlangnav.files.limits import FARTHEST, RANGES, SHORTEST, SMALLEST
-from jaxlangnav.files.schema import Name, PlainText, Schema, convert, no_choice
-from jaxlangnav.kinds import ATTRIBUTES, attributes
+from jaxlangnav.inputs.limits import FARTHEST, RANGES, SHORTEST, SMALLEST
+from jaxlangnav.inputs.object_types import ATTRIBUTES, attributes
+from jaxlangnav.inputs.observations import SLOTS
+from jaxlangnav.inputs.sanitize import LONGEST_NAME, cut, printable, shown
+from jaxlangnav.inputs.schema import Name, PlainText, Schema, convert, no_choice
 from jaxlangnav.language.lexicon import load_lexicon, type_called
 from jaxlangnav.language.spelling import repair
 from jaxlangnav.language.tokens import is_word, plainly
 from jaxlangnav.messages import NONE, MotionParams, SensorParams
-from jaxlangnav.plain_text import LONGEST_NAME, cut, printable, shown
-from jaxlangnav.sensing import SLOTS
 from jaxlangnav.world.scenario import placed
 from jaxlangnav.world.state import Scenario
 
@@ -169,7 +169,7 @@ class WorldFile:
     )
     """Object types by index: those of the lexicon, then others that the file names."""
     attribute_groups: tuple[str, ...] = ()
-    """What the detector reports of things besides their type: groups of ``kinds.ATTRIBUTES``."""
+    """What the detector reports of things besides their type: groups of ``ATTRIBUTES``."""
 
 
 def world_from_dict(table: Any, *, file: str, num_slots: int | None = None) -> WorldFile:

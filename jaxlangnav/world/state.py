@@ -42,7 +42,7 @@ class Scenario:
     area: Array  # f32[4] x_min, x_max, y_min, y_max metres: the operating area, known to all
     is_valid: Array  # bool[] the law of the template was met; False: count it, do not use it
     terrain: Terrain = OPEN  # what hides things there and what is in the way, known to all as well
-    object_attribute: Array | None = None  # i32[O] codes of ``kinds.attributes``, where reported
+    object_attribute: Array | None = None  # i32[O] codes of ``attributes``, where reported
     errors: Errors | None = None  # what the detector gets wrong there; None: nothing
 
 

@@ -10,8 +10,8 @@ import math
 import re
 from typing import NamedTuple
 
-from jaxlangnav.files.schema import closest_choice
-from jaxlangnav.plain_text import cut, shown
+from jaxlangnav.inputs.sanitize import cut, shown
+from jaxlangnav.inputs.schema import closest_choice
 
 RELATION_NAMES = ("null", "behind", "nearest")
 """Relations of the commands of Table 2; an index into this tuple is ``ScenarioLaw.relation``."""

@@ -29,7 +29,7 @@ from jaxlangnav.messages import (
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map import association, motion, particle, update
 from jaxlangnav.semantic_map.particle import SemanticMap
-from jaxlangnav.sensing import MIN_NOISE
+from jaxlangnav.inputs.observations import MIN_NOISE
 from jaxlangnav.world import simulator
 from jaxlangnav.world.motion import carry_out
 from jaxlangnav.world.sensor import sense

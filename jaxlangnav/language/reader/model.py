@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxlangnav.files.arrays import faults_as_values, open_arrays, read_floats, read_text_entry
-from jaxlangnav.files.whole import read_file, replacing
+from jaxlangnav.inputs.arrays import faults_as_values, open_arrays, read_floats, read_text_entry
+from jaxlangnav.inputs.whole_files import read_file, replacing
 from jaxlangnav.language.phrase import LanguageError
 from jaxlangnav.language.reader.features import featurize
 

@@ -12,9 +12,9 @@ import jax
 import tyro
 
 from jaxlangnav.agent import Navigator
-from jaxlangnav.files.limits import refuse_below
+from jaxlangnav.inputs.limits import refuse_below
+from jaxlangnav.inputs.sanitize import printable
 from jaxlangnav.messages import SensorParams, default_sensor
-from jaxlangnav.plain_text import printable
 from jaxlangnav.robots.libraries import ros
 from jaxlangnav.robots.robot import Ending
 from jaxlangnav.robots.ros2.node import RosBus, TagSetup, read_tag_types

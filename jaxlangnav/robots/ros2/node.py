@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxlangnav.plain_text import printable
+from jaxlangnav.inputs.sanitize import printable
 from jaxlangnav.robots.libraries import ros, ros_message
 from jaxlangnav.robots.robot import Detection
 from jaxlangnav.robots.ros2.conversions import (

@@ -15,7 +15,7 @@ import jax
 from jax import Array
 
 from jaxlangnav.agent import Navigator
-from jaxlangnav.files.whole import write_text
+from jaxlangnav.inputs.whole_files import write_text
 from jaxlangnav.navigator import NavigatorInfo, NavigatorState
 from jaxlangnav.robots.driver import drive
 from jaxlangnav.robots.robot import Drive, Robot, Step, start_pose

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.kinds import fits, is_anything, label_of
+from jaxlangnav.inputs.object_types import fits, is_anything, label_of
 from jaxlangnav.messages import NONE
 from jaxlangnav.numerics.batching import column, lead, pick, rarely
 from jaxlangnav.semantic_map.counts import log_expected

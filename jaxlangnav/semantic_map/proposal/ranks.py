@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.kinds import fits, is_anything
+from jaxlangnav.inputs.object_types import fits, is_anything
 from jaxlangnav.messages import NONE
 from jaxlangnav.numerics.batching import apart, lead, rarely
 from jaxlangnav.relations import degree, is_on_side, robot_frame

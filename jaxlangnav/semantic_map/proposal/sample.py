@@ -27,7 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.kinds import is_anything
+from jaxlangnav.inputs.object_types import is_anything
 from jaxlangnav.messages import NONE
 from jaxlangnav.numerics import categorical
 from jaxlangnav.numerics.batching import column, lead, once, pick

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.kinds import is_anything, label_of
+from jaxlangnav.inputs.object_types import is_anything, label_of
 from jaxlangnav.messages import Readings
 from jaxlangnav.numerics import categorical
 from jaxlangnav.numerics.batching import take

@@ -12,8 +12,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from jaxlangnav.files.whole import read_file
-from jaxlangnav.plain_text import cut
+from jaxlangnav.inputs.sanitize import cut
+from jaxlangnav.inputs.whole_files import read_file
 
 DEEPEST = 32
 """Tables and lists inside one another that a document may have."""

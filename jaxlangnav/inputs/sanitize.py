@@ -80,6 +80,22 @@ def shown(value: Any) -> str:
     return cut(" ".join(written.split()))
 
 
+def quoted(value: Any, most: int = 40) -> str:
+    """Write any value in one line of a refusal, a text in quotes, cut where it is long.
+
+    Args:
+        value: anything.
+        most: characters at most.
+    """
+    if isinstance(value, str):  # cut before it is looked through: it may be of any length
+        return f"'{cut(printable(' '.join(value[: 2 * most].split())), most)}'"
+    try:
+        text = str(value)
+    except Exception:  # an object may fail to write itself, as numbers of 5,000 digits do
+        text = shown(value)
+    return cut(printable(" ".join(text.split())), most)
+
+
 def cut(text: str, most: int = _SHOWN) -> str:
     """Cut a text that is longer than a limit; an ellipsis stands for the rest.
 

@@ -6,8 +6,8 @@ follows from: the source of this package, the versions below it, this machine, a
 static values of a call.
 
 What is loaded runs as the user. So the folder must be the user's own and closed to others, the
-files too (``own_files``: that is what guards against people), and each file's digest must be right
-(``compiled_program``: that is what guards against accidents; some damage would end the process).
+files too (``own_files`` guards against people), and each file's digest must be right
+(``program_serialization`` guards against accidents; some damage would end the process).
 Whatever does not pass is said once and compiled as if nothing had been kept.
 
 Only functions of their arguments alone may be kept: what they read of modules must be constant.
@@ -29,8 +29,8 @@ import jax
 import jax.core
 import jaxlib.version
 
-from jaxlangnav.compiled_program import Call, compile_program, load_program
-from jaxlangnav.files.own import own_folder, read_own_file, write_own_file
+from jaxlangnav.inputs.own_files import own_folder, read_own_file, write_own_file
+from jaxlangnav.inputs.program_serialization import Call, compile_program, load_program
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -184,7 +184,7 @@ def _setting() -> tuple[Any, ...]:
 def _machine() -> tuple[str, ...]:
     """Tell this package's source, the versions below it, and this machine."""
     digest = hashlib.sha256()
-    package = Path(__file__).parent
+    package = Path(__file__).parent.parent
     for path in sorted(package.rglob("*")):
         if path.is_file() and path.suffix != ".pyc":
             digest.update(str(path.relative_to(package)).encode() + path.read_bytes())

@@ -14,7 +14,7 @@ from typing import Annotated, Any, TypeVar
 import msgspec
 from msgspec import Meta, inspect
 
-from jaxlangnav.plain_text import LONGEST_NAME, cut, fault_of_name, printable, shown
+from jaxlangnav.inputs.sanitize import LONGEST_NAME, cut, fault_of_name, printable, shown
 
 _T = TypeVar("_T")
 Name = Annotated[str, Meta(pattern=r"\S", max_length=LONGEST_NAME)]

@@ -15,7 +15,7 @@ import stat
 import tempfile
 from pathlib import Path
 
-from jaxlangnav.files.whole import OPEN_FLAGS, read_opened
+from jaxlangnav.inputs.whole_files import OPEN_FLAGS, read_opened
 
 _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 _OTHERS = stat.S_IRWXG | stat.S_IRWXO

@@ -1,7 +1,7 @@
-"""Numbers with units, as people write them in a sweep's configuration.
+"""What numbers from outside may be: single precision computes with them and with their squares.
 
-A bare number is in the key's own unit: metres, radians, or a share of one. With a unit,
-"30 cm", "360 deg" or "2 %", it is converted; a unit of another kind is refused.
+A bare number is in its own unit: metres, radians, or a share of one. With a unit, "30 cm",
+"360 deg" or "2 %", it is converted; a unit of another kind is refused.
 """
 
 import dataclasses
@@ -9,14 +9,81 @@ import math
 import re
 from typing import Any
 
-from jax import Array
+from jaxlangnav.inputs.sanitize import cut, quoted, shown
 
-from jaxlangnav.files.limits import FARTHEST, LARGEST, SMALLEST
-from jaxlangnav.messages import MotionParams, SensorParams
-from jaxlangnav.plain_text import cut, shown
-from jaxlangnav.planner.params import PlannerParams
-from jaxlangnav.semantic_map.params import MapParams
-from jaxlangnav.sensing import MOST_FALSE, VIEWS
+FARTHEST = 1e5
+"""Metres that a place or a length may have: float32 is 8 mm coarse there."""
+SHORTEST = 1e-3
+"""Metres that a step has at least."""
+RANGES = (0.01, 1e4)
+"""Metres, shortest and longest sensing range."""
+LARGEST = 1e15
+"""Of a plain number."""
+SMALLEST = 1e-15
+"""Of a plain number other than zero."""
+VIEWS = (1e-3, math.tau + 1e-3)
+"""Radians, narrowest and widest field of view."""
+MOST_FALSE, MOST_WRONG = 100.0, 0.99
+"""False detections of one type expected in a look; share of wrong labels."""
+
+
+def refuse_below(least: int, **counts: Any) -> None:
+    """Refuse a count that is too small, by its name, with a ValueError of one line."""
+    for name, value in counts.items():
+        if value < least:
+            raise ValueError(f"{name} is {value}, but must be at least {least}")
+
+
+def is_complex(value: Any) -> bool:
+    """Tell whether an array is of complex numbers, which NumPy would cut to real ones."""
+    return getattr(getattr(value, "dtype", None), "kind", "") == "c"
+
+
+def number(value: Any, what: str) -> float:
+    """Read a finite number.
+
+    Args:
+        value: a number, or an array of one.
+        what: what it is, for the refusal.
+
+    Returns:
+        The number.
+
+    Raises:
+        ValueError: it is none, or not finite; one line.
+    """
+    try:
+        if isinstance(value, str | bytes) or is_complex(value):
+            raise TypeError
+        read = float(value.reshape(()) if hasattr(value, "reshape") else value)
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"{what} is {quoted(value)}, but must be a number") from None
+    if not math.isfinite(read):
+        raise ValueError(f"{what} is {read}, but must be finite")
+    return read
+
+
+def bounded(value: Any, low: float, high: float, what: str, remedy: str) -> float:
+    """Read a number between two bounds.
+
+    Args:
+        value: a number, or an array of one.
+        low: the least that it may be.
+        high: the most.
+        what: what it is, for the refusal.
+        remedy: what to do, for the refusal.
+
+    Returns:
+        The number.
+
+    Raises:
+        ValueError: it is none, or out of the bounds; one line.
+    """
+    read = number(value, what)
+    if not low <= read <= high:
+        raise ValueError(f"{what} is {read:g}, but must lie between {low:g} and {high:g}: {remedy}")
+    return read
+
 
 _UNITS = {
     "length": {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0},
@@ -56,13 +123,13 @@ class Quantity:
         is_low = number <= self.low if self.is_low_open else number < self.low
         if not math.isfinite(number) or is_low or number > self.high:
             raise ValueError(
-                f"{name} is {_said(value)}, but must be {self._limits()}{self._remedy(value)}"
+                f"{name} is {_shown(value)}, but must be {self._limits()}{self._remedy(value)}"
             )
         is_lost = number != 0.0 and not SMALLEST <= abs(number) <= LARGEST
         if is_lost or (self.kind == "length" and number > FARTHEST):
             most = FARTHEST if self.kind == "length" else LARGEST
             raise ValueError(
-                f"{name} is {_said(value)}, but single precision serves for {SMALLEST:g} to "
+                f"{name} is {_shown(value)}, but single precision serves for {SMALLEST:g} to "
                 f"{most:g} only"
             )
         return number
@@ -86,7 +153,7 @@ class Quantity:
         meant = next((kind for kind, units in _UNITS.items() if unit in units), None)
         what = f"is {_NAMES[meant]}" if meant else f'has the unknown unit "{cut(unit)}"'
         raise ValueError(
-            f'{name} = "{_said(value)}" {what}, but {_NAMES[self.kind]} is needed{self._example()}'
+            f'{name} = "{cut(match[0])}" {what}, but {_NAMES[self.kind]} is needed{self._example()}'
         )
 
     def _example(self) -> str:
@@ -114,69 +181,8 @@ class Quantity:
 
 LENGTH = Quantity(kind="length", is_low_open=True)
 SHARE = Quantity(kind="share", high=1.0)
-_KNOWN: dict[str, dict[str, Quantity]] = {
-    "sensor": {
-        "field_of_view": Quantity(kind="angle", low=VIEWS[0], high=2.0 * math.pi + 1e-6),
-        "detection_probability": Quantity(kind="share", high=1.0, is_low_open=True),
-        "noise": Quantity(kind="length"),
-        "false_detections": Quantity(high=MOST_FALSE),
-        "mislabelled": Quantity(kind="share", high=0.99),
-    },
-    "motion": {
-        "step_length": LENGTH,
-        "odometry_noise": SHARE,
-        "heading_bias": Quantity(kind="angle"),
-        "heading_noise": Quantity(kind="angle"),
-        "turn_noise": Quantity(kind="angle"),
-    },
-    "map": {
-        "concentration": Quantity(is_low_open=True),
-        "clumping": Quantity(),
-        "kernel": LENGTH,
-        "superlative_softness": LENGTH,
-        "misleading": SHARE,
-        "resample_threshold": SHARE,
-    },
-    "planner": {
-        "discount": Quantity(kind="share", high=1.0, is_low_open=True),
-        "stop_probability": Quantity(kind="share", high=1.0, is_low_open=True),
-        "reach": LENGTH,
-        "frontier_miss": Quantity(kind="share", high=1.0, is_low_open=True),
-        "visit_spacing": LENGTH,
-        "rival_share": Quantity(),
-        "rest_share": Quantity(),
-        "prior_share": SHARE,
-        "ahead": Quantity(),
-        "give_up": SHARE,
-        "absent": SHARE,
-        "constraint_cost": Quantity(),
-        "question_cost": Quantity(),
-        "look_cost": Quantity(),
-    },
-}
-_RECORDS = {
-    "sensor": SensorParams,
-    "motion": MotionParams,
-    "map": MapParams,
-    "planner": PlannerParams,
-}
 
 
-def _said(value: Any) -> str:
+def _shown(value: Any) -> str:
     """Repeat a value in a message."""
     return cut(value) if isinstance(value, str) else shown(value)
-
-
-def _fields(table: str) -> dict[str, Quantity]:
-    """List the single numbers of a record; one whose unit is not known here is a plain number."""
-    known = _KNOWN[table]
-    names = [
-        field.name
-        for field in dataclasses.fields(_RECORDS[table])
-        if field.type in (Array, "Array") and field.name != "range_max"
-    ]
-    return {name: known.get(name, Quantity(low=-math.inf)) for name in names}
-
-
-FIELDS: dict[str, dict[str, Quantity]] = {table: _fields(table) for table in _RECORDS}
-"""The keys of the four tables of Params in a sweep's configuration: the records' own fields."""

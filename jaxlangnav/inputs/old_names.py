@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from types import ModuleType
 
 MOVED = {
+    "kept": "inputs.program_cache",
+    "kinds": "inputs.object_types",
     "experiments.table2": "experiments.paper",
     "experiments.figure5": "experiments.paper",
     "experiments.report": "experiments.table",

@@ -13,9 +13,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxlangnav.files.limits import FARTHEST, RANGES
-from jaxlangnav.kinds import ATTRIBUTES, attributes, group_of
-from jaxlangnav.plain_text import cut, printable, shown
+from jaxlangnav.inputs.limits import (
+    FARTHEST,
+    MOST_FALSE,
+    MOST_WRONG,
+    RANGES,
+    VIEWS,
+    bounded,
+    number,
+)
+from jaxlangnav.inputs.object_types import ATTRIBUTES, attributes, group_of
+from jaxlangnav.inputs.sanitize import quoted
 
 SLOTS = (8, 16, 32, 64)
 """Sizes to which detections are padded: each has a compiled program of its own."""
@@ -28,7 +36,7 @@ class _Detected(NamedTuple):
     range: np.ndarray  # f32[D] metres
     bearing: np.ndarray  # f32[D] radians, robot frame
     is_detection: np.ndarray  # bool[D]
-    attribute: np.ndarray  # i32[D] codes of ``kinds.attributes``; 0 where nothing is known
+    attribute: np.ndarray  # i32[D] codes of ``attributes``; 0 where nothing is known
 
 
 def _type_index(name: Any, types: Sequence[str], what: str) -> int:
@@ -39,14 +47,14 @@ def _type_index(name: Any, types: Sequence[str], what: str) -> int:
         near = difflib.get_close_matches(name, types, 1)
         hint = f"did you mean {near[0]!r}? " if near else ""
         raise ValueError(
-            f"{what} is of type {said(name)}, which is none of {', '.join(types)}: {hint}"
+            f"{what} is of type {quoted(name)}, which is none of {', '.join(types)}: {hint}"
             "pass types=navigator.type_names where the navigator has types of its own"
         )
     try:
         index = number(name, f"{what}'s type")
     except ValueError:
         raise ValueError(
-            f"{what}'s type is {said(name)}, but must be a name (a text) or the index of one"
+            f"{what}'s type is {quoted(name)}, but must be a name (a text) or the index of one"
         ) from None
     if index != int(index) or not 0 <= index < len(types):
         raise ValueError(
@@ -80,7 +88,7 @@ def _attribute_code(looks: Any, what: str) -> int:
         return 0
     if not isinstance(looks, Mapping):
         raise ValueError(
-            f"{what}'s attributes are {said(looks)}, but must be by their groups, as in "
+            f"{what}'s attributes are {quoted(looks)}, but must be by their groups, as in "
             '{"colour": "red"}'
         )
     for group, word in looks.items():
@@ -89,7 +97,7 @@ def _attribute_code(looks: Any, what: str) -> int:
             known = (
                 f"must be one of {', '.join(ATTRIBUTES[group])}" if group in ATTRIBUTES else known
             )
-            raise ValueError(f"{what}'s {said(group)} is {said(word)}, but {known}")
+            raise ValueError(f"{what}'s {quoted(group)} is {quoted(word)}, but {known}")
     return attributes(*looks.values())
 
 
@@ -142,7 +150,7 @@ def detected(
         rows = None
     if rows is None:
         raise ValueError(
-            f"detections is {said(detections)}, but must be a list of (type, range, bearing)"
+            f"detections is {quoted(detections)}, but must be a list of (type, range, bearing)"
         )
     slots = padded(len(rows))
     found = _Detected(
@@ -170,91 +178,20 @@ def _entries(row: Any, what: str) -> list[Any]:
     entries = list(row) if is_row and len(row) in (3, 4) else []
     if len(entries) not in (3, 4):
         raise ValueError(
-            f"{what} is {said(row, 60)}, but must be (type, range, bearing), or with how it looks "
-            '(type, range, bearing, {"colour": "red"})'
+            f"{what} is {quoted(row, 60)}, but must be (type, range, bearing), or with how it "
+            'looks (type, range, bearing, {"colour": "red"})'
         )
     return [*entries, None][:4]
 
 
 TYPES = ("hydrant", "cone", "car", "building", "tree", "bench", "barrel", "box")
 """The object types of the shipped lexicon, by type index."""
-VIEWS = (1e-3, 2.0 * np.pi + 1e-3)
-"""Radians, narrowest and widest field of view."""
 TURNS = 4.0 * np.pi
 """Radians of a bearing, either way; headings that are not wrapped make it more than half a turn."""
 DEVIATIONS = 6.0
 """Standard deviations of the noise by which a detection may lie out of range or out of view."""
 MIN_NOISE = 0.01
 """Metres; a sensor without noise is taken to be this good, so that no division is by zero."""
-MOST_FALSE, MOST_WRONG = 100.0, 0.99
-"""False detections of one type expected in a look; share of wrong labels."""
-
-
-def said(value: Any, most: int = 40) -> str:
-    """Write any value in one line of a refusal, a text in quotes, cut where it is long.
-
-    Args:
-        value: anything.
-        most: characters at most.
-    """
-    if isinstance(value, str):  # cut before it is looked through: it may be of any length
-        return f"'{cut(printable(' '.join(value[: 2 * most].split())), most)}'"
-    try:
-        text = str(value)
-    except Exception:  # an object may fail to write itself, as numbers of 5,000 digits do
-        text = shown(value)
-    return cut(printable(" ".join(text.split())), most)
-
-
-def is_complex(value: Any) -> bool:
-    """Tell whether an array is of complex numbers, which NumPy would cut to real ones."""
-    return np.issubdtype(getattr(value, "dtype", None), np.complexfloating)
-
-
-def number(value: Any, what: str) -> float:
-    """Read a finite number.
-
-    Args:
-        value: a number, or an array of one.
-        what: what it is, for the refusal.
-
-    Returns:
-        The number.
-
-    Raises:
-        ValueError: it is none, or not finite; one line.
-    """
-    try:
-        if isinstance(value, str | bytes) or is_complex(value):
-            raise TypeError
-        read = float(value.reshape(()) if hasattr(value, "reshape") else value)
-    except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"{what} is {said(value)}, but must be a number") from None
-    if not math.isfinite(read):
-        raise ValueError(f"{what} is {read}, but must be finite")
-    return read
-
-
-def bounded(value: Any, low: float, high: float, what: str, remedy: str) -> float:
-    """Read a number between two bounds.
-
-    Args:
-        value: a number, or an array of one.
-        low: the least that it may be.
-        high: the most.
-        what: what it is, for the refusal.
-        remedy: what to do, for the refusal.
-
-    Returns:
-        The number.
-
-    Raises:
-        ValueError: it is none, or out of the bounds; one line.
-    """
-    read = number(value, what)
-    if not low <= read <= high:
-        raise ValueError(f"{what} is {read:g}, but must lie between {low:g} and {high:g}: {remedy}")
-    return read
 
 
 def sensor_numbers(
@@ -311,7 +248,7 @@ def _parts(values: Any, number_of: int, what: str, remedy: str) -> list[Any]:
     except TypeError:
         parts = []
     if len(parts) != number_of:
-        raise ValueError(f"{what} is {said(values)}, but must be {remedy}")
+        raise ValueError(f"{what} is {quoted(values)}, but must be {remedy}")
     return parts
 
 

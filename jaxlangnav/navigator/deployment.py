@@ -1,0 +1,153 @@
+"""Default parameters and capacities for real environments, and parameters set by name.
+
+``Navigator.pretrained`` starts from them; a sweep's configuration has the same keys and units.
+"""
+
+import dataclasses
+import difflib
+import math
+from collections.abc import Mapping
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxlangnav.inputs.limits import LENGTH, MOST_FALSE, MOST_WRONG, SHARE, VIEWS, Quantity, number
+from jaxlangnav.messages import MotionParams, SensorParams, is_drifting
+from jaxlangnav.navigator.records import NavigatorConfig, NavigatorParams, default_params
+from jaxlangnav.planner.config import AnyPolicy, PlannerConfig
+from jaxlangnav.planner.params import PlannerParams
+from jaxlangnav.pytree import replace
+from jaxlangnav.semantic_map.params import MapConfig, MapParams
+
+OBJECTS, BYSTANDERS = 12, 64
+"""Things that a sentence may mean, and others, that are remembered: for places as they are."""
+_NUMBERS = {
+    "concentration": 1.35,
+    "clumping": 2.0,
+    "prior_share": 0.0,
+    "absent": 0.05,
+    "give_up": 0.1,
+}
+"""How many things there are is hardly known, and is taken to be alike for all types spoken of: one
+hydrant and one cone that do not stand as is said are rather two of several than a false sentence,
+until enough has been looked at to tell that there are no more. With two further pairs 199 of 200
+arrive, and a false sentence costs 48 m (191 and 39 m with 0.3 and 1, each type by itself).
+How often what is spoken of is nowhere, and how improbable what is missing must be to give up: the
+more likely it is nowhere, the more the way counts until all has been looked at."""
+_KNOWN: dict[str, dict[str, Quantity]] = {
+    "sensor": {
+        "field_of_view": Quantity(kind="angle", low=VIEWS[0], high=2.0 * math.pi + 1e-6),
+        "detection_probability": Quantity(kind="share", high=1.0, is_low_open=True),
+        "noise": Quantity(kind="length"),
+        "false_detections": Quantity(high=MOST_FALSE),
+        "mislabelled": Quantity(kind="share", high=MOST_WRONG),
+    },
+    "motion": {
+        "step_length": LENGTH,
+        "odometry_noise": SHARE,
+        "heading_bias": Quantity(kind="angle"),
+        "heading_noise": Quantity(kind="angle"),
+        "turn_noise": Quantity(kind="angle"),
+    },
+    "map": {
+        "concentration": Quantity(is_low_open=True),
+        "clumping": Quantity(),
+        "kernel": LENGTH,
+        "superlative_softness": LENGTH,
+        "misleading": SHARE,
+        "resample_threshold": SHARE,
+    },
+    "planner": {
+        "discount": Quantity(kind="share", high=1.0, is_low_open=True),
+        "stop_probability": Quantity(kind="share", high=1.0, is_low_open=True),
+        "reach": LENGTH,
+        "frontier_miss": Quantity(kind="share", high=1.0, is_low_open=True),
+        "visit_spacing": LENGTH,
+        "rival_share": Quantity(),
+        "rest_share": Quantity(),
+        "prior_share": SHARE,
+        "ahead": Quantity(),
+        "give_up": SHARE,
+        "absent": SHARE,
+        "constraint_cost": Quantity(),
+        "question_cost": Quantity(),
+        "look_cost": Quantity(),
+    },
+}
+_RECORDS = {
+    "sensor": SensorParams,
+    "motion": MotionParams,
+    "map": MapParams,
+    "planner": PlannerParams,
+}
+FIELDS = {
+    table: {
+        field.name: _KNOWN[table].get(field.name, Quantity(low=-math.inf))
+        for field in dataclasses.fields(record)
+        if field.type in (Array, "Array") and field.name != "range_max"
+    }
+    for table, record in _RECORDS.items()
+}
+"""Keys of the four tables of Params in a sweep's configuration: the records' own single numbers.
+One whose unit is not known here is a plain number."""
+
+
+def deployment_params() -> NavigatorParams:
+    """Build the default numbers for places that are unlike the planner's training worlds."""
+    return with_numbers(_NUMBERS, params=default_params())
+
+
+def deployment_config(policy: AnyPolicy, *, params: NavigatorParams) -> NavigatorConfig:
+    """Build sizes with room for bystanders and for doubts of what exists.
+
+    Args:
+        policy: of the planner.
+        params: concrete numbers: a heading that drifts takes a program of its own.
+
+    Returns:
+        Sizes and policy.
+    """
+    return NavigatorConfig(
+        map=MapConfig(
+            num_objects=OBJECTS,
+            num_bystanders=BYSTANDERS,
+            has_doubts=True,
+            has_drift=is_drifting(params.map.motion),
+            pools_counts=True,
+        ),
+        planner=PlannerConfig(policy=policy),
+    )
+
+
+def with_numbers(numbers: Mapping[str, float | str], *, params: NavigatorParams) -> NavigatorParams:
+    """Set single numbers by their names, wherever among the records they stand (host only).
+
+    Args:
+        numbers: by the names of fields of ``MapParams``, ``MotionParams`` or ``PlannerParams``; a
+            number, or a text with a unit as on the command line ("50 cm").
+        params: of a navigator.
+
+    Returns:
+        The parameters with these numbers.
+
+    Raises:
+        ValueError: no such number, or one that cannot be.
+    """
+    records = {"motion": params.map.motion, "map": params.map, "planner": params.planner}
+    home = {
+        field.name: place
+        for place, record in records.items()
+        for field in dataclasses.fields(record)
+        if isinstance(value := getattr(record, field.name), Array) and value.ndim == 0
+    }
+    for name, value in numbers.items():
+        if name not in home:
+            near = difflib.get_close_matches(name, home, 1)
+            hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(sorted(home))}"
+            raise ValueError(f"{name[:40]} is no number of the navigator: {hint}")
+        place = home[name]
+        given = value if isinstance(value, str) else number(value, name)
+        read = FIELDS[place][name].read(given, name)
+        records[place] = replace(records[place], **{name: jnp.float32(read)})
+    with_motion = replace(records["map"], motion=records["motion"])
+    return replace(params, map=with_motion, planner=records["planner"])
