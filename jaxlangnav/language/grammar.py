@@ -151,51 +151,36 @@ class Grammar:
         used = {symbol for p in self.productions for symbol in p.right if symbol[0] != '"'}
         if used - lefts:
             raise ValueError(f"grammar: no rule or class for {sorted(used - lefts)}")
-        self._names = {left: f"n{index}" for index, left in enumerate(sorted(lefts))}
         words = {s for p in self.productions for s in p.right if s[0] == '"'}
-        # A word no class tells from another shares its terminal: fewer rules for Earley.
-        self._terminals = self._share_terminals(sorted(words))
-        self._by_rule = self._index()
+        self._symbols = {left: f"n{index}" for index, left in enumerate(sorted(lefts))}
+        self._symbols |= {word: f"T{index}" for index, word in enumerate(sorted(words))}
+        self._by_rule: dict[tuple[str, ...], Production] = {}
+        for production in self.productions:
+            symbols = (production.left, *production.right)
+            self._by_rule.setdefault(tuple(self._symbols[one] for one in symbols), production)
         lark = Lark(
-            self._lark_text(), start=self._names["start"], parser="earley", lexer=_TokenLexer,
+            self._lark_text(), start=self._symbols["start"], parser="earley", lexer=_TokenLexer,
             ambiguity="forest", keep_all_tokens=True, maybe_placeholders=False,
         )  # fmt: skip
         self._lark: Any = lark
         self._earley: Any = lark.parser.parser
         self._lock = threading.Lock()
-        self._rules = [(rule, [symbol.name for symbol in rule.expansion]) for rule in lark.rules]
-
-    def _share_terminals(self, words: list[str]) -> dict[str, str]:
-        """Give words that occur alone in the same classes one terminal."""
-        alone: dict[str, set[str]] = {word: set() for word in words}
-        for production in self.productions:
-            is_alone = len(production.right) == 1 and production.entry is not None
-            for symbol in production.right:
-                if symbol in alone:
-                    alone[symbol].add(production.left if is_alone else symbol)
-        groups: dict[frozenset[str], str] = {}
-        return {
-            word: groups.setdefault(frozenset(alone[word]), f"T{len(groups)}") for word in words
-        }
-
-    def _symbol(self, symbol: str) -> str:
-        return self._terminals[symbol] if symbol[0] == '"' else self._names[symbol]
-
-    def _index(self) -> dict[tuple[str, tuple[str, ...]], list[Production]]:
-        """Group productions by what lark sees; shared terminals put several words in one rule."""
-        index: dict[tuple[str, tuple[str, ...]], list[Production]] = {}
-        for production in self.productions:
-            right = tuple(self._symbol(symbol) for symbol in production.right)
-            index.setdefault((self._names[production.left], right), []).append(production)
-        return index
+        self._rules = lark.rules
+        # Symbols that a rule needs before it is predicted: (the first of them, all of them).
+        needed = [[str(symbol.name) for symbol in rule.expansion] for rule in lark.rules]
+        self._needed = ([set(one[:1]) for one in needed], [set(one) for one in needed])
+        self._users: tuple[dict[str, list[int]], ...] = ({}, {})
+        for users, rules in zip(self._users, self._needed, strict=True):
+            for index, symbols in enumerate(rules):
+                for symbol in symbols:
+                    users.setdefault(symbol, []).append(index)
 
     def _lark_text(self) -> str:
-        lines = []
         by_left: dict[str, list[str]] = {}
-        for left, right in self._by_rule:
+        for left, *right in self._by_rule:
             by_left.setdefault(left, []).append(" ".join(right))
         lines = [f"{left}: " + "\n  | ".join(rights) for left, rights in by_left.items()]
-        terminals = " ".join(sorted(set(self._terminals.values())))
+        terminals = " ".join(one for one in self._symbols.values() if one[0] == "T")
         return "\n".join(lines) + f"\n%declare {terminals}\n"
 
     def _predict_only(self, terminals: frozenset[str], is_whole: bool) -> None:
@@ -204,18 +189,21 @@ class Grammar:
         # included; without them, and one rule at a time, a sentence takes a tenth of the time.
         # ``is_whole``: rules of which any symbol cannot be made of the terminals; otherwise those
         # of which the first cannot, which changes nothing about where a parse ends.
-        predictions: dict[Any, list[Any]] = {rule.origin: [] for rule, _ in self._rules}
-        can_stand, left, num_left = set(terminals), self._rules, len(self._rules) + 1
-        while len(left) < num_left:  # a rule can make another one's symbols
-            num_left, waiting = len(left), []
-            for rule, symbols in left:
-                if can_stand.issuperset(symbols if is_whole else symbols[:1]):
-                    predictions[rule.origin].append(rule)
-                    can_stand.add(rule.origin.name)
-                else:
-                    waiting.append((rule, symbols))
-            left = waiting
-        self._earley.predictions = predictions
+        users, num_missing = self._users[is_whole], [*map(len, self._needed[is_whole])]
+        made, agenda, chosen = set(terminals), list(terminals), []
+        while agenda:  # each symbol that can be made is taken from what its rules still miss
+            for index in users.get(agenda.pop(), ()):
+                num_missing[index] -= 1
+                if not num_missing[index]:
+                    chosen.append(index)
+                    name = str(self._rules[index].origin.name)
+                    if name not in made:
+                        made.add(name)
+                        agenda.append(name)
+        for rules in self._earley.predictions.values():
+            rules.clear()
+        for index in sorted(chosen):
+            self._earley.predictions[self._rules[index].origin].append(self._rules[index])
 
     def parse(self, tokens: list[str], *, is_end_found: bool = True) -> tuple[Derivation, float]:
         """Find the most probable derivation.
@@ -233,9 +221,9 @@ class Grammar:
         """
         terminals = []
         for index, token in enumerate(tokens):
-            if f'"{token}"' not in self._terminals:
+            if f'"{token}"' not in self._symbols:
                 raise NoParseError(index)
-            terminals.append(self._terminals[f'"{token}"'])
+            terminals.append(self._symbols[f'"{token}"'])
         with self._lock:  # the predictions belong to one sentence
             try:
                 self._predict_only(frozenset(terminals), is_whole=True)
@@ -243,7 +231,7 @@ class Grammar:
             except (UnexpectedEOF, UnexpectedToken):
                 end = self._end_of_parse(terminals) if is_end_found else len(tokens) - 1
                 raise NoParseError(end) from None
-        return ForestReader(self._by_rule, tokens).read(root)
+        return ForestReader(self._by_rule).read(root)
 
     def _end_of_parse(self, terminals: list[str]) -> int:
         """Find the first token that cannot continue any tree, of a sentence that has none."""

@@ -265,7 +265,16 @@ def _read_freely(
     that has less than ``LEAST_PROBABILITY``.
     """
     found: dict[object, tuple[float, Parse]] = {}
-    for one in propose_readings(reader.tokens, reader.labels, is_readable=as_said is not None):
+    proposals = propose_readings(reader.tokens, reader.labels, is_readable=as_said is not None)
+    least = LEAST_PROBABILITY if as_said is None else LEAST_TO_OVERRULE
+    probability, best, unread = 0.0, None, sum(one.probability for one in proposals)
+    for one in proposals:
+        others = [share for share, read in found.values() if read is not best]
+        if probability + unread < least or (
+            probability >= least and probability > max(others, default=0.0) + unread
+        ):
+            break  # whatever the rest may mean, this is decided
+        unread -= one.probability
         if earlier is not None and any(_CARRIED.search(was) for was, _ in one.changes):
             continue
         if list(one.tokens) == reader.tokens and as_said is not None:
@@ -279,10 +288,8 @@ def _read_freely(
         meaning = (*map(str, read.clauses), read.kinds, read.measures)
         share, first = found.get(meaning, (0.0, read))
         found[meaning] = (share + one.probability, first)
-    probability, best = max(found.values(), key=lambda one: one[0], default=(0.0, None))
-    if as_said is not None:
-        return best if probability >= LEAST_TO_OVERRULE else as_said
-    return best if probability >= LEAST_PROBABILITY else None
+        probability, best = max(found.values(), key=lambda one: one[0])
+    return best if probability >= least else as_said
 
 
 def _read(

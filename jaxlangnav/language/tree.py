@@ -49,12 +49,9 @@ class _Best:
 class ForestReader:
     """Viterbi and inside sums over a shared packed parse forest, without recursion."""
 
-    def __init__(
-        self, by_rule: dict[tuple[str, tuple[str, ...]], list[Production]], tokens: list[str]
-    ) -> None:
-        """Keep the productions by lark rule, and the words of the sentence."""
+    def __init__(self, by_rule: dict[tuple[str, ...], Production]) -> None:
+        """Keep the productions by the symbols of their lark rules."""
         self.by_rule = by_rule
-        self.tokens = tokens
         self.memo: dict[int, _Best] = {}
 
     def read(self, root: SymbolNode) -> tuple[Derivation, float]:
@@ -96,18 +93,10 @@ class ForestReader:
             children += value.children
         if node.is_intermediate:
             return _Best(log_best, log_sum, children)
-        production = self._production(packed.rule, children)
+        rule = packed.rule
+        production = self.by_rule[rule.origin.name, *(symbol.name for symbol in rule.expansion)]
         log_p = production.log_probability
         return _Best(log_best + log_p, log_sum + log_p, (Derivation(production, children),))
-
-    def _production(self, rule: Any, children: tuple[Any, ...]) -> Production:
-        """Find which of the productions that share a lark rule the tokens mean."""
-        key = (rule.origin.name, tuple(symbol.name for symbol in rule.expansion))
-        candidates = self.by_rule[key]
-        if len(candidates) == 1:
-            return candidates[0]
-        words = tuple(f'"{self.tokens[child]}"' for child in children)
-        return next(candidate for candidate in candidates if candidate.right == words)
 
 
 # -------------------------------------------- from the most probable derivation to phrases

@@ -211,6 +211,8 @@ class Labelling:
         "The house with the truck in front" is the house behind the truck.
         """
         put = _relations(self.labels[index][1:].split())
+        if not put:
+            return True
         clause = self.sentence.clauses[self.sentence.clause[index]]
         gone = _relations([self.sentence.words[i] for i in clause if self.labels[i] == LEFT_OUT])
         return put <= {CONVERSE[one] for one in gone}
