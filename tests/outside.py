@@ -264,7 +264,8 @@ def ride(
         if is_idle.all():
             return
         states = many.renew(states, first, is_new)
-        seen = observation([one.odometry for one in lanes], [one.detect() for one in lanes], sensor)
+        found = [[] if idle else one.detect() for one, idle in zip(lanes, is_idle, strict=True)]
+        seen = observation([one.odometry for one in lanes], found, sensor)
         keys = keys_of(*np.array([(one.seed, len(one.path)) for one in lanes]).T)
         states, told = many.step(keys, states, seen, robot.params)
         move, is_stop, status, lost = (np.asarray(leaf) for leaf in told)

@@ -4,6 +4,7 @@ import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 import readings as by_hand
 from oracles.detours import shortest_way
 from situations import CHOOSE, RANGE, nodes_at, seen_goal, situation
@@ -107,18 +108,27 @@ def test_from_within_the_berth_the_way_leads_out() -> None:
         robot = after
 
 
-def test_a_goal_in_the_berth_is_reached_from_its_far_side() -> None:
-    way = way_to([(3.0, 0.0)], (0.0, 0.0), [(4.0, 0.0)], spare=1.08)
-    assert 0.0 < float(way.metres[0]) < 8.0
-    robot, path = np.zeros(2), [np.zeros(2)]
-    for _ in range(12):
-        way = way_to([(3.0, 0.0)], robot, [(4.0, 0.0)], spare=1.08)
+@pytest.mark.parametrize(
+    ("things", "start", "goal"),
+    [
+        ([(3.0, 0.0)], (0.0, 0.0), (4.0, 0.0)),
+        # In a gap of 3.7 m: gone up to straight from there, it is reached 1.6 m from a thing.
+        ([(3.98, 0.53), (5.56, 3.84)], (4.44, 2.3), (5.15, 0.79)),
+    ],
+)
+def test_a_goal_in_the_berth_is_reached_from_its_far_side(
+    things: list[tuple[float, float]], start: tuple[float, float], goal: tuple[float, float]
+) -> None:
+    robot, path = np.array(start), [np.array(start)]
+    for _ in range(14):
+        way = way_to(things, robot, [goal], spare=1.08)
+        assert 0.0 < float(way.metres[0]) < 12.0 or np.hypot(*(robot - goal)) < 1.2
         span = np.array([way.x[0], way.y[0]]) - robot
-        short = 1.08 if abs(float(way.x[0]) - 4.0) < 1e-6 else 0.0
+        short = 1.08 if abs(float(way.x[0]) - goal[0]) < 1e-6 else 0.0
         robot = robot + max(min(1.0, np.hypot(*span) - short), 0.0) * span / np.hypot(*span)
         path.append(robot)
-    assert np.hypot(*(robot - [4.0, 0.0])) < 1.2
-    assert np.hypot(*(np.array(path) - [3.0, 0.0]).T).min() > 1.8
+    assert np.hypot(*(robot - goal)) < 1.2
+    assert np.hypot(*(np.array(path)[:, None] - np.array(things)).T).min() > 1.8
 
 
 def test_a_gap_is_taken_once_where_there_is_no_other_way() -> None:

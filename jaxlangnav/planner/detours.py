@@ -2,8 +2,8 @@
 
 The graph has the robot, the nodes, corners about each forbidden thing, just outside its berth, and
 the middle between any two of them. An edge costs its metres and what ``constraints`` charges along
-it. What counts of the cheapest way is by how much it exceeds the straight line, and its first
-corner, which is where the robot is sent.
+it, to a place also what stopping there costs (``price_of_stop``). What counts of the cheapest way
+is by how much it exceeds the straight line, and its first corner, which is where the robot is sent.
 """
 
 import itertools
@@ -21,6 +21,7 @@ from jaxlangnav.planner.constraints import (
     RADIUS,
     Forbidden,
     price_along,
+    price_of_stop,
 )
 from jaxlangnav.planner.graph import VISITED, Nodes
 from jaxlangnav.planner.situation import Situation
@@ -73,9 +74,10 @@ def _cheapest(x: Array, y: Array, spare: Array, things: Forbidden, situation: Si
     away = jnp.sqrt((to_x - from_x) ** 2 + (to_y - from_y) ** 2 + 1e-12)
     length = jnp.maximum(away - jnp.append(jnp.zeros(number), spare)[None], 0.0)
     part = length / away
-    price = price_along(
-        from_x, from_y, from_x + part * (to_x - from_x), from_y + part * (to_y - from_y), things
-    )
+    end_x, end_y = from_x + part * (to_x - from_x), from_y + part * (to_y - from_y)
+    # Out of a berth that it stops in it must come again: a goal in one is reached from outside.
+    stop = price_of_stop(end_x[:, number:], end_y[:, number:], things)
+    price = price_along(from_x, from_y, end_x, end_y, things).at[:, number:].add(stop)
     is_shut = ~terrain.view.sees(Eye(from_x, from_y, jnp.float32(NEVER)), to_x, to_y)
     is_shut |= ~jnp.append(corners.is_node, jnp.ones(x.shape, bool))[None]
     edge = jnp.where(is_shut, NEVER, length + price)
