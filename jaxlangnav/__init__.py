@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 from jaxlangnav.inputs.old_names import know_old_names as _know_old_names
 
 if TYPE_CHECKING:
-    from jaxlangnav.agent import Navigator as Navigator
     from jaxlangnav.cli.runtime import keep_compiled_programs as keep_compiled_programs
     from jaxlangnav.grounding.annotated import AnnotationGrounder as AnnotationGrounder
     from jaxlangnav.language.parser import parse as parse
@@ -23,6 +22,7 @@ if TYPE_CHECKING:
         Status as Status,
         default_sensor as default_sensor,
     )
+    from jaxlangnav.navigator.api import Navigator as Navigator
     from jaxlangnav.relations.fit import fit_relations as fit_relations
     from jaxlangnav.task.follow import follow as follow
 
@@ -33,7 +33,7 @@ _HOMES = {
     "AnnotationGrounder": "jaxlangnav.grounding.annotated",
     "Behavior": "jaxlangnav.messages",
     "Fault": "jaxlangnav.messages",
-    "Navigator": "jaxlangnav.agent",
+    "Navigator": "jaxlangnav.navigator.api",
     "Observation": "jaxlangnav.messages",
     "SensorParams": "jaxlangnav.messages",
     "Status": "jaxlangnav.messages",

@@ -17,8 +17,8 @@ import numpy as np
 from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.grounding.asked import Asked
 from jaxlangnav.inputs.object_types import name_of
-from jaxlangnav.listening import Candidate
 from jaxlangnav.messages import NONE, Readings, SensorParams
+from jaxlangnav.navigator.candidates import Candidate
 from jaxlangnav.planner.params import PlannerParams
 from jaxlangnav.planner.policy import Portrayal
 from jaxlangnav.planner.termination import missing_types

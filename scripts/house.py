@@ -35,7 +35,7 @@ WORD_LISTS = ("lexicon.toml", "nouns.toml", "not_errors.txt")
 """Data of the language that list words and give no rules."""
 ENGINE = (
     "messages", "pytree", "numerics", "relations", "semantic_map", "planner", "navigator",
-    "agent", "episode", "lanes", "recording", "recorder",
+    "episode", "lanes", "recording", "recorder",
 )  # fmt: skip
 """From messages to episode; ``grounding`` is read after lunch."""
 NUM_DETECTIONS = 8

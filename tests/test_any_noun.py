@@ -11,7 +11,7 @@ import readings as by_hand
 from placed import placed
 from test_navigator_step import AREA, CONE, HYDRANT, distance, go
 
-from jaxlangnav import agent, episode, lanes
+from jaxlangnav import episode, lanes
 from jaxlangnav.grounding import GraphGrounder, load_shipped, understand
 from jaxlangnav.grounding.binding import Detector, UnknownObjectError
 from jaxlangnav.inputs import object_types
@@ -19,7 +19,7 @@ from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import LanguageError
 from jaxlangnav.messages import NONE, ROBOT, Status, default_motion, default_sensor
-from jaxlangnav.navigator import NavigatorConfig, default_params
+from jaxlangnav.navigator import NavigatorConfig, api, default_params
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.params import MapConfig
 from jaxlangnav.world.state import Scenario
@@ -336,13 +336,13 @@ def test_own_nouns_drive_an_episode_and_compile_nothing(robot, caplog) -> None:
     assert (labels.index("gazebo"), labels.index("easel")) == (HYDRANT, CONE)
     told = dataclasses.replace(robot, grounder=GraphGrounder(load_shipped(), labels))
     go(robot, robot.start("go to the hydrant", area=AREA), max_steps=1)
-    size = agent._step._cache_size()
+    size = api._step._cache_size()
     run = go(told, told.start("go to the gazebo behind the easel", area=AREA))
     assert distance(run, 1) < 1.5
     state = told.hear(run.state, "go to the easel near the zorbel")
     assert told.missing(state) == ["zorbel"]
     assert "my detector has no label for 'zorbel'" in caplog.text
-    assert agent._step._cache_size() == size
+    assert api._step._cache_size() == size
 
 
 BALLS = ((3.0, 2.0, "blue"), (3.0, -2.0, "red"), (6.0, 0.5, "green"), (6.0, -4.0, "yellow"))

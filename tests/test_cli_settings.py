@@ -141,5 +141,5 @@ def test_commands_without_settings_do_not_know_them(capsys: pytest.CaptureFixtur
 def test_a_detector_with_which_the_robot_would_stand_still_is_refused(
     words: list[str], refusal: str, monkeypatch, capsys
 ) -> None:
-    monkeypatch.setattr("jaxlangnav.cli.engine.rehearse", lambda *_, **__: pytest.fail("begun"))
+    monkeypatch.setattr("jaxlangnav.task.follow.rehearse", lambda *_, **__: pytest.fail("begun"))
     assert refusal in refused(words, capsys)

@@ -8,11 +8,11 @@ import pytest
 import readings as by_hand
 from test_navigator_step import AREA, CONE, HYDRANT, STEP, assert_arrived, distance, go, see
 
-from jaxlangnav import agent, hearing
 from jaxlangnav.grounding.readings import Capacity
 from jaxlangnav.language.utterance import Kind, classify
-from jaxlangnav.listening import Candidate, _chosen
 from jaxlangnav.messages import Status
+from jaxlangnav.navigator import api, speech_acts
+from jaxlangnav.navigator.candidates import Candidate, chosen_by
 from jaxlangnav.pytree import replace
 
 CAR = 2
@@ -90,9 +90,9 @@ def test_any_candidate_can_be_chosen_by_its_place() -> None:
     found = [Candidate(slot=n, type_name="cone", x=n, y=0.0, probability=0.2) for n in range(7)]
     pose = np.zeros(3)
     for text, slot in (("the first", 0), ("the fourth", 3), ("number 6", 5), ("the last", 6)):
-        chosen = _chosen(found, classify(text, is_asked=True).wording, pose)
+        chosen = chosen_by(found, classify(text, is_asked=True).wording, pose)
         assert chosen is found[slot]
-    assert _chosen(found[:3], classify("the fourth", is_asked=True).wording, pose) is None
+    assert chosen_by(found[:3], classify("the fourth", is_asked=True).wording, pose) is None
 
 
 def test_a_statement_changes_no_task(robot) -> None:
@@ -189,7 +189,7 @@ def curious(robot, cost: float = 0.05):
     planner = replace(robot.params.planner, question_cost=np.float32(cost))
     believed = replace(robot.params.map, misleading=np.float32(0.05), clumping=np.float32(0.0))
     params = replace(robot.params, planner=planner, map=believed)
-    return agent.Navigator(grounder=robot.grounder, params=params, config=robot.config)
+    return api.Navigator(grounder=robot.grounder, params=params, config=robot.config)
 
 
 @pytest.mark.parametrize(
@@ -261,7 +261,7 @@ STREAM = (
 
 def test_nothing_said_is_compiled(robot) -> None:
     run = set_out(robot)
-    before, state = agent._step._cache_size(), run.state
+    before, state = api._step._cache_size(), run.state
     kinds = set()
     for index, text in enumerate(STREAM):
         # As if the robot were at something, whatever became of the last utterance.
@@ -271,7 +271,7 @@ def test_nothing_said_is_compiled(robot) -> None:
         state, action, _ = robot.step(jax.random.key(index), state, see(run.end, 0.0, WORLD))
         assert np.isfinite(action.step).all()
     assert kinds == set(Kind) - {Kind.ANSWER}
-    assert agent._step._cache_size() == before
+    assert api._step._cache_size() == before
 
 
 def test_what_finds_no_room_leaves_the_oldest_first_and_is_counted(robot) -> None:
@@ -293,7 +293,7 @@ def test_sizes_that_do_not_fit_are_refused(robot) -> None:
     with pytest.raises(ValueError, match="at least 6"):
         Capacity(num_mentions=5)
     with pytest.raises(ValueError, match="at most 31"):
-        agent.Navigator(
+        api.Navigator(
             grounder=robot.grounder,
             params=robot.params,
             config=robot.config,
@@ -305,12 +305,12 @@ def test_sizes_that_do_not_fit_are_refused(robot) -> None:
 def test_a_correction_leads_to_the_other_one() -> None:
     """In 100 random worlds of two hydrants, told as soon as one of them is approached."""
     number, draw = 100, np.random.default_rng(5)
-    one = agent.Navigator.pretrained()
+    one = api.Navigator.pretrained()
     step = jax.jit(
         jax.vmap(lambda key, state, look: STEP.__wrapped__(
             key, state, look, params=one.params, config=one.config)),
     )  # fmt: skip
-    correct = jax.jit(jax.vmap(hearing.correct))
+    correct = jax.jit(jax.vmap(speech_acts.correct))
     choose = jax.jit(
         lambda which, new, old: jax.tree.map(
             lambda a, b: jax.vmap(jax.numpy.where)(which, a, b), new, old

@@ -9,7 +9,7 @@ SCRIPT = """
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxlangnav import agent
+from jaxlangnav.navigator import api
 from jaxlangnav.messages import Status
 from jaxlangnav.pytree import replace
 
@@ -21,9 +21,9 @@ def listen(name, seconds, **about):
         compiled.append(about.get("fun_name"))
 
 
-one = agent.Navigator.pretrained({numbers})
+one = api.Navigator.pretrained({numbers})
 # The decision cycle, most of a minute to compile, is counted in test_navigator_step.
-agent._step = lambda key, state, look, **rest: (state, None, None)
+api._step = lambda key, state, look, **rest: (state, None, None)
 one.warm_up()
 jax.monitoring.register_event_duration_secs_listener(listen)
 idle = one.wait()

@@ -10,9 +10,8 @@ import readings as by_hand
 from oracles import enumeration as exact
 from test_semantic_map_enumeration import ALPHA, OBJECTS, compare, small_world
 
-from jaxlangnav import agent, hearing
 from jaxlangnav.messages import NONE, ROBOT
-from jaxlangnav.navigator import NavigatorConfig
+from jaxlangnav.navigator import NavigatorConfig, api, speech_acts
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.semantic_map.params import MapConfig
@@ -35,10 +34,10 @@ SLOW = [pytest.param(one, marks=pytest.mark.slow) for one in STREAMS[1:]]
 
 
 @functools.cache
-def robot() -> agent.Navigator:
-    one = agent.Navigator.pretrained("faithful")
+def robot() -> api.Navigator:
+    one = api.Navigator.pretrained("faithful")
     config = NavigatorConfig(map=MapConfig(num_particles=256, num_objects=6, num_cells=24))
-    return agent.Navigator(grounder=one.grounder, params=one.params, config=config)
+    return api.Navigator(grounder=one.grounder, params=one.params, config=config)
 
 
 @functools.cache
@@ -83,7 +82,7 @@ def correct(state, beliefs):
     """Rule out the hydrant that was seen first."""
     types = np.asarray(beliefs.particles.object_type)[0, :, 0]
     slot = jnp.int32(np.flatnonzero(types == HYDRANT)[0])
-    return hearing.correct(replace(state, talk=replace(state.talk, approached=slot)))
+    return speech_acts.correct(replace(state, talk=replace(state.talk, approached=slot)))
 
 
 def said_in(state, reading: int = 0):

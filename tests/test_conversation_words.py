@@ -7,7 +7,7 @@ import pytest
 import readings as by_hand
 
 from jaxlangnav import Navigator
-from jaxlangnav.conversation import AVOID_ALL, AVOID_IT, first_words, join
+from jaxlangnav.dialogue import AVOID_ALL, AVOID_IT, first_words, join
 from jaxlangnav.grounding import Context, GraphGrounder, Grounded, load_shipped, understand
 from jaxlangnav.grounding.binding import Detector
 from jaxlangnav.grounding.readings import Capacity, widen

@@ -12,8 +12,8 @@ from test_navigator_step import AREA, HYDRANT
 from jaxlangnav.cli import main as cli, speech
 from jaxlangnav.cli.output import Output
 from jaxlangnav.grounding import load_shipped, understand
-from jaxlangnav.listening import Candidate
 from jaxlangnav.messages import Status
+from jaxlangnav.navigator.candidates import Candidate
 from jaxlangnav.pytree import replace
 from jaxlangnav.recording import Remark
 from jaxlangnav.task import talk

@@ -31,12 +31,8 @@ LAYERS = (
     "training",
     "semantic_map",
     "planner",
-    "conversation",
+    "dialogue",
     "navigator",
-    "hearing",
-    "listening",
-    "uniform",
-    "agent",
     "world",
     "episode",
     "lanes",
@@ -52,10 +48,7 @@ LAYERS = (
 )
 """Lowest first. ``jaxlangnav/__init__.py`` is the facade: it names things from everywhere."""
 
-BELIEF = (
-    "grounding", "training", "semantic_map", "planner", "conversation", "navigator", "hearing",
-    "listening", "uniform", "agent",
-)  # fmt: skip
+BELIEF = ("grounding", "training", "semantic_map", "planner", "dialogue", "navigator")
 TRUTH = "world"
 PACKAGE = Path(__file__).parent.parent / "jaxlangnav"
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from test_navigator_step import AREA, CONE, HYDRANT, RANGE, WORLD, assert_arrived, go, see
 
-from jaxlangnav import hearing
 from jaxlangnav.language.halting import Act
 from jaxlangnav.language.utterance import Kind
 from jaxlangnav.messages import Fault, Status
+from jaxlangnav.navigator import speech_acts
 from jaxlangnav.planner import policy
 from jaxlangnav.pytree import replace
 
@@ -145,9 +145,9 @@ def test_a_batch_is_halted_as_one_is(robot) -> None:
     one = robot.start(TEXT, area=AREA)
     both = jax.tree.map(lambda leaf: np.stack([leaf, leaf]), one)
     for act in Act:
-        alone = hearing.obey(one, act)
+        alone = speech_acts.obey(one, act)
         twice = jax.tree.map(lambda leaf: np.stack([leaf, leaf]), alone)
-        jax.tree.map(np.testing.assert_array_equal, hearing.obey(both, act), twice)
+        jax.tree.map(np.testing.assert_array_equal, speech_acts.obey(both, act), twice)
 
 
 def test_a_fault_changes_no_status(robot) -> None:

@@ -7,10 +7,11 @@ import pytest
 from hostile import MUTATIONS, looks
 from test_navigator_step import AREA, distance, go, see
 
-from jaxlangnav import agent, hearing, navigator
-from jaxlangnav.conversation import join
+from jaxlangnav import navigator
+from jaxlangnav.dialogue import join
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.messages import Fault
+from jaxlangnav.navigator import api, speech_acts
 from jaxlangnav.pytree import replace
 
 TEXT = "go to the hydrant behind the cone"
@@ -167,7 +168,7 @@ def test_a_command_heard_at_a_place_that_cannot_be_is_heard_where_it_was(robot) 
     instruction = understand("go to the cone", load_shipped()).instruction
     words = join(state.instruction.readings, state.talk.words, instruction, None, is_new_task=True)
     nowhere = jnp.array([jnp.nan, 0.0, 0.0])
-    told = hearing.tell(state, words, nowhere, how=hearing.How.REPLACE)
+    told = speech_acts.tell(state, words, nowhere, how=speech_acts.How.REPLACE)
     np.testing.assert_array_equal(told.talk.viewer[0], state.belief.last_pose)
     assert bool(told.belief.must_ground)
 
@@ -179,11 +180,11 @@ SAID = "go to the hydrant"
 
 
 @pytest.fixture(scope="module")
-def owner() -> agent.Navigator:
-    return agent.Navigator.pretrained(labels=LABELS)
+def owner() -> api.Navigator:
+    return api.Navigator.pretrained(labels=LABELS)
 
 
-def doors(other: agent.Navigator):
+def doors(other: api.Navigator):
     yield lambda state: other.step(jax.random.key(0), state, other.observation((0.0, 0.0, 0.0)))
     yield lambda state: other.hear(state, "go to the cone")
     yield lambda state: other.take(state, "stop")
@@ -200,7 +201,7 @@ def doors(other: agent.Navigator):
     ],
 )
 def test_a_state_of_another_navigator_is_refused(owner, policy: str, labels, why: str) -> None:
-    other = agent.Navigator.pretrained(policy, labels=labels)
+    other = api.Navigator.pretrained(policy, labels=labels)
     for state in (owner.start(SAID), owner.wait()):
         for door in doors(other):
             with pytest.raises(ValueError, match=why) as refusal:
@@ -210,7 +211,7 @@ def test_a_state_of_another_navigator_is_refused(owner, policy: str, labels, why
 
 def test_a_state_is_taken_by_a_navigator_alike(owner) -> None:
     """Other numbers are no other navigator, and a state may have been written to a file."""
-    like = agent.Navigator.pretrained(labels=list(LABELS), reach=2.0)
+    like = api.Navigator.pretrained(labels=list(LABELS), reach=2.0)
     state = owner.start(SAID)
     leaves, structure = jax.tree.flatten(state)
     read = jax.tree.unflatten(structure, [np.array(leaf) for leaf in leaves])

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 import readings as by_hand
 
-from jaxlangnav import agent, navigator
+from jaxlangnav import navigator
 from jaxlangnav.grounding import AnnotationGrounder
 from jaxlangnav.messages import NONE, Status
-from jaxlangnav.navigator import NavigatorConfig
+from jaxlangnav.navigator import NavigatorConfig, api
 from jaxlangnav.planner.config import SHIPPED, PlannerConfig
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.params import MapConfig
@@ -24,7 +24,7 @@ WORLD = [(CONE, 4.0, 0.5), (HYDRANT, 6.4, 0.8), (CONE, 2.5, -3.5)]
 RANGE = 3.0
 
 
-STEP = agent._step
+STEP = api._step
 """Compiled once for all files that drive the robot."""
 
 
@@ -170,7 +170,7 @@ def test_the_types_of_a_task_are_named(robot) -> None:
 
 
 def test_numbers_are_set_by_name(robot) -> None:
-    own = agent.Navigator.pretrained(odometry_noise=np.float32(0.05), misleading="10 %", reach=1)
+    own = api.Navigator.pretrained(odometry_noise=np.float32(0.05), misleading="10 %", reach=1)
     assert float(own.params.map.motion.odometry_noise) == pytest.approx(0.05)
     assert float(own.params.map.misleading) == pytest.approx(0.1)
     assert float(own.params.planner.reach) == 1.0
@@ -197,7 +197,7 @@ def test_numbers_are_set_by_name(robot) -> None:
 )
 def test_numbers_that_cannot_be_are_refused(numbers: dict[str, float], words: str) -> None:
     with pytest.raises(ValueError, match=words):
-        agent.Navigator.pretrained(**numbers)
+        api.Navigator.pretrained(**numbers)
 
 
 def test_find_stops_once_it_is_in_view(robot) -> None:
@@ -249,7 +249,7 @@ def test_hears_another_command_and_keeps_its_map(robot) -> None:
 
 
 @pytest.fixture
-def told(robot) -> agent.Navigator:
+def told(robot) -> api.Navigator:
     """One that takes annotations in place of sentences."""
     return dataclasses.replace(robot, grounder=AnnotationGrounder(robot.type_names))
 
@@ -312,10 +312,10 @@ def test_annotations_may_speak_of_any_types(robot) -> None:
     types = ("gazebo", "bridge")
     assert (types.index("gazebo"), types.index("bridge")) == (HYDRANT, CONE)
     told = dataclasses.replace(robot, grounder=AnnotationGrounder(types))
-    size = agent._step._cache_size()
+    size = api._step._cache_size()
     run = go(told, told.start(form((1.0, "behind"), types=types), area=AREA))
     assert distance(run, 1) < 1.5
-    assert agent._step._cache_size() == size
+    assert api._step._cache_size() == size
     command = {"goal": {"thing": "other"}}
     heard = {"probability": 1, "things": [{"id": "other", "type": "bridge"}], "commands": [command]}
     state = told.hear(run.state, json.dumps({"readings": [heard]}))
@@ -327,11 +327,11 @@ def test_step_is_compiled_once_whatever_is_said(robot) -> None:
     sizes = []
     for text in ("go to the hydrant", "move behind the cone near the hydrant", "find the cone"):
         go(robot, robot.start(text, area=AREA), max_steps=1)
-        sizes.append(agent._step._cache_size())
+        sizes.append(api._step._cache_size())
     changed = replace(robot.params, mode_speed=jnp.array([2.0, 3.0, 1.0]))
     other = dataclasses.replace(robot, params=changed)
     go(other, other.start("go to the hydrant", area=AREA), max_steps=1)
-    sizes.append(agent._step._cache_size())
+    sizes.append(api._step._cache_size())
     assert len(set(sizes)) == 1
 
 

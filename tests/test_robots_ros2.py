@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from test_robots_drive import TEXT, goal_distance, put
 
-from jaxlangnav.agent import Navigator
+from jaxlangnav.navigator.api import Navigator
 from jaxlangnav.robots.libraries import ros
 from jaxlangnav.robots.robot import Detection, Drive, Ending, Progress
 from jaxlangnav.robots.ros2 import conversions, node

@@ -20,9 +20,9 @@ from jaxlangnav.inputs import observations
 from jaxlangnav.inputs.object_types import attributes
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.messages import NONE, Observation, SensorParams, default_sensor
+from jaxlangnav.navigator.canonicalize import canonicalize
 from jaxlangnav.navigator.deployment import FIELDS
 from jaxlangnav.pytree import replace
-from jaxlangnav.uniform import uniform
 
 SENSOR = default_sensor(4.0, field_of_view=math.pi / 2, noise=0.05)
 HERE = (0.0, 0.0, 0.0)
@@ -186,14 +186,14 @@ def test_what_is_no_state_is_refused() -> None:
 def test_an_observation_whose_parts_do_not_fit_is_refused(change: Any, words: str) -> None:
     look = replace(Observation.of(HERE, [("cone", 1.0, 0.0)], SENSOR), **change)
     with pytest.raises(ValueError, match=f"observation's .*{words}|^{words}") as refusal:
-        uniform(look)
+        canonicalize(look)
     assert "\n" not in str(refusal.value)
 
 
 @pytest.mark.parametrize("look", [None, (0.0, 0.0, 0.0), "look"])
 def test_what_is_no_observation_is_refused(look: Any) -> None:
     with pytest.raises(ValueError, match=r"must be made by navigator\.observation"):
-        uniform(look)
+        canonicalize(look)
 
 
 def test_a_start_in_degrees_is_refused() -> None:
@@ -209,7 +209,7 @@ def test_warming_up_covers_looks_with_attributes() -> None:
     """With them or without, or given by hand: one structure, one set of shapes and dtypes."""
 
     def form(look: Observation) -> object:
-        given = uniform(look)
+        given = canonicalize(look)
         return jax.tree.structure(given), [(np.shape(x), x.dtype) for x in jax.tree.leaves(given)]
 
     plain = Observation.of(HERE, [(1, 1.0, 0.0)], SENSOR)
@@ -292,12 +292,12 @@ def entrances(door: Navigator) -> Iterator[tuple[str, Callable[[Any], object]]]:
         )
         yield (
             field.name,
-            lambda one, name=field.name: uniform(
+            lambda one, name=field.name: canonicalize(
                 replace(look, sensor=replace(look.sensor, **{name: one}))
             ),
         )
     for field in dataclasses.fields(Observation):
-        yield field.name, lambda one, name=field.name: uniform(replace(look, **{name: one}))
+        yield field.name, lambda one, name=field.name: canonicalize(replace(look, **{name: one}))
     for name in ("reach", "misleading", "clumping", "heading_noise"):
         yield (
             name,

@@ -8,10 +8,10 @@ from placed import placed
 from test_navigator_step import WORLD
 from test_world_motion import KEY, action, motion, robot
 
-from jaxlangnav import agent, episode
+from jaxlangnav import episode
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.messages import Status, default_sensor
-from jaxlangnav.navigator import NavigatorConfig, default_params
+from jaxlangnav.navigator import NavigatorConfig, api, default_params
 from jaxlangnav.planner.config import PlannerConfig
 from jaxlangnav.semantic_map.params import MapConfig
 from jaxlangnav.terrain import Terrain
@@ -74,7 +74,7 @@ def place(things: list[tuple[int, float, float]], **more) -> Scenario:
 
 def test_a_robot_on_two_wheels_follows_a_sentence() -> None:
     """The belief knows nothing of the body; it turns no faster than it can, and arrives."""
-    driver = agent.Navigator.pretrained()
+    driver = api.Navigator.pretrained()
     scene, body, sensor = place(WORLD), wheels(0.8), default_sensor()
     world = simulator.reset(scene)
     state = driver.start(

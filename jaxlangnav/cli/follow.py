@@ -105,10 +105,9 @@ class Follow:
         from jaxlangnav.task.opening import refuse_what_it_lacks, slots_of
 
         refuse_what_it_lacks(self.world, understood)
-        from jaxlangnav.cli.engine import rehearse
         from jaxlangnav.experiments.policies import without_compass
         from jaxlangnav.pytree import replace
-        from jaxlangnav.task.follow import alone
+        from jaxlangnav.task.follow import alone, rehearse
         from jaxlangnav.task.talk import roomy
 
         speech = self._speech
@@ -172,16 +171,16 @@ class Follow:
         self, parsed: "Parse | None", output: Output
     ) -> "tuple[Understanding, Grounder]":
         """Understand the sentence, which has to ask for something."""
-        from jaxlangnav.cli.engine import load_models
         from jaxlangnav.grounding import GraphGrounder
         from jaxlangnav.grounding.instruction import understand_parse
+        from jaxlangnav.grounding.weights import load
         from jaxlangnav.language.lexicon import load_lexicon
         from jaxlangnav.task.opening import detector_of
 
         # Before anything is compiled: a world that cannot be opened is refused at once.
         detector = detector_of(self.world, load_lexicon().type_names)
         parsed = parsed or parse_text(self.text, output, detector.plain_labels)
-        models = load_models(self.weights)
+        models = load(self.weights)
         understood = understand_parse(parsed, models, detector)
         for note in understood.notes:
             output.note(f"note: {note}")

@@ -56,12 +56,12 @@ class Ground:
         keep_compiled_programs()
         from rich.text import Text
 
-        from jaxlangnav.cli.engine import load_models
         from jaxlangnav.grounding.asked import list_commands
         from jaxlangnav.grounding.instruction import understand_parse
+        from jaxlangnav.grounding.weights import load
         from jaxlangnav.task.opening import detector_of
 
-        model = load_models(self.weights)
+        model = load(self.weights)
         detector = detector_of(self.world, model.type_names) if self.world else None
         labels = detector.plain_labels if detector else ()
         parsed = parsed or parse_text(self.text, output, labels)

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from jaxlangnav.episode import EpisodeState
     from jaxlangnav.grounding import Grounder
     from jaxlangnav.grounding.instruction import Understanding
-    from jaxlangnav.listening import Candidate
     from jaxlangnav.navigator import NavigatorParams
+    from jaxlangnav.navigator.candidates import Candidate
     from jaxlangnav.recording import Recording, Remark, StaticScene
     from jaxlangnav.task.talk import Earshot
 

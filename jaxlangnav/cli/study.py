@@ -5,7 +5,6 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from jaxlangnav.cli.engine import load_models
 from jaxlangnav.cli.output import Document, Output
 from jaxlangnav.cli.runtime import waiting
 from jaxlangnav.cli.settings import SettingPath, apply
@@ -15,6 +14,7 @@ from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.table import Section, Table
 from jaxlangnav.experiments.tasks import SENTENCES
 from jaxlangnav.grounding.instruction import understand_parse
+from jaxlangnav.grounding.weights import load
 from jaxlangnav.inputs.whole_files import write_text
 from jaxlangnav.language.parser import parse
 from jaxlangnav.navigator import NavigatorParams
@@ -129,7 +129,7 @@ def _figure(
         def write(out: Path) -> Iterable[Path]:
             table = moments_table(document["moments"]).markdown()
             told = {key: value for key, value in document.items() if key != "moments"}
-            made, stem = manifest(told, models=load_models(None)), out / name
+            made, stem = manifest(told, models=load(None)), out / name
             text = f"# {title}\n\n{paper}\n\n{ours}\n\n{table}"
             return [
                 *save(draw(recording, steps=steps), stem),
@@ -186,7 +186,7 @@ def _record(name: str, settings: Settings) -> tuple[str, Recording]:
     # All policies by default: then the paper's, whose figure it is.
     named = [one for one in settings.options.policies if one in POLICIES]
     policy = named[0] if len(named) == 1 else "faithful"
-    understood = understand_parse(parse(TEXT), load_models(None))
+    understood = understand_parse(parse(TEXT), load(None))
     prepared = open_task(name, understood, sensing_range=None, seed=settings.options.seed)
     task = prepared.task
     sensor = apply(task.sensor, settings.values, "sensor")
@@ -203,7 +203,7 @@ def _record(name: str, settings: Settings) -> tuple[str, Recording]:
 
 def _count_factors(_: Settings, output: Output) -> Found:
     """Build the factor graph of the sentence, count its parts, and draw it: Figure 3."""
-    model, parsed = load_models(None), parse(TEXT)
+    model, parsed = load(None), parse(TEXT)
     document: dict[str, Any] = {
         "experiment": "figure3",
         "instruction": TEXT,

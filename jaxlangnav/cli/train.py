@@ -45,13 +45,12 @@ class Train:
         keep_compiled_programs()
         if self.what == "reader":
             return self._train_reader(output)
-        from jaxlangnav.cli.engine import load_models
-        from jaxlangnav.grounding.weights import save
+        from jaxlangnav.grounding.weights import load, save
         from jaxlangnav.training.shipped import MODELS, train_models
 
         kinds = MODELS if self.what == "both" else (self.what,)
         trained = train_models(
-            self.corpus, kinds=kinds, base=load_models(self.base), on_progress=output.note
+            self.corpus, kinds=kinds, base=load(self.base), on_progress=output.note
         )
         if self.out is not None:
             corpus = f" --corpus {shlex.quote(self.corpus.name)}" if self.corpus else ""

@@ -2,7 +2,7 @@
 
 A course of ``lanes.run_batch`` with a person (``world.person``) who is shown what the
 robot says of itself and speaks before its decisions. What is said is put into the state by the
-functions of ``hearing``, the words of a statement joined once for all lanes.
+functions of ``speech_acts``, the words of a statement joined once for all lanes.
 """
 
 import operator
@@ -11,17 +11,17 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav import episode, hearing
-from jaxlangnav.conversation import Joined, Words, first_words, join
+from jaxlangnav import episode
+from jaxlangnav.dialogue import Joined, Words, first_words, join
 from jaxlangnav.episode import EpisodeResult, EpisodeState, Task
 from jaxlangnav.experiments.monte_carlo import OnProgress, run_tasks
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.grounding.readings import Capacity, widen
-from jaxlangnav.hearing import How
 from jaxlangnav.lanes import Course
 from jaxlangnav.messages import NONE, Status
-from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, NavigatorState
+from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, NavigatorState, speech_acts
+from jaxlangnav.navigator.speech_acts import How
 from jaxlangnav.pytree import pytree, replace, strong
 from jaxlangnav.world.person import Person, PersonParams, RobotView, Says, say, unspoken
 from jaxlangnav.world.simulator import SUCCESS_RADIUS, goal_distance
@@ -96,11 +96,11 @@ def _hear(state: NavigatorState, said: Array, slot: Array, sentence: Sentence) -
     pose, candidates = state.belief.last_pose, state.talk.candidate > 0.0
     bits = jnp.left_shift(1, jnp.arange(candidates.shape[0]))
     outcomes = {
-        Says.OTHER: hearing.correct(state),
-        Says.THIS: hearing.choose(state, slot),
-        Says.NONE_OF_THEM: hearing.rule_out(state, jnp.sum(jnp.where(candidates, bits, 0))),
-        Says.TRUTH: hearing.tell(state, sentence.truth, pose, how=How.INFORM),
-        Says.FALSEHOOD: hearing.tell(state, sentence.falsehood, pose, how=How.INFORM),
+        Says.OTHER: speech_acts.correct(state),
+        Says.THIS: speech_acts.choose(state, slot),
+        Says.NONE_OF_THEM: speech_acts.rule_out(state, jnp.sum(jnp.where(candidates, bits, 0))),
+        Says.TRUTH: speech_acts.tell(state, sentence.truth, pose, how=How.INFORM),
+        Says.FALSEHOOD: speech_acts.tell(state, sentence.falsehood, pose, how=How.INFORM),
     }
     for kind, after in outcomes.items():
 

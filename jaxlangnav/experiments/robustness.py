@@ -12,7 +12,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jaxlangnav.agent import Navigator
 from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.experiments.experiment import Experiment, Options
 from jaxlangnav.experiments.grid import Row
@@ -23,6 +22,7 @@ from jaxlangnav.experiments.scenarios import SAID, SCENARIOS, PlaceSpec
 from jaxlangnav.experiments.table import SUCCESS, Document, Table, TableColumns
 from jaxlangnav.messages import Status
 from jaxlangnav.navigator import NavigatorParams
+from jaxlangnav.navigator.api import Navigator
 from jaxlangnav.planner.config import POLICIES
 
 _MAX_STEPS = 400

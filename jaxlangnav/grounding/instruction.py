@@ -17,12 +17,7 @@ from jaxlangnav.grounding.binding import Detector, UnknownObjectError, bind, sai
 from jaxlangnav.grounding.model import CorrespondenceModel
 from jaxlangnav.grounding.program import BehaviorProgram, compile_clause, empty_program, to_program
 from jaxlangnav.grounding.readings import to_readings
-from jaxlangnav.grounding.symbols import (
-    AnnotationSpace,
-    BehaviorSpace,
-    bottom_up,
-    count_graph,
-)
+from jaxlangnav.grounding.symbols import AnnotationSpace, BehaviorSpace, bottom_up, count_graph
 from jaxlangnav.inputs.object_types import ANYTHING
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import COMMAND, Measure, Parse, Phrase

@@ -16,12 +16,7 @@ import jax
 import numpy as np
 from jax import Array
 
-from jaxlangnav.grounding.behavior_properties import (
-    PREVIOUS,
-    PhraseWords,
-    choice_tables,
-    contract,
-)
+from jaxlangnav.grounding.behavior_properties import PREVIOUS, PhraseWords, choice_tables, contract
 from jaxlangnav.grounding.model import RESTRICTORS, CorrespondenceModel, Senses, senses_of
 from jaxlangnav.grounding.properties import ranks_meant
 from jaxlangnav.grounding.symbols import NUM_REGIONS, NUM_RELATIONS, Node, Path, bottom_up

@@ -104,13 +104,13 @@ def save(path: Path, model: GroundingModel, *, command: str, corpus_hash: str) -
         np.savez_compressed(temporary, allow_pickle=False, **arrays)
 
 
-def load(path: Path) -> GroundingModel:
+def load(path: Path | None) -> GroundingModel:
     """Read weights.
 
     Object types come from the lexicon, which may have more than the weights were trained with.
 
     Args:
-        path: file written by ``save``.
+        path: file written by ``save``; None: the shipped one.
 
     Returns:
         Both models: names, shapes and types are those the engine works with, numbers are finite.
@@ -118,6 +118,8 @@ def load(path: Path) -> GroundingModel:
     Raises:
         ValueError: the file is not readable as weights, or its types disagree with the lexicon.
     """
+    if path is None:
+        return load_shipped()
     weights = [f"{name}/{kind}.npy" for name, kinds in _MODELS.items() for kind in kinds]
     members = ["about.npy", *(f"{name}.json.npy" for name in _MODELS), *weights]
     with _refusing(path):

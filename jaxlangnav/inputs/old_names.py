@@ -9,6 +9,13 @@ from collections.abc import Sequence
 from types import ModuleType
 
 MOVED = {
+    "conversation": "dialogue",
+    "conversation.history": "dialogue.history",
+    "conversation.join": "dialogue.merge",
+    "conversation.memory": "dialogue.memory",
+    "hearing": "navigator.speech_acts",
+    "listening": "navigator.interpret",
+    "agent": "navigator.api",
     "kept": "inputs.program_cache",
     "kinds": "inputs.object_types",
     "experiments.table2": "experiments.paper",

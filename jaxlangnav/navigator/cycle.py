@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav import conversation
-from jaxlangnav.conversation import Words
+from jaxlangnav import dialogue
+from jaxlangnav.dialogue import Words
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.inputs.object_types import MOST_LABELS, is_anything, label_of
 from jaxlangnav.inputs.observations import DEVIATIONS
@@ -87,7 +87,7 @@ def start(
         config: sizes.
         num_types: object types that a detection may name.
         terrain: how far one sees and walks in the area; the open field by default.
-        words: what the readings are about, where more may be said (``hearing``); by default the
+        words: what the readings are about, where more may be said (``speech_acts``); by default the
             task speaks of all of it.
 
     Returns:
@@ -107,7 +107,7 @@ def start(
         memory=strong(config.planner.chosen.init(belief)),
         status=jnp.int32(Status.SEARCHING),
         is_halted=jnp.asarray(False),
-        talk=conversation.begin_conversation(
+        talk=dialogue.begin_conversation(
             instruction, belief.last_pose, config.map.num_objects, words
         ),
         way=start_of_way(belief.last_pose),
@@ -233,12 +233,12 @@ def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> Outl
     behavior = filter_untyped_goals(
         behavior, belief.particles, readings, talk.told, params.map.relations
     )
-    behavior = conversation.without(behavior, talk.ruled_out)
-    behavior = conversation.pinned(
+    behavior = dialogue.without(behavior, talk.ruled_out)
+    behavior = dialogue.pinned(
         behavior, belief.particles, readings.mention_type, talk.words, state.clause
     )
-    behavior = conversation.avoided(behavior, belief.particles, readings.mention_type, talk.words)
-    belief = replace(belief, particles=conversation.focus(belief.particles, talk.words))
+    behavior = dialogue.avoided(behavior, belief.particles, readings.mention_type, talk.words)
+    belief = replace(belief, particles=dialogue.focus(belief.particles, talk.words))
     belief = about_robot(belief)
     group = believed_groups(readings, belief.particles)
     weight = jnp.exp(belief.log_weight)

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.conversation import Conversation
+from jaxlangnav.dialogue import Conversation
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.messages import Action, Behavior, Status
 from jaxlangnav.planner import graph, policy

@@ -12,9 +12,9 @@ import jax
 import numpy as np
 from jax import Array
 
-from jaxlangnav.agent import Navigator
 from jaxlangnav.messages import AT, Action, Fault, Status
 from jaxlangnav.navigator import NavigatorInfo, NavigatorState
+from jaxlangnav.navigator.api import Navigator
 from jaxlangnav.pytree import replace
 from jaxlangnav.robots.motion.steering import wrap
 from jaxlangnav.robots.robot import (

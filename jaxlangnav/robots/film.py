@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from jaxlangnav.agent import Navigator
 from jaxlangnav.inputs.whole_files import replacing
 from jaxlangnav.messages import Status
 from jaxlangnav.navigator import NavigatorInfo, NavigatorState
+from jaxlangnav.navigator.api import Navigator
 from jaxlangnav.robots import libraries
 from jaxlangnav.robots.driver import drive
 from jaxlangnav.robots.perception.tags import TAGS_PER_TYPE, middle_of

@@ -11,10 +11,10 @@ import jax
 import numpy as np
 from jax import Array
 
-from jaxlangnav.agent import Navigator
 from jaxlangnav.episode import EpisodeResult
 from jaxlangnav.messages import Fault, Status
 from jaxlangnav.navigator import NavigatorInfo, NavigatorState
+from jaxlangnav.navigator.api import Navigator
 from jaxlangnav.pytree import replace
 from jaxlangnav.recorder import frame_of, scene_of
 from jaxlangnav.recording import Frame, Recording, stack_frames

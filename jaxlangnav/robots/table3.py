@@ -15,9 +15,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxlangnav.agent import Navigator
 from jaxlangnav.experiments.tasks import SENTENCES
 from jaxlangnav.navigator import NavigatorInfo, NavigatorState
+from jaxlangnav.navigator.api import Navigator
 from jaxlangnav.pytree import replace
 from jaxlangnav.robots.driver import drive
 from jaxlangnav.robots.motion.steering import wrap

@@ -30,12 +30,7 @@ from jaxlangnav.semantic_map.particle import SemanticMap
 from jaxlangnav.semantic_map.predict import drift_noise, predict, with_drift
 from jaxlangnav.semantic_map.proposal.sparse_regrounding import Regrounded, reground
 from jaxlangnav.semantic_map.proposal.utterance import ground_words
-from jaxlangnav.semantic_map.unreferenced_objects import (
-    nobody,
-    part,
-    promote,
-    remember_bystanders,
-)
+from jaxlangnav.semantic_map.unreferenced_objects import nobody, part, promote, remember_bystanders
 from jaxlangnav.terrain import OPEN, Terrain
 
 

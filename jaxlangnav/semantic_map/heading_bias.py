@@ -14,13 +14,7 @@ from jax import Array
 
 from jaxlangnav.messages import Observation, SensorParams
 from jaxlangnav.pytree import replace
-from jaxlangnav.semantic_map.belief import (
-    ParticleBelief,
-    fix,
-    is_led,
-    mean_drift,
-    robot_position,
-)
+from jaxlangnav.semantic_map.belief import ParticleBelief, fix, is_led, mean_drift, robot_position
 from jaxlangnav.semantic_map.coverage import Coverage, log_miss_at, look
 from jaxlangnav.terrain.view import eye_of
 

@@ -17,15 +17,7 @@ from jaxlangnav.grounding.form import FormRelation
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.grounding.worlds import World
 from jaxlangnav.inputs.object_types import noun_of
-from jaxlangnav.messages import (
-    ACTIONS,
-    MODES,
-    NEAR,
-    NONE,
-    REGIONS,
-    ROBOT,
-    relation_name,
-)
+from jaxlangnav.messages import ACTIONS, MODES, NEAR, NONE, REGIONS, ROBOT, relation_name
 from jaxlangnav.relations.table import CONVERSE
 from jaxlangnav.task.labelled import ALIKE, LEAST, Meaning
 

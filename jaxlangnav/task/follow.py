@@ -4,22 +4,25 @@ What ``jaxlangnav follow`` does on the command line, for notebooks and scripts. 
 once go through ``experiments.policies.run_policy``, a robot of one's own through ``Navigator``.
 """
 
+import contextlib
 import dataclasses
 import functools
+import threading
 from pathlib import Path
 
 import jax
 import numpy as np
 
 from jaxlangnav import recorder
-from jaxlangnav.agent import Navigator
 from jaxlangnav.episode import MAX_STEPS
 from jaxlangnav.experiments.policies import navigator_config, without_compass
+from jaxlangnav.experiments.sizes import any_task
 from jaxlangnav.grounding import GroundingModel, load_shipped, understand
 from jaxlangnav.grounding.instruction import Instruction, Understanding
-from jaxlangnav.inputs.program_cache import kept
+from jaxlangnav.inputs.program_cache import kept, kept_in
 from jaxlangnav.messages import Status
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, default_params
+from jaxlangnav.navigator.api import Navigator
 from jaxlangnav.planner.config import AnyPolicy
 from jaxlangnav.pytree import replace
 from jaxlangnav.recording import Recording
@@ -130,6 +133,31 @@ def usual_engine(
 def alone(understood: Understanding) -> Instruction:
     """Make a batch of one instruction, leaves [1, …] on the host."""
     return jax.tree.map(lambda leaf: np.asarray(leaf)[None], understood.instruction)
+
+
+def rehearse(
+    instructions: Instruction,
+    num_slots: int,
+    *,
+    params: NavigatorParams,
+    config: NavigatorConfig,
+) -> None:
+    """Load or compile the decision cycle in a thread, while other things are done.
+
+    A step of an episode in an empty world asks for it: shapes are the same for every sentence,
+    leaves [1, …], in every world with as many slots. Where no programs are kept nothing is done, as
+    two threads would compile the same.
+    """
+    if kept_in() is None:
+        return
+    task = any_task(num_slots)
+
+    def step() -> None:
+        # What goes wrong here goes wrong again where it is asked for, and is told there.
+        with contextlib.suppress(Exception):
+            next(recorder.play(task, instructions, params=params, config=config))
+
+    threading.Thread(target=step).start()
 
 
 def record_episode(

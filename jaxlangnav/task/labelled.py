@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.conversation import seen_from
+from jaxlangnav.dialogue import seen_from
 from jaxlangnav.grounding.asked import infer_commands
 from jaxlangnav.grounding.form import FormReading, quote, read_meaning
 from jaxlangnav.grounding.instruction import Instruction, Understanding

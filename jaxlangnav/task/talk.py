@@ -11,11 +11,12 @@ from collections.abc import Callable, Mapping, Sequence
 import jax
 import numpy as np
 
-from jaxlangnav.conversation import first_words
+from jaxlangnav.dialogue import first_words
 from jaxlangnav.episode import EpisodeState
 from jaxlangnav.experiments.dialogue import speak
 from jaxlangnav.grounding import Context, Grounder
 from jaxlangnav.grounding.asked import asked
+from jaxlangnav.grounding.grounder import names_of
 from jaxlangnav.grounding.instruction import Instruction, Understanding
 from jaxlangnav.grounding.readings import Capacity, widen
 from jaxlangnav.inputs.object_types import ANYTHING
@@ -23,19 +24,13 @@ from jaxlangnav.inputs.program_cache import kept
 from jaxlangnav.inputs.sanitize import cut
 from jaxlangnav.language.halting import alarm_in, opening_of
 from jaxlangnav.language.utterance import Kind, classify
-from jaxlangnav.listening import Candidate, Listener
 from jaxlangnav.messages import NONE, Status
 from jaxlangnav.navigator import NavigatorState
+from jaxlangnav.navigator.candidates import Candidate, candidates, thing_at
+from jaxlangnav.navigator.interpret import Listener
 from jaxlangnav.pytree import replace
 from jaxlangnav.recording import Recording, Remark, StaticScene
-from jaxlangnav.world.person import (
-    PERSONS,
-    Person,
-    PersonParams,
-    Says,
-    params_of,
-    unspoken,
-)
+from jaxlangnav.world.person import PERSONS, Person, PersonParams, Says, params_of, unspoken
 
 _PLACES = ("the first", "the second", "the third")
 _WORDS = {int(Says.OTHER): "no, the other one", int(Says.NONE_OF_THEM): "no"}
@@ -164,13 +159,13 @@ class Earshot:
         state = progress.navigator
         if int(state.status) != Status.WHICH_ONE:
             return []
-        return Listener(self.grounder).candidates(state)
+        return candidates(state, names_of(self.grounder))
 
     def _take(self, step: int, progress: EpisodeState, speaker: str, text: str) -> EpisodeState:
         """Take in an utterance, or keep to the task where the state refuses it."""
-        listener, before = Listener(self.grounder), progress.navigator
+        before, names = progress.navigator, names_of(self.grounder)
         try:
-            after, heard = listener.take(before, text)
+            after, heard = Listener(self.grounder).take(before, text)
         except ValueError as refusal:
             why = str(refusal).removeprefix(f"{cut(text)!r}: ")
             line = " ".join(why.split()).rstrip(".")
@@ -182,7 +177,7 @@ class Earshot:
                 text=text,
                 kind=str(heard.kind),
                 speaker=speaker,
-                ruled_out=tuple(listener.thing_at(before, slot) for slot in heard.ruled_out),
+                ruled_out=tuple(thing_at(before, slot, names) for slot in heard.ruled_out),
                 notes=heard.notes,
                 scene=self._scene_of(before, after),
             )

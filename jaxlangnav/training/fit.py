@@ -23,12 +23,7 @@ import numpy as np
 from jax import Array
 from jax.scipy.linalg import solve_triangular
 
-from jaxlangnav.grounding.correspondence import (
-    AnyWorld,
-    CorrespondenceGraph,
-    Labelled,
-    SymbolSpace,
-)
+from jaxlangnav.grounding.correspondence import AnyWorld, CorrespondenceGraph, Labelled, SymbolSpace
 from jaxlangnav.grounding.model import (
     FEATURE_GROUPS,
     CorrespondenceModel,

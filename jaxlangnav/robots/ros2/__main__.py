@@ -11,10 +11,10 @@ from typing import Literal
 import jax
 import tyro
 
-from jaxlangnav.agent import Navigator
 from jaxlangnav.inputs.limits import refuse_below
 from jaxlangnav.inputs.sanitize import printable
 from jaxlangnav.messages import SensorParams, default_sensor
+from jaxlangnav.navigator.api import Navigator
 from jaxlangnav.robots.libraries import ros
 from jaxlangnav.robots.robot import Ending
 from jaxlangnav.robots.ros2.node import RosBus, TagSetup, read_tag_types

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from jax import Array
 
-from jaxlangnav.agent import Navigator
+from jaxlangnav.navigator.api import Navigator
 from jaxlangnav.robots.kinematic import SimulatedRobot
 from jaxlangnav.robots.libraries import ros
 from jaxlangnav.robots.motion.mover import TICK

@@ -14,9 +14,9 @@ from typing import Any
 import jax
 from jax import Array
 
-from jaxlangnav.agent import Navigator
 from jaxlangnav.inputs.whole_files import write_text
 from jaxlangnav.navigator import NavigatorInfo, NavigatorState
+from jaxlangnav.navigator.api import Navigator
 from jaxlangnav.robots.driver import drive
 from jaxlangnav.robots.robot import Drive, Robot, Step, start_pose
 

@@ -1,6 +1,6 @@
-"""What an utterance does to a navigator's state: pure functions of arrays, for one robot or many.
+"""Speech acts: what an utterance does to a navigator's state, as pure functions of arrays.
 
-``agent.Navigator.take`` finds out what was said, on the host; what it comes to is here. None of it
+``Navigator.take`` interprets the utterance on the host; its effect is computed here. None of it
 computes on the map or compiles with the words: the next decision does what there is to do. So each
 may be ``vmap``-ed over the states of a batch that hears the same, and ``jit`` sees no new shapes.
 """
@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.conversation import Joined, excluding, seen_from
+from jaxlangnav.dialogue import Joined, excluding, seen_from
 from jaxlangnav.language.halting import Act
 from jaxlangnav.messages import NONE, Status, Told
 from jaxlangnav.navigator import NavigatorState

@@ -10,15 +10,8 @@ How words are joined depends on the words alone, not on the robot.
 import dataclasses
 import itertools
 
-from jaxlangnav.conversation.history import (
-    Account,
-    Edge,
-    Joined,
-    accounts_of,
-    new_accounts,
-    written,
-)
-from jaxlangnav.conversation.memory import Words
+from jaxlangnav.dialogue.history import Account, Edge, Joined, accounts_of, new_accounts, written
+from jaxlangnav.dialogue.memory import Words
 from jaxlangnav.grounding.instruction import Instruction, Spoken
 from jaxlangnav.grounding.readings import in_order, things_last
 from jaxlangnav.messages import BETWEEN, NONE, ROBOT, Readings

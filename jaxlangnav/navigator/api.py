@@ -1,6 +1,4 @@
-"""The navigator for people: grounder, parameters and sizes in one object.
-
-Two functions over records are the whole engine, for any robot or simulator:
+"""User-facing ``Navigator``: grounder, parameters and capacities behind start, step and hear.
 
     navigator = jaxlangnav.Navigator.pretrained()
     state = navigator.start("go to the hydrant behind the cone", pose=(0.0, 0.0, 0.0))
@@ -13,7 +11,6 @@ Two functions over records are the whole engine, for any robot or simulator:
 import dataclasses
 import logging
 import time
-import zlib
 from collections.abc import Iterable, Sequence
 from typing import Any, Self
 
@@ -21,10 +18,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.core import Tracer
 
 from jaxlangnav import navigator
-from jaxlangnav.conversation import first_words
+from jaxlangnav.dialogue import first_words
 from jaxlangnav.grounding import Context, GraphGrounder, Grounded, Grounder, load_shipped
 from jaxlangnav.grounding.annotated import returning
 from jaxlangnav.grounding.grounder import names_of
@@ -32,32 +28,21 @@ from jaxlangnav.grounding.readings import Capacity, widen
 from jaxlangnav.inputs.limits import bounded
 from jaxlangnav.inputs.object_types import is_anything, name_of
 from jaxlangnav.inputs.observations import SLOTS, area_numbers, pose_numbers
-from jaxlangnav.inputs.sanitize import cut, quoted
+from jaxlangnav.inputs.sanitize import cut
 from jaxlangnav.language.halting import act_of
-from jaxlangnav.listening import Candidate, Heard, Listener, check_measures
-from jaxlangnav.messages import (
-    NONE,
-    Action,
-    Observation,
-    SensorParams,
-    Status,
-    default_sensor,
-)
+from jaxlangnav.messages import Action, Observation, SensorParams, Status, default_sensor
 from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams, NavigatorState
+from jaxlangnav.navigator.candidates import Candidate, candidates, mentioned_types, unseen_types
+from jaxlangnav.navigator.canonicalize import canonicalize, check_set_sizes, check_state
 from jaxlangnav.navigator.deployment import deployment_config, deployment_params, with_numbers
+from jaxlangnav.navigator.interpret import Heard, Listener, check_measures
 from jaxlangnav.planner.config import AnyPolicy
-from jaxlangnav.planner.termination import missing_types
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.gating import check_place
 from jaxlangnav.terrain import OPEN, Terrain
-from jaxlangnav.uniform import uniform
 
-MOST_BITS = 31
-"""Slots and mentions of which sets are held, a bit each."""
 DEFAULT_EXTENT = 15.0
 """Metres to each side of the robot that are its operating area unless it is told otherwise."""
-_LEAST_TOLD = 1e-3
-"""Types that only readings less probable than this speak of are not told."""
 _log = logging.getLogger(__name__)
 
 _step = jax.jit(navigator.step, static_argnames="config")
@@ -110,23 +95,14 @@ class Navigator:
         if grounder is None:
             grounder = GraphGrounder(load_shipped(), labels, attributes)
         params = with_numbers(numbers, params=deployment_params())
-        return cls(
-            grounder=grounder, params=params, config=deployment_config(policy, params=params)
-        )
+        config = deployment_config(policy, params=params)
+        return cls(grounder=grounder, params=params, config=config)
 
     def __post_init__(self) -> None:
         """Refuse parameters with which the robot could never stop, and sizes that do not fit."""
         navigator.check(self.params, policy=self.config.planner.chosen)
-        sizes = {
-            "num_objects": self.config.map.num_objects,
-            "num_mentions": self.capacity.num_mentions,
-        }
-        for name, size in sizes.items():
-            if size > MOST_BITS:
-                raise ValueError(
-                    f"{name} is {quoted(size)}, but at most {MOST_BITS} are told apart in a "
-                    "conversation"
-                )
+        num_objects, num_mentions = self.config.map.num_objects, self.capacity.num_mentions
+        check_set_sizes(num_objects=num_objects, num_mentions=num_mentions)
 
     @property
     def type_names(self) -> tuple[str, ...]:
@@ -157,8 +133,7 @@ class Navigator:
             ValueError: the instruction is not understood or asks for nothing, or pose or area
                 cannot be.
         """
-        act = act_of(text)
-        if act is not None:
+        if (act := act_of(text)) is not None:
             raise ValueError(
                 f"{text[:40]!r} is to {act}, but a robot that has no task yet has nothing to "
                 f"{act}: give a command, as in 'go to the hydrant'"
@@ -187,8 +162,7 @@ class Navigator:
         Raises:
             ValueError: pose or area cannot be.
         """
-        nothing = returning()
-        silent = replace(nothing, num_clauses=jnp.zeros_like(nothing.num_clauses))
+        silent = replace(returning(), num_clauses=jnp.int32(0))
         grounded = Grounded(instruction=silent, annotations=())
         return replace(self._start(grounded, pose, area), status=jnp.int32(Status.IDLE))
 
@@ -220,27 +194,7 @@ class Navigator:
 
     def _checked(self, state: NavigatorState) -> NavigatorState:
         """Refuse what is no state, and a state of a navigator with other labels or policy."""
-        if not isinstance(state, NavigatorState):
-            raise ValueError(
-                f"state is {quoted(state)}, but must be what navigator.start, wait, step or hear "
-                "gave"
-            )
-        policy = self.config.planner.chosen.name
-        names = [repr(one).encode() for one in (tuple(self.type_names), policy)]
-        own = np.array([zlib.crc32(one) for one in names], np.uint32)
-        if state.signature is None:  # of the engine's own ``start``
-            return replace(state, signature=jax.device_put(own))
-        if isinstance(state.signature, Tracer):
-            return state
-        is_other = (np.asarray(state.signature) != own).reshape(-1, 2).any(axis=0)
-        if is_other.any():
-            labels = cut(", ".join(self.type_names))
-            what = f"other labels than {labels}" if is_other[0] else f"another policy than {policy}"
-            raise ValueError(
-                f"state is of a navigator with {what}: go on with the navigator that began it, or "
-                "start anew"
-            )
-        return state
+        return check_state(state, self.type_names, self.config.planner.chosen.name)
 
     def step(
         self, key: Array, state: NavigatorState, observation: Observation
@@ -263,7 +217,7 @@ class Navigator:
             ValueError: a state or an observation that is none, or whose parts are of shapes that
                 cannot be; one line.
         """
-        state, look = self._checked(state), uniform(observation)
+        state, look = self._checked(state), canonicalize(observation)
         return _step(key, state, look, params=self.params, config=self.config)
 
     def observation(
@@ -303,15 +257,14 @@ class Navigator:
         count = bounded(detections, 0, SLOTS[-1], "detections", "give as many as a look may hold")
         if count != int(count):
             raise ValueError(f"detections is {count:g}, but must be a whole number")
-        began = time.perf_counter()
-        state = self.wait()
-        self._listener.warm_up(state)
+        began, state = time.perf_counter(), self.wait()
+        Listener(self.grounder).warm_up(state)
         bool(state.is_resting)
         if isinstance(self.grounder, GraphGrounder):  # one's own may be slow, or cost something
             self.grounder.ground("go forward one metre", Context(is_under_way=False))
-        look = [(0, 1.0 + slot, 0.0) for slot in range(int(count))]
-        seen = self.observation((0.0, 0.0, 0.0), look, default_sensor(2.0 + count))
-        jax.block_until_ready(self.step(jax.random.key(0), state, seen))
+        row = [(0, 1.0 + slot, 0.0) for slot in range(int(count))]
+        look = self.observation((0.0, 0.0, 0.0), row, default_sensor(2.0 + count))
+        jax.block_until_ready(self.step(jax.random.key(0), state, look))
         return time.perf_counter() - began
 
     def hear(self, state: NavigatorState, text: str) -> NavigatorState:
@@ -356,7 +309,7 @@ class Navigator:
             ValueError: the words are not understood, or refer to what is not there, as "the other
                 one" where nothing has been approached: the robot then keeps to its state.
         """
-        return self._listener.take(self._checked(state), text)
+        return Listener(self.grounder).take(self._checked(state), text)
 
     def candidates(self, state: NavigatorState) -> list[Candidate]:
         """List the things that may be meant, the nearest first: what a question is about.
@@ -367,11 +320,7 @@ class Navigator:
         Returns:
             Things seen that may be the goal, with where they are believed to be.
         """
-        return self._listener.candidates(self._checked(state))
-
-    @property
-    def _listener(self) -> Listener:
-        return Listener(self.grounder)
+        return candidates(self._checked(state), names_of(self.grounder))
 
     def spoken(self, state: NavigatorState) -> list[str]:
         """Name the object types that the running task speaks of: what a detector should look for.
@@ -383,13 +332,10 @@ class Navigator:
             Names of object types, in the order of the sentence; those of all its readings but
             the least likely. All that there are where it speaks of "the thing".
         """
-        readings = self._checked(state).instruction.readings
-        is_told = np.asarray(readings.log_probability) >= np.log(_LEAST_TOLD)
-        kinds = np.asarray(readings.mention_type)[is_told].reshape(-1).tolist()
-        if any(is_anything(kind) for kind in kinds):
+        kinds = mentioned_types(self._checked(state))
+        if any(map(is_anything, kinds)):
             return list(self.type_names)
-        names = names_of(self.grounder)
-        return [name_of(kind, names) for kind in dict.fromkeys(kinds) if kind >= 0]
+        return [name_of(kind, names_of(self.grounder)) for kind in kinds]
 
     def missing(self, state: NavigatorState) -> list[str]:
         """Name what the task speaks of and the robot has not seen, such as its goal's landmark.
@@ -400,8 +346,5 @@ class Navigator:
         Returns:
             Names of things, in the order of the sentence; none where all has been seen.
         """
-        types = np.asarray(self._checked(state).belief.particles.object_type)
-        readings, is_asked = state.instruction.readings, state.talk.words.is_asked
-        spoken = np.where(np.asarray(is_asked), np.asarray(readings.mention_type), NONE)
-        missing = missing_types(replace(readings, mention_type=spoken), types)
+        missing = unseen_types(self._checked(state))
         return [name_of(kind, names_of(self.grounder)) for kind in missing]

@@ -1,8 +1,8 @@
-"""Finding out what was said to a robot, and letting it act on its state (host).
+"""Interpret an utterance, and update a navigator's state by its speech act (host).
 
 ``Navigator.take`` documents what an utterance may be. Here its wording is looked up
-(``language.utterance``), what is left is grounded and joined with what was said before
-(``conversation``), and the state is changed by the functions of ``hearing``.
+(``language.utterance``), what is left is grounded and merged with the utterances before
+(``dialogue``), and the state is changed by the functions of ``speech_acts``.
 """
 
 import dataclasses
@@ -13,46 +13,34 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxlangnav import hearing
-from jaxlangnav.conversation import Joined, join, seen_from
+from jaxlangnav.dialogue import Joined, join, seen_from
 from jaxlangnav.grounding import Context, Grounded, Grounder
 from jaxlangnav.grounding.annotated import returning
 from jaxlangnav.grounding.grounder import names_of
 from jaxlangnav.grounding.instruction import Spoken
-from jaxlangnav.hearing import How
-from jaxlangnav.inputs.object_types import is_anything, label_of, name_of, noun_of
+from jaxlangnav.inputs.object_types import is_anything, label_of, noun_of
 from jaxlangnav.inputs.sanitize import cut
 from jaxlangnav.language.halting import Act, alarm_in, opening_of
 from jaxlangnav.language.lexicon import type_called
 from jaxlangnav.language.utterance import Kind, Utterance, Wording, classify
 from jaxlangnav.messages import NONE, Status
-from jaxlangnav.navigator import NavigatorState
-from jaxlangnav.semantic_map.belief import in_map
+from jaxlangnav.navigator import NavigatorState, speech_acts
+from jaxlangnav.navigator.candidates import believed_pose, candidates, chosen_by, type_at
+from jaxlangnav.navigator.speech_acts import How
 
 _ACTS = {Kind.HALT: Act.HALT, Kind.RESUME: Act.RESUME, Kind.CANCEL: Act.CANCEL}
 _BY_ACT = {act: kind for kind, act in _ACTS.items()}
 _INFORMING = {Kind.STATEMENT, Kind.CONSTRAINT}
 _NO_COMMAND = {Act.HALT: _INFORMING | {Kind.CORRECTION, Kind.ANSWER}, Act.CANCEL: _INFORMING}
 """What words to halt or to cancel hold for, said before it: "Stop! That is the wrong one"."""
-_ORDINALS = ("FIRST", "SECOND", "THIRD", "FOURTH", "FIFTH", "SIXTH")
-_PLACES = {Wording[name]: place for place, name in enumerate(_ORDINALS)}
-_LEAST = 0.01
-"""Goal probability below which a thing is no candidate for a question."""
-
 _log = logging.getLogger(__name__)
 
-_tell = jax.jit(hearing.tell, static_argnames="how")
-_come_back, _come_closer, _choose, _choose_freely, _rule_out = map(
-    jax.jit,
-    (
-        hearing.come_back,
-        hearing.come_closer,
-        hearing.choose,
-        hearing.choose_freely,
-        hearing.rule_out,
-    ),
-)
-_in_map = jax.jit(in_map)
+_tell = jax.jit(speech_acts.tell, static_argnames="how")
+_come_back = jax.jit(speech_acts.come_back)
+_come_closer = jax.jit(speech_acts.come_closer)
+_choose = jax.jit(speech_acts.choose)
+_choose_freely = jax.jit(speech_acts.choose_freely)
+_rule_out = jax.jit(speech_acts.rule_out)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -63,17 +51,6 @@ class Heard:
     kind: Kind
     ruled_out: tuple[int, ...] = ()  # observed slots that it says are not meant
     notes: tuple[str, ...] = ()  # what else people should know, a line each
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Candidate:
-    """A thing that may be meant, as a question would name it."""
-
-    slot: int  # observed slot
-    type_name: str
-    x: float  # metres, map frame
-    y: float
-    probability: float
 
 
 @dataclasses.dataclass(frozen=True)
@@ -87,7 +64,7 @@ class Listener:
         is_asked = int(state.status) == Status.WHICH_ONE
         said = classify(text, is_asked=is_asked)
         if said.kind is not None and said.kind in _ACTS:
-            return hearing.obey(state, _ACTS[said.kind]), Heard(text=text, kind=said.kind)
+            return speech_acts.obey(state, _ACTS[said.kind]), Heard(text=text, kind=said.kind)
         if said.wording is not None:
             return self._by_wording(state, text, said)
         opening = opening_of(text)
@@ -112,7 +89,7 @@ class Listener:
             f"halted, for it is not understood and {taken}: say 'go on', or what to do instead; "
             f"{refusal}"
         )
-        return hearing.obey(state, Act.HALT), Heard(text=text, kind=Kind.HALT, notes=(note,))
+        return speech_acts.obey(state, Act.HALT), Heard(text=text, kind=Kind.HALT, notes=(note,))
 
     def _is_object(self, words: str) -> bool:
         """Tell whether words name a thing that the robot may know."""
@@ -127,7 +104,7 @@ class Listener:
         except ValueError as refusal:
             done = "halted" if act == Act.HALT else "the task is dropped"
             _log.warning("%s; the rest of what was said is left out: %s", done, refusal)
-            return hearing.obey(state, act), Heard(text=text, kind=_BY_ACT[act])
+            return speech_acts.obey(state, act), Heard(text=text, kind=_BY_ACT[act])
         heard = dataclasses.replace(heard, text=text)
         return _acted(after, heard, act) if heard.kind in _NO_COMMAND[act] else (after, heard)
 
@@ -154,7 +131,10 @@ class Listener:
         self, state: NavigatorState, text: str, said: Utterance
     ) -> tuple[NavigatorState, Heard]:
         """Take in the answer to a question."""
-        heard, found = Heard(text=text, kind=Kind.ANSWER), self.candidates(state)
+        heard, found = (
+            Heard(text=text, kind=Kind.ANSWER),
+            candidates(state, names_of(self.grounder)),
+        )
         if said.wording == Wording.ANY:
             return _choose_freely(state), heard
         slots = [one.slot for one in found]
@@ -162,7 +142,7 @@ class Listener:
             none = sum(1 << slot for slot in slots)
             ruled = dataclasses.replace(heard, ruled_out=tuple(slots))
             return _rule_out(state, jnp.int32(none)), ruled
-        chosen = _chosen(found, said.wording, _pose(state))
+        chosen = chosen_by(said.wording, found, believed_pose(state))
         if chosen is None:
             raise ValueError(
                 f"{cut(text)!r}: it may be one of {len(found)}: say which, as in 'the left one' or "
@@ -210,13 +190,8 @@ class Listener:
         if is_answer:  # one question is enough: what still fits best will do
             after = _choose_freely(after)
         kind = said.kind or (Kind.ANSWER if is_answer else Kind.COMMAND)
-        heard = Heard(
-            text=text,
-            kind=kind,
-            ruled_out=() if out == NONE else (out,),
-            notes=notes + _dropped(state, after),
-        )
-        return after, heard
+        gone, notes = () if out == NONE else (out,), notes + _dropped(state, after)
+        return after, Heard(text=text, kind=kind, ruled_out=gone, notes=notes)
 
     def _join(
         self,
@@ -244,17 +219,12 @@ class Listener:
         """
         at = int(state.talk.approached)
         if at != NONE:
-            return self._type_at(state, at), True
+            return type_at(state, at), True
         readings = state.instruction.readings
         best = int(np.argmax(np.asarray(readings.log_probability)))
         goal = int(np.asarray(state.talk.words.goal)[best, int(state.clause)])
         kind = NONE if goal == NONE else int(np.asarray(readings.mention_type)[best, goal])
         return (kind if kind >= 0 else NONE), False
-
-    def _type_at(self, state: NavigatorState, slot: int) -> int:
-        """Look up the type of an observed slot, as the weightiest particle has it."""
-        best = int(np.argmax(np.asarray(state.belief.log_weight)))
-        return int(np.asarray(state.belief.particles.object_type)[slot, best])
 
     def _check_room(self, state: NavigatorState, grounded: Grounded, text: str) -> None:
         """Refuse more commands than are held."""
@@ -276,7 +246,7 @@ class Listener:
         slots = [
             slot
             for slot in (at, last)
-            if slot != NONE and label_of(self._type_at(state, slot)) in spoken.may_be(kind)
+            if slot != NONE and label_of(type_at(state, slot)) in spoken.may_be(kind)
         ]
         if len(spoken.goals) == 1 and kind in spoken.others:
             if not slots:
@@ -303,48 +273,12 @@ class Listener:
             change(state, slot)
         for change in (_come_closer, _choose_freely):
             change(state)
-        _pose(state)
-
-    def candidates(self, state: NavigatorState) -> list[Candidate]:
-        """List the things that may be meant, the nearest first: what a question is about.
-
-        Args:
-            state: after any step.
-
-        Returns:
-            Things seen that may be the goal, with where they are believed to be.
-        """
-        share, pose = np.asarray(state.talk.candidate), _pose(state)
-        slots = np.flatnonzero(share >= _LEAST).tolist()
-        found = [self.thing_at(state, slot) for slot in slots]
-        return sorted(found, key=lambda one: np.hypot(one.x - pose[0], one.y - pose[1]))
-
-    def thing_at(self, state: NavigatorState, slot: int) -> Candidate:
-        """Name the thing in an observed slot, as the belief has it.
-
-        Args:
-            state: after any step.
-            slot: an observed slot that holds something.
-
-        Returns:
-            Its type, where it is believed to be, and its probability of being the goal.
-        """
-        particles = state.belief.particles
-        weight = np.exp(np.asarray(state.belief.log_weight))
-        own = weight * (np.asarray(particles.object_type)[slot] != NONE)
-        total = max(float(own.sum()), 1e-9)
-        return Candidate(
-            slot=slot,
-            type_name=name_of(self._type_at(state, slot), names_of(self.grounder)),
-            x=float((own * np.asarray(particles.mean_x)[slot]).sum() / total),
-            y=float((own * np.asarray(particles.mean_y)[slot]).sum() / total),
-            probability=float(np.asarray(state.talk.candidate)[slot]),
-        )
+        believed_pose(state)
 
 
 def _acted(state: NavigatorState, heard: Heard, act: Act) -> tuple[NavigatorState, Heard]:
     """Halt, or drop the task, as an utterance began that goes on without a command."""
-    return hearing.obey(state, act), dataclasses.replace(heard, kind=_BY_ACT[act])
+    return speech_acts.obey(state, act), dataclasses.replace(heard, kind=_BY_ACT[act])
 
 
 def check_measures(spoken: Spoken | None, pose: Sequence[float], area: Sequence[float]) -> None:
@@ -366,32 +300,6 @@ def check_measures(spoken: Spoken | None, pose: Sequence[float], area: Sequence[
                 f"that leads to ({x:.1f}, {y:.1f}), but the operating area is ({limits}): go less "
                 "far, or start with a larger area"
             )
-
-
-def _chosen(
-    found: Sequence[Candidate], wording: Wording | None, pose: np.ndarray
-) -> Candidate | None:
-    """Find the candidate that an answer names; None where it names none."""
-    if not found:
-        return None
-    if wording == Wording.YES:
-        return found[0] if len(found) == 1 else None
-    if wording is not None and wording in _PLACES:
-        place = _PLACES[wording]
-        return found[place] if place < len(found) else None
-    if wording in (Wording.NEAREST, Wording.FARTHEST, Wording.LAST):
-        return found[0 if wording == Wording.NEAREST else -1]
-    turn = float(pose[2])
-
-    def leftward(one: Candidate) -> float:
-        return (one.y - pose[1]) * np.cos(turn) - (one.x - pose[0]) * np.sin(turn)
-
-    return (max if wording == Wording.LEFT else min)(found, key=leftward)
-
-
-def _pose(state: NavigatorState) -> np.ndarray:
-    """Tell where the robot is, f32[3], map frame."""
-    return np.asarray(_in_map(state.belief, state.belief.last_pose))
 
 
 def _dropped(before: NavigatorState, after: NavigatorState) -> tuple[str, ...]:

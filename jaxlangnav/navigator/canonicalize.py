@@ -1,17 +1,26 @@
-"""An observation in the shapes and dtypes that have been compiled already (host only)."""
+"""Input checks of the API: states of this navigator, observations in shapes compiled already.
+
+All of it runs on the host.
+"""
 
 import dataclasses
+import zlib
+from collections.abc import Sequence
 from typing import Any
 
+import jax
 import numpy as np
 from jax.core import Tracer
 
 from jaxlangnav.inputs.limits import is_complex
 from jaxlangnav.inputs.observations import SLOTS, padded
-from jaxlangnav.inputs.sanitize import quoted
+from jaxlangnav.inputs.sanitize import cut, quoted
 from jaxlangnav.messages import NONE, Observation, SensorParams
+from jaxlangnav.navigator.records import NavigatorState
 from jaxlangnav.pytree import replace
 
+MOST_BITS = 31
+"""Slots and mentions of which sets are held, a bit each."""
 _FILLERS: dict[str, tuple[Any, Any]] = {
     "detection_type": (np.int32, NONE),
     "detection_range": (np.float32, 0),
@@ -22,7 +31,52 @@ _FILLERS: dict[str, tuple[Any, Any]] = {
 """Of each field with a row a detection: dtype, and what empty slots hold."""
 
 
-def uniform(observation: Observation) -> Observation:
+def check_set_sizes(**sizes: int) -> None:
+    """Refuse more slots or mentions, by name, than sets of bits can hold, with a ValueError."""
+    for name, size in sizes.items():
+        if size > MOST_BITS:
+            raise ValueError(
+                f"{name} is {quoted(size)}, but at most {MOST_BITS} are told apart in a "
+                "conversation"
+            )
+
+
+def check_state(state: NavigatorState, type_names: Sequence[str], policy: str) -> NavigatorState:
+    """Refuse what is no state, and a state of a navigator with other labels or policy.
+
+    Args:
+        state: of any robot, or what was given for one.
+        type_names: of the navigator that is given it.
+        policy: its name.
+
+    Returns:
+        The state; one of the engine's own ``start`` is signed.
+
+    Raises:
+        ValueError: it is none, or another navigator's.
+    """
+    if not isinstance(state, NavigatorState):
+        raise ValueError(
+            f"state is {quoted(state)}, but must be what navigator.start, wait, step or hear gave"
+        )
+    names = [repr(one).encode() for one in (tuple(type_names), policy)]
+    own = np.array([zlib.crc32(one) for one in names], np.uint32)
+    if state.signature is None:  # of the engine's own ``start``
+        return replace(state, signature=jax.device_put(own))
+    if isinstance(state.signature, Tracer):
+        return state
+    is_other = (np.asarray(state.signature) != own).reshape(-1, 2).any(axis=0)
+    if is_other.any():
+        labels = cut(", ".join(type_names))
+        what = f"other labels than {labels}" if is_other[0] else f"another policy than {policy}"
+        raise ValueError(
+            f"state is of a navigator with {what}: go on with the navigator that began it, or "
+            "start anew"
+        )
+    return state
+
+
+def canonicalize(observation: Observation) -> Observation:
     """Give an observation of the host the shapes and dtypes that have been compiled already.
 
     Args:

@@ -1,8 +1,7 @@
 """What a stream of utterances leaves behind: words joined, things ruled out, what is spoken of."""
 
-from jaxlangnav.conversation.history import Joined as Joined, first_words as first_words
-from jaxlangnav.conversation.join import join as join
-from jaxlangnav.conversation.memory import (
+from jaxlangnav.dialogue.history import Joined as Joined, first_words as first_words
+from jaxlangnav.dialogue.memory import (
     AVOID_ALL as AVOID_ALL,
     AVOID_IT as AVOID_IT,
     Conversation as Conversation,
@@ -15,3 +14,4 @@ from jaxlangnav.conversation.memory import (
     seen_from as seen_from,
     without as without,
 )
+from jaxlangnav.dialogue.merge import join as join

@@ -11,7 +11,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxlangnav.conversation.memory import AVOID_ALL, AVOID_IT, Words, heard_alone
+from jaxlangnav.dialogue.memory import AVOID_ALL, AVOID_IT, Words, heard_alone
 from jaxlangnav.grounding.instruction import Instruction, Spoken
 from jaxlangnav.grounding.program import BehaviorProgram
 from jaxlangnav.inputs.object_types import label_of
