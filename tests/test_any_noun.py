@@ -14,7 +14,16 @@ from test_navigator_step import AREA, CONE, HYDRANT, distance, go
 from jaxlangnav import episode, lanes
 from jaxlangnav.grounding import GraphGrounder, load_shipped, understand
 from jaxlangnav.grounding.binding import Detector, UnknownObjectError
-from jaxlangnav.inputs import object_types
+from jaxlangnav.inputs.object_types import (
+    ATTRIBUTES,
+    MOST_LABELS,
+    attributes,
+    fits,
+    joined,
+    kind_of,
+    label_of,
+    words_of,
+)
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.language.parser import parse
 from jaxlangnav.language.phrase import LanguageError
@@ -257,37 +266,33 @@ def test_spelling_leaves_nouns_alone_and_mends_slips() -> None:
 
 
 def test_a_kind_is_a_label_and_attributes() -> None:
-    red, tall = object_types.attributes("red"), object_types.attributes("tall")
-    both = object_types.attributes("tall", "red")
-    assert object_types.words_of(both) == ("red", "tall")
-    ball = [
-        object_types.kind_of(7, code) for code in (0, red, object_types.attributes("blue"), both)
-    ]
-    asked = object_types.kind_of(7, red)
-    assert [bool(object_types.fits(one, asked)) for one in ball] == [True, True, False, True]
-    assert not object_types.fits(object_types.kind_of(8, red), asked)
-    assert object_types.joined(ball[2], object_types.kind_of(7, both)) == ball[3]
-    assert object_types.joined(ball[1], object_types.kind_of(7, tall)) == ball[3]
+    red, tall = attributes("red"), attributes("tall")
+    both = attributes("tall", "red")
+    assert words_of(both) == ("red", "tall")
+    ball = [kind_of(7, code) for code in (0, red, attributes("blue"), both)]
+    asked = kind_of(7, red)
+    assert [bool(fits(one, asked)) for one in ball] == [True, True, False, True]
+    assert not fits(kind_of(8, red), asked)
+    assert joined(ball[2], kind_of(7, both)) == ball[3]
+    assert joined(ball[1], kind_of(7, tall)) == ball[3]
     for special in (NONE, ROBOT):
-        assert object_types.label_of(special) == special
-        assert int(object_types.label_of(np.int32(special))) == special
-        assert not object_types.fits(special, asked)
-        assert object_types.fits(special, special)
-    assert not object_types.fits(NONE, ROBOT)
-    for words in itertools.product(
-        *((None, *values) for values in object_types.ATTRIBUTES.values())
-    ):
+        assert label_of(special) == special
+        assert int(label_of(np.int32(special))) == special
+        assert not fits(special, asked)
+        assert fits(special, special)
+    assert not fits(NONE, ROBOT)
+    for words in itertools.product(*((None, *values) for values in ATTRIBUTES.values())):
         given = tuple(word for word in words if word)
-        code = object_types.attributes(*given)
-        assert object_types.words_of(code) == given
-        kind = object_types.kind_of(object_types.MOST_LABELS - 1, code)
+        code = attributes(*given)
+        assert words_of(code) == given
+        kind = kind_of(MOST_LABELS - 1, code)
         assert int(np.float32(kind)) == kind  # as tables of particles hold it
 
 
 def test_attributes_that_the_detector_reports_are_part_of_what_is_meant(model) -> None:
     told = understood("go to the red ball behind the blue ball", model, attributes=("colour",))
     ball = LABELS.index("sports ball")
-    said = [object_types.kind_of(ball, object_types.attributes(word)) for word in ("blue", "red")]
+    said = [kind_of(ball, attributes(word)) for word in ("blue", "red")]
     assert told.instruction.readings.mention_type[0, :2].tolist() == said
     assert told.notes == ()
     assert [one["figure"] for one in told.annotations[:1]] == ["ball"]
@@ -323,7 +328,7 @@ def test_no_adjective_is_dropped_silently(text, groups, notes, model) -> None:
 
 def test_it_is_what_it_was_attributes_and_all(model) -> None:
     told = understood("go to the red box, then stop behind it", model, attributes=("colour",))
-    kind = object_types.kind_of(LABELS.index("box"), object_types.attributes("red"))
+    kind = kind_of(LABELS.index("box"), attributes("red"))
     readings = told.instruction.readings
     assert set(np.asarray(readings.mention_type[0]).tolist()) == {kind, NONE}
 
@@ -353,7 +358,7 @@ def look_at_balls(place, heading: float):
     found = [(HYDRANT, x - place[0], y - place[1]) for x, y, _ in BALLS]
     pose, sensor = np.array([*place, heading]), by_hand.sensor(12.0, noise=0.02)
     codes = np.zeros(8, np.int32)
-    codes[: len(BALLS)] = [object_types.attributes(colour) for _, _, colour in BALLS]
+    codes[: len(BALLS)] = [attributes(colour) for _, _, colour in BALLS]
     seen = by_hand.observation(pose, found, sensor, size=8)
     return replace(seen, detection_attribute=codes)
 
@@ -389,7 +394,7 @@ def scene(draw: np.random.Generator, command: int) -> Scenario:
         place = draw.uniform(area[::2] + 0.5, area[1::2] - 0.5)
         if all(np.hypot(*(place - other)) > 3.5 for other in [*places, np.zeros(2)]):
             places.append(place)
-    looks = [object_types.attributes(*words) for words in LOOKS[command]]
+    looks = [attributes(*words) for words in LOOKS[command]]
     other = 1 + (command + 1) % 3
     rows = [(kind, *at) for kind, at in zip([command + 1] * 3 + [other], places, strict=True)]
     codes = np.int32([*looks, looks[0], 0, 0, 0, 0])

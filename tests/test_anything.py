@@ -8,8 +8,7 @@ from test_navigator_step import AREA, CONE, HYDRANT, STEP, distance, go
 from jaxlangnav.grounding import understand
 from jaxlangnav.grounding.binding import Detector
 from jaxlangnav.grounding.readings import unpad_readings
-from jaxlangnav.inputs import object_types
-from jaxlangnav.inputs.object_types import ANYTHING
+from jaxlangnav.inputs.object_types import ANYTHING, attributes, fits, kind_of, name_of
 from jaxlangnav.messages import BEHIND, BETWEEN, LEFT, NEAR, NONE, ROBOT, Status
 
 CAR, TREE, BENCH, BARREL = 2, 4, 5, 6
@@ -56,21 +55,19 @@ def test_what_is_said_of_it_comes_last(model) -> None:
 def test_a_colour_of_the_thing_counts_or_is_noted(model) -> None:
     text = "go to the red thing behind the cone"
     seen = read(text, model, Detector(model.type_names, ["colour"]))
-    red = object_types.kind_of(ANYTHING, object_types.attributes("red"))
+    red = kind_of(ANYTHING, attributes("red"))
     assert seen.mentions == (CONE, red)
-    assert object_types.name_of(red, model.type_names) == "red thing"
+    assert name_of(red, model.type_names) == "red thing"
     assert "'red'" in "".join(understand(text, model).notes)
 
 
 def test_everything_seen_fits_and_nothing_else() -> None:
-    red, blue = (
-        object_types.kind_of(BENCH, object_types.attributes(one)) for one in ("red", "blue")
-    )
+    red, blue = (kind_of(BENCH, attributes(one)) for one in ("red", "blue"))
     seen = np.array([HYDRANT, BENCH, red, blue, NONE, ROBOT])
-    assert object_types.fits(seen, ANYTHING).tolist() == [True] * 4 + [False] * 2
-    wanted = object_types.kind_of(ANYTHING, object_types.attributes("red"))
-    assert object_types.fits(seen, wanted).tolist() == [True, True, True, False, False, False]
-    assert not object_types.fits(ANYTHING, np.array([HYDRANT, NONE, ROBOT])).any()
+    assert fits(seen, ANYTHING).tolist() == [True] * 4 + [False] * 2
+    wanted = kind_of(ANYTHING, attributes("red"))
+    assert fits(seen, wanted).tolist() == [True, True, True, False, False, False]
+    assert not fits(ANYTHING, np.array([HYDRANT, NONE, ROBOT])).any()
 
 
 def test_the_thing_is_found_whatever_it_is(robot) -> None:

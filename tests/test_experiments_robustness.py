@@ -14,11 +14,7 @@ from jaxlangnav.experiments import conversation
 from jaxlangnav.experiments.conversation import ROWS, _run_row, dialogue_table
 from jaxlangnav.experiments.dialogue import sentence_with
 from jaxlangnav.experiments.experiment import Options
-from jaxlangnav.experiments.robustness import (
-    ROBUSTNESS,
-    _describe_missed,
-    _missed,
-)
+from jaxlangnav.experiments.robustness import ROBUSTNESS, _describe_missed, _missed
 from jaxlangnav.experiments.scenarios import SAID, SCENARIOS
 from jaxlangnav.navigator import check, default_params
 from jaxlangnav.planner.config import SHIPPED

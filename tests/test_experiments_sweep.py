@@ -25,10 +25,7 @@ from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.experiments.rows import RowSpec
 from jaxlangnav.experiments.shards import held
 from jaxlangnav.experiments.sweep_config import SweepConfig, config_from_dict, read_config
-from jaxlangnav.experiments.sweep_plan import (
-    make_plan,
-    parse_shard,
-)
+from jaxlangnav.experiments.sweep_plan import make_plan, parse_shard
 from jaxlangnav.experiments.tasks import draw_tasks, ground_sentences
 from jaxlangnav.navigator import NavigatorConfig
 from jaxlangnav.semantic_map.params import MapConfig

@@ -4,13 +4,7 @@ import numpy as np
 import pytest
 from grounding_fixture import TYPES, corpus
 
-from jaxlangnav.experiments.table1 import (
-    _accuracy,
-    _on_new_words,
-    draw_splits,
-    evaluate,
-    table_1,
-)
+from jaxlangnav.experiments.table1 import _accuracy, _on_new_words, draw_splits, evaluate, table_1
 from jaxlangnav.grounding import load_shipped
 from jaxlangnav.training.scoring import Models, Scores, score_annotations, score_behaviors
 

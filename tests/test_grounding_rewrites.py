@@ -25,12 +25,7 @@ from jaxlangnav.grounding.readings import Reading, pad_readings, unpad_readings
 from jaxlangnav.grounding.rewrites import MOST_REWRITES
 from jaxlangnav.grounding.weights import load_shipped
 from jaxlangnav.messages import BEHIND, FRONT, NONE
-from jaxlangnav.training.shipped import (
-    COLDEST,
-    Judged,
-    fit_source_temperature,
-    log_likelihood,
-)
+from jaxlangnav.training.shipped import COLDEST, Judged, fit_source_temperature, log_likelihood
 
 START = Context(is_under_way=False)
 TYPES = load_shipped().type_names

@@ -23,14 +23,7 @@ from jaxlangnav.planner import qmdp
 from jaxlangnav.planner.config import PlannerConfig, as_policy
 from jaxlangnav.planner.faithful import no_waypoint
 from jaxlangnav.planner.graph import FRONTIER, OBJECT_NODE, VISITED
-from jaxlangnav.planner.policy import (
-    Decision,
-    Policy,
-    Situation,
-    Valuation,
-    ahead,
-    decide,
-)
+from jaxlangnav.planner.policy import Decision, Policy, Situation, Valuation, ahead, decide
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.coverage import log_miss_at
 from jaxlangnav.semantic_map.params import MapConfig

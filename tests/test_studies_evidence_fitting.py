@@ -7,13 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import readings as by_hand
-from studies.episode_evidence import (
-    WordsEvidence,
-    by_setting,
-    log_fit,
-    log_fit_of,
-    log_words,
-)
+from studies.episode_evidence import WordsEvidence, by_setting, log_fit, log_fit_of, log_words
 from studies.evidence_fitting import EpisodeFit, fit_to_episodes
 
 from jaxlangnav.messages import BEHIND, NEAR, NONE

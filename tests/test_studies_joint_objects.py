@@ -5,12 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import readings as by_hand
-from studies.joint_objects import (
-    STEPS,
-    compare_forms,
-    drop_covariances,
-    log_places,
-)
+from studies.joint_objects import STEPS, compare_forms, drop_covariances, log_places
 
 from jaxlangnav.messages import default_sensor
 from jaxlangnav.pytree import replace

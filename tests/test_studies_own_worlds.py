@@ -5,12 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import readings as by_hand
-from studies.own_worlds import (
-    OWN_AREA,
-    check_readings,
-    draw_own_world,
-    judge_own_worlds,
-)
+from studies.own_worlds import OWN_AREA, check_readings, draw_own_world, judge_own_worlds
 
 from jaxlangnav.experiments.calibration import scores
 from jaxlangnav.experiments.tasks import SENTENCES, ground_sentences

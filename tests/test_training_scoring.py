@@ -11,12 +11,7 @@ from jaxlangnav.grounding.annotation import infer_annotations
 from jaxlangnav.grounding.correspondence import CorrespondenceGraph
 from jaxlangnav.grounding.properties import Behaviors
 from jaxlangnav.grounding.symbols import BehaviorSpace
-from jaxlangnav.training.scoring import (
-    Models,
-    gold_annotations,
-    score_annotations,
-    score_behaviors,
-)
+from jaxlangnav.training.scoring import Models, gold_annotations, score_annotations, score_behaviors
 
 SENTENCES = (
     "go to the second box near the tree",
