@@ -44,6 +44,7 @@ def test_unknown_name_is_an_attribute_error() -> None:
 
 
 @pytest.mark.parametrize("old", MOVED)
+@pytest.mark.filterwarnings("ignore:jaxlangnav")  # of the package that it stood in
 def test_a_module_that_has_moved_is_found_by_its_old_name(old: str) -> None:
     sys.modules.pop(f"jaxlangnav.{old}", None)
     with pytest.warns(DeprecationWarning, match=f"{old} is now jaxlangnav.{MOVED[old]}"):
