@@ -44,6 +44,7 @@ from jaxlangnav.experiments.timing import (
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.lanes import run_batch
 from jaxlangnav.navigator import NavigatorParams, default_params
+from jaxlangnav.navigator.deployment import deployment_config, deployment_params
 from jaxlangnav.pytree import replace
 from jaxlangnav.world.templates import TEMPLATE_NAMES
 
@@ -262,11 +263,25 @@ def _refilling(bench: Workbench) -> Measurement:
 
 def _limits(bench: Workbench) -> list[Measurement]:
     """Measure where a cycle's time goes, and how far it is from this machine's limits."""
-    parts = measure_parts(
-        bench.tasks, bench.instructions, params=bench.params, repetitions=bench.repetitions
+    measuring = functools.partial(
+        measure_parts, bench.tasks, bench.instructions, repetitions=bench.repetitions
     )
+    parts = measuring(params=bench.params)
     peaks = roofline.measure_peaks()
-    return share_entries(parts) + roofline.distances(parts, peaks)
+    params = deployment_params()
+    large = measuring(params=params, config=deployment_config(POLICY, params=params))
+    return [
+        *share_entries(parts),
+        *roofline.distances(parts, peaks),
+        entry(
+            "one cycle of one lane, sizes of Navigator.pretrained",
+            1e6 * large[0].seconds, "µs CPU", target=2500.0, is_limit=True,
+        ),
+        entry(
+            "planner, motion and the rest of it",
+            1e6 * split(large)["planner, motion and the rest"], "µs CPU",
+        ),
+    ]  # fmt: skip
 
 
 def share_entries(parts: list[Part]) -> list[Measurement]:

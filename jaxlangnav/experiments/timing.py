@@ -23,7 +23,7 @@ from jaxlangnav.experiments.tasks import (
     take_tasks,
 )
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.navigator import NavigatorParams
+from jaxlangnav.navigator import NavigatorConfig, NavigatorParams
 from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.semantic_map.behaviors import infer_clause_behaviors
 from jaxlangnav.world.templates import TABLE_2
@@ -105,12 +105,14 @@ def measure_parts(
     *,
     params: NavigatorParams,
     repetitions: int,
+    config: NavigatorConfig | None = None,
 ) -> list[Part]:
     """Measure a cycle in one batch of lanes, its sensor, its filter, behavior in every particle.
 
-    ``tasks``, leaves [E, …], are at least as many as lanes; ``instructions`` have leaves [I, …].
+    ``tasks``, leaves [E, …], are at least as many as lanes; ``instructions`` have leaves [I, …];
+    ``config`` is by default that of the tables.
     """
-    config = navigator_config(POLICY)
+    config = navigator_config(POLICY) if config is None else config
 
     def sense_and_filter(progress: EpisodeState) -> Any:
         state = progress.navigator
