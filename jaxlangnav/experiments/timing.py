@@ -50,10 +50,9 @@ class Cost:
 
 def describe_machine() -> dict[str, Any]:
     """Say on what the figures were measured."""
-    device = jax.devices()[0]
     return {
-        "platform": device.platform,
-        "device": device.device_kind,
+        "platform": jax.default_backend(),
+        "device": jax.devices()[0].device_kind,
         "devices": jax.device_count(),
         "cpu": platform.processor() or platform.machine(),
         "cores": os.cpu_count(),
@@ -109,8 +108,7 @@ def measure_parts(
 ) -> list[Part]:
     """Measure a cycle in one batch of lanes, its sensor, its filter, behavior in every particle.
 
-    ``tasks``, leaves [E, …], are at least as many as lanes; ``instructions`` have leaves [I, …];
-    ``config`` is by default that of the tables.
+    ``tasks``, leaves [E ≥ lanes, …]; ``instructions``, leaves [I, …]; ``config``: as the tables.
     """
     config = navigator_config(POLICY) if config is None else config
 
@@ -189,8 +187,7 @@ def cycle_parts(*, params: NavigatorParams, repetitions: int = 3) -> dict[str, A
     """
     start = time.perf_counter()
     machine = describe_machine()
-    order = list(SENTENCES)
-    number = -(-LANES // len(TABLE_2))
+    order, number = list(SENTENCES), -(-LANES // len(TABLE_2))
     cells = [
         cell(row.world, row.relation, order.index(row.relation), row.range, number, _SEED)
         for row in TABLE_2
