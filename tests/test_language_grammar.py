@@ -235,7 +235,7 @@ def test_the_parser_reads_what_the_grammar_makes() -> None:
             continue
         text = " ".join({"comma": ",", "fullstop": "."}.get(one, one) for one in words)
         try:
-            parse(text, NOUNS, is_nearest_offered=False)
+            parse(text, NOUNS, is_rewritten=False)
             read += 1
         except LanguageError as error:
             refused.append((text, str(error)))

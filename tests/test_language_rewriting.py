@@ -80,7 +80,7 @@ def test_plainer_words_are_told_and_never_offered():
     assert ("tuck yourself in", "stop") in found.rewrites
     assert found.unread == ("the inspection is at noon",)
     with pytest.raises(LanguageError):
-        parse("tuck yourself in behind the cone", is_nearest_offered=False)
+        parse("tuck yourself in behind the cone", is_rewritten=False)
 
 
 def test_an_open_end_asks_how_far():

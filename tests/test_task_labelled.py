@@ -119,16 +119,17 @@ def test_the_detector_knows_the_types_that_labels_name(tmp_path):
 @pytest.mark.parametrize(
     ("part", "least", "most_wrong"),
     [
-        ("first", 321, 5),
-        ("second", 99, 5),
-        ("third", 274, 2),
-        ("fourth", 264, 4),
-        ("fifth", 171, 6),
-        ("sixth", 84, 0),
-        ("seventh", 68, 1),
-        ("eighth", 97, 7),
-        ("ninth dev", 114, 1),
-        ("ninth test", 102, 3),
+        ("first", 318, 2),
+        ("second", 98, 5),
+        ("third", 267, 1),
+        ("fourth", 279, 5),
+        ("fifth", 177, 4),
+        ("sixth", 92, 0),
+        ("seventh", 81, 1),
+        ("eighth", 116, 5),
+        ("ninth dev", 134, 1),
+        ("ninth test", 99, 4),
+        ("tenth", 84, 2),
     ],
 )
 @pytest.mark.parametrize("every", [pytest.param(1, marks=pytest.mark.slow), 4])
@@ -137,6 +138,5 @@ def test_shipped_sentences_stay_as_well_read(part, least, most_wrong, every):
     sentences = [one for one in SENTENCES if one.set == part]
     some = sentences[::every]
     counts = Counter(one.outcome for one in score_sentences(some, load_shipped()))
-    slack = 0 if every == 1 else 2
-    assert counts["right"] >= least * len(some) / len(sentences) - slack
+    assert counts["right"] >= least * len(some) / len(sentences) - 2 * (every > 1)
     assert counts["wrong"] <= most_wrong

@@ -8,6 +8,7 @@ from jaxlangnav.cli.checks import File, check_at_least, check_seed
 from jaxlangnav.cli.errors import UsageError
 from jaxlangnav.cli.output import Document, Output
 from jaxlangnav.cli.runtime import keep_compiled_programs, progress_bar
+from jaxlangnav.language.phrase import LEAST_PROBABILITY
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -29,6 +30,8 @@ class Evaluate:
 
     sentences: File = None
     """Labelled sentences, one JSON object a line: score these, and leave Table 1 out."""
+    least_probability: float = LEAST_PROBABILITY
+    """Of --sentences: what the trained reader thinks less probable is refused, from 0 to 1."""
     rewrites: File = None
     """Recorded rewritings of them: compare the trained graph, the rewritings, and both."""
     temperature: float = 1.0
@@ -54,6 +57,8 @@ class Evaluate:
             raise UsageError("--beams needs at least one width")
         for beam in self.beams:
             check_at_least("--beams", beam, 1)
+        if not 0.0 <= self.least_probability <= 1.0:
+            raise UsageError(f"--least-probability must be in [0, 1], not {self.least_probability}")
         if self.rewrites is not None and self.sentences is None:
             raise UsageError("--rewrites needs --sentences, the labelled sentences themselves")
         if self.rewrites is None and (self.fit_temperature or self.temperature != 1.0):
@@ -88,7 +93,9 @@ class Evaluate:
         model = load_shipped()
         if self.rewrites is None:
             with progress_bar("sentences", len(sentences)) as advance:
-                found = scored.score_sentences(sentences, model, advance)
+                found = scored.score_sentences(
+                    sentences, model, advance, least_probability=self.least_probability
+                )
             document |= scored.summarize_scores(found)
             table, lines = scored.render_scores(document)
         else:

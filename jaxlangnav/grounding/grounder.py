@@ -16,6 +16,7 @@ from jaxlangnav.grounding.binding import Detector
 from jaxlangnav.grounding.instruction import GroundingModel, Instruction, Spoken, understand
 from jaxlangnav.grounding.readings import Reading, pad_readings, unpad_readings
 from jaxlangnav.inputs.object_types import name_of, noun_of
+from jaxlangnav.language.phrase import LEAST_PROBABILITY
 from jaxlangnav.language.reference import Antecedent
 from jaxlangnav.messages import NONE, ROBOT
 from jaxlangnav.pytree import replace
@@ -93,6 +94,8 @@ class GraphGrounder:
         model: GroundingModel,
         labels: Iterable[str] | None = None,
         attributes: Iterable[str] = (),
+        *,
+        least_probability: float = LEAST_PROBABILITY,
     ) -> None:
         """Bind the graph to a detector.
 
@@ -101,11 +104,14 @@ class GraphGrounder:
             labels: what the detector tells apart, in the order of its indices; the types of the
                 models by default.
             attributes: groups of ``ATTRIBUTES`` that it reports.
+            least_probability: of what the trained reader makes of free speech, in [0, 1]: at less
+                it is refused.
 
         Raises:
             ValueError: labels or groups are refused; one line.
         """
         self.model = model
+        self.least_probability = least_probability
         self.detector = Detector(model.type_names if labels is None else labels, attributes)
 
     @classmethod
@@ -131,7 +137,8 @@ class GraphGrounder:
         if context.about != NONE:
             kind = noun_of(context.about, self.names)
             earlier = Antecedent(kind=kind, is_at=context.is_at)
-        understood = understand(text, self.model, self.detector, earlier)
+        least = self.least_probability
+        understood = understand(text, self.model, self.detector, earlier, least)
         # A robot under way may also be told of the map, and what to keep away from.
         if not context.is_under_way or int(understood.instruction.num_clauses):
             understood.check_task(is_first=not context.is_under_way)

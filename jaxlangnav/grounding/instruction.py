@@ -20,7 +20,7 @@ from jaxlangnav.grounding.readings import to_readings
 from jaxlangnav.grounding.symbols import AnnotationSpace, BehaviorSpace, bottom_up, count_graph
 from jaxlangnav.inputs.object_types import ANYTHING
 from jaxlangnav.language.parser import parse
-from jaxlangnav.language.phrase import COMMAND, Measure, Parse, Phrase
+from jaxlangnav.language.phrase import COMMAND, LEAST_PROBABILITY, Measure, Parse, Phrase
 from jaxlangnav.language.reference import (
     Antecedent,
     head_of,
@@ -224,6 +224,7 @@ def understand(
     model: GroundingModel,
     detector: Detector | None = None,
     earlier: Antecedent | None = None,
+    least_probability: float = LEAST_PROBABILITY,
 ) -> Understanding:
     """Understand an instruction: parse, annotations, and a program for behavior inference.
 
@@ -232,6 +233,7 @@ def understand(
         model: trained models.
         detector: what is told apart; the types of the models by default.
         earlier: what earlier utterances have been about.
+        least_probability: of what the trained reader makes of it, in [0, 1]; see ``parse``.
 
     Returns:
         What was understood; ``instruction`` is what the navigator takes.
@@ -242,7 +244,8 @@ def understand(
         ValueError: the sentence says more than the arrays hold.
     """
     labels = () if detector is None else detector.plain_labels
-    return understand_parse(parse(text, labels, earlier), model, detector)
+    tree = parse(text, labels, earlier, least_probability=least_probability)
+    return understand_parse(tree, model, detector)
 
 
 def _check_nouns(tree: Parse, belief: Belief, type_names: tuple[str, ...]) -> None:

@@ -158,9 +158,15 @@ class Grammar:
         for production in self.productions:
             symbols = (production.left, *production.right)
             self._by_rule.setdefault(tuple(self._symbols[one] for one in symbols), production)
+        by_left: dict[str, list[str]] = {}
+        for left, *right in self._by_rule:
+            by_left.setdefault(left, []).append(" ".join(right))
+        lines = [f"{left}: " + "\n  | ".join(rights) for left, rights in by_left.items()]
+        terminals = " ".join(one for one in self._symbols.values() if one[0] == "T")
         lark = Lark(
-            self._lark_text(), start=self._symbols["start"], parser="earley", lexer=_TokenLexer,
-            ambiguity="forest", keep_all_tokens=True, maybe_placeholders=False,
+            "\n".join([*lines, f"%declare {terminals}\n"]), start=self._symbols["start"],
+            parser="earley", lexer=_TokenLexer, ambiguity="forest", keep_all_tokens=True,
+            maybe_placeholders=False,
         )  # fmt: skip
         self._lark: Any = lark
         self._earley: Any = lark.parser.parser
@@ -174,14 +180,6 @@ class Grammar:
             for index, symbols in enumerate(rules):
                 for symbol in symbols:
                     users.setdefault(symbol, []).append(index)
-
-    def _lark_text(self) -> str:
-        by_left: dict[str, list[str]] = {}
-        for left, *right in self._by_rule:
-            by_left.setdefault(left, []).append(" ".join(right))
-        lines = [f"{left}: " + "\n  | ".join(rights) for left, rights in by_left.items()]
-        terminals = " ".join(one for one in self._symbols.values() if one[0] == "T")
-        return "\n".join(lines) + f"\n%declare {terminals}\n"
 
     def _predict_only(self, terminals: frozenset[str], is_whole: bool) -> None:
         """Leave rules that the words of the sentence cannot fill out of Earley's predictions."""

@@ -7,7 +7,7 @@ grammar) is derived here.
 
 import os
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, cached_property
 from importlib import resources
 
 from jaxlangnav.inputs.documents import parse_toml, read_text
@@ -71,7 +71,7 @@ class Lexicon:
     tags: dict[str, str] = field(default_factory=dict)  # word → Penn tag in expressions
     slips: dict[str, str] = field(default_factory=dict)  # short word, mistyped → what is meant
 
-    @property
+    @cached_property
     def vocabulary(self) -> frozenset[str]:
         """Every word that some class, or the list of refused words, knows."""
         known = {word for entries in self.entries.values() for key in entries for word in key}

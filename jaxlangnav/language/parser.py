@@ -24,7 +24,13 @@ from jaxlangnav.language.grammar import (
 from jaxlangnav.language.lexicon import REASONS, TYPE_CLASS, load_lexicon
 from jaxlangnav.language.measured import of_clauses, take_out
 from jaxlangnav.language.nouns import is_noun_place, join_nouns, name_nouns
-from jaxlangnav.language.phrase import COMMAND, STATEMENT, LanguageError, Parse
+from jaxlangnav.language.phrase import (
+    COMMAND,
+    LEAST_PROBABILITY,
+    STATEMENT,
+    LanguageError,
+    Parse,
+)
 from jaxlangnav.language.reader.proposals import propose_readings
 from jaxlangnav.language.reference import Antecedent, join_constraints, resolve
 from jaxlangnav.language.refusal import NOUN, Token, explain, is_contrary, offer
@@ -43,10 +49,8 @@ from jaxlangnav.language.tree import TreeBuilder
 MAX_CHARACTERS = 10_000
 MAX_WORDS = 64
 MAX_UNKNOWN = 8  # more guesses than this are no reading, and their trees are very many
-LEAST_PROBABILITY = 0.05
-"""Of what the trained reader makes of a sentence: at less it is refused."""
 LEAST_TO_OVERRULE = 0.7
-"""The same of a sentence that can be read as it stands: at less it is read so."""
+"""Of another reading of a sentence that can be read as it stands: at less it is read so."""
 _IGNORED = set("\"'[]*`“”")
 _COMMAS = {",", ":", "-", "–", "—", "(", ")"}
 _LONGEST_LINE = 199
@@ -63,17 +67,15 @@ _CARRIED = re.compile(
 
 
 class _Reader:
-    """Splits text into words and marks, repairing what is mistyped."""
+    """A text split into words and marks, what is mistyped repaired."""
 
-    def __init__(self, labels: Collection[str]) -> None:
-        self.labels = labels
-        self.vocabulary = _vocabulary()
+    def __init__(self, text: str, labels: Collection[str]) -> None:
+        """Read all of a text."""
+        self.labels = frozenset(labels)
+        self.vocabulary = load_lexicon().vocabulary
         self.tokens: list[SpokenToken] = []
         self.repairs: list[tuple[str, str]] = []
         self.num_words = 0
-
-    def read(self, text: str) -> None:
-        """Read all of a text."""
         text = join_contractions(plainly(text))
         if len(text) > 2 * MAX_CHARACTERS:  # some signs stand for whole words
             raise LanguageError(
@@ -139,7 +141,7 @@ class _Reader:
 def _to_token(spoken: SpokenToken) -> Token:
     """Say what a word or a mark can be to the grammar."""
     terminal = {COMMA_MARK: COMMA, FULLSTOP_MARK: FULLSTOP}.get(spoken.text, spoken.text)
-    if spoken.text not in MARKS and spoken.text not in _vocabulary():
+    if spoken.text not in MARKS and spoken.text not in load_lexicon().vocabulary:
         is_adverb = spoken.text.endswith("ly") and len(spoken.text) > 4
         is_verb = spoken.text.endswith("ing") and len(spoken.text) > 5
         terminal = UNKNOWN_ADVERB if is_adverb else UNKNOWN_ING if is_verb else UNKNOWN
@@ -168,15 +170,10 @@ def _compounds() -> dict[str, tuple[str, ...]]:
     return {"".join(words): words for words in entries if len(words) > 1}
 
 
-@cache
-def _vocabulary() -> frozenset[str]:
-    return load_lexicon().vocabulary
-
-
 def _check_symbols(spoken: list[SpokenToken]) -> None:
     """Refuse numbers and signs."""
     for index, one in enumerate(spoken):
-        if one.text in MARKS or one.text[0].isalpha() or one.text in _vocabulary():
+        if one.text in MARKS or one.text[0].isalpha() or one.text in load_lexicon().vocabulary:
             continue
         what = "this sign is not supported; use words"
         if one.text[0].isdigit():
@@ -203,9 +200,7 @@ def split_text(text: str, labels: Collection[str] = ()) -> list[SpokenToken]:
     Raises:
         LanguageError: it has more words or characters than are read.
     """
-    reader = _Reader(frozenset(labels))
-    reader.read(text)
-    return reader.tokens
+    return _Reader(text, labels).tokens
 
 
 def parse(
@@ -213,8 +208,8 @@ def parse(
     labels: Collection[str] = (),
     earlier: Antecedent | None = None,
     *,
-    is_nearest_offered: bool = True,
     is_rewritten: bool = True,
+    least_probability: float = LEAST_PROBABILITY,
 ) -> Parse:
     """Parse an instruction of one or more clauses.
 
@@ -223,8 +218,9 @@ def parse(
         labels: names of things that are nouns whatever else they may be, such as those that a
             detector tells apart.
         earlier: what earlier utterances have been about, for "it" and "the one on the left".
-        is_nearest_offered: whether a refusal names the nearest sentence that can be read.
         is_rewritten: whether other wordings are read; without, as the grammar alone reads it.
+        least_probability: in [0, 1]; what the grammar refuses is refused where the trained reader's
+            likeliest meaning has less.
 
     Returns:
         The most probable phrase trees, what was unknown and what was repaired.
@@ -237,8 +233,7 @@ def parse(
         raise LanguageError(f"the instruction is of type {type(text).__name__}, but must be a text")
     if len(text) > MAX_CHARACTERS:
         raise LanguageError(f"the instruction has more than {MAX_CHARACTERS} characters")
-    reader = _Reader(frozenset(labels))
-    reader.read(text)
+    reader = _Reader(text, labels)
     if not reader.tokens:
         raise LanguageError("the instruction is empty")
     if not is_rewritten:
@@ -246,27 +241,24 @@ def parse(
     try:
         as_said = _read(text, reader, reader.tokens, earlier)
     except LanguageError as error:
-        if error.position is None or not is_nearest_offered:
+        if error.position is None:
             raise
-        found = _read_freely(text, reader, earlier, None)
+        found = _read_freely(text, reader, earlier, None, least_probability)
         if found is None:
             raise _with_nearest(error, reader, earlier) from None
         return found
-    return _read_freely(text, reader, earlier, as_said) or as_said
+    return _read_freely(text, reader, earlier, as_said, LEAST_TO_OVERRULE) or as_said
 
 
 def _read_freely(
-    text: str, reader: _Reader, earlier: Antecedent | None, as_said: Parse | None
+    text: str, reader: _Reader, earlier: Antecedent | None, as_said: Parse | None, least: float
 ) -> Parse | None:
-    """Read a sentence by the trained reader, or as it stands; None: it is refused.
+    """Read a sentence by its likeliest meaning, if that has at least ``least``, or as it stands.
 
-    Sentences of one meaning share their probabilities. What can be read as it stands is read so,
-    unless another meaning has ``LEAST_TO_OVERRULE``; what cannot, by its likeliest meaning, unless
-    that has less than ``LEAST_PROBABILITY``.
+    Sentences of one meaning share their probabilities. None: it is refused.
     """
     found: dict[object, tuple[float, Parse]] = {}
     proposals = propose_readings(reader.tokens, reader.labels, is_readable=as_said is not None)
-    least = LEAST_PROBABILITY if as_said is None else LEAST_TO_OVERRULE
     probability, best, unread = 0.0, None, sum(one.probability for one in proposals)
     for one in proposals:
         others = [share for share, read in found.values() if read is not best]
@@ -352,9 +344,8 @@ def _with_nearest(
     blamed = next((one.text for one in heard if one.position == position), "")
 
     def can_read(text: str) -> bool:
-        again = _Reader(reader.labels)
         try:
-            again.read(text)
+            again = _Reader(text, reader.labels)
             found = _read(text, again, again.tokens, earlier, is_blame_sought=False)
         except LanguageError:
             return False

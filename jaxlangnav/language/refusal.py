@@ -139,7 +139,6 @@ LONGEST = 24
 _SHORTEST = 2
 """Words that are too few for a sentence that is left of another one's clauses."""
 _OTHERWISE = {"my": "the", "our": "the"}
-_ARTICLES = frozenset({"the", "a", "an", "that", "this", "your"})
 _JOINTS = frozenset({*MARKS, "and", "then", "but", "so", "or"})
 _LOOSE = frozenset({"to", "the", "a", "an", "at", "on", "in", "is", "that", "which", "of", "from"})
 _LOOSE |= frozenset({"for", "by", "with", "just", "only", "very", "right", "up", "down", "over"})

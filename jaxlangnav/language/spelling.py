@@ -10,19 +10,11 @@ from string import ascii_lowercase
 
 from jaxlangnav.language.lexicon import TYPE_CLASS, Lexicon, load_lexicon
 
-MIN_LETTERS = 5
+MIN_LETTERS, _MAX_LETTERS = 5, 20
 # Small talk holds many words that say nothing of the task ("plan", "time"): no repairs to them,
 # or "plant" would become "plan".
-SMALL_TALK = {
-    "opener",
-    "opener_ing",
-    "fragment_opener",
-    "closer",
-    "note",
-    "see",
-    "conn",
-    "conn_then",
-}
+_SMALL_TALK = frozenset({"opener", "opener_ing", "fragment_opener", "closer", "note", "see"})
+_SMALL_TALK |= frozenset({"conn", "conn_then"})
 _NOUNS = (TYPE_CLASS, "place_noun", "robot", "one")
 """Classes whose words are the noun of a phrase."""
 COURTESIES = {"please", "could", "would", "robot", "there", "after", "thanks", "then", "finally"}
@@ -49,7 +41,7 @@ def edits(word: str) -> set[str]:
 def repairable() -> frozenset[str]:
     """Collect the words of the lexicon that typing errors are repaired to."""
     lexicon = load_lexicon()
-    classes = [entries for name, entries in lexicon.entries.items() if name not in SMALL_TALK]
+    classes = [entries for name, entries in lexicon.entries.items() if name not in _SMALL_TALK]
     words = {word for entries in classes for key in entries for word in key}
     return frozenset(words | set(lexicon.refused) | COURTESIES)
 
@@ -95,9 +87,8 @@ def repair(word: str, *, is_noun: bool = False) -> str | None:
     lexicon = load_lexicon()
     if word in lexicon.slips:
         return lexicon.slips[word]
-    if len(word) < MIN_LETTERS or not word.isascii() or not word.isalpha() or word in not_errors():
-        return None
-    if len(word) > 20:
+    is_plain = word.isascii() and word.isalpha() and word not in not_errors()
+    if not (is_plain and MIN_LETTERS <= len(word) <= _MAX_LETTERS):
         return None
     allowed = repairable() & _nominal() if is_noun else repairable()
     candidates = sorted(c for c in edits(word) & allowed if len(c) >= MIN_LETTERS - 1)

@@ -17,6 +17,7 @@ from jaxlangnav.grounding.rewrites import (
     verify_rewrites,
 )
 from jaxlangnav.language.own_words import is_of_grammar
+from jaxlangnav.language.phrase import LEAST_PROBABILITY
 from jaxlangnav.task.compared import difference
 from jaxlangnav.task.labelled import LabelledSentence
 from jaxlangnav.training.shipped import Judged, TemperatureFit, fit_source_temperature
@@ -43,6 +44,7 @@ def score_sentences(
     model: GroundingModel,
     on_progress: Callable[[int], None] | None = None,
     arm: Wrapping = lambda graph: graph,
+    least_probability: float = LEAST_PROBABILITY,
 ) -> list[Score]:
     """Score labelled sentences.
 
@@ -52,13 +54,15 @@ def score_sentences(
         model: the trained models.
         on_progress: told after each sentence.
         arm: what reads them; the trained graph by default.
+        least_probability: of what the trained reader makes of them, in [0, 1]; see ``parse``.
 
     Returns:
         Their scores, in order.
     """
     scores, labels = [], _labels_of(sentences, model)
     for sentence in sentences:
-        scores.append(_score(sentence, GraphGrounder(model, labels), arm))
+        graph = GraphGrounder(model, labels, least_probability=least_probability)
+        scores.append(_score(sentence, graph, arm))
         if on_progress is not None:
             on_progress(1)
     return scores

@@ -317,13 +317,6 @@ def _bar(model: ReaderModel, sentence: ReaderSentence) -> np.ndarray:
     return barred
 
 
-def _score_kept(scores: np.ndarray, model: ReaderModel) -> float:
-    """Score the labelling that keeps every word."""
-    kept = model.labels.index(KEPT)
-    moves = (len(scores) - 1) * model.transition[kept, kept]
-    return float(scores[:, kept].sum() + moves)
-
-
 def propose_readings(
     tokens: Sequence[SpokenToken], labels: Collection[str] = (), *, is_readable: bool = False
 ) -> list[Proposal]:
@@ -343,7 +336,9 @@ def propose_readings(
     sentence = ReaderSentence(tuple(token.text for token in tokens), frozenset(labels))
     scores = model.scores(sentence.words, sentence.labels)
     log_total = log_partition(scores, model.transition)
-    as_it_stands = math.exp(_score_kept(scores, model) - log_total)
+    kept = model.labels.index(KEPT)
+    moves = (len(scores) - 1) * model.transition[kept, kept]
+    as_it_stands = math.exp(scores[:, kept].sum() + moves - log_total)
     found: dict[tuple[str, ...], Proposal] = {}
     if is_readable:
         plain = Proposal(probability=as_it_stands, tokens=tuple(tokens), left_out=(), changes=())
