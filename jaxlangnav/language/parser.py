@@ -219,8 +219,7 @@ def parse(
             detector tells apart.
         earlier: what earlier utterances have been about, for "it" and "the one on the left".
         is_rewritten: whether other wordings are read; without, as the grammar alone reads it.
-        least_probability: in [0, 1]; what the grammar refuses is refused where the trained reader's
-            likeliest meaning has less.
+        least_probability: of what the trained reader makes of it, in [0, 1]; at less it is refused.
 
     Returns:
         The most probable phrase trees, what was unknown and what was repaired.

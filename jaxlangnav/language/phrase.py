@@ -13,10 +13,7 @@ from jaxlangnav.inputs.sanitize import printable
 COMMAND = "command"
 STATEMENT = "statement"
 LEAST_PROBABILITY = 0.1
-"""Of what the trained reader makes of a sentence that the grammar refuses: at less it is refused.
-
-Chosen on held-out sentences so that of these readings at most 1 % are wrong (docs/language.md).
-"""
+"""Of what the reader makes of a sentence: at less it is refused (its curve: docs/language.md)."""
 
 
 class LanguageError(ValueError):
