@@ -22,6 +22,7 @@ from jax.experimental.compilation_cache import compilation_cache
 from record import Measurement, against, entry, render
 
 from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task, run
+from jaxlangnav.episode.lanes import run_batch
 from jaxlangnav.experiments.monte_carlo import LANES, run_tasks, usable_cores
 from jaxlangnav.experiments.paper import SENSING_RANGES
 from jaxlangnav.experiments.policies import DEFAULT_PARTICLES, navigator_config
@@ -42,7 +43,6 @@ from jaxlangnav.experiments.timing import (
     split,
 )
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.lanes import run_batch
 from jaxlangnav.navigator import NavigatorParams, default_params
 from jaxlangnav.navigator.deployment import deployment_config, deployment_params
 from jaxlangnav.pytree import replace

@@ -38,9 +38,7 @@ from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.messages import BEHIND, Observation
 from jaxlangnav.navigator import default_params
 from jaxlangnav.pytree import replace
-from jaxlangnav.relations import (
-    default_params as default_relations,
-)
+from jaxlangnav.relations import default_params as default_relations
 from jaxlangnav.relations import fit as relation_fitting
 from jaxlangnav.relations import log_density, prepare, viewer_frame
 from jaxlangnav.relations.pairs import FRAMES, make_pairs

@@ -33,10 +33,16 @@ ROOT = Path(__file__).resolve().parent.parent
 OTHER_PYTHON = ("scripts", "benchmarks", "notebooks", "examples")
 WORD_LISTS = ("lexicon.toml", "nouns.toml", "not_errors.txt")
 """Data of the language that list words and give no rules."""
-ENGINE = (
-    "messages", "pytree", "numerics", "relations", "semantic_map", "planner", "navigator",
-    "episode", "lanes", "recording", "recorder",
-)  # fmt: skip
+ENGINE = [
+    "messages",
+    "pytree",
+    "numerics",
+    "relations",
+    "semantic_map",
+    "planner",
+    "navigator",
+    "episode",
+]
 """From messages to episode; ``grounding`` is read after lunch."""
 NUM_DETECTIONS = 8
 MOST_FILES = 20

@@ -4,11 +4,11 @@ import numpy as np
 from placed import placed
 
 from jaxlangnav.episode import EpisodeResult
+from jaxlangnav.episode.recording import Frame, Recording, StaticScene, stack_frames
 from jaxlangnav.messages import AT, BEHIND, NONE, Readings, SensorParams, Status
 from jaxlangnav.planner.config import as_policy
 from jaxlangnav.planner.graph import FRONTIER, OBJECT_NODE, VISITED
 from jaxlangnav.planner.params import default_planner_params
-from jaxlangnav.recording import Frame, Recording, StaticScene, stack_frames
 from jaxlangnav.world.state import CONE, HYDRANT
 
 TYPES = ("hydrant", "cone", "car", "building", "tree", "bench", "barrel", "box")

@@ -11,7 +11,8 @@ import readings as by_hand
 from placed import placed
 from test_navigator_step import AREA, CONE, HYDRANT, distance, go
 
-from jaxlangnav import episode, lanes
+from jaxlangnav import episode
+from jaxlangnav.episode import lanes
 from jaxlangnav.grounding import GraphGrounder, load_shipped, understand
 from jaxlangnav.grounding.binding import Detector, UnknownObjectError
 from jaxlangnav.inputs.object_types import (

@@ -5,10 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxlangnav import episode, lanes, navigator
-from jaxlangnav.episode import EpisodeResult, Task, run
+from jaxlangnav import episode, navigator
+from jaxlangnav.episode import EpisodeResult, Task, lanes, run
+from jaxlangnav.episode.lanes import run_batch
 from jaxlangnav.grounding import load_shipped, understand
-from jaxlangnav.lanes import run_batch
 from jaxlangnav.messages import MotionParams, SensorParams
 from jaxlangnav.navigator import NavigatorConfig
 from jaxlangnav.planner.config import PlannerConfig

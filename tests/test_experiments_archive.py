@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from jaxlangnav import lanes
+from jaxlangnav.episode import lanes
 from jaxlangnav.experiments import archive
 from jaxlangnav.experiments.archive import CompileClock
 from jaxlangnav.experiments.policies import navigator_config

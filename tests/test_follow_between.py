@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from placed import placed
 
-from jaxlangnav import lanes
-from jaxlangnav.episode import Task
+from jaxlangnav.episode import Task, lanes
 from jaxlangnav.experiments.policies import navigator_config
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.messages import Status, default_motion, default_sensor

@@ -11,11 +11,11 @@ from test_navigator_step import AREA, HYDRANT
 
 from jaxlangnav.cli import main as cli, speech
 from jaxlangnav.cli.output import Output
+from jaxlangnav.episode.recording import Remark
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.messages import Status
 from jaxlangnav.navigator.candidates import Candidate
 from jaxlangnav.pytree import replace
-from jaxlangnav.recording import Remark
 from jaxlangnav.task import talk
 from jaxlangnav.viz import html
 from jaxlangnav.viz.narrative import narrate
@@ -128,7 +128,9 @@ def test_who_talks_is_heard_at_any_step_and_may_leave(robot) -> None:
 def test_bad_speech_is_one_line_and_compiles_nothing(
     words: list[str], expected: str, capsys, monkeypatch
 ) -> None:
-    monkeypatch.setattr("jaxlangnav.recorder.play", lambda *_, **__: pytest.fail("it set out"))
+    monkeypatch.setattr(
+        "jaxlangnav.episode.recorder.play", lambda *_, **__: pytest.fail("it set out")
+    )
     monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: False))
     assert cli.main(["follow", NULL, "--json", *words]) == 2
     captured = capsys.readouterr()

@@ -9,9 +9,10 @@ import pytest
 from recording_fixture import make_recording
 from test_episode_batch import MAX_STEPS, SENTENCES, config, in_lanes, instructions, tasks
 
-from jaxlangnav import episode, recorder
+from jaxlangnav import episode
+from jaxlangnav.episode import recorder
+from jaxlangnav.episode.recording import Frame, Recording
 from jaxlangnav.navigator import default_params
-from jaxlangnav.recording import Frame, Recording
 
 __all__ = ["in_lanes", "instructions", "tasks"]
 TEXT, CONFIG = SENTENCES[0], config()

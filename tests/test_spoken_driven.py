@@ -29,8 +29,8 @@ from hand_geometry import (
 from placed import placed
 from readings import repeat, stack
 
-from jaxlangnav import Navigator, episode, lanes
-from jaxlangnav.episode import EpisodeState, Task
+from jaxlangnav import Navigator, episode
+from jaxlangnav.episode import EpisodeState, Task, lanes
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.grounding.binding import Detector
 from jaxlangnav.grounding.instruction import Instruction

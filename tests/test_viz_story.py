@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from recording_fixture import make_readings, make_recording, make_scene
 
+from jaxlangnav.episode.recording import Frame, Moment, Recording
 from jaxlangnav.grounding.asked import Asked
 from jaxlangnav.messages import AT, BEHIND, BETWEEN, LEFT, NEAR, NONE, REGIONS, ROBOT, Fault, Status
 from jaxlangnav.pytree import replace
-from jaxlangnav.recording import Frame, Moment, Recording
 from jaxlangnav.viz import narrative, sentences, summary, words
 from jaxlangnav.viz.panels import outcome, verdict
 from jaxlangnav.viz.words import FAULT_WORDS

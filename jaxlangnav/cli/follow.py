@@ -25,10 +25,10 @@ from jaxlangnav.cli.settings import SettingPath, apply, read_settings
 
 if TYPE_CHECKING:
     from jaxlangnav.cli.speech import Speech
+    from jaxlangnav.episode.recording import Recording
     from jaxlangnav.grounding import Grounder
     from jaxlangnav.grounding.instruction import Understanding
     from jaxlangnav.language.phrase import Parse
-    from jaxlangnav.recording import Recording
     from jaxlangnav.task.opening import Prepared
 
 
@@ -219,8 +219,8 @@ class Follow:
         output: Output,
     ) -> "Recording":
         """Run the episode and tell it, as it happens or afterwards."""
-        from jaxlangnav import recorder
-        from jaxlangnav.recording import stack_frames
+        from jaxlangnav.episode import recorder
+        from jaxlangnav.episode.recording import stack_frames
         from jaxlangnav.task.follow import alone, judged
         from jaxlangnav.task.talk import with_talk
         from jaxlangnav.viz.narrative import closing, narrate, opening, tell_on

@@ -15,11 +15,11 @@ from jaxlangnav.inputs.sanitize import cut, printable
 
 if TYPE_CHECKING:
     from jaxlangnav.episode import EpisodeState
+    from jaxlangnav.episode.recording import Recording, Remark, StaticScene
     from jaxlangnav.grounding import Grounder
     from jaxlangnav.grounding.instruction import Understanding
     from jaxlangnav.navigator import NavigatorParams
     from jaxlangnav.navigator.candidates import Candidate
-    from jaxlangnav.recording import Recording, Remark, StaticScene
     from jaxlangnav.task.talk import Earshot
 
 QUESTION_COST = 0.1

@@ -8,6 +8,7 @@ from typing import Any
 from jaxlangnav.cli.output import Document, Output
 from jaxlangnav.cli.runtime import waiting
 from jaxlangnav.cli.settings import SettingPath, apply
+from jaxlangnav.episode.recording import Recording
 from jaxlangnav.experiments.archive import CompileClock, manifest, write_manifest
 from jaxlangnav.experiments.experiment import Options
 from jaxlangnav.experiments.policies import navigator_config
@@ -20,7 +21,6 @@ from jaxlangnav.language.parser import parse
 from jaxlangnav.navigator import NavigatorParams
 from jaxlangnav.planner.config import POLICIES
 from jaxlangnav.pytree import replace
-from jaxlangnav.recording import Recording
 from jaxlangnav.task.follow import record_episode
 from jaxlangnav.task.opening import open_task
 from jaxlangnav.viz.html import write_graph, write_html

@@ -23,8 +23,8 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.episode import EpisodeResult, Task
+from jaxlangnav.episode.lanes import Course
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.lanes import Course
 from jaxlangnav.messages import Action, Observation, SensorParams, Status
 from jaxlangnav.navigator import NavigatorConfig
 from jaxlangnav.planner.graph import frontiers

@@ -14,11 +14,11 @@ from jax import Array
 from jaxlangnav import episode
 from jaxlangnav.dialogue import Joined, Words, first_words, join
 from jaxlangnav.episode import EpisodeResult, EpisodeState, Task
+from jaxlangnav.episode.lanes import Course
 from jaxlangnav.experiments.monte_carlo import OnProgress, run_tasks
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.grounding.readings import Capacity, widen
-from jaxlangnav.lanes import Course
 from jaxlangnav.messages import NONE, Status
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, NavigatorState, speech_acts
 from jaxlangnav.navigator.speech_acts import How

@@ -8,9 +8,9 @@ import jax
 import numpy as np
 
 from jaxlangnav.episode import EpisodeState, advance, begin, finish
+from jaxlangnav.episode.lanes import Course
 from jaxlangnav.experiments.calibration import Reliability, Tally, nothing, tally_step
 from jaxlangnav.experiments.metrics import wilson_interval
-from jaxlangnav.lanes import Course
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams
 from jaxlangnav.pytree import pytree
 

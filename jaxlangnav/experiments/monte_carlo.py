@@ -21,8 +21,8 @@ import numpy as np
 from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 
 from jaxlangnav.episode import MAX_STEPS, Task
+from jaxlangnav.episode.lanes import EPISODE, Course, run_batch
 from jaxlangnav.experiments.tasks import take_tasks
-from jaxlangnav.lanes import EPISODE, Course, run_batch
 from jaxlangnav.navigator import NavigatorConfig
 from jaxlangnav.pytree import strong
 

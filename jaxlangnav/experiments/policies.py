@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task
+from jaxlangnav.episode.lanes import EPISODE, Course
 from jaxlangnav.experiments.baselines import BASELINES
 from jaxlangnav.experiments.calibration import Tally
 from jaxlangnav.experiments.judging import JUDGED
@@ -20,7 +21,6 @@ from jaxlangnav.experiments.monte_carlo import OnProgress, run_tasks
 from jaxlangnav.experiments.tasks import Numbers
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.inputs.sanitize import cut
-from jaxlangnav.lanes import EPISODE, Course
 from jaxlangnav.messages import MotionParams, is_drifting
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, default_params
 from jaxlangnav.navigator.deployment import with_numbers

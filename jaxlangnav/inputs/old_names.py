@@ -9,6 +9,9 @@ from collections.abc import Sequence
 from types import ModuleType
 
 MOVED = {
+    "lanes": "episode.lanes",
+    "recording": "episode.recording",
+    "recorder": "episode.recorder",
     "conversation": "dialogue",
     "conversation.history": "dialogue.history",
     "conversation.join": "dialogue.merge",

@@ -12,12 +12,12 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.episode import EpisodeResult
+from jaxlangnav.episode.recorder import frame_of, scene_of
+from jaxlangnav.episode.recording import Frame, Recording, stack_frames
 from jaxlangnav.messages import Fault, Status
 from jaxlangnav.navigator import NavigatorInfo, NavigatorState
 from jaxlangnav.navigator.api import Navigator
 from jaxlangnav.pytree import replace
-from jaxlangnav.recorder import frame_of, scene_of
-from jaxlangnav.recording import Frame, Recording, stack_frames
 from jaxlangnav.robots.driver import drive
 from jaxlangnav.robots.film import Views
 from jaxlangnav.robots.kinematic import KinematicRobot

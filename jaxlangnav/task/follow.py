@@ -13,8 +13,8 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from jaxlangnav import recorder
-from jaxlangnav.episode import MAX_STEPS
+from jaxlangnav.episode import MAX_STEPS, recorder
+from jaxlangnav.episode.recording import Recording
 from jaxlangnav.experiments.policies import navigator_config, without_compass
 from jaxlangnav.experiments.sizes import any_task
 from jaxlangnav.grounding import GroundingModel, load_shipped, understand
@@ -25,7 +25,6 @@ from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, default_param
 from jaxlangnav.navigator.api import Navigator
 from jaxlangnav.planner.config import AnyPolicy
 from jaxlangnav.pytree import replace
-from jaxlangnav.recording import Recording
 from jaxlangnav.semantic_map.params import MapConfig
 from jaxlangnav.task.opening import (
     Prepared,

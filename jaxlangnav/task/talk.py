@@ -13,6 +13,7 @@ import numpy as np
 
 from jaxlangnav.dialogue import first_words
 from jaxlangnav.episode import EpisodeState
+from jaxlangnav.episode.recording import Recording, Remark, StaticScene
 from jaxlangnav.experiments.dialogue import speak
 from jaxlangnav.grounding import Context, Grounder
 from jaxlangnav.grounding.asked import asked
@@ -29,7 +30,6 @@ from jaxlangnav.navigator import NavigatorState
 from jaxlangnav.navigator.candidates import Candidate, candidates, thing_at
 from jaxlangnav.navigator.interpret import Listener
 from jaxlangnav.pytree import replace
-from jaxlangnav.recording import Recording, Remark, StaticScene
 from jaxlangnav.world.person import PERSONS, Person, PersonParams, Says, params_of, unspoken
 
 _PLACES = ("the first", "the second", "the third")

@@ -15,13 +15,13 @@ from typing import Any
 
 import numpy as np
 
+from jaxlangnav.episode.recording import Recording
 from jaxlangnav.grounding.instruction import GroundingModel
 from jaxlangnav.inputs.sanitize import printable
 from jaxlangnav.inputs.whole_files import write_text
 from jaxlangnav.language.phrase import Parse
 from jaxlangnav.messages import NONE
 from jaxlangnav.planner.graph import FRONTIER, OBJECT_NODE, VISITED
-from jaxlangnav.recording import Recording
 from jaxlangnav.viz import narrative, panels, sentences, style, summary
 from jaxlangnav.viz.graph import graph_figure
 from jaxlangnav.viz.narrative import narrate

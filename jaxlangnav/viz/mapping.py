@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from jaxlangnav.episode.recording import Frame, Recording, StaticScene
 from jaxlangnav.messages import NONE, SensorParams
-from jaxlangnav.recording import Frame, Recording, StaticScene
 from jaxlangnav.viz import style
 from jaxlangnav.viz.summary import seen_objects
 from jaxlangnav.world.state import Scenario, WorldState

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from jaxlangnav.episode import EpisodeResult
+from jaxlangnav.episode.recording import Frame, Moment, Recording, Remark, StaticScene, moments
 from jaxlangnav.experiments.table import Table, TableColumns
 from jaxlangnav.messages import Status
 from jaxlangnav.planner.graph import OBJECT_NODE
-from jaxlangnav.recording import Frame, Moment, Recording, Remark, StaticScene, moments
 from jaxlangnav.viz import sentences, summary
 from jaxlangnav.viz.summary import explored_share, pick_moments as pick_moments
 from jaxlangnav.viz.words import (

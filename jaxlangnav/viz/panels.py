@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from jaxlangnav.episode.recording import Frame, Moment, Recording
 from jaxlangnav.messages import Status
-from jaxlangnav.recording import Frame, Moment, Recording
 from jaxlangnav.viz import mapping, style
 from jaxlangnav.viz.narrative import headline, pick_moments, say_ending
 from jaxlangnav.viz.summary import SAME_PLACE, distinct_nodes, goal_field

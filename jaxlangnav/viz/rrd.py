@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from jaxlangnav.episode.recording import Recording, StaticScene
 from jaxlangnav.inputs.object_types import ANYTHING
 from jaxlangnav.inputs.whole_files import replacing
-from jaxlangnav.recording import Recording, StaticScene
 from jaxlangnav.viz import narrative, style, summary
 
 _APPLICATION = "jaxlangnav"

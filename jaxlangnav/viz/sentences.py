@@ -5,10 +5,10 @@
 
 import numpy as np
 
+from jaxlangnav.episode.recording import Frame, Moment, Remark, StaticScene, missing_names
 from jaxlangnav.language.lexicon import plural
 from jaxlangnav.messages import AT, NONE, REGIONS, Status
 from jaxlangnav.planner.graph import OBJECT_NODE, VISITED
-from jaxlangnav.recording import Frame, Moment, Remark, StaticScene, missing_names
 from jaxlangnav.viz import summary
 from jaxlangnav.viz.words import (
     RELATION_WORDS,

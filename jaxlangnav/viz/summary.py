@@ -9,9 +9,9 @@ import dataclasses
 
 import numpy as np
 
+from jaxlangnav.episode.recording import Frame, Recording, StaticScene
 from jaxlangnav.inputs.limits import refuse_below
 from jaxlangnav.messages import NONE
-from jaxlangnav.recording import Frame, Recording, StaticScene
 
 _LEAST_SHARE = 0.02
 """Objects that fewer particles believe in than this are left out of pictures."""

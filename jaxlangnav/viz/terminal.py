@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxlangnav.episode import EpisodeResult
-from jaxlangnav.inputs.sanitize import Plain
-from jaxlangnav.recording import (
+from jaxlangnav.episode.recording import (
     Frame,
     Moment,
     Recording,
@@ -20,6 +19,7 @@ from jaxlangnav.recording import (
     moments,
     stack_frames,
 )
+from jaxlangnav.inputs.sanitize import Plain
 from jaxlangnav.viz import narrative, style, summary
 from jaxlangnav.viz.words import percent
 

@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 
+from jaxlangnav.episode.recording import StaticScene
 from jaxlangnav.grounding.asked import Asked
 from jaxlangnav.language.lexicon import plural
 from jaxlangnav.messages import AT, NONE, REGIONS, ROBOT, Fault, relation_name
-from jaxlangnav.recording import StaticScene
 from jaxlangnav.relations.table import RELATION_WORDS
 
 SUPERLATIVE_WORDS = {

@@ -22,18 +22,12 @@ from jax import Array
 from jaxlangnav.episode import EpisodeResult, EpisodeState, Task, finish
 from jaxlangnav.experiments.monte_carlo import run_tasks
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.lanes import EPISODE
+from jaxlangnav.episode.lanes import EPISODE
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams
 from jaxlangnav.pytree import pytree
 from jaxlangnav.relations import RelationParams
 from jaxlangnav.semantic_map.params import MapParams
-from studies.episode_evidence import (
-    EpisodeGroup,
-    WordsEvidence,
-    by_setting,
-    log_fit_of,
-    remember,
-)
+from studies.episode_evidence import EpisodeGroup, WordsEvidence, by_setting, log_fit_of, remember
 
 READINGS_HELD = 1
 """Readings of a sentence that are held against an episode: the likeliest."""

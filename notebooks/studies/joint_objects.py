@@ -18,14 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.messages import (
-    NONE,
-    Action,
-    MotionParams,
-    SensorParams,
-    Status,
-    default_sensor,
-)
+from jaxlangnav.messages import NONE, Action, MotionParams, SensorParams, Status, default_sensor
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map import association, motion, particle, update
 from jaxlangnav.semantic_map.particle import SemanticMap

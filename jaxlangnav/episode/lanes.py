@@ -94,13 +94,10 @@ def run_batch(
     number = tasks.instruction_index.shape[0] if count is None else count
     tasks, instructions, params, number = strong((tasks, instructions, params, number))
     episodes = tasks.instruction_index.shape[:1]
-    own = {
-        name: jax.tree.map(
-            lambda leaf: jnp.broadcast_to(leaf, episodes) if leaf.ndim == 0 else leaf,
-            getattr(tasks, name),
-        )
-        for name in ("sensor", "motion", "told")
-    }
+    own = {name: getattr(tasks, name) for name in ("sensor", "motion", "told")}
+    own = jax.tree.map(
+        lambda leaf: jnp.broadcast_to(leaf, episodes) if leaf.ndim == 0 else leaf, own
+    )
     tasks = replace(tasks, **own)
     return _run_batch(
         tasks,
@@ -135,18 +132,15 @@ def _run_batch(
         return course.begin(task, instructions, config=config)
 
     def body(lanes: _Lanes) -> _Lanes:
-        state, _ = jax.vmap(lambda one: course.advance(one, params=params, config=config))(
-            lanes.state
-        )
+        advance = functools.partial(course.advance, params=params, config=config)
+        state, _ = jax.vmap(advance)(lanes.state)
         is_over = course.is_done(state) | (course.progress(state).steps >= max_steps)
         is_over = is_over & (lanes.episode < number)
         return _refilled(lanes, state, is_over, number, course, load)
 
     first = jnp.arange(num_lanes, dtype=jnp.int32)
     state = jax.vmap(load)(first)
-    shape = jax.eval_shape(
-        lambda one: course.finish(one), jax.tree.map(lambda leaf: leaf[0], state)
-    )
+    shape = jax.eval_shape(course.finish, jax.tree.map(lambda leaf: leaf[0], state))
     results = jax.tree.map(lambda leaf: jnp.zeros((capacity, *leaf.shape), leaf.dtype), shape)
     lanes = _Lanes(
         state=state,

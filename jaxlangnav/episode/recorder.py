@@ -15,6 +15,7 @@ import numpy as np
 
 from jaxlangnav import episode
 from jaxlangnav.episode import MAX_STEPS, EpisodeResult, EpisodeState, Task
+from jaxlangnav.episode.recording import Frame, Recording, StaticScene, stack_frames
 from jaxlangnav.grounding.asked import asked
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.inputs.limits import refuse_below
@@ -24,7 +25,6 @@ from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.messages import NONE, Observation, SensorParams, Status
 from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams, NavigatorState
 from jaxlangnav.pytree import replace
-from jaxlangnav.recording import Frame, Recording, StaticScene, stack_frames
 from jaxlangnav.world.simulator import known_distance
 from jaxlangnav.world.state import Scenario, WorldState
 
