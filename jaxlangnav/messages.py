@@ -98,7 +98,7 @@ class Readings:
     Things of one type in one reading are one thing.
     """
 
-    mention_type: Array  # i32[K, M] object kind (``kinds``); ROBOT; NONE in empty slots
+    mention_type: Array  # i32[K, M] object type (``object_types``); ROBOT; NONE in empty slots
     figure: Array  # i32[K, J] mention index of what is placed; NONE in empty slots
     relation: Array  # i32[K, J] relation index; NONE where the thing merely exists
     landmark: Array  # i32[K, J] mention index it is placed against; NONE where relation is NONE
@@ -247,16 +247,10 @@ class Observation:
                 "as of default_sensor(range_max)"
             )
         numbers = check_sensor(given)
-        found = observations.detected(detections, numbers, types)
-        return cls(
-            pose=_on_host(observations.pose_numbers(pose)),
-            detection_type=_on_host(found.kind),
-            detection_range=_on_host(found.range),
-            detection_bearing=_on_host(found.bearing),
-            is_detection=_on_host(found.is_detection),
-            sensor=_sensor(numbers),
-            detection_attribute=_on_host(found.attribute),
-        )
+        found: dict[str, Any] = observations.detected(detections, numbers, types)._asdict()
+        found["pose"] = observations.pose_numbers(pose)
+        # NumPy's numbers pass for JAX's: nothing is sent to a device before it is used.
+        return cls(sensor=_sensor(numbers), **found)
 
 
 def assert_observation(observation: Observation) -> None:
@@ -285,11 +279,6 @@ class Action:
     status: Array  # i32[] a Status: what the robot is doing, or how the task has ended
     speed: Array  # f32[] factor on the normal speed, from the behavior's mode
     clearance: Array  # f32[] metres to keep from objects, from the behavior's mode
-
-
-def _on_host(value: Any) -> Any:
-    """Pass NumPy's numbers for JAX's: nothing is sent to a device before it is used."""
-    return np.asarray(value)
 
 
 def _sensor(numbers: Sequence[np.float32]) -> SensorParams:

@@ -12,9 +12,8 @@ from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.messages import Status, default_motion, default_sensor
 from jaxlangnav.navigator import default_params
 from jaxlangnav.relations.between import lies_between
-from jaxlangnav.world.scenario import NUM_SLOTS
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
-from jaxlangnav.world.state import Scenario
+from jaxlangnav.world.state import NUM_SLOTS, Scenario
 
 # Command → its goal, its landmarks, and what else stands about: two more of the goal's noun each.
 COMMANDS = {

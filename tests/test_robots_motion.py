@@ -12,7 +12,7 @@ from jaxlangnav.robots.motion.path import find_path, gaps, inflate, is_clear, to
 from jaxlangnav.robots.motion.steering import Pursuit, Window
 from jaxlangnav.robots.physics.robot import MACHINES
 from jaxlangnav.robots.robot import Progress, Robot, start_pose
-from jaxlangnav.world.scenario import empty_scenario
+from jaxlangnav.world.state import empty_scenario
 
 BOTH = pytest.mark.parametrize("steering", [Pursuit(), Window()], ids=["pursuit", "window"])
 SURE = Slip(scale=0.0, noise=0.0, drift=0.0)

@@ -37,9 +37,8 @@ from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.messages import Status, default_motion, default_sensor
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams
 from jaxlangnav.world.motion import HOLONOMIC
-from jaxlangnav.world.scenario import NUM_SLOTS
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
-from jaxlangnav.world.state import Scenario
+from jaxlangnav.world.state import NUM_SLOTS, Scenario
 
 NUM_WORLDS, ROUND, LANES, STEPS = 3, 256, 32, 120
 MOST_THINGS, RANGE, EXTENT = 6, 8.0, 10.0

@@ -21,7 +21,7 @@ from jaxlangnav.grounding.program import empty_program, to_program
 from jaxlangnav.grounding.readings import pad_readings
 from jaxlangnav.messages import default_motion, default_sensor
 from jaxlangnav.navigator import NavigatorConfig
-from jaxlangnav.world.scenario import NUM_SLOTS, empty_scenario
+from jaxlangnav.world.state import NUM_SLOTS, empty_scenario
 
 SCRATCH = 8.5
 """Bytes a compiled step works with for each byte of an episode's records: XLA's own count of a

@@ -239,8 +239,7 @@ def run_sweep(
             if is_held:
                 # What killed writers have left, of files that nobody else writes.
                 for path in folder.iterdir():
-                    match = _LEFT.fullmatch(path.name)
-                    if match is not None and int(match[1]) in mine:
+                    if (match := _LEFT.fullmatch(path.name)) and int(match[1]) in mine:
                         path.unlink(missing_ok=True)
             kept = _sound_files(folder, plan, mine, sweep, on_note=note, on_kept=advance)
             make = functools.partial(_make_files, plan, folder, sweep, sentences)
@@ -248,7 +247,6 @@ def run_sweep(
             for done in run_ahead(make, todo, num_threads or num_calls()):
                 advance(done)
         num_kept = sum(plan.size(index) for index in kept)
-        there = sum(index < plan.num_files for index, _ in files_there(folder))
     return {
         "out": str(folder),
         "name": config.name,
@@ -256,7 +254,7 @@ def run_sweep(
         "episodes": plan.episodes_of(shard) - num_kept,
         "kept": num_kept,
         "files": len(mine),
-        "is_complete": there == plan.num_files,
+        "is_complete": sum(at < plan.num_files for at, _ in files_there(folder)) == plan.num_files,
         "wall_s": time.perf_counter() - begin,
         "compile_s": clock.seconds,
     }

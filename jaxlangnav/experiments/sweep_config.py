@@ -48,7 +48,8 @@ from jaxlangnav.inputs.whole_files import read_file
 from jaxlangnav.messages import default_sensor
 from jaxlangnav.navigator.deployment import FIELDS
 from jaxlangnav.world.files import LARGEST_WORLD_FILE, WorldFile, open_world
-from jaxlangnav.world.scenario import NUM_SLOTS, scenario_law
+from jaxlangnav.world.scenario import scenario_law
+from jaxlangnav.world.state import NUM_SLOTS
 from jaxlangnav.world.templates import Template, check_relation
 
 _LARGEST_FILE = 1 << 20

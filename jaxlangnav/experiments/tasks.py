@@ -21,9 +21,9 @@ from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.inputs.program_cache import kept
 from jaxlangnav.messages import MotionParams, SensorParams, default_motion, default_sensor
 from jaxlangnav.world.places import PlaceLaw, draw_place
-from jaxlangnav.world.scenario import draw_scenario, empty_scenario, scenario_law
+from jaxlangnav.world.scenario import draw_scenario, scenario_law
 from jaxlangnav.world.simulator import known_distance
-from jaxlangnav.world.state import Scenario
+from jaxlangnav.world.state import Scenario, empty_scenario
 
 SENTENCES = {
     "null": "go to the hydrant",

@@ -3,11 +3,10 @@
 A sentence brings its own types. Each is a noun with its attributes ("red ball"), and is bound to
 one or more labels of the detector: by name, by a synonym, or by its head noun. The trained graph
 never sees the labels: it speaks of the sentence's types by their place in a list, those of the
-lexicon first, and what it says is put into kinds (``kinds``) afterwards.
+lexicon first, and what it says is put into kinds (``object_types``) afterwards.
 """
 
 import dataclasses
-import itertools
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
@@ -25,7 +24,7 @@ from jaxlangnav.inputs.object_types import (
     label_of,
     words_of,
 )
-from jaxlangnav.inputs.sanitize import fault_of_name, quoted
+from jaxlangnav.inputs.sanitize import names_in
 from jaxlangnav.language.lexicon import TYPE_CLASS, load_lexicon
 from jaxlangnav.language.nouns import attributes_of, compared, load_nouns, singular
 from jaxlangnav.language.own_words import is_of_grammar
@@ -61,8 +60,10 @@ class Detector:
             ValueError: no label, too many, one that is no name, twice, empty or a word of the
                 grammar, or no such group; one line.
         """
-        self.labels = _names_in(labels, "labels")
-        self.attribute_groups = frozenset(_names_in(attribute_groups, "attributes"))
+        self.labels = names_in(labels, "labels", at_most=MOST_LABELS)
+        self.attribute_groups = frozenset(
+            names_in(attribute_groups, "attributes", at_most=MOST_LABELS)
+        )
         self._names = [_plain(label) for label in self.labels]
         self._beyond: list[str] = []
         fault = _fault_of(self.labels, self._names)
@@ -135,24 +136,6 @@ class Detector:
                 raise ValueError(f"more than {MOST_LABELS} nouns and labels: start a new navigator")
             self._beyond.append(noun)
         return len(self.labels) + self._beyond.index(noun)
-
-
-def _names_in(names: Iterable[str], what: str) -> tuple[str, ...]:
-    """Take names one by one, and refuse what is none."""
-    try:
-        rows = None if isinstance(names, str | bytes) else iter(names)
-    except TypeError:
-        rows = None
-    if rows is None:
-        raise ValueError(f"{what} is {quoted(names)}, but must be a list of names")
-    found: list[str] = []
-    for place, name in enumerate(itertools.islice(rows, MOST_LABELS)):
-        if not isinstance(name, str):
-            raise ValueError(f"{what}[{place}] is {quoted(name)}, but must be a name (a text)")
-        if fault := fault_of_name(name):
-            raise ValueError(f"{what}[{place}], {quoted(name)}, {fault}")
-        found.append(name)
-    return tuple(found)
 
 
 def _fault_of(labels: Sequence[str], names: Sequence[str]) -> str:

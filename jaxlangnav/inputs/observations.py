@@ -30,13 +30,13 @@ SLOTS = (8, 16, 32, 64)
 
 
 class _Detected(NamedTuple):
-    """Detections in padded arrays on the host."""
+    """Detections in padded arrays on the host, by the names of the fields of ``Observation``."""
 
-    kind: np.ndarray  # i32[D] type index; −1 in empty slots
-    range: np.ndarray  # f32[D] metres
-    bearing: np.ndarray  # f32[D] radians, robot frame
+    detection_type: np.ndarray  # i32[D] type index; −1 in empty slots
+    detection_range: np.ndarray  # f32[D] metres
+    detection_bearing: np.ndarray  # f32[D] radians, robot frame
     is_detection: np.ndarray  # bool[D]
-    attribute: np.ndarray  # i32[D] codes of ``attributes``; 0 where nothing is known
+    detection_attribute: np.ndarray  # i32[D] codes of ``attributes``; 0 where nothing is known
 
 
 def _type_index(name: Any, types: Sequence[str], what: str) -> int:
@@ -163,11 +163,10 @@ def detected(
     for slot, row in enumerate(rows):
         what = f"detection {slot + 1}"
         kind, metres, bearing, looks = _entries(row, what)
-        found.kind[slot] = _type_index(kind, types, what)
-        found.range[slot], found.bearing[slot] = _polar(
-            metres, bearing, range_max, field_of_view, noise, what
-        )
-        found.attribute[slot] = _attribute_code(looks, what)
+        found.detection_type[slot] = _type_index(kind, types, what)
+        polar = _polar(metres, bearing, range_max, field_of_view, noise, what)
+        found.detection_range[slot], found.detection_bearing[slot] = polar
+        found.detection_attribute[slot] = _attribute_code(looks, what)
     return found
 
 

@@ -5,6 +5,7 @@ move a terminal's cursor or set its title, letters that turn the direction of wr
 that forge a line of ours. ``printable`` stands at every door where text leaves for a terminal.
 """
 
+import itertools
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
@@ -122,6 +123,24 @@ def fault_of_name(text: str, *, longest: int = LONGEST_NAME) -> str | None:
     if odd is None:
         return None
     return f"has the control character U+{ord(text[odd]):04X} at place {odd + 1}: remove it"
+
+
+def names_in(names: Iterable[str], what: str, *, at_most: int) -> tuple[str, ...]:
+    """Take names one by one, so many at most, and refuse what is none with a ValueError."""
+    try:
+        rows = None if isinstance(names, str | bytes) else iter(names)
+    except TypeError:
+        rows = None
+    if rows is None:
+        raise ValueError(f"{what} is {quoted(names)}, but must be a list of names")
+    found: list[str] = []
+    for place, name in enumerate(itertools.islice(rows, at_most)):
+        if not isinstance(name, str):
+            raise ValueError(f"{what}[{place}] is {quoted(name)}, but must be a name (a text)")
+        if fault := fault_of_name(name):
+            raise ValueError(f"{what}[{place}], {quoted(name)}, {fault}")
+        found.append(name)
+    return tuple(found)
 
 
 class Plain:

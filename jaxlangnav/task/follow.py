@@ -35,8 +35,8 @@ from jaxlangnav.task.opening import (
     refuse_what_it_lacks,
 )
 from jaxlangnav.world.files import open_world
-from jaxlangnav.world.scenario import NUM_SLOTS
 from jaxlangnav.world.simulator import SUCCESS_RADIUS
+from jaxlangnav.world.state import NUM_SLOTS
 from jaxlangnav.world.templates import Template
 
 

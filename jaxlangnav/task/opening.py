@@ -20,8 +20,7 @@ from jaxlangnav.messages import SensorParams, default_sensor
 from jaxlangnav.pytree import replace
 from jaxlangnav.task.labelled import is_among, meant_goals, place_scenario, with_goal
 from jaxlangnav.world.files import WorldFile, open_world, shipped_worlds
-from jaxlangnav.world.scenario import NUM_SLOTS
-from jaxlangnav.world.state import Scenario
+from jaxlangnav.world.state import NUM_SLOTS, Scenario
 from jaxlangnav.world.templates import Template
 
 _T = TypeVar("_T")

@@ -18,8 +18,7 @@ from jaxlangnav.language.lexicon import load_lexicon, type_called
 from jaxlangnav.language.spelling import repair
 from jaxlangnav.language.tokens import is_word, plainly
 from jaxlangnav.messages import NONE, MotionParams, SensorParams
-from jaxlangnav.world.scenario import placed
-from jaxlangnav.world.state import Scenario
+from jaxlangnav.world.state import Scenario, placed
 
 MOST_OBJECTS = SLOTS[-1]
 """Objects of a world file: as many as may be in view."""

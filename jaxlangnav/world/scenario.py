@@ -20,19 +20,16 @@ A null world has the geometry of "behind", as the paper issues both commands in 
 
 import functools
 import math
-from collections.abc import Sequence
-from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
 from jaxlangnav.messages import NONE
 from jaxlangnav.numerics import batching
 from jaxlangnav.pytree import pytree
 from jaxlangnav.relations import to_map, viewer_frame
-from jaxlangnav.world.state import CONE, HYDRANT, Scenario
+from jaxlangnav.world.state import CONE, HYDRANT, NUM_SLOTS, Scenario
 from jaxlangnav.world.templates import (
     MAX_CONES,
     MAX_HYDRANTS,
@@ -210,9 +207,6 @@ def is_behind(figure: Array, landmark: Array) -> Array:
     return along >= WEDGE_COSINE * jnp.sqrt(x**2 + y**2)
 
 
-__all__ = ["Scenario", "ScenarioLaw", "draw_scenario", "sample_scenario", "scenario_law"]
-
-NUM_SLOTS = 8
 NUM_ATTEMPTS = 16
 """Whole worlds tried at once; the first that meets the law is taken."""
 NUM_CANDIDATES = 32
@@ -274,45 +268,6 @@ def sample_scenario(
             f"{num_slots}: choose a smaller template or at least {num_objects} slots"
         )
     return draw_scenario(key, scenario_law(template=record, relation=relation), num_slots=num_slots)
-
-
-def placed(
-    things: Sequence[Any] = (),
-    *,
-    slots: int = NUM_SLOTS,
-    area: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
-    **more: Any,
-) -> Scenario:
-    """Put things by hand, on the host.
-
-    Args:
-        things: type, x and y of each, metres, map frame: in the first slots.
-        slots: O, object slots.
-        area: x_min, x_max, y_min, y_max, metres.
-        **more: further fields of the scenario; by default it has no goal and starts at the origin.
-
-    Returns:
-        The place; one of no things is not valid.
-    """
-    rows = np.full((slots, 3), (NONE, 0.0, 0.0), np.float32)
-    rows[: len(things)] = np.reshape(things, (-1, 3))
-    fields = {
-        "object_type": rows[:, 0].astype(np.int32),
-        "object_x": rows[:, 1],
-        "object_y": rows[:, 2],
-        "is_object": np.arange(slots) < len(things),
-        "goal": np.zeros(2, np.float32),
-        "goal_index": np.asarray(NONE, np.int32),
-        "start": np.zeros(3, np.float32),
-        "area": np.asarray(area, np.float32),
-        "is_valid": np.asarray(len(things) > 0),
-    }
-    return Scenario(**(fields | more))
-
-
-def empty_scenario(number: int = NUM_SLOTS) -> Scenario:
-    """Build a place without objects, on the host; of the shapes of one with so many slots."""
-    return placed(slots=number)
 
 
 @functools.partial(jax.jit, static_argnames=("num_slots", "num_attempts", "num_candidates"))

@@ -145,8 +145,7 @@ def sense(
     nearest = jnp.argsort(distance)
     order = jnp.pad(nearest, (0, max(0, num_detections - nearest.size)))[:num_detections]
     is_detection = is_found[order] & (jnp.arange(num_detections) < nearest.size)
-    attribute = scenario.object_attribute
-    if attribute is not None:
+    if (attribute := scenario.object_attribute) is not None:
         # What is invented looks like nothing: it comes after the things.
         seen = attribute[jnp.minimum(order, attribute.size - 1)]
         attribute = jnp.where(is_detection & (order < attribute.size), seen, 0)

@@ -4,13 +4,20 @@ Axis letters: **O** object slots of a world (eight by default), **E** episodes i
 types that a detector tells apart, **G** places at which it is apt to see what is not there.
 """
 
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
 from jax import Array
 
+from jaxlangnav.messages import NONE
 from jaxlangnav.pytree import pytree
 from jaxlangnav.terrain import OPEN, Terrain
 
 HYDRANT, CONE = 0, 1
 """Type indices, by the lexicon's order, of the two types that the templates of Table 2 place."""
+NUM_SLOTS = 8
+"""Object slots of a world, unless it needs more."""
 
 
 @pytree
@@ -54,3 +61,42 @@ class WorldState:
     heading: Array  # f32[] radians, true; odometry's too, unless that drifts
     odometry: Array  # f32[3] x, y metres, heading radians: dead reckoning from the start pose
     distance: Array  # f32[] metres truly travelled so far
+
+
+def placed(
+    things: Sequence[Any] = (),
+    *,
+    slots: int = NUM_SLOTS,
+    area: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
+    **more: Any,
+) -> Scenario:
+    """Put things by hand, on the host.
+
+    Args:
+        things: type, x and y of each, metres, map frame: in the first slots.
+        slots: O, object slots.
+        area: x_min, x_max, y_min, y_max, metres.
+        **more: further fields of the scenario; by default it has no goal and starts at the origin.
+
+    Returns:
+        The place; one of no things is not valid.
+    """
+    rows = np.full((slots, 3), (NONE, 0.0, 0.0), np.float32)
+    rows[: len(things)] = np.reshape(things, (-1, 3))
+    fields = {
+        "object_type": rows[:, 0].astype(np.int32),
+        "object_x": rows[:, 1],
+        "object_y": rows[:, 2],
+        "is_object": np.arange(slots) < len(things),
+        "goal": np.zeros(2, np.float32),
+        "goal_index": np.asarray(NONE, np.int32),
+        "start": np.zeros(3, np.float32),
+        "area": np.asarray(area, np.float32),
+        "is_valid": np.asarray(len(things) > 0),
+    }
+    return Scenario(**(fields | more))
+
+
+def empty_scenario(number: int = NUM_SLOTS) -> Scenario:
+    """Build a place without objects, on the host; of the shapes of one with so many slots."""
+    return placed(slots=number)

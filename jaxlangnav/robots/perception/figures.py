@@ -12,8 +12,7 @@ import numpy as np
 from jaxlangnav.robots.perception.tags import TAGS_PER_TYPE, Gates, as_told as as_told
 from jaxlangnav.robots.physics.robot import PhysicsRobot, Wear
 from jaxlangnav.robots.physics.scene import OUT_OF_SIGHT
-from jaxlangnav.world.scenario import placed
-from jaxlangnav.world.state import HYDRANT
+from jaxlangnav.world.state import HYDRANT, placed
 
 MEASURED_RANGES = (1.25, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0)
 """Metres."""

@@ -15,7 +15,7 @@ from jaxlangnav.robots.driver import CYCLE
 from jaxlangnav.robots.perception.tags import Gates
 from jaxlangnav.robots.physics.robot import PhysicsRobot
 from jaxlangnav.robots.robot import Progress
-from jaxlangnav.world.scenario import placed
+from jaxlangnav.world.state import placed
 
 TOLD = {"husky": 0.11, "wheelchair": 0.022}
 """Standard deviation of each axis as a share of a cycle's way: ``measure_odometry``'s largest over
