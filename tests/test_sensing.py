@@ -22,6 +22,7 @@ from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.messages import NONE, Observation, SensorParams, default_sensor
 from jaxlangnav.navigator.canonicalize import canonicalize
 from jaxlangnav.navigator.deployment import FIELDS
+from jaxlangnav.navigator.interpret import Listener
 from jaxlangnav.pytree import replace
 
 SENSOR = default_sensor(4.0, field_of_view=math.pi / 2, noise=0.05)
@@ -319,7 +320,7 @@ def refuse_only(door: Navigator, detections: Any) -> None:
 
 
 def test_whatever_is_given_is_taken_or_refused_in_one_line(door, monkeypatch) -> None:
-    monkeypatch.setattr(Navigator, "_listener", property(lambda *args: pytest.fail("begun")))
+    monkeypatch.setattr(Listener, "warm_up", lambda *args: pytest.fail("begun"))
     monkeypatch.setattr(Navigator, "step", lambda *args: pytest.fail("begun"))
     faults = []
     for name, enter in entrances(door):
