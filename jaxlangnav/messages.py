@@ -112,8 +112,8 @@ class Readings:
 
 
 @pytree
-class Told:
-    """How the relations of ``Readings`` were said, as they come from several utterances."""
+class UtteranceContext:
+    """Where relations of ``Readings`` were heard, and what their mentions exclude, by utterance."""
 
     viewer: Array  # f32[K, J, 3] x, y, heading of the robot as it heard each relation; map frame
     excluded: Array  # i32[K, M] observed slots that a mention is not: bit s is slot s

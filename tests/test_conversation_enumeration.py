@@ -45,7 +45,7 @@ def looking():
     """Build one filter step of many beliefs that have heard the same."""
 
     def step(key, belief, readings, told, look, numbers):
-        return semantic_filter.step(key, belief, readings, look, params=numbers, told=told)[0]
+        return semantic_filter.step(key, belief, readings, look, params=numbers, context=told)[0]
 
     many = jax.vmap(step, in_axes=(0, 0, None, None, None, None))
     return jax.jit(many)
@@ -73,7 +73,7 @@ def converse(texts):
             asked = jnp.ones_like(beliefs.must_ground)
             beliefs = replace(beliefs, must_ground=asked)
         keys = jax.random.split(jax.random.fold_in(jax.random.key(11), index), SEEDS)
-        readings, told = state.instruction.readings, state.talk.told
+        readings, told = state.instruction.readings, state.talk.context
         beliefs = looking()(keys, beliefs, readings, told, see(pose), numbers)
     return state, beliefs
 
@@ -87,7 +87,7 @@ def correct(state, beliefs):
 
 def said_in(state, reading: int = 0):
     """Read off what was said: mentions but the robot, relations, from where, and what is not."""
-    table, told = jax.device_get((state.instruction.readings, state.talk.told))
+    table, told = jax.device_get((state.instruction.readings, state.talk.context))
     types = table.mention_type[reading]
     things = [m for m, kind in enumerate(types) if kind >= 0]
     place = {m: index for index, m in enumerate(things)}

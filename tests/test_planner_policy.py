@@ -22,7 +22,7 @@ from jaxlangnav.planner.termination import Chances, chance_left, chances
 from jaxlangnav.pytree import replace
 from jaxlangnav.relations.density import SIDE_CONCENTRATION
 from jaxlangnav.semantic_map.params import MapConfig, default_map_params
-from jaxlangnav.semantic_map.proposal.relation_query import Spoken, told_now
+from jaxlangnav.semantic_map.proposal.relation_query import Utterances, current_context
 
 P, SLOTS, KEY = 16, 3, jax.random.key(0)
 CONFIG = MapConfig(num_particles=P, num_objects=SLOTS, num_cells=24)
@@ -78,9 +78,9 @@ def test_free_hypotheses_are_where_words_place_them_against_the_robot() -> None:
         [[by_hand.HYDRANT], [by_hand.HYDRANT, ROBOT]],
         [[(0, NONE, NONE, False)], [(0, RIGHT, 1, False)]],
     )
-    spoken = Spoken(
+    spoken = Utterances(
         readings=words,
-        told=told_now(words, belief.viewer),
+        context=current_context(words, belief.viewer),
         params=replace(default_map_params(), misleading=jnp.float32(0.2)),
     )
     found = search_map(belief, jnp.float32(0.0), jnp.float32(0.0), spoken=spoken)

@@ -15,10 +15,10 @@ from jax import Array
 
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.inputs.object_types import fits
-from jaxlangnav.messages import AT, NONE, Behavior, Told
+from jaxlangnav.messages import AT, NONE, Behavior, UtteranceContext
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map.particle import SemanticMap
-from jaxlangnav.semantic_map.proposal.relation_query import told_now
+from jaxlangnav.semantic_map.proposal.relation_query import current_context
 
 _Numbers = TypeVar("_Numbers", Array, np.ndarray)
 AVOID_IT, AVOID_ALL = 1, 2
@@ -43,7 +43,7 @@ class Conversation:
     """What has been said, and done about it."""
 
     words: Words
-    told: Told  # from where the relations were said, and what mentions are not
+    context: UtteranceContext  # from where the relations were said, and what mentions are not
     viewer: Array  # f32[C, 3] x, y, heading of the robot as it heard each command; map frame
     home: Array  # f32[3] x, y, heading where the conversation began
     approached: Array  # i32[] observed slot that the robot last went up to for this task; NONE
@@ -70,7 +70,7 @@ def begin_conversation(
     readings = instruction.readings
     return Conversation(
         words=heard_alone(instruction) if words is None else words,
-        told=told_now(readings, pose),
+        context=current_context(readings, pose),
         viewer=seen_from(pose, instruction.frame),
         home=pose,
         approached=jnp.int32(NONE),
@@ -241,8 +241,8 @@ def excluding(talk: Conversation, clause: Array, slots: Array) -> Conversation:
     Returns:
         The memory, in which they are neither meant nor a goal.
     """
-    excluded = talk.told.excluded
+    excluded = talk.context.excluded
     goal = jnp.take(talk.words.goal, clause, axis=1, mode="clip")
     is_goal = jnp.arange(excluded.shape[1])[None] == goal[:, None]
-    told = replace(talk.told, excluded=jnp.where(is_goal, excluded | slots, excluded))
-    return replace(talk, told=told, ruled_out=talk.ruled_out | slots)
+    context = replace(talk.context, excluded=jnp.where(is_goal, excluded | slots, excluded))
+    return replace(talk, context=context, ruled_out=talk.ruled_out | slots)

@@ -47,8 +47,7 @@ def candidates(state: NavigatorState, names: Sequence[str]) -> list[Candidate]:
         Things seen that may be the goal, with where they are believed to be.
     """
     share, pose = np.asarray(state.talk.candidate), believed_pose(state)
-    slots = np.flatnonzero(share >= _LEAST).tolist()
-    found = [thing_at(state, slot, names) for slot in slots]
+    found = [thing_at(state, slot, names) for slot in np.flatnonzero(share >= _LEAST).tolist()]
     return sorted(found, key=lambda one: np.hypot(one.x - pose[0], one.y - pose[1]))
 
 

@@ -42,18 +42,9 @@ def check_set_sizes(**sizes: int) -> None:
 
 
 def check_state(state: NavigatorState, type_names: Sequence[str], policy: str) -> NavigatorState:
-    """Refuse what is no state, and a state of a navigator with other labels or policy.
+    """Refuse, with a ValueError, what is no state or one of other labels or another policy.
 
-    Args:
-        state: of any robot, or what was given for one.
-        type_names: of the navigator that is given it.
-        policy: its name.
-
-    Returns:
-        The state; one of the engine's own ``start`` is signed.
-
-    Raises:
-        ValueError: it is none, or another navigator's.
+    A state of the engine's own ``start`` is signed with both; one that is traced is not looked at.
     """
     if not isinstance(state, NavigatorState):
         raise ValueError(

@@ -45,7 +45,7 @@ from jaxlangnav.semantic_map import filter as semantic_filter
 from jaxlangnav.semantic_map.behaviors import filter_untyped_goals, infer_clause_behaviors
 from jaxlangnav.semantic_map.belief import about_robot, robot_position
 from jaxlangnav.semantic_map.filter import FilterInfo
-from jaxlangnav.semantic_map.proposal.relation_query import Spoken
+from jaxlangnav.semantic_map.proposal.relation_query import Utterances
 from jaxlangnav.terrain import OPEN, Eye, Terrain
 
 _PLANNING = 77
@@ -145,11 +145,11 @@ def step(
     state, filter_info = _observe(key, state, observation, params, config)
     is_asked = (state.instruction.num_clauses > 0) | (state.status == Status.IDLE)
     fault = filter_info.fault + jnp.where(is_asked, 0, int(Fault.COMMAND))
-    told, usual = observation.sensor, default_sensor()
+    sensor, usual = observation.sensor, default_sensor()
     sensor = replace(
         usual,
-        range_max=jnp.where(fault == 0, told.range_max, usual.range_max),
-        field_of_view=jnp.where(fault == 0, told.field_of_view, usual.field_of_view),
+        range_max=jnp.where(fault == 0, sensor.range_max, usual.range_max),
+        field_of_view=jnp.where(fault == 0, sensor.field_of_view, usual.field_of_view),
     )
     outlook = _infer(state, fault, params)
     state, choice = _decide(key, state, outlook, sensor, filter_info.is_news, params, config)
@@ -198,7 +198,7 @@ def _observe(
         state.instruction.readings,
         observation,
         params=config.planner.chosen.map_params(params.map),
-        told=state.talk.told,
+        context=state.talk.context,
         is_sparse=True,
         farthest=farthest,
         spoken=_spoken(state) if config.map.num_bystanders else None,
@@ -209,13 +209,13 @@ def _observe(
 
 def _spoken(state: NavigatorState) -> Array:
     """Tell of which types the task speaks, or what was gone up to is: bool[T]."""
-    told, slots = state.instruction, state.belief.particles.object_type
+    instruction, slots = state.instruction, state.belief.particles.object_type
 
     def type_at(slot: Array) -> Array:
         return jnp.where(slot == NONE, NONE, row_of(slots, jnp.maximum(slot, 0))[0])
 
     gone_to = [type_at(state.previous_goal), type_at(state.talk.approached)]
-    words = told.program.own.reshape(-1), told.readings.mention_type.reshape(-1)
+    words = instruction.program.own.reshape(-1), instruction.readings.mention_type.reshape(-1)
     named = label_of(jnp.concatenate([*words, jnp.stack(gone_to)]))
     # What is negative, such as NONE, falls out of the table.
     index = jnp.where(named < 0, MOST_LABELS, named)
@@ -231,7 +231,7 @@ def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> Outl
     )
     readings, talk = state.instruction.readings, state.talk
     behavior = filter_untyped_goals(
-        behavior, belief.particles, readings, talk.told, params.map.relations
+        behavior, belief.particles, readings, talk.context, params.map.relations
     )
     behavior = dialogue.without(behavior, talk.ruled_out)
     behavior = dialogue.pinned(
@@ -299,7 +299,9 @@ def _decide(
         may_stop=may_stop & ~outlook.stands,
         params=planner,
         map_params=params.map,
-        spoken=Spoken(readings=state.instruction.readings, told=state.talk.told, params=params.map),
+        spoken=Utterances(
+            readings=state.instruction.readings, context=state.talk.context, params=params.map
+        ),
         num_blocks=config.planner.num_blocks,
     )
     memory, choice = policy.choose(

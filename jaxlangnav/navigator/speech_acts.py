@@ -14,7 +14,7 @@ from jax import Array
 
 from jaxlangnav.dialogue import Joined, excluding, seen_from
 from jaxlangnav.language.halting import Act
-from jaxlangnav.messages import NONE, Status, Told
+from jaxlangnav.messages import NONE, Status, UtteranceContext
 from jaxlangnav.navigator import NavigatorState
 from jaxlangnav.planner.blocked import start_of_way
 from jaxlangnav.pytree import replace
@@ -54,10 +54,10 @@ def obey(state: NavigatorState, act: Act) -> NavigatorState:
     is_halted = everywhere(act == Act.HALT, state.is_halted)
     if act != Act.CANCEL:
         return replace(state, is_halted=is_halted)
-    told = state.instruction
+    instruction = state.instruction
     return replace(
         state,
-        instruction=replace(told, num_clauses=everywhere(0, told.num_clauses)),
+        instruction=replace(instruction, num_clauses=everywhere(0, instruction.num_clauses)),
         status=everywhere(Status.IDLE, state.status),
         is_halted=is_halted,
     )
@@ -85,28 +85,28 @@ def tell(state: NavigatorState, joined: Joined, pose: Array, *, how: How) -> Nav
     belief, talk = state.belief, state.talk
     pose = jnp.where(is_pose(pose, belief.coverage.area), pose, belief.last_pose)
     pose = in_map(belief, pose)
-    told = replace(
+    heard = replace(
         state,
         belief=replace(belief, must_ground=jnp.asarray(True)),
         instruction=replace(state.instruction, readings=joined.readings),
-        talk=replace(talk, words=joined.words, told=_told(talk.told, joined, pose)),
+        talk=replace(talk, words=joined.words, context=_merged_context(talk.context, joined, pose)),
     )
     if how is How.REPLACE:
-        return _begun(_arranged(told, joined, pose, jnp.int32(0)))
+        return _begun(_arranged(heard, joined, pose, jnp.int32(0)))
     if how is How.APPEND:
         left = state.instruction.num_clauses - state.clause
-        return _arranged(told, joined, pose, jnp.maximum(left, 0))
+        return _arranged(heard, joined, pose, jnp.maximum(left, 0))
     # There is news of the map: take up again a search that has ended without a goal.
-    lacks = (told.status == Status.NOT_FOUND) | (told.status == Status.WHICH_ONE)
-    return replace(told, status=jnp.where(lacks, int(Status.SEARCHING), told.status))
+    lacks = (heard.status == Status.NOT_FOUND) | (heard.status == Status.WHICH_ONE)
+    return replace(heard, status=jnp.where(lacks, int(Status.SEARCHING), heard.status))
 
 
-def _told(told: Told, joined: Joined, pose: Array) -> Told:
+def _merged_context(context: UtteranceContext, joined: Joined, pose: Array) -> UtteranceContext:
     """Carry over from where relations were said, and what mentions are not."""
     source = jnp.maximum(joined.from_relation, 0)
-    viewer = told.viewer.reshape(-1, 3)[source]
-    excluded = told.excluded.reshape(-1)[jnp.maximum(joined.from_mention, 0)]
-    return Told(
+    viewer = context.viewer.reshape(-1, 3)[source]
+    excluded = context.excluded.reshape(-1)[jnp.maximum(joined.from_mention, 0)]
+    return UtteranceContext(
         viewer=jnp.where((joined.from_relation == NONE)[..., None], pose[None, None], viewer),
         excluded=jnp.where(joined.from_mention == NONE, 0, excluded),
     )
@@ -114,7 +114,7 @@ def _told(told: Told, joined: Joined, pose: Array) -> Told:
 
 def _arranged(state: NavigatorState, joined: Joined, pose: Array, left: Array) -> NavigatorState:
     """Put the new commands behind ``left`` of the old ones; the present one comes first."""
-    told, talk = state.instruction, state.talk
+    old, talk = state.instruction, state.talk
     place = jnp.arange(talk.viewer.shape[0])
     is_old = place < left
     last = place.shape[0] - 1
@@ -129,11 +129,11 @@ def _arranged(state: NavigatorState, joined: Joined, pose: Array, left: Array) -
     return replace(
         state,
         instruction=replace(
-            told,
-            program=jax.tree.map(arrange, told.program, joined.program),
+            old,
+            program=jax.tree.map(arrange, old.program, joined.program),
             num_clauses=(left + joined.num_clauses).astype(jnp.int32),
-            metres=arrange(told.metres, joined.metres),
-            frame=arrange(told.frame, joined.frame),
+            metres=arrange(old.metres, joined.metres),
+            frame=arrange(old.frame, joined.frame),
         ),
         clause=jnp.int32(0),
         talk=replace(
@@ -147,11 +147,10 @@ def _arranged(state: NavigatorState, joined: Joined, pose: Array, left: Array) -
 def _begun(state: NavigatorState) -> NavigatorState:
     """Begin a task; what was being approached is then what was gone up to before it."""
     talk = state.talk
-    is_at = talk.approached != NONE
     return _under_way(
         replace(
             state,
-            previous_goal=jnp.where(is_at, talk.approached, state.previous_goal),
+            previous_goal=jnp.where(talk.approached != NONE, talk.approached, state.previous_goal),
             talk=replace(
                 talk,
                 approached=jnp.int32(NONE),
@@ -215,8 +214,7 @@ def choose(state: NavigatorState, slot: Array) -> NavigatorState:
     """
     slots = jnp.arange(state.talk.candidate.shape[0])
     others = (state.talk.candidate > 0.0) & (slots != slot)
-    ruled_out = rule_out(state, jnp.sum(jnp.where(others, jnp.left_shift(1, slots), 0)))
-    return choose_freely(ruled_out)
+    return choose_freely(rule_out(state, jnp.sum(jnp.where(others, jnp.left_shift(1, slots), 0))))
 
 
 def choose_freely(state: NavigatorState) -> NavigatorState:
@@ -240,6 +238,6 @@ def come_back(state: NavigatorState, joined: Joined) -> NavigatorState:
     Returns:
         The state, to be followed by the next observation.
     """
-    told = tell(state, joined, state.belief.last_pose, how=How.REPLACE)
-    talk = told.talk
-    return replace(told, talk=replace(talk, viewer=jnp.broadcast_to(talk.home, talk.viewer.shape)))
+    heard = tell(state, joined, state.belief.last_pose, how=How.REPLACE)
+    talk = heard.talk
+    return replace(heard, talk=replace(talk, viewer=jnp.broadcast_to(talk.home, talk.viewer.shape)))

@@ -17,7 +17,7 @@ from jaxlangnav.planner.relevance import groups
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.coverage import Coverage, area_size, cell_size
-from jaxlangnav.semantic_map.proposal.relation_query import Spoken, log_told_density
+from jaxlangnav.semantic_map.proposal.relation_query import Utterances, log_viewer_density
 from jaxlangnav.terrain import OPEN, Eye, Terrain
 
 CELLS = 12
@@ -130,14 +130,14 @@ def _least_looked_at(coverage: Coverage, x: Array, y: Array) -> tuple[Array, Arr
 
 
 def _by_words(
-    belief: ParticleBelief, is_free: Array, x: Array, y: Array, density: Array, spoken: Spoken
+    belief: ParticleBelief, is_free: Array, x: Array, y: Array, density: Array, spoken: Utterances
 ) -> Array:
     """Weigh the cells, f32[C] > 0, by what the words have of what hangs on nothing observed."""
     readings, mentions = spoken.readings, np.arange(spoken.readings.mention_type.shape[1])
     log_area = jnp.log(area_size(belief.coverage))
 
     def raised(places: tuple[Array, Array]) -> Array:
-        log_told = log_told_density(spoken, log_area, *places)
+        log_told = log_viewer_density(spoken, log_area, *places)
         is_tied = (groups(readings)[:, None] >> mentions[None, :, None]) & 1  # [M, M, K]
         log_told = jnp.sum(jnp.where(is_tied[None] > 0, log_told[:, None], 0.0), axis=2)
         told = jnp.exp(log_told - jnp.max(log_told, axis=0, keepdims=True))  # [C, M, K]
@@ -157,7 +157,7 @@ def search_map(
     belief: ParticleBelief,
     prior_share: Array,
     ahead: Array,
-    spoken: Spoken | None = None,
+    spoken: Utterances | None = None,
 ) -> SearchMap:
     """Fold the belief into a map of where to look.
 

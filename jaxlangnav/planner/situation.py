@@ -12,7 +12,7 @@ from jaxlangnav.planner.questions import AskDecision
 from jaxlangnav.pytree import pytree, replace, static
 from jaxlangnav.semantic_map.belief import ParticleBelief
 from jaxlangnav.semantic_map.params import MapParams
-from jaxlangnav.semantic_map.proposal.relation_query import Spoken
+from jaxlangnav.semantic_map.proposal.relation_query import Utterances
 
 
 @pytree
@@ -36,7 +36,7 @@ class Situation:
     may_stop: Array  # bool[] something seen that may be the goal is within reach: a stop is heard
     params: PlannerParams
     map_params: MapParams
-    spoken: Spoken | None = None  # what has been said; None: nothing that bears on where to look
+    spoken: Utterances | None = None  # None: nothing that was said bears on where to look
     num_blocks: int = static(default=1)  # blocks a side that frontiers are gathered in
 
     @property

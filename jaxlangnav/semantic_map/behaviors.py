@@ -21,14 +21,20 @@ from jaxlangnav.messages import (
     Behavior,
     BehaviorWorld,
     Readings,
-    Told,
+    UtteranceContext,
 )
 from jaxlangnav.numerics.batching import pack, pick, rarely, row_of, unpack
 from jaxlangnav.pytree import replace
 from jaxlangnav.relations import RelationModel
 from jaxlangnav.semantic_map import summary
 from jaxlangnav.semantic_map.particle import SemanticMap
-from jaxlangnav.semantic_map.proposal.relation_query import FIGURE, LANDMARK, Query, hear, listen
+from jaxlangnav.semantic_map.proposal.relation_query import (
+    FIGURE,
+    LANDMARK,
+    Query,
+    build_queries,
+    queries_of,
+)
 
 _BLOCK = 8
 """Topologies whose behavior is inferred at a time."""
@@ -144,7 +150,7 @@ def filter_untyped_goals(
     behavior: Behavior,
     particles: SemanticMap,
     readings: Readings,
-    told: Told,
+    context: UtteranceContext,
     relations: RelationModel,
 ) -> Behavior:
     """For a goal without an object type, keep only observed objects that satisfy its relation.
@@ -155,7 +161,7 @@ def filter_untyped_goals(
         behavior: of every particle, leaves [..., P].
         particles: leaves [..., P].
         readings: what is said.
-        told: how it was said.
+        context: from where relations were said, and what mentions are not.
         relations: prepared relations.
 
     Returns:
@@ -165,19 +171,19 @@ def filter_untyped_goals(
     num_objects, number = particles.object_type.shape[0], particles.reading.shape[0]
     is_any = jnp.broadcast_to(jnp.any(is_anything(readings.mention_type)), (number,))
 
-    def look_up(given: tuple[Array, SemanticMap, Readings, Told]) -> Array:
-        _, held, said, how = given
-        heard = hear(listen(said, how, relations, jnp.float32(0.0)), held.reading)
-        return _misplaced(held, heard)
+    def look_up(given: tuple[Array, SemanticMap, Readings, UtteranceContext]) -> Array:
+        _, held, words, how = given
+        queries = queries_of(build_queries(words, how, relations, jnp.float32(0.0)), held.reading)
+        return _misplaced(held, queries)
 
     nowhere = jnp.zeros_like(particles.mean_x[:num_objects])
-    is_out = rarely(is_any, look_up, (nowhere, particles, readings, told))
+    is_out = rarely(is_any, look_up, (nowhere, particles, readings, context))
     room = behavior.goal.shape[1] - num_objects
     is_out = jnp.pad(is_out, ((0, room), (0, 0)))
     return replace(behavior, goal=jnp.where(is_out[None] > 0.0, 0.0, behavior.goal))
 
 
-def _misplaced(particles: SemanticMap, heard: Query) -> Array:
+def _misplaced(particles: SemanticMap, queries: Query) -> Array:
     """Mark the observed slots that are taken for a thing and stand elsewhere, f32[O, P] 1 or 0."""
     num_objects = particles.object_type.shape[0]
     slots = jnp.arange(num_objects)[:, None]
@@ -190,21 +196,21 @@ def _misplaced(particles: SemanticMap, heard: Query) -> Array:
         )
     )
 
-    def of_one(said: Query) -> Array:
-        figure, landmark = said.mention[FIGURE], said.mention[LANDMARK]
-        viewer_x, viewer_y, _ = jnp.unstack(said.viewer)
+    def of_one(query: Query) -> Array:
+        figure, landmark = query.mention[FIGURE], query.mention[LANDMARK]
+        viewer_x, viewer_y, _ = jnp.unstack(query.viewer)
         # The second relation of "between" is seen from the other landmark.
-        other = said.is_between, pick(x, said.other), pick(y, said.other)
+        other = query.is_between, pick(x, query.other), pick(y, query.other)
         viewer_x, viewer_y = (
             jnp.where(other[0], place, own)
             for place, own in zip(other[1:], (viewer_x, viewer_y), strict=True)
         )
-        said = said._replace(viewer=jnp.stack([viewer_x, viewer_y, said.viewer[2]]))
-        landmark_x = jnp.where(said.is_by_object, pick(x, landmark), viewer_x)
-        landmark_y = jnp.where(said.is_by_object, pick(y, landmark), viewer_y)
+        query = query._replace(viewer=jnp.stack([viewer_x, viewer_y, query.viewer[2]]))
+        landmark_x = jnp.where(query.is_by_object, pick(x, landmark), viewer_x)
+        landmark_y = jnp.where(query.is_by_object, pick(y, landmark), viewer_y)
         at = (one[None] for one in (pick(x, figure), pick(y, figure), landmark_x, landmark_y))
-        is_out = is_anything(said.kind[FIGURE]) & ~said.holds(*at)[0]
+        is_out = is_anything(query.kind[FIGURE]) & ~query.holds(*at)[0]
         return is_out[None] & (slots == pick(particles.referent, figure)[None])
 
-    is_out = jax.lax.map(of_one, heard)
+    is_out = jax.lax.map(of_one, queries)
     return jnp.any(is_out, axis=0).astype(jnp.float32)

@@ -14,7 +14,7 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.inputs.object_types import MOST_LABELS
-from jaxlangnav.messages import Fault, Observation, Readings, Told, assert_observation
+from jaxlangnav.messages import Fault, Observation, Readings, UtteranceContext, assert_observation
 from jaxlangnav.numerics import batching
 from jaxlangnav.numerics.batching import take
 from jaxlangnav.numerics.resampling import effective_sample_size, systematic
@@ -195,7 +195,7 @@ def step(
     observation: Observation,
     *,
     params: MapParams,
-    told: Told | None = None,
+    context: UtteranceContext | None = None,
     is_sparse: bool = False,
     farthest: Array | None = None,
     spoken: Array | None = None,
@@ -209,7 +209,7 @@ def step(
         readings: what the instruction says.
         observation: pose and detections now; what cannot be is left out and flagged.
         params: traced numbers.
-        told: how it was said; all of it to the belief's viewer by default.
+        context: from where relations were said; all from the belief's viewer by default.
         is_sparse: under ``vmap`` over beliefs, ground the words only in the particles that need
             it, about a third of all. The same result, but no gradient in reverse mode.
         farthest: f32[], metres that the robot can have gone since the last step; None: anywhere.
@@ -237,7 +237,7 @@ def step(
     belief, weighed = observe(associate, belief, seen, params=params, num_pooled=pooled)
     belief, num_forgotten = _remember(belief, others)
     ground = functools.partial(
-        ground_words, params=params, told=told, is_sparse=is_sparse, num_pooled=pooled
+        ground_words, params=params, context=context, is_sparse=is_sparse, num_pooled=pooled
     )
     found = reground(keys[1], keep, belief, readings, weighed, ground)
     size = effective_sample_size(found.weight)

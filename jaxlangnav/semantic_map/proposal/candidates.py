@@ -89,13 +89,13 @@ class Candidates(NamedTuple):
 
 
 def list_candidates(
-    seen: Observed, said: Query, grounding: Grounding, scene: Unexplored, *, params: MapParams
+    seen: Observed, query: Query, grounding: Grounding, scene: Unexplored, *, params: MapParams
 ) -> Candidates:
     """List what the ends may be: what has been decided, or each seen object of their types.
 
     Args:
         seen: objects.
-        said: the relation.
+        query: the relation.
         grounding: what earlier relations have decided.
         scene: area and viewer.
         params: concentration, clumping.
@@ -103,21 +103,21 @@ def list_candidates(
     Returns:
         The candidates.
     """
-    decided = [pick(leaf, said.mention) for leaf in grounding[:-1]]
+    decided = [pick(leaf, query.mention) for leaf in grounding[:-1]]
     earlier = Grounding(*decided, log_weight=grounding.log_weight)
     # With the robot as the landmark, or with none, the figure stands against the viewer.
-    is_viewer = jnp.stack([jnp.zeros_like(said.is_by_object), ~said.is_by_object])
+    is_viewer = jnp.stack([jnp.zeros_like(query.is_by_object), ~query.is_by_object])
     is_open = ~is_viewer & ~earlier.is_grounded
-    is_kind = fits(seen.object_type[None], said.kind[:, None])
+    is_kind = fits(seen.object_type[None], query.kind[:, None])
     slots = column(jnp.arange(seen.x.shape[0]), is_kind.ndim - 1)[None]
-    may_be = is_kind & is_open[:, None] & ((said.excluded[:, None] >> slots) & 1 == 0)
-    log_bystander, log_alike = _log_bystanders(seen, said, is_kind, grounding, scene, params=params)
+    may_be = is_kind & is_open[:, None] & ((query.excluded[:, None] >> slots) & 1 == 0)
+    log_bystander, log_alike = _log_bystanders(seen, query, is_kind, grounding, scene, params)
 
     def append(objects: Array, place: Array) -> Array:
         objects = jnp.broadcast_to(objects, may_be.shape)
         return jnp.concatenate([objects, place[:, None]], axis=1)
 
-    viewer_x, viewer_y, _ = (lead(one, is_open.ndim) for one in jnp.unstack(said.viewer))
+    viewer_x, viewer_y, _ = (lead(one, is_open.ndim) for one in jnp.unstack(query.viewer))
     return Candidates(
         x=append(seen.x[None], jnp.where(is_viewer, viewer_x, earlier.x)),
         y=append(seen.y[None], jnp.where(is_viewer, viewer_y, earlier.y)),
@@ -132,11 +132,10 @@ def list_candidates(
 
 def _log_bystanders(
     seen: Observed,
-    said: Query,
+    query: Query,
     is_kind: Array,
     grounding: Grounding,
     scene: Unexplored,
-    *,
     params: MapParams,
 ) -> tuple[Array, Array]:
     """Weigh what has been seen against being a bystander, 1/λ: of its type all but one are.
@@ -161,7 +160,7 @@ def _log_bystanders(
         log_others = expected(jnp.maximum(others, 0.0), unseen[:, None], num_pooled=pooled)
         log_bystander = log_area[:, None] - log_others
         log_bystander = log_bystander + jnp.log(jnp.maximum(seen.existence, 1e-9))[None]
-    is_any, label = is_anything(said.kind), label_of(seen.object_type)
+    is_any, label = is_anything(query.kind), label_of(seen.object_type)
     is_alike = label[:, None] == label[None]
     places = scene.log_area, scene.log_unseen, scene.num_pooled
     records = (jnp.concatenate([seen.x, seen.x]), is_alike, seen, *places)

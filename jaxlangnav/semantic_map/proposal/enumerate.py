@@ -100,11 +100,11 @@ def meaning(num_objects: int) -> tuple[np.ndarray, np.ndarray]:
         )
 
 
-def propose(said: Query, ends: Candidates, draws: Draws, model: RelationModel) -> Proposals:
+def propose(query: Query, ends: Candidates, draws: Draws, model: RelationModel) -> Proposals:
     """Pair what is known, and draw what is new: from the relation, and anywhere unseen.
 
     Args:
-        said: the relation.
+        query: the relation.
         ends: what its ends may be.
         draws: random numbers.
         model: prepared relations, for drawing.
@@ -113,7 +113,7 @@ def propose(said: Query, ends: Candidates, draws: Draws, model: RelationModel) -
         The places of all ways.
     """
     size = ends.x.shape[1]
-    along, lateral, log_drawn = said.draw(draws.distance, draws.angle, model)
+    along, lateral, log_drawn = query.draw(draws.distance, draws.angle, model)
     at_x = _of_new(ends.x[LANDMARK], ends.x[FIGURE], draws.unseen_x, size)
     at_y = _of_new(ends.y[LANDMARK], ends.y[FIGURE], draws.unseen_y, size)
 
@@ -125,9 +125,9 @@ def propose(said: Query, ends: Candidates, draws: Draws, model: RelationModel) -
     def instead(unseen: Array, told: Array) -> Array:
         # Of an order or a side, the figure of a new landmark takes the next place's draw.
         anywhere = _of_new(unseen[:1], unseen[1:2], unseen[::-1], size)
-        return jnp.where(said.is_anywhere[None], anywhere, told)
+        return jnp.where(query.is_anywhere[None], anywhere, told)
 
-    offset_x, offset_y, log_unit = said.offset(at_x, at_y, of_ends(along), of_ends(lateral))
+    offset_x, offset_y, log_unit = query.offset(at_x, at_y, of_ends(along), of_ends(lateral))
     new_x = instead(draws.unseen_x, at_x + offset_x)
     new_y = instead(draws.unseen_y, at_y + offset_y)
     return Proposals(

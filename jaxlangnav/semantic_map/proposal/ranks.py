@@ -38,7 +38,7 @@ PLURAL = 10.0
 
 
 def log_rank(
-    said: Query,
+    query: Query,
     pairs: Pairs,
     seen: Observed,
     draws: Draws,
@@ -53,7 +53,7 @@ def log_rank(
     seen, the one of that rank has 0 and the others nearly −∞; 0 where no rank is meant.
 
     Args:
-        said: the relation.
+        query: the relation.
         pairs: places of figures and landmarks, f32[n, ...] each.
         seen: what figures are compared with.
         draws: places drawn from the unexplored area, for what is unseen.
@@ -65,22 +65,22 @@ def log_rank(
     Returns:
         f32[n, ...] log-weight.
     """
-    is_nearest = (said.rank > 0) & ~said.is_order
+    is_nearest = (query.rank > 0) & ~query.is_order
 
     softness = params.superlative_softness
     log_nearest = rarely(
-        is_nearest, lambda here: -_excess(said, here, seen, num_known) / softness, pairs
+        is_nearest, lambda here: -_excess(query, here, seen, num_known) / softness, pairs
     )
     # Orders cost more than all the rest.
     log_order = rarely(
-        said.is_order, lambda here: _log_order(said, here, seen, draws, scene, params), pairs
+        query.is_order, lambda here: _log_order(query, here, seen, draws, scene, params), pairs
     )
     return log_nearest + log_order
 
 
-def _excess(said: Query, pairs: Pairs, seen: Observed, num_known: int) -> Array:
+def _excess(query: Query, pairs: Pairs, seen: Observed, num_known: int) -> Array:
     """Measure by how many metres the figure is beaten by a seen thing of its type, f32[n, ...]."""
-    sign = sign_of_distance(said.relation)[None]
+    sign = sign_of_distance(query.relation)[None]
 
     def merit(dx: Array, dy: Array) -> Array:
         return lead(sign, dx.ndim) * (dx * dx + dy * dy + 1e-9)
@@ -88,11 +88,11 @@ def _excess(said: Query, pairs: Pairs, seen: Observed, num_known: int) -> Array:
     own = merit(pairs.x - pairs.landmark_x, pairs.y - pairs.landmark_y)
     at_x, at_y = (leaf[num_known * num_known :] for leaf in (pairs.landmark_x, pairs.landmark_y))
     x, y = apart(seen.x, own.ndim + 1), apart(seen.y, own.ndim + 1)
-    is_rival = apart(_is_rival(seen, said), own.ndim + 1)
+    is_rival = apart(_is_rival(seen, query), own.ndim + 1)
     away_x, away_y = x - at_x[None], y - at_y[None]
     rival = merit(away_x, away_y)  # [O, landmarks, ...]
     # The thing nearest to the cone is not the cone.
-    is_any = lead(is_anything(said.kind[FIGURE]), rival.ndim)
+    is_any = lead(is_anything(query.kind[FIGURE]), rival.ndim)
     is_landmark = is_any & (away_x * away_x + away_y * away_y < _TIE**2)
     best = jnp.min(jnp.where(is_rival & ~is_landmark, rival, jnp.inf), axis=0)
     best = jnp.minimum(own, jnp.concatenate([*[best[:num_known]] * num_known, best]))
@@ -100,20 +100,20 @@ def _excess(said: Query, pairs: Pairs, seen: Observed, num_known: int) -> Array:
 
 
 def _log_order(
-    said: Query, pairs: Pairs, seen: Observed, draws: Draws, scene: Unexplored, params: MapParams
+    query: Query, pairs: Pairs, seen: Observed, draws: Draws, scene: Unexplored, params: MapParams
 ) -> Array:
     """Weigh figures by an order, which counts what is unseen."""
     num_seen, num_others = seen.x.shape[0], seen.x.shape[0] + draws.unseen_x.shape[0]
     x = jnp.concatenate([seen.x, draws.unseen_x, pairs.x])
     y = jnp.concatenate([seen.y, draws.unseen_y, pairs.y])
-    is_where_said = _is_where_said(said, x, y)
-    own = _merit(said, pairs, pairs.x[None], pairs.y[None])[0]
+    is_where_said = _is_where_said(query, x, y)
+    own = _merit(query, pairs, pairs.x[None], pairs.y[None])[0]
     others = (apart(part[:num_others], own.ndim + 1) for part in (x, y))
-    merit, counts = _merit(said, pairs, *others), apart(is_where_said, own.ndim + 1)
+    merit, counts = _merit(query, pairs, *others), apart(is_where_said, own.ndim + 1)
     rival, unseen = merit[:num_seen], merit[num_seen:]  # [O, n, ...] and [NUM_UNSEEN, n, ...]
-    is_kind = _is_rival(seen, said)
+    is_kind = _is_rival(seen, query)
     is_rival = counts[:num_seen] & apart(is_kind, rival.ndim)
-    rank = said.rank[None]
+    rank = query.rank[None]
     meant = value_of_rank(rank, jnp.where(is_rival, rival, jnp.inf), tie=_TIE)
     excess = jnp.maximum(own - meant, 0.0)
 
@@ -137,25 +137,25 @@ def _log_order(
     return price - excess / params.superlative_softness
 
 
-def _is_rival(seen: Observed, said: Query) -> Array:
+def _is_rival(seen: Observed, query: Query) -> Array:
     """Tell what figures are compared with: of their type, and likelier there than not."""
-    is_kind = fits(seen.object_type, said.kind[FIGURE][None])
+    is_kind = fits(seen.object_type, query.kind[FIGURE][None])
     return is_kind if seen.existence is None else is_kind & (seen.existence > 0.5)
 
 
-def _merit(said: Query, pairs: Pairs, x: Array, y: Array) -> Array:
+def _merit(query: Query, pairs: Pairs, x: Array, y: Array) -> Array:
     """Measure places [k, n, ...] along the order of n landmarks, smaller is earlier."""
     dx, dy = x - pairs.landmark_x[None], y - pairs.landmark_y[None]
-    robot = robot_frame(lead(said.viewer[2], dx.ndim))
+    robot = robot_frame(lead(query.viewer[2], dx.ndim))
     distance = jnp.sqrt(dx * dx + dy * dy + 1e-9)
     sideways = dx * robot.lateral_x + dy * robot.lateral_y
-    return -degree(lead(said.relation, dx.ndim), distance, sideways)
+    return -degree(lead(query.relation, dx.ndim), distance, sideways)
 
 
-def _is_where_said(said: Query, x: Array, y: Array) -> Array:
+def _is_where_said(query: Query, x: Array, y: Array) -> Array:
     """Tell which places [n, ...] are on the sides of the robot where the figure is said to be."""
-    viewer_x, viewer_y, heading = (lead(one, x.ndim) for one in jnp.unstack(said.viewer))
+    viewer_x, viewer_y, heading = (lead(one, x.ndim) for one in jnp.unstack(query.viewer))
     robot = jax.tree.map(lambda leaf: leaf[None], robot_frame(heading))
-    side = apart(said.sides, x.ndim + 1)
+    side = apart(query.sides, x.ndim + 1)
     holds = is_on_side(side, (x - viewer_x)[None], (y - viewer_y)[None], robot)
     return functools.reduce(jnp.logical_and, jnp.unstack(holds))

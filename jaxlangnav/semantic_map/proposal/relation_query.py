@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.messages import BETWEEN, FAR, NONE, ROBOT, Readings, Told
+from jaxlangnav.messages import BETWEEN, FAR, NONE, ROBOT, Readings, UtteranceContext
 from jaxlangnav.numerics.batching import lead, pack, pick, rarely, unpack
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.relations import (
@@ -181,28 +181,27 @@ class Query(NamedTuple):
         return unit * offset_x, unit * offset_y, jnp.log(squared)
 
 
-def told_now(readings: Readings, viewer: Array) -> Told:
-    """Say how a single utterance is told: all of it from one place, and nothing ruled out.
+def current_context(readings: Readings, viewer: Array) -> UtteranceContext:
+    """Build the context of a single utterance: all said from one place, and nothing ruled out.
 
     Args:
         readings: the sentence.
         viewer: f32[3], x, y, heading of the robot as it hears it.
-
-    Returns:
-        How it is told.
     """
-    return Told(
+    return UtteranceContext(
         viewer=jnp.broadcast_to(viewer, (*readings.relation.shape, 3)),
         excluded=jnp.zeros_like(readings.mention_type),
     )
 
 
-def listen(readings: Readings, told: Told, model: RelationModel, log_area: Array) -> Query:
+def build_queries(
+    readings: Readings, context: UtteranceContext, model: RelationModel, log_area: Array
+) -> Query:
     """Look up all that the readings say.
 
     Args:
         readings: what is said, K readings.
-        told: how it was said.
+        context: from where relations were said, and what mentions are not.
         model: prepared relations.
         log_area: f32[], log square metres of the operating area.
 
@@ -210,19 +209,19 @@ def listen(readings: Readings, told: Told, model: RelationModel, log_area: Array
         All relations of each reading, leaves [J, ..., K].
     """
     say = jax.vmap(_say, in_axes=(0, 0, None, None), out_axes=-1)
-    return say(readings, told, model, log_area)
+    return say(readings, context, model, log_area)
 
 
 @pytree
-class Spoken:
+class Utterances:
     """What has been said, and by what it is understood."""
 
     readings: Readings  # K readings of M mentions
-    told: Told  # how they were said
+    context: UtteranceContext  # from where they were said
     params: MapParams  # relations, ε
 
 
-def log_told_density(spoken: Spoken, log_area: Array, x: Array, y: Array) -> Array:
+def log_viewer_density(spoken: Utterances, log_area: Array, x: Array, y: Array) -> Array:
     """Evaluate where relations to the robot put mentions, as eq. 7a weighs new places.
 
     "The hydrant on your left" hangs on nothing observed, and yet is not anywhere alike. Of the
@@ -253,14 +252,14 @@ def log_told_density(spoken: Spoken, log_area: Array, x: Array, y: Array) -> Arr
         is_figure = (one.mention[FIGURE][None] == mentions[:, None]) & is_placed[None]
         return jnp.where(is_figure[None], log_ratio[:, None], 0.0)
 
-    said = listen(readings, spoken.told, spoken.params.relations, log_area)
-    return jnp.sum(jax.lax.map(of_relation, said), axis=0)
+    queries = build_queries(readings, spoken.context, spoken.params.relations, log_area)
+    return jnp.sum(jax.lax.map(of_relation, queries), axis=0)
 
 
-def hear(told: Query, reading: Array) -> Query:
+def queries_of(queries: Query, reading: Array) -> Query:
     """Look up what particles hear that believe the readings i32[P]: leaves [J, ..., P]."""
-    rows = pack(told).T[..., None]
-    return unpack(pick(rows, jnp.broadcast_to(reading, (rows.shape[1], *reading.shape))), told)
+    rows = pack(queries).T[..., None]
+    return unpack(pick(rows, jnp.broadcast_to(reading, (rows.shape[1], *reading.shape))), queries)
 
 
 def _paired(one: Readings) -> tuple[Readings, Array]:
@@ -286,7 +285,7 @@ def _paired(one: Readings) -> tuple[Readings, Array]:
     ), other
 
 
-def _say(one: Readings, told: Told, model: RelationModel, log_area: Array) -> Query:
+def _say(one: Readings, context: UtteranceContext, model: RelationModel, log_area: Array) -> Query:
     """Gather all that a reading says, leaves [J, ...]."""
     one, other = _paired(one)
     mention = jnp.stack([one.figure, one.landmark], axis=1)
@@ -310,6 +309,6 @@ def _say(one: Readings, told: Told, model: RelationModel, log_area: Array) -> Qu
         is_anywhere=is_order | is_side,
         sides=jnp.where(is_alike, side[None], NONE),
         law=anywhere(law, is_side, is_order, log_area),
-        viewer=told.viewer,
-        excluded=jnp.where(mention == NONE, 0, told.excluded[mention]),
+        viewer=context.viewer,
+        excluded=jnp.where(mention == NONE, 0, context.excluded[mention]),
     )

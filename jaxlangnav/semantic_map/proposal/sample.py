@@ -51,7 +51,7 @@ _LOG_FLOOR = -60.0
 
 def ground_relation(
     seen: Observed,
-    said: Query,
+    query: Query,
     grounding: Grounding,
     draws: Draws,
     scene: Unexplored,
@@ -62,7 +62,7 @@ def ground_relation(
 
     Args:
         seen: what the particle has seen.
-        said: the relation.
+        query: the relation.
         grounding: what earlier relations have decided.
         draws: random numbers.
         scene: coverage.
@@ -72,42 +72,42 @@ def ground_relation(
         The carry with figure and landmark decided; unchanged where the reading has no such
         relation.
     """
-    said = once(_from_other(_apart(said, grounding), grounding))
-    ends = list_candidates(seen, said, grounding, scene, params=params)
-    ways = once(propose(said, ends, draws, params.relations))
+    query = once(_from_other(_apart(query, grounding), grounding))
+    ends = list_candidates(seen, query, grounding, scene, params=params)
+    ways = once(propose(query, ends, draws, params.relations))
     num_known = ends.x.shape[1]
-    rank = log_rank(said, ways.told, seen, draws, scene, params=params, num_known=num_known)
-    log_weight = _weigh(said, ends, ways, rank, scene, params.misleading)
+    rank = log_rank(query, ways.told, seen, draws, scene, params=params, num_known=num_known)
+    log_weight = _weigh(query, ends, ways, rank, scene, params.misleading)
     choice, log_total = categorical.draw(log_weight, draws.choice)
     # One thing of each chain of relations has the uniform prior over the area: a figure grounded
     # earlier that is now placed against the robot gives its share back.
-    is_placed = ~ends.is_open[FIGURE] & ~said.is_by_object
+    is_placed = ~ends.is_open[FIGURE] & ~query.is_by_object
     both_open = ends.is_open[FIGURE] & ends.is_open[LANDMARK]
     log_root = jnp.where(both_open, -scene.log_area, jnp.where(is_placed, scene.log_area, 0.0))
     log_total = jnp.maximum(log_total + log_root, _LOG_FLOOR)
     # Where no grounding is possible (a drawn figure fell outside the area), the words stay a
     # hypothesis somewhere unexplored, of hardly any weight, that the next looks can refute.
     choice = jnp.where(log_total <= _LOG_FLOOR, log_weight.shape[0] - 1, choice)
-    return _enter(grounding, said, ends, ways, choice, log_total)
+    return _enter(grounding, query, ends, ways, choice, log_total)
 
 
-def _apart(said: Query, grounding: Grounding) -> Query:
+def _apart(query: Query, grounding: Grounding) -> Query:
     """Take what other mentions refer to already for nothing that is called by no type."""
     bits = jnp.where(grounding.slot == NONE, 0, jnp.left_shift(1, jnp.maximum(grounding.slot, 0)))
     taken = jax.lax.reduce_or(bits, axes=(0,))[None]
-    return said._replace(excluded=said.excluded | jnp.where(is_anything(said.kind), taken, 0))
+    return query._replace(excluded=query.excluded | jnp.where(is_anything(query.kind), taken, 0))
 
 
-def _from_other(said: Query, grounding: Grounding) -> Query:
+def _from_other(query: Query, grounding: Grounding) -> Query:
     """See what lies between two landmarks from the other one, which is neither of the ends."""
     table = jnp.stack([grounding.x, grounding.y, grounding.slot.astype(jnp.float32)], axis=1)
-    other = pick(table, jnp.broadcast_to(said.other, table.shape[1:]))
-    slot = jnp.where(said.is_between, other[2], NONE).astype(jnp.int32)
+    other = pick(table, jnp.broadcast_to(query.other, table.shape[1:]))
+    slot = jnp.where(query.is_between, other[2], NONE).astype(jnp.int32)
     taken = jnp.where(slot == NONE, 0, jnp.left_shift(1, slot))
-    return said._replace(
+    return query._replace(
         # In which direction the speaker looked counts for nothing then.
-        viewer=jnp.where(said.is_between[None], other, said.viewer),
-        excluded=said.excluded | taken[None],
+        viewer=jnp.where(query.is_between[None], other, query.viewer),
+        excluded=query.excluded | taken[None],
     )
 
 
@@ -126,7 +126,7 @@ def _log_prior_known(ends: Candidates) -> Array:
 
 
 def _weigh(
-    said: Query,
+    query: Query,
     ends: Candidates,
     ways: Proposals,
     log_rank: Array,
@@ -137,8 +137,8 @@ def _weigh(
     size, ndim = ends.x.shape[1], ways.new_x.ndim
     known, new = slice(size * size), slice(size * size, None)
     log_area, log_unseen = lead(scene.log_area, ndim), lead(scene.log_unseen, ndim)
-    log_density = said.log_density(*ways.told)
-    is_told = (said.relation != NONE)[None]
+    log_density = query.log_density(*ways.told)
+    is_told = (query.relation != NONE)[None]
     log_holds = jnp.where(is_told, jnp.log1p(-misleading), -jnp.inf) + log_rank
     log_misleads = jnp.where(is_told, jnp.log(misleading), 0.0)
     log_known = jnp.logaddexp(log_holds[known] + log_density[known], log_misleads - log_area)
@@ -150,7 +150,7 @@ def _weigh(
     is_open = (ends.is_open[FIGURE] & ends.is_open[LANDMARK])[None]
     log_both = jnp.where(is_open, log_unseen + log_area, -jnp.inf)
     log_each = [log_both - jnp.log(float(NUM_UNSEEN))] * NUM_UNSEEN
-    log_new = _log_new(said, ways, log_density[new], scene) + log_holds[new]
+    log_new = _log_new(query, ways, log_density[new], scene) + log_holds[new]
     # That the relation says nothing is weighed in every particle and not drawn: a draw in twenty
     # leaves what it alone explains to two or three particles, which soon die out.
     log_free = log_misleads + log_unseen
@@ -163,7 +163,7 @@ def _weigh(
     )
 
 
-def _log_new(said: Query, ways: Proposals, log_density: Array, scene: Unexplored) -> Array:
+def _log_new(query: Query, ways: Proposals, log_density: Array, scene: Unexplored) -> Array:
     """Compute log f m / q of what was drawn for the relation, f32[2 (O + 1) + NUM_UNSEEN, ...]."""
     log_miss = log_miss_at(scene.coverage, ways.new_x, ways.new_y, scene.first_row)
     # A new figure was drawn from f; a landmark from its figure's frame, not from its own.
@@ -176,14 +176,14 @@ def _log_new(said: Query, ways: Proposals, log_density: Array, scene: Unexplored
     log_anywhere = log_density + lead(scene.log_unseen + scene.log_area, log_miss.ndim)
     # There are several of the figures, not of what they are placed against.
     row = column(jnp.arange(log_miss.shape[0]), log_miss.ndim)
-    is_plural = said.is_order[None] & ((row < size) | (row >= 2 * size))
+    is_plural = query.is_order[None] & ((row < size) | (row >= 2 * size))
     log_anywhere = log_anywhere + jnp.where(is_plural, jnp.log(PLURAL), 0.0)
-    return jnp.where(said.is_anywhere[None], log_anywhere, log_drawn)
+    return jnp.where(query.is_anywhere[None], log_anywhere, log_drawn)
 
 
 def _enter(
     grounding: Grounding,
-    said: Query,
+    query: Query,
     ends: Candidates,
     ways: Proposals,
     choice: Array,
@@ -195,9 +195,9 @@ def _enter(
     slot = jnp.where(ends.is_open, jnp.asarray(slots)[:, choice], ends.earlier.slot)
     inherited = jnp.where(ends.is_open, NONE, ends.earlier.root)
     root = jnp.where(slot == NONE, inherited, slot)
-    place = jnp.where(slot == NONE, num_objects + said.mention, slot)
+    place = jnp.where(slot == NONE, num_objects + query.mention, slot)
     # What an order is about may be anywhere unseen: it lies at its landmark no more than elsewhere.
-    is_hung = jnp.asarray(hangs)[:, choice] & (said.is_by_object & ~said.is_order)[None]
+    is_hung = jnp.asarray(hangs)[:, choice] & (query.is_by_object & ~query.is_order)[None]
     x, y, landmark_x, landmark_y = (
         jnp.take_along_axis(leaf, choice[None], axis=0)[0] for leaf in ways.pairs
     )
@@ -209,10 +209,10 @@ def _enter(
         jnp.where(is_hung, root[::-1], NONE),
         jnp.ones_like(ends.is_open),
     )
-    is_valid = said.mention[FIGURE] != NONE
+    is_valid = query.mention[FIGURE] != NONE
     is_decided = ends.is_open & is_valid[None]
-    entered_by = jnp.where(is_decided & (said.kind >= 0), said.mention, NONE)
-    mentions = column(jnp.arange(grounding.slot.shape[0]), said.mention.ndim)
+    entered_by = jnp.where(is_decided & (query.kind >= 0), query.mention, NONE)
+    mentions = column(jnp.arange(grounding.slot.shape[0]), query.mention.ndim)
     is_figure, is_landmark = (mentions == entered_by[end][None] for end in (FIGURE, LANDMARK))
     # Of each mention, i32[M, ...]: 2 decided now as the figure, 1 as the landmark, or 0.
     source = jnp.where(is_figure, 2, is_landmark.astype(jnp.int32))

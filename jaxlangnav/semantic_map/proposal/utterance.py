@@ -16,7 +16,7 @@ import numpy as np
 from jax import Array
 from jax.custom_batching import custom_vmap
 
-from jaxlangnav.messages import NONE, Readings, Told
+from jaxlangnav.messages import NONE, Readings, UtteranceContext
 from jaxlangnav.numerics import batching
 from jaxlangnav.numerics.batching import pack, row_of, take, unpack
 from jaxlangnav.pytree import replace
@@ -33,7 +33,13 @@ from jaxlangnav.semantic_map.proposal.candidates import (
     Unexplored,
     nothing_grounded,
 )
-from jaxlangnav.semantic_map.proposal.relation_query import FIGURE, Query, hear, listen, told_now
+from jaxlangnav.semantic_map.proposal.relation_query import (
+    FIGURE,
+    Query,
+    build_queries,
+    current_context,
+    queries_of,
+)
 from jaxlangnav.semantic_map.proposal.sample import ground_relation
 
 _PIECES, _LEAST_PIECE = 8, 256
@@ -114,29 +120,29 @@ def _of_relation(uniform: Array, shuffle_key: Array, step: Array, places: Array)
 
 
 def _ground_all(
-    num_mentions: int, own: Own, told: Query, scene: Unexplored, params: MapParams
+    num_mentions: int, own: Own, queries: Query, scene: Unexplored, params: MapParams
 ) -> Grounding:
     """Ground the words of all particles of one lane: leaves [..., P]."""
     seen, draws, reading = own
-    return _ground(num_mentions, seen, hear(told, reading), draws, scene, params)
+    return _ground(num_mentions, seen, queries_of(queries, reading), draws, scene, params)
 
 
 def _ground(
     num_mentions: int,
     seen: Observed,
-    said: Query,
+    query: Query,
     draws: Draws,
     scene: Unexplored,
     params: MapParams,
 ) -> Grounding:
     """Ground the words of particles, relation by relation; of what is said leaves [J, ..., P]."""
-    num_relations = jnp.max(jnp.sum(said.mention[:, FIGURE] != NONE, axis=0))
+    num_relations = jnp.max(jnp.sum(query.mention[:, FIGURE] != NONE, axis=0))
 
     def body(index: Array, grounding: Grounding) -> Grounding:
-        one, drawn = row_of((said, draws), index)
+        one, drawn = row_of((query, draws), index)
         return ground_relation(seen, one, grounding, drawn, scene, params=params)
 
-    nothing = nothing_grounded(num_mentions, *said.relation.shape[1:])
+    nothing = nothing_grounded(num_mentions, *query.relation.shape[1:])
     return jax.lax.fori_loop(0, num_relations, body, nothing)
 
 
@@ -161,8 +167,8 @@ def _ground_sparse(num_mentions: int) -> Callable[..., Grounding]:
                 return leaf if has_lanes else jnp.broadcast_to(leaf, (num_lanes, *leaf.shape))
 
             of_lanes = jax.tree.map(spread, arguments[:-1], tuple(is_batched[:-1]))
-            asked, own, told, scene = of_lanes
-            grounding = _ground_gathered(num_mentions, asked, own, told, scene, arguments[-1])
+            asked, own, queries, scene = of_lanes
+            grounding = _ground_gathered(num_mentions, asked, own, queries, scene, arguments[-1])
         return grounding, jax.tree.map(lambda _: True, grounding)
 
     ground.def_vmap(rule)
@@ -173,7 +179,7 @@ def _ground_gathered(
     num_mentions: int,
     is_asked: Array,
     own: Own,
-    told: Query,
+    queries: Query,
     scene: Unexplored,
     params: MapParams,
 ) -> Grounding:
@@ -184,17 +190,17 @@ def _ground_gathered(
     room = -(-size // piece) * piece
     asked = is_asked.reshape(size)
     order = jnp.nonzero(asked, size=room, fill_value=0)[0]
-    side_by_side, all_told = jax.tree.map(
-        lambda leaf: jnp.moveaxis(leaf, 0, -2).reshape(*leaf.shape[1:-1], -1), (own, told)
+    side_by_side, all_queries = jax.tree.map(
+        lambda leaf: jnp.moveaxis(leaf, 0, -2).reshape(*leaf.shape[1:-1], -1), (own, queries)
     )
-    table, num_readings = pack(side_by_side), told.relation.shape[-1]
+    table, num_readings = pack(side_by_side), queries.relation.shape[-1]
 
     def ground_piece(start: Array) -> Array:
         chosen = jax.lax.dynamic_slice_in_dim(order, start, piece)
         seen, draws, reading = unpack(table[:, chosen], side_by_side)
         lane = chosen // number
-        said, theirs = take(all_told, lane * num_readings + reading), _scene_of(scene, chosen, lane)
-        return pack(_ground(num_mentions, seen, said, draws, theirs, params))
+        heard, theirs = lane * num_readings + reading, _scene_of(scene, chosen, lane)
+        return pack(_ground(num_mentions, seen, take(all_queries, heard), draws, theirs, params))
 
     form = jax.eval_shape(lambda: nothing_grounded(num_mentions, size))
     rows = sum(math.prod(leaf.shape[:-1]) for leaf in jax.tree.leaves(form))
@@ -244,7 +250,7 @@ def ground_words(
     readings: Readings,
     *,
     params: MapParams,
-    told: Told | None = None,
+    context: UtteranceContext | None = None,
     is_asked: Array | None = None,
     is_sparse: bool = False,
     num_pooled: Array | None = None,
@@ -256,7 +262,7 @@ def ground_words(
         belief: the observed map and where the robot has looked.
         readings: the sentence.
         params: relations, concentration.
-        told: how it was said; all of it to the belief's viewer by default.
+        context: from where relations were said; all from the belief's viewer by default.
         is_asked: bool[P], the particles whose words are grounded; all by default.
         is_sparse: under ``vmap``, compute only those; no gradient in reverse mode.
         num_pooled: f32[], types that have one rate of how many there are; None: each its own.
@@ -271,13 +277,13 @@ def ground_words(
     scene = scene._replace(num_pooled=num_pooled)
     reading = _reading(readings, uniform)
     own = _seen(particles), draws, reading
-    how = told_now(readings, belief.viewer) if told is None else told
-    said = listen(readings, how, params.relations, scene.log_area)
+    context = current_context(readings, belief.viewer) if context is None else context
+    queries = build_queries(readings, context, params.relations, scene.log_area)
     num_mentions = readings.mention_type.shape[1]
     if is_sparse:
-        grounding = _ground_sparse(num_mentions)(asked, own, said, scene, params)
+        grounding = _ground_sparse(num_mentions)(asked, own, queries, scene, params)
     else:
-        grounding = _ground_all(num_mentions, own, said, scene, params)
+        grounding = _ground_all(num_mentions, own, queries, scene, params)
     fresh = replace(
         particles,
         reading=reading,
