@@ -67,7 +67,7 @@ def rows() -> Trick:
         return run
 
     return (
-        looped(batching.row_of),
+        looped(batching.select_row),
         looped(lambda leaves, index: [leaf[index] for leaf in leaves]),
         leaves,
     )
@@ -81,7 +81,7 @@ def short_tables() -> Trick:
     index = jnp.asarray(random.integers(OBJECTS + 1, size=number), jnp.int32)
 
     def selected(given: Any) -> Any:
-        return [batching.pick(table, given[1]) for table in given[0]]
+        return [batching.lookup(table, given[1]) for table in given[0]]
 
     def gathered(given: Any) -> Any:
         return [jnp.take_along_axis(table, given[1][None], axis=0)[0] for table in given[0]]
@@ -102,7 +102,7 @@ def worked_out_once() -> Trick:
         return run
 
     values = jnp.linspace(0.0, 1.0, LANES * PARTICLES)
-    return read(batching.once), read(lambda same: same), values
+    return read(batching.materialize), read(lambda same: same), values
 
 
 def one_table() -> Trick:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxlangnav.numerics import batching
-from jaxlangnav.numerics.batching import once, pick, row_of
+from jaxlangnav.numerics.batching import lookup, materialize, select_row
 
 KEYS = jax.random.split(jax.random.key(5), 3)
 
@@ -52,7 +52,7 @@ FIRST = {
 @pytest.mark.parametrize("first", FIRST.values(), ids=FIRST.keys())
 def test_values_are_the_same_whatever_stands_first(first):
     values = {"a": jnp.stack([first, first]), "b": (jnp.arange(3), jnp.ones((2, 2), bool))}
-    same = jax.jit(once)(values)
+    same = jax.jit(materialize)(values)
     jax.tree.map(np.testing.assert_array_equal, same, values)
     assert jax.tree.map(lambda leaf: leaf.dtype, same) == jax.tree.map(lambda x: x.dtype, values)
 
@@ -61,7 +61,7 @@ def test_a_batch_within_a_batch():
     values = jnp.arange(24.0).reshape(2, 3, 4)
 
     def one(shared, own):
-        return once((own, shared))
+        return materialize((own, shared))
 
     own, shared = jax.jit(jax.vmap(jax.vmap(one, in_axes=(None, 0)), in_axes=(None, 0)))(3, values)
     np.testing.assert_array_equal(own, values)
@@ -72,7 +72,7 @@ def test_derivatives_go_through_in_both_modes():
     point = jnp.array([0.3, -2.0, 5.0])
 
     def cubes(x):
-        return jnp.sum(once((x**3, jnp.arange(3)))[0])
+        return jnp.sum(materialize((x**3, jnp.arange(3)))[0])
 
     np.testing.assert_allclose(jax.grad(cubes)(point), 3 * point**2, rtol=1e-6)
     points = jnp.stack([point, 2 * point])
@@ -90,7 +90,7 @@ def read_often(is_kept):
         for index in range(40):
             value = jnp.where(value > index, value - 0.5, value + index)
         if is_kept:
-            value = once(value)
+            value = materialize(value)
         # A joined array is a loop of its own on CPU.
         return [jnp.concatenate([value * factor, value[:1]]) for factor in range(2, 12)]
 
@@ -118,13 +118,13 @@ def test_pick_looks_up_a_short_table(batch: tuple[int, ...]) -> None:
     for index in (-1, 0, 3, 4):
         chosen = np.full(batch, index, np.int32)
         expected = table[index] if 0 <= index < 4 else np.zeros(batch, np.float32)
-        np.testing.assert_array_equal(pick(jnp.asarray(table), jnp.asarray(chosen)), expected)
+        np.testing.assert_array_equal(lookup(jnp.asarray(table), jnp.asarray(chosen)), expected)
 
 
 def test_rows_of_records() -> None:
     records = {"a": jnp.arange(12.0).reshape(3, 2, 2), "b": jnp.array([True, False, True])}
     for index, row in ((0, 0), (2, 2), (-1, 0), (7, 2)):
-        found = jax.jit(row_of)(records, jnp.int32(index))
+        found = jax.jit(select_row)(records, jnp.int32(index))
         jax.tree.map(
             lambda one, leaf, row=row: np.testing.assert_array_equal(one, leaf[row]), found, records
         )

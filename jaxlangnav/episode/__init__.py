@@ -14,7 +14,7 @@ from jaxlangnav import navigator
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.messages import Fault, MotionParams, Observation, SensorParams, Status
 from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams, NavigatorState
-from jaxlangnav.numerics.batching import row_of
+from jaxlangnav.numerics.batching import select_row
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.world import simulator
 from jaxlangnav.world.motion import HOLONOMIC, Body
@@ -88,7 +88,7 @@ def begin(task: Task, instructions: Instruction, *, config: NavigatorConfig) -> 
     chex.assert_rank([task.key, task.instruction_index, task.sensor.range_max], 0)
     chex.assert_equal_shape([scenario.object_x, scenario.object_y, scenario.is_object])
     chex.assert_type([scenario.object_type, scenario.is_object], [int, bool])
-    instruction = row_of(instructions, task.instruction_index)
+    instruction = select_row(instructions, task.instruction_index)
     return EpisodeState(
         task=task,
         navigator=navigator.start(

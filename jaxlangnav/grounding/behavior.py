@@ -43,7 +43,7 @@ from jaxlangnav.grounding.program import (
 )
 from jaxlangnav.grounding.symbols import NUM_REGIONS, NUM_RELATIONS
 from jaxlangnav.messages import NONE, Behavior, BehaviorWorld
-from jaxlangnav.numerics.batching import once, row_of
+from jaxlangnav.numerics.batching import materialize, select_row
 from jaxlangnav.pytree import replace
 
 _BEAM = 4
@@ -166,7 +166,7 @@ ROOT = -1
 def _row(program: BehaviorProgram, phrase: Array) -> BehaviorProgram:
     """Take the row of one phrase out of the fields that have rows."""
     names = [one.name for one in dataclasses.fields(program) if one.name not in OF_THE_CLAUSE]
-    return replace(program, **row_of({name: getattr(program, name) for name in names}, phrase))
+    return replace(program, **select_row({name: getattr(program, name) for name in names}, phrase))
 
 
 def _advance(row: BehaviorProgram, scene: ObjectSets, stack: _Stack) -> tuple[_Stack, _Expressed]:
@@ -182,13 +182,13 @@ def _advance(row: BehaviorProgram, scene: ObjectSets, stack: _Stack) -> tuple[_S
     )
     regions = region_odds(row, scene, joined, size)
     odds = jnp.concatenate([first[:, None], regions], axis=1)
-    odds = once(odds.reshape(_BEAM, -1, *odds.shape[-2:]))
-    sets, cost = once(_four_best_sets(odds, joined.cost, size))
+    odds = materialize(odds.reshape(_BEAM, -1, *odds.shape[-2:]))
+    sets, cost = materialize(_four_best_sets(odds, joined.cost, size))
     both, places = sets[:, 0], sets[:, 1:]
     objects, constraints = jnp.where(row.is_verb, 0, both), jnp.where(row.is_verb, both, 0)
     lies = lying_in(row, scene, places)
     found = jnp.stack([objects, *jnp.unstack(places, axis=1), constraints, lies])
-    top = once(_Stack(found[None], cost[None]))
+    top = materialize(_Stack(found[None], cost[None]))
     return _push_phrase(stack, top, row.num_children), _Expressed(odds, joined.cost)
 
 
@@ -214,7 +214,7 @@ def _conclude(program: BehaviorProgram, root: _Expressed, size: int) -> Behavior
     """
     lanes = root.cost.shape[1:]
     # Written out: XLA's logistic, and its sums over a short leading axis, are scalar on CPU.
-    probability = once(1.0 / (1.0 + jnp.exp(-root.odds)))
+    probability = materialize(1.0 / (1.0 + jnp.exp(-root.odds)))
     constraint, goal = probability[:, :size], probability[:, size:]
     goal = goal.reshape(_BEAM, NUM_REGION_SLOTS, size, *lanes)
     is_none = jnp.prod(functools.reduce(jnp.multiply, jnp.unstack(1.0 - goal, axis=1)), axis=1)
@@ -222,7 +222,7 @@ def _conclude(program: BehaviorProgram, root: _Expressed, size: int) -> Behavior
     exists = jnp.where(program.num_phrases == 0, 0.0, 1.0)
     weight = exists * jax.nn.softmax(-root.cost, axis=0)
     share = weight * (1.0 - is_none) / jnp.maximum(total, 1e-9)
-    by_slot = once((_mean(goal, share[:, None, None]), _mean(constraint, weight[:, None])))
+    by_slot = materialize((_mean(goal, share[:, None, None]), _mean(constraint, weight[:, None])))
     return Behavior(
         action=jnp.broadcast_to(program.action, (program.action.shape[0], *lanes)),
         mode=jnp.broadcast_to(program.mode, (program.mode.shape[0], *lanes)),

@@ -16,7 +16,7 @@ from jax import Array
 from jaxlangnav.grounding.program import LOG_NEVER, BehaviorProgram
 from jaxlangnav.inputs.object_types import fits, label_of
 from jaxlangnav.messages import NONE, ROBOT, BehaviorWorld
-from jaxlangnav.numerics.batching import pick
+from jaxlangnav.numerics.batching import lookup
 
 
 class ObjectSets(NamedTuple):
@@ -52,7 +52,7 @@ def build_object_sets(program: BehaviorProgram, world: BehaviorWorld) -> ObjectS
     edges = jnp.concatenate([world.is_related, world.is_superlative, world.is_later])
     figures = jnp.sum(jnp.where(edges, itself[None, :, None], 0), axis=1)
     figures = jnp.append(figures, itself[None], axis=0)  # [18 + 1, N, E, P]: the last table is "at"
-    lies = pick(figures, _each(program.table, is_object))
+    lies = lookup(figures, _each(program.table, is_object))
     previous = world.is_previous & is_object
     last_type = jnp.max(jnp.where(previous, world.object_type, NONE - 9), axis=0)
     alike = (label_of(kind) == label_of(last_type)[None]) & is_object
@@ -133,7 +133,7 @@ def constraint_odds(
 
 def lying_in(row: BehaviorProgram, scene: ObjectSets, regions: Array) -> Array:
     """Find the objects that lie in the expressed regions, i32[4, L, E, P] to i32[4, E, P]."""
-    table = pick(scene.lies, _each(row.region_table, scene.lies[0]))
+    table = lookup(scene.lies, _each(row.region_table, scene.lies[0]))
     there = jnp.where(_is_in(regions, scene.lies.shape[1]), table[None], 0)  # [4, L, N, E, P]
     return jax.lax.reduce_or(there, axes=(1, 2))
 

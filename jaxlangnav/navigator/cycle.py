@@ -35,7 +35,7 @@ from jaxlangnav.navigator.records import (
     act,
     carry_on,
 )
-from jaxlangnav.numerics.batching import row_of
+from jaxlangnav.numerics.batching import select_row
 from jaxlangnav.planner import graph, policy
 from jaxlangnav.planner.blocked import keep_watch, start_of_way
 from jaxlangnav.planner.goals import Goals, gather
@@ -175,7 +175,7 @@ def _as_told(state: NavigatorState, params: NavigatorParams) -> NavigatorParams:
 
 def _metres(state: NavigatorState) -> Array:
     """Look up how far from its landmark the present command ends, f32[]; 0: nobody has said."""
-    return row_of(state.instruction.metres, state.clause)
+    return select_row(state.instruction.metres, state.clause)
 
 
 def _observe(
@@ -191,7 +191,7 @@ def _observe(
     farthest = jnp.max(params.mode_speed) * motion.step_length
     farthest = farthest * (1.0 + DEVIATIONS * motion.odometry_noise) + _SPARE
     # A command is meant as it was seen from where it was heard.
-    viewer = row_of(state.talk.viewer, state.clause)
+    viewer = select_row(state.talk.viewer, state.clause)
     belief, info = semantic_filter.step(
         key,
         replace(state.belief, viewer=viewer),
@@ -212,7 +212,7 @@ def _spoken(state: NavigatorState) -> Array:
     instruction, slots = state.instruction, state.belief.particles.object_type
 
     def type_at(slot: Array) -> Array:
-        return jnp.where(slot == NONE, NONE, row_of(slots, jnp.maximum(slot, 0))[0])
+        return jnp.where(slot == NONE, NONE, select_row(slots, jnp.maximum(slot, 0))[0])
 
     gone_to = [type_at(state.previous_goal), type_at(state.talk.approached)]
     words = instruction.program.own.reshape(-1), instruction.readings.mention_type.reshape(-1)

@@ -6,20 +6,20 @@ counts is which axis is last, what is worked out anew, and how many loops there 
 of the compilation of a cycle is spent loop by loop. ``benchmarks/batching.py`` measures each trick
 against plain JAX; one that no longer pays there is to be deleted, with its callers made plain.
 
-*Batch axes last* (``column``, ``lead``, ``apart``). What runs for every particle at every step is
-written for one particle, with its own axes leading, and takes any batch axes behind them. ``vmap``
-would batch it as well, but moves the batch axis to the front of most results, where loops over nine
-entries are not vectorised.
+*Batch axes last* (``append_axes``, ``prepend_axes``, ``insert_axes``). What runs for every particle
+at every step is written for one particle, with its own axes leading, and takes any batch axes
+behind them. ``vmap`` would batch it as well, but moves the batch axis to the front of most results,
+where loops over nine entries are not vectorised.
 
-*Rows and short tables* (``row_of``, ``pick``). ``leaf[index]`` allows for negative indices, at five
-operations to trace for two; a gather from a short table goes entry by entry and puts the batch axes
-in another order, where selects are one vectorised loop.
+*Rows and short tables* (``select_row``, ``lookup``). ``leaf[index]`` allows for negative indices,
+at five operations to trace for two; a gather from a short table goes entry by entry and puts the
+batch axes in another order, where selects are one vectorised loop.
 
-*Worked out once* (``once``). Cheap operations are fused into each of their readers. What many later
-loops read, the grounding of the detections say, is then worked out in each of them again, for each
-entry of their results: a chain of such steps costs many times what it does, and takes as many times
-longer to compile. Optimisation barriers do not help, for they are dropped before it fuses; a
-conditional is what it does not cross.
+*Materialization* (``materialize``). Cheap operations are fused into each of their readers. What
+many later loops read, the grounding of the detections say, is then computed in each of them again,
+for each entry of their results: a chain of such steps costs many times what it does, and takes as
+many times longer to compile. Optimisation barriers are dropped before fusion; a conditional is not
+crossed.
 
 *One table for a record* (``pack``, ``unpack``, ``take``). Leaf by leaf, a gather of particles picks
 numbers one by one, or turns every leaf around so that a particle lies in one piece, and all that
@@ -43,7 +43,7 @@ from jax.custom_batching import custom_vmap
 T = TypeVar("T")
 
 
-def column(values: Array, ndim: int) -> Array:
+def append_axes(values: Array, ndim: int) -> Array:
     """Append axes of length one: values along the first axes, the same for the whole batch.
 
     Args:
@@ -56,7 +56,7 @@ def column(values: Array, ndim: int) -> Array:
     return values.reshape(values.shape + (1,) * (ndim - values.ndim))
 
 
-def lead(values: Array, ndim: int) -> Array:
+def prepend_axes(values: Array, ndim: int) -> Array:
     """Prepend axes of length one: values along the batch axes, the same for every entry.
 
     Args:
@@ -69,7 +69,7 @@ def lead(values: Array, ndim: int) -> Array:
     return values.reshape((1,) * (ndim - values.ndim) + values.shape)
 
 
-def apart(values: Array, ndim: int) -> Array:
+def insert_axes(values: Array, ndim: int) -> Array:
     """Put axes of length one behind the first: every row of values beside all of something.
 
     Args:
@@ -82,7 +82,7 @@ def apart(values: Array, ndim: int) -> Array:
     return values.reshape(values.shape[0], *(1,) * (ndim - values.ndim), *values.shape[1:])
 
 
-def row_of(records: T, index: Array) -> T:
+def select_row(records: T, index: Array) -> T:
     """Take one row of every leaf, in fewer operations than ``leaf[index]``, which may be negative.
 
     Args:
@@ -101,7 +101,7 @@ def row_of(records: T, index: Array) -> T:
     return jax.tree.map(row, records)
 
 
-def pick(values: Array, index: Array) -> Array:
+def lookup(values: Array, index: Array) -> Array:
     """Look up a short table by selects: a gather would put the batch axes in another order.
 
     Args:
@@ -112,15 +112,15 @@ def pick(values: Array, index: Array) -> Array:
         [...], ``values[index]``; 0 where the index is out of bounds.
     """
     size = values.shape[0]
-    table = jnp.broadcast_to(apart(values, index.ndim + 1), (size, *index.shape))
+    table = jnp.broadcast_to(insert_axes(values, index.ndim + 1), (size, *index.shape))
     rows = *jnp.unstack(table), jnp.zeros(index.shape, values.dtype)
     within = jnp.minimum(index.astype(jnp.uint32), size).astype(jnp.int32)  # −1 is very large
     # One operation to trace; it becomes a tree of selects.
     return jax.lax.select_n(within, *rows)
 
 
-def once(values: T) -> T:
-    """Have values worked out once: the same values, and derivatives go through in both modes.
+def materialize(values: T) -> T:
+    """Materialize values, so that no reader recomputes them; derivatives pass in both modes.
 
     Args:
         values: arrays; under ``vmap`` they are kept for the whole batch.
@@ -131,8 +131,8 @@ def once(values: T) -> T:
     return _once(values)
 
 
-def rarely(is_meant: Array, weigh: Callable[[T], Array], records: T) -> Array:
-    """Weigh what is seldom asked for: where no member of the batch asks, nothing is computed.
+def skip_unless_any(is_meant: Array, weigh: Callable[[T], Array], records: T) -> Array:
+    """Evaluate ``weigh`` only if any batch member needs it, also under ``vmap``; else return zeros.
 
     Args:
         is_meant: bool[...], which members ask.

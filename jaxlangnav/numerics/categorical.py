@@ -6,7 +6,7 @@ import math
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.numerics.batching import column
+from jaxlangnav.numerics.batching import append_axes
 
 _LOG_MIN, _LOG_MAX = -80.0, 80.0  # inside the range of exp in float32
 
@@ -39,11 +39,11 @@ def draw(log_weight: Array, uniform: Array) -> tuple[Array, Array]:
     target = (uniform * total)[None]
     group = jnp.minimum(jnp.sum(ends <= target, axis=0), ends.shape[0] - 1)
     below = jnp.max(jnp.where(ends <= target, ends, 0.0), axis=0)
-    is_group = column(jnp.arange(ends.shape[0]), ends.ndim) == group[None]
+    is_group = append_axes(jnp.arange(ends.shape[0]), ends.ndim) == group[None]
     chosen = jnp.sum(jnp.where(is_group[:, None], groups, 0.0), axis=0)
     place = jnp.sum(below[None] + _running_sum(chosen) <= target, axis=0)
     # Rounding may step past the last positive weight of the group: fall back on it.
-    last = jnp.max(jnp.where(chosen > 0, column(jnp.arange(size), chosen.ndim), 0), axis=0)
+    last = jnp.max(jnp.where(chosen > 0, append_axes(jnp.arange(size), chosen.ndim), 0), axis=0)
     index = group * size + jnp.minimum(place, last)
     return index.astype(jnp.int32), jnp.log(total) + safe_top
 

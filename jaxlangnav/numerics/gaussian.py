@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.numerics.batching import column, once, row_of
+from jaxlangnav.numerics.batching import append_axes, materialize, select_row
 
 
 class Moments(NamedTuple):
@@ -44,7 +44,7 @@ def add_noise(covariance: Array, index: int, variance: Array) -> Array:
         The new Σ.
     """
     unit = jnp.arange(covariance.shape[0]) == index
-    own = column(unit[:, None] & unit[None, :], covariance.ndim)
+    own = append_axes(unit[:, None] & unit[None, :], covariance.ndim)
     return covariance + jnp.where(own, variance, 0.0)
 
 
@@ -77,7 +77,7 @@ def enter(
     here = slice(origin, origin + 1)
     rows = jnp.where(is_new[:, None], covariance[here], covariance)
     both = jnp.where(is_new[None], rows[:, here], rows)
-    own = column(jnp.eye(covariance.shape[0], dtype=bool), covariance.ndim)
+    own = append_axes(jnp.eye(covariance.shape[0], dtype=bool), covariance.ndim)
     return Moments(
         both + jnp.where(own & is_new[None], variance[None], 0.0),
         jnp.where(is_new, mean_x[here] + offset_x, mean_x),
@@ -122,8 +122,8 @@ def condition_offsets(
 
     def update(table: Array, one: tuple[Array, ...]) -> tuple[Array, None]:
         of, origin, is_used, offset_x, offset_y, variance = one
-        edge = row_of(table, of) - row_of(table, origin)
-        spread = jnp.maximum(row_of(edge, of) - row_of(edge, origin), 0.0) + variance
+        edge = select_row(table, of) - select_row(table, origin)
+        spread = jnp.maximum(select_row(edge, of) - select_row(edge, origin), 0.0) + variance
         scale = jnp.where(is_used, jax.lax.rsqrt(spread), 0.0)
         measured = jnp.stack([offset_x, offset_y])
         # Joined, XLA keeps the gain in memory. Written as one elementwise expression it is worked
@@ -134,7 +134,7 @@ def condition_offsets(
     # Unrolled: a loop would read and write the whole table in every round, three times as slow.
     table, _ = jax.lax.scan(update, table, measurements, unroll=True)
     # Much reads the means, and would run through all updates again each time.
-    mean_x, mean_y = once((table[:, size], table[:, size + 1]))
+    mean_x, mean_y = materialize((table[:, size], table[:, size + 1]))
     return Moments(table[:, :size], mean_x, mean_y)
 
 

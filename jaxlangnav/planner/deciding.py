@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.numerics.batching import row_of
+from jaxlangnav.numerics.batching import select_row
 from jaxlangnav.planner import graph
 from jaxlangnav.planner.blocked import open_nodes
 from jaxlangnav.planner.detours import detours
@@ -166,7 +166,7 @@ def decide(
     # The last place is what was under way already, or where the robot is.
     is_last = kept.is_active | jnp.all(value == -jnp.inf)
     index = jnp.where(is_last, value.shape[0], jnp.argmax(value))
-    (to_x, to_y, to_kind), first = row_of((x, y, kind), index), row_of(way, index)
+    (to_x, to_y, to_kind), first = select_row((x, y, kind), index), select_row(way, index)
     mass = valuation.stop_mass
     is_sure = (mass >= params.stop_probability) & jnp.isfinite(mass)
     doubt = replace(doubt, asks=doubt.asks & ~situation.stands)

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.numerics.batching import rarely
+from jaxlangnav.numerics.batching import skip_unless_any
 from jaxlangnav.planner.blocked import open_nodes
 from jaxlangnav.planner.constraints import (
     MOST_FORBIDDEN,
@@ -129,7 +129,7 @@ def detours(situation: Situation, x: Array, y: Array, spare: Array) -> Detours:
         (x, y, spare), things = records
         return _cheapest(x, y, spare, things, situation)
 
-    found = rarely(is_meant, weigh, (places, things))
+    found = skip_unless_any(is_meant, weigh, (places, things))
     return Detours(
         metres=found[0],
         x=jnp.where(is_meant, found[1], x),

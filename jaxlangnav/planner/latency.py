@@ -28,7 +28,7 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.messages import SensorParams
-from jaxlangnav.numerics.batching import once
+from jaxlangnav.numerics.batching import materialize
 from jaxlangnav.planner.constraints import price_of_stop
 from jaxlangnav.planner.search import SearchMap
 from jaxlangnav.pytree import pytree
@@ -97,7 +97,7 @@ def first_sight(
     first = met[:, 0]
     for stop in range(1, met.shape[1]):  # a reduction over a middle axis is not vectorised
         first = jnp.minimum(first, met[:, stop])
-    return once(first), walked[:, -1]
+    return materialize(first), walked[:, -1]
 
 
 def _eyesight(sensor: SensorParams) -> tuple[Array, Array]:

@@ -14,7 +14,7 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.messages import NONE, ROBOT, Behavior, Readings
-from jaxlangnav.numerics.batching import pick
+from jaxlangnav.numerics.batching import lookup
 from jaxlangnav.semantic_map.particle import SemanticMap
 
 LEAST_GOAL_MENTION = 1e-3
@@ -62,7 +62,7 @@ def believed_groups(readings: Readings, particles: SemanticMap) -> Array:
     table = groups(readings).T  # [K, M]
     number = particles.reading.shape[-1]
     index = jnp.broadcast_to(particles.reading, (table.shape[1], number))
-    return pick(table[:, :, None], index)
+    return lookup(table[:, :, None], index)
 
 
 def has_open_partner(group: Array, particles: SemanticMap) -> Array:

@@ -10,7 +10,7 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.messages import ROBOT
-from jaxlangnav.numerics.batching import once, rarely
+from jaxlangnav.numerics.batching import materialize, skip_unless_any
 from jaxlangnav.planner import prior
 from jaxlangnav.planner.constraints import Forbidden
 from jaxlangnav.planner.relevance import groups
@@ -105,7 +105,7 @@ def _unseen(coverage: Coverage, hung: Array, density: Array) -> Array:
     # Anywhere in the area, as the order of search weighs it; or, if that is more, at the places on
     # observed objects where it is said to be, for they are little of the whole area.
     # Of its own, so that the search map is computed to the bit as it would be without.
-    coverage, hung, density = once((coverage, hung, density))
+    coverage, hung, density = materialize((coverage, hung, density))
     size = coverage.log_miss.shape[0] // CELLS
     cells = jnp.exp(coverage.log_miss).reshape(CELLS, size, CELLS, size)
     missed = cells.mean(axis=(1, 3)).reshape(-1)
@@ -150,7 +150,7 @@ def _by_words(
         return jnp.sum(density) * jnp.sum(told * share[None], axis=(1, 2)) - 1.0
 
     is_by_robot = jnp.any(readings.mention_type == ROBOT) & jnp.any(is_free)
-    return 1.0 + rarely(is_by_robot, raised, (x, y))
+    return 1.0 + skip_unless_any(is_by_robot, raised, (x, y))
 
 
 def search_map(

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from jaxlangnav.numerics.batching import lead
+from jaxlangnav.numerics.batching import prepend_axes
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.relations.table import ReferenceFrame, RelationParams
 
@@ -166,7 +166,7 @@ def log_density_in_frame(law: Law, along: Array, lateral: Array) -> Array:
 
 
 def _log_density(law: Law, along: Array, lateral: Array, squared: Array) -> Array:
-    law = jax.tree.map(lambda leaf: lead(leaf, squared.ndim), law)
+    law = jax.tree.map(lambda leaf: prepend_axes(leaf, squared.ndim), law)
     log_distance = 0.5 * jnp.log(squared)
     cosine = (along * law.axis_along + lateral * law.axis_lateral) * jax.lax.rsqrt(squared)
     standard = (log_distance - law.log_distance) / law.log_distance_sd
@@ -192,7 +192,7 @@ def sample_law(
     angle_normal: Array,
 ) -> tuple[Array, Array]:
     """Draw as ``sample_polar`` does, from a law looked up before; where it has a range."""
-    law = jax.tree.map(lambda leaf: lead(leaf, distance_normal.ndim), law)
+    law = jax.tree.map(lambda leaf: prepend_axes(leaf, distance_normal.ndim), law)
     distance = jnp.exp(law.log_distance + law.log_distance_sd * distance_normal)
     position = jnp.minimum(jnp.abs(angle_normal), MAX_NORMAL) * (NUM_QUANTILES / MAX_NORMAL)
     lower = jnp.clip(position.astype(jnp.int32), 0, NUM_QUANTILES - 1)

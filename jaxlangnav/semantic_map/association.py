@@ -17,7 +17,7 @@ from jax import Array
 from jaxlangnav.inputs.object_types import joined, label_of
 from jaxlangnav.messages import NONE, SensorParams
 from jaxlangnav.numerics import categorical, gaussian
-from jaxlangnav.numerics.batching import column, lead
+from jaxlangnav.numerics.batching import append_axes, prepend_axes
 from jaxlangnav.semantic_map.counts import made_likelier
 from jaxlangnav.semantic_map.particle import SemanticMap
 
@@ -150,7 +150,7 @@ def _ground(
     log_existing = gaussian.log_normal_isotropic(seen.offset_x - x, seen.offset_y - y, spread)
     log_weight, doubted = weigh(log_existing, seen.log_new)
     choice, log_total = categorical.draw(log_weight, chance)
-    slots = column(jnp.arange(num_objects), so_far.object_type.ndim)
+    slots = append_axes(jnp.arange(num_objects), so_far.object_type.ndim)
     free = jnp.min(jnp.where(so_far.object_type == NONE, slots, num_objects), axis=0)
     is_new = choice == num_objects
     slot = jnp.where(is_new, free, choice)
@@ -209,7 +209,7 @@ def _weigh(
     held = jnp.where(is_counted, so_far.existence, 0.0)
     log_more = (log_new + jnp.log1p(growth * jnp.sum(held, axis=0)))[None]
     is_other = ~is_alike & (so_far.object_type != NONE)
-    log_confused = lead(log_new + doubt.log_confused, log_more.ndim)
+    log_confused = prepend_axes(log_new + doubt.log_confused, log_more.ndim)
     log_held, log_any, if_held = _doubted(
         log_existing, log_more, log_confused, so_far.existence, is_other, doubt
     )

@@ -23,7 +23,7 @@ from jaxlangnav.messages import (
     Readings,
     UtteranceContext,
 )
-from jaxlangnav.numerics.batching import pack, pick, rarely, row_of, unpack
+from jaxlangnav.numerics.batching import lookup, pack, select_row, skip_unless_any, unpack
 from jaxlangnav.pytree import replace
 from jaxlangnav.relations import RelationModel
 from jaxlangnav.semantic_map import summary
@@ -57,7 +57,7 @@ def infer_clause_behaviors(
     Returns:
         Behaviors, leaves [..., P].
     """
-    program = row_of(instruction.program, clause)
+    program = select_row(instruction.program, clause)
     number = particles.reading.shape[-1]
     block = min(_BLOCK, number)
     topology, representative, count = summary.distinct_topologies(particles)
@@ -177,7 +177,7 @@ def filter_untyped_goals(
         return _misplaced(held, queries)
 
     nowhere = jnp.zeros_like(particles.mean_x[:num_objects])
-    is_out = rarely(is_any, look_up, (nowhere, particles, readings, context))
+    is_out = skip_unless_any(is_any, look_up, (nowhere, particles, readings, context))
     room = behavior.goal.shape[1] - num_objects
     is_out = jnp.pad(is_out, ((0, room), (0, 0)))
     return replace(behavior, goal=jnp.where(is_out[None] > 0.0, 0.0, behavior.goal))
@@ -189,7 +189,7 @@ def _misplaced(particles: SemanticMap, queries: Query) -> Array:
     slots = jnp.arange(num_objects)[:, None]
     is_open = particles.referent == NONE
     x, y = (
-        jnp.where(is_open, thought, pick(seen[:num_objects, None], particles.referent))
+        jnp.where(is_open, thought, lookup(seen[:num_objects, None], particles.referent))
         for thought, seen in (
             (particles.hypothesis_x, particles.mean_x),
             (particles.hypothesis_y, particles.mean_y),
@@ -200,17 +200,17 @@ def _misplaced(particles: SemanticMap, queries: Query) -> Array:
         figure, landmark = query.mention[FIGURE], query.mention[LANDMARK]
         viewer_x, viewer_y, _ = jnp.unstack(query.viewer)
         # The second relation of "between" is seen from the other landmark.
-        other = query.is_between, pick(x, query.other), pick(y, query.other)
+        other = query.is_between, lookup(x, query.other), lookup(y, query.other)
         viewer_x, viewer_y = (
             jnp.where(other[0], place, own)
             for place, own in zip(other[1:], (viewer_x, viewer_y), strict=True)
         )
         query = query._replace(viewer=jnp.stack([viewer_x, viewer_y, query.viewer[2]]))
-        landmark_x = jnp.where(query.is_by_object, pick(x, landmark), viewer_x)
-        landmark_y = jnp.where(query.is_by_object, pick(y, landmark), viewer_y)
-        at = (one[None] for one in (pick(x, figure), pick(y, figure), landmark_x, landmark_y))
+        landmark_x = jnp.where(query.is_by_object, lookup(x, landmark), viewer_x)
+        landmark_y = jnp.where(query.is_by_object, lookup(y, landmark), viewer_y)
+        at = (one[None] for one in (lookup(x, figure), lookup(y, figure), landmark_x, landmark_y))
         is_out = is_anything(query.kind[FIGURE]) & ~query.holds(*at)[0]
-        return is_out[None] & (slots == pick(particles.referent, figure)[None])
+        return is_out[None] & (slots == lookup(particles.referent, figure)[None])
 
     is_out = jax.lax.map(of_one, queries)
     return jnp.any(is_out, axis=0).astype(jnp.float32)

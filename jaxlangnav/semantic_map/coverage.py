@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.numerics.batching import lead
+from jaxlangnav.numerics.batching import prepend_axes
 from jaxlangnav.pytree import pytree
 from jaxlangnav.terrain import Eye, View
 
@@ -97,11 +97,11 @@ def log_miss_at(coverage: Coverage, x: Array, y: Array, first_row: Array | int =
         f32[...]; −∞ outside the operating area, where nothing is.
     """
     num_cells = coverage.log_miss.shape[-1]
-    size_x, size_y = (lead(size, x.ndim) for size in cell_size(coverage))
-    column = jnp.floor((x - lead(coverage.area[0], x.ndim)) / size_x).astype(jnp.int32)
-    row = jnp.floor((y - lead(coverage.area[2], y.ndim)) / size_y).astype(jnp.int32)
+    size_x, size_y = (prepend_axes(size, x.ndim) for size in cell_size(coverage))
+    column = jnp.floor((x - prepend_axes(coverage.area[0], x.ndim)) / size_x).astype(jnp.int32)
+    row = jnp.floor((y - prepend_axes(coverage.area[2], y.ndim)) / size_y).astype(jnp.int32)
     is_in = (column >= 0) & (column < num_cells) & (row >= 0) & (row < num_cells)
-    row = lead(jnp.asarray(first_row), row.ndim) + jnp.clip(row, 0, num_cells - 1)
+    row = prepend_axes(jnp.asarray(first_row), row.ndim) + jnp.clip(row, 0, num_cells - 1)
     flat = row * num_cells + jnp.clip(column, 0, num_cells - 1)
     return jnp.where(is_in, coverage.log_miss.reshape(-1)[flat], -jnp.inf)
 

@@ -10,7 +10,7 @@ from jax import Array
 
 from jaxlangnav.messages import MotionParams
 from jaxlangnav.numerics import gaussian
-from jaxlangnav.numerics.batching import column
+from jaxlangnav.numerics.batching import append_axes
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.particle import SemanticMap
 
@@ -66,7 +66,7 @@ def move(particle: SemanticMap, step_x: Array, step_y: Array, variance: Array) -
         The particle with the old pose marginalised out.
     """
     robot = particle.object_type.shape[0]
-    unit = column((jnp.arange(robot + 1) == robot).astype(jnp.float32), particle.mean_x.ndim)
+    unit = append_axes((jnp.arange(robot + 1) == robot).astype(jnp.float32), particle.mean_x.ndim)
     return replace(
         particle,
         covariance=gaussian.add_noise(particle.covariance, robot, variance),

@@ -17,7 +17,7 @@ from jaxlangnav.inputs.object_types import kind_of
 from jaxlangnav.inputs.observations import MIN_NOISE
 from jaxlangnav.messages import Observation, SensorParams
 from jaxlangnav.numerics import categorical
-from jaxlangnav.numerics.batching import column
+from jaxlangnav.numerics.batching import append_axes
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map import association, motion
 from jaxlangnav.semantic_map.association import Association
@@ -127,7 +127,7 @@ def _detections(
     drift = mean_drift(belief)
     if drift is not None:
         own = (belief.particles.drift[:1] - drift)[None]
-        offset_x, offset_y = (column(offset, 3) for offset in (offset_x, offset_y))
+        offset_x, offset_y = (append_axes(offset, 3) for offset in (offset_x, offset_y))
         offset_x, offset_y = motion.rotated(offset_x, offset_y, own)
     log_unseen = log_missed(belief, offset_x, offset_y)
     return association.Detections(

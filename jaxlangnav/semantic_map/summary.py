@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.messages import NONE, RELATIONS, ROBOT, BehaviorWorld, Readings
-from jaxlangnav.numerics.batching import row_of
+from jaxlangnav.numerics.batching import select_row
 from jaxlangnav.semantic_map.particle import SemanticMap
 
 
@@ -25,7 +25,7 @@ def behavior_world(particle: SemanticMap, readings: Readings, previous: Array) -
     num_objects, num_mentions = particle.object_type.shape[0], particle.referent.shape[0]
     size = num_objects + num_mentions + 1
     slots, mentions = jnp.arange(size), jnp.arange(num_mentions)
-    read = row_of(readings, particle.reading)
+    read = select_row(readings, particle.reading)
     mention_type = read.mention_type
     object_type = jnp.concatenate(
         [

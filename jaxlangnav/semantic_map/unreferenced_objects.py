@@ -17,7 +17,7 @@ from jax import Array
 
 from jaxlangnav.inputs.object_types import label_of
 from jaxlangnav.messages import NONE, Observation
-from jaxlangnav.numerics.batching import column, row_of
+from jaxlangnav.numerics.batching import append_axes, select_row
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.semantic_map.particle import SemanticMap, clear
 
@@ -171,7 +171,7 @@ def promote(
         is_there = jnp.any(is_meant) & jnp.any(held.object_type == NONE)
         is_taken = (jnp.arange(known.x.shape[0]) == chosen) & is_there
         left = replace(known, object_type=jnp.where(is_taken, NONE, known.object_type))
-        return _hold(held, row_of(known, chosen), is_there), left
+        return _hold(held, select_row(known, chosen), is_there), left
 
     # Nearly always no round of either loop.
     rounds = jnp.where(is_told, num_objects, 0)
@@ -186,18 +186,18 @@ def promote(
 def _sighting(particles: SemanticMap, slot: Array, which: Array) -> Sighting:
     """Tell what one particle holds in a slot."""
     leaves = particles.mean_x, particles.mean_y, jnp.diagonal(particles.covariance).T
-    kind, x, y, spread = (row_of(leaf, slot)[which] for leaf in (particles.object_type, *leaves))
+    kind, x, y, spread = (select_row(one, slot)[which] for one in (particles.object_type, *leaves))
     return Sighting(kind, x, y, spread, kind != NONE)
 
 
 def _hold(particles: SemanticMap, thing: Bystanders, is_there: Array) -> SemanticMap:
     """Enter one thing of the list, leaves [], into the first free slot of every particle."""
     num_objects = particles.object_type.shape[0]
-    slots = column(jnp.arange(num_objects), particles.object_type.ndim)
+    slots = append_axes(jnp.arange(num_objects), particles.object_type.ndim)
     free = jnp.min(jnp.where(particles.object_type == NONE, slots, num_objects), axis=0)
     is_slot = (slots == free[None]) & is_there
     here = jnp.concatenate([is_slot, jnp.zeros_like(is_slot[:1])])
-    own = column(jnp.eye(num_objects + 1, dtype=bool), particles.covariance.ndim)
+    own = append_axes(jnp.eye(num_objects + 1, dtype=bool), particles.covariance.ndim)
     covariance = jnp.where(here[:, None] | here[None], 0.0, particles.covariance)
     return replace(
         particles,

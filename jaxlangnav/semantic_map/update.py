@@ -8,7 +8,7 @@ from jax import Array
 
 from jaxlangnav.messages import SensorParams
 from jaxlangnav.numerics import gaussian
-from jaxlangnav.numerics.batching import column, pick
+from jaxlangnav.numerics.batching import append_axes, lookup
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.association import Association
 from jaxlangnav.semantic_map.particle import SemanticMap, positions
@@ -37,7 +37,7 @@ def condition(
     num_objects, ndim = particle.object_type.shape[0], particle.object_type.ndim
     is_new = _with_robot(association.is_new)
     offset_x, offset_y = association.offset_x, association.offset_y
-    variance = column(jnp.broadcast_to(noise_variance, (num_objects + 1,)), ndim)
+    variance = append_axes(jnp.broadcast_to(noise_variance, (num_objects + 1,)), ndim)
     joint = gaussian.Moments(particle.covariance, particle.mean_x, particle.mean_y)
     joint = gaussian.enter(
         joint, num_objects, is_new, _with_robot(offset_x), _with_robot(offset_y), variance
@@ -52,7 +52,7 @@ def condition(
     )
     # A root of NONE is no slot: a hypothesis on the ground does not move.
     moved_x, moved_y = (
-        pick((after - before)[:num_objects], particle.root)
+        lookup((after - before)[:num_objects], particle.root)
         for after, before in ((joint.mean_x, particle.mean_x), (joint.mean_y, particle.mean_y))
     )
     return replace(

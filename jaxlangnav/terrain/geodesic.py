@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxlangnav.numerics.batching import lead
+from jaxlangnav.numerics.batching import prepend_axes
 from jaxlangnav.pytree import pytree
 from jaxlangnav.terrain.travel import StraightLines
 from jaxlangnav.terrain.view import NEVER, Eye, Stretch, View
@@ -51,9 +51,9 @@ class Geodesic:
         first, last = self._to_turns(from_x, from_y), self._to_turns(to_x, to_y)
         # Of no walls there are no turns, and nothing to take the least of.
         none = 4.0 * NEVER
-        ways = first[..., :, None] + lead(self.between, first.ndim + 1)
-        reached = lead(jnp.min(ways, axis=-2, initial=none), line.ndim + 1)
-        around = jnp.min(reached + lead(last, line.ndim + 1), axis=-1, initial=none)
+        ways = first[..., :, None] + prepend_axes(self.between, first.ndim + 1)
+        reached = prepend_axes(jnp.min(ways, axis=-2, initial=none), line.ndim + 1)
+        around = jnp.min(reached + prepend_axes(last, line.ndim + 1), axis=-1, initial=none)
         return jnp.where(self.walls.is_between(from_x, from_y, to_x, to_y), around, line)
 
     def next_place(
@@ -102,7 +102,7 @@ class Geodesic:
     def _to_turns(self, x: Array, y: Array) -> Array:
         """Compute the straight ways to all turns, f32[..., K]; ``NEVER`` to those out of sight."""
         here = jnp.asarray(x)[..., None], jnp.asarray(y)[..., None]
-        turns = (lead(turn, here[0].ndim) for turn in (self.turn_x, self.turn_y))
+        turns = (prepend_axes(turn, here[0].ndim) for turn in (self.turn_x, self.turn_y))
         turn_x, turn_y = turns
         line = StraightLines().metres(*here, turn_x, turn_y)
         return jnp.where(self.walls.is_between(*here, turn_x, turn_y), NEVER, line)

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.numerics.batching import column
+from jaxlangnav.numerics.batching import append_axes
 from jaxlangnav.pytree import pytree
 from jaxlangnav.terrain.view import NEVER, Eye, OpenField, Stretch
 
@@ -89,7 +89,7 @@ class Walls:
         """Measure how far outside of all shadows a place lies, metres; negative inside of one."""
         off_x, off_y = (x - eye.x)[None], (y - eye.y)[None]
         eye_x, eye_y = jnp.broadcast_to(eye.x, off_x.shape), jnp.broadcast_to(eye.y, off_x.shape)
-        one_x, one_y, other_x, other_y = (column(end, off_x.ndim) for end in self.ends.T)
+        one_x, one_y, other_x, other_y = (append_axes(end, off_x.ndim) for end in self.ends.T)
         a_x, a_y, b_x, b_y = one_x - eye_x, one_y - eye_y, other_x - eye_x, other_y - eye_y
         # Left of the line to the one end and right of that to the other, if the wall runs
         # counter-clockwise about the eye.

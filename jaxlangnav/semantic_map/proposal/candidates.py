@@ -14,7 +14,7 @@ from jax import Array
 
 from jaxlangnav.inputs.object_types import fits, is_anything, label_of
 from jaxlangnav.messages import NONE
-from jaxlangnav.numerics.batching import column, lead, pick, rarely
+from jaxlangnav.numerics.batching import append_axes, lookup, prepend_axes, skip_unless_any
 from jaxlangnav.semantic_map.counts import log_expected
 from jaxlangnav.semantic_map.coverage import Coverage
 from jaxlangnav.semantic_map.params import MapParams
@@ -103,13 +103,13 @@ def list_candidates(
     Returns:
         The candidates.
     """
-    decided = [pick(leaf, query.mention) for leaf in grounding[:-1]]
+    decided = [lookup(leaf, query.mention) for leaf in grounding[:-1]]
     earlier = Grounding(*decided, log_weight=grounding.log_weight)
     # With the robot as the landmark, or with none, the figure stands against the viewer.
     is_viewer = jnp.stack([jnp.zeros_like(query.is_by_object), ~query.is_by_object])
     is_open = ~is_viewer & ~earlier.is_grounded
     is_kind = fits(seen.object_type[None], query.kind[:, None])
-    slots = column(jnp.arange(seen.x.shape[0]), is_kind.ndim - 1)[None]
+    slots = append_axes(jnp.arange(seen.x.shape[0]), is_kind.ndim - 1)[None]
     may_be = is_kind & is_open[:, None] & ((query.excluded[:, None] >> slots) & 1 == 0)
     log_bystander, log_alike = _log_bystanders(seen, query, is_kind, grounding, scene, params)
 
@@ -117,7 +117,7 @@ def list_candidates(
         objects = jnp.broadcast_to(objects, may_be.shape)
         return jnp.concatenate([objects, place[:, None]], axis=1)
 
-    viewer_x, viewer_y, _ = (lead(one, is_open.ndim) for one in jnp.unstack(query.viewer))
+    viewer_x, viewer_y, _ = (prepend_axes(one, is_open.ndim) for one in jnp.unstack(query.viewer))
     return Candidates(
         x=append(seen.x[None], jnp.where(is_viewer, viewer_x, earlier.x)),
         y=append(seen.y[None], jnp.where(is_viewer, viewer_y, earlier.y)),
@@ -145,7 +145,7 @@ def _log_bystanders(
     counted = _counted(seen, is_kind, grounding, scene)
     number, unseen = counted.number, counted.unseen
     expected = functools.partial(log_expected, params=params)
-    log_area = lead(scene.log_area, number.ndim)
+    log_area = prepend_axes(scene.log_area, number.ndim)
     log_one, log_two = (
         expected(jnp.maximum(number - but, 0), unseen, num_pooled=counted.num_pooled)
         for but in (1, 2)
@@ -164,7 +164,7 @@ def _log_bystanders(
     is_alike = label[:, None] == label[None]
     places = scene.log_area, scene.log_unseen, scene.num_pooled
     records = (jnp.concatenate([seen.x, seen.x]), is_alike, seen, *places)
-    found = rarely(
+    found = skip_unless_any(
         jnp.any(is_any, axis=0), lambda given: _of_any_type(*given[1:], params=params), records
     )
     log_of_any, log_gain_of_any = jnp.split(found, 2)
@@ -193,9 +193,9 @@ def _counted(seen: Observed, is_kind: Array, grounding: Grounding, scene: Unexpl
     num_meant = np.zeros(1, np.int32)
     if scene.num_pooled is not None:
         is_counted = jnp.broadcast_to((seen.object_type != NONE)[None], is_kind.shape)
-        num_pooled = lead(scene.num_pooled, ndim)
+        num_pooled = prepend_axes(scene.num_pooled, ndim)
         num_meant = jnp.sum(grounding.slot != NONE, axis=0)[None]
-    number, unseen = jnp.sum(is_counted, axis=1), jnp.exp(lead(scene.log_unseen, ndim))
+    number, unseen = jnp.sum(is_counted, axis=1), jnp.exp(prepend_axes(scene.log_unseen, ndim))
     if num_pooled is not None:
         number = number - num_meant
     return _Counted(is_counted, number, unseen, jnp.asarray(num_meant), num_pooled)
@@ -214,19 +214,19 @@ def _of_any_type(
     # Its type is one of the k that have been seen or one that has not, each as probable. So a thing
     # of a type weighs 1 / (k + 1) of what it would as one called by that type.
     is_there = seen.object_type != NONE
-    unseen = lead(jnp.exp(log_unseen), is_there.ndim)
-    is_earlier = column(jnp.asarray(np.tri(is_there.shape[0], k=-1, dtype=bool)), is_alike.ndim)
+    unseen = prepend_axes(jnp.exp(log_unseen), is_there.ndim)
+    is_earlier = append_axes(jnp.asarray(np.tri(len(is_there), k=-1, dtype=bool)), is_alike.ndim)
     is_new_type = is_there & ~jnp.any(is_alike & is_earlier, axis=1)
     real = is_there.astype(jnp.float32) if seen.existence is None else seen.existence
     if num_pooled is not None:
-        is_alike, num_pooled = is_there[None], lead(num_pooled, is_there.ndim)
+        is_alike, num_pooled = is_there[None], prepend_axes(num_pooled, is_there.ndim)
     number = jnp.sum(jnp.where(is_alike, real[None], 0.0), axis=1)
     others = jnp.maximum(number - real, 0.0)
     expected = functools.partial(log_expected, unseen=unseen, params=params, num_pooled=num_pooled)
     log_one = expected(others)
     log_two = expected(jnp.maximum(others - 1.0, 0.0))
     log_share = -jnp.log1p(jnp.sum(is_new_type, axis=0).astype(jnp.float32))
-    log_weight = lead(log_area, log_one.ndim) - log_one + log_share[None]
+    log_weight = prepend_axes(log_area, log_one.ndim) - log_one + log_share[None]
     if seen.existence is not None:
         log_weight = log_weight + jnp.log(jnp.maximum(seen.existence, 1e-9))
     return jnp.concatenate([log_weight, log_one - log_two])

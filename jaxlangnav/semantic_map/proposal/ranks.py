@@ -16,7 +16,7 @@ from jax import Array
 
 from jaxlangnav.inputs.object_types import fits, is_anything
 from jaxlangnav.messages import NONE
-from jaxlangnav.numerics.batching import apart, lead, rarely
+from jaxlangnav.numerics.batching import insert_axes, prepend_axes, skip_unless_any
 from jaxlangnav.relations import degree, is_on_side, robot_frame
 from jaxlangnav.relations.strength import sign_of_distance, value_of_rank
 from jaxlangnav.semantic_map.counts import log_expected
@@ -68,11 +68,11 @@ def log_rank(
     is_nearest = (query.rank > 0) & ~query.is_order
 
     softness = params.superlative_softness
-    log_nearest = rarely(
+    log_nearest = skip_unless_any(
         is_nearest, lambda here: -_excess(query, here, seen, num_known) / softness, pairs
     )
     # Orders cost more than all the rest.
-    log_order = rarely(
+    log_order = skip_unless_any(
         query.is_order, lambda here: _log_order(query, here, seen, draws, scene, params), pairs
     )
     return log_nearest + log_order
@@ -83,16 +83,16 @@ def _excess(query: Query, pairs: Pairs, seen: Observed, num_known: int) -> Array
     sign = sign_of_distance(query.relation)[None]
 
     def merit(dx: Array, dy: Array) -> Array:
-        return lead(sign, dx.ndim) * (dx * dx + dy * dy + 1e-9)
+        return prepend_axes(sign, dx.ndim) * (dx * dx + dy * dy + 1e-9)
 
     own = merit(pairs.x - pairs.landmark_x, pairs.y - pairs.landmark_y)
     at_x, at_y = (leaf[num_known * num_known :] for leaf in (pairs.landmark_x, pairs.landmark_y))
-    x, y = apart(seen.x, own.ndim + 1), apart(seen.y, own.ndim + 1)
-    is_rival = apart(_is_rival(seen, query), own.ndim + 1)
+    x, y = insert_axes(seen.x, own.ndim + 1), insert_axes(seen.y, own.ndim + 1)
+    is_rival = insert_axes(_is_rival(seen, query), own.ndim + 1)
     away_x, away_y = x - at_x[None], y - at_y[None]
     rival = merit(away_x, away_y)  # [O, landmarks, ...]
     # The thing nearest to the cone is not the cone.
-    is_any = lead(is_anything(query.kind[FIGURE]), rival.ndim)
+    is_any = prepend_axes(is_anything(query.kind[FIGURE]), rival.ndim)
     is_landmark = is_any & (away_x * away_x + away_y * away_y < _TIE**2)
     best = jnp.min(jnp.where(is_rival & ~is_landmark, rival, jnp.inf), axis=0)
     best = jnp.minimum(own, jnp.concatenate([*[best[:num_known]] * num_known, best]))
@@ -108,12 +108,11 @@ def _log_order(
     y = jnp.concatenate([seen.y, draws.unseen_y, pairs.y])
     is_where_said = _is_where_said(query, x, y)
     own = _merit(query, pairs, pairs.x[None], pairs.y[None])[0]
-    others = (apart(part[:num_others], own.ndim + 1) for part in (x, y))
-    merit, counts = _merit(query, pairs, *others), apart(is_where_said, own.ndim + 1)
+    others = (insert_axes(part[:num_others], own.ndim + 1) for part in (x, y))
+    merit, counts = _merit(query, pairs, *others), insert_axes(is_where_said, own.ndim + 1)
     rival, unseen = merit[:num_seen], merit[num_seen:]  # [O, n, ...] and [NUM_UNSEEN, n, ...]
-    is_kind = _is_rival(seen, query)
-    is_rival = counts[:num_seen] & apart(is_kind, rival.ndim)
-    rank = query.rank[None]
+    is_kind, rank = _is_rival(seen, query), query.rank[None]
+    is_rival = counts[:num_seen] & insert_axes(is_kind, rival.ndim)
     meant = value_of_rank(rank, jnp.where(is_rival, rival, jnp.inf), tie=_TIE)
     excess = jnp.maximum(own - meant, 0.0)
 
@@ -122,10 +121,11 @@ def _log_order(
     lacking = jnp.maximum(rank - 1 - before, 0)
     is_counted = is_kind if scene.num_pooled is None else seen.object_type != NONE
     others = jnp.maximum(jnp.sum(is_counted, axis=0) - 1, 0)
-    num_pooled = None if scene.num_pooled is None else lead(scene.num_pooled, others.ndim)
-    unseen_share = jnp.exp(lead(scene.log_unseen, others.ndim))
+    num_pooled = None if scene.num_pooled is None else prepend_axes(scene.num_pooled, others.ndim)
+    unseen_share = jnp.exp(prepend_axes(scene.log_unseen, others.ndim))
     log_more = log_expected(others, unseen_share, params=params, num_pooled=num_pooled)
-    log_new = lead(jnp.log(PLURAL) + log_more, own.ndim) + lead(scene.log_unseen, own.ndim)
+    log_unseen = prepend_axes(scene.log_unseen, own.ndim)
+    log_new = prepend_axes(jnp.log(PLURAL) + log_more, own.ndim) + log_unseen
 
     def log_there(is_there: Array, least: float) -> Array:
         share = jnp.mean(counts[num_seen:num_others] & is_there, axis=0)
@@ -146,16 +146,16 @@ def _is_rival(seen: Observed, query: Query) -> Array:
 def _merit(query: Query, pairs: Pairs, x: Array, y: Array) -> Array:
     """Measure places [k, n, ...] along the order of n landmarks, smaller is earlier."""
     dx, dy = x - pairs.landmark_x[None], y - pairs.landmark_y[None]
-    robot = robot_frame(lead(query.viewer[2], dx.ndim))
+    robot = robot_frame(prepend_axes(query.viewer[2], dx.ndim))
     distance = jnp.sqrt(dx * dx + dy * dy + 1e-9)
     sideways = dx * robot.lateral_x + dy * robot.lateral_y
-    return -degree(lead(query.relation, dx.ndim), distance, sideways)
+    return -degree(prepend_axes(query.relation, dx.ndim), distance, sideways)
 
 
 def _is_where_said(query: Query, x: Array, y: Array) -> Array:
     """Tell which places [n, ...] are on the sides of the robot where the figure is said to be."""
-    viewer_x, viewer_y, heading = (lead(one, x.ndim) for one in jnp.unstack(query.viewer))
+    viewer_x, viewer_y, heading = (prepend_axes(one, x.ndim) for one in jnp.unstack(query.viewer))
     robot = jax.tree.map(lambda leaf: leaf[None], robot_frame(heading))
-    side = apart(query.sides, x.ndim + 1)
+    side = insert_axes(query.sides, x.ndim + 1)
     holds = is_on_side(side, (x - viewer_x)[None], (y - viewer_y)[None], robot)
     return functools.reduce(jnp.logical_and, jnp.unstack(holds))

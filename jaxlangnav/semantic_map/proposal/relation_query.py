@@ -15,7 +15,7 @@ import numpy as np
 from jax import Array
 
 from jaxlangnav.messages import BETWEEN, FAR, NONE, ROBOT, Readings, UtteranceContext
-from jaxlangnav.numerics.batching import lead, pack, pick, rarely, unpack
+from jaxlangnav.numerics.batching import lookup, pack, prepend_axes, skip_unless_any, unpack
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.relations import (
     SIDES,
@@ -78,8 +78,8 @@ class Query(NamedTuple):
         Returns:
             The viewer's frame, or the robot's own where the robot is the landmark.
         """
-        viewer_x, viewer_y, heading = (lead(one, x.ndim) for one in jnp.unstack(self.viewer))
-        is_by_robot = lead(self.is_by_robot, x.ndim)
+        viewer_x, viewer_y, heading = (prepend_axes(v, x.ndim) for v in jnp.unstack(self.viewer))
+        is_by_robot = prepend_axes(self.is_by_robot, x.ndim)
         return jax.tree.map(
             lambda own, seen: jnp.where(is_by_robot, own, seen),
             robot_frame(heading),
@@ -106,7 +106,7 @@ class Query(NamedTuple):
             other = self.viewer[0][None], self.viewer[1][None]
             return between.log_density((x, y), (landmark_x, landmark_y), other)
 
-        log_two = rarely(self.is_between, of_two, (x, y, landmark_x, landmark_y))
+        log_two = skip_unless_any(self.is_between, of_two, (x, y, landmark_x, landmark_y))
         return jnp.where(self.is_between[None], log_two, log_one)
 
     def holds(self, x: Array, y: Array, landmark_x: Array, landmark_y: Array) -> Array:
@@ -259,7 +259,7 @@ def log_viewer_density(spoken: Utterances, log_area: Array, x: Array, y: Array) 
 def queries_of(queries: Query, reading: Array) -> Query:
     """Look up what particles hear that believe the readings i32[P]: leaves [J, ..., P]."""
     rows = pack(queries).T[..., None]
-    return unpack(pick(rows, jnp.broadcast_to(reading, (rows.shape[1], *reading.shape))), queries)
+    return unpack(lookup(rows, jnp.broadcast_to(reading, (rows.shape[1], *reading.shape))), queries)
 
 
 def _paired(one: Readings) -> tuple[Readings, Array]:

@@ -30,7 +30,7 @@ from jax import Array
 from jaxlangnav.inputs.object_types import is_anything
 from jaxlangnav.messages import NONE
 from jaxlangnav.numerics import categorical
-from jaxlangnav.numerics.batching import column, lead, once, pick
+from jaxlangnav.numerics.batching import append_axes, lookup, materialize, prepend_axes
 from jaxlangnav.semantic_map.coverage import log_miss_at
 from jaxlangnav.semantic_map.params import MapParams
 from jaxlangnav.semantic_map.proposal.candidates import (
@@ -72,9 +72,9 @@ def ground_relation(
         The carry with figure and landmark decided; unchanged where the reading has no such
         relation.
     """
-    query = once(_from_other(_apart(query, grounding), grounding))
+    query = materialize(_from_other(_apart(query, grounding), grounding))
     ends = list_candidates(seen, query, grounding, scene, params=params)
-    ways = once(propose(query, ends, draws, params.relations))
+    ways = materialize(propose(query, ends, draws, params.relations))
     num_known = ends.x.shape[1]
     rank = log_rank(query, ways.told, seen, draws, scene, params=params, num_known=num_known)
     log_weight = _weigh(query, ends, ways, rank, scene, params.misleading)
@@ -101,7 +101,7 @@ def _apart(query: Query, grounding: Grounding) -> Query:
 def _from_other(query: Query, grounding: Grounding) -> Query:
     """See what lies between two landmarks from the other one, which is neither of the ends."""
     table = jnp.stack([grounding.x, grounding.y, grounding.slot.astype(jnp.float32)], axis=1)
-    other = pick(table, jnp.broadcast_to(query.other, table.shape[1:]))
+    other = lookup(table, jnp.broadcast_to(query.other, table.shape[1:]))
     slot = jnp.where(query.is_between, other[2], NONE).astype(jnp.int32)
     taken = jnp.where(slot == NONE, 0, jnp.left_shift(1, slot))
     return query._replace(
@@ -116,12 +116,12 @@ def _log_prior_known(ends: Candidates) -> Array:
     size = ends.x.shape[1]
     log_prior = ends.log_prior[FIGURE][:, None] + ends.log_prior[LANDMARK][None]
     is_both = np.arange(size) < size - 1
-    is_both = column(jnp.asarray(is_both[:, None] & is_both[None]), log_prior.ndim)
+    is_both = append_axes(jnp.asarray(is_both[:, None] & is_both[None]), log_prior.ndim)
     room = ((0, 1), (0, 1), *((0, 0),) * (log_prior.ndim - 2))
     log_prior = log_prior + jnp.where(is_both, jnp.pad(ends.log_alike, room), 0.0)
     # The last candidates are places decided earlier, not objects.
     is_same = jnp.asarray(np.diag(np.arange(size) < size - 1))
-    log_prior = jnp.where(column(is_same, log_prior.ndim), -jnp.inf, log_prior)
+    log_prior = jnp.where(append_axes(is_same, log_prior.ndim), -jnp.inf, log_prior)
     return log_prior.reshape(size * size, *log_prior.shape[2:])
 
 
@@ -136,7 +136,7 @@ def _weigh(
     """Weigh all ways to ground a relation: prior · f m / q, f32[W, ...] log-weights."""
     size, ndim = ends.x.shape[1], ways.new_x.ndim
     known, new = slice(size * size), slice(size * size, None)
-    log_area, log_unseen = lead(scene.log_area, ndim), lead(scene.log_unseen, ndim)
+    log_area, log_unseen = prepend_axes(scene.log_area, ndim), prepend_axes(scene.log_unseen, ndim)
     log_density = query.log_density(*ways.told)
     is_told = (query.relation != NONE)[None]
     log_holds = jnp.where(is_told, jnp.log1p(-misleading), -jnp.inf) + log_rank
@@ -173,9 +173,9 @@ def _log_new(query: Query, ways: Proposals, log_density: Array, scene: Unexplore
         [log_miss[:size], log_miss[size : 2 * size] + log_ratio, log_miss[2 * size :]]
     )
     # Drawn from all that is unseen, q is m / u A.
-    log_anywhere = log_density + lead(scene.log_unseen + scene.log_area, log_miss.ndim)
+    log_anywhere = log_density + prepend_axes(scene.log_unseen + scene.log_area, log_miss.ndim)
     # There are several of the figures, not of what they are placed against.
-    row = column(jnp.arange(log_miss.shape[0]), log_miss.ndim)
+    row = append_axes(jnp.arange(log_miss.shape[0]), log_miss.ndim)
     is_plural = query.is_order[None] & ((row < size) | (row >= 2 * size))
     log_anywhere = log_anywhere + jnp.where(is_plural, jnp.log(PLURAL), 0.0)
     return jnp.where(query.is_anywhere[None], log_anywhere, log_drawn)
@@ -212,7 +212,7 @@ def _enter(
     is_valid = query.mention[FIGURE] != NONE
     is_decided = ends.is_open & is_valid[None]
     entered_by = jnp.where(is_decided & (query.kind >= 0), query.mention, NONE)
-    mentions = column(jnp.arange(grounding.slot.shape[0]), query.mention.ndim)
+    mentions = append_axes(jnp.arange(grounding.slot.shape[0]), query.mention.ndim)
     is_figure, is_landmark = (mentions == entered_by[end][None] for end in (FIGURE, LANDMARK))
     # Of each mention, i32[M, ...]: 2 decided now as the figure, 1 as the landmark, or 0.
     source = jnp.where(is_figure, 2, is_landmark.astype(jnp.int32))

@@ -18,7 +18,7 @@ from jax.custom_batching import custom_vmap
 
 from jaxlangnav.messages import NONE, Readings, UtteranceContext
 from jaxlangnav.numerics import batching
-from jaxlangnav.numerics.batching import pack, row_of, take, unpack
+from jaxlangnav.numerics.batching import pack, select_row, take, unpack
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.belief import ParticleBelief, is_led, mean_drift
 from jaxlangnav.semantic_map.coverage import Coverage, area_size, sample_unseen
@@ -139,7 +139,7 @@ def _ground(
     num_relations = jnp.max(jnp.sum(query.mention[:, FIGURE] != NONE, axis=0))
 
     def body(index: Array, grounding: Grounding) -> Grounding:
-        one, drawn = row_of((query, draws), index)
+        one, drawn = select_row((query, draws), index)
         return ground_relation(seen, one, grounding, drawn, scene, params=params)
 
     nothing = nothing_grounded(num_mentions, *query.relation.shape[1:])
