@@ -24,10 +24,8 @@ def _refuse(words: list[Word], reason: str) -> LanguageError:
 def _check_compound(phrase: Phrase) -> None:
     """Refuse a noun phrase whose modifying noun is an object type of its own."""
     nouns = [word for word in phrase.words if word.tag.startswith("NN")]
-    foreign = [word for word in phrase.words if "foreign" in word.senses]
-    if foreign:
-        words = [w for w in phrase.words if w.tag.startswith("NN")]
-        raise _refuse(words, "is no object I know; name another")
+    if phrase.says("foreign"):
+        raise _refuse(nouns, "is no object I know; name another")
     for word, following in pairwise(nouns):
         if _type_of(word) is not None:
             raise _refuse([word, following], "names no one object; name one")

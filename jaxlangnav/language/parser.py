@@ -236,7 +236,7 @@ def parse(
     if not reader.tokens:
         raise LanguageError("the instruction is empty")
     if not is_rewritten:
-        return _read_plain(text, reader, reader.tokens, earlier)
+        return _read(text, reader, reader.tokens, earlier, is_measured=False)
     try:
         as_said = _read(text, reader, reader.tokens, earlier)
     except LanguageError as error:
@@ -289,23 +289,11 @@ def _read(
     said: list[SpokenToken],
     earlier: Antecedent | None,
     *,
+    is_measured: bool = True,
     is_blame_sought: bool = True,
 ) -> Parse:
     """Read the words of an instruction; a refusal names the true cause where that is sought."""
-    plain, measured = take_out(said)
-    found = _read_plain(text, reader, plain, earlier, is_blame_sought=is_blame_sought)
-    return replace(found, measures=of_clauses(found.clauses, measured))
-
-
-def _read_plain(
-    text: str,
-    reader: _Reader,
-    spoken: list[SpokenToken],
-    earlier: Antecedent | None,
-    *,
-    is_blame_sought: bool = True,
-) -> Parse:
-    """Read words of the controlled language."""
+    spoken, measured = take_out(said) if is_measured else (said, [])
     _check_symbols(spoken)
     tokens = _to_tokens(spoken, reader.labels)
     unknown = [one for one in tokens if one.terminal.startswith("?") and one.terminal != NOUN]
@@ -331,7 +319,7 @@ def _read_plain(
         unknown_words=tuple(builder.unknown),
         repairs=tuple(reader.repairs),
         probability=probability,
-        measures=of_clauses(clauses, []),
+        measures=of_clauses(clauses, measured),
     )
 
 
