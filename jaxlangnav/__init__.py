@@ -28,16 +28,10 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
-_HOMES = {
-    "Action": "jaxlangnav.messages",
+_MESSAGES = ("Action", "Behavior", "Fault", "Observation", "SensorParams", "Status")
+_HOMES = dict.fromkeys((*_MESSAGES, "default_sensor"), "jaxlangnav.messages") | {
     "AnnotationGrounder": "jaxlangnav.grounding.annotated",
-    "Behavior": "jaxlangnav.messages",
-    "Fault": "jaxlangnav.messages",
     "Navigator": "jaxlangnav.navigator.api",
-    "Observation": "jaxlangnav.messages",
-    "SensorParams": "jaxlangnav.messages",
-    "Status": "jaxlangnav.messages",
-    "default_sensor": "jaxlangnav.messages",
     "fit_relations": "jaxlangnav.relations.fit",
     "follow": "jaxlangnav.task.follow",
     "keep_compiled_programs": "jaxlangnav.cli.runtime",

@@ -6,7 +6,7 @@ import numpy as np
 
 from jaxlangnav.messages import default_sensor
 from jaxlangnav.planner import policy
-from jaxlangnav.planner.blocked import start_of_way
+from jaxlangnav.planner.blocked import start_progress
 from jaxlangnav.planner.goals import Goals
 from jaxlangnav.planner.graph import Nodes
 from jaxlangnav.planner.params import default_planner_params
@@ -73,7 +73,7 @@ def situation(
         robot_x=x,
         robot_y=y,
         sensor=default_sensor(RANGE),
-        way=start_of_way(jnp.zeros(3)),
+        way=start_progress(jnp.zeros(3)),
         may_ask=jnp.asarray(True),
         has_chosen=jnp.asarray(False),
         is_find=find,

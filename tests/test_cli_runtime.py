@@ -12,7 +12,7 @@ import pytest
 
 from jaxlangnav.cli.main import DEBUG, XLA_LOG_LEVEL, main
 from jaxlangnav.cli.runtime import keep_compiled_programs
-from jaxlangnav.inputs.program_cache import keep_in, kept_in
+from jaxlangnav.inputs.program_cache import cache_dir, set_cache_dir
 
 SETTINGS = ("jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
 
@@ -25,7 +25,7 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     yield tmp_path / "home"
-    keep_in(None)
+    set_cache_dir(None)
     for name, value in before.items():
         jax.config.update(name, value)
 
@@ -38,7 +38,7 @@ def test_both_caches_are_closed_to_others(home: Path, capsys: pytest.CaptureFixt
     keep_compiled_programs()
     cache = home / ".cache" / "jaxlangnav"
     assert jax_folder() == str(cache / "xla")
-    assert kept_in() == cache / "programs"
+    assert cache_dir() == cache / "programs"
     for folder in (home, home / ".cache", cache, cache / "xla", cache / "programs"):
         assert stat.S_IMODE(folder.stat().st_mode) == 0o700
     assert capsys.readouterr().err == ""
@@ -48,7 +48,7 @@ def test_a_folder_named_for_jax_is_taken_if_nobody_else_can_write_it(tmp_path: P
     jax.config.update("jax_compilation_cache_dir", str(tmp_path / "jax"))
     keep_compiled_programs()
     assert jax_folder() == str(tmp_path / "jax")
-    assert kept_in() == tmp_path / "jax" / "programs"
+    assert cache_dir() == tmp_path / "jax" / "programs"
 
 
 @pytest.mark.parametrize("shared", ["folder", "address"])
@@ -59,7 +59,7 @@ def test_a_shared_folder_named_for_jax_is_left_to_jax(shared, home, tmp_path, ca
     jax.config.update("jax_compilation_cache_dir", named)
     keep_compiled_programs()
     assert jax_folder() == named
-    assert kept_in() == home / ".cache" / "jaxlangnav" / "programs"
+    assert cache_dir() == home / ".cache" / "jaxlangnav" / "programs"
     assert not list((tmp_path / "jax").iterdir())
     assert capsys.readouterr().err == ""
 
@@ -72,7 +72,7 @@ def test_where_others_can_write_nothing_is_kept_and_that_is_said_once(
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "shared"))
     keep_compiled_programs()
     assert jax_folder() is None
-    assert kept_in() is None
+    assert cache_dir() is None
     found = capsys.readouterr()
     assert found.out == ""
     assert found.err == (
@@ -86,7 +86,7 @@ def test_where_no_folder_can_be_made_nothing_is_kept(tmp_path, monkeypatch, caps
     (tmp_path / "file").write_text("in the way")
     monkeypatch.setenv("HOME", str(tmp_path / "file/cache"))
     keep_compiled_programs()
-    assert (jax_folder(), kept_in()) == (None, None)
+    assert (jax_folder(), cache_dir()) == (None, None)
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("compiled programs are not kept: ")
 
@@ -97,7 +97,7 @@ def test_who_wants_no_cache_has_none(home: Path) -> None:
         keep_compiled_programs()
     finally:
         jax.config.update("jax_enable_compilation_cache", True)
-    assert (jax_folder(), kept_in()) == (None, None)
+    assert (jax_folder(), cache_dir()) == (None, None)
     assert not home.exists()
 
 

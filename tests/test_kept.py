@@ -19,7 +19,7 @@ import pytest
 from jax.experimental.compilation_cache import compilation_cache
 
 from jaxlangnav.inputs import program_cache as module
-from jaxlangnav.inputs.program_cache import keep_in, kept, kept_in
+from jaxlangnav.inputs.program_cache import cache_dir, cached_jit, set_cache_dir
 from jaxlangnav.inputs.program_serialization import load_program
 from jaxlangnav.messages import default_motion
 from jaxlangnav.navigator import NavigatorConfig
@@ -45,14 +45,14 @@ def said() -> list[str]:
 @pytest.fixture
 def folder(tmp_path: Path, said: list[str]) -> Iterator[Path]:
     TRACES.clear()
-    keep_in(tmp_path / "whole", say=said.append)
+    set_cache_dir(tmp_path / "whole", say=said.append)
     yield tmp_path / "whole"
-    keep_in(None)
+    set_cache_dir(None)
 
 
 def another_process() -> Callable:
     """A wrapper that knows of nothing but the folder."""
-    return kept(static_argnames=("times",))(noisy)
+    return cached_jit(static_argnames=("times",))(noisy)
 
 
 def same(one, other) -> None:
@@ -99,7 +99,7 @@ def test_what_others_have_written_is_not_kept(folder: Path, policy, number: int)
         return x + config.map.num_cells
 
     config = NavigatorConfig(planner=PlannerConfig(policy=policy))
-    call = kept(static_argnames=("config",))(cells)
+    call = cached_jit(static_argnames=("config",))(cells)
     np.testing.assert_array_equal(call(jnp.zeros(2), config=config), 36.0)
     assert len(list(folder.glob("*.program"))) == number
 
@@ -180,8 +180,8 @@ def test_what_is_kept_is_the_users_alone_or_nothing_is(folder: Path, tmp_path: P
     folder.chmod(0o777)
     for refused, why in (folder, "others can enter it"), (folder / "below", "others can write in"):
         with pytest.raises(PermissionError, match=why):
-            keep_in(refused)
-        assert kept_in() is None
+            set_cache_dir(refused)
+        assert cache_dir() is None
     assert list(folder.iterdir()) == [path]
 
 
@@ -191,7 +191,7 @@ def test_another_process_runs_what_is_kept(folder: Path) -> None:
     script = (
         f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
         "import jax, test_kept as t; from pathlib import Path\n"
-        f"t.keep_in(Path({str(folder)!r}))\n"
+        f"t.set_cache_dir(Path({str(folder)!r}))\n"
         "record, drawn = t.another_process()(jax.random.key(3), t.default_motion(), times=2)\n"
         "print(t.TRACES, type(record).__name__, drawn.tolist())"
     )
@@ -210,8 +210,8 @@ def with_everything(key: jax.Array, numbers: dict[str, jax.Array]):
 
 def test_every_part_of_a_result_comes_back_as_it_was(folder: Path) -> None:
     arguments = jax.random.key(3), {"b": jnp.ones(3), "a": np.arange(3.0)}
-    first = kept()(with_everything)(*arguments)
-    again = kept()(with_everything)(*arguments)
+    first = cached_jit()(with_everything)(*arguments)
+    again = cached_jit()(with_everything)(*arguments)
     assert len(list(folder.iterdir())) == 1
     assert jax.tree.structure(first) == jax.tree.structure(again)
     for one, other in zip(jax.tree.leaves(first), jax.tree.leaves(again), strict=True):
@@ -233,14 +233,14 @@ def test_what_has_no_form_in_a_file_is_only_compiled(folder: Path, said: list[st
         "keys": lambda x: {0: x},
     }
     for function in functions.values():
-        same(kept()(function)(jnp.eye(2)), jax.jit(function)(jnp.eye(2)))
+        same(cached_jit()(function)(jnp.eye(2)), jax.jit(function)(jnp.eye(2)))
     assert not list(folder.iterdir())
     assert said == []
 
 
 def test_settings_that_watch_what_runs_are_heeded(folder: Path) -> None:
     with jax.debug_nans(True), pytest.raises(FloatingPointError):
-        kept()(lambda x: jnp.log(x))(-jnp.ones(2))
+        cached_jit()(lambda x: jnp.log(x))(-jnp.ones(2))
     assert not list(folder.iterdir())
 
 

@@ -99,7 +99,7 @@ def test_a_jump_is_doubted_once_and_taken_over_when_it_stands() -> None:
     assert int(first.fault) == Fault.JUMP
     assert not bool(first.is_jump)
     np.testing.assert_array_equal(first.observation.pose, POSE)
-    belief = replace(belief, doubted_pose=first.doubted_pose)
+    belief = replace(belief, reported_pose=first.reported_pose)
     # Somewhere else again: doubted as before. Back where it was: as if nothing had been.
     other = by_hand.observation(np.array([9.0, 2.0, 0.0]), [])
     assert not bool(judge(other, belief).is_jump)
@@ -184,7 +184,7 @@ def test_ten_thousand_hostile_looks_leave_a_belief_that_heals() -> None:
         flags = np.array([int(flag) for _, flag in drawn]).reshape(by_hand.SEEDS, by_hand.STEPS)
         assert ((np.asarray(info.fault) & flags) == flags).all()
         assert_sound(beliefs)
-        for leaf in (beliefs.coverage.log_miss, beliefs.last_pose, beliefs.doubted_pose):
+        for leaf in (beliefs.coverage.log_miss, beliefs.last_pose, beliefs.reported_pose):
             assert np.isfinite(np.asarray(leaf)).all()
     # Nothing of them is believed: not an object, not a place looked at.
     assert (np.asarray(beliefs.particles.object_type) == NONE).all()

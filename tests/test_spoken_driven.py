@@ -145,7 +145,7 @@ def _finish(way: Way) -> tuple[jax.Array, jax.Array, jax.Array]:
     return way.at, way.progress.navigator.status, way.progress.steps
 
 
-COURSE = lanes.Course(_begin, _advance, _finish, lambda way: way.progress)
+COURSE = lanes.EpisodeProgram(_begin, _advance, _finish, lambda way: way.progress)
 
 
 def follow(

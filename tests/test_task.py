@@ -47,9 +47,9 @@ def test_refusals_are_one_line(text: str, options: dict, message: str) -> None:
 @pytest.fixture
 def as_commands_do(tmp_path: Path) -> Iterator[None]:
     """Keep programs, as commands do: the episode's is then the one that their tests compile."""
-    program_cache.keep_in(tmp_path / "programs")
+    program_cache.set_cache_dir(tmp_path / "programs")
     yield
-    program_cache.keep_in(None)
+    program_cache.set_cache_dir(None)
 
 
 @pytest.mark.usefixtures("as_commands_do")

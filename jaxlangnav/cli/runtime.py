@@ -34,7 +34,7 @@ def keep_compiled_programs() -> None:
     import jax
 
     from jaxlangnav.inputs.own_files import check_own_files, own_folder
-    from jaxlangnav.inputs.program_cache import keep_in
+    from jaxlangnav.inputs.program_cache import set_cache_dir
 
     if not getattr(jax.config, "jax_enable_compilation_cache", True):
         return
@@ -51,7 +51,7 @@ def keep_compiled_programs() -> None:
         if named and "://" not in named:
             with contextlib.suppress(OSError):
                 programs = own_folder(Path(named) / "programs")
-        keep_in(programs or own_folder(_cache_folder("programs")), say=say)
+        set_cache_dir(programs or own_folder(_cache_folder("programs")), say=say)
     except OSError as error:
         say(f"compiled programs are not kept: {one_line(error)}")
 

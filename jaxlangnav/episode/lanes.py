@@ -20,7 +20,7 @@ from jaxlangnav.navigator import NavigatorConfig
 from jaxlangnav.pytree import pytree, replace, strong
 
 
-class Course(NamedTuple):
+class EpisodeProgram(NamedTuple):
     """What lanes run: an episode, or one with more kept of it; part of the compiled program."""
 
     begin: Callable[..., Any]
@@ -35,7 +35,7 @@ class Course(NamedTuple):
     """Takes out of a state whether it is over, even before time is."""
 
 
-EPISODE = Course(
+EPISODE = EpisodeProgram(
     begin=begin,
     advance=advance,
     finish=finish,
@@ -71,7 +71,7 @@ def run_batch(
     num_lanes: int = 32,
     max_steps: int = MAX_STEPS,
     count: Array | int | None = None,
-    course: Course = EPISODE,
+    course: EpisodeProgram = EPISODE,
 ) -> Any:
     """Run many episodes in lanes that are refilled as episodes end.
 
@@ -121,7 +121,7 @@ def _run_batch(
     config: NavigatorConfig,
     num_lanes: int,
     max_steps: int,
-    course: Course,
+    course: EpisodeProgram,
 ) -> Any:
     """Run a batch whose arrays have types of their own, see ``run_batch``."""
     capacity = tasks.instruction_index.shape[0]
@@ -156,7 +156,7 @@ def _refilled(
     state: Any,
     is_over: Array,
     number: Array,
-    course: Course,
+    course: EpisodeProgram,
     load: Callable[[Array], Any],
 ) -> _Lanes:
     """Store the results of the lanes that are over, bool[L], and give these their next tasks."""

@@ -20,7 +20,7 @@ from jaxlangnav.grounding.asked import asked
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.inputs.limits import refuse_below
 from jaxlangnav.inputs.object_types import label_of
-from jaxlangnav.inputs.program_cache import kept
+from jaxlangnav.inputs.program_cache import cached_jit
 from jaxlangnav.language.lexicon import load_lexicon
 from jaxlangnav.messages import NONE, Observation, SensorParams, Status
 from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams, NavigatorState
@@ -29,7 +29,7 @@ from jaxlangnav.world.simulator import known_distance
 from jaxlangnav.world.state import Scenario, WorldState
 
 
-class Ear(Protocol):
+class UtteranceSource(Protocol):
     """What a robot hears while an episode runs."""
 
     def begin(self, progress: EpisodeState) -> EpisodeState:
@@ -94,7 +94,7 @@ def play(
     params: NavigatorParams,
     config: NavigatorConfig,
     max_steps: int = MAX_STEPS,
-    ear: Ear | None = None,
+    ear: UtteranceSource | None = None,
 ) -> Iterator[tuple[Frame, EpisodeResult]]:
     """Run an episode step by step, early exit included.
 
@@ -161,13 +161,13 @@ def record(
     return stack_frames(scene, [frame for frame, _ in steps], steps[-1][1])
 
 
-@kept(static_argnames=("config",))
+@cached_jit(static_argnames=("config",))
 def _begin(task: Task, instructions: Instruction, *, config: NavigatorConfig) -> EpisodeState:
     """Compile ``episode.begin``: eager, its many small operations would take seconds."""
     return episode.begin(task, instructions, config=config)
 
 
-@kept(static_argnames=("config",))
+@cached_jit(static_argnames=("config",))
 def _advance(
     progress: EpisodeState, *, params: NavigatorParams, config: NavigatorConfig
 ) -> tuple[EpisodeState, Frame, EpisodeResult]:

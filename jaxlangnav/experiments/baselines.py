@@ -23,7 +23,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxlangnav.episode import EpisodeResult, Task
-from jaxlangnav.episode.lanes import Course
+from jaxlangnav.episode.lanes import EpisodeProgram
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.messages import Action, Observation, SensorParams, Status
 from jaxlangnav.navigator import NavigatorConfig
@@ -271,8 +271,8 @@ def _finish(run: _Run) -> EpisodeResult:
     )
 
 
-def _course(advance: Callable[..., Any], is_done: Callable[[_Run], Array]) -> Course:
-    return Course(
+def _course(advance: Callable[..., Any], is_done: Callable[[_Run], Array]) -> EpisodeProgram:
+    return EpisodeProgram(
         begin=_begin, advance=advance, finish=_finish, progress=lambda run: run, is_done=is_done
     )
 

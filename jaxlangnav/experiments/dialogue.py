@@ -14,7 +14,7 @@ from jax import Array
 from jaxlangnav import episode
 from jaxlangnav.dialogue import Joined, Words, first_words, join
 from jaxlangnav.episode import EpisodeResult, EpisodeState, Task
-from jaxlangnav.episode.lanes import Course
+from jaxlangnav.episode.lanes import EpisodeProgram
 from jaxlangnav.experiments.monte_carlo import OnProgress, run_tasks
 from jaxlangnav.grounding import load_shipped, understand
 from jaxlangnav.grounding.instruction import Instruction
@@ -165,7 +165,7 @@ def _finish(lane: _Lane) -> Exchange:
     )
 
 
-_TALK = Course(
+_TALK = EpisodeProgram(
     begin=_begin,
     advance=_advance,
     finish=_finish,

@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from jaxlangnav.episode import EpisodeState, advance, begin, finish
-from jaxlangnav.episode.lanes import Course
+from jaxlangnav.episode.lanes import EpisodeProgram
 from jaxlangnav.experiments.calibration import Reliability, Tally, nothing, tally_step
 from jaxlangnav.experiments.metrics import wilson_interval
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams
@@ -31,7 +31,7 @@ def _advance_judged(
     return _Judged(progress=after, tally=jax.tree.map(operator.add, state.tally, one)), None
 
 
-JUDGED = Course(
+JUDGED = EpisodeProgram(
     begin=lambda *given, config: _Judged(progress=begin(*given, config=config), tally=nothing()),
     advance=_advance_judged,
     finish=lambda state: (finish(state.progress), state.tally),

@@ -21,7 +21,7 @@ import numpy as np
 from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 
 from jaxlangnav.episode import MAX_STEPS, Task
-from jaxlangnav.episode.lanes import EPISODE, Course, run_batch
+from jaxlangnav.episode.lanes import EPISODE, EpisodeProgram, run_batch
 from jaxlangnav.experiments.tasks import take_tasks
 from jaxlangnav.navigator import NavigatorConfig
 from jaxlangnav.pytree import strong
@@ -127,7 +127,7 @@ def run_round(
     *,
     config: NavigatorConfig,
     max_steps: int = MAX_STEPS,
-    course: Course = EPISODE,
+    course: EpisodeProgram = EPISODE,
 ) -> list[Any]:
     """Run one call of the program, a chunk on each device.
 
@@ -161,7 +161,7 @@ def run_round(
     ]
 
 
-def _program(inputs: Any, config: NavigatorConfig, max_steps: int, course: Course) -> Any:
+def _program(inputs: Any, config: NavigatorConfig, max_steps: int, course: EpisodeProgram) -> Any:
     """Compile the batch for these shapes once, whichever thread asks first."""
     kinds = [jax.typeof(leaf) for leaf in jax.tree.leaves(inputs)]
     name = (config, max_steps, course, LANES, mesh(), tuple(kinds))
@@ -171,7 +171,7 @@ def _program(inputs: Any, config: NavigatorConfig, max_steps: int, course: Cours
         return _programs[name]
 
 
-def _sharded(config: NavigatorConfig, max_steps: int, course: Course) -> Any:
+def _sharded(config: NavigatorConfig, max_steps: int, course: EpisodeProgram) -> Any:
     """Spread the batch of one device over all of them."""
 
     def on_one_device(tasks: Task, instructions: Any, params: Any, count: jax.Array) -> Any:
@@ -257,7 +257,7 @@ def run_tasks(
     on_progress: OnProgress | None = None,
     num_threads: int | None = None,
     max_steps: int = MAX_STEPS,
-    course: Course = EPISODE,
+    course: EpisodeProgram = EPISODE,
 ) -> Any:
     """Run tasks of any number through one compiled program, on all cores and devices.
 

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxlangnav.episode import MAX_STEPS, EpisodeResult, Task
-from jaxlangnav.episode.lanes import EPISODE, Course
+from jaxlangnav.episode.lanes import EPISODE, EpisodeProgram
 from jaxlangnav.experiments.baselines import BASELINES
 from jaxlangnav.experiments.calibration import Tally
 from jaxlangnav.experiments.judging import JUDGED
@@ -126,7 +126,7 @@ class Arm:
     """Sets its worlds otherwise."""
 
     @property
-    def course(self) -> Course:
+    def course(self) -> EpisodeProgram:
         """What lanes run where nothing is judged."""
         return BASELINES.get(self.policy, EPISODE)
 

@@ -18,7 +18,7 @@ from jax.typing import ArrayLike
 
 from jaxlangnav.episode import Task
 from jaxlangnav.grounding.instruction import Instruction
-from jaxlangnav.inputs.program_cache import kept
+from jaxlangnav.inputs.program_cache import cached_jit
 from jaxlangnav.messages import MotionParams, SensorParams, default_motion, default_sensor
 from jaxlangnav.world.places import PlaceLaw, draw_place
 from jaxlangnav.world.scenario import draw_scenario, scenario_law
@@ -130,7 +130,7 @@ def cell(
     )
 
 
-@kept()
+@cached_jit()
 def _draw(described: dict[str, Any], *of_episode: ArrayLike) -> Task:
     """Draw each episode's key by its number and its world by the world's; leaves [BLOCK, …].
 
@@ -165,7 +165,7 @@ def _scenario(key: Array, cell: dict[str, Any]) -> Scenario:
     )
 
 
-@kept(static_argnames=("number",))
+@cached_jit(static_argnames=("number",))
 def _first(tasks: Task, *, number: int) -> Task:
     """Take the first of some tasks: one program for all leaves."""
     return jax.tree.map(lambda leaf: leaf[:number], tasks)

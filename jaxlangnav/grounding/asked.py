@@ -16,7 +16,7 @@ from jaxlangnav.grounding.behavior import BehaviorProgram, infer_behavior
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.grounding.worlds import World, to_device
 from jaxlangnav.inputs.object_types import name_of
-from jaxlangnav.inputs.program_cache import kept
+from jaxlangnav.inputs.program_cache import cached_jit
 from jaxlangnav.messages import (
     ACTIONS,
     MODES,
@@ -50,7 +50,7 @@ class Asked:
     against: tuple[int, ...] = ()  # mentions that the goal is placed against, and theirs
 
 
-@kept()
+@cached_jit()
 def _infer_once(program: BehaviorProgram, world: BehaviorWorld) -> Behavior:
     """Infer one command in one world, compiled."""
     return infer_behavior(program, world, num_phrases=program.num_phrases)

@@ -67,6 +67,12 @@ MOVED = {
     "training.search_many": "grounding.search",
 }
 """In the package: old names and new ones. An entry goes after one release."""
+RENAMED = {
+    "kept": {"kept": "cached_jit", "keep_in": "set_cache_dir", "kept_in": "cache_dir"},
+    "lanes": {"Course": "EpisodeProgram"},
+    "listening": {"Heard": "UtteranceOutcome"},
+}
+"""Of a module that has moved: what it called otherwise."""
 
 
 class _Moved(importlib.abc.MetaPathFinder, importlib.abc.Loader):
@@ -86,13 +92,14 @@ class _Moved(importlib.abc.MetaPathFinder, importlib.abc.Loader):
 
     def exec_module(self, module: ModuleType) -> None:
         """Take over what the new module defines."""
-        old = module.__name__
-        if old.removeprefix("jaxlangnav.") not in MOVED:
+        old = module.__name__.removeprefix("jaxlangnav.")
+        if old not in MOVED:
             return
-        new = f"jaxlangnav.{MOVED[old.removeprefix('jaxlangnav.')]}"
-        warnings.warn(f"{old} is now {new}", DeprecationWarning, stacklevel=2)
+        new = f"jaxlangnav.{MOVED[old]}"
+        warnings.warn(f"jaxlangnav.{old} is now {new}", DeprecationWarning, stacklevel=2)
         names = vars(importlib.import_module(new))
         vars(module).update({name: one for name, one in names.items() if name[:2] != "__"})
+        vars(module).update({name: names[now] for name, now in RENAMED.get(old, {}).items()})
 
 
 def know_old_names() -> None:

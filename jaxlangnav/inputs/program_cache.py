@@ -54,7 +54,7 @@ _say: Callable[[str], None] = warnings.warn
 _has_said = False
 
 
-def keep_in(folder: Path | None, *, say: Callable[[str], None] = warnings.warn) -> None:
+def set_cache_dir(folder: Path | None, *, say: Callable[[str], None] = warnings.warn) -> None:
     """Name the folder of kept programs, for the rest of the process; None keeps none.
 
     Args:
@@ -78,8 +78,10 @@ def _tell_once(text: str) -> None:
         _say(text)
 
 
-def kept(*, static_argnames: tuple[str, ...] = ()) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Compile a function as ``jax.jit`` does, and keep its programs where ``keep_in`` says.
+def cached_jit(
+    *, static_argnames: tuple[str, ...] = ()
+) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Compile a function as ``jax.jit`` does, and keep its programs where ``set_cache_dir`` says.
 
     Args:
         static_argnames: keyword arguments that are part of the program; told apart by ``repr``.
@@ -96,7 +98,7 @@ def kept(*, static_argnames: tuple[str, ...] = ()) -> Callable[[Callable[P, R]],
 
         @functools.wraps(jitted)
         def call(*args: P.args, **kwargs: P.kwargs) -> R:
-            folder = kept_in()
+            folder = cache_dir()
             if folder is None:
                 return jitted(*args, **kwargs)
             static = {name: kwargs[name] for name in static_argnames if name in kwargs}
@@ -134,7 +136,7 @@ class _Program:
         return self._call(leaves)
 
 
-def kept_in() -> Path | None:
+def cache_dir() -> Path | None:
     """Tell in which folder programs are kept; None unless it is named and one CPU all there is."""
     is_plain = jax.default_backend() == "cpu" and jax.device_count() == 1
     is_watched = any(getattr(jax.config, name) for name in _WATCHING)

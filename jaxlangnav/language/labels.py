@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxlangnav.inputs.program_cache import kept
+from jaxlangnav.inputs.program_cache import cached_jit
 from jaxlangnav.language.phrase import Phrase
 from jaxlangnav.messages import RELATIONS
 from jaxlangnav.relations import holds
@@ -43,7 +43,7 @@ class PlacedWorld:
     attributes: tuple[int, ...] = ()  # of each object, codes of ``attributes``; or of none
 
 
-@kept()
+@cached_jit()
 def _all_relations(places: Array, viewer: Array, heading: Array) -> Array:
     """Evaluate all relations: bool[6, N, N + 1], landmark N is the robot."""
     own_heading: Any = heading

@@ -35,7 +35,7 @@ from jaxlangnav.navigator import NavigatorConfig, NavigatorInfo, NavigatorParams
 from jaxlangnav.navigator.candidates import Candidate, candidates, mentioned_types, unseen_types
 from jaxlangnav.navigator.canonicalize import canonicalize, check_set_sizes, check_state
 from jaxlangnav.navigator.deployment import deployment_config, deployment_params, with_numbers
-from jaxlangnav.navigator.interpret import Heard, Listener, check_measures
+from jaxlangnav.navigator.interpret import Listener, UtteranceOutcome, check_measures
 from jaxlangnav.planner.config import AnyPolicy
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.gating import check_place
@@ -277,7 +277,7 @@ class Navigator:
             _log.warning("%s: %s", cut(text), note)
         return state
 
-    def take(self, state: NavigatorState, text: str) -> tuple[NavigatorState, Heard]:
+    def take(self, state: NavigatorState, text: str) -> tuple[NavigatorState, UtteranceOutcome]:
         """Take in an utterance: a conversation is a stream of them.
 
         A command takes the place of the task, an addition ("then …") comes after it. A statement

@@ -28,16 +28,16 @@ from jaxlangnav.messages import (
     default_sensor,
 )
 from jaxlangnav.navigator.records import (
+    InferredTask,
     NavigatorConfig,
     NavigatorParams,
     NavigatorState,
-    Outlook,
-    act,
-    carry_on,
+    make_action,
+    update_task_state,
 )
 from jaxlangnav.numerics.batching import select_row
 from jaxlangnav.planner import graph, policy
-from jaxlangnav.planner.blocked import keep_watch, start_of_way
+from jaxlangnav.planner.blocked import start_progress, update_progress
 from jaxlangnav.planner.goals import Goals, gather
 from jaxlangnav.planner.relevance import bears_on_goal, believed_groups, has_open_partner
 from jaxlangnav.pytree import pytree, replace, strong
@@ -110,7 +110,7 @@ def start(
         talk=dialogue.begin_conversation(
             instruction, belief.last_pose, config.map.num_objects, words
         ),
-        way=start_of_way(belief.last_pose),
+        way=start_progress(belief.last_pose),
     )
 
 
@@ -151,17 +151,17 @@ def step(
         range_max=jnp.where(fault == 0, sensor.range_max, usual.range_max),
         field_of_view=jnp.where(fault == 0, sensor.field_of_view, usual.field_of_view),
     )
-    outlook = _infer(state, fault, params)
-    state, choice = _decide(key, state, outlook, sensor, filter_info.is_news, params, config)
-    after = carry_on(state, outlook, choice, params=params, config=config)
-    action = act(after, outlook, choice, params=params)
+    task = _infer(state, fault, params)
+    state, choice = _decide(key, state, task, sensor, filter_info.is_news, params, config)
+    after = update_task_state(state, task, choice, params=params, config=config)
+    action = make_action(after, task, choice, params=params)
     info = NavigatorInfo(
         filter=filter_info,
         fault=fault,
         choice=choice,
-        goals=outlook.goals,
-        behavior=outlook.expected,
-        robot=jnp.stack([outlook.robot_x, outlook.robot_y]),
+        goals=task.goals,
+        behavior=task.expected,
+        robot=jnp.stack([task.robot_x, task.robot_y]),
     )
     return after, action, info
 
@@ -223,7 +223,7 @@ def _spoken(state: NavigatorState) -> Array:
     return spoken | jnp.any(is_anything(named))
 
 
-def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> Outlook:
+def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> InferredTask:
     """Infer the behavior of the present clause, and where its goal may be (section 3.3)."""
     belief = state.belief
     behavior = infer_clause_behaviors(
@@ -243,7 +243,7 @@ def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> Outl
     group = believed_groups(readings, belief.particles)
     weight = jnp.exp(belief.log_weight)
     robot_x, robot_y = robot_position(belief)
-    return Outlook(
+    return InferredTask(
         fault=fault,
         belief=belief,
         stands=(fault != 0) | state.is_resting,
@@ -267,26 +267,26 @@ def _infer(state: NavigatorState, fault: Array, params: NavigatorParams) -> Outl
 def _decide(
     key: Array,
     state: NavigatorState,
-    outlook: Outlook,
+    task: InferredTask,
     sensor: SensorParams,
     is_news: Array,
     params: NavigatorParams,
     config: NavigatorConfig,
 ) -> tuple[NavigatorState, policy.Decision]:
     """Have the policy decide where to go (section 3.4); ``key`` is the whole cycle's."""
-    goals, planner = outlook.goals, params.planner
-    robot_x, robot_y = outlook.robot_x, outlook.robot_y
+    goals, planner = task.goals, params.planner
+    robot_x, robot_y = task.robot_x, task.robot_y
     visited = graph.visit(state.visited, robot_x, robot_y, planner.visit_spacing)
-    is_find = outlook.expected.action[ACTIONS.index("find")]
-    view = outlook.belief.terrain.view
+    is_find = task.expected.action[ACTIONS.index("find")]
+    view = task.belief.terrain.view
     eye = Eye(robot_x, robot_y, sensor.range_max)
     may_stop = policy.may_stop(goals, eye, is_find, params=planner, view=view)
     situation = policy.Situation(
-        belief=outlook.belief,
+        belief=task.belief,
         nodes=graph.known_nodes(visited, goals.object_x, goals.object_y, goals.is_object),
         goals=goals,
-        constraint=outlook.behavior.constraint,
-        is_relevant=outlook.is_relevant,
+        constraint=task.behavior.constraint,
+        is_relevant=task.is_relevant,
         robot_x=robot_x,
         robot_y=robot_y,
         sensor=sensor,
@@ -295,8 +295,8 @@ def _decide(
         has_chosen=state.talk.approached != NONE,
         is_find=is_find,
         is_news=is_news | state.way.is_news,
-        stands=outlook.stands,
-        may_stop=may_stop & ~outlook.stands,
+        stands=task.stands,
+        may_stop=may_stop & ~task.stands,
         params=planner,
         map_params=params.map,
         spoken=Utterances(
@@ -308,6 +308,6 @@ def _decide(
         config.planner.chosen, jax.random.fold_in(key, _PLANNING), state.memory, situation
     )
     robot, waypoint = (robot_x, robot_y), (choice.next_x, choice.next_y)
-    is_under_way = ~outlook.stands & ~choice.is_stop & ~choice.is_not_found & ~choice.doubt.asks
-    way = keep_watch(state.way, waypoint, robot, is_under_way, patience=config.patience)
+    is_under_way = ~task.stands & ~choice.is_stop & ~choice.is_not_found & ~choice.doubt.asks
+    way = update_progress(state.way, waypoint, robot, is_under_way, patience=config.patience)
     return replace(state, visited=visited, memory=memory, way=way), choice

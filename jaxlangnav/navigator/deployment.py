@@ -74,19 +74,14 @@ _KNOWN: dict[str, dict[str, Quantity]] = {
         "look_cost": Quantity(),
     },
 }
-_RECORDS = {
-    "sensor": SensorParams,
-    "motion": MotionParams,
-    "map": MapParams,
-    "planner": PlannerParams,
-}
+_RECORDS = SensorParams, MotionParams, MapParams, PlannerParams
 FIELDS = {
     table: {
-        field.name: _KNOWN[table].get(field.name, Quantity(low=-math.inf))
+        field.name: known.get(field.name, Quantity(low=-math.inf))
         for field in dataclasses.fields(record)
         if field.type in (Array, "Array") and field.name != "range_max"
     }
-    for table, record in _RECORDS.items()
+    for (table, known), record in zip(_KNOWN.items(), _RECORDS, strict=True)
 }
 """Keys of the four tables of Params in a sweep's configuration: the records' own single numbers.
 One whose unit is not known here is a plain number."""

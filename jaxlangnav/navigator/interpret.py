@@ -33,6 +33,7 @@ _BY_ACT = {act: kind for kind, act in _ACTS.items()}
 _INFORMING = {Kind.STATEMENT, Kind.CONSTRAINT}
 _NO_COMMAND = {Act.HALT: _INFORMING | {Kind.CORRECTION, Kind.ANSWER}, Act.CANCEL: _INFORMING}
 """What words to halt or to cancel hold for, said before it: "Stop! That is the wrong one"."""
+_Updated = tuple[NavigatorState, "UtteranceOutcome"]
 _log = logging.getLogger(__name__)
 
 _tell = jax.jit(speech_acts.tell, static_argnames="how")
@@ -44,7 +45,7 @@ _rule_out = jax.jit(speech_acts.rule_out)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Heard:
+class UtteranceOutcome:
     """What an utterance was taken for, and what it changed."""
 
     text: str
@@ -59,12 +60,14 @@ class Listener:
 
     grounder: Grounder
 
-    def take(self, state: NavigatorState, text: str) -> tuple[NavigatorState, Heard]:
+    def take(self, state: NavigatorState, text: str) -> _Updated:
         """Take in an utterance; see ``Navigator.take``."""
         is_asked = int(state.status) == Status.WHICH_ONE
         said = classify(text, is_asked=is_asked)
         if said.kind is not None and said.kind in _ACTS:
-            return speech_acts.obey(state, _ACTS[said.kind]), Heard(text=text, kind=said.kind)
+            return speech_acts.obey(state, _ACTS[said.kind]), UtteranceOutcome(
+                text=text, kind=said.kind
+            )
         if said.wording is not None:
             return self._by_wording(state, text, said)
         opening = opening_of(text)
@@ -78,9 +81,7 @@ class Listener:
             return _acted(after, heard, opening[0])
         return after, heard
 
-    def _alarmed(
-        self, state: NavigatorState, text: str, refusal: ValueError
-    ) -> tuple[NavigatorState, Heard]:
+    def _alarmed(self, state: NavigatorState, text: str, refusal: ValueError) -> _Updated:
         """Halt a robot under way for words that alarm and were refused; else refuse them."""
         taken = None if bool(state.is_resting) else alarm_in(text, self._is_object)
         if taken is None:
@@ -89,33 +90,31 @@ class Listener:
             f"halted, for it is not understood and {taken}: say 'go on', or what to do instead; "
             f"{refusal}"
         )
-        return speech_acts.obey(state, Act.HALT), Heard(text=text, kind=Kind.HALT, notes=(note,))
+        return speech_acts.obey(state, Act.HALT), UtteranceOutcome(
+            text=text, kind=Kind.HALT, notes=(note,)
+        )
 
     def _is_object(self, words: str) -> bool:
         """Tell whether words name a thing that the robot may know."""
         return type_called(words) is not None or words in names_of(self.grounder)
 
-    def _opened(
-        self, state: NavigatorState, text: str, act: Act, rest: str
-    ) -> tuple[NavigatorState, Heard]:
+    def _opened(self, state: NavigatorState, text: str, act: Act, rest: str) -> _Updated:
         """Halt, or drop the task, and then take in the rest of what was said."""
         try:
             after, heard = self.take(state, rest)
         except ValueError as refusal:
             done = "halted" if act == Act.HALT else "the task is dropped"
             _log.warning("%s; the rest of what was said is left out: %s", done, refusal)
-            return speech_acts.obey(state, act), Heard(text=text, kind=_BY_ACT[act])
+            return speech_acts.obey(state, act), UtteranceOutcome(text=text, kind=_BY_ACT[act])
         heard = dataclasses.replace(heard, text=text)
         return _acted(after, heard, act) if heard.kind in _NO_COMMAND[act] else (after, heard)
 
-    def _by_wording(
-        self, state: NavigatorState, text: str, said: Utterance
-    ) -> tuple[NavigatorState, Heard]:
+    def _by_wording(self, state: NavigatorState, text: str, said: Utterance) -> _Updated:
         """Take in what its wording says all of."""
         at, kind = int(state.talk.approached), said.kind or Kind.ANSWER
         if said.wording == Wording.RETURN:
             joined = self._join(state, Grounded(instruction=returning(), annotations=()))
-            return _come_back(state, joined), Heard(text=text, kind=kind)
+            return _come_back(state, joined), UtteranceOutcome(text=text, kind=kind)
         if kind == Kind.ANSWER:
             return self._answered(state, text, said)
         if int(state.instruction.num_clauses) == 0 or at == NONE:
@@ -124,15 +123,15 @@ class Listener:
                 "the hydrant by the cone'"
             )
         if said.wording == Wording.CLOSER:
-            return _come_closer(state), Heard(text=text, kind=kind)
-        return _rule_out(state, jnp.int32(1 << at)), Heard(text=text, kind=kind, ruled_out=(at,))
+            return _come_closer(state), UtteranceOutcome(text=text, kind=kind)
+        return _rule_out(state, jnp.int32(1 << at)), UtteranceOutcome(
+            text=text, kind=kind, ruled_out=(at,)
+        )
 
-    def _answered(
-        self, state: NavigatorState, text: str, said: Utterance
-    ) -> tuple[NavigatorState, Heard]:
+    def _answered(self, state: NavigatorState, text: str, said: Utterance) -> _Updated:
         """Take in the answer to a question."""
         heard, found = (
-            Heard(text=text, kind=Kind.ANSWER),
+            UtteranceOutcome(text=text, kind=Kind.ANSWER),
             candidates(state, names_of(self.grounder)),
         )
         if said.wording == Wording.ANY:
@@ -154,7 +153,7 @@ class Listener:
 
     def _by_sentence(
         self, state: NavigatorState, text: str, said: Utterance, *, is_asked: bool
-    ) -> tuple[NavigatorState, Heard]:
+    ) -> _Updated:
         """Take in what has to be understood."""
         about, is_at = self._about(state)
         known = NONE if is_anything(about) else about
@@ -166,7 +165,9 @@ class Listener:
             kind = Kind.CONSTRAINT if spoken.avoided else Kind.STATEMENT
             joined = self._join(state, grounded, how=How.INFORM)
             after = _tell(state, joined, pose, how=How.INFORM)
-            return after, Heard(text=text, kind=kind, notes=notes + _dropped(state, after))
+            return after, UtteranceOutcome(
+                text=text, kind=kind, notes=notes + _dropped(state, after)
+            )
         how = How.REPLACE
         has_more = int(state.instruction.num_clauses) > 0 and not bool(state.is_done)
         if said.kind == Kind.ADDITION and has_more:
@@ -191,7 +192,7 @@ class Listener:
             after = _choose_freely(after)
         kind = said.kind or (Kind.ANSWER if is_answer else Kind.COMMAND)
         gone, notes = () if out == NONE else (out,), notes + _dropped(state, after)
-        return after, Heard(text=text, kind=kind, ruled_out=gone, notes=notes)
+        return after, UtteranceOutcome(text=text, kind=kind, ruled_out=gone, notes=notes)
 
     def _join(
         self,
@@ -276,7 +277,7 @@ class Listener:
         believed_pose(state)
 
 
-def _acted(state: NavigatorState, heard: Heard, act: Act) -> tuple[NavigatorState, Heard]:
+def _acted(state: NavigatorState, heard: UtteranceOutcome, act: Act) -> _Updated:
     """Halt, or drop the task, as an utterance began that goes on without a command."""
     return speech_acts.obey(state, act), dataclasses.replace(heard, kind=_BY_ACT[act])
 

@@ -11,7 +11,7 @@ from jaxlangnav.dialogue import Conversation
 from jaxlangnav.grounding.instruction import Instruction
 from jaxlangnav.messages import Action, Behavior, Status
 from jaxlangnav.planner import graph, policy
-from jaxlangnav.planner.blocked import Way
+from jaxlangnav.planner.blocked import ProgressMonitor
 from jaxlangnav.planner.config import PlannerConfig
 from jaxlangnav.planner.goals import Goals
 from jaxlangnav.planner.params import PlannerParams, default_planner_params
@@ -71,7 +71,7 @@ class NavigatorState:
     status: Array  # i32[] a Status: of the task after the last cycle, whether halted or not
     is_halted: Array  # bool[] it was told to halt
     talk: Conversation  # what has been said besides, and ruled out
-    way: Way  # whether it gets on, and the waypoints given up
+    way: ProgressMonitor  # whether it gets on, and the waypoints given up
     signature: Array | None = None  # u32[2] checksums of the labels and of the policy's name; None:
     # not checked
 
@@ -135,7 +135,7 @@ def check(params: NavigatorParams, *, policy: Policy) -> None:
         )
 
 
-class Outlook(NamedTuple):
+class InferredTask(NamedTuple):
     """What a belief comes to: where the robot is, what it is asked to do, and where."""
 
     fault: Array  # i32[] bits of Fault; 0 for a sound look and a task
@@ -155,7 +155,7 @@ def _is_last_clause(state: NavigatorState) -> Array:
 
 
 def _status(
-    state: NavigatorState, outlook: Outlook, choice: policy.Decision, config: NavigatorConfig
+    state: NavigatorState, task: InferredTask, choice: policy.Decision, config: NavigatorConfig
 ) -> Array:
     """Tell what becomes of the task, i32[] a Status: what it was where the robot stands still."""
     under_way = jnp.where(choice.is_approach, int(Status.APPROACHING), int(Status.SEARCHING))
@@ -165,33 +165,33 @@ def _status(
     status = jnp.where(choice.doubt.asks, int(Status.WHICH_ONE), status)
     is_blocked = state.way.num_closed > config.num_detours
     status = jnp.where(is_blocked & ~choice.is_stop, int(Status.BLOCKED), status)
-    return jnp.where(outlook.stands, state.status, status)
+    return jnp.where(task.stands, state.status, status)
 
 
-def act(
-    state: NavigatorState, outlook: Outlook, choice: policy.Decision, *, params: NavigatorParams
+def make_action(
+    state: NavigatorState, task: InferredTask, choice: policy.Decision, *, params: NavigatorParams
 ) -> Action:
     """Turn the choice into a step in the manner asked for: quickly, carefully.
 
     Limits: where it stands, the waypoint is where the robot believes itself to be.
 
     Args:
-        state: the new one, of ``carry_on``.
-        outlook: what the belief comes to.
+        state: the new one, of ``update_task_state``.
+        task: what the belief comes to.
         choice: of the policy.
         params: traced numbers.
 
     Returns:
         What the robot is to do.
     """
-    mode = jnp.argmax(outlook.expected.mode)
+    mode = jnp.argmax(task.expected.mode)
     speed, clearance = params.mode_speed[mode], params.mode_clearance[mode]
-    robot = jnp.stack([outlook.robot_x, outlook.robot_y])
+    robot = jnp.stack([task.robot_x, task.robot_y])
     waypoint = jnp.stack([choice.next_x, choice.next_y])
-    stands = outlook.stands | (state.is_done & ~choice.is_stop)
+    stands = task.stands | (state.is_done & ~choice.is_stop)
     waypoint = jnp.where(stands, robot, waypoint)
     travel = state.belief.terrain.travel
-    here, there = (outlook.robot_x, outlook.robot_y), tuple(waypoint)
+    here, there = (task.robot_x, task.robot_y), tuple(waypoint)
     next_x, next_y = travel.next_place(*here, *there)
     left, distance = travel.metres(*here, *there), travel.metres(*here, next_x, next_y)
     # A thing is gone up to, not into; anything else is a place to stand on.
@@ -208,16 +208,16 @@ def act(
     return Action(
         waypoint=waypoint,
         step=jnp.stack([step_x, step_y]) / distance * length,
-        is_stop=state.is_done & ~state.is_halted & (outlook.fault == 0),
+        is_stop=state.is_done & ~state.is_halted & (task.fault == 0),
         status=jnp.where(state.is_halted, int(Status.HALTED), status),
         speed=speed,
         clearance=clearance,
     )
 
 
-def carry_on(
+def update_task_state(
     state: NavigatorState,
-    outlook: Outlook,
+    task: InferredTask,
     choice: policy.Decision,
     *,
     params: NavigatorParams,
@@ -229,7 +229,7 @@ def carry_on(
 
     Args:
         state: as the policy decided.
-        outlook: what the belief comes to.
+        task: what the belief comes to.
         choice: of the policy.
         params: traced numbers.
         config: how many waypoints may be given up.
@@ -239,7 +239,7 @@ def carry_on(
     """
     is_last = _is_last_clause(state)
     # Of the objects that would do, the last command ended at the one gone up to.
-    goals, robot_x, robot_y = outlook.goals, outlook.robot_x, outlook.robot_y
+    goals, robot_x, robot_y = task.goals, task.robot_x, task.robot_y
     travel = state.belief.terrain.travel
     away = travel.metres(robot_x, robot_y, goals.object_x, goals.object_y)[:-1]
     will_do = goals.object_accepted[:-1] * params.planner.discount**away
@@ -249,7 +249,7 @@ def carry_on(
         state,
         clause=state.clause + moves_on.astype(jnp.int32),
         previous_goal=jnp.where(choice.is_stop, goal_slot, state.previous_goal),
-        status=_status(state, outlook, choice, config),
+        status=_status(state, task, choice, config),
         talk=_recall(state.talk, goals, choice, goal_slot, moves_on),
         way=replace(state.way, num_closed=jnp.where(moves_on, 0, state.way.num_closed)),
     )

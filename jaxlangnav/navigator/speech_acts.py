@@ -16,7 +16,7 @@ from jaxlangnav.dialogue import Joined, excluding, seen_from
 from jaxlangnav.language.halting import Act
 from jaxlangnav.messages import NONE, Status, UtteranceContext
 from jaxlangnav.navigator import NavigatorState
-from jaxlangnav.planner.blocked import start_of_way
+from jaxlangnav.planner.blocked import start_progress
 from jaxlangnav.pytree import replace
 from jaxlangnav.semantic_map.belief import in_map
 from jaxlangnav.semantic_map.gating import is_pose
@@ -169,7 +169,7 @@ def _under_way(state: NavigatorState) -> NavigatorState:
         state,
         status=jnp.int32(Status.SEARCHING),
         is_halted=jnp.asarray(False),
-        way=start_of_way(state.belief.last_pose),
+        way=start_progress(state.belief.last_pose),
     )
 
 

@@ -22,7 +22,7 @@ _CYCLES = 25
 
 
 @pytree
-class Way:
+class ProgressMonitor:
     """Whether the robot gets on."""
 
     x: Array  # f32[] metres, map frame: where it last was when it had got on
@@ -39,10 +39,10 @@ class Way:
         return self.closed_for[0] == _CYCLES
 
 
-def start_of_way(pose: Array) -> Way:
+def start_progress(pose: Array) -> ProgressMonitor:
     """Build the record of a robot that sets out from a pose f32[3]."""
     zero = jnp.zeros(NUM_CLOSED, jnp.float32)
-    return Way(
+    return ProgressMonitor(
         x=pose[0],
         y=pose[1],
         waited=jnp.int32(0),
@@ -53,7 +53,7 @@ def start_of_way(pose: Array) -> Way:
     )
 
 
-def open_nodes(nodes: Nodes, way: Way) -> Nodes:
+def open_nodes(nodes: Nodes, way: ProgressMonitor) -> Nodes:
     """Close the nodes about waypoints that have been given up.
 
     Args:
@@ -70,14 +70,14 @@ def open_nodes(nodes: Nodes, way: Way) -> Nodes:
     return replace(nodes, is_node=nodes.is_node & ~is_closed)
 
 
-def keep_watch(
-    way: Way,
+def update_progress(
+    way: ProgressMonitor,
     waypoint: tuple[Array, Array],
     robot: tuple[Array, Array],
     is_under_way: Array,
     *,
     patience: int,
-) -> Way:
+) -> ProgressMonitor:
     """Tell whether the robot gets on, and give its waypoint up where it does not.
 
     Limits: a robot that stands because it is to stand never gives anything up.
@@ -103,7 +103,7 @@ def keep_watch(
         return jnp.where(is_new, new, rest)
 
     left = jnp.maximum(way.closed_for - 1, 0)
-    return Way(
+    return ProgressMonitor(
         x=jnp.where(moved | ~is_under_way, robot_x, way.x),
         y=jnp.where(moved | ~is_under_way, robot_y, way.y),
         waited=jnp.where(gives_up, 0, waited).astype(jnp.int32),

@@ -3,7 +3,7 @@
 from jax import Array
 
 from jaxlangnav.messages import SensorParams
-from jaxlangnav.planner.blocked import Way
+from jaxlangnav.planner.blocked import ProgressMonitor
 from jaxlangnav.planner.constraints import Forbidden, forbidden_objects
 from jaxlangnav.planner.goals import Goals
 from jaxlangnav.planner.graph import Nodes
@@ -27,7 +27,7 @@ class Situation:
     robot_x: Array  # f32[] believed position
     robot_y: Array  # f32[]
     sensor: SensorParams  # how far and how wide it sees
-    way: Way  # waypoints that have been given up as out of reach
+    way: ProgressMonitor  # waypoints that have been given up as out of reach
     may_ask: Array  # bool[] it has not been told to choose by itself
     has_chosen: Array  # bool[] it has gone up to something for this task, or is on its way
     is_find: Array  # f32[] probability that "find" is asked for: stop once it is in view

@@ -25,7 +25,7 @@ class ParticleBelief:
     terrain: Terrain  # how far one sees and walks there, as the robot takes it to be
     bystanders: Bystanders  # things of types that the task does not speak of; B may be 0
     last_pose: Array  # f32[3] dead-reckoned pose at the last observation that was believed
-    doubted_pose: Array  # f32[3] … that was reported, believed or not
+    reported_pose: Array  # f32[3] … that was reported, believed or not
     is_placed: Array  # bool[] area and start pose are as they were given, and can be
     num_types: Array  # i32[] object types that a detection may name
     viewer: Array  # f32[3] x, y, heading when the last instruction was heard, map frame

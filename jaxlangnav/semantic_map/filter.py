@@ -85,7 +85,7 @@ def start(
         terrain=terrain,
         bystanders=nobody(config.num_bystanders),
         last_pose=pose,
-        doubted_pose=pose,
+        reported_pose=pose,
         is_placed=is_placed,
         num_types=jnp.int32(num_types),
         viewer=pose,
@@ -229,7 +229,7 @@ def step(
     log_weight = belief.log_weight
     is_alive = jnp.all(log_weight < jnp.inf) & jnp.any(log_weight > -jnp.inf)
     log_weight = jnp.where(is_alive, log_weight, -jnp.log(float(number)))
-    belief = replace(belief, doubted_pose=sound.doubted_pose, log_weight=log_weight)
+    belief = replace(belief, reported_pose=sound.reported_pose, log_weight=log_weight)
     belief, seen, others = _part(belief, sound.observation, spoken)
     noise = drift_noise(keys[0], belief)
     belief = predict(belief, seen.pose, sound.is_jump, noise, params=params)

@@ -103,7 +103,7 @@ class Look(NamedTuple):
 
     observation: Observation  # as it came; or from where the robot last was, with its eyes shut
     fault: Array  # i32[] bits of Fault; 0 for a sound look
-    doubted_pose: Array  # f32[3] the pose that was reported, if it can be one at all
+    reported_pose: Array  # f32[3] the pose that was reported, if it can be one at all
     is_jump: Array  # bool[] the pose is one that the motion does not explain, and is taken over
 
 
@@ -169,7 +169,7 @@ def gate_observation(
     is_far = is_steady = jnp.asarray(False)
     if farthest is not None:
         is_far = has_pose & ~_is_within(pose, last, farthest)
-        is_steady = _is_within(pose, belief.doubted_pose, farthest)
+        is_steady = _is_within(pose, belief.reported_pose, farthest)
     has_sensor, given = _is_sensor(observation.sensor), observation.is_detection
     # What a detector cannot detect is not known of one that cannot be.
     is_odd = given & has_sensor & ~_is_detectable(observation, belief.num_types)
@@ -200,6 +200,6 @@ def gate_observation(
     return Look(
         observation=believed,
         fault=fault,
-        doubted_pose=jnp.where(has_pose, pose, belief.doubted_pose),
+        reported_pose=jnp.where(has_pose, pose, belief.reported_pose),
         is_jump=is_jump,
     )

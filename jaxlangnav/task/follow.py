@@ -19,7 +19,7 @@ from jaxlangnav.experiments.policies import navigator_config, without_compass
 from jaxlangnav.experiments.sizes import any_task
 from jaxlangnav.grounding import GroundingModel, load_shipped, understand
 from jaxlangnav.grounding.instruction import Instruction, Understanding
-from jaxlangnav.inputs.program_cache import kept, kept_in
+from jaxlangnav.inputs.program_cache import cache_dir, cached_jit
 from jaxlangnav.messages import Status
 from jaxlangnav.navigator import NavigatorConfig, NavigatorParams, default_params
 from jaxlangnav.navigator.api import Navigator
@@ -95,7 +95,7 @@ def follow(
 
 
 @functools.cache
-@kept()
+@cached_jit()
 def navigator_params() -> NavigatorParams:
     """Build the default parameters: compiled, as one by one their operations take seconds."""
     return default_params()
@@ -147,7 +147,7 @@ def rehearse(
     leaves [1, …], in every world with as many slots. Where no programs are kept nothing is done, as
     two threads would compile the same.
     """
-    if kept_in() is None:
+    if cache_dir() is None:
         return
     task = any_task(num_slots)
 

@@ -21,7 +21,7 @@ from jaxlangnav.grounding.grounder import names_of
 from jaxlangnav.grounding.instruction import Instruction, Understanding
 from jaxlangnav.grounding.readings import Capacity, widen
 from jaxlangnav.inputs.object_types import ANYTHING
-from jaxlangnav.inputs.program_cache import kept
+from jaxlangnav.inputs.program_cache import cached_jit
 from jaxlangnav.inputs.sanitize import cut
 from jaxlangnav.language.halting import alarm_in, opening_of
 from jaxlangnav.language.utterance import Kind, classify
@@ -36,7 +36,7 @@ _PLACES = ("the first", "the second", "the third")
 _WORDS = {int(Says.OTHER): "no, the other one", int(Says.NONE_OF_THEM): "no"}
 
 
-_speak = kept()(speak)
+_speak = cached_jit()(speak)
 
 
 @dataclasses.dataclass
