@@ -144,13 +144,10 @@ class Experiment:
         options = Options() if options is None else options
         arms, begin = self.check(options), time.perf_counter()
         seed, worlds, sensor = options.seed, options.environments, options.sensor
-        settings = [
-            one.setting(seed=seed, environments=worlds, sensor=sensor) for one in self.specs
-        ]
+        settings = [of.setting(seed=seed, environments=worlds, sensor=sensor) for of in self.specs]
         names = (*settings[0].labels, *arms[0].told)
         grid = Grid(settings=settings, arms=arms, episodes=options.episodes, names=names)
-        rows: list[Row] = []
-        parts: list[pa.Table] = []
+        rows, parts = list[Row](), list[pa.Table]()
         first: Played | None = None
         with CompileClock() as clock:
             sentences = ground_sentences(list(self.sentences.values()))
@@ -178,9 +175,8 @@ class Experiment:
         }
         if out is not None:
             columns, text = pa.concat_tables(parts), self.markdown(document)
-            files = write_experiment(
-                Path(out), self.name, document, columns, text, sentences.models
-            )
+            given = document, columns, text, sentences.models
+            files = write_experiment(Path(out), self.name, *given)
             document["files"] = [str(path) for path in files]
         return document
 

@@ -132,10 +132,9 @@ def sense(
     """
     chex.assert_shape([state.position, state.odometry], [(2,), (3,)])
     chex.assert_equal_shape([scenario.object_x, scenario.object_y, scenario.is_object])
-    if num_detections is None:
-        is_crowded = scenario.object_x.size > NUM_DETECTIONS
-        num_detections = NUM_DETECTIONS_CROWDED if is_crowded else NUM_DETECTIONS
     x, y, is_visible = visible(state, scenario, sensor)
+    if num_detections is None:
+        num_detections = NUM_DETECTIONS_CROWDED if x.size > NUM_DETECTIONS else NUM_DETECTIONS
     miss, noise = batching.uniforms(jax.random.split(key), 2 * x.size)
     is_found = is_visible & (miss[: x.size] < sensor.detection_probability)
     noise_x, noise_y = sensor.noise * batching.normal(noise).reshape(2, *x.shape)
