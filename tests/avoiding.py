@@ -9,7 +9,6 @@ line for each number of things avoided and each range of sight:
 
 import argparse
 import dataclasses
-import functools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -51,12 +50,6 @@ class Ride(outside.Ride):
         return float(np.hypot(*(line[:, None] - things[None]).T).min())
 
 
-@functools.lru_cache
-def robot_of(policy: str = "informed") -> jaxlangnav.Navigator:
-    """Build the robot as it ships."""
-    return jaxlangnav.Navigator.pretrained(policy)
-
-
 def drive(
     places: list[np.ndarray],
     text: str,
@@ -64,11 +57,10 @@ def drive(
     *,
     sight: float,
     misses: float = MISSES,
-    policy: str = "informed",
     stepping: Callable[[jaxlangnav.Navigator], Robots] = together,
 ) -> list[Ride]:
     """Drive one episode a place, [2..3, 2] metres each: the hydrant, then what else there is."""
-    robot = robot_of(policy)
+    robot = outside.robot_of(0.0, 0.0)
     scenario = outside.Scenario(
         sentence=text, area=AREA, reach=sight, misses=misses, slip=0.0, steps=STEPS
     )
@@ -127,13 +119,10 @@ class Score(NamedTuple):
         )
 
 
-def measure(number: int, num_avoided: int, *, sight: float, policy: str = "informed") -> Score:
+def measure(number: int, num_avoided: int, *, sight: float) -> Score:
     """Drive random places with and without the constraint, by the same keys and detections."""
     places, seeds = draw_places(number, num_avoided), list(range(number))
-    rides, free = (
-        drive(places, SENTENCES[told], seeds, sight=sight, policy=policy)
-        for told in (num_avoided, 0)
-    )
+    rides, free = (drive(places, SENTENCES[told], seeds, sight=sight) for told in (num_avoided, 0))
     arrives, freely = (
         np.array([one.arrives(place[0]) for place, one in zip(places, some, strict=True)])
         for some in (rides, free)
@@ -156,12 +145,11 @@ def main() -> None:
     """Print one line for each number of things avoided and each range of sight."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--places", type=int, default=100)
-    parser.add_argument("--policy", default="informed")
     parser.add_argument("--sights", type=float, nargs="*", default=[4.0, 20.0])
     given = parser.parse_args()
     for sight in given.sights:
         for num_avoided in (1, 2):
-            found = measure(given.places, num_avoided, sight=sight, policy=given.policy)
+            found = measure(given.places, num_avoided, sight=sight)
             print(f"{num_avoided} avoided, sight {sight} m: {found.line()}", flush=True)
 
 

@@ -4,10 +4,9 @@ import avoiding
 import numpy as np
 import outside
 import pytest
+import searching
 import stepping
 from stepping import one_by_one
-
-import jaxlangnav
 
 RIGHT = {
     "plain": 0.99,
@@ -28,12 +27,12 @@ RIGHT = {
 """Share of episodes that must end at the goal."""
 FARTHEST = {"false": 45.0, "nowhere": 65.0}
 """Metres walked on average that a scenario may cost."""
+WAYS = {
+    "behind": 16.5, "none": 24.0, "pairs": 20.0, "front": 38.0, "false": 48.0, "empty": 82.0,
+    "no_landmark": 82.0, "large_behind": 80.0, "large_none": 88.0,
+}  # fmt: skip
+"""The same of a row of ``searching``."""
 EPISODES = 200
-
-
-@pytest.fixture(scope="module")
-def robot() -> jaxlangnav.Navigator:
-    return outside.robot_of(0.0, 0.0)
 
 
 def test_places_hold_what_is_asked_for() -> None:
@@ -48,19 +47,8 @@ def test_places_hold_what_is_asked_for() -> None:
     assert {types[kind] for kind in empty.kind} <= {"car", "tree"}
 
 
-def test_detector_reports_what_is_in_range() -> None:
-    random, types = np.random.default_rng(1), ("car", "cone", "hydrant", "tree")
-    place = outside.Place(np.array([2, 1]), np.array([[2.0, 0.0], [0.0, 9.0]]))
-    sure = outside.Scenario(misses=0.0)
-    ((kind, metres, bearing),) = outside.look(random, sure, place, np.zeros(2), types)
-    assert kind == 2
-    assert abs(metres - 2.0) < 0.6
-    assert abs(bearing) < 0.4
-    assert not outside.look(random, outside.Scenario(misses=1.0), place, np.zeros(2), types)
-
-
-def test_goal_is_found_in_plain_places(robot: jaxlangnav.Navigator) -> None:
-    plain, one_by_one = outside.SCENARIOS["plain"], stepping.one_by_one
+def test_goal_is_found_in_plain_places() -> None:
+    robot, plain = outside.robot_of(0.0, 0.0), outside.SCENARIOS["plain"]
     outcome = outside.drive(robot, plain, stepping.LANES, robots=one_by_one)
     assert outcome.is_right.all(), outcome.line("plain")
 
@@ -73,6 +61,24 @@ def test_goal_is_found_in_places_as_they_are(name: str) -> None:
     outcome = outside.drive(robot, scenario, EPISODES)
     assert outcome.is_right.mean() >= RIGHT[name], outcome.line(name)
     assert outcome.metres.mean() <= FARTHEST.get(name, np.inf), outcome.line(name)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", WAYS)
+def test_search_is_short(name: str) -> None:
+    outcome = outside.drive(outside.robot_of(0.0, 0.0), searching.ROWS[name], EPISODES)
+    assert outcome.is_right.mean() >= 0.98, outcome.line(name)
+    assert outcome.metres.mean() <= WAYS[name], outcome.line(name)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["behind", "none"])
+def test_doubt_that_it_is_there_lengthens_the_way_by_little(name: str) -> None:
+    sure, doubting = (
+        outside.drive(outside.robot_of(0.0, 0.0, absent=absent), searching.ROWS[name], 500)
+        for absent in (0.0, 0.05)
+    )
+    assert doubting.metres.mean() <= 1.03 * sure.metres.mean(), (sure, doubting)
 
 
 # ---------------------------------------------------------------- what is to be avoided
