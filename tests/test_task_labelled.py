@@ -132,11 +132,8 @@ def test_the_detector_knows_the_types_that_labels_name(tmp_path):
         ("tenth", 84, 2),
     ],
 )
-@pytest.mark.parametrize("every", [pytest.param(1, marks=pytest.mark.slow), 4])
-def test_shipped_sentences_stay_as_well_read(part, least, most_wrong, every):
-    """All of a set, or one in four, of which two may be read worse than their share."""
-    sentences = [one for one in SENTENCES if one.set == part]
-    some = sentences[::every]
+def test_shipped_sentences_stay_as_well_read(part, least, most_wrong):
+    some = [one for one in SENTENCES if one.set == part]
     counts = Counter(one.outcome for one in score_sentences(some, load_shipped()))
-    assert counts["right"] >= least * len(some) / len(sentences) - 2 * (every > 1)
+    assert counts["right"] >= least
     assert counts["wrong"] <= most_wrong
