@@ -1,18 +1,18 @@
 """A navigator drives a robot: from a sentence to an ending (Figure 2 of the paper, section 4.3).
 
-The waypoint that the navigator chooses goes to the robot's own motion planner; after a step's way,
-or when the robot is there, cannot go on or some time has passed, it looks and decides again. What
-the navigator cannot know of is judged here, and each of it has an ending: a camera without
-pictures, a way that cannot be gone, a report that cannot be, a goal that is not where it was seen.
+The robot's own motion planner goes to the waypoint that the navigator chooses. What the navigator
+cannot know of is judged here and has an ending: a camera without pictures, a blocked way, an
+impossible report, a goal that is not where it was seen.
 """
 
+import math
 from collections.abc import Callable, Sequence
 
 import jax
 import numpy as np
 from jax import Array
 
-from jaxlangnav.messages import AT, Action, Fault, Status
+from jaxlangnav.messages import AT, Fault, Status
 from jaxlangnav.navigator import NavigatorInfo, NavigatorState
 from jaxlangnav.navigator.api import Navigator
 from jaxlangnav.pytree import replace
@@ -51,10 +51,7 @@ def _goal_object(state: NavigatorState, info: NavigatorInfo) -> GoalPoint | None
 
 
 def _is_seen(
-    goal: GoalPoint,
-    info: NavigatorInfo,
-    found: Sequence[Detection],
-    pose: np.ndarray,
+    goal: GoalPoint, info: NavigatorInfo, found: Sequence[Detection], pose: np.ndarray
 ) -> bool:
     """Tell whether one of the detections of a look is of the goal."""
     kind, *place = goal
@@ -69,14 +66,10 @@ def _is_seen(
 
 CYCLE = 1.5
 """Seconds after which a robot under way looks and decides again."""
-_WAIT = 0.2
-"""Seconds between two questions whether the robot is there."""
-_GIVE_UPS = 4
-"""Ways given up, one after the other, after which the robot is blocked."""
-_MOVED = 0.3
-"""Metres from where it last gave up that count as a new place."""
-_IDLE_LOOKS = 3
-"""Looks from as near to a waypoint as can be after which it looks about."""
+_WAIT = 0.2  # seconds between two questions whether the robot is there
+_GIVE_UPS = 4  # ways given up, one after the other, after which the robot is blocked
+_MOVED = 0.3  # metres from where it last gave up that count as a new place
+_IDLE_LOOKS = 3  # looks from as near to a waypoint as can be after which it looks about
 _TURNS = 4
 """Turns on the spot, all of them for one waypoint, after which it tries from its other side and is
 then blocked."""
@@ -85,12 +78,9 @@ _TURNED, _SAME_WAYPOINT = 1.3, 0.5
 and metres within which a waypoint is still the same."""
 _BEYOND, _BEYOND_SECONDS = 1.2, 15.0
 """Metres past a waypoint from where it is looked at after that, and seconds to get there."""
-_TURN_SECONDS = 6.0
-"""Seconds that a turn takes at most."""
-_BLIND = 5.0
-"""Seconds without a picture after which the robot is blind."""
-_FAULTY = 10
-"""Looks at fault, one after the other, after which the robot is lost."""
+_TURN_SECONDS = 6.0  # seconds that a turn takes at most
+_BLIND = 5.0  # seconds without a picture after which the robot is blind
+_FAULTY = 10  # looks at fault, one after the other, after which the robot is lost
 _CONFIRM = (0.0, 0.5, -0.5, 1.0, -1.0, 1.8, -1.8, 3.0)
 """Radians off the goal of the looks within which it must be seen once more before it is said to
 have been reached: it is believed to be straight ahead, but odometry may be out."""
@@ -114,15 +104,11 @@ def drive(
         robot: what drives and sees.
         text: the sentence.
         key: random key of the decisions, consumed.
-        state: in which a former drive has ended, to go on from: the sentence is heard in it, and
-            what has been seen and said is kept. By default nothing is known.
+        state: of a former drive, to hear the sentence in; by default nothing is known.
         max_seconds: after which the drive is broken off.
         listen: asked before each decision for what has been said since, None for nothing; "stop"
             makes it stand until "go on".
         on_step: told each decision.
-
-    Returns:
-        How it ended, and every decision.
 
     Raises:
         ValueError: the sentence is not understood, or asks for nothing.
@@ -131,20 +117,16 @@ def drive(
         state = navigator.start(text, pose=start_pose(robot.pose()), area=robot.area)
     else:
         state = navigator.hear(state, text)
-    journey = _Journey(navigator, robot, key, on_step)
+    journey, end = _Journey(navigator, robot, key, on_step), None
     try:
-        while True:
+        while end is None:
             said = listen() if listen is not None else None
             if said is not None:
                 state = navigator.hear(state, said)
             state, end = journey.decide(state)
-            if end is not None:
-                break
-            if journey.seconds >= max_seconds:
-                is_halted = bool(state.is_halted)
-                end = Ending.HALTED if is_halted else Ending.OUT_OF_TIME
-                end = end, f"no ending within {max_seconds:g} s"
-                break
+            if end is None and journey.seconds >= max_seconds:
+                ending = Ending.HALTED if bool(state.is_halted) else Ending.OUT_OF_TIME
+                end = ending, f"no ending within {max_seconds:g} s"
     finally:
         robot.stop()
     robot.wait(CYCLE)
@@ -190,12 +172,17 @@ class _Journey:
         if bool(action.is_stop) or status == Status.IDLE:
             self._note(pose, found, status, info, None, Progress.STANDING, after)
             return after, self._name_the_end(status, after)
-        target = self._target(action, pose, info)
-        if target is not None and self.facing is not None:
-            target = pose[:2]
-        elif target is not None and self.beyond is not None:
-            target = self.beyond
-        progress = self._go(action, target)
+        offset = np.asarray(action.waypoint, float) - np.asarray(info.robot, float)
+        if int(info.fault) or status == Status.HALTED or np.hypot(*offset) < 1e-3:
+            target = None
+            self.robot.stop()
+            progress = self._wait(CYCLE)
+        else:
+            beyond = pose[:2] + offset if self.beyond is None else self.beyond
+            target = beyond if self.facing is None else pose[:2]
+            speed, clearance = float(action.speed), float(action.clearance)
+            self.robot.go_to(target[None], speed=speed, clearance=clearance, facing=self.facing)
+            progress = self._go_on(CYCLE, max(float(np.hypot(*action.step)), _MOVED))
         self._note(pose, found, status, info, target, progress, after)
         return after, self._judge(progress, target, info)
 
@@ -231,9 +218,7 @@ class _Journey:
         x, y = np.array(goal[1:]) - np.asarray(info.robot)
         facing = wrap(float(np.arctan2(y, x)) + _CONFIRM[self.unconfirmed - 1])
         self.robot.go_to(pose[None, :2], speed=1.0, clearance=0.0, facing=facing)
-        begin, progress = self.seconds, self._wait(_WAIT)
-        while progress is Progress.UNDER_WAY and self.seconds - begin < _TURN_SECONDS:
-            progress = self._wait(_WAIT)
+        self._go_on(_TURN_SECONDS)
         # What has been seen is kept, but the task goes on.
         return replace(after, status=before.status), None
 
@@ -249,26 +234,12 @@ class _Journey:
             return Ending.WHICH_ONE, f"{number} things may be meant, and nothing more tells"
         return Ending.IDLE, "nothing is left to do"
 
-    def _target(self, action: Action, pose: np.ndarray, info: NavigatorInfo) -> np.ndarray | None:
-        """Say where to send the robot in its own frame, f64[2]; None where it is to stand."""
-        offset = np.asarray(action.waypoint, float) - np.asarray(info.robot, float)
-        stands = int(info.fault) != 0 or int(action.status) == Status.HALTED
-        if stands or np.hypot(*offset) < 1e-3:
-            return None
-        return pose[:2] + offset
-
-    def _go(self, action: Action, target: np.ndarray | None) -> Progress:
-        """Go for a step's way, or until something is to be decided."""
-        if target is None:
-            self.robot.stop()
-            return self._wait(CYCLE)
-        speed, clearance = float(action.speed), float(action.clearance)
-        self.robot.go_to(target[None], speed=speed, clearance=clearance, facing=self.facing)
-        length = max(float(np.hypot(*action.step)), _MOVED)
+    def _go_on(self, seconds: float, metres: float = math.inf) -> Progress:
+        """Go for so long or so far, or until the robot is there or cannot go on."""
         start, begin = self.robot.pose()[:2], self.seconds
         progress = self._wait(_WAIT)
-        while progress is Progress.UNDER_WAY and self.seconds - begin < CYCLE:
-            if np.hypot(*(self.robot.pose()[:2] - start)) >= length:
+        while progress is Progress.UNDER_WAY and self.seconds - begin < seconds:
+            if np.hypot(*(self.robot.pose()[:2] - start)) >= metres:
                 break
             progress = self._wait(_WAIT)
         return progress
@@ -276,7 +247,7 @@ class _Journey:
     def _judge(
         self, progress: Progress, target: np.ndarray | None, info: NavigatorInfo
     ) -> _End | None:
-        """Find out whether it is of any use to go on."""
+        """Judge whether it is of any use to go on."""
         if self.faulty >= _FAULTY:
             names = Fault(int(info.fault)).name
             return Ending.LOST, f"what the robot reports cannot be: {names}"
@@ -299,10 +270,7 @@ class _Journey:
         return self._look_about(target)
 
     def _look_about(self, target: np.ndarray) -> _End | None:
-        """Turn on the spot: a waypoint that cannot be stood on may be waiting for a look.
-
-        A place to look from may lie within a thing or too near to one.
-        """
+        """Turn on the spot: a waypoint that cannot be stood on may be waiting for a look."""
         if np.hypot(*(target - self.turns_for)) > _SAME_WAYPOINT:
             self.turns_for, self.turns = target, 0
         if self.turns == _TURNS:

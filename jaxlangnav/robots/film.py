@@ -26,14 +26,13 @@ DARK = (45, 45, 45)
 """Blue, green, red, of a picture that there is none of."""
 _GREEN, _ORANGE = (60, 220, 60), (40, 160, 250)
 _CAMERA = "Through its camera: tags used (green), tags outside its gates (orange)"
-_QUALITY = 75
-"""Of a JPEG, in percent."""
+_QUALITY = 75  # of a JPEG, in percent
 
 
 class Views:
     """Takes pictures of a robot; each is u8[H, W, 3], blue, green, red, as OpenCV has them."""
 
-    def __init__(self, robot: PhysicsRobot, type_names: tuple[str, ...] = ()) -> None:
+    def __init__(self, robot: PhysicsRobot, type_names: tuple[str, ...]) -> None:
         """Set up a camera that follows a robot; tags of types without a name are not named."""
         self._robot, self._type_names = robot, type_names
         self._cv2 = libraries.opencv()
@@ -48,10 +47,7 @@ class Views:
         return self._shrunk(self._robot.render(self._view)[..., ::-1])
 
     def through_the_camera(self) -> np.ndarray:
-        """Show the last look and its tags, green where used, orange where out of the gates.
-
-        Dark without a picture.
-        """
+        """Show the last look and its tags, see ``_CAMERA``; dark without a picture."""
         robot = self._robot
         if robot.last_picture is None or not robot.camera_works:
             return np.full((*PANEL[::-1], 3), DARK, np.uint8)
@@ -71,10 +67,7 @@ class Views:
 
     def jpegs(self) -> dict[str, bytes]:
         """Take both pictures, as JPEG by their titles."""
-        pictures = {
-            "From outside": self.from_outside(),
-            _CAMERA: self.through_the_camera(),
-        }
+        pictures = {"From outside": self.from_outside(), _CAMERA: self.through_the_camera()}
         how = [self._cv2.IMWRITE_JPEG_QUALITY, _QUALITY]
         return {
             title: self._cv2.imencode(".jpg", one, how)[1].tobytes()
@@ -107,8 +100,7 @@ def _cut(picture: np.ndarray) -> slice:
 
 FORMATS = (".gif", ".mp4")
 _CAPTION = 36
-_TICKS = 5
-"""Ticks of the robot's clock between two frames."""
+_TICKS = 5  # ticks of the robot's clock between two frames
 _MILLISECONDS = 200
 _COLOURS = ((40, 40, 220), (30, 140, 250), (200, 120, 40), (120, 120, 120))
 """Blue, green, red, of hydrant, cone and further types in turn."""
@@ -118,7 +110,7 @@ _LIGHT = (235, 235, 235)
 class Film:
     """Frames of a run, taken as it goes."""
 
-    def __init__(self, robot: PhysicsRobot, text: str, type_names: tuple[str, ...] = ()) -> None:
+    def __init__(self, robot: PhysicsRobot, text: str, type_names: tuple[str, ...]) -> None:
         """Begin a film of what was told; ``robot.on_tick`` and ``film.on_step`` take its frames."""
         self.frames: list[np.ndarray] = []
         self._robot, self._text = robot, text
@@ -154,8 +146,7 @@ class Film:
         self, step: Step, state: NavigatorState, info: NavigatorInfo | None
     ) -> np.ndarray:
         """Draw the belief from above."""
-        cv2, belief = self._cv2, state.belief
-        coverage = belief.coverage
+        cv2, coverage = self._cv2, state.belief.coverage
         x_min, x_max, y_min, y_max = (float(edge) for edge in coverage.area)
         scale = min(PANEL[0] / (y_max - y_min), PANEL[1] / (x_max - x_min))
         size = int(scale * (y_max - y_min)), int(scale * (x_max - x_min))
@@ -187,17 +178,11 @@ class Film:
         """Draw hypotheses of all particles, and what the likeliest one has seen."""
         cv2, belief = self._cv2, state.belief
         particles = belief.particles
-        mention = np.asarray(state.instruction.readings.mention_type)[
-            np.asarray(particles.reading)
-        ].T
-        hypothesised = np.asarray(particles.is_hypothesised)
-        for x, y, kind in zip(
-            np.asarray(particles.hypothesis_x)[hypothesised],
-            np.asarray(particles.hypothesis_y)[hypothesised],
-            mention[hypothesised],
-            strict=True,
-        ):
-            cv2.circle(map_, at(x, y), 3, _COLOURS[min(int(kind), 3)], -1)
+        types_of_reading = np.asarray(state.instruction.readings.mention_type)
+        mention = types_of_reading[np.asarray(particles.reading)].T
+        for place in zip(*np.nonzero(particles.is_hypothesised), strict=True):
+            x, y = float(particles.hypothesis_x[place]), float(particles.hypothesis_y[place])
+            cv2.circle(map_, at(x, y), 3, _COLOURS[min(int(mention[place]), 3)], -1)
         best = int(np.argmax(np.asarray(belief.log_weight)))
         types = np.asarray(particles.object_type)[:, best]
         for slot in np.flatnonzero(types >= 0):
@@ -223,8 +208,7 @@ class Film:
                 is_written = bool(cv2.imwriteanimation(str(temporary), film))
             else:
                 height, width = frames[0].shape[:2]
-                code = cv2.VideoWriter_fourcc(*"mp4v")
-                rate = 1000.0 / _MILLISECONDS
+                code, rate = cv2.VideoWriter_fourcc(*"mp4v"), 1000.0 / _MILLISECONDS
                 writer = cv2.VideoWriter(str(temporary), code, rate, (width, height))
                 is_written = bool(writer.isOpened())
                 for frame in frames:
@@ -244,7 +228,7 @@ def check_format(path: Path) -> None:
 def film(
     path: Path, robot: PhysicsRobot, text: str, *, navigator: Navigator, key: Any
 ) -> tuple[Path, str]:
-    """Let a robot follow a sentence and film it.
+    """Let a robot, at its start, follow a sentence and film it.
 
     Args:
         path: file to write, .gif or .mp4.

@@ -1,11 +1,8 @@
 """Simulated robots: what they have in common, and one without physics.
 
-All have a clock, a motion planner, odometry and things that happen; a backend tells how the body
-answers a command and what scanner and camera see. The truth stays in here: ``true_pose`` and
-``travelled`` are for whoever judges a run, never for the navigator.
-
-The robot without physics does what it is told, but for slip, in a known place: for tests, and where
-``jaxlangnav[robot]`` is not installed. Its detector is that of the worlds (``world.sensor``).
+A backend tells how the body answers a command and what scanner and camera see. ``true_pose`` and
+``travelled`` are for whoever judges a run, never for the navigator. The robot without physics does
+what it is told, but for slip; its detector is that of the worlds (``world.sensor``).
 """
 
 import abc
@@ -59,9 +56,7 @@ class SimulatedRobot(abc.ABC):
         """
         self.mover, self.scenario = mover, scenario
         self.go_to, self.stop = mover.go_to, mover.stop
-        """See ``Robot.go_to`` and ``Robot.stop``."""
-        self.seconds = 0.0
-        self.travelled = 0.0
+        self.seconds = self.travelled = 0.0
         self.camera_works = True
         self.on_tick: Callable[[Self], None] | None = None
         self.on_look: Callable[[Self], None] | None = None
@@ -130,21 +125,23 @@ class SimulatedRobot(abc.ABC):
     def wait(self, seconds: float) -> Progress:
         """Let time pass, see ``Robot.wait``."""
         for _ in range(max(1, round(seconds / TICK))):
-            self._tick()
+            while self._events and self._events[0][0] <= self.seconds:
+                heapq.heappop(self._events)[2](self)
+            discs = to_discs(self._scan(), BEAMS, self._odometry)
+            before = self.true_pose
+            ahead, turned = self._move(self.mover.tick(self._odometry, discs))
+            self.travelled += float(np.hypot(*(self.true_pose - before)[:2]))
+            self._odometry += _arc(self._odometry[2], ahead, turned)
+            self.seconds += TICK
+            if self.on_tick is not None:
+                self.on_tick(self)
         return self.mover.progress
 
-    def _tick(self) -> None:
-        while self._events and self._events[0][0] <= self.seconds:
-            heapq.heappop(self._events)[2](self)
-        discs = to_discs(self._scan(), BEAMS, self._odometry)
-        before = self.true_pose
-        ahead, turned = self._move(self.mover.tick(self._odometry, discs))
-        self.travelled += float(np.hypot(*(self.true_pose - before)[:2]))
-        middle = self._odometry[2] + 0.5 * turned
-        self._odometry += np.array([ahead * np.cos(middle), ahead * np.sin(middle), turned])
-        self.seconds += TICK
-        if self.on_tick is not None:
-            self.on_tick(self)
+
+def _arc(heading: float, ahead: float, turned: float) -> np.ndarray:
+    """Tell by how much a pose changes on an arc, f64[3]: along the chord, half turned."""
+    middle = heading + 0.5 * turned
+    return np.array([ahead * np.cos(middle), ahead * np.sin(middle), turned])
 
 
 OBJECT_RADIUS = 0.28
@@ -250,10 +247,7 @@ class KinematicRobot(SimulatedRobot):
     def _move(self, command: WheelCommand) -> np.ndarray:
         ahead, turned = command.speed * TICK, command.turn * TICK
         grip = 0.2 if self._slips() else 1.0
-        middle = self._true[2] + 0.5 * turned
-        self._true += np.array(
-            [grip * ahead * np.cos(middle), grip * ahead * np.sin(middle), turned]
-        )
+        self._true += _arc(self._true[2], grip * ahead, turned)
         noise = self._slip.noise * np.sqrt(abs(ahead)) * self._random.standard_normal()
         # Wheels that stand still: the gyro is not listened to.
         moves = command.speed != 0.0 or command.turn != 0.0
@@ -264,13 +258,10 @@ class KinematicRobot(SimulatedRobot):
         key = jax.random.fold_in(self._key, self._looks)
         seen = jax.device_get(_sense(key, self.world_state, self.scenario, self.sensor))
         return [
-            Detection(object_type=int(kind), range=float(away), bearing=float(bearing))
-            for kind, away, bearing, is_one in zip(
-                seen.detection_type,
-                seen.detection_range,
-                seen.detection_bearing,
-                seen.is_detection,
-                strict=True,
+            Detection(
+                object_type=int(seen.detection_type[slot]),
+                range=float(seen.detection_range[slot]),
+                bearing=float(seen.detection_bearing[slot]),
             )
-            if is_one
+            for slot in np.flatnonzero(seen.is_detection)
         ]

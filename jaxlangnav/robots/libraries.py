@@ -44,12 +44,7 @@ class MissingSystemLibraryError(ValueError):
 
 
 def mujoco() -> Any:
-    """Load MuJoCo, set up to render off screen.
-
-    Raises:
-        MissingExtraError: it is not installed.
-        MissingSystemLibraryError: EGL is not there.
-    """
+    """Load MuJoCo, set up to render off screen; a missing extra or library raises."""
     require("mujoco", extra="robot")
     if "mujoco" in sys.modules and os.environ.get(_BACKEND) is None:
         raise MissingSystemLibraryError(

@@ -1,7 +1,6 @@
 """A robot's drive as a recording: pages, stories and figures show it as they show an episode.
 
-The truth is taken at each look, beside what is believed after the decision. Where a robot has
-cameras its pictures go with each step.
+The truth is taken at each look, with the pictures of a robot that has cameras.
 """
 
 import dataclasses
@@ -40,10 +39,7 @@ class DriveRecorder:
     """Keeps a drive, step by step: ``drive(..., on_step=recorder.on_step)``."""
 
     def __init__(
-        self,
-        robot: PhysicsRobot | KinematicRobot,
-        navigator: Navigator,
-        text: str,
+        self, robot: PhysicsRobot | KinematicRobot, navigator: Navigator, text: str
     ) -> None:
         """Begin with a robot at its start; ``robot.on_look`` is taken for it."""
         self._robot, self._navigator, self._text = robot, navigator, text
@@ -68,7 +64,17 @@ class DriveRecorder:
         if info is None:
             if not self._frames:
                 return
-            frame = self._blind_frame()
+            # The last step without anything seen, from where the robot is now.
+            last, world = self._frames[-1], self._world
+            frame = replace(
+                last,
+                position=world.position,
+                heading=world.heading,
+                odometry=world.odometry[:2],
+                distance=world.distance,
+                is_detection=np.zeros_like(last.is_detection),
+                is_news=np.zeros_like(last.is_news),
+            )
         else:
             clause = np.minimum(self._clause, np.asarray(state.instruction.num_clauses) - 1)
             before = replace(state, clause=np.maximum(clause, 0))
@@ -78,19 +84,6 @@ class DriveRecorder:
         self._clause = np.asarray(state.clause)
         self._frames.append(frame)
         self._pictures.append(self._taken)
-
-    def _blind_frame(self) -> Frame:
-        """Repeat the last step without anything seen, from where the robot is now."""
-        last = self._frames[-1]
-        return replace(
-            last,
-            position=self._world.position,
-            heading=self._world.heading,
-            odometry=self._world.odometry[:2],
-            distance=self._world.distance,
-            is_detection=np.zeros_like(last.is_detection),
-            is_news=np.zeros_like(last.is_news),
-        )
 
     def recording(self, ended: Drive) -> Recording:
         """Put the recording of a drive together; a ValueError where no decision was kept."""
@@ -145,20 +138,10 @@ def record_drive(
     key: Array,
     max_seconds: float = 300.0,
 ) -> tuple[Drive, Recording]:
-    """Let a robot follow a sentence, and keep what there is to be seen of it.
-
-    Args:
-        robot: at its start.
-        text: the sentence.
-        navigator: what decides.
-        key: random key of the decisions, consumed.
-        max_seconds: after which the drive is broken off.
+    """Let a robot, at its start, follow a sentence, and record it; see ``drive``.
 
     Returns:
         How it ended, and the recording: ``viz.html.write_html`` makes a page of it.
-
-    Raises:
-        ValueError: the sentence is refused.
     """
     kept = DriveRecorder(robot, navigator, text)
     ended = drive(navigator, robot, text, key=key, max_seconds=max_seconds, on_step=kept.on_step)

@@ -63,15 +63,9 @@ class Robot(Protocol):
 
     def detections(self) -> Sequence[Detection] | None:
         """Look: things found now; None where the camera delivers no picture."""
-        ...
 
     def go_to(
-        self,
-        waypoints: np.ndarray,
-        *,
-        speed: float,
-        clearance: float,
-        facing: float | None = None,
+        self, waypoints: np.ndarray, *, speed: float, clearance: float, facing: float | None = None
     ) -> None:
         """Make for waypoints one after the other; returns at once, ``wait`` lets it happen.
 
@@ -83,22 +77,13 @@ class Robot(Protocol):
             facing: heading at the end, radians, map frame; towards a waypoint that could not be
                 reached, or any, if None.
         """
-        ...
 
     def wait(self, seconds: float) -> Progress:
-        """Let time pass: a real robot sleeps, a simulated one computes.
-
-        Args:
-            seconds: how long.
-
-        Returns:
-            How far it has come with the waypoints by then.
-        """
+        """Let seconds pass, and tell how far it has come with the waypoints by then."""
         ...
 
     def stop(self) -> None:
         """Stand still as soon as the body can, and forget the waypoints."""
-        ...
 
 
 class Ending(enum.Enum):
@@ -167,9 +152,6 @@ def observe(
         found: what has been detected; of more than ``size`` the nearest are kept.
         sensor: the detector's specification.
         size: D, slots of the observation.
-
-    Returns:
-        The observation.
     """
     kept = sorted(found, key=lambda one: one.range)[:size]
     empty = size - len(kept)

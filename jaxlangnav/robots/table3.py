@@ -1,9 +1,9 @@
 """Table 3 of the paper: robots with bodies, in physics with rendered cameras (section 4.3).
 
-Physics-in-the-loop simulation with rendered-camera perception, not a physical experiment. As in the
-paper each row is one environment, command and sensing range: a run with a completely known map, and
-trials that differ in all noise (wheels, gyro, pixels, decisions). The paper gives no geometry: each
-environment is drawn by the law of ``world.scenario`` so that the known run is as long as printed.
+A simulation, not a physical experiment. As in the paper each row is one environment, command and
+sensing range: a run with a completely known map, and trials that differ in all noise (wheels, gyro,
+pixels, decisions). The paper gives no geometry: environments are drawn by the law of
+``world.scenario`` so that the known run is as long as printed.
 """
 
 import dataclasses
@@ -35,11 +35,9 @@ HALT = 1.1
 """Metres from the middle of its goal at which the robot of the known map stops."""
 MAX_SECONDS = 400.0
 """After which a trial is out of time, on the robot's clock."""
-_SPREAD = 0.19
-"""Standard deviation of a hydrant's range over its mean: that of Table 2's first row."""
+_SPREAD = 0.19  # standard deviation of a hydrant's range over its mean: that of Table 2's first row
 _DRAWS = 64
-_WORLDS, _TRIALS = 3, 4
-"""Folded into the seed, to keep environments and trials apart."""
+_WORLDS, _TRIALS = 3, 4  # folded into the seed, to keep environments and trials apart
 
 
 @dataclasses.dataclass(frozen=True)
@@ -78,15 +76,7 @@ _HUSKY_KNOWN = 4.69
 def environment(row: TrialRow, seed: int) -> Scenario:
     """Draw the environment of a row: of many, the one whose known run is nearest to the printed.
 
-    Rows of one world, and of one printed distance, share it, as the paper issues several commands
-    in one environment.
-
-    Args:
-        row: the row.
-        seed: root seed.
-
-    Returns:
-        The place, NumPy leaves.
+    Rows of one world and one printed distance share it, as in the paper. The leaves are NumPy's.
     """
     wanted = (row.known or _HUSKY_KNOWN) + HALT
     # A null command is given where "behind" is, as in Table 2.
@@ -132,11 +122,11 @@ def run_trial(
     seed: int = 0,
     page: Path | None = None,
 ) -> dict[str, Any]:
-    """Run one trial of a row; the robot knows nothing of the environment but its edges.
+    """Run one trial, 0 or more, of a row; the robot knows of the environment but its edges.
 
     Args:
         row: the row.
-        trial: which one, 0 or more.
+        trial: its number.
         navigator: what decides; ``navigator_of`` builds it.
         seed: root seed.
         page: file for the recording of it, a page for the browser; none is made if None.
@@ -144,8 +134,7 @@ def run_trial(
     Returns:
         What came of it, in JSON's types: a row of the table, and the whole drive as ``steps``.
     """
-    begin = time.perf_counter()
-    robot = make_robot(row, seed, trial)
+    begin, robot = time.perf_counter(), make_robot(row, seed, trial)
     truth: list[list[float]] = []
     text = SENTENCES[row.relation]
     kept = None if page is None else DriveRecorder(robot, navigator, text)
@@ -160,7 +149,7 @@ def run_trial(
         ended = drive(navigator, robot, text, key=key, max_seconds=MAX_SECONDS, on_step=keep)
         if kept is not None and page is not None:
             write_html(kept.recording(ended), page)
-        found = _judged(row, seed, robot, ended.ending)
+        found = _judged(robot, ended.ending)
     finally:
         robot.close()
     wall = time.perf_counter() - begin
@@ -173,8 +162,7 @@ def run_known(row: TrialRow, *, seed: int = 0) -> dict[str, Any]:
 
     Returns what came of it as ``run_trial`` does, without steps.
     """
-    begin = time.perf_counter()
-    robot = make_robot(row, seed, -1)
+    begin, robot = time.perf_counter(), make_robot(row, seed, -1)
     try:
         goal = np.asarray(robot.scenario.goal, float)
         robot.go_to(goal[None], speed=1.0, clearance=0.3)
@@ -186,14 +174,14 @@ def run_known(row: TrialRow, *, seed: int = 0) -> dict[str, Any]:
         robot.stop()
         robot.wait(1.0)
         is_there = np.hypot(*(robot.pose()[:2] - goal)) <= HALT + 0.2
-        found = _judged(row, seed, robot, Ending.ARRIVED if is_there else Ending.BLOCKED)
+        found = _judged(robot, Ending.ARRIVED if is_there else Ending.BLOCKED)
     finally:
         robot.close()
     wall = time.perf_counter() - begin
     return {"row": row.name, "trial": "known", "seed": seed, "why": "", **found, "wall_s": wall}
 
 
-def _judged(row: TrialRow, seed: int, robot: PhysicsRobot, ending: Ending) -> dict[str, Any]:
+def _judged(robot: PhysicsRobot, ending: Ending) -> dict[str, Any]:
     """Judge a run by where the robot truly is."""
     goal = np.asarray(robot.scenario.goal, float)
     away = float(np.hypot(*(robot.true_pose[:2] - goal)))

@@ -1,7 +1,7 @@
 """Many trials of Table 3 in parallel processes, each kept as it ends, and the table they make.
 
-A trial's result follows from its row, its number and the seed alone: neither from the number of
-processes nor from what had been run before. One that has been kept is not run again.
+A trial's result follows from its row, its number and the seed alone. One that has been kept is not
+run again.
 """
 
 import concurrent.futures
@@ -95,23 +95,19 @@ def reproduce_table3(
     begin = time.perf_counter()
     check_libraries()
     wanted = [(row, one) for row in rows for one in (KNOWN, *range(plan.trials))]
-    found: dict[tuple[str, str], dict[str, Any]] = {}
-    missing = []
-    for row, trial in wanted:
-        kept = _read(plan, row, trial)
-        if kept is None:
-            missing.append((row, trial))
-        else:
-            found[row.name, str(trial)] = kept
-            on_progress(1)
+    read = {(row, trial): _read(plan, row, trial) for row, trial in wanted}
+    found = {one: kept for one, kept in read.items() if kept is not None}
+    missing = [one for one in wanted if one not in found]
+    for _ in found:
+        on_progress(1)
     for row, trial, result in _run(plan, missing):
         path = plan.path(row, trial)
         if path is not None:
             write_text(json.dumps({**result, "made": plan.made}, indent=1) + "\n", path)
-        found[row.name, str(trial)] = result
+        found[row, trial] = result
         on_progress(1)
     summaries = [
-        _summary(row, found[row.name, KNOWN], [found[row.name, str(n)] for n in range(plan.trials)])
+        _summary(row, found[row, KNOWN], [found[row, n] for n in range(plan.trials)])
         for row in rows
     ]
     successes = sum(one["successes"] for one in summaries)
@@ -230,14 +226,9 @@ def _summary(
 
 
 def trials_table(document: dict[str, Any], **rest: Any) -> Table:
-    """Lay out the document, ours beside the paper's; distances as mean (sd), metres.
+    """Lay out the document of ``reproduce_table3``, a line for each row, ours beside the paper's.
 
-    Args:
-        document: of ``reproduce_table3``.
-        **rest: the table's title and caption.
-
-    Returns:
-        A line for each row.
+    Distances are mean (sd), metres; ``rest`` are the table's title and caption.
     """
     return Table.of(document["rows"], _COLUMNS, **rest)
 

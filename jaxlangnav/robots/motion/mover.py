@@ -1,7 +1,6 @@
 """Following waypoints with a body: a way around things, found anew as it goes, and steering.
 
-``Mover`` holds what both motion planners have in common; how to steer along the way is their own:
-``steering``. It gives up where there is no way, or where it no longer comes nearer.
+It gives up where there is no way, or where it no longer comes nearer.
 """
 
 import itertools
@@ -24,24 +23,17 @@ TICK = 0.1
 """Seconds between two commands to the wheels."""
 CLOSE_BY = 0.12
 """Metres from a waypoint that count as being there."""
-_CREEP = 0.1
-"""Metres a second below which it may turn on the spot."""
-_FACING = 0.15
-"""Radians off the last waypoint that count as facing it."""
-_BESIDE = 0.3
-"""Metres from the last waypoint from which on there is something to face."""
-_PATIENCE = 8.0
-"""Seconds without moving after which it gives up."""
-_MOVED = 0.1
-"""Metres, or a fifth of a radian, that count as having moved."""
+_CREEP = 0.1  # metres a second below which it may turn on the spot
+_FACING = 0.15  # radians off the last waypoint that count as facing it
+_BESIDE = 0.3  # metres from the last waypoint from which on there is something to face
+_PATIENCE = 8.0  # seconds without moving after which it gives up
+_MOVED = 0.1  # metres, or a fifth of a radian, that count as having moved
 _GRACE, _DETOUR = 15.0, 4.0
 """It gives up after a time, too: seconds, and how often the time that the straight way takes."""
 _TREMBLE = np.array([0.0, 0.0, 0.06])
 """Metres by which discs may grow or stir before a way is not free any more."""
-_PLAN_EVERY = 0.3
-"""Seconds after which a way is looked for again, or a free one shortened."""
-_TRIES = 10
-"""Ways looked for in vain, one after the other, after which there is none."""
+_PLAN_EVERY = 0.3  # seconds after which a way is looked for again, or a free one shortened
+_TRIES = 10  # ways looked for in vain, one after the other, after which there is none
 
 
 class Mover:
@@ -49,10 +41,8 @@ class Mover:
 
     def __init__(self, body: BodyLimits, steering: Steering) -> None:
         """Build one that stands still."""
-        self.body = body
-        self.steering = steering
-        self.moving = STILL
-        self.progress = Progress.STANDING
+        self.body, self.steering = body, steering
+        self.moving, self.progress = STILL, Progress.STANDING
         self._waypoints = np.zeros((0, 2))
         self._speed, self._clearance = 1.0, 0.0
         self._facing: float | None = None
@@ -67,12 +57,7 @@ class Mover:
         self._left = math.inf
 
     def go_to(
-        self,
-        waypoints: np.ndarray,
-        *,
-        speed: float,
-        clearance: float,
-        facing: float | None = None,
+        self, waypoints: np.ndarray, *, speed: float, clearance: float, facing: float | None = None
     ) -> None:
         """Take waypoints, see ``Robot.go_to``; the same ones again change nothing."""
         points = np.asarray(waypoints, float).reshape(-1, 2)
@@ -80,35 +65,36 @@ class Mover:
             raise ValueError(f"waypoints are {points.tolist()}, but must be finite, one at least")
         is_same = self.progress is Progress.UNDER_WAY and points.shape == self._waypoints.shape
         is_same = is_same and bool(np.hypot(*(points - self._waypoints).T).max() < CLOSE_BY)
-        is_same = is_same and facing == self._facing
+        if not is_same or facing != self._facing:
+            self._forget()
         self._waypoints, self._speed, self._clearance = points, speed, clearance
-        self._facing = facing
-        if is_same:
-            return
-        self._forget()
-        self.progress = Progress.UNDER_WAY
+        self._facing, self.progress = facing, Progress.UNDER_WAY
 
     def stop(self) -> None:
         """Forget the waypoints; the next commands brake."""
         self.progress = Progress.STANDING
 
     def tick(self, pose: np.ndarray, discs: np.ndarray = NO_DISCS) -> WheelCommand:
-        """Choose the next command to the wheels.
+        """Choose the next command to the wheels, within what the body can do in a tick.
 
         Args:
             pose: f64[3], where the robot takes itself to be.
             discs: f64[K, 3], things in the same frame, metres.
-
-        Returns:
-            The command, within what the body can do in a tick.
         """
         wanted = STILL
         if self.progress is Progress.UNDER_WAY:
             wanted = self._follow(pose, discs)
-        if wanted.speed == 0.0 and abs(self.moving.speed) > _CREEP:
+        body, moving = self.body, self.moving
+        if wanted.speed == 0.0 and abs(moving.speed) > _CREEP:
             # First brake: tyres that turn a skid-steer on the spot hold it no longer ahead.
             wanted = STILL
-        self.moving = _limited(wanted, self.moving, self.body)
+        speed = min(max(wanted.speed, -body.top_speed), body.top_speed)
+        turn = min(max(wanted.turn, -body.turn_rate), body.turn_rate)
+        most, most_turn = body.acceleration * TICK, body.turn_acceleration * TICK
+        self.moving = WheelCommand(
+            min(max(speed, moving.speed - most), moving.speed + most),
+            min(max(turn, moving.turn - most_turn), moving.turn + most_turn),
+        )
         return self.moving
 
     def _follow(self, pose: np.ndarray, discs: np.ndarray) -> WheelCommand:
@@ -145,22 +131,16 @@ class Mover:
         if self._age < _PLAN_EVERY and (is_free or self._way is None):
             return
         self._age = 0.0
-        if is_free and self._way is not None:
-            self._way = self._shortened(pose[:2], self._way, inflated)
+        if not is_free or self._way is None:
+            self._way = find_path(pose[:2], goal, inflated)
+            self._failed = self._failed + 1 if self._way is None else 0
             return
-        self._way = find_path(pose[:2], goal, inflated)
-        self._failed = self._failed + 1 if self._way is None else 0
-
-    @staticmethod
-    def _shortened(start: np.ndarray, way: np.ndarray, inflated: np.ndarray) -> np.ndarray:
-        """Leave out corners that have been passed, or beyond which the way lies open."""
-        discs = inflated - _TREMBLE
-        while len(way) > 1:
-            is_passed = (start - way[0]) @ (way[1] - way[0]) > 0.0
-            if not is_passed and not is_clear(start, way[1], discs):
+        # Corners that have been passed are left out, and those beyond which the way lies open.
+        while len(way := self._way) > 1:
+            is_passed = (pose[:2] - way[0]) @ (way[1] - way[0]) > 0.0
+            if not is_passed and not is_clear(pose[:2], way[1], inflated - _TREMBLE):
                 break
-            way = way[1:]
-        return way
+            self._way = way[1:]
 
     def _arrive(self, pose: np.ndarray) -> WheelCommand:
         """Face what the last waypoint is on, and be there."""
@@ -189,14 +169,3 @@ class Mover:
         if moved or abs(pose[2] - self._last[2]) > 2.0 * _MOVED:
             self._last, self._still_for = pose.copy(), 0.0
         return self._still_for > _PATIENCE or self._left < 0.0
-
-
-def _limited(wanted: WheelCommand, moving: WheelCommand, body: BodyLimits) -> WheelCommand:
-    """Keep a command within the body's speed and acceleration."""
-    speed = min(max(wanted.speed, -body.top_speed), body.top_speed)
-    turn = min(max(wanted.turn, -body.turn_rate), body.turn_rate)
-    most, most_turn = body.acceleration * TICK, body.turn_acceleration * TICK
-    return WheelCommand(
-        min(max(speed, moving.speed - most), moving.speed + most),
-        min(max(turn, moving.turn - most_turn), moving.turn + most_turn),
-    )

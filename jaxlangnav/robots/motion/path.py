@@ -46,21 +46,15 @@ def to_discs(ranges: np.ndarray, angles: np.ndarray, pose: np.ndarray) -> np.nda
         span = np.hypot(x[index] - x[breaks[-1]], y[index] - y[breaks[-1]])
         if to_last > GAP or span > EXTENT:
             breaks.append(index)
-    return np.array(
-        [
-            _disc(x[first:last], y[first:last], pose)
-            for first, last in zip(breaks, [*breaks[1:], len(x)], strict=True)
-        ]
-    )
-
-
-def _disc(x: np.ndarray, y: np.ndarray, pose: np.ndarray) -> tuple[float, float, float]:
-    """Put a disc behind hits on the near side of a thing."""
-    mid_x, mid_y = float(x.mean()), float(y.mean())
-    wide = float(np.hypot(x - mid_x, y - mid_y).max())
-    bearing = np.arctan2(mid_y - pose[1], mid_x - pose[0])
-    depth = _BEHIND * wide
-    return mid_x + depth * np.cos(bearing), mid_y + depth * np.sin(bearing), wide + GROWN
+    discs = []
+    for near_x, near_y in zip(np.split(x, breaks[1:]), np.split(y, breaks[1:]), strict=True):
+        mid_x, mid_y = float(near_x.mean()), float(near_y.mean())
+        wide = float(np.hypot(near_x - mid_x, near_y - mid_y).max())
+        bearing = np.arctan2(mid_y - pose[1], mid_x - pose[0])
+        depth = _BEHIND * wide
+        middle = mid_x + depth * np.cos(bearing), mid_y + depth * np.sin(bearing)
+        discs.append((*middle, wide + GROWN))
+    return np.array(discs)
 
 
 def gaps(x: np.ndarray, y: np.ndarray, discs: np.ndarray) -> np.ndarray:
@@ -79,8 +73,7 @@ CELL = 0.15
 DETOUR_MARGIN = 3.0
 """Metres of room that a way may take beyond the box of start and goal."""
 _STEPS = [(dx, dy, math.hypot(dx, dy)) for dx in (-1, 0, 1) for dy in (-1, 0, 1) if dx or dy]
-_ALIVE = 0.08
-"""Metres that a body is told to keep from a thing that it stands against."""
+_ALIVE = 0.08  # metres that a body is told to keep from a thing that it stands against
 _UP_TO = 0.6
 """Metres from the goal to the edge of a disc within which it counts as what is gone up to."""
 
@@ -88,17 +81,14 @@ _UP_TO = 0.6
 def inflate(
     discs: np.ndarray, start: np.ndarray, goal: np.ndarray, radius: float, clearance: float
 ) -> np.ndarray:
-    """Inflate discs by the body and by the clearance where that can be.
+    """Inflate discs so that the middle of the body has to stay out of them.
 
     Args:
         discs: f64[K, 3], x, y, radius, metres.
         start: f64[2], where the robot is.
         goal: f64[2], where it goes.
         radius: of the body, metres.
-        clearance: metres to keep besides.
-
-    Returns:
-        f64[K, 3]; the middle of the body has to stay out of these.
+        clearance: metres to keep besides where that can be.
     """
     if not len(discs):
         return discs
@@ -154,7 +144,14 @@ def find_path(start: np.ndarray, goal: np.ndarray, discs: np.ndarray) -> np.ndar
     way = np.array([[x[i], y[j]] for i, j in cells]).reshape(-1, 2)
     if len(way) and is_clear(way[-1], goal, discs):
         way[-1] = goal
-    return _taut(start, way, discs)
+    corners, here = [], start
+    while len(way):  # pulled taut: corners that can be cut are left out
+        ahead = len(way) - 1
+        while ahead > 0 and not is_clear(here, way[ahead], discs):
+            ahead -= 1
+        here, way = way[ahead], way[ahead + 1 :]
+        corners.append(here)
+    return np.array(corners).reshape(-1, 2)
 
 
 def _search(
@@ -192,17 +189,3 @@ def _search(
     while way[-1] in before:
         way.append(before[way[-1]])
     return [(int(i), int(j)) for i, j in way[-2::-1]]
-
-
-def _taut(start: np.ndarray, way: np.ndarray, discs: np.ndarray) -> np.ndarray:
-    """Leave out corners that can be cut."""
-    corners: list[np.ndarray] = []
-    here, index = start, 0
-    while index < len(way):
-        ahead = len(way) - 1
-        while ahead > index and not is_clear(here, way[ahead], discs):
-            ahead -= 1
-        here = way[ahead]
-        corners.append(here)
-        index = ahead + 1
-    return np.array(corners).reshape(-1, 2)

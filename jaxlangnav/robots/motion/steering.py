@@ -4,9 +4,8 @@ R. C. Coulter, Implementation of the pure pursuit path tracking algorithm, CMU-R
 An arc leads to a point of the way some distance ahead; it turns on the spot if that is aside.
 
 D. Fox, W. Burgard, S. Thrun, The dynamic window approach to collision avoidance, IEEE RAM 4(1),
-1997. Of the arcs that the body can take next the best one. Alone it deadlocks before a thing; here
-it follows a way around things. Where no arc ahead is free it turns on the spot towards the way, and
-where it cannot even go on it stands.
+1997. Of the arcs that the body can take next the best one; here along a way around things, as alone
+it deadlocks before one. Where no arc ahead is free it turns on the spot towards the way.
 """
 
 import abc
@@ -111,8 +110,7 @@ class Steering(abc.ABC):
 
 
 _SPEEDS, _TURNS, _TIMES = 5, 15, 8
-_REACTION = 0.5
-"""Seconds within which the window's speeds can be reached."""
+_REACTION = 0.5  # seconds within which the window's speeds can be reached
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -139,7 +137,11 @@ class Window(Steering):
         speeds = np.linspace(min(low, high), high, _SPEEDS)
         turns = np.append(np.linspace(least_turn, most_turn, _TURNS), 0.0)
         speed, turn = (one.ravel() for one in np.meshgrid(speeds, turns))
-        x, y = _arcs(pose, speed, turn, self.horizon)
+        times = np.linspace(0.0, self.horizon, _TIMES + 1)[1:]
+        turned = turn[:, None] * times
+        chord = np.sinc(turned / (2.0 * math.pi)) * speed[:, None] * times
+        bearing = pose[2] + 0.5 * turned
+        x, y = pose[0] + chord * np.cos(bearing), pose[1] + chord * np.sin(bearing)
         gap = gaps(x, y, discs) - body.radius
         here = float(gaps(pose[None, 0], pose[None, 1], discs)[0]) - body.radius
         is_free = gap.min(axis=1) >= self.spare
@@ -154,22 +156,8 @@ class Window(Steering):
         return WheelCommand(float(speed[best]), float(turn[best]))
 
 
-def _arcs(
-    pose: np.ndarray, speed: np.ndarray, turn: np.ndarray, seconds: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Follow arcs: f64[S], f64[S] to x and y, f64[S, T]."""
-    times = np.linspace(0.0, seconds, _TIMES + 1)[1:]
-    turned = turn[:, None] * times
-    # sin(a) / a and (1 − cos(a)) / a, whole at 0
-    chord = np.sinc(turned / (2.0 * math.pi)) * speed[:, None] * times
-    bearing = pose[2] + 0.5 * turned
-    return pose[0] + chord * np.cos(bearing), pose[1] + chord * np.sin(bearing)
-
-
-_SPARE = 0.02
-"""Metres kept from things by the straight line to the point pursued."""
-_LEAST = 0.15
-"""Metres along the way below which no nearer point is asked for."""
+_SPARE = 0.02  # metres kept from things by the straight line to the point pursued
+_LEAST = 0.15  # metres along the way below which no nearer point is asked for
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

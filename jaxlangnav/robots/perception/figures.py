@@ -1,10 +1,11 @@
 """What the camera and its tags are good for: measured, printed, and told to the belief.
 
-A robot stands before one thing at a time, at many ranges, bearings and turns of its cube. What is
-counted is what the navigator gets: things, after all gates but that of range.
+A robot stands before one thing at a time, at many ranges, bearings and turns of its cube. Counted
+are things, after all gates but that of range.
 """
 
 import dataclasses
+import itertools
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -63,18 +64,12 @@ def measure_detector(
     found = []
     for picture in pictures:
         grain, blur = PICTURES[picture]
-        robot = PhysicsRobot(
-            "husky",
-            scenario,
-            seed=seed,
-            gates=Gates(range=_FARTHEST),
-            wear=Wear(grain=grain, blur=blur),
-        )
+        wear, gates = Wear(grain=grain, blur=blur), Gates(range=_FARTHEST)
+        robot = PhysicsRobot("husky", scenario, seed=seed, gates=gates, wear=wear)
         random = np.random.default_rng(seed)
-        for away in ranges:
-            for turned in turns:
-                found.append(_look(robot, random, picture, away, turned, looks))
-                on_progress(1)
+        for away, turned in itertools.product(ranges, turns):
+            found.append(_look(robot, random, picture, away, turned, looks))
+            on_progress(1)
         robot.close()
     return found
 
@@ -101,21 +96,18 @@ def _look(
         seen = robot.detections() or []
         false += sum(tag.number != HYDRANT * TAGS_PER_TYPE for tag in robot.last_tags)
         for one in seen[:1]:
-            angle_seen = heading + one.bearing
-            measured = np.array([x, y]) + one.range * np.array(
-                [np.cos(angle_seen), np.sin(angle_seen)]
-            )
+            seen_at = heading + one.bearing
+            measured = np.array([x, y]) + one.range * np.array([np.cos(seen_at), np.sin(seen_at)])
             errors.append(measured - place)
             biases.append(one.range - away)
-    has_any = bool(errors)
     return Figure(
         picture=picture,
         range=away,
         turned=turned,
         looks=looks,
         rate=len(errors) / looks,
-        bias=float(np.mean(biases)) if has_any else float("nan"),
-        error=float(np.sqrt(np.mean(np.square(errors)))) if has_any else float("nan"),
+        bias=float(np.mean(biases)) if biases else float("nan"),
+        error=float(np.sqrt(np.mean(np.square(errors)))) if errors else float("nan"),
         false=false,
     )
 

@@ -1,9 +1,8 @@
 """AprilTags 36h11: drawn by OpenCV, found by AprilTag, turned into the middles of things.
 
 E. Olson, AprilTag: a robust and flexible visual fiducial system, ICRA 2011. Each thing carries one
-tag on each of four upright sides of a cube. A tag tells only which way its side faces roughly, so
-nothing is made of a thing's heading; its middle lies half a cube behind the side, and that is what
-is reported, whichever side is seen.
+tag on each of four upright sides of a cube. A tag tells only roughly which way its side faces, so
+no heading is reported, but the thing's middle, half a cube behind the side.
 
 Camera frame: x right, y down, z ahead; robot frame: x ahead, y left. Metres, radians.
 """
@@ -36,8 +35,7 @@ _SQUARE = 0.5 * TAG_SIDE * np.array([[-1.0, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -
 """Corners of a tag from the top left one on, clockwise, its z axis towards whoever sees it."""
 _LEAST_MARGIN = 25.0
 """Contrast of a tag's bits (AprilTag's decision margin) below which it is not believed."""
-_SAME = 0.6
-"""Metres within which two sides with one number are of one thing."""
+_SAME = 0.6  # metres within which two sides with one number are of one thing
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -119,10 +117,9 @@ def _detector() -> Any:
 
 def find_tags(picture: np.ndarray, camera: Camera) -> list[Tag]:
     """Find the tags in a grey picture u8[H, W] of which every bit is right and stands out."""
-    found = _detector().detect(np.ascontiguousarray(picture))
     return [
         _place(int(one.tag_id), np.asarray(one.corners, float), camera)
-        for one in found
+        for one in _detector().detect(np.ascontiguousarray(picture))
         if one.hamming == 0 and one.decision_margin >= _LEAST_MARGIN
     ]
 
@@ -131,13 +128,8 @@ def _place(number: int, corners: np.ndarray, camera: Camera) -> Tag:
     """Find where a tag of known size is by its corners: of two poses that would do the better."""
     cv2 = libraries.opencv()
     # AprilTag counts pixels from their corners.
-    lens = np.array(
-        [
-            [camera.focal, 0.0, 0.5 * camera.width],
-            [0.0, camera.focal, 0.5 * camera.height],
-            [0.0, 0.0, 1.0],
-        ]
-    )
+    lens = np.diag([camera.focal, camera.focal, 1.0])
+    lens[:2, 2] = 0.5 * camera.width, 0.5 * camera.height
     _, turns, places, _ = cv2.solvePnPGeneric(
         _SQUARE, corners[::-1].copy(), lens, None, flags=cv2.SOLVEPNP_IPPE_SQUARE
     )
@@ -167,8 +159,7 @@ def to_detections(
         num_types: tags of further types are nobody's.
 
     Returns:
-        Things within the gates, each at the mean of what its sides say, those seen straight on
-        counting most.
+        Things within the gates, each at the mean of its sides, which weigh by how straight on.
     """
     things: dict[int, list[tuple[np.ndarray, float]]] = {}
     for tag in tags:
@@ -190,16 +181,13 @@ def to_detections(
 def degrade(
     picture: np.ndarray, random: np.random.Generator, *, noise: float, blur: float
 ) -> np.ndarray:
-    """Make a rendered picture as bad as a camera's.
+    """Make a rendered grey picture u8[H, W] as bad as a camera's.
 
     Args:
-        picture: u8[H, W], grey.
+        picture: u8[H, W].
         random: of the noise.
         noise: standard deviation, grey levels of 255.
         blur: standard deviation of the Gaussian that it is blurred by, pixels.
-
-    Returns:
-        u8[H, W].
     """
     if blur > 0.0:
         picture = libraries.opencv().GaussianBlur(picture, (0, 0), blur)

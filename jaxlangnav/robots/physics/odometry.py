@@ -2,8 +2,8 @@
 
 The belief takes each cycle's error for independent, its standard deviation a share of the cycle's
 way (``MotionParams.odometry_noise``). A robot's is not: a skid-steer slides aside in a turn and
-partly back in the next, a wheel's radius and a gyro's bias are out all along. So what is measured
-is the share with which that law is right over a number of cycles, for several numbers.
+partly back, a wheel's radius and a gyro's bias are out all along. So the share is measured with
+which that law is right over several numbers of cycles.
 """
 
 import dataclasses
@@ -46,9 +46,6 @@ def measure_odometry(machine: str, *, drives: int = 30, seed: int = 0) -> Odomet
         machine: "husky" or "wheelchair".
         drives: each with wheels, gyro and places of its own.
         seed: of the first; the others follow.
-
-    Returns:
-        The figures.
     """
     logs = [_drive(machine, seed + one) for one in range(drives)]
     way = np.array([np.hypot(*np.diff(log[:, :2], axis=0).T).sum() for log in logs])

@@ -1,11 +1,8 @@
 """A robot of MuJoCo: wheels turn, tyres slip, a camera renders, tags are found (section 4.3).
 
-Sizes and masses of the paper's two robots stand in ``husky.xml`` and ``wheelchair.xml``, with their
-sources. Speeds are those of the data sheets cut to what is fit among people; accelerations are
-guesses.
-
-Odometry: lengths from the wheels' encoders, turns from the gyro while the wheels turn; radius and
-bias are out, and what the tyres slip the wheels do not know.
+Sizes and masses of the paper's two robots stand in ``husky.xml`` and ``wheelchair.xml``. Speeds are
+those of the data sheets cut to what is fit among people; accelerations are guesses. Odometry has
+lengths from the wheels' encoders, and turns from the gyro while the wheels turn.
 """
 
 import dataclasses
@@ -102,14 +99,10 @@ MACHINES = {
 }
 """By name."""
 
-_READINGS = 10
-"""Readings of the gyro in a tick."""
-_SETTLE = 250
-"""Steps of physics in which it comes to rest on its wheels."""
-_STANDS = 1e-4
-"""Metres that a wheel turns in a tick below which it stands."""
-_ICE = 0.02
-"""Friction of a tyre on a slippery patch."""
+_READINGS = 10  # readings of the gyro in a tick
+_SETTLE = 250  # steps of physics in which it comes to rest on its wheels
+_STANDS = 1e-4  # metres that a wheel turns in a tick below which it stands
+_ICE = 0.02  # friction of a tyre on a slippery patch
 _SEEN_BY_SCANNER = np.array([0, 1, 0, 0, 0, 0], np.uint8)
 
 
@@ -140,10 +133,9 @@ class PhysicsRobot(SimulatedRobot):
             wear: how its sensors err; the default if None.
             steering: how it follows a way; the machine's own if None.
         """
-        self.machine = MACHINES[machine]
-        self._wear = Wear() if wear is None else wear
+        self.machine, self._wear = MACHINES[machine], wear or Wear()
         super().__init__(
-            Mover(self.machine.body, self.machine.steering if steering is None else steering),
+            Mover(self.machine.body, steering or self.machine.steering),
             scenario,
             sensor=as_told(gates) if sensor is None else sensor,
             seed=seed,
@@ -223,10 +215,8 @@ class PhysicsRobot(SimulatedRobot):
         return to_detections(self.last_tags, self.camera, self._gates, self._num_types)
 
     def _scan(self) -> np.ndarray:
-        heading = self.true_pose[2]
-        ways = np.column_stack(
-            [np.cos(BEAMS + heading), np.sin(BEAMS + heading), np.zeros(len(BEAMS))]
-        )
+        bearing = BEAMS + self.true_pose[2]
+        ways = np.column_stack([np.cos(bearing), np.sin(bearing), np.zeros(len(BEAMS))])
         ranges, hit = np.empty(len(BEAMS)), np.empty(len(BEAMS), np.int32)
         self._mujoco.mj_multiRay(
             self.scene.model,

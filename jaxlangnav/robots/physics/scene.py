@@ -5,6 +5,7 @@ the scanner what to see: 1 things and people, 2 their looks, 3 the robot, 0 the 
 """
 
 import dataclasses
+from collections import Counter
 from collections.abc import Sequence
 from importlib import resources
 from typing import Any
@@ -18,8 +19,7 @@ from jaxlangnav.world.state import CONE, HYDRANT, Scenario
 MIDDLE_HEIGHT = 0.45
 """Metres from the floor to the middle of a cube."""
 OUT_OF_SIGHT = (500.0, 500.0)
-_LOOKS = {"contype": 0, "conaffinity": 0, "group": 2}
-"""Of what is seen and touches nothing."""
+_LOOKS = {"contype": 0, "conaffinity": 0, "group": 2}  # of what is seen and touches nothing
 _COLOURS = {HYDRANT: (0.75, 0.1, 0.1, 1.0), CONE: (0.95, 0.45, 0.05, 1.0)}
 _COVERED = (0.45, 0.45, 0.45, 1.0)
 _SIDES = ("front", "left", "back", "right")
@@ -58,24 +58,20 @@ class PhysicsScene:
 
 
 def compile_scene(robot: str, scenario: Scenario, *, seed: int) -> PhysicsScene:
-    """Build a place with "husky" or "wheelchair" at its start.
-
-    ``seed`` is of how the cubes are turned.
-    """
+    """Build a place with "husky" or "wheelchair" at its start, cubes turned by the seed."""
     mujoco = libraries.mujoco()
     folder = resources.files("jaxlangnav.robots.physics")
     place, body = (folder / f"{name}.xml" for name in ("place", robot))
-    spec = mujoco.MjSpec.from_string(
-        place.read_text("utf-8"), include={"robot.xml": body.read_bytes()}
-    )
-    random = np.random.default_rng(seed)
-    counts: dict[int, int] = {}
+    included = {"robot.xml": body.read_bytes()}
+    spec = mujoco.MjSpec.from_string(place.read_text("utf-8"), include=included)
+    random, counts = np.random.default_rng(seed), Counter[int]()
     for slot in np.flatnonzero(np.asarray(scenario.is_object)).tolist():
         kind = int(np.asarray(scenario.object_type)[slot])
-        number = kind * TAGS_PER_TYPE + counts.get(kind, 0)
-        counts[kind] = counts.get(kind, 0) + 1
         place = float(scenario.object_x[slot]), float(scenario.object_y[slot])
-        _add_thing(spec, mujoco, slot, number, kind, place, random.uniform(0.0, 0.5 * np.pi))
+        turned = random.uniform(0.0, 0.5 * np.pi)
+        number = kind * TAGS_PER_TYPE + counts[kind]
+        _add_thing(spec, mujoco, slot, number, kind, place, turned)
+        counts[kind] += 1
     model = spec.compile()
     data = mujoco.MjData(model)
     x, y, heading = (float(one) for one in np.asarray(scenario.start))

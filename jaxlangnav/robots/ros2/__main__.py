@@ -22,8 +22,7 @@ from jaxlangnav.robots.ros2.robot import RosRobot
 from jaxlangnav.robots.ros2.session import Session
 from jaxlangnav.robots.ros2.simulation import RobotOptions, simulate
 
-_WAIT = 0.2
-"""Seconds between two questions whether anything has been said."""
+_WAIT = 0.2  # seconds between two questions whether anything has been said
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -62,6 +61,11 @@ def navigate(options: NavigatorOptions) -> None:
     navigator, said = Navigator.pretrained(), []
     tags = _tags(options, navigator.type_names)
     bus = RosBus(navigator.type_names, said.append, look=options.look, tags=tags)
+
+    def tell_of_silence() -> None:
+        bus.tell({"status": "waiting_for_odometry"})
+        bus.warn(bus.why_silent("odom"))
+
     try:
         bus.tell({"status": "warming_up"})
         navigator.warm_up()
@@ -72,7 +76,15 @@ def navigate(options: NavigatorOptions) -> None:
             if bus.now() >= end:
                 why = bus.why_silent("odom")
                 raise ValueError(f"no odometry within {options.patience:g} s: {why}")
-        session = _begin(bus, navigator, options)
+        robot = RosRobot(
+            bus,
+            sensor=_sensor(options),
+            area=options.area,
+            patience=options.patience,
+            on_silence=tell_of_silence,
+        )
+        key, most = jax.random.key(options.seed), options.max_seconds
+        session = Session(navigator, robot, bus.tell, key=key, max_seconds=most, kept=options.kept)
         bus.say = lambda text: session.say(text, bus.now())
         for text in said:
             bus.say(text)
@@ -86,25 +98,6 @@ def navigate(options: NavigatorOptions) -> None:
             bus.spin(_WAIT)
     finally:
         bus.close()
-
-
-def _begin(bus: RosBus, navigator: Navigator, options: NavigatorOptions) -> Session:
-    """Begin a conversation with the robot on the bus."""
-    robot = RosRobot(
-        bus,
-        sensor=_sensor(options),
-        area=options.area,
-        patience=options.patience,
-        on_silence=lambda: _tell_of_silence(bus),
-    )
-    return Session(
-        navigator,
-        robot,
-        bus.tell,
-        key=jax.random.key(options.seed),
-        max_seconds=options.max_seconds,
-        kept=options.kept,
-    )
 
 
 def _sensor(options: NavigatorOptions) -> SensorParams:
@@ -144,12 +137,6 @@ def _tags(options: NavigatorOptions, type_names: Sequence[str]) -> TagSetup | No
     )
 
 
-def _tell_of_silence(bus: RosBus) -> None:
-    """Tell that the robot says nothing: it has not been started, or is starting anew."""
-    bus.tell({"status": "waiting_for_odometry"})
-    bus.warn(bus.why_silent("odom"))
-
-
 def main() -> int:
     """Run one of the two; exit code 0: done or ended by a signal, 2: bad input."""
     choice = tyro.extras.subcommand_type_from_defaults(
@@ -160,8 +147,7 @@ def main() -> int:
     try:
         rclpy = ros("rclpy")
         # Python's own handling of signals: so the robot can still be told to halt.
-        handling = ros("rclpy.signals").SignalHandlerOptions.NO
-        rclpy.init(signal_handler_options=handling)
+        rclpy.init(signal_handler_options=ros("rclpy.signals").SignalHandlerOptions.NO)
         try:
             navigate(options) if isinstance(options, NavigatorOptions) else simulate(options)
         finally:

@@ -1,8 +1,7 @@
-"""Recorded messages: types that the wheels lack, by their text, drives as bags and over them again.
+"""Bags of ROS 2: drives are written into them and replayed; needs ``rosbags``, not ROS.
 
-Needs ``rosbags``, not ROS. The texts are those of vision_msgs 4, apriltag_msgs 2 and nav2_msgs. A
-drive of a simulated robot is what it said, what it was told and where it was sent; decisions are
-made by what the messages say, to the last digit, so that the bag replays to the same ones.
+Decisions are made by what the messages say, to the last digit, so that a bag replays to the same
+ones.
 """
 
 import json
@@ -55,7 +54,7 @@ TEXTS = {
         "geometry_msgs/PoseStamped pose\nstring behavior_tree"
     ),
 }
-"""Names of types and the text of their definitions."""
+"""Types of messages that the wheels lack: vision_msgs 4, apriltag_msgs 2 and nav2_msgs."""
 
 
 def typestore() -> Any:
@@ -77,11 +76,7 @@ class ReplayBus:
     """
 
     def __init__(self, path: Path, num_types: int) -> None:
-        """Read a bag.
-
-        Args:
-            path: of the bag, MCAP or SQLite.
-            num_types: labels that there are.
+        """Read a bag, MCAP or SQLite, with so many labels.
 
         Raises:
             ValueError: it is no bag, or holds no odometry.
@@ -162,7 +157,12 @@ class Loopback:
         """Let the robot's time pass, see ``Bus.spin``."""
         self._clock += seconds
         while self.simulated.seconds + TICK <= self._clock + 1e-6:
-            self._tick()
+            self.simulated.wait(TICK)
+            now, self._ticks = self.simulated.seconds, self._ticks + 1
+            self.publish("odom", now, compose(inverse(self.origin), self.simulated.pose()))
+            found = self.simulated.detections() if self._ticks % LOOK_EVERY == 0 else None
+            if found is not None:
+                self.publish("detections", now, found)
 
     def send_goal(self, goal: np.ndarray, *, speed: float, clearance: float) -> None:
         """Send the robot somewhere, see ``Bus.send_goal``."""
@@ -176,14 +176,6 @@ class Loopback:
             self.inbox.add_odometry(stamp, what)
         else:
             self.inbox.add_look(stamp, what, self.simulated.seconds)
-
-    def _tick(self) -> None:
-        self.simulated.wait(TICK)
-        now, self._ticks = self.simulated.seconds, self._ticks + 1
-        self.publish("odom", now, compose(inverse(self.origin), self.simulated.pose()))
-        found = self.simulated.detections() if self._ticks % LOOK_EVERY == 0 else None
-        if found is not None:
-            self.publish("detections", now, found)
 
 
 HEAD_START = 0.3
@@ -239,17 +231,14 @@ class RecordedLoopback(Loopback):
 def write_bag(
     path: Path, simulated: SimulatedRobot, text: str, *, navigator: Navigator, key: Array
 ) -> Drive:
-    """Let a robot follow a sentence and write what is said either way into a bag.
+    """Let a robot, at its start, follow a sentence; write what is said either way into a bag.
 
     Args:
         path: folder that is not there yet.
-        simulated: the robot, at its start.
+        simulated: the robot.
         text: the sentence.
         navigator: what decides.
         key: random key of the decisions.
-
-    Returns:
-        The drive.
 
     Raises:
         ValueError: the folder is there, or the sentence is refused.
@@ -258,12 +247,11 @@ def write_bag(
     bus = RecordedLoopback(simulated, len(navigator.type_names))
     bus.spin(HEAD_START)
     robot = RosRobot(bus, sensor=simulated.sensor, area=simulated.area)
-    talk = Session(
-        navigator,
-        robot,
-        lambda status: bus.write_words("navigator_status", json.dumps(status)),
-        key=key,
-    )
+
+    def tell(status: dict[str, Any]) -> None:
+        bus.write_words("navigator_status", json.dumps(status))
+
+    talk = Session(navigator, robot, tell, key=key)
     bus.write_words("instruction", text)
     talk.say(text, bus.now())
     ended = talk.go()

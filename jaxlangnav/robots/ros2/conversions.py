@@ -1,8 +1,8 @@
 """Messages of ROS 2 to what the navigator is told, and back: pure functions, without ROS.
 
-A message is read by the names of its fields, so that those of ``rclpy`` and of ``rosbags`` do
-alike. Frames are those of REP 103 and 105: the *odometry* frame is where the robot started, its
-*base* has x ahead and y to the left; a camera's *optical* frame has x to the right and z ahead.
+Messages of ``rclpy`` and of ``rosbags`` do alike. Frames are those of REP 103 and 105: *odometry*
+is where the robot started, *base* has x ahead and y to the left, a camera's *optical* frame x to
+the right and z ahead.
 """
 
 import math
@@ -14,14 +14,11 @@ import numpy as np
 from jaxlangnav.robots.motion.steering import wrap
 from jaxlangnav.robots.robot import Detection
 
-_UNIT = 0.01
-"""By how much the length of a quaternion may differ from one."""
-_ONE_THING = 0.6
-"""Metres within which tags of one type are on one thing."""
+_UNIT = 0.01  # by how much the length of a quaternion may differ from one
+_ONE_THING = 0.6  # metres within which tags of one type are on one thing
 _LABELLED = (("x", 7), ("y", 7), ("z", 7), ("label", 6))
 """Names and types (float32 7, uint32 6) of the fields of a cloud of PointXYZL."""
-_LONGEST_POINT = 65_536
-"""Bytes of one point of a cloud, beyond which it is none."""
+_LONGEST_POINT = 65_536  # bytes of one point of a cloud, beyond which it is none
 POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("label", "<u4")])
 """One point of a cloud as ``to_cloud`` packs it, 16 bytes."""
 
@@ -29,8 +26,7 @@ POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("label", "<u4")])
 def yaw_of(quaternion: Any) -> float:
     """Tell the heading of a geometry_msgs/Quaternion, radians in [-π, π], without roll and pitch.
 
-    Raises:
-        ValueError: it is no rotation, such as the (0, 0, 0, 0) of a message never filled in.
+    A ValueError if it is no rotation, such as the (0, 0, 0, 0) of a message never filled in.
     """
     x, y, z, w = (float(getattr(quaternion, name)) for name in "xyzw")
     length = math.sqrt(x * x + y * y + z * z + w * w)
@@ -53,11 +49,7 @@ def seconds_of(stamp: Any) -> float:
 
 
 def pose_of(odometry: Any) -> np.ndarray:
-    """Read a nav_msgs/Odometry: f64[3], x, y, heading, metres and radians, odometry frame.
-
-    Raises:
-        ValueError: it is no pose.
-    """
+    """Read a nav_msgs/Odometry: f64[3], x, y, heading, odometry frame, or raise a ValueError."""
     pose = odometry.pose.pose
     place = float(pose.position.x), float(pose.position.y)
     if not all(map(math.isfinite, place)):
@@ -76,9 +68,6 @@ def detections_of_cloud(cloud: Any, num_types: int) -> list[Detection]:
     Args:
         cloud: the message; one without points is a look at nothing.
         num_types: labels that there are; a label is an index into ``type_names``.
-
-    Returns:
-        The detections.
 
     Raises:
         ValueError: other fields, a size that does not fit, a point that is nowhere or a label
@@ -145,14 +134,14 @@ class Scribe:
         find, unknown = self._find, np.zeros(36)
         zero = find("geometry_msgs/msg/Vector3")(x=0.0, y=0.0, z=0.0)
         twist = find("geometry_msgs/msg/Twist")(linear=zero, angular=zero)
-        there = find("geometry_msgs/msg/PoseWithCovariance")(
-            pose=self._pose(pose), covariance=unknown
+        posed, twisted = (
+            find(f"geometry_msgs/msg/{name}WithCovariance") for name in ("Pose", "Twist")
         )
         return find("nav_msgs/msg/Odometry")(
             header=self.header("odom", stamp),
             child_frame_id="base_link",
-            pose=there,
-            twist=find("geometry_msgs/msg/TwistWithCovariance")(twist=twist, covariance=unknown),
+            pose=posed(pose=self._pose(pose), covariance=unknown),
+            twist=twisted(twist=twist, covariance=unknown),
         )
 
     def cloud(self, found: Sequence[Detection], stamp: Any) -> Any:
@@ -207,9 +196,6 @@ def detections_of_boxes(
         boxes: the message. A thing is what its best hypothesis says, where its box has its middle.
         type_names: the navigator's; a thing of another class is left out.
         least_score: hypotheses below are left out.
-
-    Returns:
-        The detections.
     """
     found = []
     for one in boxes.detections:
@@ -238,8 +224,8 @@ def detections_of_tags(
         depth: metres from a tag to the middle of the thing behind it.
 
     Returns:
-        The detections; tags that are not in ``types`` are left out, and those of one type that
-        are near to each other are sides of one thing, which is at their mean.
+        The detections; tags of one type that are near to each other are sides of one thing, at
+        their mean.
 
     Raises:
         ValueError: a tag is nowhere.
@@ -279,13 +265,9 @@ def _place_of_tag(one: Any, mount: tuple[float, float, float], depth: float) -> 
 def compose(frame: np.ndarray, pose: np.ndarray) -> np.ndarray:
     """Express a pose of one frame in the frame that this is placed in, f64[3] each."""
     cos, sin = math.cos(frame[2]), math.sin(frame[2])
-    return np.array(
-        [
-            frame[0] + cos * pose[0] - sin * pose[1],
-            frame[1] + sin * pose[0] + cos * pose[1],
-            wrap(float(frame[2] + pose[2])),
-        ]
-    )
+    x = frame[0] + cos * pose[0] - sin * pose[1]
+    y = frame[1] + sin * pose[0] + cos * pose[1]
+    return np.array([x, y, wrap(float(frame[2] + pose[2]))])
 
 
 def inverse(frame: np.ndarray) -> np.ndarray:
@@ -296,10 +278,7 @@ def inverse(frame: np.ndarray) -> np.ndarray:
 
 
 def carried(found: Sequence[Detection], then: np.ndarray, now: np.ndarray) -> list[Detection]:
-    """Express what was seen from one pose as seen from another: a look is older than the pose.
-
-    ``then`` and ``now`` are f64[3], in one frame.
-    """
+    """Express what was seen from the pose ``then`` as seen from ``now``, f64[3] in one frame."""
     moved = compose(inverse(now), then)
     there = []
     for one in found:

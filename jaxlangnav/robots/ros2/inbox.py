@@ -1,8 +1,7 @@
-"""What has come in from a robot, whatever became of it on the way: bookkeeping, without ROS.
+"""What has come in from a robot: late, twice, in another order or not at all; without ROS.
 
-Messages come late, twice, in another order than they were sent, or not at all, and the robot's
-side may start anew, its clock and its odometry at zero. A look is used once, beside the pose that
-the robot had when it was taken. All is by the robot's own stamps, but for whether it is silent.
+A look is used once, beside the pose that the robot had when it was taken, by the robot's stamps.
+Its side may start anew, its clock and its odometry at zero.
 """
 
 import bisect
@@ -15,12 +14,9 @@ from jaxlangnav.robots.motion.steering import wrap
 from jaxlangnav.robots.robot import Detection
 from jaxlangnav.robots.ros2.conversions import carried, compose, inverse, pose_between
 
-_KEPT = 10.0
-"""Seconds of odometry that are kept."""
-_GAP = 0.5
-"""Seconds that a look may be away from the nearest odometry to be placed by it."""
-_LATE = 2.0
-"""Seconds after which a message is too old to be of use."""
+_KEPT = 10.0  # seconds of odometry that are kept
+_GAP = 0.5  # seconds that a look may be away from the nearest odometry to be placed by it
+_LATE = 2.0  # seconds after which a message is too old to be of use
 _BACKWARDS = 10
 """Messages in a row, each later than the last, yet too late for use, that mean that the
 robot's clock has begun anew; fewer have been late."""
@@ -59,7 +55,8 @@ class Track:
         self._counts = counts
         self._stamps: list[float] = []
         self._poses: list[np.ndarray] = []
-        self._map_odometry = np.zeros(3)
+        self.frame = np.zeros(3)
+        """Where the robot's present odometry frame is placed in the map frame, f64[3]."""
         self._old: list[tuple[float, np.ndarray]] = []
 
     @property
@@ -71,11 +68,6 @@ class Track:
     def pose(self) -> np.ndarray | None:
         """The newest pose, f64[3], map frame; None if there is none."""
         return self._poses[-1].copy() if self._poses else None
-
-    @property
-    def frame(self) -> np.ndarray:
-        """Where the robot's present odometry frame is placed in the map frame, f64[3]."""
-        return self._map_odometry
 
     def add(self, stamp: float, pose: np.ndarray) -> None:
         """Take in odometry: seconds of the robot's clock, and f64[3], odometry frame."""
@@ -90,12 +82,12 @@ class Track:
         if self._stamps and place == len(self._stamps):
             # It begins anew where the robot cannot have gone in the meantime.
             seconds = stamp - self._stamps[-1]
-            gone = np.hypot(*(compose(self._map_odometry, pose) - self._poses[-1])[:2])
+            gone = np.hypot(*(compose(self.frame, pose) - self._poses[-1])[:2])
             is_zero = seconds > _SILENCE and bool((np.abs(pose) < _ZERO).all())
             if gone > _SPEED * seconds + _JUMP or (is_zero and self._is_elsewhere(pose)):
                 self._restart(pose)
         self._stamps.insert(place, stamp)
-        self._poses.insert(place, compose(self._map_odometry, pose))
+        self._poses.insert(place, compose(self.frame, pose))
         first = bisect.bisect_left(self._stamps, self._stamps[-1] - _KEPT)
         del self._stamps[:first], self._poses[:first]
 
@@ -127,13 +119,13 @@ class Track:
 
     def _is_elsewhere(self, pose: np.ndarray) -> bool:
         """Tell whether a pose, odometry frame, is not where the robot last was."""
-        off = compose(self._map_odometry, pose) - self._poses[-1]
+        off = compose(self.frame, pose) - self._poses[-1]
         return bool(np.hypot(*off[:2]) > _JUMP or abs(wrap(float(off[2]))) > _JUMP)
 
     def _restart(self, pose: np.ndarray) -> None:
         """Place the robot's new odometry frame so that it stands where it last was."""
         if self._is_elsewhere(pose):
-            self._map_odometry = compose(self._poses[-1], inverse(pose))
+            self.frame = compose(self._poses[-1], inverse(pose))
         self._stamps.clear()
         self._poses.clear()
         self._counts.restarts += 1
@@ -162,10 +154,7 @@ class Inbox:
     def add_look(self, stamp: float, found: Sequence[Detection], now: float) -> None:
         """Take in a look; the newest is kept.
 
-        Args:
-            stamp: when it was taken, seconds of the robot's clock.
-            found: what was seen from where the robot then was.
-            now: when it has come, seconds of this side's clock.
+        It was taken at ``stamp`` of the robot's clock and has come at ``now`` of this side's.
         """
         self._heard = now
         if stamp == self._taken or (self._look is not None and stamp == self._look[0]):

@@ -56,17 +56,9 @@ class TagSetup:
 
 
 def read_tag_types(texts: Sequence[str], type_names: Sequence[str]) -> dict[str, int]:
-    """Read what tags are on.
+    """Read what tags are on, frames to indices of types, of texts such as "tag36h11:7=hydrant".
 
-    Args:
-        texts: "tag36h11:7=hydrant": the tag's frame and the name of a type.
-        type_names: the navigator's.
-
-    Returns:
-        Frames to indices of types.
-
-    Raises:
-        ValueError: no such text, no such type, or no tag at all; one line.
+    A ValueError of one line where there is no such type, or no tag at all.
     """
     types = {}
     for text in texts:
@@ -85,8 +77,8 @@ def read_tag_types(texts: Sequence[str], type_names: Sequence[str]) -> dict[str,
 class TagLooks:
     """Makes looks of the tags that ``apriltag_ros`` finds, out of two topics.
 
-    Places come as transforms on ``/tf``, among all others of the robot. That there is nothing in a
-    picture is told by the list of what was found in it alone, which goes by another topic.
+    Places come as transforms on ``/tf``, among all others of the robot; that there is nothing in a
+    picture is told by the list of what was found alone.
     """
 
     def __init__(self, setup: TagSetup) -> None:
@@ -95,28 +87,20 @@ class TagLooks:
         self._picture: tuple[str, float] | None = None
 
     def of_transforms(self, message: Any) -> StampedDetections | None:
-        """Read a tf2_msgs/TFMessage; None where its transforms are of other things than tags.
-
-        Raises:
-            ValueError: a tag is nowhere; one line.
-        """
+        """Read a tf2_msgs/TFMessage; None where its transforms are of other things than tags."""
         setup = self._setup
         ours = [one for one in message.transforms if self._is_tag(one)]
         if not ours:
             return None
-        found = detections_of_tags(ours, setup.types, mount=setup.mount, depth=setup.depth)
         used = [
             one
-            for one in found
+            for one in detections_of_tags(ours, setup.types, mount=setup.mount, depth=setup.depth)
             if one.range <= setup.range and abs(one.bearing) <= 0.5 * setup.field_of_view
         ]
         return seconds_of(ours[0].header.stamp), used
 
     def of_found(self, message: Any) -> StampedDetections | None:
-        """Read an apriltag_msgs/AprilTagDetectionArray.
-
-        A look at nothing; None where tags were found: their places come as transforms.
-        """
+        """Read an apriltag_msgs/AprilTagDetectionArray: a look at nothing, or None for more."""
         stamp = seconds_of(message.header.stamp)
         self._picture = message.header.frame_id, stamp
         return None if len(message.detections) else (stamp, [])
@@ -128,8 +112,7 @@ class TagLooks:
         return one.child_frame_id in self._setup.types or picture == self._picture
 
 
-_TURN = 0.05
-"""Seconds that are waited for a message at most, before it is asked what the time is."""
+_TURN = 0.05  # seconds that are waited for a message at most, before it is asked what the time is
 _QUIET, _ALIKE = 5.0, 16
 """Seconds between two warnings of one kind, and letters that they then have in common."""
 LOOKS = ("cloud", "boxes", "tf")
@@ -154,10 +137,6 @@ class RosBus:
             say: is given what is said.
             look: one of ``LOOKS``.
             tags: what tags mean, for looks by "tf".
-
-        Raises:
-            ValueError: no such format, or nothing is said of the tags.
-            MissingExtraError: a package of messages is not installed.
         """
         if look not in LOOKS:
             raise ValueError(f"looks come as {look!r}, but must be one of {', '.join(LOOKS)}")
@@ -176,8 +155,8 @@ class RosBus:
         self._executor.add_node(self._node)
         self._scribe, string = Scribe(ros_message), ros_message("std_msgs/msg/String")
         pose_stamped = ros_message("geometry_msgs/msg/PoseStamped")
-        kept = ros("rclpy.qos").DurabilityPolicy.TRANSIENT_LOCAL
-        profile = ros("rclpy.qos").QoSProfile(depth=1, durability=kept)
+        qos = ros("rclpy.qos")
+        profile = qos.QoSProfile(depth=1, durability=qos.DurabilityPolicy.TRANSIENT_LOCAL)
         self._goals = self._node.create_publisher(pose_stamped, "goal_pose", 1)
         self._told = self._node.create_publisher(string, "navigator_status", profile)
         for topic in ("instruction", "utterance"):

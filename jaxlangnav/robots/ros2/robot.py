@@ -12,14 +12,12 @@ from jaxlangnav.robots.robot import Detection, Progress
 from jaxlangnav.robots.ros2.conversions import compose, inverse
 from jaxlangnav.robots.ros2.inbox import Inbox
 
-_REACHED, _FACED = 0.3, 0.2
-"""Metres and radians within which a goal is reached."""
+_REACHED, _FACED = 0.3, 0.2  # metres and radians within which a goal is reached
 _NEAR = 1.3
 """Metres from a goal within which a robot that stands has come as near to it as things allow."""
 _STILL = 3.0
 """Seconds without a move after which a robot stands; longer than one takes to find its way."""
-_MOVED, _TURNED = 0.05, 0.05
-"""Metres and radians that are a move."""
+_MOVED, _TURNED = 0.05, 0.05  # metres and radians that are a move
 
 
 class Headway:
@@ -57,8 +55,7 @@ class Headway:
 
 PATIENCE = 1.0
 """Seconds that a look is waited for: a detector has to deliver one more often than that."""
-_TURN = 0.05
-"""Seconds of one turn of the loop that takes messages in."""
+_TURN = 0.05  # seconds of one turn of the loop that takes messages in
 
 
 class Bus(Protocol):
@@ -72,17 +69,12 @@ class Bus(Protocol):
 
     def spin(self, seconds: float) -> None:
         """Take in what comes within a time."""
-        ...
 
     def send_goal(self, goal: np.ndarray, *, speed: float, clearance: float) -> None:
-        """Send where to go.
+        """Send where to go, f64[3], x, y, heading, the robot's own odometry frame.
 
-        Args:
-            goal: f64[3], x, y, heading, metres and radians, the robot's own odometry frame.
-            speed: factor on the robot's normal speed.
-            clearance: metres to keep from things.
+        Speed is a factor on the robot's normal one, clearance metres to keep from things.
         """
-        ...
 
 
 class RosRobot:
@@ -97,7 +89,7 @@ class RosRobot:
         patience: float = 0.0,
         on_silence: Callable[[], None] = lambda: None,
     ) -> None:
-        """Take a bus whose first odometry has come in.
+        """Take a bus; a ValueError if no odometry has come in.
 
         Args:
             bus: what carries the messages.
@@ -106,9 +98,6 @@ class RosRobot:
             patience: seconds for which a robot that tells nothing any more, odometry neither, is
                 waited for: it may be starting anew.
             on_silence: is told when that begins.
-
-        Raises:
-            ValueError: no odometry has come.
         """
         if bus.inbox.track.pose is None:
             raise ValueError("no odometry has come from the robot: wait for it first")
@@ -127,9 +116,8 @@ class RosRobot:
     def detections(self) -> list[Detection] | None:
         """Give the newest look that has not been given yet, waiting for one if need be.
 
-        Returns:
-            The look; None where the detector has been silent for longer than ``PATIENCE``, and
-            the whole robot for longer than its patience.
+        None where the detector has been silent for longer than ``PATIENCE``, and the whole robot
+        for longer than its patience.
         """
         bus, began = self._bus, self._bus.now()
         # What has come during a long decision is no silence.
@@ -155,12 +143,7 @@ class RosRobot:
         return self._bus.inbox.silent_for(now) <= PATIENCE and now - began <= 2.0 * PATIENCE
 
     def go_to(
-        self,
-        waypoints: np.ndarray,
-        *,
-        speed: float,
-        clearance: float,
-        facing: float | None = None,
+        self, waypoints: np.ndarray, *, speed: float, clearance: float, facing: float | None = None
     ) -> None:
         """Send the last of the waypoints as the goal, see ``Robot.go_to``.
 

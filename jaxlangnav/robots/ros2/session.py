@@ -1,8 +1,7 @@
 """A conversation with one robot, task after task, as topics carry it: without ROS.
 
-Words come at any time; what is not understood is told and changes nothing. The words of a running
-task can be kept in a file, so that a node that is started anew takes the task up again: what had
-been said is heard at once, what had been seen is looked for again.
+What is not understood is told and changes nothing. A node that is started anew takes the running
+task up by the words kept in a file; what had been seen is looked for again.
 """
 
 import json
@@ -22,8 +21,7 @@ from jaxlangnav.robots.robot import Drive, Robot, Step, start_pose
 
 DOUBLED = 1.0
 """Seconds within which the same words have been carried twice, not said twice."""
-_MOST_BYTES = 100_000
-"""Length of a file of words beyond which it is none."""
+_MOST_BYTES = 100_000  # length of a file of words beyond which it is none
 TellStatus = Callable[[dict[str, Any]], None]
 """Is given what the robot is doing, as a JSON object."""
 
@@ -41,7 +39,7 @@ class Session:
         max_seconds: float = 300.0,
         kept: Path | None = None,
     ) -> None:
-        """Begin a conversation, or take one up.
+        """Begin a conversation, or take one up; a ValueError if the file is no list of words.
 
         Args:
             navigator: what understands and decides.
@@ -50,9 +48,6 @@ class Session:
             key: random key of all drives, consumed.
             max_seconds: after which a drive is broken off.
             kept: file for the words of the running task; nothing is kept if None.
-
-        Raises:
-            ValueError: the file is no list of words.
         """
         self._navigator, self._robot, self._tell, self._key = navigator, robot, tell, key
         self._max_seconds, self._kept = max_seconds, kept

@@ -1,11 +1,8 @@
 """A robot in a place of its own, to try the node on: ``python -m jaxlangnav.robots.ros2 robot``.
 
-A cart without physics, or the paper's Husky and wheelchair in MuJoCo: wheels slip, a camera
-renders, tags are found in its pictures. It publishes ``odom`` and ``detections`` and takes
-``goal_pose``, in real time; only that leaves the process. Like any robot that is told where to go
-from elsewhere it halts by itself when no goal has come for a while. What it sends can be lost,
-doubled and late on purpose. Where it truly is is said on standard output as it ends, for whoever
-judges the run.
+It publishes ``odom`` and ``detections`` and takes ``goal_pose``, in real time. It halts by itself
+when no goal has come for a while; what it sends can be lost, doubled and late on purpose. Where it
+truly is is said on standard output as it ends.
 """
 
 import contextlib
@@ -32,23 +29,14 @@ from jaxlangnav.world.scenario import sample_scenario
 from jaxlangnav.world.state import Scenario
 
 Message = TypeVar("Message")
-_LONGEST = 1.0
-"""Seconds by which a message may be late."""
+_LONGEST = 1.0  # seconds by which a message may be late
 
 
 class UnrulyChannel(Generic[Message]):
     """Hands on messages as a bad network does."""
 
     def __init__(self, share: float, seed: int) -> None:
-        """Begin with nothing under way.
-
-        Args:
-            share: of messages that are lost, and of those doubled, and of those late; each.
-            seed: of what becomes of which.
-
-        Raises:
-            ValueError: no such share.
-        """
+        """Begin; a share, 0 to 0.3, of messages is lost, as many are doubled, as many late."""
         if not 0.0 <= share <= 0.3:
             raise ValueError(f"a share of {share:g} of messages cannot be lost: give 0 to 0.3")
         self._share = share
@@ -75,8 +63,7 @@ class UnrulyChannel(Generic[Message]):
 
 LOOK_EVERY = 4
 """Ticks of 0.1 s from one look to the next."""
-_ALONE = 5.0
-"""Seconds without a goal after which the robot halts: whoever sent it may have ended."""
+_ALONE = 5.0  # seconds without a goal after which the robot halts: whoever sent it may have ended
 _HERE, _CLEARANCE = 0.1, 0.3
 """Metres within which a goal is where the robot is, which is to halt; and metres kept."""
 
@@ -96,13 +83,9 @@ class RobotServer:
         self._executor = ros("rclpy.executors").SingleThreadedExecutor()
         self._executor.add_node(self._node)
         self._scribe = Scribe(ros_message)
-        self._to_odometry, self._to_looks = (
-            self._node.create_publisher(ros_message(name), topic, 10)
-            for name, topic in (
-                ("nav_msgs/msg/Odometry", "odom"),
-                ("sensor_msgs/msg/PointCloud2", "detections"),
-            )
-        )
+        open_topic = self._node.create_publisher
+        self._to_odometry = open_topic(ros_message("nav_msgs/msg/Odometry"), "odom", 10)
+        self._to_looks = open_topic(ros_message("sensor_msgs/msg/PointCloud2"), "detections", 10)
         pose_stamped = ros_message("geometry_msgs/msg/PoseStamped")
         self._node.create_subscription(pose_stamped, "goal_pose", self._on_goal, 1)
 
@@ -137,9 +120,8 @@ class RobotServer:
             publisher.publish(message)
 
     def _on_goal(self, message: Any) -> None:
-        pose = message.pose
-        turn = yaw_of(pose.orientation)
-        goal = compose(self._origin, np.array([pose.position.x, pose.position.y, turn]))
+        place, turn = message.pose.position, yaw_of(message.pose.orientation)
+        goal = compose(self._origin, np.array([place.x, place.y, turn]))
         self._last_goal = self.robot.seconds
         here = self.robot.pose()
         if np.hypot(*(goal - here)[:2]) < _HERE and abs(goal[2] - here[2]) < _HERE:
@@ -172,39 +154,26 @@ class RobotOptions:
 def simulate(options: RobotOptions) -> None:
     """Run the simulated robot until it is ended, and say at last where it truly is.
 
-    Args:
-        options: see ``RobotOptions``.
-
-    Raises:
-        ValueError: no such place, or the robot cannot be put there; one line.
-        MissingExtraError: a library of the extra ``robot`` is not installed.
-        MissingSystemLibraryError: rendering off screen does not work.
+    See ``draw_start`` and ``switched_on`` for what is refused.
     """
     scenario = draw_start(options)
-    with switched_on(options, scenario) as robot, contextlib.ExitStack() as stack:
+    with switched_on(options, scenario) as robot:
         server = RobotServer(robot, share=options.faults, seed=options.seed)
-        stack.callback(server.close)
         try:
             server.run(math.inf)
         finally:
             x, y, heading = robot.true_pose
             away = float(np.hypot(*(robot.true_pose[:2] - np.asarray(scenario.goal))))
             place = f"{x:.2f} {y:.2f} {math.degrees(heading):.1f}"
-            print(
-                f"ended {away:.2f} m from the goal at {place}, {robot.travelled:.2f} m driven",
-                flush=True,
-            )
+            said = f"ended {away:.2f} m from the goal at {place}, {robot.travelled:.2f} m driven"
+            print(said, flush=True)
+            server.close()
 
 
 def draw_start(options: RobotOptions) -> Scenario:
-    """Draw the place, and where in it the robot is switched on.
-
-    Raises:
-        ValueError: no such place, or the start is not in it; one line.
-    """
-    scenario = sample_scenario(
-        jax.random.key(options.seed), template=options.world, relation=options.relation
-    )
+    """Draw the place and the start in it, or raise a ValueError of one line."""
+    key = jax.random.key(options.seed)
+    scenario = sample_scenario(key, template=options.world, relation=options.relation)
     if not bool(scenario.is_valid):
         raise ValueError(f"seed {options.seed} draws no {options.world}: take another --seed")
     if options.start is None:
@@ -221,12 +190,7 @@ def draw_start(options: RobotOptions) -> Scenario:
 
 @contextlib.contextmanager
 def switched_on(options: RobotOptions, scenario: Scenario) -> Iterator[SimulatedRobot]:
-    """Yield the robot at the start of a place, and close it at last.
-
-    Raises:
-        MissingExtraError: a library of the extra ``robot`` is not installed.
-        MissingSystemLibraryError: rendering off screen does not work.
-    """
+    """Yield the robot at the start of a place, and close it at last; see ``check_libraries``."""
     view = math.radians(options.field_of_view)
     sensor = default_sensor(options.range, field_of_view=view)
     if options.robot == "cart":
