@@ -9,6 +9,7 @@ import json
 import re
 import tomllib
 from collections.abc import Callable
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -78,6 +79,11 @@ def read_text(path: str | Path, *, at_most: int) -> str:
         return read_file(path, at_most=at_most).decode("utf-8")
     except UnicodeDecodeError:
         raise ValueError(f"{path}: is no text: save it as UTF-8") from None
+
+
+def read_shipped(floor: str, name: str) -> str:
+    """Read a text from the folder ``data`` of a part of this package, such as "language"."""
+    return resources.files(f"jaxlangnav.{floor}").joinpath("data", name).read_text("utf-8")
 
 
 def _parse(loads: Callable[[str], Any], text: str, kind: str) -> Any:

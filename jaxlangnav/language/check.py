@@ -5,20 +5,18 @@ known compound ("car park"), "go by the cone" (past it, or near it?), a fragment
 with nothing known to hold on to.
 """
 
+from collections.abc import Sequence
 from itertools import pairwise
 
 from jaxlangnav.language.phrase import LanguageError, Phrase, Word
 from jaxlangnav.language.reference import is_thing
 
-
-def _type_of(word: Word) -> str | None:
-    return next((sense for sense in word.senses if sense.startswith("type:")), None)
+_OF_WHAT = "of what kind? name the object"
 
 
-def _refuse(words: list[Word], reason: str) -> LanguageError:
+def _refuse(words: Sequence[Word], reason: str) -> LanguageError:
     text = " ".join(word.text[:30] for word in words)
-    where = f"word {words[0].position}"
-    return LanguageError(f"'{text}' ({where}): {reason}", position=words[0].position)
+    return LanguageError.at(text, words[0].position, reason)
 
 
 def _check_compound(phrase: Phrase) -> None:
@@ -27,7 +25,7 @@ def _check_compound(phrase: Phrase) -> None:
     if phrase.says("foreign"):
         raise _refuse(nouns, "is no object I know; name another")
     for word, following in pairwise(nouns):
-        if _type_of(word) is not None:
+        if word.type_sense:
             raise _refuse([word, following], "names no one object; name one")
 
 
@@ -35,12 +33,10 @@ def _check_verb(clause: Phrase, guessed: set[int]) -> None:
     """Refuse a command in which neither verb nor object is known."""
     verbs = [word for word in clause.words if word.tag.startswith("VB") and not word.senses]
     has_action = any(s.startswith(("action", "constraint")) for w in clause.words for s in w.senses)
-    named = [word for word in clause.all_words() if _type_of(word) is not None]
-    types = [word for word in named if word.position not in guessed]
-    anaphors = [w for w in clause.all_words() if set(w.senses) & {"anaphor", "place"}]
-    if has_action or types or anaphors:
-        return
     said = clause.all_words()
+    is_known = any(word.type_sense and word.position not in guessed for word in said)
+    if has_action or is_known or any({"anaphor", "place"} & set(w.senses) for w in said):
+        return
     words = [one for one in (*verbs, *said) if one.position in guessed] or verbs or said
     reason = "neither a verb nor an object that I know; say for example 'go to the cone'"
     raise _refuse(words[:1], reason)
@@ -72,13 +68,12 @@ def _check_one(phrase: Phrase) -> None:
     leaf, *others = phrase.children if phrase.label == "NP" else (phrase.children[0],)
     if leaf.label != "NP" or leaf.children:
         return
-    is_one = any("anaphor" in word.senses for word in leaf.words)
-    is_known = any(_type_of(word) or "other" in word.senses for word in leaf.words)
+    is_known = leaf.says("other") or any(word.type_sense for word in leaf.words)
     words = [word for other in others for word in other.all_words()]
     is_ranked = any("superlative" in word.senses for word in words)
-    is_told = bool(others) and (not is_ranked or any(_type_of(word) for word in words))
-    if is_one and not is_known and not is_told:
-        raise _refuse(list(leaf.words[-1:]), "of what kind? name the object")
+    is_told = bool(others) and (not is_ranked or any(word.type_sense for word in words))
+    if leaf.says("anaphor") and not is_known and not is_told:
+        raise _refuse(leaf.words[-1:], _OF_WHAT)
 
 
 def _check_landmark(phrase: Phrase) -> None:
@@ -88,7 +83,7 @@ def _check_landmark(phrase: Phrase) -> None:
         return
     for one in (inner for other in others for inner in other.walk()):
         if one.label == "NP" and one.children and is_thing(one.children[0]):
-            raise _refuse(list(one.children[0].words[-1:]), "of what kind? name the object")
+            raise _refuse(one.children[0].words[-1:], _OF_WHAT)
 
 
 def _check_between(phrase: Phrase) -> None:
@@ -111,19 +106,16 @@ def _check_mode(clause: Phrase) -> None:
     """Refuse a command to be both quick and careful."""
     modes = {s: word for word in clause.words for s in word.senses if s.startswith("mode:")}
     if len(modes) > 1:
-        raise _refuse(
-            list(modes.values())[1:2], "contradicts the manner asked for before; say one of them"
-        )
+        reason = "contradicts the manner asked for before; say one of them"
+        raise _refuse(list(modes.values())[1:2], reason)
 
 
 def _check_start(clause: Phrase, unknown: set[int]) -> None:
     """Refuse a later clause that begins with an unknown verb and no connective before it."""
     first = clause.words[:1]
     if first and first[0].tag == "VB" and first[0].position in unknown:
-        raise _refuse(
-            list(first),
-            "unknown word; it may be a verb or a mistyped relation: say it in other words",
-        )
+        reason = "unknown word; it may be a verb or a mistyped relation: say it in other words"
+        raise _refuse(first, reason)
 
 
 def refuse_guesses(clauses: list[Phrase], unknown: set[int]) -> None:

@@ -9,7 +9,6 @@ import math
 import threading
 from collections.abc import Iterator
 from functools import cache
-from importlib import resources
 from itertools import product
 from typing import Any
 
@@ -17,6 +16,7 @@ from lark import Lark, Token
 from lark.exceptions import UnexpectedEOF, UnexpectedToken
 from lark.lexer import Lexer
 
+from jaxlangnav.inputs.documents import read_shipped
 from jaxlangnav.language.lexicon import LexicalEntry, Lexicon, load_lexicon
 from jaxlangnav.language.refusal import NOUN
 from jaxlangnav.language.tree import Derivation, ForestReader, Production
@@ -60,22 +60,17 @@ class _TokenLexer(Lexer):
 
 def _expand_options(right: list[str]) -> Iterator[tuple[tuple[str, ...], float]]:
     """Write out a right side for each way to leave out its optional symbols."""
+    given, left_out = P_OPTIONAL, 1 - P_OPTIONAL
     choices = [
-        [((symbol[:-1],), P_OPTIONAL), ((), 1 - P_OPTIONAL)]
-        if symbol.endswith("?")
-        else [((symbol,), 1.0)]
-        for symbol in right
+        [(one[:-1], given), ("", left_out)] if one.endswith("?") else [(one, 1.0)] for one in right
     ]
     for choice in product(*choices):
-        symbols = tuple(symbol for part, _ in choice for symbol in part)
+        symbols = tuple(symbol for symbol, _ in choice if symbol)
         yield symbols, math.prod(weight for _, weight in choice)
 
 
 def read_rules(text: str) -> list[tuple[str, tuple[str, ...], float]]:
-    """Read rules ``left -> right [weight]``; ``#`` begins a comment.
-
-    Args:
-        text: contents of a grammar file.
+    """Read the rules of a grammar file, ``left -> right [weight]``; ``#`` begins a comment.
 
     Returns:
         Left side, right side and weight of each rule, options written out.
@@ -130,11 +125,7 @@ class Grammar:
     """The grammar made ready: parses token sequences to their most probable derivation."""
 
     def __init__(self, rules_text: str, lexicon: Lexicon) -> None:
-        """Join rules and words.
-
-        Args:
-            rules_text: contents of a grammar file.
-            lexicon: words by class.
+        """Join the rules of a grammar file and the words of a lexicon.
 
         Raises:
             ValueError: a rule names a symbol that is neither a left side nor a class.
@@ -246,5 +237,4 @@ class Grammar:
 @cache
 def load_grammar() -> Grammar:
     """Build the grammar of the package; the same object at every call."""
-    text = resources.files("jaxlangnav.language").joinpath("data/grammar.txt").read_text("utf-8")
-    return Grammar(text, load_lexicon())
+    return Grammar(read_shipped("language", "grammar.txt"), load_lexicon())

@@ -5,12 +5,14 @@ variable ``JAXLANGNAV_LEXICON`` names. Everything derived (plurals, -ing forms, 
 grammar) is derived here.
 """
 
+import itertools
 import os
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
-from importlib import resources
+from typing import Any
 
-from jaxlangnav.inputs.documents import parse_toml, read_text
+from jaxlangnav.inputs.documents import parse_toml, read_shipped, read_text
 from jaxlangnav.language.own_words import extend
 
 OWN_LEXICON = "JAXLANGNAV_LEXICON"
@@ -111,15 +113,13 @@ def ing_form(verb: str) -> str:
 
 
 def _entry(text: str, tag: str, senses: tuple[str, ...], tags: dict[str, str]) -> LexicalEntry:
-    """Read one expression; ``*`` marks the word that carries the senses."""
+    """Read one expression; ``*`` marks the word that carries the senses, by default the last."""
     marked = text.split()
+    head = next((i for i, word in enumerate(marked) if word[0] == "*"), len(marked) - 1)
     words = tuple(word.lstrip("*") for word in marked)
-    starred = [index for index, word in enumerate(marked) if word.startswith("*")]
-    head = starred[0] if starred else len(words) - 1
-    is_single = len(words) == 1
     return LexicalEntry(
         words=words,
-        tags=tuple(tag if is_single else tags.get(word, tag) for word in words),
+        tags=(tag,) if len(words) == 1 else tuple(tags.get(word, tag) for word in words),
         lemmas=words,
         senses=tuple(senses if index == head else () for index in range(len(words))),
     )
@@ -127,83 +127,51 @@ def _entry(text: str, tag: str, senses: tuple[str, ...], tags: dict[str, str]) -
 
 def _derived(entry: LexicalEntry, index: int, form: str, tag: str) -> LexicalEntry:
     """Copy an entry with one word put in another form; its lemma stays."""
-
-    def put(values: tuple[str, ...], value: str) -> tuple[str, ...]:
-        return (*values[:index], value, *values[index + 1 :])
-
-    return LexicalEntry(
-        words=put(entry.words, form),
-        tags=put(entry.tags, tag),
-        lemmas=entry.lemmas,
-        senses=entry.senses,
-    )
+    words, tags = list(entry.words), list(entry.tags)
+    words[index], tags[index] = form, tag
+    return replace(entry, words=tuple(words), tags=tuple(tags))
 
 
-class _Builder:
-    """Collects entries class by class; two lists with one expression join their senses."""
+def _type_entries(document: dict[str, Any]) -> Iterator[tuple[str, LexicalEntry]]:
+    """List the names of object types and their plurals."""
+    for type_name, names in document["types"].items():
+        for name in dict.fromkeys([type_name, *names]):
+            entry = _entry(name, "NN", (f"type:{type_name}",), {})
+            yield TYPE_CLASS, entry
+            last = len(entry.words) - 1
+            yield TYPE_CLASS, _derived(entry, last, plural(entry.words[last]), "NNS")
 
-    def __init__(self, tags: dict[str, str]) -> None:
-        self.tags = tags
-        self.entries: dict[str, dict[tuple[str, ...], LexicalEntry]] = {}
 
-    def add(self, name: str, entry: LexicalEntry) -> None:
-        """Put an entry in a class unless the class has the expression already."""
-        self.entries.setdefault(name, {}).setdefault(entry.words, entry)
-
-    def add_types(self, types: dict[str, list[str]]) -> None:
-        """Add the names of object types and their plurals."""
-        for type_name, names in types.items():
-            for name in dict.fromkeys([type_name, *names]):
-                entry = _entry(name, "NN", (f"type:{type_name}",), self.tags)
-                last = len(entry.words) - 1
-                tags = ("NN",) * (last + 1)
-                entry = LexicalEntry(
-                    words=entry.words, tags=tags, lemmas=entry.lemmas, senses=entry.senses
-                )
-                self.add(TYPE_CLASS, entry)
-                self.add(TYPE_CLASS, _derived(entry, last, plural(entry.words[last]), "NNS"))
-
-    def add_class(self, name: str, table: dict[str, str | list[str]]) -> None:
-        """Add one ``[class.X]`` table, with -ing forms where it asks for them."""
-        tag, ing = str(table["tag"]), table.get("ing")
-        for senses_text, texts in table.items():
-            if senses_text in ("tag", "ing"):
+def _class_entries(document: dict[str, Any]) -> Iterator[tuple[str, LexicalEntry]]:
+    """List the entries of the ``[class.X]`` tables, with -ing forms where they ask for them."""
+    tags = document["tags"]
+    for name, table in document["class"].items():
+        for senses, texts in table.items():
+            if senses in ("tag", "ing"):
                 continue
-            senses = () if senses_text == "plain" else tuple(senses_text.split())
             for text in texts:
-                entry = _entry(text, tag, senses, self.tags)
-                self.add(name, entry)
+                told = () if senses == "plain" else tuple(senses.split())
+                entry = _entry(text, table["tag"], told, tags)
+                yield name, entry
                 # "I am looking" has no -ing form of its own: its first word is no verb.
-                if ing is not None and self.tags.get(entry.words[0], "VB") == "VB":
-                    first = _derived(entry, 0, ing_form(entry.words[0]), "VBG")
-                    self.add(str(ing), first)
+                if "ing" in table and tags.get(entry.words[0], "VB") == "VB":
+                    yield table["ing"], _derived(entry, 0, ing_form(entry.words[0]), "VBG")
 
 
 def type_called(name: str) -> str | None:
-    """Find the lexicon's type of a name: a house is a building; None where it has none.
-
-    Args:
-        name: small letters, one blank between words.
-
-    Returns:
-        The type.
-    """
+    """Find the lexicon's type of a name, in small letters: a house is a building; or None."""
     entry = load_lexicon().entries[TYPE_CLASS].get(tuple(name.split()))
-    senses = () if entry is None else (one for senses in entry.senses for one in senses)
-    return next((one.removeprefix("type:") for one in senses if one.startswith("type:")), None)
+    return None if entry is None else entry.senses[-1][0].removeprefix("type:")
 
 
 @cache
 def load_lexicon() -> Lexicon:
     """Read the lexicon of the package, and a file of one's own that ``OWN_LEXICON`` names.
 
-    Returns:
-        The lexicon; the same object at every call.
-
     Raises:
         ValueError: a file is missing, is no TOML, or what it adds is refused (``own_words``).
     """
-    text = resources.files("jaxlangnav.language").joinpath("data/lexicon.toml").read_text("utf-8")
+    text = read_shipped("language", "lexicon.toml")
     own = os.environ.get(OWN_LEXICON)
     if not own:
         return read_lexicon(text)
@@ -242,10 +210,9 @@ def read_lexicon(text: str, own: str | None = None) -> Lexicon:
     unknown = set(document["refused"]) - set(REASONS)
     if unknown:
         raise ValueError(f"lexicon: [refused] has unknown reasons {sorted(unknown)}")
-    builder = _Builder(document["tags"])
-    builder.add_types(document["types"])
-    for name, table in document["class"].items():
-        builder.add_class(name, table)
+    entries: dict[str, dict[tuple[str, ...], LexicalEntry]] = {}
+    for name, entry in itertools.chain(_type_entries(document), _class_entries(document)):
+        entries.setdefault(name, {}).setdefault(entry.words, entry)
     refused: dict[str, str] = {}
     expressions: dict[tuple[str, ...], str] = {}
     for reason, listed in document["refused"].items():
@@ -256,7 +223,7 @@ def read_lexicon(text: str, own: str | None = None) -> Lexicon:
                 refused.setdefault(words[0], REASONS[reason])
     return Lexicon(
         type_names=tuple(document["types"]),
-        entries=builder.entries,
+        entries=entries,
         refused=refused,
         refused_expressions=expressions,
         tags=document["tags"],

@@ -8,9 +8,8 @@ of several words, of which one would be read as something else ("the stop sign")
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
-from importlib import resources
 
-from jaxlangnav.inputs.documents import parse_toml
+from jaxlangnav.inputs.documents import parse_toml, read_shipped
 from jaxlangnav.language.lexicon import REASONS, SINGULARS, TYPE_CLASS, load_lexicon, plural
 from jaxlangnav.language.phrase import Phrase, Word
 from jaxlangnav.language.refusal import NOUN, Token
@@ -53,8 +52,7 @@ class Nouns:
 @cache
 def load_nouns() -> Nouns:
     """Read the package's nouns; the same object at every call."""
-    path = resources.files("jaxlangnav.language").joinpath("data/nouns.toml")
-    document = parse_toml(path.read_text("utf-8"))
+    document = parse_toml(read_shipped("language", "nouns.toml"))
     names = {name for group in document["synonyms"] for name in group} | set(document["compounds"])
     foreign = {" ".join(words) for words in load_lexicon().entries["foreign"]}
     return Nouns(
@@ -89,21 +87,13 @@ def words_in_classes(*classes: str) -> frozenset[str]:
 
 
 @cache
-def command_verbs() -> frozenset[str]:
-    """Collect the verbs of one word."""
-    entries = load_lexicon().entries
-    names = [name for name in entries if name.startswith("v_")]
-    return frozenset(key[0] for name in names for key in entries[name] if len(key) == 1)
-
-
-@cache
 def _single_verbs() -> frozenset[str]:
     """Collect the verbs of one word, and other words that no noun phrase can begin with."""
     lexicon = load_lexicon()
+    names = [name for name in lexicon.entries if name.startswith("v_")]
+    verbs = {key[0] for name in names for key in lexicon.entries[name] if len(key) == 1}
     refused = {word for word, reason in lexicon.refused.items() if reason in _VERBAL}
-    return frozenset(
-        (command_verbs() | refused) - words_in_classes(*_BEFORE_NOUNS) - set(lexicon.tags)
-    )
+    return frozenset((verbs | refused) - words_in_classes(*_BEFORE_NOUNS) - set(lexicon.tags))
 
 
 def join_nouns(tokens: list[Token], labels: Collection[str] = ()) -> list[Token]:
@@ -120,16 +110,13 @@ def join_nouns(tokens: list[Token], labels: Collection[str] = ()) -> list[Token]
     names |= {(noun,) for noun in load_nouns().also}
     # What the lexicon has as a type is read by it.
     names -= load_lexicon().entries[TYPE_CLASS].keys()
-    longest = max((len(name) for name in names), default=1)
+    longest = max(map(len, names), default=1)
     joined: list[Token] = []
     index = 0
     while index < len(tokens):
-        size = _size_of_name(tokens, index, names, longest)
-        first = tokens[index]
-        if size:
-            text = " ".join(token.text for token in tokens[index : index + size])
-            first = Token(text=text, terminal=NOUN, position=first.position)
-        joined.append(first)
+        first, size = tokens[index], _size_of_name(tokens, index, names, longest)
+        text = " ".join(token.text for token in tokens[index : index + size])
+        joined.append(replace(first, text=text, terminal=NOUN) if size else first)
         index += max(size, 1)
     return joined
 
@@ -183,31 +170,21 @@ def is_noun_place(tokens: list[Token], index: int) -> bool:
         True after a determiner, and before what is no part of a noun phrase; but not where a side
         may be said: "on the _", "to the _ of the cone".
     """
-    before, following = tokens[max(index - 2, 0) : index], tokens[index + 1 : index + 2]
-    determiners = words_in_classes("det")
-    has_noun = any(token.text in determiners for token in tokens[: max(index - 2, 0)])
-    is_relative = len(before) == 2 and before[0].text == "to" and has_noun
-    is_by_side = len(before) == 2 and before[0].text in ("on", "at", "in")
-    if is_relative or is_by_side or (following and following[0].text == "of"):
+    before = tokens[index - 2].text if index >= 2 else ""
+    has_noun = any(one.text in words_in_classes("det") for one in tokens[: max(index - 2, 0)])
+    if before in ("on", "at", "in") or (before == "to" and has_noun):
         return False
-    after = tokens[index + 1] if index + 1 < len(tokens) else None
-    if after is not None and (
-        after.terminal.startswith("?") or after.text in words_in_classes(*_BEFORE_NOUNS)
-    ):
-        return False
-    return _is_after_determiner(tokens, index)
+    is_followed = any(
+        one.terminal.startswith("?") or one.text in words_in_classes(*_BEFORE_NOUNS) | {"of"}
+        for one in tokens[index + 1 : index + 2]
+    )
+    return not is_followed and _is_after_determiner(tokens, index)
 
 
 def name_nouns(clauses: Iterable[Phrase]) -> list[Phrase]:
     """Give the nouns that the lexicon does not know the senses of types of their own.
 
     A noun that modifies one, known or not, is part of its name: "coke machine", "water fountain".
-
-    Args:
-        clauses: roots of trees.
-
-    Returns:
-        The roots.
     """
     return [_named(clause) for clause in clauses]
 
@@ -225,12 +202,12 @@ def _named(phrase: Phrase) -> Phrase:
     head = words[last]
     lemma = singular(head.lemma) if head.tag == "NN" else head.lemma
     before = [word.text for word in words[first:last]]
-    is_plural = singular(head.text) != head.text
+    name = " ".join([*before, lemma])
     noun = Word(
         text=" ".join([*before, head.text]),
-        tag="NNS" if is_plural else "NN",
-        lemma=" ".join([*before, lemma]),
-        senses=(f"type:{' '.join([*before, lemma])}",),
+        tag="NNS" if singular(head.text) != head.text else "NN",
+        lemma=name,
+        senses=(f"type:{name}",),
         position=words[first].position,
     )
     return replace(phrase, words=(*words[:first], noun, *words[last + 1 :]), children=children)
@@ -238,9 +215,6 @@ def _named(phrase: Phrase) -> Phrase:
 
 def attributes_of(phrase: Phrase) -> tuple[list[tuple[Word, str]], list[Word]]:
     """Find what the adjectives of a noun phrase say of how the thing looks.
-
-    Args:
-        phrase: with words of its own.
 
     Returns:
         Words with the value that each says, and adjectives that say none.
@@ -254,13 +228,7 @@ def attributes_of(phrase: Phrase) -> tuple[list[tuple[Word, str]], list[Word]]:
 
 def compared(word: str) -> str | None:
     """Find the adjective that a superlative or comparative is of: "tall" of "tallest"."""
-    known = load_nouns().attributes
-    for ending in ("est", "er"):
-        stem = word.removesuffix(ending)
-        if stem == word:
-            continue
-        stems = (stem, stem[:-1], stem + "e", stem[:-1] + "y")
-        found = next((one for one in stems if one in known or one in _OTHERS), None)
-        if found is not None:
-            return found
-    return None
+    known = load_nouns().attributes.keys() | _OTHERS
+    stems = [word.removesuffix(ending) for ending in ("est", "er") if word.endswith(ending)]
+    forms = (form for one in stems for form in (one, one[:-1], one + "e", one[:-1] + "y"))
+    return next((form for form in forms if form in known), None)

@@ -7,10 +7,9 @@ how every sentence is understood without a word: both are refused, in one line.
 import re
 from collections.abc import Iterator
 from functools import cache
-from importlib import resources
 from typing import Any
 
-from jaxlangnav.inputs.documents import parse_toml
+from jaxlangnav.inputs.documents import parse_toml, read_shipped
 from jaxlangnav.inputs.sanitize import cut, fault_of_name, printable, shown
 from jaxlangnav.language.halting import halts_alone
 from jaxlangnav.language.tokens import is_word, plainly
@@ -53,7 +52,10 @@ def extend(document: dict[str, Any], own: dict[str, Any]) -> None:
     tables = [types, classes, *(classes.values() if isinstance(classes, dict) else [])]
     if not all(isinstance(table, dict) for table in tables):
         raise ValueError("[types] and [class.X] must be tables of lists of words")
-    _check_size(types, classes)
+    lists = [*types.values(), *(words for table in classes.values() for words in table.values())]
+    number = len(types) + sum(len(words) for words in lists if isinstance(words, list))
+    if number > MOST_EXPRESSIONS:
+        raise ValueError(f"has {number} expressions: at most {MOST_EXPRESSIONS} may be added")
     known = _Known(document)
     for kind, words in types.items():
         where = f"[types] {cut(printable(kind))}"
@@ -71,14 +73,6 @@ def extend(document: dict[str, Any], own: dict[str, Any]) -> None:
             for expression in _expressions(words, where):
                 known.check_sense(expression, name, senses, where)
                 document["class"][name].setdefault(senses, []).append(expression)
-
-
-def _check_size(types: dict[str, Any], classes: dict[str, Any]) -> None:
-    """Refuse more than the grammar takes."""
-    lists = [*types.values(), *(words for table in classes.values() for words in table.values())]
-    number = len(types) + sum(len(words) for words in lists if isinstance(words, list))
-    if number > MOST_EXPRESSIONS:
-        raise ValueError(f"has {number} expressions: at most {MOST_EXPRESSIONS} may be added")
 
 
 def _expressions(value: Any, where: str) -> Iterator[str]:
@@ -111,25 +105,17 @@ def _expression(text: str, where: str) -> str:
 
 
 def is_of_grammar(name: str) -> bool:
-    """Tell whether a detector's label is a word that has a meaning in every sentence.
+    """Tell whether a detector's label, such as "the", would make other sentences unreadable.
 
     Labels are what a detector tells apart, whatever it calls them. So fewer are refused than names
     in a lexicon: what classes of things may be called ("object", "exit", "parking meter") is not.
-
-    Args:
-        name: as sentences say it: "stop sign".
-
-    Returns:
-        True of "the", "behind", "go", "left"; such a label would make other sentences unreadable.
     """
     return halts_alone(name) or _of_package().is_word_of_grammar(name)
 
 
 @cache
 def _of_package() -> "_Known":
-    """Index the words of the package."""
-    text = resources.files("jaxlangnav.language").joinpath("data/lexicon.toml").read_text("utf-8")
-    return _Known(parse_toml(text))
+    return _Known(parse_toml(read_shipped("language", "lexicon.toml")))
 
 
 class _Known:
@@ -139,11 +125,9 @@ class _Known:
         """Index the tables of the lexicon of the package."""
         self._senses: dict[str, set[tuple[str, str]]] = {}  # expression → class, senses
         for name, table in document["class"].items():
-            for senses, texts in table.items():
-                if senses not in ("tag", "ing"):
-                    for text in texts:
-                        expression = text.replace("*", "")
-                        self._senses.setdefault(expression, set()).add((name, senses))
+            for senses in table.keys() - {"tag", "ing"}:
+                for text in table[senses]:
+                    self._senses.setdefault(text.replace("*", ""), set()).add((name, senses))
         self._all_senses = {senses for uses in self._senses.values() for _, senses in uses}
         self._refused = {w: why for why, words in document["refused"].items() for w in words}
         self._tags = set(document["tags"])
@@ -163,13 +147,12 @@ class _Known:
                 raise ValueError(f"{where}: '{form}' is a name of {owner} already")
         _check_halting(expression, where)
         words = expression.split()
-        ends = {words[0], words[-1]}
-        wrong = next((word for word in ends if self._is_of_grammar(word, len(words) == 1)), None)
-        if wrong is not None:
-            raise ValueError(
-                f"{where}: '{wrong}' has a meaning of its own in every sentence and cannot be "
-                f"{'a name' if len(words) == 1 else 'an end of a name'}: choose another"
-            )
+        for word in (words[0], words[-1]):
+            if self._is_of_grammar(word, len(words) == 1):
+                raise ValueError(
+                    f"{where}: '{word}' has a meaning of its own in every sentence and cannot be "
+                    f"{'a name' if len(words) == 1 else 'an end of a name'}: choose another"
+                )
         self._owners |= {expression: kind, _plural(expression): kind}
 
     def check_sense(self, expression: str, name: str, senses: str, where: str) -> None:
@@ -217,7 +200,7 @@ def _check_halting(expression: str, where: str) -> None:
 @cache
 def _literals() -> frozenset[str]:
     """Collect the words that stand in the rules of the grammar themselves."""
-    rules = resources.files("jaxlangnav.language").joinpath("data/grammar.txt").read_text("utf-8")
+    rules = read_shipped("language", "grammar.txt")
     return frozenset(re.findall(r'"([^"\s]+)"', rules)) | _MARKS
 
 

@@ -24,13 +24,7 @@ from jaxlangnav.language.grammar import (
 from jaxlangnav.language.lexicon import REASONS, TYPE_CLASS, load_lexicon
 from jaxlangnav.language.measured import of_clauses, take_out
 from jaxlangnav.language.nouns import is_noun_place, join_nouns, name_nouns
-from jaxlangnav.language.phrase import (
-    COMMAND,
-    LEAST_PROBABILITY,
-    STATEMENT,
-    LanguageError,
-    Parse,
-)
+from jaxlangnav.language.phrase import COMMAND, LEAST_PROBABILITY, STATEMENT, LanguageError, Parse
 from jaxlangnav.language.reader.proposals import propose_readings
 from jaxlangnav.language.reference import Antecedent, join_constraints, resolve
 from jaxlangnav.language.refusal import NOUN, Token, explain, is_contrary, offer
@@ -43,6 +37,7 @@ from jaxlangnav.language.tokens import (
     SpokenToken,
     join_contractions,
     plainly,
+    without_idle_marks,
 )
 from jaxlangnav.language.tree import TreeBuilder
 
@@ -69,27 +64,31 @@ _CARRIED = re.compile(
 class _Reader:
     """A text split into words and marks, what is mistyped repaired."""
 
-    def __init__(self, text: str, labels: Collection[str]) -> None:
+    def __init__(
+        self, text: str, labels: Collection[str], earlier: Antecedent | None = None
+    ) -> None:
         """Read all of a text."""
-        self.labels = frozenset(labels)
+        self.text, self.labels, self.earlier = text, frozenset(labels), earlier
         self.vocabulary = load_lexicon().vocabulary
-        self.tokens: list[SpokenToken] = []
-        self.repairs: list[tuple[str, str]] = []
-        self.num_words = 0
-        text = join_contractions(plainly(text))
-        if len(text) > 2 * MAX_CHARACTERS:  # some signs stand for whole words
+        plain = join_contractions(plainly(text))
+        if len(plain) > 2 * MAX_CHARACTERS:  # some signs stand for whole words
             raise LanguageError(
                 f"the instruction has more than {MAX_CHARACTERS} characters; shorten it"
             )
-        for match in TOKEN.finditer(text):
-            piece = match.group()
+        said: list[SpokenToken] = []
+        num_words = 0
+        for piece in TOKEN.findall(plain):
             if piece[0] in ".!?;" or piece in _COMMAS:
-                self._mark(COMMA_MARK if piece in _COMMAS else FULLSTOP_MARK)
+                mark = COMMA_MARK if piece in _COMMAS else FULLSTOP_MARK
+                said.append(SpokenToken(text=mark, position=num_words))
             elif piece not in _IGNORED:
                 for word in self._split(_SIGNS.get(piece, piece)):
-                    self._word(word)
-        while self.tokens and self.tokens[-1].text in MARKS:
-            self.tokens.pop()
+                    num_words += 1
+                    said.append(SpokenToken(text=word, position=num_words))
+        if num_words > MAX_WORDS:
+            raise LanguageError(f"the instruction has more than {MAX_WORDS} words; shorten it")
+        self.tokens = without_idle_marks(said)
+        self.repairs: list[tuple[str, str]] = []
         self._mend()
 
     def _mend(self) -> None:
@@ -106,36 +105,22 @@ class _Reader:
                 self.repairs.append((token.text, repaired))
                 self.tokens[index] = replace(self.tokens[index], text=repaired)
 
-    def _mark(self, mark: str) -> None:
-        """Add punctuation; a run of marks is its last, and none stands at the beginning."""
-        if self.tokens and self.tokens[-1].text in MARKS:
-            self.tokens.pop()
-        if self.tokens:
-            self.tokens.append(SpokenToken(text=mark, position=self.num_words))
-
     def _split(self, piece: str) -> list[str]:
         """Part "cone's" and hyphened words of which the lexicon knows the parts."""
         if piece in self.vocabulary:
             return [piece]
         if piece.endswith("'s") and not piece.endswith("'s's"):
             return [*self._split(piece[:-2]), "'s"]
-        joined = _compounds().get(piece.replace("-", ""))
-        if joined is not None:
-            return list(joined)
-        if piece.replace("-", "") in self.labels:  # "the white-board"
-            return [piece.replace("-", "")]
+        joined = piece.replace("-", "")
+        if joined in _compounds():
+            return list(_compounds()[joined])
+        if joined in self.labels:  # "the white-board"
+            return [joined]
         short = _DRAWN.sub(r"\1", piece)
         if short in self.vocabulary:
             return [short]
         parts = piece.split("-")
         return parts if len(parts) > 1 and set(parts) <= self.vocabulary else [piece]
-
-    def _word(self, word: str) -> None:
-        """Add a word."""
-        self.num_words += 1
-        if self.num_words > MAX_WORDS:
-            raise LanguageError(f"the instruction has more than {MAX_WORDS} words; shorten it")
-        self.tokens.append(SpokenToken(text=word, position=self.num_words))
 
 
 def _to_token(spoken: SpokenToken) -> Token:
@@ -150,17 +135,6 @@ def _to_token(spoken: SpokenToken) -> Token:
         terminal=terminal,
         position=spoken.position,
     )
-
-
-def _to_tokens(spoken: list[SpokenToken], labels: Collection[str]) -> list[Token]:
-    """Say what words and marks can be, names of several words as one."""
-    tokens = join_nouns([_to_token(one) for one in spoken], labels)
-    return [
-        replace(one, terminal=UNKNOWN)  # "the lily"
-        if one.terminal == UNKNOWN_ADVERB and is_noun_place(tokens, index)
-        else one
-        for index, one in enumerate(tokens)
-    ]
 
 
 @cache
@@ -182,9 +156,7 @@ def _check_symbols(spoken: list[SpokenToken]) -> None:
             refused = load_lexicon().refused
             if refused.get(following) == REASONS["a distance"] or one.text[-1] == "m":
                 what = REASONS["a distance"]
-        raise LanguageError(
-            f"'{one.text[:30]}' (word {one.position}): {what}", position=one.position
-        )
+        raise LanguageError.at(one.text[:30], one.position, what)
 
 
 def split_text(text: str, labels: Collection[str] = ()) -> list[SpokenToken]:
@@ -193,9 +165,6 @@ def split_text(text: str, labels: Collection[str] = ()) -> list[SpokenToken]:
     Args:
         text: at most ``MAX_CHARACTERS``.
         labels: names of things that the detector tells apart.
-
-    Returns:
-        Words and marks.
 
     Raises:
         LanguageError: it has more words or characters than are read.
@@ -232,26 +201,24 @@ def parse(
         raise LanguageError(f"the instruction is of type {type(text).__name__}, but must be a text")
     if len(text) > MAX_CHARACTERS:
         raise LanguageError(f"the instruction has more than {MAX_CHARACTERS} characters")
-    reader = _Reader(text, labels)
+    reader = _Reader(text, labels, earlier)
     if not reader.tokens:
         raise LanguageError("the instruction is empty")
     if not is_rewritten:
-        return _read(text, reader, reader.tokens, earlier, is_measured=False)
+        return _read(reader, reader.tokens, is_measured=False)
     try:
-        as_said = _read(text, reader, reader.tokens, earlier)
+        as_said = _read(reader, reader.tokens)
     except LanguageError as error:
         if error.position is None:
             raise
-        found = _read_freely(text, reader, earlier, None, least_probability)
+        found = _read_freely(reader, None, least_probability)
         if found is None:
-            raise _with_nearest(error, reader, earlier) from None
+            raise _with_nearest(error, reader) from None
         return found
-    return _read_freely(text, reader, earlier, as_said, LEAST_TO_OVERRULE) or as_said
+    return _read_freely(reader, as_said, LEAST_TO_OVERRULE) or as_said
 
 
-def _read_freely(
-    text: str, reader: _Reader, earlier: Antecedent | None, as_said: Parse | None, least: float
-) -> Parse | None:
+def _read_freely(reader: _Reader, as_said: Parse | None, least: float) -> Parse | None:
     """Read a sentence by its likeliest meaning, if that has at least ``least``, or as it stands.
 
     Sentences of one meaning share their probabilities. None: it is refused.
@@ -266,13 +233,13 @@ def _read_freely(
         ):
             break  # whatever the rest may mean, this is decided
         unread -= one.probability
-        if earlier is not None and any(_CARRIED.search(was) for was, _ in one.changes):
+        if reader.earlier is not None and any(_CARRIED.search(was) for was, _ in one.changes):
             continue
         if list(one.tokens) == reader.tokens and as_said is not None:
             read = as_said
         else:
             try:
-                read = _read(text, reader, list(one.tokens), earlier, is_blame_sought=False)
+                read = _read(reader, list(one.tokens), is_blame_sought=False)
             except LanguageError:
                 continue
             read = replace(read, rewrites=one.changes, unread=one.left_out)
@@ -284,10 +251,8 @@ def _read_freely(
 
 
 def _read(
-    text: str,
     reader: _Reader,
     said: list[SpokenToken],
-    earlier: Antecedent | None,
     *,
     is_measured: bool = True,
     is_blame_sought: bool = True,
@@ -295,7 +260,13 @@ def _read(
     """Read the words of an instruction; a refusal names the true cause where that is sought."""
     spoken, measured = take_out(said) if is_measured else (said, [])
     _check_symbols(spoken)
-    tokens = _to_tokens(spoken, reader.labels)
+    tokens = join_nouns([_to_token(one) for one in spoken], reader.labels)
+    tokens = [
+        replace(one, terminal=UNKNOWN)  # "the lily"
+        if one.terminal == UNKNOWN_ADVERB and is_noun_place(tokens, index)
+        else one
+        for index, one in enumerate(tokens)
+    ]
     unknown = [one for one in tokens if one.terminal.startswith("?") and one.terminal != NOUN]
     if len(unknown) > MAX_UNKNOWN:
         first = unknown[0]
@@ -309,11 +280,11 @@ def _read(
     except NoParseError as error:
         raise explain(tokens, error.index) from None
     builder = TreeBuilder([t.text for t in tokens], [t.position for t in tokens])
-    clauses = resolve(name_nouns(builder.build(derivation)), earlier)
+    clauses = resolve(name_nouns(builder.build(derivation)), reader.earlier)
     refuse_guesses(clauses, {position for _, position in builder.unknown})
     clauses = join_constraints(clauses)
     return Parse(
-        instruction=text,
+        instruction=reader.text,
         clauses=tuple(clauses),
         kinds=tuple(STATEMENT if clause.label == "S" else COMMAND for clause in clauses),
         unknown_words=tuple(builder.unknown),
@@ -323,17 +294,15 @@ def _read(
     )
 
 
-def _with_nearest(
-    error: LanguageError, reader: _Reader, earlier: Antecedent | None
-) -> LanguageError:
+def _with_nearest(error: LanguageError, reader: _Reader) -> LanguageError:
     """Add to a refusal the nearest sentence that can be read, where there is one."""
     position, heard = error.position or 0, reader.tokens
     blamed = next((one.text for one in heard if one.position == position), "")
 
     def can_read(text: str) -> bool:
         try:
-            again = _Reader(text, reader.labels)
-            found = _read(text, again, again.tokens, earlier, is_blame_sought=False)
+            again = _Reader(text, reader.labels, reader.earlier)
+            found = _read(again, again.tokens, is_blame_sought=False)
         except LanguageError:
             return False
         return COMMAND in found.kinds and not found.unknown_words

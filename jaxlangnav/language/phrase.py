@@ -20,14 +20,14 @@ class LanguageError(ValueError):
     """A sentence that is refused; the message is one line naming the word and its position."""
 
     def __init__(self, message: str, *, position: int | None = None) -> None:
-        """Keep the message; what it repeats of the sentence cannot act on a terminal.
-
-        Args:
-            message: the line.
-            position: of the word that stands in the way, where there is one.
-        """
+        """Keep the message, made printable, and the position of the word that stands in the way."""
         super().__init__(printable(message))
         self.position = position
+
+    @classmethod
+    def at(cls, words: str, position: int, reason: str) -> "LanguageError":
+        """Refuse words of the sentence, the first of which is at ``position``."""
+        return cls(f"'{words}' (word {position}): {reason}", position=position)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,6 +40,11 @@ class Word:
     senses: tuple[str, ...] = ()  # "type:hydrant", "relation:behind", "action:find", ...
     position: int = 0  # 1-based count of words in the instruction, punctuation not counted
 
+    @property
+    def type_sense(self) -> str | None:
+        """The sense that names an object type, such as "type:hydrant"; None where none does."""
+        return next((sense for sense in self.senses if sense.startswith("type:")), None)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Phrase:
@@ -51,14 +56,17 @@ class Phrase:
 
     def __str__(self) -> str:
         """Write the phrase on one line, for example ``PP[behind]{NP[the cone]}``."""
-        head = f"{self.label}[{' '.join(word.text for word in self.words)}]"
-        if not self.children:
-            return head
-        return head + "{" + ", ".join(str(child) for child in self.children) + "}"
+        below = "{" + ", ".join(map(str, self.children)) + "}" if self.children else ""
+        return self.head + below
 
-    def says(self, sense: str) -> bool:
-        """Tell whether a word of its own has a sense."""
-        return any(sense in word.senses for word in self.words)
+    @property
+    def head(self) -> str:
+        """The phrase without its children: ``PP[behind]``."""
+        return f"{self.label}[{' '.join(word.text for word in self.words)}]"
+
+    def says(self, *senses: str) -> bool:
+        """Tell whether a word of its own has one of some senses."""
+        return any(sense in word.senses for word in self.words for sense in senses)
 
     def walk(self) -> Iterator["Phrase"]:
         """Yield all phrases, children before parents (the order of inference)."""

@@ -20,8 +20,7 @@ def _has(phrase: Phrase, prefix: str) -> bool:
 
 def type_sense(phrase: Phrase) -> str | None:
     """Find the sense of a phrase's own words that names an object type; None where none does."""
-    senses = (sense for word in phrase.words for sense in word.senses)
-    return next((sense for sense in senses if sense.startswith("type:")), None)
+    return next((word.type_sense for word in phrase.words if word.type_sense), None)
 
 
 def is_thing(phrase: Phrase) -> bool:
@@ -39,14 +38,7 @@ def leaves(phrase: Phrase) -> list[Phrase]:
 
 
 def head_of(phrase: Phrase) -> Phrase | None:
-    """Find the noun phrase that a clause is about: the goal of a command, what is said to be.
-
-    Args:
-        phrase: the clause.
-
-    Returns:
-        A phrase of it that names a thing; None where there is none.
-    """
+    """Find the noun phrase that a clause is about: the goal of a command, what is said to be."""
     inner = [child for child in phrase.children if child.label != "VP"]
     if phrase.label == "S":
         inner = [child for child in phrase.children if child.label == "NP"]
@@ -56,9 +48,7 @@ def head_of(phrase: Phrase) -> Phrase | None:
 
 
 def _refuse(word: Word, reason: str) -> LanguageError:
-    return LanguageError(
-        f"'{word.text}' (word {word.position}): {reason}; name the object", position=word.position
-    )
+    return LanguageError.at(word.text, word.position, f"{reason}; name the object")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -48,7 +48,6 @@ def explain(tokens: list[Token], index: int) -> LanguageError:
     if expression is not None:
         return expression
     refused = load_lexicon().refused
-    at_end = index >= len(tokens)
     read = [token for token in tokens[: index + 1] if token.text]
     reasons = {token.position: refused.get(token.text) for token in read}
     first = next((t for t in read if reasons[t.position] in _STRONG), None)
@@ -56,7 +55,7 @@ def explain(tokens: list[Token], index: int) -> LanguageError:
     if denied and (first is None or denied[0].position < first.position):
         first = denied[0]
         reasons[first.position] = REASONS["negation"]
-    stuck = None if at_end or not tokens[index].text else read[-1]
+    stuck = None if index >= len(tokens) or not tokens[index].text else read[-1]
     unread = [t for t in read if _is_unknown(t) and not _is_read(t, tokens, index)]
     nearest = [t for t in reversed(read) if _is_telling(t) or t in unread]
     near = [t for t in read[-4:] if t.text in _SMALL and reasons[t.position]]
@@ -74,10 +73,8 @@ def explain(tokens: list[Token], index: int) -> LanguageError:
         return _refusal(later[0], UNKNOWN_HERE)
     if stuck is None:
         where = f"'{read[-1].text[:30]}' (word {read[-1].position})"
-        return LanguageError(
-            f"the sentence breaks off after {where}; say all of it, as in 'go to the cone'",
-            position=read[-1].position,
-        )
+        line = f"the sentence breaks off after {where}; say all of it, as in 'go to the cone'"
+        return LanguageError(line, position=read[-1].position)
     return _refusal(stuck, _NO_PLACE)
 
 
@@ -87,9 +84,7 @@ def is_contrary(text: str) -> bool:
 
 
 def _refusal(token: Token, reason: str) -> LanguageError:
-    return LanguageError(
-        f"'{token.text[:30]}' (word {token.position}): {reason}", position=token.position
-    )
+    return LanguageError.at(token.text[:30], token.position, reason)
 
 
 def _refused_expression(tokens: list[Token], last: int) -> LanguageError | None:
@@ -98,10 +93,7 @@ def _refused_expression(tokens: list[Token], last: int) -> LanguageError | None:
     for index, token in enumerate(tokens[: last + 1]):
         for words, reason in refused.items():
             if tuple(one.text for one in tokens[index : index + len(words)]) == words:
-                named = " ".join(words)
-                return LanguageError(
-                    f"'{named}' (word {token.position}): {reason}", position=token.position
-                )
+                return LanguageError.at(" ".join(words), token.position, reason)
     return None
 
 
@@ -117,10 +109,7 @@ def _is_read(token: Token, tokens: list[Token], index: int) -> bool:
     is_named = any(one.text in _ARTICLES for one in before)
     if place + 1 == len(tokens):  # "the box on the workbench": what stands before is to blame
         return bool(before) and before[-1].text in _ARTICLES
-    if place + 1 >= index + 1:
-        return False
-    after = tokens[place + 1]
-    return is_named and not after.terminal.startswith("?")
+    return is_named and place < index and not tokens[place + 1].terminal.startswith("?")
 
 
 def _is_telling(token: Token) -> bool:

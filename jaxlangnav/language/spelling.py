@@ -5,10 +5,10 @@ the English words within one edit of a word of the lexicon.
 """
 
 from functools import cache
-from importlib import resources
 from string import ascii_lowercase
 
-from jaxlangnav.language.lexicon import TYPE_CLASS, Lexicon, load_lexicon
+from jaxlangnav.inputs.documents import read_shipped
+from jaxlangnav.language.lexicon import TYPE_CLASS, load_lexicon
 
 MIN_LETTERS, _MAX_LETTERS = 5, 20
 # Small talk holds many words that say nothing of the task ("plan", "time"): no repairs to them,
@@ -21,14 +21,7 @@ COURTESIES = {"please", "could", "would", "robot", "there", "after", "thanks", "
 
 
 def edits(word: str) -> set[str]:
-    """List everything one deletion, transposition, replacement or insertion away.
-
-    Args:
-        word: lower case.
-
-    Returns:
-        All strings at Damerau-Levenshtein distance one over a-z (and the word itself).
-    """
+    """List all strings at Damerau-Levenshtein distance one over a-z, and the word itself."""
     parts = [(word[:cut], word[cut:]) for cut in range(len(word) + 1)]
     found = {a + b[1:] for a, b in parts if b}
     found |= {a + b[1] + b[0] + b[2:] for a, b in parts if len(b) > 1}
@@ -49,20 +42,14 @@ def repairable() -> frozenset[str]:
 @cache
 def not_errors() -> frozenset[str]:
     """Read the English words that look like typing errors but are none."""
-    path = resources.files("jaxlangnav.language").joinpath("data/not_errors.txt")
-    lines = path.read_text("utf-8").splitlines()
+    lines = read_shipped("language", "not_errors.txt").splitlines()
     return frozenset(line.strip() for line in lines if line and not line.startswith("#"))
 
 
-def _meanings(word: str, lexicon: Lexicon) -> frozenset[tuple[str, tuple[str, ...]]]:
+def _meanings(word: str) -> frozenset[tuple[str, tuple[str, ...]]]:
     """Collect what a word can mean alone: class and senses."""
-    found = {
-        (name, tuple(sense for senses in entry.senses for sense in senses))
-        for name, entries in lexicon.entries.items()
-        for key, entry in entries.items()
-        if key == (word,)
-    }
-    return frozenset(found)
+    found = ((name, one.get((word,))) for name, one in load_lexicon().entries.items())
+    return frozenset((name, entry.senses[0]) for name, entry in found if entry is not None)
 
 
 @cache
@@ -93,11 +80,8 @@ def repair(word: str, *, is_noun: bool = False) -> str | None:
     allowed = repairable() & _nominal() if is_noun else repairable()
     candidates = sorted(c for c in edits(word) & allowed if len(c) >= MIN_LETTERS - 1)
     # "Carefuly" is "carefully" and not "careful", which only stands in longer expressions.
-    alone = [c for c in candidates if _meanings(c, lexicon) or c in lexicon.refused]
-    candidates = alone or candidates
-    if not candidates:
-        return None
-    if len(candidates) == 1 or len({_meanings(c, lexicon) for c in candidates}) == 1:
-        return candidates[0]
-    transposed = [c for c in candidates if sorted(c) == sorted(word)]
-    return transposed[0] if len(transposed) == 1 else None
+    candidates = [c for c in candidates if _meanings(c) or c in lexicon.refused] or candidates
+    if len(set(map(_meanings, candidates))) > 1:
+        candidates = [c for c in candidates if sorted(c) == sorted(word)]
+        return candidates[0] if len(candidates) == 1 else None
+    return candidates[0] if candidates else None

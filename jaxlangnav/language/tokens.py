@@ -2,6 +2,7 @@
 
 import re
 import unicodedata
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 TOKEN = re.compile(
@@ -26,11 +27,7 @@ class SpokenToken:
 def plainly(text: str) -> str:
     """Write letters plainly: small, without ligatures, full width or marks that nobody sees.
 
-    Args:
-        text: any.
-
-    Returns:
-        The text that is parsed; some signs stand for whole words, so it may be longer.
+    Some signs stand for whole words, so the result may be longer.
     """
     text = unicodedata.normalize("NFKC", text).lower()
     text = "".join(letter for letter in text if unicodedata.category(letter) != "Cf")
@@ -38,21 +35,21 @@ def plainly(text: str) -> str:
 
 
 def join_contractions(text: str) -> str:
-    """Put contractions together that a tokenizer has parted: "let 's", "do n't".
-
-    Args:
-        text: in small letters, with plain apostrophes.
-
-    Returns:
-        The text.
-    """
+    """Put contractions together that a tokenizer has parted: "let 's", "do n't"."""
     return _SPLIT_NEGATION.sub(r"\1\2", _SPLIT_CONTRACTION.sub(r"\1\2", text))
 
 
 def is_word(text: str) -> bool:
-    """Tell whether a text, written plainly, is read as one word.
-
-    Args:
-        text: from a lexicon.
-    """
+    """Tell whether a text, written plainly, is read as one word."""
     return text[:1].isalnum() and TOKEN.fullmatch(text) is not None and not text.endswith("'s")
+
+
+def without_idle_marks(tokens: Iterable[SpokenToken]) -> list[SpokenToken]:
+    """Leave out marks at both ends, and all but the last of a run of them."""
+    found: list[SpokenToken] = []
+    for token in tokens:
+        if token.text in MARKS and found and found[-1].text in MARKS:
+            found.pop()
+        if found or token.text not in MARKS:
+            found.append(token)
+    return found[:-1] if found and found[-1].text in MARKS else found

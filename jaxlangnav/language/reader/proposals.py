@@ -35,7 +35,7 @@ from jaxlangnav.language.reader.model import (
     load_reader,
     log_partition,
 )
-from jaxlangnav.language.tokens import MARKS, SpokenToken
+from jaxlangnav.language.tokens import MARKS, SpokenToken, without_idle_marks
 from jaxlangnav.messages import RELATIONS
 from jaxlangnav.relations.table import CONVERSE
 
@@ -95,14 +95,9 @@ class Labelling:
     @cached_property
     def runs(self) -> list[range]:
         """Stretches of words that are not kept."""
-        found, first = [], None
-        for index, kept in enumerate([*self.kept, True]):
-            if not kept and first is None:
-                first = index
-            elif kept and first is not None:
-                found.append(range(first, index))
-                first = None
-        return found
+        groups = itertools.groupby(range(len(self.kept)), key=self.kept.__getitem__)
+        found = [list(group) for is_kept, group in groups if not is_kept]
+        return [range(run[0], run[-1] + 1) for run in found]
 
     def stretch(self, run: range) -> str:
         """Write a stretch of words that are not kept, names as one sign, and what is read."""
@@ -116,20 +111,13 @@ class Labelling:
         clause = self.sentence.clauses[self.sentence.clause[index]]
         return all(self.labels[i] == LEFT_OUT and not self.sentence.is_name[i] for i in clause)
 
-    def _tells(self, index: int) -> bool:
-        """Tell whether the clause of a word says what somebody does, and asks for nothing."""
-        words = [self.sentence.words[i] for i in self.sentence.clauses[self.sentence.clause[index]]]
-        first = next((word for word in words if word not in _CALLS), "")
-        return first.split("'")[0] in _SUBJECTS and "you" not in words
-
     def _points_back(self) -> bool:
         """Tell whether a word that is kept may mean something of a clause that is left out."""
         words, size = self.sentence.words, len(self.labels)
         first = next((i for i in range(size) if not self.kept[i] and self.is_gone(i)), size)
         for index in range(first + 1, size):
             if self.kept[index] and words[index] in _POINTING:
-                before = range(index)
-                is_named = any(self.kept[i] and self.sentence.is_name[i] for i in before)
+                is_named = any(self.kept[i] and self.sentence.is_name[i] for i in range(index))
                 if not is_named or words[index - 1] in _SOUGHT:
                     return True
         return False
@@ -145,22 +133,24 @@ class Labelling:
         """
         new = [run for run in self.runs if self.stretch(run) not in self.met]
         touched = {self.sentence.clause[i] for run in new for i in run}
-        are_whole = all(self._is_whole(self.sentence.clauses[k]) for k in touched)
-        are_placed = all(
-            PREPOSITION not in classes or self._is_converse(index)
-            for index, classes in enumerate(self.sentence.classes)
+        return (
+            all(self._is_whole(self.sentence.clauses[k]) for k in touched)
+            and all(
+                PREPOSITION not in classes or self._is_converse(index)
+                for index, classes in enumerate(self.sentence.classes)
+            )
+            and all(map(self._may_go, new))
+            and not self._points_back()
         )
-        may_go = are_whole and are_placed and all(map(self._may_go, new))
-        return may_go and not self._points_back()
 
     def _may_go(self, run: range) -> bool:
         """Tell whether a stretch of words may go."""
-        words, is_name = self.sentence.words, self.sentence.is_name
+        words, is_name, classes = self.sentence.words, self.sentence.is_name, self.sentence.classes
         named = [i for i in run if is_name[i]]
         is_undone = bool(named) and any(words[i] in _UNDOING for i in run if i > named[0])
-        kept = {singular(words[i]) for i, kept in enumerate(self.kept) if kept and is_name[i]}
         if named and not is_undone:
-            is_chosen = any(not CHOOSING.isdisjoint(self.sentence.classes[i]) for i in run)
+            kept = {singular(words[i]) for i, one in enumerate(self.kept) if one and is_name[i]}
+            is_chosen = any(not CHOOSING.isdisjoint(classes[i]) for i in run)
             if is_chosen or not kept.issuperset(singular(words[i]) for i in named):
                 return False
         if run.start > 0 and run.stop < len(words) and not is_undone:
@@ -168,17 +158,12 @@ class Labelling:
             is_joined = is_name[run.start - 1] and is_name[run.stop]
             if is_joined and self.labels[run.start] == LEFT_OUT:
                 return False
-        if any(self._is_refused_at(i, run.stop) for i in run):
-            return False
-        return all(self._may_go_alone(i, is_undone=is_undone) for i in run)
-
-    def _is_refused_at(self, index: int, stop: int) -> bool:
-        """Tell whether an expression that is refused by name would go: "a bit"."""
-        words = self.sentence.words
-        return any(
-            words[index : index + len(one)] == one and index + len(one) <= stop
-            for one in load_lexicon().refused_expressions
-        ) and not self.is_gone(index)
+        is_refused = any(
+            words[i : min(i + len(one), run.stop)] == one and not self.is_gone(i)
+            for i in run
+            for one in load_lexicon().refused_expressions  # "a bit"
+        )
+        return not is_refused and all(self._may_go_alone(i, is_undone=is_undone) for i in run)
 
     def _may_go_alone(self, index: int, *, is_undone: bool) -> bool:
         """Tell whether a word may go, whatever goes with it."""
@@ -189,14 +174,24 @@ class Labelling:
             is_gone = word not in _CONDITIONS and self.is_gone(index)
             return is_gone or (is_undone and word == "no")
         if not IMPOSSIBLE.isdisjoint(classes) and _IDLE.isdisjoint(classes):
-            return self.labels[index] != LEFT_OUT or (self.is_gone(index) and self._tells(index))
+            if self.labels[index] != LEFT_OUT:
+                return True
+            # A clause that says what somebody does asks for nothing.
+            clause = self.sentence.clauses[self.sentence.clause[index]]
+            said = [self.sentence.words[i] for i in clause]
+            first = next((one for one in said if one not in _CALLS), "")
+            tells = first.split("'")[0] in _SUBJECTS and "you" not in said
+            return tells and self.is_gone(index)
         if is_undone:
             return True
         if SPEAKER in classes and self.labels[index] != LEFT_OUT and index + 1 < len(self.labels):
             # "my car" is a car; "my left", nothing.
             return not self.kept[index + 1] or any(self.sentence.is_name[index + 1 : index + 3])
         if {PREPOSITION, PATH_WORD} & set(classes) and self._governs_kept(index):
-            return PATH_WORD not in classes and self._is_replaced(index)
+            # Other words may stand for the expression: "one of the".
+            before = next((one for one in self.labels[index::-1] if one != LEFT_OUT), KEPT)
+            behind = next((one for one in self.labels[index:] if one != LEFT_OUT), KEPT)
+            return PATH_WORD not in classes and (before[0] != KEPT or ">" in behind)
         if self.labels[index] != LEFT_OUT:
             return True
         is_choosing = not CHOOSING.isdisjoint(classes) or word in _DEGREES
@@ -223,25 +218,18 @@ class Labelling:
         first = next((i for i in ahead if "det" not in self.sentence.classes[i]), index)
         return self.kept[first] and self.sentence.is_name[first]
 
-    def _is_replaced(self, index: int) -> bool:
-        """Tell whether other words stand for an expression that a word is in: "one of the"."""
-        before = next((label for label in self.labels[index::-1] if label != LEFT_OUT), KEPT)
-        behind = next((label for label in self.labels[index:] if label != LEFT_OUT), KEPT)
-        return before[0] != KEPT or ">" in behind
-
     def _is_whole(self, clause: Sequence[int]) -> bool:
         """Tell whether what is left of a clause is no mere name of something told of."""
-        sentence = self.sentence
-        if not any(self.kept[i] and sentence.is_name[i] for i in clause):
-            return True
-        is_order = any(self.labels[i] not in (KEPT, LEFT_OUT) for i in clause)
-        is_order |= any(
-            self.kept[i] and (sentence.is_verb(i) or not _TOLD.isdisjoint(sentence.classes[i]))
-            for i in clause
-            if not sentence.is_name[i]
-        )
-        return is_order or all(
-            self.kept[i] or not _IDLE.isdisjoint(sentence.classes[i]) for i in clause
+        sentence, kept = self.sentence, [i for i in clause if self.kept[i]]
+        return (
+            not any(sentence.is_name[i] for i in kept)
+            or any(self.labels[i] not in (KEPT, LEFT_OUT) for i in clause)
+            or any(
+                sentence.is_verb(i) or not _TOLD.isdisjoint(sentence.classes[i])
+                for i in kept
+                if not sentence.is_name[i]
+            )
+            or all(self.kept[i] or not _IDLE.isdisjoint(sentence.classes[i]) for i in clause)
         )
 
     def proposal(self, tokens: Sequence[SpokenToken], probability: float) -> Proposal:
@@ -250,8 +238,7 @@ class Labelling:
         last = {i: tokens[run[-1]].position for run in self.runs for i in run}
         for index, (token, label) in enumerate(zip(tokens, self.labels, strict=True)):
             before, _, rest = label.partition(">")
-            words = rest.split() if before == KEPT else label[1:].split()
-            words = [] if label == LEFT_OUT else words
+            words = (rest if before == KEPT else "" if label == LEFT_OUT else label[1:]).split()
             # New words stand where the words were that they are read for, in order.
             places = range(token.position, last.get(index, token.position) + 1)
             put += [
@@ -259,9 +246,9 @@ class Labelling:
                 for k, word in enumerate(words)
             ]
             put += [token] if label[0] == KEPT else []
-        left_out, changes = [], []
+        left_out, changes, said_words = [], [], self.sentence.words
         for run in self.runs:
-            said = " ".join(w for w in self.sentence.words[run.start : run.stop] if w not in MARKS)
+            said = " ".join(said_words[i] for i in run if said_words[i] not in MARKS)
             read = " ".join(self.labels[i][1:] for i in run if self.labels[i] != LEFT_OUT)
             if read:
                 changes.append((said, read))
@@ -269,7 +256,7 @@ class Labelling:
                 left_out.append(said)
         return Proposal(
             probability=probability,
-            tokens=tuple(_without_idle_marks(put)),
+            tokens=tuple(without_idle_marks(put)),
             left_out=tuple(left_out),
             changes=tuple(changes),
         )
@@ -288,29 +275,17 @@ def _relations(words: Sequence[str]) -> set[int]:
     }
 
 
-def _without_idle_marks(tokens: Sequence[SpokenToken]) -> list[SpokenToken]:
-    """Leave out marks at both ends, and all but the last of a run of them."""
-    found: list[SpokenToken] = []
-    for token in tokens:
-        if token.text in MARKS and (not found or found[-1].text in MARKS):
-            found = [*found[:-1], token] if found else []
-        else:
-            found.append(token)
-    return found[:-1] if found and found[-1].text in MARKS else found
-
-
 def _bar(model: ReaderModel, sentence: ReaderSentence) -> np.ndarray:
     """Bar words that a word was never read as: 0 or -∞, [T, L].
 
     A verb of a class of its own may be read as going or stopping without having been met.
     """
     barred = np.zeros((len(sentence.words), len(model.labels)))
-    for column, label in enumerate(model.labels):
-        if label[0] != "=":
-            continue
-        for row, word in enumerate(sentence.words):
-            classes, is_order = sentence.classes[row], label[1:] in _ORDERING
-            is_verb = any(one.startswith(MOTION) for one in classes) and classes[0] != NAME
+    instead = [(column, label) for column, label in enumerate(model.labels) if label[0] == "="]
+    for row, (word, classes) in enumerate(zip(sentence.words, sentence.classes, strict=True)):
+        is_verb = any(one.startswith(MOTION) for one in classes) and classes[0] != NAME
+        for column, label in instead:
+            is_order = label[1:] in _ORDERING
             is_seen = (word, label) in model.seen and not (is_order and "rel.." in classes)
             if not (is_seen or (is_verb and is_order)):
                 barred[row, column] = -np.inf
