@@ -8,13 +8,12 @@ no such wording and stays a command. Words to halt are known mistyped too, as pe
 
 import enum
 import re
-import tomllib
 from collections.abc import Callable, Iterator
 from functools import cache
-from importlib import resources
 from typing import Any
 
-from jaxlangnav.language.tokens import plainly
+from jaxlangnav.inputs.documents import parse_toml, read_shipped
+from jaxlangnav.language.tokens import plainly, words_of
 
 MAX_HALTING_CHARACTERS = 400
 """Longer utterances are never mere halting words."""
@@ -22,7 +21,6 @@ _MAX_ALARM_CHARACTERS = 10_000
 """Longer utterances are no sentences (``language.parser``)."""
 _KINDS = ("verb", "manner", "warning", "not", "denial", "place", "when", "and", "go")
 _BREAK = re.compile(r"[^\w\s]+")
-_WORD = re.compile(r"[^\W_]+(?:['\u2018\u2019`][^\W_]+)*")
 _APOSTROPHES = re.compile(r"['\u2018\u2019`]")
 _RUN = re.compile(r"(.)\1+")
 _VOWELS = "aeiou"
@@ -41,13 +39,10 @@ class Act(enum.StrEnum):
 def act_of(text: str) -> Act | None:
     """Tell whether an utterance is nothing but words to halt, resume or cancel.
 
-    Args:
-        text: what the person said.
-
     Returns:
-        The act; None where the utterance says anything else. Where parts of it ask for different
-        acts ("stop! never mind, go on"), halting wins over cancelling, and both over going on.
-        None too for what is no text, which the parser refuses.
+        The act; None where the utterance says anything else, or is no text. Where parts of it ask
+        for different acts ("stop! never mind, go on"), halting wins over cancelling, and both over
+        going on.
     """
     if not isinstance(text, str):
         return None
@@ -61,9 +56,6 @@ def act_of(text: str) -> Act | None:
 def opening_of(text: str) -> tuple[Act, str] | None:
     """Tell what an utterance begins with that acts by itself: "Stop! The car…", "cancel and …".
 
-    Args:
-        text: what the person said.
-
     Returns:
         To halt or to cancel, and what follows, as it was said; None where it begins with neither,
         or nothing follows. What follows is parted off by punctuation, by "and" or "then", or is a
@@ -71,16 +63,16 @@ def opening_of(text: str) -> tuple[Act, str] | None:
     """
     if not isinstance(text, str) or len(text) > MAX_HALTING_CHARACTERS:
         return None
-    found = list(_WORD.finditer(text))
-    words = [_APOSTROPHES.sub("", plainly(match.group())) for match in found]
+    found = words_of(text)
+    words = [word for word, _, _ in found]
     for size in range(len(words) - 1, 0, -1):
-        between = text[found[size - 1].end() : found[size].start()]
+        start = found[size][1]
+        between = text[found[size - 1][2] : start].replace("-", "")
         is_parted = words[size - 1] in _PARTING or words[size] in _table()["onward"]
-        if not (is_parted or _BREAK.search(between.replace("-", ""))):
-            continue
-        act = min(_act_of_part(words[:size]) or (), key=_URGENCY.index, default=Act.RESUME)
-        if act != Act.RESUME:
-            return act, text[found[size].start() :]
+        if is_parted or _BREAK.search(between):
+            act = min(_act_of_part(words[:size]) or (), key=_URGENCY.index, default=Act.RESUME)
+            if act != Act.RESUME:
+                return act, text[start:]
     return None
 
 
@@ -145,14 +137,7 @@ def _marked(words: list[str], is_object: Callable[[str], bool]) -> Iterator[str]
 
 
 def halts_alone(words: str) -> bool:
-    """Tell whether an expression would take its meaning from words to halt: "stop", "hold on".
-
-    Args:
-        words: an expression of a lexicon.
-
-    Returns:
-        True of each wording that halts, but of "park", which is a place too.
-    """
+    """Tell whether an expression halts by itself: "hold on"; but not "park", a place too."""
     return act_of(words) is Act.HALT and words != "park"
 
 
@@ -189,10 +174,8 @@ def _urgency(acts: frozenset[Act]) -> tuple[int, ...]:
 
 
 def _repaired(word: str) -> str:
-    """Undo a slip in a word to halt: two letters exchanged, one held down, a vowel left out.
-
-    The least is lost by standing still, so that "stoop" too is taken for "stop".
-    """
+    """Undo a slip in a word to halt: two letters exchanged, one held down, a vowel left out."""
+    # The least is lost by standing still, so that "stoop" too is taken for "stop".
     known, slips = _mistyped()
     return word if word in known else slips.get(word) or slips.get(_RUN.sub(r"\1", word), word)
 
@@ -203,10 +186,8 @@ def _mistyped() -> tuple[frozenset[str], dict[str, str]]:
     wordings, around, _ = _wordings()
     known = frozenset(word for words in (*wordings, *around) for word in words)
     slips: dict[str, str] = {}
-    for words, act in wordings.items():
-        if act != Act.HALT or len(words) != 1 or len(words[0]) < _LEAST_MISTYPED:
-            continue
-        word = words[0]
+    halts = [words[0] for words, act in wordings.items() if act == Act.HALT and len(words) == 1]
+    for word in (one for one in halts if len(one) >= _LEAST_MISTYPED):
         slips[_RUN.sub(r"\1", word)] = word
         for place in range(1, len(word)):
             if word[place] in _VOWELS:
@@ -218,12 +199,9 @@ def _mistyped() -> tuple[frozenset[str], dict[str, str]]:
 
 @cache
 def _alarms() -> tuple[dict[str, set[tuple[str, ...]]], int]:
-    """Read the words by which what is not understood halts, and the words of the longest.
-
-    Those that halt and warn are known in all forms of verbs: with s, ed and ing, the last letter
-    doubled or left out before them.
-    """
+    """Read the words by which what is not understood halts, and the number of the longest."""
     table = {kind: {tuple(one.split()) for one in _table()["alarm"][kind]} for kind in _KINDS}
+    # In all forms of verbs: with s, ed and ing, the last letter doubled or left out before them.
     for words in (table["verb"], table["manner"], table["warning"]):
         for (word,) in [one for one in words if len(one) == 1]:
             stems = (word, word + word[-1], word.removesuffix("e"))
@@ -234,8 +212,7 @@ def _alarms() -> tuple[dict[str, set[tuple[str, ...]]], int]:
 @cache
 def _table() -> dict[str, Any]:
     """Read the file of wordings."""
-    text = resources.files("jaxlangnav.language").joinpath("data/halting.toml").read_text("utf-8")
-    return tomllib.loads(text)
+    return parse_toml(read_shipped("language", "halting.toml"))
 
 
 @cache

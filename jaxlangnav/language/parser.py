@@ -77,7 +77,8 @@ class _Reader:
             )
         said: list[SpokenToken] = []
         num_words = 0
-        for piece in TOKEN.findall(plain):
+        for match in TOKEN.finditer(plain):
+            piece = match.group()
             if piece[0] in ".!?;" or piece in _COMMAS:
                 mark = COMMA_MARK if piece in _COMMAS else FULLSTOP_MARK
                 said.append(SpokenToken(text=mark, position=num_words))

@@ -12,6 +12,8 @@ TOKEN = re.compile(
 
 MARKS = (COMMA_MARK, FULLSTOP_MARK) = (",", ".")
 """How a pause and an end of a sentence are written among the words."""
+_WORD = re.compile(r"[^\W_]+(?:['\u2018\u2019`][^\W_]+)*")
+_APOSTROPHES = re.compile(r"['\u2018\u2019`]")
 _SPLIT_CONTRACTION = re.compile(r"\b([^\W\d_]+) ('(?:s|d|m|ll|re|ve|t)\b)")
 _SPLIT_NEGATION = re.compile(r"\b(do|does|did|ca|wo|is|are|was|could|would|should|must) (n't\b)")
 
@@ -32,6 +34,12 @@ def plainly(text: str) -> str:
     text = unicodedata.normalize("NFKC", text).lower()
     text = "".join(letter for letter in text if unicodedata.category(letter) != "Cf")
     return text.replace("\u2019", "'").replace("\u2018", "'")
+
+
+def words_of(text: str) -> list[tuple[str, int, int]]:
+    """Find the words of a text, plain and without apostrophes, and where each begins and ends."""
+    found = _WORD.finditer(text)
+    return [(_APOSTROPHES.sub("", plainly(one[0])), one.start(), one.end()) for one in found]
 
 
 def join_contractions(text: str) -> str:

@@ -7,16 +7,14 @@ but whether a question has been asked; what the wording comes to is the navigato
 """
 
 import enum
-import re
-import tomllib
-import unicodedata
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cache
-from importlib import resources
 
-from jaxlangnav.language.halting import MAX_HALTING_CHARACTERS, Act, act_of
+from jaxlangnav.inputs.documents import parse_toml, read_shipped
+from jaxlangnav.language.halting import MAX_HALTING_CHARACTERS, act_of
+from jaxlangnav.language.tokens import words_of
 
-_WORD = re.compile(r"[^\W_]+(?:['\u2019`][^\W_]+)*")
 _LEFT_OVER = " \t\r\n,.;:!?-\u2013\u2014\u2026"
 
 
@@ -63,7 +61,6 @@ _KINDS = {
     Wording.CLOSER: Kind.CORRECTION,
     Wording.RETURN: Kind.RETURN,
 }
-_ACTS = {Act.HALT: Kind.HALT, Act.RESUME: Kind.RESUME, Act.CANCEL: Kind.CANCEL}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,57 +86,42 @@ def classify(text: str, *, is_asked: bool = False) -> Utterance:
     act = act_of(text)
     if not isinstance(text, str) or len(text) > MAX_HALTING_CHARACTERS:
         return Utterance(kind=None, rest=text)
-    words = _words(text)
-    wording = _whole(tuple(word for word, _ in words), is_asked=is_asked)
+    wording = _whole(text, is_asked=is_asked)
     if is_asked and wording is not None:
         # "No" and "right" answer a question, whatever they mean elsewhere.
         return Utterance(kind=_KINDS.get(wording, Kind.ANSWER), wording=wording)
     if act is not None:
-        return Utterance(kind=_ACTS[act])
+        return Utterance(kind=Kind(act.value))
     if wording is not None:
         return Utterance(kind=_KINDS[wording], wording=wording)
-    return _opened(text, words)
+    return _opened(text)
 
 
-def _opened(text: str, words: list[tuple[str, int]]) -> Utterance:
+def _opened(text: str) -> Utterance:
     """Look for an opening that says how what follows bears on what the robot is at."""
-    opening, length = _opening(tuple(word for word, _ in words))
-    rest = text[words[length - 1][1] :].lstrip(_LEFT_OVER) if length else text
+    opening, rest = _opening(text, ("not_that", "meant", "then"))
     if opening is None or not rest:
         return Utterance(kind=None, rest=text)
     if opening == "then":
         return Utterance(kind=Kind.ADDITION, rest=rest)
-    is_not_that = opening == "not_that"
-    inner, skipped = _opening(tuple(word for word, _ in _words(rest)), ("not_that", "meant"))
-    if inner is not None:
-        words = _words(rest)
-        shorter = rest[words[skipped - 1][1] :].lstrip(_LEFT_OVER)
-        rest, is_not_that = shorter or rest, is_not_that or inner == "not_that"
-    if _whole(tuple(word for word, _ in _words(rest)), is_asked=False) == Wording.OTHER:
+    inner, shorter = _opening(rest, ("not_that", "meant"))
+    rest = shorter or rest
+    if _whole(rest, is_asked=False) == Wording.OTHER:
         return Utterance(kind=Kind.CORRECTION, wording=Wording.OTHER)
+    is_not_that = "not_that" in (opening, inner)
     return Utterance(kind=Kind.CORRECTION, rest=rest, is_not_that=is_not_that)
 
 
-def _words(text: str) -> list[tuple[str, int]]:
-    """Split a text into plain words, each with where it ends in the text."""
-    return [
-        (
-            re.sub(r"['\u2019`]", "", unicodedata.normalize("NFKC", match.group()).lower()),
-            match.end(),
-        )
-        for match in _WORD.finditer(text)
-    ]
-
-
-def _whole(words: tuple[str, ...], *, is_asked: bool) -> Wording | None:
+def _whole(text: str, *, is_asked: bool) -> Wording | None:
     """Look up a wording that is all that was said; answers only where there is a question."""
     table, _, around = _wordings()
-    denial = Wording.NO if is_asked else Wording.OTHER
-    meant = {key: denial if one == Wording.DENIAL else one for key, one in table.items()}
-    known = {key: one for key, one in meant.items() if is_asked or one in _KINDS}
+    words = tuple(word for word, _, _ in words_of(text))
     while words:
-        if words in known:
-            return known[words]
+        found = table.get(words)
+        if found == Wording.DENIAL:
+            found = Wording.NO if is_asked else Wording.OTHER
+        if found is not None and (is_asked or found in _KINDS):
+            return found
         ends = [n for n in range(1, 4) if words[:n] in around or words[-n:] in around]
         if not ends:
             return None
@@ -148,20 +130,18 @@ def _whole(words: tuple[str, ...], *, is_asked: bool) -> Wording | None:
     return None
 
 
-def _opening(
-    words: tuple[str, ...], allowed: tuple[str, ...] = ("not_that", "meant", "then")
-) -> tuple[str | None, int]:
-    """Find the longest opening that words begin with, and how many words it has."""
+def _opening(text: str, allowed: Collection[str]) -> tuple[str | None, str]:
+    """Find the longest opening that a text begins with, and what follows it."""
     _, openings, around = _wordings()
-    first = 0
-    while first < len(words) and words[first : first + 1] in around:
-        first += 1
+    found = words_of(text)
+    words = tuple(word for word, _, _ in found)
+    first = next((i for i in range(len(words)) if words[i : i + 1] not in around), len(words))
     for start in sorted({0, first}):
         for end in range(min(len(words), start + 6), start, -1):
             name = openings.get(words[start:end])
             if name in allowed:
-                return name, end
-    return None, 0
+                return name, text[found[end - 1][2] :].lstrip(_LEFT_OVER)
+    return None, ""
 
 
 @cache
@@ -169,12 +149,7 @@ def _wordings() -> tuple[
     dict[tuple[str, ...], Wording], dict[tuple[str, ...], str], frozenset[tuple[str, ...]]
 ]:
     """Read the wordings, the openings, and what is said around them."""
-    file = resources.files("jaxlangnav.language").joinpath("data/utterances.toml")
-    table = tomllib.loads(file.read_text("utf-8"))
-    whole = {
-        tuple(wording.split()): one for one in Wording for wording in table["whole"][one.value]
-    }
-    begin = {
-        tuple(wording.split()): name for name, row in table["begin"].items() for wording in row
-    }
-    return whole, begin, frozenset(tuple(wording.split()) for wording in table["around"])
+    table = parse_toml(read_shipped("language", "utterances.toml"))
+    whole = {tuple(said.split()): one for one in Wording for said in table["whole"][one.value]}
+    begin = {tuple(said.split()): name for name, row in table["begin"].items() for said in row}
+    return whole, begin, frozenset(tuple(said.split()) for said in table["around"])

@@ -5,12 +5,11 @@ label. A name of a thing is written ``<N>`` whatever it is, so that what is lear
 holds for all that a detector may tell apart.
 """
 
-import tomllib
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
-from importlib import resources
 
+from jaxlangnav.inputs.documents import parse_toml, read_shipped
 from jaxlangnav.language.lexicon import REASONS, TYPE_CLASS, load_lexicon
 from jaxlangnav.language.nouns import load_nouns, singular
 from jaxlangnav.language.tokens import MARKS
@@ -43,16 +42,13 @@ _NOTHING = "#"
 @cache
 def load_verbs() -> dict[str, frozenset[str]]:
     """Read the verbs of the package by class."""
-    text = resources.files("jaxlangnav.language").joinpath("data/verbs.toml").read_text("utf-8")
-    return {name: frozenset(verbs) for name, verbs in tomllib.loads(text).items()}
+    table = parse_toml(read_shipped("language", "verbs.toml"))
+    return {name: frozenset(verbs) for name, verbs in table.items()}
 
 
 @cache
 def _classes() -> dict[str, tuple[str, ...]]:
-    """Collect the classes of each word: of the lexicon, of verbs, of what is refused.
-
-    The first word of an expression of several has the class of the expression with ``..``.
-    """
+    """Collect the classes of each word: of the lexicon, of what is refused, of verbs."""
     found: dict[str, dict[str, None]] = {}
     for name, entries in load_lexicon().entries.items():
         if name in _LEFT_OUT or name.startswith("g_") or name.endswith("_ing"):
@@ -60,8 +56,7 @@ def _classes() -> dict[str, tuple[str, ...]]:
         for words, entry in entries.items():
             is_manner = any(sense.startswith("mode") for of in entry.senses for sense in of)
             one = "manner" if is_manner else _SAME.get(name, name)
-            begin, *rest = words
-            found.setdefault(begin, {})[f"{one}.." if rest else one] = None
+            found.setdefault(words[0], {})[f"{one}.." if words[1:] else one] = None
     names = {reason: name for name, reason in REASONS.items()}
     for word, reason in load_lexicon().refused.items():
         found.setdefault(word, {})[f"refused:{names.get(reason, 'other')}"] = None
@@ -89,16 +84,15 @@ class ReaderSentence:
     def is_name(self) -> tuple[bool, ...]:
         """Which words belong to the name of a known thing."""
         known = _known_names(self.labels)
-        found, index = [False] * len(self.words), 0
-        while index < len(self.words):
-            for size in range(min(_LONGEST_NAME, len(self.words) - index), 0, -1):
-                name = self.words[index : index + size]
+        found: list[bool] = []
+        while rest := self.words[len(found) :]:
+            for size in range(min(_LONGEST_NAME, len(rest)), 0, -1):
+                name = rest[:size]
                 if name in known or tuple(singular(" ".join(name)).split()) in known:
-                    found[index : index + size] = [True] * size
+                    found += [True] * size
                     break
             else:
-                size = 1
-            index += size
+                found.append(False)
         return tuple(found)
 
     @cached_property
@@ -154,14 +148,13 @@ def _classes_of(word: str, is_name: bool) -> tuple[str, ...]:
 def _describe_clauses(sentence: ReaderSentence) -> list[str]:
     """Write of each clause what it has, and what stands before and behind it."""
     found, clauses = [], sentence.clauses
-    has_name = [any(sentence.is_name[i] for i in clause) for clause in clauses]
     is_order = [_lead(sentence, clause) is not None for clause in clauses]
     named = [{singular(sentence.words[i]) for i in c if sentence.is_name[i]} for c in clauses]
+    is_goal = [a and bool(b) for a, b in zip(is_order, named, strict=True)]
     for k, clause in enumerate(clauses):
-        others = [name for j, names in enumerate(named) if j != k for name in names]
-        is_goal = [a and b for a, b in zip(is_order, has_name, strict=True)]
+        others = set().union(*named[:k], *named[k + 1 :])
         marks = (
-            has_name[k],
+            bool(named[k]),
             is_order[k],
             not named[k].isdisjoint(others),
             not _FINITE.isdisjoint(sentence.words[i] for i in clause),
@@ -183,14 +176,11 @@ def _lead(sentence: ReaderSentence, clause: Sequence[int]) -> int | None:
 
 
 def featurize(words: Sequence[str], labels: Collection[str]) -> list[list[str]]:
-    """List the features of each word and mark of a sentence.
+    """List the names of the features of each word and mark of a sentence.
 
     Args:
         words: words and marks, small, typing errors repaired.
         labels: names of things that the detector tells apart.
-
-    Returns:
-        Names of features, word by word.
     """
     sentence = ReaderSentence(tuple(words), frozenset(labels))
     first = [classes[0] for classes in sentence.classes]
@@ -198,14 +188,16 @@ def featurize(words: Sequence[str], labels: Collection[str]) -> list[list[str]]:
         "<N>" if is_name and len(classes) == 1 else word
         for word, is_name, classes in zip(words, sentence.is_name, sentence.classes, strict=True)
     ]
-    described, found = _describe_clauses(sentence), []
-    for index in range(len(words)):
-        named = _neighbours(shown, first, index)
-        named += [f"class={one}" for one in sentence.classes[index]]
-        named += [f"ending={words[index][-3:]}"]
-        named += _in_clause(sentence, described, first, index)
-        found.append(named)
-    return found
+    described = _describe_clauses(sentence)
+    return [
+        [
+            *_neighbours(shown, first, index),
+            *(f"class={one}" for one in sentence.classes[index]),
+            f"ending={word[-3:]}",
+            *_in_clause(sentence, described, first, index),
+        ]
+        for index, word in enumerate(words)
+    ]
 
 
 def _neighbours(shown: Sequence[str], first: Sequence[str], index: int) -> list[str]:

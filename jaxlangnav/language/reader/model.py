@@ -69,15 +69,7 @@ class ReaderModel:
 
 
 def log_partition(scores: np.ndarray, transition: np.ndarray) -> float:
-    """Sum over all labellings, by the forward algorithm.
-
-    Args:
-        scores: f64[T, L].
-        transition: f32[L, L].
-
-    Returns:
-        log Z.
-    """
+    """Sum over all labellings, by the forward algorithm: log Z of f64[T, L] and f32[L, L]."""
     ahead = scores[0]
     for row in scores[1:]:
         ahead = np.logaddexp.reduce(ahead[:, None] + transition, axis=0) + row
@@ -114,9 +106,9 @@ def find_best(
         if not np.isfinite(flat[place]):
             break
         path, at = [], int(place)
-        for step in range(steps - 1, -1, -1):
+        for step in reversed(came_from):
             path.append(at // count)
-            at = int(came_from[step].reshape(-1)[at])
+            at = int(step.reshape(-1)[at])
         found.append((float(flat[place]), tuple(reversed(path))))
     return found
 
@@ -155,9 +147,8 @@ def _read(content: bytes) -> ReaderModel:
         features, labels = tuple(about["features"]), tuple(about["labels"])
         if not (0 < len(features) <= _MAX_FEATURES and 0 < len(labels) <= _MAX_LABELS):
             raise ValueError(f"{len(features)} features and {len(labels)} labels")
-        if not all(
-            type(one) is str for one in (*features, *labels, *about["left_out"], *about["met"])
-        ):
+        names = (*features, *labels, *about["left_out"], *about["met"])
+        if any(type(one) is not str for one in names):
             raise ValueError("a name is no text")
         edges = read_floats(archive, "transition", (len(labels) + 2, len(labels)))
         return ReaderModel(
@@ -182,8 +173,9 @@ def load_reader() -> ReaderModel:
     """
     own = os.environ.get(OWN_READER)
     if own is None:
-        shipped = resources.files("jaxlangnav.language").joinpath("data/reader.npz")
-        return _read(shipped.read_bytes())
+        return _read(
+            resources.files("jaxlangnav.language").joinpath("data/reader.npz").read_bytes()
+        )
     try:
         return _read(read_file(Path(own), at_most=_MAX_BYTES))
     except (OSError, ValueError) as error:
