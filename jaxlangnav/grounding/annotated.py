@@ -75,10 +75,12 @@ def _to_instruction(form: Form) -> Instruction:
         (_reading(one, f"$.readings[{form.readings.index(one)}]"), float(np.log(one.probability)))
         for one in ranked
     ]
-    commands = len(form.readings[0].commands)
-    measures = [Measure(metres=one.metres) for one in form.readings[0].commands]
-    programs = [clause_of_form(form, i) for i in range(commands)]
-    return pack_instruction(pad_readings(readings), programs, measures)
+    commands = form.readings[0].commands
+    return pack_instruction(
+        pad_readings(readings),
+        [clause_of_form(form, i) for i in range(len(commands))],
+        [Measure(metres=one.metres) for one in commands],
+    )
 
 
 def returning() -> Instruction:
@@ -119,18 +121,15 @@ def _annotations(form: Form, type_names: tuple[str, ...]) -> Iterator[Mapping[st
     """List what is said with its probability over the readings, likeliest first."""
     total: dict[tuple[Annotation, int], float] = {}
     for reading in form.readings:
-        for entry in dict.fromkeys(_said(reading)):
+        of, touched = reading.type_of, set()
+        said = []
+        for one in reading.relations:
+            symbol = relation_symbol(of(one.figure), one.relation, of(one.landmark))
+            said.append((symbol, one.rank))
+            touched |= {one.figure, one.landmark}
+        kinds = enumerate(reading.types)
+        said += [(object_symbol(kind), 0) for thing, kind in kinds if thing not in touched]
+        for entry in dict.fromkeys(said):
             total[entry] = total.get(entry, 0.0) + reading.probability
     for (symbol, rank), probability in sorted(total.items(), key=lambda item: -item[1]):
         yield describe_annotation(symbol, rank, min(probability, 1.0), type_names)
-
-
-def _said(reading: FormReading) -> Iterator[tuple[Annotation, int]]:
-    """Yield a reading's annotation symbols with their ranks."""
-    for one in reading.relations:
-        figure, landmark = reading.type_of(one.figure), reading.type_of(one.landmark)
-        yield relation_symbol(figure, one.relation, landmark), one.rank
-    touched = {end for one in reading.relations for end in (one.figure, one.landmark)}
-    for index, kind in enumerate(reading.types):
-        if index not in touched:
-            yield object_symbol(kind), 0

@@ -1,14 +1,13 @@
 """Annotation inference: what a sentence says of the unseen world (section 3.1).
 
-The annotations are the symbols expressed at the root of the tree. The search keeps a distribution
-over sets of them. Whether a region is meant as an extreme ("nearest to": rank 1; "the second": 2)
-is inferred by factors of its own at each phrase, outside the paper's 494 symbols, and belongs to
-the symbols whose region that phrase expressed first. So is "between": a region near each of two
-things, which the phrase that says so makes ``BETWEEN``. And so is what lies in a region and is
-called by no type: a region that was first expressed of "the thing" is the place of ``ANYTHING``.
+The annotations are the symbols expressed at the root of the tree; the search keeps a distribution
+over sets of them. Three things are inferred apart from the paper's 494 symbols, at the phrase that
+first expresses a region: its rank ("nearest to" is 1, "the second" 2), whether it is ``BETWEEN``
+two things, and whether "the thing" that lies there is called by no type (``ANYTHING``).
 """
 
 import dataclasses
+import functools
 import itertools
 from collections.abc import Iterator, Sequence
 
@@ -21,12 +20,12 @@ from jaxlangnav.grounding.search import BEAM_WIDTH, Hypothesis
 from jaxlangnav.grounding.symbols import (
     OBJECT,
     REGION,
+    RELATION,
     Annotation,
     AnnotationSpace,
     Path,
     bottom_up,
     region_symbol,
-    relation_symbol,
 )
 from jaxlangnav.inputs.object_types import ANYTHING
 from jaxlangnav.language.phrase import Parse, Phrase
@@ -43,19 +42,29 @@ _MAX_SYMBOLS = 12
 class Belief:
     """Distribution over what a sentence says."""
 
-    sets: tuple[tuple[RankedAnnotations, float], ...]  # (annotations, log-probability), best first
-    clauses: tuple[
-        tuple[tuple[RankedAnnotations, ...], float], ...
-    ]  # the same, apart by clause; and a region
-    # that is said of "the thing" is a relation whose figure is ``ANYTHING``
+    clauses: tuple[tuple[tuple[RankedAnnotations, ...], float], ...]
+    """Annotations by clause, with their log-probability, best first. A region that is said of "the
+    thing" is a relation whose figure is ``ANYTHING``."""
     rank: dict[Path, int]  # phrase → likeliest rank
     silent: frozenset[Path]  # phrases that express nothing in the likeliest reading
 
-    def marginals(self) -> list[tuple[Annotation, int, float]]:
-        """Add up the probability of each annotation over the sets, likeliest first.
+    @functools.cached_property
+    def sets(self) -> list[tuple[RankedAnnotations, float]]:
+        """The same as symbols of the space, clauses united: sets, log-probabilities, best first."""
+        totals: dict[RankedAnnotations, float] = {}
+        for said, score in self.clauses:
+            plain = [
+                (region_symbol(symbol.relation, symbol.landmark), rank)
+                if symbol.figure == ANYTHING
+                else (symbol, rank)
+                for symbol, rank in itertools.chain(*said)
+            ]
+            union = tuple(dict.fromkeys(plain))
+            totals[union] = float(np.logaddexp(totals.get(union, -np.inf), score))
+        return sorted(totals.items(), key=lambda pair: -pair[1])
 
-        What lies in a region and is called by no type is told as a relation of ``ANYTHING``.
-        """
+    def marginals(self) -> list[tuple[Annotation, int, float]]:
+        """Add up the probability of each annotation, likeliest first, as ``clauses`` has them."""
         total: dict[tuple[Annotation, int], float] = {}
         for said, log_probability in self.clauses:
             for entry in dict.fromkeys(itertools.chain(*said)):
@@ -79,14 +88,11 @@ def describe_annotation(
         figure ("thing" of any type), relation, landmark (None where it has none), superlative,
         probability; and rank where it is 2 or more.
     """
-
-    def name(index: int) -> str | None:
-        if index in (ROBOT, ANYTHING):
-            return "robot" if index == ROBOT else "thing"
-        return None if index == NONE else type_names[index]
-
-    ends = name(symbol.figure), name(symbol.landmark)
-    return annotation_document(*ends, symbol.relation, rank, probability)
+    names = {ROBOT: "robot", ANYTHING: "thing", NONE: None}
+    figure, landmark = (
+        names[end] if end in names else type_names[end] for end in (symbol.figure, symbol.landmark)
+    )
+    return annotation_document(figure, landmark, symbol.relation, rank, probability)
 
 
 def annotation_document(
@@ -114,41 +120,28 @@ def _origins(hypothesis: Hypothesis, path: Path, wanted: Sequence[int]) -> Itera
         yield path
 
 
-def _paths_of(
-    space: AnnotationSpace, hypothesis: Hypothesis, clause: int, symbol: Annotation
-) -> list[Path]:
-    """List the phrases that first express a symbol or its region; none for an object."""
-    if symbol.kind == OBJECT:
-        return []
-    region = region_symbol(symbol.relation, symbol.landmark)
-    wanted = [space.index[symbol], space.index[region]]
-    return list(_origins(hypothesis, (clause,), wanted))
-
-
 def _rank_chances(
     paths: list[Path], rank: dict[Path, np.ndarray], between: frozenset[Path]
 ) -> list[tuple[int, float]]:
     """List the two likeliest ranks of a symbol with their log-probabilities."""
-    if any(path in between for path in paths):
+    if between.intersection(paths):
         return [(BETWEEN, 0.0)]
-    origins = [rank[path] for path in paths]
-    if not origins:
+    if not paths:
         return [(0, 0.0)]
-    chances = min(origins, key=lambda chance: chance[0])
+    chances = min((rank[path] for path in paths), key=lambda chance: chance[0])
     order = np.argsort(-chances, kind="stable")[:2]
     return [(int(i), float(chances[i])) for i in order]
 
 
 def _by_rank(
-    paths: list[Path], rank: dict[Path, np.ndarray], between: frozenset[Path]
+    paths: list[Path], likeliest: dict[Path, int], between: frozenset[Path]
 ) -> list[list[Path]]:
     """Part the phrases of a symbol that say different ranks: they speak of different things.
 
     "Avoid the nearest cone and go to the second cone" says "near the robot" of two cones.
     """
-    likeliest = {path: int(np.argmax(rank[path])) for path in paths}
-    ranks = sorted({one for one in likeliest.values() if one > 0})
-    if len(ranks) < 2 or any(path in between for path in paths):
+    ranks = sorted({likeliest[path] for path in paths} - {0})
+    if len(ranks) < 2 or between.intersection(paths):
         return [paths]
     return [[path for path in paths if likeliest[path] == one] for one in ranks]
 
@@ -194,43 +187,28 @@ def clause_belief(
     Returns:
         Up to ``width`` sets and their probabilities.
     """
-    found: list[tuple[RankedAnnotations, RankedAnnotations, float]] = []
-    for hypothesis in beam:
-        parted = [
-            (symbol, own)
-            for symbol in space.members(hypothesis.expressed)[:_MAX_SYMBOLS]
-            for own in _by_rank(_paths_of(space, hypothesis, clause, symbol), rank, between)
-        ]
-        symbols, paths = [symbol for symbol, _ in parted], [own for _, own in parted]
-        chances = [_rank_chances(own, rank, between) for own in paths]
-        meant = [
-            _of_thing(s) if s.kind == REGION and things.intersection(own) else s
-            for s, own in zip(symbols, paths, strict=True)
-        ]
-        for choice in itertools.product(*chances):
-            said, plain = (
-                tuple((s, r) for s, (r, _) in zip(some, choice, strict=True))
-                for some in (meant, symbols)
-            )
-            score = hypothesis.log_probability + sum(log_chance for _, log_chance in choice)
-            found.append((said, plain, score))
-    found = sorted(found, key=lambda one: -one[2])[:width]
     likeliest = {path: int(np.argmax(chances)) for path, chances in rank.items()}
-    sets = tuple((plain, score) for _, plain, score in found)
-    clauses = tuple(((said,), score) for said, _, score in found)
-    return Belief(sets, clauses, likeliest, frozenset(_silent(beam[0], (clause,))))
-
-
-def _of_thing(region: Annotation) -> Annotation:
-    """Say that a thing called by no type lies in a region."""
-    return relation_symbol(ANYTHING, region.relation, region.landmark)
-
-
-def _plain(symbol: Annotation) -> Annotation:
-    """Undo ``_of_thing``: a symbol as the space has it."""
-    if symbol.figure != ANYTHING:
-        return symbol
-    return region_symbol(symbol.relation, symbol.landmark)
+    found: list[tuple[tuple[RankedAnnotations, ...], float]] = []
+    for hypothesis in beam:
+        symbols, chances = [], []
+        for symbol in space.members(hypothesis.expressed)[:_MAX_SYMBOLS]:
+            paths = []
+            if symbol.kind != OBJECT:
+                region = region_symbol(symbol.relation, symbol.landmark)
+                wanted = space.index[symbol], space.index[region]
+                paths = list(_origins(hypothesis, (clause,), wanted))
+            for own in _by_rank(paths, likeliest, between):
+                is_of_thing = symbol.kind == REGION and things.intersection(own)
+                symbols.append(
+                    symbol._replace(kind=RELATION, figure=ANYTHING) if is_of_thing else symbol
+                )
+                chances.append(_rank_chances(own, rank, between))
+        for choice in itertools.product(*chances):
+            said = tuple((s, r) for s, (r, _) in zip(symbols, choice, strict=True))
+            score = hypothesis.log_probability + sum(log_chance for _, log_chance in choice)
+            found.append(((said,), score))
+    found = sorted(found, key=lambda one: -one[1])[:width]
+    return Belief(tuple(found), likeliest, frozenset(_silent(beam[0], (clause,))))
 
 
 def infer_annotations(
@@ -259,18 +237,10 @@ def infer_annotations(
 def join_clauses(beliefs: Sequence[Belief], width: int) -> Belief:
     """Join what the clauses of a sentence say: up to ``width`` sets of annotations, best first."""
     joint: list[tuple[tuple[RankedAnnotations, ...], float]] = [((), 0.0)]
-    rank: dict[Path, int] = {}
-    silent: frozenset[Path] = frozenset()
     for belief in beliefs:
-        rank |= belief.rank
-        silent |= belief.silent
         pairs = itertools.product(joint, belief.clauses)
         both = [((*said, *more), score + own) for (said, score), (more, own) in pairs]
         joint = sorted(both, key=lambda pair: -pair[1])[:width]
-    totals: dict[RankedAnnotations, float] = {}
-    for said, score in joint:
-        entries = itertools.chain(*said)
-        union = tuple(dict.fromkeys((_plain(symbol), rank) for symbol, rank in entries))
-        totals[union] = float(np.logaddexp(totals.get(union, -np.inf), score))
-    sets = sorted(totals.items(), key=lambda pair: -pair[1])
-    return Belief(tuple(sets), tuple(joint), rank, silent)
+    rank = {path: one for belief in beliefs for path, one in belief.rank.items()}
+    silent = frozenset[Path]().union(*(belief.silent for belief in beliefs))
+    return Belief(tuple(joint), rank, silent)

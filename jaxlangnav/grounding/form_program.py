@@ -1,18 +1,18 @@
 """The behavior program of a form: coefficients without words (section 3.3).
 
-The trained graph contracts the words of each phrase with its weights; a form has none, and says
-itself what each phrase expresses. So the phrases are made up from what is described, "the hydrant"
-with "behind" over "the cone" below it, and their log-odds are ±``CERTAIN`` instead of learned:
-the doubt of a form is in its probabilities.
+The trained graph contracts the words of each phrase with its weights. A form has no words and says
+itself what each phrase expresses, so its phrases are made up from what is described: "the hydrant"
+with "behind" over "the cone" below it, at log-odds of ±``CERTAIN``. The doubt of a form is in its
+probabilities.
 
-Behavior is inferred in a particle from types and from the relations of its reading, so a form's
-things are described in the same terms first: by type and by where they are said to be.
+A particle infers behavior from types and from the relations of its reading, so a form's things are
+described in these terms first.
 """
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, TypeVar
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -48,7 +48,7 @@ class ThingDescription:
 
 @dataclasses.dataclass(frozen=True)
 class Destination:
-    """Where a command ends."""
+    """A region of a thing, where a command ends or which it avoids."""
 
     thing: ThingDescription
     region: int
@@ -73,24 +73,13 @@ def _description_of(
 
 def _destination_of(reading: FormReading, index: int) -> Destination:
     """Describe the goal of one of a reading's commands."""
-    command = reading.commands[index]
-    goal = Destination(_description_of(reading, command.thing), command.region)
-    if index == 0:
-        return goal
-    last = reading.commands[index - 1].thing
-    if last == command.thing:
-        return dataclasses.replace(goal, before=AGAIN)
-    is_alike = reading.type_of(last) == goal.thing.kind
-    return dataclasses.replace(goal, before=OTHER if is_alike else ANY)
-
-
-def _may_fit(thing: ThingDescription, reading: FormReading) -> bool:
-    """Tell whether something may be so described in a particle that believes a reading."""
-    # Of what nothing is said but its type there may always be one more; relations are only those
-    # that the reading tells.
-    return not thing.places or any(
-        _fits(thing, reading, index) for index in range(len(reading.types))
-    )
+    command, thing = reading.commands[index], reading.commands[index].thing
+    before, last = ANY, reading.commands[index - 1].thing
+    if index > 0 and last == thing:
+        before = AGAIN
+    elif index > 0 and reading.type_of(last) == reading.type_of(thing):
+        before = OTHER
+    return Destination(_description_of(reading, thing), command.region, before)
 
 
 def _fits(thing: ThingDescription, reading: FormReading, index: int) -> bool:
@@ -109,21 +98,24 @@ def _fits(thing: ThingDescription, reading: FormReading, index: int) -> bool:
     return reading.type_of(index) == thing.kind and all(is_told(*place) for place in thing.places)
 
 
-Meant = TypeVar("Meant", Destination, ThingDescription)
-
-
-def _shares(
-    form: Form, meant: Sequence[Sequence[Meant]], described: Callable[[Meant], ThingDescription]
-) -> dict[Meant, float]:
+def _shares(form: Form, meant: Sequence[Sequence[Destination]]) -> dict[Destination, float]:
     """Find how probable each of what the readings mean is."""
     # That is 1 of one that shows in no particle whose reading does not mean it, for then the
-    # particles' weights say how probable it is.
+    # particles' weights say how probable it is. Of what nothing is said but its type there may
+    # always be one more; relations are only those that the reading tells.
     pairs = list(zip(form.readings, meant, strict=True))
-    found: dict[Meant, float] = {}
+    found: dict[Destination, float] = {}
     for one in dict.fromkeys(own for named in meant for own in named):
         share = sum(reading.probability for reading, named in pairs if one in named)
         others = [reading for reading, named in pairs if one not in named]
-        is_sure = not any(_may_fit(described(one), reading) for reading in others)
+        is_sure = not others or (
+            bool(one.thing.places)
+            and not any(
+                _fits(one.thing, reading, index)
+                for reading in others
+                for index in range(len(reading.types))
+            )
+        )
         found[one] = 1.0 if is_sure else share
     return found
 
@@ -156,8 +148,7 @@ def clause_of_form(form: Form, index: int) -> dict[str, np.ndarray]:
     Raises:
         CapacityError: the program cannot hold as much; one line.
     """
-    ends = [[_destination_of(reading, index)] for reading in form.readings]
-    wanted = _shares(form, ends, lambda end: end.thing)
+    wanted = _shares(form, [[_destination_of(reading, index)] for reading in form.readings])
     regions = sorted({end.region for end in wanted})
     if len(regions) > NUM_REGION_SLOTS:
         names = ", ".join(REGIONS[region] for region in regions)
@@ -165,18 +156,32 @@ def clause_of_form(form: Form, index: int) -> dict[str, np.ndarray]:
             f"command {index + 1} may end in {len(regions)} different regions ({names}); at most "
             f"{NUM_REGION_SLOTS} are held: leave the least likely reading out"
         )
-    phrases = [
-        _at_goal(_thing(end.thing, CERTAIN, end.before), end.region, regions, share)
-        for end, share in wanted.items()
-    ]
+    phrases = []
+    for end, share in wanted.items():
+        inside = CERTAIN + _log_odds(share)
+        row = _in_slot(regions.index(end.region), end.region, inside)
+        phrases.append(_Phrase(row, (_thing(end.thing, CERTAIN, end.before),)))
     avoided = [
-        [_description_of(reading, thing) for thing in reading.commands[index].avoid]
+        [
+            Destination(_description_of(reading, thing), NEAR)
+            for thing in reading.commands[index].avoid
+        ]
         for reading in form.readings
     ]
-    shares = _shares(form, avoided, lambda thing: thing)
-    phrases += [_thing(thing, _log_odds(share)) for thing, share in shares.items()]
-    root = _Phrase(_root_row(regions), tuple(_gathered(phrases, regions)))
-    fields = _lay_out(root, index)
+    shares = _shares(form, avoided)
+    phrases += [_thing(one.thing, _log_odds(share)) for one, share in shares.items()]
+    # More phrases than one may have as children go below phrases that pass all of them on.
+    row = _passing_on(regions) | {"object_unnamed": -CERTAIN, "object_inside": 2.0 * CERTAIN}
+    while len(phrases) > NUM_CHILDREN:
+        phrases = [_Phrase(row, tuple(phrases[:NUM_CHILDREN])), *phrases[NUM_CHILDREN:]]
+    # The verb phrase: the children's regions are goals, their objects are to be avoided.
+    verb = _passing_on(regions) | {
+        "is_verb": True,
+        "constraint_relation": NEAR,
+        "constraint_base": -CERTAIN,
+        "constraint_inside": 2.0 * CERTAIN,
+    }
+    fields = _lay_out(_Phrase(verb, tuple(phrases)), index)
     for reading in form.readings:
         command = reading.commands[index]
         fields["action"][command.action] += reading.probability
@@ -193,7 +198,12 @@ def _log_odds(probability: float) -> float:
 
 def _thing(thing: ThingDescription, peak: float, before: int = ANY) -> _Phrase:
     """Express the objects of a description, "the hydrant behind the cone", at log-odds ``peak``."""
-    places = [_place(*place) for place in sorted(thing.places, key=_sorted_by)]
+    ordered = sorted(thing.places, key=lambda place: (*place[:2], repr(place[2])))
+    places = []
+    for relation, rank, landmark in ordered:  # "behind the cone": to say where a figure is
+        row = _in_slot(0, relation, 2.0 * CERTAIN)
+        table = relation + NUM_RELATIONS * min(rank, 2)
+        places.append(_Phrase(row, (_thing(landmark, CERTAIN),), table))
     first, rest = places[:NUM_CHILDREN], places[NUM_CHILDREN:]
     previous = {ANY: (), OTHER: (0,), AGAIN: (2,)}[before]
     row = {
@@ -214,31 +224,14 @@ def _thing(thing: ThingDescription, peak: float, before: int = ANY) -> _Phrase:
     return phrase
 
 
-def _sorted_by(place: tuple[int, int, ThingDescription]) -> tuple[int, int, str]:
-    """Order places, so that equal forms make equal programs."""
-    return (place[0], place[1], repr(place[2]))
-
-
-def _place(relation: int, rank: int, landmark: ThingDescription) -> _Phrase:
-    """Express a region of a landmark, to say where a figure is: "behind the cone"."""
-    row = _in_slot(0, relation=relation, base=-CERTAIN, inside=2.0 * CERTAIN)
-    table = relation + NUM_RELATIONS * min(rank, 2)
-    return _Phrase(row, (_thing(landmark, CERTAIN),), table)
-
-
-def _at_goal(thing: _Phrase, region: int, regions: Sequence[int], share: float) -> _Phrase:
-    """Express a region to end in, in the slot that the root has for it."""
-    inside = CERTAIN + _log_odds(share)
-    row = _in_slot(regions.index(region), relation=region, base=-CERTAIN, inside=inside)
-    return _Phrase(row, (thing,))
-
-
-def _in_slot(slot: int, *, relation: int, **terms: float) -> dict[str, np.ndarray]:
+def _in_slot(slot: int, relation: int, inside: float) -> dict[str, np.ndarray]:
     """Build the fields of one region slot; the others stay empty."""
     is_here = np.arange(NUM_REGION_SLOTS) == slot
-    row = {"region_relation": np.where(is_here, relation, NONE)}
-    empty = {"base": LOG_NEVER} | dict.fromkeys(set(terms) - {"base"}, 0.0)
-    return row | {f"region_{name}": np.where(is_here, terms[name], empty[name]) for name in empty}
+    return {
+        "region_relation": np.where(is_here, relation, NONE),
+        "region_base": np.where(is_here, -CERTAIN, LOG_NEVER),
+        "region_inside": np.where(is_here, inside, 0.0),
+    }
 
 
 def _passing_on(regions: Sequence[int]) -> dict[str, np.ndarray]:
@@ -253,30 +246,24 @@ def _passing_on(regions: Sequence[int]) -> dict[str, np.ndarray]:
     }
 
 
-def _root_row(regions: Sequence[int]) -> dict[str, Any]:
-    """Build the verb phrase: the children's regions are goals, their objects to be avoided."""
-    return _passing_on(regions) | {
-        "is_verb": True,
-        "constraint_relation": NEAR,
-        "constraint_base": -CERTAIN,
-        "constraint_inside": 2.0 * CERTAIN,
-    }
-
-
-def _gathered(phrases: Sequence[_Phrase], regions: Sequence[int]) -> list[_Phrase]:
-    """Put more phrases than one may have as children below phrases that pass all of them on."""
-    left = list(phrases)
-    while len(left) > NUM_CHILDREN:
-        row = _passing_on(regions) | {"object_unnamed": -CERTAIN, "object_inside": 2.0 * CERTAIN}
-        left = [_Phrase(row, tuple(left[:NUM_CHILDREN])), *left[NUM_CHILDREN:]]
-    return left
-
-
 def _lay_out(root: _Phrase, index: int) -> dict[str, np.ndarray]:
     """Write the phrases into the rows of a program, bottom-up, the root last."""
     phrases = list(root.walk())
     tables = list(dict.fromkeys(one.table for one in phrases if one.table != NONE))
-    _check_sizes(phrases, tables, index)
+    depth = deepest = 0
+    for phrase in phrases:
+        depth += 1 - len(phrase.children)
+        deepest = max(deepest, depth)
+    for what, size, most in (
+        ("phrases over all readings", len(phrases), NUM_PHRASES),
+        ("kinds of relations over all readings", len(tables), NUM_TABLES),
+        ("phrases that nest", deepest, MAX_DEPTH),
+    ):
+        if size > most:
+            raise CapacityError(
+                f"command {index + 1} needs {size} {what}; at most {most} are held: "
+                "leave the least likely reading or a relation out"
+            )
     fields = empty_program()
     fields["num_phrases"] = np.asarray(len(phrases), np.int32)
     fields["table"][: len(tables)] = tables
@@ -293,22 +280,3 @@ def _lay_out(root: _Phrase, index: int) -> dict[str, np.ndarray]:
         if phrase.table != NONE:
             fields["region_table"][row, 0] = tables.index(phrase.table)
     return fields
-
-
-def _check_sizes(phrases: Sequence[_Phrase], tables: Sequence[int], index: int) -> None:
-    """Refuse a command whose program would not fit."""
-    depth = deepest = 0
-    for phrase in phrases:
-        depth += 1 - len(phrase.children)
-        deepest = max(deepest, depth)
-    sizes = (
-        ("phrases over all readings", len(phrases), NUM_PHRASES),
-        ("kinds of relations over all readings", len(tables), NUM_TABLES),
-        ("phrases that nest", deepest, MAX_DEPTH),
-    )
-    for what, size, most in sizes:
-        if size > most:
-            raise CapacityError(
-                f"command {index + 1} needs {size} {what}; at most {most} are held: "
-                "leave the least likely reading or a relation out"
-            )

@@ -32,15 +32,13 @@ from jaxlangnav.language.reference import (
 from jaxlangnav.messages import NONE, Readings
 from jaxlangnav.pytree import pytree
 
-_SENSE = len("type:")
-
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Spoken:
     """What a sentence speaks of; object types by their index."""
 
-    goals: tuple[int, ...] = ()  # of each command: type of what it is about; ANYTHING; NONE: not
-    # known
+    goals: tuple[int, ...] = ()
+    """What each command is about: its type; ANYTHING; NONE where that is not known."""
     known: frozenset[int] = frozenset()  # a statement says of the one spoken of before
     others: frozenset[int] = frozenset()  # another one is meant: "the other hydrant"
     avoided: tuple[tuple[int, bool], ...] = ()  # to keep away from, and whether from all of a type
@@ -63,22 +61,30 @@ def _spoken_of(tree: Parse, types_of: Callable[[str], tuple[int, ...]]) -> Spoke
     ways: dict[tuple[int, ...], None] = {}
 
     def told(phrase: Phrase) -> tuple[int, ...]:
-        types = _types_of(phrase, types_of)
+        """List the types that the thing may be which a phrase is about."""
+        leaf = head_of(phrase)
+        if leaf is not None and is_thing(leaf):
+            return (ANYTHING,)
+        sense = None if leaf is None else type_sense(leaf)
+        types = () if sense is None else types_of(sense.removeprefix("type:"))
         if len(types) > 1:
             ways.setdefault(types)
         return types
 
     for clause, kind in zip(tree.clauses, tree.kinds, strict=True):
+        nouns = [child for child in clause.children if child.label == "NP"]
         for leaf in leaves(clause):
             if any("other" in word.senses for word in leaf.words):
                 others.update(told(leaf))
         if is_constraint(clause):
-            phrases = [child for child in clause.children if child.label == "NP"]
-            avoided += [(type_, not one.children) for one in phrases for type_ in told(one)]
+            avoided += [(type_, not one.children) for one in nouns for type_ in told(one)]
         elif kind == COMMAND:
             goals.append(next(iter(told(clause)), NONE))
-        else:
-            known.update(*(told(child) for child in clause.children if _is_bare(child)))
+        else:  # what it names as known, and says no more of
+            for one in nouns:
+                texts = {word.text for word in one.words}
+                if not one.children and not texts & {"a", "an", "another"}:
+                    known.update(told(one))
     return Spoken(
         goals=tuple(goals),
         known=frozenset(known),
@@ -87,21 +93,6 @@ def _spoken_of(tree: Parse, types_of: Callable[[str], tuple[int, ...]]) -> Spoke
         steps=tuple(one.end for one in tree.measures if one.end is not None),
         ways=tuple(ways),
     )
-
-
-def _types_of(phrase: Phrase, types_of: Callable[[str], tuple[int, ...]]) -> tuple[int, ...]:
-    """List the types that the thing may be which a phrase is about; none where it names none."""
-    leaf = head_of(phrase)
-    if leaf is not None and is_thing(leaf):
-        return (ANYTHING,)
-    sense = None if leaf is None else type_sense(leaf)
-    return () if sense is None else types_of(sense[_SENSE:])
-
-
-def _is_bare(phrase: Phrase) -> bool:
-    """Tell whether a noun phrase names a thing as known, and says no more of it."""
-    texts = {word.text for word in phrase.words}
-    return phrase.label == "NP" and not phrase.children and not texts & {"a", "an", "another"}
 
 
 # ---------------------------------------------------------------- the instruction
@@ -147,7 +138,6 @@ class Understanding:
     type_names: tuple[str, ...]  # what the detector tells apart, which ``instruction`` speaks of
     notes: tuple[str, ...]  # what of the words is not used, a line each
     spoken: Spoken  # what the sentence speaks of
-    slack: float  # bound on the log-odds of any region left out of the program
 
     @property
     def annotations(self) -> list[dict[str, Any]]:
@@ -281,14 +271,14 @@ def understand_parse(
             f"the sentence has {len(commands)} commands; at most {NUM_CLAUSES} are held: "
             "say less at once"
         )
-    compiled = [
+    programs = [
         compile_clause(tree.clauses[i], i, model.behavior, belief.rank, names) for i in commands
     ]
-    programs = [one.fields | {"own": bound.rewrite(one.fields["own"])} for one in compiled]
+    programs = [fields | {"own": bound.rewrite(fields["own"])} for fields in programs]
     instruction = pack_instruction(
         to_readings(belief, bound.kinds_of), programs, [tree.measures[i] for i in commands]
     )
-    slack = max((clause.slack for clause in compiled), default=-np.inf)
+
     return Understanding(
         parse=tree,
         belief=belief,
@@ -297,7 +287,6 @@ def understand_parse(
         type_names=detector.names,
         notes=bound.notes,
         spoken=_spoken_of(tree, bound.labels_of),
-        slack=slack,
     )
 
 

@@ -1,12 +1,11 @@
 """The behavior program: a sentence with its words contracted away (section 3.3).
 
-The words of a sentence are known once it is heard. Contracting them with the weights leaves a few
-coefficients per phrase; everything that is inferred per particle and step reads only these. All
-sentences have the same shapes, so a new sentence is new data and never a new program.
+Contracting the words of a sentence with the weights leaves a few coefficients per phrase, and
+inference per particle and step reads only these. All sentences have the same shapes, so a new
+sentence is new data and never a new program.
 
 A phrase rarely expresses more than one relation, so of the seven regions each object has, only
-the ``NUM_REGION_SLOTS`` whose log-odds can become largest are kept (for constraints: one). What is
-left out is bounded when the program is built (``slack``).
+the ``NUM_REGION_SLOTS`` whose log-odds can become largest are kept (for constraints: one).
 """
 
 import dataclasses
@@ -121,37 +120,17 @@ def empty_program() -> dict[str, np.ndarray]:
     return fields
 
 
-def _reach(terms: dict[str, np.ndarray], held: np.ndarray) -> np.ndarray:
+def _reach(
+    fields: dict[str, np.ndarray], children: tuple[int, ...], terms: dict[str, np.ndarray]
+) -> np.ndarray:
     """Bound the log-odds of each relation that some child may express from above, f32[7]."""
+    is_held = np.isin(np.arange(NUM_REGIONS), fields["region_relation"][list(children)])
     bound = terms["base"].copy()
     for name in ("inside", "touched", "kept", "new", "own", "robot"):
         bound += np.maximum(terms.get(name, 0), 0)
-    bound += np.where(held, np.maximum(terms["same"], 0), 0)
+    bound += np.where(is_held, np.maximum(terms["same"], 0), 0)
     rest = np.maximum(terms.get("absent", 0), 0) + np.maximum(terms.get("untouched", 0), 0)
     return np.asarray(bound + rest)
-
-
-def _held(fields: dict[str, np.ndarray], at: "_Row") -> np.ndarray:
-    """Mark the relations that the slots of the children hold, bool[7]."""
-    slots = fields["region_relation"][list(at.children)].ravel()
-    return np.isin(np.arange(NUM_REGIONS), slots)
-
-
-@dataclasses.dataclass(frozen=True)
-class Compiled:
-    """A clause made into a program, and how much the slots leave out."""
-
-    fields: dict[str, np.ndarray]
-    slack: float  # largest bound on the log-odds of a region that no slot holds
-
-
-@dataclasses.dataclass(frozen=True)
-class _Row:
-    """A phrase on its way into the program."""
-
-    row: int
-    node: Node
-    children: tuple[int, ...]  # rows, the last child first
 
 
 def softmax(log_odds: np.ndarray) -> np.ndarray:
@@ -179,47 +158,40 @@ def _fill_objects(
     fields["object_previous"][row] = [terms[condition] for condition in PREVIOUS]
 
 
-def _fill_regions(fields: dict[str, np.ndarray], at: _Row, terms: dict, meant: np.ndarray) -> dict:
-    """Choose the slots of a phrase: (row, slot) → (bound, table); slot −1: bound of what is out."""
-    row, reach = at.row, _reach(terms, _held(fields, at))
-    order = np.argsort(-reach, kind="stable")
-    wanted = {(row, -1): (float(reach[order[NUM_REGION_SLOTS]]), NONE)}
-    for slot, relation in enumerate(order[:NUM_REGION_SLOTS]):
+def _fill_regions(
+    fields: dict[str, np.ndarray],
+    row: int,
+    children: tuple[int, ...],
+    terms: dict[str, np.ndarray],
+    meant: np.ndarray,
+) -> list[tuple[float, int, int, int]]:
+    """Choose the slots of a phrase; of each the bound, the row, the slot and the table."""
+    reach, slots = _reach(fields, children, terms), []
+    for slot, relation in enumerate(np.argsort(-reach, kind="stable")[:NUM_REGION_SLOTS]):
         fields["region_relation"][row, slot] = relation
-        table = relation + NUM_RELATIONS * min(meant[relation], 2)
-        table = AT_TABLE if relation == AT else int(table)
-        wanted[(row, slot)] = (float(reach[relation]), table)
+        table = AT_TABLE if relation == AT else relation + NUM_RELATIONS * min(meant[relation], 2)
+        slots.append((float(reach[relation]), row, slot, int(table)))
         for name, term in terms.items():
             fields[f"region_{name}"][row, slot] = term[relation]
-        for k, child in enumerate(at.children):
+        for k, child in enumerate(children):
             held = np.flatnonzero(fields["region_relation"][child] == relation)
             if len(held):
                 fields["region_from"][row, k, slot] = held[0]
-    return wanted
+    return slots
 
 
-def _fill_tables(fields: dict[str, np.ndarray], wanted: dict) -> float:
-    """Give the likeliest slots of restricting phrases a table; returns the bound of the rest."""
-    tables: list[int] = []
-    left_out = LOG_NEVER
-    for (row, slot), (bound, table) in sorted(wanted.items(), key=lambda item: -item[1][0]):
-        if table not in tables and len(tables) == NUM_TABLES:
-            left_out = max(left_out, bound)
-            continue
-        if table not in tables:
-            tables.append(table)
-        fields["region_table"][row, slot] = tables.index(table)
-    fields["table"][: len(tables)] = tables
-    return left_out
-
-
-def _fill_constraint(fields: dict[str, np.ndarray], at: _Row, terms: dict) -> None:
+def _fill_constraint(
+    fields: dict[str, np.ndarray],
+    row: int,
+    children: tuple[int, ...],
+    terms: dict[str, np.ndarray],
+) -> None:
     """Choose the relation of a verb phrase's constraints and write its coefficients."""
-    row, relation = at.row, int(np.argmax(_reach(terms, _held(fields, at))))
+    relation = int(np.argmax(_reach(fields, children, terms)))
     fields["constraint_relation"][row] = relation
     for name, term in terms.items():
         fields[f"constraint_{name}"][row] = term[relation]
-    for k, child in enumerate(at.children):
+    for k, child in enumerate(children):
         if fields["constraint_relation"][child] == relation:
             fields["constraint_from"][row, k] = 0
         held = np.flatnonzero(fields["region_relation"][child] == relation)
@@ -256,7 +228,7 @@ def compile_clause(
     model: CorrespondenceModel,
     rank: Mapping[Path, int],
     type_names: tuple[str, ...],
-) -> Compiled:
+) -> dict[str, np.ndarray]:
     """Contract the words of a clause.
 
     Args:
@@ -267,7 +239,7 @@ def compile_clause(
         type_names: object types.
 
     Returns:
-        The program of the clause.
+        The fields of its ``BehaviorProgram``, host arrays.
 
     Raises:
         ValueError: the clause has more phrases, or nests deeper, than a program holds.
@@ -276,34 +248,40 @@ def compile_clause(
     _check_sizes(nodes)
     fields = empty_program()
     fields["num_phrases"] = np.asarray(len(nodes), np.int32)
-    slack, wanted = LOG_NEVER, {}
+    wanted = []
     for index, node in enumerate(nodes):
         row = NUM_PHRASES - 1 if index == len(nodes) - 1 else index
-        at = _Row(row, node, node.children[::-1])
+        children = node.children[::-1]  # the last child counts first
         z = model.coefficients(node.phrase)
         senses = senses_of(node.phrase, type_names)
-        labels = [nodes[child].phrase.label in RESTRICTORS for child in at.children]
+        labels = [nodes[child].phrase.label in RESTRICTORS for child in children]
         fields["num_children"][row] = len(labels)
         fields["is_verb"][row] = node.is_verb
         fields["is_restrictor"][row, : len(labels)] = labels
-        meant = ranks_meant(node.phrase, node.path, rank, type_names)
         words = PhraseWords.of(senses, bool(node.children), any(labels))
         if node.is_verb:
             terms = contract("goal", words, z["goal"])
-            _fill_constraint(fields, at, contract("constraint", words, z["constraint"]))
+            constraint = contract("constraint", words, z["constraint"])
+            _fill_constraint(fields, row, children, constraint)
         else:
             terms = contract("region", words, z["region"])
             of_objects = contract("object", words, z["object"])
             _fill_objects(fields, row, senses, {name: one[0] for name, one in of_objects.items()})
-        slots = _fill_regions(fields, at, terms, meant)
-        slack = max(slack, slots.pop((row, -1))[0])
+        meant = ranks_meant(node.phrase, node.path, rank, type_names)
+        slots = _fill_regions(fields, row, children, terms, meant)
         if node.phrase.label in RESTRICTORS:
-            wanted |= slots
-    slack = max(slack, _fill_tables(fields, wanted))
+            wanted += slots
+    tables: list[int] = []
+    for _, row, slot, table in sorted(wanted, key=lambda one: -one[0]):  # the likeliest first
+        if table not in tables and len(tables) < NUM_TABLES:
+            tables.append(table)
+        if table in tables:
+            fields["region_table"][row, slot] = tables.index(table)
+    fields["table"][: len(tables)] = tables
     z = model.coefficients(root)
-    for name, table in choice_tables(senses_of(root, type_names)).items():
-        fields[name] = softmax(table @ z[name])
-    return Compiled(fields, slack)
+    for name, choices in choice_tables(senses_of(root, type_names)).items():
+        fields[name] = softmax(choices @ z[name])
+    return fields
 
 
 def to_program(fields: dict[str, np.ndarray]) -> BehaviorProgram:
