@@ -1,7 +1,7 @@
 """What a sentence asks for, in a world that is just as it says (section 3.3).
 
 The behavior model infers what is asked for among objects. Before any has been seen there are those
-that the sentence speaks of, placed as it places them; what the model infers among these is what the
+that the sentence speaks of, placed as it places them. What the model infers among these is what the
 robot has understood of its commands: action, manner, goal, and what to keep away from.
 """
 
@@ -61,8 +61,27 @@ def asked(instruction: Instruction) -> list[Asked]:
     readings = jax.tree.map(np.asarray, instruction.readings)
     best = int(np.argmax(readings.log_probability))
     slots, world = _as_said(readings, best)
-    told = [_told(behavior, slots) for behavior in infer_commands(instruction, world)]
-    return [dataclasses.replace(o, against=_tied(readings, best, o.mention)) for o in told]
+    found = []
+    for behavior in infer_commands(instruction, world):
+        goal, constraint = behavior.goal, behavior.constraint
+        region, slot = np.unravel_index(int(goal.argmax()), goal.shape)
+        action, mode = int(behavior.action.argmax()), int(behavior.mode.argmax())
+        share = float(goal[region, slot])
+        mention = slots[slot] if share >= _LEAST_PREVIOUS_GOAL else NONE
+        one = Asked(
+            action=ACTIONS[action],
+            mode=MODES[mode],
+            region=int(region),
+            mention=mention,
+            probability=share * float(behavior.action[action]) * float(behavior.mode[mode]),
+            avoid=tuple(
+                (int(where), slots[kept], float(constraint[where, kept]))
+                for where, kept in np.argwhere(constraint >= _LEAST_KEPT)
+            ),
+            against=_tied(readings, best, mention),
+        )
+        found.append(one)
+    return found
 
 
 def infer_commands(instruction: Instruction, world: World) -> list[Behavior]:
@@ -75,16 +94,13 @@ def infer_commands(instruction: Instruction, world: World) -> list[Behavior]:
     # Padded like any other world, so that one compiled program serves them all.
     num_slots = max(_SLOTS, size)
     slots = np.append(np.arange(size - 1), num_slots - 1)
+    programs = jax.tree.map(np.asarray, instruction.program)
     for clause in range(int(instruction.num_clauses)):
-        program = jax.tree.map(
-            lambda leaf, index=clause: np.asarray(leaf)[index], instruction.program
-        )
+        program = jax.tree.map(lambda leaf, index=clause: leaf[index], programs)
         behavior = jax.device_get(_infer_once(program, to_device(world, num_slots)))
-        behavior = dataclasses.replace(
-            behavior, goal=behavior.goal[:, slots], constraint=behavior.constraint[:, slots]
-        )
-        found.append(behavior)
-        best = behavior.goal.max(axis=0)
+        goal, constraint = behavior.goal[:, slots], behavior.constraint[:, slots]
+        found.append(dataclasses.replace(behavior, goal=goal, constraint=constraint))
+        best = goal.max(axis=0)
         is_previous = (np.arange(size) == best.argmax()) & (best.max() >= _LEAST_PREVIOUS_GOAL)
         world = dataclasses.replace(world, is_previous=is_previous)
     return found
@@ -130,8 +146,7 @@ def list_commands(instruction: Instruction, names: Sequence[str]) -> list[dict[s
 def _as_said(readings: Readings, best: int) -> tuple[list[int], World]:
     """Build the world of a reading: the mention of each slot, and the things; the robot is last."""
     kinds = readings.mention_type[best]
-    things = [int(mention) for mention in np.flatnonzero(kinds >= 0)]
-    robots = [int(mention) for mention in np.flatnonzero(kinds == ROBOT)]
+    things, robots = (np.flatnonzero(of).tolist() for of in (kinds >= 0, kinds == ROBOT))
     slot_of = {mention: slot for slot, mention in enumerate(things)}
     slot_of |= dict.fromkeys(robots, len(things))
     edges = [
@@ -153,23 +168,3 @@ def _tied(readings: Readings, best: int, mention: int) -> tuple[int, ...]:
     for _ in edges:
         tied |= {end for edge in edges if tied & set(edge) for end in edge}
     return tuple(sorted(tied - {mention}))
-
-
-def _told(behavior: Behavior, slots: list[int]) -> Asked:
-    """Read the likeliest of everything."""
-    goal, constraint = behavior.goal, behavior.constraint
-    region, slot = np.unravel_index(int(goal.argmax()), goal.shape)
-    action, mode = int(behavior.action.argmax()), int(behavior.mode.argmax())
-    share = float(goal[region, slot])
-    has_goal = share >= _LEAST_PREVIOUS_GOAL
-    return Asked(
-        action=ACTIONS[action],
-        mode=MODES[mode],
-        region=int(region),
-        mention=slots[slot] if has_goal else NONE,
-        probability=share * float(behavior.action[action]) * float(behavior.mode[mode]),
-        avoid=tuple(
-            (int(where), slots[kept], float(constraint[where, kept]))
-            for where, kept in np.argwhere(constraint >= _LEAST_KEPT)
-        ),
-    )

@@ -5,9 +5,9 @@ of objects are bit masks, so joining children, and finding what lies in regions,
 operations. The four best sets of independent factors have a closed form: none, the smallest margin
 flipped, the second smallest, and the cheaper of the third smallest and the two smallest together.
 
-Phrases come bottom-up, so the hypotheses of a phrase's children lie on top of a stack; the stack
-is a shift register, which needs no look-up. Equal sets that rest on different child hypotheses stay
-apart. Arrays carry two lane axes **last**, episodes E and particles P, so that every operation is a
+Phrases come bottom-up, so the hypotheses of a phrase's children lie on top of a stack, a shift
+register that needs no look-up. Equal sets that rest on different child hypotheses stay apart.
+Arrays carry two lane axes **last**, episodes E and particles P, so that every operation is a
 vector operation over lanes; ``vmap`` over episodes is told to put its axis there.
 """
 
@@ -102,17 +102,6 @@ def _combine(left: Combinations, right: Combinations) -> Combinations:
     )
 
 
-def _join_children(row: BehaviorProgram, stack: _Stack) -> Combinations:
-    """Combine the hypotheses of all children of a phrase."""
-
-    def add(k: Array, left: Combinations) -> Combinations:
-        return _combine(left, _child(row, stack, k))
-
-    # As many times as some lane has children; the loop also keeps the compiler from computing
-    # the same values anew inside every later fusion.
-    return jax.lax.fori_loop(1, jnp.max(row.num_children), add, _child(row, stack, 0))
-
-
 def _four_best_sets(odds: Array, cost: Array, size: int) -> tuple[Array, Array]:
     """Find the four best sets over the four combinations of the children.
 
@@ -154,7 +143,7 @@ def _push_phrase(stack: _Stack, top: _Stack, num_children: Array) -> _Stack:
             rows = jnp.where(num_children == count, jnp.concatenate([new, *left])[:MAX_DEPTH], rows)
         return rows
 
-    return _Stack(shifted(stack.sets, top.sets), shifted(stack.cost, top.cost))
+    return jax.tree.map(shifted, stack, top)
 
 
 MAX_SLOTS = 31
@@ -163,16 +152,17 @@ ROOT = -1
 """Row of the root in a program: the last one, however many phrases there are."""
 
 
-def _row(program: BehaviorProgram, phrase: Array) -> BehaviorProgram:
-    """Take the row of one phrase out of the fields that have rows."""
-    names = [one.name for one in dataclasses.fields(program) if one.name not in OF_THE_CLAUSE]
-    return replace(program, **select_row({name: getattr(program, name) for name in names}, phrase))
-
-
 def _advance(row: BehaviorProgram, scene: ObjectSets, stack: _Stack) -> tuple[_Stack, _Expressed]:
     """Infer one phrase from its children."""
     size = scene.lies.shape[1]
-    joined = _join_children(row, stack)
+    # As many times as some lane has children; the loop also keeps the compiler from computing
+    # the same values anew inside every later fusion.
+    joined = jax.lax.fori_loop(
+        1,
+        jnp.max(row.num_children),
+        lambda k, left: _combine(left, _child(row, stack, k)),
+        _child(row, stack, 0),
+    )
     # A phrase expresses objects or constraints, never both: they share the first N symbols.
     first = jax.lax.cond(
         jnp.any(row.is_verb),
@@ -201,17 +191,16 @@ def _by_relation(values: Array, relation: Array) -> Array:
     return spread
 
 
-def _mean(values: Array, weight: Array) -> Array:
-    """Add up values f[4, ...] of the combinations by their weights, one by one."""
-    return functools.reduce(jnp.add, jnp.unstack(values * weight))
-
-
 def _conclude(program: BehaviorProgram, root: _Expressed, size: int) -> Behavior:
     """Read the behavior off the root, averaged over the combinations of its children.
 
     A behavior has one goal: the probability that any goal is expressed is shared in proportion
     to the probability of each.
     """
+
+    def mean(values: Array, weight: Array) -> Array:
+        return functools.reduce(jnp.add, jnp.unstack(values * weight))
+
     lanes = root.cost.shape[1:]
     # Written out: XLA's logistic, and its sums over a short leading axis, are scalar on CPU.
     probability = materialize(1.0 / (1.0 + jnp.exp(-root.odds)))
@@ -222,7 +211,7 @@ def _conclude(program: BehaviorProgram, root: _Expressed, size: int) -> Behavior
     exists = jnp.where(program.num_phrases == 0, 0.0, 1.0)
     weight = exists * jax.nn.softmax(-root.cost, axis=0)
     share = weight * (1.0 - is_none) / jnp.maximum(total, 1e-9)
-    by_slot = materialize((_mean(goal, share[:, None, None]), _mean(constraint, weight[:, None])))
+    by_slot = materialize((mean(goal, share[:, None, None]), mean(constraint, weight[:, None])))
     return Behavior(
         action=jnp.broadcast_to(program.action, (program.action.shape[0], *lanes)),
         mode=jnp.broadcast_to(program.mode, (program.mode.shape[0], *lanes)),
@@ -233,13 +222,6 @@ def _conclude(program: BehaviorProgram, root: _Expressed, size: int) -> Behavior
 
 def _infer_lanes(program: BehaviorProgram, worlds: BehaviorWorld, num_phrases: Array) -> Behavior:
     """Infer behaviors with leaves [..., E, 1] of the program and [..., E, P] of the worlds."""
-    # Lanes stand last everywhere, so aligning shapes from the right is what is meant.
-    with jax.numpy_rank_promotion("allow"):
-        return _infer_aligned(program, worlds, num_phrases)
-
-
-def _infer_aligned(program: BehaviorProgram, worlds: BehaviorWorld, num_phrases: Array) -> Behavior:
-    """Run the phrases bottom-up; shapes as ``_infer_lanes``."""
     scene = build_object_sets(program, worlds)
     size, *lanes = scene.lies.shape[1:]
     stack = _Stack(
@@ -250,12 +232,19 @@ def _infer_aligned(program: BehaviorProgram, worlds: BehaviorWorld, num_phrases:
         odds=jnp.zeros((_BEAM, (1 + NUM_REGION_SLOTS) * size, *lanes), jnp.float32),
         cost=stack.cost[0],
     )
+    rows = {
+        field.name: getattr(program, field.name)
+        for field in dataclasses.fields(program)
+        if field.name not in OF_THE_CLAUSE
+    }
 
     def infer(index: Array, carry: tuple[_Stack, _Expressed]) -> tuple[_Stack, _Expressed]:
         # The root comes last in every lane, however many phrases a lane has.
         phrase = jnp.where(index == num_phrases - 1, NUM_PHRASES - 1, index)
-        return _advance(_row(program, phrase), scene, carry[0])
+        row = replace(program, **select_row(rows, phrase))
+        return _advance(row, scene, carry[0])
 
+    # The phrases bottom-up.
     _, root = jax.lax.fori_loop(0, num_phrases, infer, (stack, nothing))
     return _conclude(program, root, size)
 
@@ -263,11 +252,11 @@ def _infer_aligned(program: BehaviorProgram, worlds: BehaviorWorld, num_phrases:
 @jax.custom_batching.custom_vmap
 def _infer(program: BehaviorProgram, worlds: BehaviorWorld, num_phrases: Array) -> Behavior:
     """Infer behaviors of one episode: leaves [...] of the program and [..., P] of the worlds."""
-    behavior = _infer_lanes(
-        jax.tree.map(lambda leaf: leaf[..., None, None], program),
-        jax.tree.map(lambda leaf: leaf[..., None, :], worlds),
-        num_phrases,
-    )
+    program = jax.tree.map(lambda leaf: leaf[..., None, None], program)
+    worlds = jax.tree.map(lambda leaf: leaf[..., None, :], worlds)
+    # Lanes stand last everywhere, so aligning shapes from the right is what is meant.
+    with jax.numpy_rank_promotion("allow"):
+        behavior = _infer_lanes(program, worlds, num_phrases)
     return jax.tree.map(lambda leaf: leaf[..., 0, :], behavior)
 
 
@@ -294,7 +283,8 @@ def _infer_episodes(
     )
     shape = (axis_size, max(leaf.shape[-1] for leaf in jax.tree.leaves(worlds)))
     worlds = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (*leaf.shape[:-2], *shape)), worlds)
-    behavior = _infer_lanes(program, worlds, jnp.max(num_phrases))
+    with jax.numpy_rank_promotion("allow"):
+        behavior = _infer_lanes(program, worlds, jnp.max(num_phrases))
     behavior = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -2, 0), behavior)
     return behavior, jax.tree.map(lambda _: True, behavior)
 

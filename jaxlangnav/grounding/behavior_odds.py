@@ -45,16 +45,14 @@ _OBJECTS, _TOUCHED, _KEPT, _OUTSIDE, _SLOTS, _NEAR = 0, 1, 2, 3, slice(4, -1), -
 
 def build_object_sets(program: BehaviorProgram, world: BehaviorWorld) -> ObjectSets:
     """Turn worlds into bits; leaves of the world are [..., E, P]."""
-    is_object = world.is_object
-    kind = world.object_type
+    is_object, kind = world.is_object, world.object_type
     itself = jnp.where(is_object, _bit_of_each(kind.shape[0], 3), 0)
     everything = jnp.sum(itself, axis=0)
     edges = jnp.concatenate([world.is_related, world.is_superlative, world.is_later])
     figures = jnp.sum(jnp.where(edges, itself[None, :, None], 0), axis=1)
     figures = jnp.append(figures, itself[None], axis=0)  # [18 + 1, N, E, P]: the last table is "at"
-    lies = lookup(figures, _each(program.table, is_object))
     previous = world.is_previous & is_object
-    last_type = jnp.max(jnp.where(previous, world.object_type, NONE - 9), axis=0)
+    last_type = jnp.max(jnp.where(previous, kind, NONE - 9), axis=0)
     alike = (label_of(kind) == label_of(last_type)[None]) & is_object
     is_robot = (kind == ROBOT) & is_object
     goal, others, robot = to_mask(jnp.stack([previous, alike & ~previous, is_robot]))
@@ -64,7 +62,7 @@ def build_object_sets(program: BehaviorProgram, world: BehaviorWorld) -> ObjectS
         previous=jnp.stack([goal, others, rest]),
         robot=robot,
         everything=everything,
-        lies=lies,
+        lies=lookup(figures, _each(program.table, is_object)),
     )
 
 

@@ -108,7 +108,7 @@ class PhraseBelief:
     @property
     def parent(self) -> Path | None:
         """Path of the parent phrase; None at the root of a clause."""
-        return self.path[:-1] if len(self.path) > 1 else None
+        return self.path[:-1] or None
 
 
 class WeighedTree(Generic[AnyWorld]):
@@ -147,35 +147,34 @@ class WeighedTree(Generic[AnyWorld]):
         coefficients, described = self._phrases[path]
         key = path, *(child.tobytes() for child in children)
         if key not in self._tables:
-            blocks = described.given(children).items()
-            self._tables[key] = [(k, b.places, *self._alike(b.properties)) for k, b in blocks]
+            self._tables[key] = []
+            for kind, (places, distinct) in described.given(children).items():
+                alike = slice(None)
+                if self.num_models > 1 and len(distinct) >= MANY:  # it pays to join equal symbols
+                    first, alike = identify(distinct)
+                    distinct = distinct[first]
+                self._tables[key].append((kind, places, distinct, alike))
         odds = np.full((len(models), self.symbols.size), -np.inf)
         for kind, places, distinct, alike in self._tables[key]:
             odds[:, places] = (coefficients[kind][models] @ distinct.T)[:, alike]
         return odds
 
-    def _alike(self, properties: np.ndarray) -> tuple[np.ndarray, slice | np.ndarray]:
-        """Join equal symbols where it pays: f[D, F] distinct ones, and which each is."""
-        if self.num_models == 1 or len(properties) < MANY:
-            return properties, slice(None)
-        first, which = identify(properties)
-        return properties[first], which
-
     def beams(self, width: int = BEAM_WIDTH, models: np.ndarray | None = None) -> Beams:
         """Infer what the root expresses by each model, or by i[M] of them; see ``search``."""
-        if models is not None and len(models) < self.num_models:
-            return search(
-                self.root,
-                lambda path, children, rows: self.log_odds(path, children, models[rows]),
-                len(models),
-                width=width,
-                path=self.path,
-            )
-        if width not in self._known:
-            self._known[width] = search(
-                self.root, self.log_odds, self.num_models, width=width, path=self.path
-            )
-        return self._known[width]
+        is_part = models is not None and len(models) < self.num_models
+        if not is_part and width in self._known:
+            return self._known[width]
+        which = models if models is not None and is_part else np.arange(self.num_models)
+        found = search(
+            self.root,
+            lambda path, children, rows: self.log_odds(path, children, which[rows]),
+            len(which),
+            width=width,
+            path=self.path,
+        )
+        if not is_part:
+            self._known[width] = found
+        return found
 
     def search(self, width: int = BEAM_WIDTH) -> list[Hypothesis]:
         """Infer what the root expresses by the first model."""

@@ -1,8 +1,7 @@
 """Grounders: from what a person says to what the navigator needs (sections 3.1 and 3.3).
 
-The door through which any source of annotations comes in: the trained graph here, a form in
-``annotated``, one of your own, or one made of others: one after the other, and one whose readings a
-person picks from. Nothing behind the door asks which one it is.
+Any source of annotations comes in here: the trained graph, a form (``annotated``), one of your own,
+or one made of others: one after the other, or one whose readings a person picks from.
 """
 
 import dataclasses
@@ -14,7 +13,7 @@ import numpy as np
 from jaxlangnav.grounding.annotation import annotation_document
 from jaxlangnav.grounding.binding import Detector
 from jaxlangnav.grounding.instruction import GroundingModel, Instruction, Spoken, understand
-from jaxlangnav.grounding.readings import Reading, pad_readings, unpad_readings
+from jaxlangnav.grounding.readings import pad_readings, unpad_readings
 from jaxlangnav.inputs.object_types import name_of, noun_of
 from jaxlangnav.language.phrase import LEAST_PROBABILITY
 from jaxlangnav.language.reference import Antecedent
@@ -86,6 +85,24 @@ def names_of(grounder: Grounder) -> tuple[str, ...]:
     return getattr(grounder, "names", grounder.type_names)
 
 
+class OtherTypes:
+    """What speaks of the types of another grounder."""
+
+    def __init__(self, grounder: Grounder) -> None:
+        """Take the grounder that tells the types."""
+        self._types_of = grounder
+
+    @property
+    def type_names(self) -> tuple[str, ...]:
+        """The types of the other grounder."""
+        return self._types_of.type_names
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The types, and nouns that there was none for."""
+        return names_of(self._types_of)
+
+
 class GraphGrounder:
     """The trained Distributed Correspondence Graph: sentences of the controlled language."""
 
@@ -143,16 +160,14 @@ class GraphGrounder:
         if not context.is_under_way or int(understood.instruction.num_clauses):
             understood.check_task(is_first=not context.is_under_way)
         bound = understood.type_names
-        unknown = [f"'{word}'" for word in understood.unknown_words if word not in bound]
+        unknown = [word for word in understood.unknown_words if word not in bound]
+        unread = understood.parse.unread
         return Grounded(
             instruction=understood.instruction,
             annotations=tuple(understood.annotations),
             notes=(
-                *(f"not in the lexicon: {word}" for word in unknown),
-                *(
-                    f"left out, as it says nothing of the task: '{said}'"
-                    for said in understood.parse.unread
-                ),
+                *(f"not in the lexicon: '{word}'" for word in unknown),
+                *(f"left out, as it says nothing of the task: '{said}'" for said in unread),
                 *understood.notes,
             ),
             spoken=understood.spoken,
@@ -168,25 +183,16 @@ LEAST_ASKED = 0.05
 """Ways less probable than this are not asked about."""
 
 
-class FirstGrounder:
+class FirstGrounder(OtherTypes):
     """Asks one grounder, and another where the first refuses."""
 
     def __init__(self, first: Grounder, then: Grounder) -> None:
         """Join two grounders of one detector: where ``first`` refuses, ``then`` is asked."""
         if first.type_names != then.type_names:
             raise ValueError("the grounders have different type_names: give both one detector's")
+        super().__init__(first)
         self.first = first
         self.then = then
-
-    @property
-    def type_names(self) -> tuple[str, ...]:
-        """Those of both."""
-        return self.first.type_names
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The types, and nouns that there was none for."""
-        return names_of(self.first)
 
     def ground(self, text: str, context: Context) -> Grounded:
         """Understand an instruction; where both refuse, the first's reason is given."""
@@ -201,7 +207,7 @@ class FirstGrounder:
         return dataclasses.replace(found, notes=(f"not read as it stands: {refusal}", *found.notes))
 
 
-class ChoosingGrounder:
+class ChoosingGrounder(OtherTypes):
     """Lets a person pick among the ways to understand an instruction."""
 
     def __init__(self, grounder: Grounder, choose: Chooser, *, least: float = LEAST_ASKED) -> None:
@@ -212,19 +218,10 @@ class ChoosingGrounder:
             choose: asks the person; not called where there is one way only.
             least: ways less probable than this are not asked about.
         """
+        super().__init__(grounder)
         self.grounder = grounder
         self.choose = choose
         self.least = least
-
-    @property
-    def type_names(self) -> tuple[str, ...]:
-        """The wrapped grounder's."""
-        return self.grounder.type_names
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The types, and nouns that there was none for."""
-        return names_of(self.grounder)
 
     def ground(self, text: str, context: Context) -> Grounded:
         """Understand an instruction, and ask which way; see ``Grounder.ground``."""
@@ -249,26 +246,18 @@ def _by_reading(grounded: Grounded, names: Sequence[str]) -> Iterator[Alternativ
     """Take each reading for a way; the commands are those of the sentence."""
     ranked = sorted(unpad_readings(grounded.instruction.readings), key=lambda item: -item[1])
     for reading, score in ranked:
+        kinds = ["robot" if one == ROBOT else name_of(one, names) for one in reading.mentions]
+        named = [*kinds, None]  # what stands at NONE, the last place
+        told = tuple(
+            annotation_document(named[figure], named[landmark], relation, rank, 1.0)
+            for figure, relation, landmark, rank in reading.relations
+        )
         alone = replace(grounded.instruction, readings=pad_readings([(reading, 0.0)]))
-        told = list(_annotations(reading, names))
         yield Alternative(
             says="; ".join(_worded(one) for one in told),
             probability=float(np.exp(score)),
-            grounded=dataclasses.replace(grounded, instruction=alone, annotations=tuple(told)),
+            grounded=dataclasses.replace(grounded, instruction=alone, annotations=told),
         )
-
-
-def _annotations(reading: Reading, names: Sequence[str]) -> Iterator[Mapping[str, Any]]:
-    """List what one reading says, as ``Grounded.annotations`` has it."""
-
-    def name(mention: int) -> str | None:
-        if mention == NONE:
-            return None
-        kind = reading.mentions[mention]
-        return "robot" if kind == ROBOT else name_of(kind, names)
-
-    for figure, relation, landmark, rank in reading.relations:
-        yield annotation_document(name(figure), name(landmark), relation, rank, 1.0)
 
 
 def _worded(said: Mapping[str, Any]) -> str:

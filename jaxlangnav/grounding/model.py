@@ -3,16 +3,14 @@
     log p(φ = 1 | λ, γ, Γ) / p(φ = 0 | λ, γ, Γ) = words(λ)ᵀ W_kind properties(γ, Γ)
 
 A feature of the paper is a product of a correspondence value, a property of the words and a
-property of the grounding; the score is therefore bilinear. Here is the word side, names with
-values; the grounding side stands in ``annotation_properties`` and ``behavior_properties``.
-Contracting the words first leaves a few coefficients per phrase and kind of symbol; that is done
-once per sentence, and nothing downstream sees a word.
+property of the grounding, so the score is bilinear. Here is the word side, names with values; the
+grounding side stands in ``annotation_properties`` and ``behavior_properties``. Contracting the
+words leaves a few coefficients per phrase and kind of symbol, once per sentence.
 
 A word carries its identity (lemma), part of speech and lexicon senses; a word without senses also
 its character n-grams, hashed. A phrase carries a bias, its label, shape and child labels. So a
-word never seen still has a part of speech, a shape and n-grams, and a synonym has the senses of
-what it stands for: properties of agreement ("the type that the words name") then carry it
-without retraining.
+synonym has the senses of what it stands for, and even an unknown word has a part of speech, a
+shape and n-grams: properties of agreement ("the type that the words name") need no retraining.
 """
 
 import dataclasses
@@ -33,21 +31,15 @@ RESTRICTORS = ("PP", "ADJP", "SBAR")
 IDENTITY_SCALE = 0.4
 WORD_SCALE = 0.2
 GRAM_SCALE = 0.3
-_GROUP_OF = {
-    "word": "word",
-    "tag": "tag",
-    "sense": "sense",
-    "class": "sense",
-    "below": "sense",
-    "gram": "gram",
-    "label": "shape",
-    "length": "shape",
-    "child": "shape",
-    "pair": "shape",
-    "children": "shape",
+_GROUPS = {
+    "word": ("word",),
+    "tag": ("tag",),
+    "sense": ("sense", "class", "below"),
+    "gram": ("gram",),
+    "shape": ("label", "length", "child", "pair", "children"),
 }
-"""What a feature's name begins with → its group."""
-FEATURE_GROUPS = tuple(dict.fromkeys(_GROUP_OF.values()))
+"""Group of word-side features → what their names begin with."""
+FEATURE_GROUPS = tuple(_GROUPS)
 """Groups of word-side features that an ablation may leave out."""
 
 
@@ -86,16 +78,10 @@ def senses_of(phrase: Phrase, type_names: tuple[str, ...]) -> Senses:
     )
 
 
-def _grams(text: str) -> set[int]:
-    """Hash the character trigrams of a word; stable between processes."""
-    padded = f"^{text}$"
-    grams = {padded[i : i + 3] for i in range(len(padded) - 2)}
-    return {zlib.crc32(gram.encode()) % NUM_GRAMS for gram in grams}
-
-
 def feature_group(name: str) -> str:
     """Find the group of a word-side feature: one of ``FEATURE_GROUPS``, or "bias"."""
-    return name if name == "bias" else _GROUP_OF[name.partition("=")[0]]
+    begin = name.partition("=")[0]
+    return next((group for group, names in _GROUPS.items() if begin in names), begin)
 
 
 def word_features(phrase: Phrase, without: frozenset[str] = frozenset()) -> dict[str, float]:
@@ -110,9 +96,10 @@ def word_features(phrase: Phrase, without: frozenset[str] = frozenset()) -> dict
         for sense in word.senses:
             features[f"sense={sense}"] = IDENTITY_SCALE
             features[f"class={sense.partition(':')[0]}"] = 1.0
-        if not word.senses:
-            for gram in _grams(word.text):
-                features[f"gram={gram}"] = GRAM_SCALE
+        padded = "" if word.senses else f"^{word.text}$"
+        for i in range(len(padded) - 2):  # a hash that is the same in every process
+            gram = zlib.crc32(padded[i : i + 3].encode()) % NUM_GRAMS
+            features[f"gram={gram}"] = GRAM_SCALE
     features[f"label={phrase.label}"] = 1.0
     features[f"length={min(len(phrase.words), 3)}"] = 0.5
     for child in phrase.children:
@@ -122,9 +109,11 @@ def word_features(phrase: Phrase, without: frozenset[str] = frozenset()) -> dict
         for name in classes or {"none"}:
             features[f"below={child.label}:{name}"] = 0.5
     features[f"children={min(len(phrase.children), 3)}"] = 0.5
-    if not without:
-        return features
-    return {name: value for name, value in features.items() if feature_group(name) not in without}
+    return {
+        name: value
+        for name, value in features.items()
+        if not without or feature_group(name) not in without
+    }
 
 
 @dataclasses.dataclass(frozen=True)
@@ -136,16 +125,14 @@ class Vocabulary:
 
     @cached_property
     def _column(self) -> dict[str, int]:
-        """Where each feature stands."""
         return {name: i for i, name in enumerate(self.names)}
 
     def vector(self, phrase: Phrase) -> np.ndarray:
         """Describe a phrase, f32[W]; features never seen in training count nothing."""
-        column = self._column
         vector = np.zeros(len(self.names), np.float32)
         for name, value in word_features(phrase, self.without).items():
-            if name in column:
-                vector[column[name]] = value
+            if name in self._column:
+                vector[self._column[name]] = value
         return vector
 
 

@@ -137,7 +137,7 @@ def _child_groundings(
 
 def _block(world: World, space: BehaviorSpace, kind: str, table: np.ndarray) -> Block:
     """Say where the symbols of a kind stand; those of empty object slots are left out."""
-    begin, end = space.span(KINDS.index(kind))
+    begin, end = space.spans[KINDS.index(kind)]
     if kind in ("action", "mode") or world.is_object.all():
         return Block(slice(begin, end), table)
     real = np.flatnonzero(np.resize(world.is_object, end - begin))

@@ -12,7 +12,6 @@ from typing import TypeVar
 
 import jax
 import numpy as np
-from jax import Array
 
 from jaxlangnav.grounding.annotation import Belief, RankedAnnotations
 from jaxlangnav.grounding.symbols import OBJECT, REGION, Annotation
@@ -33,10 +32,7 @@ class Capacity:
 
     def __post_init__(self) -> None:
         """Refuse what does not hold one sentence."""
-        for name, least in (
-            ("num_mentions", NUM_MENTIONS),
-            ("num_relations", NUM_RELATIONS_SAID),
-        ):
+        for name, least in (("num_mentions", NUM_MENTIONS), ("num_relations", NUM_RELATIONS_SAID)):
             value = getattr(self, name)
             if not isinstance(value, int) or value < least:
                 raise ValueError(
@@ -102,20 +98,16 @@ class _Reader:
 
     def read(self, said: RankedAnnotations) -> None:
         """Read one clause."""
+        related = [entry for entry in said if entry[0].kind not in (OBJECT, REGION)]
         told: dict[int, set[tuple[int, int, int]]] = {}
-        for symbol, rank in said:
-            if symbol.kind not in (OBJECT, REGION):
-                place = (symbol.relation, symbol.landmark, rank)
-                told.setdefault(symbol.figure, set()).add(place)
+        for symbol, rank in related:
+            told.setdefault(symbol.figure, set()).add((symbol.relation, symbol.landmark, rank))
         own: list[tuple[int, int]] = []  # mentions of this clause, and how each is ranked
 
         def mention(kind: int, *others: int, rank: int = 0, is_pair: bool = False) -> int:
             for k, (i, known) in enumerate(own):
-                if (
-                    self.mentions[i] == kind
-                    and i not in others
-                    and 0 in (known, rank, known - rank)
-                ):
+                is_alike = self.mentions[i] == kind and i not in others
+                if is_alike and 0 in (known, rank, known - rank):
                     own[k] = (i, known or rank)
                     return i
             is_again = any(self.mentions[i] == kind for i, _ in own) and not is_pair
@@ -124,29 +116,30 @@ class _Reader:
             if index == NONE:
                 index = len(self.mentions)
                 self.mentions.append(kind)
-                self.described.append(frozenset(told.get(kind, ())))
+                self.described.append(description)
             own.append((index, rank))
             return index
 
-        # Relations in order, and plain objects last.
-        related = [entry for entry in said if entry[0].kind not in (OBJECT, REGION)]
         ordered = in_order(related, lambda entry: (entry[0].figure, entry[0].landmark))
-        ordered += [entry for entry in said if entry[0].kind in (OBJECT, REGION)]
         for place, (symbol, rank) in enumerate(ordered):
-            if symbol.kind in (OBJECT, REGION):
-                self._exist([t for t in (symbol.landmark, symbol.figure) if t >= 0], mention)
+            if rank != BETWEEN:
+                landmark = mention(symbol.landmark)
+                figure = mention(symbol.figure, landmark, rank=rank)
+                self._say([(figure, symbol.relation, landmark, rank)])
                 continue
-            if rank == BETWEEN:
-                is_one = [how == BETWEEN and it.figure == symbol.figure for it, how in ordered]
-                if not any(is_one[place + 1 :]):  # with the last, both landmarks are placed
-                    sides = [
-                        it.landmark for (it, _), one in zip(ordered, is_one, strict=True) if one
-                    ]
-                    self._lie_between(symbol, sides, mention)
-                continue
-            landmark = mention(symbol.landmark)
-            figure = mention(symbol.figure, landmark, rank=rank)
-            self._say([(figure, symbol.relation, landmark, rank)])
+            is_one = [how == BETWEEN and it.figure == symbol.figure for it, how in ordered]
+            if not any(is_one[place + 1 :]):  # with the last, both landmarks are placed
+                pairs = zip(ordered, is_one, strict=True)
+                sides = [it.landmark for (it, _), one in pairs if one]
+                self._lie_between(symbol, sides, mention)
+        # Objects and regions come last: things exist of which nothing has been said yet.
+        for symbol, _ in said:
+            for kind in (symbol.landmark, symbol.figure):
+                if symbol.kind in (OBJECT, REGION) and kind >= 0:
+                    is_new = kind not in self.mentions
+                    index = mention(kind)
+                    if is_new:
+                        self.relations.append((index, NONE, NONE, 0))
 
     def _say(self, edges: Sequence[tuple[int, int, int, int]]) -> None:
         """Enter relations that have not been said before."""
@@ -180,14 +173,6 @@ class _Reader:
                 self.described[i] = self.described[i] | description
                 return i
         return NONE
-
-    def _exist(self, kinds: list[int], mention: Callable[[int], int]) -> None:
-        """Say that things exist, unless something has been said of them already."""
-        for kind in kinds:
-            is_new = kind not in self.mentions
-            index = mention(kind)
-            if is_new:
-                self.relations.append((index, NONE, NONE, 0))
 
 
 def read(*clauses: RankedAnnotations) -> Reading:
@@ -262,43 +247,30 @@ def _of_kinds(
 
 def widen(readings: Readings, capacity: Capacity) -> Readings:
     """Pad the readings of one sentence with room for what else may be said (host)."""
-
-    def pad(leaf: Array, size: int, fill: int) -> np.ndarray:
+    wide = {}
+    for name in ("mention_type", "figure", "relation", "landmark", "rank"):
+        leaf = np.asarray(getattr(readings, name))
+        is_mention = name == "mention_type"
+        size = capacity.num_mentions if is_mention else capacity.num_relations
         room = ((0, 0), (0, size - leaf.shape[1]))
-        return np.pad(np.asarray(leaf), room, constant_values=fill)
-
-    size = capacity.num_relations
-    wide = {
-        "mention_type": pad(readings.mention_type, capacity.num_mentions, NONE),
-        "figure": pad(readings.figure, size, NONE),
-        "relation": pad(readings.relation, size, NONE),
-        "landmark": pad(readings.landmark, size, NONE),
-        "rank": pad(readings.rank, size, 0),
-    }
+        wide[name] = np.pad(leaf, room, constant_values=0 if name == "rank" else NONE)
     return replace(readings, **jax.device_put(wide))
 
 
 def pad_readings(ranked: Sequence[tuple[Reading, float]]) -> Readings:
     """Write up to K (reading, log-probability), best first, into padded arrays, normalised."""
     mention_type = np.full((NUM_READINGS, NUM_MENTIONS), NONE, np.int32)
-    table = np.full((3, NUM_READINGS, NUM_RELATIONS_SAID), NONE, np.int32)
-    ranks = np.zeros((NUM_READINGS, NUM_RELATIONS_SAID), np.int32)
+    edges = np.tile(np.int32([NONE, NONE, NONE, 0]), (NUM_READINGS, NUM_RELATIONS_SAID, 1))
     log_probability = np.full(NUM_READINGS, -np.inf, np.float32)
     total = np.logaddexp.reduce([score for _, score in ranked])
     for k, (reading, score) in enumerate(ranked):
         mention_type[k, : len(reading.mentions)] = reading.mentions
         log_probability[k] = score - total
-        for j, (figure, relation, landmark, rank) in enumerate(reading.relations):
-            table[:, k, j] = figure, relation, landmark
-            ranks[k, j] = rank
-    fields = {
-        "mention_type": mention_type,
-        "figure": table[0],
-        "relation": table[1],
-        "landmark": table[2],
-        "rank": ranks,
-        "log_probability": log_probability,
-    }
+        edges[k, : len(reading.relations)] = np.reshape(reading.relations, (-1, 4))
+    ends = dict(
+        zip(("figure", "relation", "landmark", "rank"), np.moveaxis(edges, 2, 0), strict=True)
+    )
+    fields = {"mention_type": mention_type, **ends, "log_probability": log_probability}
     return Readings(**jax.device_put(fields))
 
 

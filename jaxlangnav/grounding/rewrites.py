@@ -21,7 +21,7 @@ from jax import Array
 
 from jaxlangnav.grounding.asked import Asked, asked
 from jaxlangnav.grounding.form import quote
-from jaxlangnav.grounding.grounder import Alternative, Context, Grounded, Grounder, names_of
+from jaxlangnav.grounding.grounder import Alternative, Context, Grounded, Grounder, OtherTypes
 from jaxlangnav.grounding.readings import NUM_READINGS, Reading, pad_readings, unpad_readings
 from jaxlangnav.inputs.documents import parse_json, read_text
 from jaxlangnav.messages import ROBOT
@@ -84,26 +84,17 @@ class Read:
     grounded: Grounded
 
 
-class RewriteGrounder:
+class RewriteGrounder(OtherTypes):
     """Grounds rewritings of what is said, and not its own words."""
 
     def __init__(
         self, graph: Grounder, source: RewriteSource, *, params: RewriteParams | None = None
     ) -> None:
         """Join what puts sentences into the controlled language to what reads those."""
+        super().__init__(graph)
         self.graph = graph
         self.source = source
         self.params = default_rewrite_params() if params is None else params
-
-    @property
-    def type_names(self) -> tuple[str, ...]:
-        """The graph's."""
-        return self.graph.type_names
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The types, and nouns that there was none for."""
-        return names_of(self.graph)
 
     def ground(self, text: str, context: Context) -> Grounded:
         """Understand a sentence by its rewritings; see ``Grounder.ground``."""
@@ -167,17 +158,16 @@ def _mixed(found: Sequence[Read], log_weights: np.ndarray, notes: tuple[str, ...
         groups.setdefault(_meaning(one.grounded), []).append(index)
     weight = np.exp(log_weights)
     ranked = sorted(groups.values(), key=lambda group: -weight[group].sum())
-    # The weightiest of the rewritings that mean the same speaks for them.
-    best = [found[max(group, key=lambda index: weight[index])] for group in ranked]
-    alternatives = tuple(
-        Alternative(says=one.text, probability=float(weight[group].sum()), grounded=one.grounded)
-        for one, group in zip(best, ranked, strict=True)
-    )
+    alternatives = []
+    for group in ranked:  # the weightiest of the rewritings that mean the same speaks for them
+        best, share = found[max(group, key=lambda index: weight[index])], weight[group].sum()
+        one = Alternative(says=best.text, probability=float(share), grounded=best.grounded)
+        alternatives.append(one)
     first = alternatives[0]
-    told = [one for one in alternatives if one.probability >= _LEAST_TOLD]
     chosen = [f"read as '{first.says}', {first.probability:.0%} of the weight"]
-    if len(told) > 1:
-        others = ", ".join(f"'{one.says}' {one.probability:.0%}" for one in told[1:])
+    told = [one for one in alternatives[1:] if one.probability >= _LEAST_TOLD]
+    if told:
+        others = ", ".join(f"'{one.says}' {one.probability:.0%}" for one in told)
         chosen.append(f"it may also mean {others}")
     readings, left_out = _mixed_readings(found, log_weights, [i for group in ranked for i in group])
     if left_out >= _LEAST_TOLD:
@@ -187,7 +177,7 @@ def _mixed(found: Sequence[Read], log_weights: np.ndarray, notes: tuple[str, ...
         annotations=_mixed_annotations(found, weight),
         notes=(*notes, *chosen, *first.grounded.notes),
         spoken=first.grounded.spoken,
-        alternatives=alternatives,
+        alternatives=tuple(alternatives),
     )
 
 
@@ -210,13 +200,12 @@ def _mixed_readings(
 
 def _said(reading: Reading) -> tuple[Any, ...]:
     """Tell what a reading says, in whatever order it says it."""
-    kinds = reading.mentions
-
-    def kind(mention: int) -> int:
-        return kinds[mention] if mention >= 0 else mention
-
-    edges = [(kind(f), relation, kind(m), rank) for f, relation, m, rank in reading.relations]
-    return tuple(sorted(kinds)), tuple(sorted(edges))
+    kinds = dict(enumerate(reading.mentions))  # NONE stays as it is
+    edges = [
+        (kinds.get(figure, figure), relation, kinds.get(landmark, landmark), rank)
+        for figure, relation, landmark, rank in reading.relations
+    ]
+    return tuple(sorted(reading.mentions)), tuple(sorted(edges))
 
 
 def _meaning(grounded: Grounded) -> tuple[Any, ...]:
@@ -306,16 +295,16 @@ def _read_line(document: Any) -> tuple[str, tuple[Rewrite, ...]]:
         raise ValueError(f"text is {quote(text)}, but must be a string")
     if not isinstance(rewrites, list):
         raise ValueError(f"rewrites is {quote(rewrites)}, but must be a list of pairs")
-    return text, tuple(_read_rewrite(one, i) for i, one in enumerate(rewrites))
-
-
-def _read_rewrite(document: Any, index: int) -> Rewrite:
-    """Read one rewriting."""
-    match document:
-        case [str(text), float() | int() as score] if not isinstance(score, bool):
-            if math.isfinite(score):
-                return text, float(score)
-    raise ValueError(
-        f"rewrites[{index}] is {quote(document)}, but must be a sentence and its log-probability, "
-        'as in ["go to the cone", -0.7]'
-    )
+    found = []
+    for index, one in enumerate(rewrites):
+        match one:
+            case [str(said), float() | int() as score] if not isinstance(
+                score, bool
+            ) and math.isfinite(score):
+                found.append((said, float(score)))
+            case _:
+                raise ValueError(
+                    f"rewrites[{index}] is {quote(one)}, but must be a sentence and its "
+                    'log-probability, as in ["go to the cone", -0.7]'
+                )
+    return text, tuple(found)

@@ -259,22 +259,14 @@ def _evaluate(
     return odds
 
 
-def _is_likeliest(log_probability: np.ndarray) -> bool:
-    """Tell whether the first set of a beam f64[W], best first, is proven to be the likeliest."""
-    # What a beam of any width finds are lower bounds, and what it misses adds up to the rest m of
-    # the probability. So where p(best) > p(second) + m, no other set is likelier, found or not.
-    chances = np.exp(log_probability)
-    missed = max(1.0 - float(chances.sum()), 0.0)
-    second = float(chances[1]) if len(chances) > 1 else 0.0
-    return bool(chances[0] > second + missed + 1e-9)
-
-
 def search_exactly(
     beams_of: Callable[[int, np.ndarray], Beams], num_models: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find the likeliest of all 2^S sets by each model, and whether it is proven to be.
 
-    Wider and wider beams are searched until the first of one is.
+    What a beam finds are lower bounds, and what it misses adds up to the rest m of the probability.
+    So where p(best) > p(second) + m, no other set is likelier, found or not. Wider and wider beams
+    are searched until that holds.
 
     Args:
         beams_of: beam width, i[M] models → beams of those models.
@@ -289,7 +281,10 @@ def search_exactly(
         beams = beams_of(width, open_models)
         for place, model in enumerate(open_models):
             best[model] = beams.sets[beams.index[place, 0]]
-            is_proven[model] = _is_likeliest(beams.log_probability[place])
+            chances = np.exp(beams.log_probability[place])
+            missed = max(1.0 - float(chances.sum()), 0.0)
+            second = float(chances[1]) if len(chances) > 1 else 0.0
+            is_proven[model] = chances[0] > second + missed + 1e-9
         open_models = open_models[~is_proven[open_models]]
         if not len(open_models):
             break

@@ -142,26 +142,22 @@ class BehaviorSpace(Symbols[BehaviorSymbol]):
         }
         super().__init__([BehaviorSymbol(kind, *of) for kind in kinds for of in kinds[kind]])
         ends = itertools.accumulate(len(of) for of in kinds.values())
-        self._spans = {
-            kind: (end - len(kinds[kind]), end) for kind, end in zip(kinds, ends, strict=True)
+        self.spans = {  # where each kind begins and ends
+            kind: (end - len(of), end) for (kind, of), end in zip(kinds.items(), ends, strict=True)
         }
 
     def num_expressible(self, phrase: Phrase) -> int:
         """Count the symbols that a phrase may express: those of verb phrases, or of others."""
-        num_noun = self._spans[REGION][1]
+        num_noun = self.spans[REGION][1]
         return self.size - num_noun if phrase.label in VERB_LABELS else num_noun
 
     def part(self, expressed: np.ndarray, kind: int) -> np.ndarray:
         """View one kind of symbol of [..., S] as [..., n], [..., 7, n], [..., 2] or [..., 3]."""
-        begin, end = self.span(kind)
+        begin, end = self.spans[kind]
         values = expressed[..., begin:end]
         if kind in (REGION, GOAL, CONSTRAINT):
             return values.reshape(*values.shape[:-1], NUM_REGIONS, self.num_objects)
         return values
-
-    def span(self, kind: int) -> tuple[int, int]:
-        """Find where one kind of behavior symbol begins and ends."""
-        return self._spans[kind]
 
 
 # ---------------------------------------------------------------- phrases as a graph

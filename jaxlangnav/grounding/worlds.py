@@ -52,15 +52,6 @@ class World:
         return cls(types, ~nothing, is_related, is_ranked, nothing)
 
 
-def _ranks(geometry: Geometry, object_type: np.ndarray) -> np.ndarray:
-    """Count how many others of its type beat each figure, i[6, n, n + 1]."""
-    count = geometry.num_objects
-    alike = object_type[:count, None] == object_type[None, :count]  # [figure, other]
-    alike = alike & ~np.eye(count, dtype=bool)
-    is_rival = alike[None] & ~np.eye(count + 1, count, dtype=bool)[:, None, :]  # landmark first
-    return num_before(geometry.strength.swapaxes(1, 2), is_rival).swapaxes(1, 2)
-
-
 def place(
     placed: PlacedWorld, type_names: tuple[str, ...], *, side_range: float = SIDE_RANGE
 ) -> World:
@@ -74,21 +65,21 @@ def place(
         kind_of(type_names.index(name), code)
         for (name, _, _), code in zip(placed.objects, codes, strict=True)
     ]
-    object_type = np.array([*kinds, ROBOT], np.int32)
-    shape = (NUM_RELATIONS, count + 1, count + 1)
-    is_related = np.zeros(shape, bool)
-    is_ranked = np.zeros((NUM_RANKS, *shape), bool)
+    world = World.of_edges([*kinds, ROBOT], ())
     if count:
         geometry = Geometry(placed, side_range=side_range)
         other = ~np.eye(count, count + 1, dtype=bool)
-        is_related[:, :count] = geometry.holds & other
-        ranks = _ranks(geometry, label_of(object_type))
+        world.is_related[:, :count] = geometry.holds & other
+        # How many others of its type beat each figure, by landmark: i[6, n, n + 1].
+        label = label_of(world.object_type[:count])
+        alike = (label[:, None] == label[None, :]) & ~np.eye(count, dtype=bool)  # [figure, other]
+        is_rival = alike[None] & ~np.eye(count + 1, count, dtype=bool)[:, None, :]
+        before = num_before(geometry.strength.swapaxes(1, 2), is_rival).swapaxes(1, 2)
         for rank in range(NUM_RANKS):
-            is_ranked[rank, :, :count] = (ranks == rank) & other
-    is_previous = np.zeros(count + 1, bool)
+            world.is_ranked[rank, :, :count] = (before == rank) & other
     if placed.previous is not None:
-        is_previous[placed.previous] = True
-    return World(object_type, np.ones(count + 1, bool), is_related, is_ranked, is_previous)
+        world.is_previous[placed.previous] = True
+    return world
 
 
 def place_for(placed: PlacedWorld, type_names: tuple[str, ...], readings: Readings) -> World:
@@ -111,26 +102,21 @@ def place_for(placed: PlacedWorld, type_names: tuple[str, ...], readings: Readin
         return world
     strength = Geometry(placed).strength
     kinds = np.asarray(readings.mention_type[0])
+    is_kind = [fits(world.object_type, kind) for kind in kinds]
     edges = readings.edges()
     edges = edges[edges[:, 1] != NONE]
-    related = _with_between(world, placed, kinds, edges)
-    world = dataclasses.replace(world, is_related=related)
-    ranked = world.is_ranked.copy()
+    _put_between(world, placed, is_kind, edges)
     for figure, relation, landmark, rank in edges[edges[:, 3] > 0]:
-        allowed = fits(world.object_type, kinds[figure])[:-1]
+        own = allowed = is_kind[figure][:-1]
         for other, place_said, by, other_rank in edges:
             if other == figure and other_rank == 0:
-                near = world.is_related[place_said][:-1, fits(world.object_type, kinds[by])]
-                allowed = allowed & near.any(1)
-        for index in np.flatnonzero(fits(world.object_type, kinds[landmark])):
-            mine = strength[relation, :, index]
-            rivals = allowed & (np.arange(len(mine)) != index)
-            before = num_before(mine, rivals)
-            own = fits(world.object_type, kinds[figure])[:-1]
-            meant = rivals & (before == rank - 1)
-            row = ranked[min(rank, 2) - 1, relation, :-1, index]
-            ranked[min(rank, 2) - 1, relation, :-1, index] = np.where(own, meant, row)
-    return dataclasses.replace(world, is_ranked=ranked)
+                allowed = allowed & world.is_related[place_said][:-1, is_kind[by]].any(1)
+        table = world.is_ranked[min(rank, 2) - 1, relation]
+        for index in np.flatnonzero(is_kind[landmark]):
+            rivals = allowed & (np.arange(len(own)) != index)
+            meant = rivals & (num_before(strength[relation, :, index], rivals) == rank - 1)
+            table[:-1, index] = np.where(own, meant, table[:-1, index])
+    return world
 
 
 def why_nothing_fits(
@@ -142,44 +128,41 @@ def why_nothing_fits(
     """
     world, kinds = place_for(placed, type_names, readings), np.asarray(readings.mention_type[0])
     names = ["robot" if kind == ROBOT else name_of(kind, type_names) for kind in kinds]
+    is_kind = [fits(world.object_type, kind) for kind in kinds]
     missing = [
         f"there is no {name}"
-        for kind, name in zip(kinds, names, strict=True)
-        if kind >= 0 and not fits(world.object_type, kind).any()
+        for kind, name, found in zip(kinds, names, is_kind, strict=True)
+        if kind >= 0 and not found.any()
     ]
+    if missing:
+        return missing
     for figure, relation, landmark, rank in readings.edges():
         if relation == NONE:
             continue
         table = world.is_ranked[min(rank, 2) - 1] if rank > 0 else world.is_related
-        ends = (fits(world.object_type, kinds[end]) for end in (figure, landmark))
-        if not missing and not table[relation][np.ix_(*ends)].any():
-            if rank == BETWEEN:
-                missing.append(f"no {names[figure]} is between two things as is said")
-                break
-            place = RELATION_WORDS[RELATIONS[relation]]
-            missing.append(f"no {names[figure]} is {place} the {names[landmark]}")
-    return missing
+        if table[relation][np.ix_(is_kind[figure], is_kind[landmark])].any():
+            continue
+        if rank == BETWEEN:
+            return [f"no {names[figure]} is between two things as is said"]
+        place = RELATION_WORDS[RELATIONS[relation]]
+        return [f"no {names[figure]} is {place} the {names[landmark]}"]
+    return []
 
 
-def _with_between(
-    world: World, placed: PlacedWorld, kinds: np.ndarray, edges: np.ndarray
-) -> np.ndarray:
-    """Put what lies between two things in place of what is near them, bool[6, n + 1, n + 1]."""
+def _put_between(
+    world: World, placed: PlacedWorld, is_kind: Sequence[np.ndarray], edges: np.ndarray
+) -> None:
+    """Put what lies between two things in place of what is near them, of mentions bool[n + 1]."""
     told = edges[edges[:, 3] == BETWEEN]
-    related = world.is_related.copy()
     x, y = np.array([[x, y] for _, x, y in placed.objects]).T
     lies = lies_between(*((x[ends], y[ends]) for ends in np.ix_(*[range(len(x))] * 3)))
     for figure, relation, landmark, _ in told:
-        is_figure, is_landmark = (
-            fits(world.object_type, kinds[one])[:-1] for one in (figure, landmark)
-        )
-        is_other = np.zeros(len(x), bool)
-        for other in told[(told[:, 0] == figure) & (told[:, 2] != landmark), 2]:
-            is_other |= fits(world.object_type, kinds[other])[:-1]
+        others = told[(told[:, 0] == figure) & (told[:, 2] != landmark), 2]
+        is_other = np.any([is_kind[other][:-1] for other in others], axis=0)
         own = np.any(lies & is_other, axis=-1)
+        is_figure, is_landmark = is_kind[figure][:-1], is_kind[landmark][:-1]
         ends = np.ix_([relation], np.flatnonzero(is_figure), np.flatnonzero(is_landmark))
-        related[ends] = own[is_figure][:, is_landmark]
-    return related
+        world.is_related[ends] = own[is_figure][:, is_landmark]
 
 
 def to_device(world: World, num_slots: int | None = None) -> BehaviorWorld:
