@@ -1,33 +1,28 @@
 """What pleases XLA on CPU: all of it stands here, and the mathematics elsewhere reads as for one.
 
-Why any of it is needed. The engine runs the same few hundred small loops for every particle of
-every lane at every step. XLA on CPU is good at long elementwise loops and at little else, so what
-counts is which axis is last, what is worked out anew, and how many loops there are to compile: 70 %
-of the compilation of a cycle is spent loop by loop. ``benchmarks/batching.py`` measures each trick
-against plain JAX; one that no longer pays there is to be deleted, with its callers made plain.
+The engine runs the same few hundred small loops for every particle of every lane at every step.
+XLA on CPU is good at long elementwise loops and at little else, so what counts is which axis is
+last, what is computed again, and how many loops there are to compile: 70 % of the compilation of a
+cycle is spent loop by loop. ``benchmarks/batching.py`` measures each trick against plain JAX; one
+that no longer pays there is to be deleted, with its callers made plain.
 
 *Batch axes last* (``append_axes``, ``prepend_axes``, ``insert_axes``). What runs for every particle
-at every step is written for one particle, with its own axes leading, and takes any batch axes
-behind them. ``vmap`` would batch it as well, but moves the batch axis to the front of most results,
-where loops over nine entries are not vectorised.
+is written for one, with its own axes leading, and takes any batch axes behind them. ``vmap`` moves
+the batch axis to the front of most results, where loops over nine entries are not vectorised.
 
 *Rows and short tables* (``select_row``, ``lookup``). ``leaf[index]`` allows for negative indices,
 at five operations to trace for two; a gather from a short table goes entry by entry and puts the
 batch axes in another order, where selects are one vectorised loop.
 
-*Materialization* (``materialize``). Cheap operations are fused into each of their readers. What
-many later loops read, the grounding of the detections say, is then computed in each of them again,
-for each entry of their results: a chain of such steps costs many times what it does, and takes as
-many times longer to compile. Optimisation barriers are dropped before fusion; a conditional is not
-crossed.
+*Materialization* (``materialize``). Cheap operations are fused into each of their readers, so a
+chain of steps with many readers is computed, and compiled, many times over. Optimisation barriers
+are dropped before fusion; a conditional is not crossed.
 
 *One table for a record* (``pack``, ``unpack``, ``take``). Leaf by leaf, a gather of particles picks
-numbers one by one, or turns every leaf around so that a particle lies in one piece, and all that
-follows reads it with strides. From one table a gather copies whole particles.
+numbers one by one; from one table it copies whole particles.
 
 *One draw for several keys* (``uniforms``). Each use of JAX's generator becomes loops of its own: 25
-uses took 15 of 68 CPU seconds of compilation (``benchmarks/NOTES.md``). Keys share one here; each
-gives the numbers that it would give alone.
+uses took 15 of 68 CPU seconds of compilation (``benchmarks/NOTES.md``).
 """
 
 import math
@@ -44,53 +39,24 @@ T = TypeVar("T")
 
 
 def append_axes(values: Array, ndim: int) -> Array:
-    """Append axes of length one: values along the first axes, the same for the whole batch.
-
-    Args:
-        values: [n, ...].
-        ndim: axes wanted.
-
-    Returns:
-        [n, ..., 1, 1] with ``ndim`` axes.
-    """
+    """Append axes of length one to [n, ...], up to ``ndim``: the same for the whole batch."""
     return values.reshape(values.shape + (1,) * (ndim - values.ndim))
 
 
 def prepend_axes(values: Array, ndim: int) -> Array:
-    """Prepend axes of length one: values along the batch axes, the same for every entry.
-
-    Args:
-        values: [..., P].
-        ndim: axes wanted.
-
-    Returns:
-        [1, 1, ..., P] with ``ndim`` axes.
-    """
+    """Prepend axes of length one to [..., P], up to ``ndim``: the same for every entry."""
     return values.reshape((1,) * (ndim - values.ndim) + values.shape)
 
 
 def insert_axes(values: Array, ndim: int) -> Array:
-    """Put axes of length one behind the first: every row of values beside all of something.
-
-    Args:
-        values: [n, ..., P].
-        ndim: axes wanted.
-
-    Returns:
-        [n, 1, 1, ..., P] with ``ndim`` axes.
-    """
+    """Put axes of length one behind the first of [n, ..., P], up to ``ndim``: a row beside all."""
     return values.reshape(values.shape[0], *(1,) * (ndim - values.ndim), *values.shape[1:])
 
 
 def select_row(records: T, index: Array) -> T:
     """Take one row of every leaf, in fewer operations than ``leaf[index]``, which may be negative.
 
-    Args:
-        records: leaves [n, ...].
-        index: i32[], from 0 to n − 1; the nearest of these is taken otherwise.
-
-    Returns:
-        Leaves [...].
+    Of leaves [n, ...] those [...] at i32[] from 0 to n − 1, or the nearest of these.
     """
 
     def row(leaf: Array) -> Array:
@@ -120,13 +86,9 @@ def lookup(values: Array, index: Array) -> Array:
 
 
 def materialize(values: T) -> T:
-    """Materialize values, so that no reader recomputes them; derivatives pass in both modes.
+    """Materialize arrays, so that no reader recomputes them; derivatives pass in both modes.
 
-    Args:
-        values: arrays; under ``vmap`` they are kept for the whole batch.
-
-    Returns:
-        The same values.
+    Under ``vmap`` they are kept for the whole batch.
     """
     return _once(values)
 
@@ -135,12 +97,9 @@ def skip_unless_any(is_meant: Array, weigh: Callable[[T], Array], records: T) ->
     """Evaluate ``weigh`` only if any batch member needs it, also under ``vmap``; else return zeros.
 
     Args:
-        is_meant: bool[...], which members ask.
+        is_meant: bool[...], which members ask; 0 where one does not.
         weigh: gives f32[n, ...] of ``records``.
         records: leaves [n, ...].
-
-    Returns:
-        f32[n, ...]; 0 where it is not asked for.
     """
     kinds = dict.fromkeys(leaf.dtype for leaf in jax.tree.leaves(records))
 
@@ -188,16 +147,10 @@ def _conditionally(values: Any) -> Any:
 
 
 def take(particles: T, ancestors: Array) -> T:
-    """Copy the ancestors' particles: all leaves as rows of one table, in one gather.
+    """Copy the ancestors' particles i32[P]: all leaves as rows of one table, in one gather.
 
-    The table is of floats, so that gradients pass through it.
-
-    Args:
-        particles: leaves [..., P] of f32, bool, or integers below 2²⁴, which floats hold exactly.
-        ancestors: i32[P].
-
-    Returns:
-        The same records, leaves [..., P].
+    The table is of floats, so gradients pass; leaves [..., P] are f32, bool, or integers below 2²⁴,
+    which floats hold exactly.
     """
     return unpack(pack(particles)[:, ancestors], particles)
 
@@ -213,12 +166,8 @@ def pack(particles: Any) -> Array:
 def unpack(table: Array, form: T) -> T:
     """Read records from a table, f32[rows, n], that ``pack`` has written and columns picked from.
 
-    Args:
-        table: of ``pack``.
-        form: the records that were packed, or others of their shapes and types; [..., P].
-
-    Returns:
-        Leaves [..., n].
+    ``form`` are the records that were packed, or others of their shapes and types, [..., P]; the
+    leaves are [..., n].
     """
     leaves, tree = jax.tree.flatten(form)
     taken, start = [], 0
@@ -231,15 +180,10 @@ def unpack(table: Array, form: T) -> T:
 
 
 def uniforms(keys: Array, size: int) -> Array:
-    """Draw from the unit interval for each key.
+    """Draw from the unit interval for each key[n]: rows as ``jax.random.uniform(key, (size,))``.
 
-    Args:
-        keys: key[n].
-        size: how many numbers. The first ones do not depend on it (``jax_threefry_partitionable``,
-            JAX's default), so keys that need fewer share the draw of the one that needs most.
-
-    Returns:
-        f32[n, size], each row as ``jax.random.uniform(key, (size,))``.
+    The first numbers do not depend on ``size`` (``jax_threefry_partitionable``, JAX's default), so
+    keys that need fewer share the draw of the one that needs most.
     """
     # Flat: LLVM unrolls short loops over a second axis, to many times the code.
     return jax.vmap(lambda key: jax.random.uniform(key, (size,)))(keys)

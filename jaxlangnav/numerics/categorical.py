@@ -16,7 +16,6 @@ def draw(log_weight: Array, uniform: Array) -> tuple[Array, Array]:
 
     Two levels of about √n: the group first, then the place in it. XLA's own cumulative sum takes
     log n passes over memory, which for all particles costs more than all the weights before it.
-
     Limits: one finite weight is always drawn; all −∞ gives index 0 and a total of −∞.
 
     Args:
@@ -54,10 +53,7 @@ def _running_sum(values: Array) -> Array:
 
 
 def log_normalize(log_weight: Array) -> tuple[Array, Array, Array]:
-    """Normalise log-weights along the last axis.
-
-    Args:
-        log_weight: f32[..., n], unnormalised; −∞ and NaN count as no weight.
+    """Normalise log-weights f32[..., n] along the last axis; −∞ and NaN count as no weight.
 
     Returns:
         Weights f32[..., n] that sum to one (uniform where nothing has weight), the log of the

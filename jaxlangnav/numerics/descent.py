@@ -48,20 +48,15 @@ def descend(
     """Search for a minimum until the slope is short, or gets no shorter in float32.
 
     The steps are those of ``optax.lbfgs`` with a line search that only ever shortens them: near a
-    minimum a step of one is right, and its gradient is what the next step starts from, so that a
-    step costs one value and one gradient.
-
-    Where rounding hides the way down every step is halved to nothing, at the cost of many. So ten
-    steps that lower neither the value nor the slope are the end, too.
+    minimum a step of one is right, and its gradient is what the next step starts from. Where
+    rounding hides the way down every step is halved to nothing, at the cost of many, so ten steps
+    that lower neither the value nor the slope are the end, too.
 
     Args:
         value_of: the function, of f32[...], to f32[].
         start: f32[...].
         slope_length: f32[], ends where the Euclidean length of the slope is no more than this.
         max_steps: f32[], and at the latest then.
-
-    Returns:
-        Where it ends.
     """
     search = optax.lbfgs(
         None,

@@ -2,10 +2,9 @@
 
 A Gaussian over n coordinates is held as its mean and its covariance Σ. Both axes of the plane
 share one Σ, because every noise in the map is isotropic; x and y have a mean each. The design asks
-for the information form Λ = Σ⁻¹, which is sparse in hundreds of poses. Here the old poses are
-marginalised out and n is nine: Λ is dense, and the covariance of robot and object, which
-association needs at every step, costs an inversion. Σ holds it ready; a measurement is a rank-one
-downdate, and the result is the same.
+for the information form Λ = Σ⁻¹, sparse in hundreds of poses. Here the old poses are marginalised
+out and n is nine, so Λ would be dense, and the covariance of robot and object, which association
+needs at every step, would cost an inversion. A measurement is a rank-one downdate of Σ.
 
 n is small and known at trace time, so what follows is unrolled: with the batch axes last ("…") it
 becomes a few fused elementwise loops, many times faster than batched LAPACK calls.
@@ -35,13 +34,7 @@ def add_noise(covariance: Array, index: int, variance: Array) -> Array:
 
         Σ' = Σ + q eᵢ eᵢᵀ
 
-    Args:
-        covariance: f32[n, n, ...].
-        index: coordinate that moves.
-        variance: f32[], q ≥ 0, square metres per axis.
-
-    Returns:
-        The new Σ.
+    Of Σ f32[n, n, ...], the index i, and q ≥ 0, f32[], square metres per axis.
     """
     unit = jnp.arange(covariance.shape[0]) == index
     own = append_axes(unit[:, None] & unit[None, :], covariance.ndim)
@@ -69,9 +62,6 @@ def enter(
         offset_x: f32[n, ...], z, metres.
         offset_y: f32[n, ...].
         variance: f32[n, ...] or f32[n, 1, ...], R, square metres per axis.
-
-    Returns:
-        The Gaussian with them in place.
     """
     covariance, mean_x, mean_y = moments
     here = slice(origin, origin + 1)
@@ -108,9 +98,6 @@ def condition_offsets(
         offset_x: f32[k, ...], z, metres.
         offset_y: f32[k, ...].
         variance: f32[k, ...], R > 0, square metres per axis.
-
-    Returns:
-        The posterior.
     """
     size = moments.covariance.shape[0]
     # The means ride along as two more columns: Σ' and μ' are then one and the same downdate.
@@ -139,17 +126,11 @@ def condition_offsets(
 
 
 def log_normal_isotropic(offset_x: Array, offset_y: Array, variance: Array) -> Array:
-    """Evaluate an isotropic Gaussian log-density in the plane.
+    """Evaluate an isotropic Gaussian log-density in the plane, f32[...] per square metre.
 
         log N(ν; 0, s I₂) = −|ν|² / 2s − log 2πs
 
-    Args:
-        offset_x: f32[...], metres.
-        offset_y: f32[...], metres.
-        variance: f32[...], s > 0, square metres per axis.
-
-    Returns:
-        f32[...], log of the density per square metre.
+    Of an offset ν in metres, and s > 0, square metres per axis, f32[...] each.
     """
     squared = offset_x * offset_x + offset_y * offset_y
     return -0.5 * squared / variance - jnp.log(2.0 * jnp.pi * variance)

@@ -5,28 +5,17 @@ from jax import Array
 
 
 def effective_sample_size(weight: Array) -> Array:
-    """Count how many equal particles the weights are worth: 1 / Σ wᵢ².
+    """Count how many equal particles the weights f32[P], normalised, are worth: 1 / Σ wᵢ².
 
     Limits: P for equal weights, 1 for a single survivor.
-
-    Args:
-        weight: f32[P], normalised.
-
-    Returns:
-        f32[].
     """
     return 1.0 / jnp.sum(weight * weight)
 
 
 def systematic(weight: Array, uniform: Array) -> Array:
-    """Choose ancestors so that particle i has P wᵢ offspring to within one.
+    """Choose ancestors i32[P], ascending, so that particle i has P wᵢ offspring to within one.
 
-    Args:
-        weight: f32[P], normalised.
-        uniform: f32[], in [0, 1).
-
-    Returns:
-        i32[P], ancestor of each slot, in ascending order.
+    By weights f32[P], normalised, and one draw f32[] in [0, 1).
     """
     size = weight.shape[0]
     cumulative = jnp.cumsum(weight)
@@ -39,14 +28,9 @@ def systematic(weight: Array, uniform: Array) -> Array:
 
 
 def independent(weight: Array, uniform: Array) -> Array:
-    """Choose an ancestor for each slot by a draw of its own.
+    """Choose an ancestor i32[P] for each slot by a draw of its own, f32[P] in [0, 1).
 
-    Args:
-        weight: f32[P], in proportion to the probabilities.
-        uniform: f32[P], in [0, 1).
-
-    Returns:
-        i32[P], ancestors.
+    ``weight`` is f32[P], in proportion to the probabilities.
     """
     cumulative = jnp.cumsum(weight)
     # A binary search: comparing all with all is quadratic in P.

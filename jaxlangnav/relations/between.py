@@ -35,13 +35,8 @@ def log_density(
 
     Limits: exchanging the landmarks changes nothing; with both at one place f is that of a point.
 
-    Args:
-        figure: f32[...] x and y, metres, map frame.
-        landmark: f32[...], likewise, one of the two.
-        other: f32[...], the other.
-
-    Returns:
-        f32[...], log of the density per square metre.
+    All are f32[...] x and y, metres, map frame: the figure, one landmark, and the other; returned
+    is f32[...] per square metre.
     """
     u, v, squared = _deviations(figure, landmark, other)
     log_constant = math.log(2.0 * math.pi * SPREAD[0] * SPREAD[1])
@@ -49,18 +44,11 @@ def log_density(
 
 
 def lies_between(figure: _Point, landmark: _Point, other: _Point) -> Any:
-    """Decide whether people would say that a thing lies between two others, NumPy or JAX.
+    """Decide whether people would say that a thing lies between two others, bool[...].
 
     It does within ``_DEVIATIONS`` of the density: in an ellipse about the middle of the way
-    that ends at the landmarks, three quarters as wide as it is long.
-
-    Args:
-        figure: f[...] x and y, metres, map frame.
-        landmark: f[...], likewise, one of the two.
-        other: f[...], the other.
-
-    Returns:
-        bool[...]; nothing lies between itself and something else.
+    that ends at the landmarks, three quarters as wide as it is long. Nothing lies between itself
+    and something else. All are f[...] x and y, metres, map frame; NumPy or JAX.
     """
     u, v, _ = _deviations(figure, landmark, other)
     return u * u + v * v < _DEVIATIONS**2

@@ -56,13 +56,9 @@ class Law:
 
 
 def prepare(params: RelationParams) -> RelationModel:
-    """Compute what the density and the sampler need once per set of parameters.
+    """Compute constants and the quantile table of the von Mises angle, once per set of parameters.
 
-    Args:
-        params: free parameters, f32[6] each; ``log_distance_sd`` > 0, ``concentration`` >= 0.
-
-    Returns:
-        Constants and the quantile table of the von Mises angle; differentiable in ``params``.
+    Differentiable in ``params``, f32[6] each; ``log_distance_sd`` > 0, ``concentration`` >= 0.
     """
     # The angle is symmetric: tabulate |Δ| by its survival function, summed from the far tail so
     # that float32 keeps the rare large angles, at equal steps of a standard normal's quantile.
@@ -112,9 +108,6 @@ def anywhere(law: Law, is_side: Array, is_order: Array, log_area: Array) -> Law:
         is_side: bool[...].
         is_order: bool[...], nowhere a side as well.
         log_area: f32[], log square metres of the area A.
-
-    Returns:
-        The law, per square metre.
     """
     kappa = jnp.where(is_side, SIDE_CONCENTRATION, jnp.where(is_order, 0.0, law.concentration))
     log_flat = -log_area - jnp.log(jax.scipy.special.i0e(kappa))
@@ -153,7 +146,7 @@ def log_density_of(law: Law, offset_x: Array, offset_y: Array, frame: ReferenceF
         frame: directions, broadcastable to the offset.
 
     Returns:
-        f32[...], log of the density per square metre.
+        f32[...], per square metre.
     """
     along = offset_x * frame.along_x + offset_y * frame.along_y
     lateral = offset_x * frame.lateral_x + offset_y * frame.lateral_y
@@ -177,9 +170,9 @@ def _log_density(law: Law, along: Array, lateral: Array, squared: Array) -> Arra
 def sample_polar(
     model: RelationModel, relation: ArrayLike, distance_normal: Array, angle_normal: Array
 ) -> tuple[Array, Array]:
-    """Draw an offset from a relation in [0, 6), by standard normal draws f32[...].
+    """Draw f32[...] along and lateral of a relation in [0, 6), by standard normal draws f32[...].
 
-    f32[...] along and f32[...] lateral, metres, in the frame of ``log_density``.
+    In metres, in the frame of ``log_density``.
     """
     return sample_law(law_of(model, relation), model, relation, distance_normal, angle_normal)
 

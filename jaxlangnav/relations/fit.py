@@ -23,7 +23,7 @@ from jax.flatten_util import ravel_pytree
 from scipy.optimize.elementwise import find_root
 
 from jaxlangnav.messages import FAR, NEAR, RELATIONS
-from jaxlangnav.numerics.descent import Descent, descend
+from jaxlangnav.numerics.descent import descend
 from jaxlangnav.pytree import pytree, replace
 from jaxlangnav.relations import RelationParams, default_params
 from jaxlangnav.relations.pairs import FRAMES, RelationPairs, log_frame_densities
@@ -132,45 +132,28 @@ def _log_prior(free: _Free, start: _Free, prior: RelationPrior) -> Array:
     )
 
 
-def _loss(vector: Array, pairs: RelationPairs, start: _Free, prior: RelationPrior) -> Array:
-    """Compute the negative log posterior of the flat parameters f32[n], the mean over pairs."""
-    free = ravel_pytree(start)[1](vector)
-    total = jnp.sum(jax.nn.logsumexp(_log_joint(free, pairs), axis=1))
-    return -(total + _log_prior(free, start, prior)) / pairs.relation.shape[0]
-
-
 @jax.jit
-def _bend(vector: Array, pairs: RelationPairs, start: _Free, prior: RelationPrior) -> Array:
-    """Compute the curvature f32[n, n], a row at a time: a third of the compilation of hessian."""
-
-    def row(unit: Array) -> Array:
-        slope = jax.grad(lambda at: _loss(at, pairs, start, prior))
-        return jax.jvp(slope, (vector,), (unit,))[1]
-
-    return jax.lax.map(row, jnp.eye(vector.shape[0]))
-
-
-@jax.jit
-def _search(
-    start: _Free, pairs: RelationPairs, prior: RelationPrior, max_iterations: Array
-) -> Descent:
-    """Run L-BFGS from where the prior has its centre."""
-    return descend(
-        lambda vector: _loss(vector, pairs, start, prior),
-        ravel_pytree(start)[0],
-        slope_length=_FLAT,
-        max_steps=max_iterations,
-    )
-
-
 def _maximise(
-    pairs: RelationPairs, start: _Free, prior: RelationPrior, max_iterations: int
+    pairs: RelationPairs, start: _Free, prior: RelationPrior, max_steps: Array
 ) -> tuple[_Free, Array, Array]:
-    """Run L-BFGS; also f32[n, n], the curvature there, and bool[], whether it has converged."""
-    found = _search(start, pairs, prior, jnp.float32(max_iterations))
-    curvature = _bend(found.point, pairs, start, prior) * pairs.relation.shape[0]
+    """Run L-BFGS from where the prior has its centre, on the mean over pairs.
+
+    Also f32[n, n], the curvature there, and bool[], whether the search has converged.
+    """
+    number, (begin, unravel) = pairs.relation.shape[0], ravel_pytree(start)
+
+    def loss(vector: Array) -> Array:
+        free = unravel(vector)
+        total = jnp.sum(jax.nn.logsumexp(_log_joint(free, pairs), axis=1))
+        return -(total + _log_prior(free, start, prior)) / number
+
+    found = descend(loss, begin, slope_length=_FLAT, max_steps=max_steps)
+    # A row at a time: a third of the compilation of ``jax.hessian``.
+    curvature = jax.lax.map(
+        lambda unit: jax.jvp(jax.grad(loss), (found.point,), (unit,))[1], jnp.eye(len(begin))
+    )
     is_converged = jnp.max(jnp.abs(found.slope)) < _CONVERGED
-    return ravel_pytree(start)[1](found.point), curvature, is_converged
+    return unravel(found.point), curvature * number, is_converged
 
 
 def _standard_errors(
@@ -207,20 +190,18 @@ def fit_relations(
     """Fit relations and the shares of their frames to labelled pairs.
 
     Words without pairs keep their initial parameters. "Near" and "far" have no direction: only
-    their distances are fitted.
+    their distances are fitted. ``params`` of the fit goes through ``relations.prepare`` into
+    ``MapParams.relations``.
 
     Args:
         pairs: N labelled pairs; see ``relation_pairs.make_pairs``.
         init: where the fit starts and the prior has its centre; the defaults if None.
         prior: how strong it is; about one pair if None.
         max_iterations: of L-BFGS.
-
-    Returns:
-        The fit; ``params`` goes through ``relations.prepare`` into ``MapParams.relations``.
     """
     start = _encode(default_params() if init is None else init)
     held = default_prior() if prior is None else prior
-    free, curvature, is_converged = _maximise(pairs, start, held, max_iterations)
+    free, curvature, is_converged = _maximise(pairs, start, held, jnp.float32(max_iterations))
     num_pairs = jnp.bincount(pairs.relation, length=len(RELATIONS))
     params, log_share = _decode(free)
     standard_error, share_error = _standard_errors(free, curvature, num_pairs)
@@ -242,13 +223,8 @@ def in_viewer_frame(fit: RelationFit) -> RelationParams:
     """Describe fitted relations in the viewer's frame alone, as the filter takes them.
 
     The direction keeps its mean resultant length, I₁(κ') / I₀(κ') = π_viewer I₁(κ) / I₀(κ): what
-    is said in other frames is no direction in this one.
-
-    Args:
-        fit: of ``fit_relations``.
-
-    Returns:
-        The parameters; the same as ``fit.params`` where every pair was meant by the viewer.
+    is said in other frames is no direction in this one. Limit: where every pair was meant by the
+    viewer it is ``fit.params``.
     """
     kappa = np.asarray(fit.params.concentration, np.float64)
     target = np.asarray(fit.frame_share[:, 0], np.float64) * _resultant(kappa)
@@ -273,27 +249,23 @@ def describe(fit: RelationFit) -> list[dict[str, float | str]]:
     """
     rows: list[dict[str, float | str]] = []
     params, error = fit.params, fit.standard_error
-    for index, name in enumerate(RELATIONS):
-        if not int(fit.num_pairs[index]):
-            continue
-        median = float(jnp.exp(params.log_distance[index]))
+    for index in np.flatnonzero(fit.num_pairs):
+        median = jnp.exp(params.log_distance[index])
+        numbers = {
+            "distance": median,
+            "distance_se": median * error.log_distance[index],
+            "spread": params.log_distance_sd[index],
+            "spread_se": error.log_distance_sd[index],
+            "axis": jnp.rad2deg(params.axis[index]),
+            "axis_se": jnp.rad2deg(error.axis[index]),
+            "concentration": params.concentration[index],
+            "concentration_se": error.concentration[index],
+        }
+        for end, shares in (("", fit.frame_share), ("_se", fit.frame_share_error)):
+            named = zip(FRAMES, shares[index], strict=True)
+            numbers |= {f"share_{frame}{end}": share for frame, share in named}
         rows.append(
-            {
-                "relation": name,
-                "pairs": int(fit.num_pairs[index]),
-                "distance": median,
-                "distance_se": median * float(error.log_distance[index]),
-                "spread": float(params.log_distance_sd[index]),
-                "spread_se": float(error.log_distance_sd[index]),
-                "axis": float(jnp.rad2deg(params.axis[index])),
-                "axis_se": float(jnp.rad2deg(error.axis[index])),
-                "concentration": float(params.concentration[index]),
-                "concentration_se": float(error.concentration[index]),
-            }
-            | {f"share_{frame}": float(fit.frame_share[index, k]) for k, frame in enumerate(FRAMES)}
-            | {
-                f"share_{frame}_se": float(fit.frame_share_error[index, k])
-                for k, frame in enumerate(FRAMES)
-            }
+            {"relation": RELATIONS[index], "pairs": int(fit.num_pairs[index])}
+            | {name: float(number) for name, number in numbers.items()}
         )
     return rows

@@ -47,7 +47,7 @@ def make_pairs(
     robot: np.ndarray | None = None,
     is_robot: np.ndarray | None = None,
 ) -> RelationPairs:
-    """Check and pack labelled pairs (host only).
+    """Check and pack N labelled pairs (host only).
 
     Args:
         relation: i[N], index into ``messages.RELATIONS``.
@@ -57,9 +57,6 @@ def make_pairs(
         robot: f[N, 3], the robot's present pose; the viewer's by default.
         is_robot: bool[N], the landmark is the robot itself; False by default.
 
-    Returns:
-        The pairs.
-
     Raises:
         ValueError: no pairs, shapes that do not agree, an unknown relation, numbers that are not
             finite.
@@ -68,16 +65,16 @@ def make_pairs(
     number = len(word)
     if number == 0:
         raise ValueError("there are no pairs to fit relations to")
-    present = np.asarray(viewer if robot is None else robot, np.float32)
-    own = np.zeros(number, bool) if is_robot is None else np.asarray(is_robot, bool)
-    shaped = {
-        "figure": (np.asarray(figure, np.float32), (number, 2)),
-        "landmark": (np.asarray(landmark, np.float32), (number, 2)),
-        "viewer": (np.asarray(viewer, np.float32), (number, 3)),
-        "robot": (present, (number, 3)),
-        "is_robot": (own, (number,)),
+    given = {
+        "figure": np.asarray(figure, np.float32),
+        "landmark": np.asarray(landmark, np.float32),
+        "viewer": np.asarray(viewer, np.float32),
+        "robot": np.asarray(viewer if robot is None else robot, np.float32),
+        "is_robot": np.zeros(number, bool) if is_robot is None else np.asarray(is_robot, bool),
     }
-    for name, (values, shape) in shaped.items():
+    sizes = {"figure": (2,), "landmark": (2,), "viewer": (3,), "robot": (3,), "is_robot": ()}
+    for name, values in given.items():
+        shape = (number, *sizes[name])
         if values.shape != shape:
             raise ValueError(f"{name} has shape {values.shape}, but {number} pairs need {shape}")
         if not np.isfinite(values).all():
@@ -86,16 +83,18 @@ def make_pairs(
         raise ValueError(
             f"relation must be an index from 0 to {len(RELATIONS) - 1} ({', '.join(RELATIONS)})"
         )
-    figure, landmark = shaped["figure"][0], shaped["landmark"][0]
+    packed = {name: jnp.asarray(values) for name, values in given.items()}
+    (figure_x, figure_y), (landmark_x, landmark_y) = (
+        packed.pop("figure").T,
+        packed.pop("landmark").T,
+    )
     return RelationPairs(
         relation=jnp.asarray(word, jnp.int32),
-        figure_x=jnp.asarray(figure[:, 0]),
-        figure_y=jnp.asarray(figure[:, 1]),
-        landmark_x=jnp.asarray(landmark[:, 0]),
-        landmark_y=jnp.asarray(landmark[:, 1]),
-        is_robot=jnp.asarray(own),
-        viewer=jnp.asarray(shaped["viewer"][0]),
-        robot=jnp.asarray(present),
+        figure_x=figure_x,
+        figure_y=figure_y,
+        landmark_x=landmark_x,
+        landmark_y=landmark_y,
+        **packed,
     )
 
 
@@ -109,17 +108,10 @@ def _in_frame(pairs: RelationPairs, pose: Array) -> tuple[Array, Array, Referenc
 
 
 def log_frame_densities(pairs: RelationPairs, *, params: RelationParams) -> Array:
-    """Evaluate every pair in every frame, without the frames' shares.
+    """Evaluate the log-density of every pair in every frame, f32[N, F] per square metre.
 
-    Limits: κ = 0 makes the viewer's frame and "undirected" the same; a robot that has not moved
-    since the utterance makes its present frame the viewer's.
-
-    Args:
-        pairs: N labelled pairs.
-        params: relations.
-
-    Returns:
-        f32[N, F], log-density per square metre.
+    The frames' shares do not count. Limits: κ = 0 makes the viewer's frame and "undirected" the
+    same; a robot that has not moved since the utterance makes its present frame the viewer's.
     """
     by_viewer = _in_frame(pairs, pairs.viewer)
     by_robot = _in_frame(pairs, pairs.robot)

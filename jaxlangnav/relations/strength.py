@@ -33,15 +33,8 @@ _IS_RING = np.array([one not in SIDES for one in range(len(AXIS))])  # "near", "
 def degree_of(relation: int, distance: Values, sideways: Values) -> Values:
     """Measure how much one relation holds, to find the extreme, the second, ...: larger is more so.
 
-    The only place: host and device, NumPy and JAX.
-
-    Args:
-        relation: relation index.
-        distance: f[...], metres from the landmark.
-        sideways: f[...], metres to the robot's left of the landmark.
-
-    Returns:
-        f[...], metres: "leftmost" is furthest to the left, "far" furthest, all others nearest.
+    Of f[...] metres from the landmark, and to the robot's left of it; NumPy or JAX. f[...], metres:
+    "leftmost" is furthest to the left, "far" furthest, all others nearest.
     """
     if relation == FAR:
         return distance
@@ -80,9 +73,6 @@ def value_of_rank(rank: Array, values: Array, *, tie: float) -> Array:
         rank: i32[...], 1 is the first, of at most ``NUM_RANKS``.
         values: f32[n, ...], smaller comes before; ∞ for who does not count.
         tie: values no farther apart are one.
-
-    Returns:
-        f32[...].
     """
     last = jnp.full(values.shape[1:], -jnp.inf)
     found = last
@@ -93,16 +83,13 @@ def value_of_rank(rank: Array, values: Array, *, tie: float) -> Array:
 
 
 def is_on_side(relation: Array, offset_x: Array, offset_y: Array, robot: ReferenceFrame) -> Array:
-    """Tell on which side of the robot something is, to compare things there: half-planes.
+    """Tell on which side of the robot something is, to compare things there, bool[...]: half-planes.
 
     Args:
         relation: i32[...], relation index; all but front, behind, left, right hold everywhere.
         offset_x: f32[...] from the robot, metres, map axes.
         offset_y: f32[...]
         robot: the robot's own frame.
-
-    Returns:
-        bool[...]
     """
     backward = offset_x * robot.along_x + offset_y * robot.along_y
     leftward = offset_x * robot.lateral_x + offset_y * robot.lateral_y
@@ -125,9 +112,6 @@ def is_so(relation: ArrayLike, along: Array, lateral: Array, *, has_range: Array
         along: f[...], metres from the landmark, in the relation's frame.
         lateral: f[...], metres, likewise.
         has_range: bool[...], whether the relation says how far.
-
-    Returns:
-        bool[...].
     """
     relation, distance = jnp.asarray(relation), jnp.sqrt(along * along + lateral * lateral)
     cosine, sine, is_ring = (jnp.asarray(table)[relation] for table in (_COSINE, _SINE, _IS_RING))
@@ -143,7 +127,7 @@ def holds(
     viewer: ArrayLike,
     heading: float | None = None,
 ) -> Array:
-    """Decide whether a relation holds between known positions: ``is_so`` in its frame.
+    """Decide whether a relation holds between known positions: ``is_so`` in its frame, bool[...].
 
     Args:
         relation: relation index in [0, 6).
@@ -151,9 +135,6 @@ def holds(
         landmark: f32[..., 2], metres, map frame.
         viewer: f32[..., 2], where the speaker and robot stand at the utterance.
         heading: radians; given where the landmark is the robot itself.
-
-    Returns:
-        bool[...].
     """
     figure, landmark, viewer = jnp.asarray(figure), jnp.asarray(landmark), jnp.asarray(viewer)
     if heading is None:
