@@ -260,7 +260,7 @@ def widen(readings: Readings, capacity: Capacity) -> Readings:
 def pad_readings(ranked: Sequence[tuple[Reading, float]]) -> Readings:
     """Write up to K (reading, log-probability), best first, into padded arrays, normalised."""
     mention_type = np.full((NUM_READINGS, NUM_MENTIONS), NONE, np.int32)
-    edges = np.tile(np.int32([NONE, NONE, NONE, 0]), (NUM_READINGS, NUM_RELATIONS_SAID, 1))
+    edges = np.full((NUM_READINGS, NUM_RELATIONS_SAID, 4), (NONE, NONE, NONE, 0), np.int32)
     log_probability = np.full(NUM_READINGS, -np.inf, np.float32)
     total = np.logaddexp.reduce([score for _, score in ranked])
     for k, (reading, score) in enumerate(ranked):

@@ -83,7 +83,7 @@ def value_of_rank(rank: Array, values: Array, *, tie: float) -> Array:
 
 
 def is_on_side(relation: Array, offset_x: Array, offset_y: Array, robot: ReferenceFrame) -> Array:
-    """Tell on which side of the robot something is, to compare things there, bool[...]: half-planes.
+    """Tell on which side of the robot things are, to compare them there, bool[...]: half-planes.
 
     Args:
         relation: i32[...], relation index; all but front, behind, left, right hold everywhere.
